@@ -1,0 +1,50 @@
+"""Who may import what, read from the sources."""
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+SHIPPED = ("twin", "reconstruction")
+ALL = (*SHIPPED, "benchmarks", "tests")
+
+
+def sources(folders: tuple[str, ...]) -> list[Path]:
+    return [path for folder in folders for path in sorted((ROOT / folder).rglob("*.py"))]
+
+
+def imported_roots(path: Path) -> Iterator[str]:
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            yield from (alias.name.partition(".")[0] for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.module and node.level == 0:
+            yield node.module.partition(".")[0]
+
+
+def importers(folders: tuple[str, ...], modules: set[str]) -> list[str]:
+    return [
+        path.relative_to(ROOT).as_posix()
+        for path in sources(folders)
+        if modules & set(imported_roots(path))
+    ]
+
+
+def test_renderer_is_imported_under_optics_only():
+    found = importers(SHIPPED, {"mitsuba", "drjit"})
+    assert found
+    assert [path for path in found if not path.startswith("twin/optics/")] == []
+
+
+def test_reconstruction_does_not_know_the_twin():
+    assert importers(("reconstruction",), {"twin", "trimesh", "skfem", "pytetwild"}) == []
+
+
+def test_data_folders_are_not_imported():
+    assert importers(ALL, {"scenes", "materials"}) == []
+
+
+@pytest.mark.parametrize("folder", ["scenes", "materials"])
+def test_data_folders_hold_no_code(folder):
+    assert list((ROOT / folder).rglob("*.py")) == []

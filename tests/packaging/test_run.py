@@ -1,0 +1,182 @@
+"""The front door `./run`, with a stand-in for Python so that nothing is downloaded."""
+
+import os
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+# Notes each call; `-m venv` makes an environment whose Python is this same script.
+STAND_IN = """#!/bin/sh
+printf '%s\\n' "$*" >>"$CALLS"
+case $* in
+    *"-m venv"*)
+        for folder; do :; done
+        mkdir -p "$folder/bin"
+        cp "$0" "$folder/bin/python"
+        printf '#!/bin/sh\\necho "twin $*"\\npwd\\n' >"$folder/bin/twin"
+        chmod +x "$folder/bin/twin"
+        ;;
+    *requirements.lock*) sleep "${SLOW:-0}"; exit "${PIP_STATUS:-0}" ;;
+    *twin.optics.backend*) echo "llvm_ad_mono, LLVM 19" ;;
+    *benchmarks/*) echo '{"seconds": 1}' ;;
+esac
+"""
+
+
+class Checkout:
+    """A checkout with the real `run` in a path with spaces."""
+
+    def __init__(self, folder: Path) -> None:
+        self.root = folder / "a check out"
+        (self.root / "benchmarks").mkdir(parents=True)
+        for name in ("run", "pyproject.toml", "requirements.lock"):
+            shutil.copy2(ROOT / name, self.root)
+        for name in ("stack", "_shared"):
+            (self.root / "benchmarks" / f"{name}.py").write_text("")
+        self.calls_file = folder / "calls"
+        self.python = folder / "python"
+        self.python.write_text(STAND_IN)
+        self.python.chmod(0o755)
+
+    def start(self, *arguments: str, **environment: str) -> subprocess.Popen[str]:
+        own = {"TWIN_PYTHON": str(self.python), "CALLS": str(self.calls_file), "CI": "true"}
+        return subprocess.Popen(
+            [self.root / "run", *arguments],
+            cwd=self.calls_file.parent,
+            env={"PATH": os.environ["PATH"]} | own | environment,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+
+    def run(self, *arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
+        process = self.start(*arguments, **environment)
+        out, err = process.communicate(timeout=60)
+        return subprocess.CompletedProcess(arguments, process.returncode, out, err)
+
+    def count(self, part: str) -> int:
+        return sum(part in call for call in self.calls_file.read_text().splitlines())
+
+
+@pytest.fixture
+def checkout(tmp_path) -> Checkout:
+    return Checkout(tmp_path)
+
+
+def test_first_call_sets_up_then_runs_where_the_user_is(checkout):
+    ended = checkout.run("twin", "press", "my file.toml")
+    assert ended.returncode == 0, ended.stderr
+    assert ended.stdout == f"twin press my file.toml\n{checkout.calls_file.parent}\n"
+    assert [line[:3] for line in ended.stderr.splitlines() if "/4 " in line] == [
+        f"{step}/4" for step in (1, 2, 3, 4)
+    ]
+
+
+def test_second_call_starts_at_once(checkout):
+    checkout.run("demo")
+    calls = checkout.calls_file.read_text()
+    ended = checkout.run("demo", "--full")
+    assert ended.stdout.startswith("twin demo --full\n")
+    assert ended.stderr == ""
+    assert checkout.calls_file.read_text() == calls
+
+
+def test_failed_set_up_is_one_line_and_not_taken_for_finished(checkout):
+    ended = checkout.run("demo", PIP_STATUS="1")
+    assert ended.returncode == 3
+    assert ended.stdout == ""
+    assert ended.stderr.splitlines()[-1].startswith("run: pip could not install requirements.lock")
+    assert checkout.run("demo").returncode == 0
+    assert checkout.count("-m venv") == 2
+
+
+def test_interrupted_set_up_is_not_taken_for_finished(checkout):
+    process = checkout.start("setup", SLOW="3")
+    assert process.stderr is not None
+    while "2/4" not in process.stderr.readline():
+        pass
+    process.terminate()
+    process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert checkout.run("demo").returncode == 0
+    assert checkout.count("requirements.lock") == 2
+
+
+def test_two_set_ups_at_once_do_the_work_once(checkout):
+    both = [checkout.start("demo", SLOW="1") for _ in range(2)]
+    ends = [process.communicate(timeout=60) for process in both]
+    assert [process.returncode for process in both] == [0, 0], ends
+    assert checkout.count("requirements.lock") == 1
+
+
+def test_new_lock_file_means_a_new_environment(checkout):
+    checkout.run("setup")
+    with (checkout.root / "requirements.lock").open("a") as lock:
+        lock.write("# changed\n")
+    checkout.run("demo")
+    assert checkout.count("-m venv") == 2
+
+
+def test_new_project_file_keeps_the_environment(checkout):
+    checkout.run("setup")
+    with (checkout.root / "pyproject.toml").open("a") as project:
+        project.write("# changed\n")
+    checkout.run("demo")
+    assert checkout.count("-m venv") == 1
+    assert checkout.count("--no-deps") == 2
+
+
+def test_moved_checkout_is_set_up_again(checkout):
+    checkout.run("setup")
+    checkout.root = checkout.root.rename(checkout.root.with_name("moved"))
+    assert checkout.run("demo").returncode == 0
+    assert checkout.count("-m venv") == 2
+
+
+def test_set_up_looks_for_the_backend_afresh(checkout):
+    checkout.run("setup")
+    checkout.run("setup")
+    assert checkout.count("twin.optics.backend --fresh") == 2
+    assert checkout.count("-m venv") == 1
+
+
+def test_benchmark_result_is_the_last_line_of_stdout(checkout):
+    ended = checkout.run("bench", "stack", "--quick")
+    assert ended.stdout == '{"seconds": 1}\n'
+    assert checkout.count("benchmarks/stack.py --quick") == 1
+
+
+@pytest.mark.parametrize("name", ["absent", "_shared", "../run", ""])
+def test_unknown_benchmark_lists_the_known_ones(checkout, name):
+    ended = checkout.run("bench", name)
+    assert ended.returncode == 2
+    assert ended.stderr == f"run: no benchmark '{name}', there are: stack\n"
+
+
+def test_unknown_command_shows_the_usage(checkout):
+    ended = checkout.run("demmo")
+    assert ended.returncode == 2
+    assert "usage: ./run" in ended.stderr
+    assert ended.stderr.splitlines()[-1] == "run: unknown command 'demmo'"
+
+
+def test_help_needs_no_set_up(checkout):
+    assert "usage: ./run" in checkout.run("help").stdout
+    assert not checkout.calls_file.exists()
+
+
+def test_python_that_does_not_work_is_told(checkout):
+    ended = checkout.run("demo", TWIN_PYTHON="/absent/python")
+    assert ended.returncode == 3
+    assert "no Python 3.11 or newer found at TWIN_PYTHON=/absent/python" in ended.stderr
+
+
+def test_lock_file_holds_versions_only():
+    lines = (ROOT / "requirements.lock").read_text().splitlines()
+    pins = [line for line in lines if not line.startswith("#")]
+    assert pins
+    assert all(pin.count("==") == 1 and "/" not in pin and " " not in pin for pin in pins)

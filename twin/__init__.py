@@ -1,0 +1,1 @@
+"""Forward model of a contact fringe-projection sensor."""

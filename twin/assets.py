@@ -1,0 +1,131 @@
+"""Data files of the twin: `scenes` and `materials`, wherever this installation keeps them.
+
+The two collections are data, not packages. They are looked for in this order: the folder named by
+``TWIN_ASSETS``, the installed package, the checkout beside the package. The first folder that has
+the file wins, so a user's folder may replace or add single files.
+"""
+
+from __future__ import annotations
+
+import difflib
+import os
+from importlib.resources import files
+from pathlib import Path
+from typing import Literal, get_args
+
+from reconstruction.errors import InputError
+
+Collection = Literal["scenes", "materials"]
+FOLDER_VARIABLE = "TWIN_ASSETS"
+
+
+class AssetError(InputError):
+    """A data file that is not there, or that may not be named so."""
+
+
+def asset_path(collection: Collection, name: str) -> Path:
+    """Find one data file.
+
+    Parameters
+    ----------
+    collection : {"scenes", "materials"}
+        Kind of data.
+    name : str
+        Name inside the collection, for example ``elastomers/silicone_c``, ``.toml`` understood; or
+        the path of a file, absolute or beginning with ``./``.
+
+    Returns
+    -------
+    Path
+        An existing file.
+
+    Raises
+    ------
+    AssetError
+        If there is no such file; close names are told.
+    """
+    _check_name(collection, name)
+    folders = [Path()] if _is_path(name) else asset_folders(collection)
+    for folder in folders:
+        path = _existing(folder / name)
+        if path is not None:
+            return path
+    raise AssetError(_not_found(collection, name))
+
+
+def list_assets(collection: Collection) -> list[str]:
+    """List the names of a collection, as `asset_path` takes them.
+
+    Parameters
+    ----------
+    collection : {"scenes", "materials"}
+        Kind of data.
+
+    Returns
+    -------
+    list of str
+        Sorted names without ``.toml``.
+    """
+    return sorted(
+        {
+            path.relative_to(folder).as_posix().removesuffix(".toml")
+            for folder in asset_folders(collection)
+            for path in folder.rglob("*.toml")
+        }
+    )
+
+
+def asset_folders(collection: Collection) -> list[Path]:
+    """List the folders that may hold a collection, in the order of their precedence.
+
+    Parameters
+    ----------
+    collection : {"scenes", "materials"}
+        Kind of data.
+
+    Returns
+    -------
+    list of Path
+        Existing folders.
+    """
+    if collection not in get_args(Collection):
+        raise AssetError(f"{collection}: no such collection, there are scenes and materials")
+    package = Path(str(files("twin")))
+    own = os.environ.get(FOLDER_VARIABLE)
+    candidates = [Path(own).expanduser() / collection] if own else []
+    candidates += [package / "_assets" / collection, package.parent / collection]
+    return [folder for folder in candidates if folder.is_dir()]
+
+
+def _is_path(name: str) -> bool:
+    return name.startswith("./") or Path(name).is_absolute()
+
+
+def _spellings(path: Path) -> tuple[Path, ...]:
+    """List the file itself, then the same with ``.toml``: a name may have a point of its own."""
+    with_suffix = path.with_name(path.name + ".toml")
+    return (path, with_suffix) if path.suffix else (with_suffix,)
+
+
+def _existing(path: Path) -> Path | None:
+    return next((spelling for spelling in _spellings(path) if spelling.is_file()), None)
+
+
+def _check_name(collection: Collection, name: str) -> None:
+    climbs = ".." in Path(name).parts and not Path(name).is_absolute()
+    if climbs or not Path(name).name:
+        raise AssetError(
+            f"{name!r}: not a name in {collection}: give one without '..', or an absolute path"
+        )
+
+
+def _not_found(collection: Collection, name: str) -> str:
+    if _is_path(name):
+        return f"{name}: no such file"
+    known = list_assets(collection)
+    stem = Path(name.removesuffix(".toml")).name
+    same = [entry for entry in known if Path(entry).name == stem]
+    close = difflib.get_close_matches(name.removesuffix(".toml"), known, n=3, cutoff=0.5)
+    likely = ", ".join(dict.fromkeys(same + close))
+    advice = f"did you mean {likely}?" if likely else f"there are {', '.join(known) or 'none'}"
+    return f"{name}: not found in {collection}; {advice}"

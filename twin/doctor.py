@@ -1,0 +1,182 @@
+"""Report what the twin finds on this machine: each finding with what to do about it.
+
+Nothing here raises: a check that fails is a finding.
+"""
+
+from __future__ import annotations
+
+import importlib.metadata
+import importlib.util
+import os
+import platform
+import re
+import shutil
+import sys
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import get_args
+
+from twin.assets import Collection, asset_folders, list_assets
+
+DISTRIBUTION = "fringe-twin"
+MINIMUM_PYTHON = (3, 11)
+MINIMUM_MEMORY_GIB = 4.0  # a 16-bit stack at 1936 x 1464 alone is 0.3 GiB
+MINIMUM_DISK_GIB = 2.0
+_GIB = 2.0**30
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One fact about this machine.
+
+    Parameters
+    ----------
+    name : str
+        What was looked at.
+    ok : bool
+        Whether the twin can work with it.
+    detail : str
+        What was found.
+    advice : str
+        What to do; empty if nothing.
+    """
+
+    name: str
+    ok: bool
+    detail: str
+    advice: str = ""
+
+
+def diagnose() -> list[Finding]:
+    """Look at everything the twin needs.
+
+    Returns
+    -------
+    list of Finding
+        In the order in which they should be mended.
+    """
+    checks: tuple[Callable[[], list[Finding]], ...] = (
+        _python,
+        _packages,
+        _backend,
+        _cuda,
+        _cores,
+        _memory,
+        _compiled_kernels,
+        _assets,
+        _disk,
+    )
+    return [finding for check in checks for finding in _safely(check)]
+
+
+def _safely(check: Callable[[], list[Finding]]) -> list[Finding]:
+    try:
+        return check()
+    except Exception as error:  # a diagnosis must survive whatever is broken
+        name = check.__name__.strip("_").replace("_", " ")
+        return [Finding(name, False, f"{type(error).__name__}: {error}", "./run setup")]
+
+
+def _python() -> list[Finding]:
+    ok = sys.version_info >= MINIMUM_PYTHON
+    detail = f"{platform.python_version()}, {sys.executable}"
+    return [Finding("python", ok, detail, "" if ok else "use Python 3.11 or newer")]
+
+
+def _packages() -> list[Finding]:
+    try:
+        requirements = importlib.metadata.requires(DISTRIBUTION) or []
+    except importlib.metadata.PackageNotFoundError:
+        advice = "./run setup, or pip install fringe-twin"
+        return [Finding("packages", False, f"{DISTRIBUTION} is not installed", advice)]
+    return [_package(line) for line in requirements if "extra ==" not in line]
+
+
+def _package(requirement: str) -> Finding:
+    found = re.match(r"[A-Za-z0-9._-]+", requirement)
+    name = found[0] if found else requirement
+    try:
+        version = importlib.metadata.version(name)
+    except importlib.metadata.PackageNotFoundError:
+        return Finding(name, False, "not installed", f"pip install '{requirement}'")
+    floor = re.search(r">=\s*([\d.]+)", requirement)
+    if floor and _release(version) < _release(floor[1]):
+        return Finding(name, False, version, f"pip install '{requirement}'")
+    return Finding(name, True, version)
+
+
+def _release(version: str) -> tuple[int, ...]:
+    return tuple(int(part) for part in re.findall(r"\d+", version.partition("+")[0])[:3])
+
+
+def _backend() -> list[Finding]:
+    from twin.optics.backend import MissingBackend, find_backend
+
+    try:
+        return [Finding("renderer backend", True, str(find_backend()))]
+    except MissingBackend as error:
+        problem, _, advice = str(error).rpartition(": ")
+        return [Finding("renderer backend", False, problem, advice)]
+
+
+def _cuda() -> list[Finding]:
+    devices = sorted(path.name for path in Path("/dev").glob("nvidia[0-9]*"))
+    detail = ", ".join(devices) or "no device, the CPU is used"
+    return [Finding("cuda", True, detail)]
+
+
+def _cores() -> list[Finding]:
+    usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    return [Finding("cores", True, f"{usable} usable of {os.cpu_count()}")]
+
+
+def _memory() -> list[Finding]:
+    total = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / _GIB
+    free = os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / _GIB
+    ok = total >= MINIMUM_MEMORY_GIB
+    detail = f"{total:.1f} GiB, {free:.1f} GiB unused"
+    return [Finding("memory", ok, detail, "" if ok else "render fewer pixels or frames")]
+
+
+def _compiled_kernels() -> list[Finding]:
+    """Check that Numba can keep compiled kernels, or every start compiles them again."""
+    spec = importlib.util.find_spec("reconstruction")
+    beside = Path(spec.origin).parent if spec and spec.origin else Path()
+    user = Path(os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser()) / "numba"
+    chosen = os.environ.get("NUMBA_CACHE_DIR")
+    folders = [Path(chosen)] if chosen else [beside, user]
+    writable = next((folder for folder in folders if _is_writable(folder)), None)
+    if writable is None:
+        tried = ", ".join(map(str, folders))
+        advice = "set NUMBA_CACHE_DIR to a writable folder"
+        return [Finding("numba cache", False, f"not writable: {tried}", advice)]
+    return [Finding("numba cache", True, str(writable))]
+
+
+def _is_writable(folder: Path) -> bool:
+    existing = next(parent for parent in (folder, *folder.absolute().parents) if parent.exists())
+    try:
+        with tempfile.TemporaryFile(dir=existing):
+            return True
+    except OSError:
+        return False
+
+
+def _assets() -> list[Finding]:
+    return [_collection(name) for name in get_args(Collection)]
+
+
+def _collection(name: Collection) -> Finding:
+    count = len(list_assets(name))
+    folders = ", ".join(map(str, asset_folders(name))) or "no folder"
+    advice = "" if count else "reinstall fringe-twin, or set TWIN_ASSETS"
+    return Finding(name, count > 0, f"{count} files in {folders}", advice)
+
+
+def _disk() -> list[Finding]:
+    free = shutil.disk_usage(Path.cwd()).free / _GIB
+    ok = free >= MINIMUM_DISK_GIB
+    detail = f"{free:.1f} GiB free in {Path.cwd()}"
+    return [Finding("disk", ok, detail, "" if ok else "a full stack takes 300 MB, make room")]

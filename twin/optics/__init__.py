@@ -1,0 +1,1 @@
+"""Mitsuba scenes and the one-trace renderer; the only place that imports Mitsuba."""
