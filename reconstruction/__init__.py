@@ -1,0 +1,1 @@
+"""Decode, triangulate and evaluate fringe captures, real or rendered."""

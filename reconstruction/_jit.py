@@ -1,0 +1,73 @@
+"""Compile kernels and run them over bands of image rows on all cores.
+
+Plain threads over kernels that release the interpreter lock: compiles in a fraction of the time
+of automatic parallelisation and may be called from several threads at once.
+"""
+
+import hashlib
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any, TypeVar, cast
+
+import numba
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+# Fixed, not a share of the rows per core: kernels carry starting values from row to row within a
+# band, so the last digit of a result must not depend on the number of cores.
+BAND_ROWS = 16
+
+# Every file whose code or constants end up in a kernel.
+KERNEL_SOURCES = ("_*.py", "mask.py", "pinhole.py", "sensor.py")
+
+# Division by zero gives inf as in numpy. Fused multiply-add is allowed, but not the fast arithmetic
+# that assumes there are no NaNs: a damaged float stack must not pass a threshold.
+OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath": {"contract"}}
+
+
+def _digest_of_sources() -> str:
+    folder = Path(__file__).parent
+    files = sorted(file for pattern in KERNEL_SOURCES for file in folder.glob(pattern))
+    return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
+
+
+SOURCE_DIGEST = _digest_of_sources()
+
+
+def compiled(function: Function) -> Function:
+    """Compile `function` on first call and keep the result on disk."""
+    return _compile(function, OPTIONS)
+
+
+def inlined(function: Function) -> Function:
+    """Compile `function` into its callers: for what runs once per pixel."""
+    return _compile(function, OPTIONS | {"forceinline": True})
+
+
+def _compile(function: Function, options: dict[str, Any]) -> Function:
+    try:
+        kernel = numba.njit(cache=True, **options)(function)
+    except RuntimeError:  # there is no place to write: compile anew in every process
+        return cast(Function, numba.njit(**options)(function))
+    # The cache notices a change in a function's own file only, and would keep serving code into
+    # which another file's old function or constant was inlined.
+    kernel._cache._cache_file._source_stamp = SOURCE_DIGEST
+    return cast(Function, kernel)
+
+
+def threads() -> int:
+    """Return the number of cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def run_over_rows(kernel: Callable[..., None], rows: int, *arguments: object) -> None:
+    """Call `kernel(first_row, end_row, *arguments)` for bands that cover all rows once."""
+    with ThreadPoolExecutor(threads()) as pool:
+        calls = [
+            pool.submit(kernel, first, min(first + BAND_ROWS, rows), *arguments)
+            for first in range(0, rows, BAND_ROWS)
+        ]
+        for call in calls:
+            call.result()

@@ -1,0 +1,118 @@
+"""A capture: everything needed to reconstruct, as a folder that any rig can write.
+
+| file | content |
+|---|---|
+| capture.toml | file names, image size, bit depth, [patterns], [sensor] |
+| stack.nc | netCDF-4, variable `stack` (frame, row, col) uint16, DN; `frame_name` (frame) |
+| calibration.yaml | OpenCV YAML, see `calibration` |
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from reconstruction.arrays import Stack
+from reconstruction.calibration import Calibration, read_calibration, write_calibration
+from reconstruction.capture_description import Description, read_description, write_description
+from reconstruction.checks import require_integer
+from reconstruction.errors import CaptureError
+from reconstruction.patterns import PatternSet
+from reconstruction.sensor import SensorNoise
+from reconstruction.stack_file import read_stack, write_stack
+
+DESCRIPTION_FILE = "capture.toml"
+STACK_FILE = "stack.nc"
+CALIBRATION_FILE = "calibration.yaml"
+SUBFOLDER = "capture"
+
+
+@dataclass(frozen=True, eq=False)
+class Capture:
+    """Frames and what is known about them.
+
+    Parameters
+    ----------
+    stack : (frame, row, col) uint16, DN, in the order of `patterns.frames`
+    patterns : what was projected
+    sensor : camera noise
+    calibration : camera and projector; the camera has the image size of the stack
+    bit_depth : bits per pixel value, 8 to 16
+
+    Raises
+    ------
+    CaptureError : the parts do not fit each other
+    """
+
+    stack: Stack
+    patterns: PatternSet
+    sensor: SensorNoise
+    calibration: Calibration
+    bit_depth: int
+
+    def __post_init__(self) -> None:
+        require_integer("bit_depth", self.bit_depth, 8, 16)
+        camera = self.calibration.camera
+        expected = (len(self.patterns.frames), camera.height_px, camera.width_px)
+        if self.stack.dtype.name != "uint16" or self.stack.shape != expected:
+            raise CaptureError(
+                f"stack is {self.stack.dtype} {self.stack.shape}; patterns and calibrated camera "
+                f"need uint16 {expected} (frame, row, col)"
+            )
+        if self.bit_depth < 16 and int(self.stack.max()) >= 2**self.bit_depth:
+            raise CaptureError(
+                f"stack holds the value {int(self.stack.max())}; {self.bit_depth} bits end at "
+                f"{2**self.bit_depth - 1}: correct bit_depth or the stack"
+            )
+
+
+def write_capture(folder: Path | str, capture: Capture) -> None:
+    """Write the three files into an existing empty folder.
+
+    Raises
+    ------
+    CaptureError : the folder is missing or holds something
+    """
+    folder = Path(folder)
+    if not folder.is_dir() or any(folder.iterdir()):
+        raise CaptureError(f"{folder}: write a capture into an existing empty folder")
+    _, rows, cols = capture.stack.shape
+    description = Description(
+        capture.patterns,
+        capture.sensor,
+        cols,
+        rows,
+        capture.bit_depth,
+        STACK_FILE,
+        CALIBRATION_FILE,
+    )
+    write_stack(folder / STACK_FILE, capture.stack, capture.patterns)
+    write_calibration(folder / CALIBRATION_FILE, capture.calibration)
+    write_description(folder / DESCRIPTION_FILE, description)
+
+
+def read_capture(folder: Path | str) -> Capture:
+    """Read a capture from its folder, or from a folder that holds it as `capture/`.
+
+    Raises
+    ------
+    CaptureError : a file is missing, damaged or does not fit the others
+    """
+    folder = _find(Path(folder))
+    description = read_description(folder / DESCRIPTION_FILE)
+    calibration = read_calibration(folder / description.calibration_file)
+    shape = (description.height_px, description.width_px)
+    stack = read_stack(folder / description.stack_file, description.patterns, shape)
+    try:
+        return Capture(
+            stack, description.patterns, description.sensor, calibration, description.bit_depth
+        )
+    except CaptureError as error:
+        raise CaptureError(f"{folder}: {error}") from error
+
+
+def _find(folder: Path) -> Path:
+    for candidate in (folder, folder / SUBFOLDER):
+        if (candidate / DESCRIPTION_FILE).is_file():
+            return candidate
+    raise CaptureError(
+        f"{folder}: no {DESCRIPTION_FILE} here or in {SUBFOLDER}/; give the folder of a capture"
+    )

@@ -1,0 +1,25 @@
+"""Why a pixel carries no measurement: one reason code per pixel, 0 for a valid pixel."""
+
+from enum import IntEnum
+
+
+class Reason(IntEnum):
+    """Reason code of a pixel; when several apply the lowest code is kept."""
+
+    VALID = 0
+    DARK = 1
+    """White and black frame do not differ: no projector light."""
+    LOW_MODULATION = 2
+    """Fringe contrast too small for the phase uncertainty asked for."""
+    SATURATED = 3
+    """At least one phase frame reached the saturation level."""
+    ORDER_UNCERTAIN = 4
+    """The Gray word could stand for another fringe order, or contradicts the phase."""
+    OUTSIDE_PROJECTOR = 5
+    """The decoded coordinate lies outside the projector image."""
+    FILTER_SUPPORT = 6
+    """The phasor filter reaches over pixels without a phase; one-sided support is biased."""
+    EPIPOLAR_MISMATCH = 7
+    """Column and row coordinate belong to no common point of this camera ray."""
+    NO_POINT = 8
+    """The camera ray and the projector plane do not meet in front of both devices."""

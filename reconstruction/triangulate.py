@@ -1,0 +1,129 @@
+"""From projector coordinates to points: each camera ray meets the projector's plane or ray.
+
+Result in the world frame (z up towards the devices), mm. Along a ray there is one unknown, the
+depth; it is found by Gauss-Newton with weights 1 / sigma^2 and its sigma follows from the slope.
+"""
+
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+
+from reconstruction._jit import run_over_rows
+from reconstruction._lens_kernels import Lens
+from reconstruction._ray_kernels import Fringe, Match, Motion, Points, meet_rows
+from reconstruction.arrays import BoolImage, Doubles, FloatImage, ReasonImage
+from reconstruction.calibration import Calibration
+from reconstruction.checks import require_number
+from reconstruction.decode import Decoded
+from reconstruction.errors import InputError
+from reconstruction.mask import Reason
+from reconstruction.pinhole import NO_DISTORTION, Pinhole
+
+Use = Literal["column", "row", "both"]
+
+
+@dataclass(frozen=True)
+class EpipolarTolerance:
+    """How far a decoded coordinate may lie from the point found: absolute plus sigmas.
+
+    One projector pixel by default: real calibrations miss by some tenths, wrong fringe orders by a
+    whole period.
+    """
+
+    absolute_px: float = 1.0
+    sigmas: float = 5.0
+
+    def __post_init__(self) -> None:
+        require_number("epipolar absolute_px", self.absolute_px, 0.0)
+        require_number("epipolar sigmas", self.sigmas, 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class PointMap:
+    """One point per camera pixel; everything is 0 where mask_reason is not VALID.
+
+    Parameters
+    ----------
+    points_world_mm : (row, col, xyz) float
+    sigma_z_mm : (row, col) float, predicted standard deviation of world z. The error of a point
+        lies along its camera ray
+    mask_reason : (row, col) Reason
+    """
+
+    points_world_mm: FloatImage
+    sigma_z_mm: FloatImage
+    mask_reason: ReasonImage
+
+    @property
+    def valid(self) -> BoolImage:
+        """Where there is a point, (row, col) bool."""
+        return np.equal(self.mask_reason, Reason.VALID)
+
+
+def triangulate(
+    decoded: Decoded,
+    calibration: Calibration,
+    use: Use = "column",
+    tolerance: EpipolarTolerance | None = None,
+) -> PointMap:
+    """Return the points that the decoded coordinates stand for.
+
+    Parameters
+    ----------
+    decoded : both projector coordinates of every camera pixel
+    calibration : devices, at the camera's image size
+    use : coordinate that determines the depth; the other one only checks it
+    tolerance : beyond it a pixel is masked EPIPOLAR_MISMATCH
+
+    Raises
+    ------
+    InputError : the image size is not the calibrated one, or `use` is unknown
+    """
+    _check(decoded, calibration, use)
+    limits = tolerance or EpipolarTolerance()
+    shape = decoded.mask_reason.shape
+    points = Points(
+        np.zeros((*shape, 3), np.float32), np.zeros(shape, np.float32), decoded.mask_reason.copy()
+    )
+    column, row = decoded.column, decoded.row
+    run_over_rows(
+        meet_rows,
+        shape[0],
+        Fringe(column.coordinate_px, row.coordinate_px, column.sigma_px, row.sigma_px),
+        Match(use != "row", use != "column", float(limits.absolute_px), float(limits.sigmas)),
+        _lens(calibration.camera),
+        _lens(calibration.projector),
+        _motion(calibration.T_proj_from_cam),
+        _motion(calibration.T_world_from_cam),
+        points,
+    )
+    return PointMap(*points)
+
+
+def _check(decoded: Decoded, calibration: Calibration, use: str) -> None:
+    if use not in get_args(Use):
+        raise InputError(f"use is {use!r}; allowed are 'column', 'row' and 'both'")
+    rows, cols = decoded.mask_reason.shape
+    camera = calibration.camera
+    if (rows, cols) != (camera.height_px, camera.width_px):
+        raise InputError(
+            f"the images are {cols} x {rows} px, the calibrated camera is "
+            f"{camera.width_px} x {camera.height_px} px; use the calibration of this image size"
+        )
+
+
+def _motion(matrix: Doubles) -> Motion:
+    return tuple(tuple(float(value) for value in line) for line in matrix[:3])
+
+
+def _lens(device: Pinhole) -> Lens:
+    k1, k2, p1, p2, k3 = (float(value) for value in device.distortion)
+    return Lens(
+        float(device.fx_px),
+        float(device.fy_px),
+        float(device.cx_px),
+        float(device.cy_px),
+        (k1, k2, p1, p2, k3),
+        tuple(device.distortion) == NO_DISTORTION,
+    )

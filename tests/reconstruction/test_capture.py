@@ -1,0 +1,157 @@
+import shutil
+
+import h5netcdf
+import h5py
+import numpy as np
+import pytest
+import xarray
+
+from reconstruction.capture import Capture, read_capture, write_capture
+from reconstruction.errors import CaptureError, InputError
+from reconstruction.patterns import PatternSet
+from reconstruction.sensor import SensorNoise
+
+
+@pytest.fixture(scope="module")
+def capture(calibration):
+    patterns = PatternSet(1280, 720)
+    rng = np.random.default_rng(1)
+    stack = rng.integers(0, 4096, (53, 90, 120)).astype(np.uint16)
+    return Capture(stack, patterns, SensorNoise(0.17, 6.2, 64, 4095.0), calibration, 12)
+
+
+@pytest.fixture
+def folder(tmp_path, capture):
+    target = tmp_path / "capture"
+    target.mkdir()
+    write_capture(target, capture)
+    return target
+
+
+def test_capture_comes_back(folder, capture):
+    for place in (folder, folder.parent, str(folder)):
+        found = read_capture(place)
+        np.testing.assert_array_equal(found.stack, capture.stack)
+        assert found.stack.dtype == np.uint16
+        assert (found.patterns, found.sensor, found.bit_depth) == (
+            capture.patterns,
+            capture.sensor,
+            12,
+        )
+        assert found.calibration.camera == capture.calibration.camera
+
+
+def test_stack_is_plain_netcdf(folder, capture):
+    with xarray.open_dataset(folder / "stack.nc", engine="h5netcdf") as data:
+        assert data["stack"].dims == ("frame", "row", "col")
+        assert data["stack"].attrs["units"] == "DN"
+        assert str(data["frame_name"].values[3]) == "phase_column_03"
+        np.testing.assert_array_equal(data["stack"].values, capture.stack)
+
+
+def test_only_an_existing_empty_folder_is_written(folder, capture, tmp_path):
+    for target in (folder, tmp_path / "missing"):
+        with pytest.raises(CaptureError, match="existing empty folder"):
+            write_capture(target, capture)
+
+
+def edit(file, find, replace):
+    def damage(folder):
+        text = (folder / file).read_text()
+        assert find in text
+        (folder / file).write_text(text.replace(find, replace))
+
+    return damage
+
+
+def remove(file):
+    return lambda folder: (folder / file).unlink()
+
+
+def truncate(file, keep):
+    def damage(folder):
+        data = (folder / file).read_bytes()
+        (folder / file).write_bytes(data[: int(keep * len(data))])
+
+    return damage
+
+
+def restack(change=lambda stack: stack, names=lambda names: names, variable="stack", order=None):
+    def damage(folder):
+        with h5netcdf.File(folder / "stack.nc", "r") as file:
+            stack = change(np.asarray(file["stack"][...]))
+            found = names([str(name, "utf-8") for name in file["frame_name"][...]])
+        with h5netcdf.File(folder / "stack.nc", "w") as file:
+            dims = order or ("frame", "row", "col")
+            file.dimensions = dict(zip(dims, stack.shape, strict=True))
+            file.create_variable(variable, dims, data=stack)
+            file.dimensions["name"] = len(found)
+            made = file.create_variable("frame_name", ("name",), dtype=h5py.string_dtype())
+            made[...] = np.array(found, dtype=object)
+
+    return damage
+
+
+DAMAGES = {
+    "no description": (remove("capture.toml"), "no capture.toml"),
+    "no calibration": (remove("calibration.yaml"), "cannot read the calibration"),
+    "no stack": (remove("stack.nc"), "missing"),
+    "truncated stack": (truncate("stack.nc", 0.6), "no complete netCDF-4"),
+    "stack of few bytes": (truncate("stack.nc", 1e-4), "no complete netCDF-4"),
+    "empty stack": (truncate("stack.nc", 0.0), "no complete netCDF-4"),
+    "truncated description": (truncate("capture.toml", 0.7), "capture.toml"),
+    "truncated calibration": (truncate("calibration.yaml", 0.7), "calibration.yaml"),
+    "missing frame": (
+        restack(lambda s: s[:-1], lambda n: n[:-1]),
+        "52 frames, the pattern set has 53; missing: black",
+    ),
+    "frames in another order": (restack(names=lambda n: n[::-1]), "order of the pattern set"),
+    "unknown frame": (restack(names=lambda n: ["dark", *n[1:]]), "not expected: dark"),
+    "more images than names": (restack(lambda s: s[:-1]), "shape"),
+    "wrong type": (restack(lambda s: s.astype(np.float32)), "float32"),
+    "wrong size": (restack(lambda s: s[:, :-1]), r"\(53, 89, 120\)"),
+    "wrong axes": (restack(order=("row", "frame", "col")), "'row', 'frame', 'col'"),
+    "wrong variable": (restack(variable="images"), "variables stack and frame_name"),
+    "values beyond the bit depth": (restack(lambda s: s * 2), "12 bits end at 4095"),
+    "unknown key": (
+        edit("capture.toml", "read_noise_e", "read_noise"),
+        "unknown key read_noise in sensor; did you mean read_noise_e",
+    ),
+    "missing key": (edit("capture.toml", "width_px = 1280\n", ""), "missing in patterns: width_px"),
+    "missing table": (edit("capture.toml", "[sensor]", "[camera]"), r"table \[sensor\]"),
+    "wrong value": (edit("capture.toml", "steps = 18", "steps = 2"), "steps is 2"),
+    "wrong kind of value": (edit("capture.toml", "bit_depth = 12", "bit_depth = '12'"), "'12'"),
+    "file elsewhere": (edit("capture.toml", '"stack.nc"', '"../stack.nc"'), "in this folder"),
+    "other format": (edit("capture.toml", "version = 1", "version = 2"), "fringe-capture"),
+    "no TOML": (edit("capture.toml", "format =", "format"), "TOML"),
+    "other patterns": (edit("capture.toml", "steps = 18", "steps = 17"), "51"),
+    "other image size": (edit("capture.toml", "height_px = 90", "height_px = 91"), "91"),
+    "other camera": (edit("calibration.yaml", "image_width: 120", "image_width: 121"), "121"),
+}
+
+
+@pytest.mark.parametrize("name", DAMAGES)
+def test_damage_is_explained_in_one_line(folder, name):
+    damage, message = DAMAGES[name]
+    damage(folder)
+    with pytest.raises(CaptureError, match=message) as caught:
+        read_capture(folder)
+    assert "\n" not in str(caught.value)
+    assert str(folder) in str(caught.value)
+
+
+def test_missing_folder_is_explained(tmp_path):
+    with pytest.raises(CaptureError, match="give the folder of a capture"):
+        read_capture(tmp_path / "nothing")
+
+
+def test_parts_must_fit(capture):
+    with pytest.raises(CaptureError, match="float64"):
+        Capture(np.zeros((53, 90, 120)), capture.patterns, capture.sensor, capture.calibration, 12)
+    with pytest.raises(InputError, match="bit_depth"):
+        Capture(capture.stack, capture.patterns, capture.sensor, capture.calibration, 17)
+
+
+def test_copied_capture_reads_alike(folder, tmp_path, capture):
+    shutil.copytree(folder, tmp_path / "copy")
+    np.testing.assert_array_equal(read_capture(tmp_path / "copy").stack, capture.stack)

@@ -1,0 +1,82 @@
+import numpy as np
+import pytest
+
+from reconstruction.errors import FitError
+from reconstruction.fit import fit_plane, fit_sphere, residual_stats
+
+
+def cap(count, half_angle_deg, seed=0):
+    """Return unit vectors spread evenly over a cap around +z."""
+    rng = np.random.default_rng(seed)
+    z = rng.uniform(np.cos(np.radians(half_angle_deg)), 1.0, count)
+    azimuth = rng.uniform(0.0, 2.0 * np.pi, count)
+    s = np.sqrt(1.0 - z**2)
+    return np.column_stack([s * np.cos(azimuth), s * np.sin(azimuth), z])
+
+
+@pytest.mark.parametrize("half_angle_deg", [10.0, 40.0, 180.0])
+@pytest.mark.parametrize("offset_mm", [0.0, 1e4])
+def test_exact_points_give_the_exact_sphere(half_angle_deg, offset_mm):
+    centre = np.array([1.0, -2.0, -3.0]) + offset_mm
+    fit = fit_sphere(centre + 4.0 * cap(500, half_angle_deg))
+    assert fit.radius_mm == pytest.approx(4.0, abs=1e-7)
+    np.testing.assert_allclose(fit.centre_mm, centre, atol=1e-7)
+    assert fit.stats.rmse_mm < 1e-9
+
+
+def test_radial_noise_averages_out():
+    """Expected: 10 um noise on 20,000 points of a 50 degree cap moves the radius < 1 um."""
+    rng = np.random.default_rng(4)
+    radius = 4.0 + rng.normal(0.0, 0.01, (20000, 1))
+    fit = fit_sphere(radius * cap(20000, 50.0))
+    assert fit.radius_mm == pytest.approx(4.0, abs=1e-3)
+    assert fit.stats.rmse_mm == pytest.approx(0.01, rel=0.02)
+    assert fit.stats.mae_mm == pytest.approx(0.01 * np.sqrt(2.0 / np.pi), rel=0.02)
+    assert fit.stats.p95_mm == pytest.approx(0.01 * 1.95996, rel=0.02)
+
+
+def test_residuals_are_positive_outside():
+    points = 4.0 * cap(200, 180.0)
+    points[0] *= 1.01
+    assert fit_sphere(points).residuals_mm[0] > 0.03
+
+
+def test_statistics_are_those_of_the_paper():
+    stats = residual_stats([3.0, -4.0, 0.0, 0.0])
+    assert stats.rmse_mm == 2.5
+    assert stats.mae_mm == 1.75
+    assert stats.p95_mm == pytest.approx(3.85)
+
+
+def test_plane():
+    rng = np.random.default_rng(6)
+    xy = rng.uniform(-5.0, 5.0, (300, 2))
+    points = np.column_stack([xy, 1.0 + 0.5 * xy[:, 0]])
+    fit = fit_plane(points)
+    np.testing.assert_allclose(fit.normal, np.array([-0.5, 0.0, 1.0]) / np.sqrt(1.25), atol=1e-12)
+    assert fit.stats.rmse_mm < 1e-12
+    lifted = fit_plane(points + [[0.0, 0.0, 0.1 * (i == 0)] for i in range(300)])
+    assert lifted.residuals_mm[0] > 0.05
+
+
+@pytest.mark.parametrize(
+    ("fit", "points", "message"),
+    [
+        (fit_sphere, np.zeros((3, 3)), "at least 4"),
+        (fit_sphere, np.zeros((9, 3)), "one plane"),
+        (fit_sphere, np.eye(3)[[0, 1, 2, 0, 1]], "one plane"),
+        (fit_sphere, np.zeros((9, 2)), "shape"),
+        (fit_sphere, np.full((9, 3), np.nan), "NaN"),
+        (fit_plane, np.zeros((2, 3)), "at least 3"),
+        (fit_plane, np.outer(np.arange(5.0), [1.0, 2.0, 3.0]), "one line"),
+        (fit_plane, np.full((9, 3), np.inf), "infinity"),
+    ],
+)
+def test_undetermined_shapes_are_refused(fit, points, message):
+    with pytest.raises(FitError, match=message):
+        fit(points)
+
+
+def test_no_residuals_are_refused():
+    with pytest.raises(FitError, match="no valid point"):
+        residual_stats([])

@@ -1,0 +1,118 @@
+import dataclasses
+
+import numpy as np
+import pytest
+import trimesh
+import xarray
+
+from reconstruction.capture import Capture
+from reconstruction.decode import DecodeOptions, Reason
+from reconstruction.errors import CaptureError, InputError
+from reconstruction.outputs import (
+    read_reconstruction,
+    write_ply,
+    write_point_map_ply,
+    write_reconstruction,
+)
+from reconstruction.patterns import PatternSet
+from reconstruction.pipeline import ReconstructOptions, reconstruct
+from reconstruction.sensor import SensorNoise
+
+
+@pytest.fixture(scope="module")
+def reconstruction(calibration, surface, project, synthesise):
+    """Return a capture reconstructed with a dark corner and one broken epipolar pixel."""
+    patterns = PatternSet(1280, 720)
+    seen = project(calibration, surface(calibration))
+    seen[40, 50, 1] += 36.0
+    stack = synthesise(patterns, seen[..., 0], seen[..., 1], mean_dn=1900.0, amplitude_dn=1500.0)
+    stack[:, :10, :10] = 64.0
+    sensor = SensorNoise(0.17, 6.2, 64.0, 4095.0)
+    capture = Capture(np.rint(stack).astype(np.uint16), patterns, sensor, calibration, 12)
+    return reconstruct(capture, ReconstructOptions(decode=DecodeOptions(filter_taps=0)))
+
+
+def test_pipeline_finds_the_surface(reconstruction, calibration, surface):
+    found = reconstruction.point_map
+    assert np.all(found.mask_reason[:10, :10] == Reason.DARK)
+    assert found.mask_reason[40, 50] == Reason.EPIPOLAR_MISMATCH
+    assert found.valid.sum() == 90 * 120 - 101
+    error_mm = (found.points_world_mm - surface(calibration))[found.valid]
+    assert np.sqrt(np.mean(error_mm**2)) < 1e-4
+
+
+def test_default_options_filter(calibration, surface, project, synthesise):
+    patterns, sensor = PatternSet(1280, 720), SensorNoise(0.17, 6.2, 64.0, 4095.0)
+    seen = project(calibration, surface(calibration))
+    stack = synthesise(patterns, seen[..., 0], seen[..., 1], mean_dn=1900.0, amplitude_dn=1500.0)
+    capture = Capture(np.rint(stack).astype(np.uint16), patterns, sensor, calibration, 12)
+    found = reconstruct(capture).point_map
+    assert found.valid.sum() == (90 - 8) * (120 - 8)
+
+
+def test_netcdf_comes_back(reconstruction, tmp_path):
+    path = tmp_path / "reconstruction.nc"
+    write_reconstruction(path, reconstruction.decoded, reconstruction.point_map)
+    found = read_reconstruction(path)
+    for part in ("column", "row"):
+        before, after = getattr(reconstruction.decoded, part), getattr(found.decoded, part)
+        for field in dataclasses.fields(before):
+            a, b = getattr(before, field.name), getattr(after, field.name)
+            np.testing.assert_array_equal(a, b)
+            assert a.dtype == b.dtype
+    np.testing.assert_array_equal(found.decoded.mask_reason, reconstruction.decoded.mask_reason)
+    for field in ("points_world_mm", "sigma_z_mm", "mask_reason"):
+        np.testing.assert_array_equal(
+            getattr(found.point_map, field), getattr(reconstruction.point_map, field)
+        )
+
+
+def test_netcdf_is_labelled(reconstruction, tmp_path):
+    path = tmp_path / "reconstruction.nc"
+    write_reconstruction(path, reconstruction.decoded, reconstruction.point_map)
+    with xarray.open_dataset(path, engine="h5netcdf") as data:
+        units = {name: data[name].attrs["units"] for name in data.data_vars}
+        assert data["z_mm"].dims == ("row", "col")
+        meanings = data["mask_reason"].attrs["flag_meanings"].split()
+    assert meanings[Reason.SATURATED] == "SATURATED"
+    expected = {"z_mm": "mm", "sigma_z_mm": "mm", "column_px": "px", "phase_column_rad": "rad"}
+    expected |= {"modulation_dn": "DN", "mean_dn": "DN", "order_column": "1", "mask_reason": "1"}
+    assert expected.items() <= units.items()
+
+
+def test_damaged_netcdf_is_explained(tmp_path):
+    with pytest.raises(CaptureError, match="no complete netCDF-4"):
+        read_reconstruction(tmp_path / "missing.nc")
+    (tmp_path / "text.nc").write_text("text")
+    with pytest.raises(CaptureError, match="no complete netCDF-4"):
+        read_reconstruction(tmp_path / "text.nc")
+    xarray.Dataset({"column_px": ("row", [1.0])}).to_netcdf(
+        tmp_path / "other.nc", engine="h5netcdf"
+    )
+    with pytest.raises(CaptureError, match="is missing"):
+        read_reconstruction(tmp_path / "other.nc")
+
+
+def test_ply_loads_in_trimesh(reconstruction, tmp_path):
+    path = tmp_path / "points.ply"
+    write_point_map_ply(path, reconstruction.point_map)
+    cloud = trimesh.load(path)
+    valid = reconstruction.point_map.valid
+    np.testing.assert_array_equal(cloud.vertices, reconstruction.point_map.points_world_mm[valid])
+    raw = cloud.metadata["_ply_raw"]["vertex"]["data"]
+    np.testing.assert_array_equal(
+        raw["sigma_z_mm"].ravel(), reconstruction.point_map.sigma_z_mm[valid]
+    )
+    row, col = np.nonzero(valid)
+    np.testing.assert_array_equal(raw["row"].ravel(), row)
+    np.testing.assert_array_equal(raw["col"].ravel(), col)
+
+
+def test_wrong_arrays_are_refused(tmp_path):
+    with pytest.raises(InputError, match="shape"):
+        write_ply(tmp_path / "a.ply", np.zeros((3, 2)))
+    with pytest.raises(InputError, match="PLY property quality"):
+        write_ply(tmp_path / "a.ply", np.zeros((3, 3)), {"quality": np.zeros(2, np.float32)})
+    with pytest.raises(InputError, match="PLY property quality"):
+        write_ply(tmp_path / "a.ply", np.zeros((3, 3)), {"quality": np.zeros(3, np.int64)})
+    assert not (tmp_path / "a.ply").exists()

@@ -1,0 +1,181 @@
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
+from reconstruction.calibration import Calibration, Pinhole
+from reconstruction.decode import AxisDecode, Decoded, DecodeOptions, Reason, decode
+from reconstruction.errors import InputError
+from reconstruction.patterns import PatternSet
+from reconstruction.sensor import SensorNoise
+from reconstruction.triangulate import EpipolarTolerance, triangulate
+
+
+def decoded_from(projector_px, sigma_px=0.01):
+    """Return a Decoded as if these projector pixels had been measured, in double precision."""
+    shape = projector_px.shape[:2]
+    image = np.zeros(shape, np.float32)
+    column, row = (
+        AxisDecode(
+            np.ascontiguousarray(projector_px[..., i]),
+            image,
+            np.zeros(shape, np.int16),
+            image,
+            image,
+            np.full(shape, sigma_px, np.float32),
+        )
+        for i in range(2)
+    )
+    return Decoded(column, row, np.zeros(shape, np.uint8))
+
+
+@pytest.mark.parametrize("use", ["column", "row", "both"])
+def test_points_come_back(calibration, surface, project, use):
+    """Expected: < 0.01 um, with distortion in both devices and the projector's axis off-image."""
+    assert calibration.projector.cy_px > calibration.projector.height_px
+    points = surface(calibration)
+    found = triangulate(decoded_from(project(calibration, points)), calibration, use)
+    assert found.valid.all()
+    assert np.max(np.abs(found.points_world_mm - points)) < 1e-5
+
+
+@settings(deadline=None, max_examples=60)
+@given(
+    angle_deg=st.floats(10.0, 50.0),
+    azimuth_deg=st.floats(0.0, 360.0),
+    distance_mm=st.floats(120.0, 400.0),
+    camera_k1=st.sampled_from([0.0, -0.2, 0.15]),
+    projector_k1=st.sampled_from([0.0, -0.1, 0.1]),
+    tangential=st.floats(-1e-3, 1e-3),
+    cy_px=st.floats(-300.0, 1200.0),
+    relief_mm=st.floats(0.0, 3.0),
+)
+def test_any_rig_sees_what_it_projects(
+    aim, surface, project, *, angle_deg, azimuth_deg, distance_mm, camera_k1, projector_k1,
+    tangential, cy_px, relief_mm,
+):  # fmt: skip
+    camera = Pinhole(40, 30, 300.0, 310.0, 18.0, 16.0, (camera_k1, 0.05, tangential, 1e-4, 0.0))
+    lens = (projector_k1, 0.0, 1e-4, tangential, 0.0)
+    projector = Pinhole(1280, 720, 1500.0, 1500.0, 600.0, cy_px, lens)
+    angle, azimuth = np.radians(angle_deg), np.radians(azimuth_deg)
+    side = np.sin(angle) * np.array([np.cos(azimuth), np.sin(azimuth)])
+    calibration = Calibration(
+        camera,
+        projector,
+        aim([0.0, 0.0, 214.0], [0.0, 0.0, 0.0]),
+        aim([*(distance_mm * side), distance_mm * np.cos(angle)], [0.0, 0.0, 0.0]),
+    )
+    points = surface(calibration, relief_mm)
+    found = triangulate(decoded_from(project(calibration, points)), calibration, "both")
+    assert found.valid.all()
+    assert np.max(np.abs(found.points_world_mm - points)) < 1e-5
+    along_column = abs(np.cos(azimuth)) > 0.3
+    assume(along_column)
+    found = triangulate(decoded_from(project(calibration, points)), calibration, "column")
+    assert found.valid.all()
+    assert np.max(np.abs(found.points_world_mm - points)) < 1e-5
+
+
+def test_sigma_is_the_spread_of_z(calibration, surface, project):
+    """Setup: known noise on both coordinates. Expected: sigma_z within 3 % for every use."""
+    points, rng = surface(calibration), np.random.default_rng(5)
+    exact = project(calibration, points)
+    for use in ("column", "row", "both"):
+        normalised = []
+        for _ in range(5):
+            noisy = exact + rng.normal(0.0, [0.02, 0.01], exact.shape)
+            decoded = decoded_from(noisy)
+            column = dataclasses.replace(
+                decoded.column, sigma_px=np.full(exact.shape[:2], 0.02, np.float32)
+            )
+            found = triangulate(dataclasses.replace(decoded, column=column), calibration, use)
+            error_mm = (found.points_world_mm - points)[..., 2][found.valid]
+            normalised.append(error_mm / found.sigma_z_mm[found.valid])
+        assert np.std(normalised) == pytest.approx(1.0, rel=0.03)
+
+
+def test_both_is_never_worse(calibration, surface, project):
+    decoded = decoded_from(project(calibration, surface(calibration)))
+    column, row, both = (
+        triangulate(decoded, calibration, use).sigma_z_mm for use in ("column", "row", "both")
+    )
+    assert np.all(both <= column * 1.000001)
+    assert np.all(both <= row * 1.000001)
+
+
+def test_masked_pixels_stay_masked_and_zero(calibration, surface, project):
+    decoded = decoded_from(project(calibration, surface(calibration)))
+    decoded.mask_reason[3:5, 7] = Reason.SATURATED
+    found = triangulate(decoded, calibration)
+    assert np.all(found.mask_reason[3:5, 7] == Reason.SATURATED)
+    assert np.all(found.points_world_mm[~found.valid] == 0.0)
+    assert np.all(found.sigma_z_mm[~found.valid] == 0.0)
+    assert found.valid.sum() == found.valid.size - 2
+    assert decoded.valid.sum() == found.valid.sum()
+
+
+@pytest.mark.parametrize("use", ["column", "row"])
+def test_wrong_fringe_order_breaks_the_epipolar_condition(calibration, surface, project, use):
+    exact = project(calibration, surface(calibration))
+    exact[10, 20, 0] += 18.0
+    exact[30, 40, 1] -= 18.0
+    found = triangulate(decoded_from(exact), calibration, use)
+    assert found.mask_reason[30, 40] == Reason.EPIPOLAR_MISMATCH
+    assert np.sum(~found.valid) <= 2
+    loose = triangulate(decoded_from(exact), calibration, use, EpipolarTolerance(1000.0))
+    assert loose.valid.all()
+
+
+def test_small_mismatch_is_tolerated(calibration, surface, project):
+    exact = project(calibration, surface(calibration))
+    exact[..., 1] += 0.5
+    assert triangulate(decoded_from(exact), calibration, "column").valid.all()
+    strict = EpipolarTolerance(absolute_px=0.1)
+    found = triangulate(decoded_from(exact), calibration, "column", strict)
+    assert np.all(found.mask_reason == Reason.EPIPOLAR_MISMATCH)
+
+
+def test_rays_that_meet_behind_have_no_point(calibration, surface, project):
+    """Setup: column so far aside that the projector plane crosses the ray behind the camera."""
+    exact = project(calibration, surface(calibration))
+    exact[..., 0] += 5000.0
+    found = triangulate(decoded_from(exact), calibration, "column")
+    assert not found.valid.any()
+    assert np.all(np.isfinite(found.points_world_mm))
+
+
+def test_parallel_planes_have_no_point():
+    """Setup: both devices at one place see every depth alike."""
+    camera = Pinhole(4, 3, 100.0, 100.0, 2.0, 1.0)
+    calibration = Calibration(camera, camera, np.eye(4), np.eye(4))
+    pixels = np.stack(np.meshgrid(np.arange(4.0), np.arange(3.0)), axis=-1)
+    found = triangulate(decoded_from(pixels), calibration)
+    assert np.all(found.mask_reason == Reason.NO_POINT)
+
+
+def test_images_of_another_size_are_refused(calibration):
+    decoded = decoded_from(np.zeros((5, 6, 2)))
+    with pytest.raises(InputError, match="120 x 90"):
+        triangulate(decoded, calibration)
+    with pytest.raises(InputError, match="'column', 'row' and 'both'"):
+        triangulate(decoded, calibration, "diagonal")
+    with pytest.raises(InputError, match="sigmas"):
+        EpipolarTolerance(sigmas=-1.0)
+
+
+def test_frames_to_points(calibration, surface, project, synthesise):
+    """Setup: the whole chain with sensor noise. Expected: z errors of one predicted sigma."""
+    patterns, sensor = PatternSet(1280, 720), SensorNoise(0.17, 6.2, 64.0, 4095.0)
+    points = surface(calibration)
+    seen = project(calibration, points)
+    clean = synthesise(patterns, seen[..., 0], seen[..., 1], mean_dn=1900.0, amplitude_dn=1500.0)
+    noise = np.random.default_rng(2).normal(size=clean.shape)
+    stack = np.rint(clean + noise * np.sqrt(sensor.variance_dn2(clean))).astype(np.uint16)
+    decoded = decode(stack, patterns, sensor, DecodeOptions(filter_taps=0))
+    found = triangulate(decoded, calibration)
+    assert found.valid.all()
+    error = (found.points_world_mm - points)[..., 2] / found.sigma_z_mm
+    assert np.std(error) == pytest.approx(1.0, rel=0.03)
+    assert np.mean(error) == pytest.approx(0.0, abs=0.04)
