@@ -1,0 +1,137 @@
+"""Read an experiment file, resolve the data files it uses, and validate the whole.
+
+Any table may say `use = "scenes/..."` or `use = "materials/..."`: the named data file is the base
+on which the table's own keys are laid. The result names no file any more; it can be written,
+read back and rerun anywhere.
+"""
+
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from twin.assets import asset_path
+from twin.config.errors import AssetCycleError, ConfigError
+from twin.config.messages import explain
+from twin.config.models import Decode, Experiment
+from twin.config.quantities import check_ranges, is_quantity, split_quantities
+from twin.config.units import convert_units
+
+
+def load_experiment(path: str | Path, overrides: Mapping[str, Any] | None = None) -> Experiment:
+    """Load and validate an experiment.
+
+    Parameters
+    ----------
+    path : path or str
+        A TOML file, or the name of a shipped one ("paper/two_balls").
+    overrides : mapping, optional
+        Values by dotted path ("camera.binning") laid over the file.
+
+    Raises
+    ------
+    ConfigError
+        With one line per problem: what, where, found, allowed.
+    """
+    file = Path(path)
+    if not file.is_file():
+        file = asset_path("scenes", str(path))
+    tree = _resolve_uses(_read_toml(file), (file,))
+    for dotted, value in (overrides or {}).items():
+        _assign(tree, dotted, value)
+    return validate_experiment(tree, where=str(path))
+
+
+def validate_experiment(tree: Mapping[str, Any], where: str = "experiment") -> Experiment:
+    """Build an experiment from nested tables; every problem at once, one line each."""
+    values, origins = split_quantities(convert_units(dict(tree)))
+    stated = values.pop("provenance", {})
+    if not isinstance(stated, dict):
+        raise ConfigError(f"{where}: provenance: found a value, allowed a table")
+    values["provenance"] = stated | {key: origin.model_dump() for key, origin in origins.items()}
+    try:
+        experiment = Experiment.model_validate(values)
+    except ValidationError as error:
+        raise ConfigError("\n".join(f"{where}: {line}" for line in explain(error))) from None
+    problems = check_ranges(values, experiment.provenance)
+    if problems:
+        raise ConfigError("\n".join(f"{where}: {line}" for line in problems))
+    return experiment
+
+
+def decode_settings(**values: Any) -> Decode:
+    """Validate the settings of the decoder alone, for captures that come without an experiment."""
+    try:
+        return Decode.model_validate(values)
+    except ValidationError as error:
+        raise ConfigError("\n".join(f"decode.{line}" for line in explain(error))) from None
+
+
+def vary(experiment: Experiment, changes: Mapping[str, Any]) -> Experiment:
+    """Copy an experiment with values by dotted path replaced, validated again as a whole."""
+    tree = experiment.model_dump(mode="python")
+    for dotted, value in changes.items():
+        _assign(tree, dotted, value)
+    return validate_experiment(tree, where=experiment.name)
+
+
+def _read_toml(file: Path) -> dict[str, Any]:
+    try:
+        return tomllib.loads(file.read_text(encoding="utf-8"))
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(f"{file}: not valid TOML: {error}") from None
+    except (UnicodeDecodeError, OSError) as error:
+        raise ConfigError(f"{file}: cannot be read: {error}") from None
+
+
+def _resolve_uses(tree: dict[str, Any], trail: tuple[Path, ...]) -> dict[str, Any]:
+    own = {
+        key: _resolve_uses(node, trail) if isinstance(node, dict) else node
+        for key, node in tree.items()
+        if key != "use" or "/" not in str(node)  # decode.use = "column" is a value, no file
+    }
+    used = tree.get("use")
+    if not isinstance(used, str) or "/" not in used:
+        return own
+    return _overlay(_load_used(used, trail), own)
+
+
+def _load_used(name: str, trail: tuple[Path, ...]) -> dict[str, Any]:
+    collection, _, rest = name.partition("/")
+    if collection not in ("scenes", "materials"):
+        raise ConfigError(f"{trail[-1]}: use = '{name}': must start with scenes/ or materials/")
+    file = asset_path("scenes" if collection == "scenes" else "materials", rest)
+    if file in trail:
+        raise AssetCycleError(f"{trail[-1]}: use = '{name}' leads back to itself: remove one use")
+    tree = _resolve_uses(_read_toml(file), (*trail, file))
+    tree.pop("description", None)
+    tree.pop("name", None)
+    return tree
+
+
+def _overlay(base: dict[str, Any], top: dict[str, Any]) -> dict[str, Any]:
+    """Lay `top` over `base`; a plain value over a quantity keeps the quantity's valid range."""
+    merged = dict(base)
+    for key, node in top.items():
+        under = merged.get(key)
+        if is_quantity(node) or not isinstance(under, dict):
+            merged[key] = node
+        elif is_quantity(under):
+            merged[key] = {**under, "value": node, "source": "set in the experiment"}
+        elif isinstance(node, dict):
+            merged[key] = _overlay(under, node)
+        else:
+            merged[key] = node
+    return merged
+
+
+def _assign(tree: dict[str, Any], dotted: str, value: Any) -> None:
+    *parents, leaf = dotted.split(".")
+    node = tree
+    for key in parents:
+        node = node.setdefault(key, {})
+        if not isinstance(node, dict):
+            raise ConfigError(f"{dotted}: '{key}' is a value, not a table")
+    node.update(_overlay(node, {leaf: value}))

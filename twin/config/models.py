@@ -1,0 +1,242 @@
+"""The experiment as data: every number that describes sensor, specimen, press and decoding.
+
+All models are frozen and refuse unknown keys; every float carries its unit in its name (mm, px,
+deg, ms, N, kPa; no suffix means dimensionless). World frame: undeformed coated face is z = 0, z
+points up to camera and projector. Device frames are OpenCV's (x right, y down, z forward; pixel
+(0, 0) is the centre of the first pixel).
+"""
+
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+Positive = Annotated[float, Field(gt=0)]
+NonNegative = Annotated[float, Field(ge=0)]
+Fraction = Annotated[float, Field(ge=0, le=1)]
+Length = Annotated[float, Field(gt=0, le=1000)]
+Angle = Annotated[float, Field(ge=-180, le=180)]
+Distortion = tuple[float, float, float, float, float]
+
+
+class Model(BaseModel):
+    """Base of all configuration: immutable, no unknown keys, no NaN or infinity."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class Pose(Model):
+    """Where a device stands: its pinhole on a sphere round the world origin, looking at it.
+
+    The ray of the image centre (not the optical axis, which may be off-axis) hits the origin.
+    """
+
+    standoff_mm: Length = Field(description="distance from the pinhole to the world origin")
+    polar_deg: Annotated[float, Field(ge=0, lt=90)] = Field(
+        default=0.0, description="angle between the line to the origin and the world z axis"
+    )
+    azimuth_deg: Angle = Field(
+        default=0.0, description="direction of the pinhole in the world xy plane; 0 is +x"
+    )
+    roll_deg: Angle = Field(default=0.0, description="rotation about the ray of the image centre")
+
+
+class Specimen(Model):
+    """What every specimen has: its pose on the stage, relative to the slab's centre."""
+
+    x_mm: float = 0.0
+    y_mm: float = 0.0
+    yaw_deg: Angle = 0.0
+
+
+class Ball(Specimen):
+    """One ball."""
+
+    kind: Literal["ball"] = "ball"
+    diameter_mm: Length = 8.0
+
+
+class TwoBalls(Specimen):
+    """Two joined balls side by side along the specimen's x axis (the paper's artefact)."""
+
+    kind: Literal["two_balls"] = "two_balls"
+    diameter_mm: Length = 8.0
+    separation_mm: Length = Field(default=8.0, description="distance between the two centres")
+    tilt_deg: Annotated[float, Field(ge=-30, le=30)] = Field(
+        default=0.0, description="tilt about the specimen's y axis; positive lifts the +x ball"
+    )
+
+
+AnySpecimen = Annotated[Ball | TwoBalls, Field(discriminator="kind")]
+
+
+class Elastomer(Model):
+    """A flat silicone slab on a simply supported rim, coated on the far face."""
+
+    thickness_mm: Length
+    length_x_mm: Length = Field(description="free span along world x")
+    length_y_mm: Length = Field(description="free span along world y")
+    shore_a: Annotated[float, Field(ge=0, le=95)] = Field(
+        description="durometer hardness; below 20 every formula for the modulus extrapolates"
+    )
+    young_modulus_kpa: Positive | None = Field(
+        default=None, description="measured modulus; when absent it follows from shore_a"
+    )
+    poisson_ratio: Annotated[float, Field(gt=0, lt=0.5)]
+    layout: Literal["opposite_face"] = Field(
+        default="opposite_face",
+        description="the object presses the clear face, the coated far face bulges (the paper)",
+    )
+
+
+class Coating(Model):
+    """Gray ink with aluminium flakes: a blend of a diffuse and a rough conducting reflector."""
+
+    base_albedo: Annotated[float, Field(gt=0, lt=1)]
+    flake_fraction: Fraction
+    flake_roughness: Annotated[float, Field(ge=0.05, le=1)] = Field(
+        description="GGX alpha of the flakes' normals"
+    )
+    flake_ior: Positive = Field(description="real part n of the flakes' complex index")
+    flake_extinction: NonNegative = Field(description="imaginary part k of the complex index")
+
+
+class Press(Model):
+    """How the specimen is pressed in: to a depth, or with a force."""
+
+    control: Literal["depth", "force"]
+    depth_mm: Positive | None = Field(default=None, description="travel after first touch")
+    force_n: Positive | None = None
+    back_pressure_kpa: NonNegative = Field(
+        default=0.0,
+        description="uniform gauge pressure on the coated face; drapes the sheet over the specimen",
+    )
+    solver_pitch_mm: Annotated[float, Field(ge=0.01, le=0.5)] = 0.08
+    relief_pitch_mm: Annotated[float, Field(ge=0.005, le=0.05)] = Field(
+        default=0.04, description="mesh pitch of the coated face"
+    )
+
+    @model_validator(mode="after")
+    def _control_has_its_value(self) -> "Press":
+        needed, other = ("depth_mm", "force_n")[:: 1 if self.control == "depth" else -1]
+        if getattr(self, needed) is None:
+            raise ValueError(f"control = '{self.control}' needs {needed}")
+        if getattr(self, other) is not None:
+            raise ValueError(f"control = '{self.control}' does not take {other}: remove it")
+        return self
+
+
+class Projector(Model):
+    """A DLP projector as an inverse camera with radiometry."""
+
+    width_px: Annotated[int, Field(ge=16, le=8192)]
+    height_px: Annotated[int, Field(ge=16, le=8192)]
+    throw_ratio: Positive = Field(description="distance / image width; focal length in widths")
+    offset_percent: Annotated[float, Field(ge=-200, le=200)] = Field(
+        description="100: the optical axis leaves at the lower edge of the image, 0: centred"
+    )
+    distortion: Distortion = (0.0, 0.0, 0.0, 0.0, 0.0)
+    pose: Pose
+    flux_mw: Positive = Field(description="radiant flux of a full white image")
+    wavelength_nm: Annotated[float, Field(ge=300, le=1100)]
+    contrast: Annotated[float, Field(gt=1)] = Field(description="full white / full black")
+    gamma: Annotated[float, Field(ge=0.3, le=4)] = Field(
+        default=1.0, description="light = (level / 255) ** gamma"
+    )
+    blur_px: Annotated[float, Field(ge=0, le=10)] = Field(
+        description="lens blur, Gaussian sigma in projector pixels, on top of the DMD pixel box"
+    )
+
+
+class Camera(Model):
+    """A monochrome camera: geometry of an ideal lens and EMVA 1288 noise (release 4 terms)."""
+
+    width_px: Annotated[int, Field(ge=8, le=16384)]
+    height_px: Annotated[int, Field(ge=8, le=16384)]
+    pixel_pitch_um: Positive
+    focal_length_mm: Length
+    f_number: Annotated[float, Field(ge=0.7, le=64)]
+    distortion: Distortion = (0.0, 0.0, 0.0, 0.0, 0.0)
+    pose: Pose = Field(description="its standoff is also the distance of best focus")
+    exposure_ms: Positive | Literal["auto"] = Field(
+        description="'auto': the white frame's 99.5th percentile reaches auto_level"
+    )
+    auto_level: Annotated[float, Field(gt=0, lt=1)] = Field(
+        default=0.85, description="target of the automatic exposure as a fraction of saturation"
+    )
+    quantum_efficiency: Fraction
+    lens_transmission: Fraction
+    full_well_e: Positive = Field(description="saturation capacity")
+    read_noise_e: NonNegative = Field(description="temporal dark noise")
+    dark_current_e_per_s: NonNegative = 0.0
+    prnu_percent: NonNegative = Field(default=0.0, description="photo response non-uniformity")
+    dsnu_e: NonNegative = Field(default=0.0, description="dark signal non-uniformity")
+    bit_depth: Literal[8, 10, 12, 14, 16]
+    black_level_dn: NonNegative
+    binning: Literal[1, 2, 4] = Field(
+        default=1, description="pixels summed per axis; DN stays scaled to the bit depth"
+    )
+    noise: bool = Field(default=True, description="False: expected value, no quantisation")
+
+
+class Patterns(Model):
+    """The projected sequence: N-step phase shift both ways, Gray code, white and black."""
+
+    period_px: Annotated[float, Field(ge=4, le=512)]
+    steps: Annotated[int, Field(ge=3, le=64)]
+    complementary: bool = True
+
+
+class Render(Model):
+    """How the frames are computed."""
+
+    engine: Literal["one_trace", "stock"] = "one_trace"
+    samples: Literal[1, 4, 9, 16, 25, 36, 64, 256] = Field(
+        default=4, description="camera rays per pixel; one_trace uses a fixed square grid of them"
+    )
+
+
+class Decode(Model):
+    """How the stack becomes points."""
+
+    filter_taps: Annotated[int, Field(ge=0, le=31)] = Field(
+        default=8, description="Gaussian on the complex phasor; 0 switches it off"
+    )
+    filter_sigma_px: Positive = 1.5
+    use: Literal["column", "row", "both"] = "column"
+
+
+class Score(Model):
+    """What is evaluated."""
+
+    roi_radius_mm: Positive = Field(
+        description="sphere fit over points within this lateral distance of each apex"
+    )
+
+
+class Provenance(Model):
+    """Where one number comes from."""
+
+    source: str
+    range: tuple[float, float] | None = None
+
+
+class Experiment(Model):
+    """One virtual measurement, whole."""
+
+    schema_version: Literal[1] = 1
+    name: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_\-]*$", max_length=64)]
+    description: str = ""
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
+    specimen: AnySpecimen
+    elastomer: Elastomer
+    coating: Coating
+    press: Press
+    projector: Projector
+    camera: Camera
+    patterns: Patterns
+    render: Render = Render()
+    decode: Decode = Decode()
+    score: Score
+    provenance: dict[str, Provenance] = Field(
+        default_factory=dict, description="source and valid range by dotted path"
+    )
