@@ -1,0 +1,101 @@
+"""The contact solver against Hertz, a Fredholm solution and finite elements.
+
+Reference figures: shared notes, mechanics.md, sections 3, 5, 7 and 10.
+"""
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy import fft
+
+from twin.config.models import Ball
+from twin.mechanics import PressedElastomer, SolverError
+from twin.mechanics.contact import DepthControl, ForceControl, solve_contact
+from twin.mechanics.layer import BondedLayer
+from twin.specimens import height_above_lowest
+
+Field = NDArray[np.float64]
+
+
+class HalfSpace:
+    """Love's solution for a square cell under uniform pressure, convolved without wrap-round."""
+
+    def __init__(self, cells: int, pitch: float) -> None:
+        self.cells, half = cells, pitch / 2
+        x = pitch * fft.fftfreq(2 * cells, 1 / (2 * cells))
+        x, y = np.meshgrid(x, x)
+
+        def corner(p: Field, q: Field) -> Field:
+            # arcsinh(q / |p|) is Love's logarithm, free of its cancellation.
+            return p * np.arcsinh(q / np.abs(p)) + q * np.arcsinh(p / np.abs(q))
+
+        kernel = (
+            corner(x + half, y + half)
+            - corner(x + half, y - half)
+            - corner(x - half, y + half)
+            + corner(x - half, y - half)
+        ) / np.pi
+        self.spectrum = fft.rfft2(kernel)
+
+    def deflect(self, pressure: Field) -> Field:
+        n = self.cells
+        wide: Field = fft.irfft2(fft.rfft2(pressure, s=(2 * n, 2 * n)) * self.spectrum)
+        return wide[:n, :n]
+
+
+CELLS, WIDTH, RADIUS = 128, 3.0, 10.0
+PITCH = WIDTH / CELLS
+CENTRES = (np.arange(CELLS) + 0.5) * PITCH - WIDTH / 2
+PARABOLOID = (CENTRES**2 + CENTRES[:, None] ** 2) / (2 * RADIUS)
+DEPTH = 0.1
+HERTZ_FORCE = 4 / 3 * np.sqrt(RADIUS) * DEPTH**1.5
+HERTZ_A = np.sqrt(RADIUS * DEPTH)
+HERTZ_P0 = 3 * HERTZ_FORCE / (2 * np.pi * HERTZ_A**2)
+
+
+@pytest.mark.parametrize("by", ["depth", "force"])
+def test_hertz_ball_on_a_half_space(by: str) -> None:
+    """E* = 1: force 0.1 %, depth 0.1 %, peak pressure 0.5 %, radius one cell."""
+    control = DepthControl(DEPTH) if by == "depth" else ForceControl(HERTZ_FORCE, PITCH**2)
+    contact = solve_contact(HalfSpace(CELLS, PITCH).deflect, PARABOLOID, control, 1e-6)
+    assert contact.pressure.sum() * PITCH**2 == pytest.approx(HERTZ_FORCE, rel=1e-3)
+    assert contact.depth_mm == pytest.approx(DEPTH, rel=1e-3)
+    assert contact.pressure.max() == pytest.approx(HERTZ_P0, rel=5e-3)
+    radius = np.sqrt((contact.pressure > 0).sum() / np.pi) * PITCH
+    assert radius == pytest.approx(HERTZ_A, abs=PITCH)
+
+
+def layer_and_ball(y_mm: float = 0.0) -> tuple[BondedLayer, Field]:
+    layer = BondedLayer(
+        rows=400, cols=400, length_x_mm=32, length_y_mm=32, thickness_mm=4, poisson_ratio=0.49
+    )
+    return layer, height_above_lowest(Ball(y_mm=y_mm), layer.x_mm, layer.y_mm)
+
+
+def test_ball_on_a_bonded_layer_is_the_fredholm_solution() -> None:
+    """R 4, h 4, d 0.6, nu 0.49: F / E = 2.7360, to 0.3 %."""
+    layer, height = layer_and_ball()
+    contact = solve_contact(layer.deflect, height, DepthControl(0.6))
+    assert contact.pressure.sum() * layer.cell_area_mm2 == pytest.approx(2.7360, rel=3e-3)
+
+
+def test_a_rigid_shift_only_shifts_the_solution() -> None:
+    layer, height = layer_and_ball()
+    still = solve_contact(layer.deflect, height, DepthControl(0.3))
+    _, shifted = layer_and_ball(y_mm=25 * 32 / 400)
+    moved = solve_contact(layer.deflect, shifted, DepthControl(0.3))
+    expected = np.roll(still.pressure, 25, axis=0)
+    np.testing.assert_allclose(moved.pressure, expected, atol=1e-6 * still.pressure.max())
+
+
+def test_free_slab_is_the_finite_element_solution(reference_press: PressedElastomer) -> None:
+    """20 x 20 x 4, R 4, d 1, nu 0.49, Taylor-Hood: F / E 0.9230 (0.5 %), peak 0.7218 (3 um)."""
+    assert reference_press.force_n == pytest.approx(0.9230, rel=5e-3)
+    assert reference_press.face_z_mm.max() == pytest.approx(0.7218, abs=3e-3)
+
+
+def test_running_out_of_passes_is_one_line() -> None:
+    layer, height = layer_and_ball()
+    with pytest.raises(SolverError, match="no contact solution within 5 passes") as caught:
+        solve_contact(layer.deflect, height, DepthControl(0.6), max_iterations=5)
+    assert "\n" not in str(caught.value)

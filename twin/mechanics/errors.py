@@ -1,0 +1,11 @@
+"""Errors of the press; each is one line that says what to change."""
+
+from reconstruction.errors import InputError
+
+
+class PressError(InputError):
+    """A press that the slab, the specimen or the solver's grid does not allow."""
+
+
+class SolverError(InputError):
+    """A contact solution that did not converge."""

@@ -1,0 +1,142 @@
+"""Pressed elastomers as netCDF-4 files and their faces as PLY meshes.
+
+Files follow the CF conventions: every variable has `units` and `long_name`; arrays are (y, x).
+A file is written under a temporary name and renamed: it is never half there.
+"""
+
+import os
+from collections.abc import Callable
+from dataclasses import asdict, fields
+from pathlib import Path
+from typing import Any
+
+import h5netcdf
+import numpy as np
+import trimesh
+
+from twin.mechanics.errors import PressError
+from twin.mechanics.press import PressedElastomer
+from twin.mechanics.validity import Validity
+
+_SCHEMA = "fringe-twin press 1"
+
+# field: (dimensions, units, long name)
+_VARIABLES: dict[str, tuple[tuple[str, ...], str, str]] = {
+    "x_mm": (("x",), "mm", "world x of the solver cell centres"),
+    "y_mm": (("y",), "mm", "world y of the solver cell centres"),
+    "pressure_kpa": (("y", "x"), "kPa", "pressure on the touched face"),
+    "contact": (("y", "x"), "1", "1 where the specimen touches"),
+    "touched_face_mm": (("y", "x"), "mm", "world z of the touched face"),
+    "face_x_mm": (("face_x",), "mm", "world x of the coated face's nodes"),
+    "face_y_mm": (("face_y",), "mm", "world y of the coated face's nodes"),
+    "face_z_mm": (("face_y", "face_x"), "mm", "world z of the coated face"),
+    "force_n": ((), "N", "contact force"),
+    "depth_mm": ((), "mm", "travel after first touch"),
+    "young_modulus_kpa": ((), "kPa", "Young's modulus of the elastomer"),
+    "iterations": ((), "1", "passes of the contact solver"),
+    "converged": ((), "1", "1 when the contact solver converged"),
+}
+
+
+def write_press(path: Path, pressed: PressedElastomer) -> None:
+    """Write a pressed elastomer as netCDF-4.
+
+    Raises
+    ------
+    PressError
+        The file cannot be written.
+    """
+
+    def write(target: Path) -> None:
+        with h5netcdf.File(target, "w") as file:
+            _fill(file, pressed)
+
+    _replace(path, write)
+
+
+def read_press(path: Path) -> PressedElastomer:
+    """Read what `write_press` wrote.
+
+    Raises
+    ------
+    PressError
+        The file is missing, damaged or something else.
+    """
+    try:
+        with h5netcdf.File(path, "r") as file:
+            if file.attrs.get("schema") != _SCHEMA:
+                raise PressError(f"{path}: not a pressed elastomer (schema '{_SCHEMA}')")
+            values = {name: file[name][...] for name in _VARIABLES}
+            validity = _read_validity(file)
+    except PressError:
+        raise
+    except FileNotFoundError as error:
+        raise PressError(f"{path}: no such file") from error
+    except (OSError, KeyError) as error:
+        raise PressError(f"{path}: damaged or not a netCDF-4 file; press again") from error
+    return PressedElastomer(**{**_typed(values), "validity": validity})
+
+
+def write_mesh(path: Path, mesh: trimesh.Trimesh) -> None:
+    """Write a mesh with its vertex normals as binary PLY.
+
+    Raises
+    ------
+    PressError
+        The file cannot be written.
+    """
+    content: bytes = mesh.export(file_type="ply", vertex_normal=True)
+    _replace(path, lambda target: target.write_bytes(content))
+
+
+def _replace(path: Path, write: Callable[[Path], object]) -> None:
+    temporary = path.with_name(f".{path.name}.part")
+    try:
+        write(temporary)
+        temporary.replace(path)
+    except OSError as error:
+        if temporary.is_file():
+            temporary.unlink()
+        reason = os.strerror(error.errno) if error.errno else "disk error"
+        raise PressError(f"{path}: cannot be written ({reason})") from error
+
+
+def _fill(file: Any, pressed: PressedElastomer) -> None:
+    file.attrs["Conventions"] = "CF-1.11"
+    file.attrs["schema"] = _SCHEMA
+    file.dimensions = {
+        "x": pressed.x_mm.size,
+        "y": pressed.y_mm.size,
+        "face_x": pressed.face_x_mm.size,
+        "face_y": pressed.face_y_mm.size,
+    }
+    for name, (dimensions, units, long_name) in _VARIABLES.items():
+        data = np.asarray(getattr(pressed, name))
+        stored = data.astype(np.int8) if data.dtype == bool else data
+        packing = {"compression": "gzip", "compression_opts": 1} if data.ndim == 2 else {}
+        variable = file.create_variable(name, dimensions, stored.dtype, data=stored, **packing)
+        variable.attrs["units"] = units
+        variable.attrs["long_name"] = long_name
+    file.create_group("validity").attrs.update(
+        {**asdict(pressed.validity), "warnings": "\n".join(pressed.validity.warnings)}
+    )
+
+
+def _read_validity(file: Any) -> Validity:
+    attributes = dict(file["validity"].attrs)
+    warnings = tuple(str(attributes.pop("warnings")).splitlines())
+    figures = {f.name: float(attributes[f.name]) for f in fields(Validity) if f.name != "warnings"}
+    return Validity(warnings=warnings, **figures)
+
+
+def _typed(values: dict[str, Any]) -> dict[str, Any]:
+    kinds: dict[str, Callable[[Any], Any]] = {
+        "contact": lambda data: data.astype(bool),
+        "iterations": int,
+        "converged": bool,
+    }
+    scalar = {name for name, (dimensions, _, _) in _VARIABLES.items() if not dimensions}
+    return {
+        name: kinds.get(name, float if name in scalar else np.asarray)(data)
+        for name, data in values.items()
+    }

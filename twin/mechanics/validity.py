@@ -1,0 +1,132 @@
+"""How far a press stays inside what the linear slab describes.
+
+Limits and error scale come from comparisons with an axisymmetric neo-Hookean slab (shared
+notes, mechanics.md, sections 1 and 6): heights err by 1 to 2 % of the depth up to d/R = 0.6 when
+the layer is bonded; on the far face of a free slab the peak errs by 2.4 % at d = h/4 = R/4.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from twin.mechanics.transfer import FloatArray
+
+DEPTH_OVER_THICKNESS_LIMIT = 0.25
+DEPTH_OVER_RADIUS_LIMIT = 0.4
+SLOPE_LIMIT_DEG = 45.0
+DEFLECTION_OVER_THICKNESS_LIMIT = 0.4
+_FEWEST_CELLS_ACROSS = 10.0
+
+
+@dataclass(frozen=True)
+class Validity:
+    """Figures that tell whether to trust a press, and one line for each that is exceeded."""
+
+    depth_over_thickness: float
+    #: depth over the smallest ball's radius, 0 for specimens without balls
+    depth_over_radius: float
+    #: deflection of the coated face over thickness: a sheet stretches as it bends beyond about 0.4
+    deflection_over_thickness: float
+    #: steepest slope of the specimen within the contact
+    max_slope_deg: float
+    #: from the contact to the nearest rim
+    margin_mm: float
+    #: contact diameter in solver cells (of a circle as large as the contact)
+    cells_across: float
+    #: expected largest height error of the coated face by leaving out large strain
+    height_error_mm: float
+    warnings: tuple[str, ...]
+
+
+def max_slope_deg(height_mm: FloatArray, contact: npt.NDArray[np.bool_], pitch_mm: float) -> float:
+    """Return the specimen's steepest slope within the contact; 90 at its widest outline."""
+    known = np.where(np.isfinite(height_mm), height_mm, np.nan)
+    across_y, across_x = np.gradient(known, pitch_mm)
+    slope = np.hypot(across_x, across_y)[contact]
+    return 90.0 if np.isnan(slope).any() else float(np.rad2deg(np.arctan(slope.max())))
+
+
+def margin_mm(
+    contact: npt.NDArray[np.bool_], x_mm: FloatArray, y_mm: FloatArray, pitch_mm: float
+) -> float:
+    """Return the distance from the contact to the nearest rim of a slab sampled at centres."""
+    rows, cols = np.flatnonzero(contact.any(axis=1)), np.flatnonzero(contact.any(axis=0))
+    gaps = (
+        x_mm[cols[0]] - x_mm[0],
+        x_mm[-1] - x_mm[cols[-1]],
+        y_mm[rows[0]] - y_mm[0],
+        y_mm[-1] - y_mm[rows[-1]],
+    )
+    return float(min(gaps)) + pitch_mm / 2
+
+
+def assess(
+    *,
+    depth_mm: float,
+    thickness_mm: float,
+    radius_mm: float | None,
+    deflection_mm: float,
+    slope_deg: float,
+    margin_to_rim_mm: float,
+    cells_across: float,
+) -> Validity:
+    """Collect the figures, the error estimate and the warnings.
+
+    Notes
+    -----
+    Error scale, free slab: 2 % of the depth up to d/R = 0.25, then in proportion to d/R; plus
+    (w/h)^2 / 10 of the coated face's peak w for the stretching of thin sheets (own estimate after
+    von Karman's plate with a rim that may move inwards).
+    """
+    over_radius = depth_mm / radius_mm if radius_mm else 0.0
+    bent = deflection_mm / thickness_mm
+    figures = Validity(
+        depth_over_thickness=depth_mm / thickness_mm,
+        depth_over_radius=over_radius,
+        deflection_over_thickness=bent,
+        max_slope_deg=slope_deg,
+        margin_mm=margin_to_rim_mm,
+        cells_across=cells_across,
+        height_error_mm=0.02 * depth_mm * max(1.0, over_radius / 0.25)
+        + 0.1 * bent**2 * deflection_mm,
+        warnings=(),
+    )
+    return _with_warnings(figures, thickness_mm)
+
+
+def _with_warnings(figures: Validity, thickness_mm: float) -> Validity:
+    checks = (
+        (
+            figures.depth_over_thickness > DEPTH_OVER_THICKNESS_LIMIT,
+            f"depth is {figures.depth_over_thickness:.2f} of the thickness: strains are large "
+            f"above {DEPTH_OVER_THICKNESS_LIMIT}",
+        ),
+        (
+            figures.depth_over_radius > DEPTH_OVER_RADIUS_LIMIT,
+            f"depth is {figures.depth_over_radius:.2f} of the ball's radius: strains are large "
+            f"above {DEPTH_OVER_RADIUS_LIMIT}",
+        ),
+        (
+            figures.deflection_over_thickness > DEFLECTION_OVER_THICKNESS_LIMIT,
+            f"the coated face rises by {figures.deflection_over_thickness:.2f} of the thickness: "
+            f"a sheet stretches as it bends above {DEFLECTION_OVER_THICKNESS_LIMIT}, which a "
+            "linear slab leaves out",
+        ),
+        (
+            figures.max_slope_deg > SLOPE_LIMIT_DEG,
+            f"the specimen is {figures.max_slope_deg:.0f} deg steep within the contact: "
+            f"a height field holds up to {SLOPE_LIMIT_DEG:.0f} deg",
+        ),
+        (
+            figures.margin_mm < thickness_mm,
+            f"the contact ends {figures.margin_mm:.2f} mm from the rim, less than one thickness: "
+            "how the rim is held matters there",
+        ),
+        (
+            figures.cells_across < _FEWEST_CELLS_ACROSS,
+            f"the contact is {figures.cells_across:.0f} solver cells wide: use a finer "
+            "press.solver_pitch_mm",
+        ),
+    )
+    return replace(figures, warnings=tuple(text for exceeded, text in checks if exceeded))

@@ -1,0 +1,123 @@
+"""The catalogue of rigid specimens: which shape belongs to which `kind` of the experiment file."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+import trimesh
+
+from reconstruction.errors import InputError
+from twin.config.models import Specimen
+
+FloatArray = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Sphere:
+    """One ball of a specimen at first touch; z counts from the touched plane, upwards."""
+
+    x_mm: float
+    y_mm: float
+    #: height of the centre above the touched plane (negative: the specimen comes from below)
+    z_mm: float
+    radius_mm: float
+
+    @property
+    def apex_z_mm(self) -> float:
+        """Height of the ball's own foremost point, 0 where it is the first to touch."""
+        return self.z_mm + self.radius_mm
+
+
+class Shape(Protocol):
+    """What mechanics, rendering and scoring ask of a specimen in its pose."""
+
+    def height_above_lowest(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
+        """Return (row, col) float, mm: distance behind the foremost point, inf where absent."""
+        ...
+
+    def mesh(self, touched_z_mm: float) -> trimesh.Trimesh:
+        """Return the closed surface with its foremost point at z = `touched_z_mm`."""
+        ...
+
+    def spheres(self) -> tuple[Sphere, ...]:
+        """Return the balls to fit, in the order of the specimen's x axis; may be empty."""
+        ...
+
+    def bounds_mm(self) -> tuple[float, float, float, float]:
+        """Return the outline in world xy: (x low, x high, y low, y high)."""
+        ...
+
+
+Builder = TypeVar("Builder", bound=Callable[..., Shape])
+_builders: dict[str, Callable[..., Shape]] = {}
+
+
+def register(kind: str) -> Callable[[Builder], Builder]:
+    """Enter the decorated builder, which takes the configured specimen, under `kind`."""
+
+    def enter(builder: Builder) -> Builder:
+        _builders[kind] = builder
+        return builder
+
+    return enter
+
+
+def kinds() -> tuple[str, ...]:
+    """Return the known kinds in alphabetical order."""
+    return tuple(sorted(_builders))
+
+
+def shape_of(specimen: Specimen) -> Shape:
+    """Build the shape of a configured specimen.
+
+    Raises
+    ------
+    InputError
+        No shape is registered under the specimen's kind.
+    """
+    kind = getattr(specimen, "kind", type(specimen).__name__)
+    if kind not in _builders:
+        raise InputError(f"specimen.kind: found '{kind}', allowed: {', '.join(kinds())}")
+    return _builders[kind](specimen)
+
+
+def height_above_lowest(specimen: Specimen, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
+    """Sample the specimen's side that faces the elastomer.
+
+    Parameters
+    ----------
+    specimen : Specimen
+        Configured specimen; its pose is honoured.
+    x_mm : (col,) float, mm
+        World x of the columns, ascending.
+    y_mm : (row,) float, mm
+        World y of the rows, ascending.
+
+    Returns
+    -------
+    (row, col) float, mm
+        Distance from the plane of first touch, counted away from the elastomer: 0 at the
+        foremost point, inf where there is no specimen. Exact, not a paraboloid.
+    """
+    return shape_of(specimen).height_above_lowest(x_mm, y_mm)
+
+
+def specimen_mesh(specimen: Specimen, touched_z_mm: float = 0.0) -> trimesh.Trimesh:
+    """Return the watertight surface at first touch, world frame, mm.
+
+    Parameters
+    ----------
+    specimen : Specimen
+        Configured specimen; its pose is honoured.
+    touched_z_mm : float, mm
+        World z of the plane that the specimen touches from below: -thickness for the clear face
+        of the opposite-face layout.
+    """
+    return shape_of(specimen).mesh(touched_z_mm)
+
+
+def apexes_mm(specimen: Specimen) -> tuple[Sphere, ...]:
+    """Return each ball with the world xy of its foremost point, for scoring."""
+    return shape_of(specimen).spheres()
