@@ -1,0 +1,64 @@
+"""From the pressed face to linear radiance: choose the engine, render the whole sequence."""
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from reconstruction.errors import InputError
+from twin.config.digest import seed_sequence
+from twin.config.models import Experiment
+from twin.optics.backend import activate
+from twin.optics.stack import RadianceStack
+
+if TYPE_CHECKING:
+    import trimesh
+
+
+def render(
+    experiment: Experiment,
+    face: "trimesh.Trimesh",
+    progress: Callable[[float], None] = lambda _: None,
+) -> RadianceStack:
+    """Render all frames of the experiment's sequence and the truth behind them.
+
+    Parameters
+    ----------
+    experiment : Experiment
+    face : trimesh.Trimesh
+        Coated face in world mm, normals towards the camera.
+    progress : callable
+        Called with the finished fraction.
+
+    Raises
+    ------
+    MissingBackend
+        No usable Dr.Jit backend.
+    InputError
+        The stock engine cannot express the experiment.
+    """
+    activate()
+    # Mitsuba may be imported only now: the backend's library is chosen when it loads.
+    from twin.optics import one_trace, stock
+    from twin.optics.coat import coated_mesh, coating_bsdf
+    from twin.optics.light import light_tables, pattern_set
+    from twin.optics.scene import coated_scene, rig_of
+
+    scene, rig = coated_scene(experiment, face), rig_of(experiment)
+    patterns = pattern_set(experiment.projector, experiment.patterns)
+    tables = light_tables(experiment.projector, patterns)
+    samples = experiment.render.samples
+    if experiment.render.engine == "one_trace":
+        frames = one_trace.trace_stack(scene, rig, tables, samples)
+    else:
+        if any(experiment.camera.distortion):
+            raise InputError(
+                "camera.distortion: stock Mitsuba cannot express it;"
+                " set it to zero or use render.engine = 'one_trace'"
+            )
+        seeds = seed_sequence(experiment, "stock").generate_state(len(patterns.frames)).tolist()
+        mesh = coated_mesh(face, coating_bsdf(experiment.coating))
+        frames = stock.render_stack(
+            mesh, rig, patterns, tables, samples=samples, seeds=seeds, progress=progress
+        )
+    truth = one_trace.trace_truth(scene, rig)
+    progress(1.0)
+    return RadianceStack(frames, truth)

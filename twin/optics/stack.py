@@ -1,0 +1,45 @@
+"""Result of the renderer: linear radiance of every frame, and the geometric truth per pixel."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float32]
+Frames = tuple[FloatArray, ...]
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What the camera truly sees at each pixel CENTRE.
+
+    Attributes
+    ----------
+    points_world_mm : (row, col, xyz) float32
+        Surface point; 0 where the ray hits nothing.
+    column_px, row_px : (row, col) float32
+        Projector coordinate of that point.
+    lit : (row, col) bool
+        The point is seen by the camera and lit by the projector's image.
+    """
+
+    points_world_mm: FloatArray
+    column_px: FloatArray
+    row_px: FloatArray
+    lit: NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class RadianceStack:
+    """All frames of one sequence, without any sensor.
+
+    Attributes
+    ----------
+    frames : tuple of (row, col) float32, mW / (mm^2 sr)
+        Mean radiance over each camera pixel, in the order of the sequence. Not one array: at full
+        size a stack has 600 MB, and the camera takes it frame by frame.
+    truth : Truth
+    """
+
+    frames: Frames
+    truth: Truth

@@ -1,0 +1,188 @@
+"""The plain way, and the oracle: one stock Mitsuba render per frame.
+
+The projector is Mitsuba's own `projector` emitter, or a `spot` emitter with the pattern as its
+texture; the integrator is `direct`. Both emitters are symmetric about their axis and know neither
+an offset principal point nor distortion, so the pattern is drawn on a larger canvas centred on
+the optical axis: an off-axis image sits in a corner of it, and distortion is warped into it.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from reconstruction.patterns import Frame, PatternSet
+from reconstruction.pinhole import distort
+from twin.optics.device_frames import field_of_view_deg, perspective_sensor, to_world
+from twin.optics.light import MARGIN_PX, OVERSAMPLING, LightTable, along
+from twin.optics.one_trace import Rig
+from twin.optics.stack import Frames
+
+Emitter = Literal["projector", "spot"]
+FloatArray = NDArray[np.float32]
+
+TEXELS_PER_PX = 4
+"""Canvas texels per projector pixel; with bilinear look-up this adds a blur of 0.1 px."""
+
+
+@dataclass(frozen=True)
+class Canvas:
+    """Texture plane centred on the projector's optical axis.
+
+    Attributes
+    ----------
+    half_width_px, half_height_px : float
+        Half extent in projector pixels.
+    texels_per_px : int
+    """
+
+    half_width_px: float
+    half_height_px: float
+    texels_per_px: int
+
+    def centres_px(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Texel centres (col,) and (row,), projector pixels relative to the optical axis."""
+        return (
+            _centres(self.half_width_px, self.texels_per_px),
+            _centres(self.half_height_px, self.texels_per_px),
+        )
+
+
+def _centres(half_px: float, texels_per_px: int) -> NDArray[np.float64]:
+    count = 2 * round(half_px * texels_per_px)
+    return (np.arange(count, dtype=np.float64) + 0.5) * (2.0 * half_px / count) - half_px
+
+
+def canvas_for(rig: Rig, kind: Emitter, texels_per_px: int = TEXELS_PER_PX) -> Canvas:
+    """Smallest canvas centred on the optical axis that holds the image and its blurred edge."""
+    p = rig.projector.pinhole
+    half_width = max(p.cx_px, p.width_px - 1 - p.cx_px) + MARGIN_PX
+    half_height = max(p.cy_px, p.height_px - 1 - p.cy_px) + MARGIN_PX
+    if kind == "spot":  # its texture is square and cut by a round cone, which must hold all of it
+        half_width = half_height = float(np.hypot(half_width, half_height))
+    return Canvas(float(np.ceil(half_width)), float(np.ceil(half_height)), texels_per_px)
+
+
+def frame_texture(
+    frame: Frame, index: int, rig: Rig, tables: dict[str, LightTable], canvas: Canvas
+) -> FloatArray:
+    """Light of one frame on the canvas, (row, col) float32, row 0 at the image's top."""
+    column_px, row_px = _pixels_on(canvas, rig)
+    axis = along(frame)
+    other = "row" if axis == "column" else "column"
+    here, there = (column_px, row_px) if axis == "column" else (row_px, column_px)
+    profile = tables[axis].frames.index(index)
+    return np.asarray(
+        _interpolate(tables[axis], profile, here) * _interpolate(tables[other], -1, there),
+        np.float32,
+    )
+
+
+def _pixels_on(canvas: Canvas, rig: Rig) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Projector pixel of every texel; (1, col) and (row, 1) while there is no distortion."""
+    p = rig.projector.pinhole
+    x_px, y_px = canvas.centres_px()
+    x, y = x_px[None, :] / p.fx_px, y_px[:, None] / p.fy_px
+    if any(p.distortion):
+        x, y = distort(x, y, p.distortion)
+    return x * p.fx_px + p.cx_px, y * p.fy_px + p.cy_px
+
+
+def _interpolate(
+    table: LightTable, profile: int, at_px: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    nodes_px = table.first_px + np.arange(len(table.profiles)) / OVERSAMPLING
+    values = table.profiles[:, profile].astype(np.float64)
+    return np.interp(at_px.ravel(), nodes_px, values, left=0.0, right=0.0).reshape(at_px.shape)
+
+
+def emitter_dict(texture: FloatArray, rig: Rig, canvas: Canvas, kind: Emitter) -> dict[str, Any]:
+    """Stock emitter that throws `texture` into the scene with the rig's radiometric scale."""
+    full_angle_deg = field_of_view_deg(2.0 * canvas.half_width_px, rig.projector.pinhole.fx_px)
+    place = {"to_world": mi.ScalarTransform4f(to_world(rig.projector.T_world_from_device))}
+    if kind == "projector":
+        return {
+            "type": "projector",
+            **place,
+            "fov": full_angle_deg,
+            "irradiance": _bitmap(texture),
+            "scale": rig.irradiance_at_1mm / np.pi,  # the emitter multiplies by pi
+        }
+    # A spot emits radiant intensity: a plane receives I cos^3 / z^2, so the cos^3 is taken out.
+    # Its texture is mirrored against the projector's in both directions.
+    return {
+        "type": "spot",
+        **place,
+        "cutoff_angle": full_angle_deg / 2.0,
+        "beam_width": full_angle_deg / 2.0,
+        "intensity": rig.irradiance_at_1mm,
+        "texture": _bitmap((texture / _cos_cubed(canvas, rig))[::-1, ::-1]),
+    }
+
+
+def _bitmap(texture: NDArray[np.floating]) -> dict[str, Any]:
+    return {
+        "type": "bitmap",
+        "bitmap": mi.Bitmap(np.ascontiguousarray(texture[..., None], np.float32)),
+        "raw": True,  # the numbers are light, not sRGB
+        "format": "variant",  # float32, not half precision
+        "filter_type": "bilinear",
+        "wrap_mode": "clamp",
+    }
+
+
+def _cos_cubed(canvas: Canvas, rig: Rig) -> NDArray[np.float64]:
+    p = rig.projector.pinhole
+    x_px, y_px = canvas.centres_px()
+    square = (x_px[None, :] / p.fx_px) ** 2 + (y_px[:, None] / p.fy_px) ** 2
+    return np.asarray((1.0 + square) ** -1.5)
+
+
+def frame_scene(mesh: Any, emitter: dict[str, Any], sensor: dict[str, Any]) -> Any:
+    """Stock scene of one frame: mesh, emitter with the pattern, sensor, `direct` integrator."""
+    return mi.load_dict(
+        {
+            "type": "scene",
+            "integrator": {"type": "direct", "emitter_samples": 1, "bsdf_samples": 0},
+            "mesh": mesh,
+            "emitter": emitter,
+            "sensor": sensor,
+        },
+        optimize=False,
+    )
+
+
+def render_frame(scene: Any, seed: int) -> FloatArray:
+    """Render one frame; (row, col) float32, mW / (mm^2 sr)."""
+    return np.asarray(mi.render(scene, seed=seed), np.float32)[:, :, 0]
+
+
+def render_stack(
+    mesh: Any,
+    rig: Rig,
+    patterns: PatternSet,
+    tables: dict[str, LightTable],
+    *,
+    samples: int,
+    seeds: list[int],
+    progress: Callable[[float], None],
+) -> Frames:
+    """Render every frame by itself; a tuple of (row, col) float32, mW / (mm^2 sr).
+
+    Raises
+    ------
+    ValueError
+        The camera has lens distortion.
+    """
+    sensor = perspective_sensor(rig.camera.pinhole, rig.camera.T_world_from_device, samples)
+    canvas = canvas_for(rig, "projector")
+    frames = []
+    for k, frame in enumerate(patterns.frames):
+        texture = frame_texture(frame, k, rig, tables, canvas)
+        emitter = emitter_dict(texture, rig, canvas, "projector")
+        frames.append(render_frame(frame_scene(mesh, emitter, sensor), seeds[k]))
+        progress((k + 1) / len(patterns.frames))
+    return tuple(frames)
