@@ -1,0 +1,59 @@
+"""Reconstruct a capture folder, rendered or from a real rig; no renderer is needed."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tomli_w
+
+from reconstruction.capture import read_capture
+from reconstruction.decode import Reason
+from reconstruction.outputs import write_point_map_ply, write_reconstruction
+from reconstruction.pipeline import Reconstruction, reconstruct
+from twin.config.models import Decode
+from twin.modalities.contact_fpp import options_of
+from twin.modalities.progress import Watcher, nobody
+from twin.output import EXPERIMENT_FILE, RESULT_FILE, output_folder, versions, write_json
+
+
+def reconstruct_capture(
+    capture_folder: Path, out: Path, decode: Decode, watch: Watcher = nobody
+) -> dict[str, Any]:
+    """Reconstruct `capture_folder` into `out`; returns the figures also written to result.json.
+
+    Raises
+    ------
+    InputError
+        The capture is incomplete or damaged, or `out` cannot be written.
+    """
+    with output_folder(out) as folder:
+        watch("read", 0.0)
+        capture = read_capture(capture_folder)
+        watch("read", 1.0)
+        watch("reconstruct", 0.0)
+        result = reconstruct(capture, options_of(decode))
+        watch("reconstruct", 1.0)
+        figures = reconstruction_metrics(result)
+        write_reconstruction(folder / "reconstruction.nc", result.decoded, result.point_map)
+        write_point_map_ply(folder / "points.ply", result.point_map)
+        settings = tomli_w.dumps({"decode": decode.model_dump(mode="json")})
+        (folder / EXPERIMENT_FILE).write_text(settings, encoding="utf-8")
+        content = {"command": "reconstruct", "metrics": figures, "versions": versions()}
+        write_json(folder / RESULT_FILE, {"schema_version": 1, **content})
+    return figures
+
+
+def reconstruction_metrics(result: Reconstruction) -> dict[str, Any]:
+    """Count the valid points and, by reason, the masked pixels."""
+    reasons = result.point_map.mask_reason
+    figures: dict[str, Any] = {
+        "points": int(result.point_map.valid.sum()),
+        "valid_share": float(result.point_map.valid.mean()),
+    }
+    if figures["points"]:
+        sigma = result.point_map.sigma_z_mm[result.point_map.valid]
+        figures["sigma_z_median_um"] = float(1e3 * np.median(sigma))
+    for reason in Reason:
+        if reason is not Reason.VALID:
+            figures[f"masked_{reason.name.lower()}"] = int((reasons == reason).sum())
+    return figures

@@ -1,0 +1,35 @@
+"""Tell whoever watches how far a command is, and time its stages."""
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Protocol
+
+
+class Watcher(Protocol):
+    """Someone who is told how far a measurement is."""
+
+    def __call__(self, stage: str, fraction: float, /) -> None:
+        """Report the finished fraction of a stage."""
+
+
+def nobody(stage: str, fraction: float, /) -> None:
+    """Watch nothing."""
+
+
+@dataclass
+class Stopwatch:
+    """Wall-clock seconds per stage, and the messages to the watcher."""
+
+    watch: Watcher = nobody
+    seconds: dict[str, float] = field(default_factory=dict)
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[Callable[[float], None]]:
+        """Time a stage; yields the function that takes its finished fraction."""
+        self.watch(name, 0.0)
+        start = time.perf_counter()
+        yield lambda fraction: self.watch(name, fraction)
+        self.seconds[name] = time.perf_counter() - start
+        self.watch(name, 1.0)

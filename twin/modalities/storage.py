@@ -1,0 +1,110 @@
+"""Write each stage's result into a folder; the names are the contract of `twin ... -o DIR`.
+
+| file | content |
+|---|---|
+| result.json | metrics (units in their names), digest, versions |
+| experiment.toml | the resolved experiment |
+| press.nc, coated_face.ply | fields of the pressed elastomer and the coated face |
+| capture/ | what a real rig would have recorded: stack, description, calibration |
+| truth.nc, white.exr | surface point and projector pixel behind every pixel; white radiance |
+| reconstruction.nc, points.ply | maps of the decoder, organised point cloud |
+"""
+
+from pathlib import Path
+from typing import Any
+
+from reconstruction.capture import write_capture
+from reconstruction.outputs import write_point_map_ply, write_reconstruction
+from reconstruction.pipeline import Reconstruction
+from twin.config import Experiment, digest, to_toml
+from twin.mechanics import PressedElastomer, face_mesh, write_mesh, write_press
+from twin.modalities.contact_fpp import Measurement, Recording
+from twin.modalities.score import metrics
+from twin.optics.storage import write_exr, write_truth
+from twin.output import EXPERIMENT_FILE, RESULT_FILE, versions, write_json
+
+CAPTURE_FOLDER = "capture"
+TIMINGS_FILE = "timings.json"
+
+
+def write_result(
+    folder: Path, command: str, experiment: Experiment, figures: dict[str, Any]
+) -> None:
+    """Write result.json and the resolved experiment.
+
+    The same experiment gives the same bytes: wall-clock times are kept out (see `write_timings`).
+    """
+    (folder / EXPERIMENT_FILE).write_text(to_toml(experiment), encoding="utf-8")
+    content = {
+        "schema_version": 1,
+        "command": command,
+        "name": experiment.name,
+        "digest": digest(experiment),
+        "metrics": figures,
+        "versions": versions(),
+    }
+    write_json(folder / RESULT_FILE, content)
+
+
+def write_timings(folder: Path, seconds: dict[str, float]) -> None:
+    """Write wall-clock seconds per stage; the only file that differs between equal runs."""
+    write_json(folder / TIMINGS_FILE, {name: round(s, 3) for name, s in seconds.items()})
+
+
+def write_pressed(folder: Path, pressed: PressedElastomer) -> None:
+    """Write the pressed elastomer and its coated face."""
+    write_press(folder / "press.nc", pressed)
+    write_mesh(folder / "coated_face.ply", face_mesh(pressed))
+
+
+def write_recording(folder: Path, recording: Recording) -> None:
+    """Write the capture as a rig would deliver it, and beside it what only a twin knows."""
+    (folder / CAPTURE_FOLDER).mkdir()
+    write_capture(folder / CAPTURE_FOLDER, recording.capture)
+    write_truth(folder / "truth.nc", recording.truth)
+    white = recording.capture.patterns.index("white").start
+    write_exr(folder / "white.exr", recording.radiance.frames[white])
+
+
+def write_reconstructed(folder: Path, reconstruction: Reconstruction) -> None:
+    """Write the decoder's maps and the point cloud."""
+    write_reconstruction(
+        folder / "reconstruction.nc", reconstruction.decoded, reconstruction.point_map
+    )
+    write_point_map_ply(folder / "points.ply", reconstruction.point_map)
+
+
+def write_measurement(
+    folder: Path, command: str, experiment: Experiment, done: Measurement
+) -> None:
+    """Write everything of one measurement."""
+    write_pressed(folder, done.pressed)
+    write_recording(folder, done.recording)
+    write_reconstructed(folder, done.reconstruction)
+    figures = press_metrics(done.pressed) | recording_metrics(done.recording) | metrics(done.score)
+    write_result(folder, command, experiment, figures)
+    write_timings(folder, done.seconds)
+
+
+def press_metrics(pressed: PressedElastomer) -> dict[str, Any]:
+    """Figures of the press, warnings included."""
+    return {
+        "force_n": pressed.force_n,
+        "depth_mm": pressed.depth_mm,
+        "young_modulus_kpa": pressed.young_modulus_kpa,
+        "relief_peak_mm": float(pressed.face_z_mm.max()),
+        "peak_pressure_kpa": float(pressed.pressure_kpa.max()),
+        "height_error_estimate_mm": pressed.validity.height_error_mm,
+        "warnings": list(pressed.validity.warnings),
+    }
+
+
+def recording_metrics(recording: Recording) -> dict[str, Any]:
+    """Figures of the recording."""
+    return {
+        "exposure_ms": recording.exposure_ms,
+        "frames": len(recording.capture.patterns.frames),
+        "saturated_share": float(
+            (recording.capture.stack >= recording.capture.sensor.saturation_dn).mean()
+        ),
+    }
