@@ -3,7 +3,7 @@
 | file | content |
 |---|---|
 | capture.toml | file names, image size, bit depth, [patterns], [sensor] |
-| stack.nc | netCDF-4, variable `stack` (frame, row, col) uint16, DN; `frame_name` (frame) |
+| stack.nc | netCDF-4: `stack` (frame, row, col) uint16 or float32, DN; `frame_name` (frame) |
 | calibration.yaml | OpenCV YAML, see `calibration` |
 """
 
@@ -17,7 +17,7 @@ from reconstruction.checks import require_integer
 from reconstruction.errors import CaptureError
 from reconstruction.patterns import PatternSet
 from reconstruction.sensor import SensorNoise
-from reconstruction.stack_file import read_stack, write_stack
+from reconstruction.stack_file import TYPES, read_stack, write_stack
 
 DESCRIPTION_FILE = "capture.toml"
 STACK_FILE = "stack.nc"
@@ -31,7 +31,8 @@ class Capture:
 
     Parameters
     ----------
-    stack : (frame, row, col) uint16, DN, in the order of `patterns.frames`
+    stack : (frame, row, col) uint16, DN, in the order of `patterns.frames`; float32 holds the
+        expected values of a noise-free rendering
     patterns : what was projected
     sensor : camera noise
     calibration : camera and projector; the camera has the image size of the stack
@@ -52,14 +53,15 @@ class Capture:
         require_integer("bit_depth", self.bit_depth, 8, 16)
         camera = self.calibration.camera
         expected = (len(self.patterns.frames), camera.height_px, camera.width_px)
-        if self.stack.dtype.name != "uint16" or self.stack.shape != expected:
+        if self.stack.dtype.name not in TYPES or self.stack.shape != expected:
             raise CaptureError(
                 f"stack is {self.stack.dtype} {self.stack.shape}; patterns and calibrated camera "
-                f"need uint16 {expected} (frame, row, col)"
+                f"need {' or '.join(TYPES)} {expected} (frame, row, col)"
             )
-        if self.bit_depth < 16 and int(self.stack.max()) >= 2**self.bit_depth:
+        # This way round a NaN of a float stack is refused as well.
+        if not self.stack.max() < 2**self.bit_depth:
             raise CaptureError(
-                f"stack holds the value {int(self.stack.max())}; {self.bit_depth} bits end at "
+                f"stack holds the value {self.stack.max()}; {self.bit_depth} bits end at "
                 f"{2**self.bit_depth - 1}: correct bit_depth or the stack"
             )
 

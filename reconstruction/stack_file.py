@@ -14,10 +14,12 @@ from reconstruction.patterns import PatternSet
 DIMENSIONS = ("frame", "row", "col")
 STACK = "stack"
 NAMES = "frame_name"
+# Digital numbers of a sensor, or the expected values of a noise-free rendering.
+TYPES = ("uint16", "float32")
 
 
 def write_stack(path: Path, stack: Stack, patterns: PatternSet) -> None:
-    """Write a (frame, row, col) uint16 stack and the names of its frames."""
+    """Write a (frame, row, col) uint16 or float32 stack and the names of its frames."""
     with h5netcdf.File(path, "w") as file:
         file.dimensions = dict(zip(DIMENSIONS, stack.shape, strict=True))
         variable = file.create_variable(STACK, DIMENSIONS, data=stack)
@@ -50,10 +52,10 @@ def _check(path: Path, file: Any, patterns: PatternSet, shape: tuple[int, int]) 
     if STACK not in file.variables or NAMES not in file.variables:
         raise CaptureError(f"{path}: needs the variables {STACK} and {NAMES}")
     variable = file.variables[STACK]
-    if tuple(variable.dimensions) != DIMENSIONS or variable.dtype != np.uint16:
+    if tuple(variable.dimensions) != DIMENSIONS or str(variable.dtype) not in TYPES:
         raise CaptureError(
             f"{path}: stack is {variable.dtype} {tuple(variable.dimensions)}; "
-            f"it must be uint16 {DIMENSIONS}"
+            f"it must be {' or '.join(TYPES)} {DIMENSIONS}"
         )
     _check_frames(path, [_text(name) for name in file.variables[NAMES][...]], patterns)
     expected = (len(patterns.frames), *shape)

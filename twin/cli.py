@@ -47,7 +47,11 @@ def doctor() -> int:
     Console().print(table)
     if all(finding.ok for finding in findings):
         return 0
-    return MISSING_BACKEND if any(f.name == "backend" and not f.ok for f in findings) else FAILURE
+    return (
+        MISSING_BACKEND
+        if any(f.name == "renderer backend" and not f.ok for f in findings)
+        else FAILURE
+    )
 
 
 @app.command
@@ -75,7 +79,21 @@ def init(
 
 
 @app.command
-def press(experiment: Path, /, out: Out, settings: Settings = None) -> None:
+def keys() -> None:
+    """List every key of an experiment file: type, allowed values, default, meaning."""
+    from rich.console import Console
+    from rich.table import Table
+
+    from twin.config.reference import list_keys
+
+    table = Table("key", "allowed", "default", "meaning")
+    for key in list_keys():
+        table.add_row(key.path, key.allowed, key.default, key.meaning)
+    Console().print(table)
+
+
+@app.command
+def press(experiment: Path, /, *, out: Out, settings: Settings = None) -> None:
     """Press the specimen into the elastomer: fields, force, coated face as a mesh.
 
     Parameters
@@ -102,7 +120,7 @@ def press(experiment: Path, /, out: Out, settings: Settings = None) -> None:
 
 
 @app.command
-def render(experiment: Path, /, out: Out, settings: Settings = None) -> None:
+def render(experiment: Path, /, *, out: Out, settings: Settings = None) -> None:
     """Press, render the fringe stack and expose the camera: a capture as a rig delivers it.
 
     Parameters
@@ -141,7 +159,7 @@ def render(experiment: Path, /, out: Out, settings: Settings = None) -> None:
 
 
 @app.command
-def measure(experiment: Path, /, out: Out, settings: Settings = None) -> None:
+def measure(experiment: Path, /, *, out: Out, settings: Settings = None) -> None:
     """Run the whole way: press, render, expose, reconstruct, score, report.
 
     Parameters
@@ -153,7 +171,7 @@ def measure(experiment: Path, /, out: Out, settings: Settings = None) -> None:
 
 
 @app.command
-def demo(out: Out = Path("out/demo"), *, full: bool = False) -> None:
+def demo(*, out: Out = Path("out/demo"), full: bool = False) -> None:
     """Run the main job on the shipped defaults: two joined balls, contact-FPP.
 
     Parameters
@@ -168,8 +186,8 @@ def demo(out: Out = Path("out/demo"), *, full: bool = False) -> None:
 def reconstruct(
     capture: Path,
     /,
-    out: Out,
     *,
+    out: Out,
     use: Literal["column", "row", "both"] = "column",
     filter_taps: int = 8,
     filter_sigma_px: float = 1.5,
@@ -289,8 +307,9 @@ def _guarded(run: Callable[[], Any]) -> int:
     except InputError as error:
         sys.stderr.write(f"twin: {error}\n")
         return BAD_INPUT
-    except CycloptsError:
-        return BAD_INPUT  # cyclopts has printed its own panel
+    except CycloptsError as error:
+        sys.stderr.write(f"twin: {' '.join(str(error).split())} See twin --help.\n")
+        return BAD_INPUT
     except KeyboardInterrupt:
         sys.stderr.write("twin: interrupted; nothing was written\n")
         return FAILURE
@@ -301,6 +320,13 @@ def _guarded(run: Callable[[], Any]) -> int:
         return MISSING_BACKEND
 
 
+def run(arguments: list[str] | None = None) -> int:
+    """Run one command line (default: the process' own arguments) and return its exit code."""
+    return _guarded(
+        lambda: app(arguments, exit_on_error=False, print_error=False, result_action="return_value")
+    )
+
+
 def main() -> None:
     """Entry point of the `twin` command."""
-    sys.exit(_guarded(lambda: app(exit_on_error=False, result_action="return_value")))
+    sys.exit(run())

@@ -108,7 +108,7 @@ DAMAGES = {
     "frames in another order": (restack(names=lambda n: n[::-1]), "order of the pattern set"),
     "unknown frame": (restack(names=lambda n: ["dark", *n[1:]]), "not expected: dark"),
     "more images than names": (restack(lambda s: s[:-1]), "shape"),
-    "wrong type": (restack(lambda s: s.astype(np.float32)), "float32"),
+    "wrong type": (restack(lambda s: s.astype(np.int64)), "int64"),
     "wrong size": (restack(lambda s: s[:, :-1]), r"\(53, 89, 120\)"),
     "wrong axes": (restack(order=("row", "frame", "col")), "'row', 'frame', 'col'"),
     "wrong variable": (restack(variable="images"), "variables stack and frame_name"),
@@ -150,6 +150,18 @@ def test_parts_must_fit(capture):
         Capture(np.zeros((53, 90, 120)), capture.patterns, capture.sensor, capture.calibration, 12)
     with pytest.raises(InputError, match="bit_depth"):
         Capture(capture.stack, capture.patterns, capture.sensor, capture.calibration, 17)
+
+
+def test_noise_free_frames_come_back_as_floats(tmp_path, capture):
+    stack = capture.stack.astype(np.float32) + np.float32(0.25)
+    parts = (capture.patterns, capture.sensor, capture.calibration, 12)
+    write_capture(tmp_path, Capture(stack, *parts))
+    found = read_capture(tmp_path).stack
+    assert found.dtype == np.float32
+    np.testing.assert_array_equal(found, stack)
+    stack[0, 0, 0] = np.nan
+    with pytest.raises(CaptureError, match="holds the value nan"):
+        Capture(stack, *parts)
 
 
 def test_copied_capture_reads_alike(folder, tmp_path, capture):

@@ -1,4 +1,5 @@
 import os
+import shutil
 import subprocess
 import sys
 import textwrap
@@ -46,7 +47,7 @@ def test_stored_kernels_depend_on_all_kernel_sources(tmp_path):
         if __name__ == "__main__":
             print(outer(1.0))
     """
-    (folder / "_jit.py").write_bytes(open(_jit.__file__, "rb").read())
+    shutil.copy(_jit.__file__, folder)
     (folder / "_outer.py").write_text(textwrap.dedent(program))
     printed = []
     for factor in (2, 3):

@@ -1,0 +1,140 @@
+"""Experiment files: resolving, units, provenance, and one clear line for every mistake."""
+
+import tomllib
+
+import pytest
+
+from twin.assets import asset_path, list_assets
+from twin.config import ConfigError, digest, load_experiment, to_toml, validate_experiment, vary
+from twin.config.quantities import split_quantities
+
+
+@pytest.fixture(scope="module")
+def experiment():
+    return load_experiment("paper/two_balls")
+
+
+def test_resolved_experiment_loads_back_to_itself(experiment, tmp_path):
+    file = tmp_path / "experiment.toml"
+    file.write_text(to_toml(experiment), encoding="utf-8")
+    assert load_experiment(file) == experiment
+    assert digest(load_experiment(file)) == digest(experiment)
+
+
+def test_digest_names_content_not_words(experiment):
+    renamed = vary(experiment, {"name": "other", "description": "words"})
+    deeper = vary(experiment, {"press.depth_mm": 0.7})
+    assert digest(renamed) == digest(experiment) != digest(deeper)
+
+
+def test_length_with_its_own_unit(experiment):
+    assert vary(experiment, {"elastomer.thickness_mm": "2500 um"}).elastomer.thickness_mm == 2.5
+
+
+def test_provenance_travels_and_says_when_a_value_was_set(experiment):
+    assert experiment.provenance["elastomer.thickness_mm"].source.startswith("assumed")
+    changed = load_experiment("paper/two_balls", {"elastomer.thickness_mm": 2.0})
+    assert changed.provenance["elastomer.thickness_mm"].source == "set in the experiment"
+    assert changed.provenance["elastomer.thickness_mm"].range == (1.0, 5.0)
+
+
+MISTAKES = [
+    ({"elastomer.thicknes_mm": 2}, "unknown key 'thicknes_mm' in [elastomer]", "thickness_mm"),
+    ({"elastomer.thickness_mm": 9.0}, "found 9", "allowed 1 to 5"),
+    ({"elastomer.thickness_mm": "3 kg"}, "found unit 'kg'", "allowed for a length"),
+    ({"elastomer.poisson_ratio": 0.5}, "elastomer.poisson_ratio: found 0.5", "less than 0.5"),
+    ({"press.force_n": 1.0}, "press", "does not take force_n"),
+    ({"press.control": "force"}, "press", "needs force_n"),
+    ({"specimen.kind": "cube"}, "specimen", "'ball', 'two_balls'"),
+    ({"specimen.radius_mm": 4.0}, "unknown key 'radius_mm' in [specimen]", ""),
+    ({"camera.pose.polar_deg": 95}, "camera.pose.polar_deg: found 95", "less than 90"),
+    ({"seed": -1}, "seed: found -1", "greater than or equal to 0"),
+    ({"render.engine": "magic"}, "render.engine: found 'magic'", "'one_trace' or 'stock'"),
+    ({"projector.blur_px": float("nan")}, "projector.blur_px: found nan", "finite number"),
+    ({"render.samples": {"x": 3}}, "render.samples: found {'x': 3}", "1, 4, 9"),
+]
+
+
+@pytest.mark.parametrize(("changes", "found", "allowed"), MISTAKES)
+def test_every_mistake_is_one_line(changes, found, allowed):
+    with pytest.raises(ConfigError) as caught:
+        load_experiment("paper/two_balls", changes)
+    message = str(caught.value)
+    assert found in message
+    assert allowed in message
+    assert "\n" not in message
+
+
+def test_all_mistakes_are_reported_at_once():
+    with pytest.raises(ConfigError) as caught:
+        load_experiment("paper/two_balls", {"seed": -1, "press.depth_mm": -2, "colour": "red"})
+    assert len(str(caught.value).splitlines()) == 3
+
+
+def test_not_toml_and_missing_file(tmp_path):
+    file = tmp_path / "broken.toml"
+    file.write_text("name = [", encoding="utf-8")
+    with pytest.raises(ConfigError, match="not valid TOML"):
+        load_experiment(file)
+    with pytest.raises(ValueError, match="two_balls"):
+        load_experiment("paper/two_bals")
+
+
+def test_files_that_use_each_other_in_a_circle(tmp_path, monkeypatch):
+    folder = tmp_path / "scenes"
+    folder.mkdir()
+    (folder / "a.toml").write_text('use = "scenes/b"', encoding="utf-8")
+    (folder / "b.toml").write_text('use = "scenes/a"', encoding="utf-8")
+    monkeypatch.setenv("TWIN_ASSETS", str(tmp_path))
+    with pytest.raises(ConfigError, match="leads back to itself"):
+        load_experiment("a")
+
+
+def quantities_of(name, collection):
+    tree = tomllib.loads(asset_path(collection, name).read_text(encoding="utf-8"))
+    return split_quantities(tree)
+
+
+DATA = [("materials", name) for name in list_assets("materials")] + [
+    ("scenes", name)
+    for name in list_assets("scenes")
+    if name.split("/")[0] in ("rigs", "cameras", "projectors")
+]
+
+
+@pytest.mark.parametrize(("collection", "name"), DATA)
+def test_every_number_in_a_data_file_has_a_source(collection, name):
+    """The house rule: value, source and, where it is assumed, its plausible range."""
+    values, origins = quantities_of(name, collection)
+    flat = dict(leaves(values))
+    words = {"description", "use"}
+    assert {path for path in flat if path.rsplit(".", 1)[-1] not in words} == set(origins)
+    for path, origin in origins.items():
+        assert len(origin.source) > 4
+        if origin.source.startswith("assumed") and isinstance(flat[path], float):
+            assert origin.range is not None, path
+
+
+def leaves(tree, prefix=""):
+    for key, node in tree.items():
+        if isinstance(node, dict):
+            yield from leaves(node, f"{prefix}{key}.")
+        else:
+            yield f"{prefix}{key}", node
+
+
+EXPERIMENTS = [
+    name
+    for name in list_assets("scenes")
+    if name.split("/")[0] in ("examples", "paper") and name != "paper/targets"
+]
+
+
+@pytest.mark.parametrize("name", EXPERIMENTS)
+def test_every_shipped_experiment_is_valid(name):
+    assert load_experiment(name).name
+
+
+def test_a_quantity_without_a_source_is_refused():
+    with pytest.raises(ConfigError, match="needs a source"):
+        validate_experiment({"press": {"depth_mm": {"value": 1.0}}})

@@ -1,0 +1,120 @@
+"""The measuring chain in millimetres: what the twin loses without any noise, and with it."""
+
+import numpy as np
+import pytest
+
+from reconstruction.fit import fit_sphere
+from reconstruction.pipeline import reconstruct
+from twin.camera import expose
+from twin.config import load_experiment, vary
+from twin.modalities import record
+from twin.modalities.contact_fpp import options_of
+from twin.modalities.score import score, score_truth, wrong_orders
+from twin.optics.light import pattern_set
+
+from .conftest import CENTRE, IDEAL
+
+
+def decoded(experiment, recording):
+    return reconstruct(recording.capture, options_of(experiment.decode))
+
+
+@pytest.fixture(scope="module")
+def ideal(mi, pressed):
+    """Noise-free, unfiltered, whole field at 484 x 366."""
+    experiment = load_experiment("paper/two_balls", IDEAL | {"camera.binning": 4})
+    recording = record(experiment, pressed)
+    return experiment, recording, decoded(experiment, recording)
+
+
+def test_noise_free_height_is_right_to_two_micrometres(ideal):
+    """Setup: no noise, no filter. Expected: <= 2 um RMS over the whole lit field."""
+    experiment, recording, result = ideal
+    found = score_truth(experiment, result, recording.truth)
+    assert found.z_rmse_um <= 2.0
+    assert found.completeness > 0.99
+
+
+def test_noise_free_fringe_orders_are_all_right(ideal):
+    experiment, recording, result = ideal
+    assert wrong_orders(experiment, result, recording.truth) == 0
+
+
+def test_radius_of_an_ideal_ball_cap(mi, ball_cap):
+    """A rendered cap of a 4 mm ball: fitted radius within 2 um of 4 mm."""
+    experiment = load_experiment("paper/two_balls", IDEAL | CENTRE)
+    recording = record(experiment, ball_cap)
+    result = decoded(experiment, recording)
+    points = result.point_map.points_world_mm[result.point_map.valid & recording.truth.lit]
+    inside = np.hypot(points[:, 0], points[:, 1]) < 2.0
+    fit = fit_sphere(points[inside].astype(np.float64))
+    assert fit.radius_mm == pytest.approx(4.0, abs=2e-3)
+    np.testing.assert_allclose(fit.centre_mm[:2], 0.0, atol=2e-3)
+
+
+@pytest.fixture(scope="module")
+def default(mi, pressed):
+    """Return the default camera, patterns and filter, middle of the field."""
+    experiment = load_experiment("paper/two_balls", CENTRE)
+    return experiment, record(experiment, pressed)
+
+
+def test_default_camera_makes_no_wrong_orders(default):
+    experiment, recording = default
+    result = decoded(experiment, recording)
+    assert wrong_orders(experiment, result, recording.truth) == 0
+    found = score(experiment, result, recording.truth).against_truth
+    # The 9-tap filter needs full support: 4 pixels of each border of the 320 x 240 image are lost.
+    assert found.completeness == pytest.approx((312 * 232) / (320 * 240))
+
+
+@pytest.mark.parametrize("taps", [0, 8])
+def test_predicted_sigma_z_is_the_actual_spread(default, taps):
+    """Spread of z over 16 exposures of one rendering, per pixel, against the predicted sigma.
+
+    Expected: median ratio within 15 % of 1 (the estimate itself is good to 1 % here).
+    """
+    experiment, recording = default
+    experiment = vary(experiment, {"decode.filter_taps": taps})
+    white = recording.capture.patterns.index("white").start
+    heights, sigmas, valid = [], [], True
+    for trial in range(16):
+        exposed = expose(experiment, recording.radiance.frames, white, trial)
+        capture = type(recording.capture)(
+            exposed.stack, recording.capture.patterns, exposed.sensor,
+            recording.capture.calibration, recording.capture.bit_depth,
+        )  # fmt: skip
+        points = reconstruct(capture, options_of(experiment.decode)).point_map
+        heights.append(points.points_world_mm[..., 2])
+        sigmas.append(points.sigma_z_mm)
+        valid = valid & points.valid
+    spread = np.std(heights, axis=0, ddof=1)[valid]
+    ratio = spread / np.mean(sigmas, axis=0)[valid]
+    assert valid.sum() > 10_000
+    assert np.median(ratio) == pytest.approx(1.0, abs=0.15)
+
+
+def test_sampling_error_is_a_third_of_the_sensor_noise_at_most(default, pressed):
+    """Default 2 x 2 sub-pixel grid against 16 x 16, in projector pixels, both noise-free."""
+    experiment, recording = default
+    ideal = vary(experiment, IDEAL)
+    fine = vary(experiment, IDEAL | {"render.samples": 256})
+    coarse, exact = (decoded(e, record(e, pressed)) for e in (ideal, fine))
+    noisy = decoded(vary(experiment, {"decode.filter_taps": 0}), recording)
+    both = coarse.decoded.valid & exact.decoded.valid & noisy.decoded.valid
+    error_px = (coarse.decoded.column.coordinate_px - exact.decoded.column.coordinate_px)[both]
+    sampling_px = float(np.sqrt(np.mean(error_px.astype(np.float64) ** 2)))
+    sensor_px = float(np.median(noisy.decoded.column.sigma_px[both]))
+    print(f"sampling error {sampling_px:.2e} px, sensor noise {sensor_px:.2e} px")
+    assert sampling_px <= sensor_px / 3
+
+
+def test_same_experiment_same_capture(default, pressed):
+    experiment, recording = default
+    again = record(experiment, pressed)
+    assert recording.capture.stack.tobytes() == again.capture.stack.tobytes()
+
+
+def test_patterns_of_projector_and_decoder_are_one(default):
+    experiment, recording = default
+    assert recording.capture.patterns == pattern_set(experiment.projector, experiment.patterns)
