@@ -87,6 +87,7 @@ def keys() -> None:
     from twin.config.reference import list_keys
 
     table = Table("key", "allowed", "default", "meaning")
+    table.columns[0].no_wrap = True
     for key in list_keys():
         table.add_row(key.path, key.allowed, key.default, key.meaning)
     Console().print(table)

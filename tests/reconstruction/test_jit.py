@@ -37,6 +37,7 @@ def test_stored_kernels_depend_on_all_kernel_sources(tmp_path):
     assert cache_file._source_stamp == _jit.SOURCE_DIGEST
     folder = tmp_path / "reconstruction"
     folder.mkdir()
+    (folder / "__init__.py").touch()  # or the installed package would win
     program = """
         from reconstruction._jit import compiled, inlined
         from reconstruction.sensor import formula

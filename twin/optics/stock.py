@@ -179,10 +179,16 @@ def render_stack(
     """
     sensor = perspective_sensor(rig.camera.pinhole, rig.camera.T_world_from_device, samples)
     canvas = canvas_for(rig, "projector")
-    frames = []
-    for k, frame in enumerate(patterns.frames):
-        texture = frame_texture(frame, k, rig, tables, canvas)
-        emitter = emitter_dict(texture, rig, canvas, "projector")
-        frames.append(render_frame(frame_scene(mesh, emitter, sensor), seeds[k]))
-        progress((k + 1) / len(patterns.frames))
+    textures = (
+        frame_texture(frame, k, rig, tables, canvas) for k, frame in enumerate(patterns.frames)
+    )
+    scene = frame_scene(mesh, emitter_dict(next(textures), rig, canvas, "projector"), sensor)
+    frames = [render_frame(scene, seeds[0])]
+    # One scene for all frames: a new one would compile its kernel anew.
+    pattern = mi.traverse(scene)
+    for texture, seed in zip(textures, seeds[1:], strict=True):
+        pattern["emitter.irradiance.data"] = texture[..., None]
+        pattern.update()
+        frames.append(render_frame(scene, seed))
+        progress(len(frames) / len(patterns.frames))
     return tuple(frames)

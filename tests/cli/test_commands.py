@@ -1,0 +1,217 @@
+"""The command line: what it writes, what it refuses, and that nothing is left half-written."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import h5netcdf
+import pytest
+import trimesh
+
+from twin.cli import run
+from twin.config import digest, load_experiment
+
+SMALL = ["-s", "camera.binning=4", "-s", "camera.width_px=968", "-s", "camera.height_px=732"]
+
+
+@pytest.fixture(scope="module")
+def measured(mi, tmp_path_factory):
+    out = tmp_path_factory.mktemp("cli") / "measured"
+    assert run(["measure", "paper/two_balls", "-o", str(out), *SMALL]) == 0
+    return out
+
+
+def files_of(folder: Path) -> dict[str, bytes]:
+    return {
+        str(file.relative_to(folder)): file.read_bytes()
+        for file in folder.rglob("*")
+        if file.is_file()
+    }
+
+
+def error_of(capsys) -> str:
+    return capsys.readouterr().err.strip().splitlines()[-1]
+
+
+def test_measure_writes_its_contract(measured):
+    assert {
+        "result.json",
+        "experiment.toml",
+        "press.nc",
+        "coated_face.ply",
+        "truth.nc",
+        "white.exr",
+        "reconstruction.nc",
+        "points.ply",
+        "report.html",
+    } <= set(os.listdir(measured))
+    result = json.loads((measured / "result.json").read_text())
+    experiment = load_experiment(measured / "experiment.toml")
+    assert result["digest"] == digest(experiment)
+    assert result["metrics"]["wrong_order_pixels"] == 0
+    assert {"mitsuba", "drjit", "numpy"} <= set(result["versions"])
+
+
+def test_files_open_in_standard_tools(measured):
+    points = trimesh.load(measured / "points.ply")
+    result = json.loads((measured / "result.json").read_text())
+    assert len(points.vertices) == result["metrics"]["points"]
+    assert len(trimesh.load(measured / "coated_face.ply").faces) > 1e5
+    for name in ("press.nc", "truth.nc", "reconstruction.nc", "capture/stack.nc"):
+        with h5netcdf.File(measured / name) as file:
+            assert file.variables
+
+
+def test_same_experiment_same_bytes(measured, tmp_path):
+    out = tmp_path / "again"
+    assert run(["measure", str(measured / "experiment.toml"), "-o", str(out)]) == 0
+    first, second = files_of(measured), files_of(out)
+    for clocked in ("timings.json", "report.html"):  # the report shows the wall-clock times
+        assert first.pop(clocked)
+        assert second.pop(clocked)
+    assert first.keys() == second.keys()
+    assert [name for name in first if first[name] != second[name]] == []
+
+
+def test_reconstruct_needs_no_renderer(measured, tmp_path):
+    """A meta path hook refuses mitsuba and drjit in the child process."""
+    program = """
+        import sys
+        class Refuse:
+            def find_spec(self, name, path=None, target=None):
+                if name.split(".")[0] in ("mitsuba", "drjit"):
+                    raise ImportError(f"{name} is not here")
+        sys.meta_path.insert(0, Refuse())
+        from twin.cli import run
+        sys.exit(run(sys.argv[1:]))
+    """
+    import textwrap
+
+    out = tmp_path / "points"
+    command = [sys.executable, "-c", textwrap.dedent(program), "reconstruct", str(measured)]
+    done = subprocess.run([*command, "-o", str(out)], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    first, second = files_of(measured), files_of(out)
+    for name in ("points.ply", "reconstruction.nc"):
+        assert first[name] == second[name]
+
+
+def test_render_then_reconstruct_is_measure(measured, tmp_path):
+    out = tmp_path / "rendered"
+    assert run(["render", str(measured / "experiment.toml"), "-o", str(out)]) == 0
+    first, second = files_of(measured), files_of(out)
+    for name in ("capture/stack.nc", "capture/calibration.yaml", "truth.nc", "press.nc"):
+        assert first[name] == second[name]
+
+
+def test_press_by_force(tmp_path):
+    out = tmp_path / "pressed"
+    file = tmp_path / "e.toml"
+    file.write_text(
+        'name = "f"\nuse = "scenes/rigs/paper"\n[specimen]\nkind = "ball"\n'
+        '[press]\ncontrol = "force"\nforce_n = 0.1\n',
+        encoding="utf-8",
+    )
+    assert run(["press", str(file), "-o", str(out)]) == 0
+    metrics = json.loads((out / "result.json").read_text())["metrics"]
+    assert metrics["force_n"] == pytest.approx(0.1, rel=1e-4)
+    assert (out / "press.png").stat().st_size > 10_000
+
+
+def test_stock_engine_gives_the_same_measurement(mi, tmp_path):
+    """`render.engine = "stock"`: jitter noise, but the same surface to some micrometres."""
+    out = tmp_path / "stock"
+    tiny = ["-s", "camera.width_px=160", "-s", "camera.height_px=120", "-s", "camera.binning=1"]
+    projector = ["-s", "projector.width_px=320", "-s", "projector.height_px=180"]
+    wide = ["-s", 'camera.pixel_pitch_um={value = 27.0, source = "test"}']
+    engine = ["-s", "render.engine=stock", "-s", "render.samples=16", "-s", "patterns.steps=6"]
+    settings = [*tiny, *projector, *wide, *engine]
+    assert run(["measure", "paper/two_balls", "-o", str(out), *settings]) == 0
+    metrics = json.loads((out / "result.json").read_text())["metrics"]
+    assert metrics["wrong_order_pixels"] == 0
+    assert metrics["z_rmse_um"] < 40.0  # a projector pixel is 0.65 mm here
+
+
+REFUSED = [
+    (["measure", "nowhere.toml"], "nowhere.toml: not found"),
+    (["measure", "paper/two_balls", "-s", "elastomer.thicknes_mm=2"], "did you mean"),
+    (["measure", "paper/two_balls", "-s", "press.depth_mm"], "write KEY=VALUE"),
+    (["measure", "paper/two_balls", "-s", "press.depth_mm=30"], "press.depth_mm"),
+    (["press", "paper/two_balls", "-s", "specimen.x_mm=8.0"], "free span"),
+    (["reconstruct", "nowhere"], "no capture.toml"),
+]
+
+
+@pytest.mark.parametrize(("arguments", "message"), REFUSED)
+def test_bad_input_is_one_line_and_leaves_nothing(tmp_path, capsys, arguments, message):
+    out = tmp_path / "out"
+    assert run([*arguments, "-o", str(out)]) == 2
+    assert message in error_of(capsys)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_truncated_stack_is_refused_and_keeps_the_earlier_result(measured, tmp_path, capsys):
+    import shutil
+
+    capture = tmp_path / "capture"
+    shutil.copytree(measured / "capture", capture)
+    out = tmp_path / "points"
+    assert run(["reconstruct", str(capture), "-o", str(out)]) == 0
+    before = files_of(out)
+    stack = capture / "stack.nc"
+    stack.write_bytes(stack.read_bytes()[:-1000])
+    assert run(["reconstruct", str(capture), "-o", str(out)]) == 2
+    assert "stack.nc" in error_of(capsys)
+    assert files_of(out) == before
+    assert sorted(os.listdir(tmp_path)) == ["capture", "points"]
+
+
+def test_output_over_something_else_is_refused(measured, tmp_path, capsys):
+    (tmp_path / "precious.txt").write_text("mine")
+    for out in (tmp_path, tmp_path / "precious.txt", tmp_path / "precious.txt" / "below"):
+        assert run(["reconstruct", str(measured), "-o", str(out)]) == 2
+        assert "choose another -o DIR" in error_of(capsys)
+    assert (tmp_path / "precious.txt").read_text() == "mine"
+
+
+def test_report_of_something_else_is_refused(tmp_path, capsys):
+    assert run(["report", str(tmp_path)]) == 2
+    assert str(tmp_path) in error_of(capsys)
+
+
+def test_init_writes_a_valid_experiment_once(tmp_path, capsys):
+    file = tmp_path / "mine.toml"
+    assert run(["init", str(file)]) == 0
+    assert load_experiment(file).specimen.kind == "ball"
+    assert run(["init", str(file)]) == 2
+    assert "exists already" in error_of(capsys)
+
+
+def test_doctor_and_keys_answer(mi, capsys):
+    assert run(["doctor"]) == 0
+    assert "llvm" in capsys.readouterr().out.lower()
+    assert run(["keys"]) == 0
+    assert "coating.base_albedo" in capsys.readouterr().out
+
+
+def test_unknown_command_is_one_line(capsys):
+    assert run(["mesure"]) == 2
+    assert "Did you mean" in error_of(capsys)
+
+
+def test_missing_backend_is_exit_code_three(tmp_path):
+    environment = os.environ | {
+        "DRJIT_LIBLLVM_PATH": str(tmp_path / "absent.so"),
+        "TWIN_BACKEND": "llvm",
+        "XDG_CACHE_HOME": str(tmp_path / "cache"),
+    }
+    done = subprocess.run(
+        [sys.executable, "-c", "from twin.cli import main; main()", "render", "paper/two_balls"]
+        + ["-o", str(tmp_path / "out"), *SMALL],
+        capture_output=True, text=True, check=False, env=environment,
+    )  # fmt: skip
+    assert done.returncode == 3
+    assert "absent.so does not work" in done.stderr.splitlines()[-1]
+    assert not (tmp_path / "out").exists()

@@ -1,0 +1,170 @@
+import dataclasses
+
+import numpy as np
+import pytest
+from scipy.integrate import trapezoid
+
+from reconstruction.capture import read_capture
+from reconstruction.errors import InputError
+from reconstruction.mask import Reason
+from twin.config import vary
+from twin.modalities.contact_fpp import press_specimen
+from twin.report.canvas import contour_levels, height_scale, round_up, symmetric_limit
+from twin.report.decoding import REASON_COLOURS, draw_decoding, reason_shares
+from twin.report.fields import in_words, phrase, split_unit
+from twin.report.frames import block_mean, draw_frames
+from twin.report.press import draw_press
+from twin.report.relief import draw_height_map, draw_relief_view
+from twin.report.result_folder import read_measured
+from twin.report.rig import triangulation_angle_deg
+from twin.report.section import (
+    face_profile,
+    slab_span,
+    specimen_profile,
+    touched_profile,
+    trace_through_apexes,
+)
+from twin.report.truth_error import predicted_density
+from twin.report.world_map import average_on_grid, pixel_on_face_mm
+
+PNG = b"\x89PNG\r\n\x1a\n"
+
+
+@pytest.mark.parametrize(
+    ("value", "rounded"), [(1.01, 1.2), (1.0, 1.0), (0.3, 0.3), (41, 50), (9e-4, 1e-3), (0, 1)]
+)
+def test_scales_end_at_round_numbers(value, rounded):
+    assert round_up(value) == rounded
+
+
+def test_contours_are_round_and_below_the_peak():
+    assert contour_levels(0.0, 1.01) == [0.15, 0.3, 0.45, 0.6, 0.75, 0.9]
+    assert contour_levels(-0.5, 0.5) == [-0.45, -0.3, -0.15, 0.0, 0.15, 0.3, 0.45]
+
+
+def test_height_scale_reaches_below_zero_only_where_the_face_sinks():
+    assert height_scale(np.array([-0.01, 1.01])) == (0.0, 1.2)
+    assert height_scale(np.array([-0.9, 1.01])) == (-1.0, 1.2)
+    assert height_scale(np.array([-0.9, -0.1])) == (-1.0, 0.0)
+
+
+def test_symmetric_limit_survives_no_values():
+    assert symmetric_limit(np.array([])) == 1.0
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("standoff_mm", ("standoff", "mm")),
+        ("dark_current_e_per_s", ("dark_current", "e⁻/s")),
+        ("full_well_e", ("full_well", "e⁻")),
+        ("force_n", ("force", "N")),
+        ("seed", ("seed", "")),
+        ("patterns.steps", ("patterns.steps", "")),
+    ],
+)
+def test_units_come_from_the_suffix(name, expected):
+    assert split_unit(name) == expected
+
+
+def test_phrases_read_as_people_write():
+    assert phrase({"thickness_mm": 2.0, "shore_a": 10.0}) == "thickness 2 mm, Shore A 10"
+    assert in_words([0.0, 1.5]) == "0, 1.5"
+    assert in_words(True) == "yes"
+
+
+def test_block_mean_keeps_the_mean_and_drops_the_rest():
+    image = np.arange(7 * 9, dtype=np.uint16).reshape(7, 9)
+    small = block_mean(image, 2)
+    assert small.shape == (3, 4)
+    assert small[0, 0] == np.mean([0, 1, 9, 10])
+
+
+def test_world_grid_averages_a_plane_exactly():
+    """Setup: points of z = x on a pixel grid. Expected: every full cell holds its mean x."""
+    x, y = np.meshgrid(np.arange(40) * 0.1, np.arange(30) * 0.1)
+    points = np.stack([x, y, x], axis=-1).reshape(-1, 3)
+    cells = average_on_grid(points, points[:, 2], pixel_mm=0.1, most_cells=1000)
+    assert cells.pitch_mm == pytest.approx(0.2)
+    assert not np.ma.getmaskarray(cells.values).any()
+    np.testing.assert_allclose(cells.values[5], cells.x_mm - 0.05, atol=1e-9)
+
+
+def test_predicted_density_integrates_to_one():
+    error = np.linspace(-20, 20, 4001)
+    density = predicted_density(error, np.array([0.5, 1.0, 2.0]))
+    assert trapezoid(density, error) == pytest.approx(1.0, abs=1e-6)
+
+
+def test_reasons_are_all_coloured_and_add_up():
+    assert set(REASON_COLOURS) == set(Reason)
+    shares = reason_shares(np.array([[0, 0], [3, 6]], np.uint8))
+    assert shares == {Reason.VALID: 0.5, Reason.SATURATED: 0.25, Reason.FILTER_SUPPORT: 0.25}
+
+
+def test_pixel_and_angle_of_the_rig(experiment):
+    assert triangulation_angle_deg(experiment) == pytest.approx(
+        experiment.projector.pose.polar_deg - experiment.camera.pose.polar_deg, abs=1e-9
+    )
+    field_mm = pixel_on_face_mm(experiment) * experiment.camera.width_px / experiment.camera.binning
+    assert 25 < field_mm < 32  # rig_facts.md: 28.6 mm
+
+
+def test_section_shows_the_specimen_against_the_clear_face(experiment, pressed):
+    """Why: contact means that both profiles coincide; elsewhere the specimen lies below."""
+    trace = trace_through_apexes(experiment)
+    low, high = slab_span(experiment, trace)
+    s_mm = np.linspace(low, high, 2001)
+    gap = touched_profile(experiment, pressed, trace, s_mm) - specimen_profile(
+        experiment, pressed, trace, s_mm
+    )
+    assert np.min(gap) > -0.01
+    assert np.min(gap) < 0.01
+    assert np.max(face_profile(pressed, trace, s_mm)) == pytest.approx(
+        pressed.face_z_mm.max(), rel=0.02
+    )
+
+
+def test_section_follows_a_turned_specimen(experiment):
+    turned = vary(
+        experiment, {"specimen.yaw_deg": 90.0, "specimen.x_mm": 1.0, "press.depth_mm": 0.3}
+    )
+    trace = trace_through_apexes(turned)
+    np.testing.assert_allclose(np.abs(trace.direction), [0, 1], atol=1e-9)
+    assert trace.offset(1.0, 5.0) == pytest.approx(0.0, abs=1e-9)
+    assert slab_span(turned, trace)[1] == pytest.approx(turned.elastomer.length_y_mm / 2)
+
+
+def test_frames_are_drawn_without_any_result(finished, tmp_path):
+    capture = read_capture(finished / "capture")
+    draw_frames(tmp_path / "frames.png", capture)
+    content = (tmp_path / "frames.png").read_bytes()
+    assert content.startswith(PNG)
+    assert b"Software" not in content
+    with pytest.raises(InputError, match="cannot be written"):
+        draw_frames(tmp_path / "absent" / "frames.png", capture)
+
+
+def test_one_moved_ball_can_be_drawn(experiment, tmp_path):
+    ball = experiment.model_dump(exclude={"specimen", "provenance"}) | {
+        "specimen": {"kind": "ball", "x_mm": 2.0, "y_mm": -1.0},
+    }
+    single = type(experiment).model_validate(ball)
+    draw_press(tmp_path / "press.png", single, press_specimen(single))
+    assert (tmp_path / "press.png").stat().st_size > 10_000
+
+
+def test_maps_survive_many_masked_pixels(finished, tmp_path):
+    """Every reason at once, and holes in the relief."""
+    measured = read_measured(finished)
+    point_map = measured.reconstruction.point_map
+    reason = point_map.mask_reason.copy()
+    for code in Reason:
+        reason[10 * code : 10 * code + 10, 40:90] = code
+    holed = dataclasses.replace(point_map, mask_reason=reason)
+    reconstruction = dataclasses.replace(measured.reconstruction, point_map=holed)
+    draw_decoding(tmp_path / "decoding.png", reconstruction, measured.capture.patterns)
+    pixel_mm = pixel_on_face_mm(measured.experiment)
+    draw_relief_view(tmp_path / "relief.png", holed, pixel_mm)
+    draw_height_map(tmp_path / "height.png", holed, pixel_mm)
+    assert len(list(tmp_path.glob("*.png"))) == 3

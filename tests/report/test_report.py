@@ -1,0 +1,135 @@
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from reconstruction.errors import InputError
+from twin.config import digest
+from twin.report import write_report
+from twin.report.result_folder import read_measured
+
+FIGURES = {
+    "rig",
+    "frames",
+    "decoding",
+    "relief",
+    "height_map",
+    "truth_error",
+    "ball_1",
+    "ball_2",
+    "press",
+}
+
+
+@pytest.fixture(scope="module")
+def reported(finished, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("reported") / "result"
+    shutil.copytree(finished, folder)
+    seen = []
+    path = write_report(folder, lambda stage, fraction: seen.append((stage, fraction)))
+    assert path == folder / "report.html"
+    return folder, path.read_text(encoding="utf-8"), seen
+
+
+def test_every_figure_exists_and_is_in_the_page(reported):
+    folder, page, _ = reported
+    assert {path.stem for path in (folder / "figures").glob("*")} == FIGURES
+    assert page.count("data:image/png;base64,") == len(FIGURES)
+    for name in FIGURES:
+        assert f'id="{name}"' in page
+
+
+def test_page_needs_nothing_else(reported):
+    _, page, _ = reported
+    assert len(page) < 6e6
+    for target in re.findall(r"""(?:src|href)\s*=\s*["']([^"']{0,40})""", page):
+        assert target.startswith(("data:", "#")), target
+    assert "url(" not in page
+    assert "@import" not in page
+    assert "<script" not in page
+
+
+def test_page_tells_result_warnings_and_assumptions(reported, experiment):
+    folder, page, _ = reported
+    measured = read_measured(folder)
+    assert digest(experiment) in page
+    for ball in measured.score.spheres:
+        assert f"{ball.measured.radius_mm:.3f}" in page
+        assert f"{ball.true_face.stats.p95_mm:.4f}" in page
+    for paper_radius in ("3.758", "3.910"):
+        assert paper_radius in page
+    assert "paper&#39;s value cannot come from the elastomer" in page or "cannot come from" in page
+    for warning in measured.figures["warnings"]:
+        assert warning.replace("'", "&#39;") in page
+    assumed = [p for p in experiment.provenance.values() if p.source.startswith("assumed")]
+    assert page.count('<tr class="assumed">') == len(assumed) > 0
+
+
+def test_same_result_gives_same_bytes_wherever_it_lies(reported, finished, tmp_path):
+    folder, page, _ = reported
+    elsewhere = tmp_path / "another_name"
+    shutil.copytree(finished, elsewhere)
+    assert write_report(elsewhere).read_text(encoding="utf-8") == page
+    assert not list(elsewhere.rglob("*.part"))
+    assert not list(folder.rglob("*.part"))
+
+
+def test_progress_grows_to_one(reported):
+    _, _, seen = reported
+    assert {stage for stage, _ in seen} == {"report"}
+    fractions = [fraction for _, fraction in seen]
+    assert fractions == sorted(fractions)
+    assert (fractions[0], fractions[-1]) == (0.0, 1.0)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "result.json",
+        "experiment.toml",
+        "press.nc",
+        "capture/stack.nc",
+        "capture/capture.toml",
+        "truth.nc",
+        "reconstruction.nc",
+    ],
+)
+@pytest.mark.parametrize("harm", ["missing", "truncated"])
+def test_damaged_result_is_refused_in_one_line(finished, tmp_path, name, harm):
+    folder = tmp_path / "result"
+    shutil.copytree(finished, folder)
+    victim = folder / name
+    if harm == "missing":
+        victim.unlink()
+    else:
+        victim.write_bytes(victim.read_bytes()[: victim.stat().st_size // 2])
+    with pytest.raises(InputError) as refusal:
+        write_report(folder)
+    assert str(folder) in str(refusal.value)
+    if harm == "missing" or name != "experiment.toml":  # half a file may hold several problems
+        assert "\n" not in str(refusal.value)
+    assert not (folder / "report.html").exists()
+
+
+def test_result_of_another_command_is_refused(finished, tmp_path):
+    folder = tmp_path / "result"
+    shutil.copytree(finished, folder)
+    text = (folder / "result.json").read_text()
+    (folder / "result.json").write_text(text.replace('"measure"', '"press"'))
+    with pytest.raises(InputError, match=r"result of command 'press'; .* measure, demo"):
+        write_report(folder)
+
+
+def test_folder_that_is_no_result_is_refused(tmp_path):
+    for folder in (tmp_path, tmp_path / "absent"):
+        with pytest.raises(InputError, match="no finished result"):
+            write_report(folder)
+
+
+def test_needs_no_renderer():
+    code = "import sys, twin.report; sys.exit(any(m in sys.modules for m in ('mitsuba', 'drjit')))"
+    root = Path(__file__).parents[2]
+    assert subprocess.run([sys.executable, "-c", code], cwd=root, check=False).returncode == 0

@@ -1,0 +1,182 @@
+"""How every figure of a report looks, and how it reaches the disk.
+
+Figures use Matplotlib's object interface: no global state, no window system. The same data give
+the same bytes: no date and no version is written into the PNG.
+"""
+
+import math
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from matplotlib import colormaps, rc_context
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import Colormap
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from reconstruction.errors import InputError
+
+DPI = 130
+
+INK, FAINT, GRID = "#1d2733", "#6b7785", "#dfe4ea"
+MEASURED, TRUE_FACE, NOMINAL, FIT = "#1f6fb2", "#2b8a57", "#8a5a00", "#c2410c"
+MEASURED_FILL = "#a9c8e3"
+GAP = "#e9ecf0"
+"""Colour of pixels without a value; in no colour map used here."""
+
+_ROUND_STEPS = (1, 1.2, 1.5, 2, 2.5, 3, 4, 5, 6, 8, 10)
+
+_STYLE: Any = {
+    "font.family": "DejaVu Sans",
+    "font.size": 9.0,
+    "text.color": INK,
+    "axes.labelcolor": INK,
+    "axes.edgecolor": FAINT,
+    "axes.linewidth": 0.7,
+    "axes.titlesize": 10.0,
+    "axes.titlelocation": "left",
+    "axes.titlepad": 6.0,
+    "axes.axisbelow": True,
+    "grid.color": GRID,
+    "grid.linewidth": 0.6,
+    "xtick.color": FAINT,
+    "ytick.color": FAINT,
+    "xtick.labelcolor": INK,
+    "ytick.labelcolor": INK,
+    "xtick.labelsize": 8.0,
+    "ytick.labelsize": 8.0,
+    "legend.fontsize": 8.0,
+    "legend.frameon": False,
+    "image.interpolation": "nearest",
+}
+
+
+@contextmanager
+def drawing(path: Path, width_in: float, height_in: float) -> Iterator[Figure]:
+    """Yield a figure; at the end it is written to `path` as PNG, whole or not at all.
+
+    Axes are put by `axes_at`: Matplotlib's layout engines double the time of a report.
+
+    Raises
+    ------
+    InputError
+        `path` cannot be written.
+    """
+    with rc_context(_STYLE):
+        figure = Figure(figsize=(width_in, height_in), facecolor="white")
+        FigureCanvasAgg(figure)
+        yield figure
+        part = path.with_name(f".{path.name}.part")
+        try:
+            figure.savefig(part, format="png", dpi=DPI, metadata={"Software": None})
+            part.replace(path)
+        except OSError as error:
+            part.unlink(missing_ok=True)
+            raise InputError(f"{path}: cannot be written ({error.strerror or error})") from None
+
+
+def sequential() -> Colormap:
+    """Colour map of amounts; pixels without a value stay gray."""
+    return colormaps["viridis"].with_extremes(bad=GAP)
+
+
+def diverging() -> Colormap:
+    """Colour map of signed errors, white at 0; used on scales symmetric about 0 only."""
+    return colormaps["RdBu_r"].with_extremes(bad=GAP)
+
+
+def cyclic() -> Colormap:
+    """Colour map of phases: 0 and 2 pi look alike."""
+    return colormaps["twilight"].with_extremes(bad=GAP)
+
+
+def round_up(value: float) -> float:
+    """Return the next round number: easy to read, and similar results share a scale."""
+    if not value > 0:
+        return 1.0
+    decade = 10.0 ** math.floor(math.log10(value))
+    # 1e-9: a value that is round already must not climb by its rounding error.
+    step = next(step for step in _ROUND_STEPS if step * decade >= value * (1 - 1e-9))
+    return float(f"{step * decade:.6g}")
+
+
+def height_scale(z_mm: NDArray[Any]) -> tuple[float, float]:
+    """Return the round ends of a scale of heights: 0 and the peak, or lower where z sinks."""
+    low, high = float(z_mm.min()), float(z_mm.max())
+    # A free sheet dips by some per cent beside the contact: that needs no scale of its own.
+    sinks = low < -0.05 * max(high, 0.0) and low < 0
+    top = 0.0 if sinks and high <= 0 else round_up(high)
+    return (-round_up(-low) if sinks else 0.0, top)
+
+
+def contour_levels(low: float, high: float) -> list[float]:
+    """Return equally spaced round levels strictly between `low` and `high`."""
+    step = round_up(max(high - low, 1e-9) / 8)
+    first, last = math.floor(low / step) + 1, math.ceil(high / step) - 1
+    return [float(f"{n * step:.6g}") for n in range(first, last + 1)]
+
+
+def symmetric_limit(values: NDArray[Any], percent: float = 99.0) -> float:
+    """Return the rounded size that `percent` of the values stay below; 1 when there are none."""
+    return round_up(float(np.percentile(np.abs(values), percent))) if values.size else 1.0
+
+
+def axes_at(
+    figure: Figure, left_in: float, top_in: float, width_in: float, height_in: float
+) -> Axes:
+    """Add axes whose upper left corner lies so far from the figure's, in inches."""
+    across_in, down_in = figure.get_size_inches()
+    return figure.add_axes(
+        (
+            left_in / across_in,
+            1.0 - (top_in + height_in) / down_in,
+            width_in / across_in,
+            height_in / down_in,
+        )
+    )
+
+
+def add_colorbar(
+    axes: Axes,
+    shown: Any,
+    label: str,
+    extend: Literal["neither", "both", "max"] = "neither",
+    side: Literal["right", "below"] = "right",
+) -> None:
+    """Put a colour bar with its unit beside a map, as long as the map."""
+    figure = axes.get_figure(root=True)
+    assert figure is not None
+    right = side == "right"
+    width_in = axes.get_position().width * figure.get_size_inches()[0]
+    place = (
+        (1.0 + 0.1 / width_in, 0.0, 0.14 / width_in, 1.0) if right else (0.08, -0.22, 0.84, 0.05)
+    )
+    bar = figure.colorbar(
+        shown,
+        cax=axes.inset_axes(place),
+        extend=extend,
+        orientation="vertical" if right else "horizontal",
+    )
+    bar.set_label(label)
+
+
+def legend_above(axes: Axes, entries: int) -> None:
+    """Put the legend in one line right above the axes, where no curve can be."""
+    axes.legend(
+        loc="lower right",
+        bbox_to_anchor=(1.0, 1.0),
+        ncols=entries,
+        borderaxespad=0.2,
+        columnspacing=1.2,
+        handlelength=1.6,
+    )
+
+
+def plain_spines(axes: Axes) -> None:
+    """Leave only the axes that carry numbers, and a light grid behind the curves."""
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.grid(visible=True)

@@ -1,0 +1,84 @@
+"""The experiment at a glance: one line per part of the sensor."""
+
+from twin.report.fields import phrase
+from twin.report.result_folder import Scored
+from twin.report.rig import triangulation_angle_deg
+from twin.report.world_map import pixel_on_face_mm
+
+
+def glance(scored: Scored) -> list[tuple[str, str]]:
+    """Return (part, description) pairs."""
+    experiment, figures = scored.experiment, scored.figures
+    return [
+        ("specimen", _specimen(scored)),
+        ("press", _press(scored)),
+        ("elastomer", f"{phrase(experiment.elastomer.model_dump())}; {_modulus(scored)}"),
+        ("coating", phrase(experiment.coating.model_dump())),
+        ("camera", _camera(scored)),
+        ("projector", _projector(scored)),
+        ("patterns", _patterns(scored)),
+        ("exposure", f"{figures['exposure_ms']:.3g} ms per frame"),
+        ("decoding", _decoding(scored)),
+        ("digest", scored.digest),
+    ]
+
+
+def _specimen(scored: Scored) -> str:
+    values = scored.experiment.specimen.model_dump(exclude={"kind"})
+    # A pose of zeros says nothing; a moved or turned specimen is told in full.
+    told = {name: value for name, value in values.items() if value}
+    return f"{scored.experiment.specimen.kind.replace('_', ' ')}: {phrase(told)}"
+
+
+def _press(scored: Scored) -> str:
+    figures, back_kpa = scored.figures, scored.experiment.press.back_pressure_kpa
+    behind = f", {back_kpa:g} kPa on the coated face" if back_kpa else ""
+    return (
+        f"{scored.experiment.press.control} controlled: {figures['depth_mm']:.3g} mm deep with "
+        f"{figures['force_n']:.3g} N{behind}; relief peak {figures['relief_peak_mm']:.3g} mm"
+    )
+
+
+def _modulus(scored: Scored) -> str:
+    return f"Young's modulus {scored.figures['young_modulus_kpa']:.3g} kPa"
+
+
+def _camera(scored: Scored) -> str:
+    camera = scored.experiment.camera
+    width, height = camera.width_px // camera.binning, camera.height_px // camera.binning
+    pixel_um = 1e3 * pixel_on_face_mm(scored.experiment)
+    return (
+        f"{width} × {height} px ({camera.binning} × {camera.binning} binning), "
+        f"{camera.focal_length_mm:g} mm f/{camera.f_number:g}, {camera.bit_depth} bit, "
+        f"{camera.full_well_e:g} e⁻ full well, {camera.read_noise_e:g} e⁻ read noise; "
+        f"{pixel_um:.1f} µm per pixel on the face"
+    )
+
+
+def _projector(scored: Scored) -> str:
+    projector = scored.experiment.projector
+    return (
+        f"{projector.width_px} × {projector.height_px} px, throw ratio {projector.throw_ratio:g}, "
+        f"{projector.flux_mw:g} mW at {projector.wavelength_nm:g} nm, "
+        f"{triangulation_angle_deg(scored.experiment):.1f}° from the camera"
+    )
+
+
+def _patterns(scored: Scored) -> str:
+    patterns = scored.experiment.patterns
+    code = "complementary Gray code" if patterns.complementary else "Gray code"
+    return (
+        f"{patterns.steps} phase steps of {patterns.period_px:g} px in both directions, {code}, "
+        f"white, black: {scored.figures.get('frames', '?')} frames"
+    )
+
+
+def _decoding(scored: Scored) -> str:
+    decode = scored.experiment.decode
+    smoothed = (
+        f"Gaussian of {decode.filter_taps} × {decode.filter_taps} px, σ {decode.filter_sigma_px:g} "
+        "px, on the phasor"
+        if decode.filter_taps
+        else "no filter"
+    )
+    return f"{smoothed}; depth from {decode.use}"

@@ -1,0 +1,174 @@
+"""Figure of a press: relief of the coated face, pressure, and a section to scale."""
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from numpy.typing import NDArray
+
+from twin.config.models import Experiment
+from twin.mechanics import PressedElastomer
+from twin.report.canvas import (
+    INK,
+    MEASURED,
+    NOMINAL,
+    add_colorbar,
+    axes_at,
+    contour_levels,
+    drawing,
+    height_scale,
+    legend_above,
+    plain_spines,
+    round_up,
+    sequential,
+)
+from twin.report.section import (
+    Trace,
+    face_profile,
+    slab_span,
+    specimen_profile,
+    touched_profile,
+    trace_through_apexes,
+)
+
+FloatArray = NDArray[np.float64]
+
+_SAMPLES = 801
+_SILICONE, _STEEL = "#cfe3f1", "#d9cdb8"
+
+
+def draw_press(path: Path, experiment: Experiment, pressed: PressedElastomer) -> None:
+    """Draw relief, pressure and the section through the apexes as PNG.
+
+    Raises
+    ------
+    InputError
+        `path` cannot be written.
+    """
+    trace = trace_through_apexes(experiment)
+    with drawing(path, 10.0, 8.6) as figure:
+        relief = axes_at(figure, 0.65, 0.35, 3.45, 2.7)
+        pressure = axes_at(figure, 5.75, 0.35, 3.45, 2.7)
+        _relief(relief, pressed)
+        _pressure(pressure, pressed)
+        for axes in (relief, pressure):
+            _mark_trace(axes, experiment, trace)
+        draw_section(axes_at(figure, 0.65, 4.05, 9.2, 1.85), experiment, pressed, trace)
+        _coated_face(axes_at(figure, 0.65, 6.65, 9.2, 1.45), experiment, pressed, trace)
+
+
+def draw_section(
+    axes: Axes, experiment: Experiment, pressed: PressedElastomer, trace: Trace
+) -> None:
+    """Draw specimen and slab in the plane of the apexes, to scale."""
+    low, high = slab_span(experiment, trace)
+    s_mm = np.linspace(low, high, _SAMPLES)
+    coated = face_profile(pressed, trace, s_mm)
+    clear = touched_profile(experiment, pressed, trace, s_mm)
+    body = specimen_profile(experiment, pressed, trace, s_mm)
+    present = np.isfinite(body)
+    base = float(body[present].min()) if present.any() else float(clear.min())
+    axes.fill_between(s_mm, base, np.where(present, body, base), where=present, color=_STEEL)
+    axes.fill_between(s_mm, clear, coated, color=_SILICONE)
+    axes.plot(s_mm, np.where(present, body, np.nan), color=NOMINAL, lw=1.0, label="specimen")
+    axes.plot(s_mm, clear, color=INK, lw=0.8, label="clear face (touched)")
+    axes.plot(s_mm, coated, color=MEASURED, lw=1.5, label="coated face (seen by the camera)")
+    axes.set(
+        title="Section through the apexes, to scale",
+        xlabel=f"{trace.axis} (mm)",
+        ylabel="z (mm)",
+        xlim=(low, high),
+        aspect="equal",
+    )
+    legend_above(axes, 3)
+    plain_spines(axes)
+
+
+def _coated_face(
+    axes: Axes, experiment: Experiment, pressed: PressedElastomer, trace: Trace
+) -> None:
+    """Draw the coated face with z enlarged, and the object as a thin draped skin would show it."""
+    low, high = slab_span(experiment, trace)
+    s_mm = np.linspace(low, high, _SAMPLES)
+    coated = face_profile(pressed, trace, s_mm)
+    body = specimen_profile(experiment, pressed, trace, s_mm)
+    lift = float(coated.max()) - float(body.max())
+    floor = min(0.0, float(coated.min()))
+    shown = np.where(body + lift >= floor, body + lift, np.nan)
+    axes.plot(s_mm, shown, color=NOMINAL, lw=1.0, ls="--", label="specimen, moved to the same peak")
+    axes.plot(s_mm, coated, color=MEASURED, lw=1.6, label="coated face")
+    axes.set(
+        title="What the camera sees of it, z enlarged",
+        xlabel=f"{trace.axis} (mm)",
+        ylabel="z (mm)",
+        xlim=(low, high),
+    )
+    legend_above(axes, 2)
+    plain_spines(axes)
+
+
+def _relief(axes: Axes, pressed: PressedElastomer) -> None:
+    bottom, top = height_scale(pressed.face_z_mm)
+    extent = (
+        pressed.face_x_mm[0],
+        pressed.face_x_mm[-1],
+        pressed.face_y_mm[0],
+        pressed.face_y_mm[-1],
+    )
+    levels = contour_levels(bottom, float(pressed.face_z_mm.max()))
+    step = levels[-1] - levels[-2] if len(levels) > 1 else levels[0]
+    shown = axes.imshow(
+        pressed.face_z_mm, origin="lower", extent=extent, cmap=sequential(), vmin=bottom, vmax=top
+    )
+    axes.contour(
+        pressed.face_x_mm,
+        pressed.face_y_mm,
+        pressed.face_z_mm,
+        levels=levels,
+        colors="white",
+        linewidths=0.4,
+        alpha=0.7,
+    )
+    axes.set(title=f"Relief of the coated face, contours every {step:g} mm")
+    axes.set(xlabel="x (mm)", ylabel="y (mm)")
+    add_colorbar(axes, shown, "z (mm)")
+
+
+def _pressure(axes: Axes, pressed: PressedElastomer) -> None:
+    top = round_up(float(pressed.pressure_kpa.max()))
+    x, y = pressed.x_mm, pressed.y_mm
+    half = float(x[1] - x[0]) / 2
+    shown = axes.imshow(
+        np.ma.masked_where(~pressed.contact, pressed.pressure_kpa),
+        origin="lower",
+        extent=(x[0] - half, x[-1] + half, y[0] - half, y[-1] + half),
+        cmap=sequential(),
+        vmin=0,
+        vmax=top,
+    )
+    axes.set(title="Pressure on the clear face; gray: no contact", xlabel="x (mm)", ylabel="y (mm)")
+    _zoom_to_contact(axes, pressed)
+    add_colorbar(axes, shown, "pressure (kPa)")
+
+
+def _zoom_to_contact(axes: Axes, pressed: PressedElastomer) -> None:
+    """Show the contact with a margin, in the shape of the slab: it is small beside the slab."""
+    rows, cols = np.nonzero(pressed.contact)
+    if not rows.size:
+        return
+    x, y = pressed.x_mm, pressed.y_mm
+    spans = (float(x[-1] - x[0]), float(y[-1] - y[0]))
+    needed = (float(np.ptp(x[cols])), float(np.ptp(y[rows])))
+    share = min(1.0, 1.3 * max(n / span for n, span in zip(needed, spans, strict=True)) + 0.05)
+    for set_limits, span, found in (
+        (axes.set_xlim, spans[0], x[cols]),
+        (axes.set_ylim, spans[1], y[rows]),
+    ):
+        middle = (float(found.min()) + float(found.max())) / 2
+        set_limits(middle - share * span / 2, middle + share * span / 2)
+
+
+def _mark_trace(axes: Axes, experiment: Experiment, trace: Trace) -> None:
+    ends = trace.points(np.array(slab_span(experiment, trace)))
+    axes.plot(ends[:, 0], ends[:, 1], color="white", lw=1.4, alpha=0.6)
+    axes.plot(ends[:, 0], ends[:, 1], color=INK, lw=0.7, ls=(0, (6, 4)))

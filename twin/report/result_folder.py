@@ -1,0 +1,145 @@
+"""Read a finished measurement back from its folder; the files are the contract of `storage`."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from reconstruction.capture import Capture, read_capture
+from reconstruction.errors import InputError
+from reconstruction.outputs import read_reconstruction
+from reconstruction.pipeline import Reconstruction
+from twin.config import Experiment, load_experiment
+from twin.mechanics import PressedElastomer, read_press
+from twin.modalities.score import Score, score
+from twin.modalities.storage import CAPTURE_FOLDER, TIMINGS_FILE
+from twin.optics.stack import Truth
+from twin.optics.storage import read_truth
+from twin.output import EXPERIMENT_FILE, RESULT_FILE, read_json
+
+_MEASURING_COMMANDS = ("measure", "demo")
+
+_NEEDED_FIGURES = (
+    "completeness",
+    "depth_mm",
+    "error_over_sigma",
+    "exposure_ms",
+    "force_n",
+    "height_error_estimate_mm",
+    "relief_peak_mm",
+    "saturated_share",
+    "sigma_z_median_um",
+    "warnings",
+    "wrong_order_pixels",
+    "young_modulus_kpa",
+    "z_bias_um",
+    "z_p95_um",
+    "z_rmse_um",
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Scored:
+    """What was measured and how good it is.
+
+    Attributes
+    ----------
+    figures : dict
+        The metrics of result.json, units in their names.
+    score : Score
+        The same scores anew from the stored maps, with residuals per pixel.
+    """
+
+    experiment: Experiment
+    digest: str
+    figures: dict[str, Any]
+    versions: dict[str, str]
+    reconstruction: Reconstruction
+    truth: Truth
+    score: Score
+
+
+@dataclass(frozen=True, eq=False)
+class Measured(Scored):
+    """A whole result folder."""
+
+    pressed: PressedElastomer
+    capture: Capture
+    seconds: dict[str, float]
+
+
+def read_scored(folder: Path) -> Scored:
+    """Read what the result table needs.
+
+    Raises
+    ------
+    InputError
+        The folder is no finished measurement, or a file is missing or damaged.
+    """
+    return Scored(**_scored_parts(folder))
+
+
+def read_measured(folder: Path) -> Measured:
+    """Read a whole result folder.
+
+    Raises
+    ------
+    InputError
+        The folder is no finished measurement, or a file is missing or damaged.
+    """
+    parts = _scored_parts(folder)
+    return Measured(
+        **parts,
+        pressed=read_press(folder / "press.nc"),
+        capture=read_capture(folder / CAPTURE_FOLDER),
+        seconds=_seconds(folder),
+    )
+
+
+def _scored_parts(folder: Path) -> dict[str, Any]:
+    result = _read_result(folder)
+    experiment = _read_experiment(folder / EXPERIMENT_FILE)
+    reconstruction = read_reconstruction(folder / "reconstruction.nc")
+    truth = read_truth(folder / "truth.nc")
+    found, true = reconstruction.point_map.mask_reason.shape, truth.lit.shape
+    if found != true:
+        raise InputError(
+            f"{folder}: reconstruction.nc is {found}, truth.nc {true} (row, col); measure again"
+        )
+    return {
+        "experiment": experiment,
+        "digest": str(result.get("digest", "")),
+        "figures": result["metrics"],
+        "versions": result.get("versions", {}),
+        "reconstruction": reconstruction,
+        "truth": truth,
+        "score": score(experiment, reconstruction, truth),
+    }
+
+
+def _read_result(folder: Path) -> dict[str, Any]:
+    if not (folder / RESULT_FILE).is_file():
+        raise InputError(f"{folder}: no finished result (no {RESULT_FILE}); run twin measure first")
+    result = read_json(folder / RESULT_FILE)
+    command, figures = result.get("command"), result.get("metrics")
+    if command not in _MEASURING_COMMANDS or not isinstance(figures, dict):
+        raise InputError(
+            f"{folder}: result of command {command!r}; "
+            f"a report needs one of {', '.join(_MEASURING_COMMANDS)}"
+        )
+    missing = [name for name in _NEEDED_FIGURES if name not in figures]
+    if missing:
+        raise InputError(f"{folder / RESULT_FILE}: no {', '.join(missing)}; measure again")
+    return result
+
+
+def _read_experiment(path: Path) -> Experiment:
+    # load_experiment would take the missing file for the name of a shipped experiment.
+    if not path.is_file():
+        raise InputError(f"{path}: no such file; measure again")
+    return load_experiment(path)
+
+
+def _seconds(folder: Path) -> dict[str, float]:
+    """Stage times; a result may have lost them without losing anything measured."""
+    path = folder / TIMINGS_FILE
+    return read_json(path) if path.is_file() else {}

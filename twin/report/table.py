@@ -1,0 +1,93 @@
+"""The result table: sphere fits per ball beside the paper's, as rows and as plain text."""
+
+from dataclasses import astuple, dataclass
+from pathlib import Path
+
+from reconstruction.fit import SphereFit
+from twin.report.paper import CONTACT_FPP, GELSIGHT, PaperRow, paper_row
+from twin.report.result_folder import Scored, read_scored
+
+HEADINGS = ("radius", "|error|", "RMSE", "MAE", "P95")
+MEASURED_LABEL = "measured"
+_WIDTH = 10
+
+
+@dataclass(frozen=True)
+class Row:
+    """One line of the table; values in mm, in the order of HEADINGS."""
+
+    ball: int
+    label: str
+    values_mm: tuple[float, ...]
+
+    @property
+    def cells(self) -> tuple[str, ...]:
+        """Values as text: radii to 1 um, residuals to 0.1 um."""
+        radius, error, *residuals = self.values_mm
+        return (f"{radius:.3f}", f"{error:.3f}", *(f"{value:.4f}" for value in residuals))
+
+
+def summary_table(folder: Path) -> str:
+    """Return the result of a measurement as a short plain-text table, at most 100 columns.
+
+    Raises
+    ------
+    InputError
+        The folder is no finished measurement, or a file is missing or damaged.
+    """
+    scored = read_scored(folder)
+    title = f"{scored.experiment.name}, sphere fits (mm)"
+    lines = [_line(title, HEADINGS)] if balls(scored) else []
+    for number in balls(scored):
+        for row in ball_rows(scored, number, methods=(CONTACT_FPP,)):
+            first = row.label == MEASURED_LABEL
+            lines.append(_line(f"{f'ball {number}' if first else '':<8}{row.label}", row.cells))
+    return "\n".join([*lines, *_sentences(scored)])
+
+
+def balls(scored: Scored) -> range:
+    """Return the numbers of the balls, from 1."""
+    return range(1, len(scored.score.spheres) + 1)
+
+
+def ball_rows(
+    scored: Scored, number: int, methods: tuple[str, ...] = (CONTACT_FPP, GELSIGHT)
+) -> list[Row]:
+    """Return measured, true face and the paper's rows of one ball."""
+    sphere = scored.score.spheres[number - 1]
+    nominal_mm = sphere.nominal.radius_mm
+    rows = [
+        Row(number, MEASURED_LABEL, _fit_values(sphere.measured, nominal_mm)),
+        Row(number, "true coated face", _fit_values(sphere.true_face, nominal_mm)),
+    ]
+    for method in methods:
+        published: PaperRow | None = paper_row(scored.experiment, method, number)
+        if published is not None:
+            rows.append(Row(number, f"paper, {method}", astuple(published)))
+    return rows
+
+
+def _fit_values(fit: SphereFit, nominal_mm: float) -> tuple[float, ...]:
+    stats = fit.stats
+    error_mm = abs(fit.radius_mm - nominal_mm)
+    return (fit.radius_mm, error_mm, stats.rmse_mm, stats.mae_mm, stats.p95_mm)
+
+
+def _line(label: str, cells: tuple[str, ...]) -> str:
+    return f"{label:<36}" + "".join(f"{cell:>{_WIDTH}}" for cell in cells)
+
+
+def _sentences(scored: Scored) -> list[str]:
+    figures = scored.figures
+    warnings = figures["warnings"]
+    lines = [
+        f"z error against the true face: {figures['z_rmse_um']:.2f} um RMS, "
+        f"{figures['z_p95_um']:.2f} um P95; spread {figures['error_over_sigma']:.2f} x predicted",
+        f"points on {figures['completeness']:.1%} of the lit pixels, "
+        f"{figures['wrong_order_pixels']} wrong fringe orders; "
+        f"force {figures['force_n']:.3g} N at {figures['depth_mm']:.3g} mm",
+    ]
+    if warnings:
+        noun = "warning" if len(warnings) == 1 else "warnings"
+        lines.append(f"{len(warnings)} {noun} of the press, see the report")
+    return lines
