@@ -8,8 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from twin.optics import backend
-from twin.optics.backend import LLVM_VARIANT, Backend, MissingBackend, find_backend, probe
+from twin.optics.backend import Backend, MissingBackend, activate, candidates, choice, find_backend
+from twin.optics.backend.memory import cache_file
+from twin.optics.backend.model import CHOICE_VARIABLE, LIBRARY_VARIABLE, LLVM_VARIANT
+from twin.optics.backend.probe import probe
 
 ABORTING = """
 import os, sys
@@ -23,10 +25,10 @@ os.abort()
 @pytest.fixture
 def llvm_only(monkeypatch, tmp_path):
     """A machine without CUDA, without choices in the environment and with an empty cache."""
-    for name in (backend.LIBRARY_VARIABLE, backend.CHOICE_VARIABLE):
+    for name in (LIBRARY_VARIABLE, CHOICE_VARIABLE):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    monkeypatch.setattr(backend, "_has_cuda_driver", lambda: False)
+    monkeypatch.setattr(choice, "has_cuda_driver", lambda: False)
     return monkeypatch
 
 
@@ -41,8 +43,8 @@ def good_library(llvm_only, tmp_path):
         probes.append(path)
         return Backend(variant, path, "19.1.7")
 
-    llvm_only.setattr(backend, "probe", accept)
-    llvm_only.setattr(backend, "llvm_candidates", lambda: [library])
+    llvm_only.setattr(choice, "probe", accept)
+    llvm_only.setattr(choice, "llvm_candidates", lambda: [library])
     return library, probes
 
 
@@ -79,7 +81,7 @@ def test_missing_system_library_is_told(monkeypatch, tmp_path):
 
 
 def test_missing_backend_says_what_to_install(llvm_only):
-    llvm_only.setattr(backend, "llvm_candidates", list)
+    llvm_only.setattr(choice, "llvm_candidates", list)
     with pytest.raises(MissingBackend) as caught:
         find_backend()
     message = str(caught.value)
@@ -90,13 +92,13 @@ def test_missing_backend_says_what_to_install(llvm_only):
 
 def test_every_refused_library_is_named(llvm_only, tmp_path):
     replace_drjit(llvm_only, tmp_path, ABORTING)
-    llvm_only.setattr(backend, "llvm_candidates", lambda: [Path("/x/libLLVM-15.so.1")])
+    llvm_only.setattr(choice, "llvm_candidates", lambda: [Path("/x/libLLVM-15.so.1")])
     with pytest.raises(MissingBackend, match=r"libLLVM-15\.so\.1: SIGABRT"):
         find_backend()
 
 
 def test_named_library_that_does_not_work_is_an_error(llvm_only, tmp_path):
-    llvm_only.setenv(backend.LIBRARY_VARIABLE, str(tmp_path / "absent.so"))
+    llvm_only.setenv(LIBRARY_VARIABLE, str(tmp_path / "absent.so"))
     with pytest.raises(MissingBackend, match=r"DRJIT_LIBLLVM_PATH=.*absent\.so does not work"):
         find_backend()
 
@@ -105,13 +107,13 @@ def test_named_library_comes_first(good_library, monkeypatch):
     library, probes = good_library
     named = library.with_name("libLLVM-18.so.1")
     named.write_bytes(b"")
-    monkeypatch.setenv(backend.LIBRARY_VARIABLE, str(named))
+    monkeypatch.setenv(LIBRARY_VARIABLE, str(named))
     assert find_backend().library == str(named)
     assert probes == [str(named)]
 
 
 def test_unknown_choice_is_an_error(llvm_only):
-    llvm_only.setenv(backend.CHOICE_VARIABLE, "vulkan")
+    llvm_only.setenv(CHOICE_VARIABLE, "vulkan")
     with pytest.raises(MissingBackend, match="TWIN_BACKEND=vulkan is unknown: use llvm or cuda"):
         find_backend()
 
@@ -139,22 +141,22 @@ def test_replaced_library_is_probed_again(good_library):
 
 @pytest.mark.parametrize("content", ["", "[1]", '{"a": 1', "null"])
 def test_damaged_cache_is_ignored(good_library, content):
-    backend.cache_file().parent.mkdir(parents=True)
-    backend.cache_file().write_text(content)
+    cache_file().parent.mkdir(parents=True)
+    cache_file().write_text(content)
     assert find_backend().version == "19.1.7"
 
 
 def test_entry_of_another_form_is_ignored(good_library):
     _, probes = good_library
     find_backend()
-    text = backend.cache_file().read_text().replace("variant", "kind")
-    backend.cache_file().write_text(text)
+    text = cache_file().read_text().replace("variant", "kind")
+    cache_file().write_text(text)
     find_backend()
     assert len(probes) == 2
 
 
 def test_unwritable_cache_is_no_error(good_library):
-    backend.cache_file().parent.parent.write_text("a file where the folder should be")
+    cache_file().parent.parent.write_text("a file where the folder should be")
     assert find_backend().version == "19.1.7"
 
 
@@ -164,15 +166,15 @@ def test_newest_library_comes_first(monkeypatch, tmp_path):
     for name in names + strangers:
         (tmp_path / name).write_bytes(b"")
     (tmp_path / "libLLVM.so").symlink_to("libLLVM.so.19.1")
-    monkeypatch.setattr(backend, "_LIBRARY_FOLDERS", (str(tmp_path),))
-    monkeypatch.setattr(backend, "_linker_cache", lambda: iter(()))
-    found = [path.name for path in backend.llvm_candidates() if path.parent == tmp_path]
+    monkeypatch.setattr(candidates, "_LIBRARY_FOLDERS", (str(tmp_path),))
+    monkeypatch.setattr(candidates, "_linker_cache", lambda: iter(()))
+    found = [path.name for path in candidates.llvm_candidates() if path.parent == tmp_path]
     assert found == ["libLLVM.so.19.1", "libLLVM-18.so.1", "libLLVM-15.so.1", "libLLVM.so.9"]
 
 
 def test_activate_is_idempotent(mi):
-    first = backend.activate()
-    assert backend.activate() == first
+    first = activate()
+    assert activate() == first
     assert mi.variant() == first.variant
 
 

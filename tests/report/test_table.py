@@ -34,8 +34,10 @@ def test_measured_rows_are_those_of_the_result_file(finished):
 def test_rows_hold_full_precision(finished):
     figures = json.loads((finished / "result.json").read_text())["metrics"]
     scored = read_scored(finished)
-    for ball in (1, 2):
-        measured, true_face = ball_rows(scored, ball)[:2]
+    assert [sphere.number for sphere in scored.score.spheres] == [1, 2]
+    for sphere in scored.score.spheres:
+        ball = sphere.number
+        measured, true_face = ball_rows(scored, sphere)[:2]
         assert measured.values_mm[0] == pytest.approx(figures[f"sphere_{ball}_radius_mm"], rel=1e-9)
         assert measured.values_mm[4] == pytest.approx(figures[f"sphere_{ball}_p95_mm"], rel=1e-9)
         assert true_face.values_mm[0] == pytest.approx(

@@ -6,10 +6,12 @@ face at the same pixels separates what the elastomer did from what the measureme
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from reconstruction.errors import FitError
 from reconstruction.fit import SphereFit, fit_sphere
 from reconstruction.pipeline import Reconstruction
 from twin.config.models import Experiment
@@ -41,6 +43,7 @@ class TruthScore:
 class SphereScore:
     """One ball: the fit to the measured points and the fit to the true face at the same pixels."""
 
+    number: int
     nominal: Sphere
     roi: NDArray[np.bool_]
     measured: SphereFit
@@ -49,22 +52,33 @@ class SphereScore:
 
 @dataclass(frozen=True, eq=False)
 class Score:
-    """Everything that is scored on one measurement."""
+    """Everything that is scored on one measurement.
+
+    Attributes
+    ----------
+    against_truth : TruthScore
+    spheres : tuple of SphereScore
+        The balls that could be fitted.
+    unfitted : tuple of str
+        Why the others could not: a ball without valid points must not sink the measurement.
+    """
 
     against_truth: TruthScore
     spheres: tuple[SphereScore, ...]
+    unfitted: tuple[str, ...] = ()
 
 
 def score(experiment: Experiment, reconstruction: Reconstruction, truth: Truth) -> Score:
     """Score a reconstruction against the truth of the same camera pixels."""
-    balls = shape_of(experiment.specimen).spheres()
-    return Score(
-        against_truth=score_truth(experiment, reconstruction, truth),
-        spheres=tuple(
-            score_sphere(ball, reconstruction, truth, experiment.score.roi_radius_mm)
-            for ball in balls
-        ),
-    )
+    fitted, unfitted = [], []
+    for number, ball in enumerate(shape_of(experiment.specimen).spheres(), start=1):
+        roi = region_of(ball, reconstruction, truth, experiment.score.roi_radius_mm)
+        try:
+            fitted.append(score_sphere(number, ball, roi, reconstruction, truth))
+        except FitError as error:
+            unfitted.append(f"ball {number}: {error}")
+    against_truth = score_truth(experiment, reconstruction, truth)
+    return Score(against_truth, tuple(fitted), tuple(unfitted))
 
 
 def score_truth(experiment: Experiment, reconstruction: Reconstruction, truth: Truth) -> TruthScore:
@@ -105,10 +119,24 @@ def wrong_orders(experiment: Experiment, reconstruction: Reconstruction, truth: 
     return int((wrong & both).sum())
 
 
-def score_sphere(
+def region_of(
     ball: Sphere, reconstruction: Reconstruction, truth: Truth, roi_radius_mm: float
+) -> NDArray[np.bool_]:
+    """Return the valid lit pixels within `roi_radius_mm` (lateral) of a ball's apex, (row, col)."""
+    points = reconstruction.point_map.points_world_mm
+    lateral_mm = np.hypot(points[..., 0] - ball.x_mm, points[..., 1] - ball.y_mm)
+    region: NDArray[np.bool_] = (lateral_mm <= roi_radius_mm) & truth.lit
+    return region & reconstruction.point_map.valid
+
+
+def score_sphere(
+    number: int,
+    ball: Sphere,
+    roi: NDArray[np.bool_],
+    reconstruction: Reconstruction,
+    truth: Truth,
 ) -> SphereScore:
-    """Fit a sphere to the points within `roi_radius_mm` (lateral) of a ball's apex.
+    """Fit spheres to the measured and to the true points of one ball's region.
 
     Raises
     ------
@@ -116,9 +144,8 @@ def score_sphere(
         The region holds too few valid points.
     """
     points = reconstruction.point_map.points_world_mm
-    lateral_mm = np.hypot(points[..., 0] - ball.x_mm, points[..., 1] - ball.y_mm)
-    roi = (lateral_mm <= roi_radius_mm) & reconstruction.point_map.valid & truth.lit
     return SphereScore(
+        number=number,
         nominal=ball,
         roi=roi,
         measured=fit_sphere(points[roi].astype(np.float64)),
@@ -126,10 +153,11 @@ def score_sphere(
     )
 
 
-def metrics(scored: Score) -> dict[str, float | int]:
+def metrics(scored: Score) -> dict[str, Any]:
     """Flatten a score to names with units, for result.json."""
     truth = scored.against_truth
-    found: dict[str, float | int] = {
+    found: dict[str, Any] = {
+        "unfitted_balls": list(scored.unfitted),
         "points": truth.points,
         "lit_pixels": truth.lit_pixels,
         "completeness": truth.completeness,
@@ -140,8 +168,8 @@ def metrics(scored: Score) -> dict[str, float | int]:
         "sigma_z_median_um": truth.sigma_z_median_um,
         "error_over_sigma": truth.error_over_sigma,
     }
-    for number, sphere in enumerate(scored.spheres, start=1):
-        found |= sphere_metrics(f"sphere_{number}_", sphere)
+    for sphere in scored.spheres:
+        found |= sphere_metrics(f"sphere_{sphere.number}_", sphere)
     return found
 
 
@@ -157,4 +185,6 @@ def sphere_metrics(prefix: str, sphere: SphereScore) -> dict[str, float | int]:
         f"{prefix}p95_mm": measured.stats.p95_mm,
         f"{prefix}true_face_radius_mm": sphere.true_face.radius_mm,
         f"{prefix}true_face_rmse_mm": sphere.true_face.stats.rmse_mm,
+        f"{prefix}true_face_mae_mm": sphere.true_face.stats.mae_mm,
+        f"{prefix}true_face_p95_mm": sphere.true_face.stats.p95_mm,
     }

@@ -7,7 +7,6 @@ from twin.mechanics import opposite_transfer
 from twin.modalities.score import SphereScore
 from twin.report.paper import CONTACT_FPP, PaperRow, paper_row
 from twin.report.result_folder import Scored
-from twin.report.table import balls
 from twin.report.verdict import MOST_SPREAD_OVER_SIGMA
 
 # Residuals of fit and truth closer than this are one and the same form.
@@ -16,10 +15,13 @@ _SAME_FORM = 0.2
 
 def discussion(scored: Scored) -> list[str]:
     """Return the paragraphs, most important first."""
+    if not scored.score.against_truth.points:
+        return ["No pixel carries a point; the map of the masked pixels says why."]
     paragraphs = [_measurement(scored)]
     if scored.score.spheres:
         paragraphs += [_radius(scored), _elastomer(scored), _residuals(scored)]
-    papers = [paper_row(scored.experiment, CONTACT_FPP, number) for number in balls(scored)]
+    numbers = [ball.number for ball in scored.score.spheres]
+    papers = [paper_row(scored.experiment, CONTACT_FPP, number) for number in numbers]
     published = [row for row in papers if row is not None]
     return [*paragraphs, _paper(scored, published)] if published else paragraphs
 
@@ -49,18 +51,18 @@ def _measurement(scored: Scored) -> str:
 
 
 def _radius(scored: Scored) -> str:
-    parts = [_radius_of(number, ball) for number, ball in enumerate(scored.score.spheres, 1)]
+    parts = [_radius_of(ball) for ball in scored.score.spheres]
     return (
         "The fitted radius is the coated face's, not the ball's: the camera never sees the ball. "
         + " ".join(parts)
     )
 
 
-def _radius_of(number: int, ball: SphereScore) -> str:
+def _radius_of(ball: SphereScore) -> str:
     nominal, true, measured = ball.nominal.radius_mm, ball.true_face.radius_mm, ball.measured
     return (
-        f"Ball {number}: of the difference of {_signed(measured.radius_mm - nominal)} mm to the "
-        f"ball's {nominal:g} mm, the elastomer accounts for {_signed(true - nominal)} mm and the "
+        f"Ball {ball.number}: of the difference of {_signed(measured.radius_mm - nominal)} mm to "
+        f"the ball's {nominal:g} mm, the elastomer accounts for {_signed(true - nominal)} mm and the "
         f"measurement for {_signed(measured.radius_mm - true)} mm."
     )
 

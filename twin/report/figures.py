@@ -26,8 +26,10 @@ class Plate:
 
 
 def plates(measured: Measured) -> list[Plate]:
-    """Return all figures in the order of the report."""
-    balls = [_ball(measured, n, view) for n, view in enumerate(ball_views(measured), start=1)]
+    """Return all figures in the order of the report; without points there is no surface to show."""
+    if not measured.score.against_truth.points:
+        return [_rig(measured), *_images(measured), _press(measured)]
+    balls = [_ball(measured, view.ball.number, view) for view in ball_views(measured)]
     return [_rig(measured), *_images(measured), *_surfaces(measured), *balls, _press(measured)]
 
 

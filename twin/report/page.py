@@ -13,7 +13,7 @@ from twin.report.discussion import discussion
 from twin.report.figures import Plate, plates
 from twin.report.glance import glance
 from twin.report.result_folder import Measured, read_measured
-from twin.report.table import HEADINGS, ball_rows, balls
+from twin.report.table import HEADINGS, ball_rows
 from twin.report.verdict import verdicts
 
 REPORT_FILE = "report.html"
@@ -62,13 +62,13 @@ def render_page(measured: Measured, folder: Path, drawn: list[Plate]) -> str:
         experiment=measured.experiment,
         digest=measured.digest,
         verdicts=verdicts(measured),
-        warnings=measured.figures["warnings"],
+        warnings=[*measured.figures["warnings"], *measured.score.unfitted],
         glance=glance(measured),
         headings=HEADINGS,
-        ball_rows=[ball_rows(measured, number) for number in balls(measured)],
+        ball_rows=[ball_rows(measured, ball) for ball in measured.score.spheres],
         discussion=discussion(measured),
         figures=shown,
-        ball_names=[f"ball_{number}" for number in balls(measured)],
+        ball_names=[f"ball_{ball.number}" for ball in measured.score.spheres],
         settings=appendix.settings(measured.experiment),
         metrics=appendix.metrics(measured),
         timings=appendix.timings(measured),

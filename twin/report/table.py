@@ -4,6 +4,7 @@ from dataclasses import astuple, dataclass
 from pathlib import Path
 
 from reconstruction.fit import SphereFit
+from twin.modalities.score import SphereScore
 from twin.report.paper import CONTACT_FPP, GELSIGHT, PaperRow, paper_row
 from twin.report.result_folder import Scored, read_scored
 
@@ -37,24 +38,21 @@ def summary_table(folder: Path) -> str:
     """
     scored = read_scored(folder)
     title = f"{scored.experiment.name}, sphere fits (mm)"
-    lines = [_line(title, HEADINGS)] if balls(scored) else []
-    for number in balls(scored):
-        for row in ball_rows(scored, number, methods=(CONTACT_FPP,)):
+    lines = [_line(title, HEADINGS)] if scored.score.spheres else []
+    for ball in scored.score.spheres:
+        for row in ball_rows(scored, ball, methods=(CONTACT_FPP,)):
             first = row.label == MEASURED_LABEL
-            lines.append(_line(f"{f'ball {number}' if first else '':<8}{row.label}", row.cells))
-    return "\n".join([*lines, *_sentences(scored)])
-
-
-def balls(scored: Scored) -> range:
-    """Return the numbers of the balls, from 1."""
-    return range(1, len(scored.score.spheres) + 1)
+            lines.append(
+                _line(f"{f'ball {ball.number}' if first else '':<8}{row.label}", row.cells)
+            )
+    return "\n".join([*lines, *scored.score.unfitted, *_sentences(scored)])
 
 
 def ball_rows(
-    scored: Scored, number: int, methods: tuple[str, ...] = (CONTACT_FPP, GELSIGHT)
+    scored: Scored, sphere: SphereScore, methods: tuple[str, ...] = (CONTACT_FPP, GELSIGHT)
 ) -> list[Row]:
     """Return measured, true face and the paper's rows of one ball."""
-    sphere = scored.score.spheres[number - 1]
+    number = sphere.number
     nominal_mm = sphere.nominal.radius_mm
     rows = [
         Row(number, MEASURED_LABEL, _fit_values(sphere.measured, nominal_mm)),

@@ -31,6 +31,16 @@ def verdicts(scored: Scored) -> list[Verdict]:
 
 def _sensor(scored: Scored) -> Verdict:
     figures = scored.figures
+    if not scored.score.against_truth.points:
+        return Verdict(
+            question="Does the sensor see the coated face?",
+            headline="no point at all",
+            grade="poor",
+            reasons=(
+                f"{figures['saturated_share']:.1%} of all pixel values saturated",
+                "the mask map below says why each pixel was left out",
+            ),
+        )
     wrong, share = figures["wrong_order_pixels"], figures["completeness"]
     spread, saturated = figures["error_over_sigma"], figures["saturated_share"]
     held = (
