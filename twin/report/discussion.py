@@ -62,8 +62,8 @@ def _radius_of(ball: SphereScore) -> str:
     nominal, true, measured = ball.nominal.radius_mm, ball.true_face.radius_mm, ball.measured
     return (
         f"Ball {ball.number}: of the difference of {_signed(measured.radius_mm - nominal)} mm to "
-        f"the ball's {nominal:g} mm, the elastomer accounts for {_signed(true - nominal)} mm and the "
-        f"measurement for {_signed(measured.radius_mm - true)} mm."
+        f"the ball's {nominal:g} mm, the elastomer accounts for {_signed(true - nominal)} mm and "
+        f"the measurement for {_signed(measured.radius_mm - true)} mm."
     )
 
 

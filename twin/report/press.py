@@ -74,7 +74,7 @@ def draw_section(
     axes.plot(s_mm, clear, color=INK, lw=0.8, label="clear face (touched)")
     axes.plot(s_mm, coated, color=MEASURED, lw=1.5, label="coated face (seen by the camera)")
     axes.set(
-        title="Section through the apexes, to scale",
+        title="Section, to scale",
         xlabel=f"{trace.axis} (mm)",
         ylabel="z (mm)",
         xlim=(low, high),

@@ -68,7 +68,7 @@ def draw_relief_view(path: Path, point_map: PointMap, pixel_mm: float) -> None:
         )
         _frame_view(axes, relief, norm, enlarged)
         bar = figure.colorbar(
-            ScalarMappable(norm, sequential()), cax=figure.add_axes((0.94, 0.2, 0.013, 0.6))
+            ScalarMappable(norm, sequential()), cax=figure.add_axes((0.92, 0.2, 0.013, 0.6))
         )
         bar.set_label("z (mm)")
 
