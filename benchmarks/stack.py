@@ -61,7 +61,7 @@ def prepare(binning: int) -> tuple[Callable[[], Any], Callable[[], Any], dict[st
     camera = rig.camera
     stock_scene = stock.frame_scene(
         coated_mesh(face, coating_bsdf(experiment.coating)),
-        stock.emitter_dict(texture, rig, canvas, "projector"),
+        stock.emitter_dict(texture, rig, canvas),
         perspective_sensor(camera.pinhole, camera.T_world_from_device, samples),
     )
     facts = {

@@ -120,13 +120,15 @@ def test_press_by_force(tmp_path):
     assert (out / "press.png").stat().st_size > 10_000
 
 
-def test_stock_engine_gives_the_same_measurement(mi, tmp_path):
+@pytest.mark.parametrize("emitter", ["projector", "spot"])
+def test_stock_engine_gives_the_same_measurement(mi, tmp_path, emitter):
     """`render.engine = "stock"`: jitter noise, but the same surface to some micrometres."""
     out = tmp_path / "stock"
     tiny = ["-s", "camera.width_px=160", "-s", "camera.height_px=120", "-s", "camera.binning=1"]
     projector = ["-s", "projector.width_px=320", "-s", "projector.height_px=180"]
     wide = ["-s", 'camera.pixel_pitch_um={value = 27.0, source = "test"}']
     engine = ["-s", "render.engine=stock", "-s", "render.samples=16", "-s", "patterns.steps=6"]
+    engine += ["-s", f"render.stock_emitter={emitter}"]
     settings = [*tiny, *projector, *wide, *engine]
     assert run(["measure", "paper/two_balls", "-o", str(out), *settings]) == 0
     metrics = json.loads((out / "result.json").read_text())["metrics"]

@@ -72,7 +72,7 @@ def test_stock_mitsuba_renders_the_same_frame(experiment, one_trace, bump, case)
     texture = stock.frame_texture(patterns.frames[index], index, rig, tables, canvas)
     scene = stock.frame_scene(
         coated_mesh(bump, coating_bsdf(experiment.coating)),
-        stock.emitter_dict(texture, rig, canvas, emitter),
+        stock.emitter_dict(texture, rig, canvas),
         perspective_sensor(rig.camera.pinhole, rig.camera.T_world_from_device, SAMPLES),
     )
     runs = np.stack([stock.render_frame(scene, seed) for seed in range(RUNS)])

@@ -45,7 +45,13 @@ class Specimen(Model):
 
     x_mm: float = 0.0
     y_mm: float = 0.0
+    z_mm: float = Field(
+        default=0.0, description="within a group: height of the foremost point over the others'"
+    )
     yaw_deg: Angle = 0.0
+    tilt_deg: Annotated[float, Field(ge=-30, le=30)] = Field(
+        default=0.0, description="tilt about the specimen's y axis; positive lifts its +x side"
+    )
 
 
 class Ball(Specimen):
@@ -61,31 +67,135 @@ class TwoBalls(Specimen):
     kind: Literal["two_balls"] = "two_balls"
     diameter_mm: Length = 8.0
     separation_mm: Length = Field(default=8.0, description="distance between the two centres")
-    tilt_deg: Annotated[float, Field(ge=-30, le=30)] = Field(
-        default=0.0, description="tilt about the specimen's y axis; positive lifts the +x ball"
+
+
+class Rod(Specimen):
+    """A cylinder lying along the specimen's x axis, its ends flat: a line contact."""
+
+    kind: Literal["rod"] = "rod"
+    diameter_mm: Length = 4.8
+    length_mm: Length = 12.0
+    edge_radius_mm: NonNegative = Field(default=0.2, description="rounding of the end faces' edge")
+
+    @model_validator(mode="after")
+    def _edge_fits(self) -> "Rod":
+        _check_edge(self.edge_radius_mm, min(self.diameter_mm, self.length_mm))
+        return self
+
+
+class Flat(Specimen):
+    """A flat round punch, its face towards the elastomer."""
+
+    kind: Literal["flat"] = "flat"
+    diameter_mm: Length = 6.0
+    height_mm: Length = 5.0
+    edge_radius_mm: NonNegative = Field(default=0.2, description="rounding of the face's edge")
+
+    @model_validator(mode="after")
+    def _edge_fits(self) -> "Flat":
+        _check_edge(self.edge_radius_mm, min(self.diameter_mm, self.height_mm))
+        return self
+
+
+class Grating(Specimen):
+    """A plate with sinusoidal grooves along its y axis: what relief the coat still shows."""
+
+    kind: Literal["grating"] = "grating"
+    pitch_mm: Length = 4.0
+    groove_mm: Length = Field(default=0.2, description="depth of the grooves, crest to root")
+    length_x_mm: Length = 12.0
+    length_y_mm: Length = 12.0
+
+
+class MeshFile(Specimen):
+    """A closed triangle mesh from a file: STL, PLY or OBJ."""
+
+    kind: Literal["mesh"] = "mesh"
+    file: str = Field(description="path, or the name of a shipped mesh such as scenes/meshes/x.stl")
+    scale: Positive = Field(default=1.0, description="mm per unit of the file")
+    up: Literal["+x", "-x", "+y", "-y", "+z", "-z"] = Field(
+        default="+z", description="axis of the file that faces the elastomer"
     )
 
 
-AnySpecimen = Annotated[Ball | TwoBalls, Field(discriminator="kind")]
+Part = Annotated[Ball | TwoBalls | Rod | Flat | Grating | MeshFile, Field(discriminator="kind")]
+
+
+class Group(Specimen):
+    """Several specimens on one stage, pressed together."""
+
+    kind: Literal["group"] = "group"
+    parts: dict[str, Part] = Field(
+        min_length=1, description="one table per part, [specimen.parts.NAME], each with its kind"
+    )
+
+
+AnySpecimen = Annotated[
+    Ball | TwoBalls | Rod | Flat | Grating | MeshFile | Group, Field(discriminator="kind")
+]
+
+
+def _check_edge(edge_radius_mm: float, smallest_mm: float) -> None:
+    if edge_radius_mm > smallest_mm / 2:
+        raise ValueError(
+            f"edge_radius_mm: found {edge_radius_mm:g}, allowed 0 to {smallest_mm / 2:g}, "
+            "half the smaller of diameter and length"
+        )
+
+
+class Film(Model):
+    """The coat as an elastic film of its own, the outermost part of the slab's thickness."""
+
+    thickness_mm: Length
+    young_modulus_kpa: Positive
+    poisson_ratio: Annotated[float, Field(gt=0, lt=0.5)] = 0.49
 
 
 class Elastomer(Model):
-    """A flat silicone slab on a simply supported rim, coated on the far face."""
+    """A flat silicone slab: on a rim and coated on the far face, or bonded to a window."""
 
     thickness_mm: Length
-    length_x_mm: Length = Field(description="free span along world x")
-    length_y_mm: Length = Field(description="free span along world y")
-    shore_a: Annotated[float, Field(ge=0, le=95)] = Field(
-        description="durometer hardness; below 20 every formula for the modulus extrapolates"
+    length_x_mm: Length = Field(description="along world x: free span, or length of the pad")
+    length_y_mm: Length = Field(description="along world y: free span, or length of the pad")
+    shore_a: Annotated[float, Field(ge=0, le=95)] | None = Field(
+        default=None,
+        description="durometer hardness; below 20 every formula for the modulus extrapolates",
+    )
+    shore_00: Annotated[float, Field(ge=0, le=95)] | None = Field(
+        default=None, description="hardness of very soft gels, instead of shore_a"
     )
     young_modulus_kpa: Positive | None = Field(
-        default=None, description="measured modulus; when absent it follows from shore_a"
+        default=None, description="measured modulus; when absent it follows from the hardness"
     )
     poisson_ratio: Annotated[float, Field(gt=0, lt=0.5)]
-    layout: Literal["opposite_face"] = Field(
-        default="opposite_face",
-        description="the object presses the clear face, the coated far face bulges (the paper)",
+    density_kg_m3: Annotated[float, Field(ge=100, le=5000)] | None = Field(
+        default=None, description="needed when press.gravity_deg is given"
     )
+    layout: Literal["opposite_face", "contact_face"] = Field(
+        default="opposite_face",
+        description="opposite_face: the object presses the clear face of a slab on a simply "
+        "supported rim, the coated far face bulges (the paper); contact_face: it presses the "
+        "coat of a gel bonded to a rigid window (GelSight)",
+    )
+    film: Film | None = Field(default=None, description="absent: the coat is as soft as the slab")
+
+    @model_validator(mode="after")
+    def _stiffness_is_known(self) -> "Elastomer":
+        if (self.shore_a, self.shore_00, self.young_modulus_kpa) == (None, None, None):
+            raise ValueError("needs shore_a, shore_00 or young_modulus_kpa")
+        if self.shore_a is not None and self.shore_00 is not None:
+            raise ValueError("takes shore_a or shore_00, not both: remove one")
+        if self.film is not None and self.film.thickness_mm >= self.thickness_mm:
+            raise ValueError(
+                f"film.thickness_mm: found {self.film.thickness_mm:g}, allowed less than "
+                f"thickness_mm, {self.thickness_mm:g}, of which it is a part"
+            )
+        return self
+
+    @property
+    def touched_plane_mm(self) -> float:
+        """World z of the undeformed face that the object touches; the coated face is z = 0."""
+        return -self.thickness_mm if self.layout == "opposite_face" else 0.0
 
 
 class Coating(Model):
@@ -109,6 +219,11 @@ class Press(Model):
     back_pressure_kpa: NonNegative = Field(
         default=0.0,
         description="uniform gauge pressure on the coated face; drapes the sheet over the specimen",
+    )
+    gravity_deg: Annotated[float, Field(ge=0, le=180)] | None = Field(
+        default=None,
+        description="angle between world z and the vertical: 0 camera above, 180 camera below; "
+        "when absent the slab has no weight",
     )
     solver_pitch_mm: Annotated[float, Field(ge=0.01, le=0.5)] = 0.08
     relief_pitch_mm: Annotated[float, Field(ge=0.005, le=0.05)] = Field(
@@ -189,7 +304,12 @@ class Patterns(Model):
 class Render(Model):
     """How the frames are computed."""
 
-    engine: Literal["one_trace", "stock"] = "one_trace"
+    engine: Literal["one_trace", "stock"] = Field(
+        default="one_trace", description="stock: one plain Mitsuba render per frame, the oracle"
+    )
+    stock_emitter: Literal["projector", "spot"] = Field(
+        default="projector", description="Mitsuba emitter that carries the pattern texture"
+    )
     samples: Literal[1, 4, 9, 16, 25, 36, 64, 256] = Field(
         default=4, description="camera rays per pixel; one_trace uses a fixed square grid of them"
     )

@@ -57,7 +57,14 @@ def render(
         seeds = seed_sequence(experiment, "stock").generate_state(len(patterns.frames)).tolist()
         mesh = coated_mesh(face, coating_bsdf(experiment.coating))
         frames = stock.render_stack(
-            mesh, rig, patterns, tables, samples=samples, seeds=seeds, progress=progress
+            mesh,
+            rig,
+            patterns,
+            tables,
+            emitter=experiment.render.stock_emitter,
+            samples=samples,
+            seeds=seeds,
+            progress=progress,
         )
     truth = one_trace.trace_truth(scene, rig)
     progress(1.0)

@@ -34,11 +34,14 @@ class Canvas:
 
     Attributes
     ----------
+    kind : "projector" or "spot"
+        Emitter that carries it.
     half_width_px, half_height_px : float
         Half extent in projector pixels.
     texels_per_px : int
     """
 
+    kind: Emitter
     half_width_px: float
     half_height_px: float
     texels_per_px: int
@@ -63,22 +66,26 @@ def canvas_for(rig: Rig, kind: Emitter, texels_per_px: int = TEXELS_PER_PX) -> C
     half_height = max(p.cy_px, p.height_px - 1 - p.cy_px) + MARGIN_PX
     if kind == "spot":  # its texture is square and cut by a round cone, which must hold all of it
         half_width = half_height = float(np.hypot(half_width, half_height))
-    return Canvas(float(np.ceil(half_width)), float(np.ceil(half_height)), texels_per_px)
+    return Canvas(kind, float(np.ceil(half_width)), float(np.ceil(half_height)), texels_per_px)
 
 
 def frame_texture(
     frame: Frame, index: int, rig: Rig, tables: dict[str, LightTable], canvas: Canvas
 ) -> FloatArray:
-    """Light of one frame on the canvas, (row, col) float32, row 0 at the image's top."""
+    """Light of one frame on the canvas, (row, col) float32.
+
+    Row 0 is the image's top for a `projector`. A `spot` emits radiant intensity, so that a plane
+    receives I cos^3 / z^2: the cos^3 is taken out; its texture is mirrored in both directions.
+    """
     column_px, row_px = _pixels_on(canvas, rig)
     axis = along(frame)
     other = "row" if axis == "column" else "column"
     here, there = (column_px, row_px) if axis == "column" else (row_px, column_px)
     profile = tables[axis].frames.index(index)
-    return np.asarray(
-        _interpolate(tables[axis], profile, here) * _interpolate(tables[other], -1, there),
-        np.float32,
-    )
+    light = _interpolate(tables[axis], profile, here) * _interpolate(tables[other], -1, there)
+    if canvas.kind == "spot":
+        light = (light / _cos_cubed(canvas, rig))[::-1, ::-1]
+    return np.ascontiguousarray(light, np.float32)
 
 
 def _pixels_on(canvas: Canvas, rig: Rig) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -99,11 +106,14 @@ def _interpolate(
     return np.interp(at_px.ravel(), nodes_px, values, left=0.0, right=0.0).reshape(at_px.shape)
 
 
-def emitter_dict(texture: FloatArray, rig: Rig, canvas: Canvas, kind: Emitter) -> dict[str, Any]:
-    """Stock emitter that throws `texture` into the scene with the rig's radiometric scale."""
+def emitter_dict(texture: FloatArray, rig: Rig, canvas: Canvas) -> dict[str, Any]:
+    """Stock emitter that throws a frame's light into the scene with the rig's radiometric scale.
+
+    `texture` is what `frame_texture` returns for the same canvas.
+    """
     full_angle_deg = field_of_view_deg(2.0 * canvas.half_width_px, rig.projector.pinhole.fx_px)
     place = {"to_world": mi.ScalarTransform4f(to_world(rig.projector.T_world_from_device))}
-    if kind == "projector":
+    if canvas.kind == "projector":
         return {
             "type": "projector",
             **place,
@@ -111,15 +121,13 @@ def emitter_dict(texture: FloatArray, rig: Rig, canvas: Canvas, kind: Emitter) -
             "irradiance": _bitmap(texture),
             "scale": rig.irradiance_at_1mm / np.pi,  # the emitter multiplies by pi
         }
-    # A spot emits radiant intensity: a plane receives I cos^3 / z^2, so the cos^3 is taken out.
-    # Its texture is mirrored against the projector's in both directions.
     return {
         "type": "spot",
         **place,
         "cutoff_angle": full_angle_deg / 2.0,
         "beam_width": full_angle_deg / 2.0,
         "intensity": rig.irradiance_at_1mm,
-        "texture": _bitmap((texture / _cos_cubed(canvas, rig))[::-1, ::-1]),
+        "texture": _bitmap(texture),
     }
 
 
@@ -166,6 +174,7 @@ def render_stack(
     patterns: PatternSet,
     tables: dict[str, LightTable],
     *,
+    emitter: Emitter,
     samples: int,
     seeds: list[int],
     progress: Callable[[float], None],
@@ -178,16 +187,17 @@ def render_stack(
         The camera has lens distortion.
     """
     sensor = perspective_sensor(rig.camera.pinhole, rig.camera.T_world_from_device, samples)
-    canvas = canvas_for(rig, "projector")
+    canvas = canvas_for(rig, emitter)
     textures = (
         frame_texture(frame, k, rig, tables, canvas) for k, frame in enumerate(patterns.frames)
     )
-    scene = frame_scene(mesh, emitter_dict(next(textures), rig, canvas, "projector"), sensor)
+    scene = frame_scene(mesh, emitter_dict(next(textures), rig, canvas), sensor)
     frames = [render_frame(scene, seeds[0])]
     # One scene for all frames: a new one would compile its kernel anew.
     pattern = mi.traverse(scene)
+    texels = f"emitter.{'irradiance' if emitter == 'projector' else 'texture'}.data"
     for texture, seed in zip(textures, seeds[1:], strict=True):
-        pattern["emitter.irradiance.data"] = texture[..., None]
+        pattern[texels] = texture[..., None]
         pattern.update()
         frames.append(render_frame(scene, seed))
         progress(len(frames) / len(patterns.frames))
