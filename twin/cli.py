@@ -217,6 +217,37 @@ def reconstruct(
 
 
 @app.command
+def export(experiment: Path, /, *, out: Out, settings: Settings = None) -> None:
+    """Press, then write a stock Mitsuba scene: XML, mesh and one texture per frame.
+
+    Parameters
+    ----------
+    experiment
+        TOML file, or the name of a shipped experiment such as paper/two_balls.
+    """
+    from twin.mechanics import face_mesh
+    from twin.modalities.contact_fpp import press_specimen
+    from twin.modalities.storage import press_metrics, write_result
+    from twin.optics.export import export_stock
+    from twin.output import output_folder
+
+    loaded = _load(experiment, settings)
+    with output_folder(out) as folder, _progress() as watch:
+        watch("press", 0.0)
+        pressed = press_specimen(loaded)
+        watch("press", 1.0)
+        left_out = export_stock(
+            loaded, face_mesh(pressed), folder, lambda fraction: watch("export", fraction)
+        )
+        write_result(
+            folder, "export", loaded, press_metrics(pressed) | {"not_in_the_scene": left_out}
+        )
+    for line in left_out:
+        sys.stderr.write(f"twin: warning: {line}\n")
+    _say(f"wrote {out / 'scene.xml'}")
+
+
+@app.command
 def report(folder: Path, /) -> None:
     """Draw the HTML report of a finished measurement anew.
 

@@ -1,0 +1,101 @@
+"""Write an experiment as a stock Mitsuba scene: XML, mesh and one pattern texture per frame.
+
+Anyone's Mitsuba 3 renders it, frame by frame; a test holds it together with our own renderer.
+"""
+
+from collections.abc import Callable
+from importlib.resources import files
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import jinja2
+import numpy as np
+
+from twin.config.models import Experiment
+from twin.optics.backend import activate
+from twin.optics.device_frames import perspective_sensor, to_world
+from twin.optics.storage import write_exr
+
+if TYPE_CHECKING:
+    import trimesh
+
+SCENE_FILE = "scene.xml"
+
+
+def inexpressible(experiment: Experiment) -> list[str]:
+    """List what stock Mitsuba cannot express of this experiment, one line each."""
+    lines = [
+        "sub-pixel positions are random in stock Mitsuba: at few samples they act as phase noise",
+        "the camera's noise and bits are not in the scene: its images are linear radiance",
+    ]
+    if any(experiment.camera.distortion):
+        lines.insert(0, "camera.distortion is left out: stock sensors have no lens distortion")
+    return lines
+
+
+def export_stock(
+    experiment: Experiment,
+    face: "trimesh.Trimesh",
+    folder: Path,
+    progress: Callable[[float], None] = lambda _: None,
+) -> list[str]:
+    """Write scene.xml, coated_face.ply and textures/*.exr into `folder`.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        `render.stock_emitter` chooses between `projector` and `spot`.
+    face : trimesh.Trimesh
+        Coated face in world mm.
+    folder : Path
+        An existing folder.
+    progress : callable
+        Called with the finished fraction.
+
+    Returns
+    -------
+    list of str
+        What the scene leaves out (see `inexpressible`).
+    """
+    backend = activate()
+    from twin.optics import stock
+    from twin.optics.light import light_tables, pattern_set
+    from twin.optics.scene import rig_of
+
+    rig = rig_of(experiment)
+    patterns = pattern_set(experiment.projector, experiment.patterns)
+    tables = light_tables(experiment.projector, patterns)
+    canvas = stock.canvas_for(rig, experiment.render.stock_emitter)
+    (folder / "textures").mkdir()
+    for number, frame in enumerate(patterns.frames):
+        texture = stock.frame_texture(frame, number, rig, tables, canvas)
+        write_exr(folder / "textures" / f"{frame.name}.exr", texture)
+        progress((number + 1) / len(patterns.frames))
+    content = face.export(file_type="ply", vertex_normal=True)
+    (folder / "coated_face.ply").write_bytes(content)
+    undistorted = experiment.camera.model_copy(update={"distortion": (0.0,) * 5})
+    ideal = rig_of(experiment.model_copy(update={"camera": undistorted})).camera
+    scene = _template().render(
+        title=f"fringe-twin export of {experiment.name}",
+        variant=backend.variant,
+        frames=[frame.name for frame in patterns.frames],
+        samples=experiment.render.samples,
+        camera=perspective_sensor(ideal.pinhole, ideal.T_world_from_device, 1),
+        camera_to_world=_matrix(ideal.T_world_from_device),
+        projector_to_world=_matrix(rig.projector.T_world_from_device),
+        coating=experiment.coating,
+        emitter=stock.emitter_dict(np.zeros((2, 2), np.float32), rig, canvas),
+    )
+    (folder / SCENE_FILE).write_text(scene, encoding="utf-8")
+    return inexpressible(experiment)
+
+
+def _template() -> jinja2.Template:
+    text = (files("twin.optics") / "templates" / SCENE_FILE).read_text(encoding="utf-8")
+    return jinja2.Environment(
+        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True
+    ).from_string(text)
+
+
+def _matrix(T_world_from_device: Any) -> str:
+    return " ".join(f"{number:.9g}" for number in to_world(T_world_from_device).ravel())
