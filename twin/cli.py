@@ -1,7 +1,6 @@
 """Command line of the twin. Heavy packages are imported inside the commands."""
 
 import sys
-import tomllib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -287,6 +286,8 @@ def _load(file: Path, settings: list[str] | None) -> "Experiment":
 
 def _setting(text: str) -> tuple[str, Any]:
     """Split KEY=VALUE; the value is read as TOML, and as a plain string if it is none."""
+    import tomllib
+
     key, found, value = text.partition("=")
     if not found or not key.strip():
         raise InputError(f"--set {text}: found no '='; write KEY=VALUE, e.g. camera.binning=2")

@@ -1,8 +1,8 @@
 """The command line starts fast: heavy packages are imported inside commands."""
 
+import resource
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
@@ -24,16 +24,18 @@ def run_python(code: str) -> subprocess.CompletedProcess[str]:
     )
 
 
-def seconds_of_help() -> float:
-    start = time.perf_counter()
+def processor_seconds_of_help() -> float:
+    """User and system time: the wall clock tells how busy the machine is besides."""
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
     ended = run_python(SHOW_HELP)
     assert ended.returncode == 0, ended.stderr
-    return time.perf_counter() - start
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 
 
 def test_help_takes_less_than_half_a_second():
     # The best of several, since other work on the machine only ever adds; ends with the first good.
-    assert any(seconds_of_help() < 0.5 for _ in range(12))
+    assert any(processor_seconds_of_help() < 0.5 for _ in range(12))
 
 
 def test_help_imports_nothing_heavy():
