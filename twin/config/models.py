@@ -313,6 +313,12 @@ class Render(Model):
     samples: Literal[1, 4, 9, 16, 25, 36, 64, 256] = Field(
         default=4, description="camera rays per pixel; one_trace uses a fixed square grid of them"
     )
+    bounces: Annotated[int, Field(ge=0, le=16)] = Field(
+        default=0, description="reflections after the first (light between surfaces); 0 is direct"
+    )
+    bounce_paths: Annotated[int, Field(ge=1, le=4096)] = Field(
+        default=4, description="random continuations per camera ray, when there are bounces"
+    )
 
 
 class Decode(Model):

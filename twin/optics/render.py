@@ -12,6 +12,8 @@ from twin.optics.stack import RadianceStack
 if TYPE_CHECKING:
     import trimesh
 
+    from twin.optics.bounces import Bounces
+
 
 def render(
     experiment: Experiment,
@@ -47,7 +49,7 @@ def render(
     tables = light_tables(experiment.projector, patterns)
     samples = experiment.render.samples
     if experiment.render.engine == "one_trace":
-        frames = one_trace.trace_stack(scene, rig, tables, samples)
+        frames = one_trace.trace_stack(scene, rig, tables, samples, bounces=_bounces(experiment))
     else:
         if any(experiment.camera.distortion):
             raise InputError(
@@ -63,9 +65,19 @@ def render(
             tables,
             emitter=experiment.render.stock_emitter,
             samples=samples,
+            bounces=experiment.render.bounces,
             seeds=seeds,
             progress=progress,
         )
     truth = one_trace.trace_truth(scene, rig)
     progress(1.0)
     return RadianceStack(frames, truth)
+
+
+def _bounces(experiment: Experiment) -> "Bounces | None":
+    from twin.optics.bounces import Bounces
+
+    if not experiment.render.bounces:
+        return None
+    seed = int(seed_sequence(experiment, "bounces").generate_state(1)[0])
+    return Bounces(experiment.render.bounces, experiment.render.bounce_paths, seed)

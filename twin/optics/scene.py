@@ -6,8 +6,8 @@ import mitsuba as mi
 
 from twin.config.models import Experiment
 from twin.optics.coat import coated_mesh, coating_bsdf
+from twin.optics.connection import Rig
 from twin.optics.devices import Device
-from twin.optics.one_trace import Rig
 from twin.optics.radiometry import irradiance_at_1mm
 from twin.optics.rig import true_calibration
 

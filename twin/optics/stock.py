@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from reconstruction.patterns import Frame, PatternSet
 from reconstruction.pinhole import distort
+from twin.optics.connection import Rig
 from twin.optics.device_frames import field_of_view_deg, perspective_sensor, to_world
 from twin.optics.light import MARGIN_PX, OVERSAMPLING, LightTable, along
-from twin.optics.one_trace import Rig
 from twin.optics.stack import Frames
 
 Emitter = Literal["projector", "spot"]
@@ -149,18 +149,27 @@ def _cos_cubed(canvas: Canvas, rig: Rig) -> NDArray[np.float64]:
     return np.asarray((1.0 + square) ** -1.5)
 
 
-def frame_scene(mesh: Any, emitter: dict[str, Any], sensor: dict[str, Any]) -> Any:
-    """Stock scene of one frame: mesh, emitter with the pattern, sensor, `direct` integrator."""
+def frame_scene(
+    mesh: Any, emitter: dict[str, Any], sensor: dict[str, Any], bounces: int = 0
+) -> Any:
+    """Stock scene of one frame: `direct` integrator, or `path` for light between surfaces."""
     return mi.load_dict(
         {
             "type": "scene",
-            "integrator": {"type": "direct", "emitter_samples": 1, "bsdf_samples": 0},
+            "integrator": _integrator(bounces),
             "mesh": mesh,
             "emitter": emitter,
             "sensor": sensor,
         },
         optimize=False,
     )
+
+
+def _integrator(bounces: int) -> dict[str, Any]:
+    if bounces == 0:
+        return {"type": "direct", "emitter_samples": 1, "bsdf_samples": 0}
+    # A depth of 2 is one reflection; no roulette, so that both renderers estimate the same sum.
+    return {"type": "path", "max_depth": bounces + 2, "rr_depth": bounces + 3}
 
 
 def render_frame(scene: Any, seed: int) -> FloatArray:
@@ -176,6 +185,7 @@ def render_stack(
     *,
     emitter: Emitter,
     samples: int,
+    bounces: int,
     seeds: list[int],
     progress: Callable[[float], None],
 ) -> Frames:
@@ -191,7 +201,7 @@ def render_stack(
     textures = (
         frame_texture(frame, k, rig, tables, canvas) for k, frame in enumerate(patterns.frames)
     )
-    scene = frame_scene(mesh, emitter_dict(next(textures), rig, canvas), sensor)
+    scene = frame_scene(mesh, emitter_dict(next(textures), rig, canvas), sensor, bounces)
     frames = [render_frame(scene, seeds[0])]
     # One scene for all frames: a new one would compile its kernel anew.
     pattern = mi.traverse(scene)
