@@ -120,19 +120,29 @@ def press(experiment: Path, /, *, out: Out, settings: Settings = None) -> None:
 
 
 @app.command
-def render(experiment: Path, /, *, out: Out, settings: Settings = None) -> None:
+def render(
+    experiment: Path,
+    /,
+    *,
+    out: Out,
+    settings: Settings = None,
+    frames: tuple[Literal["exr", "png"], ...] = (),
+) -> None:
     """Press, render the fringe stack and expose the camera: a capture as a rig delivers it.
 
     Parameters
     ----------
     experiment
         TOML file, or the name of a shipped experiment such as paper/two_balls.
+    frames
+        Write each frame as an image too: exr (linear radiance), png (16-bit digital numbers).
     """
     from twin.modalities.contact_fpp import press_specimen, record
     from twin.modalities.progress import Stopwatch
     from twin.modalities.storage import (
         press_metrics,
         recording_metrics,
+        write_frames,
         write_pressed,
         write_recording,
         write_result,
@@ -148,6 +158,9 @@ def render(experiment: Path, /, *, out: Out, settings: Settings = None) -> None:
             with clock.stage("press"):
                 pressed = press_specimen(loaded)
             recording = record(loaded, pressed, clock)
+            for kind in frames:
+                with clock.stage(f"write {kind}") as progress:
+                    write_frames(folder, recording, kind, progress)
         write_pressed(folder, pressed)
         write_recording(folder, recording)
         draw_frames(folder / "frames.png", recording.capture)

@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import h5netcdf
+import numpy as np
 import pytest
 import trimesh
 
@@ -104,6 +105,32 @@ def test_render_then_reconstruct_is_measure(measured, tmp_path):
     first, second = files_of(measured), files_of(out)
     for name in ("capture/stack.nc", "capture/calibration.yaml", "truth.nc", "press.nc"):
         assert first[name] == second[name]
+
+
+def test_render_writes_frames_for_other_decoders(measured, tmp_path):
+    """16-bit PNG hold the stack's digital numbers, EXR the linear radiance; truth is complete."""
+    import imageio.v3 as imageio
+    import OpenEXR
+
+    out = tmp_path / "frames"
+    few = ["-s", "patterns.steps=3", "--frames", "png", "--frames", "exr"]
+    assert run(["render", str(measured / "experiment.toml"), "-o", str(out), *few]) == 0
+    with h5netcdf.File(out / "capture" / "stack.nc") as file:
+        names = [name.decode() for name in file["frame_name"][...]]
+        stack = file["stack"][...]
+    pngs = sorted((out / "frames_png").iterdir())
+    assert [file.stem[3:] for file in pngs] == names
+    for frame, file in zip(stack, pngs, strict=True):
+        np.testing.assert_array_equal(imageio.imread(file), frame)
+    white = out / "frames_exr" / f"{len(names) - 2:02d}_white.exr"
+    assert OpenEXR.File(str(white)).channels()["Y"].pixels.shape == stack.shape[1:]
+    with h5netcdf.File(out / "truth.nc") as file:
+        length = sum(file[f"normal_{axis}"][...] ** 2 for axis in "xyz")
+        hit = file["depth_mm"][...] > 0
+        np.testing.assert_allclose(length[hit], 1.0, atol=1e-5)
+        np.testing.assert_allclose(
+            file["depth_mm"][...][hit], 214.0 - file["z_mm"][...][hit], atol=1e-3
+        )
 
 
 def test_press_by_force(tmp_path):

@@ -106,9 +106,13 @@ def meet_face(experiment: Experiment, pressed: PressedElastomer) -> Truth:
     )
     half = np.array([experiment.elastomer.length_x_mm, experiment.elastomer.length_y_mm]) / 2
     lit = inside & np.all(np.abs(points[..., :2]) < half, axis=-1)
+    upwards = np.zeros(points.shape, np.float32)  # no report looks at the normals
+    upwards[..., 2] = 1.0
     return Truth(
-        points.astype(np.float32),
-        pixels[..., 0].astype(np.float32),
-        pixels[..., 1].astype(np.float32),
-        lit,
+        points_world_mm=points.astype(np.float32),
+        normals_world=upwards,
+        depth_mm=(centre[2] - points[..., 2]).astype(np.float32),
+        column_px=pixels[..., 0].astype(np.float32),
+        row_px=pixels[..., 1].astype(np.float32),
+        lit=lit,
     )

@@ -6,12 +6,17 @@
 | experiment.toml | the resolved experiment |
 | press.nc, coated_face.ply | fields of the pressed elastomer and the coated face |
 | capture/ | what a real rig would have recorded: stack, description, calibration |
-| truth.nc, white.exr | surface point and projector pixel behind every pixel; white radiance |
+| truth.nc, white.exr | point, normal, depth, projector pixel behind every pixel; white radiance |
+| frames_exr/, frames_png/ | when asked for: each frame as linear radiance, as digital numbers |
 | reconstruction.nc, points.ply | maps of the decoder, organised point cloud |
 """
 
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
+
+import imageio.v3 as imageio
+import numpy as np
 
 from reconstruction.capture import write_capture
 from reconstruction.outputs import write_point_map_ply, write_reconstruction
@@ -22,6 +27,8 @@ from twin.modalities.contact_fpp import Measurement, Recording
 from twin.modalities.score import metrics
 from twin.optics.storage import write_exr, write_truth
 from twin.output import EXPERIMENT_FILE, RESULT_FILE, versions, write_json
+
+Progress = Callable[[float], None]
 
 CAPTURE_FOLDER = "capture"
 TIMINGS_FILE = "timings.json"
@@ -64,6 +71,25 @@ def write_recording(folder: Path, recording: Recording) -> None:
     write_truth(folder / "truth.nc", recording.truth)
     white = recording.capture.patterns.index("white").start
     write_exr(folder / "white.exr", recording.radiance.frames[white])
+
+
+def write_frames(
+    folder: Path, recording: Recording, kind: Literal["exr", "png"], progress: Progress
+) -> None:
+    """Write every frame as an image of its own, for other decoders.
+
+    `exr`: linear radiance in mW / (mm^2 sr), float32. `png`: the camera's digital numbers,
+    unscaled, in 16 bits.
+    """
+    frames = recording.capture.patterns.frames
+    (folder / f"frames_{kind}").mkdir()
+    for number, frame in enumerate(frames):
+        path = folder / f"frames_{kind}" / f"{number:02d}_{frame.name}.{kind}"
+        if kind == "exr":
+            write_exr(path, recording.radiance.frames[number])
+        else:
+            imageio.imwrite(path, np.rint(recording.capture.stack[number]).astype(np.uint16))
+        progress((number + 1) / len(frames))
 
 
 def write_reconstructed(folder: Path, reconstruction: Reconstruction) -> None:

@@ -147,12 +147,19 @@ def trace_truth(scene: Any, rig: Rig) -> Truth:
     centres = SubPixels.of_image(width, height, 1)
     hit, path = _see(scene, rig, centres.x_px, centres.y_px)
     lit = path.lit & on_image(rig, path.column_px, path.row_px, 0.0)
-    point = dr.select(hit.is_valid(), hit.p, 0.0)
-    dr.eval(point, path.column_px, path.row_px, lit)
+    nothing = ~hit.is_valid()
+    point, normal = (dr.select(nothing, 0.0, value) for value in (hit.p, hit.sh_frame.n))
+    depth_mm = dr.select(nothing, 0.0, rig.camera.project(hit.p)[2])
+    dr.eval(point, normal, depth_mm, path.column_px, path.row_px, lit)
     image = (height, width)
-    points = np.stack([np.asarray(axis).reshape(image) for axis in point], axis=-1)
+    points, normals = (
+        np.stack([np.asarray(axis).reshape(image) for axis in value], axis=-1)
+        for value in (point, normal)
+    )
     return Truth(
-        points_world_mm=points.astype(np.float32),
+        points_world_mm=points,
+        normals_world=normals,
+        depth_mm=np.array(depth_mm).reshape(image),
         column_px=np.array(path.column_px).reshape(image),
         row_px=np.array(path.row_px).reshape(image),
         lit=np.array(lit).reshape(image),

@@ -17,6 +17,10 @@ class Truth:
     ----------
     points_world_mm : (row, col, xyz) float32
         Surface point; 0 where the ray hits nothing.
+    normals_world : (row, col, xyz) float32
+        Unit normal of the (smooth) surface there; 0 where the ray hits nothing.
+    depth_mm : (row, col) float32
+        Distance from the camera along its optical axis; 0 where the ray hits nothing.
     column_px, row_px : (row, col) float32
         Projector coordinate of that point.
     lit : (row, col) bool
@@ -24,6 +28,8 @@ class Truth:
     """
 
     points_world_mm: FloatArray
+    normals_world: FloatArray
+    depth_mm: FloatArray
     column_px: FloatArray
     row_px: FloatArray
     lit: NDArray[np.bool_]

@@ -13,6 +13,10 @@ _VARIABLES = {
     "x_mm": ("mm", "world x of the surface point behind the pixel centre"),
     "y_mm": ("mm", "world y of the surface point behind the pixel centre"),
     "z_mm": ("mm", "world z of the surface point behind the pixel centre"),
+    "normal_x": ("1", "world x of the surface normal there"),
+    "normal_y": ("1", "world y of the surface normal there"),
+    "normal_z": ("1", "world z of the surface normal there"),
+    "depth_mm": ("mm", "distance from the camera along its optical axis"),
     "column_px": ("px", "projector column of that point"),
     "row_px": ("px", "projector row of that point"),
     "lit": ("1", "1 where camera and projector both see the point"),
@@ -21,8 +25,14 @@ _VARIABLES = {
 
 def write_truth(path: Path, truth: Truth) -> None:
     """Write the truth as netCDF-4, one (row, col) variable each."""
-    x_mm, y_mm, z_mm = np.moveaxis(truth.points_world_mm, -1, 0)
-    maps = (x_mm, y_mm, z_mm, truth.column_px, truth.row_px, truth.lit.astype(np.uint8))
+    maps = (
+        *np.moveaxis(truth.points_world_mm, -1, 0),
+        *np.moveaxis(truth.normals_world, -1, 0),
+        truth.depth_mm,
+        truth.column_px,
+        truth.row_px,
+        truth.lit.astype(np.uint8),
+    )
     with h5netcdf.File(path, "w") as file:
         file.attrs["frame"] = "world: z = 0 is the undeformed coated face, z up; row 0 at the top"
         file.dimensions = dict(zip(("row", "col"), truth.lit.shape, strict=True))
@@ -44,12 +54,14 @@ def read_truth(path: Path) -> Truth:
     """
     try:
         with h5netcdf.File(path, "r") as file:
-            x_mm, y_mm, z_mm, column_px, row_px, lit = (file[name][...] for name in _VARIABLES)
+            maps = [file[name][...] for name in _VARIABLES]
     except FileNotFoundError:
         raise InputError(f"{path}: no such file; render or measure first") from None
     except (OSError, KeyError) as error:
         raise InputError(f"{path}: damaged or no truth file ({error}); render again") from None
-    return Truth(np.stack([x_mm, y_mm, z_mm], axis=-1), column_px, row_px, lit.astype(bool))
+    *vectors, depth_mm, column_px, row_px, lit = maps
+    points, normals = np.stack(vectors[:3], axis=-1), np.stack(vectors[3:], axis=-1)
+    return Truth(points, normals, depth_mm, column_px, row_px, lit.astype(bool))
 
 
 def write_exr(path: Path, image: NDArray[np.float32]) -> None:
