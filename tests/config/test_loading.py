@@ -27,6 +27,18 @@ def test_digest_names_content_not_words(experiment):
     assert digest(renamed) == digest(experiment) != digest(deeper)
 
 
+def test_digest_of_a_mesh_is_its_content(experiment, tmp_path):
+    (tmp_path / "a.stl").write_bytes(b"one")
+    (tmp_path / "b.stl").write_bytes(b"one")
+    (tmp_path / "c.stl").write_bytes(b"two")
+    tree = experiment.model_dump(mode="json")
+    a, b, c = (
+        digest(validate_experiment(tree | {"specimen": {"kind": "mesh", "file": str(file)}}))
+        for file in (tmp_path / "a.stl", tmp_path / "b.stl", tmp_path / "c.stl")
+    )
+    assert a == b != c
+
+
 def test_length_with_its_own_unit(experiment):
     assert vary(experiment, {"elastomer.thickness_mm": "2500 um"}).elastomer.thickness_mm == 2.5
 

@@ -8,10 +8,11 @@ import pytest
 from numpy.typing import NDArray
 from scipy import fft
 
-from twin.config.models import Ball
+from twin.config.models import Ball, Flat, Rod
 from twin.mechanics import PressedElastomer, SolverError
 from twin.mechanics.contact import DepthControl, ForceControl, solve_contact
 from twin.mechanics.layer import BondedLayer
+from twin.mechanics.two_grid import solve_on_layer
 from twin.specimens import height_above_lowest
 
 Field = NDArray[np.float64]
@@ -43,6 +44,19 @@ class HalfSpace:
         return wide[:n, :n]
 
 
+class HalfPlane:
+    """A half-space under pressure that is the same all along y: one row, periodic in x."""
+
+    def __init__(self, cells: int, pitch: float) -> None:
+        k = 2 * np.pi * fft.rfftfreq(cells, pitch)
+        # The mean is at rest: depth is arbitrary for a line, load, pressure and width are not.
+        self.spectrum = np.divide(2, k, out=np.zeros_like(k), where=k > 0)
+
+    def deflect(self, pressure: Field) -> Field:
+        found: Field = fft.irfft(fft.rfft(pressure) * self.spectrum, n=pressure.shape[1])
+        return found
+
+
 CELLS, WIDTH, RADIUS = 128, 3.0, 10.0
 PITCH = WIDTH / CELLS
 CENTRES = (np.arange(CELLS) + 0.5) * PITCH - WIDTH / 2
@@ -63,6 +77,41 @@ def test_hertz_ball_on_a_half_space(by: str) -> None:
     assert contact.pressure.max() == pytest.approx(HERTZ_P0, rel=5e-3)
     radius = np.sqrt((contact.pressure > 0).sum() / np.pi) * PITCH
     assert radius == pytest.approx(HERTZ_A, abs=PITCH)
+
+
+def test_a_rod_presses_as_hertz_line_contact() -> None:
+    """E* = 1, R 2.4: peak pressure 0.5 %, half width one cell; the next rod is 80 widths away."""
+    b, radius, pitch = 0.3, 2.4, 0.3 / 34
+    cells = 2720
+    load = np.pi * b**2 / (4 * radius)  # per length
+    x = (np.arange(cells) + 0.5) * pitch - cells * pitch / 2
+    # A rod along x is a cylinder across y: its profile is sampled along the solver's one row.
+    height = height_above_lowest(Rod(diameter_mm=2 * radius), np.zeros(1), x).T
+    parabola = np.broadcast_to(x**2 / (2 * radius), (1, cells))
+    near = np.abs(x) < 1.2 * b
+    np.testing.assert_allclose(height[0, near], parabola[0, near], rtol=0.01, atol=1e-6)
+    contact = solve_contact(
+        HalfPlane(cells, pitch).deflect, parabola, ForceControl(load, pitch), 1e-7
+    )
+    assert contact.pressure.max() == pytest.approx(np.sqrt(load / (np.pi * radius)), rel=5e-3)
+    width = (contact.pressure > 0).sum() * pitch / 2
+    assert width == pytest.approx(b, abs=pitch)
+
+
+def test_a_flat_punch_presses_as_boussinesq() -> None:
+    """E* = 1: F = 2 a d to 0.5 %; the pressure in the middle is half of the mean."""
+    cells, radius, depth = 192, 3.0, 0.1
+    pitch = 7.0 / cells
+    x = (np.arange(cells) + 0.5) * pitch - 3.5
+    height = height_above_lowest(Flat(diameter_mm=2 * radius, edge_radius_mm=0.0), x, x)
+    contact = solve_contact(HalfSpace(cells, pitch).deflect, height, DepthControl(depth), 1e-6)
+    # The sampled disc's own radius: its cells cover pi a^2.
+    a = np.sqrt(np.isfinite(height).sum() / np.pi) * pitch
+    assert a == pytest.approx(radius, rel=2e-3)
+    force = contact.pressure.sum() * pitch**2
+    assert force == pytest.approx(2 * a * depth, rel=5e-3)
+    middle = contact.pressure[cells // 2, cells // 2]
+    assert middle == pytest.approx(force / (2 * np.pi * a**2), rel=1e-2)
 
 
 def layer_and_ball(y_mm: float = 0.0) -> tuple[BondedLayer, Field]:
@@ -92,6 +141,32 @@ def test_free_slab_is_the_finite_element_solution(reference_press: PressedElasto
     """20 x 20 x 4, R 4, d 1, nu 0.49, Taylor-Hood: F / E 0.9230 (0.5 %), peak 0.7218 (3 um)."""
     assert reference_press.force_n == pytest.approx(0.9230, rel=5e-3)
     assert reference_press.face_z_mm.max() == pytest.approx(0.7218, abs=3e-3)
+
+
+@pytest.mark.parametrize("by", ["depth", "force"])
+def test_two_grids_find_what_the_plain_solver_finds(by: str) -> None:
+    layer, height = layer_and_ball(y_mm=1.3)
+    plain = solve_contact(layer.deflect, height, DepthControl(0.4), 1e-7)
+    force = plain.pressure.sum() * layer.cell_area_mm2
+    control = DepthControl(0.4) if by == "depth" else ForceControl(force, layer.cell_area_mm2)
+    found = solve_on_layer(layer, height, control, 1e-7)
+    np.testing.assert_allclose(found.pressure, plain.pressure, atol=1e-4 * plain.pressure.max())
+    assert found.depth_mm == pytest.approx(0.4, rel=1e-6)
+    assert found.iterations < plain.iterations / 2
+
+
+def test_contacts_far_apart_and_outside_the_first_patch_are_found() -> None:
+    """A small ball that only a deep press reaches, and a plate that the pile-up comes up to."""
+    layer = BondedLayer(160, 160, 32.0, 32.0, 2.0, 0.4999)
+    ball = height_above_lowest(Ball(x_mm=-6), layer.x_mm, layer.y_mm)
+    x, y = np.meshgrid(layer.x_mm, layer.y_mm)
+    # The pile-up round the ball is about 0.05 mm high: a plate just out of the press' own reach.
+    plate = np.where((np.abs(x - 2) < 3) & (np.abs(y) < 2), 0.61, np.inf)
+    height = np.minimum(ball, plate)
+    found = solve_on_layer(layer, height, DepthControl(0.6))
+    gap = found.deflection_mm + height - 0.6
+    assert gap.min() >= -1e-4 * 0.6
+    assert (found.pressure[x > -1] > 0).any()
 
 
 def test_running_out_of_passes_is_one_line() -> None:

@@ -65,5 +65,5 @@ def test_back_pressure_and_press_mirror_each_other() -> None:
     # The free slab has no up and down: equal pressures on both faces thin it symmetrically.
     uniform = np.full((48, 60), 0.01)
     touched = SLAB.deflect(uniform) - SLAB.deflect_opposite(uniform)
-    coated = SLAB.opposite_at_nodes(uniform, 96, 120, back_pressure=0.01)
+    coated = SLAB.opposite_at_nodes(uniform, 96, 120, uniform_load=-0.01)
     np.testing.assert_allclose(coated[1::2, 1::2], -touched, atol=1e-12)

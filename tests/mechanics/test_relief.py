@@ -6,7 +6,8 @@ import time
 import numpy as np
 import pytest
 
-from twin.mechanics import PressedElastomer, face_mesh, face_normals
+from twin.config.models import Ball, Elastomer, Press
+from twin.mechanics import PressedElastomer, face_mesh, face_normals, press, slab_mesh
 
 
 def test_vertices_carry_the_field_row_by_row(reference_press: PressedElastomer) -> None:
@@ -68,3 +69,43 @@ def test_a_mesh_of_a_quarter_million_vertices_takes_well_under_a_second(
     # 0.07 s on an idle machine; the bound only catches a loop over vertices.
     assert time.perf_counter() - started < 1.0
     assert len(mesh.vertices) > 250_000
+
+
+@pytest.mark.parametrize("layout", ["opposite_face", "contact_face"])
+def test_the_slab_is_one_watertight_body(layout: str) -> None:
+    slab = Elastomer.model_validate(
+        {
+            "thickness_mm": 3.0,
+            "length_x_mm": 20.0,
+            "length_y_mm": 18.0,
+            "young_modulus_kpa": 300.0,
+            "poisson_ratio": 0.4999,
+            "layout": layout,
+        }
+    )
+    load = Press(control="depth", depth_mm=0.5, solver_pitch_mm=0.16, relief_pitch_mm=0.05)
+    pressed = press(Ball(), slab, load)
+    body = slab_mesh(pressed, slab)
+    assert body.is_watertight
+    assert body.is_winding_consistent
+    assert body.body_count == 1
+    # Incompressible; in the pad some gel is pushed out of the view sideways.
+    assert body.volume == pytest.approx(3.0 * 20.0 * 18.0, rel=2e-3)
+    np.testing.assert_allclose(body.bounds[:, :2], [[-10, -9], [10, 9]], atol=1e-12)
+    face = face_mesh(pressed)
+    np.testing.assert_array_equal(body.vertices[: len(face.vertices)], face.vertices)
+    if layout == "opposite_face":
+        assert body.bounds[0, 2] == pytest.approx(-3, abs=0.02)
+    else:
+        assert body.bounds[1, 2] == 3
+
+
+def test_a_coated_face_at_25_um_has_no_ripples(reference_press: PressedElastomer) -> None:
+    slab = Elastomer(thickness_mm=4, length_x_mm=20, length_y_mm=20, shore_a=10, poisson_ratio=0.49)
+    fine = press(Ball(), slab, Press(control="depth", depth_mm=1.0, relief_pitch_mm=0.025))
+    assert np.diff(fine.face_x_mm).max() <= 0.025 + 1e-12
+    # Third differences fall with the pitch cubed: (25 / 40)^3 of those at 40 um.
+    at_25, at_40 = (
+        np.abs(np.diff(p.face_z_mm, n=3, axis=1)).max() for p in (fine, reference_press)
+    )
+    assert at_25 < 1.1 * at_40 * (0.025 / 0.04) ** 3

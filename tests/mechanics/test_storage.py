@@ -66,6 +66,15 @@ def test_a_mesh_comes_back_with_its_normals(
     np.testing.assert_allclose(stored, mesh.vertex_normals, atol=1e-6)
 
 
+def test_a_mesh_is_written_as_stl_too(reference_press: PressedElastomer, tmp_path: Path) -> None:
+    mesh = face_mesh(reference_press)
+    write_mesh(tmp_path / "face.stl", mesh)
+    back = trimesh.load_mesh(tmp_path / "face.stl", process=False)
+    np.testing.assert_allclose(back.triangles, mesh.triangles, atol=1e-6)
+    with pytest.raises(PressError, match=r"found '.obj', allowed for a mesh: .ply, .stl"):
+        write_mesh(tmp_path / "face.obj", mesh)
+
+
 @pytest.mark.parametrize("content", [None, b"not netCDF", b"\x89HDF\r\n\x1a\n"])
 def test_foreign_files_are_refused(content: bytes | None, tmp_path: Path) -> None:
     path = tmp_path / "press.nc"

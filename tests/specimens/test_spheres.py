@@ -87,6 +87,6 @@ def test_overlapping_balls_have_the_volume_of_the_union() -> None:
 
 
 def test_unknown_kind_lists_the_known_ones() -> None:
-    with pytest.raises(InputError, match=r"found 'Specimen', allowed: ball, two_balls"):
+    with pytest.raises(InputError, match=r"found 'Specimen', allowed: ball, flat, grating, "):
         shape_of(Specimen())
-    assert kinds() == ("ball", "two_balls")
+    assert kinds() == ("ball", "flat", "grating", "group", "mesh", "rod", "two_balls")

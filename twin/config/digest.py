@@ -2,9 +2,12 @@
 
 import hashlib
 import json
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from twin.assets import AssetError, asset_path
 from twin.config.models import Experiment
 
 # What a person calls it and where numbers come from do not change what is computed.
@@ -12,10 +15,37 @@ _NOT_CONTENT = {"name", "description", "provenance"}
 
 
 def digest(experiment: Experiment) -> str:
-    """Return 16 hex digits that name an experiment by everything that changes its result."""
-    content = experiment.model_dump(mode="json", exclude=_NOT_CONTENT)
+    """Return 16 hex digits that name an experiment by everything that changes its result.
+
+    Mesh files count by their content, not by their place.
+    """
+    content = _with_file_contents(experiment.model_dump(mode="json", exclude=_NOT_CONTENT))
     canonical = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
     return hashlib.blake2b(canonical.encode(), digest_size=8).hexdigest()
+
+
+def _with_file_contents(node: Any) -> Any:
+    if not isinstance(node, dict):
+        return node
+    named = node.get("file")
+    read = _read(named) if isinstance(named, str) else None
+    return {
+        key: hashlib.blake2b(read, digest_size=8).hexdigest()
+        if key == "file" and read is not None
+        else _with_file_contents(value)
+        for key, value in node.items()
+    }
+
+
+def _read(name: str) -> bytes | None:
+    """Bytes of a named file; None when it is missing, which the stage that needs it reports."""
+    path = Path(name)
+    try:
+        if not path.is_file() and name.startswith("scenes/"):
+            path = asset_path("scenes", name.removeprefix("scenes/"))
+        return path.read_bytes()
+    except (OSError, AssetError):
+        return None
 
 
 def seed_sequence(experiment: Experiment, stage: str, *keys: int) -> np.random.SeedSequence:

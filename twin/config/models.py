@@ -227,7 +227,7 @@ class Press(Model):
     )
     solver_pitch_mm: Annotated[float, Field(ge=0.01, le=0.5)] = 0.08
     relief_pitch_mm: Annotated[float, Field(ge=0.005, le=0.05)] = Field(
-        default=0.04, description="mesh pitch of the coated face"
+        default=0.025, description="mesh pitch of the coated face"
     )
 
     @model_validator(mode="after")
@@ -237,6 +237,47 @@ class Press(Model):
             raise ValueError(f"control = '{self.control}' needs {needed}")
         if getattr(self, other) is not None:
             raise ValueError(f"control = '{self.control}' does not take {other}: remove it")
+        return self
+
+
+class PadFile(Model):
+    """An elastic body from CAD in place of the flat slab: a coated dome behind a window, say.
+
+    It is moved so that its lowest point is z = 0, held on its highest plane, and touched and seen
+    on the facets that face down (contact-face layout).
+    """
+
+    file: str = Field(description="closed surface: STL, PLY or OBJ")
+    scale_mm: Positive = Field(default=1.0, description="length of one unit of the file")
+    facing_deg: Annotated[float, Field(gt=0, lt=90)] = Field(
+        default=60.0, description="facets leaning from straight down by less than this are coated"
+    )
+
+
+class Mechanics(Model):
+    """Which model presses the elastomer."""
+
+    model: Literal["auto", "spectral", "fem", "neo_hookean"] = Field(
+        default="auto",
+        description="auto: spectral, but neo_hookean for a sheet that deflects by about its "
+        "thickness; fem: other supports and pads from CAD",
+    )
+    support: Literal["simple", "clamped", "ledge", "bonded", "window"] | None = Field(
+        default=None, description="fem only; absent: what the layout says"
+    )
+    ledge_mm: Positive = Field(
+        default=2.0, description="fem, support = 'ledge': width of the frame under the slab"
+    )
+    pad: PadFile | None = Field(default=None, description="fem only")
+    tetrahedra: Annotated[int, Field(ge=200, le=20000)] = Field(
+        default=4000, description="fem only: about how many"
+    )
+
+    @model_validator(mode="after")
+    def _fem_only(self) -> "Mechanics":
+        for name in ("support", "pad"):
+            if getattr(self, name) is not None and self.model != "fem":
+                raise ValueError(f"{name} needs model = 'fem'; set it, or remove {name}")
         return self
 
 
@@ -357,6 +398,7 @@ class Experiment(Model):
     elastomer: Elastomer
     coating: Coating
     press: Press
+    mechanics: Mechanics = Mechanics()
     projector: Projector
     camera: Camera
     patterns: Patterns

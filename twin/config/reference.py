@@ -36,6 +36,8 @@ def list_keys(model: type[BaseModel] = Experiment, prefix: str = "") -> Iterator
 
 
 def _models_in(annotation: Any) -> list[type[BaseModel]]:
+    if typing.get_origin(annotation) is dict:
+        return []  # named parts, each one of the kinds listed beside it
     found = typing.get_args(annotation) or (annotation,)
     return [part for part in found if isinstance(part, type) and issubclass(part, BaseModel)]
 
@@ -52,6 +54,8 @@ def _type_name(annotation: Any) -> str:
         inner, *metadata = typing.get_args(annotation)
         limits = [_limit(item) for extra in metadata for item in getattr(extra, "metadata", [])]
         return ", ".join([_type_name(inner), *filter(None, limits)])
+    if typing.get_origin(annotation) is dict:
+        return "tables by name"
     if typing.get_origin(annotation) is tuple:
         return f"{len(typing.get_args(annotation))} numbers"
     parts = [part for part in typing.get_args(annotation) if part is not type(None)]

@@ -1,25 +1,41 @@
 """The pressed elastomer: pressure, force and the coated face."""
 
+from twin.mechanics.calibrate import calibrate_modulus
+from twin.mechanics.choice import press_with
+from twin.mechanics.contact_transfer import ContactTransfer, contact_transfer
 from twin.mechanics.errors import PressError, SolverError
-from twin.mechanics.hardness import ModulusEstimate, estimate_modulus, young_modulus
+from twin.mechanics.hardness import (
+    ModulusEstimate,
+    estimate_modulus,
+    estimate_modulus_00,
+    young_modulus,
+)
+from twin.mechanics.in_plane import in_plane_displacement
 from twin.mechanics.press import PressedElastomer, press
-from twin.mechanics.relief import face_mesh, face_normals
+from twin.mechanics.relief import face_mesh, face_normals, slab_mesh
 from twin.mechanics.storage import read_press, write_mesh, write_press
 from twin.mechanics.transfer import opposite_transfer
 from twin.mechanics.validity import Validity
 
 __all__ = [
+    "ContactTransfer",
     "ModulusEstimate",
     "PressError",
     "PressedElastomer",
     "SolverError",
     "Validity",
+    "calibrate_modulus",
+    "contact_transfer",
     "estimate_modulus",
+    "estimate_modulus_00",
     "face_mesh",
     "face_normals",
+    "in_plane_displacement",
     "opposite_transfer",
     "press",
+    "press_with",
     "read_press",
+    "slab_mesh",
     "write_mesh",
     "write_press",
     "young_modulus",

@@ -8,7 +8,7 @@ specimen's height behind its foremost point minus the depth. Arrays are (row, co
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -19,6 +19,34 @@ from twin.mechanics.transfer import FloatArray
 
 BoolArray = npt.NDArray[np.bool_]
 Deflect = Callable[[FloatArray], FloatArray]
+
+
+# Largest gap of a touching cell over the largest deflection: faint pressures do not show in sums.
+_CLOSED = 3e-5
+
+
+class Scaling(Protocol):
+    """An approximate inverse of the deflection, symmetric and positive."""
+
+    @property
+    def cell(self) -> float:
+        """Pressure per deflection of one cell."""
+        ...
+
+    def apply(self, gap: FloatArray) -> FloatArray:
+        """Return about the pressure that closes `gap`."""
+        ...
+
+
+@dataclass(frozen=True)
+class Unscaled:
+    """Plain conjugate gradients."""
+
+    cell: float = 1.0
+
+    def apply(self, gap: FloatArray) -> FloatArray:
+        """Return the gap itself."""
+        return gap
 
 
 class Control(Protocol):
@@ -32,16 +60,22 @@ class Control(Protocol):
         """Return the gap from `raised` = A p + S."""
         ...
 
-    def centred(self, field: FloatArray, touching: BoolArray) -> FloatArray:
-        """Remove from a search direction's image what the control leaves free."""
+    def balanced(
+        self, direction: FloatArray, touching: BoolArray, scaling: "Scaling"
+    ) -> FloatArray:
+        """Remove from a search direction what the control forbids."""
         ...
 
-    def scaled(self, pressure: FloatArray) -> FloatArray:
-        """Return the pressure that meets a prescribed force."""
+    def scale(self, pressure: FloatArray) -> float:
+        """Return the factor by which the pressure meets a prescribed force."""
         ...
 
     def depth_mm(self, raised: FloatArray, touching: BoolArray) -> float:
         """Return the travel after first touch."""
+        ...
+
+    def coarsened(self, factor: int) -> "Control":
+        """Return the same control on cells `factor` times as wide."""
         ...
 
 
@@ -59,17 +93,23 @@ class DepthControl:
         """Return A p + S - d."""
         return raised - self.depth
 
-    def centred(self, field: FloatArray, touching: BoolArray) -> FloatArray:
-        """Leave the field as it is: nothing is free."""
-        return field
+    def balanced(
+        self, direction: FloatArray, touching: BoolArray, scaling: "Scaling"
+    ) -> FloatArray:
+        """Leave the direction as it is: nothing is forbidden."""
+        return direction
 
-    def scaled(self, pressure: FloatArray) -> FloatArray:
+    def scale(self, pressure: FloatArray) -> float:
         """Leave the pressure as it is."""
-        return pressure
+        return 1.0
 
     def depth_mm(self, raised: FloatArray, touching: BoolArray) -> float:
         """Return the given depth."""
         return self.depth
+
+    def coarsened(self, factor: int) -> "DepthControl":
+        """Return this control: cells do not matter."""
+        return self
 
 
 @dataclass(frozen=True)
@@ -81,25 +121,33 @@ class ForceControl:
 
     def start(self, height: FloatArray, present: BoolArray) -> FloatArray:
         """Spread the force over the foremost twentieth of the specimen."""
-        return self.scaled(
-            np.where(present & (height <= np.quantile(height[present], 0.05)), 1.0, 0.0)
-        )
+        foremost = present & (height <= np.quantile(height[present], 0.05))
+        uniform = foremost.astype(np.float64)
+        return uniform * self.scale(uniform)
 
     def gap(self, raised: FloatArray, touching: BoolArray) -> FloatArray:
         """Return A p + S less its mean over the contact: the depth follows from the force."""
-        return self.centred(raised, touching)
+        return raised - float(raised[touching].mean())
 
-    def centred(self, field: FloatArray, touching: BoolArray) -> FloatArray:
-        """Subtract the mean over the contact."""
-        return field - float(field[touching].mean())
+    def balanced(
+        self, direction: FloatArray, touching: BoolArray, scaling: "Scaling"
+    ) -> FloatArray:
+        """Make the direction free of force, conjugate to a uniform displacement."""
+        uniform = np.where(touching, scaling.apply(touching.astype(np.float64)), 0.0)
+        balanced: FloatArray = direction - uniform * float(direction.sum() / uniform.sum())
+        return balanced
 
-    def scaled(self, pressure: FloatArray) -> FloatArray:
+    def scale(self, pressure: FloatArray) -> float:
         """Scale to the prescribed force."""
-        return pressure * (self.force_over_modulus / (float(pressure.sum()) * self.cell_area_mm2))
+        return self.force_over_modulus / (float(pressure.sum()) * self.cell_area_mm2)
 
     def depth_mm(self, raised: FloatArray, touching: BoolArray) -> float:
         """Return the mean of A p + S over the contact."""
         return float(raised[touching].mean())
+
+    def coarsened(self, factor: int) -> "ForceControl":
+        """Return the control with wider cells."""
+        return replace(self, cell_area_mm2=self.cell_area_mm2 * factor**2)
 
 
 @dataclass(frozen=True)
@@ -120,6 +168,9 @@ def solve_contact(
     control: Control,
     tolerance: float = 1e-5,
     max_iterations: int = 1000,
+    *,
+    scaling: Scaling | None = None,
+    start: FloatArray | None = None,
 ) -> Contact:
     """Solve the contact by Polonsky and Keer's conjugate gradients.
 
@@ -135,6 +186,10 @@ def solve_contact(
         Largest relative change of the pressure per pass, as its sum of absolute values.
     max_iterations : int
         Passes before the solver gives up.
+    scaling : Scaling, optional
+        Approximate inverse of `deflect`; the passes then hardly grow with the grid.
+    start : (row, col) float, optional
+        First guess of the pressure over modulus.
 
     Raises
     ------
@@ -143,23 +198,29 @@ def solve_contact(
     """
     present = np.isfinite(height_mm)
     height = np.where(present, height_mm, 0.0)
-    pressure = control.start(height, present)
-    direction, norm_before, conjugate = np.zeros_like(height), 1.0, 0.0
+    pressure = control.start(height, present) if start is None else start * control.scale(start)
+    search = _Search(deflect, control, scaling or Unscaled())
+    deflection = deflect(pressure)
     for iteration in range(1, max_iterations + 1):
         touching = pressure > 0
-        gap = control.gap(deflect(pressure) + height, touching)
-        norm = float(np.sum(gap[touching] ** 2))
-        turned = gap + conjugate * norm / norm_before * direction
-        direction, step = _search(deflect, control, gap, turned, touching)
+        gap = control.gap(deflection + height, touching)
+        direction, image, step = search.step(gap, touching)
         advanced = np.maximum(pressure - step * direction, 0.0)
         overlapping = (advanced == 0) & (gap < 0) & present
-        advanced = control.scaled(np.where(overlapping, -step * gap, advanced))
+        # A single cell under a force has nowhere to step to: its neighbours join all the same.
+        joined = -(step or 1.0) * search.scaling.cell * gap
+        advanced = np.where(overlapping, joined, advanced)
+        factor = control.scale(advanced)
+        advanced *= factor
         change = float(np.abs(advanced - pressure).sum())
-        pressure, norm_before = advanced, norm
-        # A changed contact set ends the conjugacy of the directions.
-        conjugate = 0.0 if overlapping.any() else 1.0
-        settled = change < tolerance * float(pressure.sum())
-        if settled and conjugate and iteration >= 4:
+        closed = float(np.abs(gap[touching]).max(initial=0.0)) <= _CLOSED * float(deflection.max())
+        # An unchanged contact moves the deflection along the known image: no transform.
+        unchanged = not overlapping.any() and np.array_equal(advanced > 0, touching)
+        deflection = factor * (deflection - step * image) if unchanged else deflect(advanced)
+        pressure = advanced
+        if overlapping.any():
+            search.restart()  # a grown contact ends the conjugacy of the directions
+        elif closed and change < tolerance * float(pressure.sum()) and iteration >= 4:
             return _finish(deflect, height, pressure, control, iteration)
     raise SolverError(
         f"press: no contact solution within {max_iterations} passes; "
@@ -167,18 +228,46 @@ def solve_contact(
     )
 
 
-def _search(
-    deflect: Deflect, control: Control, gap: FloatArray, turned: FloatArray, touching: BoolArray
-) -> tuple[FloatArray, float]:
-    """Return direction and step length; steepest descent where the turned direction fails."""
-    for candidate in (turned, gap):
-        direction = np.where(touching, candidate, 0.0)
-        # Outside the contact the direction is zero: the sums run over the contact alone.
-        image = control.centred(deflect(direction), touching)
-        curvature = float(np.vdot(image, direction))
-        if curvature > 0:
-            break
-    return direction, float(np.vdot(gap, direction)) / curvature if curvature > 0 else 0.0
+class _Search:
+    """Directions and step lengths of the conjugate gradients within the contact."""
+
+    def __init__(self, deflect: Deflect, control: Control, scaling: Scaling) -> None:
+        self.deflect, self.control, self.scaling = deflect, control, scaling
+        self.direction: FloatArray | None = None
+        self.gap: FloatArray = np.zeros((0, 0))
+        self.norm = 0.0
+
+    def restart(self) -> None:
+        """Forget the last direction."""
+        self.direction = None
+
+    def step(self, gap: FloatArray, touching: BoolArray) -> tuple[FloatArray, FloatArray, float]:
+        """Return direction, its image and the step length; steepest descent if that fails."""
+        inside = np.where(touching, gap, 0.0)
+        scaled = self._scaled(inside, touching)
+        turned = scaled
+        if self.direction is not None and self.norm > 0:
+            # Polak and Ribiere: forgets by itself what a shrunken contact has made useless.
+            turn = _inner(scaled, inside - self.gap) / self.norm
+            turned = np.where(touching, scaled + max(turn, 0.0) * self.direction, 0.0)
+        self.gap, self.norm = inside, _inner(scaled, inside)
+        for direction in (turned, scaled):
+            image = self.deflect(direction)
+            curvature = _inner(image, direction)
+            if curvature > 0:
+                break
+        self.direction = direction
+        descent = _inner(inside, direction)
+        return direction, image, descent / curvature if curvature > 0 else 0.0
+
+    def _scaled(self, inside: FloatArray, touching: BoolArray) -> FloatArray:
+        scaled = np.where(touching, self.scaling.apply(inside), 0.0)
+        return self.control.balanced(scaled, touching, self.scaling)
+
+
+def _inner(first: FloatArray, second: FloatArray) -> float:
+    # Not np.vdot: its BLAS spins up threads, which costs ten times the sum itself.
+    return float(np.einsum("ij,ij->", first, second))
 
 
 def _finish(

@@ -1,4 +1,4 @@
-"""Shore A hardness to Young's modulus, as a range: durometers and formulas differ by 1.5 to 2.
+"""Hardness to Young's modulus, as a range: durometers and formulas differ by 1.5 to 2.
 
 Sources
 -------
@@ -10,11 +10,23 @@ Qi, H. J., Joyce, K., Boyce, M. C. (2003): Durometer hardness and the stress-str
 elastomeric materials. Rubber Chemistry and Technology 76(2), 419-435:
 log10 E [MPa] = 0.0235 S - 0.6403, 20 < S < 80. Base 10; calculators that use exp are wrong.
 
+BS 903-A26 (1995): IRHD, close to Shore A above about 40,
+S = 100 erf(3.186e-4 sqrt(E [Pa])).
+
+Shore 00 (ASTM D2240): a hemispherical tip of 1.19 mm radius under a spring of
+0.203 + 0.00908 S newton goes in by 2.54 (1 - S / 100) mm; the modulus that a half-space then has
+follows from Sneddon, I. N. (1965), Int. J. Engng. Sci. 3, 47-57, for a sphere. Spring constants
+as in shared notes, mechanics.md, section 2, from the literature.
+
 The rubbers of tactile sensors (S <= 20) lie below both ranges; there the data sheets' 100 %
 moduli of cast silicones come out down to 1.6 times below Gent.
 """
 
 from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import brentq
+from scipy.special import erfinv
 
 from twin.config.models import Elastomer
 from twin.mechanics.errors import PressError
@@ -23,7 +35,9 @@ VALID_SHORE_A = (20.0, 80.0)
 # A durometer's reading is good to 5 points (ISO 48-4 practice), the formula's own spread aside.
 _READING_POINTS = 5.0
 _SOFT_LOW_FACTOR = 1.6
-_LARGEST_SHORE_A = 95.0
+_LARGEST_SHORE = 95.0
+BS_903_FROM = 40.0
+_TIP_RADIUS_MM = 1.19
 
 
 @dataclass(frozen=True)
@@ -57,31 +71,96 @@ def qi_modulus_kpa(shore_a: float) -> float:
     return 1e3 * float(10 ** (0.0235 * shore_a - 0.6403))
 
 
+def bs_903_modulus_kpa(shore_a: float) -> float:
+    """Return Young's modulus by BS 903, for 40 A and harder.
+
+    Raises
+    ------
+    PressError
+        A softer rubber, where the relation falls far below every measurement.
+    """
+    if not BS_903_FROM <= shore_a <= _LARGEST_SHORE:
+        raise PressError(f"BS 903: found Shore A {shore_a:g}, allowed: 40 to 95")
+    return 1e-3 * float(erfinv(shore_a / 100) / 3.186e-4) ** 2
+
+
+def sneddon_modulus_kpa(shore_00: float) -> float:
+    """Return Young's modulus from Shore 00, incompressible.
+
+    >>> round(sneddon_modulus_kpa(30.0))
+    121
+    """
+    depth_mm = 2.54 * (1 - shore_00 / 100)
+    tip = _TIP_RADIUS_MM
+
+    def missing(a: float) -> float:
+        return float(a * np.arctanh(a / tip)) - depth_mm
+
+    a = float(brentq(missing, 1e-9 * tip, tip * (1 - 1e-12)))
+    area_mm2 = (a**2 + tip**2) * float(np.arctanh(a / tip)) - a * tip
+    return 1e3 * (0.203 + 0.00908 * shore_00) / area_mm2 * 3 / 4  # E* = 4 E / 3
+
+
 def estimate_modulus(shore_a: float) -> ModulusEstimate:
-    """Estimate Young's modulus from Shore A: Gent, bracketed by both formulas at S +- 5.
+    """Estimate Young's modulus from Shore A: Gent, bracketed by all valid formulas at S +- 5.
 
     Raises
     ------
     PressError
         Hardness outside 0 to 95, where Gent's relation diverges.
     """
-    if not 0 <= shore_a <= _LARGEST_SHORE_A:
-        raise PressError(f"elastomer.shore_a: found {shore_a:g}, allowed: 0 to 95")
-    soft = max(shore_a - _READING_POINTS, 0.0)
-    hard = min(shore_a + _READING_POINTS, _LARGEST_SHORE_A)
+    _check_shore("shore_a", shore_a)
+    soft, hard = _reading(shore_a)
     low = min(gent_modulus_kpa(soft), qi_modulus_kpa(soft))
+    high = max(gent_modulus_kpa(hard), qi_modulus_kpa(hard))
+    if soft >= BS_903_FROM:
+        low, high = min(low, bs_903_modulus_kpa(soft)), max(high, bs_903_modulus_kpa(hard))
     return ModulusEstimate(
         low_kpa=low / (_SOFT_LOW_FACTOR if shore_a < VALID_SHORE_A[0] else 1.0),
         best_kpa=gent_modulus_kpa(shore_a),
-        high_kpa=max(gent_modulus_kpa(hard), qi_modulus_kpa(hard)),
-        source="Shore A by Gent 1958; range: Gent 1958 and Qi et al. 2003 at +-5 points",
+        high_kpa=high,
+        source="Shore A by Gent 1958; range: Gent 1958, Qi et al. 2003 and, from 40 A, BS 903, "
+        "at +-5 points",
         extrapolated=not VALID_SHORE_A[0] <= shore_a <= VALID_SHORE_A[1],
+    )
+
+
+def estimate_modulus_00(shore_00: float) -> ModulusEstimate:
+    """Estimate Young's modulus from Shore 00: Sneddon's sphere, at S +- 5.
+
+    The low end is 1.6 times lower still: data sheets' 100 % moduli of soft silicones lie there.
+
+    Raises
+    ------
+    PressError
+        Hardness outside 0 to 95.
+    """
+    _check_shore("shore_00", shore_00)
+    soft, hard = _reading(shore_00)
+    return ModulusEstimate(
+        low_kpa=sneddon_modulus_kpa(soft) / _SOFT_LOW_FACTOR,
+        best_kpa=sneddon_modulus_kpa(shore_00),
+        high_kpa=sneddon_modulus_kpa(hard),
+        source="Shore 00 by Sneddon's sphere at +-5 points",
+        extrapolated=False,
     )
 
 
 def young_modulus(elastomer: Elastomer) -> ModulusEstimate:
     """Return the configured modulus, or the estimate from hardness when none is given."""
     given = elastomer.young_modulus_kpa
-    if given is None:
-        return estimate_modulus(elastomer.shore_a)
-    return ModulusEstimate(given, given, given, "given as young_modulus_kpa", False)
+    if given is not None:
+        return ModulusEstimate(given, given, given, "given as young_modulus_kpa", False)
+    if elastomer.shore_00 is not None:
+        return estimate_modulus_00(elastomer.shore_00)
+    assert elastomer.shore_a is not None  # the model's own validator
+    return estimate_modulus(elastomer.shore_a)
+
+
+def _check_shore(key: str, shore: float) -> None:
+    if not 0 <= shore <= _LARGEST_SHORE:
+        raise PressError(f"elastomer.{key}: found {shore:g}, allowed: 0 to {_LARGEST_SHORE:g}")
+
+
+def _reading(shore: float) -> tuple[float, float]:
+    return max(shore - _READING_POINTS, 0.0), min(shore + _READING_POINTS, _LARGEST_SHORE)

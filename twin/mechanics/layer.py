@@ -5,24 +5,25 @@ Pressure comes divided by Young's modulus and deflection is positive along the p
 modulus the layer's shape depends on thickness and Poisson's ratio alone.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 from scipy import fft
 
-from twin.mechanics.transfer import FloatArray, normal_transfer
+from twin.mechanics.film import CoatFilm
+from twin.mechanics.patch import Patch, Span, periodic_patch, sine_patch
+from twin.mechanics.series import cosines, sine_amplitudes, sines_at_nodes
+from twin.mechanics.table import Column, TransferTable, tabulate
+from twin.mechanics.transfer import FloatArray
 
 _WORKERS = 2
 
 
 @dataclass(frozen=True)
-class FreeSlab:
-    """A slab on a simply supported rim, stress-free on its far face: the opposite-face layout.
-
-    The sine series is the exact three-dimensional solution: at the rim normal deflection,
-    tangential displacement along the rim and normal stress vanish, through the whole thickness.
-    """
+class Layer:
+    """A flat layer on a grid of cells, centred on the origin."""
 
     rows: int
     cols: int
@@ -30,6 +31,8 @@ class FreeSlab:
     length_y_mm: float
     thickness_mm: float
     poisson_ratio: float
+    #: the coated face's own film, the outermost part of the thickness
+    film: CoatFilm | None = None
 
     @cached_property
     def x_mm(self) -> FloatArray:
@@ -46,47 +49,84 @@ class FreeSlab:
         """Area of one cell."""
         return self.length_x_mm * self.length_y_mm / (self.rows * self.cols)
 
+    def coarsened(self, factor: int) -> Self:
+        """Return the same layer on cells `factor` times as wide."""
+        return replace(self, rows=self.rows // factor, cols=self.cols // factor)
+
+    def patch_stiffness(self, table: TransferTable, rows: Span, cols: Span) -> FloatArray:
+        """Return E* k / (2 Phi) on a patch's wavenumbers, (row, half of col)."""
+        step_x, step_y = self.length_x_mm / self.cols, self.length_y_mm / self.rows
+        k_x = 2 * np.pi * fft.rfftfreq(cols.padded, step_x)
+        k_y = 2 * np.pi * fft.fftfreq(rows.padded, step_y)
+        k = np.hypot(k_x, k_y[:, None])
+        # The mean counts as a wave twice as long as the patch.
+        k[0, 0] = np.pi / max(cols.padded * step_x, rows.padded * step_y)
+        k = np.maximum(k, table.lowest_q / self.thickness_mm)
+        return 1 / self.compliance(table, k, "normal_t")
+
+    def compliance(self, table: TransferTable, k: FloatArray, column: Column) -> FloatArray:
+        """Return deflection per pressure over modulus, mm, at wavenumbers k, 1/mm."""
+        unit: FloatArray = 2 * (1 - self.poisson_ratio**2) / k
+        return unit * table(k * self.thickness_mm, column)
+
+
+@dataclass(frozen=True)
+class FreeSlab(Layer):
+    """A slab on a simply supported rim, stress-free on its far face: the opposite-face layout.
+
+    The sine series is the exact three-dimensional solution: at the rim normal deflection,
+    tangential displacement along the rim and normal stress vanish, through the whole thickness.
+    """
+
     def deflect(self, pressure: FloatArray) -> FloatArray:
         """Return the touched face's deflection (row, col), mm."""
-        return self._apply(pressure, self._compliances[0])
+        return self._apply(pressure, self._compliance_t)
 
     def deflect_opposite(self, pressure: FloatArray) -> FloatArray:
         """Return the far face's deflection (row, col), mm."""
-        return self._apply(pressure, self._compliances[1])
+        return self._apply(pressure, self._compliance_b)
+
+    def patch(self, rows: Span, cols: Span) -> Patch:
+        """Return the touched face's response within a patch of cells."""
+        return sine_patch(self._kernel, rows, cols, self.patch_stiffness(self._table, rows, cols))
 
     def opposite_at_nodes(
-        self, pressure: FloatArray, rows: int, cols: int, back_pressure: float = 0.0
+        self, pressure: FloatArray, rows: int, cols: int, uniform_load: float = 0.0
     ) -> FloatArray:
         """Evaluate the far face's sine series on a node grid that includes the rim.
 
         Parameters
         ----------
         pressure : (row, col) float
-            Pressure over modulus at cell centres.
+            Pressure over modulus on the touched face, at cell centres.
         rows, cols : int
             Intervals along y and x.
-        back_pressure : float
-            Uniform pressure over modulus on the far face itself, against the press.
+        uniform_load : float
+            Uniform pressure over modulus on the far face itself, along the press.
 
         Returns
         -------
         (rows + 1, cols + 1) float, mm
             Deflection, 0 on the rim: the series itself, so no interpolation error or ripple.
         """
-        spectrum = fft.dstn(pressure, type=2, workers=_WORKERS) * self._compliances[1]
-        if back_pressure:
-            # The free slab is symmetric: the far face yields to its own load as t does to its.
-            uniform = np.full_like(pressure, back_pressure)
-            spectrum -= fft.dstn(uniform, type=2, workers=_WORKERS) * self._compliances[0]
-        # DST-II counts its highest mode of each axis twice.
-        spectrum[-1] /= 2
-        spectrum[:, -1] /= 2
-        # Coarser nodes than cells cannot carry the highest modes, which the slab has filtered.
-        kept = spectrum[: rows - 1, : cols - 1] / (self.rows * self.cols)
-        padded = np.zeros((rows - 1, cols - 1))
-        padded[: kept.shape[0], : kept.shape[1]] = kept
-        inner = fft.dstn(padded, type=1, workers=_WORKERS) / 4
-        return np.pad(inner, 1)
+        spectrum = fft.dstn(pressure, type=2, workers=_WORKERS) * self._compliance_b
+        if uniform_load:
+            uniform = np.full_like(pressure, uniform_load)
+            spectrum += fft.dstn(uniform, type=2, workers=_WORKERS) * self._compliance_turned
+        return sines_at_nodes(spectrum, rows, cols)
+
+    def opposite_in_plane_at_nodes(
+        self, pressure: FloatArray, rows: int, cols: int
+    ) -> tuple[FloatArray, FloatArray]:
+        """Evaluate the far face's displacement in its plane, (u_x, u_y) each at the nodes, mm."""
+        k_x, k_y = _sine_waves(self)
+        potential = fft.dstn(pressure, type=2, workers=_WORKERS) / self._k
+        potential *= self.compliance(self._table, self._k, "tangential_b")
+        slopes = (
+            sine_amplitudes(potential * k_x, rows, cols),
+            sine_amplitudes(potential * k_y[:, None], rows, cols),
+        )
+        return cosines(slopes[0], axis=1), cosines(slopes[1], axis=0)
 
     def _apply(self, pressure: FloatArray, compliance: FloatArray) -> FloatArray:
         spectrum = fft.dstn(pressure, type=2, workers=_WORKERS)
@@ -95,44 +135,46 @@ class FreeSlab:
         return deflection
 
     @cached_property
-    def _compliances(self) -> tuple[FloatArray, FloatArray]:
-        k_x = np.pi * np.arange(1, self.cols + 1) / self.length_x_mm
-        k_y = np.pi * np.arange(1, self.rows + 1) / self.length_y_mm
-        k = np.hypot(k_x, k_y[:, None])
-        phi_t, phi_b = normal_transfer(k * self.thickness_mm, self.poisson_ratio, "free")
-        unit = 2 * (1 - self.poisson_ratio**2) / k
-        return unit * phi_t, unit * phi_b
+    def _k(self) -> FloatArray:
+        k_x, k_y = _sine_waves(self)
+        return np.hypot(k_x, k_y[:, None])
+
+    @cached_property
+    def _table(self) -> TransferTable:
+        lowest = float(self._k[0, 0]) * self.thickness_mm
+        return tabulate(lowest, self.poisson_ratio, "free", self.film)
+
+    @cached_property
+    def _compliance_t(self) -> FloatArray:
+        return self.compliance(self._table, self._k, "normal_t")
+
+    @cached_property
+    def _compliance_b(self) -> FloatArray:
+        return self.compliance(self._table, self._k, "normal_b")
+
+    @cached_property
+    def _compliance_turned(self) -> FloatArray:
+        """The far face under its own load: without a film the slab has no up and down."""
+        if self.film is None:
+            return self._compliance_t
+        lowest = float(self._k[0, 0]) * self.thickness_mm
+        table = tabulate(lowest, self.poisson_ratio, "free_turned", self.film)
+        return self.compliance(table, self._k, "normal_t")
+
+    @cached_property
+    def _kernel(self) -> FloatArray:
+        spectrum = np.pad(self._compliance_t, ((1, 0), (1, 0)))
+        kernel: FloatArray = fft.dctn(spectrum, type=1, workers=_WORKERS)
+        return kernel / (4 * self.rows * self.cols)
 
 
 @dataclass(frozen=True)
-class BondedLayer:
+class BondedLayer(Layer):
     """A layer bonded to a rigid window, periodic in the plane: the contact-face layout.
 
     Keep three thicknesses between contact and window edge: the periodic images then move the
     surface by about 1 um at most.
     """
-
-    rows: int
-    cols: int
-    length_x_mm: float
-    length_y_mm: float
-    thickness_mm: float
-    poisson_ratio: float
-
-    @cached_property
-    def x_mm(self) -> FloatArray:
-        """(col,) cell centres, world x."""
-        return _centres(self.cols, self.length_x_mm)
-
-    @cached_property
-    def y_mm(self) -> FloatArray:
-        """(row,) cell centres, world y."""
-        return _centres(self.rows, self.length_y_mm)
-
-    @property
-    def cell_area_mm2(self) -> float:
-        """Area of one cell."""
-        return self.length_x_mm * self.length_y_mm / (self.rows * self.cols)
 
     def deflect(self, pressure: FloatArray) -> FloatArray:
         """Return the touched face's deflection (row, col), mm."""
@@ -140,17 +182,76 @@ class BondedLayer:
         deflection: FloatArray = fft.irfft2(spectrum, s=pressure.shape, workers=_WORKERS)
         return deflection
 
+    def patch(self, rows: Span, cols: Span) -> Patch:
+        """Return the touched face's response within a patch of cells."""
+        stiffness = self.patch_stiffness(self._table, rows, cols)
+        return periodic_patch(self._kernel, rows, cols, stiffness)
+
+    @cached_property
+    def _k(self) -> FloatArray:
+        k_x, k_y = _periodic_waves(self)
+        k = np.hypot(k_x, k_y[:, None])
+        k[0, 0] = min(k[0, 1], k[1, 0])  # placeholder: the mean is uniform compression, set below
+        return k
+
+    @cached_property
+    def _table(self) -> TransferTable:
+        lowest = float(self._k.min()) * self.thickness_mm
+        return tabulate(lowest, self.poisson_ratio, "bonded", self.film)
+
+    def in_plane(self, pressure: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the touched face's displacement in its plane, (u_x, u_y) each (row, col), mm."""
+        k_x, k_y = _periodic_waves(self)
+        potential = fft.rfft2(pressure, workers=_WORKERS) / self._k
+        potential *= 1j * self.compliance(self._table, self._k, "tangential_t")
+        # The shortest wave has no slope on the grid.
+        k_x[-1] *= self.cols % 2
+        u_x: FloatArray = fft.irfft2(potential * k_x, s=pressure.shape, workers=_WORKERS)
+        u_y: FloatArray = fft.irfft2(potential * k_y[:, None], s=pressure.shape, workers=_WORKERS)
+        return u_x, u_y
+
     @cached_property
     def _compliance(self) -> FloatArray:
-        k_x = 2 * np.pi * fft.rfftfreq(self.cols, self.length_x_mm / self.cols)
-        k_y = 2 * np.pi * fft.fftfreq(self.rows, self.length_y_mm / self.rows)
-        k = np.hypot(k_x, k_y[:, None])
-        k[0, 0] = k[0, 1]  # placeholder: the mean is uniform compression, set below
-        phi_t, _ = normal_transfer(k * self.thickness_mm, self.poisson_ratio, "bonded")
-        compliance = 2 * (1 - self.poisson_ratio**2) / k * phi_t
-        nu = self.poisson_ratio
-        compliance[0, 0] = self.thickness_mm * (1 + nu) * (1 - 2 * nu) / (1 - nu)
+        compliance = self.compliance(self._table, self._k, "normal_t")
+        compliance[0, 0] = self.thickness_mm * self._uniform_strain
         return compliance
+
+    @property
+    def _uniform_strain(self) -> float:
+        """Strain of uniform compression without sideways motion, per pressure over modulus."""
+        slab = _oedometric(self.poisson_ratio)
+        if self.film is None:
+            return slab
+        # Per shear modulus 2 (1 + nu) smaller: the film's own ratio is of shear moduli.
+        own = _oedometric(self.film.poisson_ratio) / (1 + self.film.poisson_ratio)
+        coat = own * (1 + self.poisson_ratio) / self.film.shear_ratio
+        return (1 - self.film.share) * slab + self.film.share * coat
+
+    @cached_property
+    def _kernel(self) -> FloatArray:
+        kernel: FloatArray = fft.irfft2(
+            self._compliance, s=(self.rows, self.cols), workers=_WORKERS
+        )
+        return kernel
+
+
+def _oedometric(nu: float) -> float:
+    """Return E over the oedometer modulus."""
+    return (1 + nu) * (1 - 2 * nu) / (1 - nu)
+
+
+def _periodic_waves(layer: Layer) -> tuple[FloatArray, FloatArray]:
+    """Return the half spectrum's wavenumbers along x and all along y, 1/mm."""
+    k_x: FloatArray = 2 * np.pi * fft.rfftfreq(layer.cols, layer.length_x_mm / layer.cols)
+    k_y: FloatArray = 2 * np.pi * fft.fftfreq(layer.rows, layer.length_y_mm / layer.rows)
+    return k_x, k_y
+
+
+def _sine_waves(layer: Layer) -> tuple[FloatArray, FloatArray]:
+    """Return the sine series' wavenumbers along x and y, 1/mm."""
+    k_x: FloatArray = np.pi * np.arange(1.0, layer.cols + 1) / layer.length_x_mm
+    k_y: FloatArray = np.pi * np.arange(1.0, layer.rows + 1) / layer.length_y_mm
+    return k_x, k_y
 
 
 def _centres(count: int, length_mm: float) -> FloatArray:

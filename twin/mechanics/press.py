@@ -1,24 +1,27 @@
 """Press a rigid specimen into the elastomer and return both faces, pressure and force.
 
-Opposite-face layout, world frame, mm: the undeformed coated face is z = 0, the clear face is
-z = -thickness, the slab is centred on the origin and the specimen comes from below. Arrays are
-(row, col) with row along y and col along x, both ascending.
+World frame, mm: the undeformed coated face is z = 0, slab and specimen are centred on the origin
+and the specimen comes from below. It touches the clear face at z = -thickness (opposite-face
+layout) or the coat itself (contact-face layout). Arrays are (row, col) with row along y and col
+along x, both ascending.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy import fft
 
 from twin.config.models import Elastomer, Press, Specimen
-from twin.mechanics.contact import Contact, Control, DepthControl, ForceControl, solve_contact
+from twin.mechanics.contact import Contact, Control, DepthControl, ForceControl
 from twin.mechanics.errors import PressError
 from twin.mechanics.hardness import young_modulus
-from twin.mechanics.layer import FreeSlab
+from twin.mechanics.layer import BondedLayer
+from twin.mechanics.layouts import AnyLayer, Preload, build_layer, face_nodes, preload_of
+from twin.mechanics.refine import touched_at_nodes, wrapped
 from twin.mechanics.transfer import FloatArray
+from twin.mechanics.two_grid import solve_on_layer
 from twin.mechanics.validity import Validity, assess, margin_mm, max_slope_deg
-from twin.specimens import Shape, shape_of
+from twin.specimens import Shape, SphereCluster, shape_of
 
 
 @dataclass(frozen=True)
@@ -28,20 +31,20 @@ class PressedElastomer:
     #: (col,) and (row,) solver cell centres
     x_mm: FloatArray
     y_mm: FloatArray
-    #: (row, col) pressure on the clear face
+    #: (row, col) pressure on the touched face
     pressure_kpa: FloatArray
     #: (row, col) cells that touch the specimen
     contact: npt.NDArray[np.bool_]
-    #: (row, col) world z of the clear face at the cell centres, -thickness where undeformed
+    #: (row, col) world z of the touched face at the cell centres
     touched_face_mm: FloatArray
     force_n: float
     #: travel of the specimen after first touch
     depth_mm: float
     young_modulus_kpa: float
-    #: (col,) and (row,) nodes of the coated face, rim included
+    #: (col,) and (row,) nodes of the coated face, both ends included
     face_x_mm: FloatArray
     face_y_mm: FloatArray
-    #: (row, col) world z of the coated face at the nodes, 0 on the rim
+    #: (row, col) world z of the coated face at the nodes
     face_z_mm: FloatArray
     validity: Validity
     iterations: int
@@ -56,15 +59,17 @@ def press(specimen: Specimen, elastomer: Elastomer, load: Press) -> PressedElast
     specimen : Specimen
         What is pressed, in its pose.
     elastomer : Elastomer
-        Flat slab on a simply supported rim.
+        Flat slab on a simply supported rim, or gel bonded to a window.
     load : Press
-        Depth or force, back pressure, and the pitches of solver and relief. Back pressure drapes
-        the slab over the specimen; the depth then counts from the plane of the unloaded clear face.
+        Depth or force, back pressure, gravity, and the pitches of solver and relief. Back pressure
+        drapes the slab over the specimen, weight lets it sag; the depth then counts from the plane
+        of the unloaded touched face.
 
     Returns
     -------
     PressedElastomer
-        The result on the solver's cells and on the relief's nodes.
+        The result on the solver's cells and on the relief's nodes. In the contact-face layout the
+        cells cover the periodic window, which is larger than the pad.
 
     Raises
     ------
@@ -76,83 +81,82 @@ def press(specimen: Specimen, elastomer: Elastomer, load: Press) -> PressedElast
 
     Notes
     -----
-    Linear, frictionless, exact for the flat slab. At a given depth and without back pressure the
+    Linear, frictionless, exact for the flat slab. At a given depth, without preload and film, the
     shape does not depend on the modulus, which only scales pressure and force.
     """
-    shape, slab = shape_of(specimen), _slab(elastomer, load)
+    shape = shape_of(specimen)
     _check_outline(shape, elastomer)
     modulus_kpa = young_modulus(elastomer).best_kpa
-    back = load.back_pressure_kpa / modulus_kpa
-    height = shape.height_above_lowest(slab.x_mm, slab.y_mm)
-    sag = slab.deflect_opposite(np.full_like(height, back)) if back else np.zeros_like(height)
-    control = _control(slab, height - sag, load, modulus_kpa)
-    contact = solve_contact(slab.deflect, height - sag, control)
-    _check_depth(contact.depth_mm, slab.thickness_mm, load)
-    face_x, face_y = _nodes(slab.length_x_mm, load), _nodes(slab.length_y_mm, load)
-    face_z = slab.opposite_at_nodes(contact.pressure, face_y.size - 1, face_x.size - 1, back)
+    layer = build_layer(elastomer, load, shape, modulus_kpa)
+    preload = preload_of(elastomer, load, modulus_kpa)
+    sag = preload.deflection(layer)
+    height = shape.height_above_lowest(layer.x_mm, layer.y_mm)
+    control = _control(layer, height + sag, load, modulus_kpa)
+    contact = solve_on_layer(layer, height + sag, control)
+    _check_depth(contact.depth_mm, layer.thickness_mm, load)
+    nodes = face_nodes(elastomer.length_y_mm, load), face_nodes(elastomer.length_x_mm, load)
+    face_z = _coated_face(layer, contact, preload, shape, nodes)
     return PressedElastomer(
-        x_mm=slab.x_mm,
-        y_mm=slab.y_mm,
+        x_mm=layer.x_mm,
+        y_mm=layer.y_mm,
         pressure_kpa=contact.pressure * modulus_kpa,
         contact=contact.pressure > 0,
-        touched_face_mm=contact.deflection_mm - sag - slab.thickness_mm,
+        touched_face_mm=contact.deflection_mm + sag + elastomer.touched_plane_mm,
         # kPa mm^2 = 1e-3 N
-        force_n=float(contact.pressure.sum()) * slab.cell_area_mm2 * modulus_kpa * 1e-3,
+        force_n=float(contact.pressure.sum()) * layer.cell_area_mm2 * modulus_kpa * 1e-3,
         depth_mm=contact.depth_mm,
         young_modulus_kpa=modulus_kpa,
-        face_x_mm=face_x,
-        face_y_mm=face_y,
+        face_x_mm=nodes[1],
+        face_y_mm=nodes[0],
         face_z_mm=face_z,
-        validity=_validity(shape, slab, height, contact, float(np.abs(face_z).max())),
+        validity=_validity((shape, elastomer, layer), height, contact, face_z),
         iterations=contact.iterations,
         converged=True,
     )
 
 
-def _slab(elastomer: Elastomer, load: Press) -> FreeSlab:
-    cols, rows = (
-        fft.next_fast_len(int(np.ceil(length / load.solver_pitch_mm - 1e-9)), real=True)
-        for length in (elastomer.length_x_mm, elastomer.length_y_mm)
-    )
-    return FreeSlab(
-        rows=rows,
-        cols=cols,
-        length_x_mm=elastomer.length_x_mm,
-        length_y_mm=elastomer.length_y_mm,
-        thickness_mm=elastomer.thickness_mm,
-        poisson_ratio=elastomer.poisson_ratio,
-    )
+def _coated_face(
+    layer: AnyLayer,
+    contact: Contact,
+    preload: Preload,
+    shape: Shape,
+    nodes_mm: tuple[FloatArray, FloatArray],
+) -> FloatArray:
+    y_mm, x_mm = nodes_mm
+    if isinstance(layer, BondedLayer):
+        indented = contact.depth_mm - shape.height_above_lowest(x_mm, y_mm)
+        deflection, cells = wrapped(contact.deflection_mm, (layer.y_mm, layer.x_mm))
+        return touched_at_nodes(deflection, cells, nodes_mm, indented)
+    loaded = contact.pressure + preload.touched
+    return layer.opposite_at_nodes(loaded, y_mm.size - 1, x_mm.size - 1, preload.coated)
 
 
-def _nodes(length_mm: float, load: Press) -> FloatArray:
-    intervals = fft.next_fast_len(int(np.ceil(length_mm / load.relief_pitch_mm - 1e-9)), real=True)
-    return np.linspace(-length_mm / 2, length_mm / 2, intervals + 1)
-
-
-def _control(slab: FreeSlab, height: FloatArray, load: Press, modulus_kpa: float) -> Control:
+def _control(layer: AnyLayer, height: FloatArray, load: Press, modulus_kpa: float) -> Control:
     if load.control == "force":
         assert load.force_n is not None  # the model's own validator
-        return ForceControl(load.force_n / (modulus_kpa * 1e-3), slab.cell_area_mm2)
+        return ForceControl(load.force_n / (modulus_kpa * 1e-3), layer.cell_area_mm2)
     assert load.depth_mm is not None
-    _check_depth(load.depth_mm, slab.thickness_mm, load)
+    _check_depth(load.depth_mm, layer.thickness_mm, load)
     if not (height < load.depth_mm).any():
         raise PressError(
             f"press.depth_mm: {load.depth_mm:g} mm touches no cell of the solver's grid; "
-            f"use a finer press.solver_pitch_mm than {load.solver_pitch_mm:g}"
+            f"press deeper or use a finer press.solver_pitch_mm than {load.solver_pitch_mm:g}"
         )
     return DepthControl(load.depth_mm)
 
 
 def _check_outline(shape: Shape, elastomer: Elastomer) -> None:
     x_low, x_high, y_low, y_high = shape.bounds_mm()
+    free = elastomer.layout == "opposite_face"
+    span = "the slab's free span" if free else "the pad"
     for axis, low, high, length in (
         ("x", x_low, x_high, elastomer.length_x_mm),
         ("y", y_low, y_high, elastomer.length_y_mm),
     ):
         if max(-low, high) > length / 2:
             raise PressError(
-                f"specimen: reaches from {low:.4g} to {high:.4g} mm along {axis}, the slab's free "
-                f"span is {-length / 2:.4g} to {length / 2:.4g} mm; "
+                f"specimen: reaches from {low:.4g} to {high:.4g} mm along {axis}, {span} "
+                f"is {-length / 2:.4g} to {length / 2:.4g} mm; "
                 f"move the specimen or enlarge elastomer.length_{axis}_mm"
             )
 
@@ -172,21 +176,27 @@ def _check_depth(depth_mm: float, thickness_mm: float, load: Press) -> None:
 
 
 def _validity(
-    shape: Shape, slab: FreeSlab, height: FloatArray, contact: Contact, peak_mm: float
+    pressed: tuple[Shape, Elastomer, AnyLayer],
+    height: FloatArray,
+    contact: Contact,
+    face_z: FloatArray,
 ) -> Validity:
-    touching, pitch = contact.pressure > 0, float(np.sqrt(slab.cell_area_mm2))
+    shape, elastomer, layer = pressed
+    touching, pitch = contact.pressure > 0, float(np.sqrt(layer.cell_area_mm2))
     slope = max_slope_deg(height, touching, pitch)
-    if slope >= 90:
+    if slope >= 90 and isinstance(shape, SphereCluster):
         raise PressError(
             f"press: at {contact.depth_mm:.3g} mm the contact reaches the specimen's widest "
             "outline, where a height field ends; press less"
         )
+    half = elastomer.length_x_mm / 2, elastomer.length_y_mm / 2
     return assess(
+        layout=elastomer.layout,
         depth_mm=contact.depth_mm,
-        thickness_mm=slab.thickness_mm,
+        thickness_mm=layer.thickness_mm,
         radius_mm=min((ball.radius_mm for ball in shape.spheres()), default=None),
-        deflection_mm=peak_mm,
+        deflection_mm=float(np.abs(face_z).max()),
         slope_deg=slope,
-        margin_to_rim_mm=margin_mm(touching, slab.x_mm, slab.y_mm, pitch),
+        margin_to_rim_mm=margin_mm(touching, layer.x_mm, layer.y_mm, half),
         cells_across=float(np.sqrt(4 / np.pi * touching.sum() / max(1, len(shape.spheres())))),
     )

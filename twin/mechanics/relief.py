@@ -1,10 +1,12 @@
-"""The coated face as a triangle mesh with smooth normals, for the renderer."""
+"""The coated face as a triangle mesh with smooth normals, and the slab as a closed body."""
 
 import numpy as np
 import numpy.typing as npt
 import trimesh
 
+from twin.config.models import Elastomer
 from twin.mechanics.press import PressedElastomer
+from twin.mechanics.refine import mirrored, touched_at_nodes, widened
 from twin.mechanics.transfer import FloatArray
 
 
@@ -15,7 +17,7 @@ def face_mesh(pressed: PressedElastomer) -> trimesh.Trimesh:
     Facets and vertex normals point to +z. The mesh is an open sheet, rim included.
     """
     mesh = trimesh.Trimesh(
-        vertices=_vertices(pressed),
+        vertices=_vertices(pressed, pressed.face_z_mm),
         faces=grid_facets(*pressed.face_z_mm.shape),
         vertex_normals=face_normals(pressed).reshape(-1, 3),
         process=False,
@@ -23,6 +25,55 @@ def face_mesh(pressed: PressedElastomer) -> trimesh.Trimesh:
     )
     mesh.metadata["name"] = "coated_face"
     return mesh
+
+
+def slab_mesh(pressed: PressedElastomer, elastomer: Elastomer) -> trimesh.Trimesh:
+    """Return the pressed slab as one watertight body, world frame, mm.
+
+    Its vertices are those of `face_mesh`, then those of the other face in the same order: the
+    touched face of the opposite-face layout, or the window of the contact-face layout. Straight
+    sides join the two.
+    """
+    rows, cols = pressed.face_z_mm.shape
+    faces = np.stack((pressed.face_z_mm, _other_face(pressed, elastomer)))
+    upper = faces.mean(axis=(1, 2)).argmax()
+    rim = _rim(rows, cols)
+    after = np.roll(rim, -1)
+    # Walls of the coated face above the other one; turned over where it lies below.
+    walls = np.concatenate(
+        (
+            np.stack((rim, rim + rows * cols, after + rows * cols), axis=-1),
+            np.stack((rim, after + rows * cols, after), axis=-1),
+        )
+    )
+    grid = grid_facets(rows, cols)
+    closed = np.concatenate((grid, grid[:, ::-1] + rows * cols, walls))
+    body = trimesh.Trimesh(
+        vertices=np.concatenate([_vertices(pressed, z) for z in faces]),
+        faces=closed if upper == 0 else closed[:, ::-1],
+        process=False,
+        validate=False,
+    )
+    body.metadata["name"] = "slab"
+    return body
+
+
+def _other_face(pressed: PressedElastomer, elastomer: Elastomer) -> FloatArray:
+    if elastomer.layout == "contact_face":
+        return np.full_like(pressed.face_z_mm, elastomer.thickness_mm)
+    # The slab's deflection is odd about its rim, where it is 0.
+    plane = elastomer.touched_plane_mm
+    odd = mirrored(pressed.touched_face_mm - plane)
+    cells = widened(pressed.y_mm), widened(pressed.x_mm)
+    nodes = pressed.face_y_mm, pressed.face_x_mm
+    free = np.full_like(pressed.face_z_mm, -np.inf)
+    return plane + touched_at_nodes(odd, cells, nodes, free)
+
+
+def _rim(rows: int, cols: int) -> npt.NDArray[np.int64]:
+    """Return the grid's outline, counter-clockwise seen from +z."""
+    index = np.arange(rows * cols).reshape(rows, cols)
+    return np.concatenate((index[0, :-1], index[:-1, -1], index[-1, :0:-1], index[:0:-1, 0]))
 
 
 def face_normals(pressed: PressedElastomer) -> FloatArray:
@@ -42,18 +93,19 @@ def grid_facets(rows: int, cols: int) -> npt.NDArray[np.int64]:
     return facets
 
 
-def _vertices(pressed: PressedElastomer) -> FloatArray:
-    vertices = np.zeros((*pressed.face_z_mm.shape, 3))
+def _vertices(pressed: PressedElastomer, z_mm: FloatArray) -> FloatArray:
+    vertices = np.zeros((*z_mm.shape, 3))
     vertices[..., 0] = pressed.face_x_mm
     vertices[..., 1] = pressed.face_y_mm[:, None]
-    vertices[..., 2] = pressed.face_z_mm
+    vertices[..., 2] = z_mm
     return vertices.reshape(-1, 3)
 
 
 def _derivative(z: FloatArray, nodes_mm: FloatArray, axis: int) -> FloatArray:
     """Return dz along `axis`: fourth order, which shows no grid in the shading.
 
-    The slab's deflection is odd about its simply supported rim: the odd extension is exact.
+    The slab's deflection is odd about its simply supported rim: the odd extension is exact. At a
+    pad's side it continues the slope.
     """
     step = float(nodes_mm[-1] - nodes_mm[0]) / (nodes_mm.size - 1)
     margin = tuple((2, 2) if direction == axis else (0, 0) for direction in range(2))

@@ -1,4 +1,4 @@
-"""Pressed elastomers as netCDF-4 files and their faces as PLY meshes.
+"""Pressed elastomers as netCDF-4 files and their faces as PLY or STL meshes.
 
 Files follow the CF conventions: every variable has `units` and `long_name`; arrays are (y, x).
 A file is written under a temporary name and renamed: it is never half there.
@@ -78,14 +78,18 @@ def read_press(path: Path) -> PressedElastomer:
 
 
 def write_mesh(path: Path, mesh: trimesh.Trimesh) -> None:
-    """Write a mesh with its vertex normals as binary PLY.
+    """Write a mesh as binary PLY with its vertex normals, or as binary STL, by the file's name.
 
     Raises
     ------
     PressError
-        The file cannot be written.
+        The file is to be neither, or cannot be written.
     """
-    content: bytes = mesh.export(file_type="ply", vertex_normal=True)
+    kind = path.suffix.lower()
+    if kind not in (".ply", ".stl"):
+        raise PressError(f"{path}: found '{path.suffix}', allowed for a mesh: .ply, .stl")
+    options = {"vertex_normal": True} if kind == ".ply" else {}
+    content: bytes = mesh.export(file_type=kind[1:], **options)
     _replace(path, lambda target: target.write_bytes(content))
 
 

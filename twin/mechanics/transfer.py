@@ -23,18 +23,12 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
-from scipy.interpolate import CubicSpline
-
-from twin.mechanics.errors import PressError
 
 FloatArray: TypeAlias = npt.NDArray[np.float64]
 Base = Literal["bonded", "free"]
 
 # Below, the free layer's 4 x 4 system loses its digits to the rigid motions (condition ~ q^-4).
 SMALLEST_Q = 0.01
-# Above, both faces are half-spaces to 1e-15.
-_LARGEST_Q = 45.0
-_TABLE_SIZE = 2000
 
 
 @dataclass(frozen=True)
@@ -43,7 +37,7 @@ class Transfer:
 
     normal_t: FloatArray
     normal_b: FloatArray
-    #: along the layer: u_tangential = grad(psi), psi = -2 Phi p / (E* k^2)
+    #: along the layer: (u_x, u_y) = grad(psi), psi = 2 Phi p / (E* k^2)
     tangential_t: FloatArray
     tangential_b: FloatArray
 
@@ -65,7 +59,7 @@ def solve_transfer(q: FloatArray, poisson_ratio: float, base: Base) -> Transfer:
     Transfer
         Phi at each q.
     """
-    top, bottom = _amplitudes(q, 0.0, poisson_ratio), _amplitudes(q, 1.0, poisson_ratio)
+    top, bottom = amplitudes(q, 0.0, poisson_ratio), amplitudes(q, 1.0, poisson_ratio)
     held = (bottom["U"], bottom["W"]) if base == "bonded" else (bottom["S_xz"], bottom["S_zz"])
     # Rows divided by their largest entry: their sizes differ by orders of magnitude in q.
     rows = np.stack((top["S_zz"], top["S_xz"], *held), axis=-2)
@@ -78,8 +72,8 @@ def solve_transfer(q: FloatArray, poisson_ratio: float, base: Base) -> Transfer:
     return Transfer(*(unit * np.einsum("qi,qi->q", face, weights) for face in faces))
 
 
-def _amplitudes(q: FloatArray, z: float, nu: float) -> dict[str, FloatArray]:
-    """Return displacement and stress of the four solutions at depth z, each (n, 4)."""
+def amplitudes(q: FloatArray, z: float, nu: float) -> dict[str, FloatArray]:
+    """Return displacement and stress of the four solutions at depth z, 0 to 1, each (n, 4)."""
     kappa, s = 3 - 4 * nu, z - 1
     a, b = np.exp(-q * z), np.exp(q * s)
     return {
@@ -100,42 +94,6 @@ def _amplitudes(q: FloatArray, z: float, nu: float) -> dict[str, FloatArray]:
             axis=-1,
         ),
     }
-
-
-def normal_transfer(
-    q: FloatArray, poisson_ratio: float, base: Base
-) -> tuple[FloatArray, FloatArray]:
-    """Return Phi of faces t and b on a whole wavenumber grid, through a table in log q.
-
-    Parameters
-    ----------
-    q : (...) float
-        Wavenumber times thickness, >= SMALLEST_Q.
-    poisson_ratio : float
-        0 < nu <= 0.5.
-    base : {"bonded", "free"}
-        Boundary condition of face b.
-
-    Raises
-    ------
-    PressError
-        The layer is too thin for its span.
-    """
-    lowest = float(q.min())
-    if lowest < SMALLEST_Q:
-        raise PressError(
-            "elastomer.thickness_mm: the span is more than 300 times the thickness; "
-            "a slab cannot be solved as a film: make it thicker or shorter"
-        )
-    table_q = np.geomspace(lowest, _LARGEST_Q, _TABLE_SIZE)
-    table = solve_transfer(table_q, poisson_ratio, base)
-    # Long waves of the free layer grow as q^-3 (plate): the spline sees a bounded function.
-    bounded = table_q**3 / (1 + table_q**3)
-    values = np.stack((table.normal_t, table.normal_b), axis=-1) * bounded[:, None]
-    inside = np.minimum(q, _LARGEST_Q)
-    found = CubicSpline(np.log(table_q), values)(np.log(inside))
-    found /= (inside**3 / (1 + inside**3))[..., None]
-    return found[..., 0], found[..., 1]
 
 
 def opposite_transfer(q: FloatArray) -> FloatArray:

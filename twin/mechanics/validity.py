@@ -6,11 +6,14 @@ the layer is bonded; on the far face of a free slab the peak errs by 2.4 % at d 
 """
 
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from twin.mechanics.transfer import FloatArray
+
+Layout = Literal["opposite_face", "contact_face"]
 
 DEPTH_OVER_THICKNESS_LIMIT = 0.25
 DEPTH_OVER_RADIUS_LIMIT = 0.4
@@ -48,21 +51,21 @@ def max_slope_deg(height_mm: FloatArray, contact: npt.NDArray[np.bool_], pitch_m
 
 
 def margin_mm(
-    contact: npt.NDArray[np.bool_], x_mm: FloatArray, y_mm: FloatArray, pitch_mm: float
+    contact: npt.NDArray[np.bool_], x_mm: FloatArray, y_mm: FloatArray, half_mm: tuple[float, float]
 ) -> float:
-    """Return the distance from the contact to the nearest rim of a slab sampled at centres."""
-    rows, cols = np.flatnonzero(contact.any(axis=1)), np.flatnonzero(contact.any(axis=0))
-    gaps = (
-        x_mm[cols[0]] - x_mm[0],
-        x_mm[-1] - x_mm[cols[-1]],
-        y_mm[rows[0]] - y_mm[0],
-        y_mm[-1] - y_mm[rows[-1]],
-    )
-    return float(min(gaps)) + pitch_mm / 2
+    """Return the distance from the contact's cells to the nearest edge of the slab.
+
+    `half_mm` holds the slab's half lengths along x and y; cells are sampled at their centres.
+    """
+    used = x_mm[contact.any(axis=0)], y_mm[contact.any(axis=1)]
+    cells = x_mm[1] - x_mm[0], y_mm[1] - y_mm[0]
+    reach = (float(np.abs(along).max() + cell / 2) for along, cell in zip(used, cells, strict=True))
+    return min(half - far for half, far in zip(half_mm, reach, strict=True))
 
 
 def assess(
     *,
+    layout: Layout,
     depth_mm: float,
     thickness_mm: float,
     radius_mm: float | None,
@@ -75,10 +78,12 @@ def assess(
 
     Notes
     -----
-    Error scale, free slab: 2 % of the depth up to d/R = 0.25, then in proportion to d/R; plus
-    (w/h)^2 / 10 of the coated face's peak w for the stretching of thin sheets (own estimate after
-    von Karman's plate with a rim that may move inwards).
+    Error scale: 2 % of the depth (free slab) or 1.2 % (bonded) up to d/R = 0.25, then in
+    proportion to d/R; for a free slab also (w/h)^2 / 10 of the coated face's peak w for the
+    stretching of thin sheets (own estimate after von Karman's plate with a rim that may move
+    inwards).
     """
+    free = layout == "opposite_face"
     over_radius = depth_mm / radius_mm if radius_mm else 0.0
     bent = deflection_mm / thickness_mm
     figures = Validity(
@@ -88,14 +93,16 @@ def assess(
         max_slope_deg=slope_deg,
         margin_mm=margin_to_rim_mm,
         cells_across=cells_across,
-        height_error_mm=0.02 * depth_mm * max(1.0, over_radius / 0.25)
-        + 0.1 * bent**2 * deflection_mm,
+        height_error_mm=(0.02 if free else 0.012) * depth_mm * max(1.0, over_radius / 0.25)
+        + (0.1 * bent**2 * deflection_mm if free else 0.0),
         warnings=(),
     )
-    return _with_warnings(figures, thickness_mm)
+    return _with_warnings(figures, thickness_mm, layout)
 
 
-def _with_warnings(figures: Validity, thickness_mm: float) -> Validity:
+def _with_warnings(figures: Validity, thickness_mm: float, layout: Layout) -> Validity:
+    free = layout == "opposite_face"
+    needed = (1.0 if free else 3.0) * thickness_mm
     checks = (
         (
             figures.depth_over_thickness > DEPTH_OVER_THICKNESS_LIMIT,
@@ -108,7 +115,7 @@ def _with_warnings(figures: Validity, thickness_mm: float) -> Validity:
             f"above {DEPTH_OVER_RADIUS_LIMIT}",
         ),
         (
-            figures.deflection_over_thickness > DEFLECTION_OVER_THICKNESS_LIMIT,
+            free and figures.deflection_over_thickness > DEFLECTION_OVER_THICKNESS_LIMIT,
             f"the coated face rises by {figures.deflection_over_thickness:.2f} of the thickness: "
             f"a sheet stretches as it bends above {DEFLECTION_OVER_THICKNESS_LIMIT}, which a "
             "linear slab leaves out",
@@ -119,9 +126,12 @@ def _with_warnings(figures: Validity, thickness_mm: float) -> Validity:
             f"a height field holds up to {SLOPE_LIMIT_DEG:.0f} deg",
         ),
         (
-            figures.margin_mm < thickness_mm,
+            figures.margin_mm < needed,
             f"the contact ends {figures.margin_mm:.2f} mm from the rim, less than one thickness: "
-            "how the rim is held matters there",
+            "how the rim is held matters there"
+            if free
+            else f"the contact ends {figures.margin_mm:.2f} mm from the pad's side, less than "
+            "three thicknesses: its free sides yield, which an endless layer leaves out",
         ),
         (
             figures.cells_across < _FEWEST_CELLS_ACROSS,

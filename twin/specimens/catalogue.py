@@ -1,17 +1,20 @@
-"""The catalogue of rigid specimens: which shape belongs to which `kind` of the experiment file."""
+"""The catalogue of rigid specimens: which shape belongs to which `kind` of the experiment file.
+
+A builder makes the shape in its own frame; its pose and the height of its foremost point are
+given to it here, the same way for every kind. z counts from the touched plane, upwards: the
+specimen comes from below, so its foremost point is its highest.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol, TypeVar
 
 import numpy as np
-import numpy.typing as npt
 import trimesh
 
 from reconstruction.errors import InputError
 from twin.config.models import Specimen
-
-FloatArray = npt.NDArray[np.float64]
+from twin.specimens.pose import FloatArray, Pose, pose_of, raised
 
 
 @dataclass(frozen=True)
@@ -33,8 +36,17 @@ class Sphere:
 class Shape(Protocol):
     """What mechanics, rendering and scoring ask of a specimen in its pose."""
 
+    @property
+    def top_mm(self) -> float:
+        """Height of the foremost point, 0 at first touch."""
+        ...
+
+    def placed(self, pose: Pose) -> "Shape":
+        """Return the shape moved."""
+        ...
+
     def height_above_lowest(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
-        """Return (row, col) float, mm: distance behind the foremost point, inf where absent."""
+        """Return (row, col) float, mm: distance behind the touched plane, inf where absent."""
         ...
 
     def mesh(self, touched_z_mm: float) -> trimesh.Trimesh:
@@ -55,7 +67,10 @@ _builders: dict[str, Callable[..., Shape]] = {}
 
 
 def register(kind: str) -> Callable[[Builder], Builder]:
-    """Enter the decorated builder, which takes the configured specimen, under `kind`."""
+    """Enter the decorated builder under `kind`.
+
+    It takes the configured specimen and returns the shape in the specimen's own frame.
+    """
 
     def enter(builder: Builder) -> Builder:
         _builders[kind] = builder
@@ -70,17 +85,18 @@ def kinds() -> tuple[str, ...]:
 
 
 def shape_of(specimen: Specimen) -> Shape:
-    """Build the shape of a configured specimen.
+    """Build the shape of a configured specimen, in its pose, at first touch.
 
     Raises
     ------
     InputError
-        No shape is registered under the specimen's kind.
+        No shape is registered under the specimen's kind, or its mesh file is of no use.
     """
     kind = getattr(specimen, "kind", type(specimen).__name__)
     if kind not in _builders:
         raise InputError(f"specimen.kind: found '{kind}', allowed: {', '.join(kinds())}")
-    return _builders[kind](specimen)
+    posed = _builders[kind](specimen).placed(pose_of(specimen))
+    return posed.placed(raised(-posed.top_mm))
 
 
 def height_above_lowest(specimen: Specimen, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
@@ -91,9 +107,9 @@ def height_above_lowest(specimen: Specimen, x_mm: FloatArray, y_mm: FloatArray) 
     specimen : Specimen
         Configured specimen; its pose is honoured.
     x_mm : (col,) float, mm
-        World x of the columns, ascending.
+        World x of the columns.
     y_mm : (row,) float, mm
-        World y of the rows, ascending.
+        World y of the rows.
 
     Returns
     -------
@@ -101,7 +117,7 @@ def height_above_lowest(specimen: Specimen, x_mm: FloatArray, y_mm: FloatArray) 
         Distance from the plane of first touch, counted away from the elastomer: 0 at the
         foremost point, inf where there is no specimen. Exact, not a paraboloid.
     """
-    return shape_of(specimen).height_above_lowest(x_mm, y_mm)
+    return np.maximum(shape_of(specimen).height_above_lowest(x_mm, y_mm), 0.0)
 
 
 def specimen_mesh(specimen: Specimen, touched_z_mm: float = 0.0) -> trimesh.Trimesh:
@@ -113,7 +129,7 @@ def specimen_mesh(specimen: Specimen, touched_z_mm: float = 0.0) -> trimesh.Trim
         Configured specimen; its pose is honoured.
     touched_z_mm : float, mm
         World z of the plane that the specimen touches from below: -thickness for the clear face
-        of the opposite-face layout.
+        of the opposite-face layout, 0 for the coat of the contact-face layout.
     """
     return shape_of(specimen).mesh(touched_z_mm)
 

@@ -1,7 +1,6 @@
 """Specimens made of balls: one ball, and two joined ones (the paper's artefact).
 
-World frame, mm. The specimen comes from below, so its foremost point is its highest. Vertical
-positions count from the plane of first touch, upwards: sphere centres lie at negative z.
+mm. The specimen comes from below, so its foremost point is its highest.
 """
 
 from dataclasses import dataclass
@@ -11,7 +10,8 @@ import numpy as np
 import trimesh
 
 from twin.config.models import Ball, TwoBalls
-from twin.specimens.catalogue import FloatArray, Sphere, register
+from twin.specimens.catalogue import Sphere, register
+from twin.specimens.pose import FloatArray, Pose
 
 # Level 6 has 82 k facets; its chords stay within 0.3 um of a 4 mm ball.
 _SUBDIVISIONS = 6
@@ -20,9 +20,24 @@ _NECK_OVER_RADIUS = 0.1
 
 @dataclass(frozen=True)
 class SphereCluster:
-    """Rigid balls at first touch: the highest apex is at z = 0."""
+    """Rigid balls; at first touch the highest apex is at z = 0."""
 
     balls: tuple[Sphere, ...]
+
+    @property
+    def top_mm(self) -> float:
+        """Height of the foremost apex."""
+        return max(ball.apex_z_mm for ball in self.balls)
+
+    def placed(self, pose: Pose) -> "SphereCluster":
+        """Return the balls moved."""
+        moved = [pose.apply(_centre(ball)) for ball in self.balls]
+        return SphereCluster(
+            tuple(
+                Sphere(float(x), float(y), float(z), ball.radius_mm)
+                for ball, (x, y, z) in zip(self.balls, moved, strict=True)
+            )
+        )
 
     def height_above_lowest(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
         """Return (row, col) float, mm: upper hemispheres only, inf outside their outlines."""
@@ -65,28 +80,16 @@ class SphereCluster:
 
 @register("ball")
 def build_ball(specimen: Ball) -> SphereCluster:
-    """Place one ball; yaw has no effect."""
-    radius = specimen.diameter_mm / 2
-    return SphereCluster((Sphere(specimen.x_mm, specimen.y_mm, -radius, radius),))
+    """Centre one ball."""
+    return SphereCluster((Sphere(0.0, 0.0, 0.0, specimen.diameter_mm / 2),))
 
 
 @register("two_balls")
 def build_two_balls(specimen: TwoBalls) -> SphereCluster:
-    """Place two balls round their midpoint: tilt about the specimen's y, then yaw about z."""
-    radius, half = specimen.diameter_mm / 2, specimen.separation_mm / 2
-    tilt, yaw = np.deg2rad(specimen.tilt_deg), np.deg2rad(specimen.yaw_deg)
-    across, rise = half * np.cos(tilt), half * np.sin(tilt)
-    # The higher of the two touches first: its apex defines z = 0.
+    """Lay two balls along the specimen's x axis, round their midpoint."""
+    half = specimen.separation_mm / 2
     return SphereCluster(
-        tuple(
-            Sphere(
-                x_mm=specimen.x_mm + float(side * across * np.cos(yaw)),
-                y_mm=specimen.y_mm + float(side * across * np.sin(yaw)),
-                z_mm=float(side * rise - abs(rise)) - radius,
-                radius_mm=radius,
-            )
-            for side in (-1, 1)
-        )
+        tuple(Sphere(side * half, 0.0, 0.0, specimen.diameter_mm / 2) for side in (-1, 1))
     )
 
 

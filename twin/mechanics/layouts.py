@@ -1,0 +1,148 @@
+"""From the configured slab to the layer that is solved, for both layouts.
+
+World frame, mm: the undeformed coated face is z = 0 and the specimen comes from below.
+- `opposite_face`: it touches the clear face at z = -thickness; the slab spans its rim.
+- `contact_face`: it touches the coat itself; the gel above it ends at a window, z = +thickness.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import fft
+
+from twin.config.models import Elastomer, Press
+from twin.mechanics.errors import PressError
+from twin.mechanics.film import CoatFilm
+from twin.mechanics.layer import BondedLayer, FreeSlab
+from twin.mechanics.transfer import FloatArray
+from twin.specimens import Shape
+
+AnyLayer = FreeSlab | BondedLayer
+
+# Of a bonded layer: contact to window edge over thickness; periodic images then move the surface
+# by 1 um at most (shared notes, mechanics.md, section 3).
+WINDOW_MARGIN = 3.0
+# The solver halves twice by four: its grids are multiples of this.
+_CELLS = 16
+_GRAVITY_M_S2 = 9.80665
+
+
+@dataclass(frozen=True)
+class Preload:
+    """Uniform pressures over modulus that act before the specimen touches, both along +z."""
+
+    touched: float = 0.0
+    coated: float = 0.0
+
+    def __bool__(self) -> bool:
+        return bool(self.touched or self.coated)
+
+    def deflection(self, layer: AnyLayer) -> FloatArray:
+        """Return the touched face's deflection (row, col), mm."""
+        uniform = np.ones((layer.rows, layer.cols))
+        if isinstance(layer, BondedLayer) or not self:
+            return np.zeros_like(uniform)
+        # Maxwell and Betti: t yields to a load on b as b does to a load on t.
+        own, other = layer.deflect(uniform), layer.deflect_opposite(uniform)
+        return self.touched * own + self.coated * other
+
+
+def preload_of(elastomer: Elastomer, load: Press, modulus_kpa: float) -> Preload:
+    """Collect gauge pressure and weight of a free slab.
+
+    A gel bonded to a window carries its own weight: it moves by rho g h^2 / 2 M, nanometres.
+
+    Raises
+    ------
+    PressError
+        Pressure on a bonded layer, or weight without a density.
+    """
+    if elastomer.layout == "contact_face":
+        if load.back_pressure_kpa:
+            raise PressError(
+                "press.back_pressure_kpa: needs a free coated face; "
+                "remove it, or set elastomer.layout = 'opposite_face'"
+            )
+        return Preload()
+    # Half of the weight on each face: bending is the body force's own, thinning is nanometres.
+    weight = _weight_kpa(elastomer, load) / 2
+    return Preload(weight / modulus_kpa, (weight - load.back_pressure_kpa) / modulus_kpa)
+
+
+def build_layer(elastomer: Elastomer, load: Press, shape: Shape, modulus_kpa: float) -> AnyLayer:
+    """Return the layer on the solver's grid."""
+    lengths = elastomer.length_x_mm, elastomer.length_y_mm
+    if elastomer.layout == "contact_face":
+        lengths = _window_mm(elastomer, shape)
+    cols, rows = (
+        _CELLS * int(fft.next_fast_len(_count(length, _CELLS * load.solver_pitch_mm), real=True))
+        for length in lengths
+    )
+    return _layer(elastomer, rows, cols, lengths, modulus_kpa)
+
+
+def layer_on(
+    elastomer: Elastomer, x_mm: FloatArray, y_mm: FloatArray, modulus_kpa: float
+) -> AnyLayer:
+    """Return the layer on the cells of a press that is already solved."""
+    lengths = float(np.ptp(x_mm)), float(np.ptp(y_mm))
+    whole = lengths[0] * x_mm.size / (x_mm.size - 1), lengths[1] * y_mm.size / (y_mm.size - 1)
+    return _layer(elastomer, y_mm.size, x_mm.size, whole, modulus_kpa)
+
+
+def face_nodes(length_mm: float, load: Press) -> FloatArray:
+    """Return the nodes of the coated face along one axis, both ends included."""
+    intervals = int(fft.next_fast_len(_count(length_mm, load.relief_pitch_mm), real=True))
+    return np.linspace(-length_mm / 2, length_mm / 2, intervals + 1)
+
+
+def _layer(
+    elastomer: Elastomer, rows: int, cols: int, lengths: tuple[float, float], modulus_kpa: float
+) -> AnyLayer:
+    kind = FreeSlab if elastomer.layout == "opposite_face" else BondedLayer
+    return kind(
+        rows=rows,
+        cols=cols,
+        length_x_mm=lengths[0],
+        length_y_mm=lengths[1],
+        thickness_mm=elastomer.thickness_mm,
+        poisson_ratio=elastomer.poisson_ratio,
+        film=coat_film(elastomer, modulus_kpa),
+    )
+
+
+def coat_film(elastomer: Elastomer, modulus_kpa: float) -> CoatFilm | None:
+    """Return the film relative to a slab of the given modulus."""
+    film = elastomer.film
+    if film is None:
+        return None
+    shear = film.young_modulus_kpa / (1 + film.poisson_ratio)
+    return CoatFilm(
+        share=film.thickness_mm / elastomer.thickness_mm,
+        shear_ratio=shear * (1 + elastomer.poisson_ratio) / modulus_kpa,
+        poisson_ratio=film.poisson_ratio,
+    )
+
+
+def _window_mm(elastomer: Elastomer, shape: Shape) -> tuple[float, float]:
+    """Return the periodic window, centred: the pad, or the specimen and its margin if larger."""
+    x_low, x_high, y_low, y_high = shape.bounds_mm()
+    margin = WINDOW_MARGIN * elastomer.thickness_mm
+    return (
+        max(elastomer.length_x_mm, 2 * (max(-x_low, x_high) + margin)),
+        max(elastomer.length_y_mm, 2 * (max(-y_low, y_high) + margin)),
+    )
+
+
+def _count(length_mm: float, pitch_mm: float) -> int:
+    return int(np.ceil(length_mm / pitch_mm - 1e-9))
+
+
+def _weight_kpa(elastomer: Elastomer, load: Press) -> float:
+    """Return the slab's weight per area along +z; kg/m^3 m/s^2 mm = 1e-6 kPa."""
+    if load.gravity_deg is None:
+        return 0.0
+    if elastomer.density_kg_m3 is None:
+        raise PressError("elastomer.density_kg_m3: missing; press.gravity_deg needs it")
+    along = -_GRAVITY_M_S2 * float(np.cos(np.deg2rad(load.gravity_deg)))
+    return 1e-6 * elastomer.density_kg_m3 * along * elastomer.thickness_mm

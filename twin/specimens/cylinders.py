@@ -1,0 +1,149 @@
+"""Specimens turned on a lathe: a rod lying on its side, and a flat punch standing up."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import trimesh
+
+from twin.config.models import Flat, Rod
+from twin.specimens.catalogue import Sphere, register
+from twin.specimens.pose import FloatArray, Pose
+
+_PASSES = 60
+_EXACT_MM = 1e-10
+_GRAZING = 1e-9
+_SECTIONS, _EDGE_STEPS = 256, 16
+
+
+@dataclass(frozen=True, eq=False)
+class Cylinder:
+    """A cylinder with rounded edges.
+
+    Its surface is where the distance function is zero. That function is convex, so Newton's steps
+    along a vertical ray from above approach the surface from outside and never cross it.
+    """
+
+    #: (xyz) middle
+    middle_mm: FloatArray
+    #: (xyz) unit vector
+    axis: FloatArray
+    radius_mm: float
+    half_length_mm: float
+    edge_radius_mm: float
+
+    @property
+    def top_mm(self) -> float:
+        """Height of the foremost point."""
+        return float(self.middle_mm[2] + self._reach(2))
+
+    def placed(self, pose: Pose) -> "Cylinder":
+        """Return the cylinder moved."""
+        return replace(self, middle_mm=pose.apply(self.middle_mm), axis=pose.rotation @ self.axis)
+
+    def spheres(self) -> tuple[Sphere, ...]:
+        """No balls."""
+        return ()
+
+    def bounds_mm(self) -> tuple[float, float, float, float]:
+        """Return the outline in world xy: (x low, x high, y low, y high)."""
+        (x, y, _), (over_x, over_y) = self.middle_mm, (self._reach(0), self._reach(1))
+        return float(x - over_x), float(x + over_x), float(y - over_y), float(y + over_y)
+
+    def height_above_lowest(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
+        """Return (row, col) float, mm, inf outside the outline."""
+        x, y = np.meshgrid(x_mm - self.middle_mm[0], y_mm - self.middle_mm[1])
+        height = np.full(x.shape, np.inf)
+        near = (np.abs(x) <= self._reach(0)) & (np.abs(y) <= self._reach(1))
+        # z counts from above the middle; the body lies within `start` of it.
+        start = self._reach(2) + _EXACT_MM
+        z = self._descend(x[near], y[near], start)
+        height[near] = np.where(np.isnan(z), np.inf, -self.middle_mm[2] - z)
+        return height
+
+    def mesh(self, touched_z_mm: float) -> trimesh.Trimesh:
+        """Return the closed surface, edges rounded."""
+        turn = np.linspace(0, np.pi / 2, _EDGE_STEPS)
+        core, length = self.radius_mm - self.edge_radius_mm, self.half_length_mm
+        edge = np.stack(
+            (
+                core + self.edge_radius_mm * np.sin(turn),
+                length - self.edge_radius_mm * (1 - np.cos(turn)),
+            ),
+            axis=-1,
+        )
+        if self.edge_radius_mm == 0:
+            edge = edge[:1]
+        line = np.concatenate(([[0.0, length]], edge, edge[::-1] * [1, -1], [[0.0, -length]]))
+        body = trimesh.creation.revolve(line[::-1], sections=_SECTIONS)
+        body.apply_transform(trimesh.geometry.align_vectors([0, 0, 1], self.axis))
+        body.apply_translation(self.middle_mm + np.array([0.0, 0.0, touched_z_mm]))
+        return body
+
+    def _reach(self, direction: int) -> float:
+        """Return how far the body extends from its middle along a world axis."""
+        along = abs(float(self.axis[direction]))
+        across = np.sqrt(max(0.0, 1 - along**2))
+        core = self.half_length_mm - self.edge_radius_mm
+        disc = self.radius_mm - self.edge_radius_mm
+        return float(along * core + across * disc + self.edge_radius_mm)
+
+    def _descend(self, x: FloatArray, y: FloatArray, start_mm: float) -> FloatArray:
+        """Return z of the upper surface over points (n,), NaN where the ray misses the body."""
+        z = np.full(x.shape, start_mm)
+        missed = np.zeros(x.shape, dtype=bool)
+        for _ in range(_PASSES):
+            distance, rise = self._distance(x, y, z)
+            missed |= (distance > _EXACT_MM) & (rise <= 0)
+            moving = (distance > _EXACT_MM) & ~missed
+            if not moving.any():
+                break
+            # A ray that grazes the body leaves it at once: any far z will do.
+            z = np.where(moving, z - distance / np.maximum(rise, _GRAZING), z)
+            missed |= z < -start_mm
+        return np.where(missed, np.nan, z)
+
+    def _distance(
+        self, x: FloatArray, y: FloatArray, z: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return the signed distance to the surface and its derivative along z."""
+        along = x * self.axis[0] + y * self.axis[1] + z * self.axis[2]
+        across = np.sqrt(np.maximum(x**2 + y**2 + z**2 - along**2, 1e-30))
+        over_end = np.abs(along) - (self.half_length_mm - self.edge_radius_mm)
+        over_side = across - (self.radius_mm - self.edge_radius_mm)
+        end_rise = np.sign(along) * self.axis[2]
+        side_rise = (z - along * self.axis[2]) / across
+        beyond_end, beyond_side = np.maximum(over_end, 0), np.maximum(over_side, 0)
+        corner = np.hypot(beyond_end, beyond_side)
+        inner = np.maximum(over_end, over_side)
+        outside = corner > 0
+        divisor = np.where(outside, corner, 1.0)
+        rise = np.where(
+            outside,
+            (beyond_end * end_rise + beyond_side * side_rise) / divisor,
+            np.where(over_end > over_side, end_rise, side_rise),
+        )
+        return np.where(outside, corner, inner) - self.edge_radius_mm, rise
+
+
+@register("rod")
+def build_rod(specimen: Rod) -> Cylinder:
+    """Lay a cylinder along x."""
+    return Cylinder(
+        np.zeros(3),
+        np.array([1.0, 0.0, 0.0]),
+        specimen.diameter_mm / 2,
+        specimen.length_mm / 2,
+        specimen.edge_radius_mm,
+    )
+
+
+@register("flat")
+def build_flat(specimen: Flat) -> Cylinder:
+    """Stand a cylinder up."""
+    return Cylinder(
+        np.zeros(3),
+        np.array([0.0, 0.0, 1.0]),
+        specimen.diameter_mm / 2,
+        specimen.height_mm / 2,
+        specimen.edge_radius_mm,
+    )

@@ -1,0 +1,55 @@
+"""Several specimens on one stage."""
+
+from dataclasses import dataclass
+from functools import reduce
+
+import numpy as np
+import trimesh
+
+from twin.config.models import Group
+from twin.specimens.catalogue import Shape, Sphere, register, shape_of
+from twin.specimens.pose import FloatArray, Pose, raised
+
+
+@dataclass(frozen=True)
+class Assembly:
+    """Rigid shapes that move together."""
+
+    parts: tuple[Shape, ...]
+
+    @property
+    def top_mm(self) -> float:
+        """Height of the foremost part."""
+        return max(part.top_mm for part in self.parts)
+
+    def placed(self, pose: Pose) -> "Assembly":
+        """Return all parts moved."""
+        return Assembly(tuple(part.placed(pose) for part in self.parts))
+
+    def spheres(self) -> tuple[Sphere, ...]:
+        """Return the balls of all parts, part by part."""
+        return tuple(ball for part in self.parts for ball in part.spheres())
+
+    def bounds_mm(self) -> tuple[float, float, float, float]:
+        """Return the outline in world xy: (x low, x high, y low, y high)."""
+        outlines = np.array([part.bounds_mm() for part in self.parts])
+        low, high = outlines.min(axis=0), outlines.max(axis=0)
+        return float(low[0]), float(high[1]), float(low[2]), float(high[3])
+
+    def height_above_lowest(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
+        """Return (row, col) float, mm: the foremost part at each point."""
+        heights = (part.height_above_lowest(x_mm, y_mm) for part in self.parts)
+        return reduce(np.minimum, heights)
+
+    def mesh(self, touched_z_mm: float) -> trimesh.Trimesh:
+        """Return all parts as one mesh of closed bodies; parts that overlap are united."""
+        bodies = [part.mesh(touched_z_mm) for part in self.parts]
+        return bodies[0] if len(bodies) == 1 else trimesh.boolean.union(bodies, engine="manifold")
+
+
+@register("group")
+def build_group(specimen: Group) -> Assembly:
+    """Place the parts, each with its foremost point at its own height."""
+    return Assembly(
+        tuple(shape_of(part).placed(raised(part.z_mm)) for part in specimen.parts.values())
+    )

@@ -1,0 +1,47 @@
+"""Rigid motions of specimens: world = rotation @ body + shift, mm."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from twin.config.models import Specimen
+
+FloatArray = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Pose:
+    """A rotation and a shift."""
+
+    #: (3, 3) rotation
+    rotation: FloatArray
+    #: (xyz) shift, mm
+    shift_mm: FloatArray
+
+    def apply(self, points_mm: FloatArray) -> FloatArray:
+        """Move points (..., xyz)."""
+        moved: FloatArray = points_mm @ self.rotation.T + self.shift_mm
+        return moved
+
+    @property
+    def matrix(self) -> FloatArray:
+        """(4, 4) homogeneous matrix."""
+        matrix = np.eye(4)
+        matrix[:3, :3], matrix[:3, 3] = self.rotation, self.shift_mm
+        return matrix
+
+
+def raised(height_mm: float) -> Pose:
+    """Return a shift along z."""
+    return Pose(np.eye(3), np.array([0.0, 0.0, height_mm]))
+
+
+def pose_of(specimen: Specimen) -> Pose:
+    """Return a specimen's own pose: tilt about its y axis, yaw about z, then shift in the plane."""
+    tilt, yaw = np.deg2rad(specimen.tilt_deg), np.deg2rad(specimen.yaw_deg)
+    c, s = np.cos(tilt), np.sin(tilt)
+    tilted = np.array([[c, 0.0, -s], [0.0, 1.0, 0.0], [s, 0.0, c]])
+    c, s = np.cos(yaw), np.sin(yaw)
+    turned = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    return Pose(turned @ tilted, np.array([specimen.x_mm, specimen.y_mm, 0.0]))
