@@ -1,0 +1,193 @@
+"""Finite elements in space: consistency, the spectral slab against them, and a domed CAD pad.
+
+Meshes are coarse, and pytetwild's differ from run to run: tolerances hold for any of them.
+"""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from twin.config.models import Ball, Elastomer, Press
+from twin.mechanics import PressedElastomer, PressError, SolverError, press
+from twin.mechanics.contact import DepthControl, solve_contact
+from twin.mechanics.layer import BondedLayer
+from twin.mechanics.reference import tetrahedra
+from twin.mechanics.reference.fem3d import press_pad
+from twin.mechanics.reference.fem_press import press_fem
+from twin.mechanics.reference.pad import Hold, Pad, facing, on_plane, slab_pad
+from twin.mechanics.reference.pad_mesh import mesh_pad
+from twin.mechanics.reference.taylor_hood import ElasticBody
+from twin.mechanics.reference.tetrahedra import Tetrahedra, tetrahedralize
+from twin.specimens import shape_of
+
+SLAB = Elastomer(
+    thickness_mm=4.0,
+    length_x_mm=20.0,
+    length_y_mm=20.0,
+    shore_a=10.0,
+    young_modulus_kpa=1000.0,
+    poisson_ratio=0.49,
+)
+COARSE = {"solver_pitch_mm": 0.08, "relief_pitch_mm": 0.05}
+TO_DEPTH = Press.model_validate({"control": "depth", "depth_mm": 1.0} | COARSE)
+BALL = shape_of(Ball())
+
+
+@pytest.fixture(scope="module")
+def block() -> Tetrahedra:
+    box = trimesh.creation.box((3.0, 2.0, 1.0))
+    return tetrahedralize(box, lambda points: np.full(len(points), 0.7))
+
+
+@pytest.fixture(scope="module")
+def free_slab() -> PressedElastomer:
+    return press_fem(Ball(), SLAB, TO_DEPTH, count=1600)
+
+
+def test_the_mesh_fills_its_box_exactly(block: Tetrahedra) -> None:
+    assert block.volumes_mm3.sum() == pytest.approx(6.0, rel=1e-9)
+    assert block.volumes_mm3.min() > 0
+    assert 0.1 < block.qualities.min() <= block.qualities.max() <= 1
+    low, high = block.points_mm.min(axis=0), block.points_mm.max(axis=0)
+    np.testing.assert_allclose([low, high], [(-1.5, -1, -0.5), (1.5, 1, 0.5)], atol=1e-12)
+
+
+def test_patch_of_uniform_strain_is_in_equilibrium(block: Tetrahedra) -> None:
+    body = ElasticBody(block, 0.45, (Hold(on_plane("x", -1.5)),))
+    strain = np.array([[0.1, 0.02, 0.0], [0.02, -0.05, 0.03], [0.0, 0.03, 0.04]])
+    pressure = np.full(len(block.points_mm), np.trace(strain) / (3 * (1 - 2 * 0.45)))
+    forces = body.residual(body.nodes_mm @ strain, pressure)
+    inside = (np.abs(body.nodes_mm) < np.array([1.5, 1.0, 0.5]) - 1e-9).all(axis=1)
+    assert inside.sum() > 20
+    assert np.abs(forces[inside]).max() < 1e-12
+    assert np.abs(forces).max() > 1e-3
+
+
+def test_a_bar_stretches_by_its_modulus(block: Tetrahedra) -> None:
+    holds = tuple(
+        Hold(on_plane(axis, -half), axis) for axis, half in zip("xyz", (1.5, 1, 0.5), strict=True)
+    )
+    body = ElasticBody(block, 0.49, holds)
+    end = body.facets(on_plane("x", 1.5))
+    force = np.zeros_like(body.nodes_mm)
+    force[:, 0] = end.trace.T @ (0.01 * end.weight_mm2)
+    moved = body.solve(force)
+    expected = 0.01 * (body.nodes_mm - body.nodes_mm.min(axis=0)) * (1, -0.49, -0.49)
+    np.testing.assert_allclose(moved, expected, atol=1e-10)
+
+
+def test_free_slab_is_the_spectral_one(free_slab: PressedElastomer) -> None:
+    """20 x 20 x 4, R 4, d 1: force 0.5 %, far face 3 um (full size: 0.1 %, 1.5 um)."""
+    spectral = press(Ball(), SLAB, TO_DEPTH)
+    assert free_slab.force_n == pytest.approx(spectral.force_n, rel=5e-3)
+    error_mm = free_slab.face_z_mm - spectral.face_z_mm
+    assert np.sqrt(np.mean(error_mm**2)) < 1e-3
+    assert np.abs(error_mm).max() < 4e-3
+    assert free_slab.contact.sum() == pytest.approx(spectral.contact.sum(), rel=0.2)
+    cell_mm2 = 0.08**2
+    assert free_slab.pressure_kpa.sum() * cell_mm2 * 1e-3 == pytest.approx(free_slab.force_n)
+    assert free_slab.pressure_kpa.min() >= 0
+
+
+def test_force_control_finds_the_depth(free_slab: PressedElastomer) -> None:
+    load = Press.model_validate({"control": "force", "force_n": free_slab.force_n} | COARSE)
+    pressed = press_fem(Ball(), SLAB, load, count=600)
+    assert pressed.force_n == pytest.approx(free_slab.force_n, rel=1e-9)
+    assert pressed.depth_mm == pytest.approx(1.0, rel=0.02)
+
+
+def test_bonded_window_is_the_spectral_layer() -> None:
+    """R 4, h 4, d 0.6, one period of 20 mm: force 1.5 %, face 5 um rms."""
+    pad = slab_pad((20.0, 20.0), 4.0, 0.49, "window")
+    pressed = press_pad(BALL, pad, mesh_pad(BALL, pad, 0.6, count=1600), depth_mm=0.6)
+    layer = BondedLayer(256, 256, 20.0, 20.0, 4.0, 0.49)
+    height = BALL.height_above_lowest(layer.x_mm, layer.y_mm)
+    spectral = solve_contact(layer.deflect, height, DepthControl(0.6))
+    force = float(spectral.pressure.sum()) * layer.cell_area_mm2
+    assert pressed.force_over_modulus_mm2 == pytest.approx(force, rel=0.015)
+    face = pressed.touched.deflection_mm(*np.meshgrid(layer.x_mm, layer.y_mm))
+    assert np.sqrt(np.mean((face - spectral.deflection_mm) ** 2)) < 5e-3
+
+
+@pytest.mark.parametrize(("support", "low", "high"), [("clamped", 1.25, 1.8), ("ledge", 1.1, 1.6)])
+def test_other_rims_are_stiffer(
+    support: str, low: float, high: float, free_slab: PressedElastomer
+) -> None:
+    held = press_fem(Ball(), SLAB, TO_DEPTH, support=support, count=600)  # type: ignore[arg-type]
+    assert low < held.force_n / free_slab.force_n < high
+
+
+def dome(path: Path) -> Pad:
+    """Cut a cap 4 mm high from a ball of 16 mm, store it as STL and read it back."""
+    ball = trimesh.creation.icosphere(subdivisions=4, radius=16.0)
+    ball.apply_translation((0, 0, 16.0))
+    slice_ = trimesh.creation.box((40.0, 40.0, 4.0))
+    slice_.apply_translation((0, 0, 2.0))
+    trimesh.boolean.intersection([ball, slice_], engine="manifold").export(path)
+    body = trimesh.load_mesh(path)
+    body.apply_translation((0, 0, -body.bounds[0, 2]))
+    below, top = facing((0, 0, -1)), float(body.bounds[1, 2])
+    return Pad(body, 0.49, (Hold(on_plane("z", top)),), touched=below, coated=below)
+
+
+def test_a_domed_pad_from_cad_is_pressed_by_a_ball(tmp_path: Path) -> None:
+    pad = dome(tmp_path / "pad.stl")
+    elastomer = SLAB.model_copy(
+        update={"layout": "contact_face", "length_x_mm": 12.0, "length_y_mm": 12.0}
+    )
+    load = Press(control="depth", depth_mm=0.5, relief_pitch_mm=0.05)
+    pressed = press_fem(Ball(), elastomer, load, pad=pad, count=1500)
+    # Two balls of 4 and 16 mm on a half-space; the window behind the dome stiffens it.
+    radius = 1 / (1 / 4 + 1 / 16)
+    hertz = 4 / 3 / (1 - 0.49**2) * np.sqrt(radius) * 0.5**1.5
+    assert 1.2 * hertz < pressed.force_n < 2.5 * hertz
+    middle = np.array([0.0])
+    row = np.abs(pressed.face_y_mm).argmin()
+    z = np.interp(middle, pressed.face_x_mm, pressed.face_z_mm[row])
+    assert z == pytest.approx(0.5, abs=0.01)  # the coat lies on the ball
+    edge = np.interp(5.5, pressed.face_x_mm, pressed.face_z_mm[row])
+    assert edge == pytest.approx(16 - np.sqrt(16**2 - 5.5**2), abs=0.05)
+    assert pressed.contact.any()
+
+
+@pytest.mark.parametrize(
+    ("child", "message"),
+    [
+        ("import os, signal; os.kill(os.getpid(), signal.SIGSEGV)", "died by SIGSEGV"),
+        ("import time; time.sleep(60)", "no mesh within 1 s"),
+        ("raise ValueError('spoiled')", "failed .*spoiled"),
+        (
+            "import sys, numpy; numpy.savez(sys.argv[2], points=numpy.eye(4, 3), "
+            "cells=numpy.array([[0, 0, 1, 2]]))",
+            "quality",
+        ),
+    ],
+)
+def test_a_child_that_dies_or_hangs_is_one_line(
+    child: str, message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    script = tmp_path / "child.py"
+    script.write_text(child)
+    monkeypatch.setattr(tetrahedra, "_CHILD", script)
+    with pytest.raises(SolverError, match=message) as caught:
+        tetrahedralize(
+            trimesh.creation.box((1, 1, 1)),
+            lambda p: np.full(len(p), 0.5),
+            timeout_s=1.0 if "sleep" in child else 30.0,
+        )
+    assert "\n" not in str(caught.value)
+    assert sys.executable not in str(caught.value)
+
+
+def test_an_open_surface_and_wrong_selectors_are_refused() -> None:
+    box = trimesh.creation.box((1, 1, 1))
+    opened = trimesh.Trimesh(box.vertices, box.faces[1:])
+    with pytest.raises(PressError, match="not closed"):
+        tetrahedralize(opened, lambda p: np.full(len(p), 0.5))
+    with pytest.raises(PressError, match="does not fit"):
+        press_fem(Ball(), SLAB, TO_DEPTH, support="bonded")
+    with pytest.raises(PressError, match="needs a width"):
+        slab_pad((10.0, 10.0), 2.0, 0.49, "ledge")

@@ -1,0 +1,1 @@
+"""Independent references for the spectral press: semi-analytic, large strain, finite elements."""

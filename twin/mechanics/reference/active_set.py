@@ -1,0 +1,159 @@
+"""Frictionless contact at scattered points with a body that answers one load at a time.
+
+A primal-dual active set (Hintermueller, M., Ito, K., Kunisch, K. (2002): The primal-dual active
+set strategy as a semismooth Newton method. SIAM J. Optim. 13, 865-888), independent of the
+spectral solver's conjugate gradients. Find forces q >= 0 and gaps g >= 0 with q g = 0, where
+g = A q + S - d. On the active set the equations are solved by conjugate gradients, preconditioned
+by the half-space's compliance between the points.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+from scipy.linalg import cho_factor, cho_solve
+
+from twin.mechanics.contact import BoolArray
+from twin.mechanics.errors import SolverError
+from twin.mechanics.transfer import FloatArray
+
+Deflect = Callable[[FloatArray], FloatArray]
+
+_MAX_PASSES = 40
+_MAX_ITERATIONS = 200
+# Residual gap over the depth: while the contact set still moves, and at the end.
+_ROUGH, _FINE = 1e-3, 1e-6
+# (1 - nu^2) / pi at nu = 0.5
+_HALF_SPACE = 0.75 / np.pi
+_FIRST_POINTS = 12
+# Passes without slack, and then the force over the largest and the gap over the depth to overlook.
+_PATIENCE, _SLACK = 12, 1e-4
+
+
+@dataclass(frozen=True)
+class PointContact:
+    """A solved contact."""
+
+    #: (point,) force over Young's modulus, mm^2
+    force: FloatArray
+    depth_mm: float
+    passes: int
+    #: loads that the body answered
+    loads: int
+
+
+@dataclass(frozen=True)
+class Points:
+    """Where contact is possible."""
+
+    #: (point, node) sparse: deflections of the face's nodes to those of the points
+    trace: sparse.csr_array
+    #: (node, xyz) of which only those in `trace` matter
+    nodes_mm: FloatArray
+    #: (point,) yielding of the foundation under a force over modulus, mm per mm^2
+    yielding: FloatArray
+    #: (point,) gap at first touch, inf where there is never contact
+    gap_mm: FloatArray
+
+
+def press_points(
+    deflect: Deflect,
+    points: Points,
+    *,
+    depth_mm: float | None = None,
+    force_over_modulus_mm2: float | None = None,
+) -> PointContact:
+    """Press to a depth, or with a force (give one of the two).
+
+    Parameters
+    ----------
+    deflect : callable
+        Forces over modulus (point,) to deflections along the press (point,), mm; symmetric.
+    points : Points
+        Where contact is possible.
+
+    Raises
+    ------
+    SolverError
+        The contact set did not settle.
+    """
+    known = np.isfinite(points.gap_mm)
+    gap = np.where(known, points.gap_mm, 0.0)
+    # Half the depth is about what a ball touches; a force starts with a handful of points.
+    foremost = float(np.sort(gap[known])[:_FIRST_POINTS][-1])
+    active = known & (gap <= max(0.5 * (depth_mm or 0.0), foremost))
+    force = closing = lifting = np.zeros_like(gap)
+    loads, tolerance = 0, _ROUGH
+    for passes in range(1, _MAX_PASSES + 1):
+        solve = _ActiveSolve(deflect, points, active, tolerance)
+        if depth_mm is not None:
+            force, depth = solve.forces(depth_mm - gap, force), depth_mm
+        else:
+            closing = solve.forces(-gap, closing)
+            lifting = solve.forces(np.ones_like(gap), lifting)
+            depth = ((force_over_modulus_mm2 or 0.0) - float(closing.sum())) / float(lifting.sum())
+            force = closing + depth * lifting
+        loads += solve.loads + 1
+        raised = deflect(force) + gap - depth
+        # Late passes overlook what is too little to matter: else two neighbours may take turns.
+        slack = _SLACK if passes > _PATIENCE else 0.0
+        wanted = np.where(active, force > -slack * force.max(), (raised < -slack * depth) & known)
+        settled = np.array_equal(wanted, active)
+        if settled and tolerance == _FINE:
+            return PointContact(np.maximum(force, 0.0), depth, passes, loads)
+        if settled or passes >= _PATIENCE:
+            tolerance = _FINE
+        active = wanted
+    raise SolverError(
+        f"press: the contact set did not settle within {_MAX_PASSES} passes; use a finer mesh"
+    )
+
+
+class _ActiveSolve:
+    """Forces on a given contact set."""
+
+    def __init__(
+        self, deflect: Deflect, points: Points, active: BoolArray, tolerance: float
+    ) -> None:
+        self.deflect, self.active, self.tolerance, self.loads = deflect, active, tolerance, 0
+        trace = sparse.csr_array(points.trace[active])
+        nodes = np.unique(trace.indices)
+        apart = np.linalg.norm(points.nodes_mm[nodes][:, None] - points.nodes_mm[nodes], axis=-1)
+        # A node stands for a disc that reaches half way to the next node, with a mean compliance
+        # as at half the disc's radius.
+        nearest = np.where(apart > 0, apart, np.inf).min(axis=1)
+        np.fill_diagonal(apart, nearest / 4)
+        dense = trace[:, nodes].toarray()
+        guess = dense @ (_HALF_SPACE / apart) @ dense.T + np.diag(points.yielding[active])
+        # The body as a whole gives way, too: one load tells how much.
+        even = np.full(guess.shape[0], 1 / guess.shape[0])
+        whole = float(even @ (self._deflected(even) - guess @ even))
+        self.factor = cho_factor(guess + max(whole, 0.0), lower=True)
+
+    def forces(self, aim: FloatArray, start: FloatArray) -> FloatArray:
+        """Return forces on the set that deflect its points by `aim` (point,), mm."""
+        force = start[self.active]
+        residual = aim[self.active] - self._deflected(force)
+        goal = self.tolerance * float(np.abs(aim[self.active]).max())
+        direction, before = np.zeros_like(force), 1.0
+        for _ in range(_MAX_ITERATIONS):
+            if float(np.abs(residual).max()) <= goal:
+                break
+            scaled = cho_solve(self.factor, residual)
+            norm = float(residual @ scaled)
+            direction = scaled + norm / before * direction
+            image, before = self._deflected(direction), norm
+            step = norm / float(direction @ image)
+            force, residual = force + step * direction, residual - step * image
+        return self._spread(force)
+
+    def _deflected(self, force: FloatArray) -> FloatArray:
+        self.loads += 1
+        deflected: FloatArray = self.deflect(self._spread(force))[self.active]
+        return deflected
+
+    def _spread(self, force: FloatArray) -> FloatArray:
+        whole = np.zeros(self.active.size)
+        whole[self.active] = force
+        return whole

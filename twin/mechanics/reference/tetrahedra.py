@@ -1,0 +1,201 @@
+"""Graded tetrahedra of a closed surface, by pytetwild in a child process.
+
+pytetwild can crash (always at epsilon 1e-2) or run for minutes (1e-5): it gets its own process, a
+time limit and an epsilon in between. Its surface strays by about epsilon, so vertices near planar
+faces are put back on them. Its meshes differ from run to run, even with one thread.
+"""
+
+import itertools
+import signal
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import trimesh
+from scipy.spatial import cKDTree
+
+from twin.mechanics.errors import PressError, SolverError
+from twin.mechanics.transfer import FloatArray
+
+IntArray = npt.NDArray[np.int64]
+#: points (n, 3) mm to wanted edge lengths (n,) mm
+Sizing = Callable[[FloatArray], FloatArray]
+
+_CHILD = Path(__file__).with_name("tetwild_child.py")
+# A planar face this share of the whole surface, or more, is kept exactly plane.
+_PLANE_SHARE = 0.02
+_BACKGROUND_CELLS = 24
+_POOREST_QUALITY = 1e-3
+
+
+@dataclass(frozen=True)
+class Tetrahedra:
+    """A tetrahedral mesh, positively oriented; mm."""
+
+    #: (point, xyz)
+    points_mm: FloatArray
+    #: (cell, 4)
+    cells: IntArray
+
+    @property
+    def volumes_mm3(self) -> FloatArray:
+        """(cell,) volumes, positive."""
+        return _volumes(self.points_mm, self.cells)
+
+    @property
+    def qualities(self) -> FloatArray:
+        """(cell,) volume over that of a regular tetrahedron of the same rms edge, 0 to 1."""
+        corner = self.points_mm[self.cells]
+        pairs = np.array(list(itertools.combinations(range(4), 2)))
+        squares = np.sum((corner[:, pairs[:, 0]] - corner[:, pairs[:, 1]]) ** 2, axis=-1)
+        quality: FloatArray = 6 * np.sqrt(2) * self.volumes_mm3 / squares.mean(axis=1) ** 1.5
+        return quality
+
+
+def tetrahedralize(
+    body: trimesh.Trimesh, sizing: Sizing, *, epsilon: float = 1e-3, timeout_s: float = 60.0
+) -> Tetrahedra:
+    """Fill a closed surface with tetrahedra of the wanted sizes.
+
+    Parameters
+    ----------
+    body : trimesh.Trimesh
+        Surface, mm; internal surfaces are kept as mesh faces.
+    sizing : callable
+        Wanted edge length per point.
+    epsilon : float
+        How far the surface may stray, over the diagonal of the bounding box.
+    timeout_s : float, s
+        The child is killed after this time.
+
+    Raises
+    ------
+    PressError
+        The surface is not closed.
+    SolverError
+        pytetwild crashed, ran out of time, or its mesh is unusable.
+    """
+    if not body.is_watertight:
+        raise PressError(
+            f"pad: its surface of {len(body.faces)} facets is not closed; repair the mesh"
+        )
+    box = _background(body, sizing)
+    with tempfile.TemporaryDirectory() as folder:
+        source, target = Path(folder) / "surface.npz", Path(folder) / "cells.npz"
+        np.savez(source, points=body.vertices, facets=body.faces, epsilon=epsilon, **box)
+        # fTetWild leaves a file in its working folder: it gets ours.
+        command = [sys.executable, "-P", str(_CHILD), str(source), str(target)]
+        _run_child(command, timeout_s, folder)
+        with np.load(target) as found:
+            points, cells = found["points"], found["cells"].astype(np.int64)
+    return _checked(_snap(points, body, 2 * epsilon * body.scale), cells, body)
+
+
+def graded_towards(
+    zone_mm: FloatArray, fine_mm: float, coarse_mm: float, growth: float = 0.35
+) -> Sizing:
+    """Return edge lengths that grow from `fine_mm` at the zone's points (n, 3) to `coarse_mm`."""
+    tree = cKDTree(zone_mm)
+
+    def sizing(points_mm: FloatArray) -> FloatArray:
+        distance, _ = tree.query(points_mm)
+        return np.clip(fine_mm + growth * np.asarray(distance), fine_mm, coarse_mm)
+
+    return sizing
+
+
+def count_estimate(body: trimesh.Trimesh, sizing: Sizing) -> float:
+    """Return about how many tetrahedra a sizing asks for."""
+    low, high = body.bounds
+    axes = [np.linspace(a, b, 24) for a, b in zip(low, high, strict=True)]
+    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    # A regular tetrahedron of edge e has a volume of e^3 / (6 sqrt 2).
+    share = body.volume / np.prod(high - low)
+    return float(np.mean(6 * np.sqrt(2) / sizing(points) ** 3) * np.prod(high - low) * share)
+
+
+def _run_child(command: list[str], timeout_s: float, folder: str) -> None:
+    try:
+        ended = subprocess.run(
+            command, capture_output=True, text=True, timeout=timeout_s, check=False, cwd=folder
+        )
+    except subprocess.TimeoutExpired:
+        raise SolverError(
+            f"pytetwild: no mesh within {timeout_s:g} s; ask for fewer tetrahedra"
+        ) from None
+    if ended.returncode < 0:
+        name = signal.Signals(-ended.returncode).name
+        raise SolverError(
+            f"pytetwild: its process died by {name}; repair the surface or change epsilon"
+        )
+    if ended.returncode:
+        said = (ended.stderr.strip().splitlines() or ["no message"])[-1]
+        raise SolverError(f"pytetwild: failed ({said})")
+
+
+def _background(body: trimesh.Trimesh, sizing: Sizing) -> dict[str, Any]:
+    """Return a box of tetrahedra round the body with the wanted size at its points."""
+    low, high = body.bounds
+    margin = 0.05 * (high - low).max()
+    step = (high - low).max() / _BACKGROUND_CELLS
+    axes = [
+        np.linspace(a - margin, b + margin, int(np.ceil((b - a) / step)) + 4)
+        for a, b in zip(low, high, strict=True)
+    ]
+    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    number = np.arange(points.shape[0]).reshape([axis.size for axis in axes])
+    cells = []
+    # Kuhn's split: one tetrahedron per order in which the axes are walked.
+    for order in itertools.permutations(range(3)):
+        corner, corners = [0, 0, 0], []
+        for axis in (*order, None):
+            window = tuple(slice(c, n - 1 + c) for c, n in zip(corner, number.shape, strict=True))
+            corners.append(number[window].ravel())
+            if axis is not None:
+                corner[axis] = 1
+        cells.append(np.stack(corners, axis=1))
+    return {
+        "background_points": points,
+        "background_cells": np.concatenate(cells),
+        "size": sizing(points),
+    }
+
+
+def _snap(points: FloatArray, body: trimesh.Trimesh, reach_mm: float) -> FloatArray:
+    """Put vertices within reach of the body's large planar faces back on them."""
+    moved = points.copy()
+    for faces, area in zip(body.facets, body.facets_area, strict=True):
+        if area < _PLANE_SHARE * body.area:
+            continue
+        corner, normal = body.vertices[body.faces[faces[0]][0]], body.face_normals[faces[0]]
+        outline = body.vertices[np.unique(body.faces[faces])]
+        height = (moved - corner) @ normal
+        low, high = outline.min(axis=0) - reach_mm, outline.max(axis=0) + reach_mm
+        near = (np.abs(height) < reach_mm) & ((moved >= low) & (moved <= high)).all(axis=1)
+        moved[near] -= height[near, None] * normal
+    return moved
+
+
+def _volumes(points: FloatArray, cells: IntArray) -> FloatArray:
+    edges = points[cells[:, 1:]] - points[cells[:, :1]]
+    volumes: FloatArray = np.linalg.det(edges) / 6
+    return volumes
+
+
+def _checked(points: FloatArray, cells: IntArray, body: trimesh.Trimesh) -> Tetrahedra:
+    turned = _volumes(points, cells) < 0
+    cells[turned] = cells[turned][:, [1, 0, 2, 3]]
+    mesh = Tetrahedra(points, cells)
+    if not len(cells) or mesh.qualities.min() < _POOREST_QUALITY:
+        poorest = mesh.qualities.min() if len(cells) else 0.0
+        raise SolverError(
+            f"pytetwild: {len(cells)} tetrahedra, the poorest of quality {poorest:.1g}; "
+            "run again or change the sizes"
+        )
+    return mesh

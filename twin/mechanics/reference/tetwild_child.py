@@ -1,0 +1,36 @@
+"""Runs pytetwild alone in a process, for `tetrahedra`: it may take the process down with it.
+
+Called with an input and an output path (npz); imports nothing of the twin, so that it starts fast.
+"""
+
+import importlib.util
+import sys
+import types
+
+import numpy as np
+
+
+def main(source: str, target: str) -> None:
+    """Read the surface and its sizing field, write points and tetrahedra."""
+    if importlib.util.find_spec("pyvista") is None:
+        # pytetwild registers an accessor with PyVista on import, which nothing here needs.
+        sys.modules["pyvista"] = types.ModuleType("pyvista")
+    import pytetwild
+
+    with np.load(source) as data:
+        points, cells = pytetwild.tetrahedralize(
+            data["points"],
+            data["facets"].astype(np.int32),
+            edge_length_abs=float(data["size"].max()),
+            epsilon=float(data["epsilon"]),
+            bg_vertices=data["background_points"],
+            bg_tets=data["background_cells"].astype(np.int32),
+            bg_values=data["size"],
+            vtk_ordering=True,
+            quiet=True,
+        )
+    np.savez(target, points=points, cells=cells)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1], sys.argv[2])
