@@ -93,18 +93,30 @@ def keys() -> None:
 
 
 @app.command
-def press(experiment: Path, /, *, out: Out, settings: Settings = None) -> None:
+def press(
+    experiment: Path, /, *, out: Out, settings: Settings = None, transfer: bool = False
+) -> None:
     """Press the specimen into the elastomer: fields, force, coated face as a mesh.
 
     Parameters
     ----------
     experiment
         TOML file, or the name of a shipped experiment such as paper/two_balls.
+    transfer
+        Also report how much of a groove of each pitch the slab keeps.
     """
+    from twin.mechanics import contact_transfer
     from twin.modalities.contact_fpp import press_specimen
-    from twin.modalities.storage import press_metrics, write_pressed, write_result
+    from twin.modalities.storage import (
+        press_metrics,
+        transfer_metrics,
+        write_pressed,
+        write_result,
+        write_transfer,
+    )
     from twin.output import output_folder
     from twin.report.press import draw_press
+    from twin.report.transfer import draw_transfer
 
     loaded = _load(experiment, settings)
     with output_folder(out) as folder:
@@ -114,8 +126,14 @@ def press(experiment: Path, /, *, out: Out, settings: Settings = None) -> None:
             watch("press", 1.0)
         write_pressed(folder, pressed)
         draw_press(folder / "press.png", loaded, pressed)
-        write_result(folder, "press", loaded, press_metrics(pressed))
-    _print_metrics(press_metrics(pressed))
+        figures = press_metrics(pressed)
+        if transfer:
+            kept = contact_transfer(loaded.elastomer)
+            write_transfer(folder / "transfer.csv", kept)
+            draw_transfer(folder / "transfer.png", kept)
+            figures |= transfer_metrics(kept)
+        write_result(folder, "press", loaded, figures)
+    _print_metrics(figures)
     _say(f"wrote {out}")
 
 

@@ -147,6 +147,28 @@ def test_press_by_force(tmp_path):
     assert (out / "press.png").stat().st_size > 10_000
 
 
+def test_press_reports_the_contact_transfer(tmp_path):
+    """Half the relief is kept at a pitch of 2.40 thicknesses, a tenth at 1.32."""
+    out = tmp_path / "pressed"
+    assert run(["press", "paper/two_balls", "--transfer", "-o", str(out)]) == 0
+    metrics = json.loads((out / "result.json").read_text())["metrics"]
+    thickness_mm = load_experiment(out / "experiment.toml").elastomer.thickness_mm
+    assert metrics["half_contrast_pitch_mm"] == pytest.approx(2.40 * thickness_mm, rel=2e-3)
+    assert metrics["tenth_contrast_pitch_mm"] == pytest.approx(1.32 * thickness_mm, rel=5e-3)
+    assert metrics["transfer_computed_minus_closed_form"] < 1e-3
+    assert (out / "transfer.csv").read_text().startswith("pitch_mm,closed_form,computed\n")
+    assert (out / "transfer.png").stat().st_size > 5_000
+
+
+@pytest.mark.parametrize("name", ["examples/gel_on_window", "examples/group_on_pad"])
+def test_press_of_a_gel_on_a_window(tmp_path, name):
+    out = tmp_path / "pressed"
+    assert run(["press", name, "-o", str(out)]) == 0
+    metrics = json.loads((out / "result.json").read_text())["metrics"]
+    assert metrics["force_n"] > 0
+    assert metrics["relief_peak_mm"] == pytest.approx(metrics["depth_mm"], abs=2e-3)
+
+
 @pytest.mark.parametrize("emitter", ["projector", "spot"])
 def test_stock_engine_gives_the_same_measurement(mi, tmp_path, emitter):
     """`render.engine = "stock"`: jitter noise, but the same surface to some micrometres."""
@@ -170,6 +192,7 @@ REFUSED = [
     (["measure", "paper/two_balls", "-s", "press.depth_mm=30"], "press.depth_mm"),
     (["press", "paper/two_balls", "-s", "specimen.x_mm=8.0"], "free span"),
     (["reconstruct", "nowhere"], "no capture.toml"),
+    (["measure", "examples/gel_on_window"], "seen through the gel, which is not rendered yet"),
 ]
 
 

@@ -4,10 +4,11 @@ from dataclasses import dataclass
 
 from reconstruction.capture import Capture
 from reconstruction.decode import DecodeOptions
+from reconstruction.errors import InputError
 from reconstruction.pipeline import Reconstruction, ReconstructOptions, reconstruct
 from twin.camera import expose
 from twin.config.models import Decode, Experiment
-from twin.mechanics import PressedElastomer, face_mesh, press
+from twin.mechanics import PressedElastomer, face_mesh, press_with
 from twin.modalities.progress import Stopwatch, Watcher, nobody
 from twin.modalities.score import Score, score
 from twin.optics.light import pattern_set
@@ -42,8 +43,10 @@ class Measurement:
 
 
 def press_specimen(experiment: Experiment) -> PressedElastomer:
-    """Press the experiment's specimen into its elastomer."""
-    return press(experiment.specimen, experiment.elastomer, experiment.press)
+    """Press the experiment's specimen into its elastomer, with the model that it asks for."""
+    return press_with(
+        experiment.mechanics, experiment.specimen, experiment.elastomer, experiment.press
+    )
 
 
 def record(
@@ -64,9 +67,16 @@ def record(
 
     Raises
     ------
+    InputError
+        The coat is not seen from outside (contact-face layout).
     MissingBackend
         No usable Dr.Jit backend.
     """
+    if experiment.elastomer.layout == "contact_face":
+        raise InputError(
+            "elastomer.layout = 'contact_face': the coat is seen through the gel, which is not"
+            " rendered yet; use twin press, or layout = 'opposite_face'"
+        )
     clock = clock or Stopwatch()
     with clock.stage("render") as progress:
         radiance = render(experiment, face_mesh(pressed), progress)

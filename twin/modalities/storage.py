@@ -5,6 +5,7 @@
 | result.json | metrics (units in their names), digest, versions |
 | experiment.toml | the resolved experiment |
 | press.nc, coated_face.ply | fields of the pressed elastomer and the coated face |
+| press.png | relief, pressure, section; transfer.csv, transfer.png when asked for |
 | capture/ | what a real rig would have recorded: stack, description, calibration |
 | truth.nc, white.exr | point, normal, depth, projector pixel behind every pixel; white radiance |
 | frames_exr/, frames_png/ | when asked for: each frame as linear radiance, as digital numbers |
@@ -22,7 +23,13 @@ from reconstruction.capture import write_capture
 from reconstruction.outputs import write_point_map_ply, write_reconstruction
 from reconstruction.pipeline import Reconstruction
 from twin.config import Experiment, digest, to_toml
-from twin.mechanics import PressedElastomer, face_mesh, write_mesh, write_press
+from twin.mechanics import (
+    ContactTransfer,
+    PressedElastomer,
+    face_mesh,
+    write_mesh,
+    write_press,
+)
 from twin.modalities.contact_fpp import Measurement, Recording
 from twin.modalities.score import metrics
 from twin.optics.storage import write_exr, write_truth
@@ -122,6 +129,22 @@ def press_metrics(pressed: PressedElastomer) -> dict[str, Any]:
         "peak_pressure_kpa": float(pressed.pressure_kpa.max()),
         "height_error_estimate_mm": pressed.validity.height_error_mm,
         "warnings": list(pressed.validity.warnings),
+    }
+
+
+def write_transfer(path: Path, transfer: ContactTransfer) -> None:
+    """Write the contact transfer function as CSV: pitch, closed form, computed."""
+    lines = [f"{pitch:.6g},{exact:.6g},{found:.6g}" for pitch, exact, found in transfer.rows()]
+    path.write_text("\n".join(["pitch_mm,closed_form,computed", *lines, ""]), encoding="utf-8")
+
+
+def transfer_metrics(transfer: ContactTransfer) -> dict[str, Any]:
+    """Figures of the contact transfer function."""
+    difference = np.abs(transfer.closed_form - transfer.computed)
+    return {
+        "half_contrast_pitch_mm": transfer.half_pitch_mm,
+        "tenth_contrast_pitch_mm": transfer.tenth_pitch_mm,
+        "transfer_computed_minus_closed_form": float(difference.max()),
     }
 
 

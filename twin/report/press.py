@@ -64,18 +64,20 @@ def draw_section(
     low, high = slab_span(experiment, trace)
     s_mm = np.linspace(low, high, _SAMPLES)
     coated = face_profile(pressed, trace, s_mm)
-    clear = touched_profile(experiment, pressed, trace, s_mm)
+    touched = touched_profile(experiment, pressed, trace, s_mm)
+    on_window = experiment.elastomer.layout == "contact_face"
+    far = np.full_like(s_mm, experiment.elastomer.thickness_mm) if on_window else coated
     body = specimen_profile(experiment, pressed, trace, s_mm)
     present = np.isfinite(body)
-    base = float(body[present].min()) if present.any() else float(clear.min())
+    base = float(body[present].min()) if present.any() else float(touched.min())
     axes.fill_between(s_mm, base, np.where(present, body, base), where=present, color=_STEEL)
-    axes.fill_between(s_mm, clear, coated, color=_SILICONE)
+    axes.fill_between(s_mm, touched, far, color=_SILICONE)
     axes.plot(s_mm, np.where(present, body, np.nan), color=NOMINAL, lw=1.0, label="specimen")
-    axes.plot(s_mm, clear, color=INK, lw=0.8, label="clear face (touched)")
-    axes.plot(s_mm, coated, color=MEASURED, lw=1.5, label="coated face (seen by the camera)")
+    name = "window" if on_window else "clear face"
+    axes.plot(s_mm, far if on_window else touched, color=INK, lw=0.8, label=name)
+    axes.plot(s_mm, coated, color=MEASURED, lw=1.5, label="coated face")
     axes.set(
-        title="Section, to scale",
-        xlabel=f"{trace.axis} (mm)",
+        xlabel=f"{trace.axis} (mm), to scale",
         ylabel="z (mm)",
         xlim=(low, high),
         aspect="equal",
@@ -92,7 +94,7 @@ def _coated_face(
     s_mm = np.linspace(low, high, _SAMPLES)
     coated = face_profile(pressed, trace, s_mm)
     body = specimen_profile(experiment, pressed, trace, s_mm)
-    lift = float(coated.max()) - float(body.max())
+    lift = float(coated[np.argmax(body)]) - float(body.max())
     floor = min(0.0, float(coated.min()))
     shown = np.where(body + lift >= floor, body + lift, np.nan)
     axes.plot(s_mm, shown, color=NOMINAL, lw=1.0, ls="--", label="specimen, moved to the same peak")
@@ -146,7 +148,7 @@ def _pressure(axes: Axes, pressed: PressedElastomer) -> None:
         vmin=0,
         vmax=top,
     )
-    axes.set(title="Pressure on the clear face; gray: no contact", xlabel="x (mm)", ylabel="y (mm)")
+    axes.set(title="Pressure on the touched face; gray: no contact", xlabel="x (mm)", ylabel="y (mm)")
     _zoom_to_contact(axes, pressed)
     add_colorbar(axes, shown, "pressure (kPa)")
 

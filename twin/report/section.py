@@ -50,11 +50,12 @@ def trace_through_apexes(experiment: Experiment) -> Trace:
     """Line through the first and the last apex; along x for one apex or none."""
     balls = shape_of(experiment.specimen).spheres()
     if not balls:
-        specimen = experiment.specimen
-        return Trace(np.array([specimen.x_mm, specimen.y_mm]), np.array([1.0, 0.0]))
+        return Trace(np.array([0.0, experiment.specimen.y_mm]), np.array([1.0, 0.0]))
     first, last = _xy(balls[0]), _xy(balls[-1])
     along, length = last - first, float(np.hypot(*(last - first)))
     direction = along / length if length else np.array([1.0, 0.0])
+    if abs(direction[1]) < 1e-9:  # along x: positions are world x
+        return Trace(np.array([0.0, (first[1] + last[1]) / 2]), np.array([1.0, 0.0]))
     return Trace((first + last) / 2, direction if direction[0] >= -1e-12 else -direction)
 
 
@@ -64,7 +65,7 @@ def specimen_profile(
     """World z of the pressed-in specimen's upper side at positions s; -inf where there is none."""
     points = trace.points(s_mm)
     height = np.diagonal(height_above_lowest(experiment.specimen, points[:, 0], points[:, 1]))
-    return np.asarray(pressed.depth_mm - experiment.elastomer.thickness_mm - height)
+    return np.asarray(pressed.depth_mm + experiment.elastomer.touched_plane_mm - height)
 
 
 def face_profile(pressed: PressedElastomer, trace: Trace, s_mm: FloatArray) -> FloatArray:
@@ -76,9 +77,9 @@ def face_profile(pressed: PressedElastomer, trace: Trace, s_mm: FloatArray) -> F
 def touched_profile(
     experiment: Experiment, pressed: PressedElastomer, trace: Trace, s_mm: FloatArray
 ) -> FloatArray:
-    """World z of the clear face at positions s; undeformed beyond the outermost cells."""
+    """World z of the touched face at positions s; undeformed beyond the outermost cells."""
     grid = (pressed.y_mm, pressed.x_mm)
-    fill = -experiment.elastomer.thickness_mm
+    fill = experiment.elastomer.touched_plane_mm
     return _along(grid, pressed.touched_face_mm, trace, s_mm, fill)
 
 
