@@ -148,7 +148,7 @@ def _pressure(axes: Axes, pressed: PressedElastomer) -> None:
         vmin=0,
         vmax=top,
     )
-    axes.set(title="Pressure on the touched face; gray: no contact", xlabel="x (mm)", ylabel="y (mm)")
+    axes.set(title="Pressure where it touches", xlabel="x (mm)", ylabel="y (mm)")
     _zoom_to_contact(axes, pressed)
     add_colorbar(axes, shown, "pressure (kPa)")
 
