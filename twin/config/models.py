@@ -260,7 +260,8 @@ class Mechanics(Model):
     model: Literal["auto", "spectral", "fem", "neo_hookean"] = Field(
         default="auto",
         description="auto: spectral, but neo_hookean for a sheet that deflects by about its "
-        "thickness; fem: other supports and pads from CAD",
+        "thickness; fem: other supports and pads from CAD (its mesher, and so its last digits, "
+        "differ from run to run)",
     )
     support: Literal["simple", "clamped", "ledge", "bonded", "window"] | None = Field(
         default=None, description="fem only; absent: what the layout says"
