@@ -94,7 +94,13 @@ def keys() -> None:
 
 @app.command
 def press(
-    experiment: Path, /, *, out: Out, settings: Settings = None, transfer: bool = False
+    experiment: Path,
+    /,
+    *,
+    out: Out,
+    settings: Settings = None,
+    transfer: bool = False,
+    solid: bool = False,
 ) -> None:
     """Press the specimen into the elastomer: fields, force, coated face as a mesh.
 
@@ -104,14 +110,17 @@ def press(
         TOML file, or the name of a shipped experiment such as paper/two_balls.
     transfer
         Also report how much of a groove of each pitch the slab keeps.
+    solid
+        Also write the pressed slab as a watertight body, slab.stl and slab.ply.
     """
-    from twin.mechanics import contact_transfer
+    from twin.mechanics import contact_transfer, write_in_plane
     from twin.modalities.contact_fpp import press_specimen
     from twin.modalities.storage import (
         press_metrics,
         transfer_metrics,
         write_pressed,
         write_result,
+        write_solid,
         write_transfer,
     )
     from twin.output import output_folder
@@ -127,6 +136,10 @@ def press(
         write_pressed(folder, pressed)
         draw_press(folder / "press.png", loaded, pressed)
         figures = press_metrics(pressed)
+        if pressed.model == "spectral":
+            write_in_plane(folder / "in_plane.nc", pressed, loaded.elastomer)
+        if solid:
+            write_solid(folder, loaded, pressed)
         if transfer:
             kept = contact_transfer(loaded.elastomer)
             write_transfer(folder / "transfer.csv", kept)

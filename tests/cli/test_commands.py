@@ -150,7 +150,7 @@ def test_press_by_force(tmp_path):
 def test_press_reports_the_contact_transfer(tmp_path):
     """Half the relief is kept at a pitch of 2.40 thicknesses, a tenth at 1.32."""
     out = tmp_path / "pressed"
-    assert run(["press", "paper/two_balls", "--transfer", "-o", str(out)]) == 0
+    assert run(["press", "paper/two_balls", "--transfer", "--solid", "-o", str(out)]) == 0
     metrics = json.loads((out / "result.json").read_text())["metrics"]
     thickness_mm = load_experiment(out / "experiment.toml").elastomer.thickness_mm
     assert metrics["half_contrast_pitch_mm"] == pytest.approx(2.40 * thickness_mm, rel=2e-3)
@@ -158,6 +158,10 @@ def test_press_reports_the_contact_transfer(tmp_path):
     assert metrics["transfer_computed_minus_closed_form"] < 1e-3
     assert (out / "transfer.csv").read_text().startswith("pitch_mm,closed_form,computed\n")
     assert (out / "transfer.png").stat().st_size > 5_000
+    assert metrics["mechanics_model"] == "spectral"
+    assert trimesh.load(out / "slab.stl").is_watertight
+    with h5netcdf.File(out / "in_plane.nc") as file, h5netcdf.File(out / "press.nc") as press:
+        assert file["u_x_mm"].shape == press["face_z_mm"].shape
 
 
 @pytest.mark.parametrize("name", ["examples/gel_on_window", "examples/group_on_pad"])

@@ -13,7 +13,7 @@ from twin.mechanics.hardness import (
 from twin.mechanics.in_plane import in_plane_displacement
 from twin.mechanics.press import PressedElastomer, press
 from twin.mechanics.relief import face_mesh, face_normals, slab_mesh
-from twin.mechanics.storage import read_press, write_mesh, write_press
+from twin.mechanics.storage import read_press, write_in_plane, write_mesh, write_press
 from twin.mechanics.transfer import opposite_transfer
 from twin.mechanics.validity import Validity
 
@@ -36,6 +36,7 @@ __all__ = [
     "press_with",
     "read_press",
     "slab_mesh",
+    "write_in_plane",
     "write_mesh",
     "write_press",
     "young_modulus",

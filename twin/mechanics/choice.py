@@ -1,5 +1,6 @@
 """Press with the model that the experiment asks for; every model returns the same type."""
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from twin.config.models import Elastomer, Mechanics, PadFile, Press, Specimen
@@ -28,7 +29,7 @@ def press_with(
     if mechanics.model == "fem":
         from twin.mechanics.reference.fem_press import press_fem
 
-        return press_fem(
+        found = press_fem(
             specimen,
             elastomer,
             load,
@@ -37,16 +38,14 @@ def press_with(
             pad=None if mechanics.pad is None else read_pad(mechanics.pad, elastomer),
             count=mechanics.tetrahedra,
         )
-    if mechanics.model == "neo_hookean":
-        from twin.mechanics.reference.thin_sheet import press_neo_hookean
+        return replace(found, model="fem")
+    if mechanics.model != "neo_hookean":
+        pressed = press(specimen, elastomer, load)
+        if mechanics.model == "spectral" or choose_model(pressed, elastomer, load) == "spectral":
+            return pressed
+    from twin.mechanics.reference.thin_sheet import press_neo_hookean
 
-        return press_neo_hookean(specimen, elastomer, load)
-    pressed = press(specimen, elastomer, load)
-    if mechanics.model == "auto" and choose_model(pressed, elastomer, load) == "neo_hookean":
-        from twin.mechanics.reference.thin_sheet import press_neo_hookean
-
-        return press_neo_hookean(specimen, elastomer, load)
-    return pressed
+    return replace(press_neo_hookean(specimen, elastomer, load), model="neo_hookean")
 
 
 def choose_model(pressed: PressedElastomer, elastomer: Elastomer, load: Press) -> str:

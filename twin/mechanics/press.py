@@ -49,6 +49,8 @@ class PressedElastomer:
     validity: Validity
     iterations: int
     converged: bool
+    #: which model pressed: spectral, fem or neo_hookean
+    model: str = "spectral"
 
 
 def press(specimen: Specimen, elastomer: Elastomer, load: Press) -> PressedElastomer:

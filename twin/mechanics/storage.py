@@ -14,7 +14,9 @@ import h5netcdf
 import numpy as np
 import trimesh
 
+from twin.config.models import Elastomer
 from twin.mechanics.errors import PressError
+from twin.mechanics.in_plane import in_plane_displacement
 from twin.mechanics.press import PressedElastomer
 from twin.mechanics.validity import Validity
 
@@ -67,14 +69,43 @@ def read_press(path: Path) -> PressedElastomer:
             if file.attrs.get("schema") != _SCHEMA:
                 raise PressError(f"{path}: not a pressed elastomer (schema '{_SCHEMA}')")
             values = {name: file[name][...] for name in _VARIABLES}
-            validity = _read_validity(file)
+            validity, model = _read_validity(file), str(file.attrs["model"])
     except PressError:
         raise
     except FileNotFoundError as error:
         raise PressError(f"{path}: no such file") from error
     except (OSError, KeyError) as error:
         raise PressError(f"{path}: damaged or not a netCDF-4 file; press again") from error
-    return PressedElastomer(**{**_typed(values), "validity": validity})
+    return PressedElastomer(**{**_typed(values), "validity": validity, "model": model})
+
+
+def write_in_plane(path: Path, pressed: PressedElastomer, elastomer: Elastomer) -> None:
+    """Write the coated face's displacement in its own plane as netCDF-4, for texture only.
+
+    Raises
+    ------
+    PressError
+        The press is not of the spectral model, or the file cannot be written.
+    """
+    if pressed.model != "spectral":
+        raise PressError(f"in-plane displacement: the model is {pressed.model}, allowed: spectral")
+    moved = in_plane_displacement(pressed, elastomer)
+
+    def write(target: Path) -> None:
+        with h5netcdf.File(target, "w") as file:
+            file.attrs["comment"] = (
+                "moves texture and markers; the relief's nodes stay where they are"
+            )
+            file.dimensions = {"face_y": pressed.face_y_mm.size, "face_x": pressed.face_x_mm.size}
+            for axis, data in zip("xy", moved, strict=True):
+                variable = file.create_variable(
+                    f"u_{axis}_mm", ("face_y", "face_x"), data=data,
+                    compression="gzip", compression_opts=1,
+                )  # fmt: skip
+                variable.attrs["units"] = "mm"
+                variable.attrs["long_name"] = f"displacement of the coat along world {axis}"
+
+    _replace(path, write)
 
 
 def write_mesh(path: Path, mesh: trimesh.Trimesh) -> None:
@@ -108,6 +139,7 @@ def _replace(path: Path, write: Callable[[Path], object]) -> None:
 def _fill(file: Any, pressed: PressedElastomer) -> None:
     file.attrs["Conventions"] = "CF-1.11"
     file.attrs["schema"] = _SCHEMA
+    file.attrs["model"] = pressed.model
     file.dimensions = {
         "x": pressed.x_mm.size,
         "y": pressed.y_mm.size,

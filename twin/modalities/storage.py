@@ -27,6 +27,7 @@ from twin.mechanics import (
     ContactTransfer,
     PressedElastomer,
     face_mesh,
+    slab_mesh,
     write_mesh,
     write_press,
 )
@@ -69,6 +70,13 @@ def write_pressed(folder: Path, pressed: PressedElastomer) -> None:
     """Write the pressed elastomer and its coated face."""
     write_press(folder / "press.nc", pressed)
     write_mesh(folder / "coated_face.ply", face_mesh(pressed))
+
+
+def write_solid(folder: Path, experiment: Experiment, pressed: PressedElastomer) -> None:
+    """Write the pressed slab as one watertight body, for CAD and for printing."""
+    body = slab_mesh(pressed, experiment.elastomer)
+    write_mesh(folder / "slab.stl", body)
+    write_mesh(folder / "slab.ply", body)
 
 
 def write_recording(folder: Path, recording: Recording) -> None:
@@ -122,6 +130,7 @@ def write_measurement(
 def press_metrics(pressed: PressedElastomer) -> dict[str, Any]:
     """Figures of the press, warnings included."""
     return {
+        "mechanics_model": pressed.model,
         "force_n": pressed.force_n,
         "depth_mm": pressed.depth_mm,
         "young_modulus_kpa": pressed.young_modulus_kpa,
