@@ -147,7 +147,8 @@ def test_a_domed_pad_from_cad_is_pressed_by_a_ball(tmp_path: Path) -> None:
     middle = np.array([0.0])
     row = np.abs(pressed.face_y_mm).argmin()
     z = np.interp(middle, pressed.face_x_mm, pressed.face_z_mm[row])
-    assert z == pytest.approx(0.5, abs=0.01)  # the coat lies on the ball
+    # The coat lies on the ball, as far as a dome of 1.1 mm facets can: their sag is 10 um.
+    assert z == pytest.approx(0.5, abs=0.02)
     edge = np.interp(5.5, pressed.face_x_mm, pressed.face_z_mm[row])
     assert edge == pytest.approx(16 - np.sqrt(16**2 - 5.5**2), abs=0.05)
     assert pressed.contact.any()
