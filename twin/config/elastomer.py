@@ -1,0 +1,146 @@
+"""Elastomer, coat and press as data, and which model presses. Frames and units: see `models`."""
+
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from twin.config.base import Fraction, Length, Model, NonNegative, Positive
+
+
+class Film(Model):
+    """The coat as an elastic film of its own, the outermost part of the slab's thickness."""
+
+    thickness_mm: Length
+    young_modulus_kpa: Positive
+    poisson_ratio: Annotated[float, Field(gt=0, lt=0.5)] = 0.49
+
+
+class Elastomer(Model):
+    """A flat silicone slab: on a rim and coated on the far face, or bonded to a window."""
+
+    thickness_mm: Length
+    length_x_mm: Length = Field(description="along world x: free span, or length of the pad")
+    length_y_mm: Length = Field(description="along world y: free span, or length of the pad")
+    shore_a: Annotated[float, Field(ge=0, le=95)] | None = Field(
+        default=None,
+        description="durometer hardness; below 20 every formula for the modulus extrapolates",
+    )
+    shore_00: Annotated[float, Field(ge=0, le=95)] | None = Field(
+        default=None, description="hardness of very soft gels, instead of shore_a"
+    )
+    young_modulus_kpa: Positive | None = Field(
+        default=None, description="measured modulus; when absent it follows from the hardness"
+    )
+    poisson_ratio: Annotated[float, Field(gt=0, lt=0.5)]
+    density_kg_m3: Annotated[float, Field(ge=100, le=5000)] | None = Field(
+        default=None, description="needed when press.gravity_deg is given"
+    )
+    layout: Literal["opposite_face", "contact_face"] = Field(
+        default="opposite_face",
+        description="opposite_face: the object presses the clear face of a slab on a simply "
+        "supported rim, the coated far face bulges (the paper); contact_face: it presses the "
+        "coat of a gel bonded to a rigid window (GelSight)",
+    )
+    film: Film | None = Field(default=None, description="absent: the coat is as soft as the slab")
+
+    @model_validator(mode="after")
+    def _stiffness_is_known(self) -> "Elastomer":
+        if (self.shore_a, self.shore_00, self.young_modulus_kpa) == (None, None, None):
+            raise ValueError("needs shore_a, shore_00 or young_modulus_kpa")
+        if self.shore_a is not None and self.shore_00 is not None:
+            raise ValueError("takes shore_a or shore_00, not both: remove one")
+        if self.film is not None and self.film.thickness_mm >= self.thickness_mm:
+            raise ValueError(
+                f"film.thickness_mm: found {self.film.thickness_mm:g}, allowed less than "
+                f"thickness_mm, {self.thickness_mm:g}, of which it is a part"
+            )
+        return self
+
+    @property
+    def touched_plane_mm(self) -> float:
+        """World z of the undeformed face that the object touches; the coated face is z = 0."""
+        return -self.thickness_mm if self.layout == "opposite_face" else 0.0
+
+
+class Coating(Model):
+    """Gray ink with aluminium flakes: a blend of a diffuse and a rough conducting reflector."""
+
+    base_albedo: Annotated[float, Field(gt=0, lt=1)]
+    flake_fraction: Fraction
+    flake_roughness: Annotated[float, Field(ge=0.05, le=1)] = Field(
+        description="GGX alpha of the flakes' normals"
+    )
+    flake_ior: Positive = Field(description="real part n of the flakes' complex index")
+    flake_extinction: NonNegative = Field(description="imaginary part k of the complex index")
+
+
+class Press(Model):
+    """How the specimen is pressed in: to a depth, or with a force."""
+
+    control: Literal["depth", "force"]
+    depth_mm: Positive | None = Field(default=None, description="travel after first touch")
+    force_n: Positive | None = None
+    back_pressure_kpa: NonNegative = Field(
+        default=0.0,
+        description="uniform gauge pressure on the coated face; drapes the sheet over the specimen",
+    )
+    gravity_deg: Annotated[float, Field(ge=0, le=180)] | None = Field(
+        default=None,
+        description="angle between world z and the vertical: 0 camera above, 180 camera below; "
+        "when absent the slab has no weight",
+    )
+    solver_pitch_mm: Annotated[float, Field(ge=0.01, le=0.5)] = 0.08
+    relief_pitch_mm: Annotated[float, Field(ge=0.005, le=0.05)] = Field(
+        default=0.025, description="mesh pitch of the coated face"
+    )
+
+    @model_validator(mode="after")
+    def _control_has_its_value(self) -> "Press":
+        needed, other = ("depth_mm", "force_n")[:: 1 if self.control == "depth" else -1]
+        if getattr(self, needed) is None:
+            raise ValueError(f"control = '{self.control}' needs {needed}")
+        if getattr(self, other) is not None:
+            raise ValueError(f"control = '{self.control}' does not take {other}: remove it")
+        return self
+
+
+class PadFile(Model):
+    """An elastic body from CAD in place of the flat slab: a coated dome behind a window, say.
+
+    It is moved so that its lowest point is z = 0, held on its highest plane, and touched and seen
+    on the facets that face down (contact-face layout).
+    """
+
+    file: str = Field(description="closed surface: STL, PLY or OBJ")
+    scale_mm: Positive = Field(default=1.0, description="length of one unit of the file")
+    facing_deg: Annotated[float, Field(gt=0, lt=90)] = Field(
+        default=60.0, description="facets leaning from straight down by less than this are coated"
+    )
+
+
+class Mechanics(Model):
+    """Which model presses the elastomer."""
+
+    model: Literal["auto", "spectral", "fem", "neo_hookean"] = Field(
+        default="auto",
+        description="auto: spectral, but neo_hookean for a sheet that deflects by about its "
+        "thickness; fem: other supports and pads from CAD (its mesher, and so its last digits, "
+        "differ from run to run)",
+    )
+    support: Literal["simple", "clamped", "ledge", "bonded", "window"] | None = Field(
+        default=None, description="fem only; absent: what the layout says"
+    )
+    ledge_mm: Positive = Field(
+        default=2.0, description="fem, support = 'ledge': width of the frame under the slab"
+    )
+    pad: PadFile | None = Field(default=None, description="fem only")
+    tetrahedra: Annotated[int, Field(ge=200, le=20000)] = Field(
+        default=4000, description="fem only: about how many"
+    )
+
+    @model_validator(mode="after")
+    def _fem_only(self) -> "Mechanics":
+        for name in ("support", "pad"):
+            if getattr(self, name) is not None and self.model != "fem":
+                raise ValueError(f"{name} needs model = 'fem'; set it, or remove {name}")
+        return self
