@@ -31,9 +31,9 @@ def experiment():
         {
             "projector.width_px": 320,
             "projector.height_px": 180,
-            "camera.width_px": 60,
-            "camera.height_px": 46,
-            "camera.pixel_pitch_um": {"value": 144.0, "source": "test"},
+            "camera.width_px": 40,
+            "camera.height_px": 30,
+            "camera.pixel_pitch_um": {"value": 216.0, "source": "test"},
             "coating.base_albedo": 0.8,
             "coating.flake_fraction": 0.3,
         },
