@@ -77,6 +77,25 @@ def test_every_mistake_is_one_line(changes, found, allowed):
     assert "\n" not in message
 
 
+@pytest.mark.parametrize(
+    ("specimen", "line"),
+    [
+        ({"kind": "rod", "diamter_mm": 3}, "unknown key 'diamter_mm' in [specimen]; did you mean"),
+        ({"kind": "rod", "diameter_mm": -3}, "specimen.diameter_mm: found -3"),
+        (
+            {"kind": "group", "parts": {"ball": {"kind": "ball", "diametr_mm": 1}}},
+            "unknown key 'diametr_mm' in [specimen.parts.ball]; did you mean 'diameter_mm'?",
+        ),
+    ],
+)
+def test_paths_are_those_of_the_file(experiment, specimen, line):
+    """No union tag in them, and a part's own name stays even if it is a kind's."""
+    tree = experiment.model_dump(mode="json") | {"specimen": specimen}
+    with pytest.raises(ConfigError) as caught:
+        validate_experiment(tree)
+    assert line in str(caught.value)
+
+
 def test_all_mistakes_are_reported_at_once():
     with pytest.raises(ConfigError) as caught:
         load_experiment("paper/two_balls", {"seed": -1, "press.depth_mm": -2, "colour": "red"})

@@ -1,12 +1,18 @@
 """Validation problems in one line each: what, where, found, allowed, what to do."""
 
 import difflib
+import types
 import typing
 from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
 from twin.config.models import Experiment
+
+Loc = tuple[int | str, ...]
+
+# Branches of a union of plain values, such as camera.exposure_ms.
+_SCALAR_TAGS = {"constrained-float", "float", "literal['auto']"}
 
 
 def explain(error: ValidationError) -> list[str]:
@@ -43,33 +49,48 @@ def _short(value: Any) -> str:
     return text if len(text) <= 60 else f"{text[:57]}..."
 
 
-def _path(loc: tuple[int | str, ...]) -> str:
-    """Dotted path without the tags that pydantic inserts for unions (specimen.two_balls.x_mm)."""
-    known = _kinds()
-    return ".".join(str(part) for part in loc if part not in known)
+def _path(loc: Loc) -> str:
+    """Dotted path as a user writes it: without the tags that pydantic inserts for unions."""
+    return ".".join(_walk(loc)[0])
 
 
-def _kinds() -> set[str]:
-    return {"ball", "two_balls", "constrained-float", "literal['auto']", "float"}
-
-
-def _closest(key: str, loc: tuple[int | str, ...]) -> str | None:
-    names = _field_names(Experiment, list(loc))
+def _closest(key: str, loc: Loc) -> str | None:
+    names = [name for model in _walk(loc)[1] for name in model.model_fields]
     found = difflib.get_close_matches(key, names, n=1, cutoff=0.6)
     return found[0] if found else None
 
 
-def _field_names(model: type[BaseModel], loc: list[int | str]) -> list[str]:
-    """Names of the fields of the model found at `loc`, following unions by their tag."""
-    if not loc:
-        return list(model.model_fields)
-    field = model.model_fields.get(str(loc[0]))
-    if field is None:
-        return []
-    options = typing.get_args(field.annotation) or (field.annotation,)
-    models = [m for m in options if isinstance(m, type) and issubclass(m, BaseModel)]
-    rest = loc[1:]
-    if len(models) > 1 and rest:
-        tagged = [m for m in models if m.model_fields["kind"].default == rest[0]]
-        models, rest = tagged or models, rest[1:]
-    return [name for m in models for name in _field_names(m, rest)]
+def _walk(loc: Loc) -> tuple[list[str], list[type[BaseModel]]]:
+    """Follow a location from the experiment; return its path and the models found at its end."""
+    path: list[str] = []
+    here: list[Any] = [Experiment]
+    for part in map(str, loc):
+        kinds = {
+            m.model_fields["kind"].default: m for m in _models(here) if "kind" in m.model_fields
+        }
+        if len(kinds) > 1 and part in kinds:
+            here = [kinds[part]]
+        elif part not in _SCALAR_TAGS:
+            path.append(part)
+            here = [option for place in here for option in _inside(place, part)]
+    return path, _models(here)
+
+
+def _models(options: list[Any]) -> list[type[BaseModel]]:
+    return [part for part in options if isinstance(part, type) and issubclass(part, BaseModel)]
+
+
+def _inside(place: Any, part: str) -> list[Any]:
+    """Types that a field of a model, or a value of a table by name, may have."""
+    if typing.get_origin(place) is dict:
+        return _options(typing.get_args(place)[1])
+    field = place.model_fields.get(part) if _models([place]) else None
+    return _options(field.annotation) if field is not None else []
+
+
+def _options(annotation: Any) -> list[Any]:
+    if typing.get_origin(annotation) is typing.Annotated:
+        annotation = typing.get_args(annotation)[0]
+    if typing.get_origin(annotation) in (typing.Union, types.UnionType):
+        return list(typing.get_args(annotation))
+    return [annotation]
