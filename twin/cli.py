@@ -83,11 +83,11 @@ def keys() -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from twin.config.reference import list_keys
+    from twin.config.reference import experiment_keys
 
     table = Table("key", "allowed", "default", "meaning")
     table.columns[0].no_wrap = True
-    for key in list_keys():
+    for key in experiment_keys():
         table.add_row(key.path, key.allowed, key.default, key.meaning)
     Console().print(table)
 

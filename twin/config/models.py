@@ -13,6 +13,7 @@ from pydantic import Field
 from twin.config.base import Distortion, Model, Positive
 from twin.config.devices import Camera, Pose, Projector
 from twin.config.elastomer import Coating, Elastomer, Film, Mechanics, PadFile, Press
+from twin.config.materials import Conductor, Dielectric, Diffuse, Material, Plastic, Stage
 from twin.config.specimens import (
     AnySpecimen,
     Ball,
@@ -30,7 +31,10 @@ __all__ = [
     "Ball",
     "Camera",
     "Coating",
+    "Conductor",
     "Decode",
+    "Dielectric",
+    "Diffuse",
     "Distortion",
     "Elastomer",
     "Experiment",
@@ -38,11 +42,13 @@ __all__ = [
     "Flat",
     "Grating",
     "Group",
+    "Material",
     "Mechanics",
     "MeshFile",
     "Model",
     "PadFile",
     "Patterns",
+    "Plastic",
     "Pose",
     "Press",
     "Projector",
@@ -51,6 +57,7 @@ __all__ = [
     "Rod",
     "Score",
     "Specimen",
+    "Stage",
     "TwoBalls",
 ]
 
@@ -80,6 +87,10 @@ class Render(Model):
     )
     bounce_paths: Annotated[int, Field(ge=1, le=4096)] = Field(
         default=4, description="random continuations per camera ray, when there are bounces"
+    )
+    photons: Annotated[int, Field(ge=1000, le=10**9)] = Field(
+        default=4_000_000,
+        description="light paths from the projector through clear or polished specimens",
     )
 
 
@@ -115,7 +126,13 @@ class Experiment(Model):
     name: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_\-]*$", max_length=64)]
     description: str = ""
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
+    modality: Literal["contact_fpp", "direct_fpp"] = Field(
+        default="contact_fpp",
+        description="contact_fpp: fringes on the coat of the pressed elastomer; "
+        "direct_fpp: fringes on the bare specimen, which stands on the stage",
+    )
     specimen: AnySpecimen
+    stage: Stage = Stage()
     elastomer: Elastomer
     coating: Coating
     press: Press

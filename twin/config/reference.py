@@ -9,7 +9,7 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
-from twin.config.models import Experiment
+from twin.config.models import Conductor, Dielectric, Diffuse, Experiment, Plastic
 
 
 @dataclass(frozen=True)
@@ -22,10 +22,18 @@ class Key:
     meaning: str
 
 
-def list_keys(model: type[BaseModel] = Experiment, prefix: str = "") -> Iterator[Key]:
+def experiment_keys() -> Iterator[Key]:
+    """Yield every key of an experiment file, the materials' once at the end."""
+    yield from list_keys(Experiment)
+    for material in (Conductor, Dielectric, Diffuse, Plastic):
+        kind = material.model_fields["kind"].default
+        yield from list_keys(material, f"specimen.material({kind}).")
+
+
+def list_keys(model: type[BaseModel], prefix: str = "") -> Iterator[Key]:
     """Yield every key of a model and of the models inside it, in file order."""
     for name, field in model.model_fields.items():
-        inner = _models_in(field.annotation)
+        inner = [] if name == "material" else _models_in(field.annotation)
         if name == "provenance":
             continue
         if not inner:
@@ -56,6 +64,8 @@ def _type_name(annotation: Any) -> str:
         return ", ".join([_type_name(inner), *filter(None, limits)])
     if typing.get_origin(annotation) is dict:
         return "tables by name"
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return f"table ({annotation.model_fields['kind'].default})"
     if typing.get_origin(annotation) is tuple:
         return f"{len(typing.get_args(annotation))} numbers"
     parts = [part for part in typing.get_args(annotation) if part is not type(None)]

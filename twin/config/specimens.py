@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from twin.config.base import Angle, Length, Model, NonNegative, Positive
+from twin.config.materials import Material
 
 
 class Specimen(Model):
@@ -21,6 +22,9 @@ class Specimen(Model):
     yaw_deg: Angle = 0.0
     tilt_deg: Annotated[float, Field(ge=-30, le=30)] = Field(
         default=0.0, description="tilt about the specimen's y axis; positive lifts its +x side"
+    )
+    material: Material | None = Field(
+        default=None, description="needed where the specimen itself is seen (direct_fpp)"
     )
 
 
