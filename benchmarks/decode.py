@@ -1,22 +1,27 @@
 """Time a full capture from camera frames to points: `python benchmarks/decode.py [--quick]`.
 
 A curved coat is projected exactly through a camera and an off-axis projector with distortion; the
-53 noisy frames are 16-bit. The last line of the output is one JSON object.
+53 noisy frames are 16-bit. Timed: decoding with filter, masks, order, sigma, residual and order
+error, plus triangulation. Beside it, in turns so that all see the same machine: a copy of the
+stack, a plain OpenCV phase of the phase frames (accumulate, cartToPolar), and the `fringes` package
+where it is installed (phase frames only). The last line of the output is one JSON object.
 """
 
 import argparse
+import importlib.util
 import json
-import statistics
 import time
+import tracemalloc
 from collections.abc import Callable
 
+import cv2
 import numpy as np
 
 from reconstruction.calibration import Calibration, Pinhole
-from reconstruction.decode import decode
-from reconstruction.patterns import PatternSet
+from reconstruction.decode import DecodeOptions, decode
+from reconstruction.patterns import AXES, PatternSet
 from reconstruction.sensor import SensorNoise
-from reconstruction.triangulate import triangulate
+from reconstruction.triangulate import PointMap, triangulate
 
 FULL = (1464, 1936)
 QUICK = (366, 484)
@@ -62,34 +67,102 @@ def surface(calibration: Calibration) -> tuple[np.ndarray, np.ndarray]:
     return points, calibration.projector.project(points @ T[:3, :3].T + T[:3, 3])
 
 
+def frames_at(
+    patterns: PatternSet, projector_px: np.ndarray, mean_dn: float, amplitude_dn: float
+) -> np.ndarray:
+    """Return noise-free frames, (frame, row, col) float32 DN, at (row, col, uv) coordinates."""
+    stack = np.zeros((len(patterns.frames), *projector_px.shape[:2]), np.float32)
+    for i, frame in enumerate(patterns.frames):
+        x_px = projector_px[..., 1 if frame.axis == "row" else 0]
+        if frame.kind == "phase":
+            period_px, shift = patterns.phase_of(frame)
+            signal = np.cos(2.0 * np.pi * (x_px / period_px + shift))
+        else:
+            levels = patterns.profile(frame) / 127.5 - 1.0
+            signal = levels[np.clip(np.rint(x_px).astype(np.intp), 0, levels.size - 1)]
+        stack[i] = mean_dn + amplitude_dn * signal
+    return stack
+
+
 def synthesise(patterns: PatternSet, projector_px: np.ndarray) -> np.ndarray:
     """Return the noisy stack, (frame, row, col) uint16 DN."""
     rng = np.random.default_rng(7)
     noise_dn = rng.normal(0.0, np.sqrt(SENSOR.variance_dn2(MEAN_DN)), (4, *projector_px.shape[:2]))
     noise_dn = noise_dn.astype(np.float32)
-    stack = np.zeros((len(patterns.frames), *projector_px.shape[:2]), np.uint16)
-    for i, frame in enumerate(patterns.frames):
-        x_px = projector_px[..., 1 if frame.axis == "row" else 0]
-        if frame.kind == "phase":
-            turns = x_px / patterns.period_px + frame.index / patterns.steps
-            signal = np.cos(2.0 * np.pi * turns)
-        else:
-            levels = patterns.profile(frame) / 127.5 - 1.0
-            signal = levels[np.clip(np.rint(x_px).astype(np.intp), 0, levels.size - 1)]
+    stack = frames_at(patterns, projector_px, MEAN_DN, AMPLITUDE_DN)
+    for i, frame in enumerate(stack):
         # Four noise fields, shifted: drawing 53 would take longer than all the rest.
-        noise = np.roll(noise_dn[i % 4], 37 * i, axis=1)
-        stack[i] = np.rint(MEAN_DN + AMPLITUDE_DN * signal + noise)
-    return stack
+        frame += np.roll(noise_dn[i % 4], 37 * i, axis=1)
+    return np.rint(stack).astype(np.uint16)
 
 
-def median_s(action: Callable[[], object], repeats: int) -> float:
-    """Return the median time of `repeats` calls, seconds."""
-    times = []
-    for _ in range(repeats):
-        start = time.perf_counter()
-        action()
-        times.append(time.perf_counter() - start)
-    return statistics.median(times)
+def opencv_phase(stack: np.ndarray, patterns: PatternSet) -> list[np.ndarray]:
+    """Return wrapped phase and modulation of both axes as a few lines of OpenCV give them."""
+    found = []
+    for axis in AXES:
+        frames = stack[patterns.index("phase", axis)]
+        real, imag = (np.zeros(stack.shape[1:], np.float32) for _ in range(2))
+        for n, frame in enumerate(frames):
+            angle = 2.0 * np.pi * n / patterns.steps
+            level = frame.astype(np.float32)
+            cv2.scaleAdd(level, np.cos(angle), real, real)
+            cv2.scaleAdd(level, -np.sin(angle), imag, imag)
+        found += cv2.cartToPolar(real, imag)
+    return found
+
+
+def fringes_decoder(stack: np.ndarray, patterns: PatternSet) -> Callable[[], object] | None:
+    """Return the peer's decoding of the same phase frames (it has no Gray code), or None."""
+    if importlib.util.find_spec("fringes") is None:
+        return None
+    from fringes import Fringes
+
+    peer = Fringes()
+    peer.X, peer.Y = patterns.width_px, patterns.height_px
+    peer.K, peer.N, peer.v = 1, patterns.steps, 1.0
+    frames = stack[: 2 * patterns.steps, :, :, np.newaxis]
+    return lambda: peer.decode(frames)
+
+
+def best_s(actions: dict[str, Callable[[], object]], rounds: int) -> dict[str, float]:
+    """Return the best time of each action, seconds; they take turns.
+
+    The best, not the median: other programs on the machine only ever add time.
+    """
+    best = dict.fromkeys(actions, np.inf)
+    for _ in range(rounds):
+        for name, action in actions.items():
+            start = time.perf_counter()
+            action()
+            best[name] = min(best[name], time.perf_counter() - start)
+    return best
+
+
+def ideal_rms_px() -> dict[str, float]:
+    """Return the error of noise-free frames at random coordinates, float and 8-bit, unfiltered."""
+    patterns, rng = PatternSet(1280, 720), np.random.default_rng(3)
+    projector_px = np.stack([rng.uniform(0, 1279, (200, 500)), rng.uniform(0, 719, (200, 500))], -1)
+    clean = frames_at(patterns, projector_px, 120.0, 100.0)
+    sensor = SensorNoise(0.0, 0.0, 0.0, 255.0)
+    errors = {}
+    for name, stack in (
+        ("float_rms_px", clean.astype(np.float32)),
+        ("eight_bit_rms_px", np.rint(clean).astype(np.uint8)),
+    ):
+        decoded = decode(stack, patterns, sensor, DecodeOptions(filter_taps=0))
+        error_px = np.stack([decoded.column.coordinate_px, decoded.row.coordinate_px], -1)
+        error_px = (error_px - projector_px)[decoded.valid]
+        errors[name] = float(f"{np.sqrt(np.mean(error_px**2)):.3g}")
+    return errors
+
+
+def peak_over_stack(action: Callable[[], object], stack: np.ndarray) -> float:
+    """Return the most memory that `action` holds at once beside the stack, in stacks."""
+    tracemalloc.start()
+    action()
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    return peak / stack.nbytes
 
 
 def main() -> None:
@@ -101,28 +174,42 @@ def main() -> None:
     truth_mm, projector_px = surface(calibration)
     stack = synthesise(patterns, projector_px)
 
+    def reconstruct() -> PointMap:
+        return triangulate(decode(stack, patterns, SENSOR), calibration)
+
     print("compiling or loading the kernels", flush=True)
     start = time.perf_counter()
-    points = triangulate(decode(stack, patterns, SENSOR), calibration)
+    points = reconstruct()
     first_s = time.perf_counter() - start
     error_um = 1e3 * (points.points_world_mm - truth_mm)[points.valid][:, 2]
 
-    print(f"timing {REPEATS} repeats", flush=True)
-    decode_s = median_s(lambda: triangulate(decode(stack, patterns, SENSOR), calibration), REPEATS)
+    print(f"timing {REPEATS} rounds", flush=True)
+    target = np.zeros_like(stack)
+    peer = fringes_decoder(stack, patterns)
+    actions: dict[str, Callable[[], object]] = {
+        "decode_s": reconstruct,
+        "decode_only_s": lambda: decode(stack, patterns, SENSOR),
+        "memcpy_s": lambda: np.copyto(target, stack),
+        "opencv_phase_s": lambda: opencv_phase(stack, patterns),
+    }
+    best = best_s(actions | ({"fringes_s": peer} if peer else {}), REPEATS)
     # On a busy machine the processor time tells what an idle one would need.
     start = time.process_time()
-    triangulate(decode(stack, patterns, SENSOR), calibration)
+    reconstruct()
     cpu_s = time.process_time() - start
-    target = np.zeros_like(stack)
-    memcpy_s = median_s(lambda: np.copyto(target, stack), REPEATS)
     result = {
-        "decode_s": round(decode_s, 4),
-        "over_memcpy": round(decode_s / memcpy_s, 2),
+        "decode_s": round(best["decode_s"], 4),
+        "over_memcpy": round(best["decode_s"] / best["memcpy_s"], 2),
+        **ideal_rms_px(),
         "frames": len(patterns.frames),
         "rows": rows,
         "cols": cols,
         "cpu_s": round(cpu_s, 4),
-        "memcpy_s": round(memcpy_s, 4),
+        "decode_only_s": round(best["decode_only_s"], 4),
+        "memcpy_s": round(best["memcpy_s"], 4),
+        "opencv_phase_s": round(best["opencv_phase_s"], 4),
+        "fringes_s": round(best["fringes_s"], 4) if peer else None,
+        "peak_memory_over_stack": round(peak_over_stack(reconstruct, stack), 3),
         "first_call_s": round(first_s, 2),
         "valid": round(float(points.valid.mean()), 4),
         "z_rms_um": round(float(np.sqrt(np.mean(error_um**2))), 3),

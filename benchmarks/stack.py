@@ -1,81 +1,171 @@
-"""Speed of the one-trace renderer: a whole fringe stack against ONE stock Mitsuba frame.
+"""Speed of the one-trace renderer: a whole fringe stack against stock Mitsuba, frame by frame.
 
-Both see the same pressed face, camera, coating and samples per pixel. The stock frame is
-`mi.render` with the `direct` integrator and the `projector` emitter, scene and texture loaded
-beforehand; the stack is timed until all frames lie in memory as one array. Median of alternating
-pairs after one warm-up of each, so kernel compilation is in neither.
+Both see the same pressed face, camera, coating and samples per pixel. A stock frame is `mi.render`
+with the `direct` integrator and the `projector` emitter, scene and texture loaded beforehand; a
+stack is timed until all frames lie in memory as one array each. Two comparisons in one run:
 
-Last line: {"stack_over_one_frame": ratio, "frames": n, ...}.
+- a whole stack against ONE stock frame, full film: median of alternating pairs after one warm-up of
+  each, so kernel compilation is in neither;
+- a whole stack against ALL its frames by stock renders, small film; writing the pattern textures is
+  not counted.
+
+The memory is the highest of this process up to the end of the first stacks, before anything of
+stock Mitsuba is loaded: press, mesh, BVH and all frames.
+
+Last line: {"stack_over_one_frame": ratio, "naive_over_stack": ratio, "frames": n, ...}.
 """
 
 import argparse
 import json
+import resource
 import statistics
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
-from twin.config import load_experiment
-from twin.mechanics import face_mesh
-from twin.modalities import press_specimen
+from twin.config import Experiment, load_experiment
+from twin.mechanics import face_mesh, press_with
 from twin.optics.backend import activate
 
-PAIRS = 5
+PAIRS = 7
+SMALL_FILM_BINNING = 4
+SETTINGS = {"patterns.period_px": 10}
+"""Finer fringes than the paper's 18 px: one Gray bit more along the columns, 54 frames."""
 
 
 def main() -> None:
-    """Time both engines in alternation and print one JSON line."""
+    """Time both engines and print one JSON line."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true", help="968 x 732 instead of 1936 x 1464")
-    binning = 2 if parser.parse_args().quick else 1
     backend = activate()
-    stack, frame, facts = prepare(binning)
-    print(f"{backend.variant}: {facts['frames']} frames at {facts['size']}, 4 samples per pixel")
-    print(f"first calls: stack {seconds(stack):.2f} s, stock frame {seconds(frame):.2f} s")
+    case = Case.of_film(2 if parser.parse_args().quick else 1)
+    print(f"{backend.variant}: {case.frames} frames at {case.size}, {case.samples} samples")
+    case.trace()
+    case.trace()
+    memory_gib = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
+    print(f"peak memory of press and stack {memory_gib:.2f} GiB")
+    figures = against_one_frame(case) | against_all_frames() | {"peak_memory_gib": memory_gib}
+    rounded = {name: round(value, 3) for name, value in figures.items()}
+    facts = {"frames": case.frames, "size": case.size, "samples": case.samples}
+    print(json.dumps(rounded | facts | {"triangles": len(case.face.faces)}))
+
+
+@dataclass(frozen=True)
+class Case:
+    """The paper's sensor with two balls pressed in, ready to be traced."""
+
+    experiment: Experiment
+    face: Any
+    scene: Any
+    rig: Any
+    patterns: Any
+    tables: Any
+
+    @classmethod
+    def of_film(cls, binning: int) -> "Case":
+        """Press, mesh and load."""
+        from twin.optics.light import light_tables, pattern_set
+        from twin.optics.scene import coated_rig, coated_scene
+
+        experiment = load_experiment("paper/two_balls", SETTINGS | {"camera.binning": binning})
+        face = face_mesh(
+            press_with(
+                experiment.mechanics, experiment.specimen, experiment.elastomer, experiment.press
+            )
+        )
+        patterns = pattern_set(experiment.projector, experiment.patterns)
+        return cls(
+            experiment,
+            face,
+            coated_scene(experiment, face),
+            coated_rig(experiment, face),
+            patterns,
+            light_tables(experiment.projector, patterns),
+        )
+
+    @property
+    def frames(self) -> int:
+        """Number of frames of the sequence."""
+        return len(self.patterns.frames)
+
+    @property
+    def samples(self) -> int:
+        """Camera rays per pixel."""
+        return self.experiment.render.samples
+
+    @property
+    def size(self) -> str:
+        """Size of the film, px."""
+        return f"{self.rig.camera.pinhole.width_px}x{self.rig.camera.pinhole.height_px}"
+
+    def trace(self) -> Any:
+        """Trace the whole stack."""
+        from twin.optics.one_trace import trace_stack
+
+        return trace_stack(self.scene, self.rig, self.tables, self.samples)
+
+    def texture(self, index: int) -> Any:
+        """Light of one frame on a stock emitter's canvas, and the canvas."""
+        from twin.optics import stock
+
+        canvas = stock.canvas_for(self.rig, "projector", texels_per_px=2)
+        frame = self.patterns.frames[index]
+        return stock.frame_texture(frame, index, self.rig, self.tables, canvas), canvas
+
+    def stock_scene(self) -> Any:
+        """Load the same scene for stock Mitsuba, with the first frame."""
+        from twin.optics import stock
+        from twin.optics.coat import coated_mesh, coating_bsdf
+        from twin.optics.device_frames import perspective_sensor
+
+        camera, (texture, canvas) = self.rig.camera, self.texture(0)
+        return stock.frame_scene(
+            coated_mesh(self.face, coating_bsdf(self.experiment.coating)),
+            stock.emitter_dict(texture, self.rig, canvas),
+            perspective_sensor(camera.pinhole, camera.T_world_from_device, self.samples),
+        )
+
+
+def against_one_frame(case: Case) -> dict[str, float]:
+    """Seconds of a stack and of one stock frame, and their ratio, on the same film."""
+    from twin.optics import stock
+
+    scene = case.stock_scene()
+    stock.render_frame(scene, 0)
     pairs = []
-    for number in range(PAIRS):
-        pairs.append((seconds(stack), seconds(frame)))
-        print(f"pair {number + 1}: stack {pairs[-1][0]:.2f} s, stock frame {pairs[-1][1]:.2f} s")
+    for number in range(1, PAIRS + 1):
+        pairs.append((seconds(case.trace), seconds(lambda n=number: stock.render_frame(scene, n))))
+        print(f"pair {number}: stack {pairs[-1][0]:.2f} s, one stock frame {pairs[-1][1]:.2f} s")
     stack_s, frame_s = (statistics.median(column) for column in zip(*pairs, strict=True))
-    ratio = statistics.median(a / b for a, b in pairs)
-    figures = {"stack_over_one_frame": round(ratio, 3), "stack_s": round(stack_s, 3)}
-    print(json.dumps(figures | {"stock_frame_s": round(frame_s, 3)} | facts))
-
-
-def prepare(binning: int) -> tuple[Callable[[], Any], Callable[[], Any], dict[str, Any]]:
-    """Load everything; return the two calls to time and the facts of the case."""
-    from twin.optics import one_trace, stock
-    from twin.optics.coat import coated_mesh, coating_bsdf
-    from twin.optics.device_frames import perspective_sensor
-    from twin.optics.light import light_tables, pattern_set
-    from twin.optics.scene import coated_scene, rig_of
-
-    experiment = load_experiment("paper/two_balls", {"camera.binning": binning})
-    face = face_mesh(press_specimen(experiment))
-    scene, rig = coated_scene(experiment, face), rig_of(experiment)
-    patterns = pattern_set(experiment.projector, experiment.patterns)
-    tables = light_tables(experiment.projector, patterns)
-    samples = experiment.render.samples
-    canvas = stock.canvas_for(rig, "projector", texels_per_px=2)
-    texture = stock.frame_texture(patterns.frames[0], 0, rig, tables, canvas)
-    camera = rig.camera
-    stock_scene = stock.frame_scene(
-        coated_mesh(face, coating_bsdf(experiment.coating)),
-        stock.emitter_dict(texture, rig, canvas),
-        perspective_sensor(camera.pinhole, camera.T_world_from_device, samples),
-    )
-    facts = {
-        "frames": len(patterns.frames),
-        "size": f"{camera.pinhole.width_px}x{camera.pinhole.height_px}",
-        "samples": samples,
-        "triangles": len(face.faces),
+    return {
+        "stack_over_one_frame": statistics.median(stack / frame for stack, frame in pairs),
+        "stack_s": stack_s,
+        "stock_frame_s": frame_s,
+        "frames_per_s": case.frames / stack_s,
     }
-    seeds = iter(range(1, 100))
-    return (
-        lambda: one_trace.trace_stack(scene, rig, tables, samples),
-        lambda: stock.render_frame(stock_scene, next(seeds)),
-        facts,
-    )
+
+
+def against_all_frames() -> dict[str, float]:
+    """Render every frame by itself on a small film, against the stack there."""
+    import mitsuba as mi
+
+    from twin.optics import stock
+
+    case = Case.of_film(SMALL_FILM_BINNING)
+    scene = case.stock_scene()
+    case.trace()
+    stock.render_frame(scene, 0)
+    pattern, naive_s, stack_s = mi.traverse(scene), 0.0, []
+    for index in range(case.frames):
+        pattern["emitter.irradiance.data"] = case.texture(index)[0][..., None]
+        pattern.update()
+        naive_s += seconds(lambda n=index: stock.render_frame(scene, n))
+        if index % 6 == 0:
+            stack_s.append(seconds(case.trace))
+    print(f"{case.size}: {case.frames} stock frames {naive_s:.2f} s,", end=" ")
+    print(f"stack {statistics.median(stack_s):.3f} s")
+    return {"naive_over_stack": naive_s / statistics.median(stack_s)}
 
 
 def seconds(call: Callable[[], Any]) -> float:

@@ -46,6 +46,15 @@ def inlined(function: Function) -> Function:
     return _compile(function, OPTIONS | {"forceinline": True})
 
 
+def merged(function: Function) -> Function:
+    """Copy `function` into its callers before types are found.
+
+    For what runs once per image row: a compiled function is optimised anew in every function that
+    calls it, so that each further level would cost its callers' compile time once more.
+    """
+    return cast(Function, numba.njit(inline="always", **OPTIONS)(function))
+
+
 def _compile(function: Function, options: dict[str, Any]) -> Function:
     try:
         kernel = numba.njit(cache=True, **options)(function)
@@ -62,12 +71,14 @@ def threads() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def run_over_rows(kernel: Callable[..., None], rows: int, *arguments: object) -> None:
+def run_over_rows(
+    kernel: Callable[..., None], rows: int, *arguments: object, band_rows: int = BAND_ROWS
+) -> None:
     """Call `kernel(first_row, end_row, *arguments)` for bands that cover all rows once."""
     with ThreadPoolExecutor(threads()) as pool:
         calls = [
-            pool.submit(kernel, first, min(first + BAND_ROWS, rows), *arguments)
-            for first in range(0, rows, BAND_ROWS)
+            pool.submit(kernel, first, min(first + band_rows, rows), *arguments)
+            for first in range(0, rows, band_rows)
         ]
         for call in calls:
             call.result()

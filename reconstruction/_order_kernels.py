@@ -1,10 +1,12 @@
 """Number the fringes of one image row: Gray word and phase give the projector coordinate.
 
-Symbols: K fringe order; the word is the half-period index when complementary, else the period.
+Symbols: K fringe order of the cell coordinate c = x / period + 1 / (2 period), which is whole where
+a Gray stripe ends, at the border of a projector pixel; x is whole at its centre.
 """
 
 # ruff: noqa: PLR0917 - compiled functions cannot take keyword-only arguments
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,30 +16,29 @@ from reconstruction.mask import Reason
 
 ORDER_UNCERTAIN = int(Reason.ORDER_UNCERTAIN)
 OUTSIDE_PROJECTOR = int(Reason.OUTSIDE_PROJECTOR)
-PER_TURN = 0.5 / np.pi
-# In the middle of a half-period (within 1/16 of a period) the word must agree with the phase.
-MIDDLE_TURNS = 1.0 / 16.0
+PER_TURN = np.float32(0.5 / np.pi)
+TURN = 2.0 * np.pi
+# Far from the edges of all words (within 1/16 of a period) they must agree with the phase.
+MIDDLE_TURNS = np.float32(1.0 / 16.0)
+LOWER, HALF, UPPER, ONE = np.float32(0.25), np.float32(0.5), np.float32(0.75), np.float32(1.0)
+# Sigmas from the threshold beyond which a bit is certain: 6e-16.
+NEAR_SIGMAS = 8.0
+ROOT = math.sqrt(2.0)
+PLAIN, COMPLEMENTARY, SHIFTED = 0, 1, 2
+BIT = np.uint32(1)
+NONE, STEP = np.int32(0), np.int32(1)
 
 
 class Code(NamedTuple):
-    """What was projected; pairs are (column, row)."""
+    """What was projected along one axis."""
 
+    kind: int
     period_px: float
-    steps: int
-    complementary: bool
-    words: tuple[int, int]
-    bits: tuple[int, int]
-    length_px: tuple[int, int]
-
-
-@inlined
-def _order(word: Any, phi_turns: float, complementary: bool) -> Any:
-    """Return K: half-period rule away from the edge of the word that was read."""
-    if not complementary:
-        return word
-    if phi_turns < 0.25:
-        return (word + 1) >> 1
-    return word >> 1 if phi_turns < 0.75 else ((word + 1) >> 1) - 1
+    half_px_turns: np.float32
+    words: np.int32
+    bits: int
+    safety_bits: int
+    length_px: int
 
 
 @inlined
@@ -50,41 +51,129 @@ def _binary(gray: Any) -> Any:
 
 
 @inlined
-def _is_certain(gray: Any, weak: Any, phi_turns: float, code: Code, axis: int) -> bool:
-    """Tell whether no doubtful bit and no contradiction can change the order."""
-    word = _binary(gray)
-    if word >= code.words[axis]:
-        return False
-    if code.complementary:
-        expected = 0 if phi_turns < 0.5 else 1
-        distance = abs(phi_turns - 0.25 - 0.5 * expected)
-        if distance < MIDDLE_TURNS and (word & 1) != expected:
-            return False
-    order = _order(word, phi_turns, code.complementary)
-    for bit in range(code.bits[axis] if weak else 0):
-        other = _binary(gray ^ (1 << bit))
-        if (weak >> bit) & 1 and _order(other, phi_turns, code.complementary) != order:
-            return False
-    return True
+def _cell(phase: Any, code: Code) -> Any:
+    """Return the position within the cell, in periods, and 1 if that cell is the next one."""
+    cell = phase * PER_TURN + code.half_px_turns
+    over = STEP if cell >= ONE else NONE
+    return cell - np.float32(over), over
+
+
+@inlined
+def _number(gray: Any, cell: Any, code: Code) -> Any:
+    """Return K and whether the words contradict the phase or each other."""
+    late = STEP if cell >= UPPER else NONE
+    second_half = STEP if cell >= HALF else NONE
+    off = abs(cell - (UPPER if cell >= HALF else LOWER))
+    if code.kind == COMPLEMENTARY:
+        word = np.int32(_binary(gray))
+        nearest = word + (STEP if cell < LOWER else late)
+        order = (nearest >> STEP) - late
+        is_torn = (off < MIDDLE_TURNS) & ((word & STEP) != second_half)
+        return order, (word >= code.words) | is_torn
+    if code.kind == PLAIN:
+        word = np.int32(_binary(gray))
+        return word, word >= code.words
+    first = np.int32(_binary(gray >> code.safety_bits))
+    second = np.int32(_binary(gray & ((BIT << code.safety_bits) - BIT)))
+    order = first if (cell >= LOWER) & (cell < UPPER) else second - late
+    step = second - first
+    is_torn = (step < NONE) | (step > STEP) | ((off < MIDDLE_TURNS) & (step != second_half))
+    return order, (first >= code.words) | is_torn
+
+
+@compiled
+def read_gray_row(
+    stack: Any, first: int, bits: int, row: int, mean: Any, margin: Any, word: Any, near: Any
+) -> None:
+    """Write the Gray word, first frame in the highest bit, and which bits are near A."""
+    for col in range(word.size):
+        word[col], near[col] = np.uint32(0), np.uint32(0)
+    for bit in range(bits):
+        frame = stack[first + bit, row]
+        for col in range(frame.size):
+            over = np.float32(frame[col]) - mean[col]
+            word[col] = (word[col] << BIT) | np.uint32(over > np.float32(0.0))
+            near[col] = (near[col] << BIT) | np.uint32(abs(over) < margin[col])
 
 
 @compiled
 def number_row(
-    axis: int, code: Code, word: Any, weak: Any, phase_rad: Any, order: Any, coordinate_px: Any,
-    reason: Any,
+    code: Code, word: Any, phase: Any, order: Any, coordinate: Any, error: Any
 ) -> None:  # fmt: skip
-    """Set order and coordinate of pixels that are still valid, or the reason why not."""
-    last = code.length_px[axis] - 0.5
+    """Write order and coordinate as read, and error probability 1 where words contradict."""
+    period, per_rad = code.period_px, code.period_px / TURN
+    for col in range(word.size):
+        cell, over = _cell(phase[col], code)
+        number, is_wrong = _number(word[col], cell, code)
+        number -= over
+        order[col] = number
+        coordinate[col] = period * number + per_rad * phase[col]
+        error[col] = ONE if is_wrong else np.float32(0.0)
+
+
+@inlined
+def _tail(sigmas: float) -> float:
+    return 0.5 * math.erfc(sigmas / ROOT)
+
+
+@compiled
+def weigh_near_bits(
+    code: Code, stack: Any, first: int, row: int, gray_sigmas: Any, mean: Any, margin: Any,
+    word: Any, near: Any, phase: Any, order: Any, error: Any,
+) -> None:  # fmt: skip
+    """Add the probability that a bit near its threshold was misread, where that matters.
+
+    A bit that matters and lies within `gray_sigmas` of its threshold makes the order uncertain.
+    """
+    for col in range(word.size):
+        if near[col] == 0 or error[col] == ONE:
+            continue
+        cell, over = _cell(phase[col], code)
+        total = 0.0
+        for bit in range(code.bits):
+            flipped = BIT << np.uint32(bit)
+            if (near[col] & flipped) == 0:
+                continue
+            other, _ = _number(word[col] ^ flipped, cell, code)
+            if other - over != order[col]:
+                level = np.float32(stack[first + code.bits - 1 - bit, row, col])
+                sigmas = NEAR_SIGMAS * abs(level - mean[col]) / margin[col]
+                total += _tail(sigmas) if sigmas >= gray_sigmas else 1.0
+        error[col] = min(total, 1.0)
+
+
+@compiled
+def weigh_wrap(code: Code, phase: Any, sigma: Any, error: Any) -> None:
+    """Add the probability that noise carried the phase over the end of a plain Gray word."""
+    for col in range(error.size):
+        cell, _ = _cell(phase[col], code)
+        miss_rad = TURN * min(cell, ONE - cell)
+        if miss_rad < NEAR_SIGMAS * sigma[col]:
+            error[col] = min(error[col] + _tail(miss_rad / sigma[col]), 1.0)
+
+
+@compiled
+def settle_row(
+    length_px: int, max_order_error: Any, coordinate: Any, error: Any, usable: Any, reason: Any
+) -> None:
+    """Mark uncertain orders and coordinates outside the projector; no phase, no probability."""
+    last, most = np.float32(length_px - 0.5), np.float32(max_order_error)
     for col in range(reason.size):
-        if reason[col] != 0 and reason[col] < ORDER_UNCERTAIN:
-            continue
-        gray, turns = np.int64(word[col]), phase_rad[col] * PER_TURN
-        if not _is_certain(gray, np.int64(weak[col]), turns, code, axis):
-            reason[col] = ORDER_UNCERTAIN
-            continue
-        order[col] = _order(_binary(gray), turns, code.complementary)
-        coordinate = code.period_px * (order[col] + turns)
-        coordinate_px[col] = coordinate
-        inside = -0.5 <= coordinate <= last
-        if not inside and (reason[col] == 0 or reason[col] > OUTSIDE_PROJECTOR):
-            reason[col] = OUTSIDE_PROJECTOR
+        code = reason[col]
+        has_phase = usable[col] > 0.0
+        is_outside = not (np.float32(-0.5) <= coordinate[col] <= last)
+        is_doubtful = error[col] > most or error[col] >= ONE
+        found = OUTSIDE_PROJECTOR if is_outside else 0
+        found = ORDER_UNCERTAIN if is_doubtful else found
+        is_lower = has_phase and found != 0 and (code == 0 or code > found)
+        reason[col] = found if is_lower else code
+        error[col] = error[col] if has_phase else np.float32(0.0)
+
+
+@compiled
+def blank_row(reason: Any, order: Any, coordinate: Any, sigma: Any) -> None:
+    """Zero what a masked pixel must not tell."""
+    for col in range(reason.size):
+        order[col] = order[col] if reason[col] == 0 else 0
+        coordinate[col] = coordinate[col] if reason[col] == 0 else np.float32(0.0)
+        sigma[col] = sigma[col] if reason[col] == 0 else np.float32(0.0)

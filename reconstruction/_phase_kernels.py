@@ -1,20 +1,17 @@
-"""Second pass, row by row: smooth the phasor, take its phase, number the fringe, give the sigma.
+"""Phase, modulation and phase sigma of one image row from the smoothed phasors.
 
 Symbols: z phasor, phi its phase in [0, 2 pi), B modulation.
 """
 
 # ruff: noqa: PLR0917 - compiled functions cannot take keyword-only arguments
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from reconstruction._jit import compiled, inlined
-from reconstruction._order_kernels import Code, number_row
-from reconstruction._sum_kernels import Limits, Sums
-from reconstruction.arrays import FloatImage, OrderImage
+from reconstruction._sum_kernels import Limits, noise_dn2
 from reconstruction.mask import Reason
-from reconstruction.sensor import noise_variance_dn2
 
 FILTER_SUPPORT = int(Reason.FILTER_SUPPORT)
 TURN = 2.0 * np.pi
@@ -32,42 +29,22 @@ ATAN = tuple(
 HALF_PI, PI, TWO_PI = np.float32(0.5 * np.pi), np.float32(np.pi), np.float32(TURN)
 TINY = np.float32(1e-30)
 
-_variance = inlined(noise_variance_dn2)
 
-
-class Smoothing(NamedTuple):
-    """Symmetric filter kernel of odd length, its 2-D noise gain, the support demanded."""
-
-    weights: FloatImage
-    noise_gain: float
-    min_support: float
-
-
-class Phases(NamedTuple):
-    """Result of the second pass, all (axis, row, col)."""
-
-    coordinate_px: FloatImage
-    phase_rad: FloatImage
-    order: OrderImage
-    sigma_px: FloatImage
+@compiled
+def mark_support(support: Any, min_support: float, reason: Any) -> None:
+    """Mark pixels with too little of the filter's weight on pixels with a phase."""
+    least = np.float32(min_support - SUPPORT_ROUNDING)
+    for col in range(reason.size):
+        is_weak = reason[col] == 0 and support[col] < least
+        reason[col] = FILTER_SUPPORT if is_weak else reason[col]
 
 
 @compiled
-def _smooth_row(image: Any, row: int, weights: Any, lane: Any, out: Any) -> None:
-    """Filter one row of `image` in both directions; pixels beyond the border count as zero."""
-    half, width = weights.size // 2, out.size
-    lane[:] = 0.0
-    out[:] = 0.0
-    for tap in range(weights.size):
-        source = row + tap - half
-        if 0 <= source < image.shape[0]:
-            weight, line = weights[tap], image[source]
-            for col in range(width):
-                lane[half + col] += weight * line[col]
-    for tap in range(weights.size):
-        weight, line = weights[tap], lane[tap : tap + width]
-        for col in range(width):
-            out[col] += weight * line[col]
+def blank_unusable(usable: Any, real: Any, imag: Any) -> None:
+    """Zero what the filter leaves of its neighbours where a pixel has no phase."""
+    for col in range(usable.size):
+        real[col] *= usable[col]
+        imag[col] *= usable[col]
 
 
 @inlined
@@ -85,7 +62,7 @@ def _arctangent(t: Any) -> Any:
 
 
 @compiled
-def _phase_row(real: Any, imag: Any, phase: Any) -> None:
+def phase_row(real: Any, imag: Any, phase: Any) -> None:
     """Write arg z in [0, 2 pi) without a branch; 0 for z = 0."""
     for col in range(phase.size):
         x, y = abs(real[col]), abs(imag[col])
@@ -98,7 +75,9 @@ def _phase_row(real: Any, imag: Any, phase: Any) -> None:
 
 
 @compiled
-def _modulation_row(real: Any, imag: Any, support: Any, steps: int, usable: Any, out: Any) -> None:
+def smooth_modulation(
+    steps: int, real: Any, imag: Any, support: Any, usable: Any, out: Any
+) -> None:  # fmt: skip
     """Replace the modulation of single pixels by that of the smoothed phasor."""
     scale = np.float32(2.0 / steps)
     for col in range(out.size):
@@ -108,70 +87,24 @@ def _modulation_row(real: Any, imag: Any, support: Any, steps: int, usable: Any,
 
 
 @compiled
-def _finish_row(
-    noise_gain: float, limits: Limits, code: Code, support: Any, reason: Any,
+def phase_sigma(
+    steps: int, noise_gain: float, limits: Limits, scale: Any, support: Any, usable: Any,
     mean: Any, modulation: Any, sigma: Any,
 ) -> None:  # fmt: skip
-    """Write the predicted sigma of valid pixels, px.
+    """Write the predicted sigma of the phase, rad; 0 where there is none.
 
     sigma_phi^2 = (2 / N) sigma_I^2 / B^2 (Surrel 1997); sigma_I at the mean holds for N >= 4,
     where the modulated part of the shot noise averages out.
     """
-    scale = np.sqrt(2.0 / code.steps) * noise_gain * code.period_px / TURN
-    gain, read, offset = limits.gain_dn_per_e, limits.read_noise_e, limits.black_level_dn
-    for col in range(reason.size):
-        noise = np.sqrt(_variance(mean[col], gain, read, offset) / support[col])
-        sigma[col] = scale * noise / modulation[col] if reason[col] == 0 else 0.0
+    factor = np.float32(np.sqrt(2.0 / steps) * noise_gain)
+    for col in range(sigma.size):
+        noise = np.sqrt(noise_dn2(mean[col], scale[col], limits) / support[col])
+        value = factor * noise / modulation[col]
+        sigma[col] = value if usable[col] > 0.0 else np.float32(0.0)
 
 
 @compiled
-def _blank_row(reason: Any, order: Any, coordinate: Any) -> None:
-    for col in range(reason.size):
-        order[col] = order[col] if reason[col] == 0 else 0
-        coordinate[col] = coordinate[col] if reason[col] == 0 else 0.0
-
-
-@compiled
-def _mark_support(support: Any, min_support: float, reason: Any) -> None:
-    for col in range(reason.size):
-        is_weak = reason[col] == 0 and support[col] < min_support - SUPPORT_ROUNDING
-        reason[col] = FILTER_SUPPORT if is_weak else reason[col]
-
-
-@compiled
-def phase_rows(
-    first_row: int,
-    end_row: int,
-    code: Code,
-    smoothing: Smoothing,
-    limits: Limits,
-    sums: Sums,
-    phases: Phases,
-) -> None:
-    """Fill `phases`, zeroed by the caller, and update `sums.reason` and `sums.modulation_dn`."""
-    weights, width = smoothing.weights, sums.reason.shape[1]
-    lane = np.zeros(width + weights.size - 1, np.float32)
-    real, imag = np.zeros(width, np.float32), np.zeros(width, np.float32)
-    support = np.zeros(width, np.float32)
-    for row in range(first_row, end_row):
-        _smooth_row(sums.usable, row, weights, lane, support)
-        _mark_support(support, smoothing.min_support, sums.reason[row])
-        for axis in range(2):
-            _smooth_row(sums.real[axis], row, weights, lane, real)
-            _smooth_row(sums.imag[axis], row, weights, lane, imag)
-            for col in range(width):  # outside the mask the filter leaves tails of its neighbours
-                real[col] *= sums.usable[row, col]
-                imag[col] *= sums.usable[row, col]
-            _phase_row(real, imag, phases.phase_rad[axis, row])
-            modulation = sums.modulation_dn[axis, row]
-            _modulation_row(real, imag, support, code.steps, sums.usable[row], modulation)
-            number_row(
-                axis, code, sums.word[axis, row], sums.weak[axis, row], phases.phase_rad[axis, row],
-                phases.order[axis, row], phases.coordinate_px[axis, row], sums.reason[row],
-            )  # fmt: skip
-        for axis in range(2):  # only now are the reasons of both axes known
-            _blank_row(sums.reason[row], phases.order[axis, row], phases.coordinate_px[axis, row])
-            _finish_row(
-                smoothing.noise_gain, limits, code, support, sums.reason[row],
-                sums.mean_dn[axis, row], sums.modulation_dn[axis, row], phases.sigma_px[axis, row],
-            )  # fmt: skip
+def grow_sigma(excess: Any, sigma: Any) -> None:
+    """Add what fits over fewer frames cost: excess is a share of the variance."""
+    for col in range(sigma.size):
+        sigma[col] *= np.sqrt(np.float32(1.0) + excess[col])

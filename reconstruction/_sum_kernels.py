@@ -1,4 +1,4 @@
-"""First pass over the stack, row by row: phase sums, Gray words and the masks of single pixels.
+"""Phase frames of one image row: sums, least squares and the masks of single pixels.
 
 Symbols: A mean, B modulation, N steps, z = sum I_n exp(-2 pi i n / N) = (N B / 2) exp(i phi).
 Every inner loop runs along one image row with few arrays, so that the compiler vectorises it.
@@ -13,13 +13,15 @@ import numpy as np
 from reconstruction._jit import compiled, inlined
 from reconstruction.arrays import FloatImage
 from reconstruction.mask import Reason
-from reconstruction.sensor import noise_variance_dn2
+from reconstruction.sensor import QUANTISATION_DN2
 
 DARK = int(Reason.DARK)
 LOW_MODULATION = int(Reason.LOW_MODULATION)
 SATURATED = int(Reason.SATURATED)
-
-_variance = inlined(noise_variance_dn2)
+ZERO, ONE, INFINITE = np.float32(0.0), np.float32(1.0), np.float32(np.inf)
+# Lines of the accumulator.
+TOTAL, REAL, IMAG, SQUARE, HIGH, LOW = range(6)
+QUANTISATION = np.float32(QUANTISATION_DN2)
 
 
 class Layout(NamedTuple):
@@ -30,155 +32,163 @@ class Layout(NamedTuple):
     gray_bits: tuple[int, int]
     white: int
     black: int
+    steps: int
+    sets: int
+    cosines: FloatImage  # (step,)
+    sines: FloatImage
 
 
 class Limits(NamedTuple):
-    """Sensor model and thresholds of the masks."""
+    """Sensor model and thresholds of the masks, single precision: twice the pixels per vector."""
 
-    gain_dn_per_e: float
-    read_noise_e: float
-    black_level_dn: float
-    saturation_dn: float
-    dark_sigmas: float
-    gray_sigmas: float
-    min_modulation_dn: float
-    max_phase_sigma_rad: float
+    gain_dn_per_e: np.float32
+    read_noise_dn: np.float32
+    black_level_dn: np.float32
+    saturation_dn: np.float32
+    lowest_dn: np.float32
+    dark_sigmas: np.float32
+    gray_sigmas: np.float32
+    min_modulation_dn: np.float32
+    max_phase_sigma_rad: np.float32
+    max_condition: np.float32
+    max_order_error: np.float32
 
 
-class Sums(NamedTuple):
-    """Result of the first pass; (axis, row, col) unless stated."""
+@inlined
+def noise_dn2(mean: Any, scale: Any, limits: Limits) -> Any:
+    """Return the variance of a pixel that was multiplied by `scale` (above the black level).
 
-    mean_dn: FloatImage
-    real: FloatImage
-    imag: FloatImage
-    modulation_dn: FloatImage
-    word: Any
-    weak: Any
-    reason: Any  # (row, col)
-    usable: FloatImage  # (row, col), 1 where the pixel has a phase, else 0
+    `SensorNoise.variance_dn2` in single precision; a test keeps the two together.
+    """
+    above = mean - limits.black_level_dn
+    shot = limits.gain_dn_per_e * (above if above > ZERO else ZERO)
+    read = limits.read_noise_dn * limits.read_noise_dn + QUANTISATION
+    return scale * (scale * read + shot)
 
 
 @compiled
-def _add_phase_frames(
-    stack: Any, first: int, row: int, cosines: Any, sines: Any,
-    total: Any, peak: Any, real: Any, imag: Any,
+def _add_three(
+    a: Any, b: Any, c: Any, cosines: Any, sines: Any,
+    total: Any, real: Any, imag: Any, square: Any, high: Any, low: Any,
 ) -> None:  # fmt: skip
-    peak[:] = 0.0
-    for n in range(cosines.size):
-        frame = stack[first + n, row]
-        c, s = cosines[n], sines[n]
-        for col in range(frame.size):
-            level = np.float32(frame[col])
-            total[col] += level
-            peak[col] = level if level > peak[col] else peak[col]
-        for col in range(frame.size):
-            real[col] += c * np.float32(frame[col])
-            imag[col] -= s * np.float32(frame[col])
+    # Three frames at once: the accumulators, not the frames, are what a row costs.
+    p, q, r = cosines[0], cosines[1], cosines[2]
+    s, t, u = sines[0], sines[1], sines[2]
+    for col in range(a.size):
+        x, y, z = np.float32(a[col]), np.float32(b[col]), np.float32(c[col])
+        total[col] += x + y + z
+        real[col] += p * x + q * y + r * z
+        imag[col] -= s * x + t * y + u * z
+        square[col] += x * x + y * y + z * z
+        largest, least = x if x > y else y, x if x < y else y
+        largest, least = largest if largest > z else z, least if least < z else z
+        high[col] = largest if largest > high[col] else high[col]
+        low[col] = least if least < low[col] else low[col]
 
 
 @compiled
-def _mark_saturated(peak: Any, limit: float, reason: Any) -> None:
-    for col in range(peak.size):
-        reason[col] = SATURATED if peak[col] >= limit else reason[col]
+def _add_one(
+    a: Any, cosine: Any, sine: Any,
+    total: Any, real: Any, imag: Any, square: Any, high: Any, low: Any,
+) -> None:  # fmt: skip
+    for col in range(a.size):
+        x = np.float32(a[col])
+        total[col] += x
+        real[col] += cosine * x
+        imag[col] -= sine * x
+        square[col] += x * x
+        high[col] = x if x > high[col] else high[col]
+        low[col] = x if x < low[col] else low[col]
 
 
 @compiled
-def _finish_phase_row(
-    steps: int, limits: Limits, mean: Any, real: Any, imag: Any, modulation: Any, noise: Any
-) -> None:
-    for col in range(mean.size):
-        mean[col] /= np.float32(steps)
-        square = real[col] * real[col] + imag[col] * imag[col]
-        # A NaN in a damaged float stack becomes "no modulation" here; it must not spread.
-        modulation[col] = np.float32(2.0 / steps) * np.sqrt(square) if square >= 0 else 0.0
-        mean[col] = mean[col] if square >= 0 else 0.0
-    for col in range(mean.size):
-        variance = _variance(
-            mean[col], limits.gain_dn_per_e, limits.read_noise_e, limits.black_level_dn
+def add_frames(stack: Any, first: int, row: int, layout: Layout, sums: Any) -> None:
+    """Write the sums of one fringe set over one row into `sums`, (6, col)."""
+    total, real, imag = sums[TOTAL], sums[REAL], sums[IMAG]
+    square, high, low = sums[SQUARE], sums[HIGH], sums[LOW]
+    for col in range(total.size):
+        total[col], real[col], imag[col], square[col] = ZERO, ZERO, ZERO, ZERO
+        high[col], low[col] = -INFINITE, INFINITE
+    whole = layout.steps // 3 * 3
+    for n in range(0, whole, 3):
+        k = first + n
+        _add_three(
+            stack[k, row], stack[k + 1, row], stack[k + 2, row], layout.cosines[n : n + 3],
+            layout.sines[n : n + 3], total, real, imag, square, high, low,
+        )  # fmt: skip
+    for n in range(whole, layout.steps):
+        cosine, sine = layout.cosines[n], layout.sines[n]
+        _add_one(stack[first + n, row], cosine, sine, total, real, imag, square, high, low)
+
+
+@compiled
+def find_damaged(sums: Any, scale: Any, limits: Limits, damaged: Any) -> Any:
+    """Mark pixels with a clipped, lost or non-finite frame; return how many there are."""
+    black, span = limits.black_level_dn, limits.saturation_dn - limits.black_level_dn
+    total, high, low = sums[TOTAL], sums[HIGH], sums[LOW]
+    count = 0
+    for col in range(damaged.size):
+        is_whole = (
+            high[col] < black + span * scale[col]
+            and low[col] > limits.lowest_dn
+            and abs(total[col]) < INFINITE  # false for NaN, which no comparison above finds
         )
-        noise[col] = np.sqrt(variance)
+        damaged[col] = not is_whole
+        count += not is_whole
+    return count
 
 
 @compiled
-def _mark_low_modulation(
+def finish_sums(steps: int, sums: Any, mean: Any, modulation: Any, variance: Any) -> None:
+    """Turn sums into A, B and the variance of the fit.
+
+    sum r^2 = sum I^2 - N A^2 - N B^2 / 2 for equal steps, with N - 3 degrees of freedom. In single
+    precision the rounding of the squares leaves a floor of some 3e-4 of the level.
+    """
+    total, real, imag, square = sums[TOTAL], sums[REAL], sums[IMAG], sums[SQUARE]
+    per_step, freedom = np.float32(1.0 / steps), np.float32(1.0 / max(steps - 3, 1))
+    half = np.float32(0.5 * steps)
+    if steps == 3:  # three unknowns always fit
+        freedom = ZERO
+    for col in range(mean.size):
+        level = total[col] * per_step
+        contrast = (
+            np.float32(2.0) * per_step * np.sqrt(real[col] * real[col] + imag[col] * imag[col])
+        )
+        rest = square[col] - total[col] * level - half * contrast * contrast
+        mean[col], modulation[col] = level, contrast
+        variance[col] = (rest if rest > ZERO else ZERO) * freedom
+
+
+@compiled
+def find_noise(mean: Any, scale: Any, limits: Limits, noise: Any) -> None:
+    """Write the predicted sigma of a pixel value at the mean, DN."""
+    for col in range(mean.size):
+        noise[col] = np.sqrt(noise_dn2(mean[col], scale[col], limits))
+
+
+@compiled
+def mark_low_modulation(
     steps: int, limits: Limits, modulation: Any, noise: Any, reason: Any
 ) -> None:
+    """Mark pixels whose own phase would be too uncertain, unless they have none at all."""
     # sigma_phi = sqrt(2 / N) sigma_I / B (Surrel 1997), solved for B.
-    per_noise = np.sqrt(2.0 / steps) / limits.max_phase_sigma_rad
+    per_noise = np.float32(np.sqrt(2.0 / steps) / limits.max_phase_sigma_rad)
+    least = limits.min_modulation_dn
     for col in range(modulation.size):
-        needed = max(limits.min_modulation_dn, per_noise * noise[col])
-        reason[col] = LOW_MODULATION if modulation[col] < needed else reason[col]
+        needed = per_noise * noise[col]
+        needed = needed if needed > least else least
+        # This way round a NaN has no modulation.
+        is_kept = modulation[col] >= needed or reason[col] == SATURATED
+        reason[col] = reason[col] if is_kept else LOW_MODULATION
 
 
 @compiled
-def _mark_dark(white: Any, black: Any, limits: Limits, reason: Any) -> None:
-    gain, read, offset = limits.gain_dn_per_e, limits.read_noise_e, limits.black_level_dn
+def mark_dark(white: Any, black: Any, scale: Any, limits: Limits, reason: Any) -> None:
+    """Mark pixels on which white and black frame do not differ."""
     for col in range(white.size):
         bright, dim = np.float32(white[col]), np.float32(black[col])
-        variance = _variance(bright, gain, read, offset) + _variance(dim, gain, read, offset)
+        variance = noise_dn2(bright, scale[col], limits) + noise_dn2(dim, scale[col], limits)
         # This way round a NaN counts as dark.
         is_lit = bright - dim >= limits.dark_sigmas * np.sqrt(variance)
         reason[col] = reason[col] if is_lit else DARK
-
-
-@compiled
-def _read_gray_row(
-    stack: Any, first: int, bits: int, row: int, mean: Any, margin: Any, word: Any, weak: Any
-) -> None:
-    for bit in range(bits):
-        frame = stack[first + bit, row]
-        for col in range(frame.size):
-            word[col] = (word[col] << 1) | (np.float32(frame[col]) > mean[col])
-        for col in range(frame.size):
-            doubt = abs(np.float32(frame[col]) - mean[col]) < margin[col]
-            weak[col] = (weak[col] << 1) | doubt
-
-
-@compiled
-def _keep_usable(reason: Any, usable: Any, real: Any, imag: Any) -> None:
-    """Zero the phasors without a phase: the filter must not mix them in."""
-    for col in range(reason.size):
-        usable[col] = np.float32(reason[col] == 0)
-    for axis in range(2):
-        for col in range(reason.size):
-            real[axis, col] = real[axis, col] if reason[col] == 0 else np.float32(0.0)
-            imag[axis, col] = imag[axis, col] if reason[col] == 0 else np.float32(0.0)
-
-
-@compiled
-def sum_rows(
-    first_row: int,
-    end_row: int,
-    stack: Any,
-    layout: Layout,
-    limits: Limits,
-    cosines: Any,
-    sines: Any,
-    sums: Sums,
-) -> None:
-    """Fill `sums`, zeroed by the caller, for rows first_row to end_row - 1.
-
-    A lower reason code overwrites a higher one: the marks are made in falling order.
-    """
-    steps = cosines.size
-    noise = np.zeros((2, stack.shape[2]), np.float32)
-    peak = np.zeros(stack.shape[2], np.float32)
-    for row in range(first_row, end_row):
-        reason = sums.reason[row]
-        for axis in range(2):
-            first = layout.phase_first[axis]
-            mean, real, imag = sums.mean_dn[axis, row], sums.real[axis, row], sums.imag[axis, row]
-            _add_phase_frames(stack, first, row, cosines, sines, mean, peak, real, imag)
-            _mark_saturated(peak, limits.saturation_dn, reason)
-            modulation = sums.modulation_dn[axis, row]
-            _finish_phase_row(steps, limits, mean, real, imag, modulation, noise[axis])
-        for axis in range(2):
-            _mark_low_modulation(steps, limits, sums.modulation_dn[axis, row], noise[axis], reason)
-            # The threshold A carries the noise of N averaged frames.
-            for col in range(reason.size):
-                noise[axis, col] *= limits.gray_sigmas * np.sqrt(1.0 + 1.0 / steps)
-            gray, bits = layout.gray_first[axis], layout.gray_bits[axis]
-            word, weak = sums.word[axis, row], sums.weak[axis, row]
-            _read_gray_row(stack, gray, bits, row, sums.mean_dn[axis, row], noise[axis], word, weak)
-        _mark_dark(stack[layout.white, row], stack[layout.black, row], limits, reason)
-        _keep_usable(reason, sums.usable[row], sums.real[:, row], sums.imag[:, row])

@@ -48,15 +48,17 @@ def write_description(path: Path, description: Description) -> None:
     """Write `description` as TOML."""
     values: dict[str, Any] = {"format": FORMAT, "version": VERSION} | asdict(description)
     tables = {name: values.pop(name) for name in TABLES}
-    lines = _assignments(values)
+    lines = assignments(values)
     for name, table in tables.items():
-        lines += ["", f"[{name}]", *_assignments(table)]
+        lines += ["", f"[{name}]", *assignments(table)]
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
-def _assignments(values: Mapping[str, Any]) -> list[str]:
-    # JSON text of a string, flag or finite number is valid TOML.
-    return [f"{name} = {json.dumps(value)}" for name, value in values.items()]
+def assignments(values: Mapping[str, Any]) -> list[str]:
+    """Return the lines of a TOML table; `complementary` goes without saying beside `code`."""
+    # JSON text of a string, flag, finite number or list of them is valid TOML.
+    said = {name: value for name, value in values.items() if name != "complementary"}
+    return [f"{name} = {json.dumps(value)}" for name, value in said.items()]
 
 
 def read_description(path: Path) -> Description:
@@ -66,36 +68,41 @@ def read_description(path: Path) -> Description:
     ------
     CaptureError : no TOML, wrong format or version, unknown or missing key, value out of range
     """
+    values = read_toml(path)
     try:
-        values = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise CaptureError(f"{path}: cannot be read as TOML: {error}") from error
-    try:
-        _take_header(values)
+        take_header(values, (FORMAT, VERSION))
         parts: dict[str, Any] = {
-            name: _build(part, _table(values, name), name) for name, part in TABLES.items()
+            name: build(part, table_of(values, name), name) for name, part in TABLES.items()
         }
-        return _build(Description, values | parts, "capture.toml")
+        return build(Description, values | parts, "capture.toml")
     except InputError as error:
         raise CaptureError(f"{path}: {error}") from error
 
 
-def _take_header(values: dict[str, Any]) -> None:
+def read_toml(path: Path) -> dict[str, Any]:
+    """Return the content of a TOML file, or raise CaptureError."""
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise CaptureError(f"{path}: cannot be read as TOML: {error}") from error
+
+
+def take_header(values: dict[str, Any], expected: tuple[str, int]) -> None:
+    """Remove format and version from `values`; raise CaptureError unless they are `expected`."""
     found = (values.pop("format", None), values.pop("version", None))
-    if found != (FORMAT, VERSION):
-        raise CaptureError(
-            f"format and version are {found}; this program reads {(FORMAT, VERSION)}"
-        )
+    if found != expected:
+        raise CaptureError(f"format and version are {found}; this program reads {expected}")
 
 
-def _table(values: Mapping[str, Any], name: str) -> dict[str, Any]:
+def table_of(values: Mapping[str, Any], name: str) -> dict[str, Any]:
+    """Return one table of a TOML file, or raise CaptureError."""
     table = values.get(name)
     if not isinstance(table, dict):
         raise CaptureError(f"table [{name}] is missing")
     return table
 
 
-def _build(part: type[Part], table: Mapping[str, Any], where: str) -> Part:
+def build(part: type[Part], table: Mapping[str, Any], where: str) -> Part:
     """Make the dataclass `part` from exactly its own keys."""
     known = {item.name: item for item in fields(part)}  # type: ignore[arg-type]
     for key in table:

@@ -2,29 +2,30 @@
 
 Frames: camera pixels (row, col), row 0 at the top; projector coordinates in px, integer = centre of
 a projector pixel. Formulas: see `patterns`; N-step least squares after Surrel, Appl. Opt. 36, 271
-(1997); edge-safe order after Zhang et al., Opt. Lasers Eng. 50, 574 (2012).
+(1997); codes and edge-safe rules: see `PatternSet`, `_order_kernels`, `_chain_kernels`.
 """
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 
+from reconstruction._band import Maps
+from reconstruction._decode_kernels import decode_rows
 from reconstruction._jit import run_over_rows
-from reconstruction._order_kernels import Code
-from reconstruction._phase_kernels import Phases, Smoothing, phase_rows
-from reconstruction._sum_kernels import Layout, Limits, Sums, sum_rows
 from reconstruction.arrays import BoolImage, FloatImage, OrderImage, ReasonImage, Stack
 from reconstruction.checks import require_integer, require_number
+from reconstruction.decode_plan import make_plan
 from reconstruction.errors import InputError
 from reconstruction.mask import Reason
-from reconstruction.patterns import AXES, PatternSet
+from reconstruction.patterns import PatternSet
 from reconstruction.sensor import SensorNoise
-from reconstruction.smoothing import gaussian_weights, noise_gain
 
 __all__ = ["AxisDecode", "DecodeOptions", "Decoded", "Reason", "decode"]
 
 STACK_TYPES = ("uint8", "uint16", "float32")
+# Large enough that the rows beside a band, summed twice for the filter, cost a few per cent.
+BAND_ROWS = 96
 
 
 @dataclass(frozen=True)
@@ -43,6 +44,9 @@ class DecodeOptions:
     max_phase_sigma_rad : mask a larger predicted phase sigma of the single pixel
     dark_sigmas : white must exceed black by this many sigmas of their difference
     gray_sigmas : a Gray level closer to its threshold than this many sigmas is doubtful
+    max_condition : frames of a pixel that are clipped or lost are left out of its fit; mask a
+        larger condition number of what remains (1: all frames are there)
+    max_order_error : mask a larger probability of a wrong fringe order; 1: only certain errors
     """
 
     filter_taps: int = 8
@@ -52,6 +56,8 @@ class DecodeOptions:
     max_phase_sigma_rad: float = 0.1
     dark_sigmas: float = 3.0
     gray_sigmas: float = 4.0
+    max_condition: float = 100.0
+    max_order_error: float = 0.01
 
     def __post_init__(self) -> None:
         require_integer("filter_taps", self.filter_taps, 0, 63)
@@ -62,6 +68,8 @@ class DecodeOptions:
         require_number("max_phase_sigma_rad", self.max_phase_sigma_rad, 0.0, open_low=True)
         require_number("dark_sigmas", self.dark_sigmas, 0.0)
         require_number("gray_sigmas", self.gray_sigmas, 0.0)
+        require_number("max_condition", self.max_condition, 1.0)
+        require_number("max_order_error", self.max_order_error, 0.0, 1.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +78,12 @@ class AxisDecode:
 
     coordinate_px, order and sigma_px are 0 unless the pixel is valid. phase_rad in [0, 2 pi) is
     also given for masked pixels that have a phase. mean_dn and modulation_dn are always given;
-    modulation_dn is that of the filtered phasor where there is a phase.
+    modulation_dn is that of the filtered phasor where there is a phase. With a multi-frequency code
+    phase, order, mean and modulation are those of the measuring period, while coordinate_px is the
+    weighted mean of all periods.
+
+    residual_dn : RMS of what the fit leaves, with N - 3 degrees of freedom; 0 with three frames
+    order_error : probability that the order is wrong, given wherever there is a phase
     """
 
     coordinate_px: FloatImage
@@ -79,6 +92,8 @@ class AxisDecode:
     mean_dn: FloatImage
     modulation_dn: FloatImage
     sigma_px: FloatImage
+    residual_dn: FloatImage
+    order_error: FloatImage
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,18 +110,12 @@ class Decoded:
         return np.equal(self.mask_reason, Reason.VALID)
 
 
-class _Setup(NamedTuple):
-    layout: Layout
-    code: Code
-    limits: Limits
-    smoothing: Smoothing
-
-
 def decode(
     stack: Stack,
     patterns: PatternSet,
     sensor: SensorNoise,
     options: DecodeOptions | None = None,
+    scale: FloatImage | None = None,
 ) -> Decoded:
     """Decode a stack of frames.
 
@@ -116,17 +125,24 @@ def decode(
     patterns : what was projected
     sensor : noise model; gives the masks and the predicted sigma
     options : filter and masks; None: the defaults of `DecodeOptions`
+    scale : (row, col) float32, by which each pixel's DN above the black level were multiplied, see
+        `merge_exposures`; None: 1
 
     Raises
     ------
-    InputError : wrong number of axes, frames or type of the stack
+    InputError : wrong number of axes, frames or type of the stack, or shape of the scale
     """
     _check_stack(stack, patterns)
-    setup = _set_up(patterns, sensor, options or DecodeOptions())
-    sums = _sum_stack(np.ascontiguousarray(stack), setup, patterns.steps)
-    phases = _find_phases(sums, setup)
-    column, row = (_axis_result(axis, sums, phases) for axis in range(2))
-    return Decoded(column, row, sums.reason)
+    if scale is not None and (scale.shape != stack.shape[1:] or not np.all(scale > 0.0)):
+        raise InputError(
+            f"scale has shape {scale.shape}; give positive numbers of shape {stack.shape[1:]}"
+        )
+    frames = np.ascontiguousarray(stack)
+    plan = make_plan(frames, patterns, sensor, options or DecodeOptions(), scale)
+    maps = _blank_maps(stack.shape[1], stack.shape[2])
+    run_over_rows(decode_rows, stack.shape[1], frames, plan, maps, band_rows=BAND_ROWS)
+    column, row = (AxisDecode(*(values[axis] for values in maps[:-1])) for axis in range(2))
+    return Decoded(column, row, maps.reason)
 
 
 def _check_stack(stack: Stack, patterns: PatternSet) -> None:
@@ -139,74 +155,18 @@ def _check_stack(stack: Stack, patterns: PatternSet) -> None:
         )
 
 
-def _set_up(patterns: PatternSet, sensor: SensorNoise, options: DecodeOptions) -> _Setup:
-    weights = gaussian_weights(options.filter_taps, options.filter_sigma_px)
-    return _Setup(
-        _layout(patterns),
-        _code(patterns),
-        Limits(
-            gain_dn_per_e=float(sensor.gain_dn_per_e),
-            read_noise_e=float(sensor.read_noise_e),
-            black_level_dn=float(sensor.black_level_dn),
-            saturation_dn=float(sensor.saturation_dn),
-            dark_sigmas=float(options.dark_sigmas),
-            gray_sigmas=float(options.gray_sigmas),
-            min_modulation_dn=float(options.min_modulation_dn or 0.0),
-            max_phase_sigma_rad=float(options.max_phase_sigma_rad),
-        ),
-        Smoothing(weights, noise_gain(weights), float(options.min_support)),
-    )
+def _blank_maps(rows: int, cols: int) -> Maps:
+    def image(kind: type[np.generic] = np.float32) -> np.ndarray[Any, Any]:
+        return np.zeros((2, rows, cols), kind)
 
-
-def _layout(patterns: PatternSet) -> Layout:
-    column, row = AXES
-    return Layout(
-        phase_first=(patterns.index("phase", column).start, patterns.index("phase", row).start),
-        gray_first=(patterns.index("gray", column).start, patterns.index("gray", row).start),
-        gray_bits=(patterns.word_bits(column), patterns.word_bits(row)),
-        white=patterns.index("white").start,
-        black=patterns.index("black").start,
-    )
-
-
-def _code(patterns: PatternSet) -> Code:
-    column, row = AXES
-    return Code(
-        period_px=float(patterns.period_px),
-        steps=int(patterns.steps),
-        complementary=patterns.complementary,
-        words=(patterns.words(column), patterns.words(row)),
-        bits=(patterns.word_bits(column), patterns.word_bits(row)),
-        length_px=(patterns.width_px, patterns.height_px),
-    )
-
-
-def _sum_stack(stack: Stack, setup: _Setup, steps: int) -> Sums:
-    rows, cols = stack.shape[1:]
-    mean, real, imag, modulation = (np.zeros((2, rows, cols), np.float32) for _ in range(4))
-    word, weak = (np.zeros((2, rows, cols), np.uint16) for _ in range(2))
-    reason, usable = np.zeros((rows, cols), np.uint8), np.zeros((rows, cols), np.float32)
-    sums = Sums(mean, real, imag, modulation, word, weak, reason, usable)
-    turns = 2.0 * np.pi * np.arange(steps) / steps
-    cosines, sines = np.cos(turns).astype(np.float32), np.sin(turns).astype(np.float32)
-    run_over_rows(sum_rows, rows, stack, setup.layout, setup.limits, cosines, sines, sums)
-    return sums
-
-
-def _find_phases(sums: Sums, setup: _Setup) -> Phases:
-    shape = sums.mean_dn.shape
-    coordinate, phase, sigma = (np.zeros(shape, np.float32) for _ in range(3))
-    phases = Phases(coordinate, phase, np.zeros(shape, np.int16), sigma)
-    run_over_rows(phase_rows, shape[1], setup.code, setup.smoothing, setup.limits, sums, phases)
-    return phases
-
-
-def _axis_result(axis: int, sums: Sums, phases: Phases) -> AxisDecode:
-    return AxisDecode(
-        coordinate_px=phases.coordinate_px[axis],
-        phase_rad=phases.phase_rad[axis],
-        order=phases.order[axis],
-        mean_dn=sums.mean_dn[axis],
-        modulation_dn=sums.modulation_dn[axis],
-        sigma_px=phases.sigma_px[axis],
+    return Maps(
+        coordinate_px=image(),
+        phase_rad=image(),
+        order=image(np.int16),
+        mean_dn=image(),
+        modulation_dn=image(),
+        sigma_px=image(),
+        residual_dn=image(),
+        order_error=image(),
+        reason=np.zeros((rows, cols), np.uint8),
     )

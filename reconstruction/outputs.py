@@ -133,6 +133,8 @@ def _axis_names(axis: str) -> dict[str, str]:
         "order": f"order_{axis}",
         "mean_dn": f"mean{suffix}_dn",
         "modulation_dn": f"modulation{suffix}_dn",
+        "residual_dn": f"residual{suffix}_dn",
+        "order_error": f"order_error_{axis}",
     }
 
 

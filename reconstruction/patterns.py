@@ -7,27 +7,32 @@ Frame: projector pixels, x right (column), y down (row), integer = centre of a p
 | x | coordinate along the axis, px |
 | phi = 2 pi x / period | phase, grows with x |
 | I_n = A + B cos(phi + 2 pi n / N) | phase frame n of N |
-| h = floor(2 x / period) | half-period index, shown as Gray code when complementary |
-| k = floor(x / period) | period index (fringe order) |
+| k = floor(x / period) | period index (fringe order), shown as plain Gray code |
+| h = floor(2 x / period) | half-period index, shown as complementary Gray code |
+| s = floor(x / period + 1/2) | period index shifted by half a period, shown after k |
 """
 
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
 from reconstruction.arrays import Doubles, Levels
+from reconstruction.chain import HETERODYNE, HIERARCHICAL, Chain, make_chain
 from reconstruction.checks import require_flag, require_integer, require_number
 from reconstruction.errors import InputError
 
 Kind = Literal["phase", "gray", "white", "black"]
 Axis = Literal["column", "row"]
+CodeName = Literal["gray", "complementary_gray", "shifted_gray", "hierarchical", "heterodyne"]
 AXES: tuple[Axis, Axis] = ("column", "row")
+CODES: tuple[CodeName, ...] = get_args(CodeName)
+MULTI_FREQUENCY = (HIERARCHICAL, HETERODYNE)
 
-# Below 4 px the half-pixel offset between a Gray edge (pixel border) and the phase (pixel centre)
-# eats the quarter-period margin of the edge-safe rule.
+# Below 4 px a Gray stripe of a period that is no whole number of pixels may be misplaced by a
+# quarter of a period, the whole margin of the edge-safe rules.
 MIN_PERIOD_PX = 4.0
 
 
@@ -47,44 +52,67 @@ class Frame:
 
 @dataclass(frozen=True)
 class PatternSet:
-    """Phase-shifted sinusoids plus Gray code along both projector axes, white and black.
+    """Phase-shifted sinusoids and an order code along both projector axes, white and black.
 
     Parameters
     ----------
     width_px, height_px : projector image size
-    period_px : fringe period, >= 4 px
-    steps : phase steps N, >= 3
-    complementary : append one Gray bit, so that the order is safe at period edges
+    period_px : fringe period, >= 4 px; the finest one of a multi-frequency code
+    steps : phase steps N of every period, >= 3
+    complementary : older way to say code = "complementary_gray" (true) or "gray" (false)
     low_level, high_level : 8-bit projector levels of black and white
+    code : how the fringes are numbered; None: complementary_gray
+    further_periods_px : the other periods of a multi-frequency code: hierarchical any coarser ones,
+        the coarsest at least the image; heterodyne one or two near ones, rising
 
     Notes
     -----
-    Complementary Gray code: Zhang et al., Opt. Lasers Eng. 50, 574 (2012).
+    complementary_gray: Zhang et al., Opt. Lasers Eng. 50, 574 (2012). shifted_gray: the two
+    staggered words of Wu, Guo and Zhang, Opt. Express 27, 22631 (2019), both in every set, so that
+    they check each other. hierarchical and heterodyne: Zuo et al., Opt. Lasers Eng. 85, 84 (2016).
     """
 
     width_px: int
     height_px: int
     period_px: float = 18.0
     steps: int = 18
-    complementary: bool = True
+    complementary: bool | None = None
     low_level: int = 0
     high_level: int = 255
+    code: CodeName | None = None
+    further_periods_px: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         require_integer("patterns width_px", self.width_px, 1, 65536)
         require_integer("patterns height_px", self.height_px, 1, 65536)
         require_number("patterns period_px", self.period_px, MIN_PERIOD_PX, 65536)
         require_integer("patterns steps", self.steps, 3, 1000)
-        require_flag("patterns complementary", self.complementary)
         require_integer("patterns low_level", self.low_level, 0, 254)
         require_integer("patterns high_level", self.high_level, self.low_level + 1, 255)
+        code = _code_name(self.code, self.complementary)
+        object.__setattr__(self, "code", code)
+        object.__setattr__(self, "complementary", code == "complementary_gray")
+        object.__setattr__(self, "further_periods_px", _periods(self.further_periods_px))
+        self._check_chain()
 
     @cached_property
     def frames(self) -> tuple[Frame, ...]:
         """All frames in the order of projection and of the stack."""
-        phase = [Frame("phase", axis, n) for axis in AXES for n in range(self.steps)]
+        shots = self.steps * len(self.periods_px)
+        phase = [Frame("phase", axis, n) for axis in AXES for n in range(shots)]
         gray = [Frame("gray", axis, n) for axis in AXES for n in range(self.word_bits(axis))]
         return (*phase, *gray, Frame("white", None, 0), Frame("black", None, 0))
+
+    @property
+    def periods_px(self) -> tuple[float, ...]:
+        """All fringe periods in the order of projection; the one that is measured with first."""
+        return (self.period_px, *self.further_periods_px)
+
+    @cached_property
+    def chain(self) -> Chain | None:
+        """How a multi-frequency code is unwrapped; None with a Gray code."""
+        code = self.code
+        return make_chain(code, self.periods_px) if code in MULTI_FREQUENCY else None
 
     def length_px(self, axis: Axis) -> int:
         """Return the number of projector pixels along `axis`."""
@@ -97,12 +125,20 @@ class PatternSet:
         return math.ceil(self.length_px(axis) / self.period_px)
 
     def gray_bits(self, axis: Axis) -> int:
-        """Return the bits that number the periods, without the complementary bit."""
+        """Return the bits that number the periods, without those that make the code edge-safe."""
         return (self.periods(axis) - 1).bit_length()
 
+    def safety_bits(self, axis: Axis) -> int:
+        """Return the Gray frames that make the order safe at the borders of the periods."""
+        if self.code == "shifted_gray":
+            return self._shifted_at(self.length_px(axis) - 1).bit_length()
+        return int(self.code == "complementary_gray")
+
     def word_bits(self, axis: Axis) -> int:
-        """Return the Gray frames along `axis`, the complementary bit included."""
-        return self.gray_bits(axis) + int(self.complementary)
+        """Return the Gray frames along `axis`; 0 with a multi-frequency code."""
+        if self.code in MULTI_FREQUENCY:
+            return 0
+        return self.gray_bits(axis) + self.safety_bits(axis)
 
     def words(self, axis: Axis) -> int:
         """Return how many different words are shown: half-periods when complementary."""
@@ -129,17 +165,72 @@ class PatternSet:
         line = levels[:, np.newaxis] if frame.axis == "row" else levels[np.newaxis, :]
         return np.ascontiguousarray(np.broadcast_to(line, (self.height_px, self.width_px)))
 
+    def phase_of(self, frame: Frame) -> tuple[float, float]:
+        """Return the period, px, and the shift, turns, of a phase frame."""
+        fringes, step = divmod(frame.index, self.steps)
+        return self.periods_px[fringes], step / self.steps
+
     def _brightness(self, frame: Frame) -> Doubles:
         if frame.axis is None:
             return np.full(self.width_px, float(frame.kind == "white"))
         x_px = np.arange(self.length_px(frame.axis), dtype=np.float64)
         if frame.kind == "phase":
-            turns = x_px / self.period_px + frame.index / self.steps
-            return 0.5 + 0.5 * np.cos(2.0 * np.pi * turns)
-        word = np.array([self._word_at(x) for x in range(x_px.size)])
-        shift = self.word_bits(frame.axis) - 1 - frame.index
-        bits: Doubles = (((word ^ (word >> 1)) >> shift) & 1).astype(np.float64)
+            period_px, shift = self.phase_of(frame)
+            return 0.5 + 0.5 * np.cos(2.0 * np.pi * (x_px / period_px + shift))
+        return self._gray_bit(frame.axis, frame.index, x_px.size)
+
+    def _gray_bit(self, axis: Axis, index: int, length_px: int) -> Doubles:
+        word_at, last = self._word_at, self.word_bits(axis) - 1
+        if self.code == "shifted_gray":
+            if index < self.gray_bits(axis):
+                last = self.gray_bits(axis) - 1
+            else:
+                word_at = self._shifted_at
+        word = np.array([word_at(x) for x in range(length_px)])
+        bits: Doubles = (((word ^ (word >> 1)) >> (last - index)) & 1).astype(np.float64)
         return bits
 
     def _word_at(self, x_px: int) -> int:
         return math.floor((2 * x_px if self.complementary else x_px) / self.period_px)
+
+    def _shifted_at(self, x_px: int) -> int:
+        return math.floor(x_px / self.period_px + 0.5)
+
+    def _check_chain(self) -> None:
+        if self.chain is None:
+            if self.further_periods_px:
+                raise InputError(
+                    f"patterns further_periods_px is {self.further_periods_px} with code"
+                    f" {self.code!r}; leave it out or use a code of {', '.join(MULTI_FREQUENCY)}"
+                )
+            return
+        longest = max(self.width_px, self.height_px)
+        # A beat period computed from whole pixels may miss a whole number by rounding.
+        if self.chain.periods_px[0] < longest * (1.0 - 1e-9):
+            raise InputError(
+                f"patterns periods {self.periods_px} px are unambiguous over"
+                f" {self.chain.periods_px[0]:.6g} px, the image has {longest}; change"
+                " further_periods_px"
+            )
+
+
+def _code_name(code: object, complementary: object) -> CodeName:
+    if complementary is not None:
+        require_flag("patterns complementary", complementary)
+    if code is None:
+        return "gray" if complementary is False else "complementary_gray"
+    if code not in CODES:
+        raise InputError(f"patterns code is {code!r}; allowed are {', '.join(CODES)}")
+    if complementary is not None and complementary != (code == "complementary_gray"):
+        raise InputError(
+            f"patterns complementary is {complementary} but code is {code!r}; leave it out"
+        )
+    return next(known for known in CODES if known == code)
+
+
+def _periods(values: object) -> tuple[float, ...]:
+    if not isinstance(values, (tuple, list)) or len(values) > 7:
+        raise InputError(f"patterns further_periods_px is {values!r}; give up to 7 periods")
+    for value in values:
+        require_number("patterns further_periods_px", value, MIN_PERIOD_PX, 65536)
+    return tuple(float(value) for value in values)

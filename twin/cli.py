@@ -168,17 +168,9 @@ def render(
     frames
         Write each frame as an image too: exr (linear radiance), png (16-bit digital numbers).
     """
-    from twin.modalities.contact_fpp import press_specimen, record
+    from twin.modalities.measurement import take
     from twin.modalities.progress import Stopwatch
-    from twin.modalities.storage import (
-        press_metrics,
-        recording_metrics,
-        write_frames,
-        write_pressed,
-        write_recording,
-        write_result,
-        write_timings,
-    )
+    from twin.modalities.storage import write_frames, write_result, write_taken, write_timings
     from twin.output import output_folder
     from twin.report.frames import draw_frames
 
@@ -186,19 +178,16 @@ def render(
     with output_folder(out) as folder:
         with _progress() as watch:
             clock = Stopwatch(watch)
-            with clock.stage("press"):
-                pressed = press_specimen(loaded)
-            recording = record(loaded, pressed, clock)
+            pressed, recording = take(loaded, clock)
             for kind in frames:
                 with clock.stage(f"write {kind}") as progress:
                     write_frames(folder, recording, kind, progress)
-        write_pressed(folder, pressed)
-        write_recording(folder, recording)
+        figures = write_taken(folder, pressed, recording)
         draw_frames(folder / "frames.png", recording.capture)
-        figures = press_metrics(pressed) | recording_metrics(recording)
         write_result(folder, "render", loaded, figures)
         write_timings(folder, clock.seconds)
     _print_metrics(figures)
+    _say(f"rendered at {clock.frames_per_s['render']:.1f} frames/s")
     _say(f"wrote {out}")
 
 
@@ -212,6 +201,40 @@ def measure(experiment: Path, /, *, out: Out, settings: Settings = None) -> None
         TOML file, or the name of a shipped experiment such as paper/two_balls.
     """
     _measure(_load(experiment, settings), out, "measure")
+
+
+@app.command
+def compare(
+    *experiments: Path,
+    out: Out,
+    settings: Settings = None,
+    methods: str = "direct_fpp,contact_fpp",
+) -> int:
+    """Measure each specimen by each method and set the results side by side.
+
+    A measurement that OUT holds already is not made again; delete its folder to have it anew.
+
+    Parameters
+    ----------
+    experiments
+        TOML files, or names of shipped experiments such as paper/nut paper/brick.
+    methods
+        Which, and in which order they are shown: direct_fpp, contact_fpp.
+    """
+    from twin.modalities.comparison import compare as run_all
+    from twin.modalities.comparison import methods_named
+    from twin.report import comparison_table, write_comparison, write_report
+
+    chosen = methods_named(methods)
+    if not experiments:
+        raise InputError("EXPERIMENT: found none; name at least one, e.g. twin compare paper/nut")
+    loaded = [_load(experiment, settings) for experiment in experiments]
+    with _progress() as watch:
+        outcomes = run_all(loaded, chosen, out, write_report, watch)
+        page = write_comparison(out, watch)
+    _say(comparison_table(outcomes))
+    _say(f"wrote {page}")
+    return BAD_INPUT if all(outcome.failure for outcome in outcomes) else 0
 
 
 @app.command
@@ -260,6 +283,58 @@ def reconstruct(
 
 
 @app.command
+def calibrate(
+    source: Path,
+    /,
+    *,
+    out: Out,
+    board: str = "boards/paper_dots",
+    settings: Settings = None,
+    camera_distortion: tuple[Literal["k1", "k2", "p1", "p2", "k3"], ...] = ("k1",),
+    projector_distortion: tuple[Literal["k1", "k2", "p1", "p2", "k3"], ...] = (),
+    keep_captures: bool = False,
+) -> None:
+    """Calibrate camera and projector on captures of a board, or on rendered ones.
+
+    Parameters
+    ----------
+    source
+        Folder with one capture folder per board pose; or an experiment, whose rig is rendered.
+    board
+        Board file, or the name of a shipped board.
+    camera_distortion, projector_distortion
+        Coefficients to estimate.
+    keep_captures
+        Keep the rendered captures as captures/pose_NN.
+    """
+    from reconstruction.calibrating import AdjustOptions, Freedom
+    from twin.config.board import load_board
+    from twin.modalities.calibration import (
+        calibrate_captures,
+        calibrate_rendered,
+        write_board_calibration,
+    )
+    from twin.output import output_folder
+    from twin.report.calibration import draw_calibration
+
+    shown = load_board(board)
+    options = AdjustOptions(Freedom(camera_distortion, projector_distortion))
+    with output_folder(out) as folder:
+        with _progress() as watch:
+            if source.is_dir():
+                done = calibrate_captures(source, shown, options, watch=watch)
+            else:
+                keep = folder / "captures" if keep_captures else None
+                done = calibrate_rendered(
+                    _load(source, settings), shown, options, keep=keep, watch=watch
+                )
+        figures = write_board_calibration(folder, done)
+        draw_calibration(folder, done)
+    _print_metrics(figures)
+    _say(f"wrote {out}")
+
+
+@app.command
 def export(experiment: Path, /, *, out: Out, settings: Settings = None) -> None:
     """Press, then write a stock Mitsuba scene: XML, mesh and one texture per frame.
 
@@ -276,38 +351,61 @@ def export(experiment: Path, /, *, out: Out, settings: Settings = None) -> None:
 
     loaded = _load(experiment, settings)
     with output_folder(out) as folder, _progress() as watch:
-        watch("press", 0.0)
-        pressed = press_specimen(loaded)
-        watch("press", 1.0)
-        left_out = export_stock(
-            loaded, face_mesh(pressed), folder, lambda fraction: watch("export", fraction)
-        )
-        write_result(
-            folder, "export", loaded, press_metrics(pressed) | {"not_in_the_scene": left_out}
-        )
+        face, figures = None, {}
+        if loaded.modality == "contact_fpp":
+            watch("press", 0.0)
+            pressed = press_specimen(loaded)
+            watch("press", 1.0)
+            face, figures = face_mesh(pressed), press_metrics(pressed)
+        left_out = export_stock(loaded, face, folder, lambda fraction: watch("export", fraction))
+        write_result(folder, "export", loaded, figures | {"not_in_the_scene": left_out})
     for line in left_out:
         sys.stderr.write(f"twin: warning: {line}\n")
     _say(f"wrote {out / 'scene.xml'}")
 
 
 @app.command
+def patterns(
+    experiment: Path = Path("paper/two_balls"), /, *, out: Out, settings: Settings = None
+) -> None:
+    """Write the projected sequence for a real projector: 8-bit PNG images and a manifest.
+
+    Parameters
+    ----------
+    experiment
+        TOML file, or the name of a shipped experiment such as paper/two_balls.
+    """
+    from reconstruction.pattern_files import MANIFEST_FILE, write_patterns
+    from twin.optics.light import pattern_set
+    from twin.output import output_folder
+
+    loaded = _load(experiment, settings)
+    sequence = pattern_set(loaded.projector, loaded.patterns)
+    with output_folder(out) as folder:
+        write_patterns(folder, sequence)
+    _say(f"wrote {len(sequence.frames)} images and {out / MANIFEST_FILE}")
+
+
+@app.command
 def report(folder: Path, /) -> None:
-    """Draw the HTML report of a finished measurement anew.
+    """Draw the HTML report of a finished measurement or comparison anew.
 
     Parameters
     ----------
     folder
-        Result folder of `twin measure` or `twin demo`.
+        Result folder of `twin measure`, `twin demo` or `twin compare`.
     """
-    from twin.report import write_report
+    from twin.modalities.comparison import is_comparison
+    from twin.report import write_comparison, write_report
 
+    draw = write_comparison if is_comparison(folder) else write_report
     with _progress() as watch:
-        path = write_report(folder, watch)
+        path = draw(folder, watch)
     _say(f"wrote {path}")
 
 
 def _measure(experiment: "Experiment", out: Path, command: str) -> None:
-    from twin.modalities.contact_fpp import measure as run
+    from twin.modalities import measure as run
     from twin.modalities.storage import write_measurement
     from twin.output import output_folder
     from twin.report import summary_table, write_report

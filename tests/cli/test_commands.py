@@ -196,7 +196,7 @@ REFUSED = [
     (["measure", "paper/two_balls", "-s", "press.depth_mm=30"], "press.depth_mm"),
     (["press", "paper/two_balls", "-s", "specimen.x_mm=8.0"], "free span"),
     (["reconstruct", "nowhere"], "no capture.toml"),
-    (["measure", "examples/gel_on_window"], "seen through the gel, which is not rendered yet"),
+    (["measure", "paper/two_balls", "-s", "elastomer.layout=contact_face"], "add [layers.gel]"),
 ]
 
 

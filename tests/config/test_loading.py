@@ -138,7 +138,7 @@ def test_every_number_in_a_data_file_has_a_source(collection, name):
     """The house rule: value, source and, where it is assumed, its plausible range."""
     values, origins = quantities_of(name, collection)
     flat = dict(leaves(values))
-    words = {"description", "use"}
+    words = {"description", "use", "kind"}
     assert {path for path in flat if path.rsplit(".", 1)[-1] not in words} == set(origins)
     for path, origin in origins.items():
         assert len(origin.source) > 4

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter1d
 
-from twin.config import load_experiment
+from twin.config import ConfigError, load_experiment, to_toml, vary
 from twin.optics.light import OVERSAMPLING, blur, light_tables, pattern_set, response
 
 
@@ -61,3 +61,47 @@ def test_white_is_one_inside_and_black_is_the_contrast(experiment):
     assert middle[kinds.index("white")] == pytest.approx(1.0, abs=1e-6)
     assert middle[kinds.index("black")] == pytest.approx(1 / 500, rel=1e-4)
     assert middle[-1] == pytest.approx(1.0, abs=1e-6)
+
+
+def test_a_measured_response_is_interpolated(experiment):
+    """Levels on the table's nodes get its values, those between the mean of their neighbours."""
+    table = (0.0, 0.1, 0.1, 0.4, 0.7, 1.0)  # at levels 0, 51, 102, ...
+    projector = vary(experiment, {"projector.response": table}).projector
+    levels = np.array([0, 51, 102, 153, 204, 255, 178, 179], np.uint8)
+    relative = [*table, 0.4 + 0.3 * 25 / 51, 0.4 + 0.3 * 26 / 51]
+    black = 1.0 / projector.contrast
+    expected = black + (1.0 - black) * np.array(relative)
+    np.testing.assert_allclose(response(levels, projector), expected)
+
+
+def test_a_fine_table_of_a_power_law_is_the_power_law(experiment):
+    levels = np.arange(256, dtype=np.uint8)
+    table = ((levels / 255.0) ** 2.2).tolist()
+    by_table = vary(experiment, {"projector.response": table}).projector
+    by_law = experiment.projector.model_copy(update={"gamma": 2.2})
+    np.testing.assert_allclose(response(levels, by_table), response(levels, by_law), atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("changes", "problem"),
+    [
+        ({"response": [0.0, 0.5, 0.4, 1.0]}, "never fall"),
+        ({"response": [0.0, 0.9]}, "the last 1"),
+        ({"response": [1.0]}, "two or more"),
+        ({"response": [0.0, 1.0], "gamma": 1.5}, "gamma = 1"),
+    ],
+)
+def test_a_wrong_response_is_one_line(changes, problem):
+    dotted = {f"projector.{key}": value for key, value in changes.items()}
+    with pytest.raises(ConfigError) as caught:
+        load_experiment("paper/two_balls", dotted)
+    assert "projector.response: found" in str(caught.value)
+    assert problem in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_response_survives_writing_and_reading(experiment, tmp_path):
+    curved = vary(experiment, {"projector.response": [0.0, 0.3, 1.0]})
+    file = tmp_path / "experiment.toml"
+    file.write_text(to_toml(curved), encoding="utf-8")
+    assert load_experiment(file) == curved

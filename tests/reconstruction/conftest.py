@@ -37,9 +37,9 @@ def frames_at(
 def _signal(patterns, frame, column_px, row_px, blur_px):
     x_px = row_px if frame.axis == "row" else column_px
     if frame.kind == "phase":
-        turns = x_px / patterns.period_px + frame.index / patterns.steps
-        contrast = np.exp(-0.5 * (2.0 * np.pi * blur_px / patterns.period_px) ** 2)
-        return contrast * np.cos(2.0 * np.pi * turns)
+        period_px, shift = patterns.phase_of(frame)
+        contrast = np.exp(-0.5 * (2.0 * np.pi * blur_px / period_px) ** 2)
+        return contrast * np.cos(2.0 * np.pi * (x_px / period_px + shift))
     levels = 2.0 * (patterns.profile(frame) > 127) - 1.0
     if blur_px == 0.0:
         return levels[np.clip(np.rint(x_px).astype(int), 0, levels.size - 1)]

@@ -103,7 +103,7 @@ def test_plain_gray_code_does_make_order_errors(synthesise, cover, blur_px):
     column, row = cover(60, 900, patterns)
     stack = synthesise(patterns, column, row, mean_dn=120.0, amplitude_dn=90.0, blur_px=blur_px)
     stack += np.random.default_rng(3).normal(0.0, 2.0, stack.shape)
-    options = DecodeOptions(filter_taps=0, gray_sigmas=0.0)
+    options = DecodeOptions(filter_taps=0, gray_sigmas=0.0, max_order_error=1.0)
     decoded = decode(stack.astype(np.float32), patterns, SensorNoise(1, 2, 1000, 2000), options)
     error = (decoded.column.coordinate_px - column)[decoded.valid]
     assert np.mean(np.abs(error) > 9.0) > 1e-4
@@ -176,12 +176,15 @@ def test_low_modulation_pixel(patterns, quiet_sensor, synthesise):
     )
 
 
-@pytest.mark.parametrize("frame", [0, 17, 20, 35])
-def test_saturated_pixel(patterns, quiet_sensor, synthesise, frame):
-    def clip(pixel):
-        pixel[frame] = 255.0
+@pytest.mark.parametrize("frames", [range(16), range(20, 36), range(11)])
+def test_pixel_with_too_few_good_frames(patterns, quiet_sensor, synthesise, frames):
+    """Setup: 2 frames are left along one axis, or 7 neighbours: condition number 24."""
 
-    assert reason_after(patterns, synthesise, quiet_sensor, clip) == Reason.SATURATED
+    def clip(pixel):
+        pixel[list(frames)] = 255.0
+
+    strict = DecodeOptions(filter_taps=0, max_condition=20.0)
+    assert reason_after(patterns, synthesise, quiet_sensor, clip, strict) == Reason.SATURATED
 
 
 def test_saturated_white_frame_does_no_harm(patterns, quiet_sensor, synthesise):
@@ -259,11 +262,11 @@ def test_masked_pixels_hold_zero_and_damaged_floats_are_masked(
     stack[3, 5, 5] = np.nan
     decoded = decode(stack, patterns, quiet_sensor, DecodeOptions(filter_taps=taps))
     assert decoded.mask_reason[4, 4] == Reason.DARK
-    assert decoded.mask_reason[5, 5] == Reason.LOW_MODULATION
+    assert decoded.mask_reason[5, 5] == (Reason.VALID if taps == 0 else Reason.FILTER_SUPPORT)
     for axis in (decoded.column, decoded.row):
         for field in (axis.coordinate_px, axis.sigma_px, axis.order):
             assert np.all(field[~decoded.valid] == 0)
-        for field in (axis.phase_rad, axis.mean_dn, axis.modulation_dn):
+        for field in (axis.phase_rad, axis.mean_dn, axis.modulation_dn, axis.residual_dn):
             assert np.all(np.isfinite(field))
 
 
@@ -290,6 +293,8 @@ def test_wrong_stacks_are_refused(patterns, quiet_sensor, stack, message):
         {"min_modulation_dn": -1.0},
         {"max_phase_sigma_rad": 0.0},
         {"gray_sigmas": float("inf")},
+        {"max_condition": 0.5},
+        {"max_order_error": 1.5},
     ],
 )
 def test_wrong_options_are_named(change):

@@ -7,7 +7,7 @@ import textwrap
 import numpy as np
 
 from reconstruction import _jit
-from reconstruction._sum_kernels import sum_rows
+from reconstruction._decode_kernels import decode_rows
 
 
 def test_bands_cover_every_row_once():
@@ -33,7 +33,7 @@ def test_errors_of_a_band_reach_the_caller():
 
 def test_stored_kernels_depend_on_all_kernel_sources(tmp_path):
     """Why: numba itself would keep code into which another module's old function was inlined."""
-    cache_file = sum_rows._cache._cache_file
+    cache_file = decode_rows._cache._cache_file
     assert cache_file._source_stamp == _jit.SOURCE_DIGEST
     folder = tmp_path / "reconstruction"
     folder.mkdir()

@@ -25,6 +25,8 @@ def decoded_from(projector_px, sigma_px=0.01):
             image,
             image,
             np.full(shape, sigma_px, np.float32),
+            image,
+            image,
         )
         for i in range(2)
     )

@@ -11,7 +11,8 @@ from reconstruction.pipeline import reconstruct
 from twin.camera import expose
 from twin.config import Experiment, load_experiment
 from twin.mechanics import PressedElastomer
-from twin.modalities.contact_fpp import Measurement, Recording, options_of, press_specimen
+from twin.modalities import Measurement, Recording
+from twin.modalities.contact_fpp import options_of, press_specimen
 from twin.modalities.score import score
 from twin.modalities.storage import write_measurement
 from twin.optics.light import pattern_set
@@ -115,4 +116,5 @@ def meet_face(experiment: Experiment, pressed: PressedElastomer) -> Truth:
         column_px=pixels[..., 0].astype(np.float32),
         row_px=pixels[..., 1].astype(np.float32),
         lit=lit,
+        measured=np.ones_like(lit),
     )

@@ -1,8 +1,9 @@
 """Projector and camera as data. Device frames are OpenCV's, see `models`."""
 
+from itertools import pairwise
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import Field, ValidationInfo, field_validator
 
 from twin.config.base import Angle, Distortion, Fraction, Length, Model, NonNegative, Positive
 
@@ -40,9 +41,39 @@ class Projector(Model):
     gamma: Annotated[float, Field(ge=0.3, le=4)] = Field(
         default=1.0, description="light = (level / 255) ** gamma"
     )
-    blur_px: Annotated[float, Field(ge=0, le=10)] = Field(
-        description="lens blur, Gaussian sigma in projector pixels, on top of the DMD pixel box"
+    response: tuple[Fraction, ...] | None = Field(
+        default=None,
+        description="measured instead of gamma: relative light at equally spaced levels from 0 to "
+        "255, between which it is interpolated; never falling, the last is 1; black is `contrast`",
     )
+    blur_px: Annotated[float, Field(ge=0, le=10)] = Field(
+        description="lens blur at best focus, Gaussian sigma in projector pixels, on top of the "
+        "DMD pixel box"
+    )
+    aperture_mm: Annotated[float, Field(ge=0, le=100)] = Field(
+        default=0.0,
+        description="diameter of the exit pupil: blur grows with the distance from the focal "
+        "plane; 0: the same blur at every distance",
+    )
+    focus_mm: Length | None = Field(
+        default=None,
+        description="axial distance of best focus; absent: that of the world origin",
+    )
+
+    @field_validator("response")
+    @classmethod
+    def _response_is_a_curve(
+        cls, response: tuple[float, ...] | None, info: ValidationInfo
+    ) -> tuple[float, ...] | None:
+        if response is None:
+            return None
+        if info.data.get("gamma", 1.0) != 1.0:
+            raise ValueError("allowed only with gamma = 1: give either a table or a power law")
+        if len(response) < 2 or response[-1] != 1.0:
+            raise ValueError("allowed two or more numbers, the last 1; divide by the white level")
+        if any(higher < lower for lower, higher in pairwise(response)):
+            raise ValueError("allowed numbers that never fall with the level; smooth the curve")
+        return response
 
 
 class Camera(Model):
@@ -53,6 +84,11 @@ class Camera(Model):
     pixel_pitch_um: Positive
     focal_length_mm: Length
     f_number: Annotated[float, Field(ge=0.7, le=64)]
+    depth_of_field: bool = Field(
+        default=False,
+        description="True: thin lens of diameter focal_length_mm / f_number, in focus on the plane "
+        "across its axis through the world origin; False: everything is in focus",
+    )
     distortion: Distortion = (0.0, 0.0, 0.0, 0.0, 0.0)
     pose: Pose = Field(description="its standoff is also the distance of best focus")
     exposure_ms: Positive | Literal["auto"] = Field(

@@ -8,11 +8,12 @@ points up to camera and projector. Device frames are OpenCV's (x right, y down, 
 
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import Field, ValidationInfo, field_validator
 
 from twin.config.base import Distortion, Model, Positive
 from twin.config.devices import Camera, Pose, Projector
 from twin.config.elastomer import Coating, Elastomer, Film, Mechanics, PadFile, Press
+from twin.config.layers import Layer, Layers, check_rig
 from twin.config.materials import Conductor, Dielectric, Diffuse, Material, Plastic, Stage
 from twin.config.specimens import (
     AnySpecimen,
@@ -42,6 +43,7 @@ __all__ = [
     "Flat",
     "Grating",
     "Group",
+    "Layer",
     "Material",
     "Mechanics",
     "MeshFile",
@@ -62,12 +64,28 @@ __all__ = [
 ]
 
 
+# Specimen and stage light each other; what a fourth reflection adds at albedo 0.35 is below 1 %.
+_DIRECT_BOUNCES = 3
+
+
 class Patterns(Model):
-    """The projected sequence: N-step phase shift both ways, Gray code, white and black."""
+    """The projected sequence: N-step phase shift both ways, order code, white and black."""
 
     period_px: Annotated[float, Field(ge=4, le=512)]
     steps: Annotated[int, Field(ge=3, le=64)]
-    complementary: bool = True
+    complementary: bool = Field(
+        default=True, description="without code: complementary Gray code, or plain Gray code"
+    )
+    code: (
+        Literal["gray", "complementary_gray", "shifted_gray", "hierarchical", "heterodyne"] | None
+    ) = Field(default=None, description="how the fringes are numbered; wins over complementary")
+    further_periods_px: Annotated[
+        tuple[Annotated[float, Field(ge=4, le=65536)], ...], Field(max_length=7)
+    ] = Field(
+        default=(),
+        description="hierarchical: coarser periods, one at least the image; heterodyne: one or two"
+        " periods slightly above period_px",
+    )
 
 
 class Render(Model):
@@ -82,8 +100,10 @@ class Render(Model):
     samples: Literal[1, 4, 9, 16, 25, 36, 64, 256] = Field(
         default=4, description="camera rays per pixel; one_trace uses a fixed square grid of them"
     )
-    bounces: Annotated[int, Field(ge=0, le=16)] = Field(
-        default=0, description="reflections after the first (light between surfaces); 0 is direct"
+    bounces: Annotated[int, Field(ge=0, le=16)] | None = Field(
+        default=None,
+        description="reflections at matte surfaces after the first (light between surfaces); 0 is "
+        "direct light alone; absent: 0 for the coat, 3 where the bare specimen is seen",
     )
     bounce_paths: Annotated[int, Field(ge=1, le=4096)] = Field(
         default=4, description="random continuations per camera ray, when there are bounces"
@@ -109,6 +129,9 @@ class Score(Model):
 
     roi_radius_mm: Positive = Field(
         description="sphere fit over points within this lateral distance of each apex"
+    )
+    good_within_um: Positive = Field(
+        default=50.0, description="a point counts as good when its height errs by no more"
     )
 
 
@@ -143,6 +166,26 @@ class Experiment(Model):
     render: Render = Render()
     decode: Decode = Decode()
     score: Score
+    layers: Layers = Field(
+        default={},
+        description="[layers.NAME]: clear plane layers above the coat, each with bottom_mm (world "
+        "z; 0 or less holds the coat), thickness_mm, ior, absorption_per_mm (0)",
+    )
     provenance: dict[str, Provenance] = Field(
         default_factory=dict, description="source and valid range by dotted path"
     )
+
+    @property
+    def bounces(self) -> int:
+        """Reflections after the first that are traced."""
+        if self.render.bounces is not None:
+            return self.render.bounces
+        return 0 if self.modality == "contact_fpp" else _DIRECT_BOUNCES
+
+    @field_validator("layers")
+    @classmethod
+    def _layers_fit_the_rig(
+        cls, layers: dict[str, Layer], info: ValidationInfo
+    ) -> dict[str, Layer]:
+        check_rig(layers, info.data)
+        return layers

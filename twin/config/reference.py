@@ -62,17 +62,22 @@ def _type_name(annotation: Any) -> str:
         inner, *metadata = typing.get_args(annotation)
         limits = [_limit(item) for extra in metadata for item in getattr(extra, "metadata", [])]
         return ", ".join([_type_name(inner), *filter(None, limits)])
-    if typing.get_origin(annotation) is dict:
-        return "tables by name"
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return f"table ({annotation.model_fields['kind'].default})"
-    if typing.get_origin(annotation) is tuple:
-        return f"{len(typing.get_args(annotation))} numbers"
+    if typing.get_origin(annotation) in (dict, tuple):
+        return _collection_name(annotation)
     parts = [part for part in typing.get_args(annotation) if part is not type(None)]
     if parts:
         return " | ".join(_type_name(part) for part in parts)
     names = {float: "number", int: "integer", bool: "true | false", str: "text"}
     return names.get(annotation, str(annotation))
+
+
+def _collection_name(annotation: Any) -> str:
+    if typing.get_origin(annotation) is dict:
+        return "tables by name"
+    items = typing.get_args(annotation)
+    return "numbers" if Ellipsis in items else f"{len(items)} numbers"
 
 
 def _limit(item: Any) -> str:

@@ -7,25 +7,30 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from twin.config.base import Angle, Length, Model, NonNegative, Positive
-from twin.config.materials import Material
+from twin.config.artefacts import Rods, Step, VGroove
+from twin.config.base import Length, NonNegative, Positive
+from twin.config.objects import Bear, Brick, Nut, TBolt
+from twin.config.specimen_pose import Specimen
 
-
-class Specimen(Model):
-    """What every specimen has: its pose on the stage, relative to the slab's centre."""
-
-    x_mm: float = 0.0
-    y_mm: float = 0.0
-    z_mm: float = Field(
-        default=0.0, description="within a group: height of the foremost point over the others'"
-    )
-    yaw_deg: Angle = 0.0
-    tilt_deg: Annotated[float, Field(ge=-30, le=30)] = Field(
-        default=0.0, description="tilt about the specimen's y axis; positive lifts its +x side"
-    )
-    material: Material | None = Field(
-        default=None, description="needed where the specimen itself is seen (direct_fpp)"
-    )
+__all__ = [
+    "AnySpecimen",
+    "Ball",
+    "Bear",
+    "Brick",
+    "Flat",
+    "Grating",
+    "Group",
+    "MeshFile",
+    "Nut",
+    "Part",
+    "Rod",
+    "Rods",
+    "Specimen",
+    "Step",
+    "TBolt",
+    "TwoBalls",
+    "VGroove",
+]
 
 
 class Ball(Specimen):
@@ -92,7 +97,11 @@ class MeshFile(Specimen):
     )
 
 
-Part = Annotated[Ball | TwoBalls | Rod | Flat | Grating | MeshFile, Field(discriminator="kind")]
+_Single = (
+    Ball | TwoBalls | Rod | Flat | Grating | MeshFile
+    | Rods | Step | VGroove | Nut | TBolt | Brick | Bear
+)  # fmt: skip
+Part = Annotated[_Single, Field(discriminator="kind")]
 
 
 class Group(Specimen):
@@ -104,9 +113,7 @@ class Group(Specimen):
     )
 
 
-AnySpecimen = Annotated[
-    Ball | TwoBalls | Rod | Flat | Grating | MeshFile | Group, Field(discriminator="kind")
-]
+AnySpecimen = Annotated[_Single | Group, Field(discriminator="kind")]
 
 
 def _check_edge(edge_radius_mm: float, smallest_mm: float) -> None:

@@ -1,45 +1,13 @@
-"""Contact-FPP from the experiment to millimetres: press, render, expose, reconstruct, score."""
+"""Contact-FPP: fringes on the coat of the pressed elastomer."""
 
-from dataclasses import dataclass
-
-from reconstruction.capture import Capture
 from reconstruction.decode import DecodeOptions
 from reconstruction.errors import InputError
-from reconstruction.pipeline import Reconstruction, ReconstructOptions, reconstruct
-from twin.camera import expose
+from reconstruction.pipeline import ReconstructOptions
 from twin.config.models import Decode, Experiment
 from twin.mechanics import PressedElastomer, face_mesh, press_with
-from twin.modalities.progress import Stopwatch, Watcher, nobody
-from twin.modalities.score import Score, score
-from twin.optics.light import pattern_set
+from twin.modalities.progress import Stopwatch
+from twin.modalities.recording import Recording, expose_capture
 from twin.optics.render import render
-from twin.optics.rig import true_calibration
-from twin.optics.stack import RadianceStack, Truth
-
-
-@dataclass(frozen=True, eq=False)
-class Recording:
-    """What the virtual rig delivers, and the truth that a real rig does not have."""
-
-    radiance: RadianceStack
-    capture: Capture
-    exposure_ms: float
-
-    @property
-    def truth(self) -> Truth:
-        """Geometry behind every camera pixel."""
-        return self.radiance.truth
-
-
-@dataclass(frozen=True, eq=False)
-class Measurement:
-    """One virtual measurement, whole."""
-
-    pressed: PressedElastomer
-    recording: Recording
-    reconstruction: Reconstruction
-    score: Score
-    seconds: dict[str, float]
 
 
 def press_specimen(experiment: Experiment) -> PressedElastomer:
@@ -68,30 +36,20 @@ def record(
     Raises
     ------
     InputError
-        The coat is not seen from outside (contact-face layout).
+        The coat is seen through a gel (contact-face layout) that the experiment does not describe.
     MissingBackend
         No usable Dr.Jit backend.
     """
-    if experiment.elastomer.layout == "contact_face":
+    if experiment.elastomer.layout == "contact_face" and not experiment.layers:
         raise InputError(
-            "elastomer.layout = 'contact_face': the coat is seen through the gel, which is not"
-            " rendered yet; use twin press, or layout = 'opposite_face'"
+            "layers: found none, elastomer.layout = 'contact_face' is seen through its gel; add "
+            f"[layers.gel] with bottom_mm = 0, thickness_mm = {experiment.elastomer.thickness_mm:g}"
+            " and ior, or use twin press"
         )
     clock = clock or Stopwatch()
     with clock.stage("render") as progress:
         radiance = render(experiment, face_mesh(pressed), progress)
-    patterns = pattern_set(experiment.projector, experiment.patterns)
-    with clock.stage("expose") as progress:
-        white = patterns.index("white").start
-        exposed = expose(experiment, radiance.frames, white, trial, progress)
-    capture = Capture(
-        stack=exposed.stack,
-        patterns=patterns,
-        sensor=exposed.sensor,
-        calibration=true_calibration(experiment),
-        bit_depth=experiment.camera.bit_depth,
-    )
-    return Recording(radiance, capture, exposed.exposure_ms)
+    return expose_capture(experiment, radiance, clock, trial)
 
 
 def options_of(decode: Decode) -> ReconstructOptions:
@@ -102,24 +60,3 @@ def options_of(decode: Decode) -> ReconstructOptions:
         ),
         use=decode.use,
     )
-
-
-def measure(experiment: Experiment, watch: Watcher = nobody) -> Measurement:
-    """Run one virtual contact-FPP measurement.
-
-    Raises
-    ------
-    InputError
-        Something in the experiment cannot be pressed, rendered or fitted.
-    MissingBackend
-        No usable Dr.Jit backend.
-    """
-    clock = Stopwatch(watch)
-    with clock.stage("press"):
-        pressed = press_specimen(experiment)
-    recording = record(experiment, pressed, clock)
-    with clock.stage("reconstruct"):
-        reconstruction = reconstruct(recording.capture, options_of(experiment.decode))
-    with clock.stage("score"):
-        scored = score(experiment, reconstruction, recording.truth)
-    return Measurement(pressed, recording, reconstruction, scored, clock.seconds)

@@ -24,6 +24,7 @@ class Stopwatch:
 
     watch: Watcher = nobody
     seconds: dict[str, float] = field(default_factory=dict)
+    frames_per_s: dict[str, float] = field(default_factory=dict)
 
     @contextmanager
     def stage(self, name: str) -> Iterator[Callable[[float], None]]:
@@ -33,3 +34,7 @@ class Stopwatch:
         yield lambda fraction: self.watch(name, fraction)
         self.seconds[name] = time.perf_counter() - start
         self.watch(name, 1.0)
+
+    def count_frames(self, stage: str, frames: int) -> None:
+        """Note how many frames a finished stage made."""
+        self.frames_per_s[stage] = frames / self.seconds[stage]

@@ -26,11 +26,16 @@ _MAD_TO_SIGMA = 1.4826
 
 @dataclass(frozen=True)
 class TruthScore:
-    """Errors of world z against the coated face at the pixel centres, valid pixels only."""
+    """Errors of world z against the true surface at the pixel centres, valid pixels only.
+
+    `completeness` is the share of the wanted pixels with a point, `good_share` that of those whose
+    point is also right within `score.good_within_um`.
+    """
 
     points: int
     lit_pixels: int
     completeness: float
+    good_share: float
     wrong_order_pixels: int
     z_rmse_um: float
     z_bias_um: float
@@ -87,18 +92,21 @@ def score_truth(experiment: Experiment, reconstruction: Reconstruction, truth: T
     `error_over_sigma` is the robust spread of error / predicted sigma: 1 when the predicted sigma
     is the actual one, more when systematic errors exceed the noise.
     """
-    both = reconstruction.point_map.valid & truth.lit
+    wanted = wanted_pixels(experiment, truth)
+    both = reconstruction.point_map.valid & wanted
     points = reconstruction.point_map.points_world_mm[both]
     error_um = 1e3 * (points[:, 2] - truth.points_world_mm[both][:, 2]).astype(np.float64)
     sigma_um = 1e3 * reconstruction.point_map.sigma_z_mm[both].astype(np.float64)
-    lit, count = int(truth.lit.sum()), int(both.sum())
+    lit, count = int(wanted.sum()), int(both.sum())
     if not count:
-        return TruthScore(0, lit, 0.0, 0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        return TruthScore(0, lit, 0.0, 0.0, 0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    good = int((np.abs(error_um) <= experiment.score.good_within_um).sum())
     relative = (error_um - np.median(error_um)) / np.maximum(sigma_um, 1e-9)
     return TruthScore(
         points=count,
         lit_pixels=lit,
         completeness=count / lit,
+        good_share=good / lit,
         wrong_order_pixels=wrong_orders(experiment, reconstruction, truth),
         z_rmse_um=float(np.sqrt(np.mean(error_um**2))),
         z_bias_um=float(np.mean(error_um)),
@@ -108,10 +116,19 @@ def score_truth(experiment: Experiment, reconstruction: Reconstruction, truth: T
     )
 
 
+def wanted_pixels(experiment: Experiment, truth: Truth) -> NDArray[np.bool_]:
+    """Pixels that ought to give a point, (row, col).
+
+    On the coat those that both devices see. On a bare specimen every pixel that shows it: that the
+    method has blind flanks and shadows there is what is to be found out.
+    """
+    return truth.measured if experiment.modality == "direct_fpp" else truth.lit
+
+
 def wrong_orders(experiment: Experiment, reconstruction: Reconstruction, truth: Truth) -> int:
     """Count valid lit pixels whose projector column or row is off by half a period or more."""
     decoded = reconstruction.decoded
-    both = decoded.valid & truth.lit
+    both = decoded.valid & wanted_pixels(experiment, truth)
     half_px = experiment.patterns.period_px / 2
     wrong = (np.abs(decoded.column.coordinate_px - truth.column_px) >= half_px) | (
         np.abs(decoded.row.coordinate_px - truth.row_px) >= half_px
@@ -161,6 +178,7 @@ def metrics(scored: Score) -> dict[str, Any]:
         "points": truth.points,
         "lit_pixels": truth.lit_pixels,
         "completeness": truth.completeness,
+        "good_share": truth.good_share,
         "wrong_order_pixels": truth.wrong_order_pixels,
         "z_rmse_um": truth.z_rmse_um,
         "z_bias_um": truth.z_bias_um,

@@ -31,7 +31,8 @@ from twin.mechanics import (
     write_mesh,
     write_press,
 )
-from twin.modalities.contact_fpp import Measurement, Recording
+from twin.modalities.measurement import Measurement
+from twin.modalities.recording import Recording
 from twin.modalities.score import metrics
 from twin.optics.storage import write_exr, write_truth
 from twin.output import EXPERIMENT_FILE, RESULT_FILE, versions, write_json
@@ -119,12 +120,22 @@ def write_measurement(
     folder: Path, command: str, experiment: Experiment, done: Measurement
 ) -> None:
     """Write everything of one measurement."""
-    write_pressed(folder, done.pressed)
-    write_recording(folder, done.recording)
+    figures = write_taken(folder, done.pressed, done.recording) | metrics(done.score)
     write_reconstructed(folder, done.reconstruction)
-    figures = press_metrics(done.pressed) | recording_metrics(done.recording) | metrics(done.score)
     write_result(folder, command, experiment, figures)
     write_timings(folder, done.seconds)
+
+
+def write_taken(
+    folder: Path, pressed: PressedElastomer | None, recording: Recording
+) -> dict[str, Any]:
+    """Write press and recording; returns the figures of both."""
+    figures: dict[str, Any] = {"warnings": []}
+    if pressed is not None:
+        write_pressed(folder, pressed)
+        figures = press_metrics(pressed)
+    write_recording(folder, recording)
+    return figures | recording_metrics(recording)
 
 
 def press_metrics(pressed: PressedElastomer) -> dict[str, Any]:

@@ -1,22 +1,35 @@
-"""Light that is reflected more than once: from coat to coat, specimen to stage, and so on.
+"""Light between surfaces: from coat to coat, between specimen and stage, through clear bodies.
 
-Each camera ray is continued by BSDF sampling; at every further surface the path is connected to
-the projector, and what it carries is added to all frames. The random numbers are the same for all
-frames, so their noise shifts a pixel's phase a little but never differs from frame to frame.
+Each camera ray is continued by BSDF sampling. Which light is added where depends on the surface
+that the projector lit first on the way, so that every way is counted once:
 
-Does: any number of bounces between opaque surfaces. Does not: light that reaches a surface through
-or off perfectly specular ones (no connection can be drawn to a pinhole projector).
+- a matte or rough one: the camera path is connected to the projector when it gets there;
+- a sharp one (clear or polished), and later the stage: photons brought that light to the stage,
+  the camera path gathers it there;
+- sharp ones only, all the way to the camera: connected, as far as the camera path met no other.
+
+The random numbers are the same for all frames, so their noise shifts a pixel's phase a little but
+never differs from frame to frame.
+
+Left out: highlights of perfectly smooth bodies (between two pinholes they have no width), and light
+that sharp bodies throw on other surfaces than the stage.
 """
 
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 
-from twin.optics.connection import Rig, connect
+from twin.optics.connection import Connection, Rig, connect
 from twin.optics.look_up import FrameLight
+from twin.optics.stage_light import StageLight
 from twin.optics.subpixels import SubPixels
+from twin.optics.surfaces import Surfaces
+
+MOST_SHARP = 24
+"""Reflections and refractions at sharp bodies that a camera path may go through."""
 
 
 @dataclass(frozen=True)
@@ -26,15 +39,21 @@ class Bounces:
     Attributes
     ----------
     most : int
-        Largest number of reflections after the first; 1 is light reflected twice.
+        Largest number of reflections after the first; 1 is light reflected twice. Sharp bodies do
+        not count.
     paths : int
         Random continuations per camera sample.
     seed : int
+    surfaces : Surfaces
+    stage_light : StageLight, optional
+        What photons brought to the stage.
     """
 
     most: int
     paths: int
     seed: int
+    surfaces: Surfaces = field(default_factory=Surfaces)
+    stage_light: StageLight | None = None
 
 
 def add_bounces(
@@ -53,22 +72,30 @@ def add_bounces(
     """
     total = grid.samples * bounces.paths
     width = dr.width(grid.x_px)
-    generator: Any = mi.PCG32
-    # Opaque: a literal seed would be compiled into the kernel, a new one for every trial.
-    seed = dr.opaque(mi.UInt64, bounces.seed)
-    random = generator(size=width, initstate=seed, initseq=dr.arange(mi.UInt64, width))
+    surfaces = bounces.surfaces
 
     def next_segment(*state: Any) -> tuple[Any, ...]:
-        walk, depth, ray, throughput, rng, *sums = state
-        fresh = depth == 0
-        ray = dr.select(fresh, rig.camera.ray(*grid.position(walk // bounces.paths)), ray)
-        throughput = dr.select(fresh, 1.0, throughput)
+        walk, matte, events, inside, ray, throughput, rng, *sums = state
+        fresh = events == 0
+        ray = dr.select(fresh, grid.ray(rig.camera, walk // bounces.paths), ray)
         hit = scene.ray_intersect(ray)
         bsdf = hit.bsdf(ray)
+        sharp = surfaces.is_sharp(hit)
+        throughput = dr.select(fresh, 1.0, throughput)
+        throughput *= surfaces.transmittance(hit, inside & sharp)
         path = connect(scene, rig, hit, bsdf, coherent=False)
         # The first surface's own light is the direct part, rendered without noise.
-        path = replace(path, weight=path.weight * throughput / total, lit=path.lit & ~fresh)
-        sums = [value + one for value, one in zip(sums, light.values(path), strict=True)]
+        counts = path.lit & ~fresh & (~sharp | (matte == 0))
+        path = replace(path, weight=path.weight * throughput / total, lit=counts)
+        # As a plain tuple: Dr.Jit cannot carry a frozen dataclass through a branch.
+        found = tuple(getattr(path, part.name) for part in fields(path))
+        sums = _add_where(counts, lambda *found: light.values(Connection(*found)), found, sums)
+        if bounces.stage_light is not None:
+            on_stage = surfaces.on_stage(hit)
+            emitted = throughput * bsdf.eval_diffuse_reflectance(hit, on_stage)[0] / dr.pi
+            draw = rng.next_float32(), rng.next_float32()
+            found = (hit.p.x, hit.p.y, emitted / total, on_stage, draw)
+            sums = _add_where(on_stage, bounces.stage_light.values, found, sums)
         sample, weight = bsdf.sample(
             mi.BSDFContext(),
             hit,
@@ -77,10 +104,16 @@ def add_bounces(
             hit.is_valid(),
         )
         throughput = throughput * weight[0]
-        ends = ~hit.is_valid() | (throughput == 0.0) | (depth >= bounces.most)
+        through = mi.has_flag(sample.sampled_type, mi.BSDFFlags.Transmission)
+        matte += dr.select(sharp, 0, 1)
+        events += 1
+        ends = ~hit.is_valid() | (throughput == 0.0)
+        ends |= (matte > bounces.most) | (events > matte + MOST_SHARP)
         return (
             dr.select(ends, walk + 1, walk),
-            dr.select(ends, 0, depth + 1),
+            dr.select(ends, 0, matte),
+            dr.select(ends, 0, events),
+            ~ends & (inside ^ through),
             hit.spawn_ray(hit.to_world(sample.wo)),
             throughput,
             rng,
@@ -88,12 +121,35 @@ def add_bounces(
         )
 
     start = (
-        dr.zeros(mi.UInt32, width),
-        dr.zeros(mi.UInt32, width),
+        *(dr.zeros(mi.UInt32, width) for _ in range(3)),
+        dr.full(mi.Bool, False, width),
         dr.zeros(mi.Ray3f, width),
         dr.ones(mi.Float, width),
-        random,
+        _random_numbers(width, bounces.seed),
         *frames,
     )
     end = dr.while_loop(start, lambda walk, *_: walk < total, next_segment)
-    return list(end[5:])
+    return list(end[7:])
+
+
+def _add_where(
+    active: Any, values: Callable[..., list[Any]], arguments: tuple[Any, ...], sums: list[Any]
+) -> list[Any]:
+    """Add `values(*arguments)` to the sums; skipped where no lane of a packet is active."""
+
+    def add(arguments: tuple[Any, ...], sums: list[Any]) -> list[Any]:
+        found = values(*arguments)
+        return [total + value for total, value in zip(sums, found, strict=True)]
+
+    result = dr.if_stmt((arguments, sums), active, add, lambda _, sums: sums)
+    return list(result)
+
+
+def _random_numbers(width: int, seed: int) -> Any:
+    """One stream per lane. Opaque: a literal seed would be compiled into the kernel anew."""
+    generator: Any = mi.PCG32
+    return generator(
+        size=width,
+        initstate=dr.opaque(mi.UInt64, seed),
+        initseq=dr.arange(mi.UInt64, width),
+    )

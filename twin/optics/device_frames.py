@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from reconstruction.calibration import Pinhole
+from twin.optics.lens import ThinLens
 
 _OPENCV_FROM_MITSUBA = np.diag([-1.0, -1.0, 1.0, 1.0])
 
@@ -22,13 +23,16 @@ def to_world(T_world_from_device: Matrix) -> NDArray[np.float32]:
     return (T_world_from_device @ _OPENCV_FROM_MITSUBA).astype(np.float32)
 
 
-def perspective_sensor(pinhole: Pinhole, T_world_from_cam: Matrix, samples: int) -> dict[str, Any]:
-    """Mitsuba `perspective` sensor with a box filter film, as a dictionary for `mi.load_dict`.
+def perspective_sensor(
+    pinhole: Pinhole, T_world_from_cam: Matrix, samples: int, lens: ThinLens | None = None
+) -> dict[str, Any]:
+    """Mitsuba `perspective` or `thinlens` sensor, box filter, as a dictionary for `mi.load_dict`.
 
     Raises
     ------
     ValueError
-        The pinhole has lens distortion, which stock Mitsuba cannot express.
+        The pinhole has what stock Mitsuba cannot express: lens distortion, or an off-axis principal
+        point behind a thin lens.
     """
     import mitsuba as mi
 
@@ -36,12 +40,9 @@ def perspective_sensor(pinhole: Pinhole, T_world_from_cam: Matrix, samples: int)
         raise ValueError("stock Mitsuba cannot express lens distortion; use engine = 'one_trace'")
     width, height = pinhole.width_px, pinhole.height_px
     return {
-        "type": "perspective",
         "fov_axis": "x",
         "fov": field_of_view_deg(width, pinhole.fx_px),
-        # Offsets move the image in fractions of its size; pixel centres are half a pixel in.
-        "principal_point_offset_x": (pinhole.cx_px + 0.5) / width - 0.5,
-        "principal_point_offset_y": (pinhole.cy_px + 0.5) / height - 0.5,
+        **_sensor_kind(pinhole, lens),
         "near_clip": 1.0,
         "far_clip": 1e4,
         "to_world": mi.ScalarTransform4f(to_world(T_world_from_cam)),
@@ -54,6 +55,25 @@ def perspective_sensor(pinhole: Pinhole, T_world_from_cam: Matrix, samples: int)
             "rfilter": {"type": "box"},
         },
         "sampler": {"type": "independent", "sample_count": samples},
+    }
+
+
+def _sensor_kind(pinhole: Pinhole, lens: ThinLens | None) -> dict[str, Any]:
+    # Offsets move the image in fractions of its size; pixel centres are half a pixel in.
+    offset_x = (pinhole.cx_px + 0.5) / pinhole.width_px - 0.5
+    offset_y = (pinhole.cy_px + 0.5) / pinhole.height_px - 0.5
+    if lens is None:
+        return {
+            "type": "perspective",
+            "principal_point_offset_x": offset_x,
+            "principal_point_offset_y": offset_y,
+        }
+    if offset_x or offset_y:
+        raise ValueError("stock Mitsuba's thin lens has no off-axis principal point")
+    return {
+        "type": "thinlens",
+        "aperture_radius": lens.radius_mm,
+        "focus_distance": lens.focus_mm,
     }
 
 

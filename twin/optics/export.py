@@ -13,7 +13,9 @@ import numpy as np
 
 from twin.config.models import Experiment
 from twin.optics.backend import activate
+from twin.optics.coat import COATED_FACE, coating_bsdf
 from twin.optics.device_frames import perspective_sensor, to_world
+from twin.optics.direct import Solid, solids
 from twin.optics.storage import write_exr
 
 if TYPE_CHECKING:
@@ -28,25 +30,43 @@ def inexpressible(experiment: Experiment) -> list[str]:
         "sub-pixel positions are random in stock Mitsuba: at few samples they act as phase noise",
         "the camera's noise and bits are not in the scene: its images are linear radiance",
     ]
+    if experiment.layers:
+        lines.insert(
+            0,
+            "layers are left out: no stock integrator connects a coat below a refracting face to a"
+            " projector",
+        )
+    if experiment.modality == "direct_fpp":
+        lines.insert(
+            0,
+            "light that comes through or off smooth bodies is missing: stock integrators cannot"
+            " connect them to a projector, what lies behind glass is black",
+        )
     if any(experiment.camera.distortion):
         lines.insert(0, "camera.distortion is left out: stock sensors have no lens distortion")
+    if experiment.projector.aperture_mm:
+        lines.insert(
+            0,
+            "projector.aperture_mm is left out: a texture has the same blur at every distance, that"
+            " of best focus",
+        )
     return lines
 
 
 def export_stock(
     experiment: Experiment,
-    face: "trimesh.Trimesh",
+    face: "trimesh.Trimesh | None",
     folder: Path,
     progress: Callable[[float], None] = lambda _: None,
 ) -> list[str]:
-    """Write scene.xml, coated_face.ply and textures/*.exr into `folder`.
+    """Write scene.xml, one PLY per surface and textures/*.exr into `folder`.
 
     Parameters
     ----------
     experiment : Experiment
         `render.stock_emitter` chooses between `projector` and `spot`.
-    face : trimesh.Trimesh
-        Coated face in world mm.
+    face : trimesh.Trimesh, optional
+        Coated face in world mm; None where the bare specimen is seen.
     folder : Path
         An existing folder.
     progress : callable
@@ -59,20 +79,24 @@ def export_stock(
     """
     backend = activate()
     from twin.optics import stock
+    from twin.optics.bounces import MOST_SHARP
     from twin.optics.light import light_tables, pattern_set
     from twin.optics.scene import rig_of
 
     rig = rig_of(experiment)
     patterns = pattern_set(experiment.projector, experiment.patterns)
-    tables = light_tables(experiment.projector, patterns)
+    in_focus = experiment.projector.model_copy(update={"aperture_mm": 0.0})
+    tables = light_tables(in_focus, patterns)
     canvas = stock.canvas_for(rig, experiment.render.stock_emitter)
     (folder / "textures").mkdir()
     for number, frame in enumerate(patterns.frames):
         texture = stock.frame_texture(frame, number, rig, tables, canvas)
         write_exr(folder / "textures" / f"{frame.name}.exr", texture)
         progress((number + 1) / len(patterns.frames))
-    content = face.export(file_type="ply", vertex_normal=True)
-    (folder / "coated_face.ply").write_bytes(content)
+    shapes = _solids(experiment, face)
+    for solid in shapes:
+        content = solid.mesh.export(file_type="ply", vertex_normal=True)
+        (folder / f"{solid.name}.ply").write_bytes(content)
     undistorted = experiment.camera.model_copy(update={"distortion": (0.0,) * 5})
     ideal = rig_of(experiment.model_copy(update={"camera": undistorted})).camera
     scene = _template().render(
@@ -80,14 +104,29 @@ def export_stock(
         variant=backend.variant,
         frames=[frame.name for frame in patterns.frames],
         samples=experiment.render.samples,
-        camera=perspective_sensor(ideal.pinhole, ideal.T_world_from_device, 1),
+        camera=perspective_sensor(ideal.pinhole, ideal.T_world_from_device, 1, ideal.lens),
         camera_to_world=_matrix(ideal.T_world_from_device),
         projector_to_world=_matrix(rig.projector.T_world_from_device),
-        coating=experiment.coating,
+        integrator=stock.integrator(experiment.bounces + (0 if face is not None else MOST_SHARP)),
+        solids=shapes,
+        kind_of=_kind_of,
         emitter=stock.emitter_dict(np.zeros((2, 2), np.float32), rig, canvas),
     )
     (folder / SCENE_FILE).write_text(scene, encoding="utf-8")
     return inexpressible(experiment)
+
+
+def _solids(experiment: Experiment, face: "trimesh.Trimesh | None") -> tuple[Solid, ...]:
+    if face is None:
+        return solids(experiment)
+    return (Solid(COATED_FACE, face, coating_bsdf(experiment.coating)),)
+
+
+def _kind_of(value: bool | float | str) -> str:
+    """Mitsuba's XML tag of a plain parameter."""
+    if isinstance(value, bool):
+        return "boolean"
+    return "string" if isinstance(value, str) else "float"
 
 
 def _template() -> jinja2.Template:

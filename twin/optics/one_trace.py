@@ -5,8 +5,9 @@ weight w adds w * P_k(u, v) to every frame k. Sub-pixel positions are a fixed sq
 all frames; independent jitter would act as phase noise larger than the sensor's. Camera rays,
 shadow rays, BSDF, table look-ups and all frames of all samples are fused into one kernel.
 
-Does: direct light, occlusion, any BSDF, lens distortion of both devices; light between surfaces
-when asked for (`bounces`). Does not: refraction, light through clear objects.
+Does: direct light, occlusion, any BSDF, lens distortion of both devices, depth of field and the
+projector's defocus; light between surfaces when asked for (`bounces`); plane clear layers between
+the devices and the scene (`layers`). Does not: light through clear objects.
 """
 
 from collections.abc import Callable
@@ -18,11 +19,14 @@ import mitsuba as mi
 import numpy as np
 
 from twin.optics.bounces import Bounces, add_bounces
-from twin.optics.connection import Connection, Rig, connect, on_image
+from twin.optics.connection import Connection, Rig, on_image, see
 from twin.optics.light import LightTable
 from twin.optics.look_up import FrameLight
 from twin.optics.stack import Frames, Truth
 from twin.optics.subpixels import SubPixels
+from twin.optics.surfaces import Surfaces
+
+_OPAQUE = Surfaces()
 
 SMOOTH_WITHIN_PX = 0.25
 """A pixel whose samples lie this close together on the projector sees one smooth patch: the light
@@ -67,7 +71,10 @@ def trace_stack(
     smooth = patch.spread_px <= smooth_within_px
     frames = light.values(patch.mean_connection(smooth))
     frames = _add_samples(
-        lambda x_px, y_px: light.values(_see(scene, rig, x_px, y_px)[1]), grid, ~smooth, frames
+        lambda sample: light.values(see(scene, rig, grid.ray(rig.camera, sample))[1]),
+        grid,
+        ~smooth,
+        frames,
     )
     if bounces is not None:
         frames = add_bounces(scene, rig, light, grid, bounces=bounces, frames=frames)
@@ -83,6 +90,7 @@ class _Patch:
     weight: Any
     weighted_column: Any
     weighted_row: Any
+    weighted_axial_mm: Any
     lowest: Any
     highest: Any
 
@@ -96,15 +104,17 @@ class _Patch:
         lit = active & (self.weight > 0.0)
         scale = dr.select(lit, dr.rcp(self.weight), 0.0)
         column_px, row_px = self.weighted_column * scale, self.weighted_row * scale
-        return Connection(column_px, row_px, dr.select(lit, self.weight, 0.0), lit)
+        # One distance, one blur: over a patch of a quarter pixel the blur's spread is negligible.
+        axial_mm = self.weighted_axial_mm * scale
+        return Connection(column_px, row_px, dr.select(lit, self.weight, 0.0), lit, axial_mm)
 
 
 def _trace_patches(scene: Any, rig: Rig, grid: SubPixels) -> _Patch:
-    """Trace all samples and keep sums instead of frames: five numbers per pixel, not 53."""
+    """Trace all samples and keep sums instead of frames: eight numbers per pixel, not 53."""
 
     def add_sample(*state: Any) -> tuple[Any, ...]:
-        sample, weight, column, row, lowest, highest = state
-        path = _see(scene, rig, *grid.position(sample))[1]
+        sample, weight, column, row, axial_mm, lowest, highest = state
+        path = see(scene, rig, grid.ray(rig.camera, sample))[1]
         share = path.weight / grid.samples
         place = mi.Point2f(path.column_px, path.row_px)
         return (
@@ -112,24 +122,25 @@ def _trace_patches(scene: Any, rig: Rig, grid: SubPixels) -> _Patch:
             weight + share,
             dr.fma(share, path.column_px, column),
             dr.fma(share, path.row_px, row),
+            dr.fma(share, path.axial_mm, axial_mm),
             dr.select(path.lit, dr.minimum(lowest, place), lowest),
             dr.select(path.lit, dr.maximum(highest, place), highest),
         )
 
     nothing = dr.zeros(mi.Float, dr.width(grid.x_px))
-    start = (mi.UInt32(0), nothing, nothing, nothing, mi.Point2f(dr.inf), mi.Point2f(-dr.inf))
+    start = (mi.UInt32(0), *[nothing] * 4, mi.Point2f(dr.inf), mi.Point2f(-dr.inf))
     end = dr.while_loop(start, lambda sample, *_: sample < grid.samples, add_sample)
     return _Patch(*end[1:])
 
 
 def _add_samples(
-    frame_values: Callable[[Any, Any], list[Any]], grid: SubPixels, active: Any, frames: list[Any]
+    frame_values: Callable[[Any], list[Any]], grid: SubPixels, active: Any, frames: list[Any]
 ) -> list[Any]:
     """Add every sample by itself where a pixel's samples do not see one smooth patch."""
 
     def add_sample(*state: Any) -> tuple[Any, ...]:
         sample, *totals = state
-        values = frame_values(*grid.position(sample))
+        values = frame_values(sample)
         shares = (dr.fma(v, 1.0 / grid.samples, t) for v, t in zip(values, totals, strict=True))
         return (sample + 1, *shares)
 
@@ -141,16 +152,21 @@ def _add_samples(
     return list(end[1:])
 
 
-def trace_truth(scene: Any, rig: Rig) -> Truth:
-    """Trace one ray through every pixel centre and report what it hits."""
+def trace_truth(scene: Any, rig: Rig, surfaces: Surfaces = _OPAQUE) -> Truth:
+    """Trace one ray through every pixel centre and report what it hits.
+
+    Through layers too, points and depth are those of the surface itself, which then lies beside the
+    pixel's straight ray; projector coordinates are those of the light that arrives there.
+    """
     width, height = rig.camera.pinhole.width_px, rig.camera.pinhole.height_px
     centres = SubPixels.of_image(width, height, 1)
-    hit, path = _see(scene, rig, centres.x_px, centres.y_px)
+    hit, path = see(scene, rig, rig.camera.ray(centres.x_px, centres.y_px))
     lit = path.lit & on_image(rig, path.column_px, path.row_px, 0.0)
     nothing = ~hit.is_valid()
     point, normal = (dr.select(nothing, 0.0, value) for value in (hit.p, hit.sh_frame.n))
     depth_mm = dr.select(nothing, 0.0, rig.camera.project(hit.p)[2])
-    dr.eval(point, normal, depth_mm, path.column_px, path.row_px, lit)
+    measured = hit.is_valid() & ~surfaces.is_stage(hit)
+    dr.eval(point, normal, depth_mm, path.column_px, path.row_px, lit, measured)
     image = (height, width)
     points, normals = (
         np.stack([np.asarray(axis).reshape(image) for axis in value], axis=-1)
@@ -163,14 +179,8 @@ def trace_truth(scene: Any, rig: Rig) -> Truth:
         column_px=np.array(path.column_px).reshape(image),
         row_px=np.array(path.row_px).reshape(image),
         lit=np.array(lit).reshape(image),
+        measured=np.array(measured).reshape(image),
     )
-
-
-def _see(scene: Any, rig: Rig, x_px: Any, y_px: Any) -> tuple[Any, Connection]:
-    """Follow a camera ray to the surface; return the hit and its connection to the projector."""
-    ray = rig.camera.ray(x_px, y_px)
-    hit = scene.ray_intersect(ray, mi.RayFlags.All, coherent=True)
-    return hit, connect(scene, rig, hit, hit.bsdf(ray))
 
 
 def _in_sequence(frames: list[Any], order: list[int], shape: tuple[int, int]) -> Frames:

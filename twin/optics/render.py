@@ -1,11 +1,11 @@
 """From the pressed face to linear radiance: choose the engine, render the whole sequence."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from typing import TYPE_CHECKING
 
 from reconstruction.errors import InputError
 from twin.config.digest import seed_sequence
-from twin.config.models import Experiment
+from twin.config.models import Coating, Experiment
 from twin.optics.backend import activate
 from twin.optics.stack import RadianceStack
 
@@ -41,12 +41,13 @@ def render(
     # Mitsuba may be imported only now: the backend's library is chosen when it loads.
     from twin.optics import one_trace, stock
     from twin.optics.coat import coated_mesh, coating_bsdf
+    from twin.optics.extent import axial_range_mm
     from twin.optics.light import light_tables, pattern_set
-    from twin.optics.scene import coated_scene, rig_of
+    from twin.optics.scene import coated_rig, coated_scene
 
-    scene, rig = coated_scene(experiment, face), rig_of(experiment)
+    scene, rig = coated_scene(experiment, face), coated_rig(experiment, face)
     patterns = pattern_set(experiment.projector, experiment.patterns)
-    tables = light_tables(experiment.projector, patterns)
+    tables = light_tables(experiment.projector, patterns, axial_range_mm(scene, rig))
     samples = experiment.render.samples
     if experiment.render.engine == "one_trace":
         frames = one_trace.trace_stack(scene, rig, tables, samples, bounces=_bounces(experiment))
@@ -54,6 +55,11 @@ def render(
         if any(experiment.camera.distortion):
             raise InputError(
                 "camera.distortion: stock Mitsuba cannot express it;"
+                " set it to zero or use render.engine = 'one_trace'"
+            )
+        if experiment.projector.aperture_mm:
+            raise InputError(
+                "projector.aperture_mm: stock Mitsuba cannot express blur that grows with distance;"
                 " set it to zero or use render.engine = 'one_trace'"
             )
         seeds = seed_sequence(experiment, "stock").generate_state(len(patterns.frames)).tolist()
@@ -65,7 +71,7 @@ def render(
             tables,
             emitter=experiment.render.stock_emitter,
             samples=samples,
-            bounces=experiment.render.bounces,
+            bounces=experiment.bounces,
             seeds=seeds,
             progress=progress,
         )
@@ -74,10 +80,57 @@ def render(
     return RadianceStack(frames, truth)
 
 
+def render_coatings(
+    experiment: Experiment, face: "trimesh.Trimesh", coatings: Iterable[Coating]
+) -> Iterator[RadianceStack]:
+    """Render one pressed face under several coatings; the same bytes as one `render` each.
+
+    Geometry is loaded, and the truth traced, once for all. Each stack is made when it is asked for:
+    at full size it has 600 MB.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        Its own coating is not used.
+    face : trimesh.Trimesh
+        Coated face in world mm, normals towards the camera.
+    coatings : iterable of Coating
+
+    Raises
+    ------
+    MissingBackend
+        No usable Dr.Jit backend.
+    InputError
+        The experiment asks for the stock engine.
+    """
+    if experiment.render.engine != "one_trace":
+        raise InputError(
+            f"render.engine: found '{experiment.render.engine}', coatings are swept by 'one_trace'"
+            " alone; set it, or render each coating by itself"
+        )
+    activate()
+    from twin.optics import one_trace
+    from twin.optics.coat import set_coating
+    from twin.optics.extent import axial_range_mm
+    from twin.optics.light import light_tables, pattern_set
+    from twin.optics.scene import coated_rig, coated_scene, coating_in_layer
+
+    scene, rig = coated_scene(experiment, face), coated_rig(experiment, face)
+    patterns = pattern_set(experiment.projector, experiment.patterns)
+    tables = light_tables(experiment.projector, patterns, axial_range_mm(scene, rig))
+    truth = one_trace.trace_truth(scene, rig)
+    for coating in coatings:
+        set_coating(scene, coating_in_layer(experiment.model_copy(update={"coating": coating})))
+        frames = one_trace.trace_stack(
+            scene, rig, tables, experiment.render.samples, bounces=_bounces(experiment)
+        )
+        yield RadianceStack(frames, truth)
+
+
 def _bounces(experiment: Experiment) -> "Bounces | None":
     from twin.optics.bounces import Bounces
 
-    if not experiment.render.bounces:
+    if not experiment.bounces:
         return None
     seed = int(seed_sequence(experiment, "bounces").generate_state(1)[0])
-    return Bounces(experiment.render.bounces, experiment.render.bounce_paths, seed)
+    return Bounces(experiment.bounces, experiment.render.bounce_paths, seed)

@@ -1,32 +1,112 @@
 """Mitsuba scenes: the coated face under the rig, for the one-trace and for the stock engine."""
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import mitsuba as mi
 
-from twin.config.models import Experiment
+from reconstruction.errors import InputError
+from twin.config.layers import holding_layer, media_of
+from twin.config.models import Coating, Experiment
 from twin.optics.coat import coated_mesh, coating_bsdf
 from twin.optics.connection import Rig
 from twin.optics.devices import Device
+from twin.optics.layers import LayerStack
+from twin.optics.lens import ThinLens
 from twin.optics.radiometry import irradiance_at_1mm
 from twin.optics.rig import true_calibration
+from twin.optics.shading import may_shade_itself
 
 if TYPE_CHECKING:
     import trimesh
 
 
 def coated_scene(experiment: Experiment, face: "trimesh.Trimesh") -> Any:
-    """Scene of the coated face alone: the coat is opaque, nothing below it is seen."""
-    mesh = coated_mesh(face, coating_bsdf(experiment.coating))
+    """Scene of the coated face alone: the coat is opaque, nothing below it is seen.
+
+    Raises
+    ------
+    InputError
+        The face pokes through the layers that it is seen through.
+    """
+    check_below_layers(experiment, face)
+    mesh = coated_mesh(face, coating_bsdf(coating_in_layer(experiment)))
     # optimize=False: since 3.7 load_dict merges shapes, which breaks later parameter updates.
     return mi.load_dict({"type": "scene", "coated_face": mesh}, optimize=False)
 
 
 def rig_of(experiment: Experiment) -> Rig:
-    """Devices and radiometric scale of an experiment, ready for the tracer."""
+    """Devices and radiometric scale of an experiment, ready for the tracer.
+
+    Raises
+    ------
+    InputError
+        Depth of field with one sample per pixel, which sees through one place of the lens.
+    """
     calibration = true_calibration(experiment)
+    lens = ThinLens.of(experiment.camera, calibration.T_world_from_cam)
+    if lens is not None and experiment.render.samples == 1:
+        raise InputError(
+            "render.samples: found 1, allowed 4 or more with camera.depth_of_field, better 16: each"
+            " sample sees through one place of the lens"
+        )
     return Rig(
-        camera=Device(calibration.camera, calibration.T_world_from_cam),
+        camera=Device(calibration.camera, calibration.T_world_from_cam, lens=lens),
         projector=Device(calibration.projector, calibration.T_world_from_proj),
         irradiance_at_1mm=irradiance_at_1mm(experiment.projector, calibration.projector),
+        layers=layer_stack(experiment),
     )
+
+
+def coated_rig(experiment: Experiment, face: "trimesh.Trimesh") -> Rig:
+    """Rig for `coated_scene`, the face alone: without shadow rays where the face needs none."""
+    rig = rig_of(experiment)
+    source_mm = rig.projector.T_world_from_device[:3, 3]
+    needed = rig.layers is not None or may_shade_itself(face, source_mm)
+    return replace(rig, shadows=needed)
+
+
+def layer_stack(experiment: Experiment) -> LayerStack | None:
+    """Layers that both devices look through; None when there is air alone."""
+    return LayerStack(media_of(experiment.layers)) if experiment.layers else None
+
+
+def coating_in_layer(experiment: Experiment) -> Coating:
+    """Coat with its indices against the medium that it lies in, not against air.
+
+    Raises
+    ------
+    InputError
+        The binder's index is below the medium's.
+    """
+    coating, holder = experiment.coating, holding_layer(experiment.layers)
+    if holder is None:
+        return coating
+    if 1.0 < coating.binder_ior < holder.ior:
+        raise InputError(
+            f"coating.binder_ior: found {coating.binder_ior:g}, allowed 1 (matte), or at least "
+            f"{holder.ior:g}, that of the layer around the coat; set it to 1"
+        )
+    relative = {
+        "flake_ior": coating.flake_ior / holder.ior,
+        "flake_extinction": coating.flake_extinction / holder.ior,
+        "binder_ior": max(coating.binder_ior / holder.ior, 1.0),
+    }
+    return coating.model_copy(update=relative)
+
+
+def check_below_layers(experiment: Experiment, face: "trimesh.Trimesh") -> None:
+    """Refuse a coated face that reaches through the lowest interface above it.
+
+    Raises
+    ------
+    InputError
+    """
+    if not experiment.layers:
+        return
+    highest_mm, floor_mm = face.bounds[1][2], media_of(experiment.layers)[-1].top_mm
+    if highest_mm >= floor_mm:
+        raise InputError(
+            f"layers: the coated face reaches z = {highest_mm:.4g} mm, allowed below "
+            f"{floor_mm:.4g} mm, where a layer begins; press less or move the layer"
+        )

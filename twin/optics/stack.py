@@ -25,6 +25,8 @@ class Truth:
         Projector coordinate of that point.
     lit : (row, col) bool
         The point is seen by the camera and lit by the projector's image.
+    measured : (row, col) bool
+        The point lies on what is to be measured (coat or specimen), not on the stage.
     """
 
     points_world_mm: FloatArray
@@ -33,6 +35,7 @@ class Truth:
     column_px: FloatArray
     row_px: FloatArray
     lit: NDArray[np.bool_]
+    measured: NDArray[np.bool_]
 
 
 @dataclass(frozen=True)

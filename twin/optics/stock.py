@@ -156,7 +156,7 @@ def frame_scene(
     return mi.load_dict(
         {
             "type": "scene",
-            "integrator": _integrator(bounces),
+            "integrator": integrator(bounces),
             "mesh": mesh,
             "emitter": emitter,
             "sensor": sensor,
@@ -165,7 +165,8 @@ def frame_scene(
     )
 
 
-def _integrator(bounces: int) -> dict[str, Any]:
+def integrator(bounces: int) -> dict[str, Any]:
+    """Stock integrator for direct light alone (0) or with that many reflections more."""
     if bounces == 0:
         return {"type": "direct", "emitter_samples": 1, "bsdf_samples": 0}
     # A depth of 2 is one reflection; no roulette, so that both renderers estimate the same sum.
@@ -196,7 +197,9 @@ def render_stack(
     ValueError
         The camera has lens distortion.
     """
-    sensor = perspective_sensor(rig.camera.pinhole, rig.camera.T_world_from_device, samples)
+    sensor = perspective_sensor(
+        rig.camera.pinhole, rig.camera.T_world_from_device, samples, rig.camera.lens
+    )
     canvas = canvas_for(rig, emitter)
     textures = (
         frame_texture(frame, k, rig, tables, canvas) for k, frame in enumerate(patterns.frames)

@@ -20,6 +20,7 @@ _VARIABLES = {
     "column_px": ("px", "projector column of that point"),
     "row_px": ("px", "projector row of that point"),
     "lit": ("1", "1 where camera and projector both see the point"),
+    "measured": ("1", "1 on the coat or the specimen, 0 on the stage and where nothing is"),
 }
 
 
@@ -32,6 +33,7 @@ def write_truth(path: Path, truth: Truth) -> None:
         truth.column_px,
         truth.row_px,
         truth.lit.astype(np.uint8),
+        truth.measured.astype(np.uint8),
     )
     with h5netcdf.File(path, "w") as file:
         file.attrs["frame"] = "world: z = 0 is the undeformed coated face, z up; row 0 at the top"
@@ -59,9 +61,10 @@ def read_truth(path: Path) -> Truth:
         raise InputError(f"{path}: no such file; render or measure first") from None
     except (OSError, KeyError) as error:
         raise InputError(f"{path}: damaged or no truth file ({error}); render again") from None
-    *vectors, depth_mm, column_px, row_px, lit = maps
-    points, normals = np.stack(vectors[:3], axis=-1), np.stack(vectors[3:], axis=-1)
-    return Truth(points, normals, depth_mm, column_px, row_px, lit.astype(bool))
+    points, normals = np.stack(maps[:3], axis=-1), np.stack(maps[3:6], axis=-1)
+    depth_mm, column_px, row_px, lit, measured = maps[6:]
+    masks = lit.astype(bool), measured.astype(bool)
+    return Truth(points, normals, depth_mm, column_px, row_px, *masks)
 
 
 def write_exr(path: Path, image: NDArray[np.float32]) -> None:

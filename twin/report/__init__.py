@@ -3,7 +3,8 @@
 Everything here reads result folders only; nothing renders, so no renderer is needed.
 """
 
+from twin.report.comparison import write_comparison
 from twin.report.page import write_report
-from twin.report.table import summary_table
+from twin.report.table import comparison_table, summary_table
 
-__all__ = ["summary_table", "write_report"]
+__all__ = ["comparison_table", "summary_table", "write_comparison", "write_report"]

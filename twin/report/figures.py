@@ -28,9 +28,9 @@ class Plate:
 def plates(measured: Measured) -> list[Plate]:
     """Return all figures in the order of the report; without points there is no surface to show."""
     if not measured.score.against_truth.points:
-        return [_rig(measured), *_images(measured), _press(measured)]
+        return [_rig(measured), *images(measured), _press(measured)]
     balls = [_ball(measured, view.ball.number, view) for view in ball_views(measured)]
-    return [_rig(measured), *_images(measured), *_surfaces(measured), *balls, _press(measured)]
+    return [_rig(measured), *images(measured), *_surfaces(measured), *balls, _press(measured)]
 
 
 def _rig(measured: Measured) -> Plate:
@@ -43,7 +43,8 @@ def _rig(measured: Measured) -> Plate:
     )
 
 
-def _images(measured: Measured) -> list[Plate]:
+def images(measured: Measured) -> list[Plate]:
+    """Return the figures of frames and decoder maps; they say nothing of what is measured."""
     return [
         Plate(
             "frames",
@@ -108,9 +109,11 @@ def _ball(measured: Measured, number: int, view: BallView) -> Plate:
 
 
 def _press(measured: Measured) -> Plate:
+    pressed = measured.pressed
+    assert pressed is not None
     return Plate(
         "press",
-        lambda path: draw_press(path, measured.experiment, measured.pressed),
+        lambda path: draw_press(path, measured.experiment, pressed),
         "relief, pressure and section of the pressed slab",
         "Relief of the coated face in mm, contact pressure in kPa, and the section along the "
         "dashed line. The more the coated face follows the dashed outline of the specimen, the "

@@ -8,16 +8,14 @@ from twin.report.world_map import pixel_on_face_mm
 
 def glance(scored: Scored) -> list[tuple[str, str]]:
     """Return (part, description) pairs."""
-    experiment, figures = scored.experiment, scored.figures
+    direct = scored.experiment.modality == "direct_fpp"
     return [
         ("specimen", _specimen(scored)),
-        ("press", _press(scored)),
-        ("elastomer", f"{phrase(experiment.elastomer.model_dump())}; {_modulus(scored)}"),
-        ("coating", phrase(experiment.coating.model_dump())),
+        *(_stage(scored) if direct else _coat(scored)),
         ("camera", _camera(scored)),
         ("projector", _projector(scored)),
         ("patterns", _patterns(scored)),
-        ("exposure", f"{figures['exposure_ms']:.3g} ms per frame"),
+        ("exposure", f"{scored.figures['exposure_ms']:.3g} ms per frame"),
         ("decoding", _decoding(scored)),
         ("digest", scored.digest),
     ]
@@ -28,6 +26,19 @@ def _specimen(scored: Scored) -> str:
     # A pose of zeros says nothing; a moved or turned specimen is told in full.
     told = {name: value for name, value in values.items() if value}
     return f"{scored.experiment.specimen.kind.replace('_', ' ')}: {phrase(told)}"
+
+
+def _coat(scored: Scored) -> list[tuple[str, str]]:
+    experiment = scored.experiment
+    return [
+        ("press", _press(scored)),
+        ("elastomer", f"{phrase(experiment.elastomer.model_dump())}; {_modulus(scored)}"),
+        ("coating", phrase(experiment.coating.model_dump())),
+    ]
+
+
+def _stage(scored: Scored) -> list[tuple[str, str]]:
+    return [("stage", f"matte: {phrase(scored.experiment.stage.model_dump())}")]
 
 
 def _press(scored: Scored) -> str:

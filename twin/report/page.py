@@ -1,17 +1,14 @@
 """The report as one HTML page that needs no other file and no network."""
 
-import base64
-from functools import cache
 from pathlib import Path
 
-from jinja2 import Environment, PackageLoader, StrictUndefined, Template
-
-from reconstruction.errors import InputError
 from twin.modalities.progress import Watcher, nobody
-from twin.report import appendix
+from twin.report import appendix, direct
+from twin.report.direct_view import direct_plates
 from twin.report.discussion import discussion
 from twin.report.figures import Plate, plates
 from twin.report.glance import glance
+from twin.report.html import data_uri, make_folder, template, write_page
 from twin.report.result_folder import Measured, read_measured
 from twin.report.table import HEADINGS, ball_rows
 from twin.report.verdict import verdicts
@@ -42,13 +39,13 @@ def write_report(folder: Path, watch: Watcher = nobody) -> Path:
     """
     watch(_STAGE, 0.0)
     measured = read_measured(folder)
-    drawn = plates(measured)
-    _make_folder(folder / FIGURES_FOLDER)
+    drawn = direct_plates(measured) if measured.pressed is None else plates(measured)
+    make_folder(folder / FIGURES_FOLDER)
     for number, plate in enumerate(drawn, start=1):
         plate.draw(_picture(folder, plate))
         watch(_STAGE, number / (len(drawn) + 1))
     path = folder / REPORT_FILE
-    _replace(path, render_page(measured, folder, drawn))
+    write_page(path, render_page(measured, folder, drawn))
     watch(_STAGE, 1.0)
     return path
 
@@ -56,19 +53,22 @@ def write_report(folder: Path, watch: Watcher = nobody) -> Path:
 def render_page(measured: Measured, folder: Path, drawn: list[Plate]) -> str:
     """Fill the template; the figures must lie in the folder already."""
     shown = {
-        plate.name: {"uri": _data_uri(_picture(folder, plate)), "plate": plate} for plate in drawn
+        plate.name: {"uri": data_uri(_picture(folder, plate)), "plate": plate} for plate in drawn
     }
-    return _template().render(
+    pressed = measured.pressed is not None
+    return template("report.html").render(
         experiment=measured.experiment,
         digest=measured.digest,
-        verdicts=verdicts(measured),
+        pressed=pressed,
+        verdicts=verdicts(measured) if pressed else direct.verdicts(measured),
         warnings=[*measured.figures["warnings"], *measured.score.unfitted],
         glance=glance(measured),
+        shares=[] if pressed else direct.shares(measured),
         headings=HEADINGS,
         ball_rows=[ball_rows(measured, ball) for ball in measured.score.spheres],
-        discussion=discussion(measured),
+        discussion=discussion(measured) if pressed else direct.discussion(measured),
         figures=shown,
-        ball_names=[f"ball_{ball.number}" for ball in measured.score.spheres],
+        ball_names=[name for name in shown if name.startswith("ball_")],
         settings=appendix.settings(measured.experiment),
         metrics=appendix.metrics(measured),
         timings=appendix.timings(measured),
@@ -76,38 +76,5 @@ def render_page(measured: Measured, folder: Path, drawn: list[Plate]) -> str:
     )
 
 
-@cache
-def _template() -> Template:
-    environment = Environment(
-        loader=PackageLoader("twin.report"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    return environment.get_template("report.html")
-
-
 def _picture(folder: Path, plate: Plate) -> Path:
     return folder / FIGURES_FOLDER / f"{plate.name}.png"
-
-
-def _data_uri(picture: Path) -> str:
-    return "data:image/png;base64," + base64.b64encode(picture.read_bytes()).decode("ascii")
-
-
-def _make_folder(folder: Path) -> None:
-    try:
-        folder.mkdir(exist_ok=True)
-    except OSError as error:
-        raise InputError(f"{folder}: cannot be written ({error.strerror})") from None
-
-
-def _replace(path: Path, text: str) -> None:
-    part = path.with_name(f".{path.name}.part")
-    try:
-        part.write_text(text, encoding="utf-8")
-        part.replace(path)
-    except OSError as error:
-        part.unlink(missing_ok=True)
-        raise InputError(f"{path}: cannot be written ({error.strerror})") from None

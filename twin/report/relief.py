@@ -60,7 +60,7 @@ def draw_relief_view(path: Path, point_map: PointMap, pixel_mm: float) -> None:
             relief.values.filled(np.nan),
             rcount=_VIEW_CELLS,
             ccount=_VIEW_CELLS,
-            facecolors=_shaded(relief, norm, enlarged, _VIEW_LIGHT_DEG),
+            facecolors=shaded(relief, norm, enlarged, _VIEW_LIGHT_DEG),
             linewidth=0,
             antialiased=False,
             shade=False,
@@ -87,7 +87,7 @@ def draw_height_map(path: Path, point_map: PointMap, pixel_mm: float) -> None:
     with drawing(path, 10.0, 0.75 + 8.2 * rows / cols) as figure:
         axes = axes_at(figure, 0.65, 0.15, 8.2, 8.2 * rows / cols)
         axes.imshow(
-            _shaded(relief, norm, z_enlargement(point_map), _MAP_LIGHT_DEG),
+            shaded(relief, norm, z_enlargement(point_map)),
             origin="lower",
             extent=relief.extent_mm,
         )
@@ -113,8 +113,13 @@ def _norm(relief: WorldMap) -> Normalize:
     return Normalize(*height_scale(relief.values))
 
 
-def _shaded(relief: WorldMap, norm: Normalize, enlarged: float, light_deg: float) -> NDArray[Any]:
-    """Colours by height times hill shading of the enlarged surface, (row, col, rgba)."""
+def shaded(
+    relief: WorldMap, norm: Normalize, enlarged: float, light_deg: float = _MAP_LIGHT_DEG
+) -> NDArray[Any]:
+    """Colour by height times hill shading of the enlarged surface, (row, col, rgba); holes white.
+
+    `light_deg` is where the light comes from, clockwise from the top of the map.
+    """
     holes = np.ma.getmaskarray(relief.values)
     # Holes take the nearest height, or their edges would be shaded as cliffs.
     nearest = distance_transform_edt(holes, return_distances=False, return_indices=True)

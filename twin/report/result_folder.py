@@ -20,20 +20,23 @@ _MEASURING_COMMANDS = ("measure", "demo")
 
 _NEEDED_FIGURES = (
     "completeness",
-    "depth_mm",
     "error_over_sigma",
     "exposure_ms",
-    "force_n",
-    "height_error_estimate_mm",
-    "relief_peak_mm",
+    "good_share",
     "saturated_share",
     "sigma_z_median_um",
     "warnings",
     "wrong_order_pixels",
-    "young_modulus_kpa",
     "z_bias_um",
     "z_p95_um",
     "z_rmse_um",
+)
+_NEEDED_OF_A_PRESS = (
+    "depth_mm",
+    "force_n",
+    "height_error_estimate_mm",
+    "relief_peak_mm",
+    "young_modulus_kpa",
 )
 
 
@@ -60,9 +63,9 @@ class Scored:
 
 @dataclass(frozen=True, eq=False)
 class Measured(Scored):
-    """A whole result folder."""
+    """A whole result folder; nothing is pressed where the bare specimen is seen."""
 
-    pressed: PressedElastomer
+    pressed: PressedElastomer | None
     capture: Capture
     seconds: dict[str, float]
 
@@ -87,9 +90,10 @@ def read_measured(folder: Path) -> Measured:
         The folder is no finished measurement, or a file is missing or damaged.
     """
     parts = _scored_parts(folder)
+    direct = parts["experiment"].modality == "direct_fpp"
     return Measured(
         **parts,
-        pressed=read_press(folder / "press.nc"),
+        pressed=None if direct else read_press(folder / "press.nc"),
         capture=read_capture(folder / CAPTURE_FOLDER),
         seconds=_seconds(folder),
     )
@@ -98,6 +102,8 @@ def read_measured(folder: Path) -> Measured:
 def _scored_parts(folder: Path) -> dict[str, Any]:
     result = _read_result(folder)
     experiment = _read_experiment(folder / EXPERIMENT_FILE)
+    if experiment.modality == "contact_fpp":
+        _require(folder, result["metrics"], _NEEDED_OF_A_PRESS)
     reconstruction = read_reconstruction(folder / "reconstruction.nc")
     truth = read_truth(folder / "truth.nc")
     found, true = reconstruction.point_map.mask_reason.shape, truth.lit.shape
@@ -126,10 +132,14 @@ def _read_result(folder: Path) -> dict[str, Any]:
             f"{folder}: result of command {command!r}; "
             f"a report needs one of {', '.join(_MEASURING_COMMANDS)}"
         )
-    missing = [name for name in _NEEDED_FIGURES if name not in figures]
+    _require(folder, figures, _NEEDED_FIGURES)
+    return result
+
+
+def _require(folder: Path, figures: dict[str, Any], names: tuple[str, ...]) -> None:
+    missing = [name for name in names if name not in figures]
     if missing:
         raise InputError(f"{folder / RESULT_FILE}: no {', '.join(missing)}; measure again")
-    return result
 
 
 def _read_experiment(path: Path) -> Experiment:

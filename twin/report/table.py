@@ -1,10 +1,13 @@
 """The result table: sphere fits per ball beside the paper's, as rows and as plain text."""
 
-from dataclasses import astuple, dataclass
+from dataclasses import astuple, dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from reconstruction.fit import SphereFit
+from twin.modalities.comparison import Outcome
 from twin.modalities.score import SphereScore
+from twin.report import direct
 from twin.report.paper import CONTACT_FPP, GELSIGHT, PaperRow, paper_row
 from twin.report.result_folder import Scored, read_scored
 
@@ -48,16 +51,39 @@ def summary_table(folder: Path) -> str:
     return "\n".join([*lines, *scored.score.unfitted, *_sentences(scored)])
 
 
+def comparison_table(outcomes: list[Outcome]) -> str:
+    """Return the result of a comparison as a short plain-text table, at most 100 columns."""
+    heads = ("points", "good", "RMS um", "P95 um", "orders")
+    lines = [_line("specimen, method", heads)]
+    for outcome in outcomes:
+        label = f"{outcome.name[:20]:<21}{outcome.method}"
+        lines.append(_line(label, _compared(outcome.figures or {})))
+    failed = [f"{one.name}, {one.method}: {one.failure}" for one in outcomes if one.failure]
+    return "\n".join([*lines, *failed])
+
+
+def _compared(figures: dict[str, Any]) -> tuple[str, ...]:
+    if not figures:
+        return ("failed",)
+    return (
+        *(f"{figures[name]:.1%}" for name in ("completeness", "good_share")),
+        *(f"{figures[name]:.2f}" for name in ("z_rmse_um", "z_p95_um")),
+        str(figures["wrong_order_pixels"]),
+    )
+
+
 def ball_rows(
     scored: Scored, sphere: SphereScore, methods: tuple[str, ...] = (CONTACT_FPP, GELSIGHT)
 ) -> list[Row]:
-    """Return measured, true face and the paper's rows of one ball."""
+    """Return measured, true face and, for the coat, the paper's rows of one ball."""
     number = sphere.number
     nominal_mm = sphere.nominal.radius_mm
     rows = [
         Row(number, MEASURED_LABEL, _fit_values(sphere.measured, nominal_mm)),
         Row(number, "true coated face", _fit_values(sphere.true_face, nominal_mm)),
     ]
+    if scored.experiment.modality == "direct_fpp":
+        return [rows[0], replace(rows[1], label="true surface")]
     for method in methods:
         published: PaperRow | None = paper_row(scored.experiment, method, number)
         if published is not None:
@@ -77,6 +103,8 @@ def _line(label: str, cells: tuple[str, ...]) -> str:
 
 def _sentences(scored: Scored) -> list[str]:
     figures = scored.figures
+    if scored.experiment.modality == "direct_fpp":
+        return direct.sentences(scored)
     warnings = figures["warnings"]
     lines = [
         f"z error against the true face: {figures['z_rmse_um']:.2f} um RMS, "

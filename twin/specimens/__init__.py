@@ -1,9 +1,14 @@
 """Rigid specimens: triangle mesh and the height field that faces the elastomer."""
 
 # These fill the catalogue.
+from twin.specimens import artefacts as artefacts
+from twin.specimens import bear as bear
+from twin.specimens import brick as brick
 from twin.specimens import cylinders as cylinders
+from twin.specimens import fasteners as fasteners
 from twin.specimens import group as group
 from twin.specimens import meshes as meshes
+from twin.specimens.bodies import Body, bodies
 from twin.specimens.catalogue import (
     Shape,
     Sphere,
@@ -16,10 +21,12 @@ from twin.specimens.catalogue import (
 from twin.specimens.spheres import SphereCluster
 
 __all__ = [
+    "Body",
     "Shape",
     "Sphere",
     "SphereCluster",
     "apexes_mm",
+    "bodies",
     "height_above_lowest",
     "kinds",
     "shape_of",

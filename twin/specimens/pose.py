@@ -1,6 +1,7 @@
 """Rigid motions of specimens: world = rotation @ body + shift, mm."""
 
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -8,6 +9,7 @@ import numpy.typing as npt
 from twin.config.models import Specimen
 
 FloatArray = npt.NDArray[np.float64]
+AnySpecimen = TypeVar("AnySpecimen", bound=Specimen)
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,6 +32,11 @@ class Pose:
         matrix = np.eye(4)
         matrix[:3, :3], matrix[:3, 3] = self.rotation, self.shift_mm
         return matrix
+
+
+def unposed(specimen: AnySpecimen) -> AnySpecimen:
+    """Return what a specimen's shape alone depends on: a key under which to keep the shape."""
+    return type(specimen)(**specimen.model_dump(exclude=set(Specimen.model_fields)))
 
 
 def raised(height_mm: float) -> Pose:

@@ -1,0 +1,67 @@
+"""Captures of a board: like any capture, but the rig is not calibrated yet."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from reconstruction.arrays import Stack
+from reconstruction.capture import DESCRIPTION_FILE, SUBFOLDER
+from reconstruction.capture_description import read_description
+from reconstruction.errors import CaptureError
+from reconstruction.patterns import PatternSet
+from reconstruction.sensor import SensorNoise
+from reconstruction.stack_file import read_stack
+
+
+@dataclass(frozen=True, eq=False)
+class BoardCapture:
+    """Frames of one board pose, (frame, row, col) DN, and what is known about them."""
+
+    stack: Stack
+    patterns: PatternSet
+    sensor: SensorNoise
+
+
+def read_board_capture(folder: Path | str) -> BoardCapture:
+    """Read a capture whose calibration file need not exist.
+
+    Raises
+    ------
+    CaptureError : a file is missing, damaged or does not fit the others
+    """
+    folder = _find(Path(folder))
+    description = read_description(folder / DESCRIPTION_FILE)
+    shape = (description.height_px, description.width_px)
+    stack = read_stack(folder / description.stack_file, description.patterns, shape)
+    return BoardCapture(stack, description.patterns, description.sensor)
+
+
+def pose_folders(folder: Path | str) -> list[Path]:
+    """Return the pose folders inside `folder` in the order of their names.
+
+    Raises
+    ------
+    CaptureError : there is none
+    """
+    folder = Path(folder)
+    inside = sorted(path for path in folder.iterdir() if path.is_dir()) if folder.is_dir() else []
+    found = [path for path in inside if _described(path) is not None]
+    if not found:
+        raise CaptureError(
+            f"{folder}: no folder with {DESCRIPTION_FILE} in it; give the folder that holds one "
+            "capture folder per board pose"
+        )
+    return found
+
+
+def _find(folder: Path) -> Path:
+    found = _described(folder)
+    if found is None:
+        raise CaptureError(f"{folder}: no {DESCRIPTION_FILE} here or in {SUBFOLDER}/")
+    return found
+
+
+def _described(folder: Path) -> Path | None:
+    for candidate in (folder, folder / SUBFOLDER):
+        if (candidate / DESCRIPTION_FILE).is_file():
+            return candidate
+    return None

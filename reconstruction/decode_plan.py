@@ -1,0 +1,114 @@
+"""What the compiled decoder must know, in its own terms: frames, limits, codes, filter."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from reconstruction._band import Plan
+from reconstruction._chain_kernels import Ladder
+from reconstruction._filter_kernels import Smoothing
+from reconstruction._order_kernels import COMPLEMENTARY, PLAIN, SHIFTED, Code
+from reconstruction._sum_kernels import Layout, Limits
+from reconstruction.arrays import FloatImage, Stack
+from reconstruction.patterns import AXES, Axis, PatternSet
+from reconstruction.sensor import SensorNoise
+from reconstruction.smoothing import gaussian_weights, noise_gain
+
+if TYPE_CHECKING:
+    from reconstruction.decode import DecodeOptions
+
+KINDS = {"gray": PLAIN, "complementary_gray": COMPLEMENTARY, "shifted_gray": SHIFTED}
+
+
+def make_plan(
+    stack: Stack,
+    patterns: PatternSet,
+    sensor: SensorNoise,
+    options: "DecodeOptions",
+    scale: FloatImage | None,
+) -> Plan:
+    """Return the plan of one decoding."""
+    weights = gaussian_weights(options.filter_taps, options.filter_sigma_px)
+    column, row = AXES
+    squares = weights * weights
+    return Plan(
+        layout=_layout(patterns),
+        limits=_limits(stack, patterns, sensor, options),
+        smoothing=Smoothing(
+            weights, squares / squares.sum(), noise_gain(weights), float(options.min_support)
+        ),
+        codes=(_code(patterns, column), _code(patterns, row)),
+        ladders=(_ladder(patterns, column), _ladder(patterns, row)),
+        is_chain=patterns.chain is not None,
+        scale=np.zeros((0, 0), np.float32)
+        if scale is None
+        else np.ascontiguousarray(scale, dtype=np.float32),
+    )
+
+
+def _layout(patterns: PatternSet) -> Layout:
+    column, row = AXES
+    turns = 2.0 * np.pi * np.arange(patterns.steps) / patterns.steps
+    return Layout(
+        phase_first=(patterns.index("phase", column).start, patterns.index("phase", row).start),
+        gray_first=(patterns.index("gray", column).start, patterns.index("gray", row).start),
+        gray_bits=(patterns.word_bits(column), patterns.word_bits(row)),
+        white=patterns.index("white").start,
+        black=patterns.index("black").start,
+        steps=int(patterns.steps),
+        sets=len(patterns.periods_px),
+        cosines=np.cos(turns).astype(np.float32),
+        sines=np.sin(turns).astype(np.float32),
+    )
+
+
+def _limits(
+    stack: Stack, patterns: PatternSet, sensor: SensorNoise, options: "DecodeOptions"
+) -> Limits:
+    # A camera with a black level never delivers 0: that frame was lost.
+    has_lost = sensor.black_level_dn > 0.0 or _has_lost_frame(stack, patterns)
+    return Limits(
+        gain_dn_per_e=np.float32(sensor.gain_dn_per_e),
+        read_noise_dn=np.float32(sensor.gain_dn_per_e * sensor.read_noise_e),
+        black_level_dn=np.float32(sensor.black_level_dn),
+        saturation_dn=np.float32(sensor.saturation_dn),
+        lowest_dn=np.float32(0.0 if has_lost else -np.inf),
+        dark_sigmas=np.float32(options.dark_sigmas),
+        gray_sigmas=np.float32(options.gray_sigmas),
+        min_modulation_dn=np.float32(options.min_modulation_dn or 0.0),
+        max_phase_sigma_rad=np.float32(options.max_phase_sigma_rad),
+        max_condition=np.float32(options.max_condition),
+        max_order_error=np.float32(options.max_order_error),
+    )
+
+
+def _has_lost_frame(stack: Stack, patterns: PatternSet) -> bool:
+    """Tell whether a phase frame is 0 everywhere; a look at few pixels settles nearly all."""
+    sparse = np.s_[::61, ::61]
+    for n in range(patterns.index("phase", "row").stop):
+        if not stack[n][sparse].any() and not stack[n].any():
+            return True
+    return False
+
+
+def _code(patterns: PatternSet, axis: Axis) -> Code:
+    return Code(
+        kind=KINDS.get(str(patterns.code), PLAIN),
+        period_px=float(patterns.period_px),
+        half_px_turns=np.float32(0.5 / float(patterns.period_px)),
+        words=np.int32(patterns.words(axis)),
+        bits=patterns.word_bits(axis),
+        safety_bits=patterns.safety_bits(axis),
+        length_px=patterns.length_px(axis),
+    )
+
+
+def _ladder(patterns: PatternSet, axis: Axis) -> Ladder:
+    chain = patterns.chain
+    sets = patterns.periods_px
+    return Ladder(
+        weights=np.array(chain.weights if chain else [[1.0] + [0.0] * (len(sets) - 1)], float),
+        level_periods_px=np.array(chain.periods_px if chain else sets[:1], float),
+        set_periods_px=np.array(sets, float),
+        length_px=patterns.length_px(axis),
+    )

@@ -1,0 +1,135 @@
+"""Material files: all of them load, say where their numbers come from, and guard their ranges."""
+
+import tomllib
+
+import numpy as np
+import pytest
+
+from twin.assets import asset_path, list_assets
+from twin.config import ConfigError, load_experiment
+from twin.config.quantities import split_quantities
+
+SOLIDS = [
+    name
+    for name in list_assets("materials")
+    if name.split("/")[0] in ("metals", "plastics", "glasses") or name == "diffuse/gray_print"
+]
+SCENES = ["ball", "bear", "brick", "nut", "rods", "rods_a", "rods_b", "rods_c", "t_bolt"]
+
+
+def ball_of(name, tmp_path, extra=""):
+    """Write the ball's scene with another material, and with keys laid over that."""
+    text = asset_path("scenes", "paper/ball").read_text(encoding="utf-8")
+    text = text.replace("metals/steel", name).replace("[press]", f"{extra}\n\n[press]")
+    file = tmp_path / "experiment.toml"
+    file.write_text(text, encoding="utf-8")
+    return file
+
+
+def quantities(name):
+    tree = tomllib.loads(asset_path("materials", name).read_text(encoding="utf-8"))
+    return split_quantities(tree)
+
+
+def test_there_is_what_the_paper_needs():
+    assert {
+        "metals/steel",
+        "metals/chromium",
+        "metals/aluminium",
+        "metals/brass",
+        "plastics/pmma",
+        "plastics/polycarbonate",
+        "plastics/abs_clear",
+        "glasses/glass",
+        "glasses/silicone",
+        "diffuse/gray_print",
+    } <= set(SOLIDS)
+
+
+@pytest.mark.parametrize("name", [*SOLIDS, "diffuse/stage"])
+def test_every_number_has_source_and_range(name):
+    values, provenance = quantities(name)
+    numbers = {key for key, value in values.items() if isinstance(value, float)}
+    assert numbers == provenance.keys()
+    assert all(origin.range and origin.source for origin in provenance.values())
+
+
+@pytest.mark.parametrize("name", SOLIDS)
+def test_every_material_serves_a_specimen(name, tmp_path):
+    experiment = load_experiment(ball_of(name, tmp_path))
+    values, _ = quantities(name)
+    dumped = experiment.specimen.material.model_dump()
+    assert {key: dumped[key] for key in dumped.keys() & values.keys()} == {
+        key: value for key, value in values.items() if key != "description"
+    }
+
+
+@pytest.mark.parametrize(
+    ("name", "key", "value"),
+    [
+        ("metals/steel", "ior", 1.2),
+        ("metals/aluminium", "extinction", 2.0),
+        ("plastics/pmma", "ior", 1.6),
+        ("plastics/abs_clear", "absorption_per_mm", 0.2),
+        ("diffuse/gray_print", "albedo", 0.95),
+    ],
+)
+def test_value_out_of_the_files_range_is_refused_in_one_line(name, key, value, tmp_path):
+    file = ball_of(name, tmp_path, f"{key} = {value}")
+    low, high = quantities(name)[1][key].range
+    with pytest.raises(ConfigError) as caught:
+        load_experiment(file)
+    message = str(caught.value)
+    assert f"specimen.material.{key}: found {value:g}, allowed {low:g} to {high:g}" in message
+    assert "\n" not in message
+
+
+@pytest.mark.parametrize(
+    ("name", "reflectance"),
+    [
+        ("steel", 0.51),
+        ("stainless_steel", 0.63),
+        ("chromium", 0.557),
+        ("aluminium", 0.917),
+        ("brass", 0.734),
+    ],
+)
+def test_complex_index_gives_the_metals_known_reflectance(name, reflectance):
+    """Normal incidence, ((n - 1)^2 + k^2) / ((n + 1)^2 + k^2): a swapped or misread index shows.
+    Expected: the mean of the two table rows on either side of 525 nm in each source."""
+    values, _ = quantities(f"metals/{name}")
+    index = values["ior"] + 1j * values["extinction"]
+    assert np.abs((index - 1) / (index + 1)) ** 2 == pytest.approx(reflectance, abs=0.004)
+
+
+@pytest.mark.parametrize(
+    ("name", "sellmeier"),
+    [
+        ("plastics/pmma", [(1.1819, 0.011313)]),
+        ("plastics/polycarbonate", [(1.4182, 0.021304)]),
+        (
+            "glasses/glass",
+            [(1.03961212, 0.00600069867), (0.231792344, 0.0200179144), (1.01046945, 103.560653)],
+        ),
+    ],
+)
+def test_index_is_the_sources_dispersion_formula_at_525_nm(name, sellmeier):
+    square = 0.525**2
+    index = np.sqrt(1 + sum(b * square / (square - c) for b, c in sellmeier))
+    assert quantities(name)[0]["ior"] == pytest.approx(index, abs=6e-4)
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_scenes_of_the_paper_load_with_material_and_stage(name):
+    experiment = load_experiment(f"paper/{name}")
+    assert experiment.name == name
+    assert experiment.specimen.material is not None
+    assert experiment.provenance["press.depth_mm"].source.startswith("assumed")
+    assert experiment.provenance["stage.albedo"].range == (0.02, 0.9)
+    metal = name in ("ball", "nut", "t_bolt")
+    assert experiment.specimen.material.kind == ("conductor" if metal else "dielectric")
+
+
+def test_two_balls_are_steel():
+    material = load_experiment("paper/two_balls").specimen.material
+    assert material == load_experiment("paper/ball").specimen.material

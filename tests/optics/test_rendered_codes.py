@@ -1,0 +1,52 @@
+"""Every way to number the fringes is rendered and decoded: one definition for both."""
+
+import numpy as np
+import pytest
+
+from reconstruction.decode import DecodeOptions, decode
+from reconstruction.sensor import SensorNoise
+from twin.config import load_experiment
+from twin.optics.light import pattern_set
+from twin.optics.render import render
+from twin.optics.rig import true_calibration
+
+SMALL = {
+    "camera.width_px": 120,
+    "camera.height_px": 92,
+    "camera.binning": 2,
+    "camera.pixel_pitch_um": {"value": 72.0, "source": "test"},
+    "coating.flake_fraction": 0.0,
+    "patterns.steps": 4,
+    "projector.gamma": 1.0,
+}
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"patterns.code": "shifted_gray"},
+        {"patterns.code": "hierarchical", "patterns.further_periods_px": [1500.0, 150.0]},
+    ],
+    ids=lambda change: change["patterns.code"],
+)
+def test_rendered_code_gives_the_true_projector_coordinate(mi, plane, change):
+    """Setup: flat face, noise-free. Expected: the coordinate of each point, within 0.1 px.
+
+    Why 0.1: one value stands for the four rays of a pixel that covers 2 to 3 projector pixels.
+    """
+    experiment = load_experiment("paper/two_balls", SMALL | change)
+    patterns = pattern_set(experiment.projector, experiment.patterns)
+    stack = render(experiment, plane)
+    calibration = true_calibration(experiment)
+    T_proj_from_world = np.linalg.inv(calibration.T_world_from_proj)
+    points = stack.truth.points_world_mm @ T_proj_from_world[:3, :3].T + T_proj_from_world[:3, 3]
+    projector_px = calibration.projector.project(points)
+    frames = np.stack(list(stack.frames))
+    frames = (200.0 / frames.max() * frames).astype(np.float32)
+    sensor = SensorNoise(0.0, 0.0, 0.0, 255.0)
+    decoded = decode(frames, patterns, sensor, DecodeOptions(filter_taps=0))
+    assert decoded.valid.mean() > 0.9
+    error = (decoded.column.coordinate_px - projector_px[..., 0])[decoded.valid]
+    assert np.max(np.abs(error)) < 0.1
+    error = (decoded.row.coordinate_px - projector_px[..., 1])[decoded.valid]
+    assert np.max(np.abs(error)) < 0.1

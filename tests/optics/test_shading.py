@@ -1,0 +1,126 @@
+"""No shadow rays where a relief cannot shade itself: the proof, and what it must not skip."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+from scipy.ndimage import binary_dilation, binary_erosion
+
+from twin.config import load_experiment
+from twin.optics.light import light_tables, pattern_set
+from twin.optics.rig import true_calibration
+from twin.optics.shading import may_shade_itself
+
+SPIKE_MM = 6.0
+
+
+@pytest.fixture(scope="module")
+def experiment():
+    return load_experiment(
+        "paper/two_balls",
+        {
+            "projector.width_px": 320,
+            "projector.height_px": 180,
+            "camera.width_px": 100,
+            "camera.height_px": 76,
+            "camera.pixel_pitch_um": {"value": 54.0, "source": "test"},
+            "patterns.steps": 3,
+            "patterns.period_px": 64,
+            "patterns.complementary": False,
+        },
+    )
+
+
+@pytest.fixture(scope="module")
+def source_mm(experiment):
+    return true_calibration(experiment).T_world_from_proj[:3, 3]
+
+
+def spike(x, y):
+    return SPIKE_MM * np.exp(-(x**2 + y**2) / 2)
+
+
+@pytest.fixture(scope="module")
+def steep(grid_face):
+    """Return a spike with flanks of up to 75 degrees; the projector stands at 65 degrees."""
+    return grid_face(spike, lambda x, y: (-x * spike(x, y), -y * spike(x, y)), pitch_mm=0.04)
+
+
+def test_a_gentle_face_needs_no_shadow_rays(mi, experiment, bump):
+    """Every frame is the same byte for byte, traced with shadow rays and without."""
+    from twin.optics.one_trace import trace_stack
+    from twin.optics.scene import coated_rig, coated_scene
+
+    scene, rig = coated_scene(experiment, bump), coated_rig(experiment, bump)
+    assert not rig.shadows
+    tables = light_tables(
+        experiment.projector, pattern_set(experiment.projector, experiment.patterns)
+    )
+    proven = trace_stack(scene, rig, tables, 4)
+    traced = trace_stack(scene, replace(rig, shadows=True), tables, 4)
+    assert max(frame.max() for frame in traced) > 0.0
+    for one, other in zip(proven, traced, strict=True):
+        assert one.tobytes() == other.tobytes()
+
+
+def test_a_steep_face_keeps_its_shadow(mi, experiment, steep, source_mm):
+    """Against a march on the formula, 8 mm along the way to the projector in steps of 30 um.
+
+    Expected: the same pixels are dark, but for the one-pixel rim of the shadow: where light grazes
+    the flank, the march's steps and the facets' chords of 1 um decide.
+    """
+    from twin.optics.one_trace import trace_truth
+    from twin.optics.scene import coated_rig, coated_scene
+
+    truth = trace_truth(coated_scene(experiment, steep), coated_rig(experiment, steep))
+    points = truth.points_world_mm.astype(np.float64)
+    way_mm = np.arange(0.02, 8.0, 0.03)
+    towards = source_mm - points
+    towards /= np.linalg.norm(towards, axis=-1, keepdims=True)
+    at = points[..., None, :] + way_mm[:, None] * towards[..., None, :]
+    dark = np.any(at[..., 2] < spike(at[..., 0], at[..., 1]) - 1e-3, axis=-1)
+    core = binary_erosion(dark)
+    assert core.sum() > 50
+    assert not truth.lit[core].any()
+    assert truth.lit[~binary_dilation(dark)].all()
+
+
+def test_the_bound_is_sharp(grid_face):
+    """A ramp z = s x is lit from (0, 0, h): the ray from its upper corner climbs least.
+
+    That is (h - s x) / hypot(x, y) at the rectangle's corner; the proof fails at just that slope.
+    """
+    x_mm, y_mm, height_mm = 16.0, 12.5, 30.0
+    limit = height_mm / (np.hypot(x_mm, y_mm) + x_mm)
+
+    def ramp(slope):
+        return grid_face(
+            lambda x, _: slope * x, lambda x, _: (slope + 0.0 * x, 0.0 * x), pitch_mm=0.5
+        )
+
+    assert not may_shade_itself(ramp(0.999 * limit), np.array([0.0, 0.0, height_mm]))
+    assert may_shade_itself(ramp(1.001 * limit), np.array([0.0, 0.0, height_mm]))
+
+
+def test_one_steep_facet_is_found(plane, source_mm):
+    """A vertex raised by five times its cell is found, whichever facets of the cell it tilts."""
+    assert not may_shade_itself(plane, source_mm)
+    cell_mm = 0.5
+    for corner in ([0, 0], [1, 1], [0, 1]):
+        raised = plane.copy()
+        index = np.argmin(np.linalg.norm(raised.vertices[:, :2] - corner, axis=-1))
+        raised.vertices[index, 2] = 5.0 * cell_mm
+        assert may_shade_itself(raised, source_mm)
+
+
+def test_only_height_grids_are_proven(plane, source_mm):
+    """Another body beside the sheet, a hole, a turned facet, a source below: shadows are traced."""
+    wall = trimesh.creation.box(extents=[0.5, 40.0, 6.0])
+    turned, hole, skewed = plane.copy(), plane.copy(), plane.copy()
+    turned.faces[7] = turned.faces[7][::-1]
+    hole.update_faces(np.arange(len(hole.faces)) != 7)
+    skewed.vertices[5, 0] += 0.1
+    for face in (trimesh.util.concatenate([plane, wall]), turned, hole, skewed, wall):
+        assert may_shade_itself(face, source_mm)
+    assert may_shade_itself(plane, np.array([0.0, 0.0, -100.0]))

@@ -1,0 +1,182 @@
+"""All ways to number the fringes: exactness, edges under blur, and the predicted order errors."""
+
+import numpy as np
+import pytest
+
+from reconstruction.decode import DecodeOptions, decode
+from reconstruction.errors import InputError
+from reconstruction.patterns import PatternSet
+from reconstruction.sensor import SensorNoise
+
+HIERARCHICAL = {"code": "hierarchical", "further_periods_px": (1300.0, 150.0)}
+# Unambiguous over 1472 px: where the range ends at the image, noise wraps at its borders.
+HETERODYNE = {
+    "code": "heterodyne",
+    "period_px": 1472 / 70,
+    "further_periods_px": (1472 / 64, 1472 / 59),
+}
+ALL_CODES = [
+    {"code": "gray"},
+    {"code": "complementary_gray"},
+    {"code": "shifted_gray"},
+    HIERARCHICAL,
+    HETERODYNE,
+    {"code": "heterodyne", "period_px": 36.0, "further_periods_px": (37.0,)},
+]
+
+
+def rms(values):
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+@pytest.mark.parametrize("change", ALL_CODES, ids=lambda change: change["code"])
+@pytest.mark.parametrize("steps", [3, 4])
+def test_every_code_decodes_exactly_up_to_the_image_border(quiet_sensor, synthesise, change, steps):
+    """Setup: noise-free, pixels from the first to the last border of the projector image."""
+    patterns = PatternSet(1280, 720, steps=steps, **change)
+    column, row = np.meshgrid(np.linspace(-0.45, 1279.45, 900), np.linspace(-0.45, 719.45, 60))
+    stack = synthesise(patterns, column, row).astype(np.float32)
+    options = DecodeOptions(filter_taps=0, max_order_error=0.5)
+    decoded = decode(stack, patterns, quiet_sensor, options)
+    assert decoded.valid.mean() > 0.999
+    assert rms((decoded.column.coordinate_px - column)[decoded.valid]) <= 1e-4
+    assert rms((decoded.row.coordinate_px - row)[decoded.valid]) <= 1e-4
+
+
+@pytest.mark.parametrize("period_px", [4.0, 5.5, 9.0, 17.3, 40.0])
+@pytest.mark.parametrize("code", ["complementary_gray", "shifted_gray"])
+def test_edge_safe_codes_with_any_period(quiet_sensor, synthesise, code, period_px):
+    patterns = PatternSet(400, 300, period_px=period_px, steps=5, code=code)
+    column, row = np.meshgrid(np.linspace(-0.45, 399.45, 901), np.linspace(-0.45, 299.45, 31))
+    stack = synthesise(patterns, column, row).astype(np.float32)
+    decoded = decode(stack, patterns, quiet_sensor, DecodeOptions(filter_taps=0))
+    assert decoded.valid.mean() > 0.999
+    assert np.max(np.abs((decoded.column.coordinate_px - column)[decoded.valid])) < 1e-3
+
+
+@pytest.mark.parametrize("blur_px", [0.5, 3.0])
+@pytest.mark.parametrize("code", ["complementary_gray", "shifted_gray"])
+def test_edge_safe_codes_stand_blur_and_noise(synthesise, cover, code, blur_px):
+    """Setup: modulation 90, noise 6 DN, blur to 3 px. Expected: no order error at all."""
+    patterns = PatternSet(1280, 720, code=code)
+    column, row = cover(100, 900, patterns)
+    stack = synthesise(patterns, column, row, mean_dn=120.0, amplitude_dn=90.0, blur_px=blur_px)
+    stack += np.random.default_rng(3).normal(0.0, 6.0, stack.shape)
+    sensor = SensorNoise(1.0, 6.0, 1000.0, 2000.0)
+    # Without the doubt of single bits: the rule itself must hold.
+    options = DecodeOptions(filter_taps=0, gray_sigmas=0.0, max_order_error=1.0)
+    decoded = decode(stack.astype(np.float32) + 1e-3, patterns, sensor, options)
+    assert decoded.valid.mean() > 0.999
+    assert np.max(np.abs((decoded.column.coordinate_px - column)[decoded.valid])) < 3.0
+    assert np.max(np.abs((decoded.row.coordinate_px - row)[decoded.valid])) < 3.0
+
+
+def test_words_of_the_shifted_code_check_each_other(quiet_sensor, synthesise, cover):
+    """Setup: the coarsest bit of both axes is wrong everywhere. Expected: all pixels masked.
+
+    Why: the complementary code notices a wrong bit only where the word must agree with the phase.
+    """
+    valid = {}
+    for code in ("complementary_gray", "shifted_gray"):
+        patterns = PatternSet(1280, 720, code=code)
+        column, row = cover(40, 900, patterns)
+        stack = synthesise(patterns, column, row).astype(np.float32)
+        for axis in ("column", "row"):
+            coarsest = patterns.index("gray", axis).start
+            stack[coarsest] = 240.0 - stack[coarsest]
+        decoded = decode(stack, patterns, quiet_sensor, DecodeOptions(filter_taps=0))
+        valid[code] = decoded.valid.mean()
+    assert valid["shifted_gray"] < 0.001
+    assert valid["complementary_gray"] > 0.03
+
+
+def noisy(patterns, synthesise, noise_dn, seed=4, shape=(250, 400)):
+    row, col = np.mgrid[0 : shape[0], 0 : shape[1]].astype(float)
+    column = 40.0 + (patterns.width_px - 80.0) * (col + 0.3 * row / shape[0]) / shape[1]
+    lines = 40.0 + (patterns.height_px - 80.0) * (row + 0.3 * col / shape[1]) / shape[0]
+    stack = synthesise(patterns, column, lines, mean_dn=500.0, amplitude_dn=100.0)
+    stack += np.random.default_rng(seed).normal(0.0, noise_dn, stack.shape)
+    sensor = SensorNoise(1.0, noise_dn, 2000.0, 5000.0)
+    options = DecodeOptions(filter_taps=0, max_phase_sigma_rad=1.0, max_order_error=1.0)
+    decoded = decode(stack.astype(np.float32), patterns, sensor, options)
+    return column, decoded
+
+
+@pytest.mark.parametrize(
+    ("change", "noise_dn"),
+    [
+        ({"code": "hierarchical", "period_px": 18.0, "further_periods_px": (1300.0,)}, 3.0),
+        ({"code": "hierarchical", "period_px": 18.0, "further_periods_px": (1300.0, 400.0)}, 8.0),
+        ({"code": "heterodyne", "period_px": 41.0, "further_periods_px": (42.35,)}, 6.0),
+        (HETERODYNE, 12.0),
+    ],
+    ids=["2 levels", "3 levels", "2 near", "3 near"],
+)
+def test_predicted_order_errors_are_the_counted_ones(synthesise, change, noise_dn):
+    """Setup: 100,000 pixels, so noisy that 0.1 to 20 % err. Expected: within a factor of 1.5.
+
+    Why: the same number also tells good pixels from bad ones: of those predicted worse than the
+    median, nearly all errors must be. Phase sigma is 0.017 to 0.07 rad; from 0.1 rad on the noise
+    of the modulation itself makes the prediction too large.
+    """
+    patterns = PatternSet(1280, 720, steps=6, **change)
+    column, decoded = noisy(patterns, synthesise, noise_dn)
+    axis = decoded.column
+    unwrapped = decoded.valid
+    is_wrong = np.abs(axis.coordinate_px - column) > 0.5 * patterns.period_px
+    counted = np.mean(is_wrong[unwrapped])
+    predicted = float(axis.order_error[unwrapped].mean())
+    assert unwrapped.mean() > 0.95
+    assert 1e-3 < counted < 0.2
+    assert counted / 1.5 < predicted < counted * 1.5
+    worse = axis.order_error > np.median(axis.order_error)
+    assert np.mean(worse[unwrapped & is_wrong]) > 0.9
+
+
+def test_mean_of_near_periods_is_better_by_the_root_of_their_number(synthesise):
+    """Expected: sigma as predicted within 2 %, and 1 / sqrt(3) of one period's."""
+    patterns = PatternSet(1280, 720, steps=6, **HETERODYNE)
+    column, decoded = noisy(patterns, synthesise, 3.0)
+    spread = np.std((decoded.column.coordinate_px - column)[decoded.valid])
+    assert decoded.valid.mean() > 0.9999
+    assert rms(decoded.column.sigma_px[decoded.valid]) == pytest.approx(spread, rel=0.02)
+    one_period_px = patterns.periods_px[1] / (2.0 * np.pi) * np.sqrt(2.0 / 6.0) * 3.0 / 100.0
+    assert spread == pytest.approx(one_period_px / np.sqrt(3.0), rel=0.03)
+
+
+def test_uncertain_orders_are_masked(synthesise):
+    """Expected: with the default limit hardly any order error is left."""
+    patterns = PatternSet(1280, 720, steps=6, code="hierarchical", further_periods_px=(1300.0,))
+    column, loose = noisy(patterns, synthesise, 3.0)
+    is_wrong = np.abs(loose.column.coordinate_px - column) > 9.0
+    is_kept = loose.valid & (loose.column.order_error <= DecodeOptions().max_order_error)
+    assert is_kept.mean() > 0.5
+    assert np.mean(is_wrong[is_kept]) < 2e-3
+    assert np.mean(is_wrong[loose.valid]) > 1e-2
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"code": "morse"}, "morse"),
+        ({"code": "gray", "complementary": True}, "complementary"),
+        ({"code": "hierarchical"}, "unambiguous over"),
+        ({"code": "hierarchical", "further_periods_px": (1000.0,)}, "1000"),
+        ({"code": "hierarchical", "further_periods_px": (1300.0, 12.0)}, "below all"),
+        ({"code": "heterodyne"}, "one or two"),
+        ({"code": "heterodyne", "further_periods_px": (17.0,)}, "falling beat"),
+        ({"code": "heterodyne", "further_periods_px": (19.0,)}, "unambiguous over"),
+        ({"further_periods_px": (19.0,)}, "leave it out"),
+        ({"code": "hierarchical", "further_periods_px": (2.0,)}, "further_periods_px"),
+        ({"code": "hierarchical", "further_periods_px": "1300"}, "further_periods_px"),
+    ],
+)
+def test_codes_that_cannot_work_are_refused(change, message):
+    with pytest.raises(InputError, match=message):
+        PatternSet(**({"width_px": 1280, "height_px": 720} | change))
+
+
+def test_older_ways_to_name_a_code():
+    assert PatternSet(64, 64) == PatternSet(64, 64, code="complementary_gray")
+    assert PatternSet(64, 64, complementary=False) == PatternSet(64, 64, code="gray")
+    assert PatternSet(64, 64, complementary=True).code == "complementary_gray"

@@ -1,0 +1,254 @@
+"""All generated specimens: sound meshes, and closed forms where there are any."""
+
+from math import cos, pi, sqrt
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from twin.config.artefacts import Rods, Step, VGroove
+from twin.config.materials import Conductor, Dielectric
+from twin.config.objects import Bear, Brick, Nut, TBolt
+from twin.config.specimens import Ball, Group, Rod, Specimen
+from twin.specimens import bodies, height_above_lowest, shape_of, specimen_mesh
+from twin.specimens.bear import bear_level_mm, drawn_bear
+
+SPECIMENS: list[Specimen] = [
+    Nut(yaw_deg=20),
+    Nut(thread_mm=4, pitch_mm=0.7, across_flats_mm=7, height_mm=3.2, countersink_mm=4.4),
+    TBolt(tilt_deg=3),
+    TBolt(facing="head"),
+    Brick(),
+    Brick(studs_x=4, height_mm=3.2, edge_radius_mm=0.0),
+    Bear(yaw_deg=-30),
+    Rods(),
+    Rods(diameters_mm=(1.99,), tilt_deg=2),
+    Step(),
+    Step(height_mm=0.3, edge_radius_mm=0.3),
+    Step(edge_radius_mm=0.0),
+    VGroove(yaw_deg=90),
+]
+# Lower than this and a facet is a needle whose normal rounding decides.
+LEAST_HEIGHT_MM = 1e-5
+
+
+@pytest.mark.parametrize("specimen", SPECIMENS, ids=lambda s: s.kind)
+def test_mesh_is_one_sound_body(specimen: Specimen) -> None:
+    mesh = specimen_mesh(specimen, touched_z_mm=-2.5)
+    assert mesh.is_watertight
+    assert mesh.is_winding_consistent
+    assert mesh.body_count == 1
+    assert mesh.volume > 0
+    assert mesh.bounds[1, 2] == pytest.approx(-2.5, abs=1e-6)
+    longest = mesh.edges_unique_length[mesh.faces_unique_edges].max(axis=1)
+    assert (2 * mesh.area_faces / longest).min() > LEAST_HEIGHT_MM
+    assert np.isfinite(mesh.face_normals).all()
+
+
+@pytest.mark.parametrize("specimen", SPECIMENS, ids=lambda s: s.kind)
+def test_foremost_point_is_zero_within_the_outline(specimen: Specimen) -> None:
+    # Lines off the symmetry planes, where rods meet their neighbours' heights.
+    x, y = np.linspace(-18.03, 18.01, 602), np.linspace(-12.02, 12.03, 402)
+    height = height_above_lowest(specimen, x, y)
+    assert 0 <= height.min() < 5e-3
+    x_low, x_high, y_low, y_high = shape_of(specimen).bounds_mm()
+    rows, cols = np.nonzero(np.isfinite(height))
+    assert x_low <= x[cols].min() < x[cols].max() <= x_high
+    assert y_low <= y[rows].min() < y[rows].max() <= y_high
+    outline = specimen_mesh(specimen).bounds[:, :2].T.ravel()
+    np.testing.assert_allclose(outline, (x_low, x_high, y_low, y_high), atol=5e-3)
+
+
+@pytest.mark.parametrize("edge_mm", [0.0, 0.2])
+@pytest.mark.parametrize("studs", [(2, 2), (4, 2)])
+def test_brick_volume(studs: tuple[int, int], edge_mm: float) -> None:
+    """Block less cavity, plus studs (rounded by Pappus' rule) and tubes."""
+    brick = Brick(studs_x=studs[0], studs_y=studs[1], edge_radius_mm=edge_mm)
+    outer = np.array([8.0 * studs[0] - 0.2, 8.0 * studs[1] - 0.2])
+    inner, depth = outer - 3.0, 8.6
+    # What the rounding takes of the stud's profile, and how far its centroid lies inwards.
+    corner = (1 - pi / 4) * edge_mm**2
+    inset = edge_mm * (1 - (1 / 6) / (1 - pi / 4))
+    stud = pi * 2.4**2 * 1.7 - corner * 2 * pi * (2.4 - inset)
+    tube_outer = (8 * sqrt(2) - 4.8) / 2
+    tube = pi * (tube_outer**2 - 2.4**2) * depth
+    tubes = (studs[0] - 1) * (studs[1] - 1)
+    exact = outer.prod() * 9.6 - inner.prod() * depth + np.prod(studs) * stud + tubes * tube
+    assert specimen_mesh(brick).volume == pytest.approx(exact, rel=2e-4)
+
+
+def test_brick_is_studs_above_a_flat_roof() -> None:
+    height = height_above_lowest(Brick(), np.array([-4.0, 0.0, 4.0]), np.array([-4.0, 0.0]))
+    np.testing.assert_allclose(height, [[0, 1.7, 0], [1.7, 1.7, 1.7]], atol=1e-6)
+
+
+def test_rods_volume_and_heights() -> None:
+    """Cylinders with rounded ends, the plate, and what the cement beads add below the rods."""
+    rods = Rods()
+    radii = np.array(rods.diameters_mm) / 2
+    edge, length, bead = rods.edge_radius_mm, rods.length_mm, rods.bead_mm
+    core = radii - edge
+    # Straight part, and two rounded ends: integral of pi (core + sqrt(e^2 - t^2))^2 over t.
+    ends = 2 * pi * (core**2 * edge + core * pi * edge**2 / 2 + 2 * edge**3 / 3)
+    cylinders = pi * radii**2 * (length - 2 * edge) + ends
+    half = bead / 2
+    cusp = bead * radii - half * np.sqrt(radii**2 - half**2) - radii**2 * np.arcsin(half / radii)
+    x_low, x_high, y_low, y_high = shape_of(rods).bounds_mm()
+    plate = (x_high - x_low) * (y_high - y_low) * rods.plate_mm
+    exact = plate + (cylinders + cusp * (length - edge)).sum()
+    assert specimen_mesh(rods).volume == pytest.approx(exact, rel=2e-4)
+    middles = np.array(rods.middles_mm)
+    np.testing.assert_allclose(
+        height_above_lowest(rods, middles, np.array([0.0]))[0], 7.23 - 2 * radii, atol=1e-8
+    )
+    # Beside the middle rod's axis: the circle; in the gap and at the margin: the plate.
+    beside = np.array([middles[1] + 1.0, middles[1] - radii[1] - 0.5, x_low + 0.2])
+    circle = 7.23 - radii[1] - sqrt(radii[1] ** 2 - 1)
+    found = height_above_lowest(rods, beside, np.array([1.0]))[0]
+    np.testing.assert_allclose(found, [circle, 7.23, 7.23], atol=1e-6)
+
+
+def test_neighbouring_rods_keep_their_gap() -> None:
+    rods = Rods(diameters_mm=(2.0, 4.0), gap_mm=0.7)
+    left, right = rods.middles_mm
+    assert right - left == pytest.approx(1.0 + 0.7 + 2.0)
+    assert left - 1.0 == pytest.approx(-(right + 2.0))
+
+
+@pytest.mark.parametrize(("height_mm", "edge_mm"), [(0.5, 0.1), (0.5, 0.0), (0.3, 0.3)])
+def test_step_volume_and_levels(height_mm: float, edge_mm: float) -> None:
+    step = Step(height_mm=height_mm, edge_radius_mm=edge_mm)
+    exact = 12 * (12 * 2.0 + 6 * height_mm - (1 - pi / 4) * edge_mm**2)
+    assert specimen_mesh(step).volume == pytest.approx(exact, rel=1e-6)
+    found = height_above_lowest(step, np.array([-3.0, -0.01, 0.5, 3.0]), np.array([0.1]))[0]
+    np.testing.assert_allclose(found, [height_mm, height_mm, 0, 0], atol=1e-9)
+
+
+def test_rounded_edge_of_a_step_is_an_arc() -> None:
+    """Facets of 2 degrees stay within r (1 - cos 1 deg) = 0.05 um of an arc of 0.3 mm, measured
+    along the normal; vertically that is divided by the slope's cosine."""
+    turn = np.deg2rad(np.array([20.0, 45.0, 70.0]))
+    x = 0.3 - 0.3 * np.cos(turn)
+    found = height_above_lowest(Step(edge_radius_mm=0.3), x, np.array([0.2]))[0]
+    np.testing.assert_allclose(found, 0.3 - 0.3 * np.sin(turn), atol=0.3 * (1 - cos(pi / 180)) * 3)
+
+
+@pytest.mark.parametrize("angle_deg", [60.0, 90.0, 140.0])
+def test_v_groove_volume_and_flanks(angle_deg: float) -> None:
+    groove = VGroove(angle_deg=angle_deg)
+    half = np.deg2rad(angle_deg / 2)
+    exact = 12 * (12 * 2.5 - 0.5**2 * np.tan(half))
+    assert specimen_mesh(groove).volume == pytest.approx(exact, rel=1e-9)
+    x = np.array([0.0, 0.1, -0.2, 5.0])
+    found = height_above_lowest(groove, x, np.array([0.0]))[0]
+    np.testing.assert_allclose(found, [0.5, *(0.5 - x[1:3].__abs__() / np.tan(half)), 0], atol=1e-9)
+
+
+def test_bear_lies_on_the_smooth_union() -> None:
+    """Every vertex is on the level set to a nanometre; the bear is that drawing at its length."""
+    drawn = drawn_bear(0.15)
+    assert np.abs(bear_level_mm(np.asarray(drawn.vertices), 0.15)).max() < 1e-6
+    bear = specimen_mesh(Bear(length_mm=20.0))
+    assert bear.extents[1] == pytest.approx(20.0, abs=1e-9)
+    assert bear.volume == pytest.approx(drawn.volume * (20 / drawn.extents[1]) ** 3, rel=1e-9)
+
+
+def test_bear_turns_little_from_facet_to_facet() -> None:
+    """Refraction wants smooth facets: 2 deg in the middle of the distribution; creases more."""
+    angle = np.rad2deg(specimen_mesh(Bear()).face_adjacency_angles)
+    assert np.median(angle) < 2
+    assert np.quantile(angle, 0.9) < 6
+
+
+def test_bear_has_a_face() -> None:
+    """Nose foremost, muzzle beside it lower, feet and belly within the reach of a press."""
+    grid_x, grid_y = np.linspace(-5, 5, 201), np.linspace(-8, 8, 321)
+    height = height_above_lowest(Bear(), grid_x, grid_y)
+    row, col = np.unravel_index(height.argmin(), height.shape)
+    assert abs(grid_x[col]) < 0.1
+    assert 2 < grid_y[row] < 5
+    reached = height < 0.75
+    feet = reached & (grid_y[:, None] < -4) & (np.abs(grid_x) > 1.5)
+    belly = reached & (np.abs(grid_y[:, None] + 2.5) < 1) & (np.abs(grid_x) < 1)
+    assert feet.any()
+    assert belly.any()
+
+
+def test_bear_level_is_a_signed_distance_for_points_far_from_creases() -> None:
+    """The eye is a ball of 0.5 mm: its level is the distance to it where nothing else is near."""
+    outside = np.array([[1.35, 4.75, 2.4]]) + 0.9 * np.array([[0.0, 0.6, 0.8]])
+    level = bear_level_mm(outside, blend_mm=0.02)
+    assert level[0] == pytest.approx(0.4, abs=5e-3)
+    assert bear_level_mm(np.array([0.0, -2.1, 0.0]), 0.02) < -2
+
+
+def test_bodies_are_the_parts_in_place_with_their_materials() -> None:
+    steel = Conductor(ior=2.9, extinction=2.9, roughness=0.1)
+    clear = Dielectric(ior=1.5)
+    group = Group(
+        parts={
+            "ball": Ball(x_mm=-5, diameter_mm=4, material=steel),
+            "rod": Rod(x_mm=4, z_mm=-0.4, length_mm=6),
+        },
+        tilt_deg=3,
+        material=clear,
+    )
+    ball, rod = bodies(group, touched_z_mm=-3.0)
+    assert [(ball.name, ball.material), (rod.name, rod.material)] == [
+        ("ball", steel),
+        ("rod", clear),
+    ]
+    whole = specimen_mesh(group, touched_z_mm=-3.0)
+    assert ball.mesh.volume + rod.mesh.volume == pytest.approx(whole.volume, rel=1e-6)
+    assert max(ball.mesh.bounds[1, 2], rod.mesh.bounds[1, 2]) == pytest.approx(-3.0, abs=2e-3)
+    both = np.array([ball.mesh.bounds, rod.mesh.bounds])
+    np.testing.assert_allclose(both[:, 0].min(axis=0), whole.bounds[0], atol=1e-6)
+
+
+def test_overlapping_parts_stay_two_bodies() -> None:
+    group = Group(parts={"a": Ball(x_mm=-1), "b": Ball(x_mm=1)})
+    parts = bodies(group)
+    assert [part.name for part in parts] == ["a", "b"]
+    assert sum(part.mesh.volume for part in parts) > 1.2 * specimen_mesh(group).volume
+
+
+@pytest.mark.parametrize("specimen", [Ball(), Rods(), Nut(x_mm=1.0)], ids=lambda s: s.kind)
+def test_any_other_kind_is_one_body(specimen: Specimen) -> None:
+    (body,) = bodies(specimen, touched_z_mm=-2.0)
+    assert body.name == specimen.kind  # type: ignore[attr-defined]
+    assert body.material is None
+    np.testing.assert_array_equal(body.mesh.vertices, specimen_mesh(specimen, -2.0).vertices)
+
+
+def test_same_specimen_same_bytes() -> None:
+    """The level set and the booleans run in the library's own threads; order must not matter."""
+    from twin.specimens import bear, fasteners
+
+    for build, specimen in ((bear.build_bear, Bear()), (fasteners.build_nut, Nut())):
+        first = build(specimen).surface  # type: ignore[operator]
+        bear.drawn_bear.cache_clear()
+        fasteners._nut.cache_clear()
+        second = build(specimen).surface  # type: ignore[operator]
+        assert first.vertices.tobytes() == second.vertices.tobytes()
+        assert first.faces.tobytes() == second.faces.tobytes()
+
+
+@pytest.mark.parametrize(
+    ("model", "keys", "line"),
+    [
+        (Brick, {"stud_diameter_mm": 6.0}, "stud_diameter_mm: found 6, allowed at most 5.6"),
+        (Brick, {"wall_mm": 5.0}, "wall_mm: found 5, allowed at most"),
+        (Brick, {"studs_x": 1}, "greater than or equal to 2"),
+        (Rods, {"bead_mm": 1.5}, "bead_mm: found 1.5, allowed at most 0.995"),
+        (Rods, {"diameters_mm": ()}, "at least 1 item"),
+        (Step, {"edge_radius_mm": 0.6}, "edge_radius_mm: found 0.6, allowed at most 0.5"),
+        (VGroove, {"depth_mm": 6.0}, "opening: found 12, allowed at most 9.6"),
+        (Bear, {"length_mm": 100}, "less than or equal to 60"),
+    ],
+)
+def test_what_cannot_be_is_refused(
+    model: type[Specimen], keys: dict[str, object], line: str
+) -> None:
+    with pytest.raises(ValidationError, match="1 validation error") as caught:
+        model.model_validate(keys)
+    assert line in str(caught.value)

@@ -1,0 +1,140 @@
+"""Calibration board as data: what is printed, on what, and the poses in which it is shown.
+
+Poses are in the world frame (z up towards the devices); at zero tilt and shift the board's face is
+z = 0 and its rows run along world x.
+"""
+
+import tomllib
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, ValidationError
+
+from reconstruction.calibrating.boards import Board, CharucoBoard, Chessboard, DotBoard
+from twin.assets import asset_path
+from twin.config.base import Angle, Fraction, Length, Model
+from twin.config.errors import ConfigError
+from twin.config.messages import explain
+from twin.config.models import Provenance
+from twin.config.quantities import check_ranges, split_quantities
+from twin.config.units import convert_units
+
+Count = Annotated[int, Field(ge=2, le=1000)]
+Shift = Annotated[float, Field(ge=-1000, le=1000)]
+
+
+class Dots(Model):
+    """Square grid of dark dots, three of them larger; see `DotBoard`."""
+
+    kind: Literal["dots"] = "dots"
+    columns: Count
+    rows: Count
+    pitch_mm: Length
+    dot_diameter_mm: Length
+    fiducial_diameter_mm: Length
+
+    def board(self) -> DotBoard:
+        """Return what the detector looks for."""
+        return DotBoard(
+            self.columns, self.rows, self.pitch_mm, self.dot_diameter_mm, self.fiducial_diameter_mm
+        )
+
+
+class Chess(Model):
+    """Chessboard; columns and rows count its INNER corners."""
+
+    kind: Literal["chessboard"] = "chessboard"
+    columns: Count
+    rows: Count
+    square_mm: Length
+
+    def board(self) -> Chessboard:
+        """Return what the detector looks for."""
+        return Chessboard(self.columns, self.rows, self.square_mm)
+
+
+class Charuco(Model):
+    """ChArUco board with OpenCV's 4 x 4 markers; columns and rows count its INNER corners."""
+
+    kind: Literal["charuco"] = "charuco"
+    columns: Count
+    rows: Count
+    square_mm: Length
+    marker_mm: Length
+
+    def board(self) -> CharucoBoard:
+        """Return what the detector looks for."""
+        return CharucoBoard(self.columns, self.rows, self.square_mm, self.marker_mm)
+
+
+class Plate(Model):
+    """What the pattern is printed on; a matt (Lambertian) face."""
+
+    width_mm: Length
+    height_mm: Length
+    white_albedo: Fraction
+    ink_albedo: Fraction
+
+
+class BoardPose(Model):
+    """Where the board is held."""
+
+    tilt_deg: Annotated[float, Field(ge=0, le=60)] = Field(
+        default=0.0, description="angle between the board's normal and world z"
+    )
+    azimuth_deg: Angle = Field(
+        default=0.0, description="direction in the world xy plane to which the normal leans"
+    )
+    spin_deg: Angle = Field(default=0.0, description="turn in the board's own plane")
+    x_mm: Shift = 0.0
+    y_mm: Shift = 0.0
+    z_mm: Shift = 0.0
+
+
+class BoardFile(Model):
+    """A board file, whole."""
+
+    description: str = ""
+    pattern: Annotated[Dots | Chess | Charuco, Field(discriminator="kind")]
+    plate: Plate
+    poses: tuple[BoardPose, ...] = Field(
+        default=(), description="of a rendered calibration; the first is the world frame"
+    )
+    provenance: dict[str, Provenance] = Field(default_factory=dict)
+
+    def board(self) -> Board:
+        """Return what the detector looks for."""
+        return self.pattern.board()
+
+
+def load_board(name: str | Path) -> BoardFile:
+    """Load a board file, or a shipped board by name ("boards/paper_dots").
+
+    Raises
+    ------
+    ConfigError
+        One line per problem: what, where, found, allowed.
+    AssetError
+        No such board.
+    """
+    file = Path(name)
+    if not file.is_file():
+        file = asset_path("scenes", str(name))
+    values, origins = split_quantities(convert_units(_read(file)))
+    values["provenance"] = {key: origin.model_dump() for key, origin in origins.items()}
+    try:
+        loaded = BoardFile.model_validate(values)
+    except ValidationError as error:
+        raise ConfigError("\n".join(f"{file}: {line}" for line in explain(error))) from None
+    problems = check_ranges(values, loaded.provenance)
+    if problems:
+        raise ConfigError("\n".join(f"{file}: {line}" for line in problems))
+    loaded.board()  # its own checks: dots must not touch
+    return loaded
+
+
+def _read(file: Path) -> dict[str, Any]:
+    try:
+        return tomllib.loads(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:  # also bad TOML and bad UTF-8
+        raise ConfigError(f"{file}: cannot be read as TOML: {error}") from None

@@ -1,0 +1,145 @@
+"""Clear plane layers above the coat as data: a gel, its window, an air gap between them.
+
+World frame: z = 0 is the undeformed coated face, layers are horizontal and reach as far as any
+light does. Above the topmost one, and in gaps between them, is air. A layer whose bottom is at or
+below z = 0 holds the coat: it fills everything down to the coat, wherever that is.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Annotated, Any
+
+from pydantic import AfterValidator, Field
+
+from twin.config.base import Length, Model, NonNegative
+
+TOUCHING_MM = 1e-6
+"""Layers closer than this touch: nobody grinds an air gap of a nanometre."""
+
+
+class Layer(Model):
+    """A plane-parallel, clear, optically smooth layer."""
+
+    bottom_mm: Annotated[float, Field(ge=-1000, le=1000)] = Field(
+        description="world z of its lower face; 0 or less: the coat lies in it"
+    )
+    thickness_mm: Length
+    ior: Annotated[float, Field(ge=1, le=3)] = Field(description="index of refraction against air")
+    absorption_per_mm: NonNegative = Field(
+        default=0.0, description="Napierian coefficient of the bulk"
+    )
+
+    @property
+    def top_mm(self) -> float:
+        """World z of its upper face."""
+        return self.bottom_mm + self.thickness_mm
+
+
+@dataclass(frozen=True)
+class Medium:
+    """What light passes between one plane interface and the next one below."""
+
+    #: world z of the interface above it
+    top_mm: float
+    ior: float
+    absorption_per_mm: float
+
+
+def media_of(layers: Mapping[str, Layer]) -> tuple[Medium, ...]:
+    """List the media below the open air from the top down, gaps of air included.
+
+    The last one is what the coat lies in: a layer, or the air below the lowest layer.
+    """
+    media: list[Medium] = []
+    descending = sorted(layers.values(), key=lambda layer: layer.top_mm, reverse=True)
+    for layer, below in zip(descending, [*descending[1:], None], strict=True):
+        media.append(Medium(layer.top_mm, layer.ior, layer.absorption_per_mm))
+        next_mm = 0.0 if below is None else below.top_mm
+        if layer.bottom_mm - next_mm > (TOUCHING_MM if below is not None else 0.0):
+            media.append(Medium(layer.bottom_mm, 1.0, 0.0))
+    return tuple(media)
+
+
+def holding_layer(layers: Mapping[str, Layer]) -> Layer | None:
+    """Return the layer that the coat lies in; None when that is air."""
+    return next((layer for layer in layers.values() if layer.bottom_mm <= 0.0), None)
+
+
+def _in_order(layers: dict[str, Layer]) -> dict[str, Layer]:
+    ascending = sorted(layers.items(), key=lambda item: item[1].bottom_mm)
+    for name, layer in ascending:
+        if layer.top_mm <= 0.0:
+            raise ValueError(
+                f"{name} ends at {layer.top_mm:g} mm, below the opaque coat at 0; remove it"
+            )
+    for (name, layer), (other, above) in pairwise(ascending):
+        if above.bottom_mm < layer.top_mm - TOUCHING_MM:
+            raise ValueError(
+                f"{name} ends at {layer.top_mm:g} mm, {other} begins below that, at "
+                f"{above.bottom_mm:g} mm; raise {other}.bottom_mm or make {name} thinner"
+            )
+    return layers
+
+
+def check_rig(layers: Mapping[str, Layer], others: Mapping[str, Any]) -> None:
+    """Refuse layers that do not fit the experiment's other tables.
+
+    Parameters
+    ----------
+    layers : mapping
+    others : mapping
+        The validated tables by name; invalid ones are absent, and reported elsewhere.
+
+    Raises
+    ------
+    ValueError
+        One line: what, found, allowed, what to do.
+    """
+    if not layers:
+        return
+    if others.get("modality") == "direct_fpp":
+        raise ValueError("modality = 'direct_fpp' looks through air alone; remove the layers")
+    if "render" in others:
+        _check_render(others["render"])
+    for device in ("camera", "projector"):
+        if device in others:
+            _check_height(device, others[device].pose, max(one.top_mm for one in layers.values()))
+    if "elastomer" in others and others["elastomer"].layout == "contact_face":
+        _check_gel(layers, others["elastomer"].thickness_mm)
+
+
+def _check_render(render: Any) -> None:
+    if render.bounces:
+        raise ValueError(
+            f"render.bounces = {render.bounces}: light that the layers throw back is not traced; "
+            "set render.bounces = 0"
+        )
+    if render.engine == "stock":
+        raise ValueError(
+            "render.engine = 'stock': stock Mitsuba finds no way from a coat below a refracting "
+            "face to the projector; set render.engine = 'one_trace'"
+        )
+
+
+def _check_height(device: str, pose: Any, top_mm: float) -> None:
+    height_mm = pose.standoff_mm * math.cos(math.radians(pose.polar_deg))
+    if height_mm <= top_mm:
+        raise ValueError(
+            f"the topmost ends at {top_mm:g} mm, allowed below the {device} at "
+            f"{height_mm:.4g} mm; lower it, or enlarge {device}.pose.standoff_mm"
+        )
+
+
+def _check_gel(layers: Mapping[str, Layer], thickness_mm: float) -> None:
+    gel = holding_layer(layers)
+    if gel is None or abs(gel.top_mm - thickness_mm) > TOUCHING_MM:
+        found = "none holds the coat" if gel is None else f"the coat's ends at {gel.top_mm:g}"
+        raise ValueError(
+            f"{found}; elastomer.layout = 'contact_face' needs the gel: bottom_mm = 0, "
+            f"thickness_mm = {thickness_mm:g} as elastomer.thickness_mm"
+        )
+
+
+Layers = Annotated[dict[str, Layer], AfterValidator(_in_order)]

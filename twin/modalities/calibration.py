@@ -1,0 +1,241 @@
+"""Calibrate from captures, or render the board poses of an experiment's rig and calibrate on them.
+
+A rendered calibration knows the true rig, so that every parameter's error is known.
+"""
+
+import hashlib
+import json
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from reconstruction.calibrating import (
+    AdjustOptions,
+    BoardCapture,
+    Calibrated,
+    Observation,
+    calibrate,
+    observe,
+    read_board_capture,
+)
+from reconstruction.calibrating.captures import pose_folders
+from reconstruction.calibrating.quality import parameters_of
+from reconstruction.calibration import Calibration, write_calibration
+from reconstruction.capture import Capture, write_capture
+from reconstruction.errors import InputError
+from twin.camera import expose
+from twin.config import Experiment, digest, to_toml
+from twin.config.board import BoardFile, BoardPose
+from twin.modalities.progress import Watcher, nobody
+from twin.optics.board import render_board
+from twin.optics.light import pattern_set
+from twin.optics.rig import true_calibration
+from twin.output import EXPERIMENT_FILE, RESULT_FILE, versions, write_json
+
+CALIBRATION_FILE = "calibration.yaml"
+PARAMETERS_FILE, POSES_FILE, FEATURES_FILE = "parameters.csv", "poses.csv", "features.csv"
+
+
+@dataclass(frozen=True, eq=False)
+class BoardCalibration:
+    """A calibration with what it rests on.
+
+    Attributes
+    ----------
+    result : Calibrated
+    observations : one per pose
+    digest : names the inputs
+    experiment : of a rendered calibration
+    """
+
+    result: Calibrated
+    observations: tuple[Observation, ...]
+    digest: str
+    experiment: Experiment | None = None
+
+    @property
+    def truth(self) -> dict[str, float] | None:
+        """True parameters; None for a real rig."""
+        if self.experiment is None:
+            return None
+        return parameters_of(true_calibration(self.experiment))
+
+
+def record_board(
+    experiment: Experiment, board: BoardFile, pose: BoardPose, number: int = 0
+) -> BoardCapture:
+    """Render and expose the sequence on a board in one pose; `number` keys the temporal noise.
+
+    Raises
+    ------
+    MissingBackend
+        No usable Dr.Jit backend.
+    """
+    frames = render_board(experiment, board, pose)
+    patterns = pattern_set(experiment.projector, experiment.patterns)
+    exposed = expose(experiment, frames, patterns.index("white").start, number)
+    return BoardCapture(exposed.stack, patterns, exposed.sensor)
+
+
+def calibrate_rendered(
+    experiment: Experiment,
+    board: BoardFile,
+    options: AdjustOptions | None = None,
+    *,
+    keep: Path | None = None,
+    watch: Watcher = nobody,
+) -> BoardCalibration:
+    """Render every pose of the board file and calibrate on the images.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        Its rig, patterns, camera noise and seed count; specimen and press do not.
+    board : BoardFile
+    options : AdjustOptions, optional
+    keep : Path, optional
+        New folder for the captures, each with the TRUE calibration beside it.
+    watch : Watcher
+
+    Raises
+    ------
+    InputError
+        The board file has no poses, or the board is not recognised in one.
+    MissingBackend
+        No usable Dr.Jit backend.
+    """
+    if not board.poses:
+        raise InputError("the board file has no [[poses]]: add at least 3 (better 12) to render")
+    seen = []
+    for number, pose in enumerate(board.poses):
+        name = f"pose_{number:02d}"
+        watch("poses", number / len(board.poses))
+        capture = record_board(experiment, board, pose, number)
+        if keep is not None:
+            _keep(keep / name, capture, experiment)
+        seen.append(observe(capture, board.board(), name))
+    watch("poses", 1.0)
+    named = _digest([digest(experiment), _canonical(board), repr(options)])
+    return BoardCalibration(calibrate(seen, options), tuple(seen), named, experiment)
+
+
+def calibrate_captures(
+    folder: Path,
+    board: BoardFile,
+    options: AdjustOptions | None = None,
+    *,
+    watch: Watcher = nobody,
+) -> BoardCalibration:
+    """Calibrate on a folder with one capture folder per board pose, the first one the world.
+
+    Raises
+    ------
+    InputError
+        A capture is incomplete, the board is not recognised, or the poses do not determine the rig.
+    """
+    folders = pose_folders(folder)
+    seen, named = [], [_canonical(board), repr(options)]
+    for number, path in enumerate(folders):
+        watch("poses", number / len(folders))
+        capture = read_board_capture(path)
+        named.append(hashlib.blake2b(capture.stack.tobytes(), digest_size=8).hexdigest())
+        seen.append(observe(capture, board.board(), path.name))
+    watch("poses", 1.0)
+    return BoardCalibration(calibrate(seen, options), tuple(seen), _digest(named))
+
+
+def _keep(folder: Path, capture: BoardCapture, experiment: Experiment) -> None:
+    folder.mkdir(parents=True)
+    calibration: Calibration = true_calibration(experiment)
+    depth = experiment.camera.bit_depth
+    write_capture(
+        folder, Capture(capture.stack, capture.patterns, capture.sensor, calibration, depth)
+    )
+
+
+def _canonical(board: BoardFile) -> str:
+    content = board.model_dump(mode="json", exclude={"description", "provenance"})
+    return json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
+
+
+def _digest(parts: Sequence[str]) -> str:
+    return hashlib.blake2b("\n".join(parts).encode(), digest_size=8).hexdigest()
+
+
+def calibration_metrics(done: BoardCalibration) -> dict[str, Any]:
+    """Return the figures of a calibration; `_expanded` is k = 2, `_error` found minus true."""
+    found = done.result
+    figures: dict[str, Any] = {
+        "poses": len(found.poses),
+        "features": sum(pose.features for pose in found.poses),
+        "features_left_out": sum(pose.left_out for pose in found.poses),
+        "camera_reprojection_rms_px": _rms([pose.camera_px for pose in found.poses]),
+        "projector_reprojection_rms_px": _rms([pose.projector_px for pose in found.poses]),
+        "epipolar_rms_px": _rms([pose.epipolar_px for pose in found.poses]),
+    }
+    truth = done.truth
+    for parameter in found.parameters:
+        figures[parameter.name] = parameter.value
+        figures[f"{parameter.name}_expanded"] = parameter.expanded
+        if truth is not None:
+            figures[f"{parameter.name}_error"] = parameter.value - truth[parameter.name]
+    return figures
+
+
+def _rms(values: Sequence[float]) -> float:
+    return math.sqrt(sum(value**2 for value in values) / len(values))
+
+
+def write_board_calibration(folder: Path, done: BoardCalibration) -> dict[str, Any]:
+    """Write calibration.yaml, the tables and result.json; returns the figures."""
+    figures = calibration_metrics(done)
+    write_calibration(folder / CALIBRATION_FILE, done.result.calibration)
+    _write_table(folder / PARAMETERS_FILE, list(parameter_rows(done)))
+    _write_table(folder / POSES_FILE, [asdict(pose) for pose in done.result.poses])
+    _write_table(folder / FEATURES_FILE, list(_feature_rows(done)))
+    if done.experiment is not None:
+        text = to_toml(done.experiment)
+        (folder / EXPERIMENT_FILE).write_text(text, encoding="utf-8")
+    content = {"command": "calibrate", "digest": done.digest, "metrics": figures}
+    write_json(folder / RESULT_FILE, {"schema_version": 1, "versions": versions(), **content})
+    return figures
+
+
+def parameter_rows(done: BoardCalibration) -> Iterator[dict[str, Any]]:
+    """Yield one row per parameter: value, standard and expanded uncertainty, truth if known."""
+    truth = done.truth
+    for parameter in done.result.parameters:
+        row: dict[str, Any] = {
+            "parameter": parameter.name,
+            "value": parameter.value,
+            "sigma": parameter.sigma,
+            "expanded": parameter.expanded,
+        }
+        if truth is not None:
+            row |= {
+                "truth": truth[parameter.name],
+                "error": parameter.value - truth[parameter.name],
+            }
+        yield row
+
+
+def _feature_rows(done: BoardCalibration) -> Iterator[dict[str, Any]]:
+    found = done.result.adjustment
+    for k, seen in enumerate(done.observations):
+        for n, identity in enumerate(seen.ids):
+            numbers = [*found.measured_px[k][n], *found.misses_px[k][n]]
+            names = ("camera_x_px", "camera_y_px", "projector_column_px", "projector_row_px")
+            misses = tuple(f"miss_{name}" for name in names)
+            yield {"pose": seen.name, "id": int(identity), "used": int(found.used[k][n])} | {
+                name: float(number) for name, number in zip(names + misses, numbers, strict=True)
+            }
+
+
+def _write_table(path: Path, rows: list[dict[str, Any]]) -> None:
+    lines = [",".join(rows[0])]
+    for row in rows:
+        cells = (f"{v:.10g}" if isinstance(v, float) else str(v) for v in row.values())
+        lines.append(",".join(cells))
+    path.write_text("\n".join([*lines, ""]), encoding="utf-8")

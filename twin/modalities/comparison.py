@@ -1,0 +1,227 @@
+"""The same specimens by several methods, each measurement in a result folder of its own.
+
+Everything of one comparison lies in one folder, `NAME/METHOD/` as `twin measure` writes it, and
+`result.json` over all. A measurement that lies there finished is not made again.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from reconstruction.errors import InputError
+from twin.config import Experiment, digest, vary
+from twin.modalities.measurement import measure
+from twin.modalities.progress import Watcher, nobody
+from twin.modalities.storage import write_measurement
+from twin.output import RESULT_FILE, output_folder, read_json, versions, write_json
+
+Method = Literal["direct_fpp", "contact_fpp"]
+METHODS: tuple[Method, ...] = ("direct_fpp", "contact_fpp")
+COMPARISON_FILES = (RESULT_FILE, "report.html")
+COMPARISON_FOLDERS = ("figures",)
+COMMAND = "compare"
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """One specimen by one method.
+
+    Attributes
+    ----------
+    name : name of the experiment
+    figures : metrics of result.json; empty when it could not be measured
+    failure : why it could not, in one line; empty when it was
+    reused : the folder held it already
+    """
+
+    name: str
+    description: str
+    method: Method
+    digest: str = ""
+    figures: dict[str, Any] | None = None
+    failure: str = ""
+    reused: bool = False
+
+
+def methods_named(text: str) -> tuple[Method, ...]:
+    """Read a comma-separated list of methods.
+
+    Raises
+    ------
+    InputError
+        An unknown method, one named twice, or none.
+    """
+    names = [name.strip() for name in text.split(",")]
+    known: dict[str, Method] = {method: method for method in METHODS}
+    unknown = [name for name in names if name not in known]
+    if unknown or len(set(names)) < len(names):
+        raise InputError(
+            f"--methods {text}: found {', '.join(unknown) or 'a method twice'}, allowed "
+            f"{', '.join(METHODS)}, each once and separated by commas"
+        )
+    return tuple(known[name] for name in names)
+
+
+def compare(
+    experiments: Sequence[Experiment],
+    methods: Sequence[Method],
+    out: Path,
+    finish: Callable[[Path], object] = lambda _: None,
+    watch: Watcher = nobody,
+) -> list[Outcome]:
+    """Measure every experiment by every method, into `out`.
+
+    Parameters
+    ----------
+    experiments : at least one, each with a name of its own
+    methods : in the order in which they are shown
+    out : folder of the comparison; an earlier one is continued
+    finish : completes each result folder before it becomes visible, for example by its report
+    watch : told how far each measurement is
+
+    Returns
+    -------
+    list of Outcome
+        By experiment, then by method. What could not be measured is among them.
+
+    Raises
+    ------
+    InputError
+        Two experiments of one name, or `out` is no comparison or cannot be written.
+    MissingBackend
+        No usable Dr.Jit backend.
+    """
+    _refuse_namesakes(experiments)
+    _refuse_foreign(out)
+    outcomes = [
+        _outcome(experiment, method, out, finish, watch)
+        for experiment in experiments
+        for method in methods
+    ]
+    _write(out, outcomes)
+    return outcomes
+
+
+def read_outcomes(folder: Path) -> list[Outcome]:
+    """Read a finished comparison.
+
+    Raises
+    ------
+    InputError
+        The folder holds none, or its result is damaged.
+    """
+    result = read_json(folder / RESULT_FILE)
+    if result.get("command") != COMMAND:
+        raise InputError(f"{folder}: result of command {result.get('command')!r}, no comparison")
+    try:
+        return [Outcome(**case) for case in result["cases"]]
+    except (KeyError, TypeError):
+        raise InputError(
+            f"{folder / RESULT_FILE}: cases are damaged; run twin compare again"
+        ) from None
+
+
+def is_comparison(folder: Path) -> bool:
+    """Return whether a folder holds a finished comparison."""
+    path = folder / RESULT_FILE
+    return path.is_file() and read_json(path).get("command") == COMMAND
+
+
+def _outcome(
+    experiment: Experiment,
+    method: Method,
+    out: Path,
+    finish: Callable[[Path], object],
+    watch: Watcher,
+) -> Outcome:
+    name, told = experiment.name, experiment.description
+    folder = out / name / method
+    try:
+        case = vary(experiment, {"modality": method})
+        kept = _finished(folder, case)
+        if kept is None:
+            _measure_into(folder, case, finish, _labelled(watch, f"{name}, {method}"))
+    except InputError as error:
+        line = " ".join(str(error).split())
+        return Outcome(name, told, method, failure=line)
+    figures = kept or read_json(folder / RESULT_FILE)["metrics"]
+    return Outcome(name, told, method, digest(case), figures, reused=kept is not None)
+
+
+def _measure_into(
+    folder: Path, case: Experiment, finish: Callable[[Path], object], watch: Watcher
+) -> None:
+    with output_folder(folder) as working:
+        done = measure(case, watch)
+        write_measurement(working, "measure", case, done)
+        finish(working)
+
+
+def _finished(folder: Path, case: Experiment) -> dict[str, Any] | None:
+    """Metrics of the same measurement by the same versions, if the folder holds it."""
+    if not (folder / RESULT_FILE).is_file():
+        return None
+    result = read_json(folder / RESULT_FILE)
+    same = result.get("digest") == digest(case) and result.get("versions") == versions()
+    figures = result.get("metrics")
+    return figures if same and isinstance(figures, dict) else None
+
+
+def _labelled(watch: Watcher, label: str) -> Watcher:
+    return lambda stage, fraction: watch(f"{label}: {stage}", fraction)
+
+
+def _refuse_namesakes(experiments: Sequence[Experiment]) -> None:
+    names = [experiment.name for experiment in experiments]
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise InputError(
+            f"name: found {', '.join(twice)} in more than one experiment; each needs its own, "
+            "because results lie under it"
+        )
+
+
+def _refuse_foreign(out: Path) -> None:
+    """Refuse a folder that holds more than a comparison, finished or interrupted."""
+    if out.exists() and not out.is_dir():
+        raise InputError(f"{out}: is a file; choose another -o DIR")
+    foreign = [entry.name for entry in _entries(out) if not _belongs(entry)]
+    if foreign:
+        raise InputError(
+            f"{out}: exists and is no earlier comparison (found {min(foreign)}); "
+            "choose another -o DIR"
+        )
+
+
+def _entries(folder: Path) -> Iterator[Path]:
+    # Hidden: what an interrupted command left, written under a temporary name.
+    return (e for e in folder.glob("*") if not e.name.startswith("."))
+
+
+def _belongs(entry: Path) -> bool:
+    if not entry.is_dir():
+        return entry.name in COMPARISON_FILES
+    return entry.name in COMPARISON_FOLDERS or all(e.name in METHODS for e in _entries(entry))
+
+
+def _write(out: Path, outcomes: list[Outcome]) -> None:
+    cases = [
+        {
+            "name": one.name,
+            "description": one.description,
+            "method": one.method,
+            "digest": one.digest,
+            "figures": one.figures,
+            "failure": one.failure,
+        }
+        for one in outcomes
+    ]
+    content = {"command": COMMAND, "cases": cases, "versions": versions()}
+    part = out / f".{RESULT_FILE}.part"
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        write_json(part, {"schema_version": 1, **content})
+        part.replace(out / RESULT_FILE)
+    except OSError as error:
+        raise InputError(f"{out}: cannot be written ({error.strerror})") from None

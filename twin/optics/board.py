@@ -1,0 +1,132 @@
+"""A printed flat board under the rig: its albedo as an image, its plate as a mesh in a pose.
+
+The albedo image is finer than a camera pixel and its edges are one texel wide, so that the fixed
+grid of sub-pixel rays sees every edge where it is: a hard edge would be sampled in steps of a
+quarter pixel, and the centroids of dots would jitter by a hundredth of a pixel.
+"""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from reconstruction.calibrating.boards import Board
+from twin.config.board import BoardFile, BoardPose, Plate
+from twin.config.models import Experiment
+from twin.optics.backend import activate
+from twin.optics.stack import Frames
+
+TEXELS_PER_PIXEL = 2.0
+# 8192 x 8192 float32 texels: 256 MB.
+MAX_TEXELS = 8192
+
+FloatArray = NDArray[np.float32]
+Matrix = NDArray[np.float64]
+
+
+def board_pose(pose: BoardPose) -> Matrix:
+    """Return T_world_from_board (4, 4), mm: spin in the plane, then tilt towards the azimuth."""
+    azimuth, tilt, spin = np.deg2rad([pose.azimuth_deg, pose.tilt_deg, pose.spin_deg])
+    T = np.eye(4)
+    T[:3, :3] = _about_z(azimuth) @ _about_y(tilt) @ _about_z(spin - azimuth)
+    T[:3, 3] = pose.x_mm, pose.y_mm, pose.z_mm
+    return T
+
+
+def albedo_image(board: Board, plate: Plate, texel_mm: float) -> FloatArray:
+    """Return the plate's albedo, (row, col) float32, row 0 at the top (board y up).
+
+    Parameters
+    ----------
+    board : Board
+    plate : Plate
+    texel_mm : float
+        Asked-for texel size; the plate holds whole texels.
+    """
+    x_mm, y_mm = (_texel_centres(size, texel_mm) for size in (plate.width_mm, plate.height_mm))
+    ink = board.ink(x_mm, -y_mm, texel_mm)
+    albedo = plate.white_albedo + (plate.ink_albedo - plate.white_albedo) * ink
+    return np.asarray(albedo, dtype=np.float32)
+
+
+def camera_texel_mm(experiment: Experiment) -> float:
+    """Size of a texel: a camera pixel on the reference plane holds two of them."""
+    camera = experiment.camera
+    image_mm = camera.focal_length_mm / (camera.pose.standoff_mm - camera.focal_length_mm)
+    return camera.pixel_pitch_um * 1e-3 * camera.binning / image_mm / TEXELS_PER_PIXEL
+
+
+def render_board(experiment: Experiment, file: BoardFile, pose: BoardPose) -> Frames:
+    """Render the whole sequence on the board in one pose.
+
+    The engine is the one-trace renderer with direct light, four rays per pixel or more as the
+    experiment says. Sharp in depth: camera and projector are pinholes.
+
+    Raises
+    ------
+    MissingBackend
+        No usable Dr.Jit backend.
+    """
+    activate()
+    # Mitsuba may be imported only now: the backend's library is chosen when it loads.
+    from twin.optics import one_trace
+    from twin.optics.light import light_tables, pattern_set
+    from twin.optics.scene import rig_of
+
+    texel_mm = camera_texel_mm(experiment)
+    albedo = albedo_image(file.board(), file.plate, texel_mm)
+    scene = _board_scene(file.plate, albedo, board_pose(pose))
+    tables = light_tables(
+        experiment.projector, pattern_set(experiment.projector, experiment.patterns)
+    )
+    return one_trace.trace_stack(scene, rig_of(experiment), tables, experiment.render.samples)
+
+
+def _board_scene(plate: Plate, albedo: FloatArray, T_world_from_board: Matrix) -> Any:
+    import mitsuba as mi
+
+    print_ = {
+        "type": "bitmap",
+        "bitmap": mi.Bitmap(albedo[..., np.newaxis]),
+        "raw": True,
+        "format": "variant",
+        "filter_type": "bilinear",
+        "wrap_mode": "clamp",
+    }
+    properties = mi.Properties()
+    properties["bsdf"] = mi.load_dict({"type": "diffuse", "reflectance": print_})
+    mesh = mi.Mesh(
+        "board", vertex_count=4, face_count=2, has_vertex_texcoords=True, props=properties
+    )
+    parameters = mi.traverse(mesh)
+    parameters["vertex_positions"] = _corners_world_mm(plate, T_world_from_board).ravel()
+    # Row 0 of a bitmap is at v = 0 of a mesh.
+    parameters["vertex_texcoords"] = np.array([0, 1, 1, 1, 1, 0, 0, 0], np.float32)
+    parameters["faces"] = np.array([0, 1, 2, 0, 2, 3], np.uint32)
+    parameters.update()
+    return mi.load_dict({"type": "scene", "board": mesh}, optimize=False)
+
+
+def _corners_world_mm(plate: Plate, T_world_from_board: Matrix) -> FloatArray:
+    """Return the plate's corners from the lower left, counter-clockwise from the front, (4, 3)."""
+    half_x, half_y = plate.width_mm / 2.0, plate.height_mm / 2.0
+    corners = np.array(
+        [[-half_x, -half_y, 0], [half_x, -half_y, 0], [half_x, half_y, 0], [-half_x, half_y, 0]]
+    )
+    world_mm = corners @ T_world_from_board[:3, :3].T + T_world_from_board[:3, 3]
+    return np.asarray(world_mm, dtype=np.float32)
+
+
+def _texel_centres(size_mm: float, texel_mm: float) -> Matrix:
+    count = int(min(np.ceil(size_mm / texel_mm), MAX_TEXELS))
+    return np.asarray(((np.arange(count) + 0.5) / count - 0.5) * size_mm)
+
+
+def _about_z(angle_rad: float) -> Matrix:
+    c, s = np.cos(angle_rad), np.sin(angle_rad)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def _about_y(angle_rad: float) -> Matrix:
+    c, s = np.cos(angle_rad), np.sin(angle_rad)
+    return np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])

@@ -1,0 +1,220 @@
+"""The bare specimen on its stage, seen directly: metal, clear plastic, print.
+
+The specimen stands with its foremost point at world z = 0, where the coat would be, and a matte
+stage lies below it.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from reconstruction.errors import InputError
+from twin.config.digest import seed_sequence
+from twin.config.models import Experiment, Material
+from twin.optics.backend import activate
+from twin.optics.materials import absorption_per_mm, bsdf_of, sharp
+from twin.optics.stack import RadianceStack
+from twin.specimens import Body, bodies
+
+if TYPE_CHECKING:
+    import trimesh
+
+    from twin.optics.surfaces import Surfaces
+
+STAGE = "stage"
+
+AIR_GAP_MM = 0.02
+"""Between stage and specimen. Bodies do not wet the table: there is always air below them. It also
+keeps the two surfaces apart by ten times the length by which rays leave a surface."""
+
+CREASE_DEG = 20.0
+"""Facets that meet at less than this are one smooth surface."""
+
+
+@dataclass(frozen=True)
+class DirectScene:
+    """Mitsuba scene of specimen and stage, and what the tracer must know of it."""
+
+    scene: Any
+    surfaces: "Surfaces"
+
+
+@dataclass(frozen=True, eq=False)
+class Solid:
+    """A closed surface (or the stage) as the renderer and the stock export take it, world mm."""
+
+    name: str
+    mesh: "trimesh.Trimesh"
+    bsdf: dict[str, Any]
+    #: None for the stage
+    material: Material | None = None
+
+
+def solids(experiment: Experiment) -> tuple[Solid, ...]:
+    """Return the stage and every part of the specimen; sharp edges kept, curved sides smooth.
+
+    Raises
+    ------
+    InputError
+        A part of the specimen has no material.
+    """
+    parts = bodies(experiment.specimen, 0.0)
+    _check_materials(parts)
+    lowest_mm = min(float(part.mesh.bounds[0, 2]) for part in parts)
+    return (
+        _stage(experiment, lowest_mm - AIR_GAP_MM),
+        *(
+            Solid(
+                f"part_{k}_{part.name}", _smooth(part.mesh), bsdf_of(part.material), part.material
+            )
+            for k, part in enumerate(parts)
+            if part.material is not None
+        ),
+    )
+
+
+def direct_scene(experiment: Experiment) -> DirectScene:
+    """Build specimen and stage.
+
+    Raises
+    ------
+    InputError
+        A part of the specimen has no material.
+    """
+    import mitsuba as mi
+
+    from twin.optics.surfaces import Sharp, Surfaces
+
+    parts = solids(experiment)
+    # optimize=False: since 3.7 load_dict merges shapes.
+    scene = mi.load_dict(
+        {"type": "scene", **{part.name: _mitsuba_mesh(part) for part in parts}}, optimize=False
+    )
+    shapes = {shape.id(): shape for shape in scene.shapes()}
+    found = tuple(
+        Sharp(shapes[part.name], absorption_per_mm(part.material))
+        for part in parts
+        if part.material is not None and sharp(part.material)
+    )
+    return DirectScene(scene, Surfaces(found, shapes[STAGE]))
+
+
+def render_direct(
+    experiment: Experiment, progress: Callable[[float], None] = lambda _: None
+) -> RadianceStack:
+    """Render all frames of the sequence on the bare specimen, and the truth behind them.
+
+    Raises
+    ------
+    InputError
+        A part has no material, or the stock engine was asked for: it shows everything behind clear
+        bodies black.
+    MissingBackend
+        No usable Dr.Jit backend.
+    """
+    _check_engine(experiment)
+    activate()
+    from twin.optics import one_trace
+    from twin.optics.bounces import Bounces
+    from twin.optics.extent import axial_range_mm
+    from twin.optics.light import light_tables, pattern_set
+    from twin.optics.photons import trace_photons
+    from twin.optics.scene import rig_of
+    from twin.optics.stage_light import StageLight, map_photons
+
+    built, rig = direct_scene(experiment), rig_of(experiment)
+    patterns = pattern_set(experiment.projector, experiment.patterns)
+    tables = light_tables(experiment.projector, patterns, axial_range_mm(built.scene, rig))
+    photon_seed, path_seed = seed_sequence(experiment, "direct").generate_state(2).tolist()
+    stage_light = None
+    if built.surfaces.sharp:
+        _check_focus(experiment)
+        photons = trace_photons(
+            built.scene, built.surfaces, rig, count=experiment.render.photons, seed=photon_seed
+        )
+        stage_light = StageLight(map_photons(photons, tables))
+    progress(0.2)
+    bounces = Bounces(
+        most=experiment.bounces,
+        paths=experiment.render.bounce_paths,
+        seed=path_seed,
+        surfaces=built.surfaces,
+        stage_light=stage_light,
+    )
+    frames = one_trace.trace_stack(
+        built.scene, rig, tables, experiment.render.samples, bounces=bounces
+    )
+    truth = one_trace.trace_truth(built.scene, rig, built.surfaces)
+    progress(1.0)
+    return RadianceStack(frames, truth)
+
+
+def _check_materials(parts: tuple[Body, ...]) -> None:
+    bare = [part.name for part in parts if part.material is None]
+    if bare:
+        raise InputError(
+            f"specimen.material: found none for {', '.join(bare)}; modality = 'direct_fpp' sees the"
+            " specimen itself: add [specimen.material] with use = 'materials/metals/steel'"
+        )
+
+
+def _check_engine(experiment: Experiment) -> None:
+    if experiment.render.engine != "one_trace":
+        raise InputError(
+            "render.engine: found 'stock', allowed 'one_trace' with modality = 'direct_fpp': stock"
+            " Mitsuba cannot connect a projector through clear bodies; twin export writes the scene"
+        )
+
+
+def _check_focus(experiment: Experiment) -> None:
+    aperture_mm = experiment.projector.aperture_mm
+    if aperture_mm:
+        raise InputError(
+            f"projector.aperture_mm: found {aperture_mm:g}, allowed 0 with clear or polished"
+            " specimens: their light is traced with one blur; put it into projector.blur_px"
+        )
+
+
+def _stage(experiment: Experiment, z_mm: float) -> Solid:
+    import trimesh
+
+    half = experiment.stage.size_mm / 2
+    corners = np.array([(-half, -half), (half, -half), (half, half), (-half, half)])
+    vertices = np.column_stack([corners, np.full(4, z_mm)])
+    mesh = trimesh.Trimesh(
+        vertices,
+        [(0, 1, 2), (0, 2, 3)],
+        vertex_normals=np.tile([0.0, 0.0, 1.0], (4, 1)),
+        process=False,
+    )
+    reflectance = {"type": "spectrum", "value": experiment.stage.albedo}
+    return Solid(STAGE, mesh, {"type": "diffuse", "reflectance": reflectance})
+
+
+def _mitsuba_mesh(part: Solid) -> Any:
+    import mitsuba as mi
+
+    properties = mi.Properties()
+    properties["bsdf"] = mi.load_dict(part.bsdf)
+    mesh = mi.Mesh(
+        part.name,
+        vertex_count=len(part.mesh.vertices),
+        face_count=len(part.mesh.faces),
+        has_vertex_normals=True,
+        props=properties,
+    )
+    parameters = mi.traverse(mesh)
+    parameters["vertex_positions"] = np.asarray(part.mesh.vertices, np.float32).ravel()
+    parameters["vertex_normals"] = np.asarray(part.mesh.vertex_normals, np.float32).ravel()
+    parameters["faces"] = np.asarray(part.mesh.faces, np.uint32).ravel()
+    parameters.update()
+    return mesh
+
+
+def _smooth(mesh: "trimesh.Trimesh") -> "trimesh.Trimesh":
+    """Split the vertices along creases, so that normals are smooth on each side of them."""
+    import trimesh.graph
+
+    return trimesh.graph.smooth_shade(mesh, angle=np.deg2rad(CREASE_DEG))

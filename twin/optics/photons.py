@@ -1,0 +1,235 @@
+"""Light that comes to the stage through clear bodies or off polished ones, from the projector on.
+
+No camera path can be connected to a pinhole through a smooth refracting surface, so this light is
+traced the other way: each photon leaves the projector with its pixel (u, v) and a share of the
+white image's flux, is refracted and reflected until it meets the stage, and stays there. What the
+stage then sends on is gathered by the camera's paths. All frames share the photons: their noise is
+common to all frames and cancels in the phase.
+
+Does: smooth and slightly rough clear bodies and polished metals, absorption, any number of
+reflections inside. Does not: light thrown on anything else than the stage, which is counted as
+lost in the balance.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.optics.connection import Rig, on_image
+from twin.optics.light import MARGIN_PX
+from twin.optics.surfaces import Surfaces
+
+FloatArray = NDArray[np.float32]
+
+MOST_EVENTS = 64
+"""Reflections and refractions that a photon may suffer; what is then still under way is counted."""
+
+# Steps of the R2 sequence (Roberts 2018), the powers of the inverse plastic number, times 2^32.
+_R2_STEPS = (3242174889, 2447445414)
+
+
+@dataclass(frozen=True)
+class Balance:
+    """Where the flux went that met a clear or polished body first, mW of the white image.
+
+    `sent` is the sum of the others. `escaped` left the scene; `lost` fell on a body that is neither
+    sharp nor the stage; `cut` was still under way after `MOST_EVENTS`.
+    """
+
+    sent: float
+    absorbed: float
+    deposited: float
+    escaped: float
+    lost: float
+    cut: float
+
+
+@dataclass(frozen=True, eq=False)
+class Photons:
+    """Photons that came to rest on the stage.
+
+    Attributes
+    ----------
+    x_mm, y_mm : (photon,) float32
+        World position.
+    column_px, row_px : (photon,) float32
+        Projector pixel that each comes from.
+    flux_mw : (photon,) float32
+        Flux in the white image.
+    balance : Balance
+    """
+
+    x_mm: FloatArray
+    y_mm: FloatArray
+    column_px: FloatArray
+    row_px: FloatArray
+    flux_mw: FloatArray
+    balance: Balance
+
+
+@dataclass(frozen=True)
+class _Ends:
+    """Where the photons' ways end; one lane per photon."""
+
+    point_mm: Any
+    weight: Any
+    absorbed: Any
+    met_sharp: Any
+    on_stage: Any
+    missed: Any
+    under_way: Any
+
+
+def trace_photons(scene: Any, surfaces: Surfaces, rig: Rig, *, count: int, seed: int) -> Photons:
+    """Trace photons from the projector to the stage.
+
+    Parameters
+    ----------
+    scene : mi.Scene
+        World in mm; its stage must be horizontal.
+    surfaces : Surfaces
+    rig : Rig
+    count : int
+        Photons sent towards the bounding boxes of the sharp bodies.
+    seed : int
+    """
+    low, high = _window(surfaces, rig)
+    rotation = rig.projector.T_world_from_device[:3, :3]
+    right, down, forward = (mi.Vector3f(*axis) for axis in rotation.T.tolist())
+    x, y = _spread(count, low, high, seed)
+    ray: Any = mi.Ray3f(rig.projector.position_mm, dr.normalize(x * right + y * down + forward))
+    column_px, row_px, _ = rig.projector.project(ray.o + ray.d)
+    ends = _follow(scene, surfaces, ray, seed)
+    # The density is uniform over the image plane at 1 mm, as the white image's irradiance is.
+    flux_mw = rig.irradiance_at_1mm * float(np.prod(high - low)) / count
+    counted = ends.met_sharp & on_image(rig, column_px, row_px, MARGIN_PX)
+    kept: Any = dr.compress(counted & ends.on_stage)
+
+    def chosen(values: Any) -> FloatArray:
+        return np.array(dr.gather(mi.Float, values, kept))
+
+    return Photons(
+        chosen(ends.point_mm.x),
+        chosen(ends.point_mm.y),
+        chosen(column_px),
+        chosen(row_px),
+        chosen(ends.weight) * np.float32(flux_mw),
+        _balance(ends, counted, flux_mw),
+    )
+
+
+def _window(surfaces: Surfaces, rig: Rig) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Rectangle (low, high) on the image plane at 1 mm that holds every sharp body's light."""
+    corners = np.concatenate([_box_corners(body.shape.bbox()) for body in surfaces.sharp])
+    T = rig.projector.T_world_from_device
+    seen = (corners - T[:3, 3]) @ T[:3, :3]
+    on_plane = seen[:, :2] / seen[:, 2:]
+    image = rig.projector.pinhole.unproject(_image_border(rig))
+    low = np.maximum(on_plane.min(axis=0), image.min(axis=0))
+    high = np.minimum(on_plane.max(axis=0), image.max(axis=0))
+    return low, np.maximum(low, high)
+
+
+def _box_corners(box: Any) -> NDArray[np.float64]:
+    low, high = np.array(box.min, np.float64).ravel(), np.array(box.max, np.float64).ravel()
+    choice = np.array(list(np.ndindex(2, 2, 2)))
+    return np.where(choice, high, low)
+
+
+def _image_border(rig: Rig) -> NDArray[np.float64]:
+    """Points (n, 2) all along the border of the projector's image and its blurred margin, px."""
+    p, along = rig.projector.pinhole, np.linspace(0.0, 1.0, 33)
+    low, end = -0.5 - MARGIN_PX, MARGIN_PX - 0.5
+    x, y = low + along * (p.width_px + end - low), low + along * (p.height_px + end - low)
+    sides = [(x, 0 * x + y[0]), (x, 0 * x + y[-1]), (0 * y + x[0], y), (0 * y + x[-1], y)]
+    return np.concatenate([np.stack(side, axis=-1) for side in sides])
+
+
+def _spread(count: int, low: Any, high: Any, seed: int) -> tuple[Any, Any]:
+    """Spread points evenly over a rectangle: the R2 sequence, shifted by the seed."""
+    index = dr.arange(mi.UInt32, count)
+    shifts = np.random.default_rng(seed).integers(0, 2**32, 2)
+    unit = [
+        mi.Float((index * mi.UInt32(step) + dr.opaque(mi.UInt32, int(shift))) >> 8) * 2.0**-24
+        for step, shift in zip(_R2_STEPS, shifts, strict=True)
+    ]
+    x, y = (dr.fma(u, float(b - a), float(a)) for u, a, b in zip(unit, low, high, strict=True))
+    return x, y
+
+
+def _follow(scene: Any, surfaces: Surfaces, ray: Any, seed: int) -> _Ends:
+    """Follow every photon until it rests, leaves, or meets a matte body."""
+    width = dr.width(ray.d)
+    context = mi.BSDFContext(mi.TransportMode.Importance)
+    generator: Any = mi.PCG32
+    random = generator(
+        size=width,
+        initstate=dr.opaque(mi.UInt64, seed),
+        initseq=dr.arange(mi.UInt64, width),
+    )
+
+    def next_event(*state: Any) -> tuple[Any, ...]:
+        _, event, ray, point, weight, absorbed, inside, _, _, rng = state
+        hit = scene.ray_intersect(ray)
+        sharp = surfaces.is_sharp(hit)
+        arrived = weight * surfaces.transmittance(hit, inside & sharp)
+        sample, share = hit.bsdf(ray).sample(
+            context,
+            hit,
+            rng.next_float32(),
+            mi.Point2f(rng.next_float32(), rng.next_float32()),
+            sharp,
+        )
+        goes_on = sharp & (share[0] > 0.0)
+        left = dr.select(sharp, arrived * share[0], arrived)
+        through = mi.has_flag(sample.sampled_type, mi.BSDFFlags.Transmission)
+        return (
+            goes_on,
+            event + 1,
+            hit.spawn_ray(hit.to_world(sample.wo)),
+            dr.select(hit.is_valid(), hit.p, point),
+            left,
+            absorbed + weight - left,
+            inside ^ (goes_on & through),
+            surfaces.on_stage(hit),
+            ~hit.is_valid(),
+            rng,
+        )
+
+    start = (
+        dr.full(mi.Bool, True, width),
+        dr.zeros(mi.UInt32, width),
+        ray,
+        dr.zeros(mi.Point3f, width),
+        dr.ones(mi.Float, width),
+        dr.zeros(mi.Float, width),
+        *(dr.full(mi.Bool, False, width) for _ in range(3)),
+        random,
+    )
+    end = dr.while_loop(
+        start, lambda under_way, event, *_: under_way & (event < MOST_EVENTS), next_event
+    )
+    under_way, event, _, point, weight, absorbed, _, on_stage, missed, _ = end
+    dr.eval(under_way, event, point, weight, absorbed, on_stage, missed)
+    met_sharp = under_way | (event > 1)
+    return _Ends(point, weight, absorbed, met_sharp, on_stage, missed, under_way)
+
+
+def _balance(ends: _Ends, counted: Any, flux_mw: float) -> Balance:
+    def flux(values: Any, where: Any) -> float:
+        # in double precision: a float32 sum of millions of photons has four good digits
+        return flux_mw * float(np.array(dr.select(where, values, 0.0)).sum(dtype=np.float64))
+
+    rest = counted & ~ends.on_stage & ~ends.missed & ~ends.under_way
+    return Balance(
+        sent=flux(1.0, counted),
+        absorbed=flux(ends.absorbed, counted),
+        deposited=flux(ends.weight, counted & ends.on_stage),
+        escaped=flux(ends.weight, counted & ends.missed),
+        lost=flux(ends.weight, rest),
+        cut=flux(ends.weight, counted & ends.under_way),
+    )

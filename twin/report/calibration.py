@@ -1,0 +1,124 @@
+"""Pictures of a calibration: misses of all features, residuals by pose, parameters."""
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from numpy.typing import NDArray
+
+from twin.modalities.calibration import BoardCalibration
+from twin.report.canvas import (
+    FAINT,
+    FIT,
+    MEASURED,
+    TRUE_FACE,
+    axes_at,
+    drawing,
+    legend_above,
+    plain_spines,
+    round_up,
+)
+
+RESIDUALS_FILE = "residuals.png"
+POSES_FILE = "pose_residuals.png"
+PARAMETERS_FILE = "parameters.png"
+# An arrow of the typical miss is this share of the image width.
+ARROW_SHARE = 0.02
+
+
+def draw_calibration(folder: Path, done: BoardCalibration) -> None:
+    """Draw residuals, poses and parameters as PNG into an existing folder.
+
+    Raises
+    ------
+    InputError
+        A picture cannot be written.
+    """
+    draw_residuals(folder / RESIDUALS_FILE, done)
+    draw_poses(folder / POSES_FILE, done)
+    draw_parameters(folder / PARAMETERS_FILE, done)
+
+
+def draw_residuals(path: Path, done: BoardCalibration) -> None:
+    """Draw the miss of every feature that took part, as arrows on both images."""
+    found = done.result.adjustment
+    used = np.concatenate(found.used)
+    measured = np.concatenate(found.measured_px)[used]
+    misses = np.concatenate(found.misses_px)[used]
+    width, height = done.observations[0].camera_size_px
+    with drawing(path, 10.2, 4.2) as figure:
+        for left, first, device in ((0.7, 0, "camera"), (5.7, 2, "projector")):
+            axes = axes_at(figure, left, 0.5, 4.2, 3.1)
+            _draw_arrows(axes, measured[:, first : first + 2], misses[:, first : first + 2], device)
+            if device == "camera":
+                axes.set_xlim(-0.5, width - 0.5)
+                axes.set_ylim(height - 0.5, -0.5)
+
+
+def _draw_arrows(
+    axes: Axes, places_px: NDArray[np.float64], misses_px: NDArray[np.float64], device: str
+) -> None:
+    typical_px = round_up(float(np.sqrt(np.mean(np.sum(misses_px**2, axis=1)))))
+    extent_px = float(np.ptp(places_px[:, 0]))
+    arrows = axes.quiver(
+        *places_px.T,
+        *misses_px.T,
+        color=MEASURED,
+        angles="xy",
+        scale_units="xy",
+        scale=typical_px / (ARROW_SHARE * extent_px),
+        width=0.002,
+    )
+    axes.quiverkey(arrows, 0.86, 1.05, typical_px, f"{typical_px:g} px", labelpos="W")
+    axes.set_aspect("equal")
+    axes.set_title(f"{device}: measured minus projected")
+    axes.set_xlabel("column (px)")
+    axes.set_ylabel("row (px)")
+    if device == "projector":
+        axes.invert_yaxis()
+
+
+def draw_poses(path: Path, done: BoardCalibration) -> None:
+    """Draw the root mean square residuals of every pose."""
+    poses = done.result.poses
+    place = np.arange(len(poses))
+    with drawing(path, 7.0, 3.4) as figure:
+        axes = axes_at(figure, 0.75, 0.5, 6.0, 2.1)
+        series = (
+            ("camera", MEASURED, [pose.camera_px for pose in poses]),
+            ("projector", FIT, [pose.projector_px for pose in poses]),
+            ("epipolar", TRUE_FACE, [pose.epipolar_px for pose in poses]),
+        )
+        for offset, (name, colour, values) in enumerate(series, start=-1):
+            axes.bar(place + 0.27 * offset, values, 0.25, color=colour, label=name)
+        axes.set_xticks(place, [pose.name for pose in poses], rotation=45, ha="right")
+        axes.set_ylabel("RMS residual (px)")
+        axes.set_yscale("log")
+        plain_spines(axes)
+        legend_above(axes, 3)
+
+
+def draw_parameters(path: Path, done: BoardCalibration) -> None:
+    """Draw expanded uncertainties, and errors against the truth where it is known.
+
+    Everything is in units of the expanded uncertainty: an error inside the band -1 to 1 is covered.
+    """
+    truth = done.truth
+    free = [parameter for parameter in done.result.parameters if parameter.sigma > 0.0]
+    place = np.arange(len(free))[::-1]
+    with drawing(path, 7.6, 1.0 + 0.24 * len(free)) as figure:
+        axes = axes_at(figure, 2.9, 0.45, 4.4, 0.24 * len(free))
+        axes.axvspan(-1.0, 1.0, color="#e8f0f7")
+        axes.axvline(0.0, color=FAINT, linewidth=0.8)
+        labels = [f"{p.name} = {p.value:.6g} ± {p.expanded:.1g}" for p in free]
+        if truth is not None:
+            errors = [(p.value - truth[p.name]) / p.expanded for p in free]
+            axes.plot(errors, place, "o", color=MEASURED, markersize=4)
+            limit = max(1.5, 1.1 * float(np.max(np.abs(errors))))
+        else:
+            limit = 1.5
+        axes.set_xlim(-limit, limit)
+        axes.set_yticks(place, labels)
+        axes.set_xlabel("error / expanded uncertainty (k = 2)")
+        axes.set_title("parameters" if truth is None else "parameters against the true rig")
+        axes.spines[["top", "right"]].set_visible(False)

@@ -1,0 +1,132 @@
+"""What a measurement of the bare specimen says: how much of it was measured, and why not the rest.
+
+Shares count the pixels that show the specimen: its visible area, as the camera sees it.
+"""
+
+import numpy as np
+
+from reconstruction.mask import Reason
+from twin.modalities.score import wanted_pixels
+from twin.report.appendix import Figure
+from twin.report.decoding import reason_shares
+from twin.report.result_folder import Scored
+from twin.report.verdict import Grade, Verdict
+
+GOOD_SHARE, POOR_SHARE = 0.95, 0.5
+
+REASON_WORDS = {
+    Reason.DARK: "no projector light comes back",
+    Reason.LOW_MODULATION: "fringes too weak",
+    Reason.SATURATED: "saturated",
+    Reason.ORDER_UNCERTAIN: "fringe order uncertain",
+    Reason.OUTSIDE_PROJECTOR: "decoded to outside the projector image",
+    Reason.FILTER_SUPPORT: "at the edge of a gap",
+    Reason.EPIPOLAR_MISMATCH: "column and row contradict each other",
+    Reason.NO_POINT: "rays do not meet",
+}
+
+
+def verdict_in_words(scored: Scored) -> str:
+    """Return the result in one sentence."""
+    surface = (
+        "specimen's visible area" if scored.experiment.modality == "direct_fpp" else "lit coat"
+    )
+    return (
+        f"{percent(scored.figures['good_share'])} of the {surface} has a point within "
+        f"{scored.experiment.score.good_within_um:g} µm."
+    )
+
+
+def percent(share: float) -> str:
+    """Write a share; next to none and next to all are not rounded away."""
+    if 0 < share < 1e-4:
+        return "< 0.01 %"
+    if 1 - 1e-4 < share < 1:
+        return "> 99.99 %"
+    digits = 2 if 0 < share < 0.01 or 0.99 < share < 1 else 0
+    return f"{100 * share:.{digits}f} %"
+
+
+def sentences(scored: Scored) -> list[str]:
+    """Return the result for a terminal, at most 100 columns wide, in ASCII."""
+    figures = scored.figures
+    return [
+        verdict_in_words(scored).replace("µ", "u"),
+        f"points on {figures['completeness']:.1%} of it, {figures['wrong_order_pixels']} wrong "
+        f"fringe orders, {figures['saturated_share']:.2%} of all pixel values saturated",
+        f"z error of these points: {figures['z_rmse_um']:.2f} um RMS, "
+        f"mean {figures['z_bias_um']:.2f} um, {figures['z_p95_um']:.2f} um P95",
+    ]
+
+
+def shares(scored: Scored) -> list[Figure]:
+    """Return the figures of the specimen's visible area."""
+    figures, limit_um = scored.figures, scored.experiment.score.good_within_um
+    return [
+        Figure("pixels that show it", str(figures["lit_pixels"])),
+        Figure("with a point", percent(figures["completeness"])),
+        Figure(f"with a point within {limit_um:g} µm", percent(figures["good_share"])),
+        Figure("z error, RMS", f"{figures['z_rmse_um']:.2f}", "µm"),
+        Figure("z error, mean", f"{figures['z_bias_um']:.2f}", "µm"),
+        Figure("z error, P95 of its size", f"{figures['z_p95_um']:.2f}", "µm"),
+        Figure("wrong fringe orders", str(figures["wrong_order_pixels"])),
+        Figure("saturated pixel values, whole image", f"{figures['saturated_share']:.2%}"),
+    ]
+
+
+def verdicts(scored: Scored) -> list[Verdict]:
+    """Judge how much is measured, and say what keeps the rest from it."""
+    return [_coverage(scored), _missing(scored)]
+
+
+def discussion(scored: Scored) -> list[str]:
+    """Return the paragraphs of the result."""
+    if not scored.score.against_truth.points:
+        return ["No pixel of the specimen carries a point; the map above says why."]
+    figures = scored.figures
+    wrong_points = figures["completeness"] - figures["good_share"]
+    return [
+        f"{verdict_in_words(scored)} {percent(wrong_points)} of it carries a point that is off by "
+        "more: a decoder that masks by contrast and consistency cannot tell light that came by way "
+        "of another surface from light that came straight.",
+    ]
+
+
+def missing_shares(scored: Scored) -> dict[Reason, float]:
+    """Return the share of the wanted pixels without a point by reason, largest first."""
+    wanted = wanted_pixels(scored.experiment, scored.truth)
+    reasons = scored.reconstruction.point_map.mask_reason[wanted]
+    found = reason_shares(reasons) if reasons.size else {}
+    found.pop(Reason.VALID, None)
+    return dict(sorted(found.items(), key=lambda entry: -entry[1]))
+
+
+def _coverage(scored: Scored) -> Verdict:
+    figures, limit_um = scored.figures, scored.experiment.score.good_within_um
+    share = figures["good_share"]
+    measured: Grade = "good" if share >= GOOD_SHARE else "check"
+    return Verdict(
+        question="How much of the specimen is measured?",
+        headline=f"{percent(share)} within {limit_um:g}\N{NO-BREAK SPACE}µm",
+        grade="poor" if share < POOR_SHARE else measured,
+        reasons=(
+            f"{verdict_in_words(scored)} Good from {GOOD_SHARE:.0%}, poor below {POOR_SHARE:.0%}",
+            f"a point, right or wrong, on {percent(figures['completeness'])}",
+            f"{figures['z_rmse_um']:.2f} µm RMS over these points",
+            f"{figures['wrong_order_pixels']} wrong fringe orders",
+        ),
+    )
+
+
+def _missing(scored: Scored) -> Verdict:
+    missing = missing_shares(scored)
+    lost = float(np.sum(list(missing.values())))
+    first = next(iter(missing), None)
+    measured: Grade = "good" if lost <= 1 - GOOD_SHARE else "check"
+    return Verdict(
+        question="Why is there no point on the rest?",
+        headline=REASON_WORDS[first] if first else "there is no rest",
+        grade="poor" if lost > 1 - POOR_SHARE else measured,
+        reasons=tuple(f"{REASON_WORDS[r]}: {percent(share)}" for r, share in missing.items())
+        or ("every pixel that shows the specimen has a point",),
+    )

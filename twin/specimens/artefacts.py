@@ -1,0 +1,69 @@
+"""Artefacts with a known profile along x: rods on a plate, a step, a V groove."""
+
+import numpy as np
+
+from twin.config.artefacts import Rods, Step, VGroove
+from twin.specimens.catalogue import Shape, register
+from twin.specimens.cylinders import Cylinder
+from twin.specimens.group import Assembly
+from twin.specimens.meshes import MeshShape
+from twin.specimens.solids import along_axis, arc, box, prism
+
+_BASE_MM = 2.0
+_X, _Y, _Z = np.eye(3)
+
+
+@register("rods")
+def build_rods(specimen: Rods) -> Assembly:
+    """Lay the rods along y on the plate's upper face, z = 0, each in a bead of cement.
+
+    The rods touch the plate along a line: a bead between the two makes one body of them. It
+    stays below the rods, where neither elastomer nor light from above finds it.
+    """
+    rods = list(zip(specimen.middles_mm, specimen.diameters_mm, strict=True))
+    cylinders = [_lying(x, diameter, specimen) for x, diameter in rods]
+    beads = [_bead(x, diameter, specimen) for x, diameter in rods]
+    return Assembly((*cylinders, *beads, _plate(specimen)))
+
+
+def _lying(x_mm: float, diameter_mm: float, rods: Rods) -> Shape:
+    middle = np.array([x_mm, 0.0, diameter_mm / 2])
+    return Cylinder(middle, _Y.copy(), diameter_mm / 2, rods.length_mm / 2, rods.edge_radius_mm)
+
+
+def _bead(x_mm: float, diameter_mm: float, rods: Rods) -> Shape:
+    half, end = rods.bead_mm / 2, (rods.length_mm - rods.edge_radius_mm) / 2
+    low = (x_mm - half, -end, -rods.plate_mm / 2)
+    return MeshShape(box(low, (x_mm + half, end, diameter_mm / 2)))
+
+
+def _plate(rods: Rods) -> Shape:
+    x = -rods.middles_mm[0] + rods.diameters_mm[0] / 2 + rods.margin_mm
+    y = rods.length_mm / 2 + rods.margin_mm
+    return MeshShape(box((-x, -y, -rods.plate_mm), (x, y, 0.0)))
+
+
+@register("step")
+def build_step(specimen: Step) -> MeshShape:
+    """Raise the level at +x; the lower one is z = 0, the riser is in x = 0."""
+    x, height, edge = specimen.length_x_mm / 2, specimen.height_mm, specimen.edge_radius_mm
+    # Counter-clockwise, so the rounding is passed from the upper level down.
+    rounding = arc((edge, height - edge), edge, 90, 180)
+    foot = [] if edge == height else [(0.0, 0.0)]
+    outline = [(x, -_BASE_MM), (x, height), *rounding, *foot, (-x, 0.0), (-x, -_BASE_MM)]
+    return _uniform(outline, specimen.length_y_mm)
+
+
+@register("v_groove")
+def build_v_groove(specimen: VGroove) -> MeshShape:
+    """Cut the groove into the face z = 0, its root in x = 0."""
+    x, half, root = specimen.length_x_mm / 2, specimen.opening_mm / 2, -specimen.depth_mm
+    base = root - _BASE_MM
+    outline = [(x, base), (x, 0.0), (half, 0.0), (0.0, root), (-half, 0.0), (-x, 0.0), (-x, base)]
+    return _uniform(outline, specimen.length_y_mm)
+
+
+def _uniform(outline_xz_mm: list[tuple[float, float]], length_y_mm: float) -> MeshShape:
+    """Extrude an outline in xz, counter-clockwise with z up, along y."""
+    upright = prism(np.array(outline_xz_mm), -length_y_mm / 2, length_y_mm / 2)
+    return MeshShape(along_axis(upright, _X, _Z, -_Y))

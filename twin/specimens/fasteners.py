@@ -1,0 +1,116 @@
+"""Hex nut and hammer-head bolt, threads and all."""
+
+from functools import lru_cache
+
+import numpy as np
+import trimesh
+
+from twin.config.objects import Nut, TBolt
+from twin.specimens.catalogue import register
+from twin.specimens.meshes import MeshShape
+from twin.specimens.pose import FloatArray, unposed
+from twin.specimens.solids import (
+    SECTIONS,
+    along_axis,
+    arc,
+    box,
+    common,
+    moved,
+    prism,
+    turned,
+    union,
+    without,
+)
+from twin.specimens.threads import minor_diameter_mm, screw
+
+_CHAMFER_SLOPE = np.tan(np.deg2rad(30))
+_COUNTERSINK_SLOPE = np.tan(np.deg2rad(30))  # 120 degrees between the flanks
+_X, _Y, _Z = np.eye(3)
+# Rotations that bring the bolt's own axes (shank along -z, head's long side along y) into place.
+_FACING: dict[str, tuple[FloatArray, FloatArray, FloatArray]] = {
+    "side": (-_Z, _Y, _X),
+    "tip": (-_X, _Y, -_Z),
+    "head": (_X, _Y, _Z),
+}
+
+
+@register("nut")
+def build_nut(specimen: Nut) -> MeshShape:
+    """Lay the nut flat, its axis along z, two of its flats across y."""
+    return MeshShape(_nut(unposed(specimen)))
+
+
+@lru_cache(maxsize=8)
+def _nut(nut: Nut) -> trimesh.Trimesh:
+    """Chamfer a hexagon, then cut the thread and both countersinks."""
+    half, corner_mm = nut.height_mm / 2, nut.across_flats_mm / np.sqrt(3)
+    body = prism(_hexagon(corner_mm), -half, half)
+    if nut.chamfer_mm > 0:
+        body = common([body, _chamfered(nut.face_radius_mm, corner_mm, half)])
+    holes = [screw(nut.thread_mm, nut.pitch_mm, -half, half)]
+    if nut.countersink_mm > minor_diameter_mm(nut.thread_mm, nut.pitch_mm):
+        holes += [_countersink(nut.countersink_mm / 2, half, side) for side in (1, -1)]
+    return without(body, *holes)
+
+
+def _hexagon(corner_mm: float) -> FloatArray:
+    turn = np.arange(6) * np.pi / 3
+    return corner_mm * np.stack((np.cos(turn), np.sin(turn)), axis=-1)
+
+
+def _chamfered(face_radius_mm: float, corner_mm: float, half_mm: float) -> trimesh.Trimesh:
+    """Return a disc with 30 degree chamfers that begin at the face radius."""
+    rim = corner_mm * 1.1
+    fall = (rim - face_radius_mm) * _CHAMFER_SLOPE
+    upper = [(rim, half_mm - fall), (face_radius_mm, half_mm)]
+    lower = [(face_radius_mm, -half_mm), (rim, fall - half_mm)]
+    disc = turned([(0.0, -half_mm), *lower, *upper, (0.0, half_mm)])
+    # Half a facet on: the hexagon's corners shall not fall on the disc's edges.
+    disc.apply_transform(trimesh.transformations.rotation_matrix(np.pi / SECTIONS, _Z))
+    return disc
+
+
+def _countersink(radius_mm: float, half_mm: float, side: int) -> trimesh.Trimesh:
+    """Return a cone for the upper (+1) or lower (-1) face, reaching beyond it."""
+    depth_mm = radius_mm * _COUNTERSINK_SLOPE
+    rim = (2 * radius_mm, half_mm + depth_mm)
+    cone = turned([(0.0, half_mm - depth_mm), rim, (0.0, half_mm + 2 * depth_mm)])
+    return cone if side > 0 else along_axis(cone, _X, -_Y, -_Z)
+
+
+@register("t_bolt")
+def build_t_bolt(specimen: TBolt) -> MeshShape:
+    """Lay or stand the bolt, the middle of its length in the origin."""
+    bolt = _bolt(unposed(specimen.model_copy(update={"facing": "side"})))
+    length_below = specimen.shank_mm + specimen.neck_mm
+    centred = moved(bolt, 0.0, 0.0, (length_below - specimen.head_height_mm) / 2)
+    return MeshShape(along_axis(centred, *_FACING[specimen.facing]))
+
+
+@lru_cache(maxsize=8)
+def _bolt(bolt: TBolt) -> trimesh.Trimesh:
+    """Join head (above z = 0), neck and shank (below it)."""
+    half, inside_mm = bolt.head_width_mm / 2, bolt.head_height_mm / 2
+    head = prism(_hammer(bolt.head_length_mm / 2, half), 0.0, bolt.head_height_mm)
+    # Each part reaches into the one above it: faces that only touch do not join.
+    neck = box((-half, -half, -bolt.neck_mm), (half, half, inside_mm))
+    tip_mm = -bolt.neck_mm - bolt.shank_mm
+    thread = screw(bolt.thread_mm, bolt.pitch_mm, tip_mm, inside_mm)
+    envelope = _shank(bolt.thread_mm, bolt.pitch_mm, tip_mm, -bolt.neck_mm / 2)
+    return union([head, neck, common([thread, envelope])])
+
+
+def _hammer(half_length_mm: float, half_width_mm: float) -> FloatArray:
+    """Return the head's outline: two opposite corners are round, so that it turns in the slot."""
+    radius = min(half_width_mm, half_length_mm)
+    x, y = half_width_mm, half_length_mm
+    first = arc((x - radius, y - radius), radius, 0, 90)
+    second = arc((radius - x, radius - y), radius, 180, 270)
+    return np.array([*first, (-x, y), *second, (x, -y)])
+
+
+def _shank(thread_mm: float, pitch_mm: float, tip_mm: float, top_mm: float) -> trimesh.Trimesh:
+    """Return the shank's envelope: a cylinder whose tip is chamfered at 45 degrees."""
+    root, outer = minor_diameter_mm(thread_mm, pitch_mm) / 2 * 0.95, thread_mm
+    profile = [(0.0, tip_mm), (root, tip_mm), (outer, tip_mm + outer - root), (outer, top_mm)]
+    return turned([*profile, (0.0, top_mm)])

@@ -1,0 +1,124 @@
+"""Closed bodies to build specimens from: prisms, turned parts, and their booleans. All in mm."""
+
+from collections.abc import Callable, Sequence
+
+import manifold3d
+import numpy as np
+import trimesh
+
+from twin.specimens.pose import FloatArray
+
+#: Facets round a full turn. 2 degrees each: a chord stays within 0.6 um of a 4 mm radius.
+SECTIONS = 180
+# Edges shorter than this vanish after a boolean; a tenth of the elastomer's finest relief.
+_TOLERANCE_MM = 1e-4
+
+
+def box(low_mm: tuple[float, float, float], high_mm: tuple[float, float, float]) -> trimesh.Trimesh:
+    """Return the block between two opposite corners."""
+    return trimesh.creation.box(bounds=np.array([low_mm, high_mm]))
+
+
+def prism(outline_mm: FloatArray, low_mm: float, high_mm: float) -> trimesh.Trimesh:
+    """Extrude an outline (n, xy), counter-clockwise, along z."""
+    section = manifold3d.CrossSection([np.ascontiguousarray(outline_mm)])
+    return _from_manifold(section.extrude(high_mm - low_mm).translate((0.0, 0.0, low_mm)))
+
+
+def turned(profile_mm: Sequence[tuple[float, float]], sections: int = SECTIONS) -> trimesh.Trimesh:
+    """Turn a profile (radius, z), from its lower end on the axis to its upper, about z."""
+    return trimesh.creation.revolve(np.array(profile_mm), sections=sections)
+
+
+def along_axis(
+    body: trimesh.Trimesh, x: FloatArray, y: FloatArray, z: FloatArray
+) -> trimesh.Trimesh:
+    """Return the body with its x, y and z axes laid along three unit vectors, right-handed."""
+    turned_body = body.copy()
+    matrix = np.eye(4)
+    matrix[:3, :3] = np.stack((x, y, z), axis=-1)
+    turned_body.apply_transform(matrix)
+    return turned_body
+
+
+def moved(body: trimesh.Trimesh, x_mm: float, y_mm: float, z_mm: float = 0.0) -> trimesh.Trimesh:
+    """Return the body shifted."""
+    shifted = body.copy()
+    shifted.apply_translation((x_mm, y_mm, z_mm))
+    return shifted
+
+
+def union(bodies: Sequence[trimesh.Trimesh]) -> trimesh.Trimesh:
+    """Join bodies."""
+    return _combined(bodies, manifold3d.OpType.Add)
+
+
+def without(body: trimesh.Trimesh, *holes: trimesh.Trimesh) -> trimesh.Trimesh:
+    """Cut holes out of a body."""
+    return _combined((body, *holes), manifold3d.OpType.Subtract)
+
+
+def common(bodies: Sequence[trimesh.Trimesh]) -> trimesh.Trimesh:
+    """Keep what all bodies share."""
+    return _combined(bodies, manifold3d.OpType.Intersect)
+
+
+def _combined(bodies: Sequence[trimesh.Trimesh], operation: manifold3d.OpType) -> trimesh.Trimesh:
+    """Combine in double precision: single precision leaves needles where facets nearly meet."""
+    manifolds = [
+        manifold3d.Manifold(
+            manifold3d.Mesh64(
+                np.asarray(body.vertices, np.float64), np.asarray(body.faces, np.uint64)
+            )
+        )
+        for body in bodies
+    ]
+    result = manifold3d.Manifold.batch_boolean(manifolds, operation)
+    return _from_manifold(result.simplify(_TOLERANCE_MM))
+
+
+def level_set(
+    level_mm: Callable[[float, float, float], float],
+    box_mm: tuple[float, float, float, float, float, float],
+    edge_mm: float,
+    refined: int,
+) -> trimesh.Trimesh:
+    """Mesh where a function of (x, y, z) is zero, negative inside, and split each edge.
+
+    Parameters
+    ----------
+    level_mm : callable
+        Signed level.
+    box_mm : (x, y, z low, x, y, z high) float, mm
+        Box that holds the body.
+    edge_mm : float, mm
+        Edge of the facets before they are split.
+    refined : int
+        Pieces of each edge; the new vertices lie on the flat facets.
+    """
+    negated = manifold3d.Manifold.level_set(lambda *at: -level_mm(*at), box_mm, edge_mm)
+    return _from_manifold(negated.refine(refined))
+
+
+def _from_manifold(body: manifold3d.Manifold) -> trimesh.Trimesh:
+    """Return the triangles of a manifold, vertices in double precision."""
+    mesh = body.to_mesh64()
+    return trimesh.Trimesh(
+        np.array(mesh.vert_properties[:, :3]), np.array(mesh.tri_verts, np.int64), process=False
+    )
+
+
+def arc(
+    centre_mm: tuple[float, float],
+    radius_mm: float,
+    first_deg: float,
+    last_deg: float,
+    step_deg: float = 360 / SECTIONS,
+) -> list[tuple[float, float]]:
+    """Return points on an arc at most `step_deg` apart; the centre itself for radius 0."""
+    if radius_mm == 0:
+        return [centre_mm]
+    steps = int(np.ceil(abs(last_deg - first_deg) / step_deg - 1e-9)) + 1
+    turn = np.deg2rad(np.linspace(first_deg, last_deg, steps))
+    x, y = centre_mm[0] + radius_mm * np.cos(turn), centre_mm[1] + radius_mm * np.sin(turn)
+    return list(zip(x.tolist(), y.tolist(), strict=True))
