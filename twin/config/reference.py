@@ -9,7 +9,7 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
-from twin.config.models import Conductor, Dielectric, Diffuse, Experiment, Plastic
+from twin.config.models import Conductor, Dielectric, Diffuse, Experiment, Layer, Plastic
 
 
 @dataclass(frozen=True)
@@ -28,6 +28,7 @@ def experiment_keys() -> Iterator[Key]:
     for material in (Conductor, Dielectric, Diffuse, Plastic):
         kind = material.model_fields["kind"].default
         yield from list_keys(material, f"specimen.material({kind}).")
+    yield from list_keys(Layer, "layers.NAME.")
 
 
 def list_keys(model: type[BaseModel], prefix: str = "") -> Iterator[Key]:

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.optics.connection import Rig, on_image
+from twin.optics.extent import box_corners_mm
 from twin.optics.light import MARGIN_PX
 from twin.optics.surfaces import Surfaces
 
@@ -124,7 +125,7 @@ def trace_photons(scene: Any, surfaces: Surfaces, rig: Rig, *, count: int, seed:
 
 def _window(surfaces: Surfaces, rig: Rig) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Rectangle (low, high) on the image plane at 1 mm that holds every sharp body's light."""
-    corners = np.concatenate([_box_corners(body.shape.bbox()) for body in surfaces.sharp])
+    corners = np.concatenate([box_corners_mm(body.shape.bbox()) for body in surfaces.sharp])
     T = rig.projector.T_world_from_device
     seen = (corners - T[:3, 3]) @ T[:3, :3]
     on_plane = seen[:, :2] / seen[:, 2:]
@@ -132,12 +133,6 @@ def _window(surfaces: Surfaces, rig: Rig) -> tuple[NDArray[np.float64], NDArray[
     low = np.maximum(on_plane.min(axis=0), image.min(axis=0))
     high = np.minimum(on_plane.max(axis=0), image.max(axis=0))
     return low, np.maximum(low, high)
-
-
-def _box_corners(box: Any) -> NDArray[np.float64]:
-    low, high = np.array(box.min, np.float64).ravel(), np.array(box.max, np.float64).ravel()
-    choice = np.array(list(np.ndindex(2, 2, 2)))
-    return np.where(choice, high, low)
 
 
 def _image_border(rig: Rig) -> NDArray[np.float64]:
