@@ -298,7 +298,7 @@ def lamp_with_and_without(mi, experiment, runs):
                 "to_world": place.scale([3.0, 3.0, -1.0]),
                 "emitter": {"type": "area", "radiance": {"type": "spectrum", "value": 1.0}},
             },
-            "sensor": perspective_sensor(camera.pinhole, camera.T_world_from_device, 1024),
+            "sensor": perspective_sensor(camera.pinhole, camera.T_world_from_device, 512),
         }
         loaded = mi.load_dict(scene | shapes)
         return [np.array(mi.render(loaded, seed=seed))[:, :, 0] for seed in seeds]

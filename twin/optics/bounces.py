@@ -70,8 +70,7 @@ def add_bounces(
     One loop runs over all path segments of all samples: after the last bounce, or when a path
     leaves the scene, the lane starts its next sample.
     """
-    total = grid.samples * bounces.paths
-    width = dr.width(grid.x_px)
+    walks, width = grid.samples * bounces.paths, dr.width(grid.x_px)
     surfaces = bounces.surfaces
 
     def next_segment(*state: Any) -> tuple[Any, ...]:
@@ -83,39 +82,27 @@ def add_bounces(
         sharp = surfaces.is_sharp(hit)
         throughput = dr.select(fresh, 1.0, throughput)
         throughput *= surfaces.transmittance(hit, inside & sharp)
-        path = connect(scene, rig, hit, bsdf, coherent=False)
         # The first surface's own light is the direct part, rendered without noise.
-        counts = path.lit & ~fresh & (~sharp | (matte == 0))
-        path = replace(path, weight=path.weight * throughput / total, lit=counts)
-        # As a plain tuple: Dr.Jit cannot carry a frozen dataclass through a branch.
-        found = tuple(getattr(path, part.name) for part in fields(path))
-        sums = _add_where(counts, lambda *found: light.values(Connection(*found)), found, sums)
+        connects = ~fresh & (~sharp | (matte == 0))
+        path = connect(scene, rig, hit, bsdf, coherent=False)
+        sums = _add_connected(sums, light, path, throughput / walks, connects)
         if bounces.stage_light is not None:
             on_stage = surfaces.on_stage(hit)
-            emitted = throughput * bsdf.eval_diffuse_reflectance(hit, on_stage)[0] / dr.pi
+            share = throughput * bsdf.eval_diffuse_reflectance(hit, on_stage)[0] / (dr.pi * walks)
             draw = rng.next_float32(), rng.next_float32()
-            found = (hit.p.x, hit.p.y, emitted / total, on_stage, draw)
+            found = (hit.p.x, hit.p.y, share, on_stage, draw)
             sums = _add_where(on_stage, bounces.stage_light.values, found, sums)
-        sample, weight = bsdf.sample(
-            mi.BSDFContext(),
-            hit,
-            rng.next_float32(),
-            mi.Point2f(rng.next_float32(), rng.next_float32()),
-            hit.is_valid(),
-        )
-        throughput = throughput * weight[0]
-        through = mi.has_flag(sample.sampled_type, mi.BSDFFlags.Transmission)
+        ray, weight, through = _go_on(bsdf, hit, rng)
         matte += dr.select(sharp, 0, 1)
         events += 1
-        ends = ~hit.is_valid() | (throughput == 0.0)
-        ends |= (matte > bounces.most) | (events > matte + MOST_SHARP)
+        ends = (weight == 0.0) | (matte > bounces.most) | (events > matte + MOST_SHARP)
         return (
             dr.select(ends, walk + 1, walk),
             dr.select(ends, 0, matte),
             dr.select(ends, 0, events),
             ~ends & (inside ^ through),
-            hit.spawn_ray(hit.to_world(sample.wo)),
-            throughput,
+            ray,
+            throughput * weight,
             rng,
             *sums,
         )
@@ -128,8 +115,32 @@ def add_bounces(
         _random_numbers(width, bounces.seed),
         *frames,
     )
-    end = dr.while_loop(start, lambda walk, *_: walk < total, next_segment)
+    end = dr.while_loop(start, lambda walk, *_: walk < walks, next_segment)
     return list(end[7:])
+
+
+def _add_connected(
+    sums: list[Any], light: FrameLight, path: Connection, share: Any, active: Any
+) -> list[Any]:
+    active &= path.lit
+    path = replace(path, weight=path.weight * share, lit=active)
+    # As a plain tuple: Dr.Jit cannot carry a frozen dataclass through a branch.
+    parts = tuple(getattr(path, part.name) for part in fields(path))
+    return _add_where(active, lambda *parts: light.values(Connection(*parts)), parts, sums)
+
+
+def _go_on(bsdf: Any, hit: Any, rng: Any) -> tuple[Any, Any, Any]:
+    """Draw the next ray; return it, its weight (0 where the path ends) and whether it went in."""
+    sample, weight = bsdf.sample(
+        mi.BSDFContext(),
+        hit,
+        rng.next_float32(),
+        mi.Point2f(rng.next_float32(), rng.next_float32()),
+        hit.is_valid(),
+    )
+    through = mi.has_flag(sample.sampled_type, mi.BSDFFlags.Transmission)
+    left = dr.select(hit.is_valid(), weight[0], 0.0)
+    return hit.spawn_ray(hit.to_world(sample.wo)), left, through
 
 
 def _add_where(
