@@ -36,5 +36,6 @@ class Stopwatch:
         self.watch(name, 1.0)
 
     def count_frames(self, stage: str, frames: int) -> None:
-        """Note how many frames a finished stage made."""
-        self.frames_per_s[stage] = frames / self.seconds[stage]
+        """Note how many frames a stage made, if this watch timed it."""
+        if stage in self.seconds:
+            self.frames_per_s[stage] = frames / self.seconds[stage]

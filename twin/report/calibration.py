@@ -1,4 +1,4 @@
-"""Pictures of a calibration: misses of all features, residuals by pose, parameters."""
+"""Pictures of a calibration: misses of all features, residuals by pose, parameter errors."""
 
 from pathlib import Path
 
@@ -12,7 +12,9 @@ from twin.report.canvas import (
     FIT,
     MEASURED,
     TRUE_FACE,
+    add_colorbar,
     axes_at,
+    diverging,
     drawing,
     legend_above,
     plain_spines,
@@ -21,13 +23,14 @@ from twin.report.canvas import (
 
 RESIDUALS_FILE = "residuals.png"
 POSES_FILE = "pose_residuals.png"
+CORRELATIONS_FILE = "correlations.png"
 PARAMETERS_FILE = "parameters.png"
 # An arrow of the typical miss is this share of the image width.
 ARROW_SHARE = 0.02
 
 
 def draw_calibration(folder: Path, done: BoardCalibration) -> None:
-    """Draw residuals, poses and parameters as PNG into an existing folder.
+    """Draw residuals, poses, correlations and (where the truth is known) errors as PNG.
 
     Raises
     ------
@@ -36,7 +39,9 @@ def draw_calibration(folder: Path, done: BoardCalibration) -> None:
     """
     draw_residuals(folder / RESIDUALS_FILE, done)
     draw_poses(folder / POSES_FILE, done)
-    draw_parameters(folder / PARAMETERS_FILE, done)
+    draw_correlations(folder / CORRELATIONS_FILE, done)
+    if done.truth is not None:
+        draw_errors(folder / PARAMETERS_FILE, done, done.truth)
 
 
 def draw_residuals(path: Path, done: BoardCalibration) -> None:
@@ -89,8 +94,8 @@ def draw_poses(path: Path, done: BoardCalibration) -> None:
             ("projector", FIT, [pose.projector_px for pose in poses]),
             ("epipolar", TRUE_FACE, [pose.epipolar_px for pose in poses]),
         )
-        for offset, (name, colour, values) in enumerate(series, start=-1):
-            axes.bar(place + 0.27 * offset, values, 0.25, color=colour, label=name)
+        for name, colour, values in series:
+            axes.plot(place, values, "o", color=colour, markersize=5, label=name)
         axes.set_xticks(place, [pose.name for pose in poses], rotation=45, ha="right")
         axes.set_ylabel("RMS residual (px)")
         axes.set_yscale("log")
@@ -98,27 +103,37 @@ def draw_poses(path: Path, done: BoardCalibration) -> None:
         legend_above(axes, 3)
 
 
-def draw_parameters(path: Path, done: BoardCalibration) -> None:
-    """Draw expanded uncertainties, and errors against the truth where it is known.
+def draw_correlations(path: Path, done: BoardCalibration) -> None:
+    """Draw how the errors of the rig's parameters go together."""
+    found = done.result.adjustment
+    names = [parameter.name for parameter in done.result.parameters[:-1]]  # without the baseline
+    sigma = np.array([parameter.sigma for parameter in done.result.parameters[:-1]])
+    free = np.flatnonzero(sigma > 0.0)
+    shown = found.covariance[np.ix_(free, free)] / np.outer(sigma[free], sigma[free])
+    labels = [names[k] for k in free]
+    with drawing(path, 7.2, 6.2) as figure:
+        axes = axes_at(figure, 1.4, 0.4, 4.6, 4.6)
+        image = axes.imshow(shown, cmap=diverging(), vmin=-1.0, vmax=1.0)
+        axes.set_xticks(range(len(free)), labels, rotation=90)
+        axes.set_yticks(range(len(free)), labels)
+        axes.set_title("correlation of the parameters' errors")
+        add_colorbar(axes, image, "correlation")
 
-    Everything is in units of the expanded uncertainty: an error inside the band -1 to 1 is covered.
-    """
-    truth = done.truth
+
+def draw_errors(path: Path, done: BoardCalibration, truth: dict[str, float]) -> None:
+    """Draw errors in units of the expanded uncertainty: one inside the band -1 to 1 is covered."""
     free = [parameter for parameter in done.result.parameters if parameter.sigma > 0.0]
     place = np.arange(len(free))[::-1]
+    errors = [(p.value - truth[p.name]) / p.expanded for p in free]
+    limit = max(1.5, 1.1 * float(np.max(np.abs(errors))))
     with drawing(path, 7.6, 1.0 + 0.24 * len(free)) as figure:
         axes = axes_at(figure, 2.9, 0.45, 4.4, 0.24 * len(free))
         axes.axvspan(-1.0, 1.0, color="#e8f0f7")
         axes.axvline(0.0, color=FAINT, linewidth=0.8)
-        labels = [f"{p.name} = {p.value:.6g} ± {p.expanded:.1g}" for p in free]
-        if truth is not None:
-            errors = [(p.value - truth[p.name]) / p.expanded for p in free]
-            axes.plot(errors, place, "o", color=MEASURED, markersize=4)
-            limit = max(1.5, 1.1 * float(np.max(np.abs(errors))))
-        else:
-            limit = 1.5
+        axes.plot(errors, place, "o", color=MEASURED, markersize=4)
         axes.set_xlim(-limit, limit)
+        labels = [f"{p.name} = {p.value:.6g} ± {p.expanded:.1g}" for p in free]
         axes.set_yticks(place, labels)
         axes.set_xlabel("error / expanded uncertainty (k = 2)")
-        axes.set_title("parameters" if truth is None else "parameters against the true rig")
+        axes.set_title("parameters against the true rig")
         axes.spines[["top", "right"]].set_visible(False)

@@ -22,8 +22,9 @@ from twin.report.direct import REASON_WORDS, missing_shares, percent
 from twin.report.figures import Plate, images
 from twin.report.result_folder import Measured, Scored
 
-_PANEL_IN, _ACROSS_IN, _TOP_IN, _BELOW_IN = 3.1, 3.4, 0.3, 1.0
-_MOST_REASONS = 6
+_PANEL_IN, _ACROSS_IN, _TOP_IN = 3.1, 3.4, 0.3
+# Room for a colour bar below the upper line, and for all reasons below the lower one.
+_BELOW_UPPER_IN, _BELOW_LOWER_IN = 0.85, 1.4
 
 
 def direct_plates(measured: Measured) -> list[Plate]:
@@ -37,9 +38,9 @@ def direct_plates(measured: Measured) -> list[Plate]:
         "frames, true and measured heights, error and reasons in camera pixels",
         "The same camera pixels in all panels. Frames in digital numbers, black is 0 and white is "
         "saturation. Heights are lit from the upper left, on the scale of the true ones"
-        f"{shading}; white has no point. Errors and reasons are those of the specimen, the stage is"
-        f" pale gray. The error scale ends at ± {limit_um:g} µm and is clipped there: its end "
-        "colours are points that are not good.",
+        f"{shading}; white has no point. Errors and reasons are those of the specimen, the rest is "
+        f"gray. The error scale ends at ± {limit_um:g} µm and is clipped there: its end colours "
+        "are points that are not good.",
     )
     return [seen, *images(measured)]
 
@@ -54,8 +55,8 @@ def draw_seen(path: Path, measured: Measured) -> None:
     """
     rows, cols = measured.truth.lit.shape
     height_in = _PANEL_IN * rows / cols
-    line_in = _TOP_IN + height_in + _BELOW_IN
-    with drawing(path, 10.0, line_in + _TOP_IN + height_in + _BELOW_IN) as figure:
+    line_in = _TOP_IN + height_in + _BELOW_UPPER_IN
+    with drawing(path, 10.0, line_in + _TOP_IN + height_in + _BELOW_LOWER_IN) as figure:
         upper, lower = (
             [
                 axes_at(figure, 0.05 + k * _ACROSS_IN, top_in + _TOP_IN, _PANEL_IN, height_in)
@@ -92,7 +93,7 @@ def _reason_legend(axes: Axes, scored: Scored) -> None:
     )
     others = [
         Patch(color=REASON_COLOURS[r], label=f"{REASON_WORDS[r]} {percent(share)}")
-        for r, share in list(missing.items())[:_MOST_REASONS]
+        for r, share in missing.items()
     ]
     axes.legend(
         handles=[valid, *others],

@@ -6,6 +6,7 @@ from typing import Any
 _UNITS = {
     "_e_per_s": "e⁻/s",
     "_percent": "%",
+    "_per_mm": "1/mm",
     "_kpa": "kPa",
     "_deg": "°",
     "_rad": "rad",

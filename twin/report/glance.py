@@ -22,7 +22,7 @@ def glance(scored: Scored) -> list[tuple[str, str]]:
 
 
 def _specimen(scored: Scored) -> str:
-    values = scored.experiment.specimen.model_dump(exclude={"kind"})
+    values = scored.experiment.specimen.model_dump(exclude={"kind", "material"})
     # A pose of zeros says nothing; a moved or turned specimen is told in full.
     told = {name: value for name, value in values.items() if value}
     return f"{scored.experiment.specimen.kind.replace('_', ' ')}: {phrase(told)}"
@@ -38,7 +38,12 @@ def _coat(scored: Scored) -> list[tuple[str, str]]:
 
 
 def _stage(scored: Scored) -> list[tuple[str, str]]:
-    return [("stage", f"matte: {phrase(scored.experiment.stage.model_dump())}")]
+    material, stage = scored.experiment.specimen.material, scored.experiment.stage
+    assert material is not None  # or nothing would have been rendered
+    return [
+        ("material", f"{material.kind}: {phrase(material.model_dump(exclude={'kind'}))}"),
+        ("stage", f"matte: {phrase(stage.model_dump())}"),
+    ]
 
 
 def _press(scored: Scored) -> str:
