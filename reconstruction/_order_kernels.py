@@ -25,8 +25,10 @@ LOWER, HALF, UPPER, ONE = np.float32(0.25), np.float32(0.5), np.float32(0.75), n
 NEAR_SIGMAS = 8.0
 ROOT = math.sqrt(2.0)
 PLAIN, COMPLEMENTARY, SHIFTED = 0, 1, 2
-BIT = np.uint32(1)
+ZERO, BIT, TWO = np.uint32(0), np.uint32(1), np.uint32(2)
+SHIFTS = (np.uint32(16), np.uint32(8), np.uint32(4), np.uint32(2))
 NONE, STEP = np.int32(0), np.int32(1)
+NOTHING = np.float32(0.0)
 
 
 class Code(NamedTuple):
@@ -37,17 +39,19 @@ class Code(NamedTuple):
     half_px_turns: np.float32
     words: np.int32
     bits: int
-    safety_bits: int
+    safety_bits: np.uint32
     length_px: int
 
 
 @inlined
 def _binary(gray: Any) -> Any:
-    gray ^= gray >> 16
-    gray ^= gray >> 8
-    gray ^= gray >> 4
-    gray ^= gray >> 2
-    return gray ^ (gray >> 1)
+    # Typed shifts: with Python's integers every step would be 64 bits wide.
+    word = np.uint32(gray)
+    word ^= word >> SHIFTS[0]
+    word ^= word >> SHIFTS[1]
+    word ^= word >> SHIFTS[2]
+    word ^= word >> SHIFTS[3]
+    return word ^ (word >> BIT)
 
 
 @inlined
@@ -59,26 +63,45 @@ def _cell(phase: Any, code: Code) -> Any:
 
 
 @inlined
-def _number(gray: Any, cell: Any, code: Code) -> Any:
-    """Return K and whether the words contradict the phase or each other."""
-    late = STEP if cell >= UPPER else NONE
-    second_half = STEP if cell >= HALF else NONE
-    off = abs(cell - (UPPER if cell >= HALF else LOWER))
-    if code.kind == COMPLEMENTARY:
-        word = np.int32(_binary(gray))
-        nearest = word + (STEP if cell < LOWER else late)
-        order = (nearest >> STEP) - late
-        is_torn = (off < MIDDLE_TURNS) & ((word & STEP) != second_half)
-        return order, (word >= code.words) | is_torn
-    if code.kind == PLAIN:
-        word = np.int32(_binary(gray))
-        return word, word >= code.words
+def _off_middle(cell: Any) -> Any:
+    """Return the distance from the middle of this half of the cell, where words must agree."""
+    return abs(cell - (UPPER if cell >= HALF else LOWER))
+
+
+@inlined
+def _number_plain(gray: Any, cell: Any, code: Code) -> Any:
+    word = np.int32(_binary(gray))
+    return word, word >= code.words
+
+
+@inlined
+def _number_complementary(gray: Any, cell: Any, code: Code) -> Any:
+    word = np.int32(_binary(gray))
+    late, second_half = STEP if cell >= UPPER else NONE, STEP if cell >= HALF else NONE
+    order = ((word + (STEP if cell < LOWER else late)) >> STEP) - late
+    is_torn = (_off_middle(cell) < MIDDLE_TURNS) & ((word & STEP) != second_half)
+    return order, (word >= code.words) | is_torn
+
+
+@inlined
+def _number_shifted(gray: Any, cell: Any, code: Code) -> Any:
     first = np.int32(_binary(gray >> code.safety_bits))
     second = np.int32(_binary(gray & ((BIT << code.safety_bits) - BIT)))
+    late, second_half = STEP if cell >= UPPER else NONE, STEP if cell >= HALF else NONE
     order = first if (cell >= LOWER) & (cell < UPPER) else second - late
     step = second - first
-    is_torn = (step < NONE) | (step > STEP) | ((off < MIDDLE_TURNS) & (step != second_half))
-    return order, (first >= code.words) | is_torn
+    is_split = (_off_middle(cell) < MIDDLE_TURNS) & (step != second_half)
+    return order, (first >= code.words) | (step < NONE) | (step > STEP) | is_split
+
+
+@inlined
+def _number(gray: Any, cell: Any, code: Code) -> Any:
+    """Return K and whether the words contradict the phase or each other."""
+    if code.kind == COMPLEMENTARY:
+        return _number_complementary(gray, cell, code)
+    if code.kind == SHIFTED:
+        return _number_shifted(gray, cell, code)
+    return _number_plain(gray, cell, code)
 
 
 @compiled
@@ -88,12 +111,22 @@ def read_gray_row(
     """Write the Gray word, first frame in the highest bit, and which bits are near A."""
     for col in range(word.size):
         word[col], near[col] = np.uint32(0), np.uint32(0)
-    for bit in range(bits):
-        frame = stack[first + bit, row]
+    for bit in range(0, bits - 1, 2):
+        a, b = stack[first + bit, row], stack[first + bit + 1, row]
+        for col in range(a.size):
+            high = np.float32(a[col]) - mean[col]
+            low = np.float32(b[col]) - mean[col]
+            bright = (TWO if high > NOTHING else ZERO) | (BIT if low > NOTHING else ZERO)
+            doubt = TWO if abs(high) < margin[col] else ZERO
+            doubt |= BIT if abs(low) < margin[col] else ZERO
+            word[col] = (word[col] << TWO) | bright
+            near[col] = (near[col] << TWO) | doubt
+    if bits % 2:
+        frame = stack[first + bits - 1, row]
         for col in range(frame.size):
             over = np.float32(frame[col]) - mean[col]
-            word[col] = (word[col] << BIT) | np.uint32(over > np.float32(0.0))
-            near[col] = (near[col] << BIT) | np.uint32(abs(over) < margin[col])
+            word[col] = (word[col] << BIT) | (BIT if over > NOTHING else ZERO)
+            near[col] = (near[col] << BIT) | (BIT if abs(over) < margin[col] else ZERO)
 
 
 @compiled
@@ -101,14 +134,25 @@ def number_row(
     code: Code, word: Any, phase: Any, order: Any, coordinate: Any, error: Any
 ) -> None:  # fmt: skip
     """Write order and coordinate as read, and error probability 1 where words contradict."""
+    # The choice of the code stands outside the loops: only so do they become vector code.
+    if code.kind == COMPLEMENTARY:
+        for col in range(word.size):
+            cell, over = _cell(phase[col], code)
+            number, is_wrong = _number_complementary(word[col], cell, code)
+            order[col], error[col] = number - over, ONE if is_wrong else NOTHING
+    elif code.kind == SHIFTED:
+        for col in range(word.size):
+            cell, over = _cell(phase[col], code)
+            number, is_wrong = _number_shifted(word[col], cell, code)
+            order[col], error[col] = number - over, ONE if is_wrong else NOTHING
+    else:
+        for col in range(word.size):
+            cell, over = _cell(phase[col], code)
+            number, is_wrong = _number_plain(word[col], cell, code)
+            order[col], error[col] = number - over, ONE if is_wrong else NOTHING
     period, per_rad = code.period_px, code.period_px / TURN
     for col in range(word.size):
-        cell, over = _cell(phase[col], code)
-        number, is_wrong = _number(word[col], cell, code)
-        number -= over
-        order[col] = number
-        coordinate[col] = period * number + per_rad * phase[col]
-        error[col] = ONE if is_wrong else np.float32(0.0)
+        coordinate[col] = period * order[col] + per_rad * phase[col]
 
 
 @inlined
@@ -167,13 +211,19 @@ def settle_row(
         found = ORDER_UNCERTAIN if is_doubtful else found
         is_lower = has_phase and found != 0 and (code == 0 or code > found)
         reason[col] = found if is_lower else code
-        error[col] = error[col] if has_phase else np.float32(0.0)
+        error[col] = error[col] if has_phase else NOTHING
 
 
 @compiled
 def blank_row(reason: Any, order: Any, coordinate: Any, sigma: Any) -> None:
     """Zero what a masked pixel must not tell."""
+    masked = 0
     for col in range(reason.size):
-        order[col] = order[col] if reason[col] == 0 else 0
-        coordinate[col] = coordinate[col] if reason[col] == 0 else np.float32(0.0)
-        sigma[col] = sigma[col] if reason[col] == 0 else np.float32(0.0)
+        masked += reason[col] != 0
+    if masked == 0:
+        return
+    for col in range(reason.size):
+        order[col] = order[col] if reason[col] == 0 else np.int16(0)
+    for col in range(reason.size):
+        coordinate[col] = coordinate[col] if reason[col] == 0 else NOTHING
+        sigma[col] = sigma[col] if reason[col] == 0 else NOTHING

@@ -51,10 +51,10 @@ class Fringe(NamedTuple):
 
 
 class Points(NamedTuple):
-    """Result: (row, col, xyz) mm, (row, col) mm, (row, col) codes."""
+    """Result: (row, col, xyz) mm, (row, col, xyz) mm, (row, col) codes."""
 
     points_world_mm: Any
-    sigma_z_mm: Any
+    sigma_xyz_mm: Any
     reason: Any
 
 
@@ -181,7 +181,7 @@ def meet_rows(
     for row in range(first_row, end_row):
         u, v = fringe.column[row], fringe.row[row]
         su, sv = fringe.sigma_column[row], fringe.sigma_row[row]
-        reason, sigma_z = points.reason[row], points.sigma_z_mm[row]
+        reason, sigma = points.reason[row], points.sigma_xyz_mm[row]
         world = points.points_world_mm[row]
         camera_rays(row, camera, x, y, x_bend, y_bend, found)
         for col in range(width):
@@ -198,4 +198,6 @@ def meet_rows(
                 world[col, 0] = d * ray[0] + T[0][3]
                 world[col, 1] = d * ray[1] + T[1][3]
                 world[col, 2] = d * ray[2] + T[2][3]
-                sigma_z[col] = abs(ray[2]) * sigma_d
+                sigma[col, 0] = abs(ray[0]) * sigma_d
+                sigma[col, 1] = abs(ray[1]) * sigma_d
+                sigma[col, 2] = abs(ray[2]) * sigma_d

@@ -66,12 +66,42 @@ def noise_dn2(mean: Any, scale: Any, limits: Limits) -> Any:
     return scale * (scale * read + shot)
 
 
+@inlined
+def _larger(x: Any, y: Any) -> Any:
+    return x if x > y else y
+
+
+@inlined
+def _smaller(x: Any, y: Any) -> Any:
+    return x if x < y else y
+
+
+@compiled
+def _add_six(
+    a: Any, b: Any, c: Any, d: Any, e: Any, f: Any, cosines: Any, sines: Any,
+    total: Any, real: Any, imag: Any, square: Any, high: Any, low: Any,
+) -> None:  # fmt: skip
+    # Many frames at once: the accumulators, not the frames, are what a row costs.
+    g0, g1, g2, g3, g4, g5 = cosines[0], cosines[1], cosines[2], cosines[3], cosines[4], cosines[5]
+    h0, h1, h2, h3, h4, h5 = sines[0], sines[1], sines[2], sines[3], sines[4], sines[5]
+    for col in range(a.size):
+        u, v, w = np.float32(a[col]), np.float32(b[col]), np.float32(c[col])
+        x, y, z = np.float32(d[col]), np.float32(e[col]), np.float32(f[col])
+        total[col] += (u + v + w) + (x + y + z)
+        real[col] += (g0 * u + g1 * v + g2 * w) + (g3 * x + g4 * y + g5 * z)
+        imag[col] -= (h0 * u + h1 * v + h2 * w) + (h3 * x + h4 * y + h5 * z)
+        square[col] += (u * u + v * v + w * w) + (x * x + y * y + z * z)
+        largest = _larger(_larger(_larger(u, v), _larger(w, x)), _larger(y, z))
+        smallest = _smaller(_smaller(_smaller(u, v), _smaller(w, x)), _smaller(y, z))
+        high[col] = _larger(largest, high[col])
+        low[col] = _smaller(smallest, low[col])
+
+
 @compiled
 def _add_three(
     a: Any, b: Any, c: Any, cosines: Any, sines: Any,
     total: Any, real: Any, imag: Any, square: Any, high: Any, low: Any,
 ) -> None:  # fmt: skip
-    # Three frames at once: the accumulators, not the frames, are what a row costs.
     p, q, r = cosines[0], cosines[1], cosines[2]
     s, t, u = sines[0], sines[1], sines[2]
     for col in range(a.size):
@@ -80,10 +110,8 @@ def _add_three(
         real[col] += p * x + q * y + r * z
         imag[col] -= s * x + t * y + u * z
         square[col] += x * x + y * y + z * z
-        largest, least = x if x > y else y, x if x < y else y
-        largest, least = largest if largest > z else z, least if least < z else z
-        high[col] = largest if largest > high[col] else high[col]
-        low[col] = least if least < low[col] else low[col]
+        high[col] = _larger(_larger(_larger(x, y), z), high[col])
+        low[col] = _smaller(_smaller(_smaller(x, y), z), low[col])
 
 
 @compiled
@@ -97,8 +125,8 @@ def _add_one(
         real[col] += cosine * x
         imag[col] -= sine * x
         square[col] += x * x
-        high[col] = x if x > high[col] else high[col]
-        low[col] = x if x < low[col] else low[col]
+        high[col] = _larger(x, high[col])
+        low[col] = _smaller(x, low[col])
 
 
 @compiled
@@ -109,14 +137,22 @@ def add_frames(stack: Any, first: int, row: int, layout: Layout, sums: Any) -> N
     for col in range(total.size):
         total[col], real[col], imag[col], square[col] = ZERO, ZERO, ZERO, ZERO
         high[col], low[col] = -INFINITE, INFINITE
-    whole = layout.steps // 3 * 3
-    for n in range(0, whole, 3):
+    sixes, threes = layout.steps // 6 * 6, layout.steps // 3 * 3
+    for n in range(0, sixes, 6):
+        k = first + n
+        _add_six(
+            stack[k, row], stack[k + 1, row], stack[k + 2, row],
+            stack[k + 3, row], stack[k + 4, row], stack[k + 5, row],
+            layout.cosines[n : n + 6], layout.sines[n : n + 6],
+            total, real, imag, square, high, low,
+        )  # fmt: skip
+    for n in range(sixes, threes, 3):
         k = first + n
         _add_three(
             stack[k, row], stack[k + 1, row], stack[k + 2, row], layout.cosines[n : n + 3],
             layout.sines[n : n + 3], total, real, imag, square, high, low,
         )  # fmt: skip
-    for n in range(whole, layout.steps):
+    for n in range(threes, layout.steps):
         cosine, sine = layout.cosines[n], layout.sines[n]
         _add_one(stack[first + n, row], cosine, sine, total, real, imag, square, high, low)
 

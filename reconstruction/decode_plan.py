@@ -98,7 +98,7 @@ def _code(patterns: PatternSet, axis: Axis) -> Code:
         half_px_turns=np.float32(0.5 / float(patterns.period_px)),
         words=np.int32(patterns.words(axis)),
         bits=patterns.word_bits(axis),
-        safety_bits=patterns.safety_bits(axis),
+        safety_bits=np.uint32(patterns.safety_bits(axis)),
         length_px=patterns.length_px(axis),
     )
 

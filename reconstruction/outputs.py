@@ -16,6 +16,7 @@ from reconstruction.triangulate import PointMap
 
 PLY_TYPES = {"float32": "float", "float64": "double", "uint16": "ushort", "int32": "int"}
 DIMENSIONS = ("row", "col")
+POSE = "T_world_from_cam"
 UNITS = {"mm": "mm", "px": "px", "rad": "rad", "dn": "DN"}
 Maps = dict[str, NDArray[Any]]
 
@@ -69,10 +70,11 @@ def _ply_header(columns: Mapping[str, NDArray[Any]], count: int, comments: tuple
 
 
 def write_point_map_ply(path: Path | str, point_map: PointMap) -> None:
-    """Write the valid points row by row, with sigma_z_mm and the pixel (row, col) of each."""
+    """Write the valid points row by row, with sigma_*_mm and the pixel (row, col) of each."""
     row, col = np.nonzero(point_map.valid)
-    scalars: Maps = {
-        "sigma_z_mm": point_map.sigma_z_mm[row, col],
+    sigma_mm = point_map.sigma_xyz_mm[row, col]
+    scalars: Maps = {f"sigma_{name}_mm": sigma_mm[:, i] for i, name in enumerate("xyz")}
+    scalars |= {
         "row": row.astype(np.uint16),
         "col": col.astype(np.uint16),
     }
@@ -85,13 +87,14 @@ def write_reconstruction(path: Path | str, decoded: Decoded, point_map: PointMap
     with h5netcdf.File(Path(path), "w") as file:
         file.dimensions = dict(zip(DIMENSIONS, point_map.mask_reason.shape, strict=True))
         file.attrs["frame"] = "world: z = 0 is the undeformed coated face, z up; row 0 at the top"
+        file.attrs[POSE] = point_map.T_world_from_cam.ravel()
         for name, values in _variables(decoded, point_map).items():
             variable = file.create_variable(
                 name, DIMENSIONS, data=values, compression="gzip", compression_opts=1, shuffle=True
             )
             variable.attrs["units"] = _units(name)
         codes = file.variables["mask_reason"].attrs
-        codes["comment"] = "where it is not 0, x_mm, y_mm, z_mm and sigma_z_mm are 0 and no values"
+        codes["comment"] = "where it is not 0, points and their sigmas are 0 and no values"
         codes["flag_values"] = np.array([int(reason) for reason in Reason], np.uint8)
         codes["flag_meanings"] = " ".join(reason.name for reason in Reason)
 
@@ -106,6 +109,8 @@ def read_reconstruction(path: Path | str) -> Reconstruction:
     try:
         with h5netcdf.File(Path(path), "r") as file:
             maps = {name: np.asarray(variable[...]) for name, variable in file.variables.items()}
+            if POSE in file.attrs:
+                maps[POSE] = np.asarray(file.attrs[POSE], dtype=np.float64).reshape(4, 4)
     except OSError as error:
         reason = " ".join(str(error).split())
         raise CaptureError(f"{path}: is no complete netCDF-4 file ({reason})") from error
@@ -117,7 +122,8 @@ def read_reconstruction(path: Path | str) -> Reconstruction:
 
 def _variables(decoded: Decoded, point_map: PointMap) -> Maps:
     maps: Maps = {f"{name}_mm": point_map.points_world_mm[..., i] for i, name in enumerate("xyz")}
-    maps |= {"sigma_z_mm": point_map.sigma_z_mm, "mask_reason": point_map.mask_reason}
+    maps |= {f"sigma_{name}_mm": point_map.sigma_xyz_mm[..., i] for i, name in enumerate("xyz")}
+    maps |= {"mask_reason": point_map.mask_reason}
     for axis, data in (("column", decoded.column), ("row", decoded.row)):
         maps |= {name: getattr(data, field) for field, name in _axis_names(axis).items()}
     return maps
@@ -146,8 +152,11 @@ def _from_variables(maps: Maps) -> Reconstruction:
     reason = maps["mask_reason"].astype(np.uint8)
     # The last two reasons arise in triangulation: such a pixel was decoded.
     decoded_reason = np.where(reason < Reason.EPIPOLAR_MISMATCH, reason, 0).astype(np.uint8)
-    points = np.stack([maps["x_mm"], maps["y_mm"], maps["z_mm"]], axis=-1).astype(np.float32)
-    point_map = PointMap(points, maps["sigma_z_mm"].astype(np.float32), reason)
+    points, sigma = (
+        np.stack([maps[f"{before}{name}_mm"] for name in "xyz"], axis=-1).astype(np.float32)
+        for before in ("", "sigma_")
+    )
+    point_map = PointMap(points, sigma, reason, maps[POSE])
     return Reconstruction(Decoded(column, row, decoded_reason), point_map)
 
 

@@ -1,10 +1,12 @@
 """From projector coordinates to points: each camera ray meets the projector's plane or ray.
 
 Result in the world frame (z up towards the devices), mm. Along a ray there is one unknown, the
-depth; it is found by Gauss-Newton with weights 1 / sigma^2 and its sigma follows from the slope.
+depth; it is found by Gauss-Newton with weights 1 / sigma^2 and its sigma follows from the slope:
+sigma_d = (sum_i (du_i / dd)^2 / sigma_i^2)^(-1/2), sigma_xyz = sigma_d |R (x, y, 1)|.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal, get_args
 
 import numpy as np
@@ -46,14 +48,36 @@ class PointMap:
     Parameters
     ----------
     points_world_mm : (row, col, xyz) float
-    sigma_z_mm : (row, col) float, predicted standard deviation of world z. The error of a point
-        lies along its camera ray
+    sigma_xyz_mm : (row, col, xyz) float, predicted standard deviations along the world axes from
+        those of the coordinates; the calibration's own uncertainty is not in them. The error of a
+        point lies along its camera ray: its covariance is `covariance_mm2`, of rank 1
     mask_reason : (row, col) Reason
+    T_world_from_cam : (4, 4) float, mm
     """
 
     points_world_mm: FloatImage
-    sigma_z_mm: FloatImage
+    sigma_xyz_mm: FloatImage
     mask_reason: ReasonImage
+    T_world_from_cam: Doubles
+
+    @property
+    def sigma_z_mm(self) -> FloatImage:
+        """Predicted standard deviation of world z, (row, col)."""
+        return self.sigma_xyz_mm[..., 2]
+
+    @cached_property
+    def points_cam_mm(self) -> FloatImage:
+        """The points in the camera's frame (z = depth), (row, col, xyz); 0 where masked."""
+        T = self.T_world_from_cam
+        points = (self.points_world_mm - T[:3, 3]) @ T[:3, :3]
+        return np.where(self.valid[..., np.newaxis], points, 0.0).astype(np.float32)
+
+    @property
+    def covariance_mm2(self) -> FloatImage:
+        """Covariance of each point in the world frame, (row, col, xyz, xyz)."""
+        along = self.points_world_mm - self.T_world_from_cam[:3, 3].astype(np.float32)
+        signed = np.copysign(self.sigma_xyz_mm, along)
+        return signed[..., :, np.newaxis] * signed[..., np.newaxis, :]
 
     @property
     def valid(self) -> BoolImage:
@@ -84,7 +108,9 @@ def triangulate(
     limits = tolerance or EpipolarTolerance()
     shape = decoded.mask_reason.shape
     points = Points(
-        np.zeros((*shape, 3), np.float32), np.zeros(shape, np.float32), decoded.mask_reason.copy()
+        np.zeros((*shape, 3), np.float32),
+        np.zeros((*shape, 3), np.float32),
+        decoded.mask_reason.copy(),
     )
     column, row = decoded.column, decoded.row
     run_over_rows(
@@ -98,7 +124,7 @@ def triangulate(
         _motion(calibration.T_world_from_cam),
         points,
     )
-    return PointMap(*points)
+    return PointMap(*points, calibration.T_world_from_cam)
 
 
 def _check(decoded: Decoded, calibration: Calibration, use: str) -> None:

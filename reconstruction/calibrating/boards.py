@@ -17,6 +17,8 @@ from reconstruction.errors import InputError
 
 Indices = NDArray[np.integer[Any]]
 MARKER_DICTIONARY = "DICT_4X4_250"
+# Of the drawing from which a ChArUco board is printed, per square.
+MARKER_TEXELS = 60
 
 
 @dataclass(frozen=True)
@@ -155,15 +157,17 @@ class CharucoBoard:
 
     def ink(self, x_mm: Doubles, y_mm: Doubles, edge_mm: float) -> Doubles:
         """Share of ink at board positions x (col,) and y (row,): (row, col), edges this wide."""
-        per_square = max(12, round(self.square_mm / edge_mm))
-        size = ((self.columns + 1) * per_square, (self.rows + 1) * per_square)
-        image = self.opencv().generateImage(size)
-        corner = self.points_mm[0]
-        col = np.floor(((x_mm - corner[0]) / self.square_mm + 1.0) * per_square).astype(int)
-        row = np.floor(((corner[1] - y_mm) / self.square_mm + 1.0) * per_square).astype(int)
-        col, row = np.clip(col, 0, size[0] - 1), np.clip(row, 0, size[1] - 1)
-        found: Doubles = (image[row[:, np.newaxis], col] < 128).astype(np.float64)
-        return _on_plate(self, x_mm, y_mm) * found
+        image = self.opencv().generateImage(
+            ((self.columns + 1) * MARKER_TEXELS, (self.rows + 1) * MARKER_TEXELS)
+        )
+        ink = (image < 128).astype(np.float64)
+        corner, half = self.points_mm[0], edge_mm / self.square_mm / 2.0
+        across = (x_mm - corner[0]) / self.square_mm + 1.0
+        down = (corner[1] - y_mm) / self.square_mm + 1.0
+        ink = _box_average(ink, MARKER_TEXELS * (down - half), MARKER_TEXELS * (down + half))
+        return _box_average(
+            ink.T, MARKER_TEXELS * (across - half), MARKER_TEXELS * (across + half)
+        ).T
 
 
 Board = DotBoard | Chessboard | CharucoBoard
@@ -184,7 +188,23 @@ def _square_wave(offset_mm: Doubles, square_mm: float, edge_mm: float) -> Double
     return wave
 
 
-def _on_plate(board: Chessboard | CharucoBoard, x_mm: Doubles, y_mm: Doubles) -> Doubles:
+def _box_average(image: Doubles, low: Doubles, high: Doubles) -> Doubles:
+    """Average rows of an image between positions low and high (n,), texel borders at integers.
+
+    Outside the image there is nothing: 0.
+    """
+    total = np.concatenate([np.zeros((1, image.shape[1])), np.cumsum(image, axis=0)])
+    upper, lower = (_interpolate(total, np.clip(p, 0.0, len(image))) for p in (high, low))
+    return np.asarray((upper - lower) / (high - low)[:, np.newaxis])
+
+
+def _interpolate(table: Doubles, position: Doubles) -> Doubles:
+    first = np.minimum(position.astype(int), len(table) - 2)
+    share = (position - first)[:, np.newaxis]
+    return np.asarray((1.0 - share) * table[first] + share * table[first + 1])
+
+
+def _on_plate(board: Chessboard, x_mm: Doubles, y_mm: Doubles) -> Doubles:
     half_x = (board.columns + 1) / 2.0 * board.square_mm
     half_y = (board.rows + 1) / 2.0 * board.square_mm
     inside = (np.abs(x_mm) <= half_x) & (np.abs(y_mm) <= half_y)[:, np.newaxis]

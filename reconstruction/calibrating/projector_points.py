@@ -2,7 +2,7 @@
 
 The map from camera to projector pixels is a homography for a flat board, but for lens distortion
 (Moreno and Taubin, 3DIMPVT 2012, fit one per corner to Gray-code integers). Here it is fitted to
-the PHASE of the white pixels of the whole board, and round each feature a quadratic of what is left
+the PHASE of the white pixels of the whole board, and round each feature a cubic of what is left
 follows the distortion: dark ink, which has little phase, and mixed edge pixels take no part.
 """
 
@@ -18,8 +18,9 @@ from reconstruction.errors import InputError
 
 GLOBAL_PIXELS, LOCAL_PIXELS = 40_000, 6_000
 MIN_LOCAL_PIXELS = 60
-# Each quadrant round a feature holds at least this share of the white pixels: no extrapolation.
-MIN_QUADRANT_SHARE = 0.1
+# Left, right, above and below a feature lies at least this share of the white pixels each: no
+# extrapolation.
+MIN_HALF_SHARE = 0.25
 # A wrong fringe order is a whole period off; the distortion of the board's map is far less.
 OUTLIER_PX = 2.0
 
@@ -102,7 +103,10 @@ def _slopes(H: Doubles, points: Doubles) -> Doubles:
 def _local_residual(
     decoded: Decoded, usable: BoolImage, H: Doubles, centre: Doubles, reach_px: float
 ) -> Doubles | None:
-    """Fit 1, x, y, x^2, xy, y^2 of what the homography leaves: coefficients (6, 2) at reach 1."""
+    """Fit a cubic (1, x, y, ...) to what the homography leaves: coefficients (10, 2) at reach 1.
+
+    Radial distortion is a cubic: a quadratic would lean where the window is one-sided.
+    """
     low = np.maximum(np.floor(centre - reach_px), 0).astype(int)
     high = np.ceil(centre + reach_px).astype(int) + 1
     row, col = np.nonzero(usable[low[1] : high[1], low[0] : high[0]])
@@ -116,10 +120,11 @@ def _local_residual(
     x, y = ((camera[good] - centre) / reach_px).T
     if not _surrounded(x, y):
         return None
-    design = np.column_stack([np.ones_like(x), x, y, x * x, x * y, y * y])
+    cubic = (x * x * x, x * x * y, x * y * y, y * y * y)
+    design = np.column_stack([np.ones_like(x), x, y, x * x, x * y, y * y, *cubic])
     return np.asarray(np.linalg.lstsq(design, left[good], rcond=None)[0])
 
 
 def _surrounded(x: Doubles, y: Doubles) -> bool:
-    counts = np.bincount(2 * (x > 0.0) + (y > 0.0), minlength=4)
-    return bool(counts.min() >= max(MIN_QUADRANT_SHARE * counts.sum(), 10))
+    shares = [np.mean(x > 0.0), np.mean(y > 0.0)]
+    return bool(min(shares) >= MIN_HALF_SHARE and max(shares) <= 1.0 - MIN_HALF_SHARE)

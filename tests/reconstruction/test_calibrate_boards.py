@@ -43,7 +43,7 @@ def test_printed_ink_has_the_area_of_the_dots():
 
 
 @pytest.mark.parametrize(
-    "board", [Chessboard(9, 6, 2.0), CharucoBoard(8, 6, 2.0, 1.5)], ids=["chess", "charuco"]
+    "board", [Chessboard(9, 6, 2.0), CharucoBoard(8, 6, 2.0, 1.3)], ids=["chess", "charuco"]
 )
 def test_corners_are_found_where_they_are_printed(board):
     """Setup: noise-free flat print. Expected: every corner, to 0.05 px, with the right identity."""
@@ -52,7 +52,7 @@ def test_corners_are_found_where_they_are_printed(board):
     np.testing.assert_allclose(corners, place_px(board.points_mm[ids]), atol=0.05)
 
 
-@pytest.mark.parametrize("board", [Chessboard(9, 6, 2.0), CharucoBoard(8, 6, 2.0, 1.5)])
+@pytest.mark.parametrize("board", [Chessboard(9, 6, 2.0), CharucoBoard(8, 6, 2.0, 1.3)])
 def test_a_blank_sheet_is_no_board(board):
     with pytest.raises(InputError, match=r"recognised"):
         find_corners(board, np.ones((200, 300), np.float32))

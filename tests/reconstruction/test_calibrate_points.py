@@ -44,16 +44,16 @@ def decoded_as(where, valid):
 def test_dark_dots_are_bridged_exactly():
     """Setup: exact coordinates, garbage inside the dots, distortion beyond a homography.
 
-    Expected: value to 1e-4 px; slope to 2e-4, which the distortion's cubic part costs it.
+    Expected: value to 1e-5 px, slope to 1e-5: the distortion is a cubic.
     """
     where, white = coordinates(), dots()
     where[~white] = 7.0
     found = projector_points(decoded_as(where, white), white, FEATURES, REACH)
     assert found.found.all()
-    np.testing.assert_allclose(found.pixels_px, projector_map(FEATURES), atol=1e-4)
+    np.testing.assert_allclose(found.pixels_px, projector_map(FEATURES), atol=1e-5)
     steps = [0.5 * np.eye(2)[k] for k in range(2)]
     slopes = [projector_map(FEATURES + s) - projector_map(FEATURES - s) for s in steps]
-    np.testing.assert_allclose(found.slopes, np.stack(slopes, axis=-1), atol=2e-4)
+    np.testing.assert_allclose(found.slopes, np.stack(slopes, axis=-1), atol=1e-5)
 
 
 def test_wrong_fringe_orders_are_ignored():

@@ -40,7 +40,9 @@ def test_result_is_the_same_on_any_number_of_threads(monkeypatch, patterns, stac
     """Expected: the same bytes, as the bands do not depend on the number of threads."""
     expected = decode(stack, patterns, SENSOR)
     monkeypatch.setattr(_jit, "threads", lambda: threads)
-    for found, wanted in zip(fields(decode(stack, patterns, SENSOR)), fields(expected), strict=True):
+    for found, wanted in zip(
+        fields(decode(stack, patterns, SENSOR)), fields(expected), strict=True
+    ):
         np.testing.assert_array_equal(found, wanted)
 
 

@@ -61,7 +61,7 @@ def test_netcdf_comes_back(reconstruction, tmp_path):
             np.testing.assert_array_equal(a, b)
             assert a.dtype == b.dtype
     np.testing.assert_array_equal(found.decoded.mask_reason, reconstruction.decoded.mask_reason)
-    for field in ("points_world_mm", "sigma_z_mm", "mask_reason"):
+    for field in ("points_world_mm", "sigma_xyz_mm", "mask_reason", "T_world_from_cam"):
         np.testing.assert_array_equal(
             getattr(found.point_map, field), getattr(reconstruction.point_map, field)
         )

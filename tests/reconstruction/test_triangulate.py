@@ -98,6 +98,43 @@ def test_sigma_is_the_spread_of_z(calibration, surface, project):
         assert np.std(normalised) == pytest.approx(1.0, rel=0.03)
 
 
+def test_sigma_xyz_and_covariance_are_the_spread(aim, surface, project):
+    """Setup: an oblique camera, 400 trials. Expected: sigma of x, y, z and their covariances 5 %.
+
+    Why: 400 trials of 30 pixels know a standard deviation to 0.7 % and each pixel's to 3.5 %.
+    """
+    calibration = Calibration(
+        Pinhole(6, 5, 50.0, 50.0, 2.0, 2.0, (-0.05, 0.1, 1e-3, 0.0, 0.0)),
+        Pinhole(1280, 720, 1536.0, 1530.0, 640.0, 360.0, (-0.02, 0.01, 1e-4, 2e-4, 0.0)),
+        aim([70.0, 90.0, 180.0], [0.0, 0.0, 0.0]),
+        aim([-60.0, 10.0, 220.0], [0.0, 0.0, 0.0]),
+    )
+    points, rng = surface(calibration), np.random.default_rng(8)
+    exact = project(calibration, points)
+    found = triangulate(decoded_from(exact), calibration, "both")
+    trials = [
+        triangulate(decoded_from(exact + rng.normal(0.0, 0.01, exact.shape)), calibration, "both")
+        for _ in range(400)
+    ]
+    error = np.stack([t.points_world_mm.astype(float) for t in trials]) - points
+    ratio = error.std(axis=0) / found.sigma_xyz_mm
+    assert np.sqrt(np.mean(ratio**2, axis=(0, 1))) == pytest.approx(1.0, rel=0.05)
+    spread = np.einsum("nrci,nrcj->ij", error, error) / (len(trials) * 30)
+    np.testing.assert_allclose(spread, found.covariance_mm2.mean(axis=(0, 1)), rtol=0.1)
+
+
+def test_camera_frame_is_the_same_points(calibration, surface, project):
+    """Expected: each pixel's point lies on its own ray, z is the depth; 0 where masked."""
+    decoded = decoded_from(project(calibration, surface(calibration)))
+    decoded.mask_reason[5, 6] = Reason.DARK
+    found = triangulate(decoded, calibration)
+    pixels = calibration.camera.project(found.points_cam_mm[found.valid].astype(float))
+    row, col = np.nonzero(found.valid)
+    np.testing.assert_allclose(pixels, np.column_stack([col, row]), atol=1e-4)
+    assert found.points_cam_mm[5, 6].tolist() == [0.0, 0.0, 0.0]
+    assert found.points_cam_mm[10, 10, 2] == pytest.approx(214.0, abs=1.5)
+
+
 def test_both_is_never_worse(calibration, surface, project):
     decoded = decoded_from(project(calibration, surface(calibration)))
     column, row, both = (
