@@ -1,6 +1,6 @@
 """Calibration of camera and projector, and its file: OpenCV YAML, which other tools read as well.
 
-Transforms T_a_from_b map points of frame b to frame a; lengths mm. The only module with OpenCV.
+Transforms T_a_from_b map points of frame b to frame a; lengths mm.
 """
 
 from dataclasses import dataclass, replace

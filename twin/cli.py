@@ -309,11 +309,8 @@ def calibrate(
     """
     from reconstruction.calibrating import AdjustOptions, Freedom
     from twin.config.board import load_board
-    from twin.modalities.calibration import (
-        calibrate_captures,
-        calibrate_rendered,
-        write_board_calibration,
-    )
+    from twin.modalities.calibration import calibrate_captures, calibrate_rendered
+    from twin.modalities.calibration_storage import write_board_calibration
     from twin.output import output_folder
     from twin.report.calibration import draw_calibration
 

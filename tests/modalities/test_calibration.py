@@ -6,12 +6,12 @@ import json
 import numpy as np
 import pytest
 
-from reconstruction.calibrating import length_errors_mm, locate_features
+from reconstruction.calibrating import length_errors_mm, locate_features, observe
 from reconstruction.calibration import read_calibration
 from twin.cli import run
 from twin.config import ConfigError, load_experiment
 from twin.config.board import BoardPose, load_board
-from twin.modalities.calibration import calibrate_rendered
+from twin.modalities.calibration import record_board
 from twin.optics.board import albedo_image, board_pose
 from twin.optics.rig import true_calibration
 
@@ -100,7 +100,8 @@ def test_tables_and_pictures_are_written(folder):
         rows = list(csv.DictReader(file))
     assert {"parameter", "value", "sigma", "expanded", "truth", "error"} == set(rows[0])
     assert len(rows) == 25
-    for name in ("residuals.png", "pose_residuals.png", "parameters.png", "experiment.toml"):
+    pictures = ("residuals.png", "pose_residuals.png", "correlations.png", "parameters.png")
+    for name in (*pictures, "experiment.toml"):
         assert (folder / name).stat().st_size > 1000
     assert len((folder / "poses.csv").read_text().splitlines()) == 1 + 5
 
@@ -128,10 +129,38 @@ def test_lengths_on_a_new_pose(folder, board_file, mi):
     board = load_board(board_file)
     new = BoardPose(tilt_deg=10.0, azimuth_deg=60.0, spin_deg=15.0, z_mm=0.5)
     experiment = load_experiment("paper/two_balls", SMALL)
-    poses = (new, *board.poses[1:3])
-    seen = calibrate_rendered(experiment, board.model_copy(update={"poses": poses})).observations[0]
+    seen = observe(record_board(experiment, board, new, 50), board.board())
     points = locate_features(read_calibration(folder / "calibration.yaml"), seen)
     assert np.abs(length_errors_mm(points, seen, 11.0)).max() < 5e-3
+
+
+@pytest.mark.parametrize("name", ["boards/charuco", "boards/chessboard"])
+def test_corner_boards_are_observed(mi, name):
+    """Setup: one tilted pose, default noise. Expected: every corner to 0.05 px in the camera.
+
+    The projector coordinate belongs to the place seen, so its error beyond the camera's share is
+    that of the phase alone: 5e-3 px.
+    """
+    board, experiment = load_board(name), load_experiment("paper/two_balls", SMALL)
+    pose = BoardPose(tilt_deg=12.0, azimuth_deg=40.0)
+    seen = observe(record_board(experiment, board, pose), board.board())
+    assert len(seen.ids) >= 50
+    rig, T = true_calibration(experiment), board_pose(pose)
+    points = seen.points_mm @ T[:3, :3].T + T[:3, 3]
+    misses = [
+        found - device.project(into(np.linalg.inv(frame), points))
+        for found, device, frame in (
+            (seen.camera_px, rig.camera, rig.T_world_from_cam),
+            (seen.projector_px, rig.projector, rig.T_world_from_proj),
+        )
+    ]
+    assert np.sqrt(np.mean(misses[0] ** 2)) < 0.05
+    beyond = misses[1] - np.einsum("nij,nj->ni", seen.slopes, misses[0])
+    assert np.sqrt(np.mean(beyond**2)) < 5e-3
+
+
+def into(T, points):
+    return points @ T[:3, :3].T + T[:3, 3]
 
 
 def test_errors_name_the_pose_and_leave_nothing_behind(folder, tmp_path, capsys):

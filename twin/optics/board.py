@@ -5,6 +5,7 @@ grid of sub-pixel rays sees every edge where it is: a hard edge would be sampled
 quarter pixel, and the centroids of dots would jitter by a hundredth of a pixel.
 """
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -59,8 +60,9 @@ def camera_texel_mm(experiment: Experiment) -> float:
 def render_board(experiment: Experiment, file: BoardFile, pose: BoardPose) -> Frames:
     """Render the whole sequence on the board in one pose.
 
-    The engine is the one-trace renderer with direct light, four rays per pixel or more as the
-    experiment says. Sharp in depth: camera and projector are pinholes.
+    The engine is the one-trace renderer with direct light and the experiment's rays per pixel. The
+    board lies in open air, whatever clear layers the experiment has. Defocus as the experiment
+    says (`camera.depth_of_field`, `projector.aperture_mm`); by default everything is sharp.
 
     Raises
     ------
@@ -70,16 +72,18 @@ def render_board(experiment: Experiment, file: BoardFile, pose: BoardPose) -> Fr
     activate()
     # Mitsuba may be imported only now: the backend's library is chosen when it loads.
     from twin.optics import one_trace
+    from twin.optics.extent import axial_range_mm
     from twin.optics.light import light_tables, pattern_set
     from twin.optics.scene import rig_of
 
     texel_mm = camera_texel_mm(experiment)
     albedo = albedo_image(file.board(), file.plate, texel_mm)
     scene = _board_scene(file.plate, albedo, board_pose(pose))
-    tables = light_tables(
-        experiment.projector, pattern_set(experiment.projector, experiment.patterns)
-    )
-    return one_trace.trace_stack(scene, rig_of(experiment), tables, experiment.render.samples)
+    # Nothing stands between a single plane and the projector: no shadow rays.
+    rig = replace(rig_of(experiment), layers=None, shadows=False)
+    patterns = pattern_set(experiment.projector, experiment.patterns)
+    tables = light_tables(experiment.projector, patterns, axial_range_mm(scene, rig))
+    return one_trace.trace_stack(scene, rig, tables, experiment.render.samples)
 
 
 def _board_scene(plate: Plate, albedo: FloatArray, T_world_from_board: Matrix) -> Any:

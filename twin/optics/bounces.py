@@ -17,16 +17,20 @@ that sharp bodies throw on other surfaces than the stage.
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields, replace
+from itertools import pairwise
 from typing import Any
 
 import drjit as dr
 import mitsuba as mi
+import numpy as np
 
 from twin.optics.connection import Connection, Rig, connect
 from twin.optics.look_up import FrameLight
 from twin.optics.stage_light import StageLight
 from twin.optics.subpixels import SubPixels
 from twin.optics.surfaces import Surfaces
+
+LAUNCHES = 8
 
 MOST_SHARP = 24
 """Reflections and refractions at sharp bodies that a camera path may go through."""
@@ -64,11 +68,13 @@ def add_bounces(
     *,
     bounces: Bounces,
     frames: list[Any],
+    progress: Callable[[float], None] = lambda _: None,
 ) -> list[Any]:
     """Return `frames` plus the light of two and more reflections; same units.
 
     One loop runs over all path segments of all samples: after the last bounce, or when a path
-    leaves the scene, the lane starts its next sample.
+    leaves the scene, the lane starts its next sample. The walks are done in a few launches of one
+    kernel, between which `progress` is told the finished fraction.
     """
     walks, width = grid.samples * bounces.paths, dr.width(grid.x_px)
     surfaces = bounces.surfaces
@@ -107,16 +113,25 @@ def add_bounces(
             *sums,
         )
 
-    start = (
-        *(dr.zeros(mi.UInt32, width) for _ in range(3)),
-        dr.full(mi.Bool, False, width),
-        dr.zeros(mi.Ray3f, width),
-        dr.ones(mi.Float, width),
-        _random_numbers(width, bounces.seed),
-        *frames,
-    )
-    end = dr.while_loop(start, lambda walk, *_: walk < walks, next_segment)
-    return list(end[7:])
+    random = _random_numbers(width, bounces.seed)
+    limits = np.linspace(0, walks, min(walks, LAUNCHES) + 1).astype(int).tolist()
+    for first, last in pairwise(limits):
+        # Opaque: a literal would make every launch a kernel of its own.
+        begin, stop = dr.opaque(mi.UInt32, first, width), dr.opaque(mi.UInt32, last)
+        start = (
+            begin,
+            *(dr.zeros(mi.UInt32, width) for _ in range(2)),
+            dr.full(mi.Bool, False, width),
+            dr.zeros(mi.Ray3f, width),
+            dr.ones(mi.Float, width),
+            random,
+            *frames,
+        )
+        end = dr.while_loop(start, lambda walk, *_, stop=stop: walk < stop, next_segment)
+        random, frames = end[6], list(end[7:])
+        dr.eval(random, frames)
+        progress(last / walks)
+    return frames
 
 
 def _add_connected(

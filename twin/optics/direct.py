@@ -29,6 +29,9 @@ AIR_GAP_MM = 0.02
 """Between stage and specimen. Bodies do not wet the table: there is always air below them. It also
 keeps the two surfaces apart by ten times the length by which rays leave a surface."""
 
+# Of the rendering time, for the progress bar.
+_PHOTONS_SHARE = 0.2
+
 CREASE_DEG = 20.0
 """Facets that meet at less than this are one smooth surface."""
 
@@ -135,7 +138,7 @@ def render_direct(
             built.scene, built.surfaces, rig, count=experiment.render.photons, seed=photon_seed
         )
         stage_light = StageLight(map_photons(photons, tables))
-    progress(0.2)
+    progress(_PHOTONS_SHARE)
     bounces = Bounces(
         most=experiment.bounces,
         paths=experiment.render.bounce_paths,
@@ -144,7 +147,12 @@ def render_direct(
         stage_light=stage_light,
     )
     frames = one_trace.trace_stack(
-        built.scene, rig, tables, experiment.render.samples, bounces=bounces
+        built.scene,
+        rig,
+        tables,
+        experiment.render.samples,
+        bounces=bounces,
+        progress=lambda part: progress(_PHOTONS_SHARE + (1.0 - _PHOTONS_SHARE) * part),
     )
     truth = one_trace.trace_truth(built.scene, rig, built.surfaces)
     progress(1.0)

@@ -42,6 +42,7 @@ def trace_stack(
     samples: int,
     *,
     bounces: Bounces | None = None,
+    progress: Callable[[float], None] = lambda _: None,
     smooth_within_px: float = SMOOTH_WITHIN_PX,
 ) -> Frames:
     """Render all frames.
@@ -57,6 +58,8 @@ def trace_stack(
         A square number: camera rays per pixel.
     bounces : Bounces, optional
         Light that is reflected more than once; None leaves it out.
+    progress : callable
+        Told the finished fraction of the bounces.
     smooth_within_px : float
         Pixels whose samples lie within this many projector pixels look the light up once.
 
@@ -77,7 +80,9 @@ def trace_stack(
         frames,
     )
     if bounces is not None:
-        frames = add_bounces(scene, rig, light, grid, bounces=bounces, frames=frames)
+        frames = add_bounces(
+            scene, rig, light, grid, bounces=bounces, frames=frames, progress=progress
+        )
     dr.eval(frames)
     dr.sync_thread()
     return _in_sequence(frames, light.sequence, (height, width))

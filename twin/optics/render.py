@@ -50,7 +50,9 @@ def render(
     tables = light_tables(experiment.projector, patterns, axial_range_mm(scene, rig))
     samples = experiment.render.samples
     if experiment.render.engine == "one_trace":
-        frames = one_trace.trace_stack(scene, rig, tables, samples, bounces=_bounces(experiment))
+        frames = one_trace.trace_stack(
+            scene, rig, tables, samples, bounces=_bounces(experiment), progress=progress
+        )
     else:
         if any(experiment.camera.distortion):
             raise InputError(
