@@ -13,6 +13,7 @@ from pydantic import Field, ValidationInfo, field_validator
 from twin.config.base import Distortion, Model, Positive
 from twin.config.devices import Camera, Pose, Projector
 from twin.config.elastomer import Coating, Elastomer, Film, Mechanics, PadFile, Press
+from twin.config.lamps import Lamp, Photometric, check_lamps
 from twin.config.layers import Layer, Layers, check_rig
 from twin.config.materials import Conductor, Dielectric, Diffuse, Material, Plastic, Stage
 from twin.config.specimens import (
@@ -43,6 +44,7 @@ __all__ = [
     "Flat",
     "Grating",
     "Group",
+    "Lamp",
     "Layer",
     "Material",
     "Mechanics",
@@ -50,6 +52,7 @@ __all__ = [
     "Model",
     "PadFile",
     "Patterns",
+    "Photometric",
     "Plastic",
     "Pose",
     "Press",
@@ -149,10 +152,11 @@ class Experiment(Model):
     name: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_\-]*$", max_length=64)]
     description: str = ""
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
-    modality: Literal["contact_fpp", "direct_fpp"] = Field(
+    modality: Literal["contact_fpp", "direct_fpp", "photometric_stereo"] = Field(
         default="contact_fpp",
         description="contact_fpp: fringes on the coat of the pressed elastomer; "
-        "direct_fpp: fringes on the bare specimen, which stands on the stage",
+        "direct_fpp: fringes on the bare specimen, which stands on the stage; "
+        "photometric_stereo: the coat in the light of coloured lamps, seen through its gel",
     )
     specimen: AnySpecimen
     stage: Stage = Stage()
@@ -171,6 +175,14 @@ class Experiment(Model):
         description="[layers.NAME]: clear plane layers above the coat, each with bottom_mm (world "
         "z; 0 or less holds the coat), thickness_mm, ior, absorption_per_mm (0)",
     )
+    lamps: dict[str, Lamp] = Field(
+        default={},
+        validate_default=True,
+        description="[lamps.NAME]: rows of LEDs beside the gel (photometric_stereo)",
+    )
+    photometric: Photometric = Field(
+        default=Photometric(), description="images and calibration of photometric_stereo"
+    )
     provenance: dict[str, Provenance] = Field(
         default_factory=dict, description="source and valid range by dotted path"
     )
@@ -180,7 +192,7 @@ class Experiment(Model):
         """Reflections after the first that are traced."""
         if self.render.bounces is not None:
             return self.render.bounces
-        return 0 if self.modality == "contact_fpp" else _DIRECT_BOUNCES
+        return _DIRECT_BOUNCES if self.modality == "direct_fpp" else 0
 
     @field_validator("layers")
     @classmethod
@@ -189,3 +201,9 @@ class Experiment(Model):
     ) -> dict[str, Layer]:
         check_rig(layers, info.data)
         return layers
+
+    @field_validator("lamps")
+    @classmethod
+    def _lamps_fit_the_rig(cls, lamps: dict[str, Lamp], info: ValidationInfo) -> dict[str, Lamp]:
+        check_lamps(lamps, info.data)
+        return lamps
