@@ -1,0 +1,58 @@
+"""Printed dots: find them, and fill in the slopes they hide."""
+
+import cv2
+import numpy as np
+
+from reconstruction.arrays import BoolImage, Doubles, FloatImage
+
+# How far dots are grown where nothing else is said: their rims are half dark.
+GROWTH_PX = 2
+# Smoothings of filled slopes: enough for dots of 8 px radius (0.5 mm at 0.0634 mm/px), since the
+# nearest neighbours they start from are already right at the rim.
+SMOOTHINGS = 40
+
+
+def find_markers(levels: FloatImage, highest_level: float, grow_px: int) -> BoolImage:
+    """Return where the grey value is at most `highest_level`, grown by `grow_px`, (row, col).
+
+    Level 0 stands for a gel without dots.
+
+    Parameters
+    ----------
+    levels : (row, col, 3) float32, red first; grey = 0.299 R + 0.587 G + 0.114 B
+    """
+    if highest_level == 0:
+        return np.zeros(levels.shape[:2], dtype=np.bool_)
+    dark = (cv2.cvtColor(levels, cv2.COLOR_RGB2GRAY) <= highest_level).astype(np.uint8)
+    if grow_px:
+        dark = cv2.dilate(dark, np.ones((3, 3), np.uint8), iterations=grow_px)
+    return np.asarray(dark, dtype=np.bool_)
+
+
+def fill_nearest(slopes: Doubles, hidden: BoolImage) -> Doubles:
+    """Replace hidden slopes by those of about the nearest visible pixel, as the vendor does."""
+    if not hidden.any() or hidden.all():
+        return slopes
+    _, label = cv2.distanceTransformWithLabels(
+        hidden.astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
+    )
+    place_of_label = np.zeros(int(label.max()) + 1, dtype=np.intp)
+    visible = np.flatnonzero(~hidden)
+    place_of_label[label.ravel()[visible]] = visible
+    source = place_of_label[label.ravel()]
+    return np.stack([slope.ravel()[source].reshape(slope.shape) for slope in slopes])
+
+
+def fill_smooth(slopes: Doubles, hidden: BoolImage) -> Doubles:
+    """Replace hidden slopes by a membrane through their surroundings.
+
+    Exact where the slopes are linear, as on a paraboloid; nearest neighbours make it a plateau.
+    """
+    if not hidden.any() or hidden.all():
+        return slopes
+    filled = fill_nearest(slopes, hidden).astype(np.float32)
+    inside = hidden.astype(np.uint8)
+    for slope in filled:
+        for _ in range(SMOOTHINGS):
+            cv2.copyTo(cv2.blur(slope, (3, 3), borderType=cv2.BORDER_REPLICATE), inside, slope)
+    return np.where(hidden, filled, slopes)

@@ -1,0 +1,89 @@
+import numpy as np
+import pytest
+
+from reconstruction.errors import FitError, InputError
+from reconstruction.photometric.calibration_ball import (
+    BallPress,
+    SampleOptions,
+    ball_slopes,
+    sample_presses,
+)
+from reconstruction.photometric.contact_circle import ContactCircle, find_contact_circle
+from reconstruction.photometric.images import mean_background, smoothed
+
+PITCH_MM = 0.0634
+
+
+@pytest.fixture(scope="module")
+def background(background_frames):
+    return mean_background(background_frames)
+
+
+def test_circle_of_contact(ball_presses, presses, background):
+    """Centres enter every slope, so they must be right to a fraction of a pixel.
+
+    Smoothing rounds the drop of the colour beyond the edge: the radius comes out about a pixel
+    small, which the rim that is left out anyway covers.
+    """
+    found = [find_contact_circle(smoothed(press.image, 3), background) for press in ball_presses]
+    centre = [
+        (f.row_px - p.row_px, f.col_px - p.col_px) for f, p in zip(found, presses, strict=True)
+    ]
+    radius = [f.radius_px - p.contact_px for f, p in zip(found, presses, strict=True)]
+    assert np.abs(centre).max() < 0.3
+    assert np.abs(np.mean(centre, axis=0)).max() < 0.05
+    assert min(radius) > -1.6
+    assert max(radius) < 0.0
+
+
+def test_slopes_are_those_of_the_sphere():
+    """Central differences of the sphere itself, 1e-4 px apart."""
+    circle, radius_mm, step = ContactCircle(20.3, 30.8, 15.0), 3.0, 1e-4
+    places = np.random.default_rng(3).uniform((10.0, 20.0), (30.0, 40.0), (50, 2))
+
+    def height_mm(places_px):
+        offset_mm = (places_px - (20.3, 30.8)) * PITCH_MM
+        return np.sqrt(radius_mm**2 - np.sum(offset_mm**2, axis=1))
+
+    expected = [
+        (height_mm(places + step * axis) - height_mm(places - step * axis)) / (2 * step * PITCH_MM)
+        for axis in np.eye(2)
+    ]
+    found = ball_slopes(circle, radius_mm, PITCH_MM, places)
+    np.testing.assert_allclose(found.T, expected, atol=1e-8)
+
+
+def test_samples_leave_out_dots(ball_presses, background):
+    row, col = np.indices(background.shape[:2])
+    dots = (row % 20 < 3) & (col % 20 < 3)
+    image, reference = ball_presses[0].image.copy(), background.copy()
+    image[dots], reference[dots] = 5, 5.0
+    press = BallPress(image, ball_presses[0].ball_diameter_mm)
+    plain = sample_presses([press], reference, PITCH_MM)
+    without = sample_presses([press], reference, PITCH_MM, SampleOptions(marker_level=30))
+    assert plain.background.min() < 30.0
+    assert without.background.min() > 50.0
+    assert 0 < len(without.slopes) < len(plain.slopes)
+
+
+def test_untouched_gel_is_no_contact(background_frames, background):
+    press = BallPress(background_frames[0], 6.0)
+    with pytest.raises(FitError, match=r"calibration image 0: no contact.*threshold 15"):
+        sample_presses([press], background, PITCH_MM)
+
+
+def test_ball_that_does_not_fit(ball_presses, background):
+    press = BallPress(ball_presses[0].image, 1.0)
+    with pytest.raises(FitError, match=r"does not fit a ball of radius 0\.50 mm"):
+        sample_presses([press], background, PITCH_MM)
+
+
+def test_bad_input_is_named(background):
+    with pytest.raises(FitError, match="no calibration images"):
+        sample_presses([], background, PITCH_MM)
+    with pytest.raises(InputError, match="8-bit RGB"):
+        BallPress(np.zeros((10, 10), np.uint8), 4.0)
+    with pytest.raises(InputError, match="calibration image 0 has shape"):
+        sample_presses([BallPress(np.zeros((9, 9, 3), np.uint8), 4.0)], background, PITCH_MM)
+    with pytest.raises(InputError, match="odd"):
+        SampleOptions(smoothing_px=4)

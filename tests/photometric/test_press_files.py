@@ -1,0 +1,183 @@
+import json
+import subprocess
+import sys
+
+import imageio.v3 as imageio
+import numpy as np
+import pytest
+import trimesh
+import xarray
+
+from reconstruction.errors import CaptureError
+from reconstruction.photometric import (
+    PhotometricDecoder,
+    PhotometricReason,
+    read_height_map,
+    read_sensor_calibration,
+    reconstruct_photometric,
+    write_height_map,
+    write_height_points,
+    write_sensor_calibration,
+)
+from reconstruction.photometric.press_description import Framing
+from reconstruction.photometric.press_files import framed, read_rgb
+from twin.modalities.photometric_files import reconstruct_press
+
+BALLS = 6
+HEADER = 'format = "photometric-press"\nversion = 1\n'
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory, ball_presses, background_frames):
+    """A folder as a user would have it: stills, presses of balls, a measurement."""
+    place = tmp_path_factory.mktemp("press")
+    for number, frame in enumerate(background_frames[:3]):
+        imageio.imwrite(place / f"still_{number}.png", frame)
+    for number, press in enumerate(ball_presses[:BALLS]):
+        imageio.imwrite(place / f"ball_{number}.png", press.image)
+    imageio.imwrite(place / "coin.png", ball_presses[-1].image)
+    return place
+
+
+def description(ball_presses, **changes):
+    balls = "".join(
+        f"[[calibrate.balls]]\ndiameter_mm = {press.ball_diameter_mm!r}\n"
+        f'images = ["ball_{number}.png"]\n'
+        for number, press in enumerate(ball_presses[:BALLS])
+    )
+    lines = {
+        "image": 'image = "coin.png"\n',
+        "background": 'background = ["still_0.png", "still_1.png", "still_2.png"]\n',
+        "calibrate": f"[calibrate]\npitch_mm = 0.0634\n{balls}",
+        "options": '[options]\nintegration = "corrected"\n',
+    }
+    return HEADER + "".join((lines | changes).values())
+
+
+def test_from_files_to_height_and_back(folder, tmp_path, ball_presses, make_surface, presses):
+    path = folder / "press.toml"
+    path.write_text(description(ball_presses), encoding="utf-8")
+    result = reconstruct_photometric(path)
+    error_mm = result.height_map.height_mm - make_surface(presses[-1])[0]
+    assert np.sqrt(np.mean(error_mm**2)) < 0.01
+    write_height_map(tmp_path / "height.nc", result.height_map)
+    found = read_height_map(tmp_path / "height.nc")
+    for name in ("height_mm", "slopes", "mask_reason"):
+        before, after = getattr(result.height_map, name), getattr(found, name)
+        np.testing.assert_array_equal(after, before)
+        assert after.dtype == before.dtype
+    assert found.pitch_mm == 0.0634
+    with xarray.open_dataset(tmp_path / "height.nc", engine="h5netcdf") as data:
+        assert data.height_mm.attrs["units"] == "mm"
+        assert len(data.mask_reason.attrs["flag_meanings"].split()) == len(PhotometricReason)
+    write_height_points(tmp_path / "points.ply", result.height_map)
+    cloud = trimesh.load(tmp_path / "points.ply")
+    np.testing.assert_allclose(cloud.vertices, result.height_map.points_mm(), atol=1e-6)
+
+
+def test_stored_calibration_with_a_new_background(folder, calibrations, ball_presses):
+    write_sensor_calibration(folder / "mini.npz", calibrations["polynomial"])
+    path = folder / "stored.toml"
+    lines = 'image = "coin.png"\ncalibration = "mini.npz"\n'
+    path.write_text(HEADER + lines, encoding="utf-8")
+    found = reconstruct_photometric(path).height_map
+    expected = PhotometricDecoder(calibrations["polynomial"]).decode(ball_presses[-1].image)
+    np.testing.assert_array_equal(found.height_mm, expected.height_mm)
+    path.write_text(HEADER + lines + 'background = "still_0.png"\n', encoding="utf-8")
+    result = reconstruct_photometric(path)
+    still = imageio.imread(folder / "still_0.png")
+    np.testing.assert_array_equal(result.calibration.background, still)
+
+
+def test_red_is_first_and_frames_are_cut(tmp_path):
+    """A pure red pixel stays in channel 0; 15 % off each side of 40 x 60 leaves 28 x 42."""
+    image = np.zeros((40, 60, 3), np.uint8)
+    image[6:34, 9:51, 0] = 200
+    imageio.imwrite(tmp_path / "red.png", image)
+    cut = read_rgb(tmp_path / "red.png", Framing(crop_share=0.15))
+    assert cut.shape == (28, 42, 3)
+    assert np.all(cut == (200, 0, 0))
+    assert framed(image, Framing(0.15, 21, 14)).shape == (14, 21, 3)
+
+
+def test_jpeg_is_read(folder, tmp_path):
+    image = imageio.imread(folder / "coin.png")
+    imageio.imwrite(tmp_path / "coin.jpg", image, quality=95)
+    assert np.abs(read_rgb(tmp_path / "coin.jpg").astype(int) - image).mean() < 3.0
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"image": 'image = "none.png"\n'}, r"none\.png: cannot be read"),
+        ({"image": 'image = "press.toml"\n'}, r"press\.toml: (cannot be read|holds no image)"),
+        ({"image": ""}, "missing.*image"),
+        ({"background": ""}, "background is empty"),
+        ({"background": "background = 3\n"}, "background is 3"),
+        ({"calibrate": ""}, r"either the key calibration .* or the table \[calibrate\]"),
+        ({"calibrate": "[calibrate]\npitch_mm = 0.0634\n"}, "calibrate.balls.* is missing"),
+        ({"options": '[options]\nintegration = "sdk"\n'}, "sdk_2024"),
+        ({"options": "[options]\nborder = 1\n"}, "unknown key border"),
+        ({"options": "[frame]\ncrop_share = 0.6\n"}, "crop_share"),
+        ({"options": "[frame]\nwidth_px = 320\n"}, "both or neither"),
+    ],
+)
+def test_mistakes_are_named_in_one_line(folder, ball_presses, changes, message):
+    path = folder / "wrong.toml"
+    (folder / "press.toml").touch()
+    path.write_text(description(ball_presses, **changes), encoding="utf-8")
+    with pytest.raises(CaptureError, match=message) as caught:
+        reconstruct_photometric(path)
+    assert "\n" not in str(caught.value)
+
+
+def test_grey_images_are_refused(folder, tmp_path):
+    imageio.imwrite(tmp_path / "grey.png", np.zeros((8, 8), np.uint8))
+    with pytest.raises(CaptureError, match="8-bit colour image"):
+        read_rgb(tmp_path / "grey.png")
+
+
+def test_image_of_another_size(folder, calibrations):
+    write_sensor_calibration(folder / "mini.npz", calibrations["polynomial"])
+    imageio.imwrite(folder / "small.png", np.zeros((24, 32, 3), np.uint8))
+    path = folder / "small.toml"
+    path.write_text(HEADER + 'image = "small.png"\ncalibration = "mini.npz"\n', encoding="utf-8")
+    with pytest.raises(CaptureError, match=r"small\.png: image has shape \(24, 32, 3\)"):
+        reconstruct_photometric(path)
+    lines = 'image = "coin.png"\nbackground = "small.png"\ncalibration = "mini.npz"\n'
+    path.write_text(HEADER + lines, encoding="utf-8")
+    with pytest.raises(CaptureError, match="the calibration was made with"):
+        reconstruct_photometric(path)
+
+
+def test_damaged_height_map(tmp_path):
+    path = tmp_path / "height.nc"
+    path.write_bytes(b"nothing")
+    with pytest.raises(CaptureError, match="netCDF-4"):
+        read_height_map(path)
+
+
+def test_needs_neither_twin_nor_renderer():
+    forbidden = {"twin", "mitsuba", "drjit", "trimesh", "skfem"}
+    program = (
+        "import sys, reconstruction.photometric\n"
+        f"print(sorted({forbidden} & {{name.partition('.')[0] for name in sys.modules}}))"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert done.stdout.strip() == "[]", done.stderr
+
+
+def test_result_folder(folder, tmp_path, ball_presses):
+    """What `twin reconstruct --photometric` writes; its calibration measures again, alike."""
+    path = folder / "whole.toml"
+    path.write_text(description(ball_presses), encoding="utf-8")
+    figures = reconstruct_press(path, tmp_path / "out")
+    stored = json.loads((tmp_path / "out" / "result.json").read_text(encoding="utf-8"))
+    assert stored["metrics"] == figures
+    assert figures["points"] + figures["masked_uncalibrated"] == 240 * 320
+    assert 0.1 < figures["highest_mm"] < 2.0
+    assert (tmp_path / "out" / "points.ply").is_file()
+    calibration = read_sensor_calibration(tmp_path / "out" / "sensor_calibration.npz")
+    found = PhotometricDecoder(calibration).decode(ball_presses[-1].image)
+    before = read_height_map(tmp_path / "out" / "height.nc")
+    np.testing.assert_array_equal(found.height_mm, before.height_mm)
