@@ -1,0 +1,45 @@
+"""The application: its options, its exit codes, and how a command's failure is told."""
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any
+
+from cyclopts import App, CycloptsError, Parameter
+
+from reconstruction.errors import InputError
+
+BAD_INPUT, MISSING_BACKEND, FAILURE = 2, 3, 1
+
+app = App(
+    name="twin",
+    help="Digital twin of a contact fringe-projection sensor: press, render, reconstruct, score.",
+    version_flags=["--version"],
+    help_flags=["--help", "-h"],
+)
+
+Out = Annotated[Path, Parameter(name=["--out", "-o"], help="folder for the result")]
+Settings = Annotated[
+    list[str] | None,
+    Parameter(name=["--set", "-s"], help="KEY=VALUE by dotted path, for example camera.binning=2"),
+]
+
+
+def guarded(run: Callable[[], Any]) -> int:
+    """Run a command; turn expected failures into one line and an exit code."""
+    try:
+        return int(run() or 0)
+    except InputError as error:
+        sys.stderr.write(f"twin: {error}\n")
+        return BAD_INPUT
+    except CycloptsError as error:
+        sys.stderr.write(f"twin: {' '.join(str(error).split())} See twin --help.\n")
+        return BAD_INPUT
+    except KeyboardInterrupt:
+        sys.stderr.write("twin: interrupted; nothing was written\n")
+        return FAILURE
+    except RuntimeError as error:
+        if type(error).__name__ != "MissingBackend":
+            raise
+        sys.stderr.write(f"twin: {error}\n")
+        return MISSING_BACKEND

@@ -1,0 +1,145 @@
+"""Commands for captures, rendered or real: patterns, calibration, reconstruction, reports."""
+
+from pathlib import Path
+from typing import Literal
+
+from twin.cli.app import Out, Settings, app
+from twin.cli.console import load, print_metrics, progress_bars, say
+
+
+@app.command
+def reconstruct(
+    capture: Path,
+    /,
+    *,
+    out: Out,
+    use: Literal["column", "row", "both"] = "column",
+    filter_taps: int = 8,
+    filter_sigma_px: float = 1.5,
+    photometric: bool = False,
+) -> None:
+    """Decode and triangulate a capture, rendered or real; needs no renderer.
+
+    Parameters
+    ----------
+    capture
+        Folder with capture.toml, or a result folder that holds one as capture/.
+    use
+        Projector coordinate that gives the depth.
+    filter_taps
+        Width of the Gaussian on the phase, px; 0 switches it off.
+    filter_sigma_px
+        Standard deviation of that Gaussian, px.
+    photometric
+        CAPTURE is a TOML file that describes a press seen by a photometric-stereo sensor; see
+        docs/photometric.md.
+    """
+    if photometric:
+        _reconstruct_press(capture, out)
+        return
+    from twin.config import decode_settings
+    from twin.modalities.captures import reconstruct_capture
+
+    chosen = decode_settings(use=use, filter_taps=filter_taps, filter_sigma_px=filter_sigma_px)
+    with progress_bars() as watch:
+        figures = reconstruct_capture(capture, out, chosen, watch)
+    print_metrics(figures)
+    say(f"wrote {out}")
+
+
+def _reconstruct_press(description: Path, out: Path) -> None:
+    from twin.modalities.photometric_files import reconstruct_press
+
+    with progress_bars() as watch:
+        figures = reconstruct_press(description, out, watch)
+    print_metrics(figures)
+    say(f"wrote {out}")
+
+
+@app.command
+def calibrate(
+    source: Path,
+    /,
+    *,
+    out: Out,
+    board: str = "boards/paper_dots",
+    settings: Settings = None,
+    camera_distortion: tuple[Literal["k1", "k2", "p1", "p2", "k3"], ...] = ("k1",),
+    projector_distortion: tuple[Literal["k1", "k2", "p1", "p2", "k3"], ...] = (),
+    keep_captures: bool = False,
+) -> None:
+    """Calibrate camera and projector on captures of a board, or on rendered ones.
+
+    Parameters
+    ----------
+    source
+        Folder with one capture folder per board pose; or an experiment, whose rig is rendered.
+    board
+        Board file, or the name of a shipped board.
+    camera_distortion, projector_distortion
+        Coefficients to estimate.
+    keep_captures
+        Keep the rendered captures as captures/pose_NN.
+    """
+    from reconstruction.calibrating import AdjustOptions, Freedom
+    from twin.config.board import load_board
+    from twin.modalities.calibration import calibrate_captures, calibrate_rendered
+    from twin.modalities.calibration_storage import write_board_calibration
+    from twin.output import output_folder
+    from twin.report.calibration import draw_calibration
+
+    shown = load_board(board)
+    options = AdjustOptions(Freedom(camera_distortion, projector_distortion))
+    with output_folder(out) as folder:
+        with progress_bars() as watch:
+            if source.is_dir():
+                done = calibrate_captures(source, shown, options, watch=watch)
+            else:
+                keep = folder / "captures" if keep_captures else None
+                done = calibrate_rendered(
+                    load(source, settings), shown, options, keep=keep, watch=watch
+                )
+        figures = write_board_calibration(folder, done)
+        draw_calibration(folder, done)
+    print_metrics(figures)
+    say(f"wrote {out}")
+
+
+@app.command
+def patterns(
+    experiment: Path = Path("paper/two_balls"), /, *, out: Out, settings: Settings = None
+) -> None:
+    """Write the projected sequence for a real projector: 8-bit PNG images and a manifest.
+
+    Parameters
+    ----------
+    experiment
+        TOML file, or the name of a shipped experiment such as paper/two_balls.
+    """
+    from reconstruction.pattern_files import MANIFEST_FILE, write_patterns
+    from twin.optics.light import pattern_set
+    from twin.output import output_folder
+
+    loaded = load(experiment, settings)
+    sequence = pattern_set(loaded.projector, loaded.patterns)
+    with output_folder(out) as folder:
+        write_patterns(folder, sequence)
+    say(f"wrote {len(sequence.frames)} images and {out / MANIFEST_FILE}")
+
+
+@app.command
+def report(folder: Path, /) -> None:
+    """Draw the HTML report of a finished measurement or comparison anew.
+
+    Parameters
+    ----------
+    folder
+        Result folder of `twin measure`, `twin demo` or `twin compare`.
+    """
+    from twin.modalities.comparison import is_comparison
+    from twin.report import write_comparison, write_report
+
+    draw = write_comparison if is_comparison(folder) else write_report
+    with progress_bars() as watch:
+        path = draw(folder, watch)
+    say(f"wrote {path}")

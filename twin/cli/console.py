@@ -1,0 +1,71 @@
+"""What a command says: progress on stderr, figures and paths on stdout; and what it is told."""
+
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from reconstruction.errors import InputError
+
+if TYPE_CHECKING:
+    from twin.config import Experiment
+    from twin.modalities.progress import Watcher
+
+
+def load(file: Path, settings: list[str] | None) -> "Experiment":
+    """Load an experiment and lay KEY=VALUE settings over it."""
+    from twin.config import load_experiment
+
+    return load_experiment(str(file), dict(_setting(text) for text in settings or []))
+
+
+def _setting(text: str) -> tuple[str, Any]:
+    """Split KEY=VALUE; the value is read as TOML, and as a plain string if it is none."""
+    import tomllib
+
+    key, found, value = text.partition("=")
+    if not found or not key.strip():
+        raise InputError(f"--set {text}: found no '='; write KEY=VALUE, e.g. camera.binning=2")
+    try:
+        return key.strip(), tomllib.loads(f"value = {value}")["value"]
+    except tomllib.TOMLDecodeError:
+        return key.strip(), value.strip()
+
+
+@contextmanager
+def progress_bars() -> "Iterator[Watcher]":
+    """Show one bar per stage on stderr; quiet when nobody watches."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    columns = (TextColumn("{task.description:<12}"), BarColumn(), TimeElapsedColumn())
+    console = Console(stderr=True)
+    with Progress(*columns, console=console, disable=not console.is_terminal) as progress:
+        bars: dict[str, Any] = {}
+
+        def watch(stage: str, fraction: float) -> None:
+            if stage not in bars:
+                bars[stage] = progress.add_task(stage, total=1.0)
+                if not console.is_terminal:
+                    sys.stderr.write(f"{stage} ...\n")
+            progress.update(bars[stage], completed=fraction)
+
+        yield watch
+
+
+def print_metrics(figures: dict[str, Any]) -> None:
+    """Print figures as a table."""
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table("figure", "value")
+    for name, value in figures.items():
+        shown = f"{value:.6g}" if isinstance(value, float) else str(value)
+        table.add_row(name, "\n".join(value) if isinstance(value, list) else shown)
+    Console().print(table)
+
+
+def say(text: str) -> None:
+    """Print a line on stdout."""
+    sys.stdout.write(f"{text}\n")

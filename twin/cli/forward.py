@@ -1,0 +1,215 @@
+"""Commands of the forward model: from an experiment to pictures and millimetres."""
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from reconstruction.errors import InputError
+from twin.cli.app import BAD_INPUT, Out, Settings, app
+from twin.cli.console import load, print_metrics, progress_bars, say
+
+if TYPE_CHECKING:
+    from twin.config import Experiment
+
+
+@app.command
+def press(
+    experiment: Path,
+    /,
+    *,
+    out: Out,
+    settings: Settings = None,
+    transfer: bool = False,
+    solid: bool = False,
+) -> None:
+    """Press the specimen into the elastomer: fields, force, coated face as a mesh.
+
+    Parameters
+    ----------
+    experiment
+        TOML file, or the name of a shipped experiment such as paper/two_balls.
+    transfer
+        Also report how much of a groove of each pitch the slab keeps.
+    solid
+        Also write the pressed slab as a watertight body, slab.stl and slab.ply.
+    """
+    from twin.mechanics import contact_transfer, write_in_plane
+    from twin.modalities.contact_fpp import press_specimen
+    from twin.modalities.storage import (
+        press_metrics,
+        transfer_metrics,
+        write_pressed,
+        write_result,
+        write_solid,
+        write_transfer,
+    )
+    from twin.output import output_folder
+    from twin.report.press import draw_press
+    from twin.report.transfer import draw_transfer
+
+    loaded = load(experiment, settings)
+    with output_folder(out) as folder:
+        with progress_bars() as watch:
+            watch("press", 0.0)
+            pressed = press_specimen(loaded)
+            watch("press", 1.0)
+        write_pressed(folder, pressed)
+        draw_press(folder / "press.png", loaded, pressed)
+        figures = press_metrics(pressed)
+        if pressed.model == "spectral":
+            write_in_plane(folder / "in_plane.nc", pressed, loaded.elastomer)
+        if solid:
+            write_solid(folder, loaded, pressed)
+        if transfer:
+            kept = contact_transfer(loaded.elastomer)
+            write_transfer(folder / "transfer.csv", kept)
+            draw_transfer(folder / "transfer.png", kept)
+            figures |= transfer_metrics(kept)
+        write_result(folder, "press", loaded, figures)
+    print_metrics(figures)
+    say(f"wrote {out}")
+
+
+@app.command
+def render(
+    experiment: Path,
+    /,
+    *,
+    out: Out,
+    settings: Settings = None,
+    frames: tuple[Literal["exr", "png"], ...] = (),
+) -> None:
+    """Press, render the fringe stack and expose the camera: a capture as a rig delivers it.
+
+    Parameters
+    ----------
+    experiment
+        TOML file, or the name of a shipped experiment such as paper/two_balls.
+    frames
+        Write each frame as an image too: exr (linear radiance), png (16-bit digital numbers).
+    """
+    from twin.modalities.measurement import take
+    from twin.modalities.progress import Stopwatch
+    from twin.modalities.storage import write_frames, write_result, write_taken, write_timings
+    from twin.output import output_folder
+    from twin.report.frames import draw_frames
+
+    loaded = load(experiment, settings)
+    with output_folder(out) as folder:
+        with progress_bars() as watch:
+            clock = Stopwatch(watch)
+            pressed, recording = take(loaded, clock)
+            for kind in frames:
+                with clock.stage(f"write {kind}") as progress:
+                    write_frames(folder, recording, kind, progress)
+        figures = write_taken(folder, pressed, recording)
+        draw_frames(folder / "frames.png", recording.capture)
+        write_result(folder, "render", loaded, figures)
+        write_timings(folder, clock.seconds)
+    print_metrics(figures)
+    say(f"rendered at {clock.frames_per_s['render']:.1f} frames/s")
+    say(f"wrote {out}")
+
+
+@app.command
+def measure(experiment: Path, /, *, out: Out, settings: Settings = None) -> None:
+    """Run the whole way: press, render, expose, reconstruct, score, report.
+
+    Parameters
+    ----------
+    experiment
+        TOML file, or the name of a shipped experiment such as paper/two_balls.
+    """
+    _measure(load(experiment, settings), out, "measure")
+
+
+@app.command
+def demo(*, out: Out = Path("out/demo"), full: bool = False) -> None:
+    """Run the main job on the shipped defaults: two joined balls, contact-FPP.
+
+    Parameters
+    ----------
+    full
+        Use all 1936 x 1464 camera pixels instead of 2 x 2 binning.
+    """
+    _measure(load(Path("paper/two_balls"), [f"camera.binning={1 if full else 2}"]), out, "demo")
+
+
+@app.command
+def compare(
+    *experiments: Path,
+    out: Out,
+    settings: Settings = None,
+    methods: str = "direct_fpp,contact_fpp",
+) -> int:
+    """Measure each specimen by each method and set the results side by side.
+
+    A measurement that OUT holds already is not made again; delete its folder to have it anew.
+
+    Parameters
+    ----------
+    experiments
+        TOML files, or names of shipped experiments such as paper/nut paper/brick.
+    methods
+        Which, and in which order they are shown: direct_fpp, contact_fpp.
+    """
+    from twin.modalities.comparison import compare as run_all
+    from twin.modalities.comparison import methods_named
+    from twin.report import comparison_table, write_comparison, write_report
+
+    chosen = methods_named(methods)
+    if not experiments:
+        raise InputError("EXPERIMENT: found none; name at least one, e.g. twin compare paper/nut")
+    loaded = [load(experiment, settings) for experiment in experiments]
+    with progress_bars() as watch:
+        outcomes = run_all(loaded, chosen, out, write_report, watch)
+        page = write_comparison(out, watch)
+    say(comparison_table(outcomes))
+    say(f"wrote {page}")
+    return BAD_INPUT if all(outcome.failure for outcome in outcomes) else 0
+
+
+@app.command
+def export(experiment: Path, /, *, out: Out, settings: Settings = None) -> None:
+    """Press, then write a stock Mitsuba scene: XML, mesh and one texture per frame.
+
+    Parameters
+    ----------
+    experiment
+        TOML file, or the name of a shipped experiment such as paper/two_balls.
+    """
+    from twin.mechanics import face_mesh
+    from twin.modalities.contact_fpp import press_specimen
+    from twin.modalities.storage import press_metrics, write_result
+    from twin.optics.export import export_stock
+    from twin.output import output_folder
+
+    loaded = load(experiment, settings)
+    with output_folder(out) as folder, progress_bars() as watch:
+        face, figures = None, {}
+        if loaded.modality == "contact_fpp":
+            watch("press", 0.0)
+            pressed = press_specimen(loaded)
+            watch("press", 1.0)
+            face, figures = face_mesh(pressed), press_metrics(pressed)
+        left_out = export_stock(loaded, face, folder, lambda fraction: watch("export", fraction))
+        write_result(folder, "export", loaded, figures | {"not_in_the_scene": left_out})
+    for line in left_out:
+        sys.stderr.write(f"twin: warning: {line}\n")
+    say(f"wrote {out / 'scene.xml'}")
+
+
+def _measure(experiment: "Experiment", out: Path, command: str) -> None:
+    from twin.modalities import measure as run
+    from twin.modalities.storage import write_measurement
+    from twin.output import output_folder
+    from twin.report import summary_table, write_report
+
+    with output_folder(out) as folder, progress_bars() as watch:
+        done = run(experiment, watch)
+        watch("write", 0.0)
+        write_measurement(folder, command, experiment, done)
+        watch("write", 1.0)
+        write_report(folder, watch)
+    say(summary_table(out))
+    say(f"wrote {out / 'report.html'}")
