@@ -1,8 +1,8 @@
 """Camera rays of one image row: the inverse of the lens distortion, pixel by pixel."""
 
-# ruff: noqa: PLR0917 - compiled functions cannot take keyword-only arguments
-
 from typing import Any, NamedTuple
+
+import numpy as np
 
 from reconstruction._jit import compiled, inlined
 from reconstruction.pinhole import INVERSE_STEPS, distort, distortion_jacobian
@@ -42,22 +42,33 @@ def _undistort(x_target: float, y_target: float, x: float, y: float, lens: Lens)
     return x, y, False
 
 
-@compiled
-def camera_rays(
-    row: int, camera: Lens, x: Any, y: Any, x_bend: Any, y_bend: Any, found: Any
-) -> None:
-    """Write the normalised coordinates of one image row, and whether the lens has an inverse.
+class Rays(NamedTuple):
+    """Rays (x, y, 1) in the camera frame, (row, col), and where the lens has an inverse."""
 
-    x_bend and y_bend, how far the lens bends each ray, are those of the row before and the start
-    for this row: neighbours bend alike, and the pixels of a row do not wait for each other.
+    x: Any
+    y: Any
+    found: Any
+
+
+@compiled
+def ray_rows(first_row: int, end_row: int, camera: Lens, rays: Rays) -> None:
+    """Write the normalised coordinates of image rows, and whether the lens has an inverse.
+
+    How far the lens bends each ray starts from what it did in the row before: neighbours bend
+    alike, and the pixels of a row do not wait for each other.
     """
-    x_scale, y_image = 1.0 / camera.fx, (row - camera.cy) / camera.fy
-    for col in range(x.size):
-        x_image = (col - camera.cx) * x_scale
-        x[col], y[col], found[col] = x_image, y_image, True
-        if not camera.is_ideal:
-            x[col], y[col], found[col] = _undistort(
-                x_image, y_image, x_image + x_bend[col], y_image + y_bend[col], camera
-            )
-            x_bend[col] = x[col] - x_image if found[col] else 0.0
-            y_bend[col] = y[col] - y_image if found[col] else 0.0
+    width = rays.x.shape[1]
+    x_bend, y_bend = np.zeros(width), np.zeros(width)
+    x_scale = 1.0 / camera.fx
+    for row in range(first_row, end_row):
+        y_image = (row - camera.cy) / camera.fy
+        for col in range(width):
+            x_image = (col - camera.cx) * x_scale
+            x, y, found = x_image, y_image, True
+            if not camera.is_ideal:
+                x, y, found = _undistort(
+                    x_image, y_image, x_image + x_bend[col], y_image + y_bend[col], camera
+                )
+                x_bend[col] = x - x_image if found else 0.0
+                y_bend[col] = y - y_image if found else 0.0
+            rays.x[row, col], rays.y[row, col], rays.found[row, col] = x, y, found

@@ -13,7 +13,7 @@ import numpy as np
 from reconstruction._jit import compiled, inlined
 from reconstruction._lens_kernels import (
     Lens,
-    camera_rays,
+    Rays,
     distort_inlined,
     distortion_jacobian_inlined,
 )
@@ -129,6 +129,22 @@ def _is_mismatch(
 
 
 @inlined
+def _weights(su: float, sv: float, match: Match) -> Any:
+    """Weights of both coordinates up to a common factor: alone, one needs no division."""
+    if match.use_column and match.use_row:
+        return sv * sv, su * su
+    return (1.0, 0.0) if match.use_column else (0.0, 1.0)
+
+
+@inlined
+def _depth_sigma(view: Any, su: float, sv: float, wu: float, wv: float, match: Match) -> Any:
+    if match.use_column and match.use_row:
+        both = wu * view.u_slope * view.u_slope + wv * view.v_slope * view.v_slope
+        return su * sv / np.sqrt(both)
+    return su / abs(view.u_slope) if match.use_column else sv / abs(view.v_slope)
+
+
+@inlined
 def _rotate(T: Motion, x: float, y: float) -> Any:
     return (
         T[0][0] * x + T[0][1] * y + T[0][2],
@@ -147,15 +163,14 @@ def _meet(
     bend is how far the lens moves the projector pixel; that of the row before is a good start.
     """
     su, sv = max(su, SMALLEST_SIGMA_PX), max(sv, SMALLEST_SIGMA_PX)
-    wu = 1.0 / (su * su) if match.use_column else 0.0
-    wv = 1.0 / (sv * sv) if match.use_row else 0.0
+    wu, wv = _weights(su, sv, match)
     a = _rotate(T_proj_from_cam, x, y)
     b = (T_proj_from_cam[0][3], T_proj_from_cam[1][3], T_proj_from_cam[2][3])
     start = _linear_depth(a, b, u - bend[0], v - bend[1], wu, wv, projector)
     d, view, found = _solve_depth(start, a, b, u, v, wu, wv, projector)
     if not found:
         return 0.0, 0.0, NO_POINT, (0.0, 0.0)
-    sigma_d = 1.0 / np.sqrt(wu * view.u_slope * view.u_slope + wv * view.v_slope * view.v_slope)
+    sigma_d = _depth_sigma(view, su, sv, wu, wv, match)
     if _is_mismatch(view, u, v, su, sv, sigma_d, match):
         return 0.0, 0.0, EPIPOLAR_MISMATCH, (0.0, 0.0)
     return d, sigma_d, 0, (view.u - view.u_ideal, view.v - view.v_ideal)
@@ -167,7 +182,7 @@ def meet_rows(
     end_row: int,
     fringe: Fringe,
     match: Match,
-    camera: Lens,
+    rays: Rays,
     projector: Lens,
     T_proj_from_cam: Motion,
     T_world_from_cam: Motion,
@@ -175,15 +190,14 @@ def meet_rows(
 ) -> None:
     """Fill `points`, zeroed by the caller except for `reason`, which masks and is updated."""
     width = points.reason.shape[1]
-    x, y, x_bend, y_bend = np.zeros(width), np.zeros(width), np.zeros(width), np.zeros(width)
-    u_bend, v_bend, found = np.zeros(width), np.zeros(width), np.zeros(width, np.bool_)
+    u_bend, v_bend = np.zeros(width), np.zeros(width)
     T = T_world_from_cam
     for row in range(first_row, end_row):
         u, v = fringe.column[row], fringe.row[row]
         su, sv = fringe.sigma_column[row], fringe.sigma_row[row]
         reason, sigma = points.reason[row], points.sigma_xyz_mm[row]
         world = points.points_world_mm[row]
-        camera_rays(row, camera, x, y, x_bend, y_bend, found)
+        x, y, found = rays.x[row], rays.y[row], rays.found[row]
         for col in range(width):
             if reason[col] != 0:
                 continue

@@ -6,13 +6,13 @@ sigma_d = (sum_i (du_i / dd)^2 / sigma_i^2)^(-1/2), sigma_xyz = sigma_d |R (x, y
 """
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Literal, get_args
 
 import numpy as np
 
 from reconstruction._jit import run_over_rows
-from reconstruction._lens_kernels import Lens
+from reconstruction._lens_kernels import Lens, Rays, ray_rows
 from reconstruction._ray_kernels import Fringe, Match, Motion, Points, meet_rows
 from reconstruction.arrays import BoolImage, Doubles, FloatImage, ReasonImage
 from reconstruction.calibration import Calibration
@@ -118,13 +118,22 @@ def triangulate(
         shape[0],
         Fringe(column.coordinate_px, row.coordinate_px, column.sigma_px, row.sigma_px),
         Match(use != "row", use != "column", float(limits.absolute_px), float(limits.sigmas)),
-        _lens(calibration.camera),
+        camera_rays(calibration.camera),
         _lens(calibration.projector),
         _motion(calibration.T_proj_from_cam),
         _motion(calibration.T_world_from_cam),
         points,
     )
     return PointMap(*points, calibration.T_world_from_cam)
+
+
+@lru_cache(maxsize=2)
+def camera_rays(camera: Pinhole) -> Rays:
+    """Return the ray of every pixel; kept, because a rig takes many captures with one lens."""
+    shape = camera.height_px, camera.width_px
+    rays = Rays(np.zeros(shape), np.zeros(shape), np.zeros(shape, np.bool_))
+    run_over_rows(ray_rows, shape[0], _lens(camera), rays)
+    return rays
 
 
 def _check(decoded: Decoded, calibration: Calibration, use: str) -> None:
