@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+from reconstruction.errors import InputError
 from reconstruction.pipeline import Reconstruction, reconstruct
 from twin.config.models import Experiment
 from twin.mechanics import PressedElastomer
@@ -35,6 +36,11 @@ def take(
     MissingBackend
         No usable Dr.Jit backend.
     """
+    if experiment.modality == "photometric_stereo":
+        raise InputError(
+            "modality = 'photometric_stereo' takes one colour image and no fringe stack; use"
+            " twin measure, or measure_photometric in Python"
+        )
     if experiment.modality == "direct_fpp":
         return None, record_direct(experiment, clock, trial)
     with clock.stage("press"):

@@ -1,0 +1,148 @@
+"""The opponent: a rendered GelSight Mini, decoded as its vendor does and as a textbook would.
+
+- 6.31 mm balls at random places: cap height over true by the vendor's integration (2025 and 2024
+  forms) and the corrected one; 29 real presses gave 0.66, 1.32 and 1.007.
+- The rendered background against the published tables of two units, and the directions of light
+  from the rendered reference presses, by the regression that gave the published ones.
+- Two joined 8 mm balls pressed to the same depth into both sensors: GelSight's sphere-fit RMSE over
+  that of contact-FPP, mean over both balls; the paper states 10.7.
+
+Last line: {"faithful_2025", "faithful_2024", "corrected", "background_rms_grey",
+"rmse_ratio_faithful" (2025 form), "rmse_ratio_corrected", "reconstruct_ms", ...}.
+"""
+
+import argparse
+import json
+import statistics
+import time
+from typing import Any
+
+import numpy as np
+from fit_lamps import UNITS, azimuth_error_deg, sensitivity
+
+from reconstruction.photometric import PhotometricDecoder, PhotometricOptions
+from reconstruction.photometric.calibration_ball import ball_slopes
+from reconstruction.photometric.contact_circle import find_contact_circle
+from reconstruction.photometric.images import mean_background, smoothed
+from twin.config import load_experiment, seed_sequence, vary
+from twin.config.models import Ball
+from twin.mechanics import face_mesh
+from twin.modalities import measure, measure_photometric, press_specimen
+from twin.modalities.photometric_score import cap_height_ratio
+from twin.modalities.photometric_stereo import (
+    calibrated_sensor,
+    reference_images,
+    with_ball,
+)
+
+SCHEMES = {"corrected": "corrected", "faithful_2025": "sdk_2025", "faithful_2024": "sdk_2024"}
+PAPER_RATIO = 10.7
+BALL_MM, DEPTH_MM = 6.31, 0.7
+FIRST_IMAGE = 5000
+REPEATS = 20
+
+
+def main() -> None:
+    """Measure and print one JSON line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--quick", action="store_true", help="fewer presses, coarser contact-FPP")
+    quick = parser.parse_args().quick
+    experiment = load_experiment(
+        "examples/gelsight_ball",
+        {"photometric.presses.count": 16 if quick else 50},
+    )
+    figures = balls(experiment, 4 if quick else 29)
+    figures |= lamps(experiment) | two_balls(quick)
+    print(json.dumps({name: round(value, 3) for name, value in figures.items()}))
+
+
+def balls(experiment: Any, count: int) -> dict[str, float]:
+    """Cap heights over true on new presses of one ball, and the time of a reconstruction."""
+    sensor, calibration = calibrated_sensor(experiment)
+    decoders = {
+        name: PhotometricDecoder(calibration, PhotometricOptions(integration=scheme))
+        for name, scheme in SCHEMES.items()
+    }
+    rng = np.random.default_rng(seed_sequence(experiment, "benchmark"))
+    found: dict[str, list[float]] = {name: [] for name in SCHEMES}
+    for number in range(count):
+        x_mm, y_mm = rng.uniform(-1.0, 1.0, 2) * (6.5, 4.5)
+        case = with_ball(experiment, Ball(diameter_mm=BALL_MM, x_mm=x_mm, y_mm=y_mm), DEPTH_MM)
+        image = sensor.image(face_mesh(press_specimen(case)), FIRST_IMAGE + number)
+        circle = find_contact_circle(smoothed(image, 3), calibration.background)
+        for name, decoder in decoders.items():
+            height = decoder.decode(image).height_mm
+            found[name].append(cap_height_ratio(height, circle, BALL_MM / 2, sensor.pitch_mm))
+    for name, values in found.items():
+        print(f"{name}: {np.mean(values):.3f} +- {np.std(values):.3f} on {count} presses")
+    figures = {name: float(np.mean(values)) for name, values in found.items()}
+    return figures | {"reconstruct_ms": decode_ms(decoders["corrected"], image)}
+
+
+def decode_ms(decoder: PhotometricDecoder, image: Any) -> float:
+    """Median wall-clock time of one image, after a first one."""
+    times = []
+    for _ in range(REPEATS + 1):
+        start = time.perf_counter()
+        decoder.decode(image)
+        times.append(1e3 * (time.perf_counter() - start))
+    return statistics.median(times[1:])
+
+
+def lamps(experiment: Any) -> dict[str, float]:
+    """Compare the rendered sensor with the published figures of real units."""
+    sensor, calibration = calibrated_sensor(experiment)
+    background, pitch_mm = mean_background(sensor.backgrounds()), sensor.pitch_mm
+    rows, cols = (np.array_split(np.arange(n), 3) for n in background.shape[:2])
+    tiles = np.array([[background[np.ix_(r, c)].mean((0, 1)) for c in cols] for r in rows])
+    changes, normals = [], []
+    for press in reference_images(experiment, sensor):
+        levels = smoothed(press.image, 1)
+        circle = find_contact_circle(smoothed(press.image, 3), calibration.background)
+        row, col = np.indices(levels.shape[:2])
+        inside = np.hypot(row - circle.row_px, col - circle.col_px) < circle.radius_px - 4.0
+        places = np.argwhere(inside).astype(float)
+        slopes = ball_slopes(circle, press.ball_diameter_mm / 2, pitch_mm, places)
+        normal = np.column_stack([-slopes[:, 1], slopes[:, 0], np.ones(len(slopes))])
+        normals.append(normal / np.linalg.norm(normal, axis=1, keepdims=True))
+        changes.append((levels - background)[inside])
+    slopes = sensitivity(np.concatenate(changes), np.concatenate(normals))
+    print("rendered background\n", np.round(np.moveaxis(tiles, -1, 0), 1))
+    print("rendered sensitivity\n", np.round(slopes, 1))
+    return {
+        "background_rms_grey": float(np.sqrt(np.mean((UNITS - np.moveaxis(tiles, -1, 0)) ** 2))),
+        "azimuth_error_deg": azimuth_error_deg(slopes),
+    }
+
+
+def two_balls(quick: bool) -> dict[str, float]:
+    """Sphere fits on the same specimen: both sensors, all decoders."""
+    coarse = {"camera.binning": 2} if quick else {}
+    fringes = measure(load_experiment("paper/two_balls", coarse))
+    base_mm = _rmse_mm(fringes.score)
+    print(f"contact-FPP: sphere fit RMSE {1e3 * base_mm:.2f} um")
+    count = {"photometric.presses.count": 16 if quick else 50}
+    experiment = load_experiment("paper/gelsight_two_balls", count)
+    figures = {}
+    for colour_map in ("polynomial", "table"):
+        for name, scheme in SCHEMES.items():
+            changes = {"photometric.integration": scheme, "photometric.colour_map": colour_map}
+            scored = measure_photometric(vary(experiment, changes)).score
+            ratio = _rmse_mm(scored) / base_mm
+            radii = ", ".join(f"{ball.measured.radius_mm:.3f}" for ball in scored.spheres)
+            print(
+                f"{colour_map} {name}: sphere fit RMSE {1e3 * _rmse_mm(scored):.2f} um, radii"
+                f" {radii} mm, {ratio:.2f} times contact-FPP (paper: {PAPER_RATIO}); z RMSE"
+                f" {scored.z_rmse_um:.1f} um"
+            )
+            suffix = "" if colour_map == "polynomial" else "_table"
+            figures[f"rmse_ratio_{name}{suffix}"] = ratio
+    return figures | {"rmse_ratio_faithful": figures["rmse_ratio_faithful_2025"]}
+
+
+def _rmse_mm(scored: Any) -> float:
+    return float(np.mean([ball.measured.stats.rmse_mm for ball in scored.spheres]))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,220 @@
+"""Lamps beside the gel: closed forms of their light, and where it comes from in the image."""
+
+import numpy as np
+import pytest
+
+from reconstruction.pinhole import Pinhole
+from twin.config import ConfigError, load_experiment
+from twin.config.lamps import Lamp, Markers
+from twin.optics.lamps import Emitters, emitters_of
+
+GEL_MM, N_GEL, ABSORPTION = 12.0, 1.41, 0.02
+ALBEDO = 0.5
+STANDOFF_MM = 40.0
+PINHOLE = Pinhole(64, 48, 100.0, 100.0, 31.5, 23.5)
+T_WORLD_FROM_CAM = np.array(
+    [[1.0, 0, 0, 0], [0, -1.0, 0, 0], [0, 0, -1.0, STANDOFF_MM], [0, 0, 0, 1.0]]
+)
+
+
+def lamp(**changes):
+    plain = {
+        "channel": "red", "x_mm": 14.0, "y_mm": 2.0, "height_mm": 4.0, "length_mm": 0.0,
+        "along_deg": 90.0, "aim_azimuth_deg": 180.0, "aim_down_deg": 15.0, "exponent": 0.0,
+        "flux_mw": 2.0, "wavelength_nm": 630.0, "emitters": 1,
+    }  # fmt: skip
+    return Lamp.model_validate(plain | changes)
+
+
+@pytest.fixture(scope="module")
+def look(mi):
+    """Return a function that renders a matte face in a deep gel, and the truth behind it."""
+    from twin.config.layers import Medium
+    from twin.optics.coat import coated_mesh
+    from twin.optics.colour_trace import LampRig, trace_channels, trace_face
+    from twin.optics.devices import Device
+    from twin.optics.layers import LayerStack
+
+    bsdf = {"type": "diffuse", "reflectance": {"type": "spectrum", "value": ALBEDO}}
+    layers = LayerStack((Medium(GEL_MM, N_GEL, ABSORPTION),))
+
+    def render(face, *lamps, markers=None):
+        emitters = emitters_of({str(number): one for number, one in enumerate(lamps)})
+        camera = Device(PINHOLE, T_WORLD_FROM_CAM)
+        rig = LampRig(camera, emitters, layers, markers)
+        mesh = coated_mesh(face, bsdf)
+        scene = mi.load_dict({"type": "scene", "coated_face": mesh}, optimize=False)
+        return trace_channels(scene, rig, 1), trace_face(scene, rig).points_world_mm
+
+    return render
+
+
+def seen_share(points_mm):
+    """Radiance in air over that in the gel, and the way in the gel: Fresnel, Snell, Beer."""
+    row, col = np.mgrid[:48, :64]
+    tangent = np.hypot((col - 31.5) / 100, (row - 23.5) / 100)
+    outside = np.arctan(tangent)
+    inside = np.arcsin(np.sin(outside) / N_GEL)
+    a, b = np.cos(outside), np.cos(inside)
+    s = 4 * N_GEL * a * b / (a + N_GEL * b) ** 2
+    p = 4 * N_GEL * a * b / (N_GEL * a + b) ** 2
+    way_mm = (GEL_MM - points_mm[..., 2]) / b
+    return (s + p) / 2 / N_GEL**2 * np.exp(-ABSORPTION * way_mm)
+
+
+def test_flat_coat_under_one_led_is_lambert_in_closed_form(look, plane):
+    """Setup: one LED with a cosine-power lobe in an absorbing gel, matte coat.
+
+    Expected: L = rho / pi I0 cos^m cos(incidence) exp(-a r) / r^2 T exp(-a s) / n^2 with
+    I0 = (m + 1) flux / 2 pi; float32 rays: 2e-4.
+    """
+    found, points = look(plane, lamp(exponent=3.0))
+    way = np.array([14.0, 2.0, 4.0]) - points
+    r = np.linalg.norm(way, axis=-1)
+    down = np.deg2rad(15.0)
+    ahead = (way @ [np.cos(down), 0.0, np.sin(down)]) / r
+    irradiance = 4 / (2 * np.pi) * 2.0 * ahead**3 * way[..., 2] / r**3 * np.exp(-ABSORPTION * r)
+    expected = ALBEDO / np.pi * irradiance * seen_share(points)
+    np.testing.assert_allclose(found[..., 0], expected, rtol=2e-4)
+    assert found[..., 1:].max() == 0.0
+
+
+def test_light_falls_with_the_square_of_the_distance():
+    """Setup: a narrow patch that faces an LED without aim, at 1 to 8 mm.
+
+    Expected: 1 / r^2 exactly, with I0 = flux / 2 pi.
+    """
+    facing = np.array([[0.0, 0.0, 1.0]])
+    for distance_mm in (1.0, 2.0, 8.0):
+        led = lamp(x_mm=0.0, y_mm=0.0, height_mm=distance_mm, aim_down_deg=90.0)
+        found = emitters_of({"one": led}).irradiance(np.zeros((1, 3)), facing)
+        assert found[0, 0] == pytest.approx(2.0 / (2 * np.pi) / distance_mm**2)
+
+
+@pytest.mark.parametrize("exponent", [0.0, 1.0, 17.5])
+def test_the_lobe_carries_the_stated_flux(exponent):
+    """Setup: irradiance on a sphere of 3 mm round a row of four LEDs at one place.
+
+    Expected: its integral is the flux. Midpoint rule over 400 polar angles: 1e-4.
+    """
+    row = emitters_of({"one": lamp(exponent=exponent, emitters=4, x_mm=0.0, y_mm=0.0)})
+    aim = row.aims[0]
+    side = np.cross(aim, [0.0, 1.0, 0.0])
+    side /= np.linalg.norm(side)
+    polar = (np.arange(400) + 0.5) / 400 * np.pi
+    outward = np.cos(polar)[:, None] * aim + np.sin(polar)[:, None] * side
+    light = row.irradiance(row.positions_mm[0] + 3.0 * outward, -outward)[:, 0]
+    ring = 2 * np.pi * 9.0 * np.sin(polar) * np.pi / 400
+    assert np.sum(light * ring) == pytest.approx(2.0, rel=1e-4)
+
+
+def test_a_row_spreads_evenly_along_its_direction():
+    row = emitters_of({"one": lamp(length_mm=8.0, emitters=4)})
+    np.testing.assert_allclose(row.positions_mm[:, 1], [-1.0, 1.0, 3.0, 5.0])
+    np.testing.assert_allclose(row.positions_mm[:, 0], 14.0)
+    assert row.intensity.sum(axis=0) == pytest.approx([2.0 / (2 * np.pi), 0.0, 0.0])
+
+
+def test_channels_are_linear_and_do_not_mix(look, bump):
+    """Setup: red alone, green alone at twice the flux, both.
+
+    Expected: both = red + green, to float32: light is linear.
+    """
+    red, green = lamp(), lamp(channel="green", x_mm=-14.0, aim_azimuth_deg=0.0, flux_mw=1.0)
+    twice = green.model_copy(update={"flux_mw": 2.0})
+    both = look(bump, red, twice)[0]
+    np.testing.assert_allclose(both[..., 0], look(bump, red)[0][..., 0], rtol=1e-5)
+    np.testing.assert_allclose(both[..., 1], 2 * look(bump, green)[0][..., 1], rtol=1e-5)
+    assert both[..., 2].max() == 0.0 < both[..., 1].min()
+
+
+def test_fill_is_an_even_sky(look, bump):
+    """Setup: fill next to nothing of direct light, on a bump with 25 degree flanks.
+
+    Expected: rho / pi E (1 + n_z) / 2 on its way out, within 2e-3 (facets are shaded smoothly).
+    """
+    found, points = look(bump, lamp(flux_mw=1e-12, fill_mw_per_mm2=0.3))
+    x, y = points[..., 0], points[..., 1]
+    slope = points[..., 2] * np.hypot(x, y) / 2
+    n_z = 1 / np.sqrt(1 + slope**2)
+    expected = ALBEDO / np.pi * 0.3 * (1 + n_z) / 2 * seen_share(points)
+    np.testing.assert_allclose(found[..., 0], expected, rtol=2e-3)
+    at_hill = emitters_of({"one": lamp(flux_mw=1e-12, fill_mw_per_mm2=0.3)}).irradiance(
+        np.zeros((1, 3)), np.array([[0.6, 0.0, 0.8]])
+    )
+    assert at_hill[0, 0] == pytest.approx(0.3 * 0.9)
+
+
+def test_a_ridge_casts_a_shadow_as_long_as_rays_are_straight(look, grid_face):
+    """Setup: a ridge 0.5 mm high along y, an LED 14 mm to its right, 2.6 mm above the coat.
+
+    Expected: dark from the ridge to x = -14 * 0.5 / 2.1 = -3.33 mm, lit beyond; the ridge is a
+    Gaussian of sigma 0.1 mm, the pixel 0.35 mm: 0.4 mm are left out.
+    """
+
+    def height(x, _):
+        return 0.5 * np.exp(-(x**2) / 0.02)
+
+    face = grid_face(height, lambda x, y: (-x / 0.01 * height(x, y), 0 * y))
+    found, points = look(face, lamp(y_mm=0.0, height_mm=2.6))
+    middle, x = found[24, :, 0], points[24, :, 0]
+    assert middle[(x > -2.9) & (x < -0.6)].max() == 0.0
+    assert middle[x < -3.7].min() > 0.0
+    assert middle[x > 0.6].min() > 0.0
+
+
+def test_dots_darken_the_coat_where_they_are_printed(look, plane):
+    dots = Markers(pitch_x_mm=4.0, pitch_y_mm=3.0, radius_mm=1.0, relative_albedo=0.1)
+    (found, points), bare = look(plane, lamp(), markers=dots), look(plane, lamp())[0]
+    x, y = (points[..., i] - p * np.round(points[..., i] / p) for i, p in ((0, 4.0), (1, 3.0)))
+    r = np.hypot(x, y)
+    ratio = found[..., 0] / bare[..., 0]
+    np.testing.assert_allclose(ratio[r < 0.99], 0.1, rtol=1e-4)
+    np.testing.assert_allclose(ratio[r > 1.01], 1.0, rtol=1e-4)
+
+
+def test_shipped_lamps_stand_on_their_sides(look, bump):
+    """Setup: the shipped sensor's lamps over a bump towards the camera.
+
+    Expected: as on real units red lights the flank that faces the image's top, green the one to
+    the right, blue the one to the bottom.
+    """
+    lamps = load_experiment("examples/gelsight_ball").lamps
+    assert {name: one.channel for name, one in lamps.items()} == {
+        "red": "red", "green": "green", "blue": "blue"
+    }  # fmt: skip
+    image, points = look(bump, *lamps.values())
+    x, y = points[..., 0], points[..., 1]
+
+    def flank(along, across):
+        return (along > 0.8) & (along < 2.0) & (np.abs(across) < 1.0)
+
+    top, right = flank(y, x), flank(x, y)
+    bottom, left = flank(-y, x), flank(-x, y)
+    assert image[top, 0].mean() > 1.5 * image[bottom, 0].mean()
+    assert image[right, 1].mean() > 1.5 * image[left, 1].mean()
+    assert image[bottom, 2].mean() > 1.5 * image[top, 2].mean()
+
+
+def test_emitters_know_half_spaces():
+    """Nothing behind an LED, nothing on the side of a facet that faces away."""
+    one = Emitters(np.array([[0.0, 0, 2]]), np.array([[1.0, 0, 0]]), np.ones(1), np.ones((1, 3)),
+                   np.zeros(3))  # fmt: skip
+    up = np.array([[0.0, 0, 1]])
+    assert one.irradiance(np.array([[-1.0, 0, 0]]), up).max() == 0.0
+    assert one.irradiance(np.array([[1.0, 0, 0]]), -up).max() == 0.0
+    assert one.irradiance(np.array([[1.0, 0, 0]]), up).min() > 0.0
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"lamps.red.channel": "green"}, "no lamp has channel red"),
+        ({"lamps.red.height_mm": 9.0}, "allowed below 7.25"),
+        ({"elastomer.layout": "opposite_face"}, "contact_face"),
+        ({"photometric.presses.shallowest": 0.4}, "must not exceed"),
+    ],
+)
+def test_lamps_that_do_not_fit_are_refused(changes, message):
+    with pytest.raises(ConfigError, match=message):
+        load_experiment("examples/gelsight_ball", changes)

@@ -1,0 +1,151 @@
+"""A photometric-stereo sensor as data: lamps beside the gel, and what becomes of its images.
+
+World frame: z = 0 is the undeformed coated face, z up to the camera; in the image of a camera that
+looks straight down +x is right and +y is up. Azimuths count from +x towards +y.
+"""
+
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, model_validator
+
+from twin.config.base import Angle, Fraction, Length, Model, NonNegative, Positive
+from twin.config.layers import Layer
+
+Channel = Literal["red", "green", "blue"]
+CHANNELS: tuple[Channel, ...] = ("red", "green", "blue")
+Place = Annotated[float, Field(ge=-200, le=200)]
+
+
+class Lamp(Model):
+    """A straight row of equal LEDs that shine into the gel from its side.
+
+    Each is a point with a cosine-power lobe, I = I0 cos^exponent of the angle to the aim.
+    """
+
+    channel: Channel
+    x_mm: Place = Field(description="world x of the row's middle")
+    y_mm: Place = Field(description="world y of the row's middle")
+    height_mm: Annotated[float, Field(gt=0, le=200)] = Field(description="above the untouched coat")
+    length_mm: Annotated[float, Field(ge=0, le=200)] = Field(
+        description="the LEDs stand amid equal parts of it"
+    )
+    along_deg: Angle = Field(description="azimuth of the row")
+    aim_azimuth_deg: Angle = Field(description="horizontal direction of strongest emission")
+    aim_down_deg: Annotated[float, Field(ge=-30, le=90)] = Field(
+        description="angle of strongest emission below the horizontal"
+    )
+    exponent: Annotated[float, Field(ge=0, le=200)] = Field(
+        description="0: even over the half-space ahead"
+    )
+    flux_mw: Positive = Field(description="radiant flux of the whole row inside the gel")
+    fill_mw_per_mm2: NonNegative = Field(
+        default=0.0,
+        description="irradiance of the untouched coat by light that coat, window and housing threw"
+        " back, from all directions above alike",
+    )
+    wavelength_nm: Annotated[float, Field(ge=300, le=1100)]
+    emitters: Annotated[int, Field(ge=1, le=64)] = Field(default=8, description="number of LEDs")
+
+
+class Markers(Model):
+    """Printed dots on the coat, on a rectangular lattice about the origin; they move with it."""
+
+    pitch_x_mm: Length
+    pitch_y_mm: Length
+    radius_mm: Length
+    relative_albedo: Fraction = Field(description="reflectance of the dots over the coat's")
+
+    @model_validator(mode="after")
+    def _apart(self) -> "Markers":
+        if 2 * self.radius_mm >= min(self.pitch_x_mm, self.pitch_y_mm):
+            raise ValueError(
+                f"radius_mm: found {self.radius_mm:g}, allowed less than half of the pitches"
+            )
+        return self
+
+
+class BallPresses(Model):
+    """Reference presses from which colours learn their slopes."""
+
+    count: Annotated[int, Field(ge=4, le=500)] = 50
+    smallest_diameter_mm: Length = 4.0
+    largest_diameter_mm: Length = 9.0
+    shallowest: Annotated[float, Field(gt=0.05, lt=0.5)] = Field(
+        default=0.06, description="depth over radius of the gentlest press"
+    )
+    deepest: Annotated[float, Field(gt=0.05, lt=0.5)] = 0.24
+    backgrounds: Annotated[int, Field(ge=1, le=100)] = Field(
+        default=10, description="untouched images that are averaged"
+    )
+
+    @model_validator(mode="after")
+    def _ascending(self) -> "BallPresses":
+        if self.smallest_diameter_mm > self.largest_diameter_mm or self.shallowest > self.deepest:
+            raise ValueError("smallest_diameter_mm and shallowest must not exceed the largest")
+        return self
+
+
+class Photometric(Model):
+    """Image path and calibration of a photometric-stereo sensor.
+
+    Linear image -> power law and 8 bits -> crop -> resize, as camera and driver do. The colour
+    filter array, sharpening and compression are left out.
+    """
+
+    gamma: Annotated[float, Field(ge=0.3, le=4)] = Field(
+        default=2.2, description="level = 255 linear ** (1 / gamma)"
+    )
+    crop: Annotated[float, Field(ge=0, lt=0.5)] = Field(
+        default=1 / 7, description="share of width and height that is cut off on each side"
+    )
+    width_px: Annotated[int, Field(ge=16, le=4096)] = 320
+    height_px: Annotated[int, Field(ge=16, le=4096)] = 240
+    field_x_mm: Length = Field(default=18.6, description="evaluated part of the coat, centred")
+    field_y_mm: Length = 14.3
+    markers: Markers | None = None
+    presses: BallPresses = BallPresses()
+    colour_map: Literal["polynomial", "table"] = "polynomial"
+    integration: Literal["corrected", "sdk_2024", "sdk_2025"] = "corrected"
+
+
+def check_lamps(lamps: Mapping[str, Lamp], others: Mapping[str, Any]) -> None:
+    """Refuse lamps that do not fit the experiment's other tables.
+
+    Parameters
+    ----------
+    lamps : mapping
+    others : mapping
+        The validated tables by name; invalid ones are absent, and reported elsewhere.
+
+    Raises
+    ------
+    ValueError
+        One line: what, found, allowed, what to do.
+    """
+    if others.get("modality") == "photometric_stereo":
+        _check_method(lamps, others)
+    layers: Mapping[str, Layer] = others.get("layers", {})
+    top_mm = max((layer.top_mm for layer in layers.values()), default=0.0)
+    for name, lamp in lamps.items():
+        if layers and lamp.height_mm >= top_mm:
+            raise ValueError(
+                f"{name}.height_mm: found {lamp.height_mm:g}, allowed below {top_mm:g}, the top of"
+                " the layers: lamps shine into them from the side; lower it"
+            )
+
+
+def _check_method(lamps: Mapping[str, Lamp], others: Mapping[str, Any]) -> None:
+    missing = [name for name in CHANNELS if name not in {lamp.channel for lamp in lamps.values()}]
+    if missing:
+        raise ValueError(
+            f"no lamp has channel {', '.join(missing)}; modality = 'photometric_stereo' needs all"
+            " three: add [lamps.NAME]"
+        )
+    if "elastomer" in others and others["elastomer"].layout != "contact_face":
+        raise ValueError(
+            "modality = 'photometric_stereo' looks at the coat through the gel; set"
+            " elastomer.layout = 'contact_face'"
+        )
+    if "layers" in others and not others["layers"]:
+        raise ValueError("modality = 'photometric_stereo' needs the gel: add [layers.gel]")

@@ -1,0 +1,44 @@
+"""Write a measurement by photometric stereo into a folder.
+
+| file | content |
+|---|---|
+| result.json, experiment.toml | figures, and the resolved experiment |
+| press.nc, coated_face.ply | fields of the pressed gel and its coat |
+| image.png, background.png | what the sensor's driver delivers, 8-bit RGB |
+| calibration.npz | the sensor's colour map (see `read_sensor_calibration`) |
+| heights.nc, points.ply | height, slopes and reason codes; valid points in the world |
+| truth.nc | point and normal behind every pixel of the image |
+"""
+
+from pathlib import Path
+
+import imageio.v3 as imageio
+import numpy as np
+
+from reconstruction.photometric import (
+    write_height_map,
+    write_height_points,
+    write_sensor_calibration,
+)
+from twin.config import Experiment
+from twin.modalities.photometric_score import photometric_metrics
+from twin.modalities.photometric_stereo import PhotometricMeasurement
+from twin.modalities.storage import press_metrics, write_pressed, write_result, write_timings
+from twin.optics.storage import write_truth
+
+
+def write_photometric(
+    folder: Path, command: str, experiment: Experiment, done: PhotometricMeasurement
+) -> None:
+    """Write everything of one measurement."""
+    write_pressed(folder, done.pressed)
+    imageio.imwrite(folder / "image.png", done.image)
+    background = np.rint(done.calibration.background).astype(np.uint8)
+    imageio.imwrite(folder / "background.png", background)
+    write_sensor_calibration(folder / "calibration.npz", done.calibration)
+    write_height_map(folder / "heights.nc", done.heights)
+    write_height_points(folder / "points.ply", done.heights)
+    write_truth(folder / "truth.nc", done.truth)
+    figures = press_metrics(done.pressed) | photometric_metrics(done.score)
+    write_result(folder, command, experiment, figures)
+    write_timings(folder, done.seconds)

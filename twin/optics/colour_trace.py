@@ -1,0 +1,230 @@
+"""Colour images of a lit coat: every lamp is one more linear channel of the same trace.
+
+Camera rays are refracted once (`layers`), meet the coat, and each hit is connected to every LED of
+every lamp. Sub-pixel positions are the fixed grid of the one-trace renderer.
+"""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from reconstruction.pinhole import Pinhole
+from twin.config.lamps import Markers
+from twin.config.models import Experiment
+from twin.optics.coat import COATED_FACE
+from twin.optics.devices import Device
+from twin.optics.lamps import Emitters, emitters_of
+from twin.optics.layers import LayerStack
+from twin.optics.scene import check_below_layers, coated_scene, layer_stack
+from twin.optics.stack import Truth
+from twin.optics.subpixels import SubPixels
+
+if TYPE_CHECKING:
+    import trimesh
+
+FloatArray = NDArray[np.float32]
+
+# As in `connection`: shadow rays start this far off the surface along its normal.
+_SHADOW_OFFSET_MM = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class LampRig:
+    """Who looks and who shines; `layers` None is air."""
+
+    camera: Device
+    emitters: Emitters
+    layers: LayerStack | None = None
+    markers: Markers | None = None
+    shadows: bool = True
+
+
+class ColourScene:
+    """The coat under its lamps, loaded once: press after press is put into it.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        Its lamps, layers, coating and dots are used; the specimen is not.
+    face : trimesh.Trimesh
+        Coated face in world mm.
+    """
+
+    def __init__(self, experiment: Experiment, face: "trimesh.Trimesh") -> None:
+        self._experiment = experiment
+        self._scene = coated_scene(experiment, face)
+        self._facets = len(face.faces)
+        self._emitters = emitters_of(experiment.lamps)
+        self._layers = layer_stack(experiment)
+
+    def put(self, face: "trimesh.Trimesh") -> None:
+        """Exchange the face for another one with the same grid of facets.
+
+        Raises
+        ------
+        InputError
+            The face pokes through the layers that it is seen through.
+        """
+        check_below_layers(self._experiment, face)
+        if len(face.faces) != self._facets:
+            raise ValueError(f"the face has {len(face.faces)} facets, the scene {self._facets}")
+        parameters = mi.traverse(self._scene)
+        prefix = f"{COATED_FACE}."
+        positions, normals = face.vertices, face.vertex_normals
+        parameters[prefix + "vertex_positions"] = np.asarray(positions, np.float32).ravel()
+        parameters[prefix + "vertex_normals"] = np.asarray(normals, np.float32).ravel()
+        parameters.update()
+
+    def render(self, pinhole: Pinhole, T_world_from_cam: NDArray[np.float64]) -> FloatArray:
+        """Return radiance in air, (row, col, channel), mW / (mm^2 sr)."""
+        rig = self._rig(pinhole, T_world_from_cam)
+        return trace_channels(self._scene, rig, self._experiment.render.samples)
+
+    def truth(self, pinhole: Pinhole, T_world_from_cam: NDArray[np.float64]) -> Truth:
+        """Return what lies behind the pixel centres; everything seen counts as lit."""
+        return trace_face(self._scene, self._rig(pinhole, T_world_from_cam))
+
+    def _rig(self, pinhole: Pinhole, T_world_from_cam: NDArray[np.float64]) -> LampRig:
+        camera = Device(pinhole, T_world_from_cam)
+        markers = self._experiment.photometric.markers
+        return LampRig(camera, self._emitters, self._layers, markers)
+
+
+def trace_channels(scene: Any, rig: LampRig, samples: int) -> FloatArray:
+    """Render the three channels.
+
+    Parameters
+    ----------
+    scene : mi.Scene
+        World in mm; emitters and sensors in it are ignored.
+    rig : LampRig
+    samples : int
+        A square number: camera rays per pixel.
+
+    Returns
+    -------
+    (row, col, channel) float32
+        Radiance in air, mW / (mm^2 sr).
+    """
+    width, height = rig.camera.pinhole.width_px, rig.camera.pinhole.height_px
+    grid, table = SubPixels.of_image(width, height, samples), _Table.of(rig.emitters)
+
+    def add_sample(*state: Any) -> tuple[Any, ...]:
+        sample, total = state
+        return sample + 1, total + _shaded(scene, rig, table, grid.ray(rig.camera, sample))
+
+    start = mi.UInt32(0), dr.zeros(mi.Color3f, width * height)
+    total = dr.while_loop(start, lambda sample, _: sample < samples, add_sample)[1] / samples
+    dr.eval(total)
+    return np.stack([np.asarray(channel).reshape(height, width) for channel in total], axis=-1)
+
+
+@dataclass(frozen=True, eq=False)
+class _Table:
+    """Emitters on the device."""
+
+    position_mm: Any
+    aim: Any
+    exponent: Any
+    intensity: Any
+    fill: Any
+    count: Any
+
+    @classmethod
+    def of(cls, emitters: Emitters) -> "_Table":
+        return cls(
+            mi.Point3f(*emitters.positions_mm.T.astype(np.float32)),
+            mi.Vector3f(*emitters.aims.T.astype(np.float32)),
+            mi.Float(emitters.exponents.astype(np.float32)),
+            mi.Color3f(*emitters.intensity.T.astype(np.float32)),
+            mi.Color3f(*(dr.opaque(mi.Float, float(part)) for part in emitters.fill)),
+            dr.opaque(mi.UInt32, len(emitters.exponents)),  # a literal would be compiled in
+        )
+
+
+def _shaded(scene: Any, rig: LampRig, table: _Table, ray: Any) -> Any:
+    """Radiance in air along camera rays, `mi.Color3f`."""
+    sight = None if rig.layers is None else rig.layers.refract(ray)
+    ray = ray if sight is None else sight.ray
+    hit = scene.ray_intersect(ray, mi.RayFlags.All, coherent=False)
+    bsdf, absorption = hit.bsdf(ray), 0.0 if sight is None else sight.absorption_per_mm
+
+    def add_emitter(*state: Any) -> tuple[Any, ...]:
+        number, total = state
+        light, direction, distance_mm = _light(table, number, hit.p, absorption)
+        active = hit.is_valid() & (light > 0.0) & (dr.dot(hit.sh_frame.n, direction) > 0.0)
+        if rig.shadows:
+            active &= ~_blocked(scene, hit, direction, distance_mm, active)
+        brdf_cos = bsdf.eval(mi.BSDFContext(), hit, hit.to_local(direction), active)[0]
+        weight = dr.select(active, brdf_cos * light, 0.0)
+        return number + 1, total + weight * dr.gather(mi.Color3f, table.intensity, number)
+
+    start = mi.UInt32(0), _filled(table, hit, bsdf)
+    total = dr.while_loop(start, lambda number, _: number < table.count, add_emitter)[1]
+    if rig.markers is not None:
+        total *= _dots(rig.markers, hit.p)
+    return total if sight is None else total * sight.seen(hit.t)
+
+
+def _filled(table: _Table, hit: Any, bsdf: Any) -> Any:
+    """Radiance by the even fill; the coat reflects it as it does light along the normal.
+
+    Exact for a matte coat. Flakes mirror an even sky alike from wherever, so they lose little.
+    """
+    normal = hit.sh_frame.n
+    brdf = bsdf.eval(mi.BSDFContext(), hit, hit.to_local(normal), hit.is_valid())[0]
+    sky = dr.select(hit.is_valid(), 0.5 * (1.0 + normal.z) * brdf, 0.0)
+    return sky * table.fill
+
+
+def _light(table: _Table, number: Any, point_mm: Any, absorption: float) -> tuple[Any, Any, Any]:
+    """Irradiance per intensity on what faces an emitter (1/mm^2), direction to it, distance mm."""
+    way = dr.gather(mi.Point3f, table.position_mm, number) - point_mm
+    distance_mm = dr.norm(way)
+    direction = way / distance_mm
+    ahead = -dr.dot(direction, dr.gather(mi.Vector3f, table.aim, number))
+    exponent = dr.gather(mi.Float, table.exponent, number)
+    lobe = dr.select(ahead > 0.0, dr.power(dr.maximum(ahead, 1e-6), exponent), 0.0)
+    light = lobe / (distance_mm * distance_mm)
+    if absorption:
+        light *= dr.exp(-absorption * distance_mm)
+    return light, direction, distance_mm
+
+
+def _blocked(scene: Any, hit: Any, direction: Any, distance_mm: Any, active: Any) -> Any:
+    start = hit.p + dr.copysign(_SHADOW_OFFSET_MM, dr.dot(hit.n, direction)) * hit.n
+    shadow = mi.Ray3f(start, direction)
+    shadow.maxt = distance_mm * (1.0 - 1e-4)
+    return scene.ray_test(shadow, coherent=False, active=active)
+
+
+def _dots(markers: Markers, point_mm: Any) -> Any:
+    """Factor on the reflectance; the press lifts the coat but does not move it aside."""
+    x = point_mm.x - dr.round(point_mm.x / markers.pitch_x_mm) * markers.pitch_x_mm
+    y = point_mm.y - dr.round(point_mm.y / markers.pitch_y_mm) * markers.pitch_y_mm
+    inside = x * x + y * y < markers.radius_mm**2
+    return dr.select(inside, markers.relative_albedo, 1.0)
+
+
+def trace_face(scene: Any, rig: LampRig) -> Truth:
+    """Trace one ray through every pixel centre; there is no projector: its coordinates are 0."""
+    width, height = rig.camera.pinhole.width_px, rig.camera.pinhole.height_px
+    centres, image = SubPixels.of_image(width, height, 1), (height, width)
+    ray = rig.camera.ray(centres.x_px, centres.y_px)
+    ray = ray if rig.layers is None else rig.layers.refract(ray).ray
+    hit = scene.ray_intersect(ray, mi.RayFlags.All, coherent=False)
+    seen = hit.is_valid()
+    point, normal = (dr.select(seen, value, 0.0) for value in (hit.p, hit.sh_frame.n))
+    depth_mm = dr.select(seen, rig.camera.project(hit.p)[2], 0.0)
+    dr.eval(point, normal, depth_mm, seen)
+    points, normals = (
+        np.stack([np.asarray(axis).reshape(image) for axis in value], axis=-1)
+        for value in (point, normal)
+    )
+    nothing, found = np.zeros(image, np.float32), np.array(seen).reshape(image)
+    depth = np.array(depth_mm).reshape(image)
+    return Truth(points, normals, depth, nothing, nothing, found, found)
