@@ -3,7 +3,7 @@
 - 6.31 mm balls at random places: cap height over true by the vendor's integration (2025 and 2024
   forms) and the corrected one; 29 real presses gave 0.66, 1.32 and 1.007.
 - The rendered background against the published tables of two units, and the directions of light
-  from the rendered reference presses, by the regression that gave the published ones.
+  from those presses, by the regression that gave the published ones.
 - Two joined 8 mm balls pressed to the same depth into both sensors: GelSight's sphere-fit RMSE over
   that of contact-FPP, mean over both balls; the paper states 10.7.
 
@@ -15,31 +15,36 @@ import argparse
 import json
 import statistics
 import time
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from fit_lamps import UNITS, azimuth_error_deg, sensitivity
+from fit_lamps import CONTACT_MM, SENSITIVITY, UNITS, azimuth_error_deg, sensitivity
 
 from reconstruction.photometric import PhotometricDecoder, PhotometricOptions
 from reconstruction.photometric.calibration_ball import ball_slopes
-from reconstruction.photometric.contact_circle import find_contact_circle
+from reconstruction.photometric.contact_circle import ContactCircle, find_contact_circle
 from reconstruction.photometric.images import mean_background, smoothed
 from twin.config import load_experiment, seed_sequence, vary
 from twin.config.models import Ball
 from twin.mechanics import face_mesh
 from twin.modalities import measure, measure_photometric, press_specimen
 from twin.modalities.photometric_score import cap_height_ratio
-from twin.modalities.photometric_stereo import (
-    calibrated_sensor,
-    reference_images,
-    with_ball,
-)
+from twin.modalities.photometric_stereo import calibrated_sensor, with_ball
 
 SCHEMES = {"corrected": "corrected", "faithful_2025": "sdk_2025", "faithful_2024": "sdk_2024"}
 PAPER_RATIO = 10.7
 BALL_MM, DEPTH_MM = 6.31, 0.7
 FIRST_IMAGE = 5000
 REPEATS = 20
+
+
+@dataclass(frozen=True, eq=False)
+class Shot:
+    """An image of the pressed ball, and the contact found in it."""
+
+    image: Any
+    circle: ContactCircle
 
 
 def main() -> None:
@@ -51,32 +56,43 @@ def main() -> None:
         "examples/gelsight_ball",
         {"photometric.presses.count": 16 if quick else 50},
     )
-    figures = balls(experiment, 4 if quick else 29)
-    figures |= lamps(experiment) | two_balls(quick)
+    shots = shots_of(experiment, 4 if quick else 29)
+    figures = balls(experiment, shots) | lamps(experiment, shots) | two_balls(quick)
     print(json.dumps({name: round(value, 3) for name, value in figures.items()}))
 
 
-def balls(experiment: Any, count: int) -> dict[str, float]:
-    """Cap heights over true on new presses of one ball, and the time of a reconstruction."""
+def shots_of(experiment: Any, count: int) -> list[Shot]:
+    """Photograph one ball at random places; find its contact as in practice."""
     sensor, calibration = calibrated_sensor(experiment)
-    decoders = {
-        name: PhotometricDecoder(calibration, PhotometricOptions(integration=scheme))
-        for name, scheme in SCHEMES.items()
-    }
     rng = np.random.default_rng(seed_sequence(experiment, "benchmark"))
-    found: dict[str, list[float]] = {name: [] for name in SCHEMES}
+    shots = []
     for number in range(count):
         x_mm, y_mm = rng.uniform(-1.0, 1.0, 2) * (6.5, 4.5)
         case = with_ball(experiment, Ball(diameter_mm=BALL_MM, x_mm=x_mm, y_mm=y_mm), DEPTH_MM)
         image = sensor.image(face_mesh(press_specimen(case)), FIRST_IMAGE + number)
         circle = find_contact_circle(smoothed(image, 3), calibration.background)
-        for name, decoder in decoders.items():
-            height = decoder.decode(image).height_mm
-            found[name].append(cap_height_ratio(height, circle, BALL_MM / 2, sensor.pitch_mm))
-    for name, values in found.items():
-        print(f"{name}: {np.mean(values):.3f} +- {np.std(values):.3f} on {count} presses")
-    figures = {name: float(np.mean(values)) for name, values in found.items()}
-    return figures | {"reconstruct_ms": decode_ms(decoders["corrected"], image)}
+        shots.append(Shot(image, circle))
+    return shots
+
+
+def balls(experiment: Any, shots: list[Shot]) -> dict[str, float]:
+    """Cap heights over true, and the time of a reconstruction."""
+    sensor, calibration = calibrated_sensor(experiment)
+    decoders = {
+        name: PhotometricDecoder(calibration, PhotometricOptions(integration=scheme))
+        for name, scheme in SCHEMES.items()
+    }
+    figures = {}
+    for name, decoder in decoders.items():
+        values = [
+            cap_height_ratio(
+                decoder.decode(shot.image).height_mm, shot.circle, BALL_MM / 2, sensor.pitch_mm
+            )
+            for shot in shots
+        ]
+        print(f"{name}: {np.mean(values):.3f} +- {np.std(values):.3f} on {len(shots)} presses")
+        figures[name] = float(np.mean(values))
+    return figures | {"reconstruct_ms": decode_ms(decoders["corrected"], shots[0].image)}
 
 
 def decode_ms(decoder: PhotometricDecoder, image: Any) -> float:
@@ -89,20 +105,19 @@ def decode_ms(decoder: PhotometricDecoder, image: Any) -> float:
     return statistics.median(times[1:])
 
 
-def lamps(experiment: Any) -> dict[str, float]:
+def lamps(experiment: Any, shots: list[Shot]) -> dict[str, float]:
     """Compare the rendered sensor with the published figures of real units."""
-    sensor, calibration = calibrated_sensor(experiment)
+    sensor, _ = calibrated_sensor(experiment)
     background, pitch_mm = mean_background(sensor.backgrounds()), sensor.pitch_mm
     rows, cols = (np.array_split(np.arange(n), 3) for n in background.shape[:2])
     tiles = np.array([[background[np.ix_(r, c)].mean((0, 1)) for c in cols] for r in rows])
     changes, normals = [], []
-    for press in reference_images(experiment, sensor):
-        levels = smoothed(press.image, 1)
-        circle = find_contact_circle(smoothed(press.image, 3), calibration.background)
+    for shot in shots:
+        levels, circle = smoothed(shot.image, 1), shot.circle
         row, col = np.indices(levels.shape[:2])
-        inside = np.hypot(row - circle.row_px, col - circle.col_px) < circle.radius_px - 4.0
+        inside = np.hypot(row - circle.row_px, col - circle.col_px) < CONTACT_MM / pitch_mm
         places = np.argwhere(inside).astype(float)
-        slopes = ball_slopes(circle, press.ball_diameter_mm / 2, pitch_mm, places)
+        slopes = ball_slopes(circle, BALL_MM / 2, pitch_mm, places)
         normal = np.column_stack([-slopes[:, 1], slopes[:, 0], np.ones(len(slopes))])
         normals.append(normal / np.linalg.norm(normal, axis=1, keepdims=True))
         changes.append((levels - background)[inside])
@@ -112,6 +127,9 @@ def lamps(experiment: Any) -> dict[str, float]:
     return {
         "background_rms_grey": float(np.sqrt(np.mean((UNITS - np.moveaxis(tiles, -1, 0)) ** 2))),
         "azimuth_error_deg": azimuth_error_deg(slopes),
+        "sensitivity_ratio": float(
+            np.mean(np.linalg.norm(slopes, axis=1) / np.linalg.norm(SENSITIVITY, axis=1))
+        ),
     }
 
 

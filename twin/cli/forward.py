@@ -120,7 +120,11 @@ def measure(experiment: Path, /, *, out: Out, settings: Settings = None) -> None
     experiment
         TOML file, or the name of a shipped experiment such as paper/two_balls.
     """
-    _measure(load(experiment, settings), out, "measure")
+    loaded = load(experiment, settings)
+    if loaded.modality == "photometric_stereo":
+        _measure_photometric(loaded, out)
+    else:
+        _measure(loaded, out, "measure")
 
 
 @app.command
@@ -197,6 +201,19 @@ def export(experiment: Path, /, *, out: Out, settings: Settings = None) -> None:
     for line in left_out:
         sys.stderr.write(f"twin: warning: {line}\n")
     say(f"wrote {out / 'scene.xml'}")
+
+
+def _measure_photometric(experiment: "Experiment", out: Path) -> None:
+    from twin.modalities import measure_photometric
+    from twin.modalities.photometric_score import photometric_metrics
+    from twin.modalities.photometric_storage import write_photometric
+    from twin.output import output_folder
+
+    with output_folder(out) as folder, progress_bars() as watch:
+        done = measure_photometric(experiment, watch)
+        write_photometric(folder, "measure", experiment, done)
+    print_metrics(photometric_metrics(done.score))
+    say(f"wrote {out}")
 
 
 def _measure(experiment: "Experiment", out: Path, command: str) -> None:

@@ -5,8 +5,8 @@
 | result.json, experiment.toml | figures, and the resolved experiment |
 | press.nc, coated_face.ply | fields of the pressed gel and its coat |
 | image.png, background.png | what the sensor's driver delivers, 8-bit RGB |
-| calibration.npz | the sensor's colour map (see `read_sensor_calibration`) |
-| heights.nc, points.ply | height, slopes and reason codes; valid points in the world |
+| sensor_calibration.npz | the sensor's colour map (see `read_sensor_calibration`) |
+| height.nc, points.ply | height, slopes and reason codes; valid points in the world |
 | truth.nc | point and normal behind every pixel of the image |
 """
 
@@ -35,8 +35,8 @@ def write_photometric(
     imageio.imwrite(folder / "image.png", done.image)
     background = np.rint(done.calibration.background).astype(np.uint8)
     imageio.imwrite(folder / "background.png", background)
-    write_sensor_calibration(folder / "calibration.npz", done.calibration)
-    write_height_map(folder / "heights.nc", done.heights)
+    write_sensor_calibration(folder / "sensor_calibration.npz", done.calibration)
+    write_height_map(folder / "height.nc", done.heights)
     write_height_points(folder / "points.ply", done.heights)
     write_truth(folder / "truth.nc", done.truth)
     figures = press_metrics(done.pressed) | photometric_metrics(done.score)
