@@ -3,18 +3,23 @@
 | file | content |
 |---|---|
 | capture.toml | file names, image size, bit depth, [patterns], [sensor] |
-| stack.nc | netCDF-4: `stack` (frame, row, col) uint16 or float32, DN; `frame_name` (frame) |
+| stack.nc | netCDF-4: `stack` (frame, row, col) uint8, uint16 or float32, DN; `frame_name` |
 | calibration.yaml | OpenCV YAML, see `calibration` |
+
+Or, from a real camera, one image per frame and another kind of capture.toml: see `frame_set`.
 """
 
 from dataclasses import dataclass
 from pathlib import Path
 
-from reconstruction.arrays import Stack
+from reconstruction.arrays import FloatImage, Stack
 from reconstruction.calibration import Calibration, read_calibration, write_calibration
 from reconstruction.capture_description import Description, read_description, write_description
 from reconstruction.checks import require_integer
 from reconstruction.errors import CaptureError
+from reconstruction.frame_set import is_frame_set, read_frame_set
+from reconstruction.image_files import read_frames
+from reconstruction.pattern_files import read_manifest
 from reconstruction.patterns import PatternSet
 from reconstruction.sensor import SensorNoise
 from reconstruction.stack_file import TYPES, read_stack, write_stack
@@ -31,12 +36,13 @@ class Capture:
 
     Parameters
     ----------
-    stack : (frame, row, col) uint16, DN, in the order of `patterns.frames`; float32 holds the
-        expected values of a noise-free rendering
+    stack : (frame, row, col) uint8 or uint16, DN, in the order of `patterns.frames`; float32 holds
+        the expected values of a noise-free rendering, or corrected frames
     patterns : what was projected
     sensor : camera noise
     calibration : camera and projector; the camera has the image size of the stack
     bit_depth : bits per pixel value, 8 to 16
+    scale : (row, col) float32, by which merged exposures were multiplied, see `merge_exposures`
 
     Raises
     ------
@@ -48,6 +54,7 @@ class Capture:
     sensor: SensorNoise
     calibration: Calibration
     bit_depth: int
+    scale: FloatImage | None = None
 
     def __post_init__(self) -> None:
         require_integer("bit_depth", self.bit_depth, 8, 16)
@@ -59,7 +66,8 @@ class Capture:
                 f"need {' or '.join(TYPES)} {expected} (frame, row, col)"
             )
         # This way round a NaN of a float stack is refused as well.
-        if not self.stack.max() < 2**self.bit_depth:
+        largest = 2**self.bit_depth * (1.0 if self.scale is None else float(self.scale.max()))
+        if not self.stack.max() < largest:
             raise CaptureError(
                 f"stack holds the value {self.stack.max()}; {self.bit_depth} bits end at "
                 f"{2**self.bit_depth - 1}: correct bit_depth or the stack"
@@ -71,9 +79,11 @@ def write_capture(folder: Path | str, capture: Capture) -> None:
 
     Raises
     ------
-    CaptureError : the folder is missing or holds something
+    CaptureError : the folder is missing or holds something; exposures were merged
     """
     folder = Path(folder)
+    if capture.scale is not None:
+        raise CaptureError(f"{folder}: merged exposures are no capture; keep their image files")
     if not folder.is_dir() or any(folder.iterdir()):
         raise CaptureError(f"{folder}: write a capture into an existing empty folder")
     _, rows, cols = capture.stack.shape
@@ -94,11 +104,15 @@ def write_capture(folder: Path | str, capture: Capture) -> None:
 def read_capture(folder: Path | str) -> Capture:
     """Read a capture from its folder, or from a folder that holds it as `capture/`.
 
+    Frames in image files are merged, where there are several exposures, and their order is checked.
+
     Raises
     ------
     CaptureError : a file is missing, damaged or does not fit the others
     """
     folder = _find(Path(folder))
+    if is_frame_set(folder / DESCRIPTION_FILE):
+        return _read_images(folder)
     description = read_description(folder / DESCRIPTION_FILE)
     calibration = read_calibration(folder / description.calibration_file)
     shape = (description.height_px, description.width_px)
@@ -107,6 +121,18 @@ def read_capture(folder: Path | str) -> Capture:
         return Capture(
             stack, description.patterns, description.sensor, calibration, description.bit_depth
         )
+    except CaptureError as error:
+        raise CaptureError(f"{folder}: {error}") from error
+
+
+def _read_images(folder: Path) -> Capture:
+    description = read_frame_set(folder / DESCRIPTION_FILE)
+    patterns = read_manifest(folder / description.patterns_file)
+    calibration = read_calibration(folder / description.calibration_file)
+    frames = read_frames(folder, description, patterns, calibration)
+    parts = (patterns, description.sensor, calibration)
+    try:
+        return Capture(frames.stack, *parts, description.bit_depth, frames.scale)
     except CaptureError as error:
         raise CaptureError(f"{folder}: {error}") from error
 

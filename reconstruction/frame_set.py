@@ -3,8 +3,8 @@
 | key | content |
 |---|---|
 | format, version | "fringe-frames", 1 |
-| files | pattern of the file names: fields {index} (from 0), {number} (from 1), {name} and {set}, as |
-|       | in "{index:03d}_{name}.png"; or with * and ?, then in natural order of the names |
+| files | pattern of the file names: fields {index} (from 0), {number} (from 1), {name} and {set}, |
+|       | as in "{index:03d}_{name}.png"; or with * and ?, then in natural order of the names |
 | bit_depth | bits per pixel value, 8 to 16 |
 | patterns_file | manifest that came with the projected images |
 | calibration_file | OpenCV YAML, see `calibration` |
@@ -18,6 +18,7 @@ Paths are relative to the folder of capture.toml.
 import re
 import string
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -100,8 +101,7 @@ def _named_files(
     folder: Path, description: FrameSet, patterns: PatternSet, number: int
 ) -> list[Path]:
     files = [
-        folder
-        / description.files.format(index=i, number=i + 1, name=frame.name, set=number)
+        folder / description.files.format(index=i, number=i + 1, name=frame.name, set=number)
         for i, frame in enumerate(patterns.frames)
     ]
     missing = [path.relative_to(folder).as_posix() for path in files if not path.is_file()]
@@ -138,7 +138,7 @@ def _gap(files: list[Path]) -> str:
     """Name the first jump in the running numbers, if the names end in one."""
     found = [re.search(r"(\d+)\D*$", path.name) for path in files]
     numbers = [int(match.group(1)) for match in found if match]
-    for before, after in zip(numbers, numbers[1:], strict=False):
+    for before, after in pairwise(numbers):
         if after - before > 1:
             return f" (their numbers jump from {before} to {after})"
     return ""

@@ -16,8 +16,10 @@ from numpy.typing import NDArray
 
 from reconstruction._jit import threads
 from reconstruction.arrays import FloatImage, Stack
+from reconstruction.calibration import Calibration
 from reconstruction.errors import CaptureError, InputError
 from reconstruction.exposures import merge_exposures
+from reconstruction.frame_order import check_order
 from reconstruction.frame_set import FrameSet, frame_files
 from reconstruction.patterns import PatternSet
 from reconstruction.sensor import SensorNoise
@@ -36,13 +38,22 @@ class Frames:
     scale: FloatImage | None
 
 
-def read_frames(folder: Path, description: FrameSet, patterns: PatternSet) -> Frames:
+def read_frames(
+    folder: Path,
+    description: FrameSet,
+    patterns: PatternSet,
+    calibration: Calibration | None = None,
+) -> Frames:
     """Read, check, and where there are several exposures merge the frames of a folder.
+
+    Parameters
+    ----------
+    calibration : helps to notice exchanged axes; None: none yet
 
     Raises
     ------
     CaptureError : missing or damaged images, unequal sizes or types, values beyond the bit depth,
-        exposures that do not fit the light
+        exposures that do not fit the light, frames clearly in another order
     """
     sets = [
         read_stack_of_images(files, description.bit_depth)
@@ -51,9 +62,11 @@ def read_frames(folder: Path, description: FrameSet, patterns: PatternSet) -> Fr
     if description.dark_file:
         dark = _read_dark(folder / description.dark_file, sets[0].shape[1:])
         sets = [subtract_dark(stack, dark, description.sensor) for stack in sets]
-    if len(sets) == 1:
-        return Frames(sets[0], None)
     try:
+        for stack in sets:
+            check_order(stack, patterns, description.sensor, calibration)
+        if len(sets) == 1:
+            return Frames(sets[0], None)
         _check_exposures(sets, description, patterns)
         merged = merge_exposures(sets, description.exposures_ms, description.sensor)
     except InputError as error:
@@ -135,7 +148,7 @@ def _check_depth(path: Path, image: Image, bit_depth: int) -> None:
         )
     # This way round NaN is refused as well; a float between the last two levels is not clipped.
     if not image.max() < largest + 1:
-        step = int(np.gcd.reduce(image, axis=None)) if image.dtype.kind == "u" else 1
+        step = int(np.gcd.reduce(image.ravel())) if image.dtype.kind == "u" else 1
         shifted = f"; all values are multiples of {step}: the bits stand on the left" * (step > 1)
         raise CaptureError(
             f"{path}: holds the value {image.max()}, {bit_depth} bits end at {largest}{shifted}; "
@@ -162,7 +175,8 @@ def _read_dark(path: Path, shape: tuple[int, ...]) -> Image:
 def subtract_dark(stack: Stack, dark: Image, sensor: SensorNoise) -> Stack:
     """Return float32 frames with every pixel's dark value moved to the black level.
 
-    A clipped pixel stays clipped, and a lost one (0) stays lost, for `decode` to see.
+    A clipped pixel stays clipped, and a lost one (0) stays lost, for `decode` to see. One that a
+    dark value below the black level lifts to the saturation counts as clipped from then on.
     """
     black_dn = np.float32(sensor.black_level_dn)
     offset = dark.astype(np.float32) - black_dn
@@ -170,6 +184,7 @@ def subtract_dark(stack: Stack, dark: Image, sensor: SensorNoise) -> Stack:
     for frame in result:
         keeps = (frame >= sensor.saturation_dn) | ((frame == 0.0) & (black_dn > 0.0))
         frame -= np.where(keeps, np.float32(0.0), offset)
+        np.minimum(frame, np.float32(sensor.saturation_dn), out=frame)
     return result
 
 

@@ -32,6 +32,6 @@ def reconstruct(capture: Capture, options: ReconstructOptions | None = None) -> 
     InputError : stack, patterns and calibration do not fit each other
     """
     chosen = options or ReconstructOptions()
-    decoded = decode(capture.stack, capture.patterns, capture.sensor, chosen.decode)
+    decoded = decode(capture.stack, capture.patterns, capture.sensor, chosen.decode, capture.scale)
     point_map = triangulate(decoded, capture.calibration, chosen.use, chosen.tolerance)
     return Reconstruction(decoded, point_map)

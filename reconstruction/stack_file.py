@@ -15,11 +15,11 @@ DIMENSIONS = ("frame", "row", "col")
 STACK = "stack"
 NAMES = "frame_name"
 # Digital numbers of a sensor, or the expected values of a noise-free rendering.
-TYPES = ("uint16", "float32")
+TYPES = ("uint8", "uint16", "float32")
 
 
 def write_stack(path: Path, stack: Stack, patterns: PatternSet) -> None:
-    """Write a (frame, row, col) uint16 or float32 stack and the names of its frames."""
+    """Write a (frame, row, col) uint8, uint16 or float32 stack and the names of its frames."""
     with h5netcdf.File(path, "w") as file:
         file.dimensions = dict(zip(DIMENSIONS, stack.shape, strict=True))
         variable = file.create_variable(STACK, DIMENSIONS, data=stack)

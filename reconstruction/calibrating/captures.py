@@ -3,10 +3,13 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from reconstruction.arrays import Stack
+from reconstruction.arrays import FloatImage, Stack
 from reconstruction.capture import DESCRIPTION_FILE, SUBFOLDER
 from reconstruction.capture_description import read_description
 from reconstruction.errors import CaptureError
+from reconstruction.frame_set import is_frame_set, read_frame_set
+from reconstruction.image_files import read_frames
+from reconstruction.pattern_files import read_manifest
 from reconstruction.patterns import PatternSet
 from reconstruction.sensor import SensorNoise
 from reconstruction.stack_file import read_stack
@@ -14,11 +17,15 @@ from reconstruction.stack_file import read_stack
 
 @dataclass(frozen=True, eq=False)
 class BoardCapture:
-    """Frames of one board pose, (frame, row, col) DN, and what is known about them."""
+    """Frames of one board pose, (frame, row, col) DN, and what is known about them.
+
+    scale : (row, col) float32, by which merged exposures were multiplied, see `merge_exposures`
+    """
 
     stack: Stack
     patterns: PatternSet
     sensor: SensorNoise
+    scale: FloatImage | None = None
 
 
 def read_board_capture(folder: Path | str) -> BoardCapture:
@@ -29,6 +36,11 @@ def read_board_capture(folder: Path | str) -> BoardCapture:
     CaptureError : a file is missing, damaged or does not fit the others
     """
     folder = _find(Path(folder))
+    if is_frame_set(folder / DESCRIPTION_FILE):
+        frame_set = read_frame_set(folder / DESCRIPTION_FILE)
+        patterns = read_manifest(folder / frame_set.patterns_file)
+        frames = read_frames(folder, frame_set, patterns)
+        return BoardCapture(frames.stack, patterns, frame_set.sensor, frames.scale)
     description = read_description(folder / DESCRIPTION_FILE)
     shape = (description.height_px, description.width_px)
     stack = read_stack(folder / description.stack_file, description.patterns, shape)

@@ -70,7 +70,7 @@ def observe(capture: BoardCapture, board: Board, name: str = "pose") -> Observat
 
 
 def _observe(capture: BoardCapture, board: Board, name: str) -> Observation:
-    decoded = decode(capture.stack, capture.patterns, capture.sensor, UNFILTERED)
+    decoded = decode(capture.stack, capture.patterns, capture.sensor, UNFILTERED, capture.scale)
     relative = relative_brightness(brightness(decoded, capture.sensor))
     threshold = ink_threshold(relative)
     ids, camera_px = _features(board, relative, threshold)

@@ -1,0 +1,125 @@
+"""Step height and bar width from a profile z(s)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from reconstruction.arrays import BoolImage, Doubles
+from reconstruction.errors import FitError
+from reconstruction.evaluate.outliers import inliers
+
+_LEAST_POINTS = 5
+_MOST_TURNS = 10
+
+
+@dataclass(frozen=True)
+class StepHeight:
+    """Height of a groove or ridge after ISO 5436-1, type A1; negative for a groove.
+
+    Attributes
+    ----------
+    height_mm : float
+    rms_mm : float
+        Of the residuals of the two parallel lines.
+    """
+
+    height_mm: float
+    rms_mm: float
+
+
+@dataclass(frozen=True)
+class BarWidth:
+    """Width of a raised bar where it crosses a stated fraction of its height.
+
+    Attributes
+    ----------
+    width_mm : float
+    height_mm : float
+        Median of the top third over median of the ground.
+    left_mm, right_mm : float
+        Positions of the crossings, interpolated between samples.
+    """
+
+    width_mm: float
+    height_mm: float
+    left_mm: float
+    right_mm: float
+
+
+def step_height(s_mm: ArrayLike, z_mm: ArrayLike, left_mm: float, right_mm: float) -> StepHeight:
+    """Fit z = a + b s + h d(s) to a profile with a ridge or groove between two edges.
+
+    d is 1 over the middle third of the width W between the edges and 0 over the two stretches that
+    begin W / 3 outside of them and are 2 W / 3 long (ISO 5436-1, 7.2); what lies between is left
+    out. Outliers are left out of a second fit.
+
+    Parameters
+    ----------
+    s_mm, z_mm : (n,) float
+        Positions along the profile and heights; points without height are left out beforehand.
+    left_mm, right_mm : float
+        The edges.
+
+    Raises
+    ------
+    FitError : fewer than five points on one of the three stretches
+    """
+    s, z = np.asarray(s_mm, np.float64), np.asarray(z_mm, np.float64)
+    width = right_mm - left_mm
+    inside = np.abs(s - (left_mm + right_mm) / 2) <= width / 6
+    before = (s >= left_mm - width) & (s <= left_mm - width / 3)
+    after = (s >= right_mm + width / 3) & (s <= right_mm + width)
+    for name, part in (("ridge", inside), ("left", before), ("right", after)):
+        if part.sum() < _LEAST_POINTS:
+            raise FitError(f"step height: {part.sum()} points on the {name} stretch, 5 needed")
+    used = inside | before | after
+    design = np.column_stack([np.ones_like(s), s, inside.astype(np.float64)])[used]
+    found, residuals = _robust_line(design, z[used])
+    return StepHeight(float(found[2]), float(np.sqrt(np.mean(residuals**2))))
+
+
+def bar_width(s_mm: ArrayLike, z_mm: ArrayLike, fraction: float = 0.5) -> BarWidth:
+    """Measure a bar on a level ground: where the profile crosses `fraction` of its height.
+
+    Parameters
+    ----------
+    s_mm, z_mm : (n,) float
+        Positions, growing, and heights.
+    fraction : float
+        Between 0 and 1; half the height by default.
+
+    Raises
+    ------
+    FitError : the profile has no bar with ground on both sides
+    """
+    s, z = np.asarray(s_mm, np.float64), np.asarray(z_mm, np.float64)
+    if not 0.0 < fraction < 1.0 or s.size < 4 * _LEAST_POINTS:
+        raise FitError("bar width: needs a fraction between 0 and 1, and at least 20 points")
+    order = np.sort(z)
+    ground, top = np.median(order[: s.size // 3]), np.median(order[-(s.size // 10 or 1) :])
+    level = ground + fraction * (top - ground)
+    above = np.flatnonzero(z >= level)
+    first, last = above[0], above[-1]
+    if first == 0 or last == s.size - 1:
+        raise FitError("bar width: the bar reaches the profile's end; give a longer profile")
+    left, right = _crossing(s, z, first - 1, level), _crossing(s, z, last, level)
+    return BarWidth(right - left, float(top - ground), left, right)
+
+
+def _crossing(s: Doubles, z: Doubles, at: int, level: float) -> float:
+    """Position between samples `at` and `at + 1` where z takes a level."""
+    share = (level - z[at]) / (z[at + 1] - z[at])
+    return float(s[at] + share * (s[at + 1] - s[at]))
+
+
+def _robust_line(design: Doubles, z: Doubles) -> tuple[Doubles, Doubles]:
+    """Least squares, repeated without outliers; parameters and residuals of the points kept."""
+    kept: BoolImage = np.ones(z.size, bool)
+    for _ in range(_MOST_TURNS):
+        found, *_ = np.linalg.lstsq(design[kept], z[kept], rcond=None)
+        now = inliers(z - design @ found)
+        if np.array_equal(now, kept):
+            break
+        kept = now
+    return np.asarray(found, np.float64), (z - design @ found)[kept]

@@ -1,0 +1,89 @@
+"""The worked example of docs/real_rig.md, as a rig owner would run it."""
+
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from reconstruction.capture import read_capture
+from twin.cli import run
+
+DOCS = Path(__file__).parents[2] / "docs"
+EXAMPLE = DOCS / "example_capture"
+# The places and the radius, mm, of docs/make_example_capture.py.
+PLACES_MM = {"crest_z_mm": (-4.0, 0.0), "flat_z_mm": (0.0, -6.0)}
+RADIUS_MM = 0.3
+WITHOUT_RENDERER = """
+import sys
+class Block:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in {"twin", "mitsuba", "drjit"}:
+            raise ImportError("a real capture must not need " + name)
+sys.meta_path.insert(0, Block())
+import numpy as np
+from reconstruction.capture import read_capture
+from reconstruction.pipeline import reconstruct
+points = reconstruct(read_capture(sys.argv[1])).point_map
+np.save(sys.argv[2], np.where(points.valid[..., None], points.points_world_mm, np.nan))
+"""
+
+
+def test_heights_of_the_example_without_renderer(tmp_path):
+    """Expected: mean heights as in the truth to 2 um: 80 pixels of sigma 0.5 um, and the filter
+    (sigma 1.5 px = 0.09 mm), which lowers a crest of radius R by sigma^2 / R: 2 um for the ball of
+    4 mm, less for the flatter coat over it.
+    """
+    out = tmp_path / "points.npy"
+    command = [sys.executable, "-c", WITHOUT_RENDERER, str(EXAMPLE), str(out)]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=DOCS.parent)
+    assert done.returncode == 0, done.stderr
+    points_mm = np.load(out)
+    truth = json.loads((EXAMPLE / "truth.json").read_text())
+    for name, (x_mm, y_mm) in PLACES_MM.items():
+        near = np.hypot(points_mm[..., 0] - x_mm, points_mm[..., 1] - y_mm) < RADIUS_MM
+        assert near.sum() > 50
+        assert np.mean(points_mm[near][:, 2]) == pytest.approx(truth[name], abs=2e-3)
+        # The document shows the same truth.
+        assert f"{truth[name]:.4f}" in (DOCS / "real_rig.md").read_text()
+
+
+def test_command_of_the_document(tmp_path, capsys):
+    out = tmp_path / "out"
+    assert run(["reconstruct", str(EXAMPLE), "-o", str(out)]) == 0
+    figures = json.loads((out / "result.json").read_text())["metrics"]
+    assert figures["points"] > 70_000
+    assert figures["sigma_z_median_um"] < 1.0
+    for name in ("points.ply", "reconstruction.nc", "experiment.toml"):
+        assert (out / name).is_file()
+    assert "points" in capsys.readouterr().out
+
+
+def test_description_in_the_document_is_that_of_the_example():
+    text = (DOCS / "real_rig.md").read_text()
+    for line in (EXAMPLE / "capture.toml").read_text().splitlines():
+        assert line in text
+
+
+def test_example_is_small_and_its_files_are_the_frames_projected():
+    assert sum(path.stat().st_size for path in EXAMPLE.iterdir()) < 3e6
+    capture = read_capture(EXAMPLE)
+    assert capture.stack.dtype == np.uint8
+    assert len(list(EXAMPLE.glob("*.png"))) == len(capture.patterns.frames)
+
+
+def test_exchanged_images_are_one_line_and_write_nothing(tmp_path, capsys):
+    """Setup: two camera images of the example change their names."""
+    folder, out = tmp_path / "capture", tmp_path / "out"
+    shutil.copytree(EXAMPLE, folder)
+    first, second = folder / "003_phase_column_03.png", folder / "004_phase_column_04.png"
+    held = first.read_bytes()
+    first.write_bytes(second.read_bytes())
+    second.write_bytes(held)
+    assert run(["reconstruct", str(folder), "-o", str(out)]) == 2
+    error = capsys.readouterr().err.strip().splitlines()
+    assert "frames 3 (phase_column_03) and 4 (phase_column_04) look exchanged" in error[-1]
+    assert not out.exists()

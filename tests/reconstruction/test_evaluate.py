@@ -1,0 +1,105 @@
+"""Dimensions of synthetic surfaces whose true values are known, with noise and outliers."""
+
+import numpy as np
+import pytest
+
+from reconstruction.errors import FitError
+from reconstruction.evaluate import (
+    areal_roughness,
+    bar_width,
+    fit_cylinder,
+    flatness,
+    step_height,
+)
+
+NOISE_MM = 0.002
+
+
+def with_outliers(values, rng, share=0.05, size=0.5):
+    """Move a share of the values far up."""
+    moved = values.copy()
+    chosen = rng.random(values.shape[0]) < share
+    moved[chosen] += size * (1 + rng.random(chosen.sum()))
+    return moved
+
+
+def test_flatness_of_a_tilted_noisy_plane():
+    """5 % of outliers a hundred sigmas off: RMS within 3 % of the noise, tilt within 1e-4."""
+    rng = np.random.default_rng(1)
+    x, y = rng.uniform(-5, 5, (2, 20_000))
+    z = 0.1 * x - 0.05 * y + rng.normal(0, NOISE_MM, x.size)
+    found = flatness(np.column_stack([x, y, with_outliers(z, rng)]))
+    normal = np.array([-0.1, 0.05, 1.0]) / np.sqrt(1 + 0.01 + 0.0025)
+    np.testing.assert_allclose(found.plane.normal, normal, atol=1e-4)
+    assert found.rms_mm == pytest.approx(NOISE_MM / np.sqrt(1.0125), rel=0.03)
+    assert found.peak_to_valley_mm < 10 * NOISE_MM
+    assert found.kept.mean() == pytest.approx(0.95, abs=0.01)
+
+
+def test_flatness_of_a_saddle_is_its_height():
+    x, y = np.meshgrid(np.linspace(-1, 1, 41), np.linspace(-1, 1, 41))
+    found = flatness(np.column_stack([x.ravel(), y.ravel(), 0.01 * (x * y).ravel()]))
+    assert found.peak_to_valley_mm == pytest.approx(0.02, rel=1e-6)
+
+
+def test_cylinder_seen_from_above():
+    """The upper third of a rod of 2.405 mm radius, axis 8 degrees off the guess, outliers."""
+    rng = np.random.default_rng(2)
+    phi = rng.uniform(-np.pi / 3, np.pi / 3, 8000)
+    along = rng.uniform(-4, 4, phi.size)
+    radius = 2.405 + rng.normal(0, NOISE_MM, phi.size)
+    points = np.column_stack([along, radius * np.sin(phi), radius * np.cos(phi)])
+    points[:, 2] = with_outliers(points[:, 2], rng)
+    c, s = np.cos(np.deg2rad(8)), np.sin(np.deg2rad(8))
+    turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])
+    found = fit_cylinder(points @ turn.T + (1.0, 2.0, 3.0), (1, 0, 0))
+    assert found.radius_mm == pytest.approx(2.405, abs=5e-4)
+    np.testing.assert_allclose(found.axis, turn[:, 0], atol=2e-4)
+    assert found.stats.rmse_mm == pytest.approx(NOISE_MM, rel=0.05)
+
+
+@pytest.mark.parametrize("height", [0.3, -0.12])
+def test_step_height_on_a_tilted_ground(height):
+    rng = np.random.default_rng(3)
+    s = np.linspace(-6, 6, 1201)
+    z = 0.02 * s + height * (np.abs(s) < 1.5) + rng.normal(0, NOISE_MM, s.size)
+    found = step_height(s, with_outliers(z, rng), -1.5, 1.5)
+    assert found.height_mm == pytest.approx(height, abs=5e-4)
+    assert found.rms_mm == pytest.approx(NOISE_MM, rel=0.1)
+
+
+def test_width_of_a_rod_at_half_its_height():
+    """A half round bar of radius r is 2 r sqrt(1 - 1/4) wide at half its height."""
+    s = np.linspace(-6, 6, 2401)
+    z = np.sqrt(np.maximum(2.0**2 - s**2, 0.0))
+    found = bar_width(s, z)
+    top = 2.0 - 0.006  # the median over the highest tenth of the samples lies a little below
+    assert found.height_mm == pytest.approx(top, abs=0.02)
+    expected = 2 * np.sqrt(4.0 - (found.height_mm / 2) ** 2)
+    assert found.width_mm == pytest.approx(expected, abs=1e-4)
+
+
+def test_width_needs_ground_on_both_sides():
+    s = np.linspace(0, 1, 50)
+    with pytest.raises(FitError, match="longer profile"):
+        bar_width(s, (s > 0.5).astype(float))
+
+
+def test_roughness_of_a_fine_wave_on_a_coarse_one():
+    """A sine has Sq = A / sqrt(2) and Sa = 2 A / pi; the coarse wave is filtered off."""
+    pitch = 0.01
+    x, y = np.meshgrid(np.arange(0, 8, pitch), np.arange(0, 4, pitch))
+    fine = 0.004 * np.sin(2 * np.pi * x / 0.137)
+    coarse = 0.05 * np.sin(2 * np.pi * x / 16.0) + 0.1 * y
+    found = areal_roughness(fine + coarse, np.ones_like(x, bool), pitch, nesting_mm=0.8)
+    assert found.sq_mm == pytest.approx(0.004 / np.sqrt(2), rel=0.02)
+    assert found.sa_mm == pytest.approx(0.004 * 2 / np.pi, rel=0.02)
+
+
+def test_the_filter_passes_half_at_its_nesting_index():
+    """ISO 16610-61: a wave as long as the nesting index has half its amplitude in the roughness."""
+    pitch, length = 0.02, 0.8
+    x = np.tile(np.arange(0, 16, pitch), (200, 1))
+    wave = 0.01 * np.sin(2 * np.pi * x / length)
+    found = areal_roughness(wave, np.ones_like(x, bool), pitch, nesting_mm=length)
+    assert found.sq_mm == pytest.approx(0.5 * 0.01 / np.sqrt(2), rel=0.03)
