@@ -8,8 +8,9 @@ import tomli_w
 
 from reconstruction.capture import read_capture
 from reconstruction.decode import Reason
-from reconstruction.outputs import write_point_map_ply, write_reconstruction
+from reconstruction.outputs import write_reconstruction
 from reconstruction.pipeline import Reconstruction, reconstruct
+from reconstruction.surface_files import write_surface
 from twin.config.models import Decode
 from twin.modalities.contact_fpp import options_of
 from twin.modalities.progress import Watcher, nobody
@@ -35,7 +36,7 @@ def reconstruct_capture(
         watch("reconstruct", 1.0)
         figures = reconstruction_metrics(result)
         write_reconstruction(folder / "reconstruction.nc", result.decoded, result.point_map)
-        write_point_map_ply(folder / "points.ply", result.point_map)
+        write_surface(folder, result.point_map)
         settings = tomli_w.dumps({"decode": decode.model_dump(mode="json")})
         (folder / EXPERIMENT_FILE).write_text(settings, encoding="utf-8")
         content = {"command": "reconstruct", "metrics": figures, "versions": versions()}

@@ -10,6 +10,7 @@
 | truth.nc, white.exr | point, normal, depth, projector pixel behind every pixel; white radiance |
 | frames_exr/, frames_png/ | when asked for: each frame as linear radiance, as digital numbers |
 | reconstruction.nc, points.ply | maps of the decoder, organised point cloud |
+| height_map.*, surface.ply | heights on a regular grid, triangle mesh |
 """
 
 from collections.abc import Callable
@@ -20,8 +21,9 @@ import imageio.v3 as imageio
 import numpy as np
 
 from reconstruction.capture import write_capture
-from reconstruction.outputs import write_point_map_ply, write_reconstruction
+from reconstruction.outputs import write_reconstruction
 from reconstruction.pipeline import Reconstruction
+from reconstruction.surface_files import write_surface
 from twin.config import Experiment, digest, to_toml
 from twin.mechanics import (
     ContactTransfer,
@@ -113,7 +115,7 @@ def write_reconstructed(folder: Path, reconstruction: Reconstruction) -> None:
     write_reconstruction(
         folder / "reconstruction.nc", reconstruction.decoded, reconstruction.point_map
     )
-    write_point_map_ply(folder / "points.ply", reconstruction.point_map)
+    write_surface(folder, reconstruction.point_map)
 
 
 def write_measurement(
