@@ -6,6 +6,7 @@ import sys
 from twin.cli import captures as captures
 from twin.cli import forward as forward
 from twin.cli import start as start
+from twin.cli import sweeps as sweeps
 from twin.cli.app import app, guarded
 
 __all__ = ["main", "run"]

@@ -19,12 +19,13 @@ def digest(experiment: Experiment) -> str:
 
     Mesh files count by their content, not by their place.
     """
-    content = _with_file_contents(experiment.model_dump(mode="json", exclude=_NOT_CONTENT))
+    content = with_file_contents(experiment.model_dump(mode="json", exclude=_NOT_CONTENT))
     canonical = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
     return hashlib.blake2b(canonical.encode(), digest_size=8).hexdigest()
 
 
-def _with_file_contents(node: Any) -> Any:
+def with_file_contents(node: Any) -> Any:
+    """Replace every `file` in nested tables by the digest of that file's content."""
     if not isinstance(node, dict):
         return node
     named = node.get("file")
@@ -32,7 +33,7 @@ def _with_file_contents(node: Any) -> Any:
     return {
         key: hashlib.blake2b(read, digest_size=8).hexdigest()
         if key == "file" and read is not None
-        else _with_file_contents(value)
+        else with_file_contents(value)
         for key, value in node.items()
     }
 

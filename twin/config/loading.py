@@ -38,7 +38,7 @@ def load_experiment(path: str | Path, overrides: Mapping[str, Any] | None = None
     file = Path(path)
     if not file.is_file():
         file = asset_path("scenes", str(path))
-    tree = _resolve_uses(_read_toml(file), (file,))
+    tree = resolve_uses(read_toml(file), (file,))
     for dotted, value in (overrides or {}).items():
         _assign(tree, dotted, value)
     return validate_experiment(tree, where=str(path))
@@ -77,7 +77,8 @@ def vary(experiment: Experiment, changes: Mapping[str, Any]) -> Experiment:
     return validate_experiment(tree, where=experiment.name)
 
 
-def _read_toml(file: Path) -> dict[str, Any]:
+def read_toml(file: Path) -> dict[str, Any]:
+    """Read a TOML file; one line says what is wrong with it."""
     try:
         return tomllib.loads(file.read_text(encoding="utf-8"))
     except tomllib.TOMLDecodeError as error:
@@ -86,9 +87,10 @@ def _read_toml(file: Path) -> dict[str, Any]:
         raise ConfigError(f"{file}: cannot be read: {error}") from None
 
 
-def _resolve_uses(tree: dict[str, Any], trail: tuple[Path, ...]) -> dict[str, Any]:
+def resolve_uses(tree: dict[str, Any], trail: tuple[Path, ...]) -> dict[str, Any]:
+    """Lay tables over the data files that they `use`; `trail` holds the files that led here."""
     own = {
-        key: _resolve_uses(node, trail) if isinstance(node, dict) else node
+        key: resolve_uses(node, trail) if isinstance(node, dict) else node
         for key, node in tree.items()
         if key != "use" or "/" not in str(node)  # decode.use = "column" is a value, no file
     }
@@ -105,7 +107,7 @@ def _load_used(name: str, trail: tuple[Path, ...]) -> dict[str, Any]:
     file = asset_path("scenes" if collection == "scenes" else "materials", rest)
     if file in trail:
         raise AssetCycleError(f"{trail[-1]}: use = '{name}' leads back to itself: remove one use")
-    tree = _resolve_uses(_read_toml(file), (*trail, file))
+    tree = resolve_uses(read_toml(file), (*trail, file))
     tree.pop("description", None)
     tree.pop("name", None)
     return tree
@@ -120,11 +122,16 @@ def _overlay(base: dict[str, Any], top: dict[str, Any]) -> dict[str, Any]:
             merged[key] = node
         elif is_quantity(under):
             merged[key] = {**under, "value": node, "source": "set in the experiment"}
-        elif isinstance(node, dict):
+        elif isinstance(node, dict) and _same_kind(under, node):
             merged[key] = _overlay(under, node)
         else:
             merged[key] = node
     return merged
+
+
+def _same_kind(base: dict[str, Any], top: dict[str, Any]) -> bool:
+    """Tell whether two tables may share keys: a nut takes no diameter from a ball."""
+    return "kind" not in base or top.get("kind", base["kind"]) == base["kind"]
 
 
 def _assign(tree: dict[str, Any], dotted: str, value: Any) -> None:

@@ -15,8 +15,8 @@ Loc = tuple[int | str, ...]
 _SCALAR_TAGS = {"constrained-float", "float", "literal['auto']"}
 
 
-def explain(error: ValidationError) -> list[str]:
-    """Turn pydantic's report into plain lines; a misspelt key gets a suggestion.
+def explain(error: ValidationError, document: type[BaseModel] = Experiment) -> list[str]:
+    """Turn pydantic's report on a document into plain lines; a misspelt key gets a suggestion.
 
     A typo shows up twice (an unknown key and, for required fields, a missing one): the second
     line is dropped when the suggestion already names it.
@@ -24,18 +24,19 @@ def explain(error: ValidationError) -> list[str]:
     lines, suggested = [], set()
     for item in error.errors(include_url=False):
         if item["type"] == "extra_forbidden":
-            parent, key = _path(item["loc"][:-1]), str(item["loc"][-1])
-            guess = _closest(key, item["loc"][:-1])
+            parent, key = _path(item["loc"][:-1], document), str(item["loc"][-1])
+            guess = _closest(key, item["loc"][:-1], document)
             suggested.add(f"{parent}.{guess}".lstrip("."))
             where = f"in [{parent}]" if parent else "at the top level"
             hint = f"; did you mean '{guess}'?" if guess else "; remove it"
             lines.append(f"unknown key '{key}' {where}{hint}")
     for item in error.errors(include_url=False):
-        path = _path(item["loc"])
+        path = _path(item["loc"], document)
         if item["type"] == "missing" and path not in suggested:
             lines.append(f"{path}: missing; add it")
         elif item["type"] not in ("missing", "extra_forbidden"):
-            lines.append(f"{path}: found {_short(item['input'])}, {_allowed(item['msg'])}")
+            found = f"{path}: found {_short(item['input'])}, " if path else ""
+            lines.append(f"{found}{_allowed(item['msg'])}")
     return lines
 
 
@@ -49,21 +50,21 @@ def _short(value: Any) -> str:
     return text if len(text) <= 60 else f"{text[:57]}..."
 
 
-def _path(loc: Loc) -> str:
+def _path(loc: Loc, document: type[BaseModel]) -> str:
     """Dotted path as a user writes it: without the tags that pydantic inserts for unions."""
-    return ".".join(_walk(loc)[0])
+    return ".".join(_walk(loc, document)[0])
 
 
-def _closest(key: str, loc: Loc) -> str | None:
-    names = [name for model in _walk(loc)[1] for name in model.model_fields]
+def _closest(key: str, loc: Loc, document: type[BaseModel]) -> str | None:
+    names = [name for model in _walk(loc, document)[1] for name in model.model_fields]
     found = difflib.get_close_matches(key, names, n=1, cutoff=0.6)
     return found[0] if found else None
 
 
-def _walk(loc: Loc) -> tuple[list[str], list[type[BaseModel]]]:
-    """Follow a location from the experiment; return its path and the models found at its end."""
+def _walk(loc: Loc, document: type[BaseModel]) -> tuple[list[str], list[type[BaseModel]]]:
+    """Follow a location from the document; return its path and the models found at its end."""
     path: list[str] = []
-    here: list[Any] = [Experiment]
+    here: list[Any] = [document]
     for part in map(str, loc):
         kinds = {
             m.model_fields["kind"].default: m for m in _models(here) if "kind" in m.model_fields
@@ -84,6 +85,8 @@ def _inside(place: Any, part: str) -> list[Any]:
     """Types that a field of a model, or a value of a table by name, may have."""
     if typing.get_origin(place) is dict:
         return _options(typing.get_args(place)[1])
+    if typing.get_origin(place) is tuple:
+        return _options(typing.get_args(place)[0])
     field = place.model_fields.get(part) if _models([place]) else None
     return _options(field.annotation) if field is not None else []
 

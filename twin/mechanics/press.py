@@ -104,8 +104,8 @@ def press(specimen: Specimen, elastomer: Elastomer, load: Press) -> PressedElast
         pressure_kpa=contact.pressure * modulus_kpa,
         contact=contact.pressure > 0,
         touched_face_mm=contact.deflection_mm + sag + elastomer.touched_plane_mm,
-        # kPa mm^2 = 1e-3 N
-        force_n=float(contact.pressure.sum()) * layer.cell_area_mm2 * modulus_kpa * 1e-3,
+        # kPa mm^2 = 1e-3 N; the modulus last, so that `unit_press` scales to the same bytes.
+        force_n=float(contact.pressure.sum()) * layer.cell_area_mm2 * 1e-3 * modulus_kpa,
         depth_mm=contact.depth_mm,
         young_modulus_kpa=modulus_kpa,
         face_x_mm=nodes[1],

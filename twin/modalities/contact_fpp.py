@@ -40,16 +40,26 @@ def record(
     MissingBackend
         No usable Dr.Jit backend.
     """
+    check_layers(experiment)
+    clock = clock or Stopwatch()
+    with clock.stage("render") as progress:
+        radiance = render(experiment, face_mesh(pressed), progress)
+    return expose_capture(experiment, radiance, clock, trial)
+
+
+def check_layers(experiment: Experiment) -> None:
+    """Refuse a coat that is seen through a gel which the experiment does not describe.
+
+    Raises
+    ------
+    InputError
+    """
     if experiment.elastomer.layout == "contact_face" and not experiment.layers:
         raise InputError(
             "layers: found none, elastomer.layout = 'contact_face' is seen through its gel; add "
             f"[layers.gel] with bottom_mm = 0, thickness_mm = {experiment.elastomer.thickness_mm:g}"
             " and ior, or use twin press"
         )
-    clock = clock or Stopwatch()
-    with clock.stage("render") as progress:
-        radiance = render(experiment, face_mesh(pressed), progress)
-    return expose_capture(experiment, radiance, clock, trial)
 
 
 def options_of(decode: Decode) -> ReconstructOptions:

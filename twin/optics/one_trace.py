@@ -11,7 +11,7 @@ the devices and the scene (`layers`). Does not: light through clear objects.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import drjit as dr
@@ -33,6 +33,42 @@ SMOOTH_WITHIN_PX = 0.25
 is looked up once, at their weighted mean. The mean position, and so the phase, is exact; what is
 left out is half the pattern's curvature times the samples' variance, below 0.4 % of white on the
 edge of a Gray bit blurred by 0.7 px and 0.1 % of the fringe amplitude."""
+
+
+@dataclass(frozen=True)
+class Patches:
+    """What all samples of each pixel see together: weight, weighted position and its extent.
+
+    They depend on geometry, rig and coat, and on no pattern: one trace serves any number of
+    sequences once it is evaluated.
+    """
+
+    samples: int
+    weight: Any
+    weighted_column: Any
+    weighted_row: Any
+    weighted_axial_mm: Any
+    lowest: Any
+    highest: Any
+
+    def evaluate(self) -> "Patches":
+        """Run the trace now and keep its result."""
+        dr.eval(*(getattr(self, field.name) for field in fields(self) if field.name != "samples"))
+        return self
+
+    @property
+    def spread_px(self) -> Any:
+        """Largest distance between two lit samples along either projector axis."""
+        return dr.maximum(self.highest.x - self.lowest.x, self.highest.y - self.lowest.y)
+
+    def mean_connection(self, active: Any) -> Connection:
+        """One path at the samples' weighted mean position; its weight is their mean weight."""
+        lit = active & (self.weight > 0.0)
+        scale = dr.select(lit, dr.rcp(self.weight), 0.0)
+        column_px, row_px = self.weighted_column * scale, self.weighted_row * scale
+        # One distance, one blur: over a patch of a quarter pixel the blur's spread is negligible.
+        axial_mm = self.weighted_axial_mm * scale
+        return Connection(column_px, row_px, dr.select(lit, self.weight, 0.0), lit, axial_mm)
 
 
 def trace_stack(
@@ -68,11 +104,32 @@ def trace_stack(
     tuple of (row, col) float32
         Radiance of each frame in mW / (mm^2 sr).
     """
+    return light_stack(
+        scene,
+        rig,
+        tables,
+        trace_patches(scene, rig, samples),
+        bounces=bounces,
+        progress=progress,
+        smooth_within_px=smooth_within_px,
+    )
+
+
+def light_stack(
+    scene: Any,
+    rig: Rig,
+    tables: dict[str, LightTable],
+    patches: Patches,
+    *,
+    bounces: Bounces | None = None,
+    progress: Callable[[float], None] = lambda _: None,
+    smooth_within_px: float = SMOOTH_WITHIN_PX,
+) -> Frames:
+    """Render all frames from patches that are traced already; otherwise as `trace_stack`."""
     width, height = rig.camera.pinhole.width_px, rig.camera.pinhole.height_px
-    light, grid = FrameLight(tables), SubPixels.of_image(width, height, samples)
-    patch = _trace_patches(scene, rig, grid)
-    smooth = patch.spread_px <= smooth_within_px
-    frames = light.values(patch.mean_connection(smooth))
+    light, grid = FrameLight(tables), SubPixels.of_image(width, height, patches.samples)
+    smooth = patches.spread_px <= smooth_within_px
+    frames = light.values(patches.mean_connection(smooth))
     frames = _add_samples(
         lambda sample: light.values(see(scene, rig, grid.ray(rig.camera, sample))[1]),
         grid,
@@ -88,34 +145,12 @@ def trace_stack(
     return _in_sequence(frames, light.sequence, (height, width))
 
 
-@dataclass(frozen=True)
-class _Patch:
-    """What all samples of a pixel see together: weight, weighted position and its extent."""
+def trace_patches(scene: Any, rig: Rig, samples: int) -> Patches:
+    """Trace all samples and keep sums instead of frames: eight numbers per pixel, not 53.
 
-    weight: Any
-    weighted_column: Any
-    weighted_row: Any
-    weighted_axial_mm: Any
-    lowest: Any
-    highest: Any
-
-    @property
-    def spread_px(self) -> Any:
-        """Largest distance between two lit samples along either projector axis."""
-        return dr.maximum(self.highest.x - self.lowest.x, self.highest.y - self.lowest.y)
-
-    def mean_connection(self, active: Any) -> Connection:
-        """One path at the samples' weighted mean position; its weight is their mean weight."""
-        lit = active & (self.weight > 0.0)
-        scale = dr.select(lit, dr.rcp(self.weight), 0.0)
-        column_px, row_px = self.weighted_column * scale, self.weighted_row * scale
-        # One distance, one blur: over a patch of a quarter pixel the blur's spread is negligible.
-        axial_mm = self.weighted_axial_mm * scale
-        return Connection(column_px, row_px, dr.select(lit, self.weight, 0.0), lit, axial_mm)
-
-
-def _trace_patches(scene: Any, rig: Rig, grid: SubPixels) -> _Patch:
-    """Trace all samples and keep sums instead of frames: eight numbers per pixel, not 53."""
+    Recorded, not yet run: `light_stack` fuses it into its kernel, `Patches.evaluate` runs it.
+    """
+    grid = SubPixels.of_image(rig.camera.pinhole.width_px, rig.camera.pinhole.height_px, samples)
 
     def add_sample(*state: Any) -> tuple[Any, ...]:
         sample, weight, column, row, axial_mm, lowest, highest = state
@@ -135,7 +170,7 @@ def _trace_patches(scene: Any, rig: Rig, grid: SubPixels) -> _Patch:
     nothing = dr.zeros(mi.Float, dr.width(grid.x_px))
     start = (mi.UInt32(0), *[nothing] * 4, mi.Point2f(dr.inf), mi.Point2f(-dr.inf))
     end = dr.while_loop(start, lambda sample, *_: sample < grid.samples, add_sample)
-    return _Patch(*end[1:])
+    return Patches(samples, *end[1:])
 
 
 def _add_samples(

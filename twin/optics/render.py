@@ -51,7 +51,7 @@ def render(
     samples = experiment.render.samples
     if experiment.render.engine == "one_trace":
         frames = one_trace.trace_stack(
-            scene, rig, tables, samples, bounces=_bounces(experiment), progress=progress
+            scene, rig, tables, samples, bounces=bounces_of(experiment), progress=progress
         )
     else:
         if any(experiment.camera.distortion):
@@ -124,12 +124,13 @@ def render_coatings(
     for coating in coatings:
         set_coating(scene, coating_in_layer(experiment.model_copy(update={"coating": coating})))
         frames = one_trace.trace_stack(
-            scene, rig, tables, experiment.render.samples, bounces=_bounces(experiment)
+            scene, rig, tables, experiment.render.samples, bounces=bounces_of(experiment)
         )
         yield RadianceStack(frames, truth)
 
 
-def _bounces(experiment: Experiment) -> "Bounces | None":
+def bounces_of(experiment: Experiment) -> "Bounces | None":
+    """Light between surfaces as the experiment asks for it; None when it is left out."""
     from twin.optics.bounces import Bounces
 
     if not experiment.bounces:

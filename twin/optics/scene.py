@@ -29,8 +29,19 @@ def coated_scene(experiment: Experiment, face: "trimesh.Trimesh") -> Any:
     InputError
         The face pokes through the layers that it is seen through.
     """
+    return face_scene(experiment, face, coating_in_layer(experiment))
+
+
+def face_scene(experiment: Experiment, face: "trimesh.Trimesh", coating: Coating) -> Any:
+    """Scene of the coated face in a coat that need not be the experiment's own.
+
+    Raises
+    ------
+    InputError
+        The face pokes through the layers that it is seen through.
+    """
     check_below_layers(experiment, face)
-    mesh = coated_mesh(face, coating_bsdf(coating_in_layer(experiment)))
+    mesh = coated_mesh(face, coating_bsdf(coating))
     # optimize=False: since 3.7 load_dict merges shapes, which breaks later parameter updates.
     return mi.load_dict({"type": "scene", "coated_face": mesh}, optimize=False)
 

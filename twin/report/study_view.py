@@ -140,8 +140,8 @@ def draw_parallel(
     names = [*axes, *metrics]
     places = np.stack([_places(rows, name) for name in names], axis=1)
     colour = numbers(rows, metrics[0])
-    with drawing(path, 1.2 + 1.15 * len(names), 3.3) as figure:
-        place = axes_at(figure, 0.5, 0.3, 1.15 * (len(names) - 1), 2.3)
+    with drawing(path, 1.7 + 1.15 * len(names), 3.3) as figure:
+        place = axes_at(figure, 1.0, 0.3, 1.15 * (len(names) - 1), 2.3)
         segments = [np.column_stack([np.arange(len(names)), line]) for line in places]
         lines = LineCollection(segments, cmap=sequential(), linewidths=0.8, alpha=0.7)
         lines.set_array(colour)

@@ -1,0 +1,152 @@
+"""Design points per hour of a sweep, against the same cases one by one.
+
+A study of three axes, coat albedo x hardness x fringe period, at 484 x 366 under force control
+(under depth control hardness would change nothing but the force, and cost nothing): every hardness
+is a press and a scene of its own, every coat a trace, every case its own camera noise, decoding and
+score. The sweep runs on two workers into an empty store, start of the workers included; compiled
+kernels are in the cache, as they are after the first case of a kind. Cases spread over the design
+are then measured one by one by `twin measure`, one process each, as a user would without a sweep.
+
+Last line: {"points_per_hour": n, "over_one_by_one": r, ...}; also given are the ratio to `measure`
+called again and again in one process (nothing but the sharing and the second worker), and the
+overhead of engine and store per case.
+"""
+
+import argparse
+import json
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+from twin.config import load_experiment, to_toml
+from twin.config.study import Study
+from twin.modalities import measure
+from twin.study.cases import Case
+from twin.study.record import StudyRecord
+from twin.study.sweep import sweep
+from twin.study.workers import local_workers
+
+BASE = {
+    "camera.binning": 4,
+    "press.control": "force",
+    "press.depth_mm": None,
+    "press.force_n": 0.2,
+    # By hardness the sheet may deflect by 0.4 of its thickness, where `auto` takes a model that
+    # needs a minute: the benchmark is about the sweep.
+    "mechanics.model": "spectral",
+}
+
+
+def study_of(albedos: int, hardnesses: int, periods: int) -> Study:
+    """Return the study with so many levels per axis."""
+    return Study(
+        name="bench",
+        base="paper/two_balls",
+        axis=(
+            {"path": "coating.base_albedo", "low": 0.2, "high": 0.7, "count": albedos},
+            {"path": "elastomer.shore_a", "low": 8.0, "high": 14.0, "count": hardnesses},
+            {"path": "patterns.period_px", "low": 16.0, "high": 20.0, "count": periods},
+        ),
+    )
+
+
+def main() -> None:
+    """Time both ways and print one JSON line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--quick", action="store_true", help="48 cases instead of 320")
+    quick = parser.parse_args().quick
+    levels = (4, 3, 4) if quick else (8, 4, 10)
+    record = StudyRecord(study_of(*levels), load_experiment("paper/two_balls", BASE))
+    cases = record.cases().unique()
+    print(f"{len(cases)} cases of {' x '.join(map(str, levels))}, {os.cpu_count()} cores")
+    with tempfile.TemporaryDirectory() as scratch:
+        warm_up(record, Path(scratch))
+        start = time.perf_counter()
+        outcome = sweep(record, Path(scratch) / "store", local_workers(2))
+        per_point_s = (time.perf_counter() - start) / len(cases)
+        # Of the two workers: where the machine does other work too, this is what stays comparable.
+        used = resource.getrusage(resource.RUSAGE_CHILDREN)
+        cpu_s = (used.ru_utime + used.ru_stime) / len(cases)
+        print(f"sweep: {per_point_s:.3f} s per point ({dict(outcome.states)})")
+        few = cases[:: max(1, len(cases) // (2 if quick else 4))][: 2 if quick else 4]
+        alone_s = measured_alone(few, Path(scratch))
+        in_process_s = measured_in_process(few)
+    print(f"one by one: {alone_s:.2f} s by twin measure, {in_process_s:.2f} s within one process")
+    print(
+        json.dumps(
+            {
+                "points_per_hour": round(3600 / per_point_s),
+                "over_one_by_one": round(alone_s / per_point_s, 2),
+                "over_one_process": round(in_process_s / per_point_s, 2),
+                "cpu_s_per_point": round(cpu_s, 3),
+                "overhead_ms": round(1e3 * overhead_s(record, len(cases)), 2),
+                "cases": len(cases),
+                "done": outcome.states.get("done", 0),
+            }
+        )
+    )
+
+
+def warm_up(record: StudyRecord, scratch: Path) -> None:
+    """Compile the kernels of every number of frames that occurs."""
+    kernels = Study(name="warm", base="paper/two_balls", axis=record.study.axis[-1:])
+    sweep(StudyRecord(kernels, record.base), scratch / "warm", local_workers(1))
+
+
+def measured_alone(cases: list[Case], scratch: Path) -> float:
+    """Return the mean seconds of `twin measure`, one process per case."""
+    start = time.perf_counter()
+    for case in cases:
+        file = scratch / f"{case.digest}.toml"
+        file.write_text(to_toml(case.experiment), encoding="utf-8")
+        command = [str(Path(sys.executable).with_name("twin")), "measure", str(file)]
+        out = str(scratch / case.digest)
+        subprocess.run([*command, "-o", out], check=True, capture_output=True)
+    return (time.perf_counter() - start) / len(cases)
+
+
+def measured_in_process(cases: list[Case]) -> float:
+    """Return the mean seconds of `measure`, after one that warms up."""
+    measure(cases[0].experiment)
+    start = time.perf_counter()
+    for case in cases:
+        measure(case.experiment)
+    return (time.perf_counter() - start) / len(cases)
+
+
+def overhead_s(record: StudyRecord, count: int) -> float:
+    """Return seconds per case that engine, store and index take when measuring takes none."""
+    from twin.study.engine import Run
+    from twin.study.index import Index
+    from twin.study.store import Store
+
+    with tempfile.TemporaryDirectory() as scratch:
+        store = Store(Path(scratch) / "store")
+        store.open()
+        run = Run(store, local_workers(1), make_measurer=_Instant, done=Index(store).enter)
+        start = time.perf_counter()
+        run(record.cases().unique())
+        return (time.perf_counter() - start) / count
+
+
+class _Instant:
+    """Answers at once."""
+
+    def __init__(self, keep: tuple[str, ...]) -> None:
+        self.keep = keep
+
+    def __call__(self, experiment):
+        from twin.study.measuring import Answer
+
+        return Answer({"value": experiment.coating.base_albedo, "warnings": []})
+
+    def reads(self):
+        return ((("coating", "base_albedo"),),)
+
+
+if __name__ == "__main__":
+    main()

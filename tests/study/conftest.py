@@ -1,0 +1,46 @@
+"""Studies for tests: small images, coarse faces."""
+
+import pytest
+
+from twin.config import load_experiment
+from twin.config.study import Study
+from twin.study.record import StudyRecord, write_record
+from twin.study.store import Store
+
+SMALL = {
+    "camera.binning": 4,
+    "camera.width_px": 640,
+    "camera.height_px": 480,
+    "press.relief_pitch_mm": 0.05,
+    "press.solver_pitch_mm": 0.16,
+    "patterns.steps": 4,
+}
+
+
+@pytest.fixture(scope="session")
+def base():
+    return load_experiment("paper/two_balls", SMALL)
+
+
+@pytest.fixture
+def study_of():
+    """Make a study from its axes and further keys."""
+
+    def make(*axes, **keys):
+        return Study(name="test", base="paper/two_balls", axis=axes, **keys)
+
+    return make
+
+
+@pytest.fixture
+def stored(tmp_path, base):
+    """Put a study into a new store."""
+
+    def make(study, name="store"):
+        store = Store(tmp_path / name)
+        store.open()
+        record = StudyRecord(study, base)
+        write_record(store.folder, record)
+        return store, record.cases().unique()
+
+    return make

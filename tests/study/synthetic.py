@@ -1,0 +1,101 @@
+"""Cheap stand-ins for a measurement, importable by worker processes."""
+
+import multiprocessing
+import os
+import signal
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from reconstruction.errors import InputError
+from twin.config import digest
+from twin.study.engine import Run
+from twin.study.index import Index
+from twin.study.measuring import Answer
+from twin.study.record import read_record
+from twin.study.store import Store
+from twin.study.workers import local_workers
+
+LOG_VARIABLE = "FAKE_LOG"
+
+
+@dataclass
+class Fake:
+    """Answers from the experiment's numbers; tells a log file when it starts."""
+
+    keep: tuple[str, ...] = ()
+    seconds: float = 0.004
+
+    def __call__(self, experiment):
+        _log(digest(experiment))
+        time.sleep(self.seconds)
+        noise = np.random.default_rng(experiment.seed).normal()
+        value = experiment.coating.base_albedo * experiment.patterns.period_px + noise
+        return Answer({"value": value, "period": experiment.patterns.period_px, "warnings": []})
+
+    def reads(self):
+        return ((("coating", "base_albedo"),), (("patterns", "period_px"),))
+
+
+class Failing(Fake):
+    """Refuses one albedo, breaks on another, kills its process on a third."""
+
+    def __call__(self, experiment):
+        albedo = experiment.coating.base_albedo
+        if albedo == 0.2:
+            raise InputError("coating.base_albedo: found 0.2,\nwhich this test refuses")
+        if albedo == 0.3:
+            raise ZeroDivisionError("broken")
+        if albedo == 0.4:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return super().__call__(experiment)
+
+
+def _log(*words):
+    if LOG_VARIABLE in os.environ:
+        with Path(os.environ[LOG_VARIABLE]).open("a") as file:
+            file.write(" ".join(map(str, words)) + "\n")
+
+
+def run_here(folder, log):
+    """Go on with the study of a store in this process; entry point of processes to be killed."""
+    os.environ[LOG_VARIABLE] = str(log)
+    store = Store(Path(folder))
+    store.open()
+    cases = read_record(store.folder).cases().unique()
+    Run(store, local_workers(1), make_measurer=Fake, done=Index(store).enter)(cases)
+
+
+class Bowl(Fake):
+    """A parabola over albedo and flake roughness, lowest at (0.4, 0.6), and a slope."""
+
+    def __call__(self, experiment):
+        coating = experiment.coating
+        bowl = (coating.base_albedo - 0.4) ** 2 + (coating.flake_roughness - 0.6) ** 2
+        figures = {"bowl": bowl, "bowl_albedo": coating.base_albedo, "warnings": []}
+        return Answer(figures | {"slope": coating.flake_roughness})
+
+
+class Slow(Fake):
+    """Takes a minute per case."""
+
+    def __call__(self, experiment):
+        if experiment.coating.base_albedo > 0.1:
+            time.sleep(60)
+        return super().__call__(experiment)
+
+
+def run_slowly(folder, pids):
+    """Run a study on two workers, and tell their process ids as soon as they are at work."""
+
+    def tell(_):
+        if not told:
+            told.extend(process.pid for process in multiprocessing.active_children())
+            pids.put(list(told))
+
+    told = []
+    store = Store(Path(folder))
+    cases = read_record(store.folder).cases().unique()
+    Run(store, local_workers(2), make_measurer=Slow, done=tell)(cases)

@@ -1,0 +1,257 @@
+"""The engine: every case once, whatever dies; the same bytes on any executor."""
+
+import multiprocessing
+import os
+import random
+import signal
+import threading
+import time
+from collections import Counter
+
+import pytest
+
+from tests.study import synthetic
+from twin.study.engine import Run
+from twin.study.index import Index
+from twin.study.store import FAILURE_FILE, Store
+from twin.study.sweep import forget_failures
+from twin.study.table import read_table, write_csv
+from twin.study.workers import local_workers, of_executor
+
+
+@pytest.fixture
+def two_axes(study_of):
+    """200 cases."""
+    albedo = {"path": "coating.base_albedo", "low": 0.1, "high": 0.8, "count": 20}
+    period = {"path": "patterns.period_px", "low": 10, "high": 28, "count": 5}
+    return study_of(albedo, period, repeats=2)
+
+
+@pytest.fixture
+def few(study_of):
+    """20 cases: where their number does not matter."""
+    albedo = {"path": "coating.base_albedo", "low": 0.1, "high": 0.8, "count": 5}
+    period = {"path": "patterns.period_px", "low": 10, "high": 28, "count": 4}
+    return study_of(albedo, period)
+
+
+def csv_of(store, tmp_path, name):
+    write_csv(read_table(store.folder), tmp_path / name)
+    return (tmp_path / name).read_bytes()
+
+
+def test_killed_at_random_20_times(two_axes, stored, tmp_path):
+    """kill -9 of the whole run, 20 times during 200 cases.
+
+    Expected: the table of an undisturbed run, byte by byte; every case computed once but for those
+    in flight when killed; nothing in the store but whole cases.
+    """
+    undisturbed, cases = stored(two_axes, "undisturbed")
+    Run(undisturbed, local_workers(1), make_measurer=synthetic.Fake)(cases)
+    store, _ = stored(two_axes, "killed")
+    log = tmp_path / "log"
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(["tests.study.synthetic"])
+    rng, kills = random.Random(1), 0
+    while len(store.finished()) < len(cases):
+        run = context.Process(target=synthetic.run_here, args=(store.folder, log))
+        before = len(store.finished())
+        run.start()
+        if kills < 20:
+            more = rng.randint(0, 2 * (len(cases) - before) // (21 - kills))
+            while run.is_alive() and len(store.finished()) < before + more:
+                time.sleep(0.001)
+            time.sleep(rng.uniform(0.0, 0.01))
+            os.kill(run.pid, signal.SIGKILL)
+            kills += 1
+        run.join()
+        for entry in store.cases.iterdir():
+            assert {"result.json", "experiment.toml"} <= {f.name for f in entry.iterdir()}
+    assert kills == 20
+    assert csv_of(store, tmp_path, "a.csv") == csv_of(undisturbed, tmp_path, "b.csv")
+    started = Counter(log.read_text().splitlines())
+    assert len(started) == len(cases)
+    assert sum(started.values()) - len(started) <= kills
+
+
+def test_killed_worker_costs_its_case_only(two_axes, stored, tmp_path, monkeypatch):
+    """kill -9 of a pool's worker: the run itself goes on, nobody starts it again."""
+    log = tmp_path / "log"
+    monkeypatch.setenv(synthetic.LOG_VARIABLE, str(log))
+    store, cases = stored(two_axes)
+    victims = []
+
+    def kill_one(_):
+        children = multiprocessing.active_children()
+        if len(store.finished()) > 60 and children and not victims:
+            victims.append(children[0].pid)
+            os.kill(children[0].pid, signal.SIGKILL)
+
+    run = Run(store, local_workers(2), make_measurer=synthetic.Fake, done=kill_one)
+    outcome = run(cases)
+    assert victims
+    assert outcome.states["done"] == len(store.finished()) == len(cases)
+    started = Counter(log.read_text().splitlines())
+    assert sum(started.values()) - len(started) <= 2  # one in flight per worker
+
+
+def test_failing_cases_do_not_stop_the_rest(study_of, stored):
+    """A refusal, an unexpected error and a case that kills its worker are recorded with reasons.
+
+    A later run tries crashes and unexpected errors again, refusals only when asked.
+    """
+    albedo = {"path": "coating.base_albedo", "values": [0.1, 0.2, 0.3, 0.4, 0.5, 0.6]}
+    store, cases = stored(study_of(albedo))
+    outcome = Run(store, local_workers(2), make_measurer=synthetic.Failing)(cases)
+    assert outcome.states == {"done": 3, "failed": 3}
+    entries = Index(store).entries()
+    reasons = [entries[case.digest].reason for case in cases]
+    assert reasons[1] == "coating.base_albedo: found 0.2, which this test refuses"
+    assert reasons[2] == "ZeroDivisionError: broken"
+    assert reasons[3].startswith("its worker died 3 times")
+    assert reasons[0] == reasons[4] == reasons[5] == ""
+    assert forget_failures(store, cases) == 2
+    assert forget_failures(store, cases) == 0
+    assert forget_failures(store, cases, every=True) == 1
+    assert not any(store.cases.glob(f"*/{FAILURE_FILE}"))
+
+
+def test_two_runs_share_a_store(two_axes, stored, tmp_path, monkeypatch):
+    """Two processes sweep the same study at once: together they compute each case once."""
+    log = tmp_path / "log"
+    store, cases = stored(two_axes)
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(["tests.study.synthetic"])
+    runs = [context.Process(target=synthetic.run_here, args=(store.folder, log)) for _ in range(2)]
+    for run in runs:
+        run.start()
+    for run in runs:
+        run.join()
+        assert run.exitcode == 0
+    started = Counter(log.read_text().splitlines())
+    assert len(started) == sum(started.values()) == len(cases) == len(store.finished())
+
+
+def test_same_bytes_on_any_workers(few, stored, tmp_path):
+    """One process and two give the same table; for a Dask cluster see test_dask."""
+    one, cases = stored(few, "one")
+    Run(one, local_workers(1), make_measurer=synthetic.Fake)(cases)
+    two, _ = stored(few, "two")
+    Run(two, local_workers(2), make_measurer=synthetic.Fake)(cases)
+    assert csv_of(one, tmp_path, "1.csv") == csv_of(two, tmp_path, "2.csv")
+
+
+def test_any_executor_will_do(few, stored):
+    """A thread pool of the user's own; cases of one process never run side by side."""
+    from concurrent.futures import ThreadPoolExecutor
+
+    store, cases = stored(few)
+    with ThreadPoolExecutor(3) as pool:
+        outcome = Run(store, of_executor(pool, 3), make_measurer=synthetic.Fake)(cases)
+    assert outcome.states == {"done": len(cases)}
+
+
+def test_overhead_per_case(two_axes, stored):
+    """Engine, store and index take at most 20 ms per case (CPU time of this process)."""
+    store, cases = stored(two_axes)
+    index = Index(store)
+    run = Run(store, local_workers(1), make_measurer=_instant, done=index.enter)
+    start = time.process_time()
+    run(cases)
+    per_case_s = (time.process_time() - start) / len(cases)
+    assert per_case_s <= 0.020
+
+
+def _instant(keep):
+    return synthetic.Fake(keep, seconds=0.0)
+
+
+def test_full_disk_is_told_and_made_up_for(study_of, stored, monkeypatch):
+    """The disk is full for two cases: they are told, the rest is saved, a second run adds them."""
+    import errno
+
+    from twin.study import store as store_module
+
+    albedo = {"path": "coating.base_albedo", "values": [0.1, 0.2, 0.3, 0.4]}
+    store, cases = stored(study_of(albedo))
+    real, calls = store_module._synchronise, []
+
+    def synchronise(folder):
+        calls.append(folder)
+        if len(calls) in (2, 3):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(folder))
+        real(folder)
+
+    monkeypatch.setattr(store_module, "_synchronise", synchronise)
+    index = Index(store)
+    outcome = Run(store, local_workers(1), make_measurer=synthetic.Fake, done=index.enter)(cases)
+    assert outcome.states == {"done": 2, "unsaved": 2}
+    assert all("No space left" in reason for reason in outcome.unsaved.values())
+    told = [e for e in index.entries().values() if e.state == "unsaved"]
+    assert {e.digest for e in told} == set(outcome.unsaved)
+    assert not any((store.folder / ".parts").iterdir())
+    again = Run(store, local_workers(1), make_measurer=synthetic.Fake, done=index.enter)(cases)
+    assert again.states == {"done": 2}
+    assert {e.state for e in index.entries().values()} == {"done"}
+
+
+def test_index_is_made_anew(few, stored, tmp_path):
+    store, cases = stored(few)
+    index = Index(store)
+    Run(store, local_workers(1), make_measurer=synthetic.Fake, done=index.enter)(cases)
+    before = csv_of(store, tmp_path, "before.csv")
+    (store.folder / "index.sqlite").unlink()
+    assert csv_of(store, tmp_path, "missing.csv") == before
+    (store.folder / "index.sqlite").write_bytes(b"no database at all" * 100)
+    assert csv_of(store, tmp_path, "damaged.csv") == before
+    store.forget(cases[0].digest)
+    assert index.entries().keys() == {case.digest for case in cases[1:]}
+
+
+def test_another_holds_a_case(study_of, stored):
+    """A case locked by another process is waited for, not computed twice."""
+    albedo = {"path": "coating.base_albedo", "values": [0.1, 0.2]}
+    store, cases = stored(study_of(albedo))
+    context = multiprocessing.get_context("forkserver")
+    held, release = context.Event(), context.Event()
+    holder = context.Process(target=_hold, args=(store.folder, cases[1].digest, held, release))
+    holder.start()
+    held.wait()
+    threading.Timer(0.6, release.set).start()
+    outcome = Run(store, local_workers(1), make_measurer=synthetic.Fake)(cases)
+    holder.join()
+    assert outcome.states == {"done": 2}
+    assert outcome.seconds > 0.5
+
+
+def _hold(folder, digest, held, release):
+    with Store(folder).claimed(digest) as mine:
+        assert mine
+        held.set()
+        release.wait()
+
+
+def test_workers_end_with_their_run(two_axes, stored):
+    """kill -9 of a run whose workers are at work: they end too, though nobody tells them."""
+    store, _ = stored(two_axes)
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(["tests.study.synthetic"])
+    pids = context.Queue()
+    run = context.Process(target=synthetic.run_slowly, args=(store.folder, pids))
+    run.start()
+    workers = pids.get(timeout=60)
+    run.kill()
+    run.join()
+    until = time.monotonic() + 20
+    while any(map(_is_running, workers)) and time.monotonic() < until:
+        time.sleep(0.05)
+    assert workers
+    assert not any(map(_is_running, workers))
+
+
+def _is_running(pid):
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    return True

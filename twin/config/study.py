@@ -1,0 +1,186 @@
+"""A study as data: a base experiment, the axes over which it is varied, and what is asked.
+
+Shipped ones lie in `scenes/studies`; `docs/sweeps.md` explains every key.
+"""
+
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, ValidationError, model_validator
+
+from twin.assets import asset_path
+from twin.config.axes import Axis
+from twin.config.base import Model
+from twin.config.errors import ConfigError
+from twin.config.loading import load_experiment, read_toml, resolve_uses, vary
+from twin.config.messages import explain
+from twin.config.models import Experiment
+
+MOST_CASES = 1_000_000
+
+ABSENT = "absent"
+"""Written for a value that the base has and a case has not: TOML knows no null."""
+
+
+class Sampling(Model):
+    """Which points of the design space are taken."""
+
+    method: Literal["grid", "latin_hypercube", "sobol", "saltelli", "morris", "optimise"] = Field(
+        default="grid",
+        description="grid: every combination; latin_hypercube, sobol: `count` points that fill the "
+        "space; saltelli: sobol pairs for sensitivity indices; morris: `count` elementary-effect "
+        "walks; optimise: chosen from the results so far, see [optimise]",
+    )
+    count: Annotated[int, Field(ge=1, le=MOST_CASES)] | None = Field(
+        default=None, description="points (latin_hypercube, sobol), base points or walks"
+    )
+    seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
+
+    @model_validator(mode="after")
+    def _counted(self) -> "Sampling":
+        counted = self.method in ("latin_hypercube", "sobol", "saltelli", "morris")
+        if counted and self.count is None:
+            raise ValueError(f"count: missing; method = '{self.method}' needs it")
+        if not counted and self.count is not None:
+            raise ValueError(f"count: method = '{self.method}' does not take it; remove it")
+        return self
+
+
+class Objective(Model):
+    """A figure that is to become small or large."""
+
+    metric: str
+    goal: Literal["minimise", "maximise"] = "minimise"
+
+
+class Optimise(Model):
+    """Search by Optuna (extra `sweep`)."""
+
+    objectives: Annotated[tuple[Objective, ...], Field(min_length=1)]
+    trials: Annotated[int, Field(ge=1, le=100_000)]
+    batch: Annotated[int, Field(ge=1, le=1000)] = Field(
+        default=8, description="points asked at once; same batch, same search on any workers"
+    )
+    sampler: Literal["tpe", "nsga2", "random"] = "tpe"
+
+
+class Constraint(Model):
+    """A bound on a field of the experiment, a metric, or the ratio of two of them."""
+
+    value: str = Field(description="dotted path of a number in the experiment, or a metric")
+    per: str | None = Field(default=None, description="divided by this path or metric")
+    at_least: float | None = None
+    at_most: float | None = None
+
+    @model_validator(mode="after")
+    def _bounded(self) -> "Constraint":
+        if self.at_least is None and self.at_most is None:
+            raise ValueError("needs at_least or at_most")
+        return self
+
+    def holds_for(self, number: float) -> bool:
+        """Tell whether a value is within the bounds."""
+        return self.excess(number) <= 0.0
+
+    def excess(self, number: float) -> float:
+        """Return by how much a value is out of bounds; 0 or less is within."""
+        over = [] if self.at_most is None else [number - self.at_most]
+        under = [] if self.at_least is None else [self.at_least - number]
+        return max(over + under)
+
+    @property
+    def title(self) -> str:
+        """How the bound is written in reports."""
+        name = self.value if self.per is None else f"{self.value} / {self.per}"
+        low = "" if self.at_least is None else f"{self.at_least:g} <= "
+        high = "" if self.at_most is None else f" <= {self.at_most:g}"
+        return f"{low}{name}{high}"
+
+
+class Study(Model):
+    """One study, whole; `base` names the experiment that is varied."""
+
+    schema_version: Literal[1] = 1
+    name: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_\-]*$", max_length=64)]
+    description: str = ""
+    base: str = Field(description="experiment file beside the study, or a shipped experiment")
+    set: dict[str, Any] = Field(default={}, description="tables laid over the base experiment")
+    axis: tuple[Axis, ...] = Field(description="[[axis]]: what is varied, 1 to 16 of them")
+    sampling: Sampling = Sampling()
+    modalities: tuple[Literal["contact_fpp", "direct_fpp", "photometric_stereo"], ...] = Field(
+        default=(), description="methods to compare; absent: the base's own"
+    )
+    repeats: Annotated[int, Field(ge=1, le=10_000)] = Field(
+        default=1, description="measurements per point, with seed, seed + 1, ..."
+    )
+    metrics: tuple[str, ...] = Field(default=(), description="columns of the table; absent: all")
+    keep: tuple[Literal["press", "capture", "points"], ...] = Field(
+        default=(), description="arrays to keep per case; capture has two bytes per frame and pixel"
+    )
+    constraint: tuple[Constraint, ...] = ()
+    optimise: Optimise | None = None
+
+    @model_validator(mode="after")
+    def _whole(self) -> "Study":
+        if not 1 <= len(self.axis) <= 16:
+            raise ValueError(f"axis: found {len(self.axis)}, allowed 1 to 16")
+        titles = [axis.title for axis in self.axis]
+        twice = sorted({title for title in titles if titles.count(title) > 1})
+        if twice:
+            raise ValueError(f"axis: found {', '.join(twice)} twice; give each a name of its own")
+        if (self.optimise is not None) != (self.sampling.method == "optimise"):
+            raise ValueError("[optimise] and sampling.method = 'optimise' need each other")
+        if self.sampling.method == "grid":
+            open_axes = [axis.title for axis in self.axis if axis.is_continuous]
+            if open_axes:
+                raise ValueError(f"axis {', '.join(open_axes)}: a grid needs count or values")
+        return self
+
+
+def load_study(path: str | Path) -> tuple[Study, Experiment]:
+    """Read a study and the experiment that it varies.
+
+    Parameters
+    ----------
+    path : path or str
+        A TOML file, or the name of a shipped one ("studies/albedo_flakes").
+
+    Raises
+    ------
+    ConfigError
+        With one line per problem: what, where, found, allowed.
+    """
+    file = Path(path)
+    if not file.is_file():
+        file = asset_path("scenes", str(path))
+    tree = read_toml(file)
+    study = _study_of(tree, str(path), file)
+    beside = file.parent / study.base
+    base = load_experiment(beside if beside.is_file() else study.base)
+    return study, vary(base, study.set)
+
+
+def _study_of(tree: dict[str, Any], where: str, file: Path) -> Study:
+    try:
+        study = Study.model_validate(tree)
+    except ValidationError as error:
+        lines = explain(error, Study)
+        raise ConfigError("\n".join(f"{where}: {line}" for line in lines)) from None
+    axes = tuple(_with_files(axis, file) for axis in study.axis)
+    laid = without_absent(resolve_uses(study.set, (file,)))
+    return study.model_copy(update={"axis": axes, "set": laid})
+
+
+def _with_files(axis: Axis, file: Path) -> Axis:
+    """Replace what choices `use` by the values of the data files."""
+    if axis.choices is None:
+        return axis
+    read = {label: resolve_uses(tree, (file,)) for label, tree in axis.choices.items()}
+    return axis.model_copy(update={"choices": read})
+
+
+def without_absent(node: Any) -> Any:
+    """Replace "absent" by None in nested tables."""
+    if isinstance(node, dict):
+        return {key: without_absent(value) for key, value in node.items()}
+    return None if node == ABSENT else node

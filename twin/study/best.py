@@ -1,0 +1,58 @@
+"""The best designs of a study: the Pareto front of what is to become small or large."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from reconstruction.errors import InputError
+from twin.config.study import Objective
+
+Row = Mapping[str, Any]
+
+
+def objective_of(text: str) -> Objective:
+    """Read "METRIC" (to be small) or "+METRIC" (to be large), as on a command line."""
+    goal: Any = "maximise" if text.startswith("+") else "minimise"
+    return Objective(metric=text.removeprefix("+"), goal=goal)
+
+
+def best_rows(rows: Sequence[Row], objectives: Sequence[Objective]) -> list[Row]:
+    """Return the feasible rows that no other beats in one objective without losing in another.
+
+    Rows of the front come by the first objective, best first.
+
+    Raises
+    ------
+    InputError
+        No finished, feasible case has all objectives.
+    """
+    names = [objective.metric for objective in objectives]
+    usable = [
+        row
+        for row in rows
+        if row.get("feasible") and all(isinstance(row.get(n), (int, float)) for n in names)
+    ]
+    if not usable:
+        known = sorted({n for row in rows for n, v in row.items() if isinstance(v, float)})
+        raise InputError(
+            f"no feasible case has {', '.join(names)}; there are {', '.join(known) or 'no figures'}"
+        )
+    costs = np.array([[_cost(row, one) for one in objectives] for row in usable])
+    front = [row for row, kept in zip(usable, on_front(costs), strict=True) if kept]
+    return sorted(front, key=lambda row: _cost(row, objectives[0]))
+
+
+def on_front(costs: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Tell which rows (case,) of costs (case, objective) no other row dominates."""
+    kept = np.ones(len(costs), bool)
+    for i, cost in enumerate(costs):
+        better = np.all(costs <= cost, axis=1) & np.any(costs < cost, axis=1)
+        kept[i] = not better.any()
+    return kept
+
+
+def _cost(row: Row, objective: Objective) -> float:
+    value = float(row[objective.metric])
+    return value if objective.goal == "minimise" else -value

@@ -1,0 +1,125 @@
+"""Cases of a study: one validated experiment each, under the name that its content gives it."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from twin.config import ConfigError, Experiment, digest, vary
+from twin.config.study import Constraint, Study, without_absent
+from twin.study.design import Point, points_of
+
+_MOST_PROBLEMS = 5
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """One measurement of a study.
+
+    Attributes
+    ----------
+    settings : value of every axis by its title, with `modality` and `seed` where they are varied
+    experiment : Experiment
+    digest : name of the case in the store
+    """
+
+    settings: Mapping[str, Any]
+    experiment: Experiment
+    digest: str
+
+
+@dataclass(frozen=True, eq=False)
+class Cases:
+    """All cases of a study in its own order, and the points left out by its constraints."""
+
+    run: tuple[Case, ...]
+    excluded: int
+
+    def unique(self) -> list[Case]:
+        """Return the cases, those of the same content once."""
+        return list({case.digest: case for case in self.run}.values())
+
+
+def cases_of(study: Study, base: Experiment, points: Iterable[Point] | None = None) -> Cases:
+    """Make and validate the cases of a study.
+
+    Parameters
+    ----------
+    study : Study
+    base : Experiment
+    points : iterable of points, optional
+        Default: those of the study's sampling.
+
+    Raises
+    ------
+    ConfigError
+        Cases that are no valid experiment: each problem once, with a case that has it.
+    InputError
+        Too many points.
+    """
+    cases, excluded = [], 0
+    problems: dict[str, str] = {}
+    for point in points_of(study) if points is None else points:
+        try:
+            made = list(_cases_at(study, base, point))
+        except ConfigError as error:
+            where = ", ".join(f"{t} = {v}" for t, v in _settings(study, point).items())
+            for line in str(error).splitlines():
+                problems.setdefault(line.removeprefix(f"{base.name}: "), where)
+            if len(problems) >= _MOST_PROBLEMS:
+                break
+            continue
+        allowed = [case for case in made if _admits(study.constraint, case.experiment)]
+        excluded += len(made) - len(allowed)
+        cases += allowed
+    if problems:
+        lines = (f"{study.name}: {line} (at {where})" for line, where in problems.items())
+        raise ConfigError("\n".join(lines))
+    if not cases:
+        raise ConfigError(f"{study.name}: no case is left, constraints exclude all {excluded}")
+    return Cases(tuple(cases), excluded)
+
+
+def _cases_at(study: Study, base: Experiment, point: Point) -> Iterable[Case]:
+    changes: dict[str, Any] = {}
+    for level in point:
+        changes |= without_absent(dict(level.changes))
+    settings = _settings(study, point)
+    for modality in study.modalities or (base.modality,):
+        for repeat in range(study.repeats):
+            named: dict[str, Any] = {"modality": modality} if len(study.modalities) > 1 else {}
+            if study.repeats > 1:
+                named["seed"] = base.seed + repeat
+            method = {"modality": modality} if study.modalities else {}
+            experiment = vary(base, changes | method | _seed(named))
+            yield Case(settings | named, experiment, digest(experiment))
+
+
+def _seed(named: Mapping[str, Any]) -> dict[str, Any]:
+    return {"seed": named["seed"]} if "seed" in named else {}
+
+
+def _settings(study: Study, point: Point) -> dict[str, Any]:
+    return {axis.title: level.label for axis, level in zip(study.axis, point, strict=True)}
+
+
+def field_of(experiment: Experiment, path: str) -> Any:
+    """Value at a dotted path; None where there is none, as for the name of a metric."""
+    node: Any = experiment
+    for name in path.split("."):
+        node = node.get(name) if isinstance(node, dict) else getattr(node, name, None)
+    return node
+
+
+def quantity(experiment: Experiment, figures: Mapping[str, Any], bound: Constraint) -> float | None:
+    """Value that a constraint bounds; None when it needs a metric that is not there."""
+    names = [bound.value] if bound.per is None else [bound.value, bound.per]
+    found = [figures.get(name, field_of(experiment, name)) for name in names]
+    if not all(isinstance(value, (int, float)) for value in found):
+        return None
+    return float(found[0]) if len(found) == 1 else float(found[0]) / float(found[1])
+
+
+def _admits(constraints: tuple[Constraint, ...], experiment: Experiment) -> bool:
+    """Tell whether a case may run: bounds on its fields alone hold; others wait for its result."""
+    numbers = ((bound, quantity(experiment, {}, bound)) for bound in constraints)
+    return all(number is None or bound.holds_for(number) for bound, number in numbers)

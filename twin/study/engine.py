@@ -1,0 +1,223 @@
+"""Run the cases of a study that its store lacks, on any executor, to the end.
+
+One case computes ahead and tells which fields its stages look at; the others follow in batches
+that share stages. A dead worker costs the case it was at: the rest of its batch is handed out
+again, that case by itself, and one that kills its worker three times is recorded as failed.
+"""
+
+import time
+from collections import Counter, deque
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass, field
+
+from reconstruction.errors import InputError
+from twin.modalities.progress import Watcher, nobody
+from twin.study.cases import Case
+from twin.study.measuring import CaseMeasurer, StageReads
+from twin.study.order import batches_of, in_sharing_order
+from twin.study.store import Store, write_failure
+from twin.study.worker import DIED, Batch, BatchReport, Measurer, Report, State, compute
+from twin.study.workers import Workers
+
+_STRIKES = 3
+_MOST_DEATHS = 10  # one after another, without any case finished between them
+_AHEAD = 2  # batches per worker that wait in the executor
+_WAIT_FOR_OTHERS_S = 0.2
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a run did.
+
+    Attributes
+    ----------
+    states : how many cases ended in which state
+    unsaved : reason of every case that could not be written, by digest
+    seconds : wall clock of the run
+    busy_seconds : spent on cases, over all workers
+    """
+
+    states: Mapping[State, int]
+    unsaved: dict[str, str]
+    seconds: float
+    busy_seconds: float
+
+    @classmethod
+    def together(cls, parts: Sequence["Outcome"]) -> "Outcome":
+        """Return what several runs, one after another, did."""
+        states: Counter[State] = Counter()
+        for part in parts:
+            states.update(part.states)
+        return cls(
+            states=states,
+            unsaved={digest: why for part in parts for digest, why in part.unsaved.items()},
+            seconds=sum(part.seconds for part in parts),
+            busy_seconds=sum(part.busy_seconds for part in parts),
+        )
+
+
+@dataclass
+class Run:
+    """One run of a study's cases into a store.
+
+    Attributes
+    ----------
+    done : told about every batch, for example to enter it into an index
+    """
+
+    store: Store
+    workers: Workers
+    keep: tuple[str, ...] = ()
+    make_measurer: Callable[[tuple[str, ...]], Measurer] = CaseMeasurer
+    watch: Watcher = nobody
+    done: Callable[[Sequence[Report]], None] = lambda _: None
+    _queue: deque[list[Case]] = field(default_factory=deque)
+    _alone: deque[Case] = field(default_factory=deque)
+    _strikes: Counter[str] = field(default_factory=Counter)
+    _reports: dict[str, Report] = field(default_factory=dict)
+    _total: int = 0
+    _deaths: int = 0
+
+    def __call__(self, cases: Iterable[Case]) -> Outcome:
+        """Compute what is not in the store yet.
+
+        Raises
+        ------
+        MissingBackend
+            No usable Dr.Jit backend.
+        """
+        start = time.perf_counter()
+        self.store.abandoned()
+        known = self.store.finished()
+        missing = [case for case in cases if case.digest not in known]
+        self._total = len(missing)
+        if missing:
+            self._run(missing)
+        states = Counter(report.state for report in self._reports.values())
+        return Outcome(
+            states=states,
+            unsaved={r.digest: r.reason for r in self._reports.values() if r.state == "unsaved"},
+            seconds=time.perf_counter() - start,
+            busy_seconds=sum(report.seconds for report in self._reports.values()),
+        )
+
+    def _run(self, missing: list[Case]) -> None:
+        executor = self.workers.open()
+        try:
+            executor, reads = self._scout(executor, missing)
+            rest = [case for case in missing if case.digest not in self._reports]
+            self._queue.extend(batches_of(in_sharing_order(rest, reads), self.workers.count))
+            while self._queue or self._alone or self._elsewhere(missing):
+                executor = self._drain(executor)
+        finally:
+            (self.workers.release or self.workers.close)(executor)
+
+    def _scout(self, executor: Executor, missing: list[Case]) -> tuple[Executor, StageReads]:
+        """Compute cases one by one until one of them tells what its stages look at."""
+        for case in missing:
+            self._alone.append(case)
+            while self._alone:
+                executor, found = self._one_alone(executor)
+                if found is not None and any(found.reads):
+                    return executor, found.reads
+            if self._reports[case.digest].state not in ("failed", "known"):
+                break
+        return executor, ()
+
+    def _elsewhere(self, missing: list[Case]) -> bool:
+        """Hand out again what another run was at; tells whether there is any."""
+        left = [c for c in missing if self._reports[c.digest].state == "elsewhere"]
+        if left:
+            time.sleep(_WAIT_FOR_OTHERS_S)
+            self._queue.append(left)
+        return bool(left)
+
+    def _drain(self, executor: Executor) -> Executor:
+        """Work off the queue, then the cases that have to run by themselves."""
+        pending: dict[Future[BatchReport], list[Case]] = {}
+        while self._queue or pending:
+            while self._queue and len(pending) < _AHEAD * self.workers.count:
+                batch = self._queue.popleft()
+                try:
+                    pending[executor.submit(compute, self._batch(batch))] = batch
+                except BrokenProcessPool:
+                    self._queue.appendleft(batch)
+                    break
+            broken = not pending
+            for future in wait(pending, return_when=FIRST_COMPLETED).done:
+                try:
+                    self._enter(future.result().cases)
+                    del pending[future]
+                except Exception as error:
+                    if not is_death(error):
+                        raise
+                    broken = True
+            if broken:
+                executor = self._after_death(executor, [c for b in pending.values() for c in b])
+                pending.clear()
+        while self._alone:
+            executor, _ = self._one_alone(executor)
+        return executor
+
+    def _one_alone(self, executor: Executor) -> tuple[Executor, BatchReport | None]:
+        case = self._alone.popleft()
+        try:
+            found = executor.submit(compute, self._batch([case])).result()
+        except Exception as error:
+            if not is_death(error):
+                raise
+            self._strikes[case.digest] += 1
+            executor = self._after_death(executor, [])
+            if case.digest in self.store.finished():
+                self._enter([Report(case.digest, "done")])
+            if self._strikes[case.digest] >= _STRIKES and case.digest not in self._reports:
+                self._give_up(case)
+            elif case.digest not in self._reports:
+                self._alone.append(case)
+            return executor, None
+        self._enter(found.cases)
+        return executor, found
+
+    def _after_death(self, executor: Executor, lost: list[Case]) -> Executor:
+        """Start anew; cases that were being computed run alone, the others are queued again."""
+        self.workers.close(executor)
+        self._deaths += 1
+        if self._deaths > _MOST_DEATHS:
+            raise InputError("workers: found dying one after another; use -j 1 to see why")
+        suspects, known = set(self.store.abandoned()), self.store.finished()
+        self._enter([Report(case.digest, "done") for case in lost if case.digest in known])
+        left = [case for case in lost if case.digest not in known]
+        self._alone.extend(case for case in left if case.digest in suspects)
+        innocent = [case for case in left if case.digest not in suspects]
+        if innocent:
+            self._queue.appendleft(innocent)
+        return self.workers.open()
+
+    def _give_up(self, case: Case) -> None:
+        reason = f"its worker died {_STRIKES} times (killed, out of memory, or a crash)"
+        with self.store.claimed(case.digest), self.store.writing(case.digest) as folder:
+            write_failure(folder, case.experiment, DIED, reason)
+        self._enter([Report(case.digest, "failed", reason=reason)])
+
+    def _enter(self, reports: Sequence[Report]) -> None:
+        self._reports |= {report.digest: report for report in reports}
+        self._deaths = 0 if reports else self._deaths
+        self.done(reports)
+        ended = sum(report.state != "elsewhere" for report in self._reports.values())
+        self.watch("cases", ended / max(self._total, 1))
+
+    def _batch(self, cases: list[Case]) -> Batch:
+        return Batch(
+            store=self.store.folder,
+            cases=tuple((case.digest, case.experiment) for case in cases),
+            keep=self.keep,
+            threads=self.workers.threads,
+            make_measurer=self.make_measurer,
+        )
+
+
+def is_death(error: Exception) -> bool:
+    """Tell whether an executor's error means that a worker was lost."""
+    return isinstance(error, BrokenProcessPool) or type(error).__name__ == "KilledWorker"

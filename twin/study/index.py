@@ -1,0 +1,114 @@
+"""Index of a store in SQLite: state and figures of every case, for quick reading.
+
+The folders are the truth. The index is brought up to date from them whenever it is opened to read,
+and made anew when it is missing or damaged.
+"""
+
+import json
+import sqlite3
+from collections.abc import Iterable, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from twin.output import RESULT_FILE, read_json
+from twin.study.store import FAILURE_FILE, TIMINGS_FILE, Store
+from twin.study.worker import Report
+
+INDEX_FILE = "index.sqlite"
+_WAIT_S = 60.0
+_TABLE = (
+    "CREATE TABLE IF NOT EXISTS cases (digest TEXT PRIMARY KEY, state TEXT NOT NULL, "
+    "reason TEXT NOT NULL, seconds REAL NOT NULL, figures TEXT NOT NULL)"
+)
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One case as the index knows it."""
+
+    digest: str
+    state: str
+    reason: str
+    seconds: float
+    figures: dict[str, Any]
+
+
+class Index:
+    """The index of one store; several processes may enter cases at once."""
+
+    def __init__(self, store: Store) -> None:
+        self._store, self._path = store, store.folder / INDEX_FILE
+
+    def enter(self, reports: Sequence[Report]) -> None:
+        """Enter what a batch of cases gave.
+
+        A full disk leaves the index behind the folders, which is made up for when it is read.
+        """
+        entries = [
+            Entry(r.digest, r.state, r.reason, r.seconds, {})
+            if r.state == "unsaved"
+            else entry_of(self._store, r.digest)
+            for r in reports
+            if r.state not in ("elsewhere", "known")
+        ]
+        try:
+            self._write([entry for entry in entries if entry is not None])
+        except sqlite3.OperationalError:
+            return
+
+    def entries(self) -> dict[str, Entry]:
+        """Return all cases by digest, those of the folders for certain."""
+        try:
+            known = self._read()
+        except sqlite3.DatabaseError:
+            self._path.unlink(missing_ok=True)
+            known = {}
+        there = self._store.finished()
+        stale = {d for d, e in known.items() if d not in there and e.state != "unsaved"}
+        new = [d for d in there if d not in known or known[d].state == "unsaved"]
+        fresh = [e for e in (entry_of(self._store, d) for d in sorted(new)) if e is not None]
+        self._write(fresh, stale)
+        found = known | {entry.digest: entry for entry in fresh}
+        return {digest: entry for digest, entry in found.items() if digest not in stale}
+
+    def _connection(self) -> sqlite3.Connection:
+        connection = sqlite3.connect(self._path, timeout=_WAIT_S)
+        connection.execute("PRAGMA journal_mode=WAL")
+        connection.execute("PRAGMA synchronous=NORMAL")
+        connection.execute(_TABLE)
+        return connection
+
+    def _read(self) -> dict[str, Entry]:
+        with closing(self._connection()) as connection:
+            rows = connection.execute("SELECT digest, state, reason, seconds, figures FROM cases")
+            return {
+                row[0]: Entry(row[0], row[1], row[2], row[3], json.loads(row[4])) for row in rows
+            }
+
+    def _write(self, entries: Iterable[Entry], stale: Iterable[str] = ()) -> None:
+        rows = [(e.digest, e.state, e.reason, e.seconds, json.dumps(e.figures)) for e in entries]
+        gone = [(digest,) for digest in stale]
+        if not rows and not gone:
+            return
+        with closing(self._connection()) as connection, connection:
+            connection.executemany("INSERT OR REPLACE INTO cases VALUES (?, ?, ?, ?, ?)", rows)
+            connection.executemany("DELETE FROM cases WHERE digest = ?", gone)
+
+
+def entry_of(store: Store, digest: str) -> Entry | None:
+    """Read a case from its folder; None when it is not there."""
+    folder = store.path_of(digest)
+    if (folder / RESULT_FILE).is_file():
+        figures = read_json(folder / RESULT_FILE)["metrics"]
+        return Entry(digest, "done", "", _seconds(folder), figures)
+    if (folder / FAILURE_FILE).is_file():
+        failure = read_json(folder / FAILURE_FILE)
+        return Entry(digest, "failed", str(failure["failure"]), _seconds(folder), {})
+    return None
+
+
+def _seconds(folder: Path) -> float:
+    timings = folder / TIMINGS_FILE
+    return float(read_json(timings)["case"]) if timings.is_file() else 0.0

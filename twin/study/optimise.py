@@ -1,0 +1,178 @@
+"""Search the design space with Optuna: ask for a batch, measure it, tell the results, go on.
+
+Nothing of the search itself is stored. Sampler and seed are fixed, and results are told in the
+order in which they were asked for, so the same study asks for the same points: run again, it finds
+what it has measured already in the store and goes on from there, on any number of workers.
+"""
+
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from reconstruction.errors import InputError
+from twin.config import ConfigError
+from twin.config.axes import Axis
+from twin.config.study import Optimise, Study
+from twin.study.cases import Case, Cases, cases_of, quantity
+from twin.study.derived import with_derived
+from twin.study.design import Point
+from twin.study.engine import Outcome
+from twin.study.record import StudyRecord
+from twin.study.store import Store
+
+if TYPE_CHECKING:
+    import optuna
+
+RunCases = Callable[[StudyRecord, Cases], Outcome]
+"""Computes the cases that the store lacks, and keeps the record."""
+
+
+def optimise(record: StudyRecord, folder: Path, run: RunCases) -> list[Outcome]:
+    """Search until all trials are measured.
+
+    Parameters
+    ----------
+    record : StudyRecord
+        With sampling.method = "optimise".
+    folder : Path
+        The store.
+    run : callable
+        Computes a batch.
+
+    Raises
+    ------
+    InputError
+        Optuna is not installed, or no case of a batch has the objectives' figures.
+    """
+    plan = record.study.optimise
+    if plan is None:
+        raise InputError(f"{record.study.name}: has no [optimise]; use twin sweep as it is")
+    if len(record.study.modalities) > 1:
+        raise InputError("modalities: an optimiser takes one; make them an axis of choices")
+    search, points, outcomes = _search(record.study, plan), list[Point](), list[Outcome]()
+    distributions = {axis.title: _distribution(axis) for axis in record.study.axis}
+    while len(points) < plan.trials:
+        count = min(plan.batch, plan.trials - len(points))
+        trials = [search.ask(fixed_distributions=distributions) for _ in range(count)]
+        asked = [point_of(record.study, trial.params) for trial in trials]
+        points += asked
+        made = [_cases_at(record, point) for point in asked]
+        batch = Cases(tuple(case for cases in made for case in cases), 0)
+        if batch.run:
+            outcomes.append(run(replace(record, points=tuple(points)), batch))
+        for trial, cases in zip(trials, made, strict=True):
+            _tell(search, trial, _figures(record.study, plan, cases, Store(folder)))
+    return outcomes
+
+
+def point_of(study: Study, params: dict[str, Any]) -> Point:
+    """Return the point that a trial's parameters stand for."""
+    return tuple(
+        axis.level_of(params[axis.title])
+        if axis.is_continuous
+        else axis.levels()[params[axis.title]]
+        for axis in study.axis
+    )
+
+
+def _cases_at(record: StudyRecord, point: Point) -> tuple[Case, ...]:
+    """Cases of a point; none where a constraint on its fields excludes it."""
+    try:
+        return cases_of(record.study, record.base, [point]).run
+    except ConfigError:
+        return ()
+
+
+def _figures(
+    study: Study, plan: Optimise, cases: Sequence[Case], store: Store
+) -> tuple[list[float], list[float]] | None:
+    """Objectives and excesses over constraints, each the mean over repeats; None if there is none.
+
+    Objectives that are to grow are counted negative.
+    """
+    values, excesses = [], []
+    for case in cases:
+        found = (store.read(case.digest) or {}).get("metrics")
+        if found is None:
+            return None
+        figures = with_derived(case.experiment, found)
+        unknown = [one.metric for one in plan.objectives if one.metric not in figures]
+        if unknown:
+            raise InputError(
+                f"optimise.objectives: found {', '.join(unknown)}, allowed "
+                + ", ".join(sorted(n for n, v in figures.items() if isinstance(v, (int, float))))
+            )
+        values.append(
+            [
+                float(figures[one.metric]) * (1.0 if one.goal == "minimise" else -1.0)
+                for one in plan.objectives
+            ]
+        )
+        numbers = [quantity(case.experiment, figures, bound) for bound in study.constraint]
+        excesses.append(
+            [
+                np.inf if number is None else bound.excess(number)
+                for bound, number in zip(study.constraint, numbers, strict=True)
+            ]
+        )
+    if not values:
+        return None
+    return np.mean(values, axis=0).tolist(), np.mean(excesses, axis=0).tolist()
+
+
+def _tell(
+    search: "optuna.Study",
+    trial: "optuna.Trial",
+    found: tuple[list[float], list[float]] | None,
+) -> None:
+    from optuna.trial import TrialState
+
+    if found is None:
+        search.tell(trial, state=TrialState.FAIL)
+        return
+    values, excesses = found
+    for number, excess in enumerate(excesses):
+        trial.set_constraint(f"constraint_{number}", excess)
+    search.tell(trial, values)
+
+
+def _search(study: Study, plan: Optimise) -> "optuna.Study":
+    try:
+        import optuna
+    except ModuleNotFoundError:
+        raise InputError(
+            "sampling.method = 'optimise': needs Optuna; pip install 'fringe-twin[sweep]'"
+        ) from None
+    optuna.logging.set_verbosity(optuna.logging.WARNING)
+    seed = study.sampling.seed
+    with warnings.catch_warnings():
+        # constant_liar is marked experimental; without it a batch asks for one place many times.
+        warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
+        samplers: dict[str, Callable[[], optuna.samplers.BaseSampler]] = {
+            "tpe": lambda: optuna.samplers.TPESampler(
+                seed=seed, constant_liar=True, n_startup_trials=plan.batch
+            ),
+            "nsga2": lambda: optuna.samplers.NSGAIISampler(
+                seed=seed, population_size=max(plan.batch, 2)
+            ),
+            "random": lambda: optuna.samplers.RandomSampler(seed=seed),
+        }
+        directions = ["minimize"] * len(plan.objectives)
+        return optuna.create_study(directions=directions, sampler=samplers[plan.sampler]())
+
+
+def _distribution(axis: Axis) -> "optuna.distributions.BaseDistribution":
+    import optuna
+
+    if not axis.is_continuous:
+        return optuna.distributions.CategoricalDistribution(list(range(len(axis.levels()))))
+    assert axis.low is not None  # the validator's
+    assert axis.high is not None
+    log = axis.scale == "log"
+    if axis.integer:
+        return optuna.distributions.IntDistribution(round(axis.low), round(axis.high), log=log)
+    return optuna.distributions.FloatDistribution(axis.low, axis.high, log=log)

@@ -1,0 +1,56 @@
+"""Order the cases so that neighbours share their stages, and cut them into batches.
+
+What a stage looks at is known from the first case, which one worker computes ahead: cases are
+sorted by the values in these fields, first stage first. A wrong order costs time, never a result.
+"""
+
+from collections.abc import Callable, Hashable, Sequence
+from itertools import groupby
+
+from twin.config import Experiment
+from twin.study.cases import Case
+from twin.study.measuring import StageReads
+from twin.study.reads import values_at
+
+Key = tuple[Hashable, ...]
+BATCHES_PER_WORKER = 6
+
+
+def in_sharing_order(cases: Sequence[Case], reads: StageReads) -> list[tuple[Key, Case]]:
+    """Sort cases by what each stage would see of them; the first of a kind keeps its place."""
+    ranks: list[dict[Hashable, int]] = [{} for _ in reads]
+    keyed = []
+    for case in cases:
+        key = tuple(
+            rank.setdefault(_seen(case.experiment, paths), len(rank))
+            for rank, paths in zip(ranks, reads, strict=True)
+        )
+        keyed.append((key, case))
+    return sorted(keyed, key=lambda item: item[0])
+
+
+def _seen(experiment: Experiment, paths: Sequence[tuple[str, ...]]) -> Hashable:
+    return values_at(experiment, paths)
+
+
+def batches_of(keyed: Sequence[tuple[Key, Case]], workers: int) -> list[list[Case]]:
+    """Cut sorted cases into batches, several per worker, rather between stages than within."""
+    most = max(1, -(-len(keyed) // (workers * BATCHES_PER_WORKER)))
+    return [[case for _, case in part] for part in _cut(list(keyed), 0, most)]
+
+
+def _cut(keyed: list[tuple[Key, Case]], level: int, most: int) -> list[list[tuple[Key, Case]]]:
+    """Split by the stages from `level` on; small neighbours of one stage go together."""
+    if len(keyed) <= most:
+        return [keyed]
+    if level == len(keyed[0][0]):
+        return [keyed[i : i + most] for i in range(0, len(keyed), most)]
+    by_level: Callable[[tuple[Key, Case]], Hashable] = lambda item: item[0][level]  # noqa: E731
+    parts: list[list[tuple[Key, Case]]] = []
+    for _, group in groupby(keyed, key=by_level):
+        for part in _cut(list(group), level + 1, most):
+            if parts and len(parts[-1]) + len(part) <= most:
+                parts[-1] += part
+            else:
+                parts.append(part)
+    return parts

@@ -1,0 +1,82 @@
+"""The study that a store was last run with, so that the folder explains itself."""
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from reconstruction.errors import InputError
+from twin.config import Experiment
+from twin.config.axes import Axis, Level
+from twin.config.study import Study
+from twin.output import read_json, write_json
+from twin.study.cases import Cases, cases_of
+from twin.study.design import Point
+
+STUDY_FILE = "study.json"
+
+
+@dataclass(frozen=True, eq=False)
+class StudyRecord:
+    """A study, its base experiment and, where they are found as it runs, its points."""
+
+    study: Study
+    base: Experiment
+    points: tuple[Point, ...] | None = None
+
+    def cases(self) -> Cases:
+        """Return the study's cases so far."""
+        return cases_of(self.study, self.base, self.points)
+
+
+def write_record(folder: Path, record: StudyRecord) -> None:
+    """Write the record, whole at once."""
+    labels = None
+    if record.points is not None:
+        labels = [[level.label for level in point] for point in record.points]
+    content = {
+        "schema_version": 1,
+        "study": record.study.model_dump(mode="json"),
+        "base": record.base.model_dump(mode="json"),
+        "points": labels,
+    }
+    part = folder / f".{STUDY_FILE}.{os.getpid()}"
+    write_json(part, content)
+    part.replace(folder / STUDY_FILE)
+
+
+def read_record(folder: Path) -> StudyRecord:
+    """Read the record of a store.
+
+    Raises
+    ------
+    InputError
+        It is missing or damaged.
+    """
+    content = read_json(folder / STUDY_FILE)
+    try:
+        study = Study.model_validate(content["study"])
+        base = Experiment.model_validate(content["base"])
+        return StudyRecord(study, base, _points(study, content["points"]))
+    except (KeyError, TypeError, ValidationError) as error:
+        raise InputError(
+            f"{folder / STUDY_FILE}: damaged ({type(error).__name__}); run twin sweep again"
+        ) from None
+
+
+def _points(study: Study, labels: Sequence[Sequence[Any]] | None) -> tuple[Point, ...] | None:
+    if labels is None:
+        return None
+    return tuple(
+        tuple(_level(axis, label) for axis, label in zip(study.axis, row, strict=True))
+        for row in labels
+    )
+
+
+def _level(axis: Axis, label: Any) -> Level:
+    if axis.is_continuous:
+        return axis.level_of(label)
+    return next(level for level in axis.levels() if level.label == label)

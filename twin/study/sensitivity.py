@@ -1,0 +1,156 @@
+"""Which axis moves a figure, and how much: shares of variance, or elementary effects.
+
+Three answers, by how the points were drawn. Values are means over repeats.
+
+- grid: share of the variance of the figure over all cases that each axis explains by itself
+  (correlation ratio); exact for the grid, no interval. What is left to 1 are interactions.
+- saltelli: first-order and total Sobol' indices with 95 % bootstrap intervals.
+  Saltelli, A. et al., Computer Physics Communications 181, 259-270 (2010), table 2 (b) and (f).
+- morris: mean absolute elementary effect over the whole axis, mu*, and its spread sigma.
+  Morris, M. D., Technometrics 33, 161-174 (1991); Campolongo et al. (2007) for mu*.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.config.study import Study
+from twin.study.design import shares_of
+from twin.study.table import Table
+
+Values = NDArray[np.float64]
+_DRAWS = 1000
+
+
+@dataclass(frozen=True)
+class Effect:
+    """One axis' effect on one figure.
+
+    Attributes
+    ----------
+    value, low, high : first-order share, or mu* in the figure's unit; 95 % interval where there is
+        one, else equal to the value
+    total : total share with interactions, or sigma; None for grids
+    """
+
+    axis: str
+    value: float
+    low: float
+    high: float
+    total: float | None = None
+
+
+def effects_of(table: Table, metric: str) -> list[Effect]:
+    """Return the effect of every axis on a figure; empty where the points cannot tell.
+
+    Points without the figure (failed, missing) are left out of grids; the other designs lose the
+    whole walk or row that they belong to.
+    """
+    study = table.record.study
+    axes = [axis.title for axis in study.axis]
+    if study.sampling.method == "grid":
+        return _grid_effects(table, axes, metric)
+    if study.sampling.method not in ("saltelli", "morris"):
+        return []
+    values = _by_point(table, study, metric)
+    if values is None:
+        return []
+    if study.sampling.method == "saltelli":
+        return saltelli_effects(values.reshape(len(axes) + 2, -1), axes)
+    walks = shares_of(study).reshape(-1, len(axes) + 1, len(axes))
+    return morris_effects(values.reshape(-1, len(axes) + 1), walks, axes)
+
+
+def _by_point(table: Table, study: Study, metric: str) -> Values | None:
+    """Figure of every point in order, NaN where it is missing; None if points were excluded."""
+    repeats = study.repeats * max(1, len(study.modalities))
+    found = np.array([_number(row.get(metric)) for row in table.rows])
+    if len(found) != len(shares_of(study)) * repeats:
+        return None
+    return np.asarray(found.reshape(-1, repeats).mean(axis=1))
+
+
+def _number(value: object) -> float:
+    return float(value) if isinstance(value, (int, float)) else np.nan
+
+
+def _grid_effects(table: Table, axes: Sequence[str], metric: str) -> list[Effect]:
+    rows = [row for row in table.done() if isinstance(row.get(metric), (int, float))]
+    values = np.array([float(row[metric]) for row in rows])
+    if len(values) < 2 or np.ptp(values) == 0.0:
+        return []
+    found = []
+    for axis in axes:
+        labels = [str(row[axis]) for row in rows]
+        share = correlation_ratio(values, labels)
+        found.append(Effect(axis, share, share, share))
+    return found
+
+
+def correlation_ratio(values: Values, labels: Sequence[str]) -> float:
+    """Return the share of variance between the groups of a label, 0 to 1."""
+    names = np.asarray(labels)
+    between = sum(
+        (names == name).sum() * (values[names == name].mean() - values.mean()) ** 2
+        for name in np.unique(names)
+    )
+    return float(between / ((values - values.mean()) ** 2).sum())
+
+
+def saltelli_effects(blocks: Values, axes: Sequence[str]) -> list[Effect]:
+    """Return Sobol' indices from values (block, row) of the blocks A, B, A with B's column i."""
+    blocks = blocks[:, np.isfinite(blocks).all(axis=0)]
+    if blocks.shape[1] < 2:
+        return []
+
+    def indices(rows: NDArray[np.int64]) -> Values:
+        a, b, mixed = blocks[0, rows], blocks[1, rows], blocks[2:, rows]
+        # Centred: the estimators' errors grow with the mean, the indices do not know it.
+        centre = 0.5 * (a.mean() + b.mean())
+        variance = np.concatenate([a, b]).var()
+        if variance == 0.0:
+            return np.zeros((2, len(axes)))
+        first = ((b - centre) * (mixed - a)).mean(axis=1) / variance
+        total = ((a - mixed) ** 2).mean(axis=1) / (2.0 * variance)
+        return np.stack([first, total])
+
+    best = indices(np.arange(blocks.shape[1]))
+    low, high = _interval(lambda rows: indices(rows)[0], blocks.shape[1])
+    return [
+        Effect(axis, float(best[0, i]), float(low[i]), float(high[i]), float(best[1, i]))
+        for i, axis in enumerate(axes)
+    ]
+
+
+def morris_effects(values: Values, walks: Values, axes: Sequence[str]) -> list[Effect]:
+    """Return mu* and sigma from values (walk, place) at places (walk, place, axis)."""
+    whole = np.isfinite(values).all(axis=1)
+    values, walks = values[whole], walks[whole]
+    if len(values) < 2:
+        return []
+    steps = np.diff(walks, axis=1)
+    moved = np.abs(steps).argmax(axis=2)
+    slopes = np.diff(values, axis=1) / np.take_along_axis(steps, moved[..., None], 2)[..., 0]
+    effects = np.zeros((len(values), len(axes)))
+    np.put_along_axis(effects, moved, slopes, axis=1)
+    low, high = _interval(lambda rows: np.abs(effects[rows]).mean(axis=0), len(effects))
+    return [
+        Effect(
+            axis,
+            float(np.abs(effects[:, i]).mean()),
+            float(low[i]),
+            float(high[i]),
+            float(effects[:, i].std(ddof=1)),
+        )
+        for i, axis in enumerate(axes)
+    ]
+
+
+def _interval(estimate: Callable[[NDArray[np.int64]], Values], count: int) -> tuple[Values, Values]:
+    """Return the 95 % bootstrap interval over rows, percentiles."""
+    rng = np.random.default_rng(0)
+    drawn = np.array([estimate(rng.integers(0, count, count)) for _ in range(_DRAWS)])
+    low, high = np.percentile(drawn, [2.5, 97.5], axis=0)
+    return np.asarray(low), np.asarray(high)

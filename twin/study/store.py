@@ -1,0 +1,199 @@
+"""The store of a study: one folder per finished case, whole or not there.
+
+    DIR/study.toml, base.toml      the study that was run last
+    DIR/cases/DIGEST/              result.json, experiment.toml, timings.json, arrays asked for;
+                                   or failure.json in place of result.json
+    DIR/index.sqlite               the same figures for quick reading; made anew when it is missing
+    DIR/.parts/DIGEST.PID/         what is being written; never looked at by a reader
+    DIR/.locks                     one byte range per case, held by whoever computes it
+
+A case is written under `.parts`, synchronised to the disk and renamed, so a killed run leaves
+nothing that looks like a result. Locks are the system's record locks: they vanish with their
+process, and work across the hosts of a shared file system that has them (NFS 4, Lustre, local).
+"""
+
+import fcntl
+import os
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO, Any
+
+from reconstruction.errors import InputError
+from twin.config import Experiment, to_toml
+from twin.output import EXPERIMENT_FILE, RESULT_FILE, read_json, versions, write_json
+
+STORE_FILE, FAILURE_FILE, TIMINGS_FILE = "store.json", "failure.json", "timings.json"
+_CASES, _PARTS, _LOCKS = "cases", ".parts", ".locks"
+# Record locks reach to 2^63: one byte each for names of 64 bits, less the sign.
+_LOCK_BITS = 62
+
+_open_locks: dict[Path, IO[bytes]] = {}
+
+
+class Store:
+    """A folder of cases; cheap to make, safe to use from many processes at once."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder.absolute()
+        self.cases = self.folder / _CASES
+
+    def open(self) -> None:
+        """Make the folder if needed, and check that it is a store of these versions.
+
+        Raises
+        ------
+        InputError
+            The folder is something else, cannot be written, or was made by other versions.
+        """
+        mark = self.folder / STORE_FILE
+        if not mark.is_file():
+            self._refuse_foreign()
+            try:
+                for part in (self.cases, self.folder / _PARTS):
+                    part.mkdir(parents=True, exist_ok=True)
+                (self.folder / _LOCKS).touch()
+                content = {"schema_version": 1, "command": "sweep", "versions": versions()}
+                write_json(mark.with_suffix(f".{os.getpid()}"), content)
+                mark.with_suffix(f".{os.getpid()}").replace(mark)
+            except OSError as error:
+                raise InputError(
+                    f"{self.folder}: cannot be written ({error.strerror}); choose another -o DIR"
+                ) from None
+        self._check_versions(read_json(mark).get("versions", {}))
+
+    def exists(self) -> bool:
+        """Tell whether the folder is a store."""
+        return (self.folder / STORE_FILE).is_file()
+
+    def path_of(self, digest: str) -> Path:
+        """Folder of a finished or failed case."""
+        return self.cases / digest
+
+    def finished(self) -> set[str]:
+        """Digests of all cases that lie in the store, failed ones among them."""
+        return {entry.name for entry in os.scandir(self.cases)}
+
+    def read(self, digest: str) -> dict[str, Any] | None:
+        """Content of a case's result.json or failure.json; None when it is not there."""
+        for name in (RESULT_FILE, FAILURE_FILE):
+            path = self.path_of(digest) / name
+            if path.is_file():
+                return read_json(path)
+        return None
+
+    def forget(self, digest: str) -> None:
+        """Remove a case, whole at once, so that it is computed again."""
+        away = self.folder / _PARTS / f"{digest}.{os.getpid()}.old"
+        try:
+            self.path_of(digest).rename(away)
+        except FileNotFoundError:
+            return
+        shutil.rmtree(away, ignore_errors=True)
+
+    @contextmanager
+    def writing(self, digest: str) -> Iterator[Path]:
+        """Yield a folder that becomes the case's when the block ends well."""
+        part = self.folder / _PARTS / f"{digest}.{os.getpid()}"
+        shutil.rmtree(part, ignore_errors=True)
+        part.mkdir()
+        try:
+            yield part
+            _synchronise(part)
+            self._publish(part, digest)
+        finally:
+            shutil.rmtree(part, ignore_errors=True)
+
+    @contextmanager
+    def claimed(self, digest: str) -> Iterator[bool]:
+        """Hold a case for this process; yields False when another one holds it."""
+        claimed = self._lock(digest)
+        try:
+            yield claimed
+        finally:
+            if claimed:
+                fcntl.lockf(self._locks(), fcntl.LOCK_UN, 1, _place(digest))
+
+    def abandoned(self) -> list[str]:
+        """Remove what dead processes left half-written; return the digests of their cases."""
+        left = []
+        for part in sorted((self.folder / _PARTS).iterdir()):
+            digest = part.name.split(".")[0]
+            with self.claimed(digest) as mine:
+                if mine:
+                    shutil.rmtree(part, ignore_errors=True)
+                    left.append(digest)
+        return left
+
+    def _publish(self, part: Path, digest: str) -> None:
+        try:
+            part.rename(self.path_of(digest))
+        except OSError:
+            if not self.path_of(digest).is_dir():  # someone without locks was first: same content
+                raise
+        _synchronise_folder(self.cases)
+
+    def _lock(self, digest: str) -> bool:
+        try:
+            fcntl.lockf(self._locks(), fcntl.LOCK_EX | fcntl.LOCK_NB, 1, _place(digest))
+        except BlockingIOError:
+            return False
+        return True
+
+    def _locks(self) -> IO[bytes]:
+        """Open the lock file once: closing any handle of it would drop all of its locks."""
+        path = self.folder / _LOCKS
+        if path not in _open_locks:
+            _open_locks[path] = path.open("r+b")
+        return _open_locks[path]
+
+    def _refuse_foreign(self) -> None:
+        if self.folder.exists() and not self.folder.is_dir():
+            raise InputError(f"{self.folder}: is a file; choose another -o DIR")
+        if self.folder.is_dir() and any(self.folder.iterdir()):
+            raise InputError(
+                f"{self.folder}: exists and is no store of a sweep (no {STORE_FILE}); "
+                "choose another -o DIR"
+            )
+
+    def _check_versions(self, known: dict[str, str]) -> None:
+        now = versions()
+        changed = [name for name in now if name != "python" and known.get(name) != now[name]]
+        if changed:
+            told = ", ".join(f"{name} {known.get(name)} (now {now[name]})" for name in changed)
+            raise InputError(
+                f"{self.folder}: its cases were computed with {told}; choose another -o DIR, "
+                "so that one table holds one version's figures"
+            )
+
+
+def write_failure(
+    folder: Path, experiment: Experiment, kind: str, reason: str, trace: str = ""
+) -> None:
+    """Write why a case could not be computed, and the case."""
+    (folder / EXPERIMENT_FILE).write_text(to_toml(experiment), encoding="utf-8")
+    content = {"schema_version": 1, "kind": kind, "failure": reason, "trace": trace}
+    write_json(folder / FAILURE_FILE, content)
+
+
+def _place(digest: str) -> int:
+    return int(digest, 16) % (1 << _LOCK_BITS)
+
+
+def _synchronise(folder: Path) -> None:
+    for path in folder.rglob("*"):
+        if path.is_file():
+            with path.open("rb") as file:
+                os.fsync(file.fileno())
+        else:
+            _synchronise_folder(path)
+    _synchronise_folder(folder)
+
+
+def _synchronise_folder(folder: Path) -> None:
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)

@@ -1,0 +1,187 @@
+"""Run a study into its store, from the file to the table."""
+
+import math
+import shutil
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from reconstruction.errors import InputError
+from twin.config import Experiment
+from twin.config.study import Study
+from twin.modalities.progress import Watcher, nobody
+from twin.optics.light import pattern_set
+from twin.output import read_json
+from twin.study.cases import Case, Cases
+from twin.study.engine import Outcome, Run
+from twin.study.index import Index
+from twin.study.measuring import CaseMeasurer
+from twin.study.optimise import optimise
+from twin.study.record import StudyRecord, write_record
+from twin.study.store import FAILURE_FILE, Store
+from twin.study.worker import DIED, UNEXPECTED, Measurer
+from twin.study.workers import Workers, lasting
+
+# Measured on two cores of 2.5 GHz: camera noise dominates, then loading a pressed face.
+_SECONDS_PER_FRAME_PIXEL = 9e-8
+_SECONDS_PER_CASE = 0.3
+_SECONDS_PER_PRESS = 3.0
+_BYTES_PER_CASE = 24_000
+_BYTES_PER_PIXEL = {"points": 160, "capture": 0, "press": 0}
+_BYTES_PER_FRAME_PIXEL = 2
+_PRESS_BYTES = 80_000_000
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """What a run will take; good to a factor of two for flat slabs, less for other models."""
+
+    cases: int
+    known: int
+    excluded: int
+    seconds: float
+    disk_bytes: float
+    free_bytes: int
+
+
+def estimate(record: StudyRecord, cases: Cases, store: Store, workers: int) -> Estimate:
+    """Estimate time and disk of the cases that a store lacks."""
+    known = store.finished() if store.exists() else set()
+    unique = cases.unique()
+    missing = [case for case in unique if case.digest not in known]
+    presses = len({_pressing(case.experiment) for case in missing})
+    work = sum(_case_seconds(case.experiment) for case in missing) + presses * _SECONDS_PER_PRESS
+    folder = next(p for p in (store.folder, *store.folder.parents) if p.exists())
+    return Estimate(
+        cases=len(unique),
+        known=len(unique) - len(missing),
+        excluded=cases.excluded,
+        seconds=work / workers,
+        disk_bytes=sum(_case_bytes(record.study, case.experiment) for case in missing),
+        free_bytes=shutil.disk_usage(folder).free,
+    )
+
+
+def _pressing(experiment: Experiment) -> str:
+    parts = {"mechanics", "specimen", "elastomer", "press"}
+    return experiment.model_dump_json(include=parts)
+
+
+def _pixels(experiment: Experiment) -> int:
+    camera = experiment.camera
+    return (camera.width_px // camera.binning) * (camera.height_px // camera.binning)
+
+
+def _frame_pixels(experiment: Experiment) -> int:
+    frames = len(pattern_set(experiment.projector, experiment.patterns).frames)
+    return frames * _pixels(experiment)
+
+
+def _case_seconds(experiment: Experiment) -> float:
+    return _SECONDS_PER_CASE + _frame_pixels(experiment) * _SECONDS_PER_FRAME_PIXEL
+
+
+def _case_bytes(study: Study, experiment: Experiment) -> float:
+    kept = _BYTES_PER_CASE
+    if "points" in study.keep:
+        kept += _BYTES_PER_PIXEL["points"] * _pixels(experiment)
+    if "capture" in study.keep:
+        kept += _BYTES_PER_FRAME_PIXEL * _frame_pixels(experiment)
+    return kept + (_PRESS_BYTES if "press" in study.keep else 0)
+
+
+def forget_failures(store: Store, cases: Sequence[Case], every: bool = False) -> int:
+    """Remove failures from a store so that they run again; returns how many.
+
+    What an experiment asked for in vain it asks for in vain again, so by default only crashes and
+    unexpected errors are forgotten.
+    """
+    forgotten = 0
+    for case in cases:
+        failure = store.path_of(case.digest) / FAILURE_FILE
+        if failure.is_file() and (every or read_json(failure)["kind"] in (DIED, UNEXPECTED)):
+            store.forget(case.digest)
+            forgotten += 1
+    return forgotten
+
+
+def sweep(
+    record: StudyRecord,
+    folder: Path,
+    workers: Workers,
+    *,
+    cases: Cases | None = None,
+    retry: bool = False,
+    watch: Watcher = nobody,
+    make_measurer: Callable[[tuple[str, ...]], Measurer] = CaseMeasurer,
+) -> Outcome:
+    """Compute all cases of a study that its store lacks.
+
+    Parameters
+    ----------
+    record : StudyRecord
+    folder : Path
+        The store; made when it is not there.
+    workers : Workers
+    cases : Cases, optional
+        The record's, where they are made already.
+    retry : bool
+        Also run again what failed for a reason that lies in the experiment.
+    watch : callable
+    make_measurer : callable
+        What measures a case; importable by the workers.
+
+    Raises
+    ------
+    InputError
+        The folder cannot be used.
+    MissingBackend
+        No usable Dr.Jit backend.
+    """
+    store = Store(folder)
+    store.open()
+    index = Index(store)
+
+    with lasting(workers) as kept:
+
+        def run(of: StudyRecord, batch: Cases) -> Outcome:
+            _keep_record(folder, of)
+            wanted = batch.unique()
+            forget_failures(store, wanted, every=retry)
+            return Run(store, kept, of.study.keep, make_measurer, watch, index.enter)(wanted)
+
+        if record.study.sampling.method == "optimise":
+            return Outcome.together(optimise(record, folder, run))
+        return run(record, cases or record.cases())
+
+
+def _keep_record(folder: Path, record: StudyRecord) -> None:
+    try:
+        write_record(folder, record)
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be written ({error.strerror})") from None
+
+
+def told(found: Estimate) -> str:
+    """Say an estimate in one line."""
+    parts = [f"{found.cases} cases"]
+    if found.excluded:
+        parts.append(f"{found.excluded} more excluded by constraints")
+    if found.known:
+        parts.append(f"{found.known} of them known")
+    parts.append(f"about {_duration(found.seconds)}")
+    parts.append(f"{_size(found.disk_bytes)} of {_size(found.free_bytes)} free disk")
+    return ", ".join(parts)
+
+
+def _duration(seconds: float) -> str:
+    if seconds < 90:
+        return f"{math.ceil(seconds)} s"
+    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
+
+
+def _size(count: float) -> str:
+    for unit, size in (("GB", 1e9), ("MB", 1e6)):
+        if count >= size:
+            return f"{count / size:.1f} {unit}"
+    return f"{count / 1e3:.0f} kB"

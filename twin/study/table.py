@@ -1,0 +1,160 @@
+"""The table of a study: one row per case, in the study's own order."""
+
+import csv
+import io
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from reconstruction.errors import InputError
+from twin.config.study import Constraint
+from twin.study.cases import Case, quantity
+from twin.study.derived import DERIVED, with_derived
+from twin.study.index import Entry, Index
+from twin.study.record import StudyRecord, read_record
+from twin.study.store import Store
+
+_HEAD = ("case", "state", "reason", "feasible")
+
+
+@dataclass(frozen=True, eq=False)
+class Table:
+    """Settings and figures of all cases of a study.
+
+    Attributes
+    ----------
+    axes : headings of what is varied
+    metrics : headings of what was found
+    rows : one mapping by heading per case; a figure that a case lacks is None
+    """
+
+    record: StudyRecord
+    axes: tuple[str, ...]
+    metrics: tuple[str, ...]
+    rows: tuple[Mapping[str, Any], ...]
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """All headings in their order."""
+        return (*self.axes, *_HEAD, *self.metrics)
+
+    def done(self) -> list[Mapping[str, Any]]:
+        """Rows of the cases that have figures."""
+        return [row for row in self.rows if row["state"] == "done"]
+
+
+def read_table(folder: Path) -> Table:
+    """Read the table of a store's latest study.
+
+    Raises
+    ------
+    InputError
+        The folder is no store, or a metric that the study names is in no case.
+    """
+    store = Store(folder)
+    if not store.exists():
+        raise InputError(f"{folder}: is no store of a sweep; give the -o DIR of twin sweep")
+    record = read_record(folder)
+    cases, entries = record.cases().run, Index(store).entries()
+    axes = tuple(dict.fromkeys(title for case in cases for title in case.settings))
+    metrics = _metrics(record, cases, entries)
+    bounds = record.study.constraint
+    rows = tuple(_row(case, entries.get(case.digest), bounds) for case in cases)
+    return Table(record, axes, metrics, rows)
+
+
+def _metrics(
+    record: StudyRecord, cases: Iterable[Case], entries: Mapping[str, Entry]
+) -> tuple[str, ...]:
+    found = [entries[case.digest].figures for case in cases if case.digest in entries]
+    known = dict.fromkeys(name for figures in found for name in figures)
+    asked = record.study.metrics
+    unknown = [name for name in asked if name not in known and name not in DERIVED]
+    if unknown and known:
+        raise InputError(
+            f"metrics: found {', '.join(unknown)}, allowed {', '.join(sorted({*known, *DERIVED}))}"
+        )
+    return asked or tuple(known)
+
+
+def _row(case: Case, entry: Entry | None, bounds: tuple[Constraint, ...]) -> dict[str, Any]:
+    state = entry.state if entry else "missing"
+    found = with_derived(case.experiment, entry.figures) if entry and entry.figures else {}
+    figures = {name: _cell(value) for name, value in found.items()}
+    head = {
+        "case": case.digest,
+        "state": state,
+        "reason": entry.reason if entry else "",
+        "feasible": is_feasible(case, figures, bounds) if state == "done" else None,
+    }
+    return figures | dict(case.settings) | head
+
+
+def is_feasible(case: Case, figures: Mapping[str, Any], bounds: tuple[Constraint, ...]) -> bool:
+    """Tell whether a finished case meets all constraints; a missing figure meets none."""
+    numbers = ((bound, quantity(case.experiment, figures, bound)) for bound in bounds)
+    return all(number is not None and bound.holds_for(number) for bound, number in numbers)
+
+
+def _cell(value: Any) -> Any:
+    return "; ".join(map(str, value)) if isinstance(value, list) else value
+
+
+def csv_text(table: Table) -> str:
+    """Return the table as CSV (RFC 4180); numbers with all their digits."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(table.columns)
+    for row in table.rows:
+        writer.writerow([_text(row.get(name)) for name in table.columns])
+    return text.getvalue()
+
+
+def write_csv(table: Table, path: Path) -> None:
+    """Write the table as CSV in UTF-8.
+
+    Raises
+    ------
+    InputError
+        The file cannot be written.
+    """
+    try:
+        path.write_text(csv_text(table), encoding="utf-8", newline="")
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror})") from None
+
+
+def _text(value: Any) -> str:
+    if value is None:
+        return ""
+    return repr(value) if isinstance(value, float) else str(value)
+
+
+def write_parquet(table: Table, path: Path) -> None:
+    """Write the table as Parquet.
+
+    Raises
+    ------
+    InputError
+        pyarrow is not installed, or the file cannot be written.
+    """
+    try:
+        import pyarrow
+        import pyarrow.parquet
+    except ModuleNotFoundError:
+        raise InputError("--parquet: needs pyarrow; pip install 'fringe-twin[sweep]'") from None
+    columns = {name: _column([row.get(name) for row in table.rows]) for name in table.columns}
+    try:
+        pyarrow.parquet.write_table(pyarrow.table(columns), path)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror})") from None
+
+
+def _column(values: list[Any]) -> list[Any]:
+    """Return values of one type: whole and other numbers together are numbers, else text."""
+    kinds = {type(value) for value in values if value is not None}
+    if len(kinds) <= 1:
+        return values
+    wanted: type = float if kinds == {int, float} else str
+    return [None if value is None else wanted(value) for value in values]

@@ -1,0 +1,179 @@
+"""A worker's side of a sweep: compute a batch of cases, each into its folder of the store."""
+
+import errno
+import os
+import threading
+import time
+import traceback
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+from typing import Literal, Protocol
+
+from reconstruction.errors import InputError
+from twin.config import Experiment
+from twin.modalities.storage import write_result, write_timings
+from twin.study.measuring import Answer, CaseMeasurer, StageReads
+from twin.study.store import Store, write_failure
+
+State = Literal["done", "failed", "elsewhere", "known", "unsaved"]
+UNEXPECTED, DIED = "unexpected", "died"
+_DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+_WATCH_EVERY_S = 0.5
+
+# Renderer and caches of one process serve one case at a time, whatever the executor's threads do.
+_one_at_a_time = threading.Lock()
+
+
+class Measurer(Protocol):
+    """Something that answers a case."""
+
+    def __call__(self, experiment: Experiment) -> Answer:
+        """Measure one case."""
+
+    def reads(self) -> StageReads:
+        """Fields that each stage looked at for the latest case, first stage first."""
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Cases for one worker, in the order in which they share most.
+
+    Attributes
+    ----------
+    cases : digest and experiment of each
+    keep : arrays to write per case
+    threads : of this worker; 0 leaves them alone
+    make_measurer : called once per process with `keep`
+    """
+
+    store: Path
+    cases: tuple[tuple[str, Experiment], ...]
+    keep: tuple[str, ...] = ()
+    threads: int = 0
+    make_measurer: Callable[[tuple[str, ...]], Measurer] = CaseMeasurer
+
+
+@dataclass(frozen=True)
+class Report:
+    """What became of one case.
+
+    Attributes
+    ----------
+    state : done or failed (and in the store), known (was there already), elsewhere (another run
+        computes it), unsaved (could not be written)
+    seconds : spent on it, 0 unless computed now
+    reason : why it failed or could not be saved
+    """
+
+    digest: str
+    state: State
+    seconds: float = 0.0
+    reason: str = ""
+
+
+@dataclass(frozen=True)
+class BatchReport:
+    """What became of a batch; `reads` of its last measured case, for the order of the others."""
+
+    cases: tuple[Report, ...]
+    reads: StageReads = ()
+
+
+def compute(batch: Batch) -> BatchReport:
+    """Compute the cases of a batch that are not in the store yet.
+
+    Raises
+    ------
+    MissingBackend
+        No usable Dr.Jit backend.
+    """
+    with _one_at_a_time:
+        measurer = _measurer(batch.make_measurer, batch.keep, batch.threads)
+        store = Store(batch.store)
+        reports = tuple(_compute_case(store, *case, measurer) for case in batch.cases)
+        return BatchReport(reports, measurer.reads())
+
+
+def die_with(parent: int) -> None:
+    """Start a watch that ends this process when its parent is gone: nobody else would.
+
+    The parent's number is handed over: it may be gone before this process has asked for it.
+    """
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(_WATCH_EVERY_S)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
+@cache
+def _measurer(
+    make: Callable[[tuple[str, ...]], Measurer], keep: tuple[str, ...], threads: int
+) -> Measurer:
+    if threads and make is CaseMeasurer:
+        from twin.optics.threads import use_threads
+
+        use_threads(threads)
+    return make(keep)
+
+
+def _compute_case(store: Store, digest: str, experiment: Experiment, measurer: Measurer) -> Report:
+    start = time.perf_counter()
+    with store.claimed(digest) as mine:
+        if store.path_of(digest).is_dir():
+            return Report(digest, "known")
+        if not mine:
+            return Report(digest, "elsewhere")
+        try:
+            found = _into_store(store, digest, experiment, measurer)
+        except OSError as error:
+            return Report(digest, "unsaved", reason=_unsaved(error))
+    return replace(found, seconds=time.perf_counter() - start)
+
+
+def _into_store(store: Store, digest: str, experiment: Experiment, measurer: Measurer) -> Report:
+    start = time.perf_counter()
+    with store.writing(digest) as folder:
+        answer = _answer(measurer, experiment)
+        if isinstance(answer, _Failure):
+            write_failure(folder, experiment, answer.kind, answer.reason, answer.trace)
+        else:
+            write_result(folder, "measure", experiment, answer.figures)
+            answer.write(folder)
+        write_timings(folder, {"case": time.perf_counter() - start})
+    if isinstance(answer, _Failure):
+        return Report(digest, "failed", reason=answer.reason)
+    return Report(digest, "done")
+
+
+@dataclass(frozen=True)
+class _Failure:
+    kind: str
+    reason: str
+    trace: str = ""
+
+
+def _answer(measurer: Measurer, experiment: Experiment) -> Answer | _Failure:
+    """Measure; what a case does wrong must not end the others."""
+    try:
+        return measurer(experiment)
+    except InputError as error:
+        return _Failure(type(error).__name__, " ".join(str(error).split()))
+    except Exception as error:
+        if type(error).__name__ == "MissingBackend" or _is_disk_full(error):
+            raise
+        told = " ".join(f"{type(error).__name__}: {error}".split())
+        return _Failure(UNEXPECTED, told, traceback.format_exc())
+
+
+def _is_disk_full(error: Exception) -> bool:
+    return isinstance(error, OSError) and error.errno in _DISK_FULL
+
+
+def _unsaved(error: OSError) -> str:
+    place = f" ({error.filename})" if error.filename else ""
+    return f"{error.strerror or error}{place}; make room and run the sweep again"
