@@ -54,6 +54,8 @@ SENSITIVITY = np.array([[-13.0, -140.0], [93.0, 12.0], [12.0, 107.0]])
 DARKEST = np.array([21.0, 61.0, 50.0])
 SENSITIVITY_WEIGHT = 0.5  # a level of background counts as two per unit normal
 BALL_RADIUS_MM, CONTACT_MM = 3.155, 1.4  # 6.31 mm ball, 26 px less the rim
+# Half the field over which presses are spread, x and y: sensitivities differ by place.
+PRESSES_MM = (6.5, 4.5)
 CAP_MM = 0.5  # mean height of such a cap when the ball is 0.7 mm deep
 FILE = Path(__file__).parents[1] / "scenes" / "lamps" / "gelsight_mini.toml"
 
@@ -175,9 +177,9 @@ def shading_of(experiment: Experiment, pitch_mm: float = 0.0634) -> Shading:
     cap = np.stack(np.meshgrid(grid, grid), axis=-1).reshape(-1, 2)
     cap = cap[np.hypot(*cap.T) <= CONTACT_MM] / BALL_RADIUS_MM
     normals = np.column_stack([cap, np.sqrt(1.0 - np.sum(cap**2, axis=1))])
-    centres = [
-        (i * 0.55 * half_x, j * 0.55 * half_y, CAP_MM) for i in (-1, 0, 1) for j in (-1, 0, 1)
-    ]
+    # Middles of nine equal parts: the mean over presses that lie anywhere with equal chance.
+    step_x, step_y = (2 / 3 * half_mm for half_mm in PRESSES_MM)
+    centres = [(i * step_x, j * step_y, CAP_MM) for i in (-1, 0, 1) for j in (-1, 0, 1)]
     caps = np.concatenate([normals * BALL_RADIUS_MM * [1, 1, 0] + centre for centre in centres])
     tiles = (3 * row + col).ravel()
     return Shading(experiment, flat, tiles, caps, np.tile(normals, (len(centres), 1)))

@@ -86,13 +86,14 @@ def _fused(ladder: Ladder, x: float, phases: Any, sigmas: Any, col: int) -> Any:
 @compiled
 def climb_row(
     ladder: Ladder, phases: Any, sigmas: Any, usable: Any,
-    order: Any, coordinate: Any, sigma_px: Any, error: Any,
+    coordinate: Any, sigma_px: Any, error: Any,
 ) -> None:  # fmt: skip
-    """Write order of set 0, fused coordinate, its sigma and the chance of a wrong number.
+    """Write the fused coordinate, its sigma and the chance of a wrong number; 0 without a phase.
 
     phases, sigmas : (set, col), rad
     """
-    for col in range(order.size):
+    for col in range(error.size):
+        coordinate[col], sigma_px[col], error[col] = 0.0, 0.0, 0.0
         if not usable[col] > 0.0:
             continue
         x, wrong = _coarsest(ladder, phases, sigmas, col)
@@ -104,6 +105,5 @@ def climb_row(
             ratio = ladder.level_periods_px[level - 1] / period
             wrong += _wrong_neighbour(off, _step_sigma(ladder, level, ratio, sigmas, col))
             x = period * (number + turns)
-        order[col] = np.int16(np.rint(x / ladder.set_periods_px[0] - phases[0, col] / TURN))
         coordinate[col], sigma_px[col] = _fused(ladder, x, phases, sigmas, col)
         error[col] = min(wrong, 1.0)

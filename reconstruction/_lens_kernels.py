@@ -1,8 +1,8 @@
-"""Camera rays of one image row: the inverse of the lens distortion, pixel by pixel."""
+"""Camera rays of one image row: the inverse of the lens distortion, a whole row per step."""
+
+# ruff: noqa: PLR0917 - compiled functions cannot take keyword-only arguments
 
 from typing import Any, NamedTuple
-
-import numpy as np
 
 from reconstruction._jit import compiled, inlined
 from reconstruction.pinhole import INVERSE_STEPS, distort, distortion_jacobian
@@ -25,50 +25,58 @@ class Lens(NamedTuple):
     is_ideal: bool
 
 
-@inlined
-def _undistort(x_target: float, y_target: float, x: float, y: float, lens: Lens) -> Any:
-    """Return (x, y, found) from a start close to the solution."""
-    for _ in range(INVERSE_STEPS):
-        x_now, y_now = distort_inlined(x, y, lens.distortion)
-        xx, xy, yy = distortion_jacobian_inlined(x, y, lens.distortion)
+@compiled
+def _newton_row(
+    row: int, camera: Lens, x_bend: Any, y_bend: Any, x: Any, y: Any, found: Any
+) -> Any:  # fmt: skip
+    """Improve the rays of a row by one Newton step; return how many have not converged."""
+    x_scale, y_target = 1.0 / camera.fx, (row - camera.cy) / camera.fy
+    pending = 0
+    for col in range(x.size):
+        x_target = (col - camera.cx) * x_scale
+        x_old, y_old = x_target + x_bend[col], y_target + y_bend[col]
+        x_now, y_now = distort_inlined(x_old, y_old, camera.distortion)
+        xx, xy, yy = distortion_jacobian_inlined(x_old, y_old, camera.distortion)
         x_miss, y_miss = x_target - x_now, y_target - y_now
         determinant = xx * yy - xy * xy
         scale = 1.0 / determinant
         dx, dy = scale * (yy * x_miss - xy * y_miss), scale * (xx * y_miss - xy * x_miss)
-        x, y = x + dx, y + dy
-        if abs(dx) + abs(dy) < RAY_TOLERANCE:
-            # Beyond a fold the Jacobian is no longer positive definite: another ray's solution.
-            return x, y, xx > 0.0 and determinant > 0.0
-    return x, y, False
-
-
-class Rays(NamedTuple):
-    """Rays (x, y, 1) in the camera frame, (row, col), and where the lens has an inverse."""
-
-    x: Any
-    y: Any
-    found: Any
+        x[col], y[col] = x_old + dx, y_old + dy
+        x_bend[col], y_bend[col] = x_bend[col] + dx, y_bend[col] + dy
+        # Beyond a fold the Jacobian is no longer positive definite: another ray's solution.
+        is_close = abs(dx) + abs(dy) < RAY_TOLERANCE
+        found[col] = is_close & (xx > 0.0) & (determinant > 0.0)
+        pending += not is_close
+    return pending
 
 
 @compiled
-def ray_rows(first_row: int, end_row: int, camera: Lens, rays: Rays) -> None:
-    """Write the normalised coordinates of image rows, and whether the lens has an inverse.
+def _ideal_row(row: int, camera: Lens, x: Any, y: Any, found: Any) -> None:
+    x_scale, y_target = 1.0 / camera.fx, (row - camera.cy) / camera.fy
+    for col in range(x.size):
+        x[col], y[col], found[col] = (col - camera.cx) * x_scale, y_target, True
 
-    How far the lens bends each ray starts from what it did in the row before: neighbours bend
-    alike, and the pixels of a row do not wait for each other.
+
+@compiled
+def _forget_lost(found: Any, x_bend: Any, y_bend: Any) -> None:
+    for col in range(found.size):
+        x_bend[col] = x_bend[col] if found[col] else 0.0
+        y_bend[col] = y_bend[col] if found[col] else 0.0
+
+
+@compiled
+def ray_row(
+    row: int, camera: Lens, x_bend: Any, y_bend: Any, x: Any, y: Any, found: Any
+) -> None:  # fmt: skip
+    """Write the rays (x, y, 1) of an image row in the camera frame, and where there is one.
+
+    x_bend, y_bend : how far the lens bends each ray. Those of the row before are a good start, as
+        neighbours bend alike: one step is enough in all but the first row.
     """
-    width = rays.x.shape[1]
-    x_bend, y_bend = np.zeros(width), np.zeros(width)
-    x_scale = 1.0 / camera.fx
-    for row in range(first_row, end_row):
-        y_image = (row - camera.cy) / camera.fy
-        for col in range(width):
-            x_image = (col - camera.cx) * x_scale
-            x, y, found = x_image, y_image, True
-            if not camera.is_ideal:
-                x, y, found = _undistort(
-                    x_image, y_image, x_image + x_bend[col], y_image + y_bend[col], camera
-                )
-                x_bend[col] = x - x_image if found else 0.0
-                y_bend[col] = y - y_image if found else 0.0
-            rays.x[row, col], rays.y[row, col], rays.found[row, col] = x, y, found
+    if camera.is_ideal:
+        _ideal_row(row, camera, x, y, found)
+        return
+    for _ in range(INVERSE_STEPS):
+        if _newton_row(row, camera, x_bend, y_bend, x, y, found) == 0:
+            break
+    _forget_lost(found, x_bend, y_bend)

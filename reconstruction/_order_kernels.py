@@ -14,8 +14,9 @@ import numpy as np
 from reconstruction._jit import compiled, inlined
 from reconstruction.mask import Reason
 
-ORDER_UNCERTAIN = int(Reason.ORDER_UNCERTAIN)
-OUTSIDE_PROJECTOR = int(Reason.OUTSIDE_PROJECTOR)
+ORDER_UNCERTAIN = np.uint8(Reason.ORDER_UNCERTAIN)
+OUTSIDE_PROJECTOR = np.uint8(Reason.OUTSIDE_PROJECTOR)
+VALID = np.uint8(Reason.VALID)
 PER_TURN = np.float32(0.5 / np.pi)
 TURN = 2.0 * np.pi
 # Far from the edges of all words (within 1/16 of a period) they must agree with the phase.
@@ -28,14 +29,22 @@ PLAIN, COMPLEMENTARY, SHIFTED = 0, 1, 2
 ZERO, BIT, TWO = np.uint32(0), np.uint32(1), np.uint32(2)
 SHIFTS = (np.uint32(16), np.uint32(8), np.uint32(4), np.uint32(2))
 NONE, STEP = np.int32(0), np.int32(1)
-NOTHING = np.float32(0.0)
+NOTHING, INFINITE = np.float32(0.0), np.float32(np.inf)
+# Where the first projector pixel begins.
+FIRST = np.float32(-0.5)
 
 
 class Code(NamedTuple):
-    """What was projected along one axis."""
+    """What was projected along one axis.
+
+    period_high_px has so few digits that its product with an order is exact in single precision;
+    period_low_px is the rest.
+    """
 
     kind: int
     period_px: float
+    period_high_px: np.float32
+    period_low_px: np.float32
     half_px_turns: np.float32
     words: np.int32
     bits: int
@@ -104,29 +113,34 @@ def _number(gray: Any, cell: Any, code: Code) -> Any:
     return _number_plain(gray, cell, code)
 
 
+@inlined
+def _nearer(x: Any, y: Any) -> Any:
+    return x if x < y else y
+
+
 @compiled
 def read_gray_row(
-    stack: Any, first: int, bits: int, row: int, mean: Any, margin: Any, word: Any, near: Any
+    stack: Any, first: int, bits: int, row: int, mean: Any, word: Any, nearest: Any
 ) -> None:
-    """Write the Gray word, first frame in the highest bit, and which bits are near A."""
+    """Write the Gray word, first frame in the highest bit, and how near to A a level comes."""
     for col in range(word.size):
-        word[col], near[col] = np.uint32(0), np.uint32(0)
+        word[col], nearest[col] = ZERO, INFINITE
     for bit in range(0, bits - 1, 2):
         a, b = stack[first + bit, row], stack[first + bit + 1, row]
         for col in range(a.size):
+            least = nearest[col]  # read before the first write, see `_add_six`
             high = np.float32(a[col]) - mean[col]
             low = np.float32(b[col]) - mean[col]
             bright = (TWO if high > NOTHING else ZERO) | (BIT if low > NOTHING else ZERO)
-            doubt = TWO if abs(high) < margin[col] else ZERO
-            doubt |= BIT if abs(low) < margin[col] else ZERO
             word[col] = (word[col] << TWO) | bright
-            near[col] = (near[col] << TWO) | doubt
+            nearest[col] = _nearer(_nearer(abs(high), abs(low)), least)
     if bits % 2:
         frame = stack[first + bits - 1, row]
         for col in range(frame.size):
+            least = nearest[col]
             over = np.float32(frame[col]) - mean[col]
             word[col] = (word[col] << BIT) | (BIT if over > NOTHING else ZERO)
-            near[col] = (near[col] << BIT) | (BIT if abs(over) < margin[col] else ZERO)
+            nearest[col] = _nearer(abs(over), least)
 
 
 @compiled
@@ -150,9 +164,10 @@ def number_row(
             cell, over = _cell(phase[col], code)
             number, is_wrong = _number_plain(word[col], cell, code)
             order[col], error[col] = number - over, ONE if is_wrong else NOTHING
-    period, per_rad = code.period_px, code.period_px / TURN
+    high, low, per_rad = code.period_high_px, code.period_low_px, np.float32(code.period_px / TURN)
     for col in range(word.size):
-        coordinate[col] = period * order[col] + per_rad * phase[col]
+        number = np.float32(order[col])
+        coordinate[col] = high * number + (low * number + per_rad * phase[col])
 
 
 @inlined
@@ -163,25 +178,24 @@ def _tail(sigmas: float) -> float:
 @compiled
 def weigh_near_bits(
     code: Code, stack: Any, first: int, row: int, gray_sigmas: Any, mean: Any, margin: Any,
-    word: Any, near: Any, phase: Any, order: Any, error: Any,
+    word: Any, nearest: Any, phase: Any, order: Any, error: Any,
 ) -> None:  # fmt: skip
     """Add the probability that a bit near its threshold was misread, where that matters.
 
     A bit that matters and lies within `gray_sigmas` of its threshold makes the order uncertain.
     """
     for col in range(word.size):
-        if near[col] == 0 or error[col] == ONE:
+        if not nearest[col] < margin[col] or error[col] == ONE:
             continue
         cell, over = _cell(phase[col], code)
         total = 0.0
         for bit in range(code.bits):
-            flipped = BIT << np.uint32(bit)
-            if (near[col] & flipped) == 0:
+            distance = abs(np.float32(stack[first + code.bits - 1 - bit, row, col]) - mean[col])
+            if not distance < margin[col]:  # this way round a NaN is not near
                 continue
-            other, _ = _number(word[col] ^ flipped, cell, code)
+            other, _ = _number(word[col] ^ (BIT << np.uint32(bit)), cell, code)
             if other - over != order[col]:
-                level = np.float32(stack[first + code.bits - 1 - bit, row, col])
-                sigmas = NEAR_SIGMAS * abs(level - mean[col]) / margin[col]
+                sigmas = NEAR_SIGMAS * distance / margin[col]
                 total += _tail(sigmas) if sigmas >= gray_sigmas else 1.0
         error[col] = min(total, 1.0)
 
@@ -205,25 +219,17 @@ def settle_row(
     for col in range(reason.size):
         code = reason[col]
         has_phase = usable[col] > 0.0
-        is_outside = not (np.float32(-0.5) <= coordinate[col] <= last)
-        is_doubtful = error[col] > most or error[col] >= ONE
-        found = OUTSIDE_PROJECTOR if is_outside else 0
+        is_inside = (coordinate[col] >= FIRST) & (coordinate[col] <= last)
+        is_doubtful = (error[col] > most) | (error[col] >= ONE)
+        found = VALID if is_inside else OUTSIDE_PROJECTOR
         found = ORDER_UNCERTAIN if is_doubtful else found
-        is_lower = has_phase and found != 0 and (code == 0 or code > found)
+        is_lower = has_phase & (found != VALID) & ((code == VALID) | (code > found))
         reason[col] = found if is_lower else code
-        error[col] = error[col] if has_phase else NOTHING
+        error[col] *= usable[col]
 
 
 @compiled
-def blank_row(reason: Any, order: Any, coordinate: Any, sigma: Any) -> None:
-    """Zero what a masked pixel must not tell."""
-    masked = 0
+def write_valid(values: Any, reason: Any, out: Any) -> None:
+    """Copy a row without what a masked pixel must not tell."""
     for col in range(reason.size):
-        masked += reason[col] != 0
-    if masked == 0:
-        return
-    for col in range(reason.size):
-        order[col] = order[col] if reason[col] == 0 else np.int16(0)
-    for col in range(reason.size):
-        coordinate[col] = coordinate[col] if reason[col] == 0 else NOTHING
-        sigma[col] = sigma[col] if reason[col] == 0 else NOTHING
+        out[col] = values[col] if reason[col] == VALID else NOTHING

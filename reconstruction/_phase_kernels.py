@@ -13,7 +13,7 @@ from reconstruction._jit import compiled, inlined
 from reconstruction._sum_kernels import Limits, noise_dn2
 from reconstruction.mask import Reason
 
-FILTER_SUPPORT = int(Reason.FILTER_SUPPORT)
+FILTER_SUPPORT = np.uint8(Reason.FILTER_SUPPORT)
 TURN = 2.0 * np.pi
 # Weights are float32: full support sums to 1 within a few 1e-7.
 SUPPORT_ROUNDING = 1e-5
@@ -28,6 +28,7 @@ ATAN = tuple(
 )  # fmt: skip
 HALF_PI, PI, TWO_PI = np.float32(0.5 * np.pi), np.float32(np.pi), np.float32(TURN)
 TINY = np.float32(1e-30)
+STEPS_PER_RAD, ROUNDING = np.float32(65536.0 / TURN), np.float32(0.5)
 
 
 @compiled
@@ -75,15 +76,22 @@ def phase_row(real: Any, imag: Any, phase: Any) -> None:
 
 
 @compiled
+def write_turns(phase: Any, out: Any) -> None:
+    """Write phases as steps of 1 / 65536 turn; what rounds up to a whole turn becomes 0."""
+    for col in range(phase.size):
+        out[col] = np.uint16(np.int32(phase[col] * STEPS_PER_RAD + ROUNDING))
+
+
+@compiled
 def smooth_modulation(
-    steps: int, real: Any, imag: Any, support: Any, usable: Any, out: Any
+    steps: int, real: Any, imag: Any, support: Any, usable: Any, single: Any, out: Any
 ) -> None:  # fmt: skip
-    """Replace the modulation of single pixels by that of the smoothed phasor."""
+    """Write the modulation of the smoothed phasor, or of the single pixel without a phase."""
     scale = np.float32(2.0 / steps)
     for col in range(out.size):
         square = real[col] * real[col] + imag[col] * imag[col]
         smooth = scale * np.sqrt(square) / support[col]
-        out[col] = smooth if usable[col] > 0.0 else out[col]
+        out[col] = smooth if usable[col] > 0.0 else single[col]
 
 
 @compiled

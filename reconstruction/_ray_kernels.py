@@ -2,6 +2,8 @@
 
 Symbols: d depth along the camera's z axis; (x, y, 1) ray in the camera frame; X = d a + b point in
 the projector frame, with a = R ray and b = t of T_proj_from_cam; (u, v) projector pixel.
+
+A whole image row takes each Gauss-Newton step together, so that the loops become vector code.
 """
 
 # ruff: noqa: PLR0917 - compiled functions cannot take keyword-only arguments
@@ -10,23 +12,26 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from reconstruction._half_kernels import pack_row, unpack_row
 from reconstruction._jit import compiled, inlined
 from reconstruction._lens_kernels import (
     Lens,
-    Rays,
     distort_inlined,
     distortion_jacobian_inlined,
+    ray_row,
 )
 from reconstruction.mask import Reason
 
-EPIPOLAR_MISMATCH = int(Reason.EPIPOLAR_MISMATCH)
-NO_POINT = int(Reason.NO_POINT)
+EPIPOLAR_MISMATCH = np.uint8(Reason.EPIPOLAR_MISMATCH)
+NO_POINT = np.uint8(Reason.NO_POINT)
+VALID = np.uint8(Reason.VALID)
 MAX_STEPS = 20
 # Relative depth step that ends the iteration. The error left after it is smaller by the next
-# contraction, below 1e-3: at most 2e-7 mm at 200 mm.
-DEPTH_TOLERANCE = 1e-6
+# contraction, below 1e-3: at most 2e-6 mm at 200 mm.
+DEPTH_TOLERANCE = 1e-5
 # A caller's zero sigma must not become an infinite weight.
-SMALLEST_SIGMA_PX = 1e-9
+SMALLEST_SIGMA_PX = np.float32(1e-9)
+ZERO = np.float32(0.0)
 
 # Rows of [R t]. Tuples, because arrays handed over per pixel cost more than the geometry.
 Motion = tuple[tuple[float, ...], ...]
@@ -42,106 +47,52 @@ class Match(NamedTuple):
 
 
 class Fringe(NamedTuple):
-    """Decoded coordinates and sigmas, (row, col), px."""
+    """Decoded coordinates, (row, col) px, and their sigmas in half precision.
+
+    sigma_unit_px : factor for `unpack_row`
+    """
 
     column: Any
     row: Any
     sigma_column: Any
     sigma_row: Any
+    sigma_unit_px: np.float32
+
+
+class Rig(NamedTuple):
+    """Both lenses and the motions between the frames, mm."""
+
+    camera: Lens
+    projector: Lens
+    T_proj_from_cam: Motion
+    T_world_from_cam: Motion
 
 
 class Points(NamedTuple):
-    """Result: (row, col, xyz) mm, (row, col, xyz) mm, (row, col) codes."""
+    """Result: (row, 3 col) x y z mm, (row, col) sigma of the depth in half precision and codes.
+
+    sigma_factor : for `pack_row`
+    """
 
     points_world_mm: Any
-    sigma_xyz_mm: Any
+    sigma_depth: Any
+    sigma_factor: np.float32
     reason: Any
 
 
 class View(NamedTuple):
-    """One point as the projector sees it: pixel, its change with depth, pixel without the lens."""
+    """Lines of one row: what the projector sees of each point.
 
-    u: float
-    v: float
-    u_slope: float
-    v_slope: float
-    u_ideal: float
-    v_ideal: float
-    z: float
+    How far the pixel misses the decoded one and its change per mm of depth, single precision; how
+    far the lens moves it, double precision: that of the row before is a good start.
+    """
 
-
-@inlined
-def _linear_depth(a: Any, b: Any, u: float, v: float, wu: float, wv: float, lens: Lens) -> Any:
-    """Return the depth for a lens without distortion: weighted planes through the projector."""
-    uc, vc = u - lens.cx, v - lens.cy
-    au, bu = lens.fx * a[0] - uc * a[2], uc * b[2] - lens.fx * b[0]
-    av, bv = lens.fy * a[1] - vc * a[2], vc * b[2] - lens.fy * b[1]
-    return (wu * au * bu + wv * av * bv) / (wu * au * au + wv * av * av)
-
-
-@inlined
-def _view(d: float, a: Any, b: Any, lens: Lens) -> Any:
-    z = d * a[2] + b[2]
-    inverse = 1.0 / z
-    x, y = (d * a[0] + b[0]) * inverse, (d * a[1] + b[1]) * inverse
-    x_slope, y_slope = (a[0] - x * a[2]) * inverse, (a[1] - y * a[2]) * inverse
-    u, v = lens.fx * x + lens.cx, lens.fy * y + lens.cy
-    if lens.is_ideal:
-        return View(u, v, lens.fx * x_slope, lens.fy * y_slope, u, v, z)
-    xd, yd = distort_inlined(x, y, lens.distortion)
-    xx, xy, yy = distortion_jacobian_inlined(x, y, lens.distortion)
-    u_slope = lens.fx * (xx * x_slope + xy * y_slope)
-    v_slope = lens.fy * (xy * x_slope + yy * y_slope)
-    return View(lens.fx * xd + lens.cx, lens.fy * yd + lens.cy, u_slope, v_slope, u, v, z)
-
-
-@inlined
-def _solve_depth(
-    d: float, a: Any, b: Any, u: float, v: float, wu: float, wv: float, lens: Lens
-) -> Any:
-    """Return (depth, view, found) by Gauss-Newton on the weighted residuals, from start d."""
-    view = _view(d, a, b, lens)
-    for _ in range(MAX_STEPS):
-        if not (d > 0.0 and view.z > 0.0):
-            return d, view, False
-        gradient = wu * view.u_slope * (u - view.u) + wv * view.v_slope * (v - view.v)
-        step = gradient / (wu * view.u_slope * view.u_slope + wv * view.v_slope * view.v_slope)
-        d += step
-        if abs(step) <= DEPTH_TOLERANCE * d:
-            return d, view, True
-        view = _view(d, a, b, lens)
-    return d, view, False
-
-
-@inlined
-def _is_mismatch(
-    view: Any, u: float, v: float, su: float, sv: float, sigma_d: float, match: Match
-) -> Any:
-    """Tell whether a decoded coordinate contradicts the point that was found."""
-    u_miss, v_miss = abs(u - view.u), abs(v - view.v)
-    if u_miss <= match.tolerance_px and v_miss <= match.tolerance_px:
-        return False
-    u_sigma = np.sqrt(su * su + (view.u_slope * sigma_d) ** 2)
-    v_sigma = np.sqrt(sv * sv + (view.v_slope * sigma_d) ** 2)
-    u_limit = match.tolerance_px + match.tolerance_sigmas * u_sigma
-    v_limit = match.tolerance_px + match.tolerance_sigmas * v_sigma
-    return u_miss > u_limit or v_miss > v_limit
-
-
-@inlined
-def _weights(su: float, sv: float, match: Match) -> Any:
-    """Weights of both coordinates up to a common factor: alone, one needs no division."""
-    if match.use_column and match.use_row:
-        return sv * sv, su * su
-    return (1.0, 0.0) if match.use_column else (0.0, 1.0)
-
-
-@inlined
-def _depth_sigma(view: Any, su: float, sv: float, wu: float, wv: float, match: Match) -> Any:
-    if match.use_column and match.use_row:
-        both = wu * view.u_slope * view.u_slope + wv * view.v_slope * view.v_slope
-        return su * sv / np.sqrt(both)
-    return su / abs(view.u_slope) if match.use_column else sv / abs(view.v_slope)
+    u_miss: Any
+    v_miss: Any
+    u_slope: Any
+    v_slope: Any
+    u_bend: Any
+    v_bend: Any
 
 
 @inlined
@@ -154,64 +105,134 @@ def _rotate(T: Motion, x: float, y: float) -> Any:
 
 
 @inlined
-def _meet(
-    x: float, y: float, u: float, v: float, su: float, sv: float, bend: tuple[float, float],
-    match: Match, projector: Lens, T_proj_from_cam: Motion,
-) -> Any:  # fmt: skip
-    """Return (depth, its sigma, reason code, bend) of the camera ray (x, y, 1).
+def _weights(su: Any, sv: Any, match: Match) -> Any:
+    """Weights of both coordinates up to a common factor: alone, one needs no division."""
+    if match.use_column and match.use_row:
+        su, sv = max(su, SMALLEST_SIGMA_PX), max(sv, SMALLEST_SIGMA_PX)
+        return sv * sv, su * su
+    return (1.0, 0.0) if match.use_column else (0.0, 1.0)
 
-    bend is how far the lens moves the projector pixel; that of the row before is a good start.
-    """
-    su, sv = max(su, SMALLEST_SIGMA_PX), max(sv, SMALLEST_SIGMA_PX)
-    wu, wv = _weights(su, sv, match)
-    a = _rotate(T_proj_from_cam, x, y)
-    b = (T_proj_from_cam[0][3], T_proj_from_cam[1][3], T_proj_from_cam[2][3])
-    start = _linear_depth(a, b, u - bend[0], v - bend[1], wu, wv, projector)
-    d, view, found = _solve_depth(start, a, b, u, v, wu, wv, projector)
-    if not found:
-        return 0.0, 0.0, NO_POINT, (0.0, 0.0)
-    sigma_d = _depth_sigma(view, su, sv, wu, wv, match)
-    if _is_mismatch(view, u, v, su, sv, sigma_d, match):
-        return 0.0, 0.0, EPIPOLAR_MISMATCH, (0.0, 0.0)
-    return d, sigma_d, 0, (view.u - view.u_ideal, view.v - view.v_ideal)
+
+@compiled
+def _start_row(
+    x: Any, y: Any, found: Any, u: Any, v: Any, su: Any, sv: Any, u_bend: Any, v_bend: Any,
+    match: Match, rig: Rig, depth: Any, reason: Any,
+) -> None:  # fmt: skip
+    """Write the depth for a lens that bends as in the row before: weighted planes."""
+    lens, T = rig.projector, rig.T_proj_from_cam
+    bx, by, bz = T[0][3], T[1][3], T[2][3]
+    for col in range(depth.size):
+        wu, wv = _weights(su[col], sv[col], match)
+        ax, ay, az = _rotate(T, x[col], y[col])
+        uc, vc = u[col] - u_bend[col] - lens.cx, v[col] - v_bend[col] - lens.cy
+        au, bu = lens.fx * ax - uc * az, uc * bz - lens.fx * bx
+        av, bv = lens.fy * ay - vc * az, vc * bz - lens.fy * by
+        depth[col] = (wu * au * bu + wv * av * bv) / (wu * au * au + wv * av * av)
+        reason[col] = NO_POINT if (reason[col] == 0) & (not found[col]) else reason[col]
+
+
+@compiled
+def _step_row(
+    x: Any, y: Any, u: Any, v: Any, su: Any, sv: Any, match: Match, rig: Rig, is_last: bool,
+    depth: Any, view: View, reason: Any,
+) -> Any:  # fmt: skip
+    """Take one Gauss-Newton step on the weighted residuals; return how many are not there yet."""
+    lens, T = rig.projector, rig.T_proj_from_cam
+    bx, by, bz = T[0][3], T[1][3], T[2][3]
+    u_miss, v_miss, u_slope, v_slope = view.u_miss, view.v_miss, view.u_slope, view.v_slope
+    u_bend, v_bend = view.u_bend, view.v_bend
+    pending = 0
+    for col in range(depth.size):
+        # Read before the first write, see `_add_six`.
+        d, u_old, v_old = depth[col], u_bend[col], v_bend[col]
+        ax, ay, az = _rotate(T, x[col], y[col])
+        z = d * az + bz
+        inverse = 1.0 / z
+        px, py = (d * ax + bx) * inverse, (d * ay + by) * inverse
+        px_slope, py_slope = (ax - px * az) * inverse, (ay - py * az) * inverse
+        xd, yd = distort_inlined(px, py, lens.distortion)
+        xx, xy, yy = distortion_jacobian_inlined(px, py, lens.distortion)
+        us = lens.fx * (xx * px_slope + xy * py_slope)
+        vs = lens.fy * (xy * px_slope + yy * py_slope)
+        du, dv = u[col] - lens.fx * xd - lens.cx, v[col] - lens.fy * yd - lens.cy
+        wu, wv = _weights(su[col], sv[col], match)
+        step = (wu * us * du + wv * vs * dv) / (wu * us * us + wv * vs * vs)
+        is_ahead = (d > 0.0) & (z > 0.0)
+        # A NaN counts as ahead of nothing and as not there.
+        is_there = abs(step) <= DEPTH_TOLERANCE * d
+        is_lost = (not is_ahead) | (is_last & (not is_there))
+        is_active = reason[col] == 0
+        reason[col] = NO_POINT if is_active & is_lost else reason[col]
+        pending += is_active & is_ahead & (not is_there)
+        depth[col] = d + step
+        u_miss[col], v_miss[col] = du - us * step, dv - vs * step
+        u_slope[col], v_slope[col] = us, vs
+        is_known = is_active & is_there
+        u_bend[col] = lens.fx * (xd - px) if is_known else u_old
+        v_bend[col] = lens.fy * (yd - py) if is_known else v_old
+    return pending
+
+
+@compiled
+def _judge_row(su: Any, sv: Any, match: Match, view: View, sigma: Any, reason: Any) -> None:
+    """Write the sigma of the depth, and mark coordinates that contradict the point."""
+    u_miss, v_miss, u_slope, v_slope = view.u_miss, view.v_miss, view.u_slope, view.v_slope
+    tolerance = np.float32(match.tolerance_px)
+    square = np.float32(match.tolerance_sigmas * match.tolerance_sigmas)
+    for col in range(sigma.size):
+        u_sigma, v_sigma = max(su[col], SMALLEST_SIGMA_PX), max(sv[col], SMALLEST_SIGMA_PX)
+        us, vs = u_slope[col], v_slope[col]
+        if match.use_column and match.use_row:
+            u_share, v_share = us * v_sigma, vs * u_sigma
+            s = u_sigma * v_sigma / np.sqrt(u_share * u_share + v_share * v_share)
+        else:
+            s = u_sigma / abs(us) if match.use_column else v_sigma / abs(vs)
+        # Squares, not roots: beyond the tolerance by so many sigmas of the difference.
+        u_over, v_over = abs(u_miss[col]) - tolerance, abs(v_miss[col]) - tolerance
+        u_along, v_along = us * s, vs * s
+        u_limit = square * (u_sigma * u_sigma + u_along * u_along)
+        v_limit = square * (v_sigma * v_sigma + v_along * v_along)
+        is_off = (u_over > ZERO) & (u_over * u_over > u_limit)
+        is_off |= (v_over > ZERO) & (v_over * v_over > v_limit)
+        code = reason[col]
+        code = EPIPOLAR_MISMATCH if (code == VALID) & is_off else code
+        reason[col] = code
+        sigma[col] = s if code == VALID else ZERO
+
+
+@compiled
+def _place_row(x: Any, y: Any, depth: Any, reason: Any, T: Motion, world: Any) -> None:
+    """Write the points in the world frame, x y z of one pixel after the other."""
+    for col in range(depth.size):
+        ray_x, ray_y, ray_z = _rotate(T, x[col], y[col])
+        is_point, d = reason[col] == 0, depth[col]
+        world[3 * col] = d * ray_x + T[0][3] if is_point else 0.0
+        world[3 * col + 1] = d * ray_y + T[1][3] if is_point else 0.0
+        world[3 * col + 2] = d * ray_z + T[2][3] if is_point else 0.0
 
 
 @compiled
 def meet_rows(
-    first_row: int,
-    end_row: int,
-    fringe: Fringe,
-    match: Match,
-    rays: Rays,
-    projector: Lens,
-    T_proj_from_cam: Motion,
-    T_world_from_cam: Motion,
-    points: Points,
-) -> None:
-    """Fill `points`, zeroed by the caller except for `reason`, which masks and is updated."""
+    first_row: int, end_row: int, fringe: Fringe, match: Match, rig: Rig, points: Points
+) -> None:  # fmt: skip
+    """Fill `points` of some rows; `reason` masks and is updated."""
     width = points.reason.shape[1]
-    u_bend, v_bend = np.zeros(width), np.zeros(width)
-    T = T_world_from_cam
+    lines, short = np.zeros((7, width)), np.zeros((8, width), np.float32)
+    x, y, x_bend, y_bend, depth = lines[0], lines[1], lines[2], lines[3], lines[4]
+    view = View(short[0], short[1], short[2], short[3], lines[5], lines[6])
+    su, sv, sigma, spare = short[4], short[5], short[6], short[7]
+    found = np.zeros(width, np.bool_)
     for row in range(first_row, end_row):
         u, v = fringe.column[row], fringe.row[row]
-        su, sv = fringe.sigma_column[row], fringe.sigma_row[row]
-        reason, sigma = points.reason[row], points.sigma_xyz_mm[row]
-        world = points.points_world_mm[row]
-        x, y, found = rays.x[row], rays.y[row], rays.found[row]
-        for col in range(width):
-            if reason[col] != 0:
-                continue
-            d, sigma_d, code, bend = _meet(
-                x[col], y[col], u[col], v[col], su[col], sv[col], (u_bend[col], v_bend[col]),
-                match, projector, T_proj_from_cam,
-            )  # fmt: skip
-            u_bend[col], v_bend[col] = bend
-            reason[col] = code if found[col] else NO_POINT
-            if reason[col] == 0:
-                ray = _rotate(T, x[col], y[col])
-                world[col, 0] = d * ray[0] + T[0][3]
-                world[col, 1] = d * ray[1] + T[1][3]
-                world[col, 2] = d * ray[2] + T[2][3]
-                sigma[col, 0] = abs(ray[0]) * sigma_d
-                sigma[col, 1] = abs(ray[1]) * sigma_d
-                sigma[col, 2] = abs(ray[2]) * sigma_d
+        reason = points.reason[row]
+        unpack_row(fringe.sigma_column[row], fringe.sigma_unit_px, su)
+        unpack_row(fringe.sigma_row[row], fringe.sigma_unit_px, sv)
+        ray_row(row, rig.camera, x_bend, y_bend, x, y, found)
+        _start_row(x, y, found, u, v, su, sv, view.u_bend, view.v_bend, match, rig, depth, reason)
+        for step in range(MAX_STEPS):
+            is_last = step == MAX_STEPS - 1
+            if _step_row(x, y, u, v, su, sv, match, rig, is_last, depth, view, reason) == 0:
+                break
+        _judge_row(su, sv, match, view, sigma, reason)
+        pack_row(sigma, points.sigma_factor, spare, points.sigma_depth[row])
+        _place_row(x, y, depth, reason, rig.T_world_from_cam, points.points_world_mm[row])

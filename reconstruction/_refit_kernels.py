@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from reconstruction._jit import compiled, inlined
-from reconstruction._sum_kernels import IMAG, REAL, SATURATED, Layout, Limits
+from reconstruction._sum_kernels import SATURATED, Layout, Limits, Sums
 
 ROOT = np.sqrt(2.0)
 LARGEST = 1e30
@@ -70,7 +70,7 @@ def _square_residuals(
 @compiled
 def refit_row(
     stack: Any, first: int, row: int, layout: Layout, limits: Limits, scale: Any, damaged: Any,
-    sums: Any, mean: Any, modulation: Any, variance: Any, excess: Any, reason: Any,
+    sums: Sums, mean: Any, modulation: Any, variance: Any, excess: Any, reason: Any,
 ) -> None:  # fmt: skip
     """Replace what the damaged frames spoiled, or mark the pixel SATURATED.
 
@@ -101,6 +101,6 @@ def refit_row(
             c[3] * along_p * along_p + 2.0 * c[4] * along_p * along_q + c[5] * along_q * along_q
         )
         mean[col], modulation[col] = level, ROOT * length
-        sums[REAL, col], sums[IMAG, col] = steps * p / ROOT, steps * q / ROOT
+        sums.real[col], sums.imag[col] = steps * p / ROOT, steps * q / ROOT
         variance[col] = rest / (n - 3) if n > 3 else 0.0
         excess[col] = growth - 1.0

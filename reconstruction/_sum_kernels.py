@@ -15,12 +15,11 @@ from reconstruction.arrays import FloatImage
 from reconstruction.mask import Reason
 from reconstruction.sensor import QUANTISATION_DN2
 
-DARK = int(Reason.DARK)
-LOW_MODULATION = int(Reason.LOW_MODULATION)
-SATURATED = int(Reason.SATURATED)
+# As wide as the mask: a plain int would make whole loops run in 64 bits.
+DARK = np.uint8(Reason.DARK)
+LOW_MODULATION = np.uint8(Reason.LOW_MODULATION)
+SATURATED = np.uint8(Reason.SATURATED)
 ZERO, ONE, INFINITE = np.float32(0.0), np.float32(1.0), np.float32(np.inf)
-# Lines of the accumulator.
-TOTAL, REAL, IMAG, SQUARE, HIGH, LOW = range(6)
 QUANTISATION = np.float32(QUANTISATION_DN2)
 
 
@@ -36,6 +35,17 @@ class Layout(NamedTuple):
     sets: int
     cosines: FloatImage  # (step,)
     sines: FloatImage
+
+
+class Sums(NamedTuple):
+    """Sums of one fringe set over one row, lines of (col) float32; real and imag: z."""
+
+    total: Any
+    real: Any
+    imag: Any
+    square: Any
+    high: Any
+    low: Any
 
 
 class Limits(NamedTuple):
@@ -85,6 +95,9 @@ def _add_six(
     g0, g1, g2, g3, g4, g5 = cosines[0], cosines[1], cosines[2], cosines[3], cosines[4], cosines[5]
     h0, h1, h2, h3, h4, h5 = sines[0], sines[1], sines[2], sines[3], sines[4], sines[5]
     for col in range(a.size):
+        # Read before the first write: a store of `old if .. else new` right after reading `old`
+        # is compiled to a masked store, which costs more than all the rest.
+        top, bottom = high[col], low[col]
         u, v, w = np.float32(a[col]), np.float32(b[col]), np.float32(c[col])
         x, y, z = np.float32(d[col]), np.float32(e[col]), np.float32(f[col])
         total[col] += (u + v + w) + (x + y + z)
@@ -93,8 +106,8 @@ def _add_six(
         square[col] += (u * u + v * v + w * w) + (x * x + y * y + z * z)
         largest = _larger(_larger(_larger(u, v), _larger(w, x)), _larger(y, z))
         smallest = _smaller(_smaller(_smaller(u, v), _smaller(w, x)), _smaller(y, z))
-        high[col] = _larger(largest, high[col])
-        low[col] = _smaller(smallest, low[col])
+        high[col] = _larger(largest, top)
+        low[col] = _smaller(smallest, bottom)
 
 
 @compiled
@@ -105,13 +118,14 @@ def _add_three(
     p, q, r = cosines[0], cosines[1], cosines[2]
     s, t, u = sines[0], sines[1], sines[2]
     for col in range(a.size):
+        top, bottom = high[col], low[col]
         x, y, z = np.float32(a[col]), np.float32(b[col]), np.float32(c[col])
         total[col] += x + y + z
         real[col] += p * x + q * y + r * z
         imag[col] -= s * x + t * y + u * z
         square[col] += x * x + y * y + z * z
-        high[col] = _larger(_larger(_larger(x, y), z), high[col])
-        low[col] = _smaller(_smaller(_smaller(x, y), z), low[col])
+        high[col] = _larger(_larger(_larger(x, y), z), top)
+        low[col] = _smaller(_smaller(_smaller(x, y), z), bottom)
 
 
 @compiled
@@ -120,20 +134,20 @@ def _add_one(
     total: Any, real: Any, imag: Any, square: Any, high: Any, low: Any,
 ) -> None:  # fmt: skip
     for col in range(a.size):
+        top, bottom = high[col], low[col]
         x = np.float32(a[col])
         total[col] += x
         real[col] += cosine * x
         imag[col] -= sine * x
         square[col] += x * x
-        high[col] = _larger(x, high[col])
-        low[col] = _smaller(x, low[col])
+        high[col] = _larger(x, top)
+        low[col] = _smaller(x, bottom)
 
 
 @compiled
-def add_frames(stack: Any, first: int, row: int, layout: Layout, sums: Any) -> None:
-    """Write the sums of one fringe set over one row into `sums`, (6, col)."""
-    total, real, imag = sums[TOTAL], sums[REAL], sums[IMAG]
-    square, high, low = sums[SQUARE], sums[HIGH], sums[LOW]
+def add_frames(stack: Any, first: int, row: int, layout: Layout, sums: Sums) -> None:
+    """Write the sums of one fringe set over one row."""
+    total, real, imag, square, high, low = sums
     for col in range(total.size):
         total[col], real[col], imag[col], square[col] = ZERO, ZERO, ZERO, ZERO
         high[col], low[col] = -INFINITE, INFINITE
@@ -158,10 +172,10 @@ def add_frames(stack: Any, first: int, row: int, layout: Layout, sums: Any) -> N
 
 
 @compiled
-def find_damaged(sums: Any, scale: Any, limits: Limits, damaged: Any) -> Any:
+def find_damaged(sums: Sums, scale: Any, limits: Limits, damaged: Any) -> Any:
     """Mark pixels with a clipped, lost or non-finite frame; return how many there are."""
     black, span = limits.black_level_dn, limits.saturation_dn - limits.black_level_dn
-    total, high, low = sums[TOTAL], sums[HIGH], sums[LOW]
+    total, high, low = sums.total, sums.high, sums.low
     count = 0
     for col in range(damaged.size):
         is_whole = (
@@ -175,13 +189,13 @@ def find_damaged(sums: Any, scale: Any, limits: Limits, damaged: Any) -> Any:
 
 
 @compiled
-def finish_sums(steps: int, sums: Any, mean: Any, modulation: Any, variance: Any) -> None:
+def finish_sums(steps: int, sums: Sums, mean: Any, modulation: Any, variance: Any) -> None:
     """Turn sums into A, B and the variance of the fit.
 
     sum r^2 = sum I^2 - N A^2 - N B^2 / 2 for equal steps, with N - 3 degrees of freedom. In single
     precision the rounding of the squares leaves a floor of some 3e-4 of the level.
     """
-    total, real, imag, square = sums[TOTAL], sums[REAL], sums[IMAG], sums[SQUARE]
+    total, real, imag, square = sums.total, sums.real, sums.imag, sums.square
     per_step, freedom = np.float32(1.0 / steps), np.float32(1.0 / max(steps - 3, 1))
     half = np.float32(0.5 * steps)
     if steps == 3:  # three unknowns always fit
@@ -222,9 +236,12 @@ def mark_low_modulation(
 @compiled
 def mark_dark(white: Any, black: Any, scale: Any, limits: Limits, reason: Any) -> None:
     """Mark pixels on which white and black frame do not differ."""
+    square = limits.dark_sigmas * limits.dark_sigmas
     for col in range(white.size):
+        code, factor = reason[col], scale[col]
         bright, dim = np.float32(white[col]), np.float32(black[col])
-        variance = noise_dn2(bright, scale[col], limits) + noise_dn2(dim, scale[col], limits)
+        variance = noise_dn2(bright, factor, limits) + noise_dn2(dim, factor, limits)
+        step = bright - dim
         # This way round a NaN counts as dark.
-        is_lit = bright - dim >= limits.dark_sigmas * np.sqrt(variance)
-        reason[col] = reason[col] if is_lit else DARK
+        is_lit = (step >= ZERO) & (step * step >= square * variance)
+        reason[col] = code if is_lit else DARK

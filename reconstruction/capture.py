@@ -16,7 +16,8 @@ from reconstruction.arrays import FloatImage, Stack
 from reconstruction.calibration import Calibration, read_calibration, write_calibration
 from reconstruction.capture_description import Description, read_description, write_description
 from reconstruction.checks import require_integer
-from reconstruction.errors import CaptureError
+from reconstruction.errors import CaptureError, InputError
+from reconstruction.frame_order import check_order
 from reconstruction.frame_set import is_frame_set, read_frame_set
 from reconstruction.image_files import read_frames
 from reconstruction.pattern_files import read_manifest
@@ -104,11 +105,12 @@ def write_capture(folder: Path | str, capture: Capture) -> None:
 def read_capture(folder: Path | str) -> Capture:
     """Read a capture from its folder, or from a folder that holds it as `capture/`.
 
-    Frames in image files are merged, where there are several exposures, and their order is checked.
+    The order of the frames is checked; image files of several exposures are merged.
 
     Raises
     ------
-    CaptureError : a file is missing, damaged or does not fit the others
+    CaptureError : a file is missing, damaged or does not fit the others, or the frames are clearly
+        in another order
     """
     folder = _find(Path(folder))
     if is_frame_set(folder / DESCRIPTION_FILE):
@@ -117,12 +119,13 @@ def read_capture(folder: Path | str) -> Capture:
     calibration = read_calibration(folder / description.calibration_file)
     shape = (description.height_px, description.width_px)
     stack = read_stack(folder / description.stack_file, description.patterns, shape)
+    parts = (description.patterns, description.sensor, calibration)
     try:
-        return Capture(
-            stack, description.patterns, description.sensor, calibration, description.bit_depth
-        )
-    except CaptureError as error:
+        capture = Capture(stack, *parts, description.bit_depth)
+        check_order(stack, *parts)
+    except InputError as error:
         raise CaptureError(f"{folder}: {error}") from error
+    return capture
 
 
 def _read_images(folder: Path) -> Capture:

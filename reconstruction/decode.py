@@ -13,9 +13,11 @@ import numpy as np
 from reconstruction._band import Maps
 from reconstruction._decode_kernels import decode_rows
 from reconstruction._jit import run_over_rows
-from reconstruction.arrays import BoolImage, FloatImage, OrderImage, ReasonImage, Stack
+from reconstruction.arrays import FloatImage, Stack
 from reconstruction.checks import require_integer, require_number
-from reconstruction.decode_plan import make_plan
+from reconstruction.compact import Half, Orders, Turns
+from reconstruction.decode_plan import make_plan, units_of
+from reconstruction.decoded import AxisDecode, Decoded
 from reconstruction.errors import InputError
 from reconstruction.mask import Reason
 from reconstruction.patterns import PatternSet
@@ -72,44 +74,6 @@ class DecodeOptions:
         require_number("max_order_error", self.max_order_error, 0.0, 1.0)
 
 
-@dataclass(frozen=True, eq=False)
-class AxisDecode:
-    """What the frames along one projector axis say, every field (row, col).
-
-    coordinate_px, order and sigma_px are 0 unless the pixel is valid. phase_rad in [0, 2 pi) is
-    also given for masked pixels that have a phase. mean_dn and modulation_dn are always given;
-    modulation_dn is that of the filtered phasor where there is a phase. With a multi-frequency code
-    phase, order, mean and modulation are those of the measuring period, while coordinate_px is the
-    weighted mean of all periods.
-
-    residual_dn : RMS of what the fit leaves, with N - 3 degrees of freedom; 0 with three frames
-    order_error : probability that the order is wrong, given wherever there is a phase
-    """
-
-    coordinate_px: FloatImage
-    phase_rad: FloatImage
-    order: OrderImage
-    mean_dn: FloatImage
-    modulation_dn: FloatImage
-    sigma_px: FloatImage
-    residual_dn: FloatImage
-    order_error: FloatImage
-
-
-@dataclass(frozen=True, eq=False)
-class Decoded:
-    """Both projector coordinates of every camera pixel, and why a pixel has none."""
-
-    column: AxisDecode
-    row: AxisDecode
-    mask_reason: ReasonImage
-
-    @property
-    def valid(self) -> BoolImage:
-        """Where both coordinates are known, (row, col) bool."""
-        return np.equal(self.mask_reason, Reason.VALID)
-
-
 def decode(
     stack: Stack,
     patterns: PatternSet,
@@ -141,7 +105,8 @@ def decode(
     plan = make_plan(frames, patterns, sensor, options or DecodeOptions(), scale)
     maps = _blank_maps(stack.shape[1], stack.shape[2])
     run_over_rows(decode_rows, stack.shape[1], frames, plan, maps, band_rows=BAND_ROWS)
-    column, row = (AxisDecode(*(values[axis] for values in maps[:-1])) for axis in range(2))
+    units = units_of(sensor, scale)
+    column, row = (_axis(maps, axis, units, patterns.period_px) for axis in range(2))
     return Decoded(column, row, maps.reason)
 
 
@@ -156,17 +121,26 @@ def _check_stack(stack: Stack, patterns: PatternSet) -> None:
 
 
 def _blank_maps(rows: int, cols: int) -> Maps:
-    def image(kind: type[np.generic] = np.float32) -> np.ndarray[Any, Any]:
-        return np.zeros((2, rows, cols), kind)
-
-    return Maps(
-        coordinate_px=image(),
-        phase_rad=image(),
-        order=image(np.int16),
-        mean_dn=image(),
-        modulation_dn=image(),
-        sigma_px=image(),
-        residual_dn=image(),
-        order_error=image(),
-        reason=np.zeros((rows, cols), np.uint8),
+    turns, mean, modulation, sigma, residual, error = (
+        np.zeros((2, rows, cols), np.uint16) for _ in range(6)
     )
+    return Maps(
+        np.zeros((2, rows, cols), np.float32),
+        turns, mean, modulation, sigma, residual, error,
+        np.zeros((rows, cols), np.uint8),
+    )  # fmt: skip
+
+
+def _axis(maps: Maps, axis: int, units: tuple[float, float, float], period_px: float) -> AxisDecode:
+    level_dn, sigma_px, chance = units
+    coordinate_px, turns = maps.coordinate_px[axis], Turns(maps.turns[axis])
+    compact: dict[str, Any] = {
+        "phase_rad": turns,
+        "order": Orders(coordinate_px, turns, float(period_px)),
+        "mean_dn": Half(maps.mean[axis], level_dn),
+        "modulation_dn": Half(maps.modulation[axis], level_dn),
+        "sigma_px": Half(maps.sigma[axis], sigma_px),
+        "residual_dn": Half(maps.residual[axis], level_dn),
+        "order_error": Half(maps.order_error[axis], chance),
+    }
+    return AxisDecode(coordinate_px, **compact)

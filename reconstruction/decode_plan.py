@@ -1,12 +1,14 @@
 """What the compiled decoder must know, in its own terms: frames, limits, codes, filter."""
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from reconstruction._band import Plan
+from reconstruction._band import Plan, Units
 from reconstruction._chain_kernels import Ladder
 from reconstruction._filter_kernels import Smoothing
+from reconstruction._half_kernels import BIAS
 from reconstruction._order_kernels import COMPLEMENTARY, PLAIN, SHIFTED, Code
 from reconstruction._sum_kernels import Layout, Limits
 from reconstruction.arrays import FloatImage, Stack
@@ -17,6 +19,11 @@ from reconstruction.smoothing import gaussian_weights, noise_gain
 if TYPE_CHECKING:
     from reconstruction.decode import DecodeOptions
 
+# Times an order of up to 12 bits, exact in the 24 bits of single precision.
+HIGH_BITS = 12
+# Half precision reaches from 1e-9 to 1000 px, and from 2e-12 to 1.
+SIGMA_UNIT_PX = 2.0**-6
+CHANCE_UNIT = 2.0**-15
 KINDS = {"gray": PLAIN, "complementary_gray": COMPLEMENTARY, "shifted_gray": SHIFTED}
 
 
@@ -38,6 +45,7 @@ def make_plan(
             weights, squares / squares.sum(), noise_gain(weights), float(options.min_support)
         ),
         codes=(_code(patterns, column), _code(patterns, row)),
+        units=Units(*(np.float32(BIAS / unit) for unit in units_of(sensor, scale))),
         ladders=(_ladder(patterns, column), _ladder(patterns, row)),
         is_chain=patterns.chain is not None,
         scale=np.zeros((0, 0), np.float32)
@@ -91,11 +99,26 @@ def _has_lost_frame(stack: Stack, patterns: PatternSet) -> bool:
     return False
 
 
+def units_of(sensor: SensorNoise, scale: FloatImage | None) -> tuple[float, float, float]:
+    """Return the units in which levels (DN), sigmas (px) and chances are kept in half precision.
+
+    Powers of two: half precision spans 2^-24 to 2^16 units. Saturation is at most 2^14 of them, as
+    the fit of clipped fringes goes beyond.
+    """
+    largest = sensor.saturation_dn * (1.0 if scale is None else float(scale.max()))
+    return 2.0 ** (math.frexp(largest)[1] - 14), SIGMA_UNIT_PX, CHANCE_UNIT
+
+
 def _code(patterns: PatternSet, axis: Axis) -> Code:
+    period_px = float(patterns.period_px)
+    mantissa, exponent = math.frexp(period_px)
+    high_px = math.ldexp(round(mantissa * 2**HIGH_BITS), exponent - HIGH_BITS)
     return Code(
         kind=KINDS.get(str(patterns.code), PLAIN),
-        period_px=float(patterns.period_px),
-        half_px_turns=np.float32(0.5 / float(patterns.period_px)),
+        period_px=period_px,
+        period_high_px=np.float32(high_px),
+        period_low_px=np.float32(period_px - high_px),
+        half_px_turns=np.float32(0.5 / period_px),
         words=np.int32(patterns.words(axis)),
         bits=patterns.word_bits(axis),
         safety_bits=np.uint32(patterns.safety_bits(axis)),

@@ -30,9 +30,14 @@ def write_patterns(folder: Path | str, patterns: PatternSet) -> None:
     folder = Path(folder)
     for name, frame in zip(file_names(patterns), patterns.frames, strict=True):
         imageio.imwrite(folder / name, patterns.image(frame))
+    write_manifest(folder / MANIFEST_FILE, patterns)
+
+
+def write_manifest(path: Path, patterns: PatternSet) -> None:
+    """Write the manifest alone."""
     header = assignments({"format": FORMAT, "version": VERSION, "files": file_names(patterns)})
     lines = [*header, "", "[patterns]", *assignments(asdict(patterns))]
-    (folder / MANIFEST_FILE).write_text("\n".join(lines) + "\n", encoding="utf-8")
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 def read_manifest(path: Path | str) -> PatternSet:

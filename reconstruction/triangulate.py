@@ -6,21 +6,29 @@ sigma_d = (sum_i (du_i / dd)^2 / sigma_i^2)^(-1/2), sigma_xyz = sigma_d |R (x, y
 """
 
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
-from typing import Literal, get_args
+from functools import cached_property
+from typing import Any, Literal, get_args
 
 import numpy as np
 
+from reconstruction._half_kernels import BIAS
 from reconstruction._jit import run_over_rows
-from reconstruction._lens_kernels import Lens, Rays, ray_rows
-from reconstruction._ray_kernels import Fringe, Match, Motion, Points, meet_rows
+from reconstruction._lens_kernels import Lens
+from reconstruction._ray_kernels import Fringe, Match, Motion, Points, Rig, meet_rows
 from reconstruction.arrays import BoolImage, Doubles, FloatImage, ReasonImage
 from reconstruction.calibration import Calibration
 from reconstruction.checks import require_number
-from reconstruction.decode import Decoded
+from reconstruction.compact import Bits, Half, RaySpread, keeps_compact, kept
+from reconstruction.decode_plan import SIGMA_UNIT_PX
+from reconstruction.decoded import AxisDecode, Decoded
 from reconstruction.errors import InputError
 from reconstruction.mask import Reason
 from reconstruction.pinhole import NO_DISTORTION, Pinhole
+
+# The first row of a band takes more steps than the others, which start from the row before.
+BAND_ROWS = 48
+# Half precision reaches from 6e-11 to 64 mm.
+SIGMA_UNIT_MM = 2.0**-10
 
 Use = Literal["column", "row", "both"]
 
@@ -41,6 +49,7 @@ class EpipolarTolerance:
         require_number("epipolar sigmas", self.sigmas, 0.0)
 
 
+@keeps_compact("sigma_xyz_mm")
 @dataclass(frozen=True, eq=False)
 class PointMap:
     """One point per camera pixel; everything is 0 where mask_reason is not VALID.
@@ -50,7 +59,8 @@ class PointMap:
     points_world_mm : (row, col, xyz) float
     sigma_xyz_mm : (row, col, xyz) float, predicted standard deviations along the world axes from
         those of the coordinates; the calibration's own uncertainty is not in them. The error of a
-        point lies along its camera ray: its covariance is `covariance_mm2`, of rank 1
+        point lies along its camera ray: its covariance is `covariance_mm2`, of rank 1. Made
+        whenever it is read, from the points and the sigma of their depth
     mask_reason : (row, col) Reason
     T_world_from_cam : (4, 4) float, mm
     """
@@ -63,7 +73,8 @@ class PointMap:
     @property
     def sigma_z_mm(self) -> FloatImage:
         """Predicted standard deviation of world z, (row, col)."""
-        return self.sigma_xyz_mm[..., 2]
+        sigma = kept(self, "sigma_xyz_mm")
+        return sigma.component(2) if isinstance(sigma, RaySpread) else self.sigma_xyz_mm[..., 2]
 
     @cached_property
     def points_cam_mm(self) -> FloatImage:
@@ -107,33 +118,34 @@ def triangulate(
     _check(decoded, calibration, use)
     limits = tolerance or EpipolarTolerance()
     shape = decoded.mask_reason.shape
-    points = Points(
-        np.zeros((*shape, 3), np.float32),
-        np.zeros((*shape, 3), np.float32),
-        decoded.mask_reason.copy(),
-    )
+    points = np.zeros((*shape, 3), np.float32)
+    sigma_depth = Half(np.zeros(shape, np.uint16), SIGMA_UNIT_MM)
+    reason = decoded.mask_reason.copy()
     column, row = decoded.column, decoded.row
+    sigma_column, sigma_row = _packed_sigma(column), _packed_sigma(row)
     run_over_rows(
         meet_rows,
         shape[0],
-        Fringe(column.coordinate_px, row.coordinate_px, column.sigma_px, row.sigma_px),
+        Fringe(
+            column.coordinate_px,
+            row.coordinate_px,
+            sigma_column,
+            sigma_row,
+            np.float32(SIGMA_UNIT_PX / BIAS),
+        ),
         Match(use != "row", use != "column", float(limits.absolute_px), float(limits.sigmas)),
-        camera_rays(calibration.camera),
-        _lens(calibration.projector),
-        _motion(calibration.T_proj_from_cam),
-        _motion(calibration.T_world_from_cam),
-        points,
+        _rig(calibration),
+        Points(
+            points.reshape(shape[0], -1),
+            sigma_depth.bits,
+            np.float32(BIAS / SIGMA_UNIT_MM),
+            reason,
+        ),
+        band_rows=BAND_ROWS,
     )
-    return PointMap(*points, calibration.T_world_from_cam)
-
-
-@lru_cache(maxsize=2)
-def camera_rays(camera: Pinhole) -> Rays:
-    """Return the ray of every pixel; kept, because a rig takes many captures with one lens."""
-    shape = camera.height_px, camera.width_px
-    rays = Rays(np.zeros(shape), np.zeros(shape), np.zeros(shape, np.bool_))
-    run_over_rows(ray_rows, shape[0], _lens(camera), rays)
-    return rays
+    T_world_from_cam = calibration.T_world_from_cam
+    spread: Any = RaySpread(points, sigma_depth, T_world_from_cam)
+    return PointMap(points, spread, reason, T_world_from_cam)
 
 
 def _check(decoded: Decoded, calibration: Calibration, use: str) -> None:
@@ -146,6 +158,22 @@ def _check(decoded: Decoded, calibration: Calibration, use: str) -> None:
             f"the images are {cols} x {rows} px, the calibrated camera is "
             f"{camera.width_px} x {camera.height_px} px; use the calibration of this image size"
         )
+
+
+def _packed_sigma(axis: AxisDecode) -> Bits:
+    sigma = kept(axis, "sigma_px")
+    if isinstance(sigma, Half) and sigma.unit == SIGMA_UNIT_PX:
+        return sigma.bits
+    return Half.of(axis.sigma_px, SIGMA_UNIT_PX).bits
+
+
+def _rig(calibration: Calibration) -> Rig:
+    return Rig(
+        _lens(calibration.camera),
+        _lens(calibration.projector),
+        _motion(calibration.T_proj_from_cam),
+        _motion(calibration.T_world_from_cam),
+    )
 
 
 def _motion(matrix: Doubles) -> Motion:

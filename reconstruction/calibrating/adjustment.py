@@ -16,6 +16,7 @@ from scipy.optimize import least_squares
 
 from reconstruction.arrays import BoolImage, Doubles
 from reconstruction.calibrating.conics import centre_bias_px
+from reconstruction.calibrating.defocus import PHASE_SHARE, defocus_slopes_px
 from reconstruction.calibrating.freedom import Freedom, admissible, freedom_matrix
 from reconstruction.calibrating.observation import Observation
 from reconstruction.calibrating.parameters import Rig, pack, project_pose, unpack
@@ -32,6 +33,8 @@ MIN_SPREAD_PX = 1e-9
 MAD_TO_SIGMA = 1.4826
 # Rounding only: what the poses hardly determine shows in its uncertainty.
 MIN_SINGULAR_RATIO = 1e-9
+# Coefficients of the camera's defocus, at the end of the vector.
+DEFOCUS = 2
 
 
 @dataclass(frozen=True)
@@ -57,8 +60,10 @@ class Adjustment:
     rig : camera, projector and motions
     vector : (p,) float, all parameters in the order of `parameters`
     covariance : (p, p) float; 0 for what was held fixed
-    measured_px : per pose (n, 4) float: camera x, y, projector column, row of the features, dots'
-        perspective bias taken out
+    pupil_mm2, pupil_sigma_mm2 : mean square of the x of the camera's pupil, a quarter of its
+        squared radius, and its standard uncertainty; 0 where it is not estimated
+    measured_px : per pose (n, 4) float: camera x, y, projector column, row of the features, the
+        perspective bias of dots and the displacement of defocus taken out
     misses_px : per pose (n, 4) float: measured minus projected
     used : per pose (n,) bool, features that took part
     spread_px : standard deviation of the misses of the camera, and of the projector beyond what the
@@ -69,6 +74,8 @@ class Adjustment:
     rig: Rig
     vector: Doubles
     covariance: Doubles
+    pupil_mm2: float
+    pupil_sigma_mm2: float
     measured_px: tuple[Doubles, ...]
     misses_px: tuple[Doubles, ...]
     used: tuple[BoolImage, ...]
@@ -87,7 +94,7 @@ def adjust(
     """
     chosen = options or AdjustOptions()
     problem = _Problem(observations, start, chosen)
-    vector = admissible(chosen.freedom, pack(start))
+    vector = np.append(admissible(chosen.freedom, pack(start)), np.zeros(DEFOCUS))
     for turn in range(TURNS):
         problem.measure(vector)
         if turn:  # the first turn only brings the rig near
@@ -98,25 +105,32 @@ def adjust(
 
 
 class _Problem:
-    """The misses of all features as a function of the free parameters."""
+    """The misses of all features as a function of the free parameters.
+
+    Vectors are those of `pack`, followed by the coefficients of the defocus.
+    """
 
     def __init__(
         self, observations: Sequence[Observation], start: Rig, options: AdjustOptions
     ) -> None:
         self._seen, self._devices = observations, (start.camera, start.projector)
         self._correct = options.correct_dot_bias
-        self._freedom = freedom_matrix(options.freedom, len(pack(start)))
+        self._freedom = _freedom(options.freedom, len(pack(start)))
+        self._defocus = [np.zeros((len(seen.ids), 4, DEFOCUS)) for seen in observations]
         self._targets = [np.hstack([seen.camera_px, seen.projector_px]) for seen in observations]
         self._spread = np.ones(2)
         self._used = [np.ones(len(seen.ids), dtype=np.bool_) for seen in observations]
 
     def measure(self, vector: Doubles) -> None:
-        """Move the measured dot centres from the ellipses' centres to the imaged centres."""
-        rig = unpack(vector, *self._devices)
-        if not self._correct:
-            return
+        """Move the dot centres from the ellipses' to the imaged centres; see how defocus acts."""
+        rig = unpack(vector[:-DEFOCUS], *self._devices)
+        middle_mm = float(np.median(rig.T_cam_from_board[:, 2, 3]))
         for k, (seen, T) in enumerate(zip(self._seen, rig.T_cam_from_board, strict=True)):
             inside = seen.points_mm @ T[:3, :3].T + T[:3, 3]
+            shift = defocus_slopes_px(rig.camera, inside, T[:3, 2], middle_mm)
+            self._defocus[k] = np.hstack([shift, PHASE_SHARE * seen.slopes @ shift])
+            if not self._correct:
+                continue
             bias = centre_bias_px(rig.camera, inside, seen.radii_mm, T[:3, :3])
             along = np.einsum("nij,nj->ni", seen.slopes, bias)
             self._targets[k] = np.hstack([seen.camera_px - bias, seen.projector_px - along])
@@ -145,7 +159,15 @@ class _Problem:
         """Return measured minus projected pixels of every pose, (n, 4)."""
         return [
             target - project_pose(vector, k, seen.points_mm)[0]
-            for k, (seen, target) in enumerate(zip(self._seen, self._targets, strict=True))
+            for k, (seen, target) in enumerate(zip(self._seen, self._sharp(vector), strict=True))
+        ]
+
+    def _sharp(self, vector: Doubles) -> list[Doubles]:
+        """Return what would be measured without defocus, (n, 4) px."""
+        coefficients = vector[-DEFOCUS:]
+        return [
+            target - slopes @ coefficients
+            for target, slopes in zip(self._targets, self._defocus, strict=True)
         ]
 
     def _independent(self, vector: Doubles) -> list[Doubles]:
@@ -170,6 +192,7 @@ class _Problem:
         blocks = []
         for k, (seen, used) in enumerate(zip(self._seen, self._used, strict=True)):
             slopes = project_pose(now, k, seen.points_mm[used])[1]
+            slopes[..., -DEFOCUS:] = self._defocus[k][used]
             slopes[:, 2:] -= seen.slopes[used] @ slopes[:, :2]
             blocks.append((-weights[:, np.newaxis] * slopes).reshape(-1, len(vector)))
         return np.concatenate(blocks) @ self._freedom
@@ -196,17 +219,30 @@ class _Problem:
         jacobian, residuals = self._jacobian(nothing, vector), self._residuals(nothing, vector)
         degrees = len(residuals) - len(nothing)
         covariance = _covariance(jacobian) * float(residuals @ residuals) / degrees
+        covariance = self._freedom @ covariance @ self._freedom.T
         independent = self._independent(vector)
         return Adjustment(
-            rig=unpack(vector, *self._devices),
-            vector=vector,
-            covariance=self._freedom @ covariance @ self._freedom.T,
-            measured_px=tuple(self._targets),
+            rig=unpack(vector[:-DEFOCUS], *self._devices),
+            vector=vector[:-DEFOCUS],
+            covariance=covariance[:-DEFOCUS, :-DEFOCUS],
+            pupil_mm2=float(vector[-DEFOCUS]),
+            pupil_sigma_mm2=float(np.sqrt(covariance[-DEFOCUS, -DEFOCUS])),
+            measured_px=tuple(self._sharp(vector)),
             misses_px=tuple(self.misses(vector)),
             used=tuple(self._used),
             spread_px=_spreads(independent, self._used, degrees / len(residuals)),
             degrees_of_freedom=degrees,
         )
+
+
+def _freedom(freedom: Freedom, size: int) -> Doubles:
+    """Return the map from free changes to changes of the rig's parameters and of the defocus."""
+    rig = freedom_matrix(freedom, size)
+    free = DEFOCUS if freedom.camera_defocus else 0
+    whole = np.zeros((size + DEFOCUS, rig.shape[1] + free))
+    whole[:size, : rig.shape[1]] = rig
+    whole[size : size + free, rig.shape[1] :] = np.eye(free)
+    return whole
 
 
 def _covariance(jacobian: Doubles) -> Doubles:

@@ -6,13 +6,17 @@ from pathlib import Path
 from reconstruction.arrays import FloatImage, Stack
 from reconstruction.capture import DESCRIPTION_FILE, SUBFOLDER
 from reconstruction.capture_description import read_description
-from reconstruction.errors import CaptureError
+from reconstruction.errors import CaptureError, InputError
+from reconstruction.frame_order import check_order
 from reconstruction.frame_set import is_frame_set, read_frame_set
 from reconstruction.image_files import read_frames
 from reconstruction.pattern_files import read_manifest
 from reconstruction.patterns import PatternSet
 from reconstruction.sensor import SensorNoise
 from reconstruction.stack_file import read_stack
+
+# What a pose was recorded in; a folder of such files is not left out silently.
+RECORDED = {".png", ".tif", ".tiff", ".bmp", ".exr", ".nc"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +37,8 @@ def read_board_capture(folder: Path | str) -> BoardCapture:
 
     Raises
     ------
-    CaptureError : a file is missing, damaged or does not fit the others
+    CaptureError : a file is missing, damaged or does not fit the others, or the frames are clearly
+        in another order
     """
     folder = _find(Path(folder))
     if is_frame_set(folder / DESCRIPTION_FILE):
@@ -44,6 +49,10 @@ def read_board_capture(folder: Path | str) -> BoardCapture:
     description = read_description(folder / DESCRIPTION_FILE)
     shape = (description.height_px, description.width_px)
     stack = read_stack(folder / description.stack_file, description.patterns, shape)
+    try:
+        check_order(stack, description.patterns, description.sensor)
+    except InputError as error:
+        raise CaptureError(f"{folder}: {error}") from error
     return BoardCapture(stack, description.patterns, description.sensor)
 
 
@@ -52,11 +61,19 @@ def pose_folders(folder: Path | str) -> list[Path]:
 
     Raises
     ------
-    CaptureError : there is none
+    CaptureError : there is none, or one holds images that no capture.toml describes
     """
     folder = Path(folder)
-    inside = sorted(path for path in folder.iterdir() if path.is_dir()) if folder.is_dir() else []
+    if not folder.is_dir():
+        raise CaptureError(f"{folder}: no such folder; give one that holds a folder per board pose")
+    inside = sorted(path for path in folder.iterdir() if path.is_dir())
     found = [path for path in inside if _described(path) is not None]
+    for path in inside:
+        if path not in found and any(item.suffix.lower() in RECORDED for item in path.iterdir()):
+            raise CaptureError(
+                f"{path}: holds images but no {DESCRIPTION_FILE}; write one (copy that of another "
+                "pose), or move the folder away"
+            )
     if not found:
         raise CaptureError(
             f"{folder}: no folder with {DESCRIPTION_FILE} in it; give the folder that holds one "

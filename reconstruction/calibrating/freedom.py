@@ -9,7 +9,9 @@ Defaults, with reasons:
 - no projector distortion: the board covers a small patch of the image, off its axis, where a radial
   term looks like a shift and a change of focal length;
 - both principal points free: an error of the camera's turns into a tilt, the projector's lies far
-  off-axis and is not known beforehand.
+  off-axis and is not known beforehand;
+- defocus of the camera (`reconstruction/calibrating/defocus.py`): two coefficients, zero for a
+  camera that is sharp everywhere; neglected they would lean on principal points and rotations.
 """
 
 from dataclasses import dataclass
@@ -33,6 +35,7 @@ class Freedom:
     camera_distortion, projector_distortion : names of the coefficients to estimate
     camera_principal_point, projector_principal_point : estimate it
     square_pixels : one focal length for both axes
+    camera_defocus : estimate what the camera's aperture does to tilted boards
 
     Raises
     ------
@@ -44,6 +47,7 @@ class Freedom:
     camera_principal_point: bool = True
     projector_principal_point: bool = True
     square_pixels: bool = True
+    camera_defocus: bool = True
 
     def __post_init__(self) -> None:
         for name in (*self.camera_distortion, *self.projector_distortion):

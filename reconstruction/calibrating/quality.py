@@ -113,6 +113,15 @@ def epipolar_misses_px(rig: Rig | Calibration, measured_px: Doubles) -> Doubles:
     return np.asarray(distance * np.sqrt(rig.projector.fx_px * rig.projector.fy_px))
 
 
+def pupil_diameter_mm(found: Adjustment) -> float:
+    """Return the aperture that the blur of tilted boards tells; 0 where it is not seen.
+
+    To about a tenth; a plausibility check (focal length over f-number), not a measurement.
+    """
+    seen = found.pupil_mm2 > 3.0 * found.pupil_sigma_mm2
+    return 4.0 * float(np.sqrt(found.pupil_mm2)) if seen else 0.0
+
+
 def calibration_of(found: Adjustment, reference_pose: int = 0) -> Calibration:
     """Return the calibration; the world is the board frame of one pose (z towards the devices).
 

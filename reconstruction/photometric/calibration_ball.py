@@ -115,12 +115,12 @@ def sample_presses(
     """
     require_number("pitch_mm", pitch_mm, 0.0, open_low=True)
     how, parts = options or SampleOptions(), list[Part]()
-    hidden_before = find_markers(background, how.marker_level, GROWTH_PX)
+    hidden_before = find_markers(background, how.marker_level, GROWTH_PX, small=True)
     flat = smoothed(background, how.smoothing_px)
     for number, press in enumerate(presses):
         image = checked_image(press.image, f"calibration image {number}", background.shape)
         levels = smoothed(image, how.smoothing_px)
-        dots = find_markers(image.astype(np.float32), how.marker_level, GROWTH_PX)
+        dots = find_markers(image.astype(np.float32), how.marker_level, GROWTH_PX, small=True)
         try:
             circle = find_contact_circle(levels, flat, how.threshold_levels)
             _require_fit(circle.radius_px * pitch_mm, press.ball_diameter_mm / 2.0)

@@ -7,12 +7,17 @@ from reconstruction.arrays import BoolImage, Doubles, FloatImage
 
 # How far dots are grown where nothing else is said: their rims are half dark.
 GROWTH_PX = 2
+# Dots are narrower than this, 0.5 mm in radius at 0.0634 mm/px, and so much darker than the gel
+# beside them.
+WIDEST_PX, DOT_CONTRAST = 25, 0.8
 # Smoothings of filled slopes: enough for dots of 8 px radius (0.5 mm at 0.0634 mm/px), since the
 # nearest neighbours they start from are already right at the rim.
 SMOOTHINGS = 40
 
 
-def find_markers(levels: FloatImage, highest_level: float, grow_px: int) -> BoolImage:
+def find_markers(
+    levels: FloatImage, highest_level: float, grow_px: int, small: bool = False
+) -> BoolImage:
     """Return where the grey value is at most `highest_level`, grown by `grow_px`, (row, col).
 
     Level 0 stands for a gel without dots.
@@ -20,10 +25,17 @@ def find_markers(levels: FloatImage, highest_level: float, grow_px: int) -> Bool
     Parameters
     ----------
     levels : (row, col, 3) float32, red first; grey = 0.299 R + 0.587 G + 0.114 B
+    small : leave out what is dark over more than a dot, such as the corners of the field, which
+        the lamps hardly reach; the vendor's programs do not
     """
     if highest_level == 0:
         return np.zeros(levels.shape[:2], dtype=np.bool_)
-    dark = (cv2.cvtColor(levels, cv2.COLOR_RGB2GRAY) <= highest_level).astype(np.uint8)
+    grey = cv2.cvtColor(levels, cv2.COLOR_RGB2GRAY)
+    dark = (grey <= highest_level).astype(np.uint8)
+    if small:
+        window = np.ones((WIDEST_PX, WIDEST_PX), np.uint8)
+        without_dots = cv2.morphologyEx(grey, cv2.MORPH_CLOSE, window)
+        dark &= (grey < DOT_CONTRAST * without_dots).astype(np.uint8)
     if grow_px:
         dark = cv2.dilate(dark, np.ones((3, 3), np.uint8), iterations=grow_px)
     return np.asarray(dark, dtype=np.bool_)

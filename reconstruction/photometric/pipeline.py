@@ -138,8 +138,9 @@ class PhotometricDecoder:
         )
 
     def _markers(self, levels: FloatImage) -> BoolImage:
-        growth_px = MARKER_GROWTH_PX[self.options.integration]
-        return find_markers(levels, self.calibration.marker_level, growth_px)
+        scheme, highest_level = self.options.integration, self.calibration.marker_level
+        growth_px = MARKER_GROWTH_PX[scheme]
+        return find_markers(levels, highest_level, growth_px, small=scheme == "corrected")
 
     def _filled(self, slopes: Doubles, hidden: BoolImage) -> Doubles:
         fill = fill_smooth if self.options.integration == "corrected" else fill_nearest

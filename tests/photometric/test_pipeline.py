@@ -1,5 +1,6 @@
 import time
 
+import cv2
 import numpy as np
 import pytest
 
@@ -105,6 +106,29 @@ def test_dots_are_filled(calibrations, image, surface, press, weight):
     assert cap_mm(found.height_mm, press) / cap_mm(surface[0], press) == pytest.approx(
         1.0, abs=0.02
     )
+
+
+def test_dark_corners_are_no_dots(calibrations):
+    """Setup: dots on untouched gel that falls to half in the corners, below the level of a dot.
+
+    Expected: `corrected` hides the dots and their rims alone; the vendor's forms lose the corners
+    as well, as their programs do.
+    """
+    plain = calibrations["polynomial"]
+    row, col = np.indices(plain.background.shape[:2])
+    far = ((row - 119.5) / 120) ** 2 + ((col - 159.5) / 160) ** 2
+    falloff = (1.0 - far / 4.0)[..., np.newaxis].astype(np.float32)
+    background, dots = with_dots(plain.background * falloff)
+    calibration = SensorCalibration(plain.colour_map, background, PITCH_MM, marker_level=70)
+    hidden = {}
+    for integration in ("corrected", "sdk_2025"):
+        decoder = PhotometricDecoder(calibration, PhotometricOptions(integration))
+        found = decoder.decode(background.astype(np.uint8))
+        hidden[integration] = found.mask_reason == PhotometricReason.MARKER
+        assert hidden[integration][dots].all()
+    near_dots = cv2.dilate(dots.astype(np.uint8), np.ones((7, 7), np.uint8)).astype(bool)
+    assert not hidden["corrected"][~near_dots].any()
+    assert hidden["sdk_2025"][~near_dots].mean() > 0.01
 
 
 def test_dots_left_in_spoil_the_map(calibrations, image, surface, press):

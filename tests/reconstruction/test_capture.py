@@ -13,10 +13,12 @@ from reconstruction.sensor import SensorNoise
 
 
 @pytest.fixture(scope="module")
-def capture(calibration):
+def capture(calibration, surface, project, synthesise):
     patterns = PatternSet(1280, 720)
-    rng = np.random.default_rng(1)
-    stack = rng.integers(0, 4096, (53, 90, 120)).astype(np.uint16)
+    seen = project(calibration, surface(calibration))
+    frames = 64.0 + 15.0 * synthesise(patterns, seen[..., 0], seen[..., 1])
+    noise = np.random.default_rng(1).normal(0.0, 10.0, frames.shape)
+    stack = np.rint(frames + noise).astype(np.uint16)
     return Capture(stack, patterns, SensorNoise(0.17, 6.2, 64, 4095.0), calibration, 12)
 
 
@@ -76,6 +78,12 @@ def truncate(file, keep):
     return damage
 
 
+def exchanged(stack):
+    """Exchange two frames, as a camera does that misses a trigger."""
+    order = [*range(3), 4, 3, *range(5, len(stack))]
+    return stack[order]
+
+
 def restack(change=lambda stack: stack, names=lambda names: names, variable="stack", order=None):
     def damage(folder):
         with h5netcdf.File(folder / "stack.nc", "r") as file:
@@ -106,6 +114,7 @@ DAMAGES = {
         "52 frames, the pattern set has 53; missing: black",
     ),
     "frames in another order": (restack(names=lambda n: n[::-1]), "order of the pattern set"),
+    "frames exchanged": (restack(exchanged), r"frames 3 \(.*\) and 4 \(.*\) look exchanged"),
     "unknown frame": (restack(names=lambda n: ["dark", *n[1:]]), "not expected: dark"),
     "more images than names": (restack(lambda s: s[:-1]), "shape"),
     "wrong type": (restack(lambda s: s.astype(np.int64)), "int64"),

@@ -1,10 +1,12 @@
+import dataclasses
+
 import numpy as np
 import pytest
 
 from reconstruction import _jit
 from reconstruction import decode as decode_module
 from reconstruction._sum_kernels import find_noise
-from reconstruction.decode import Decoded, DecodeOptions, decode
+from reconstruction.decode import AxisDecode, Decoded, DecodeOptions, decode
 from reconstruction.decode_plan import make_plan
 from reconstruction.patterns import PatternSet
 from reconstruction.sensor import SensorNoise
@@ -31,8 +33,9 @@ SENSOR = SensorNoise(0.05, 40.0, 1.0, 250.0)
 
 
 def fields(decoded: Decoded):
-    maps = [vars(axis) for axis in (decoded.column, decoded.row)]
-    return [decoded.mask_reason, *maps[0].values(), *maps[1].values()]
+    names = [field.name for field in dataclasses.fields(AxisDecode)]
+    axes = (decoded.column, decoded.row)
+    return [decoded.mask_reason, *(getattr(axis, name) for axis in axes for name in names)]
 
 
 @pytest.mark.parametrize("threads", [1, 3])

@@ -7,10 +7,12 @@ from reconstruction.errors import FitError
 from reconstruction.evaluate import (
     areal_roughness,
     bar_width,
+    fit_ball,
     fit_cylinder,
     flatness,
     step_height,
 )
+from reconstruction.fit import fit_sphere
 
 NOISE_MM = 0.002
 
@@ -40,6 +42,63 @@ def test_flatness_of_a_saddle_is_its_height():
     x, y = np.meshgrid(np.linspace(-1, 1, 41), np.linspace(-1, 1, 41))
     found = flatness(np.column_stack([x.ravel(), y.ravel(), 0.01 * (x * y).ravel()]))
     assert found.peak_to_valley_mm == pytest.approx(0.02, rel=1e-6)
+
+
+def cap(rng, count, radius_mm=4.0, half_angle_deg=40.0):
+    """Points spread evenly over a cap of a ball round (1, -2, 3), (count, 3) mm, and normals."""
+    z = rng.uniform(np.cos(np.deg2rad(half_angle_deg)), 1.0, count)
+    phi, across = rng.uniform(0, 2 * np.pi, count), np.sqrt(1 - z**2)
+    normals = np.column_stack([across * np.cos(phi), across * np.sin(phi), z])
+    return np.array([1.0, -2.0, 3.0]) + radius_mm * normals, normals
+
+
+def test_ball_of_exact_points():
+    """Expected: to rounding; nothing is left out of exact data."""
+    found = fit_ball(cap(np.random.default_rng(7), 500)[0])
+    assert found.radius_mm == pytest.approx(4.0, abs=1e-9)
+    np.testing.assert_allclose(found.centre_mm, [1.0, -2.0, 3.0], atol=1e-9)
+    assert found.form_mm < 1e-9
+    assert found.kept.all()
+
+
+def test_radius_of_noisy_balls_scatters_as_stated():
+    """Setup: 60 caps of 1000 points with noise. Expected: errors over their stated standard
+    uncertainty have mean 0 and RMS 1, each within four of its own standard errors.
+    """
+    rng = np.random.default_rng(8)
+    ratios = []
+    for _ in range(60):
+        points, normals = cap(rng, 1000)
+        found = fit_ball(points + rng.normal(0, NOISE_MM, (1000, 1)) * normals)
+        ratios.append((found.radius_mm - 4.0) / found.radius_sigma_mm)
+        assert found.stats.rmse_mm == pytest.approx(NOISE_MM, rel=0.15)
+    assert abs(np.mean(ratios)) < 4 / np.sqrt(60)
+    assert np.sqrt(np.mean(np.square(ratios))) == pytest.approx(1.0, abs=4 / np.sqrt(120))
+
+
+@pytest.mark.parametrize("share", [0.05, 0.2])
+def test_ball_with_gross_outliers(share):
+    """Setup: a share of the points 0.5 to 1 mm too high, all on one side of the surface.
+
+    Expected: radius and centre within three of their standard uncertainties; least squares over
+    all points, which the test must be able to fail with, misses by more than ten.
+    """
+    rng = np.random.default_rng(9)
+    points, normals = cap(rng, 5000)
+    points += rng.normal(0, NOISE_MM, (5000, 1)) * normals
+    points[:, 2] = with_outliers(points[:, 2], rng, share)
+    found = fit_ball(points)
+    assert abs(found.radius_mm - 4.0) < 3 * found.radius_sigma_mm
+    assert found.kept.mean() == pytest.approx(1 - share, abs=0.02)
+    assert abs(fit_sphere(points).radius_mm - 4.0) > 10 * found.radius_sigma_mm
+
+
+def test_ball_needs_curvature_and_points():
+    flat = np.column_stack([*np.random.default_rng(1).uniform(0, 1, (2, 50)), np.zeros(50)])
+    with pytest.raises(FitError, match="one plane"):
+        fit_ball(flat)
+    with pytest.raises(FitError, match="points"):
+        fit_ball(cap(np.random.default_rng(1), 4)[0])
 
 
 def test_cylinder_seen_from_above():

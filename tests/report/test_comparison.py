@@ -12,7 +12,7 @@ from reconstruction.mask import Reason
 from twin.cli import run
 from twin.config import load_experiment
 from twin.modalities import comparison
-from twin.modalities.comparison import METHODS, compare, methods_named
+from twin.modalities.comparison import compare, methods_named
 from twin.report import summary_table, write_comparison, write_report
 from twin.report.camera_view import error_um, true_scale_mm, wanted
 from twin.report.direct import REASON_WORDS, discussion, missing_shares, percent, verdicts
@@ -32,6 +32,7 @@ SMALL = {
     "press.relief_pitch_mm": 0.05,
 }
 SETTINGS = [text for key, value in SMALL.items() for text in ("-s", f"{key}={value}")]
+FRINGES = ("direct_fpp", "contact_fpp")
 BALL = """
 name = "ball"
 description = "one ball"
@@ -74,7 +75,7 @@ def contents(folder):
 
 
 def test_each_measurement_is_a_complete_result(compared):
-    for method in METHODS:
+    for method in FRINGES:
         folder = compared / "ball" / method
         assert {
             "result.json",
@@ -91,7 +92,7 @@ def test_each_measurement_is_a_complete_result(compared):
 
 def test_comparison_repeats_the_figures_of_its_parts(compared):
     result = json.loads((compared / "result.json").read_text())
-    assert [case["method"] for case in result["cases"]] == list(METHODS)
+    assert [case["method"] for case in result["cases"]] == list(FRINGES)
     for case in result["cases"]:
         part = json.loads((compared / case["name"] / case["method"] / "result.json").read_text())
         assert case["figures"] == part["metrics"]
@@ -101,12 +102,12 @@ def test_comparison_repeats_the_figures_of_its_parts(compared):
 
 def test_page_shows_every_method_and_needs_no_network(compared):
     page = (compared / "report.html").read_text(encoding="utf-8")
-    assert page.count("data:image/png;base64,") == 1 + 4 * len(METHODS)
+    assert page.count("data:image/png;base64,") == 1 + 4 * len(FRINGES)
     for target in re.findall(r"""(?:src|href)\s*=\s*["']([^"']{0,60})""", page):
         assert target.startswith("data:") or (compared / target).is_file(), target
     assert "url(" not in page
     assert "<script" not in page
-    for method in METHODS:
+    for method in FRINGES:
         figures = json.loads((compared / "ball" / method / "result.json").read_text())["metrics"]
         assert percent(figures["good_share"]) in page
         assert f"{figures['z_rmse_um']:.2f}" in page
@@ -204,17 +205,17 @@ def test_another_experiment_of_that_name_is_measured_anew(compared, tmp_path, mo
     out, asked = tmp_path / "out", []
     shutil.copytree(compared, out)
 
-    def refuse(case, watch):
+    def refuse(folder, command, case, watch):
         asked.append(case.modality)
         raise InputError("measured\nagain")
 
-    monkeypatch.setattr(comparison, "measure", refuse)
+    monkeypatch.setattr(comparison, "measure_into", refuse)
     same = load_experiment(compared / "ball" / "direct_fpp" / "experiment.toml")
-    assert all(one.reused and not one.failure for one in compare([same], METHODS, out))
+    assert all(one.reused and not one.failure for one in compare([same], FRINGES, out))
     assert asked == []
     noisier = same.model_copy(update={"seed": same.seed + 1})
-    outcomes = compare([noisier], METHODS, out)
-    assert asked == list(METHODS)
+    outcomes = compare([noisier], FRINGES, out)
+    assert asked == list(FRINGES)
     assert {one.failure for one in outcomes} == {"measured again"}
 
 
@@ -238,12 +239,12 @@ def test_methods_are_named_exactly(text, complaint):
 def test_folders_and_names_of_others_are_refused(compared, direct, tmp_path):
     experiment = direct.experiment
     with pytest.raises(InputError, match="found ball in more than one"):
-        compare([experiment, experiment], METHODS, tmp_path)
+        compare([experiment, experiment], FRINGES, tmp_path)
     (tmp_path / "thesis.tex").write_text("years of work")
     with pytest.raises(InputError, match=r"no earlier comparison \(found thesis.tex\)"):
-        compare([experiment], METHODS, tmp_path)
+        compare([experiment], FRINGES, tmp_path)
     with pytest.raises(InputError, match="no earlier comparison"):
-        compare([experiment], METHODS, compared / "ball" / "direct_fpp")
+        compare([experiment], FRINGES, compared / "ball" / "direct_fpp")
     assert run(["compare", "-o", str(tmp_path)]) == 2
 
 

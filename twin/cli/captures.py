@@ -1,10 +1,13 @@
 """Commands for captures, rendered or real: patterns, calibration, reconstruction, reports."""
 
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from twin.cli.app import Out, Settings, app
 from twin.cli.console import load, print_metrics, progress_bars, say
+
+if TYPE_CHECKING:
+    from twin.config import Experiment
 
 
 @app.command
@@ -67,6 +70,7 @@ def calibrate(
     camera_distortion: tuple[Literal["k1", "k2", "p1", "p2", "k3"], ...] = ("k1",),
     projector_distortion: tuple[Literal["k1", "k2", "p1", "p2", "k3"], ...] = (),
     keep_captures: bool = False,
+    as_images: bool = False,
 ) -> None:
     """Calibrate camera and projector on captures of a board, or on rendered ones.
 
@@ -80,6 +84,8 @@ def calibrate(
         Coefficients to estimate.
     keep_captures
         Keep the rendered captures as captures/pose_NN.
+    as_images
+        Keep them as PNG images, as a real camera gives them; camera.bit_depth=8 makes 8-bit ones.
     """
     from reconstruction.calibrating import AdjustOptions, Freedom
     from twin.config.board import load_board
@@ -95,14 +101,34 @@ def calibrate(
             if source.is_dir():
                 done = calibrate_captures(source, shown, options, watch=watch)
             else:
-                keep = folder / "captures" if keep_captures else None
+                keep = folder / "captures" if keep_captures or as_images else None
                 done = calibrate_rendered(
-                    load(source, settings), shown, options, keep=keep, watch=watch
+                    _rig(source, settings),
+                    shown,
+                    options,
+                    keep=keep,
+                    as_images=as_images,
+                    watch=watch,
                 )
         figures = write_board_calibration(folder, done)
         draw_calibration(folder, done)
     print_metrics(figures)
     say(f"wrote {out}")
+
+
+def _rig(source: Path, settings: Settings) -> "Experiment":
+    from reconstruction.errors import InputError
+    from twin.assets import AssetError
+
+    try:
+        return load(source, settings)
+    except AssetError:
+        if source.suffix == ".toml":
+            raise
+        raise InputError(
+            f"{source}: no such folder of captures and no such experiment; give the folder that "
+            "holds one capture folder per board pose, or an experiment such as paper/two_balls"
+        ) from None
 
 
 @app.command

@@ -17,7 +17,12 @@ def load(file: Path, settings: list[str] | None) -> "Experiment":
     """Load an experiment and lay KEY=VALUE settings over it."""
     from twin.config import load_experiment
 
-    return load_experiment(str(file), dict(_setting(text) for text in settings or []))
+    return load_experiment(str(file), settings_of(settings))
+
+
+def settings_of(texts: list[str] | None) -> dict[str, Any]:
+    """Return KEY=VALUE settings as values by dotted path."""
+    return dict(_setting(text) for text in texts or [])
 
 
 def _setting(text: str) -> tuple[str, Any]:

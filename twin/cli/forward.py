@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Literal
 
 from reconstruction.errors import InputError
 from twin.cli.app import BAD_INPUT, Out, Settings, app
-from twin.cli.console import load, print_metrics, progress_bars, say
+from twin.cli.console import load, print_metrics, progress_bars, say, settings_of
 
 if TYPE_CHECKING:
     from twin.config import Experiment
@@ -121,10 +121,7 @@ def measure(experiment: Path, /, *, out: Out, settings: Settings = None) -> None
         TOML file, or the name of a shipped experiment such as paper/two_balls.
     """
     loaded = load(experiment, settings)
-    if loaded.modality == "photometric_stereo":
-        _measure_photometric(loaded, out)
-    else:
-        _measure(loaded, out, "measure")
+    _measure(loaded, out, "measure")
 
 
 @app.command
@@ -145,6 +142,9 @@ def compare(
     out: Out,
     settings: Settings = None,
     methods: str = "direct_fpp,contact_fpp",
+    photometric_rig: str = "rigs/gelsight_mini",
+    photometric_set: list[str] | None = None,
+    match: Literal["force", "depth"] = "force",
 ) -> int:
     """Measure each specimen by each method and set the results side by side.
 
@@ -155,18 +155,27 @@ def compare(
     experiments
         TOML files, or names of shipped experiments such as paper/nut paper/brick.
     methods
-        Which, and in which order they are shown: direct_fpp, contact_fpp.
+        Which, and in which order they are shown: direct_fpp, contact_fpp, photometric_stereo.
+    photometric_rig
+        Sensor of photometric_stereo: TOML file without specimen, or name of a shipped rig.
+        Specimen, load and scoring come from EXPERIMENT.
+    photometric_set
+        KEY=VALUE over that rig, as --set is over EXPERIMENT.
+    match
+        What the presses of contact_fpp and photometric_stereo share: the force, or the depth.
     """
     from twin.modalities.comparison import compare as run_all
     from twin.modalities.comparison import methods_named
+    from twin.modalities.instruments import PhotometricPlan
     from twin.report import comparison_table, write_comparison, write_report
 
     chosen = methods_named(methods)
     if not experiments:
         raise InputError("EXPERIMENT: found none; name at least one, e.g. twin compare paper/nut")
     loaded = [load(experiment, settings) for experiment in experiments]
+    plan = PhotometricPlan(photometric_rig, settings_of(photometric_set), match)
     with progress_bars() as watch:
-        outcomes = run_all(loaded, chosen, out, write_report, watch)
+        outcomes = run_all(loaded, chosen, out, write_report, watch=watch, plan=plan)
         page = write_comparison(out, watch)
     say(comparison_table(outcomes))
     say(f"wrote {page}")
@@ -203,30 +212,13 @@ def export(experiment: Path, /, *, out: Out, settings: Settings = None) -> None:
     say(f"wrote {out / 'scene.xml'}")
 
 
-def _measure_photometric(experiment: "Experiment", out: Path) -> None:
-    from twin.modalities import measure_photometric
-    from twin.modalities.photometric_score import photometric_metrics
-    from twin.modalities.photometric_storage import write_photometric
-    from twin.output import output_folder
-
-    with output_folder(out) as folder, progress_bars() as watch:
-        done = measure_photometric(experiment, watch)
-        write_photometric(folder, "measure", experiment, done)
-    print_metrics(photometric_metrics(done.score))
-    say(f"wrote {out}")
-
-
 def _measure(experiment: "Experiment", out: Path, command: str) -> None:
-    from twin.modalities import measure as run
-    from twin.modalities.storage import write_measurement
+    from twin.modalities.measuring import measure_into
     from twin.output import output_folder
     from twin.report import summary_table, write_report
 
     with output_folder(out) as folder, progress_bars() as watch:
-        done = run(experiment, watch)
-        watch("write", 0.0)
-        write_measurement(folder, command, experiment, done)
-        watch("write", 1.0)
+        measure_into(folder, command, experiment, watch)
         write_report(folder, watch)
     say(summary_table(out))
     say(f"wrote {out / 'report.html'}")

@@ -9,6 +9,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from reconstruction.calibrating import (
     AdjustOptions,
     BoardCapture,
@@ -23,6 +25,7 @@ from reconstruction.calibrating.quality import parameters_of
 from reconstruction.calibration import Calibration
 from reconstruction.capture import Capture, write_capture
 from reconstruction.errors import InputError
+from reconstruction.frame_set_writing import write_frame_set
 from twin.camera import expose
 from twin.config import Experiment, digest
 from twin.config.board import BoardFile, BoardPose
@@ -79,6 +82,7 @@ def calibrate_rendered(
     options: AdjustOptions | None = None,
     *,
     keep: Path | None = None,
+    as_images: bool = False,
     watch: Watcher = nobody,
 ) -> BoardCalibration:
     """Render every pose of the board file and calibrate on the images.
@@ -91,6 +95,8 @@ def calibrate_rendered(
     options : AdjustOptions, optional
     keep : Path, optional
         New folder for the captures, each with the TRUE calibration beside it.
+    as_images : bool
+        Keep image files instead, as a real camera gives them, without a calibration.
     watch : Watcher
 
     Raises
@@ -108,7 +114,7 @@ def calibrate_rendered(
         watch("poses", number / len(board.poses))
         capture = record_board(experiment, board, pose, number)
         if keep is not None:
-            _keep(keep / name, capture, experiment)
+            _keep(keep / name, capture, experiment, as_images)
         seen.append(observe(capture, board.board(), name))
     watch("poses", 1.0)
     named = _digest([digest(experiment), _canonical(board), repr(options)])
@@ -130,20 +136,36 @@ def calibrate_captures(
         A capture is incomplete, the board is not recognised, or the poses do not determine the rig.
     """
     folders = pose_folders(folder)
-    seen, named = [], [_canonical(board), repr(options)]
+    seen, named, size = [], [_canonical(board), repr(options)], ""
     for number, path in enumerate(folders):
         watch("poses", number / len(folders))
         capture = read_board_capture(path)
+        size = _size(capture) if number == 0 else size
+        if _size(capture) != size:
+            raise InputError(
+                f"{path.name}: {_size(capture)}, but {folders[0].name}: {size}; record all poses "
+                "with the same camera and projector images"
+            )
         named.append(hashlib.blake2b(capture.stack.tobytes(), digest_size=8).hexdigest())
         seen.append(observe(capture, board.board(), path.name))
     watch("poses", 1.0)
     return BoardCalibration(calibrate(seen, options), tuple(seen), _digest(named))
 
 
-def _keep(folder: Path, capture: BoardCapture, experiment: Experiment) -> None:
+def _size(capture: BoardCapture) -> str:
+    _, rows, cols = capture.stack.shape
+    shown = capture.patterns
+    return f"{cols} x {rows} px seen, {shown.width_px} x {shown.height_px} px projected"
+
+
+def _keep(folder: Path, capture: BoardCapture, experiment: Experiment, as_images: bool) -> None:
     folder.mkdir(parents=True)
-    calibration: Calibration = true_calibration(experiment)
     depth = experiment.camera.bit_depth
+    if as_images:
+        stack = capture.stack.astype(np.uint8) if depth == 8 else capture.stack
+        write_frame_set(folder, stack, capture.patterns, capture.sensor, depth)
+        return
+    calibration: Calibration = true_calibration(experiment)
     write_capture(
         folder, Capture(capture.stack, capture.patterns, capture.sensor, calibration, depth)
     )

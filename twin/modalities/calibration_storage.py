@@ -14,6 +14,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from reconstruction.calibrating.quality import pupil_diameter_mm
 from reconstruction.calibration import write_calibration
 from twin.config import to_toml
 from twin.modalities.calibration import BoardCalibration
@@ -33,6 +34,7 @@ def calibration_metrics(done: BoardCalibration) -> dict[str, Any]:
         "camera_reprojection_rms_px": _rms([pose.camera_px for pose in found.poses]),
         "projector_reprojection_rms_px": _rms([pose.projector_px for pose in found.poses]),
         "epipolar_rms_px": _rms([pose.epipolar_px for pose in found.poses]),
+        "camera_pupil_diameter_mm": pupil_diameter_mm(found.adjustment),
     }
     truth = done.truth
     for parameter in found.parameters:

@@ -7,17 +7,15 @@ Everything of one comparison lies in one folder, `NAME/METHOD/` as `twin measure
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from reconstruction.errors import InputError
-from twin.config import Experiment, digest, vary
-from twin.modalities.measurement import measure
+from twin.config import Experiment, digest
+from twin.modalities.instruments import METHODS, Method, PhotometricPlan, case_for
+from twin.modalities.measuring import measure_into
 from twin.modalities.progress import Watcher, nobody
-from twin.modalities.storage import write_measurement
 from twin.output import RESULT_FILE, output_folder, read_json, versions, write_json
 
-Method = Literal["direct_fpp", "contact_fpp"]
-METHODS: tuple[Method, ...] = ("direct_fpp", "contact_fpp")
 COMPARISON_FILES = (RESULT_FILE, "report.html")
 COMPARISON_FOLDERS = ("figures",)
 COMMAND = "compare"
@@ -68,7 +66,9 @@ def compare(
     methods: Sequence[Method],
     out: Path,
     finish: Callable[[Path], object] = lambda _: None,
+    *,
     watch: Watcher = nobody,
+    plan: PhotometricPlan | None = None,
 ) -> list[Outcome]:
     """Measure every experiment by every method, into `out`.
 
@@ -79,6 +79,7 @@ def compare(
     out : folder of the comparison; an earlier one is continued
     finish : completes each result folder before it becomes visible, for example by its report
     watch : told how far each measurement is
+    plan : sensor and load of photometric stereo; a GelSight Mini under the same force by default
 
     Returns
     -------
@@ -94,10 +95,9 @@ def compare(
     """
     _refuse_namesakes(experiments)
     _refuse_foreign(out)
+    run = _Run(out, finish, watch, plan or PhotometricPlan())
     outcomes = [
-        _outcome(experiment, method, out, finish, watch)
-        for experiment in experiments
-        for method in methods
+        _outcome(experiment, method, run) for experiment in experiments for method in methods
     ]
     _write(out, outcomes)
     return outcomes
@@ -128,34 +128,31 @@ def is_comparison(folder: Path) -> bool:
     return path.is_file() and read_json(path).get("command") == COMMAND
 
 
-def _outcome(
-    experiment: Experiment,
-    method: Method,
-    out: Path,
-    finish: Callable[[Path], object],
-    watch: Watcher,
-) -> Outcome:
+@dataclass(frozen=True)
+class _Run:
+    """What all measurements of one comparison share; see `compare`."""
+
+    out: Path
+    finish: Callable[[Path], object]
+    watch: Watcher
+    plan: PhotometricPlan
+
+
+def _outcome(experiment: Experiment, method: Method, run: _Run) -> Outcome:
     name, told = experiment.name, experiment.description
-    folder = out / name / method
+    folder = run.out / name / method
     try:
-        case = vary(experiment, {"modality": method})
+        case = case_for(experiment, method, run.plan)
         kept = _finished(folder, case)
         if kept is None:
-            _measure_into(folder, case, finish, _labelled(watch, f"{name}, {method}"))
+            with output_folder(folder) as working:
+                measure_into(working, "measure", case, _labelled(run.watch, f"{name}, {method}"))
+                run.finish(working)
     except InputError as error:
         line = " ".join(str(error).split())
         return Outcome(name, told, method, failure=line)
     figures = kept or read_json(folder / RESULT_FILE)["metrics"]
     return Outcome(name, told, method, digest(case), figures, reused=kept is not None)
-
-
-def _measure_into(
-    folder: Path, case: Experiment, finish: Callable[[Path], object], watch: Watcher
-) -> None:
-    with output_folder(folder) as working:
-        done = measure(case, watch)
-        write_measurement(working, "measure", case, done)
-        finish(working)
 
 
 def _finished(folder: Path, case: Experiment) -> dict[str, Any] | None:

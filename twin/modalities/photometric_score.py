@@ -37,6 +37,8 @@ class PhotometricScore:
     """Errors of world z against the true coat at the pixel centres, and the balls' fits.
 
     Only pixels within the stated field count. `completeness` and `good_share` as for fringes.
+    `height_scale` is the slope of measured over true z, by least squares with a free zero; 1 where
+    heights are neither flattened nor stretched.
     """
 
     points: int
@@ -46,6 +48,7 @@ class PhotometricScore:
     z_rmse_um: float
     z_bias_um: float
     z_p95_um: float
+    height_scale: float
     spheres: tuple[SphereScore, ...]
     unfitted: tuple[str, ...]
 
@@ -92,9 +95,15 @@ def score_heights(experiment: Experiment, found: WorldHeights, truth: Truth) -> 
         z_rmse_um=float(np.sqrt(np.mean(error_um**2))),
         z_bias_um=float(np.mean(error_um)),
         z_p95_um=float(np.percentile(np.abs(error_um), 95)),
+        height_scale=_scale(found.points_mm[both][:, 2], truth.points_world_mm[both][:, 2]),
         spheres=tuple(fitted),
         unfitted=tuple(unfitted),
     )
+
+
+def _scale(found_mm: Doubles, true_mm: FloatImage) -> float:
+    true = true_mm.astype(np.float64) - true_mm.mean(dtype=np.float64)
+    return float(true @ (found_mm - found_mm.mean()) / max(float(true @ true), 1e-30))
 
 
 def _spheres(
@@ -150,7 +159,7 @@ def photometric_metrics(scored: PhotometricScore) -> dict[str, Any]:
     """Flatten a score to names with units, for result.json."""
     names = (
         "points", "wanted_pixels", "completeness", "good_share", "z_rmse_um", "z_bias_um",
-        "z_p95_um",
+        "z_p95_um", "height_scale",
     )  # fmt: skip
     figures: dict[str, Any] = {name: getattr(scored, name) for name in names}
     figures["unfitted_balls"] = list(scored.unfitted)

@@ -7,7 +7,7 @@ untouched gel, and the specimen. All of them are pressed, rendered and developed
 import json
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,16 +17,14 @@ from reconstruction.errors import InputError
 from reconstruction.photometric import (
     BallPress,
     HeightMap,
-    PhotometricDecoder,
-    PhotometricOptions,
     SensorCalibration,
     calibrate_sensor,
 )
 from reconstruction.photometric.calibration_ball import SampleOptions
 from reconstruction.photometric.sensor_calibration import MapKind
 from reconstruction.pinhole import Pinhole
-from twin.config import Experiment, seed_sequence
-from twin.config.models import Ball, Press
+from twin.config import Experiment
+from twin.config.models import Ball
 from twin.mechanics import PressedElastomer, face_mesh
 from twin.modalities.colour_images import (
     cropped_pinhole,
@@ -35,8 +33,10 @@ from twin.modalities.colour_images import (
     with_fixed_exposure,
 )
 from twin.modalities.contact_fpp import press_specimen
-from twin.modalities.photometric_score import PhotometricScore, in_world, score_heights
+from twin.modalities.photometric_decoders import MAP_ORDER, Decoded, chosen, decode_all
+from twin.modalities.photometric_score import PhotometricScore
 from twin.modalities.progress import Stopwatch, Watcher, nobody
+from twin.modalities.reference_balls import ball_presses, with_ball
 from twin.optics.backend import activate
 from twin.optics.rig import world_from_device
 from twin.optics.stack import Truth
@@ -106,15 +106,40 @@ class ColourSensor:
 
 @dataclass(frozen=True, eq=False)
 class PhotometricMeasurement:
-    """One virtual measurement by photometric stereo, whole."""
+    """One virtual measurement by photometric stereo, whole.
+
+    Attributes
+    ----------
+    calibrations : dict
+        One per colour map, on the same reference images.
+    decoded : list of Decoded
+        The image by every decoder.
+    own : Decoded
+        That of the experiment's own decoder.
+    """
 
     pressed: PressedElastomer
     image: Levels
-    calibration: SensorCalibration
-    heights: HeightMap
+    calibrations: dict[MapKind, SensorCalibration]
+    decoded: list[Decoded]
+    own: Decoded
     truth: Truth
-    score: PhotometricScore
     seconds: dict[str, float]
+
+    @property
+    def calibration(self) -> SensorCalibration:
+        """Calibration of the experiment's own colour map."""
+        return self.calibrations[self.own.colour_map]
+
+    @property
+    def heights(self) -> HeightMap:
+        """Heights by the experiment's own decoder."""
+        return self.own.heights
+
+    @property
+    def score(self) -> PhotometricScore:
+        """Score of the experiment's own decoder."""
+        return self.own.score
 
 
 def sensor_of(experiment: Experiment) -> ColourSensor:
@@ -136,22 +161,6 @@ def sensor_of(experiment: Experiment) -> ColourSensor:
     pinhole = cropped_pinhole(experiment)
     background = scene.render(pinhole, world_from_device(experiment.camera.pose, pinhole))
     return ColourSensor(with_fixed_exposure(experiment, background), scene, background)
-
-
-def ball_presses(experiment: Experiment) -> list[Experiment]:
-    """Draw the reference presses: balls at random places of the field, from the root seed."""
-    plan, size = experiment.photometric.presses, experiment.photometric
-    rng = np.random.default_rng(seed_sequence(experiment, "reference_balls"))
-    found = []
-    for _ in range(plan.count):
-        diameter_mm = rng.uniform(plan.smallest_diameter_mm, plan.largest_diameter_mm)
-        depth_mm = 0.5 * diameter_mm * rng.uniform(plan.shallowest, plan.deepest)
-        # A contact's radius is below sqrt(2 R d), the ball's section by the plane.
-        half = np.array([size.field_x_mm, size.field_y_mm]) / 2 - np.sqrt(diameter_mm * depth_mm)
-        x_mm, y_mm = rng.uniform(-1.0, 1.0, 2) * np.maximum(half, 0.0)
-        ball = Ball(diameter_mm=diameter_mm, x_mm=x_mm, y_mm=y_mm)
-        found.append(with_ball(experiment, ball, depth_mm))
-    return found
 
 
 def reference_images(experiment: Experiment, sensor: ColourSensor) -> list[BallPress]:
@@ -176,12 +185,31 @@ def calibrated_sensor(experiment: Experiment) -> tuple[ColourSensor, SensorCalib
     InputError, MissingBackend
         As `sensor_of`.
     """
+    sensor, calibrations = sensor_with_maps(experiment)
+    return sensor, calibrations[experiment.photometric.colour_map]
+
+
+def sensor_with_maps(
+    experiment: Experiment,
+) -> tuple[ColourSensor, dict[MapKind, SensorCalibration]]:
+    """Return the sensor and one calibration per colour map, all on the same reference images.
+
+    Raises
+    ------
+    FitError
+        A press without a contact circle, or too few presses.
+    InputError, MissingBackend
+        As `sensor_of`.
+    """
     rig = with_ball(experiment, Ball(), 0.5).model_dump(mode="json", exclude={"provenance"})
-    rig |= {"name": "rig", "description": ""}
-    kind = rig["photometric"].pop("colour_map")
-    rig["photometric"].pop("integration")  # what comes after the reference images
+    # Left out is what the reference images do not depend on.
+    rig |= {"name": "rig", "description": "", "score": {"roi_radius_mm": 1.0}}
+    for other in ("stage", "decode"):
+        rig.pop(other)
+    for later in ("colour_map", "integration"):
+        rig["photometric"].pop(later)
     photographed = _photographed(json.dumps(rig, sort_keys=True))
-    return photographed.sensor, _calibrated(photographed, kind)
+    return photographed.sensor, {kind: _calibrated(photographed, kind) for kind in MAP_ORDER}
 
 
 @dataclass(frozen=True, eq=False)
@@ -237,17 +265,14 @@ def measure_photometric(
     with clock.stage("press"):
         pressed = press_specimen(experiment)
     with clock.stage("calibrate"):
-        sensor, calibration = calibrated_sensor(experiment)
+        sensor, calibrations = sensor_with_maps(experiment)
     with clock.stage("render"):
         face = face_mesh(pressed)
         image, truth = sensor.image(face, _FIRST_TRIAL + trial), sensor.truth(face)
     with clock.stage("reconstruct"):
-        options = PhotometricOptions(integration=experiment.photometric.integration)
-        heights = PhotometricDecoder(calibration, options).decode(image)
-    with clock.stage("score"):
-        scored = score_heights(experiment, in_world(heights), truth)
+        decoded = decode_all(experiment, image, calibrations, truth)
     return PhotometricMeasurement(
-        pressed, image, calibration, heights, truth, scored, clock.seconds
+        pressed, image, calibrations, decoded, chosen(experiment, decoded), truth, clock.seconds
     )
 
 
@@ -262,15 +287,6 @@ def _check(experiment: Experiment) -> None:
         )
     if camera.depth_of_field:
         raise InputError("camera.depth_of_field: not rendered for photometric stereo; set it false")
-
-
-def with_ball(experiment: Experiment, ball: Ball, depth_mm: float) -> Experiment:
-    """Return the experiment with a ball pressed to a depth instead of its own specimen."""
-    pitches: dict[str, Any] = experiment.press.model_dump(
-        include={"solver_pitch_mm", "relief_pitch_mm"}
-    )
-    load = Press(control="depth", depth_mm=depth_mm, **pitches)
-    return experiment.model_copy(update={"specimen": ball, "press": load})
 
 
 def _untouched(experiment: Experiment) -> PressedElastomer:

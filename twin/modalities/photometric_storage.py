@@ -6,7 +6,9 @@
 | press.nc, coated_face.ply | fields of the pressed gel and its coat |
 | image.png, background.png | what the sensor's driver delivers, 8-bit RGB |
 | sensor_calibration.npz | the sensor's colour map (see `read_sensor_calibration`) |
+| other_calibration.npz | the other kind of colour map, on the same reference images |
 | height.nc, points.ply | height, slopes and reason codes; valid points in the world |
+| decoders.csv | figures of this image by every colour map and every integration |
 | truth.nc | point and normal behind every pixel of the image |
 """
 
@@ -21,10 +23,14 @@ from reconstruction.photometric import (
     write_sensor_calibration,
 )
 from twin.config import Experiment
+from twin.modalities.photometric_decoders import write_decoders
 from twin.modalities.photometric_score import photometric_metrics
 from twin.modalities.photometric_stereo import PhotometricMeasurement
 from twin.modalities.storage import press_metrics, write_pressed, write_result, write_timings
 from twin.optics.storage import write_truth
+
+IMAGE_FILE, BACKGROUND_FILE, DECODERS_FILE = "image.png", "background.png", "decoders.csv"
+CALIBRATION_FILE, OTHER_CALIBRATION_FILE = "sensor_calibration.npz", "other_calibration.npz"
 
 
 def write_photometric(
@@ -32,10 +38,14 @@ def write_photometric(
 ) -> None:
     """Write everything of one measurement."""
     write_pressed(folder, done.pressed)
-    imageio.imwrite(folder / "image.png", done.image)
+    imageio.imwrite(folder / IMAGE_FILE, done.image)
     background = np.rint(done.calibration.background).astype(np.uint8)
-    imageio.imwrite(folder / "background.png", background)
-    write_sensor_calibration(folder / "sensor_calibration.npz", done.calibration)
+    imageio.imwrite(folder / BACKGROUND_FILE, background)
+    for kind, calibration in done.calibrations.items():
+        own = kind == done.own.colour_map
+        file = CALIBRATION_FILE if own else OTHER_CALIBRATION_FILE
+        write_sensor_calibration(folder / file, calibration)
+    write_decoders(folder / DECODERS_FILE, done.decoded)
     write_height_map(folder / "height.nc", done.heights)
     write_height_points(folder / "points.ply", done.heights)
     write_truth(folder / "truth.nc", done.truth)

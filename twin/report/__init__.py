@@ -5,6 +5,7 @@ Everything here reads result folders only; nothing renders, so no renderer is ne
 
 from twin.report.comparison import write_comparison
 from twin.report.page import write_report
-from twin.report.table import comparison_table, summary_table
+from twin.report.summary import summary_table
+from twin.report.table import comparison_table
 
 __all__ = ["comparison_table", "summary_table", "write_comparison", "write_report"]

@@ -6,7 +6,7 @@ from typing import Any
 
 from twin.config.models import Experiment, Provenance
 from twin.report.fields import in_words, split_unit
-from twin.report.result_folder import Measured
+from twin.report.result_folder import Result
 
 _HEAD = ("schema_version", "name", "description", "provenance")
 
@@ -44,7 +44,7 @@ def settings(experiment: Experiment) -> dict[str, list[Setting]]:
     return sections
 
 
-def metrics(measured: Measured) -> list[Figure]:
+def metrics(measured: Result) -> list[Figure]:
     """Return the metrics of result.json; warnings stand at the head of the report."""
     found = []
     for name, value in measured.figures.items():
@@ -54,12 +54,12 @@ def metrics(measured: Measured) -> list[Figure]:
     return found
 
 
-def timings(measured: Measured) -> list[Figure]:
+def timings(seconds: dict[str, float]) -> list[Figure]:
     """Return the wall-clock time of each stage."""
-    return [Figure(name, f"{value:.2f}", "s") for name, value in measured.seconds.items()]
+    return [Figure(name, f"{value:.2f}", "s") for name, value in seconds.items()]
 
 
-def versions(measured: Measured) -> list[Figure]:
+def versions(measured: Result) -> list[Figure]:
     """Return the versions of what made the result."""
     return [Figure(name, str(value)) for name, value in measured.versions.items()]
 

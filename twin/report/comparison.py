@@ -1,36 +1,31 @@
 """The report of a comparison: every specimen by every method, as one HTML page."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from twin.modalities.comparison import Outcome, read_outcomes
+from twin.modalities.instruments import Method
 from twin.modalities.progress import Watcher, nobody
-from twin.report.comparison_view import (
-    METHOD_NAMES,
-    METHOD_WORDS,
-    PANELS,
-    draw_panel,
-    overview,
+from twin.report import direct, photometric
+from twin.report.comparison_figures import (
+    ROWS,
+    Gist,
+    RatioRow,
+    gist_of,
+    press_in_words,
+    ratio_in_words,
+    ratio_rows,
+    values,
 )
-from twin.report.direct import percent, verdict_in_words
-from twin.report.html import data_uri, make_folder, template, write_page
-from twin.report.result_folder import Measured, read_measured
+from twin.report.comparison_panels import AnyMeasured, panels_of, read_any
+from twin.report.comparison_view import METHOD_NAMES, METHOD_WORDS, draw_panel, overview
+from twin.report.direct import percent
+from twin.report.html import FIGURES_FOLDER, data_uri, make_folder, template, write_page
+from twin.report.photometric_folder import Photographed
 
-FIGURES_FOLDER, REPORT_FILE = "figures", "report.html"
+REPORT_FILE = "report.html"
 _STAGE, _OVERVIEW = "report", "overview.png"
-
-ROWS = (
-    "points on",
-    "good points",
-    "z error, RMS (µm)",
-    "z error, mean (µm)",
-    "z error, P95 (µm)",
-    "wrong fringe orders",
-    "saturated pixel values",
-    "exposure (ms)",
-    "sphere radii (mm)",
-)
-"""Labels of the table under each specimen, in the order of `_values`."""
 
 
 @dataclass(frozen=True)
@@ -45,6 +40,17 @@ class Cell:
     verdict: str = ""
     shares: list[dict[str, str]] = field(default_factory=list)
     pictures: list[dict[str, str]] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class Specimen:
+    """One specimen on the page: a cell per method, and what only all methods together say."""
+
+    description: str
+    cells: list[Cell]
+    press: str
+    ratios: list[RatioRow]
+    paper: str
 
 
 def write_comparison(folder: Path, watch: Watcher = nobody) -> Path:
@@ -71,25 +77,47 @@ def write_comparison(folder: Path, watch: Watcher = nobody) -> Path:
     pictures = folder / FIGURES_FOLDER
     make_folder(pictures)
     methods = tuple(dict.fromkeys(outcome.method for outcome in outcomes))
-    names = tuple(dict.fromkeys(outcome.name for outcome in outcomes))
-    cells: dict[str, list[Cell]] = {name: [] for name in names}
-    with overview(pictures / _OVERVIEW, methods, names) as fill:
-        for number, outcome in enumerate(outcomes, start=1):
-            measured = _read(folder, outcome)
-            fill(outcome.name, outcome.method, measured)
-            cells[outcome.name].append(_cell(pictures, outcome, measured))
-            watch(_STAGE, number / (len(outcomes) + 1))
+    by_name: dict[str, list[Outcome]] = {}
+    for outcome in outcomes:
+        by_name.setdefault(outcome.name, []).append(outcome)
+    specimens = {}
+    with overview(pictures / _OVERVIEW, methods, tuple(by_name)) as fill:
+        for number, (name, parts) in enumerate(by_name.items(), start=1):
+            specimens[name] = _specimen(folder, parts, fill)
+            watch(_STAGE, number / (len(by_name) + 1))
     path = folder / REPORT_FILE
-    write_page(path, _page(pictures, outcomes, cells))
+    write_page(path, _page(pictures, methods, specimens))
     watch(_STAGE, 1.0)
     return path
 
 
-def _read(folder: Path, outcome: Outcome) -> Measured | None:
-    return None if outcome.failure else read_measured(folder / outcome.name / outcome.method)
+def _specimen(
+    folder: Path,
+    outcomes: list[Outcome],
+    fill: Callable[[str, Method, AnyMeasured | None], None],
+) -> Specimen:
+    """Draw one specimen by every method, one after the other."""
+    found: dict[str, Gist | None] = {}
+    cells = []
+    for outcome in outcomes:
+        measured = _read(folder, outcome)
+        fill(outcome.name, outcome.method, measured)
+        cells.append(_cell(folder / FIGURES_FOLDER, outcome, measured))
+        found[outcome.method] = None if measured is None else gist_of(measured)
+    return Specimen(
+        outcomes[0].description,
+        cells,
+        press_in_words(found),
+        ratio_rows(found),
+        ratio_in_words(found),
+    )
 
 
-def _cell(pictures: Path, outcome: Outcome, measured: Measured | None) -> Cell:
+def _read(folder: Path, outcome: Outcome) -> AnyMeasured | None:
+    return None if outcome.failure else read_any(folder / outcome.name / outcome.method)
+
+
+def _cell(pictures: Path, outcome: Outcome, measured: AnyMeasured | None) -> Cell:
     cell = Cell(
         title=METHOD_NAMES[outcome.method],
         words=METHOD_WORDS[outcome.method],
@@ -101,16 +129,22 @@ def _cell(pictures: Path, outcome: Outcome, measured: Measured | None) -> Cell:
         return cell
     return replace(
         cell,
-        verdict=verdict_in_words(measured),
+        verdict=_verdict(measured),
         shares=_shares(measured),
         pictures=_pictures(pictures, outcome, measured),
-        values=_values(measured),
+        values=values(measured),
     )
 
 
-def _pictures(pictures: Path, outcome: Outcome, measured: Measured) -> list[dict[str, str]]:
+def _verdict(measured: AnyMeasured) -> str:
+    if isinstance(measured, Photographed):
+        return photometric.verdict_in_words(measured)
+    return direct.verdict_in_words(measured)
+
+
+def _pictures(pictures: Path, outcome: Outcome, measured: AnyMeasured) -> list[dict[str, str]]:
     shown = []
-    for panel in PANELS:
+    for panel in panels_of(measured):
         path = pictures / f"{outcome.name}_{outcome.method}_{panel.name}.png"
         draw_panel(path, panel, measured)
         alt = f"{outcome.name}, {METHOD_NAMES[outcome.method]}: {panel.caption}"
@@ -118,7 +152,7 @@ def _pictures(pictures: Path, outcome: Outcome, measured: Measured) -> list[dict
     return shown
 
 
-def _shares(measured: Measured) -> list[dict[str, str]]:
+def _shares(measured: AnyMeasured) -> list[dict[str, str]]:
     """Three parts of the wanted pixels, for the bar: good, wrong, none."""
     good, found = measured.figures["good_share"], measured.figures["completeness"]
     limit_um = measured.experiment.score.good_within_um
@@ -133,25 +167,7 @@ def _shares(measured: Measured) -> list[dict[str, str]]:
     ]
 
 
-def _values(measured: Measured) -> list[str]:
-    figures = measured.figures
-    limit_um = measured.experiment.score.good_within_um
-    radii = [f"{ball.measured.radius_mm:.3f}" for ball in measured.score.spheres]
-    return [
-        percent(figures["completeness"]),
-        f"{percent(figures['good_share'])} ({limit_um:g} µm)",
-        *(f"{figures[name]:.2f}" for name in ("z_rmse_um", "z_bias_um", "z_p95_um")),
-        str(figures["wrong_order_pixels"]),
-        f"{figures['saturated_share']:.2%}",
-        f"{figures['exposure_ms']:.3g}",
-        ", ".join(radii) or "–",
-    ]
-
-
-def _page(pictures: Path, outcomes: list[Outcome], cells: dict[str, list[Cell]]) -> str:
+def _page(pictures: Path, methods: tuple[Method, ...], specimens: dict[str, Specimen]) -> str:
     return template("comparison.html").render(
-        overview=data_uri(pictures / _OVERVIEW),
-        descriptions={outcome.name: outcome.description for outcome in outcomes},
-        specimens=cells,
-        rows=ROWS,
+        overview=data_uri(pictures / _OVERVIEW), methods=methods, specimens=specimens, rows=ROWS
     )

@@ -19,7 +19,8 @@ from twin.report.camera_view import (
 from twin.report.canvas import axes_at, drawing
 from twin.report.decoding import REASON_COLOURS
 from twin.report.direct import REASON_WORDS, missing_shares, percent
-from twin.report.figures import Plate, images
+from twin.report.figures import images
+from twin.report.html import Plate
 from twin.report.result_folder import Measured, Scored
 
 _PANEL_IN, _ACROSS_IN, _TOP_IN = 3.1, 3.4, 0.3

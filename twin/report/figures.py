@@ -1,28 +1,15 @@
 """All figures of a report: drawn into the result's `figures` folder, with their captions."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from pathlib import Path
-
 from twin.report.balls import BallView, ball_views, draw_ball
 from twin.report.decoding import draw_decoding
 from twin.report.frames import draw_frames
+from twin.report.html import Plate
 from twin.report.press import draw_press
 from twin.report.relief import draw_height_map, draw_relief_view, z_enlargement
 from twin.report.result_folder import Measured
 from twin.report.rig import draw_rig
 from twin.report.truth_error import draw_truth_error
 from twin.report.world_map import pixel_on_face_mm
-
-
-@dataclass(frozen=True)
-class Plate:
-    """One figure: its name, how it is drawn, its alternative text and its caption."""
-
-    name: str
-    draw: Callable[[Path], None]
-    alt: str
-    caption: str
 
 
 def plates(measured: Measured) -> list[Plate]:

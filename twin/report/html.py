@@ -1,12 +1,55 @@
 """Pages that need no other file and no network: templates, pictures inside, written whole."""
 
 import base64
+from collections.abc import Callable
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
 from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 
 from reconstruction.errors import InputError
+from twin.modalities.progress import Watcher
+
+FIGURES_FOLDER = "figures"
+STAGE = "report"
+
+
+@dataclass(frozen=True)
+class Plate:
+    """One figure: its name, how it is drawn, its alternative text and its caption."""
+
+    name: str
+    draw: Callable[[Path], None]
+    alt: str
+    caption: str
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A drawn figure, as the page takes it."""
+
+    uri: str
+    plate: Plate
+
+
+def draw_pictures(folder: Path, drawn: list[Plate], watch: Watcher) -> dict[str, Picture]:
+    """Draw all figures into `folder`/figures and return them by name.
+
+    Raises
+    ------
+    InputError
+        A figure cannot be written.
+    """
+    figures = folder / FIGURES_FOLDER
+    make_folder(figures)
+    shown = {}
+    for number, plate in enumerate(drawn, start=1):
+        path = figures / f"{plate.name}.png"
+        plate.draw(path)
+        shown[plate.name] = Picture(data_uri(path), plate)
+        watch(STAGE, number / (len(drawn) + 1))
+    return shown
 
 
 @cache

@@ -6,16 +6,15 @@ from twin.modalities.progress import Watcher, nobody
 from twin.report import appendix, direct
 from twin.report.direct_view import direct_plates
 from twin.report.discussion import discussion
-from twin.report.figures import Plate, plates
+from twin.report.figures import plates
 from twin.report.glance import glance
-from twin.report.html import data_uri, make_folder, template, write_page
-from twin.report.result_folder import Measured, read_measured
+from twin.report.html import STAGE, Picture, draw_pictures, template, write_page
+from twin.report.photometric_page import write_photometric_report
+from twin.report.result_folder import Measured, is_photometric, read_measured
 from twin.report.table import HEADINGS, ball_rows
 from twin.report.verdict import verdicts
 
 REPORT_FILE = "report.html"
-FIGURES_FOLDER = "figures"
-_STAGE = "report"
 
 
 def write_report(folder: Path, watch: Watcher = nobody) -> Path:
@@ -37,24 +36,22 @@ def write_report(folder: Path, watch: Watcher = nobody) -> Path:
         The folder is no finished measurement, a file is missing or damaged, or the page cannot
         be written.
     """
-    watch(_STAGE, 0.0)
-    measured = read_measured(folder)
-    drawn = direct_plates(measured) if measured.pressed is None else plates(measured)
-    make_folder(folder / FIGURES_FOLDER)
-    for number, plate in enumerate(drawn, start=1):
-        plate.draw(_picture(folder, plate))
-        watch(_STAGE, number / (len(drawn) + 1))
+    watch(STAGE, 0.0)
     path = folder / REPORT_FILE
-    write_page(path, render_page(measured, folder, drawn))
-    watch(_STAGE, 1.0)
+    write = write_photometric_report if is_photometric(folder) else _write_fringes
+    write(folder, path, watch)
+    watch(STAGE, 1.0)
     return path
 
 
-def render_page(measured: Measured, folder: Path, drawn: list[Plate]) -> str:
-    """Fill the template; the figures must lie in the folder already."""
-    shown = {
-        plate.name: {"uri": data_uri(_picture(folder, plate)), "plate": plate} for plate in drawn
-    }
+def _write_fringes(folder: Path, page: Path, watch: Watcher) -> None:
+    measured = read_measured(folder)
+    drawn = direct_plates(measured) if measured.pressed is None else plates(measured)
+    write_page(page, render_page(measured, draw_pictures(folder, drawn, watch)))
+
+
+def render_page(measured: Measured, shown: dict[str, Picture]) -> str:
+    """Fill the template with figures that are drawn already."""
     pressed = measured.pressed is not None
     return template("report.html").render(
         experiment=measured.experiment,
@@ -71,10 +68,6 @@ def render_page(measured: Measured, folder: Path, drawn: list[Plate]) -> str:
         ball_names=[name for name in shown if name.startswith("ball_")],
         settings=appendix.settings(measured.experiment),
         metrics=appendix.metrics(measured),
-        timings=appendix.timings(measured),
+        timings=appendix.timings(measured.seconds),
         versions=appendix.versions(measured),
     )
-
-
-def _picture(folder: Path, plate: Plate) -> Path:
-    return folder / FIGURES_FOLDER / f"{plate.name}.png"

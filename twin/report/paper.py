@@ -2,6 +2,7 @@
 
 import tomllib
 from dataclasses import dataclass
+from statistics import mean
 
 from twin.assets import asset_path
 from twin.config.models import Experiment, TwoBalls
@@ -36,6 +37,16 @@ def paper_row(experiment: Experiment, method: str, ball: int) -> PaperRow | None
                 p95_mm=row["p95"],
             )
     return None
+
+
+def paper_rmse_ratio(experiment: Experiment) -> float | None:
+    """Return the paper's sphere-fit RMSE of GelSight over contact-FPP, means over both balls.
+
+    None when the specimen is not the paper's.
+    """
+    rows = {m: [paper_row(experiment, m, n) for n in (1, 2)] for m in (GELSIGHT, CONTACT_FPP)}
+    means = [mean(row.rmse_mm for row in found if row) for found in rows.values() if all(found)]
+    return means[0] / means[1] if len(means) == len(rows) else None
 
 
 def _is_papers_artefact(experiment: Experiment) -> bool:

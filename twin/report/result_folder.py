@@ -41,21 +41,31 @@ _NEEDED_OF_A_PRESS = (
 
 
 @dataclass(frozen=True, eq=False)
-class Scored:
-    """What was measured and how good it is.
+class Result:
+    """What every measurement is, whatever the method.
 
     Attributes
     ----------
     figures : dict
         The metrics of result.json, units in their names.
-    score : Score
-        The same scores anew from the stored maps, with residuals per pixel.
     """
 
     experiment: Experiment
     digest: str
     figures: dict[str, Any]
     versions: dict[str, str]
+
+
+@dataclass(frozen=True, eq=False)
+class Scored(Result):
+    """What was measured with fringes and how good it is.
+
+    Attributes
+    ----------
+    score : Score
+        The scores of result.json anew from the stored maps, with residuals per pixel.
+    """
+
     reconstruction: Reconstruction
     truth: Truth
     score: Score
@@ -95,15 +105,44 @@ def read_measured(folder: Path) -> Measured:
         **parts,
         pressed=None if direct else read_press(folder / "press.nc"),
         capture=read_capture(folder / CAPTURE_FOLDER),
-        seconds=_seconds(folder),
+        seconds=read_seconds(folder),
     )
 
 
-def _scored_parts(folder: Path) -> dict[str, Any]:
-    result = _read_result(folder)
+def is_photometric(folder: Path) -> bool:
+    """Return whether a result folder holds a measurement by photometric stereo.
+
+    Raises
+    ------
+    InputError
+        The folder is no finished measurement.
+    """
+    read_result(folder, ())
+    return _read_experiment(folder / EXPERIMENT_FILE).modality == "photometric_stereo"
+
+
+def result_parts(folder: Path, needed: tuple[str, ...]) -> dict[str, Any]:
+    """Read the parts of `Result` and check that all needed figures are there.
+
+    Raises
+    ------
+    InputError
+        The folder is no finished measurement, or a figure is missing.
+    """
+    result = read_result(folder, needed)
     experiment = _read_experiment(folder / EXPERIMENT_FILE)
-    if experiment.modality == "contact_fpp":
+    if experiment.modality != "direct_fpp":
         _require(folder, result["metrics"], _NEEDED_OF_A_PRESS)
+    return {
+        "experiment": experiment,
+        "digest": str(result.get("digest", "")),
+        "figures": result["metrics"],
+        "versions": result.get("versions", {}),
+    }
+
+
+def _scored_parts(folder: Path) -> dict[str, Any]:
+    parts = result_parts(folder, _NEEDED_FIGURES)
     reconstruction = read_reconstruction(folder / "reconstruction.nc")
     truth = read_truth(folder / "truth.nc")
     found, true = reconstruction.point_map.mask_reason.shape, truth.lit.shape
@@ -111,18 +150,21 @@ def _scored_parts(folder: Path) -> dict[str, Any]:
         raise InputError(
             f"{folder}: reconstruction.nc is {found}, truth.nc {true} (row, col); measure again"
         )
-    return {
-        "experiment": experiment,
-        "digest": str(result.get("digest", "")),
-        "figures": result["metrics"],
-        "versions": result.get("versions", {}),
+    return parts | {
         "reconstruction": reconstruction,
         "truth": truth,
-        "score": score(experiment, reconstruction, truth),
+        "score": score(parts["experiment"], reconstruction, truth),
     }
 
 
-def _read_result(folder: Path) -> dict[str, Any]:
+def read_result(folder: Path, needed: tuple[str, ...]) -> dict[str, Any]:
+    """Read result.json of a measurement.
+
+    Raises
+    ------
+    InputError
+        The folder is no finished measurement, or a figure is missing.
+    """
     if not (folder / RESULT_FILE).is_file():
         raise InputError(f"{folder}: no finished result (no {RESULT_FILE}); run twin measure first")
     result = read_json(folder / RESULT_FILE)
@@ -132,7 +174,7 @@ def _read_result(folder: Path) -> dict[str, Any]:
             f"{folder}: result of command {command!r}; "
             f"a report needs one of {', '.join(_MEASURING_COMMANDS)}"
         )
-    _require(folder, figures, _NEEDED_FIGURES)
+    _require(folder, figures, needed)
     return result
 
 
@@ -149,7 +191,7 @@ def _read_experiment(path: Path) -> Experiment:
     return load_experiment(path)
 
 
-def _seconds(folder: Path) -> dict[str, float]:
-    """Stage times; a result may have lost them without losing anything measured."""
+def read_seconds(folder: Path) -> dict[str, float]:
+    """Read stage times; a result may have lost them without losing anything measured."""
     path = folder / TIMINGS_FILE
     return read_json(path) if path.is_file() else {}

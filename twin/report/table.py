@@ -1,7 +1,6 @@
 """The result table: sphere fits per ball beside the paper's, as rows and as plain text."""
 
 from dataclasses import astuple, dataclass, replace
-from pathlib import Path
 from typing import Any
 
 from reconstruction.fit import SphereFit
@@ -9,7 +8,7 @@ from twin.modalities.comparison import Outcome
 from twin.modalities.score import SphereScore
 from twin.report import direct
 from twin.report.paper import CONTACT_FPP, GELSIGHT, PaperRow, paper_row
-from twin.report.result_folder import Scored, read_scored
+from twin.report.result_folder import Scored
 
 HEADINGS = ("radius", "|error|", "RMSE", "MAE", "P95")
 MEASURED_LABEL = "measured"
@@ -31,22 +30,15 @@ class Row:
         return (f"{radius:.3f}", f"{error:.3f}", *(f"{value:.4f}" for value in residuals))
 
 
-def summary_table(folder: Path) -> str:
-    """Return the result of a measurement as a short plain-text table, at most 100 columns.
-
-    Raises
-    ------
-    InputError
-        The folder is no finished measurement, or a file is missing or damaged.
-    """
-    scored = read_scored(folder)
+def fringe_table(scored: Scored) -> str:
+    """Return the result of a measurement with fringes as plain text; see `summary_table`."""
     title = f"{scored.experiment.name}, sphere fits (mm)"
-    lines = [_line(title, HEADINGS)] if scored.score.spheres else []
+    lines = [line_of(title, HEADINGS)] if scored.score.spheres else []
     for ball in scored.score.spheres:
         for row in ball_rows(scored, ball, methods=(CONTACT_FPP,)):
             first = row.label == MEASURED_LABEL
             lines.append(
-                _line(f"{f'ball {ball.number}' if first else '':<8}{row.label}", row.cells)
+                line_of(f"{f'ball {ball.number}' if first else '':<8}{row.label}", row.cells)
             )
     return "\n".join([*lines, *scored.score.unfitted, *_sentences(scored)])
 
@@ -54,10 +46,10 @@ def summary_table(folder: Path) -> str:
 def comparison_table(outcomes: list[Outcome]) -> str:
     """Return the result of a comparison as a short plain-text table, at most 100 columns."""
     heads = ("points", "good", "RMS um", "P95 um", "orders")
-    lines = [_line("specimen, method", heads)]
+    lines = [line_of("specimen, method", heads)]
     for outcome in outcomes:
-        label = f"{outcome.name[:20]:<21}{outcome.method}"
-        lines.append(_line(label, _compared(outcome.figures or {})))
+        label = f"{outcome.name[:16]:<17}{outcome.method}"
+        lines.append(line_of(label, _compared(outcome.figures or {})))
     failed = [f"{one.name}, {one.method}: {one.failure}" for one in outcomes if one.failure]
     return "\n".join([*lines, *failed])
 
@@ -68,7 +60,7 @@ def _compared(figures: dict[str, Any]) -> tuple[str, ...]:
     return (
         *(f"{figures[name]:.1%}" for name in ("completeness", "good_share")),
         *(f"{figures[name]:.2f}" for name in ("z_rmse_um", "z_p95_um")),
-        str(figures["wrong_order_pixels"]),
+        str(figures.get("wrong_order_pixels", "-")),
     )
 
 
@@ -79,8 +71,8 @@ def ball_rows(
     number = sphere.number
     nominal_mm = sphere.nominal.radius_mm
     rows = [
-        Row(number, MEASURED_LABEL, _fit_values(sphere.measured, nominal_mm)),
-        Row(number, "true coated face", _fit_values(sphere.true_face, nominal_mm)),
+        Row(number, MEASURED_LABEL, fit_values(sphere.measured, nominal_mm)),
+        Row(number, "true coated face", fit_values(sphere.true_face, nominal_mm)),
     ]
     if scored.experiment.modality == "direct_fpp":
         return [rows[0], replace(rows[1], label="true surface")]
@@ -91,13 +83,15 @@ def ball_rows(
     return rows
 
 
-def _fit_values(fit: SphereFit, nominal_mm: float) -> tuple[float, ...]:
+def fit_values(fit: SphereFit, nominal_mm: float) -> tuple[float, ...]:
+    """Return one fit as a row of the table, in the order of HEADINGS."""
     stats = fit.stats
     error_mm = abs(fit.radius_mm - nominal_mm)
     return (fit.radius_mm, error_mm, stats.rmse_mm, stats.mae_mm, stats.p95_mm)
 
 
-def _line(label: str, cells: tuple[str, ...]) -> str:
+def line_of(label: str, cells: tuple[str, ...]) -> str:
+    """Return one line of a plain-text table."""
     return f"{label:<36}" + "".join(f"{cell:>{_WIDTH}}" for cell in cells)
 
 

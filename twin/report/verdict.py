@@ -1,7 +1,7 @@
 """The three questions a designer asks first, each with a number and a judgement."""
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 from twin.report.result_folder import Scored
 
@@ -26,7 +26,7 @@ class Verdict:
 def verdicts(scored: Scored) -> list[Verdict]:
     """Judge measurement, shape transfer and press, in this order."""
     shape = [_shape(scored)] if scored.score.spheres else []
-    return [_sensor(scored), *shape, _press(scored)]
+    return [_sensor(scored), *shape, judge_press(scored.figures)]
 
 
 def _sensor(scored: Scored) -> Verdict:
@@ -81,8 +81,8 @@ def _shape(scored: Scored) -> Verdict:
     )
 
 
-def _press(scored: Scored) -> Verdict:
-    figures = scored.figures
+def judge_press(figures: dict[str, Any]) -> Verdict:
+    """Judge the press by its figures in result.json."""
     warnings = figures["warnings"]
     error_um, peak_um = 1e3 * figures["height_error_estimate_mm"], 1e3 * figures["relief_peak_mm"]
     return Verdict(

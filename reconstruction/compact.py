@@ -1,0 +1,129 @@
+"""Maps in 16 bits per pixel, expanded when they are read.
+
+A full result would otherwise need as much memory as the frames it was made of. What is measured
+with stays in single precision: the coordinate. What informs about it is kept in half precision,
+whose step of at most 1 / 1024 of the value lies below the noise of each of these quantities.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Protocol, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from reconstruction.arrays import Doubles, FloatImage, OrderImage
+
+Class = TypeVar("Class")
+Bits = NDArray[np.uint16]
+LARGEST = 65504.0
+TURN_STEPS = 65536
+RAD_PER_STEP = 2.0 * np.pi / TURN_STEPS
+
+
+class Compact(Protocol):
+    """A map that can be expanded to the array it stands for."""
+
+    def expand(self) -> NDArray[Any]:
+        """Return a new array, (row, col)."""
+
+
+class Kept:
+    """Attribute that keeps what it was given, and expands it whenever it is read."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+
+    def __get__(self, instance: object | None, owner: type) -> Any:
+        if instance is None:
+            return self
+        value = kept(instance, self._name)
+        return value if isinstance(value, np.ndarray) else value.expand()
+
+    def __set__(self, instance: object, value: Compact | NDArray[Any]) -> None:
+        vars(instance)[self._name] = value
+
+
+def keeps_compact(*names: str) -> Callable[[type[Class]], type[Class]]:
+    """Let these fields of a dataclass, arrays to their reader, be given as `Compact` as well."""
+
+    def install(owner: type[Class]) -> type[Class]:
+        for name in names:
+            setattr(owner, name, Kept(name))
+        return owner
+
+    return install
+
+
+def kept(instance: object, name: str) -> Compact | NDArray[Any]:
+    """Return such a field as it was given."""
+    value: Compact | NDArray[Any] = vars(instance)[name]
+    return value
+
+
+@dataclass(frozen=True, eq=False)
+class Half:
+    """Non-negative values in units of `unit`, as the bits of float16."""
+
+    bits: Bits
+    unit: float
+
+    @classmethod
+    def of(cls, values: NDArray[Any], unit: float) -> "Half":
+        """Round values to half precision; larger ones become the largest."""
+        scaled = np.minimum(np.asarray(values, np.float32) / np.float32(unit), LARGEST)
+        return cls(np.ascontiguousarray(scaled.astype(np.float16)).view(np.uint16), unit)
+
+    def expand(self) -> FloatImage:
+        """Return the values, (row, col) float32."""
+        values = self.bits.view(np.float16)
+        return np.multiply(values, np.float32(self.unit), dtype=np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class Turns:
+    """Phases in steps of 2 pi / 65536 rad."""
+
+    bits: Bits
+
+    def expand(self) -> FloatImage:
+        """Return the phases in [0, 2 pi), (row, col) float32 rad."""
+        return np.multiply(self.bits, np.float32(RAD_PER_STEP), dtype=np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class Orders:
+    """Fringe numbers: a coordinate in periods without its phase; 0 where there is none."""
+
+    coordinate_px: FloatImage
+    turns: Turns
+    period_px: float
+
+    def expand(self) -> OrderImage:
+        """Return the numbers, (row, col) int16."""
+        number = np.multiply(self.turns.bits, np.float32(-1.0 / TURN_STEPS), dtype=np.float32)
+        number += self.coordinate_px * np.float32(1.0 / self.period_px)
+        np.rint(number, out=number)
+        number *= self.coordinate_px != 0.0
+        return number.astype(np.int16)
+
+
+@dataclass(frozen=True, eq=False)
+class RaySpread:
+    """Sigmas of points along their camera rays: sigma_xyz = |X - C| sigma_d / d, per axis."""
+
+    points_world_mm: FloatImage
+    sigma_depth_mm: Half
+    T_world_from_cam: Doubles
+
+    def expand(self) -> FloatImage:
+        """Return (row, col, xyz) float32 mm, 0 where the depth has no sigma."""
+        return np.stack([self.component(axis) for axis in range(3)], axis=-1)
+
+    def component(self, axis: int) -> FloatImage:
+        """Return the sigma along one world axis, (row, col) float32 mm."""
+        T = self.T_world_from_cam.astype(np.float32)
+        along = self.points_world_mm - T[:3, 3]
+        sigma = self.sigma_depth_mm.expand()
+        depth = np.where(sigma > 0.0, along @ T[:3, 2], np.float32(1.0))
+        return np.asarray(np.abs(along[..., axis]) * (sigma / depth), dtype=np.float32)

@@ -1,0 +1,67 @@
+"""The examples of docs/evaluation.md, run as they stand on the result that they name."""
+
+import contextlib
+import io
+import re
+import runpy
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from twin.cli import run
+
+DOCUMENT = Path(__file__).parents[2] / "docs" / "evaluation.md"
+NUMBER = r"-?\d+\.?\d*(?:e[+-]?\d+)?"
+
+
+@pytest.fixture(scope="module")
+def text():
+    return DOCUMENT.read_text(encoding="utf-8")
+
+
+@pytest.fixture(scope="module")
+def executed(mi, text, tmp_path_factory):
+    """Return the variables of the document's code blocks, and what these print."""
+    folder = tmp_path_factory.mktemp("document")
+    script = folder / "blocks.py"
+    blocks = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
+    script.write_text("\n".join(blocks), encoding="utf-8")
+    command = re.search(r"^    twin (measure .*)$", text, re.MULTILINE)
+    assert command
+    printed = io.StringIO()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        assert run(command.group(1).split()) == 0
+        with contextlib.redirect_stdout(printed):
+            variables = runpy.run_path(str(script))
+    return variables, printed.getvalue()
+
+
+def test_gauges_have_their_size(executed):
+    """Expected: the sizes in scenes/examples/gauges.toml.
+
+    Radii to 5 um: noise of 1.5 um on a thousand points and more, facets 0.3 um below the round
+    shape, and camera pixels of 0.06 mm, which lower a crest of radius R by 0.06^2 / (24 R). The
+    bar's edges lie within a cell (0.09 mm) of where half of the band's rows reach over the rim.
+    """
+    found, _ = executed
+    assert found["ball"].radius_mm == pytest.approx(2.0, abs=5e-3)
+    assert found["rod"].radius_mm == pytest.approx(1.0, abs=5e-3)
+    np.testing.assert_allclose(found["rod"].axis, [0.0, 1.0, 0.0], atol=1e-3)
+    assert found["bar"].width_mm == pytest.approx(2 * np.sqrt(2.0**2 - 0.25**2), abs=0.09)
+    # The disc's foot is the ball's; the stage lies 0.02 mm lower.
+    assert found["step"].height_mm == pytest.approx(0.52, abs=1e-3)
+    # The highest of noisy heights.
+    assert found["bar"].height_mm == pytest.approx(0.52, abs=5e-3)
+    assert found["disc"].rms_mm < 2.5e-3
+
+
+def test_figures_of_the_document(executed, text):
+    """Expected: what is printed is what stands behind each #, by a fifth or 2 um more or less."""
+    stated = re.findall(r"^print\(.*\)  # (.*)$", text, re.MULTILINE)
+    printed = executed[1].splitlines()
+    assert len(stated) == len(printed) == 6
+    for shown, got in zip(stated, printed, strict=True):
+        pairs = [[float(n) for n in re.findall(NUMBER, line)] for line in (got, shown)]
+        np.testing.assert_allclose(*pairs, rtol=0.2, atol=2e-3, err_msg=shown)

@@ -1,0 +1,49 @@
+import numpy as np
+import pytest
+
+from reconstruction._lens_kernels import Lens, ray_row
+from reconstruction.pinhole import NO_DISTORTION, Pinhole, distort
+
+
+def rays_of(camera, rows):
+    """Return (row, col, xy) rays and where they were found, each row from the one before."""
+    lens = Lens(
+        camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px, camera.distortion,
+        camera.distortion == NO_DISTORTION,
+    )  # fmt: skip
+    bends = np.zeros((2, camera.width_px))
+    rays = np.zeros((len(rows), 2, camera.width_px))
+    found = np.zeros((len(rows), camera.width_px), np.bool_)
+    for ray, known, row in zip(rays, found, rows, strict=True):
+        ray_row(row, lens, bends[0], bends[1], ray[0], ray[1], known)
+    return np.moveaxis(rays, 1, -1), found
+
+
+@pytest.mark.parametrize(
+    "distortion", [NO_DISTORTION, (-0.05, 0.1, 1e-4, -2e-4, 0.02), (-0.3, 0.12, 2e-3, 1e-3, 0.0)]
+)
+def test_rays_are_the_inverse_of_the_lens(distortion):
+    """Setup: telephoto and wide angle, also rows far apart. Expected: 1e-10 of `unproject`."""
+    camera = Pinhole(160, 120, 110.0, 112.0, 77.0, 61.0, distortion)
+    rows = [*range(50), 90, 20, 119]
+    rays, found = rays_of(camera, rows)
+    pixels = np.stack(np.meshgrid(np.arange(160), rows), axis=-1)
+    assert found.all()
+    assert np.max(np.abs(rays - camera.unproject(pixels))) < 1e-10
+
+
+def test_beyond_a_fold_there_is_no_ray():
+    """Setup: r (1 - 0.5 r^2) never exceeds 0.544. Expected: rays inside, none outside of it."""
+    camera = Pinhole(160, 120, 100.0, 100.0, 79.5, 59.5, (-0.5, 0.0, 0.0, 0.0, 0.0))
+    rows = np.arange(120)
+    rays, found = rays_of(camera, rows)
+    pixels = np.stack(np.meshgrid(np.arange(160), rows), axis=-1)
+    target = (pixels - (79.5, 59.5)) / 100.0
+    radius = np.hypot(target[..., 0], target[..., 1])
+    largest = np.sqrt(2.0 / 3.0) * 2.0 / 3.0
+    assert found[radius < largest - 0.01].all()
+    assert not found[radius > largest].any()
+    back = np.stack(distort(rays[..., 0], rays[..., 1], camera.distortion), axis=-1)
+    assert np.max(np.abs(back - target)[found]) < 1e-10
+    # Of three solutions, the one that grows with the image radius.
+    assert np.all(np.hypot(rays[..., 0], rays[..., 1])[found] < np.sqrt(2.0 / 3.0) + 1e-9)

@@ -1,0 +1,259 @@
+"""Photometric stereo beside contact-FPP on one press: files, figures and pages.
+
+The sensor has few reference presses, those of tests/modalities: rendered once for both.
+"""
+
+import csv
+import json
+import re
+import shutil
+from dataclasses import replace
+from html import escape
+
+import numpy as np
+import pytest
+
+from twin.cli import run
+from twin.config import load_experiment
+from twin.modalities.comparison import compare
+from twin.modalities.instruments import METHODS, PhotometricPlan
+from twin.modalities.photometric_decoders import write_decoders
+from twin.modalities.photometric_score import in_world, score_heights
+from twin.report import summary_table, write_comparison, write_report
+from twin.report.comparison_figures import (
+    gist_of,
+    press_in_words,
+    ratio_in_words,
+    ratio_rows,
+)
+from twin.report.paper import paper_rmse_ratio
+from twin.report.photometric import ball_rows, decoder_rows, verdicts
+from twin.report.photometric_folder import read_photographed
+from twin.report.photometric_maps import error_um, true_heights_mm, true_slopes
+from twin.report.photometric_plates import as_points
+from twin.report.result_folder import read_measured
+
+SMALL = {
+    "camera.width_px": 640,
+    "camera.height_px": 480,
+    "camera.pixel_pitch_um": 9.0,
+    "camera.binning": 4,
+    "patterns.steps": 3,
+    "render.samples": 1,
+    "press.solver_pitch_mm": 0.2,
+    "press.relief_pitch_mm": 0.05,
+}
+FEW = {"photometric.presses.count": 24, "photometric.presses.smallest_diameter_mm": 5.5}
+BALL = """
+name = "ball"
+use = "scenes/rigs/paper"
+[specimen]
+kind = "ball"
+diameter_mm = 8.0
+[press]
+{load}
+"""
+DEEP = BALL.format(load='control = "depth"\ndepth_mm = 0.4')
+HARD = BALL.format(load='control = "force"\nforce_n = 60.0')
+FIGURES = {
+    "sensor", "images", "slopes", "relief", "heights", "sections", "errors", "ball_1", "press",
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def compared(mi, tmp_path_factory):
+    """One ball with one force by both coats. Not to be changed by tests."""
+    folder = tmp_path_factory.mktemp("photometric")
+    (folder / "ball.toml").write_text(DEEP)
+    plan, out = PhotometricPlan(settings=FEW), folder / "out"
+    compare([load_experiment(folder / "ball.toml", SMALL)], METHODS[1:], out, plan=plan)
+    write_comparison(out)
+    write_report(out / "ball" / "photometric_stereo")
+    return out
+
+
+@pytest.fixture(scope="module")
+def result(compared):
+    return compared / "ball" / "photometric_stereo"
+
+
+@pytest.fixture(scope="module")
+def seen(result):
+    return read_photographed(result)
+
+
+@pytest.fixture(scope="module")
+def gists(compared, seen):
+    coat = read_measured(compared / "ball" / "contact_fpp")
+    return {"contact_fpp": gist_of(coat), "photometric_stereo": gist_of(seen)}
+
+
+def figures_of(folder):
+    return json.loads((folder / "result.json").read_text())["metrics"]
+
+
+def test_both_coats_feel_the_same_force(compared, gists):
+    """Expected: one force, to what the solver leaves (0.1 %); a bonded gel yields less to it.
+
+    Specimen and scoring are the experiment's; gel, lamps and camera are the other sensor's.
+    """
+    coat, gel = (figures_of(compared / "ball" / name) for name in gists)
+    assert coat["depth_mm"] == 0.4
+    assert gel["force_n"] == pytest.approx(coat["force_n"], rel=1e-3)
+    assert gel["depth_mm"] < 0.6 * coat["depth_mm"]
+    ours, theirs = (one.experiment for one in gists.values())
+    assert (ours.specimen, ours.score) == (theirs.specimen, theirs.score)
+    assert ours.elastomer != theirs.elastomer
+    assert press_in_words(gists).startswith("The same force, two elastomers")
+
+
+def test_each_layout_has_one_truth_mesh(compared, gists):
+    for name in gists:
+        assert (compared / "ball" / name / "coated_face.ply").stat().st_size > 1000
+
+
+def test_comparison_shows_both_and_needs_no_network(compared, gists):
+    page = (compared / "report.html").read_text(encoding="utf-8")
+    reports = {f"ball/{name}/report.html" for name in gists}
+    assert page.count("data:image/png;base64,") == 1 + 4 * len(gists)
+    for target in re.findall(r"""(?:src|href)\s*=\s*["']([^"']{0,60})""", page):
+        assert target.startswith("data:") or target in reports, target
+    for text in ("photometric stereo", "contact-FPP", "The same force", "vendor 2025", "look-up"):
+        assert text in page
+
+
+def test_ratios_are_those_of_the_stored_figures(result, gists):
+    """Expected: every decoder's mean sphere-fit RMSE over contact-FPP's; no row of the paper."""
+    with (result / "decoders.csv").open() as file:
+        stored = list(csv.DictReader(file))
+    base_mm = gists["contact_fpp"].figures["sphere_1_rmse_mm"]
+    rows = ratio_rows(gists)
+    assert len(rows) == 1 + len(stored) == 7
+    for row, line in zip(rows[1:], stored, strict=True):
+        ratio = float(line["sphere_1_rmse_mm"]) / base_mm
+        assert float(row.ratio) == pytest.approx(ratio, abs=0.051)
+        assert float(row.z_rmse_um) == pytest.approx(float(line["z_rmse_um"]), abs=0.051)
+
+
+def test_the_papers_ratio_is_that_of_its_means():
+    """Paper: mean RMSE 0.1394 mm by GelSight, 0.0130 mm by contact-FPP."""
+    assert paper_rmse_ratio(load_experiment("paper/two_balls")) == pytest.approx(10.7, abs=0.05)
+    assert paper_rmse_ratio(load_experiment("paper/nut")) is None
+
+
+def test_the_paper_stands_beside_its_own_artefact(gists):
+    """Setup: the same figures as if the specimen were the paper's.
+
+    Expected: its ratio as a row, and said plainly whether ours are closer.
+    """
+    specimen = load_experiment("paper/two_balls").specimen
+    as_paper = {
+        name: replace(one, experiment=one.experiment.model_copy(update={"specimen": specimen}))
+        for name, one in gists.items()
+    }
+    assert ratio_rows(as_paper)[-1].ratio == "10.7"
+    base_mm = gists["contact_fpp"].figures["sphere_1_rmse_mm"]
+    decoded = gists["photometric_stereo"].decoded
+    closer = sum(one.sphere_rmse_mm < 10.685 * base_mm for one in decoded)
+    words = ratio_in_words(as_paper)
+    assert "the paper reports 10.7" in words
+    assert {0: "no decoder", 6: "every decoder"}.get(closer, f"{closer} of 6") in words
+    assert ratio_in_words(gists) == ""
+
+
+def test_report_is_whole(result, seen):
+    page = (result / "report.html").read_text(encoding="utf-8")
+    assert {path.stem for path in (result / "figures").iterdir()} == FIGURES
+    assert page.count("data:image/png;base64,") == len(FIGURES)
+    for target in re.findall(r"""(?:src|href)\s*=\s*["']([^"']{0,40})""", page):
+        assert target.startswith("data:"), target
+    for row in decoder_rows(seen):
+        assert row.name in page
+        assert all(escape(cell) in page for cell in row.cells)
+    for row in ball_rows(seen, 1):
+        assert all(cell in page for cell in row.cells)
+    assert len(verdicts(seen)) == 3
+
+
+def test_report_redraws_the_same_page(result, tmp_path):
+    again = tmp_path / "again"
+    shutil.copytree(result, again)
+    (again / "report.html").unlink()
+    shutil.rmtree(again / "figures")
+    assert run(["report", str(again)]) == 0
+    assert (again / "report.html").read_bytes() == (result / "report.html").read_bytes()
+
+
+def test_console_table(result, seen):
+    table = summary_table(result)
+    assert all(len(line) <= 100 for line in table.splitlines())
+    assert f"{seen.figures['z_rmse_um']:.2f} um RMS" in table
+    assert "look-up table, vendor 2024" in table
+
+
+def test_decoders_read_back_as_measured(result, seen, tmp_path):
+    """The page decodes the stored image anew: the same figures as when it was measured."""
+    write_decoders(tmp_path / "again.csv", seen.decoded)
+    assert (tmp_path / "again.csv").read_bytes() == (result / "decoders.csv").read_bytes()
+    assert seen.own.score.z_rmse_um == pytest.approx(seen.figures["z_rmse_um"], rel=1e-9)
+
+
+def test_error_map_is_what_is_scored(seen):
+    for one in seen.decoded:
+        errors = error_um(seen, one).compressed()
+        assert len(errors) == one.score.points
+        assert np.sqrt(np.mean(errors**2)) == pytest.approx(one.score.z_rmse_um, rel=1e-5)
+
+
+def test_true_slopes_are_those_of_the_true_heights(seen):
+    """Setup: slopes from the stored normals against differences of the stored heights.
+
+    Expected: alike in size and sign within the contact. 0.02: the pixels of the truth are bent by
+    refraction by up to 1 %, and differences of 63 um smooth slopes of up to 0.4.
+    """
+    z_mm, pitch_mm = true_heights_mm(seen).data, seen.calibration.pitch_mm
+    down, right = np.gradient(z_mm, pitch_mm)
+    inside = np.hypot(*np.indices(z_mm.shape) - np.array([119.5, 159.5])[:, None, None]) < 12
+    slopes = true_slopes(seen)
+    for found, expected in ((slopes[0], down), (slopes[1], right)):
+        assert np.abs(found - expected)[inside].max() < 0.02
+        assert np.abs(expected[inside]).max() > 0.1
+
+
+@pytest.mark.parametrize("scale", [0.6, 1.0, 1.3])
+def test_height_scale_is_that_of_the_heights(seen, scale):
+    """Setup: the true heights, scaled and shifted, as if measured."""
+    found = in_world(seen.own.heights)
+    found.points_mm[..., 2] = scale * seen.truth.points_world_mm[..., 2] + 0.05
+    scored = score_heights(seen.experiment, found, seen.truth)
+    assert scored.height_scale == pytest.approx(scale, rel=1e-5)
+
+
+def test_points_of_the_view_are_the_heights(seen):
+    points = as_points(seen)
+    np.testing.assert_array_equal(points.valid, seen.own.heights.valid)
+    np.testing.assert_allclose(points.points_world_mm[..., 2], seen.own.heights.height_mm)
+
+
+def test_a_report_without_its_image_is_refused(result, tmp_path, capsys):
+    broken = tmp_path / "broken"
+    shutil.copytree(result, broken)
+    (broken / "image.png").unlink()
+    assert run(["report", str(broken)]) == 2
+    assert "image.png: cannot be read as an image" in capsys.readouterr().err
+
+
+def test_a_load_that_one_layout_cannot_take_is_told(mi, tmp_path, gists):
+    """Setup: 60 N on an 8 mm ball, more than the 4.25 mm gel can give way to.
+
+    Expected: the cell tells the depth it would need, the page that there is no one press.
+    """
+    experiment = tmp_path / "ball.toml"
+    experiment.write_text(HARD)
+    few = [text for key, value in FEW.items() for text in ("--photometric-set", f"{key}={value}")]
+    command = ["compare", str(experiment), "-o", str(tmp_path / "out"), *few]
+    assert run([*command, "--methods", "photometric_stereo", "--match", "force"]) == 2
+    page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert "Could not be measured: press" in page
+    missing = gists | {"photometric_stereo": None}
+    assert "could not be brought to one press" in press_in_words(missing)

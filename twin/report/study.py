@@ -1,0 +1,186 @@
+"""The report of a study as one HTML page: effects, front, best designs, and every case."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from pathlib import Path
+from typing import Any
+
+from reconstruction.errors import InputError
+from twin.config.study import Objective
+from twin.modalities.progress import Watcher, nobody
+from twin.report.html import Picture, Plate, draw_pictures, template, write_page
+from twin.report.study_view import (
+    draw_effects,
+    draw_front,
+    draw_interactions,
+    draw_main_effects,
+    draw_parallel,
+)
+from twin.study.best import best_rows
+from twin.study.sensitivity import Effect, effects_of
+from twin.study.table import Table, read_table
+
+REPORT_FILE = "report.html"
+_MOST_METRICS, _MOST_PAIRS, _MOST_BEST = 5, 6, 12
+
+Row = Mapping[str, Any]
+
+_SENSITIVITY_WORDS = {
+    "grid": "Share of the variance over all cases that each axis explains by itself; what is left "
+    "to 1 are interactions. Exact for this grid, so there is no interval.",
+    "saltelli": "First-order Sobol' indices with 95 % bootstrap intervals; diamonds: total, with "
+    "interactions.",
+    "morris": "Mean absolute effect of crossing the whole axis, in the figure's unit, with 95 % "
+    "bootstrap intervals; diamonds: spread of the effect, by curvature and interactions.",
+}
+
+
+@dataclass(frozen=True)
+class Shown:
+    """What the page shows of a study."""
+
+    table: Table
+    rows: list[Row]
+    metrics: list[str]
+    objectives: list[Objective]
+    front: list[Row]
+    effects: dict[str, list[Effect]]
+
+
+def write_study(folder: Path, watch: Watcher = nobody) -> Path:
+    """Write `report.html` and `figures/*.png` into the store of a sweep.
+
+    Parameters
+    ----------
+    folder : the -o DIR of `twin sweep`; nothing else is read
+    watch : told how far the report is
+
+    Returns
+    -------
+    Path
+        The page.
+
+    Raises
+    ------
+    InputError
+        The folder is no store, no case is finished, or the page cannot be written.
+    """
+    watch("report", 0.0)
+    shown = _shown(read_table(folder))
+    pictures = draw_pictures(folder, _plates(shown), watch)
+    page = template("study.html").render(_page(shown, pictures))
+    write_page(folder / REPORT_FILE, page)
+    watch("report", 1.0)
+    return folder / REPORT_FILE
+
+
+def _shown(table: Table) -> Shown:
+    done = table.done()
+    if not done:
+        raise InputError("report: no case of the study is finished; run twin sweep first")
+    metrics = [name for name in table.metrics if _is_number(done, name)][:_MOST_METRICS]
+    if not metrics:
+        raise InputError("report: no figure is a number in every case; name others in metrics")
+    rows = [row for row in done if all(_is_real(row.get(name)) for name in metrics)]
+    plan = table.record.study.optimise
+    objectives = list(plan.objectives) if plan else [Objective(metric=_first_error(table.metrics))]
+    effects = {name: effects_of(table, name) for name in metrics}
+    return Shown(
+        table,
+        rows,
+        metrics,
+        objectives,
+        best_rows(rows, objectives) if any(row["feasible"] for row in rows) else [],
+        {name: found for name, found in effects.items() if found},
+    )
+
+
+def _is_real(value: object) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool)
+
+
+def _is_number(rows: Sequence[Row], name: str) -> bool:
+    """Tell whether a figure is a number in more than half of the cases (some have no ball)."""
+    return sum(_is_real(row.get(name)) for row in rows) > len(rows) / 2
+
+
+def _first_error(metrics: Sequence[str]) -> str:
+    return next((name for name in metrics if "rmse" in name or "error" in name), metrics[0])
+
+
+def _plates(shown: Shown) -> list[Plate]:
+    rows, axes, metrics = shown.rows, shown.table.axes, shown.metrics
+    plates = [
+        Plate("main_effects", lambda path: draw_main_effects(path, rows, axes, metrics),
+              "each figure over each axis",
+              "Line: mean over all other axes; band: range of all cases. A row has one scale."),
+        Plate("parallel", lambda path: draw_parallel(path, rows, axes, metrics),
+              "one line per case over all axes and figures",
+              f"Every case is one line, coloured by {metrics[0]}."),
+    ]  # fmt: skip
+    pairs = list(combinations(axes, 2))[:_MOST_PAIRS]
+    if pairs:
+        plates += [_interactions(rows, pairs, metric) for metric in metrics[:2]]
+    if len(shown.objectives) > 1 and shown.front:
+        plates.append(
+            Plate("front", lambda path: draw_front(path, rows, shown.front, shown.objectives),
+                  "two objectives of all cases with the Pareto front",
+                  "Designs that no other beats in every objective.")
+        )  # fmt: skip
+    method = shown.table.record.study.sampling.method
+    if shown.effects:
+        plates.append(
+            Plate("sensitivity", lambda path: draw_effects(path, shown.effects, method),
+                  "sensitivity of each figure to each axis", _SENSITIVITY_WORDS[method])
+        )  # fmt: skip
+    return plates
+
+
+def _interactions(rows: list[Row], pairs: list[tuple[str, str]], metric: str) -> Plate:
+    return Plate(
+        f"interactions_{metric}",
+        lambda path: draw_interactions(path, rows, pairs, metric),
+        f"mean {metric} over pairs of axes",
+        f"Mean {metric} over pairs of axes; one colour scale for all maps.",
+    )
+
+
+def _page(shown: Shown, pictures: dict[str, Picture]) -> dict[str, Any]:
+    table, study = shown.table, shown.table.record.study
+    states: dict[str, int] = {}
+    for row in table.rows:
+        states[row["state"]] = states.get(row["state"], 0) + 1
+    columns = [*table.axes, *shown.metrics]
+    return {
+        "study": study,
+        "states": states,
+        "columns": columns,
+        "pictures": list(pictures.values()),
+        "objectives": [f"{one.goal} {one.metric}" for one in shown.objectives],
+        "constraints": [bound.title for bound in study.constraint],
+        "best": [_cells(row, columns) for row in shown.front[:_MOST_BEST]],
+        "cases": [_cells(row, columns) for row in table.rows],
+        "axes": len(table.axes),
+    }
+
+
+def _cells(row: Row, columns: Sequence[str]) -> dict[str, Any]:
+    texts = [_text(row.get(name)) for name in columns]
+    file = "failure.json" if row["state"] == "failed" else "result.json"
+    there = row["state"] in ("done", "failed")
+    return {
+        "texts": texts,
+        "state": row["state"],
+        "feasible": row["feasible"],
+        "reason": row["reason"],
+        "digest": row["case"],
+        "link": f"cases/{row['case']}/{file}" if there else "",
+        "folder": f"cases/{row['case']}/",
+    }
+
+
+def _text(value: Any) -> str:
+    if value is None:
+        return "–"
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
