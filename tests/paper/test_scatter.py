@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from twin.modalities.instruments import PhotometricPlan, case_for
 
 from twin.config import ConfigError, load_experiment
+from twin.modalities.instruments import PhotometricPlan, case_for
 from twin.paper.scatter import Input, Scatter, draw, drawn_values, load_scatter
 
 SEED = 5
