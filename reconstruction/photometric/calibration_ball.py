@@ -4,7 +4,7 @@ A ball of radius R pressed into the gel from behind shows the camera h = sqrt(R^
 within the circle of contact: dh/dx = -x / sqrt(R^2 - r^2), x and r measured from its centre.
 """
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -48,6 +48,8 @@ class SampleOptions:
     smoothing_px : side of the square over which colours are averaged; odd, 1 for none
     marker_level : grey level up to which a pixel is a printed dot (70 in the vendor's programs)
         and left out; 0 where the gel has no dots
+    unreadable_share : share of the images that may lack a contact circle and are left out then, as
+        one would press again; 0: every image must have one
 
     Raises
     ------
@@ -57,9 +59,11 @@ class SampleOptions:
     threshold_levels: float = 15.0
     smoothing_px: int = 3
     marker_level: int = 0
+    unreadable_share: float = 0.0
 
     def __post_init__(self) -> None:
         require_number("threshold_levels", self.threshold_levels, 0.0, 442.0, open_low=True)
+        require_number("unreadable_share", self.unreadable_share, 0.0, 0.5)
         require_integer("marker_level", self.marker_level, 0, 254)
         require_integer("smoothing_px", self.smoothing_px, 1, 99)
         if self.smoothing_px % 2 == 0:
@@ -95,7 +99,7 @@ def ball_slopes(
 
 
 def sample_presses(
-    presses: Iterable[BallPress],
+    presses: Sequence[BallPress],
     background: FloatImage,
     pitch_mm: float,
     options: SampleOptions | None = None,
@@ -111,12 +115,14 @@ def sample_presses(
     Raises
     ------
     InputError : an image of another shape, a number out of range
-    FitError : no circle in an image (its number is named), or none that fits its ball
+    FitError : no circle in an image (its number is named), or none that fits its ball, in more
+        images than `options.unreadable_share` allows
     """
     require_number("pitch_mm", pitch_mm, 0.0, open_low=True)
     how, parts = options or SampleOptions(), list[Part]()
     hidden_before = find_markers(background, how.marker_level, GROWTH_PX, small=True)
     flat = smoothed(background, how.smoothing_px)
+    unreadable: list[FitError] = []
     for number, press in enumerate(presses):
         image = checked_image(press.image, f"calibration image {number}", background.shape)
         levels = smoothed(image, how.smoothing_px)
@@ -125,7 +131,10 @@ def sample_presses(
             circle = find_contact_circle(levels, flat, how.threshold_levels)
             _require_fit(circle.radius_px * pitch_mm, press.ball_diameter_mm / 2.0)
         except FitError as error:
-            raise FitError(f"calibration image {number}: {error}") from error
+            unreadable.append(FitError(f"calibration image {number}: {error}"))
+            if len(unreadable) > how.unreadable_share * len(presses):
+                raise unreadable[0] from error
+            continue
         ball = partial(ball_slopes, circle, press.ball_diameter_mm / 2.0, pitch_mm)
         touched, untouched = _places(circle, ~(hidden_before | dots))
         parts.append(_part(levels, flat, touched, ball(touched)))

@@ -42,7 +42,12 @@ def test_a_gel_measured_in_air_looks_thinner(mi):
 def test_a_gel_that_nobody_describes_is_refused():
     experiment = load_experiment(
         "paper/two_balls",
-        {"elastomer.layout": "contact_face", "press.solver_pitch_mm": 0.4, "press.depth_mm": 0.2},
+        {
+            "elastomer.layout": "contact_face",
+            "press.solver_pitch_mm": 0.4,
+            "press.depth_mm": 0.2,
+            "press.back_pressure_kpa": 0.0,
+        },
     )
     with pytest.raises(InputError, match=r"layers: found none.*add \[layers.gel\]"):
         record(experiment, press_specimen(experiment))

@@ -87,3 +87,17 @@ def test_bad_input_is_named(background):
         sample_presses([BallPress(np.zeros((9, 9, 3), np.uint8), 4.0)], background, PITCH_MM)
     with pytest.raises(InputError, match="odd"):
         SampleOptions(smoothing_px=4)
+
+
+def test_unreadable_presses_may_be_left_out(ball_presses, background):
+    """One image without a contact among the others: left out when allowed, else named."""
+    still = BallPress(background.round().astype(np.uint8), 6.0)
+    spoilt = [*ball_presses[:2], still, *ball_presses[2:]]
+    lenient = SampleOptions(unreadable_share=1.5 / len(spoilt))
+    found = sample_presses(spoilt, background, PITCH_MM, lenient)
+    expected = sample_presses(ball_presses, background, PITCH_MM)
+    np.testing.assert_array_equal(found.slopes, expected.slopes)
+    with pytest.raises(FitError, match="calibration image 2"):
+        sample_presses(spoilt, background, PITCH_MM)
+    with pytest.raises(FitError, match="calibration image 0"):
+        sample_presses([still, still, *ball_presses], background, PITCH_MM, lenient)

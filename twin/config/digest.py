@@ -51,5 +51,10 @@ def _read(name: str) -> bytes | None:
 
 def seed_sequence(experiment: Experiment, stage: str, *keys: int) -> np.random.SeedSequence:
     """Child seed of the experiment's root seed, keyed by stage, case, trial and frame."""
+    return keyed_sequence(experiment.seed, stage, *keys)
+
+
+def keyed_sequence(seed: int, stage: str, *keys: int) -> np.random.SeedSequence:
+    """Child seed of any root seed, keyed likewise."""
     stage_key = int.from_bytes(hashlib.blake2b(stage.encode(), digest_size=4).digest())
-    return np.random.SeedSequence(experiment.seed, spawn_key=(stage_key, *keys))
+    return np.random.SeedSequence(seed, spawn_key=(stage_key, *keys))

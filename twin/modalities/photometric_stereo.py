@@ -50,6 +50,8 @@ FloatArray = NDArray[np.float32]
 
 # Dots of the product are read up to this grey level (measured behaviour of the vendor's programs).
 MARKER_LEVEL = 70
+# A small ball in a dark corner now and then leaves no circle: such a press would be repeated.
+UNREADABLE_SHARE = 0.1
 # Numbers of images, so that no two share their noise: backgrounds, presses, then the specimen.
 _FIRST_PRESS, _FIRST_TRIAL = 1000, 2000
 
@@ -237,7 +239,10 @@ def _calibrated(images: _Photographed, kind: MapKind) -> SensorCalibration:
         images.backgrounds,
         images.sensor.pitch_mm,
         kind,
-        SampleOptions(marker_level=0 if markers is None else MARKER_LEVEL),
+        SampleOptions(
+            marker_level=0 if markers is None else MARKER_LEVEL,
+            unreadable_share=UNREADABLE_SHARE,
+        ),
     )
 
 

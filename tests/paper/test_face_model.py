@@ -1,0 +1,48 @@
+"""Radius and budget from the pressed face alone."""
+
+import numpy as np
+import pytest
+
+from twin.config import load_experiment, vary
+from twin.paper.face_model import contributions, face_figures
+from twin.paper.scatter import Input, Scatter
+
+ON_COAT = {
+    "elastomer.layout": "contact_face",
+    "press.back_pressure_kpa": 0.0,
+    "press.solver_pitch_mm": 0.1,
+}
+
+
+@pytest.fixture(scope="module")
+def on_coat():
+    """The coat touches the balls: within the contact it IS their surface."""
+    return load_experiment("paper/two_balls", ON_COAT)
+
+
+def test_a_coat_that_touches_the_ball_shows_its_radius(on_coat):
+    figures = face_figures(on_coat)
+    assert figures["sphere_1_radius_mm"] == pytest.approx(4.0, rel=1e-3)
+    assert figures["sphere_1_rmse_mm"] < 1e-4
+
+
+def test_contributions_against_the_closed_form(on_coat):
+    """R = D / 2 on such a coat: u(R) = u(D) / 2; depth does not change R."""
+    inputs = {
+        "size": Input(key="specimen.diameter_mm", distribution="uniform", spread=0.01),
+        "depth": Input(key="press.depth_mm", distribution="normal", spread=0.05),
+    }
+    found = contributions(on_coat, Scatter(seed=1, inputs=inputs), "sphere_1_radius_mm")
+    assert [one.name for one in found] == ["size", "depth"]
+    assert found[0].output_u_mm == pytest.approx(0.01 / np.sqrt(3) / 2, rel=0.05)
+    assert found[1].output_u_mm < 2e-4
+
+
+def test_the_drape_makes_one_hump_two_balls():
+    """What the decision on the paper's scenes rests on: radius and residual with and without."""
+    draped = load_experiment("paper/two_balls", {"press.solver_pitch_mm": 0.1})
+    free = vary(draped, {"press.back_pressure_kpa": 0.0})
+    with_drape, without = face_figures(draped), face_figures(free)
+    assert with_drape["sphere_1_radius_mm"] == pytest.approx(6.5, abs=0.1)
+    assert without["sphere_1_radius_mm"] > 30.0
+    assert 5e-3 < with_drape["sphere_1_rmse_mm"] < 13e-3

@@ -1,0 +1,87 @@
+"""The page of the reproduction: whole, self-contained, and readable in a browser."""
+
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+from imageio.v3 import imwrite
+
+from tests.paper.test_tables import colour_trials, fringe_trials
+from twin.config import load_experiment
+from twin.paper.claims import claims_of, claims_table
+from twin.paper.page import SECTIONS, Contents, write_paper_page
+from twin.paper.published import CONTACT_FPP, GELSIGHT
+from twin.paper.rod_table import hardness_table
+from twin.paper.scatter import load_scatter
+from twin.paper.sphere_tables import repeated_fit_table, sphere_fit_table, uncertainty_table
+
+BROWSER = shutil.which("chromium") or shutil.which("chromium-browser")
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory) -> Path:
+    """A page with the tables on the balls, the claims and one picture."""
+    folder = tmp_path_factory.mktemp("page")
+    trials = {GELSIGHT: colour_trials(0.05), CONTACT_FPP: fringe_trials()}
+    makers = (sphere_fit_table, repeated_fit_table, uncertainty_table)
+    tables = {table.name: table for table in (*(make(trials) for make in makers), hardness_table())}
+    tables["claims"] = claims_table(claims_of(tables))
+    picture = folder / "hardness.png"
+    imwrite(picture, np.full((40, 60, 3), 200, np.uint8))
+    experiment = load_experiment("paper/two_balls")
+    contents = Contents(tables, {"hardness": picture}, experiment, load_scatter(), 6)
+    return write_paper_page(folder, contents)
+
+
+def test_the_page_needs_nothing_from_outside(page):
+    text = page.read_text(encoding="utf-8")
+    assert not re.findall(r'(?:src|href)="(?!data:|#)', text)
+    assert "url(" not in text
+    assert "<script" not in text
+
+
+def test_numbers_stand_beside_the_papers(page):
+    """Mean radius of the paper's contact-FPP, ball 1, and of five known trials (4.002)."""
+    text = page.read_text(encoding="utf-8")
+    assert "3.835" in text
+    assert "4.002" in text
+    assert "MISSED" not in text.upper().replace('CLASS="MISSED"', "").replace(".MISSED", "")
+
+
+def test_assumptions_are_marked_with_their_source(page):
+    text = page.read_text(encoding="utf-8")
+    assert '<tr class="assumed"><th scope="row" class="code">press.back_pressure_kpa' in text
+    assert "placed by hand against a mark on the stage" in text
+
+
+def test_every_part_has_a_place():
+    """No table of a complete run may be left off the page."""
+    placed = [name for section in SECTIONS for name in section.tables]
+    assert len(placed) == len(set(placed))
+    assert {"claims", "rods", "sphere_fit", "repeated_fit", "uncertainty"} <= set(placed)
+
+
+@pytest.mark.skipif(BROWSER is None, reason="no chromium on this machine")
+@pytest.mark.parametrize("width", [1200, 390])
+def test_a_browser_opens_and_prints_it(page, tmp_path, width):
+    """No error on the console; the body is no wider than the window; the print has pages."""
+    pdf, shot = tmp_path / "page.pdf", tmp_path / "page.png"
+    common = [
+        BROWSER, "--headless", "--no-sandbox", "--disable-gpu", "--disable-background-networking",
+        "--enable-logging=stderr", f"--user-data-dir={tmp_path / 'profile'}",
+        f"--window-size={width},1000",
+    ]  # fmt: skip
+    for target in (f"--screenshot={shot}", f"--print-to-pdf={pdf}"):
+        done = subprocess.run(
+            [*common, target, page.as_uri()],
+            capture_output=True,
+            text=True,
+            timeout=120,
+            check=True,
+        )
+        assert "CONSOLE" not in done.stderr
+    assert shot.stat().st_size > 10_000
+    assert pdf.read_bytes()[:5] == b"%PDF-"

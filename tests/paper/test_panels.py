@@ -1,0 +1,146 @@
+"""Panels of one measurement: they show what was measured, gaps included, and stay small."""
+
+import json
+import shutil
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from reconstruction.errors import InputError
+from reconstruction.outputs import read_reconstruction
+
+
+def test_panels_of_fringes_are_the_measured_points(rod):
+    from twin.paper.panel_data import read_panel_data
+
+    data = read_panel_data(rod / "panels")
+    measured = read_reconstruction(rod / "reconstruction.nc").point_map
+    np.testing.assert_array_equal(data.points_mm, measured.points_world_mm)
+    np.testing.assert_array_equal(data.valid, measured.valid)
+    figures = json.loads((rod / "result.json").read_text())["metrics"]
+    assert data.numbers.completeness == figures["completeness"]
+    rms_um = float(np.sqrt(np.ma.mean(data.error_um**2)))
+    assert rms_um == pytest.approx(figures["z_rmse_um"], rel=1e-3)
+
+
+def test_every_panel_of_a_rod_is_there(rod):
+    names = {path.name for path in (rod / "panels").iterdir()}
+    drawings = {
+        f"{name}.{kind}" for name in ("relief", "section", "error") for kind in ("png", "pdf")
+    }
+    assert drawings | {"object.png", "fringe.png", "panels.npz", "panels.json"} == names
+
+
+def test_the_width_of_a_rod_is_that_of_its_section(rod):
+    """Where the profile crosses half height is where the panel draws its arrow."""
+    from twin.paper.panel_data import read_panel_data
+
+    data = read_panel_data(rod / "panels")
+    width = data.numbers.width
+    assert width is not None
+    assert width.nominal_mm == 1.99
+    assert width.right_mm - width.left_mm == pytest.approx(width.width_mm)
+    ends = np.interp([width.left_mm, width.right_mm], *data.section.T)
+    assert ends[0] == pytest.approx(ends[1], abs=1e-4)
+
+
+def test_a_missing_point_is_a_hole(rod, mi):
+    """Setup: points of a block of pixels are taken away. Expected: white there, and only there."""
+    from twin.paper.panel_data import read_panel_data
+    from twin.paper.panel_relief import relief_picture, stage_for
+
+    data = read_panel_data(rod / "panels")
+    stage = stage_for(data)
+    valid = data.valid.copy()
+    valid[52:68, 70:90] = False
+    whole = relief_picture(data, stage, 120, 90)
+    holed = relief_picture(replace(data, valid=valid), stage, 120, 90)
+    white = (holed == 255).all(axis=-1) & (whole < 250).any(axis=-1)
+    assert 40 < white.sum() < 0.1 * white.size
+    changed = (holed.astype(int) != whole).any(axis=-1)
+    # Light falls through the hole: a shadow may change beside it, no more than as much again.
+    assert changed.sum() < 3 * white.sum()
+
+
+def test_colours_are_the_height_not_the_light(rod, mi):
+    """Setup: a level surface at either end of the scale. Expected: purple and yellow of viridis."""
+    from twin.paper.panel_data import read_panel_data
+    from twin.paper.panel_relief import relief_picture, stage_for
+
+    data = read_panel_data(rod / "panels")
+    stage = stage_for(data)
+    low, high = stage.scale_mm
+    flat = replace(data, points_mm=np.where([False, False, True], low, data.points_mm).astype("f4"))
+    top = replace(data, points_mm=np.where([False, False, True], high, data.points_mm).astype("f4"))
+    middle = [relief_picture(one, stage, 120, 90)[45, 60].astype(int) for one in (flat, top)]
+    assert middle[1][1] > middle[0][1] + 80  # yellow over purple
+
+
+def test_reliefs_that_are_compared_share_scale_and_size(rod, ball):
+    from twin.paper.panel_data import read_panel_data
+    from twin.paper.panel_relief import stage_for
+
+    one, other = read_panel_data(rod / "panels"), read_panel_data(ball / "panels")
+    stage = stage_for(one, other)
+    assert stage.scale_mm[0] == min(one.numbers.scale_mm[0], other.numbers.scale_mm[0])
+    assert stage.scale_mm[1] == max(one.numbers.scale_mm[1], other.numbers.scale_mm[1])
+
+
+def test_a_perfect_cap_has_no_residual(ball):
+    """Setup: heights on an exact sphere. Expected: its radius, residuals of float32 rounding."""
+    from twin.paper.panel_data import read_panel_data
+
+    data = read_panel_data(ball / "panels")
+    (fit,) = data.numbers.balls
+    assert fit.radius_mm == pytest.approx(4.0, abs=1e-4)
+    points = data.ball(1)
+    assert np.hypot(points[:, 0], points[:, 1]).max() <= 1.5  # score.roi_radius_mm of the rig
+    assert np.sqrt(np.mean(points[:, 2].astype(float) ** 2)) == pytest.approx(fit.rmse_mm, rel=1e-3)
+    assert fit.rmse_mm < 1e-6
+
+
+def test_photometric_points_without_measurement_are_gaps(ball):
+    from twin.paper.panel_data import read_panel_data
+
+    data = read_panel_data(ball / "panels")
+    assert not data.valid[:10].any()
+    assert data.valid[10:].all()
+    assert (ball / "panels" / "residuals.pdf").is_file()
+
+
+def test_the_same_result_gives_the_same_bytes(rod, tmp_path):
+    from twin.paper.panels import draw_panels
+
+    again = tmp_path / "again"
+    shutil.copytree(rod, again)
+    shutil.rmtree(again / "panels")
+    draw_panels(again)
+    for path in sorted((rod / "panels").iterdir()):
+        assert path.read_bytes() == (again / "panels" / path.name).read_bytes(), path.name
+
+
+def test_a_pruned_folder_keeps_its_result_and_panels(rod, tmp_path):
+    from twin.paper.panels import prune
+
+    folder = tmp_path / "pruned"
+    shutil.copytree(rod, folder)
+    (folder / "report.html").write_text("page")
+    prune(folder)
+    names = {path.name for path in folder.iterdir()}
+    assert {"result.json", "experiment.toml", "panels", "report.html"} <= names
+    assert not {"capture", "truth.nc", "press.nc", "reconstruction.nc", "points.ply"} & names
+    size = sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
+    assert size < 5e6
+    prune(folder)  # nothing left to remove is no error
+
+
+def test_damaged_panels_are_told_in_one_line(rod, tmp_path):
+    from twin.paper.panel_data import read_panel_data
+
+    folder = tmp_path / "panels"
+    shutil.copytree(rod / "panels", folder)
+    (folder / "panels.npz").write_bytes(b"no archive")
+    with pytest.raises(InputError, match="panels cannot be read") as caught:
+        read_panel_data(folder)
+    assert "\n" not in str(caught.value)

@@ -1,0 +1,52 @@
+"""Rigs drawn from a calibration's covariance."""
+
+import numpy as np
+import pytest
+
+from reconstruction.calibrating.parameters import POSES, Rig, pack
+from twin.config import load_experiment
+from twin.optics.rig import true_calibration
+from twin.paper.rig_draws import RigScatter
+
+
+@pytest.fixture(scope="module")
+def rigs():
+    """A covariance with strong correlations and with parameters that were held fixed."""
+    rng = np.random.default_rng(3)
+    scale = np.concatenate([np.full(4, 0.05), np.full(5, 1e-3)] * 2 + [[1e-5] * 3, [2e-3] * 3])
+    mix = rng.normal(size=(POSES, 6))
+    covariance = (mix @ mix.T / 6 + 0.1 * np.eye(POSES)) * np.outer(scale, scale)
+    for fixed in (6, 7, 8, 15, 16, 17):
+        covariance[fixed] = covariance[:, fixed] = 0.0
+    return RigScatter(true_calibration(load_experiment("paper/two_balls")), covariance)
+
+
+def vector_of(calibration):
+    rig = Rig(
+        calibration.camera, calibration.projector, calibration.T_proj_from_cam, np.eye(4)[None]
+    )
+    return pack(rig)[:POSES]
+
+
+def test_draws_have_the_covariance(rigs):
+    """1000 draws: standard deviations within 4 standard errors, correlations within 0.13."""
+    n = 1000
+    found = np.array([vector_of(rigs.draw(1, trial)) for trial in range(1, n + 1)])
+    free = np.diag(rigs.covariance) > 0
+    sigma = np.sqrt(np.diag(rigs.covariance))
+    steps = found - vector_of(rigs.true)
+    # Poses are chained through 4 x 4 matrices: what is fixed moves by rounding alone.
+    assert np.abs(steps[:, ~free]).max() < 1e-12
+    np.testing.assert_allclose(steps[:, free].std(axis=0), sigma[free], rtol=4 / np.sqrt(2 * n))
+    expected = rigs.covariance[np.ix_(free, free)] / np.outer(sigma[free], sigma[free])
+    np.testing.assert_allclose(np.corrcoef(steps[:, free].T), expected, atol=0.13)
+
+
+def test_trial_zero_is_the_true_rig_and_draws_repeat(rigs):
+    assert rigs.draw(1, 0) is rigs.true
+    np.testing.assert_array_equal(vector_of(rigs.draw(1, 4)), vector_of(rigs.draw(1, 4)))
+    assert not np.array_equal(vector_of(rigs.draw(1, 4)), vector_of(rigs.draw(1, 5)))
+
+
+def test_the_world_hangs_on_the_camera(rigs):
+    np.testing.assert_array_equal(rigs.draw(1, 2).T_world_from_cam, rigs.true.T_world_from_cam)

@@ -1,0 +1,37 @@
+"""Width of a rod's section from points."""
+
+import numpy as np
+import pytest
+
+from reconstruction.errors import FitError
+from twin.paper.rods import section_of
+
+
+def crest(width_mm, sag_mm=0.2):
+    """A trapezoid with flanks of 0.5 mm on ground that rises again beyond its valleys."""
+    x, y = np.meshgrid(np.arange(-9, 9, 0.02), np.arange(-2, 2, 0.1))
+    ramp = np.clip((width_mm / 2 + 0.25 - np.abs(x)) / 0.5, 0, 1)
+    rim = sag_mm * np.clip(np.abs(x) - 7, 0, None) / 2
+    return np.column_stack([x.ravel(), y.ravel(), (ramp + rim).ravel()])
+
+
+@pytest.mark.parametrize("width_mm", [1.99, 4.81, 7.23])
+def test_width_at_half_height(width_mm):
+    """Flanks cross half height at exactly the width; positions are binned by 0.05 mm."""
+    assert section_of(crest(width_mm), 2.0, (0.0, 0.0)).width().width_mm == pytest.approx(
+        width_mm, abs=0.01
+    )
+
+
+def test_the_section_follows_the_rod():
+    moved = crest(3.0) + np.array([0.7, -0.3, 5.0])
+    bar = section_of(moved, 2.0, (0.7, -0.3)).width()
+    assert bar.width_mm == pytest.approx(3.0, abs=0.01)
+    assert bar.height_mm == pytest.approx(1.0, abs=0.02)
+
+
+def test_no_crest_is_refused():
+    x, y = np.meshgrid(np.arange(-9, 9, 0.02), np.arange(-2, 2, 0.1))
+    slope = np.column_stack([x.ravel(), y.ravel(), x.ravel()])
+    with pytest.raises(FitError):
+        section_of(slope, 2.0, (0.0, 0.0)).width()

@@ -1,0 +1,120 @@
+"""Tables, budget and claims from trials with known numbers."""
+
+import json
+
+import numpy as np
+import pytest
+
+from twin.paper.claims import claims_of
+from twin.paper.published import CONTACT_FPP, GELSIGHT
+from twin.paper.repeats import Trial, kept
+from twin.paper.rod_table import hardness_table, rods_table
+from twin.paper.sphere_tables import (
+    calibration_uncertainty,
+    repeated_fit_table,
+    sphere_fit_table,
+    uncertainty_table,
+)
+from twin.paper.table import Column, Table
+
+RADII = [4.0, 3.9, 4.1, 4.05, 3.95, 4.2]
+
+
+def fringe_trials(rmse=0.012):
+    """Trial 0 and as many others as RADII; the drawn rig adds 2 um to every radius."""
+    trials = []
+    for number, radius in enumerate([4.0, *RADII]):
+        figures = {}
+        for ball in (1, 2):
+            figures |= {
+                f"sphere_{ball}_radius_mm": radius + 0.002,
+                f"true_rig_sphere_{ball}_radius_mm": radius,
+                f"sphere_{ball}_rmse_mm": rmse,
+            }
+        trials.append(Trial(number, {}, figures))
+    return trials
+
+
+def colour_trials(rmse=0.09):
+    trials = fringe_trials(rmse)
+    for trial in trials:
+        for ball in (1, 2):
+            del trial.figures[f"true_rig_sphere_{ball}_radius_mm"]
+    radii = {f"calibration_{k}_sphere_1_radius_mm": 4.0 + 0.01 * k for k in range(5)}
+    trials[0].figures.update(radii)
+    return trials
+
+
+def test_repeated_fit_against_numpy():
+    table = repeated_fit_table({CONTACT_FPP: fringe_trials()})
+    five = table.row(method=CONTACT_FPP, source="twin", sphere=1, trials=5)
+    six = table.row(method=CONTACT_FPP, source="twin", sphere=1, trials=6)
+    assert five["mean_radius"] == pytest.approx(np.mean(RADII[:5]) + 0.002)
+    assert five["sd"] == pytest.approx(np.std(RADII[:5], ddof=1))
+    assert six["error"] == pytest.approx(np.mean(RADII) + 0.002 - 4.0)
+
+
+def test_the_papers_rows_are_the_papers():
+    """Spot checks against the published tables."""
+    fit = sphere_fit_table({}).row(method=CONTACT_FPP, sphere=2, source="paper")
+    assert (fit["radius"], fit["rmse"]) == (3.91, 0.012)
+    assert uncertainty_table({}).row(method=GELSIGHT, sphere=2)["U"] == 0.082
+    assert rods_table({}).row(rod="C", source="paper")["cv_percent"] == 3.17
+    assert [row["shore_a"] for row in hardness_table().rows] == [20.0, 15.0, 10.0]
+
+
+def test_budget_is_the_root_sum_of_squares_times_two():
+    row = uncertainty_table({CONTACT_FPP: fringe_trials()}).row(source="twin", sphere=1, trials=5)
+    u_rep = np.std(RADII[:5], ddof=1) / np.sqrt(5)
+    assert row["u_rep"] == pytest.approx(u_rep)
+    assert row["u_cal"] == pytest.approx(0.002)
+    assert row["U"] == pytest.approx(2 * np.sqrt(u_rep**2 + 0.01**2 / 3 + 0.002**2))
+
+
+def test_calibration_of_colours_is_the_spread_over_calibrations():
+    expected = np.std(4.0 + 0.01 * np.arange(5), ddof=1)
+    assert calibration_uncertainty(colour_trials(), 1) == pytest.approx(expected)
+
+
+def test_claims_are_judged_by_the_tables():
+    both = {CONTACT_FPP: fringe_trials(0.012), GELSIGHT: colour_trials(0.09)}
+    claims = {one.name: one for one in claims_of({"repeated_fit": repeated_fit_table(both)})}
+    assert claims["contact-FPP: RMSE of the sphere fit"].met
+    assert claims["RMSE, GelSight over contact-FPP"].found == pytest.approx(7.5)
+    worse = {CONTACT_FPP: fringe_trials(0.03), GELSIGHT: colour_trials(0.09)}
+    missed = {one.name: one for one in claims_of({"repeated_fit": repeated_fit_table(worse)})}
+    assert not missed["contact-FPP: RMSE of the sphere fit"].met
+    assert missed["contact-FPP: RMSE of the sphere fit"].why
+    assert not missed["RMSE, GelSight over contact-FPP"].met
+
+
+def test_rods_that_show_no_crest_are_counted():
+    trials = [Trial(k, {}, {"rod_width_mm": 2.0 + 0.1 * k}) for k in range(5)]
+    trials.append(Trial(5, {}, {"rod_failure": "no crest"}))
+    row = rods_table({"A": trials}).row(rod="A", source="twin")
+    assert row["failed"] == 1
+    assert row["mean"] == pytest.approx(2.25)
+
+
+def test_tables_as_json_and_markdown():
+    columns = (Column("a", "A"), Column("b", "B, mm", 2))
+    table = Table("t", "Title", "", columns, ({"a": "x", "b": 1.234}, {"a": "y"}), ("note",))
+    assert "| x | 1.23 |\n| y | – |" in table.as_markdown()
+    assert json.loads(json.dumps(table.as_json()))["rows"][0]["b"] == 1.234
+
+
+def test_a_kept_trial_is_not_taken_again(tmp_path):
+    path, calls = tmp_path / "a" / "trial.json", []
+
+    def compute():
+        calls.append(1)
+        return {"x_mm": 0.1 + 0.2}
+
+    first = kept(path, "digest", compute)
+    assert kept(path, "digest", compute) == first == {"x_mm": 0.1 + 0.2}
+    assert len(calls) == 1
+    kept(path, "another digest", compute)
+    path.write_text("{half a fi", encoding="utf-8")
+    kept(path, "another digest", compute)
+    assert len(calls) == 3
+    assert [file.name for file in path.parent.iterdir()] == ["trial.json"]

@@ -1,0 +1,167 @@
+"""Pictures for people: geometry of the observer, light, holes, and what the views show."""
+
+import numpy as np
+import pytest
+import trimesh
+from PIL import Image
+
+from twin.config import load_experiment
+from twin.modalities.contact_fpp import press_specimen
+from twin.optics.rig import true_calibration
+
+COARSE = {"press.solver_pitch_mm": 0.4, "press.relief_pitch_mm": 0.05}
+TOWARDS_LAMP = (-1.0, 0.0, 1.0)
+
+
+@pytest.fixture(scope="module")
+def experiment():
+    return load_experiment("paper/two_balls", COARSE)
+
+
+@pytest.fixture(scope="module")
+def pressed(experiment):
+    return press_specimen(experiment)
+
+
+def observer(width_mm=10.0, size=(64, 48), eye=(0.0, -40.0, 40.0)):
+    from twin.optics.observer import Observer
+
+    return Observer(eye, (0.0, 0.0, 0.0), width_mm, *size)
+
+
+def plane(z_mm=0.0, half_mm=50.0):
+    corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * half_mm
+    vertices = np.column_stack([corners, np.full(4, z_mm)])
+    return vertices, np.array([(0, 1, 2), (0, 2, 3)])
+
+
+def test_observer_sees_the_target_in_the_middle_and_z_upright(mi):
+    seen = observer()
+    at = seen.project([(0.0, 0.0, 0.0), (0.0, 0.0, 1.0), (1.0, 0.0, 0.0)])
+    np.testing.assert_allclose(at[0], (31.5, 23.5), atol=1e-9)
+    assert at[1, 1] < at[0, 1]
+    assert at[1, 0] == pytest.approx(at[0, 0])
+    assert at[2, 0] - at[0, 0] == pytest.approx(6.4)  # 64 px show 10 mm
+
+
+def test_view_straight_down_has_world_y_at_the_top(mi):
+    seen = observer(eye=(0.0, 0.0, 50.0))
+    at = seen.project([(0.0, 1.0, 0.0), (1.0, 0.0, 0.0)])
+    assert at[0, 1] < 23.5
+    assert at[1, 0] > 31.5
+
+
+def test_rays_meet_a_plane_where_they_project_to(mi):
+    """Setup: the plane z = 0 fills the picture. Expected: each point projects to its pixel."""
+    from twin.optics.sight import look
+
+    seen = look(*plane(), observer(), TOWARDS_LAMP)
+    assert seen.hit.all()
+    assert seen.sunlit.all()
+    row, col = np.mgrid[:48, :64]
+    at = observer().project(seen.points_mm.astype(float))
+    np.testing.assert_allclose(at, np.stack([col, row], axis=-1), atol=2e-3)
+    np.testing.assert_allclose(seen.normals, np.broadcast_to((0, 0, 1.0), (48, 64, 3)), atol=1e-6)
+
+
+def test_a_screen_throws_a_shadow_where_geometry_says(mi):
+    """Setup: lamp at 45 deg from -x, a wall of height 1 at x = 0. Expected: dark for 0 < x < 1."""
+    from twin.optics.sight import look
+
+    ground, triangles = plane()
+    wall = np.array([(0, -20, 0), (0, 20, 0), (0, 20, 1), (0, -20, 1)], float)
+    vertices = np.vstack([ground, wall])
+    both = np.vstack([triangles, triangles + 4])
+    seen = look(vertices, both, observer(eye=(0.0, -0.01, 60.0)), TOWARDS_LAMP)
+    x = seen.points_mm[..., 0]
+    low = seen.hit & (seen.points_mm[..., 2] < 0.01)
+    assert not seen.sunlit[low & (x > 0.05) & (x < 0.95)].any()
+    assert seen.sunlit[low & (x > 1.05)].all()
+    assert seen.sunlit[low & (x < -0.05)].all()
+
+
+def test_pictures_are_white_where_nothing_is_and_repeat_byte_for_byte(mi):
+    from twin.optics.view import Thing, matte, picture
+
+    ball = Thing("ball", trimesh.creation.icosphere(radius=2.0), matte(0.6, 0.1, 0.1), smooth=True)
+    first, again = (picture([ball], observer(), samples=4) for _ in range(2))
+    np.testing.assert_array_equal(first, again)
+    assert (first[0] == 255).all()
+    assert (first[:, 0] == 255).all()
+    red, green, blue = first[24, 32].astype(int)
+    assert red > green + 60
+    assert abs(green - blue) < 10
+
+
+def test_a_photograph_is_gray_and_taken_once_per_specimen(mi, tmp_path, monkeypatch):
+    """Setup: one ball under two presses. Expected: one picture, of a bright ball on the stage."""
+    from twin.paper import photographs
+
+    monkeypatch.setattr(photographs, "_SAMPLES", 2)
+    monkeypatch.setattr(photographs, "_WIDTH_PX", 64)
+    monkeypatch.setattr(photographs, "_HEIGHT_PX", 48)
+    photographs._render.cache_clear()
+    ball = load_experiment("paper/ball")
+    deeper = load_experiment("paper/ball", {"press.depth_mm": 1.0})
+    first = photographs.photograph_of(ball)
+    assert photographs.photograph_of(deeper) is first
+    np.testing.assert_array_equal(first[..., 0], first[..., 2])
+    assert first[24, 32].mean() > 40
+    photographs.photograph(tmp_path / "ball.png", ball)
+    assert [path.name for path in tmp_path.iterdir()] == ["ball.png"]
+    photographs._render.cache_clear()
+
+
+def test_fringes_on_the_coat_have_the_projectors_period(experiment, mi):
+    """Setup: points whose projector columns are a period apart. Expected: the same shade."""
+    from twin.paper.view_things import fringe_shade
+
+    rig = true_calibration(experiment)
+    columns = 640.0 + experiment.patterns.period_px * np.arange(4)
+    slopes = rig.projector.unproject(np.column_stack([columns, np.full(4, 360.0)]))
+    rays = np.column_stack([slopes, np.ones(4)]) @ rig.T_world_from_proj[:3, :3].T
+    start = rig.T_world_from_proj[:3, 3]
+    points = start - (start[2] / rays[:, 2])[:, None] * rays
+    np.testing.assert_allclose(np.diff(fringe_shade(experiment, points)), 0.0, atol=1e-9)
+
+
+def test_a_cut_sheet_ends_at_the_cut_and_is_closed(experiment, pressed, mi):
+    from twin.paper.view_things import sheet_things
+
+    silicone, coat = sheet_things(experiment, pressed, cut_y_mm=0.0)
+    assert silicone.mesh.is_watertight
+    assert silicone.mesh.bounds[0, 1] == pytest.approx(0.0, abs=0.06)
+    half = experiment.elastomer.length_y_mm / 2
+    assert silicone.mesh.bounds[1, 1] == pytest.approx(half)
+    assert coat.mesh.bounds[1, 2] == pytest.approx(pressed.face_z_mm.max() + 0.04, abs=0.01)
+
+
+def test_the_specimen_is_where_the_press_put_it(experiment, pressed, mi):
+    from twin.paper.view_things import specimen_things
+
+    balls = specimen_things(experiment, pressed)[0]
+    top = experiment.elastomer.touched_plane_mm + pressed.depth_mm
+    assert balls.mesh.bounds[1, 2] == pytest.approx(top, abs=0.03)
+
+
+@pytest.fixture
+def coarse_views(mi, monkeypatch):
+    """One path per pixel of small pictures."""
+    from twin.paper import views
+
+    monkeypatch.setattr(views, "_SAMPLES", 1)
+    for view in ("_RIG", "_SHEET", "_CUT"):
+        full = getattr(views, view)
+        small = type(full)(full.eye_mm, full.target_mm, full.width_mm, 104, 80)
+        monkeypatch.setattr(views, view, small)
+    return views
+
+
+@pytest.mark.parametrize("name", ["concept", "setup"])
+def test_views_are_drawn(coarse_views, name, experiment, pressed, tmp_path):
+    """Small and noisy here: what they show is looked at by eye, that they draw is tested."""
+    getattr(coarse_views, f"draw_{name}")(tmp_path / name, experiment, pressed)
+    assert (tmp_path / f"{name}.pdf").read_bytes().startswith(b"%PDF")
+    shown = np.asarray(Image.open(tmp_path / f"{name}.png").convert("L"))
+    assert shown.shape[1] == round(7.16 * 200)
+    assert shown.std() > 20

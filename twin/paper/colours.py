@@ -1,0 +1,91 @@
+"""Repeated presses of the two balls under the GelSight-like sensor, decoded as the paper did.
+
+The sensor is calibrated anew several times, on reference presses drawn from another seed each; a
+trial uses one of these calibrations. The press has the specimen, pose and load of the same trial of
+contact-FPP.
+"""
+
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from twin.config import Experiment
+from twin.modalities.instruments import PhotometricPlan, case_for
+from twin.modalities.photometric_decoders import Decoded
+from twin.modalities.photometric_score import photometric_metrics
+from twin.modalities.photometric_stereo import measure_photometric
+from twin.modalities.progress import Watcher, nobody
+from twin.paper.repeats import Figures, Repeated, Trial
+from twin.paper.scatter import Scatter
+
+CALIBRATIONS = 5
+# The paper's pipeline: a look-up table, then integration as in the vendor's programs of its time.
+PAPER_DECODER = {"photometric.colour_map": "table", "photometric.integration": "sdk_2024"}
+
+
+def plan_of(seed: int, trial: int) -> PhotometricPlan:
+    """Return sensor and decoder of a trial; its reference presses are one of five sets."""
+    settings: dict[str, Any] = {**PAPER_DECODER, "seed": seed + trial % CALIBRATIONS}
+    return PhotometricPlan(settings=settings)
+
+
+def measure_colours(seed: int, experiment: Experiment, trial: int) -> Figures:
+    """Measure once; the paper's decoder under plain names, every decoder under its own."""
+    case = case_for(experiment, "photometric_stereo", plan_of(seed, trial))
+    measured = measure_photometric(case, trial=trial)
+    figures = photometric_metrics(measured.score) | {"depth_mm": measured.pressed.depth_mm}
+    for one in measured.decoded:
+        figures |= _by_decoder(one)
+    return figures | {"force_n": measured.pressed.force_n}
+
+
+def _by_decoder(one: Decoded) -> Figures:
+    found = photometric_metrics(one.score)
+    return {
+        f"{one.colour_map}_{one.integration}_{name}": value
+        for name, value in found.items()
+        if name.startswith("sphere_") or name == "z_rmse_um"
+    }
+
+
+def colour_trials(
+    experiment: Experiment, scatter: Scatter, folder: Path, count: int, watch: Watcher = nobody
+) -> list[Trial]:
+    """Return trials 0 to `count`; trial 0 also holds the nominal press under every calibration.
+
+    Raises
+    ------
+    InputError, MissingBackend
+        As `measure_photometric`.
+    """
+    measured = partial(measure_colours, scatter.seed)
+    name = f"{experiment.name}_photometric_stereo"
+    presses = Repeated(name, experiment, scatter, measured, str(plan_of(scatter.seed, 0)))
+    still = scatter.model_copy(update={"inputs": {}})
+    nominal = Repeated(f"{name}_calibrations", experiment, still, measured, presses.method)
+    found, redone = [], {}
+    for done, number in enumerate(_by_calibration(count)):
+        watch(f"trials of {name}", done / (count + 1))
+        if number < CALIBRATIONS:
+            redone[number] = nominal.trial(folder, number).figures
+        found.append(presses.trial(folder, number))
+    watch(f"trials of {name}", 1.0)
+    found.sort(key=lambda one: one.number)
+    return [_with_calibrations(found[0], redone), *found[1:]]
+
+
+def _by_calibration(count: int) -> Iterator[int]:
+    """Order the trials by the calibration that they share: making one takes the longest."""
+    for first in range(CALIBRATIONS):
+        yield from range(first, count + 1, CALIBRATIONS)
+
+
+def _with_calibrations(trial: Trial, redone: dict[int, Figures]) -> Trial:
+    radii = {
+        f"calibration_{number}_{name}": value
+        for number, figures in redone.items()
+        for name, value in figures.items()
+        if name.startswith("sphere_") and name.endswith("_radius_mm") and "true" not in name
+    }
+    return Trial(trial.number, trial.drawn, trial.figures | radii)

@@ -1,0 +1,122 @@
+"""How much of a specimen a method shows, in pixels of its camera.
+
+A point counts when its height errs by no more than `score.good_within_um`. Against the relief, the
+coat over the contact region is asked for, and the truth is the coat. Against the specimen, every
+pixel within its outline seen from above is asked for, and the truth is its upper face: a contact
+method reads it off the coat, as if the sheet lay on it with its own thickness everywhere. Seen
+directly, the truth is what the pixel shows of the specimen.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.config.models import Experiment
+from twin.mechanics import PressedElastomer
+from twin.optics.stack import Truth
+from twin.specimens import shape_of
+
+_GRID_MM = 0.02
+
+Mask = NDArray[np.bool_]
+Doubles = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Completeness:
+    """Shares of the pixels asked for.
+
+    Attributes
+    ----------
+    contact : of the contact region, against the coat; None where nothing is pressed
+    contact_points : points there, right or wrong; None likewise
+    specimen : of the specimen, against its own face
+    specimen_points : points there, right or wrong
+    limit_um : what a good point's height may err
+    """
+
+    contact: float | None
+    contact_points: float | None
+    specimen: float
+    specimen_points: float
+    limit_um: float
+
+    @property
+    def missing(self) -> float:
+        """Share of the specimen without any point."""
+        return 1.0 - self.specimen_points
+
+
+def completeness_of(
+    experiment: Experiment,
+    truth: Truth,
+    points_mm: Doubles,
+    valid: Mask,
+    pressed: PressedElastomer | None,
+) -> Completeness:
+    """Return what share of specimen and contact region was measured.
+
+    Parameters
+    ----------
+    experiment : Experiment
+    truth : what every pixel shows
+    points_mm : (row, col, xyz) float, world; measured points
+    valid : (row, col) bool
+    pressed : None where the bare specimen is seen
+    """
+    limit_um = experiment.score.good_within_um
+    true = truth.points_world_mm.astype(np.float64)
+    if pressed is None:
+        asked = truth.measured
+        good = _good(points_mm[..., 2], true[..., 2], limit_um) & valid
+        return Completeness(None, None, _share(good, asked), _share(valid, asked), limit_um)
+    region = truth.measured & in_contact(pressed, true)
+    on_coat = _good(points_mm[..., 2], true[..., 2], limit_um) & valid
+    z_mm = specimen_height_mm(experiment, pressed.depth_mm, true)
+    asked = truth.measured & np.isfinite(z_mm)
+    on_face = _good(points_mm[..., 2], z_mm, limit_um) & valid
+    return Completeness(
+        _share(on_coat, region),
+        _share(valid, region),
+        _share(on_face, asked),
+        _share(valid, asked),
+        limit_um,
+    )
+
+
+def in_contact(pressed: PressedElastomer, points_mm: Doubles) -> Mask:
+    """Tell which points, (..., xyz) world, lie over cells that touch the specimen."""
+    col = _nearest(pressed.x_mm, points_mm[..., 0])
+    row = _nearest(pressed.y_mm, points_mm[..., 1])
+    return np.asarray(pressed.contact[row, col])
+
+
+def specimen_height_mm(experiment: Experiment, depth_mm: float, points_mm: Doubles) -> Doubles:
+    """Return the specimen's upper face under points, (...), raised by the sheet it lies under.
+
+    World z of a sheet that lies on the specimen with its own thickness; inf beside the outline.
+    """
+    shape = shape_of(experiment.specimen)
+    x_low, x_high, y_low, y_high = shape.bounds_mm()
+    x_mm, y_mm = np.arange(x_low, x_high, _GRID_MM), np.arange(y_low, y_high, _GRID_MM)
+    fall = shape.height_above_lowest(x_mm, y_mm)
+    x, y = points_mm[..., 0], points_mm[..., 1]
+    found = depth_mm - fall[_nearest(y_mm, y), _nearest(x_mm, x)]
+    beside = (x < x_low) | (x > x_high) | (y < y_low) | (y > y_high)
+    return np.where(beside, -np.inf, found)
+
+
+def _nearest(grid_mm: Doubles, values: Doubles) -> NDArray[np.int64]:
+    step = grid_mm[1] - grid_mm[0]
+    number = np.rint((values - grid_mm[0]) / step).astype(np.int64)
+    clipped: NDArray[np.int64] = np.clip(number, 0, grid_mm.size - 1)
+    return clipped
+
+
+def _good(found_mm: Doubles, true_mm: Doubles, limit_um: float) -> Mask:
+    return np.asarray(np.abs(found_mm - true_mm) <= 1e-3 * limit_um)
+
+
+def _share(of: Mask, asked: Mask) -> float:
+    return float((of & asked).sum() / max(int(asked.sum()), 1))

@@ -1,0 +1,152 @@
+"""Every figure of the paper: which cases it needs, how it is drawn, what stands below it."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+from reconstruction.errors import InputError
+from twin.config import Experiment, load_experiment
+from twin.mechanics import PressedElastomer
+from twin.modalities.contact_fpp import press_specimen
+from twin.paper.figure_objects import (
+    COMPARED_OBJECTS,
+    HARD_OBJECTS,
+    RODS,
+    draw_direct_and_contact,
+    draw_grid,
+    draw_missing,
+    draw_rods,
+)
+from twin.paper.figure_spheres import draw_sphere_fit
+from twin.paper.hardness import draw_hardness
+from twin.paper.views import draw_concept, draw_setup
+
+_SHOWN_PRESS = "paper/two_balls"
+_FPP, _ALL = ("direct_fpp", "contact_fpp"), ("photometric_stereo", "contact_fpp")
+
+
+@dataclass(frozen=True)
+class PaperFigure:
+    """One figure.
+
+    Attributes
+    ----------
+    title, caption : text of the page
+    paper : which figure of the paper it stands beside; empty when it has none
+    cases : (experiment's name, method) of every case that it shows
+    draw : writes `stem`.png and `stem`.pdf, given the folder of cases
+    """
+
+    title: str
+    caption: str
+    paper: str
+    cases: tuple[tuple[str, str], ...]
+    draw: Callable[[Path, Path], None]
+
+
+@lru_cache
+def _pressed() -> tuple[Experiment, PressedElastomer]:
+    experiment = load_experiment(_SHOWN_PRESS)
+    return experiment, press_specimen(experiment)
+
+
+def _cases(names: dict[str, str], methods: tuple[str, ...]) -> tuple[tuple[str, str], ...]:
+    return tuple((name, method) for name in names for method in methods)
+
+
+FIGURES: dict[str, PaperFigure] = {
+    "concept": PaperFigure(
+        "Principle",
+        "(a) Section through the two balls: sheet, relief and specimen to scale, devices brought "
+        "near. The specimen presses the clear face, the coat on the far face follows, and fringes "
+        "are projected onto the coat. (b) The same sheet cut open, rendered; the silicone is "
+        "painted blue.",
+        "Fig. 1, concept",
+        (),
+        lambda _, stem: draw_concept(stem, *_pressed()),
+    ),
+    "hardness": PaperFigure(
+        "Hardness against mixing ratio",
+        "Shore A of the three silicones with the range of what is plausible; the paper's graph has "
+        "no numbers, its text states 20 for 1:1. Young's modulus by Gent's relation, bars over all "
+        "valid formulas and ±5 points: below 20 they extrapolate.",
+        "Fig. 2, Shore graph",
+        (),
+        draw_hardness,
+    ),
+    "setup": PaperFigure(
+        "Set-up",
+        "(a) Pinholes of camera and projector stand where the experiment has them; pyramids are "
+        "what they cover at the undeformed coat. Housings, frame and stage are "
+        "schematic. (b) The pressed sheet with fringes.",
+        "Fig. 3, photograph of the set-up",
+        (),
+        lambda _, stem: draw_setup(stem, *_pressed()),
+    ),
+    "direct_and_contact": PaperFigure(
+        "Metal and clear objects",
+        "Fringe image and measured surface of each object, without the sheet (top) and under it "
+        "(bottom). A hole is a missing point; points far outside the true heights are left out. "
+        "Percentages: share of the pixels that show the surface with a point, and with one that is "
+        "right within the stated limit. Each surface has its own height scale: the bare objects "
+        "are higher than the relief of the coat.",
+        "Fig. 5",
+        _cases(HARD_OBJECTS, _FPP),
+        draw_direct_and_contact,
+    ),
+    "missing": PaperFigure(
+        "Why points are missing",
+        "Top: why a pixel that shows the bare object has no point. Middle and bottom: measured "
+        "minus true height of both methods on one scale; gray has no point or is not wanted.",
+        "",
+        _cases(HARD_OBJECTS, _FPP),
+        draw_missing,
+    ),
+    "rods": PaperFigure(
+        "Acrylic rods",
+        "Rod, fringe image and measured surface, and the mean cross-section of 2 mm of the rod "
+        "with its width where it crosses half of the height between crest and valleys.",
+        "Fig. 7",
+        _cases(RODS, ("contact_fpp",)),
+        draw_rods,
+    ),
+    "grid": PaperFigure(
+        "Beside GelSight",
+        "Object, image of a GelSight Mini, fringe image, and both measured surfaces; the two "
+        "surfaces of an object share size, enlargement and height scale.",
+        "Fig. 8",
+        _cases(COMPARED_OBJECTS, _ALL),
+        draw_grid,
+    ),
+    "sphere_fit": PaperFigure(
+        "Sphere fits",
+        "Two joined 8 mm balls: measured surfaces on one height scale, radial residuals of the "
+        "least-squares spheres, and their histograms, on one scale for both methods; residuals "
+        "beyond the scale stand in the outermost bars.",
+        "Fig. 9",
+        (("two_balls", "photometric_stereo"), ("two_balls", "contact_fpp")),
+        draw_sphere_fit,
+    ),
+}
+"""By name, in the order of the paper."""
+
+
+def draw_figure(name: str, cases: Path, out: Path) -> None:
+    """Draw one figure into `out` as `name`.png and `name`.pdf.
+
+    Parameters
+    ----------
+    name : a key of FIGURES
+    cases : folder of cases, `NAME/METHOD/` with panels; a case that is not there is marked so
+
+    Raises
+    ------
+    InputError
+        Unknown name, panels damaged, or `out` cannot be written.
+    MissingBackend
+        No usable Dr.Jit backend.
+    """
+    if name not in FIGURES:
+        raise InputError(f"figure: found '{name}', allowed: {', '.join(FIGURES)}")
+    FIGURES[name].draw(cases, out / name)

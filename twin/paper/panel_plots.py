@@ -1,0 +1,147 @@
+"""Curves and maps of the figures: sections of rods, height errors, residuals of sphere fits."""
+
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import BoundaryNorm, ListedColormap
+
+from reconstruction.mask import Reason
+from twin.paper.panel_data import PanelData
+from twin.paper.sheet import bare
+from twin.report.camera_view import NO_POINT
+from twin.report.canvas import (
+    FAINT,
+    FIT,
+    GAP,
+    INK,
+    MEASURED,
+    MEASURED_FILL,
+    TRUE_FACE,
+    add_colorbar,
+    diverging,
+    legend_above,
+    plain_spines,
+    symmetric_limit,
+)
+from twin.report.decoding import REASON_COLOURS
+
+_MOST_CELLS, _POINTS_PER_CELL, _BINS = 90, 3, 61
+
+
+def show_picture(axes: Axes, data: PanelData) -> None:
+    """Show what the camera saw."""
+    axes.imshow(data.picture, cmap="gray", vmin=0, vmax=255)
+    bare(axes)
+
+
+def show_photograph(axes: Axes, data: PanelData) -> None:
+    """Show the specimen alone."""
+    axes.imshow(data.photograph)
+    bare(axes)
+
+
+def show_section(axes: Axes, data: PanelData, legend: bool = True) -> None:
+    """Show a rod's cross-section, measured and true, with the width that is read from it."""
+    axes.plot(*data.section.T, ".", color=MEASURED_FILL, ms=3.5, label="measured")
+    axes.plot(*data.true_section.T, color=TRUE_FACE, lw=0.9, label="true coat")
+    width = data.numbers.width
+    if width is not None:
+        level = float(np.interp(width.left_mm, *data.section.T))
+        ends = (width.left_mm, width.right_mm)
+        axes.annotate(
+            "", (ends[1], level), (ends[0], level), arrowprops={"arrowstyle": "<->", "color": FIT}
+        )
+        axes.text(
+            sum(ends) / 2,
+            level,
+            f"{width.width_mm:.2f} mm",
+            color=FIT,
+            ha="center",
+            va="bottom",
+            fontsize=7.0,
+        )
+    axes.set(xlabel="across the rod (mm)", ylabel="z (mm)")
+    if legend:
+        legend_above(axes, 2)
+    plain_spines(axes)
+
+
+def zoom_to_wanted(axes: Axes, data: PanelData) -> None:
+    """Show only where points are wanted, with a margin, in the picture's own shape."""
+    rows, cols = data.wanted.shape
+    found = np.argwhere(data.wanted)
+    if not len(found):
+        return
+    low, high = found.min(axis=0), found.max(axis=0)
+    share = min(1.0, 1.15 * float(((high - low + 1) / (rows, cols)).max()))
+    row, col = (low + high) / 2
+    axes.set_xlim(col - share * cols / 2, col + share * cols / 2)
+    axes.set_ylim(row + share * rows / 2, row - share * rows / 2)
+
+
+def show_error(axes: Axes, data: PanelData, limit_um: float, bar: bool = True) -> None:
+    """Show measured minus true z in camera pixels; no point is gray, no matter of the method."""
+    colours = diverging().with_extremes(bad=NO_POINT)
+    shown = axes.imshow(data.error_um, cmap=colours, vmin=-limit_um, vmax=limit_um)
+    bare(axes)
+    if bar:
+        add_colorbar(axes, shown, "z error (µm), clipped at the ends", extend="both", side="below")
+
+
+def show_reasons(axes: Axes, data: PanelData) -> None:
+    """Show why wanted pixels have no point; the others are pale gray."""
+    colours = ListedColormap([REASON_COLOURS[r] for r in Reason]).with_extremes(bad=GAP)
+    norm = BoundaryNorm(np.arange(len(Reason) + 1) - 0.5, len(Reason))
+    axes.imshow(np.ma.masked_array(data.reason, ~data.wanted), cmap=colours, norm=norm)
+    bare(axes)
+
+
+def residual_limit_um(*shown: PanelData) -> float:
+    """Return one symmetric end of a residual scale for several measurements."""
+    return max(symmetric_limit(1e3 * one.ball_points[:, 3], 99.5) for one in shown)
+
+
+def show_residuals(axes: Axes, data: PanelData, number: int, limit_um: float) -> Any:
+    """Show the radial residuals of one ball's fit over world xy; returns what a bar needs."""
+    x, y, residual = data.ball(number).astype(np.float64).T
+    cells = int(np.clip(np.sqrt(x.size / _POINTS_PER_CELL), 4, _MOST_CELLS))
+    edges = [np.linspace(v.min(), v.max(), cells + 1) for v in (y, x)]
+    total, *_ = np.histogram2d(y, x, edges, weights=1e3 * residual)
+    count, *_ = np.histogram2d(y, x, edges)
+    mean = np.ma.masked_array(total / np.maximum(count, 1), count == 0)
+    (bottom, *_, top), (left, *_, right) = edges
+    axes.set(aspect="equal", xlabel="x (mm)", ylabel="y (mm)")
+    plain_spines(axes)
+    axes.grid(visible=False)
+    return axes.imshow(
+        mean,
+        origin="lower",
+        extent=(left, right, bottom, top),
+        cmap=diverging().with_extremes(bad="white"),
+        vmin=-limit_um,
+        vmax=limit_um,
+    )
+
+
+def show_histogram(axes: Axes, data: PanelData, number: int, limit_um: float) -> None:
+    """Show how the radial residuals of one ball are distributed."""
+    residual_um = 1e3 * data.ball(number)[:, 2].astype(np.float64)
+    edges = np.linspace(-limit_um, limit_um, _BINS + 1)
+    weights = np.full(residual_um.size, 100.0 / max(residual_um.size, 1))
+    axes.hist(
+        np.clip(residual_um, -limit_um, limit_um), edges.tolist(), weights=weights,
+        color=MEASURED_FILL, edgecolor=MEASURED, linewidth=0.3,
+    )  # fmt: skip
+    ball = next(one for one in data.numbers.balls if one.number == number)
+    told = f"r {ball.radius_mm:.3f} mm, RMSE {1e3 * ball.rmse_mm:.1f} µm"
+    axes.set_title(told, fontsize=6.0, loc="center")
+    axes.axvline(0.0, color=FAINT, lw=0.6)
+    axes.set(xlabel="radial residual (µm)", ylabel="points (%)", xlim=(-limit_um, limit_um))
+    plain_spines(axes)
+
+
+def no_measurement(axes: Axes) -> None:
+    """Say that there is nothing to show."""
+    bare(axes)
+    axes.text(0.5, 0.5, "not measured", color=INK, ha="center", transform=axes.transAxes)

@@ -1,0 +1,79 @@
+"""The specimen alone on the stage in soft light, as one would photograph it."""
+
+from dataclasses import dataclass, field
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from twin.config import Experiment
+from twin.optics.direct import STAGE, solids
+from twin.optics.observer import Observer
+from twin.optics.view import Picture, Thing, picture
+from twin.paper.sheet import bare, sheet
+from twin.report.canvas import axes_at
+
+_WIDTH_PX, _HEIGHT_PX, _SAMPLES = 360, 270, 32
+_FROM = (0.5, -0.52, 0.69)
+# Eyes so far away see nearly in parallel, as a macro lens does.
+_DISTANCE, _ROOM = 7.0, 1.3
+_WIDTH_IN = 3.0
+
+
+def photograph(path: Path, experiment: Experiment) -> None:
+    """Write the picture of the specimen as PNG.
+
+    Raises
+    ------
+    InputError
+        A part of the specimen has no material, or `path` cannot be written.
+    MissingBackend
+        No usable Dr.Jit backend.
+    """
+    height_in = _WIDTH_IN * _HEIGHT_PX / _WIDTH_PX
+    with sheet(path.with_suffix(""), _WIDTH_IN, height_in, pdf=False) as figure:
+        axes = axes_at(figure, 0.0, 0.0, _WIDTH_IN, height_in)
+        axes.imshow(photograph_of(experiment))
+        bare(axes)
+        axes.spines[:].set_visible(False)
+
+
+def photograph_of(experiment: Experiment) -> Picture:
+    """Return the picture, (row, col, 3) uint8; the same specimen is rendered once per process.
+
+    Raises
+    ------
+    InputError
+        A part of the specimen has no material.
+    MissingBackend
+        No usable Dr.Jit backend.
+    """
+    return _render(_Sitter(experiment.model_dump_json(include={"specimen", "stage"}), experiment))
+
+
+@dataclass(frozen=True)
+class _Sitter:
+    """What is photographed, told apart by specimen and stage alone."""
+
+    key: str
+    experiment: Experiment = field(compare=False)
+
+
+@lru_cache(maxsize=32)
+def _render(sitter: _Sitter) -> Picture:
+    things = [
+        Thing(solid.name, solid.mesh, solid.bsdf, smooth=True)
+        for solid in solids(sitter.experiment)
+    ]
+    shown = [thing.mesh.bounds for thing in things if thing.name != STAGE]
+    low, high = np.min([b[0] for b in shown], axis=0), np.max([b[1] for b in shown], axis=0)
+    middle = (low + high) / 2
+    width_mm = _ROOM * float(np.hypot(*(high - low)[:2]))
+    eye = middle + _DISTANCE * width_mm * np.array(_FROM)
+    observer = Observer(_point(eye), _point(middle), width_mm, _WIDTH_PX, _HEIGHT_PX)
+    return picture(things, observer, _SAMPLES, gray=True)
+
+
+def _point(xyz: np.ndarray) -> tuple[float, float, float]:
+    x, y, z = (float(value) for value in xyz)
+    return x, y, z

@@ -1,0 +1,34 @@
+"""What the paper measured: its specimens and instruments, one parameter set for all of them."""
+
+from collections.abc import Mapping
+from functools import partial
+from typing import Any
+
+from twin.config import Experiment, load_experiment
+from twin.paper.repeats import Repeated, measure_fringes
+from twin.paper.rig_draws import RigScatter
+from twin.paper.scatter import Scatter
+
+BALLS = "two_balls"
+RODS = ("rods_a", "rods_b", "rods_c")
+DIRECT_AND_CONTACT = ("nut", "brick", "ball")
+GRID = ("t_bolt", "bear", BALLS)
+
+# Two by two pixels are read as one: a quarter of the time, and the same projector pixels.
+COARSE: Mapping[str, Any] = {"camera.binning": 2}
+FINE: Mapping[str, Any] = {}
+
+
+def experiment_of(name: str, settings: Mapping[str, Any] = COARSE) -> Experiment:
+    """Return one of the paper's experiments, every one on the same rig and press."""
+    return load_experiment(f"paper/{name}", settings)
+
+
+def fringe_repeats(
+    name: str, scatter: Scatter, rigs: RigScatter, settings: Mapping[str, Any] = COARSE
+) -> Repeated:
+    """Return the repeated contact-FPP measurement of a specimen."""
+    measured = partial(measure_fringes, rigs, scatter.seed)
+    return Repeated(
+        f"{name}_contact_fpp", experiment_of(name, settings), scatter, measured, rigs.digest
+    )

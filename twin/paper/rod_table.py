@@ -1,0 +1,112 @@
+"""The paper's table of the acrylic rods, and of the hardness of its three mixes."""
+
+import tomllib
+from collections.abc import Iterator, Mapping, Sequence
+
+from twin.assets import asset_path
+from twin.config.models import Elastomer
+from twin.config.quantities import split_quantities
+from twin.mechanics.hardness import young_modulus
+from twin.paper.published import rows_of
+from twin.paper.repeats import Trial
+from twin.paper.sphere_tables import PAPER_TRIALS, subsets
+from twin.paper.statistics import spread_of, values_of
+from twin.paper.table import PAPER, TWIN, Cell, Column, Table
+
+# Base : curing agent of the paper's mixes.
+MIXES = {"a": 1.0, "b": 1.5, "c": 2.0}
+
+
+def rods_table(trials: Mapping[str, Sequence[Trial]]) -> Table:
+    """Width of the rods over repeated presses; `trials` by name of the rod: A, B, C."""
+    rows: list[dict[str, Cell]] = []
+    for published in rows_of("rods"):
+        rod = {"rod": published["name"], "reference": published["reference"]}
+        keys = ("mean", "abs_error", "sd", "cv_percent")
+        paper: dict[str, Cell] = {key: published[key] for key in keys}
+        rows.append(rod | {"source": PAPER, "trials": PAPER_TRIALS} | paper)
+        found = trials.get(published["name"], ())
+        rows += [rod | row for row in _rod_rows(found, published["reference"])]
+    return Table(
+        "rods",
+        "Width of acrylic rods, mm",
+        "Table: dimensional evaluation of acrylic rods",
+        (
+            Column("rod", "rod"),
+            Column("source", "source"),
+            Column("trials", "n"),
+            Column("reference", "reference", 2),
+            Column("mean", "mean"),
+            Column("abs_error", "|error|"),
+            Column("sd", "SD"),
+            Column("cv_percent", "CV %", 2),
+            Column("face_mean", "true coat: mean"),
+            Column("failed", "not measurable"),
+        ),
+        tuple(rows),
+        (
+            "Width of the coat's crest between its flanking valleys, at half of its height, over "
+            "the mean section of 2 mm in the middle of the rod.",
+            "'true coat' is the same width of the coat itself: the elastomer's share of the error.",
+        ),
+    )
+
+
+def _rod_rows(trials: Sequence[Trial], reference_mm: float) -> Iterator[dict[str, Cell]]:
+    for some in subsets(trials):
+        width = spread_of(values_of(some, "rod_width_mm"))
+        failed = sum("rod_failure" in one.figures for one in some)
+        row: dict[str, Cell] = {"source": TWIN, "trials": len(some), "failed": failed}
+        if width is not None:
+            face = spread_of(values_of(some, "true_face_rod_width_mm"))
+            row |= {
+                "mean": width.mean,
+                "abs_error": abs(width.mean - reference_mm),
+                "sd": width.sd,
+                "cv_percent": 100.0 * width.sd / width.mean,
+                "face_mean": None if face is None else face.mean,
+            }
+        yield row
+
+
+def hardness_table() -> Table:
+    """Hardness and modulus of the three mixes; the paper prints a graph with one number."""
+    rows: list[dict[str, Cell]] = []
+    for mix, ratio in MIXES.items():
+        file = asset_path("materials", f"elastomers/silicone_{mix}")
+        values, origins = split_quantities(tomllib.loads(file.read_text(encoding="utf-8")))
+        low, high = origins["shore_a"].range or (None, None)
+        values.pop("description", None)
+        slab = Elastomer(thickness_mm=1.0, length_x_mm=1.0, length_y_mm=1.0, **values)
+        modulus = young_modulus(slab)  # the size does not matter
+        rows.append(
+            {
+                "mix": mix.upper(),
+                "ratio": ratio,
+                "shore_a": values["shore_a"],
+                "shore_low": low,
+                "shore_high": high,
+                "modulus_kpa": modulus.best_kpa,
+                "modulus_low_kpa": modulus.low_kpa,
+                "modulus_high_kpa": modulus.high_kpa,
+                "source": origins["shore_a"].source,
+            }
+        )
+    return Table(
+        "hardness",
+        "Hardness against mixing ratio",
+        "Figure: silicone shore graph",
+        (
+            Column("mix", "mix"),
+            Column("ratio", "base : curing agent", 1),
+            Column("shore_a", "Shore A", 0),
+            Column("shore_low", "from", 0),
+            Column("shore_high", "to", 0),
+            Column("modulus_kpa", "E, kPa", 0),
+            Column("modulus_low_kpa", "from", 0),
+            Column("modulus_high_kpa", "to", 0),
+            Column("source", "source of the hardness"),
+        ),
+        tuple(rows),
+        ("Of the three hardnesses the paper prints only mix A's, 20; its graph has no numbers.",),
+    )

@@ -1,0 +1,75 @@
+"""Width of a rod's cross-section, read from a relief as one reads a caliper.
+
+A sheet draped over a rod on a plate rises from two valleys to a crest. The profile runs from valley
+to valley; the width is taken where it crosses half of the height of the crest over their level.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from reconstruction.errors import FitError
+from reconstruction.evaluate import BarWidth, bar_width
+from twin.specimens import Shape
+
+# The cross-section is the mean over this length of the rod, in its middle.
+SECTION_LENGTH_MM = 2.0
+STEP_MM = 0.05
+FRACTION = 0.5
+_LEAST_IN_BIN = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Section:
+    """Mean profile across a rod: (n,) position along world x and height, mm; gaps left out."""
+
+    s_mm: NDArray[np.float64]
+    z_mm: NDArray[np.float64]
+
+    def width(self) -> BarWidth:
+        """Return the width of the crest between its valleys.
+
+        Raises
+        ------
+        FitError
+            No crest with a valley on both sides.
+        """
+        low, high = self.valleys()
+        inside = slice(low, high + 1)
+        return bar_width(self.s_mm[inside], self.z_mm[inside], FRACTION)
+
+    def valleys(self) -> tuple[int, int]:
+        """Return the indices of the lowest points on both sides of the crest."""
+        if self.z_mm.size < 20:
+            raise FitError(f"rod section: {self.z_mm.size} positions with points, 20 needed")
+        middle = np.abs(self.s_mm) < np.ptp(self.s_mm) / 4
+        crest = int(np.flatnonzero(middle)[np.argmax(self.z_mm[middle])])
+        return int(np.argmin(self.z_mm[:crest])), crest + int(np.argmin(self.z_mm[crest:]))
+
+
+def section_of(
+    points_mm: NDArray[np.float64], along_mm: float, centre_mm: tuple[float, float]
+) -> Section:
+    """Average points, (n, 3) mm, over the middle of a rod that lies along world y.
+
+    Parameters
+    ----------
+    points_mm : (n, xyz) float, world frame
+    along_mm : length of rod that is averaged
+    centre_mm : x and y of the rod's middle; positions count from it
+    """
+    x, y, z = (points_mm - (*centre_mm, 0.0)).T
+    inside = np.abs(y) <= along_mm / 2
+    bins = np.round(x[inside] / STEP_MM).astype(int)
+    numbers, where = np.unique(bins, return_inverse=True)
+    counts = np.bincount(where)
+    means = np.bincount(where, z[inside]) / counts
+    full = counts >= _LEAST_IN_BIN
+    return Section(numbers[full] * STEP_MM, means[full])
+
+
+def middle_of(shape: Shape) -> tuple[float, float]:
+    """Return the middle of a specimen's outline in world xy, mm."""
+    x_low, x_high, y_low, y_high = shape.bounds_mm()
+    return (x_low + x_high) / 2, (y_low + y_high) / 2

@@ -1,0 +1,75 @@
+"""Means, spreads and budgets over trials, as the paper and JCGM 100 define them."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from twin.paper.repeats import Trial
+
+COVERAGE_FACTOR = 2.0
+# Probabilistically symmetric coverage interval of 95 % (JCGM 101, 7.7), in percent.
+_LOW, _HIGH = 2.5, 97.5
+
+
+@dataclass(frozen=True)
+class Spread:
+    """One figure over repeated trials.
+
+    Attributes
+    ----------
+    mean, sd : sd is the sample standard deviation, 0 for a single trial
+    n : trials that gave the figure
+    low, high : 2.5th and 97.5th percentile
+    """
+
+    mean: float
+    sd: float
+    n: int
+    low: float
+    high: float
+
+    @property
+    def u_rep(self) -> float:
+        """Standard uncertainty of the mean: s / sqrt(n), the paper's u_rep."""
+        return self.sd / float(np.sqrt(self.n))
+
+
+@dataclass(frozen=True)
+class Budget:
+    """The paper's uncertainty budget of a fitted radius, mm."""
+
+    u_rep: float
+    u_ref: float
+    u_cal: float
+
+    @property
+    def combined(self) -> float:
+        """Combined standard uncertainty."""
+        return float(np.sqrt(self.u_rep**2 + self.u_ref**2 + self.u_cal**2))
+
+    @property
+    def expanded(self) -> float:
+        """Expanded uncertainty U, k = 2."""
+        return COVERAGE_FACTOR * self.combined
+
+
+def values_of(trials: Iterable[Trial], name: str) -> np.ndarray:
+    """Return a figure of every trial that has it, (n,) float."""
+    found = [one.figures[name] for one in trials if one.figures.get(name) is not None]
+    return np.array(found, np.float64)
+
+
+def spread_of(values: Sequence[float] | np.ndarray) -> Spread | None:
+    """Return mean and spread; None without a value."""
+    found = np.asarray(values, np.float64)
+    if not found.size:
+        return None
+    sd = float(found.std(ddof=1)) if found.size > 1 else 0.0
+    low, high = np.percentile(found, (_LOW, _HIGH))
+    return Spread(float(found.mean()), sd, int(found.size), float(low), float(high))
+
+
+def root_mean_square(values: np.ndarray) -> float:
+    """Return the root mean square; 0 without a value."""
+    return float(np.sqrt(np.mean(values**2))) if values.size else 0.0
