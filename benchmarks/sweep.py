@@ -35,6 +35,7 @@ BASE = {
     "press.control": "force",
     "press.depth_mm": None,
     "press.force_n": 0.2,
+    "press.back_pressure_kpa": 0.0,
     # By hardness the sheet may deflect by 0.4 of its thickness, where `auto` takes a model that
     # needs a minute: the benchmark is about the sweep.
     "mechanics.model": "spectral",

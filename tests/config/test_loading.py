@@ -157,7 +157,7 @@ def leaves(tree, prefix=""):
 EXPERIMENTS = [
     name
     for name in list_assets("scenes")
-    if name.split("/")[0] in ("examples", "paper") and name != "paper/targets"
+    if name.split("/")[0] in ("examples", "paper") and name not in ("paper/targets", "paper/trials")
 ]
 
 

@@ -13,7 +13,7 @@ name = "small"
 base = "paper/two_balls"
 metrics = ["force_n", "z_rmse_um", "completeness"]
 set.camera = { binning = 4, width_px = 640, height_px = 480 }
-set.press = { relief_pitch_mm = 0.05, solver_pitch_mm = 0.16 }
+set.press = { relief_pitch_mm = 0.05, solver_pitch_mm = 0.16, back_pressure_kpa = 0.0 }
 set.patterns.steps = 4
 
 [[axis]]

@@ -1,20 +1,13 @@
 """The paper's table of the acrylic rods, and of the hardness of its three mixes."""
 
-import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 
-from twin.assets import asset_path
-from twin.config.models import Elastomer
-from twin.config.quantities import split_quantities
-from twin.mechanics.hardness import young_modulus
+from twin.paper.hardness import mixes
 from twin.paper.published import rows_of
 from twin.paper.repeats import Trial
 from twin.paper.sphere_tables import PAPER_TRIALS, subsets
 from twin.paper.statistics import spread_of, values_of
 from twin.paper.table import PAPER, TWIN, Cell, Column, Table
-
-# Base : curing agent of the paper's mixes.
-MIXES = {"a": 1.0, "b": 1.5, "c": 2.0}
 
 
 def rods_table(trials: Mapping[str, Sequence[Trial]]) -> Table:
@@ -70,28 +63,21 @@ def _rod_rows(trials: Sequence[Trial], reference_mm: float) -> Iterator[dict[str
 
 
 def hardness_table() -> Table:
-    """Hardness and modulus of the three mixes; the paper prints a graph with one number."""
-    rows: list[dict[str, Cell]] = []
-    for mix, ratio in MIXES.items():
-        file = asset_path("materials", f"elastomers/silicone_{mix}")
-        values, origins = split_quantities(tomllib.loads(file.read_text(encoding="utf-8")))
-        low, high = origins["shore_a"].range or (None, None)
-        values.pop("description", None)
-        slab = Elastomer(thickness_mm=1.0, length_x_mm=1.0, length_y_mm=1.0, **values)
-        modulus = young_modulus(slab)  # the size does not matter
-        rows.append(
-            {
-                "mix": mix.upper(),
-                "ratio": ratio,
-                "shore_a": values["shore_a"],
-                "shore_low": low,
-                "shore_high": high,
-                "modulus_kpa": modulus.best_kpa,
-                "modulus_low_kpa": modulus.low_kpa,
-                "modulus_high_kpa": modulus.high_kpa,
-                "source": origins["shore_a"].source,
-            }
-        )
+    """Return hardness and modulus of the three mixes; the paper prints a graph with one number."""
+    rows: list[dict[str, Cell]] = [
+        {
+            "mix": mix.letter,
+            "ratio": mix.ratio,
+            "shore_a": mix.shore_a,
+            "shore_low": mix.low_shore_a,
+            "shore_high": mix.high_shore_a,
+            "modulus_kpa": mix.modulus.best_kpa,
+            "modulus_low_kpa": mix.modulus.low_kpa,
+            "modulus_high_kpa": mix.modulus.high_kpa,
+            "source": mix.source,
+        }
+        for mix in mixes()
+    ]
     return Table(
         "hardness",
         "Hardness against mixing ratio",
