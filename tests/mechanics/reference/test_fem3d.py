@@ -80,13 +80,18 @@ def test_a_bar_stretches_by_its_modulus(block: Tetrahedra) -> None:
 
 
 def test_free_slab_is_the_spectral_one(free_slab: PressedElastomer) -> None:
-    """20 x 20 x 4, R 4, d 1: force 0.5 %, far face 3 um (full size: 0.1 %, 1.5 um)."""
+    """20 x 20 x 4, R 4, d 1, coarse: force 0.8 %, far face 2 um RMS (full size: 0.1 %, 1.5 um max).
+
+    No two meshes are alike. Over 16 of them force was off by 0.13 % (standard deviation), the face
+    by 0.64 +- 0.20 um RMS and 3.1 +- 0.8 um at most, the contact by 8 %: limits lie six of these
+    beyond.
+    """
     spectral = press(Ball(), SLAB, TO_DEPTH)
-    assert free_slab.force_n == pytest.approx(spectral.force_n, rel=5e-3)
+    assert free_slab.force_n == pytest.approx(spectral.force_n, rel=8e-3)
     error_mm = free_slab.face_z_mm - spectral.face_z_mm
-    assert np.sqrt(np.mean(error_mm**2)) < 1e-3
-    assert np.abs(error_mm).max() < 4e-3
-    assert free_slab.contact.sum() == pytest.approx(spectral.contact.sum(), rel=0.2)
+    assert np.sqrt(np.mean(error_mm**2)) < 2e-3
+    assert np.abs(error_mm).max() < 8e-3
+    assert free_slab.contact.sum() == pytest.approx(spectral.contact.sum(), rel=0.5)
     cell_mm2 = 0.08**2
     assert free_slab.pressure_kpa.sum() * cell_mm2 * 1e-3 == pytest.approx(free_slab.force_n)
     assert free_slab.pressure_kpa.min() >= 0
@@ -96,7 +101,7 @@ def test_force_control_finds_the_depth(free_slab: PressedElastomer) -> None:
     load = Press.model_validate({"control": "force", "force_n": free_slab.force_n} | COARSE)
     pressed = press_fem(Ball(), SLAB, load, count=600)
     assert pressed.force_n == pytest.approx(free_slab.force_n, rel=1e-9)
-    assert pressed.depth_mm == pytest.approx(1.0, rel=0.02)
+    assert pressed.depth_mm == pytest.approx(1.0, rel=0.05)  # 600 tetrahedra: force +- 0.9 %
 
 
 def test_bonded_window_is_the_spectral_layer() -> None:
