@@ -5,6 +5,7 @@ interrupted command leaves the earlier result, if any, untouched.
 """
 
 import json
+import os
 import platform
 import shutil
 import tempfile
@@ -75,6 +76,15 @@ def write_json(path: Path, content: Mapping[str, Any]) -> None:
     path.write_text(
         json.dumps(content, indent=2, sort_keys=True, allow_nan=False) + "\n", encoding="utf-8"
     )
+
+
+def replace_json(path: Path, content: Mapping[str, Any]) -> None:
+    """Write JSON whole or not at all: under a temporary name, to the disk, then renamed."""
+    part = path.with_name(f".{path.name}.part")
+    write_json(part, content)
+    with part.open("rb") as file:
+        os.fsync(file.fileno())
+    part.replace(path)
 
 
 def read_json(path: Path) -> dict[str, Any]:

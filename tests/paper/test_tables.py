@@ -5,10 +5,13 @@ import json
 import numpy as np
 import pytest
 
+from twin.config import load_experiment
+from twin.paper import colours
 from twin.paper.claims import claims_of
 from twin.paper.published import CONTACT_FPP, GELSIGHT
 from twin.paper.repeats import Trial, kept
 from twin.paper.rod_table import hardness_table, rods_table
+from twin.paper.scatter import load_scatter
 from twin.paper.sphere_tables import (
     calibration_uncertainty,
     repeated_fit_table,
@@ -118,3 +121,20 @@ def test_a_kept_trial_is_not_taken_again(tmp_path):
     kept(path, "another digest", compute)
     assert len(calls) == 3
     assert [file.name for file in path.parent.iterdir()] == ["trial.json"]
+
+
+def test_the_mean_rmse_rests_on_all_trials_once():
+    """Five trials of 10 um and one of 40: the mean over six is 15 um, not that of both subsets."""
+    trials = fringe_trials(0.010)
+    for ball in (1, 2):
+        trials[-1].figures[f"sphere_{ball}_rmse_mm"] = 0.040
+    claims = claims_of({"repeated_fit": repeated_fit_table({CONTACT_FPP: trials})})
+    assert claims[0].found == pytest.approx(0.015)
+
+
+def test_trials_of_another_sensor_are_not_taken_for_these(monkeypatch):
+    """A change of the photometric rig alone must not reuse what the former one measured."""
+    experiment, scatter = load_experiment("paper/two_balls"), load_scatter()
+    before = colours._sensor_digest(experiment, scatter)
+    monkeypatch.setitem(colours.PAPER_DECODER, "photometric.gamma", 2.0)
+    assert colours._sensor_digest(experiment, scatter) != before

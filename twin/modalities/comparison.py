@@ -14,7 +14,7 @@ from twin.config import Experiment, digest
 from twin.modalities.instruments import METHODS, Method, PhotometricPlan, case_for
 from twin.modalities.measuring import measure_into
 from twin.modalities.progress import Watcher, nobody
-from twin.output import RESULT_FILE, output_folder, read_json, versions, write_json
+from twin.output import RESULT_FILE, output_folder, read_json, replace_json, versions
 
 COMPARISON_FILES = (RESULT_FILE, "report.html")
 COMPARISON_FOLDERS = ("figures",)
@@ -215,10 +215,8 @@ def _write(out: Path, outcomes: list[Outcome]) -> None:
         for one in outcomes
     ]
     content = {"command": COMMAND, "cases": cases, "versions": versions()}
-    part = out / f".{RESULT_FILE}.part"
     try:
         out.mkdir(parents=True, exist_ok=True)
-        write_json(part, {"schema_version": 1, **content})
-        part.replace(out / RESULT_FILE)
+        replace_json(out / RESULT_FILE, {"schema_version": 1, **content})
     except OSError as error:
         raise InputError(f"{out}: cannot be written ({error.strerror})") from None

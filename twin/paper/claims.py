@@ -69,12 +69,14 @@ def claims_table(claims: Sequence[Claim]) -> Table:
 
 
 def _mean_rmse_mm(table: Table, method: str) -> float | None:
-    found = [
-        float(row["rmse"])
+    by_ball = {
+        row["sphere"]: rmse  # the last row of a ball rests on all trials
         for row in table.rows
-        if row["method"] == method and row["source"] == TWIN and isinstance(row["rmse"], float)
-    ]
-    return float(np.mean(found)) if found else None
+        if row["method"] == method
+        and row["source"] == TWIN
+        and isinstance(rmse := row.get("rmse"), float)
+    }
+    return float(np.mean(list(by_ball.values()))) if by_ball else None
 
 
 def _rmse_claims(table: Table) -> list[Claim]:
@@ -156,14 +158,13 @@ _WHY_CONTACT = (
     "none of which the paper gives"
 )
 _WHY_GELSIGHT = (
-    "the rendered sensor is kinder than the paper's: within 1.5 mm of the apex its look-up table "
-    "errs by a few hundredths of a millimetre; larger regions and deeper presses raise it (section "
-    "on differences)"
+    "the rendered sensor errs less than the paper's: one gel, no wear, reference presses all over "
+    "the field; the paper's region of the fit, travel and load are not known"
 )
 _WHY_RATIO = "see both RMSE: the fair opponent is closer than the paper's"
 _WHY_RODS = (
-    "3 mm of silicone between rod and coat smooth every rod to much the same crest; with the coat "
-    "on the touched face the width follows the rod (section on differences)"
+    "the silicone between rod and coat smooths the rod: 'true coat' has the same width; see the "
+    "section on differences for the coat on the touched face"
 )
 _WHY_DIRECT = (
     "the rendered surface shows more of itself than the paper's: a matt stage, and a roughness of "

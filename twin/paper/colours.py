@@ -6,11 +6,12 @@ contact-FPP.
 """
 
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from twin.config import Experiment
+from twin.config import Experiment, digest
 from twin.modalities.instruments import PhotometricPlan, case_for
 from twin.modalities.photometric_decoders import Decoded
 from twin.modalities.photometric_score import photometric_metrics
@@ -61,7 +62,7 @@ def colour_trials(
     """
     measured = partial(measure_colours, scatter.seed)
     name = f"{experiment.name}_photometric_stereo"
-    presses = Repeated(name, experiment, scatter, measured, str(plan_of(scatter.seed, 0)))
+    presses = Repeated(name, experiment, scatter, measured, _sensor_digest(experiment, scatter))
     still = scatter.model_copy(update={"inputs": {}})
     nominal = Repeated(f"{name}_calibrations", experiment, still, measured, presses.method)
     found, redone = [], {}
@@ -73,6 +74,12 @@ def colour_trials(
     watch(f"trials of {name}", 1.0)
     found.sort(key=lambda one: one.number)
     return [_with_calibrations(found[0], redone), *found[1:]]
+
+
+def _sensor_digest(experiment: Experiment, scatter: Scatter) -> str:
+    """Name sensor, decoder and seed by content; at equal depth, which needs no press."""
+    plan = replace(plan_of(scatter.seed, 0), match="depth")
+    return digest(case_for(experiment, "photometric_stereo", plan))
 
 
 def _by_calibration(count: int) -> Iterator[int]:

@@ -95,7 +95,7 @@ def in_contact(pressed: PressedElastomer, points_mm: Doubles) -> Mask:
 def specimen_height_mm(experiment: Experiment, depth_mm: float, points_mm: Doubles) -> Doubles:
     """Return the specimen's upper face under points, (...), raised by the sheet it lies under.
 
-    World z of a sheet that lies on the specimen with its own thickness; inf beside the outline.
+    World z of a sheet that lies on the specimen with its own thickness; -inf beside the outline.
     """
     shape = shape_of(experiment.specimen)
     x_low, x_high, y_low, y_high = shape.bounds_mm()

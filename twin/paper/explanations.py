@@ -42,7 +42,7 @@ def explanations(balls: Experiment, rods: Mapping[str, Experiment]) -> list[Tabl
         varied(balls, "travel", "press.depth_mm", TRAVEL_MM, "mm"),
         layout_table(balls),
         scale_table(balls),
-        height_scale_table(),
+        height_scale_table(balls.score.roi_radius_mm),
         rod_layout_table(rods),
     ]
 
@@ -55,7 +55,8 @@ def region_table(experiment: Experiment) -> Table:
     for roi in ROI_MM:
         fit = cap_fit(points, ball, roi)
         rows.append(_row(f"{roi:g} mm", fit.radius_mm, fit.stats.rmse_mm))
-    note = "A draped sheet is steepest about the apex and flattens outwards."
+    first, last = (float(str(rows[k]["radius"])) for k in (0, -1))
+    note = f"From the smallest region to the largest the radius changes by {last - first:+.1f} mm."
     return _table("explain_region", "Radius of the region that is fitted", rows, note)
 
 
@@ -86,7 +87,9 @@ def layout_table(experiment: Experiment) -> Table:
         _pressed_row(experiment, {}, "object presses the clear face"),
         _pressed_row(experiment, on_coat, "object presses the coat, gel on a window"),
     ]
-    note = "Where the coat touches the ball it shows the ball: 4 mm, and no residual."
+    radii = [row["radius"] for row in rows if "radius" in row]
+    shown_mm = " and ".join(f"{radius:.2f}" for radius in radii)
+    note = f"The same ball of {NOMINAL_RADIUS_MM:g} mm reads {shown_mm} mm."
     return _table("explain_layout", "Which face is coated", rows, note)
 
 
@@ -102,11 +105,11 @@ def scale_table(experiment: Experiment) -> Table:
     return _table("explain_scale", "Error of the pitch of the calibration board", rows, note)
 
 
-def height_scale_table() -> Table:
-    """Return the fit to a true 4 mm cap whose heights alone are scaled, as by GelSight's SDK."""
-    x, y = np.meshgrid(*[np.linspace(-1.5, 1.5, 121)] * 2)
-    cap = np.hypot(x, y) <= 1.5
-    z = np.sqrt(16.0 - x[cap] ** 2 - y[cap] ** 2)
+def height_scale_table(roi_radius_mm: float) -> Table:
+    """Return the fit to a true cap whose heights alone are scaled, as by GelSight's SDK."""
+    x, y = np.meshgrid(*[np.linspace(-roi_radius_mm, roi_radius_mm, 121)] * 2)
+    cap = np.hypot(x, y) <= roi_radius_mm
+    z = np.sqrt(NOMINAL_RADIUS_MM**2 - x[cap] ** 2 - y[cap] ** 2)
     rows = []
     for scale in HEIGHT_SCALE:
         fit = fit_sphere(np.column_stack([x[cap], y[cap], scale * z]))
@@ -114,7 +117,7 @@ def height_scale_table() -> Table:
     wanted = mean_of("repeated_fit", GELSIGHT, "mean_radius")
     note = (
         "0.66 and 1.33 are the vendor programs of 2025 and 2024. The paper's GelSight radius of "
-        f"{wanted:.2f} mm would be heights {4.0 / wanted:.2f} times too large."
+        f"{wanted:.2f} mm would be heights {NOMINAL_RADIUS_MM / wanted:.2f} times too large."
     )
     return _table("explain_height_scale", "Heights scaled, places not: GelSight", rows, note)
 
@@ -144,8 +147,18 @@ def rod_layout_table(rods: Mapping[str, Experiment]) -> Table:
             Column("note", "note"),
         ),
         tuple(rows),
-        ("Through 3 mm of silicone every rod is one and the same crest.",),
+        (_range_of_widths(rows),),
     )
+
+
+def _range_of_widths(rows: Iterable[dict[str, Cell]]) -> str:
+    """Say how far the widths lie apart on either face."""
+    by_face: dict[str, list[float]] = {}
+    for row in rows:
+        if isinstance(width := row.get("width"), float):
+            by_face.setdefault(str(row["value"]).partition(", ")[2], []).append(width)
+    spans = [f"{min(w):.2f} to {max(w):.2f} mm, {face}" for face, w in by_face.items()]
+    return f"Widths of all rods: {'; '.join(spans)}." if spans else "No rod shows a width."
 
 
 def _pressed_row(experiment: Experiment, changes: dict[str, Any], label: str) -> dict[str, Cell]:

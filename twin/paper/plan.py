@@ -29,6 +29,7 @@ def fringe_repeats(
 ) -> Repeated:
     """Return the repeated contact-FPP measurement of a specimen."""
     measured = partial(measure_fringes, rigs, scatter.seed)
+    drawn_from = f"{rigs.digest} {scatter.seed}"
     return Repeated(
-        f"{name}_contact_fpp", experiment_of(name, settings), scatter, measured, rigs.digest
+        f"{name}_contact_fpp", experiment_of(name, settings), scatter, measured, drawn_from
     )

@@ -23,7 +23,7 @@ from twin.modalities.measurement import take
 from twin.modalities.progress import Stopwatch, Watcher, nobody
 from twin.modalities.recording import Recording
 from twin.modalities.score import metrics, score
-from twin.output import versions, write_json
+from twin.output import replace_json, versions
 from twin.paper.rig_draws import RigScatter
 from twin.paper.rods import SECTION_LENGTH_MM, middle_of, section_of
 from twin.paper.scatter import Scatter, draw, drawn_values
@@ -100,9 +100,7 @@ def kept(path: Path, named: str, compute: Callable[[], Figures]) -> Figures:
             return figures
     figures = compute()
     path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_name(f".{path.name}.part")
-    write_json(part, mark | {"figures": figures})
-    part.replace(path)
+    replace_json(path, mark | {"figures": figures})
     return figures
 
 

@@ -16,11 +16,12 @@ from typing import Any
 
 from reconstruction.errors import InputError
 from twin.config import digest
+from twin.config.board import load_board
 from twin.modalities.comparison import compare
 from twin.modalities.instruments import Method, PhotometricPlan
 from twin.modalities.progress import Watcher, nobody
 from twin.modalities.storage import write_result
-from twin.output import versions, write_json
+from twin.output import replace_json, versions
 from twin.paper.budget import budget_table
 from twin.paper.claims import claims_of, claims_table
 from twin.paper.colours import PAPER_DECODER, colour_trials
@@ -40,7 +41,7 @@ from twin.paper.plan import (
 )
 from twin.paper.published import CONTACT_FPP, GELSIGHT
 from twin.paper.repeats import Trial, kept
-from twin.paper.rig_draws import RigScatter, calibrate_rig, rig_scatter
+from twin.paper.rig_draws import BOARD, RigScatter, calibrate_rig, rig_scatter
 from twin.paper.rod_table import hardness_table, rods_table
 from twin.paper.scatter import Scatter, load_scatter
 from twin.paper.sphere_tables import repeated_fit_table, sphere_fit_table, uncertainty_table
@@ -79,7 +80,7 @@ class Reproduction:
     def rigs(self) -> RigScatter:
         """Return the rig and what a calibration leaves open of it."""
         experiment = experiment_of(BALLS, self.settings)
-        named = f"{digest(experiment)} calibration"
+        named = f"{digest(experiment)} {load_board(BOARD).model_dump_json()}"
         path = self.work / "calibration.json"
         return rig_scatter(
             experiment, kept(path, named, lambda: calibrate_rig(experiment, self.watch))
@@ -261,7 +262,7 @@ def _write_tables(out: Path, tables: Mapping[str, Table], wish: Wish) -> None:
         "versions": versions(),
         "tables": {name: table.as_json() for name, table in tables.items()},
     }
-    write_json(out / "tables.json", content)
+    replace_json(out / "tables.json", content)
     text = "\n".join(table.as_markdown() for table in tables.values())
     (out / "tables.md").write_text(text, encoding="utf-8")
 

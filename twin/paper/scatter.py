@@ -4,7 +4,6 @@ A draw depends on the root seed, the input's name and the trial alone: the order
 inputs and the instrument do not change it.
 """
 
-import tomllib
 from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -16,6 +15,7 @@ from twin.assets import asset_path
 from twin.config import ConfigError, Experiment, vary
 from twin.config.base import Model, NonNegative
 from twin.config.digest import keyed_sequence
+from twin.config.loading import read_toml
 from twin.config.messages import explain
 from twin.config.models import Provenance
 from twin.config.quantities import check_ranges, split_quantities
@@ -62,15 +62,12 @@ def load_scatter(name: str = "paper/trials") -> Scatter:
         One line per problem.
     """
     file = Path(name) if Path(name).is_file() else asset_path("scenes", name)
-    try:
-        tree = tomllib.loads(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise ConfigError(f"{file}: cannot be read as TOML: {error}") from None
-    values, origins = split_quantities(tree)
+    values, origins = split_quantities(read_toml(file))
     try:
         loaded = Scatter.model_validate(values | {"provenance": {}})
     except ValidationError as error:
-        raise ConfigError("\n".join(f"{file}: {line}" for line in explain(error))) from None
+        lines = explain(error, Scatter)
+        raise ConfigError("\n".join(f"{file}: {line}" for line in lines)) from None
     problems = check_ranges(values, origins)
     if problems:
         raise ConfigError("\n".join(f"{file}: {line}" for line in problems))
