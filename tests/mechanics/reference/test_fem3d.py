@@ -55,6 +55,22 @@ def test_the_mesh_fills_its_box_exactly(block: Tetrahedra) -> None:
     np.testing.assert_allclose([low, high], [(-1.5, -1, -0.5), (1.5, 1, 0.5)], atol=1e-12)
 
 
+def test_vertices_snapped_onto_one_another_become_one() -> None:
+    # Two vertices on either side of a box edge, as pytetwild leaves them in one mesh of twenty.
+    box = trimesh.creation.box((2.0, 2.0, 2.0))
+    near = np.array(
+        [(-1, -0.9985, 0), (-0.997, -1, 0), (-1, -1, 1), (-1, -1, -1), (0, 0, 0)], float
+    )
+    far = np.array([(1, -1, 0.5), (-1, 1, 0.5)], float)
+    cells = np.array([[0, 1, 2, 4], [1, 0, 3, 4], [1, 5, 2, 4], [0, 2, 6, 4]])
+    snapped = tetrahedra._snap(np.vstack((near, far)), box, 0.01)
+    points, kept = tetrahedra._collapse(snapped, cells, 1e-9)
+    np.testing.assert_array_equal(snapped[0], snapped[1])
+    assert len(points) == 5
+    assert len(kept) == 2
+    assert (np.abs(tetrahedra._volumes(points, kept)) > 0.1).all()
+
+
 def test_patch_of_uniform_strain_is_in_equilibrium(block: Tetrahedra) -> None:
     body = ElasticBody(block, 0.45, (Hold(on_plane("x", -1.5)),))
     strain = np.array([[0.1, 0.02, 0.0], [0.02, -0.05, 0.03], [0.0, 0.03, 0.04]])

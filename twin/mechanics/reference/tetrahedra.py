@@ -94,7 +94,8 @@ def tetrahedralize(
         _run_child(command, timeout_s, folder)
         with np.load(target) as found:
             points, cells = found["points"], found["cells"].astype(np.int64)
-    return _checked(_snap(points, body, 2 * epsilon * body.scale), cells, body)
+    snapped = _snap(points, body, 2 * epsilon * body.scale)
+    return _checked(*_collapse(snapped, cells, 1e-9 * body.scale))
 
 
 def graded_towards(
@@ -182,13 +183,25 @@ def _snap(points: FloatArray, body: trimesh.Trimesh, reach_mm: float) -> FloatAr
     return moved
 
 
+def _collapse(points: FloatArray, cells: IntArray, reach_mm: float) -> tuple[FloatArray, IntArray]:
+    """Join vertices that snapping put on one place of an edge; drop the cells flattened by that."""
+    tree = cKDTree(points)
+    first = np.arange(len(points))
+    pairs = tree.query_pairs(reach_mm, output_type="ndarray")
+    np.minimum.at(first, pairs.max(axis=1), pairs.min(axis=1))
+    joined = np.sort(first[cells], axis=1)
+    solid = (np.diff(joined, axis=1) > 0).all(axis=1)
+    used, renumbered = np.unique(first[cells[solid]], return_inverse=True)
+    return points[used], renumbered.reshape(-1, 4).astype(np.int64)
+
+
 def _volumes(points: FloatArray, cells: IntArray) -> FloatArray:
     edges = points[cells[:, 1:]] - points[cells[:, :1]]
     volumes: FloatArray = np.linalg.det(edges) / 6
     return volumes
 
 
-def _checked(points: FloatArray, cells: IntArray, body: trimesh.Trimesh) -> Tetrahedra:
+def _checked(points: FloatArray, cells: IntArray) -> Tetrahedra:
     turned = _volumes(points, cells) < 0
     cells[turned] = cells[turned][:, [1, 0, 2, 3]]
     mesh = Tetrahedra(points, cells)
