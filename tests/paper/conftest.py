@@ -1,15 +1,14 @@
 """Two small cases with panels: a rod measured under the coat, and a synthetic ball under a gel."""
 
-import imageio.v3 as imageio
 import numpy as np
 import pytest
 
-from reconstruction.photometric import HeightMap, write_height_map
+from reconstruction.photometric import HeightMap
 from twin.config import load_experiment
 from twin.modalities.measurement import measure
-from twin.modalities.storage import write_measurement, write_result
+from twin.modalities.photometric_score import in_world, score_heights
+from twin.modalities.storage import write_result
 from twin.optics.stack import Truth
-from twin.optics.storage import write_truth
 
 # 160 x 120 pixels over the whole field, three phase steps, one sample: seconds, not minutes.
 SMALL = {
@@ -39,34 +38,48 @@ def small_photographs():
 
 
 @pytest.fixture(scope="package")
-def rod(mi, small_photographs, tmp_path_factory):
+def measured_rod(mi):
+    """Experiment and measurement of a rod."""
+    experiment = load_experiment("paper/rods_a", SMALL)
+    return experiment, measure(experiment)
+
+
+@pytest.fixture(scope="package")
+def rod(measured_rod, small_photographs, tmp_path_factory):
     """Folder of a measured rod with panels. Not to be changed by tests."""
-    from twin.paper.panels import draw_panels
+    from twin.paper.seen import seen_in_fringes
 
     folder = tmp_path_factory.mktemp("cases") / "rods_a" / "contact_fpp"
     folder.mkdir(parents=True)
-    experiment = load_experiment("paper/rods_a", SMALL)
-    write_measurement(folder, "measure", experiment, measure(experiment))
-    draw_panels(folder)
+    keep(folder, seen_in_fringes(*measured_rod))
     return folder
 
 
 @pytest.fixture(scope="package")
 def ball(mi, small_photographs, tmp_path_factory):
     """Folder of a synthetic photometric measurement: a perfect cap on a flat gel."""
-    from twin.paper.panels import draw_panels
-
     folder = tmp_path_factory.mktemp("cases") / "ball" / "photometric_stereo"
     folder.mkdir(parents=True)
     sensor = load_experiment("paper/gelsight_two_balls")
     specimen = load_experiment("paper/ball").specimen
     carried = {"name": "ball", "specimen": specimen, "provenance": {}}
-    write_photometric_folder(folder, sensor.model_copy(update=carried))
-    draw_panels(folder)
+    keep(folder, perfect_cap(sensor.model_copy(update=carried)))
     return folder
 
 
-def write_photometric_folder(folder, experiment, pitch_mm=0.1, shape=(120, 160)):
+def keep(folder, seen):
+    """Write what a case keeps, without its completeness."""
+    from twin.paper.panel_data import write_panel_data
+    from twin.paper.panel_sources import panel_data_of
+
+    write_result(folder, "paper", seen.experiment, seen.figures)
+    write_panel_data(folder / "panels", panel_data_of(seen))
+
+
+def perfect_cap(experiment, pitch_mm=0.1, shape=(120, 160)):
+    """Heights on an exact sphere over a flat gel; the first ten rows are not measured."""
+    from twin.paper.seen import Seen
+
     rows, cols = shape
     x, y = np.meshgrid(
         (np.arange(cols) - (cols - 1) / 2) * pitch_mm, ((rows - 1) / 2 - np.arange(rows)) * pitch_mm
@@ -75,13 +88,12 @@ def write_photometric_folder(folder, experiment, pitch_mm=0.1, shape=(120, 160))
     z = np.maximum(cap, 0.0).astype(np.float32)
     reason = np.zeros(shape, np.uint8)
     reason[:10] = 1
-    slopes = np.zeros((2, *shape), np.float32)
-    write_height_map(folder / "height.nc", HeightMap(z, slopes, reason, pitch_mm))
+    found = in_world(HeightMap(z, np.zeros((2, *shape), np.float32), reason, pitch_mm))
     zero, all_of_it = np.zeros(shape, np.float32), np.ones(shape, bool)
     points = np.stack([x, y, z], axis=-1).astype(np.float32)
     upwards = np.broadcast_to(np.float32([0, 0, 1]), points.shape)
     truth = Truth(points, upwards, zero + 1, zero, zero, all_of_it, all_of_it)
-    write_truth(folder / "truth.nc", truth)
-    imageio.imwrite(folder / "image.png", np.full((*shape, 3), 128, np.uint8))
     figures = {"completeness": 0.9, "good_share": 0.8, "z_rmse_um": 0.0}
-    write_result(folder, "measure", experiment, figures)
+    image = np.full((*shape, 3), 128, np.uint8)
+    balls = score_heights(experiment, found, truth).spheres
+    return Seen(experiment, figures, image, found.points_mm, 2 * reason, truth, balls, None)

@@ -83,7 +83,7 @@ def test_a_case_without_panels_says_what_to_do(tmp_path, mi):
     from twin.paper.figure_layout import panels_of
 
     (tmp_path / "nut" / "direct_fpp").mkdir(parents=True)
-    with pytest.raises(InputError, match="found no panels; call draw_panels"):
+    with pytest.raises(InputError, match="found no panels; measure the case again"):
         panels_of(tmp_path, "nut", "direct_fpp")
 
 

@@ -8,28 +8,19 @@ import numpy as np
 import pytest
 
 from reconstruction.errors import InputError
-from reconstruction.outputs import read_reconstruction
 
 
-def test_panels_of_fringes_are_the_measured_points(rod):
+def test_panels_of_fringes_are_the_measured_points(rod, measured_rod):
     from twin.paper.panel_data import read_panel_data
 
     data = read_panel_data(rod / "panels")
-    measured = read_reconstruction(rod / "reconstruction.nc").point_map
+    measured = measured_rod[1].reconstruction.point_map
     np.testing.assert_array_equal(data.points_mm, measured.points_world_mm)
     np.testing.assert_array_equal(data.valid, measured.valid)
     figures = json.loads((rod / "result.json").read_text())["metrics"]
     assert data.numbers.completeness == figures["completeness"]
     rms_um = float(np.sqrt(np.ma.mean(data.error_um**2)))
     assert rms_um == pytest.approx(figures["z_rmse_um"], rel=1e-3)
-
-
-def test_every_panel_of_a_rod_is_there(rod):
-    names = {path.name for path in (rod / "panels").iterdir()}
-    drawings = {
-        f"{name}.{kind}" for name in ("relief", "section", "error") for kind in ("png", "pdf")
-    }
-    assert drawings | {"object.png", "fringe.png", "panels.npz", "panels.json"} == names
 
 
 def test_the_width_of_a_rod_is_that_of_its_section(rod):
@@ -106,33 +97,27 @@ def test_photometric_points_without_measurement_are_gaps(ball):
     data = read_panel_data(ball / "panels")
     assert not data.valid[:10].any()
     assert data.valid[10:].all()
-    assert (ball / "panels" / "residuals.pdf").is_file()
 
 
-def test_the_same_result_gives_the_same_bytes(rod, tmp_path):
-    from twin.paper.panels import draw_panels
+def test_the_same_result_gives_the_same_bytes(rod, measured_rod, tmp_path):
+    from twin.paper.panel_data import write_panel_data
+    from twin.paper.panel_sources import panel_data_of
+    from twin.paper.seen import seen_in_fringes
 
-    again = tmp_path / "again"
-    shutil.copytree(rod, again)
-    shutil.rmtree(again / "panels")
-    draw_panels(again)
+    write_panel_data(tmp_path / "again", panel_data_of(seen_in_fringes(*measured_rod)))
+    assert {path.name for path in (tmp_path / "again").iterdir()} == {"panels.npz", "panels.json"}
     for path in sorted((rod / "panels").iterdir()):
-        assert path.read_bytes() == (again / "panels" / path.name).read_bytes(), path.name
+        assert path.read_bytes() == (tmp_path / "again" / path.name).read_bytes(), path.name
 
 
-def test_a_pruned_folder_keeps_its_result_and_panels(rod, tmp_path):
-    from twin.paper.panels import prune
+def test_a_case_keeps_the_figures_of_twin_measure_and_stays_small(rod, measured_rod, tmp_path):
+    from twin.modalities.storage import write_measurement
 
-    folder = tmp_path / "pruned"
-    shutil.copytree(rod, folder)
-    (folder / "report.html").write_text("page")
-    prune(folder)
-    names = {path.name for path in folder.iterdir()}
-    assert {"result.json", "experiment.toml", "panels", "report.html"} <= names
-    assert not {"capture", "truth.nc", "press.nc", "reconstruction.nc", "points.ply"} & names
-    size = sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
-    assert size < 5e6
-    prune(folder)  # nothing left to remove is no error
+    write_measurement(tmp_path, "measure", *measured_rod)
+    whole = json.loads((tmp_path / "result.json").read_text())
+    kept = json.loads((rod / "result.json").read_text())
+    assert {**whole, "command": "paper"} == kept
+    assert sum(path.stat().st_size for path in rod.rglob("*") if path.is_file()) < 5e6
 
 
 def test_damaged_panels_are_told_in_one_line(rod, tmp_path):

@@ -22,6 +22,7 @@ from twin.camera.sensor import (
     noise_model,
     read_noise_e,
 )
+from twin.camera.shot_noise import photon_counts
 from twin.config import Experiment, seed_sequence
 from twin.config.models import Camera
 
@@ -131,10 +132,13 @@ def _expected_dn(camera: Camera, mean_e: FloatArray) -> FloatArray:
 def _recorded_dn(
     camera: Camera, mean_e: FloatArray, dark_e: float, pixels: _Pixels, rng: np.random.Generator
 ) -> NDArray[np.uint16]:
-    collected_e = rng.poisson(mean_e * pixels.response + dark_e).astype(np.float32)
-    np.minimum(collected_e, full_well_e(camera), out=collected_e)
-    collected_e += pixels.offset_e
-    collected_e += read_noise_e(camera) * rng.standard_normal(mean_e.shape, np.float32)
-    dn = np.rint(collected_e * gain_dn_per_e(camera) + camera.black_level_dn)
-    recorded: NDArray[np.uint16] = np.clip(dn, 0, largest_code_dn(camera)).astype(np.uint16)
-    return recorded
+    collected_e = photon_counts(mean_e * pixels.response + np.float32(dark_e), rng)
+    np.minimum(collected_e, np.float32(full_well_e(camera)), out=collected_e)
+    dn = rng.standard_normal(mean_e.shape, np.float32)
+    dn *= np.float32(read_noise_e(camera))
+    dn += collected_e
+    dn += pixels.offset_e
+    dn *= np.float32(gain_dn_per_e(camera))
+    dn += np.float32(camera.black_level_dn)
+    np.clip(np.rint(dn, out=dn), 0, largest_code_dn(camera), out=dn)
+    return dn.astype(np.uint16)

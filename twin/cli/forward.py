@@ -10,6 +10,7 @@ from twin.cli.console import load, print_metrics, progress_bars, say, settings_o
 
 if TYPE_CHECKING:
     from twin.config import Experiment
+    from twin.modalities.progress import Watcher
 
 
 @app.command
@@ -165,7 +166,7 @@ def compare(
         What the presses of contact_fpp and photometric_stereo share: the force, or the depth.
     """
     from twin.modalities.comparison import compare as run_all
-    from twin.modalities.comparison import methods_named
+    from twin.modalities.comparison import measure_whole, methods_named
     from twin.modalities.instruments import PhotometricPlan
     from twin.report import comparison_table, write_comparison, write_report
 
@@ -174,8 +175,13 @@ def compare(
         raise InputError("EXPERIMENT: found none; name at least one, e.g. twin compare paper/nut")
     loaded = [load(experiment, settings) for experiment in experiments]
     plan = PhotometricPlan(photometric_rig, settings_of(photometric_set), match)
+
+    def with_report(folder: Path, case: "Experiment", watch: "Watcher") -> None:
+        measure_whole(folder, case, watch)
+        write_report(folder)
+
     with progress_bars() as watch:
-        outcomes = run_all(loaded, chosen, out, write_report, watch=watch, plan=plan)
+        outcomes = run_all(loaded, chosen, out, with_report, watch=watch, plan=plan)
         page = write_comparison(out, watch)
     say(comparison_table(outcomes))
     say(f"wrote {page}")

@@ -20,6 +20,8 @@ COMPARISON_FILES = (RESULT_FILE, "report.html")
 COMPARISON_FOLDERS = ("figures",)
 COMMAND = "compare"
 
+Filler = Callable[[Path, Experiment, Watcher], None]
+
 
 @dataclass(frozen=True)
 class Outcome:
@@ -61,11 +63,16 @@ def methods_named(text: str) -> tuple[Method, ...]:
     return tuple(known[name] for name in names)
 
 
+def measure_whole(folder: Path, experiment: Experiment, watch: Watcher) -> None:
+    """Fill a result folder as `twin measure` does, but for its report."""
+    measure_into(folder, "measure", experiment, watch)
+
+
 def compare(
     experiments: Sequence[Experiment],
     methods: Sequence[Method],
     out: Path,
-    finish: Callable[[Path], object] = lambda _: None,
+    fill: Filler = measure_whole,
     *,
     watch: Watcher = nobody,
     plan: PhotometricPlan | None = None,
@@ -77,7 +84,7 @@ def compare(
     experiments : at least one, each with a name of its own
     methods : in the order in which they are shown
     out : folder of the comparison; an earlier one is continued
-    finish : completes each result folder before it becomes visible, for example by its report
+    fill : measures one experiment into a folder, which becomes visible when it is complete
     watch : told how far each measurement is
     plan : sensor and load of photometric stereo; a GelSight Mini under the same force by default
 
@@ -95,7 +102,7 @@ def compare(
     """
     _refuse_namesakes(experiments)
     _refuse_foreign(out)
-    run = _Run(out, finish, watch, plan or PhotometricPlan())
+    run = _Run(out, fill, watch, plan or PhotometricPlan())
     outcomes = [
         _outcome(experiment, method, run) for experiment in experiments for method in methods
     ]
@@ -133,7 +140,7 @@ class _Run:
     """What all measurements of one comparison share; see `compare`."""
 
     out: Path
-    finish: Callable[[Path], object]
+    fill: Filler
     watch: Watcher
     plan: PhotometricPlan
 
@@ -146,8 +153,7 @@ def _outcome(experiment: Experiment, method: Method, run: _Run) -> Outcome:
         kept = _finished(folder, case)
         if kept is None:
             with output_folder(folder) as working:
-                measure_into(working, "measure", case, _labelled(run.watch, f"{name}, {method}"))
-                run.finish(working)
+                run.fill(working, case, _labelled(run.watch, f"{name}, {method}"))
     except InputError as error:
         line = " ".join(str(error).split())
         return Outcome(name, told, method, failure=line)

@@ -83,8 +83,11 @@ def _sensor_digest(experiment: Experiment, scatter: Scatter) -> str:
 
 
 def _by_calibration(count: int) -> Iterator[int]:
-    """Order the trials by the calibration that they share: making one takes the longest."""
-    for first in range(CALIBRATIONS):
+    """Order the trials by the calibration that they share: making one takes the longest.
+
+    The first one comes last: it is still in memory for the cases of the figures.
+    """
+    for first in reversed(range(CALIBRATIONS)):
         yield from range(first, count + 1, CALIBRATIONS)
 
 

@@ -1,38 +1,46 @@
-"""Completeness of every case, and what a finished case leaves in its folder."""
+"""Every case of the figures: measured in memory; completeness, figures and panel data are kept."""
 
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 
-from twin.modalities.photometric_score import in_world
+from twin.config import Experiment
+from twin.modalities.progress import Watcher, nobody
+from twin.modalities.storage import write_result
 from twin.output import read_json, write_json
 from twin.paper.completeness import Completeness, completeness_of
-from twin.paper.panels import draw_panels, prune
+from twin.paper.panel_data import PANELS_FOLDER, write_panel_data
+from twin.paper.panel_sources import panel_data_of
+from twin.paper.seen import Seen, see
 from twin.paper.table import Cell, Column, Table
-from twin.report.comparison_panels import AnyMeasured, read_any
-from twin.report.photometric_folder import Photographed
 
-COMPLETENESS_FILE = "completeness.json"
+COMMAND, COMPLETENESS_FILE = "paper", "completeness.json"
 _KEYS = ("contact", "contact_points", "specimen", "specimen_points", "limit_um")
 
 
-def finish_case(folder: Path) -> None:
-    """Draw a case's panels, count what it shows, and drop the arrays that nothing reads again."""
-    found = counted(read_any(folder))
-    write_json(folder / COMPLETENESS_FILE, {key: getattr(found, key) for key in _KEYS})
-    draw_panels(folder)
-    prune(folder)
+def measure_case(folder: Path, experiment: Experiment, watch: Watcher = nobody) -> None:
+    """Measure; keep figures, completeness and panel data. The arrays are nobody's input any more.
+
+    Raises
+    ------
+    InputError
+        Something in the experiment cannot be pressed, rendered or fitted.
+    MissingBackend
+        No usable Dr.Jit backend.
+    """
+    seen = see(experiment, watch)
+    watch("keep", 0.0)
+    write_result(folder, COMMAND, experiment, seen.figures)
+    write_json(folder / COMPLETENESS_FILE, asdict(counted(seen)))
+    write_panel_data(folder / PANELS_FOLDER, panel_data_of(seen))
+    watch("keep", 1.0)
 
 
-def counted(measured: AnyMeasured) -> Completeness:
+def counted(seen: Seen) -> Completeness:
     """Return the completeness of a measurement by any method."""
-    if isinstance(measured, Photographed):
-        world = in_world(measured.own.heights)
-        points, valid = world.points_mm, world.valid
-    else:
-        point_map = measured.reconstruction.point_map
-        points, valid = point_map.points_world_mm.astype(np.float64), point_map.valid
-    return completeness_of(measured.experiment, measured.truth, points, valid, measured.pressed)
+    points_mm = seen.points_mm.astype(np.float64)
+    return completeness_of(seen.experiment, seen.truth, points_mm, seen.valid, seen.pressed)
 
 
 def completeness_table(cases: Path) -> Table:

@@ -8,8 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from reconstruction.errors import InputError
-from twin.paper.panel_data import PanelData, read_panel_data
-from twin.paper.panels import PANELS_FOLDER
+from twin.paper.panel_data import PANELS_FOLDER, PanelData, read_panel_data
 from twin.paper.sheet import label_panel
 from twin.report.canvas import axes_at
 
@@ -89,5 +88,5 @@ def panels_of(cases: Path, name: str, method: str) -> PanelData | None:
     if not folder.is_dir():
         return None
     if not (folder / PANELS_FOLDER).is_dir():
-        raise InputError(f"{folder}: found no {PANELS_FOLDER}; call draw_panels before figures")
+        raise InputError(f"{folder}: found no {PANELS_FOLDER}; measure the case again")
     return read_panel_data(folder / PANELS_FOLDER)

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from reconstruction.errors import InputError
 from twin.output import read_json, write_json
 
+PANELS_FOLDER = "panels"
 ARRAYS_FILE, NUMBERS_FILE = "panels.npz", "panels.json"
 MOST_PX = 400
 MOST_BALL_POINTS = 20_000
@@ -126,7 +127,8 @@ def thinned(values: Any) -> Any:
 
 
 def write_panel_data(folder: Path, data: PanelData) -> None:
-    """Write arrays and numbers into a folder."""
+    """Write arrays and numbers into a folder, which is made."""
+    folder.mkdir(exist_ok=True)
     arrays = {f.name: getattr(data, f.name) for f in fields(data) if f.name != "numbers"}
     np.savez_compressed(folder / ARRAYS_FILE, **arrays)
     write_json(folder / NUMBERS_FILE, json.loads(json.dumps(asdict(data.numbers))))

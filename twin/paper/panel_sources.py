@@ -1,23 +1,16 @@
-"""Take what the figures show out of a result folder, whatever the method."""
+"""Take what the figures show out of a measurement, whatever the method."""
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
-import imageio.v3 as imageio
 import numpy as np
 from numpy.typing import NDArray
 
 from reconstruction.errors import FitError
-from reconstruction.mask import Reason
-from reconstruction.photometric import read_height_map
-from twin.config import Experiment, load_experiment
+from twin.config import Experiment
 from twin.config.artefacts import Rods
-from twin.modalities.photometric_score import in_world, score_heights
+from twin.modalities.photometric_score import wanted_of
 from twin.modalities.score import SphereScore, wanted_pixels
-from twin.optics.stack import Truth
-from twin.optics.storage import read_truth
-from twin.output import EXPERIMENT_FILE, RESULT_FILE, read_json
 from twin.paper.panel_data import (
     MOST_BALL_POINTS,
     BallFit,
@@ -30,110 +23,69 @@ from twin.paper.panel_data import (
 )
 from twin.paper.photographs import photograph_of
 from twin.paper.rods import SECTION_LENGTH_MM, Section, middle_of, section_of
-from twin.report.camera_view import fringe_frame
+from twin.paper.seen import Seen
 from twin.report.canvas import height_scale
 from twin.report.frames import block_mean
-from twin.report.result_folder import read_measured
 from twin.specimens import shape_of
 
 _PICTURE_PX = 500
 
 
-def panel_data_of(folder: Path) -> PanelData:
-    """Read a complete result folder.
+def panel_data_of(seen: Seen) -> PanelData:
+    """Thin a measurement to what the figures show of it.
 
     Raises
     ------
-    InputError
-        The folder is no finished measurement, or a file is missing or damaged.
     MissingBackend
         No usable Dr.Jit backend for the specimen's photograph.
     """
-    experiment = load_experiment(folder / EXPERIMENT_FILE)
-    if experiment.modality == "photometric_stereo":
-        return _of_colours(folder, experiment)
-    return _of_fringes(folder)
-
-
-def _of_fringes(folder: Path) -> PanelData:
-    measured = read_measured(folder)
-    points, capture = measured.reconstruction.point_map, measured.capture
-    frame = capture.stack[capture.patterns.frames.index(fringe_frame(capture))]
-    share = frame / np.float32(capture.sensor.saturation_dn)
-    return _data(
-        measured.experiment,
-        measured.figures,
-        picture=_small(np.rint(255.0 * np.clip(share, 0.0, 1.0))),
-        points_mm=points.points_world_mm,
-        reason=points.mask_reason,
-        truth=measured.truth,
-        seen=measured.truth.depth_mm > 0,
-        wanted=wanted_pixels(measured.experiment, measured.truth),
-        balls=measured.score.spheres,
-    )
-
-
-def _of_colours(folder: Path, experiment: Experiment) -> PanelData:
-    heights, truth = read_height_map(folder / "height.nc"), read_truth(folder / "truth.nc")
-    found = in_world(heights)
-    scored = score_heights(experiment, found, truth)
-    size, x_mm, y_mm = experiment.photometric, *np.moveaxis(truth.points_world_mm[..., :2], -1, 0)
-    inside = (np.abs(x_mm) <= size.field_x_mm / 2) & (np.abs(y_mm) <= size.field_y_mm / 2)
-    return _data(
-        experiment,
-        read_json(folder / RESULT_FILE)["metrics"],
-        picture=np.asarray(imageio.imread(folder / "image.png")),
-        points_mm=found.points_mm,
-        reason=np.where(found.valid, Reason.VALID, Reason.LOW_MODULATION),
-        truth=truth,
-        seen=truth.measured,
-        wanted=truth.measured & inside,
-        balls=scored.spheres,
-    )
-
-
-def _data(
-    experiment: Experiment,
-    figures: dict[str, Any],
-    *,
-    picture: Picture,
-    points_mm: NDArray[Any],
-    reason: NDArray[Any],
-    truth: Truth,
-    seen: NDArray[np.bool_],
-    wanted: NDArray[np.bool_],
-    balls: Sequence[SphereScore],
-) -> PanelData:
-    true_mm, valid = truth.points_world_mm, reason == Reason.VALID
-    lit = valid & truth.lit if experiment.modality == "contact_fpp" else valid & seen
+    experiment, truth = seen.experiment, seen.truth
+    true_mm, shown, wanted = truth.points_world_mm, _shown(seen), _wanted(seen)
+    lit = seen.valid & (truth.lit if experiment.modality == "contact_fpp" else shown)
     section, true_section = (
-        _section(experiment, points[lit].astype(np.float64)) for points in (points_mm, true_mm)
+        _section(experiment, points[lit].astype(np.float64)) for points in (seen.points_mm, true_mm)
     )
-    heights = true_mm[seen][:, 2]
-    numbers = Numbers(
+    return PanelData(
+        numbers=_numbers(seen, true_mm[shown], section),
+        picture=_small(seen.picture),
+        photograph=photograph_of(experiment),
+        points_mm=thinned(seen.points_mm).astype(np.float32),
+        valid=thinned(seen.valid),
+        true_z_mm=thinned(true_mm[..., 2]).astype(np.float32),
+        wanted=thinned(wanted),
+        reason=thinned(seen.reason),
+        ball_points=_ball_points(seen.points_mm, seen.balls),
+        section=_columns(section),
+        true_section=_columns(true_section),
+    )
+
+
+def _shown(seen: Seen) -> NDArray[np.bool_]:
+    """Pixels that show anything at all."""
+    in_colour = seen.experiment.modality == "photometric_stereo"
+    return np.asarray(seen.truth.measured if in_colour else seen.truth.depth_mm > 0)
+
+
+def _wanted(seen: Seen) -> NDArray[np.bool_]:
+    """Pixels that are evaluated."""
+    if seen.experiment.modality != "photometric_stereo":
+        return wanted_pixels(seen.experiment, seen.truth)
+    return np.asarray(wanted_of(seen.experiment, seen.truth))
+
+
+def _numbers(seen: Seen, true_mm: NDArray[Any], section: Section | None) -> Numbers:
+    experiment, heights = seen.experiment, true_mm[:, 2]
+    return Numbers(
         name=experiment.name,
         description=experiment.description,
         method=experiment.modality,
-        **{name: figures[name] for name in ("completeness", "good_share", "z_rmse_um")},
+        **{name: seen.figures[name] for name in ("completeness", "good_share", "z_rmse_um")},
         good_within_um=experiment.score.good_within_um,
         outline_mm=shape_of(experiment.specimen).bounds_mm(),
         scale_mm=height_scale(heights) if heights.size else (0.0, 1.0),
-        half_field_mm=_half_field(true_mm[seen]),
-        balls=tuple(_fit(ball) for ball in balls),
+        half_field_mm=_half_field(true_mm),
+        balls=tuple(_fit(ball) for ball in seen.balls),
         width=_width(experiment, section),
-    )
-    return PanelData(
-        numbers=numbers,
-        picture=picture,
-        photograph=photograph_of(experiment),
-        points_mm=thinned(points_mm).astype(np.float32),
-        valid=thinned(valid),
-        true_z_mm=thinned(true_mm[..., 2]).astype(np.float32),
-        wanted=thinned(wanted),
-        reason=thinned(reason).astype(np.uint8),
-        ball_points=_ball_points(points_mm, balls),
-        section=_columns(section),
-        true_section=_columns(true_section),
     )
 
 
@@ -144,9 +96,9 @@ def _half_field(seen_mm: NDArray[Any]) -> tuple[float, float]:
     return float(x), float(y)
 
 
-def _small(image: NDArray[Any]) -> Picture:
-    mean = block_mean(image, max(1, -(-max(image.shape) // _PICTURE_PX)))
-    return np.asarray(np.rint(mean), np.uint8)
+def _small(image: Picture) -> Picture:
+    step = max(1, -(-max(image.shape) // _PICTURE_PX))
+    return image if step == 1 else np.asarray(np.rint(block_mean(image, step)), np.uint8)
 
 
 def _fit(ball: SphereScore) -> BallFit:

@@ -18,14 +18,14 @@ from reconstruction.errors import InputError
 from twin.config import digest
 from twin.config.board import load_board
 from twin.modalities.comparison import compare
-from twin.modalities.instruments import Method, PhotometricPlan
+from twin.modalities.instruments import Method
 from twin.modalities.progress import Watcher, nobody
 from twin.modalities.storage import write_result
 from twin.output import replace_json, versions
 from twin.paper.budget import budget_table
 from twin.paper.claims import claims_of, claims_table
-from twin.paper.colours import PAPER_DECODER, colour_trials
-from twin.paper.complete_table import completeness_table, finish_case
+from twin.paper.colours import colour_trials, plan_of
+from twin.paper.complete_table import completeness_table, measure_case
 from twin.paper.explanations import explanations
 from twin.paper.figures import FIGURES, draw_figure
 from twin.paper.page import Contents, write_paper_page
@@ -105,10 +105,10 @@ class Reproduction:
     def cases(self) -> Path:
         """Measure every specimen of the figures; return the folder of the cases."""
         folder = self.work / "cases"
-        plan = PhotometricPlan(settings=PAPER_DECODER)
+        plan = plan_of(self.scatter.seed, 0)  # the sensor of trial 0, which is in memory
         for names, methods in CASES:
             experiments = [experiment_of(name, self.settings) for name in names]
-            compare(experiments, methods, folder, finish_case, watch=self.watch, plan=plan)
+            compare(experiments, methods, folder, measure_case, watch=self.watch, plan=plan)
         return folder
 
 
