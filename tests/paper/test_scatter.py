@@ -11,7 +11,8 @@ SEED = 5
 
 
 def scatter(**inputs):
-    return Scatter(seed=SEED, inputs={name: Input(**one) for name, one in inputs.items()})
+    made = {name: Input(**({"group": "placement"} | one)) for name, one in inputs.items()}
+    return Scatter(seed=SEED, inputs=made)
 
 
 def balls():
@@ -80,6 +81,7 @@ def test_a_key_that_leads_nowhere_is_one_line():
 
 def test_a_bad_file_is_one_line(tmp_path):
     file = tmp_path / "spread.toml"
-    file.write_text('seed = 1\n[inputs.x]\nkey = "specimen.x_mm"\ndistribution = "cauchy"\n')
+    text = 'seed = 1\n[inputs.x]\ngroup = "press"\nkey = "specimen.x_mm"\ndistribution = "cauchy"\n'
+    file.write_text(text)
     with pytest.raises(ConfigError, match="distribution"):
         load_scatter(str(file))

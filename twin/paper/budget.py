@@ -6,21 +6,43 @@ trials' own differences for noise and calibration. The trials are at once the Mo
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from twin.config import Experiment
-from twin.paper.face_model import contributions
+from twin.paper.face_model import Contribution, contributions
+from twin.paper.optics_model import optical_contributions
 from twin.paper.repeats import Trial
 from twin.paper.scatter import Scatter
 from twin.paper.statistics import spread_of, values_of
 from twin.paper.table import Cell, Column, Table
 
 
+@dataclass(frozen=True)
+class _Part:
+    """One row before it is ranked."""
+
+    name: str
+    group: str
+    key: str
+    u_mm: float
+
+
 def budget_table(
-    experiment: Experiment, scatter: Scatter, trials: Sequence[Trial], output: str
+    experiment: Experiment,
+    scatter: Scatter,
+    trials: Sequence[Trial],
+    output: str,
+    *,
+    optics: bool = False,
 ) -> Table:
     """Return the budget of one output, such as `sphere_1_radius_mm`, largest contribution first.
+
+    Parameters
+    ----------
+    optics : one row per optical input, at the price of two renders each; else they stay in the row
+        of the noise
 
     Raises
     ------
@@ -28,14 +50,9 @@ def budget_table(
         A press fails one standard uncertainty away from the nominal one.
     """
     repeated = [one for one in trials if one.number]
-    parts = [
-        (one.name, one.key, one.output_u_mm) for one in contributions(experiment, scatter, output)
-    ]
-    parts.append(("noise and decoding", "", _spread(_difference(repeated, "true_rig_", output))))
-    parts.append(("calibration", "", _spread(_difference(repeated, "", output))))
-    total = float(np.sqrt(sum(u**2 for _, _, u in parts)))
-    rows = [_row(name, key, u, total) for name, key, u in sorted(parts, key=lambda part: -part[2])]
-    rows.append({"input": "all, linear", "u": total, "share": 100.0})
+    parts = contributions(experiment, scatter.counting_for(experiment, optics=False), output)
+    light = optical_contributions(experiment, scatter, output) if optics else []
+    rows = _rows([*_of_face(scatter, parts), *_of_chain(scatter, light, repeated, output)])
     found = spread_of(values_of(repeated, output))
     if found is not None and found.n > 1:
         rows.append({"input": f"all, Monte Carlo, {found.n} trials", "u": found.sd})
@@ -45,22 +62,67 @@ def budget_table(
         "",
         (
             Column("input", "input"),
+            Column("group", "of"),
             Column("key", "varied"),
-            Column("u", "u, mm", 4),
+            Column("u", "u, mm", 5),
             Column("share", "share of variance, %", 1),
         ),
         tuple(rows),
-        (
-            "Standard uncertainties of one measurement, not of a mean of five.",
-            "Linear: central difference of the pressed face over one standard uncertainty of the "
-            "input; noise and calibration from the trials.",
-        ),
+        (*_NOTES, *_coverage(values_of(repeated, output))),
     )
 
 
-def _row(name: str, key: str, u_mm: float, total_mm: float) -> dict[str, Cell]:
-    share = 100.0 * (u_mm / total_mm) ** 2 if total_mm else 0.0
-    return {"input": name, "key": key, "u": u_mm, "share": share}
+_NOTES = (
+    "Standard uncertainties of one measurement, not of a mean of five.",
+    "Linear: central difference over one standard uncertainty of the input, of the pressed face "
+    "or, for optics, of the whole chain without noise; noise and calibration from the trials' own "
+    "differences.",
+)
+_LEAST_FOR_COVERAGE = 40
+
+
+def _of_face(scatter: Scatter, parts: Sequence[Contribution]) -> list[_Part]:
+    return [
+        _Part(one.name, scatter.inputs[one.name].group, one.key, one.output_u_mm) for one in parts
+    ]
+
+
+def _of_chain(
+    scatter: Scatter, light: Sequence[Contribution], trials: Sequence[Trial], output: str
+) -> list[_Part]:
+    """Noise is what is left of the trials' own difference when the optics are taken off."""
+    measuring = _spread(_difference(trials, "true_rig_", output))
+    of_light = sum(one.output_u_mm**2 for one in light)
+    noise = float(np.sqrt(max(measuring**2 - of_light, 0.0)))
+    name = "noise and decoding" if light else "noise, optics and decoding"
+    return [
+        *_of_face(scatter, light),
+        _Part(name, "camera", "", noise),
+        _Part("calibration", "rig", "", _spread(_difference(trials, "", output))),
+    ]
+
+
+def _rows(parts: Sequence[_Part]) -> list[dict[str, Cell]]:
+    total = float(np.sqrt(sum(one.u_mm**2 for one in parts)))
+    rows: list[dict[str, Cell]] = [
+        {
+            "input": one.name,
+            "group": one.group,
+            "key": one.key,
+            "u": one.u_mm,
+            "share": 100.0 * (one.u_mm / total) ** 2 if total else 0.0,
+        }
+        for one in sorted(parts, key=lambda part: -part.u_mm)
+    ]
+    return [*rows, {"input": "all, linear", "u": total, "share": 100.0}]
+
+
+def _coverage(values: np.ndarray) -> list[str]:
+    """State the interval of JCGM 101, 7.7, once there are trials enough to speak of one."""
+    if values.size < _LEAST_FOR_COVERAGE:
+        return []
+    low, high = np.quantile(values, (0.025, 0.975))
+    return [f"Monte Carlo: 95 % of {values.size} trials lie between {low:.3f} and {high:.3f} mm."]
 
 
 def _difference(trials: Sequence[Trial], prefix: str, output: str) -> np.ndarray:

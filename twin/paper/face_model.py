@@ -3,6 +3,7 @@
 One press costs a tenth of a second; sensitivities and explanations need hundreds of them.
 """
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,7 +14,7 @@ from twin.config import Experiment, vary
 from twin.mechanics import PressedElastomer
 from twin.modalities.contact_fpp import press_specimen
 from twin.paper.repeats import rod_width
-from twin.paper.scatter import Scatter, nominal_of
+from twin.paper.scatter import Input, nominal_of
 from twin.specimens import Sphere, shape_of
 
 
@@ -74,26 +75,35 @@ def face_figures(experiment: Experiment) -> dict[str, float]:
     return found
 
 
-def contributions(experiment: Experiment, scatter: Scatter, output: str) -> list[Contribution]:
+def contributions(
+    experiment: Experiment,
+    inputs: Mapping[str, Input],
+    output: str,
+    figures_of: Callable[[Experiment], Mapping[str, float]] = face_figures,
+) -> list[Contribution]:
     """Return the inputs' contributions to an output, largest first.
 
     Raises
     ------
     InputError
-        As `face_figures`.
+        As `figures_of`.
     """
     found = []
-    for name, one in scatter.inputs.items():
-        if one.counts_for(experiment):
-            nominal = nominal_of(experiment, one.key)
-            u = one.standard_uncertainty(nominal)
-            ends = [_at(experiment, one.key, nominal + step)[output] for step in (-u, u)]
-            found.append(Contribution(name, one.key, u, abs(ends[1] - ends[0]) / 2))
+    for name, one in inputs.items():
+        nominal = nominal_of(experiment, one.key)
+        u = one.standard_uncertainty(nominal)
+        ends = [_at(experiment, one.key, nominal + step, figures_of)[output] for step in (-u, u)]
+        found.append(Contribution(name, one.key, u, abs(ends[1] - ends[0]) / 2))
     return sorted(found, key=lambda one: -one.output_u_mm)
 
 
-def _at(experiment: Experiment, key: str, value: float) -> dict[str, float]:
+def _at(
+    experiment: Experiment,
+    key: str,
+    value: float,
+    figures_of: Callable[[Experiment], Mapping[str, float]],
+) -> Mapping[str, float]:
     try:
-        return face_figures(vary(experiment, {key: value}))
+        return figures_of(vary(experiment, {key: value}))
     except InputError as error:
         raise InputError(f"{key} = {value:g}: {error}") from None

@@ -109,15 +109,16 @@ def measure_fringes(rigs: RigScatter, seed: int, experiment: Experiment, trial: 
     _, recording = take(experiment, Stopwatch(), trial)
     options = options_of(experiment.decode)
     exact = reconstruct(recording.capture, options)
-    figures = {f"true_rig_{name}": v for name, v in _evaluate(experiment, exact, recording).items()}
+    figures = {f"true_rig_{name}": v for name, v in evaluate(experiment, exact, recording).items()}
     if not trial:
-        return figures | _evaluate(experiment, exact, recording)
+        return figures | evaluate(experiment, exact, recording)
     found = triangulate(exact.decoded, rigs.draw(seed, trial), options.use, options.tolerance)
     measured = Reconstruction(exact.decoded, found)
-    return figures | _evaluate(experiment, measured, recording)
+    return figures | evaluate(experiment, measured, recording)
 
 
-def _evaluate(experiment: Experiment, measured: Reconstruction, recording: Recording) -> Figures:
+def evaluate(experiment: Experiment, measured: Reconstruction, recording: Recording) -> Figures:
+    """Return the figures of `twin measure`, and of a rod its width and height."""
     figures = metrics(score(experiment, measured, recording.truth))
     if experiment.specimen.kind == "rods":
         figures |= _rod_figures(experiment, measured, recording)

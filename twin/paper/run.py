@@ -116,7 +116,9 @@ def sphere_tables(run: Reproduction) -> list[Table]:
     """Return the tables on the two balls."""
     trials = run.ball_trials()
     balls = experiment_of(BALLS, run.settings)
-    budget = budget_table(balls, run.scatter, trials[CONTACT_FPP], "sphere_1_radius_mm")
+    budget = budget_table(
+        balls, run.scatter, trials[CONTACT_FPP], "sphere_1_radius_mm", optics=True
+    )
     return [
         sphere_fit_table(trials),
         repeated_fit_table(trials),

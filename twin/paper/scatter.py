@@ -20,9 +20,13 @@ from twin.config.messages import explain
 from twin.config.models import Provenance
 from twin.config.quantities import check_ranges, split_quantities
 
+Group = Literal["placement", "press", "elastomer", "optics"]
+
 
 class Input(Model):
     """One quantity that differs from trial to trial."""
+
+    group: Group = Field(description="what it belongs to; optics leave the pressed face alone")
 
     key: str = Field(description="dotted path in the experiment")
     distribution: Literal["normal", "uniform"]
@@ -50,6 +54,14 @@ class Scatter(Model):
     seed: Annotated[int, Field(ge=0, lt=2**63)]
     inputs: dict[str, Input]
     provenance: dict[str, Provenance] = Field(default_factory=dict)
+
+    def counting_for(self, experiment: Experiment, *, optics: bool) -> dict[str, Input]:
+        """Return the inputs that can change an experiment: those of its optics, or all others."""
+        return {
+            name: one
+            for name, one in self.inputs.items()
+            if one.counts_for(experiment) and (one.group == "optics") == optics
+        }
 
 
 @lru_cache
