@@ -132,6 +132,26 @@ def test_the_mean_rmse_rests_on_all_trials_once():
     assert claims[0].found == pytest.approx(0.015)
 
 
+def test_five_trials_that_lie_elsewhere_are_told():
+    """Setup: five radii shifted by 1.2 SD among a hundred. Expected: told, in closed form."""
+    rng = np.random.default_rng(3)
+    radii = np.concatenate(
+        [4.0 + 0.01 * (rng.standard_normal(5) - 1.2), 4.0 + 0.01 * rng.standard_normal(95)]
+    )
+    trials = [Trial(0, {}, {})] + [
+        Trial(n, {}, {f"sphere_1_{key}_mm": value for key in ("radius", "rmse")})
+        for n, value in enumerate(radii, start=1)
+    ]
+    spread, mean = claims_of({"repeated_fit": repeated_fit_table({CONTACT_FPP: trials})})[1:3]
+    assert spread.name.endswith("SD of 5 trials over SD of all")
+    assert spread.found == pytest.approx(radii[:5].std(ddof=1) / radii.std(ddof=1))
+    apart = abs(radii[:5].mean() - radii.mean())
+    expected = apart / (radii.std(ddof=1) * np.sqrt(1 / 5 - 1 / 100))
+    assert mean.found == pytest.approx(expected)
+    assert mean.met == (expected <= 2.0)
+    assert not mean.met
+
+
 def test_trials_of_another_sensor_are_not_taken_for_these(monkeypatch):
     """A change of the photometric rig alone must not reuse what the former one measured."""
     experiment, scatter = load_experiment("paper/two_balls"), load_scatter()

@@ -1,12 +1,12 @@
 """What the reproduction must show, judged from its own tables; what fails says why."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from twin.paper.published import CONTACT_FPP, GELSIGHT, mean_of, rows_of
-from twin.paper.table import TWIN, Column, Table
+from twin.paper.table import TWIN, Cell, Column, Table
 
 RMSE_FACTOR = 2.0
 LEAST_RATIO = 5.0
@@ -14,6 +14,7 @@ DIRECT_AT_MOST, CONTACT_AT_LEAST = 0.60, 0.99
 # The smaller sample's SD may stray this far from the larger one's: 95 % of a chi-square with 4
 # degrees of freedom lies between 0.35 and 1.67 of the true SD.
 SD_LOW, SD_HIGH = 0.35, 1.67
+MOST_STEPS = 2.0
 
 
 @dataclass(frozen=True)
@@ -103,23 +104,40 @@ def _rmse_claims(table: Table) -> list[Claim]:
 
 
 def _consistency(table: Table) -> list[Claim]:
-    """Compare the first five trials with all of them: SD within what five draws allow."""
+    """Compare the first five trials with all: SD and mean within what five draws allow."""
     claims = []
     for method in (CONTACT_FPP, GELSIGHT):
         rows = [r for r in table.rows if r["method"] == method and r["source"] == TWIN]
         for ball in (1, 2):
             some = [r for r in rows if r["sphere"] == ball]
-            if len(some) < 2 or not all(isinstance(r["sd"], float) for r in some):
-                continue
-            few, many = (float(str(r["sd"])) for r in some[:2])
-            share = few / many if many else 0.0
-            met = SD_LOW <= share <= SD_HIGH
-            why = (
-                "" if met else "five draws happen to lie closer or wider than 95 % of such samples"
-            )
-            name = f"{method}, ball {ball}: SD of 5 trials over SD of all"
-            claims.append(Claim(name, f"{SD_LOW} to {SD_HIGH}", share, met, why))
+            if len(some) >= 2 and all(isinstance(r["sd"], float) and r["sd"] for r in some):
+                claims += _consistent(f"{method}, ball {ball}", some[0], some[1])
     return claims
+
+
+def _consistent(name: str, few: Mapping[str, Cell], every: Mapping[str, Cell]) -> list[Claim]:
+    sd, sd_of_all = float(str(few["sd"])), float(str(every["sd"]))
+    n, n_of_all = int(str(few["trials"])), int(str(every["trials"]))
+    apart = float(str(few["mean_radius"])) - float(str(every["mean_radius"]))
+    # The few are among all: their means differ by sd sqrt(1/n - 1/N).
+    steps = abs(apart) / (sd_of_all * np.sqrt(1.0 / n - 1.0 / n_of_all))
+    spread = SD_LOW <= sd / sd_of_all <= SD_HIGH
+    return [
+        Claim(
+            f"{name}: SD of {n} trials over SD of all",
+            f"{SD_LOW} to {SD_HIGH}",
+            sd / sd_of_all,
+            spread,
+            "" if spread else _WHY_FEW,
+        ),
+        Claim(
+            f"{name}: mean of {n} trials from that of all, in its standard deviations",
+            f"at most {MOST_STEPS:g}",
+            steps,
+            steps <= MOST_STEPS,
+            "" if steps <= MOST_STEPS else _WHY_FEW,
+        ),
+    ]
 
 
 def _rod_claims(table: Table) -> list[Claim]:
@@ -153,6 +171,7 @@ def _completeness_claims(table: Table) -> list[Claim]:
     return claims
 
 
+_WHY_FEW = "the first trials happen to lie where 5 % of such samples do"
 _WHY_CONTACT = (
     "the residual is the form of the draped coat, set by thickness, drape and region of the fit, "
     "none of which the paper gives"
