@@ -33,6 +33,7 @@ from benchmarks.regression.runs import Found, again, failures, run_cases
 from reconstruction.errors import InputError
 
 README = Path(__file__).parents[1] / "README.md"
+BASELINES = Path(__file__).with_name("baselines.toml")
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -40,7 +41,7 @@ def main(arguments: list[str] | None = None) -> int:
     chosen = parse(arguments)
     start = time.perf_counter()
     try:
-        cases, baselines = chosen_cases(chosen.only, chosen.quick), read_baselines()
+        cases, baselines = chosen_cases(chosen.only, chosen.quick), read_baselines(BASELINES)
     except InputError as error:
         print(f"bench all: {error}", file=sys.stderr)
         return 2
@@ -108,7 +109,7 @@ def update(baselines: Baselines, estimates: dict[str, Estimate]) -> None:
     """Accept what was found: write the baselines, then the README's table from them."""
     accepted = baselines.updated(estimates, datetime.now(UTC).date().isoformat(), machine())
     made = readme.with_table(README.read_text(encoding="utf-8"), readme.table(CASES, accepted))
-    write_baselines(accepted, FIGURES)
+    write_baselines(accepted, FIGURES, BASELINES)
     replace_text(README, made)
     print(f"{len(estimates)} baselines and the README's table written")
 

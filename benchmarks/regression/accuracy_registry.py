@@ -6,10 +6,10 @@ from benchmarks.regression import fringe_cases as fringe
 from benchmarks.regression import other_cases as other
 from benchmarks.regression.cases import Case
 from benchmarks.regression.figures import Figure
-from benchmarks.regression.fringe_cases import FEW_PIXELS, ROUNDING
 
-rendered = partial(Figure, floor_rel=ROUNDING)
-counted = partial(Figure, floor=FEW_PIXELS)
+# Code for another processor rounds otherwise. With noise that acts like another seed (the draws of
+# the camera's noise part ways), which the seeds cover; what is left is below this share.
+rendered = partial(Figure, floor_rel=1e-5)
 
 FRINGES = (
     Case(
@@ -19,8 +19,9 @@ FRINGES = (
             rendered("two_balls_z_rmse_um", "two balls, default camera and filter: z RMSE, um"),
             rendered("two_balls_radius_mm", "apparent radius of the 8 mm balls, mm"),
             rendered("two_balls_sphere_rmse_um", "residual of the sphere fits, um RMS"),
-            rendered("two_balls_force_n", "force of the press, N"),
-            counted("two_balls_completeness", "lit pixels with a point"),
+            # The contact solver stops when the force changes by less than 1e-5.
+            Figure("two_balls_force_n", "force of the press, N", floor_rel=2e-5),
+            rendered("two_balls_completeness", "lit pixels with a point"),
             Figure(
                 "two_balls_wrong_orders_px", "wrong fringe orders on lit pixels", bar="0", floor=0.1
             ),
@@ -39,14 +40,22 @@ FRINGES = (
     Case(
         "ideal",
         "484 x 366",
-        (rendered("ideal_z_rmse_um", "z RMSE without noise and filter, um", bar="2", floor=1e-3),),
+        (
+            Figure(
+                # Seen between code for vectors of 4 and of 8 (AVX2), as for sampling_error_px.
+                "ideal_z_rmse_um",
+                "z RMSE without noise and filter, um",
+                bar="2",
+                floor=6e-3,
+            ),
+        ),
         fringe.ideal,
     ),
     Case(
         "sampling",
         "320 x 240 of 968 x 732",
         (
-            rendered(
+            Figure(
                 "sampling_error_px",
                 "2 x 2 rays per pixel against 16 x 16, px",
                 bar="1.7e-3 (1/3 of the noise)",
@@ -82,14 +91,14 @@ FRINGES = (
     Case(
         "direct_nut",
         "484 x 366, 4 seeds",
-        (counted("direct_nut_completeness", "bare steel nut: pixels with a point"),),
+        (rendered("direct_nut_completeness", "bare steel nut: pixels with a point"),),
         partial(fringe.direct, "nut", 4),
         quick=False,
     ),
     Case(
         "direct_brick",
         "484 x 366, 3 seeds",
-        (counted("direct_brick_completeness", "bare clear brick: pixels with a point"),),
+        (rendered("direct_brick_completeness", "bare clear brick: pixels with a point"),),
         partial(fringe.direct, "brick", 3),
         quick=False,
     ),
@@ -127,7 +136,7 @@ OTHERS = (
                 "press_fredholm_force_rel",
                 "ball on a bonded layer against Fredholm, relative",
                 bar="0.3 %",
-                floor=1e-5,
+                floor=2e-5,
             ),
             Figure(
                 "press_large_strain_face_um",
@@ -177,5 +186,6 @@ OTHERS = (
             rendered("gelsight_cap_faithful_2024", "the same in the older form", bar="1.32"),
         ),
         other.gelsight,
+        quick=False,
     ),
 )

@@ -17,7 +17,6 @@ from benchmarks.regression.figures import Estimate, Figure
 from reconstruction.errors import InputError
 from twin.output import versions
 
-PATH = Path(__file__).parents[1] / "baselines.toml"
 NAMED = ("fringe-twin", "mitsuba", "drjit", "numpy")
 HEADER = """\
 # Baselines of the regression benchmarks. [figure] and [made] are written by `./run bench all
@@ -68,7 +67,7 @@ def named_versions() -> str:
     return ", ".join(f"{name} {found[name]}" for name in NAMED)
 
 
-def read_baselines(path: Path = PATH) -> Baselines:
+def read_baselines(path: Path) -> Baselines:
     """Read the baselines; an absent file has none.
 
     Raises
@@ -92,9 +91,7 @@ def read_baselines(path: Path = PATH) -> Baselines:
         ) from None
 
 
-def write_baselines(
-    baselines: Baselines, registry: Mapping[str, Figure], path: Path = PATH
-) -> None:
+def write_baselines(baselines: Baselines, registry: Mapping[str, Figure], path: Path) -> None:
     """Write the baselines whole or not at all, in the registry's order, others dropped."""
     content = {
         "made": {"machine": baselines.machine},

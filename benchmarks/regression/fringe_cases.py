@@ -22,11 +22,6 @@ from twin.modalities.score import Score
 from twin.paper.repeats import rod_width
 from twin.study.stages import ContactStages
 
-ROUNDING = 1e-3
-"""Relative type-B uncertainty of rendered figures: other processors round otherwise."""
-FEW_PIXELS = 1e-4
-"""The same of a share of pixels: a few in 1e5 that lie on the edge of being valid."""
-
 IDEAL = {"camera.noise": False, "decode.filter_taps": 0}
 CENTRE = {"camera.binning": 2, "camera.width_px": 640, "camera.height_px": 480}
 """Middle of the field at the demo's resolution."""

@@ -16,7 +16,7 @@ Speed: a ratio inside one run is a failure when worse than the baseline by a sta
 import math
 from dataclasses import dataclass
 
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from benchmarks.regression.figures import Estimate, Figure
 
@@ -55,7 +55,8 @@ def coverage_factor(found: Estimate, baseline: Estimate, floor: float, figures: 
     """Return Student's two-sided quantile for one of so many figures."""
     share = -math.expm1(math.log1p(-FALSE_ALARMS_PER_RUN) / figures)
     dof = degrees_of_freedom(found, baseline, floor)
-    return float(student.isf(share / 2.0, dof))
+    # Student's quantile; the inverse of its lower tail keeps the digits of a small share.
+    return -float(stdtrit(dof, share / 2.0))
 
 
 def degrees_of_freedom(found: Estimate, baseline: Estimate, floor: float) -> float:
