@@ -44,14 +44,15 @@ def shown(estimate: Estimate) -> str:
     """Return value and standard uncertainty, the latter to two digits; one alone to three."""
     value, u = estimate.value, estimate.standard_uncertainty
     if u <= 0.0:
-        return f"{value:.3g}"
-    decimals = 1 - math.floor(math.log10(u))
-    if decimals > 6:
-        scale = math.floor(math.log10(abs(value))) if value else 0
-        number, spread = value / 10.0**scale, u / 10.0**scale
-        decimals = min(max(decimals + scale, 0), 6)
-        return f"({number:.{decimals}f} +- {spread:.{decimals}f})e{scale}"
-    decimals = max(decimals, 0)
+        return f"{value:.3g}" if abs(value) < 1000.0 else f"{value:.0f}"
+    scale = math.floor(math.log10(max(abs(value), u)))
+    if scale > -3:
+        return _to_two_digits(value, u)
+    return f"({_to_two_digits(value / 10.0**scale, u / 10.0**scale)})e{scale}"
+
+
+def _to_two_digits(value: float, u: float) -> str:
+    decimals = max(1 - math.floor(math.log10(u)), 0)
     return f"{value:.{decimals}f} +- {u:.{decimals}f}"
 
 
