@@ -17,6 +17,8 @@ FRINGES = (
         "968 x 732, 5 seeds",
         (
             rendered("two_balls_z_rmse_um", "two balls, default camera and filter: z RMSE, um"),
+            # Sigma is kept in steps of 6e-4 of it: the median may be the next one.
+            Figure("two_balls_sigma_z_um", "predicted sigma of z, median, um", floor=2.4e-4),
             rendered("two_balls_radius_mm", "apparent radius of the 8 mm balls, mm"),
             rendered("two_balls_sphere_rmse_um", "residual of the sphere fits, um RMS"),
             # The contact solver stops when the force changes by less than 1e-5.

@@ -39,6 +39,7 @@ def two_balls(seeds: int = 5, binning: int = 2) -> Values:
         return spheres(done.score) | {
             "two_balls_force_n": done.pressed.force_n,
             "two_balls_z_rmse_um": truth.z_rmse_um,
+            "two_balls_sigma_z_um": truth.sigma_z_median_um,
             "two_balls_completeness": truth.completeness,
             "two_balls_wrong_orders_px": float(truth.wrong_order_pixels),
             "two_balls_spread_over_sigma": truth.error_over_sigma,

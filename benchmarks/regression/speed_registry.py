@@ -19,7 +19,7 @@ SPEEDS = (
                 "53 frames of 1936 x 1464 to xyz over copying them",
                 bar="8",
                 # Copying takes all memory channels: a busy neighbour weighs on it differently.
-                factor=2.0,
+                factor=2.5,
             ),
             ratio("decode_peak_over_stack", "peak memory over the stack", bar="1.5", factor=1.1),
             told("decode_s", "53 frames of 1936 x 1464 to xyz, s", bar="0.25"),
@@ -38,8 +38,13 @@ SPEEDS = (
         "mechanics",
         "`./run bench mechanics`",
         (
-            ratio("mechanics_bonded_over_fft", "bonded 512 x 512 over an FFT pair of 1024 x 1024"),
-            ratio("mechanics_free_over_fft", "free ball 512 x 512 over the same"),
+            # A press of 50 ms is at the mercy of who shares the cache: 1.5 was seen.
+            ratio(
+                "mechanics_bonded_over_fft",
+                "bonded 512 x 512 over an FFT pair of 1024 x 1024",
+                factor=2.0,
+            ),
+            ratio("mechanics_free_over_fft", "free ball 512 x 512 over the same", factor=2.0),
             ratio("mechanics_slowest_over_fft", "slowest specimen over the same"),
             ratio("mechanics_study_over_fft", "25 cases over the same"),
             told("mechanics_bonded_s", "bonded 512 x 512, s", bar="1"),
