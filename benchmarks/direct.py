@@ -62,7 +62,7 @@ def measure(name: str, binning: int) -> dict[str, float]:
     return figures
 
 
-def energy_gap(experiment: Experiment) -> float:
+def energy_gap(experiment: Experiment, seed: int = 3) -> float:
     """Relative gap of the photons' balance; 0 where nothing is clear or polished."""
     from twin.optics.photons import trace_photons
     from twin.optics.scene import rig_of
@@ -71,7 +71,7 @@ def energy_gap(experiment: Experiment) -> float:
     if not built.surfaces.sharp:
         return 0.0
     count = experiment.render.photons
-    balance = trace_photons(built.scene, built.surfaces, rig, count=count, seed=3).balance
+    balance = trace_photons(built.scene, built.surfaces, rig, count=count, seed=seed).balance
     arrived = balance.absorbed + balance.deposited + balance.escaped + balance.lost
     return abs(balance.sent - arrived) / balance.sent
 

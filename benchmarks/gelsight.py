@@ -20,7 +20,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from fit_lamps import (
+
+from benchmarks.fit_lamps import (
     CONTACT_MM,
     PRESSES_MM,
     SENSITIVITY,
@@ -28,7 +29,6 @@ from fit_lamps import (
     azimuth_error_deg,
     sensitivity,
 )
-
 from reconstruction.photometric import PhotometricDecoder, PhotometricOptions
 from reconstruction.photometric.calibration_ball import ball_slopes
 from reconstruction.photometric.contact_circle import ContactCircle, find_contact_circle
@@ -74,16 +74,20 @@ def main() -> None:
 
 def shots_of(experiment: Any, count: int) -> list[Shot]:
     """Photograph one ball at random places; find its contact as in practice."""
-    sensor, calibration = calibrated_sensor(experiment)
     rng = np.random.default_rng(seed_sequence(experiment, "benchmark"))
     shots = []
     for number in range(count):
         x_mm, y_mm = rng.uniform(-1.0, 1.0, 2) * PRESSES_MM
         case = with_ball(experiment, Ball(diameter_mm=BALL_MM, x_mm=x_mm, y_mm=y_mm), DEPTH_MM)
-        image = sensor.image(face_mesh(press_specimen(case)), FIRST_IMAGE + number)
-        circle = find_contact_circle(smoothed(image, 3), calibration.background)
-        shots.append(Shot(image, circle))
+        shots.append(photographed(experiment, case, FIRST_IMAGE + number))
     return shots
+
+
+def photographed(experiment: Any, case: Any, number: int) -> Shot:
+    """Photograph a press with the experiment's sensor; `number` keys the camera's noise."""
+    sensor, calibration = calibrated_sensor(experiment)
+    image = sensor.image(face_mesh(press_specimen(case)), number)
+    return Shot(image, find_contact_circle(smoothed(image, 3), calibration.background))
 
 
 def balls(experiment: Any, shots: list[Shot]) -> dict[str, float]:

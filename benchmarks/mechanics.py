@@ -209,6 +209,18 @@ def contact_mechanics_s(height_mm: np.ndarray) -> tuple[float, float] | None:
     return time.process_time() - start, float(system.compute_normal_force())
 
 
+def fft_pair_s() -> float:
+    """Return the time of a transform of 1024 x 1024 cells and back: the machine's own measure."""
+    cells = np.random.default_rng(1).normal(size=(2 * CELLS, 2 * CELLS))
+
+    def pairs() -> None:
+        for _ in range(10):
+            fft.irfft2(fft.rfft2(cells), s=cells.shape)
+
+    pairs()
+    return cpu_s(pairs, 5) / 10
+
+
 def speed() -> dict[str, float | None]:
     """Return the seconds of set-up, solutions and study."""
     free_x = FreeSlab(CELLS, CELLS, FREE_MM, FREE_MM, THICKNESS_MM, NU).x_mm
@@ -233,6 +245,7 @@ def speed() -> dict[str, float | None]:
         print(f"ContactMechanics: {peer[0]:.2f} s, F / E {peer[1]:.5f}, here {forces[-1]:.5f}")
     empty = np.zeros((CELLS, CELLS))
     return {
+        "fft_pair_s": fft_pair_s(),
         "setup_s": cpu_s(
             lambda: FreeSlab(CELLS, CELLS, FREE_MM, FREE_MM, THICKNESS_MM, NU).deflect(empty)
         ),

@@ -1,0 +1,137 @@
+"""Named accuracy cases and speed ratios against committed baselines.
+
+    ./run bench all             run everything, print the table
+    ./run bench all --check     compare with benchmarks/baselines.toml; writes nothing
+    ./run bench all --update    accept what is found: write the baselines and the README's table
+    --quick                     leave out what takes long
+    --only CASE                 only this case, repeatable
+
+Exit status 1 when a figure is outside its limit, has no baseline, or a case breaks; 2 for a wrong
+argument. Last line: {"figures": n, "failed": [...], "seconds": s}. See docs/benchmarks.md.
+"""
+
+import argparse
+import json
+import os
+import platform
+import sys
+import time
+from datetime import UTC, datetime
+from pathlib import Path
+
+from benchmarks.regression import readme
+from benchmarks.regression.baselines import (
+    Baselines,
+    read_baselines,
+    replace_text,
+    write_baselines,
+)
+from benchmarks.regression.cases import Case
+from benchmarks.regression.figures import Estimate
+from benchmarks.regression.registry import ACCURACY_FIGURES, CASES, FIGURES
+from benchmarks.regression.runs import Found, again, failures, run_cases
+from reconstruction.errors import InputError
+
+README = Path(__file__).parents[1] / "README.md"
+BASELINES = Path(__file__).with_name("baselines.toml")
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run, then compare or accept; return the exit status."""
+    chosen = parse(arguments)
+    start = time.perf_counter()
+    try:
+        cases, baselines = chosen_cases(chosen.only, chosen.quick), read_baselines(BASELINES)
+    except InputError as error:
+        print(f"bench all: {error}", file=sys.stderr)
+        return 2
+    found = run_cases(cases)
+    failed = dict(found.broken)
+    if chosen.check:
+        failed |= check(cases, found, baselines)
+    if chosen.update:
+        update(baselines, found.estimates)
+    else:
+        print(table_of(found, baselines))
+    for name, why in failed.items():
+        print(f"FAILED {name}: {why}")
+    summary = {
+        "figures": len(found.estimates),
+        "failed": list(failed),
+        "seconds": round(time.perf_counter() - start),
+    }
+    print(json.dumps(summary), flush=True)
+    return 1 if failed else 0
+
+
+def parse(arguments: list[str] | None) -> argparse.Namespace:
+    """Parse the command line; argparse leaves with status 2 where it is wrong."""
+    parser = argparse.ArgumentParser(
+        prog="bench all", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    act = parser.add_mutually_exclusive_group()
+    act.add_argument("--check", action="store_true", help="compare with the baselines")
+    act.add_argument("--update", action="store_true", help="write baselines and README table")
+    parser.add_argument("--quick", action="store_true", help="leave out what takes long")
+    parser.add_argument("--only", action="append", default=[], metavar="CASE", help="repeatable")
+    return parser.parse_args(arguments)
+
+
+def chosen_cases(only: list[str], quick: bool) -> tuple[Case, ...]:
+    """Return the cases asked for; `--only` goes before `--quick`.
+
+    Raises
+    ------
+    InputError
+        There is no such case.
+    """
+    names = [case.name for case in CASES]
+    for name in only:
+        if name not in names:
+            raise InputError(f"--only: found '{name}', allowed {', '.join(names)}")
+    if only:
+        return tuple(case for case in CASES if case.name in only)
+    return tuple(case for case in CASES if case.quick or not quick)
+
+
+def check(cases: tuple[Case, ...], found: Found, baselines: Baselines) -> dict[str, str]:
+    """Return what failed; a speed that did is measured once more before."""
+    known = baselines.figures
+    failed = failures(FIGURES, found.estimates, known, ACCURACY_FIGURES)
+    for case in cases:
+        if any(f.kind == "speed" and f.name in failed and f.name in known for f in case.figures):
+            print("slower than its baseline: once more")
+            found.estimates.update(again(case, found.estimates))
+    return failures(FIGURES, found.estimates, known, ACCURACY_FIGURES)
+
+
+def update(baselines: Baselines, estimates: dict[str, Estimate]) -> None:
+    """Accept what was found: write the baselines, then the README's table from them."""
+    accepted = baselines.updated(estimates, datetime.now(UTC).date().isoformat(), machine())
+    made = readme.with_table(README.read_text(encoding="utf-8"), readme.table(CASES, accepted))
+    write_baselines(accepted, FIGURES, BASELINES)
+    replace_text(README, made)
+    print(f"{len(estimates)} baselines and the README's table written")
+
+
+def table_of(found: Found, baselines: Baselines) -> str:
+    """Return a line per figure: found, baseline."""
+    lines = []
+    for name, estimate in found.estimates.items():
+        known = baselines.figures.get(name)
+        told = readme.shown(known.estimate) if known else "no baseline"
+        lines.append(f"{name:42s} {readme.shown(estimate):>24s}   baseline {told}")
+    return "\n".join(lines)
+
+
+def machine() -> str:
+    """Return processor and cores, as far as the system tells."""
+    cpuinfo = Path("/proc/cpuinfo")
+    lines = cpuinfo.read_text(encoding="utf-8").splitlines() if cpuinfo.is_file() else []
+    models = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
+    named = next(models, platform.machine())
+    return f"{os.cpu_count()} cores of {named}, Python {platform.python_version()}"
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

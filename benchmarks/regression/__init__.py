@@ -1,0 +1,1 @@
+"""Regression benchmarks: accuracy and speed figures against committed baselines (`all.py`)."""

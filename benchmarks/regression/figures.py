@@ -1,0 +1,68 @@
+"""What a figure is, and what one run says about it."""
+
+import math
+import statistics
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+Kind = Literal["accuracy", "speed", "told"]
+
+
+@dataclass(frozen=True)
+class Figure:
+    """One named figure.
+
+    Attributes
+    ----------
+    name : ends with its unit; without one it is a ratio or a count
+    what : for the README's table
+    kind : "accuracy" fails outside the combined uncertainty, "speed" (a ratio inside one run, or
+        memory) when worse by `factor`, "told" (absolute times) never
+    bar : what the project promises; empty: nothing
+    floor, floor_rel : type-B standard uncertainty of a comparison, in the figure's unit and as a
+        share of the baseline; the larger counts
+    factor : a speed may be worse than its baseline by so much
+    higher_is_better : for speeds
+    """
+
+    name: str
+    what: str
+    kind: Kind = "accuracy"
+    bar: str = ""
+    floor: float = 0.0
+    floor_rel: float = 0.0
+    factor: float = 1.5
+    higher_is_better: bool = False
+
+    def floor_of(self, baseline: float) -> float:
+        """Return the type-B standard uncertainty of a comparison with the baseline."""
+        return max(self.floor, self.floor_rel * abs(baseline))
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Mean of n runs and its type-A standard uncertainty, 0 for a single one."""
+
+    value: float
+    standard_uncertainty: float = 0.0
+    n: int = 1
+
+    @classmethod
+    def of(cls, values: Sequence[float]) -> "Estimate":
+        """Return the mean of the values and its standard uncertainty, s / sqrt(n).
+
+        Raises
+        ------
+        ValueError
+            No value, or one that is no finite number.
+        """
+        if not values or not all(map(math.isfinite, values)):
+            raise ValueError(f"finite values needed, found {list(values)}")
+        n = len(values)
+        spread = statistics.stdev(values) if n > 1 else 0.0
+        return cls(statistics.fmean(values), spread / math.sqrt(n), n)
+
+
+Values = dict[str, list[float]]
+"""Values of every figure of a case, one per seed (or place)."""

@@ -1,0 +1,73 @@
+"""When a figure has left its baseline.
+
+Accuracy: |value - baseline| > k u_c with u_c^2 = u^2 + u0^2 + b^2, where u and u0 are the type-A
+standard uncertainties of run and baseline, s / sqrt(n) over seeds, and b a type-B one for what the
+seeds do not vary: rounding of another processor or compiler. k is Student's quantile with the
+effective degrees of freedom of Welch and Satterthwaite (GUM:2008 G.4.1), b counted with infinitely
+many. A plain k = 3 would be wrong: with 5 seeds on either side it raises a false alarm in 1.7 % of
+the comparisons, thus in every second run of 40 figures. Here the rate is 1 % for a whole run
+(Sidak: 1 - (1 - 0.01)^(1/m) for each of m figures; dependent figures only lower it).
+
+Better is outside as well: whoever improves a figure states so with `--update`.
+
+Speed: a ratio inside one run is a failure when worse than the baseline by a stated factor.
+"""
+
+import math
+from dataclasses import dataclass
+
+from scipy.special import stdtrit
+
+from benchmarks.regression.figures import Estimate, Figure
+
+FALSE_ALARMS_PER_RUN = 0.01
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """A figure against its baseline; `limit` is how far it may be off, or the worst speed."""
+
+    passed: bool
+    limit: float
+    text: str
+
+
+def judge(figure: Figure, found: Estimate, baseline: Estimate, accuracy_figures: int) -> Verdict:
+    """Compare a figure with its baseline; `accuracy_figures` share the false-alarm rate."""
+    if figure.kind == "told":
+        return Verdict(True, math.inf, "told only")
+    if figure.kind == "speed":
+        return _judge_speed(figure, found.value, baseline.value)
+    floor = figure.floor_of(baseline.value)
+    combined = combined_uncertainty(found, baseline, floor)
+    limit = coverage_factor(found, baseline, floor, accuracy_figures) * combined
+    off = abs(found.value - baseline.value)
+    # Zero uncertainty on both sides and no floor: only the very same number passes.
+    return Verdict(off <= limit, limit, f"off by {off:.2g}, allowed {limit:.2g}")
+
+
+def combined_uncertainty(found: Estimate, baseline: Estimate, floor: float) -> float:
+    """Return the standard uncertainty of the difference."""
+    return math.hypot(found.standard_uncertainty, baseline.standard_uncertainty, floor)
+
+
+def coverage_factor(found: Estimate, baseline: Estimate, floor: float, figures: int) -> float:
+    """Return Student's two-sided quantile for one of so many figures."""
+    share = -math.expm1(math.log1p(-FALSE_ALARMS_PER_RUN) / figures)
+    dof = degrees_of_freedom(found, baseline, floor)
+    # Student's quantile; the inverse of its lower tail keeps the digits of a small share.
+    return -float(stdtrit(dof, share / 2.0))
+
+
+def degrees_of_freedom(found: Estimate, baseline: Estimate, floor: float) -> float:
+    """Return the effective degrees of freedom by Welch and Satterthwaite."""
+    spent = sum(one.standard_uncertainty**4 / (one.n - 1) for one in (found, baseline) if one.n > 1)
+    return combined_uncertainty(found, baseline, floor) ** 4 / spent if spent else math.inf
+
+
+def _judge_speed(figure: Figure, value: float, baseline: float) -> Verdict:
+    if figure.higher_is_better:
+        limit = baseline / figure.factor
+        return Verdict(value >= limit, limit, f"at least {limit:.3g}")
+    limit = baseline * figure.factor
+    return Verdict(value <= limit, limit, f"at most {limit:.3g}")

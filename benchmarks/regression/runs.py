@@ -1,0 +1,91 @@
+"""Run cases, tell progress, and compare with the baselines."""
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from benchmarks.regression.baselines import Baseline
+from benchmarks.regression.cases import Case
+from benchmarks.regression.figures import Estimate, Figure
+from benchmarks.regression.limits import judge
+
+
+@dataclass(frozen=True)
+class Found:
+    """What the runs gave.
+
+    Attributes
+    ----------
+    estimates : by figure
+    broken : by case, why it gave nothing
+    """
+
+    estimates: dict[str, Estimate] = field(default_factory=dict)
+    broken: dict[str, str] = field(default_factory=dict)
+
+
+def run_cases(cases: tuple[Case, ...]) -> Found:
+    """Run one case after the other; one that fails does not stop the rest."""
+    found = Found()
+    for number, case in enumerate(cases, start=1):
+        print(f"[{number}/{len(cases)}] {case.name}: {case.how}", flush=True)
+        start = time.perf_counter()
+        try:
+            estimates = estimates_of(case)
+        # Whatever a case dies of is a finding about the code under test.
+        except Exception as error:
+            found.broken[case.name] = f"{type(error).__name__}: {error}"
+            print(f"  BROKEN: {found.broken[case.name]}", flush=True)
+            continue
+        found.estimates.update(estimates)
+        for name, estimate in estimates.items():
+            print(f"  {name} = {estimate.value:.6g} +- {estimate.standard_uncertainty:.2g}")
+        print(f"  {time.perf_counter() - start:.0f} s", flush=True)
+    return found
+
+
+def estimates_of(case: Case) -> dict[str, Estimate]:
+    """Measure a case.
+
+    Raises
+    ------
+    ValueError
+        It gave other figures than it lists.
+    """
+    values = case.measure()
+    listed = [figure.name for figure in case.figures]
+    if sorted(values) != sorted(listed):
+        raise ValueError(f"found the figures {sorted(values)}, allowed {sorted(listed)}")
+    return {name: Estimate.of(values[name]) for name in listed}
+
+
+def again(case: Case, first: Mapping[str, Estimate]) -> dict[str, Estimate]:
+    """Measure a speed once more and return the better of each figure.
+
+    Other programs on the machine only ever make it slower.
+    """
+    second = run_cases((case,)).estimates
+    better = {}
+    for figure in case.figures:
+        pick = max if figure.higher_is_better else min
+        both = [one[figure.name] for one in (first, second) if figure.name in one]
+        better[figure.name] = pick(both, key=lambda estimate: estimate.value)
+    return better
+
+
+def failures(
+    figures: Mapping[str, Figure],
+    estimates: Mapping[str, Estimate],
+    baselines: Mapping[str, Baseline],
+    accuracy_figures: int,
+) -> dict[str, str]:
+    """Return what is outside its limit, or has no baseline, and why."""
+    failed = {}
+    for name, estimate in estimates.items():
+        if name not in baselines:
+            failed[name] = "no baseline: ./run bench all --update"
+            continue
+        verdict = judge(figures[name], estimate, baselines[name].estimate, accuracy_figures)
+        if not verdict.passed:
+            failed[name] = f"{estimate.value:.6g}, {verdict.text}"
+    return failed

@@ -1,0 +1,218 @@
+"""`./run bench all`: what it compares, what it writes and when."""
+
+import json
+
+import pytest
+
+from benchmarks import all as bench
+from benchmarks.regression import readme, speed
+from benchmarks.regression.baselines import (
+    Baseline,
+    Baselines,
+    Stated,
+    read_baselines,
+    write_baselines,
+)
+from benchmarks.regression.cases import Case, figures_of
+from benchmarks.regression.figures import Estimate, Figure
+from benchmarks.regression.registry import CASES, FIGURES
+from benchmarks.regression.runs import again
+from benchmarks.regression.speed import last_object, over
+from reconstruction.errors import InputError
+
+
+@pytest.fixture
+def desk(tmp_path, monkeypatch):
+    """Two cases whose values a test sets, and files of their own."""
+    return Desk(tmp_path, monkeypatch)
+
+
+class Desk:
+    def __init__(self, folder, monkeypatch):
+        self.values = {"z_um": [1.0, 1.1, 0.9], "over": [2.0]}
+        speed = Figure("over", "pace", kind="speed", bar="8")
+        self.cases = (
+            Case("height", "3 seeds", (Figure("z_um", "height, um"),), lambda: self.take("z_um")),
+            Case("pace", "`./run bench pace`", (speed,), lambda: self.take("over"), quick=False),
+        )
+        self.baselines, self.readme = folder / "baselines.toml", folder / "README.md"
+        self.readme.write_text(f"above\n{readme.BEGIN}\n{readme.END}\nbelow\n")
+        for name, value in {
+            "CASES": self.cases,
+            "FIGURES": figures_of(self.cases),
+            "BASELINES": self.baselines,
+            "README": self.readme,
+        }.items():
+            monkeypatch.setattr(bench, name, value)
+
+    def take(self, name):
+        values = self.values[name]
+        if isinstance(values, Exception):
+            raise values
+        return {name: values}
+
+    def bytes(self):
+        return [
+            path.read_bytes() if path.exists() else None for path in (self.baselines, self.readme)
+        ]
+
+
+def last_line(capsys):
+    return json.loads(capsys.readouterr().out.splitlines()[-1])
+
+
+def test_only_update_writes(desk, capsys):
+    before = desk.bytes()
+    assert bench.main([]) == 0
+    assert bench.main(["--check"]) == 1
+    assert desk.bytes() == before
+    assert last_line(capsys)["failed"] == ["z_um", "over"]
+    assert bench.main(["--update"]) == 0
+    after = desk.bytes()
+    assert after != before
+    assert bench.main(["--check"]) == 0
+    assert desk.bytes() == after
+    assert last_line(capsys) == {"figures": 2, "failed": [], "seconds": 0}
+    assert {path.name for path in desk.readme.parent.iterdir()} == {"README.md", "baselines.toml"}
+
+
+def test_check_fails_outside_the_limit_and_says_which(desk, capsys):
+    bench.main(["--update"])
+    desk.values["z_um"] = [5.0, 5.1, 4.9]
+    assert bench.main(["--check"]) == 1
+    out = capsys.readouterr().out
+    assert "FAILED z_um: 5, off by 4" in out
+    assert "once more" not in out
+
+
+def test_a_slow_ratio_is_measured_once_more(desk, capsys):
+    bench.main(["--update"])
+    desk.values["over"] = [4.0]
+    assert bench.main(["--check"]) == 1
+    out = capsys.readouterr().out
+    assert out.count("over = 4") == 2
+    assert "FAILED over: 4, at most 3" in out
+
+
+def test_the_better_of_two_speeds_counts():
+    figures = tuple(
+        Figure(name, "", kind="speed", higher_is_better=name == "up") for name in ("up", "down")
+    )
+    case = Case("pace", "", figures, lambda: {"up": [3.0], "down": [3.0]})
+    found = again(case, {"up": Estimate(2.0), "down": Estimate(2.0)})
+    assert found == {"up": Estimate(3.0), "down": Estimate(2.0)}
+
+
+def test_only_and_quick_choose_cases(desk, capsys):
+    assert bench.main(["--quick"]) == 0
+    assert last_line(capsys)["figures"] == 1
+    bench.main(["--update"])
+    kept = read_baselines(desk.baselines).figures["z_um"]
+    desk.values = {"z_um": [9.0, 9.0, 9.1], "over": [2.5]}
+    assert bench.main(["--update", "--only", "pace"]) == 0
+    found = read_baselines(desk.baselines).figures
+    assert found["z_um"] == kept
+    assert found["over"].estimate == Estimate(2.5)
+
+
+@pytest.mark.parametrize("arguments", [["--only", "nothing"], ["--check", "--update"], ["--what"]])
+def test_a_wrong_argument_is_status_2(desk, capsys, arguments):
+    try:
+        status = bench.main(arguments)
+    except SystemExit as leaving:
+        status = leaving.code
+    assert status == 2
+    message = capsys.readouterr().err.splitlines()[-1]
+    assert "bench all: " in message
+
+
+def test_damaged_baselines_are_status_2(desk, capsys):
+    desk.baselines.write_text("[figure.z_um]\nvalue = 1.0\n")
+    assert bench.main(["--check"]) == 2
+    assert "standard_uncertainty" in capsys.readouterr().err
+
+
+def test_a_broken_case_does_not_stop_the_rest(desk, capsys):
+    desk.values["z_um"] = RuntimeError("no light")
+    assert bench.main([]) == 1
+    found = last_line(capsys)
+    assert found["failed"] == ["height"]
+    assert found["figures"] == 1
+
+
+def test_a_case_that_gives_other_figures_is_broken(desk, capsys):
+    desk.take = lambda name: {"other_um": [1.0]}
+    assert bench.main(["--only", "height"]) == 1
+    assert "allowed ['z_um']" in capsys.readouterr().out
+
+
+def test_baselines_come_back_as_written(tmp_path):
+    path, stated = (
+        tmp_path / "b.toml",
+        Stated("demo", "demo", "120 s", "15 s", "time", "2026-01-01"),
+    )
+    kept = Baseline(Estimate(1.25, 0.03, 4), "2026-01-02", "numpy 2")
+    figure = Figure("z_um", "height")
+    written = Baselines({"z_um": kept, "gone": kept}, "2 cores", (stated,))
+    write_baselines(written, {"z_um": figure}, path)
+    assert read_baselines(path) == Baselines({"z_um": kept}, "2 cores", (stated,))
+
+
+@pytest.mark.parametrize(
+    ("value", "uncertainty", "text"),
+    [
+        (0.5403, 0.0012, "0.5403 +- 0.0012"),
+        (2450.186, 12.0, "2450 +- 12"),
+        (1.6e-5, 1.3e-8, "(1.6000 +- 0.0013)e-5"),
+        (0.0, 0.0, "0"),
+        (0.8314, 0.0, "0.831"),
+        (5123.4, 0.0, "5123"),
+        (3.2708e-5, 0.0, "3.27e-05"),
+    ],
+)
+def test_values_are_shown_as_far_as_they_are_known(value, uncertainty, text):
+    assert readme.shown(Estimate(value, uncertainty, 5)) == text
+
+
+def test_the_table_goes_between_its_markers():
+    text = f"a\n{readme.BEGIN}\nold\n{readme.END}\nz\n"
+    assert readme.with_table(text, "new") == f"a\n{readme.BEGIN}\nnew\n{readme.END}\nz\n"
+    for bad in ("", text + text, f"{readme.END}{readme.BEGIN}"):
+        with pytest.raises(InputError, match="no single pair"):
+            readme.with_table(bad, "new")
+
+
+def test_the_readme_is_in_step_with_the_baselines():
+    """Expected: ./run bench all --update, and nobody by hand, has written the table."""
+    text = bench.README.read_text(encoding="utf-8")
+    assert readme.with_table(text, readme.table(CASES, read_baselines(bench.BASELINES))) == text
+
+
+def test_every_figure_has_a_baseline_and_none_is_left_over():
+    assert list(read_baselines(bench.BASELINES).figures) == list(FIGURES)
+    assert len(FIGURES) == sum(len(case.figures) for case in CASES)
+    texts = [text for figure in FIGURES.values() for text in (figure.what, figure.bar)]
+    assert not any("|" in text for text in texts)
+
+
+def test_a_benchmark_is_read_by_its_last_line(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(speed, "FOLDER", tmp_path)
+    (tmp_path / "good.py").write_text("print('progress')\nprint('{\"s\": 2}')\n")
+    (tmp_path / "bad.py").write_text("import sys\nsys.exit('no light')\n")
+    assert speed.child("good", "--quick") == {"s": 2}
+    assert "progress" in capsys.readouterr().out
+    with pytest.raises(InputError, match="bad: status 1, no light"):
+        speed.child("bad")
+
+
+def test_a_last_line_that_is_no_result_is_refused():
+    assert over("a", "b")(last_object("x", '{"a": 3, "b": 2}')) == 1.5
+    for line in ("", "3", "[1]", "done"):
+        with pytest.raises(InputError, match="benchmark x"):
+            last_object("x", line)
+
+
+def test_a_real_case_agrees_with_its_baseline(capsys):
+    """The decoder on exact and 8-bit frames, five seeds, against the committed figures."""
+    assert bench.main(["--check", "--only", "decode"]) == 0
+    assert last_line(capsys)["figures"] == 2
