@@ -10,6 +10,8 @@ from reconstruction.errors import InputError
 from twin.cli.app import FAILURE, Out, app
 from twin.cli.console import progress_bars, say
 
+Objectives = Annotated[list[str] | None, Parameter(name=["--objective", "-b"])]
+
 sweep_app = App(name="sweep", help="Measure a whole design space: twin sweep STUDY.toml -o DIR.")
 app.command(sweep_app)
 
@@ -70,7 +72,7 @@ def best(
     folder: Path,
     /,
     *,
-    objective: Annotated[list[str] | None, Parameter(name=["--objective", "-b"])] = None,
+    objective: Objectives = None,
 ) -> None:
     """Print the best feasible designs of a study: those that no other beats in every objective.
 
@@ -104,18 +106,22 @@ def best(
 
 
 @sweep_app.command
-def report(folder: Path, /) -> None:
-    """Draw the HTML report of a study: effects, sensitivities, best designs, every case.
+def report(folder: Path, /, *, objective: Objectives = None) -> None:
+    """Draw the HTML report of a study: best designs in pictures, effects, every case.
 
     Parameters
     ----------
     folder
         The -o DIR of twin sweep.
+    objective
+        What makes a design good, as for twin sweep best; absent: small errors.
     """
     from twin.report.study import write_study
+    from twin.study.best import objective_of
 
+    chosen = [objective_of(text) for text in objective or ()]
     with progress_bars() as watch:
-        path = write_study(folder, watch)
+        path = write_study(folder, watch, chosen)
     say(f"wrote {path}")
 
 
