@@ -52,12 +52,11 @@ def sweep(
     record = StudyRecord(*load_study(study))
     searches = record.study.sampling.method == "optimise"
     cases = None if searches else record.cases()
-    count = workers or default_count()
+    who = dask_workers(cluster) if cluster else local_workers(workers or default_count())
     if cases is not None:
-        sys.stderr.write(f"{told(estimate(record, cases, Store(out), count))}\n")
+        sys.stderr.write(f"{told(estimate(record, cases, Store(out), who.count))}\n")
     if dry_run:
         return 0
-    who = dask_workers(cluster) if cluster else local_workers(count)
     with progress_bars() as watch:
         outcome = run(record, out, who, cases=cases, retry=retry, watch=watch)
     for digest, reason in outcome.unsaved.items():

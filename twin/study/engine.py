@@ -1,7 +1,7 @@
 """Run the cases of a study that its store lacks, on any executor, to the end.
 
-One case computes ahead and tells which fields its stages look at; the others follow in batches
-that share stages. A dead worker costs the case it was at: the rest of its batch is handed out
+A case computes ahead and tells which fields its stages look at; the others follow in batches that
+share stages. A dead worker costs the case it was at: the rest of its batch is handed out
 again, that case by itself, and one that kills its worker three times is recorded as failed.
 """
 
@@ -22,6 +22,7 @@ from twin.study.worker import DIED, Batch, BatchReport, Measurer, Report, State,
 from twin.study.workers import Workers
 
 _STRIKES = 3
+_MOST_AHEAD = 4  # cases computed alone at the start, where some fail
 _MOST_DEATHS = 10  # one after another, without any case finished between them
 _AHEAD = 2  # batches per worker that wait in the executor
 _WAIT_FOR_OTHERS_S = 0.2
@@ -60,7 +61,7 @@ class Outcome:
 
 @dataclass
 class Run:
-    """One run of a study's cases into a store.
+    """Runs of a study's cases into a store; what stages look at is known after the first.
 
     Attributes
     ----------
@@ -77,6 +78,7 @@ class Run:
     _alone: deque[Case] = field(default_factory=deque)
     _strikes: Counter[str] = field(default_factory=Counter)
     _reports: dict[str, Report] = field(default_factory=dict)
+    _reads: StageReads = ()
     _total: int = 0
     _deaths: int = 0
 
@@ -89,6 +91,7 @@ class Run:
             No usable Dr.Jit backend.
         """
         start = time.perf_counter()
+        self._reports = {}
         self.store.abandoned()
         known = self.store.finished()
         missing = [case for case in cases if case.digest not in known]
@@ -106,25 +109,27 @@ class Run:
     def _run(self, missing: list[Case]) -> None:
         executor = self.workers.open()
         try:
-            executor, reads = self._scout(executor, missing)
+            if not self._reads:
+                executor = self._scout(executor, missing[:_MOST_AHEAD])
             rest = [case for case in missing if case.digest not in self._reports]
-            self._queue.extend(batches_of(in_sharing_order(rest, reads), self.workers.count))
+            keyed = in_sharing_order(rest, self._reads)
+            self._queue.extend(batches_of(keyed, self.workers.count))
             while self._queue or self._alone or self._elsewhere(missing):
                 executor = self._drain(executor)
         finally:
             (self.workers.release or self.workers.close)(executor)
 
-    def _scout(self, executor: Executor, missing: list[Case]) -> tuple[Executor, StageReads]:
-        """Compute cases one by one until one of them tells what its stages look at."""
-        for case in missing:
+    def _scout(self, executor: Executor, cases: list[Case]) -> Executor:
+        """Compute cases one by one until one of them tells what all its stages look at."""
+        for case in cases:
             self._alone.append(case)
             while self._alone:
                 executor, found = self._one_alone(executor)
-                if found is not None and any(found.reads):
-                    return executor, found.reads
-            if self._reports[case.digest].state not in ("failed", "known"):
+            if found is not None and any(found.reads):
+                self._reads = found.reads
+            if self._reports[case.digest].state in ("done", "unsaved"):
                 break
-        return executor, ()
+        return executor
 
     def _elsewhere(self, missing: list[Case]) -> bool:
         """Hand out again what another run was at; tells whether there is any."""
@@ -155,7 +160,7 @@ class Run:
                         raise
                     broken = True
             if broken:
-                executor = self._after_death(executor, [c for b in pending.values() for c in b])
+                executor = self._after_death(executor, list(pending.values()))
                 pending.clear()
         while self._alone:
             executor, _ = self._one_alone(executor)
@@ -180,25 +185,30 @@ class Run:
         self._enter(found.cases)
         return executor, found
 
-    def _after_death(self, executor: Executor, lost: list[Case]) -> Executor:
+    def _after_death(self, executor: Executor, lost: list[list[Case]]) -> Executor:
         """Start anew; cases that were being computed run alone, the others are queued again."""
         self.workers.close(executor)
         self._deaths += 1
         if self._deaths > _MOST_DEATHS:
             raise InputError("workers: found dying one after another; use -j 1 to see why")
         suspects, known = set(self.store.abandoned()), self.store.finished()
-        self._enter([Report(case.digest, "done") for case in lost if case.digest in known])
-        left = [case for case in lost if case.digest not in known]
-        self._alone.extend(case for case in left if case.digest in suspects)
-        innocent = [case for case in left if case.digest not in suspects]
-        if innocent:
-            self._queue.appendleft(innocent)
+        for batch in lost:
+            self._enter([Report(case.digest, "done") for case in batch if case.digest in known])
+            left = [case for case in batch if case.digest not in known]
+            self._alone.extend(case for case in left if case.digest in suspects)
+            innocent = [case for case in left if case.digest not in suspects]
+            if innocent:
+                self._queue.appendleft(innocent)
         return self.workers.open()
 
     def _give_up(self, case: Case) -> None:
         reason = f"its worker died {_STRIKES} times (killed, out of memory, or a crash)"
-        with self.store.claimed(case.digest), self.store.writing(case.digest) as folder:
-            write_failure(folder, case.experiment, DIED, reason)
+        try:
+            with self.store.claimed(case.digest), self.store.writing(case.digest) as folder:
+                write_failure(folder, case.experiment, DIED, reason)
+        except OSError as error:
+            self._enter([Report(case.digest, "unsaved", reason=f"{reason}; {error.strerror}")])
+            return
         self._enter([Report(case.digest, "failed", reason=reason)])
 
     def _enter(self, reports: Sequence[Report]) -> None:

@@ -7,7 +7,7 @@ import time
 import traceback
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import lru_cache
 from pathlib import Path
 from typing import Literal, Protocol
 
@@ -110,7 +110,7 @@ def die_with(parent: int) -> None:
     threading.Thread(target=watch, daemon=True).start()
 
 
-@cache
+@lru_cache(maxsize=1)  # it holds stacks of frames
 def _measurer(
     make: Callable[[tuple[str, ...]], Measurer], keep: tuple[str, ...], threads: int
 ) -> Measurer:

@@ -59,7 +59,13 @@ class _Here(Executor):
 
 
 def local_workers(count: int, cores: int | None = None) -> Workers:
-    """Return `count` processes that share this machine's cores; 1 is this process itself.
+    """Return `count` processes that share the machine; 1 is this process itself.
+
+    Parameters
+    ----------
+    count : int
+    cores : int, optional
+        How many they share; 1 worker then is a process of its own. Default: all.
 
     Raises
     ------
@@ -69,7 +75,7 @@ def local_workers(count: int, cores: int | None = None) -> Workers:
     available = cores or len(os.sched_getaffinity(0))
     if count < 1:
         raise InputError(f"--workers: found {count}, allowed 1 or more, best {available} here")
-    if count == 1:
+    if count == 1 and cores is None:
         return Workers(1, 0, _Here, _end)
     threads = max(1, available // count)
     return Workers(count, threads, lambda: _pool(count, threads), _end)
@@ -127,8 +133,10 @@ class _Cluster:
         return executor
 
     def close(self, executor: Executor) -> None:
-        executor.shutdown(wait=True)
-        self._clients.pop(id(executor)).close()
+        client = self._clients.pop(id(executor), None)
+        if client is not None:
+            executor.shutdown(wait=True)
+            client.close()
 
 
 def _client(address: str) -> Any:
