@@ -114,7 +114,7 @@ def die_with(parent: int) -> None:
 def _measurer(
     make: Callable[[tuple[str, ...]], Measurer], keep: tuple[str, ...], threads: int
 ) -> Measurer:
-    if threads and make is CaseMeasurer:
+    if threads and isinstance(make, type) and issubclass(make, CaseMeasurer):
         from twin.optics.threads import use_threads
 
         use_threads(threads)
