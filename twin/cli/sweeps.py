@@ -81,7 +81,7 @@ def best(
         The -o DIR of twin sweep.
     objective
         METRIC that is to be small, or +METRIC that is to be large; give several for a Pareto front.
-        Absent: the objectives of the study's [optimise].
+        Absent: the objectives of the study.
     """
     from rich.console import Console
     from rich.table import Table
@@ -90,10 +90,7 @@ def best(
     from twin.study.table import read_table
 
     found = read_table(folder)
-    plan = found.record.study.optimise
-    chosen = [objective_of(text) for text in objective or ()] or list(
-        plan.objectives if plan else ()
-    )
+    chosen = [objective_of(text) for text in objective or ()] or list(found.record.study.goals)
     if not chosen:
         raise InputError("--objective: found none; name a METRIC, for example -b z_rmse_um")
     names = dict.fromkeys([one.metric for one in chosen] + list(found.metrics))
@@ -113,7 +110,8 @@ def report(folder: Path, /, *, objective: Objectives = None) -> None:
     folder
         The -o DIR of twin sweep.
     objective
-        What makes a design good, as for twin sweep best; absent: small errors.
+        What makes a design good, as for twin sweep best; absent: the study's objectives, or a small
+        error.
     """
     from twin.report.study import write_study
     from twin.study.best import objective_of

@@ -63,7 +63,7 @@ def write_study(
     ----------
     folder : the -o DIR of `twin sweep`; nothing else is read
     watch : told how far the report is
-    objectives : what makes a design good; by default those of the study's search, or a small error
+    objectives : what makes a design good; by default what the study says, or a small error
 
     Returns
     -------
@@ -93,8 +93,7 @@ def _shown(table: Table, asked: Sequence[Objective]) -> Shown:
     if not metrics:
         raise InputError("report: no figure is a number in every case; name others in metrics")
     rows = [row for row in done if all(is_number(row.get(name)) for name in metrics)]
-    plan = table.record.study.optimise
-    objectives = list(asked) or list(plan.objectives if plan else ())
+    objectives = list(asked or table.record.study.goals)
     objectives = objectives or [Objective(metric=_first_error(table.metrics))]
     effects = {name: effects_of(table, name) for name in metrics}
     return Shown(

@@ -1,8 +1,9 @@
 """Run the cases of a study that its store lacks, on any executor, to the end.
 
-A case computes ahead and tells which fields its stages look at; the others follow in batches that
-share stages. A dead worker costs the case it was at: the rest of its batch is handed out
-again, that case by itself, and one that kills its worker three times is recorded as failed.
+One case per worker is computed ahead and tells which fields its stages look at; the others follow
+in batches that share stages. A dead worker costs the case it was at: the rest of its batch is
+handed out again, that case by itself, and one that kills its worker three times is recorded as
+failed.
 """
 
 import time
@@ -22,7 +23,7 @@ from twin.study.worker import DIED, Batch, BatchReport, Measurer, Report, State,
 from twin.study.workers import Workers
 
 _STRIKES = 3
-_MOST_AHEAD = 4  # cases computed alone at the start, where some fail
+_ROUNDS_AHEAD = 4  # where those computed ahead fail, or are at another run
 _MOST_DEATHS = 10  # one after another, without any case finished between them
 _AHEAD = 2  # batches per worker that wait in the executor
 _WAIT_FOR_OTHERS_S = 0.2
@@ -110,7 +111,7 @@ class Run:
         executor = self.workers.open()
         try:
             if not self._reads:
-                executor = self._scout(executor, missing[:_MOST_AHEAD])
+                executor = self._scout(executor, missing)
             rest = [case for case in missing if case.digest not in self._reports]
             keyed = in_sharing_order(rest, self._reads)
             self._queue.extend(batches_of(keyed, self.workers.count))
@@ -120,15 +121,14 @@ class Run:
             (self.workers.release or self.workers.close)(executor)
 
     def _scout(self, executor: Executor, cases: list[Case]) -> Executor:
-        """Compute cases one by one until one of them tells what all its stages look at."""
-        for case in cases:
-            self._alone.append(case)
-            while self._alone:
-                executor, found = self._one_alone(executor)
-            if found is not None and any(found.reads):
-                self._reads = found.reads
-            if self._reports[case.digest].state in ("done", "unsaved"):
+        """Compute some cases ahead, one per worker and far apart, until stages are known."""
+        for _ in range(_ROUNDS_AHEAD):
+            left = [case for case in cases if case.digest not in self._reports]
+            if self._reads or not left:
                 break
+            step = max(1, len(left) // self.workers.count)
+            self._queue.extend([case] for case in left[::step][: self.workers.count])
+            executor = self._drain(executor)
         return executor
 
     def _elsewhere(self, missing: list[Case]) -> bool:
@@ -153,7 +153,7 @@ class Run:
             broken = not pending
             for future in wait(pending, return_when=FIRST_COMPLETED).done:
                 try:
-                    self._enter(future.result().cases)
+                    self._enter_batch(future.result())
                     del pending[future]
                 except Exception as error:
                     if not is_death(error):
@@ -163,13 +163,13 @@ class Run:
                 executor = self._after_death(executor, list(pending.values()))
                 pending.clear()
         while self._alone:
-            executor, _ = self._one_alone(executor)
+            executor = self._one_alone(executor)
         return executor
 
-    def _one_alone(self, executor: Executor) -> tuple[Executor, BatchReport | None]:
+    def _one_alone(self, executor: Executor) -> Executor:
         case = self._alone.popleft()
         try:
-            found = executor.submit(compute, self._batch([case])).result()
+            self._enter_batch(executor.submit(compute, self._batch([case])).result())
         except Exception as error:
             if not is_death(error):
                 raise
@@ -177,13 +177,11 @@ class Run:
             executor = self._after_death(executor, [])
             if case.digest in self.store.finished():
                 self._enter([Report(case.digest, "done")])
-            if self._strikes[case.digest] >= _STRIKES and case.digest not in self._reports:
+            elif self._strikes[case.digest] >= _STRIKES:
                 self._give_up(case)
-            elif case.digest not in self._reports:
+            else:
                 self._alone.append(case)
-            return executor, None
-        self._enter(found.cases)
-        return executor, found
+        return executor
 
     def _after_death(self, executor: Executor, lost: list[list[Case]]) -> Executor:
         """Start anew; cases that were being computed run alone, the others are queued again."""
@@ -210,6 +208,12 @@ class Run:
             self._enter([Report(case.digest, "unsaved", reason=f"{reason}; {error.strerror}")])
             return
         self._enter([Report(case.digest, "failed", reason=reason)])
+
+    def _enter_batch(self, found: BatchReport) -> None:
+        # A case that failed has not been through all stages.
+        if not self._reads and found.cases[-1].state in ("done", "unsaved"):
+            self._reads = found.reads if any(found.reads) else ()
+        self._enter(found.cases)
 
     def _enter(self, reports: Sequence[Report]) -> None:
         self._reports |= {report.digest: report for report in reports}
