@@ -17,7 +17,7 @@ from twin.study.index import Index
 from twin.study.store import FAILURE_FILE, Store
 from twin.study.sweep import forget_failures
 from twin.study.table import read_table, write_csv
-from twin.study.workers import local_workers, of_executor
+from twin.study.workers import lasting, local_workers, of_executor
 
 
 @pytest.fixture
@@ -220,6 +220,26 @@ def test_overhead_per_case(two_axes, stored):
 
 def _instant(keep):
     return synthetic.Fake(keep, seconds=0.0)
+
+
+def test_two_workers_halve_the_time(study_of, stored):
+    """Cases of 0.1 s of sleep each: what is left to 2 is lost to cases ahead, batches and store.
+
+    `benchmarks/sweep.py` has the figure for cases that compute.
+    """
+    albedo = {"path": "coating.base_albedo", "low": 0.1, "high": 0.8, "count": 24}
+    seconds = {}
+    for count in (1, 2):
+        store, cases = stored(study_of(albedo), f"by_{count}")
+        warm, others = stored(study_of(albedo | {"high": 0.7, "count": 4}), f"warm_{count}")
+        with lasting(local_workers(count, cores=count)) as workers:
+            Run(warm, workers, make_measurer=_napping)(others)
+            seconds[count] = Run(store, workers, make_measurer=_napping)(cases).seconds
+    assert seconds[1] / seconds[2] >= 1.8
+
+
+def _napping(keep):
+    return synthetic.Fake(keep, seconds=0.1)
 
 
 def test_full_disk_is_told_and_made_up_for(study_of, stored, monkeypatch):
