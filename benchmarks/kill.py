@@ -109,7 +109,9 @@ def killed_and_compared(scratch: Path, quick: bool, rng: random.Random) -> dict:
 def begin(folder: Path, log: Path, quick: bool) -> subprocess.Popen:
     """Start the sweep, or go on with it, in a process group of its own."""
     command = [sys.executable, __file__, "--sweep", str(folder), *(["--quick"] if quick else [])]
-    return subprocess.Popen(command, env=os.environ | {LOG: str(log)}, start_new_session=True)
+    # Quiet: what the killed left in shared memory is told by Python's tracker of it.
+    environment = os.environ | {LOG: str(log), "PYTHONWARNINGS": "ignore::UserWarning"}
+    return subprocess.Popen(command, env=environment, start_new_session=True)
 
 
 def wait_a_while(

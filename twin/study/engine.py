@@ -227,7 +227,6 @@ class Run:
             store=self.store.folder,
             cases=tuple((case.digest, case.experiment) for case in cases),
             keep=self.keep,
-            threads=self.workers.threads,
             make_measurer=self.make_measurer,
         )
 
