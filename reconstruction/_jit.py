@@ -5,13 +5,14 @@ of automatic parallelisation and may be called from several threads at once.
 """
 
 import hashlib
-import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numba
+
+from reconstruction.cores import threads
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -64,11 +65,6 @@ def _compile(function: Function, options: dict[str, Any]) -> Function:
     # which another file's old function or constant was inlined.
     kernel._cache._cache_file._source_stamp = SOURCE_DIGEST
     return cast(Function, kernel)
-
-
-def threads() -> int:
-    """Return the number of cores this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def run_over_rows(

@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from reconstruction._jit import threads
 from reconstruction.arrays import FloatImage, Stack
 from reconstruction.calibration import Calibration
+from reconstruction.cores import threads
 from reconstruction.errors import CaptureError, InputError
 from reconstruction.exposures import merge_exposures
 from reconstruction.frame_order import check_order

@@ -6,7 +6,7 @@ import textwrap
 
 import numpy as np
 
-from reconstruction import _jit
+from reconstruction import _jit, cores
 from reconstruction._decode_kernels import decode_rows
 
 
@@ -48,7 +48,8 @@ def test_stored_kernels_depend_on_all_kernel_sources(tmp_path):
         if __name__ == "__main__":
             print(outer(1.0))
     """
-    shutil.copy(_jit.__file__, folder)
+    for module in (_jit, cores):
+        shutil.copy(module.__file__, folder)
     (folder / "_outer.py").write_text(textwrap.dedent(program))
     printed = []
     for factor in (2, 3):

@@ -4,6 +4,7 @@ import multiprocessing
 import os
 import random
 import signal
+import sqlite3
 import threading
 import time
 from collections import Counter
@@ -16,7 +17,7 @@ from twin.study.index import Index
 from twin.study.store import FAILURE_FILE, Store
 from twin.study.sweep import forget_failures
 from twin.study.table import read_table, write_csv
-from twin.study.workers import local_workers, of_executor
+from twin.study.workers import lasting, local_workers, of_executor
 
 
 @pytest.fixture
@@ -132,6 +133,61 @@ def test_two_runs_share_a_store(two_axes, stored, tmp_path, monkeypatch):
     assert len(started) == sum(started.values()) == len(cases) == len(store.finished())
 
 
+def test_two_runs_in_one_process(few, stored, tmp_path, monkeypatch):
+    """Two threads sweep the same study: the system's locks do not keep these apart."""
+    log = tmp_path / "log"
+    monkeypatch.setenv(synthetic.LOG_VARIABLE, str(log))
+    store, cases = stored(few)
+    runs = [Run(store, local_workers(1), make_measurer=synthetic.Fake) for _ in range(2)]
+    threads = [threading.Thread(target=run, args=(cases,)) for run in runs]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    started = Counter(log.read_text().splitlines())
+    assert len(started) == sum(started.values()) == len(cases) == len(store.finished())
+    with store.claimed(cases[0].digest) as first, store.claimed(cases[0].digest) as second:
+        assert (first, second) == (True, False)
+
+
+@pytest.mark.parametrize("left", [(".store.json.4711",), ("store.json",), ("store.json", "cases")])
+def test_killed_before_the_store_is_one(few, stored, tmp_path, left):
+    """Setup: what a run leaves that is killed while it makes its store."""
+    whole, _ = stored(few, "whole")
+    folder = tmp_path / "killed"
+    folder.mkdir()
+    for name in left:
+        if name == "cases":
+            (folder / name).mkdir()
+        else:
+            (folder / name).write_bytes((whole.folder / "store.json").read_bytes())
+    store = Store(folder)
+    assert store.finished() == set()
+    store.open()
+    assert store.finished() == set()
+    assert store.abandoned() == []
+    with store.claimed("00ff") as mine:
+        assert mine
+
+
+def test_give_up_on_a_full_disk(study_of, stored, monkeypatch):
+    """Not even the reason of a crash can be written: it is told, and the rest goes on."""
+    import errno
+
+    from twin.study import store as store_module
+
+    def synchronise(folder):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(folder))
+
+    monkeypatch.setattr(store_module, "_synchronise", synchronise)  # of this process, not workers
+    store, cases = stored(study_of({"path": "coating.base_albedo", "values": [0.1, 0.4, 0.5]}))
+    outcome = Run(store, local_workers(2), make_measurer=synthetic.Failing)(cases)
+    assert outcome.states == {"done": 2, "unsaved": 1}
+    (reason,) = outcome.unsaved.values()
+    assert "died 3 times" in reason
+    assert "No space left" in reason
+
+
 def test_same_bytes_on_any_workers(few, stored, tmp_path):
     """One process and two give the same table; for a Dask cluster see test_dask."""
     one, cases = stored(few, "one")
@@ -166,6 +222,26 @@ def _instant(keep):
     return synthetic.Fake(keep, seconds=0.0)
 
 
+def test_two_workers_halve_the_time(study_of, stored):
+    """Cases of 0.1 s of sleep each: what is left to 2 is lost to cases ahead, batches and store.
+
+    `benchmarks/sweep.py` has the figure for cases that compute.
+    """
+    albedo = {"path": "coating.base_albedo", "low": 0.1, "high": 0.8, "count": 24}
+    seconds = {}
+    for count in (1, 2):
+        store, cases = stored(study_of(albedo), f"by_{count}")
+        warm, others = stored(study_of(albedo | {"high": 0.7, "count": 4}), f"warm_{count}")
+        with lasting(local_workers(count, cores=count)) as workers:
+            Run(warm, workers, make_measurer=_napping)(others)
+            seconds[count] = Run(store, workers, make_measurer=_napping)(cases).seconds
+    assert seconds[1] / seconds[2] >= 1.8
+
+
+def _napping(keep):
+    return synthetic.Fake(keep, seconds=0.1)
+
+
 def test_full_disk_is_told_and_made_up_for(study_of, stored, monkeypatch):
     """The disk is full for two cases: they are told, the rest is saved, a second run adds them."""
     import errno
@@ -195,6 +271,23 @@ def test_full_disk_is_told_and_made_up_for(study_of, stored, monkeypatch):
     assert {e.state for e in index.entries().values()} == {"done"}
 
 
+def test_an_index_that_fails_stops_nothing(few, stored, monkeypatch):
+    """Damaged while cases are entered; then one that cannot be opened at all."""
+    store, cases = stored(few)
+    (store.folder / "index.sqlite").write_bytes(b"no database at all" * 100)
+    index = Index(store)
+    Run(store, local_workers(1), make_measurer=synthetic.Fake, done=index.enter)(cases)
+    digests = {case.digest for case in cases}
+    assert index.entries().keys() == digests
+
+    def refuse(*_, **__):
+        raise sqlite3.OperationalError("unable to open database file")
+
+    monkeypatch.setattr(sqlite3, "connect", refuse)
+    assert index.entries().keys() == digests
+    assert (store.folder / "index.sqlite").is_file()
+
+
 def test_index_is_made_anew(few, stored, tmp_path):
     store, cases = stored(few)
     index = Index(store)
@@ -208,20 +301,27 @@ def test_index_is_made_anew(few, stored, tmp_path):
     assert index.entries().keys() == {case.digest for case in cases[1:]}
 
 
-def test_another_holds_a_case(study_of, stored):
-    """A case locked by another process is waited for, not computed twice."""
+@pytest.mark.parametrize("held_case", [0, 1])
+def test_another_holds_a_case(study_of, stored, held_case):
+    """A case locked by another process is waited for, not computed twice.
+
+    Where it is the first one, the next tells what stages look at.
+    """
     albedo = {"path": "coating.base_albedo", "values": [0.1, 0.2]}
     store, cases = stored(study_of(albedo))
     context = multiprocessing.get_context("forkserver")
     held, release = context.Event(), context.Event()
-    holder = context.Process(target=_hold, args=(store.folder, cases[1].digest, held, release))
+    digest = cases[held_case].digest
+    holder = context.Process(target=_hold, args=(store.folder, digest, held, release))
     holder.start()
     held.wait()
     threading.Timer(0.6, release.set).start()
-    outcome = Run(store, local_workers(1), make_measurer=synthetic.Fake)(cases)
+    run = Run(store, local_workers(1), make_measurer=synthetic.Fake)
+    outcome = run(cases)
     holder.join()
     assert outcome.states == {"done": 2}
     assert outcome.seconds > 0.5
+    assert run._reads == synthetic.Fake().reads()
 
 
 def _hold(folder, digest, held, release):

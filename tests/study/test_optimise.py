@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from reconstruction.errors import InputError
 from tests.study.synthetic import Bowl
 from twin.config.study import Objective
 from twin.study.best import best_rows, on_front
@@ -75,3 +76,32 @@ def test_search_goes_on_and_needs_no_same_workers(study_of, base, tmp_path):
     assert csv_text(read_table(tmp_path / "two")) == csv_text(read_table(tmp_path / "one"))
     assert len(read_record(tmp_path / "two").points) == 24
     assert len(Store(tmp_path / "two").finished()) == len(Store(tmp_path / "one").finished())
+
+
+def test_excluded_points_are_no_trials(study_of, base, tmp_path):
+    """A bound on a field admits an eighth of the space: as many cases are measured as asked for."""
+    pytest.importorskip("optuna")
+    bound = {"value": "coating.base_albedo", "at_most": 0.2}
+    goals = {"objectives": [{"metric": "bowl"}], "sampler": "random"}
+    search(study_of, base, tmp_path, 10, optimise=goals, constraint=(bound,))
+    rows = read_table(tmp_path).rows
+    assert [row["state"] for row in rows] == ["done"] * 10
+    assert all(row["albedo"] <= 0.2 for row in rows)
+
+
+@pytest.mark.parametrize(
+    ("path", "told"),
+    [("coating.base_albdo", "did you mean"), ("coating.base_albedo", "constraints exclude all")],
+)
+def test_search_without_a_valid_point(study_of, base, tmp_path, path, told):
+    """A misspelt field, and a bound that nothing meets, are told instead of searched for ever."""
+    pytest.importorskip("optuna")
+    study = study_of(
+        ALBEDO | {"path": path},
+        sampling={"method": "optimise"},
+        optimise={"trials": 4, "objectives": [{"metric": "bowl"}]},
+        constraint=({"value": "coating.base_albedo", "at_least": 0.95},),
+    )
+    with pytest.raises(InputError, match=told):
+        sweep(StudyRecord(study, base), tmp_path, local_workers(1), make_measurer=Bowl)
+    assert not any((tmp_path / "cases").iterdir())

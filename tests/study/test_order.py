@@ -53,6 +53,8 @@ def test_batches_hold_all_and_share(base):
         digests = [case.digest for batch in batches for case in batch]
         assert len(digests) == len(set(digests)) == 60
         assert max(map(len, batches)) <= -(-60 // (6 * workers))
+        ending = max(map(len, batches[-2 * workers :]))
+        assert ending <= -(-60 // (12 * workers))  # workers end at about the same time
         assert all(len({case.settings["thickness"] for case in batch}) == 1 for batch in batches)
 
 

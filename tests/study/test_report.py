@@ -2,17 +2,44 @@
 
 import re
 
+import numpy as np
 import pytest
 
+from reconstruction.errors import InputError
 from tests.study import synthetic
 from twin.config.study import Study
+from twin.optics.backend import MissingBackend
 from twin.report.study import write_study
+from twin.report.study_designs import Scales
+from twin.study import pictures
+from twin.study.pictures import CasePicture
 from twin.study.record import StudyRecord
 from twin.study.sweep import sweep
 from twin.study.workers import local_workers
 
 ALBEDO = {"path": "coating.base_albedo", "name": "albedo", "low": 0.1, "high": 0.9}
 ROUGH = {"path": "coating.flake_roughness", "name": "rough", "low": 0.1, "high": 0.9}
+
+
+def picture_of(level):
+    """A picture whose heights end at `level` mm and whose error is `level` um everywhere."""
+    there = np.ones((6, 8), bool)
+    flat = np.full((6, 8), level, np.float32)
+    ends = np.array([0.0, level])
+    return CasePicture(there.astype(np.uint8), flat, there, flat, there, ends, np.array(9.6))
+
+
+@pytest.fixture(autouse=True)
+def taken(monkeypatch):
+    """Cases that were measured for their picture: here as a stand-in, without a renderer."""
+    found = []
+
+    def take(experiment, _):
+        found.append(experiment)
+        return picture_of(experiment.coating.base_albedo)
+
+    monkeypatch.setattr(pictures, "take_picture", take)
+    return found
 
 
 def page_of(base, folder, *axes, **keys):
@@ -49,3 +76,35 @@ def test_pareto_front(base, tmp_path):
     text = page_of(base, tmp_path, ALBEDO, ROUGH, sampling={"method": "optimise"}, optimise=plan)
     assert "minimise bowl, maximise slope" in text
     assert (tmp_path / "figures" / "front.png").is_file()
+
+
+def test_best_designs_in_pictures(base, tmp_path, taken):
+    """Five designs of one objective, each with three pictures; drawn again nothing is measured."""
+    text = page_of(base, tmp_path, ALBEDO | {"count": 5}, metrics=["bowl"], repeats=2)
+    assert len(taken) == 5  # the second repeat is no design of its own
+    assert text.count('class="design"') == 5
+    assert text.index("1 · albedo 0.5, seed") < text.index("2 · albedo 0.3, seed")
+    assert len(list((tmp_path / "figures").glob("design_*.png"))) == 15
+    assert write_study(tmp_path).read_text() == text
+    assert len(taken) == 5
+    next((tmp_path / "pictures").iterdir()).write_bytes(b"damaged")
+    assert write_study(tmp_path).read_text() == text
+    assert len(taken) == 6
+
+
+def test_designs_share_their_scales():
+    scales = Scales.of([picture_of(0.2), picture_of(0.41), picture_of(0.3)])
+    assert scales.z_mm == (0.0, 0.5)
+    assert scales.error_um == 0.5
+
+
+@pytest.mark.parametrize("error", [MissingBackend("no LLVM"), InputError("pokes through")])
+def test_pictures_that_cannot_be_taken(base, tmp_path, monkeypatch, error):
+    def take(*_):
+        raise error
+
+    monkeypatch.setattr(pictures, "take_picture", take)
+    text = page_of(base, tmp_path, ALBEDO | {"count": 3})
+    assert f"Without pictures: {error}" in text
+    assert text.count('class="design"') == 3
+    assert not list((tmp_path / "figures").glob("design_*.png"))

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from reconstruction.cores import threads
 from reconstruction.errors import InputError
 from reconstruction.sensor import SensorNoise
 from twin.camera.sensor import (
@@ -26,7 +27,7 @@ from twin.camera.shot_noise import photon_counts
 from twin.config import Experiment, seed_sequence
 from twin.config.models import Camera
 
-_THREADS = 2
+_THREADS = min(2, threads())
 
 FloatArray = NDArray[np.float32]
 

@@ -36,7 +36,7 @@ def guarded(run: Callable[[], Any]) -> int:
         sys.stderr.write(f"twin: {' '.join(str(error).split())} See twin --help.\n")
         return BAD_INPUT
     except KeyboardInterrupt:
-        sys.stderr.write("twin: interrupted; nothing was written\n")
+        sys.stderr.write("twin: interrupted; nothing is left half-written\n")
         return FAILURE
     except RuntimeError as error:
         if type(error).__name__ != "MissingBackend":

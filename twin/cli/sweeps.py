@@ -10,6 +10,8 @@ from reconstruction.errors import InputError
 from twin.cli.app import FAILURE, Out, app
 from twin.cli.console import progress_bars, say
 
+Objectives = Annotated[list[str] | None, Parameter(name=["--objective", "-b"])]
+
 sweep_app = App(name="sweep", help="Measure a whole design space: twin sweep STUDY.toml -o DIR.")
 app.command(sweep_app)
 
@@ -50,12 +52,11 @@ def sweep(
     record = StudyRecord(*load_study(study))
     searches = record.study.sampling.method == "optimise"
     cases = None if searches else record.cases()
-    count = workers or default_count()
+    who = dask_workers(cluster) if cluster else local_workers(workers or default_count())
     if cases is not None:
-        sys.stderr.write(f"{told(estimate(record, cases, Store(out), count))}\n")
+        sys.stderr.write(f"{told(estimate(record, cases, Store(out), who.count))}\n")
     if dry_run:
         return 0
-    who = dask_workers(cluster) if cluster else local_workers(count)
     with progress_bars() as watch:
         outcome = run(record, out, who, cases=cases, retry=retry, watch=watch)
     for digest, reason in outcome.unsaved.items():
@@ -70,7 +71,7 @@ def best(
     folder: Path,
     /,
     *,
-    objective: Annotated[list[str] | None, Parameter(name=["--objective", "-b"])] = None,
+    objective: Objectives = None,
 ) -> None:
     """Print the best feasible designs of a study: those that no other beats in every objective.
 
@@ -80,7 +81,7 @@ def best(
         The -o DIR of twin sweep.
     objective
         METRIC that is to be small, or +METRIC that is to be large; give several for a Pareto front.
-        Absent: the objectives of the study's [optimise].
+        Absent: the objectives of the study.
     """
     from rich.console import Console
     from rich.table import Table
@@ -89,10 +90,7 @@ def best(
     from twin.study.table import read_table
 
     found = read_table(folder)
-    plan = found.record.study.optimise
-    chosen = [objective_of(text) for text in objective or ()] or list(
-        plan.objectives if plan else ()
-    )
+    chosen = [objective_of(text) for text in objective or ()] or list(found.record.study.goals)
     if not chosen:
         raise InputError("--objective: found none; name a METRIC, for example -b z_rmse_um")
     names = dict.fromkeys([one.metric for one in chosen] + list(found.metrics))
@@ -104,18 +102,23 @@ def best(
 
 
 @sweep_app.command
-def report(folder: Path, /) -> None:
-    """Draw the HTML report of a study: effects, sensitivities, best designs, every case.
+def report(folder: Path, /, *, objective: Objectives = None) -> None:
+    """Draw the HTML report of a study: best designs in pictures, effects, every case.
 
     Parameters
     ----------
     folder
         The -o DIR of twin sweep.
+    objective
+        What makes a design good, as for twin sweep best; absent: the study's objectives, or a small
+        error.
     """
     from twin.report.study import write_study
+    from twin.study.best import objective_of
 
+    chosen = [objective_of(text) for text in objective or ()]
     with progress_bars() as watch:
-        path = write_study(folder, watch)
+        path = write_study(folder, watch, chosen)
     say(f"wrote {path}")
 
 

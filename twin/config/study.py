@@ -118,6 +118,9 @@ class Study(Model):
         default=(), description="arrays to keep per case; capture has two bytes per frame and pixel"
     )
     constraint: tuple[Constraint, ...] = ()
+    objectives: tuple[Objective, ...] = Field(
+        default=(), description="what makes a design good, where nothing is searched"
+    )
     optimise: Optimise | None = None
 
     @model_validator(mode="after")
@@ -130,11 +133,18 @@ class Study(Model):
             raise ValueError(f"axis: found {', '.join(twice)} twice; give each a name of its own")
         if (self.optimise is not None) != (self.sampling.method == "optimise"):
             raise ValueError("[optimise] and sampling.method = 'optimise' need each other")
+        if self.optimise is not None and self.objectives:
+            raise ValueError("objectives: with a search they stand in [optimise]")
         if self.sampling.method == "grid":
             open_axes = [axis.title for axis in self.axis if axis.is_continuous]
             if open_axes:
                 raise ValueError(f"axis {', '.join(open_axes)}: a grid needs count or values")
         return self
+
+    @property
+    def goals(self) -> tuple[Objective, ...]:
+        """What makes a design good: the objectives of the search or of the study."""
+        return self.optimise.objectives if self.optimise else self.objectives
 
 
 def load_study(path: str | Path) -> tuple[Study, Experiment]:

@@ -3,9 +3,10 @@
 import numpy as np
 from scipy import fft
 
+from reconstruction.cores import threads
 from twin.mechanics.transfer import FloatArray
 
-_WORKERS = 2
+_WORKERS = min(2, threads())
 
 
 def sine_amplitudes(spectrum: FloatArray, rows: int, cols: int) -> FloatArray:

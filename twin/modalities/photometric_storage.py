@@ -13,6 +13,7 @@
 """
 
 from pathlib import Path
+from typing import Any
 
 import imageio.v3 as imageio
 import numpy as np
@@ -38,17 +39,31 @@ def write_photometric(
 ) -> None:
     """Write everything of one measurement."""
     write_pressed(folder, done.pressed)
-    imageio.imwrite(folder / IMAGE_FILE, done.image)
-    background = np.rint(done.calibration.background).astype(np.uint8)
-    imageio.imwrite(folder / BACKGROUND_FILE, background)
+    write_seen(folder, done)
     for kind, calibration in done.calibrations.items():
         own = kind == done.own.colour_map
         file = CALIBRATION_FILE if own else OTHER_CALIBRATION_FILE
         write_sensor_calibration(folder / file, calibration)
     write_decoders(folder / DECODERS_FILE, done.decoded)
+    write_heights(folder, done)
+    write_truth(folder / "truth.nc", done.truth)
+    write_result(folder, command, experiment, photometric_figures(done))
+    write_timings(folder, done.seconds)
+
+
+def photometric_figures(done: PhotometricMeasurement) -> dict[str, Any]:
+    """Metrics of result.json: those of the press and of the heights."""
+    return press_metrics(done.pressed) | photometric_metrics(done.score)
+
+
+def write_seen(folder: Path, done: PhotometricMeasurement) -> None:
+    """Write what the sensor's driver delivers, of the specimen and of the untouched gel."""
+    imageio.imwrite(folder / IMAGE_FILE, done.image)
+    background = np.rint(done.calibration.background).astype(np.uint8)
+    imageio.imwrite(folder / BACKGROUND_FILE, background)
+
+
+def write_heights(folder: Path, done: PhotometricMeasurement) -> None:
+    """Write the heights as maps and as points."""
     write_height_map(folder / "height.nc", done.heights)
     write_height_points(folder / "points.ply", done.heights)
-    write_truth(folder / "truth.nc", done.truth)
-    figures = press_metrics(done.pressed) | photometric_metrics(done.score)
-    write_result(folder, command, experiment, figures)
-    write_timings(folder, done.seconds)

@@ -10,6 +10,7 @@ from reconstruction.errors import InputError
 from twin.config.study import Objective
 from twin.modalities.progress import Watcher, nobody
 from twin.report.html import Picture, Plate, draw_pictures, template, write_page
+from twin.report.study_designs import Design, Scales, design_plates, designs_of
 from twin.report.study_view import (
     draw_effects,
     draw_front,
@@ -17,8 +18,10 @@ from twin.report.study_view import (
     draw_main_effects,
     draw_parallel,
 )
-from twin.study.best import best_rows
+from twin.study.best import is_number, ranked_rows
+from twin.study.pictures import pictures_of
 from twin.study.sensitivity import Effect, effects_of
+from twin.study.store import Store
 from twin.study.table import Table, read_table
 
 REPORT_FILE = "report.html"
@@ -44,17 +47,23 @@ class Shown:
     rows: list[Row]
     metrics: list[str]
     objectives: list[Objective]
-    front: list[Row]
+    best: list[Row]
     effects: dict[str, list[Effect]]
 
 
-def write_study(folder: Path, watch: Watcher = nobody) -> Path:
-    """Write `report.html` and `figures/*.png` into the store of a sweep.
+def write_study(
+    folder: Path, watch: Watcher = nobody, objectives: Sequence[Objective] = ()
+) -> Path:
+    """Write `report.html`, `figures/*.png` and `pictures/*.npz` into the store of a sweep.
+
+    The best designs are measured once more for their pictures, unless the store holds these; where
+    that is not possible the page says why.
 
     Parameters
     ----------
     folder : the -o DIR of `twin sweep`; nothing else is read
     watch : told how far the report is
+    objectives : what makes a design good; by default what the study says, or a small error
 
     Returns
     -------
@@ -67,42 +76,61 @@ def write_study(folder: Path, watch: Watcher = nobody) -> Path:
         The folder is no store, no case is finished, or the page cannot be written.
     """
     watch("report", 0.0)
-    shown = _shown(read_table(folder))
-    pictures = draw_pictures(folder, _plates(shown), watch)
-    page = template("study.html").render(_page(shown, pictures))
+    shown = _shown(read_table(folder), objectives)
+    designs, plates = _designs(shown, folder, watch)
+    pictures = draw_pictures(folder, [*_plates(shown), *plates], watch)
+    page = template("study.html").render(_page(shown, designs, pictures))
     write_page(folder / REPORT_FILE, page)
     watch("report", 1.0)
     return folder / REPORT_FILE
 
 
-def _shown(table: Table) -> Shown:
+def _shown(table: Table, asked: Sequence[Objective]) -> Shown:
     done = table.done()
     if not done:
         raise InputError("report: no case of the study is finished; run twin sweep first")
     metrics = [name for name in table.metrics if _is_number(done, name)][:_MOST_METRICS]
     if not metrics:
         raise InputError("report: no figure is a number in every case; name others in metrics")
-    rows = [row for row in done if all(_is_real(row.get(name)) for name in metrics)]
-    plan = table.record.study.optimise
-    objectives = list(plan.objectives) if plan else [Objective(metric=_first_error(table.metrics))]
+    rows = [row for row in done if all(is_number(row.get(name)) for name in metrics)]
+    objectives = list(asked or table.record.study.goals)
+    objectives = objectives or [Objective(metric=_first_error(table.metrics))]
     effects = {name: effects_of(table, name) for name in metrics}
     return Shown(
         table,
         rows,
         metrics,
         objectives,
-        best_rows(rows, objectives) if any(row["feasible"] for row in rows) else [],
+        ranked_rows(done, objectives) if any(row["feasible"] for row in done) else [],
         {name: found for name, found in effects.items() if found},
     )
 
 
-def _is_real(value: object) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool)
+def _designs(shown: Shown, folder: Path, watch: Watcher) -> tuple[list[Design], list[Plate]]:
+    """Take the pictures of the best designs; returns what is told of them, and the plates."""
+    rows = designs_of(shown.best, shown.table.axes)
+    by_digest = {case.digest: case for case in shown.table.cases}
+    cases = [by_digest[row["case"]] for row in rows]
+    pictures, failed = pictures_of(Store(folder), cases, watch)
+    scales = Scales.of(pictures.values()) if pictures else None
+    designs, plates = [], list[Plate]()
+    for number, row in enumerate(rows, start=1):
+        digest = row["case"]
+        settings = [(name, _text(row[name])) for name in shown.table.axes]
+        name = ", ".join(f"{title} {text}" for title, text in settings)
+        mine = list[Plate]()
+        if scales and digest in pictures:
+            mine = design_plates(number, name, pictures[digest], scales)
+        figures = [(metric, _text(row.get(metric))) for metric in shown.table.metrics]
+        names = [plate.name for plate in mine]
+        designs.append(Design(number, digest, settings, figures, names, failed.get(digest, "")))
+        plates += mine
+    return designs, plates
 
 
 def _is_number(rows: Sequence[Row], name: str) -> bool:
     """Tell whether a figure is a number in more than half of the cases (some have no ball)."""
-    return sum(_is_real(row.get(name)) for row in rows) > len(rows) / 2
+    return sum(is_number(row.get(name)) for row in rows) > len(rows) / 2
 
 
 def _first_error(metrics: Sequence[str]) -> str:
@@ -122,9 +150,9 @@ def _plates(shown: Shown) -> list[Plate]:
     pairs = list(combinations(axes, 2))[:_MOST_PAIRS]
     if pairs:
         plates += [_interactions(rows, pairs, metric) for metric in metrics[:2]]
-    if len(shown.objectives) > 1 and shown.front:
+    if len(shown.objectives) > 1 and shown.best:
         plates.append(
-            Plate("front", lambda path: draw_front(path, rows, shown.front, shown.objectives),
+            Plate("front", lambda path: draw_front(path, rows, shown.best, shown.objectives),
                   "two objectives of all cases with the Pareto front",
                   "Designs that no other beats in every objective.")
         )  # fmt: skip
@@ -146,22 +174,26 @@ def _interactions(rows: list[Row], pairs: list[tuple[str, str]], metric: str) ->
     )
 
 
-def _page(shown: Shown, pictures: dict[str, Picture]) -> dict[str, Any]:
+def _page(shown: Shown, designs: list[Design], pictures: dict[str, Picture]) -> dict[str, Any]:
     table, study = shown.table, shown.table.record.study
     states: dict[str, int] = {}
     for row in table.rows:
         states[row["state"]] = states.get(row["state"], 0) + 1
     columns = [*table.axes, *shown.metrics]
+    of_designs = {name for design in designs for name in design.names}
     return {
         "study": study,
         "states": states,
         "columns": columns,
-        "pictures": list(pictures.values()),
+        "pictures": [picture for name, picture in pictures.items() if name not in of_designs],
+        "designs": designs,
+        "drawn": pictures,
+        "unpictured": list(dict.fromkeys(one.failure for one in designs if one.failure)),
         "objectives": [f"{one.goal} {one.metric}" for one in shown.objectives],
         "constraints": [bound.title for bound in study.constraint],
-        "best": [_cells(row, columns) for row in shown.front[:_MOST_BEST]],
+        "best": [_cells(row, columns) for row in shown.best[:_MOST_BEST]],
         "cases": [_cells(row, columns) for row in table.rows],
-        "axes": len(table.axes),
+        "left_out": len(table.done()) - len(shown.rows),
     }
 
 
@@ -176,7 +208,7 @@ def _cells(row: Row, columns: Sequence[str]) -> dict[str, Any]:
         "reason": row["reason"],
         "digest": row["case"],
         "link": f"cases/{row['case']}/{file}" if there else "",
-        "folder": f"cases/{row['case']}/",
+        "experiment": f"cases/{row['case']}/experiment.toml",
     }
 
 

@@ -85,7 +85,8 @@ def _draw_effect(place: Axes, rows: Sequence[Row], axis: str, metric: str) -> No
         at, [v.min() for v in values], [v.max() for v in values], color=MEASURED_FILL, alpha=0.5
     )
     place.plot(at, [v.mean() for v in values], "o-", color=MEASURED, markersize=4)
-    place.set_xticks(at, names, rotation=30 if max(map(len, names)) > 5 else 0)
+    long = max(map(len, names)) > 5
+    place.set_xticks(at, names, rotation=30 if long else 0, ha="right" if long else "center")
     place.set_ylim(*_limits(numbers(rows, metric)))
     plain_spines(place)
 

@@ -30,9 +30,7 @@ def best_rows(rows: Sequence[Row], objectives: Sequence[Objective]) -> list[Row]
     """
     names = [objective.metric for objective in objectives]
     usable = [
-        row
-        for row in rows
-        if row.get("feasible") and all(isinstance(row.get(n), (int, float)) for n in names)
+        row for row in rows if row.get("feasible") and all(is_number(row.get(n)) for n in names)
     ]
     if not usable:
         known = sorted({n for row in rows for n, v in row.items() if isinstance(v, float)})
@@ -44,6 +42,22 @@ def best_rows(rows: Sequence[Row], objectives: Sequence[Objective]) -> list[Row]
     return sorted(front, key=lambda row: _cost(row, objectives[0]))
 
 
+def ranked_rows(rows: Sequence[Row], objectives: Sequence[Objective]) -> list[Row]:
+    """Return the Pareto front; for a single objective all feasible rows, best first.
+
+    Raises
+    ------
+    InputError
+        No finished, feasible case has all objectives.
+    """
+    front = best_rows(rows, objectives)
+    if len(objectives) > 1:
+        return front
+    name = objectives[0].metric
+    usable = [row for row in rows if row.get("feasible") and is_number(row.get(name))]
+    return sorted(usable, key=lambda row: _cost(row, objectives[0]))
+
+
 def on_front(costs: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Tell which rows (case,) of costs (case, objective) no other row dominates."""
     kept = np.ones(len(costs), bool)
@@ -51,6 +65,11 @@ def on_front(costs: NDArray[np.float64]) -> NDArray[np.bool_]:
         better = np.all(costs <= cost, axis=1) & np.any(costs < cost, axis=1)
         kept[i] = not better.any()
     return kept
+
+
+def is_number(value: object) -> bool:
+    """Tell whether a cell is a figure: neither text nor yes or no nor empty."""
+    return isinstance(value, (int, float)) and not isinstance(value, bool)
 
 
 def _cost(row: Row, objective: Objective) -> float:

@@ -4,6 +4,8 @@
 |---|---|
 | half_contrast_pitch_mm | pitch of grooves of which the coat keeps half; 0 where nothing is lost |
 | tenth_contrast_pitch_mm | pitch of which it keeps a tenth |
+| groove_contrast_kept | share of a grating's relief that the coat keeps (closed form) |
+| groove_over_error | RMS of its grooves on the coat over z_rmse: below 1 they drown in the error |
 | radius_bias_mm | radius of the ball's true coated face less that of the ball: what the slab does |
 | depth_over_thickness | travel of the press over the slab's thickness |
 | force_per_depth_n_per_mm | force over travel |
@@ -11,11 +13,16 @@
 They are not in result.json; tables, constraints and objectives know them beside its metrics.
 """
 
+import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
+import numpy as np
+
 from twin.config import Experiment
+from twin.config.specimens import Grating
 from twin.mechanics.contact_transfer import pitch_at
+from twin.mechanics.transfer import opposite_transfer
 from twin.specimens import shape_of
 
 Figures = Mapping[str, Any]
@@ -28,6 +35,23 @@ def _kept_pitch(share: float) -> Callable[[Experiment, Figures], float]:
         return pitch_at(share, experiment.elastomer.thickness_mm)
 
     return pitch_mm
+
+
+def _groove_contrast(experiment: Experiment, _: Figures) -> float:
+    if not isinstance(experiment.specimen, Grating):
+        raise KeyError("pitch_mm")
+    if experiment.elastomer.layout == "contact_face":
+        return 1.0  # while the grooves are filled
+    waves = 2 * np.pi * experiment.elastomer.thickness_mm / experiment.specimen.pitch_mm
+    return float(opposite_transfer(np.array([waves]))[0])
+
+
+def _groove_over_error(experiment: Experiment, figures: Figures) -> float:
+    kept = _groove_contrast(experiment, figures)
+    assert isinstance(experiment.specimen, Grating)
+    # A sine of height h from crest to root has an RMS of h / sqrt(8).
+    rms_um = 1e3 * kept * experiment.specimen.groove_mm / math.sqrt(8.0)
+    return rms_um / float(figures["z_rmse_um"])
 
 
 def _radius_bias_mm(experiment: Experiment, figures: Figures) -> float:
@@ -46,6 +70,8 @@ def _force_per_depth(_: Experiment, figures: Figures) -> float:
 DERIVED: dict[str, Callable[[Experiment, Figures], float]] = {
     "half_contrast_pitch_mm": _kept_pitch(0.5),
     "tenth_contrast_pitch_mm": _kept_pitch(0.1),
+    "groove_contrast_kept": _groove_contrast,
+    "groove_over_error": _groove_over_error,
     "radius_bias_mm": _radius_bias_mm,
     "depth_over_thickness": _depth_over_thickness,
     "force_per_depth_n_per_mm": _force_per_depth,
@@ -58,6 +84,6 @@ def with_derived(experiment: Experiment, figures: Figures) -> dict[str, Any]:
     for name, derive in DERIVED.items():
         try:
             found[name] = derive(experiment, figures)
-        except (KeyError, StopIteration):
-            continue  # no such ball, or nothing was pressed
+        except (KeyError, StopIteration, ZeroDivisionError):
+            continue  # no such ball or groove, nothing was pressed, or nothing measured
     return found

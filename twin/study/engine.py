@@ -1,8 +1,9 @@
 """Run the cases of a study that its store lacks, on any executor, to the end.
 
-One case computes ahead and tells which fields its stages look at; the others follow in batches
-that share stages. A dead worker costs the case it was at: the rest of its batch is handed out
-again, that case by itself, and one that kills its worker three times is recorded as failed.
+One case per worker is computed ahead and tells which fields its stages look at; the others follow
+in batches that share stages. A dead worker costs the case it was at: the rest of its batch is
+handed out again, that case by itself, and one that kills its worker three times is recorded as
+failed.
 """
 
 import time
@@ -22,6 +23,7 @@ from twin.study.worker import DIED, Batch, BatchReport, Measurer, Report, State,
 from twin.study.workers import Workers
 
 _STRIKES = 3
+_ROUNDS_AHEAD = 4  # where those computed ahead fail, or are at another run
 _MOST_DEATHS = 10  # one after another, without any case finished between them
 _AHEAD = 2  # batches per worker that wait in the executor
 _WAIT_FOR_OTHERS_S = 0.2
@@ -60,7 +62,7 @@ class Outcome:
 
 @dataclass
 class Run:
-    """One run of a study's cases into a store.
+    """Runs of a study's cases into a store; what stages look at is known after the first.
 
     Attributes
     ----------
@@ -77,6 +79,7 @@ class Run:
     _alone: deque[Case] = field(default_factory=deque)
     _strikes: Counter[str] = field(default_factory=Counter)
     _reports: dict[str, Report] = field(default_factory=dict)
+    _reads: StageReads = ()
     _total: int = 0
     _deaths: int = 0
 
@@ -89,6 +92,7 @@ class Run:
             No usable Dr.Jit backend.
         """
         start = time.perf_counter()
+        self._reports = {}
         self.store.abandoned()
         known = self.store.finished()
         missing = [case for case in cases if case.digest not in known]
@@ -106,25 +110,26 @@ class Run:
     def _run(self, missing: list[Case]) -> None:
         executor = self.workers.open()
         try:
-            executor, reads = self._scout(executor, missing)
+            if not self._reads:
+                executor = self._scout(executor, missing)
             rest = [case for case in missing if case.digest not in self._reports]
-            self._queue.extend(batches_of(in_sharing_order(rest, reads), self.workers.count))
+            keyed = in_sharing_order(rest, self._reads)
+            self._queue.extend(batches_of(keyed, self.workers.count))
             while self._queue or self._alone or self._elsewhere(missing):
                 executor = self._drain(executor)
         finally:
             (self.workers.release or self.workers.close)(executor)
 
-    def _scout(self, executor: Executor, missing: list[Case]) -> tuple[Executor, StageReads]:
-        """Compute cases one by one until one of them tells what its stages look at."""
-        for case in missing:
-            self._alone.append(case)
-            while self._alone:
-                executor, found = self._one_alone(executor)
-                if found is not None and any(found.reads):
-                    return executor, found.reads
-            if self._reports[case.digest].state not in ("failed", "known"):
+    def _scout(self, executor: Executor, cases: list[Case]) -> Executor:
+        """Compute some cases ahead, one per worker and far apart, until stages are known."""
+        for _ in range(_ROUNDS_AHEAD):
+            left = [case for case in cases if case.digest not in self._reports]
+            if self._reads or not left:
                 break
-        return executor, ()
+            step = max(1, len(left) // self.workers.count)
+            self._queue.extend([case] for case in left[::step][: self.workers.count])
+            executor = self._drain(executor)
+        return executor
 
     def _elsewhere(self, missing: list[Case]) -> bool:
         """Hand out again what another run was at; tells whether there is any."""
@@ -148,23 +153,23 @@ class Run:
             broken = not pending
             for future in wait(pending, return_when=FIRST_COMPLETED).done:
                 try:
-                    self._enter(future.result().cases)
+                    self._enter_batch(future.result())
                     del pending[future]
                 except Exception as error:
                     if not is_death(error):
                         raise
                     broken = True
             if broken:
-                executor = self._after_death(executor, [c for b in pending.values() for c in b])
+                executor = self._after_death(executor, list(pending.values()))
                 pending.clear()
         while self._alone:
-            executor, _ = self._one_alone(executor)
+            executor = self._one_alone(executor)
         return executor
 
-    def _one_alone(self, executor: Executor) -> tuple[Executor, BatchReport | None]:
+    def _one_alone(self, executor: Executor) -> Executor:
         case = self._alone.popleft()
         try:
-            found = executor.submit(compute, self._batch([case])).result()
+            self._enter_batch(executor.submit(compute, self._batch([case])).result())
         except Exception as error:
             if not is_death(error):
                 raise
@@ -172,34 +177,43 @@ class Run:
             executor = self._after_death(executor, [])
             if case.digest in self.store.finished():
                 self._enter([Report(case.digest, "done")])
-            if self._strikes[case.digest] >= _STRIKES and case.digest not in self._reports:
+            elif self._strikes[case.digest] >= _STRIKES:
                 self._give_up(case)
-            elif case.digest not in self._reports:
+            else:
                 self._alone.append(case)
-            return executor, None
-        self._enter(found.cases)
-        return executor, found
+        return executor
 
-    def _after_death(self, executor: Executor, lost: list[Case]) -> Executor:
+    def _after_death(self, executor: Executor, lost: list[list[Case]]) -> Executor:
         """Start anew; cases that were being computed run alone, the others are queued again."""
         self.workers.close(executor)
         self._deaths += 1
         if self._deaths > _MOST_DEATHS:
             raise InputError("workers: found dying one after another; use -j 1 to see why")
         suspects, known = set(self.store.abandoned()), self.store.finished()
-        self._enter([Report(case.digest, "done") for case in lost if case.digest in known])
-        left = [case for case in lost if case.digest not in known]
-        self._alone.extend(case for case in left if case.digest in suspects)
-        innocent = [case for case in left if case.digest not in suspects]
-        if innocent:
-            self._queue.appendleft(innocent)
+        for batch in lost:
+            self._enter([Report(case.digest, "done") for case in batch if case.digest in known])
+            left = [case for case in batch if case.digest not in known]
+            self._alone.extend(case for case in left if case.digest in suspects)
+            innocent = [case for case in left if case.digest not in suspects]
+            if innocent:
+                self._queue.appendleft(innocent)
         return self.workers.open()
 
     def _give_up(self, case: Case) -> None:
         reason = f"its worker died {_STRIKES} times (killed, out of memory, or a crash)"
-        with self.store.claimed(case.digest), self.store.writing(case.digest) as folder:
-            write_failure(folder, case.experiment, DIED, reason)
+        try:
+            with self.store.claimed(case.digest), self.store.writing(case.digest) as folder:
+                write_failure(folder, case.experiment, DIED, reason)
+        except OSError as error:
+            self._enter([Report(case.digest, "unsaved", reason=f"{reason}; {error.strerror}")])
+            return
         self._enter([Report(case.digest, "failed", reason=reason)])
+
+    def _enter_batch(self, found: BatchReport) -> None:
+        # A case that failed has not been through all stages.
+        if not self._reads and found.cases[-1].state in ("done", "unsaved"):
+            self._reads = found.reads if any(found.reads) else ()
+        self._enter(found.cases)
 
     def _enter(self, reports: Sequence[Report]) -> None:
         self._reports |= {report.digest: report for report in reports}
@@ -213,7 +227,6 @@ class Run:
             store=self.store.folder,
             cases=tuple((case.digest, case.experiment) for case in cases),
             keep=self.keep,
-            threads=self.workers.threads,
             make_measurer=self.make_measurer,
         )
 

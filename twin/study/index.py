@@ -1,13 +1,14 @@
 """Index of a store in SQLite: state and figures of every case, for quick reading.
 
 The folders are the truth. The index is brought up to date from them whenever it is opened to read,
-and made anew when it is missing or damaged.
+and made anew when it is missing or damaged; where it cannot be written it is done without. No
+write-ahead log: several hosts may share a store, and that needs their memory to be one.
 """
 
 import json
 import sqlite3
 from collections.abc import Iterable, Sequence
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -44,7 +45,7 @@ class Index:
     def enter(self, reports: Sequence[Report]) -> None:
         """Enter what a batch of cases gave.
 
-        A full disk leaves the index behind the folders, which is made up for when it is read.
+        What cannot be entered (full disk, damaged index) is made up for when it is read.
         """
         entries = [
             Entry(r.digest, r.state, r.reason, r.seconds, {})
@@ -53,32 +54,34 @@ class Index:
             for r in reports
             if r.state not in ("elsewhere", "known")
         ]
-        try:
-            self._write([entry for entry in entries if entry is not None])
-        except sqlite3.OperationalError:
-            return
+        self._try_to_write([entry for entry in entries if entry is not None])
 
     def entries(self) -> dict[str, Entry]:
         """Return all cases by digest, those of the folders for certain."""
-        try:
-            known = self._read()
-        except sqlite3.DatabaseError:
-            self._path.unlink(missing_ok=True)
-            known = {}
+        known = self._known()
         there = self._store.finished()
         stale = {d for d, e in known.items() if d not in there and e.state != "unsaved"}
         new = [d for d in there if d not in known or known[d].state == "unsaved"]
         fresh = [e for e in (entry_of(self._store, d) for d in sorted(new)) if e is not None]
-        self._write(fresh, stale)
+        self._try_to_write(fresh, stale)
         found = known | {entry.digest: entry for entry in fresh}
         return {digest: entry for digest, entry in found.items() if digest not in stale}
 
     def _connection(self) -> sqlite3.Connection:
         connection = sqlite3.connect(self._path, timeout=_WAIT_S)
-        connection.execute("PRAGMA journal_mode=WAL")
         connection.execute("PRAGMA synchronous=NORMAL")
         connection.execute(_TABLE)
         return connection
+
+    def _known(self) -> dict[str, Entry]:
+        try:
+            return self._read()
+        except sqlite3.OperationalError:  # in use, or on a disk that is full or read only
+            return {}
+        except sqlite3.DatabaseError:
+            with suppress(OSError):
+                self._path.unlink()
+            return {}
 
     def _read(self) -> dict[str, Entry]:
         with closing(self._connection()) as connection:
@@ -86,6 +89,10 @@ class Index:
             return {
                 row[0]: Entry(row[0], row[1], row[2], row[3], json.loads(row[4])) for row in rows
             }
+
+    def _try_to_write(self, entries: Sequence[Entry], stale: Iterable[str] = ()) -> None:
+        with suppress(sqlite3.Error):
+            self._write(entries, stale)
 
     def _write(self, entries: Iterable[Entry], stale: Iterable[str] = ()) -> None:
         rows = [(e.digest, e.state, e.reason, e.seconds, json.dumps(e.figures)) for e in entries]

@@ -9,7 +9,8 @@ from reconstruction.capture import write_capture
 from twin.config import Experiment
 from twin.modalities import measure, measure_photometric
 from twin.modalities.measurement import Measurement
-from twin.modalities.photometric_score import photometric_metrics
+from twin.modalities.photometric_stereo import PhotometricMeasurement
+from twin.modalities.photometric_storage import photometric_figures, write_heights, write_seen
 from twin.modalities.score import metrics
 from twin.modalities.storage import (
     CAPTURE_FOLDER,
@@ -62,23 +63,23 @@ class CaseMeasurer:
             No usable Dr.Jit backend.
         """
         if experiment.modality == "photometric_stereo":
-            return Answer(photometric_metrics(measure_photometric(experiment).score))
+            return self._of_colours(measure_photometric(experiment))
         if experiment.modality == "direct_fpp":
-            return self._answer(measure(experiment))
-        return self._answer(self.stages.measure(experiment))
+            return self._of_fringes(measure(experiment))
+        return self._of_fringes(self.stages.measure(experiment))
 
     def reads(self) -> StageReads:
         """Fields that each stage looked at for the latest case, first stage first."""
         return tuple(paths for _, _, _, paths in self.stages.stages())
 
-    def _answer(self, done: Measurement | Staged) -> Answer:
+    def _of_fringes(self, done: Measurement | Staged) -> Answer:
         figures: Figures = {"warnings": []}
         if done.pressed is not None:
             figures = press_metrics(done.pressed)
         figures |= recording_metrics(done.recording) | metrics(done.score)
-        return Answer(figures, lambda folder: self._write(folder, done))
+        return Answer(figures, lambda folder: self._write_fringes(folder, done))
 
-    def _write(self, folder: Path, done: Measurement | Staged) -> None:
+    def _write_fringes(self, folder: Path, done: Measurement | Staged) -> None:
         if "press" in self.keep and done.pressed is not None:
             write_pressed(folder, done.pressed)
         if "capture" in self.keep:
@@ -86,3 +87,14 @@ class CaseMeasurer:
             write_capture(folder / CAPTURE_FOLDER, done.recording.capture)
         if "points" in self.keep:
             write_reconstructed(folder, done.reconstruction)
+
+    def _of_colours(self, done: PhotometricMeasurement) -> Answer:
+        return Answer(photometric_figures(done), lambda folder: self._write_colours(folder, done))
+
+    def _write_colours(self, folder: Path, done: PhotometricMeasurement) -> None:
+        if "press" in self.keep:
+            write_pressed(folder, done.pressed)
+        if "capture" in self.keep:
+            write_seen(folder, done)
+        if "points" in self.keep:
+            write_heights(folder, done)

@@ -7,7 +7,7 @@ what it has measured already in the store and goes on from there, on any number 
 
 import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -27,12 +27,14 @@ from twin.study.store import Store
 if TYPE_CHECKING:
     import optuna
 
+_MOST_ASKED = 200  # for one point
+
 RunCases = Callable[[StudyRecord, Cases], Outcome]
 """Computes the cases that the store lacks, and keeps the record."""
 
 
 def optimise(record: StudyRecord, folder: Path, run: RunCases) -> list[Outcome]:
-    """Search until all trials are measured.
+    """Search until as many points as there are trials are measured.
 
     Parameters
     ----------
@@ -46,7 +48,8 @@ def optimise(record: StudyRecord, folder: Path, run: RunCases) -> list[Outcome]:
     Raises
     ------
     InputError
-        Optuna is not installed, or no case of a batch has the objectives' figures.
+        Optuna is not installed, an objective is no figure of the cases, or no point is a valid
+        experiment that the constraints admit.
     """
     plan = record.study.optimise
     if plan is None:
@@ -54,19 +57,38 @@ def optimise(record: StudyRecord, folder: Path, run: RunCases) -> list[Outcome]:
     if len(record.study.modalities) > 1:
         raise InputError("modalities: an optimiser takes one; make them an axis of choices")
     search, points, outcomes = _search(record.study, plan), list[Point](), list[Outcome]()
-    distributions = {axis.title: _distribution(axis) for axis in record.study.axis}
     while len(points) < plan.trials:
         count = min(plan.batch, plan.trials - len(points))
-        trials = [search.ask(fixed_distributions=distributions) for _ in range(count)]
-        asked = [point_of(record.study, trial.params) for trial in trials]
-        points += asked
-        made = [_cases_at(record, point) for point in asked]
-        batch = Cases(tuple(case for cases in made for case in cases), 0)
-        if batch.run:
-            outcomes.append(run(replace(record, points=tuple(points)), batch))
-        for trial, cases in zip(trials, made, strict=True):
-            _tell(search, trial, _figures(record.study, plan, cases, Store(folder)))
+        asked = [_ask(search, record) for _ in range(count)]
+        points += [one.point for one in asked]
+        batch = Cases(tuple(case for one in asked for case in one.cases), 0)
+        outcomes.append(run(replace(record, points=tuple(points)), batch))
+        for one in asked:
+            _tell(search, one.trial, _figures(record.study, plan, one.cases, Store(folder)))
     return outcomes
+
+
+@dataclass(frozen=True)
+class _Asked:
+    """What the search wants to know: the figures of these cases."""
+
+    trial: "optuna.Trial"
+    point: Point
+    cases: tuple[Case, ...]
+
+
+def _ask(search: "optuna.Study", record: StudyRecord) -> _Asked:
+    """Ask until a point is a valid experiment that the constraints on its fields admit."""
+    distributions = {axis.title: _distribution(axis) for axis in record.study.axis}
+    for _ in range(_MOST_ASKED):
+        trial = search.ask(fixed_distributions=distributions)
+        point = point_of(record.study, trial.params)
+        try:
+            return _Asked(trial, point, cases_of(record.study, record.base, [point]).run)
+        except ConfigError as error:
+            told = str(error)
+            _tell(search, trial, None)
+    raise InputError(f"{told}; the search found no point that may be measured in {_MOST_ASKED}")
 
 
 def point_of(study: Study, params: dict[str, Any]) -> Point:
@@ -77,14 +99,6 @@ def point_of(study: Study, params: dict[str, Any]) -> Point:
         else axis.levels()[params[axis.title]]
         for axis in study.axis
     )
-
-
-def _cases_at(record: StudyRecord, point: Point) -> tuple[Case, ...]:
-    """Cases of a point; none where a constraint on its fields excludes it."""
-    try:
-        return cases_of(record.study, record.base, [point]).run
-    except ConfigError:
-        return ()
 
 
 def _figures(
@@ -119,8 +133,6 @@ def _figures(
                 for bound, number in zip(study.constraint, numbers, strict=True)
             ]
         )
-    if not values:
-        return None
     return np.mean(values, axis=0).tolist(), np.mean(excesses, axis=0).tolist()
 
 

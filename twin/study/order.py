@@ -1,7 +1,7 @@
 """Order the cases so that neighbours share their stages, and cut them into batches.
 
-What a stage looks at is known from the first case, which one worker computes ahead: cases are
-sorted by the values in these fields, first stage first. A wrong order costs time, never a result.
+What a stage looks at is known from cases that are computed ahead: the others are sorted by the
+values in these fields, first stage first. A wrong order costs time, never a result.
 """
 
 from collections.abc import Callable, Hashable, Sequence
@@ -34,9 +34,14 @@ def _seen(experiment: Experiment, paths: Sequence[tuple[str, ...]]) -> Hashable:
 
 
 def batches_of(keyed: Sequence[tuple[Key, Case]], workers: int) -> list[list[Case]]:
-    """Cut sorted cases into batches, several per worker, rather between stages than within."""
+    """Cut sorted cases into batches, several per worker, rather between stages than within.
+
+    The last ones have half the size, so that workers end at about the same time.
+    """
     most = max(1, -(-len(keyed) // (workers * BATCHES_PER_WORKER)))
-    return [[case for _, case in part] for part in _cut(list(keyed), 0, most)]
+    parts, ending = _cut(list(keyed), 0, most), 2 * workers
+    halves = [half for part in parts[-ending:] for half in _cut(part, 0, -(-len(part) // 2))]
+    return [[case for _, case in part] for part in parts[:-ending] + halves]
 
 
 def _cut(keyed: list[tuple[Key, Case]], level: int, most: int) -> list[list[tuple[Key, Case]]]:

@@ -1,6 +1,6 @@
 """The store of a study: one folder per finished case, whole or not there.
 
-    DIR/study.toml, base.toml      the study that was run last
+    DIR/study.json, store.json     the study that was run last; versions
     DIR/cases/DIGEST/              result.json, experiment.toml, timings.json, arrays asked for;
                                    or failure.json in place of result.json
     DIR/index.sqlite               the same figures for quick reading; made anew when it is missing
@@ -8,28 +8,23 @@
     DIR/.locks                     one byte range per case, held by whoever computes it
 
 A case is written under `.parts`, synchronised to the disk and renamed, so a killed run leaves
-nothing that looks like a result. Locks are the system's record locks: they vanish with their
-process, and work across the hosts of a shared file system that has them (NFS 4, Lustre, local).
+nothing that looks like a result.
 """
 
-import fcntl
 import os
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 from reconstruction.errors import InputError
 from twin.config import Experiment, to_toml
 from twin.output import EXPERIMENT_FILE, RESULT_FILE, read_json, versions, write_json
+from twin.study.locks import claimed
 
 STORE_FILE, FAILURE_FILE, TIMINGS_FILE = "store.json", "failure.json", "timings.json"
 _CASES, _PARTS, _LOCKS = "cases", ".parts", ".locks"
-# Record locks reach to 2^63: one byte each for names of 64 bits, less the sign.
-_LOCK_BITS = 62
-
-_open_locks: dict[Path, IO[bytes]] = {}
 
 
 class Store:
@@ -47,21 +42,15 @@ class Store:
         InputError
             The folder is something else, cannot be written, or was made by other versions.
         """
-        mark = self.folder / STORE_FILE
-        if not mark.is_file():
+        if not self.exists():
             self._refuse_foreign()
-            try:
-                for part in (self.cases, self.folder / _PARTS):
-                    part.mkdir(parents=True, exist_ok=True)
-                (self.folder / _LOCKS).touch()
-                content = {"schema_version": 1, "command": "sweep", "versions": versions()}
-                write_json(mark.with_suffix(f".{os.getpid()}"), content)
-                mark.with_suffix(f".{os.getpid()}").replace(mark)
-            except OSError as error:
-                raise InputError(
-                    f"{self.folder}: cannot be written ({error.strerror}); choose another -o DIR"
-                ) from None
-        self._check_versions(read_json(mark).get("versions", {}))
+        try:
+            self._make()
+        except OSError as error:
+            raise InputError(
+                f"{self.folder}: cannot be written ({error.strerror}); choose another -o DIR"
+            ) from None
+        self._check_versions(read_json(self.folder / STORE_FILE).get("versions", {}))
 
     def exists(self) -> bool:
         """Tell whether the folder is a store."""
@@ -73,6 +62,8 @@ class Store:
 
     def finished(self) -> set[str]:
         """Digests of all cases that lie in the store, failed ones among them."""
+        if not self.cases.is_dir():  # killed before there was one
+            return set()
         return {entry.name for entry in os.scandir(self.cases)}
 
     def read(self, digest: str) -> dict[str, Any] | None:
@@ -86,6 +77,7 @@ class Store:
     def forget(self, digest: str) -> None:
         """Remove a case, whole at once, so that it is computed again."""
         away = self.folder / _PARTS / f"{digest}.{os.getpid()}.old"
+        shutil.rmtree(away, ignore_errors=True)
         try:
             self.path_of(digest).rename(away)
         except FileNotFoundError:
@@ -107,13 +99,15 @@ class Store:
 
     @contextmanager
     def claimed(self, digest: str) -> Iterator[bool]:
-        """Hold a case for this process; yields False when another one holds it."""
-        claimed = self._lock(digest)
-        try:
-            yield claimed
-        finally:
-            if claimed:
-                fcntl.lockf(self._locks(), fcntl.LOCK_UN, 1, _place(digest))
+        """Hold a case; yields False when another process or thread holds it.
+
+        Raises
+        ------
+        InputError
+            The file system has no record locks.
+        """
+        with claimed(self.folder / _LOCKS, digest) as mine:
+            yield mine
 
     def abandoned(self) -> list[str]:
         """Remove what dead processes left half-written; return the digests of their cases."""
@@ -134,24 +128,22 @@ class Store:
                 raise
         _synchronise_folder(self.cases)
 
-    def _lock(self, digest: str) -> bool:
-        try:
-            fcntl.lockf(self._locks(), fcntl.LOCK_EX | fcntl.LOCK_NB, 1, _place(digest))
-        except BlockingIOError:
-            return False
-        return True
-
-    def _locks(self) -> IO[bytes]:
-        """Open the lock file once: closing any handle of it would drop all of its locks."""
-        path = self.folder / _LOCKS
-        if path not in _open_locks:
-            _open_locks[path] = path.open("r+b")
-        return _open_locks[path]
+    def _make(self) -> None:
+        """Make what is missing; the mark comes first, so that a run killed here can go on."""
+        self.folder.mkdir(parents=True, exist_ok=True)
+        if not self.exists():
+            part = self.folder / f".{STORE_FILE}.{os.getpid()}"
+            write_json(part, {"schema_version": 1, "command": "sweep", "versions": versions()})
+            part.replace(self.folder / STORE_FILE)
+        for folder in (self.cases, self.folder / _PARTS):
+            folder.mkdir(exist_ok=True)
+        if not (self.folder / _LOCKS).exists():  # closing it once more would drop all its locks
+            (self.folder / _LOCKS).touch()
 
     def _refuse_foreign(self) -> None:
         if self.folder.exists() and not self.folder.is_dir():
             raise InputError(f"{self.folder}: is a file; choose another -o DIR")
-        if self.folder.is_dir() and any(self.folder.iterdir()):
+        if self.folder.is_dir() and not all(map(_is_own, self.folder.iterdir())):
             raise InputError(
                 f"{self.folder}: exists and is no store of a sweep (no {STORE_FILE}); "
                 "choose another -o DIR"
@@ -177,8 +169,9 @@ def write_failure(
     write_json(folder / FAILURE_FILE, content)
 
 
-def _place(digest: str) -> int:
-    return int(digest, 16) % (1 << _LOCK_BITS)
+def _is_own(path: Path) -> bool:
+    """Tell whether something is left from a run that was killed before its store was one."""
+    return path.name.startswith(f".{STORE_FILE}.")
 
 
 def _synchronise(folder: Path) -> None:

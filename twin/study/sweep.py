@@ -99,10 +99,17 @@ def forget_failures(store: Store, cases: Sequence[Case], every: bool = False) ->
     forgotten = 0
     for case in cases:
         failure = store.path_of(case.digest) / FAILURE_FILE
-        if failure.is_file() and (every or read_json(failure)["kind"] in (DIED, UNEXPECTED)):
+        if failure.is_file() and (every or _kind_of(failure) in (DIED, UNEXPECTED)):
             store.forget(case.digest)
             forgotten += 1
     return forgotten
+
+
+def _kind_of(failure: Path) -> str:
+    try:
+        return str(read_json(failure).get("kind"))
+    except InputError:  # another run forgot it first
+        return ""
 
 
 def sweep(
@@ -143,12 +150,13 @@ def sweep(
     index = Index(store)
 
     with lasting(workers) as kept:
+        compute = Run(store, kept, record.study.keep, make_measurer, watch, index.enter)
 
         def run(of: StudyRecord, batch: Cases) -> Outcome:
             _keep_record(folder, of)
             wanted = batch.unique()
             forget_failures(store, wanted, every=retry)
-            return Run(store, kept, of.study.keep, make_measurer, watch, index.enter)(wanted)
+            return compute(wanted)
 
         if record.study.sampling.method == "optimise":
             return Outcome.together(optimise(record, folder, run))

@@ -27,12 +27,14 @@ class Table:
     axes : headings of what is varied
     metrics : headings of what was found
     rows : one mapping by heading per case; a figure that a case lacks is None
+    cases : in the order of the rows
     """
 
     record: StudyRecord
     axes: tuple[str, ...]
     metrics: tuple[str, ...]
     rows: tuple[Mapping[str, Any], ...]
+    cases: tuple[Case, ...]
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -61,7 +63,7 @@ def read_table(folder: Path) -> Table:
     metrics = _metrics(record, cases, entries)
     bounds = record.study.constraint
     rows = tuple(_row(case, entries.get(case.digest), bounds) for case in cases)
-    return Table(record, axes, metrics, rows)
+    return Table(record, axes, metrics, rows, cases)
 
 
 def _metrics(

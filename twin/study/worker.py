@@ -7,10 +7,11 @@ import time
 import traceback
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import lru_cache
 from pathlib import Path
 from typing import Literal, Protocol
 
+from reconstruction.cores import threads
 from reconstruction.errors import InputError
 from twin.config import Experiment
 from twin.modalities.storage import write_result, write_timings
@@ -44,14 +45,12 @@ class Batch:
     ----------
     cases : digest and experiment of each
     keep : arrays to write per case
-    threads : of this worker; 0 leaves them alone
     make_measurer : called once per process with `keep`
     """
 
     store: Path
     cases: tuple[tuple[str, Experiment], ...]
     keep: tuple[str, ...] = ()
-    threads: int = 0
     make_measurer: Callable[[tuple[str, ...]], Measurer] = CaseMeasurer
 
 
@@ -90,7 +89,7 @@ def compute(batch: Batch) -> BatchReport:
         No usable Dr.Jit backend.
     """
     with _one_at_a_time:
-        measurer = _measurer(batch.make_measurer, batch.keep, batch.threads)
+        measurer = _measurer(batch.make_measurer, batch.keep)
         store = Store(batch.store)
         reports = tuple(_compute_case(store, *case, measurer) for case in batch.cases)
         return BatchReport(reports, measurer.reads())
@@ -110,14 +109,12 @@ def die_with(parent: int) -> None:
     threading.Thread(target=watch, daemon=True).start()
 
 
-@cache
-def _measurer(
-    make: Callable[[tuple[str, ...]], Measurer], keep: tuple[str, ...], threads: int
-) -> Measurer:
-    if threads and make is CaseMeasurer:
+@lru_cache(maxsize=1)  # it holds stacks of frames
+def _measurer(make: Callable[[tuple[str, ...]], Measurer], keep: tuple[str, ...]) -> Measurer:
+    if isinstance(make, type) and issubclass(make, CaseMeasurer):
         from twin.optics.threads import use_threads
 
-        use_threads(threads)
+        use_threads(threads())  # the renderer does not look at the environment
     return make(keep)
 
 

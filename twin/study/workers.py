@@ -12,11 +12,12 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any
 
+from reconstruction.cores import VARIABLE
 from reconstruction.errors import InputError
 from twin.study.worker import die_with
 
 _THREAD_VARIABLES = (
-    "NUMBA_NUM_THREADS",
+    VARIABLE,
     "OMP_NUM_THREADS",
     "OPENBLAS_NUM_THREADS",
     "MKL_NUM_THREADS",
@@ -33,14 +34,12 @@ class Workers:
     Attributes
     ----------
     count : how many compute at once
-    threads : of each; 0 leaves them as the process has them
     open : starts them, and again after one of them died
     close : ends them; what still waits is not begun
     release : takes them back at the end of a run, by default to end them
     """
 
     count: int
-    threads: int
     open: Callable[[], Executor]
     close: Callable[[Executor], None]
     release: Callable[[Executor], None] | None = None
@@ -59,7 +58,13 @@ class _Here(Executor):
 
 
 def local_workers(count: int, cores: int | None = None) -> Workers:
-    """Return `count` processes that share this machine's cores; 1 is this process itself.
+    """Return `count` processes that share the machine; 1 is this process itself.
+
+    Parameters
+    ----------
+    count : int
+    cores : int, optional
+        How many they share; 1 worker then is a process of its own. Default: all.
 
     Raises
     ------
@@ -69,10 +74,10 @@ def local_workers(count: int, cores: int | None = None) -> Workers:
     available = cores or len(os.sched_getaffinity(0))
     if count < 1:
         raise InputError(f"--workers: found {count}, allowed 1 or more, best {available} here")
-    if count == 1:
-        return Workers(1, 0, _Here, _end)
+    if count == 1 and cores is None:
+        return Workers(1, _Here, _end)
     threads = max(1, available // count)
-    return Workers(count, threads, lambda: _pool(count, threads), _end)
+    return Workers(count, lambda: _pool(count, threads), _end)
 
 
 @contextmanager
@@ -110,7 +115,7 @@ def dask_workers(address: str) -> Workers:
     if not found:
         raise InputError(f"--cluster {address}: found no workers; start dask worker {address}")
     cluster = _Cluster(address)
-    return Workers(len(found), 0, cluster.open, cluster.close)
+    return Workers(len(found), cluster.open, cluster.close)
 
 
 class _Cluster:
@@ -127,8 +132,10 @@ class _Cluster:
         return executor
 
     def close(self, executor: Executor) -> None:
-        executor.shutdown(wait=True)
-        self._clients.pop(id(executor)).close()
+        client = self._clients.pop(id(executor), None)
+        if client is not None:
+            executor.shutdown(wait=True)
+            client.close()
 
 
 def _client(address: str) -> Any:
@@ -159,7 +166,7 @@ def of_executor(executor: Executor, count: int) -> Workers:
             raise InputError("executor: lost a worker; run again with a new executor to go on")
         return unused.pop()
 
-    return Workers(count, 0, start, lambda _: None)
+    return Workers(count, start, lambda _: None)
 
 
 def _end(executor: Executor) -> None:

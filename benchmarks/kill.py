@@ -1,0 +1,161 @@
+"""Kill a sweep of real cases again and again, and compare it with one that was left alone.
+
+A study of 200 cases (coat albedo x exposure x noise draws, 242 x 183 pixels) runs on two workers.
+At random moments, some of them during the start, `kill -9` ends the whole run with its workers, the
+run alone, or one worker; after the first two the same command is given again. Wanted:
+
+- the final table is that of the undisturbed run, byte by byte;
+- no case is begun again once it lies in the store (`computed_twice`); those in flight when
+  something died are (`begun_again`);
+- whenever something was killed the store holds nothing but whole cases (`partial_folders`).
+
+Last line: {"kills": 20, "cases": 200, "table_identical": true, "computed_twice": 0, ...}.
+"""
+
+import argparse
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter
+from pathlib import Path
+
+from twin.config import digest, load_experiment
+from twin.config.study import Study
+from twin.study.measuring import Answer, CaseMeasurer
+from twin.study.record import StudyRecord
+from twin.study.store import Store
+from twin.study.sweep import sweep
+from twin.study.table import csv_text, read_table
+from twin.study.workers import local_workers
+
+BASE = {"camera.binning": 4, "camera.width_px": 968, "camera.height_px": 732}
+LOG = "KILL_LOG"
+WAYS = ("everything", "everything", "run", "worker")
+
+
+class Logged(CaseMeasurer):
+    """Measures as ever, and notes when it begins."""
+
+    def __call__(self, experiment) -> Answer:
+        """Measure one case."""
+        with Path(os.environ[LOG]).open("a") as file:
+            file.write(f"{digest(experiment)} {time.time()}\n")
+        return super().__call__(experiment)
+
+
+def record_of(quick: bool) -> StudyRecord:
+    """Return the study: 200 cases, or 40."""
+    albedo = {"path": "coating.base_albedo", "values": [0.2, 0.3, 0.4, 0.5, 0.6]}
+    level = {"path": "camera.auto_level", "values": [0.5, 0.6, 0.7, 0.8]}
+    study = Study(name="kill", base="x", axis=(albedo, level), repeats=2 if quick else 10)
+    return StudyRecord(study, load_experiment("paper/two_balls", BASE))
+
+
+def main() -> None:
+    """Kill, compare and print one JSON line; the exit code tells whether all is as wanted."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--quick", action="store_true", help="40 cases and 5 kills")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--sweep", type=Path, help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    if options.sweep:
+        sweep(record_of(options.quick), options.sweep, local_workers(2), make_measurer=Logged)
+        return
+    with tempfile.TemporaryDirectory() as scratch:
+        found = killed_and_compared(Path(scratch), options.quick, random.Random(options.seed))
+    print(json.dumps(found))
+    wanted = found["table_identical"] and not found["computed_twice"] + found["partial_folders"]
+    sys.exit(not wanted)
+
+
+def killed_and_compared(scratch: Path, quick: bool, rng: random.Random) -> dict:
+    """Run the study undisturbed and killed; returns the figures of both."""
+    kills, total = (5, 40) if quick else (20, 200)
+    log = scratch / "log"
+    begin(scratch / "whole", scratch / "log_whole", quick).wait()
+    ways, partial, start = Counter(), 0, time.perf_counter()
+    run = begin(scratch / "killed", log, quick)
+    for number in range(kills):
+        wait_a_while(run, scratch / "killed", total, kills - number, rng)
+        if run.poll() is not None:
+            break
+        way = kill(run, rng.choice(WAYS))
+        ways[way] += 1
+        partial += partial_folders(scratch / "killed")
+        if way != "worker":
+            run.wait()
+            run = begin(scratch / "killed", log, quick)
+    code = run.wait()
+    begun = [line.split() for line in log.read_text().splitlines()]
+    published = {path.name: path.stat().st_ctime for path in (scratch / "killed/cases").iterdir()}
+    return {
+        "kills": ways.total(),
+        "cases": len(published),
+        "table_identical": code == 0
+        and csv_text(read_table(scratch / "killed")) == csv_text(read_table(scratch / "whole")),
+        "computed_twice": sum(float(when) > published[name] for name, when in begun),
+        "begun_again": len(begun) - len({name for name, _ in begun}),
+        "partial_folders": partial,
+        "ways": dict(ways),
+        "seconds": round(time.perf_counter() - start),
+    }
+
+
+def begin(folder: Path, log: Path, quick: bool) -> subprocess.Popen:
+    """Start the sweep, or go on with it, in a process group of its own."""
+    command = [sys.executable, __file__, "--sweep", str(folder), *(["--quick"] if quick else [])]
+    # Quiet: what the killed left in shared memory is told by Python's tracker of it.
+    environment = os.environ | {LOG: str(log), "PYTHONWARNINGS": "ignore::UserWarning"}
+    return subprocess.Popen(command, env=environment, start_new_session=True)
+
+
+def wait_a_while(
+    run: subprocess.Popen, folder: Path, total: int, kills_left: int, rng: random.Random
+) -> None:
+    """Wait for a random number of further cases and a bit; now and then only for some seconds."""
+    done = finished(folder)
+    more = rng.randint(0, 2 * (total - done) // (kills_left + 1))
+    until = time.monotonic() + (rng.uniform(0.0, 6.0) if rng.random() < 0.2 else 600.0)
+    while run.poll() is None and finished(folder) < done + more and time.monotonic() < until:
+        time.sleep(0.002)
+    time.sleep(rng.uniform(0.0, 0.5))
+
+
+def kill(run: subprocess.Popen, way: str) -> str:
+    """Kill in one way; returns the way that was possible."""
+    workers = workers_of(run.pid)
+    if way == "worker" and workers:
+        os.kill(workers[0], signal.SIGKILL)
+    elif way == "everything":
+        os.killpg(run.pid, signal.SIGKILL)
+    else:
+        way = "run"
+        run.kill()
+    return way
+
+
+def workers_of(pid: int) -> list[int]:
+    """Process ids of a run's workers."""
+    children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
+    named = {int(child): Path(f"/proc/{child}/cmdline").read_bytes() for child in children}
+    return [child for child, command in named.items() if b"spawn_main" in command]
+
+
+def finished(folder: Path) -> int:
+    """Count the cases that a reader sees."""
+    return len(Store(folder).finished())
+
+
+def partial_folders(folder: Path) -> int:
+    """Count the folders that a reader sees and that are no whole case."""
+    names = Store(folder).finished()
+    return sum("metrics" not in (Store(folder).read(name) or {}) for name in names)
+
+
+if __name__ == "__main__":
+    main()

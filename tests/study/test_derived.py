@@ -1,0 +1,45 @@
+"""Figures that follow from a case's description and its result, against their closed forms."""
+
+import math
+
+import pytest
+
+from twin.config import load_experiment, vary
+from twin.study.derived import with_derived
+
+BALL = {"specimen": {"kind": "ball", "diameter_mm": 8.0}, "elastomer.thickness_mm": 3.0}
+GRATING = {"specimen": {"kind": "grating", "pitch_mm": 7.19, "groove_mm": 0.2}}
+
+
+@pytest.fixture(scope="module")
+def paper():
+    return load_experiment("paper/two_balls")
+
+
+def test_of_a_press(paper):
+    ball = vary(paper, BALL)
+    figures = {"depth_mm": 0.6, "force_n": 0.3, "sphere_1_true_face_radius_mm": 80.0}
+    found = with_derived(ball, figures)
+    assert found["depth_over_thickness"] == pytest.approx(0.2)
+    assert found["force_per_depth_n_per_mm"] == pytest.approx(0.5)
+    assert found["radius_bias_mm"] == pytest.approx(76.0)
+    assert found["half_contrast_pitch_mm"] == pytest.approx(2.40 * 3, rel=0.01)
+    assert found["tenth_contrast_pitch_mm"] == pytest.approx(1.32 * 3, rel=0.01)
+    assert "groove_contrast_kept" not in found
+
+
+def test_of_grooves(paper):
+    """At the pitch of half contrast half is kept; a sine of that height over an RMS error."""
+    groove = vary(paper, GRATING | {"elastomer.thickness_mm": 3.0})
+    found = with_derived(groove, {"z_rmse_um": 0.5})
+    assert found["groove_contrast_kept"] == pytest.approx(0.5, abs=1e-3)
+    assert found["groove_over_error"] == pytest.approx(50 / math.sqrt(2) / 0.5, rel=2e-3)
+    assert "groove_over_error" not in with_derived(groove, {"z_rmse_um": 0.0})
+    assert "depth_over_thickness" not in found
+
+
+def test_a_gel_on_a_window_loses_nothing(paper):
+    gel = vary(load_experiment("examples/gelsight_ball"), GRATING)
+    found = with_derived(gel, {})
+    assert found["groove_contrast_kept"] == 1.0
+    assert found["half_contrast_pitch_mm"] == 0.0

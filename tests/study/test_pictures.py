@@ -1,0 +1,69 @@
+"""Pictures of cases: what a measurement of the case gives, thinned out."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from reconstruction.errors import InputError
+from twin.modalities import measure
+from twin.study import pictures
+from twin.study.pictures import pictures_of, read_picture, take_picture, write_picture
+from twin.study.stages import ContactStages
+from twin.study.store import Store
+
+
+def test_picture_is_of_the_measurement(mi, base):
+    """A case of 160 x 120 pixels, which is not thinned: every pixel is that of `measure`."""
+    found, done = take_picture(base, ContactStages()), measure(base)
+    points, truth = done.reconstruction.point_map, done.recording.truth
+    np.testing.assert_array_equal(found.measured, points.valid)
+    np.testing.assert_array_equal(
+        found.z_mm[found.measured], points.points_world_mm[points.valid][:, 2]
+    )
+    rmse_um = np.sqrt(np.mean(found.error_um[found.scored].astype(float) ** 2))
+    assert rmse_um == pytest.approx(done.score.against_truth.z_rmse_um, rel=1e-5)
+    assert found.true_z_mm[1] == truth.points_world_mm[..., 2].max()
+    assert found.seen.max() > 150  # the automatic exposure's level
+
+
+def test_colours_are_thinned(base):
+    """400 x 300 pixels become every second one; heights keep their values."""
+    there = np.ones((300, 400), bool)
+    z_mm = np.tile(np.linspace(0, 0.2, 400), (300, 1))
+    truth = SimpleNamespace(points_world_mm=np.zeros((300, 400, 3)), measured=there)
+    heights = SimpleNamespace(height_mm=z_mm, valid=there, pitch_mm=0.02)
+    image = np.full((300, 400, 3), 90, np.uint8)
+    done = SimpleNamespace(image=image, heights=heights, truth=truth)
+    found = pictures._of_colours(base, done)
+    assert found.seen.shape == (150, 200, 3)
+    np.testing.assert_allclose(found.z_mm, z_mm[::2, ::2], atol=1e-7)
+    np.testing.assert_allclose(found.error_um, 1e3 * z_mm[::2, ::2], atol=1e-4)
+    assert found.width_mm == 8.0
+
+
+def test_kept_whole_or_not_at_all(base, tmp_path):
+    there = np.ones((4, 4), bool)
+    flat = there.astype(np.float32)
+    picture = pictures.CasePicture(
+        there.astype(np.uint8), flat, there, flat, there, np.zeros(2), np.array(1.0)
+    )
+    path = tmp_path / "pictures" / "a.npz"
+    assert read_picture(path) is None
+    write_picture(path, picture)
+    assert [file.name for file in path.parent.iterdir()] == ["a.npz"]
+    np.testing.assert_array_equal(read_picture(path).z_mm, flat)
+    path.write_bytes(path.read_bytes()[:200])
+    assert read_picture(path) is None
+    with pytest.raises(InputError, match="cannot be written"):
+        write_picture(path / "below" / "b.npz", picture)
+
+
+def test_other_versions_take_no_pictures(stored, study_of, tmp_path):
+    """The table's figures are another version's: a picture by this one would not belong to them."""
+    store, cases = stored(study_of({"path": "coating.base_albedo", "values": [0.3, 0.4]}))
+    mark = store.folder / "store.json"
+    mark.write_text(mark.read_text().replace('"mitsuba": "', '"mitsuba": "0.'))
+    found, failed = pictures_of(Store(store.folder), cases)
+    assert not found
+    assert all("computed with mitsuba 0." in reason for reason in failed.values())
