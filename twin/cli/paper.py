@@ -1,5 +1,9 @@
 """`twin paper`: every table and figure of the paper, from one parameter set."""
 
+from typing import Annotated
+
+from cyclopts import Parameter
+
 from reconstruction.errors import InputError
 from twin.cli.app import Out, app
 from twin.cli.console import progress_bars, say
@@ -15,6 +19,7 @@ def paper(
     trials: int | None = None,
     quick: bool = False,
     full: bool = False,
+    workers: Annotated[int | None, Parameter(name=["--workers", "-j"])] = None,
 ) -> None:
     """Reproduce the paper's tables and figures, its numbers beside ours.
 
@@ -30,14 +35,18 @@ def paper(
         Five trials as in the paper; the same parameters.
     full
         Use all 1936 x 1464 camera pixels instead of 2 x 2 binning.
+    workers
+        Processes that measure side by side; absent: one per two cores, at least two of two.
     """
     from twin.paper.run import Wish, reproduce
+    from twin.study.workers import default_count
 
     if trials is not None and not 2 <= trials <= 10000:
         raise InputError(f"--trials {trials}: allowed 2 to 10000")
     count = trials or (QUICK_TRIALS if quick else FULL_TRIALS)
     with progress_bars() as watch:
-        done = reproduce(out, Wish(count, tuple(only or ()), full), watch)
+        wish = Wish(count, tuple(only or ()), full)
+        done = reproduce(out, wish, watch, default_count() if workers is None else workers)
     for line in done.lines:
         say(line)
     say(f"wrote {done.page}")

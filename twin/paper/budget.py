@@ -11,8 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from twin.config import Experiment
-from twin.paper.face_model import Contribution, contributions
+from twin.paper.face_model import contributions
 from twin.paper.optics_model import optical_contributions
+from twin.paper.plan import BUDGET_OF
 from twin.paper.repeats import Trial
 from twin.paper.scatter import Scatter
 from twin.paper.statistics import spread_of, values_of
@@ -20,8 +21,8 @@ from twin.paper.table import Cell, Column, Table
 
 
 @dataclass(frozen=True)
-class _Part:
-    """One row before it is ranked."""
+class Part:
+    """What one input, of a group, adds to the standard uncertainty of an output; mm."""
 
     name: str
     group: str
@@ -29,36 +30,36 @@ class _Part:
     u_mm: float
 
 
-def budget_table(
-    experiment: Experiment,
-    scatter: Scatter,
-    trials: Sequence[Trial],
-    output: str,
-    *,
-    optics: bool = False,
-) -> Table:
-    """Return the budget of one output, such as `sphere_1_radius_mm`, largest contribution first.
+def parts_of(experiment: Experiment, scatter: Scatter, output: str) -> list[Part]:
+    """Return what every input adds: by the pressed face, and of balls the optics by the chain.
 
-    Parameters
-    ----------
-    optics : one row per optical input, at the price of two renders each; else they stay in the row
-        of the noise
+    Two renders for each optical input are spent on the balls only; in the trials of a rod the
+    optics stay in the row of the noise.
 
     Raises
     ------
     InputError
         A press fails one standard uncertainty away from the nominal one.
+    MissingBackend
+        No usable Dr.Jit backend.
     """
-    repeated = [one for one in trials if one.number]
-    parts = contributions(experiment, scatter.counting_for(experiment, optics=False), output)
-    light = optical_contributions(experiment, scatter, output) if optics else []
-    rows = _rows([*_of_face(scatter, parts), *_of_chain(scatter, light, repeated, output)])
+    found = contributions(experiment, scatter.counting_for(experiment, optics=False), output)
+    if output.startswith("sphere_"):
+        found += optical_contributions(experiment, scatter, output)
+    inputs = scatter.inputs
+    return [Part(one.name, inputs[one.name].group, one.key, one.output_u_mm) for one in found]
+
+
+def budget_table(name: str, parts: Sequence[Part], trials: Sequence[Trial]) -> Table:
+    """Return the budget of a specimen's figure, largest contribution first."""
+    output, repeated = BUDGET_OF[name], [one for one in trials if one.number]
+    rows = _rows([*parts, *_of_trials(parts, repeated, output)])
     found = spread_of(values_of(repeated, output))
     if found is not None and found.n > 1:
         rows.append({"input": f"all, Monte Carlo, {found.n} trials", "u": found.sd})
     return Table(
-        f"budget_{experiment.name}",
-        f"Ranked uncertainty of {output} of one measurement, {experiment.name}",
+        f"budget_{name}",
+        f"Ranked uncertainty of {output} of one measurement, {name}",
         "",
         (
             Column("input", "input"),
@@ -81,28 +82,20 @@ _NOTES = (
 _LEAST_FOR_COVERAGE = 40
 
 
-def _of_face(scatter: Scatter, parts: Sequence[Contribution]) -> list[_Part]:
-    return [
-        _Part(one.name, scatter.inputs[one.name].group, one.key, one.output_u_mm) for one in parts
-    ]
-
-
-def _of_chain(
-    scatter: Scatter, light: Sequence[Contribution], trials: Sequence[Trial], output: str
-) -> list[_Part]:
+def _of_trials(parts: Sequence[Part], trials: Sequence[Trial], output: str) -> list[Part]:
     """Noise is what is left of the trials' own difference when the optics are taken off."""
+    light = [part for part in parts if part.group == "optics"]
+    of_light = sum(part.u_mm**2 for part in light)
     measuring = _spread(_difference(trials, "true_rig_", output))
-    of_light = sum(one.output_u_mm**2 for one in light)
     noise = float(np.sqrt(max(measuring**2 - of_light, 0.0)))
     name = "noise and decoding" if light else "noise, optics and decoding"
     return [
-        *_of_face(scatter, light),
-        _Part(name, "camera", "", noise),
-        _Part("calibration", "rig", "", _spread(_difference(trials, "", output))),
+        Part(name, "camera", "", noise),
+        Part("calibration", "rig", "", _spread(_difference(trials, "", output))),
     ]
 
 
-def _rows(parts: Sequence[_Part]) -> list[dict[str, Cell]]:
+def _rows(parts: Sequence[Part]) -> list[dict[str, Cell]]:
     total = float(np.sqrt(sum(one.u_mm**2 for one in parts)))
     rows: list[dict[str, Cell]] = [
         {

@@ -5,8 +5,7 @@ trial uses one of these calibrations. The press has the specimen, pose and load 
 contact-FPP.
 """
 
-from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -50,45 +49,53 @@ def _by_decoder(one: Decoded) -> Figures:
     }
 
 
-def colour_trials(
-    experiment: Experiment, scatter: Scatter, folder: Path, count: int, watch: Watcher = nobody
-) -> list[Trial]:
-    """Return trials 0 to `count`; trial 0 also holds the nominal press under every calibration.
+@dataclass(frozen=True, eq=False)
+class ColourTrials:
+    """The repeated presses of an experiment: trials 0 to `count`, kept in `folder`."""
 
-    Raises
-    ------
-    InputError, MissingBackend
-        As `measure_photometric`.
-    """
-    measured = partial(measure_colours, scatter.seed)
-    name = f"{experiment.name}_photometric_stereo"
-    presses = Repeated(name, experiment, scatter, measured, _sensor_digest(experiment, scatter))
-    still = scatter.model_copy(update={"inputs": {}})
-    nominal = Repeated(f"{name}_calibrations", experiment, still, measured, presses.method)
-    found, redone = [], {}
-    for done, number in enumerate(_by_calibration(count)):
-        watch(f"trials of {name}", done / (count + 1))
-        if number < CALIBRATIONS:
-            redone[number] = nominal.trial(folder, number).figures
-        found.append(presses.trial(folder, number))
-    watch(f"trials of {name}", 1.0)
-    found.sort(key=lambda one: one.number)
-    return [_with_calibrations(found[0], redone), *found[1:]]
+    experiment: Experiment
+    scatter: Scatter
+    folder: Path
+    count: int
+
+    def all(self, watch: Watcher = nobody) -> list[Trial]:
+        """Return every trial; trial 0 also holds the nominal press under every calibration.
+
+        Raises
+        ------
+        InputError, MissingBackend
+            As `measure_photometric`.
+        """
+        found, nominal = [], {}
+        # The first calibration comes last: it is still in memory for the cases of the figures.
+        for done, calibration in enumerate(reversed(range(CALIBRATIONS))):
+            watch(f"trials of {self._name}", done / CALIBRATIONS)
+            nominal[calibration], trials = self.of_calibration(calibration)
+            found += trials
+        watch(f"trials of {self._name}", 1.0)
+        found.sort(key=lambda one: one.number)
+        return [_with_calibrations(found[0], nominal), *found[1:]]
+
+    def of_calibration(self, calibration: int) -> tuple[Figures, list[Trial]]:
+        """Return the nominal press under one calibration, and the trials that use it."""
+        measured = partial(measure_colours, self.scatter.seed)
+        named = _sensor_digest(self.experiment, self.scatter)
+        presses = Repeated(self._name, self.experiment, self.scatter, measured, named)
+        still = self.scatter.model_copy(update={"inputs": {}})
+        nominal = Repeated(f"{self._name}_calibrations", self.experiment, still, measured, named)
+        numbers = range(calibration, self.count + 1, CALIBRATIONS)
+        found = [presses.trial(self.folder, number) for number in numbers]
+        return nominal.trial(self.folder, calibration).figures, found
+
+    @property
+    def _name(self) -> str:
+        return f"{self.experiment.name}_photometric_stereo"
 
 
 def _sensor_digest(experiment: Experiment, scatter: Scatter) -> str:
     """Name sensor, decoder and seed by content; at equal depth, which needs no press."""
     plan = replace(plan_of(scatter.seed, 0), match="depth")
     return digest(case_for(experiment, "photometric_stereo", plan))
-
-
-def _by_calibration(count: int) -> Iterator[int]:
-    """Order the trials by the calibration that they share: making one takes the longest.
-
-    The first one comes last: it is still in memory for the cases of the figures.
-    """
-    for first in reversed(range(CALIBRATIONS)):
-        yield from range(first, count + 1, CALIBRATIONS)
 
 
 def _with_calibrations(trial: Trial, redone: dict[int, Figures]) -> Trial:

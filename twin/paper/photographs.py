@@ -13,7 +13,7 @@ from twin.optics.view import Picture, Thing, picture
 from twin.paper.sheet import bare, sheet
 from twin.report.canvas import axes_at
 
-_WIDTH_PX, _HEIGHT_PX, _SAMPLES = 360, 270, 32
+_WIDTH_PX, _HEIGHT_PX, _SAMPLES = 360, 270, 20
 _FROM = (0.5, -0.52, 0.69)
 # Eyes so far away see nearly in parallel, as a macro lens does.
 _DISTANCE, _ROOM = 7.0, 1.3

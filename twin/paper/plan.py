@@ -1,10 +1,11 @@
 """What the paper measured: its specimens and instruments, one parameter set for all of them."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any
 
 from twin.config import Experiment, load_experiment
+from twin.modalities.instruments import Method
 from twin.paper.repeats import Repeated, measure_fringes
 from twin.paper.rig_draws import RigScatter
 from twin.paper.scatter import Scatter
@@ -13,6 +14,17 @@ BALLS = "two_balls"
 RODS = ("rods_a", "rods_b", "rods_c")
 DIRECT_AND_CONTACT = ("nut", "brick", "ball")
 GRID = ("t_bolt", "bear", BALLS)
+CASES: Sequence[tuple[tuple[str, ...], tuple[Method, ...]]] = (
+    (DIRECT_AND_CONTACT, ("direct_fpp", "contact_fpp")),
+    (GRID, ("photometric_stereo", "contact_fpp")),
+    (RODS, ("contact_fpp",)),
+)
+"""Specimens and methods of the figures."""
+BUDGET_OF: Mapping[str, str] = {
+    BALLS: "sphere_1_radius_mm",
+    **dict.fromkeys(RODS, "rod_width_mm"),
+}
+"""The figure of each specimen whose uncertainty is ranked."""
 
 # Two by two pixels are read as one: a quarter of the time, and the same projector pixels.
 COARSE: Mapping[str, Any] = {"camera.binning": 2}

@@ -5,7 +5,7 @@ pressed anew, the camera's noise is new, and the rig is as one calibration found
 """
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -79,10 +79,12 @@ class Repeated:
         named = f"{digest(drawn)} {self.method} {number}"
         return Trial(number, values, kept(path, named, partial(self.measure, drawn, number)))
 
-    def trials(self, folder: Path, count: int, watch: Watcher = nobody) -> Iterator[Trial]:
-        """Yield trials 0 (the nominal one) to `count`."""
-        for number in range(count + 1):
-            watch(f"trials of {self.name}", number / (count + 1))
+    def trials(
+        self, folder: Path, numbers: Sequence[int], watch: Watcher = nobody
+    ) -> Iterator[Trial]:
+        """Yield the trials of these numbers; 0 is the nominal one."""
+        for done, number in enumerate(numbers):
+            watch(f"trials of {self.name}", done / len(numbers))
             yield self.trial(folder, number)
         watch(f"trials of {self.name}", 1.0)
 

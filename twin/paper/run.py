@@ -10,135 +10,49 @@
 
 import shutil
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from reconstruction.errors import InputError
-from twin.config import digest
-from twin.config.board import load_board
-from twin.modalities.comparison import compare
-from twin.modalities.instruments import Method
 from twin.modalities.progress import Watcher, nobody
 from twin.modalities.storage import write_result
 from twin.output import replace_json, versions
 from twin.paper.budget import budget_table
 from twin.paper.claims import claims_of, claims_table
-from twin.paper.colours import colour_trials, plan_of
-from twin.paper.complete_table import completeness_table, measure_case
+from twin.paper.complete_table import completeness_table
 from twin.paper.explanations import explanations
 from twin.paper.figures import FIGURES, draw_figure
+from twin.paper.jobs import jobs_of, measure_ahead
 from twin.paper.page import Contents, write_paper_page
-from twin.paper.plan import (
-    BALLS,
-    COARSE,
-    DIRECT_AND_CONTACT,
-    FINE,
-    GRID,
-    RODS,
-    experiment_of,
-    fringe_repeats,
-)
-from twin.paper.published import CONTACT_FPP, GELSIGHT
-from twin.paper.repeats import Trial, kept
-from twin.paper.rig_draws import BOARD, RigScatter, calibrate_rig, rig_scatter
+from twin.paper.plan import BALLS, COARSE, FINE, RODS, experiment_of
+from twin.paper.published import CONTACT_FPP
+from twin.paper.reproduction import Reproduction
 from twin.paper.rod_table import hardness_table, rods_table
-from twin.paper.scatter import Scatter, load_scatter
 from twin.paper.sphere_tables import repeated_fit_table, sphere_fit_table, uncertainty_table
 from twin.paper.table import Cell, Table, shown
 from twin.report.html import FIGURES_FOLDER, make_folder
+from twin.study.workers import local_workers
 
 COMMAND, WORK = "paper", "work"
-CASES: Sequence[tuple[tuple[str, ...], tuple[Method, ...]]] = (
-    (DIRECT_AND_CONTACT, ("direct_fpp", "contact_fpp")),
-    (GRID, ("photometric_stereo", "contact_fpp")),
-    (RODS, ("contact_fpp",)),
-)
-
-
-@dataclass(frozen=True, eq=False)
-class Reproduction:
-    """One run: where it works and what it is to do.
-
-    Attributes
-    ----------
-    work : folder of what was measured
-    trials : repetitions of every repeated measurement
-    settings : laid over every experiment; resolution, never a property of the sensor
-    """
-
-    work: Path
-    trials: int
-    settings: Mapping[str, Any] = field(default_factory=lambda: dict(COARSE))
-    watch: Watcher = nobody
-
-    @property
-    def scatter(self) -> Scatter:
-        """Spread of the inputs."""
-        return load_scatter()
-
-    def rigs(self) -> RigScatter:
-        """Return the rig and what a calibration leaves open of it."""
-        experiment = experiment_of(BALLS, self.settings)
-        named = f"{digest(experiment)} {load_board(BOARD).model_dump_json()}"
-        path = self.work / "calibration.json"
-        return rig_scatter(
-            experiment, kept(path, named, lambda: calibrate_rig(experiment, self.watch))
-        )
-
-    def fringe_trials(self, name: str) -> list[Trial]:
-        """Return the repeated contact-FPP measurement of a specimen."""
-        repeats = fringe_repeats(name, self.scatter, self.rigs(), self.settings)
-        return list(repeats.trials(self.work / "trials", self.trials, self.watch))
-
-    def ball_trials(self) -> dict[str, list[Trial]]:
-        """Return the repeated measurements of the two balls by method."""
-        experiment = experiment_of(BALLS, self.settings)
-        folder = self.work / "trials"
-        colours = colour_trials(experiment, self.scatter, folder, self.trials, self.watch)
-        return {GELSIGHT: colours, CONTACT_FPP: self.fringe_trials(BALLS)}
-
-    def rod_trials(self) -> dict[str, list[Trial]]:
-        """Return the repeated measurements of the rods: A, B, C."""
-        return {name[-1].upper(): self.fringe_trials(name) for name in RODS}
-
-    def cases(self) -> Path:
-        """Measure every specimen of the figures; return the folder of the cases."""
-        folder = self.work / "cases"
-        plan = plan_of(self.scatter.seed, 0)  # the sensor of trial 0, which is in memory
-        for names, methods in CASES:
-            experiments = [experiment_of(name, self.settings) for name in names]
-            compare(experiments, methods, folder, measure_case, watch=self.watch, plan=plan)
-        return folder
 
 
 def sphere_tables(run: Reproduction) -> list[Table]:
     """Return the tables on the two balls."""
     trials = run.ball_trials()
-    balls = experiment_of(BALLS, run.settings)
-    budget = budget_table(
-        balls, run.scatter, trials[CONTACT_FPP], "sphere_1_radius_mm", optics=True
-    )
     return [
         sphere_fit_table(trials),
         repeated_fit_table(trials),
         uncertainty_table(trials),
-        budget,
+        budget_table(BALLS, run.budget(BALLS), trials[CONTACT_FPP]),
     ]
 
 
 def rod_tables(run: Reproduction) -> list[Table]:
     """Return the tables on the rods."""
     trials = run.rod_trials()
-    budgets = [
-        budget_table(
-            experiment_of(name, run.settings),
-            run.scatter,
-            trials[name[-1].upper()],
-            "rod_width_mm",
-        )
-        for name in RODS
-    ]
+    budgets = [budget_table(name, run.budget(name), trials[name[-1].upper()]) for name in RODS]
     return [rods_table(trials), *budgets]
 
 
@@ -155,7 +69,7 @@ TABLES: Mapping[str, Callable[[Reproduction], list[Table]]] = {
     "hardness": lambda _: [hardness_table()],
     "rods": rod_tables,
     "spheres": sphere_tables,
-    "completeness": lambda run: [completeness_table(run.cases())],
+    "completeness": lambda run: [completeness_table(run.all_cases())],
     "differences": difference_tables,
 }
 
@@ -195,8 +109,12 @@ class Reproduced:
     lines: tuple[str, ...]
 
 
-def reproduce(out: Path, wish: Wish, watch: Watcher = nobody) -> Reproduced:
+def reproduce(out: Path, wish: Wish, watch: Watcher = nobody, workers: int = 1) -> Reproduced:
     """Make everything asked for and write it into `out`; what lies there already is used.
+
+    Parameters
+    ----------
+    workers : processes that measure side by side; the result is the same with any number
 
     Raises
     ------
@@ -208,8 +126,8 @@ def reproduce(out: Path, wish: Wish, watch: Watcher = nobody) -> Reproduced:
     _claim_folder(out)
     settings = dict(FINE if wish.full else COARSE)
     run = Reproduction(out / WORK, wish.trials, settings, watch)
+    drawn = _measure_and_draw(run, out, wish, workers)
     tables = tables_of(run, wish.tables)
-    drawn = _figures(run, out, wish)
     _write_tables(out, tables, wish)
     balls = experiment_of(BALLS, settings)
     contents = Contents(tables, drawn, balls, run.scatter, wish.trials)
@@ -219,6 +137,21 @@ def reproduce(out: Path, wish: Wish, watch: Watcher = nobody) -> Reproduced:
     return Reproduced(page, tuple(_line(row) for row in claims))
 
 
+def _measure_and_draw(run: Reproduction, out: Path, wish: Wish, workers: int) -> dict[str, Path]:
+    """Draw the figures in their order; those that show no measurement while workers measure."""
+    of_cases = [name for name in wish.figures if FIGURES[name].cases]
+    plain = partial(_draw, run, out, [name for name in wish.figures if name not in of_cases])
+    if workers > 1:
+        jobs = jobs_of(wish.tables, wish.figures, wish.trials)
+        found = measure_ahead(run, jobs, local_workers(workers), plain)
+    else:
+        found = plain()
+    if of_cases:
+        run.all_cases()
+        found |= _draw(run, out, of_cases)
+    return {name: found[name] for name in wish.figures}
+
+
 def tables_of(run: Reproduction, names: Sequence[str]) -> dict[str, Table]:
     """Make the tables of the named groups, and judge the claims by them."""
     found = {table.name: table for name in names for table in TABLES[name](run)}
@@ -226,16 +159,14 @@ def tables_of(run: Reproduction, names: Sequence[str]) -> dict[str, Table]:
     return found | ({"claims": claims_table(claims)} if claims else {})
 
 
-def _figures(run: Reproduction, out: Path, wish: Wish) -> dict[str, Path]:
+def _draw(run: Reproduction, out: Path, names: Sequence[str]) -> dict[str, Path]:
     folder = out / FIGURES_FOLDER
     make_folder(folder)
-    needed = any(FIGURES[name].cases for name in wish.figures)
-    cases = run.cases() if needed else run.work / "cases"
-    for done, name in enumerate(wish.figures):
-        run.watch("figures", done / len(wish.figures))
-        draw_figure(name, cases, folder)
+    for done, name in enumerate(names):
+        run.watch("figures", done / len(names))
+        draw_figure(name, run.work / "cases", folder)
     run.watch("figures", 1.0)
-    return {name: folder / f"{name}.png" for name in wish.figures}
+    return {name: folder / f"{name}.png" for name in names}
 
 
 def _claim_folder(out: Path) -> None:

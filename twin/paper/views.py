@@ -28,7 +28,7 @@ from twin.report.canvas import FIT, INK, MEASURED, axes_at
 from twin.report.rig import triangulation_angle_deg
 from twin.report.section import trace_through_apexes
 
-_SAMPLES, _BOUNCES = 20, 3
+_SAMPLES, _BOUNCES = 12, 3
 _RIG = Observer((-420.0, -1150.0, 520.0), (35.0, 0.0, 108.0), 412.0, 520, 640)
 _SHEET = Observer((-26.0, -80.0, 62.0), (0.0, 0.0, -2.0), 56.0, 560, 420)
 _CUT = Observer((-14.0, -95.0, 30.0), (0.0, 0.0, -5.5), 42.0, 640, 400)
