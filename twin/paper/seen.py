@@ -11,8 +11,9 @@ from reconstruction.mask import Reason
 from twin.config import Experiment
 from twin.mechanics import PressedElastomer
 from twin.modalities.measurement import Measurement, measure
-from twin.modalities.photometric_score import in_world, photometric_metrics
+from twin.modalities.photometric_score import in_world
 from twin.modalities.photometric_stereo import PhotometricMeasurement, measure_photometric
+from twin.modalities.photometric_storage import photometric_figures
 from twin.modalities.progress import Watcher, nobody
 from twin.modalities.score import SphereScore, metrics
 from twin.modalities.storage import press_metrics, recording_metrics
@@ -88,7 +89,7 @@ def seen_in_colour(experiment: Experiment, done: PhotometricMeasurement) -> Seen
     reason = np.where(found.valid, Reason.VALID, Reason.LOW_MODULATION)
     return Seen(
         experiment=experiment,
-        figures=press_metrics(done.pressed) | photometric_metrics(done.score),
+        figures=photometric_figures(done),
         picture=np.asarray(done.image, np.uint8),
         points_mm=found.points_mm,
         reason=reason.astype(np.uint8),
