@@ -3,6 +3,8 @@
 import pytest
 
 from twin.config import load_experiment
+from twin.paper.bare_nut import nut_table
+from twin.paper.decoder_table import decoder_table
 from twin.paper.explanations import (
     height_scale_table,
     layout_table,
@@ -11,6 +13,7 @@ from twin.paper.explanations import (
     scale_table,
     varied,
 )
+from twin.paper.repeats import Trial
 
 COARSE = {"press.solver_pitch_mm": 0.15, "press.relief_pitch_mm": 0.05}
 
@@ -57,3 +60,25 @@ def test_rods_on_either_face():
     assert table.row(value="rods_a, clear face touched")["width"] > 5.0
     assert table.row(value="rods_a, coat touched")["width"] < 2.5
     assert "coat touched" in table.notes[0]
+
+
+def test_decoders_are_averaged_over_balls_and_trials():
+    """Two balls of 10 and 30 um in trial 1; trial 0 is no repetition."""
+    name = "table_sdk_2024_sphere_{}_{}_mm"
+    figures = {name.format(ball, "rmse"): 0.02 * ball - 0.01 for ball in (1, 2)}
+    figures |= {name.format(ball, "radius"): 3.0 for ball in (1, 2)}
+    wrong = dict.fromkeys(figures, 9.0)
+    table = decoder_table([Trial(0, {}, wrong), Trial(1, {}, figures)])
+    (row,) = table.rows
+    assert row["decoder"] == "look-up table, sdk_2024"
+    assert row["rmse_um"] == pytest.approx(20.0)
+    assert table.notes[0].endswith(
+        "the paper reports 139 um: no decoder comes within a factor of two."
+    )
+
+
+def test_the_nut_says_where_the_bar_is_met():
+    mixed = nut_table({"0.05": [0.5, 0.6], "0.2": [0.8, 0.9]})
+    assert "50% to 80%" in mixed.notes[0]
+    assert "is met not at all of them" in mixed.notes[0]
+    assert "is met at none of them" in nut_table({"0.1": [0.7, 0.8]}).notes[0]

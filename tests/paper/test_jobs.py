@@ -48,6 +48,7 @@ def test_every_trial_and_case_is_one_job():
         ([], ["rods"], {"cases", "sensor"}),
         (["spheres"], [], {"colours", "sensor", "fringes", "budget"}),
         (["completeness"], [], {"cases", "sensor"}),
+        (["differences"], [], {"bare_nut"}),
     ],
 )
 def test_nothing_is_measured_that_nobody_asked_for(tables, figures, kinds):

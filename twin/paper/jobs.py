@@ -50,6 +50,8 @@ def jobs_of(tables: Sequence[str], figures: Sequence[str], trials: int) -> list[
         jobs.append(Job("sensor", ("spheres" in tables, with_cases)))
     if with_cases:
         jobs += list(_case_jobs())
+    if "differences" in tables:
+        jobs.append(Job("bare_nut"))
     jobs += [Job("budget", (name,)) for name in specimens if name in BUDGET_OF]
     for name in specimens:
         numbers = range(trials + 1)
@@ -135,4 +137,5 @@ _JOBS: Mapping[str, Callable[..., Any]] = {
     "sensor": _sensor,
     "cases": Reproduction.cases,
     "budget": Reproduction.budget,
+    "bare_nut": Reproduction.bare_nut,
 }

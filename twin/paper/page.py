@@ -63,11 +63,14 @@ SECTIONS = (
             "explain_scale",
             "explain_height_scale",
             "explain_rods",
+            "explain_decoders",
+            "explain_roughness",
         ),
         (
             "The paper does not state thickness, support, drape, travel or the region of its fits. "
             "Each table presses the same two balls with one of these changed and fits the coat "
-            "itself; a note marks where the linear slab is no longer valid.",
+            "itself; a note marks where the linear slab is no longer valid. The last tables are "
+            "on the rods, on GelSight's decoders and on the bare nut.",
         ),
     ),
 )

@@ -11,6 +11,7 @@ from twin.config.board import load_board
 from twin.modalities.comparison import compare
 from twin.modalities.instruments import Method
 from twin.modalities.progress import Watcher, nobody
+from twin.paper.bare_nut import NUT, ROUGHNESS, nut_shares
 from twin.paper.budget import Part, parts_of
 from twin.paper.colours import ColourTrials, plan_of
 from twin.paper.complete_table import measure_case
@@ -87,6 +88,14 @@ class Reproduction:
         path = self.work / "budgets" / f"{name}.json"
         found = kept(path, named, lambda: {"parts": [asdict(part) for part in compute()]})
         return [Part(**part) for part in found["parts"]]
+
+    def bare_nut(self) -> dict[str, list[float]]:
+        """Return how much of the bare nut is seen, by its roughness; see `nut_shares`."""
+        experiment = experiment_of(NUT, self.settings)
+        named = f"{digest(experiment)} {ROUGHNESS}"
+        path = self.work / "bare_nut.json"
+        found: dict[str, list[float]] = kept(path, named, lambda: nut_shares(experiment))
+        return found
 
     def all_cases(self) -> Path:
         """Measure every specimen of the figures; return the folder of the cases."""

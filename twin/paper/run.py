@@ -19,15 +19,17 @@ from reconstruction.errors import InputError
 from twin.modalities.progress import Watcher, nobody
 from twin.modalities.storage import write_result
 from twin.output import replace_json, versions
+from twin.paper.bare_nut import nut_table
 from twin.paper.budget import budget_table
 from twin.paper.claims import claims_of, claims_table
 from twin.paper.complete_table import completeness_table
+from twin.paper.decoder_table import decoder_table
 from twin.paper.explanations import explanations
 from twin.paper.figures import FIGURES, draw_figure
 from twin.paper.jobs import jobs_of, measure_ahead
 from twin.paper.page import Contents, write_paper_page
 from twin.paper.plan import BALLS, COARSE, FINE, RODS, experiment_of
-from twin.paper.published import CONTACT_FPP
+from twin.paper.published import CONTACT_FPP, GELSIGHT
 from twin.paper.reproduction import Reproduction
 from twin.paper.rod_table import hardness_table, rods_table
 from twin.paper.sphere_tables import repeated_fit_table, sphere_fit_table, uncertainty_table
@@ -45,6 +47,7 @@ def sphere_tables(run: Reproduction) -> list[Table]:
         sphere_fit_table(trials),
         repeated_fit_table(trials),
         uncertainty_table(trials),
+        decoder_table(trials[GELSIGHT]),
         budget_table(BALLS, run.budget(BALLS), trials[CONTACT_FPP]),
     ]
 
@@ -62,7 +65,7 @@ def difference_tables(run: Reproduction) -> list[Table]:
     rods = {name: experiment_of(name, run.settings) for name in RODS}
     found = explanations(experiment_of(BALLS, run.settings), rods)
     run.watch("differences", 1.0)
-    return found
+    return [*found, nut_table(run.bare_nut())]
 
 
 TABLES: Mapping[str, Callable[[Reproduction], list[Table]]] = {
