@@ -21,7 +21,8 @@ from scipy import fft
 
 from twin.config.models import Ball, Elastomer, Press, TwoBalls
 from twin.mechanics import press
-from twin.mechanics.contact import DepthControl, solve_contact
+from twin.mechanics.contact import solve_contact
+from twin.mechanics.control import DepthControl
 from twin.mechanics.layer import BondedLayer, FreeSlab
 from twin.mechanics.two_grid import solve_on_layer
 from twin.specimens import height_above_lowest

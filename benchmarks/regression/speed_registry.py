@@ -111,6 +111,13 @@ SPEEDS = (
                 # Two workers against one process: a busy core halves only the former.
                 factor=2.0,
             ),
+            ratio(
+                "sweep_speed_up_2_workers",
+                "cases that share nothing: one worker over two",
+                bar="1.8",
+                higher_is_better=True,
+                factor=2.0,  # as above
+            ),
             told("sweep_points_per_hour", "design points per hour, 48 cases", bar="5000"),
         ),
         reader(
@@ -119,6 +126,7 @@ SPEEDS = (
             {
                 "sweep_over_one_by_one": field("over_one_by_one"),
                 "sweep_over_one_process": field("over_one_process"),
+                "sweep_speed_up_2_workers": field("speed_up_2_workers"),
                 "sweep_points_per_hour": field("points_per_hour"),
             },
         ),

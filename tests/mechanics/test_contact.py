@@ -8,11 +8,14 @@ import pytest
 from numpy.typing import NDArray
 from scipy import fft
 
+from twin.config import load_experiment
 from twin.config.models import Ball, Flat, Rod
 from twin.mechanics import PressedElastomer, SolverError
-from twin.mechanics.contact import DepthControl, ForceControl, solve_contact
+from twin.mechanics.contact import _Brake, solve_contact
+from twin.mechanics.control import DepthControl, ForceControl
 from twin.mechanics.layer import BondedLayer
 from twin.mechanics.two_grid import solve_on_layer
+from twin.modalities.contact_fpp import press_specimen
 from twin.specimens import height_above_lowest
 
 Field = NDArray[np.float64]
@@ -174,3 +177,27 @@ def test_running_out_of_passes_is_one_line() -> None:
     with pytest.raises(SolverError, match="no contact solution within 5 passes") as caught:
         solve_contact(layer.deflect, height, DepthControl(0.6), max_iterations=5)
     assert "\n" not in str(caught.value)
+
+
+def test_a_tilted_rod_under_a_draped_slab_is_found_without_rebounds(monkeypatch):
+    """Cells that join at once throw a bending slab off: without the brake over 1000 passes."""
+    changes = {
+        "specimen.x_mm": -0.2429829074759053, "specimen.y_mm": -0.041928252421451234,
+        "specimen.tilt_deg": 0.7818191607156045, "specimen.yaw_deg": 0.0873492104301504,
+        "press.depth_mm": 0.7667668789711536, "press.back_pressure_kpa": 16.834198310420753,
+        "elastomer.thickness_mm": 2.9852608833583902, "elastomer.shore_a": 10.13986265468515,
+    }  # fmt: skip
+    experiment = load_experiment("paper/rods_c", changes)
+    assert press_specimen(experiment).iterations < 200
+    monkeypatch.setattr(_Brake, "share", lambda *_: 1.0)
+    with pytest.raises(SolverError, match="within 1000 passes"):
+        press_specimen(experiment)
+
+
+def test_the_brake_steps_to_the_least_energy_on_the_way():
+    """Energy 1 + slope t + curvature t^2 / 2 has its least at -slope / curvature."""
+    brake = _Brake()
+    assert brake.share(1.0, -1.0, 100.0) == 1.0  # the first pass is free
+    assert brake.share(1.0, -1.0, 4.0) == 0.25
+    assert brake.share(0.0, -1.0, 2.0 + 1e-9) == 1.0  # rises, but not above the last passes
+    assert brake.share(1.0, 1.0, 4.0) == 1.0  # no way down: left to the search

@@ -12,7 +12,8 @@ import numpy as np
 import numpy.typing as npt
 
 from twin.config.models import Elastomer, Press, Specimen
-from twin.mechanics.contact import Contact, Control, DepthControl, ForceControl
+from twin.mechanics.contact import Contact
+from twin.mechanics.control import Control, DepthControl, ForceControl
 from twin.mechanics.errors import PressError
 from twin.mechanics.hardness import young_modulus
 from twin.mechanics.layer import BondedLayer

@@ -11,7 +11,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import maximum_filter
 
-from twin.mechanics.contact import BoolArray, Contact, Control, solve_contact
+from twin.mechanics.contact import Contact, solve_contact
+from twin.mechanics.control import BoolArray, Control
 from twin.mechanics.errors import SolverError
 from twin.mechanics.patch import Patch, Span
 from twin.mechanics.transfer import FloatArray

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from reconstruction.errors import FitError
+from reconstruction.errors import FitError, InputError
 from reconstruction.pipeline import Reconstruction, reconstruct
 from reconstruction.triangulate import triangulate
 from twin.config import Experiment, digest
@@ -77,7 +77,11 @@ class Repeated:
         values = drawn_values(self.experiment, self.scatter, number) if number else {}
         path = folder / self.name / f"trial_{number:04d}.json"
         named = f"{digest(drawn)} {self.method} {number}"
-        return Trial(number, values, kept(path, named, partial(self.measure, drawn, number)))
+        try:
+            figures = kept(path, named, partial(self.measure, drawn, number))
+        except InputError as error:
+            raise InputError(f"{self.name}, trial {number}: {error}") from None
+        return Trial(number, values, figures)
 
     def trials(
         self, folder: Path, numbers: Sequence[int], watch: Watcher = nobody

@@ -13,7 +13,8 @@ import pytest
 from numpy.typing import NDArray
 
 from twin.mechanics import PressError
-from twin.mechanics.contact import DepthControl, solve_contact
+from twin.mechanics.contact import solve_contact
+from twin.mechanics.control import DepthControl
 from twin.mechanics.layer import BondedLayer
 from twin.mechanics.reference.axisymmetric import (
     AxisymmetricPress,

@@ -12,7 +12,8 @@ import trimesh
 
 from twin.config.models import Ball, Elastomer, Press
 from twin.mechanics import PressedElastomer, PressError, SolverError, press
-from twin.mechanics.contact import DepthControl, solve_contact
+from twin.mechanics.contact import solve_contact
+from twin.mechanics.control import DepthControl
 from twin.mechanics.layer import BondedLayer
 from twin.mechanics.reference import tetrahedra
 from twin.mechanics.reference.fem3d import press_pad

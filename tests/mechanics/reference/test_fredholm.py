@@ -6,7 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from twin.mechanics import PressError, SolverError
-from twin.mechanics.contact import DepthControl, solve_contact
+from twin.mechanics.contact import solve_contact
+from twin.mechanics.control import DepthControl
 from twin.mechanics.layer import BondedLayer
 from twin.mechanics.reference.fredholm import LayerBase, layer_compliance, press_ball
 from twin.mechanics.transfer import solve_transfer

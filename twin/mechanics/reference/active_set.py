@@ -14,7 +14,7 @@ import numpy as np
 from scipy import sparse
 from scipy.linalg import cho_factor, cho_solve
 
-from twin.mechanics.contact import BoolArray
+from twin.mechanics.control import BoolArray
 from twin.mechanics.errors import SolverError
 from twin.mechanics.transfer import FloatArray
 

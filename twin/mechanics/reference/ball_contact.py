@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from twin.mechanics.contact import BoolArray
+from twin.mechanics.control import BoolArray
 from twin.mechanics.reference.grid import Surface
 from twin.mechanics.reference.pushed import Pushed, push
 from twin.mechanics.transfer import FloatArray

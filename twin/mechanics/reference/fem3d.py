@@ -11,7 +11,7 @@ from functools import cached_property
 import numpy as np
 from scipy.interpolate import CloughTocher2DInterpolator
 
-from twin.mechanics.contact import BoolArray
+from twin.mechanics.control import BoolArray
 from twin.mechanics.errors import PressError
 from twin.mechanics.layouts import Preload
 from twin.mechanics.reference.active_set import Points, press_points

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from twin.mechanics.contact import BoolArray
+from twin.mechanics.control import BoolArray
 from twin.mechanics.reference.grid import Surface
 from twin.mechanics.reference.height_field import HeightField
 from twin.mechanics.reference.pushed import Pushed, push

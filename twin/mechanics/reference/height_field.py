@@ -10,7 +10,7 @@ import numpy as np
 from scipy import ndimage
 from scipy.interpolate import RectBivariateSpline
 
-from twin.mechanics.contact import BoolArray
+from twin.mechanics.control import BoolArray
 from twin.mechanics.errors import PressError
 from twin.mechanics.transfer import FloatArray
 from twin.specimens import Shape

@@ -11,7 +11,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
-from twin.mechanics.contact import BoolArray
+from twin.mechanics.control import BoolArray
 from twin.mechanics.errors import SolverError
 from twin.mechanics.reference.grid import IntArray
 from twin.mechanics.reference.mixed import Body

@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 import trimesh
 
-from twin.mechanics.contact import BoolArray
+from twin.mechanics.control import BoolArray
 from twin.mechanics.errors import PressError
 from twin.mechanics.transfer import FloatArray
 

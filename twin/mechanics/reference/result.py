@@ -7,7 +7,7 @@ import numpy as np
 from scipy.interpolate import LinearNDInterpolator
 
 from twin.config.models import Elastomer, Press
-from twin.mechanics.contact import BoolArray
+from twin.mechanics.control import BoolArray
 from twin.mechanics.errors import PressError
 from twin.mechanics.layouts import face_nodes
 from twin.mechanics.press import PressedElastomer
