@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from twin.config import load_experiment, vary
-from twin.paper.face_model import contributions, face_figures
+from twin.paper.face_model import _of_differences, contributions, face_figures
 from twin.paper.scatter import Input
 
 ON_COAT = {
@@ -61,3 +61,9 @@ def test_optics_do_not_move_the_press_and_hardly_the_radius(mi):
     assert bright["sphere_1_true_face_radius_mm"] == first["sphere_1_true_face_radius_mm"]
     moved_mm = bright["sphere_1_radius_mm"] - first["sphere_1_radius_mm"]
     assert 0.0 < abs(moved_mm) < 0.05
+
+
+def test_a_bend_counts_where_there_is_no_slope():
+    """f = x^2 of a standard normal x has a standard deviation of sqrt 2; f = 3 x + x^2, sqrt 11."""
+    assert _of_differences(1.0, 0.0, 1.0) == pytest.approx(np.sqrt(2.0))
+    assert _of_differences(-2.0, 0.0, 4.0) == pytest.approx(np.sqrt(11.0))

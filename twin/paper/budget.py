@@ -75,9 +75,9 @@ def budget_table(name: str, parts: Sequence[Part], trials: Sequence[Trial]) -> T
 
 _NOTES = (
     "Standard uncertainties of one measurement, not of a mean of five.",
-    "Linear: central difference over one standard uncertainty of the input, of the pressed face "
-    "or, for optics, of the whole chain without noise; noise and calibration from the trials' own "
-    "differences.",
+    "Each input alone: slope and bend over one standard uncertainty of the input, of the pressed "
+    "face or, for optics, of the whole chain without noise; noise and calibration from the trials' "
+    "own differences.",
 )
 _LEAST_FOR_COVERAGE = 40
 
@@ -107,7 +107,7 @@ def _rows(parts: Sequence[Part]) -> list[dict[str, Cell]]:
         }
         for one in sorted(parts, key=lambda part: -part.u_mm)
     ]
-    return [*rows, {"input": "all, linear", "u": total, "share": 100.0}]
+    return [*rows, {"input": "all, each alone", "u": total, "share": 100.0}]
 
 
 def _coverage(values: np.ndarray) -> list[str]:

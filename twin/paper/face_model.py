@@ -20,13 +20,13 @@ from twin.specimens import Sphere, shape_of
 
 @dataclass(frozen=True)
 class Contribution:
-    """What one input adds to an output's standard uncertainty (JCGM 100, 5.1.3).
+    """What one input adds to an output's standard uncertainty (JCGM 100, 5.1.3 and 5.1.2, note).
 
     Attributes
     ----------
     name, key : of the input
     input_u : standard uncertainty of the input, in its own unit
-    output_u_mm : of the output, |c u| with the central difference over one standard uncertainty
+    output_u_mm : of the output, by first and second differences over one standard uncertainty
     """
 
     name: str
@@ -83,18 +83,29 @@ def contributions(
 ) -> list[Contribution]:
     """Return the inputs' contributions to an output, largest first.
 
+    The second-order term is that of each input alone: 1/2 (f'' u^2)^2 for a normal distribution.
+
     Raises
     ------
     InputError
         As `figures_of`.
     """
-    found = []
+    found, middle = [], float(figures_of(experiment)[output])
     for name, one in inputs.items():
         nominal = nominal_of(experiment, one.key)
         u = one.standard_uncertainty(nominal)
         ends = [_at(experiment, one.key, nominal + step, figures_of)[output] for step in (-u, u)]
-        found.append(Contribution(name, one.key, u, abs(ends[1] - ends[0]) / 2))
+        found.append(Contribution(name, one.key, u, _of_differences(ends[0], middle, ends[1])))
     return sorted(found, key=lambda one: -one.output_u_mm)
+
+
+def _of_differences(low: float, middle: float, high: float) -> float:
+    """Return the standard deviation of the parabola through three points, of a normal input.
+
+    A rod at rest is symmetric in tilt and yaw: there the slope is nothing and the bend is all.
+    """
+    slope, bend = (high - low) / 2, high + low - 2 * middle
+    return float(np.hypot(slope, bend / np.sqrt(2.0)))
 
 
 def _at(

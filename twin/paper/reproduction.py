@@ -83,7 +83,7 @@ class Reproduction:
     def budget(self, name: str) -> list[Part]:
         """Return what the inputs add to the uncertainty of a specimen's figure."""
         experiment = experiment_of(name, self.settings)
-        named = f"{digest(experiment)} {self.scatter.model_dump_json()}"
+        named = f"slope and bend {digest(experiment)} {self.scatter.model_dump_json()}"
         compute = partial(parts_of, experiment, self.scatter, BUDGET_OF[name])
         path = self.work / "budgets" / f"{name}.json"
         found = kept(path, named, lambda: {"parts": [asdict(part) for part in compute()]})
