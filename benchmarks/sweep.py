@@ -11,7 +11,8 @@ are then measured one by one by `twin measure`, one process each, as a user woul
 and a trace of its own. One worker process with the threads of one core stands against two such:
 what is lost is lost to the engine (cases ahead, batches, store) and to the memory that both share.
 The processes are started, and their kernels loaded, before the clock runs. Only an idle machine of
-two cores or more tells the truth.
+two cores or more tells the truth; `machine_speed_up`, of plain loops that share nothing at all,
+taken before and after, says what it has to give: cores of a virtual machine are often less than 2.
 
 Last line: {"points_per_hour": n, "over_one_by_one": r, "speed_up_2_workers": s, ...}; also given
 are the ratio to `measure` called again and again in one process (nothing but the sharing and the
@@ -86,7 +87,9 @@ def main() -> None:
         alone_s = measured_alone(few, Path(scratch))
         in_process_s = measured_in_process(few)
         alike = (12 if quick else 24, Path(scratch))
+        loops = [machine_speed_up()]
         one_s, two_s = (of_workers(count, *alike) for count in (1, 2))
+        loops.append(machine_speed_up())
     print(f"{alike[0]} cases that share nothing: {one_s:.1f} s by one worker, {two_s:.1f} s by two")
     print(f"one by one: {alone_s:.2f} s by twin measure, {in_process_s:.2f} s within one process")
     print(
@@ -96,6 +99,7 @@ def main() -> None:
                 "over_one_by_one": round(alone_s / per_point_s, 2),
                 "over_one_process": round(in_process_s / per_point_s, 2),
                 "speed_up_2_workers": round(one_s / two_s, 2),
+                "machine_speed_up": round(sum(loops) / len(loops), 2),
                 "cpu_s_per_point": round(cpu_s, 3),
                 "overhead_ms": round(1e3 * overhead_s(record, len(cases)), 2),
                 "cases": len(cases),
@@ -148,6 +152,19 @@ def of_workers(count: int, cases: int, scratch: Path) -> float:
     if outcome.states != {"done": cases}:
         raise SystemExit(f"of {cases} cases ended: {dict(outcome.states)}")
     return outcome.seconds
+
+
+def machine_speed_up() -> float:
+    """Return how much faster two processes count than one, at work all the time."""
+    loop = [sys.executable, "-c", "sum(i * i for i in range(60_000_000))"]
+
+    def seconds(count: int) -> float:
+        start = time.perf_counter()
+        for process in [subprocess.Popen(loop) for _ in range(count)]:
+            process.wait()
+        return time.perf_counter() - start
+
+    return 2 * seconds(1) / seconds(2)
 
 
 def overhead_s(record: StudyRecord, count: int) -> float:

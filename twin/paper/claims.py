@@ -186,7 +186,7 @@ _WHY_RODS = (
     "section on differences for the coat on the touched face"
 )
 _WHY_DIRECT = (
-    "the rendered surface shows more of itself than the paper's: a matt stage, and a roughness of "
-    "the metal that is assumed"
+    "the rendered surface shows more of itself than the paper's, at any plausible roughness of its "
+    "metal: see the section on differences"
 )
 _WHY_CONTACT_REGION = "see the picture of the missing points"
