@@ -46,3 +46,11 @@ def stored(tmp_path, base):
         return store, record.cases().unique()
 
     return make
+
+
+@pytest.fixture
+def few(study_of):
+    """20 cases: where their number does not matter."""
+    albedo = {"path": "coating.base_albedo", "low": 0.1, "high": 0.8, "count": 5}
+    period = {"path": "patterns.period_px", "low": 10, "high": 28, "count": 4}
+    return study_of(albedo, period)

@@ -92,11 +92,10 @@ def solve_contact(
         touching = pressure > 0
         gap = control.gap(deflection + height, touching)
         direction, image, step = search.step(gap, touching)
-        advanced = np.maximum(pressure - step * direction, 0.0)
-        overlapping = (advanced == 0) & (gap < 0) & present
         # A single cell under a force has nowhere to step to: its neighbours join all the same.
-        joined = -(step or 1.0) * search.scaling.cell * gap
-        advanced = np.where(overlapping, joined, advanced)
+        advanced, overlapping = _advance(
+            pressure - step * direction, gap, present, (step or 1.0) * search.scaling.cell
+        )
         factor = control.scale(advanced)
         advanced *= factor
         closed = float(np.abs(gap[touching]).max(initial=0.0)) <= _CLOSED * float(deflection.max())
@@ -121,6 +120,15 @@ def solve_contact(
         f"press: no contact solution within {max_iterations} passes; "
         "use a thicker slab, a shorter span or a coarser press.solver_pitch_mm"
     )
+
+
+def _advance(
+    moved: FloatArray, gap: FloatArray, present: BoolArray, stiffness: float
+) -> tuple[FloatArray, BoolArray]:
+    """Return the next pressure and where cells join: those without pressure that overlap."""
+    advanced = np.maximum(moved, 0.0)
+    overlapping = (advanced == 0) & (gap < 0) & present
+    return np.where(overlapping, -stiffness * gap, advanced), overlapping
 
 
 class _Brake:

@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass, field
 from functools import lru_cache
-from pathlib import Path
 
 import numpy as np
 
@@ -10,32 +9,11 @@ from twin.config import Experiment
 from twin.optics.direct import STAGE, solids
 from twin.optics.observer import Observer
 from twin.optics.view import Picture, Thing, picture
-from twin.paper.sheet import bare, sheet
-from twin.report.canvas import axes_at
 
 _WIDTH_PX, _HEIGHT_PX, _SAMPLES = 360, 270, 20
 _FROM = (0.5, -0.52, 0.69)
 # Eyes so far away see nearly in parallel, as a macro lens does.
 _DISTANCE, _ROOM = 7.0, 1.3
-_WIDTH_IN = 3.0
-
-
-def photograph(path: Path, experiment: Experiment) -> None:
-    """Write the picture of the specimen as PNG.
-
-    Raises
-    ------
-    InputError
-        A part of the specimen has no material, or `path` cannot be written.
-    MissingBackend
-        No usable Dr.Jit backend.
-    """
-    height_in = _WIDTH_IN * _HEIGHT_PX / _WIDTH_PX
-    with sheet(path.with_suffix(""), _WIDTH_IN, height_in, pdf=False) as figure:
-        axes = axes_at(figure, 0.0, 0.0, _WIDTH_IN, height_in)
-        axes.imshow(photograph_of(experiment))
-        bare(axes)
-        axes.spines[:].set_visible(False)
 
 
 def photograph_of(experiment: Experiment) -> Picture:

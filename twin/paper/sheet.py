@@ -46,7 +46,7 @@ _STYLE: Any = {
 
 
 @contextmanager
-def sheet(stem: Path, width_in: float, height_in: float, pdf: bool = True) -> Iterator[Figure]:
+def sheet(stem: Path, width_in: float, height_in: float) -> Iterator[Figure]:
     """Yield a figure; at the end it is written as `stem`.png and .pdf, each whole or not at all.
 
     Raises
@@ -59,9 +59,8 @@ def sheet(stem: Path, width_in: float, height_in: float, pdf: bool = True) -> It
         FigureCanvasAgg(figure)
         yield figure
         _write(figure, stem.with_name(f"{stem.name}.png"), "png", {"Software": None})
-        if pdf:
-            undated = {"CreationDate": None, "Producer": None, "Creator": None}
-            _write(figure, stem.with_name(f"{stem.name}.pdf"), "pdf", undated)
+        undated = {"CreationDate": None, "Producer": None, "Creator": None}
+        _write(figure, stem.with_name(f"{stem.name}.pdf"), "pdf", undated)
 
 
 def label_panel(axes: Axes, letter: str) -> None:

@@ -1,0 +1,115 @@
+"""Damaged, unfinished and full stores: told, made up for, and never in the way."""
+
+import os
+import sqlite3
+
+import pytest
+
+from tests.study import synthetic
+from twin.study.engine import Run
+from twin.study.index import Index
+from twin.study.store import Store
+from twin.study.table import read_table, write_csv
+from twin.study.workers import local_workers
+
+
+def csv_of(store, tmp_path, name):
+    write_csv(read_table(store.folder), tmp_path / name)
+    return (tmp_path / name).read_bytes()
+
+
+@pytest.mark.parametrize("left", [(".store.json.4711",), ("store.json",), ("store.json", "cases")])
+def test_killed_before_the_store_is_one(few, stored, tmp_path, left):
+    """Setup: what a run leaves that is killed while it makes its store."""
+    whole, _ = stored(few, "whole")
+    folder = tmp_path / "killed"
+    folder.mkdir()
+    for name in left:
+        if name == "cases":
+            (folder / name).mkdir()
+        else:
+            (folder / name).write_bytes((whole.folder / "store.json").read_bytes())
+    store = Store(folder)
+    assert store.finished() == set()
+    store.open()
+    assert store.finished() == set()
+    assert store.abandoned() == []
+    with store.claimed("00ff") as mine:
+        assert mine
+
+
+def test_give_up_on_a_full_disk(study_of, stored, monkeypatch):
+    """Not even the reason of a crash can be written: it is told, and the rest goes on."""
+    import errno
+
+    from twin.study import store as store_module
+
+    def synchronise(folder):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(folder))
+
+    monkeypatch.setattr(store_module, "_synchronise", synchronise)  # of this process, not workers
+    store, cases = stored(study_of({"path": "coating.base_albedo", "values": [0.1, 0.4, 0.5]}))
+    outcome = Run(store, local_workers(2), make_measurer=synthetic.Failing)(cases)
+    assert outcome.states == {"done": 2, "unsaved": 1}
+    (reason,) = outcome.unsaved.values()
+    assert "died 3 times" in reason
+    assert "No space left" in reason
+
+
+def test_full_disk_is_told_and_made_up_for(study_of, stored, monkeypatch):
+    """The disk is full for two cases: they are told, the rest is saved, a second run adds them."""
+    import errno
+
+    from twin.study import store as store_module
+
+    albedo = {"path": "coating.base_albedo", "values": [0.1, 0.2, 0.3, 0.4]}
+    store, cases = stored(study_of(albedo))
+    real, calls = store_module._synchronise, []
+
+    def synchronise(folder):
+        calls.append(folder)
+        if len(calls) in (2, 3):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(folder))
+        real(folder)
+
+    monkeypatch.setattr(store_module, "_synchronise", synchronise)
+    index = Index(store)
+    outcome = Run(store, local_workers(1), make_measurer=synthetic.Fake, done=index.enter)(cases)
+    assert outcome.states == {"done": 2, "unsaved": 2}
+    assert all("No space left" in reason for reason in outcome.unsaved.values())
+    told = [e for e in index.entries().values() if e.state == "unsaved"]
+    assert {e.digest for e in told} == set(outcome.unsaved)
+    assert not any((store.folder / ".parts").iterdir())
+    again = Run(store, local_workers(1), make_measurer=synthetic.Fake, done=index.enter)(cases)
+    assert again.states == {"done": 2}
+    assert {e.state for e in index.entries().values()} == {"done"}
+
+
+def test_an_index_that_fails_stops_nothing(few, stored, monkeypatch):
+    """Damaged while cases are entered; then one that cannot be opened at all."""
+    store, cases = stored(few)
+    (store.folder / "index.sqlite").write_bytes(b"no database at all" * 100)
+    index = Index(store)
+    Run(store, local_workers(1), make_measurer=synthetic.Fake, done=index.enter)(cases)
+    digests = {case.digest for case in cases}
+    assert index.entries().keys() == digests
+
+    def refuse(*_, **__):
+        raise sqlite3.OperationalError("unable to open database file")
+
+    monkeypatch.setattr(sqlite3, "connect", refuse)
+    assert index.entries().keys() == digests
+    assert (store.folder / "index.sqlite").is_file()
+
+
+def test_index_is_made_anew(few, stored, tmp_path):
+    store, cases = stored(few)
+    index = Index(store)
+    Run(store, local_workers(1), make_measurer=synthetic.Fake, done=index.enter)(cases)
+    before = csv_of(store, tmp_path, "before.csv")
+    (store.folder / "index.sqlite").unlink()
+    assert csv_of(store, tmp_path, "missing.csv") == before
+    (store.folder / "index.sqlite").write_bytes(b"no database at all" * 100)
+    assert csv_of(store, tmp_path, "damaged.csv") == before
+    store.forget(cases[0].digest)
+    assert index.entries().keys() == {case.digest for case in cases[1:]}
