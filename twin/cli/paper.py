@@ -43,6 +43,8 @@ def paper(
 
     if trials is not None and not 2 <= trials <= 10000:
         raise InputError(f"--trials {trials}: allowed 2 to 10000")
+    if workers is not None and workers < 1:
+        raise InputError(f"--workers {workers}: allowed 1 or more")
     count = trials or (QUICK_TRIALS if quick else FULL_TRIALS)
     with progress_bars() as watch:
         wish = Wish(count, tuple(only or ()), full)
