@@ -25,9 +25,41 @@ def test_blur_is_box_then_gaussian():
 
 
 def test_without_blur_every_point_belongs_to_one_pixel():
+    """On the border of two pixels both share it: the limit of ever less blur."""
     light = np.arange(5.0)[:, None]
-    at_px = np.array([-0.5, 0.49, 0.5, 3.2, 4.49])
-    np.testing.assert_array_equal(blur(light, at_px, 0.0)[:, 0], [0, 0, 1, 3, 4])
+    at_px = np.array([-0.5, 0.49, 0.5, 0.51, 3.2, 4.49, 4.5])
+    np.testing.assert_array_equal(blur(light, at_px, 0.0)[:, 0], [0, 0, 0.5, 1, 3, 4, 2])
+
+
+def test_no_blur_is_the_limit_of_little_blur(experiment):
+    """Setup: phase read from the table in use, between its nodes, with blur 0 and 0.001 px.
+
+    Expected: the same coordinate within 0.0005 px, and neither shifted by a part of a node.
+    """
+    patterns = pattern_set(experiment.projector, experiment.patterns)
+    at_px = np.linspace(20.0, 300.0, 4481) + 1e-3
+    without, little = (
+        _decoded_px(
+            vary(experiment, {"projector.blur_px": {"value": blur_px, "source": "test"}}),
+            patterns,
+            at_px,
+        )
+        for blur_px in (0.0, 0.001)
+    )
+    np.testing.assert_allclose(without, little, atol=5e-4)
+    assert abs(np.mean(without - at_px)) < 5e-4
+
+
+def _decoded_px(experiment, patterns, at_px):
+    """Column coordinates from the phase frames, as the renderer interpolates them."""
+    table = light_tables(experiment.projector, patterns)["column"]
+    nodes_px = table.first_px + np.arange(len(table.profiles)) / OVERSAMPLING
+    steps = [k for k, n in enumerate(table.frames) if patterns.frames[n].kind == "phase"]
+    turns = np.exp(-2j * np.pi * np.arange(len(steps)) / len(steps))
+    frames = [np.interp(at_px, nodes_px, table.profiles[:, k].astype(np.float64)) for k in steps]
+    period_px = experiment.patterns.period_px
+    phase = np.angle(turns @ np.array(frames)) - 2 * np.pi * at_px / period_px
+    return at_px + period_px * np.angle(np.exp(1j * phase)) / (2 * np.pi)
 
 
 def test_response_spans_black_to_white(experiment):

@@ -147,7 +147,9 @@ def blur(
 
 
 def _mass(offset_px: NDArray[np.float64], blur_px: float) -> NDArray[np.float64]:
-    if blur_px == 0.0:  # half-open pixels: every x belongs to exactly one
-        return ((offset_px >= -0.5) & (offset_px < 0.5)).astype(np.float64)
-    scale = np.sqrt(2.0) * blur_px
-    return np.asarray(0.5 * (erf((offset_px + 0.5) / scale) - erf((offset_px - 0.5) / scale)))
+    def below(edge_px: NDArray[np.float64]) -> NDArray[np.float64]:
+        # The limit of no blur: a node on the border of two pixels belongs half to each, else the
+        # ramp to the node beside it would shift the border by half a node.
+        return np.sign(edge_px) if blur_px == 0.0 else erf(edge_px / (np.sqrt(2.0) * blur_px))
+
+    return np.asarray(0.5 * (below(offset_px + 0.5) - below(offset_px - 0.5)))
