@@ -80,7 +80,7 @@ def refit_row(
     for col in range(damaged.size):
         if not damaged[col]:
             continue
-        limit = black + (limits.saturation_dn - black) * scale[col]
+        limit = black + (limits.clipped_from_dn - black) * scale[col]
         n, s1, s2, s11, s12, s22, y, y1, y2 = _normal_sums(
             stack, first, row, col, layout, lowest, limit
         )

@@ -54,7 +54,7 @@ class Limits(NamedTuple):
     gain_dn_per_e: np.float32
     read_noise_dn: np.float32
     black_level_dn: np.float32
-    saturation_dn: np.float32
+    clipped_from_dn: np.float32
     lowest_dn: np.float32
     dark_sigmas: np.float32
     gray_sigmas: np.float32
@@ -174,7 +174,7 @@ def add_frames(stack: Any, first: int, row: int, layout: Layout, sums: Sums) -> 
 @compiled
 def find_damaged(sums: Sums, scale: Any, limits: Limits, damaged: Any) -> Any:
     """Mark pixels with a clipped, lost or non-finite frame; return how many there are."""
-    black, span = limits.black_level_dn, limits.saturation_dn - limits.black_level_dn
+    black, span = limits.black_level_dn, limits.clipped_from_dn - limits.black_level_dn
     total, high, low = sums.total, sums.high, sums.low
     count = 0
     for col in range(damaged.size):

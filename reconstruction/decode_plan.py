@@ -79,7 +79,7 @@ def _limits(
         gain_dn_per_e=np.float32(sensor.gain_dn_per_e),
         read_noise_dn=np.float32(sensor.gain_dn_per_e * sensor.read_noise_e),
         black_level_dn=np.float32(sensor.black_level_dn),
-        saturation_dn=np.float32(sensor.saturation_dn),
+        clipped_from_dn=np.float32(sensor.clipped_from_dn),
         lowest_dn=np.float32(0.0 if has_lost else -np.inf),
         dark_sigmas=np.float32(options.dark_sigmas),
         gray_sigmas=np.float32(options.gray_sigmas),

@@ -23,7 +23,7 @@ class MergedExposures:
 
     Parameters
     ----------
-    stack : (frame, row, col) float32, DN of the longest exposure; may exceed the saturation level
+    stack : (frame, row, col) float32, DN of the longest exposure; may exceed `saturation_dn`
     scale : (row, col) float32, s >= 1, for `decode`
     chosen : (row, col) uint8, index of the exposure taken
     exposure_ms : that of the stack
@@ -61,7 +61,7 @@ def merge_exposures(
     chosen = np.zeros(merged.shape[1:], np.uint8)
     for rank, i in enumerate(order):
         # This way round NaN counts as saturated.
-        takes = np.asarray(stacks[i].max(axis=0) < sensor.saturation_dn) | (rank == 0)
+        takes = np.asarray(stacks[i].max(axis=0) < sensor.clipped_from_dn) | (rank == 0)
         s = np.float32(longest_ms / exposures_ms[i])
         scale[takes], chosen[takes] = s, i
         for target, frame in zip(merged, stacks[i], strict=True):

@@ -94,7 +94,7 @@ def _sample(
     largest = sample.max(axis=0).astype(np.float64)
     span = largest - sample.min(axis=0)
     is_lit = (span > LIT_SIGMAS * np.sqrt(sensor.variance_dn2(largest))) & (
-        largest < sensor.saturation_dn
+        largest < sensor.clipped_from_dn
     )
     thinned = None if calibration is None else _thinned(calibration, stride, sample.shape[1:])
     return Sample(sample, patterns, sensor, thinned, is_lit)

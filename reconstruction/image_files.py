@@ -176,13 +176,13 @@ def subtract_dark(stack: Stack, dark: Image, sensor: SensorNoise) -> Stack:
     """Return float32 frames with every pixel's dark value moved to the black level.
 
     A clipped pixel stays clipped, and a lost one (0) stays lost, for `decode` to see. One that a
-    dark value below the black level lifts to the saturation counts as clipped from then on.
+    dark value below the black level lifts to `clipped_from_dn` counts as clipped from then on.
     """
     black_dn = np.float32(sensor.black_level_dn)
     offset = dark.astype(np.float32) - black_dn
     result = stack.astype(np.float32)
     for frame in result:
-        keeps = (frame >= sensor.saturation_dn) | ((frame == 0.0) & (black_dn > 0.0))
+        keeps = (frame >= sensor.clipped_from_dn) | ((frame == 0.0) & (black_dn > 0.0))
         frame -= np.where(keeps, np.float32(0.0), offset)
         np.minimum(frame, np.float32(sensor.saturation_dn), out=frame)
     return result
@@ -194,7 +194,7 @@ def _check_exposures(sets: Sequence[Stack], description: FrameSet, patterns: Pat
     first = sets[0][white].astype(np.float64) - sets[0][black]
     for number in range(1, len(sets)):
         light = sets[number][white].astype(np.float64) - sets[number][black]
-        below = np.maximum(sets[0][white], sets[number][white]) < sensor.saturation_dn
+        below = np.maximum(sets[0][white], sets[number][white]) < sensor.clipped_from_dn
         is_lit = below & (np.maximum(first, light) > 0.1 * sensor.saturation_dn)
         if not is_lit.any():
             continue

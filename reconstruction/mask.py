@@ -12,7 +12,7 @@ class Reason(IntEnum):
     LOW_MODULATION = 2
     """Fringe contrast too small for the phase uncertainty asked for."""
     SATURATED = 3
-    """At least one phase frame reached the saturation level."""
+    """Clipped or lost phase frames leave too few for a fit."""
     ORDER_UNCERTAIN = 4
     """The Gray word could stand for another fringe order, or contradicts the phase."""
     OUTSIDE_PROJECTOR = 5

@@ -58,7 +58,7 @@ def _harmonics(frames: Stack, sensor: SensorNoise) -> Doubles:
         first += frame * np.exp(-2j * np.pi * turn)
         second += frame * np.exp(-4j * np.pi * turn)
     size = np.abs(first)
-    is_whole = frames.max(axis=0) < sensor.saturation_dn
+    is_whole = frames.max(axis=0) < sensor.clipped_from_dn
     is_good = is_whole & (size > 10.0 * _noise_of_sum(frames, sensor))
     unit = first[is_good] / size[is_good]
     return np.array([size[is_good].sum(), (second[is_good] / unit**2).real.sum()])

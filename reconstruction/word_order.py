@@ -49,7 +49,7 @@ def _corners(stack: Stack, sensor: SensorNoise) -> NDArray[np.float32]:
     values_dn = np.stack([frame[row, col] for frame in stack]).astype(np.float32)
     low_dn, high_dn = values_dn.min(axis=0), values_dn.max(axis=0)
     noise_dn = np.sqrt(sensor.variance_dn2(high_dn.astype(np.float64)))
-    usable = (high_dn < sensor.saturation_dn) & (high_dn - low_dn > LIT_SIGMAS * noise_dn)
+    usable = (high_dn < sensor.clipped_from_dn) & (high_dn - low_dn > LIT_SIGMAS * noise_dn)
     return values_dn[:, usable.all(axis=1)]
 
 

@@ -26,7 +26,7 @@ def test_bare_specimen_passes_at_any_exposure(mi):
         exposure = {"camera.exposure_ms": factor * recording.exposure_ms}
         experiment = load_experiment("paper/ball", SMALL | exposure)
         capture = expose_capture(experiment, recording.radiance, Stopwatch(), 1).capture
-        clipped = np.mean(capture.stack.max(axis=0) >= capture.sensor.saturation_dn)
+        clipped = np.mean(capture.stack.max(axis=0) >= capture.sensor.clipped_from_dn)
         assert (clipped > 0.02) == (factor == 8.0)
         for calibration in (capture.calibration, None):
             check_order(capture.stack, capture.patterns, capture.sensor, calibration)

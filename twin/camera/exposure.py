@@ -16,6 +16,7 @@ from reconstruction.cores import threads
 from reconstruction.errors import InputError
 from reconstruction.sensor import SensorNoise
 from twin.camera.sensor import (
+    dark_offset_e,
     electrons_per_ms,
     full_well_e,
     gain_dn_per_e,
@@ -121,7 +122,7 @@ def _fixed_pattern(experiment: Experiment, shape: tuple[int, ...]) -> _Pixels:
     camera = experiment.camera
     rng = np.random.default_rng(seed_sequence(experiment, "fixed_pattern"))
     response = 1.0 + camera.prnu_percent / 100.0 * rng.standard_normal(shape, np.float32)
-    offset_e = camera.dsnu_e * camera.binning * rng.standard_normal(shape, np.float32)
+    offset_e = dark_offset_e(camera) * rng.standard_normal(shape, np.float32)
     return _Pixels(response.astype(np.float32), offset_e.astype(np.float32))
 
 

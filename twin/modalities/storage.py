@@ -176,6 +176,6 @@ def recording_metrics(recording: Recording) -> dict[str, Any]:
         "exposure_ms": recording.exposure_ms,
         "frames": len(recording.capture.patterns.frames),
         "saturated_share": float(
-            (recording.capture.stack >= recording.capture.sensor.saturation_dn).mean()
+            (recording.capture.stack >= recording.capture.sensor.clipped_from_dn).mean()
         ),
     }
