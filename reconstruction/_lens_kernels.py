@@ -5,13 +5,24 @@
 from typing import Any, NamedTuple
 
 from reconstruction._jit import compiled, inlined
-from reconstruction.pinhole import INVERSE_STEPS, distort, distortion_jacobian
+from reconstruction.pinhole import (
+    INVERSE_STEPS,
+    NO_DISTORTION,
+    Pinhole,
+    distort,
+    distortion_jacobian,
+    fold_square,
+    is_before_fold,
+    newton_step,
+)
 
 # Newton squares the error: a step below 1e-7 leaves far less than 1e-12.
 RAY_TOLERANCE = 1e-7
 
 distort_inlined = inlined(distort)
 distortion_jacobian_inlined = inlined(distortion_jacobian)
+newton_step_inlined = inlined(newton_step)
+is_before_fold_inlined = inlined(is_before_fold)
 
 
 class Lens(NamedTuple):
@@ -23,6 +34,21 @@ class Lens(NamedTuple):
     cy: float
     distortion: tuple[float, float, float, float, float]
     is_ideal: bool
+    fold_square: float
+
+
+def lens_of(device: Pinhole) -> Lens:
+    """Return the intrinsics of a device as the kernels take them."""
+    k1, k2, p1, p2, k3 = (float(value) for value in device.distortion)
+    return Lens(
+        float(device.fx_px),
+        float(device.fy_px),
+        float(device.cx_px),
+        float(device.cy_px),
+        (k1, k2, p1, p2, k3),
+        tuple(device.distortion) == NO_DISTORTION,
+        fold_square(device.distortion),
+    )
 
 
 @compiled
@@ -36,16 +62,13 @@ def _newton_row(
         x_target = (col - camera.cx) * x_scale
         x_old, y_old = x_target + x_bend[col], y_target + y_bend[col]
         x_now, y_now = distort_inlined(x_old, y_old, camera.distortion)
-        xx, xy, yy = distortion_jacobian_inlined(x_old, y_old, camera.distortion)
-        x_miss, y_miss = x_target - x_now, y_target - y_now
-        determinant = xx * yy - xy * xy
-        scale = 1.0 / determinant
-        dx, dy = scale * (yy * x_miss - xy * y_miss), scale * (xx * y_miss - xy * x_miss)
+        jacobian = distortion_jacobian_inlined(x_old, y_old, camera.distortion)
+        dx, dy = newton_step_inlined(x_target - x_now, y_target - y_now, jacobian)
         x[col], y[col] = x_old + dx, y_old + dy
         x_bend[col], y_bend[col] = x_bend[col] + dx, y_bend[col] + dy
-        # Beyond a fold the Jacobian is no longer positive definite: another ray's solution.
         is_close = abs(dx) + abs(dy) < RAY_TOLERANCE
-        found[col] = is_close & (xx > 0.0) & (determinant > 0.0)
+        is_before = is_before_fold_inlined(x_old, y_old, jacobian, camera.fold_square)
+        found[col] = is_close & is_before
         pending += not is_close
     return pending
 

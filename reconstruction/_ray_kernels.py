@@ -18,6 +18,7 @@ from reconstruction._lens_kernels import (
     Lens,
     distort_inlined,
     distortion_jacobian_inlined,
+    is_before_fold_inlined,
     ray_row,
 )
 from reconstruction.mask import Reason
@@ -151,7 +152,8 @@ def _step_row(
         px, py = (d * ax + bx) * inverse, (d * ay + by) * inverse
         px_slope, py_slope = (ax - px * az) * inverse, (ay - py * az) * inverse
         xd, yd = distort_inlined(px, py, lens.distortion)
-        xx, xy, yy = distortion_jacobian_inlined(px, py, lens.distortion)
+        jacobian = distortion_jacobian_inlined(px, py, lens.distortion)
+        xx, xy, yy = jacobian
         us = lens.fx * (xx * px_slope + xy * py_slope)
         vs = lens.fy * (xy * px_slope + yy * py_slope)
         du, dv = u[col] - lens.fx * xd - lens.cx, v[col] - lens.fy * yd - lens.cy
@@ -160,7 +162,8 @@ def _step_row(
         is_ahead = (d > 0.0) & (z > 0.0)
         # A NaN counts as ahead of nothing and as not there.
         is_there = abs(step) <= DEPTH_TOLERANCE * d
-        is_lost = (not is_ahead) | (is_last & (not is_there))
+        is_folded = is_there & (not is_before_fold_inlined(px, py, jacobian, lens.fold_square))
+        is_lost = (not is_ahead) | (is_last & (not is_there)) | is_folded
         is_active = reason[col] == 0
         reason[col] = NO_POINT if is_active & is_lost else reason[col]
         pending += is_active & is_ahead & (not is_there)

@@ -22,4 +22,5 @@ class Reason(IntEnum):
     EPIPOLAR_MISMATCH = 7
     """Column and row coordinate belong to no common point of this camera ray."""
     NO_POINT = 8
-    """The camera ray and the projector plane do not meet in front of both devices."""
+    """No camera ray (the lens folds before it), or none that meets the projector plane in front of
+    both devices and before the projector's lens folds."""

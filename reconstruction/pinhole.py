@@ -1,6 +1,10 @@
 """Pinhole with Brown-Conrady distortion, in OpenCV's frame: x right, y down, z forward, mm.
 
 Pixel (0, 0) is the CENTRE of the first pixel. Normalised coordinates are (x / z, y / z).
+
+A barrel distortion folds the field: beyond some angle the image runs back towards the centre. What
+lies beyond the fold is not seen, and image points outside the fold's image have no ray. The inverse
+by Newton's method is one for numpy, the compiled kernels and the renderer.
 """
 
 from dataclasses import dataclass
@@ -9,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from reconstruction.arrays import Doubles
+from reconstruction.arrays import BoolImage, Doubles
 from reconstruction.checks import require_integer, require_number
 from reconstruction.errors import InputError
 
@@ -17,6 +21,10 @@ NO_DISTORTION = (0.0, 0.0, 0.0, 0.0, 0.0)
 # Newton doubles the digits per step: 1e-12 leaves the returned point far below the 1e-10 promised.
 INVERSE_TOLERANCE = 1e-12
 INVERSE_STEPS = 30
+# A fold a million focal lengths off axis is none.
+LEAST_INVERSE = 1e-12
+# To a 4096th of the way from the image's centre.
+CORNER_HALVINGS = 12
 
 
 def distort(x: Any, y: Any, distortion: tuple[float, ...]) -> tuple[Any, Any]:
@@ -39,6 +47,35 @@ def distortion_jacobian(x: Any, y: Any, distortion: tuple[float, ...]) -> tuple[
     xy = slope * x * y + 2.0 * p1 * x + 2.0 * p2 * y
     yy = radial + slope * y * y + 6.0 * p1 * y + 2.0 * p2 * x
     return xx, xy, yy
+
+
+def newton_step(x_miss: Any, y_miss: Any, jacobian: tuple[Any, Any, Any]) -> tuple[Any, Any]:
+    """Return the step in x and y that takes off what `distort` misses, to first order."""
+    xx, xy, yy = jacobian
+    scale = 1.0 / (xx * yy - xy * xy)
+    return scale * (yy * x_miss - xy * y_miss), scale * (xx * y_miss - xy * x_miss)
+
+
+def is_before_fold(x: Any, y: Any, jacobian: tuple[Any, Any, Any], fold_square: float) -> Any:
+    """Tell whether a direction lies where the image grows outwards, all the way from the centre.
+
+    Beyond a fold the Jacobian is not positive definite. Behind a second fold it is so again, but
+    further out than `fold_square`, for which see there.
+    """
+    xx, xy, yy = jacobian
+    return (xx > 0.0) & (xx * yy > xy * xy) & (x * x + y * y < fold_square)
+
+
+def fold_square(distortion: tuple[float, ...]) -> float:
+    """Return the square of the radius at which the radial part first folds; inf: nowhere.
+
+    The least s > 0 with d(r radial)/dr = 1 + 3 k1 s + 5 k2 s^2 + 7 k3 s^3 = 0, solved for 1 / s.
+    """
+    k1, k2, _, _, k3 = distortion
+    roots = np.roots([1.0, 3.0 * k1, 5.0 * k2, 7.0 * k3])
+    real = roots.real[np.abs(roots.imag) <= 1e-9 * np.abs(roots)]
+    largest = float(np.max(real, initial=0.0))
+    return 1.0 / largest if largest > LEAST_INVERSE else np.inf
 
 
 @dataclass(frozen=True)
@@ -118,36 +155,48 @@ class Pinhole:
         pixels = np.asarray(pixels_px, dtype=np.float64)
         if pixels.ndim == 0 or pixels.shape[-1] != 2:
             raise InputError(f"pixels to unproject have shape {pixels.shape}; give (..., 2)")
-        x_target = (pixels[..., 0] - self.cx_px) / self.fx_px
-        y_target = (pixels[..., 1] - self.cy_px) / self.fy_px
-        return np.stack(self._undistort(x_target, y_target), axis=-1)
+        rays, found = self._rays(pixels)
+        if not found.all():
+            raise InputError(
+                f"distortion {self.distortion} has no inverse at some of the pixels; "
+                "it folds the image there: fit fewer coefficients or stay inside the calibrated "
+                "field"
+            )
+        return rays
 
-    def _undistort(self, x_target: Doubles, y_target: Doubles) -> tuple[Doubles, Doubles]:
-        x, y = x_target.copy(), y_target.copy()
-        dx, dy = np.zeros_like(x), np.zeros_like(y)
-        # A folding distortion throws the iteration to infinity: that ends in the error below.
-        with np.errstate(over="ignore", invalid="ignore"):
+    def seen_corners(self) -> Doubles:
+        """Return the normalised coordinates at the image's corners, (4, 2), in turn from (0, 0).
+
+        Of a corner without a ray, those at the last point towards it that has one.
+
+        Raises
+        ------
+        InputError : the distortion has no inverse at the image's centre
+        """
+        right, bottom = self.width_px - 0.5, self.height_px - 0.5
+        corners = np.array([[-0.5, -0.5], [right, -0.5], [right, bottom], [-0.5, bottom]])
+        centre = corners.mean(axis=0)
+        low, high = self._rays(corners)[1].astype(float)[:, np.newaxis], np.ones((4, 1))
+        for _ in range(CORNER_HALVINGS):
+            middle = (low + high) / 2.0
+            found = self._rays(centre + middle * (corners - centre))[1][:, np.newaxis]
+            low, high = np.where(found, middle, low), np.where(found, high, middle)
+        return self.unproject(centre + low * (corners - centre))
+
+    def _rays(self, pixels_px: Doubles) -> tuple[Doubles, BoolImage]:
+        """Return normalised coordinates (..., 2), and where there are any (...)."""
+        x_target = (pixels_px[..., 0] - self.cx_px) / self.fx_px
+        y_target = (pixels_px[..., 1] - self.cy_px) / self.fy_px
+        x, y, close = x_target, y_target, np.zeros(x_target.shape, np.bool_)
+        # Beyond a fold the iteration goes anywhere, also to infinity.
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             for _ in range(INVERSE_STEPS):
-                dx, dy = _newton_step(x, y, x_target, y_target, self.distortion)
-                x, y = x + dx, y + dy
-                if float(np.max(np.hypot(dx, dy), initial=0.0)) < INVERSE_TOLERANCE:
+                x_now, y_now = distort(x, y, self.distortion)
+                jacobian = distortion_jacobian(x, y, self.distortion)
+                dx, dy = newton_step(x_target - x_now, y_target - y_now, jacobian)
+                x, y, close = x + dx, y + dy, np.hypot(dx, dy) < INVERSE_TOLERANCE
+                if close.all():
                     break
-            xx, xy, yy = distortion_jacobian(x, y, self.distortion)
-            # Beyond a fold the Jacobian is no longer positive definite: another ray's solution.
-            converged = np.hypot(dx, dy) < INVERSE_TOLERANCE
-            if bool(np.all(converged & (xx > 0.0) & (xx * yy > xy * xy))):
-                return x, y
-        raise InputError(
-            f"distortion {self.distortion} has no inverse at some of the pixels; "
-            "it folds the image there: fit fewer coefficients or stay inside the calibrated field"
-        )
-
-
-def _newton_step(
-    x: Doubles, y: Doubles, x_target: Doubles, y_target: Doubles, distortion: tuple[float, ...]
-) -> tuple[Doubles, Doubles]:
-    x_now, y_now = distort(x, y, distortion)
-    xx, xy, yy = distortion_jacobian(x, y, distortion)
-    determinant = np.where(xx * yy - xy * xy == 0.0, np.inf, xx * yy - xy * xy)
-    x_miss, y_miss = x_target - x_now, y_target - y_now
-    return (yy * x_miss - xy * y_miss) / determinant, (xx * y_miss - xy * x_miss) / determinant
+            jacobian = distortion_jacobian(x, y, self.distortion)
+            before = is_before_fold(x, y, jacobian, fold_square(self.distortion))
+        return np.stack([x, y], axis=-1), np.asarray(close & before)

@@ -13,7 +13,7 @@ import numpy as np
 
 from reconstruction._half_kernels import BIAS
 from reconstruction._jit import run_over_rows
-from reconstruction._lens_kernels import Lens
+from reconstruction._lens_kernels import lens_of
 from reconstruction._ray_kernels import Fringe, Match, Motion, Points, Rig, meet_rows
 from reconstruction.arrays import BoolImage, Doubles, FloatImage, ReasonImage
 from reconstruction.calibration import Calibration
@@ -23,7 +23,6 @@ from reconstruction.decode_plan import SIGMA_UNIT_PX
 from reconstruction.decoded import AxisDecode, Decoded
 from reconstruction.errors import InputError
 from reconstruction.mask import Reason
-from reconstruction.pinhole import NO_DISTORTION, Pinhole
 
 # The first row of a band takes more steps than the others, which start from the row before.
 BAND_ROWS = 48
@@ -169,8 +168,8 @@ def _packed_sigma(axis: AxisDecode) -> Bits:
 
 def _rig(calibration: Calibration) -> Rig:
     return Rig(
-        _lens(calibration.camera),
-        _lens(calibration.projector),
+        lens_of(calibration.camera),
+        lens_of(calibration.projector),
         _motion(calibration.T_proj_from_cam),
         _motion(calibration.T_world_from_cam),
     )
@@ -178,15 +177,3 @@ def _rig(calibration: Calibration) -> Rig:
 
 def _motion(matrix: Doubles) -> Motion:
     return tuple(tuple(float(value) for value in line) for line in matrix[:3])
-
-
-def _lens(device: Pinhole) -> Lens:
-    k1, k2, p1, p2, k3 = (float(value) for value in device.distortion)
-    return Lens(
-        float(device.fx_px),
-        float(device.fy_px),
-        float(device.cx_px),
-        float(device.cy_px),
-        (k1, k2, p1, p2, k3),
-        tuple(device.distortion) == NO_DISTORTION,
-    )

@@ -51,6 +51,24 @@ def test_a_folding_distortion_is_refused():
         Pinhole(100, 100, 50.0, 50.0, 50.0, 50.0, (-1.0, 0.0, 0.0, 0.0, 0.0)).unproject([99, 50])
 
 
+def test_a_solution_behind_the_fold_is_refused():
+    """The polynomial rises again there and reaches the pixel, at r = 1.93; the lens does not."""
+    lens = Pinhole(300, 100, 100.0, 100.0, 149.5, 49.5, (-0.5, 0.1, 0.0, 0.0, 0.0))
+    with pytest.raises(InputError, match="no inverse"):
+        lens.unproject([149.5 + 101.0, 49.5])
+
+
+def test_corners_without_a_ray_are_drawn_where_the_field_ends():
+    """Setup: r (1 - 0.5 r^2) ends at 0.544, at r = 0.816; the corners lie at 0.5 and at 1."""
+    inside = Pinhole(80, 60, 100.0, 100.0, 39.5, 29.5, (-0.5, 0.0, 0.0, 0.0, 0.0))
+    wide = Pinhole(160, 120, 100.0, 100.0, 79.5, 59.5, (-0.5, 0.0, 0.0, 0.0, 0.0))
+    corners_px = [[-0.5, -0.5], [79.5, -0.5], [79.5, 59.5], [-0.5, 59.5]]
+    np.testing.assert_allclose(inside.seen_corners(), inside.unproject(corners_px), atol=1e-12)
+    ends = wide.seen_corners()
+    np.testing.assert_allclose(np.hypot(*ends.T), np.sqrt(2.0 / 3.0), atol=0.03)
+    np.testing.assert_allclose(np.sign(ends), [[-1, -1], [1, -1], [1, 1], [-1, 1]])
+
+
 @pytest.mark.parametrize("point", [[0.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 0.0, np.nan]])
 def test_points_beside_or_behind_are_refused(point):
     with pytest.raises(InputError, match="z <= 0"):

@@ -43,6 +43,47 @@ def test_points_come_back(calibration, surface, project, use):
     assert np.max(np.abs(found.points_world_mm - points)) < 1e-5
 
 
+FOLDING = (-0.5, 0.0, 0.0, 0.0, 0.0)
+FOLD_RADIUS = np.sqrt(2.0 / 3.0)
+
+
+def test_pixels_without_a_ray_have_no_point(calibration, aim):
+    """Setup: camera to 0.7 of its focal length whose lens r (1 - 0.5 r^2) shows 0.544."""
+    camera = Pinhole(120, 90, 110.0, 110.0, 59.5, 44.5, FOLDING)
+    rig = dataclasses.replace(calibration, camera=camera, T_world_from_cam=aim([0, 0, 50], [0] * 3))
+    decoded = decoded_from(np.broadcast_to([640.0, 360.0], (90, 120, 2)))
+    found = triangulate(decoded, rig, tolerance=EpipolarTolerance(1e9))
+    rows, cols = np.mgrid[:90, :120]
+    lost = np.hypot(cols - 59.5, rows - 44.5) / 110.0 > FOLD_RADIUS * 2.0 / 3.0
+    assert lost.any()
+    np.testing.assert_array_equal(found.mask_reason[lost], Reason.NO_POINT)
+    assert found.valid[~lost].mean() > 0.9
+    assert not found.points_world_mm[lost].any()
+
+
+def test_what_the_projector_folds_back_is_no_point(aim):
+    """Setup: a plane, part of which lies beyond the fold of the projector's lens.
+
+    Expected: all before it is found, and no point beyond, though the pixels are on the image and
+    have solutions there; next to the fold, those before it are within the tolerance.
+    """
+    camera = Pinhole(120, 90, 60.0, 60.0, 59.5, 44.5)
+    projector = Pinhole(1280, 720, 500.0, 500.0, 639.5, 359.5, FOLDING)
+    poses = aim([0.0, 0.0, 214.0], [0.0] * 3), aim([125.0, -110.0, 216.0], [0.0] * 3)
+    rig = Calibration(camera, projector, *poses)
+    pixels = np.stack(np.meshgrid(np.arange(120), np.arange(90)), axis=-1)
+    rays = np.concatenate([camera.unproject(pixels), np.ones((90, 120, 1))], axis=-1)
+    inside = 214.0 * rays @ rig.T_proj_from_cam[:3, :3].T + rig.T_proj_from_cam[:3, 3]
+    radius = np.hypot(inside[..., 0], inside[..., 1]) / inside[..., 2]
+    found = triangulate(decoded_from(projector.project(inside)), rig, "both")
+    T = np.linalg.inv(rig.T_world_from_proj)
+    x, y, z = np.moveaxis(found.points_world_mm[found.valid] @ T[:3, :3].T + T[:3, 3], -1, 0)
+    assert (np.hypot(x, y) / z).max() < FOLD_RADIUS + 1e-6
+    assert found.valid[radius < 0.99 * FOLD_RADIUS].all()
+    assert (radius > 1.1 * FOLD_RADIUS).mean() > 0.02
+    assert not found.valid[radius > 1.1 * FOLD_RADIUS].any()
+
+
 @settings(deadline=None, max_examples=60)
 @given(
     angle_deg=st.floats(10.0, 50.0),

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from reconstruction.patterns import Frame, PatternSet
-from reconstruction.pinhole import distort
+from reconstruction.pinhole import distort, distortion_jacobian, fold_square, is_before_fold
 from twin.optics.connection import Rig
 from twin.optics.device_frames import field_of_view_deg, perspective_sensor, to_world
 from twin.optics.light import MARGIN_PX, OVERSAMPLING, LightTable, along
@@ -94,7 +94,10 @@ def _pixels_on(canvas: Canvas, rig: Rig) -> tuple[NDArray[np.float64], NDArray[n
     x_px, y_px = canvas.centres_px()
     x, y = x_px[None, :] / p.fx_px, y_px[:, None] / p.fy_px
     if any(p.distortion):
-        x, y = distort(x, y, p.distortion)
+        seen = is_before_fold(
+            x, y, distortion_jacobian(x, y, p.distortion), fold_square(p.distortion)
+        )
+        x, y = (np.where(seen, axis, np.inf) for axis in distort(x, y, p.distortion))
     return x * p.fx_px + p.cx_px, y * p.fy_px + p.cy_px
 
 

@@ -105,9 +105,7 @@ def _cover(axes: Axes, experiment: Experiment) -> None:
 
 def _on_face(device: Pinhole, pose: NDArray[np.float64]) -> NDArray[np.float64]:
     """World points where the corners of a device's image meet z = 0, (4, xyz)."""
-    right, bottom = device.width_px - 0.5, device.height_px - 0.5
-    corners_px = np.array([[-0.5, -0.5], [right, -0.5], [right, bottom], [-0.5, bottom]])
-    rays = np.column_stack([device.unproject(corners_px), np.ones(4)]) @ pose[:3, :3].T
+    rays = np.column_stack([device.seen_corners(), np.ones(4)]) @ pose[:3, :3].T
     return np.asarray(pose[:3, 3] - (pose[2, 3] / rays[:, 2])[:, None] * rays)
 
 

@@ -73,9 +73,7 @@ def _flat(points_world_mm: FloatArray, across: FloatArray) -> FloatArray:
 
 def _fan(axes: Axes, device: Pinhole, pose: FloatArray, across: FloatArray, colour: str) -> None:
     """Shade what a device covers between its pinhole and the undeformed face z = 0."""
-    right, bottom = device.width_px - 0.5, device.height_px - 0.5
-    corners_px = np.array([[-0.5, -0.5], [right, -0.5], [right, bottom], [-0.5, bottom]])
-    rays = np.column_stack([device.unproject(corners_px), np.ones(4)]) @ pose[:3, :3].T
+    rays = np.column_stack([device.seen_corners(), np.ones(4)]) @ pose[:3, :3].T
     # A grazing ray would meet the plane far away; the drawing ends at twice the standoff.
     reach = np.where(rays[:, 2] < 0, pose[2, 3] / np.maximum(-rays[:, 2], 1e-9), np.inf)
     reach = np.minimum(reach, 2 * float(np.linalg.norm(pose[:3, 3])))
