@@ -52,10 +52,10 @@ def test_a_folding_distortion_is_refused():
 
 
 def test_a_solution_behind_the_fold_is_refused():
-    """The polynomial rises again there and reaches the pixel, at r = 1.93; the lens does not."""
-    lens = Pinhole(300, 100, 100.0, 100.0, 149.5, 49.5, (-0.5, 0.1, 0.0, 0.0, 0.0))
+    """The polynomial rises again there and reaches the pixel, at r = 2.19; the lens does not."""
+    lens = Pinhole(500, 100, 100.0, 100.0, 249.5, 49.5, (-0.5, 0.1, 0.0, 0.0, 0.0))
     with pytest.raises(InputError, match="no inverse"):
-        lens.unproject([149.5 + 101.0, 49.5])
+        lens.unproject([249.5 + 200.0, 49.5])
 
 
 def test_corners_without_a_ray_are_drawn_where_the_field_ends():
