@@ -106,7 +106,7 @@ class RoundSheet:
     #: not a mirror at S = 0 but an end that is free along x and lifted
     lifted_end: bool = False
     pitch_mm: float = 0.05
-    fine_mm: float = 3.0
+    fine_mm: float = 5.0
 
     @property
     def shear_modulus_mpa(self) -> float:
@@ -305,28 +305,31 @@ def follow(sheet: RoundSheet, start: Equilibrium, aim: Load, steps: int) -> Equi
 
 def profile(sheet: RoundSheet, found: Equilibrium) -> Profile:
     """Return both faces at the cells' edges and middles."""
-    line = sheet.line
-    at = np.interp(
-        np.arange(2 * line.edges_mm.size - 1) / 2, np.arange(line.edges_mm.size), line.edges_mm
-    )
-    at[0] = 1e-6 * line.rim_mm
-    (p, p1, _), (z, z1, _) = np.moveaxis(
-        [line.table(at, d) @ found.coefficients_mm for d in range(3)], 2, 0
-    )
-    j = np.hypot(p1, z1)
-    thin = 1 / j if sheet.plane_strain else at / (j * p)
-    out, up = -z1 / j * thin * sheet.thickness_mm / 2, p1 / j * thin * sheet.thickness_mm / 2
-    half = sheet.thickness_mm / 2
-    touching = np.interp(at, line.points_mm, found.gap_mm) < 0
+    edges, half = sheet.line.edges_mm, sheet.thickness_mm / 2
+    at = np.interp(np.arange(2 * edges.size - 1) / 2, np.arange(edges.size), edges)
+    at[0] = 1e-6 * sheet.rim_mm  # no hoop on the axis itself
+    upper, lower, thin = _faces(sheet, found, at)
+    touching = _faces(sheet, found, sheet.line.points_mm)[1][found.gap_mm < 0, 0]
     return Profile(
-        radius_mm=p + out,
-        upper_z_mm=z + up - half,
-        lower_r_mm=p - out,
-        lower_z_mm=z - up + half,
+        radius_mm=upper[:, 0],
+        upper_z_mm=upper[:, 1] - half,
+        lower_r_mm=lower[:, 0],
+        lower_z_mm=lower[:, 1] + half,
         force_n=found.force,
-        contact_radius_mm=float((p - out)[touching].max(initial=0.0)),
+        contact_radius_mm=float(touching.max(initial=0.0)),
         thickness_stretch=thin,
     )
+
+
+def _faces(sheet: RoundSheet, found: Equilibrium, at_mm: FloatArray):
+    """Return upper and lower face (point, [r, z]) and the stretch of the thickness (point,)."""
+    middle, along = (sheet.line.table(at_mm, d) @ found.coefficients_mm for d in (0, 1))
+    j = np.hypot(*along.T)
+    thin = 1 / j if sheet.plane_strain else at_mm / (j * middle[:, 0])
+    up = (
+        np.stack((-along[:, 1], along[:, 0]), axis=1) * (sheet.thickness_mm / 2 * thin / j)[:, None]
+    )
+    return middle + up, middle - up, thin
 
 
 @dataclass(frozen=True)

@@ -97,7 +97,8 @@ def solve(case):
     contact = _contact(case, body, surface, element_mm)
     still = np.zeros_like(body.grid.nodes_mm)
     at = Equilibrium(np.zeros(body.unknowns), contact, 0.0, contact.evaluate(still, 0.0, None), 0)
-    options = NewtonOptions(largest_move_mm=4 * element_mm, tolerance=1e-6)
+    reach = 1 if case.kind == "bar" else 4
+    options = NewtonOptions(largest_move_mm=reach * element_mm, tolerance=1e-6)
     problem = Problem(body, _free(case, body), options)
     stored = {"thickness_mm": case.thickness_mm, "kind": case.kind, "travels": []}
     for aim in (0.02, 0.05, *np.arange(1, round(max(TRAVELS_MM) / 0.1) + 1) * 0.1):
@@ -163,7 +164,7 @@ def _seen(case, body, surface, at):
     touched = (surface.trace @ (grid.nodes_mm + moved))[at.pushed.active, 0] - offset
     return {
         "travel_mm": round(at.depth_mm, 6),
-        "force": round(at.pushed.along * (1 / (np.pi * RING_MM) if bar else 1), 7),
+        "force": round(at.pushed.along * (1 / (np.pi * RING_MM) if bar else 1), 9),
         "contact_radius_mm": round(float(touched.max()), 4),
         "upper_z_mm": CubicSpline(*upper.T)(r).round(5).tolist(),
     }
