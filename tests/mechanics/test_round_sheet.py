@@ -9,12 +9,12 @@ import pytest
 from scipy.interpolate import CubicSpline
 from scipy.optimize import brentq
 
-from tests.oracles import round_sheet
+from tests.oracles.round_energy import Assembled, assemble, banded
+from tests.oracles.round_model import Anchors, Load, RoundSheet
 from tests.oracles.round_sheet import (
-    Anchors,
-    Load,
+    Equilibrium,
     NoEquilibriumError,
-    RoundSheet,
+    balanced,
     bar_section,
     follow,
     profile,
@@ -30,12 +30,10 @@ FAR_BELOW_MM = -50.0
 G_N_MM = 2e-4
 
 
-def unsupported(load_mpa: float, **keys: object) -> tuple[RoundSheet, round_sheet.Equilibrium]:
+def unsupported(load_mpa: float, **keys: object) -> tuple[RoundSheet, Equilibrium]:
     """Blow a sheet up or down, far above any specimen."""
     sheet = RoundSheet(rod_section(4.0), young_modulus_mpa=1.0, rim_mm=10.0, **keys)
-    away = round_sheet._balanced(
-        sheet, Load(FAR_BELOW_MM), rest(sheet).coefficients_mm, rest(sheet).anchors
-    )
+    away = balanced(sheet, Load(FAR_BELOW_MM), rest(sheet).coefficients_mm, rest(sheet).anchors)
     return sheet, follow(sheet, away, Load(FAR_BELOW_MM, load_mpa), 6)
 
 
@@ -58,9 +56,9 @@ def test_gradient_and_tangent_are_the_energys_derivatives(plane_strain: bool) ->
         np.arange(n) < n / 2, *random.normal(size=(2, n)), np.cos(angle), np.sin(angle)
     )
 
-    def at(step: float) -> round_sheet._Assembled:
+    def at(step: float) -> Assembled:
         moved = found.coefficients_mm + off + step * way
-        return round_sheet._assemble(sheet, Load(1.0, 2e-3), moved, anchors)
+        return assemble(sheet, Load(1.0, 2e-3), moved, anchors)
 
     def derivative(name: str) -> np.ndarray:
         near, far = (getattr(at(s), name) - getattr(at(-s), name) for s in (0.01, 0.02))
@@ -72,7 +70,7 @@ def test_gradient_and_tangent_are_the_energys_derivatives(plane_strain: bool) ->
     assert derivative("energy") == pytest.approx(at(0).gradient @ way.ravel(), rel=1e-8)
     free = sheet.unknowns >= 0
     slope = np.bincount(sheet.unknowns[free], derivative("gradient")[free])
-    band = round_sheet._banded(sheet, at(0).bend)
+    band = banded(sheet, at(0).bend)
     along = np.zeros(slope.size)
     along[sheet.unknowns[free]] = way.ravel()[free]
     product = band[0] * along

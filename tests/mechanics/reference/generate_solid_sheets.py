@@ -3,7 +3,7 @@
 Neo-Hookean Q2/Q1 elements (the project's own) of a clamped sheet: round under a ball of R 4,
 frictionless or stuck, and in plane strain under a bar. Plane strain is a ring of vast radius: its
 hoop strain is below 2e-5. Elements are finest under the edge of the contact and at the rim, where
-a clamp holds the whole thickness. One to six minutes per case.
+a clamp holds the whole thickness. About four minutes in all.
 """
 
 import json
