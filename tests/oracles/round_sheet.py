@@ -213,7 +213,7 @@ def _solved(
         largest = np.abs(move).max()
         share = min(1.0, _LARGEST_MOVE_MM / max(largest, _TOLERANCE_MM))
         there = assemble(sheet, load, at + share * move, anchors)
-        while not there.energy <= here.energy - 1e-4 * share * falls + _noise(here):
+        while not there.energy <= here.energy - 1e-4 * share * falls + _noise(sheet):
             share /= 2
             if share < 1e-6:
                 return None
@@ -224,9 +224,10 @@ def _solved(
     return None
 
 
-def _noise(here: Assembled) -> float:
-    """Return what rounding makes of the energy's differences."""
-    return 1e-12 * abs(here.energy) + 1e-18
+def _noise(sheet: RoundSheet) -> float:
+    """Return what rounding makes of the energy's differences: the membrane's sum less 3."""
+    stiffness = sheet.shear_modulus_mpa * sheet.thickness_mm
+    return float(8 * np.finfo(float).eps * stiffness * sheet.weights_mm2.sum())
 
 
 def _newton_move(sheet: RoundSheet, here: Assembled):
