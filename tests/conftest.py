@@ -1,12 +1,19 @@
-"""Fixtures for all tests, and `--quick`."""
+"""Fixtures for all tests, `--quick`, and how hypothesis draws."""
 
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 import pytest
+from hypothesis import HealthCheck, settings
 
 from twin.optics.backend import activate
+
+# The same examples in every run, and no judgement by the clock.
+settings.register_profile(
+    "steady", deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow]
+)
+settings.load_profile("steady")
 
 SLOW = Path(__file__).with_name("slow.txt")
 

@@ -43,7 +43,7 @@ def test_points_come_back(calibration, surface, project, use):
     assert np.max(np.abs(found.points_world_mm - points)) < 1e-5
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(
     angle_deg=st.floats(10.0, 50.0),
     azimuth_deg=st.floats(0.0, 360.0),

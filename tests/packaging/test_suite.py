@@ -1,9 +1,10 @@
-"""`--quick` leaves out what tests/slow.txt names: existing tests, and never a whole folder."""
+"""The suite itself: what `--quick` leaves out, and that no test judges by the clock."""
 
 import re
 from collections import Counter
 
 import pytest
+from hypothesis import settings
 
 from tests.conftest import SLOW, is_slow, slow_tests
 
@@ -38,3 +39,15 @@ def test_every_folder_keeps_a_part_of_its_tests():
 def test_a_name_stands_for_all_below_it(monkeypatch, name, slow):
     monkeypatch.setattr("tests.conftest.slow_tests", lambda: {"a/test_x.py::test_two", "b.py"})
     assert is_slow(name) == slow
+
+
+def test_no_test_reads_a_stopwatch():
+    """`time.monotonic` may guard against a hang; speed is for benchmarks/."""
+    stopwatch = re.compile(r"perf_counter|process_time|time\.time\(|getrusage|os\.times")
+    files = [file for file in TESTS.rglob("*.py") if file.name != "test_suite.py"]
+    assert [file for file in files if stopwatch.search(file.read_text(encoding="utf-8"))] == []
+
+
+def test_hypothesis_draws_the_same_examples_and_has_no_deadline():
+    assert settings().derandomize
+    assert settings().deadline is None
