@@ -4,15 +4,17 @@ Both see the same pressed face, camera, coating and samples per pixel. A stock f
 with the `direct` integrator and the `projector` emitter, scene and texture loaded beforehand; a
 stack is timed until all frames lie in memory as one array each. Two comparisons in one run:
 
-- a whole stack against ONE stock frame, full film: median of alternating pairs after one warm-up of
-  each, so kernel compilation is in neither;
+- a whole stack against ONE stock frame, full film: median of alternating turns after a warm-up of
+  each, so kernel compilation is in none. The stack once with shadow rays, as stock traces them:
+  like for like; and once as the twin does: without, as this relief is proven to cast no shadow;
 - a whole stack against ALL its frames by stock renders, small film; writing the pattern textures is
   not counted.
 
 The memory is the highest of this process up to the end of the first stacks, before anything of
 stock Mitsuba is loaded: press, mesh, BVH and all frames.
 
-Last line: {"stack_over_one_frame": ratio, "naive_over_stack": ratio, "frames": n, ...}.
+Last line: {"stack_with_shadow_rays_over_one_frame": ratio,
+"stack_without_shadow_rays_over_one_frame": ratio, "naive_over_stack": ratio, "frames": n, ...}.
 """
 
 import argparse
@@ -21,7 +23,7 @@ import resource
 import statistics
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +31,8 @@ from twin.config import Experiment, load_experiment
 from twin.mechanics import face_mesh, press_with
 from twin.optics.backend import activate
 
-PAIRS = 7
+TURNS = 7
+TIMED = "stack with shadow rays", "stack without", "one stock frame"
 SMALL_FILM_BINNING = 4
 SETTINGS = {"patterns.period_px": 10}
 """Finer fringes than the paper's 18 px: one Gray bit more along the columns, 54 frames."""
@@ -42,6 +45,10 @@ def main() -> None:
     backend = activate()
     case = Case.of_film(2 if parser.parse_args().quick else 1)
     print(f"{backend.variant}: {case.frames} frames at {case.size}, {case.samples} samples")
+    if case.rig.shadows:
+        raise SystemExit(
+            "bench stack: this relief needs shadow rays, there is nothing without them"
+        )
     case.trace()
     case.trace()
     memory_gib = peak_memory_gib()
@@ -97,6 +104,10 @@ class Case:
             light_tables(experiment.projector, patterns),
         )
 
+    def with_shadow_rays(self) -> "Case":
+        """Return the same traced with shadow rays, needed or not."""
+        return replace(self, rig=replace(self.rig, shadows=True))
+
     @property
     def frames(self) -> int:
         """Number of frames of the sequence."""
@@ -141,18 +152,23 @@ class Case:
 
 
 def against_one_frame(case: Case) -> dict[str, float]:
-    """Seconds of a stack and of one stock frame, and their ratio, on the same film."""
+    """Seconds of a stack, with shadow rays and without, and of one stock frame, and the ratios."""
     from twin.optics import stock
 
-    scene = case.stock_scene()
+    scene, shadowed = case.stock_scene(), case.with_shadow_rays()
     stock.render_frame(scene, 0)
-    pairs = []
-    for number in range(1, PAIRS + 1):
-        pairs.append((seconds(case.trace), seconds(lambda n=number: stock.render_frame(scene, n))))
-        print(f"pair {number}: stack {pairs[-1][0]:.2f} s, one stock frame {pairs[-1][1]:.2f} s")
-    stack_s, frame_s = (statistics.median(column) for column in zip(*pairs, strict=True))
+    shadowed.trace()
+    turns = []
+    for number in range(1, TURNS + 1):
+        calls = shadowed.trace, case.trace, lambda n=number: stock.render_frame(scene, n)
+        turns.append([seconds(call) for call in calls])
+        told = (f"{name} {s:.2f} s" for name, s in zip(TIMED, turns[-1], strict=True))
+        print(f"turn {number}: {', '.join(told)}")
+    shadowed_s, stack_s, frame_s = (statistics.median(c) for c in zip(*turns, strict=True))
     return {
-        "stack_over_one_frame": statistics.median(stack / frame for stack, frame in pairs),
+        "stack_with_shadow_rays_over_one_frame": statistics.median(t[0] / t[2] for t in turns),
+        "stack_without_shadow_rays_over_one_frame": statistics.median(t[1] / t[2] for t in turns),
+        "stack_with_shadow_rays_s": shadowed_s,
         "stack_s": stack_s,
         "stock_frame_s": frame_s,
         "frames_per_s": case.frames / stack_s,

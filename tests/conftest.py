@@ -1,10 +1,45 @@
-"""Fixtures for all tests."""
+"""Fixtures for all tests, `--quick`, and how hypothesis draws."""
 
+from functools import cache
+from pathlib import Path
 from typing import Any
 
 import pytest
+from hypothesis import HealthCheck, settings
 
 from twin.optics.backend import activate
+
+# The same examples in every run, and no judgement by the clock.
+settings.register_profile(
+    "steady", deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow]
+)
+settings.load_profile("steady")
+
+SLOW = Path(__file__).with_name("slow.txt")
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--quick", action="store_true", help=f"leave out what {SLOW.name} names")
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    if config.getoption("quick"):
+        slow = {item for item in items if is_slow(item.nodeid)}
+        config.hook.pytest_deselected(items=[item for item in items if item in slow])
+        items[:] = [item for item in items if item not in slow]
+
+
+def is_slow(test: str) -> bool:
+    """Tell whether the list names a test, its function without parameters, or its file."""
+    file, function = test.split("::")[0], test.split("[")[0]
+    return not {test, function, file}.isdisjoint(slow_tests())
+
+
+@cache
+def slow_tests() -> frozenset[str]:
+    """Return the tests that the list names."""
+    lines = SLOW.read_text(encoding="utf-8").splitlines()
+    return frozenset(line for line in lines if line and not line.startswith("#"))
 
 
 @pytest.fixture(scope="session")

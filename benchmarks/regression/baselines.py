@@ -1,4 +1,4 @@
-"""The committed baselines: value, standard uncertainty, number of runs, date and versions.
+"""The committed baselines: value, standard uncertainty, number of runs, date, versions, machine.
 
 Beside them lie the stated rows of the README's table: figures that take too long, or a machine of
 its own, to be measured with the others. They are written by hand, with date and command.
@@ -19,8 +19,8 @@ from twin.output import versions
 
 NAMED = ("fringe-twin", "mitsuba", "drjit", "numpy")
 HEADER = """\
-# Baselines of the regression benchmarks. [figure] and [made] are written by `./run bench all
-# --update`; [stated], by hand, are further rows of the README's table. See docs/benchmarks.md.
+# Baselines of the regression benchmarks. [figure] is written by `./run bench all --update`;
+# [stated], by hand, are further rows of the README's table. See docs/benchmarks.md.
 
 """
 
@@ -32,6 +32,7 @@ class Baseline:
     estimate: Estimate
     date: str
     versions: str
+    machine: str
 
 
 @dataclass(frozen=True)
@@ -40,7 +41,7 @@ class Stated:
 
     name: str
     what: str
-    bar: str
+    target: str
     measured: str
     how: str
     date: str
@@ -48,17 +49,16 @@ class Stated:
 
 @dataclass(frozen=True)
 class Baselines:
-    """All baselines by name, the machine they were measured on, and the stated rows."""
+    """All baselines by name, and the stated rows."""
 
     figures: Mapping[str, Baseline]
-    machine: str = ""
     stated: tuple[Stated, ...] = ()
 
     def updated(self, found: Mapping[str, Estimate], date: str, machine: str) -> "Baselines":
         """Return these with new values of the figures found."""
         named = named_versions()
-        new = {name: Baseline(value, date, named) for name, value in found.items()}
-        return replace(self, figures={**self.figures, **new}, machine=machine)
+        new = {name: Baseline(value, date, named, machine) for name, value in found.items()}
+        return replace(self, figures={**self.figures, **new})
 
 
 def named_versions() -> str:
@@ -81,7 +81,6 @@ def read_baselines(path: Path) -> Baselines:
         content = tomllib.loads(path.read_text(encoding="utf-8"))
         return Baselines(
             {name: _baseline(table) for name, table in content.get("figure", {}).items()},
-            content.get("made", {}).get("machine", ""),
             tuple(Stated(name, **table) for name, table in content.get("stated", {}).items()),
         )
     except (ValueError, KeyError, TypeError) as error:
@@ -94,14 +93,13 @@ def read_baselines(path: Path) -> Baselines:
 def write_baselines(baselines: Baselines, registry: Mapping[str, Figure], path: Path) -> None:
     """Write the baselines whole or not at all, in the registry's order, others dropped."""
     content = {
-        "made": {"machine": baselines.machine},
         "figure": {
             name: _table(figure, baselines.figures[name])
             for name, figure in registry.items()
             if name in baselines.figures
         },
         "stated": {
-            row.name: _fields(row, ("what", "bar", "measured", "how", "date"))
+            row.name: _fields(row, ("what", "target", "measured", "how", "date"))
             for row in baselines.stated
         },
     }
@@ -120,12 +118,12 @@ def replace_text(path: Path, text: str) -> None:
 
 def _baseline(table: Mapping[str, Any]) -> Baseline:
     estimate = Estimate(float(table["value"]), float(table["standard_uncertainty"]), table["n"])
-    return Baseline(estimate, table["date"], table["versions"])
+    return Baseline(estimate, table["date"], table["versions"], table["machine"])
 
 
 def _table(figure: Figure, baseline: Baseline) -> dict[str, Any]:
     estimate = _fields(baseline.estimate, ("value", "standard_uncertainty", "n"))
-    return {"what": figure.what} | estimate | _fields(baseline, ("date", "versions"))
+    return {"what": figure.what} | estimate | _fields(baseline, ("date", "versions", "machine"))
 
 
 def _fields(holder: object, names: Iterable[str]) -> dict[str, Any]:

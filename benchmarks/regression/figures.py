@@ -6,7 +6,29 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-Kind = Literal["accuracy", "speed", "told"]
+Kind = Literal["accuracy", "speed", "absolute"]
+
+
+@dataclass(frozen=True)
+class Target:
+    """What the project promises of a figure, in its unit; the ends belong to it."""
+
+    low: float = -math.inf
+    high: float = math.inf
+
+    @classmethod
+    def about(cls, value: float, within: float) -> "Target":
+        """Promise a value within so much on either side."""
+        return cls(value - within, value + within)
+
+    def __str__(self) -> str:
+        if self.low == self.high:
+            return f"{self.low:g}"
+        if math.isinf(self.low):
+            return f"at most {self.high:g}"
+        return (
+            f"at least {self.low:g}" if math.isinf(self.high) else f"{self.low:g} to {self.high:g}"
+        )
 
 
 @dataclass(frozen=True)
@@ -17,9 +39,10 @@ class Figure:
     ----------
     name : ends with its unit; without one it is a ratio or a count
     what : for the README's table
-    kind : "accuracy" fails outside the combined uncertainty, "speed" (a ratio inside one run, or
-        memory) when worse by `factor`, "told" (absolute times) never
-    bar : what the project promises; empty: nothing
+    kind : against its baseline "accuracy" fails outside the combined uncertainty, "speed" (a ratio
+        inside one run, or memory) when worse by `factor`, "absolute" (seconds, points per hour)
+        never
+    target : what the project promises, judged besides; None: nothing
     floor, floor_rel : type-B standard uncertainty of a comparison, in the figure's unit and as a
         share of the baseline; the larger counts
     factor : a speed may be worse than its baseline by so much
@@ -29,7 +52,7 @@ class Figure:
     name: str
     what: str
     kind: Kind = "accuracy"
-    bar: str = ""
+    target: Target | None = None
     floor: float = 0.0
     floor_rel: float = 0.0
     factor: float = 1.5

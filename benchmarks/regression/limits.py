@@ -1,4 +1,4 @@
-"""When a figure has left its baseline.
+"""When a figure has left its baseline, or misses its target.
 
 Accuracy: |value - baseline| > k u_c with u_c^2 = u^2 + u0^2 + b^2, where u and u0 are the type-A
 standard uncertainties of run and baseline, s / sqrt(n) over seeds, and b a type-B one for what the
@@ -11,6 +11,9 @@ the comparisons, thus in every second run of 40 figures. Here the rate is 1 % fo
 Better is outside as well: whoever improves a figure states so with `--update`.
 
 Speed: a ratio inside one run is a failure when worse than the baseline by a stated factor.
+
+Target: a figure beyond what the project promises is a failure, whatever its baseline. Absolute
+seconds differ by two with what else the machine does: they fail beyond twice their target.
 """
 
 import math
@@ -21,11 +24,12 @@ from scipy.special import stdtrit
 from benchmarks.regression.figures import Estimate, Figure
 
 FALSE_ALARMS_PER_RUN = 0.01
+BUSY_MACHINE = 2.0
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """A figure against its baseline; `limit` is how far it may be off, or the worst speed."""
+    """A figure against its baseline or target; `limit`: how far it may be off, or the worst."""
 
     passed: bool
     limit: float
@@ -34,8 +38,8 @@ class Verdict:
 
 def judge(figure: Figure, found: Estimate, baseline: Estimate, accuracy_figures: int) -> Verdict:
     """Compare a figure with its baseline; `accuracy_figures` share the false-alarm rate."""
-    if figure.kind == "told":
-        return Verdict(True, math.inf, "told only")
+    if figure.kind == "absolute":
+        return Verdict(True, math.inf, "judged by its target only")
     if figure.kind == "speed":
         return _judge_speed(figure, found.value, baseline.value)
     floor = figure.floor_of(baseline.value)
@@ -44,6 +48,17 @@ def judge(figure: Figure, found: Estimate, baseline: Estimate, accuracy_figures:
     off = abs(found.value - baseline.value)
     # Zero uncertainty on both sides and no floor: only the very same number passes.
     return Verdict(off <= limit, limit, f"off by {off:.2g}, allowed {limit:.2g}")
+
+
+def judge_target(figure: Figure, value: float) -> Verdict:
+    """Compare a figure with its target; without one it passes."""
+    if figure.target is None:
+        return Verdict(True, math.inf, "no target")
+    low, high, slack, text = figure.target.low, figure.target.high, 1.0, f"target {figure.target}"
+    if figure.kind == "absolute":
+        slack, text = BUSY_MACHINE, f"{text}, by {BUSY_MACHINE:g} off on a busy machine"
+    passed = low / slack <= value <= high * slack
+    return Verdict(passed, low / slack if math.isinf(high) else high * slack, text)
 
 
 def combined_uncertainty(found: Estimate, baseline: Estimate, floor: float) -> float:

@@ -9,19 +9,25 @@ from benchmarks.regression.figures import Estimate
 from reconstruction.errors import InputError
 
 BEGIN, END = "<!-- measured: begin -->", "<!-- measured: end -->"
-HEAD = ("| what | bar | measured +- u | how |", "|---|---|---|---|")
+HEAD = ("| what | target | measured +- u | how |", "|---|---|---|---|")
 
 
 def table(cases: Iterable[Case], baselines: Baselines) -> str:
     """Return the table in Markdown: measured rows first, then the stated ones."""
     rows = [
-        _row(figure.what, figure.bar, shown(baselines.figures[figure.name].estimate), _how(case))
+        _row(
+            figure.what,
+            str(figure.target or ""),
+            shown(baselines.figures[figure.name].estimate),
+            _how(case),
+        )
         for case in cases
         for figure in case.figures
         if figure.name in baselines.figures
     ]
     rows += [
-        _row(row.what, row.bar, row.measured, f"{row.how}, {row.date}") for row in baselines.stated
+        _row(row.what, row.target, row.measured, f"{row.how}, {row.date}")
+        for row in baselines.stated
     ]
     return "\n".join((*_above(baselines), "", *HEAD, *rows))
 
@@ -60,10 +66,12 @@ def _above(baselines: Baselines) -> tuple[str, ...]:
     dates = sorted({one.date for one in baselines.figures.values()})
     span = " to ".join(dict.fromkeys([*dates[:1], *dates[-1:]]))
     versions = "; ".join(sorted({one.versions for one in baselines.figures.values()}))
+    machines = "; ".join(sorted({one.machine for one in baselines.figures.values()}))
     return (
-        f"On {baselines.machine}; {versions}; {span}.",
+        f"On {machines}; {versions}; {span}.",
         "`CASE` is run by `./run bench all --only CASE`; u is the standard uncertainty of the mean",
-        "over seeds. `./run bench all --check` compares with these: `docs/benchmarks.md`.",
+        "over seeds. `./run bench all --check` compares with these and the targets:",
+        "`docs/benchmarks.md`.",
     )
 
 

@@ -14,7 +14,8 @@ from benchmarks.regression.baselines import (
     write_baselines,
 )
 from benchmarks.regression.cases import Case, figures_of
-from benchmarks.regression.figures import Estimate, Figure
+from benchmarks.regression.figures import Estimate, Figure, Target
+from benchmarks.regression.limits import judge_target
 from benchmarks.regression.registry import CASES, FIGURES
 from benchmarks.regression.runs import again
 from benchmarks.regression.speed import last_object, over
@@ -30,9 +31,10 @@ def desk(tmp_path, monkeypatch):
 class Desk:
     def __init__(self, folder, monkeypatch):
         self.values = {"z_um": [1.0, 1.1, 0.9], "over": [2.0]}
-        speed = Figure("over", "pace", kind="speed", bar="8")
+        speed = Figure("over", "pace", kind="speed", target=Target(high=2.5))
+        height = Figure("z_um", "height, um", target=Target(0.5, 6.0))
         self.cases = (
-            Case("height", "3 seeds", (Figure("z_um", "height, um"),), lambda: self.take("z_um")),
+            Case("height", "3 seeds", (height,), lambda: self.take("z_um")),
             Case("pace", "`./run bench pace`", (speed,), lambda: self.take("over"), quick=False),
         )
         self.baselines, self.readme = folder / "baselines.toml", folder / "README.md"
@@ -72,7 +74,9 @@ def test_only_update_writes(desk, capsys):
     assert after != before
     assert bench.main(["--check"]) == 0
     assert desk.bytes() == after
-    assert last_line(capsys) == {"figures": 2, "failed": [], "seconds": 0}
+    last = last_line(capsys)
+    assert (last["figures"], last["failed"]) == (2, [])
+    assert set(last) == {"figures", "failed", "seconds"}
     assert {path.name for path in desk.readme.parent.iterdir()} == {"README.md", "baselines.toml"}
 
 
@@ -81,7 +85,7 @@ def test_check_fails_outside_the_limit_and_says_which(desk, capsys):
     desk.values["z_um"] = [5.0, 5.1, 4.9]
     assert bench.main(["--check"]) == 1
     out = capsys.readouterr().out
-    assert "FAILED z_um: 5, off by 4" in out
+    assert "FAILED z_um: case height, found 5, against the baseline off by 4" in out
     assert "once more" not in out
 
 
@@ -91,7 +95,28 @@ def test_a_slow_ratio_is_measured_once_more(desk, capsys):
     assert bench.main(["--check"]) == 1
     out = capsys.readouterr().out
     assert out.count("over = 4") == 2
-    assert "FAILED over: 4, at most 3" in out
+    assert (
+        "FAILED over: case pace, found 4, target at most 2.5; against the baseline at most 3" in out
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "beyond", "line"),
+    [
+        ("over", [2.6], "FAILED over: case pace, found 2.6, target at most 2.5"),
+        ("z_um", [6.5, 6.4, 6.6], "FAILED z_um: case height, found 6.5, target 0.5 to 6"),
+    ],
+)
+def test_a_missed_target_fails_whatever_the_baseline(desk, capsys, name, beyond, line):
+    """Setup: the baseline is just as bad. Expected: one line with case, figure, found, target."""
+    desk.values[name] = beyond
+    bench.main(["--update"])
+    assert bench.main([]) == 0
+    capsys.readouterr()
+    assert bench.main(["--check"]) == 1
+    out = capsys.readouterr().out.splitlines()
+    assert [text for text in out if text.startswith("FAILED")] == [line]
+    assert json.loads(out[-1])["failed"] == [name]
 
 
 def test_the_better_of_two_speeds_counts():
@@ -151,11 +176,11 @@ def test_baselines_come_back_as_written(tmp_path):
         tmp_path / "b.toml",
         Stated("demo", "demo", "120 s", "15 s", "time", "2026-01-01"),
     )
-    kept = Baseline(Estimate(1.25, 0.03, 4), "2026-01-02", "numpy 2")
+    kept = Baseline(Estimate(1.25, 0.03, 4), "2026-01-02", "numpy 2", "2 cores")
     figure = Figure("z_um", "height")
-    written = Baselines({"z_um": kept, "gone": kept}, "2 cores", (stated,))
+    written = Baselines({"z_um": kept, "gone": kept}, (stated,))
     write_baselines(written, {"z_um": figure}, path)
-    assert read_baselines(path) == Baselines({"z_um": kept}, "2 cores", (stated,))
+    assert read_baselines(path) == Baselines({"z_um": kept}, (stated,))
 
 
 @pytest.mark.parametrize(
@@ -191,8 +216,14 @@ def test_the_readme_is_in_step_with_the_baselines():
 def test_every_figure_has_a_baseline_and_none_is_left_over():
     assert list(read_baselines(bench.BASELINES).figures) == list(FIGURES)
     assert len(FIGURES) == sum(len(case.figures) for case in CASES)
-    texts = [text for figure in FIGURES.values() for text in (figure.what, figure.bar)]
-    assert not any("|" in text for text in texts)
+    assert not any("|" in figure.what for figure in FIGURES.values())
+
+
+def test_no_baseline_misses_its_target():
+    """Expected: ./run bench all --check passes on what was accepted."""
+    for name, known in read_baselines(bench.BASELINES).figures.items():
+        verdict = judge_target(FIGURES[name], known.estimate.value)
+        assert verdict.passed, f"{name}: {verdict.text}"
 
 
 def test_a_benchmark_is_read_by_its_last_line(tmp_path, monkeypatch, capsys):

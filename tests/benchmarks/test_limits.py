@@ -5,12 +5,13 @@ import math
 import numpy as np
 import pytest
 
-from benchmarks.regression.figures import Estimate, Figure
+from benchmarks.regression.figures import Estimate, Figure, Target
 from benchmarks.regression.limits import (
     FALSE_ALARMS_PER_RUN,
     coverage_factor,
     degrees_of_freedom,
     judge,
+    judge_target,
 )
 
 ACCURACY = Figure("z_um", "height")
@@ -98,8 +99,33 @@ def test_speed_fails_when_worse_by_the_factor():
     assert not judge(fast, Estimate(1.32), at, 30).passed
 
 
-def test_absolute_seconds_are_told_only():
-    assert judge(Figure("t_s", "", kind="told"), Estimate(100.0), Estimate(1.0), 30).passed
+@pytest.mark.parametrize(
+    ("target", "text", "met", "missed"),
+    [
+        (Target(high=2.0), "at most 2", [2.0, -1.0], [2.001]),
+        (Target(low=5.0), "at least 5", [5.0, 60.0], [4.999]),
+        (Target.about(1.0, 0.15), "0.85 to 1.15", [0.85, 1.15], [0.849, 1.151]),
+        (Target(0, 0), "0", [0.0], [1.0, -1.0]),
+    ],
+)
+def test_a_target_is_met_up_to_its_ends(target, text, met, missed):
+    assert str(target) == text
+    for kind in ("accuracy", "speed"):
+        figure = Figure("f", "", kind=kind, target=target)
+        assert all(judge_target(figure, value).passed for value in met)
+        assert not any(judge_target(figure, value).passed for value in missed)
+        assert judge_target(figure, missed[0]).text == f"target {text}"
+    assert judge_target(Figure("f", ""), 1e9).passed
+
+
+def test_absolute_figures_fail_beyond_twice_their_target_only():
+    seconds = Figure("t_s", "", kind="absolute", target=Target(high=1.0))
+    pace = Figure("per_hour", "", kind="absolute", target=Target(low=5000.0))
+    assert judge(seconds, Estimate(100.0), Estimate(1.0), 30).passed
+    assert judge_target(seconds, 2.0).passed
+    assert not judge_target(seconds, 2.01).passed
+    assert judge_target(pace, 2500.0).passed
+    assert not judge_target(pace, 2499.0).passed
 
 
 def test_mean_and_standard_uncertainty():

@@ -179,8 +179,11 @@ def test_running_out_of_passes_is_one_line() -> None:
     assert "\n" not in str(caught.value)
 
 
-def test_a_tilted_rod_under_a_draped_slab_is_found_without_rebounds(monkeypatch):
-    """Cells that join at once throw a bending slab off: without the brake over 1000 passes."""
+def test_a_tilted_rod_under_a_draped_slab_is_found_without_rebounds() -> None:
+    """Cells that join at once throw a bending slab off: the brake keeps it below 200 passes.
+
+    Without it the passes hang on the last digits: over 1000 on one processor, 339 on another.
+    """
     changes = {
         "specimen.x_mm": -0.2429829074759053, "specimen.y_mm": -0.041928252421451234,
         "specimen.tilt_deg": 0.7818191607156045, "specimen.yaw_deg": 0.0873492104301504,
@@ -189,9 +192,6 @@ def test_a_tilted_rod_under_a_draped_slab_is_found_without_rebounds(monkeypatch)
     }  # fmt: skip
     experiment = load_experiment("paper/rods_c", changes)
     assert press_specimen(experiment).iterations < 200
-    monkeypatch.setattr(_Brake, "share", lambda *_: 1.0)
-    with pytest.raises(SolverError, match="within 1000 passes"):
-        press_specimen(experiment)
 
 
 def test_the_brake_steps_to_the_least_energy_on_the_way():

@@ -69,7 +69,7 @@ def check(pressed: PressedElastomer, specimen: Specimen, slab: Elastomer) -> Non
     assert np.isfinite(pressed.face_z_mm).all()
 
 
-@settings(max_examples=40, deadline=None, derandomize=True)
+@settings(max_examples=40)
 @given(specimen=specimens, slab=slabs, depth_mm=st.floats(0.2, 1.2))
 def test_contact_conditions_hold_for_any_press(
     specimen: Specimen, slab: Elastomer, depth_mm: float
@@ -79,7 +79,7 @@ def test_contact_conditions_hold_for_any_press(
     assert pressed.depth_mm == depth_mm
 
 
-@settings(max_examples=20, deadline=None, derandomize=True)
+@settings(max_examples=20)
 @given(specimen=specimens, slab=slabs, depth_mm=st.floats(0.2, 1.0))
 def test_force_control_inverts_depth_control(
     specimen: Specimen, slab: Elastomer, depth_mm: float
@@ -92,7 +92,7 @@ def test_force_control_inverts_depth_control(
     np.testing.assert_allclose(back.face_z_mm, there.face_z_mm, atol=1e-3 * depth_mm)
 
 
-@settings(max_examples=10, deadline=None, derandomize=True)
+@settings(max_examples=10)
 @given(specimen=specimens, slab=slabs, depth_mm=st.floats(0.2, 0.9))
 def test_deeper_takes_more_force_and_keeps_the_contact(
     specimen: Specimen, slab: Elastomer, depth_mm: float
@@ -101,7 +101,7 @@ def test_deeper_takes_more_force_and_keeps_the_contact(
     assert deep.force_n > shallow.force_n
 
 
-@settings(max_examples=8, deadline=None, derandomize=True)
+@settings(max_examples=8)
 @given(cells_x=st.integers(-8, 8), cells_y=st.integers(-8, 8))
 def test_a_rigid_shift_of_the_specimen_shifts_the_pad(cells_x: int, cells_y: int) -> None:
     pad = Elastomer(
@@ -142,7 +142,7 @@ def test_symmetric_specimens_press_symmetrically(layout: str, specimen: Specimen
             np.testing.assert_allclose(field, mirrored, atol=2e-4 * np.abs(field).max())
 
 
-@settings(max_examples=6, deadline=None, derandomize=True)
+@settings(max_examples=6)
 @given(specimen=specimens, slab=slabs)
 def test_the_shape_does_not_depend_on_the_modulus(specimen: Specimen, slab: Elastomer) -> None:
     stiffer = slab.model_copy(update={"young_modulus_kpa": 7 * slab.young_modulus_kpa})

@@ -5,6 +5,7 @@ import pytest
 
 from twin.config.models import Ball, Elastomer, Flat, Press, Rod
 from twin.mechanics import press
+from twin.mechanics.reference import fredholm
 from twin.specimens import height_above_lowest
 
 
@@ -23,7 +24,6 @@ def pad(nu: float, thickness_mm: float = 4.0) -> Elastomer:
 @pytest.mark.parametrize("nu", [0.45, 0.49, 0.4999])
 def test_a_ball_on_a_pad_is_the_fredholm_solution(chi: float, nu: float) -> None:
     """R 4: force 0.3 %, of the whole press with its window and its grid."""
-    fredholm = pytest.importorskip("twin.mechanics.reference.fredholm")
     radius = 4.0
     thickness = {0.1: 4.0, 0.4: 4.0, 1.0: 1.5}[chi]  # chi = sqrt(R d) / h
     depth = (chi * thickness) ** 2 / radius

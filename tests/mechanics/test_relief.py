@@ -1,11 +1,11 @@
 """The coated face as a mesh: heights, facets and normals are the field's."""
 
 import dataclasses
-import time
 
 import numpy as np
 import pytest
 
+from tests.work import lines_run
 from twin.config.models import Ball, Elastomer, Press
 from twin.mechanics import PressedElastomer, face_mesh, face_normals, press, slab_mesh
 
@@ -61,14 +61,12 @@ def test_the_relief_has_no_ripples(reference_press: PressedElastomer) -> None:
     assert third.max() < 4e-4
 
 
-def test_a_mesh_of_a_quarter_million_vertices_takes_well_under_a_second(
+def test_the_mesh_is_made_without_a_loop_over_its_vertices(
     reference_press: PressedElastomer,
 ) -> None:
-    started = time.perf_counter()
-    mesh = face_mesh(reference_press)
-    # 0.07 s on an idle machine; the bound only catches a loop over vertices.
-    assert time.perf_counter() - started < 1.0
-    assert len(mesh.vertices) > 250_000
+    """Some 600 lines of Python, whatever the number of vertices."""
+    assert reference_press.face_z_mm.size > 250_000
+    assert lines_run(lambda: face_mesh(reference_press)) < 5_000
 
 
 @pytest.mark.parametrize("layout", ["opposite_face", "contact_face"])

@@ -19,7 +19,10 @@ case $* in
         mkdir -p "$folder/bin"
         cp "$0" "$folder/bin/python"
         printf '#!/bin/sh\\necho "twin $*"\\npwd\\n' >"$folder/bin/twin"
-        chmod +x "$folder/bin/twin"
+        for tool in ruff mypy lint-imports; do
+            printf '#!/bin/sh\\necho "%s $*" >>"$CALLS"\\n' "$tool" >"$folder/bin/$tool"
+        done
+        chmod +x "$folder/bin/"*
         ;;
     *requirements.lock*) sleep "${SLOW:-0}"; exit "${PIP_STATUS:-0}" ;;
     *twin.optics.backend*) echo "llvm_ad_mono, LLVM 19" ;;
@@ -152,6 +155,23 @@ def test_set_up_looks_for_the_backend_afresh(checkout):
     checkout.run("setup")
     assert checkout.count("twin.optics.backend --fresh") == 2
     assert checkout.count("-m venv") == 1
+
+
+def test_checks_come_before_pytest_which_gets_the_arguments(checkout):
+    ended = checkout.run("test", "--quick", "tests/a b")
+    assert ended.returncode == 0, ended.stderr
+    calls = checkout.calls_file.read_text().splitlines()
+    assert calls[-5:] == [
+        "ruff check .",
+        "ruff format --check .",
+        "mypy ",
+        "lint-imports ",
+        "-m pytest --quick tests/a b",
+    ]
+
+
+def test_quick_is_told(checkout):
+    assert "--quick" in checkout.run("help").stdout.split("  test ")[1].split("  bench ")[0]
 
 
 def test_benchmark_result_is_the_last_line_of_stdout(checkout):

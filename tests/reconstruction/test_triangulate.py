@@ -84,7 +84,7 @@ def test_what_the_projector_folds_back_is_no_point(aim):
     assert not found.valid[radius > 1.1 * FOLD_RADIUS].any()
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(
     angle_deg=st.floats(10.0, 50.0),
     azimuth_deg=st.floats(0.0, 360.0),

@@ -4,6 +4,7 @@ import multiprocessing
 import os
 import signal
 import time
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -39,6 +40,19 @@ class Fake:
         return ((("coating", "base_albedo"),), (("patterns", "period_px"),))
 
 
+class Meeting(Fake):
+    """Ends a case when another process has begun as many as this one."""
+
+    def __call__(self, experiment):
+        _log(os.getpid())
+        until = time.monotonic() + 60
+        while not _others_have_begun_as_many():
+            if time.monotonic() > until:
+                raise TimeoutError("no case beside this one")
+            time.sleep(0.002)
+        return Answer({"value": experiment.coating.base_albedo, "warnings": []})
+
+
 class Failing(Fake):
     """Refuses one albedo, breaks on another, kills its process on a third."""
 
@@ -57,6 +71,11 @@ def _log(*words):
     if LOG_VARIABLE in os.environ:
         with Path(os.environ[LOG_VARIABLE]).open("a") as file:
             file.write(" ".join(map(str, words)) + "\n")
+
+
+def _others_have_begun_as_many():
+    begun = Counter(Path(os.environ[LOG_VARIABLE]).read_text().split())
+    return len(begun) > 1 and min(begun.values()) >= begun[str(os.getpid())]
 
 
 def run_here(folder, log):

@@ -11,12 +11,13 @@ from collections import Counter
 import pytest
 
 from tests.study import synthetic
+from tests.work import lines_run
 from twin.study.engine import Run
 from twin.study.index import Index
 from twin.study.store import FAILURE_FILE, Store
 from twin.study.sweep import forget_failures
 from twin.study.table import read_table, write_csv
-from twin.study.workers import lasting, local_workers, of_executor
+from twin.study.workers import local_workers, of_executor
 
 
 @pytest.fixture
@@ -50,7 +51,8 @@ def test_killed_at_random_20_times(two_axes, stored, tmp_path):
         before = len(store.finished())
         run.start()
         if kills < 20:
-            more = rng.randint(0, 2 * (len(cases) - before) // (21 - kills))
+            # Half of an even share on average: cases are left for all 20 on a slow machine too.
+            more = rng.randint(0, (len(cases) - before) // (21 - kills))
             while run.is_alive() and len(store.finished()) < before + more:
                 time.sleep(0.001)
             time.sleep(rng.uniform(0.0, 0.01))
@@ -160,39 +162,37 @@ def test_any_executor_will_do(few, stored):
     assert outcome.states == {"done": len(cases)}
 
 
-def test_overhead_per_case(two_axes, stored):
-    """Engine, store and index take at most 20 ms per case (CPU time of this process)."""
-    store, cases = stored(two_axes)
-    index = Index(store)
-    run = Run(store, local_workers(1), make_measurer=_instant, done=index.enter)
-    start = time.process_time()
-    run(cases)
-    per_case_s = (time.process_time() - start) / len(cases)
-    assert per_case_s <= 0.020
+def test_overhead_per_case(study_of, stored):
+    """Engine, store and index run 37,000 lines of Python per case, however many cases there are.
+
+    `benchmarks/sweep.py` has the milliseconds.
+    """
+    per_case = []
+    for count in (20, 60):
+        albedo = {"path": "coating.base_albedo", "low": 0.1, "high": 0.8, "count": count}
+        store, cases = stored(study_of(albedo), f"of_{count}")
+        run = Run(store, local_workers(1), make_measurer=_instant, done=Index(store).enter)
+        per_case.append(lines_run(lambda run=run, cases=cases: run(cases)) / len(cases))
+    assert max(per_case) < 60_000
+    assert per_case[1] < 1.05 * per_case[0]
 
 
 def _instant(keep):
     return synthetic.Fake(keep, seconds=0.0)
 
 
-def test_two_workers_halve_the_time(study_of, stored):
-    """Cases of 0.1 s of sleep each: what is left to 2 is lost to cases ahead, batches and store.
+def test_two_workers_are_never_alone(study_of, stored, tmp_path, monkeypatch):
+    """Each of 24 cases ends only beside another one: an idle worker would end the run with errors.
 
-    `benchmarks/sweep.py` has the figure for cases that compute.
+    `benchmarks/sweep.py` has the gain in time.
     """
+    monkeypatch.setenv(synthetic.LOG_VARIABLE, str(tmp_path / "log"))
     albedo = {"path": "coating.base_albedo", "low": 0.1, "high": 0.8, "count": 24}
-    seconds = {}
-    for count in (1, 2):
-        store, cases = stored(study_of(albedo), f"by_{count}")
-        warm, others = stored(study_of(albedo | {"high": 0.7, "count": 4}), f"warm_{count}")
-        with lasting(local_workers(count, cores=count)) as workers:
-            Run(warm, workers, make_measurer=_napping)(others)
-            seconds[count] = Run(store, workers, make_measurer=_napping)(cases).seconds
-    assert seconds[1] / seconds[2] >= 1.8
-
-
-def _napping(keep):
-    return synthetic.Fake(keep, seconds=0.1)
+    store, cases = stored(study_of(albedo))
+    outcome = Run(store, local_workers(2), make_measurer=synthetic.Meeting)(cases)
+    assert outcome.states == {"done": 24}
+    begun = Counter((tmp_path / "log").read_text().split())
+    assert list(begun.values()) == [12, 12]
 
 
 @pytest.mark.parametrize("held_case", [0, 1])
@@ -204,17 +204,24 @@ def test_another_holds_a_case(study_of, stored, held_case):
     albedo = {"path": "coating.base_albedo", "values": [0.1, 0.2]}
     store, cases = stored(study_of(albedo))
     context = multiprocessing.get_context("forkserver")
-    held, release = context.Event(), context.Event()
+    held, release, states = context.Event(), context.Event(), []
     digest = cases[held_case].digest
     holder = context.Process(target=_hold, args=(store.folder, digest, held, release))
     holder.start()
     held.wait()
-    threading.Timer(0.6, release.set).start()
-    run = Run(store, local_workers(1), make_measurer=synthetic.Fake)
+
+    def look(reports):
+        states.extend(report.state for report in reports if report.digest == digest)
+        if "elsewhere" in states:
+            release.set()
+
+    run = Run(store, local_workers(1), make_measurer=synthetic.Fake, done=look)
     outcome = run(cases)
+    release.set()
     holder.join()
     assert outcome.states == {"done": 2}
-    assert outcome.seconds > 0.5
+    assert set(states[:-1]) == {"elsewhere"}
+    assert states[-1] == "done"
     assert run._reads == synthetic.Fake().reads()
 
 
@@ -236,7 +243,7 @@ def test_workers_end_with_their_run(two_axes, stored):
     workers = pids.get(timeout=60)
     run.kill()
     run.join()
-    until = time.monotonic() + 20
+    until = time.monotonic() + 60
     while any(map(_is_running, workers)) and time.monotonic() < until:
         time.sleep(0.05)
     assert workers

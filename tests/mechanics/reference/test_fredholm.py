@@ -20,7 +20,7 @@ def hertz_force(radius: float, depth: float, nu: float) -> float:
 
 
 @given(nu=st.floats(0.1, 0.5), depth=st.floats(0.05, 1.0))
-@settings(max_examples=8, deadline=None, derandomize=True)
+@settings(max_examples=8)
 def test_paraboloid_on_a_half_space_is_hertz(nu: float, depth: float) -> None:
     ball = press_ball(RADIUS, depth, THICKNESS, nu, base="half_space", profile="paraboloid")
     assert ball.contact_radius_mm == pytest.approx(np.sqrt(RADIUS * depth), rel=1e-9)
