@@ -14,7 +14,7 @@ import h5netcdf
 import numpy as np
 import trimesh
 
-from twin.config.models import Elastomer
+from twin.config.models import Elastomer, Press
 from twin.mechanics.errors import PressError
 from twin.mechanics.in_plane import in_plane_displacement
 from twin.mechanics.press import PressedElastomer
@@ -79,7 +79,9 @@ def read_press(path: Path) -> PressedElastomer:
     return PressedElastomer(**{**_typed(values), "validity": validity, "model": model})
 
 
-def write_in_plane(path: Path, pressed: PressedElastomer, elastomer: Elastomer) -> None:
+def write_in_plane(
+    path: Path, pressed: PressedElastomer, elastomer: Elastomer, load: Press
+) -> None:
     """Write the coated face's displacement in its own plane as netCDF-4, for texture only.
 
     Raises
@@ -89,7 +91,7 @@ def write_in_plane(path: Path, pressed: PressedElastomer, elastomer: Elastomer) 
     """
     if pressed.model != "spectral":
         raise PressError(f"in-plane displacement: the model is {pressed.model}, allowed: spectral")
-    moved = in_plane_displacement(pressed, elastomer)
+    moved = in_plane_displacement(pressed, elastomer, load)
 
     def write(target: Path) -> None:
         with h5netcdf.File(target, "w") as file:
