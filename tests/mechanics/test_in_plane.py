@@ -23,6 +23,30 @@ def test_a_plate_turns_its_fibres() -> None:
     np.testing.assert_allclose(u_y, -slope.T, atol=2e-3 * slope.max())
 
 
+def test_a_plate_is_bent_alike_from_either_side() -> None:
+    """In a plate 100 times as long as thick shear and squeezing vanish beside bending."""
+    slab = FreeSlab(64, 64, 200.0, 200.0, 2.0, 0.3)
+    nothing, uniform = np.zeros((64, 64)), np.full((64, 64), 1e-6)
+    expected, _ = slab.opposite_in_plane_at_nodes(uniform, 64, 64)
+    own, _ = slab.opposite_in_plane_at_nodes(nothing, 64, 64, uniform_load=1e-6)
+    np.testing.assert_allclose(own, expected, atol=2e-3 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("preload", [{"back_pressure_kpa": 2.0}, {"gravity_deg": 0.0}])
+def test_a_preloaded_sheet_turns_its_fibres_too(preload: dict[str, float]) -> None:
+    """Kirchhoff on a draped or sagging sheet: the coat moves by -h/2 times its own slope."""
+    values = {"thickness_mm": 1, "length_x_mm": 24, "length_y_mm": 24, "young_modulus_kpa": 300}
+    slab = Elastomer.model_validate(values | {"poisson_ratio": 0.3, "density_kg_m3": 1070})
+    load = Press(
+        control="depth", depth_mm=0.3, solver_pitch_mm=0.16, relief_pitch_mm=0.05, **preload
+    )
+    pressed = press(Ball(), slab, load)
+    u_x, u_y = in_plane_displacement(pressed, slab, load)
+    slope_y, slope_x = np.gradient(pressed.face_z_mm, pressed.face_y_mm, pressed.face_x_mm)
+    for moved, slope in ((u_x, slope_x), (u_y, slope_y)):
+        assert np.sqrt(np.mean((moved + slope / 2) ** 2)) < 0.05 * np.sqrt(np.mean(slope**2)) / 2
+
+
 def test_a_single_wave_of_the_bonded_layer() -> None:
     layer = BondedLayer(48, 60, 15.0, 12.0, 2.0, 0.4)
     k_x, k_y = 2 * np.pi * 2 / 15.0, 2 * np.pi / 12.0
@@ -52,7 +76,7 @@ def test_under_a_ball_the_touched_face_shrinks_and_the_far_face_spreads(
     )
     load = Press(control="depth", depth_mm=0.4, solver_pitch_mm=0.16, relief_pitch_mm=0.05)
     pressed = press(Ball(), slab, load)
-    u_x, u_y = in_plane_displacement(pressed, slab)
+    u_x, u_y = in_plane_displacement(pressed, slab, load)
     assert u_x.shape == u_y.shape == pressed.face_z_mm.shape
     right = u_x[pressed.face_y_mm.size // 2, np.searchsorted(pressed.face_x_mm, 0.6)]
     assert (right < 0) == inwards

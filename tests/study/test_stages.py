@@ -15,6 +15,7 @@ FIELDS = {
     "coating.base_albedo": [0.3, 0.6],
     "coating.flake_fraction": [0.0, 0.4],
     "coating.binder_ior": [1.0, 1.4],
+    "coating.texture": [None, {"rms_um": 10.0, "correlation_mm": 0.2}],
     "elastomer.shore_a": [8.0, 12.0],
     "elastomer.thickness_mm": [2.0, 3.0],
     "elastomer.young_modulus_kpa": [None, 300.0],
@@ -120,6 +121,23 @@ def test_hardness_is_free_under_depth_control(counted):
     found = counted({"elastomer.shore_a": [6.0, 10.0, 14.0]})
     assert found["shape"] == found["capture"] == found["reconstruction"] == 1
     assert found["press"] == 0
+
+
+def test_a_texture_is_laid_on_one_press(counted, base):
+    """Two coats, three seeds: the slow press runs once, each coat's texture once per seed."""
+    textures = [{"rms_um": rms, "correlation_mm": 0.2} for rms in (6.0, 12.0)]
+    found = counted({"coating.texture": textures, "seed": [1, 2, 3]})
+    assert (found["shape"], found["press"]) == (1, 0)
+    # The scout's texture is in the grid again.
+    assert found["texture"] == found["geometry"] == 6
+
+
+def test_hardness_stays_free_under_a_texture(counted):
+    """The modulus moves the last digit of the coat's displacement, not what is rendered."""
+    texture = {"rms_um": 10.0, "correlation_mm": 0.2}
+    found = counted({"coating.texture": [texture], "elastomer.shore_a": [6.0, 10.0, 14.0]})
+    assert found["texture"] == 3
+    assert found["geometry"] == found["capture"] == 1
 
 
 def test_hardness_needs_presses_under_force_control(mi, base):

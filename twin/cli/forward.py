@@ -58,7 +58,7 @@ def press(
         draw_press(folder / "press.png", loaded, pressed)
         figures = press_metrics(pressed)
         if pressed.model == "spectral":
-            write_in_plane(folder / "in_plane.nc", pressed, loaded.elastomer)
+            write_in_plane(folder / "in_plane.nc", pressed, loaded.elastomer, loaded.press)
         if solid:
             write_solid(folder, loaded, pressed)
         if transfer:

@@ -1,5 +1,6 @@
 """Elastomer, coat and press as data, and which model presses. Frames and units: see `models`."""
 
+from math import cbrt, sqrt
 from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
@@ -62,6 +63,43 @@ class Elastomer(Model):
         return -self.thickness_mm if self.layout == "opposite_face" else 0.0
 
 
+class Texture(Model):
+    """Grain and flakes of a sprayed coat: heights over its smooth face, as a random field."""
+
+    rms_um: Annotated[float, Field(gt=0, le=100)] = Field(
+        description="root mean square height over all seeds"
+    )
+    correlation_mm: Annotated[float, Field(ge=0.03, le=2)] = Field(
+        description="lag at which the autocorrelation of the heights falls to 1/e; ISO 25178's Sal "
+        "takes 0.2, which normal heights reach at 1.27 of it"
+    )
+    skewness: Annotated[float, Field(ge=-3, le=3)] = Field(
+        default=0.0, description="above 0: grains stand out; below 0: pits"
+    )
+    excess_kurtosis: Annotated[float, Field(ge=0, le=60)] = Field(
+        default=0.0,
+        description="0 is normal; with skewness, more than the log-normal distribution has",
+    )
+
+    @model_validator(mode="after")
+    def _distribution_exists(self) -> "Texture":
+        least = _least_excess_kurtosis(self.skewness)
+        if self.skewness and self.excess_kurtosis < least:
+            raise ValueError(
+                f"excess_kurtosis: found {self.excess_kurtosis:g}, allowed at least {least:.3g} "
+                f"with skewness {self.skewness:g}; raise it, or set skewness nearer to 0"
+            )
+        return self
+
+
+def _least_excess_kurtosis(skewness: float) -> float:
+    """Return the log-normal distribution's and 1 %: heights follow Johnson's unbounded system."""
+    square = skewness**2
+    root = cbrt(1 + square / 2 + sqrt(square + square**2 / 4))
+    w = root + 1 / root - 1
+    return 1.01 * (w**4 + 2 * w**3 + 3 * w**2 - 6)
+
+
 class Coating(Model):
     """Gray ink with aluminium flakes: a blend of a diffuse and a rough conducting reflector.
 
@@ -85,6 +123,12 @@ class Coating(Model):
         default=0.1,
         description="GGX alpha of the binder's face; without effect at binder_ior = 1. Light "
         "scattered twice on it is lost: 7 % of a 0.9 albedo at 0.1, 28 % at 0.3 (index 1.5)",
+    )
+    # Left out where absent: a smooth coat keeps its digest.
+    texture: Texture | None = Field(
+        default=None,
+        exclude_if=lambda texture: texture is None,
+        description="absent: the coat is smooth",
     )
 
 

@@ -8,11 +8,11 @@ points up to camera and projector. Device frames are OpenCV's (x right, y down, 
 
 from typing import Annotated, Literal
 
-from pydantic import Field, ValidationInfo, field_validator
+from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from twin.config.base import Distortion, Model, Positive
 from twin.config.devices import Camera, Pose, Projector
-from twin.config.elastomer import Coating, Elastomer, Film, Mechanics, PadFile, Press
+from twin.config.elastomer import Coating, Elastomer, Film, Mechanics, PadFile, Press, Texture
 from twin.config.lamps import Lamp, Photometric, check_lamps
 from twin.config.layers import Layer, Layers, check_rig
 from twin.config.materials import Conductor, Dielectric, Diffuse, Material, Plastic, Stage
@@ -63,6 +63,7 @@ __all__ = [
     "Score",
     "Specimen",
     "Stage",
+    "Texture",
     "TwoBalls",
 ]
 
@@ -193,6 +194,17 @@ class Experiment(Model):
         if self.render.bounces is not None:
             return self.render.bounces
         return _DIRECT_BOUNCES if self.modality == "direct_fpp" else 0
+
+    @model_validator(mode="after")
+    def _mesh_resolves_the_texture(self) -> "Experiment":
+        texture, pitch_mm = self.coating.texture, self.press.relief_pitch_mm
+        if texture is not None and pitch_mm > texture.correlation_mm / 2:
+            raise ValueError(
+                f"press.relief_pitch_mm: found {pitch_mm:g}, allowed up to "
+                f"{texture.correlation_mm / 2:g}, half of coating.texture.correlation_mm; use a "
+                "finer relief or a coarser texture"
+            )
+        return self
 
     @field_validator("layers")
     @classmethod

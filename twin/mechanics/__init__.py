@@ -14,11 +14,13 @@ from twin.mechanics.in_plane import in_plane_displacement
 from twin.mechanics.press import PressedElastomer, press
 from twin.mechanics.relief import face_mesh, face_normals, slab_mesh
 from twin.mechanics.storage import read_press, write_in_plane, write_mesh, write_press
+from twin.mechanics.texture import Field, texture_field, texture_figures, textured
 from twin.mechanics.transfer import opposite_transfer
 from twin.mechanics.validity import Validity
 
 __all__ = [
     "ContactTransfer",
+    "Field",
     "ModulusEstimate",
     "PressError",
     "PressedElastomer",
@@ -36,6 +38,9 @@ __all__ = [
     "press_with",
     "read_press",
     "slab_mesh",
+    "texture_field",
+    "texture_figures",
+    "textured",
     "write_in_plane",
     "write_mesh",
     "write_press",

@@ -8,18 +8,18 @@ for a ball of 4 mm pressed 1 mm into a 4 mm layer (measured on our prototype).
 
 import numpy as np
 
-from twin.config.models import Elastomer
+from twin.config.models import Elastomer, Press
 from twin.mechanics.layer import BondedLayer, FreeSlab
-from twin.mechanics.layouts import layer_on
+from twin.mechanics.layouts import layer_on, preload_of
 from twin.mechanics.press import PressedElastomer
 from twin.mechanics.refine import touched_at_nodes, wrapped
 from twin.mechanics.transfer import FloatArray
 
 
 def in_plane_displacement(
-    pressed: PressedElastomer, elastomer: Elastomer
+    pressed: PressedElastomer, elastomer: Elastomer, load: Press
 ) -> tuple[FloatArray, FloatArray]:
-    """Return how far the coat's material moves sideways under the contact pressure.
+    """Return how far the coat's material moves sideways under contact, back pressure and weight.
 
     Parameters
     ----------
@@ -27,6 +27,8 @@ def in_plane_displacement(
         A press of the spectral model.
     elastomer : Elastomer
         What was pressed.
+    load : Press
+        How.
 
     Returns
     -------
@@ -36,9 +38,10 @@ def in_plane_displacement(
     layer = layer_on(elastomer, pressed.x_mm, pressed.y_mm, pressed.young_modulus_kpa)
     pressure = pressed.pressure_kpa / pressed.young_modulus_kpa
     if isinstance(layer, FreeSlab):
-        return layer.opposite_in_plane_at_nodes(
-            pressure, pressed.face_y_mm.size - 1, pressed.face_x_mm.size - 1
-        )
+        preload = preload_of(elastomer, load, pressed.young_modulus_kpa)
+        rows, cols = pressed.face_y_mm.size - 1, pressed.face_x_mm.size - 1
+        loaded = pressure + preload.touched
+        return layer.opposite_in_plane_at_nodes(loaded, rows, cols, preload.coated)
     return _bonded(layer, pressure, pressed)
 
 

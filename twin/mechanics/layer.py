@@ -117,12 +117,20 @@ class FreeSlab(Layer):
         return sines_at_nodes(spectrum, rows, cols)
 
     def opposite_in_plane_at_nodes(
-        self, pressure: FloatArray, rows: int, cols: int
+        self, pressure: FloatArray, rows: int, cols: int, uniform_load: float = 0.0
     ) -> tuple[FloatArray, FloatArray]:
-        """Evaluate the far face's displacement in its plane, (u_x, u_y) each at the nodes, mm."""
+        """Evaluate the far face's displacement in its plane, (u_x, u_y) each at the nodes, mm.
+
+        Parameters as `opposite_at_nodes`.
+        """
         k_x, k_y = _sine_waves(self)
         potential = fft.dstn(pressure, type=2, workers=_WORKERS) / self._k
         potential *= self.compliance(self._table, self._k, "tangential_b")
+        if uniform_load:
+            # Turned over, a load along the press pulls at its own face.
+            pulled = np.full_like(pressure, -uniform_load)
+            own = fft.dstn(pulled, type=2, workers=_WORKERS) / self._k
+            potential += own * self.compliance(self._turned_table, self._k, "tangential_t")
         slopes = (
             sine_amplitudes(potential * k_x, rows, cols),
             sine_amplitudes(potential * k_y[:, None], rows, cols),
@@ -158,9 +166,14 @@ class FreeSlab(Layer):
         """The far face under its own load: without a film the slab has no up and down."""
         if self.film is None:
             return self._compliance_t
+        return self.compliance(self._turned_table, self._k, "normal_t")
+
+    @cached_property
+    def _turned_table(self) -> TransferTable:
+        if self.film is None:
+            return self._table
         lowest = float(self._k[0, 0]) * self.thickness_mm
-        table = tabulate(lowest, self.poisson_ratio, "free_turned", self.film)
-        return self.compliance(table, self._k, "normal_t")
+        return tabulate(lowest, self.poisson_ratio, "free_turned", self.film)
 
     @cached_property
     def _kernel(self) -> FloatArray:

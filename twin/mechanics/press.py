@@ -52,6 +52,8 @@ class PressedElastomer:
     converged: bool
     #: which model pressed: spectral, fem or neo_hookean
     model: str = "spectral"
+    #: (row, col) what the coat's texture adds to face_z_mm; None: the coat is smooth
+    texture_mm: FloatArray | None = None
 
 
 def press(specimen: Specimen, elastomer: Elastomer, load: Press) -> PressedElastomer:

@@ -14,7 +14,7 @@ import h5netcdf
 import numpy as np
 import trimesh
 
-from twin.config.models import Elastomer
+from twin.config.models import Elastomer, Press
 from twin.mechanics.errors import PressError
 from twin.mechanics.in_plane import in_plane_displacement
 from twin.mechanics.press import PressedElastomer
@@ -37,7 +37,9 @@ _VARIABLES: dict[str, tuple[tuple[str, ...], str, str]] = {
     "young_modulus_kpa": ((), "kPa", "Young's modulus of the elastomer"),
     "iterations": ((), "1", "passes of the contact solver"),
     "converged": ((), "1", "1 when the contact solver converged"),
+    "texture_mm": (("face_y", "face_x"), "mm", "what the coat's texture adds to face_z_mm"),
 }
+_OPTIONAL = {"texture_mm"}
 
 
 def write_press(path: Path, pressed: PressedElastomer) -> None:
@@ -68,7 +70,8 @@ def read_press(path: Path) -> PressedElastomer:
         with h5netcdf.File(path, "r") as file:
             if file.attrs.get("schema") != _SCHEMA:
                 raise PressError(f"{path}: not a pressed elastomer (schema '{_SCHEMA}')")
-            values = {name: file[name][...] for name in _VARIABLES}
+            stored = [name for name in _VARIABLES if name in file or name not in _OPTIONAL]
+            values = {name: file[name][...] for name in stored}
             validity, model = _read_validity(file), str(file.attrs["model"])
     except PressError:
         raise
@@ -79,7 +82,9 @@ def read_press(path: Path) -> PressedElastomer:
     return PressedElastomer(**{**_typed(values), "validity": validity, "model": model})
 
 
-def write_in_plane(path: Path, pressed: PressedElastomer, elastomer: Elastomer) -> None:
+def write_in_plane(
+    path: Path, pressed: PressedElastomer, elastomer: Elastomer, load: Press
+) -> None:
     """Write the coated face's displacement in its own plane as netCDF-4, for texture only.
 
     Raises
@@ -89,7 +94,7 @@ def write_in_plane(path: Path, pressed: PressedElastomer, elastomer: Elastomer) 
     """
     if pressed.model != "spectral":
         raise PressError(f"in-plane displacement: the model is {pressed.model}, allowed: spectral")
-    moved = in_plane_displacement(pressed, elastomer)
+    moved = in_plane_displacement(pressed, elastomer, load)
 
     def write(target: Path) -> None:
         with h5netcdf.File(target, "w") as file:
@@ -147,6 +152,8 @@ def _fill(file: Any, pressed: PressedElastomer) -> None:
         "face_y": pressed.face_y_mm.size,
     }
     for name, (dimensions, units, long_name) in _VARIABLES.items():
+        if name in _OPTIONAL and getattr(pressed, name) is None:
+            continue
         data = np.asarray(getattr(pressed, name))
         stored = data.astype(np.int8) if data.dtype == bool else data
         packing = {"compression": "gzip", "compression_opts": 1} if data.ndim == 2 else {}

@@ -4,17 +4,30 @@ from reconstruction.decode import DecodeOptions
 from reconstruction.errors import InputError
 from reconstruction.pipeline import ReconstructOptions
 from twin.config.models import Decode, Experiment
-from twin.mechanics import PressedElastomer, face_mesh, press_with
+from twin.mechanics import PressedElastomer, face_mesh, press_with, textured
 from twin.modalities.progress import Stopwatch
 from twin.modalities.recording import Recording, expose_capture
 from twin.optics.render import render
 
 
 def press_specimen(experiment: Experiment) -> PressedElastomer:
-    """Press the experiment's specimen into its elastomer, with the model that it asks for."""
+    """Press the experiment's specimen into its elastomer: the coated face as it is seen."""
+    return with_texture(experiment, press_smooth(experiment))
+
+
+def press_smooth(experiment: Experiment) -> PressedElastomer:
+    """Press with the model that the experiment asks for; the coat's texture is left out."""
     return press_with(
         experiment.mechanics, experiment.specimen, experiment.elastomer, experiment.press
     )
+
+
+def with_texture(experiment: Experiment, smooth: PressedElastomer) -> PressedElastomer:
+    """Lay the experiment's texture, if its coat has one, on a smooth pressed face."""
+    texture = experiment.coating.texture
+    if texture is None:
+        return smooth
+    return textured(smooth, experiment.elastomer, experiment.press, texture, experiment.seed)
 
 
 def record(

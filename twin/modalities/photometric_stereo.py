@@ -32,7 +32,7 @@ from twin.modalities.colour_images import (
     image_pinhole,
     with_fixed_exposure,
 )
-from twin.modalities.contact_fpp import press_specimen
+from twin.modalities.contact_fpp import press_smooth, press_specimen, with_texture
 from twin.modalities.photometric_decoders import MAP_ORDER, Decoded, chosen, decode_all
 from twin.modalities.photometric_score import PhotometricScore
 from twin.modalities.progress import Stopwatch, Watcher, nobody
@@ -296,5 +296,7 @@ def _check(experiment: Experiment) -> None:
 
 def _untouched(experiment: Experiment) -> PressedElastomer:
     """Return the untouched coat on the nodes of a pressed one: a press, its relief taken off."""
-    pressed = press_specimen(with_ball(experiment, Ball(diameter_mm=8.0), 0.2))
-    return replace(pressed, face_z_mm=np.zeros_like(pressed.face_z_mm))
+    case = with_ball(experiment, Ball(diameter_mm=8.0), 0.2)
+    pressed = press_smooth(case)
+    flat, free = np.zeros_like(pressed.face_z_mm), np.zeros_like(pressed.pressure_kpa)
+    return with_texture(case, replace(pressed, face_z_mm=flat, pressure_kpa=free))

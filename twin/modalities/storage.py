@@ -30,6 +30,7 @@ from twin.mechanics import (
     PressedElastomer,
     face_mesh,
     slab_mesh,
+    texture_figures,
     write_mesh,
     write_press,
 )
@@ -150,6 +151,7 @@ def press_metrics(pressed: PressedElastomer) -> dict[str, Any]:
         "relief_peak_mm": float(pressed.face_z_mm.max()),
         "peak_pressure_kpa": float(pressed.pressure_kpa.max()),
         "height_error_estimate_mm": pressed.validity.height_error_mm,
+        **texture_figures(pressed),
         "warnings": list(pressed.validity.warnings),
     }
 

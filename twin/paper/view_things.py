@@ -153,6 +153,7 @@ def _thinned(pressed: PressedElastomer, cut_y_mm: float | None) -> PressedElasto
         face_x_mm=pressed.face_x_mm[cols],
         face_y_mm=pressed.face_y_mm[rows],
         face_z_mm=pressed.face_z_mm[np.ix_(rows, cols)],
+        texture_mm=None,
     )
 
 

@@ -2,6 +2,8 @@
 
 from typing import Any
 
+from twin.config.models import Coating
+
 # Longest first: e_per_s ends in no other unit, but `_s` alone would swallow it.
 _UNITS = {
     "_e_per_s": "e⁻/s",
@@ -59,3 +61,11 @@ def phrase(values: dict[str, Any], *, leave_out: tuple[str, ...] = ()) -> str:
             space = "" if unit in ("°", "") else " "
             parts.append(f"{label} {in_words(value)}{space}{unit}")
     return ", ".join(parts)
+
+
+def coating_phrase(coating: Coating) -> str:
+    """Write a coating as one phrase, its texture, if it has one, last."""
+    told = phrase(coating.model_dump())
+    if coating.texture is None:
+        return told
+    return f"{told}; texture: {phrase(coating.texture.model_dump())}"

@@ -1,6 +1,6 @@
 """The experiment at a glance: one line per part of the sensor."""
 
-from twin.report.fields import phrase
+from twin.report.fields import coating_phrase, phrase
 from twin.report.result_folder import Scored
 from twin.report.rig import triangulation_angle_deg
 from twin.report.world_map import pixel_on_face_mm
@@ -33,7 +33,7 @@ def _coat(scored: Scored) -> list[tuple[str, str]]:
     return [
         ("press", _press(scored)),
         ("elastomer", f"{phrase(experiment.elastomer.model_dump())}; {_modulus(scored)}"),
-        ("coating", phrase(experiment.coating.model_dump())),
+        ("coating", coating_phrase(experiment.coating)),
     ]
 
 

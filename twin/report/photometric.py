@@ -6,7 +6,7 @@ from twin.modalities.photometric_decoders import Decoded
 from twin.modalities.score import SphereScore
 from twin.report.appendix import Figure
 from twin.report.direct import percent
-from twin.report.fields import phrase
+from twin.report.fields import coating_phrase, phrase
 from twin.report.paper import CONTACT_FPP, GELSIGHT, paper_row
 from twin.report.photometric_folder import Photographed
 from twin.report.photometric_maps import decoder_name
@@ -110,7 +110,7 @@ def glance(seen: Photographed) -> list[tuple[str, str]]:
             f"{phrase(experiment.elastomer.model_dump())}; Young's modulus "
             f"{figures['young_modulus_kpa']:.3g} kPa",
         ),
-        ("coating", phrase(experiment.coating.model_dump())),
+        ("coating", coating_phrase(experiment.coating)),
         (
             "image",
             f"{size.width_px} × {size.height_px} px of {1e3 * seen.calibration.pitch_mm:.1f} µm on "

@@ -1,8 +1,8 @@
 """One virtual measurement in stages that hand their results on to the next case.
 
-press -> geometry -> view -> trace -> frames -> capture -> reconstruction; each is kept, and used
-again for every later case that has the same values in all fields that the stage looked at, and the
-same earlier stages. The bytes are those of `measure`.
+press -> texture -> geometry -> view -> trace -> frames -> capture -> reconstruction; each is kept,
+and used again for every later case that has the same values in all fields that the stage looked at,
+and the same earlier stages. The bytes are those of `measure`.
 """
 
 import hashlib
@@ -14,7 +14,7 @@ from reconstruction.pipeline import Reconstruction, reconstruct
 from twin.config import Experiment
 from twin.mechanics import PressedElastomer, face_mesh
 from twin.mechanics.unit_press import unit_press, with_modulus
-from twin.modalities.contact_fpp import check_layers, options_of, press_specimen
+from twin.modalities.contact_fpp import check_layers, options_of, press_smooth, with_texture
 from twin.modalities.progress import Stopwatch
 from twin.modalities.recording import Recording, expose_capture
 from twin.modalities.score import Score, score
@@ -55,6 +55,7 @@ class ContactStages:
     def __init__(self) -> None:
         self._shape: Memo[_Pressed | None] = Memo("shape", _FACES)
         self._press: Memo[_Pressed] = Memo("press", _FACES)
+        self._texture: Memo[_Pressed] = Memo("texture", _FACES)
         self._geometry: Memo[Geometry] = Memo("geometry")
         self._view: Memo[View] = Memo("view")
         self._trace: Memo[Patches] = Memo("trace")
@@ -92,6 +93,7 @@ class ContactStages:
         memos: tuple[Memo[Any], ...] = (
             self._shape,
             self._press,
+            self._texture,
             self._geometry,
             self._view,
             self._trace,
@@ -104,11 +106,19 @@ class ContactStages:
             yield memo.name, memo.computed, memo.recalled, reads.paths if reads else ()
 
     def _pressed(self, experiment: Experiment) -> _Pressed:
+        smooth, token = self._smooth(experiment)
+        made_from = token, smooth.pressed.young_modulus_kpa
+        return self._texture.recall(
+            experiment, made_from, lambda seen: _with_texture(seen, smooth)
+        ).value
+
+    def _smooth(self, experiment: Experiment) -> tuple[_Pressed, int]:
         shape = self._shape.recall(experiment, (), _unit_press)
         if shape.value is None:
-            return self._press.recall(experiment, (), _own_press).value
+            own = self._press.recall(experiment, (), _own_press)
+            return own.value, own.token
         scaled = with_modulus(shape.value.pressed, experiment.elastomer)
-        return _Pressed(scaled, shape.value.face_digest)
+        return _Pressed(scaled, shape.value.face_digest), shape.token
 
     def _radiance(self, experiment: Experiment, press: _Pressed) -> Kept[RadianceStack]:
         activate()
@@ -153,8 +163,13 @@ def _unit_press(experiment: Experiment) -> _Pressed | None:
 
 
 def _own_press(experiment: Experiment) -> _Pressed:
-    pressed = press_specimen(experiment)
+    pressed = press_smooth(experiment)
     return _Pressed(pressed, face_digest(pressed))
+
+
+def _with_texture(experiment: Experiment, smooth: _Pressed) -> _Pressed:
+    pressed = with_texture(experiment, smooth.pressed)
+    return smooth if pressed is smooth.pressed else _Pressed(pressed, face_digest(pressed))
 
 
 def face_digest(pressed: PressedElastomer) -> str:
