@@ -8,13 +8,16 @@ they are smooth down to the radius of their rounded edges, where the nearest fac
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numba
 import numpy as np
 
 from reconstruction.cores import threads
 from twin.specimens.pose import FloatArray
+
+if TYPE_CHECKING:
+    from twin.specimens.catalogue import Shape
 
 Evaluation = tuple[FloatArray, FloatArray, FloatArray]
 # No fused multiply-add: the same bytes whatever the make of the CPU.
@@ -47,15 +50,7 @@ class SignedDistance(Protocol):
         ...
 
 
-class Solid(Protocol):
-    """What is made of rigid bodies."""
-
-    def distances(self) -> tuple[SignedDistance, ...]:
-        """Return the distance to each body."""
-        ...
-
-
-def distances_of(shape: Solid) -> tuple[SignedDistance, ...]:
+def distances_of(shape: "Shape") -> tuple[SignedDistance, ...]:
     """Return the distances to the bodies of a shape in its pose; their contact potentials add."""
     return shape.distances()
 
