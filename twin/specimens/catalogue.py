@@ -14,6 +14,7 @@ import trimesh
 
 from reconstruction.errors import InputError
 from twin.config.models import Specimen
+from twin.specimens.distance import SignedDistance
 from twin.specimens.pose import FloatArray, Pose, pose_of, raised
 
 
@@ -55,6 +56,10 @@ class Shape(Protocol):
 
     def spheres(self) -> tuple[Sphere, ...]:
         """Return the balls to fit, in the order of the specimen's x axis; may be empty."""
+        ...
+
+    def distances(self) -> tuple[SignedDistance, ...]:
+        """Return the signed distances to the bodies, whose contact potentials add."""
         ...
 
     def bounds_mm(self) -> tuple[float, float, float, float]:

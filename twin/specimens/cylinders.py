@@ -7,6 +7,7 @@ import trimesh
 
 from twin.config.models import Flat, Rod
 from twin.specimens.catalogue import Sphere, register
+from twin.specimens.distance import CylinderDistance, SignedDistance
 from twin.specimens.pose import FloatArray, Pose
 
 _PASSES = 60
@@ -43,6 +44,11 @@ class Cylinder:
     def spheres(self) -> tuple[Sphere, ...]:
         """No balls."""
         return ()
+
+    def distances(self) -> tuple[SignedDistance, ...]:
+        """Return the distance to the cylinder."""
+        sizes = self.radius_mm, self.half_length_mm, self.edge_radius_mm
+        return (CylinderDistance(self.middle_mm, self.axis, *sizes),)
 
     def bounds_mm(self) -> tuple[float, float, float, float]:
         """Return the outline in world xy: (x low, x high, y low, y high)."""

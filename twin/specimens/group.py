@@ -8,6 +8,7 @@ import trimesh
 
 from twin.config.models import Group
 from twin.specimens.catalogue import Shape, Sphere, register, shape_of
+from twin.specimens.distance import SignedDistance
 from twin.specimens.pose import FloatArray, Pose, raised
 
 
@@ -29,6 +30,10 @@ class Assembly:
     def spheres(self) -> tuple[Sphere, ...]:
         """Return the balls of all parts, part by part."""
         return tuple(ball for part in self.parts for ball in part.spheres())
+
+    def distances(self) -> tuple[SignedDistance, ...]:
+        """Return the distances to the bodies of all parts, part by part."""
+        return tuple(body for part in self.parts for body in part.distances())
 
     def bounds_mm(self) -> tuple[float, float, float, float]:
         """Return the outline in world xy: (x low, x high, y low, y high)."""

@@ -1,15 +1,18 @@
 """Specimens given as a triangle mesh: a file, or a grating made here."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import trimesh
 
 from twin.config.models import Grating, MeshFile
 from twin.specimens.catalogue import Sphere, register
+from twin.specimens.distance import SignedDistance
 from twin.specimens.mesh_file import read_closed_mesh
-from twin.specimens.pose import FloatArray, Pose
+from twin.specimens.pose import UNMOVED, FloatArray, Pose
 from twin.specimens.raster import upper_side
+from twin.specimens.sampled_distance import MeshDistance
 
 _STEPS_PER_PITCH = 48
 _BODY_MM = 2.0
@@ -28,7 +31,17 @@ _UP = {
 class MeshShape:
     """A closed surface of triangles."""
 
-    surface: trimesh.Trimesh
+    #: the surface in the frame in which it was made
+    body: trimesh.Trimesh
+    #: how it was moved since
+    pose: Pose = UNMOVED
+
+    @cached_property
+    def surface(self) -> trimesh.Trimesh:
+        """The surface in place."""
+        moved = self.body.copy()
+        moved.apply_transform(self.pose.matrix)
+        return moved
 
     @property
     def top_mm(self) -> float:
@@ -37,9 +50,11 @@ class MeshShape:
 
     def placed(self, pose: Pose) -> "MeshShape":
         """Return the surface moved."""
-        moved = self.surface.copy()
-        moved.apply_transform(pose.matrix)
-        return MeshShape(moved)
+        return replace(self, pose=self.pose.then(pose))
+
+    def distances(self) -> tuple[SignedDistance, ...]:
+        """Return the distance to the surface."""
+        return (MeshDistance(self.body, self.pose),)
 
     def spheres(self) -> tuple[Sphere, ...]:
         """No balls."""

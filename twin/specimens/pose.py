@@ -26,12 +26,19 @@ class Pose:
         moved: FloatArray = points_mm @ self.rotation.T + self.shift_mm
         return moved
 
+    def then(self, later: "Pose") -> "Pose":
+        """Return this motion followed by another."""
+        return Pose(later.rotation @ self.rotation, later.apply(self.shift_mm))
+
     @property
     def matrix(self) -> FloatArray:
         """(4, 4) homogeneous matrix."""
         matrix = np.eye(4)
         matrix[:3, :3], matrix[:3, 3] = self.rotation, self.shift_mm
         return matrix
+
+
+UNMOVED = Pose(np.eye(3), np.zeros(3))
 
 
 def unposed(specimen: AnySpecimen) -> AnySpecimen:

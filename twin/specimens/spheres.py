@@ -11,6 +11,7 @@ import trimesh
 
 from twin.config.models import Ball, TwoBalls
 from twin.specimens.catalogue import Sphere, register
+from twin.specimens.distance import BallDistance, SignedDistance
 from twin.specimens.pose import FloatArray, Pose
 
 # Level 6 has 82 k facets; its chords stay within 0.3 um of a 4 mm ball.
@@ -52,6 +53,10 @@ class SphereCluster:
     def spheres(self) -> tuple[Sphere, ...]:
         """Return the balls in the order of the specimen's x axis."""
         return self.balls
+
+    def distances(self) -> tuple[SignedDistance, ...]:
+        """Return the distance to each ball; the neck that joins them is out of reach."""
+        return tuple(BallDistance((b.x_mm, b.y_mm, b.z_mm), b.radius_mm) for b in self.balls)
 
     def bounds_mm(self) -> tuple[float, float, float, float]:
         """Return the outline in world xy: (x low, x high, y low, y high)."""

@@ -1,0 +1,236 @@
+"""Signed distances sampled from meshes: against closed forms, and whatever the order of queries."""
+
+import numpy as np
+import pytest
+import trimesh
+from scipy.spatial.transform import Rotation
+
+from twin.config.artefacts import Rods, Step, VGroove
+from twin.config.objects import Bear, Brick, Nut, TBolt
+from twin.config.specimens import Ball, Flat, Grating, Group, Specimen
+from twin.specimens import shape_of, specimen_mesh
+from twin.specimens.distance import BallDistance, SignedDistance, distances_of
+from twin.specimens.meshes import MeshShape
+from twin.specimens.pose import UNMOVED, FloatArray, Pose
+from twin.specimens.sampled_distance import PITCH_MM, MeshDistance, SampledField
+from twin.specimens.triangle_distance import TriangleSoup, unsigned_samples
+
+REACH_MM = 0.4
+MESHES: list[Specimen] = [
+    Nut(yaw_deg=20),
+    TBolt(tilt_deg=3),
+    Brick(),
+    Bear(yaw_deg=-30),
+    Step(),
+    VGroove(yaw_deg=90),
+    Grating(),
+]
+
+
+def _near(body: SignedDistance, count: int, half_mm: float, inside_mm: float = 0.1) -> FloatArray:
+    """Return points from just inside a body to the reach."""
+    points = np.random.default_rng(1).uniform(-half_mm, half_mm, (count, 3))
+    away = body.evaluate(points, REACH_MM)[0]
+    return points[(away > -inside_mm) & (away < REACH_MM)]
+
+
+def _sampled(specimen: Specimen) -> MeshDistance:
+    return MeshDistance(specimen_mesh(specimen), UNMOVED)
+
+
+def _field(body: trimesh.Trimesh, pitch_mm: float = PITCH_MM) -> SampledField:
+    return SampledField(TriangleSoup.of(np.asarray(body.triangles)), pitch_mm)
+
+
+def test_a_ball_of_facets_is_the_ball() -> None:
+    """Chords of 0.035 mm lie 0.15 um inside at most; facets tilt by 1 deg.
+
+    1 deg over a cell of 0.05 mm is a curvature of 0.35 / mm, of which the facets' small size leaves
+    a third.
+    """
+    exact = BallDistance((0.0, 0.0, 0.0), 1.0)
+    body = MeshDistance(trimesh.creation.icosphere(5, 1.0), UNMOVED)
+    points = _near(exact, 10000, 1.4)
+    found, known = (of.evaluate(points, 1.0) for of in (body, exact))
+    for one, other, most in zip(found, known, (5e-4, 5e-3, 0.3), strict=True):
+        np.testing.assert_allclose(one, other, atol=most)
+
+
+@pytest.mark.parametrize(("edge_mm", "most_mm"), [(0.2, 0.7e-3), (0.1, 1.2e-3)])
+def test_a_rounded_punch_of_facets_is_the_punch(edge_mm: float, most_mm: float) -> None:
+    """Facets of 6 deg lie 0.3 um inside a radius of 0.2 mm.
+
+    Where the edge's arc begins the curvature jumps by 1 / r: a cubic spline errs by about
+    p^2 / 40 r there, 0.3 um at 0.2 mm and 0.6 um at 0.1 mm.
+    """
+    punch = Flat(diameter_mm=3.0, height_mm=2.0, edge_radius_mm=edge_mm)
+    (exact,) = distances_of(shape_of(punch))
+    points = _near(exact, 20000, 2.0, inside_mm=0.0)
+    found, known = (body.evaluate(points, 1.0) for body in (_sampled(punch), exact))
+    np.testing.assert_allclose(found[0], known[0], atol=most_mm)
+    np.testing.assert_allclose(found[1], known[1], atol=0.08)
+    assert np.quantile(np.abs(found[1] - known[1]), 0.9) < 5e-3
+
+
+def test_a_block_keeps_its_edges_to_a_tenth_of_the_pitch() -> None:
+    """Outside a sharp box: faces to the last digits, edges and corners where the curvature ends."""
+    half = np.array([1.0, 1.5, 0.5])
+    body = MeshDistance(trimesh.creation.box(2 * half), UNMOVED)
+    points = np.random.default_rng(1).uniform(-2, 2, (30000, 3))
+    over = np.abs(points) - half
+    exact = np.linalg.norm(np.maximum(over, 0), axis=1)
+    outside = (exact > 0) & (exact < REACH_MM)
+    found = body.evaluate(points, REACH_MM)[0]
+    np.testing.assert_allclose(found[outside], exact[outside], atol=0.1 * PITCH_MM)
+    beside_edges = outside & ((over > -0.2).sum(axis=1) == 1)
+    assert beside_edges.sum() > 1000
+    np.testing.assert_allclose(found[beside_edges], exact[beside_edges], atol=1e-12)
+    inside = (over < -0.05).all(axis=1)
+    assert (found[inside] < -0.04).all()
+
+
+def test_samples_are_the_distances_to_all_triangles() -> None:
+    """Candidates passed down from large cells to small ones lose none that is the nearest."""
+    mesh = trimesh.creation.icosphere(2, 0.9)
+    mesh.apply_scale((1.0, 0.6, 0.3))
+    cells = np.unique(np.random.default_rng(2).integers(-6, 6, (12, 3)), axis=0)
+    samples = unsigned_samples(TriangleSoup.of(np.asarray(mesh.triangles)), cells, 4, PITCH_MM)
+    node = np.stack(np.meshgrid(*3 * (np.arange(4),), indexing="ij"), axis=-1)
+    points = ((4 * cells[:, None, None, None] + node) * PITCH_MM).reshape(-1, 1, 3)
+    count = len(mesh.triangles)
+    known = [
+        np.linalg.norm(
+            trimesh.triangles.closest_point(mesh.triangles, np.repeat(point, count, axis=0))
+            - point,
+            axis=1,
+        ).min()
+        for point in points
+    ]
+    np.testing.assert_allclose(samples.ravel(), known, atol=1e-12)
+
+
+def test_derivatives_are_the_differences_of_the_interpolant() -> None:
+    body = _sampled(Nut(yaw_deg=20, tilt_deg=2))
+    points = _near(body, 4000, 2.5)
+    points[:, 2] -= 0.1
+    _, gradient, hessian = body.evaluate(points, 2.0)
+    step_mm = 1e-5
+    for axis, step in enumerate(step_mm * np.eye(3)):
+        ahead, behind = (body.evaluate(points + side * step, 2.0) for side in (1, -1))
+        slope, bend = ((a - b) / (2 * step_mm) for a, b in zip(ahead[:2], behind[:2], strict=True))
+        np.testing.assert_allclose(slope, gradient[:, axis], atol=1e-6)
+        # The third derivative jumps from cell to cell, by as much as 1 / pitch^2 at an edge.
+        np.testing.assert_allclose(bend, hessian[:, axis], atol=step_mm / PITCH_MM**2)
+
+
+def test_the_order_of_queries_does_not_show() -> None:
+    """Bricks are made when touched, at any reach; the same point has the same bytes."""
+    mesh = specimen_mesh(Step(edge_radius_mm=0.1))
+    points = np.random.default_rng(3).uniform(-0.6, 0.6, (2000, 3))
+    whole = _field(mesh).evaluate(points, REACH_MM, UNMOVED)
+    bit_by_bit = _field(mesh)
+    bit_by_bit.evaluate(points[::7], 1.3, UNMOVED)
+    bit_by_bit.evaluate(points[-50:], 0.05, UNMOVED)
+    order = np.random.default_rng(4).permutation(len(points))
+    for part in np.array_split(order, 5):
+        found = bit_by_bit.evaluate(points[part], REACH_MM, UNMOVED)
+        for one, other in zip(found, whole, strict=True):
+            assert one.tobytes() == other[part].tobytes()
+
+
+def test_a_pose_turns_what_it_moves() -> None:
+    nut = shape_of(Nut())
+    turn = np.asarray(Rotation.from_euler("zyx", (25, 4, -3), degrees=True).as_matrix())
+    pose = Pose(turn, np.array([0.4, -0.3, 0.2]))
+    (still,), (moved,) = nut.distances(), nut.placed(pose).distances()
+    points = np.random.default_rng(5).uniform((-5, -5, -1), (5, 5, 0.3), (4000, 3))
+    known, found = still.evaluate(points, REACH_MM), moved.evaluate(pose.apply(points), REACH_MM)
+    np.testing.assert_allclose(found[0], known[0], atol=1e-12)
+    np.testing.assert_allclose(found[1], known[1] @ turn.T, atol=1e-10)
+    np.testing.assert_allclose(found[2], turn @ known[2] @ turn.T, atol=1e-8)
+
+
+def test_poses_share_the_samples() -> None:
+    (one,), (other,) = shape_of(Nut()).distances(), shape_of(Nut(yaw_deg=30, x_mm=2)).distances()
+    assert isinstance(one, MeshDistance)
+    assert isinstance(other, MeshDistance)
+    assert one.body is other.body
+
+
+def test_a_nut_is_inside_where_there_is_steel() -> None:
+    """Two flats lie across y, the corners across x; 10 mm across flats, thread M6 x 1."""
+    (nut,) = distances_of(shape_of(Nut()))
+    known = {
+        (0.0, 4.9, -2.6): -0.1,  # under a flat
+        (0.0, 5.1, -2.6): 0.1,  # beside it
+        (0.0, 4.0, -0.07): -0.07,  # under the upper face
+        (0.0, 4.0, 0.2): 0.2,  # above it
+        (0.0, 0.0, -2.6): 1.0,  # the hole's axis: out of reach
+        (5.75, 0.0, -0.1): 0.4,  # above the corner, over the chamfer: somewhere near
+    }
+    away, gradient, _ = nut.evaluate(np.array(list(known)), 1.0)
+    np.testing.assert_allclose(away[:5], list(known.values())[:5], atol=1e-6)
+    np.testing.assert_allclose(gradient[0], [0, 1, 0], atol=1e-6)
+    # Chamfer of 30 deg: begins at radius 4.67, falls by tan 30; its normal leans out by 30 deg.
+    beyond = 5.75 - (10 / np.sqrt(3) - 1.1)
+    assert away[5] == pytest.approx(
+        (beyond * np.tan(np.pi / 6) - 0.1) * np.cos(np.pi / 6), abs=2e-3
+    )
+    np.testing.assert_allclose(gradient[5], [0.5, 0, np.sqrt(0.75)], atol=2e-2)
+
+
+def test_a_thread_winds_inside_a_nut() -> None:
+    """At half height of the 3 mm major and 2.46 mm minor radius steel and air alternate."""
+    (nut,) = distances_of(shape_of(Nut()))
+    z = np.linspace(-3.9, -1.3, 261)
+    away = nut.evaluate(np.stack((0 * z + 2.72, 0 * z, z), axis=-1), 1.0)[0]
+    turns = np.flatnonzero(np.diff(np.sign(away)))
+    np.testing.assert_allclose(
+        np.diff(z[turns])[::2] + np.diff(z[turns])[1::2][: len(turns) // 2], 1.0, atol=0.03
+    )
+
+
+@pytest.mark.parametrize("specimen", MESHES, ids=lambda s: s.kind)
+def test_the_surface_is_where_the_distance_is_zero(specimen: Specimen) -> None:
+    """Facets within 1.5 mm of first touch: 0 on them, +-0.05 mm beside them away from edges."""
+    surface = specimen_mesh(specimen)
+    points, facet = trimesh.sample.sample_surface(surface, 1500, seed=1)
+    kept = points[:, 2] > -1.5
+    points, normals = points[kept], surface.face_normals[facet[kept]]
+    (body,) = distances_of(shape_of(specimen))
+    on, above, below = (body.evaluate(points + t * normals, 1.0)[0] for t in (0.0, 0.05, -0.05))
+    assert np.abs(on).max() < 0.3 * PITCH_MM
+    assert np.median(np.abs(on)) < 1e-4
+    assert np.median(np.abs(above - 0.05)) < 5e-4
+    assert np.median(np.abs(below + 0.05)) < 5e-4
+    assert np.mean((below < 0) & (above > 0)) > 0.9
+
+
+def test_bodies_that_overlap_in_one_mesh_are_joined() -> None:
+    """Twice inside is inside: parity would see a hole."""
+    box = trimesh.creation.box((2, 2, 2))
+    both = trimesh.util.concatenate([box, box.copy().apply_translation((0.7, 0.3, 0.4))])
+    away = (
+        MeshShape(both).distances()[0].evaluate(np.array([[0.4, 0.2, 0.1], [-1.2, 0, 0]]), 1.0)[0]
+    )
+    assert away[0] < 0
+    assert away[1] == pytest.approx(0.2, abs=1e-9)
+
+
+def test_an_inside_out_mesh_is_the_same_body() -> None:
+    box = trimesh.creation.box((2, 2, 2))
+    turned = trimesh.Trimesh(box.vertices, box.faces[:, ::-1], process=False)
+    points = np.array([[0.0, 0.0, 1.1], [0.0, 0.0, 0.9]])
+    found = MeshDistance(turned, UNMOVED).evaluate(points, 1.0)[0]
+    np.testing.assert_allclose(found, [0.1, -0.1], atol=1e-9)
+
+
+def test_groups_and_rods_give_all_their_bodies() -> None:
+    group = shape_of(Group(parts={"a": Ball(x_mm=-3, diameter_mm=4), "b": Nut(x_mm=7)}))
+    assert len(distances_of(group)) == 2
+    rods = Rods()
+    bodies = distances_of(shape_of(rods))
+    assert len(bodies) == 2 * len(rods.diameters_mm) + 1
+    top = np.array([[rods.middles_mm[2], 0.0, 0.1]])
+    nearest = min(float(body.evaluate(top, 1.0)[0][0]) for body in bodies)
+    assert nearest == pytest.approx(0.1, abs=1e-9)

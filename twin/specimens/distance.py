@@ -1,0 +1,343 @@
+"""Signed distances to rigid bodies, with gradient and Hessian: what a sheet that wraps them asks.
+
+Frame of the shape: z = 0 is the plane of first touch, the body lies below; mm. Negative inside.
+Bodies with a closed form are here, meshes are in `sampled_distance`. All are exact outside. Inside
+they are smooth down to the radius of their rounded edges, where the nearest face changes.
+"""
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numba
+import numpy as np
+
+from reconstruction.cores import threads
+from twin.specimens.pose import FloatArray
+
+if TYPE_CHECKING:
+    from twin.specimens.catalogue import Shape
+
+Evaluation = tuple[FloatArray, FloatArray, FloatArray]
+# No fused multiply-add: the same bytes whatever the make of the CPU.
+compiled = numba.njit(cache=True, nogil=True, error_model="numpy")
+_BAND = 8192
+# A sharper edge has no curvature that a Newton step could use. Rounded like this it lies 4 um
+# deeper, and the surface is the same everywhere else.
+SHARPEST_MM = 0.01
+_TINY_MM = 1e-9
+
+
+class SignedDistance(Protocol):
+    """Distance to the surface of one rigid body, negative inside."""
+
+    def evaluate(self, points_mm: FloatArray, reach_mm: float) -> Evaluation:
+        """Return distance, gradient and Hessian at points.
+
+        Parameters
+        ----------
+        points_mm : (n, xyz) float, mm
+            Frame of the shape.
+        reach_mm : float, mm
+            Farther outside than this nothing is asked: the distance is then any value of at least
+            `reach_mm`, gradient and Hessian are 0.
+
+        Returns
+        -------
+        (n,) float, mm; (n, xyz) float; (n, xyz, xyz) float, 1/mm
+        """
+        ...
+
+
+def distances_of(shape: "Shape") -> tuple[SignedDistance, ...]:
+    """Return the distances to the bodies of a shape in its pose; their contact potentials add."""
+    return shape.distances()
+
+
+@dataclass(frozen=True)
+class BallDistance:
+    """Distance to a ball."""
+
+    centre_mm: tuple[float, float, float]
+    radius_mm: float
+
+    def evaluate(self, points_mm: FloatArray, reach_mm: float) -> Evaluation:
+        """Return distance, gradient and Hessian, see `SignedDistance`."""
+        return over_points(_ball, points_mm, reach_mm, np.array(self.centre_mm), self.radius_mm)
+
+
+@dataclass(frozen=True, eq=False)
+class CylinderDistance:
+    """Distance to a cylinder with rounded edges; sharper ones than `SHARPEST_MM` are so rounded."""
+
+    #: (xyz) middle
+    middle_mm: FloatArray
+    #: (xyz) unit vector
+    axis: FloatArray
+    radius_mm: float
+    half_length_mm: float
+    edge_radius_mm: float
+
+    def evaluate(self, points_mm: FloatArray, reach_mm: float) -> Evaluation:
+        """Return distance, gradient and Hessian, see `SignedDistance`."""
+        edge = _edge_mm(self.edge_radius_mm, min(self.radius_mm, self.half_length_mm))
+        core = self.radius_mm - edge, self.half_length_mm - edge
+        return over_points(_cylinder, points_mm, reach_mm, self.middle_mm, self.axis, *core, edge)
+
+
+@dataclass(frozen=True, eq=False)
+class BoxDistance:
+    """Distance to a block with rounded edges; sharper ones than `SHARPEST_MM` are so rounded."""
+
+    #: (xyz) middle
+    middle_mm: FloatArray
+    #: (xyz, axis) the block's own axes as columns
+    rotation: FloatArray
+    #: (axis) half of each side
+    half_mm: FloatArray
+    edge_radius_mm: float
+
+    def evaluate(self, points_mm: FloatArray, reach_mm: float) -> Evaluation:
+        """Return distance, gradient and Hessian, see `SignedDistance`."""
+        edge = _edge_mm(self.edge_radius_mm, float(self.half_mm.min()))
+        core = self.half_mm - edge
+        return over_points(_box, points_mm, reach_mm, self.middle_mm, self.rotation, core, edge)
+
+
+@dataclass(frozen=True)
+class HalfSpace:
+    """Distance to what lies behind a plane: normal . point - offset."""
+
+    #: (xyz) unit vector that points out of the material
+    normal: tuple[float, float, float]
+    offset_mm: float
+
+    def evaluate(self, points_mm: FloatArray, reach_mm: float) -> Evaluation:
+        """Return distance, gradient and Hessian, see `SignedDistance`."""
+        return over_points(_half_space, points_mm, reach_mm, np.array(self.normal), self.offset_mm)
+
+
+@dataclass(frozen=True)
+class RoundWall:
+    """Distance to all that lies farther than a radius from the z axis."""
+
+    radius_mm: float
+
+    def evaluate(self, points_mm: FloatArray, reach_mm: float) -> Evaluation:
+        """Return distance, gradient and Hessian, see `SignedDistance`."""
+        return over_points(_round_wall, points_mm, reach_mm, self.radius_mm)
+
+
+@dataclass(frozen=True)
+class RectangularInside:
+    """The free inside of a rectangular frame, centred."""
+
+    half_x_mm: float
+    half_y_mm: float
+
+
+@dataclass(frozen=True)
+class RoundInside:
+    """The free inside of a round frame, centred."""
+
+    radius_mm: float
+
+
+def plate(z_mm: float) -> SignedDistance:
+    """Return all that lies below a height."""
+    return HalfSpace((0.0, 0.0, 1.0), z_mm)
+
+
+def frame_wall(outline: RectangularInside | RoundInside) -> tuple[SignedDistance, ...]:
+    """Return the walls round the free inside of a frame, upright and without end."""
+    if isinstance(outline, RoundInside):
+        return (RoundWall(outline.radius_mm),)
+    x, y = -outline.half_x_mm, -outline.half_y_mm
+    return (
+        HalfSpace((-1.0, 0.0, 0.0), x),
+        HalfSpace((1.0, 0.0, 0.0), x),
+        HalfSpace((0.0, -1.0, 0.0), y),
+        HalfSpace((0.0, 1.0, 0.0), y),
+    )
+
+
+def over_points(
+    kernel: Callable[..., None], points_mm: FloatArray, reach_mm: float, *body: Any
+) -> Evaluation:
+    """Call `kernel(points, reach, (distance, gradient, hessian), body)` over bands of points.
+
+    The results start as zeros. Each point is a matter of its own, so the bands do not show.
+    """
+    points = np.ascontiguousarray(points_mm, dtype=np.float64)
+    count = len(points)
+    out = np.zeros(count), np.zeros((count, 3)), np.zeros((count, 3, 3))
+    bands = [slice(first, first + _BAND) for first in range(0, count, _BAND)]
+
+    def fill(band: slice) -> None:
+        distance, gradient, hessian = (part[band] for part in out)
+        kernel(points[band], float(reach_mm), (distance, gradient, hessian), body)
+
+    if len(bands) < 2 or threads() == 1:
+        for band in bands:
+            fill(band)
+    else:
+        with ThreadPoolExecutor(threads()) as pool:
+            list(pool.map(fill, bands))
+    return out
+
+
+def _edge_mm(edge_radius_mm: float, half_mm: float) -> float:
+    return max(edge_radius_mm, min(SHARPEST_MM, half_mm / 2))
+
+
+@compiled  # type: ignore[untyped-decorator]
+def _ball(
+    points: FloatArray, reach: float, out: Evaluation, body: tuple[FloatArray, float]
+) -> None:
+    distance, gradient, hessian = out
+    centre, radius = body
+    for i in range(len(points)):
+        x, y, z = points[i, 0] - centre[0], points[i, 1] - centre[1], points[i, 2] - centre[2]
+        far = max(np.sqrt(x * x + y * y + z * z), _TINY_MM)
+        distance[i] = far - radius
+        if distance[i] > reach:
+            continue
+        n = (x / far, y / far, z / far)
+        for a in range(3):
+            gradient[i, a] = n[a]
+            for b in range(3):
+                hessian[i, a, b] = -n[a] * n[b] / far
+            hessian[i, a, a] += 1 / far
+
+
+@compiled  # type: ignore[untyped-decorator]
+def _cylinder(
+    points: FloatArray,
+    reach: float,
+    out: Evaluation,
+    body: tuple[FloatArray, FloatArray, float, float, float],
+) -> None:
+    """In the plane through the axis: distance to a rectangle, grown by the edge's radius."""
+    distance, gradient, hessian = out
+    middle, axis, core_radius, core_length, edge = body
+    ax, ay, az = axis[0], axis[1], axis[2]
+    for i in range(len(points)):
+        x, y, z = points[i, 0] - middle[0], points[i, 1] - middle[1], points[i, 2] - middle[2]
+        along = x * ax + y * ay + z * az
+        wx, wy, wz = x - along * ax, y - along * ay, z - along * az
+        across = np.sqrt(wx * wx + wy * wy + wz * wz)
+        over_end, over_side = abs(along) - core_length, across - core_radius
+        end, side, bend = 0.0, 0.0, 0.0
+        if over_end > 0 and over_side > 0:
+            far = max(np.sqrt(over_end * over_end + over_side * over_side), _TINY_MM)
+            end, side, bend = over_end / far, over_side / far, 1 / far
+        elif over_end > over_side:
+            far, end = over_end, 1.0
+        else:
+            far, side = over_side, 1.0
+        distance[i] = far - edge
+        if distance[i] > reach:
+            continue
+        forth = -1.0 if along < 0 else 1.0
+        outward = 1 / max(across, _TINY_MM)
+        a = (forth * ax, forth * ay, forth * az)
+        u = (wx * outward, wy * outward, wz * outward)
+        for p in range(3):
+            gradient[i, p] = end * a[p] + side * u[p]
+            round_edge = bend * (side * a[p] - end * u[p])
+            for q in range(3):
+                round_axis = (1.0 if p == q else 0.0) - a[p] * a[q] - u[p] * u[q]
+                hessian[i, p, q] = round_edge * (side * a[q] - end * u[q])
+                hessian[i, p, q] += side * outward * round_axis
+
+
+@compiled  # type: ignore[untyped-decorator]
+def _beyond_core(
+    at: FloatArray, rotation: FloatArray, core: FloatArray, over: FloatArray, sign: FloatArray
+) -> tuple[float, int]:
+    """Note how far a point lies beyond each face; return its distance and the foremost face."""
+    squared, foremost = 0.0, 0
+    for k in range(3):
+        along = rotation[0, k] * at[0] + rotation[1, k] * at[1] + rotation[2, k] * at[2]
+        sign[k] = -1.0 if along < 0 else 1.0
+        over[k] = abs(along) - core[k]
+        squared += max(over[k], 0.0) ** 2
+        if over[k] > over[foremost]:
+            foremost = k
+    # Over one face alone the root would cost the last digit.
+    alone = squared <= max(over[foremost], 0.0) ** 2
+    return over[foremost] if alone else np.sqrt(squared), foremost
+
+
+@compiled  # type: ignore[untyped-decorator]
+def _bend(
+    n: FloatArray, rotation: FloatArray, over: FloatArray, far: float, hessian: FloatArray
+) -> None:
+    """Set (I - n n) / far within the axes along which the point lies beyond the core."""
+    for p in range(3):
+        for q in range(p, 3):
+            bend = -n[p] * n[q]
+            for k in range(3):
+                if over[k] > 0:
+                    bend += rotation[p, k] * rotation[q, k]
+            hessian[p, q] = hessian[q, p] = bend / far
+
+
+@compiled  # type: ignore[untyped-decorator]
+def _box(
+    points: FloatArray,
+    reach: float,
+    out: Evaluation,
+    body: tuple[FloatArray, FloatArray, FloatArray, float],
+) -> None:
+    """Distance to the core, grown by the edge's radius; nearest face inside the core."""
+    distance, gradient, hessian = out
+    middle, rotation, core, edge = body
+    at, over, n = np.zeros(3), np.zeros(3), np.zeros(3)
+    for i in range(len(points)):
+        for p in range(3):
+            at[p] = points[i, p] - middle[p]
+        far, foremost = _beyond_core(at, rotation, core, over, n)
+        distance[i] = far - edge
+        if distance[i] > reach:
+            continue
+        for k in range(3):
+            if far > over[foremost]:
+                n[k] *= max(over[k], 0.0) / far
+            elif k != foremost:
+                n[k] = 0.0
+        for p in range(3):
+            for k in range(3):
+                gradient[i, p] += rotation[p, k] * n[k]
+        if far > over[foremost]:
+            _bend(gradient[i], rotation, over, far, hessian[i])
+
+
+@compiled  # type: ignore[untyped-decorator]
+def _half_space(
+    points: FloatArray, reach: float, out: Evaluation, body: tuple[FloatArray, float]
+) -> None:
+    distance, gradient, _hessian = out
+    normal, offset = body
+    for i in range(len(points)):
+        at = normal[0] * points[i, 0] + normal[1] * points[i, 1] + normal[2] * points[i, 2]
+        distance[i] = at - offset
+        if distance[i] <= reach:
+            gradient[i] = normal
+
+
+@compiled  # type: ignore[untyped-decorator]
+def _round_wall(points: FloatArray, reach: float, out: Evaluation, body: tuple[float]) -> None:
+    distance, gradient, hessian = out
+    (radius,) = body
+    for i in range(len(points)):
+        x, y = points[i, 0], points[i, 1]
+        across = max(np.sqrt(x * x + y * y), _TINY_MM)
+        distance[i] = radius - across
+        if distance[i] > reach:
+            continue
+        x, y = x / across, y / across
+        gradient[i, 0], gradient[i, 1] = -x, -y
+        hessian[i, 0, 0], hessian[i, 1, 1] = -y * y / across, -x * x / across
+        hessian[i, 0, 1] = hessian[i, 1, 0] = x * y / across

@@ -1,0 +1,286 @@
+"""Signed distance to a closed mesh: sampled on a lattice, interpolated by cubic B-splines.
+
+The interpolant is C2: facets of a round surface blend into each other. Its coefficients come from
+the nodes next to them, c = (-f[-1] + 8 f[0] - f[1]) / 6 along each axis: exact for cubics, so of
+fourth order, without the spread of the interpolating spline's prefilter. Bricks of the lattice are
+therefore made when a point first falls into them, in any order, with the same bytes.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from threading import Lock
+
+import numpy as np
+import numpy.typing as npt
+import trimesh
+
+from twin.specimens.distance import Evaluation, compiled, over_points
+from twin.specimens.pose import FloatArray, Pose
+from twin.specimens.triangle_crossings import Columns
+from twin.specimens.triangle_distance import (
+    IntArray,
+    TriangleSoup,
+    middles_mm,
+    nearest_candidates,
+    unsigned_samples,
+)
+
+#: Distance between nodes. Edges and creases are rounded by about as much.
+PITCH_MM = 0.05
+# Cells of the lattice along a brick, which holds coefficients, and along a block of samples.
+_BRICK, _BLOCK = 8, 4
+# A brick's coefficients come from the nodes of 4 blocks along each axis, from the block before it.
+_BLOCKS = np.stack(np.meshgrid(*3 * (np.arange(-1, 3),), indexing="ij"), axis=-1)
+_MARGIN_MM = 1.0
+_UNMADE = -1
+_KEPT_FIELDS = 8
+_GATHERED = 256
+
+
+@dataclass(frozen=True, eq=False)
+class MeshDistance:
+    """Distance to a closed mesh in a pose."""
+
+    #: in the frame in which it was made: poses share its samples
+    body: trimesh.Trimesh
+    pose: Pose
+    pitch_mm: float = PITCH_MM
+
+    def evaluate(self, points_mm: FloatArray, reach_mm: float) -> Evaluation:
+        """Return distance, gradient and Hessian, see `SignedDistance`."""
+        vertices = np.ascontiguousarray(self.body.vertices, dtype=np.float64)
+        faces = np.ascontiguousarray(self.body.faces, dtype=np.int64)
+        sampled = _field(vertices.tobytes(), faces.tobytes(), self.pitch_mm)
+        return sampled.evaluate(points_mm, reach_mm, self.pose)
+
+
+@lru_cache(maxsize=_KEPT_FIELDS)
+def _field(vertices: bytes, faces: bytes, pitch_mm: float) -> "SampledField":
+    corners = np.frombuffer(vertices).reshape(-1, 3)[np.frombuffer(faces, np.int64)]
+    return SampledField(TriangleSoup.of(corners.reshape(-1, 3, 3)), pitch_mm)
+
+
+class _Store:
+    """A table of cubes, few of which are made."""
+
+    def __init__(self, low: IntArray, count: IntArray, side: int) -> None:
+        #: (xyz) place of the first cube
+        self.low = low
+        #: (x, y, z) which of the contents
+        self.slot = np.full(count, _UNMADE, np.int32)
+        #: (slot, x, y, z); more than are in use
+        self.contents = np.zeros((64, side, side, side))
+        self._used = 0
+
+    def add(self, cubes: IntArray, contents: FloatArray) -> None:
+        """Enter the contents of cubes (n, xyz)."""
+        first, end = self._used, self._used + len(contents)
+        if end > len(self.contents):
+            room = np.zeros((2 * end, *self.contents.shape[1:]))
+            room[:first] = self.contents[:first]
+            self.contents = room
+        self.contents[first:end] = contents
+        self.slot[tuple((cubes - self.low).T)] = np.arange(first, end)
+        self._used = end
+
+    def slots(self, cubes: IntArray) -> npt.NDArray[np.int32]:
+        """Return which contents belong to cubes (..., xyz)."""
+        return np.asarray(self.slot[tuple(np.moveaxis(cubes - self.low, -1, 0))])
+
+
+class SampledField:
+    """The signed distance to one mesh, made on demand within a margin round it."""
+
+    def __init__(self, soup: TriangleSoup, pitch_mm: float) -> None:
+        self._soup, self._pitch_mm, self._lock = soup, pitch_mm, Lock()
+        self._begin(_MARGIN_MM)
+
+    def evaluate(self, points_mm: FloatArray, reach_mm: float, pose: Pose) -> Evaluation:
+        """Return distance, gradient and Hessian of the mesh in a pose, see `SignedDistance`."""
+        points = np.ascontiguousarray(points_mm, dtype=np.float64)
+        with self._lock:
+            if reach_mm > self._margin_mm:
+                self._begin(reach_mm)
+            frame = pose.rotation, pose.shift_mm, self._pitch_mm
+            self._make(self._touched(points, reach_mm, frame), reach_mm)
+            made = self._bricks
+            table = (*frame, made.low, self._least_mm, made.slot)
+            return over_points(_interpolate, points, reach_mm, table, made.contents)
+
+    def _begin(self, margin_mm: float) -> None:
+        """Forget all bricks, and be ready for those within a margin."""
+        self._margin_mm, brick_mm = margin_mm, _BRICK * self._pitch_mm
+        corners = self._soup.corners_mm.reshape(-1, 3)
+        low = np.floor((corners.min(axis=0) - margin_mm) / brick_mm).astype(np.int64)
+        count = np.floor((corners.max(axis=0) + margin_mm) / brick_mm).astype(np.int64) - low + 1
+        self._bricks = _Store(low, count, _BRICK + 3)
+        #: (x, y, z) no point of the brick is nearer than this, mm; NaN: not asked yet
+        self._least_mm = np.full(count, np.nan)
+        low, count = _BRICK // _BLOCK * low - 1, _BRICK // _BLOCK * count + 2
+        self._blocks = _Store(low, count, _BLOCK)
+        self._columns = Columns.of(self._soup, _BLOCK, self._pitch_mm, low[:2], count[:2])
+
+    def _touched(
+        self, points: FloatArray, reach_mm: float, frame: tuple[FloatArray, FloatArray, float]
+    ) -> IntArray:
+        """Return the bricks (n, xyz) that these points need and that are not made."""
+        asked = np.zeros(self._bricks.slot.shape, np.bool_)
+        table = (*frame, self._bricks.low, self._least_mm, self._bricks.slot)
+        _ask(points, float(reach_mm), table, asked)
+        return np.argwhere(asked) + self._bricks.low
+
+    def _make(self, bricks: IntArray, reach_mm: float) -> None:
+        """Bound bricks, and make those within reach."""
+        if len(bricks) == 0:
+            return
+        least = self._least_of(bricks)
+        self._least_mm[tuple((bricks - self._bricks.low).T)] = least
+        bricks = bricks[least <= reach_mm]
+        self._sample(bricks)
+        for part in np.array_split(bricks, range(_GATHERED, len(bricks), _GATHERED)):
+            self._bricks.add(part, _coefficients(self._nodes_of(part)))
+
+    def _least_of(self, bricks: IntArray) -> FloatArray:
+        """Return what no point of each brick falls below, -inf where one may be inside."""
+        middles, radius = middles_mm(bricks, _BRICK, self._pitch_mm)
+        near = nearest_candidates(self._soup, bricks, _BRICK, self._pitch_mm)
+        beyond_nodes = np.sqrt(3) * self._pitch_mm
+        least = near.middle_mm - (radius + beyond_nodes)
+        return np.where(self._columns.inside(middles), -np.inf, least)
+
+    def _sample(self, bricks: IntArray) -> None:
+        """Make what is missing of the blocks round bricks."""
+        round_them = (bricks[:, None] * (_BRICK // _BLOCK) + _BLOCKS.reshape(-1, 3)).reshape(-1, 3)
+        blocks = np.unique(round_them[self._blocks.slots(round_them) == _UNMADE], axis=0)
+        if len(blocks) == 0:
+            return
+        samples = unsigned_samples(self._soup, blocks, _BLOCK, self._pitch_mm)
+        self._columns.negate_inside(blocks, samples)
+        self._blocks.add(blocks, samples)
+
+    def _nodes_of(self, bricks: IntArray) -> FloatArray:
+        """Return the samples (n, x, y, z) of bricks, from 2 nodes before to 2 beyond."""
+        blocks = bricks[:, None, None, None] * (_BRICK // _BLOCK) + _BLOCKS
+        samples = self._blocks.contents[self._blocks.slots(blocks)]
+        side = 4 * _BLOCK
+        nodes = samples.transpose(0, 1, 4, 2, 5, 3, 6).reshape(-1, side, side, side)
+        return np.asarray(nodes[:, 2:-1, 2:-1, 2:-1])
+
+
+def _coefficients(samples: FloatArray) -> FloatArray:
+    """Return the quasi-interpolant's coefficients (n, x, y, z), a node less on every side."""
+    for axis in (1, 2, 3):
+        f = np.moveaxis(samples, axis, 0)
+        samples = np.moveaxis((8 * f[1:-1] - f[:-2] - f[2:]) / 6, 0, axis)
+    return samples
+
+
+Table = tuple[FloatArray, FloatArray, float, IntArray, FloatArray, npt.NDArray[np.int32]]
+
+
+@compiled  # type: ignore[untyped-decorator]
+def _in_body(
+    point: FloatArray, rotation: FloatArray, shift: FloatArray, axis: int, pitch: float
+) -> float:
+    """Return one coordinate of a point in the body's frame, in pitches."""
+    x, y, z = point[0] - shift[0], point[1] - shift[1], point[2] - shift[2]
+    return float((x * rotation[0, axis] + y * rotation[1, axis] + z * rotation[2, axis]) / pitch)
+
+
+@compiled  # type: ignore[untyped-decorator]
+def _ask(points: FloatArray, reach: float, table: Table, asked: npt.NDArray[np.bool_]) -> None:
+    """Mark the bricks that are unknown, or near enough and not sampled."""
+    rotation, shift, pitch, low, least, slot = table
+    for n in range(len(points)):
+        i = int(np.floor(_in_body(points[n], rotation, shift, 0, pitch) / _BRICK)) - low[0]
+        j = int(np.floor(_in_body(points[n], rotation, shift, 1, pitch) / _BRICK)) - low[1]
+        k = int(np.floor(_in_body(points[n], rotation, shift, 2, pitch) / _BRICK)) - low[2]
+        if i < 0 or j < 0 or k < 0:
+            continue
+        if i >= slot.shape[0] or j >= slot.shape[1] or k >= slot.shape[2]:
+            continue
+        if slot[i, j, k] == _UNMADE and not least[i, j, k] > reach:
+            asked[i, j, k] = True
+
+
+@compiled  # type: ignore[untyped-decorator]
+def _weigh(t: float, weight: FloatArray) -> None:
+    """Set the cubic B-splines over a cell, their first and second derivatives (3, 4)."""
+    u = 1 - t
+    weight[0, 0], weight[0, 3] = u * u * u / 6, t * t * t / 6
+    weight[0, 1] = (4 - 6 * t * t + 3 * t * t * t) / 6
+    weight[0, 2] = (4 - 6 * u * u + 3 * u * u * u) / 6
+    weight[1, 0], weight[1, 1] = -u * u / 2, (3 * t - 4) * t / 2
+    weight[1, 2], weight[1, 3] = (4 - 3 * u) * u / 2, t * t / 2
+    weight[2, 0], weight[2, 1], weight[2, 2], weight[2, 3] = u, 3 * t - 2, 3 * u - 2, t
+
+
+@compiled  # type: ignore[untyped-decorator]
+def _interpolate(
+    points: FloatArray, reach: float, out: Evaluation, body: tuple[Table, FloatArray]
+) -> None:
+    distance, gradient, hessian = out
+    (rotation, shift, pitch, low, least, slot), coefficients = body
+    at, brick, cell = np.zeros(3), np.zeros(3, np.int64), np.zeros(3, np.int64)
+    weight, scratch, f = np.zeros((3, 3, 4)), np.zeros((3, 3)), np.zeros((3, 3, 3))
+    for n in range(len(points)):
+        within = True
+        for axis in range(3):
+            at[axis] = _in_body(points[n], rotation, shift, axis, pitch)
+            brick[axis] = int(np.floor(at[axis] / _BRICK)) - low[axis]
+            within = within and 0 <= brick[axis] < slot.shape[axis]
+        distance[n] = reach
+        if not within or least[brick[0], brick[1], brick[2]] > reach:
+            continue
+        for axis in range(3):
+            corner = np.floor(at[axis])
+            cell[axis] = int(corner) - (brick[axis] + low[axis]) * _BRICK
+            _weigh(at[axis] - corner, weight[axis])
+        own = coefficients[slot[brick[0], brick[1], brick[2]]]
+        _contract(own, cell, weight, scratch, f)
+        distance[n] = f[0, 0, 0]
+        if distance[n] <= reach:
+            _turn_back(f, rotation, pitch, gradient[n], hessian[n])
+
+
+@compiled  # type: ignore[untyped-decorator]
+def _contract(
+    own: FloatArray, cell: IntArray, weight: FloatArray, scratch: FloatArray, f: FloatArray
+) -> None:
+    """Set f[i, j, k], the derivatives d^(i + j + k) / dx^i dy^j dz^k up to the second."""
+    f[:] = 0.0
+    for a in range(4):
+        scratch[:] = 0.0
+        for b in range(4):
+            line = own[cell[0] + a, cell[1] + b]
+            for k in range(3):
+                along = 0.0
+                for c in range(4):
+                    along += weight[2, k, c] * line[cell[2] + c]
+                for j in range(3 - k):
+                    scratch[j, k] += weight[1, j, b] * along
+        for i in range(3):
+            for j in range(3 - i):
+                for k in range(3 - i - j):
+                    f[i, j, k] += weight[0, i, a] * scratch[j, k]
+
+
+@compiled  # type: ignore[untyped-decorator]
+def _turn_back(
+    f: FloatArray, rotation: FloatArray, pitch: float, gradient: FloatArray, hessian: FloatArray
+) -> None:
+    """Turn gradient and Hessian from the body's frame, in pitches, to that of the shape."""
+    slope = (f[1, 0, 0] / pitch, f[0, 1, 0] / pitch, f[0, 0, 1] / pitch)
+    bend = (
+        (f[2, 0, 0] / pitch**2, f[1, 1, 0] / pitch**2, f[1, 0, 1] / pitch**2),
+        (f[1, 1, 0] / pitch**2, f[0, 2, 0] / pitch**2, f[0, 1, 1] / pitch**2),
+        (f[1, 0, 1] / pitch**2, f[0, 1, 1] / pitch**2, f[0, 0, 2] / pitch**2),
+    )
+    for p in range(3):
+        for a in range(3):
+            gradient[p] += rotation[p, a] * slope[a]
+            turned = 0.0
+            for b in range(3):
+                turned += rotation[p, b] * bend[b][a]
+            for q in range(3):
+                hessian[p, q] += turned * rotation[q, a]
