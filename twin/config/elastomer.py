@@ -43,6 +43,22 @@ class Elastomer(Model):
         "coat of a gel bonded to a rigid window (GelSight)",
     )
     film: Film | None = Field(default=None, description="absent: the coat is as soft as the slab")
+    outline: Literal["rectangular", "round"] = Field(
+        default="rectangular",
+        description="opening of the frame; round: length_x_mm = length_y_mm is its diameter "
+        "(sheet model)",
+    )
+    pre_stretch: Annotated[float, Field(ge=1, le=2)] = Field(
+        default=1.0, description="of the mounted sheet, equal along x and y (sheet model)"
+    )
+    tack_j_m2: NonNegative = Field(
+        default=0.0, description="adhesion energy of the clear face on the specimen (sheet model)"
+    )
+    friction: Literal["auto", "none", "stick"] = Field(
+        default="auto",
+        description="between clear face and specimen; stick: no slip once touched; auto: stick "
+        "where there is tack (sheet model)",
+    )
 
     @model_validator(mode="after")
     def _stiffness_is_known(self) -> "Elastomer":
@@ -55,7 +71,17 @@ class Elastomer(Model):
                 f"film.thickness_mm: found {self.film.thickness_mm:g}, allowed less than "
                 f"thickness_mm, {self.thickness_mm:g}, of which it is a part"
             )
+        if self.outline == "round" and self.length_x_mm != self.length_y_mm:
+            raise ValueError(
+                f"outline: a round opening needs length_x_mm = length_y_mm, found "
+                f"{self.length_x_mm:g} and {self.length_y_mm:g}"
+            )
         return self
+
+    @property
+    def sticks(self) -> bool:
+        """Whether the sheet keeps its place where it has touched."""
+        return self.friction == "stick" or (self.friction == "auto" and self.tack_j_m2 > 0)
 
     @property
     def touched_plane_mm(self) -> float:
@@ -148,6 +174,10 @@ class Press(Model):
         "when absent the slab has no weight",
     )
     solver_pitch_mm: Annotated[float, Field(ge=0.01, le=0.5)] = 0.08
+    cell_mm: Annotated[float, Field(ge=0.02, le=0.5)] | None = Field(
+        default=None,
+        description="finest cells of the sheet model; absent: 0.75 thicknesses, 0.075 to 0.15",
+    )
     relief_pitch_mm: Annotated[float, Field(ge=0.005, le=0.05)] = Field(
         default=0.025, description="mesh pitch of the coated face"
     )
@@ -179,14 +209,16 @@ class PadFile(Model):
 class Mechanics(Model):
     """Which model presses the elastomer."""
 
-    model: Literal["auto", "spectral", "fem", "neo_hookean"] = Field(
+    model: Literal["auto", "spectral", "sheet", "fem", "neo_hookean"] = Field(
         default="auto",
-        description="auto: spectral, but neo_hookean for a sheet that deflects by about its "
-        "thickness; fem: other supports and pads from CAD (its mesher, and so its last digits, "
-        "differ from run to run)",
+        description="auto: spectral while deflections are small; sheet up to 1 mm thick, which "
+        "wraps the specimen; neo_hookean above; fem: other supports and pads from CAD (its mesher, "
+        "and so its last digits, differ from run to run)",
     )
     support: Literal["simple", "clamped", "ledge", "bonded", "window"] | None = Field(
-        default=None, description="fem only; absent: what the layout says"
+        default=None,
+        description="fem: absent is what the layout says; sheet: simple or clamped, absent is "
+        "clamped",
     )
     ledge_mm: Positive = Field(
         default=2.0, description="fem, support = 'ledge': width of the frame under the slab"
@@ -199,6 +231,7 @@ class Mechanics(Model):
     @model_validator(mode="after")
     def _fem_only(self) -> "Mechanics":
         for name in ("support", "pad"):
-            if getattr(self, name) is not None and self.model != "fem":
+            sheet_rim = name == "support" and self.model in ("auto", "sheet")
+            if getattr(self, name) is not None and self.model != "fem" and not sheet_rim:
                 raise ValueError(f"{name} needs model = 'fem'; set it, or remove {name}")
         return self

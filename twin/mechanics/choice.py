@@ -3,10 +3,17 @@
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from twin.config.models import Elastomer, Mechanics, PadFile, Press, Specimen
 from twin.mechanics.errors import PressError
 from twin.mechanics.press import PressedElastomer, press
-from twin.mechanics.validity import DEFLECTION_OVER_THICKNESS_LIMIT
+from twin.mechanics.validity import (
+    DEFLECTION_OVER_THICKNESS_LIMIT,
+    SHEET_LIMIT,
+    SHEET_THICKNESS_MM,
+)
+from twin.specimens import Shape, shape_of
 from twin.specimens.mesh_file import read_closed_mesh
 
 if TYPE_CHECKING:
@@ -39,28 +46,99 @@ def press_with(
             count=mechanics.tetrahedra,
         )
         return replace(found, model="fem")
-    if mechanics.model != "neo_hookean":
-        pressed = press(specimen, elastomer, load)
-        if mechanics.model == "spectral" or choose_model(pressed, elastomer, load) == "spectral":
-            return pressed
+    if mechanics.model == "sheet":
+        return _press_sheet(mechanics, specimen, elastomer, load)
+    if mechanics.model == "spectral":
+        return _press_slab(specimen, elastomer, load)
+    if mechanics.model == "auto":
+        slab = None if must_wrap(elastomer, load) else _press_slab(specimen, elastomer, load)
+        model = choose_model(slab, shape_of(specimen), elastomer, load)
+        if model == "sheet":
+            return _press_sheet(mechanics, specimen, elastomer, load)
+        if model == "spectral":
+            assert slab is not None  # `choose_model` chose it for its figures
+            return slab
     from twin.mechanics.reference.thin_sheet import press_neo_hookean
 
+    _refuse_sheet_keys(elastomer, "neo_hookean")
     return replace(press_neo_hookean(specimen, elastomer, load), model="neo_hookean")
 
 
-def choose_model(pressed: PressedElastomer, elastomer: Elastomer, load: Press) -> str:
-    """Return the model that is right for a case, from its spectral solution.
+def must_wrap(elastomer: Elastomer, load: Press) -> bool:
+    """Tell whether only the thin sheet can describe a case, before anything is solved.
 
-    A sheet that deflects by about its thickness stretches as it bends, which a linear slab leaves
-    out. The large-strain model knows neither film, back pressure nor weight: such cases stay
-    spectral and flagged.
+    It alone knows tack, friction, pre-stretch and a round frame, and a slab's travel is less than
+    its thickness.
     """
-    preloaded = load.back_pressure_kpa > 0 or load.gravity_deg is not None
-    thin = (
-        elastomer.layout == "opposite_face"
-        and pressed.validity.deflection_over_thickness > DEFLECTION_OVER_THICKNESS_LIMIT
-    )
-    return "neo_hookean" if thin and not preloaded and elastomer.film is None else "spectral"
+    deep = load.depth_mm is not None and load.depth_mm >= elastomer.thickness_mm
+    return may_wrap(elastomer) and (deep or bool(_sheet_keys(elastomer)))
+
+
+def may_wrap(elastomer: Elastomer) -> bool:
+    """Tell whether the thin sheet can describe an elastomer."""
+    low, high = SHEET_THICKNESS_MM
+    thin = low <= elastomer.thickness_mm <= high
+    return thin and elastomer.layout == "opposite_face" and elastomer.film is None
+
+
+def choose_model(
+    slab: PressedElastomer | None, shape: Shape, elastomer: Elastomer, load: Press
+) -> str:
+    """Return the model whose stated error is least, from the spectral solution if there is one.
+
+    A slab that deflects by about its thickness stretches as it bends, which the spectral one leaves
+    out. The thin sheet leaves out shear through its thickness, which counts above an eighth of the
+    radius of bending; beyond a quarter solid elements are right, but they know neither film, back
+    pressure nor weight.
+    """
+    if slab is not None and _is_flat_enough(slab, elastomer):
+        return "spectral"
+    radius_mm = min((ball.radius_mm for ball in shape.spheres()), default=np.inf)
+    solids = not (load.back_pressure_kpa or load.gravity_deg is not None or elastomer.film)
+    if may_wrap(elastomer):
+        bends = elastomer.thickness_mm / (radius_mm + elastomer.thickness_mm / 2)
+        thick = bends > SHEET_LIMIT and slab is not None and solids
+        return "neo_hookean" if thick else "sheet"
+    return "neo_hookean" if solids or slab is None else "spectral"
+
+
+def _is_flat_enough(slab: PressedElastomer, elastomer: Elastomer) -> bool:
+    bent = slab.validity.deflection_over_thickness > DEFLECTION_OVER_THICKNESS_LIMIT
+    return elastomer.layout == "contact_face" or not bent
+
+
+def _press_slab(specimen: Specimen, elastomer: Elastomer, load: Press) -> PressedElastomer:
+    _refuse_sheet_keys(elastomer, "spectral")
+    return press(specimen, elastomer, load)
+
+
+def _press_sheet(
+    mechanics: Mechanics, specimen: Specimen, elastomer: Elastomer, load: Press
+) -> PressedElastomer:
+    from twin.mechanics.sheet.press import press_sheet
+
+    return press_sheet(specimen, elastomer, load, mechanics)
+
+
+def _sheet_keys(elastomer: Elastomer) -> list[str]:
+    """Return the keys that only the sheet model knows and that say something."""
+    said = {
+        "outline": elastomer.outline != "rectangular",
+        "pre_stretch": elastomer.pre_stretch != 1,
+        "tack_j_m2": elastomer.tack_j_m2 > 0,
+        "friction": elastomer.friction == "stick",
+    }
+    return [key for key, given in said.items() if given]
+
+
+def _refuse_sheet_keys(elastomer: Elastomer, model: str) -> None:
+    keys = _sheet_keys(elastomer)
+    if keys:
+        low, high = SHEET_THICKNESS_MM
+        raise PressError(
+            f"elastomer.{keys[0]}: found {getattr(elastomer, keys[0])!r}, which the {model} model "
+            f"does not know; use the sheet model (opposite_face, no film, {low:g} to {high:g} mm)"
+        )
 
 
 def read_pad(source: PadFile, elastomer: Elastomer) -> "Pad":

@@ -65,7 +65,7 @@ def preload_of(elastomer: Elastomer, load: Press, modulus_kpa: float) -> Preload
             )
         return Preload()
     # Half of the weight on each face: bending is the body force's own, thinning is nanometres.
-    weight = _weight_kpa(elastomer, load) / 2
+    weight = weight_kpa(elastomer, load) / 2
     return Preload(weight / modulus_kpa, (weight - load.back_pressure_kpa) / modulus_kpa)
 
 
@@ -138,7 +138,7 @@ def _count(length_mm: float, pitch_mm: float) -> int:
     return int(np.ceil(length_mm / pitch_mm - 1e-9))
 
 
-def _weight_kpa(elastomer: Elastomer, load: Press) -> float:
+def weight_kpa(elastomer: Elastomer, load: Press) -> float:
     """Return the slab's weight per area along +z; kg/m^3 m/s^2 mm = 1e-6 kPa."""
     if load.gravity_deg is None:
         return 0.0

@@ -26,6 +26,19 @@ from twin.specimens import Shape, SphereCluster, shape_of
 
 
 @dataclass(frozen=True)
+class SheetFields:
+    """What else is known of a thin sheet, on the coated face's nodes, (row, col)."""
+
+    #: local thickness: the touched face lies this far behind the coated one, along its normal
+    thickness_mm: FloatArray
+    #: (row, col, 2) principal stretches, larger first
+    stretch: FloatArray
+    #: place on the mounted, unloaded sheet that came to lie here
+    material_x_mm: FloatArray
+    material_y_mm: FloatArray
+
+
+@dataclass(frozen=True)
 class PressedElastomer:
     """A pressed slab; lengths in mm, world frame."""
 
@@ -50,10 +63,12 @@ class PressedElastomer:
     validity: Validity
     iterations: int
     converged: bool
-    #: which model pressed: spectral, fem or neo_hookean
+    #: which model pressed: spectral, sheet, fem or neo_hookean
     model: str = "spectral"
     #: (row, col) what the coat's texture adds to face_z_mm; None: the coat is smooth
     texture_mm: FloatArray | None = None
+    #: of the sheet model only
+    sheet: SheetFields | None = None
 
 
 def press(specimen: Specimen, elastomer: Elastomer, load: Press) -> PressedElastomer:
@@ -90,7 +105,7 @@ def press(specimen: Specimen, elastomer: Elastomer, load: Press) -> PressedElast
     shape does not depend on the modulus, which only scales pressure and force.
     """
     shape = shape_of(specimen)
-    _check_outline(shape, elastomer)
+    check_outline(shape, elastomer)
     modulus_kpa = young_modulus(elastomer).best_kpa
     layer = build_layer(elastomer, load, shape, modulus_kpa)
     preload = preload_of(elastomer, load, modulus_kpa)
@@ -150,7 +165,14 @@ def _control(layer: AnyLayer, height: FloatArray, load: Press, modulus_kpa: floa
     return DepthControl(load.depth_mm)
 
 
-def _check_outline(shape: Shape, elastomer: Elastomer) -> None:
+def check_outline(shape: Shape, elastomer: Elastomer) -> None:
+    """Refuse a specimen that reaches over the elastomer.
+
+    Raises
+    ------
+    PressError
+        Names the axis, what was found and what is allowed.
+    """
     x_low, x_high, y_low, y_high = shape.bounds_mm()
     free = elastomer.layout == "opposite_face"
     span = "the slab's free span" if free else "the pad"

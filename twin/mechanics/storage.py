@@ -17,7 +17,7 @@ import trimesh
 from twin.config.models import Elastomer, Press
 from twin.mechanics.errors import PressError
 from twin.mechanics.in_plane import in_plane_displacement
-from twin.mechanics.press import PressedElastomer
+from twin.mechanics.press import PressedElastomer, SheetFields
 from twin.mechanics.validity import Validity
 
 _SCHEMA = "fringe-twin press 1"
@@ -40,6 +40,15 @@ _VARIABLES: dict[str, tuple[tuple[str, ...], str, str]] = {
     "texture_mm": (("face_y", "face_x"), "mm", "what the coat's texture adds to face_z_mm"),
 }
 _OPTIONAL = {"texture_mm"}
+
+# field of SheetFields: units, long name; stored where there are some, on the coated face's nodes
+_SHEET_VARIABLES: dict[str, tuple[str, str]] = {
+    "thickness_mm": ("mm", "local thickness, along the coated face's normal"),
+    "stretch_1": ("1", "larger principal stretch"),
+    "stretch_2": ("1", "smaller principal stretch"),
+    "material_x_mm": ("mm", "x on the mounted sheet of what lies here"),
+    "material_y_mm": ("mm", "y on the mounted sheet of what lies here"),
+}
 
 
 def write_press(path: Path, pressed: PressedElastomer) -> None:
@@ -73,13 +82,16 @@ def read_press(path: Path) -> PressedElastomer:
             stored = [name for name in _VARIABLES if name in file or name not in _OPTIONAL]
             values = {name: file[name][...] for name in stored}
             validity, model = _read_validity(file), str(file.attrs["model"])
+            sheet = _read_sheet(file)
     except PressError:
         raise
     except FileNotFoundError as error:
         raise PressError(f"{path}: no such file") from error
     except (OSError, KeyError) as error:
         raise PressError(f"{path}: damaged or not a netCDF-4 file; press again") from error
-    return PressedElastomer(**{**_typed(values), "validity": validity, "model": model})
+    return PressedElastomer(
+        **{**_typed(values), "validity": validity, "model": model, "sheet": sheet}
+    )
 
 
 def write_in_plane(
@@ -160,8 +172,39 @@ def _fill(file: Any, pressed: PressedElastomer) -> None:
         variable = file.create_variable(name, dimensions, stored.dtype, data=stored, **packing)
         variable.attrs["units"] = units
         variable.attrs["long_name"] = long_name
+    for name, data in _sheet_arrays(pressed.sheet).items():
+        units, long_name = _SHEET_VARIABLES[name]
+        variable = file.create_variable(
+            f"sheet_{name}", ("face_y", "face_x"), data=data, compression="gzip", compression_opts=1
+        )
+        variable.attrs["units"] = units
+        variable.attrs["long_name"] = long_name
     file.create_group("validity").attrs.update(
         {**asdict(pressed.validity), "warnings": "\n".join(pressed.validity.warnings)}
+    )
+
+
+def _sheet_arrays(sheet: SheetFields | None) -> dict[str, Any]:
+    if sheet is None:
+        return {}
+    return {
+        "thickness_mm": sheet.thickness_mm,
+        "stretch_1": sheet.stretch[..., 0],
+        "stretch_2": sheet.stretch[..., 1],
+        "material_x_mm": sheet.material_x_mm,
+        "material_y_mm": sheet.material_y_mm,
+    }
+
+
+def _read_sheet(file: Any) -> SheetFields | None:
+    if "sheet_thickness_mm" not in file.variables:
+        return None
+    maps = {name: np.asarray(file[f"sheet_{name}"][...]) for name in _SHEET_VARIABLES}
+    return SheetFields(
+        thickness_mm=maps["thickness_mm"],
+        stretch=np.stack((maps["stretch_1"], maps["stretch_2"]), axis=-1),
+        material_x_mm=maps["material_x_mm"],
+        material_y_mm=maps["material_y_mm"],
     )
 
 

@@ -134,7 +134,8 @@ def textured(
     -----
     z grows by the height times sqrt(1 + slope^2) of the smooth face: first order in the height over
     the face's radius of curvature. The material point at a node is the node less its displacement
-    in the plane, which the spectral model gives; under the others the texture is not stretched.
+    in the plane, which the spectral model and the sheet know; under the others the texture is
+    not stretched.
     """
     X_mm, Y_mm = _material_points(pressed, elastomer, load)
     extent = (float(X_mm.min()), float(X_mm.max()), float(Y_mm.min()), float(Y_mm.max()))
@@ -169,6 +170,8 @@ def _material_points(
     pressed: PressedElastomer, elastomer: Elastomer, load: Press
 ) -> tuple[FloatArray, FloatArray]:
     X_mm, Y_mm = np.meshgrid(pressed.face_x_mm, pressed.face_y_mm)
+    if pressed.sheet is not None:
+        return pressed.sheet.material_x_mm, pressed.sheet.material_y_mm
     if pressed.model != "spectral":
         return X_mm, Y_mm
     u_x, u_y = in_plane_displacement(pressed, elastomer, load)

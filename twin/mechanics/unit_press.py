@@ -7,7 +7,7 @@ are that times the modulus, to the last bit, because the solver works in pressur
 from dataclasses import replace
 
 from twin.config.models import Elastomer, Mechanics, Press, Specimen
-from twin.mechanics.choice import press_with
+from twin.mechanics.choice import may_wrap, press_with
 from twin.mechanics.hardness import young_modulus
 from twin.mechanics.press import PressedElastomer
 
@@ -25,7 +25,9 @@ def modulus_only_scales(mechanics: Mechanics, elastomer: Elastomer, load: Press)
         and elastomer.film is None
         and load.back_pressure_kpa == 0.0
         and load.gravity_deg is None
-        and mechanics.model in ("auto", "spectral")
+        and (
+            mechanics.model == "spectral" or (mechanics.model == "auto" and not may_wrap(elastomer))
+        )
     )
 
 

@@ -20,6 +20,12 @@ DEPTH_OVER_RADIUS_LIMIT = 0.4
 SLOPE_LIMIT_DEG = 45.0
 DEFLECTION_OVER_THICKNESS_LIMIT = 0.4
 _FEWEST_CELLS_ACROSS = 10.0
+SHEET_THICKNESS_MM = (0.05, 1.0)
+#: thickness over radius of bending up to which a thin sheet is good, and up to which it is usable
+SHEET_GOOD, SHEET_LIMIT = 0.125, 0.25
+# Height error of the thin sheet over h^2 / R: solid neo-Hookean elements, ball of 4 mm, sheets of
+# 0.1 to 1.5 mm, at most 18 um at h = 1 mm (shared notes on the sheet).
+_SHEET_ERROR = 0.072
 
 
 @dataclass(frozen=True)
@@ -140,3 +146,48 @@ def _with_warnings(figures: Validity, thickness_mm: float, layout: Layout) -> Va
         ),
     )
     return replace(figures, warnings=tuple(text for exceeded, text in checks if exceeded))
+
+
+def sheet_height_error_mm(thickness_mm: float, bend_1_mm: float) -> float:
+    """Return the expected largest height error of a thin sheet that bends by `bend_1_mm`."""
+    return _SHEET_ERROR * thickness_mm**2 * bend_1_mm
+
+
+def assess_sheet(
+    *,
+    depth_mm: float,
+    thickness_mm: float,
+    radius_mm: float | None,
+    deflection_mm: float,
+    bend_1_mm: float,
+    slope_deg: float,
+    margin_to_rim_mm: float,
+    cells_across: float,
+) -> Validity:
+    """Collect the figures, the error estimate and the warnings of a thin sheet.
+
+    `bend_1_mm` is the root mean square curvature where the specimen touches, 1 / R on a ball.
+    """
+    ratio = thickness_mm * bend_1_mm
+    checks = (
+        (
+            ratio > SHEET_GOOD,
+            f"the sheet is {ratio:.2f} of its radius of bending thick: shear through the thickness "
+            f"counts above {SHEET_GOOD}"
+            + (", solid elements are needed above 0.25" if ratio > SHEET_LIMIT else ""),
+        ),
+        (
+            cells_across < _FEWEST_CELLS_ACROSS,
+            f"the contact is {cells_across:.0f} cells wide: use a finer press.cell_mm",
+        ),
+    )
+    return Validity(
+        depth_over_thickness=depth_mm / thickness_mm,
+        depth_over_radius=depth_mm / radius_mm if radius_mm else 0.0,
+        deflection_over_thickness=deflection_mm / thickness_mm,
+        max_slope_deg=slope_deg,
+        margin_mm=margin_to_rim_mm,
+        cells_across=cells_across,
+        height_error_mm=sheet_height_error_mm(thickness_mm, bend_1_mm),
+        warnings=tuple(text for exceeded, text in checks if exceeded),
+    )

@@ -1,0 +1,1 @@
+"""The thin sheet that wraps its specimen: finite rotation and stretch."""

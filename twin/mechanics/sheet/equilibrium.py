@@ -1,0 +1,350 @@
+"""Equilibrium of the sheet at one travel: Newton's method on its energy.
+
+One energy with its exact tangent. Where that tangent is not positive definite, a convexified one
+with a little viscosity replaces it; a line search on the energy and a limit on how far a normal
+may turn per step keep cells from flipping.
+"""
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from reconstruction.cores import threads
+from twin.mechanics.errors import SolverError
+from twin.mechanics.sheet.grid import SheetGrid
+from twin.mechanics.sheet.kernel import SLOTS, Grip, Laws, Touch, assemble_rows, surface_rows
+from twin.mechanics.sheet.linear_solver import LinearSolver, linear_solver
+from twin.mechanics.transfer import FloatArray
+from twin.specimens.distance import SignedDistance
+
+# A band is a block of cell rows that one thread takes; its forces reach two rows beyond it.
+_BAND_ROWS = 8
+_LARGEST_MOVE_MM, _SMALLEST_SHARE, _SUFFICIENT = 0.4, 1e-3, 1e-4
+#: cosine of the largest turn of a normal in one step
+_LARGEST_TURN = 0.5
+_REGRIP_EVERY = 4
+_VISCOSITY, _LEAST_VISCOSITY, _MOST_VISCOSITY = 1.0, 1e-2, 1e7
+
+
+@dataclass(frozen=True)
+class Accuracy:
+    """When the sheet counts as being in equilibrium."""
+
+    step_mm: float = 2e-4
+    residual_kpa: float = 0.02
+    most_steps: int = 80
+
+
+@dataclass(frozen=True, eq=False)
+class Bodies:
+    """What the sheet may touch: bodies that travel with the specimen, and the frame's walls."""
+
+    moving: Sequence[SignedDistance]
+    fixed: Sequence[SignedDistance] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Stencil:
+    """The tangent's sparsity: where each element of the stencil goes in the upper triangle."""
+
+    start: npt.NDArray[np.int32]
+    columns: npt.NDArray[np.int32]
+    #: elements of the stencil array, in the order of the upper triangle
+    taken: npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class SheetState:
+    """A sheet in equilibrium, or on its way there."""
+
+    control_mm: FloatArray
+    grip: Grip
+    travel_mm: float = 0.0
+    pressure_kpa: float = 0.0
+    steps: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluation:
+    """The energy at one place; its forces and tangent stay with the sheet until the next."""
+
+    energy: float
+    control_mm: FloatArray
+    surface: FloatArray
+
+
+@dataclass(eq=False)
+class Sheet:
+    """A sheet on one grid over its bodies: the solver's memory between states."""
+
+    grid: SheetGrid
+    laws: Laws
+    bodies: Bodies
+    #: specimen's z = 0 plane in the sheet's frame at zero travel
+    touched_z_mm: float
+    sticks: bool = False
+    solver: LinearSolver = field(init=False)
+    factorisations: int = field(init=False, default=0)
+    evaluations: int = field(init=False, default=0)
+
+    def __post_init__(self) -> None:
+        rows, cols = self.grid.free.shape[:2]
+        self._stencil = _stencil(self.grid.free)
+        self.solver = linear_solver(self._stencil.start, self._stencil.columns)
+        self._forces = np.zeros((rows, cols, 3))
+        self._tangent = np.zeros((rows, cols, len(SLOTS), 3, 3))
+        self.area_mm2 = _control_areas(self.grid)
+        self._pool = ThreadPoolExecutor(threads())
+
+    # ---- evaluation ----------------------------------------------------------------------
+
+    def evaluate(
+        self, control_mm: FloatArray, state: SheetState, *, tangent: bool, convex: bool = False
+    ) -> Evaluation:
+        """Evaluate the energy and forces of `control_mm` under the state's loads."""
+        surface = self.surface(control_mm)
+        touch = self.touch(surface[..., 0, :], state.travel_mm)
+        laws = self.laws._replace(pressure_kpa=state.pressure_kpa)
+        lifted = state.grip._replace(
+            anchor_mm=state.grip.anchor_mm + np.array([0.0, 0.0, state.travel_mm])
+        )
+        rows = self.grid.y.cells
+        energy = np.zeros(rows)
+        self._forces[:] = 0.0
+        if tangent:
+            self._tangent[:] = 0.0
+        arguments = (
+            control_mm, self.grid.rest, laws, touch, lifted, tangent, convex, energy,
+            self._forces, self._tangent,
+        )  # fmt: skip
+        for parity in (0, 1):  # neighbouring bands write to the same control points
+            self._over_bands(rows, parity, lambda a, b: assemble_rows(a, b, *arguments))
+        self.evaluations += 1
+        return Evaluation(float(energy.sum()), control_mm, surface)
+
+    def surface(self, control_mm: FloatArray) -> FloatArray:
+        """Return (row, col, 4, 3, xyz): place and derivatives at the Gauss points."""
+        rows, cols = self.grid.y.cells, self.grid.x.cells
+        out = np.zeros((rows, cols, 4, 3, 3))
+        functions = self.grid.rest.functions
+        for parity in (0, 1):
+            self._over_bands(
+                rows, parity, lambda a, b: surface_rows(a, b, control_mm, functions, out)
+            )
+        return out
+
+    def touch(self, place_mm: FloatArray, travel_mm: float) -> Touch:
+        """Return the bodies' distances at the sheet's Gauss points (row, col, 4, xyz)."""
+        reach = self.laws.thickness_mm + self.laws.tack_range_mm
+        shape = place_mm.shape[:3]
+        lift = np.array([0.0, 0.0, self.touched_z_mm + travel_mm])
+        points = place_mm.reshape(-1, 3)
+        found = [body.evaluate(points - lift, reach) for body in self.bodies.moving]
+        found += [body.evaluate(points, reach) for body in self.bodies.fixed]
+        distance, gradient, hessian = (np.stack(parts) for parts in zip(*found, strict=True))
+        count = len(found)
+        return Touch(
+            distance.reshape(count, *shape),
+            gradient.reshape(count, *shape, 3),
+            hessian.reshape(count, *shape, 3, 3),
+        )
+
+    def _over_bands(self, rows: int, parity: int, run: Callable[[int, int], None]) -> None:
+        firsts = range(parity * _BAND_ROWS, rows, 2 * _BAND_ROWS)
+        list(self._pool.map(lambda a: run(a, min(a + _BAND_ROWS, rows)), firsts))
+
+    def forces(self) -> FloatArray:
+        """Return (unknown,) gradient of the last evaluation's energy."""
+        free: FloatArray = self._forces[self.grid.free]
+        return free
+
+    def reactions(self) -> FloatArray:
+        """Return (n,) forces of the rim on the sheet along z, mN, at the last evaluation."""
+        held: FloatArray = self._forces[~self.grid.free[..., 2], 2]
+        return held
+
+    def gap_mm(self, surface: FloatArray, touch: Touch) -> FloatArray:
+        """Return (body, row, col, 4) distance of the lower face from each body."""
+        gap: FloatArray = touch.distance_mm - self.laws.thickness_mm / 2 * thinning_of(surface)
+        return gap
+
+    def curvature_squared(self, control_mm: FloatArray) -> FloatArray:
+        """Return (row, col, 4) mean of the two squared principal curvatures, 1/mm^2."""
+        functions = self.grid.rest.functions
+        rows, cols = functions.shape[:2]
+        cell = np.arange(9)
+        local = control_mm[
+            np.arange(rows)[:, None, None] + cell // 3, np.arange(cols)[None, :, None] + cell % 3
+        ]
+        v = np.einsum("jiqnd,jink->djiqk", functions, local)
+        unit = normal_of(np.moveaxis(v[:3], 0, -2))
+        b11, b22, b12 = ((v[d] * unit).sum(axis=-1) for d in (3, 4, 5))
+        a11, a22, a12 = ((v[d] * v[e]).sum(axis=-1) for d, e in ((1, 1), (2, 2), (1, 2)))
+        det = a11 * a22 - a12**2
+        trace = (a22 * b11 + a11 * b22 - 2 * a12 * b12) / det
+        square: FloatArray = trace**2 / 2 - (b11 * b22 - b12**2) / det
+        return square
+
+    def regripped(self, state: SheetState) -> SheetState:
+        """Anchor what touches and free what has left: neither raises the energy."""
+        surface = self.surface(state.control_mm)
+        touch = self.touch(surface[..., 0, :], state.travel_mm)
+        count = len(self.bodies.moving)
+        gap = self.gap_mm(surface, touch)[:count]
+        nearest = gap.argmin(axis=0)[None]
+        gap = gap.min(axis=0)
+        normal = np.take_along_axis(touch.gradient[:count], nearest[..., None], axis=0)[0]
+        reach = self.laws.tack_range_mm if self.laws.tack > 0 else 0.0
+        new = ((gap < 0.5 * reach) & (state.grip.held == 0))[..., None]
+        place = surface[..., 0, :] - np.array([0.0, 0.0, state.travel_mm])
+        held = np.where(new[..., 0] | ((state.grip.held > 0) & (gap <= reach)), 1.0, 0.0)
+        grip = Grip(
+            held,
+            np.where(new, place, state.grip.anchor_mm),
+            np.where(new, normal, state.grip.normal),
+        )
+        return replace(state, grip=grip)
+
+    # ---- descent -------------------------------------------------------------------------
+
+    def settle(self, state: SheetState, accuracy: Accuracy) -> SheetState:
+        """Return the equilibrium that is reached from `state` by going down in energy.
+
+        Raises
+        ------
+        SolverError
+            No equilibrium within the steps allowed.
+        """
+        control, convex, wait, patience, viscosity = state.control_mm, False, 0, 1, _VISCOSITY
+        now = self.evaluate(control, state, tangent=True)
+        for count in range(accuracy.most_steps):
+            gradient = self.forces()
+            step = None if convex else self._newton_step(gradient)
+            if step is None:
+                if not convex:
+                    convex, wait, patience = True, patience, min(2 * patience, 8)
+                    now = self.evaluate(control, state, tangent=True, convex=True)
+                step, viscosity = self._viscous_step(gradient, viscosity)
+            wait -= convex
+            after = convex and wait > 0
+            slope = float(gradient @ step[self.grid.free])
+            share, now = self._search(step, slope, now, state, after)
+            control = control + share * step
+            if self.sticks and count % _REGRIP_EVERY == _REGRIP_EVERY - 1:
+                state = self.regripped(replace(state, control_mm=control))
+                now = self.evaluate(control, state, tangent=True, convex=after)
+            viscosity = _adapted(viscosity, share)
+            convex = after
+            largest = share * float(np.abs(step).max())
+            residual = float(np.abs(self.forces() / self._weights).max())
+            if largest < accuracy.step_mm and share > 0.9 and residual < accuracy.residual_kpa:
+                settled = replace(state, control_mm=control, steps=state.steps + count + 1)
+                return self.regripped(settled) if self.sticks else settled
+        raise SolverError(
+            f"sheet: no equilibrium at {state.travel_mm:.3g} mm of travel and "
+            f"{state.pressure_kpa:.3g} kPa within {accuracy.most_steps} steps (last step "
+            f"{1e3 * largest:.2g} um, residual {residual:.2g} kPa)"
+        )
+
+    @property
+    def _weights(self) -> FloatArray:
+        return np.repeat(self.area_mm2[..., None], 3, axis=2)[self.grid.free]
+
+    def _newton_step(self, gradient: FloatArray) -> FloatArray | None:
+        if not self._factorise(0.0):
+            return None
+        return self._spread(-self.solver.solve(gradient))
+
+    def _viscous_step(self, gradient: FloatArray, viscosity: float) -> tuple[FloatArray, float]:
+        while not self._factorise(viscosity):
+            viscosity *= 10
+            if viscosity > _MOST_VISCOSITY:
+                raise SolverError("sheet: no direction lowers its energy")
+        return self._spread(-self.solver.solve(gradient)), viscosity
+
+    def _factorise(self, viscosity: float) -> bool:
+        values = self._tangent.reshape(-1)[self._stencil.taken]
+        if viscosity:
+            values[self._stencil.start[:-1]] += viscosity * self._weights
+        self.factorisations += 1
+        return self.solver.factorise(values)
+
+    def _spread(self, unknowns: FloatArray) -> FloatArray:
+        step = np.zeros(self._forces.shape)
+        step[self.grid.free] = unknowns
+        return step
+
+    def _search(
+        self,
+        step: FloatArray,
+        slope: float,
+        now: Evaluation,
+        state: SheetState,
+        convex: bool,
+    ) -> tuple[float, Evaluation]:
+        """Return the share of the step that lowers the energy enough, and what is there."""
+        share = min(1.0, _LARGEST_MOVE_MM / float(np.abs(step).max()))
+        while True:
+            new = self.evaluate(now.control_mm + share * step, state, tangent=True, convex=convex)
+            bound = now.energy + _SUFFICIENT * share * slope + 1e-12 * abs(now.energy)
+            if np.isfinite(new.energy) and new.energy <= bound and _turn(now, new) > _LARGEST_TURN:
+                return share, new
+            if share < _SMALLEST_SHARE:
+                return share, new
+            share *= 0.5
+
+
+def _adapted(viscosity: float, share: float) -> float:
+    if share < 0.2:
+        return min(4 * viscosity, _MOST_VISCOSITY)
+    return max(viscosity / 3, _LEAST_VISCOSITY) if share > 0.9 else viscosity
+
+
+def _turn(before: Evaluation, after: Evaluation) -> float:
+    """Return the least cosine between the normals of two surfaces."""
+    normals = [normal_of(one.surface) for one in (before, after)]
+    return float((normals[0] * normals[1]).sum(axis=-1).min())
+
+
+def normal_of(surface: FloatArray) -> FloatArray:
+    """Return unit normals of (..., 3, xyz) place and derivatives."""
+    across = np.cross(surface[..., 1, :], surface[..., 2, :])
+    unit: FloatArray = across / np.linalg.norm(across, axis=-1, keepdims=True)
+    return unit
+
+
+def thinning_of(surface: FloatArray) -> FloatArray:
+    """Return the thickness stretch lambda = 1 / area stretch of (..., 3, xyz)."""
+    across = np.cross(surface[..., 1, :], surface[..., 2, :])
+    thinning: FloatArray = 1 / np.linalg.norm(across, axis=-1)
+    return thinning
+
+
+def _control_areas(grid: SheetGrid) -> FloatArray:
+    """Return (row + 2, col + 2) area of the undeformed sheet that each control point carries."""
+    share = (grid.rest.functions[..., 0] * grid.rest.area_mm2[..., None]).sum(axis=2)
+    area = np.zeros(grid.free.shape[:2])
+    rows, cols = share.shape[:2]
+    for node in range(9):
+        b, a = divmod(node, 3)
+        area[b : b + rows, a : a + cols] += share[..., node]
+    return area
+
+
+def _stencil(free: npt.NDArray[np.bool_]) -> Stencil:
+    rows, cols, _ = free.shape
+    number = np.full((rows + 4, cols + 4, 3), -1, np.int64)
+    number[2:-2, 2:-2][free] = np.arange(free.sum())
+    own = number[2:-2, 2:-2]
+    other = np.stack([number[2 + b : 2 + b + rows, 2 + a : 2 + a + cols] for b, a in SLOTS], axis=2)
+    shape = (rows, cols, len(SLOTS), 3, 3)
+    first = np.broadcast_to(own[:, :, None, :, None], shape).ravel()
+    second = np.broadcast_to(other[:, :, :, None, :], shape).ravel()
+    taken = np.flatnonzero((first >= 0) & (second >= first))
+    taken = taken[np.lexsort((second[taken], first[taken]))]
+    count = np.bincount(first[taken], minlength=int(free.sum()))
+    start = np.concatenate(([0], np.cumsum(count))).astype(np.int32)
+    return Stencil(start, second[taken].astype(np.int32), taken)

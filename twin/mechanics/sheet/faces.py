@@ -1,0 +1,133 @@
+"""Both faces of the deformed sheet as height maps over the world's x and y.
+
+The sheet is sampled along itself and seen from above: where it overhangs, its highest part counts.
+"""
+
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+
+from twin.mechanics.sheet.equilibrium import Sheet, SheetState
+from twin.mechanics.sheet.grid import SheetGrid
+from twin.mechanics.sheet.splines import subdivided
+from twin.mechanics.transfer import FloatArray
+
+_FEWEST_PARTS, _MOST_PARTS = 2, 12
+_DEGENERATE_MM2 = 1e-14
+
+
+@dataclass(frozen=True, eq=False)
+class Sampled:
+    """The sheet at places along itself, arrays (row, col) of the sampling."""
+
+    #: (row, col, xy) places on the mounted sheet
+    material_mm: FloatArray
+    #: (row, col, xyz) surface midway between the faces, and the faces
+    middle_mm: FloatArray
+    upper_mm: FloatArray
+    lower_mm: FloatArray
+    thickness_mm: FloatArray
+    #: (row, col, 2) principal stretches, larger first
+    stretch: FloatArray
+
+
+def sample(sheet: Sheet, state: SheetState, pitch_mm: float) -> Sampled:
+    """Sample the sheet at no more than about `pitch_mm` where it is fine."""
+    grid, h = sheet.grid, sheet.laws.thickness_mm
+    x, y = _places(grid, pitch_mm)
+    middle, along_x, along_y = grid.evaluate(state.control_mm, x, y)
+    mounted = grid.evaluate(grid.mounted_mm, x, y)[0][..., :2]
+    across = np.cross(along_x, along_y)
+    area2 = (across**2).sum(axis=-1)
+    offset = h / 2 * across / area2[..., None]
+    return Sampled(
+        material_mm=mounted,
+        middle_mm=middle,
+        upper_mm=middle + offset,
+        lower_mm=middle - offset,
+        thickness_mm=h / np.sqrt(area2),
+        stretch=_principal(along_x, along_y, area2),
+    )
+
+
+def height_map(
+    surface_mm: FloatArray,
+    values: FloatArray,
+    x_mm: FloatArray,
+    y_mm: FloatArray,
+    below: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """See a sampled surface from above.
+
+    Parameters
+    ----------
+    surface_mm : (i, j, xyz)
+    values : (i, j, k) carried along
+    x_mm, y_mm : (col,) and (row,) evenly spaced nodes
+    below : (1 + k,) height and values where there is no sheet
+
+    Returns
+    -------
+    (row, col) heights and (row, col, k) values
+    """
+    shape = y_mm.size, x_mm.size
+    height = np.full(shape, -np.inf)
+    seen = np.zeros((*shape, values.shape[2]))
+    grid = np.array([x_mm[0], y_mm[0], x_mm[1] - x_mm[0], y_mm[1] - y_mm[0]])
+    _raster(np.ascontiguousarray(surface_mm), np.ascontiguousarray(values), grid, height, seen)
+    absent = np.isinf(height)
+    height[absent] = below[0]
+    seen[absent] = below[1:]
+    return height, seen
+
+
+def _places(grid: SheetGrid, pitch_mm: float) -> tuple[FloatArray, FloatArray]:
+    finest = min(float(np.diff(line.edges).min()) for line in (grid.x, grid.y))
+    parts = int(np.clip(np.ceil(finest / pitch_mm), _FEWEST_PARTS, _MOST_PARTS))
+    return subdivided(grid.x.edges, parts), subdivided(grid.y.edges, parts)
+
+
+def _principal(along_x: FloatArray, along_y: FloatArray, area2: FloatArray) -> FloatArray:
+    """Return the principal stretches from the metric: roots of its characteristic polynomial."""
+    trace = (along_x**2).sum(axis=-1) + (along_y**2).sum(axis=-1)
+    root = np.sqrt(np.maximum(trace**2 / 4 - area2, 0.0))
+    larger = trace / 2 + root
+    stretch: FloatArray = np.sqrt(np.stack((larger, area2 / larger), axis=-1))
+    return stretch
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _raster(surface, values, grid, height, seen):  # type: ignore[no-untyped-def]
+    """Draw the two triangles of each quad; `grid` holds x0, y0, dx, dy of the nodes."""
+    x0, y0, dx, dy = grid
+    rows, cols = height.shape
+    for j in range(surface.shape[0] - 1):
+        for i in range(surface.shape[1] - 1):
+            for half in range(2):
+                ja, ia = (j, i + 1) if half == 0 else (j + 1, i)
+                a, b, c = surface[j, i], surface[j + 1, i + 1], surface[ja, ia]
+                area = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+                if abs(area) < _DEGENERATE_MM2:
+                    continue
+                left = max(int(np.ceil((min(a[0], b[0], c[0]) - x0) / dx)), 0)
+                right = min(int(np.floor((max(a[0], b[0], c[0]) - x0) / dx)), cols - 1)
+                low = max(int(np.ceil((min(a[1], b[1], c[1]) - y0) / dy)), 0)
+                high = min(int(np.floor((max(a[1], b[1], c[1]) - y0) / dy)), rows - 1)
+                for row in range(low, high + 1):
+                    for col in range(left, right + 1):
+                        x, y = x0 + col * dx - a[0], y0 + row * dy - a[1]
+                        u = (x * (c[1] - a[1]) - y * (c[0] - a[0])) / area
+                        v = ((b[0] - a[0]) * y - (b[1] - a[1]) * x) / area
+                        if u < -1e-9 or v < -1e-9 or u + v > 1 + 1e-9:
+                            continue
+                        z = a[2] + u * (b[2] - a[2]) + v * (c[2] - a[2])
+                        if z > height[row, col]:
+                            height[row, col] = z
+                            for k in range(values.shape[2]):
+                                va, vb, vc = (
+                                    values[j, i, k],
+                                    values[j + 1, i + 1, k],
+                                    values[ja, ia, k],
+                                )
+                                seen[row, col, k] = va + u * (vb - va) + v * (vc - va)

@@ -1,0 +1,182 @@
+"""The undeformed sheet on a grid of spline cells, held along its rim.
+
+The parameter plane is the sheet's own, unstretched: a pre-stretch of 1.1 means that a sheet of span
+L was cut to L / 1.1. A round sheet is the image of a square, so that its rim is a grid line.
+"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from twin.mechanics.sheet.kernel import Rest
+from twin.mechanics.sheet.splines import SplineLine
+from twin.mechanics.transfer import FloatArray
+
+Outline = Literal["rectangular", "round"]
+Rim = Literal["clamped", "simple"]
+
+
+@dataclass(frozen=True)
+class Frame:
+    """What holds the sheet: its opening in the world, centred on the origin, mm."""
+
+    length_x_mm: float
+    length_y_mm: float
+    outline: Outline = "rectangular"
+    rim: Rim = "clamped"
+    pre_stretch: float = 1.0
+
+    @property
+    def half_mm(self) -> tuple[float, float]:
+        """Half lengths of the opening."""
+        return self.length_x_mm / 2, self.length_y_mm / 2
+
+
+@dataclass(frozen=True, eq=False)
+class SheetGrid:
+    """Cells (row along y, col along x), their control points and what of them is free."""
+
+    frame: Frame
+    x: SplineLine
+    y: SplineLine
+    rest: Rest
+    #: (row + 2, col + 2, 3) control points of the mounted, unloaded sheet, z = 0
+    mounted_mm: FloatArray
+    #: (row + 2, col + 2, xyz) what of the control points may move
+    free: npt.NDArray[np.bool_]
+
+    def evaluate(
+        self, control_mm: FloatArray, x: FloatArray, y: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return (row, col, 3) place and its derivatives along the material's x and y.
+
+        Parameters
+        ----------
+        control_mm : (row + 2, col + 2, 3)
+        x, y : (col,) and (row,) places on the parameter lines
+        """
+        cut = _Map(self.frame, self.x, self.y).sampled(x, y)
+        place, by_u, by_v = (
+            np.einsum(
+                "ai,ijk,bj->abk",
+                self.y.matrix(y, dy),
+                control_mm,
+                self.x.matrix(x, dx),
+                optimize=True,
+            )
+            for dx, dy in ((0, 0), (1, 0), (0, 1))
+        )
+        (xu, yu), (xv, yv), det = cut[:2], cut[2:4], cut[4]
+        along_x = (by_u * yv[..., None] - by_v * yu[..., None]) / det[..., None]
+        along_y = (by_v * xu[..., None] - by_u * xv[..., None]) / det[..., None]
+        return place, along_x, along_y
+
+    def moved_from(self, other: "SheetGrid", control_mm: FloatArray) -> FloatArray:
+        """Return this grid's control points for the surface that `other`'s describe."""
+        across, along = self.y.interpolated_from(other.y), self.x.interpolated_from(other.x)
+        displaced = control_mm - other.mounted_mm
+        moved = np.einsum("ai,ijk,bj->abk", across, displaced, along, optimize=True)
+        return self.mounted_mm + np.where(self.free, moved, 0.0)
+
+
+def sheet_grid(frame: Frame, x: SplineLine, y: SplineLine) -> SheetGrid:
+    """Lay the sheet on spline lines that cover its unstretched span."""
+    control = _Map(frame, x, y).control_mm()
+    mounted = np.concatenate((control * frame.pre_stretch, np.zeros((y.size, x.size, 1))), axis=2)
+    free = np.zeros(mounted.shape, dtype=bool)
+    free[1:-1, 1:-1] = True
+    if frame.rim == "clamped":  # the slope follows from the height of the next control points
+        free[..., 2] = False
+        free[2:-2, 2:-2, 2] = True
+    return SheetGrid(frame, x, y, _rest(frame, x, y, control), mounted, free)
+
+
+def span_mm(frame: Frame) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Return the ends of the parameter lines along x and y: the unstretched span."""
+    half_x, half_y = (half / frame.pre_stretch for half in frame.half_mm)
+    return (-half_x, half_x), (-half_y, half_y)
+
+
+@dataclass(frozen=True, eq=False)
+class _Map:
+    """From the parameter square to the undeformed sheet, itself a spline."""
+
+    frame: Frame
+    x: SplineLine
+    y: SplineLine
+
+    def control_mm(self) -> FloatArray:
+        """Return (row + 2, col + 2, 2) control points."""
+        u, v = np.meshgrid(self.x.greville, self.y.greville)
+        if self.frame.outline == "rectangular":
+            return np.stack((u, v), axis=-1)
+        # A square to a disc: lines of constant u and v become ellipses.
+        across, along = u / u.max(), v / v.max()
+        radius = u.max()
+        values = radius * np.stack(
+            (across * np.sqrt(1 - along**2 / 2), along * np.sqrt(1 - across**2 / 2)), axis=-1
+        )
+        back_y = np.linalg.inv(self.y.matrix(self.y.greville))
+        back_x = np.linalg.inv(self.x.matrix(self.x.greville))
+        control: FloatArray = np.einsum("ai,ijk,bj->abk", back_y, values, back_x, optimize=True)
+        return control
+
+    def sampled(self, x: FloatArray, y: FloatArray) -> FloatArray:
+        """Return (5, row, col): X_u, Y_u, X_v, Y_v and their determinant at places (x, y)."""
+        if self.frame.outline == "rectangular":
+            one, none = np.ones((y.size, x.size)), np.zeros((y.size, x.size))
+            return np.stack((one, none, none, one, one))
+        control = self.control_mm()
+        (xu, yu), (xv, yv) = (
+            np.einsum(
+                "ai,ijk,bj->kab", self.y.matrix(y, dy), control, self.x.matrix(x, dx), optimize=True
+            )
+            for dx, dy in ((1, 0), (0, 1))
+        )
+        return np.stack((xu, yu, xv, yv, xu * yv - yu * xv))
+
+
+def _rest(frame: Frame, x: SplineLine, y: SplineLine, control: FloatArray) -> Rest:
+    """Return the functions' derivatives along the sheet, and areas, at the Gauss points."""
+    # (row, col, qy, qx, b, a, derivative): value, u, v, uu, vv, uv
+    orders = ((0, 0), (1, 0), (0, 1), (2, 0), (0, 2), (1, 1))
+    parts = [
+        np.einsum("jqb,ipa->jiqpba", y.table[:, :, dy], x.table[:, :, dx]) for dx, dy in orders
+    ]
+    shape = (y.cells, x.cells, 4, 9)
+    functions = np.stack([part.reshape(shape) for part in parts], axis=-1)
+    area = np.einsum("jq,ip->jiqp", y.weights, x.weights).reshape(shape[:3])
+    if frame.outline == "rectangular":
+        return Rest(functions, area)
+    return _along_the_sheet(functions, area, control)
+
+
+def _along_the_sheet(functions: FloatArray, area: FloatArray, control: FloatArray) -> Rest:
+    """Turn derivatives by the parameters into derivatives along the undeformed sheet."""
+    rows, cols = functions.shape[:2]
+    cell = np.arange(9)
+    local = control[
+        np.arange(rows)[:, None, None] + cell // 3, np.arange(cols)[None, :, None] + cell % 3
+    ]
+    geometry = np.einsum("jiqnd,jink->dkjiq", functions, local)
+    (xu, yu), (xv, yv) = geometry[1], geometry[2]
+    (xuu, yuu), (xvv, yvv), (xuv, yuv) = geometry[3], geometry[4], geometry[5]
+    det = xu * yv - yu * xv
+    by = [functions[..., d] for d in range(6)]
+    wide = [part[..., None] for part in (xu, yu, xv, yv, det, xuu, yuu, xvv, yvv, xuv, yuv)]
+    xu, yu, xv, yv, det1, xuu, yuu, xvv, yvv, xuv, yuv = wide
+    along_x = (by[1] * yv - by[2] * yu) / det1
+    along_y = (by[2] * xu - by[1] * xv) / det1
+    # What is left of the second derivatives after the map's own curvature, then J^-T (.) J^-1.
+    uu = by[3] - xuu * along_x - yuu * along_y
+    vv = by[4] - xvv * along_x - yvv * along_y
+    uv = by[5] - xuv * along_x - yuv * along_y
+    ux, uy, vx, vy = yv / det1, -xv / det1, -yu / det1, xu / det1
+    second = (
+        uu * ux * ux + 2 * uv * ux * vx + vv * vx * vx,
+        uu * uy * uy + 2 * uv * uy * vy + vv * vy * vy,
+        uu * ux * uy + uv * (ux * vy + uy * vx) + vv * vx * vy,
+    )
+    return Rest(np.stack((by[0], along_x, along_y, *second), axis=-1), area * det)

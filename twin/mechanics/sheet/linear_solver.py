@@ -1,0 +1,108 @@
+"""Positive definite sparse systems, by PARDISO (pypardiso) or else by SciPy's SuperLU."""
+
+import warnings
+from typing import Any, Protocol
+
+import numpy as np
+import numpy.typing as npt
+from scipy import sparse
+from scipy.sparse.linalg import splu
+
+from twin.mechanics.transfer import FloatArray
+
+IntArray = npt.NDArray[np.int32]
+_REAL_POSITIVE_DEFINITE = 2
+_ANALYSE, _FACTORISE, _SOLVE = 11, 22, 33
+
+
+class LinearSolver(Protocol):
+    """Solves systems of one sparsity pattern."""
+
+    def factorise(self, values: FloatArray) -> bool:
+        """Factorise the upper triangle's values; tell whether they are positive definite."""
+        ...
+
+    def solve(self, right: FloatArray) -> FloatArray:
+        """Return the solution with the last factors."""
+        ...
+
+
+class Pardiso:
+    """MKL's PARDISO: one symbolic factorisation for all systems of the pattern."""
+
+    def __init__(self, start: IntArray, columns: IntArray) -> None:
+        from pypardiso import PyPardisoSolver
+        from pypardiso.pardiso_wrapper import PyPardisoError
+
+        self._refusal: type[Exception] = PyPardisoError
+        self._solver: Any = PyPardisoSolver(mtype=_REAL_POSITIVE_DEFINITE)
+        size = start.size - 1
+        self._matrix = sparse.csr_matrix(
+            (np.ones(columns.size), columns, start), shape=(size, size)
+        )
+        self._zero = np.zeros((size, 1))
+        self._run(_ANALYSE, self._zero)
+
+    def factorise(self, values: FloatArray) -> bool:
+        """Factorise the upper triangle's values; tell whether they are positive definite."""
+        self._matrix.data = values
+        try:
+            self._run(_FACTORISE, self._zero)
+        except self._refusal:
+            return False
+        return True
+
+    def solve(self, right: FloatArray) -> FloatArray:
+        """Return the solution with the last factors."""
+        found: FloatArray = self._run(_SOLVE, right.reshape(-1, 1)).ravel()
+        return found
+
+    def _run(self, phase: int, right: FloatArray) -> FloatArray:
+        self._solver.set_phase(phase)
+        found: FloatArray = self._solver._call_pardiso(self._matrix, right)
+        return found
+
+
+class SuperLU:
+    """SciPy's LU without pivoting, so that its diagonal has the signs of the eigenvalues."""
+
+    def __init__(self, start: IntArray, columns: IntArray) -> None:
+        size = start.size - 1
+        self._upper = sparse.csr_matrix((np.ones(columns.size), columns, start), shape=(size, size))
+
+    def factorise(self, values: FloatArray) -> bool:
+        """Factorise the upper triangle's values; tell whether they are positive definite."""
+        self._upper.data = values
+        above = sparse.triu(self._upper, 1)
+        whole = (self._upper + above.T).tocsc()
+        try:
+            self._factors = splu(
+                whole,
+                permc_spec="MMD_AT_PLUS_A",
+                diag_pivot_thresh=0.0,
+                options={"SymmetricMode": True},
+            )
+        except RuntimeError:  # exactly singular
+            return False
+        return bool((self._factors.U.diagonal() > 0).all())
+
+    def solve(self, right: FloatArray) -> FloatArray:
+        """Return the solution with the last factors."""
+        found: FloatArray = self._factors.solve(right)
+        return found
+
+
+def linear_solver(start: IntArray, columns: IntArray) -> LinearSolver:
+    """Return the fastest solver that is installed, for the upper triangle of a CSR pattern."""
+    return Pardiso(start, columns) if has_pardiso() else SuperLU(start, columns)
+
+
+def has_pardiso() -> bool:
+    """Tell whether pypardiso and the library behind it are there."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            import pypardiso  # noqa: F401  # importing loads the library
+    except ImportError:
+        return False
+    return True

@@ -1,0 +1,182 @@
+"""The way to a press: travel first, pressure after contact, coarse cells first, fine ones last.
+
+Every step starts from the line through the last two states. A step that finds no equilibrium is
+halved; where even a small one finds none, the last state that held is told.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.interpolate import RegularGridInterpolator
+
+from twin.mechanics.errors import PressError, SolverError
+from twin.mechanics.sheet.equilibrium import Accuracy, Sheet, SheetState, thinning_of
+from twin.mechanics.sheet.grid import SheetGrid
+from twin.mechanics.sheet.kernel import Grip
+from twin.mechanics.transfer import FloatArray
+
+TRAVEL_STEP_MM, PRESSURE_STEPS_KPA = 0.2, (0.5, 1.0, 2.0, 3.0, 4.5, 6.0, 8.0, 10.0)
+_PRESSURE_STEP_BEYOND_KPA = 2.0
+#: of a step; below, the path has ended
+_SMALLEST_STEP = 1 / 16
+#: thickness over its undeformed value below which a sheet flows away: silicones tear before
+THINNEST = 0.2
+
+Progress = Callable[[float], None]
+
+
+@dataclass(frozen=True)
+class Loads:
+    """What a state bears."""
+
+    travel_mm: float
+    pressure_kpa: float = 0.0
+
+
+def mounted(grid: SheetGrid) -> SheetState:
+    """Return the unloaded sheet."""
+    points = grid.rest.area_mm2.shape
+    grip = Grip(np.zeros(points), np.zeros((*points, 3)), np.zeros((*points, 3)))
+    return SheetState(grid.mounted_mm, grip)
+
+
+def waypoints(goal: Loads) -> list[Loads]:
+    """Return the loads at which the path stops: travel in equal steps, then pressure.
+
+    The travels before the last do not depend on the goal, so that presses to different travels
+    share the beginning of their paths.
+    """
+    travels = np.arange(1, int(np.ceil(goal.travel_mm / TRAVEL_STEP_MM - 1e-9))) * TRAVEL_STEP_MM
+    steps = [Loads(float(travel)) for travel in travels] + [Loads(goal.travel_mm)]
+    last = PRESSURE_STEPS_KPA[-1]
+    beyond = np.arange(
+        last + _PRESSURE_STEP_BEYOND_KPA, goal.pressure_kpa, _PRESSURE_STEP_BEYOND_KPA
+    )
+    pressures = [p for p in (*PRESSURE_STEPS_KPA, *beyond) if p < goal.pressure_kpa]
+    if goal.pressure_kpa > 0:
+        pressures.append(goal.pressure_kpa)
+    return steps + [Loads(goal.travel_mm, float(p)) for p in pressures]
+
+
+def follow(
+    sheet: Sheet, goal: Loads, accuracy: Accuracy, progress: Progress | None = None
+) -> SheetState:
+    """Press from the mounted sheet to `goal`.
+
+    Raises
+    ------
+    PressError
+        The sheet holds less than the pressure; names what it still holds.
+    SolverError
+        No equilibrium; names the last travel that had one.
+    """
+    state = before = mounted(sheet.grid)
+    stops = waypoints(goal)
+    for number, stop in enumerate(stops):
+        state, before = advance(sheet, state, before, stop, accuracy)
+        if progress is not None:
+            progress((number + 1) / len(stops))
+    return state
+
+
+def advance(
+    sheet: Sheet, state: SheetState, before: SheetState, goal: Loads, accuracy: Accuracy
+) -> tuple[SheetState, SheetState]:
+    """Move from `state` to `goal`; return the new state and the one before it."""
+    step = 1.0
+    done = 0.0
+    start = Loads(state.travel_mm, state.pressure_kpa)
+    while done < 1:
+        share = min(1.0, done + step)
+        loads = _between(start, goal, share)
+        try:
+            new = sheet.settle(_predicted(state, before, loads), accuracy)
+            _check_thickness(sheet, new)
+        except SolverError as error:
+            step /= 2
+            if step < _SMALLEST_STEP:
+                raise _ended(state, goal, error) from error
+            continue
+        state, before, done = new, state, share
+    return state, before
+
+
+def refined(coarse: Sheet, fine: Sheet, state: SheetState) -> SheetState:
+    """Return the coarse sheet's state on the fine sheet's grid."""
+    control = fine.grid.moved_from(coarse.grid, state.control_mm)
+    grip = mounted(fine.grid).grip
+    moved = replace(state, control_mm=control, grip=grip)
+    if not coarse.sticks:
+        return moved
+    # The springs to the anchors keep their stretch; new ones arise where the fine sheet touches.
+    stretch = np.where(
+        state.grip.held[..., None] > 0,
+        coarse.surface(state.control_mm)[..., 0, :] - _lifted(state),
+        0.0,
+    )
+    carried = _at_points(coarse.grid, fine.grid, stretch)
+    gripped = fine.regripped(moved)
+    anchor = gripped.grip.anchor_mm - np.where(gripped.grip.held[..., None] > 0, carried, 0.0)
+    return replace(gripped, grip=gripped.grip._replace(anchor_mm=anchor))
+
+
+def _lifted(state: SheetState) -> FloatArray:
+    lifted: FloatArray = state.grip.anchor_mm + np.array([0.0, 0.0, state.travel_mm])
+    return lifted
+
+
+def _at_points(coarse: SheetGrid, fine: SheetGrid, values: FloatArray) -> FloatArray:
+    """Interpolate (row, col, 4, k) values between the Gauss points of two grids."""
+    rows, cols, _, count = values.shape
+    regular = values.reshape(rows, cols, 2, 2, count).transpose(0, 2, 1, 3, 4)
+    table = RegularGridInterpolator(
+        (coarse.y.points.ravel(), coarse.x.points.ravel()),
+        regular.reshape(2 * rows, 2 * cols, count),
+        bounds_error=False,
+        fill_value=None,
+    )
+    y, x = np.meshgrid(fine.y.points.ravel(), fine.x.points.ravel(), indexing="ij")
+    found = table(np.stack((y, x), axis=-1))
+    shape = (fine.y.cells, 2, fine.x.cells, 2, count)
+    moved: FloatArray = found.reshape(shape).transpose(0, 2, 1, 3, 4)
+    return np.ascontiguousarray(moved).reshape(fine.y.cells, fine.x.cells, 4, count)
+
+
+def _between(start: Loads, goal: Loads, share: float) -> Loads:
+    if share >= 1:
+        return goal
+    return Loads(
+        start.travel_mm + share * (goal.travel_mm - start.travel_mm),
+        start.pressure_kpa + share * (goal.pressure_kpa - start.pressure_kpa),
+    )
+
+
+def _predicted(state: SheetState, before: SheetState, loads: Loads) -> SheetState:
+    """Return the line through the last two states, at `loads`, if they lie on one line of loads."""
+    control = state.control_mm
+    made = np.array([state.travel_mm - before.travel_mm, state.pressure_kpa - before.pressure_kpa])
+    asked = np.array([loads.travel_mm - state.travel_mm, loads.pressure_kpa - state.pressure_kpa])
+    along = made != 0
+    if along.sum() == 1 and (along == (asked != 0)).all():
+        ratio = min(1.5, float(asked[along][0] / made[along][0]))
+        control = control + ratio * (control - before.control_mm)
+    return replace(
+        state, control_mm=control, travel_mm=loads.travel_mm, pressure_kpa=loads.pressure_kpa
+    )
+
+
+def _check_thickness(sheet: Sheet, state: SheetState) -> None:
+    thinnest = float(thinning_of(sheet.surface(state.control_mm)).min())
+    if thinnest < THINNEST:
+        raise SolverError(f"sheet: thins to {thinnest:.2f} of its thickness")
+
+
+def _ended(state: SheetState, goal: Loads, error: SolverError) -> PressError | SolverError:
+    if goal.pressure_kpa > state.pressure_kpa:
+        return PressError(
+            f"press.back_pressure_kpa: the sheet holds {state.pressure_kpa:.2f} kPa at "
+            f"{state.travel_mm:.3g} mm of travel and gives way below {goal.pressure_kpa:.2f}: it "
+            "thins without bound; use less pressure, a thicker or a harder sheet"
+        )
+    return SolverError(f"{error}; the last travel in equilibrium is {state.travel_mm:.3g} mm")

@@ -1,0 +1,369 @@
+"""Press a specimen into a thin sheet: the `sheet` model, from the experiment's data to its result.
+
+World frame, mm: the undeformed coated face is z = 0, the sheet spans its frame's opening and the
+specimen, with the plate that it stands on, comes from below and touches at z = -thickness. In the
+solver's own frame z = 0 is the undeformed surface midway between the faces.
+
+Sources: Kirchhoff-Love kinematics with an incompressible neo-Hookean solid, thickness change
+included; quadratic B-splines, 2 x 2 Gauss points. Penalty of contact: the compliance of half a
+thickness, E* / (h / 4), which fits solid elements best (shared notes on the sheet).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from twin.config.models import Elastomer, Mechanics, Press, Specimen
+from twin.mechanics.errors import PressError
+from twin.mechanics.hardness import young_modulus
+from twin.mechanics.layouts import face_nodes, weight_kpa
+from twin.mechanics.press import PressedElastomer, SheetFields, check_outline
+from twin.mechanics.sheet.equilibrium import Accuracy, Bodies, Sheet, SheetState, normal_of
+from twin.mechanics.sheet.faces import height_map, sample
+from twin.mechanics.sheet.grid import Frame, sheet_grid, span_mm
+from twin.mechanics.sheet.kernel import Laws
+from twin.mechanics.sheet.path import (
+    TRAVEL_STEP_MM,
+    Loads,
+    Progress,
+    advance,
+    follow,
+    refined,
+)
+from twin.mechanics.sheet.splines import graded_line
+from twin.mechanics.transfer import FloatArray
+from twin.mechanics.validity import SHEET_THICKNESS_MM, assess_sheet, margin_mm
+from twin.specimens import Shape, shape_of
+from twin.specimens.distance import (
+    RectangularInside,
+    RoundInside,
+    SignedDistance,
+    distances_of,
+    frame_wall,
+    plate,
+)
+
+# Incompressible: E* = E / (1 - 1/4), and shear modulus E / 3.
+_COMPLIANCE, _STICK_COMPLIANCE = 0.25, 0.5
+_COARSE_CELL_MM, _LONGEST_CELL_MM = 0.4, 1.0
+_TACK_RANGE_MM = 0.08
+# Without a wall nothing but the rim keeps a sheet under pressure out of the frame's material.
+_WALL_MM = 0.5
+_MARGIN_MM = 1.5
+_ROUGH, _FINE = Accuracy(step_mm=1e-3, residual_kpa=0.1), Accuracy()
+_FORCE_TOLERANCE, _FORCE_STEPS = 1e-3, 40
+
+
+@dataclass(frozen=True, eq=False)
+class SheetCase:
+    """What is pressed, in the solver's terms."""
+
+    frame: Frame
+    laws: Laws
+    bodies: Bodies
+    shape: Shape
+    sticks: bool
+    #: the finest cells
+    cell_mm: float
+
+    def sheet(self, pitch_mm: float, box_mm: tuple[float, float, float, float]) -> Sheet:
+        """Return the sheet on cells of `pitch_mm` within a box of the world's x and y."""
+        x_span, y_span = span_mm(self.frame)
+        stretch = self.frame.pre_stretch
+        west, east, south, north = (end / stretch for end in box_mm)
+        x = graded_line(x_span, (west, east), pitch_mm, _LONGEST_CELL_MM)
+        y = graded_line(y_span, (south, north), pitch_mm, _LONGEST_CELL_MM)
+        # A cohesive range below half a cell would let the sheet jump on from point to point.
+        laws = self.laws._replace(tack_range_mm=max(_TACK_RANGE_MM, 0.5 * pitch_mm))
+        grid = sheet_grid(self.frame, x, y)
+        return Sheet(grid, laws, self.bodies, -laws.thickness_mm / 2, self.sticks)
+
+
+def press_sheet(
+    specimen: Specimen,
+    elastomer: Elastomer,
+    load: Press,
+    mechanics: Mechanics,
+    progress: Progress | None = None,
+) -> PressedElastomer:
+    """Press `specimen` into a thin sheet as `load` says.
+
+    Parameters
+    ----------
+    specimen : Specimen
+        What is pressed, in its pose; it stands on a plate as wide as the frame's opening.
+    elastomer : Elastomer
+        Thickness 0.05 to 1 mm, `opposite_face`; its outline, pre-stretch and tack count.
+    load : Press
+        Depth or force, back pressure, gravity; `cell_mm` for the solver's finest cells.
+    mechanics : Mechanics
+        `support` simple or clamped (the default).
+    progress : called with the share that is done
+
+    Returns
+    -------
+    PressedElastomer
+        Both faces as height maps seen from above, with `sheet` fields on the coated face's nodes.
+
+    Raises
+    ------
+    PressError
+        The sheet cannot be of this kind, the specimen reaches over the frame, or the sheet gives
+        way under the pressure: the message names the pressure that it still holds.
+    SolverError
+        No equilibrium; the message names the last travel that had one.
+    """
+    case = sheet_case(specimen, elastomer, load, mechanics)
+    sheet, state = _equilibrium(case, load, progress)
+    return _result(case, elastomer, load, sheet, state)
+
+
+def sheet_case(
+    specimen: Specimen, elastomer: Elastomer, load: Press, mechanics: Mechanics
+) -> SheetCase:
+    """Translate the experiment's data.
+
+    Raises
+    ------
+    PressError
+        What a thin sheet cannot be.
+    """
+    _check(elastomer, mechanics)
+    shape = shape_of(specimen)
+    check_outline(shape, elastomer)
+    frame = Frame(
+        elastomer.length_x_mm,
+        elastomer.length_y_mm,
+        elastomer.outline,
+        "simple" if mechanics.support == "simple" else "clamped",
+        elastomer.pre_stretch,
+    )
+    return SheetCase(
+        frame=frame,
+        laws=_laws(elastomer, load),
+        bodies=Bodies((*distances_of(shape), *_plate(shape)), _walls(frame)),
+        shape=shape,
+        sticks=elastomer.sticks,
+        cell_mm=finest_cell_mm(elastomer, load),
+    )
+
+
+def finest_cell_mm(elastomer: Elastomer, load: Press) -> float:
+    """Return the finest cells: as asked for, or as the thickness needs."""
+    if load.cell_mm is not None:
+        return load.cell_mm
+    return float(np.clip(0.75 * elastomer.thickness_mm, 0.075, 0.15))
+
+
+def contact_force_n(sheet: Sheet, state: SheetState) -> float:
+    """Return the vertical force of specimen and plate on the sheet, N."""
+    sheet.evaluate(state.control_mm, state, tangent=False)
+    held = float(sheet.reactions().sum())
+    surface = sheet.surface(state.control_mm)
+    plan = np.cross(surface[..., 1, :], surface[..., 2, :])[..., 2]
+    pressed = state.pressure_kpa * float((plan * sheet.grid.rest.area_mm2).sum())
+    weight = sheet.laws.weight_kpa * float(sheet.grid.rest.area_mm2.sum())
+    # kPa mm^2 = mN
+    return 1e-3 * (pressed + weight - held)
+
+
+def _equilibrium(
+    case: SheetCase, load: Press, progress: Progress | None
+) -> tuple[Sheet, SheetState]:
+    report = progress or (lambda share: None)
+    coarse = case.sheet(_COARSE_CELL_MM, case.shape.bounds_mm())
+    goal = Loads(load.depth_mm or TRAVEL_STEP_MM, load.back_pressure_kpa)
+    state = follow(coarse, goal, _ROUGH, lambda share: report(0.6 * share))
+    if load.force_n is not None:
+        state = _to_force(coarse, state, load.force_n, _ROUGH)
+    fine = case.sheet(case.cell_mm, _contact_box(case, coarse, state))
+    found = fine.settle(refined(coarse, fine, state), _FINE)
+    if load.force_n is not None:
+        found = _to_force(fine, found, load.force_n, _FINE)
+    report(1.0)
+    return fine, found
+
+
+def _to_force(sheet: Sheet, state: SheetState, force_n: float, accuracy: Accuracy) -> SheetState:
+    """Change the travel until specimen and plate bear on the sheet with a force.
+
+    Raises
+    ------
+    PressError
+        The force is not reached.
+    """
+    step = TRAVEL_STEP_MM
+    before = state
+    found = contact_force_n(sheet, state)
+    for _ in range(_FORCE_STEPS):
+        if abs(found - force_n) <= _FORCE_TOLERANCE * force_n:
+            return state
+        goal = Loads(max(state.travel_mm + step, state.travel_mm / 2), state.pressure_kpa)
+        state, before = advance(sheet, state, state, goal, accuracy)
+        last, found = found, contact_force_n(sheet, state)
+        secant = (force_n - found) * (state.travel_mm - before.travel_mm) / (found - last)
+        step = float(np.clip(secant, -TRAVEL_STEP_MM, TRAVEL_STEP_MM))
+    raise PressError(
+        f"press.force_n: {force_n:g} N is not reached, found {found:.4g} N at "
+        f"{state.travel_mm:.3g} mm of travel; ask for another force, or control the depth"
+    )
+
+
+def _contact_box(
+    case: SheetCase, sheet: Sheet, state: SheetState
+) -> tuple[float, float, float, float]:
+    """Return the box of the mounted sheet that touches the specimen, and a margin round it."""
+    surface = sheet.surface(state.control_mm)
+    touch = sheet.touch(surface[..., 0, :], state.travel_mm)
+    specimen = len(distances_of(case.shape))
+    gap = sheet.gap_mm(surface, touch)[:specimen].min(axis=0)
+    near = gap < _COARSE_CELL_MM / 2
+    if not near.any():
+        return case.shape.bounds_mm()
+    x, y = sheet.grid.x.points.ravel(), sheet.grid.y.points.ravel()
+    rows, cols = near.shape[:2]
+    table = near.reshape(rows, cols, 2, 2).transpose(0, 2, 1, 3).reshape(2 * rows, 2 * cols)
+    along_x, along_y = x[table.any(axis=0)], y[table.any(axis=1)]
+    stretch = case.frame.pre_stretch
+    return (
+        float(along_x.min() * stretch - _MARGIN_MM),
+        float(along_x.max() * stretch + _MARGIN_MM),
+        float(along_y.min() * stretch - _MARGIN_MM),
+        float(along_y.max() * stretch + _MARGIN_MM),
+    )
+
+
+def _result(
+    case: SheetCase, elastomer: Elastomer, load: Press, sheet: Sheet, state: SheetState
+) -> PressedElastomer:
+    h, modulus_kpa = elastomer.thickness_mm, young_modulus(elastomer).best_kpa
+    nodes_x, nodes_y = (
+        face_nodes(length, load) for length in (elastomer.length_x_mm, elastomer.length_y_mm)
+    )
+    seen = sample(sheet, state, load.relief_pitch_mm)
+    carried = np.concatenate((seen.thickness_mm[..., None], seen.stretch, seen.material_mm), axis=2)
+    flat = np.array([h / 2, h, 1.0, 1.0, 0.0, 0.0])
+    face_z, fields = height_map(seen.upper_mm, carried, nodes_x, nodes_y, flat)
+    x, y = _centres(elastomer.length_x_mm, load), _centres(elastomer.length_y_mm, load)
+    pressure = _pressure_kpa(sheet, state, seen.middle_mm, seen.thickness_mm)
+    below = np.array([-h / 2, 0.0])
+    touched_z, on_cells = height_map(seen.lower_mm, pressure[..., None], x, y, below)
+    contact = on_cells[..., 0] > 0
+    pitch = float(np.sqrt((x[1] - x[0]) * (y[1] - y[0])))
+    return PressedElastomer(
+        x_mm=x,
+        y_mm=y,
+        pressure_kpa=on_cells[..., 0],
+        contact=contact,
+        touched_face_mm=touched_z - h / 2,
+        force_n=contact_force_n(sheet, state),
+        depth_mm=state.travel_mm,
+        young_modulus_kpa=modulus_kpa,
+        face_x_mm=nodes_x,
+        face_y_mm=nodes_y,
+        face_z_mm=face_z - h / 2,
+        validity=assess_sheet(
+            depth_mm=state.travel_mm,
+            thickness_mm=h,
+            radius_mm=min((ball.radius_mm for ball in case.shape.spheres()), default=None),
+            deflection_mm=float(np.abs(face_z - h / 2).max()),
+            bend_1_mm=_contact_bend(sheet, state),
+            slope_deg=_steepest_deg(sheet, state),
+            margin_to_rim_mm=margin_mm(
+                contact, x, y, (elastomer.length_x_mm / 2, elastomer.length_y_mm / 2)
+            ),
+            cells_across=float(np.sqrt(4 / np.pi * contact.sum())) * pitch / case.cell_mm,
+        ),
+        iterations=state.steps,
+        converged=True,
+        model="sheet",
+        sheet=SheetFields(
+            thickness_mm=fields[..., 0],
+            stretch=fields[..., 1:3],
+            material_x_mm=fields[..., 3],
+            material_y_mm=fields[..., 4],
+        ),
+    )
+
+
+def _pressure_kpa(
+    sheet: Sheet, state: SheetState, middle_mm: FloatArray, thickness_mm: FloatArray
+) -> FloatArray:
+    """Return the pressure of specimen and plate at sampled points (row, col), 0 where none."""
+    lift = np.array([0.0, 0.0, sheet.touched_z_mm + state.travel_mm])
+    points = (middle_mm - lift).reshape(-1, 3)
+    total = np.zeros(thickness_mm.size)
+    for body in sheet.bodies.moving:
+        gap = body.evaluate(points, sheet.laws.thickness_mm)[0] - thickness_mm.ravel() / 2
+        total += sheet.laws.contact_stiffness * np.maximum(-gap, 0.0)
+    # Per undeformed area in the solver; per deformed area is what a gauge would read.
+    return total.reshape(thickness_mm.shape) * thickness_mm / sheet.laws.thickness_mm
+
+
+def _contact_bend(sheet: Sheet, state: SheetState) -> float:
+    """Return the root mean square curvature where the specimen touches, 1/mm."""
+    surface = sheet.surface(state.control_mm)
+    touch = sheet.touch(surface[..., 0, :], state.travel_mm)
+    touching = (sheet.gap_mm(surface, touch)[: len(sheet.bodies.moving)] < 0).any(axis=0)
+    if not touching.any():
+        return 0.0
+    square = sheet.curvature_squared(state.control_mm)[touching]
+    weight = sheet.grid.rest.area_mm2[touching]
+    return float(np.sqrt((square * weight).sum() / weight.sum()))
+
+
+def _steepest_deg(sheet: Sheet, state: SheetState) -> float:
+    upright = normal_of(sheet.surface(state.control_mm))[..., 2]
+    return float(np.rad2deg(np.arccos(np.clip(upright.min(), -1.0, 1.0))))
+
+
+def _centres(length_mm: float, load: Press) -> FloatArray:
+    count = int(np.ceil(length_mm / load.solver_pitch_mm - 1e-9))
+    centres = (np.arange(count) + 0.5) * (length_mm / count) - length_mm / 2
+    return np.asarray(centres, dtype=np.float64)
+
+
+def _check(elastomer: Elastomer, mechanics: Mechanics) -> None:
+    low, high = SHEET_THICKNESS_MM
+    if not low <= elastomer.thickness_mm <= high:
+        raise PressError(
+            f"elastomer.thickness_mm: found {elastomer.thickness_mm:g}, the sheet model allows "
+            f"{low:g} to {high:g}; choose mechanics.model = 'auto' for a slab"
+        )
+    if elastomer.layout != "opposite_face":
+        raise PressError(
+            "elastomer.layout: the sheet model needs 'opposite_face'; a gel bonded to a window is "
+            "pressed by mechanics.model = 'spectral'"
+        )
+    if elastomer.film is not None:
+        raise PressError("elastomer.film: the sheet model has no film of its own; remove it")
+    if mechanics.support not in (None, "simple", "clamped"):
+        raise PressError(
+            f"mechanics.support: found '{mechanics.support}', the sheet model allows 'simple' or "
+            "'clamped'"
+        )
+
+
+def _laws(elastomer: Elastomer, load: Press) -> Laws:
+    modulus_kpa, h = young_modulus(elastomer).best_kpa, elastomer.thickness_mm
+    return Laws(
+        thickness_mm=h,
+        shear_modulus_kpa=modulus_kpa / 3,
+        contact_stiffness=modulus_kpa / 0.75 / (_COMPLIANCE * h),
+        stick_stiffness=modulus_kpa / 3 / (_STICK_COMPLIANCE * h),
+        tack=elastomer.tack_j_m2,
+        tack_range_mm=_TACK_RANGE_MM,
+        pressure_kpa=0.0,
+        weight_kpa=-weight_kpa(elastomer, load),
+    )
+
+
+def _plate(shape: Shape) -> tuple[SignedDistance, ...]:
+    """Return the plate that the specimen stands on."""
+    return (plate(float(shape.mesh(0.0).bounds[0, 2])),)
+
+
+def _walls(frame: Frame) -> tuple[SignedDistance, ...]:
+    half_x, half_y = (half + _WALL_MM for half in frame.half_mm)
+    inside = RoundInside(half_x) if frame.outline == "round" else RectangularInside(half_x, half_y)
+    return frame_wall(inside)

@@ -1,0 +1,126 @@
+"""Quadratic B-splines on a graded line: values, derivatives, and the way between two lines."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from twin.mechanics.transfer import FloatArray
+
+_GAUSS = 0.5 / np.sqrt(3)
+#: change of width over distance
+_GROWTH = 0.2
+_SAMPLES = 2001
+
+
+@dataclass(frozen=True, eq=False)
+class SplineLine:
+    """C1 quadratic B-splines on the cells between `edges`, open at both ends.
+
+    Cell i carries the functions i, i + 1 and i + 2; there are two more functions than cells.
+    """
+
+    #: (cell + 1,) ascending
+    edges: FloatArray
+
+    @property
+    def cells(self) -> int:
+        """Number of cells."""
+        return self.edges.size - 1
+
+    @property
+    def size(self) -> int:
+        """Number of functions."""
+        return self.cells + 2
+
+    @cached_property
+    def greville(self) -> FloatArray:
+        """(function,) places whose values are the coefficients of a straight line."""
+        knots = self._knots
+        return (knots[1:-2] + knots[2:-1]) / 2
+
+    @cached_property
+    def points(self) -> FloatArray:
+        """(cell, 2) Gauss points."""
+        steps = np.diff(self.edges)[:, None]
+        points: FloatArray = self.edges[:-1, None] + steps * [0.5 - _GAUSS, 0.5 + _GAUSS]
+        return points
+
+    @cached_property
+    def weights(self) -> FloatArray:
+        """(cell, 2) weights of the Gauss points."""
+        return np.repeat(np.diff(self.edges)[:, None] / 2, 2, axis=1)
+
+    @cached_property
+    def table(self) -> FloatArray:
+        """(cell, 2, derivative 0 to 2, 3) the functions of each cell at its Gauss points."""
+        return self.at(self.points.ravel())[1].reshape(self.cells, 2, 3, 3)
+
+    def at(self, places: FloatArray) -> tuple[np.ndarray, FloatArray]:
+        """Return (n,) cell and (n, derivative 0 to 2, 3) functions of that cell at `places`."""
+        last = self.cells - 1
+        cell = np.clip(np.searchsorted(self.edges, places, side="right") - 1, 0, last)
+        t0, t1, t2, t3 = (self._knots[cell + k] for k in range(1, 5))
+        ab, bb, bc = t2 - t0, t2 - t1, t3 - t1
+        x0, a, b, c = places - t0, t2 - places, places - t1, t3 - places
+        rows = (
+            (a * a / (ab * bb), x0 * a / (ab * bb) + c * b / (bc * bb), b * b / (bc * bb)),
+            (-2 * a / (ab * bb), (a - x0) / (ab * bb) + (c - b) / (bc * bb), 2 * b / (bc * bb)),
+            (2 / (ab * bb), -2 / (ab * bb) - 2 / (bc * bb), 2 / (bc * bb)),
+        )
+        return cell, np.moveaxis(np.array(rows), -1, 0)
+
+    def matrix(self, places: FloatArray, derivative: int = 0) -> FloatArray:
+        """Return (n, function) values of all functions at `places`."""
+        cell, local = self.at(places)
+        full = np.zeros((places.size, self.size))
+        np.put_along_axis(full, cell[:, None] + np.arange(3), local[:, derivative], axis=1)
+        return full
+
+    def interpolated_from(self, other: "SplineLine") -> FloatArray:
+        """Return (function, other's function): this line's spline through the other's values."""
+        passed = np.linalg.solve(self.matrix(self.greville), other.matrix(self.greville))
+        return np.asarray(passed, dtype=np.float64)
+
+    @property
+    def _knots(self) -> FloatArray:
+        first, last = self.edges[:1], self.edges[-1:]
+        return np.concatenate((first, first, self.edges, last, last))
+
+
+def graded_line(
+    ends_mm: tuple[float, float],
+    fine_mm: tuple[float, float],
+    pitch_mm: float,
+    coarse_mm: float,
+) -> SplineLine:
+    """Return cells of about `pitch_mm` within `fine_mm`, wider between it and the ends.
+
+    At the ends cells are small again, twice `pitch_mm`: the sheet bends where its rim holds it.
+    """
+    low, high = max(fine_mm[0], ends_mm[0]), min(fine_mm[1], ends_mm[1])
+    count = max(2, int(np.ceil((high - low) / pitch_mm - 1e-9)))
+    before = low - _between(low - ends_mm[0], pitch_mm, coarse_mm)[::-1]
+    after = high + _between(ends_mm[1] - high, pitch_mm, coarse_mm)
+    return SplineLine(np.concatenate((before, np.linspace(low, high, count + 1), after)))
+
+
+def subdivided(edges: FloatArray, parts: int) -> FloatArray:
+    """Return each cell's edges with `parts` equal parts between them."""
+    share = np.arange(parts) / parts
+    inner = (edges[:-1, None] + np.diff(edges)[:, None] * share).ravel()
+    return np.concatenate((inner, edges[-1:]))
+
+
+def _between(length_mm: float, pitch_mm: float, coarse_mm: float) -> FloatArray:
+    """Return the ends of cells from the fine part, at 0, to an end of the line."""
+    if length_mm < 1e-9:
+        return np.zeros(0)
+    places = np.linspace(0.0, length_mm, _SAMPLES)
+    width = np.minimum(pitch_mm + _GROWTH * places, 2 * pitch_mm + _GROWTH * (length_mm - places))
+    density = 1 / np.minimum(width, coarse_mm)
+    cells = np.concatenate(([0.0], np.cumsum((density[1:] + density[:-1]) / 2)))
+    cells *= length_mm / (_SAMPLES - 1)
+    count = max(1, int(np.ceil(cells[-1] - 1e-9)))
+    ends = np.linspace(0.0, cells[-1], count + 1)[1:]
+    return np.asarray(np.interp(ends, cells, places), dtype=np.float64)
