@@ -14,7 +14,8 @@ from twin.study import optimise, pictures
 from twin.study.best import best_rows, ranked_rows
 from twin.study.cases import cases_of, quantity
 from twin.study.derived import with_derived
-from twin.study.record import StudyRecord
+from twin.study.measuring import Answer
+from twin.study.record import StudyRecord, read_record
 from twin.study.sensitivity import effects_of, without
 from twin.study.sweep import sweep
 from twin.study.table import csv_text, read_table, write_parquet
@@ -95,6 +96,37 @@ def test_search_is_told_of_a_failure_not_of_zero(base, tmp_path, monkeypatch):
     assert 0 < sum(blind) < len(rows)
     assert [found is None for found in told] == blind
     assert best_rows(rows, [ERROR])[0]["albedo"] < 0.2
+
+
+@pytest.mark.parametrize("sampler", ["tpe", "nsga2"])
+def test_a_bound_on_an_absent_figure_is_not_met(base, tmp_path, sampler):
+    """The quickest designs see nothing: the search takes them for infeasible, and goes on."""
+    pytest.importorskip("optuna")
+    study = Study(
+        name="test",
+        base="x",
+        axis=({"path": "coating.base_albedo", "name": "albedo", "low": 0.1, "high": 0.9},),
+        sampling={"method": "optimise", "seed": 2},
+        optimise={"trials": 24, "batch": 8, "objectives": [QUICK], "sampler": sampler},
+        constraint=({"value": "z_rmse_um", "at_most": 1.0},),
+    )
+    sweep(StudyRecord(study, base), tmp_path, local_workers(1), make_measurer=Blind)
+    rows = read_table(tmp_path).rows
+    assert {row["feasible"] for row in rows} == {True, False}
+    assert 0.35 < best_rows(rows, [QUICK])[0]["albedo"] < 0.5
+
+
+def test_figures_that_are_no_numbers_cost_their_case(base, study_of, stored):
+    class Broken(Blind):
+        def __call__(self, experiment):
+            found = super().__call__(experiment)
+            nan = float("nan") if experiment.coating.base_albedo == 0.2 else 1.0
+            return Answer(found.figures | {"spread": nan})
+
+    store, _ = stored(study_of(ALBEDO))
+    outcome = sweep(read_record(store.folder), store.folder, local_workers(1), make_measurer=Broken)
+    assert outcome.states == {"done": 4, "failed": 1}
+    assert list(outcome.failures) == ["spread: not finite"]
 
 
 def test_nothing_follows_from_an_absent_figure(base):
