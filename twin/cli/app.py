@@ -2,6 +2,7 @@
 
 import sys
 from collections.abc import Callable
+from importlib import metadata
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -14,6 +15,7 @@ BAD_INPUT, MISSING_BACKEND, FAILURE = 2, 3, 1
 app = App(
     name="twin",
     help="Digital twin of a contact fringe-projection sensor: press, render, reconstruct, score.",
+    version=lambda: metadata.version("fringe-twin"),
     version_flags=["--version"],
     help_flags=["--help", "-h"],
 )

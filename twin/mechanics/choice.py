@@ -5,8 +5,9 @@ from typing import TYPE_CHECKING
 
 from twin.config.models import Elastomer, Mechanics, PadFile, Press, Specimen
 from twin.mechanics.errors import PressError
-from twin.mechanics.press import PressedElastomer, press
+from twin.mechanics.press import PressedElastomer, check_load, press
 from twin.mechanics.validity import DEFLECTION_OVER_THICKNESS_LIMIT
+from twin.specimens import shape_of
 from twin.specimens.mesh_file import read_closed_mesh
 
 if TYPE_CHECKING:
@@ -48,6 +49,30 @@ def press_with(
     return replace(press_neo_hookean(specimen, elastomer, load), model="neo_hookean")
 
 
+def check_press(
+    mechanics: Mechanics, specimen: Specimen, elastomer: Elastomer, load: Press
+) -> None:
+    """Refuse what `press_with` refuses before it solves anything.
+
+    Raises
+    ------
+    PressError
+        What the model cannot do, and what to change.
+    """
+    if mechanics.model == "fem":
+        from twin.mechanics.reference.fem_press import check_fem
+
+        check_fem(elastomer, mechanics.support)
+        if mechanics.pad is not None:
+            _check_pad(elastomer)
+        return
+    check_load(shape_of(specimen), elastomer, load)
+    if mechanics.model == "neo_hookean":
+        from twin.mechanics.reference.thin_sheet import check_neo_hookean
+
+        check_neo_hookean(elastomer, load)
+
+
 def choose_model(pressed: PressedElastomer, elastomer: Elastomer, load: Press) -> str:
     """Return the model that is right for a case, from its spectral solution.
 
@@ -73,10 +98,7 @@ def read_pad(source: PadFile, elastomer: Elastomer) -> "Pad":
     """
     from twin.mechanics.reference.pad import Hold, Pad, facing, on_plane
 
-    if elastomer.layout != "contact_face":
-        raise PressError(
-            "mechanics.pad: needs elastomer.layout = 'contact_face' (it is seen through its window)"
-        )
+    _check_pad(elastomer)
     body = read_closed_mesh("mechanics.pad.file", source.file)
     body.apply_scale(source.scale_mm)
     low, high = body.bounds
@@ -84,3 +106,10 @@ def read_pad(source: PadFile, elastomer: Elastomer) -> "Pad":
     coated = facing((0, 0, -1), source.facing_deg)
     window = on_plane("z", float(body.bounds[1, 2]))
     return Pad(body, elastomer.poisson_ratio, (Hold(window),), touched=coated, coated=coated)
+
+
+def _check_pad(elastomer: Elastomer) -> None:
+    if elastomer.layout != "contact_face":
+        raise PressError(
+            "mechanics.pad: needs elastomer.layout = 'contact_face' (it is seen through its window)"
+        )

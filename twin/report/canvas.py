@@ -13,9 +13,11 @@ from typing import Any, Literal
 import numpy as np
 from matplotlib import colormaps, rc_context
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import Colormap
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogFormatter
 from numpy.typing import NDArray
 
 from reconstruction.errors import InputError
@@ -52,6 +54,7 @@ _STYLE: Any = {
     "legend.fontsize": 8.0,
     "legend.frameon": False,
     "image.interpolation": "nearest",
+    "text.parse_math": False,  # names and labels are anybody's, and "$" is no formula
 }
 
 
@@ -174,6 +177,12 @@ def legend_above(axes: Axes, entries: int) -> None:
         columnspacing=1.2,
         handlelength=1.6,
     )
+
+
+def plain_log(axis: Axis) -> None:
+    """Write the decades of a logarithmic axis as numbers: its own labels are formulas."""
+    axis.set_major_formatter(LogFormatter())
+    axis.set_minor_formatter(LogFormatter(labelOnlyBase=False))
 
 
 def plain_spines(axes: Axes) -> None:

@@ -155,6 +155,8 @@ def _pictures(pictures: Path, outcome: Outcome, measured: AnyMeasured) -> list[d
 def _shares(measured: AnyMeasured) -> list[dict[str, str]]:
     """Three parts of the wanted pixels, for the bar: good, wrong, none."""
     good, found = measured.figures["good_share"], measured.figures["completeness"]
+    if good is None:
+        return []
     limit_um = measured.experiment.score.good_within_um
     parts = (
         ("good", f"within {limit_um:g} µm", good),

@@ -18,9 +18,9 @@ from twin.report.study_view import (
     draw_main_effects,
     draw_parallel,
 )
-from twin.study.best import is_number, ranked_rows
+from twin.study.best import is_number, ranked_rows, usable_rows
 from twin.study.pictures import pictures_of
-from twin.study.sensitivity import Effect, effects_of
+from twin.study.sensitivity import Effect, effects_of, without
 from twin.study.store import Store
 from twin.study.table import Table, read_table
 
@@ -101,7 +101,7 @@ def _shown(table: Table, asked: Sequence[Objective]) -> Shown:
         rows,
         metrics,
         objectives,
-        ranked_rows(done, objectives) if any(row["feasible"] for row in done) else [],
+        ranked_rows(done, objectives) if usable_rows(done, objectives) else [],
         {name: found for name, found in effects.items() if found},
     )
 
@@ -151,8 +151,10 @@ def _plates(shown: Shown) -> list[Plate]:
     if pairs:
         plates += [_interactions(rows, pairs, metric) for metric in metrics[:2]]
     if len(shown.objectives) > 1 and shown.best:
+        names = [one.metric for one in shown.objectives]
+        whole = [row for row in shown.table.done() if all(is_number(row.get(n)) for n in names)]
         plates.append(
-            Plate("front", lambda path: draw_front(path, rows, shown.best, shown.objectives),
+            Plate("front", lambda path: draw_front(path, whole, shown.best, shown.objectives),
                   "two objectives of all cases with the Pareto front",
                   "Designs that no other beats in every objective.")
         )  # fmt: skip
@@ -160,9 +162,17 @@ def _plates(shown: Shown) -> list[Plate]:
     if shown.effects:
         plates.append(
             Plate("sensitivity", lambda path: draw_effects(path, shown.effects, method),
-                  "sensitivity of each figure to each axis", _SENSITIVITY_WORDS[method])
+                  "sensitivity of each figure to each axis",
+                  _SENSITIVITY_WORDS[method] + _left_out(shown))
         )  # fmt: skip
     return plates
+
+
+def _left_out(shown: Shown) -> str:
+    """Say how many cases the effects of each figure do without."""
+    counts = {name: without(shown.table, name) for name in shown.effects}
+    parts = ", ".join(f"{count} without {name}" for name, count in counts.items() if count)
+    return f" Cases left out: {parts}." if parts else ""
 
 
 def _interactions(rows: list[Row], pairs: list[tuple[str, str]], metric: str) -> Plate:

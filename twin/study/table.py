@@ -9,7 +9,8 @@ from typing import Any
 
 from reconstruction.errors import InputError
 from twin.config.study import Constraint
-from twin.study.cases import Case, quantity
+from twin.modalities.score import why_absent
+from twin.study.cases import Case, meets
 from twin.study.derived import DERIVED, with_derived
 from twin.study.index import Entry, Index
 from twin.study.record import StudyRecord, read_record
@@ -26,7 +27,8 @@ class Table:
     ----------
     axes : headings of what is varied
     metrics : headings of what was found
-    rows : one mapping by heading per case; a figure that a case lacks is None
+    rows : one mapping by heading per case; a figure that a case lacks is None, and `reason` says
+        why
     cases : in the order of the rows
     """
 
@@ -87,7 +89,7 @@ def _row(case: Case, entry: Entry | None, bounds: tuple[Constraint, ...]) -> dic
     head = {
         "case": case.digest,
         "state": state,
-        "reason": entry.reason if entry else "",
+        "reason": _reason(entry) if entry else "",
         "feasible": is_feasible(case, figures, bounds) if state == "done" else None,
     }
     return figures | dict(case.settings) | head
@@ -95,8 +97,14 @@ def _row(case: Case, entry: Entry | None, bounds: tuple[Constraint, ...]) -> dic
 
 def is_feasible(case: Case, figures: Mapping[str, Any], bounds: tuple[Constraint, ...]) -> bool:
     """Tell whether a finished case meets all constraints; a missing figure meets none."""
-    numbers = ((bound, quantity(case.experiment, figures, bound)) for bound in bounds)
-    return all(number is not None and bound.holds_for(number) for bound, number in numbers)
+    return all(meets(case.experiment, figures, bound) for bound in bounds)
+
+
+def _reason(entry: Entry) -> str:
+    """Why a case has no figures, or not all of them."""
+    unfitted = entry.figures.get("unfitted_balls") or ()
+    told = entry.reason or why_absent(entry.figures)
+    return told or "; ".join(map(str, unfitted))
 
 
 def _cell(value: Any) -> Any:

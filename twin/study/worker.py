@@ -8,6 +8,7 @@ import traceback
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from math import isfinite
 from pathlib import Path
 from typing import Literal, Protocol
 
@@ -157,7 +158,10 @@ class _Failure:
 def _answer(measurer: Measurer, experiment: Experiment) -> Answer | _Failure:
     """Measure; what a case does wrong must not end the others."""
     try:
-        return measurer(experiment)
+        answer = measurer(experiment)
+        wrong = [n for n, v in answer.figures.items() if isinstance(v, float) and not isfinite(v)]
+        told = f"{', '.join(wrong)}: not finite"
+        return _Failure(UNEXPECTED, told) if wrong else answer
     except InputError as error:
         return _Failure(type(error).__name__, " ".join(str(error).split()))
     except Exception as error:
