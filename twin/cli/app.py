@@ -20,6 +20,7 @@ app = App(
     help="Digital twin of a contact fringe-projection sensor: press, render, reconstruct, score.",
     version_flags=["--version"],
     help_flags=["--help", "-h"],
+    suppress_keyboard_interrupt=False,  # `guarded` tells which signal it was
 )
 
 Out = Annotated[Path, Parameter(name=["--out", "-o"], help="folder for the result")]

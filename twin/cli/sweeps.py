@@ -135,9 +135,9 @@ def table(folder: Path, /, *, csv: Path | None = None, parquet: Path | None = No
     folder
         The -o DIR of twin sweep.
     csv
-        File to write, for example table.csv; without --csv and --parquet CSV goes to stdout.
+        New file, for example table.csv; without --csv and --parquet CSV goes to stdout.
     parquet
-        File to write; needs pyarrow.
+        New file; needs pyarrow.
     """
     from twin.study.table import csv_text, read_table, write_csv, write_parquet
 

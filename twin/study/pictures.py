@@ -94,7 +94,7 @@ def _picture(store: Store, case: Case, stages: ContactStages) -> CasePicture:
     kept = read_picture(path)
     if kept is not None:
         return kept
-    store.open()  # other versions would measure something else than the table tells
+    store.check_versions()  # other versions would measure something else than the table tells
     picture = take_picture(case.experiment, stages)
     write_picture(path, picture)
     return picture

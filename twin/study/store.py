@@ -63,7 +63,7 @@ class Store:
             self._make()
         except OSError as error:
             raise unwritable(self.folder, error) from None
-        self._check_versions(read_json(self.folder / STORE_FILE).get("versions", {}))
+        self.check_versions()
 
     def exists(self) -> bool:
         """Tell whether the folder is a store."""
@@ -164,8 +164,15 @@ class Store:
         if not (self.folder / _LOCKS).exists():  # closing it once more would drop all its locks
             (self.folder / _LOCKS).touch()
 
-    def _check_versions(self, known: dict[str, str]) -> None:
-        now = versions()
+    def check_versions(self) -> None:
+        """Check that the cases of the store are of these versions.
+
+        Raises
+        ------
+        InputError
+            They are of others.
+        """
+        known, now = read_json(self.folder / STORE_FILE).get("versions", {}), versions()
         changed = [name for name in now if name != "python" and known.get(name) != now[name]]
         if changed:
             told = ", ".join(f"{name} {known.get(name)} (now {now[name]})" for name in changed)
