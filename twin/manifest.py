@@ -8,6 +8,7 @@ lines: what was edited since is the user's.
 
 import fcntl
 import hashlib
+import io
 import os
 import re
 from collections.abc import Collection, Iterator, Sequence
@@ -90,24 +91,28 @@ def write_manifest(path: Path, kind: str, lines: Sequence[str]) -> None:
 
 
 def enter(folder: Path, kind: str, lines: Sequence[str]) -> None:
-    """Add lines to the manifest of a folder, and start it where there is none."""
-    head = f"# fringe-twin manifest {_VERSION}: {kind}\n"
-    text = "".join(f"{line}\n" for line in lines).encode("utf-8", errors="surrogateescape")
+    """Add lines that it lacks to the manifest of a folder, and start it where there is none."""
     with (folder / MANIFEST_FILE).open("a+b", buffering=0) as file:
         with suppress(OSError):  # a file system without locks
             fcntl.flock(file, fcntl.LOCK_EX)
-        size = os.fstat(file.fileno()).st_size
-        file.seek(max(size - 1, 0))
-        torn = file.read(1) not in (b"", b"\n")  # killed while it wrote
-        left = (b"" if size else head.encode()) + (b"\n" if torn else b"") + text
+        file.seek(0)
+        there = file.readall()
+        known = set(there.decode("utf-8", errors="surrogateescape").split("\n"))
+        head = [] if there else [f"# fringe-twin manifest {_VERSION}: {kind}"]
+        torn = "\n" if there and not there.endswith(b"\n") else ""  # killed while it wrote
+        added = "".join(f"{line}\n" for line in (*head, *lines) if line not in known)
         try:
-            while left:
-                left = left[file.write(left) :]
+            _write_all(file, f"{torn}{added}".encode("utf-8", errors="surrogateescape"))
         except OSError:
-            file.truncate(size)
-            if not size:
+            file.truncate(len(there))
+            if not there:
                 (folder / MANIFEST_FILE).unlink()
             raise
+
+
+def _write_all(file: io.FileIO, left: bytes) -> None:
+    while left:
+        left = left[file.write(left) :]
 
 
 def is_ours(folder: Path, path: str, known: Manifest | None) -> bool:
