@@ -71,7 +71,8 @@ def test_same_experiment_same_bytes(measured, tmp_path):
     out = tmp_path / "again"
     assert run(["measure", str(measured / "experiment.toml"), "-o", str(out)]) == 0
     first, second = files_of(measured), files_of(out)
-    for clocked in ("timings.json", "report.html"):  # the report shows the wall-clock times
+    # The report shows the wall-clock times, and the manifest the digests of both.
+    for clocked in ("timings.json", "report.html", "twin-manifest.txt"):
         assert first.pop(clocked)
         assert second.pop(clocked)
     assert first.keys() == second.keys()

@@ -69,7 +69,7 @@ def test_a_case_is_a_measurement(swept, capsys, tmp_path):
     digest = table_of(capsys, swept)[2]["case"]
     case = swept / "out" / "cases" / digest
     assert {file.name for file in case.iterdir()} == {
-        "result.json", "experiment.toml", "timings.json"
+        "result.json", "experiment.toml", "timings.json", "twin-manifest.txt"
     }  # fmt: skip
     assert run(["measure", str(case / "experiment.toml"), "-o", str(tmp_path / "one")]) == 0
     for name in ("result.json", "experiment.toml"):
@@ -128,7 +128,7 @@ def test_bad_studies_are_told_in_one_line(change, told, tmp_path, capsys):
 def test_bad_folders(swept, tmp_path, capsys):
     (tmp_path / "mine").write_text("")
     assert run(["sweep", str(swept / "small.toml"), "-o", str(tmp_path)]) == 2
-    assert "is no store of a sweep" in capsys.readouterr().err
+    assert "is no earlier run of twin sweep" in capsys.readouterr().err
     assert run(["sweep", "table", str(tmp_path)]) == 2
     assert "is no store of a sweep" in capsys.readouterr().err
 

@@ -5,7 +5,6 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from reconstruction.errors import InputError
 from twin.cli.app import FAILURE, MISSING_BACKEND, app
 from twin.cli.console import print_table, say
 
@@ -42,15 +41,11 @@ def init(
         Where to write it; an existing file is never overwritten.
     """
     from twin.assets import asset_path
+    from twin.output import creating
 
     starter = asset_path("scenes", "examples/starter").read_text(encoding="utf-8")
-    try:
-        with file.open("x", encoding="utf-8") as target:
-            target.write(starter)
-    except FileExistsError:
-        raise InputError(f"{file}: exists already; give another name") from None
-    except OSError as error:
-        raise InputError(f"{file}: cannot be written ({error.strerror})") from None
+    with creating(file) as part:
+        part.write_text(starter, encoding="utf-8")
     say(f"wrote {file}; next: twin measure {file} -o out")
 
 

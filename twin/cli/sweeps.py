@@ -67,7 +67,7 @@ def sweep(
     if dry_run:
         return _check(record)
     with progress_bars() as watch:
-        outcome = run(record, out, who, cases=cases, retry=retry, watch=watch)
+        outcome = run(record, out, who, cases=cases, retry=retry, watch=watch, inputs=[study])
     for digest, reason in outcome.unsaved.items():
         sys.stderr.write(f"twin: case {digest} could not be saved: {reason}\n")
     for digest, reason in outcome.damaged.items():
@@ -148,13 +148,17 @@ def report(folder: Path, /, *, objective: Objectives = None) -> None:
         What makes a design good, as for twin sweep best; absent: the study's objectives, or a small
         error.
     """
+    from twin.output import adding
+    from twin.report import REPORT_FILE, REPORT_NAMES
     from twin.report.study import write_study
     from twin.study.best import objective_of
+    from twin.study.table import read_table
 
     chosen = [objective_of(text) for text in objective or ()]
-    with progress_bars() as watch:
-        path = write_study(folder, watch, chosen)
-    say(f"wrote {path}")
+    read_table(folder)  # it is a store, and can be read, before anything is made in it
+    with adding(folder, *REPORT_NAMES) as drawn, progress_bars() as watch:
+        write_study(folder, watch, chosen, drawn)
+    say(f"wrote {folder / REPORT_FILE}")
 
 
 @sweep_app.command
@@ -166,9 +170,9 @@ def table(folder: Path, /, *, csv: Path | None = None, parquet: Path | None = No
     folder
         The -o DIR of twin sweep.
     csv
-        File to write, for example table.csv; without --csv and --parquet CSV goes to stdout.
+        New file, for example table.csv; without --csv and --parquet CSV goes to stdout.
     parquet
-        File to write; needs pyarrow.
+        New file; needs pyarrow.
     """
     from twin.study.table import csv_text, read_table, write_csv, write_parquet
 

@@ -20,7 +20,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogFormatter
 from numpy.typing import NDArray
 
-from reconstruction.errors import InputError
+from twin.output import replacing
 
 DPI = 130
 
@@ -73,13 +73,8 @@ def drawing(path: Path, width_in: float, height_in: float) -> Iterator[Figure]:
         figure = Figure(figsize=(width_in, height_in), facecolor="white")
         FigureCanvasAgg(figure)
         yield figure
-        part = path.with_name(f".{path.name}.part")
-        try:
+        with replacing(path) as part:
             figure.savefig(part, format="png", dpi=DPI, metadata={"Software": None})
-            part.replace(path)
-        except OSError as error:
-            part.unlink(missing_ok=True)
-            raise InputError(f"{path}: cannot be written ({error.strerror or error})") from None
 
 
 def sequential() -> Colormap:

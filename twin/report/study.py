@@ -52,7 +52,10 @@ class Shown:
 
 
 def write_study(
-    folder: Path, watch: Watcher = nobody, objectives: Sequence[Objective] = ()
+    folder: Path,
+    watch: Watcher = nobody,
+    objectives: Sequence[Objective] = (),
+    into: Path | None = None,
 ) -> Path:
     """Write `report.html`, `figures/*.png` and `pictures/*.npz` into the store of a sweep.
 
@@ -64,6 +67,7 @@ def write_study(
     folder : the -o DIR of `twin sweep`; nothing else is read
     watch : told how far the report is
     objectives : what makes a design good; by default what the study says, or a small error
+    into : existing folder to write page and figures into instead
 
     Returns
     -------
@@ -78,11 +82,12 @@ def write_study(
     watch("report", 0.0)
     shown = _shown(read_table(folder), objectives)
     designs, plates = _designs(shown, folder, watch)
-    pictures = draw_pictures(folder, [*_plates(shown), *plates], watch)
+    path = (into or folder) / REPORT_FILE
+    pictures = draw_pictures(path.parent, [*_plates(shown), *plates], watch)
     page = template("study.html").render(_page(shown, designs, pictures))
-    write_page(folder / REPORT_FILE, page)
+    write_page(path, page)
     watch("report", 1.0)
-    return folder / REPORT_FILE
+    return path
 
 
 def _shown(table: Table, asked: Sequence[Objective]) -> Shown:

@@ -2,7 +2,8 @@
 
 import math
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -136,6 +137,7 @@ def sweep(
     retry: bool = False,
     watch: Watcher = nobody,
     make_measurer: Callable[[tuple[str, ...]], Measurer] = CaseMeasurer,
+    inputs: Sequence[Path] = (),
 ) -> Outcome:
     """Compute all cases of a study that its store lacks.
 
@@ -152,6 +154,8 @@ def sweep(
     watch : callable
     make_measurer : callable
         What measures a case; importable by the workers.
+    inputs : sequence of Path
+        Files that the folder must not hold.
 
     Raises
     ------
@@ -161,14 +165,14 @@ def sweep(
         No usable Dr.Jit backend.
     """
     store = Store(folder)
-    store.open()
+    store.open(inputs)
     index, asked, damaged = Index(store), list[str](), dict[str, str]()
 
-    with lasting(workers) as kept:
+    with _tidied(store), lasting(workers) as kept:
         compute = Run(store, kept, record.study.keep, make_measurer, watch, index.enter)
 
         def run(of: StudyRecord, batch: Cases) -> Outcome:
-            _keep_record(folder, of)
+            write_record(folder, of)
             wanted = batch.unique()
             asked.extend(case.digest for case in wanted)
             damaged.update(forget_damaged(store, wanted))
@@ -193,11 +197,13 @@ def _standing(index: Index, asked: Sequence[str]) -> dict[str, Any]:
     return {"finished": sum(entry.state == "done" for entry in found), "failures": failures}
 
 
-def _keep_record(folder: Path, record: StudyRecord) -> None:
+@contextmanager
+def _tidied(store: Store) -> Iterator[None]:
+    """Remove at the end what workers left that were ended at once."""
     try:
-        write_record(folder, record)
-    except OSError as error:
-        raise InputError(f"{folder}: cannot be written ({error.strerror})") from None
+        yield
+    finally:
+        store.abandoned()
 
 
 def told(found: Estimate) -> str:

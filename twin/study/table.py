@@ -10,6 +10,7 @@ from typing import Any
 from reconstruction.errors import InputError
 from twin.config.study import Constraint
 from twin.modalities.score import why_absent
+from twin.output import creating
 from twin.study.cases import Case, meets
 from twin.study.derived import DERIVED, with_derived
 from twin.study.index import Entry, Index
@@ -127,12 +128,10 @@ def write_csv(table: Table, path: Path) -> None:
     Raises
     ------
     InputError
-        The file cannot be written.
+        The file exists or cannot be written.
     """
-    try:
-        path.write_text(csv_text(table), encoding="utf-8", newline="")
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror})") from None
+    with creating(path) as part:
+        part.write_text(csv_text(table), encoding="utf-8", newline="")
 
 
 def _text(value: Any) -> str:
@@ -147,7 +146,7 @@ def write_parquet(table: Table, path: Path) -> None:
     Raises
     ------
     InputError
-        pyarrow is not installed, or the file cannot be written.
+        pyarrow is not installed, or the file exists or cannot be written.
     """
     try:
         import pyarrow
@@ -155,10 +154,8 @@ def write_parquet(table: Table, path: Path) -> None:
     except ModuleNotFoundError:
         raise InputError("--parquet: needs pyarrow; pip install 'fringe-twin[sweep]'") from None
     columns = {name: _column([row.get(name) for row in table.rows]) for name in table.columns}
-    try:
-        pyarrow.parquet.write_table(pyarrow.table(columns), path)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror})") from None
+    with creating(path) as part:
+        pyarrow.parquet.write_table(pyarrow.table(columns), part)
 
 
 def _column(values: list[Any]) -> list[Any]:
