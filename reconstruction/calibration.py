@@ -3,6 +3,7 @@
 Transforms T_a_from_b map points of frame b to frame a; lengths mm.
 """
 
+import re
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,9 @@ __all__ = ["Calibration", "Pinhole", "read_calibration", "write_calibration"]
 
 DEVICES = ("camera", "projector")
 TRANSFORMS = ("T_world_from_cam", "T_world_from_proj")
+# OpenCV's reader goes down one level of C++ per bracket or indent, and overflows its stack: a
+# calibration has 3 kB in short lines and two levels.
+MOST_BYTES, MOST_LINE, MOST_NESTED = 1_000_000, 1000, 32
 # A rotation printed with seven digits is still accepted.
 ROTATION_TOLERANCE = 1e-6
 
@@ -113,13 +117,15 @@ def read_calibration(path: Path | str) -> Calibration:
 
 def _open(path: Path) -> Any:
     try:
-        text = path.read_text(encoding="utf-8")
+        with path.open(encoding="utf-8") as file:
+            text = file.read(MOST_BYTES + 1)
     except (OSError, UnicodeDecodeError) as error:
         raise CaptureError(f"{path}: cannot read the calibration: {error}") from error
     if not text.startswith("%YAML"):  # checked here: OpenCV prints and aborts the parse otherwise
         raise CaptureError(
             f"{path}: is no OpenCV calibration; the first line must begin with %YAML"
         )
+    _require_plain(path, text)
     try:
         # Not by the constructor: the binding turns an error in it into a SystemError.
         storage = cv2.FileStorage()
@@ -127,6 +133,22 @@ def _open(path: Path) -> Any:
         return storage
     except cv2.error as error:
         raise _damaged(path, error) from error
+
+
+def _require_plain(path: Path, text: str) -> None:
+    """Refuse a text that is no calibration and may bring OpenCV's reader down."""
+    longest, nested = max(map(len, text.splitlines())), 0
+    for sign in re.findall(r"[][{}]", text):
+        nested = nested + 1 if sign in "[{" else max(nested - 1, 0)
+        if nested > MOST_NESTED:
+            raise CaptureError(
+                f"{path}: is no calibration: brackets nest deeper than {MOST_NESTED} levels"
+            )
+    if len(text) > MOST_BYTES or longest > MOST_LINE:
+        raise CaptureError(
+            f"{path}: is no calibration: found {len(text)} characters in lines of up to "
+            f"{longest}, allowed {MOST_BYTES} and {MOST_LINE}"
+        )
 
 
 def _damaged(path: Path, error: Any) -> CaptureError:

@@ -4,7 +4,8 @@
 |---|---|
 | format, version | "fringe-frames", 1 |
 | files | pattern of the file names: fields {index} (from 0), {number} (from 1), {name} and {set}, |
-|       | as in "{index:03d}_{name}.png"; or with * and ?, then in natural order of the names |
+|       | as in "{index:03d}_{name}.png", at most 99 digits wide; or with * and ?, then in natural |
+|       | order of the names |
 | bit_depth | bits per pixel value, 8 to 16 |
 | patterns_file | manifest that came with the projected images |
 | calibration_file | OpenCV YAML, see `calibration` |
@@ -29,6 +30,7 @@ from reconstruction.patterns import PatternSet
 from reconstruction.sensor import SensorNoise
 
 FORMAT, VERSION = "fringe-frames", 1
+_MOST_SIGNS = 200
 FIELDS = ("index", "number", "name", "set")
 
 
@@ -150,17 +152,15 @@ def _is_glob(files: str) -> bool:
 
 def _check_fields(files: str, sets: int) -> None:
     try:
-        named = [name for _, name, _, _ in string.Formatter().parse(files) if name is not None]
-        allowed = ("set",) if _is_glob(files) else FIELDS
-        is_known = all(name in allowed for name in named)
-        if is_known:
-            files.format(index=0, number=1, name="white", set=0)
+        parts = [part[1:] for part in string.Formatter().parse(files) if part[1] is not None]
     except ValueError:
-        is_known = False
-    if not is_known:
+        parts = [("", "", None)]
+    named, allowed = [str(part[0]) for part in parts], ("set",) if _is_glob(files) else FIELDS
+    if not all(name in allowed and _is_narrow(name, *form) for name, *form in parts):
         raise InputError(
-            f"files is {files!r}; allowed are the fields {', '.join(FIELDS)} in braces, or * and ? "
-            "with at most {set}"
+            f"files is {_few_signs(files)}; allowed are the fields {', '.join(FIELDS)} in braces, "
+            "numbers with up to two digits of width as in {index:03d}, or * and ? with at most "
+            "{set}"
         )
     if not (_is_glob(files) or {"index", "number", "name"} & set(named)):
         raise InputError(f"files is {files!r}: the same name for all frames; use {{index}}")
@@ -169,6 +169,16 @@ def _check_fields(files: str, sets: int) -> None:
             f"files is {files!r} with {sets} sets of frames; {{set}} stands for the number (from 0)"
             " of each of exposures_ms, use both or neither"
         )
+
+
+def _is_narrow(name: str | None, form: str | None, conversion: str | None) -> bool:
+    """Tell whether a field is written plainly: a width of ten digits takes as many GB."""
+    width = r"" if name == "name" else r"0?\d{0,2}d?"
+    return conversion is None and re.fullmatch(width, form or "") is not None
+
+
+def _few_signs(text: str) -> str:
+    return repr(text if len(text) <= _MOST_SIGNS else f"{text[:_MOST_SIGNS]}...")
 
 
 def _exposures(values: object) -> tuple[float, ...]:

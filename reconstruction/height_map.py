@@ -8,11 +8,11 @@ import json
 from dataclasses import dataclass
 from pathlib import Path
 
-import h5netcdf
 import imageio.v3 as imageio
 import numpy as np
 
 from reconstruction.arrays import BoolImage, Doubles, FloatImage
+from reconstruction.disk import write_exr_channels, writing_netcdf
 from reconstruction.errors import InputError
 from reconstruction.triangulate import PointMap
 
@@ -92,7 +92,7 @@ def _typical_distance_mm(points: PointMap) -> float:
 
 def write_height_netcdf(path: Path, heights: HeightMap) -> None:
     """Write as netCDF-4 with coordinates x and y, mm."""
-    with h5netcdf.File(path, "w") as file:
+    with writing_netcdf(path) as file:
         file.attrs["Conventions"] = "CF-1.8"
         file.dimensions = {"y": len(heights.y_mm), "x": len(heights.x_mm)}
         for name, values in (("x", heights.x_mm), ("y", heights.y_mm)):
@@ -126,12 +126,4 @@ def write_height_png(path: Path, heights: HeightMap) -> None:
 
 def write_height_exr(path: Path, heights: HeightMap) -> None:
     """Write as EXR with the channels Z (mm) and A (1 where there is a height)."""
-    import OpenEXR
-
-    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-    channels = {
-        "Z": np.ascontiguousarray(heights.z_mm, np.float32),
-        "A": heights.valid.astype(np.float32),
-    }
-    with OpenEXR.File(header, channels) as file:
-        file.write(str(path))
+    write_exr_channels(path, {"Z": heights.z_mm, "A": heights.valid.astype(np.float32)})

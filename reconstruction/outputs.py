@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from reconstruction.decode import AxisDecode, Decoded
+from reconstruction.disk import writing_netcdf
 from reconstruction.errors import CaptureError, InputError
 from reconstruction.mask import Reason
 from reconstruction.pipeline import Reconstruction
@@ -84,7 +85,7 @@ def write_point_map_ply(path: Path | str, point_map: PointMap) -> None:
 
 def write_reconstruction(path: Path | str, decoded: Decoded, point_map: PointMap) -> None:
     """Write all maps of a reconstruction as netCDF-4, one (row, col) variable each."""
-    with h5netcdf.File(Path(path), "w") as file:
+    with writing_netcdf(path) as file:
         file.dimensions = dict(zip(DIMENSIONS, point_map.mask_reason.shape, strict=True))
         file.attrs["frame"] = "world: z = 0 is the undeformed coated face, z up; row 0 at the top"
         file.attrs[POSE] = point_map.T_world_from_cam.ravel()

@@ -8,6 +8,7 @@ import h5py
 import numpy as np
 
 from reconstruction.arrays import Stack
+from reconstruction.disk import writing_netcdf
 from reconstruction.errors import CaptureError
 from reconstruction.patterns import PatternSet
 
@@ -20,7 +21,7 @@ TYPES = ("uint8", "uint16", "float32")
 
 def write_stack(path: Path, stack: Stack, patterns: PatternSet) -> None:
     """Write a (frame, row, col) uint8, uint16 or float32 stack and the names of its frames."""
-    with h5netcdf.File(path, "w") as file:
+    with writing_netcdf(path) as file:
         file.dimensions = dict(zip(DIMENSIONS, stack.shape, strict=True))
         variable = file.create_variable(STACK, DIMENSIONS, data=stack)
         variable.attrs["units"] = "DN"

@@ -1,74 +1,308 @@
-"""Result folders that are either whole or not there.
+"""Folders that commands write: whole or not there, and nothing of anybody else's removed.
 
-Everything is written under a temporary name beside the target and renamed at the end; an
-interrupted command leaves the earlier result, if any, untouched.
+Everything is written into a working folder (`twin.working`) and moved at the end; an interrupted
+command leaves the earlier result, if any, untouched. The manifest (`twin.manifest`) tells what may
+be replaced.
+
+- A new folder appears by one renaming.
+- An existing one, which may be a mount point or the target of a symbolic link, stays where it is.
+  Its files are exchanged one by one, `result.json` last; a result without it is none. Signals wait
+  until that is done; a kill -9 just then leaves a folder that the next run replaces.
 """
 
 import json
 import os
 import platform
-import shutil
-import tempfile
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager, suppress
 from functools import cache
 from importlib import metadata
 from pathlib import Path
 from typing import Any
 
+from reconstruction.disk import is_disk_full, unwritable
 from reconstruction.errors import InputError
+from twin.interruption import signals_held
+from twin.manifest import (
+    MANIFEST_FILE,
+    enter,
+    files_of,
+    foreign,
+    is_ours,
+    manifest_lines,
+    read_manifest,
+    write_manifest,
+)
+from twin.working import remove_leftovers, working_folder
 
 RESULT_FILE = "result.json"
 EXPERIMENT_FILE = "experiment.toml"
+RESULT = "result"
+"""Kind of a folder that is replaced as a whole."""
 
 _NAMED_PACKAGES = ("fringe-twin", "mitsuba", "drjit", "numpy", "scipy", "numba")
+_ADVICE = "choose another -o DIR"
 
 
 @contextmanager
-def output_folder(target: Path) -> Iterator[Path]:
+def output_folder(target: Path, inputs: Iterable[Path] = ()) -> Iterator[Path]:
     """Yield a folder to write into; on success it becomes `target`, on failure it vanishes.
+
+    Parameters
+    ----------
+    inputs : files and folders that the command reads; those that do not exist are passed over
 
     Raises
     ------
     InputError
-        `target` cannot be written, or is something other than an earlier result.
+        `target` cannot be written, holds something that was not written by `twin` or was changed
+        since, or is the current folder, home, an input, or a folder above these, or in an input.
+    OSError
+        The disk is full.
     """
-    target = target.absolute()
-    _refuse_foreign(target)
-    try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        working = Path(tempfile.mkdtemp(prefix=f".{target.name}.", dir=target.parent))
-    except OSError as error:
-        raise InputError(
-            f"{target}: cannot be written ({error.strerror}); choose another -o DIR"
-        ) from None
-    try:
-        working.chmod(0o755)
-        yield working
-        _swap(working, target)
-    finally:
-        shutil.rmtree(working, ignore_errors=True)
+    real = _checked_place(target, inputs)
+    _refuse_foreign(target, real)
+    with ExitStack() as stack:
+        with _telling(target):
+            stack.callback(_remove_empty, _make_folders(real if real.is_dir() else real.parent))
+            remove_leftovers(real.parent, real.name)
+            folder = stack.enter_context(_working(real))
+        with _full_disk_told(target):
+            yield folder
+        with _telling(target):
+            _publish(folder, real)
 
 
-def _refuse_foreign(target: Path) -> None:
-    if target.is_dir():
-        if (target / RESULT_FILE).is_file() or not any(target.iterdir()):
-            return
-        raise InputError(
-            f"{target}: exists and is no earlier result (no {RESULT_FILE}); choose another -o DIR"
-        )
-    if target.exists():
-        raise InputError(f"{target}: is a file; choose another -o DIR")
+@contextmanager
+def adding(target: Path, *names: str) -> Iterator[Path]:
+    """Yield a folder; on success what was written there is added to the existing `target`.
+
+    Parameters
+    ----------
+    names : what will be added, at the top: looked at beforehand
+
+    Raises
+    ------
+    InputError
+        `target` cannot be written, or holds a file of such a name that `twin` did not write.
+    OSError
+        The disk is full.
+    """
+    real = Path(os.path.realpath(target))
+    _refuse_in_the_way(target, real, names)
+    with ExitStack() as stack:
+        with _telling(target):
+            folder = stack.enter_context(_working(real))
+        with _full_disk_told(target):
+            yield folder
+        with _telling(target):
+            _put(folder, real)
 
 
-def _swap(working: Path, target: Path) -> None:
-    if not target.exists():
-        working.rename(target)
+def claim(target: Path, kind: str, names: Collection[str], inputs: Iterable[Path] = ()) -> None:
+    """Make `target` a folder that a command goes on in, or go on in it.
+
+    What others put there stays, and is refused only where it is in the way.
+
+    Parameters
+    ----------
+    kind : the command
+    names : what it writes at the top
+
+    Raises
+    ------
+    InputError
+        As `output_folder`; or the folder is one of another command.
+    OSError
+        The disk is full.
+    """
+    real = _checked_place(target, inputs)
+    known = read_manifest(real)
+    if known is None:
+        _refuse_foreign(target, real, kind)
+    elif known.kind != kind:
+        raise InputError(f"{target}: holds no earlier run of twin {kind}; {_ADVICE}")
+    _refuse_in_the_way(target, real, names)
+    with ExitStack() as stack, _telling(target):
+        stack.callback(_remove_empty, _make_folders(real))
+        remove_leftovers(real)
+        enter(real, kind, ())
+
+
+def _checked_place(target: Path, inputs: Iterable[Path]) -> Path:
+    """Resolve links; refuse what is at or above what must stay, or inside an input."""
+    real = Path(os.path.realpath(target))
+    kept = {"the current folder": Path.cwd(), "your home": Path("~").expanduser()}
+    kept |= {f"the input {path}": path for path in inputs if path.exists()}
+    for what, path in kept.items():
+        there = Path(os.path.realpath(path))
+        if real == there or real in there.parents:
+            above = "is" if real == there else "holds"
+            raise InputError(f"{target}: {above} {what}; {_ADVICE}")
+        if what.startswith("the input") and there in real.parents:
+            raise InputError(f"{target}: lies inside {what}; {_ADVICE}")
+    return real
+
+
+def _refuse_foreign(target: Path, real: Path, kind: str = RESULT) -> None:
+    """Refuse a target that holds anything that was not written by `twin`."""
+    if real.exists() and not real.is_dir():
+        raise InputError(f"{target}: is a file; {_ADVICE}")
+    if not real.is_dir():
         return
-    retired = Path(tempfile.mkdtemp(prefix=f".{target.name}.old.", dir=target.parent))
-    target.rename(retired / "result")
-    working.rename(target)
-    shutil.rmtree(retired, ignore_errors=True)
+    known = read_manifest(real)
+    if known is not None and known.kind != RESULT:
+        raise InputError(f"{target}: belongs to twin {known.kind}; {_ADVICE}")
+    with _telling(target):
+        found = foreign(real, known)
+    if found is None:
+        return
+    earlier = "earlier result" if kind == RESULT else f"earlier run of twin {kind}"
+    reason = f"not written by twin: {found}" if known else f"no {MANIFEST_FILE}; found {found}"
+    raise InputError(f"{target}: is no {earlier} ({reason}); move it away, or {_ADVICE}")
+
+
+def _refuse_in_the_way(target: Path, real: Path, names: Collection[str]) -> None:
+    """Refuse where one of these names is somebody else's."""
+    if names and real.is_dir():
+        found = foreign(real, read_manifest(real), names)
+        if found is not None:
+            raise InputError(
+                f"{target}: {found} is in the way (not written by twin); move or delete it"
+            )
+
+
+@contextmanager
+def _working(real: Path) -> Iterator[Path]:
+    """Yield a folder to write into, on the file system of the target."""
+    remove_leftovers(real)
+    with working_folder(real if real.is_dir() else real.parent, real.name) as folder:
+        yield folder
+
+
+def _publish(folder: Path, real: Path) -> None:
+    """Make the content of `folder` the result at `real`."""
+    if real.is_dir():
+        known = read_manifest(real)
+        gone = [path for path in known.lines if is_ours(real, path, known)] if known else []
+        lines = _put(folder, real, gone)
+        write_manifest(folder / MANIFEST_FILE, RESULT, lines)
+        (folder / MANIFEST_FILE).replace(real / MANIFEST_FILE)
+    else:
+        _remove_empty(sorted((p for p in folder.rglob("*") if p.is_dir()), reverse=True))
+        write_manifest(folder / MANIFEST_FILE, RESULT, manifest_lines(folder))
+        folder.rename(real)
+
+
+def _put(folder: Path, real: Path, gone: Collection[str] = ()) -> list[str]:
+    """Move the files of `folder` to `real`, where the files `gone` make room; returns their lines.
+
+    A file that appeared there while the command ran is not overwritten.
+    """
+    new, known = files_of(folder), read_manifest(real)
+    blocked = [p for p in new if os.path.lexists(real / p) and not is_ours(real, p, known)]
+    if blocked:
+        raise InputError(f"{real / blocked[0]}: is in the way (not written by twin); move it away")
+    lines = manifest_lines(folder)
+    enter(real, RESULT, lines)
+    for path in new:
+        (real / path).parent.mkdir(parents=True, exist_ok=True)
+    with signals_held():
+        for path in sorted(gone, key=lambda path: path != RESULT_FILE):
+            if path == RESULT_FILE or path not in new:
+                (real / path).unlink(missing_ok=True)
+        for path in sorted(new, key=lambda path: path == RESULT_FILE):
+            (folder / path).replace(real / path)
+    _remove_empty(real / path for path in sorted(known.folders if known else (), reverse=True))
+    return lines
+
+
+def _make_folders(folder: Path) -> list[Path]:
+    """Make a folder and what is missing above it; returns those made, the innermost first."""
+    missing = [path for path in (folder, *folder.parents) if not path.exists()]
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError:
+        _remove_empty(missing)
+        raise
+    return missing
+
+
+def _remove_empty(folders: Iterable[Path]) -> None:
+    for folder in folders:
+        with suppress(OSError):
+            folder.rmdir()
+
+
+@contextmanager
+def _telling(target: Path) -> Iterator[None]:
+    """Say which target cannot be written, and what to do."""
+    try:
+        yield
+    except OSError as error:
+        told = unwritable(target, error)
+        raise (InputError(f"{told}; {_ADVICE}") if isinstance(told, InputError) else told) from None
+
+
+@contextmanager
+def _full_disk_told(target: Path) -> Iterator[None]:
+    """Name the target where the disk is full; other errors of a command are its own."""
+    try:
+        yield
+    except OSError as error:
+        if is_disk_full(error):
+            raise unwritable(target, error) from None
+        raise
+
+
+@contextmanager
+def creating(path: Path) -> Iterator[Path]:
+    """Yield where to write a file that then appears as `path`, whole or not at all.
+
+    Raises
+    ------
+    InputError
+        There is such a file already, or it cannot be written.
+    OSError
+        The disk is full.
+    """
+    _refuse_existing(path)
+    with ExitStack() as stack:
+        try:
+            remove_leftovers(path.parent, path.name)
+            folder = stack.enter_context(working_folder(path.parent, path.name))
+            yield folder / path.name
+            _refuse_existing(path)
+            (folder / path.name).replace(path)
+        except OSError as error:
+            raise unwritable(path, error) from None
+
+
+def _refuse_existing(path: Path) -> None:
+    if os.path.lexists(path):
+        raise InputError(f"{path}: exists already; give another name, or delete it")
+
+
+@contextmanager
+def replacing(path: Path, kind: type[InputError] = InputError) -> Iterator[Path]:
+    """Yield where to write a file that then takes the place of `path`, whole or not at all.
+
+    Raises
+    ------
+    InputError
+        It cannot be written; `kind` where another one is asked for.
+    OSError
+        The disk is full.
+    """
+    part = path.with_name(f".{path.name}.part")
+    try:
+        yield part
+        part.replace(path)
+    except OSError as error:
+        raise unwritable(path, error, kind) from None
+    finally:
+        with suppress(OSError):
+            part.unlink(missing_ok=True)
 
 
 def write_json(path: Path, content: Mapping[str, Any]) -> None:
@@ -80,11 +314,10 @@ def write_json(path: Path, content: Mapping[str, Any]) -> None:
 
 def replace_json(path: Path, content: Mapping[str, Any]) -> None:
     """Write JSON whole or not at all: under a temporary name, to the disk, then renamed."""
-    part = path.with_name(f".{path.name}.part")
-    write_json(part, content)
-    with part.open("rb") as file:
-        os.fsync(file.fileno())
-    part.replace(path)
+    with replacing(path) as part:
+        write_json(part, content)
+        with part.open("rb") as file:
+            os.fsync(file.fileno())
 
 
 def read_json(path: Path) -> dict[str, Any]:
@@ -99,7 +332,7 @@ def read_json(path: Path) -> dict[str, Any]:
         content = json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
         raise InputError(f"{path}: no such file; give the folder of a finished result") from None
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise InputError(f"{path}: cannot be read: {error}") from None
     if not isinstance(content, dict):
         raise InputError(f"{path}: found {type(content).__name__}, allowed a JSON object")

@@ -8,6 +8,7 @@ import h5netcdf
 import numpy as np
 
 from reconstruction.arrays import Levels
+from reconstruction.disk import writing_netcdf
 from reconstruction.errors import CaptureError, InputError
 from reconstruction.outputs import write_ply
 from reconstruction.photometric.calibration_ball import BallPress
@@ -128,7 +129,7 @@ def framed(image: Levels, frame: Framing) -> Levels:
 
 def write_height_map(path: Path | str, height_map: HeightMap) -> None:
     """Write height, slopes and reason codes as netCDF-4, one (row, col) variable each."""
-    with h5netcdf.File(Path(path), "w") as file:
+    with writing_netcdf(path) as file:
         file.dimensions = dict(zip(DIMENSIONS, height_map.height_mm.shape, strict=True))
         file.attrs["frame"] = "row 0 at the top; height is positive towards the camera"
         file.attrs["pitch_mm"] = height_map.pitch_mm

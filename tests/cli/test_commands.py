@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+from importlib import metadata
 from pathlib import Path
 
 import h5netcdf
@@ -12,6 +13,7 @@ import pytest
 import trimesh
 
 from twin.cli import run
+from twin.cli.console import print_metrics
 from twin.config import digest, load_experiment
 
 SMALL = ["-s", "camera.binning=4", "-s", "camera.width_px=968", "-s", "camera.height_px=732"]
@@ -69,7 +71,8 @@ def test_same_experiment_same_bytes(measured, tmp_path):
     out = tmp_path / "again"
     assert run(["measure", str(measured / "experiment.toml"), "-o", str(out)]) == 0
     first, second = files_of(measured), files_of(out)
-    for clocked in ("timings.json", "report.html"):  # the report shows the wall-clock times
+    # The report shows the wall-clock times, and the manifest the digests of both.
+    for clocked in ("timings.json", "report.html", "twin-manifest.txt"):
         assert first.pop(clocked)
         assert second.pop(clocked)
     assert first.keys() == second.keys()
@@ -285,3 +288,16 @@ def test_an_overexposed_measurement_reports_why_instead_of_failing(mi, tmp_path,
     assert [line.split(":")[0] for line in metrics["unfitted_balls"]] == ["ball 1", "ball 2"]
     assert "ball 1: " in capsys.readouterr().out
     assert "ball 1: " in (out / "report.html").read_text()
+
+
+def test_version_is_that_of_the_package(capsys):
+    run(["--version"])
+    assert capsys.readouterr().out.strip() == metadata.version("fringe-twin")
+
+
+def test_tables_print_names_as_they_are(capsys):
+    print_metrics({"[/red]": "[bold]x", "absent_um": None})
+    printed = capsys.readouterr().out
+    assert "[/red]" in printed
+    assert "[bold]x" in printed
+    assert "None" not in printed

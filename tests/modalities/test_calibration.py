@@ -213,7 +213,8 @@ def test_errors_name_the_pose_and_leave_nothing_behind(folder, tmp_path, capsys)
     assert "pose_00" in message
     assert "chessboard" in message
     assert not out.exists()
-    assert run(["calibrate", str(tmp_path), "-o", str(out)]) == 2
+    (tmp_path / "none").mkdir()
+    assert run(["calibrate", str(tmp_path / "none"), "-o", str(out)]) == 2
     assert "capture.toml" in capsys.readouterr().err
 
 

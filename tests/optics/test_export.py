@@ -61,3 +61,15 @@ def test_exported_specimen_renders_as_ours(mi, tmp_path):
     stock = np.asarray(mi.render(scene, spp=256))[:, :, 0]
     ours = render_direct(experiment).frames[1]
     assert stock.mean() == pytest.approx(ours.mean(), rel=0.01)
+
+
+@pytest.mark.parametrize(("kind", "warned"), [("diffuse", False), ("dielectric", True)])
+def test_only_clear_and_polished_bodies_are_warned_of(kind, warned):
+    """A matte body throws no light that a stock integrator would miss."""
+    material = {
+        "diffuse": {"kind": "diffuse", "albedo": 0.5},
+        "dielectric": {"kind": "dielectric", "ior": 1.5},
+    }
+    specimen = {"kind": "ball", "diameter_mm": 8.0, "material": material[kind]}
+    bare = load_experiment("paper/brick", {"modality": "direct_fpp", "specimen": specimen})
+    assert any("smooth bodies" in line for line in inexpressible(bare)) == warned

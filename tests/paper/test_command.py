@@ -58,7 +58,7 @@ def test_bad_input_is_one_line(tmp_path, capsys, arguments, message):
 def test_a_folder_of_something_else_is_left_alone(tmp_path, capsys):
     (tmp_path / "diary.txt").write_text("mine")
     assert run(["paper", "-o", str(tmp_path), "--only", "hardness"]) == 2
-    assert "holds no earlier run of twin paper" in capsys.readouterr().err
+    assert "is no earlier run of twin paper" in capsys.readouterr().err
     assert [file.name for file in tmp_path.iterdir()] == ["diary.txt"]
 
 

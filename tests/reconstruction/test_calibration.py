@@ -100,3 +100,22 @@ def test_transforms_cannot_be_changed_afterwards(calibration):
         calibration.T_world_from_cam[0, 3] = 1.0
     with pytest.raises(dataclasses.FrozenInstanceError):
         calibration.camera = None
+
+
+@pytest.mark.parametrize(
+    ("content", "told"),
+    [
+        ("a: " + "[" * 100_000 + "\n", "brackets nest deeper than 32"),
+        ("# " + "]" * 900 + "\na: " + "[{" * 400 + "\n", "brackets nest deeper than 32"),
+        ("a:\n   " + "- " * 100_000 + "1\n", "lines of up to 200004, allowed"),
+        ("".join(" " * n + "a:\n" for n in range(2000)), "is no calibration: found 1000001"),
+    ],
+)
+def test_nested_text_does_not_reach_opencv(tmp_path, monkeypatch, content, told):
+    """OpenCV's reader recurses per level, and ends the process by a full stack."""
+    path = tmp_path / "calibration.yaml"
+    path.write_text(f"%YAML:1.0\n---\n{content}")
+    monkeypatch.setattr(cv2, "FileStorage", lambda *_: pytest.fail("OpenCV was asked"))
+    with pytest.raises(CaptureError, match=told) as caught:
+        read_calibration(path)
+    assert "\n" not in str(caught.value)

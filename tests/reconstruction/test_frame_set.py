@@ -99,3 +99,28 @@ def test_each_exposure_has_its_files(tmp_path):
     assert [files[0].parent.name for files in found] == ["0", "1"]
     with pytest.raises(InputError, match="use both or neither"):
         FrameSet(SENSOR, "{name}.tif", 8, exposures_ms=(1.0, 4.0))
+
+
+@pytest.mark.parametrize(
+    "files",
+    [
+        "{index:2000000000d}.png",
+        "{index:100}.png",
+        "{index:{number}d}.png",
+        "{index!r}.png",
+        "{index:_<9}.png",
+        "{name:2000000000}.png",
+        "{set:999999999}/*.png",
+        "{index}" + "x{" * 1000,
+    ],
+)
+def test_fields_are_narrow(files):
+    """A width is memory: two digits are wide enough for any name."""
+    with pytest.raises(InputError, match="allowed are the fields") as caught:
+        FrameSet(SENSOR, files, 8)
+    assert len(str(caught.value)) < 500
+
+
+@pytest.mark.parametrize("files", ["{index:03d}_{name}.png", "{number:2}.png", "{index:d}.png"])
+def test_usual_fields_stay(files):
+    assert FrameSet(SENSOR, files, 8).files == files

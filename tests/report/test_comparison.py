@@ -241,9 +241,9 @@ def test_folders_and_names_of_others_are_refused(compared, direct, tmp_path):
     with pytest.raises(InputError, match="found ball in more than one"):
         compare([experiment, experiment], FRINGES, tmp_path)
     (tmp_path / "thesis.tex").write_text("years of work")
-    with pytest.raises(InputError, match=r"no earlier comparison \(found thesis.tex\)"):
+    with pytest.raises(InputError, match=r"no earlier run of twin compare \(.*found thesis.tex\)"):
         compare([experiment], FRINGES, tmp_path)
-    with pytest.raises(InputError, match="no earlier comparison"):
+    with pytest.raises(InputError, match="no earlier run of twin compare"):
         compare([experiment], FRINGES, compared / "ball" / "direct_fpp")
     assert run(["compare", "-o", str(tmp_path)]) == 2
 

@@ -9,7 +9,15 @@ from reconstruction.errors import InputError
 from reconstruction.mask import Reason
 from twin.config import vary
 from twin.modalities.contact_fpp import press_specimen
-from twin.report.canvas import contour_levels, height_scale, round_up, symmetric_limit
+from twin.report.canvas import (
+    axes_at,
+    contour_levels,
+    drawing,
+    height_scale,
+    plain_log,
+    round_up,
+    symmetric_limit,
+)
 from twin.report.decoding import REASON_COLOURS, draw_decoding, reason_shares
 from twin.report.fields import in_words, phrase, split_unit
 from twin.report.frames import block_mean, draw_frames
@@ -168,3 +176,19 @@ def test_maps_survive_many_masked_pixels(finished, tmp_path):
     draw_relief_view(tmp_path / "relief.png", holed, pixel_mm)
     draw_height_map(tmp_path / "height.png", holed, pixel_mm)
     assert len(list(tmp_path.glob("*.png"))) == 3
+
+
+def test_labels_are_no_formulas(tmp_path):
+    """An unfinished formula is drawn as it is, and decades need none."""
+    with drawing(tmp_path / "drawn.png", 3.0, 2.0) as figure:
+        axes = axes_at(figure, 0.5, 0.2, 2.0, 1.5)
+        axes.plot([0.01, 1.0, 100.0], [0.0, 1.0, 2.0], label="$\\bad{$")
+        axes.set_xscale("log")
+        plain_log(axes.xaxis)
+        axes.set_title("$\\bad{$")
+        axes.legend()
+        figure.canvas.draw()
+        labels = [label.get_text() for label in axes.get_xticklabels()]
+    assert {"1", "10", "100"} <= set(labels)
+    assert not any("$" in label for label in labels)
+    assert (tmp_path / "drawn.png").is_file()

@@ -2,14 +2,16 @@ import re
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from reconstruction.errors import InputError
-from twin.config import digest
+from twin.config import digest, vary
 from twin.report import write_report
-from twin.report.result_folder import read_measured
+from twin.report.glance import glance
+from twin.report.result_folder import read_measured, read_scored
 
 FIGURES = {
     "rig",
@@ -133,3 +135,22 @@ def test_needs_no_renderer():
     code = "import sys, twin.report; sys.exit(any(m in sys.modules for m in ('mitsuba', 'drjit')))"
     root = Path(__file__).parents[2]
     assert subprocess.run([sys.executable, "-c", code], cwd=root, check=False).returncode == 0
+
+
+@pytest.mark.parametrize(
+    ("patterns", "told"),
+    [
+        ({"complementary": True}, ", complementary Gray code, white"),
+        ({"complementary": False}, ", Gray code, white"),
+        ({"code": "shifted_gray"}, ", shifted Gray code, white"),
+        ({"code": "hierarchical", "further_periods_px": [120.0, 1920.0]},
+         ", hierarchical periods of 120, 1920 px, white"),
+        ({"code": "heterodyne", "further_periods_px": [18.25]},
+         ", heterodyne periods of 18.25 px, white"),
+    ],
+)  # fmt: skip
+def test_glance_names_the_code(finished, patterns, told):
+    scored = read_scored(finished)
+    changed = vary(scored.experiment, {f"patterns.{key}": value for key, value in patterns.items()})
+    lines = dict(glance(replace(scored, experiment=changed)))
+    assert told in lines["patterns"]

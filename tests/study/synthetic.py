@@ -97,6 +97,25 @@ class Bowl(Fake):
         return Answer(figures | {"slope": coating.flake_roughness})
 
 
+class Blind(Fake):
+    """Measures no point at an albedo of 0.5 and more; else the error is the albedo."""
+
+    def __call__(self, experiment):
+        albedo = experiment.coating.base_albedo
+        seen = albedo < 0.5
+        return Answer(
+            {
+                "points": 100 if seen else 0,
+                "lit_pixels": 100,
+                "z_rmse_um": albedo if seen else None,
+                "completeness": 1.0 if seen else 0.0,
+                "exposure_ms": 1.0 / albedo,
+                "unfitted_balls": [],
+                "warnings": [],
+            }
+        )
+
+
 class Slow(Fake):
     """Takes a minute per case."""
 

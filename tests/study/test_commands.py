@@ -3,10 +3,15 @@
 import csv
 import io
 import json
+from pathlib import Path
 
 import pytest
+from markupsafe import escape
 
+from reconstruction.errors import InputError
+from tests.study import synthetic
 from twin.cli import run
+from twin.study import pictures
 
 STUDY = """
 name = "small"
@@ -64,7 +69,7 @@ def test_a_case_is_a_measurement(swept, capsys, tmp_path):
     digest = table_of(capsys, swept)[2]["case"]
     case = swept / "out" / "cases" / digest
     assert {file.name for file in case.iterdir()} == {
-        "result.json", "experiment.toml", "timings.json"
+        "result.json", "experiment.toml", "timings.json", "twin-manifest.txt"
     }  # fmt: skip
     assert run(["measure", str(case / "experiment.toml"), "-o", str(tmp_path / "one")]) == 0
     for name in ("result.json", "experiment.toml"):
@@ -123,7 +128,7 @@ def test_bad_studies_are_told_in_one_line(change, told, tmp_path, capsys):
 def test_bad_folders(swept, tmp_path, capsys):
     (tmp_path / "mine").write_text("")
     assert run(["sweep", str(swept / "small.toml"), "-o", str(tmp_path)]) == 2
-    assert "is no store of a sweep" in capsys.readouterr().err
+    assert "is no earlier run of twin sweep" in capsys.readouterr().err
     assert run(["sweep", "table", str(tmp_path)]) == 2
     assert "is no store of a sweep" in capsys.readouterr().err
 
@@ -136,3 +141,131 @@ def test_a_store_holds_one_version(swept, tmp_path, capsys):
     mark.write_text(mark.read_text().replace('"mitsuba": "', '"mitsuba": "0.'))
     assert run(["sweep", str(swept / "small.toml"), "-o", str(tmp_path / "out")]) == 2
     assert "its cases were computed with mitsuba 0." in capsys.readouterr().err
+
+
+@pytest.fixture
+def faked(monkeypatch):
+    """Sweeps whose cases are answered without a renderer."""
+    from functools import partial
+
+    from twin.study import sweep as module
+
+    def use(measurer):
+        monkeypatch.setattr(module, "sweep", partial(module.sweep, make_measurer=measurer))
+
+    return use
+
+
+def study_file(folder, *lines):
+    file = folder / "study.toml"
+    file.write_text("\n".join(['name = "test"', 'base = "paper/two_balls"', *lines, ""]))
+    return str(file)
+
+
+ALBEDOS = ("[[axis]]", 'path = "coating.base_albedo"', "values = [0.2, 0.3]")
+
+
+DEEP = 'source = "assumed: deeper than the slab"'
+
+
+def test_a_sweep_says_why_its_cases_failed(tmp_path, capsys, faked):
+    """Both cases fail: each reason with a file, exit code 1, and again when nothing is to do."""
+    faked(synthetic.Failing)
+    out = tmp_path / "out"
+    command = ["sweep", study_file(tmp_path, *ALBEDOS), "-o", str(out), "-j", "1"]
+    for _ in range(2):
+        assert run(command) == 1
+        said = capsys.readouterr().err
+        assert "1 failed: coating.base_albedo: found 0.2, which this test refuses (see" in said
+        assert "1 failed: ZeroDivisionError: broken (see" in said
+        file = said.split("(see ")[1].split(")")[0]
+        assert "failure" in json.loads(Path(file).read_text())
+
+
+def test_a_sweep_that_succeeds_in_part_tells_the_rest(tmp_path, capsys, faked):
+    faked(synthetic.Failing)
+    lines = [line.replace("0.3", "0.6, 0.7") for line in ALBEDOS]
+    command = ["sweep", study_file(tmp_path, *lines), "-o", str(tmp_path / "out"), "-j", "1"]
+    assert run(command) == 0
+    said = capsys.readouterr()
+    assert "2 done, 1 failed" in said.out
+    assert "1 failed: coating.base_albedo: found 0.2" in said.err
+
+
+@pytest.mark.parametrize(
+    ("lines", "told"),
+    [
+        (["set.elastomer.layout = \"contact_face\"", "set.press.back_pressure_kpa = 0.0"],
+         "layers: found none, elastomer.layout = 'contact_face' is seen through its gel"),
+        (['set.press.depth_mm = { value = 9.0, source = "assumed: too deep" }'],
+         "is not less than the slab's thickness"),
+        (['set.elastomer.length_x_mm = { value = 5.0, source = "assumed: short" }'],
+         "specimen: reaches from"),
+        (['modalities = ["direct_fpp"]', 'set.specimen = { kind = "ball", diameter_mm = 8.0 }'],
+         "specimen.material: found none for"),
+        (['set.render.engine = "stock"', "set.camera.distortion = [0.1, 0.0, 0.0, 0.0, 0.0]"],
+         "camera.distortion: stock Mitsuba cannot express it"),
+        (["set.camera.depth_of_field = true", "set.render.samples = 1"], "render.samples: found 1"),
+        (['set.mechanics.model = "neo_hookean"', "set.press.back_pressure_kpa = 1.0"],
+         "knows neither film"),
+    ],
+)  # fmt: skip
+def test_dry_run_finds_what_cannot_be_measured(tmp_path, capsys, lines, told):
+    """The same words as the run's own, before anything is pressed; no case is left: exit code 2."""
+    file = study_file(tmp_path, *lines, *ALBEDOS)
+    assert run(["sweep", file, "-o", str(tmp_path / "out"), "--dry-run"]) == 2
+    said = capsys.readouterr().err
+    assert "2 of 2 cases cannot be measured" in said
+    assert told in said
+    assert not (tmp_path / "out").exists()
+
+
+def test_dry_run_names_the_cases_that_cannot(tmp_path, capsys):
+    lines = ["[[axis]]", 'path = "press.depth_mm"', "values = [0.3, 8.0]", DEEP, *ALBEDOS]
+    assert run(["sweep", study_file(tmp_path, *lines), "-o", str(tmp_path), "--dry-run"]) == 0
+    said = capsys.readouterr().err
+    assert "2 of 4 cases cannot be measured: press.depth_mm: 8 mm is not less than" in said
+    assert "(at press.depth_mm = 8.0, coating.base_albedo = 0.2)" in said
+
+
+def test_dry_run_of_a_search_looks_along_its_axes(tmp_path, capsys):
+    lines = [
+        'sampling.method = "optimise"',
+        'optimise = { trials = 9, objectives = [{ metric = "z_rmse_um" }] }',
+        *("[[axis]]", 'path = "press.depth_mm"', "low = 0.3", "high = 8.0", DEEP),
+    ]
+    assert run(["sweep", study_file(tmp_path, *lines), "-o", str(tmp_path), "--dry-run"]) == 0
+    assert "cases tried along the axes cannot be measured" in capsys.readouterr().err
+
+
+def test_dry_run_checks_equal_fields_once(base, study_of, monkeypatch):
+    """200 noise draws and codes of one press and one coat: one check."""
+    from twin.study import dry_run
+    from twin.study.cases import cases_of
+
+    checked = []
+    check = dry_run.check_measurable
+    monkeypatch.setattr(dry_run, "check_measurable", lambda e: (checked.append(e), check(e)))
+    period = {"path": "patterns.period_px", "low": 10, "high": 28, "count": 10}
+    cases = cases_of(study_of(period, repeats=20), base).run
+    assert dry_run.unmeasurable(cases) == {}
+    assert (len(cases), len(checked)) == (200, 1)
+
+
+def no_picture(*_):
+    raise InputError("no renderer in this test")
+
+
+@pytest.mark.parametrize("name", ["[/red]", "[bold]", "$\\bad{$", ":smile:", "<b>&"])
+def test_any_name_is_printed_and_drawn(tmp_path, capsys, faked, monkeypatch, name):
+    """What Rich, Matplotlib and HTML take for their own language is a name like any other."""
+    faked(synthetic.Bowl)
+    monkeypatch.setattr(pictures, "take_picture", no_picture)
+    axis = ["[[axis]]", f"name = '{name}'", *ALBEDOS[1:]]
+    choices = ["[[axis]]", 'name = "coat"', f"[axis.choices.'{name}']", "coating.flake_ior = 0.9"]
+    file, out = study_file(tmp_path, *axis, *choices), str(tmp_path / "out")
+    assert run(["sweep", file, "-o", out, "-j", "1"]) == 0
+    assert run(["sweep", "best", out, "-b", "bowl"]) == 0
+    assert capsys.readouterr().out.count(name) == 2
+    assert run(["sweep", "report", out, "-b", "bowl", "-b", "slope"]) == 0
+    assert escape(name) in (tmp_path / "out" / "report.html").read_text()

@@ -8,7 +8,9 @@ import pytest
 from tests.study import synthetic
 from twin.study.engine import Run
 from twin.study.index import Index
+from twin.study.record import read_record
 from twin.study.store import Store
+from twin.study.sweep import sweep
 from twin.study.table import read_table, write_csv
 from twin.study.workers import local_workers
 
@@ -18,17 +20,17 @@ def csv_of(store, tmp_path, name):
     return (tmp_path / name).read_bytes()
 
 
-@pytest.mark.parametrize("left", [(".store.json.4711",), ("store.json",), ("store.json", "cases")])
+@pytest.mark.parametrize("left", [(), ("store.json",), ("store.json", "cases")])
 def test_killed_before_the_store_is_one(few, stored, tmp_path, left):
     """Setup: what a run leaves that is killed while it makes its store."""
     whole, _ = stored(few, "whole")
     folder = tmp_path / "killed"
     folder.mkdir()
-    for name in left:
+    for name in ("twin-manifest.txt", *left):
         if name == "cases":
             (folder / name).mkdir()
         else:
-            (folder / name).write_bytes((whole.folder / "store.json").read_bytes())
+            (folder / name).write_bytes((whole.folder / name).read_bytes())
     store = Store(folder)
     assert store.finished() == set()
     store.open()
@@ -113,3 +115,58 @@ def test_index_is_made_anew(few, stored, tmp_path):
     assert csv_of(store, tmp_path, "damaged.csv") == before
     store.forget(cases[0].digest)
     assert index.entries().keys() == {case.digest for case in cases[1:]}
+
+
+def cut(folder):
+    (folder / "result.json").write_text('{"metrics": {"value": 1')
+
+
+def empty(folder):
+    for file in folder.iterdir():
+        file.unlink()
+
+
+def nested(folder):
+    (folder / "result.json").write_text("[" * 100_000)
+
+
+def no_metrics(folder):
+    (folder / "result.json").write_text("{}")
+
+
+def no_time(folder):
+    (folder / "timings.json").write_text('{"case": null}')
+
+
+@pytest.mark.parametrize("damage", [cut, empty, nested, no_metrics, no_time])
+def test_a_damaged_case_costs_itself(few, stored, tmp_path, damage):
+    """It is named in the table, the others are read, and the next run computes it anew."""
+    store, cases = stored(few)
+    record = read_record(store.folder)
+
+    def run():
+        return sweep(record, store.folder, local_workers(1), make_measurer=synthetic.Fake)
+
+    assert run().finished == 20
+    before = csv_of(store, tmp_path, "before.csv")
+    victim = cases[7].digest
+    damage(store.path_of(victim))
+    (store.folder / "index.sqlite").unlink()
+    states = {row["case"]: (row["state"], row["reason"]) for row in read_table(store.folder).rows}
+    assert [state for state, _ in states.values()].count("done") == 19
+    assert states[victim][0] == "damaged"
+    assert str(store.path_of(victim)) in states[victim][1]
+    again = run()
+    assert again.states == {"done": 1}
+    assert list(again.damaged) == [victim]
+    assert csv_of(store, tmp_path, "after.csv") == before
+
+
+def test_a_damaged_case_that_the_index_knows_runs_again(few, stored):
+    store, cases = stored(few)
+    record = read_record(store.folder)
+    sweep(record, store.folder, local_workers(1), make_measurer=synthetic.Fake)
+    cut(store.path_of(cases[3].digest))
+    again = sweep(record, store.folder, local_workers(1), make_measurer=synthetic.Fake)
+    assert again.states == {"done": 1}
+    assert again.finished == 20

@@ -9,6 +9,7 @@ from twin.cli import paper as paper
 from twin.cli import start as start
 from twin.cli import sweeps as sweeps
 from twin.cli.app import app, guarded
+from twin.interruption import unwind_on_signals
 
 __all__ = ["main", "run"]
 
@@ -22,4 +23,5 @@ def run(arguments: list[str] | None = None) -> int:
 
 def main() -> None:
     """Entry point of the `twin` command."""
+    unwind_on_signals()
     sys.exit(run())

@@ -96,7 +96,7 @@ def calibrate(
 
     shown = load_board(board)
     options = AdjustOptions(Freedom(camera_distortion, projector_distortion))
-    with output_folder(out) as folder:
+    with output_folder(out, [source, Path(board)]) as folder:
         with progress_bars() as watch:
             if source.is_dir():
                 done = calibrate_captures(source, shown, options, watch=watch)
@@ -148,7 +148,7 @@ def patterns(
 
     loaded = load(experiment, settings)
     sequence = pattern_set(loaded.projector, loaded.patterns)
-    with output_folder(out) as folder:
+    with output_folder(out, [experiment]) as folder:
         write_patterns(folder, sequence)
     say(f"wrote {len(sequence.frames)} images and {out / MANIFEST_FILE}")
 
@@ -163,9 +163,10 @@ def report(folder: Path, /) -> None:
         Result folder of `twin measure`, `twin demo` or `twin compare`.
     """
     from twin.modalities.comparison import is_comparison
-    from twin.report import write_comparison, write_report
+    from twin.output import adding
+    from twin.report import REPORT_FILE, REPORT_NAMES, write_comparison, write_report
 
     draw = write_comparison if is_comparison(folder) else write_report
-    with progress_bars() as watch:
-        path = draw(folder, watch)
-    say(f"wrote {path}")
+    with adding(folder, *REPORT_NAMES) as drawn, progress_bars() as watch:
+        draw(folder, watch, drawn)
+    say(f"wrote {folder / REPORT_FILE}")

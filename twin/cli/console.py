@@ -1,7 +1,7 @@
 """What a command says: progress on stderr, figures and paths on stdout; and what it is told."""
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -44,7 +44,8 @@ def progress_bars() -> "Iterator[Watcher]":
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-    columns = (TextColumn("{task.description:<12}"), BarColumn(), TimeElapsedColumn())
+    name = TextColumn("{task.description:<12}", markup=False)
+    columns = (name, BarColumn(), TimeElapsedColumn())
     console = Console(stderr=True)
     with Progress(*columns, console=console, disable=not console.is_terminal) as progress:
         bars: dict[str, Any] = {}
@@ -60,15 +61,47 @@ def progress_bars() -> "Iterator[Watcher]":
 
 
 def print_metrics(figures: dict[str, Any]) -> None:
-    """Print figures as a table."""
+    """Print figures as a table; a dash stands for one that does not exist."""
+    print_table(
+        ("figure", "value"),
+        (
+            (name, "\n".join(value) if isinstance(value, list) else cell(value, 6))
+            for name, value in figures.items()
+        ),
+    )
+
+
+def cell(value: Any, digits: int) -> str:
+    """Write a value for a table's cell."""
+    if value is None:
+        return "-"
+    return f"{value:.{digits}g}" if isinstance(value, float) else str(value)
+
+
+def print_table(
+    headings: Sequence[str],
+    rows: Iterable[Sequence[str]],
+    styles: Mapping[str, str] | None = None,
+    width: int | None = None,
+) -> None:
+    """Print a table on stdout, every cell as it is: names may hold what Rich takes for markup.
+
+    Parameters
+    ----------
+    headings, rows : texts
+    styles : Rich style of the cells in the first column, by their text; that column never wraps
+    width : columns of the terminal; None: its own
+    """
     from rich.console import Console
     from rich.table import Table
+    from rich.text import Text
 
-    table = Table("figure", "value")
-    for name, value in figures.items():
-        shown = f"{value:.6g}" if isinstance(value, float) else str(value)
-        table.add_row(name, "\n".join(value) if isinstance(value, list) else shown)
-    Console().print(table)
+    table = Table()
+    for number, heading in enumerate(headings):
+        table.add_column(Text(heading), no_wrap=number == 0 and len(headings) > 2)
+    for first, *rest in rows:
+        table.add_row(Text(first, (styles or {}).get(first, "")), *map(Text, rest))
+    Console(width=width).print(table)
 
 
 def say(text: str) -> None:

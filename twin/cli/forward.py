@@ -1,6 +1,7 @@
 """Commands of the forward model: from an experiment to pictures and millimetres."""
 
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -49,7 +50,7 @@ def press(
     from twin.report.transfer import draw_transfer
 
     loaded = load(experiment, settings)
-    with output_folder(out) as folder:
+    with output_folder(out, [experiment]) as folder:
         with progress_bars() as watch:
             watch("press", 0.0)
             pressed = press_specimen(loaded)
@@ -96,7 +97,7 @@ def render(
     from twin.report.frames import draw_frames
 
     loaded = load(experiment, settings)
-    with output_folder(out) as folder:
+    with output_folder(out, [experiment]) as folder:
         with progress_bars() as watch:
             clock = Stopwatch(watch)
             pressed, recording = take(loaded, clock)
@@ -122,7 +123,7 @@ def measure(experiment: Path, /, *, out: Out, settings: Settings = None) -> None
         TOML file, or the name of a shipped experiment such as paper/two_balls.
     """
     loaded = load(experiment, settings)
-    _measure(loaded, out, "measure")
+    _measure(loaded, out, "measure", [experiment])
 
 
 @app.command
@@ -165,10 +166,17 @@ def compare(
     match
         What the presses of contact_fpp and photometric_stereo share: the force, or the depth.
     """
+    from twin.modalities.comparison import claim_comparison, measure_whole, methods_named
     from twin.modalities.comparison import compare as run_all
-    from twin.modalities.comparison import measure_whole, methods_named
     from twin.modalities.instruments import PhotometricPlan
-    from twin.report import comparison_table, write_comparison, write_report
+    from twin.output import adding
+    from twin.report import (
+        REPORT_FILE,
+        REPORT_NAMES,
+        comparison_table,
+        write_comparison,
+        write_report,
+    )
 
     chosen = methods_named(methods)
     if not experiments:
@@ -180,11 +188,13 @@ def compare(
         measure_whole(folder, case, watch)
         write_report(folder)
 
+    claim_comparison(out, [*experiments, Path(photometric_rig)])
     with progress_bars() as watch:
         outcomes = run_all(loaded, chosen, out, with_report, watch=watch, plan=plan)
-        page = write_comparison(out, watch)
+        with adding(out, *REPORT_NAMES) as drawn:
+            write_comparison(out, watch, drawn)
     say(comparison_table(outcomes))
-    say(f"wrote {page}")
+    say(f"wrote {out / REPORT_FILE}")
     return BAD_INPUT if all(outcome.failure for outcome in outcomes) else 0
 
 
@@ -204,7 +214,7 @@ def export(experiment: Path, /, *, out: Out, settings: Settings = None) -> None:
     from twin.output import output_folder
 
     loaded = load(experiment, settings)
-    with output_folder(out) as folder, progress_bars() as watch:
+    with output_folder(out, [experiment]) as folder, progress_bars() as watch:
         face, figures = None, {}
         if loaded.modality == "contact_fpp":
             watch("press", 0.0)
@@ -218,12 +228,14 @@ def export(experiment: Path, /, *, out: Out, settings: Settings = None) -> None:
     say(f"wrote {out / 'scene.xml'}")
 
 
-def _measure(experiment: "Experiment", out: Path, command: str) -> None:
+def _measure(
+    experiment: "Experiment", out: Path, command: str, inputs: Sequence[Path] = ()
+) -> None:
     from twin.modalities.measuring import measure_into
     from twin.output import output_folder
     from twin.report import summary_table, write_report
 
-    with output_folder(out) as folder, progress_bars() as watch:
+    with output_folder(out, inputs) as folder, progress_bars() as watch:
         measure_into(folder, command, experiment, watch)
         write_report(folder, watch)
     say(summary_table(out))

@@ -5,25 +5,21 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from reconstruction.errors import InputError
 from twin.cli.app import FAILURE, MISSING_BACKEND, app
-from twin.cli.console import say
+from twin.cli.console import print_table, say
 
 
 @app.command
 def doctor() -> int:
     """Check this machine: packages, Dr.Jit backend, LLVM or CUDA, data files, disk."""
-    from rich.console import Console
-    from rich.table import Table
-
     from twin.doctor import diagnose
 
     findings = diagnose()
-    table = Table("", "check", "found", "what to do")
-    for finding in findings:
-        mark = "[green]ok[/]" if finding.ok else "[red]no[/]"
-        table.add_row(mark, finding.name, finding.detail, "" if finding.ok else finding.advice)
-    Console().print(table)
+    rows = (
+        ("ok" if one.ok else "no", one.name, one.detail, "" if one.ok else one.advice)
+        for one in findings
+    )
+    print_table(("", "check", "found", "what to do"), rows, {"ok": "green", "no": "red"})
     if all(finding.ok for finding in findings):
         return 0
     return (
@@ -45,28 +41,20 @@ def init(
         Where to write it; an existing file is never overwritten.
     """
     from twin.assets import asset_path
+    from twin.output import creating
 
     starter = asset_path("scenes", "examples/starter").read_text(encoding="utf-8")
-    try:
-        with file.open("x", encoding="utf-8") as target:
-            target.write(starter)
-    except FileExistsError:
-        raise InputError(f"{file}: exists already; give another name") from None
-    except OSError as error:
-        raise InputError(f"{file}: cannot be written ({error.strerror})") from None
+    with creating(file) as part:
+        part.write_text(starter, encoding="utf-8")
     say(f"wrote {file}; next: twin measure {file} -o out")
 
 
 @app.command
 def keys() -> None:
     """List every key of an experiment file: type, allowed values, default, meaning."""
-    from rich.console import Console
-    from rich.table import Table
-
     from twin.config.reference import experiment_keys
 
-    table = Table("key", "allowed", "default", "meaning")
-    table.columns[0].no_wrap = True
-    for key in experiment_keys():
-        table.add_row(key.path, key.allowed, key.default, key.meaning)
-    Console().print(table)
+    print_table(
+        ("key", "allowed", "default", "meaning"),
+        ((key.path, key.allowed, key.default, key.meaning) for key in experiment_keys()),
+    )

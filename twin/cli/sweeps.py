@@ -2,13 +2,19 @@
 
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import App, Parameter
 
 from reconstruction.errors import InputError
-from twin.cli.app import FAILURE, Out, app
-from twin.cli.console import progress_bars, say
+from twin.cli.app import BAD_INPUT, FAILURE, Out, app
+from twin.cli.console import cell, print_table, progress_bars, say
+
+if TYPE_CHECKING:
+    from twin.study.engine import Outcome
+    from twin.study.record import StudyRecord
+
+_MOST_REASONS = 10
 
 Objectives = Annotated[list[str] | None, Parameter(name=["--objective", "-b"])]
 
@@ -29,6 +35,8 @@ def sweep(
 ) -> int:
     """Compute every case of a study that OUT does not hold yet; run it again to go on.
 
+    Why cases failed is told. Exit code 1: none has a result, or some could not be saved.
+
     Parameters
     ----------
     study
@@ -38,7 +46,8 @@ def sweep(
     cluster
         Address of a Dask scheduler, tcp://HOST:PORT, instead of processes on this machine.
     dry_run
-        Only validate the study, and say how many cases it has and what they take.
+        Only validate the study, say how many cases it has and what they take, and which of them
+        cannot be measured, and why; exit code 2 when none can.
     retry
         Also try again what failed for a reason that lies in the experiment.
     """
@@ -56,14 +65,45 @@ def sweep(
     if cases is not None:
         sys.stderr.write(f"{told(estimate(record, cases, Store(out), who.count))}\n")
     if dry_run:
-        return 0
+        return _check(record)
     with progress_bars() as watch:
-        outcome = run(record, out, who, cases=cases, retry=retry, watch=watch)
+        outcome = run(record, out, who, cases=cases, retry=retry, watch=watch, inputs=[study])
     for digest, reason in outcome.unsaved.items():
         sys.stderr.write(f"twin: case {digest} could not be saved: {reason}\n")
+    for digest, reason in outcome.damaged.items():
+        sys.stderr.write(f"twin: case {digest} was damaged and ran again: {reason}\n")
+    _tell_failures(outcome, out)
     counts = ", ".join(f"{number} {state}" for state, number in sorted(outcome.states.items()))
     say(f"{counts or 'nothing to do'} in {outcome.seconds:.1f} s; wrote {out}")
-    return FAILURE if outcome.unsaved else 0
+    return FAILURE if outcome.unsaved or not outcome.finished else 0
+
+
+def _check(record: "StudyRecord") -> int:
+    """Say which cases cannot be measured; of a search, which along its axes."""
+    from twin.study.dry_run import probes_of, unmeasurable
+
+    searches = record.study.sampling.method == "optimise"
+    cases = probes_of(record) if searches else list(record.cases().run)
+    found = unmeasurable(cases)
+    for reason, some in found.items():
+        at = ", ".join(f"{name} = {value}" for name, value in some[0].settings.items())
+        probes = " tried along the axes" if searches else ""
+        sys.stderr.write(
+            f"twin: {len(some)} of {len(cases)} cases{probes} cannot be measured: {reason} "
+            f"(at {at})\n"
+        )
+    return BAD_INPUT if sum(map(len, found.values())) == len(cases) else 0
+
+
+def _tell_failures(outcome: "Outcome", out: Path) -> None:
+    """Say why cases failed, commonest reason first, each with a file that tells more."""
+    ranked = sorted(outcome.failures.items(), key=lambda item: -len(item[1]))
+    for reason, digests in ranked[:_MOST_REASONS]:
+        file = out / "cases" / digests[0] / "failure.json"
+        sys.stderr.write(f"twin: {len(digests)} failed: {reason} (see {file})\n")
+    if len(ranked) > _MOST_REASONS:
+        more = len(ranked) - _MOST_REASONS
+        sys.stderr.write(f"twin: {more} more reasons: twin sweep table {out}\n")
 
 
 @sweep_app.command
@@ -83,9 +123,6 @@ def best(
         METRIC that is to be small, or +METRIC that is to be large; give several for a Pareto front.
         Absent: the objectives of the study.
     """
-    from rich.console import Console
-    from rich.table import Table
-
     from twin.study.best import best_rows, objective_of
     from twin.study.table import read_table
 
@@ -94,11 +131,9 @@ def best(
     if not chosen:
         raise InputError("--objective: found none; name a METRIC, for example -b z_rmse_um")
     names = dict.fromkeys([one.metric for one in chosen] + list(found.metrics))
-    shown = Table(*found.axes, *names, "case")
-    for row in best_rows(found.rows, chosen):
-        cells = [row.get(name) for name in (*found.axes, *names, "case")]
-        shown.add_row(*(f"{c:.5g}" if isinstance(c, float) else str(c) for c in cells))
-    Console(width=None if sys.stdout.isatty() else 200).print(shown)
+    headings = (*found.axes, *names, "case")
+    rows = ([cell(row.get(n), 5) for n in headings] for row in best_rows(found.rows, chosen))
+    print_table(headings, rows, width=None if sys.stdout.isatty() else 200)
 
 
 @sweep_app.command
@@ -113,13 +148,17 @@ def report(folder: Path, /, *, objective: Objectives = None) -> None:
         What makes a design good, as for twin sweep best; absent: the study's objectives, or a small
         error.
     """
+    from twin.output import adding
+    from twin.report import REPORT_FILE, REPORT_NAMES
     from twin.report.study import write_study
     from twin.study.best import objective_of
+    from twin.study.table import read_table
 
     chosen = [objective_of(text) for text in objective or ()]
-    with progress_bars() as watch:
-        path = write_study(folder, watch, chosen)
-    say(f"wrote {path}")
+    read_table(folder)  # it is a store, and can be read, before anything is made in it
+    with adding(folder, *REPORT_NAMES) as drawn, progress_bars() as watch:
+        write_study(folder, watch, chosen, drawn)
+    say(f"wrote {folder / REPORT_FILE}")
 
 
 @sweep_app.command
@@ -131,9 +170,9 @@ def table(folder: Path, /, *, csv: Path | None = None, parquet: Path | None = No
     folder
         The -o DIR of twin sweep.
     csv
-        File to write, for example table.csv; without --csv and --parquet CSV goes to stdout.
+        New file, for example table.csv; without --csv and --parquet CSV goes to stdout.
     parquet
-        File to write; needs pyarrow.
+        New file; needs pyarrow.
     """
     from twin.study.table import csv_text, read_table, write_csv, write_parquet
 

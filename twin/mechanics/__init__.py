@@ -1,7 +1,7 @@
 """The pressed elastomer: pressure, force and the coated face."""
 
 from twin.mechanics.calibrate import calibrate_modulus
-from twin.mechanics.choice import press_with
+from twin.mechanics.choice import check_press, press_with
 from twin.mechanics.contact_transfer import ContactTransfer, contact_transfer
 from twin.mechanics.errors import PressError, SolverError
 from twin.mechanics.hardness import (
@@ -27,6 +27,7 @@ __all__ = [
     "SolverError",
     "Validity",
     "calibrate_modulus",
+    "check_press",
     "contact_transfer",
     "estimate_modulus",
     "estimate_modulus_00",

@@ -7,7 +7,7 @@ import numpy as np
 
 from twin.config.models import Elastomer, Mechanics, PadFile, Press, Specimen
 from twin.mechanics.errors import PressError
-from twin.mechanics.press import PressedElastomer, press
+from twin.mechanics.press import PressedElastomer, check_load, press
 from twin.mechanics.validity import (
     DEFLECTION_OVER_THICKNESS_LIMIT,
     SHEET_LIMIT,
@@ -51,7 +51,7 @@ def press_with(
     if mechanics.model == "spectral":
         return _press_slab(specimen, elastomer, load)
     if mechanics.model == "auto":
-        slab = None if must_wrap(elastomer, load) else _press_slab(specimen, elastomer, load)
+        slab = None if must_wrap(elastomer, load) else _slab_first(specimen, elastomer, load)
         model = choose_model(slab, shape_of(specimen), elastomer, load)
         if model == "sheet":
             return _press_sheet(mechanics, specimen, elastomer, load)
@@ -62,6 +62,37 @@ def press_with(
 
     _refuse_sheet_keys(elastomer, "neo_hookean")
     return replace(press_neo_hookean(specimen, elastomer, load), model="neo_hookean")
+
+
+def check_press(
+    mechanics: Mechanics, specimen: Specimen, elastomer: Elastomer, load: Press
+) -> None:
+    """Refuse what `press_with` refuses before it solves anything.
+
+    Raises
+    ------
+    PressError
+        What the model cannot do, and what to change.
+    """
+    if mechanics.model == "fem":
+        from twin.mechanics.reference.fem_press import check_fem
+
+        check_fem(elastomer, mechanics.support)
+        if mechanics.pad is not None:
+            _check_pad(elastomer)
+        return
+    wraps = mechanics.model == "auto" and must_wrap(elastomer, load)
+    if mechanics.model == "sheet" or wraps:
+        from twin.mechanics.sheet.press import check_sheet
+
+        check_sheet(shape_of(specimen), elastomer, load, mechanics)
+        return
+    _refuse_sheet_keys(elastomer, mechanics.model)
+    check_load(shape_of(specimen), elastomer, load)
+    if mechanics.model == "neo_hookean":
+        from twin.mechanics.reference.thin_sheet import check_neo_hookean
+
+        check_neo_hookean(elastomer, load)
 
 
 def must_wrap(elastomer: Elastomer, load: Press) -> bool:
@@ -112,6 +143,16 @@ def _press_slab(specimen: Specimen, elastomer: Elastomer, load: Press) -> Presse
     return press(specimen, elastomer, load)
 
 
+def _slab_first(specimen: Specimen, elastomer: Elastomer, load: Press) -> PressedElastomer | None:
+    """Return the slab's press; None where it has none, but the sheet may have one."""
+    try:
+        return _press_slab(specimen, elastomer, load)
+    except PressError:
+        if may_wrap(elastomer):
+            return None
+        raise
+
+
 def _press_sheet(
     mechanics: Mechanics, specimen: Specimen, elastomer: Elastomer, load: Press
 ) -> PressedElastomer:
@@ -151,10 +192,7 @@ def read_pad(source: PadFile, elastomer: Elastomer) -> "Pad":
     """
     from twin.mechanics.reference.pad import Hold, Pad, facing, on_plane
 
-    if elastomer.layout != "contact_face":
-        raise PressError(
-            "mechanics.pad: needs elastomer.layout = 'contact_face' (it is seen through its window)"
-        )
+    _check_pad(elastomer)
     body = read_closed_mesh("mechanics.pad.file", source.file)
     body.apply_scale(source.scale_mm)
     low, high = body.bounds
@@ -162,3 +200,10 @@ def read_pad(source: PadFile, elastomer: Elastomer) -> "Pad":
     coated = facing((0, 0, -1), source.facing_deg)
     window = on_plane("z", float(body.bounds[1, 2]))
     return Pad(body, elastomer.poisson_ratio, (Hold(window),), touched=coated, coated=coated)
+
+
+def _check_pad(elastomer: Elastomer) -> None:
+    if elastomer.layout != "contact_face":
+        raise PressError(
+            "mechanics.pad: needs elastomer.layout = 'contact_face' (it is seen through its window)"
+        )

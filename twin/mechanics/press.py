@@ -105,7 +105,7 @@ def press(specimen: Specimen, elastomer: Elastomer, load: Press) -> PressedElast
     shape does not depend on the modulus, which only scales pressure and force.
     """
     shape = shape_of(specimen)
-    check_outline(shape, elastomer)
+    check_load(shape, elastomer, load)
     modulus_kpa = young_modulus(elastomer).best_kpa
     layer = build_layer(elastomer, load, shape, modulus_kpa)
     preload = preload_of(elastomer, load, modulus_kpa)
@@ -135,6 +135,21 @@ def press(specimen: Specimen, elastomer: Elastomer, load: Press) -> PressedElast
     )
 
 
+def check_load(shape: Shape, elastomer: Elastomer, load: Press) -> None:
+    """Refuse a press of which it is plain, before it is solved, that it cannot be.
+
+    Raises
+    ------
+    PressError
+        The specimen reaches over the slab, the depth is the slab's thickness or more, or the
+        preload does not fit the layout.
+    """
+    check_outline(shape, elastomer)
+    preload_of(elastomer, load, young_modulus(elastomer).best_kpa)
+    if load.depth_mm is not None:
+        _check_depth(load.depth_mm, elastomer.thickness_mm, load)
+
+
 def _coated_face(
     layer: AnyLayer,
     contact: Contact,
@@ -156,7 +171,6 @@ def _control(layer: AnyLayer, height: FloatArray, load: Press, modulus_kpa: floa
         assert load.force_n is not None  # the model's own validator
         return ForceControl(load.force_n / (modulus_kpa * 1e-3), layer.cell_area_mm2)
     assert load.depth_mm is not None
-    _check_depth(load.depth_mm, layer.thickness_mm, load)
     if not (height < load.depth_mm).any():
         raise PressError(
             f"press.depth_mm: {load.depth_mm:g} mm touches no cell of the solver's grid; "

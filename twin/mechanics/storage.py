@@ -4,7 +4,6 @@ Files follow the CF conventions: every variable has `units` and `long_name`; arr
 A file is written under a temporary name and renamed: it is never half there.
 """
 
-import os
 from collections.abc import Callable
 from dataclasses import asdict, fields
 from pathlib import Path
@@ -14,11 +13,13 @@ import h5netcdf
 import numpy as np
 import trimesh
 
+from reconstruction.disk import writing_netcdf
 from twin.config.models import Elastomer, Press
 from twin.mechanics.errors import PressError
 from twin.mechanics.in_plane import in_plane_displacement
 from twin.mechanics.press import PressedElastomer, SheetFields
 from twin.mechanics.validity import Validity
+from twin.output import replacing
 
 _SCHEMA = "fringe-twin press 1"
 
@@ -59,12 +60,8 @@ def write_press(path: Path, pressed: PressedElastomer) -> None:
     PressError
         The file cannot be written.
     """
-
-    def write(target: Path) -> None:
-        with h5netcdf.File(target, "w") as file:
-            _fill(file, pressed)
-
-    _replace(path, write)
+    with replacing(path, PressError) as part, writing_netcdf(part) as file:
+        _fill(file, pressed)
 
 
 def read_press(path: Path) -> PressedElastomer:
@@ -108,21 +105,16 @@ def write_in_plane(
         raise PressError(f"in-plane displacement: the model is {pressed.model}, allowed: spectral")
     moved = in_plane_displacement(pressed, elastomer, load)
 
-    def write(target: Path) -> None:
-        with h5netcdf.File(target, "w") as file:
-            file.attrs["comment"] = (
-                "moves texture and markers; the relief's nodes stay where they are"
-            )
-            file.dimensions = {"face_y": pressed.face_y_mm.size, "face_x": pressed.face_x_mm.size}
-            for axis, data in zip("xy", moved, strict=True):
-                variable = file.create_variable(
-                    f"u_{axis}_mm", ("face_y", "face_x"), data=data,
-                    compression="gzip", compression_opts=1,
-                )  # fmt: skip
-                variable.attrs["units"] = "mm"
-                variable.attrs["long_name"] = f"displacement of the coat along world {axis}"
-
-    _replace(path, write)
+    with replacing(path, PressError) as part, writing_netcdf(part) as file:
+        file.attrs["comment"] = "moves texture and markers; the relief's nodes stay where they are"
+        file.dimensions = {"face_y": pressed.face_y_mm.size, "face_x": pressed.face_x_mm.size}
+        for axis, data in zip("xy", moved, strict=True):
+            variable = file.create_variable(
+                f"u_{axis}_mm", ("face_y", "face_x"), data=data,
+                compression="gzip", compression_opts=1,
+            )  # fmt: skip
+            variable.attrs["units"] = "mm"
+            variable.attrs["long_name"] = f"displacement of the coat along world {axis}"
 
 
 def write_mesh(path: Path, mesh: trimesh.Trimesh) -> None:
@@ -138,19 +130,8 @@ def write_mesh(path: Path, mesh: trimesh.Trimesh) -> None:
         raise PressError(f"{path}: found '{path.suffix}', allowed for a mesh: .ply, .stl")
     options = {"vertex_normal": True} if kind == ".ply" else {}
     content: bytes = mesh.export(file_type=kind[1:], **options)
-    _replace(path, lambda target: target.write_bytes(content))
-
-
-def _replace(path: Path, write: Callable[[Path], object]) -> None:
-    temporary = path.with_name(f".{path.name}.part")
-    try:
-        write(temporary)
-        temporary.replace(path)
-    except OSError as error:
-        if temporary.is_file():
-            temporary.unlink()
-        reason = os.strerror(error.errno) if error.errno else "disk error"
-        raise PressError(f"{path}: cannot be written ({reason})") from error
+    with replacing(path, PressError) as part:
+        part.write_bytes(content)
 
 
 def _fill(file: Any, pressed: PressedElastomer) -> None:

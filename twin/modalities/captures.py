@@ -27,7 +27,7 @@ def reconstruct_capture(
     InputError
         The capture is incomplete or damaged, or `out` cannot be written.
     """
-    with output_folder(out) as folder:
+    with output_folder(out, [capture_folder]) as folder:
         watch("read", 0.0)
         capture = read_capture(capture_folder)
         watch("read", 1.0)

@@ -4,7 +4,7 @@ Everything of one comparison lies in one folder, `NAME/METHOD/` as `twin measure
 `result.json` over all. A measurement that lies there finished is not made again.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,11 +14,18 @@ from twin.config import Experiment, digest
 from twin.modalities.instruments import METHODS, Method, PhotometricPlan, case_for
 from twin.modalities.measuring import measure_into
 from twin.modalities.progress import Watcher, nobody
-from twin.output import RESULT_FILE, output_folder, read_json, replace_json, versions
+from twin.output import (
+    RESULT_FILE,
+    adding,
+    claim,
+    output_folder,
+    read_json,
+    versions,
+    write_json,
+)
 
-COMPARISON_FILES = (RESULT_FILE, "report.html")
-COMPARISON_FOLDERS = ("figures",)
 COMMAND = "compare"
+_NAMES = (RESULT_FILE, "report.html", "figures")
 
 Filler = Callable[[Path, Experiment, Watcher], None]
 
@@ -101,13 +108,29 @@ def compare(
         No usable Dr.Jit backend.
     """
     _refuse_namesakes(experiments)
-    _refuse_foreign(out)
-    run = _Run(out, fill, watch, plan or PhotometricPlan())
-    outcomes = [
-        _outcome(experiment, method, run) for experiment in experiments for method in methods
-    ]
+    claim_comparison(out)
+    outcomes = measure_each(experiments, methods, out, fill, watch=watch, plan=plan)
     _write(out, outcomes)
     return outcomes
+
+
+def claim_comparison(out: Path, inputs: Iterable[Path] = ()) -> None:
+    """Make `out` the folder of a comparison, or go on with the one there; see `claim`."""
+    claim(out, COMMAND, _NAMES, inputs)
+
+
+def measure_each(
+    experiments: Sequence[Experiment],
+    methods: Sequence[Method],
+    out: Path,
+    fill: Filler = measure_whole,
+    *,
+    watch: Watcher = nobody,
+    plan: PhotometricPlan | None = None,
+) -> list[Outcome]:
+    """Measure as `compare` does, but write nothing except the folders NAME/METHOD."""
+    run = _Run(out, fill, watch, plan or PhotometricPlan())
+    return [_outcome(experiment, method, run) for experiment in experiments for method in methods]
 
 
 def read_outcomes(folder: Path) -> list[Outcome]:
@@ -185,29 +208,6 @@ def _refuse_namesakes(experiments: Sequence[Experiment]) -> None:
         )
 
 
-def _refuse_foreign(out: Path) -> None:
-    """Refuse a folder that holds more than a comparison, finished or interrupted."""
-    if out.exists() and not out.is_dir():
-        raise InputError(f"{out}: is a file; choose another -o DIR")
-    foreign = [entry.name for entry in _entries(out) if not _belongs(entry)]
-    if foreign:
-        raise InputError(
-            f"{out}: exists and is no earlier comparison (found {min(foreign)}); "
-            "choose another -o DIR"
-        )
-
-
-def _entries(folder: Path) -> Iterator[Path]:
-    # Hidden: what an interrupted command left, written under a temporary name.
-    return (e for e in folder.glob("*") if not e.name.startswith("."))
-
-
-def _belongs(entry: Path) -> bool:
-    if not entry.is_dir():
-        return entry.name in COMPARISON_FILES
-    return entry.name in COMPARISON_FOLDERS or all(e.name in METHODS for e in _entries(entry))
-
-
 def _write(out: Path, outcomes: list[Outcome]) -> None:
     cases = [
         {
@@ -221,8 +221,5 @@ def _write(out: Path, outcomes: list[Outcome]) -> None:
         for one in outcomes
     ]
     content = {"command": COMMAND, "cases": cases, "versions": versions()}
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        replace_json(out / RESULT_FILE, {"schema_version": 1, **content})
-    except OSError as error:
-        raise InputError(f"{out}: cannot be written ({error.strerror})") from None
+    with adding(out, RESULT_FILE) as folder:
+        write_json(folder / RESULT_FILE, {"schema_version": 1, **content})

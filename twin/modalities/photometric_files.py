@@ -28,7 +28,7 @@ def reconstruct_press(description: Path, out: Path, watch: Watcher = nobody) -> 
         The description or an image is missing or damaged, no contact is found on a calibration
         image, or `out` cannot be written.
     """
-    with output_folder(out) as folder:
+    with output_folder(out, [description]) as folder:
         watch("reconstruct", 0.0)
         result = reconstruct_photometric(description)
         watch("reconstruct", 1.0)

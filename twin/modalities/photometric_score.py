@@ -12,13 +12,18 @@ from numpy.typing import NDArray
 
 from reconstruction.arrays import BoolImage, Doubles, FloatImage
 from reconstruction.errors import FitError
-from reconstruction.fit import fit_sphere
 from reconstruction.photometric import HeightMap
 from reconstruction.photometric.contact_circle import ContactCircle
 from twin.config.models import Experiment
-from twin.modalities.score import SphereScore, sphere_metrics
+from twin.modalities.score import (
+    SphereScore,
+    p95_of_size,
+    rms,
+    score_sphere,
+    sphere_metrics,
+)
 from twin.optics.stack import Truth
-from twin.specimens import Sphere, shape_of
+from twin.specimens import shape_of
 
 # Of the contact radius: where caps are measured.
 CAP_SHARE = 0.8
@@ -38,7 +43,7 @@ class PhotometricScore:
 
     Only pixels within the stated field count. `completeness` and `good_share` as for fringes.
     `height_scale` is the slope of measured over true z, by least squares with a free zero; 1 where
-    heights are neither flattened nor stretched.
+    heights are neither flattened nor stretched, and None on a flat truth, which has no scale.
     """
 
     points: int
@@ -48,7 +53,7 @@ class PhotometricScore:
     z_rmse_um: float
     z_bias_um: float
     z_p95_um: float
-    height_scale: float
+    height_scale: float | None
     spheres: tuple[SphereScore, ...]
     unfitted: tuple[str, ...]
 
@@ -92,50 +97,35 @@ def score_heights(experiment: Experiment, found: WorldHeights, truth: Truth) -> 
         wanted_pixels=asked,
         completeness=count / asked,
         good_share=float(good.sum()) / asked,
-        z_rmse_um=float(np.sqrt(np.mean(error_um**2))),
+        z_rmse_um=rms(error_um),
         z_bias_um=float(np.mean(error_um)),
-        z_p95_um=float(np.percentile(np.abs(error_um), 95)),
+        z_p95_um=p95_of_size(error_um),
         height_scale=_scale(found.points_mm[both][:, 2], truth.points_world_mm[both][:, 2]),
         spheres=tuple(fitted),
         unfitted=tuple(unfitted),
     )
 
 
-def _scale(found_mm: Doubles, true_mm: FloatImage) -> float:
+def _scale(found_mm: Doubles, true_mm: FloatImage) -> float | None:
     true = true_mm.astype(np.float64) - true_mm.mean(dtype=np.float64)
-    return float(true @ (found_mm - found_mm.mean()) / max(float(true @ true), 1e-30))
+    if not np.ptp(true_mm):
+        return None
+    return float(true @ (found_mm - found_mm.mean()) / float(true @ true))
 
 
 def _spheres(
     experiment: Experiment, found: WorldHeights, truth: Truth, usable: BoolImage
 ) -> tuple[list[SphereScore], list[str]]:
+    """Fit over the points within the lateral region about each apex, as `score.region_of` does."""
     fitted, unfitted = [], []
     for number, ball in enumerate(shape_of(experiment.specimen).spheres(), start=1):
+        x_mm, y_mm = found.points_mm[..., 0] - ball.x_mm, found.points_mm[..., 1] - ball.y_mm
+        roi = (np.hypot(x_mm, y_mm) <= experiment.score.roi_radius_mm) & usable
         try:
-            fitted.append(_sphere(number, ball, experiment, (found, truth), usable))
+            fitted.append(score_sphere(number, ball, roi, found.points_mm, truth.points_world_mm))
         except FitError as error:
             unfitted.append(f"ball {number}: {error}")
     return fitted, unfitted
-
-
-def _sphere(
-    number: int,
-    ball: Sphere,
-    experiment: Experiment,
-    compared: tuple[WorldHeights, Truth],
-    usable: BoolImage,
-) -> SphereScore:
-    """Fit over the points within the lateral region about the apex, as `score.region_of` does."""
-    found, truth = compared
-    x_mm, y_mm = found.points_mm[..., 0] - ball.x_mm, found.points_mm[..., 1] - ball.y_mm
-    roi = (np.hypot(x_mm, y_mm) <= experiment.score.roi_radius_mm) & usable
-    return SphereScore(
-        number=number,
-        nominal=ball,
-        roi=roi,
-        measured=fit_sphere(found.points_mm[roi]),
-        true_face=fit_sphere(truth.points_world_mm[roi].astype(np.float64)),
-    )
 
 
 def cap_height_ratio(
@@ -163,6 +153,4 @@ def photometric_metrics(scored: PhotometricScore) -> dict[str, Any]:
     )  # fmt: skip
     figures: dict[str, Any] = {name: getattr(scored, name) for name in names}
     figures["unfitted_balls"] = list(scored.unfitted)
-    for sphere in scored.spheres:
-        figures |= sphere_metrics(f"sphere_{sphere.number}_", sphere)
-    return figures
+    return figures | sphere_metrics(scored.spheres, scored.unfitted)

@@ -154,7 +154,7 @@ def sensor_of(experiment: Experiment) -> ColourSensor:
     MissingBackend
         No usable Dr.Jit backend.
     """
-    _check(experiment)
+    check_sensor(experiment)
     activate()
     from twin.optics.colour_trace import ColourScene
 
@@ -266,7 +266,7 @@ def measure_photometric(
         No usable Dr.Jit backend.
     """
     clock = Stopwatch(watch)
-    _check(experiment)
+    check_sensor(experiment)
     with clock.stage("press"):
         pressed = press_specimen(experiment)
     with clock.stage("calibrate"):
@@ -281,7 +281,14 @@ def measure_photometric(
     )
 
 
-def _check(experiment: Experiment) -> None:
+def check_sensor(experiment: Experiment) -> None:
+    """Refuse a rig that is no sensor for photometric stereo.
+
+    Raises
+    ------
+    InputError
+        No lamps, a camera that leans, or depth of field.
+    """
     if not experiment.lamps:
         raise InputError("lamps: found none; photometric stereo needs [lamps.NAME] beside the gel")
     camera = experiment.camera

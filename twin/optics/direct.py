@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from reconstruction.errors import InputError
 from twin.config.digest import seed_sequence
 from twin.config.models import Experiment, Material
 from twin.optics.backend import activate
+from twin.optics.checks import check_direct_engine, check_focus, check_materials
 from twin.optics.materials import absorption_per_mm, bsdf_of, sharp
 from twin.optics.stack import RadianceStack
-from twin.specimens import Body, bodies
+from twin.specimens import bodies
 
 if TYPE_CHECKING:
     import trimesh
@@ -64,7 +64,7 @@ def solids(experiment: Experiment) -> tuple[Solid, ...]:
         A part of the specimen has no material.
     """
     parts = bodies(experiment.specimen, 0.0)
-    _check_materials(parts)
+    check_materials(parts)
     lowest_mm = min(float(part.mesh.bounds[0, 2]) for part in parts)
     return (
         _stage(experiment, lowest_mm - AIR_GAP_MM),
@@ -117,7 +117,7 @@ def render_direct(
     MissingBackend
         No usable Dr.Jit backend.
     """
-    _check_engine(experiment)
+    check_direct_engine(experiment)
     activate()
     from twin.optics import one_trace
     from twin.optics.bounces import Bounces
@@ -133,7 +133,7 @@ def render_direct(
     photon_seed, path_seed = seed_sequence(experiment, "direct").generate_state(2).tolist()
     stage_light = None
     if built.surfaces.sharp:
-        _check_focus(experiment)
+        check_focus(experiment)
         photons = trace_photons(
             built.scene, built.surfaces, rig, count=experiment.render.photons, seed=photon_seed
         )
@@ -157,32 +157,6 @@ def render_direct(
     truth = one_trace.trace_truth(built.scene, rig, built.surfaces)
     progress(1.0)
     return RadianceStack(frames, truth)
-
-
-def _check_materials(parts: tuple[Body, ...]) -> None:
-    bare = [part.name for part in parts if part.material is None]
-    if bare:
-        raise InputError(
-            f"specimen.material: found none for {', '.join(bare)}; modality = 'direct_fpp' sees the"
-            " specimen itself: add [specimen.material] with use = 'materials/metals/steel'"
-        )
-
-
-def _check_engine(experiment: Experiment) -> None:
-    if experiment.render.engine != "one_trace":
-        raise InputError(
-            "render.engine: found 'stock', allowed 'one_trace' with modality = 'direct_fpp': stock"
-            " Mitsuba cannot connect a projector through clear bodies; twin export writes the scene"
-        )
-
-
-def _check_focus(experiment: Experiment) -> None:
-    aperture_mm = experiment.projector.aperture_mm
-    if aperture_mm:
-        raise InputError(
-            f"projector.aperture_mm: found {aperture_mm:g}, allowed 0 with clear or polished"
-            " specimens: their light is traced with one blur; put it into projector.blur_px"
-        )
 
 
 def _stage(experiment: Experiment, z_mm: float) -> Solid:

@@ -16,7 +16,9 @@ from twin.optics.backend import activate
 from twin.optics.coat import COATED_FACE, coating_bsdf
 from twin.optics.device_frames import perspective_sensor, to_world
 from twin.optics.direct import Solid, solids
+from twin.optics.materials import sharp
 from twin.optics.storage import write_exr
+from twin.specimens import bodies
 
 if TYPE_CHECKING:
     import trimesh
@@ -36,7 +38,10 @@ def inexpressible(experiment: Experiment) -> list[str]:
             "layers are left out: no stock integrator connects a coat below a refracting face to a"
             " projector",
         )
-    if experiment.modality == "direct_fpp":
+    if experiment.modality == "direct_fpp" and any(
+        part.material is not None and sharp(part.material)
+        for part in bodies(experiment.specimen, 0.0)
+    ):
         lines.insert(
             0,
             "light that comes through or off smooth bodies is missing: stock integrators cannot"

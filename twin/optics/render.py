@@ -7,6 +7,7 @@ from reconstruction.errors import InputError
 from twin.config.digest import seed_sequence
 from twin.config.models import Coating, Experiment
 from twin.optics.backend import activate
+from twin.optics.checks import check_stock
 from twin.optics.stack import RadianceStack
 
 if TYPE_CHECKING:
@@ -54,16 +55,7 @@ def render(
             scene, rig, tables, samples, bounces=bounces_of(experiment), progress=progress
         )
     else:
-        if any(experiment.camera.distortion):
-            raise InputError(
-                "camera.distortion: stock Mitsuba cannot express it;"
-                " set it to zero or use render.engine = 'one_trace'"
-            )
-        if experiment.projector.aperture_mm:
-            raise InputError(
-                "projector.aperture_mm: stock Mitsuba cannot express blur that grows with distance;"
-                " set it to zero or use render.engine = 'one_trace'"
-            )
+        check_stock(experiment)
         seeds = seed_sequence(experiment, "stock").generate_state(len(patterns.frames)).tolist()
         mesh = coated_mesh(face, coating_bsdf(experiment.coating))
         frames = stock.render_stack(

@@ -8,6 +8,7 @@ import mitsuba as mi
 from reconstruction.errors import InputError
 from twin.config.layers import holding_layer, media_of
 from twin.config.models import Coating, Experiment
+from twin.optics.checks import check_binder, check_samples
 from twin.optics.coat import coated_mesh, coating_bsdf
 from twin.optics.connection import Rig
 from twin.optics.devices import Device
@@ -56,11 +57,7 @@ def rig_of(experiment: Experiment) -> Rig:
     """
     calibration = true_calibration(experiment)
     lens = ThinLens.of(experiment.camera, calibration.T_world_from_cam)
-    if lens is not None and experiment.render.samples == 1:
-        raise InputError(
-            "render.samples: found 1, allowed 4 or more with camera.depth_of_field, better 16: each"
-            " sample sees through one place of the lens"
-        )
+    check_samples(experiment)
     return Rig(
         camera=Device(calibration.camera, calibration.T_world_from_cam, lens=lens),
         projector=Device(calibration.projector, calibration.T_world_from_proj),
@@ -93,11 +90,7 @@ def coating_in_layer(experiment: Experiment) -> Coating:
     coating, holder = experiment.coating, holding_layer(experiment.layers)
     if holder is None:
         return coating
-    if 1.0 < coating.binder_ior < holder.ior:
-        raise InputError(
-            f"coating.binder_ior: found {coating.binder_ior:g}, allowed 1 (matte), or at least "
-            f"{holder.ior:g}, that of the layer around the coat; set it to 1"
-        )
+    check_binder(experiment)
     relative = {
         "flake_ior": coating.flake_ior / holder.ior,
         "flake_extinction": coating.flake_extinction / holder.ior,

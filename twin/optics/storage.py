@@ -6,6 +6,7 @@ import h5netcdf
 import numpy as np
 from numpy.typing import NDArray
 
+from reconstruction.disk import write_exr_channels, writing_netcdf
 from reconstruction.errors import InputError
 from twin.optics.stack import Truth
 
@@ -35,7 +36,7 @@ def write_truth(path: Path, truth: Truth) -> None:
         truth.lit.astype(np.uint8),
         truth.measured.astype(np.uint8),
     )
-    with h5netcdf.File(path, "w") as file:
+    with writing_netcdf(path) as file:
         file.attrs["frame"] = "world: z = 0 is the undeformed coated face, z up; row 0 at the top"
         file.dimensions = dict(zip(("row", "col"), truth.lit.shape, strict=True))
         for (name, (units, long_name)), values in zip(_VARIABLES.items(), maps, strict=True):
@@ -69,9 +70,4 @@ def read_truth(path: Path) -> Truth:
 
 def write_exr(path: Path, image: NDArray[np.float32]) -> None:
     """Write a (row, col) float32 image as a one-channel EXR."""
-    import OpenEXR
-
-    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-    pixels = np.ascontiguousarray(image, np.float32)
-    with OpenEXR.File(header, {"Y": pixels}) as file:
-        file.write(str(path))
+    write_exr_channels(path, {"Y": image})

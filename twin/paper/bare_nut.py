@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 
+from reconstruction.errors import InputError
 from twin.config import Experiment, vary
 from twin.paper.claims import DIRECT_AT_MOST
 from twin.paper.complete_table import counted
@@ -31,6 +32,8 @@ def nut_shares(experiment: Experiment) -> dict[str, list[float]]:
     for alpha in ROUGHNESS:
         bare = vary(experiment, _SETTINGS | {"specimen.material.roughness": alpha})
         share = counted(see(bare))
+        if share.specimen is None or share.specimen_points is None:
+            raise InputError(f"{experiment.name}: the camera sees nothing of the specimen")
         found[f"{alpha:g}"] = [share.specimen, share.specimen_points]
     return found
 

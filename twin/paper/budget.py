@@ -83,15 +83,21 @@ _LEAST_FOR_COVERAGE = 40
 
 
 def _of_trials(parts: Sequence[Part], trials: Sequence[Trial], output: str) -> list[Part]:
-    """Noise is what is left of the trials' own difference when the optics are taken off."""
+    """Noise is what is left of the trials' own difference when the optics are taken off.
+
+    One trial differs from nothing: it has neither part.
+    """
+    measuring = _difference(trials, "true_rig_", output)
+    calibration = _difference(trials, "", output)
+    if min(measuring.size, calibration.size) < 2:
+        return []
     light = [part for part in parts if part.group == "optics"]
     of_light = sum(part.u_mm**2 for part in light)
-    measuring = _spread(_difference(trials, "true_rig_", output))
-    noise = float(np.sqrt(max(measuring**2 - of_light, 0.0)))
+    noise = float(np.sqrt(max(measuring.var(ddof=1) - of_light, 0.0)))
     name = "noise and decoding" if light else "noise, optics and decoding"
     return [
         Part(name, "camera", "", noise),
-        Part("calibration", "rig", "", _spread(_difference(trials, "", output))),
+        Part("calibration", "rig", "", float(calibration.std(ddof=1))),
     ]
 
 
@@ -123,9 +129,5 @@ def _difference(trials: Sequence[Trial], prefix: str, output: str) -> np.ndarray
     ball, _, rest = output.rpartition("_radius")
     face = f"{ball}_true_face_radius{rest}" if ball else f"true_face_{output}"
     first, second = (f"true_rig_{output}", face) if prefix else (output, f"true_rig_{output}")
-    both = [one.figures for one in trials if {first, second} <= one.figures.keys()]
+    both = [one.figures for one in trials if None not in map(one.figures.get, (first, second))]
     return np.array([float(figures[first]) - float(figures[second]) for figures in both])
-
-
-def _spread(values: np.ndarray) -> float:
-    return float(values.std(ddof=1)) if values.size > 1 else 0.0

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from twin.config.models import Experiment
 from twin.mechanics import PressedElastomer
+from twin.modalities.score import share_of
 from twin.optics.stack import Truth
 from twin.specimens import shape_of
 
@@ -29,7 +30,8 @@ class Completeness:
 
     Attributes
     ----------
-    contact : of the contact region, against the coat; None where nothing is pressed
+    contact : of the contact region, against the coat; None where nothing is pressed, or where the
+        camera sees nothing of it, as for all shares
     contact_points : points there, right or wrong; None likewise
     specimen : of the specimen, against its own face
     specimen_points : points there, right or wrong
@@ -38,14 +40,14 @@ class Completeness:
 
     contact: float | None
     contact_points: float | None
-    specimen: float
-    specimen_points: float
+    specimen: float | None
+    specimen_points: float | None
     limit_um: float
 
     @property
-    def missing(self) -> float:
+    def missing(self) -> float | None:
         """Share of the specimen without any point."""
-        return 1.0 - self.specimen_points
+        return None if self.specimen_points is None else 1.0 - self.specimen_points
 
 
 def completeness_of(
@@ -118,5 +120,5 @@ def _good(found_mm: Doubles, true_mm: Doubles, limit_um: float) -> Mask:
     return np.asarray(np.abs(found_mm - true_mm) <= 1e-3 * limit_um)
 
 
-def _share(of: Mask, asked: Mask) -> float:
-    return float((of & asked).sum() / max(int(asked.sum()), 1))
+def _share(of: Mask, asked: Mask) -> float | None:
+    return share_of(int((of & asked).sum()), int(asked.sum()))

@@ -25,6 +25,7 @@ from twin.paper.sheet import label_panel, sheet
 from twin.report.canvas import FAINT
 from twin.report.decoding import REASON_COLOURS
 from twin.report.direct import REASON_WORDS
+from twin.report.fields import number
 
 _ROWS = {"direct_fpp": "Conventional DFP\n(direct)", "contact_fpp": "Proposed\n(contact-FPP)"}
 HARD_OBJECTS = {"nut": "nut", "brick": "clear brick", "ball": "metal ball"}
@@ -127,7 +128,8 @@ def _pair(figure: Figure, grid: Grid, at: tuple[int, int], data: PanelData | Non
     stage = stage_for(data)
     show_relief(right, data, stage)
     show_scale(right, stage)
-    told = f"{data.numbers.completeness:.0%} points, {data.numbers.good_share:.0%} right"
+    shares = data.numbers.completeness, data.numbers.good_share
+    told = "{} points, {} right".format(*(number(share, ".0%") for share in shares))
     left.text(
         0.5, -0.05, told, transform=left.transAxes, ha="center", va="top", color=FAINT, fontsize=6
     )

@@ -63,10 +63,10 @@ class Numbers:
     name: str
     description: str
     method: str
-    completeness: float
-    good_share: float
+    completeness: float | None
+    good_share: float | None
     good_within_um: float
-    z_rmse_um: float
+    z_rmse_um: float | None
     outline_mm: tuple[float, float, float, float]
     scale_mm: tuple[float, float]
     half_field_mm: tuple[float, float]

@@ -8,7 +8,7 @@ from typing import Any
 
 from twin.config import digest
 from twin.config.board import load_board
-from twin.modalities.comparison import compare
+from twin.modalities.comparison import measure_each
 from twin.modalities.instruments import Method
 from twin.modalities.progress import Watcher, nobody
 from twin.paper.bare_nut import NUT, ROUGHNESS, nut_shares
@@ -108,4 +108,4 @@ class Reproduction:
         experiments = [experiment_of(name, self.settings) for name in names]
         plan = plan_of(self.scatter.seed, 0)  # the sensor of trial 0, which is in memory
         folder = self.work / "cases"
-        compare(experiments, methods, folder, measure_case, watch=self.watch, plan=plan)
+        measure_each(experiments, methods, folder, measure_case, watch=self.watch, plan=plan)

@@ -56,7 +56,7 @@ def _rod_rows(trials: Sequence[Trial], reference_mm: float) -> Iterator[dict[str
                 "mean": width.mean,
                 "abs_error": abs(width.mean - reference_mm),
                 "sd": width.sd,
-                "cv_percent": 100.0 * width.sd / width.mean,
+                "cv_percent": None if width.sd is None else 100.0 * width.sd / width.mean,
                 "face_mean": None if face is None else face.mean,
             }
         yield row

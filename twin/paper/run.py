@@ -8,8 +8,8 @@
 | work/ | what was measured: calibration, trials, cases; an interrupted run goes on from here |
 """
 
-import shutil
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -18,7 +18,7 @@ from typing import Any
 from reconstruction.errors import InputError
 from twin.modalities.progress import Watcher, nobody
 from twin.modalities.storage import write_result
-from twin.output import replace_json, versions
+from twin.output import EXPERIMENT_FILE, RESULT_FILE, adding, claim, versions, write_json
 from twin.paper.bare_nut import nut_table
 from twin.paper.budget import budget_table
 from twin.paper.claims import claims_of, claims_table
@@ -27,7 +27,7 @@ from twin.paper.decoder_table import decoder_table
 from twin.paper.explanations import explanations
 from twin.paper.figures import FIGURES, draw_figure
 from twin.paper.jobs import jobs_of, measure_ahead
-from twin.paper.page import Contents, write_paper_page
+from twin.paper.page import REPORT_FILE, Contents, write_paper_page
 from twin.paper.plan import BALLS, COARSE, FINE, RODS, experiment_of
 from twin.paper.published import CONTACT_FPP, GELSIGHT
 from twin.paper.reproduction import Reproduction
@@ -36,8 +36,13 @@ from twin.paper.sphere_tables import repeated_fit_table, sphere_fit_table, uncer
 from twin.paper.table import Cell, Table, shown
 from twin.report.html import FIGURES_FOLDER, make_folder
 from twin.study.workers import local_workers
+from twin.working import remove_leftovers
 
 COMMAND, WORK = "paper", "work"
+_NAMES = (
+    *("tables.json", "tables.md", REPORT_FILE, FIGURES_FOLDER),
+    *(RESULT_FILE, EXPERIMENT_FILE),
+)
 
 
 def sphere_tables(run: Reproduction) -> list[Table]:
@@ -126,18 +131,24 @@ def reproduce(out: Path, wish: Wish, watch: Watcher = nobody, workers: int = 1) 
     MissingBackend
         No usable Dr.Jit backend.
     """
-    _claim_folder(out)
+    claim(out, COMMAND, _NAMES)
+    with _tidied(out / WORK), adding(out, *_NAMES) as folder:
+        return _reproduce(out, folder, wish, watch, workers)
+
+
+def _reproduce(out: Path, folder: Path, wish: Wish, watch: Watcher, workers: int) -> Reproduced:
+    """Measure into `out`/work, and write tables, figures and page into `folder`."""
     settings = dict(FINE if wish.full else COARSE)
     run = Reproduction(out / WORK, wish.trials, settings, watch)
-    drawn = _measure_and_draw(run, out, wish, workers)
+    drawn = _measure_and_draw(run, folder, wish, workers)
     tables = tables_of(run, wish.tables)
-    _write_tables(out, tables, wish)
+    _write_tables(folder, tables, wish)
     balls = experiment_of(BALLS, settings)
     contents = Contents(tables, drawn, balls, run.scatter, wish.trials)
-    page = write_paper_page(out, contents)
+    page = write_paper_page(folder, contents)
     claims = tables["claims"].rows if "claims" in tables else ()
-    write_result(out, COMMAND, balls, _figures_of(claims))
-    return Reproduced(page, tuple(_line(row) for row in claims))
+    write_result(folder, COMMAND, balls, _figures_of(claims))
+    return Reproduced(out / page.name, tuple(_line(row) for row in claims))
 
 
 def _measure_and_draw(run: Reproduction, out: Path, wish: Wish, workers: int) -> dict[str, Path]:
@@ -172,23 +183,19 @@ def _draw(run: Reproduction, out: Path, names: Sequence[str]) -> dict[str, Path]
     return {name: folder / f"{name}.png" for name in names}
 
 
-def _claim_folder(out: Path) -> None:
-    """Refuse a folder of something else; keep an earlier or interrupted run of this command."""
-    if out.exists() and not out.is_dir():
-        raise InputError(f"{out}: is a file; choose another -o DIR")
-    foreign = out.is_dir() and any(out.iterdir()) and not (out / WORK).is_dir()
-    if foreign:
-        raise InputError(
-            f"{out}: exists and holds no earlier run of twin {COMMAND} (no {WORK}/); "
-            "choose another -o DIR"
-        )
-    # What a killed run was writing lies under hidden names; nothing refers to it.
-    for leftover in out.glob(f"{WORK}/cases/*/.*"):
-        shutil.rmtree(leftover, ignore_errors=True)
+@contextmanager
+def _tidied(work: Path) -> Iterator[None]:
+    """Remove before and after what killed or interrupted workers were writing."""
     try:
-        (out / WORK).mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"{out}: cannot be written ({error.strerror})") from None
+        _remove_parts(work)
+        yield
+    finally:
+        _remove_parts(work)
+
+
+def _remove_parts(work: Path) -> None:
+    for specimen in work.glob("cases/*/"):
+        remove_leftovers(specimen)
 
 
 def _write_tables(out: Path, tables: Mapping[str, Table], wish: Wish) -> None:
@@ -198,7 +205,7 @@ def _write_tables(out: Path, tables: Mapping[str, Table], wish: Wish) -> None:
         "versions": versions(),
         "tables": {name: table.as_json() for name, table in tables.items()},
     }
-    replace_json(out / "tables.json", content)
+    write_json(out / "tables.json", content)
     text = "\n".join(table.as_markdown() for table in tables.values())
     (out / "tables.md").write_text(text, encoding="utf-8")
 

@@ -13,7 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from reconstruction.errors import InputError
+from twin.output import replacing
 from twin.report.canvas import FAINT, GRID, INK
 
 DPI = 200
@@ -82,10 +82,5 @@ def bare(axes: Axes) -> None:
 
 
 def _write(figure: Figure, path: Path, kind: str, metadata: dict[str, None]) -> None:
-    part = path.with_name(f".{path.name}.part")
-    try:
+    with replacing(path) as part:
         figure.savefig(part, format=kind, dpi=DPI, metadata=metadata)
-        part.replace(path)
-    except OSError as error:
-        part.unlink(missing_ok=True)
-        raise InputError(f"{path}: cannot be written ({error.strerror or error})") from None

@@ -163,38 +163,40 @@ def uncertainty_table(trials: Trials) -> Table:
 
 
 def budget_of(trials: Sequence[Trial], ball: int) -> Budget | None:
-    """Return the budget of one ball's radius; None without repetitions."""
+    """Return the budget of one ball's radius; None without repetitions of press or rig."""
     repeated = [one for one in trials if one.number]
     radius = spread_of(values_of(repeated, f"sphere_{ball}_radius_mm"))
-    if radius is None:
+    u_cal = calibration_uncertainty(trials, ball)
+    if radius is None or radius.u_rep is None or u_cal is None:
         return None
-    return Budget(radius.u_rep, U_REF_MM, calibration_uncertainty(trials, ball))
+    return Budget(radius.u_rep, U_REF_MM, u_cal)
 
 
-def calibration_uncertainty(trials: Sequence[Trial], ball: int) -> float:
+def calibration_uncertainty(trials: Sequence[Trial], ball: int) -> float | None:
     """Return the standard uncertainty that the calibration gives to a fitted radius, mm.
 
     Fringes: root mean square over the trials of what the drawn rig changes. Photometric stereo has
-    no true calibration: standard deviation over several, all on the image of trial 0.
+    no true calibration: standard deviation over several, all on the image of trial 0. None where
+    nothing was calibrated twice.
     """
     name = f"sphere_{ball}_radius_mm"
     changes = [
         float(one.figures[name]) - float(one.figures[f"true_rig_{name}"])
         for one in trials
-        if name in one.figures and f"true_rig_{name}" in one.figures
+        if None not in (one.figures.get(name), one.figures.get(f"true_rig_{name}"))
     ]
     redone = [
         value
         for one in trials
         for key, value in one.figures.items()
-        if key.startswith("calibration_") and key.endswith(name)
+        if key.startswith("calibration_") and key.endswith(name) and value is not None
     ]
     return root_mean_square(np.array(changes)) if changes else _sd(redone)
 
 
-def _sd(values: Sequence[float]) -> float:
+def _sd(values: Sequence[float]) -> float | None:
     found = spread_of(values)
-    return found.sd if found is not None else 0.0
+    return None if found is None else found.sd
 
 
 def _budget_row(method: str, ball: int, n: int, budget: Budget) -> dict[str, Cell]:

@@ -18,21 +18,21 @@ class Spread:
 
     Attributes
     ----------
-    mean, sd : sd is the sample standard deviation, 0 for a single trial
+    mean, sd : sd is the sample standard deviation, None for a single trial
     n : trials that gave the figure
     low, high : 2.5th and 97.5th percentile
     """
 
     mean: float
-    sd: float
+    sd: float | None
     n: int
     low: float
     high: float
 
     @property
-    def u_rep(self) -> float:
+    def u_rep(self) -> float | None:
         """Standard uncertainty of the mean: s / sqrt(n), the paper's u_rep."""
-        return self.sd / float(np.sqrt(self.n))
+        return None if self.sd is None else self.sd / float(np.sqrt(self.n))
 
 
 @dataclass(frozen=True)
@@ -65,11 +65,11 @@ def spread_of(values: Sequence[float] | np.ndarray) -> Spread | None:
     found = np.asarray(values, np.float64)
     if not found.size:
         return None
-    sd = float(found.std(ddof=1)) if found.size > 1 else 0.0
+    sd = float(found.std(ddof=1)) if found.size > 1 else None
     low, high = np.percentile(found, (_LOW, _HIGH))
     return Spread(float(found.mean()), sd, int(found.size), float(low), float(high))
 
 
 def root_mean_square(values: np.ndarray) -> float:
-    """Return the root mean square; 0 without a value."""
-    return float(np.sqrt(np.mean(values**2))) if values.size else 0.0
+    """Return the root mean square of at least one value."""
+    return float(np.sqrt(np.mean(values**2)))

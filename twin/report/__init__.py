@@ -4,8 +4,18 @@ Everything here reads result folders only; nothing renders, so no renderer is ne
 """
 
 from twin.report.comparison import write_comparison
-from twin.report.page import write_report
+from twin.report.html import FIGURES_FOLDER
+from twin.report.page import REPORT_FILE, write_report
 from twin.report.summary import summary_table
 from twin.report.table import comparison_table
 
-__all__ = ["comparison_table", "summary_table", "write_comparison", "write_report"]
+__all__ = [
+    "REPORT_FILE",
+    "REPORT_NAMES",
+    "comparison_table",
+    "summary_table",
+    "write_comparison",
+    "write_report",
+]
+
+REPORT_NAMES = (REPORT_FILE, FIGURES_FOLDER)

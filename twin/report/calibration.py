@@ -17,6 +17,7 @@ from twin.report.canvas import (
     diverging,
     drawing,
     legend_above,
+    plain_log,
     plain_spines,
     round_up,
 )
@@ -99,6 +100,7 @@ def draw_poses(path: Path, done: BoardCalibration) -> None:
         axes.set_xticks(place, [pose.name for pose in poses], rotation=45, ha="right")
         axes.set_ylabel("RMS residual (px)")
         axes.set_yscale("log")
+        plain_log(axes.yaxis)
         plain_spines(axes)
         legend_above(axes, 3)
 

@@ -13,12 +13,14 @@ from typing import Any, Literal
 import numpy as np
 from matplotlib import colormaps, rc_context
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import Colormap
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogFormatter
 from numpy.typing import NDArray
 
-from reconstruction.errors import InputError
+from twin.output import replacing
 
 DPI = 130
 
@@ -52,6 +54,7 @@ _STYLE: Any = {
     "legend.fontsize": 8.0,
     "legend.frameon": False,
     "image.interpolation": "nearest",
+    "text.parse_math": False,  # names and labels are anybody's, and "$" is no formula
 }
 
 
@@ -70,13 +73,8 @@ def drawing(path: Path, width_in: float, height_in: float) -> Iterator[Figure]:
         figure = Figure(figsize=(width_in, height_in), facecolor="white")
         FigureCanvasAgg(figure)
         yield figure
-        part = path.with_name(f".{path.name}.part")
-        try:
+        with replacing(path) as part:
             figure.savefig(part, format="png", dpi=DPI, metadata={"Software": None})
-            part.replace(path)
-        except OSError as error:
-            part.unlink(missing_ok=True)
-            raise InputError(f"{path}: cannot be written ({error.strerror or error})") from None
 
 
 def sequential() -> Colormap:
@@ -174,6 +172,12 @@ def legend_above(axes: Axes, entries: int) -> None:
         columnspacing=1.2,
         handlelength=1.6,
     )
+
+
+def plain_log(axis: Axis) -> None:
+    """Write the decades of a logarithmic axis as numbers: its own labels are formulas."""
+    axis.set_major_formatter(LogFormatter())
+    axis.set_minor_formatter(LogFormatter(labelOnlyBase=False))
 
 
 def plain_spines(axes: Axes) -> None:

@@ -53,13 +53,14 @@ class Specimen:
     paper: str
 
 
-def write_comparison(folder: Path, watch: Watcher = nobody) -> Path:
+def write_comparison(folder: Path, watch: Watcher = nobody, into: Path | None = None) -> Path:
     """Write `report.html` and `figures/*.png` into the folder of a finished comparison.
 
     Parameters
     ----------
     folder : result folder of `twin compare`; nothing else is read
     watch : told how far the report is
+    into : existing folder to write into instead
 
     Returns
     -------
@@ -74,7 +75,8 @@ def write_comparison(folder: Path, watch: Watcher = nobody) -> Path:
     """
     watch(_STAGE, 0.0)
     outcomes = read_outcomes(folder)
-    pictures = folder / FIGURES_FOLDER
+    path = (into or folder) / REPORT_FILE
+    pictures = path.parent / FIGURES_FOLDER
     make_folder(pictures)
     methods = tuple(dict.fromkeys(outcome.method for outcome in outcomes))
     by_name: dict[str, list[Outcome]] = {}
@@ -83,9 +85,8 @@ def write_comparison(folder: Path, watch: Watcher = nobody) -> Path:
     specimens = {}
     with overview(pictures / _OVERVIEW, methods, tuple(by_name)) as fill:
         for number, (name, parts) in enumerate(by_name.items(), start=1):
-            specimens[name] = _specimen(folder, parts, fill)
+            specimens[name] = _specimen(folder, pictures, parts, fill)
             watch(_STAGE, number / (len(by_name) + 1))
-    path = folder / REPORT_FILE
     write_page(path, _page(pictures, methods, specimens))
     watch(_STAGE, 1.0)
     return path
@@ -93,6 +94,7 @@ def write_comparison(folder: Path, watch: Watcher = nobody) -> Path:
 
 def _specimen(
     folder: Path,
+    pictures: Path,
     outcomes: list[Outcome],
     fill: Callable[[str, Method, AnyMeasured | None], None],
 ) -> Specimen:
@@ -102,7 +104,7 @@ def _specimen(
     for outcome in outcomes:
         measured = _read(folder, outcome)
         fill(outcome.name, outcome.method, measured)
-        cells.append(_cell(folder / FIGURES_FOLDER, outcome, measured))
+        cells.append(_cell(pictures, outcome, measured))
         found[outcome.method] = None if measured is None else gist_of(measured)
     return Specimen(
         outcomes[0].description,
@@ -155,6 +157,8 @@ def _pictures(pictures: Path, outcome: Outcome, measured: AnyMeasured) -> list[d
 def _shares(measured: AnyMeasured) -> list[dict[str, str]]:
     """Three parts of the wanted pixels, for the bar: good, wrong, none."""
     good, found = measured.figures["good_share"], measured.figures["completeness"]
+    if good is None:
+        return []
     limit_um = measured.experiment.score.good_within_um
     parts = (
         ("good", f"within {limit_um:g} µm", good),

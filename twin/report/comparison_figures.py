@@ -10,11 +10,11 @@ from twin.modalities.photometric_decoders import Decoded
 from twin.modalities.score import SphereScore
 from twin.report.comparison_panels import AnyMeasured
 from twin.report.direct import percent
+from twin.report.fields import NONE, number
 from twin.report.paper import paper_rmse_ratio
 from twin.report.photometric_folder import Photographed
 from twin.report.photometric_maps import decoder_name
 
-NONE = "–"
 ROWS = (
     "force of the press (N)",
     "depth of the press (mm)",
@@ -75,7 +75,7 @@ def values(measured: AnyMeasured) -> list[str]:
         *_press(measured),
         percent(figures["completeness"]),
         f"{percent(figures['good_share'])} ({limit_um:g} µm)",
-        *(f"{figures[name]:.2f}" for name in ("z_rmse_um", "z_bias_um", "z_p95_um")),
+        *(number(figures[name], ".2f") for name in ("z_rmse_um", "z_bias_um", "z_p95_um")),
         *_fringes(measured),
         *_spheres(measured),
     ]
@@ -121,7 +121,7 @@ def ratio_rows(methods: dict[str, Gist | None]) -> list[RatioRow]:
     if coat is None or gel is None or not gel.decoded or not coat.spheres:
         return []
     base_mm = _mean_rmse_mm(coat.spheres)
-    base = f"{1e3 * base_mm:.2f}", "1", f"{coat.figures['z_rmse_um']:.1f}"
+    base = f"{1e3 * base_mm:.2f}", "1", number(coat.figures["z_rmse_um"], ".1f")
     rows = [RatioRow("contact-FPP", *base)]
     for one in gel.decoded:
         found_mm = one.sphere_rmse_mm
@@ -180,7 +180,7 @@ def _fringes(measured: AnyMeasured) -> list[str]:
         shown = f"{exposure_ms:.3g}" if isinstance(exposure_ms, float) else str(exposure_ms)
         return [NONE, NONE, shown]
     return [
-        str(figures["wrong_order_pixels"]),
+        number(figures["wrong_order_pixels"], "d"),
         f"{figures['saturated_share']:.2%}",
         f"{figures['exposure_ms']:.3g}",
     ]

@@ -6,9 +6,10 @@ Shares count the pixels that show the specimen: its visible area, as the camera 
 import numpy as np
 
 from reconstruction.mask import Reason
-from twin.modalities.score import wanted_pixels
+from twin.modalities.score import wanted_pixels, why_absent
 from twin.report.appendix import Figure
 from twin.report.decoding import reason_shares
+from twin.report.fields import NONE, number
 from twin.report.result_folder import Scored
 from twin.report.verdict import Grade, Verdict
 
@@ -31,14 +32,18 @@ def verdict_in_words(scored: Scored) -> str:
     surface = (
         "specimen's visible area" if scored.experiment.modality == "direct_fpp" else "lit coat"
     )
+    if scored.figures["good_share"] is None:
+        return f"The camera sees nothing of the {surface}."
     return (
         f"{percent(scored.figures['good_share'])} of the {surface} has a point within "
         f"{scored.experiment.score.good_within_um:g} µm."
     )
 
 
-def percent(share: float) -> str:
+def percent(share: float | None) -> str:
     """Write a share; next to none and next to all are not rounded away."""
+    if share is None:
+        return NONE
     if 0 < share < 1e-4:
         return "< 0.01 %"
     if 1 - 1e-4 < share < 1:
@@ -50,26 +55,34 @@ def percent(share: float) -> str:
 def sentences(scored: Scored) -> list[str]:
     """Return the result for a terminal, at most 100 columns wide, in ASCII."""
     figures = scored.figures
+    rms, mean, p95 = (
+        number(figures[name], ".2f") for name in ("z_rmse_um", "z_bias_um", "z_p95_um")
+    )
+    absent = why_absent(figures)
     return [
         verdict_in_words(scored).replace("µ", "u"),
-        f"points on {figures['completeness']:.1%} of it, {figures['wrong_order_pixels']} wrong "
-        f"fringe orders, {figures['saturated_share']:.2%} of all pixel values saturated",
-        f"z error of these points: {figures['z_rmse_um']:.2f} um RMS, "
-        f"mean {figures['z_bias_um']:.2f} um, {figures['z_p95_um']:.2f} um P95",
+        f"points on {number(figures['completeness'], '.1%', '-')} of it, "
+        f"{number(figures['wrong_order_pixels'], 'd', '-')} wrong fringe orders, "
+        f"{figures['saturated_share']:.2%} of all pixel values saturated",
+        f"z error: none, {absent}"
+        if absent
+        else f"z error of these points: {rms} um RMS, mean {mean} um, {p95} um P95",
     ]
 
 
 def shares(scored: Scored) -> list[Figure]:
     """Return the figures of the specimen's visible area."""
     figures, limit_um = scored.figures, scored.experiment.score.good_within_um
+    why = why_absent(figures)
+    unit = f"({why})" if why else "µm"
     return [
         Figure("pixels that show it", str(figures["lit_pixels"])),
         Figure("with a point", percent(figures["completeness"])),
         Figure(f"with a point within {limit_um:g} µm", percent(figures["good_share"])),
-        Figure("z error, RMS", f"{figures['z_rmse_um']:.2f}", "µm"),
-        Figure("z error, mean", f"{figures['z_bias_um']:.2f}", "µm"),
-        Figure("z error, P95 of its size", f"{figures['z_p95_um']:.2f}", "µm"),
-        Figure("wrong fringe orders", str(figures["wrong_order_pixels"])),
+        Figure("z error, RMS", number(figures["z_rmse_um"], ".2f"), unit),
+        Figure("z error, mean", number(figures["z_bias_um"], ".2f"), unit),
+        Figure("z error, P95 of its size", number(figures["z_p95_um"], ".2f"), unit),
+        Figure("wrong fringe orders", number(figures["wrong_order_pixels"], "d")),
         Figure("saturated pixel values, whole image", f"{figures['saturated_share']:.2%}"),
     ]
 
@@ -103,17 +116,17 @@ def missing_shares(scored: Scored) -> dict[Reason, float]:
 
 def _coverage(scored: Scored) -> Verdict:
     figures, limit_um = scored.figures, scored.experiment.score.good_within_um
-    share = figures["good_share"]
+    share, absent = figures["good_share"] or 0.0, why_absent(figures)
     measured: Grade = "good" if share >= GOOD_SHARE else "check"
     return Verdict(
         question="How much of the specimen is measured?",
-        headline=f"{percent(share)} within {limit_um:g}\N{NO-BREAK SPACE}µm",
+        headline=f"{percent(figures['good_share'])} within {limit_um:g}\N{NO-BREAK SPACE}µm",
         grade="poor" if share < POOR_SHARE else measured,
         reasons=(
             f"{verdict_in_words(scored)} Good from {GOOD_SHARE:.0%}, poor below {POOR_SHARE:.0%}",
             f"a point, right or wrong, on {percent(figures['completeness'])}",
-            f"{figures['z_rmse_um']:.2f} µm RMS over these points",
-            f"{figures['wrong_order_pixels']} wrong fringe orders",
+            absent or f"{figures['z_rmse_um']:.2f} µm RMS over these points",
+            f"{number(figures['wrong_order_pixels'], 'd')} wrong fringe orders",
         ),
     )
 

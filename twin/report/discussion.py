@@ -5,6 +5,7 @@ from scipy.optimize import brentq
 
 from twin.mechanics import opposite_transfer
 from twin.modalities.score import SphereScore
+from twin.report.fields import number
 from twin.report.paper import CONTACT_FPP, PaperRow, paper_row
 from twin.report.result_folder import Scored
 from twin.report.verdict import MOST_SPREAD_OVER_SIGMA
@@ -38,15 +39,17 @@ def pitch_kept_mm(share: float, thickness_mm: float) -> float:
 def _measurement(scored: Scored) -> str:
     figures = scored.figures
     bias_um, spread = _signed(figures["z_bias_um"], 2), figures["error_over_sigma"]
-    cause = (
-        "camera noise explains the errors"
-        if spread <= MOST_SPREAD_OVER_SIGMA
-        else "something systematic adds to the camera noise"
-    )
+    cause = "a single point has no spread"
+    if spread is not None:
+        cause = (
+            "camera noise explains the errors"
+            if spread <= MOST_SPREAD_OVER_SIGMA
+            else "something systematic adds to the camera noise"
+        )
     return (
         f"Measurement against the true coated face: {figures['z_rmse_um']:.2f} µm RMS in z, mean "
-        f"{bias_um} µm. The spread is {spread:.2f} times what the camera's noise predicts "
-        f"(median σ {figures['sigma_z_median_um']:.2f} µm): {cause}."
+        f"{bias_um} µm. The spread is {number(spread, '.2f')} times what the camera's noise "
+        f"predicts (median σ {figures['sigma_z_median_um']:.2f} µm): {cause}."
     )
 
 

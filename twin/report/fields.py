@@ -24,6 +24,9 @@ _UNITS = {
 }
 
 
+NONE = "–"
+"""Written for what does not exist: a figure of no point, a row that has no such cell."""
+
 _NAMES = {
     "shore_a": "Shore A",
     "poisson_ratio": "Poisson ratio",
@@ -40,8 +43,15 @@ def split_unit(name: str) -> tuple[str, str]:
     return name, ""
 
 
+def number(value: float | None, form: str, none: str = NONE) -> str:
+    """Write a figure in a format; a dash where it does not exist."""
+    return none if value is None else f"{value:{form}}"
+
+
 def in_words(value: Any) -> str:
     """Write a value as people read it: short numbers, lists without brackets."""
+    if value is None:
+        return NONE
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, float):

@@ -1,9 +1,18 @@
 """The experiment at a glance: one line per part of the sensor."""
 
-from twin.report.fields import coating_phrase, phrase
+from twin.optics.light import pattern_set
+from twin.report.fields import coating_phrase, in_words, phrase
 from twin.report.result_folder import Scored
 from twin.report.rig import triangulation_angle_deg
 from twin.report.world_map import pixel_on_face_mm
+
+_CODE_WORDS = {
+    "gray": "Gray code",
+    "complementary_gray": "complementary Gray code",
+    "shifted_gray": "shifted Gray code",
+    "hierarchical": "hierarchical periods",
+    "heterodyne": "heterodyne periods",
+}
 
 
 def glance(scored: Scored) -> list[tuple[str, str]]:
@@ -82,7 +91,9 @@ def _projector(scored: Scored) -> str:
 
 def _patterns(scored: Scored) -> str:
     patterns = scored.experiment.patterns
-    code = "complementary Gray code" if patterns.complementary else "Gray code"
+    code = _CODE_WORDS[str(pattern_set(scored.experiment.projector, patterns).code)]
+    if patterns.further_periods_px:
+        code += " of " + in_words(patterns.further_periods_px) + " px"
     return (
         f"{patterns.steps} phase steps of {patterns.period_px:g} px in both directions, {code}, "
         f"white, black: {scored.figures.get('frames', '?')} frames"

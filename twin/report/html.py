@@ -8,8 +8,9 @@ from pathlib import Path
 
 from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 
-from reconstruction.errors import InputError
+from reconstruction.disk import unwritable
 from twin.modalities.progress import Watcher
+from twin.output import replacing
 
 FIGURES_FOLDER = "figures"
 STAGE = "report"
@@ -81,7 +82,7 @@ def make_folder(folder: Path) -> None:
     try:
         folder.mkdir(exist_ok=True)
     except OSError as error:
-        raise InputError(f"{folder}: cannot be written ({error.strerror})") from None
+        raise unwritable(folder, error) from None
 
 
 def write_page(path: Path, text: str) -> None:
@@ -92,10 +93,5 @@ def write_page(path: Path, text: str) -> None:
     InputError
         It cannot be written.
     """
-    part = path.with_name(f".{path.name}.part")
-    try:
+    with replacing(path) as part:
         part.write_text(text, encoding="utf-8")
-        part.replace(path)
-    except OSError as error:
-        part.unlink(missing_ok=True)
-        raise InputError(f"{path}: cannot be written ({error.strerror})") from None

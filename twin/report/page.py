@@ -17,13 +17,14 @@ from twin.report.verdict import verdicts
 REPORT_FILE = "report.html"
 
 
-def write_report(folder: Path, watch: Watcher = nobody) -> Path:
+def write_report(folder: Path, watch: Watcher = nobody, into: Path | None = None) -> Path:
     """Write `report.html` and `figures/*.png` into the folder of a finished measurement.
 
     Parameters
     ----------
     folder : result folder of `twin measure` or `twin demo`; nothing else is read
     watch : told how far the report is
+    into : existing folder to write into instead
 
     Returns
     -------
@@ -37,7 +38,7 @@ def write_report(folder: Path, watch: Watcher = nobody) -> Path:
         be written.
     """
     watch(STAGE, 0.0)
-    path = folder / REPORT_FILE
+    path = (into or folder) / REPORT_FILE
     write = write_photometric_report if is_photometric(folder) else _write_fringes
     write(folder, path, watch)
     watch(STAGE, 1.0)
@@ -47,7 +48,7 @@ def write_report(folder: Path, watch: Watcher = nobody) -> Path:
 def _write_fringes(folder: Path, page: Path, watch: Watcher) -> None:
     measured = read_measured(folder)
     drawn = direct_plates(measured) if measured.pressed is None else plates(measured)
-    write_page(page, render_page(measured, draw_pictures(folder, drawn, watch)))
+    write_page(page, render_page(measured, draw_pictures(page.parent, drawn, watch)))
 
 
 def render_page(measured: Measured, shown: dict[str, Picture]) -> str:

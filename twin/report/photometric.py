@@ -6,7 +6,7 @@ from twin.modalities.photometric_decoders import Decoded
 from twin.modalities.score import SphereScore
 from twin.report.appendix import Figure
 from twin.report.direct import percent
-from twin.report.fields import coating_phrase, phrase
+from twin.report.fields import NONE, coating_phrase, number, phrase
 from twin.report.paper import CONTACT_FPP, GELSIGHT, paper_row
 from twin.report.photometric_folder import Photographed
 from twin.report.photometric_maps import decoder_name
@@ -46,7 +46,7 @@ def decoder_rows(seen: Photographed) -> list[DecoderRow]:
             decoder_name(one),
             one is seen.own,
             (
-                f"{one.score.height_scale:.3f}",
+                number(one.score.height_scale, ".3f"),
                 *(f"{v:.1f}" for v in (one.score.z_rmse_um, one.score.z_bias_um)),
                 f"{one.score.z_p95_um:.1f}",
                 percent(one.score.good_share),
@@ -143,11 +143,12 @@ def sentences(seen: Photographed) -> list[str]:
     return [
         f"z error against the true coat: {figures['z_rmse_um']:.2f} um RMS, mean "
         f"{figures['z_bias_um']:.2f} um, {figures['z_p95_um']:.2f} um P95",
-        f"height scale {figures['height_scale']:.3f}; points on {figures['completeness']:.1%} of "
-        f"the field; force {figures['force_n']:.3g} N at {figures['depth_mm']:.3g} mm",
+        f"height scale {number(figures['height_scale'], '.3f', '-')}; points on "
+        f"{figures['completeness']:.1%} of the field; force "
+        f"{figures['force_n']:.3g} N at {figures['depth_mm']:.3g} mm",
         *(
             f"{decoder_name(one)}: {one.score.z_rmse_um:.1f} um RMS, scale "
-            f"{one.score.height_scale:.3f}"
+            f"{number(one.score.height_scale, '.3f', '-')}"
             for one in seen.decoded
             if one is not seen.own
         ),
@@ -172,32 +173,34 @@ def _heights(seen: Photographed) -> Verdict:
 
 
 def _scale(seen: Photographed) -> Verdict:
-    scale = seen.figures["height_scale"]
+    scale, question = seen.figures["height_scale"], "Are heights neither flattened nor stretched?"
+    if scale is None:
+        return Verdict(question, NONE, "check", ("the true coat is flat: it has no scale",))
     worst = abs(scale - 1)
     measured: Grade = "good" if worst <= GOOD_SCALE_ERROR else "check"
-    others = [f"{decoder_name(one)}: {one.score.height_scale:.3f}" for one in seen.decoded]
+    others = [(decoder_name(one), number(one.score.height_scale, ".3f")) for one in seen.decoded]
     return Verdict(
-        question="Are heights neither flattened nor stretched?",
+        question=question,
         headline=f"{scale:.3f} of the true height",
         grade="poor" if worst > POOR_SCALE_ERROR else measured,
         reasons=(
             f"good within {GOOD_SCALE_ERROR:.0%} of 1, poor beyond {POOR_SCALE_ERROR:.0%}",
-            *others,
+            *(f"{name}: {text}" for name, text in others),
         ),
     )
 
 
 def _on_the_scale(seen: Photographed) -> str:
     scales = {
-        one.integration: one.score.height_scale
+        one.integration: number(one.score.height_scale, ".2f")
         for one in seen.decoded
         if one.colour_map == seen.own.colour_map
     }
     return (
         "The vendor's programs integrate with a wrong scale that depends on the width of the shape "
         "and on their version: from the same slopes the heights of this specimen come out "
-        f"{scales['sdk_2025']:.2f} (2025) and {scales['sdk_2024']:.2f} (2024) of the true ones, "
-        f"and {scales['corrected']:.2f} with the textbook's eigenvalues."
+        f"{scales['sdk_2025']} (2025) and {scales['sdk_2024']} (2024) of the true ones, "
+        f"and {scales['corrected']} with the textbook's eigenvalues."
     )
 
 

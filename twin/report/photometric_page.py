@@ -13,7 +13,7 @@ from twin.report.table import HEADINGS
 def write_photometric_report(folder: Path, page: Path, watch: Watcher) -> None:
     """Write the page and its figures; see `write_report`."""
     seen = read_photographed(folder)
-    shown = draw_pictures(folder, photometric_plates(seen), watch)
+    shown = draw_pictures(page.parent, photometric_plates(seen), watch)
     write_page(page, render_page(seen, shown))
 
 

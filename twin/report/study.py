@@ -18,9 +18,9 @@ from twin.report.study_view import (
     draw_main_effects,
     draw_parallel,
 )
-from twin.study.best import is_number, ranked_rows
+from twin.study.best import is_number, ranked_rows, usable_rows
 from twin.study.pictures import pictures_of
-from twin.study.sensitivity import Effect, effects_of
+from twin.study.sensitivity import Effect, effects_of, without
 from twin.study.store import Store
 from twin.study.table import Table, read_table
 
@@ -52,7 +52,10 @@ class Shown:
 
 
 def write_study(
-    folder: Path, watch: Watcher = nobody, objectives: Sequence[Objective] = ()
+    folder: Path,
+    watch: Watcher = nobody,
+    objectives: Sequence[Objective] = (),
+    into: Path | None = None,
 ) -> Path:
     """Write `report.html`, `figures/*.png` and `pictures/*.npz` into the store of a sweep.
 
@@ -64,6 +67,7 @@ def write_study(
     folder : the -o DIR of `twin sweep`; nothing else is read
     watch : told how far the report is
     objectives : what makes a design good; by default what the study says, or a small error
+    into : existing folder to write page and figures into instead
 
     Returns
     -------
@@ -78,11 +82,12 @@ def write_study(
     watch("report", 0.0)
     shown = _shown(read_table(folder), objectives)
     designs, plates = _designs(shown, folder, watch)
-    pictures = draw_pictures(folder, [*_plates(shown), *plates], watch)
+    path = (into or folder) / REPORT_FILE
+    pictures = draw_pictures(path.parent, [*_plates(shown), *plates], watch)
     page = template("study.html").render(_page(shown, designs, pictures))
-    write_page(folder / REPORT_FILE, page)
+    write_page(path, page)
     watch("report", 1.0)
-    return folder / REPORT_FILE
+    return path
 
 
 def _shown(table: Table, asked: Sequence[Objective]) -> Shown:
@@ -101,7 +106,7 @@ def _shown(table: Table, asked: Sequence[Objective]) -> Shown:
         rows,
         metrics,
         objectives,
-        ranked_rows(done, objectives) if any(row["feasible"] for row in done) else [],
+        ranked_rows(done, objectives) if usable_rows(done, objectives) else [],
         {name: found for name, found in effects.items() if found},
     )
 
@@ -151,8 +156,10 @@ def _plates(shown: Shown) -> list[Plate]:
     if pairs:
         plates += [_interactions(rows, pairs, metric) for metric in metrics[:2]]
     if len(shown.objectives) > 1 and shown.best:
+        names = [one.metric for one in shown.objectives]
+        whole = [row for row in shown.table.done() if all(is_number(row.get(n)) for n in names)]
         plates.append(
-            Plate("front", lambda path: draw_front(path, rows, shown.best, shown.objectives),
+            Plate("front", lambda path: draw_front(path, whole, shown.best, shown.objectives),
                   "two objectives of all cases with the Pareto front",
                   "Designs that no other beats in every objective.")
         )  # fmt: skip
@@ -160,9 +167,17 @@ def _plates(shown: Shown) -> list[Plate]:
     if shown.effects:
         plates.append(
             Plate("sensitivity", lambda path: draw_effects(path, shown.effects, method),
-                  "sensitivity of each figure to each axis", _SENSITIVITY_WORDS[method])
+                  "sensitivity of each figure to each axis",
+                  _SENSITIVITY_WORDS[method] + _left_out(shown))
         )  # fmt: skip
     return plates
+
+
+def _left_out(shown: Shown) -> str:
+    """Say how many cases the effects of each figure do without."""
+    counts = {name: without(shown.table, name) for name in shown.effects}
+    parts = ", ".join(f"{count} without {name}" for name, count in counts.items() if count)
+    return f" Cases left out: {parts}." if parts else ""
 
 
 def _interactions(rows: list[Row], pairs: list[tuple[str, str]], metric: str) -> Plate:

@@ -5,8 +5,9 @@ from typing import Any
 
 from reconstruction.fit import SphereFit
 from twin.modalities.comparison import Outcome
-from twin.modalities.score import SphereScore
+from twin.modalities.score import SphereScore, why_absent
 from twin.report import direct
+from twin.report.fields import number
 from twin.report.paper import CONTACT_FPP, GELSIGHT, PaperRow, paper_row
 from twin.report.result_folder import Scored
 
@@ -58,9 +59,9 @@ def _compared(figures: dict[str, Any]) -> tuple[str, ...]:
     if not figures:
         return ("failed",)
     return (
-        *(f"{figures[name]:.1%}" for name in ("completeness", "good_share")),
-        *(f"{figures[name]:.2f}" for name in ("z_rmse_um", "z_p95_um")),
-        str(figures.get("wrong_order_pixels", "-")),
+        *(number(figures[name], ".1%", "-") for name in ("completeness", "good_share")),
+        *(number(figures[name], ".2f", "-") for name in ("z_rmse_um", "z_p95_um")),
+        number(figures.get("wrong_order_pixels"), "d", "-"),
     )
 
 
@@ -99,12 +100,15 @@ def _sentences(scored: Scored) -> list[str]:
     figures = scored.figures
     if scored.experiment.modality == "direct_fpp":
         return direct.sentences(scored)
-    warnings = figures["warnings"]
+    warnings, absent = figures["warnings"], why_absent(figures)
+    rms, p95, spread = (
+        number(figures[name], ".2f", "-") for name in ("z_rmse_um", "z_p95_um", "error_over_sigma")
+    )
+    told = f"{rms} um RMS, {p95} um P95; spread {spread} x predicted"
     lines = [
-        f"z error against the true face: {figures['z_rmse_um']:.2f} um RMS, "
-        f"{figures['z_p95_um']:.2f} um P95; spread {figures['error_over_sigma']:.2f} x predicted",
-        f"points on {figures['completeness']:.1%} of the lit pixels, "
-        f"{figures['wrong_order_pixels']} wrong fringe orders; "
+        f"z error against the true face: {f'none, {absent}' if absent else told}",
+        f"points on {number(figures['completeness'], '.1%', '-')} of the lit pixels, "
+        f"{number(figures['wrong_order_pixels'], 'd', '-')} wrong fringe orders; "
         f"force {figures['force_n']:.3g} N at {figures['depth_mm']:.3g} mm",
     ]
     if warnings:

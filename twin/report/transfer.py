@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from twin.mechanics import ContactTransfer
-from twin.report.canvas import FIT, MEASURED, axes_at, drawing, legend_above
+from twin.report.canvas import FIT, MEASURED, axes_at, drawing, legend_above, plain_log
 
 
 def draw_transfer(path: Path, transfer: ContactTransfer) -> None:
@@ -27,5 +27,6 @@ def draw_transfer(path: Path, transfer: ContactTransfer) -> None:
         axes.set_xlabel(f"pitch of the groove (mm), slab {transfer.thickness_mm:g} mm thick")
         axes.set_ylabel("share of the relief on the coat")
         axes.set_ylim(0.0, 1.05)
+        plain_log(axes.xaxis)
         axes.grid(visible=True)
         legend_above(axes, 2)

@@ -3,6 +3,8 @@
 from dataclasses import dataclass
 from typing import Any, Literal
 
+from twin.modalities.score import why_absent
+from twin.report.fields import number
 from twin.report.result_folder import Scored
 
 Grade = Literal["good", "check", "poor"]
@@ -34,7 +36,7 @@ def _sensor(scored: Scored) -> Verdict:
     if not scored.score.against_truth.points:
         return Verdict(
             question="Does the sensor see the coated face?",
-            headline="no point at all",
+            headline=why_absent(figures),
             grade="poor",
             reasons=(
                 f"{figures['saturated_share']:.1%} of all pixel values saturated",
@@ -45,6 +47,7 @@ def _sensor(scored: Scored) -> Verdict:
     spread, saturated = figures["error_over_sigma"], figures["saturated_share"]
     held = (
         share >= LEAST_COMPLETENESS
+        and spread is not None
         and spread <= MOST_SPREAD_OVER_SIGMA
         and saturated <= MOST_SATURATED_SHARE
     )
@@ -55,7 +58,8 @@ def _sensor(scored: Scored) -> Verdict:
         reasons=(
             f"{wrong} wrong fringe orders (0 wanted)",
             f"points on {share:.1%} of the lit pixels (at least {LEAST_COMPLETENESS:.0%})",
-            f"spread {spread:.2f} times the noise predicted (at most {MOST_SPREAD_OVER_SIGMA:g})",
+            f"spread {number(spread, '.2f')} times the noise predicted (at most "
+            f"{MOST_SPREAD_OVER_SIGMA:g})",
             f"{saturated:.2%} of all pixel values saturated (at most {MOST_SATURATED_SHARE:.1%})",
         ),
     )

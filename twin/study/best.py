@@ -1,7 +1,7 @@
 """The best designs of a study: the Pareto front of what is to become small or large."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, TypeGuard
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,9 +29,7 @@ def best_rows(rows: Sequence[Row], objectives: Sequence[Objective]) -> list[Row]
         No finished, feasible case has all objectives.
     """
     names = [objective.metric for objective in objectives]
-    usable = [
-        row for row in rows if row.get("feasible") and all(is_number(row.get(n)) for n in names)
-    ]
+    usable = usable_rows(rows, objectives)
     if not usable:
         known = sorted({n for row in rows for n, v in row.items() if isinstance(v, float)})
         raise InputError(
@@ -53,9 +51,15 @@ def ranked_rows(rows: Sequence[Row], objectives: Sequence[Objective]) -> list[Ro
     front = best_rows(rows, objectives)
     if len(objectives) > 1:
         return front
-    name = objectives[0].metric
-    usable = [row for row in rows if row.get("feasible") and is_number(row.get(name))]
-    return sorted(usable, key=lambda row: _cost(row, objectives[0]))
+    return sorted(usable_rows(rows, objectives), key=lambda row: _cost(row, objectives[0]))
+
+
+def usable_rows(rows: Sequence[Row], objectives: Sequence[Objective]) -> list[Row]:
+    """Return the feasible rows that have all objectives: who measured nothing cannot win."""
+    names = [objective.metric for objective in objectives]
+    return [
+        row for row in rows if row.get("feasible") and all(is_number(row.get(n)) for n in names)
+    ]
 
 
 def on_front(costs: NDArray[np.float64]) -> NDArray[np.bool_]:
@@ -67,7 +71,7 @@ def on_front(costs: NDArray[np.float64]) -> NDArray[np.bool_]:
     return kept
 
 
-def is_number(value: object) -> bool:
+def is_number(value: object) -> TypeGuard[float]:
     """Tell whether a cell is a figure: neither text nor yes or no nor empty."""
     return isinstance(value, (int, float)) and not isinstance(value, bool)
 

@@ -111,15 +111,33 @@ def field_of(experiment: Experiment, path: str) -> Any:
 
 
 def quantity(experiment: Experiment, figures: Mapping[str, Any], bound: Constraint) -> float | None:
-    """Value that a constraint bounds; None when it needs a metric that is not there."""
+    """Value that a constraint bounds; None without a metric that it needs, and for x / 0."""
+    parts = _parts(experiment, figures, bound)
+    if parts is None or 0.0 in parts[1:]:
+        return None
+    return parts[0] if len(parts) == 1 else parts[0] / parts[1]
+
+
+def meets(experiment: Experiment, figures: Mapping[str, Any], bound: Constraint) -> bool:
+    """Tell whether a case meets a bound; a quantity that does not exist meets none."""
+    number = quantity(experiment, figures, bound)
+    return number is not None and bound.holds_for(number)
+
+
+def _parts(
+    experiment: Experiment, figures: Mapping[str, Any], bound: Constraint
+) -> list[float] | None:
+    """Numbers whose value or ratio is bounded; None when one of them is not there."""
     names = [bound.value] if bound.per is None else [bound.value, bound.per]
     found = [figures.get(name, field_of(experiment, name)) for name in names]
     if not all(isinstance(value, (int, float)) for value in found):
         return None
-    return float(found[0]) if len(found) == 1 else float(found[0]) / float(found[1])
+    return [float(value) for value in found]
 
 
 def _admits(constraints: tuple[Constraint, ...], experiment: Experiment) -> bool:
     """Tell whether a case may run: bounds on its fields alone hold; others wait for its result."""
-    numbers = ((bound, quantity(experiment, {}, bound)) for bound in constraints)
-    return all(number is None or bound.holds_for(number) for bound, number in numbers)
+    return all(
+        _parts(experiment, {}, bound) is None or meets(experiment, {}, bound)
+        for bound in constraints
+    )

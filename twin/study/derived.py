@@ -79,11 +79,14 @@ DERIVED: dict[str, Callable[[Experiment, Figures], float]] = {
 
 
 def with_derived(experiment: Experiment, figures: Figures) -> dict[str, Any]:
-    """Return a case's figures and all derived ones that its result allows."""
-    found = dict(figures)
+    """Return a case's figures and all derived ones that its result allows.
+
+    What follows from a figure that does not exist (None) does not exist either, and is left out.
+    """
+    found, present = dict(figures), {n: value for n, value in figures.items() if value is not None}
     for name, derive in DERIVED.items():
         try:
-            found[name] = derive(experiment, figures)
+            found[name] = derive(experiment, present)
         except (KeyError, StopIteration, ZeroDivisionError):
             continue  # no such ball or groove, nothing was pressed, or nothing measured
     return found

@@ -39,12 +39,18 @@ class Outcome:
     unsaved : reason of every case that could not be written, by digest
     seconds : wall clock of the run
     busy_seconds : spent on cases, over all workers
+    finished : cases of the study that have a result, now or before
+    failures : digests of those that failed, now or before, by reason
+    damaged : cases whose files could not be read and that ran again, by digest, and why
     """
 
     states: Mapping[State, int]
     unsaved: dict[str, str]
     seconds: float
     busy_seconds: float
+    finished: int = 0
+    failures: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    damaged: Mapping[str, str] = field(default_factory=dict)
 
     @classmethod
     def together(cls, parts: Sequence["Outcome"]) -> "Outcome":

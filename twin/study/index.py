@@ -13,11 +13,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from reconstruction.errors import InputError
 from twin.output import RESULT_FILE, read_json
 from twin.study.store import FAILURE_FILE, TIMINGS_FILE, Store
 from twin.study.worker import Report
 
 INDEX_FILE = "index.sqlite"
+DAMAGED = "damaged"
 _WAIT_S = 60.0
 _TABLE = (
     "CREATE TABLE IF NOT EXISTS cases (digest TEXT PRIMARY KEY, state TEXT NOT NULL, "
@@ -27,7 +29,7 @@ _TABLE = (
 
 @dataclass(frozen=True)
 class Entry:
-    """One case as the index knows it."""
+    """One case as the index knows it; a damaged one is never entered, and read each time."""
 
     digest: str
     state: str
@@ -78,7 +80,7 @@ class Index:
             return self._read()
         except sqlite3.OperationalError:  # in use, or on a disk that is full or read only
             return {}
-        except sqlite3.DatabaseError:
+        except (sqlite3.DatabaseError, ValueError):
             with suppress(OSError):
                 self._path.unlink()
             return {}
@@ -92,7 +94,7 @@ class Index:
 
     def _try_to_write(self, entries: Sequence[Entry], stale: Iterable[str] = ()) -> None:
         with suppress(sqlite3.Error):
-            self._write(entries, stale)
+            self._write([entry for entry in entries if entry.state != DAMAGED], stale)
 
     def _write(self, entries: Iterable[Entry], stale: Iterable[str] = ()) -> None:
         rows = [(e.digest, e.state, e.reason, e.seconds, json.dumps(e.figures)) for e in entries]
@@ -105,17 +107,31 @@ class Index:
 
 
 def entry_of(store: Store, digest: str) -> Entry | None:
-    """Read a case from its folder; None when it is not there."""
+    """Read a case from its folder; None when it is not there.
+
+    A case whose files cannot be read is `DAMAGED`, with the file as its reason: it costs itself.
+    """
     folder = store.path_of(digest)
+    if not folder.exists():
+        return None
+    try:
+        return _whole(folder, digest)
+    except InputError as error:
+        return Entry(digest, DAMAGED, f"{error}; run twin sweep again", 0.0, {})
+
+
+def _whole(folder: Path, digest: str) -> Entry:
+    seconds = _part(folder / TIMINGS_FILE, "case", float, {"case": 0.0})
     if (folder / RESULT_FILE).is_file():
-        figures = read_json(folder / RESULT_FILE)["metrics"]
-        return Entry(digest, "done", "", _seconds(folder), figures)
+        return Entry(digest, "done", "", seconds, _part(folder / RESULT_FILE, "metrics", dict))
     if (folder / FAILURE_FILE).is_file():
-        failure = read_json(folder / FAILURE_FILE)
-        return Entry(digest, "failed", str(failure["failure"]), _seconds(folder), {})
-    return None
+        return Entry(digest, "failed", _part(folder / FAILURE_FILE, "failure", str), seconds, {})
+    raise InputError(f"{folder}: holds neither {RESULT_FILE} nor {FAILURE_FILE}")
 
 
-def _seconds(folder: Path) -> float:
-    timings = folder / TIMINGS_FILE
-    return float(read_json(timings)["case"]) if timings.is_file() else 0.0
+def _part(path: Path, key: str, kind: type, absent: dict[str, Any] | None = None) -> Any:
+    """One value of a JSON file; `absent` is what a missing file would hold."""
+    content = read_json(path) if absent is None or path.is_file() else absent
+    if not isinstance(content.get(key), kind):
+        raise InputError(f"{path}: has no '{key}'")
+    return content[key]

@@ -6,7 +6,7 @@ what it has measured already in the store and goes on from there, on any number 
 """
 
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,9 +16,10 @@ import numpy as np
 from reconstruction.errors import InputError
 from twin.config import ConfigError
 from twin.config.axes import Axis
-from twin.config.study import Optimise, Study
+from twin.config.study import Constraint, Objective, Optimise, Study
+from twin.study.best import is_number
 from twin.study.cases import Case, Cases, cases_of, quantity
-from twin.study.derived import with_derived
+from twin.study.derived import DERIVED, with_derived
 from twin.study.design import Point
 from twin.study.engine import Outcome
 from twin.study.record import StudyRecord
@@ -63,6 +64,7 @@ def optimise(record: StudyRecord, folder: Path, run: RunCases) -> list[Outcome]:
         points += [one.point for one in asked]
         batch = Cases(tuple(case for one in asked for case in one.cases), 0)
         outcomes.append(run(replace(record, points=tuple(points)), batch))
+        _refuse_unknown(plan, asked, Store(folder))
         for one in asked:
             _tell(search, one.trial, _figures(record.study, plan, one.cases, Store(folder)))
     return outcomes
@@ -101,39 +103,54 @@ def point_of(study: Study, params: dict[str, Any]) -> Point:
     )
 
 
+def _refuse_unknown(plan: Optimise, asked: Sequence[_Asked], store: Store) -> None:
+    """Refuse an objective that no measured case of a batch has, not even as one that is absent."""
+    found = [_found(case, store) for one in asked for case in one.cases]
+    known = {
+        name: value for figures in found if figures is not None for name, value in figures.items()
+    }
+    unknown = [one.metric for one in plan.objectives if one.metric not in {*known, *DERIVED}]
+    if unknown and known:
+        raise InputError(
+            f"optimise.objectives: found {', '.join(unknown)}, allowed "
+            + ", ".join(sorted(name for name, value in known.items() if is_number(value)))
+        )
+
+
+def _found(case: Case, store: Store) -> dict[str, Any] | None:
+    """Figures of a case and what follows from them; None when it failed."""
+    found = (store.read(case.digest) or {}).get("metrics")
+    return None if found is None else with_derived(case.experiment, found)
+
+
 def _figures(
     study: Study, plan: Optimise, cases: Sequence[Case], store: Store
 ) -> tuple[list[float], list[float]] | None:
-    """Objectives and excesses over constraints, each the mean over repeats; None if there is none.
+    """Objectives and excesses over constraints, each the mean over repeats.
 
-    Objectives that are to grow are counted negative.
+    None where a case failed, or lacks an objective (no point was measured): no number would be
+    true. Objectives that are to grow are counted negative.
     """
     values, excesses = [], []
     for case in cases:
-        found = (store.read(case.digest) or {}).get("metrics")
-        if found is None:
+        figures = _found(case, store) or {}
+        objectives = [figures.get(one.metric) for one in plan.objectives]
+        if not all(map(is_number, objectives)):
             return None
-        figures = with_derived(case.experiment, found)
-        unknown = [one.metric for one in plan.objectives if one.metric not in figures]
-        if unknown:
-            raise InputError(
-                f"optimise.objectives: found {', '.join(unknown)}, allowed "
-                + ", ".join(sorted(n for n, v in figures.items() if isinstance(v, (int, float))))
-            )
         values.append(
-            [
-                float(figures[one.metric]) * (1.0 if one.goal == "minimise" else -1.0)
-                for one in plan.objectives
-            ]
+            [_cost(value, one) for value, one in zip(objectives, plan.objectives, strict=True)]
         )
-        numbers = [quantity(case.experiment, figures, bound) for bound in study.constraint]
-        excesses.append(
-            [
-                np.inf if number is None else bound.excess(number)
-                for bound, number in zip(study.constraint, numbers, strict=True)
-            ]
-        )
+        excesses.append([_excess(case, figures, bound) for bound in study.constraint])
     return np.mean(values, axis=0).tolist(), np.mean(excesses, axis=0).tolist()
+
+
+def _cost(value: Any, objective: Objective) -> float:
+    return float(value) * (1.0 if objective.goal == "minimise" else -1.0)
+
+
+def _excess(case: Case, figures: Mapping[str, Any], bound: Constraint) -> float:
+    number = quantity(case.experiment, figures, bound)
+    return np.inf if number is None else bound.excess(number)
 
 
 def _tell(

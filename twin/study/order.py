@@ -38,6 +38,8 @@ def batches_of(keyed: Sequence[tuple[Key, Case]], workers: int) -> list[list[Cas
 
     The last ones have half the size, so that workers end at about the same time.
     """
+    if not keyed:
+        return []
     most = max(1, -(-len(keyed) // (workers * BATCHES_PER_WORKER)))
     parts, ending = _cut(list(keyed), 0, most), 2 * workers
     halves = [half for part in parts[-ending:] for half in _cut(part, 0, -(-len(part) // 2))]

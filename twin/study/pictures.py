@@ -16,6 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from reconstruction.disk import unwritable
 from reconstruction.errors import InputError
 from twin.config import Experiment
 from twin.modalities import measure, measure_photometric
@@ -93,7 +94,7 @@ def _picture(store: Store, case: Case, stages: ContactStages) -> CasePicture:
     kept = read_picture(path)
     if kept is not None:
         return kept
-    store.open()  # other versions would measure something else than the table tells
+    store.check_versions()  # other versions would measure something else than the table tells
     picture = take_picture(case.experiment, stages)
     write_picture(path, picture)
     return picture
@@ -190,7 +191,7 @@ def write_picture(path: Path, picture: CasePicture) -> None:
     except OSError as error:
         with suppress(OSError):
             part.unlink()
-        raise InputError(f"{path}: cannot be written ({error.strerror})") from None
+        raise unwritable(path, error) from None
 
 
 def read_picture(path: Path) -> CasePicture | None:

@@ -1,6 +1,5 @@
 """The study that a store was last run with, so that the folder explains itself."""
 
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +11,7 @@ from reconstruction.errors import InputError
 from twin.config import Experiment
 from twin.config.axes import Axis, Level
 from twin.config.study import Study
-from twin.output import read_json, write_json
+from twin.output import adding, read_json, write_json
 from twin.study.cases import Cases, cases_of
 from twin.study.design import Point
 
@@ -33,7 +32,13 @@ class StudyRecord:
 
 
 def write_record(folder: Path, record: StudyRecord) -> None:
-    """Write the record, whole at once."""
+    """Write the record into a store, whole at once.
+
+    Raises
+    ------
+    InputError
+        The store cannot be written, or holds another study.json.
+    """
     labels = None
     if record.points is not None:
         labels = [[level.label for level in point] for point in record.points]
@@ -43,9 +48,8 @@ def write_record(folder: Path, record: StudyRecord) -> None:
         "base": record.base.model_dump(mode="json"),
         "points": labels,
     }
-    part = folder / f".{STUDY_FILE}.{os.getpid()}"
-    write_json(part, content)
-    part.replace(folder / STUDY_FILE)
+    with adding(folder, STUDY_FILE) as made:
+        write_json(made / STUDY_FILE, content)
 
 
 def read_record(folder: Path) -> StudyRecord:

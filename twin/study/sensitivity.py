@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.config.study import Study
+from twin.study.best import is_number
 from twin.study.design import shares_of
 from twin.study.table import Table
 
@@ -45,8 +46,8 @@ class Effect:
 def effects_of(table: Table, metric: str) -> list[Effect]:
     """Return the effect of every axis on a figure; empty where the points cannot tell.
 
-    Points without the figure (failed, missing) are left out of grids; the other designs lose the
-    whole walk or row that they belong to.
+    Points without the figure (failed, missing, or nothing measured: see `without`) are left out of
+    grids; the other designs lose the whole walk or row that they belong to.
     """
     study = table.record.study
     axes = [axis.title for axis in study.axis]
@@ -63,6 +64,11 @@ def effects_of(table: Table, metric: str) -> list[Effect]:
     return morris_effects(values.reshape(-1, len(axes) + 1), walks, axes)
 
 
+def without(table: Table, metric: str) -> int:
+    """Count the cases that lack a figure and are left out of its effects."""
+    return sum(not is_number(row.get(metric)) for row in table.rows)
+
+
 def _by_point(table: Table, study: Study, metric: str) -> Values | None:
     """Figure of every point in order, NaN where it is missing; None if points were excluded."""
     repeats = study.repeats * max(1, len(study.modalities))
@@ -73,11 +79,11 @@ def _by_point(table: Table, study: Study, metric: str) -> Values | None:
 
 
 def _number(value: object) -> float:
-    return float(value) if isinstance(value, (int, float)) else np.nan
+    return float(value) if is_number(value) else np.nan
 
 
 def _grid_effects(table: Table, axes: Sequence[str], metric: str) -> list[Effect]:
-    rows = [row for row in table.done() if isinstance(row.get(metric), (int, float))]
+    rows = [row for row in table.done() if is_number(row.get(metric))]
     values = np.array([float(row[metric]) for row in rows])
     if len(values) < 2 or np.ptp(values) == 0.0:
         return []

@@ -12,19 +12,34 @@ nothing that looks like a result.
 """
 
 import os
+import re
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from reconstruction.disk import unwritable
 from reconstruction.errors import InputError
 from twin.config import Experiment, to_toml
-from twin.output import EXPERIMENT_FILE, RESULT_FILE, read_json, versions, write_json
+from twin.manifest import MANIFEST_FILE, foreign, manifest_lines, read_manifest, write_manifest
+from twin.output import (
+    EXPERIMENT_FILE,
+    RESULT,
+    RESULT_FILE,
+    adding,
+    claim,
+    read_json,
+    versions,
+    write_json,
+)
 from twin.study.locks import claimed
 
 STORE_FILE, FAILURE_FILE, TIMINGS_FILE = "store.json", "failure.json", "timings.json"
+COMMAND = "sweep"
 _CASES, _PARTS, _LOCKS = "cases", ".parts", ".locks"
+_NAMES = ("study.json",)
+_PART = re.compile(r"[0-9a-f]+\.[0-9]+(\.old)?")
 
 
 class Store:
@@ -34,23 +49,21 @@ class Store:
         self.folder = folder.absolute()
         self.cases = self.folder / _CASES
 
-    def open(self) -> None:
+    def open(self, inputs: Iterable[Path] = ()) -> None:
         """Make the folder if needed, and check that it is a store of these versions.
 
         Raises
         ------
         InputError
-            The folder is something else, cannot be written, or was made by other versions.
+            The folder is something else, cannot be written, or was made by other versions; or an
+            input lies in it, see `claim`.
         """
-        if not self.exists():
-            self._refuse_foreign()
+        claim(self.folder, COMMAND, _NAMES, inputs)
         try:
             self._make()
         except OSError as error:
-            raise InputError(
-                f"{self.folder}: cannot be written ({error.strerror}); choose another -o DIR"
-            ) from None
-        self._check_versions(read_json(self.folder / STORE_FILE).get("versions", {}))
+            raise unwritable(self.folder, error) from None
+        self.check_versions()
 
     def exists(self) -> bool:
         """Tell whether the folder is a store."""
@@ -75,7 +88,17 @@ class Store:
         return None
 
     def forget(self, digest: str) -> None:
-        """Remove a case, whole at once, so that it is computed again."""
+        """Remove a case, whole at once, so that it is computed again.
+
+        Raises
+        ------
+        InputError
+            Its folder holds what `twin` did not write.
+        """
+        case = self.path_of(digest)
+        found = foreign(case, read_manifest(case)) if case.is_dir() else None
+        if found is not None:
+            raise InputError(f"{case}: found {found}, not written by twin; move it away")
         away = self.folder / _PARTS / f"{digest}.{os.getpid()}.old"
         shutil.rmtree(away, ignore_errors=True)
         try:
@@ -92,6 +115,7 @@ class Store:
         part.mkdir()
         try:
             yield part
+            write_manifest(part / MANIFEST_FILE, RESULT, manifest_lines(part))
             _synchronise(part)
             self._publish(part, digest)
         finally:
@@ -113,6 +137,8 @@ class Store:
         """Remove what dead processes left half-written; return the digests of their cases."""
         left = []
         for part in sorted((self.folder / _PARTS).iterdir()):
+            if not _PART.fullmatch(part.name):
+                continue
             digest = part.name.split(".")[0]
             with self.claimed(digest) as mine:
                 if mine:
@@ -129,28 +155,24 @@ class Store:
         _synchronise_folder(self.cases)
 
     def _make(self) -> None:
-        """Make what is missing; the mark comes first, so that a run killed here can go on."""
-        self.folder.mkdir(parents=True, exist_ok=True)
         if not self.exists():
-            part = self.folder / f".{STORE_FILE}.{os.getpid()}"
-            write_json(part, {"schema_version": 1, "command": "sweep", "versions": versions()})
-            part.replace(self.folder / STORE_FILE)
+            with adding(self.folder, STORE_FILE) as made:
+                content = {"schema_version": 1, "command": COMMAND, "versions": versions()}
+                write_json(made / STORE_FILE, content)
         for folder in (self.cases, self.folder / _PARTS):
             folder.mkdir(exist_ok=True)
         if not (self.folder / _LOCKS).exists():  # closing it once more would drop all its locks
             (self.folder / _LOCKS).touch()
 
-    def _refuse_foreign(self) -> None:
-        if self.folder.exists() and not self.folder.is_dir():
-            raise InputError(f"{self.folder}: is a file; choose another -o DIR")
-        if self.folder.is_dir() and not all(map(_is_own, self.folder.iterdir())):
-            raise InputError(
-                f"{self.folder}: exists and is no store of a sweep (no {STORE_FILE}); "
-                "choose another -o DIR"
-            )
+    def check_versions(self) -> None:
+        """Check that the cases of the store are of these versions.
 
-    def _check_versions(self, known: dict[str, str]) -> None:
-        now = versions()
+        Raises
+        ------
+        InputError
+            They are of others.
+        """
+        known, now = read_json(self.folder / STORE_FILE).get("versions", {}), versions()
         changed = [name for name in now if name != "python" and known.get(name) != now[name]]
         if changed:
             told = ", ".join(f"{name} {known.get(name)} (now {now[name]})" for name in changed)
@@ -167,11 +189,6 @@ def write_failure(
     (folder / EXPERIMENT_FILE).write_text(to_toml(experiment), encoding="utf-8")
     content = {"schema_version": 1, "kind": kind, "failure": reason, "trace": trace}
     write_json(folder / FAILURE_FILE, content)
-
-
-def _is_own(path: Path) -> bool:
-    """Tell whether something is left from a run that was killed before its store was one."""
-    return path.name.startswith(f".{STORE_FILE}.")
 
 
 def _synchronise(folder: Path) -> None:

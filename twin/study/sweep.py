@@ -2,9 +2,11 @@
 
 import math
 import shutil
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from reconstruction.errors import InputError
 from twin.config import Experiment
@@ -14,7 +16,7 @@ from twin.optics.light import pattern_set
 from twin.output import read_json
 from twin.study.cases import Case, Cases
 from twin.study.engine import Outcome, Run
-from twin.study.index import Index
+from twin.study.index import DAMAGED, Index, entry_of
 from twin.study.measuring import CaseMeasurer
 from twin.study.optimise import optimise
 from twin.study.record import StudyRecord, write_record
@@ -105,6 +107,20 @@ def forget_failures(store: Store, cases: Sequence[Case], every: bool = False) ->
     return forgotten
 
 
+def forget_damaged(store: Store, cases: Sequence[Case]) -> dict[str, str]:
+    """Remove cases whose files cannot be read, so that they run again; returns why, by digest."""
+    forgotten = {}
+    for case in cases:
+        entry = entry_of(store, case.digest)
+        if entry is None or entry.state != DAMAGED:
+            continue
+        with store.claimed(case.digest) as mine:
+            if mine:  # or another run is at it
+                store.forget(case.digest)
+                forgotten[case.digest] = entry.reason
+    return forgotten
+
+
 def _kind_of(failure: Path) -> str:
     try:
         return str(read_json(failure).get("kind"))
@@ -121,6 +137,7 @@ def sweep(
     retry: bool = False,
     watch: Watcher = nobody,
     make_measurer: Callable[[tuple[str, ...]], Measurer] = CaseMeasurer,
+    inputs: Sequence[Path] = (),
 ) -> Outcome:
     """Compute all cases of a study that its store lacks.
 
@@ -137,6 +154,8 @@ def sweep(
     watch : callable
     make_measurer : callable
         What measures a case; importable by the workers.
+    inputs : sequence of Path
+        Files that the folder must not hold.
 
     Raises
     ------
@@ -146,28 +165,45 @@ def sweep(
         No usable Dr.Jit backend.
     """
     store = Store(folder)
-    store.open()
-    index = Index(store)
+    store.open(inputs)
+    index, asked, damaged = Index(store), list[str](), dict[str, str]()
 
-    with lasting(workers) as kept:
+    with _tidied(store), lasting(workers) as kept:
         compute = Run(store, kept, record.study.keep, make_measurer, watch, index.enter)
 
         def run(of: StudyRecord, batch: Cases) -> Outcome:
-            _keep_record(folder, of)
+            write_record(folder, of)
             wanted = batch.unique()
+            asked.extend(case.digest for case in wanted)
+            damaged.update(forget_damaged(store, wanted))
             forget_failures(store, wanted, every=retry)
             return compute(wanted)
 
         if record.study.sampling.method == "optimise":
-            return Outcome.together(optimise(record, folder, run))
-        return run(record, cases or record.cases())
+            outcome = Outcome.together(optimise(record, folder, run))
+        else:
+            outcome = run(record, cases or record.cases())
+    return replace(outcome, damaged=damaged, **_standing(index, asked))
 
 
-def _keep_record(folder: Path, record: StudyRecord) -> None:
+def _standing(index: Index, asked: Sequence[str]) -> dict[str, Any]:
+    """How many of the cases asked for are done, now or before, and why the others failed."""
+    entries = index.entries()
+    found = [entries[digest] for digest in dict.fromkeys(asked) if digest in entries]
+    failures: dict[str, list[str]] = {}
+    for entry in found:
+        if entry.state == "failed":
+            failures.setdefault(entry.reason, []).append(entry.digest)
+    return {"finished": sum(entry.state == "done" for entry in found), "failures": failures}
+
+
+@contextmanager
+def _tidied(store: Store) -> Iterator[None]:
+    """Remove at the end what workers left that were ended at once."""
     try:
-        write_record(folder, record)
-    except OSError as error:
-        raise InputError(f"{folder}: cannot be written ({error.strerror})") from None
+        yield
+    finally:
+        store.abandoned()
 
 
 def told(found: Estimate) -> str:

@@ -9,7 +9,9 @@ from typing import Any
 
 from reconstruction.errors import InputError
 from twin.config.study import Constraint
-from twin.study.cases import Case, quantity
+from twin.modalities.score import why_absent
+from twin.output import creating
+from twin.study.cases import Case, meets
 from twin.study.derived import DERIVED, with_derived
 from twin.study.index import Entry, Index
 from twin.study.record import StudyRecord, read_record
@@ -26,7 +28,8 @@ class Table:
     ----------
     axes : headings of what is varied
     metrics : headings of what was found
-    rows : one mapping by heading per case; a figure that a case lacks is None
+    rows : one mapping by heading per case; a figure that a case lacks is None, and `reason` says
+        why
     cases : in the order of the rows
     """
 
@@ -87,7 +90,7 @@ def _row(case: Case, entry: Entry | None, bounds: tuple[Constraint, ...]) -> dic
     head = {
         "case": case.digest,
         "state": state,
-        "reason": entry.reason if entry else "",
+        "reason": _reason(entry) if entry else "",
         "feasible": is_feasible(case, figures, bounds) if state == "done" else None,
     }
     return figures | dict(case.settings) | head
@@ -95,8 +98,14 @@ def _row(case: Case, entry: Entry | None, bounds: tuple[Constraint, ...]) -> dic
 
 def is_feasible(case: Case, figures: Mapping[str, Any], bounds: tuple[Constraint, ...]) -> bool:
     """Tell whether a finished case meets all constraints; a missing figure meets none."""
-    numbers = ((bound, quantity(case.experiment, figures, bound)) for bound in bounds)
-    return all(number is not None and bound.holds_for(number) for bound, number in numbers)
+    return all(meets(case.experiment, figures, bound) for bound in bounds)
+
+
+def _reason(entry: Entry) -> str:
+    """Why a case has no figures, or not all of them."""
+    unfitted = entry.figures.get("unfitted_balls") or ()
+    told = entry.reason or why_absent(entry.figures)
+    return told or "; ".join(map(str, unfitted))
 
 
 def _cell(value: Any) -> Any:
@@ -119,12 +128,10 @@ def write_csv(table: Table, path: Path) -> None:
     Raises
     ------
     InputError
-        The file cannot be written.
+        The file exists or cannot be written.
     """
-    try:
-        path.write_text(csv_text(table), encoding="utf-8", newline="")
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror})") from None
+    with creating(path) as part:
+        part.write_text(csv_text(table), encoding="utf-8", newline="")
 
 
 def _text(value: Any) -> str:
@@ -139,7 +146,7 @@ def write_parquet(table: Table, path: Path) -> None:
     Raises
     ------
     InputError
-        pyarrow is not installed, or the file cannot be written.
+        pyarrow is not installed, or the file exists or cannot be written.
     """
     try:
         import pyarrow
@@ -147,10 +154,8 @@ def write_parquet(table: Table, path: Path) -> None:
     except ModuleNotFoundError:
         raise InputError("--parquet: needs pyarrow; pip install 'fringe-twin[sweep]'") from None
     columns = {name: _column([row.get(name) for row in table.rows]) for name in table.columns}
-    try:
-        pyarrow.parquet.write_table(pyarrow.table(columns), path)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror})") from None
+    with creating(path) as part:
+        pyarrow.parquet.write_table(pyarrow.table(columns), part)
 
 
 def _column(values: list[Any]) -> list[Any]:

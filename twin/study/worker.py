@@ -1,6 +1,5 @@
 """A worker's side of a sweep: compute a batch of cases, each into its folder of the store."""
 
-import errno
 import os
 import threading
 import time
@@ -8,10 +7,12 @@ import traceback
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from math import isfinite
 from pathlib import Path
 from typing import Literal, Protocol
 
 from reconstruction.cores import threads
+from reconstruction.disk import is_disk_full
 from reconstruction.errors import InputError
 from twin.config import Experiment
 from twin.modalities.storage import write_result, write_timings
@@ -20,7 +21,6 @@ from twin.study.store import Store, write_failure
 
 State = Literal["done", "failed", "elsewhere", "known", "unsaved"]
 UNEXPECTED, DIED = "unexpected", "died"
-_DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 _WATCH_EVERY_S = 0.5
 
 # Renderer and caches of one process serve one case at a time, whatever the executor's threads do.
@@ -157,18 +157,17 @@ class _Failure:
 def _answer(measurer: Measurer, experiment: Experiment) -> Answer | _Failure:
     """Measure; what a case does wrong must not end the others."""
     try:
-        return measurer(experiment)
+        answer = measurer(experiment)
+        wrong = [n for n, v in answer.figures.items() if isinstance(v, float) and not isfinite(v)]
+        told = f"{', '.join(wrong)}: not finite"
+        return _Failure(UNEXPECTED, told) if wrong else answer
     except InputError as error:
         return _Failure(type(error).__name__, " ".join(str(error).split()))
     except Exception as error:
-        if type(error).__name__ == "MissingBackend" or _is_disk_full(error):
+        if type(error).__name__ == "MissingBackend" or is_disk_full(error):
             raise
         told = " ".join(f"{type(error).__name__}: {error}".split())
         return _Failure(UNEXPECTED, told, traceback.format_exc())
-
-
-def _is_disk_full(error: Exception) -> bool:
-    return isinstance(error, OSError) and error.errno in _DISK_FULL
 
 
 def _unsaved(error: OSError) -> str:

@@ -6,6 +6,7 @@ their reports are plain data, and results go to the store, not through the execu
 
 import multiprocessing
 import os
+import sys
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from contextlib import contextmanager
@@ -170,6 +171,10 @@ def of_executor(executor: Executor, count: int) -> Workers:
 
 
 def _end(executor: Executor) -> None:
+    # Interrupted: nobody waits until the workers have finished what they are at.
+    if isinstance(sys.exc_info()[1], KeyboardInterrupt):
+        for child in multiprocessing.active_children():
+            child.terminate()
     executor.shutdown(wait=True, cancel_futures=True)
 
 

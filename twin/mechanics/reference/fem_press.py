@@ -62,10 +62,7 @@ def press_fem(
     SolverError
         Meshing failed, or the contact did not converge.
     """
-    if elastomer.film is not None:
-        raise PressError(
-            "elastomer.film: mechanics.model = 'fem' knows no film; remove one of them"
-        )
+    check_fem(elastomer, support)
     shape, modulus_kpa = shape_of(specimen), young_modulus(elastomer).best_kpa
     body = pad or _slab(elastomer, support, ledge_mm)
     force = None if load.force_n is None else load.force_n / (modulus_kpa * 1e-3)
@@ -84,15 +81,33 @@ def press_fem(
     return on_grids(_scattered(found), shape, elastomer, load, modulus_kpa)
 
 
-def _slab(elastomer: Elastomer, support: SlabSupport | None, ledge_mm: float) -> Pad:
+def check_fem(elastomer: Elastomer, support: SlabSupport | None) -> None:
+    """Refuse what this model does not know.
+
+    Raises
+    ------
+    PressError
+        A film, or a support that does not fit the layout.
+    """
+    if elastomer.film is not None:
+        raise PressError(
+            "elastomer.film: mechanics.model = 'fem' knows no film; remove one of them"
+        )
     on_window = elastomer.layout == "contact_face"
-    chosen: SlabSupport = support or ("bonded" if on_window else "simple")
+    chosen = _support(elastomer, support)
     if (chosen in ("bonded", "window")) != on_window:
         raise PressError(
             f"support '{chosen}' does not fit elastomer.layout = '{elastomer.layout}'; allowed: "
             + ("bonded, window" if on_window else "simple, clamped, ledge")
         )
-    span = elastomer.length_x_mm, elastomer.length_y_mm
+
+
+def _support(elastomer: Elastomer, support: SlabSupport | None) -> SlabSupport:
+    return support or ("bonded" if elastomer.layout == "contact_face" else "simple")
+
+
+def _slab(elastomer: Elastomer, support: SlabSupport | None, ledge_mm: float) -> Pad:
+    span, chosen = (elastomer.length_x_mm, elastomer.length_y_mm), _support(elastomer, support)
     return slab_pad(span, elastomer.thickness_mm, elastomer.poisson_ratio, chosen, ledge_mm)
 
 

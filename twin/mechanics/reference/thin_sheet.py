@@ -13,6 +13,7 @@ from scipy.interpolate import CloughTocher2DInterpolator, NearestNDInterpolator
 
 from twin.config.models import Elastomer, Press, Specimen
 from twin.mechanics.errors import PressError
+from twin.mechanics.hardness import young_modulus
 from twin.mechanics.layouts import preload_of
 from twin.mechanics.press import PressedElastomer, press
 from twin.mechanics.reference.grid import Grid, IntArray, graded
@@ -87,11 +88,7 @@ def press_neo_hookean(
     fineness, shape = bricks or Bricks(), shape_of(specimen)
     guess = press(specimen, elastomer, load)
     modulus_kpa = guess.young_modulus_kpa
-    if elastomer.film is not None or preload_of(elastomer, load, modulus_kpa):
-        raise PressError(
-            "mechanics.model = 'neo_hookean' knows neither film, back pressure nor weight; "
-            "remove elastomer.film, press.back_pressure_kpa and press.gravity_deg"
-        )
+    check_neo_hookean(elastomer, load)
     field = sample(shape, elastomer.length_x_mm, elastomer.length_y_mm)
     grid, element_mm = _grid(guess, elastomer, field, fineness)
     body = Body(grid, small_strain if linear else neo_hookean, moduli(elastomer.poisson_ratio))
@@ -117,6 +114,22 @@ def press_neo_hookean(
         )
     scattered = _scattered(body, found, elastomer, linear)
     return on_grids(scattered, shape, elastomer, load, modulus_kpa)
+
+
+def check_neo_hookean(elastomer: Elastomer, load: Press) -> None:
+    """Refuse what this model does not know.
+
+    Raises
+    ------
+    PressError
+        A film or a preload.
+    """
+    modulus_kpa = young_modulus(elastomer).best_kpa
+    if elastomer.film is not None or preload_of(elastomer, load, modulus_kpa):
+        raise PressError(
+            "mechanics.model = 'neo_hookean' knows neither film, back pressure nor weight; "
+            "remove elastomer.film, press.back_pressure_kpa and press.gravity_deg"
+        )
 
 
 def _march(problem: Problem, start: Equilibrium, depth_mm: float, steps: int) -> list[Equilibrium]:

@@ -338,8 +338,8 @@ def _potentials(at: At, laws: Laws, touch: Touch, grip: Grip, convex: bool, poin
 
 
 @_inlined
-def _tangent(laws: Laws, convex: bool, point: Point) -> None:
-    """Fill the second derivatives of the energy by v, (18, 18), upper half of the blocks."""
+def _moduli_terms(point: Point) -> None:
+    """Fill the tangent with what the strains' first derivatives make of the moduli."""
     B, K, HB = point.strain, point.tangent, point.work
     HB[:] = 0.0
     K[:] = 0.0
@@ -354,6 +354,13 @@ def _tangent(laws: Laws, convex: bool, point: Point) -> None:
             if x != 0.0:
                 for k in range(3, 18):
                     K[i, k] += x * HB[m, k]
+
+
+@_inlined
+def _tangent(laws: Laws, convex: bool, point: Point) -> None:
+    """Fill the second derivatives of the energy by v, (18, 18), upper half of the blocks."""
+    B, K = point.strain, point.tangent
+    _moduli_terms(point)
     for k in range(3):
         for m in range(3):
             K[k, m] += point.at_r[k, m]

@@ -128,9 +128,8 @@ def sheet_case(
     PressError
         What a thin sheet cannot be.
     """
-    _check(elastomer, mechanics)
     shape = shape_of(specimen)
-    check_outline(shape, elastomer)
+    check_sheet(shape, elastomer, load, mechanics)
     frame = Frame(
         elastomer.length_x_mm,
         elastomer.length_y_mm,
@@ -146,6 +145,37 @@ def sheet_case(
         sticks=elastomer.sticks,
         cell_mm=finest_cell_mm(elastomer, load),
     )
+
+
+def check_sheet(shape: Shape, elastomer: Elastomer, load: Press, mechanics: Mechanics) -> None:
+    """Refuse what a thin sheet cannot be, before it is solved.
+
+    Raises
+    ------
+    PressError
+        Thickness, layout, film, support or weight do not fit, or the specimen reaches over the
+        frame.
+    """
+    low, high = SHEET_THICKNESS_MM
+    if not low <= elastomer.thickness_mm <= high:
+        raise PressError(
+            f"elastomer.thickness_mm: found {elastomer.thickness_mm:g}, the sheet model allows "
+            f"{low:g} to {high:g}; choose mechanics.model = 'auto' for a slab"
+        )
+    if elastomer.layout != "opposite_face":
+        raise PressError(
+            "elastomer.layout: the sheet model needs 'opposite_face'; a gel bonded to a window is "
+            "pressed by mechanics.model = 'spectral'"
+        )
+    if elastomer.film is not None:
+        raise PressError("elastomer.film: the sheet model has no film of its own; remove it")
+    if mechanics.support not in (None, "simple", "clamped"):
+        raise PressError(
+            f"mechanics.support: found '{mechanics.support}', the sheet model allows 'simple' or "
+            "'clamped'"
+        )
+    check_outline(shape, elastomer)
+    weight_kpa(elastomer, load)
 
 
 def finest_cell_mm(elastomer: Elastomer, load: Press) -> float:
@@ -321,27 +351,6 @@ def _centres(length_mm: float, load: Press) -> FloatArray:
     count = int(np.ceil(length_mm / load.solver_pitch_mm - 1e-9))
     centres = (np.arange(count) + 0.5) * (length_mm / count) - length_mm / 2
     return np.asarray(centres, dtype=np.float64)
-
-
-def _check(elastomer: Elastomer, mechanics: Mechanics) -> None:
-    low, high = SHEET_THICKNESS_MM
-    if not low <= elastomer.thickness_mm <= high:
-        raise PressError(
-            f"elastomer.thickness_mm: found {elastomer.thickness_mm:g}, the sheet model allows "
-            f"{low:g} to {high:g}; choose mechanics.model = 'auto' for a slab"
-        )
-    if elastomer.layout != "opposite_face":
-        raise PressError(
-            "elastomer.layout: the sheet model needs 'opposite_face'; a gel bonded to a window is "
-            "pressed by mechanics.model = 'spectral'"
-        )
-    if elastomer.film is not None:
-        raise PressError("elastomer.film: the sheet model has no film of its own; remove it")
-    if mechanics.support not in (None, "simple", "clamped"):
-        raise PressError(
-            f"mechanics.support: found '{mechanics.support}', the sheet model allows 'simple' or "
-            "'clamped'"
-        )
 
 
 def _laws(elastomer: Elastomer, load: Press) -> Laws:

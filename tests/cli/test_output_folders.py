@@ -1,0 +1,353 @@
+"""Folders that commands write into: nothing of others is removed, nothing is left by half."""
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from reconstruction.errors import InputError
+from twin.cli import run
+from twin.output import output_folder, write_json
+
+CAPTURE = Path(__file__).parents[2] / "docs" / "example_capture"
+TWIN = "import sys; from twin.cli import main; main()"
+# A reconstruction that has made its working folder and then waits to be ended.
+WAITING = """
+import time
+from twin.cli import main
+import twin.modalities.captures as captures
+captures.read_capture = lambda _: time.sleep(60)
+main()
+"""
+
+
+def contents(folder):
+    """Every entry below a folder with its bytes; None for folders."""
+    return {
+        str(path.relative_to(folder)): None if path.is_dir() else path.read_bytes()
+        for path in sorted(folder.rglob("*"))
+    }
+
+
+def write(target, *, inputs=(), **files):
+    with output_folder(target, inputs) as folder:
+        for name, text in files.items():
+            (folder / name).parent.mkdir(exist_ok=True)
+            (folder / name).write_text(text)
+        write_json(folder / "result.json", {})
+
+
+def start(program, out):
+    command = [sys.executable, "-c", program, "reconstruct", str(CAPTURE), "-o", str(out)]
+    return subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+
+
+def started(out):
+    """A reconstruction that is under way."""
+    child = start(WAITING, out)
+    while not list(out.parent.rglob("*.part/new")):
+        assert child.poll() is None, child.stderr.read()
+        time.sleep(0.02)
+    return child
+
+
+def refusal(capsys, *arguments):
+    assert run([str(argument) for argument in arguments]) == 2
+    told = capsys.readouterr().err.strip().splitlines()
+    assert len(told) == 1  # no stage was begun
+    return told[0]
+
+
+def test_a_folder_with_foreign_files_stays(tmp_path, capsys):
+    """The issue's own command: a result.json alone makes no folder ours."""
+    out = tmp_path / "B"
+    (out / "src" / ".git").mkdir(parents=True)
+    (out / "thesis.tex").write_text("x")
+    (out / "result.json").write_text("{}")
+    before = contents(tmp_path)
+    told = refusal(capsys, "reconstruct", CAPTURE, "-o", out)
+    assert "no twin-manifest.txt; found result.json" in told
+    assert "choose another -o DIR" in told
+    assert contents(tmp_path) == before
+
+
+@pytest.mark.parametrize("harm", ["file", "folder", "edit", "link"])
+def test_an_own_folder_is_replaced_only_while_it_is_all_ours(tmp_path, harm):
+    out = tmp_path / "out"
+    write(out, report="first", old="gone with the next")
+    write(out, report="second")
+    assert set(contents(out)) == {"report", "result.json", "twin-manifest.txt"}
+    if harm == "file":
+        (out / "notes.txt").write_text("mine")
+    elif harm == "folder":
+        (out / ".git").mkdir()
+    elif harm == "edit":
+        (out / "report").write_text("second, with my remarks")
+    else:
+        (out / "report").unlink()
+        (out / "report").symlink_to(tmp_path)
+    before = contents(out)
+    named = {"file": r"notes\.txt", "folder": r"\.git", "edit": "report, changed since"}
+    with pytest.raises(InputError, match=named.get(harm, "report")):
+        write(out, report="third")
+    assert contents(out) == before
+
+
+def test_what_appears_meanwhile_is_not_overwritten(tmp_path):
+    out = tmp_path / "out"
+    write(out, report="first")
+    (out.parent / "mine").write_text("mine")
+
+    def compute():
+        with output_folder(out) as folder:
+            (folder / "notes").write_text("ours")
+            (out.parent / "mine").rename(out / "notes")
+
+    with pytest.raises(InputError, match="notes: is in the way"):
+        compute()
+    assert (out / "notes").read_text() == "mine"
+    assert (out / "report").read_text() == "first"
+
+
+@pytest.mark.parametrize("place", ["at", "above", "inside", "link"])
+def test_an_input_is_no_place_for_output(tmp_path, capsys, place):
+    capture = tmp_path / "all" / "A"
+    shutil.copytree(CAPTURE, capture)
+    out = {"at": capture, "above": capture.parent, "inside": capture / "points"}.get(place)
+    if out is None:
+        out = tmp_path / "link"
+        out.symlink_to(capture)
+    before = contents(tmp_path)
+    told = refusal(capsys, "reconstruct", capture, "-o", out)
+    assert f"the input {capture}; choose another -o DIR" in told
+    assert contents(tmp_path) == before
+
+
+def test_a_result_is_not_replaced_by_what_is_made_from_it(tmp_path):
+    out = tmp_path / "out"
+    write(out, **{"experiment.toml": "name = 'e'"})
+    with pytest.raises(InputError, match="holds the input"):
+        write(out, inputs=[out / "experiment.toml"])
+
+
+PLACES = [(".", "is the current"), ("..", "holds the current"), ("~", "is your home"), ("/", "/: ")]
+
+
+@pytest.mark.parametrize(("out", "named"), PLACES)
+def test_here_home_and_root_are_refused(tmp_path, capsys, monkeypatch, out, named):
+    """Even where they are a result of ours: whoever is in there loses the ground."""
+    here, home = tmp_path / "a" / "here", tmp_path / "home"
+    for folder in (here.parent, here, home):
+        write(folder)
+    monkeypatch.chdir(here)
+    monkeypatch.setenv("HOME", str(home))
+    before = contents(tmp_path)
+    target = home if out == "~" else out
+    assert named in refusal(capsys, "reconstruct", CAPTURE, "-o", target)
+    assert contents(tmp_path) == before
+
+
+def test_a_link_is_written_through_and_kept(tmp_path):
+    (tmp_path / "disk").mkdir()
+    link = tmp_path / "out"
+    link.symlink_to("disk")
+    number = (tmp_path / "disk").stat().st_ino
+    write(link, report="first")
+    write(link, report="second")
+    assert link.is_symlink()
+    assert (tmp_path / "disk").stat().st_ino == number
+    assert (link / "report").read_text() == "second"
+    assert sorted(entry.name for entry in tmp_path.iterdir()) == ["disk", "out"]
+
+
+@pytest.fixture
+def small_disk(tmp_path):
+    """A file system of 400 kB."""
+    place = tmp_path / "disk"
+    place.mkdir()
+    command = ["mount", "-t", "tmpfs", "-o", "size=400k", "tmpfs", str(place)]
+    try:
+        done = subprocess.run(command, capture_output=True, check=False)
+    except FileNotFoundError:
+        pytest.skip("no mount command")
+    if done.returncode:
+        pytest.skip("mounting is not permitted")
+    yield place
+    subprocess.run(["umount", str(place)], check=True)
+
+
+def test_a_mount_point_is_a_target_until_it_is_full(small_disk):
+    write(small_disk, report="first")
+    write(small_disk, report="second")
+    assert small_disk.is_mount()
+    before = contents(small_disk)
+    assert before["report"] == b"second"
+    child = start(TWIN, small_disk)
+    told = child.communicate()[1].strip().splitlines()
+    assert child.returncode == 1
+    assert told[-1].startswith(f"twin: {small_disk}: no room left (No space left on device); ")
+    assert contents(small_disk) == before
+
+
+def test_a_full_disk_is_one_line_and_leaves_nothing(tmp_path):
+    """No file may be longer than 400 kB: netCDF ended in a segmentation fault then."""
+    limit = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (400_000, 400_000)); "
+    child = start(limit + TWIN, tmp_path / "new" / "deep" / "out")
+    told = child.communicate()[1].strip().splitlines()
+    assert child.returncode == 1, told
+    assert told[-1].startswith(f"twin: {tmp_path / 'new' / 'deep' / 'out'}: no room left")
+    assert [line for line in told if not line.endswith("...")] == told[-1:]
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("name", ["SIGTERM", "SIGHUP", "SIGINT"])
+def test_a_signal_cleans_up(tmp_path, name):
+    number = signal.Signals[name]
+    child = started(tmp_path / "out")
+    child.send_signal(number)
+    told = child.communicate()[1].strip().splitlines()
+    assert child.returncode == 128 + number
+    assert told[-1] == f"twin: ended by {name}; nothing is left half-written"
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("there", [False, True])
+def test_the_next_run_removes_what_a_killed_one_left(tmp_path, there):
+    """And nothing of one that lives: its lock says so."""
+    out = tmp_path / "out"
+    if there:
+        write(out, report="earlier")
+    lives = started(out)
+    (beside,) = list(tmp_path.rglob("*.part"))
+    try:
+        write(tmp_path / "out", report="meanwhile")
+        assert (beside / "new").is_dir()
+    finally:
+        lives.kill()
+        lives.communicate()
+    assert beside.is_dir()
+    (tmp_path / ".out.twin-notes.part").mkdir()
+    (tmp_path / ".out.twin-notes.part" / "lock").write_text("my own lock")
+    write(out, report="next")
+    assert not beside.exists()
+    assert set(contents(out)) == {"report", "result.json", "twin-manifest.txt"}
+    assert (tmp_path / ".out.twin-notes.part" / "lock").read_text() == "my own lock"
+
+
+def test_interrupted_workers_are_ended_at_once(tmp_path):
+    from twin.interruption import Interrupted
+    from twin.study.workers import local_workers
+
+    workers = local_workers(1, cores=1)
+    executor = workers.open()
+    busy = executor.submit(time.sleep, 60)
+
+    def interrupted():
+        try:
+            raise Interrupted(signal.SIGTERM)
+        finally:
+            workers.close(executor)
+
+    with pytest.raises(Interrupted):
+        interrupted()
+    assert busy.exception() is not None
+
+
+def test_the_exchange_of_files_is_not_interrupted():
+    from twin.interruption import Interrupted, signals_held, unwind_on_signals
+
+    before = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGHUP)}
+    before[signal.SIGINT] = signal.getsignal(signal.SIGINT)
+    steps = []
+
+    def exchange():
+        with signals_held():
+            os.kill(os.getpid(), signal.SIGTERM)
+            steps.append("after the signal")
+
+    try:
+        unwind_on_signals()
+        with pytest.raises(Interrupted, match="SIGTERM"):
+            exchange()
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+    assert steps == ["after the signal"]
+
+
+def test_paper_leaves_a_folder_with_a_work_of_others(tmp_path, capsys):
+    """The issue's own command: hidden files below work/cases were removed."""
+    mine = tmp_path / "P" / "work" / "cases" / "nut" / ".hidden"
+    mine.parent.mkdir(parents=True)
+    mine.write_text("mine")
+    told = refusal(capsys, "paper", "-o", tmp_path / "P", "--only", "hardness", "--trials", "2")
+    assert "is no earlier run of twin paper (no twin-manifest.txt; found work)" in told
+    assert set(contents(tmp_path / "P")) == {
+        "work", "work/cases", "work/cases/nut", "work/cases/nut/.hidden"
+    }  # fmt: skip
+
+
+def test_folders_that_grow_keep_what_others_put_there(tmp_path):
+    from twin.output import adding, claim
+
+    out = tmp_path / "out"
+    claim(out, "compare", ["report"])
+    (out / "notes").write_text("mine")
+    for text in ("first", "second"):
+        with adding(out, "report") as folder:
+            (folder / "report").write_text(text)
+        claim(out, "compare", ["report"])
+    assert (out / "report").read_text() == "second"
+    with pytest.raises(InputError, match="no earlier run of twin sweep"):
+        claim(out, "sweep", [])
+    with pytest.raises(InputError, match="belongs to twin compare"):
+        write(out)
+    (out / "report").write_text("second, with my remarks")
+    with pytest.raises(InputError, match=r"report, changed since .* is in the way"):
+        claim(out, "compare", ["report"])
+    with pytest.raises(InputError, match="in the way"), adding(out, "report"):
+        raise AssertionError("computed before it looked")
+    assert (out / "report").read_text() == "second, with my remarks"
+    assert (out / "notes").read_text() == "mine"
+
+
+def test_a_report_drawn_anew_belongs_to_the_result(tmp_path):
+    """What is added later is in the manifest too, so the folder can still be replaced."""
+    from twin.output import adding
+
+    out = tmp_path / "out"
+    write(out, data="1")
+    for text in ("first", "second"):
+        with adding(out, "figures", "report.html") as folder:
+            (folder / "figures").mkdir()
+            (folder / "figures" / "map.png").write_text(text)
+            (folder / "report.html").write_text(text)
+    write(out, data="2")
+    assert set(contents(out)) == {"data", "result.json", "twin-manifest.txt"}
+
+
+def test_the_manifest_is_what_sha256sum_checks(tmp_path):
+    if shutil.which("sha256sum") is None:
+        pytest.skip("no sha256sum")
+    write(tmp_path / "out", report="text")
+    command = ["sha256sum", "--strict", "-c", "twin-manifest.txt"]
+    done = subprocess.run(command, cwd=tmp_path / "out", capture_output=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+def test_single_files_are_never_overwritten(tmp_path):
+    from twin.output import creating
+
+    file = tmp_path / "table.csv"
+    with creating(file) as part:
+        part.write_text("1")
+    with pytest.raises(InputError, match="exists already"), creating(file):
+        raise AssertionError("computed before it looked")
+    with pytest.raises(InputError, match="cannot be written"), creating(tmp_path / "b.csv") as part:
+        part.mkdir() or part.write_text("this is a folder")
+    assert contents(tmp_path) == {"table.csv": b"1"}

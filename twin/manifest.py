@@ -1,0 +1,158 @@
+"""Manifests: which files of a folder were written by `twin`, so that nothing else is removed.
+
+`twin-manifest.txt` opens with a comment that tells format, version and kind of the folder; then
+comes a line `SHA256  PATH` per file, as `sha256sum -c twin-manifest.txt` checks them. A line is
+entered before its file is put there. A file counts as ours while it has the content of one of its
+lines: what was edited since is the user's.
+"""
+
+import fcntl
+import hashlib
+import io
+import os
+import re
+from collections.abc import Collection, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+
+from reconstruction.errors import InputError
+from twin.working import is_working
+
+MANIFEST_FILE = "twin-manifest.txt"
+_HEAD = re.compile(r"# fringe-twin manifest (?P<version>\d+): (?P<kind>\w+)")
+_VERSION = 1
+_LINE = re.compile(r"(?P<digest>[0-9a-f]{64})  (?P<path>.+)")
+# An empty file system of this kind is not quite empty.
+_OF_THE_SYSTEM = {"lost+found"}
+
+
+@dataclass(frozen=True)
+class Manifest:
+    """What a folder's manifest says.
+
+    Attributes
+    ----------
+    kind : `result`, replaced as a whole, or the command that goes on in it
+    lines : digests of each path's contents that were written; paths are relative, with slashes
+    """
+
+    kind: str
+    lines: dict[str, set[str]]
+
+    @property
+    def folders(self) -> set[str]:
+        """Folders that hold one of the files."""
+        return {str(above) for path in self.lines for above in PurePosixPath(path).parents}
+
+
+def read_manifest(folder: Path) -> Manifest | None:
+    """Read the manifest of a folder; None when it has none.
+
+    Raises
+    ------
+    InputError
+        It was written by a version that this one does not know, or cannot be read.
+    """
+    path = folder / MANIFEST_FILE
+    try:
+        text = path.read_text(encoding="utf-8", errors="surrogateescape")
+    except (FileNotFoundError, NotADirectoryError):
+        return None
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror})") from None
+    head, *rest = text.split("\n")
+    found = _HEAD.fullmatch(head)
+    if found is None:
+        return None
+    if int(found["version"]) != _VERSION:
+        raise InputError(f"{path}: has version {found['version']}, known is {_VERSION}")
+    lines: dict[str, set[str]] = {}
+    for line in filter(None, map(_LINE.fullmatch, rest)):
+        lines.setdefault(line["path"], set()).add(line["digest"])
+    return Manifest(found["kind"], lines)
+
+
+def files_of(folder: Path) -> list[str]:
+    """Return the relative paths of all files below a folder, with slashes, sorted."""
+    found = (path for path in folder.rglob("*") if not path.is_dir())
+    return sorted(path.relative_to(folder).as_posix() for path in found)
+
+
+def manifest_lines(folder: Path) -> list[str]:
+    """Return a line for every file below a folder."""
+    return [f"{_digest(folder / path)}  {path}" for path in files_of(folder)]
+
+
+def write_manifest(path: Path, kind: str, lines: Sequence[str]) -> None:
+    """Write a new manifest."""
+    text = "\n".join([f"# fringe-twin manifest {_VERSION}: {kind}", *lines, ""])
+    path.write_text(text, encoding="utf-8", errors="surrogateescape")
+
+
+def enter(folder: Path, kind: str, lines: Sequence[str]) -> None:
+    """Add lines that it lacks to the manifest of a folder, and start it where there is none."""
+    with (folder / MANIFEST_FILE).open("a+b", buffering=0) as file:
+        with suppress(OSError):  # a file system without locks
+            fcntl.flock(file, fcntl.LOCK_EX)
+        file.seek(0)
+        there = file.readall()
+        known = set(there.decode("utf-8", errors="surrogateescape").split("\n"))
+        head = [] if there else [f"# fringe-twin manifest {_VERSION}: {kind}"]
+        torn = "\n" if there and not there.endswith(b"\n") else ""  # killed while it wrote
+        added = "".join(f"{line}\n" for line in (*head, *lines) if line not in known)
+        try:
+            _write_all(file, f"{torn}{added}".encode("utf-8", errors="surrogateescape"))
+        except OSError:
+            file.truncate(len(there))
+            if not there:
+                (folder / MANIFEST_FILE).unlink()
+            raise
+
+
+def _write_all(file: io.FileIO, left: bytes) -> None:
+    while left:
+        left = left[file.write(left) :]
+
+
+def is_ours(folder: Path, path: str, known: Manifest | None) -> bool:
+    """Tell whether a file below a folder has the content that was written."""
+    file, digests = folder / path, known.lines.get(path, set()) if known else set()
+    return bool(digests) and not file.is_symlink() and file.is_file() and _digest(file) in digests
+
+
+def foreign(folder: Path, known: Manifest | None, names: Collection[str] = ()) -> str | None:
+    """Return in words the first thing in a folder that `twin` did not write; None without any.
+
+    Parameters
+    ----------
+    names : look only at these entries of the folder; by default at all
+    """
+    return next(_foreign(folder, "", known, names), None)
+
+
+def _foreign(
+    root: Path, below: str, known: Manifest | None, names: Collection[str] = ()
+) -> Iterator[str]:
+    for entry in sorted(os.scandir(root / below), key=lambda entry: entry.name):
+        path = f"{below}{entry.name}"
+        if (names and entry.name not in names) or (not below and _is_own_mark(entry)):
+            continue
+        if entry.is_dir(follow_symlinks=False) and known and path in known.folders:
+            yield from _foreign(root, f"{path}/", known)
+        elif not is_ours(root, path, known):
+            changed = known is not None and path in known.lines
+            yield f"{path}, changed since it was written" if changed else path
+
+
+def _is_own_mark(entry: "os.DirEntry[str]") -> bool:
+    if entry.name == MANIFEST_FILE:
+        return entry.is_file(follow_symlinks=False) and (
+            entry.stat().st_size == 0 or read_manifest(Path(entry.path).parent) is not None
+        )
+    return entry.name in _OF_THE_SYSTEM or is_working(Path(entry.path))
+
+
+def _digest(file: Path) -> str:
+    with file.open("rb") as content:
+        return hashlib.file_digest(content, "sha256").hexdigest()

@@ -1,0 +1,92 @@
+"""What the renderer cannot do for an experiment: told before anything is pressed or traced."""
+
+from reconstruction.errors import InputError
+from twin.config.layers import holding_layer
+from twin.config.models import Experiment
+from twin.optics.materials import sharp
+from twin.specimens import Body, bodies
+
+
+def check_renderable(experiment: Experiment) -> None:
+    """Refuse an experiment that `render` or `render_direct` refuses whatever the press gives.
+
+    Raises
+    ------
+    InputError
+        Depth of field with one sample; a coat's binder below the index of the layer around it; the
+        stock engine with what it cannot express; a bare specimen without material, by the stock
+        engine, or with a light path that has one blur alone.
+    """
+    check_samples(experiment)
+    if experiment.modality == "direct_fpp":
+        check_direct_engine(experiment)
+        parts = bodies(experiment.specimen, 0.0)
+        check_materials(parts)
+        if any(part.material is not None and sharp(part.material) for part in parts):
+            check_focus(experiment)
+        return
+    check_binder(experiment)
+    if experiment.modality == "contact_fpp" and experiment.render.engine == "stock":
+        check_stock(experiment)
+
+
+def check_samples(experiment: Experiment) -> None:
+    """Refuse depth of field with one sample per pixel, which sees through one place of the lens."""
+    if experiment.camera.depth_of_field and experiment.render.samples == 1:
+        raise InputError(
+            "render.samples: found 1, allowed 4 or more with camera.depth_of_field, better 16: each"
+            " sample sees through one place of the lens"
+        )
+
+
+def check_binder(experiment: Experiment) -> None:
+    """Refuse a binder whose index is below that of the layer that the coat lies in."""
+    coating, holder = experiment.coating, holding_layer(experiment.layers)
+    if holder is not None and 1.0 < coating.binder_ior < holder.ior:
+        raise InputError(
+            f"coating.binder_ior: found {coating.binder_ior:g}, allowed 1 (matte), or at least "
+            f"{holder.ior:g}, that of the layer around the coat; set it to 1"
+        )
+
+
+def check_stock(experiment: Experiment) -> None:
+    """Refuse what stock Mitsuba cannot express."""
+    if any(experiment.camera.distortion):
+        raise InputError(
+            "camera.distortion: stock Mitsuba cannot express it;"
+            " set it to zero or use render.engine = 'one_trace'"
+        )
+    if experiment.projector.aperture_mm:
+        raise InputError(
+            "projector.aperture_mm: stock Mitsuba cannot express blur that grows with distance;"
+            " set it to zero or use render.engine = 'one_trace'"
+        )
+
+
+def check_direct_engine(experiment: Experiment) -> None:
+    """Refuse the stock engine for a bare specimen."""
+    if experiment.render.engine != "one_trace":
+        raise InputError(
+            "render.engine: found 'stock', allowed 'one_trace' with modality = 'direct_fpp': stock"
+            " Mitsuba cannot connect a projector through clear bodies; twin export writes the scene"
+        )
+
+
+def check_materials(parts: tuple[Body, ...]) -> None:
+    """Refuse a bare specimen of which a part has no material."""
+    bare = [part.name for part in parts if part.material is None]
+    if bare:
+        raise InputError(
+            f"specimen.material: found none for {', '.join(bare)}; modality = 'direct_fpp' sees the"
+            " specimen itself: add [specimen.material] with use = 'materials/metals/steel'"
+        )
+
+
+def check_focus(experiment: Experiment) -> None:
+    """Refuse blur that grows with distance where clear or polished bodies are seen."""
+    aperture_mm = experiment.projector.aperture_mm
+    if aperture_mm:
+        raise InputError(
+            f"projector.aperture_mm: found {aperture_mm:g}, allowed 0 with clear or polished"
+            " specimens: their light is traced with one blur; put it into projector.blur_px"
+        )
