@@ -13,8 +13,11 @@ from matplotlib.figure import Figure
 
 from twin.config.specimens import (
     Ball,
+    Bar,
+    Bars,
     Bear,
     Brick,
+    Fingerprint,
     Flat,
     Grating,
     Group,
@@ -42,6 +45,9 @@ SPECIMENS: list[tuple[str, Specimen, bool]] = [
     ("brick from below", Brick(yaw_deg=20), True),
     ("bear", Bear(), False),
     ("rods", Rods(), False),
+    ("bar", Bar(yaw_deg=30), False),
+    ("bars", Bars(), False),
+    ("fingerprint", Fingerprint(), False),
     ("step", Step(height_mm=1.5, yaw_deg=30), False),
     ("v_groove", VGroove(depth_mm=2.0, yaw_deg=30), False),
     ("grating", Grating(groove_mm=0.8, yaw_deg=30), False),

@@ -14,7 +14,10 @@ SOLIDS = [
     for name in list_assets("materials")
     if name.split("/")[0] in ("metals", "plastics", "glasses") or name == "diffuse/gray_print"
 ]
-SCENES = ["ball", "bear", "brick", "nut", "rods", "rods_a", "rods_b", "rods_c", "t_bolt"]
+SCENES = [
+    "ball", "bars", "bars_a", "bars_b", "bars_c", "bear", "brick", "fingerprint", "nut", "rods",
+    "rods_a", "rods_b", "rods_c", "t_bolt",
+]  # fmt: skip
 
 
 def ball_of(name, tmp_path, extra=""):

@@ -5,15 +5,16 @@ import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
 
-from twin.config.artefacts import Rods, Step, VGroove
+from twin.config.artefacts import Bars, Rods, Step, VGroove
+from twin.config.fingerprint import Fingerprint
 from twin.config.objects import Bear, Brick, Nut, TBolt
 from twin.config.specimens import Ball, Flat, Grating, Group, Specimen
 from twin.specimens import shape_of, specimen_mesh
-from twin.specimens.distance import BallDistance, SignedDistance, distances_of
+from twin.specimens.distance import BallDistance, BoxDistance, SignedDistance, distances_of
 from twin.specimens.meshes import MeshShape
 from twin.specimens.pose import UNMOVED, FloatArray, Pose
 from twin.specimens.sampled_distance import PITCH_MM, MeshDistance, SampledField
-from twin.specimens.triangle_distance import TriangleSoup, unsigned_samples
+from twin.specimens.triangle_distance import TriangleTree, unsigned_samples
 
 REACH_MM = 0.4
 MESHES: list[Specimen] = [
@@ -24,6 +25,7 @@ MESHES: list[Specimen] = [
     Step(),
     VGroove(yaw_deg=90),
     Grating(),
+    Fingerprint(length_x_mm=3, length_y_mm=3, dome_radius_mm=8),
 ]
 
 
@@ -39,11 +41,11 @@ def _sampled(specimen: Specimen) -> MeshDistance:
 
 
 def _field(body: trimesh.Trimesh, pitch_mm: float = PITCH_MM) -> SampledField:
-    return SampledField(TriangleSoup.of(np.asarray(body.triangles)), pitch_mm)
+    return SampledField(TriangleTree.of(np.asarray(body.triangles)), pitch_mm)
 
 
 def test_a_ball_of_facets_is_the_ball() -> None:
-    """Chords of 0.035 mm lie 0.15 um inside at most; facets tilt by 1 deg.
+    """Chords of 0.035 mm lie 0.2 um inside at most; facets tilt by 1 deg.
 
     1 deg over a cell of 0.05 mm is a curvature of 0.35 / mm, of which the facets' small size leaves
     a third.
@@ -90,11 +92,11 @@ def test_a_block_keeps_its_edges_to_a_tenth_of_the_pitch() -> None:
 
 
 def test_samples_are_the_distances_to_all_triangles() -> None:
-    """Candidates passed down from large cells to small ones lose none that is the nearest."""
+    """No box that holds the nearest triangle is passed over."""
     mesh = trimesh.creation.icosphere(2, 0.9)
     mesh.apply_scale((1.0, 0.6, 0.3))
     cells = np.unique(np.random.default_rng(2).integers(-6, 6, (12, 3)), axis=0)
-    samples = unsigned_samples(TriangleSoup.of(np.asarray(mesh.triangles)), cells, 4, PITCH_MM)
+    samples = unsigned_samples(TriangleTree.of(np.asarray(mesh.triangles)), cells, 4, PITCH_MM)
     node = np.stack(np.meshgrid(*3 * (np.arange(4),), indexing="ij"), axis=-1)
     points = ((4 * cells[:, None, None, None] + node) * PITCH_MM).reshape(-1, 1, 3)
     count = len(mesh.triangles)
@@ -228,6 +230,14 @@ def test_an_inside_out_mesh_is_the_same_body() -> None:
 def test_groups_and_rods_give_all_their_bodies() -> None:
     group = shape_of(Group(parts={"a": Ball(x_mm=-3, diameter_mm=4), "b": Nut(x_mm=7)}))
     assert len(distances_of(group)) == 2
+    bars = distances_of(shape_of(Bars()))
+    assert all(isinstance(body, BoxDistance) for body in bars)
+    beside = np.array([[8.015 + 0.3, 0.0, -1.5 + 0.4], [Bars().middles_mm[1], 0.0, 0.1]])
+    found = [body.evaluate(beside, 1.0)[0] for body in bars]
+    # Right of the widest bar and above the plate; above the middle bar.
+    assert found[2][0] == pytest.approx(0.3, abs=1e-9)
+    assert found[3][0] == pytest.approx(0.4, abs=1e-9)
+    assert found[1][1] == pytest.approx(0.1, abs=1e-9)
     rods = Rods()
     bodies = distances_of(shape_of(rods))
     assert len(bodies) == 2 * len(rods.diameters_mm) + 1

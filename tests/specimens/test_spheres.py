@@ -87,7 +87,7 @@ def test_overlapping_balls_have_the_volume_of_the_union() -> None:
 
 
 def test_unknown_kind_lists_the_known_ones() -> None:
-    with pytest.raises(InputError, match=r"found 'Specimen', allowed: ball, bear, brick, "):
+    with pytest.raises(InputError, match=r"found 'Specimen', allowed: ball, bar, bars, bear, "):
         shape_of(Specimen())
     assert kinds() == tuple(sorted(kinds()))
     assert {"ball", "bear", "brick", "group", "nut", "rods", "step", "t_bolt", "v_groove"} < set(

@@ -6,12 +6,14 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from twin.config.artefacts import Rods, Step, VGroove
+from twin.config.artefacts import Bar, Bars, Rods, Step, VGroove
+from twin.config.fingerprint import Fingerprint
 from twin.config.materials import Conductor, Dielectric
 from twin.config.objects import Bear, Brick, Nut, TBolt
 from twin.config.specimens import Ball, Group, Rod, Specimen
 from twin.specimens import bodies, height_above_lowest, shape_of, specimen_mesh
 from twin.specimens.bear import bear_level_mm, drawn_bear
+from twin.specimens.fingerprint import ridges_mm
 
 SPECIMENS: list[Specimen] = [
     Nut(yaw_deg=20),
@@ -23,6 +25,11 @@ SPECIMENS: list[Specimen] = [
     Bear(yaw_deg=-30),
     Rods(),
     Rods(diameters_mm=(1.99,), tilt_deg=2),
+    Bar(),
+    Bar(edge_radius_mm=0.0, yaw_deg=10, tilt_deg=1),
+    Bars(),
+    Fingerprint(length_x_mm=4, length_y_mm=3, minutiae=2),
+    Fingerprint(length_x_mm=3, length_y_mm=3, pattern="whorl", dome_radius_mm=8),
     Step(),
     Step(height_mm=0.3, edge_radius_mm=0.3),
     Step(edge_radius_mm=0.0),
@@ -106,6 +113,86 @@ def test_rods_volume_and_heights() -> None:
     circle = 7.23 - radii[1] - sqrt(radii[1] ** 2 - 1)
     found = height_above_lowest(rods, beside, np.array([1.0]))[0]
     np.testing.assert_allclose(found, [circle, 7.23, 7.23], atol=1e-6)
+
+
+def test_bars_volume_and_heights() -> None:
+    """Blocks less what the rounding takes of their upper edges and corners, on a plate.
+
+    A quarter round takes (1 - pi / 4) r^2 of an edge; a corner (1 - pi / 6) r^3 of its r^3.
+    """
+    bars = Bars()
+    widths, length, r = np.array(bars.widths_mm), bars.length_mm, bars.edge_radius_mm
+    block = widths * length * bars.height_mm
+    around = 2 * (widths + length - 4 * r)
+    upright = 4 * (bars.height_mm - r)
+    taken = (1 - pi / 4) * r**2 * (around + upright) + 4 * (1 - pi / 6) * r**3
+    plate = (widths.sum() + 2 + 2) * (length + 2) * bars.plate_mm
+    exact = plate + (block - taken).sum()
+    assert specimen_mesh(bars).volume == pytest.approx(exact, rel=2e-5)
+    middles = np.array(bars.middles_mm)
+    beside = middles + widths / 2 + 0.5
+    found = height_above_lowest(bars, np.concatenate((middles, beside)), np.array([0.1]))[0]
+    np.testing.assert_allclose(found, [0, 0, 0, 1.5, 1.5, 1.5], atol=1e-9)
+
+
+def test_rounded_edge_of_a_bar_is_an_arc() -> None:
+    """Facets of 6 deg lie within r (1 - cos 3 deg) = 0.14 um of an arc of 0.1 mm."""
+    turn = np.deg2rad(np.array([20.0, 45.0, 70.0]))
+    x = 4.81 / 2 - 0.1 + 0.1 * np.cos(turn)
+    found = height_above_lowest(Bar(), x, np.array([0.2]))[0]
+    np.testing.assert_allclose(found, 0.1 - 0.1 * np.sin(turn), atol=0.1 * (1 - cos(pi / 60)) * 3)
+
+
+@pytest.mark.parametrize("pattern", ["loop", "whorl"])
+def test_ridges_are_a_pitch_apart_and_as_deep_as_asked(pattern: str) -> None:
+    """Slope of the ridges' height over the mean square of it: 2 pi / pitch for any phase."""
+    print_ = Fingerprint(pattern=pattern, minutiae=0)
+    step = 0.01
+    x, y = np.meshgrid(np.arange(-9, 9, step), np.arange(-9, 9, step))
+    z = ridges_mm(print_, x, y)
+    assert z.max() - z.min() == pytest.approx(0.07, rel=1e-3)
+    slope = np.hypot(*np.gradient(z, step))
+    pitch = 2 * pi * np.sqrt((z**2).mean() / (slope**2).mean())
+    assert pitch == pytest.approx(0.45, rel=0.01)
+
+
+def test_minutiae_leave_the_pitch_and_end_ridges() -> None:
+    """The phase winds once round each: the two sides of a path round it differ by one ridge."""
+    plain, forked = (Fingerprint(minutiae=count) for count in (0, 30))
+    x, y = np.meshgrid(np.arange(-9, 9, 0.02), np.arange(-9, 9, 0.02))
+    heights = [ridges_mm(print_, x, y) for print_ in (plain, forked)]
+    pitches = [
+        2 * pi * np.sqrt((z**2).mean() / (np.array(np.gradient(z, 0.02)) ** 2).sum(axis=0).mean())
+        for z in heights
+    ]
+    assert pitches[1] == pytest.approx(pitches[0], rel=0.03)
+    crests = [(np.diff(np.sign(np.diff(z[450]))) < 0).sum() for z in heights]
+    assert crests[0] != crests[1]
+
+
+def test_a_fingerprint_is_its_seed() -> None:
+    one, same, other = (
+        specimen_mesh(Fingerprint(length_x_mm=3, length_y_mm=3, pattern_seed=seed))
+        for seed in (1, 1, 2)
+    )
+    assert one.vertices.tobytes() == same.vertices.tobytes()
+    assert one.vertices.tobytes() != other.vertices.tobytes()
+
+
+def test_the_mesh_of_a_fingerprint_is_its_ridges_on_a_dome() -> None:
+    """Chords err by 1.2 um in ridges; a dome of 30 mm falls by r^2 / 2 R and a bit."""
+    flat, domed = (
+        Fingerprint(length_x_mm=6, length_y_mm=6, minutiae=3, dome_radius_mm=radius)
+        for radius in (0.0, 30.0)
+    )
+    x = np.linspace(-2.9, 2.9, 101)
+    grid_x, grid_y = np.meshgrid(x, x)
+    ridges = ridges_mm(flat, grid_x, grid_y)
+    found = [-height_above_lowest(print_, x, x) for print_ in (flat, domed)]
+    np.testing.assert_allclose(found[0] - found[0].max(), ridges - ridges.max(), atol=2e-3)
+    dome = np.sqrt(30.0**2 - grid_x**2 - grid_y**2) - 30.0
+    off = found[1] - ridges - dome
+    np.testing.assert_allclose(off, off.mean(), atol=2e-3)
 
 
 def test_neighbouring_rods_keep_their_gap() -> None:
@@ -243,6 +330,11 @@ def test_same_specimen_same_bytes() -> None:
         (Rods, {"diameters_mm": ()}, "at least 1 item"),
         (Step, {"edge_radius_mm": 0.6}, "edge_radius_mm: found 0.6, allowed at most 0.5"),
         (VGroove, {"depth_mm": 6.0}, "opening: found 12, allowed at most 9.6"),
+        (Bar, {"edge_radius_mm": 0.5}, "edge_radius_mm: found 0.5, allowed at most 0.375"),
+        (Bars, {"widths_mm": ()}, "at least 1 item"),
+        (Bars, {"plate_mm": 0.2}, "edge_radius_mm: found 0.1, allowed at most 0.05"),
+        (Fingerprint, {"depth_mm": 0.15}, "depth_mm: found 0.15, allowed at most 0.135"),
+        (Fingerprint, {"dome_radius_mm": 15}, "dome_radius_mm: found 15, allowed 0 or at least"),
         (Bear, {"length_mm": 100}, "less than or equal to 60"),
     ],
 )

@@ -7,16 +7,20 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from twin.config.artefacts import Rods, Step, VGroove
+from twin.config.artefacts import Bar, Bars, Rods, Step, VGroove
 from twin.config.base import Length, NonNegative, Positive
+from twin.config.fingerprint import Fingerprint
 from twin.config.objects import Bear, Brick, Nut, TBolt
 from twin.config.specimen_pose import Specimen
 
 __all__ = [
     "AnySpecimen",
     "Ball",
+    "Bar",
+    "Bars",
     "Bear",
     "Brick",
+    "Fingerprint",
     "Flat",
     "Grating",
     "Group",
@@ -99,7 +103,7 @@ class MeshFile(Specimen):
 
 _Single = (
     Ball | TwoBalls | Rod | Flat | Grating | MeshFile
-    | Rods | Step | VGroove | Nut | TBolt | Brick | Bear
+    | Rods | Bar | Bars | Step | VGroove | Nut | TBolt | Brick | Bear | Fingerprint
 )  # fmt: skip
 Part = Annotated[_Single, Field(discriminator="kind")]
 

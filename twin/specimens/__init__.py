@@ -6,6 +6,7 @@ from twin.specimens import bear as bear
 from twin.specimens import brick as brick
 from twin.specimens import cylinders as cylinders
 from twin.specimens import fasteners as fasteners
+from twin.specimens import fingerprint as fingerprint
 from twin.specimens import group as group
 from twin.specimens import meshes as meshes
 from twin.specimens.bodies import Body, bodies

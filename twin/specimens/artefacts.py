@@ -1,13 +1,13 @@
-"""Artefacts with a known profile along x: rods on a plate, a step, a V groove."""
+"""Artefacts with a known profile along x: rods and bars on a plate, a step, a V groove."""
 
 import numpy as np
 
-from twin.config.artefacts import Rods, Step, VGroove
+from twin.config.artefacts import Bar, Bars, Rods, Step, VGroove, row_width_mm
 from twin.specimens.catalogue import Shape, register
 from twin.specimens.cylinders import Cylinder
 from twin.specimens.group import Assembly
-from twin.specimens.meshes import MeshShape
-from twin.specimens.solids import along_axis, arc, box, prism
+from twin.specimens.meshes import MeshShape, block
+from twin.specimens.solids import along_axis, arc, prism
 
 _BASE_MM = 2.0
 _X, _Y, _Z = np.eye(3)
@@ -23,7 +23,8 @@ def build_rods(specimen: Rods) -> Assembly:
     rods = list(zip(specimen.middles_mm, specimen.diameters_mm, strict=True))
     cylinders = [_lying(x, diameter, specimen) for x, diameter in rods]
     beads = [_bead(x, diameter, specimen) for x, diameter in rods]
-    return Assembly((*cylinders, *beads, _plate(specimen)))
+    width_mm = row_width_mm(specimen.diameters_mm, specimen.gap_mm)
+    return Assembly((*cylinders, *beads, _plate(specimen, width_mm)))
 
 
 def _lying(x_mm: float, diameter_mm: float, rods: Rods) -> Shape:
@@ -34,13 +35,31 @@ def _lying(x_mm: float, diameter_mm: float, rods: Rods) -> Shape:
 def _bead(x_mm: float, diameter_mm: float, rods: Rods) -> Shape:
     half, end = rods.bead_mm / 2, (rods.length_mm - rods.edge_radius_mm) / 2
     low = (x_mm - half, -end, -rods.plate_mm / 2)
-    return MeshShape(box(low, (x_mm + half, end, diameter_mm / 2)))
+    return block(low, (x_mm + half, end, diameter_mm / 2), 0.0)
 
 
-def _plate(rods: Rods) -> Shape:
-    x = -rods.middles_mm[0] + rods.diameters_mm[0] / 2 + rods.margin_mm
-    y = rods.length_mm / 2 + rods.margin_mm
-    return MeshShape(box((-x, -y, -rods.plate_mm), (x, y, 0.0)))
+def _plate(artefact: Rods | Bars, width_mm: float) -> Shape:
+    """Return the plate under a row of this width, its upper face z = 0."""
+    x, y = width_mm / 2 + artefact.margin_mm, artefact.length_mm / 2 + artefact.margin_mm
+    return block((-x, -y, -artefact.plate_mm), (x, y, 0.0), 0.0)
+
+
+@register("bar")
+def build_bar(specimen: Bar) -> MeshShape:
+    """Lay one bar along y."""
+    x, y, z = specimen.width_mm / 2, specimen.length_mm / 2, specimen.height_mm
+    return block((-x, -y, -z), (x, y, 0.0), specimen.edge_radius_mm)
+
+
+@register("bars")
+def build_bars(specimen: Bars) -> Assembly:
+    """Lay the bars along y on the plate's upper face, z = 0, sunk into it by half its thickness."""
+    row = zip(specimen.middles_mm, specimen.widths_mm, strict=True)
+    low, high, y = -specimen.plate_mm / 2, specimen.height_mm, specimen.length_mm / 2
+    bars = [
+        block((x - w / 2, -y, low), (x + w / 2, y, high), specimen.edge_radius_mm) for x, w in row
+    ]
+    return Assembly((*bars, _plate(specimen, row_width_mm(specimen.widths_mm, specimen.gap_mm))))
 
 
 @register("step")

@@ -1,5 +1,6 @@
 """Specimens given as a triangle mesh: a file, or a grating made here."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -8,11 +9,12 @@ import trimesh
 
 from twin.config.models import Grating, MeshFile
 from twin.specimens.catalogue import Sphere, register
-from twin.specimens.distance import SignedDistance
+from twin.specimens.distance import BoxDistance, SignedDistance
 from twin.specimens.mesh_file import read_closed_mesh
 from twin.specimens.pose import UNMOVED, FloatArray, Pose
 from twin.specimens.raster import upper_side
 from twin.specimens.sampled_distance import MeshDistance
+from twin.specimens.solids import rounded_box
 
 _STEPS_PER_PITCH = 48
 _BODY_MM = 2.0
@@ -35,6 +37,8 @@ class MeshShape:
     body: trimesh.Trimesh
     #: how it was moved since
     pose: Pose = UNMOVED
+    #: its distance in a pose in closed form, where there is one
+    exact: Callable[[Pose], SignedDistance] | None = None
 
     @cached_property
     def surface(self) -> trimesh.Trimesh:
@@ -54,7 +58,7 @@ class MeshShape:
 
     def distances(self) -> tuple[SignedDistance, ...]:
         """Return the distance to the surface."""
-        return (MeshDistance(self.body, self.pose),)
+        return (self.exact(self.pose) if self.exact else MeshDistance(self.body, self.pose),)
 
     def spheres(self) -> tuple[Sphere, ...]:
         """No balls."""
@@ -74,6 +78,19 @@ class MeshShape:
         raised = self.surface.copy()
         raised.apply_translation((0.0, 0.0, touched_z_mm))
         return raised
+
+
+def block(
+    low_mm: tuple[float, float, float], high_mm: tuple[float, float, float], edge_radius_mm: float
+) -> MeshShape:
+    """Return a block between two opposite corners, its edges rounded."""
+    low, high = np.array(low_mm), np.array(high_mm)
+
+    def exact(pose: Pose) -> SignedDistance:
+        middle = pose.apply((low + high) / 2)
+        return BoxDistance(middle, pose.rotation, (high - low) / 2, edge_radius_mm)
+
+    return MeshShape(rounded_box(low_mm, high_mm, edge_radius_mm), exact=exact)
 
 
 @register("mesh")

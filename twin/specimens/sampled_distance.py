@@ -7,7 +7,7 @@ therefore made when a point first falls into them, in any order, with the same b
 """
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from threading import Lock
 
 import numpy as np
@@ -19,9 +19,9 @@ from twin.specimens.pose import FloatArray, Pose
 from twin.specimens.triangle_crossings import Columns
 from twin.specimens.triangle_distance import (
     IntArray,
-    TriangleSoup,
+    TriangleTree,
+    distances_mm,
     middles_mm,
-    nearest_candidates,
     unsigned_samples,
 )
 
@@ -48,16 +48,19 @@ class MeshDistance:
 
     def evaluate(self, points_mm: FloatArray, reach_mm: float) -> Evaluation:
         """Return distance, gradient and Hessian, see `SignedDistance`."""
+        return self._samples.evaluate(points_mm, reach_mm, self.pose)
+
+    @cached_property
+    def _samples(self) -> "SampledField":
         vertices = np.ascontiguousarray(self.body.vertices, dtype=np.float64)
         faces = np.ascontiguousarray(self.body.faces, dtype=np.int64)
-        sampled = _field(vertices.tobytes(), faces.tobytes(), self.pitch_mm)
-        return sampled.evaluate(points_mm, reach_mm, self.pose)
+        return _field(vertices.tobytes(), faces.tobytes(), self.pitch_mm)
 
 
 @lru_cache(maxsize=_KEPT_FIELDS)
 def _field(vertices: bytes, faces: bytes, pitch_mm: float) -> "SampledField":
     corners = np.frombuffer(vertices).reshape(-1, 3)[np.frombuffer(faces, np.int64)]
-    return SampledField(TriangleSoup.of(corners.reshape(-1, 3, 3)), pitch_mm)
+    return SampledField(TriangleTree.of(corners.reshape(-1, 3, 3)), pitch_mm)
 
 
 class _Store:
@@ -91,8 +94,8 @@ class _Store:
 class SampledField:
     """The signed distance to one mesh, made on demand within a margin round it."""
 
-    def __init__(self, soup: TriangleSoup, pitch_mm: float) -> None:
-        self._soup, self._pitch_mm, self._lock = soup, pitch_mm, Lock()
+    def __init__(self, tree: TriangleTree, pitch_mm: float) -> None:
+        self._tree, self._pitch_mm, self._lock = tree, pitch_mm, Lock()
         self._begin(_MARGIN_MM)
 
     def evaluate(self, points_mm: FloatArray, reach_mm: float, pose: Pose) -> Evaluation:
@@ -110,7 +113,7 @@ class SampledField:
     def _begin(self, margin_mm: float) -> None:
         """Forget all bricks, and be ready for those within a margin."""
         self._margin_mm, brick_mm = margin_mm, _BRICK * self._pitch_mm
-        corners = self._soup.corners_mm.reshape(-1, 3)
+        corners = self._tree.corners_mm.reshape(-1, 3)
         low = np.floor((corners.min(axis=0) - margin_mm) / brick_mm).astype(np.int64)
         count = np.floor((corners.max(axis=0) + margin_mm) / brick_mm).astype(np.int64) - low + 1
         self._bricks = _Store(low, count, _BRICK + 3)
@@ -118,7 +121,9 @@ class SampledField:
         self._least_mm = np.full(count, np.nan)
         low, count = _BRICK // _BLOCK * low - 1, _BRICK // _BLOCK * count + 2
         self._blocks = _Store(low, count, _BLOCK)
-        self._columns = Columns.of(self._soup, _BLOCK, self._pitch_mm, low[:2], count[:2])
+        self._columns = Columns.of(
+            self._tree.corners_mm, _BLOCK, self._pitch_mm, low[:2], count[:2]
+        )
 
     def _touched(
         self, points: FloatArray, reach_mm: float, frame: tuple[FloatArray, FloatArray, float]
@@ -143,9 +148,8 @@ class SampledField:
     def _least_of(self, bricks: IntArray) -> FloatArray:
         """Return what no point of each brick falls below, -inf where one may be inside."""
         middles, radius = middles_mm(bricks, _BRICK, self._pitch_mm)
-        near = nearest_candidates(self._soup, bricks, _BRICK, self._pitch_mm)
         beyond_nodes = np.sqrt(3) * self._pitch_mm
-        least = near.middle_mm - (radius + beyond_nodes)
+        least = distances_mm(self._tree, middles) - (radius + beyond_nodes)
         return np.where(self._columns.inside(middles), -np.inf, least)
 
     def _sample(self, bricks: IntArray) -> None:
@@ -154,7 +158,7 @@ class SampledField:
         blocks = np.unique(round_them[self._blocks.slots(round_them) == _UNMADE], axis=0)
         if len(blocks) == 0:
             return
-        samples = unsigned_samples(self._soup, blocks, _BLOCK, self._pitch_mm)
+        samples = unsigned_samples(self._tree, blocks, _BLOCK, self._pitch_mm)
         self._columns.negate_inside(blocks, samples)
         self._blocks.add(blocks, samples)
 

@@ -1,6 +1,7 @@
 """Closed bodies to build specimens from: prisms, turned parts, and their booleans. All in mm."""
 
 from collections.abc import Callable, Sequence
+from itertools import product
 
 import manifold3d
 import numpy as np
@@ -17,6 +18,24 @@ _TOLERANCE_MM = 1e-4
 def box(low_mm: tuple[float, float, float], high_mm: tuple[float, float, float]) -> trimesh.Trimesh:
     """Return the block between two opposite corners."""
     return trimesh.creation.box(bounds=np.array([low_mm, high_mm]))
+
+
+def rounded_box(
+    low_mm: tuple[float, float, float], high_mm: tuple[float, float, float], edge_radius_mm: float
+) -> trimesh.Trimesh:
+    """Return the block between two opposite corners, its edges rounded with facets of 6 degrees."""
+    if edge_radius_mm == 0:
+        return box(low_mm, high_mm)
+    quarter = np.deg2rad(np.linspace(0, 90, 16))
+    up, round_ = (angle.ravel() for angle in np.meshgrid(quarter[:-1], quarter, indexing="ij"))
+    eighth = np.stack((np.cos(up) * np.cos(round_), np.cos(up) * np.sin(round_), np.sin(up)))
+    pole = np.array([[0.0], [0.0], [1.0]])
+    corner_mm = edge_radius_mm * np.concatenate((eighth, pole), axis=1).T
+    half = (np.array(high_mm) - low_mm) / 2
+    signs = np.array(list(product((-1, 1), repeat=3)))
+    points = signs[:, None] * (half - edge_radius_mm + corner_mm)
+    middle = (np.array(high_mm) + low_mm) / 2
+    return _from_manifold(manifold3d.Manifold.hull_points(points.reshape(-1, 3) + middle))
 
 
 def prism(outline_mm: FloatArray, low_mm: float, high_mm: float) -> trimesh.Trimesh:

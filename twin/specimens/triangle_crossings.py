@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from twin.specimens.distance import compiled
 from twin.specimens.pose import FloatArray
-from twin.specimens.triangle_distance import IntArray, Lists, TriangleSoup, over_bands
+from twin.specimens.triangle_distance import IntArray, over_bands
 
 BoolArray = npt.NDArray[np.bool_]
 # A node's column leaves the lattice by this many pitches, so that it meets no edge: not by a ratio
@@ -24,33 +24,36 @@ _ASIDE = (0.6180339e-6, 0.4142135e-6)
 class Columns:
     """The triangles above or below each cell of a rectangle of cells."""
 
-    soup: TriangleSoup
+    #: (n, corner, xyz) mm
+    corners_mm: FloatArray
     nodes: int
     pitch_mm: float
     #: (xy) place of the first cell, and (xy) number of them
     low: IntArray
     count: IntArray
-    lists: Lists
+    #: (place + 1) where the list of each cell begins, and all members
+    start: IntArray
+    member: IntArray
 
     @classmethod
     def of(
-        cls, soup: TriangleSoup, nodes: int, pitch_mm: float, low: IntArray, count: IntArray
+        cls, corners_mm: FloatArray, nodes: int, pitch_mm: float, low: IntArray, count: IntArray
     ) -> "Columns":
         """Sort the triangles by the cells that their outline, seen along z, may meet."""
         cell_mm = nodes * pitch_mm
-        begin, end = soup.corners_mm.min(axis=1)[:, :2], soup.corners_mm.max(axis=1)[:, :2]
+        begin, end = corners_mm.min(axis=1)[:, :2], corners_mm.max(axis=1)[:, :2]
         # A pitch of slack on both sides: a column stands beside its node, at most beyond the last.
         first = np.floor((begin - pitch_mm) / cell_mm).astype(np.int64) - low
         last = np.floor((end + pitch_mm) / cell_mm).astype(np.int64) - low
         lists = _sorted_in(np.maximum(first, 0), np.minimum(last, count - 1), count)
-        return cls(soup, nodes, pitch_mm, low, count, Lists(*lists))
+        return cls(corners_mm, nodes, pitch_mm, low, count, *lists)
 
     def negate_inside(self, cells: IntArray, samples: FloatArray) -> None:
         """Negate the samples (n, x, y, z) of the cells' nodes that lie inside."""
 
         def negate(band: slice) -> None:
             place = cells[band], self.pitch_mm
-            _negate(self.soup.corners_mm, self._over(cells[band]), place, samples[band])
+            _negate(self.corners_mm, self._over(cells[band]), place, samples[band])
 
         over_bands(negate, len(cells))
 
@@ -59,14 +62,14 @@ class Columns:
         cells = np.floor(points_mm / (self.nodes * self.pitch_mm)).astype(np.int64)
         inside = np.zeros(len(points_mm), np.bool_)
         points = points_mm + np.array([*_ASIDE, 0.0]) * self.pitch_mm
-        _inside(self.soup.corners_mm, self._over(cells), points, inside)
+        _inside(self.corners_mm, self._over(cells), points, inside)
         return inside
 
     def _over(self, cells: IntArray) -> tuple[IntArray, IntArray, IntArray]:
         """Return begin and end of each cell's list, and all members."""
         x, y = (cells[:, :2] - self.low).T
         place = x * self.count[1] + y
-        return self.lists.start[place], self.lists.start[place + 1], self.lists.member
+        return self.start[place], self.start[place + 1], self.member
 
 
 @compiled  # type: ignore[untyped-decorator]

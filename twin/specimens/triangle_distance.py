@@ -5,10 +5,9 @@ of n^3 nodes: cell (a, b, c) begins with node (n a, n b, n c). Nothing depends o
 are asked for.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -18,87 +17,67 @@ from twin.specimens.distance import compiled
 from twin.specimens.pose import FloatArray
 
 IntArray = npt.NDArray[np.int64]
-Found = TypeVar("Found")
 
-# Of the largest coordinate; rounding of a distance is far below, the next triangle far above it.
-_SLACK = 1e-12
 _CHUNK = 64
+_LEAF = 2
+_KEY_BITS = 16
+_DEEPEST = 64
 
 
 @dataclass(frozen=True, eq=False)
-class TriangleSoup:
-    """The triangles of a closed mesh."""
+class TriangleTree:
+    """The triangles of a closed mesh, and boxes round ever larger groups of them.
 
-    #: (n, corner, xyz) mm
+    Triangles are sorted along a Z-order curve (Morton 1966) and taken in pairs. Box 1 holds all,
+    box n holds boxes 2 n and 2 n + 1, the last half of the boxes hold the pairs.
+    """
+
+    #: (n, corner, xyz) mm, all of them
     corners_mm: FloatArray
-    #: indices of those with an area; the others are met on their neighbours' edges
-    wide: IntArray
+    #: (n, corner, xyz) mm, sorted; without those that have no area: they are met on their
+    #: neighbours' edges
+    sorted_mm: FloatArray
+    #: (box, low or high, xyz) mm; one that holds nothing is infinitely far
+    boxes_mm: FloatArray
 
     @classmethod
-    def of(cls, corners_mm: FloatArray) -> "TriangleSoup":
-        """Sort out triangles without area."""
+    def of(cls, corners_mm: FloatArray) -> "TriangleTree":
+        """Build the tree."""
         corners = np.ascontiguousarray(corners_mm, dtype=np.float64)
         sides = corners[:, 1:] - corners[:, :1]
         longest = np.linalg.norm(sides, axis=-1).max(axis=-1)
         area = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=-1)
-        return cls(corners, np.flatnonzero(area > 1e-12 * longest**2))
+        wide = corners[area > 1e-12 * longest**2]
+        in_order = wide[np.argsort(_keys(wide.mean(axis=1)), kind="stable")]
+        return cls(corners, in_order, _boxes(in_order))
 
 
-@dataclass(frozen=True, eq=False)
-class Lists:
-    """Several lists of triangles, one after the other."""
-
-    #: (list + 1) where each begins
-    start: IntArray
-    member: IntArray
-
-    @classmethod
-    def joined(cls, parts: Sequence[tuple[IntArray, IntArray]]) -> "Lists":
-        """Join (counts, members) of consecutive lists."""
-        counts = np.concatenate([counts for counts, _ in parts])
-        start = np.concatenate(([0], np.cumsum(counts)))
-        return cls(start, np.concatenate([members for _, members in parts]))
+def _keys(points_mm: FloatArray) -> IntArray:
+    """Return the places of points along a Z-order curve."""
+    low = points_mm.min(axis=0)
+    step = max(float((points_mm.max(axis=0) - low).max()), 1e-9) / (2**_KEY_BITS - 1)
+    steps = ((points_mm - low) / step).astype(np.int64)
+    key = np.zeros(len(points_mm), np.int64)
+    for bit in range(_KEY_BITS):
+        for axis in range(3):
+            key |= (steps[:, axis] >> bit & 1) << 3 * bit + axis
+    return key
 
 
-@dataclass(frozen=True, eq=False)
-class Candidates:
-    """The triangles that may be the nearest to a node of each cell."""
-
-    lists: Lists
-    #: (n,) distance of each cell's middle
-    middle_mm: FloatArray
-
-
-def nearest_candidates(
-    soup: TriangleSoup, cells: IntArray, nodes: int, pitch_mm: float
-) -> Candidates:
-    """List for each cell the triangles that may be the nearest to one of its nodes.
-
-    Parameters
-    ----------
-    soup : TriangleSoup
-        Triangles.
-    cells : (n, xyz) int
-        Places of cells: each once, sorted by x, y, z.
-    nodes : int
-        Nodes along a cell's side.
-    pitch_mm : float, mm
-        Distance between nodes.
-
-    Notes
-    -----
-    Cells of doubled size hold all the others at the top. Each passes to its children what is, seen
-    from its middle, at most the diagonal of its nodes farther away than the nearest triangle.
-    """
-    top = int(np.ceil(np.log2(1 + np.abs(cells).max(initial=0)))) + 1
-    parents = np.zeros((1, 3), np.int64)
-    found = Candidates(Lists(np.array([0, soup.wide.size]), soup.wide), np.zeros(1))
-    for level in range(top, -1, -1):
-        now = np.unique(cells >> level, axis=0) if level else cells
-        parent = _places_in(parents, now >> 1) if level < top else np.zeros(len(now), np.int64)
-        found = _narrowed(soup, found.lists, parent, middles_mm(now, nodes << level, pitch_mm))
-        parents = now
-    return found
+def _boxes(triangles_mm: FloatArray) -> FloatArray:
+    """Return the boxes (box, low or high, xyz) round triangles, their pairs, pairs of pairs ..."""
+    first = np.arange(0, len(triangles_mm), _LEAF)
+    pairs = 2 ** int(np.ceil(np.log2(max(len(first), 1))))
+    boxes = np.full((2 * pairs, 2, 3), np.inf)
+    for side, of in enumerate((np.minimum, np.maximum)):
+        row = of.reduceat(of.reduce(triangles_mm, axis=1), first)
+        boxes[pairs : pairs + len(first), side] = row
+    for level in range(pairs.bit_length() - 2, -1, -1):
+        two = boxes[2 << level : 4 << level].reshape(-1, 2, 2, 3)
+        boxes[1 << level : 2 << level, 0] = two[:, :, 0].min(axis=1)
+        high = np.where(np.isfinite(two[:, :, 0]), two[:, :, 1], -np.inf).max(axis=1)
+        boxes[1 << level : 2 << level, 1] = high
+    return boxes
 
 
 def middles_mm(cells: IntArray, nodes: int, pitch_mm: float) -> tuple[FloatArray, float]:
@@ -107,57 +86,36 @@ def middles_mm(cells: IntArray, nodes: int, pitch_mm: float) -> tuple[FloatArray
     return middles, float(np.sqrt(3) / 2 * (nodes - 1) * pitch_mm)
 
 
+def distances_mm(tree: TriangleTree, points_mm: FloatArray) -> FloatArray:
+    """Return the distance (n,) of points (n, xyz) to the nearest triangle."""
+    samples = np.zeros((len(points_mm), 1, 1, 1))
+    _sample_all(tree, points_mm, 0.0, samples)
+    return samples.ravel()
+
+
 def unsigned_samples(
-    soup: TriangleSoup, cells: IntArray, nodes: int, pitch_mm: float
+    tree: TriangleTree, cells: IntArray, nodes: int, pitch_mm: float
 ) -> FloatArray:
-    """Return the distance (n, x, y, z) of cells' nodes, mm; cells as in `nearest_candidates`."""
-    near = nearest_candidates(soup, cells, nodes, pitch_mm).lists
-    middles, _ = middles_mm(cells, nodes, pitch_mm)
+    """Return the distance (n, x, y, z) of the nodes of cells (n, xyz), mm."""
     samples = np.zeros((len(cells), nodes, nodes, nodes))
-
-    def sample(band: slice) -> None:
-        lists = near.start[band.start : band.stop + 1], near.member
-        _sample(soup.corners_mm, lists, middles[band], pitch_mm, samples[band])
-
-    over_bands(sample, len(cells))
+    _sample_all(tree, middles_mm(cells, nodes, pitch_mm)[0], pitch_mm, samples)
     return samples
 
 
-def over_bands(call: Callable[[slice], Found], count: int) -> list[Found]:
-    """Call a function with bands of cells on all cores; return what it found, in order."""
+def _sample_all(
+    tree: TriangleTree, middles: FloatArray, pitch_mm: float, samples: FloatArray
+) -> None:
+    def sample(band: slice) -> None:
+        _sample((tree.sorted_mm, tree.boxes_mm), middles[band], pitch_mm, samples[band])
+
+    over_bands(sample, len(middles))
+
+
+def over_bands(call: Callable[[slice], None], count: int) -> None:
+    """Call a function with bands of cells, on all cores."""
     bands = [slice(first, min(first + _CHUNK, count)) for first in range(0, count, _CHUNK)]
     with ThreadPoolExecutor(threads()) as pool:
-        return list(pool.map(call, bands))
-
-
-def _places_in(sorted_rows: IntArray, rows: IntArray) -> IntArray:
-    """Return where each of `rows` is in `sorted_rows`, which holds all of them."""
-    low = sorted_rows.min(axis=0)
-    base = sorted_rows.max(axis=0) - low + 1
-
-    def key(of: IntArray) -> IntArray:
-        x, y, z = (of - low).T
-        return np.asarray((x * base[1] + y) * base[2] + z)
-
-    return np.searchsorted(key(sorted_rows), key(rows))
-
-
-def _narrowed(
-    soup: TriangleSoup, lists: Lists, parent: IntArray, round_middles: tuple[FloatArray, float]
-) -> Candidates:
-    """Keep of each parent's list what can be nearest within a radius round each middle."""
-    middles, radius = round_middles
-    nearest = np.zeros(len(middles))
-    farther = 2 * radius + _SLACK * float(np.abs(soup.corners_mm).max())
-
-    def narrow(band: slice) -> tuple[IntArray, IntArray]:
-        own = lists.start, lists.member, parent[band]
-        found: tuple[IntArray, IntArray] = _narrow(
-            soup.corners_mm, own, middles[band], farther, nearest[band]
-        )
-        return found
-
-    return Candidates(Lists.joined(over_bands(narrow, len(parent))), nearest)
+        list(pool.map(call, bands))
 
 
 @compiled  # type: ignore[untyped-decorator]
@@ -203,65 +161,67 @@ def _nearest_shares(uu: float, uv: float, vv: float, up: float, vp: float) -> tu
 
 
 @compiled  # type: ignore[untyped-decorator]
-def _narrow(
-    corners: FloatArray,
-    lists: tuple[IntArray, IntArray, IntArray],
-    middles: FloatArray,
-    farther: float,
-    nearest: FloatArray,
-) -> tuple[IntArray, IntArray]:
-    """Return how many candidates each cell keeps, and which."""
-    start, member, parent = lists
-    counts = np.zeros(len(parent), np.int64)
-    kept = np.zeros(1024, np.int64)
-    total = 0
-    for cell in range(len(parent)):
-        first, end = start[parent[cell]], start[parent[cell] + 1]
-        away = np.zeros(end - first)
-        x, y, z = middles[cell, 0], middles[cell, 1], middles[cell, 2]
-        for i in range(first, end):
-            away[i - first] = np.sqrt(_squared(corners[member[i]], x, y, z))
-        nearest[cell] = away.min()
-        while total + away.size > kept.size:
-            kept = np.concatenate((kept, np.zeros_like(kept)))
-        for i in range(away.size):
-            if away[i] <= nearest[cell] + farther:
-                kept[total] = member[first + i]
-                total += 1
-                counts[cell] += 1
-    return counts, kept[:total].copy()
+def _to_box(box: FloatArray, x: float, y: float, z: float) -> float:
+    """Return the squared distance of a point to a box."""
+    dx = max(box[0, 0] - x, x - box[1, 0], 0.0)
+    dy = max(box[0, 1] - y, y - box[1, 1], 0.0)
+    dz = max(box[0, 2] - z, z - box[1, 2], 0.0)
+    return float(dx * dx + dy * dy + dz * dz)
+
+
+@compiled  # type: ignore[untyped-decorator]
+def _nearest(
+    tree: tuple[FloatArray, FloatArray],
+    at: tuple[float, float, float],
+    guess: int,
+    waiting: tuple[IntArray, FloatArray],
+) -> tuple[float, int]:
+    """Return the squared distance to the nearest triangle, and which it is."""
+    triangles, boxes = tree
+    stack, least = waiting
+    x, y, z = at
+    pairs = len(boxes) // 2
+    best = _squared(triangles[guess], x, y, z)
+    stack[0], least[0], height = 1, _to_box(boxes[1], x, y, z), 1
+    while height > 0:
+        height -= 1
+        if least[height] >= best:
+            continue
+        box = stack[height]
+        if box >= pairs:
+            for n in range((box - pairs) * _LEAF, min((box - pairs + 1) * _LEAF, len(triangles))):
+                squared = _squared(triangles[n], x, y, z)
+                if squared < best:
+                    best, guess = squared, n
+            continue
+        near, far = 2 * box, 2 * box + 1
+        to_near, to_far = _to_box(boxes[near], x, y, z), _to_box(boxes[far], x, y, z)
+        if to_far < to_near:
+            near, far, to_near, to_far = far, near, to_far, to_near
+        if to_far < best:
+            stack[height], least[height] = far, to_far
+            height += 1
+        if to_near < best:
+            stack[height], least[height] = near, to_near
+            height += 1
+    return best, guess
 
 
 @compiled  # type: ignore[untyped-decorator]
 def _sample(
-    corners: FloatArray,
-    lists: tuple[IntArray, IntArray],
-    middles: FloatArray,
-    pitch: float,
-    samples: FloatArray,
+    tree: tuple[FloatArray, FloatArray], middles: FloatArray, pitch: float, samples: FloatArray
 ) -> None:
-    """Set the distances of the nodes; what is too far from the cell's middle is not looked at."""
-    start, member = lists
-    half = (samples.shape[1] - 1) / 2
+    """Set the distances of cells' nodes, beginning with what was nearest to the node before."""
+    waiting = np.zeros(_DEEPEST, np.int64), np.zeros(_DEEPEST)
+    count = samples.shape[1]
+    half = (count - 1) / 2
     for n in range(len(middles)):
-        near = member[start[n] : start[n + 1]]
-        x, y, z = middles[n, 0], middles[n, 1], middles[n, 2]
-        away = np.zeros(near.size)
-        for c in range(near.size):
-            away[c] = np.sqrt(_squared(corners[near[c]], x, y, z))
-        guess = int(away.argmin())
-        for node in range(samples[n].size):
-            k = node % samples.shape[3]
-            j = node // samples.shape[3] % samples.shape[2]
-            i = node // (samples.shape[2] * samples.shape[3])
-            dx, dy, dz = (i - half) * pitch, (j - half) * pitch, (k - half) * pitch
-            off = np.sqrt(dx * dx + dy * dy + dz * dz)
-            best = _squared(corners[near[guess]], x + dx, y + dy, z + dz)
-            limit = np.sqrt(best) + off
-            for c in range(near.size):
-                if away[c] > limit:
-                    continue
-                squared = _squared(corners[near[c]], x + dx, y + dy, z + dz)
-                if squared < best:
-                    best, guess, limit = squared, c, np.sqrt(squared) + off
-            samples[n, i, j, k] = np.sqrt(best)
+        # Afresh for each cell: where rounding decides, its neighbours must not show.
+        guess = 0
+        for i in range(count):
+            for j in range(count):
+                for k in range(count):
+                    x, y = middles[n, 0] + (i - half) * pitch, middles[n, 1] + (j - half) * pitch
+                    at = x, y, middles[n, 2] + (k - half) * pitch
+                    squared, guess = _nearest(tree, at, guess, waiting)
+                    samples[n, i, j, k] = np.sqrt(squared)

@@ -50,7 +50,7 @@ _TACK_RANGE_MM = 0.08
 # Without a wall nothing but the rim keeps a sheet under pressure out of the frame's material.
 _WALL_MM = 0.5
 _MARGIN_MM = 1.5
-_ROUGH, _FINE = Accuracy(step_mm=1e-3, residual_kpa=0.1), Accuracy()
+_ROUGH, _FINE = Accuracy(step_mm=1e-3, residual_kpa=0.1), Accuracy(residual_kpa=2e-3)
 _FORCE_TOLERANCE, _FORCE_STEPS = 1e-3, 40
 
 
