@@ -26,7 +26,8 @@ _LARGEST_MOVE_MM, _SMALLEST_SHARE, _SUFFICIENT = 0.4, 1e-3, 1e-4
 #: cosine of the largest turn of a normal in one step
 _LARGEST_TURN = 0.5
 _REGRIP_EVERY = 4
-_VISCOSITY, _LEAST_VISCOSITY, _MOST_VISCOSITY = 1.0, 1e-2, 1e7
+_LEAST_VISCOSITY, _CONVEX_FROM, _MOST_VISCOSITY = 1.0, 1e4, 1e7
+_GROWTH = 4.0
 
 
 @dataclass(frozen=True)
@@ -218,31 +219,24 @@ class Sheet:
         SolverError
             No equilibrium within the steps allowed.
         """
-        control, convex, wait, patience, viscosity = state.control_mm, False, 0, 1, _VISCOSITY
+        control, viscosity = state.control_mm, 0.0
         now = self.evaluate(control, state, tangent=True)
         for count in range(accuracy.most_steps):
             gradient = self.forces()
-            step = None if convex else self._newton_step(gradient)
-            if step is None:
-                if not convex:
-                    convex, wait, patience = True, patience, min(2 * patience, 8)
-                    now = self.evaluate(control, state, tangent=True, convex=True)
-                step, viscosity = self._viscous_step(gradient, viscosity)
-            wait -= convex
-            after = convex and wait > 0
+            viscosity = self._definite(control, state, viscosity)
+            step = self._spread(-self.solver.solve(gradient))
             slope = float(gradient @ step[self.grid.free])
-            share, now = self._search(step, slope, now, state, after)
+            share, now = self._search(step, slope, now, state)
             control = control + share * step
             if self.sticks and count % _REGRIP_EVERY == _REGRIP_EVERY - 1:
                 state = self.regripped(replace(state, control_mm=control))
-                now = self.evaluate(control, state, tangent=True, convex=after)
-            viscosity = _adapted(viscosity, share)
-            convex = after
+                now = self.evaluate(control, state, tangent=True)
             largest = share * float(np.abs(step).max())
             residual = float(np.abs(self.forces() / self._weights).max())
             if largest < accuracy.step_mm and share > 0.9 and residual < accuracy.residual_kpa:
                 settled = replace(state, control_mm=control, steps=state.steps + count + 1)
                 return self.regripped(settled) if self.sticks else settled
+            viscosity = _adapted(viscosity, share)
         raise SolverError(
             f"sheet: no equilibrium at {state.travel_mm:.3g} mm of travel and "
             f"{state.pressure_kpa:.3g} kPa within {accuracy.most_steps} steps (last step "
@@ -253,17 +247,21 @@ class Sheet:
     def _weights(self) -> FloatArray:
         return np.repeat(self.area_mm2[..., None], 3, axis=2)[self.grid.free]
 
-    def _newton_step(self, gradient: FloatArray) -> FloatArray | None:
-        if not self._factorise(0.0):
-            return None
-        return self._spread(-self.solver.solve(gradient))
-
-    def _viscous_step(self, gradient: FloatArray, viscosity: float) -> tuple[FloatArray, float]:
+    def _definite(self, control: FloatArray, state: SheetState, viscosity: float) -> float:
+        """Factorise the tangent with as little viscosity as makes it definite; return that."""
         while not self._factorise(viscosity):
-            viscosity *= 10
+            viscosity = max(_GROWTH * viscosity, _LEAST_VISCOSITY)
+            if viscosity > _CONVEX_FROM:
+                break
+        else:
+            return viscosity
+        self.evaluate(control, state, tangent=True, convex=True)
+        viscosity = _LEAST_VISCOSITY
+        while not self._factorise(viscosity):
+            viscosity *= _GROWTH
             if viscosity > _MOST_VISCOSITY:
                 raise SolverError("sheet: no direction lowers its energy")
-        return self._spread(-self.solver.solve(gradient)), viscosity
+        return viscosity
 
     def _factorise(self, viscosity: float) -> bool:
         values = self._tangent.reshape(-1)[self._stencil.taken]
@@ -283,12 +281,11 @@ class Sheet:
         slope: float,
         now: Evaluation,
         state: SheetState,
-        convex: bool,
     ) -> tuple[float, Evaluation]:
         """Return the share of the step that lowers the energy enough, and what is there."""
         share = min(1.0, _LARGEST_MOVE_MM / float(np.abs(step).max()))
         while True:
-            new = self.evaluate(now.control_mm + share * step, state, tangent=True, convex=convex)
+            new = self.evaluate(now.control_mm + share * step, state, tangent=True)
             bound = now.energy + _SUFFICIENT * share * slope + 1e-12 * abs(now.energy)
             if np.isfinite(new.energy) and new.energy <= bound and _turn(now, new) > _LARGEST_TURN:
                 return share, new
@@ -298,9 +295,11 @@ class Sheet:
 
 
 def _adapted(viscosity: float, share: float) -> float:
+    """Return the viscosity to try next: less after a whole step, more after a cut one."""
     if share < 0.2:
-        return min(4 * viscosity, _MOST_VISCOSITY)
-    return max(viscosity / 3, _LEAST_VISCOSITY) if share > 0.9 else viscosity
+        return _GROWTH * max(viscosity, _LEAST_VISCOSITY)
+    less = viscosity / _GROWTH
+    return 0.0 if less < _LEAST_VISCOSITY else less
 
 
 def _turn(before: Evaluation, after: Evaluation) -> float:
