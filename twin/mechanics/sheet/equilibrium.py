@@ -137,9 +137,17 @@ class Sheet:
             )
         return out
 
+    @property
+    def reach_mm(self) -> float:
+        """Distance of the middle surface from a body beyond which the two do not feel each other.
+
+        Half a thickness, half as much again where the sheet is compressed, and the tack's range.
+        """
+        return 0.75 * self.laws.thickness_mm + self.laws.tack_range_mm
+
     def touch(self, place_mm: FloatArray, travel_mm: float) -> Touch:
         """Return the bodies' distances at the sheet's Gauss points (row, col, 4, xyz)."""
-        reach = self.laws.thickness_mm + self.laws.tack_range_mm
+        reach = self.reach_mm
         shape = place_mm.shape[:3]
         lift = np.array([0.0, 0.0, self.touched_z_mm + travel_mm])
         points = place_mm.reshape(-1, 3)

@@ -1,5 +1,6 @@
 """Positive definite sparse systems, by PARDISO (pypardiso) or else by SciPy's SuperLU."""
 
+import ctypes
 import warnings
 from typing import Any, Protocol
 
@@ -12,6 +13,7 @@ from twin.mechanics.transfer import FloatArray
 
 IntArray = npt.NDArray[np.int32]
 _REAL_POSITIVE_DEFINITE = 2
+_MKL_CBWR_AUTO = 2
 _ANALYSE, _FACTORISE, _SOLVE = 11, 22, 33
 
 
@@ -37,6 +39,9 @@ class Pardiso:
         self._refusal: type[Exception] = PyPardisoError
         self._solver: Any = PyPardisoSolver(mtype=_REAL_POSITIVE_DEFINITE)
         size = start.size - 1
+        # One thread and one order of sums: the same bytes in every run, with any number of cores.
+        self._solver.libmkl.MKL_CBWR_Set(ctypes.c_int(_MKL_CBWR_AUTO))
+        self._solver.libmkl.MKL_Set_Num_Threads(ctypes.c_int(1))
         self._matrix = sparse.csr_matrix(
             (np.ones(columns.size), columns, start), shape=(size, size)
         )

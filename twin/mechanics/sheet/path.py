@@ -47,8 +47,8 @@ def waypoints(goal: Loads) -> list[Loads]:
     The travels before the last do not depend on the goal, so that presses to different travels
     share the beginning of their paths.
     """
-    travels = np.arange(1, int(np.ceil(goal.travel_mm / TRAVEL_STEP_MM - 1e-9))) * TRAVEL_STEP_MM
-    steps = [Loads(float(travel)) for travel in travels] + [Loads(goal.travel_mm)]
+    count = int(np.ceil(goal.travel_mm / TRAVEL_STEP_MM - 1e-9))
+    steps = [*(Loads(_common_travel(k)) for k in range(1, count)), Loads(goal.travel_mm)]
     last = PRESSURE_STEPS_KPA[-1]
     beyond = np.arange(
         last + _PRESSURE_STEP_BEYOND_KPA, goal.pressure_kpa, _PRESSURE_STEP_BEYOND_KPA
@@ -60,9 +60,22 @@ def waypoints(goal: Loads) -> list[Loads]:
 
 
 def follow(
-    sheet: Sheet, goal: Loads, accuracy: Accuracy, progress: Progress | None = None
+    sheet: Sheet,
+    goal: Loads,
+    accuracy: Accuracy,
+    shared: list[SheetState],
+    progress: Progress | None = None,
 ) -> SheetState:
     """Press from the mounted sheet to `goal`.
+
+    Parameters
+    ----------
+    sheet : Sheet
+    goal : Loads
+    accuracy : Accuracy
+    shared : list of SheetState
+        States at the first travels of `waypoints`, from earlier paths of this sheet; added to.
+    progress : called with the share of the stops that is done
 
     Raises
     ------
@@ -71,13 +84,27 @@ def follow(
     SolverError
         No equilibrium; names the last travel that had one.
     """
-    state = before = mounted(sheet.grid)
     stops = waypoints(goal)
-    for number, stop in enumerate(stops):
-        state, before = advance(sheet, state, before, stop, accuracy)
+    common = [stop for stop in stops if _is_common(stop)]
+    known = [mounted(sheet.grid), *shared[: len(common)]]
+    state, before = known[-1], known[max(len(known) - 2, 0)]
+    for number in range(len(known) - 1, len(stops)):
+        state, before = advance(sheet, state, before, stops[number], accuracy)
+        if number == len(shared) and number < len(common):
+            shared.append(state)
         if progress is not None:
             progress((number + 1) / len(stops))
     return state
+
+
+def _common_travel(step: int) -> float:
+    # Rounded, so that a goal of 0.6 mm is the third stop and not its neighbour in binary.
+    return round(step * TRAVEL_STEP_MM, 9)
+
+
+def _is_common(stop: Loads) -> bool:
+    step = round(stop.travel_mm / TRAVEL_STEP_MM)
+    return stop.pressure_kpa == 0 and stop.travel_mm == _common_travel(step)
 
 
 def advance(

@@ -9,6 +9,7 @@ included; quadratic B-splines, 2 x 2 Gauss points. Penalty of contact: the compl
 thickness, E* / (h / 4), which fits solid elements best (shared notes on the sheet).
 """
 
+from collections import OrderedDict
 from dataclasses import dataclass
 
 import numpy as np
@@ -52,6 +53,9 @@ _WALL_MM = 0.5
 _MARGIN_MM = 1.5
 _ROUGH, _FINE = Accuracy(step_mm=1e-3, residual_kpa=0.1), Accuracy(residual_kpa=2e-3)
 _FORCE_TOLERANCE, _FORCE_STEPS = 1e-3, 40
+_KEPT_PATHS = 4
+# What presses of one path may differ in.
+_LOADS = {"control": "depth", "depth_mm": 1.0, "force_n": None, "back_pressure_kpa": 0.0}
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,6 +65,8 @@ class SheetCase:
     frame: Frame
     laws: Laws
     bodies: Bodies
+    #: how many of the moving bodies are the specimen's own, before its plate
+    parts: int
     shape: Shape
     sticks: bool
     #: the finest cells
@@ -113,8 +119,9 @@ def press_sheet(
     SolverError
         No equilibrium; the message names the last travel that had one.
     """
-    case = sheet_case(specimen, elastomer, load, mechanics)
-    sheet, state = _equilibrium(case, load, progress)
+    path = _path(specimen, elastomer, load, mechanics)
+    case = path.case
+    sheet, state = _equilibrium(path, load, progress)
     return _result(case, elastomer, load, sheet, state)
 
 
@@ -137,10 +144,12 @@ def sheet_case(
         "simple" if mechanics.support == "simple" else "clamped",
         elastomer.pre_stretch,
     )
+    parts = distances_of(shape)
     return SheetCase(
         frame=frame,
         laws=_laws(elastomer, load),
-        bodies=Bodies((*distances_of(shape), *_plate(shape)), _walls(frame)),
+        bodies=Bodies((*parts, *_plate(shape)), _walls(frame)),
+        parts=len(parts),
         shape=shape,
         sticks=elastomer.sticks,
         cell_mm=finest_cell_mm(elastomer, load),
@@ -197,13 +206,42 @@ def contact_force_n(sheet: Sheet, state: SheetState) -> float:
     return 1e-3 * (pressed + weight - held)
 
 
-def _equilibrium(
-    case: SheetCase, load: Press, progress: Progress | None
-) -> tuple[Sheet, SheetState]:
+@dataclass(frozen=True, eq=False)
+class _Path:
+    """A case on coarse cells, and the states that its presses have in common."""
+
+    case: SheetCase
+    sheet: Sheet
+    #: at the travels that every path goes through, see `waypoints`; grows
+    states: list[SheetState]
+
+
+#: Paths of this process, the latest last: a study over travel, pressure or force goes on from them.
+_paths: OrderedDict[str, _Path] = OrderedDict()
+
+
+def _path(specimen: Specimen, elastomer: Elastomer, load: Press, mechanics: Mechanics) -> _Path:
+    """Return the case's path, kept from an earlier press that differs in its loads alone.
+
+    What a kept path holds are the same bytes that a new one would find.
+    """
+    same = (specimen, elastomer, load.model_copy(update=_LOADS), mechanics)
+    key = "\n".join(f"{type(one).__name__} {one.model_dump_json()}" for one in same)
+    if key not in _paths:
+        case = sheet_case(specimen, elastomer, load, mechanics)
+        sheet = case.sheet(_COARSE_CELL_MM, case.shape.bounds_mm())
+        _paths[key] = _Path(case, sheet, [])
+    _paths.move_to_end(key)
+    while len(_paths) > _KEPT_PATHS:
+        _paths.popitem(last=False)
+    return _paths[key]
+
+
+def _equilibrium(path: _Path, load: Press, progress: Progress | None) -> tuple[Sheet, SheetState]:
     report = progress or (lambda share: None)
-    coarse = case.sheet(_COARSE_CELL_MM, case.shape.bounds_mm())
+    case, coarse = path.case, path.sheet
     goal = Loads(load.depth_mm or TRAVEL_STEP_MM, load.back_pressure_kpa)
-    state = follow(coarse, goal, _ROUGH, lambda share: report(0.6 * share))
+    state = follow(coarse, goal, _ROUGH, path.states, lambda share: report(0.6 * share))
     if load.force_n is not None:
         state = _to_force(coarse, state, load.force_n, _ROUGH)
     fine = case.sheet(case.cell_mm, _contact_box(case, coarse, state))
@@ -245,8 +283,7 @@ def _contact_box(
     """Return the box of the mounted sheet that touches the specimen, and a margin round it."""
     surface = sheet.surface(state.control_mm)
     touch = sheet.touch(surface[..., 0, :], state.travel_mm)
-    specimen = len(distances_of(case.shape))
-    gap = sheet.gap_mm(surface, touch)[:specimen].min(axis=0)
+    gap = sheet.gap_mm(surface, touch)[: case.parts].min(axis=0)
     near = gap < _COARSE_CELL_MM / 2
     if not near.any():
         return case.shape.bounds_mm()
@@ -324,7 +361,7 @@ def _pressure_kpa(
     points = (middle_mm - lift).reshape(-1, 3)
     total = np.zeros(thickness_mm.size)
     for body in sheet.bodies.moving:
-        gap = body.evaluate(points, sheet.laws.thickness_mm)[0] - thickness_mm.ravel() / 2
+        gap = body.evaluate(points, sheet.reach_mm)[0] - thickness_mm.ravel() / 2
         total += sheet.laws.contact_stiffness * np.maximum(-gap, 0.0)
     # Per undeformed area in the solver; per deformed area is what a gauge would read.
     return total.reshape(thickness_mm.shape) * thickness_mm / sheet.laws.thickness_mm
