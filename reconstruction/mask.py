@@ -17,9 +17,7 @@ class Reason(IntEnum):
     """The Gray word could stand for another fringe order, or contradicts the phase."""
     OUTSIDE_PROJECTOR = 5
     """The decoded coordinate lies outside the projector image."""
-    FILTER_SUPPORT = 6
-    """The phasor filter reaches over pixels without a phase; one-sided support is biased."""
-    EPIPOLAR_MISMATCH = 7
+    EPIPOLAR_MISMATCH = 6
     """Column and row coordinate belong to no common point of this camera ray."""
-    NO_POINT = 8
+    NO_POINT = 7
     """The camera ray and the projector plane do not meet in front of both devices."""

@@ -134,7 +134,7 @@ def test_decoder_keeps_sixteen_bits_and_gives_single_precision(capture):
 
 
 def test_plain_arrays_are_kept_as_they_are():
-    images = [np.full((2, 3), float(i), np.float32) for i in range(8)]
+    images = [np.full((2, 3), float(i), np.float32) for i in range(9)]
     axis = AxisDecode(*images)
     assert axis.mean_dn is images[3]
     assert axis.order_error is images[7]
