@@ -112,6 +112,11 @@ def _make_planes(rows: int, cols: int) -> Planes:
     )  # fmt: skip
 
 
+@inlined
+def _larger(a: Any, b: Any) -> Any:
+    return a if a > b else b
+
+
 @compiled
 def _fill(line: Any, value: Any) -> None:
     for col in range(line.size):
@@ -214,7 +219,7 @@ def _bend_across(
 @compiled
 def _invert(line: Any, usable: Any) -> None:
     for col in range(line.size):
-        line[col] = usable[col] / max(line[col], TINY)
+        line[col] = usable[col] / _larger(line[col], TINY)
 
 
 @compiled
@@ -420,25 +425,24 @@ def _settle(
     g, gc, gf, cc, cf, ff = m[0, 0], m[0, 1], m[0, 2], m[1, 1], m[1, 2], m[2, 2]
     g0, c0, f0 = centre[0], centre[1], centre[2]
     for col in range(out.size):
-        noise, own = squares[2, col], variance[col]
-        large, small = max(squares[0, col], TINY), max(squares[1, col], TINY)
-        c = max(ONE - COARSE_FLOOR * cc * noise / large, ZERO)
-        f = max(ONE - (ONE + FINE_EXTRA * (ONE - c)) * ff * noise / small, ZERO)
+        noise, own, large, small = squares[2, col], variance[col], squares[0, col], squares[1, col]
+        c = _excess(COARSE_FLOOR * cc * noise, large)
+        f = _excess((ONE + FINE_EXTRA * (ONE - c)) * ff * noise, small)
         kept, fine = coarse[col], lift[col] - coarse[col]
         out[col] = usable[col] * (x[col] + (ONE - c) * kept + (ONE - f) * fine)
         bias = (ONE - c) * (ONE - c) * c * large + (ONE - f) * (ONE - f) * f * small
         middle = g0 - c * c0 - f * f0
         left = g - TWO * (c * gc + f * gf) + c * c * cc + TWO * c * f * cf + f * f * ff
-        less = max(gain[col] - g, ZERO) * (ONE - max(c, f))
+        less = _larger(gain[col] - g, ZERO) * (ONE - _larger(c, f))
         spread = middle * middle * (own - noise) + (left + less) * noise + bias
-        sigma[col] = usable[col] * np.sqrt(max(spread, ZERO))
-        share[col] = np.uint8(SHARE_STEPS * min(bias / max(spread, TINY), ONE) + ROUNDING)
+        sigma[col] = usable[col] * np.sqrt(_larger(spread, ZERO))
+        share[col] = np.uint8(np.int32(SHARE_STEPS * (bias / _larger(spread, TINY)) + ROUNDING))
 
 
-@compiled
-def _mark(x: Any, usable: Any, out: Any) -> None:
-    for col in range(out.size):
-        out[col] = x[col] if usable[col] > ZERO else NOWHERE
+@inlined
+def _excess(expected: Any, found: Any) -> Any:
+    """Return the share by which `found` exceeds what is expected of noise."""
+    return _larger(ONE - expected / _larger(found, TINY), ZERO)
 
 
 @compiled
@@ -541,9 +545,10 @@ def smooth_rows(
     margin, count = 2 * (smoothing.weights.size // 2) + REACH, end_row - first_row
     top = first_row - margin
     low, high = max(-top, 0), min(count + 2 * margin, rows - top)
+    # One set for all patches: new memory costs more than the arithmetic.
+    planes = _make_planes(count + 2 * margin, min(PATCH_COLS, width) + 2 * margin)
     for first_col in range(0, width, PATCH_COLS):
         cols, left = min(PATCH_COLS, width - first_col), first_col - margin
         near, far = max(-left, 0), min(cols + 2 * margin, width - left)
-        planes = _make_planes(count + 2 * margin, cols + 2 * margin)
         patch = Patch(top, left, count, cols, margin, low, high, near, far)
         _smooth_patch(patch, source, smoothing, planes, target)
