@@ -25,7 +25,7 @@ REACH = 8
 PATCH_COLS = 256
 # A part counts as relief beyond so many times the noise expected of it, 2.4 sigmas of a mean square
 # of noise; fine relief comes with coarse relief, which takes the extra off.
-COARSE_FLOOR, FINE_EXTRA = np.float32(1.8), np.float32(0.2)
+COARSE_FLOOR, FINE_EXTRA, RELIEF_EXTRA = np.float32(1.8), np.float32(0.2), np.float32(0.3)
 ZERO, ONE, TWO, TINY = np.float32(0.0), np.float32(1.0), np.float32(2.0), np.float32(1e-30)
 # The value of a pixel without one: no pair with it comes within any limit.
 NOWHERE = np.float32(1e30)
@@ -115,6 +115,11 @@ def _make_planes(rows: int, cols: int) -> Planes:
 @inlined
 def _larger(a: Any, b: Any) -> Any:
     return a if a > b else b
+
+
+@inlined
+def _smaller(a: Any, b: Any) -> Any:
+    return a if a < b else b
 
 
 @compiled
@@ -427,7 +432,8 @@ def _settle(
     for col in range(out.size):
         noise, own, large, small = squares[2, col], variance[col], squares[0, col], squares[1, col]
         c = _excess(COARSE_FLOOR * cc * noise, large)
-        f = _excess((ONE + FINE_EXTRA * (ONE - c)) * ff * noise, small)
+        extra = _smaller(FINE_EXTRA, RELIEF_EXTRA * (ONE - c))
+        f = _excess((ONE + extra) * ff * noise, small)
         kept, fine = coarse[col], lift[col] - coarse[col]
         out[col] = usable[col] * (x[col] + (ONE - c) * kept + (ONE - f) * fine)
         bias = (ONE - c) * (ONE - c) * c * large + (ONE - f) * (ONE - f) * f * small

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from reconstruction.errors import FitError
 from reconstruction.fit import SphereFit, fit_sphere
-from reconstruction.pipeline import Reconstruction
+from reconstruction.pipeline import Reconstruction, filter_bias
 from twin.config.models import Experiment
 from twin.optics.stack import Truth
 from twin.specimens import Sphere, shape_of
@@ -29,7 +29,8 @@ class TruthScore:
     """Errors of world z against the true surface at the pixel centres, valid pixels only.
 
     `completeness` is the share of the wanted pixels with a point, `good_share` that of those whose
-    point is also right within `score.good_within_um`.
+    point is also right within `score.good_within_um`. `filter_bias_um` and `filter_bias_share` need
+    no truth, see `filter_bias`.
     """
 
     points: int
@@ -41,6 +42,8 @@ class TruthScore:
     z_bias_um: float
     z_p95_um: float
     sigma_z_median_um: float
+    filter_bias_um: float
+    filter_bias_share: float
     error_over_sigma: float
 
 
@@ -99,7 +102,8 @@ def score_truth(experiment: Experiment, reconstruction: Reconstruction, truth: T
     sigma_um = 1e3 * reconstruction.point_map.sigma_z_mm[both].astype(np.float64)
     lit, count = int(wanted.sum()), int(both.sum())
     if not count:
-        return TruthScore(0, lit, 0.0, 0.0, 0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        return TruthScore(0, lit, 0.0, 0.0, 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    bias_um, bias_share = filter_bias(reconstruction, experiment.decode.use, both)
     good = int((np.abs(error_um) <= experiment.score.good_within_um).sum())
     relative = (error_um - np.median(error_um)) / np.maximum(sigma_um, 1e-9)
     return TruthScore(
@@ -112,6 +116,8 @@ def score_truth(experiment: Experiment, reconstruction: Reconstruction, truth: T
         z_bias_um=float(np.mean(error_um)),
         z_p95_um=float(np.percentile(np.abs(error_um), 95)),
         sigma_z_median_um=float(np.median(sigma_um)),
+        filter_bias_um=bias_um,
+        filter_bias_share=bias_share,
         error_over_sigma=float(_MAD_TO_SIGMA * np.median(np.abs(relative))),
     )
 
@@ -184,6 +190,8 @@ def metrics(scored: Score) -> dict[str, Any]:
         "z_bias_um": truth.z_bias_um,
         "z_p95_um": truth.z_p95_um,
         "sigma_z_median_um": truth.sigma_z_median_um,
+        "filter_bias_um": truth.filter_bias_um,
+        "filter_bias_share": truth.filter_bias_share,
         "error_over_sigma": truth.error_over_sigma,
     }
     for sphere in scored.spheres:
