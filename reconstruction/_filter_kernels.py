@@ -20,8 +20,9 @@ from reconstruction._half_kernels import pack_row, unpack_row
 from reconstruction._jit import compiled, inlined
 from reconstruction.arrays import FloatImage
 
-# Mean squares are taken over 17 x 17 pixels, the outer ones half.
-REACH = 8
+# Mean squares are taken over 5 x 5 blocks of 4 x 4 pixels, whatever the patch.
+BLOCK, AROUND = 4, 2
+REACH = BLOCK * (AROUND + 1)
 PATCH_COLS = 256
 # A part counts as relief beyond so many times the noise expected of it, 2.4 sigmas of a mean square
 # of noise; fine relief comes with coarse relief, which takes the extra off.
@@ -71,12 +72,19 @@ class Planes(NamedTuple):
     along_cols: Any
     gain: Any  # variance that G leaves of the noise of a single pixel
     per_support: Any  # 1 / (G usable)
-    per_count: Any  # 1 / usable pixels of the box
     value: Any
+    variance: Any
     spare: Any
     lift: Any
     coarse: Any
-    squares: Any  # (coarse, fine, noise)
+
+
+class Blocks(NamedTuple):
+    """Sums over blocks; the last index is coarse, fine, noise, count or as `_weigh_parts` says."""
+
+    lines: Any  # (sum, col), over the rows of one block row
+    sums: Any  # (sum, block row, block col)
+    spread: Any  # (value, col), what holds for all pixels of a block
 
 
 class Patch(NamedTuple):
@@ -86,7 +94,8 @@ class Patch(NamedTuple):
     left: int
     rows: int
     cols: int
-    margin: int  # around the patch, on all sides
+    above: int  # plane row and column where the patch begins
+    start: int
     low: int  # plane rows low to high - 1 and columns near to far - 1 are image
     high: int
     near: int
@@ -108,8 +117,17 @@ def _make_planes(rows: int, cols: int) -> Planes:
         np.zeros(shape, np.float32), np.zeros(shape, np.float32), np.zeros(shape, np.float32),
         np.zeros(shape, np.float32), np.zeros(shape, np.float32), np.zeros(shape, np.float32),
         np.zeros(shape, np.float32), np.zeros(shape, np.float32), np.zeros(shape, np.float32),
-        np.zeros(shape, np.float32), np.zeros((3, rows, cols), np.float32),
+        np.zeros(shape, np.float32),
     )  # fmt: skip
+
+
+@compiled
+def _make_blocks(rows: int, cols: int) -> Blocks:
+    return Blocks(
+        np.zeros((4, cols), np.float32),
+        np.zeros((4, rows // BLOCK, cols // BLOCK), np.float32),
+        np.zeros((6, cols), np.float32),
+    )
 
 
 @inlined
@@ -359,59 +377,40 @@ def _sum(a: Any, b: Any, out: Any) -> None:
 
 @compiled
 def _part(planes: Planes, weights: Any, window: Window) -> None:
-    """Write the coarse part of the lift, and the squares of both parts."""
+    """Write the coarse part of the lift."""
     lift, coarse, spare = planes.lift, planes.coarse, planes.spare
     gap, end, half = window.gap, window.gap + window.width, window.half
     for row in range(half, lift.shape[0] - half):
         _average_along(lift[row], weights, window, spare[row, gap:end])
     for row in range(2 * half, lift.shape[0] - 2 * half):
         _average_across(spare, row, weights, half, coarse[row])
-        squares = planes.squares
-        _square(lift[row], coarse[row], planes.per_support[row], squares[0, row], squares[1, row])
+        _multiply(coarse[row], planes.per_support[row])
 
 
 @compiled
-def _square(lift: Any, coarse: Any, per_support: Any, large: Any, small: Any) -> None:
+def _sum_blocks(planes: Planes, half: int, blocks: Blocks) -> None:
+    """Write the sums over every block: squares of both parts, variances and usable pixels."""
+    rows, lines, sums = planes.lift.shape[0], blocks.lines, blocks.sums
+    for block in range(sums.shape[1]):
+        lines[:] = ZERO
+        for row in range(BLOCK * block, BLOCK * block + BLOCK):
+            if 2 * half <= row < rows - 2 * half:
+                _add_squares(planes.lift[row], planes.coarse[row], lines[0], lines[1])
+                _add(planes.variance[row], lines[2])
+                _add(planes.usable[row], lines[3])
+        for part in range(4):
+            line, out = lines[part], sums[part, block]
+            for col in range(out.size):
+                at = BLOCK * col
+                out[col] = (line[at] + line[at + 1]) + (line[at + 2] + line[at + 3])
+
+
+@compiled
+def _add_squares(lift: Any, coarse: Any, large: Any, small: Any) -> None:
     for col in range(lift.size):
-        kept = coarse[col] * per_support[col]
-        fine = lift[col] - kept
-        coarse[col], large[col], small[col] = kept, kept * kept, fine * fine
-
-
-@compiled
-def _box_down(plane: Any) -> None:
-    """Sum 16 rows from each row on, in the same order whatever the band."""
-    for step in (1, 4):
-        for row in range(plane.shape[0] - 3 * step):
-            _add_three(plane[row + step], plane[row + 2 * step], plane[row + 3 * step], plane[row])
-
-
-@compiled
-def _add_three(a: Any, b: Any, c: Any, total: Any) -> None:
-    for col in range(total.size):
-        total[col] = (total[col] + a[col]) + (b[col] + c[col])
-
-
-@compiled
-def _sum_four(a: Any, b: Any, c: Any, d: Any, out: Any) -> None:
-    for col in range(out.size):
-        out[col] = (a[col] + b[col]) + (c[col] + d[col])
-
-
-@compiled
-def _box_along(line: Any, below: Any, spare: Any, out: Any) -> None:
-    """Sum 17 rows and 17 columns, the outer ones half, from sums of 16 rows."""
-    size, (one, other) = out.size, (spare[0], spare[1])
-    _sum(line[: size + 16], below[: size + 16], one)
-    _sum_four(one[: size + 13], one[1 : size + 14], one[2 : size + 15], one[3:], other[: size + 13])
-    _sum_four(
-        other[: size + 1],
-        other[4 : size + 5],
-        other[8 : size + 9],
-        other[12 : size + 13],
-        one[: size + 1],
-    )
-    _sum(one[:size], one[1 : size + 1], out)
+        fine = lift[col] - coarse[col]
+        large[col] += coarse[col] * coarse[col]
+        small[col] += fine * fine
 
 
 @compiled
@@ -420,29 +419,14 @@ def _add(a: Any, total: Any) -> None:
         total[col] += a[col]
 
 
-@compiled
-def _settle(
-    smoothing: Smoothing, x: Any, usable: Any, gain: Any, lift: Any, coarse: Any, squares: Any,
-    variance: Any, out: Any, sigma: Any, share: Any,
-) -> None:  # fmt: skip
-    """Give back what is relief; write coordinate, sigma and the share of bias in its square."""
-    m, centre = smoothing.noise, smoothing.centre
-    g, gc, gf, cc, cf, ff = m[0, 0], m[0, 1], m[0, 2], m[1, 1], m[1, 2], m[2, 2]
-    g0, c0, f0 = centre[0], centre[1], centre[2]
-    for col in range(out.size):
-        noise, own, large, small = squares[2, col], variance[col], squares[0, col], squares[1, col]
-        c = _excess(COARSE_FLOOR * cc * noise, large)
-        extra = _smaller(FINE_EXTRA, RELIEF_EXTRA * (ONE - c))
-        f = _excess((ONE + extra) * ff * noise, small)
-        kept, fine = coarse[col], lift[col] - coarse[col]
-        out[col] = usable[col] * (x[col] + (ONE - c) * kept + (ONE - f) * fine)
-        bias = (ONE - c) * (ONE - c) * c * large + (ONE - f) * (ONE - f) * f * small
-        middle = g0 - c * c0 - f * f0
-        left = g - TWO * (c * gc + f * gf) + c * c * cc + TWO * c * f * cf + f * f * ff
-        less = _larger(gain[col] - g, ZERO) * (ONE - _larger(c, f))
-        spread = middle * middle * (own - noise) + (left + less) * noise + bias
-        sigma[col] = usable[col] * np.sqrt(_larger(spread, ZERO))
-        share[col] = np.uint8(np.int32(SHARE_STEPS * (bias / _larger(spread, TINY)) + ROUNDING))
+@inlined
+def _around(sums: Any, block: int, col: int) -> Any:
+    total = ZERO
+    for i in range(block - AROUND, block + AROUND + 1):
+        line = sums[i]
+        middle = line[col - 1] + line[col] + line[col + 1]
+        total += middle + (line[col - 2] + line[col + 2])
+    return total
 
 
 @inlined
@@ -452,12 +436,73 @@ def _excess(expected: Any, found: Any) -> Any:
 
 
 @compiled
+def _weigh_parts(block: int, smoothing: Smoothing, blocks: Blocks) -> None:
+    """Write, for the pixels of one block row, factors of lift and coarse part and terms of sigma.
+
+    sigma^2 = own variance * spread[2] + spread[3] + excess gain * spread[4], of which spread[5] is
+    bias.
+    """
+    m, centre, sums = smoothing.noise, smoothing.centre, blocks.sums
+    g, gc, gf, cc, cf, ff = m[0, 0], m[0, 1], m[0, 2], m[1, 1], m[1, 2], m[2, 2]
+    for col in range(AROUND, sums.shape[2] - AROUND):
+        per_count = ONE / _larger(_around(sums[3], block, col), ONE)
+        large, small = (
+            _around(sums[0], block, col) * per_count,
+            _around(sums[1], block, col) * per_count,
+        )
+        noise = _around(sums[2], block, col) * per_count
+        c = _excess(COARSE_FLOOR * cc * noise, large)
+        extra = _smaller(FINE_EXTRA, RELIEF_EXTRA * (ONE - c))
+        f = _excess((ONE + extra) * ff * noise, small)
+        middle = centre[0] - c * centre[1] - f * centre[2]
+        left = g - TWO * (c * gc + f * gf) + c * c * cc + TWO * c * f * cf + f * f * ff
+        bias = (ONE - c) * (ONE - c) * c * large + (ONE - f) * (ONE - f) * f * small
+        around = _larger(left - middle * middle, ZERO) * noise + bias
+        edge = noise * (ONE - _larger(c, f))
+        for at in range(BLOCK * col, BLOCK * col + BLOCK):
+            blocks.spread[0, at], blocks.spread[1, at] = ONE - f, f - c
+            blocks.spread[2, at], blocks.spread[3, at] = middle * middle, around
+            blocks.spread[4, at], blocks.spread[5, at] = edge, bias
+
+
+@compiled
+def _settle(
+    x: Any, usable: Any, gain: Any, full_gain: Any, lift: Any, coarse: Any, variance: Any,
+    spread: Any, out: Any, sigma: Any, share: Any,
+) -> None:  # fmt: skip
+    """Give back what is relief; write coordinate, sigma and the share of bias in its square."""
+    all_lift, all_coarse, own = spread[0], spread[1], spread[2]
+    around, edge, bias = spread[3], spread[4], spread[5]
+    for col in range(out.size):
+        out[col] = usable[col] * (
+            x[col] + all_lift[col] * lift[col] + all_coarse[col] * coarse[col]
+        )
+        less = _larger(gain[col] - full_gain, ZERO)
+        total = own[col] * variance[col] + around[col] + less * edge[col]
+        sigma[col] = usable[col] * np.sqrt(total)
+        part = usable[col] * bias[col] / _larger(total, TINY)
+        share[col] = np.uint8(np.int32(SHARE_STEPS * part + ROUNDING))
+
+
+@compiled
+def _mark(reason: Any, usable: Any) -> None:
+    for col in range(usable.size):
+        usable[col] = ONE if reason[col] == 0 else ZERO
+
+
+@compiled
+def _place(x: Any, usable: Any, out: Any) -> None:
+    for col in range(out.size):
+        out[col] = x[col] if usable[col] > ZERO else NOWHERE
+
+
+@compiled
 def _load_mask(source: Unfiltered, patch: Patch, planes: Planes) -> None:
     planes.usable[:] = ZERO
+    first, end = patch.left + patch.near, patch.left + patch.far
     for row in range(patch.low, patch.high):
         line = source.reason[patch.top + row]
-        for col in range(patch.near, patch.far):
-            planes.usable[row, col] = np.float32(line[patch.left + col] == 0)
+        _mark(line[first:end], planes.usable[row, patch.near : patch.far])
 
 
 @compiled
@@ -465,81 +510,58 @@ def _load_axis(
     axis: int, source: Unfiltered, patch: Patch, smoothing: Smoothing, planes: Planes
 ) -> None:
     """Write the coordinate and the variance of the single pixel."""
-    planes.value[:], planes.squares[2] = NOWHERE, ZERO
+    planes.value[:], planes.variance[:] = NOWHERE, ZERO
     near, far = patch.near, patch.far
+    first, end = patch.left + near, patch.left + far
     for row in range(patch.low, patch.high):
-        line, variance = source.coordinate_px[axis, patch.top + row], planes.squares[2, row]
-        first, end = patch.left + near, patch.left + far
-        _mark(line[first:end], planes.usable[row, near:far], planes.value[row, near:far])
+        line, variance = source.coordinate_px[axis, patch.top + row], planes.variance[row, near:far]
+        _place(line[first:end], planes.usable[row, near:far], planes.value[row, near:far])
         sigma = source.sigma[axis, patch.top + row, first:end]
-        unpack_row(sigma, smoothing.sigma_unit, variance[near:far])
-        _multiply(variance[near:far], variance[near:far])
-
-
-@compiled
-def _mark(x: Any, usable: Any, out: Any) -> None:
-    for col in range(out.size):
-        out[col] = x[col] if usable[col] > ZERO else NOWHERE
-
-
-@compiled
-def _count(planes: Planes, patch: Patch, spare: Any) -> None:
-    """Write 1 / usable pixels of the box around each pixel of the patch."""
-    sums, start = planes.squares[0], patch.margin - REACH
-    sums[:] = planes.usable
-    _box_down(sums)
-    for row in range(patch.margin, patch.margin + patch.rows):
-        usable, out = planes.usable[row], planes.per_count[row]
-        inside = slice(patch.margin, patch.margin + patch.cols)
-        above = row - REACH
-        _box_along(sums[above, start:], sums[above + 1, start:], spare, out[inside])
-        _invert(out[inside], usable[inside])
+        unpack_row(sigma, smoothing.sigma_unit, variance)
+        _multiply(variance, variance)
 
 
 @compiled
 def _write(
-    axis: int, planes: Planes, patch: Patch, smoothing: Smoothing, variances: Any, spare: Any,
-    boxes: Any, target: Smoothed,
-) -> None:  # fmt: skip
-    inside, start = slice(patch.margin, patch.margin + patch.cols), patch.margin - REACH
-    first = patch.left + patch.margin
-    for row in range(patch.margin, patch.margin + patch.rows):
-        above, out = row - REACH, slice(first, first + patch.cols)
-        for part in range(3):
-            sums = planes.squares[part]
-            _box_along(sums[above, start:], sums[above + 1, start:], spare, boxes[part])
-            _multiply(boxes[part], planes.per_count[row, inside])
+    axis: int, planes: Planes, patch: Patch, smoothing: Smoothing, blocks: Blocks, target: Smoothed
+) -> None:
+    inside, first = slice(patch.start, patch.start + patch.cols), patch.left + patch.start
+    out, sigma = slice(first, first + patch.cols), np.zeros((2, patch.cols), np.float32)
+    block = -1
+    for row in range(patch.above, patch.above + patch.rows):
+        if row // BLOCK != block:
+            block = row // BLOCK
+            _weigh_parts(block, smoothing, blocks)
+        at = patch.top + row
         _settle(
-            smoothing, planes.value[row, inside], planes.usable[row, inside],
-            planes.gain[row, inside], planes.lift[row, inside], planes.coarse[row, inside], boxes,
-            variances[row - patch.margin], target.coordinate_px[axis, patch.top + row, out],
-            boxes[3], target.bias_share[axis, patch.top + row, out],
+            planes.value[row, inside], planes.usable[row, inside], planes.gain[row, inside],
+            smoothing.noise[0, 0], planes.lift[row, inside], planes.coarse[row, inside],
+            planes.variance[row, inside], blocks.spread[:, inside],
+            target.coordinate_px[axis, at, out], sigma[0], target.bias_share[axis, at, out],
         )  # fmt: skip
-        packed = target.sigma[axis, patch.top + row, out]
-        pack_row(boxes[3], smoothing.sigma_factor, boxes[4], packed)
+        pack_row(sigma[0], smoothing.sigma_factor, sigma[1], target.sigma[axis, at, out])
 
 
 @compiled
 def _smooth_patch(
-    patch: Patch, source: Unfiltered, smoothing: Smoothing, planes: Planes, target: Smoothed
-) -> None:
-    half, margin = smoothing.weights.size // 2, patch.margin
-    window = Window(half, patch.cols + 2 * (margin - half), half)
-    spare = np.zeros((2, patch.cols + 16), np.float32)
-    boxes = np.zeros((5, patch.cols), np.float32)
-    variances = np.zeros((patch.rows, patch.cols), np.float32)
+    patch: Patch, source: Unfiltered, smoothing: Smoothing, planes: Planes, blocks: Blocks,
+    target: Smoothed,
+) -> None:  # fmt: skip
+    half = smoothing.weights.size // 2
+    window = Window(half, planes.usable.shape[1] - 2 * half, half)
     _load_mask(source, patch, planes)
     _weigh(planes, smoothing.weights, half, window)
-    _count(planes, patch, spare)
     for axis in range(2):
         _load_axis(axis, source, patch, smoothing, planes)
-        for row in range(patch.rows):
-            variances[row] = planes.squares[2, row + margin, margin : margin + patch.cols]
         _lift(planes, smoothing, window)
         _part(planes, smoothing.weights, window)
-        for part in range(3):
-            _box_down(planes.squares[part])
-        _write(axis, planes, patch, smoothing, variances, spare, boxes, target)
+        _sum_blocks(planes, half, blocks)
+        _write(axis, planes, patch, smoothing, blocks, target)
+
+
+@inlined
+def _whole(size: int) -> int:
+    return (size + BLOCK - 1) // BLOCK * BLOCK
 
 
 @compiled
@@ -548,13 +570,15 @@ def smooth_rows(
 ) -> None:
     """Fill `target` for rows first_row to end_row - 1, in patches that stay in the cache."""
     rows, width = source.reason.shape
-    margin, count = 2 * (smoothing.weights.size // 2) + REACH, end_row - first_row
-    top = first_row - margin
-    low, high = max(-top, 0), min(count + 2 * margin, rows - top)
+    margin, count = _whole(2 * (smoothing.weights.size // 2) + REACH), end_row - first_row
+    above = margin + first_row % BLOCK
+    top, high = first_row - above, _whole(above + count + margin)
     # One set for all patches: new memory costs more than the arithmetic.
-    planes = _make_planes(count + 2 * margin, min(PATCH_COLS, width) + 2 * margin)
+    planes = _make_planes(high, _whole(min(PATCH_COLS, width)) + 2 * margin)
+    blocks = _make_blocks(planes.usable.shape[0], planes.usable.shape[1])
+    low, high = max(-top, 0), min(high, rows - top)
     for first_col in range(0, width, PATCH_COLS):
         cols, left = min(PATCH_COLS, width - first_col), first_col - margin
-        near, far = max(-left, 0), min(cols + 2 * margin, width - left)
-        patch = Patch(top, left, count, cols, margin, low, high, near, far)
-        _smooth_patch(patch, source, smoothing, planes, target)
+        near, far = max(-left, 0), min(planes.usable.shape[1], width - left)
+        patch = Patch(top, left, count, cols, above, margin, low, high, near, far)
+        _smooth_patch(patch, source, smoothing, planes, blocks, target)
