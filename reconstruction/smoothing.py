@@ -14,13 +14,14 @@ the window, and a pixel that is brighter than its neighbours draws the mean to i
 import numpy as np
 from scipy.signal import convolve2d
 
-from reconstruction._filter_kernels import Smoothed, Smoothing, Unfiltered, smooth_rows
+from reconstruction._filter_kernels import Smoothed, Unfiltered, smooth_rows
 from reconstruction._half_kernels import BIAS
 from reconstruction._jit import run_over_rows
+from reconstruction._lift_kernels import Smoothing
 from reconstruction.arrays import FloatImage
 
 # The images of a band stay in the cache; the 16 rows on either side are smoothed twice.
-BAND_ROWS = 48
+BAND_ROWS = 96
 
 
 def smooth(
