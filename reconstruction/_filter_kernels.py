@@ -32,8 +32,11 @@ from reconstruction._relief_kernels import (
     write_root,
     write_share,
 )
+from reconstruction._sum_kernels import DARK, LOW_MODULATION
+from reconstruction.mask import Reason
 
 PATCH_COLS = 512
+EDGE = np.uint8(Reason.EDGE)
 # The value of a pixel without one: no pair with it comes within any limit.
 NOWHERE = np.float32(1e30)
 
@@ -52,6 +55,7 @@ class Smoothed(NamedTuple):
     coordinate_px: Any
     sigma: Any
     bias_share: Any
+    reason: Any  # (row, col)
 
 
 class Patch(NamedTuple):
@@ -67,6 +71,24 @@ class Patch(NamedTuple):
     high: int
     near: int
     far: int
+
+
+@compiled
+def mark_edges(first_row: int, end_row: int, reason: Any, out: Any) -> None:
+    """Copy the mask, with `EDGE` on valid pixels that have a neighbour without light."""
+    rows = reason.shape[0]
+    for row in range(first_row, end_row):
+        line, above, below = reason[row], reason[max(row - 1, 0)], reason[min(row + 1, rows - 1)]
+        last = line.size - 1
+        for col in range(line.size):
+            near = _is_unlit(above[col]) | _is_unlit(below[col])
+            near |= _is_unlit(line[max(col - 1, 0)]) | _is_unlit(line[min(col + 1, last)])
+            out[row, col] = EDGE if near and line[col] == 0 else line[col]
+
+
+@inlined
+def _is_unlit(code: Any) -> Any:
+    return (code == DARK) | (code == LOW_MODULATION)
 
 
 @compiled

@@ -65,7 +65,7 @@ def decode(
     smoothed = _smoothed(maps, options, patterns.period_px)
     units = units_of(sensor, scale)
     column, row = (_axis(maps, smoothed, axis, units, patterns.period_px) for axis in range(2))
-    return Decoded(column, row, maps.reason)
+    return Decoded(column, row, smoothed.reason)
 
 
 def _check_stack(stack: Stack, patterns: PatternSet) -> None:
@@ -92,7 +92,12 @@ def _blank_maps(rows: int, cols: int) -> Maps:
 def _smoothed(maps: Maps, options: DecodeOptions, period_px: float) -> Smoothed:
     source = Unfiltered(maps.coordinate_px, maps.sigma, maps.reason)
     if options.filter_taps == 0:
-        return Smoothed(source.coordinate_px, source.sigma, np.zeros(source.sigma.shape, np.uint8))
+        return Smoothed(
+            source.coordinate_px,
+            source.sigma,
+            np.zeros(source.sigma.shape, np.uint8),
+            source.reason,
+        )
     limit_px = 0.5 * float(period_px)
     return smooth(source, options.filter_taps, options.filter_sigma_px, limit_px, SIGMA_UNIT_PX)
 

@@ -17,7 +17,9 @@ class Reason(IntEnum):
     """The Gray word could stand for another fringe order, or contradicts the phase."""
     OUTSIDE_PROJECTOR = 5
     """The decoded coordinate lies outside the projector image."""
-    EPIPOLAR_MISMATCH = 6
+    EDGE = 6
+    """Beside a pixel without light: part of it may see past the edge. Only marked by the filter."""
+    EPIPOLAR_MISMATCH = 7
     """Column and row coordinate belong to no common point of this camera ray."""
-    NO_POINT = 7
+    NO_POINT = 8
     """The camera ray and the projector plane do not meet in front of both devices."""

@@ -14,7 +14,7 @@ the window, and a pixel that is brighter than its neighbours draws the mean to i
 import numpy as np
 from scipy.signal import convolve2d
 
-from reconstruction._filter_kernels import Smoothed, Unfiltered, smooth_rows
+from reconstruction._filter_kernels import Smoothed, Unfiltered, mark_edges, smooth_rows
 from reconstruction._half_kernels import BIAS
 from reconstruction._jit import run_over_rows
 from reconstruction._lift_kernels import Smoothing
@@ -29,6 +29,9 @@ def smooth(
 ) -> Smoothed:
     """Return the filtered coordinates, their sigmas and the share of bias in the variance.
 
+    A pixel beside one without light may lie half beyond the edge of what is lit: such a one takes
+    no part and is masked EDGE.
+
     Parameters
     ----------
     source : what was decoded pixel by pixel
@@ -40,10 +43,13 @@ def smooth(
         np.zeros_like(source.coordinate_px),
         np.zeros_like(source.sigma),
         np.zeros(source.sigma.shape, np.uint8),
+        np.zeros_like(source.reason),
     )
     smoothing = make_smoothing(gaussian_weights(taps, sigma_px), limit_px, unit_px)
     rows = source.reason.shape[0]
-    run_over_rows(smooth_rows, rows, source, smoothing, target, band_rows=BAND_ROWS)
+    run_over_rows(mark_edges, rows, source.reason, target.reason, band_rows=BAND_ROWS)
+    lit = source._replace(reason=target.reason)
+    run_over_rows(smooth_rows, rows, lit, smoothing, target, band_rows=BAND_ROWS)
     return target
 
 

@@ -244,7 +244,7 @@ def test_masked_pixels_hold_zero_and_damaged_floats_are_masked(
     stack[3, 5, 5] = np.nan
     decoded = decode(stack, patterns, quiet_sensor, DecodeOptions(filter_taps=taps))
     assert decoded.mask_reason[4, 4] == Reason.DARK
-    assert decoded.mask_reason[5, 5] == (Reason.VALID)
+    assert decoded.mask_reason[5, 5] == Reason.VALID
     for axis in (decoded.column, decoded.row):
         for field in (axis.coordinate_px, axis.sigma_px, axis.order):
             assert np.all(field[~decoded.valid] == 0)
