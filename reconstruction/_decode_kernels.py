@@ -1,7 +1,6 @@
-"""A band of image rows from camera frames to projector coordinates, in one pass over the stack.
+"""A band of image rows from camera frames to projector coordinates, pixel by pixel.
 
-The phasors of the last rows, as many as the filter is high, lie in a ring: nothing but the result
-is ever as large as the image. Rows above and below the band are summed for the filter only.
+Nothing but the result is ever as large as the image.
 """
 
 # ruff: noqa: PLR0917 - compiled functions cannot take keyword-only arguments
@@ -10,19 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from reconstruction._band import (
-    COORDINATE,
-    MEAN,
-    MODULATION,
-    SIGMA,
-    Maps,
-    Plan,
-    Work,
-    make_work,
-    plane,
-)
+from reconstruction._band import COORDINATE, SIGMA, Maps, Plan, Work, make_work
 from reconstruction._chain_kernels import climb_row
-from reconstruction._filter_kernels import smooth_row
 from reconstruction._half_kernels import pack_row
 from reconstruction._jit import compiled, merged
 from reconstruction._order_kernels import (
@@ -36,12 +24,10 @@ from reconstruction._order_kernels import (
     write_valid,
 )
 from reconstruction._phase_kernels import (
-    blank_unusable,
     grow_sigma,
-    mark_support,
+    keep_usable,
     phase_row,
     phase_sigma,
-    smooth_modulation,
     write_turns,
 )
 from reconstruction._refit_kernels import refit_row
@@ -55,8 +41,6 @@ from reconstruction._sum_kernels import (
     mark_low_modulation,
 )
 
-ALL_BITS, NO_BITS = np.uint32(0xFFFFFFFF), np.uint32(0)
-
 
 @compiled
 def _fit_set(
@@ -65,7 +49,7 @@ def _fit_set(
 ) -> Any:  # fmt: skip
     """Fit one fringe set over one row; return how many pixels have damaged frames."""
     layout, limits = plan.layout, plan.limits
-    noise, excess = work.fit[3], work.fit[4]
+    noise, excess = work.fit[2], work.fit[3]
     add_frames(stack, first, row, layout, sums)
     finish_sums(layout.steps, sums, mean, modulation, variance)
     count = find_damaged(sums, scale, limits, work.damaged)
@@ -108,83 +92,50 @@ def _root_of_mean(sets: int, variance: Any, out: Any) -> None:
 
 
 @merged
-def _sum_row(
-    row: int, is_inside: bool, stack: Any, plan: Plan, scale: Any, work: Work, maps: Maps,
-    reason: Any,
+def _fit_row(
+    row: int, stack: Any, plan: Plan, scale: Any, work: Work, maps: Maps, reason: Any
 ) -> None:  # fmt: skip
-    """Put the phasors, the support and the fit of one image row into the rings."""
-    layout, gap = plan.layout, plan.smoothing.weights.size // 2
-    slot, width, sets = row % work.ring.shape[0], reason.size, layout.sets
-    line, excess_line = work.ring[slot], work.excess_ring[slot]
-    fits = work.fits[row % work.fits.shape[0]]
-    if work.damaged_rows[slot]:
-        _fill(excess_line, np.float32(0.0))
-    work.damaged_rows[slot] = 0
+    """Fit all fringe sets of one image row and tell which pixels have a phase."""
+    layout, sets, total = plan.layout, plan.layout.sets, work.sums
+    sums = Sums(total[0], total[1], total[2], total[3], total[4], total[5])
     for axis in range(2):
+        _fill(work.excess[axis], np.float32(0.0))
         for j in range(sets):
-            index = 2 * (axis * sets + j)
-            real, imag = plane(line, index, width, gap), plane(line, index + 1, width, gap)
-            sums = Sums(work.sums[0], real, imag, work.sums[1], work.sums[2], work.sums[3])
-            mean = fits[MEAN[axis]] if j == 0 else work.fit[0]
-            modulation = fits[MODULATION[axis]] if j == 0 else work.fit[1]
-            variance = work.fit[5] if j == 0 else work.fit[2]
+            mean = work.mean[axis] if j == 0 else work.fit[0]
+            variance = work.fit[4] if j == 0 else work.fit[1]
             first = layout.phase_first[axis] + j * layout.steps
             count = _fit_set(
-                stack, first, row, plan, scale, work, sums, mean, modulation, variance, reason
-            )
+                stack, first, row, plan, scale, work, sums, mean, work.modulations[axis, j],
+                variance, reason,
+            )  # fmt: skip
             if count:
-                _add_largest(work.fit[4], plane(excess_line, axis, width, gap))
-                work.damaged_rows[slot] += count
+                _add_largest(work.fit[3], work.excess[axis])
             if j > 0:
-                _add(variance, work.fit[5])
-        if is_inside:
-            # Never in place: loops whose input and output overlap do not become vector code.
-            _root_of_mean(sets, work.fit[5], work.fit[6])
-            pack_row(work.fit[6], plan.units.level, work.lines[2], maps.residual[axis, row])
+                _add(variance, work.fit[4])
+            phase_row(sums.real, sums.imag, work.phases[axis, j])
+        # Never in place: loops whose input and output overlap do not become vector code.
+        _root_of_mean(sets, work.fit[4], work.fit[5])
+        pack_row(work.fit[5], plan.units.level, work.lines[2], maps.residual[axis, row])
     mark_dark(stack[layout.white, row], stack[layout.black, row], scale, plan.limits, reason)
-    _keep_usable(line, reason, width, gap, sets, work.word)
-
-
-@merged
-def _keep_usable(line: Any, reason: Any, width: int, gap: int, sets: int, kept: Any) -> None:
-    """Write the support and zero the phasors without a phase: the filter must not mix them in."""
-    usable = plane(line, 4 * sets, width, gap)
-    count = 0
-    for col in range(width):
-        usable[col] = np.float32(reason[col] == 0)
-        count += reason[col] == 0
-    if count == width:
-        return
-    for col in range(width):
-        kept[col] = ALL_BITS if reason[col] == 0 else NO_BITS
-    for index in range(4 * sets):
-        bits = plane(line, index, width, gap).view(np.uint32)
-        for col in range(width):  # not a product: NaN times 0 is NaN
-            bits[col] &= kept[col]
+    _mark_usable(reason, work.usable)
 
 
 @compiled
-def _find_phases(axis: int, row: int, plan: Plan, scale: Any, work: Work, is_grown: bool) -> None:
-    """Find phase, modulation and phase sigma of every set of one axis."""
-    smoothing, steps, sets = plan.smoothing, plan.layout.steps, plan.layout.sets
-    gap, width, slot = smoothing.weights.size // 2, work.ones.size, row % work.ring.shape[0]
-    usable = plane(work.ring[slot], 4 * sets, width, gap)
-    support = plane(work.smooth, 4 * sets, width, gap)
-    fits = work.fits[row % work.fits.shape[0]]
-    single = fits[MODULATION[axis]]
-    for j in range(sets):
-        real = plane(work.smooth, 2 * (axis * sets + j), width, gap)
-        imag = plane(work.smooth, 2 * (axis * sets + j) + 1, width, gap)
-        modulation = work.lines[0] if j == 0 else work.fit[1]
-        blank_unusable(usable, real, imag)
-        phase_row(real, imag, work.phases[j])
-        smooth_modulation(steps, real, imag, support, usable, single, modulation)
+def _mark_usable(reason: Any, usable: Any) -> None:
+    for col in range(reason.size):
+        usable[col] = np.float32(reason[col] == 0)
+
+
+@merged
+def _find_sigmas(axis: int, plan: Plan, scale: Any, work: Work) -> None:
+    """Blank phases where there are none, and write the phase sigma of every set of one axis."""
+    for j in range(plan.layout.sets):
+        keep_usable(work.usable, work.phases[axis, j])
         phase_sigma(
-            steps, smoothing.noise_gain, plan.limits, scale, support, usable,
-            fits[MEAN[axis]], modulation, work.sigmas[j],
+            plan.layout.steps, plan.limits, scale, work.usable, work.mean[axis],
+            work.modulations[axis, j], work.sigmas[j],
         )  # fmt: skip
-        if is_grown:
-            grow_sigma(plane(work.excess, axis, width, gap), work.sigmas[j])
+        grow_sigma(work.excess[axis], work.sigmas[j])
 
 
 @merged
@@ -194,8 +145,8 @@ def _read_order(
 ) -> None:  # fmt: skip
     """Give one axis its fringe numbers by Gray words."""
     code, first, limits = plan.codes[axis], plan.layout.gray_first[axis], plan.limits
-    mean, margin = work.fits[row % work.fits.shape[0], MEAN[axis]], work.fit[3]
-    phase, order, word, nearest = work.phases[0], work.order, work.word, work.nearest
+    mean, margin = work.mean[axis], work.fit[2]
+    phase, order, word, nearest = work.phases[axis, 0], work.order, work.word, work.nearest
     find_noise(mean, scale, limits, margin)
     # The threshold A carries the noise of N averaged frames.
     widening = np.float32(NEAR_SIGMAS * np.sqrt(1.0 + 1.0 / plan.layout.steps))
@@ -217,31 +168,23 @@ def _read_order(
 @merged
 def _inform(axis: int, row: int, plan: Plan, work: Work, error: Any, maps: Maps) -> None:
     """Write what does not depend on the other axis."""
-    fits, spare, units = work.fits[row % work.fits.shape[0]], work.lines[2], plan.units
-    write_turns(work.phases[0], maps.turns[axis, row])
-    pack_row(fits[MEAN[axis]], units.level, spare, maps.mean[axis, row])
-    pack_row(work.lines[0], units.level, spare, maps.modulation[axis, row])
+    spare, units = work.lines[2], plan.units
+    write_turns(work.phases[axis, 0], maps.turns[axis, row])
+    pack_row(work.mean[axis], units.level, spare, maps.mean[axis, row])
+    pack_row(work.modulations[axis, 0], units.level, spare, maps.modulation[axis, row])
     pack_row(error, units.chance, spare, maps.order_error[axis, row])
 
 
 @merged
 def _finish_row(row: int, stack: Any, plan: Plan, scale: Any, work: Work, maps: Maps) -> None:
-    """Filter, number the fringes and write the result of one row of the band."""
-    smoothing, gap, width = plan.smoothing, plan.smoothing.weights.size // 2, work.ones.size
-    reason, sets, error = maps.reason[row], plan.layout.sets, work.lines[1]
-    is_grown = work.damaged_rows.sum() > 0
-    smooth_row(work.ring, row, smoothing.weights, work.lane, work.smooth)
-    if is_grown:
-        weights = smoothing.square_weights
-        smooth_row(work.excess_ring, row, weights, work.excess_lane, work.excess)
-    mark_support(plane(work.smooth, 4 * sets, width, gap), smoothing.min_support, reason)
-    usable = plane(work.ring[row % work.ring.shape[0]], 4 * sets, width, gap)
+    """Give one row of the band its fringe numbers, and write the result."""
+    reason, error, usable = maps.reason[row], work.lines[0], work.usable
     for axis in range(2):
         coordinate, sigma = work.answers[COORDINATE[axis]], work.answers[SIGMA[axis]]
-        _find_phases(axis, row, plan, scale, work, is_grown)
+        _find_sigmas(axis, plan, scale, work)
         if plan.is_chain:
             ladder = plan.ladders[axis]
-            climb_row(ladder, work.phases, work.sigmas, usable, coordinate, sigma, error)
+            climb_row(ladder, work.phases[axis], work.sigmas, usable, coordinate, sigma, error)
         else:
             _read_order(axis, row, stack, plan, scale, work, coordinate, sigma, error)
         length = plan.codes[axis].length_px
@@ -249,30 +192,15 @@ def _finish_row(row: int, stack: Any, plan: Plan, scale: Any, work: Work, maps: 
         _inform(axis, row, plan, work, error, maps)
     for axis in range(2):  # only now are the reasons of both axes known
         write_valid(work.answers[COORDINATE[axis]], reason, maps.coordinate_px[axis, row])
-        write_valid(work.answers[SIGMA[axis]], reason, work.lines[0])
-        pack_row(work.lines[0], plan.units.sigma, work.lines[2], maps.sigma[axis, row])
+        write_valid(work.answers[SIGMA[axis]], reason, work.lines[1])
+        pack_row(work.lines[1], plan.units.sigma, work.lines[2], maps.sigma[axis, row])
 
 
 @compiled
 def decode_rows(first_row: int, end_row: int, stack: Any, plan: Plan, maps: Maps) -> None:
     """Fill `maps` for rows first_row to end_row - 1."""
-    rows, width = maps.reason.shape
-    taps = plan.smoothing.weights.size
-    half = taps // 2
-    work = make_work(width, taps, plan.layout.sets)
-    for source in range(first_row - half, end_row + half):
-        if 0 <= source < rows:
-            scale = plan.scale[source] if plan.scale.size else work.ones
-            is_inside = first_row <= source < end_row
-            reason = maps.reason[source] if is_inside else work.spare_reason
-            if not is_inside:
-                _fill(reason, np.uint8(0))
-            _sum_row(source, is_inside, stack, plan, scale, work, maps, reason)
-        else:
-            _fill(work.ring[source % taps], np.float32(0.0))
-            _fill(work.excess_ring[source % taps], np.float32(0.0))
-            work.damaged_rows[source % taps] = 0
-        row = source - half
-        if row >= first_row:
-            scale = plan.scale[row] if plan.scale.size else work.ones
-            _finish_row(row, stack, plan, scale, work, maps)
+    work = make_work(maps.reason.shape[1], plan.layout.sets)
+    for row in range(first_row, end_row):
+        scale = plan.scale[row] if plan.scale.size else work.ones
+        _fit_row(row, stack, plan, scale, work, maps, maps.reason[row])
+        _finish_row(row, stack, plan, scale, work, maps)

@@ -1,112 +1,203 @@
-"""The Gaussian on the complex phasor, over a ring of the last image rows.
-
-A ring row holds all planes (real and imaginary parts of every fringe set, then the support) side by
-side with gaps of zeros as wide as half the kernel, so that one long loop filters all of them:
-plane p begins at gap + p (width + gap).
-"""
+"""The filter over a band of image rows, in patches that stay in the cache; see `smoothing`."""
 
 # ruff: noqa: PLR0917 - compiled functions cannot take keyword-only arguments
 
 from typing import Any, NamedTuple
 
-from reconstruction._jit import compiled
-from reconstruction.arrays import FloatImage
+import numpy as np
+
+from reconstruction._half_kernels import pack_row, unpack_row
+from reconstruction._jit import compiled, inlined
+from reconstruction._lift_kernels import (
+    ONE,
+    ZERO,
+    Planes,
+    Smoothing,
+    Window,
+    make_planes,
+    multiply,
+    weigh,
+    write_coarse,
+    write_lift,
+)
+from reconstruction._relief_kernels import (
+    BLOCK,
+    REACH,
+    Blocks,
+    add_variances,
+    give_back,
+    make_blocks,
+    sum_blocks,
+    weigh_blocks,
+    write_root,
+    write_share,
+)
+from reconstruction._sum_kernels import DARK, LOW_MODULATION
+from reconstruction.mask import Reason
+
+PATCH_COLS = 512
+EDGE = np.uint8(Reason.EDGE)
+# The value of a pixel without one: no pair with it comes within any limit.
+NOWHERE = np.float32(1e30)
 
 
-class Smoothing(NamedTuple):
-    """Symmetric kernel of odd length, its squares to sum 1, 2-D noise gain, support demanded."""
+class Unfiltered(NamedTuple):
+    """Maps to smooth, (axis, row, col), and what tells where they hold: reason 0."""
 
-    weights: FloatImage
-    square_weights: FloatImage
-    noise_gain: float
-    min_support: float
+    coordinate_px: Any
+    sigma: Any
+    reason: Any
+
+
+class Smoothed(NamedTuple):
+    """The result, (axis, row, col): coordinate, packed sigma, share of its square that is bias."""
+
+    coordinate_px: Any
+    sigma: Any
+    bias_share: Any
+    reason: Any  # (row, col)
+
+
+class Patch(NamedTuple):
+    """A part of the image, and where in the planes it and the rest of the image lie."""
+
+    top: int  # image row of plane row 0
+    left: int
+    rows: int
+    cols: int
+    above: int  # plane row and column where the patch begins
+    start: int
+    low: int  # plane rows low to high - 1 and columns near to far - 1 are image
+    high: int
+    near: int
+    far: int
 
 
 @compiled
-def _add_pair(a: Any, b: Any, weight: Any, out: Any) -> None:
-    for i in range(out.size):
-        out[i] += weight * (a[i] + b[i])
+def mark_edges(first_row: int, end_row: int, reason: Any, out: Any) -> None:
+    """Copy the mask, with `EDGE` on valid pixels that have a neighbour without light."""
+    rows = reason.shape[0]
+    for row in range(first_row, end_row):
+        line, above, below = reason[row], reason[max(row - 1, 0)], reason[min(row + 1, rows - 1)]
+        last = line.size - 1
+        for col in range(line.size):
+            near = _is_unlit(above[col]) | _is_unlit(below[col])
+            near |= _is_unlit(line[max(col - 1, 0)]) | _is_unlit(line[min(col + 1, last)])
+            out[row, col] = EDGE if near and line[col] == 0 else line[col]
+
+
+@inlined
+def _is_unlit(code: Any) -> Any:
+    return (code == DARK) | (code == LOW_MODULATION)
 
 
 @compiled
-def _add_two_pairs(
-    a: Any, b: Any, weight: Any, c: Any, d: Any, other: Any, out: Any
+def _mark(reason: Any, usable: Any) -> None:
+    for col in range(usable.size):
+        usable[col] = ONE if reason[col] == 0 else ZERO
+
+
+@compiled
+def _place(x: Any, usable: Any, out: Any) -> None:
+    for col in range(out.size):
+        out[col] = x[col] if usable[col] > ZERO else NOWHERE
+
+
+@compiled
+def _load_mask(source: Unfiltered, patch: Patch, planes: Planes) -> None:
+    planes.usable[:] = ZERO
+    first, end = patch.left + patch.near, patch.left + patch.far
+    for row in range(patch.low, patch.high):
+        line = source.reason[patch.top + row]
+        _mark(line[first:end], planes.usable[row, patch.near : patch.far])
+
+
+@compiled
+def _load_axis(
+    axis: int, source: Unfiltered, patch: Patch, smoothing: Smoothing, planes: Planes
+) -> None:
+    """Write the coordinate and the variance of the single pixel."""
+    planes.value[:], planes.variance[:] = NOWHERE, ZERO
+    near, far = patch.near, patch.far
+    first, end = patch.left + near, patch.left + far
+    for row in range(patch.low, patch.high):
+        line, variance = source.coordinate_px[axis, patch.top + row], planes.variance[row, near:far]
+        _place(line[first:end], planes.usable[row, near:far], planes.value[row, near:far])
+        sigma = source.sigma[axis, patch.top + row, first:end]
+        unpack_row(sigma, smoothing.sigma_unit, variance)
+        multiply(variance, variance)
+
+
+@compiled
+def _write(
+    axis: int, planes: Planes, patch: Patch, smoothing: Smoothing, blocks: Blocks, target: Smoothed
+) -> None:
+    inside, first = slice(patch.start, patch.start + patch.cols), patch.left + patch.start
+    out, spread = slice(first, first + patch.cols), blocks.spread[:, inside]
+    total, sigma, spare = (
+        np.zeros(patch.cols, np.float32),
+        np.zeros(patch.cols, np.float32),
+        np.zeros(patch.cols, np.float32),
+    )
+    block = -1
+    for row in range(patch.above, patch.above + patch.rows):
+        if row // BLOCK != block:
+            block = row // BLOCK
+            weigh_blocks(block, smoothing, blocks)
+        at = patch.top + row
+        usable, lift, coarse = (
+            planes.usable[row, inside],
+            planes.lift[row, inside],
+            planes.coarse[row, inside],
+        )
+        value = target.coordinate_px[axis, at, out]
+        give_back(planes.value[row, inside], usable, lift, coarse, spread[0], spread[1], value)
+        add_variances(
+            planes.variance[row, inside], planes.gain[row, inside], smoothing.noise[0, 0],
+            spread[2], spread[3], spread[4], total,
+        )  # fmt: skip
+        write_share(spread[5], total, usable, target.bias_share[axis, at, out])
+        write_root(total, usable, sigma)
+        pack_row(sigma, smoothing.sigma_factor, spare, target.sigma[axis, at, out])
+
+
+@compiled
+def _smooth_patch(
+    patch: Patch, source: Unfiltered, smoothing: Smoothing, planes: Planes, blocks: Blocks,
+    target: Smoothed,
 ) -> None:  # fmt: skip
-    for i in range(out.size):
-        out[i] += weight * (a[i] + b[i]) + other * (c[i] + d[i])
+    half = smoothing.weights.size // 2
+    window = Window(half, planes.usable.shape[1] - 2 * half, half)
+    _load_mask(source, patch, planes)
+    weigh(planes, smoothing.weights, half, window)
+    for axis in range(2):
+        _load_axis(axis, source, patch, smoothing, planes)
+        write_lift(planes, smoothing, window)
+        write_coarse(planes, smoothing.weights, window)
+        sum_blocks(planes, half, blocks)
+        _write(axis, planes, patch, smoothing, blocks, target)
+
+
+@inlined
+def _whole(size: int) -> int:
+    return (size + BLOCK - 1) // BLOCK * BLOCK
 
 
 @compiled
-def _sum_nine(
-    a: Any, b: Any, c: Any, d: Any, middle: Any, e: Any, f: Any, g: Any, h: Any, weights: Any,
-    out: Any,
-) -> None:  # fmt: skip
-    p, q, r, s, t = weights[0], weights[1], weights[2], weights[3], weights[4]
-    for i in range(out.size):
-        outer = p * (a[i] + h[i]) + q * (b[i] + g[i])
-        inner = r * (c[i] + f[i]) + s * (d[i] + e[i])
-        out[i] = t * middle[i] + (outer + inner)
-
-
-@compiled
-def _scale(a: Any, weight: Any, out: Any) -> None:
-    for i in range(out.size):
-        out[i] = weight * a[i]
-
-
-@compiled
-def _filter_across(ring: Any, row: int, weights: Any, lane: Any) -> None:
-    """Filter along the columns of the image: over the rows of the ring."""
-    taps, half = weights.size, weights.size // 2
-    if half == 4:
-        _sum_nine(
-            ring[(row - 4) % taps], ring[(row - 3) % taps], ring[(row - 2) % taps],
-            ring[(row - 1) % taps], ring[row % taps], ring[(row + 1) % taps],
-            ring[(row + 2) % taps], ring[(row + 3) % taps], ring[(row + 4) % taps], weights, lane,
-        )  # fmt: skip
-        return
-    _scale(ring[row % taps], weights[half], lane)
-    even = half // 2 * 2
-    for k in range(1, even, 2):
-        _add_two_pairs(
-            ring[(row - k) % taps], ring[(row + k) % taps], weights[half + k],
-            ring[(row - k - 1) % taps], ring[(row + k + 1) % taps], weights[half + k + 1], lane,
-        )  # fmt: skip
-    if half > even:
-        _add_pair(ring[(row - half) % taps], ring[(row + half) % taps], weights[0], lane)
-
-
-@compiled
-def _filter_along(lane: Any, weights: Any, inner: Any) -> None:
-    """Filter along the rows of the image; inner is shorter by half the kernel at both ends."""
-    half, size = weights.size // 2, inner.size
-    if half == 4:
-        _sum_nine(
-            lane[:size], lane[1 : size + 1], lane[2 : size + 2], lane[3 : size + 3],
-            lane[4 : size + 4], lane[5 : size + 5], lane[6 : size + 6], lane[7 : size + 7],
-            lane[8 : size + 8], weights, inner,
-        )  # fmt: skip
-        return
-    end = half + size
-    _scale(lane[half:end], weights[half], inner)
-    even = half // 2 * 2
-    for k in range(1, even, 2):
-        _add_two_pairs(
-            lane[half - k : end - k], lane[half + k : end + k], weights[half + k],
-            lane[half - k - 1 : end - k - 1], lane[half + k + 1 : end + k + 1],
-            weights[half + k + 1], inner,
-        )  # fmt: skip
-    if half > even:
-        _add_pair(lane[:size], lane[half + half :], weights[0], inner)
-
-
-@compiled
-def smooth_row(ring: Any, row: int, weights: Any, lane: Any, out: Any) -> None:
-    """Filter row `row` of the image; ring row r % taps holds image row r, all planes.
-
-    `out` is as long as a ring row; its first and last `gap` values stay untouched. The default of
-    nine taps is one pass each way.
-    """
-    half = weights.size // 2
-    _filter_across(ring, row, weights, lane)
-    _filter_along(lane, weights, out[half : lane.size - half])
+def smooth_rows(
+    first_row: int, end_row: int, source: Unfiltered, smoothing: Smoothing, target: Smoothed
+) -> None:
+    """Fill `target` for rows first_row to end_row - 1, in patches that stay in the cache."""
+    rows, width = source.reason.shape
+    margin, count = _whole(2 * (smoothing.weights.size // 2) + REACH), end_row - first_row
+    above = margin + first_row % BLOCK
+    top, high = first_row - above, _whole(above + count + margin)
+    # One set for all patches: new memory costs more than the arithmetic.
+    planes = make_planes(high, _whole(min(PATCH_COLS, width)) + 2 * margin)
+    blocks = make_blocks(planes.usable.shape[0], planes.usable.shape[1])
+    low, high = max(-top, 0), min(high, rows - top)
+    for first_col in range(0, width, PATCH_COLS):
+        cols, left = min(PATCH_COLS, width - first_col), first_col - margin
+        near, far = max(-left, 0), min(planes.usable.shape[1], width - left)
+        patch = Patch(top, left, count, cols, above, margin, low, high, near, far)
+        _smooth_patch(patch, source, smoothing, planes, blocks, target)

@@ -1,4 +1,4 @@
-"""Phase, modulation and phase sigma of one image row from the smoothed phasors.
+"""Phase and phase sigma of one image row.
 
 Symbols: z phasor, phi its phase in [0, 2 pi), B modulation.
 """
@@ -11,12 +11,8 @@ import numpy as np
 
 from reconstruction._jit import compiled, inlined
 from reconstruction._sum_kernels import Limits, noise_dn2
-from reconstruction.mask import Reason
 
-FILTER_SUPPORT = np.uint8(Reason.FILTER_SUPPORT)
 TURN = 2.0 * np.pi
-# Weights are float32: full support sums to 1 within a few 1e-7.
-SUPPORT_ROUNDING = 1e-5
 # atan(t) = t P(t^2) on [0, 1], minimax fit of degree 8: 6e-9 rad, below single precision's 1e-7.
 # The library's arctangent is a call per pixel; this polynomial runs on whole vectors.
 ATAN = tuple(
@@ -32,20 +28,10 @@ STEPS_PER_RAD, ROUNDING = np.float32(65536.0 / TURN), np.float32(0.5)
 
 
 @compiled
-def mark_support(support: Any, min_support: float, reason: Any) -> None:
-    """Mark pixels with too little of the filter's weight on pixels with a phase."""
-    least = np.float32(min_support - SUPPORT_ROUNDING)
-    for col in range(reason.size):
-        is_weak = reason[col] == 0 and support[col] < least
-        reason[col] = FILTER_SUPPORT if is_weak else reason[col]
-
-
-@compiled
-def blank_unusable(usable: Any, real: Any, imag: Any) -> None:
-    """Zero what the filter leaves of its neighbours where a pixel has no phase."""
+def keep_usable(usable: Any, phase: Any) -> None:
+    """Zero the phases of pixels without one; not by a product, as NaN times 0 is NaN."""
     for col in range(usable.size):
-        real[col] *= usable[col]
-        imag[col] *= usable[col]
+        phase[col] = phase[col] if usable[col] > 0.0 else np.float32(0.0)
 
 
 @inlined
@@ -83,30 +69,17 @@ def write_turns(phase: Any, out: Any) -> None:
 
 
 @compiled
-def smooth_modulation(
-    steps: int, real: Any, imag: Any, support: Any, usable: Any, single: Any, out: Any
-) -> None:  # fmt: skip
-    """Write the modulation of the smoothed phasor, or of the single pixel without a phase."""
-    scale = np.float32(2.0 / steps)
-    for col in range(out.size):
-        square = real[col] * real[col] + imag[col] * imag[col]
-        smooth = scale * np.sqrt(square) / support[col]
-        out[col] = smooth if usable[col] > 0.0 else single[col]
-
-
-@compiled
 def phase_sigma(
-    steps: int, noise_gain: float, limits: Limits, scale: Any, support: Any, usable: Any,
-    mean: Any, modulation: Any, sigma: Any,
+    steps: int, limits: Limits, scale: Any, usable: Any, mean: Any, modulation: Any, sigma: Any
 ) -> None:  # fmt: skip
     """Write the predicted sigma of the phase, rad; 0 where there is none.
 
     sigma_phi^2 = (2 / N) sigma_I^2 / B^2 (Surrel 1997); sigma_I at the mean holds for N >= 4,
     where the modulated part of the shot noise averages out.
     """
-    factor = np.float32(np.sqrt(2.0 / steps) * noise_gain)
+    factor = np.float32(np.sqrt(2.0 / steps))
     for col in range(sigma.size):
-        noise = np.sqrt(noise_dn2(mean[col], scale[col], limits) / support[col])
+        noise = np.sqrt(noise_dn2(mean[col], scale[col], limits))
         value = factor * noise / modulation[col]
         sigma[col] = value if usable[col] > 0.0 else np.float32(0.0)
 

@@ -92,6 +92,17 @@ class Turns:
 
 
 @dataclass(frozen=True, eq=False)
+class Share:
+    """Numbers between 0 and 1 in steps of 1 / 255."""
+
+    steps: NDArray[np.uint8]
+
+    def expand(self) -> FloatImage:
+        """Return the shares, (row, col) float32."""
+        return np.multiply(self.steps, np.float32(1.0 / 255.0), dtype=np.float32)
+
+
+@dataclass(frozen=True, eq=False)
 class Orders:
     """Fringe numbers: a coordinate in periods without its phase; 0 where there is none."""
 

@@ -5,73 +5,29 @@ a projector pixel. Formulas: see `patterns`; N-step least squares after Surrel, 
 (1997); codes and edge-safe rules: see `PatternSet`, `_order_kernels`, `_chain_kernels`.
 """
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from reconstruction._band import Maps
 from reconstruction._decode_kernels import decode_rows
+from reconstruction._filter_kernels import Smoothed, Unfiltered
 from reconstruction._jit import run_over_rows
 from reconstruction.arrays import FloatImage, Stack
-from reconstruction.checks import require_integer, require_number
-from reconstruction.compact import Half, Orders, Turns
-from reconstruction.decode_plan import make_plan, units_of
+from reconstruction.compact import Half, Orders, Share, Turns
+from reconstruction.decode_options import DecodeOptions
+from reconstruction.decode_plan import SIGMA_UNIT_PX, make_plan, units_of
 from reconstruction.decoded import AxisDecode, Decoded
 from reconstruction.errors import InputError
 from reconstruction.mask import Reason
 from reconstruction.patterns import PatternSet
 from reconstruction.sensor import SensorNoise
+from reconstruction.smoothing import smooth
 
 __all__ = ["AxisDecode", "DecodeOptions", "Decoded", "Reason", "decode"]
 
 STACK_TYPES = ("uint8", "uint16", "float32")
-# Large enough that the rows beside a band, summed twice for the filter, cost a few per cent.
 BAND_ROWS = 96
-
-
-@dataclass(frozen=True)
-class DecodeOptions:
-    """How to filter and what to mask.
-
-    Parameters
-    ----------
-    filter_taps : width of the Gaussian on the complex phasor, px; 0 switches it off. An even
-        width is averaged over both anchors (one tap more), so that nothing shifts by half a pixel
-    filter_sigma_px : its standard deviation; the paper states only 8 x 8, 1.55 is OpenCV's rule
-        for 8 taps
-    min_support : share of the filter weight that must lie on pixels with a phase; below 1 a
-        one-sided neighbourhood biases the phase by its slope
-    min_modulation_dn : mask a smaller fringe contrast; None: only the next limit
-    max_phase_sigma_rad : mask a larger predicted phase sigma of the single pixel
-    dark_sigmas : white must exceed black by this many sigmas of their difference
-    gray_sigmas : a Gray level closer to its threshold than this many sigmas is doubtful
-    max_condition : frames of a pixel that are clipped or lost are left out of its fit; mask a
-        larger condition number of what remains (1: all frames are there)
-    max_order_error : mask a larger probability of a wrong fringe order; 1: only certain errors
-    """
-
-    filter_taps: int = 8
-    filter_sigma_px: float = 1.55
-    min_support: float = 1.0
-    min_modulation_dn: float | None = None
-    max_phase_sigma_rad: float = 0.1
-    dark_sigmas: float = 3.0
-    gray_sigmas: float = 4.0
-    max_condition: float = 100.0
-    max_order_error: float = 0.01
-
-    def __post_init__(self) -> None:
-        require_integer("filter_taps", self.filter_taps, 0, 63)
-        require_number("filter_sigma_px", self.filter_sigma_px, 0.0, open_low=True)
-        require_number("min_support", self.min_support, 0.0, 1.0, open_low=True)
-        if self.min_modulation_dn is not None:
-            require_number("min_modulation_dn", self.min_modulation_dn, 0.0)
-        require_number("max_phase_sigma_rad", self.max_phase_sigma_rad, 0.0, open_low=True)
-        require_number("dark_sigmas", self.dark_sigmas, 0.0)
-        require_number("gray_sigmas", self.gray_sigmas, 0.0)
-        require_number("max_condition", self.max_condition, 1.0)
-        require_number("max_order_error", self.max_order_error, 0.0, 1.0)
 
 
 def decode(
@@ -102,12 +58,14 @@ def decode(
             f"scale has shape {scale.shape}; give positive numbers of shape {stack.shape[1:]}"
         )
     frames = np.ascontiguousarray(stack)
-    plan = make_plan(frames, patterns, sensor, options or DecodeOptions(), scale)
+    options = options or DecodeOptions()
+    plan = make_plan(frames, patterns, sensor, options, scale)
     maps = _blank_maps(stack.shape[1], stack.shape[2])
     run_over_rows(decode_rows, stack.shape[1], frames, plan, maps, band_rows=BAND_ROWS)
+    smoothed = _smoothed(maps, options, patterns.period_px)
     units = units_of(sensor, scale)
-    column, row = (_axis(maps, axis, units, patterns.period_px) for axis in range(2))
-    return Decoded(column, row, maps.reason)
+    column, row = (_axis(maps, smoothed, axis, units, patterns.period_px) for axis in range(2))
+    return Decoded(column, row, smoothed.reason)
 
 
 def _check_stack(stack: Stack, patterns: PatternSet) -> None:
@@ -131,15 +89,31 @@ def _blank_maps(rows: int, cols: int) -> Maps:
     )  # fmt: skip
 
 
-def _axis(maps: Maps, axis: int, units: tuple[float, float, float], period_px: float) -> AxisDecode:
+def _smoothed(maps: Maps, options: DecodeOptions, period_px: float) -> Smoothed:
+    source = Unfiltered(maps.coordinate_px, maps.sigma, maps.reason)
+    if options.filter_taps == 0:
+        return Smoothed(
+            source.coordinate_px,
+            source.sigma,
+            np.zeros(source.sigma.shape, np.uint8),
+            source.reason,
+        )
+    limit_px = 0.5 * float(period_px)
+    return smooth(source, options.filter_taps, options.filter_sigma_px, limit_px, SIGMA_UNIT_PX)
+
+
+def _axis(
+    maps: Maps, smoothed: Smoothed, axis: int, units: tuple[float, float, float], period_px: float
+) -> AxisDecode:
     level_dn, sigma_px, chance = units
-    coordinate_px, turns = maps.coordinate_px[axis], Turns(maps.turns[axis])
+    coordinate_px, turns = smoothed.coordinate_px[axis], Turns(maps.turns[axis])
     compact: dict[str, Any] = {
         "phase_rad": turns,
         "order": Orders(coordinate_px, turns, float(period_px)),
         "mean_dn": Half(maps.mean[axis], level_dn),
         "modulation_dn": Half(maps.modulation[axis], level_dn),
-        "sigma_px": Half(maps.sigma[axis], sigma_px),
+        "sigma_px": Half(smoothed.sigma[axis], sigma_px),
+        "bias_share": Share(smoothed.bias_share[axis]),
         "residual_dn": Half(maps.residual[axis], level_dn),
         "order_error": Half(maps.order_error[axis], chance),
     }

@@ -1,23 +1,18 @@
-"""What the compiled decoder must know, in its own terms: frames, limits, codes, filter."""
+"""What the compiled decoder must know, in its own terms: frames, limits, codes."""
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from reconstruction._band import Plan, Units
 from reconstruction._chain_kernels import Ladder
-from reconstruction._filter_kernels import Smoothing
 from reconstruction._half_kernels import BIAS
 from reconstruction._order_kernels import COMPLEMENTARY, PLAIN, SHIFTED, Code
 from reconstruction._sum_kernels import Layout, Limits
 from reconstruction.arrays import FloatImage, Stack
+from reconstruction.decode_options import DecodeOptions
 from reconstruction.patterns import AXES, Axis, PatternSet
 from reconstruction.sensor import SensorNoise
-from reconstruction.smoothing import gaussian_weights, noise_gain
-
-if TYPE_CHECKING:
-    from reconstruction.decode import DecodeOptions
 
 # Times an order of up to 12 bits, exact in the 24 bits of single precision.
 HIGH_BITS = 12
@@ -31,19 +26,14 @@ def make_plan(
     stack: Stack,
     patterns: PatternSet,
     sensor: SensorNoise,
-    options: "DecodeOptions",
+    options: DecodeOptions,
     scale: FloatImage | None,
 ) -> Plan:
     """Return the plan of one decoding."""
-    weights = gaussian_weights(options.filter_taps, options.filter_sigma_px)
     column, row = AXES
-    squares = weights * weights
     return Plan(
         layout=_layout(patterns),
         limits=_limits(stack, patterns, sensor, options),
-        smoothing=Smoothing(
-            weights, squares / squares.sum(), noise_gain(weights), float(options.min_support)
-        ),
         codes=(_code(patterns, column), _code(patterns, row)),
         units=Units(*(np.float32(BIAS / unit) for unit in units_of(sensor, scale))),
         ladders=(_ladder(patterns, column), _ladder(patterns, row)),
@@ -71,7 +61,7 @@ def _layout(patterns: PatternSet) -> Layout:
 
 
 def _limits(
-    stack: Stack, patterns: PatternSet, sensor: SensorNoise, options: "DecodeOptions"
+    stack: Stack, patterns: PatternSet, sensor: SensorNoise, options: DecodeOptions
 ) -> Limits:
     # A camera with a black level never delivers 0: that frame was lost.
     has_lost = sensor.black_level_dn > 0.0 or _has_lost_frame(stack, patterns)

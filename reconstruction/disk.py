@@ -12,13 +12,14 @@ import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
-
-import h5netcdf
-import numpy as np
-from numpy.typing import NDArray
+from typing import TYPE_CHECKING, Any
 
 from reconstruction.errors import InputError
+
+if TYPE_CHECKING:  # commands that write nothing need not wait for HDF5
+    import h5netcdf
+    import numpy as np
+    from numpy.typing import NDArray
 
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
@@ -42,7 +43,7 @@ def unwritable(
 
 
 @contextmanager
-def writing_netcdf(path: Path | str) -> Iterator[h5netcdf.File]:
+def writing_netcdf(path: Path | str) -> Iterator["h5netcdf.File"]:
     """Yield a new netCDF-4 file to fill; an existing one is replaced.
 
     Raises
@@ -50,6 +51,8 @@ def writing_netcdf(path: Path | str) -> Iterator[h5netcdf.File]:
     OSError
         It cannot be written: the first failure. What was written until then stays there.
     """
+    import h5netcdf
+
     with _PatientFile(path) as target:
         try:
             with h5netcdf.File(target, "w") as file:
@@ -61,7 +64,7 @@ def writing_netcdf(path: Path | str) -> Iterator[h5netcdf.File]:
             raise target.failure
 
 
-def write_exr_channels(path: Path | str, channels: Mapping[str, NDArray[np.float32]]) -> None:
+def write_exr_channels(path: Path | str, channels: Mapping[str, "NDArray[np.float32]"]) -> None:
     """Write (row, col) float32 images as the channels of one EXR file.
 
     Raises
@@ -69,6 +72,7 @@ def write_exr_channels(path: Path | str, channels: Mapping[str, NDArray[np.float
     OSError
         The disk is full.
     """
+    import numpy as np
     import OpenEXR
 
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}

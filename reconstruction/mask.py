@@ -17,8 +17,8 @@ class Reason(IntEnum):
     """The Gray word could stand for another fringe order, or contradicts the phase."""
     OUTSIDE_PROJECTOR = 5
     """The decoded coordinate lies outside the projector image."""
-    FILTER_SUPPORT = 6
-    """The phasor filter reaches over pixels without a phase; one-sided support is biased."""
+    EDGE = 6
+    """Beside a pixel without light: part of it may see past the edge. Only marked by the filter."""
     EPIPOLAR_MISMATCH = 7
     """Column and row coordinate belong to no common point of this camera ray."""
     NO_POINT = 8

@@ -142,6 +142,7 @@ def _axis_names(axis: str) -> dict[str, str]:
         "modulation_dn": f"modulation{suffix}_dn",
         "residual_dn": f"residual{suffix}_dn",
         "order_error": f"order_error_{axis}",
+        "bias_share": f"bias_share_{axis}",
     }
 
 

@@ -121,19 +121,23 @@ def is_ours(folder: Path, path: str, known: Manifest | None) -> bool:
     return bool(digests) and not file.is_symlink() and file.is_file() and _digest(file) in digests
 
 
-def foreign(folder: Path, known: Manifest | None, names: Collection[str] = ()) -> str | None:
+def foreign(
+    folder: Path, known: Manifest | None, names: Collection[str] = (), *, changed: bool = True
+) -> str | None:
     """Return in words the first thing in a folder that `twin` did not write; None without any.
 
     Parameters
     ----------
     names : look only at these entries of the folder; by default at all
+    changed : a file that was written, but changed since, counts too
     """
-    return next(_foreign(folder, "", known, names), None)
+    found = _foreign(folder, "", known, names)
+    return next((text for text, is_changed in found if changed or not is_changed), None)
 
 
 def _foreign(
     root: Path, below: str, known: Manifest | None, names: Collection[str] = ()
-) -> Iterator[str]:
+) -> Iterator[tuple[str, bool]]:
     for entry in sorted(os.scandir(root / below), key=lambda entry: entry.name):
         path = f"{below}{entry.name}"
         if (names and entry.name not in names) or (not below and _is_own_mark(entry)):
@@ -142,7 +146,7 @@ def _foreign(
             yield from _foreign(root, f"{path}/", known)
         elif not is_ours(root, path, known):
             changed = known is not None and path in known.lines
-            yield f"{path}, changed since it was written" if changed else path
+            yield (f"{path}, changed since it was written" if changed else path), changed
 
 
 def _is_own_mark(entry: "os.DirEntry[str]") -> bool:

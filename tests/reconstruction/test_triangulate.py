@@ -27,6 +27,7 @@ def decoded_from(projector_px, sigma_px=0.01):
             np.full(shape, sigma_px, np.float32),
             image,
             image,
+            image,
         )
         for i in range(2)
     )

@@ -107,7 +107,7 @@ def test_predicted_density_integrates_to_one():
 def test_reasons_are_all_coloured_and_add_up():
     assert set(REASON_COLOURS) == set(Reason)
     shares = reason_shares(np.array([[0, 0], [3, 6]], np.uint8))
-    assert shares == {Reason.VALID: 0.5, Reason.SATURATED: 0.25, Reason.FILTER_SUPPORT: 0.25}
+    assert shares == {Reason.VALID: 0.5, Reason.SATURATED: 0.25, Reason.EDGE: 0.25}
 
 
 def test_pixel_and_angle_of_the_rig(experiment):

@@ -15,6 +15,7 @@ import pytest
 
 from twin.cli import run
 from twin.config import load_experiment
+from twin.manifest import MANIFEST_FILE, manifest_lines, write_manifest
 from twin.modalities.comparison import compare
 from twin.modalities.instruments import METHODS, PhotometricPlan
 from twin.modalities.photometric_decoders import write_decoders
@@ -238,6 +239,7 @@ def test_points_of_the_view_are_the_heights(seen):
 def test_a_report_without_its_image_is_refused(result, tmp_path, capsys):
     broken = tmp_path / "broken"
     shutil.copytree(result, broken)
+    write_manifest(broken / MANIFEST_FILE, "result", manifest_lines(broken))
     (broken / "image.png").unlink()
     assert run(["report", str(broken)]) == 2
     assert "image.png: cannot be read as an image" in capsys.readouterr().err

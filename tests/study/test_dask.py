@@ -29,7 +29,7 @@ def contents(store):
     return {
         path.relative_to(store.cases): path.read_bytes()
         for path in store.cases.rglob("*")
-        if path.is_file() and path.name != "timings.json"
+        if path.is_file() and path.name not in ("timings.json", "twin-manifest.txt")
     }
 
 

@@ -17,8 +17,8 @@ def reconstruct(
     *,
     out: Out,
     use: Literal["column", "row", "both"] = "column",
-    filter_taps: int = 8,
-    filter_sigma_px: float = 1.5,
+    filter_taps: int | None = None,
+    filter_sigma_px: float | None = None,
     photometric: bool = False,
 ) -> None:
     """Decode and triangulate a capture, rendered or real; needs no renderer.
@@ -30,9 +30,9 @@ def reconstruct(
     use
         Projector coordinate that gives the depth.
     filter_taps
-        Width of the Gaussian on the phase, px; 0 switches it off.
+        Width of the Gaussian on the coordinate, px; 0 switches it off; absent: as in twin keys.
     filter_sigma_px
-        Standard deviation of that Gaussian, px.
+        Standard deviation of that Gaussian, px; absent: as in twin keys.
     photometric
         CAPTURE is a TOML file that describes a press seen by a photometric-stereo sensor; see
         docs/photometric.md.
@@ -43,7 +43,8 @@ def reconstruct(
     from twin.config import decode_settings
     from twin.modalities.captures import reconstruct_capture
 
-    chosen = decode_settings(use=use, filter_taps=filter_taps, filter_sigma_px=filter_sigma_px)
+    given = {"use": use, "filter_taps": filter_taps, "filter_sigma_px": filter_sigma_px}
+    chosen = decode_settings(**{key: value for key, value in given.items() if value is not None})
     with progress_bars() as watch:
         figures = reconstruct_capture(capture, out, chosen, watch)
     print_metrics(figures)

@@ -10,6 +10,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
+from reconstruction.decode_options import DecodeOptions
 from twin.config.base import Distortion, Model, Positive
 from twin.config.devices import Camera, Pose, Projector
 from twin.config.elastomer import Coating, Elastomer, Film, Mechanics, PadFile, Press, Texture
@@ -122,9 +123,10 @@ class Decode(Model):
     """How the stack becomes points."""
 
     filter_taps: Annotated[int, Field(ge=0, le=31)] = Field(
-        default=8, description="Gaussian on the complex phasor; 0 switches it off"
+        default=DecodeOptions.filter_taps,
+        description="Gaussian on the projector coordinate; 0 switches it off",
     )
-    filter_sigma_px: Positive = 1.5
+    filter_sigma_px: Positive = DecodeOptions.filter_sigma_px
     use: Literal["column", "row", "both"] = "column"
 
 

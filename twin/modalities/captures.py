@@ -9,8 +9,9 @@ import tomli_w
 from reconstruction.capture import read_capture
 from reconstruction.decode import Reason
 from reconstruction.outputs import write_reconstruction
-from reconstruction.pipeline import Reconstruction, reconstruct
+from reconstruction.pipeline import Reconstruction, filter_bias, reconstruct
 from reconstruction.surface_files import write_surface
+from reconstruction.triangulate import Use
 from twin.config.models import Decode
 from twin.modalities.contact_fpp import options_of
 from twin.modalities.progress import Watcher, nobody
@@ -34,7 +35,7 @@ def reconstruct_capture(
         watch("reconstruct", 0.0)
         result = reconstruct(capture, options_of(decode))
         watch("reconstruct", 1.0)
-        figures = reconstruction_metrics(result)
+        figures = reconstruction_metrics(result, decode.use)
         write_reconstruction(folder / "reconstruction.nc", result.decoded, result.point_map)
         write_surface(folder, result.point_map)
         settings = tomli_w.dumps({"decode": decode.model_dump(mode="json")})
@@ -44,8 +45,8 @@ def reconstruct_capture(
     return figures
 
 
-def reconstruction_metrics(result: Reconstruction) -> dict[str, Any]:
-    """Count the valid points and, by reason, the masked pixels."""
+def reconstruction_metrics(result: Reconstruction, use: Use) -> dict[str, Any]:
+    """Count the valid points and, by reason, the masked pixels; say how well they are known."""
     reasons = result.point_map.mask_reason
     figures: dict[str, Any] = {
         "points": int(result.point_map.valid.sum()),
@@ -54,6 +55,8 @@ def reconstruction_metrics(result: Reconstruction) -> dict[str, Any]:
     if figures["points"]:
         sigma = result.point_map.sigma_z_mm[result.point_map.valid]
         figures["sigma_z_median_um"] = float(1e3 * np.median(sigma))
+        bias_um, bias_share = filter_bias(result, use, result.point_map.valid)
+        figures |= {"filter_bias_um": bias_um, "filter_bias_share": bias_share}
     for reason in Reason:
         if reason is not Reason.VALID:
             figures[f"masked_{reason.name.lower()}"] = int((reasons == reason).sum())

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from reconstruction.errors import FitError
 from reconstruction.fit import SphereFit, fit_sphere
-from reconstruction.pipeline import Reconstruction
+from reconstruction.pipeline import Reconstruction, filter_bias
 from twin.config.models import Experiment
 from twin.optics.stack import Truth
 from twin.specimens import Sphere, shape_of
@@ -44,8 +44,9 @@ class TruthScore:
     """Errors of world z against the true surface at the pixel centres, valid pixels only.
 
     `completeness` is the share of the wanted pixels with a point, `good_share` that of those whose
-    point is also right within `score.good_within_um`. A figure that does not exist (the error of
-    no point, the share of no pixel) is None: 0 would beat every measurement. `why_absent` says why.
+    point is also right within `score.good_within_um`. `filter_bias_um` and `filter_bias_share` need
+    no truth, see `filter_bias`. A figure that does not exist (the error of no point, the share of
+    no pixel) is None: 0 would beat every measurement. `why_absent` says why.
     """
 
     points: int
@@ -57,6 +58,8 @@ class TruthScore:
     z_bias_um: float | None
     z_p95_um: float | None
     sigma_z_median_um: float | None
+    filter_bias_um: float | None
+    filter_bias_share: float | None
     error_over_sigma: float | None
 
 
@@ -115,6 +118,9 @@ def score_truth(experiment: Experiment, reconstruction: Reconstruction, truth: T
     sigma_um = 1e3 * reconstruction.point_map.sigma_z_mm[both].astype(np.float64)
     good = np.abs(error_um) <= experiment.score.good_within_um
     lit, count = int(wanted.sum()), int(both.sum())
+    bias_um, bias_share = (
+        filter_bias(reconstruction, experiment.decode.use, both) if count else (None, None)
+    )
     return TruthScore(
         points=count,
         lit_pixels=lit,
@@ -125,6 +131,8 @@ def score_truth(experiment: Experiment, reconstruction: Reconstruction, truth: T
         z_bias_um=figure_of(error_um, np.mean),
         z_p95_um=figure_of(error_um, p95_of_size),
         sigma_z_median_um=figure_of(sigma_um, np.median),
+        filter_bias_um=bias_um,
+        filter_bias_share=bias_share,
         error_over_sigma=figure_of(error_um / np.maximum(sigma_um, 1e-9), _spread, least=2),
     )
 
@@ -230,6 +238,8 @@ def metrics(scored: Score) -> dict[str, Any]:
         "z_bias_um": truth.z_bias_um,
         "z_p95_um": truth.z_p95_um,
         "sigma_z_median_um": truth.sigma_z_median_um,
+        "filter_bias_um": truth.filter_bias_um,
+        "filter_bias_share": truth.filter_bias_share,
         "error_over_sigma": truth.error_over_sigma,
     }
     return found | sphere_metrics(scored.spheres, scored.unfitted)

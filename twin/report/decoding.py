@@ -26,7 +26,7 @@ REASON_COLOURS = {
     Reason.SATURATED: "#d7263d",
     Reason.ORDER_UNCERTAIN: "#f2a541",
     Reason.OUTSIDE_PROJECTOR: "#8e6bbf",
-    Reason.FILTER_SUPPORT: "#5fa8d3",
+    Reason.EDGE: "#5fa8d3",
     Reason.EPIPOLAR_MISMATCH: "#e36bae",
     Reason.NO_POINT: "#8a5a00",
 }

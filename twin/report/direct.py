@@ -21,7 +21,7 @@ REASON_WORDS = {
     Reason.SATURATED: "saturated",
     Reason.ORDER_UNCERTAIN: "fringe order uncertain",
     Reason.OUTSIDE_PROJECTOR: "decoded to outside the projector image",
-    Reason.FILTER_SUPPORT: "at the edge of a gap",
+    Reason.EDGE: "at the edge of the light",
     Reason.EPIPOLAR_MISMATCH: "column and row contradict each other",
     Reason.NO_POINT: "rays do not meet",
 }

@@ -104,7 +104,7 @@ def _decoding(scored: Scored) -> str:
     decode = scored.experiment.decode
     smoothed = (
         f"Gaussian of {decode.filter_taps} × {decode.filter_taps} px, σ {decode.filter_sigma_px:g} "
-        "px, on the phasor"
+        "px, on the coordinate"
         if decode.filter_taps
         else "no filter"
     )

@@ -22,6 +22,8 @@ _NEEDED_FIGURES = (
     "completeness",
     "error_over_sigma",
     "exposure_ms",
+    "filter_bias_share",
+    "filter_bias_um",
     "good_share",
     "saturated_share",
     "sigma_z_median_um",

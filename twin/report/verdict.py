@@ -12,6 +12,7 @@ Grade = Literal["good", "check", "poor"]
 MOST_SPREAD_OVER_SIGMA = 1.15
 LEAST_COMPLETENESS = 0.95
 MOST_SATURATED_SHARE = 1e-3
+MOST_FILTER_BIAS_SHARE = 0.1
 GOOD_RADIUS_SHARE, POOR_RADIUS_SHARE = 0.05, 0.25
 
 
@@ -61,8 +62,20 @@ def _sensor(scored: Scored) -> Verdict:
             f"spread {number(spread, '.2f')} times the noise predicted (at most "
             f"{MOST_SPREAD_OVER_SIGMA:g})",
             f"{saturated:.2%} of all pixel values saturated (at most {MOST_SATURATED_SHARE:.1%})",
+            *_filter_hint(figures),
         ),
     )
+
+
+def _filter_hint(figures: dict[str, Any]) -> list[str]:
+    share = figures["filter_bias_share"]
+    if share is None or share <= MOST_FILTER_BIAS_SHARE:
+        return []
+    return [
+        f"on {share:.0%} of the points the filter may take more from the relief than noise is left "
+        f"(at most {MOST_FILTER_BIAS_SHARE:.0%}; {figures['filter_bias_um']:.2f} µm RMS, in sigma):"
+        " lower decode.filter_sigma_px"
+    ]
 
 
 def _shape(scored: Scored) -> Verdict:

@@ -88,7 +88,7 @@ class Store:
         return None
 
     def forget(self, digest: str) -> None:
-        """Remove a case, whole at once, so that it is computed again.
+        """Remove a case, whole at once, so that it is computed again; it may be damaged.
 
         Raises
         ------
@@ -96,7 +96,7 @@ class Store:
             Its folder holds what `twin` did not write.
         """
         case = self.path_of(digest)
-        found = foreign(case, read_manifest(case)) if case.is_dir() else None
+        found = foreign(case, read_manifest(case), changed=False) if case.is_dir() else None
         if found is not None:
             raise InputError(f"{case}: found {found}, not written by twin; move it away")
         away = self.folder / _PARTS / f"{digest}.{os.getpid()}.old"
