@@ -118,15 +118,16 @@ def _sheet_maps(figure: Figure, pressed: PressedElastomer, sheet: SheetFields) -
     """Draw what a thin sheet has beside its heights, on the coated face."""
     slope_deg = np.rad2deg(np.arccos(np.clip(face_normals(pressed)[..., 2], -1.0, 1.0)))
     maps = (
-        ("Local thickness", sheet.thickness_mm, "mm"),
-        ("Larger principal stretch", sheet.stretch[..., 0], ""),
-        ("Slope of the coated face", slope_deg, "degrees"),
+        ("Local thickness (mm)", sheet.thickness_mm),
+        ("Larger principal stretch", sheet.stretch[..., 0]),
+        ("Slope of the coated face (degrees)", slope_deg),
     )
-    for column, (title, values, unit) in enumerate(maps):
-        axes = axes_at(figure, 0.65 + 3.2 * column, 9.1, 2.2, 1.9)
+    for column, (title, values) in enumerate(maps):
+        axes = axes_at(figure, 0.65 + 3.2 * column, 9.1, 2.3, 1.9)
         shown = axes.imshow(values, origin="lower", extent=_extent(pressed), cmap=sequential())
-        axes.set(title=title, xlabel="x (mm)", ylabel="y (mm)" if column == 0 else "")
-        add_colorbar(axes, shown, unit)
+        axes.set(title=title, xlabel="x (mm)", ylabel="" if column else "y (mm)")
+        axes.tick_params(labelleft=column == 0)
+        add_colorbar(axes, shown, "")
 
 
 def _extent(pressed: PressedElastomer) -> tuple[float, float, float, float]:
