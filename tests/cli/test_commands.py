@@ -167,6 +167,38 @@ def test_press_reports_the_contact_transfer(tmp_path):
         assert file["u_x_mm"].shape == press["face_z_mm"].shape
 
 
+THIN = [
+    "-s", 'specimen={kind = "ball", diameter_mm = 4.0}',
+    "-s", 'elastomer.length_x_mm={value = 9.0, source = "test"}',
+    "-s", 'elastomer.length_y_mm={value = 8.0, source = "test"}',
+    "-s", "elastomer.thickness_mm=0.3", "-s", "press.depth_mm=0.6",
+    "-s", "press.cell_mm=0.25", "-s", "press.relief_pitch_mm=0.05",
+]  # fmt: skip
+
+
+def test_press_of_a_thin_sheet(tmp_path):
+    """The solid keeps the sheet's volume; pressure says what of a ridge the coat shows."""
+    import imageio.v3 as imageio
+
+    out = tmp_path / "pressed"
+    line = ["press", "examples/wrapped_balls", "--transfer", "--solid", "-o", str(out), *THIN]
+    assert run(line) == 0
+    metrics = json.loads((out / "result.json").read_text())["metrics"]
+    assert metrics["mechanics_model"] == "sheet"
+    assert 0.2 < metrics["thinnest_mm"] < 0.3
+    assert 1.05 < metrics["largest_stretch"] < 1.5
+    assert 20 < metrics["steepest_deg"] < 90
+    assert metrics["contact_pressure_kpa"] == 3.0
+    assert metrics["ridge_mm"] == 0.07
+    assert 1.0 < metrics["tenth_contrast_pitch_mm"] / 0.3 < metrics["half_contrast_pitch_mm"] / 0.3
+    body = trimesh.load(out / "slab.stl")
+    assert body.is_watertight
+    assert body.volume == pytest.approx(0.3 * 9.0 * 8.0, rel=0.01)
+    assert not (out / "in_plane.nc").exists()
+    # Relief, pressure, two sections, and below them the sheet's own maps.
+    assert imageio.imread(out / "press.png").shape[0] == 1508
+
+
 @pytest.mark.parametrize("name", ["examples/gel_on_window", "examples/group_on_pad"])
 def test_press_of_a_gel_on_a_window(tmp_path, name):
     out = tmp_path / "pressed"

@@ -1,6 +1,7 @@
 import json
 import shutil
 import tomllib
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from twin.report.discussion import discussion, pitch_kept_mm
 from twin.report.paper import CONTACT_FPP, GELSIGHT, paper_row
 from twin.report.result_folder import read_scored
 from twin.report.table import ball_rows
-from twin.report.verdict import verdicts
+from twin.report.verdict import judge_press, verdicts
 
 
 def _cells(line):
@@ -105,3 +106,16 @@ def test_verdicts_follow_the_figures(finished):
     assert "3 wrong fringe orders" in verdicts(scored)[0].reasons[0]
     assert press.grade == ("check" if scored.figures["warnings"] else "good")
     assert "mm" in shape.headline
+
+
+def test_discussion_of_a_thin_sheet_tells_of_stretch_and_not_of_the_slab(finished):
+    scored = read_scored(finished)
+    sheet = {"mechanics_model": "sheet", "largest_stretch": 1.234}
+    sheet |= {"thinnest_mm": 0.1567, "steepest_deg": 61.2}
+    wrapped = replace(scored, figures=scored.figures | sheet)
+    text = " ".join(discussion(wrapped))
+    assert "stretched up to 1.23 times, 0.157 mm thick where it is thinnest" in text
+    assert "low-pass" in " ".join(discussion(scored))
+    assert "low-pass filter: T(q)" not in text
+    assert "shear through the thickness" in judge_press(wrapped.figures).reasons[0]
+    assert "large strain" in judge_press(scored.figures).reasons[0]

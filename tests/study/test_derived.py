@@ -5,6 +5,7 @@ import math
 import pytest
 
 from twin.config import load_experiment, vary
+from twin.mechanics.ridge_transfer import Ridges
 from twin.study.derived import with_derived
 
 BALL = {"specimen": {"kind": "ball", "diameter_mm": 8.0}, "elastomer.thickness_mm": 3.0}
@@ -43,3 +44,19 @@ def test_a_gel_on_a_window_loses_nothing(paper):
     found = with_derived(gel, {})
     assert found["groove_contrast_kept"] == 1.0
     assert found["half_contrast_pitch_mm"] == 0.0
+
+
+def test_of_a_thin_sheet_pressure_and_hardness_count(paper):
+    """What shows of a grating's grooves, and the pitch of which half shows, is that of `Ridges`."""
+    thin = {"elastomer.thickness_mm": {"value": 0.2, "source": "test"}}
+    groove = vary(paper, GRATING | thin | {"press.back_pressure_kpa": 3.0})
+    fine = vary(groove, {"specimen.pitch_mm": 1.0})
+    figures = {"mechanics_model": "sheet", "z_rmse_um": 1.0}
+    found = with_derived(fine, figures)
+    ridges = Ridges(fine.elastomer, 3.0, 0.2)
+    assert found["groove_contrast_kept"] == ridges.shown(1.0)
+    assert 0.1 < found["groove_contrast_kept"] < 0.3
+    assert ridges.shown(found["half_contrast_pitch_mm"]) == pytest.approx(0.5, abs=1e-3)
+    free = with_derived(vary(fine, {"press.back_pressure_kpa": 0.0}), figures)
+    assert "half_contrast_pitch_mm" not in free
+    assert "groove_contrast_kept" not in free

@@ -31,12 +31,13 @@ def press(
     experiment
         TOML file, or the name of a shipped experiment such as paper/two_balls.
     transfer
-        Also report how much of a groove of each pitch the slab keeps.
+        Also report how much of a groove of each pitch the slab keeps; of a thin sheet, how much
+        of ridges as high as the specimen's its back pressure lets it show.
     solid
         Also write the pressed slab as a watertight body, slab.stl and slab.ply.
     """
-    from twin.mechanics import contact_transfer, write_in_plane
-    from twin.modalities.contact_fpp import press_specimen
+    from twin.mechanics import write_in_plane
+    from twin.modalities.contact_fpp import press_specimen, transfer_of
     from twin.modalities.storage import (
         press_metrics,
         transfer_metrics,
@@ -63,7 +64,7 @@ def press(
         if solid:
             write_solid(folder, loaded, pressed)
         if transfer:
-            kept = contact_transfer(loaded.elastomer)
+            kept = transfer_of(loaded, pressed)
             write_transfer(folder / "transfer.csv", kept)
             draw_transfer(folder / "transfer.png", kept)
             figures |= transfer_metrics(kept)
@@ -128,14 +129,15 @@ def measure(experiment: Path, /, *, out: Out, settings: Settings = None) -> None
 
 @app.command
 def demo(*, out: Out = Path("out/demo"), full: bool = False) -> None:
-    """Run the main job on the shipped defaults: two joined balls, contact-FPP.
+    """Run the main job: nut, balls and brick under a thin sheet that wraps them, contact-FPP.
 
     Parameters
     ----------
     full
         Use all 1936 x 1464 camera pixels instead of 2 x 2 binning.
     """
-    _measure(load(Path("paper/two_balls"), [f"camera.binning={1 if full else 2}"]), out, "demo")
+    group = Path("examples/wrapped_group")
+    _measure(load(group, [f"camera.binning={1 if full else 2}"]), out, "demo")
 
 
 @app.command

@@ -87,8 +87,8 @@ class Brick(Specimen):
     """A toy brick, studs up, hollow below, with tubes that clutch the studs of the next one."""
 
     kind: Literal["brick"] = "brick"
-    studs_x: Annotated[int, Field(ge=2, le=8)] = 2
-    studs_y: Annotated[int, Field(ge=2, le=8)] = 2
+    studs_x: Annotated[int, Field(ge=1, le=8)] = 2
+    studs_y: Annotated[int, Field(ge=1, le=8)] = 2
     pitch_mm: Size = Field(default=8.0, description="literature: distance between studs")
     height_mm: Size = Field(default=9.6, description="literature: 9.6, a plate 3.2; without studs")
     play_mm: OptionalSize = Field(default=0.2, description="literature: gap between bricks")

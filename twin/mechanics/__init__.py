@@ -11,8 +11,9 @@ from twin.mechanics.hardness import (
     young_modulus,
 )
 from twin.mechanics.in_plane import in_plane_displacement
-from twin.mechanics.press import PressedElastomer, press
+from twin.mechanics.press import PressedElastomer, SheetFields, fields_at, press
 from twin.mechanics.relief import face_mesh, face_normals, slab_mesh
+from twin.mechanics.ridge_transfer import ridge_height_mm, ridge_transfer
 from twin.mechanics.storage import read_press, write_in_plane, write_mesh, write_press
 from twin.mechanics.texture import Field, texture_field, texture_figures, textured
 from twin.mechanics.transfer import opposite_transfer
@@ -24,6 +25,7 @@ __all__ = [
     "ModulusEstimate",
     "PressError",
     "PressedElastomer",
+    "SheetFields",
     "SolverError",
     "Validity",
     "calibrate_modulus",
@@ -33,11 +35,14 @@ __all__ = [
     "estimate_modulus_00",
     "face_mesh",
     "face_normals",
+    "fields_at",
     "in_plane_displacement",
     "opposite_transfer",
     "press",
     "press_with",
     "read_press",
+    "ridge_height_mm",
+    "ridge_transfer",
     "slab_mesh",
     "texture_field",
     "texture_figures",

@@ -30,12 +30,16 @@ class ContactTransfer:
     pitch_mm: FloatArray
     #: (n,) T(q) of a slab without film, 0 to 1
     closed_form: FloatArray
-    #: (n,) by the press' own solver, film included
+    #: (n,) by the press' own solver, film included; of a sheet what pressure lets it show
     computed: FloatArray
-    #: pitch of which half, and a tenth, is kept (closed form); 0 where nothing is lost
+    #: pitch of which half, and a tenth, is kept (slab: closed form; sheet: computed); 0 where
+    #: nothing is lost
     half_pitch_mm: float
     tenth_pitch_mm: float
     thickness_mm: float
+    #: of a sheet: what presses it onto ridges of which height
+    pressure_kpa: float | None = None
+    ridge_mm: float | None = None
 
     def rows(self) -> list[tuple[float, float, float]]:
         """Return (pitch mm, closed form, computed) per pitch, for tables."""
@@ -65,10 +69,8 @@ def contact_transfer(elastomer: Elastomer, pitches_mm: FloatArray | None = None)
         A pitch that is not positive, or so long that the slab cannot be solved.
     """
     thickness = elastomer.thickness_mm
-    pitches = thickness * np.geomspace(0.5, 6.0, 41) if pitches_mm is None else pitches_mm
-    pitches = np.atleast_1d(np.asarray(pitches, dtype=np.float64))
-    if not (pitches > 0).all():
-        raise PressError(f"pitch: found {pitches.min():g} mm, allowed: more than 0")
+    default = thickness * np.geomspace(0.5, 6.0, 41)
+    pitches = positive_pitches(default if pitches_mm is None else pitches_mm)
     if elastomer.layout == "contact_face":
         whole = np.ones_like(pitches)
         return ContactTransfer(pitches, whole, whole, 0.0, 0.0, thickness)
@@ -80,6 +82,20 @@ def contact_transfer(elastomer: Elastomer, pitches_mm: FloatArray | None = None)
         tenth_pitch_mm=pitch_at(0.1, thickness),
         thickness_mm=thickness,
     )
+
+
+def positive_pitches(pitches_mm: FloatArray) -> FloatArray:
+    """Return pitches as a (n,) array.
+
+    Raises
+    ------
+    PressError
+        One is not positive.
+    """
+    pitches = np.atleast_1d(np.asarray(pitches_mm, dtype=np.float64))
+    if not (pitches > 0).all():
+        raise PressError(f"pitch: found {pitches.min():g} mm, allowed: more than 0")
+    return pitches
 
 
 def pitch_at(kept: float, thickness_mm: float) -> float:

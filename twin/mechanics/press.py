@@ -7,6 +7,7 @@ along x, both ascending.
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -36,6 +37,11 @@ class SheetFields:
     #: place on the mounted, unloaded sheet that came to lie here
     material_x_mm: FloatArray
     material_y_mm: FloatArray
+
+
+def fields_at(sheet: SheetFields, nodes: Any) -> SheetFields:
+    """Return the fields on some of the nodes, which index (row, col)."""
+    return SheetFields(**{name: values[nodes] for name, values in vars(sheet).items()})
 
 
 @dataclass(frozen=True)

@@ -1,5 +1,7 @@
 """The coated face as a triangle mesh with smooth normals, and the slab as a closed body."""
 
+from dataclasses import replace
+
 import numpy as np
 import numpy.typing as npt
 import trimesh
@@ -32,11 +34,12 @@ def slab_mesh(pressed: PressedElastomer, elastomer: Elastomer) -> trimesh.Trimes
 
     Its vertices are those of `face_mesh`, then those of the other face in the same order: the
     touched face of the opposite-face layout, or the window of the contact-face layout. Straight
-    sides join the two.
+    sides join the two. The touched face of a thin sheet lies its local thickness behind the coated
+    one, along the normal.
     """
     rows, cols = pressed.face_z_mm.shape
-    faces = np.stack((pressed.face_z_mm, _other_face(pressed, elastomer)))
-    upper = faces.mean(axis=(1, 2)).argmax()
+    coated, other = _vertices(pressed, pressed.face_z_mm), _other_vertices(pressed, elastomer)
+    coated_above = coated[:, 2].mean() > other[:, 2].mean()
     rim = _rim(rows, cols)
     after = np.roll(rim, -1)
     # Walls of the coated face above the other one; turned over where it lies below.
@@ -49,13 +52,22 @@ def slab_mesh(pressed: PressedElastomer, elastomer: Elastomer) -> trimesh.Trimes
     grid = grid_facets(rows, cols)
     closed = np.concatenate((grid, grid[:, ::-1] + rows * cols, walls))
     body = trimesh.Trimesh(
-        vertices=np.concatenate([_vertices(pressed, z) for z in faces]),
-        faces=closed if upper == 0 else closed[:, ::-1],
+        vertices=np.concatenate((coated, other)),
+        faces=closed if coated_above else closed[:, ::-1],
         process=False,
         validate=False,
     )
     body.metadata["name"] = "slab"
     return body
+
+
+def _other_vertices(pressed: PressedElastomer, elastomer: Elastomer) -> FloatArray:
+    if pressed.sheet is None:
+        return _vertices(pressed, _other_face(pressed, elastomer))
+    texture = 0.0 if pressed.texture_mm is None else pressed.texture_mm
+    smooth = replace(pressed, face_z_mm=pressed.face_z_mm - texture)
+    behind = pressed.sheet.thickness_mm[..., None] * face_normals(smooth)
+    return _vertices(smooth, smooth.face_z_mm) - behind.reshape(-1, 3)
 
 
 def _other_face(pressed: PressedElastomer, elastomer: Elastomer) -> FloatArray:

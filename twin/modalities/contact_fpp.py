@@ -4,7 +4,16 @@ from reconstruction.decode import DecodeOptions
 from reconstruction.errors import InputError
 from reconstruction.pipeline import ReconstructOptions
 from twin.config.models import Decode, Experiment
-from twin.mechanics import PressedElastomer, face_mesh, press_with, textured
+from twin.mechanics import (
+    ContactTransfer,
+    PressedElastomer,
+    contact_transfer,
+    face_mesh,
+    press_with,
+    ridge_height_mm,
+    ridge_transfer,
+    textured,
+)
 from twin.modalities.progress import Stopwatch
 from twin.modalities.recording import Recording, expose_capture
 from twin.optics.render import render
@@ -28,6 +37,20 @@ def with_texture(experiment: Experiment, smooth: PressedElastomer) -> PressedEla
     if texture is None:
         return smooth
     return textured(smooth, experiment.elastomer, experiment.press, texture, experiment.seed)
+
+
+def transfer_of(experiment: Experiment, pressed: PressedElastomer) -> ContactTransfer:
+    """Return what the coat shows of grooves of each pitch, by the kind of model that pressed.
+
+    Raises
+    ------
+    PressError
+        A thin sheet without back pressure.
+    """
+    if pressed.model != "sheet":
+        return contact_transfer(experiment.elastomer)
+    ridge_mm = ridge_height_mm(experiment.specimen)
+    return ridge_transfer(experiment.elastomer, experiment.press.back_pressure_kpa, ridge_mm)
 
 
 def record(

@@ -151,8 +151,20 @@ def press_metrics(pressed: PressedElastomer) -> dict[str, Any]:
         "relief_peak_mm": float(pressed.face_z_mm.max()),
         "peak_pressure_kpa": float(pressed.pressure_kpa.max()),
         "height_error_estimate_mm": pressed.validity.height_error_mm,
+        **sheet_figures(pressed),
         **texture_figures(pressed),
         "warnings": list(pressed.validity.warnings),
+    }
+
+
+def sheet_figures(pressed: PressedElastomer) -> dict[str, float]:
+    """Figures of a thin sheet; none of another model."""
+    if pressed.sheet is None:
+        return {}
+    return {
+        "thinnest_mm": float(pressed.sheet.thickness_mm.min()),
+        "largest_stretch": float(pressed.sheet.stretch.max()),
+        "steepest_deg": pressed.validity.max_slope_deg,
     }
 
 
@@ -164,12 +176,15 @@ def write_transfer(path: Path, transfer: ContactTransfer) -> None:
 
 def transfer_metrics(transfer: ContactTransfer) -> dict[str, Any]:
     """Figures of the contact transfer function."""
-    difference = np.abs(transfer.closed_form - transfer.computed)
-    return {
+    pitches = {
         "half_contrast_pitch_mm": transfer.half_pitch_mm,
         "tenth_contrast_pitch_mm": transfer.tenth_pitch_mm,
-        "transfer_computed_minus_closed_form": float(difference.max()),
     }
+    if transfer.pressure_kpa is not None:
+        under = {"contact_pressure_kpa": transfer.pressure_kpa, "ridge_mm": transfer.ridge_mm}
+        return pitches | under
+    difference = np.abs(transfer.closed_form - transfer.computed)
+    return pitches | {"transfer_computed_minus_closed_form": float(difference.max())}
 
 
 def recording_metrics(recording: Recording) -> dict[str, Any]:

@@ -12,7 +12,7 @@ import trimesh
 from numpy.typing import NDArray
 
 from twin.config import Experiment
-from twin.mechanics import PressedElastomer, face_mesh, slab_mesh
+from twin.mechanics import PressedElastomer, face_mesh, fields_at, slab_mesh
 from twin.optics.materials import bsdf_of
 from twin.optics.rig import true_calibration
 from twin.optics.view import Thing, matte
@@ -148,12 +148,14 @@ def _thinned(pressed: PressedElastomer, cut_y_mm: float | None) -> PressedElasto
     rows, cols = (_every(nodes, step) for nodes in (pressed.face_y_mm, pressed.face_x_mm))
     if cut_y_mm is not None:
         rows = rows[pressed.face_y_mm[rows] >= cut_y_mm]
+    kept = np.ix_(rows, cols)
     return replace(
         pressed,
         face_x_mm=pressed.face_x_mm[cols],
         face_y_mm=pressed.face_y_mm[rows],
-        face_z_mm=pressed.face_z_mm[np.ix_(rows, cols)],
+        face_z_mm=pressed.face_z_mm[kept],
         texture_mm=None,
+        sheet=None if pressed.sheet is None else fields_at(pressed.sheet, kept),
     )
 
 

@@ -76,6 +76,22 @@ def _signed(value: float, digits: int = 3) -> str:
 
 
 def _elastomer(scored: Scored) -> str:
+    return _sheet(scored) if scored.figures["mechanics_model"] == "sheet" else _slab(scored)
+
+
+def _sheet(scored: Scored) -> str:
+    sheet, figures = scored.experiment.elastomer, scored.figures
+    return (
+        f"The sheet of {sheet.thickness_mm:g} mm wraps the specimen as far as pressure, tack and "
+        "stretch press it on: there the coat lies one local thickness over it, and a ball of "
+        "radius R shows R and that thickness. Beyond, the sheet is a tent, and what is fitted to "
+        f"it says little of the ball. Here it is stretched up to {figures['largest_stretch']:.2f} "
+        f"times, {figures['thinnest_mm']:.3f} mm thick where it is thinnest and up to "
+        f"{figures['steepest_deg']:.0f}° steep."
+    )
+
+
+def _slab(scored: Scored) -> str:
     slab, figures = scored.experiment.elastomer, scored.figures
     half, tenth = (pitch_kept_mm(share, slab.thickness_mm) for share in (0.5, 0.1))
     lifted = figures["relief_peak_mm"] / figures["depth_mm"]
@@ -114,9 +130,14 @@ def _paper(scored: Scored, published: list[PaperRow]) -> str:
         f"The paper reports {papers} mm, below the ball's {ball:g} mm. A low-pass filter flattens "
         f"and enlarges radii, and a skin of {slab.thickness_mm:g} mm draped closely over the ball "
         f"would show {ball + slab.thickness_mm:g} mm. {_origin(scored)} Scale of the calibration, "
-        "region of the fit and strains beyond the linear slab remain as causes; the paper does "
-        "not give the data to decide, and the twin is not tuned to meet it."
+        f"region of the fit{_beyond(scored)} remain as causes; the paper does not give the data to "
+        "decide, and the twin is not tuned to meet it."
     )
+
+
+def _beyond(scored: Scored) -> str:
+    linear = scored.figures["mechanics_model"] == "spectral"
+    return " and strains beyond the linear slab" if linear else " and texture of the coat"
 
 
 def _origin(scored: Scored) -> str:

@@ -11,6 +11,12 @@ from twin.report.rig import draw_rig
 from twin.report.truth_error import draw_truth_error
 from twin.report.world_map import pixel_on_face_mm
 
+_SHEET_MAPS = (
+    " Below: how thick the sheet is where it lies, how far it is stretched, and how steep the coat "
+    "is. Where the sheet touches, the specimen lies one local thickness behind the coat, along its "
+    "normal."
+)
+
 
 def plates(measured: Measured) -> list[Plate]:
     """Return all figures in the order of the report; without points there is no surface to show."""
@@ -98,11 +104,13 @@ def _ball(measured: Measured, number: int, view: BallView) -> Plate:
 def _press(measured: Measured) -> Plate:
     pressed = measured.pressed
     assert pressed is not None
+    kind = "slab" if pressed.sheet is None else "sheet"
     return Plate(
         "press",
         lambda path: draw_press(path, measured.experiment, pressed),
-        "relief, pressure and section of the pressed slab",
+        f"relief, pressure and section of the pressed {kind}",
         "Relief of the coated face in mm, contact pressure in kPa, and the section along the "
         "dashed line. The more the coated face follows the dashed outline of the specimen, the "
-        "more of its shape the sensor can measure.",
+        "more of its shape the sensor can measure."
+        + ("" if pressed.sheet is None else _SHEET_MAPS),
     )

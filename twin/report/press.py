@@ -4,10 +4,11 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from twin.config.models import Experiment
-from twin.mechanics import PressedElastomer
+from twin.mechanics import PressedElastomer, SheetFields, face_normals
 from twin.report.canvas import (
     INK,
     MEASURED,
@@ -34,6 +35,8 @@ from twin.report.section import (
 FloatArray = NDArray[np.float64]
 
 _SAMPLES = 801
+# Edges press many times harder than faces: above this ratio the scale ends at that percentile.
+_EDGE_PEAK, _MOST_PERCENT = 2.0, 90.0
 _SILICONE, _STEEL = "#cfe3f1", "#d9cdb8"
 
 
@@ -46,7 +49,7 @@ def draw_press(path: Path, experiment: Experiment, pressed: PressedElastomer) ->
         `path` cannot be written.
     """
     trace = trace_through_apexes(experiment)
-    with drawing(path, 10.0, 8.6) as figure:
+    with drawing(path, 10.0, 8.6 if pressed.sheet is None else 11.6) as figure:
         relief = axes_at(figure, 0.65, 0.35, 3.45, 2.7)
         pressure = axes_at(figure, 5.75, 0.35, 3.45, 2.7)
         _relief(relief, pressed)
@@ -55,6 +58,8 @@ def draw_press(path: Path, experiment: Experiment, pressed: PressedElastomer) ->
             _mark_trace(axes, experiment, trace)
         draw_section(axes_at(figure, 0.65, 4.05, 9.2, 1.85), experiment, pressed, trace)
         _coated_face(axes_at(figure, 0.65, 6.65, 9.2, 1.45), experiment, pressed, trace)
+        if pressed.sheet is not None:
+            _sheet_maps(figure, pressed, pressed.sheet)
 
 
 def draw_section(
@@ -109,18 +114,38 @@ def _coated_face(
     plain_spines(axes)
 
 
+def _sheet_maps(figure: Figure, pressed: PressedElastomer, sheet: SheetFields) -> None:
+    """Draw what a thin sheet has beside its heights, on the coated face."""
+    slope_deg = np.rad2deg(np.arccos(np.clip(face_normals(pressed)[..., 2], -1.0, 1.0)))
+    maps = (
+        ("Local thickness (mm)", sheet.thickness_mm),
+        ("Larger principal stretch", sheet.stretch[..., 0]),
+        ("Slope of the coated face (degrees)", slope_deg),
+    )
+    for column, (title, values) in enumerate(maps):
+        axes = axes_at(figure, 0.65 + 3.2 * column, 9.1, 2.3, 1.9)
+        shown = axes.imshow(values, origin="lower", extent=_extent(pressed), cmap=sequential())
+        axes.set(title=title, xlabel="x (mm)", ylabel="" if column else "y (mm)")
+        axes.tick_params(labelleft=column == 0)
+        add_colorbar(axes, shown, "")
+
+
+def _extent(pressed: PressedElastomer) -> tuple[float, float, float, float]:
+    x, y = pressed.face_x_mm, pressed.face_y_mm
+    return float(x[0]), float(x[-1]), float(y[0]), float(y[-1])
+
+
 def _relief(axes: Axes, pressed: PressedElastomer) -> None:
     bottom, top = height_scale(pressed.face_z_mm)
-    extent = (
-        pressed.face_x_mm[0],
-        pressed.face_x_mm[-1],
-        pressed.face_y_mm[0],
-        pressed.face_y_mm[-1],
-    )
     levels = contour_levels(bottom, float(pressed.face_z_mm.max()))
     step = levels[-1] - levels[-2] if len(levels) > 1 else levels[0]
     shown = axes.imshow(
-        pressed.face_z_mm, origin="lower", extent=extent, cmap=sequential(), vmin=bottom, vmax=top
+        pressed.face_z_mm,
+        origin="lower",
+        extent=_extent(pressed),
+        cmap=sequential(),
+        vmin=bottom,
+        vmax=top,
     )
     axes.contour(
         pressed.face_x_mm,
@@ -137,7 +162,7 @@ def _relief(axes: Axes, pressed: PressedElastomer) -> None:
 
 
 def _pressure(axes: Axes, pressed: PressedElastomer) -> None:
-    top = round_up(float(pressed.pressure_kpa.max()))
+    top, beyond = _pressure_scale(pressed)
     x, y = pressed.x_mm, pressed.y_mm
     half = float(x[1] - x[0]) / 2
     shown = axes.imshow(
@@ -150,7 +175,16 @@ def _pressure(axes: Axes, pressed: PressedElastomer) -> None:
     )
     axes.set(title="Pressure where it touches", xlabel="x (mm)", ylabel="y (mm)")
     _zoom_to_contact(axes, pressed)
-    add_colorbar(axes, shown, "pressure (kPa)")
+    add_colorbar(axes, shown, "pressure (kPa)", extend="max" if beyond else "neither")
+
+
+def _pressure_scale(pressed: PressedElastomer) -> tuple[float, bool]:
+    """Return the upper end, and whether pressure goes beyond: edges would hide all the rest."""
+    peak = float(pressed.pressure_kpa.max())
+    touching = pressed.pressure_kpa[pressed.contact]
+    most = float(np.percentile(touching, _MOST_PERCENT)) if touching.size else peak
+    beyond = peak > _EDGE_PEAK * most
+    return round_up(most if beyond else peak), beyond
 
 
 def _zoom_to_contact(axes: Axes, pressed: PressedElastomer) -> None:

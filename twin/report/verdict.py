@@ -107,8 +107,14 @@ def judge_press(figures: dict[str, Any]) -> Verdict:
         headline=f"± {error_um:.3g} µm estimated",
         grade="check" if warnings else "good",
         reasons=(
-            f"error of leaving out large strain, {error_um / max(peak_um, 1e-9):.1%} of the relief",
+            f"error of leaving out {_left_out(figures)}, "
+            f"{error_um / max(peak_um, 1e-9):.1%} of the relief",
             f"{len(warnings)} warning{'' if len(warnings) == 1 else 's'} of the press"
             + (", listed below" if warnings else ""),
         ),
     )
+
+
+def _left_out(figures: dict[str, Any]) -> str:
+    sheet = figures.get("mechanics_model") == "sheet"
+    return "shear through the thickness" if sheet else "large strain"

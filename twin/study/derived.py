@@ -2,9 +2,10 @@
 
 | name | meaning |
 |---|---|
-| half_contrast_pitch_mm | pitch of grooves of which the coat keeps half; 0 where nothing is lost |
+| half_contrast_pitch_mm | pitch of grooves of which the coat keeps half; 0 where nothing is lost; a
+thin sheet: of ridges as high as the specimen's, or a fingerprint's, under its back pressure |
 | tenth_contrast_pitch_mm | pitch of which it keeps a tenth |
-| groove_contrast_kept | share of a grating's relief that the coat keeps (closed form) |
+| groove_contrast_kept | share of a grating's relief that the coat keeps (slab: closed form) |
 | groove_over_error | RMS of its grooves on the coat over z_rmse: below 1 they drown in the error |
 | radius_bias_mm | radius of the ball's true coated face less that of the ball: what the slab does |
 | depth_over_thickness | travel of the press over the slab's thickness |
@@ -22,6 +23,7 @@ import numpy as np
 from twin.config import Experiment
 from twin.config.specimens import Grating
 from twin.mechanics.contact_transfer import pitch_at
+from twin.mechanics.ridge_transfer import Ridges, ridge_height_mm
 from twin.mechanics.transfer import opposite_transfer
 from twin.specimens import shape_of
 
@@ -29,19 +31,34 @@ Figures = Mapping[str, Any]
 
 
 def _kept_pitch(share: float) -> Callable[[Experiment, Figures], float]:
-    def pitch_mm(experiment: Experiment, _: Figures) -> float:
+    def pitch_mm(experiment: Experiment, figures: Figures) -> float:
         if experiment.elastomer.layout == "contact_face":
             return 0.0
+        if _is_sheet(figures):
+            return _ridges(experiment).pitch_mm(share)
         return pitch_at(share, experiment.elastomer.thickness_mm)
 
     return pitch_mm
 
 
-def _groove_contrast(experiment: Experiment, _: Figures) -> float:
+def _is_sheet(figures: Figures) -> bool:
+    return figures.get("mechanics_model") == "sheet"
+
+
+def _ridges(experiment: Experiment) -> Ridges:
+    pressure_kpa = experiment.press.back_pressure_kpa
+    if not pressure_kpa:
+        raise KeyError("back_pressure_kpa")
+    return Ridges(experiment.elastomer, pressure_kpa, ridge_height_mm(experiment.specimen))
+
+
+def _groove_contrast(experiment: Experiment, figures: Figures) -> float:
     if not isinstance(experiment.specimen, Grating):
         raise KeyError("pitch_mm")
     if experiment.elastomer.layout == "contact_face":
         return 1.0  # while the grooves are filled
+    if _is_sheet(figures):
+        return _ridges(experiment).shown(experiment.specimen.pitch_mm)
     waves = 2 * np.pi * experiment.elastomer.thickness_mm / experiment.specimen.pitch_mm
     return float(opposite_transfer(np.array([waves]))[0])
 

@@ -11,6 +11,7 @@ from typing import Any
 from reconstruction.errors import InputError
 from twin.config import Experiment
 from twin.config.study import Study
+from twin.mechanics.choice import may_wrap
 from twin.modalities.progress import Watcher, nobody
 from twin.optics.light import pattern_set
 from twin.output import read_json
@@ -27,7 +28,7 @@ from twin.study.workers import Workers, lasting
 # Measured on two cores of 2.5 GHz: camera noise dominates, then loading a pressed face.
 _SECONDS_PER_FRAME_PIXEL = 9e-8
 _SECONDS_PER_CASE = 0.3
-_SECONDS_PER_PRESS = 3.0
+_SECONDS_PER_PRESS, _SECONDS_PER_SHEET = 3.0, 20.0
 _BYTES_PER_CASE = 24_000
 _BYTES_PER_PIXEL = {"points": 160, "capture": 0, "press": 0}
 _BYTES_PER_FRAME_PIXEL = 2
@@ -36,7 +37,7 @@ _PRESS_BYTES = 80_000_000
 
 @dataclass(frozen=True)
 class Estimate:
-    """What a run will take; good to a factor of two for flat slabs, less for other models."""
+    """What a run will take; good to a factor of two for slabs and sheets, less for solids."""
 
     cases: int
     known: int
@@ -51,8 +52,8 @@ def estimate(record: StudyRecord, cases: Cases, store: Store, workers: int) -> E
     known = store.finished() if store.exists() else set()
     unique = cases.unique()
     missing = [case for case in unique if case.digest not in known]
-    presses = len({_pressing(case.experiment) for case in missing})
-    work = sum(_case_seconds(case.experiment) for case in missing) + presses * _SECONDS_PER_PRESS
+    presses = {_pressing(case.experiment): _press_seconds(case.experiment) for case in missing}
+    work = sum(_case_seconds(case.experiment) for case in missing) + sum(presses.values())
     folder = next(p for p in (store.folder, *store.folder.parents) if p.exists())
     return Estimate(
         cases=len(unique),
@@ -67,6 +68,11 @@ def estimate(record: StudyRecord, cases: Cases, store: Store, workers: int) -> E
 def _pressing(experiment: Experiment) -> str:
     parts = {"mechanics", "specimen", "elastomer", "press"}
     return experiment.model_dump_json(include=parts)
+
+
+def _press_seconds(experiment: Experiment) -> float:
+    wraps = experiment.mechanics.model in ("auto", "sheet") and may_wrap(experiment.elastomer)
+    return _SECONDS_PER_SHEET if wraps else _SECONDS_PER_PRESS
 
 
 def _pixels(experiment: Experiment) -> int:
