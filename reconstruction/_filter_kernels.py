@@ -36,7 +36,7 @@ from reconstruction._sum_kernels import DARK, LOW_MODULATION
 from reconstruction.mask import Reason
 
 PATCH_COLS = 512
-EDGE = np.uint8(Reason.EDGE)
+VALID, EDGE = np.uint8(Reason.VALID), np.uint8(Reason.EDGE)
 # The value of a pixel without one: no pair with it comes within any limit.
 NOWHERE = np.float32(1e30)
 
@@ -76,19 +76,29 @@ class Patch(NamedTuple):
 @compiled
 def mark_edges(first_row: int, end_row: int, reason: Any, out: Any) -> None:
     """Copy the mask, with `EDGE` on valid pixels that have a neighbour without light."""
-    rows = reason.shape[0]
+    rows, width = reason.shape
+    unlit = np.zeros((3, width + 2), np.bool_)
     for row in range(first_row, end_row):
-        line, above, below = reason[row], reason[max(row - 1, 0)], reason[min(row + 1, rows - 1)]
-        last = line.size - 1
-        for col in range(line.size):
-            near = _is_unlit(above[col]) | _is_unlit(below[col])
-            near |= _is_unlit(line[max(col - 1, 0)]) | _is_unlit(line[min(col + 1, last)])
-            out[row, col] = EDGE if near and line[col] == 0 else line[col]
+        for k in range(3):
+            _find_unlit(reason[min(max(row + k - 1, 0), rows - 1)], unlit[k, 1 : width + 1])
+        middle = unlit[1]
+        _mark_edge(
+            reason[row], unlit[0, 1 : width + 1], unlit[2, 1 : width + 1], middle[:width],
+            middle[2:], out[row],
+        )  # fmt: skip
 
 
-@inlined
-def _is_unlit(code: Any) -> Any:
-    return (code == DARK) | (code == LOW_MODULATION)
+@compiled
+def _find_unlit(reason: Any, unlit: Any) -> None:
+    for col in range(reason.size):
+        unlit[col] = (reason[col] == DARK) | (reason[col] == LOW_MODULATION)
+
+
+@compiled
+def _mark_edge(reason: Any, above: Any, below: Any, left: Any, right: Any, out: Any) -> None:
+    for col in range(out.size):
+        is_edge = (above[col] | below[col] | left[col] | right[col]) & (reason[col] == VALID)
+        out[col] = EDGE if is_edge else reason[col]
 
 
 @compiled
@@ -133,7 +143,7 @@ def _write(
     axis: int, planes: Planes, patch: Patch, smoothing: Smoothing, blocks: Blocks, target: Smoothed
 ) -> None:
     inside, first = slice(patch.start, patch.start + patch.cols), patch.left + patch.start
-    out, spread = slice(first, first + patch.cols), blocks.spread[:, inside]
+    out, spread = slice(first, first + patch.cols), blocks.spread
     total, sigma, spare = (
         np.zeros(patch.cols, np.float32),
         np.zeros(patch.cols, np.float32),
@@ -151,12 +161,20 @@ def _write(
             planes.coarse[row, inside],
         )
         value = target.coordinate_px[axis, at, out]
-        give_back(planes.value[row, inside], usable, lift, coarse, spread[0], spread[1], value)
+        give_back(
+            planes.value[row, inside],
+            usable,
+            lift,
+            coarse,
+            spread[0, inside],
+            spread[1, inside],
+            value,
+        )
         add_variances(
             planes.variance[row, inside], planes.gain[row, inside], smoothing.noise[0, 0],
-            spread[2], spread[3], spread[4], total,
+            spread[2, inside], spread[3, inside], spread[4, inside], total,
         )  # fmt: skip
-        write_share(spread[5], total, usable, target.bias_share[axis, at, out])
+        write_share(spread[5, inside], total, usable, target.bias_share[axis, at, out])
         write_root(total, usable, sigma)
         pack_row(sigma, smoothing.sigma_factor, spare, target.sigma[axis, at, out])
 

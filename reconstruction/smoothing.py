@@ -20,8 +20,8 @@ from reconstruction._jit import run_over_rows
 from reconstruction._lift_kernels import Smoothing
 from reconstruction.arrays import FloatImage
 
-# The images of a band stay in the cache; the 16 rows on either side are smoothed twice.
-BAND_ROWS = 96
+# The 20 rows on either side of a band are smoothed twice; fewer bands would leave cores idle.
+BAND_ROWS = 128
 
 
 def smooth(
@@ -40,10 +40,10 @@ def smooth(
     unit_px : of packed sigmas
     """
     target = Smoothed(
-        np.zeros_like(source.coordinate_px),
-        np.zeros_like(source.sigma),
+        np.zeros(source.coordinate_px.shape, np.float32),
+        np.zeros(source.sigma.shape, np.uint16),
         np.zeros(source.sigma.shape, np.uint8),
-        np.zeros_like(source.reason),
+        np.zeros(source.reason.shape, np.uint8),
     )
     smoothing = make_smoothing(gaussian_weights(taps, sigma_px), limit_px, unit_px)
     rows = source.reason.shape[0]
