@@ -59,14 +59,15 @@ def test_the_true_face_is_the_textured_one(residuals):
 
 
 def test_residuals_add_in_quadrature(residuals):
-    """Expected: what the smooth cap leaves, and the texture under the decoder's Gaussian.
+    """Expected: what the smooth cap leaves, and the texture: whole, or what the decoder lets through.
 
-    Unfiltered to 3 %, of which a pixel's own box is 1 %. Filtered to 15 %: phasors are weighted by
-    their modulation, so that the shading of the texture's slopes shifts a window's centroid by some
-    hundredths of a pixel: height errors of 4 to 5 um that are not independent of the texture.
+    Unfiltered to 3 %, of which a pixel's own box is 1 %. The filter gives back what its Gaussian
+    takes from relief as far as that rises above the noise: the residual lies between that under the
+    plain Gaussian, to 15 %, and the true one.
     """
-    expected = np.hypot(residuals["measured"][0], residuals["blurred"])
-    bound = 0.15 if residuals["taps"] else 0.03
-    assert residuals["measured"][1] == pytest.approx(expected, rel=bound)
     if residuals["taps"]:
-        assert residuals["measured"][1] < 0.9 * residuals["true"][1]
+        least = np.hypot(residuals["measured"][0], residuals["blurred"])
+        assert 0.85 * least < residuals["measured"][1] < 1.03 * residuals["true"][1]
+        return
+    expected = np.hypot(residuals["measured"][0], residuals["blurred"])
+    assert residuals["measured"][1] == pytest.approx(expected, rel=0.03)
