@@ -1,5 +1,6 @@
 """Positive definite sparse systems, by PARDISO (pypardiso) or else by SciPy's SuperLU."""
 
+import os
 import warnings
 from typing import Any, Protocol
 
@@ -102,6 +103,8 @@ def has_pardiso() -> bool:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
+            # Read as the library loads: the same bytes every time, whatever the threads do.
+            os.environ.setdefault("MKL_CBWR", "AUTO,STRICT")
             import pypardiso  # noqa: F401  # importing loads the library
     except ImportError:
         return False
