@@ -26,6 +26,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from reconstruction.fit import fit_sphere
 from twin.config.artefacts import Bar, Step
@@ -88,7 +89,7 @@ def against_solid(name: str) -> list[tuple[float, float]]:
         one = pressed(Ball(), sheet, solid["travel_mm"], relief_pitch_mm=0.05)
         x, y = np.meshgrid(one.face_x_mm, one.face_y_mm)
         r, tabled = np.hypot(x, y), 0.1 * np.arange(len(solid["upper_z_mm"]))
-        error = one.face_z_mm - np.interp(r, tabled, solid["upper_z_mm"])
+        error = one.face_z_mm - CubicSpline(tabled, solid["upper_z_mm"])(r)
         largest = 1e3 * float(np.abs(error)[r < tabled[-1]].max())
         force = one.force_n / (1e-3 * YOUNG_KPA) / solid["force"] - 1
         print(
