@@ -3,11 +3,13 @@
 import numpy as np
 import pytest
 
+from tests.mechanics.sheets import build_sheet
 from twin.config import ConfigError, load_experiment
-from twin.config.models import PadFile
-from twin.mechanics import PressError
-from twin.mechanics.choice import choose_model, read_pad
+from twin.config.models import Ball, Mechanics, PadFile, Press
+from twin.mechanics import PressError, press
+from twin.mechanics.choice import choose_model, must_wrap, press_with, read_pad
 from twin.modalities import press_specimen
+from twin.specimens import shape_of
 
 
 def pressed(name="paper/two_balls", **changes):
@@ -37,40 +39,87 @@ def test_a_domed_pad_from_an_experiment_file():
     assert found.force_n > 0
 
 
-def test_auto_takes_the_large_strain_model_only_for_thin_sheets():
-    free = {"press.back_pressure_kpa": 0.0}
-    thick = load_experiment("paper/two_balls", free)
-    thin = load_experiment(
-        "paper/two_balls", free | {"elastomer.thickness_mm": 1.0, "press.depth_mm": 0.9}
-    )
-    for experiment, wanted in ((thick, "spectral"), (thin, "neo_hookean")):
-        linear = press_specimen(
+def case(ball_mm=8.0, depth_mm=0.2, pressure_kpa=0.0, gravity_deg=None, **sheet):
+    """Return a ball, a sheet and a press."""
+    load = {"control": "depth", "depth_mm": depth_mm, "back_pressure_kpa": pressure_kpa}
+    load |= {"gravity_deg": gravity_deg, "cell_mm": 0.3, "relief_pitch_mm": 0.05}
+    return Ball(diameter_mm=ball_mm), build_sheet(**sheet), Press.model_validate(load)
+
+
+@pytest.mark.parametrize(
+    ("keys", "model"),
+    [
+        ({"thickness_mm": 3.0}, "spectral"),
+        # It rises by less than 0.4 thicknesses.
+        ({"thickness_mm": 1.0, "depth_mm": 0.2}, "spectral"),
+        # h / (R + h / 2) = 0.22
+        ({"thickness_mm": 1.0, "depth_mm": 0.9}, "sheet"),
+        ({"thickness_mm": 1.2, "depth_mm": 1.0}, "neo_hookean"),
+        # Too thick a sheet for a ball of R 2.5: 0.33.
+        ({"thickness_mm": 1.0, "depth_mm": 0.9, "ball_mm": 5.0}, "neo_hookean"),
+        # Solid elements know neither weight nor back pressure.
+        (
+            {"thickness_mm": 1.2, "depth_mm": 1.0, "density_kg_m3": 1e3, "gravity_deg": 0.0},
+            "spectral",
+        ),
+        ({"thickness_mm": 1.5, "depth_mm": 0.8, "pressure_kpa": 0.5}, "spectral"),
+    ],
+)
+def test_auto_takes_the_model_of_the_least_error(keys, model):
+    specimen, elastomer, load = case(**keys)
+    slab = press(specimen, elastomer, load)
+    assert choose_model(slab, shape_of(specimen), elastomer, load) == model
+
+
+@pytest.mark.parametrize(
+    ("keys", "wraps"),
+    [
+        ({}, False),
+        ({"depth_mm": 0.3}, True),
+        ({"tack_j_m2": 0.1}, True),
+        ({"friction": "stick"}, True),
+        ({"pre_stretch": 1.1}, True),
+        ({"outline": "round"}, True),
+        ({"thickness_mm": 1.1, "depth_mm": 1.1}, False),
+        ({"thickness_mm": 1.1, "tack_j_m2": 0.1}, False),
+        ({"layout": "contact_face", "depth_mm": 0.3}, False),
+    ],
+)
+def test_some_cases_are_the_sheets_before_anything_is_solved(keys, wraps):
+    _, elastomer, load = case(**keys)
+    assert must_wrap(elastomer, load) is wraps
+
+
+@pytest.mark.parametrize("keys", [{"depth_mm": 0.4}, {"depth_mm": 0.25}])
+def test_auto_presses_thin_sheets_as_sheets(keys):
+    """Deeper than it is thick, and less deep but bent by more than 0.4 thicknesses."""
+    small = {"length_x_mm": 10.0, "length_y_mm": 10.0}
+    found = press_with(Mechanics(), *case(**keys, **small))
+    assert found.model == "sheet"
+    assert found.sheet is not None
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [("tack_j_m2", 0.1), ("friction", "stick"), ("pre_stretch", 1.2), ("outline", "round")],
+)
+@pytest.mark.parametrize("model", ["spectral", "neo_hookean"])
+def test_other_models_refuse_what_only_the_sheet_knows(key, value, model):
+    keys = {f"elastomer.{key}": value, "elastomer.length_x_mm": 20.0, "mechanics.model": model}
+    with pytest.raises(PressError, match=rf"^elastomer\.{key}: .* the {model} model") as caught:
+        press_specimen(load_experiment("paper/two_balls", keys))
+    assert "\n" not in str(caught.value)
+
+
+def test_supports_and_pads_belong_to_fem_and_sheet():
+    for model in ("spectral", "neo_hookean"):
+        with pytest.raises(ConfigError, match="support needs model = 'fem'"):
             load_experiment(
-                "paper/two_balls",
-                free
-                | {
-                    "elastomer.thickness_mm": experiment.elastomer.thickness_mm,
-                    "press.depth_mm": experiment.press.depth_mm,
-                    "mechanics.model": "spectral",
-                },
+                "paper/two_balls", {"mechanics.support": "clamped", "mechanics.model": model}
             )
-        )
-        assert choose_model(linear, experiment.elastomer, experiment.press) == wanted
-
-
-def test_draped_sheets_stay_spectral():
-    """Back pressure is what the large-strain model does not know."""
-    experiment = load_experiment(
-        "examples/pressurised", {"elastomer.thickness_mm": 1.5, "mechanics.model": "spectral"}
-    )
-    linear = press_specimen(experiment)
-    assert linear.validity.deflection_over_thickness > 0.4
-    assert choose_model(linear, experiment.elastomer, experiment.press) == "spectral"
-
-
-def test_supports_and_pads_belong_to_fem():
-    with pytest.raises(ConfigError, match="support needs model = 'fem'"):
-        load_experiment("paper/two_balls", {"mechanics.support": "clamped"})
+    ledge = Mechanics(model="sheet", support="ledge")
+    with pytest.raises(PressError, match=r"^mechanics\.support: found 'ledge', .*'simple' or"):
+        press_with(ledge, *case())
 
 
 def test_pads_that_cannot_be_read_are_one_line(tmp_path):

@@ -1,0 +1,404 @@
+"""The thin sheet that wraps: accuracy, figures of the paper's objects, speed, robustness.
+
+- upper face, force and stuck force against the stored solid neo-Hookean elements: a ball of R 4
+  under a round clamped sheet of 20 mm, travel 0.5, 1 and 2 mm, the product's own cells;
+- through 0.2 mm (300 kPa, 20 x 20 mm, 1 and 3 kPa, travel 1 mm): width of an M6 nut over its flats
+  less its own and twice the local thickness, depth of its hole, radii of the two balls for regions
+  of 1.0 to 2.5 mm; bars fully wrapped by 10 kPa, both faces;
+- seconds of two balls, nut (3 kPa) and fingerprint, wall clock, median of three after a first one
+  that compiles: judge them on an idle machine;
+- random presses (specimen, thickness, travel, tack, pressure, pose), each in a child with a time
+  limit. One that is refused with the pressure that still holds counts neither way.
+
+`--press SEED` repeats one of these. Last line: {"solid_max_um_h02", "force_rel_h02", ...}.
+"""
+
+import argparse
+import json
+import multiprocessing
+import resource
+import statistics
+import time
+from collections import Counter
+from collections.abc import Callable
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from reconstruction.fit import fit_sphere
+from twin.config.artefacts import Bar, Step
+from twin.config.fingerprint import Fingerprint
+from twin.config.models import (
+    Ball,
+    Elastomer,
+    Flat,
+    Grating,
+    Mechanics,
+    Press,
+    Rod,
+    Specimen,
+    TwoBalls,
+)
+from twin.config.objects import Brick, Nut, TBolt
+from twin.mechanics import PressedElastomer
+from twin.mechanics.errors import PressError, SolverError
+from twin.mechanics.sheet.linear_solver import has_pardiso
+from twin.mechanics.sheet.press import press_sheet
+
+SOLIDS = Path(__file__).parents[1] / "tests/mechanics/reference/solid_sheets.json"
+YOUNG_KPA, THIN_MM = 300.0, 0.2
+REGIONS_MM = (1.0, 1.2, 1.5, 2.0, 2.5)
+WIDTHS_MM = (1.99, 4.81, 7.23)
+PRESSES, QUICK_PRESSES, LIMIT_S, START_S = 300, 30, 180.0, 120.0
+KINDS = ("ball", "two_balls", "rod", "flat", "bar", "step", "nut", "t_bolt", "brick", "grating")
+
+Figures = dict[str, float | None]
+
+
+def elastomer(**changes: Any) -> Elastomer:
+    """Return a sheet of 0.2 mm and 300 kPa in a frame of 20 x 20 mm."""
+    values = {
+        "thickness_mm": THIN_MM,
+        "length_x_mm": 20.0,
+        "length_y_mm": 20.0,
+        "young_modulus_kpa": YOUNG_KPA,
+        "poisson_ratio": 0.49,
+    }
+    return Elastomer.model_validate(values | changes)
+
+
+def pressed(specimen: Specimen, sheet: Elastomer, depth_mm: float, **load: Any) -> PressedElastomer:
+    """Press to a depth with the sheet model."""
+    values = {"control": "depth", "depth_mm": depth_mm} | load
+    return press_sheet(specimen, sheet, Press.model_validate(values), Mechanics(model="sheet"))
+
+
+# ---- accuracy --------------------------------------------------------------------------------
+
+
+def against_solid(name: str) -> list[tuple[float, float]]:
+    """Return (largest error of the upper face in um, relative error of the force) per travel."""
+    case = json.loads(SOLIDS.read_text(encoding="utf-8"))[name]
+    friction = "stick" if case["kind"] == "stick" else "none"
+    sheet = elastomer(thickness_mm=case["thickness_mm"], outline="round", friction=friction)
+    found = []
+    for solid in case["travels"]:
+        one = pressed(Ball(), sheet, solid["travel_mm"], relief_pitch_mm=0.05)
+        x, y = np.meshgrid(one.face_x_mm, one.face_y_mm)
+        r, tabled = np.hypot(x, y), 0.1 * np.arange(len(solid["upper_z_mm"]))
+        error = one.face_z_mm - CubicSpline(tabled, solid["upper_z_mm"])(r)
+        largest = 1e3 * float(np.abs(error)[r < tabled[-1]].max())
+        force = one.force_n / (1e-3 * YOUNG_KPA) / solid["force"] - 1
+        print(
+            f"{name}, travel {solid['travel_mm']:g}: face {largest:.2f} um, force {force:+.2%}",
+            flush=True,
+        )
+        found.append((largest, abs(force)))
+    return found
+
+
+def solids(quick: bool) -> Figures:
+    """Compare with the stored solids."""
+    names = ["free_h0.2", "free_h0.5", "free_h1", "stick_h0.5"]
+    if not quick:
+        names += ["free_h0.1", "free_h0.3", "stick_h0.2", "stick_h1"]
+    found = {name: against_solid(name) for name in names}
+    return {
+        "solid_max_um_h02": max(face for face, _ in found["free_h0.2"]),
+        "solid_max_um_h05": max(face for face, _ in found["free_h0.5"]),
+        "solid_max_um_h10": max(face for face, _ in found["free_h1"]),
+        "force_rel_h02": max(force for _, force in found["free_h0.2"]),
+        "stick_force_rel_h05": max(force for _, force in found["stick_h0.5"]),
+    }
+
+
+# ---- the paper's objects ---------------------------------------------------------------------
+
+
+def width_mm(x_mm: np.ndarray, z_mm: np.ndarray, level_mm: float) -> tuple[float, np.ndarray]:
+    """Return how far apart a section crosses a height, and where it does, outermost first."""
+    high = np.flatnonzero(z_mm > level_mm)
+    first, last = int(high[0]), int(high[-1])
+    left = np.interp(level_mm, z_mm[[first - 1, first]], x_mm[[first - 1, first]])
+    right = np.interp(-level_mm, -z_mm[[last, last + 1]], x_mm[[last, last + 1]])
+    return float(right - left), np.array([left, right])
+
+
+def steepest_width_mm(x_mm: np.ndarray, z_mm: np.ndarray) -> tuple[float, np.ndarray]:
+    """Return the distance between the places of steepest rise and fall, to parts of a node."""
+    slope, places = np.gradient(z_mm, x_mm), []
+    for sign in (1, -1):
+        at = int(np.argmax(sign * slope))
+        before, here, after = sign * slope[at - 1 : at + 2]
+        shift = 0.5 * (before - after) / (before - 2 * here + after)
+        places.append(float(x_mm[at] + shift * (x_mm[1] - x_mm[0])))
+    return places[1] - places[0], np.array(places)
+
+
+def nut() -> Figures:
+    """Measure the M6 nut: width over the flats, which face +-y, and depth of the hole."""
+    flats, depth = [], []
+    for pressure in (1.0, 3.0):
+        one = pressed(Nut(), elastomer(), 1.0, back_pressure_kpa=pressure)
+        assert one.sheet is not None
+        cols = np.flatnonzero(np.abs(one.face_x_mm) <= 1.0)
+        for col in cols[::10]:
+            found, places = steepest_width_mm(one.face_y_mm, one.face_z_mm[:, col])
+            thick = np.interp(places, one.face_y_mm, one.sheet.thickness_mm[:, col]).sum()
+            flats.append(found - Nut().across_flats_mm - thick)
+        x, y = np.meshgrid(one.face_x_mm, one.face_y_mm)
+        ring = np.abs(np.hypot(x, y) - 4.0) < 0.1
+        centre = np.hypot(x, y) < 0.1
+        depth.append(float(one.face_z_mm[ring].mean() - one.face_z_mm[centre].mean()))
+        print(
+            f"nut, {pressure:g} kPa: flats {np.mean(flats[-len(cols[::10]) :]):+.3f} mm beside its "
+            f"own and twice the thickness, hole {depth[-1]:.3f} mm deep",
+            flush=True,
+        )
+    return {
+        "nut_flats_error_mm": float(np.abs(flats).max()),
+        "nut_hole_depth_mm": depth[1],
+        "nut_hole_depth_1kpa_mm": depth[0],
+    }
+
+
+def balls() -> Figures:
+    """Fit spheres to both balls of the pair; 4.23 +- 0.02 is wanted for every region."""
+    radii = []
+    for pressure in (1.0, 3.0):
+        one = pressed(TwoBalls(), elastomer(), 1.0, back_pressure_kpa=pressure)
+        x, y = np.meshgrid(one.face_x_mm, one.face_y_mm)
+        points = np.stack((x, y, one.face_z_mm), axis=-1)
+        for region in REGIONS_MM:
+            for middle in (-4.0, 4.0):
+                near = np.hypot(x - middle, y) < region
+                radii.append(fit_sphere(points[near]).radius_mm)
+        shown = ", ".join(f"{radius:.3f}" for radius in radii[-2 * len(REGIONS_MM) :])
+        print(f"two balls, {pressure:g} kPa, regions {REGIONS_MM}: {shown}", flush=True)
+    return {"balls_radius_low_mm": min(radii), "balls_radius_high_mm": max(radii)}
+
+
+def bars() -> Figures:
+    """Measure fully wrapped bars at half their height: w + 2 h lambda, and w below."""
+    over, under = [], []
+    for width in WIDTHS_MM:
+        bar = Bar(width_mm=width, length_mm=15.0)
+        try:
+            one = pressed(bar, elastomer(), 1.0, back_pressure_kpa=10.0, solver_pitch_mm=0.025)
+        except (PressError, SolverError) as error:
+            print(f"bar {width:g}: {error}", flush=True)
+            return {"bars_error_mm": None, "bars_lower_error_mm": None}
+        assert one.sheet is not None
+        row, cell = one.face_y_mm.size // 2, one.y_mm.size // 2
+        level = one.depth_mm - bar.height_mm / 2
+        upper, places = width_mm(one.face_x_mm, one.face_z_mm[row], level)
+        thick = np.interp(places, one.face_x_mm, one.sheet.thickness_mm[row]).sum()
+        lower, _ = width_mm(one.x_mm, one.touched_face_mm[cell] + THIN_MM, level)
+        over.append(upper - width - thick)
+        under.append(lower - width)
+        print(
+            f"bar {width:g}: upper {upper:.3f} (w + 2 h lambda {over[-1]:+.3f}), lower {lower:.3f}",
+            flush=True,
+        )
+    return {
+        "bars_error_mm": float(np.abs(over).max()),
+        "bars_lower_error_mm": float(np.abs(under).max()),
+    }
+
+
+# ---- speed -----------------------------------------------------------------------------------
+
+
+def timed(press: Callable[[], PressedElastomer], repeats: int) -> float:
+    """Return the median wall-clock time of a press after a first one."""
+    times = []
+    for _ in range(repeats + 1):
+        start = time.perf_counter()
+        press()
+        times.append(time.perf_counter() - start)
+    return statistics.median(times[1:])
+
+
+def balls_s(quick: bool) -> Figures:
+    return _seconds("balls_s", quick, TwoBalls(yaw_deg=20.0), 3.0, elastomer())
+
+
+def nut_s(quick: bool) -> Figures:
+    return _seconds("nut_s", quick, Nut(yaw_deg=15.0), 3.0, elastomer())
+
+
+def fingerprint_s(quick: bool) -> Figures:
+    """Press a field of 20 x 20 mm inside a frame of 24 x 24 mm."""
+    sheet = elastomer(length_x_mm=24.0, length_y_mm=24.0)
+    return _seconds("fingerprint_s", quick, Fingerprint(), 3.0, sheet)
+
+
+def _seconds(
+    name: str, quick: bool, specimen: Specimen, pressure_kpa: float, sheet: Elastomer
+) -> Figures:
+    try:
+        found = timed(
+            lambda: pressed(specimen, sheet, 1.0, back_pressure_kpa=pressure_kpa), 1 if quick else 3
+        )
+    except (PressError, SolverError) as error:
+        print(f"{name}: {error}", flush=True)
+        return {name: None}
+    print(f"{name}: {found:.1f} s", flush=True)
+    return {name: found}
+
+
+# ---- random presses --------------------------------------------------------------------------
+
+
+def random_press(seed: int) -> tuple[Specimen, Elastomer, float, dict[str, float]]:
+    """Draw a specimen in its pose, a sheet, a travel and a load; always one that fits its frame."""
+    rng = np.random.default_rng([20261122, seed])
+    pose = {
+        "x_mm": rng.uniform(-1.5, 1.5),
+        "y_mm": rng.uniform(-1.5, 1.5),
+        "yaw_deg": rng.uniform(-180, 180),
+        "tilt_deg": rng.uniform(-5, 5),
+    }
+    kind = KINDS[rng.integers(len(KINDS))]
+    sizes: dict[str, Callable[[], Specimen]] = {
+        "ball": lambda: Ball(diameter_mm=rng.uniform(4, 10), **pose),
+        "two_balls": lambda: TwoBalls(**pose),
+        "rod": lambda: Rod(diameter_mm=rng.uniform(1.5, 8), **pose),
+        "flat": lambda: Flat(diameter_mm=rng.uniform(3, 10), **pose),
+        "bar": lambda: Bar(width_mm=rng.uniform(1.5, 8), length_mm=12.0, **pose),
+        "step": lambda: Step(**pose),
+        "nut": lambda: Nut(**pose),
+        "t_bolt": lambda: TBolt(**pose),
+        "brick": lambda: Brick(**pose),
+        "grating": lambda: Grating(**pose),
+    }
+    tack = float(rng.uniform(0.02, 0.5)) if rng.random() < 0.5 else 0.0
+    sheet = elastomer(
+        thickness_mm=float(np.exp(rng.uniform(np.log(0.05), 0.0))),
+        length_x_mm=32.0,
+        length_y_mm=32.0,
+        tack_j_m2=tack,
+        friction="none" if rng.random() < 0.2 else "auto",
+    )
+    load = {"back_pressure_kpa": float(rng.uniform(0, 5)) if rng.random() < 0.5 else 0.0}
+    return sizes[kind](), sheet, float(rng.uniform(0.1, 2.0)), load
+
+
+def outcome(seed: int) -> str:
+    """Press and tell how it ended: converged, refused or failed, and why."""
+    specimen, sheet, travel, load = random_press(seed)
+    told = (
+        f"{specimen.kind}, h {sheet.thickness_mm:.3f}, travel {travel:.2f}, "  # type: ignore[attr-defined]
+        f"G {sheet.tack_j_m2:.2f} ({sheet.friction}), {load['back_pressure_kpa']:.2f} kPa"
+    )
+    try:
+        pressed(specimen, sheet, travel, relief_pitch_mm=0.05, **load)
+    except PressError as error:
+        return f"refused: {told}: {error}"
+    except Exception as error:  # whatever it is, it is counted and shown
+        return f"failed: {told}: {type(error).__name__}: {error}"
+    return f"converged: {told}"
+
+
+def serve(connection: Connection) -> None:
+    """Answer seeds with outcomes, in a child."""
+    connection.send("ready")
+    while True:
+        connection.send(outcome(connection.recv()))
+
+
+class Child:
+    """A process that presses, and can be ended."""
+
+    def __init__(self) -> None:
+        context = multiprocessing.get_context("spawn")
+        self.connection, theirs = context.Pipe()
+        self.process = context.Process(target=serve, args=(theirs,), daemon=True)
+        self.process.start()
+        self._answer(START_S)
+
+    def outcome(self, seed: int) -> str | None:
+        """Return how a press ended; None where it did not within the limit."""
+        self.connection.send(seed)
+        return self._answer(LIMIT_S)
+
+    def end(self) -> None:
+        """End it; its memory counts from here on."""
+        self.process.kill()
+        self.process.join()
+
+    def _answer(self, limit_s: float) -> str | None:
+        return self.connection.recv() if self.connection.poll(limit_s) else None
+
+
+def converged_share(count: int) -> Figures:
+    """Press at random in a child; one that takes too long is ended and counts as failed."""
+    child, ends = Child(), Counter[str]()
+    for seed in range(count):
+        start = time.perf_counter()
+        try:
+            found = child.outcome(seed)
+        except (EOFError, OSError):
+            found = "failed: the process died"
+        if found is None:
+            child.end()
+            child, found = Child(), f"failed: not done within {LIMIT_S:g} s"
+        end = found.split(":")[0]
+        ends[end] += 1
+        print(f"press {seed}, {time.perf_counter() - start:.1f} s: {found}", flush=True)
+    child.end()
+    asked = ends["converged"] + ends["failed"]
+    return {
+        "converged_share": ends["converged"] / asked if asked else None,
+        "refused": float(ends["refused"]),
+    }
+
+
+# ---- all -------------------------------------------------------------------------------------
+
+
+def answer(
+    part: Callable[..., Figures], arguments: tuple[Any, ...], connection: Connection
+) -> None:
+    connection.send(part(*arguments))
+
+
+def in_child(part: Callable[..., Figures], *arguments: Any) -> Figures:
+    """Run a part in a process of its own, so that its memory is known."""
+    context = multiprocessing.get_context("spawn")
+    ours, theirs = context.Pipe()
+    process = context.Process(target=answer, args=(part, arguments, theirs))
+    process.start()
+    found: Figures = ours.recv()
+    process.join()
+    return found
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="30 random presses, fewer repeats")
+    parser.add_argument("--press", type=int, metavar="SEED", help="only this random press")
+    chosen = parser.parse_args()
+    print(f"solver: {'PARDISO' if has_pardiso() else 'SuperLU'}", flush=True)
+    if chosen.press is not None:
+        print(outcome(chosen.press))
+        return
+    quick = chosen.quick
+    result: dict[str, Any] = {}
+    for part, arguments in (
+        (solids, (quick,)), (nut, ()), (bars, ()), (balls, ()), (balls_s, (quick,)),
+        (nut_s, (quick,)), (fingerprint_s, (quick,)),
+    ):  # fmt: skip
+        result |= in_child(part, *arguments)
+    result |= converged_share(QUICK_PRESSES if quick else PRESSES)
+    # Linux gives KiB.
+    result["peak_memory_gib"] = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 2**20
+    result = {key: v if v is None else float(f"{v:.4g}") for key, v in result.items()}
+    print(json.dumps(result | {"solver": "pardiso" if has_pardiso() else "superlu"}))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,254 @@
+"""The sheet model as the experiment sees it: poses, loads, limits, what comes out."""
+
+import re
+from dataclasses import fields, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy import sparse
+from scipy.interpolate import RegularGridInterpolator
+
+from tests.mechanics.sheets import build_sheet, pressed
+from twin.config.artefacts import Bar
+from twin.config.models import Ball, Elastomer, Press, Texture
+from twin.mechanics import PressedElastomer, PressError, read_press, write_press
+from twin.mechanics.press import SheetFields
+from twin.mechanics.sheet.linear_solver import LinearSolver, Pardiso, SuperLU, has_pardiso
+from twin.mechanics.texture import textured
+
+SMALL = {"length_x_mm": 10.0, "length_y_mm": 10.0}
+TINY = {"length_x_mm": 6.0, "length_y_mm": 6.0}
+MARBLE = Ball(diameter_mm=4.0)
+
+
+@pytest.fixture(scope="module")
+def wrapped() -> PressedElastomer:
+    """A ball of R 4 in a small sheet under 1 kPa."""
+    return pressed(Ball(), build_sheet(**SMALL), depth_mm=0.8, back_pressure_kpa=1.0)
+
+
+def arrays_of(pressed: PressedElastomer | SheetFields) -> dict[str, np.ndarray]:
+    values = {field.name: getattr(pressed, field.name) for field in fields(pressed)}
+    return {name: value for name, value in values.items() if isinstance(value, np.ndarray)}
+
+
+def test_where_it_wraps_the_lower_face_is_the_ball(wrapped: PressedElastomer) -> None:
+    """And the coat lies one local thickness above it."""
+    x, y = np.meshgrid(wrapped.x_mm, wrapped.y_mm)
+    near = np.hypot(x, y) < 1.2
+    assert wrapped.contact[near].all()
+    centre = wrapped.depth_mm - 0.3 - 4.0
+    radius = np.sqrt(x**2 + y**2 + (wrapped.touched_face_mm - centre) ** 2)[near]
+    np.testing.assert_allclose(radius, 4.0, atol=3e-3)
+    at_x, at_y = np.meshgrid(wrapped.face_x_mm, wrapped.face_y_mm)
+    over = np.sqrt(at_x**2 + at_y**2 + (wrapped.face_z_mm - centre) ** 2)
+    middle = np.hypot(at_x, at_y) < 1.2
+    sheet = wrapped.sheet
+    assert sheet is not None
+    np.testing.assert_allclose(over[middle], 4.0 + sheet.thickness_mm[middle], atol=4e-3)
+    # Incompressible: the thickness is what the stretches leave.
+    product = sheet.thickness_mm * sheet.stretch.prod(axis=-1)
+    np.testing.assert_allclose(product, 0.3, rtol=2e-5)
+
+
+def test_a_centred_ball_gives_a_symmetric_sheet(wrapped: PressedElastomer) -> None:
+    # Near the rim the face is steep, and the triangles between its samples are not symmetric.
+    face = wrapped.face_z_mm[30:-30, 30:-30]
+    for other in (face[::-1], face[:, ::-1], face.T):
+        np.testing.assert_allclose(face, other, atol=5e-4)
+    sheet = wrapped.sheet
+    assert sheet is not None
+    at_x, at_y = (one[30:-30, 30:-30] for one in (sheet.material_x_mm, sheet.material_y_mm))
+    np.testing.assert_allclose(at_x, -at_x[:, ::-1], atol=1e-4)
+    np.testing.assert_allclose(at_x, at_y.T, atol=1e-4)
+
+
+def test_a_turned_specimen_gives_the_turned_face() -> None:
+    """A bar off the middle; by 90 deg about z the place (x, y) goes to (-y, x)."""
+    size = {"width_mm": 2.0, "length_mm": 4.0, "edge_radius_mm": 0.3}
+    straight, turned = (
+        pressed(
+            Bar(x_mm=x, y_mm=y, yaw_deg=yaw, **size), build_sheet(**SMALL), depth_mm=0.4
+        ).face_z_mm[1:-1, 1:-1]
+        for x, y, yaw in ((1.0, 0.5, 0.0), (-0.5, 1.0, 90.0))
+    )
+    np.testing.assert_allclose(turned, straight[::-1].T, atol=5e-4)
+    assert np.abs(straight - straight[:, ::-1]).max() > 0.05
+
+
+def test_the_modulus_only_scales_the_force() -> None:
+    soft, hard = (
+        pressed(MARBLE, build_sheet(young_modulus_kpa=modulus, **TINY), depth_mm=0.3)
+        for modulus in (100.0, 1000.0)
+    )
+    assert hard.force_n == pytest.approx(10 * soft.force_n, rel=1e-4)
+    np.testing.assert_allclose(hard.face_z_mm, soft.face_z_mm, atol=2e-5)
+
+
+def test_a_force_finds_its_travel() -> None:
+    elastomer = build_sheet(**TINY)
+    deep = pressed(MARBLE, elastomer, depth_mm=0.35)
+    found = pressed(MARBLE, elastomer, force_n=deep.force_n)
+    assert found.depth_mm == pytest.approx(0.35, rel=2e-3)
+    assert found.force_n == pytest.approx(deep.force_n, rel=1e-3)
+
+
+def test_a_clamp_holds_the_slope_at_the_rim() -> None:
+    clamped, simple = (
+        pressed(MARBLE, build_sheet(**TINY), support, depth_mm=0.3)
+        for support in ("clamped", "simple")
+    )
+    rise = [one.face_z_mm[60, 1] - one.face_z_mm[60, 0] for one in (clamped, simple)]
+    assert 0 < rise[0] < 0.5 * rise[1]
+    assert clamped.force_n > simple.force_n
+
+
+def test_past_the_limit_pressure_the_one_that_holds_is_named() -> None:
+    elastomer = build_sheet(young_modulus_kpa=30.0, **TINY)
+    with pytest.raises(PressError, match=r"^press\.back_pressure_kpa: the sheet holds ") as caught:
+        pressed(MARBLE, elastomer, depth_mm=0.4, back_pressure_kpa=25.0)
+    assert "\n" not in str(caught.value)
+    holds = float(re.findall(r"holds ([0-9.]+) kPa", str(caught.value))[0])
+    assert 0 < holds < 25
+    found = pressed(MARBLE, elastomer, depth_mm=0.4, back_pressure_kpa=holds)
+    assert found.face_z_mm.max() < 0.4
+
+
+@pytest.mark.parametrize(
+    ("friction", "tack", "sticks"),
+    [("auto", 0.0, False), ("auto", 0.2, True), ("none", 0.2, False), ("stick", 0.0, True)],
+)
+def test_auto_friction_sticks_where_there_is_tack(friction: str, tack: float, sticks: bool) -> None:
+    assert build_sheet(friction=friction, tack_j_m2=tack).sticks is sticks
+
+
+def test_what_sticks_does_not_slide_and_tack_widens_the_contact() -> None:
+    elastomer = build_sheet(thickness_mm=0.15, **TINY)
+    free, stuck, tacky = (
+        pressed(MARBLE, elastomer.model_copy(update=keys), depth_mm=0.6, cell_mm=0.15)
+        for keys in ({}, {"friction": "stick"}, {"tack_j_m2": 0.2})
+    )
+
+    def covered(one: PressedElastomer) -> float:
+        x, y = np.meshgrid(one.x_mm, one.y_mm)
+        centre = one.depth_mm - 0.15 - 2.0
+        return float(np.mean(np.sqrt(x**2 + y**2 + (one.touched_face_mm - centre) ** 2) < 2.02))
+
+    def crest_mm(one: PressedElastomer) -> float:
+        assert one.sheet is not None
+        row = one.face_x_mm.size // 2
+        return float(one.sheet.thickness_mm[row, row])
+
+    # Held from the first touch on, the crest is not stretched any further.
+    assert crest_mm(stuck) > crest_mm(free) + 1e-4
+    assert covered(tacky) > 1.3 * covered(free)
+    assert crest_mm(tacky) > crest_mm(free)
+
+
+@pytest.mark.parametrize("friction", ["none", "stick"])
+def test_the_same_press_gives_the_same_bytes(friction: str) -> None:
+    elastomer = build_sheet(friction=friction, length_x_mm=6.0, length_y_mm=7.0)
+    one, two = (pressed(Ball(diameter_mm=4.0, x_mm=0.7), elastomer, depth_mm=0.4) for _ in range(2))
+    for name, value in arrays_of(one).items():
+        assert value.tobytes() == getattr(two, name).tobytes(), name
+    assert one.sheet is not None
+    for name, value in arrays_of(one.sheet).items():
+        assert value.tobytes() == getattr(two.sheet, name).tobytes(), name
+    assert one.force_n == two.force_n
+
+
+def test_a_sheet_comes_back_whole(wrapped: PressedElastomer, tmp_path: Path) -> None:
+    write_press(tmp_path / "press.nc", wrapped)
+    back = read_press(tmp_path / "press.nc")
+    assert (back.model, back.validity, back.force_n) == ("sheet", wrapped.validity, wrapped.force_n)
+    assert wrapped.sheet is not None
+    for name, value in (arrays_of(wrapped) | arrays_of(wrapped.sheet)).items():
+        found = getattr(back if hasattr(back, name) else back.sheet, name)
+        np.testing.assert_array_equal(found, value, strict=True)
+
+
+def test_texture_moves_with_the_sheet(wrapped: PressedElastomer) -> None:
+    """The coat's height at a node is that of the flat coat at the material which lies there."""
+    elastomer, load = build_sheet(**SMALL), Press(control="depth", depth_mm=0.8)
+    texture = Texture(rms_um=10.0, correlation_mm=0.4)
+    assert wrapped.sheet is not None
+    X, Y = np.meshgrid(wrapped.face_x_mm, wrapped.face_y_mm)
+    here = replace(wrapped.sheet, material_x_mm=X, material_y_mm=Y)
+    flat = replace(wrapped, face_z_mm=np.zeros_like(X), sheet=here)
+    added = [textured(one, elastomer, load, texture, 7).texture_mm for one in (flat, wrapped)]
+    places = np.stack((wrapped.sheet.material_y_mm, wrapped.sheet.material_x_mm), axis=-1)
+    table = RegularGridInterpolator(
+        (wrapped.face_y_mm, wrapped.face_x_mm), added[0], "cubic", bounds_error=False
+    )
+    carried = table(places)
+    level = np.hypot(X, Y) < 0.5  # elsewhere the slope counts too
+    np.testing.assert_allclose(added[1][level], carried[level], rtol=0.03, atol=2e-4)
+    moved = np.hypot(places[..., 1] - X, places[..., 0] - Y)
+    assert moved.max() > 0.05
+
+
+@pytest.mark.parametrize(
+    ("changes", "load", "message"),
+    [
+        ({"thickness_mm": 1.2}, {}, r"elastomer\.thickness_mm: found 1\.2, .* 0\.05 to 1"),
+        ({"layout": "contact_face"}, {}, r"elastomer\.layout: "),
+        ({"film": {"thickness_mm": 0.1, "young_modulus_kpa": 1e3}}, {}, r"elastomer\.film: "),
+        ({"length_x_mm": 6.0}, {}, r"specimen: reaches from -4 to 4 mm along x"),
+        ({}, {"gravity_deg": 0.0}, r"elastomer\.density_kg_m3: missing"),
+    ],
+)
+def test_what_a_sheet_cannot_be_is_one_line(changes: dict, load: dict, message: str) -> None:
+    with pytest.raises(PressError, match=f"^{message}") as caught:
+        pressed(Ball(), build_sheet(**changes), depth_mm=0.3, **load)
+    assert "\n" not in str(caught.value)
+
+
+SOLVERS = [SuperLU, *([Pardiso] if has_pardiso() else [])]
+
+
+def upper_triangle(shift: float) -> sparse.csr_matrix:
+    """A membrane's 15 x 15 Laplacian, less `shift` on its diagonal; lowest eigenvalue 0.0768."""
+    line = sparse.diags([-1.0, 2.0, -1.0], [-1, 0, 1], (15, 15))
+    both = sparse.kronsum(line, line) - shift * sparse.identity(225)
+    return sparse.csr_matrix(sparse.triu(both))
+
+
+@pytest.mark.parametrize("kind", SOLVERS)
+def test_linear_solvers_solve_and_know_what_is_indefinite(kind: type[LinearSolver]) -> None:
+    matrix = upper_triangle(0.0)
+    solver = kind(matrix.indptr, matrix.indices)
+    right = np.random.default_rng(5).normal(size=225)
+    for shift in (0.0, 0.07):
+        matrix = upper_triangle(shift)
+        assert solver.factorise(matrix.data.copy())
+        full = matrix + sparse.triu(matrix, 1).T
+        np.testing.assert_allclose(full @ solver.solve(right), right, atol=1e-10)
+    assert not solver.factorise(upper_triangle(0.08).data.copy())
+    assert solver.factorise(upper_triangle(0.0).data.copy())
+
+
+@pytest.mark.skipif(len(SOLVERS) < 2, reason="one solver is installed")
+def test_the_press_does_not_depend_on_the_solver(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = []
+    for kind in SOLVERS:
+        monkeypatch.setattr("twin.mechanics.sheet.equilibrium.linear_solver", kind)
+        found.append(pressed(MARBLE, build_sheet(**TINY), depth_mm=0.4))
+    np.testing.assert_allclose(found[0].face_z_mm, found[1].face_z_mm, atol=1e-6)
+
+
+def test_a_round_frame_is_as_wide_all_round() -> None:
+    found = pressed(Ball(), build_sheet(outline="round", **SMALL), depth_mm=0.4)
+    x, y = np.meshgrid(found.face_x_mm, found.face_y_mm)
+    r = np.hypot(x, y)
+    ring = (r > 3.975) & (r < 4.025)
+    # The slope there is about 0.1: heights differ by what the ring is wide.
+    expected = np.polynomial.Polynomial.fit(r[ring], found.face_z_mm[ring], 2)(r[ring])
+    assert np.abs(found.face_z_mm[ring] - expected).max() < 5e-4
+    assert (found.face_z_mm[r > 5.0] == 0).all()
+
+
+def test_elastomers_round_or_stretched_are_checked() -> None:
+    with pytest.raises(ValueError, match="round opening needs length_x_mm = length_y_mm"):
+        build_sheet(outline="round", length_x_mm=10.0)
+    assert Elastomer.model_fields["pre_stretch"].default == 1.0
