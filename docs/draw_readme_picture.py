@@ -1,7 +1,7 @@
 """Draw the README's picture from a finished measurement.
 
-./run twin measure examples/pressurised -o out/pressurised
-.venv/bin/python docs/draw_readme_picture.py out/pressurised
+./run demo
+.venv/bin/python docs/draw_readme_picture.py out/demo
 """
 
 import sys
@@ -16,19 +16,23 @@ PICTURE = Path(__file__).with_name("two_balls.png")
 
 
 def main(folder: Path) -> None:
-    """Put one fringe frame and the reconstructed relief side by side."""
+    """Put one fringe frame, the reconstructed relief and its height map side by side."""
     capture = read_capture(folder)
     fringes = capture.stack[capture.patterns.index("phase", "column").start]
-    relief = matplotlib.image.imread(folder / "figures" / "relief.png")
-    figure = Figure(figsize=(12, 4.6), facecolor="white", layout="constrained")
-    left, right = figure.subplots(1, 2, width_ratios=[1, 1.45])
-    left.imshow(fringes, cmap="gray", vmin=0, vmax=2**capture.bit_depth - 1)
-    left.set_title("what the camera records", fontsize=11)
-    right.imshow(relief)
-    right.set_title("what is reconstructed (z enlarged)", fontsize=11)
-    for axes in (left, right):
+    relief, heights = (
+        matplotlib.image.imread(folder / "figures" / f"{name}.png")
+        for name in ("relief", "height_map")
+    )
+    figure = Figure(figsize=(15, 4.1), facecolor="white", layout="constrained")
+    panels = figure.subplots(1, 3, width_ratios=[1.1, 1.5, 1.1])
+    panels[0].imshow(fringes, cmap="gray", vmin=0, vmax=2**capture.bit_depth - 1)
+    panels[1].imshow(relief)
+    panels[2].imshow(heights)
+    titles = ("what the camera records", "what is reconstructed (z enlarged)", "its heights")
+    for axes, title in zip(panels, titles, strict=True):
+        axes.set_title(title, fontsize=11)
         axes.set_axis_off()
-    figure.savefig(PICTURE, dpi=90, metadata={"Software": None})
+    figure.savefig(PICTURE, dpi=80, metadata={"Software": None})
     sys.stdout.write(f"wrote {PICTURE}\n")
 
 
