@@ -59,7 +59,7 @@ def test_the_true_face_is_the_textured_one(residuals):
 
 
 def test_residuals_add_in_quadrature(residuals):
-    """Expected: what the smooth cap leaves, and the texture: whole, or what the decoder lets through.
+    """Expected: what the smooth cap leaves, and the texture, whole or as the decoder shows it.
 
     Unfiltered to 3 %, of which a pixel's own box is 1 %. The filter gives back what its Gaussian
     takes from relief as far as that rises above the noise: the residual lies between that under the

@@ -2,6 +2,7 @@
 
 import ctypes
 import warnings
+import weakref
 from typing import Any, Protocol
 
 import numpy as np
@@ -47,6 +48,8 @@ class Pardiso:
         )
         self._zero = np.zeros((size, 1))
         self._run(_ANALYSE, self._zero)
+        # The factors are the library's memory; at the end of the process they go with it.
+        weakref.finalize(self, self._solver.free_memory, everything=True).atexit = False
 
     def factorise(self, values: FloatArray) -> bool:
         """Factorise the upper triangle's values; tell whether they are positive definite."""
