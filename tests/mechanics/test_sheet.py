@@ -1,7 +1,7 @@
 """The thin sheet against derivatives, closed forms, its twin in one dimension, and solids."""
 
 import json
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -33,12 +33,13 @@ from tests.oracles.round_sheet import (
 )
 from twin.config.models import Ball, Mechanics, Press
 from twin.mechanics import press
-from twin.mechanics.sheet.equilibrium import Sheet, SheetState
+from twin.mechanics.sheet.equilibrium import Bodies, Sheet, SheetState
 from twin.mechanics.sheet.faces import sample
 from twin.mechanics.sheet.grid import Frame, sheet_grid
 from twin.mechanics.sheet.kernel import SLOTS, Grip
 from twin.mechanics.sheet.path import Loads, advance, follow, mounted
 from twin.mechanics.sheet.press import contact_force_n, sheet_case
+from twin.specimens.distance import SignedDistance
 
 SOLIDS = json.loads((Path(__file__).parent / "reference/solid_sheets.json").read_text())
 
@@ -101,6 +102,33 @@ def test_forces_and_tangent_are_the_energys_derivatives() -> None:
         forces[sheet.grid.free],
         atol=1e-8 * np.abs(forces).max(),
     )
+
+
+@dataclass(frozen=True)
+class Steeper:
+    """A distance as tables between their nodes give it: its gradient is not quite 1 long."""
+
+    true: SignedDistance
+
+    def evaluate(self, points_mm: np.ndarray, reach_mm: float) -> tuple:
+        return tuple(1.05 * part for part in self.true.evaluate(points_mm, reach_mm))
+
+
+def test_anchors_on_a_steeper_distance_have_a_true_energy() -> None:
+    """Forces of springs along the surface are the energy's slope for unit normals only."""
+    steeper = Bodies((Steeper(ball().moving[0]),))
+    sheet = round_sheet(laws(0.3, tack=0.2, tack_range_mm=0.3), steeper, line(5.0, 1.5, 0.5), True)
+    state = sheet.regripped(follow(sheet, Loads(0.2), FINE))
+    way = np.random.default_rng(6).normal(size=state.control_mm.shape) * sheet.grid.free
+    moved = replace(state, control_mm=state.control_mm + 1e-2 * way)
+    ends = [
+        sheet.evaluate(moved.control_mm + s * way, state, tangent=False).energy
+        for s in (1e-6, -1e-6)
+    ]
+    sheet.evaluate(moved.control_mm, state, tangent=False)
+    assert state.grip.held.sum() > 20
+    slope = float((sheet._forces * way).sum())
+    assert (ends[0] - ends[1]) / 2e-6 == pytest.approx(slope, rel=1e-6)
 
 
 def test_pressure_follows_the_surface() -> None:

@@ -206,6 +206,8 @@ class Sheet:
         nearest = gap.argmin(axis=0)[None]
         gap = gap.min(axis=0)
         normal = np.take_along_axis(touch.gradient[:count], nearest[..., None], axis=0)[0]
+        # Tabled distances have gradients that are not quite 1 long; springs need them so.
+        normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-9)
         reach = self.laws.tack_range_mm if self.laws.tack > 0 else 0.0
         new = ((gap < 0.5 * reach) & (state.grip.held == 0))[..., None]
         place = surface[..., 0, :] - np.array([0.0, 0.0, state.travel_mm])
