@@ -26,6 +26,18 @@ THINNEST = 0.2
 Progress = Callable[[float], None]
 
 
+class LimitPressureError(PressError):
+    """The sheet has no equilibrium under a pressure: it thins without bound."""
+
+    def __init__(self, travel_mm: float, held_kpa: float, lost_kpa: float) -> None:
+        super().__init__(
+            f"press.back_pressure_kpa: the sheet holds {held_kpa:.2f} kPa at {travel_mm:.3g} mm of "
+            f"travel and gives way at or below {lost_kpa:.2f}: it thins without bound; use less "
+            "pressure, a thicker or a harder sheet"
+        )
+        self.held_kpa = held_kpa
+
+
 @dataclass(frozen=True)
 class Loads:
     """What a state bears."""
@@ -63,7 +75,7 @@ def follow(
     sheet: Sheet,
     goal: Loads,
     accuracy: Accuracy,
-    shared: list[SheetState],
+    shared: list[SheetState] | None = None,
     progress: Progress | None = None,
 ) -> SheetState:
     """Press from the mounted sheet to `goal`.
@@ -73,18 +85,18 @@ def follow(
     sheet : Sheet
     goal : Loads
     accuracy : Accuracy
-    shared : list of SheetState
+    shared : list of SheetState, optional
         States at the first travels of `waypoints`, from earlier paths of this sheet; added to.
     progress : called with the share of the stops that is done
 
     Raises
     ------
-    PressError
+    LimitPressureError
         The sheet holds less than the pressure; names what it still holds.
     SolverError
         No equilibrium; names the last travel that had one.
     """
-    stops = waypoints(goal)
+    stops, shared = waypoints(goal), [] if shared is None else shared
     common = [stop for stop in stops if _is_common(stop)]
     known = [mounted(sheet.grid), *shared[: len(common)]]
     state, before = known[-1], known[max(len(known) - 2, 0)]
@@ -119,7 +131,7 @@ def advance(
         loads = _between(start, goal, share)
         try:
             new = sheet.settle(_predicted(state, before, loads), accuracy)
-            _check_thickness(sheet, new)
+            check_thickness(sheet, new)
         except SolverError as error:
             step /= 2
             if step < _SMALLEST_STEP:
@@ -193,17 +205,19 @@ def _predicted(state: SheetState, before: SheetState, loads: Loads) -> SheetStat
     )
 
 
-def _check_thickness(sheet: Sheet, state: SheetState) -> None:
+def check_thickness(sheet: Sheet, state: SheetState) -> None:
+    """Refuse a state that is thinner than silicone bears: a sheet on its way to no equilibrium.
+
+    Raises
+    ------
+    SolverError
+    """
     thinnest = float(thinning_of(sheet.surface(state.control_mm)).min())
     if thinnest < THINNEST:
         raise SolverError(f"sheet: thins to {thinnest:.2f} of its thickness")
 
 
-def _ended(state: SheetState, goal: Loads, error: SolverError) -> PressError | SolverError:
+def _ended(state: SheetState, goal: Loads, error: SolverError) -> LimitPressureError | SolverError:
     if goal.pressure_kpa > state.pressure_kpa:
-        return PressError(
-            f"press.back_pressure_kpa: the sheet holds {state.pressure_kpa:.2f} kPa at "
-            f"{state.travel_mm:.3g} mm of travel and gives way below {goal.pressure_kpa:.2f}: it "
-            "thins without bound; use less pressure, a thicker or a harder sheet"
-        )
+        return LimitPressureError(state.travel_mm, state.pressure_kpa, goal.pressure_kpa)
     return SolverError(f"{error}; the last travel in equilibrium is {state.travel_mm:.3g} mm")

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from twin.config.models import Elastomer, Mechanics, Press, Specimen
-from twin.mechanics.errors import PressError
+from twin.mechanics.errors import PressError, SolverError
 from twin.mechanics.hardness import young_modulus
 from twin.mechanics.layouts import face_nodes, weight_kpa
 from twin.mechanics.press import PressedElastomer, SheetFields, check_outline
@@ -25,9 +25,11 @@ from twin.mechanics.sheet.grid import Frame, sheet_grid, span_mm
 from twin.mechanics.sheet.kernel import Laws
 from twin.mechanics.sheet.path import (
     TRAVEL_STEP_MM,
+    LimitPressureError,
     Loads,
     Progress,
     advance,
+    check_thickness,
     follow,
     refined,
 )
@@ -54,6 +56,8 @@ _MARGIN_MM = 1.5
 _ROUGH, _FINE = Accuracy(step_mm=1e-3, residual_kpa=0.1), Accuracy(residual_kpa=2e-3)
 _FORCE_TOLERANCE, _FORCE_STEPS = 1e-3, 40
 _KEPT_PATHS = 4
+_HELD_SHARES = (1.0, 0.9, 0.8, 0.65, 0.5, 0.35, 0.2, 0.1)
+_HALF = 0.5
 # What presses of one path may differ in.
 _LOADS = {"control": "depth", "depth_mm": 1.0, "force_n": None, "back_pressure_kpa": 0.0}
 
@@ -238,18 +242,50 @@ def _path(specimen: Specimen, elastomer: Elastomer, load: Press, mechanics: Mech
 
 
 def _equilibrium(path: _Path, load: Press, progress: Progress | None) -> tuple[Sheet, SheetState]:
-    report = progress or (lambda share: None)
+    report = progress or _silent
+    try:
+        return _settled(path, load, report)
+    except LimitPressureError as limit:
+        held_kpa = _held_kpa(path, load, limit.held_kpa)
+        travel_mm = load.depth_mm or TRAVEL_STEP_MM
+        raise LimitPressureError(travel_mm, held_kpa, load.back_pressure_kpa) from limit
+
+
+def _settled(path: _Path, load: Press, report: Progress) -> tuple[Sheet, SheetState]:
     case, coarse = path.case, path.sheet
     goal = Loads(load.depth_mm or TRAVEL_STEP_MM, load.back_pressure_kpa)
     state = follow(coarse, goal, _ROUGH, path.states, lambda share: report(0.6 * share))
     if load.force_n is not None:
         state = _to_force(coarse, state, load.force_n, _ROUGH)
     fine = case.sheet(case.cell_mm, _contact_box(case, coarse, state))
-    found = fine.settle(refined(coarse, fine, state), _FINE)
+    try:
+        found = fine.settle(refined(coarse, fine, state), _FINE)
+        check_thickness(fine, found)
+    except SolverError as error:
+        if state.pressure_kpa == 0:
+            raise
+        # Coarse cells held what fine ones, which see sharper bends, do not.
+        raise LimitPressureError(state.travel_mm, state.pressure_kpa, state.pressure_kpa) from error
     if load.force_n is not None:
         found = _to_force(fine, found, load.force_n, _FINE)
     report(1.0)
     return fine, found
+
+
+def _held_kpa(path: _Path, load: Press, most_kpa: float) -> float:
+    """Return a pressure, not far below the largest, that fine cells hold too; 0 where none."""
+    for share in _HELD_SHARES:
+        pressure_kpa = float(np.floor(100 * share * most_kpa)) / 100
+        try:
+            _settled(path, load.model_copy(update={"back_pressure_kpa": pressure_kpa}), _silent)
+        except (LimitPressureError, SolverError):
+            continue
+        return pressure_kpa
+    return 0.0
+
+
+def _silent(share: float) -> None:
+    """Tell nobody."""
 
 
 def _to_force(sheet: Sheet, state: SheetState, force_n: float, accuracy: Accuracy) -> SheetState:
@@ -312,10 +348,9 @@ def _result(
     flat = np.array([h / 2, h, 1.0, 1.0, 0.0, 0.0])
     face_z, fields = height_map(seen.upper_mm, carried, nodes_x, nodes_y, flat)
     x, y = _centres(elastomer.length_x_mm, load), _centres(elastomer.length_y_mm, load)
-    pressure = _pressure_kpa(sheet, state, seen.middle_mm, seen.thickness_mm)
-    below = np.array([-h / 2, 0.0])
-    touched_z, on_cells = height_map(seen.lower_mm, pressure[..., None], x, y, below)
-    contact = on_cells[..., 0] > 0
+    touch = _pressure_and_touch(sheet, state, seen.middle_mm, seen.thickness_mm)
+    touched_z, on_cells = height_map(seen.lower_mm, touch, x, y, np.array([-h / 2, 0.0, 0.0]))
+    contact = on_cells[..., 1] > _HALF
     pitch = float(np.sqrt((x[1] - x[0]) * (y[1] - y[0])))
     return PressedElastomer(
         x_mm=x,
@@ -353,18 +388,25 @@ def _result(
     )
 
 
-def _pressure_kpa(
+def _pressure_and_touch(
     sheet: Sheet, state: SheetState, middle_mm: FloatArray, thickness_mm: FloatArray
 ) -> FloatArray:
-    """Return the pressure of specimen and plate at sampled points (row, col), 0 where none."""
+    """Return (row, col, 2) pressure of specimen and plate, kPa, and 1 where one of them touches.
+
+    A sheet with tack touches as far as the middle of the cohesive range, where its pull is largest.
+    """
     lift = np.array([0.0, 0.0, sheet.touched_z_mm + state.travel_mm])
     points = (middle_mm - lift).reshape(-1, 3)
-    total = np.zeros(thickness_mm.size)
+    total, nearest = np.zeros(thickness_mm.size), np.full(thickness_mm.size, np.inf)
     for body in sheet.bodies.moving:
         gap = body.evaluate(points, sheet.reach_mm)[0] - thickness_mm.ravel() / 2
         total += sheet.laws.contact_stiffness * np.maximum(-gap, 0.0)
+        nearest = np.minimum(nearest, gap)
     # Per undeformed area in the solver; per deformed area is what a gauge would read.
-    return total.reshape(thickness_mm.shape) * thickness_mm / sheet.laws.thickness_mm
+    pressure = total.reshape(thickness_mm.shape) * thickness_mm / sheet.laws.thickness_mm
+    reach = sheet.laws.tack_range_mm / 2 if sheet.laws.tack > 0 else 0.0
+    touching = (nearest < reach).reshape(thickness_mm.shape)
+    return np.stack((pressure, touching.astype(float)), axis=-1)
 
 
 def _contact_bend(sheet: Sheet, state: SheetState) -> float:
