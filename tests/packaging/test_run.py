@@ -209,4 +209,6 @@ def test_lock_file_holds_versions_only():
     lines = (ROOT / "requirements.lock").read_text().splitlines()
     pins = [line for line in lines if not line.startswith("#")]
     assert pins
-    assert all(pin.count("==") == 1 and "/" not in pin and " " not in pin for pin in pins)
+    versions, markers = zip(*(pin.partition("; ")[::2] for pin in pins), strict=True)
+    assert all(pin.count("==") == 1 and "/" not in pin and " " not in pin for pin in versions)
+    assert set(markers) <= {"", 'platform_machine == "x86_64"'}

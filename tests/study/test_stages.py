@@ -154,7 +154,7 @@ def test_hardness_needs_presses_under_force_control(mi, base):
 def test_a_refusal_is_shared_too(mi, base):
     """A press that fails is not tried again for every coat; the reason stays the same."""
     stages = ContactStages()
-    deep = vary(base, {"elastomer.thickness_mm": 1.0, "press.depth_mm": 1.5})
+    deep = vary(base, {"elastomer.thickness_mm": 1.2, "press.depth_mm": 1.5})
     reasons = set()
     for albedo in (0.3, 0.5):
         with pytest.raises(InputError) as caught:
