@@ -32,7 +32,7 @@ FRINGES = (
             ),
             rendered(
                 "two_balls_spread_over_sigma",
-                "error / predicted sigma of z; the 8 x 8 filter rounds the relief",
+                "error / predicted sigma of z, default filter",
             ),
             rendered(
                 "two_balls_unfiltered_spread_over_sigma",
