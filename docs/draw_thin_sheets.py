@@ -27,6 +27,8 @@ from twin.specimens import shape_of
 
 PICTURE = Path(__file__).with_name("thin_sheets.png")
 THICKNESSES_MM = (0.1, 0.2, 0.3, 0.5, 1.0, 3.0)
+# No equilibrium is found at the others' 3 kPa.
+LESS_AIR_KPA = {("wrapped_nut", 0.1): 1.5}
 LIGHT = np.array([-0.5, 0.5, 0.6]) / np.linalg.norm([-0.5, 0.5, 0.6])
 
 
@@ -44,7 +46,8 @@ def main(folder: Path) -> None:
                 panels[row, column].set_xlabel("no equilibrium found", fontsize=10)
                 continue
             relief(panels[row, column], pressed, half_mm)
-            panels[row, column].set_xlabel(figure_of(experiment, pressed), fontsize=10)
+            less = ", 1.5 kPa" if (name, thickness_mm) in LESS_AIR_KPA else ""
+            panels[row, column].set_xlabel(figure_of(experiment, pressed) + less, fontsize=10)
         ridges(panels[-1, column], through("wrapped_fingerprint", thickness_mm))
     for axes in panels.ravel():
         axes.set(xticks=[], yticks=[])
@@ -58,6 +61,8 @@ def through(name: str, thickness_mm: float) -> Experiment:
     """Return a scene with another sheet; the thinnest wrinkles on cells that are too wide."""
     cell_mm = 0.1 if thickness_mm < 0.2 else 0.2  # finer ones would not show in such pictures
     asked = {"press.cell_mm": cell_mm, "press.relief_pitch_mm": 0.04}
+    if (name, thickness_mm) in LESS_AIR_KPA:
+        asked["press.back_pressure_kpa"] = LESS_AIR_KPA[name, thickness_mm]
     return load_experiment(f"examples/{name}", asked | {"elastomer.thickness_mm": thickness_mm})
 
 
