@@ -27,15 +27,16 @@ Progress = Callable[[float], None]
 
 
 class LimitPressureError(PressError):
-    """The sheet has no equilibrium under a pressure: it thins without bound."""
+    """No equilibrium was found under a pressure; most often the sheet thins without bound."""
 
-    def __init__(self, travel_mm: float, held_kpa: float, lost_kpa: float) -> None:
+    def __init__(self, travel_mm: float, held_kpa: float, lost_kpa: float, reason: str) -> None:
         super().__init__(
             f"press.back_pressure_kpa: the sheet holds {held_kpa:.2f} kPa at {travel_mm:.3g} mm of "
-            f"travel and gives way at or below {lost_kpa:.2f}: it thins without bound; use less "
+            f"travel, and no equilibrium was found towards {lost_kpa:.2f} ({reason}); use less "
             "pressure, a thicker or a harder sheet"
         )
         self.held_kpa = held_kpa
+        self.reason = reason
 
 
 @dataclass(frozen=True)
@@ -219,5 +220,7 @@ def check_thickness(sheet: Sheet, state: SheetState) -> None:
 
 def _ended(state: SheetState, goal: Loads, error: SolverError) -> LimitPressureError | SolverError:
     if goal.pressure_kpa > state.pressure_kpa:
-        return LimitPressureError(state.travel_mm, state.pressure_kpa, goal.pressure_kpa)
+        return LimitPressureError(
+            state.travel_mm, state.pressure_kpa, goal.pressure_kpa, str(error)
+        )
     return SolverError(f"{error}; the last travel in equilibrium is {state.travel_mm:.3g} mm")

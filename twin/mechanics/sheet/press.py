@@ -248,7 +248,9 @@ def _equilibrium(path: _Path, load: Press, progress: Progress | None) -> tuple[S
     except LimitPressureError as limit:
         held_kpa = _held_kpa(path, load, limit.held_kpa)
         travel_mm = load.depth_mm or TRAVEL_STEP_MM
-        raise LimitPressureError(travel_mm, held_kpa, load.back_pressure_kpa) from limit
+        raise LimitPressureError(
+            travel_mm, held_kpa, load.back_pressure_kpa, limit.reason
+        ) from limit
 
 
 def _settled(path: _Path, load: Press, report: Progress) -> tuple[Sheet, SheetState]:
@@ -265,7 +267,9 @@ def _settled(path: _Path, load: Press, report: Progress) -> tuple[Sheet, SheetSt
         if state.pressure_kpa == 0:
             raise
         # Coarse cells held what fine ones, which see sharper bends, do not.
-        raise LimitPressureError(state.travel_mm, state.pressure_kpa, state.pressure_kpa) from error
+        raise LimitPressureError(
+            state.travel_mm, state.pressure_kpa, state.pressure_kpa, str(error)
+        ) from error
     if load.force_n is not None:
         found = _to_force(fine, found, load.force_n, _FINE)
     report(1.0)
