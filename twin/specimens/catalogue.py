@@ -42,6 +42,11 @@ class Shape(Protocol):
         """Height of the foremost point, 0 at first touch."""
         ...
 
+    @property
+    def bottom_mm(self) -> float:
+        """Height of the point farthest back, where it stands on its plate."""
+        ...
+
     def placed(self, pose: Pose) -> "Shape":
         """Return the shape moved."""
         ...

@@ -37,6 +37,11 @@ class Cylinder:
         """Height of the foremost point."""
         return float(self.middle_mm[2] + self._reach(2))
 
+    @property
+    def bottom_mm(self) -> float:
+        """Height of the point farthest back."""
+        return float(self.middle_mm[2] - self._reach(2))
+
     def placed(self, pose: Pose) -> "Cylinder":
         """Return the cylinder moved."""
         return replace(self, middle_mm=pose.apply(self.middle_mm), axis=pose.rotation @ self.axis)

@@ -23,6 +23,11 @@ class Assembly:
         """Height of the foremost part."""
         return max(part.top_mm for part in self.parts)
 
+    @property
+    def bottom_mm(self) -> float:
+        """Height of the point farthest back of all parts."""
+        return min(part.bottom_mm for part in self.parts)
+
     def placed(self, pose: Pose) -> "Assembly":
         """Return all parts moved."""
         return Assembly(tuple(part.placed(pose) for part in self.parts))

@@ -52,6 +52,11 @@ class MeshShape:
         """Height of the foremost vertex."""
         return float(self.surface.bounds[1, 2])
 
+    @property
+    def bottom_mm(self) -> float:
+        """Height of the vertex farthest back."""
+        return float(self.surface.bounds[0, 2])
+
     def placed(self, pose: Pose) -> "MeshShape":
         """Return the surface moved."""
         return replace(self, pose=self.pose.then(pose))

@@ -30,6 +30,11 @@ class SphereCluster:
         """Height of the foremost apex."""
         return max(ball.apex_z_mm for ball in self.balls)
 
+    @property
+    def bottom_mm(self) -> float:
+        """Height of the point farthest back."""
+        return min(ball.z_mm - ball.radius_mm for ball in self.balls)
+
     def placed(self, pose: Pose) -> "SphereCluster":
         """Return the balls moved."""
         moved = [pose.apply(_centre(ball)) for ball in self.balls]

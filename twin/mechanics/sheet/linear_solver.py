@@ -1,8 +1,11 @@
 """Positive definite sparse systems, by PARDISO (pypardiso) or else by SciPy's SuperLU."""
 
 import ctypes
+import importlib.metadata
+import os
 import warnings
 import weakref
+from functools import cache
 from typing import Any, Protocol
 
 import numpy as np
@@ -30,6 +33,20 @@ class LinearSolver(Protocol):
         ...
 
 
+@cache
+def _name_library() -> None:
+    """Tell pypardiso where MKL is: for every solver anew it would search the whole environment."""
+    if "PYPARDISO_MKL_RT" in os.environ:
+        return
+    try:
+        files = importlib.metadata.files("mkl") or []
+    except importlib.metadata.PackageNotFoundError:
+        return
+    places = [str(file.locate()) for file in files if "mkl_rt" in file.name]
+    if places:
+        os.environ["PYPARDISO_MKL_RT"] = os.path.realpath(min(places, key=len))
+
+
 class Pardiso:
     """MKL's PARDISO: one symbolic factorisation for all systems of the pattern."""
 
@@ -38,6 +55,7 @@ class Pardiso:
         from pypardiso.pardiso_wrapper import PyPardisoError
 
         self._refusal: type[Exception] = PyPardisoError
+        _name_library()
         self._solver: Any = PyPardisoSolver(mtype=_REAL_POSITIVE_DEFINITE)
         size = start.size - 1
         # One thread and one order of sums: the same bytes in every run, with any number of cores.

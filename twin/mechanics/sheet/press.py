@@ -452,7 +452,7 @@ def _laws(elastomer: Elastomer, load: Press) -> Laws:
 
 def _plate(shape: Shape) -> tuple[SignedDistance, ...]:
     """Return the plate that the specimen stands on."""
-    return (plate(float(shape.mesh(0.0).bounds[0, 2])),)
+    return (plate(shape.bottom_mm),)
 
 
 def _walls(frame: Frame) -> tuple[SignedDistance, ...]:
