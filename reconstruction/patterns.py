@@ -20,9 +20,61 @@ from typing import Literal, get_args
 import numpy as np
 
 from reconstruction.arrays import Doubles, Levels
-from reconstruction.chain import HETERODYNE, HIERARCHICAL, Chain, make_chain
-from reconstruction.checks import require_flag, require_integer, require_number
-from reconstruction.errors import InputError
+from reconstruction.errors import InputError, require_flag, require_integer, require_number
+
+HIERARCHICAL, HETERODYNE = "hierarchical", "heterodyne"
+# Beats of one, two or three near periods; the first set is the one that is measured with.
+BEATS = {2: ((1, -1), (1, 0)), 3: ((1, -2, 1), (1, -1, 0), (1, 0, 0))}
+
+
+@dataclass(frozen=True)
+class Chain:
+    """Levels from the coarsest, which is unambiguous, to fringe set 0.
+
+    Parameters
+    ----------
+    weights : (level, set), whole numbers c_ij
+    periods_px : (level,), falling
+    """
+
+    weights: tuple[tuple[int, ...], ...]
+    periods_px: tuple[float, ...]
+
+
+def make_chain(code: str, periods_px: tuple[float, ...]) -> Chain:
+    """Return the chain of a multi-frequency code; the measuring period comes first.
+
+    Raises
+    ------
+    InputError : periods that make no chain
+    """
+    weights = _hierarchy(periods_px) if code == HIERARCHICAL else _beats(periods_px)
+    inverses = [sum(c / p for c, p in zip(row, periods_px, strict=True)) for row in weights]
+    if any(value <= 0.0 for value in inverses) or inverses != sorted(inverses):
+        raise InputError(
+            f"patterns periods {periods_px} px have no falling beat periods; heterodyne needs"
+            " p0 < p1 (< p2) and 1/p0 - 2/p1 + 1/p2 > 0, change further_periods_px"
+        )
+    return Chain(weights, tuple(1.0 / value for value in inverses))
+
+
+def _hierarchy(periods_px: tuple[float, ...]) -> tuple[tuple[int, ...], ...]:
+    order = sorted(range(len(periods_px)), key=lambda j: -periods_px[j])
+    if order[-1] != 0 or len(set(periods_px)) != len(periods_px):
+        raise InputError(
+            f"patterns periods {periods_px} px: hierarchical needs period_px below all of"
+            " further_periods_px, and no period twice"
+        )
+    return tuple(tuple(int(j == k) for k in range(len(periods_px))) for j in order)
+
+
+def _beats(periods_px: tuple[float, ...]) -> tuple[tuple[int, ...], ...]:
+    if len(periods_px) not in BEATS:
+        raise InputError(
+            f"patterns heterodyne has {len(periods_px)} periods; give one or two further_periods_px"
+        )
+    return BEATS[len(periods_px)]
+
 
 Kind = Literal["phase", "gray", "white", "black"]
 Axis = Literal["column", "row"]

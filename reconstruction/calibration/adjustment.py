@@ -15,11 +15,17 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from reconstruction.arrays import BoolImage, Doubles
-from reconstruction.calibration.conics import centre_bias_px
-from reconstruction.calibration.defocus import PHASE_SHARE, defocus_slopes_px
-from reconstruction.calibration.freedom import Freedom, admissible, freedom_matrix
 from reconstruction.calibration.observation import Observation
-from reconstruction.calibration.parameters import Rig, pack, project_pose, unpack
+from reconstruction.calibration.parameters import (
+    Freedom,
+    Rig,
+    admissible,
+    freedom_matrix,
+    pack,
+    project_pose,
+    unpack,
+)
+from reconstruction.calibration.plane_images import PHASE_SHARE, centre_bias_px, defocus_slopes_px
 from reconstruction.errors import InputError
 
 # The bias of dot centres depends on the poses and is at most some tenths of a pixel: it settles at

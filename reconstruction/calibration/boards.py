@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from reconstruction.arrays import Doubles
-from reconstruction.checks import require_integer, require_number
-from reconstruction.errors import InputError
+from reconstruction.errors import InputError, require_integer, require_number
 
 Indices = NDArray[np.integer[Any]]
 MARKER_DICTIONARY = "DICT_4X4_250"

@@ -12,7 +12,7 @@ import numpy as np
 
 from reconstruction.arrays import BoolImage, Doubles
 from reconstruction.calibration.boards import Indices
-from reconstruction.calibration.homography import apply_homography, fit_homography
+from reconstruction.calibration.plane_images import apply_homography, fit_homography
 from reconstruction.decoding.decode import Decoded
 from reconstruction.errors import InputError
 

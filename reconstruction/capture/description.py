@@ -11,8 +11,7 @@ from dataclasses import MISSING, asdict, dataclass, fields
 from pathlib import Path
 from typing import Any, TypeVar
 
-from reconstruction.checks import require_integer
-from reconstruction.errors import CaptureError, InputError
+from reconstruction.errors import CaptureError, InputError, require_integer
 from reconstruction.patterns import PatternSet
 from reconstruction.rig.sensor import SensorNoise
 

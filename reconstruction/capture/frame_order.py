@@ -20,9 +20,7 @@ from itertools import combinations
 import numpy as np
 
 from reconstruction.arrays import BoolImage, Stack
-from reconstruction.capture.phase_set_order import check_phase_sets
-from reconstruction.capture.step_offset import check_first_step
-from reconstruction.capture.word_order import check_words
+from reconstruction.capture.set_order import check_first_step, check_phase_sets, check_words
 from reconstruction.decoding.decode import DecodeOptions, decode
 from reconstruction.errors import CaptureError
 from reconstruction.patterns import AXES, Axis, Frame, PatternSet

@@ -5,17 +5,19 @@ Nothing but the result is ever as large as the image.
 
 # ruff: noqa: PLR0917 - compiled functions cannot take keyword-only arguments
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from reconstruction._jit import compiled, merged
-from reconstruction.decoding._band import COORDINATE, SIGMA, Maps, Plan, Work, make_work
-from reconstruction.decoding._chain import climb_row
+from reconstruction.arrays import FloatImage
 from reconstruction.decoding._half import pack_row
 from reconstruction.decoding._order import (
     NEAR_SIGMAS,
     PLAIN,
+    Code,
+    Ladder,
+    climb_row,
     number_row,
     read_gray_row,
     settle_row,
@@ -28,10 +30,12 @@ from reconstruction.decoding._phase import (
     keep_usable,
     phase_row,
     phase_sigma,
+    refit_row,
     write_turns,
 )
-from reconstruction.decoding._refit import refit_row
 from reconstruction.decoding._sum import (
+    Layout,
+    Limits,
     Sums,
     add_frames,
     find_damaged,
@@ -40,6 +44,84 @@ from reconstruction.decoding._sum import (
     mark_dark,
     mark_low_modulation,
 )
+
+
+class Units(NamedTuple):
+    """Factors for `pack_row`: BIAS over the unit of each kind of map."""
+
+    level: np.float32
+    sigma: np.float32
+    chance: np.float32
+
+
+class Plan(NamedTuple):
+    """All that is the same for every row; pairs are (column, row)."""
+
+    layout: Layout
+    limits: Limits
+    codes: tuple[Code, Code]
+    units: Units
+    ladders: tuple[Ladder, Ladder]
+    is_chain: bool
+    scale: FloatImage  # (row, col), by which each pixel was multiplied; (0, 0): by 1
+
+
+class Maps(NamedTuple):
+    """The result, (axis, row, col) unless stated, zeroed by the caller; see `compact`."""
+
+    coordinate_px: Any  # float32
+    turns: Any  # uint16, as all that follow
+    mean: Any
+    modulation: Any
+    sigma: Any
+    residual: Any
+    order_error: Any
+    reason: Any  # (row, col) uint8
+
+
+class Work(NamedTuple):
+    """Lines that live as long as a band."""
+
+    sums: Any  # (6, col): total, real, imag, square, high, low
+    fit: Any  # (line, col): mean, variance, noise, excess of one set; total variance, residual
+    mean: Any  # (axis, col), of the measuring period
+    excess: Any  # (axis, col), the largest of all sets
+    modulations: Any  # (axis, set, col)
+    phases: Any  # (axis, set, col)
+    sigmas: Any  # (set, col)
+    answers: Any  # (line, col): coordinate and sigma of both axes
+    lines: Any  # (line, col): error, and two to pack with
+    order: Any
+    damaged: Any
+    ones: Any
+    usable: Any
+    word: Any
+    nearest: Any
+
+
+# Lines of `Work.answers`, column and row.
+COORDINATE, SIGMA = (0, 1), (2, 3)
+
+
+@compiled
+def make_work(width: int, sets: int) -> Work:
+    return Work(
+        np.zeros((6, width), np.float32),
+        np.zeros((6, width), np.float32),
+        np.zeros((2, width), np.float32),
+        np.zeros((2, width), np.float32),
+        np.zeros((2, sets, width), np.float32),
+        np.zeros((2, sets, width), np.float32),
+        np.zeros((sets, width), np.float32),
+        np.zeros((4, width), np.float32),
+        np.zeros((3, width), np.float32),
+        np.zeros(width, np.int32),
+        np.zeros(width, np.bool_),
+        np.ones(width, np.float32),
+        np.zeros(width, np.float32),
+        np.zeros(width, np.uint32),
+        np.zeros(width, np.float32),
+    )
 
 
 @compiled

@@ -1,4 +1,4 @@
-"""Geometric fits of spheres and planes, with the paper's residual statistics; lengths mm."""
+"""Least-squares spheres and planes, the paper's residual statistics, and outliers; lengths mm."""
 
 from dataclasses import dataclass
 
@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import least_squares
 
-from reconstruction.arrays import Doubles
+from reconstruction.arrays import BoolImage, Doubles
 from reconstruction.errors import FitError
 
 # Singular value ratio below which points count as coplanar (collinear): rounding only.
@@ -144,3 +144,21 @@ def _radial_jacobian(parameters: Doubles, local: Doubles) -> Doubles:
     # A point at the centre has no direction; any finite value serves for that one row.
     distance = np.maximum(np.linalg.norm(toward, axis=1, keepdims=True), 1e-300)
     return np.column_stack([toward / distance, -np.ones(len(local))])
+
+
+# 1.4826 MAD estimates the standard deviation of a normal distribution.
+MAD_TO_SIGMA = 1.4826
+REJECT_BEYOND_SIGMAS = 4.0
+"""One of 16,000 normal residuals lies beyond."""
+
+
+def spread(residuals_mm: Doubles) -> float:
+    """Robust standard deviation of residuals, (n,) mm."""
+    return float(MAD_TO_SIGMA * np.median(np.abs(residuals_mm - np.median(residuals_mm))))
+
+
+def inliers(residuals_mm: Doubles) -> BoolImage:
+    """Tell which residuals, (n,) mm, lie within four robust standard deviations of their median."""
+    limit = REJECT_BEYOND_SIGMAS * max(spread(residuals_mm), 1e-12)
+    kept: BoolImage = np.abs(residuals_mm - np.median(residuals_mm)) <= limit
+    return kept

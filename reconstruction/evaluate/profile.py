@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 
 from reconstruction.arrays import BoolImage, Doubles
 from reconstruction.errors import FitError
-from reconstruction.evaluate.outliers import inliers
+from reconstruction.evaluate.fit import inliers
 
 _LEAST_POINTS = 5
 _MOST_TURNS = 10

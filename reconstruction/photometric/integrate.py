@@ -11,16 +11,15 @@ from numpy.typing import ArrayLike
 from scipy.fft import dctn, idctn
 
 from reconstruction.arrays import Doubles
-from reconstruction.checks import require_number
-from reconstruction.errors import InputError
+from reconstruction.errors import InputError, require_number
 from reconstruction.photometric.poisson import (
     BOUNDARIES,
     Boundary,
     edge_steps,
     solve_poisson,
+    solve_weighted,
     sum_of_steps,
 )
-from reconstruction.photometric.weighted import solve_weighted
 
 Form = Literal["2024", "2025"]
 FORMS = ("2024", "2025")

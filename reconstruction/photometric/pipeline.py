@@ -7,15 +7,19 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from reconstruction.arrays import BoolImage, Doubles, FloatImage, Levels, ReasonImage
-from reconstruction.checks import require_number
-from reconstruction.errors import InputError
-from reconstruction.photometric.colour_polynomial import BoundPolynomial
-from reconstruction.photometric.colour_table import BoundTable
-from reconstruction.photometric.images import checked_image, smoothed
+from reconstruction.errors import InputError, require_number
+from reconstruction.mask import PhotometricReason
+from reconstruction.photometric.colour_maps import BoundPolynomial, BoundTable
+from reconstruction.photometric.images import (
+    GROWTH_PX,
+    checked_image,
+    fill_nearest,
+    fill_smooth,
+    find_markers,
+    smoothed,
+)
 from reconstruction.photometric.integrate import INTEGRATIONS, Integration, integrate
-from reconstruction.photometric.markers import GROWTH_PX, fill_nearest, fill_smooth, find_markers
 from reconstruction.photometric.poisson import BOUNDARIES, Boundary
-from reconstruction.photometric.reasons import PhotometricReason
 from reconstruction.photometric.sensor_calibration import SensorCalibration
 
 # How far dots are grown before filling. The vendor's 2025 form does not grow them, so that their

@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from reconstruction.arrays import BoolImage, Doubles
-from reconstruction.checks import require_integer, require_number
-from reconstruction.errors import InputError
+from reconstruction.errors import InputError, require_integer, require_number
 
 NO_DISTORTION = (0.0, 0.0, 0.0, 0.0, 0.0)
 # Newton doubles the digits per step: 1e-12 leaves the returned point far below the 1e-10 promised.

@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 
 from reconstruction.arrays import Doubles
-from reconstruction.checks import require_number
-from reconstruction.errors import InputError
+from reconstruction.errors import InputError, require_number
 
 QUANTISATION_DN2 = 1.0 / 12.0
 

@@ -13,16 +13,14 @@ import numpy as np
 
 from reconstruction._jit import run_over_rows
 from reconstruction.arrays import BoolImage, Doubles, FloatImage, ReasonImage
-from reconstruction.checks import require_number
 from reconstruction.compact import Bits, Half, RaySpread, keeps_compact, kept
 from reconstruction.decoding._half import BIAS
+from reconstruction.decoding.decode import SIGMA_UNIT_PX
 from reconstruction.decoding.decoded import AxisDecode, Decoded
-from reconstruction.decoding.plan import SIGMA_UNIT_PX
-from reconstruction.errors import InputError
+from reconstruction.errors import InputError, require_number
 from reconstruction.mask import Reason
 from reconstruction.rig.calibration import Calibration
-from reconstruction.triangulation._lens import lens_of
-from reconstruction.triangulation._ray import Fringe, Match, Motion, Points, Rig, meet_rows
+from reconstruction.triangulation._ray import Fringe, Match, Motion, Points, Rig, lens_of, meet_rows
 
 # The first row of a band takes more steps than the others, which start from the row before.
 BAND_ROWS = 48

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from reconstruction.rig.pinhole import NO_DISTORTION, Pinhole, distort
-from reconstruction.triangulation._lens import lens_of, ray_row
+from reconstruction.triangulation._ray import lens_of, ray_row
 
 
 def rays_of(camera, rows):

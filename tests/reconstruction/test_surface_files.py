@@ -9,13 +9,15 @@ import trimesh
 import xarray
 
 from reconstruction.errors import InputError
-from reconstruction.evaluate.height_map import (
+from reconstruction.evaluate.surface import (
     height_map,
+    surface_mesh,
     write_height_exr,
     write_height_netcdf,
     write_height_png,
+    write_mesh_ply,
+    write_mesh_stl,
 )
-from reconstruction.evaluate.surface_mesh import surface_mesh, write_mesh_ply, write_mesh_stl
 from reconstruction.mask import Reason
 from reconstruction.triangulation.triangulate import PointMap
 

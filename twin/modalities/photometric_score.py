@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from reconstruction.arrays import BoolImage, Doubles, FloatImage
 from reconstruction.errors import FitError
 from reconstruction.photometric import HeightMap
-from reconstruction.photometric.contact_circle import ContactCircle
+from reconstruction.photometric.calibration_ball import ContactCircle
 from twin.config.models import Experiment
 from twin.modalities.score import (
     SphereScore,

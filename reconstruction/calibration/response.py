@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from reconstruction.arrays import BoolImage, Doubles, Stack
-from reconstruction.checks import require_number
-from reconstruction.errors import InputError
+from reconstruction.errors import InputError, require_number
 from reconstruction.patterns import AXES, PatternSet
 from reconstruction.rig.sensor import SensorNoise
 
