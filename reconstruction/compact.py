@@ -12,7 +12,7 @@ from typing import Any, Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from reconstruction.arrays import Doubles, FloatImage, OrderImage
+from reconstruction.arrays import FloatArray, FloatImage, OrderImage
 
 Class = TypeVar("Class")
 Bits = NDArray[np.uint16]
@@ -125,7 +125,7 @@ class RaySpread:
 
     points_world_mm: FloatImage
     sigma_depth_mm: Half
-    T_world_from_cam: Doubles
+    T_world_from_cam: FloatArray
 
     def expand(self) -> FloatImage:
         """Return (row, col, xyz) float32 mm, 0 where the depth has no sigma."""

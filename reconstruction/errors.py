@@ -35,9 +35,3 @@ def require_number(
         above_text = "above" if open_low else "of at least"
         upper = "" if math.isinf(high) else f" and at most {high:g}"
         raise InputError(f"{name} is {value!r}; give a number {above_text} {low:g}{upper}")
-
-
-def require_flag(name: str, value: object) -> None:
-    """Raise InputError unless `value` is true or false."""
-    if not isinstance(value, bool):
-        raise InputError(f"{name} is {value!r}; give true or false")

@@ -19,8 +19,8 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from reconstruction.arrays import Doubles, Levels
-from reconstruction.errors import InputError, require_flag, require_integer, require_number
+from reconstruction.arrays import FloatArray, Levels
+from reconstruction.errors import InputError, require_integer, require_number
 
 HIERARCHICAL, HETERODYNE = "hierarchical", "heterodyne"
 # Beats of one, two or three near periods; the first set is the one that is measured with.
@@ -85,7 +85,9 @@ MULTI_FREQUENCY = (HIERARCHICAL, HETERODYNE)
 
 # Below 4 px a Gray stripe of a period that is no whole number of pixels may be misplaced by a
 # quarter of a period, the whole margin of the edge-safe rules.
-MIN_PERIOD_PX = 4.0
+PERIOD_RANGE_PX = (4.0, 65536.0)
+STEPS_RANGE = (3, 1000)
+MOST_FURTHER_PERIODS = 7
 
 
 @dataclass(frozen=True)
@@ -111,9 +113,8 @@ class PatternSet:
     width_px, height_px : projector image size
     period_px : fringe period, >= 4 px; the finest one of a multi-frequency code
     steps : phase steps N of every period, >= 3
-    complementary : older way to say code = "complementary_gray" (true) or "gray" (false)
     low_level, high_level : 8-bit projector levels of black and white
-    code : how the fringes are numbered; None: complementary_gray
+    code : how the fringes are numbered
     further_periods_px : the other periods of a multi-frequency code: hierarchical any coarser ones,
         the coarsest at least the image; heterodyne one or two near ones, rising
 
@@ -128,22 +129,20 @@ class PatternSet:
     height_px: int
     period_px: float = 18.0
     steps: int = 18
-    complementary: bool | None = None
     low_level: int = 0
     high_level: int = 255
-    code: CodeName | None = None
+    code: CodeName = "complementary_gray"
     further_periods_px: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         require_integer("patterns width_px", self.width_px, 1, 65536)
         require_integer("patterns height_px", self.height_px, 1, 65536)
-        require_number("patterns period_px", self.period_px, MIN_PERIOD_PX, 65536)
-        require_integer("patterns steps", self.steps, 3, 1000)
+        require_number("patterns period_px", self.period_px, *PERIOD_RANGE_PX)
+        require_integer("patterns steps", self.steps, *STEPS_RANGE)
         require_integer("patterns low_level", self.low_level, 0, 254)
         require_integer("patterns high_level", self.high_level, self.low_level + 1, 255)
-        code = _code_name(self.code, self.complementary)
-        object.__setattr__(self, "code", code)
-        object.__setattr__(self, "complementary", code == "complementary_gray")
+        if self.code not in CODES:
+            raise InputError(f"patterns code is {self.code!r}; allowed are {', '.join(CODES)}")
         object.__setattr__(self, "further_periods_px", _periods(self.further_periods_px))
         self._check_chain()
 
@@ -193,7 +192,7 @@ class PatternSet:
         return self.gray_bits(axis) + self.safety_bits(axis)
 
     def words(self, axis: Axis) -> int:
-        """Return how many different words are shown: half-periods when complementary."""
+        """Return how many different words are shown: half-periods with complementary_gray."""
         return self._word_at(self.length_px(axis) - 1) + 1
 
     def index(self, kind: Kind, axis: Axis | None = None) -> slice:
@@ -222,7 +221,7 @@ class PatternSet:
         fringes, step = divmod(frame.index, self.steps)
         return self.periods_px[fringes], step / self.steps
 
-    def _brightness(self, frame: Frame) -> Doubles:
+    def _brightness(self, frame: Frame) -> FloatArray:
         if frame.axis is None:
             return np.full(self.width_px, float(frame.kind == "white"))
         x_px = np.arange(self.length_px(frame.axis), dtype=np.float64)
@@ -231,7 +230,7 @@ class PatternSet:
             return 0.5 + 0.5 * np.cos(2.0 * np.pi * (x_px / period_px + shift))
         return self._gray_bit(frame.axis, frame.index, x_px.size)
 
-    def _gray_bit(self, axis: Axis, index: int, length_px: int) -> Doubles:
+    def _gray_bit(self, axis: Axis, index: int, length_px: int) -> FloatArray:
         word_at, last = self._word_at, self.word_bits(axis) - 1
         if self.code == "shifted_gray":
             if index < self.gray_bits(axis):
@@ -239,11 +238,12 @@ class PatternSet:
             else:
                 word_at = self._shifted_at
         word = np.array([word_at(x) for x in range(length_px)])
-        bits: Doubles = (((word ^ (word >> 1)) >> (last - index)) & 1).astype(np.float64)
+        bits: FloatArray = (((word ^ (word >> 1)) >> (last - index)) & 1).astype(np.float64)
         return bits
 
     def _word_at(self, x_px: int) -> int:
-        return math.floor((2 * x_px if self.complementary else x_px) / self.period_px)
+        is_halved = self.code == "complementary_gray"
+        return math.floor((2 * x_px if is_halved else x_px) / self.period_px)
 
     def _shifted_at(self, x_px: int) -> int:
         return math.floor(x_px / self.period_px + 0.5)
@@ -266,23 +266,11 @@ class PatternSet:
             )
 
 
-def _code_name(code: object, complementary: object) -> CodeName:
-    if complementary is not None:
-        require_flag("patterns complementary", complementary)
-    if code is None:
-        return "gray" if complementary is False else "complementary_gray"
-    if code not in CODES:
-        raise InputError(f"patterns code is {code!r}; allowed are {', '.join(CODES)}")
-    if complementary is not None and complementary != (code == "complementary_gray"):
-        raise InputError(
-            f"patterns complementary is {complementary} but code is {code!r}; leave it out"
-        )
-    return next(known for known in CODES if known == code)
-
-
 def _periods(values: object) -> tuple[float, ...]:
-    if not isinstance(values, (tuple, list)) or len(values) > 7:
-        raise InputError(f"patterns further_periods_px is {values!r}; give up to 7 periods")
+    if not isinstance(values, (tuple, list)) or len(values) > MOST_FURTHER_PERIODS:
+        raise InputError(
+            f"patterns further_periods_px is {values!r}; give up to {MOST_FURTHER_PERIODS} periods"
+        )
     for value in values:
-        require_number("patterns further_periods_px", value, MIN_PERIOD_PX, 65536)
+        require_number("patterns further_periods_px", value, *PERIOD_RANGE_PX)
     return tuple(float(value) for value in values)

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.optimize import least_squares
 
-from reconstruction.arrays import BoolImage, Doubles
+from reconstruction.arrays import BoolImage, FloatArray
 from reconstruction.calibration.observation import Observation
 from reconstruction.calibration.parameters import (
     Freedom,
@@ -78,12 +78,12 @@ class Adjustment:
     """
 
     rig: Rig
-    vector: Doubles
-    covariance: Doubles
+    vector: FloatArray
+    covariance: FloatArray
     pupil_mm2: float
     pupil_sigma_mm2: float
-    measured_px: tuple[Doubles, ...]
-    misses_px: tuple[Doubles, ...]
+    measured_px: tuple[FloatArray, ...]
+    misses_px: tuple[FloatArray, ...]
     used: tuple[BoolImage, ...]
     spread_px: tuple[float, float]
     degrees_of_freedom: int
@@ -127,7 +127,7 @@ class _Problem:
         self._spread = np.ones(2)
         self._used = [np.ones(len(seen.ids), dtype=np.bool_) for seen in observations]
 
-    def measure(self, vector: Doubles) -> None:
+    def measure(self, vector: FloatArray) -> None:
         """Move the dot centres from the ellipses' to the imaged centres; see how defocus acts."""
         rig = unpack(vector[:-DEFOCUS], *self._devices)
         middle_mm = float(np.median(rig.T_cam_from_board[:, 2, 3]))
@@ -141,7 +141,7 @@ class _Problem:
             along = np.einsum("nij,nj->ni", seen.slopes, bias)
             self._targets[k] = np.hstack([seen.camera_px - bias, seen.projector_px - along])
 
-    def weigh(self, vector: Doubles) -> None:
+    def weigh(self, vector: FloatArray) -> None:
         """Set spreads from the misses (robustly) and leave out features far beyond them."""
         misses = self._independent(vector)
         stacked = np.concatenate(misses)
@@ -161,14 +161,14 @@ class _Problem:
                     "leave this pose out, or check that the board did not move during it"
                 )
 
-    def misses(self, vector: Doubles) -> list[Doubles]:
+    def misses(self, vector: FloatArray) -> list[FloatArray]:
         """Return measured minus projected pixels of every pose, (n, 4)."""
         return [
             target - project_pose(vector, k, seen.points_mm)[0]
             for k, (seen, target) in enumerate(zip(self._seen, self._sharp(vector), strict=True))
         ]
 
-    def _sharp(self, vector: Doubles) -> list[Doubles]:
+    def _sharp(self, vector: FloatArray) -> list[FloatArray]:
         """Return what would be measured without defocus, (n, 4) px."""
         coefficients = vector[-DEFOCUS:]
         return [
@@ -176,24 +176,24 @@ class _Problem:
             for target, slopes in zip(self._targets, self._defocus, strict=True)
         ]
 
-    def _independent(self, vector: Doubles) -> list[Doubles]:
+    def _independent(self, vector: FloatArray) -> list[FloatArray]:
         """Return the misses with the camera's share taken out of the projector's, (n, 4)."""
         found = self.misses(vector)
         for miss, seen in zip(found, self._seen, strict=True):
             miss[:, 2:] -= np.einsum("nij,nj->ni", seen.slopes, miss[:, :2])
         return found
 
-    def _weights(self) -> Doubles:
+    def _weights(self) -> FloatArray:
         return 1.0 / np.repeat(self._spread, 2)
 
-    def _residuals(self, free: Doubles, vector: Doubles) -> Doubles:
+    def _residuals(self, free: FloatArray, vector: FloatArray) -> FloatArray:
         misses = self._independent(vector + self._freedom @ free)
         weights = self._weights()
         return np.concatenate(
             [(miss[u] * weights).ravel() for miss, u in zip(misses, self._used, strict=True)]
         )
 
-    def _jacobian(self, free: Doubles, vector: Doubles) -> Doubles:
+    def _jacobian(self, free: FloatArray, vector: FloatArray) -> FloatArray:
         now, weights = vector + self._freedom @ free, self._weights()
         blocks = []
         for k, (seen, used) in enumerate(zip(self._seen, self._used, strict=True)):
@@ -203,7 +203,7 @@ class _Problem:
             blocks.append((-weights[:, np.newaxis] * slopes).reshape(-1, len(vector)))
         return np.concatenate(blocks) @ self._freedom
 
-    def solve(self, vector: Doubles) -> Doubles:
+    def solve(self, vector: FloatArray) -> FloatArray:
         found = least_squares(
             self._residuals,
             np.zeros(self._freedom.shape[1]),
@@ -220,7 +220,7 @@ class _Problem:
             raise InputError("the adjustment diverges: check the board's data and the poses")
         return np.asarray(vector + self._freedom @ found.x)
 
-    def result(self, vector: Doubles) -> Adjustment:
+    def result(self, vector: FloatArray) -> Adjustment:
         nothing = np.zeros(self._freedom.shape[1])
         jacobian, residuals = self._jacobian(nothing, vector), self._residuals(nothing, vector)
         degrees = len(residuals) - len(nothing)
@@ -241,7 +241,7 @@ class _Problem:
         )
 
 
-def _freedom(freedom: Freedom, size: int) -> Doubles:
+def _freedom(freedom: Freedom, size: int) -> FloatArray:
     """Return the map from free changes to changes of the rig's parameters and of the defocus."""
     rig = freedom_matrix(freedom, size)
     free = DEFOCUS if freedom.camera_defocus else 0
@@ -251,7 +251,7 @@ def _freedom(freedom: Freedom, size: int) -> Doubles:
     return whole
 
 
-def _covariance(jacobian: Doubles) -> Doubles:
+def _covariance(jacobian: FloatArray) -> FloatArray:
     """Invert J^T J, its columns scaled, by way of Q R; refuse what the data do not determine."""
     scale = np.linalg.norm(jacobian, axis=0)
     if np.any(scale == 0.0):
@@ -271,7 +271,7 @@ def _undetermined() -> InputError:
 
 
 def _spreads(
-    misses: Sequence[Doubles], used: Sequence[BoolImage], share: float
+    misses: Sequence[FloatArray], used: Sequence[BoolImage], share: float
 ) -> tuple[float, float]:
     """Return the standard deviation of both devices' misses, free parameters allowed for."""
     kept = np.concatenate([miss[u] for miss, u in zip(misses, used, strict=True)])

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from reconstruction.arrays import Doubles
+from reconstruction.arrays import FloatArray
 from reconstruction.calibration.adjustment import Adjustment, AdjustOptions, adjust
 from reconstruction.calibration.initial import starting_rig
 from reconstruction.calibration.observation import Observation
@@ -100,7 +100,7 @@ def pose_residuals(found: Adjustment, observations: Sequence[Observation]) -> li
     return rows
 
 
-def epipolar_misses_px(rig: Rig | Calibration, measured_px: Doubles) -> Doubles:
+def epipolar_misses_px(rig: Rig | Calibration, measured_px: FloatArray) -> FloatArray:
     """Return the distances of projector points from their camera points' epipolar lines, px.
 
     Parameters
@@ -144,18 +144,18 @@ def calibration_of(found: Adjustment, reference_pose: int = 0) -> Calibration:
     return Calibration(found.rig.camera, found.rig.projector, T_world_from_cam, T_world_from_proj)
 
 
-def _inverse(motion: Doubles) -> Doubles:
+def _inverse(motion: FloatArray) -> FloatArray:
     back = np.eye(4)
     back[:3, :3] = motion[:3, :3].T
     back[:3, 3] = -motion[:3, :3].T @ motion[:3, 3]
     return back
 
 
-def _rays(normalised: Doubles) -> Doubles:
+def _rays(normalised: FloatArray) -> FloatArray:
     return np.column_stack([normalised, np.ones(len(normalised))])
 
 
-def _rms(values: Doubles) -> float:
+def _rms(values: FloatArray) -> float:
     return float(np.sqrt(np.mean(values**2))) if values.size else 0.0
 
 
@@ -204,7 +204,7 @@ def calibrate(
 STEPS = 4
 
 
-def locate_features(calibration: Calibration, seen: Observation) -> Doubles:
+def locate_features(calibration: Calibration, seen: Observation) -> FloatArray:
     """Triangulate every feature from camera and projector pixels, (n, 3) mm, world frame.
 
     The board's dimensions enter only the bias of the dots' centres (below a micrometre), through a
@@ -221,7 +221,7 @@ def locate_features(calibration: Calibration, seen: Observation) -> Doubles:
     return np.asarray(points @ world[:3, :3].T + world[:3, 3])
 
 
-def _rough_pose(calibration: Calibration, seen: Observation) -> Doubles:
+def _rough_pose(calibration: Calibration, seen: Observation) -> FloatArray:
     flat = np.ascontiguousarray(calibration.camera.unproject(seen.camera_px))
     rotation, shift = cv2.solvePnP(
         seen.points_mm, flat, np.eye(3), np.zeros(5), flags=cv2.SOLVEPNP_IPPE
@@ -232,8 +232,8 @@ def _rough_pose(calibration: Calibration, seen: Observation) -> Doubles:
 
 
 def _depths(
-    calibration: Calibration, rays: Doubles, projector_px: Doubles, start_mm: Doubles
-) -> Doubles:
+    calibration: Calibration, rays: FloatArray, projector_px: FloatArray, start_mm: FloatArray
+) -> FloatArray:
     """Depths along the camera rays that fit both projector coordinates best (Gauss-Newton)."""
     T, depth, step_mm = calibration.T_proj_from_cam, start_mm.copy(), 1e-3
     for _ in range(STEPS):
@@ -247,7 +247,9 @@ def _depths(
     return depth
 
 
-def length_errors_mm(points_world_mm: Doubles, seen: Observation, length_mm: float) -> Doubles:
+def length_errors_mm(
+    points_world_mm: FloatArray, seen: Observation, length_mm: float
+) -> FloatArray:
     """Return measured minus nominal distance of all pairs of features `length_mm` apart, (m,)."""
     nominal = np.linalg.norm(seen.points_mm[:, np.newaxis] - seen.points_mm, axis=-1)
     first, second = np.nonzero(np.triu(np.abs(nominal - length_mm) < 1e-6))

@@ -10,7 +10,7 @@ from itertools import permutations
 import cv2
 import numpy as np
 
-from reconstruction.arrays import BoolImage, Doubles, FloatImage, Levels
+from reconstruction.arrays import BoolImage, FloatArray, FloatImage, Levels
 from reconstruction.calibration.boards import CharucoBoard, Chessboard, DotBoard, Indices
 from reconstruction.calibration.plane_images import apply_homography, fit_homography
 from reconstruction.errors import InputError
@@ -35,9 +35,9 @@ class Dots:
     moments_px2 : (n, 2, 2) float, second moments of the filled ellipse
     """
 
-    centres_px: Doubles
-    areas_px: Doubles
-    moments_px2: Doubles
+    centres_px: FloatArray
+    areas_px: FloatArray
+    moments_px2: FloatArray
 
     def chosen(self, keep: Indices) -> "Dots":
         """Return the dots of an index array."""
@@ -65,14 +65,14 @@ def find_dots(relative: FloatImage, threshold: float) -> Dots:
     )
 
 
-def _inside(stats: Doubles, shape: tuple[int, int]) -> bool:
+def _inside(stats: FloatArray, shape: tuple[int, int]) -> bool:
     left, top, width, height, area = stats
     touches = left <= 0 or top <= 0 or left + width >= shape[1] or top + height >= shape[0]
     # Fewer than a quarter of the image: the dark surroundings of the board are no dot.
     return not touches and MIN_AREA_PX <= area <= 0.25 * shape[0] * shape[1]
 
 
-def _moments(labels: Doubles, label: int, stats: Doubles) -> Doubles | None:
+def _moments(labels: FloatArray, label: int, stats: FloatArray) -> FloatArray | None:
     left, top, width, height, _ = stats
     if not MIN_AXIS_RATIO / 2 < width / height < 2 / MIN_AXIS_RATIO:
         return None
@@ -80,7 +80,7 @@ def _moments(labels: Doubles, label: int, stats: Doubles) -> Doubles | None:
     return np.cov(np.stack([x, y]).astype(np.float64), bias=True)
 
 
-def _is_ellipse(moments: Doubles, area: float) -> bool:
+def _is_ellipse(moments: FloatArray, area: float) -> bool:
     low, high = np.linalg.eigvalsh(moments)
     ellipse_area = 4.0 * np.pi * np.sqrt(max(low * high, 0.0))
     return bool(
@@ -88,7 +88,7 @@ def _is_ellipse(moments: Doubles, area: float) -> bool:
     )
 
 
-def refine_centres(relative: FloatImage, dots: Dots) -> tuple[Doubles, BoolImage]:
+def refine_centres(relative: FloatImage, dots: Dots) -> tuple[FloatArray, BoolImage]:
     """Return grey-level centroids of the ink, (n, 2) px, and which dots have a whole white ring.
 
     Each dot is compared with a plane of white fitted round it, so that shading does not shift it:
@@ -104,7 +104,7 @@ def refine_centres(relative: FloatImage, dots: Dots) -> tuple[Doubles, BoolImage
     return centres, found
 
 
-def _centroid(relative: FloatImage, centre: Doubles, moments: Doubles) -> Doubles | None:
+def _centroid(relative: FloatImage, centre: FloatArray, moments: FloatArray) -> FloatArray | None:
     for _ in range(2):  # the window follows the centre once
         window = _window(relative, centre, moments)
         if window is None:
@@ -123,8 +123,8 @@ def _centroid(relative: FloatImage, centre: Doubles, moments: Doubles) -> Double
 
 
 def _window(
-    relative: FloatImage, centre: Doubles, moments: Doubles
-) -> tuple[Doubles, Doubles, Doubles, Doubles] | None:
+    relative: FloatImage, centre: FloatArray, moments: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray] | None:
     """Cut a dot out: x, y from its centre, brightness, distance in units of its ellipse."""
     half = np.ceil(2.0 * RING_OUTER * np.sqrt(np.diag(moments))).astype(int) + 1
     first = np.rint(centre).astype(int) - half
@@ -205,7 +205,7 @@ def _grow(board: DotBoard, dots: Dots, triple: tuple[int, int, int]) -> tuple[li
 
 
 def _grow_rings(
-    board: DotBoard, centres_px: Doubles, grid_from_image: Doubles, origin: Indices
+    board: DotBoard, centres_px: FloatArray, grid_from_image: FloatArray, origin: Indices
 ) -> tuple[list[int], list[int]]:
     ids: list[int] = []
     members: list[int] = []
@@ -234,7 +234,9 @@ SOFTEN_PX = 2.0
 REFINE_TURNS, REFINE_STEP_PX = 60, 1e-4
 
 
-def find_corners(board: Chessboard | CharucoBoard, relative: FloatImage) -> tuple[Indices, Doubles]:
+def find_corners(
+    board: Chessboard | CharucoBoard, relative: FloatImage
+) -> tuple[Indices, FloatArray]:
     """Return ids (n,) and image positions (n, 2) px of the corners seen.
 
     Raises
@@ -249,7 +251,7 @@ def find_corners(board: Chessboard | CharucoBoard, relative: FloatImage) -> tupl
     return ids, _refined(image, corners, _clear_share(board))
 
 
-def _chessboard(board: Chessboard, image: Levels) -> tuple[Indices, Doubles]:
+def _chessboard(board: Chessboard, image: Levels) -> tuple[Indices, FloatArray]:
     found, corners = cv2.findChessboardCorners(image, (board.columns, board.rows))
     if not found:
         raise InputError(
@@ -263,7 +265,7 @@ def _chessboard(board: Chessboard, image: Levels) -> tuple[Indices, Doubles]:
     return np.arange(board.columns * board.rows), corners.reshape(-1, 2)
 
 
-def _charuco(board: CharucoBoard, image: Levels) -> tuple[Indices, Doubles]:
+def _charuco(board: CharucoBoard, image: Levels) -> tuple[Indices, FloatArray]:
     detector = cv2.aruco.CharucoDetector(board.opencv())
     corners, ids = detector.detectBoard(image)[:2]
     if ids is None or len(ids) < 6:
@@ -281,7 +283,7 @@ def _clear_share(board: Chessboard | CharucoBoard) -> float:
     return min(0.4, 0.4 * (1.0 - board.marker_mm / board.square_mm))
 
 
-def _refined(image: Levels, corners: Doubles, share: float) -> Doubles:
+def _refined(image: Levels, corners: FloatArray, share: float) -> FloatArray:
     spacing = np.median(_nearest_distance(corners))
     half = int(np.clip(share * spacing, 2, 30))
     criteria = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, REFINE_TURNS, REFINE_STEP_PX)
@@ -292,7 +294,7 @@ def _refined(image: Levels, corners: Doubles, share: float) -> Doubles:
     return np.asarray(refined, dtype=np.float64).reshape(-1, 2)
 
 
-def _nearest_distance(corners: Doubles) -> Doubles:
+def _nearest_distance(corners: FloatArray) -> FloatArray:
     distance = np.linalg.norm(corners[:, np.newaxis] - corners, axis=-1)
     np.fill_diagonal(distance, np.inf)
     return np.asarray(distance.min(axis=1))

@@ -10,7 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from reconstruction.arrays import BoolImage, Doubles, FloatImage, Stack
+from reconstruction.arrays import BoolImage, FloatArray, FloatImage, Stack
 from reconstruction.calibration.boards import Board, DotBoard, Indices
 from reconstruction.calibration.features import find_corners, find_dots, label_dots, refine_centres
 from reconstruction.calibration.plane_images import apply_homography, fit_homography
@@ -132,11 +132,11 @@ class Observation:
     """
 
     name: str
-    points_mm: Doubles
-    radii_mm: Doubles
-    camera_px: Doubles
-    projector_px: Doubles
-    slopes: Doubles
+    points_mm: FloatArray
+    radii_mm: FloatArray
+    camera_px: FloatArray
+    projector_px: FloatArray
+    slopes: FloatArray
     ids: Indices
     camera_size_px: tuple[int, int]
     projector_size_px: tuple[int, int]
@@ -183,7 +183,7 @@ def _observe(capture: BoardCapture, board: Board, name: str) -> Observation:
     )
 
 
-def _features(board: Board, relative: FloatImage, threshold: float) -> tuple[Indices, Doubles]:
+def _features(board: Board, relative: FloatImage, threshold: float) -> tuple[Indices, FloatArray]:
     """Return ids (n,) and camera pixels (n, 2) of the features seen."""
     if not isinstance(board, DotBoard):
         return find_corners(board, relative)
@@ -193,7 +193,7 @@ def _features(board: Board, relative: FloatImage, threshold: float) -> tuple[Ind
     return np.array(ids)[found], centres[found]
 
 
-def _spacing_px(points_mm: Doubles, camera_px: Doubles) -> float:
+def _spacing_px(points_mm: FloatArray, camera_px: FloatArray) -> float:
     """Return the image distance of two neighbouring features in the middle of the view."""
     H = fit_homography(points_mm[:, :2], camera_px)
     middle = points_mm[:, :2].mean(axis=0)

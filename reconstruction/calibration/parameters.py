@@ -24,7 +24,7 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from reconstruction.arrays import Doubles
+from reconstruction.arrays import FloatArray
 from reconstruction.errors import InputError
 from reconstruction.rig.pinhole import Pinhole
 
@@ -41,18 +41,18 @@ class Rig:
 
     camera: Pinhole
     projector: Pinhole
-    T_proj_from_cam: Doubles
-    T_cam_from_board: Doubles
+    T_proj_from_cam: FloatArray
+    T_cam_from_board: FloatArray
 
 
-def pack(rig: Rig) -> Doubles:
+def pack(rig: Rig) -> FloatArray:
     """Return the parameter vector, (24 + 6 poses,)."""
     motions = [rig.T_proj_from_cam, *rig.T_cam_from_board]
     parts = [_intrinsics(rig.camera), _intrinsics(rig.projector), *map(_vector, motions)]
     return np.concatenate(parts)
 
 
-def unpack(vector: Doubles, camera: Pinhole, projector: Pinhole) -> Rig:
+def unpack(vector: FloatArray, camera: Pinhole, projector: Pinhole) -> Rig:
     """Return the rig of a parameter vector; image sizes are taken from the given devices."""
     motions = vector[STEREO.start :].reshape(-1, 6)
     matrices = np.stack([_matrix(motion) for motion in motions])
@@ -64,22 +64,22 @@ def unpack(vector: Doubles, camera: Pinhole, projector: Pinhole) -> Rig:
     )
 
 
-def _intrinsics(device: Pinhole) -> Doubles:
+def _intrinsics(device: Pinhole) -> FloatArray:
     return np.array(
         [device.fx_px, device.fy_px, device.cx_px, device.cy_px, *device.distortion], np.float64
     )
 
 
-def _pinhole(values: Doubles, like: Pinhole) -> Pinhole:
+def _pinhole(values: FloatArray, like: Pinhole) -> Pinhole:
     fx, fy, cx, cy, k1, k2, p1, p2, k3 = (float(value) for value in values)
     return Pinhole(like.width_px, like.height_px, fx, fy, cx, cy, (k1, k2, p1, p2, k3))
 
 
-def _vector(matrix: Doubles) -> Doubles:
+def _vector(matrix: FloatArray) -> FloatArray:
     return np.concatenate([rotation_vector(matrix[:3, :3]), matrix[:3, 3]])
 
 
-def rotation_vector(rotation: Doubles) -> Doubles:
+def rotation_vector(rotation: FloatArray) -> FloatArray:
     """Return the rotation vector (3,) of a matrix, rad.
 
     Not OpenCV's: it rounds turns near 180 degrees to 1e-5, and a camera looking down on a board
@@ -88,14 +88,16 @@ def rotation_vector(rotation: Doubles) -> Doubles:
     return np.asarray(Rotation.from_matrix(rotation).as_rotvec())
 
 
-def _matrix(motion: Doubles) -> Doubles:
+def _matrix(motion: FloatArray) -> FloatArray:
     matrix = np.eye(4)
     matrix[:3, :3] = cv2.Rodrigues(motion[:3].copy())[0]
     matrix[:3, 3] = motion[3:]
     return matrix
 
 
-def project_pose(vector: Doubles, pose: int, points_mm: Doubles) -> tuple[Doubles, Doubles]:
+def project_pose(
+    vector: FloatArray, pose: int, points_mm: FloatArray
+) -> tuple[FloatArray, FloatArray]:
     """Project a board's points into both devices.
 
     Parameters
@@ -124,7 +126,9 @@ def project_pose(vector: Doubles, pose: int, points_mm: Doubles) -> tuple[Double
     return pixels, slopes
 
 
-def _project(points_mm: Doubles, motion: Doubles, lens: Doubles) -> tuple[Doubles, Doubles]:
+def _project(
+    points_mm: FloatArray, motion: FloatArray, lens: FloatArray
+) -> tuple[FloatArray, FloatArray]:
     matrix = np.array([[lens[0], 0.0, lens[2]], [0.0, lens[1], lens[3]], [0.0, 0.0, 1.0]])
     # OpenCV keeps views of what it is given: it gets copies.
     rotation, shift, distortion = motion[:3].copy(), motion[3:].copy(), lens[4:].copy()
@@ -132,7 +136,7 @@ def _project(points_mm: Doubles, motion: Doubles, lens: Doubles) -> tuple[Double
     return pixels.reshape(-1, 2), slopes.reshape(-1, 2, 15)
 
 
-def _move(points_mm: Doubles, motion: Doubles) -> tuple[Doubles, Doubles]:
+def _move(points_mm: FloatArray, motion: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Move points (n, 3); also return the derivatives (n, 3, 6) by the motion."""
     rotation, derivative = cv2.Rodrigues(motion[:3].copy())
     turned = derivative.reshape(3, 3, 3)  # by rotation vector, row, column
@@ -175,7 +179,7 @@ class Freedom:
                 raise InputError(f"distortion coefficient is {name!r}; allowed are {allowed}")
 
 
-def admissible(freedom: Freedom, vector: Doubles) -> Doubles:
+def admissible(freedom: Freedom, vector: FloatArray) -> FloatArray:
     """Return the parameter vector moved to where the fixed relations hold."""
     moved = vector.copy()
     if freedom.square_pixels:
@@ -185,9 +189,9 @@ def admissible(freedom: Freedom, vector: Doubles) -> Doubles:
     return moved
 
 
-def freedom_matrix(freedom: Freedom, size: int) -> Doubles:
+def freedom_matrix(freedom: Freedom, size: int) -> FloatArray:
     """Return the map (parameters, free) from free changes to changes of all `size` parameters."""
-    columns: list[Doubles] = []
+    columns: list[FloatArray] = []
     settings = (
         (CAMERA.start, freedom.camera_principal_point, freedom.camera_distortion),
         (PROJECTOR.start, freedom.projector_principal_point, freedom.projector_distortion),
@@ -200,12 +204,12 @@ def freedom_matrix(freedom: Freedom, size: int) -> Doubles:
     return np.stack(columns, axis=1)
 
 
-def _focal_columns(size: int, first: int, square: bool) -> list[Doubles]:
+def _focal_columns(size: int, first: int, square: bool) -> list[FloatArray]:
     fx, fy = _unit(size, first), _unit(size, first + 1)
     return [fx + fy] if square else [fx, fy]
 
 
-def _unit(size: int, index: int) -> Doubles:
+def _unit(size: int, index: int) -> FloatArray:
     column = np.zeros(size)
     column[index] = 1.0
     return column

@@ -27,18 +27,18 @@ times the relative gradient (rendered with f/8, 6 mm out of focus: 3e-4 projecto
 
 import numpy as np
 
-from reconstruction.arrays import Doubles
+from reconstruction.arrays import FloatArray
 from reconstruction.errors import InputError
 from reconstruction.rig.pinhole import Pinhole
 
 
-def apply_homography(H: Doubles, points: Doubles) -> Doubles:
+def apply_homography(H: FloatArray, points: FloatArray) -> FloatArray:
     """Map points (n, 2) by H (3, 3)."""
     mapped = points @ H[:, :2].T + H[:, 2]
     return np.asarray(mapped[:, :2] / mapped[:, 2:])
 
 
-def fit_homography(source: Doubles, target: Doubles) -> Doubles:
+def fit_homography(source: FloatArray, target: FloatArray) -> FloatArray:
     """Return the H (3, 3) that maps source (n, 2) to target (n, 2), n >= 4, least squares.
 
     Raises
@@ -62,7 +62,7 @@ def fit_homography(source: Doubles, target: Doubles) -> Doubles:
     return np.asarray(H / H[2, 2])
 
 
-def _normaliser(points: Doubles) -> Doubles:
+def _normaliser(points: FloatArray) -> FloatArray:
     centre = points.mean(axis=0)
     spread = float(np.sqrt(np.mean((points - centre) ** 2)))
     scale = 1.0 / spread if spread > 0.0 else 1.0
@@ -71,7 +71,9 @@ def _normaliser(points: Doubles) -> Doubles:
     )
 
 
-def ellipse_centres(points_dev_mm: Doubles, radii_mm: Doubles, rotation: Doubles) -> Doubles:
+def ellipse_centres(
+    points_dev_mm: FloatArray, radii_mm: FloatArray, rotation: FloatArray
+) -> FloatArray:
     """Return the centres of the images of flat circles, normalised coordinates, (n, 2).
 
     Parameters
@@ -87,8 +89,8 @@ def ellipse_centres(points_dev_mm: Doubles, radii_mm: Doubles, rotation: Doubles
 
 
 def centre_bias_px(
-    device: Pinhole, points_dev_mm: Doubles, radii_mm: Doubles, rotation: Doubles
-) -> Doubles:
+    device: Pinhole, points_dev_mm: FloatArray, radii_mm: FloatArray, rotation: FloatArray
+) -> FloatArray:
     """Return ellipse centre minus imaged circle centre, (n, 2) px.
 
     The lens distortion moves both alike; its change over one dot is left out (third order in the
@@ -104,8 +106,8 @@ PHASE_SHARE = 2.0
 
 
 def defocus_slopes_px(
-    camera: Pinhole, points_cam_mm: Doubles, normal: Doubles, middle_mm: float
-) -> Doubles:
+    camera: Pinhole, points_cam_mm: FloatArray, normal: FloatArray, middle_mm: float
+) -> FloatArray:
     """Return the derivatives of b by both coefficients, (n, 2, 2): x and y px, coefficient.
 
     Parameters

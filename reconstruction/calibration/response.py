@@ -10,7 +10,7 @@ to 1.
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from reconstruction.arrays import BoolImage, Doubles, Stack
+from reconstruction.arrays import BoolImage, FloatArray, Stack
 from reconstruction.errors import InputError, require_number
 from reconstruction.patterns import AXES, PatternSet
 from reconstruction.rig.sensor import SensorNoise
@@ -46,7 +46,7 @@ def estimate_gamma(stack: Stack, patterns: PatternSet, sensor: SensorNoise) -> f
     return float((1.0 + 2.0 * ratio) / (1.0 - ratio))
 
 
-def _harmonics(frames: Stack, sensor: SensorNoise) -> Doubles:
+def _harmonics(frames: Stack, sensor: SensorNoise) -> FloatArray:
     """Return the sums of B_1 and of the part of B_2 in phase with it over all good pixels.
 
     The second one is linear in the noise, so that noise does not look like a harmonic.
@@ -63,7 +63,7 @@ def _harmonics(frames: Stack, sensor: SensorNoise) -> Doubles:
     return np.array([size[is_good].sum(), (second[is_good] / unit**2).real.sum()])
 
 
-def _noise_of_sum(frames: Stack, sensor: SensorNoise) -> Doubles:
+def _noise_of_sum(frames: Stack, sensor: SensorNoise) -> FloatArray:
     mean = frames.mean(axis=0, dtype=np.float64)
     return np.sqrt(len(frames) / 2.0 * sensor.variance_dn2(mean))
 

@@ -54,10 +54,9 @@ def write_description(path: Path, description: Description) -> None:
 
 
 def assignments(values: Mapping[str, Any]) -> list[str]:
-    """Return the lines of a TOML table; `complementary` goes without saying beside `code`."""
+    """Return the lines of a TOML table."""
     # JSON text of a string, flag, finite number or list of them is valid TOML.
-    said = {name: value for name, value in values.items() if name != "complementary"}
-    return [f"{name} = {json.dumps(value)}" for name, value in said.items()]
+    return [f"{name} = {json.dumps(value)}" for name, value in values.items()]
 
 
 def read_description(path: Path) -> Description:

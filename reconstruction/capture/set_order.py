@@ -21,7 +21,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from reconstruction.arrays import Doubles, Stack
+from reconstruction.arrays import FloatArray, Stack
 from reconstruction.errors import CaptureError
 from reconstruction.patterns import AXES, Axis, PatternSet
 from reconstruction.rig.sensor import SensorNoise
@@ -38,7 +38,7 @@ CHAOTIC = 0.35
 LEAST_STEPS = 5
 
 
-def check_phase_sets(pixels: Doubles, patterns: PatternSet) -> None:
+def check_phase_sets(pixels: FloatArray, patterns: PatternSet) -> None:
     """Check each set of N phase frames by itself.
 
     Parameters
@@ -56,7 +56,7 @@ def check_phase_sets(pixels: Doubles, patterns: PatternSet) -> None:
             _check_set(pixels[first : first + patterns.steps], first, names)
 
 
-def _check_set(x: Doubles, first: int, names: list[str]) -> None:
+def _check_set(x: FloatArray, first: int, names: list[str]) -> None:
     steps = len(x)
     if steps < LEAST_STEPS:
         return
@@ -69,14 +69,14 @@ def _check_set(x: Doubles, first: int, names: list[str]) -> None:
     _check_stranger(np.diag(remainder @ gram @ remainder), first, names)
 
 
-def _projection(steps: int) -> Doubles:
+def _projection(steps: int) -> FloatArray:
     angle = 2.0 * np.pi * np.arange(steps) / steps
     basis = np.stack([np.full(steps, np.sqrt(0.5)), np.cos(angle), np.sin(angle)])
-    product: Doubles = basis.T @ basis * (2.0 / steps)
+    product: FloatArray = basis.T @ basis * (2.0 / steps)
     return product
 
 
-def _check_levels(missed_dn: Doubles, mean_dn: float, first: int, names: list[str]) -> None:
+def _check_levels(missed_dn: FloatArray, mean_dn: float, first: int, names: list[str]) -> None:
     """Compare each frame's mean with the cosine that the means of all frames must follow."""
     worst = int(np.argmax(np.abs(missed_dn)))
     # What the frame misses of the cosine through the others; its own weight in the fit is 3 / N.
@@ -89,7 +89,7 @@ def _check_levels(missed_dn: Doubles, mean_dn: float, first: int, names: list[st
         )
 
 
-def _check_exchange(gram: Doubles, remainder: Doubles, first: int, names: list[str]) -> None:
+def _check_exchange(gram: FloatArray, remainder: FloatArray, first: int, names: list[str]) -> None:
     stated = float(np.sum(remainder * gram))
     best, pair = stated, (0, 0)
     for i, j in combinations(range(len(names)), 2):
@@ -114,7 +114,7 @@ def _is_real(gain: float, pair: tuple[int, int], steps: int) -> bool:
     return bool(gain > 0.3 * 4.0 * (1.0 - np.cos(angle)) * (1.0 - 3.0 / steps))
 
 
-def _check_stranger(power: Doubles, first: int, names: list[str]) -> None:
+def _check_stranger(power: FloatArray, first: int, names: list[str]) -> None:
     steps = len(names)
     worst, total = int(np.argmax(power)), float(power.sum())
     # Unit standard deviation means a modulation of sqrt 2.
@@ -143,7 +143,7 @@ AGREES, DISAGREES = 0.6, 0.3
 FINE = 16
 
 
-def check_first_step(pixels: Doubles, patterns: PatternSet) -> None:
+def check_first_step(pixels: FloatArray, patterns: PatternSet) -> None:
     """Compare phase and Gray code along both axes; other codes cannot be checked.
 
     Parameters
@@ -166,7 +166,7 @@ def check_first_step(pixels: Doubles, patterns: PatternSet) -> None:
             _check_start(found[axis], expected[axis], patterns, axis)
 
 
-def _check_exchanged_axes(pixels: Doubles, patterns: PatternSet) -> None:
+def _check_exchanged_axes(pixels: FloatArray, patterns: PatternSet) -> None:
     crossed = [_found(pixels, patterns, axis, other) for axis, other in (AXES, AXES[::-1])]
     if min(abs(mean) for mean in crossed) > AGREES * abs(_expected(patterns, "column")):
         raise CaptureError(
@@ -193,7 +193,7 @@ def _check_start(found: complex, expected: complex, patterns: PatternSet, axis: 
     )
 
 
-def _found(pixels: Doubles, patterns: PatternSet, axis: Axis, coded: Axis) -> complex:
+def _found(pixels: FloatArray, patterns: PatternSet, axis: Axis, coded: Axis) -> complex:
     """Return the mean of the phase along `axis`, with the sign of the Gray word along `coded`."""
     phase = pixels[patterns.index("phase", axis)][: patterns.steps]
     turns = np.arange(patterns.steps) / patterns.steps

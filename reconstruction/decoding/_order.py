@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from reconstruction._jit import compiled, inlined
-from reconstruction.arrays import Doubles
+from reconstruction.arrays import FloatArray
 from reconstruction.mask import Reason
 
 ORDER_UNCERTAIN = np.uint8(Reason.ORDER_UNCERTAIN)
@@ -249,9 +249,9 @@ TINY = 1e-12
 class Ladder(NamedTuple):
     """Chain along one axis: weights (level, set), period of each level and of each set, px."""
 
-    weights: Doubles
-    level_periods_px: Doubles
-    set_periods_px: Doubles
+    weights: FloatArray
+    level_periods_px: FloatArray
+    set_periods_px: FloatArray
     length_px: int
 
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import least_squares
 
-from reconstruction.arrays import BoolImage, Doubles
+from reconstruction.arrays import BoolImage, FloatArray
 from reconstruction.errors import FitError
 
 # Singular value ratio below which points count as coplanar (collinear): rounding only.
@@ -26,9 +26,9 @@ class ResidualStats:
 class SphereFit:
     """Least-squares sphere; residuals_mm (n,) are radial distances, positive outside."""
 
-    centre_mm: Doubles
+    centre_mm: FloatArray
     radius_mm: float
-    residuals_mm: Doubles
+    residuals_mm: FloatArray
 
     @property
     def stats(self) -> ResidualStats:
@@ -40,9 +40,9 @@ class SphereFit:
 class PlaneFit:
     """Least-squares plane; unit normal with z >= 0; residuals_mm (n,) positive along it."""
 
-    centroid_mm: Doubles
-    normal: Doubles
-    residuals_mm: Doubles
+    centroid_mm: FloatArray
+    normal: FloatArray
+    residuals_mm: FloatArray
 
     @property
     def stats(self) -> ResidualStats:
@@ -113,7 +113,7 @@ def fit_plane(points_mm: ArrayLike) -> PlaneFit:
     return PlaneFit(centroid, normal, (points - centroid) @ normal)
 
 
-def _checked(points_mm: ArrayLike, least: int, shape: str) -> Doubles:
+def _checked(points_mm: ArrayLike, least: int, shape: str) -> FloatArray:
     points = np.asarray(points_mm, dtype=np.float64)
     if points.ndim != 2 or points.shape[1] != 3:
         raise FitError(f"points for the {shape} have shape {points.shape}; give (n, 3)")
@@ -124,7 +124,7 @@ def _checked(points_mm: ArrayLike, least: int, shape: str) -> Doubles:
     return points
 
 
-def _algebraic_sphere(local: Doubles) -> Doubles:
+def _algebraic_sphere(local: FloatArray) -> FloatArray:
     """Return centre and radius from the linear system |p|^2 = 2 c p + k."""
     system = np.column_stack([2.0 * local, np.ones(len(local))])
     solution, _, _, singular = np.linalg.lstsq(system, np.sum(local**2, axis=1))
@@ -134,12 +134,12 @@ def _algebraic_sphere(local: Doubles) -> Doubles:
     return np.append(centre, np.sqrt(max(solution[3] + centre @ centre, 0.0)))
 
 
-def _radial(parameters: Doubles, local: Doubles) -> Doubles:
-    distance: Doubles = np.linalg.norm(local - parameters[:3], axis=1) - parameters[3]
+def _radial(parameters: FloatArray, local: FloatArray) -> FloatArray:
+    distance: FloatArray = np.linalg.norm(local - parameters[:3], axis=1) - parameters[3]
     return distance
 
 
-def _radial_jacobian(parameters: Doubles, local: Doubles) -> Doubles:
+def _radial_jacobian(parameters: FloatArray, local: FloatArray) -> FloatArray:
     toward = parameters[:3] - local
     # A point at the centre has no direction; any finite value serves for that one row.
     distance = np.maximum(np.linalg.norm(toward, axis=1, keepdims=True), 1e-300)
@@ -152,12 +152,12 @@ REJECT_BEYOND_SIGMAS = 4.0
 """One of 16,000 normal residuals lies beyond."""
 
 
-def spread(residuals_mm: Doubles) -> float:
+def spread(residuals_mm: FloatArray) -> float:
     """Robust standard deviation of residuals, (n,) mm."""
     return float(MAD_TO_SIGMA * np.median(np.abs(residuals_mm - np.median(residuals_mm))))
 
 
-def inliers(residuals_mm: Doubles) -> BoolImage:
+def inliers(residuals_mm: FloatArray) -> BoolImage:
     """Tell which residuals, (n,) mm, lie within four robust standard deviations of their median."""
     limit = REJECT_BEYOND_SIGMAS * max(spread(residuals_mm), 1e-12)
     kept: BoolImage = np.abs(residuals_mm - np.median(residuals_mm)) <= limit

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.ndimage import gaussian_filter
 
-from reconstruction.arrays import BoolImage, Doubles
+from reconstruction.arrays import BoolImage, FloatArray
 from reconstruction.errors import FitError
 from reconstruction.evaluate.fit import PlaneFit, fit_plane, inliers
 
@@ -57,9 +57,9 @@ def flatness(points_mm: ArrayLike) -> Flatness:
     return Flatness(float(np.ptp(residuals)), float(np.sqrt(np.mean(residuals**2))), kept, plane)
 
 
-def distances_mm(points_mm: Doubles, plane: PlaneFit) -> Doubles:
+def distances_mm(points_mm: FloatArray, plane: PlaneFit) -> FloatArray:
     """Signed distances of points (n, 3) from a plane."""
-    distances: Doubles = (points_mm - plane.centroid_mm) @ plane.normal
+    distances: FloatArray = (points_mm - plane.centroid_mm) @ plane.normal
     return distances
 
 
@@ -117,12 +117,12 @@ def areal_roughness(
     )
 
 
-def _without_waviness(level: Doubles, kept: Doubles, sigma_px: float) -> Doubles:
+def _without_waviness(level: FloatArray, kept: FloatArray, sigma_px: float) -> FloatArray:
     """Heights less their Gaussian mean, where half of the filter's weight lies on heights."""
     weight = gaussian_filter(kept.astype(np.float64), sigma_px, mode="constant")
     wave = gaussian_filter(level, sigma_px, mode="constant") / np.maximum(weight, 1e-12)
     rated = kept & (weight >= _LEAST_SUPPORT)
-    rough: Doubles = (level - wave)[rated]
+    rough: FloatArray = (level - wave)[rated]
     if not rough.size:
         raise FitError("roughness: no height has enough neighbours; take a smaller nesting_mm")
     return np.asarray(rough - rough.mean())

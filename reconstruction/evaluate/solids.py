@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import least_squares
 
-from reconstruction.arrays import BoolImage, Doubles
+from reconstruction.arrays import BoolImage, FloatArray
 from reconstruction.errors import FitError
 from reconstruction.evaluate.fit import ResidualStats, fit_sphere, inliers, residual_stats, spread
 
@@ -31,10 +31,10 @@ class BallFit:
     kept : (n,) bool
     """
 
-    centre_mm: Doubles
+    centre_mm: FloatArray
     radius_mm: float
     radius_sigma_mm: float
-    residuals_mm: Doubles
+    residuals_mm: FloatArray
     kept: BoolImage
 
     @property
@@ -76,7 +76,7 @@ def fit_ball(points_mm: ArrayLike) -> BallFit:
     return BallFit(fine.centre_mm, fine.radius_mm, sigma_mm, fine.residuals_mm, kept)
 
 
-def _softly(points: Doubles, start: Doubles) -> Doubles:
+def _softly(points: FloatArray, start: FloatArray) -> FloatArray:
     """Return centre and radius with the least soft-L1 sum of radial distances."""
     parameters = start
     for _ in range(_SOFT_TURNS):
@@ -93,7 +93,7 @@ def _softly(points: Doubles, start: Doubles) -> Doubles:
     return parameters
 
 
-def _radius_sigma_mm(points: Doubles, centre_mm: Doubles, residuals_mm: Doubles) -> float:
+def _radius_sigma_mm(points: FloatArray, centre_mm: FloatArray, residuals_mm: FloatArray) -> float:
     """Return s sqrt((J^T J)^-1) of the radius; J: minus the unit normals, minus one."""
     freedom = len(points) - 4
     if freedom < 1:
@@ -106,8 +106,8 @@ def _radius_sigma_mm(points: Doubles, centre_mm: Doubles, residuals_mm: Doubles)
     return float(np.sqrt(residuals_mm @ residuals_mm / freedom / (alone @ alone)))
 
 
-def _from_centre(parameters: Doubles, points: Doubles) -> Doubles:
-    distance: Doubles = np.linalg.norm(points - parameters[:3], axis=1) - parameters[3]
+def _from_centre(parameters: FloatArray, points: FloatArray) -> FloatArray:
+    distance: FloatArray = np.linalg.norm(points - parameters[:3], axis=1) - parameters[3]
     return distance
 
 
@@ -130,10 +130,10 @@ class CylinderFit:
     kept : (n,) bool
     """
 
-    point_mm: Doubles
-    axis: Doubles
+    point_mm: FloatArray
+    axis: FloatArray
     radius_mm: float
-    residuals_mm: Doubles
+    residuals_mm: FloatArray
     kept: BoolImage
 
     @property
@@ -175,7 +175,7 @@ def fit_cylinder(points_mm: ArrayLike, axis: ArrayLike) -> CylinderFit:
     )
 
 
-def _frame(axis: Doubles) -> Doubles:
+def _frame(axis: FloatArray) -> FloatArray:
     """Rows: axis and two directions across it."""
     axis = axis / np.linalg.norm(axis)
     across = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
@@ -183,7 +183,7 @@ def _frame(axis: Doubles) -> Doubles:
     return np.stack([axis, across, np.cross(axis, across)])
 
 
-def _start(local: Doubles) -> Doubles:
+def _start(local: FloatArray) -> FloatArray:
     """Start from a circle across the axis: y^2 + z^2 = 2 a y + 2 b z + c, linear (Kasa 1976)."""
     y, z = local[:, 1], local[:, 2]
     design = np.column_stack([2.0 * y, 2.0 * z, np.ones_like(y)])
@@ -191,14 +191,14 @@ def _start(local: Doubles) -> Doubles:
     return np.array([a, b, 0.0, 0.0, np.sqrt(c + a * a + b * b)])
 
 
-def _solve(local: Doubles, start: Doubles, loss: str, scale_mm: float) -> Doubles:
+def _solve(local: FloatArray, start: FloatArray, loss: str, scale_mm: float) -> FloatArray:
     found = least_squares(_from_axis, start, args=(local,), loss=loss, f_scale=scale_mm)
     if not found.success:
         raise FitError(f"the cylinder fit does not converge ({found.message})")
     return np.asarray(found.x)
 
 
-def _axis_of(parameters: Doubles) -> tuple[Doubles, Doubles]:
+def _axis_of(parameters: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Direction, and the axis' point nearest to the origin, in the local frame."""
     y, z, slope_y, slope_z, _ = parameters
     direction = np.array([1.0, slope_y, slope_z])
@@ -207,13 +207,13 @@ def _axis_of(parameters: Doubles) -> tuple[Doubles, Doubles]:
     return direction, point - (point @ direction) * direction
 
 
-def _from_axis(parameters: Doubles, local: Doubles) -> Doubles:
+def _from_axis(parameters: FloatArray, local: FloatArray) -> FloatArray:
     direction, foot = _axis_of(parameters)
     across = local - foot
     across = across - np.outer(across @ direction, direction)
-    radial: Doubles = np.linalg.norm(across, axis=1) - abs(parameters[4])
+    radial: FloatArray = np.linalg.norm(across, axis=1) - abs(parameters[4])
     return radial
 
 
-def _upright(axis: Doubles) -> Doubles:
+def _upright(axis: FloatArray) -> FloatArray:
     return np.asarray(axis * np.sign(axis[np.argmax(np.abs(axis))]))

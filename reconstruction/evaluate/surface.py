@@ -12,7 +12,7 @@ import imageio.v3 as imageio
 import numpy as np
 from numpy.typing import NDArray
 
-from reconstruction.arrays import BoolImage, Doubles, FloatImage
+from reconstruction.arrays import BoolImage, FloatArray, FloatImage
 from reconstruction.disk import write_exr_channels, writing_netcdf
 from reconstruction.errors import InputError
 from reconstruction.outputs import write_point_map_ply
@@ -38,8 +38,8 @@ class HeightMap:
     pitch_mm : float
     """
 
-    x_mm: Doubles
-    y_mm: Doubles
+    x_mm: FloatArray
+    y_mm: FloatArray
     z_mm: FloatImage
     valid: BoolImage
     pitch_mm: float

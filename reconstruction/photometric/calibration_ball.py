@@ -11,7 +11,7 @@ from functools import partial
 import cv2
 import numpy as np
 
-from reconstruction.arrays import BoolImage, Doubles, FloatImage, Levels
+from reconstruction.arrays import BoolImage, FloatArray, FloatImage, Levels
 from reconstruction.errors import FitError, InputError, require_integer, require_number
 from reconstruction.photometric.images import GROWTH_PX, checked_image, find_markers, smoothed
 
@@ -107,7 +107,7 @@ def _refined(difference: FloatImage, circle: ContactCircle) -> ContactCircle:
     return _robust_circle(np.column_stack([rows[at], cols[at]]))
 
 
-def _robust_circle(points: Doubles) -> ContactCircle:
+def _robust_circle(points: FloatArray) -> ContactCircle:
     kept = points
     for _ in range(3):
         if len(kept) < SECTORS // 4:
@@ -122,7 +122,7 @@ def _robust_circle(points: Doubles) -> ContactCircle:
     return circle
 
 
-def _circle_through(points: Doubles) -> ContactCircle:
+def _circle_through(points: FloatArray) -> ContactCircle:
     """Least squares of |p|^2 = 2 c p + k (Kåsa 1976, IEEE Trans. Instrum. Meas. 25, 8)."""
     offset = points.mean(axis=0)
     local = points - offset
@@ -199,17 +199,17 @@ class Samples:
 
     levels: FloatImage
     background: FloatImage
-    places_px: Doubles
-    slopes: Doubles
+    places_px: FloatArray
+    slopes: FloatArray
 
 
 def ball_slopes(
-    circle: ContactCircle, ball_radius_mm: float, pitch_mm: float, places_px: Doubles
-) -> Doubles:
+    circle: ContactCircle, ball_radius_mm: float, pitch_mm: float, places_px: FloatArray
+) -> FloatArray:
     """Return the slopes of a ball at pixels (n, 2) within its radius, (n, 2) mm/mm."""
     offset_mm = (places_px - (circle.row_px, circle.col_px)) * pitch_mm
     depth_mm = np.sqrt(ball_radius_mm**2 - np.sum(offset_mm**2, axis=1))
-    slopes: Doubles = -offset_mm / depth_mm[:, np.newaxis]
+    slopes: FloatArray = -offset_mm / depth_mm[:, np.newaxis]
     return slopes
 
 
@@ -259,7 +259,7 @@ def sample_presses(
     return Samples(*(np.concatenate([part[i] for part in parts]) for i in range(4)))
 
 
-Part = tuple[FloatImage, FloatImage, Doubles, Doubles]
+Part = tuple[FloatImage, FloatImage, FloatArray, FloatArray]
 
 
 def _require_fit(contact_mm: float, ball_radius_mm: float) -> None:
@@ -270,7 +270,7 @@ def _require_fit(contact_mm: float, ball_radius_mm: float) -> None:
         )
 
 
-def _places(circle: ContactCircle, visible: BoolImage) -> tuple[Doubles, Doubles]:
+def _places(circle: ContactCircle, visible: BoolImage) -> tuple[FloatArray, FloatArray]:
     """Return the pixels inside the contact and a few of the untouched ones, (n, 2) each."""
     row, col = np.ogrid[: visible.shape[0], : visible.shape[1]]
     distance_px = np.hypot(row - circle.row_px, col - circle.col_px)
@@ -280,12 +280,14 @@ def _places(circle: ContactCircle, visible: BoolImage) -> tuple[Doubles, Doubles
     return inside, _thinned(np.argwhere(untouched).astype(np.float64), len(inside))
 
 
-def _thinned(places_px: Doubles, touched: int) -> Doubles:
+def _thinned(places_px: FloatArray, touched: int) -> FloatArray:
     wanted = round(UNTOUCHED_SHARE * touched)
     step = max(len(places_px) // wanted, 1) if wanted else len(places_px) + 1
     return places_px[::step][:wanted]
 
 
-def _part(levels: FloatImage, background: FloatImage, places_px: Doubles, slopes: Doubles) -> Part:
+def _part(
+    levels: FloatImage, background: FloatImage, places_px: FloatArray, slopes: FloatArray
+) -> Part:
     row, col = places_px.astype(np.intp).T
     return levels[row, col], background[row, col], places_px, slopes

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 from scipy.ndimage import distance_transform_edt
 
-from reconstruction.arrays import BoolImage, Doubles, FloatImage
+from reconstruction.arrays import BoolImage, FloatArray, FloatImage
 from reconstruction.errors import CaptureError, FitError
 from reconstruction.photometric.calibration_ball import Samples
 
@@ -70,9 +70,9 @@ class ColourPolynomial:
     lowest, highest : (3,) float, range of q that the calibration covered
     """
 
-    coefficients: Doubles
-    lowest: Doubles
-    highest: Doubles
+    coefficients: FloatArray
+    lowest: FloatArray
+    highest: FloatArray
 
     def __post_init__(self) -> None:
         shape = (2, len(COLOUR_TERMS), len(PLACE_TERMS))
@@ -157,7 +157,7 @@ def fit_polynomial(samples: Samples, shape: tuple[int, int]) -> ColourPolynomial
     return ColourPolynomial(coefficients, low - slack, high + slack)
 
 
-def _ridge(q: Doubles, places: Doubles, tilt: Doubles) -> Doubles:
+def _ridge(q: FloatArray, places: FloatArray, tilt: FloatArray) -> FloatArray:
     """Return the ridge solution, (feature, 2), from normal equations summed in chunks."""
     size = len(COLOUR_TERMS) * len(PLACE_TERMS)
     normal, right = np.zeros((size, size)), np.zeros((size, 2))
@@ -174,12 +174,12 @@ def _ridge(q: Doubles, places: Doubles, tilt: Doubles) -> Doubles:
     return np.asarray(solved / scale[:, np.newaxis])
 
 
-def _penalties() -> Doubles:
+def _penalties() -> FloatArray:
     of_place = [RIDGE if not place else RIDGE_OF_PLACE for place in PLACE_TERMS]
     return np.tile(of_place, len(COLOUR_TERMS))
 
 
-def _scaled(places_px: Doubles, shape: tuple[int, int]) -> Doubles:
+def _scaled(places_px: FloatArray, shape: tuple[int, int]) -> FloatArray:
     """Return rows and columns as numbers from -1 to 1, (2, n)."""
     size = np.array(shape, dtype=np.float64) - 1.0
     return np.asarray((2.0 * places_px / size - 1.0).T)

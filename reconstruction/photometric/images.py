@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
-from reconstruction.arrays import BoolImage, Doubles, FloatImage, Levels
+from reconstruction.arrays import BoolImage, FloatArray, FloatImage, Levels
 from reconstruction.errors import InputError
 
 CHANNELS = ("red", "green", "blue")
@@ -85,7 +85,7 @@ def find_markers(
     return np.asarray(dark, dtype=np.bool_)
 
 
-def fill_nearest(slopes: Doubles, hidden: BoolImage) -> Doubles:
+def fill_nearest(slopes: FloatArray, hidden: BoolImage) -> FloatArray:
     """Replace hidden slopes by those of about the nearest visible pixel, as the vendor does."""
     if not hidden.any() or hidden.all():
         return slopes
@@ -99,7 +99,7 @@ def fill_nearest(slopes: Doubles, hidden: BoolImage) -> Doubles:
     return np.stack([slope.ravel()[source].reshape(slope.shape) for slope in slopes])
 
 
-def fill_smooth(slopes: Doubles, hidden: BoolImage) -> Doubles:
+def fill_smooth(slopes: FloatArray, hidden: BoolImage) -> FloatArray:
     """Replace hidden slopes by a membrane through their surroundings.
 
     Exact where the slopes are linear, as on a paraboloid; nearest neighbours make it a plateau.

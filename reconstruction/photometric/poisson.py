@@ -27,14 +27,14 @@ from typing import Literal
 import numpy as np
 from scipy.fft import dctn, dstn, idctn, idstn
 
-from reconstruction.arrays import BoolImage, Doubles
+from reconstruction.arrays import BoolImage, FloatArray
 from reconstruction.errors import FitError
 
 Boundary = Literal["neumann", "dirichlet"]
 BOUNDARIES = ("neumann", "dirichlet")
 
 
-def edge_steps(slopes: Doubles, pitch_mm: float) -> tuple[Doubles, Doubles]:
+def edge_steps(slopes: FloatArray, pitch_mm: float) -> tuple[FloatArray, FloatArray]:
     """Return the height steps to the next row, (M-1, N), and the next column, (M, N-1), mm.
 
     Parameters
@@ -53,7 +53,7 @@ def edge_steps(slopes: Doubles, pitch_mm: float) -> tuple[Doubles, Doubles]:
     )
 
 
-def sum_of_steps(row_steps: Doubles, col_steps: Doubles) -> Doubles:
+def sum_of_steps(row_steps: FloatArray, col_steps: FloatArray) -> FloatArray:
     """Return D^T s, (M, N): steps that lead to a pixel minus steps that leave it."""
     rows, cols = col_steps.shape[0], row_steps.shape[1]
     total = np.zeros((rows, cols), dtype=row_steps.dtype)
@@ -64,19 +64,19 @@ def sum_of_steps(row_steps: Doubles, col_steps: Doubles) -> Doubles:
     return total
 
 
-def solve_poisson(right_side: Doubles, boundary: Boundary = "neumann") -> Doubles:
+def solve_poisson(right_side: FloatArray, boundary: Boundary = "neumann") -> FloatArray:
     """Return h with D^T D h = `right_side`, (M, N); mean 0 (neumann) or border 0 (dirichlet)."""
     return _neumann(right_side) if boundary == "neumann" else _dirichlet(right_side)
 
 
-def _neumann(right_side: Doubles) -> Doubles:
+def _neumann(right_side: FloatArray) -> FloatArray:
     inverse = _inverse_neumann(right_side.shape)
     spectrum = dctn(right_side, type=2, norm="ortho")
-    height: Doubles = idctn(spectrum * inverse, type=2, norm="ortho", overwrite_x=True)
+    height: FloatArray = idctn(spectrum * inverse, type=2, norm="ortho", overwrite_x=True)
     return height
 
 
-def _dirichlet(right_side: Doubles) -> Doubles:
+def _dirichlet(right_side: FloatArray) -> FloatArray:
     height = np.zeros_like(right_side)
     spectrum = dstn(right_side[1:-1, 1:-1], type=1, norm="ortho")
     spectrum *= _inverse_dirichlet(spectrum.shape)
@@ -85,7 +85,7 @@ def _dirichlet(right_side: Doubles) -> Doubles:
 
 
 @lru_cache(maxsize=8)
-def _inverse_neumann(shape: tuple[int, int]) -> Doubles:
+def _inverse_neumann(shape: tuple[int, int]) -> FloatArray:
     modes = [4.0 * np.sin(0.5 * np.pi * np.arange(n) / n) ** 2 for n in shape]
     eigenvalues = modes[0][:, np.newaxis] + modes[1]
     eigenvalues[0, 0] = np.inf  # the mean is free: zero
@@ -93,12 +93,12 @@ def _inverse_neumann(shape: tuple[int, int]) -> Doubles:
 
 
 @lru_cache(maxsize=8)
-def _inverse_dirichlet(shape: tuple[int, int]) -> Doubles:
+def _inverse_dirichlet(shape: tuple[int, int]) -> FloatArray:
     modes = [4.0 * np.sin(0.5 * np.pi * np.arange(1, n + 1) / (n + 1)) ** 2 for n in shape]
     return _frozen(1.0 / (modes[0][:, np.newaxis] + modes[1]))
 
 
-def _frozen(values: Doubles) -> Doubles:
+def _frozen(values: FloatArray) -> FloatArray:
     values.flags.writeable = False  # shared by all callers through the cache
     return values
 
@@ -111,11 +111,11 @@ MAX_ITERATIONS = 500
 class EdgeWeights:
     """Weights of the steps to the next row, (M-1, N), and to the next column, (M, N-1)."""
 
-    to_next_row: Doubles
-    to_next_col: Doubles
+    to_next_row: FloatArray
+    to_next_col: FloatArray
 
 
-def edge_weights(weights: Doubles) -> EdgeWeights:
+def edge_weights(weights: FloatArray) -> EdgeWeights:
     """Return the weight of a step from those of both pixels, (M, N).
 
     A step is the mean of two slopes; with weights 1 / variance its own is proportional to the
@@ -126,15 +126,18 @@ def edge_weights(weights: Doubles) -> EdgeWeights:
     )
 
 
-def _harmonic_mean(a: Doubles, b: Doubles) -> Doubles:
+def _harmonic_mean(a: FloatArray, b: FloatArray) -> FloatArray:
     total = a + b
-    mean: Doubles = 2.0 * a * b / np.where(total > 0.0, total, 1.0)
+    mean: FloatArray = 2.0 * a * b / np.where(total > 0.0, total, 1.0)
     return mean
 
 
 def solve_weighted(
-    row_steps: Doubles, col_steps: Doubles, weights: Doubles, boundary: Boundary = "neumann"
-) -> Doubles:
+    row_steps: FloatArray,
+    col_steps: FloatArray,
+    weights: FloatArray,
+    boundary: Boundary = "neumann",
+) -> FloatArray:
     """Return the heights that fit the steps best, (M, N), in the unit of the steps.
 
     Pixels of weight 0 get height 0. With a free border (neumann) the mean over the other pixels
@@ -160,14 +163,14 @@ def _inside(shape: tuple[int, ...]) -> BoolImage:
     return inside
 
 
-def _apply(height: Doubles, edges: EdgeWeights, used: BoolImage) -> Doubles:
+def _apply(height: FloatArray, edges: EdgeWeights, used: BoolImage) -> FloatArray:
     steps = edges.to_next_row * np.diff(height, axis=0), edges.to_next_col * np.diff(height, axis=1)
     return sum_of_steps(*steps) * used
 
 
 def _conjugate_gradients(
-    right: Doubles, edges: EdgeWeights, used: BoolImage, boundary: Boundary
-) -> Doubles:
+    right: FloatArray, edges: EdgeWeights, used: BoolImage, boundary: Boundary
+) -> FloatArray:
     height, residual = np.zeros_like(right), right.copy()
     direction = preconditioned = solve_poisson(residual, boundary) * used
     power = start = float(np.vdot(residual, preconditioned))

@@ -12,7 +12,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from reconstruction._jit import run_over_rows
-from reconstruction.arrays import BoolImage, Doubles, FloatImage, ReasonImage
+from reconstruction.arrays import BoolImage, FloatArray, FloatImage, ReasonImage
 from reconstruction.compact import Bits, Half, RaySpread, keeps_compact, kept
 from reconstruction.decoding._half import BIAS
 from reconstruction.decoding.decode import SIGMA_UNIT_PX
@@ -65,7 +65,7 @@ class PointMap:
     points_world_mm: FloatImage
     sigma_xyz_mm: FloatImage
     mask_reason: ReasonImage
-    T_world_from_cam: Doubles
+    T_world_from_cam: FloatArray
 
     @property
     def sigma_z_mm(self) -> FloatImage:
@@ -173,5 +173,5 @@ def _rig(calibration: Calibration) -> Rig:
     )
 
 
-def _motion(matrix: Doubles) -> Motion:
+def _motion(matrix: FloatArray) -> Motion:
     return tuple(tuple(float(value) for value in line) for line in matrix[:3])

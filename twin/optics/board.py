@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from reconstruction.arrays import FloatImage
 from reconstruction.calibration.boards import Board
 from twin.config.board import BoardFile, BoardPose, Plate
 from twin.config.models import Experiment
@@ -21,7 +22,6 @@ TEXELS_PER_PIXEL = 2.0
 # 8192 x 8192 float32 texels: 256 MB.
 MAX_TEXELS = 8192
 
-FloatArray = NDArray[np.float32]
 Matrix = NDArray[np.float64]
 
 
@@ -34,7 +34,7 @@ def board_pose(pose: BoardPose) -> Matrix:
     return T
 
 
-def albedo_image(board: Board, plate: Plate, texel_mm: float) -> FloatArray:
+def albedo_image(board: Board, plate: Plate, texel_mm: float) -> FloatImage:
     """Return the plate's albedo, (row, col) float32, row 0 at the top (board y up).
 
     Parameters
@@ -86,7 +86,7 @@ def render_board(experiment: Experiment, file: BoardFile, pose: BoardPose) -> Fr
     return one_trace.trace_stack(scene, rig, tables, experiment.render.samples)
 
 
-def _board_scene(plate: Plate, albedo: FloatArray, T_world_from_board: Matrix) -> Any:
+def _board_scene(plate: Plate, albedo: FloatImage, T_world_from_board: Matrix) -> Any:
     import mitsuba as mi
 
     print_ = {
@@ -111,7 +111,7 @@ def _board_scene(plate: Plate, albedo: FloatArray, T_world_from_board: Matrix) -
     return mi.load_dict({"type": "scene", "board": mesh}, optimize=False)
 
 
-def _corners_world_mm(plate: Plate, T_world_from_board: Matrix) -> FloatArray:
+def _corners_world_mm(plate: Plate, T_world_from_board: Matrix) -> FloatImage:
     """Return the plate's corners from the lower left, counter-clockwise from the front, (4, 3)."""
     half_x, half_y = plate.width_mm / 2.0, plate.height_mm / 2.0
     corners = np.array(

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from reconstruction.arrays import Doubles
+from reconstruction.arrays import FloatArray
 from reconstruction.calibration.parameters import POSES, Rig, pack, unpack
 from reconstruction.rig.calibration import Calibration
 from twin.config import Experiment
@@ -36,7 +36,7 @@ class RigScatter:
     """
 
     true: Calibration
-    covariance: Doubles
+    covariance: FloatArray
 
     @property
     def digest(self) -> str:
@@ -59,7 +59,7 @@ class RigScatter:
         return Calibration(found.camera, found.projector, true.T_world_from_cam, world_from_proj)
 
 
-def _correlated(covariance: Doubles, normal: Doubles) -> Doubles:
+def _correlated(covariance: FloatArray, normal: FloatArray) -> FloatArray:
     """Turn independent standard normal numbers into a draw from a covariance, (n,) float."""
     # Through the correlation: radians and pixels differ by nine orders of magnitude in variance.
     sigma = np.sqrt(np.diag(covariance))
