@@ -7,12 +7,6 @@ together, so that every parameter has an uncertainty.
 
 from reconstruction.calibration.adjustment import Adjustment, AdjustOptions, adjust
 from reconstruction.calibration.boards import Board, CharucoBoard, Chessboard, DotBoard
-from reconstruction.calibration.calibrate import (
-    Calibrated,
-    calibrate,
-    length_errors_mm,
-    locate_features,
-)
 from reconstruction.calibration.observation import (
     BoardCapture,
     Observation,
@@ -20,6 +14,12 @@ from reconstruction.calibration.observation import (
     read_board_capture,
 )
 from reconstruction.calibration.parameters import Freedom
+from reconstruction.calibration.pipeline import (
+    Calibrated,
+    calibrate,
+    length_errors_mm,
+    locate_features,
+)
 
 __all__ = [
     "AdjustOptions",

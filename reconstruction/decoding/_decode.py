@@ -15,8 +15,10 @@ from reconstruction.decoding._half import pack_row
 from reconstruction.decoding._order import (
     NEAR_SIGMAS,
     PLAIN,
+    Answer,
     Code,
     Ladder,
+    Word,
     climb_row,
     number_row,
     read_gray_row,
@@ -34,6 +36,8 @@ from reconstruction.decoding._phase import (
     write_turns,
 )
 from reconstruction.decoding._sum import (
+    Fit,
+    Frames,
     Layout,
     Limits,
     Sums,
@@ -126,25 +130,21 @@ def make_work(width: int, sets: int) -> Work:
 
 @compiled
 def _fit_set(
-    stack: Any, first: int, row: int, plan: Plan, scale: Any, work: Work, sums: Sums,
-    mean: Any, modulation: Any, variance: Any, reason: Any,
-) -> Any:  # fmt: skip
+    frames: Frames, plan: Plan, scale: Any, work: Work, sums: Sums, fit: Fit, reason: Any
+) -> Any:
     """Fit one fringe set over one row; return how many pixels have damaged frames."""
     layout, limits = plan.layout, plan.limits
-    noise, excess = work.fit[2], work.fit[3]
-    add_frames(stack, first, row, layout, sums)
-    finish_sums(layout.steps, sums, mean, modulation, variance)
+    noise = work.fit[2]
+    add_frames(frames, layout, sums)
+    finish_sums(layout.steps, sums, fit)
     count = find_damaged(sums, scale, limits, work.damaged)
     if count:
-        _fill(excess, np.float32(0.0))
-        refit_row(
-            stack, first, row, layout, limits, scale, work.damaged,
-            sums, mean, modulation, variance, excess, reason,
-        )  # fmt: skip
-    find_noise(mean, scale, limits, noise)
+        _fill(fit.excess, np.float32(0.0))
+        refit_row(frames, layout, limits, scale, work.damaged, sums, fit, reason)
+    find_noise(fit.mean, scale, limits, noise)
     if count:
-        grow_sigma(excess, noise)
-    mark_low_modulation(layout.steps, limits, modulation, noise, reason)
+        grow_sigma(fit.excess, noise)
+    mark_low_modulation(layout.steps, limits, fit.modulation, noise, reason)
     return count
 
 
@@ -186,11 +186,8 @@ def _fit_row(
             mean = work.mean[axis] if j == 0 else work.fit[0]
             variance = work.fit[4] if j == 0 else work.fit[1]
             first = layout.phase_first[axis] + j * layout.steps
-            count = _fit_set(
-                stack, first, row, plan, scale, work, sums, mean, work.modulations[axis, j],
-                variance, reason,
-            )  # fmt: skip
-            if count:
+            fit = Fit(mean, work.modulations[axis, j], variance, work.fit[3])
+            if _fit_set(Frames(stack, first, row), plan, scale, work, sums, fit, reason):
                 _add_largest(work.fit[3], work.excess[axis])
             if j > 0:
                 _add(variance, work.fit[4])
@@ -222,29 +219,26 @@ def _find_sigmas(axis: int, plan: Plan, scale: Any, work: Work) -> None:
 
 @merged
 def _read_order(
-    axis: int, row: int, stack: Any, plan: Plan, scale: Any, work: Work, coordinate: Any,
-    sigma: Any, error: Any,
-) -> None:  # fmt: skip
+    axis: int, row: int, stack: Any, plan: Plan, scale: Any, work: Work, answer: Answer
+) -> None:
     """Give one axis its fringe numbers by Gray words."""
-    code, first, limits = plan.codes[axis], plan.layout.gray_first[axis], plan.limits
-    mean, margin = work.mean[axis], work.fit[2]
-    phase, order, word, nearest = work.phases[axis, 0], work.order, work.word, work.nearest
-    find_noise(mean, scale, limits, margin)
+    code, limits, margin = plan.codes[axis], plan.limits, work.fit[2]
+    frames = Frames(stack, plan.layout.gray_first[axis], row)
+    read = Word(work.word, work.nearest, work.mean[axis], margin)
+    phase, order = work.phases[axis, 0], work.order
+    find_noise(read.mean, scale, limits, margin)
     # The threshold A carries the noise of N averaged frames.
     widening = np.float32(NEAR_SIGMAS * np.sqrt(1.0 + 1.0 / plan.layout.steps))
     for col in range(margin.size):
         margin[col] *= widening
-    read_gray_row(stack, first, code.bits, row, mean, word, nearest)
-    number_row(code, word, phase, order, coordinate, error)
-    weigh_near_bits(
-        code, stack, first, row, limits.gray_sigmas, mean, margin, word, nearest, phase, order,
-        error,
-    )  # fmt: skip
+    read_gray_row(frames, code.bits, read)
+    number_row(code, read.gray, phase, order, answer)
+    weigh_near_bits(code, frames, limits.gray_sigmas, read, phase, order, answer.error)
     if code.kind == PLAIN:
-        weigh_wrap(code, phase, work.sigmas[0], error)
+        weigh_wrap(code, phase, work.sigmas[0], answer.error)
     per_rad = np.float32(code.period_px / (2.0 * np.pi))
-    for col in range(sigma.size):
-        sigma[col] = per_rad * work.sigmas[0, col]
+    for col in range(margin.size):
+        answer.sigma[col] = per_rad * work.sigmas[0, col]
 
 
 @merged
@@ -262,15 +256,15 @@ def _finish_row(row: int, stack: Any, plan: Plan, scale: Any, work: Work, maps: 
     """Give one row of the band its fringe numbers, and write the result."""
     reason, error, usable = maps.reason[row], work.lines[0], work.usable
     for axis in range(2):
-        coordinate, sigma = work.answers[COORDINATE[axis]], work.answers[SIGMA[axis]]
+        answer = Answer(work.answers[COORDINATE[axis]], work.answers[SIGMA[axis]], error)
         _find_sigmas(axis, plan, scale, work)
         if plan.is_chain:
             ladder = plan.ladders[axis]
-            climb_row(ladder, work.phases[axis], work.sigmas, usable, coordinate, sigma, error)
+            climb_row(ladder, work.phases[axis], work.sigmas, usable, answer)
         else:
-            _read_order(axis, row, stack, plan, scale, work, coordinate, sigma, error)
+            _read_order(axis, row, stack, plan, scale, work, answer)
         length = plan.codes[axis].length_px
-        settle_row(length, plan.limits.max_order_error, coordinate, error, usable, reason)
+        settle_row(length, plan.limits.max_order_error, answer, usable, reason)
         _inform(axis, row, plan, work, error, maps)
     for axis in range(2):  # only now are the reasons of both axes known
         write_valid(work.answers[COORDINATE[axis]], reason, maps.coordinate_px[axis, row])

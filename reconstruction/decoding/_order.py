@@ -20,6 +20,7 @@ import numpy as np
 
 from reconstruction._jit import compiled, inlined
 from reconstruction.arrays import FloatArray
+from reconstruction.decoding._sum import Frames
 from reconstruction.mask import Reason
 
 ORDER_UNCERTAIN = np.uint8(Reason.ORDER_UNCERTAIN)
@@ -40,6 +41,23 @@ NONE, STEP = np.int32(0), np.int32(1)
 NOTHING, INFINITE = np.float32(0.0), np.float32(np.inf)
 # Where the first projector pixel begins.
 FIRST = np.float32(-0.5)
+
+
+class Word(NamedTuple):
+    """The Gray word of one row along one axis, lines of (col)."""
+
+    gray: Any  # uint32, first frame in the highest bit
+    nearest: Any  # how near to the mean a level comes, DN
+    mean: Any
+    margin: Any  # nearer levels are not certain, DN
+
+
+class Answer(NamedTuple):
+    """What one row says along one axis, lines of (col) float32."""
+
+    coordinate: Any  # px
+    sigma: Any  # px
+    error: Any  # probability of a wrong order
 
 
 class Code(NamedTuple):
@@ -127,10 +145,10 @@ def _nearer(x: Any, y: Any) -> Any:
 
 
 @compiled
-def read_gray_row(
-    stack: Any, first: int, bits: int, row: int, mean: Any, word: Any, nearest: Any
-) -> None:
-    """Write the Gray word, first frame in the highest bit, and how near to A a level comes."""
+def read_gray_row(frames: Frames, bits: int, read: Word) -> None:
+    """Write the Gray word, and how near to A a level comes."""
+    stack, first, row = frames
+    word, nearest, mean = read.gray, read.nearest, read.mean
     for col in range(word.size):
         word[col], nearest[col] = ZERO, INFINITE
     for bit in range(0, bits - 1, 2):
@@ -152,10 +170,9 @@ def read_gray_row(
 
 
 @compiled
-def number_row(
-    code: Code, word: Any, phase: Any, order: Any, coordinate: Any, error: Any
-) -> None:  # fmt: skip
+def number_row(code: Code, word: Any, phase: Any, order: Any, answer: Answer) -> None:
     """Write order and coordinate as read, and error probability 1 where words contradict."""
+    coordinate, error = answer.coordinate, answer.error
     # The choice of the code stands outside the loops: only so do they become vector code.
     if code.kind == COMPLEMENTARY:
         for col in range(word.size):
@@ -185,20 +202,21 @@ def _tail(sigmas: float) -> float:
 
 @compiled
 def weigh_near_bits(
-    code: Code, stack: Any, first: int, row: int, gray_sigmas: Any, mean: Any, margin: Any,
-    word: Any, nearest: Any, phase: Any, order: Any, error: Any,
-) -> None:  # fmt: skip
+    code: Code, frames: Frames, gray_sigmas: Any, read: Word, phase: Any, order: Any, error: Any
+) -> None:
     """Add the probability that a bit near its threshold was misread, where that matters.
 
     A bit that matters and lies within `gray_sigmas` of its threshold makes the order uncertain.
     """
+    stack, last, row = frames.stack, frames.first + code.bits - 1, frames.row
+    word, nearest, mean, margin = read
     for col in range(word.size):
         if not nearest[col] < margin[col] or error[col] == ONE:
             continue
         cell, over = _cell(phase[col], code)
         total = 0.0
         for bit in range(code.bits):
-            distance = abs(np.float32(stack[first + code.bits - 1 - bit, row, col]) - mean[col])
+            distance = abs(np.float32(stack[last - bit, row, col]) - mean[col])
             if not distance < margin[col]:  # this way round a NaN is not near
                 continue
             other, _ = _number(word[col] ^ (BIT << np.uint32(bit)), cell, code)
@@ -220,9 +238,10 @@ def weigh_wrap(code: Code, phase: Any, sigma: Any, error: Any) -> None:
 
 @compiled
 def settle_row(
-    length_px: int, max_order_error: Any, coordinate: Any, error: Any, usable: Any, reason: Any
+    length_px: int, max_order_error: Any, answer: Answer, usable: Any, reason: Any
 ) -> None:
     """Mark uncertain orders and coordinates outside the projector; no phase, no probability."""
+    coordinate, error = answer.coordinate, answer.error
     last, most = np.float32(length_px - 0.5), np.float32(max_order_error)
     for col in range(reason.size):
         code = reason[col]
@@ -308,14 +327,12 @@ def _fused(ladder: Ladder, x: float, phases: Any, sigmas: Any, col: int) -> Any:
 
 
 @compiled
-def climb_row(
-    ladder: Ladder, phases: Any, sigmas: Any, usable: Any,
-    coordinate: Any, sigma_px: Any, error: Any,
-) -> None:  # fmt: skip
+def climb_row(ladder: Ladder, phases: Any, sigmas: Any, usable: Any, answer: Answer) -> None:
     """Write the fused coordinate, its sigma and the chance of a wrong number; 0 without a phase.
 
     phases, sigmas : (set, col), rad
     """
+    coordinate, sigma_px, error = answer
     for col in range(error.size):
         coordinate[col], sigma_px[col], error[col] = 0.0, 0.0, 0.0
         if not usable[col] > 0.0:

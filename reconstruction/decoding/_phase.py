@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from reconstruction._jit import compiled, inlined
-from reconstruction.decoding._sum import SATURATED, Layout, Limits, Sums, noise_dn2
+from reconstruction.decoding._sum import SATURATED, Fit, Frames, Layout, Limits, Sums, noise_dn2
 
 TURN = 2.0 * np.pi
 # atan(t) = t P(t^2) on [0, 1], minimax fit of degree 8: 6e-9 rad, below single precision's 1e-7.
@@ -107,13 +107,11 @@ def _is_good(level: Any, lowest: Any, limit: Any) -> Any:
 
 
 @inlined
-def _normal_sums(
-    stack: Any, first: int, row: int, col: int, layout: Layout, lowest: Any, limit: Any
-) -> Any:
+def _normal_sums(frames: Frames, col: int, layout: Layout, lowest: Any, limit: Any) -> Any:
     """Return n and the sums over good frames: g1, g2, g1 g1, g1 g2, g2 g2, I, g1 I, g2 I."""
     n, s1, s2, s11, s12, s22, y, y1, y2 = 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for step in range(layout.steps):
-        level = np.float64(stack[first + step, row, col])
+        level = np.float64(frames.stack[frames.first + step, frames.row, col])
         if _is_good(level, lowest, limit):
             g1, g2 = ROOT * layout.cosines[step], -ROOT * layout.sines[step]
             n += 1
@@ -137,35 +135,32 @@ def _inverse(a: float, b: float, c: float, d: float, e: float, f: float) -> Any:
 
 @inlined
 def _square_residuals(
-    stack: Any, first: int, row: int, col: int, layout: Layout, lowest: Any, limit: Any,
-    fit: Any,
-) -> float:  # fmt: skip
+    frames: Frames, col: int, layout: Layout, lowest: Any, limit: Any, cosine: Any
+) -> float:
+    """Return the sum of squares that the cosine (A, p, q) leaves of the good frames."""
     total = 0.0
     for step in range(layout.steps):
-        level = np.float64(stack[first + step, row, col])
+        level = np.float64(frames.stack[frames.first + step, frames.row, col])
         if _is_good(level, lowest, limit):
-            model = fit[0] + ROOT * (fit[1] * layout.cosines[step] - fit[2] * layout.sines[step])
+            p, q = cosine[1] * layout.cosines[step], cosine[2] * layout.sines[step]
+            model = cosine[0] + ROOT * (p - q)
             total += (level - model) ** 2
     return total
 
 
 @compiled
 def refit_row(
-    stack: Any, first: int, row: int, layout: Layout, limits: Limits, scale: Any, damaged: Any,
-    sums: Sums, mean: Any, modulation: Any, variance: Any, excess: Any, reason: Any,
+    frames: Frames, layout: Layout, limits: Limits, scale: Any, damaged: Any, sums: Sums, fit: Fit,
+    reason: Any,
 ) -> None:  # fmt: skip
-    """Replace what the damaged frames spoiled, or mark the pixel SATURATED.
-
-    `excess` is how much larger than with N good frames the phase variance is, as a share.
-    """
+    """Replace what the damaged frames spoiled, or mark the pixel SATURATED."""
+    mean, modulation, variance, excess = fit
     steps, lowest, black = layout.steps, limits.lowest_dn, limits.black_level_dn
     for col in range(damaged.size):
         if not damaged[col]:
             continue
         limit = black + (limits.clipped_from_dn - black) * scale[col]
-        n, s1, s2, s11, s12, s22, y, y1, y2 = _normal_sums(
-            stack, first, row, col, layout, lowest, limit
-        )
+        n, s1, s2, s11, s12, s22, y, y1, y2 = _normal_sums(frames, col, layout, lowest, limit)
         c, condition = _inverse(float(n), s1, s2, s11, s12, s22)
         if n < 3 or not condition <= limits.max_condition:
             reason[col] = SATURATED if reason[col] == 0 else reason[col]
@@ -175,8 +170,7 @@ def refit_row(
             continue
         level = c[0] * y + c[1] * y1 + c[2] * y2
         p, q = c[1] * y + c[3] * y1 + c[4] * y2, c[2] * y + c[4] * y1 + c[5] * y2
-        fit = (level, p, q)
-        rest = _square_residuals(stack, first, row, col, layout, lowest, limit, fit)
+        rest = _square_residuals(frames, col, layout, lowest, limit, (level, p, q))
         length = max(np.sqrt(p * p + q * q), 1e-30)
         along_p, along_q = -q / length, p / length
         growth = steps * (

@@ -57,14 +57,24 @@ def residual_stats(residuals_mm: ArrayLike) -> ResidualStats:
     ------
     FitError : there are no residuals
     """
-    size_mm = np.abs(np.asarray(residuals_mm, dtype=np.float64))
-    if size_mm.size == 0:
+    values_mm = np.asarray(residuals_mm, dtype=np.float64)
+    if values_mm.size == 0:
         raise FitError("no residuals to evaluate: the fit region holds no valid point")
     return ResidualStats(
-        rmse_mm=float(np.sqrt(np.mean(size_mm**2))),
-        mae_mm=float(np.mean(size_mm)),
-        p95_mm=float(np.percentile(size_mm, 95.0)),
+        rmse_mm=rms(values_mm),
+        mae_mm=float(np.mean(np.abs(values_mm))),
+        p95_mm=p95_of_size(values_mm),
     )
+
+
+def rms(values: FloatArray) -> float:
+    """Return the root mean square of at least one value."""
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def p95_of_size(values: FloatArray) -> float:
+    """Return the 95th percentile of the values' sizes."""
+    return float(np.percentile(np.abs(values), 95.0))
 
 
 def fit_sphere(points_mm: ArrayLike) -> SphereFit:
@@ -152,9 +162,9 @@ REJECT_BEYOND_SIGMAS = 4.0
 """One of 16,000 normal residuals lies beyond."""
 
 
-def spread(residuals_mm: FloatArray) -> float:
-    """Robust standard deviation of residuals, (n,) mm."""
-    return float(MAD_TO_SIGMA * np.median(np.abs(residuals_mm - np.median(residuals_mm))))
+def spread(values: FloatArray) -> float:
+    """Robust standard deviation of values, (n,)."""
+    return float(MAD_TO_SIGMA * np.median(np.abs(values - np.median(values))))
 
 
 def inliers(residuals_mm: FloatArray) -> BoolImage:

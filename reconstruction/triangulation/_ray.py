@@ -49,6 +49,20 @@ class Lens(NamedTuple):
     fold_square: float
 
 
+class Rays(NamedTuple):
+    """Lines of one row: the rays (x, y, 1) in the camera frame, and where there is one.
+
+    x_bend, y_bend : how far the lens bends each ray; those of the row before are a good start, as
+        neighbours bend alike: one step is enough in all but the first row
+    """
+
+    x: Any
+    y: Any
+    x_bend: Any
+    y_bend: Any
+    found: Any
+
+
 def lens_of(device: Pinhole) -> Lens:
     """Return the intrinsics of a device as the kernels take them."""
     k1, k2, p1, p2, k3 = (float(value) for value in device.distortion)
@@ -64,10 +78,9 @@ def lens_of(device: Pinhole) -> Lens:
 
 
 @compiled
-def _newton_row(
-    row: int, camera: Lens, x_bend: Any, y_bend: Any, x: Any, y: Any, found: Any
-) -> Any:  # fmt: skip
+def _newton_row(row: int, camera: Lens, rays: Rays) -> Any:
     """Improve the rays of a row by one Newton step; return how many have not converged."""
+    x, y, x_bend, y_bend, found = rays
     x_scale, y_target = 1.0 / camera.fx, (row - camera.cy) / camera.fy
     pending = 0
     for col in range(x.size):
@@ -86,7 +99,8 @@ def _newton_row(
 
 
 @compiled
-def _ideal_row(row: int, camera: Lens, x: Any, y: Any, found: Any) -> None:
+def _ideal_row(row: int, camera: Lens, rays: Rays) -> None:
+    x, y, found = rays.x, rays.y, rays.found
     x_scale, y_target = 1.0 / camera.fx, (row - camera.cy) / camera.fy
     for col in range(x.size):
         x[col], y[col], found[col] = (col - camera.cx) * x_scale, y_target, True
@@ -100,21 +114,15 @@ def _forget_lost(found: Any, x_bend: Any, y_bend: Any) -> None:
 
 
 @compiled
-def ray_row(
-    row: int, camera: Lens, x_bend: Any, y_bend: Any, x: Any, y: Any, found: Any
-) -> None:  # fmt: skip
-    """Write the rays (x, y, 1) of an image row in the camera frame, and where there is one.
-
-    x_bend, y_bend : how far the lens bends each ray. Those of the row before are a good start, as
-        neighbours bend alike: one step is enough in all but the first row.
-    """
+def ray_row(row: int, camera: Lens, rays: Rays) -> None:
+    """Write the rays of an image row; bends are those of the row before, or 0."""
     if camera.is_ideal:
-        _ideal_row(row, camera, x, y, found)
+        _ideal_row(row, camera, rays)
         return
     for _ in range(INVERSE_STEPS):
-        if _newton_row(row, camera, x_bend, y_bend, x, y, found) == 0:
+        if _newton_row(row, camera, rays) == 0:
             break
-    _forget_lost(found, x_bend, y_bend)
+    _forget_lost(rays.found, rays.x_bend, rays.y_bend)
 
 
 EPIPOLAR_MISMATCH = np.uint8(Reason.EPIPOLAR_MISMATCH)
@@ -175,6 +183,15 @@ class Points(NamedTuple):
     reason: Any
 
 
+class Pixels(NamedTuple):
+    """Decoded coordinates of one row and their sigmas, lines of (col) px."""
+
+    u: Any
+    v: Any
+    u_sigma: Any
+    v_sigma: Any
+
+
 class View(NamedTuple):
     """Lines of one row: what the projector sees of each point.
 
@@ -210,10 +227,11 @@ def _weights(su: Any, sv: Any, match: Match) -> Any:
 
 @compiled
 def _start_row(
-    x: Any, y: Any, found: Any, u: Any, v: Any, su: Any, sv: Any, u_bend: Any, v_bend: Any,
-    match: Match, rig: Rig, depth: Any, reason: Any,
-) -> None:  # fmt: skip
+    rays: Rays, pixels: Pixels, match: Match, rig: Rig, depth: Any, view: View, reason: Any
+) -> None:
     """Write the depth for a lens that bends as in the row before: weighted planes."""
+    x, y, found, u_bend, v_bend = rays.x, rays.y, rays.found, view.u_bend, view.v_bend
+    u, v, su, sv = pixels
     lens, T = rig.projector, rig.T_proj_from_cam
     bx, by, bz = T[0][3], T[1][3], T[2][3]
     for col in range(depth.size):
@@ -228,14 +246,15 @@ def _start_row(
 
 @compiled
 def _step_row(
-    x: Any, y: Any, u: Any, v: Any, su: Any, sv: Any, match: Match, rig: Rig, is_last: bool,
-    depth: Any, view: View, reason: Any,
+    rays: Rays, pixels: Pixels, match: Match, rig: Rig, is_last: bool, depth: Any, view: View,
+    reason: Any,
 ) -> Any:  # fmt: skip
     """Take one Gauss-Newton step on the weighted residuals; return how many are not there yet."""
+    x, y = rays.x, rays.y
+    u, v, su, sv = pixels
     lens, T = rig.projector, rig.T_proj_from_cam
     bx, by, bz = T[0][3], T[1][3], T[2][3]
-    u_miss, v_miss, u_slope, v_slope = view.u_miss, view.v_miss, view.u_slope, view.v_slope
-    u_bend, v_bend = view.u_bend, view.v_bend
+    u_miss, v_miss, u_slope, v_slope, u_bend, v_bend = view
     pending = 0
     for col in range(depth.size):
         # Read before the first write, see `_add_six`.
@@ -271,8 +290,9 @@ def _step_row(
 
 
 @compiled
-def _judge_row(su: Any, sv: Any, match: Match, view: View, sigma: Any, reason: Any) -> None:
+def _judge_row(pixels: Pixels, match: Match, view: View, sigma: Any, reason: Any) -> None:
     """Write the sigma of the depth, and mark coordinates that contradict the point."""
+    su, sv = pixels.u_sigma, pixels.v_sigma
     u_miss, v_miss, u_slope, v_slope = view.u_miss, view.v_miss, view.u_slope, view.v_slope
     tolerance = np.float32(match.tolerance_px)
     square = np.float32(match.tolerance_sigmas * match.tolerance_sigmas)
@@ -298,8 +318,9 @@ def _judge_row(su: Any, sv: Any, match: Match, view: View, sigma: Any, reason: A
 
 
 @compiled
-def _place_row(x: Any, y: Any, depth: Any, reason: Any, T: Motion, world: Any) -> None:
+def _place_row(rays: Rays, depth: Any, reason: Any, T: Motion, world: Any) -> None:
     """Write the points in the world frame, x y z of one pixel after the other."""
+    x, y = rays.x, rays.y
     for col in range(depth.size):
         ray_x, ray_y, ray_z = _rotate(T, x[col], y[col])
         is_point, d = reason[col] == 0, depth[col]
@@ -315,21 +336,21 @@ def meet_rows(
     """Fill `points` of some rows; `reason` masks and is updated."""
     width = points.reason.shape[1]
     lines, short = np.zeros((7, width)), np.zeros((8, width), np.float32)
-    x, y, x_bend, y_bend, depth = lines[0], lines[1], lines[2], lines[3], lines[4]
+    rays = Rays(lines[0], lines[1], lines[2], lines[3], np.zeros(width, np.bool_))
+    depth = lines[4]
     view = View(short[0], short[1], short[2], short[3], lines[5], lines[6])
     su, sv, sigma, spare = short[4], short[5], short[6], short[7]
-    found = np.zeros(width, np.bool_)
     for row in range(first_row, end_row):
-        u, v = fringe.column[row], fringe.row[row]
+        pixels = Pixels(fringe.column[row], fringe.row[row], su, sv)
         reason = points.reason[row]
         unpack_row(fringe.sigma_column[row], fringe.sigma_unit_px, su)
         unpack_row(fringe.sigma_row[row], fringe.sigma_unit_px, sv)
-        ray_row(row, rig.camera, x_bend, y_bend, x, y, found)
-        _start_row(x, y, found, u, v, su, sv, view.u_bend, view.v_bend, match, rig, depth, reason)
+        ray_row(row, rig.camera, rays)
+        _start_row(rays, pixels, match, rig, depth, view, reason)
         for step in range(MAX_STEPS):
             is_last = step == MAX_STEPS - 1
-            if _step_row(x, y, u, v, su, sv, match, rig, is_last, depth, view, reason) == 0:
+            if _step_row(rays, pixels, match, rig, is_last, depth, view, reason) == 0:
                 break
-        _judge_row(su, sv, match, view, sigma, reason)
+        _judge_row(pixels, match, view, sigma, reason)
         pack_row(sigma, points.sigma_factor, spare, points.sigma_depth[row])
-        _place_row(x, y, depth, reason, rig.T_world_from_cam, points.points_world_mm[row])
+        _place_row(rays, depth, reason, rig.T_world_from_cam, points.points_world_mm[row])

@@ -16,7 +16,7 @@ from reconstruction.calibration import (
     length_errors_mm,
     locate_features,
 )
-from reconstruction.calibration.calibrate import epipolar_misses_px, parameters_of
+from reconstruction.calibration.pipeline import epipolar_misses_px, parameters_of
 from reconstruction.calibration.plane_images import centre_bias_px
 from reconstruction.errors import InputError
 from reconstruction.rig.calibration import Calibration, read_calibration, write_calibration

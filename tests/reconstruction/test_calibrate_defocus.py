@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from reconstruction.calibration import AdjustOptions, DotBoard, Freedom, Observation, calibrate
-from reconstruction.calibration.calibrate import parameters_of, pupil_diameter_mm
+from reconstruction.calibration.pipeline import parameters_of, pupil_diameter_mm
 from reconstruction.calibration.plane_images import defocus_slopes_px
 from reconstruction.rig.pinhole import Pinhole
 

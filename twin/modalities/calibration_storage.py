@@ -14,7 +14,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from reconstruction.calibration.calibrate import pupil_diameter_mm
+from reconstruction.calibration.pipeline import pupil_diameter_mm
 from reconstruction.rig.calibration import write_calibration
 from twin.config import to_toml
 from twin.modalities.calibration import BoardCalibration

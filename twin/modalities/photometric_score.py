@@ -12,13 +12,12 @@ from numpy.typing import NDArray
 
 from reconstruction.arrays import BoolImage, FloatArray, FloatImage
 from reconstruction.errors import FitError
+from reconstruction.evaluate.fit import p95_of_size, rms
 from reconstruction.photometric import HeightMap
 from reconstruction.photometric.calibration_ball import ContactCircle
 from twin.config.models import Experiment
 from twin.modalities.score import (
     SphereScore,
-    p95_of_size,
-    rms,
     score_sphere,
     sphere_metrics,
 )
