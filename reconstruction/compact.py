@@ -28,7 +28,7 @@ class Compact(Protocol):
         """Return a new array, (row, col)."""
 
 
-class Kept:
+class ExpandedOnRead:
     """Attribute that keeps what it was given, and expands it whenever it is read."""
 
     def __init__(self, name: str) -> None:
@@ -49,7 +49,7 @@ def keeps_compact(*names: str) -> Callable[[type[Class]], type[Class]]:
 
     def install(owner: type[Class]) -> type[Class]:
         for name in names:
-            setattr(owner, name, Kept(name))
+            setattr(owner, name, ExpandedOnRead(name))
         return owner
 
     return install

@@ -25,6 +25,18 @@ from reconstruction.errors import InputError, require_integer, require_number
 HIERARCHICAL, HETERODYNE = "hierarchical", "heterodyne"
 # Beats of one, two or three near periods; the first set is the one that is measured with.
 BEATS = {2: ((1, -1), (1, 0)), 3: ((1, -2, 1), (1, -1, 0), (1, 0, 0))}
+Kind = Literal["phase", "gray", "white", "black"]
+Axis = Literal["column", "row"]
+CodeName = Literal["gray", "complementary_gray", "shifted_gray", "hierarchical", "heterodyne"]
+AXES: tuple[Axis, Axis] = ("column", "row")
+CODES: tuple[CodeName, ...] = get_args(CodeName)
+MULTI_FREQUENCY = (HIERARCHICAL, HETERODYNE)
+
+# Below 4 px a Gray stripe of a period that is no whole number of pixels may be misplaced by a
+# quarter of a period, the whole margin of the edge-safe rules.
+PERIOD_RANGE_PX = (4.0, 65536.0)
+STEPS_RANGE = (3, 1000)
+MOST_FURTHER_PERIODS = 7
 
 
 @dataclass(frozen=True)
@@ -76,22 +88,8 @@ def _beats(periods_px: tuple[float, ...]) -> tuple[tuple[int, ...], ...]:
     return BEATS[len(periods_px)]
 
 
-Kind = Literal["phase", "gray", "white", "black"]
-Axis = Literal["column", "row"]
-CodeName = Literal["gray", "complementary_gray", "shifted_gray", "hierarchical", "heterodyne"]
-AXES: tuple[Axis, Axis] = ("column", "row")
-CODES: tuple[CodeName, ...] = get_args(CodeName)
-MULTI_FREQUENCY = (HIERARCHICAL, HETERODYNE)
-
-# Below 4 px a Gray stripe of a period that is no whole number of pixels may be misplaced by a
-# quarter of a period, the whole margin of the edge-safe rules.
-PERIOD_RANGE_PX = (4.0, 65536.0)
-STEPS_RANGE = (3, 1000)
-MOST_FURTHER_PERIODS = 7
-
-
 @dataclass(frozen=True)
-class Frame:
+class PatternFrame:
     """One projected image: its kind, the axis it varies along (None when uniform), its number."""
 
     kind: Kind
@@ -147,12 +145,12 @@ class PatternSet:
         self._check_chain()
 
     @cached_property
-    def frames(self) -> tuple[Frame, ...]:
+    def frames(self) -> tuple[PatternFrame, ...]:
         """All frames in the order of projection and of the stack."""
         shots = self.steps * len(self.periods_px)
-        phase = [Frame("phase", axis, n) for axis in AXES for n in range(shots)]
-        gray = [Frame("gray", axis, n) for axis in AXES for n in range(self.word_bits(axis))]
-        return (*phase, *gray, Frame("white", None, 0), Frame("black", None, 0))
+        phase = [PatternFrame("phase", axis, n) for axis in AXES for n in range(shots)]
+        gray = [PatternFrame("gray", axis, n) for axis in AXES for n in range(self.word_bits(axis))]
+        return (*phase, *gray, PatternFrame("white", None, 0), PatternFrame("black", None, 0))
 
     @property
     def periods_px(self) -> tuple[float, ...]:
@@ -202,7 +200,7 @@ class PatternSet:
             raise InputError(f"there are no {kind!r} frames along axis {axis!r}")
         return slice(found[0], found[-1] + 1) if found else slice(0, 0)
 
-    def profile(self, frame: Frame) -> Levels:
+    def profile(self, frame: PatternFrame) -> Levels:
         """Return the levels along the axis of `frame`, (length,) uint8; uniform: (width,)."""
         if frame not in self.frames:
             raise InputError(f"{frame.name} is no frame of this pattern set")
@@ -210,18 +208,18 @@ class PatternSet:
         levels = self.low_level + (self.high_level - self.low_level) * bright
         return np.rint(levels).astype(np.uint8)
 
-    def image(self, frame: Frame) -> Levels:
+    def image(self, frame: PatternFrame) -> Levels:
         """Return the projector image of `frame`, (height, width) uint8."""
         levels = self.profile(frame)
         line = levels[:, np.newaxis] if frame.axis == "row" else levels[np.newaxis, :]
         return np.ascontiguousarray(np.broadcast_to(line, (self.height_px, self.width_px)))
 
-    def phase_of(self, frame: Frame) -> tuple[float, float]:
+    def phase_of(self, frame: PatternFrame) -> tuple[float, float]:
         """Return the period, px, and the shift, turns, of a phase frame."""
         fringes, step = divmod(frame.index, self.steps)
         return self.periods_px[fringes], step / self.steps
 
-    def _brightness(self, frame: Frame) -> FloatArray:
+    def _brightness(self, frame: PatternFrame) -> FloatArray:
         if frame.axis is None:
             return np.full(self.width_px, float(frame.kind == "white"))
         x_px = np.arange(self.length_px(frame.axis), dtype=np.float64)

@@ -18,7 +18,7 @@ from reconstruction.arrays import BoolImage, FloatArray
 from reconstruction.calibration.observation import Observation
 from reconstruction.calibration.parameters import (
     Freedom,
-    Rig,
+    RigEstimate,
     admissible,
     freedom_matrix,
     pack,
@@ -77,7 +77,7 @@ class Adjustment:
     degrees_of_freedom : measured numbers minus free parameters
     """
 
-    rig: Rig
+    rig: RigEstimate
     vector: FloatArray
     covariance: FloatArray
     pupil_mm2: float
@@ -90,7 +90,7 @@ class Adjustment:
 
 
 def adjust(
-    observations: Sequence[Observation], start: Rig, options: AdjustOptions | None = None
+    observations: Sequence[Observation], start: RigEstimate, options: AdjustOptions | None = None
 ) -> Adjustment:
     """Adjust the rig to the observations.
 
@@ -117,7 +117,7 @@ class _Problem:
     """
 
     def __init__(
-        self, observations: Sequence[Observation], start: Rig, options: AdjustOptions
+        self, observations: Sequence[Observation], start: RigEstimate, options: AdjustOptions
     ) -> None:
         self._seen, self._devices = observations, (start.camera, start.projector)
         self._correct = options.correct_dot_bias

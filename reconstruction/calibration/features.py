@@ -22,10 +22,24 @@ ELLIPSE_TOLERANCE = 0.12
 MIN_AXIS_RATIO = 0.45
 # In units of the dot's own ellipse: ink ends inside the first, white lies between the other two.
 CENTROID_REACH, RING_INNER, RING_OUTER = 1.25, 1.3, 1.65
+# A dot lies this close to a grid position, in pitches, while the grid grows.
+GROW_TOLERANCE = 0.2
+# A larger dot has more than this many times the median area (at least 1.4^2 = 1.96 when flat).
+LARGE_AREA = 1.5
+MAX_CANDIDATES = 8
+# Perspective makes the three large dots' areas differ a little.
+AREA_SPREAD = 1.35
+MIN_DOTS = 12
+# Share of the dots within the board's outline that must lie on the grid: a mirrored board fits a
+# sheared grid, but only every other of its dots.
+MIN_ON_GRID = 0.8
+
+SOFTEN_PX = 2.0
+REFINE_TURNS, REFINE_STEP_PX = 60, 1e-4
 
 
 @dataclass(frozen=True, eq=False)
-class Dots:
+class FoundDots:
     """Dots found in an image.
 
     Parameters
@@ -39,12 +53,12 @@ class Dots:
     areas_px: FloatArray
     moments_px2: FloatArray
 
-    def chosen(self, keep: Indices) -> "Dots":
+    def chosen(self, keep: Indices) -> "FoundDots":
         """Return the dots of an index array."""
-        return Dots(self.centres_px[keep], self.areas_px[keep], self.moments_px2[keep])
+        return FoundDots(self.centres_px[keep], self.areas_px[keep], self.moments_px2[keep])
 
 
-def find_dots(relative: FloatImage, threshold: float) -> Dots:
+def find_dots(relative: FloatImage, threshold: float) -> FoundDots:
     """Find dark ellipses in a brightness relative to white; those cut by the border are left out.
 
     Centres are those of the thresholded blobs; `refine_centres` makes them sub-pixel.
@@ -58,7 +72,7 @@ def find_dots(relative: FloatImage, threshold: float) -> Dots:
         and (moments := _moments(labels, k, stats[k])) is not None
         and _is_ellipse(moments, float(stats[k, cv2.CC_STAT_AREA]))
     ]
-    return Dots(
+    return FoundDots(
         np.array([entry[0] for entry in found], dtype=np.float64).reshape(-1, 2),
         np.array([entry[1] for entry in found], dtype=np.float64),
         np.array([entry[2] for entry in found], dtype=np.float64).reshape(-1, 2, 2),
@@ -88,7 +102,7 @@ def _is_ellipse(moments: FloatArray, area: float) -> bool:
     )
 
 
-def refine_centres(relative: FloatImage, dots: Dots) -> tuple[FloatArray, BoolImage]:
+def refine_centres(relative: FloatImage, dots: FoundDots) -> tuple[FloatArray, BoolImage]:
     """Return grey-level centroids of the ink, (n, 2) px, and which dots have a whole white ring.
 
     Each dot is compared with a plane of white fitted round it, so that shading does not shift it:
@@ -139,20 +153,7 @@ def _window(
     return x, y, values, 0.5 * np.sqrt(square)
 
 
-# A dot lies this close to a grid position, in pitches, while the grid grows.
-GROW_TOLERANCE = 0.2
-# A larger dot has more than this many times the median area (at least 1.4^2 = 1.96 when flat).
-LARGE_AREA = 1.5
-MAX_CANDIDATES = 8
-# Perspective makes the three large dots' areas differ a little.
-AREA_SPREAD = 1.35
-MIN_DOTS = 12
-# Share of the dots within the board's outline that must lie on the grid: a mirrored board fits a
-# sheared grid, but only every other of its dots.
-MIN_ON_GRID = 0.8
-
-
-def label_dots(board: DotBoard, dots: Dots) -> tuple[list[int], list[int]]:
+def label_dots(board: DotBoard, dots: FoundDots) -> tuple[list[int], list[int]]:
     """Return (ids, indices into dots) of the dots that belong to the board's grid.
 
     Raises
@@ -175,7 +176,7 @@ def label_dots(board: DotBoard, dots: Dots) -> tuple[list[int], list[int]]:
     )
 
 
-def _large(dots: Dots) -> list[int]:
+def _large(dots: FoundDots) -> list[int]:
     if not len(dots.areas_px):
         return []
     order = np.argsort(-dots.areas_px, kind="stable")
@@ -183,7 +184,9 @@ def _large(dots: Dots) -> list[int]:
     return [int(k) for k in order if dots.areas_px[k] > LARGE_AREA * typical][:MAX_CANDIDATES]
 
 
-def _grow(board: DotBoard, dots: Dots, triple: tuple[int, int, int]) -> tuple[list[int], list[int]]:
+def _grow(
+    board: DotBoard, dots: FoundDots, triple: tuple[int, int, int]
+) -> tuple[list[int], list[int]]:
     """Grow the grid ring by ring from an assumed origin, right and upper dot."""
     nothing: tuple[list[int], list[int]] = ([], [])
     origin, right, upper = dots.centres_px[list(triple)]
@@ -228,10 +231,6 @@ def _unique(ids: Indices, members: Indices) -> tuple[list[int], list[int]]:
     found, first, counts = np.unique(ids[members], return_index=True, return_counts=True)
     single = counts == 1
     return found[single].tolist(), members[first[single]].tolist()
-
-
-SOFTEN_PX = 2.0
-REFINE_TURNS, REFINE_STEP_PX = 60, 1e-4
 
 
 def find_corners(

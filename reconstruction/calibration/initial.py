@@ -13,7 +13,7 @@ from scipy.linalg import rq
 
 from reconstruction.arrays import FloatArray, FloatImage
 from reconstruction.calibration.observation import Observation
-from reconstruction.calibration.parameters import Rig
+from reconstruction.calibration.parameters import RigEstimate
 from reconstruction.errors import InputError
 from reconstruction.rig.pinhole import Pinhole
 
@@ -36,7 +36,7 @@ FOCAL_WIDTHS, MAX_RATIO = (0.3, 20.0), 1.3
 FALLBACK_THROW = 1.4
 
 
-def starting_rig(observations: Sequence[Observation]) -> Rig:
+def starting_rig(observations: Sequence[Observation]) -> RigEstimate:
     """Return a first estimate of the whole rig.
 
     Raises
@@ -58,7 +58,7 @@ def starting_rig(observations: Sequence[Observation]) -> Rig:
     )
     pixels = np.concatenate([seen.projector_px for seen in observations])
     projector, motion = _start_projector(points_cam_mm, pixels, observations[0].projector_size_px)
-    return Rig(camera, projector, motion, motions)
+    return RigEstimate(camera, projector, motion, motions)
 
 
 def _require_tilts(motions: FloatArray) -> None:

@@ -28,6 +28,17 @@ from reconstruction.rig.sensor import SensorNoise
 
 # What a pose was recorded in; a folder of such files is not left out silently.
 RECORDED = {".png", ".tif", ".tiff", ".bmp", ".exr", ".nc"}
+# Half side of the window in which the phase is fitted, in feature distances.
+WINDOW = 1.1
+# No filter: it would carry phase over the edge of a dot.
+UNFILTERED = DecodeOptions(filter_taps=0)
+# Edge pixels to leave out, as a share of the feature distance (at least one pixel).
+EDGE_SHARE = 0.03
+
+# The white level is the local maximum over this share of the image height: larger than any dot or
+# square, small enough to follow the projector's fall-off.
+WINDOW_SHARE = 0.25
+WORK_HEIGHT_PX = 180
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,14 +116,6 @@ def _described(folder: Path) -> Path | None:
         if (candidate / DESCRIPTION_FILE).is_file():
             return candidate
     return None
-
-
-# Half side of the window in which the phase is fitted, in feature distances.
-WINDOW = 1.1
-# No filter: it would carry phase over the edge of a dot.
-UNFILTERED = DecodeOptions(filter_taps=0)
-# Edge pixels to leave out, as a share of the feature distance (at least one pixel).
-EDGE_SHARE = 0.03
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,12 +204,6 @@ def _spacing_px(points_mm: FloatArray, camera_px: FloatArray) -> float:
     step_mm = float(gaps[gaps > 0.0].min())
     ends = apply_homography(H, middle + step_mm * np.array([[0.0, 0], [1, 0], [0, 1]]))
     return float(np.mean(np.linalg.norm(ends[1:] - ends[0], axis=1)))
-
-
-# The white level is the local maximum over this share of the image height: larger than any dot or
-# square, small enough to follow the projector's fall-off.
-WINDOW_SHARE = 0.25
-WORK_HEIGHT_PX = 180
 
 
 def brightness(decoded: Decoded, sensor: SensorNoise) -> FloatImage:

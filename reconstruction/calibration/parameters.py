@@ -33,10 +33,11 @@ MOTION = ("rx_rad", "ry_rad", "rz_rad", "tx_mm", "ty_mm", "tz_mm")
 CAMERA, PROJECTOR = slice(0, 9), slice(9, 18)
 STEREO = slice(18, 24)
 POSES = 24
+Distortion = Literal["k1", "k2", "p1", "p2", "k3"]
 
 
 @dataclass(frozen=True, eq=False)
-class Rig:
+class RigEstimate:
     """Camera, projector, motion between them and the board's motions into the camera frame."""
 
     camera: Pinhole
@@ -45,18 +46,18 @@ class Rig:
     T_cam_from_board: FloatArray
 
 
-def pack(rig: Rig) -> FloatArray:
+def pack(rig: RigEstimate) -> FloatArray:
     """Return the parameter vector, (24 + 6 poses,)."""
     motions = [rig.T_proj_from_cam, *rig.T_cam_from_board]
     parts = [_intrinsics(rig.camera), _intrinsics(rig.projector), *map(_vector, motions)]
     return np.concatenate(parts)
 
 
-def unpack(vector: FloatArray, camera: Pinhole, projector: Pinhole) -> Rig:
+def unpack(vector: FloatArray, camera: Pinhole, projector: Pinhole) -> RigEstimate:
     """Return the rig of a parameter vector; image sizes are taken from the given devices."""
     motions = vector[STEREO.start :].reshape(-1, 6)
     matrices = np.stack([_matrix(motion) for motion in motions])
-    return Rig(
+    return RigEstimate(
         _pinhole(vector[CAMERA], camera),
         _pinhole(vector[PROJECTOR], projector),
         matrices[0],
@@ -144,9 +145,6 @@ def _move(points_mm: FloatArray, motion: FloatArray) -> tuple[FloatArray, FloatA
     slopes[..., :3] = np.einsum("kij,nj->nik", turned, points_mm)
     slopes[..., 3:] = np.eye(3)
     return points_mm @ rotation.T + motion[3:], slopes
-
-
-Distortion = Literal["k1", "k2", "p1", "p2", "k3"]
 
 
 @dataclass(frozen=True)

@@ -14,13 +14,20 @@ from reconstruction.arrays import FloatArray
 from reconstruction.calibration.adjustment import Adjustment, AdjustOptions, adjust
 from reconstruction.calibration.initial import starting_rig
 from reconstruction.calibration.observation import Observation
-from reconstruction.calibration.parameters import INTRINSICS, MOTION, STEREO, Rig, rotation_vector
+from reconstruction.calibration.parameters import (
+    INTRINSICS,
+    MOTION,
+    STEREO,
+    RigEstimate,
+    rotation_vector,
+)
 from reconstruction.calibration.plane_images import centre_bias_px
 from reconstruction.errors import InputError
 from reconstruction.rig.calibration import Calibration
 
 COVERAGE_FACTOR = 2.0
 """Expanded uncertainty U = k sigma, k = 2: about 95 % (JCGM 100, 6.2)."""
+STEPS = 4
 
 
 @dataclass(frozen=True)
@@ -61,7 +68,7 @@ def parameters(found: Adjustment) -> list[Parameter]:
     return [*rows, _baseline(found)]
 
 
-def parameters_of(rig: Rig | Calibration) -> dict[str, float]:
+def parameters_of(rig: RigEstimate | Calibration) -> dict[str, float]:
     """Return the same parameters of a known rig, to compare with."""
     T = rig.T_proj_from_cam
     found: dict[str, float] = {}
@@ -100,7 +107,7 @@ def pose_residuals(found: Adjustment, observations: Sequence[Observation]) -> li
     return rows
 
 
-def epipolar_misses_px(rig: Rig | Calibration, measured_px: FloatArray) -> FloatArray:
+def epipolar_misses_px(rig: RigEstimate | Calibration, measured_px: FloatArray) -> FloatArray:
     """Return the distances of projector points from their camera points' epipolar lines, px.
 
     Parameters
@@ -199,9 +206,6 @@ def calibrate(
         parameters=tuple(parameters(found)),
         poses=tuple(pose_residuals(found, observations)),
     )
-
-
-STEPS = 4
 
 
 def locate_features(calibration: Calibration, seen: Observation) -> FloatArray:

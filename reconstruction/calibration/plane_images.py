@@ -31,6 +31,9 @@ from reconstruction.arrays import FloatArray
 from reconstruction.errors import InputError
 from reconstruction.rig.pinhole import Pinhole
 
+# Displacement of the phase read at a dot, over that of the dot.
+PHASE_SHARE = 2.0
+
 
 def apply_homography(H: FloatArray, points: FloatArray) -> FloatArray:
     """Map points (n, 2) by H (3, 3)."""
@@ -99,10 +102,6 @@ def centre_bias_px(
     centres = ellipse_centres(points_dev_mm, radii_mm, rotation)
     homogeneous = np.column_stack([centres, np.ones(len(centres))])
     return device.project(homogeneous) - device.project(points_dev_mm)
-
-
-# Displacement of the phase read at a dot, over that of the dot.
-PHASE_SHARE = 2.0
 
 
 def defocus_slopes_px(

@@ -33,6 +33,11 @@ DESCRIPTION_FILE = "capture.toml"
 STACK_FILE = "stack.nc"
 CALIBRATION_FILE = "calibration.yaml"
 SUBFOLDER = "capture"
+DIMENSIONS = ("frame", "row", "col")
+STACK = "stack"
+NAMES = "frame_name"
+# Digital numbers of a sensor, or the expected values of a noise-free rendering.
+TYPES = ("uint8", "uint16", "float32")
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,13 +156,6 @@ def _find(folder: Path) -> Path:
     raise CaptureError(
         f"{folder}: no {DESCRIPTION_FILE} here or in {SUBFOLDER}/; give the folder of a capture"
     )
-
-
-DIMENSIONS = ("frame", "row", "col")
-STACK = "stack"
-NAMES = "frame_name"
-# Digital numbers of a sensor, or the expected values of a noise-free rendering.
-TYPES = ("uint8", "uint16", "float32")
 
 
 def write_stack(path: Path, stack: Stack, patterns: PatternSet) -> None:

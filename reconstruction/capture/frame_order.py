@@ -23,7 +23,7 @@ from reconstruction.arrays import BoolImage, Stack
 from reconstruction.capture.set_order import check_first_step, check_phase_sets, check_words
 from reconstruction.decoding.decode import DecodeOptions, decode
 from reconstruction.errors import CaptureError
-from reconstruction.patterns import AXES, Axis, Frame, PatternSet
+from reconstruction.patterns import AXES, Axis, PatternFrame, PatternSet
 from reconstruction.rig.calibration import Calibration
 from reconstruction.rig.pinhole import Pinhole
 from reconstruction.rig.sensor import SensorNoise
@@ -143,14 +143,14 @@ def _mistakes(patterns: PatternSet) -> Iterator[Order]:
     count = len(frames)
     kinds = {"phase": 0, "gray": 1, "white": 2, "black": 3}
 
-    def sorted_by(key: Callable[[Frame], object]) -> list[int]:
+    def sorted_by(key: Callable[[PatternFrame], object]) -> list[int]:
         recorded = sorted(frames, key=key)  # type: ignore[arg-type]
         return [recorded.index(frame) for frame in frames]
 
-    def uniform_first(frame: Frame) -> tuple[int, ...]:
+    def uniform_first(frame: PatternFrame) -> tuple[int, ...]:
         return (frame.axis is not None,)
 
-    def by_axis(frame: Frame) -> tuple[int, ...]:
+    def by_axis(frame: PatternFrame) -> tuple[int, ...]:
         return (-1 if frame.axis is None else -2 + AXES.index(frame.axis),)
 
     yield "white and black look exchanged", [*range(count - 2), count - 1, count - 2]

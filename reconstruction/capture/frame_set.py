@@ -35,6 +35,7 @@ from reconstruction.rig.sensor import SensorNoise
 FORMAT, VERSION = "fringe-frames", 1
 _MOST_SIGNS = 200
 FIELDS = ("index", "number", "name", "set")
+FILES = "{index:03d}_{name}.png"
 
 
 @dataclass(frozen=True)
@@ -194,9 +195,6 @@ def _exposures(values: object) -> tuple[float, ...]:
 
 def _few(names: list[str]) -> str:
     return ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
-
-
-FILES = "{index:03d}_{name}.png"
 
 
 def write_frame_set(

@@ -36,6 +36,25 @@ STRANGE_DEVIATION, STRANGE_SHARE = 0.2, 0.5
 CHAOTIC = 0.35
 # Fewer steps leave no or one degree of freedom, in which no frame can be told from another.
 LEAST_STEPS = 5
+# In steps; and in radians, which blur, noise and a few fringes may move the mean by.
+LEAST_STEPS_OFF, LEAST_ANGLE_OFF = 0.7, 0.2
+# More steps than this are rather a set recorded backwards, where that explains them.
+MOST_STEPS_OFF = 2.0
+# Phase and Gray code go together above, and have nothing to do with each other below these shares
+# of the mean that ideal frames give.
+AGREES, DISAGREES = 0.6, 0.3
+# Points per projector pixel at which the pattern itself is looked up.
+FINE = 16
+
+POSITIONS = 8_000
+LEAST_CHANGES = 30
+# A pixel is used when its frames differ by this many sigmas of its noise.
+LIT_SIGMAS = 20.0
+# Share of jumps by more than one: steep edges and light between parts give up to 0.6 without any
+# mistake, which no exchange lowers: it is blamed only if it explains most. Coarse bits jump seldom.
+MANY_JUMPS, EXPLAINED = 0.02, 1.0 / 3.0
+
+Bits = NDArray[np.bool_]
 
 
 def check_phase_sets(pixels: FloatArray, patterns: PatternSet) -> None:
@@ -132,17 +151,6 @@ def _check_stranger(power: FloatArray, first: int, names: list[str]) -> None:
         )
 
 
-# In steps; and in radians, which blur, noise and a few fringes may move the mean by.
-LEAST_STEPS_OFF, LEAST_ANGLE_OFF = 0.7, 0.2
-# More steps than this are rather a set recorded backwards, where that explains them.
-MOST_STEPS_OFF = 2.0
-# Phase and Gray code go together above, and have nothing to do with each other below these shares
-# of the mean that ideal frames give.
-AGREES, DISAGREES = 0.6, 0.3
-# Points per projector pixel at which the pattern itself is looked up.
-FINE = 16
-
-
 def check_first_step(pixels: FloatArray, patterns: PatternSet) -> None:
     """Compare phase and Gray code along both axes; other codes cannot be checked.
 
@@ -209,17 +217,6 @@ def _expected(patterns: PatternSet, axis: Axis) -> complex:
     half = np.floor(2.0 * np.arange(length) / patterns.period_px)
     sign = 1.0 - 2.0 * (np.repeat(half, FINE) % 2)
     return complex(np.mean(sign * np.exp(2j * np.pi * x_px / patterns.period_px)))
-
-
-POSITIONS = 8_000
-LEAST_CHANGES = 30
-# A pixel is used when its frames differ by this many sigmas of its noise.
-LIT_SIGMAS = 20.0
-# Share of jumps by more than one: steep edges and light between parts give up to 0.6 without any
-# mistake, which no exchange lowers: it is blamed only if it explains most. Coarse bits jump seldom.
-MANY_JUMPS, EXPLAINED = 0.02, 1.0 / 3.0
-
-Bits = NDArray[np.bool_]
 
 
 def check_words(stack: Stack, patterns: PatternSet, sensor: SensorNoise) -> None:

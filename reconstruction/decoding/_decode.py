@@ -15,9 +15,9 @@ from reconstruction.decoding._half import pack_row
 from reconstruction.decoding._order import (
     NEAR_SIGMAS,
     PLAIN,
-    Answer,
     Code,
     Ladder,
+    Numbered,
     Word,
     climb_row,
     number_row,
@@ -37,9 +37,9 @@ from reconstruction.decoding._phase import (
 )
 from reconstruction.decoding._sum import (
     Fit,
-    Frames,
     Layout,
     Limits,
+    RowFrames,
     Sums,
     add_frames,
     find_damaged,
@@ -48,6 +48,9 @@ from reconstruction.decoding._sum import (
     mark_dark,
     mark_low_modulation,
 )
+
+# Lines of `Work.answers`, column and row.
+COORDINATE, SIGMA = (0, 1), (2, 3)
 
 
 class Units(NamedTuple):
@@ -103,10 +106,6 @@ class Work(NamedTuple):
     nearest: Any
 
 
-# Lines of `Work.answers`, column and row.
-COORDINATE, SIGMA = (0, 1), (2, 3)
-
-
 @compiled
 def make_work(width: int, sets: int) -> Work:
     return Work(
@@ -130,7 +129,7 @@ def make_work(width: int, sets: int) -> Work:
 
 @compiled
 def _fit_set(
-    frames: Frames, plan: Plan, scale: Any, work: Work, sums: Sums, fit: Fit, reason: Any
+    frames: RowFrames, plan: Plan, scale: Any, work: Work, sums: Sums, fit: Fit, reason: Any
 ) -> Any:
     """Fit one fringe set over one row; return how many pixels have damaged frames."""
     layout, limits = plan.layout, plan.limits
@@ -187,7 +186,7 @@ def _fit_row(
             variance = work.fit[4] if j == 0 else work.fit[1]
             first = layout.phase_first[axis] + j * layout.steps
             fit = Fit(mean, work.modulations[axis, j], variance, work.fit[3])
-            if _fit_set(Frames(stack, first, row), plan, scale, work, sums, fit, reason):
+            if _fit_set(RowFrames(stack, first, row), plan, scale, work, sums, fit, reason):
                 _add_largest(work.fit[3], work.excess[axis])
             if j > 0:
                 _add(variance, work.fit[4])
@@ -219,11 +218,11 @@ def _find_sigmas(axis: int, plan: Plan, scale: Any, work: Work) -> None:
 
 @merged
 def _read_order(
-    axis: int, row: int, stack: Any, plan: Plan, scale: Any, work: Work, answer: Answer
+    axis: int, row: int, stack: Any, plan: Plan, scale: Any, work: Work, answer: Numbered
 ) -> None:
     """Give one axis its fringe numbers by Gray words."""
     code, limits, margin = plan.codes[axis], plan.limits, work.fit[2]
-    frames = Frames(stack, plan.layout.gray_first[axis], row)
+    frames = RowFrames(stack, plan.layout.gray_first[axis], row)
     read = Word(work.word, work.nearest, work.mean[axis], margin)
     phase, order = work.phases[axis, 0], work.order
     find_noise(read.mean, scale, limits, margin)
@@ -256,7 +255,7 @@ def _finish_row(row: int, stack: Any, plan: Plan, scale: Any, work: Work, maps: 
     """Give one row of the band its fringe numbers, and write the result."""
     reason, error, usable = maps.reason[row], work.lines[0], work.usable
     for axis in range(2):
-        answer = Answer(work.answers[COORDINATE[axis]], work.answers[SIGMA[axis]], error)
+        answer = Numbered(work.answers[COORDINATE[axis]], work.answers[SIGMA[axis]], error)
         _find_sigmas(axis, plan, scale, work)
         if plan.is_chain:
             ladder = plan.ladders[axis]

@@ -20,7 +20,7 @@ import numpy as np
 
 from reconstruction._jit import compiled, inlined
 from reconstruction.arrays import FloatArray
-from reconstruction.decoding._sum import Frames
+from reconstruction.decoding._sum import RowFrames
 from reconstruction.mask import Reason
 
 ORDER_UNCERTAIN = np.uint8(Reason.ORDER_UNCERTAIN)
@@ -41,6 +41,7 @@ NONE, STEP = np.int32(0), np.int32(1)
 NOTHING, INFINITE = np.float32(0.0), np.float32(np.inf)
 # Where the first projector pixel begins.
 FIRST = np.float32(-0.5)
+TINY = 1e-12
 
 
 class Word(NamedTuple):
@@ -52,7 +53,7 @@ class Word(NamedTuple):
     margin: Any  # nearer levels are not certain, DN
 
 
-class Answer(NamedTuple):
+class Numbered(NamedTuple):
     """What one row says along one axis, lines of (col) float32."""
 
     coordinate: Any  # px
@@ -145,7 +146,7 @@ def _nearer(x: Any, y: Any) -> Any:
 
 
 @compiled
-def read_gray_row(frames: Frames, bits: int, read: Word) -> None:
+def read_gray_row(frames: RowFrames, bits: int, read: Word) -> None:
     """Write the Gray word, and how near to A a level comes."""
     stack, first, row = frames
     word, nearest, mean = read.gray, read.nearest, read.mean
@@ -170,7 +171,7 @@ def read_gray_row(frames: Frames, bits: int, read: Word) -> None:
 
 
 @compiled
-def number_row(code: Code, word: Any, phase: Any, order: Any, answer: Answer) -> None:
+def number_row(code: Code, word: Any, phase: Any, order: Any, answer: Numbered) -> None:
     """Write order and coordinate as read, and error probability 1 where words contradict."""
     coordinate, error = answer.coordinate, answer.error
     # The choice of the code stands outside the loops: only so do they become vector code.
@@ -202,7 +203,7 @@ def _tail(sigmas: float) -> float:
 
 @compiled
 def weigh_near_bits(
-    code: Code, frames: Frames, gray_sigmas: Any, read: Word, phase: Any, order: Any, error: Any
+    code: Code, frames: RowFrames, gray_sigmas: Any, read: Word, phase: Any, order: Any, error: Any
 ) -> None:
     """Add the probability that a bit near its threshold was misread, where that matters.
 
@@ -238,7 +239,7 @@ def weigh_wrap(code: Code, phase: Any, sigma: Any, error: Any) -> None:
 
 @compiled
 def settle_row(
-    length_px: int, max_order_error: Any, answer: Answer, usable: Any, reason: Any
+    length_px: int, max_order_error: Any, answer: Numbered, usable: Any, reason: Any
 ) -> None:
     """Mark uncertain orders and coordinates outside the projector; no phase, no probability."""
     coordinate, error = answer.coordinate, answer.error
@@ -260,9 +261,6 @@ def write_valid(values: Any, reason: Any, out: Any) -> None:
     """Copy a row without what a masked pixel must not tell."""
     for col in range(reason.size):
         out[col] = values[col] if reason[col] == VALID else NOTHING
-
-
-TINY = 1e-12
 
 
 class Ladder(NamedTuple):
@@ -327,7 +325,7 @@ def _fused(ladder: Ladder, x: float, phases: Any, sigmas: Any, col: int) -> Any:
 
 
 @compiled
-def climb_row(ladder: Ladder, phases: Any, sigmas: Any, usable: Any, answer: Answer) -> None:
+def climb_row(ladder: Ladder, phases: Any, sigmas: Any, usable: Any, answer: Numbered) -> None:
     """Write the fused coordinate, its sigma and the chance of a wrong number; 0 without a phase.
 
     phases, sigmas : (set, col), rad

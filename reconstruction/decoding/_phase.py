@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from reconstruction._jit import compiled, inlined
-from reconstruction.decoding._sum import SATURATED, Fit, Frames, Layout, Limits, Sums, noise_dn2
+from reconstruction.decoding._sum import SATURATED, Fit, Layout, Limits, RowFrames, Sums, noise_dn2
 
 TURN = 2.0 * np.pi
 # atan(t) = t P(t^2) on [0, 1], minimax fit of degree 8: 6e-9 rad, below single precision's 1e-7.
@@ -30,6 +30,8 @@ ATAN = tuple(
 HALF_PI, PI, TWO_PI = np.float32(0.5 * np.pi), np.float32(np.pi), np.float32(TURN)
 TINY = np.float32(1e-30)
 STEPS_PER_RAD, ROUNDING = np.float32(65536.0 / TURN), np.float32(0.5)
+ROOT = np.sqrt(2.0)
+LARGEST = 1e30
 
 
 @compiled
@@ -96,10 +98,6 @@ def grow_sigma(excess: Any, sigma: Any) -> None:
         sigma[col] *= np.sqrt(np.float32(1.0) + excess[col])
 
 
-ROOT = np.sqrt(2.0)
-LARGEST = 1e30
-
-
 @inlined
 def _is_good(level: Any, lowest: Any, limit: Any) -> Any:
     """Tell whether a frame counts; false for NaN."""
@@ -107,7 +105,7 @@ def _is_good(level: Any, lowest: Any, limit: Any) -> Any:
 
 
 @inlined
-def _normal_sums(frames: Frames, col: int, layout: Layout, lowest: Any, limit: Any) -> Any:
+def _normal_sums(frames: RowFrames, col: int, layout: Layout, lowest: Any, limit: Any) -> Any:
     """Return n and the sums over good frames: g1, g2, g1 g1, g1 g2, g2 g2, I, g1 I, g2 I."""
     n, s1, s2, s11, s12, s22, y, y1, y2 = 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for step in range(layout.steps):
@@ -135,7 +133,7 @@ def _inverse(a: float, b: float, c: float, d: float, e: float, f: float) -> Any:
 
 @inlined
 def _square_residuals(
-    frames: Frames, col: int, layout: Layout, lowest: Any, limit: Any, cosine: Any
+    frames: RowFrames, col: int, layout: Layout, lowest: Any, limit: Any, cosine: Any
 ) -> float:
     """Return the sum of squares that the cosine (A, p, q) leaves of the good frames."""
     total = 0.0
@@ -150,8 +148,8 @@ def _square_residuals(
 
 @compiled
 def refit_row(
-    frames: Frames, layout: Layout, limits: Limits, scale: Any, damaged: Any, sums: Sums, fit: Fit,
-    reason: Any,
+    frames: RowFrames, layout: Layout, limits: Limits, scale: Any, damaged: Any, sums: Sums,
+    fit: Fit, reason: Any,
 ) -> None:  # fmt: skip
     """Replace what the damaged frames spoiled, or mark the pixel SATURATED."""
     mean, modulation, variance, excess = fit

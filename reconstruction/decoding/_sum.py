@@ -35,7 +35,7 @@ class Layout(NamedTuple):
     sines: FloatImage
 
 
-class Frames(NamedTuple):
+class RowFrames(NamedTuple):
     """The frames of one fringe set, or of one Gray word, in one image row: the first of them."""
 
     stack: Any  # (frame, row, col)
@@ -156,7 +156,7 @@ def _add_one(a: Any, cosine: Any, sine: Any, sums: Sums) -> None:
 
 
 @compiled
-def add_frames(frames: Frames, layout: Layout, sums: Sums) -> None:
+def add_frames(frames: RowFrames, layout: Layout, sums: Sums) -> None:
     """Write the sums of one fringe set over one row."""
     stack, first, row = frames
     total, real, imag, square, high, low = sums

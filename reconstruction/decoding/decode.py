@@ -29,6 +29,12 @@ __all__ = ["AxisDecode", "DecodeOptions", "Decoded", "Reason", "decode"]
 
 STACK_TYPES = ("uint8", "uint16", "float32")
 BAND_ROWS = 96
+# Times an order of up to 12 bits, exact in the 24 bits of single precision.
+HIGH_BITS = 12
+# Half precision reaches from 1e-9 to 1000 px, and from 2e-12 to 1.
+SIGMA_UNIT_PX = 2.0**-6
+CHANCE_UNIT = 2.0**-15
+KINDS = {"gray": PLAIN, "complementary_gray": COMPLEMENTARY, "shifted_gray": SHIFTED}
 
 
 def decode(
@@ -119,14 +125,6 @@ def _axis(
         "order_error": Half(maps.order_error[axis], chance),
     }
     return AxisDecode(coordinate_px, **compact)
-
-
-# Times an order of up to 12 bits, exact in the 24 bits of single precision.
-HIGH_BITS = 12
-# Half precision reaches from 1e-9 to 1000 px, and from 2e-12 to 1.
-SIGMA_UNIT_PX = 2.0**-6
-CHANCE_UNIT = 2.0**-15
-KINDS = {"gray": PLAIN, "complementary_gray": COMPLEMENTARY, "shifted_gray": SHIFTED}
 
 
 def make_plan(

@@ -11,6 +11,10 @@ from reconstruction.errors import FitError
 
 # Singular value ratio below which points count as coplanar (collinear): rounding only.
 DEGENERATE_RATIO = 1e-10
+# 1.4826 MAD estimates the standard deviation of a normal distribution.
+MAD_TO_SIGMA = 1.4826
+REJECT_BEYOND_SIGMAS = 4.0
+"""One of 16,000 normal residuals lies beyond."""
 
 
 @dataclass(frozen=True)
@@ -154,12 +158,6 @@ def _radial_jacobian(parameters: FloatArray, local: FloatArray) -> FloatArray:
     # A point at the centre has no direction; any finite value serves for that one row.
     distance = np.maximum(np.linalg.norm(toward, axis=1, keepdims=True), 1e-300)
     return np.column_stack([toward / distance, -np.ones(len(local))])
-
-
-# 1.4826 MAD estimates the standard deviation of a normal distribution.
-MAD_TO_SIGMA = 1.4826
-REJECT_BEYOND_SIGMAS = 4.0
-"""One of 16,000 normal residuals lies beyond."""
 
 
 def spread(values: FloatArray) -> float:

@@ -11,6 +11,9 @@ from reconstruction.errors import FitError
 from reconstruction.evaluate.fit import PlaneFit, fit_plane, inliers
 
 _MOST_TURNS = 20
+# Gaussian of ISO 16610-61: exp(-pi (x / (a L))^2) / (a L)^2 with a = sqrt(ln 2 / pi).
+_SIGMA_OVER_NESTING = np.sqrt(np.log(2.0) / np.pi) / np.sqrt(2.0 * np.pi)
+_LEAST_SUPPORT = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,11 +64,6 @@ def distances_mm(points_mm: FloatArray, plane: PlaneFit) -> FloatArray:
     """Signed distances of points (n, 3) from a plane."""
     distances: FloatArray = (points_mm - plane.centroid_mm) @ plane.normal
     return distances
-
-
-# Gaussian of ISO 16610-61: exp(-pi (x / (a L))^2) / (a L)^2 with a = sqrt(ln 2 / pi).
-_SIGMA_OVER_NESTING = np.sqrt(np.log(2.0) / np.pi) / np.sqrt(2.0 * np.pi)
-_LEAST_SUPPORT = 0.5
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from reconstruction.evaluate.fit import ResidualStats, fit_sphere, inliers, resi
 _MOST_TURNS = 20
 # The first scale comes from a fit that outliers have pulled off: it is taken anew once.
 _SOFT_TURNS = 2
+_LEAST_POINTS = 20
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,9 +110,6 @@ def _radius_sigma_mm(points: FloatArray, centre_mm: FloatArray, residuals_mm: Fl
 def _from_centre(parameters: FloatArray, points: FloatArray) -> FloatArray:
     distance: FloatArray = np.linalg.norm(points - parameters[:3], axis=1) - parameters[3]
     return distance
-
-
-_LEAST_POINTS = 20
 
 
 @dataclass(frozen=True, eq=False)

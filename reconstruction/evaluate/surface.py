@@ -20,10 +20,14 @@ from reconstruction.triangulation.triangulate import PointMap
 
 _PNG_LEVELS = 65534
 """Levels 1 to 65535 are heights, 0 is no height."""
+Triangles = NDArray[np.int32]
+
+CUT_OVER_TYPICAL = 5.0
+"""An edge this many times longer than the typical one bridges a jump: 79 degrees of slope."""
 
 
 @dataclass(frozen=True, eq=False)
-class HeightMap:
+class HeightGrid:
     """Mean heights per cell.
 
     Attributes
@@ -45,7 +49,7 @@ class HeightMap:
     pitch_mm: float
 
 
-def height_map(points: PointMap, pitch_mm: float | None = None) -> HeightMap:
+def height_map(points: PointMap, pitch_mm: float | None = None) -> HeightGrid:
     """Average the valid points over square cells.
 
     Parameters
@@ -74,7 +78,7 @@ def height_map(points: PointMap, pitch_mm: float | None = None) -> HeightMap:
     index = (rows - 1 - cell[:, 1]) * cols + cell[:, 0]
     count = np.bincount(index, minlength=rows * cols).reshape(rows, cols)
     total = np.bincount(index, world[:, 2], rows * cols).reshape(rows, cols)
-    return HeightMap(
+    return HeightGrid(
         x_mm=(low[0] + np.arange(cols) + 0.5) * pitch,
         y_mm=(low[1] + np.arange(rows)[::-1] + 0.5) * pitch,
         z_mm=(total / np.maximum(count, 1)).astype(np.float32),
@@ -92,7 +96,7 @@ def _typical_distance_mm(points: PointMap) -> float:
     return float(np.median(np.hypot(apart[:, 0], apart[:, 1])))
 
 
-def write_height_netcdf(path: Path, heights: HeightMap) -> None:
+def write_height_netcdf(path: Path, heights: HeightGrid) -> None:
     """Write as netCDF-4 with coordinates x and y, mm."""
     with writing_netcdf(path) as file:
         file.attrs["Conventions"] = "CF-1.8"
@@ -107,7 +111,7 @@ def write_height_netcdf(path: Path, heights: HeightMap) -> None:
         mask.attrs["long_name"] = "1 where there is a height"
 
 
-def write_height_png(path: Path, heights: HeightMap) -> None:
+def write_height_png(path: Path, heights: HeightGrid) -> None:
     """Write as 16-bit PNG, and beside it PATH.json with the scale: z = first + step (level - 1)."""
     z = heights.z_mm[heights.valid].astype(np.float64)
     first, step = float(z.min()), max(float(np.ptp(z)) / (_PNG_LEVELS - 1), 1e-9)
@@ -126,15 +130,9 @@ def write_height_png(path: Path, heights: HeightMap) -> None:
     path.with_name(path.name + ".json").write_text(json.dumps(scale, indent=2), encoding="utf-8")
 
 
-def write_height_exr(path: Path, heights: HeightMap) -> None:
+def write_height_exr(path: Path, heights: HeightGrid) -> None:
     """Write as EXR with the channels Z (mm) and A (1 where there is a height)."""
     write_exr_channels(path, {"Z": heights.z_mm, "A": heights.valid.astype(np.float32)})
-
-
-Triangles = NDArray[np.int32]
-
-CUT_OVER_TYPICAL = 5.0
-"""An edge this many times longer than the typical one bridges a jump: 79 degrees of slope."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,17 +199,6 @@ def write_mesh_ply(path: Path, mesh: SurfaceMesh) -> None:
     faces["n"], faces["v"] = 3, mesh.triangles
     vertices = mesh.vertices_mm.astype("<f4")
     path.write_bytes(header.encode("ascii") + vertices.tobytes() + faces.tobytes())
-
-
-def write_mesh_stl(path: Path, mesh: SurfaceMesh) -> None:
-    """Write as binary STL, mm."""
-    corners = mesh.vertices_mm[mesh.triangles].astype("<f4")
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
-    facets = np.zeros(len(corners), [("n", "<f4", 3), ("v", "<f4", (3, 3)), ("attribute", "<u2")])
-    facets["n"], facets["v"] = normals, corners
-    head = b"fringe-twin surface, mm".ljust(80) + np.uint32(len(corners)).tobytes()
-    path.write_bytes(head + facets.tobytes())
 
 
 def write_surface(folder: Path, points: PointMap) -> None:

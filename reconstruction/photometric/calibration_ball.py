@@ -23,6 +23,15 @@ LEAST_CONTRAST = 0.35
 # Directions that miss the fitted circle by more than this many robust sigmas are left out.
 OUTLIER_SIGMAS = 2.5
 SIGMA_PER_MAD = 1.4826
+# Left out inside the circle: its radius is uncertain by a few pixels (published practice: 4 px).
+RIM_PX = 4.0
+# Untouched pixels per touched one: enough that untouched gel comes out flat (published practice).
+UNTOUCHED_SHARE = 0.2
+UNTOUCHED_RADII = 2.5
+# Contact radius over ball radius beyond which a press is refused: slope 2.1, no gel follows that.
+LARGEST_SINE = 0.9
+
+Part = tuple[FloatImage, FloatImage, FloatArray, FloatArray]
 
 
 @dataclass(frozen=True)
@@ -130,15 +139,6 @@ def _circle_through(points: FloatArray) -> ContactCircle:
     row, col, rest = np.linalg.lstsq(system, np.sum(local**2, axis=1))[0]
     radius = float(np.sqrt(max(rest + row * row + col * col, 0.0)))
     return ContactCircle(float(row + offset[0]), float(col + offset[1]), radius)
-
-
-# Left out inside the circle: its radius is uncertain by a few pixels (published practice: 4 px).
-RIM_PX = 4.0
-# Untouched pixels per touched one: enough that untouched gel comes out flat (published practice).
-UNTOUCHED_SHARE = 0.2
-UNTOUCHED_RADII = 2.5
-# Contact radius over ball radius beyond which a press is refused: slope 2.1, no gel follows that.
-LARGEST_SINE = 0.9
 
 
 @dataclass(frozen=True, eq=False)
@@ -257,9 +257,6 @@ def sample_presses(
     if not parts:
         raise FitError("there are no calibration images; give at least one press of a ball")
     return Samples(*(np.concatenate([part[i] for part in parts]) for i in range(4)))
-
-
-Part = tuple[FloatImage, FloatImage, FloatArray, FloatArray]
 
 
 def _require_fit(contact_mm: float, ball_radius_mm: float) -> None:

@@ -45,6 +45,15 @@ SLACK = 0.1
 RANGE_PERCENT = (0.05, 99.95)
 # Horizontal part of a unit normal, at most: slope 3.
 LARGEST_TILT = 0.95
+# Published practice: 90 bins per channel over differences of [-90, 90) levels; an empty bin counts
+# as calibrated within a squared distance of 20 bins from a filled one.
+BINS = 90
+LOWEST_LEVELS = -90.0
+LEVELS_PER_BIN = 2.0
+FILL_DISTANCE = np.sqrt(20.0)
+# Weak background is amplified by 1 + 2 (mean / background - 1), published practice, here with the
+# median, which printed dots do not shift; the bound keeps a dead corner from becoming noise.
+LARGEST_FACTOR = 4.0
 
 
 def _exponents(variables: int, lowest: int, highest: int) -> tuple[tuple[int, ...], ...]:
@@ -199,17 +208,6 @@ def _slopes_of_tilt(tilt: FloatImage) -> FloatImage:
     square = np.minimum(np.sum(tilt**2, axis=0), np.float32(LARGEST_TILT**2))
     slopes: FloatImage = tilt / np.sqrt(np.float32(1.0) - square)
     return slopes
-
-
-# Published practice: 90 bins per channel over differences of [-90, 90) levels; an empty bin counts
-# as calibrated within a squared distance of 20 bins from a filled one.
-BINS = 90
-LOWEST_LEVELS = -90.0
-LEVELS_PER_BIN = 2.0
-FILL_DISTANCE = np.sqrt(20.0)
-# Weak background is amplified by 1 + 2 (mean / background - 1), published practice, here with the
-# median, which printed dots do not shift; the bound keeps a dead corner from becoming noise.
-LARGEST_FACTOR = 4.0
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,6 +11,14 @@ from reconstruction.arrays import BoolImage, FloatArray, FloatImage, Levels
 from reconstruction.errors import InputError
 
 CHANNELS = ("red", "green", "blue")
+# How far dots are grown where nothing else is said: their rims are half dark.
+GROWTH_PX = 2
+# Dots are narrower than this, 0.5 mm in radius at 0.0634 mm/px, and so much darker than the gel
+# beside them.
+WIDEST_PX, DOT_CONTRAST = 25, 0.8
+# Smoothings of filled slopes: enough for dots of 8 px radius (0.5 mm at 0.0634 mm/px), since the
+# nearest neighbours they start from are already right at the rim.
+SMOOTHINGS = 40
 
 
 def checked_image(image: ArrayLike, name: str, shape: tuple[int, ...] | None = None) -> Levels:
@@ -47,16 +55,6 @@ def smoothed(image: Levels | FloatImage, side_px: int) -> FloatImage:
         return levels
     mean: FloatImage = cv2.blur(levels, (side_px, side_px), borderType=cv2.BORDER_REPLICATE)
     return mean
-
-
-# How far dots are grown where nothing else is said: their rims are half dark.
-GROWTH_PX = 2
-# Dots are narrower than this, 0.5 mm in radius at 0.0634 mm/px, and so much darker than the gel
-# beside them.
-WIDEST_PX, DOT_CONTRAST = 25, 0.8
-# Smoothings of filled slopes: enough for dots of 8 px radius (0.5 mm at 0.0634 mm/px), since the
-# nearest neighbours they start from are already right at the rim.
-SMOOTHINGS = 40
 
 
 def find_markers(

@@ -32,6 +32,8 @@ from reconstruction.errors import FitError
 
 Boundary = Literal["neumann", "dirichlet"]
 BOUNDARIES = ("neumann", "dirichlet")
+RELATIVE_TOLERANCE = 1e-5
+MAX_ITERATIONS = 500
 
 
 def edge_steps(slopes: FloatArray, pitch_mm: float) -> tuple[FloatArray, FloatArray]:
@@ -101,10 +103,6 @@ def _inverse_dirichlet(shape: tuple[int, int]) -> FloatArray:
 def _frozen(values: FloatArray) -> FloatArray:
     values.flags.writeable = False  # shared by all callers through the cache
     return values
-
-
-RELATIVE_TOLERANCE = 1e-5
-MAX_ITERATIONS = 500
 
 
 @dataclass(frozen=True, eq=False)

@@ -51,6 +51,10 @@ from reconstruction.photometric.sensor_calibration import (
 
 Names = tuple[str, ...]
 DEFAULTS = PhotometricOptions()
+DIMENSIONS = ("row", "col")
+SLOPES = ("slope_row", "slope_col")
+
+FORMAT, VERSION = "photometric-press", 1
 
 
 @dataclass(frozen=True)
@@ -169,10 +173,6 @@ def _names(key: str, names: object, least: int = 1) -> Names:
     if not is_list or not all(isinstance(name, str) and name for name in given):  # type: ignore[attr-defined]
         raise InputError(f"{key} is {names!r}; give a list of file names")
     return tuple(given)  # type: ignore[arg-type]
-
-
-DIMENSIONS = ("row", "col")
-SLOPES = ("slope_row", "slope_col")
 
 
 @dataclass(frozen=True, eq=False)
@@ -314,6 +314,3 @@ def write_height_points(path: Path | str, height_map: HeightMap) -> None:
     """Write the measured points as PLY, row by row; frame as `HeightMap.points_mm`."""
     comments = ("frame image centre, x right, y up, z towards the camera", "units mm")
     write_ply(path, height_map.points_mm(), comments=comments)
-
-
-FORMAT, VERSION = "photometric-press", 1

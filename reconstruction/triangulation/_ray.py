@@ -35,6 +35,19 @@ distort_inlined = inlined(distort)
 distortion_jacobian_inlined = inlined(distortion_jacobian)
 newton_step_inlined = inlined(newton_step)
 is_before_fold_inlined = inlined(is_before_fold)
+EPIPOLAR_MISMATCH = np.uint8(Reason.EPIPOLAR_MISMATCH)
+NO_POINT = np.uint8(Reason.NO_POINT)
+VALID = np.uint8(Reason.VALID)
+MAX_STEPS = 20
+# Relative depth step that ends the iteration. The error left after it is smaller by the next
+# contraction, below 1e-3: at most 2e-6 mm at 200 mm.
+DEPTH_TOLERANCE = 1e-5
+# A caller's zero sigma must not become an infinite weight.
+SMALLEST_SIGMA_PX = np.float32(1e-9)
+ZERO = np.float32(0.0)
+
+# Rows of [R t]. Tuples, because arrays handed over per pixel cost more than the geometry.
+Motion = tuple[tuple[float, ...], ...]
 
 
 class Lens(NamedTuple):
@@ -125,21 +138,6 @@ def ray_row(row: int, camera: Lens, rays: Rays) -> None:
     _forget_lost(rays.found, rays.x_bend, rays.y_bend)
 
 
-EPIPOLAR_MISMATCH = np.uint8(Reason.EPIPOLAR_MISMATCH)
-NO_POINT = np.uint8(Reason.NO_POINT)
-VALID = np.uint8(Reason.VALID)
-MAX_STEPS = 20
-# Relative depth step that ends the iteration. The error left after it is smaller by the next
-# contraction, below 1e-3: at most 2e-6 mm at 200 mm.
-DEPTH_TOLERANCE = 1e-5
-# A caller's zero sigma must not become an infinite weight.
-SMALLEST_SIGMA_PX = np.float32(1e-9)
-ZERO = np.float32(0.0)
-
-# Rows of [R t]. Tuples, because arrays handed over per pixel cost more than the geometry.
-Motion = tuple[tuple[float, ...], ...]
-
-
 class Match(NamedTuple):
     """Which coordinates determine the depth, and how far the other may be off."""
 
@@ -162,7 +160,7 @@ class Fringe(NamedTuple):
     sigma_unit_px: np.float32
 
 
-class Rig(NamedTuple):
+class LensPair(NamedTuple):
     """Both lenses and the motions between the frames, mm."""
 
     camera: Lens
@@ -171,7 +169,7 @@ class Rig(NamedTuple):
     T_world_from_cam: Motion
 
 
-class Points(NamedTuple):
+class PointRows(NamedTuple):
     """Result: (row, 3 col) x y z mm, (row, col) sigma of the depth in half precision and codes.
 
     sigma_factor : for `pack_row`
@@ -192,7 +190,7 @@ class Pixels(NamedTuple):
     v_sigma: Any
 
 
-class View(NamedTuple):
+class ProjectorView(NamedTuple):
     """Lines of one row: what the projector sees of each point.
 
     How far the pixel misses the decoded one and its change per mm of depth, single precision; how
@@ -227,7 +225,13 @@ def _weights(su: Any, sv: Any, match: Match) -> Any:
 
 @compiled
 def _start_row(
-    rays: Rays, pixels: Pixels, match: Match, rig: Rig, depth: Any, view: View, reason: Any
+    rays: Rays,
+    pixels: Pixels,
+    match: Match,
+    rig: LensPair,
+    depth: Any,
+    view: ProjectorView,
+    reason: Any,
 ) -> None:
     """Write the depth for a lens that bends as in the row before: weighted planes."""
     x, y, found, u_bend, v_bend = rays.x, rays.y, rays.found, view.u_bend, view.v_bend
@@ -246,8 +250,8 @@ def _start_row(
 
 @compiled
 def _step_row(
-    rays: Rays, pixels: Pixels, match: Match, rig: Rig, is_last: bool, depth: Any, view: View,
-    reason: Any,
+    rays: Rays, pixels: Pixels, match: Match, rig: LensPair, is_last: bool, depth: Any,
+    view: ProjectorView, reason: Any,
 ) -> Any:  # fmt: skip
     """Take one Gauss-Newton step on the weighted residuals; return how many are not there yet."""
     x, y = rays.x, rays.y
@@ -290,7 +294,7 @@ def _step_row(
 
 
 @compiled
-def _judge_row(pixels: Pixels, match: Match, view: View, sigma: Any, reason: Any) -> None:
+def _judge_row(pixels: Pixels, match: Match, view: ProjectorView, sigma: Any, reason: Any) -> None:
     """Write the sigma of the depth, and mark coordinates that contradict the point."""
     su, sv = pixels.u_sigma, pixels.v_sigma
     u_miss, v_miss, u_slope, v_slope = view.u_miss, view.v_miss, view.u_slope, view.v_slope
@@ -331,14 +335,14 @@ def _place_row(rays: Rays, depth: Any, reason: Any, T: Motion, world: Any) -> No
 
 @compiled
 def meet_rows(
-    first_row: int, end_row: int, fringe: Fringe, match: Match, rig: Rig, points: Points
+    first_row: int, end_row: int, fringe: Fringe, match: Match, rig: LensPair, points: PointRows
 ) -> None:  # fmt: skip
     """Fill `points` of some rows; `reason` masks and is updated."""
     width = points.reason.shape[1]
     lines, short = np.zeros((7, width)), np.zeros((8, width), np.float32)
     rays = Rays(lines[0], lines[1], lines[2], lines[3], np.zeros(width, np.bool_))
     depth = lines[4]
-    view = View(short[0], short[1], short[2], short[3], lines[5], lines[6])
+    view = ProjectorView(short[0], short[1], short[2], short[3], lines[5], lines[6])
     su, sv, sigma, spare = short[4], short[5], short[6], short[7]
     for row in range(first_row, end_row):
         pixels = Pixels(fringe.column[row], fringe.row[row], su, sv)

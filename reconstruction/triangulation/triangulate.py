@@ -20,7 +20,15 @@ from reconstruction.decoding.decoded import AxisDecode, Decoded
 from reconstruction.errors import InputError, require_number
 from reconstruction.mask import Reason
 from reconstruction.rig.calibration import Calibration
-from reconstruction.triangulation._ray import Fringe, Match, Motion, Points, Rig, lens_of, meet_rows
+from reconstruction.triangulation._ray import (
+    Fringe,
+    LensPair,
+    Match,
+    Motion,
+    PointRows,
+    lens_of,
+    meet_rows,
+)
 
 # The first row of a band takes more steps than the others, which start from the row before.
 BAND_ROWS = 48
@@ -132,7 +140,7 @@ def triangulate(
         ),
         Match(use != "row", use != "column", float(limits.absolute_px), float(limits.sigmas)),
         _rig(calibration),
-        Points(
+        PointRows(
             points.reshape(shape[0], -1),
             sigma_depth.bits,
             np.float32(BIAS / SIGMA_UNIT_MM),
@@ -164,8 +172,8 @@ def _packed_sigma(axis: AxisDecode) -> Bits:
     return Half.of(axis.sigma_px, SIGMA_UNIT_PX).bits
 
 
-def _rig(calibration: Calibration) -> Rig:
-    return Rig(
+def _rig(calibration: Calibration) -> LensPair:
+    return LensPair(
         lens_of(calibration.camera),
         lens_of(calibration.projector),
         _motion(calibration.T_proj_from_cam),

@@ -15,7 +15,7 @@ from scipy.sparse import csr_array
 from scipy.special import erf
 
 from reconstruction.arrays import FloatImage
-from reconstruction.patterns import Frame, PatternSet
+from reconstruction.patterns import PatternFrame, PatternSet
 from twin.config.models import Patterns, Projector
 from twin.optics.defocus import BlurLevels, Defocus
 
@@ -101,7 +101,7 @@ def _table(
     return replace(table, levels=blur_levels, defocused=np.stack(defocused).astype(np.float32))
 
 
-def along(frame: Frame) -> str:
+def along(frame: PatternFrame) -> str:
     """Axis whose table holds a frame: uniform frames are kept with the columns."""
     return frame.axis or "column"
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from reconstruction.arrays import FloatImage
-from reconstruction.patterns import Frame, PatternSet
+from reconstruction.patterns import PatternFrame, PatternSet
 from reconstruction.rig.pinhole import distort, distortion_jacobian, fold_square, is_before_fold
 from twin.optics.connection import Rig
 from twin.optics.device_frames import field_of_view_deg, perspective_sensor, to_world
@@ -70,7 +70,7 @@ def canvas_for(rig: Rig, kind: Emitter, texels_per_px: int = TEXELS_PER_PX) -> C
 
 
 def frame_texture(
-    frame: Frame, index: int, rig: Rig, tables: dict[str, LightTable], canvas: Canvas
+    frame: PatternFrame, index: int, rig: Rig, tables: dict[str, LightTable], canvas: Canvas
 ) -> FloatImage:
     """Light of one frame on the canvas, (row, col) float32.
 
