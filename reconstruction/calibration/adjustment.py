@@ -1,11 +1,11 @@
 """Adjust camera, projector and all poses together, and say how sure each parameter is.
 
-Minimises the misses of all features in camera and projector pixels. The projector coordinate is
-read at the place where the camera sees the feature, so an error d of that place shows in the
-projector as well, as G d with the local slope G. What is independent, and is minimised, is the
-camera's miss and the projector's miss beyond G d, each weighted by its own spread (estimated from
-the misses themselves). Covariance: s^2 (J^T W J)^-1 with s^2 from the residuals (Gauss-Markov;
-Triggs et al., Bundle Adjustment - A Modern Synthesis, 2000).
+Minimises the reprojection residuals of all features in camera and projector pixels. The projector
+coordinate is read at the place where the camera sees the feature, so an error d of that place shows
+in the projector as well, as G d with the local slope G. What is independent, and is minimised, is
+the camera's residual and the projector's beyond G d, each weighted by its own spread (estimated
+from the residuals themselves). Covariance: s^2 (J^T W J)^-1 with s^2 from the residuals
+(Gauss-Markov; Triggs et al., Bundle Adjustment - A Modern Synthesis, 2000).
 """
 
 from collections.abc import Sequence
@@ -31,7 +31,7 @@ from reconstruction.errors import InputError
 # The bias of dot centres depends on the poses and is at most some tenths of a pixel: it settles at
 # once. The weights settle with it.
 TURNS = 4
-# A feature that misses by more than this many spreads is left out (a dirty or half-hidden dot), but
+# A feature off by more than this many spreads is left out (a dirty or half-hidden dot), but
 # never for less than this many pixels: exact data have no outliers.
 OUTLIER_SPREADS, MIN_OUTLIER_PX = 6.0, 1e-3
 # Misses are never trusted beyond this: exact data would get infinite weight.
@@ -70,10 +70,10 @@ class Adjustment:
         squared radius, and its standard uncertainty; 0 where it is not estimated
     measured_px : per pose (n, 4) float: camera x, y, projector column, row of the features, the
         perspective bias of dots and the displacement of defocus taken out
-    misses_px : per pose (n, 4) float: measured minus projected
+    residuals_px : per pose (n, 4) float: measured minus projected
     used : per pose (n,) bool, features that took part
-    spread_px : standard deviation of the misses of the camera, and of the projector beyond what the
-        camera's misses explain
+    spread_px : standard deviation of the camera's residuals, and of the projector's beyond what
+        the camera's explain
     degrees_of_freedom : measured numbers minus free parameters
     """
 
@@ -83,7 +83,7 @@ class Adjustment:
     pupil_mm2: float
     pupil_sigma_mm2: float
     measured_px: tuple[FloatArray, ...]
-    misses_px: tuple[FloatArray, ...]
+    residuals_px: tuple[FloatArray, ...]
     used: tuple[BoolImage, ...]
     spread_px: tuple[float, float]
     degrees_of_freedom: int
@@ -111,7 +111,7 @@ def adjust(
 
 
 class _Problem:
-    """The misses of all features as a function of the free parameters.
+    """The reprojection residuals of all features as a function of the free parameters.
 
     Vectors are those of `pack`, followed by the coefficients of the defocus.
     """
@@ -142,7 +142,7 @@ class _Problem:
             self._targets[k] = np.hstack([seen.camera_px - bias, seen.projector_px - along])
 
     def weigh(self, vector: FloatArray) -> None:
-        """Set spreads from the misses (robustly) and leave out features far beyond them."""
+        """Set spreads from the residuals (robustly) and leave out features far beyond them."""
         misses = self._independent(vector)
         stacked = np.concatenate(misses)
         for device in range(2):
@@ -161,7 +161,7 @@ class _Problem:
                     "leave this pose out, or check that the board did not move during it"
                 )
 
-    def misses(self, vector: FloatArray) -> list[FloatArray]:
+    def reprojection(self, vector: FloatArray) -> list[FloatArray]:
         """Return measured minus projected pixels of every pose, (n, 4)."""
         return [
             target - project_pose(vector, k, seen.points_mm)[0]
@@ -177,8 +177,8 @@ class _Problem:
         ]
 
     def _independent(self, vector: FloatArray) -> list[FloatArray]:
-        """Return the misses with the camera's share taken out of the projector's, (n, 4)."""
-        found = self.misses(vector)
+        """Return the residuals with the camera's share taken out of the projector's, (n, 4)."""
+        found = self.reprojection(vector)
         for miss, seen in zip(found, self._seen, strict=True):
             miss[:, 2:] -= np.einsum("nij,nj->ni", seen.slopes, miss[:, :2])
         return found
@@ -234,7 +234,7 @@ class _Problem:
             pupil_mm2=float(vector[-DEFOCUS]),
             pupil_sigma_mm2=float(np.sqrt(covariance[-DEFOCUS, -DEFOCUS])),
             measured_px=tuple(self._sharp(vector)),
-            misses_px=tuple(self.misses(vector)),
+            residuals_px=tuple(self.reprojection(vector)),
             used=tuple(self._used),
             spread_px=_spreads(independent, self._used, degrees / len(residuals)),
             degrees_of_freedom=degrees,
@@ -273,7 +273,7 @@ def _undetermined() -> InputError:
 def _spreads(
     misses: Sequence[FloatArray], used: Sequence[BoolImage], share: float
 ) -> tuple[float, float]:
-    """Return the standard deviation of both devices' misses, free parameters allowed for."""
+    """Return the standard deviation of both devices' residuals, free parameters allowed for."""
     kept = np.concatenate([miss[u] for miss, u in zip(misses, used, strict=True)])
     camera, projector = (float(np.sqrt(np.mean(kept[:, i : i + 2] ** 2) / share)) for i in (0, 2))
     return camera, projector

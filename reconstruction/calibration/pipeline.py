@@ -46,7 +46,7 @@ class Parameter:
 
 @dataclass(frozen=True)
 class PoseResidual:
-    """Root mean square misses of one pose, px; epipolar: distance from the epipolar line."""
+    """RMS reprojection residuals of one pose, px; epipolar: distance from the epipolar line."""
 
     name: str
     features: int
@@ -93,21 +93,21 @@ def pose_residuals(found: Adjustment, observations: Sequence[Observation]) -> li
     """Return the residuals of every pose, over the features that took part."""
     rows = []
     for k, seen in enumerate(observations):
-        used, misses = found.used[k], found.misses_px[k][found.used[k]]
+        used, residuals = found.used[k], found.residuals_px[k][found.used[k]]
         rows.append(
             PoseResidual(
                 name=seen.name,
                 features=int(used.sum()),
                 left_out=int((~used).sum()),
-                camera_px=_rms(misses[:, :2]),
-                projector_px=_rms(misses[:, 2:]),
-                epipolar_px=_rms(epipolar_misses_px(found.rig, found.measured_px[k][used])),
+                camera_px=_rms(residuals[:, :2]),
+                projector_px=_rms(residuals[:, 2:]),
+                epipolar_px=_rms(epipolar_residuals_px(found.rig, found.measured_px[k][used])),
             )
         )
     return rows
 
 
-def epipolar_misses_px(rig: RigEstimate | Calibration, measured_px: FloatArray) -> FloatArray:
+def epipolar_residuals_px(rig: RigEstimate | Calibration, measured_px: FloatArray) -> FloatArray:
     """Return the distances of projector points from their camera points' epipolar lines, px.
 
     Parameters

@@ -16,13 +16,13 @@ from reconstruction.decoding._order import (
     NEAR_SIGMAS,
     PLAIN,
     Code,
-    Ladder,
     Numbered,
+    Unwrapping,
     Word,
-    climb_row,
     number_row,
     read_gray_row,
     settle_row,
+    unwrap_row,
     weigh_near_bits,
     weigh_wrap,
     write_valid,
@@ -68,7 +68,7 @@ class Plan(NamedTuple):
     limits: Limits
     codes: tuple[Code, Code]
     units: Units
-    ladders: tuple[Ladder, Ladder]
+    unwrappings: tuple[Unwrapping, Unwrapping]
     is_chain: bool
     scale: FloatImage  # (row, col), by which each pixel was multiplied; (0, 0): by 1
 
@@ -258,8 +258,8 @@ def _finish_row(row: int, stack: Any, plan: Plan, scale: Any, work: Work, maps: 
         answer = Numbered(work.answers[COORDINATE[axis]], work.answers[SIGMA[axis]], error)
         _find_sigmas(axis, plan, scale, work)
         if plan.is_chain:
-            ladder = plan.ladders[axis]
-            climb_row(ladder, work.phases[axis], work.sigmas, usable, answer)
+            unwrapping = plan.unwrappings[axis]
+            unwrap_row(unwrapping, work.phases[axis], work.sigmas, usable, answer)
         else:
             _read_order(axis, row, stack, plan, scale, work, answer)
         length = plan.codes[axis].length_px

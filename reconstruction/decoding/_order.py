@@ -263,7 +263,7 @@ def write_valid(values: Any, reason: Any, out: Any) -> None:
         out[col] = values[col] if reason[col] == VALID else NOTHING
 
 
-class Ladder(NamedTuple):
+class Unwrapping(NamedTuple):
     """Chain along one axis: weights (level, set), period of each level and of each set, px."""
 
     weights: FloatArray
@@ -273,19 +273,19 @@ class Ladder(NamedTuple):
 
 
 @inlined
-def _turns(ladder: Ladder, level: int, phases: Any, col: int) -> float:
+def _turns(unwrapping: Unwrapping, level: int, phases: Any, col: int) -> float:
     total = 0.0
     for j in range(phases.shape[0]):
-        total += ladder.weights[level, j] * phases[j, col]
+        total += unwrapping.weights[level, j] * phases[j, col]
     return total / TURN
 
 
 @inlined
-def _step_sigma(ladder: Ladder, level: int, ratio: float, sigmas: Any, col: int) -> float:
+def _step_sigma(unwrapping: Unwrapping, level: int, ratio: float, sigmas: Any, col: int) -> float:
     """Return the sigma of the step to `level`, turns."""
     total = 0.0
     for j in range(sigmas.shape[0]):
-        weight = ratio * ladder.weights[level - 1, j] - ladder.weights[level, j]
+        weight = ratio * unwrapping.weights[level - 1, j] - unwrapping.weights[level, j]
         total += (weight * sigmas[j, col]) ** 2
     return max(math.sqrt(total) / TURN, TINY)
 
@@ -299,25 +299,25 @@ def _wrong_neighbour(off: float, sigma: float) -> float:
 
 
 @inlined
-def _coarsest(ladder: Ladder, phases: Any, sigmas: Any, col: int) -> Any:
+def _coarsest(unwrapping: Unwrapping, phases: Any, sigmas: Any, col: int) -> Any:
     """Return the coordinate on the coarsest level, centred on the image, and its error chance."""
-    period = ladder.level_periods_px[0]
-    low = 0.5 * (ladder.length_px - 1.0 - period)
-    x = period * _turns(ladder, 0, phases, col) - low
+    period = unwrapping.level_periods_px[0]
+    low = 0.5 * (unwrapping.length_px - 1.0 - period)
+    x = period * _turns(unwrapping, 0, phases, col) - low
     x -= period * math.floor(x / period)
     total = 0.0
     for j in range(sigmas.shape[0]):
-        total += (ladder.weights[0, j] * sigmas[j, col]) ** 2
+        total += (unwrapping.weights[0, j] * sigmas[j, col]) ** 2
     sigma = max(period * math.sqrt(total) / TURN, TINY)
     return x + low, 0.5 * math.erfc(min(x, period - x) / (math.sqrt(2.0) * sigma))
 
 
 @inlined
-def _fused(ladder: Ladder, x: float, phases: Any, sigmas: Any, col: int) -> Any:
+def _fused(unwrapping: Unwrapping, x: float, phases: Any, sigmas: Any, col: int) -> Any:
     """Return the mean of all sets weighted by 1 / sigma^2, and its sigma, px."""
     total, weights = 0.0, 0.0
     for j in range(phases.shape[0]):
-        period, turns = ladder.set_periods_px[j], phases[j, col] / TURN
+        period, turns = unwrapping.set_periods_px[j], phases[j, col] / TURN
         own = period * (np.rint(x / period - turns) + turns)
         weight = 1.0 / max(period * sigmas[j, col] / TURN, TINY) ** 2
         total, weights = total + weight * own, weights + weight
@@ -325,7 +325,9 @@ def _fused(ladder: Ladder, x: float, phases: Any, sigmas: Any, col: int) -> Any:
 
 
 @compiled
-def climb_row(ladder: Ladder, phases: Any, sigmas: Any, usable: Any, answer: Numbered) -> None:
+def unwrap_row(
+    unwrapping: Unwrapping, phases: Any, sigmas: Any, usable: Any, answer: Numbered
+) -> None:
     """Write the fused coordinate, its sigma and the chance of a wrong number; 0 without a phase.
 
     phases, sigmas : (set, col), rad
@@ -335,14 +337,14 @@ def climb_row(ladder: Ladder, phases: Any, sigmas: Any, usable: Any, answer: Num
         coordinate[col], sigma_px[col], error[col] = 0.0, 0.0, 0.0
         if not usable[col] > 0.0:
             continue
-        x, wrong = _coarsest(ladder, phases, sigmas, col)
-        for level in range(1, ladder.weights.shape[0]):
-            period = ladder.level_periods_px[level]
-            turns = _turns(ladder, level, phases, col)
+        x, wrong = _coarsest(unwrapping, phases, sigmas, col)
+        for level in range(1, unwrapping.weights.shape[0]):
+            period = unwrapping.level_periods_px[level]
+            turns = _turns(unwrapping, level, phases, col)
             number = np.rint(x / period - turns)
             off = abs(x / period - turns - number)
-            ratio = ladder.level_periods_px[level - 1] / period
-            wrong += _wrong_neighbour(off, _step_sigma(ladder, level, ratio, sigmas, col))
+            ratio = unwrapping.level_periods_px[level - 1] / period
+            wrong += _wrong_neighbour(off, _step_sigma(unwrapping, level, ratio, sigmas, col))
             x = period * (number + turns)
-        coordinate[col], sigma_px[col] = _fused(ladder, x, phases, sigmas, col)
+        coordinate[col], sigma_px[col] = _fused(unwrapping, x, phases, sigmas, col)
         error[col] = min(wrong, 1.0)

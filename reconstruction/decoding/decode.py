@@ -16,7 +16,7 @@ from reconstruction.compact import Half, Orders, Share, Turns
 from reconstruction.decoding._decode import Maps, Plan, Units, decode_rows
 from reconstruction.decoding._filter import Smoothed, Unfiltered
 from reconstruction.decoding._half import BIAS
-from reconstruction.decoding._order import COMPLEMENTARY, PLAIN, SHIFTED, Code, Ladder
+from reconstruction.decoding._order import COMPLEMENTARY, PLAIN, SHIFTED, Code, Unwrapping
 from reconstruction.decoding._sum import Layout, Limits
 from reconstruction.decoding.decoded import AxisDecode, Decoded, DecodeOptions
 from reconstruction.decoding.smoothing import smooth
@@ -141,7 +141,7 @@ def make_plan(
         limits=_limits(stack, patterns, sensor, options),
         codes=(_code(patterns, column), _code(patterns, row)),
         units=Units(*(np.float32(BIAS / unit) for unit in units_of(sensor, scale))),
-        ladders=(_ladder(patterns, column), _ladder(patterns, row)),
+        unwrappings=(_unwrapping(patterns, column), _unwrapping(patterns, row)),
         is_chain=patterns.chain is not None,
         scale=np.zeros((0, 0), np.float32)
         if scale is None
@@ -221,10 +221,10 @@ def _code(patterns: PatternSet, axis: Axis) -> Code:
     )
 
 
-def _ladder(patterns: PatternSet, axis: Axis) -> Ladder:
+def _unwrapping(patterns: PatternSet, axis: Axis) -> Unwrapping:
     chain = patterns.chain
     sets = patterns.periods_px
-    return Ladder(
+    return Unwrapping(
         weights=np.array(chain.weights if chain else [[1.0] + [0.0] * (len(sets) - 1)], float),
         level_periods_px=np.array(chain.periods_px if chain else sets[:1], float),
         set_periods_px=np.array(sets, float),
