@@ -8,7 +8,7 @@ to 1.
 """
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from reconstruction.arrays import BoolImage, FloatArray, Stack
 from reconstruction.errors import InputError, require_number
@@ -98,7 +98,7 @@ def apply_response(stack: Stack, table_dn: ArrayLike) -> Stack:
     ------
     InputError : a table that does not rise or is shorter than the levels of the stack
     """
-    table: NDArray[np.float64] = np.asarray(table_dn, dtype=np.float64)
+    table: FloatArray = np.asarray(table_dn, dtype=np.float64)
     if table.ndim != 1 or table.size < 2 or not np.all(np.diff(table) > 0.0):
         raise InputError(
             f"response table has shape {table.shape}; give strictly rising DN, (level,)"

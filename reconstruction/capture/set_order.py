@@ -13,15 +13,14 @@ recorded backwards has the phase 2 pi / N - phi.
 
 Gray words: those of neighbouring pixels differ by one. Exchanged Gray frames change neither the
 parity of a word nor that it differs from its neighbours in one bit, but by how much its number
-differs. Bits that nowhere change within the view tell nothing.
+differs. BoolImage that nowhere change within the view tell nothing.
 """
 
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from reconstruction.arrays import FloatArray, Stack
+from reconstruction.arrays import BoolImage, FloatArray, FloatImage, Stack
 from reconstruction.errors import CaptureError
 from reconstruction.patterns import AXES, Axis, PatternSet
 from reconstruction.rig.sensor import SensorNoise
@@ -53,8 +52,6 @@ LIT_SIGMAS = 20.0
 # Share of jumps by more than one: steep edges and light between parts give up to 0.6 without any
 # mistake, which no exchange lowers: it is blamed only if it explains most. Coarse bits jump seldom.
 MANY_JUMPS, EXPLAINED = 0.02, 1.0 / 3.0
-
-Bits = NDArray[np.bool_]
 
 
 def check_phase_sets(pixels: FloatArray, patterns: PatternSet) -> None:
@@ -233,7 +230,7 @@ def check_words(stack: Stack, patterns: PatternSet, sensor: SensorNoise) -> None
         _check_axis_words(corners_dn, patterns, axis)
 
 
-def _corners(stack: Stack, sensor: SensorNoise) -> NDArray[np.float32]:
+def _corners(stack: Stack, sensor: SensorNoise) -> FloatImage:
     """Return lit, unsaturated pixels with right and lower neighbour, (frame, pixel, 3) DN."""
     _, rows, cols = stack.shape
     # Drawn, always alike, since a regular raster could beat with the fringes.
@@ -247,7 +244,7 @@ def _corners(stack: Stack, sensor: SensorNoise) -> NDArray[np.float32]:
     return values_dn[:, usable.all(axis=1)]
 
 
-def _check_axis_words(corners_dn: NDArray[np.float32], patterns: PatternSet, axis: Axis) -> None:
+def _check_axis_words(corners_dn: FloatImage, patterns: PatternSet, axis: Axis) -> None:
     gray = patterns.index("gray", axis)
     phase_dn = corners_dn[patterns.index("phase", axis)]
     bits = corners_dn[gray] > phase_dn.mean(axis=0)
@@ -272,7 +269,7 @@ def _check_axis_words(corners_dn: NDArray[np.float32], patterns: PatternSet, axi
         )
 
 
-def _share_of_jumps(bits: Bits) -> float:
+def _share_of_jumps(bits: BoolImage) -> float:
     """Return the share of changes between neighbours by more than one; 0 if there are few."""
     # Words of up to 16 bits are exact in single precision.
     weights = np.float32(2) ** np.arange(len(bits) - 1, -1, -1, dtype=np.float32)
