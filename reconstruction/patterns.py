@@ -10,6 +10,12 @@ Frame: projector pixels, x right (column), y down (row), integer = centre of a p
 | k = floor(x / period) | period index (fringe order), shown as plain Gray code |
 | h = floor(2 x / period) | half-period index, shown as complementary Gray code |
 | s = floor(x / period + 1/2) | period index shifted by half a period, shown after k |
+
+Several fringe periods give one absolute coordinate by a chain of levels, coarse to fine. With the
+phase phi_j of fringe set j and its period p_j, the phase of level i is sum_j c_ij phi_j, its period
+P_i = 1 / sum_j c_ij / p_j. Each level numbers the periods of the next one:
+k = round(P_(i-1) Phi_(i-1) / P_i - Phi_i), phases in turns. Zuo et al., Opt. Lasers Eng. 85, 84
+(2016): hierarchical and heterodyne (there "multi-wavelength") temporal phase unwrapping.
 """
 
 import math

@@ -4,7 +4,9 @@
 |---|---|
 | capture.toml | file names, image size, bit depth, [patterns], [sensor] |
 | stack.nc | netCDF-4: `stack` (frame, row, col) uint8, uint16 or float32, DN; `frame_name` |
-| calibration.yaml | OpenCV YAML, see `calibration` |
+| calibration.yaml | OpenCV YAML, see `rig.calibration` |
+
+The stack is not compressed: xarray, MATLAB and HDFView read it as it is.
 
 Or, from a real camera, one image per frame and another kind of capture.toml: see `frame_set`.
 """

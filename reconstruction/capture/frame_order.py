@@ -4,10 +4,10 @@ Four looks at a sample of the lit pixels; each names the mistake that explains t
 - the whole sequence: does another order (exchanged axes, shifted by one, reversed ...) turn far
   more of the lit pixels into points?
 - each N-step set: do its frames follow A + B cos(phi + 2 pi n / N), equally bright, and does an
-  exchange of two of them fit better? (`phase_set_order`)
+  exchange of two of them fit better? (`check_phase_sets`)
 - phase against the half-periods that an edge-safe Gray code tells: does the set start at step 0?
-  (`step_offset`)
-- Gray words of neighbouring pixels: do they differ by one? (`word_order`)
+  (`check_first_step`)
+- Gray words of neighbouring pixels: do they differ by one? (`check_words`)
 
 Not to be seen in the frames: phase frames that start late, or run backwards along both axes, with
 plain Gray and multi-frequency codes; a foreign phase frame with fewer than five steps.

@@ -2,7 +2,7 @@
 
 Frames: camera pixels (row, col), row 0 at the top; projector coordinates in px, integer = centre of
 a projector pixel. Formulas: see `patterns`; N-step least squares after Surrel, Appl. Opt. 36, 271
-(1997); codes and edge-safe rules: see `PatternSet`, `_order`, `_chain`.
+(1997); codes and edge-safe rules: see `PatternSet`, `_order`.
 """
 
 import math

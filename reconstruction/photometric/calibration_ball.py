@@ -1,4 +1,4 @@
-"""Reference ball presses: which colour goes with which slope, where.
+"""Reference ball presses: where a ball touches, and which colour goes with which slope.
 
 A ball of radius R pressed into the gel from behind shows the camera h = sqrt(R^2 - r^2) + const
 within the circle of contact: dh/dx = -x / sqrt(R^2 - r^2), x and r measured from its centre.

@@ -184,7 +184,7 @@ class PhotometricResult:
 
 
 def reconstruct_photometric(description_file: Path | str) -> PhotometricResult:
-    """Calibrate, or read the calibration, and measure the described image; see `press_description`.
+    """Calibrate, or read the calibration, and measure the described image; see the module.
 
     Raises
     ------
