@@ -8,9 +8,9 @@ import tomli_w
 
 from reconstruction.capture.folder import read_capture
 from reconstruction.decoding.decode import Reason
+from reconstruction.evaluate.surface import write_surface
 from reconstruction.outputs import write_reconstruction
 from reconstruction.pipeline import Reconstruction, filter_bias, reconstruct
-from reconstruction.surface_files import write_surface
 from reconstruction.triangulation.triangulate import Use
 from twin.config.models import Decode
 from twin.modalities.contact_fpp import options_of

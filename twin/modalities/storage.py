@@ -21,9 +21,9 @@ import imageio.v3 as imageio
 import numpy as np
 
 from reconstruction.capture.folder import write_capture
+from reconstruction.evaluate.surface import write_surface
 from reconstruction.outputs import write_reconstruction
 from reconstruction.pipeline import Reconstruction
-from reconstruction.surface_files import write_surface
 from twin.config import Experiment, digest, to_toml
 from twin.mechanics import (
     ContactTransfer,
