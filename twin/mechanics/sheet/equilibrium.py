@@ -249,7 +249,12 @@ class Sheet:
                 if (largest if viscosity else float(np.abs(rest).max())) < accuracy.step_mm:
                     control = control + rest
                     settled = replace(state, control_mm=control, steps=state.steps + count + 1)
-                    return self.regripped(settled) if self.sticks else settled
+                    gripped = self.regripped(settled) if self.sticks else settled
+                    if not (gripped.grip.held < state.grip.held).any():
+                        return gripped
+                    # What let go had borne a share of the load.
+                    state = replace(gripped, steps=state.steps)
+                    now = self.evaluate(control, state, tangent=True)
             viscosity = _adapted(viscosity, share)
         raise SolverError(
             f"sheet: no equilibrium at {state.travel_mm:.3g} mm of travel and "
