@@ -2,9 +2,10 @@
 
 Neo-Hookean Q2/Q1 bricks (the project's own) of a clamped sheet of 10 x 10 mm over a short bar:
 neither round nor in plane strain. One quarter, by symmetry; frictionless, along exact signed
-distances. Newton's method starts from the sheet's own face and ends where the solid balances. Elements are finest where it touches and at the rim, where the clamp holds the
-whole thickness. Each case is solved on two meshes; what they differ by is stored beside the finer
-one. Needs pypardiso; about ten minutes a case on idle cores.
+distances. Newton's method starts from the sheet's own face and ends where the solid balances.
+Elements are finest where it touches and at the rim, where the clamp holds the whole thickness.
+Each case is solved on two meshes; what they differ by is stored beside the finer one. Needs
+pypardiso; about ten minutes a case on idle cores.
 """
 
 import json
