@@ -10,15 +10,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from reconstruction.arrays import BoolImage, Doubles, FloatImage
+from reconstruction.arrays import BoolImage, FloatArray, FloatImage
 from reconstruction.errors import FitError
+from reconstruction.evaluate.fit import p95_of_size, rms
 from reconstruction.photometric import HeightMap
-from reconstruction.photometric.contact_circle import ContactCircle
+from reconstruction.photometric.calibration_ball import ContactCircle
 from twin.config.models import Experiment
 from twin.modalities.score import (
     SphereScore,
-    p95_of_size,
-    rms,
     score_sphere,
     sphere_metrics,
 )
@@ -33,7 +32,7 @@ CAP_SHARE = 0.8
 class WorldHeights:
     """Points (row, col, xyz) float, mm, and which of them are measured."""
 
-    points_mm: Doubles
+    points_mm: FloatArray
     valid: BoolImage
 
 
@@ -106,7 +105,7 @@ def score_heights(experiment: Experiment, found: WorldHeights, truth: Truth) -> 
     )
 
 
-def _scale(found_mm: Doubles, true_mm: FloatImage) -> float | None:
+def _scale(found_mm: FloatArray, true_mm: FloatImage) -> float | None:
     true = true_mm.astype(np.float64) - true_mm.mean(dtype=np.float64)
     if not np.ptp(true_mm):
         return None
@@ -129,7 +128,10 @@ def _spheres(
 
 
 def cap_height_ratio(
-    height_mm: Doubles | FloatImage, circle: ContactCircle, ball_radius_mm: float, pitch_mm: float
+    height_mm: FloatArray | FloatImage,
+    circle: ContactCircle,
+    ball_radius_mm: float,
+    pitch_mm: float,
 ) -> float:
     """Return the height of a ball's cap, centre to 0.8 contact radii, over the true one.
 

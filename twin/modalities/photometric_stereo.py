@@ -10,9 +10,8 @@ from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
-from reconstruction.arrays import Doubles, Levels
+from reconstruction.arrays import FloatArray, FloatImage, Levels
 from reconstruction.errors import InputError
 from reconstruction.photometric import (
     BallPress,
@@ -22,7 +21,7 @@ from reconstruction.photometric import (
 )
 from reconstruction.photometric.calibration_ball import SampleOptions
 from reconstruction.photometric.sensor_calibration import MapKind
-from reconstruction.pinhole import Pinhole
+from reconstruction.rig.pinhole import Pinhole
 from twin.config import Experiment
 from twin.config.models import Ball
 from twin.mechanics import PressedElastomer, face_mesh
@@ -46,8 +45,6 @@ if TYPE_CHECKING:
 
     from twin.optics.colour_trace import ColourScene
 
-FloatArray = NDArray[np.float32]
-
 # Dots of the product are read up to this grey level (measured behaviour of the vendor's programs).
 MARKER_LEVEL = 70
 # A small ball in a dark corner now and then leaves no circle: such a press would be repeated.
@@ -70,7 +67,7 @@ class ColourSensor:
 
     experiment: Experiment
     scene: "ColourScene"
-    background: FloatArray
+    background: FloatImage
 
     @property
     def pitch_mm(self) -> float:
@@ -83,7 +80,7 @@ class ColourSensor:
         raised_mm = sum(layer.thickness_mm * (1.0 - 1.0 / layer.ior) for layer in layers)
         return (camera.pose.standoff_mm - raised_mm) * (1 / device.fx_px + 1 / device.fy_px) / 2
 
-    def radiance(self, face: "trimesh.Trimesh") -> FloatArray:
+    def radiance(self, face: "trimesh.Trimesh") -> FloatImage:
         """Return the radiance of a pressed face, (row, col, channel)."""
         self.scene.put(face)
         return self.scene.render(*self._pose(cropped_pinhole(self.experiment)))
@@ -102,7 +99,7 @@ class ColourSensor:
         self.scene.put(face)
         return self.scene.truth(*self._pose(image_pinhole(self.experiment)))
 
-    def _pose(self, pinhole: Pinhole) -> tuple[Pinhole, Doubles]:
+    def _pose(self, pinhole: Pinhole) -> tuple[Pinhole, FloatArray]:
         return pinhole, world_from_device(self.experiment.camera.pose, pinhole)
 
 

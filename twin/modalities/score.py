@@ -12,17 +12,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from reconstruction.arrays import FloatArray
 from reconstruction.errors import FitError
-from reconstruction.fit import SphereFit, fit_sphere
+from reconstruction.evaluate.fit import SphereFit, fit_sphere, p95_of_size, rms, spread
 from reconstruction.pipeline import Reconstruction, filter_bias
 from twin.config.models import Experiment
 from twin.optics.stack import Truth
 from twin.specimens import Sphere, shape_of
 
-FloatArray = NDArray[np.float64]
-
-# 1.4826 MAD estimates the standard deviation of a normal distribution.
-_MAD_TO_SIGMA = 1.4826
 # Four points fix a sphere exactly: its residuals are 0 whatever the error.
 _LEAST_SPHERE_POINTS = 5
 _SPHERE_FIGURES = (
@@ -133,7 +130,7 @@ def score_truth(experiment: Experiment, reconstruction: Reconstruction, truth: T
         sigma_z_median_um=figure_of(sigma_um, np.median),
         filter_bias_um=bias_um,
         filter_bias_share=bias_share,
-        error_over_sigma=figure_of(error_um / np.maximum(sigma_um, 1e-9), _spread, least=2),
+        error_over_sigma=figure_of(error_um / np.maximum(sigma_um, 1e-9), spread, least=2),
     )
 
 
@@ -147,20 +144,6 @@ def figure_of(
 ) -> float | None:
     """Return a figure of values (n,); None where fewer than `least` leave it without a meaning."""
     return float(figure(values)) if len(values) >= least else None
-
-
-def rms(values: FloatArray) -> float:
-    """Return the root mean square of at least one value."""
-    return float(np.sqrt(np.mean(values**2)))
-
-
-def p95_of_size(values: FloatArray) -> float:
-    """Return the 95th percentile of the values' sizes."""
-    return float(np.percentile(np.abs(values), 95))
-
-
-def _spread(values: FloatArray) -> float:
-    return float(_MAD_TO_SIGMA * np.median(np.abs(values - np.median(values))))
 
 
 def wanted_pixels(experiment: Experiment, truth: Truth) -> NDArray[np.bool_]:

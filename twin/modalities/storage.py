@@ -20,10 +20,10 @@ from typing import Any, Literal
 import imageio.v3 as imageio
 import numpy as np
 
-from reconstruction.capture import write_capture
+from reconstruction.capture.folder import write_capture
+from reconstruction.evaluate.surface import write_surface
 from reconstruction.outputs import write_reconstruction
 from reconstruction.pipeline import Reconstruction
-from reconstruction.surface_files import write_surface
 from twin.config import Experiment, digest, to_toml
 from twin.mechanics import (
     ContactTransfer,

@@ -12,7 +12,7 @@ import numpy as np
 from reconstruction.arrays import Levels
 from reconstruction.errors import InputError
 from reconstruction.photometric import SensorCalibration, read_sensor_calibration
-from reconstruction.photometric.colour_table import ColourTable
+from reconstruction.photometric.colour_maps import ColourTable
 from reconstruction.photometric.sensor_calibration import MapKind
 from twin.mechanics import PressedElastomer, read_press
 from twin.modalities.photometric_decoders import Decoded, chosen, decode_all

@@ -1,0 +1,234 @@
+"""A capture: everything needed to reconstruct, as a folder that any rig can write.
+
+| file | content |
+|---|---|
+| capture.toml | file names, image size, bit depth, [patterns], [sensor] |
+| stack.nc | netCDF-4: `stack` (frame, row, col) uint8, uint16 or float32, DN; `frame_name` |
+| calibration.yaml | OpenCV YAML, see `rig.calibration` |
+
+The stack is not compressed: xarray, MATLAB and HDFView read it as it is.
+
+Or, from a real camera, one image per frame and another kind of capture.toml: see `frame_set`.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import h5netcdf
+import h5py
+import numpy as np
+
+from reconstruction.arrays import FloatImage, Stack
+from reconstruction.capture.description import Description, read_description, write_description
+from reconstruction.capture.frame_order import check_order
+from reconstruction.capture.frame_set import is_frame_set, read_frame_set
+from reconstruction.capture.image_files import read_frames
+from reconstruction.capture.pattern_files import read_manifest
+from reconstruction.disk import writing_netcdf
+from reconstruction.errors import CaptureError, InputError, require_integer
+from reconstruction.patterns import PatternSet
+from reconstruction.rig.calibration import Calibration, read_calibration, write_calibration
+from reconstruction.rig.sensor import SensorNoise
+
+DESCRIPTION_FILE = "capture.toml"
+STACK_FILE = "stack.nc"
+CALIBRATION_FILE = "calibration.yaml"
+SUBFOLDER = "capture"
+DIMENSIONS = ("frame", "row", "col")
+STACK = "stack"
+NAMES = "frame_name"
+# Digital numbers of a sensor, or the expected values of a noise-free rendering.
+TYPES = ("uint8", "uint16", "float32")
+
+
+@dataclass(frozen=True, eq=False)
+class Capture:
+    """Frames and what is known about them.
+
+    Parameters
+    ----------
+    stack : (frame, row, col) uint8 or uint16, DN, in the order of `patterns.frames`; float32 holds
+        the expected values of a noise-free rendering, or corrected frames
+    patterns : what was projected
+    sensor : camera noise
+    calibration : camera and projector; the camera has the image size of the stack
+    bit_depth : bits per pixel value, 8 to 16
+    scale : (row, col) float32, by which merged exposures were multiplied, see `merge_exposures`
+
+    Raises
+    ------
+    CaptureError : the parts do not fit each other
+    """
+
+    stack: Stack
+    patterns: PatternSet
+    sensor: SensorNoise
+    calibration: Calibration
+    bit_depth: int
+    scale: FloatImage | None = None
+
+    def __post_init__(self) -> None:
+        require_integer("bit_depth", self.bit_depth, 8, 16)
+        camera = self.calibration.camera
+        expected = (len(self.patterns.frames), camera.height_px, camera.width_px)
+        if self.stack.dtype.name not in TYPES or self.stack.shape != expected:
+            raise CaptureError(
+                f"stack is {self.stack.dtype} {self.stack.shape}; patterns and calibrated camera "
+                f"need {' or '.join(TYPES)} {expected} (frame, row, col)"
+            )
+        # This way round a NaN of a float stack is refused as well.
+        largest = 2**self.bit_depth * (1.0 if self.scale is None else float(self.scale.max()))
+        if not self.stack.max() < largest:
+            raise CaptureError(
+                f"stack holds the value {self.stack.max()}; {self.bit_depth} bits end at "
+                f"{2**self.bit_depth - 1}: correct bit_depth or the stack"
+            )
+
+
+def write_capture(folder: Path | str, capture: Capture) -> None:
+    """Write the three files into an existing empty folder.
+
+    Raises
+    ------
+    CaptureError : the folder is missing or holds something; exposures were merged
+    """
+    folder = Path(folder)
+    if capture.scale is not None:
+        raise CaptureError(f"{folder}: merged exposures are no capture; keep their image files")
+    if not folder.is_dir() or any(folder.iterdir()):
+        raise CaptureError(f"{folder}: write a capture into an existing empty folder")
+    _, rows, cols = capture.stack.shape
+    description = Description(
+        capture.patterns,
+        capture.sensor,
+        cols,
+        rows,
+        capture.bit_depth,
+        STACK_FILE,
+        CALIBRATION_FILE,
+    )
+    write_stack(folder / STACK_FILE, capture.stack, capture.patterns)
+    write_calibration(folder / CALIBRATION_FILE, capture.calibration)
+    write_description(folder / DESCRIPTION_FILE, description)
+
+
+def read_capture(folder: Path | str) -> Capture:
+    """Read a capture from its folder, or from a folder that holds it as `capture/`.
+
+    The order of the frames is checked; image files of several exposures are merged.
+
+    Raises
+    ------
+    CaptureError : a file is missing, damaged or does not fit the others, or the frames are clearly
+        in another order
+    """
+    folder = _find(Path(folder))
+    if is_frame_set(folder / DESCRIPTION_FILE):
+        return _read_images(folder)
+    description = read_description(folder / DESCRIPTION_FILE)
+    calibration = read_calibration(folder / description.calibration_file)
+    shape = (description.height_px, description.width_px)
+    stack = read_stack(folder / description.stack_file, description.patterns, shape)
+    parts = (description.patterns, description.sensor, calibration)
+    try:
+        capture = Capture(stack, *parts, description.bit_depth)
+        check_order(stack, *parts)
+    except InputError as error:
+        raise CaptureError(f"{folder}: {error}") from error
+    return capture
+
+
+def _read_images(folder: Path) -> Capture:
+    description = read_frame_set(folder / DESCRIPTION_FILE)
+    patterns = read_manifest(folder / description.patterns_file)
+    calibration = read_calibration(folder / description.calibration_file)
+    frames = read_frames(folder, description, patterns, calibration)
+    parts = (patterns, description.sensor, calibration)
+    try:
+        return Capture(frames.stack, *parts, description.bit_depth, frames.scale)
+    except CaptureError as error:
+        raise CaptureError(f"{folder}: {error}") from error
+
+
+def _find(folder: Path) -> Path:
+    for candidate in (folder, folder / SUBFOLDER):
+        if (candidate / DESCRIPTION_FILE).is_file():
+            return candidate
+    raise CaptureError(
+        f"{folder}: no {DESCRIPTION_FILE} here or in {SUBFOLDER}/; give the folder of a capture"
+    )
+
+
+def write_stack(path: Path, stack: Stack, patterns: PatternSet) -> None:
+    """Write a (frame, row, col) uint8, uint16 or float32 stack and the names of its frames."""
+    with writing_netcdf(path) as file:
+        file.dimensions = dict(zip(DIMENSIONS, stack.shape, strict=True))
+        variable = file.create_variable(STACK, DIMENSIONS, data=stack)
+        variable.attrs["units"] = "DN"
+        variable.attrs["long_name"] = "camera frames"
+        names = file.create_variable(NAMES, ("frame",), dtype=h5py.string_dtype())
+        names[...] = np.array([frame.name for frame in patterns.frames], dtype=object)
+
+
+def read_stack(path: Path, patterns: PatternSet, shape: tuple[int, int]) -> Stack:
+    """Read the stack that `patterns` and the image `shape` (rows, cols) announce.
+
+    Raises
+    ------
+    CaptureError : missing, truncated or damaged file, wrong variable, type, size or frames
+    """
+    if not path.is_file():
+        raise CaptureError(f"{path}: the stack of frames is missing")
+    try:
+        with h5netcdf.File(path, "r") as file:
+            _check(path, file, patterns, shape)
+            return np.asarray(file.variables[STACK][...])
+    except OSError as error:
+        raise CaptureError(
+            f"{path}: is no complete netCDF-4 file ({_one_line(error)}); copy or record it again"
+        ) from error
+
+
+def _check(path: Path, file: Any, patterns: PatternSet, shape: tuple[int, int]) -> None:
+    if STACK not in file.variables or NAMES not in file.variables:
+        raise CaptureError(f"{path}: needs the variables {STACK} and {NAMES}")
+    variable = file.variables[STACK]
+    if tuple(variable.dimensions) != DIMENSIONS or str(variable.dtype) not in TYPES:
+        raise CaptureError(
+            f"{path}: stack is {variable.dtype} {tuple(variable.dimensions)}; "
+            f"it must be {' or '.join(TYPES)} {DIMENSIONS}"
+        )
+    _check_frames(path, [_text(name) for name in file.variables[NAMES][...]], patterns)
+    expected = (len(patterns.frames), *shape)
+    if tuple(variable.shape) != expected:
+        raise CaptureError(
+            f"{path}: stack has shape {tuple(variable.shape)}; capture.toml announces {expected}"
+        )
+
+
+def _check_frames(path: Path, found: list[str], patterns: PatternSet) -> None:
+    expected = [frame.name for frame in patterns.frames]
+    if found == expected:
+        return
+    missing = [name for name in expected if name not in found]
+    extra = [name for name in found if name not in expected]
+    raise CaptureError(
+        f"{path}: holds {len(found)} frames, the pattern set has {len(expected)}; "
+        f"missing: {_few(missing)}; not expected: {_few(extra)}; "
+        "frames must be in the order of the pattern set"
+    )
+
+
+def _text(name: Any) -> str:
+    return name.decode("utf-8") if isinstance(name, bytes) else str(name)
+
+
+def _few(names: list[str]) -> str:
+    return (
+        ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "") or "none"
+    )
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split())

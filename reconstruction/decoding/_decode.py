@@ -1,0 +1,281 @@
+"""A band of image rows from camera frames to projector coordinates, pixel by pixel.
+
+Nothing but the result is ever as large as the image.
+"""
+
+# ruff: noqa: PLR0917 - compiled functions cannot take keyword-only arguments
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from reconstruction._jit import compiled, merged
+from reconstruction.arrays import FloatImage
+from reconstruction.decoding._half import pack_row
+from reconstruction.decoding._order import (
+    NEAR_SIGMAS,
+    PLAIN,
+    Code,
+    Numbered,
+    Unwrapping,
+    Word,
+    number_row,
+    read_gray_row,
+    settle_row,
+    unwrap_row,
+    weigh_near_bits,
+    weigh_wrap,
+    write_valid,
+)
+from reconstruction.decoding._phase import (
+    grow_sigma,
+    keep_usable,
+    phase_row,
+    phase_sigma,
+    refit_row,
+    write_turns,
+)
+from reconstruction.decoding._sum import (
+    Fit,
+    Layout,
+    Limits,
+    RowFrames,
+    Sums,
+    add_frames,
+    find_damaged,
+    find_noise,
+    finish_sums,
+    mark_dark,
+    mark_low_modulation,
+)
+
+# Lines of `Work.answers`, column and row.
+COORDINATE, SIGMA = (0, 1), (2, 3)
+
+
+class Units(NamedTuple):
+    """Factors for `pack_row`: BIAS over the unit of each kind of map."""
+
+    level: np.float32
+    sigma: np.float32
+    chance: np.float32
+
+
+class Plan(NamedTuple):
+    """All that is the same for every row; pairs are (column, row)."""
+
+    layout: Layout
+    limits: Limits
+    codes: tuple[Code, Code]
+    units: Units
+    unwrappings: tuple[Unwrapping, Unwrapping]
+    is_chain: bool
+    scale: FloatImage  # (row, col), by which each pixel was multiplied; (0, 0): by 1
+
+
+class Maps(NamedTuple):
+    """The result, (axis, row, col) unless stated, zeroed by the caller; see `compact`."""
+
+    coordinate_px: Any  # float32
+    turns: Any  # uint16, as all that follow
+    mean: Any
+    modulation: Any
+    sigma: Any
+    residual: Any
+    order_error: Any
+    reason: Any  # (row, col) uint8
+
+
+class Work(NamedTuple):
+    """Lines that live as long as a band."""
+
+    sums: Any  # (6, col): total, real, imag, square, high, low
+    fit: Any  # (line, col): mean, variance, noise, excess of one set; total variance, residual
+    mean: Any  # (axis, col), of the measuring period
+    excess: Any  # (axis, col), the largest of all sets
+    modulations: Any  # (axis, set, col)
+    phases: Any  # (axis, set, col)
+    sigmas: Any  # (set, col)
+    answers: Any  # (line, col): coordinate and sigma of both axes
+    lines: Any  # (line, col): error, and two to pack with
+    order: Any
+    damaged: Any
+    ones: Any
+    usable: Any
+    word: Any
+    nearest: Any
+
+
+@compiled
+def make_work(width: int, sets: int) -> Work:
+    return Work(
+        np.zeros((6, width), np.float32),
+        np.zeros((6, width), np.float32),
+        np.zeros((2, width), np.float32),
+        np.zeros((2, width), np.float32),
+        np.zeros((2, sets, width), np.float32),
+        np.zeros((2, sets, width), np.float32),
+        np.zeros((sets, width), np.float32),
+        np.zeros((4, width), np.float32),
+        np.zeros((3, width), np.float32),
+        np.zeros(width, np.int32),
+        np.zeros(width, np.bool_),
+        np.ones(width, np.float32),
+        np.zeros(width, np.float32),
+        np.zeros(width, np.uint32),
+        np.zeros(width, np.float32),
+    )
+
+
+@compiled
+def _fit_set(
+    frames: RowFrames, plan: Plan, scale: Any, work: Work, sums: Sums, fit: Fit, reason: Any
+) -> Any:
+    """Fit one fringe set over one row; return how many pixels have damaged frames."""
+    layout, limits = plan.layout, plan.limits
+    noise = work.fit[2]
+    add_frames(frames, layout, sums)
+    finish_sums(layout.steps, sums, fit)
+    count = find_damaged(sums, scale, limits, work.damaged)
+    if count:
+        _fill(fit.excess, np.float32(0.0))
+        refit_row(frames, layout, limits, scale, work.damaged, sums, fit, reason)
+    find_noise(fit.mean, scale, limits, noise)
+    if count:
+        grow_sigma(fit.excess, noise)
+    mark_low_modulation(layout.steps, limits, fit.modulation, noise, reason)
+    return count
+
+
+@compiled
+def _fill(line: Any, value: Any) -> None:
+    for i in range(line.size):
+        line[i] = value
+
+
+@compiled
+def _add(values: Any, total: Any) -> None:
+    for col in range(total.size):
+        total[col] += values[col]
+
+
+@compiled
+def _add_largest(value: Any, largest: Any) -> None:
+    for col in range(value.size):
+        largest[col] = max(largest[col], value[col])
+
+
+@compiled
+def _root_of_mean(sets: int, variance: Any, out: Any) -> None:
+    share = np.float32(1.0 / sets)
+    for col in range(variance.size):
+        out[col] = np.sqrt(variance[col] * share)
+
+
+@merged
+def _fit_row(
+    row: int, stack: Any, plan: Plan, scale: Any, work: Work, maps: Maps, reason: Any
+) -> None:  # fmt: skip
+    """Fit all fringe sets of one image row and tell which pixels have a phase."""
+    layout, sets, total = plan.layout, plan.layout.sets, work.sums
+    sums = Sums(total[0], total[1], total[2], total[3], total[4], total[5])
+    for axis in range(2):
+        _fill(work.excess[axis], np.float32(0.0))
+        for j in range(sets):
+            mean = work.mean[axis] if j == 0 else work.fit[0]
+            variance = work.fit[4] if j == 0 else work.fit[1]
+            first = layout.phase_first[axis] + j * layout.steps
+            fit = Fit(mean, work.modulations[axis, j], variance, work.fit[3])
+            if _fit_set(RowFrames(stack, first, row), plan, scale, work, sums, fit, reason):
+                _add_largest(work.fit[3], work.excess[axis])
+            if j > 0:
+                _add(variance, work.fit[4])
+            phase_row(sums.real, sums.imag, work.phases[axis, j])
+        # Never in place: loops whose input and output overlap do not become vector code.
+        _root_of_mean(sets, work.fit[4], work.fit[5])
+        pack_row(work.fit[5], plan.units.level, work.lines[2], maps.residual[axis, row])
+    mark_dark(stack[layout.white, row], stack[layout.black, row], scale, plan.limits, reason)
+    _mark_usable(reason, work.usable)
+
+
+@compiled
+def _mark_usable(reason: Any, usable: Any) -> None:
+    for col in range(reason.size):
+        usable[col] = np.float32(reason[col] == 0)
+
+
+@merged
+def _find_sigmas(axis: int, plan: Plan, scale: Any, work: Work) -> None:
+    """Blank phases where there are none, and write the phase sigma of every set of one axis."""
+    for j in range(plan.layout.sets):
+        keep_usable(work.usable, work.phases[axis, j])
+        phase_sigma(
+            plan.layout.steps, plan.limits, scale, work.usable, work.mean[axis],
+            work.modulations[axis, j], work.sigmas[j],
+        )  # fmt: skip
+        grow_sigma(work.excess[axis], work.sigmas[j])
+
+
+@merged
+def _read_order(
+    axis: int, row: int, stack: Any, plan: Plan, scale: Any, work: Work, answer: Numbered
+) -> None:
+    """Give one axis its fringe numbers by Gray words."""
+    code, limits, margin = plan.codes[axis], plan.limits, work.fit[2]
+    frames = RowFrames(stack, plan.layout.gray_first[axis], row)
+    read = Word(work.word, work.nearest, work.mean[axis], margin)
+    phase, order = work.phases[axis, 0], work.order
+    find_noise(read.mean, scale, limits, margin)
+    # The threshold A carries the noise of N averaged frames.
+    widening = np.float32(NEAR_SIGMAS * np.sqrt(1.0 + 1.0 / plan.layout.steps))
+    for col in range(margin.size):
+        margin[col] *= widening
+    read_gray_row(frames, code.bits, read)
+    number_row(code, read.gray, phase, order, answer)
+    weigh_near_bits(code, frames, limits.gray_sigmas, read, phase, order, answer.error)
+    if code.kind == PLAIN:
+        weigh_wrap(code, phase, work.sigmas[0], answer.error)
+    per_rad = np.float32(code.period_px / (2.0 * np.pi))
+    for col in range(margin.size):
+        answer.sigma[col] = per_rad * work.sigmas[0, col]
+
+
+@merged
+def _inform(axis: int, row: int, plan: Plan, work: Work, error: Any, maps: Maps) -> None:
+    """Write what does not depend on the other axis."""
+    spare, units = work.lines[2], plan.units
+    write_turns(work.phases[axis, 0], maps.turns[axis, row])
+    pack_row(work.mean[axis], units.level, spare, maps.mean[axis, row])
+    pack_row(work.modulations[axis, 0], units.level, spare, maps.modulation[axis, row])
+    pack_row(error, units.chance, spare, maps.order_error[axis, row])
+
+
+@merged
+def _finish_row(row: int, stack: Any, plan: Plan, scale: Any, work: Work, maps: Maps) -> None:
+    """Give one row of the band its fringe numbers, and write the result."""
+    reason, error, usable = maps.reason[row], work.lines[0], work.usable
+    for axis in range(2):
+        answer = Numbered(work.answers[COORDINATE[axis]], work.answers[SIGMA[axis]], error)
+        _find_sigmas(axis, plan, scale, work)
+        if plan.is_chain:
+            unwrapping = plan.unwrappings[axis]
+            unwrap_row(unwrapping, work.phases[axis], work.sigmas, usable, answer)
+        else:
+            _read_order(axis, row, stack, plan, scale, work, answer)
+        length = plan.codes[axis].length_px
+        settle_row(length, plan.limits.max_order_error, answer, usable, reason)
+        _inform(axis, row, plan, work, error, maps)
+    for axis in range(2):  # only now are the reasons of both axes known
+        write_valid(work.answers[COORDINATE[axis]], reason, maps.coordinate_px[axis, row])
+        write_valid(work.answers[SIGMA[axis]], reason, work.lines[1])
+        pack_row(work.lines[1], plan.units.sigma, work.lines[2], maps.sigma[axis, row])
+
+
+@compiled
+def decode_rows(first_row: int, end_row: int, stack: Any, plan: Plan, maps: Maps) -> None:
+    """Fill `maps` for rows first_row to end_row - 1."""
+    work = make_work(maps.reason.shape[1], plan.layout.sets)
+    for row in range(first_row, end_row):
+        scale = plan.scale[row] if plan.scale.size else work.ones
+        _fit_row(row, stack, plan, scale, work, maps, maps.reason[row])
+        _finish_row(row, stack, plan, scale, work, maps)

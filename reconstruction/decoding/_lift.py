@@ -1,0 +1,326 @@
+"""What a Gaussian adds to the projector coordinate: the lift, and its coarse part.
+
+Symbols: x coordinate, G the Gaussian, lift l = G x - x, coarse part c = G l; see `smoothing`.
+
+G acts along rows, then along columns, as second differences x(-k) - 2 x + x(+k) of pixel pairs: a
+pair counts only where both its pixels are measured, so that a plane stays as it is next to holes
+and image borders too. A pair that is off by more than half a period is a wrong fringe order, or
+another body, and says nothing.
+"""
+
+# ruff: noqa: PLR0917 - compiled functions cannot take keyword-only arguments
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from reconstruction._jit import compiled, inlined
+from reconstruction.arrays import FloatImage
+
+ZERO, ONE, TWO, TINY = np.float32(0.0), np.float32(1.0), np.float32(2.0), np.float32(1e-30)
+
+
+class Smoothing(NamedTuple):
+    """Kernel of G along one direction and what follows from it, see `smoothing`.
+
+    noise: products of the kernels of (G, c, f) summed over the plane: (0, 0) is the variance that
+    G leaves of white noise. centre: their middle weights. limit_px: half a period.
+    """
+
+    weights: FloatImage
+    noise: FloatImage  # (3, 3)
+    centre: FloatImage  # (3,)
+    limit_px: np.float32
+    sigma_unit: np.float32  # to read packed sigmas
+    sigma_factor: np.float32  # to pack them
+
+
+class Planes(NamedTuple):
+    """Images of a patch and its surroundings, (row, col)."""
+
+    usable: Any
+    along_rows: Any  # 1 / sum of weights
+    along_cols: Any
+    gain: Any  # variance that G leaves of the noise of a single pixel
+    per_support: Any  # 1 / (G usable)
+    value: Any
+    variance: Any
+    spare: Any
+    lift: Any
+    coarse: Any
+
+
+class Window(NamedTuple):
+    """Which columns of the planes are filtered: those before it, width, and half the kernel."""
+
+    gap: int
+    width: int
+    half: int
+
+
+@inlined
+def larger(a: Any, b: Any) -> Any:
+    return a if a > b else b
+
+
+@compiled
+def add(a: Any, total: Any) -> None:
+    for col in range(total.size):
+        total[col] += a[col]
+
+
+@compiled
+def make_planes(rows: int, cols: int) -> Planes:
+    shape = (rows, cols)
+    return Planes(
+        np.zeros(shape, np.float32), np.zeros(shape, np.float32), np.zeros(shape, np.float32),
+        np.zeros(shape, np.float32), np.zeros(shape, np.float32), np.zeros(shape, np.float32),
+        np.zeros(shape, np.float32), np.zeros(shape, np.float32), np.zeros(shape, np.float32),
+        np.zeros(shape, np.float32),
+    )  # fmt: skip
+
+
+@compiled
+def fill(line: Any, value: Any) -> None:
+    for col in range(line.size):
+        line[col] = value
+
+
+@compiled
+def _add_weight(a: Any, b: Any, weight: Any, total: Any) -> None:
+    for col in range(total.size):
+        total[col] += weight * (a[col] * b[col])
+
+
+@compiled
+def _add_noise(a: Any, b: Any, u: Any, v: Any, weight: Any, total: Any) -> None:
+    for col in range(total.size):
+        total[col] += weight * (a[col] * b[col]) * (u[col] + v[col])
+
+
+@compiled
+def _add_pair(a: Any, b: Any, weight: Any, total: Any) -> None:
+    for col in range(total.size):
+        total[col] += weight * (a[col] + b[col])
+
+
+@inlined
+def _bend(a: Any, b: Any, middle: Any, limit: Any) -> Any:
+    bend = (a + b) - TWO * middle
+    return bend if abs(bend) < limit else ZERO
+
+
+@compiled
+def _add_bend(a: Any, b: Any, middle: Any, weight: Any, limit: Any, total: Any) -> None:
+    for col in range(total.size):
+        total[col] += weight * _bend(a[col], b[col], middle[col], limit)
+
+
+@compiled
+def _sum_four_bends(lines: Any, weights: Any, limit: Any, factor: Any, out: Any) -> None:
+    a, b, c, d, middle, e, f, g, h = lines
+    p, q, r, s = weights[0], weights[1], weights[2], weights[3]
+    for col in range(out.size):
+        x = middle[col]
+        outer = p * _bend(a[col], h[col], x, limit) + q * _bend(b[col], g[col], x, limit)
+        inner = r * _bend(c[col], f[col], x, limit) + s * _bend(d[col], e[col], x, limit)
+        out[col] = factor[col] * (outer + inner)
+
+
+@compiled
+def _sum_nine(lines: Any, weights: Any, out: Any) -> None:
+    a, b, c, d, middle, e, f, g, h = lines
+    p, q, r, s, t = weights[0], weights[1], weights[2], weights[3], weights[4]
+    for col in range(out.size):
+        outer = p * (a[col] + h[col]) + q * (b[col] + g[col])
+        inner = r * (c[col] + f[col]) + s * (d[col] + e[col])
+        out[col] = t * middle[col] + (outer + inner)
+
+
+@inlined
+def _nine_along(line: Any, gap: int, end: int) -> Any:
+    """Return a row moved by -4 to 4 pixels, each without its gaps."""
+    return (
+        line[gap - 4 : end - 4], line[gap - 3 : end - 3], line[gap - 2 : end - 2],
+        line[gap - 1 : end - 1], line[gap:end], line[gap + 1 : end + 1],
+        line[gap + 2 : end + 2], line[gap + 3 : end + 3], line[gap + 4 : end + 4],
+    )  # fmt: skip
+
+
+@inlined
+def _nine_across(plane: Any, row: int) -> Any:
+    """Return a row and its four neighbours on both sides."""
+    return (
+        plane[row - 4], plane[row - 3], plane[row - 2], plane[row - 1], plane[row],
+        plane[row + 1], plane[row + 2], plane[row + 3], plane[row + 4],
+    )  # fmt: skip
+
+
+@compiled
+def _bend_along(
+    line: Any, weights: Any, window: Window, limit: Any, factor: Any, out: Any
+) -> None:  # fmt: skip
+    """Write what the pairs along a row add to its middle."""
+    gap, end, half = window.gap, window.gap + window.width, window.half
+    middle = line[gap:end]
+    if half == 4:
+        _sum_four_bends(_nine_along(line, gap, end), weights, limit, factor, out)
+        return
+    fill(out, ZERO)
+    for k in range(1, half + 1):
+        before, after = line[gap - k : end - k], line[gap + k : end + k]
+        _add_bend(before, after, middle, weights[half + k], limit, out)
+    multiply(out, factor)
+
+
+@compiled
+def _bend_across(
+    plane: Any, row: int, weights: Any, half: int, limit: Any, factor: Any, out: Any
+) -> None:  # fmt: skip
+    if half == 4:
+        _sum_four_bends(_nine_across(plane, row), weights, limit, factor, out)
+        return
+    fill(out, ZERO)
+    for k in range(1, half + 1):
+        _add_bend(plane[row - k], plane[row + k], plane[row], weights[half + k], limit, out)
+    multiply(out, factor)
+
+
+@compiled
+def _invert(line: Any, usable: Any) -> None:
+    for col in range(line.size):
+        line[col] = usable[col] / larger(line[col], TINY)
+
+
+@compiled
+def _scale(line: Any, factor: Any, out: Any) -> None:
+    for col in range(line.size):
+        out[col] = line[col] * factor
+
+
+@compiled
+def multiply(line: Any, factor: Any) -> None:
+    for col in range(line.size):
+        line[col] *= factor[col]
+
+
+@compiled
+def _average_along(line: Any, weights: Any, window: Window, out: Any) -> None:
+    """Weigh a row with the plain kernel; pixels that hold no value are 0."""
+    gap, end, half = window.gap, window.gap + window.width, window.half
+    if half == 4:
+        _sum_nine(_nine_along(line, gap, end), weights, out)
+        return
+    _scale(line[gap:end], weights[half], out)
+    for k in range(1, half + 1):
+        _add_pair(line[gap - k : end - k], line[gap + k : end + k], weights[half + k], out)
+
+
+@compiled
+def _average_across(plane: Any, row: int, weights: Any, half: int, out: Any) -> None:
+    if half == 4:
+        _sum_nine(_nine_across(plane, row), weights, out)
+        return
+    _scale(plane[row], weights[half], out)
+    for k in range(1, half + 1):
+        _add_pair(plane[row - k], plane[row + k], weights[half + k], out)
+
+
+@compiled
+def _is_equal(a: Any, b: Any) -> bool:
+    differing = 0
+    for col in range(a.size):
+        differing += a[col] != b[col]
+    return differing == 0
+
+
+@compiled
+def _weigh_along(row: int, planes: Planes, weights: Any, window: Window) -> None:
+    gap, end, half = window.gap, window.gap + window.width, window.half
+    line = planes.usable[row]
+    total, left = planes.along_rows[row, gap:end], planes.spare[row, gap:end]
+    fill(total, weights[half])
+    fill(left, weights[half] * weights[half])
+    for k in range(1, half + 1):
+        u, v, weight = line[gap - k : end - k], line[gap + k : end + k], weights[half + k]
+        _add_weight(u, v, TWO * weight, total)
+        _add_weight(u, v, TWO * weight * weight, left)
+    _invert(total, line[gap:end])
+    multiply(left, total)
+    multiply(left, total)
+    _average_along(line, weights, window, planes.coarse[row, gap:end])
+
+
+@compiled
+def _weigh_across(row: int, planes: Planes, weights: Any, half: int) -> None:
+    usable, noise = planes.usable, planes.spare
+    total, left, support = planes.along_cols[row], planes.gain[row], planes.per_support[row]
+    fill(total, weights[half])
+    _scale(noise[row], weights[half] * weights[half], left)
+    for k in range(1, half + 1):
+        u, v, weight = usable[row - k], usable[row + k], weights[half + k]
+        _add_weight(u, v, TWO * weight, total)
+        _add_noise(u, v, noise[row - k], noise[row + k], weight * weight, left)
+    _invert(total, usable[row])
+    multiply(left, total)
+    multiply(left, total)
+    _average_across(planes.coarse, row, weights, half, support)
+    _invert(support, usable[row])
+
+
+@compiled
+def weigh(planes: Planes, weights: Any, half: int, window: Window) -> None:
+    """Write what depends on the mask alone: sums of weights, noise, support.
+
+    Most rows have the mask of the row before.
+    """
+    rows = planes.usable.shape[0]
+    alike = np.zeros(rows, np.int64)
+    _weigh_along(0, planes, weights, window)
+    for row in range(1, rows):
+        if _is_equal(planes.usable[row], planes.usable[row - 1]):
+            alike[row] = alike[row - 1] + 1
+            for plane in (planes.along_rows, planes.spare, planes.coarse):
+                plane[row] = plane[row - 1]
+        else:
+            _weigh_along(row, planes, weights, window)
+    for row in range(half, rows - half):
+        if alike[row + half] > 2 * half:
+            for plane in (planes.along_cols, planes.gain, planes.per_support):
+                plane[row] = plane[row - 1]
+        else:
+            _weigh_across(row, planes, weights, half)
+
+
+@compiled
+def write_lift(planes: Planes, smoothing: Smoothing, window: Window) -> None:
+    """Write l = G x - x."""
+    value, spare, lift = planes.value, planes.spare, planes.lift
+    weights, limit, rows = smoothing.weights, smoothing.limit_px, planes.usable.shape[0]
+    gap, end, half = window.gap, window.gap + window.width, window.half
+    for row in range(rows):
+        line, out = value[row], lift[row, gap:end]
+        _bend_along(line, weights, window, limit, planes.along_rows[row, gap:end], out)
+        _sum(line[gap:end], out, spare[row, gap:end])
+    for row in range(half, rows - half):
+        out = planes.coarse[row]
+        _bend_across(spare, row, weights, half, limit, planes.along_cols[row], out)
+        add(out, lift[row])
+
+
+@compiled
+def _sum(a: Any, b: Any, out: Any) -> None:
+    for col in range(out.size):
+        out[col] = a[col] + b[col]
+
+
+@compiled
+def write_coarse(planes: Planes, weights: Any, window: Window) -> None:
+    """Write the coarse part of the lift."""
+    lift, coarse, spare = planes.lift, planes.coarse, planes.spare
+    gap, end, half = window.gap, window.gap + window.width, window.half
+    for row in range(half, lift.shape[0] - half):
+        _average_along(lift[row], weights, window, spare[row, gap:end])
+    for row in range(2 * half, lift.shape[0] - 2 * half):
+        _average_across(spare, row, weights, half, coarse[row])
+        multiply(coarse[row], planes.per_support[row])

@@ -1,0 +1,172 @@
+"""Least-squares spheres and planes, the paper's residual statistics, and outliers; lengths mm."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.optimize import least_squares
+
+from reconstruction.arrays import BoolImage, FloatArray
+from reconstruction.errors import FitError
+
+# Singular value ratio below which points count as coplanar (collinear): rounding only.
+DEGENERATE_RATIO = 1e-10
+# 1.4826 MAD estimates the standard deviation of a normal distribution.
+MAD_TO_SIGMA = 1.4826
+REJECT_BEYOND_SIGMAS = 4.0
+"""One of 16,000 normal residuals lies beyond."""
+
+
+@dataclass(frozen=True)
+class ResidualStats:
+    """RMSE, MAE and 95th percentile of the absolute residuals, as the paper defines them."""
+
+    rmse_mm: float
+    mae_mm: float
+    p95_mm: float
+
+
+@dataclass(frozen=True, eq=False)
+class SphereFit:
+    """Least-squares sphere; residuals_mm (n,) are radial distances, positive outside."""
+
+    centre_mm: FloatArray
+    radius_mm: float
+    residuals_mm: FloatArray
+
+    @property
+    def stats(self) -> ResidualStats:
+        """Statistics of the radial residuals."""
+        return residual_stats(self.residuals_mm)
+
+
+@dataclass(frozen=True, eq=False)
+class PlaneFit:
+    """Least-squares plane; unit normal with z >= 0; residuals_mm (n,) positive along it."""
+
+    centroid_mm: FloatArray
+    normal: FloatArray
+    residuals_mm: FloatArray
+
+    @property
+    def stats(self) -> ResidualStats:
+        """Statistics of the distances from the plane."""
+        return residual_stats(self.residuals_mm)
+
+
+def residual_stats(residuals_mm: ArrayLike) -> ResidualStats:
+    """Return the statistics of signed residuals, (n,) mm.
+
+    Raises
+    ------
+    FitError : there are no residuals
+    """
+    values_mm = np.asarray(residuals_mm, dtype=np.float64)
+    if values_mm.size == 0:
+        raise FitError("no residuals to evaluate: the fit region holds no valid point")
+    return ResidualStats(
+        rmse_mm=rms(values_mm),
+        mae_mm=float(np.mean(np.abs(values_mm))),
+        p95_mm=p95_of_size(values_mm),
+    )
+
+
+def rms(values: FloatArray) -> float:
+    """Return the root mean square of at least one value."""
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def p95_of_size(values: FloatArray) -> float:
+    """Return the 95th percentile of the values' sizes."""
+    return float(np.percentile(np.abs(values), 95.0))
+
+
+def fit_sphere(points_mm: ArrayLike) -> SphereFit:
+    """Fit the sphere with the least sum of squared radial distances.
+
+    Parameters
+    ----------
+    points_mm : (n, 3) float, n >= 4, not coplanar
+
+    Raises
+    ------
+    FitError : too few, coplanar or non-finite points
+    """
+    points = _checked(points_mm, 4, "sphere")
+    # Centred and scaled: the algebraic start and the iteration then see numbers near one.
+    offset = points.mean(axis=0)
+    scale = float(np.sqrt(np.mean(np.sum((points - offset) ** 2, axis=1)))) or 1.0
+    local = (points - offset) / scale
+    solution = least_squares(
+        _radial, _algebraic_sphere(local), _radial_jacobian, args=(local,), method="lm", xtol=1e-14,
+        ftol=1e-14, gtol=1e-14,
+    )  # fmt: skip
+    centre, radius = solution.x[:3] * scale + offset, abs(float(solution.x[3])) * scale
+    return SphereFit(centre, radius, np.linalg.norm(points - centre, axis=1) - radius)
+
+
+def fit_plane(points_mm: ArrayLike) -> PlaneFit:
+    """Fit the plane with the least sum of squared orthogonal distances.
+
+    Parameters
+    ----------
+    points_mm : (n, 3) float, n >= 3, not collinear
+
+    Raises
+    ------
+    FitError : too few, collinear or non-finite points
+    """
+    points = _checked(points_mm, 3, "plane")
+    centroid = points.mean(axis=0)
+    _, singular, axes = np.linalg.svd(points - centroid, full_matrices=False)
+    if singular[1] <= DEGENERATE_RATIO * singular[0]:
+        raise FitError(
+            f"the {len(points)} points lie on one line; a plane needs a second direction"
+        )
+    normal = axes[2] if axes[2, 2] >= 0.0 else -axes[2]
+    return PlaneFit(centroid, normal, (points - centroid) @ normal)
+
+
+def _checked(points_mm: ArrayLike, least: int, shape: str) -> FloatArray:
+    points = np.asarray(points_mm, dtype=np.float64)
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise FitError(f"points for the {shape} have shape {points.shape}; give (n, 3)")
+    if len(points) < least:
+        raise FitError(f"{len(points)} points do not fix a {shape}; give at least {least}")
+    if not bool(np.all(np.isfinite(points))):
+        raise FitError(f"points for the {shape} hold NaN or infinity; pass valid points only")
+    return points
+
+
+def _algebraic_sphere(local: FloatArray) -> FloatArray:
+    """Return centre and radius from the linear system |p|^2 = 2 c p + k."""
+    system = np.column_stack([2.0 * local, np.ones(len(local))])
+    solution, _, _, singular = np.linalg.lstsq(system, np.sum(local**2, axis=1))
+    if singular[-1] <= DEGENERATE_RATIO * singular[0]:
+        raise FitError(f"the {len(local)} points lie in one plane; a sphere needs curvature")
+    centre = solution[:3]
+    return np.append(centre, np.sqrt(max(solution[3] + centre @ centre, 0.0)))
+
+
+def _radial(parameters: FloatArray, local: FloatArray) -> FloatArray:
+    distance: FloatArray = np.linalg.norm(local - parameters[:3], axis=1) - parameters[3]
+    return distance
+
+
+def _radial_jacobian(parameters: FloatArray, local: FloatArray) -> FloatArray:
+    toward = parameters[:3] - local
+    # A point at the centre has no direction; any finite value serves for that one row.
+    distance = np.maximum(np.linalg.norm(toward, axis=1, keepdims=True), 1e-300)
+    return np.column_stack([toward / distance, -np.ones(len(local))])
+
+
+def spread(values: FloatArray) -> float:
+    """Robust standard deviation of values, (n,)."""
+    return float(MAD_TO_SIGMA * np.median(np.abs(values - np.median(values))))
+
+
+def inliers(residuals_mm: FloatArray) -> BoolImage:
+    """Tell which residuals, (n,) mm, lie within four robust standard deviations of their median."""
+    limit = REJECT_BEYOND_SIGMAS * max(spread(residuals_mm), 1e-12)
+    kept: BoolImage = np.abs(residuals_mm - np.median(residuals_mm)) <= limit
+    return kept
