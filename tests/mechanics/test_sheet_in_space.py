@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import CloughTocher2DInterpolator
 
-from reconstruction.fit import fit_sphere
+from reconstruction.evaluate.fit import fit_sphere
 from tests.mechanics.sheets import YOUNG_KPA, build_sheet, pressed
 from tests.mechanics.solids_in_space import CASES, SpaceCase, seen_at, wrapped
 from twin.config.models import Ball
