@@ -7,7 +7,7 @@ from tests.mechanics.sheets import build_sheet
 from twin.config import ConfigError, load_experiment
 from twin.config.models import Ball, Mechanics, PadFile, Press
 from twin.mechanics import PressError, press
-from twin.mechanics.choice import choose_model, must_wrap, press_with, read_pad
+from twin.mechanics.choice import check_press, choose_model, must_wrap, press_with, read_pad
 from twin.modalities import press_specimen
 from twin.specimens import shape_of
 
@@ -109,6 +109,14 @@ def test_other_models_refuse_what_only_the_sheet_knows(key, value, model):
     with pytest.raises(PressError, match=rf"^elastomer\.{key}: .* the {model} model") as caught:
         press_specimen(load_experiment("paper/two_balls", keys))
     assert "\n" not in str(caught.value)
+
+
+def test_solid_elements_travel_farther_than_the_slab_is_thick():
+    deep = case(thickness_mm=1.2, depth_mm=1.3)
+    check_press(Mechanics(model="neo_hookean"), *deep)
+    for model in ("spectral", "auto"):
+        with pytest.raises(PressError, match=r"^press\.depth_mm: 1\.3 mm is not less than"):
+            check_press(Mechanics(model=model), *deep)
 
 
 def test_supports_and_pads_belong_to_fem_and_sheet():

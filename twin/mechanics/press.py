@@ -77,7 +77,9 @@ class PressedElastomer:
     sheet: SheetFields | None = None
 
 
-def press(specimen: Specimen, elastomer: Elastomer, load: Press) -> PressedElastomer:
+def press(
+    specimen: Specimen, elastomer: Elastomer, load: Press, *, any_depth: bool = False
+) -> PressedElastomer:
     """Press `specimen` into `elastomer` as `load` says.
 
     Parameters
@@ -90,6 +92,8 @@ def press(specimen: Specimen, elastomer: Elastomer, load: Press) -> PressedElast
         Depth or force, back pressure, gravity, and the pitches of solver and relief. Back pressure
         drapes the slab over the specimen, weight lets it sag; the depth then counts from the plane
         of the unloaded touched face.
+    any_depth : bool
+        Go on where a free slab's travel reaches its thickness: a first guess for other models.
 
     Returns
     -------
@@ -111,7 +115,7 @@ def press(specimen: Specimen, elastomer: Elastomer, load: Press) -> PressedElast
     shape does not depend on the modulus, which only scales pressure and force.
     """
     shape = shape_of(specimen)
-    check_load(shape, elastomer, load)
+    check_load(shape, elastomer, load, any_depth=any_depth)
     modulus_kpa = young_modulus(elastomer).best_kpa
     layer = build_layer(elastomer, load, shape, modulus_kpa)
     preload = preload_of(elastomer, load, modulus_kpa)
@@ -119,7 +123,8 @@ def press(specimen: Specimen, elastomer: Elastomer, load: Press) -> PressedElast
     height = shape.height_above_lowest(layer.x_mm, layer.y_mm)
     control = _control(layer, height + sag, load, modulus_kpa)
     contact = solve_on_layer(layer, height + sag, control)
-    _check_depth(contact.depth_mm, layer.thickness_mm, load)
+    if not (any_depth and elastomer.layout == "opposite_face"):
+        _check_depth(contact.depth_mm, layer.thickness_mm, load)
     nodes = face_nodes(elastomer.length_y_mm, load), face_nodes(elastomer.length_x_mm, load)
     face_z = _coated_face(layer, contact, preload, shape, nodes)
     return PressedElastomer(
@@ -141,7 +146,7 @@ def press(specimen: Specimen, elastomer: Elastomer, load: Press) -> PressedElast
     )
 
 
-def check_load(shape: Shape, elastomer: Elastomer, load: Press) -> None:
+def check_load(shape: Shape, elastomer: Elastomer, load: Press, *, any_depth: bool = False) -> None:
     """Refuse a press of which it is plain, before it is solved, that it cannot be.
 
     Raises
@@ -152,7 +157,7 @@ def check_load(shape: Shape, elastomer: Elastomer, load: Press) -> None:
     """
     check_outline(shape, elastomer)
     preload_of(elastomer, load, young_modulus(elastomer).best_kpa)
-    if load.depth_mm is not None:
+    if load.depth_mm is not None and not (any_depth and elastomer.layout == "opposite_face"):
         _check_depth(load.depth_mm, elastomer.thickness_mm, load)
 
 

@@ -45,7 +45,7 @@ class Bricks:
     through: int | None = None
     #: elements along the half width of a contact
     contact: float = 3.0
-    #: load steps to the depth that the linear slab finds
+    #: load steps to the depth that the linear slab finds, more where that is over a thickness
     steps: int = 6
 
 
@@ -66,7 +66,7 @@ def press_neo_hookean(
     elastomer : Elastomer
         Flat slab on a simply supported rim, or a pad with free sides bonded to a window.
     load : Press
-        Depth or force, and pitches.
+        Depth or force, and pitches. A free slab may travel farther than it is thick.
     bricks : Bricks, optional
         How finely to solve.
     linear : bool
@@ -86,7 +86,7 @@ def press_neo_hookean(
         No equilibrium was found.
     """
     fineness, shape = bricks or Bricks(), shape_of(specimen)
-    guess = press(specimen, elastomer, load)
+    guess = press(specimen, elastomer, load, any_depth=True)
     modulus_kpa = guess.young_modulus_kpa
     check_neo_hookean(elastomer, load)
     field = sample(shape, elastomer.length_x_mm, elastomer.length_y_mm)
@@ -103,7 +103,8 @@ def press_neo_hookean(
     start = Equilibrium(np.zeros(body.unknowns), contact, 0.0, untouched, 0)
     copies = float(2 ** sum(edge[0] == 0 for edge in grid.edges_mm[:2]))
     if load.control == "depth":
-        path = _march(problem, start, guess.depth_mm, fineness.steps)
+        deep = max(1.0, guess.depth_mm / elastomer.thickness_mm)
+        path = _march(problem, start, guess.depth_mm, int(np.ceil(fineness.steps * deep)))
         found = path[-1]
     else:
         found = _to_force(problem, start, guess, fineness.steps, copies)
