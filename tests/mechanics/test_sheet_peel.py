@@ -71,7 +71,7 @@ def upright_force(law: Laws) -> float:
     return stiff * (stretch - stretch**-3)
 
 
-@pytest.mark.parametrize("sticks", [False])
+@pytest.mark.parametrize("sticks", [False, True])
 def test_peeling_a_strip_at_right_angles_takes_its_adhesion(sticks: bool) -> None:
     """The mean over six cells: within a cell the force ripples by 0.5 %."""
     law = laws(THICKNESS_MM, tack=ADHESION_J_M2, tack_range_mm=0.08)
