@@ -11,6 +11,8 @@ _GAUSS = 0.5 / np.sqrt(3)
 #: change of width over distance
 _GROWTH = 0.2
 _SAMPLES = 2001
+#: width of the cells at the ends over that of the fine ones
+_RIM = 1 / 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +98,8 @@ def graded_line(
 ) -> SplineLine:
     """Return cells of about `pitch_mm` within `fine_mm`, wider between it and the ends.
 
-    At the ends cells are small again, twice `pitch_mm`: the sheet bends where its rim holds it.
+    At the ends cells are smallest, a third of `pitch_mm`: under pressure the sheet bends within less
+    than its thickness where its rim holds it, and what it loses there moves all of its face.
     """
     low, high = max(fine_mm[0], ends_mm[0]), min(fine_mm[1], ends_mm[1])
     count = max(2, int(np.ceil((high - low) / pitch_mm - 1e-9)))
@@ -117,7 +120,9 @@ def _between(length_mm: float, pitch_mm: float, coarse_mm: float) -> FloatArray:
     if length_mm < 1e-9:
         return np.zeros(0)
     places = np.linspace(0.0, length_mm, _SAMPLES)
-    width = np.minimum(pitch_mm + _GROWTH * places, 2 * pitch_mm + _GROWTH * (length_mm - places))
+    width = np.minimum(
+        pitch_mm + _GROWTH * places, _RIM * pitch_mm + _GROWTH * (length_mm - places)
+    )
     density = 1 / np.minimum(width, coarse_mm)
     cells = np.concatenate(([0.0], np.cumsum((density[1:] + density[:-1]) / 2)))
     cells *= length_mm / (_SAMPLES - 1)
