@@ -128,7 +128,7 @@ def test_anchors_on_a_steeper_distance_have_a_true_energy() -> None:
     sheet.evaluate(moved.control_mm, state, tangent=False)
     assert state.grip.held.sum() > 20
     slope = float((sheet._forces * way).sum())
-    assert (ends[0] - ends[1]) / 2e-6 == pytest.approx(slope, rel=1e-6)
+    assert (ends[0] - ends[1]) / 2e-6 == pytest.approx(slope, rel=1e-5)
 
 
 def test_pressure_follows_the_surface() -> None:

@@ -83,9 +83,11 @@ def height_map(
 
 
 def _places(grid: SheetGrid, pitch_mm: float) -> tuple[FloatArray, FloatArray]:
-    finest = min(float(np.diff(line.edges).min()) for line in (grid.x, grid.y))
-    parts = int(np.clip(np.ceil(finest / pitch_mm), _FEWEST_PARTS, _MOST_PARTS))
-    return subdivided(grid.x.edges, parts), subdivided(grid.y.edges, parts)
+    parts = [
+        np.clip(np.ceil(np.diff(line.edges) / pitch_mm), _FEWEST_PARTS, _MOST_PARTS).astype(int)
+        for line in (grid.x, grid.y)
+    ]
+    return subdivided(grid.x.edges, parts[0]), subdivided(grid.y.edges, parts[1])
 
 
 def _principal(along_x: FloatArray, along_y: FloatArray, area2: FloatArray) -> FloatArray:

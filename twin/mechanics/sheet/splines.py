@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+import numpy.typing as npt
 
 from reconstruction.arrays import FloatArray
 
@@ -108,11 +109,11 @@ def graded_line(
     return SplineLine(np.concatenate((before, np.linspace(low, high, count + 1), after)))
 
 
-def subdivided(edges: FloatArray, parts: int) -> FloatArray:
-    """Return each cell's edges with `parts` equal parts between them."""
-    share = np.arange(parts) / parts
-    inner = (edges[:-1, None] + np.diff(edges)[:, None] * share).ravel()
-    return np.concatenate((inner, edges[-1:]))
+def subdivided(edges: FloatArray, parts: npt.NDArray[np.int64]) -> FloatArray:
+    """Return the ends of `parts` (cell,) equal parts of each cell."""
+    cells = zip(edges[:-1], edges[1:], parts, strict=True)
+    inner = [np.linspace(low, high, count, endpoint=False) for low, high, count in cells]
+    return np.concatenate((*inner, edges[-1:]))
 
 
 def _between(length_mm: float, pitch_mm: float, coarse_mm: float) -> FloatArray:
