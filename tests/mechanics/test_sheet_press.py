@@ -123,11 +123,11 @@ def test_auto_friction_sticks_where_there_is_tack(friction: str, tack: float, st
     assert build_sheet(friction=friction, tack_j_m2=tack).sticks is sticks
 
 
-def test_what_sticks_does_not_slide_and_tack_widens_the_contact() -> None:
+def test_tack_widens_the_contact() -> None:
     elastomer = build_sheet(thickness_mm=0.15, **TINY)
-    free, stuck, tacky = (
+    dry, tacky = (
         pressed(MARBLE, elastomer.model_copy(update=keys), depth_mm=0.6, cell_mm=0.15)
-        for keys in ({}, {"friction": "stick"}, {"tack_j_m2": 0.2})
+        for keys in ({}, {"tack_j_m2": 0.2})
     )
 
     def covered(one: PressedElastomer) -> float:
@@ -135,15 +135,7 @@ def test_what_sticks_does_not_slide_and_tack_widens_the_contact() -> None:
         centre = one.depth_mm - 0.15 - 2.0
         return float(np.mean(np.sqrt(x**2 + y**2 + (one.touched_face_mm - centre) ** 2) < 2.02))
 
-    def crest_mm(one: PressedElastomer) -> float:
-        assert one.sheet is not None
-        row = one.face_x_mm.size // 2
-        return float(one.sheet.thickness_mm[row, row])
-
-    # Held from the first touch on, the crest is not stretched any further.
-    assert crest_mm(stuck) > crest_mm(free) + 1e-4
-    assert covered(tacky) > 1.3 * covered(free)
-    assert crest_mm(tacky) > crest_mm(free)
+    assert covered(tacky) > 1.3 * covered(dry)
 
 
 @pytest.mark.parametrize("friction", ["none", "stick"])

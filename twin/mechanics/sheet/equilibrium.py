@@ -244,26 +244,38 @@ class Sheet:
             if self.sticks and count % _REGRIP_EVERY == _REGRIP_EVERY - 1:
                 state = self.regripped(replace(state, control_mm=control))
                 now = self.evaluate(control, state, tangent=True)
-            largest = share * float(np.abs(step).max())
-            residual = float(np.abs(self.forces() / self._weights).max())
-            if share > 0.9 and residual < accuracy.residual_kpa:
-                # With the last factors: what is left, without a factorisation to confirm it.
-                rest = -self._spread(self.solver.solve(self.forces()))
-                if (largest if viscosity else float(np.abs(rest).max())) < accuracy.step_mm:
-                    control = control + rest
-                    settled = replace(state, control_mm=control, steps=state.steps + count + 1)
-                    gripped = self.regripped(settled) if self.sticks else settled
-                    if not (gripped.grip.held < state.grip.held).any():
-                        return gripped
-                    # What let go had borne a share of the load.
-                    state = replace(gripped, steps=state.steps)
-                    now = self.evaluate(control, state, tangent=True)
+            rest = self._rest(accuracy) if share > 0.9 and viscosity == 0 else None
+            if rest is not None:
+                control = control + rest
+                settled = replace(state, control_mm=control, steps=state.steps + count + 1)
+                gripped = self.regripped(settled) if self.sticks else settled
+                if not (gripped.grip.held < state.grip.held).any():
+                    return gripped
+                # What let go had borne a share of the load.
+                state = replace(gripped, steps=state.steps)
+                now = self.evaluate(control, state, tangent=True)
+                if self._rest(accuracy) is not None:
+                    return gripped
             viscosity = _adapted(viscosity, share)
         raise SolverError(
             f"sheet: no equilibrium at {state.travel_mm:.3g} mm of travel and "
             f"{state.pressure_kpa:.3g} kPa within {accuracy.most_steps} steps (last step "
-            f"{1e3 * largest:.2g} um, residual {residual:.2g} kPa)"
+            f"{1e3 * share * float(np.abs(step).max()):.2g} um, residual "
+            f"{self._residual_kpa():.2g} kPa)"
         )
+
+    def _residual_kpa(self) -> float:
+        return float(np.abs(self.forces() / self._weights).max())
+
+    def _rest(self, accuracy: Accuracy) -> FloatArray | None:
+        """Return the step that is left, None where it is still long.
+
+        With the last factors, so that no factorisation only confirms an equilibrium.
+        """
+        if self._residual_kpa() >= accuracy.residual_kpa:
+            return None
+        rest = -self._spread(self.solver.solve(self.forces()))
+        return rest if float(np.abs(rest).max()) < accuracy.step_mm else None
 
     @property
     def _weights(self) -> FloatArray:

@@ -99,8 +99,8 @@ def graded_line(
 ) -> SplineLine:
     """Return cells of about `pitch_mm` within `fine_mm`, wider between it and the ends.
 
-    At the ends cells are smallest, a third of `pitch_mm`: under pressure the sheet bends within less
-    than its thickness where its rim holds it, and what it loses there moves all of its face.
+    At the ends cells are smallest, a third of `pitch_mm`: under pressure the sheet bends within
+    less than its thickness where its rim holds it, and what it loses there moves all of its face.
     """
     low, high = max(fine_mm[0], ends_mm[0]), min(fine_mm[1], ends_mm[1])
     count = max(2, int(np.ceil((high - low) / pitch_mm - 1e-9)))
