@@ -11,7 +11,7 @@ from twin.config.models import Elastomer, Mechanics, Press, Specimen
 from twin.mechanics import PressedElastomer
 from twin.mechanics.sheet.equilibrium import Accuracy, Bodies, Sheet
 from twin.mechanics.sheet.grid import Frame, sheet_grid
-from twin.mechanics.sheet.kernel import Laws
+from twin.mechanics.sheet.laws import Laws
 from twin.mechanics.sheet.press import press_sheet
 from twin.mechanics.sheet.splines import SplineLine, graded_line
 from twin.specimens.distance import BallDistance, BoxDistance, CylinderDistance, plate

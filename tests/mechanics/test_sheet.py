@@ -33,12 +33,14 @@ from tests.oracles.round_sheet import (
 )
 from twin.config.models import Ball, Mechanics, Press
 from twin.mechanics import press
+from twin.mechanics.sheet.case import sheet_case
 from twin.mechanics.sheet.equilibrium import Bodies, Sheet, SheetState
 from twin.mechanics.sheet.faces import sample
 from twin.mechanics.sheet.grid import Frame, sheet_grid
-from twin.mechanics.sheet.kernel import SLOTS, Grip
+from twin.mechanics.sheet.kernel import SLOTS
+from twin.mechanics.sheet.laws import Grip
 from twin.mechanics.sheet.path import Loads, advance, follow, mounted
-from twin.mechanics.sheet.press import contact_force_n, sheet_case
+from twin.mechanics.sheet.press import contact_force_n
 from twin.specimens.distance import SignedDistance
 
 SOLIDS = json.loads((Path(__file__).parent / "reference/solid_sheets.json").read_text())

@@ -9,7 +9,7 @@ from scipy.optimize import brentq
 from tests.mechanics.sheets import laws
 from twin.mechanics.sheet.equilibrium import Accuracy, Bodies, Sheet, SheetState
 from twin.mechanics.sheet.grid import Frame, sheet_grid
-from twin.mechanics.sheet.kernel import Laws
+from twin.mechanics.sheet.laws import Laws
 from twin.mechanics.sheet.path import mounted
 from twin.mechanics.sheet.splines import SplineLine, graded_line
 from twin.specimens.distance import plate

@@ -83,7 +83,7 @@ def check_press(
         return
     wraps = mechanics.model == "auto" and must_wrap(elastomer, load)
     if mechanics.model == "sheet" or wraps:
-        from twin.mechanics.sheet.press import check_sheet
+        from twin.mechanics.sheet.case import check_sheet
 
         check_sheet(shape_of(specimen), elastomer, load, mechanics)
         return

@@ -19,7 +19,7 @@ from scipy.optimize import brentq, nnls
 
 from reconstruction.arrays import FloatArray
 from twin.config.models import Elastomer
-from twin.config.specimens import Fingerprint, Grating, Specimen
+from twin.config.specimens import Fingerprint, Grating, Group, Specimen
 from twin.mechanics.contact_transfer import ContactTransfer, positive_pitches
 from twin.mechanics.errors import PressError
 from twin.mechanics.hardness import young_modulus
@@ -38,6 +38,17 @@ def ridge_height_mm(specimen: Specimen) -> float:
     if isinstance(specimen, Grating):
         return specimen.groove_mm
     return specimen.depth_mm if isinstance(specimen, Fingerprint) else RIDGE_MM
+
+
+def finest_pitch_mm(specimen: Specimen) -> float | None:
+    """Return the finest pitch of a specimen's ridges or grooves, None where it has none.
+
+    A mesh from a file does not tell.
+    """
+    if isinstance(specimen, Group):
+        pitches = [finest_pitch_mm(part) for part in specimen.parts.values()]
+        return min((pitch for pitch in pitches if pitch is not None), default=None)
+    return specimen.pitch_mm if isinstance(specimen, Fingerprint | Grating) else None
 
 
 def ridge_transfer(

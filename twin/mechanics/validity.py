@@ -23,6 +23,8 @@ _FEWEST_CELLS_ACROSS = 10.0
 SHEET_THICKNESS_MM = (0.05, 1.0)
 #: thickness over radius of bending up to which a thin sheet is good, and up to which it is usable
 SHEET_GOOD, SHEET_LIMIT = 0.125, 0.25
+#: pitch over thickness of the finest ridges that a thin sheet tells: it has no shear in it
+SHEET_RIDGES = 5.0
 # Height error of the thin sheet over h^2 / R: solid neo-Hookean elements, ball of 4 mm, sheets of
 # 0.1 to 1.5 mm, at most 18 um at h = 1 mm (shared notes on the sheet).
 _SHEET_ERROR = 0.072
@@ -163,10 +165,12 @@ def assess_sheet(
     slope_deg: float,
     margin_to_rim_mm: float,
     cells_across: float,
+    ridge_pitch_mm: float | None,
 ) -> Validity:
     """Collect the figures, the error estimate and the warnings of a thin sheet.
 
-    `bend_1_mm` is the root mean square curvature where the specimen touches, 1 / R on a ball.
+    `bend_1_mm` is the root mean square curvature where the specimen touches, 1 / R on a ball;
+    `ridge_pitch_mm` that of the specimen's finest grooves, None where it has none of its own.
     """
     ratio = thickness_mm * bend_1_mm
     checks = (
@@ -175,6 +179,12 @@ def assess_sheet(
             f"the sheet is {ratio:.2f} of its radius of bending thick: shear through the thickness "
             f"counts above {SHEET_GOOD}"
             + (", solid elements are needed above 0.25" if ratio > SHEET_LIMIT else ""),
+        ),
+        (
+            ridge_pitch_mm is not None and ridge_pitch_mm < SHEET_RIDGES * thickness_mm,
+            f"ridges every {ridge_pitch_mm} mm are finer than {SHEET_RIDGES:g} thicknesses: the "
+            "sheet model errs by some micrometres in what the coat shows of them; take that from "
+            "`twin press --transfer`",
         ),
         (
             cells_across < _FEWEST_CELLS_ACROSS,

@@ -16,7 +16,8 @@ from reconstruction.arrays import FloatArray
 from reconstruction.cores import threads
 from twin.mechanics.errors import SolverError
 from twin.mechanics.sheet.grid import SheetGrid
-from twin.mechanics.sheet.kernel import SLOTS, Grip, Laws, Touch, assemble_rows, surface_rows
+from twin.mechanics.sheet.kernel import SLOTS, assemble_rows, surface_rows
+from twin.mechanics.sheet.laws import Grip, Laws, Touch
 from twin.mechanics.sheet.linear_solver import LinearSolver, linear_solver
 from twin.specimens.distance import SignedDistance
 

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from reconstruction.arrays import FloatArray
-from twin.mechanics.sheet.kernel import Rest
+from twin.mechanics.sheet.laws import Rest
 from twin.mechanics.sheet.splines import SplineLine
 
 Outline = Literal["rectangular", "round"]

@@ -13,32 +13,21 @@ point; units mm, kPa and so uJ (kPa mm^3) for energies.
 
 # ruff: noqa: PLR0917 - compiled functions cannot take keyword-only arguments
 
-from collections.abc import Callable
-from typing import Any, NamedTuple, TypeVar, cast
+from typing import NamedTuple
 
-import numba
 import numpy as np
 
 from reconstruction.arrays import FloatArray
-
-# Sums may be reordered for vector units: results are compared with tolerances that know of it.
-_OPTIONS: dict[str, Any] = {
-    "nogil": True,
-    "error_model": "numpy",
-    "fastmath": {"contract", "reassoc", "arcp", "nsz"},
-}
-Function = TypeVar("Function", bound=Callable[..., Any])
-
-
-def _kernel(function: Function) -> Function:
-    """Compile on first call and keep the result on disk."""
-    return cast(Function, numba.njit(cache=True, **_OPTIONS)(function))
-
-
-def _inlined(function: Function) -> Function:
-    """Compile into the callers: for what runs once per Gauss point."""
-    return cast(Function, numba.njit(cache=True, forceinline=True, **_OPTIONS)(function))
-
+from twin.mechanics.sheet.laws import (
+    Grip,
+    Laws,
+    Rest,
+    Touch,
+    contact_law,
+    inlined,
+    kernel,
+    material,
+)
 
 #: Offsets (row, col) of the upper half of the tangent's stencil, in the order of its slots.
 SLOTS = (
@@ -49,56 +38,6 @@ SLOTS = (
 At = tuple[int, int, int]
 #: a11, a22, a12 and their determinant.
 Metric = tuple[float, float, float, float]
-
-
-class Rest(NamedTuple):
-    """The undeformed sheet at its Gauss points."""
-
-    #: (row, col, 4, 9, 6) functions of the cell: value, d/dX, d/dY, d2/dX2, d2/dY2, d2/dXdY
-    functions: FloatArray
-    #: (row, col, 4) area of each Gauss point, mm^2
-    area_mm2: FloatArray
-
-
-class Touch(NamedTuple):
-    """Signed distances of the bodies near the sheet, at the Gauss points."""
-
-    #: (body, row, col, 4)
-    distance_mm: FloatArray
-    #: (body, row, col, 4, 3)
-    gradient: FloatArray
-    #: (body, row, col, 4, 3, 3) 1/mm
-    hessian: FloatArray
-
-
-class Grip(NamedTuple):
-    """Where the sheet sticks: anchors in the world, normals of the surface at the anchor."""
-
-    #: (row, col, 4) 1 where it sticks
-    held: FloatArray
-    #: (row, col, 4, 3)
-    anchor_mm: FloatArray
-    #: (row, col, 4, 3)
-    normal: FloatArray
-
-
-class Laws(NamedTuple):
-    """Constants of the potentials."""
-
-    thickness_mm: float
-    shear_modulus_kpa: float
-    #: pressure per penetration, kPa/mm
-    contact_stiffness: float
-    #: the same along the surface, where the sheet sticks
-    stick_stiffness: float
-    #: adhesion energy, kPa mm = J/m^2
-    tack: float
-    #: range of the cohesive law
-    tack_range_mm: float
-    #: follows the sheet, towards its touched side
-    pressure_kpa: float
-    #: weight per area along -z, kPa
-    weight_kpa: float
 
 
 class Point(NamedTuple):
@@ -118,7 +57,7 @@ class Point(NamedTuple):
     work: FloatArray
 
 
-@_inlined
+@inlined
 def _scratch() -> Point:
     return Point(
         np.zeros((6, 3)), np.zeros(18), np.zeros(6), np.zeros((6, 6)), np.zeros((3, 3)),
@@ -127,98 +66,13 @@ def _scratch() -> Point:
     )  # fmt: skip
 
 
-@_inlined
+@inlined
 def _dot(a: FloatArray, b: FloatArray) -> float:
     product: float = a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
     return product
 
 
-@_inlined
-def material(
-    forms: tuple[float, float, float, float, float, float], h: float, g: FloatArray, H: FloatArray
-) -> float:
-    """Return energy per undeformed area over shear modulus; fill gradient and Hessian by (a, b).
-
-    W = h/2 (A + 1/d - 3) + h^3/24 (3 T^2/d^4 - 2 k/d^3 + (B T - k A)/d^2) with A = tr a, d = det a,
-    T = a22 b11 + a11 b22 - 2 a12 b12, k = det b, B = tr b: an incompressible neo-Hookean sheet.
-    """
-    a11, a22, a12, b11, b22, b12 = forms
-    A, d, B = a11 + a22, a11 * a22 - a12 * a12, b11 + b22
-    T = a22 * b11 + a11 * b22 - 2 * a12 * b12
-    k = b11 * b22 - b12 * b12
-    i = 1 / d
-    i2, c = i * i, h * h * h / 24
-    i3, i4 = i2 * i, i2 * i2
-    bent = B * T - k * A
-    by_A = h / 2 - c * k * i2
-    by_d = -h / 2 * i2 + c * (-12 * T * T * i4 * i + 6 * k * i4 - 2 * bent * i3)
-    by_T = c * (6 * T * i4 + B * i2)
-    by_k = -c * (2 * i3 + A * i2)
-    by_B = c * T * i2
-    Ad, Ak = 2 * c * k * i3, -c * i2
-    dd = h * i3 + c * (60 * T * T * i3 * i3 - 24 * k * i4 * i + 6 * bent * i4)
-    dT, dk, dB = -c * (24 * T * i4 * i + 2 * B * i3), c * (6 * i4 + 2 * A * i3), -2 * c * T * i3
-    TT, TB = 6 * c * i4, c * i2
-    for n in range(6):
-        # Row n of the Jacobian of (A, d, T, k, B), and what it becomes under their Hessian.
-        jA, jd, jT, jk, jB = _invariants(n, forms)
-        g[n] = by_A * jA + by_d * jd + by_T * jT + by_k * jk + by_B * jB
-        mA, md = Ad * jd + Ak * jk, Ad * jA + dd * jd + dT * jT + dk * jk + dB * jB
-        mT, mk, mB = dT * jd + TT * jT + TB * jB, Ak * jA + dk * jd, dB * jd + TB * jT
-        for m in range(6):
-            lA, ld, lT, lk, lB = _invariants(m, forms)
-            H[n, m] = mA * lA + md * ld + mT * lT + mk * lk + mB * lB
-    H[0, 1] += by_d
-    H[1, 0] += by_d
-    H[2, 2] -= 2 * by_d
-    H[0, 4] += by_T
-    H[4, 0] += by_T
-    H[1, 3] += by_T
-    H[3, 1] += by_T
-    H[2, 5] -= 2 * by_T
-    H[5, 2] -= 2 * by_T
-    H[3, 4] += by_k
-    H[4, 3] += by_k
-    H[5, 5] -= 2 * by_k
-    return h / 2 * (A + i - 3) + c * (3 * T * T * i4 - 2 * k * i3 + bent * i2)
-
-
-@_inlined
-def _invariants(
-    n: int, forms: tuple[float, float, float, float, float, float]
-) -> tuple[float, float, float, float, float]:
-    """Return the derivatives of (A, d, T, k, B) by the n-th of (a11, a22, a12, b11, b22, b12)."""
-    a11, a22, a12, b11, b22, b12 = forms
-    if n == 0:
-        return 1.0, a22, b22, 0.0, 0.0
-    if n == 1:
-        return 1.0, a11, b11, 0.0, 0.0
-    if n == 2:
-        return 0.0, -2 * a12, -2 * b12, 0.0, 0.0
-    if n == 3:
-        return 0.0, 0.0, a22, b22, 1.0
-    if n == 4:
-        return 0.0, 0.0, a11, b11, 1.0
-    return 0.0, 0.0, -2 * a12, -2 * b12, 0.0
-
-
-@_inlined
-def contact_law(gap_mm: float, laws: Laws) -> tuple[float, float, float]:
-    """Return potential, slope and curvature: repulsion below 0, cohesion up to the range."""
-    if gap_mm < 0:
-        eps = laws.contact_stiffness
-        return 0.5 * eps * gap_mm * gap_mm - laws.tack, eps * gap_mm, eps
-    if laws.tack > 0 and gap_mm < laws.tack_range_mm:
-        x, G, D = gap_mm / laws.tack_range_mm, laws.tack, laws.tack_range_mm
-        return (
-            -G * (1 - x) ** 2 * (1 + 2 * x),
-            6 * G * x * (1 - x) / D,
-            6 * G * (1 - 2 * x) / D**2,
-        )
-    return 0.0, 0.0, 0.0
-
-
-@_inlined
+@inlined
 def _place(functions: FloatArray, c: FloatArray, row: int, col: int, point: Point) -> None:
     """Fill v of a Gauss point."""
     v = point.v
@@ -231,7 +85,7 @@ def _place(functions: FloatArray, c: FloatArray, row: int, col: int, point: Poin
                     v[m, k] += N * c[row + b, col + a, k]
 
 
-@_inlined
+@inlined
 def _touch(
     part: int, at: At, metric: Metric, laws: Laws, touch: Touch, convex: bool, point: Point
 ) -> float:
@@ -260,7 +114,7 @@ def _touch(
     return psi
 
 
-@_inlined
+@inlined
 def _stick(at: At, grip: Grip, stiffness: float, point: Point) -> float:
     """Add the spring to the anchor, along the surface that was touched there; return its energy."""
     j_row, i_col, q = at
@@ -277,7 +131,7 @@ def _stick(at: At, grip: Grip, stiffness: float, point: Point) -> float:
     return total
 
 
-@_inlined
+@inlined
 def _potentials(at: At, laws: Laws, touch: Touch, grip: Grip, convex: bool, point: Point) -> float:
     """Fill stress, moduli, forces on r and the strain matrix; return the energy per area."""
     v, n, dual, gamma, B = point.v, point.normal, point.dual, point.gamma, point.strain
@@ -337,7 +191,7 @@ def _potentials(at: At, laws: Laws, touch: Touch, grip: Grip, convex: bool, poin
     return float(total)
 
 
-@_inlined
+@inlined
 def _moduli_terms(point: Point) -> None:
     """Fill the tangent with what the strains' first derivatives make of the moduli."""
     B, K, HB = point.strain, point.tangent, point.work
@@ -356,7 +210,7 @@ def _moduli_terms(point: Point) -> None:
                     K[i, k] += x * HB[m, k]
 
 
-@_inlined
+@inlined
 def _tangent(laws: Laws, convex: bool, point: Point) -> None:
     """Fill the second derivatives of the energy by v, (18, 18), upper half of the blocks."""
     B, K = point.strain, point.tangent
@@ -381,7 +235,7 @@ def _tangent(laws: Laws, convex: bool, point: Point) -> None:
             _pressure_terms(laws.pressure_kpa, point)
 
 
-@_inlined
+@inlined
 def _tension_only(s1: float, s2: float, s12: float) -> tuple[float, float, float]:
     """Return the membrane stress without its compressive principal parts."""
     mean, dev = 0.5 * (s1 + s2), 0.5 * (s1 - s2)
@@ -392,7 +246,7 @@ def _tension_only(s1: float, s2: float, s12: float) -> tuple[float, float, float
     return x * (rad + dev), x * (rad - dev), x * s12
 
 
-@_inlined
+@inlined
 def _pressure_terms(p: float, point: Point) -> None:
     """Add the second derivatives of p z (r_1 x r_2)_z."""
     K, v, z = point.tangent, point.v, p * point.v[0, 2]
@@ -406,7 +260,7 @@ def _pressure_terms(p: float, point: Point) -> None:
     K[6, 4] -= z
 
 
-@_inlined
+@inlined
 def _curvature_terms(point: Point) -> None:
     """Add the second variation of b times its moments: the normal turns as r_1 and r_2 change."""
     K, n, dual = point.tangent, point.normal, point.dual
@@ -431,7 +285,7 @@ def _curvature_terms(point: Point) -> None:
                     K[3 + 3 * e + i, 3 + 3 * t + k] -= x * n[i] * n[k]
 
 
-@_inlined
+@inlined
 def _gather(
     N: FloatArray,
     weight: float,
@@ -461,7 +315,7 @@ def _gather(
                     blocks[i, j, k] += x * T[9 * s + k]
 
 
-@_kernel
+@kernel
 def assemble_rows(
     first: int,
     end: int,
@@ -516,7 +370,7 @@ def assemble_rows(
         energy[j_row] = total
 
 
-@_kernel
+@kernel
 def surface_rows(
     first: int, end: int, c: FloatArray, functions: FloatArray, out: FloatArray
 ) -> None:

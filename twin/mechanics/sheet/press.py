@@ -18,12 +18,11 @@ from reconstruction.arrays import FloatArray
 from twin.config.models import Elastomer, Mechanics, Press, Specimen
 from twin.mechanics.errors import PressError, SolverError
 from twin.mechanics.hardness import young_modulus
-from twin.mechanics.layouts import face_nodes, weight_kpa
-from twin.mechanics.press import PressedElastomer, SheetFields, check_outline
-from twin.mechanics.sheet.equilibrium import Accuracy, Bodies, Sheet, SheetState, normal_of
+from twin.mechanics.layouts import face_nodes
+from twin.mechanics.press import PressedElastomer, SheetFields
+from twin.mechanics.sheet.case import SheetCase, sheet_case
+from twin.mechanics.sheet.equilibrium import Accuracy, Sheet, SheetState, normal_of
 from twin.mechanics.sheet.faces import height_map, sample
-from twin.mechanics.sheet.grid import Frame, sheet_grid, span_mm
-from twin.mechanics.sheet.kernel import Laws
 from twin.mechanics.sheet.path import (
     TRAVEL_STEP_MM,
     LimitPressureError,
@@ -34,24 +33,9 @@ from twin.mechanics.sheet.path import (
     follow,
     refined,
 )
-from twin.mechanics.sheet.splines import graded_line
-from twin.mechanics.validity import SHEET_THICKNESS_MM, assess_sheet, margin_mm
-from twin.specimens import Shape, shape_of
-from twin.specimens.distance import (
-    RectangularInside,
-    RoundInside,
-    SignedDistance,
-    distances_of,
-    frame_wall,
-    plate,
-)
+from twin.mechanics.validity import assess_sheet, margin_mm
 
-# Incompressible: E* = E / (1 - 1/4), and shear modulus E / 3.
-_COMPLIANCE, _STICK_COMPLIANCE = 0.25, 0.5
-_COARSE_CELL_MM, _LONGEST_CELL_MM = 0.4, 1.0
-_TACK_RANGE_MM = 0.08
-# Without a wall nothing but the rim keeps a sheet under pressure out of the frame's material.
-_WALL_MM = 0.5
+_COARSE_CELL_MM = 0.4
 _MARGIN_MM = 1.5
 _ROUGH, _FINE = Accuracy(step_mm=1e-3, residual_kpa=0.1), Accuracy(residual_kpa=2e-3)
 _FORCE_TOLERANCE, _FORCE_STEPS = 1e-3, 40
@@ -60,33 +44,6 @@ _HELD_SHARES = (1.0, 0.9, 0.8, 0.65, 0.5, 0.35, 0.2, 0.1)
 _HALF = 0.5
 # What presses of one path may differ in.
 _LOADS = {"control": "depth", "depth_mm": 1.0, "force_n": None, "back_pressure_kpa": 0.0}
-
-
-@dataclass(frozen=True, eq=False)
-class SheetCase:
-    """What is pressed, in the solver's terms."""
-
-    frame: Frame
-    laws: Laws
-    bodies: Bodies
-    #: how many of the moving bodies are the specimen's own, before its plate
-    parts: int
-    shape: Shape
-    sticks: bool
-    #: the finest cells
-    cell_mm: float
-
-    def sheet(self, pitch_mm: float, box_mm: tuple[float, float, float, float]) -> Sheet:
-        """Return the sheet on cells of `pitch_mm` within a box of the world's x and y."""
-        x_span, y_span = span_mm(self.frame)
-        stretch = self.frame.pre_stretch
-        west, east, south, north = (end / stretch for end in box_mm)
-        x = graded_line(x_span, (west, east), pitch_mm, _LONGEST_CELL_MM)
-        y = graded_line(y_span, (south, north), pitch_mm, _LONGEST_CELL_MM)
-        # A cohesive range below half a cell would let the sheet jump on from point to point.
-        laws = self.laws._replace(tack_range_mm=max(_TACK_RANGE_MM, 0.5 * pitch_mm))
-        grid = sheet_grid(self.frame, x, y)
-        return Sheet(grid, laws, self.bodies, -laws.thickness_mm / 2, self.sticks)
 
 
 def press_sheet(
@@ -129,75 +86,6 @@ def press_sheet(
     return _result(case, elastomer, load, sheet, state)
 
 
-def sheet_case(
-    specimen: Specimen, elastomer: Elastomer, load: Press, mechanics: Mechanics
-) -> SheetCase:
-    """Translate the experiment's data.
-
-    Raises
-    ------
-    PressError
-        What a thin sheet cannot be.
-    """
-    shape = shape_of(specimen)
-    check_sheet(shape, elastomer, load, mechanics)
-    frame = Frame(
-        elastomer.length_x_mm,
-        elastomer.length_y_mm,
-        elastomer.outline,
-        "simple" if mechanics.support == "simple" else "clamped",
-        elastomer.pre_stretch,
-    )
-    parts = distances_of(shape)
-    return SheetCase(
-        frame=frame,
-        laws=_laws(elastomer, load),
-        bodies=Bodies((*parts, *_plate(shape)), _walls(frame)),
-        parts=len(parts),
-        shape=shape,
-        sticks=elastomer.sticks,
-        cell_mm=finest_cell_mm(elastomer, load),
-    )
-
-
-def check_sheet(shape: Shape, elastomer: Elastomer, load: Press, mechanics: Mechanics) -> None:
-    """Refuse what a thin sheet cannot be, before it is solved.
-
-    Raises
-    ------
-    PressError
-        Thickness, layout, film, support or weight do not fit, or the specimen reaches over the
-        frame.
-    """
-    low, high = SHEET_THICKNESS_MM
-    if not low <= elastomer.thickness_mm <= high:
-        raise PressError(
-            f"elastomer.thickness_mm: found {elastomer.thickness_mm:g}, the sheet model allows "
-            f"{low:g} to {high:g}; choose mechanics.model = 'auto' for a slab"
-        )
-    if elastomer.layout != "opposite_face":
-        raise PressError(
-            "elastomer.layout: the sheet model needs 'opposite_face'; a gel bonded to a window is "
-            "pressed by mechanics.model = 'spectral'"
-        )
-    if elastomer.film is not None:
-        raise PressError("elastomer.film: the sheet model has no film of its own; remove it")
-    if mechanics.support not in (None, "simple", "clamped"):
-        raise PressError(
-            f"mechanics.support: found '{mechanics.support}', the sheet model allows 'simple' or "
-            "'clamped'"
-        )
-    check_outline(shape, elastomer)
-    weight_kpa(elastomer, load)
-
-
-def finest_cell_mm(elastomer: Elastomer, load: Press) -> float:
-    """Return the finest cells: as asked for, or as the thickness needs."""
-    if load.cell_mm is not None:
-        return load.cell_mm
-    return float(np.clip(0.75 * elastomer.thickness_mm, 0.075, 0.15))
-
-
 def contact_force_n(sheet: Sheet, state: SheetState) -> float:
     """Return the vertical force of specimen and plate on the sheet, N."""
     sheet.evaluate(state.control_mm, state, tangent=False)
@@ -222,6 +110,11 @@ class _Path:
 
 #: Paths of this process, the latest last: a study over travel, pressure or force goes on from them.
 _paths: OrderedDict[str, _Path] = OrderedDict()
+
+
+def forget_paths() -> None:
+    """Let the next press begin at the mounted sheet, as the first of a process does."""
+    _paths.clear()
 
 
 def _path(specimen: Specimen, elastomer: Elastomer, load: Press, mechanics: Mechanics) -> _Path:
@@ -341,7 +234,11 @@ def _contact_box(
 
 
 def _result(
-    case: SheetCase, elastomer: Elastomer, load: Press, sheet: Sheet, state: SheetState
+    case: SheetCase,
+    elastomer: Elastomer,
+    load: Press,
+    sheet: Sheet,
+    state: SheetState,
 ) -> PressedElastomer:
     h, modulus_kpa = elastomer.thickness_mm, young_modulus(elastomer).best_kpa
     nodes_x, nodes_y = (
@@ -379,6 +276,7 @@ def _result(
                 contact, x, y, (elastomer.length_x_mm / 2, elastomer.length_y_mm / 2)
             ),
             cells_across=float(np.sqrt(4 / np.pi * contact.sum())) * pitch / case.cell_mm,
+            ridge_pitch_mm=case.ridge_pitch_mm,
         ),
         iterations=state.steps,
         converged=True,
@@ -434,28 +332,3 @@ def _centres(length_mm: float, load: Press) -> FloatArray:
     count = int(np.ceil(length_mm / load.solver_pitch_mm - 1e-9))
     centres = (np.arange(count) + 0.5) * (length_mm / count) - length_mm / 2
     return np.asarray(centres, dtype=np.float64)
-
-
-def _laws(elastomer: Elastomer, load: Press) -> Laws:
-    modulus_kpa, h = young_modulus(elastomer).best_kpa, elastomer.thickness_mm
-    return Laws(
-        thickness_mm=h,
-        shear_modulus_kpa=modulus_kpa / 3,
-        contact_stiffness=modulus_kpa / 0.75 / (_COMPLIANCE * h),
-        stick_stiffness=modulus_kpa / 3 / (_STICK_COMPLIANCE * h),
-        tack=elastomer.tack_j_m2,
-        tack_range_mm=_TACK_RANGE_MM,
-        pressure_kpa=0.0,
-        weight_kpa=-weight_kpa(elastomer, load),
-    )
-
-
-def _plate(shape: Shape) -> tuple[SignedDistance, ...]:
-    """Return the plate that the specimen stands on."""
-    return (plate(shape.bottom_mm),)
-
-
-def _walls(frame: Frame) -> tuple[SignedDistance, ...]:
-    half_x, half_y = (half + _WALL_MM for half in frame.half_mm)
-    inside = RoundInside(half_x) if frame.outline == "round" else RectangularInside(half_x, half_y)
-    return frame_wall(inside)

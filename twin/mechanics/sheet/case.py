@@ -1,0 +1,162 @@
+"""What is pressed into a thin sheet, in the solver's terms: frame, laws, bodies and cells.
+
+World frame, mm, as in `press`; in the solver's own frame z = 0 is the undeformed surface midway
+between the faces. Penalty of contact: the compliance of half a thickness, E* / (h / 4), which fits
+solid elements best (shared notes on the sheet).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from twin.config.models import Elastomer, Mechanics, Press, Specimen
+from twin.mechanics.errors import PressError
+from twin.mechanics.hardness import young_modulus
+from twin.mechanics.layouts import weight_kpa
+from twin.mechanics.press import check_outline
+from twin.mechanics.ridge_transfer import finest_pitch_mm
+from twin.mechanics.sheet.equilibrium import Bodies, Sheet
+from twin.mechanics.sheet.grid import Frame, sheet_grid, span_mm
+from twin.mechanics.sheet.laws import Laws
+from twin.mechanics.sheet.splines import graded_line
+from twin.mechanics.validity import SHEET_THICKNESS_MM
+from twin.specimens import Shape, shape_of
+from twin.specimens.distance import (
+    RectangularInside,
+    RoundInside,
+    SignedDistance,
+    distances_of,
+    frame_wall,
+    plate,
+)
+
+# Incompressible: E* = E / (1 - 1/4), and shear modulus E / 3.
+_COMPLIANCE, _STICK_COMPLIANCE = 0.25, 0.5
+_LONGEST_CELL_MM = 1.0
+_TACK_RANGE_MM = 0.08
+# Without a wall nothing but the rim keeps a sheet under pressure out of the frame's material.
+_WALL_MM = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class SheetCase:
+    """What is pressed, in the solver's terms."""
+
+    frame: Frame
+    laws: Laws
+    bodies: Bodies
+    #: how many of the moving bodies are the specimen's own, before its plate
+    parts: int
+    shape: Shape
+    sticks: bool
+    #: the finest cells
+    cell_mm: float
+    #: of the specimen's finest grooves, None where it has none
+    ridge_pitch_mm: float | None
+
+    def sheet(self, pitch_mm: float, box_mm: tuple[float, float, float, float]) -> Sheet:
+        """Return the sheet on cells of `pitch_mm` within a box of the world's x and y."""
+        x_span, y_span = span_mm(self.frame)
+        stretch = self.frame.pre_stretch
+        west, east, south, north = (end / stretch for end in box_mm)
+        x = graded_line(x_span, (west, east), pitch_mm, _LONGEST_CELL_MM)
+        y = graded_line(y_span, (south, north), pitch_mm, _LONGEST_CELL_MM)
+        # A cohesive range below half a cell would let the sheet jump on from point to point.
+        laws = self.laws._replace(tack_range_mm=max(_TACK_RANGE_MM, 0.5 * pitch_mm))
+        grid = sheet_grid(self.frame, x, y)
+        return Sheet(grid, laws, self.bodies, -laws.thickness_mm / 2, self.sticks)
+
+
+def sheet_case(
+    specimen: Specimen, elastomer: Elastomer, load: Press, mechanics: Mechanics
+) -> SheetCase:
+    """Translate the experiment's data.
+
+    Raises
+    ------
+    PressError
+        What a thin sheet cannot be.
+    """
+    shape = shape_of(specimen)
+    check_sheet(shape, elastomer, load, mechanics)
+    frame = Frame(
+        elastomer.length_x_mm,
+        elastomer.length_y_mm,
+        elastomer.outline,
+        "simple" if mechanics.support == "simple" else "clamped",
+        elastomer.pre_stretch,
+    )
+    parts = distances_of(shape)
+    return SheetCase(
+        frame=frame,
+        laws=_laws(elastomer, load),
+        bodies=Bodies((*parts, *_plate(shape)), _walls(frame)),
+        parts=len(parts),
+        shape=shape,
+        sticks=elastomer.sticks,
+        cell_mm=finest_cell_mm(elastomer, load),
+        ridge_pitch_mm=finest_pitch_mm(specimen),
+    )
+
+
+def check_sheet(shape: Shape, elastomer: Elastomer, load: Press, mechanics: Mechanics) -> None:
+    """Refuse what a thin sheet cannot be, before it is solved.
+
+    Raises
+    ------
+    PressError
+        Thickness, layout, film, support or weight do not fit, or the specimen reaches over the
+        frame.
+    """
+    low, high = SHEET_THICKNESS_MM
+    if not low <= elastomer.thickness_mm <= high:
+        raise PressError(
+            f"elastomer.thickness_mm: found {elastomer.thickness_mm:g}, the sheet model allows "
+            f"{low:g} to {high:g}; choose mechanics.model = 'auto' for a slab"
+        )
+    if elastomer.layout != "opposite_face":
+        raise PressError(
+            "elastomer.layout: the sheet model needs 'opposite_face'; a gel bonded to a window is "
+            "pressed by mechanics.model = 'spectral'"
+        )
+    if elastomer.film is not None:
+        raise PressError("elastomer.film: the sheet model has no film of its own; remove it")
+    if mechanics.support not in (None, "simple", "clamped"):
+        raise PressError(
+            f"mechanics.support: found '{mechanics.support}', the sheet model allows 'simple' or "
+            "'clamped'"
+        )
+    check_outline(shape, elastomer)
+    weight_kpa(elastomer, load)
+
+
+def finest_cell_mm(elastomer: Elastomer, load: Press) -> float:
+    """Return the finest cells: as asked for, or as the thickness needs."""
+    if load.cell_mm is not None:
+        return load.cell_mm
+    return float(np.clip(0.75 * elastomer.thickness_mm, 0.075, 0.15))
+
+
+def _laws(elastomer: Elastomer, load: Press) -> Laws:
+    modulus_kpa, h = young_modulus(elastomer).best_kpa, elastomer.thickness_mm
+    return Laws(
+        thickness_mm=h,
+        shear_modulus_kpa=modulus_kpa / 3,
+        contact_stiffness=modulus_kpa / 0.75 / (_COMPLIANCE * h),
+        stick_stiffness=modulus_kpa / 3 / (_STICK_COMPLIANCE * h),
+        tack=elastomer.tack_j_m2,
+        tack_range_mm=_TACK_RANGE_MM,
+        pressure_kpa=0.0,
+        weight_kpa=-weight_kpa(elastomer, load),
+    )
+
+
+def _plate(shape: Shape) -> tuple[SignedDistance, ...]:
+    """Return the plate that the specimen stands on."""
+    return (plate(shape.bottom_mm),)
+
+
+def _walls(frame: Frame) -> tuple[SignedDistance, ...]:
+    half_x, half_y = (half + _WALL_MM for half in frame.half_mm)
+    inside = RoundInside(half_x) if frame.outline == "round" else RectangularInside(half_x, half_y)
+    return frame_wall(inside)
