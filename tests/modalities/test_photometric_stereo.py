@@ -14,7 +14,7 @@ from reconstruction.photometric.calibration_ball import (
     find_contact_circle,
 )
 from reconstruction.photometric.images import smoothed
-from twin.camera.sensor import electrons_per_ms, full_well_e
+from twin.camera import electrons_per_ms, full_well_e
 from twin.config import load_experiment, vary
 from twin.config.models import Ball
 from twin.mechanics import face_mesh

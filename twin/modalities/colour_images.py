@@ -11,9 +11,7 @@ import numpy as np
 
 from reconstruction.arrays import FloatImage, Levels
 from reconstruction.rig.pinhole import Pinhole
-from twin.camera import expose
-from twin.camera.exposure import choose_exposure_ms
-from twin.camera.sensor import largest_code_dn
+from twin.camera import choose_exposure_ms, expose, largest_code_dn
 from twin.config.lamps import CHANNELS
 from twin.config.models import Experiment
 from twin.optics.rig import camera_pinhole
