@@ -1,4 +1,4 @@
-"""Read an experiment file, resolve the data files it uses, and validate the whole.
+"""Experiment files: read one, resolve the data files it uses, validate the whole, write it.
 
 Any table may say `use = "scenes/..."` or `use = "materials/..."`: the named data file is the base
 on which the table's own keys are laid. The result names no file any more; it can be written,
@@ -9,15 +9,18 @@ import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
-
 from pydantic import ValidationError
-
 from twin.assets import asset_path
 from twin.config.errors import AssetCycleError, ConfigError
 from twin.config.messages import explain
 from twin.config.models import Decode, Experiment
 from twin.config.quantities import check_ranges, is_quantity, split_quantities
-from twin.config.units import convert_units
+from twin.config.quantities import convert_units
+from typing import Any
+import tomli_w
+from twin.config.models import Experiment
+
+
 
 
 def load_experiment(path: str | Path, overrides: Mapping[str, Any] | None = None) -> Experiment:
@@ -142,3 +145,14 @@ def _assign(tree: dict[str, Any], dotted: str, value: Any) -> None:
         if not isinstance(node, dict):
             raise ConfigError(f"{dotted}: '{key}' is a value, not a table")
     node.update(_overlay(node, {leaf: value}))
+
+
+def to_toml(experiment: Experiment) -> str:
+    """Return the resolved experiment as TOML text (values that are None are left out)."""
+    return tomli_w.dumps(_without_none(experiment.model_dump(mode="json")))
+
+
+def _without_none(node: Any) -> Any:
+    if isinstance(node, dict):
+        return {key: _without_none(value) for key, value in node.items() if value is not None}
+    return node

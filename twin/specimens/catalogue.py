@@ -16,7 +16,7 @@ from reconstruction.arrays import FloatArray
 from reconstruction.errors import InputError
 from twin.config.models import Specimen
 from twin.specimens.distance import SignedDistance
-from twin.specimens.pose import Pose, pose_of, raised
+from twin.specimens.pose import Placement, pose_of, raised
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class Shape(Protocol):
         """Height of the foremost point, 0 at first touch."""
         ...
 
-    def placed(self, pose: Pose) -> "Shape":
+    def placed(self, pose: Placement) -> "Shape":
         """Return the shape moved."""
         ...
 

@@ -14,7 +14,7 @@ import numpy as np
 import trimesh
 
 from reconstruction.arrays import FloatArray
-from twin.config.fingerprint import Fingerprint
+from twin.config.objects import Fingerprint
 from twin.specimens.catalogue import register
 from twin.specimens.meshes import MeshShape
 from twin.specimens.pose import unposed

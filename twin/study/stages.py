@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from reconstruction.pipeline import Reconstruction, reconstruct
 from twin.config import Experiment
 from twin.mechanics import PressedElastomer, face_mesh
-from twin.mechanics.unit_press import unit_press, with_modulus
+from twin.mechanics.scaling import unit_press, with_modulus
 from twin.modalities.contact_fpp import check_layers, options_of, press_smooth, with_texture
 from twin.modalities.progress import Stopwatch
 from twin.modalities.recording import Recording, expose_capture

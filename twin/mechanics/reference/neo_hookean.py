@@ -4,27 +4,38 @@ Neo-Hookean Q2/Q1 bricks on a grid that is fine where the linear press makes con
 quarter of it where specimen and slab are symmetric. A sheet that deflects by about its thickness
 stretches as it bends, which a linear slab leaves out. World frame, mm; the grid's own z counts
 from the touched face.
+
+Contact with the rigid height field is frictionless, z along the press; the specimen's surface is
+z = d - S(x, y). Augmented Lagrangian penalty on the overlap d - S - z at integration points in the
+current configuration. Its gradient g = (S_x, S_y, 1) is the surface's normal over its share along
+the press.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.interpolate import CloughTocher2DInterpolator, NearestNDInterpolator
 
 from reconstruction.arrays import FloatArray
 from twin.config.models import Elastomer, Press, Specimen
+from twin.mechanics.control import BoolArray
 from twin.mechanics.errors import PressError
 from twin.mechanics.hardness import young_modulus
 from twin.mechanics.layouts import preload_of
 from twin.mechanics.press import PressedElastomer, press
-from twin.mechanics.reference.grid import Grid, IntArray, graded
-from twin.mechanics.reference.height_contact import HeightContact
+from twin.mechanics.reference.grid import ElementGrid, IntArray, Surface, graded
 from twin.mechanics.reference.height_field import HeightField, sample
-from twin.mechanics.reference.material import linear as small_strain
-from twin.mechanics.reference.material import moduli, neo_hookean
-from twin.mechanics.reference.mixed import Body
-from twin.mechanics.reference.newton import Equilibrium, NewtonOptions, Problem, press_to
-from twin.mechanics.reference.result import Scattered, Surface, on_grids
+from twin.mechanics.reference.mixed import MixedBody, moduli, neo_hookean
+from twin.mechanics.reference.mixed import linear as small_strain
+from twin.mechanics.reference.newton import (
+    Equilibrium,
+    NewtonOptions,
+    Problem,
+    Pushed,
+    press_to,
+    push,
+)
+from twin.mechanics.reference.result import FaceHeight, Scattered, on_grids
 from twin.specimens import shape_of
 
 _SURFACE_POINTS = 3
@@ -33,6 +44,63 @@ _GROWTH = 0.5
 _SYMMETRY_MM = 1e-6
 _SECANTS = 12
 _FORCE_TOLERANCE = 1e-4
+
+
+@dataclass(frozen=True)
+class HeightContact:
+    """A rigid specimen against the touched face."""
+
+    surface: Surface
+    #: (node, xyz) undeformed
+    nodes_mm: FloatArray
+    field: HeightField
+    #: pressure over modulus per mm of overlap
+    penalty: float
+    #: contact along the press on the undeformed face, as in the linear slab
+    linear: bool
+    #: (point,) carried pressure
+    carried: FloatArray
+
+    def evaluate(self, moved_mm: FloatArray, depth_mm: float, active: BoolArray | None) -> Pushed:
+        """Return the specimen's action; arguments as for `BallContact`."""
+        at = self.surface.trace @ (self.nodes_mm + moved_mm)
+        x, y = (self.surface.trace @ self.nodes_mm if self.linear else at)[:, :2].T
+        height = self.field.value(x, y)
+        overlap = np.where(np.isfinite(height), depth_mm - height - at[:, 2], -np.inf)
+        raw = self.carried + self.penalty * overlap
+        touching = raw > 0 if active is None else active & np.isfinite(raw)
+        pressure = np.where(touching, raw, 0.0)
+        normal, bend = self._shape(x, y)
+        stiffness = self.penalty * np.einsum("qi,qj->qij", normal, normal)
+        stiffness[:, :2, :2] -= pressure[:, None, None] * bend
+        return push(
+            self.surface,
+            pressure[:, None] * normal,
+            np.where(touching[:, None, None], stiffness, 0.0),
+            pressure,
+            np.zeros_like(pressure),
+        )
+
+    def settle(self, moved_mm: FloatArray, depth_mm: float) -> "HeightContact":
+        """Return the contact itself: without friction nothing is remembered."""
+        return self
+
+    def carry(self, pressure: FloatArray) -> "HeightContact":
+        """Return the contact with another carried pressure."""
+        return replace(self, carried=pressure)
+
+    def is_spurious(self, moved_mm: FloatArray, depth_mm: float) -> bool:
+        """Tell nothing: a specimen of any shape may touch with holes."""
+        return False
+
+    def _shape(self, x_mm: FloatArray, y_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return normals (point, xyz) along the gradient and curvatures (point, 2, 2)."""
+        normal = np.zeros((x_mm.size, 3))
+        normal[:, 2] = 1.0
+        if self.linear:
+            return normal, np.zeros((x_mm.size, 2, 2))
+        normal[:, :2] = self.field.slope(x_mm, y_mm)
+        return normal, self.field.curvature(x_mm, y_mm)
 
 
 @dataclass(frozen=True)
@@ -91,7 +159,7 @@ def press_neo_hookean(
     check_neo_hookean(elastomer, load)
     field = sample(shape, elastomer.length_x_mm, elastomer.length_y_mm)
     grid, element_mm = _grid(guess, elastomer, field, fineness)
-    body = Body(grid, small_strain if linear else neo_hookean, moduli(elastomer.poisson_ratio))
+    body = MixedBody(grid, small_strain if linear else neo_hookean, moduli(elastomer.poisson_ratio))
     surface = grid.surface(_SURFACE_POINTS)
     penalty = _PENALTY_OVER_SHEAR * body.moduli.shear / element_mm
     contact = HeightContact(
@@ -166,7 +234,7 @@ def _to_force(
 
 def _grid(
     guess: PressedElastomer, elastomer: Elastomer, field: HeightField, fineness: Bricks
-) -> tuple[Grid, float]:
+) -> tuple[ElementGrid, float]:
     """Return the grid and the size of an element in the contact."""
     edges, sizes = [], []
     for axis, (at, length) in enumerate(
@@ -181,7 +249,7 @@ def _grid(
         sizes.append(float(np.diff(edges[-1]).min()))
     through = fineness.through or int(np.clip(np.ceil(elastomer.thickness_mm), 2, 4))
     z = graded(elastomer.thickness_mm, through, 1.25)
-    return Grid((edges[0], edges[1], z)), min(sizes)
+    return ElementGrid((edges[0], edges[1], z)), min(sizes)
 
 
 def _edges(
@@ -211,7 +279,7 @@ def _is_symmetric(field: HeightField, axis: int) -> bool:
     return bool(centred and np.allclose(height, height[flip], atol=_SYMMETRY_MM))
 
 
-def _free(body: Body, elastomer: Elastomer) -> IntArray:
+def _free(body: MixedBody, elastomer: Elastomer) -> IntArray:
     """Return the unknowns that support and symmetry leave free."""
     nodes = body.grid.nodes_mm
     held = np.zeros(nodes.shape, dtype=bool)
@@ -230,7 +298,9 @@ def _free(body: Body, elastomer: Elastomer) -> IntArray:
     return free
 
 
-def _scattered(body: Body, found: Equilibrium, elastomer: Elastomer, linear: bool) -> Scattered:
+def _scattered(
+    body: MixedBody, found: Equilibrium, elastomer: Elastomer, linear: bool
+) -> Scattered:
     grid, plane = body.grid, elastomer.touched_plane_mm
     moved = body.displacement_mm(found.state)
     after = grid.nodes_mm + moved
@@ -256,7 +326,7 @@ def _scattered(body: Body, found: Equilibrium, elastomer: Elastomer, linear: boo
     )
 
 
-def _mirrored(points: FloatArray, grid: Grid) -> FloatArray:
+def _mirrored(points: FloatArray, grid: ElementGrid) -> FloatArray:
     """Complete points (n, [x, y, ...]) by their images in the planes of symmetry."""
     for axis in (0, 1):
         if grid.edges_mm[axis][0] == 0:
@@ -266,7 +336,7 @@ def _mirrored(points: FloatArray, grid: Grid) -> FloatArray:
     return points
 
 
-def _surface(points: FloatArray) -> Surface:
+def _surface(points: FloatArray) -> FaceHeight:
     """Return z over x and y, continuously differentiable; beyond the outline the nearest."""
     # Nodes on a plane of symmetry come twice.
     _, once = np.unique(np.round(points[:, :2], 9), axis=0, return_index=True)

@@ -12,14 +12,12 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from reconstruction.arrays import FloatArray
+from tests.oracles.ball_contact import BallContact
 from twin.mechanics.errors import PressError
-from twin.mechanics.reference.ball_contact import BallContact
-from twin.mechanics.reference.grid import Grid, IntArray, Surface, graded, refined
-from twin.mechanics.reference.material import linear as small_strain
-from twin.mechanics.reference.material import moduli, neo_hookean
-from twin.mechanics.reference.mixed import Body
-from twin.mechanics.reference.newton import Equilibrium, NewtonOptions, Problem, press_to
-from twin.mechanics.reference.pushed import Pushed
+from twin.mechanics.reference.grid import ElementGrid, IntArray, Surface, graded
+from twin.mechanics.reference.mixed import MixedBody, moduli, neo_hookean
+from twin.mechanics.reference.mixed import linear as small_strain
+from twin.mechanics.reference.newton import Equilibrium, NewtonOptions, Problem, Pushed, press_to
 
 Support = Literal["bonded", "simple", "clamped", "ledge"]
 
@@ -132,7 +130,7 @@ def press_axisymmetric(
     _check(slab, radius_mm, depth_mm, friction, linear)
     fineness = resolution or Resolution()
     grid, element_mm = _grid(slab, radius_mm, depth_mm, fineness)
-    body = Body(grid, small_strain if linear else neo_hookean, moduli(slab.poisson_ratio))
+    body = MixedBody(grid, small_strain if linear else neo_hookean, moduli(slab.poisson_ratio))
     surface = grid.surface(fineness.surface_points)
     rest = np.zeros_like(surface.weight_mm2)
     penalty = _PENALTY_OVER_SHEAR * body.moduli.shear / element_mm
@@ -173,16 +171,16 @@ def _check(
 
 def _grid(
     slab: RoundSlab, radius_mm: float, depth_mm: float, fineness: Resolution
-) -> tuple[Grid, float]:
+) -> tuple[ElementGrid, float]:
     """Return the grid and the size of an element under the ball."""
     fine_mm = min(1.6 * np.sqrt(radius_mm * depth_mm), 1.2 * radius_mm, 0.6 * slab.outer_radius_mm)
     fine = round(_FINE_SHARE * fineness.radial)
-    r = refined(fine_mm, slab.outer_radius_mm, fine, fineness.radial - fine)
+    r = _refined(fine_mm, slab.outer_radius_mm, fine, fineness.radial - fine)
     if slab.support == "ledge":
         # The ledge's edge must be a grid line.
         inner = slab.outer_radius_mm - slab.ledge_mm
         r[np.abs(r - inner)[1:-1].argmin() + 1] = inner
-    return Grid((r, graded(slab.thickness_mm, fineness.axial, 1.25))), fine_mm / fine
+    return ElementGrid((r, graded(slab.thickness_mm, fineness.axial, 1.25))), fine_mm / fine
 
 
 def _bent_contact_mm(slab: RoundSlab, radius_mm: float, depth_mm: float) -> float:
@@ -202,7 +200,7 @@ def _bent_contact_mm(slab: RoundSlab, radius_mm: float, depth_mm: float) -> floa
     return 2.0 * float(np.cbrt(0.75 * stretched * radius_mm * (1 - nu**2)))
 
 
-def _free(body: Body, slab: RoundSlab) -> IntArray:
+def _free(body: MixedBody, slab: RoundSlab) -> IntArray:
     """Return the unknowns that the support leaves free."""
     r, z = body.grid.nodes_mm.T
     near = 1e-9 * slab.outer_radius_mm
@@ -223,7 +221,7 @@ def _free(body: Body, slab: RoundSlab) -> IntArray:
 
 
 def _result(
-    body: Body, surface: Surface, path: list[Equilibrium], linear: bool
+    body: MixedBody, surface: Surface, path: list[Equilibrium], linear: bool
 ) -> AxisymmetricPress:
     lines = body.grid.lines_mm
     moved = body.displacement_mm(path[-1].state).reshape(lines[0].size, lines[1].size, 2)
@@ -243,7 +241,7 @@ def _result(
 
 
 def _contact_pressure(
-    body: Body, surface: Surface, pushed: Pushed, state: FloatArray, linear: bool
+    body: MixedBody, surface: Surface, pushed: Pushed, state: FloatArray, linear: bool
 ) -> tuple[FloatArray, FloatArray]:
     """Return deformed radii of contact points and pressure per deformed area there."""
     nodes, moved = body.grid.nodes_mm, body.displacement_mm(state)
@@ -255,3 +253,14 @@ def _contact_pressure(
     slope = np.gradient(after, before, axis=0)
     stretch = np.linalg.norm(slope, axis=1) * after[:, 0] / before
     return after[active, 0], (pushed.pressure / stretch)[active]
+
+
+def _refined(fine_mm: float, length_mm: float, fine: int, coarse: int) -> FloatArray:
+    """Return edges on 0..length: `fine` equal steps up to fine_mm, then growing ones."""
+    step, rest = fine_mm / fine, length_mm - fine_mm
+    ratios = np.linspace(1.0, 8.0, 4000)
+    powers = ratios[:, None] ** np.arange(1, coarse + 1)
+    ratio = float(np.interp(rest, step * powers.sum(axis=1), ratios))
+    return np.concatenate(
+        (np.linspace(0, fine_mm, fine + 1), fine_mm + graded(rest, coarse, ratio)[1:])
+    )
