@@ -16,8 +16,7 @@ from twin.config.base import Angle, Fraction, Length, Model
 from twin.config.errors import ConfigError
 from twin.config.messages import explain
 from twin.config.models import Provenance
-from twin.config.quantities import check_ranges, split_quantities
-from twin.config.units import convert_units
+from twin.config.quantities import check_ranges, convert_units, split_quantities
 
 Count = Annotated[int, Field(ge=2, le=1000)]
 Shift = Annotated[float, Field(ge=-1000, le=1000)]
@@ -67,7 +66,7 @@ class Charuco(Model):
         return CharucoBoard(self.columns, self.rows, self.square_mm, self.marker_mm)
 
 
-class Plate(Model):
+class BoardPlate(Model):
     """What the pattern is printed on; a matt (Lambertian) face."""
 
     width_mm: Length
@@ -96,7 +95,7 @@ class BoardFile(Model):
 
     description: str = ""
     pattern: Annotated[Dots | Chess | Charuco, Field(discriminator="kind")]
-    plate: Plate
+    plate: BoardPlate
     poses: tuple[BoardPose, ...] = Field(
         default=(), description="of a rendered calibration; the first is the world frame"
     )

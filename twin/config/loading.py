@@ -9,18 +9,15 @@ import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
+
+import tomli_w
 from pydantic import ValidationError
+
 from twin.assets import asset_path
 from twin.config.errors import AssetCycleError, ConfigError
 from twin.config.messages import explain
 from twin.config.models import Decode, Experiment
-from twin.config.quantities import check_ranges, is_quantity, split_quantities
-from twin.config.quantities import convert_units
-from typing import Any
-import tomli_w
-from twin.config.models import Experiment
-
-
+from twin.config.quantities import check_ranges, convert_units, is_quantity, split_quantities
 
 
 def load_experiment(path: str | Path, overrides: Mapping[str, Any] | None = None) -> Experiment:

@@ -3,13 +3,11 @@
 Defaults come from the standards and drawings named at each key; what has no source is `assumed`.
 """
 
-from math import radians, sqrt, tan
+from math import hypot, radians, sqrt, tan
 from typing import Annotated, Literal
+
 from pydantic import Field, model_validator
-from twin.config.specimen_pose import OptionalSize, Size, Specimen, require_at_most
-from math import hypot
-from typing import Annotated, Literal
-from pydantic import Field, model_validator
+
 from twin.config.specimen_pose import OptionalSize, Size, Specimen, require_at_most
 
 Thread = Annotated[float, Field(ge=1, le=30)]

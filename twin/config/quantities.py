@@ -4,15 +4,14 @@
 
 The value goes into the experiment, source and range into its provenance, keyed by dotted path.
 
-Lengths and times may be written with their unit in TOML, `thickness_mm = "120 um"`: the key's suffix
-names the unit of the stored number; a string value may carry another unit of the same quantity and
-is converted once, at the boundary.
+Lengths and times may be written with their unit in TOML, `thickness_mm = "120 um"`: the key's
+suffix names the unit of the stored number; a string value may carry another unit of the same
+quantity and is converted once, at the boundary.
 """
 
 import re
 from typing import Any
-from twin.config.errors import ConfigError
-from typing import Any
+
 from twin.config.errors import ConfigError
 from twin.config.models import Provenance
 
