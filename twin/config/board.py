@@ -4,9 +4,8 @@ Poses are in the world frame (z up towards the devices); at zero tilt and shift 
 z = 0 and its rows run along world x.
 """
 
-import tomllib
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import Field, ValidationError
 
@@ -14,6 +13,7 @@ from reconstruction.calibration.boards import Board, CharucoBoard, Chessboard, D
 from twin.assets import asset_path
 from twin.config.base import Angle, Fraction, Length, Model
 from twin.config.errors import ConfigError
+from twin.config.loading import read_toml
 from twin.config.messages import explain
 from twin.config.models import Provenance
 from twin.config.quantities import check_ranges, convert_units, split_quantities
@@ -119,7 +119,7 @@ def load_board(name: str | Path) -> BoardFile:
     file = Path(name)
     if not file.is_file():
         file = asset_path("scenes", str(name))
-    values, origins = split_quantities(convert_units(_read(file)))
+    values, origins = split_quantities(convert_units(read_toml(file)))
     values["provenance"] = {key: origin.model_dump() for key, origin in origins.items()}
     try:
         loaded = BoardFile.model_validate(values)
@@ -130,10 +130,3 @@ def load_board(name: str | Path) -> BoardFile:
         raise ConfigError("\n".join(f"{file}: {line}" for line in problems))
     loaded.board()  # its own checks: dots must not touch
     return loaded
-
-
-def _read(file: Path) -> dict[str, Any]:
-    try:
-        return tomllib.loads(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:  # also bad TOML and bad UTF-8
-        raise ConfigError(f"{file}: cannot be read as TOML: {error}") from None

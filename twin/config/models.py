@@ -68,7 +68,7 @@ __all__ = [
     "Provenance",
     "Render",
     "Rod",
-    "Score",
+    "ScoreSettings",
     "Specimen",
     "Stage",
     "Texture",
@@ -134,7 +134,7 @@ class Decode(Model):
     use: Literal["column", "row", "both"] = "column"
 
 
-class Score(Model):
+class ScoreSettings(Model):
     """What is evaluated."""
 
     roi_radius_mm: Positive = Field(
@@ -176,7 +176,7 @@ class Experiment(Model):
     patterns: Patterns
     render: Render = Render()
     decode: Decode = Decode()
-    score: Score
+    score: ScoreSettings
     layers: Layers = Field(
         default={},
         description="[layers.NAME]: clear plane layers above the coat, each with bottom_mm (world "

@@ -12,9 +12,8 @@ rough face (it is lost, as in all single-scattering microfacet models).
 
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from twin.config.models import Coating
+from twin.optics.materials import mitsuba_mesh
 
 if TYPE_CHECKING:
     import trimesh
@@ -103,20 +102,4 @@ def _parameters(coating: Coating) -> dict[str, float]:
 
 def coated_mesh(face: "trimesh.Trimesh", bsdf: dict[str, Any]) -> Any:
     """Return the coated face (vertices in world mm, smooth vertex normals) as `mi.Mesh`."""
-    import mitsuba as mi
-
-    properties = mi.Properties()
-    properties["bsdf"] = mi.load_dict(bsdf)
-    mesh = mi.Mesh(
-        COATED_FACE,
-        vertex_count=len(face.vertices),
-        face_count=len(face.faces),
-        has_vertex_normals=True,
-        props=properties,
-    )
-    parameters = mi.traverse(mesh)
-    parameters["vertex_positions"] = np.asarray(face.vertices, np.float32).ravel()
-    parameters["vertex_normals"] = np.asarray(face.vertex_normals, np.float32).ravel()
-    parameters["faces"] = np.asarray(face.faces, np.uint32).ravel()
-    parameters.update()
-    return mesh
+    return mitsuba_mesh(COATED_FACE, face.vertices, face.faces, bsdf, normals=face.vertex_normals)

@@ -17,19 +17,15 @@ from reconstruction.rig.pinhole import Pinhole
 from twin.config.lamps import Markers
 from twin.config.models import Experiment
 from twin.optics.coat import COATED_FACE
-from twin.optics.devices import Device
+from twin.optics.connection import blocked
+from twin.optics.devices import Device, SubPixels
 from twin.optics.lamps import Emitters, emitters_of
 from twin.optics.layers import LayerStack
 from twin.optics.scene import check_below_layers, coated_scene, layer_stack
 from twin.optics.stack import Truth
-from twin.optics.subpixels import SubPixels
 
 if TYPE_CHECKING:
     import trimesh
-
-
-# As in `connection`: shadow rays start this far off the surface along its normal.
-_SHADOW_OFFSET_MM = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,7 +154,7 @@ def _shaded(scene: Any, rig: LampRig, table: _Table, ray: Any) -> Any:
         light, direction, distance_mm = _light(table, number, hit.p, absorption)
         active = hit.is_valid() & (light > 0.0) & (dr.dot(hit.sh_frame.n, direction) > 0.0)
         if rig.shadows:
-            active &= ~_blocked(scene, hit, direction, distance_mm, active)
+            active &= ~blocked(scene, hit, direction, distance_mm, active, coherent=False)
         brdf_cos = bsdf.eval(mi.BSDFContext(), hit, hit.to_local(direction), active)[0]
         weight = dr.select(active, brdf_cos * light, 0.0)
         return number + 1, total + weight * dr.gather(mi.Color3f, table.intensity, number)
@@ -193,13 +189,6 @@ def _light(table: _Table, number: Any, point_mm: Any, absorption: float) -> tupl
     if absorption:
         light *= dr.exp(-absorption * distance_mm)
     return light, direction, distance_mm
-
-
-def _blocked(scene: Any, hit: Any, direction: Any, distance_mm: Any, active: Any) -> Any:
-    start = hit.p + dr.copysign(_SHADOW_OFFSET_MM, dr.dot(hit.n, direction)) * hit.n
-    shadow = mi.Ray3f(start, direction)
-    shadow.maxt = distance_mm * (1.0 - 1e-4)
-    return scene.ray_test(shadow, coherent=False, active=active)
 
 
 def _dots(markers: Markers, point_mm: Any) -> Any:

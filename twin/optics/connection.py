@@ -6,14 +6,15 @@ How near to the projector the surfaces of a scene lie, and how far, bounds the b
 
 from dataclasses import dataclass, replace
 from typing import Any
+
 import drjit as dr
 import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
 from twin.optics.devices import Device
 from twin.optics.layers import Arrival, LayerStack
 from twin.optics.light import MARGIN_PX
-from typing import Any
-import numpy as np
-from numpy.typing import NDArray
 
 # Shadow rays start this far off the surface along its normal: 50 times the float32 resolution of
 # a point 250 mm away, 1/40 of the smallest mesh pitch.
@@ -67,7 +68,7 @@ def connect(scene: Any, rig: Rig, hit: Any, bsdf: Any, coherent: bool = True) ->
     column_px, row_px = light.column_px, light.row_px
     lit = hit.is_valid() & (light.axial_mm > 0.0) & on_image(rig, column_px, row_px, MARGIN_PX)
     if rig.shadows:
-        lit &= ~_blocked(scene, hit, light.direction, light.clear_mm, lit, coherent=coherent)
+        lit &= ~blocked(scene, hit, light.direction, light.clear_mm, lit, coherent=coherent)
     brdf_cos = bsdf.eval(mi.BSDFContext(), hit, hit.to_local(light.direction), lit)[0]
     weight = dr.select(lit, brdf_cos * light.irradiance, 0.0)
     nothing = ~hit.is_valid()
@@ -120,10 +121,10 @@ def on_image(rig: Rig, column_px: Any, row_px: Any, margin_px: float) -> Any:
     )
 
 
-def _blocked(
+def blocked(
     scene: Any, hit: Any, direction: Any, distance_mm: Any, active: Any, *, coherent: bool
 ) -> Any:
-    """Test the shadow ray; surfaces that face away from the projector shade themselves."""
+    """Test the shadow ray towards a light; surfaces that face away from it shade themselves."""
     facing = dr.dot(hit.n, direction)
     start = hit.p + dr.copysign(_SHADOW_OFFSET_MM, facing) * hit.n
     shadow = mi.Ray3f(start, direction)

@@ -6,11 +6,14 @@ positions on every pixel.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
+
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
+
 from reconstruction.rig.pinhole import (
     INVERSE_STEPS,
     Pinhole,
@@ -21,13 +24,7 @@ from reconstruction.rig.pinhole import (
     newton_step,
 )
 from twin.config.models import Distortion
-from twin.optics.lens import ThinLens
-from dataclasses import dataclass
-from functools import cached_property
-from typing import Any
-import drjit as dr
-import mitsuba as mi
-from twin.optics.lens import lens_places
+from twin.optics.lens import ThinLens, lens_places
 
 # Newton squares the error: after a step below this, normalised, the pixel is met to 1e-5 px at a
 # focal length of 5000 px. Much smaller steps drown in single precision near a fold.

@@ -14,7 +14,7 @@ from twin.config.digest import seed_sequence
 from twin.config.models import Experiment, Material
 from twin.optics.backend import activate
 from twin.optics.checks import check_direct_engine, check_focus, check_materials
-from twin.optics.materials import absorption_per_mm, bsdf_of, sharp
+from twin.optics.materials import absorption_per_mm, bsdf_of, mitsuba_mesh, sharp
 from twin.optics.stack import RadianceStack
 from twin.specimens import bodies
 
@@ -91,10 +91,18 @@ def direct_scene(experiment: Experiment) -> DirectScene:
     from twin.optics.surfaces import Sharp, Surfaces
 
     parts = solids(experiment)
+    meshes = {
+        part.name: mitsuba_mesh(
+            part.name,
+            part.mesh.vertices,
+            part.mesh.faces,
+            part.bsdf,
+            normals=part.mesh.vertex_normals,
+        )
+        for part in parts
+    }
     # optimize=False: since 3.7 load_dict merges shapes.
-    scene = mi.load_dict(
-        {"type": "scene", **{part.name: _mitsuba_mesh(part) for part in parts}}, optimize=False
-    )
+    scene = mi.load_dict({"type": "scene", **meshes}, optimize=False)
     shapes = {shape.id(): shape for shape in scene.shapes()}
     found = tuple(
         Sharp(shapes[part.name], absorption_per_mm(part.material))
@@ -121,7 +129,7 @@ def render_direct(
     activate()
     from twin.optics import one_trace
     from twin.optics.bounces import Bounces
-    from twin.optics.extent import axial_range_mm
+    from twin.optics.connection import axial_range_mm
     from twin.optics.light import light_tables, pattern_set
     from twin.optics.photons import trace_photons
     from twin.optics.scene import rig_of
@@ -173,26 +181,6 @@ def _stage(experiment: Experiment, z_mm: float) -> Solid:
     )
     reflectance = {"type": "spectrum", "value": experiment.stage.albedo}
     return Solid(STAGE, mesh, {"type": "diffuse", "reflectance": reflectance})
-
-
-def _mitsuba_mesh(part: Solid) -> Any:
-    import mitsuba as mi
-
-    properties = mi.Properties()
-    properties["bsdf"] = mi.load_dict(part.bsdf)
-    mesh = mi.Mesh(
-        part.name,
-        vertex_count=len(part.mesh.vertices),
-        face_count=len(part.mesh.faces),
-        has_vertex_normals=True,
-        props=properties,
-    )
-    parameters = mi.traverse(mesh)
-    parameters["vertex_positions"] = np.asarray(part.mesh.vertices, np.float32).ravel()
-    parameters["vertex_normals"] = np.asarray(part.mesh.vertex_normals, np.float32).ravel()
-    parameters["faces"] = np.asarray(part.mesh.faces, np.uint32).ravel()
-    parameters.update()
-    return mesh
 
 
 def _smooth(mesh: "trimesh.Trimesh") -> "trimesh.Trimesh":

@@ -6,15 +6,14 @@ World frame, mm; pixels as everywhere: (0, 0) is the CENTRE of the first, row 0 
 
 from dataclasses import dataclass
 from typing import Any
-import numpy as np
-from reconstruction.arrays import FloatArray
-from reconstruction.rig.pinhole import Pinhole
-from dataclasses import dataclass
-from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
-from reconstruction.arrays import FloatImage
+
+from reconstruction.arrays import FloatArray, FloatImage
+from reconstruction.rig.pinhole import Pinhole
 from twin.optics.backend import activate
+from twin.optics.materials import mitsuba_mesh
 
 Point = tuple[float, float, float]
 
@@ -61,7 +60,7 @@ class Observer:
 
 
 @dataclass(frozen=True, eq=False)
-class Sight:
+class Sighted:
     """What lies behind each pixel centre.
 
     Attributes
@@ -84,7 +83,7 @@ def look(
     triangles: NDArray[Any],
     observer: Observer,
     towards_lamp: tuple[float, float, float],
-) -> Sight:
+) -> Sighted:
     """Cast one ray through each pixel centre.
 
     Parameters
@@ -103,7 +102,9 @@ def look(
     import drjit as dr
     import mitsuba as mi
 
-    scene = mi.load_dict({"type": "scene", "relief": _surface(vertices_mm, triangles)})
+    scene = mi.load_dict(
+        {"type": "scene", "relief": mitsuba_mesh("relief", vertices_mm, triangles)}
+    )
     directions = _directions(observer)
     ray = mi.Ray3f(mi.Point3f(*observer.eye_mm), mi.Vector3f(directions.astype(np.float32).T))
     met = scene.ray_intersect_preliminary(ray, coherent=True)
@@ -116,23 +117,12 @@ def look(
     free = ~scene.ray_test(surface.spawn_ray(lamp), hit & faces_lamp)
     shape = observer.height_px, observer.width_px
     found = hit.numpy().reshape(shape)
-    return Sight(
+    return Sighted(
         hit=found,
         points_mm=surface.p.numpy().T.reshape(*shape, 3) * found[..., None],
         normals=normal.numpy().T.reshape(*shape, 3),
         sunlit=(hit & faces_lamp & free).numpy().reshape(shape),
     )
-
-
-def _surface(vertices_mm: NDArray[Any], triangles: NDArray[Any]) -> Any:
-    import mitsuba as mi
-
-    mesh = mi.Mesh("relief", vertex_count=len(vertices_mm), face_count=len(triangles))
-    parameters = mi.traverse(mesh)
-    parameters["vertex_positions"] = np.asarray(vertices_mm, np.float32).ravel()
-    parameters["faces"] = np.asarray(triangles, np.uint32).ravel()
-    parameters.update()
-    return mesh
 
 
 def _directions(observer: Observer) -> NDArray[np.float64]:

@@ -42,7 +42,7 @@ def render(
     # Mitsuba may be imported only now: the backend's library is chosen when it loads.
     from twin.optics import one_trace, stock
     from twin.optics.coat import coated_mesh, coating_bsdf
-    from twin.optics.extent import axial_range_mm
+    from twin.optics.connection import axial_range_mm
     from twin.optics.light import light_tables, pattern_set
     from twin.optics.scene import coated_rig, coated_scene
 
@@ -105,7 +105,7 @@ def render_coatings(
     activate()
     from twin.optics import one_trace
     from twin.optics.coat import set_coating
-    from twin.optics.extent import axial_range_mm
+    from twin.optics.connection import axial_range_mm
     from twin.optics.light import light_tables, pattern_set
     from twin.optics.scene import coated_rig, coated_scene, coating_in_layer
 

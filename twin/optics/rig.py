@@ -10,13 +10,10 @@ fills a flat screen.
 """
 
 import numpy as np
+
 from reconstruction.arrays import FloatArray
 from reconstruction.rig.calibration import Calibration, Pinhole
 from twin.config.models import Camera, Experiment, Pose, Projector
-from reconstruction.rig.calibration import Pinhole
-from twin.config.models import Projector
-
-
 
 
 def true_calibration(experiment: Experiment) -> Calibration:

@@ -14,8 +14,7 @@ from twin.optics.connection import Rig
 from twin.optics.devices import Device
 from twin.optics.layers import LayerStack
 from twin.optics.lens import ThinLens
-from twin.optics.radiometry import irradiance_at_1mm
-from twin.optics.rig import true_calibration
+from twin.optics.rig import irradiance_at_1mm, true_calibration
 from twin.optics.shading import may_shade_itself
 
 if TYPE_CHECKING:

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from twin.config.models import Coating, Experiment
 from twin.optics.coat import set_coating
-from twin.optics.connection import Rig
-from twin.optics.extent import axial_range_mm
+from twin.optics.connection import Rig, axial_range_mm
 from twin.optics.light import light_tables, pattern_set
 from twin.optics.one_trace import Patches, light_stack, trace_patches, trace_truth
 from twin.optics.render import bounces_of

@@ -115,7 +115,7 @@ def measure_ahead(
 
 def do(work: Path, trials: int, settings: Mapping[str, Any], job: Job) -> None:
     """Do one job in this process, with its share of the cores."""
-    from twin.optics.threads import use_threads
+    from twin.optics.backend import use_threads
 
     use_threads(threads())
     _JOBS[job.what](Reproduction(work, trials, settings), *job.which)

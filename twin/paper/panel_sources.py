@@ -14,8 +14,8 @@ from twin.modalities.photometric_score import wanted_of
 from twin.modalities.score import SphereScore, wanted_pixels
 from twin.paper.panel_data import (
     MOST_BALL_POINTS,
-    BallFit,
     Numbers,
+    PanelBall,
     PanelData,
     Picture,
     Width,
@@ -101,9 +101,9 @@ def _small(image: Picture) -> Picture:
     return image if step == 1 else np.asarray(np.rint(block_mean(image, step)), np.uint8)
 
 
-def _fit(ball: SphereScore) -> BallFit:
+def _fit(ball: SphereScore) -> PanelBall:
     stats = ball.measured.stats
-    return BallFit(
+    return PanelBall(
         ball.number,
         ball.nominal.radius_mm,
         ball.measured.radius_mm,

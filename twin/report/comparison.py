@@ -43,7 +43,7 @@ class Cell:
 
 
 @dataclass(frozen=True)
-class Specimen:
+class ComparedSpecimen:
     """One specimen on the page: a cell per method, and what only all methods together say."""
 
     description: str
@@ -97,7 +97,7 @@ def _specimen(
     pictures: Path,
     outcomes: list[Outcome],
     fill: Callable[[str, Method, AnyMeasured | None], None],
-) -> Specimen:
+) -> ComparedSpecimen:
     """Draw one specimen by every method, one after the other."""
     found: dict[str, Gist | None] = {}
     cells = []
@@ -106,7 +106,7 @@ def _specimen(
         fill(outcome.name, outcome.method, measured)
         cells.append(_cell(pictures, outcome, measured))
         found[outcome.method] = None if measured is None else gist_of(measured)
-    return Specimen(
+    return ComparedSpecimen(
         outcomes[0].description,
         cells,
         press_in_words(found),
@@ -171,7 +171,9 @@ def _shares(measured: AnyMeasured) -> list[dict[str, str]]:
     ]
 
 
-def _page(pictures: Path, methods: tuple[Method, ...], specimens: dict[str, Specimen]) -> str:
+def _page(
+    pictures: Path, methods: tuple[Method, ...], specimens: dict[str, ComparedSpecimen]
+) -> str:
     return template("comparison.html").render(
         overview=data_uri(pictures / _OVERVIEW), methods=methods, specimens=specimens, rows=ROWS
     )

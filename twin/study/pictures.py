@@ -5,10 +5,8 @@ same path and so with the same bytes, and what it draws is kept as DIR/pictures/
 again it needs no renderer.
 """
 
-import os
 import zipfile
 from collections.abc import Iterable
-from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -16,7 +14,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from reconstruction.disk import unwritable
 from reconstruction.errors import InputError
 from twin.config import Experiment
 from twin.modalities import measure, measure_photometric
@@ -26,6 +23,7 @@ from twin.modalities.photometric_stereo import PhotometricMeasurement
 from twin.modalities.progress import Watcher, nobody
 from twin.modalities.score import wanted_pixels
 from twin.optics.rig import camera_pinhole
+from twin.output import replacing
 from twin.study.cases import Case
 from twin.study.stages import ContactStages, Staged
 from twin.study.store import Store
@@ -182,16 +180,10 @@ def write_picture(path: Path, picture: CasePicture) -> None:
     InputError
         It cannot be written.
     """
-    part = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
+    with replacing(path) as part:
         path.parent.mkdir(exist_ok=True)
         with part.open("wb") as file:
             np.savez_compressed(file, **asdict(picture))
-        part.replace(path)
-    except OSError as error:
-        with suppress(OSError):
-            part.unlink()
-        raise unwritable(path, error) from None
 
 
 def read_picture(path: Path) -> CasePicture | None:

@@ -112,7 +112,7 @@ def die_with(parent: int) -> None:
 @lru_cache(maxsize=1)  # it holds stacks of frames
 def _measurer(make: Callable[[tuple[str, ...]], Measurer], keep: tuple[str, ...]) -> Measurer:
     if isinstance(make, type) and issubclass(make, CaseMeasurer):
-        from twin.optics.threads import use_threads
+        from twin.optics.backend import use_threads
 
         use_threads(threads())  # the renderer does not look at the environment
     return make(keep)

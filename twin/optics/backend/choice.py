@@ -1,14 +1,14 @@
 """Choose the backend of this machine, once per process, among what is installed here."""
 
 import ctypes
+import functools
 import os
 import re
 import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-import functools
-import os
+
 from twin.optics.backend.memory import circumstances, recall, remember
 from twin.optics.backend.probe import (
     ADVICE,
@@ -18,9 +18,8 @@ from twin.optics.backend.probe import (
     LLVM_VARIANT,
     Backend,
     MissingBackend,
+    probe,
 )
-from twin.optics.backend.probe import probe
-from twin.optics.backend import activate
 
 _LIBRARY_NAME = re.compile(r"^libLLVM(?:-(?P<dash>\d[\d.]*))?\.so(?:\.(?P<suffix>\d[\d.]*))?$")
 _LIBRARY_FOLDERS = (

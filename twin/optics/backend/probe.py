@@ -1,12 +1,12 @@
 """A Dr.Jit backend, proved in a child process: a bad one aborts the child, not us."""
 
-from dataclasses import dataclass
 import os
 import re
 import signal
 import subprocess
 import sys
 import tempfile
+from dataclasses import dataclass
 from pathlib import Path
 
 LLVM_VARIANT = "llvm_ad_mono"
