@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 from pydantic import Field, ValidationError
 
 from reconstruction.calibration.boards import Board, CharucoBoard, Chessboard, DotBoard
-from twin.assets import asset_path
+from twin.assets import scene_file
 from twin.config.base import Angle, Fraction, Length, Model
 from twin.config.errors import ConfigError
 from twin.config.loading import read_toml
@@ -116,17 +116,13 @@ def load_board(name: str | Path) -> BoardFile:
     AssetError
         No such board.
     """
-    file = Path(name)
-    if not file.is_file():
-        file = asset_path("scenes", str(name))
+    file = scene_file(name)
     values, origins = split_quantities(convert_units(read_toml(file)))
     values["provenance"] = {key: origin.model_dump() for key, origin in origins.items()}
     try:
         loaded = BoardFile.model_validate(values)
     except ValidationError as error:
         raise ConfigError("\n".join(f"{file}: {line}" for line in explain(error))) from None
-    problems = check_ranges(values, loaded.provenance)
-    if problems:
-        raise ConfigError("\n".join(f"{file}: {line}" for line in problems))
+    check_ranges(values, loaded.provenance, str(file))
     loaded.board()  # its own checks: dots must not touch
     return loaded

@@ -13,7 +13,7 @@ from typing import Any
 import tomli_w
 from pydantic import ValidationError
 
-from twin.assets import asset_path
+from twin.assets import asset_path, scene_file
 from twin.config.errors import AssetCycleError, ConfigError
 from twin.config.messages import explain
 from twin.config.models import Decode, Experiment
@@ -35,9 +35,7 @@ def load_experiment(path: str | Path, overrides: Mapping[str, Any] | None = None
     ConfigError
         With one line per problem: what, where, found, allowed.
     """
-    file = Path(path)
-    if not file.is_file():
-        file = asset_path("scenes", str(path))
+    file = scene_file(path)
     tree = resolve_uses(read_toml(file), (file,))
     for dotted, value in (overrides or {}).items():
         _assign(tree, dotted, value)
@@ -55,9 +53,7 @@ def validate_experiment(tree: Mapping[str, Any], where: str = "experiment") -> E
         experiment = Experiment.model_validate(values)
     except ValidationError as error:
         raise ConfigError("\n".join(f"{where}: {line}" for line in explain(error))) from None
-    problems = check_ranges(values, experiment.provenance)
-    if problems:
-        raise ConfigError("\n".join(f"{where}: {line}" for line in problems))
+    check_ranges(values, experiment.provenance, where)
     return experiment
 
 

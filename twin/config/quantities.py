@@ -112,8 +112,14 @@ def _provenance(node: dict[str, Any], path: str) -> Provenance:
     return Provenance.model_validate({k: v for k, v in node.items() if k != "value"})
 
 
-def check_ranges(values: dict[str, Any], provenance: dict[str, Provenance]) -> list[str]:
-    """List every value outside the range that its data file states, one line each."""
+def check_ranges(values: dict[str, Any], provenance: dict[str, Provenance], where: str) -> None:
+    """Refuse values outside the ranges that their data files state.
+
+    Raises
+    ------
+    ConfigError
+        One line per value, which begins with `where`.
+    """
     problems = []
     for path, origin in provenance.items():
         value = _lookup(values, path)
@@ -125,7 +131,8 @@ def check_ranges(values: dict[str, Any], provenance: dict[str, Provenance]) -> l
                 f"{path}: found {value:g}, allowed {low:g} to {high:g} ({origin.source});"
                 " give another value, or a quantity with its own range and source"
             )
-    return problems
+    if problems:
+        raise ConfigError("\n".join(f"{where}: {line}" for line in problems))
 
 
 def _lookup(values: dict[str, Any], path: str) -> Any:

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, ValidationError, model_validator
 
-from twin.assets import asset_path
+from twin.assets import scene_file
 from twin.config.axes import Axis
 from twin.config.base import Model
 from twin.config.errors import ConfigError
@@ -160,9 +160,7 @@ def load_study(path: str | Path) -> tuple[Study, Experiment]:
     ConfigError
         With one line per problem: what, where, found, allowed.
     """
-    file = Path(path)
-    if not file.is_file():
-        file = asset_path("scenes", str(path))
+    file = scene_file(path)
     tree = read_toml(file)
     study = _study_of(tree, str(path), file)
     beside = file.parent / study.base

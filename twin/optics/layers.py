@@ -117,7 +117,7 @@ class LayerStack:
         ----------
         projector : Device
         irradiance_at_1mm : float
-            Of a white field in air (see `radiometry`).
+            Of a white field in air (see `rig`).
         point_mm : mi.Point3f
 
         Notes

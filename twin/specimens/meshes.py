@@ -10,7 +10,7 @@ import trimesh
 
 from reconstruction.arrays import FloatArray
 from reconstruction.errors import InputError
-from twin.assets import asset_path
+from twin.assets import mesh_path
 from twin.config.models import Grating, MeshFile
 from twin.specimens.catalogue import Sphere, register
 from twin.specimens.distance import BoxDistance, SignedDistance
@@ -65,9 +65,7 @@ def read_closed_mesh(key: str, name: str) -> trimesh.Trimesh:
 
 
 def _find(key: str, name: str) -> Path:
-    path = Path(name)
-    if not path.is_file() and name.startswith("scenes/"):
-        path = asset_path("scenes", name.removeprefix("scenes/"))
+    path = mesh_path(name)
     if not path.is_file():
         raise InputError(f"{key}: {name}: no such file")
     if path.suffix.lower() not in _FILE_TYPES:
