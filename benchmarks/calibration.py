@@ -12,11 +12,11 @@ import time
 import numpy as np
 from scipy.ndimage import uniform_filter
 
-from reconstruction.calibrating import length_errors_mm, locate_features, observe
-from reconstruction.calibration import Calibration
-from reconstruction.capture import Capture
-from reconstruction.fit import fit_plane
+from reconstruction.calibration import length_errors_mm, locate_features, observe
+from reconstruction.capture.folder import Capture
+from reconstruction.evaluate.fit import fit_plane
 from reconstruction.pipeline import reconstruct
+from reconstruction.rig.calibration import Calibration
 from twin.config import Experiment, load_experiment
 from twin.config.board import BoardFile, BoardPose, load_board
 from twin.modalities.calibration import BoardCalibration, calibrate_rendered, record_board

@@ -23,11 +23,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from reconstruction.calibration import Calibration, Pinhole
-from reconstruction.decode import DecodeOptions, decode
+from reconstruction.decoding.decode import DecodeOptions, decode
 from reconstruction.patterns import AXES, PatternSet
-from reconstruction.sensor import SensorNoise
-from reconstruction.triangulate import PointMap, triangulate
+from reconstruction.rig.calibration import Calibration, Pinhole
+from reconstruction.rig.sensor import SensorNoise
+from reconstruction.triangulation.triangulate import PointMap, triangulate
 
 FULL = (1464, 1936)
 QUICK = (366, 484)

@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from reconstruction.decode import decode
+from reconstruction.decoding.decode import decode
 from twin.camera import expose
 from twin.config import Experiment, load_experiment
 from twin.optics.backend import activate

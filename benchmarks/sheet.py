@@ -28,7 +28,7 @@ from typing import Any
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from reconstruction.fit import fit_sphere
+from reconstruction.evaluate.fit import fit_sphere
 from twin.config.artefacts import Bar, Step
 from twin.config.fingerprint import Fingerprint
 from twin.config.models import (

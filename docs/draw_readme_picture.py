@@ -10,7 +10,7 @@ from pathlib import Path
 import matplotlib.image
 from matplotlib.figure import Figure
 
-from reconstruction.capture import read_capture
+from reconstruction.capture.folder import read_capture
 
 PICTURE = Path(__file__).with_name("two_balls.png")
 

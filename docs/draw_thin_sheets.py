@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from reconstruction.errors import InputError
-from reconstruction.fit import fit_sphere
+from reconstruction.evaluate.fit import fit_sphere
 from twin.config import Experiment, load_experiment
 from twin.mechanics import PressedElastomer, read_press, ridge_height_mm, write_press
 from twin.mechanics.ridge_transfer import Ridges

@@ -16,11 +16,11 @@ from pathlib import Path
 import imageio.v3 as imageio
 import numpy as np
 
-from reconstruction.calibration import write_calibration
-from reconstruction.capture import Capture
-from reconstruction.capture_description import assignments
-from reconstruction.frame_set import FORMAT, VERSION
-from reconstruction.pattern_files import file_names, write_patterns
+from reconstruction.capture.description import assignments
+from reconstruction.capture.folder import Capture
+from reconstruction.capture.frame_set import FORMAT, VERSION
+from reconstruction.capture.pattern_files import file_names, write_patterns
+from reconstruction.rig.calibration import write_calibration
 from twin.config import load_experiment
 from twin.modalities import Recording, press_specimen, record
 

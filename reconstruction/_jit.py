@@ -21,7 +21,7 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 BAND_ROWS = 16
 
 # Every file whose code or constants end up in a kernel.
-KERNEL_SOURCES = ("_*.py", "mask.py", "pinhole.py", "sensor.py")
+KERNEL_SOURCES = ("**/_[!_]*.py", "mask.py", "rig/pinhole.py", "rig/sensor.py")
 
 # Division by zero gives inf as in numpy. Fused multiply-add is allowed, but not the fast arithmetic
 # that assumes there are no NaNs: a damaged float stack must not pass a threshold.

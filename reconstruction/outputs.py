@@ -8,12 +8,12 @@ import h5netcdf
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from reconstruction.decode import AxisDecode, Decoded
+from reconstruction.decoding.decode import AxisDecode, Decoded
 from reconstruction.disk import writing_netcdf
 from reconstruction.errors import CaptureError, InputError
 from reconstruction.mask import Reason
 from reconstruction.pipeline import Reconstruction
-from reconstruction.triangulate import PointMap
+from reconstruction.triangulation.triangulate import PointMap
 
 PLY_TYPES = {"float32": "float", "float64": "double", "uint16": "ushort", "int32": "int"}
 DIMENSIONS = ("row", "col")

@@ -5,9 +5,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from reconstruction.arrays import BoolImage
-from reconstruction.capture import Capture
-from reconstruction.decode import Decoded, DecodeOptions, decode
-from reconstruction.triangulate import EpipolarTolerance, PointMap, Use, triangulate
+from reconstruction.capture.folder import Capture
+from reconstruction.decoding.decode import Decoded, DecodeOptions, decode
+from reconstruction.triangulation.triangulate import EpipolarTolerance, PointMap, Use, triangulate
 
 
 @dataclass(frozen=True)

@@ -2,15 +2,15 @@
 
 from pathlib import Path
 
-from reconstruction.height_map import (
+from reconstruction.evaluate.height_map import (
     height_map,
     write_height_exr,
     write_height_netcdf,
     write_height_png,
 )
+from reconstruction.evaluate.surface_mesh import surface_mesh, write_mesh_ply
 from reconstruction.outputs import write_point_map_ply
-from reconstruction.surface_mesh import surface_mesh, write_mesh_ply
-from reconstruction.triangulate import PointMap
+from reconstruction.triangulation.triangulate import PointMap
 
 
 def write_surface(folder: Path, points: PointMap) -> None:

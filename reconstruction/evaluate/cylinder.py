@@ -8,8 +8,8 @@ from scipy.optimize import least_squares
 
 from reconstruction.arrays import BoolImage, Doubles
 from reconstruction.errors import FitError
+from reconstruction.evaluate.fit import ResidualStats, residual_stats
 from reconstruction.evaluate.outliers import inliers, spread
-from reconstruction.fit import ResidualStats, residual_stats
 
 _LEAST_POINTS = 20
 

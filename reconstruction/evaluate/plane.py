@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from reconstruction.arrays import BoolImage, Doubles
+from reconstruction.evaluate.fit import PlaneFit, fit_plane
 from reconstruction.evaluate.outliers import inliers
-from reconstruction.fit import PlaneFit, fit_plane
 
 _MOST_TURNS = 20
 

@@ -8,8 +8,8 @@ from scipy.optimize import least_squares
 
 from reconstruction.arrays import BoolImage, Doubles
 from reconstruction.errors import FitError
+from reconstruction.evaluate.fit import ResidualStats, fit_sphere, residual_stats
 from reconstruction.evaluate.outliers import inliers, spread
-from reconstruction.fit import ResidualStats, fit_sphere, residual_stats
 
 _MOST_TURNS = 20
 # The first scale comes from a fit that outliers have pulled off: it is taken anew once.
@@ -52,7 +52,7 @@ class BallFit:
 def fit_ball(points_mm: ArrayLike) -> BallFit:
     """Fit a sphere: soft-L1 first, then least squares, repeated without outliers.
 
-    Unlike `reconstruction.fit.fit_sphere`, which keeps every point.
+    Unlike `reconstruction.evaluate.fit.fit_sphere`, which keeps every point.
 
     Parameters
     ----------

@@ -28,7 +28,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from reconstruction.capture_description import build, read_toml, table_of, take_header
+from reconstruction.capture.description import build, read_toml, table_of, take_header
 from reconstruction.checks import require_integer, require_number
 from reconstruction.errors import CaptureError, InputError
 from reconstruction.photometric.calibration_ball import SampleOptions

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from reconstruction.decode import DecodeOptions, decode
+from reconstruction.decoding.decode import DecodeOptions, decode
 from reconstruction.patterns import PatternSet
 from twin.camera import expose
 from twin.camera.sensor import electrons_per_ms, full_well_e, noise_model, read_noise_e

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from reconstruction.capture import read_capture
+from reconstruction.capture.folder import read_capture
 from twin.cli import run
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -25,7 +25,7 @@ class Block:
             raise ImportError("a real capture must not need " + name)
 sys.meta_path.insert(0, Block())
 import numpy as np
-from reconstruction.capture import read_capture
+from reconstruction.capture.folder import read_capture
 from reconstruction.pipeline import reconstruct
 points = reconstruct(read_capture(sys.argv[1])).point_map
 np.save(sys.argv[2], np.where(points.valid[..., None], points.points_world_mm, np.nan))

@@ -1,4 +1,4 @@
-from reconstruction.decode import DecodeOptions
+from reconstruction.decoding.decode import DecodeOptions
 from twin.config import decode_settings
 
 

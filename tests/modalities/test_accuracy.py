@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from reconstruction.fit import fit_sphere
+from reconstruction.evaluate.fit import fit_sphere
 from reconstruction.pipeline import reconstruct
 from twin.camera import expose
 from twin.config import load_experiment, vary

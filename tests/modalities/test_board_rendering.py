@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from reconstruction.calibrating import observe
-from reconstruction.calibrating.defocus import defocus_slopes_px
+from reconstruction.calibration import observe
+from reconstruction.calibration.defocus import defocus_slopes_px
 from twin.config import load_experiment
 from twin.config.board import BoardPose, load_board
 from twin.modalities.calibration import record_board

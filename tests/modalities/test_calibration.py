@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 import trimesh
 
-from reconstruction.calibrating import length_errors_mm, locate_features, observe
-from reconstruction.calibrating.quality import parameters_of
-from reconstruction.calibration import read_calibration
+from reconstruction.calibration import length_errors_mm, locate_features, observe
+from reconstruction.calibration.quality import parameters_of
+from reconstruction.capture.pattern_files import read_manifest
 from reconstruction.evaluate import flatness
-from reconstruction.pattern_files import read_manifest
+from reconstruction.rig.calibration import read_calibration
 from twin.cli import run
 from twin.config import ConfigError, load_experiment
 from twin.config.board import BoardPose, load_board

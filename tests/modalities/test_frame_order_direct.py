@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from reconstruction.capture.frame_order import check_order
 from reconstruction.errors import CaptureError
-from reconstruction.frame_order import check_order
 from twin.config import load_experiment
 from twin.modalities.direct_fpp import record_direct
 from twin.modalities.progress import Stopwatch

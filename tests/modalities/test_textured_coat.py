@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from reconstruction.fit import fit_sphere
+from reconstruction.evaluate.fit import fit_sphere
 from reconstruction.pipeline import reconstruct
 from twin.config import load_experiment
 from twin.config.models import Texture

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from reconstruction.calibration import Pinhole
+from reconstruction.rig.calibration import Pinhole
 
 DISTORTED = (-0.12, 0.05, 1e-3, -2e-3, 0.01)
 

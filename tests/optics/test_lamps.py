@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from reconstruction.pinhole import Pinhole
+from reconstruction.rig.pinhole import Pinhole
 from twin.config import ConfigError, load_experiment
 from twin.config.lamps import Lamp, Markers
 from twin.optics.lamps import Emitters, emitters_of

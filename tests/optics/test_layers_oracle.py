@@ -20,7 +20,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from reconstruction.pinhole import Pinhole
+from reconstruction.rig.pinhole import Pinhole
 from twin.config import load_experiment
 from twin.config.layers import Layer
 

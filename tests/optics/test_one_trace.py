@@ -120,8 +120,8 @@ def test_one_look_up_per_smooth_pixel_is_as_good_as_one_per_sample(mi, bump):
 
     A bump with an occluding wall, so that mixed pixels (per-sample way) occur as well.
     """
-    from reconstruction.decode import DecodeOptions, decode
-    from reconstruction.sensor import SensorNoise
+    from reconstruction.decoding.decode import DecodeOptions, decode
+    from reconstruction.rig.sensor import SensorNoise
     from twin.optics.light import light_tables
     from twin.optics.one_trace import trace_stack
     from twin.optics.scene import coated_scene, rig_of

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from reconstruction.decode import DecodeOptions, decode
-from reconstruction.sensor import SensorNoise
+from reconstruction.decoding.decode import DecodeOptions, decode
+from reconstruction.rig.sensor import SensorNoise
 from twin.config import load_experiment
 from twin.optics.light import pattern_set
 from twin.optics.render import render

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from reconstruction.calibrating.parameters import POSES, Rig, pack
+from reconstruction.calibration.parameters import POSES, Rig, pack
 from twin.config import load_experiment
 from twin.optics.rig import true_calibration
 from twin.paper.rig_draws import RigScatter

@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 
 from reconstruction.errors import InputError
-from reconstruction.fit import fit_sphere
+from reconstruction.evaluate.fit import fit_sphere
 from reconstruction.photometric.pipeline import PhotometricDecoder, PhotometricOptions
 from reconstruction.photometric.reasons import PhotometricReason
 from reconstruction.photometric.sensor_calibration import SensorCalibration

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter1d
 
-from reconstruction.calibration import Calibration, Pinhole
 from reconstruction.patterns import PatternSet
-from reconstruction.sensor import SensorNoise
+from reconstruction.rig.calibration import Calibration, Pinhole
+from reconstruction.rig.sensor import SensorNoise
 
 # Fine samples per projector pixel when a pattern is blurred.
 FINE = 32

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from reconstruction.calibrating import (
+from reconstruction.calibration import (
     AdjustOptions,
     DotBoard,
     Freedom,
@@ -16,11 +16,11 @@ from reconstruction.calibrating import (
     length_errors_mm,
     locate_features,
 )
-from reconstruction.calibrating.conics import centre_bias_px
-from reconstruction.calibrating.quality import epipolar_misses_px, parameters_of
-from reconstruction.calibration import Calibration, read_calibration, write_calibration
+from reconstruction.calibration.conics import centre_bias_px
+from reconstruction.calibration.quality import epipolar_misses_px, parameters_of
 from reconstruction.errors import InputError
-from reconstruction.pinhole import Pinhole
+from reconstruction.rig.calibration import Calibration, read_calibration, write_calibration
+from reconstruction.rig.pinhole import Pinhole
 
 BOARD = DotBoard(9, 7, 3.0, 1.2, 1.8)
 CAMERA = Pinhole(1936, 1464, 14500.0, 14500.0, 985.0, 720.0, (-0.8, 0.0, 0.0, 0.0, 0.0))

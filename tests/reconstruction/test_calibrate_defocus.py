@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from reconstruction.calibrating import AdjustOptions, DotBoard, Freedom, Observation, calibrate
-from reconstruction.calibrating.defocus import defocus_slopes_px
-from reconstruction.calibrating.quality import parameters_of, pupil_diameter_mm
-from reconstruction.pinhole import Pinhole
+from reconstruction.calibration import AdjustOptions, DotBoard, Freedom, Observation, calibrate
+from reconstruction.calibration.defocus import defocus_slopes_px
+from reconstruction.calibration.quality import parameters_of, pupil_diameter_mm
+from reconstruction.rig.pinhole import Pinhole
 
 CAMERA = Pinhole(1936, 1464, 14500.0, 14500.0, 967.5, 731.5)
 PROJECTOR = Pinhole(1280, 720, 1536.0, 1536.0, 632.0, 920.0)

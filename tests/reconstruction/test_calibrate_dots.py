@@ -3,18 +3,18 @@
 import numpy as np
 import pytest
 
-from reconstruction.calibrating.boards import DotBoard
-from reconstruction.calibrating.conics import centre_bias_px, ellipse_centres
-from reconstruction.calibrating.dot_grid import label_dots
-from reconstruction.calibrating.dots import find_dots, refine_centres
-from reconstruction.calibrating.homography import apply_homography, fit_homography
-from reconstruction.calibrating.light_level import (
+from reconstruction.calibration.boards import DotBoard
+from reconstruction.calibration.conics import centre_bias_px, ellipse_centres
+from reconstruction.calibration.dot_grid import label_dots
+from reconstruction.calibration.dots import find_dots, refine_centres
+from reconstruction.calibration.homography import apply_homography, fit_homography
+from reconstruction.calibration.light_level import (
     ink_threshold,
     relative_brightness,
     white_print,
 )
 from reconstruction.errors import InputError
-from reconstruction.pinhole import Pinhole
+from reconstruction.rig.pinhole import Pinhole
 
 BOARD = DotBoard(9, 7, 2.0, 0.8, 1.2)
 CAMERA = Pinhole(360, 280, 2800.0, 2800.0, 179.5, 139.5)

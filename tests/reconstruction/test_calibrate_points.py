@@ -5,9 +5,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from reconstruction.calibrating.homography import apply_homography
-from reconstruction.calibrating.projector_points import projector_points
-from reconstruction.decode import DecodeOptions, decode
+from reconstruction.calibration.homography import apply_homography
+from reconstruction.calibration.projector_points import projector_points
+from reconstruction.decoding.decode import DecodeOptions, decode
 from reconstruction.errors import InputError
 
 H = np.array([[0.9, 0.03, 150.0], [-0.02, 0.85, 120.0], [2e-5, -3e-5, 1.0]])

@@ -4,8 +4,8 @@ import cv2
 import numpy as np
 import pytest
 
-from reconstruction.calibration import Calibration, read_calibration, write_calibration
 from reconstruction.errors import CaptureError, InputError
+from reconstruction.rig.calibration import Calibration, read_calibration, write_calibration
 
 
 def test_file_holds_every_digit(tmp_path, calibration):

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import xarray
 
-from reconstruction.capture import Capture, read_capture, write_capture
+from reconstruction.capture.folder import Capture, read_capture, write_capture
 from reconstruction.errors import CaptureError, InputError
 from reconstruction.patterns import PatternSet
-from reconstruction.sensor import SensorNoise
+from reconstruction.rig.sensor import SensorNoise
 
 
 @pytest.fixture(scope="module")

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from reconstruction.decode import DecodeOptions, decode
+from reconstruction.decoding.decode import DecodeOptions, decode
 from reconstruction.errors import InputError
 from reconstruction.patterns import PatternSet
-from reconstruction.sensor import SensorNoise
+from reconstruction.rig.sensor import SensorNoise
 
 HIERARCHICAL = {"code": "hierarchical", "further_periods_px": (1300.0, 150.0)}
 # Unambiguous over 1472 px: where the range ends at the image, noise wraps at its borders.

@@ -5,14 +5,14 @@ import numpy as np
 import pytest
 
 from reconstruction import _jit
-from reconstruction._half_kernels import BIAS, pack_row, unpack_row
-from reconstruction.calibration import Calibration, Pinhole
 from reconstruction.compact import Half, Orders, RaySpread, Turns, kept
-from reconstruction.decode import AxisDecode, DecodeOptions, decode
-from reconstruction.decode_plan import CHANCE_UNIT, SIGMA_UNIT_PX, units_of
+from reconstruction.decoding._half import BIAS, pack_row, unpack_row
+from reconstruction.decoding.decode import AxisDecode, DecodeOptions, decode
+from reconstruction.decoding.plan import CHANCE_UNIT, SIGMA_UNIT_PX, units_of
 from reconstruction.patterns import PatternSet
-from reconstruction.sensor import SensorNoise
-from reconstruction.triangulate import triangulate
+from reconstruction.rig.calibration import Calibration, Pinhole
+from reconstruction.rig.sensor import SensorNoise
+from reconstruction.triangulation.triangulate import triangulate
 
 SENSOR = SensorNoise(0.17, 6.2, 64.0, 4095.0)
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from reconstruction.decode import DecodeOptions, Reason, decode
+from reconstruction.decoding.decode import DecodeOptions, Reason, decode
 from reconstruction.patterns import PatternSet
-from reconstruction.sensor import SensorNoise
+from reconstruction.rig.sensor import SensorNoise
 
 UNFILTERED = DecodeOptions(filter_taps=0)
 MRAD_PER_PX = 1e3 * 2.0 * np.pi / 18.0

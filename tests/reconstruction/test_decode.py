@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
 
-from reconstruction.decode import DecodeOptions, Reason, decode
+from reconstruction.decoding.decode import DecodeOptions, Reason, decode
 from reconstruction.errors import InputError
 from reconstruction.patterns import PatternSet
-from reconstruction.sensor import SensorNoise
+from reconstruction.rig.sensor import SensorNoise
 
 UNFILTERED = DecodeOptions(filter_taps=0)
 

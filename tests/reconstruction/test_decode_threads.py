@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from reconstruction import _jit
-from reconstruction import decode as decode_module
-from reconstruction._sum_kernels import find_noise
-from reconstruction.decode import AxisDecode, Decoded, DecodeOptions, decode
-from reconstruction.decode_plan import make_plan
+from reconstruction.decoding import decode as decode_module
+from reconstruction.decoding._sum import find_noise
+from reconstruction.decoding.decode import AxisDecode, Decoded, DecodeOptions, decode
+from reconstruction.decoding.plan import make_plan
 from reconstruction.patterns import PatternSet
-from reconstruction.sensor import SensorNoise
+from reconstruction.rig.sensor import SensorNoise
 
 
 @pytest.fixture(scope="module")

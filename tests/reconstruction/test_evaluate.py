@@ -12,7 +12,7 @@ from reconstruction.evaluate import (
     flatness,
     step_height,
 )
-from reconstruction.fit import fit_sphere
+from reconstruction.evaluate.fit import fit_sphere
 
 NOISE_MM = 0.002
 

@@ -1,11 +1,11 @@
 import numpy as np
 import pytest
 
-from reconstruction.decode import DecodeOptions, decode
+from reconstruction.capture.exposures import merge_exposures
+from reconstruction.decoding.decode import DecodeOptions, decode
 from reconstruction.errors import InputError
-from reconstruction.exposures import merge_exposures
 from reconstruction.patterns import PatternSet
-from reconstruction.sensor import SensorNoise
+from reconstruction.rig.sensor import SensorNoise
 
 SENSOR = SensorNoise(0.2, 5.0, 20.0, 1023.0)
 EXPOSURES_MS = (8.0, 1.0, 3.0)

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from scipy.ndimage import binary_dilation, gaussian_filter
 
-from reconstruction import smoothing
-from reconstruction.decode import DecodeOptions, Reason, decode
+from reconstruction.decoding import smoothing
+from reconstruction.decoding.decode import DecodeOptions, Reason, decode
 from reconstruction.patterns import PatternSet
 from reconstruction.pipeline import Reconstruction, filter_bias
-from reconstruction.sensor import SensorNoise
-from reconstruction.triangulate import triangulate
+from reconstruction.rig.sensor import SensorNoise
+from reconstruction.triangulation.triangulate import triangulate
 
 PATTERNS = PatternSet(1280, 720, steps=8)
 SENSOR = SensorNoise(0.17, 6.2, 64.0, 4095.0)

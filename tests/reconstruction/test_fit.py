@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from reconstruction.errors import FitError
-from reconstruction.fit import fit_plane, fit_sphere, residual_stats
+from reconstruction.evaluate.fit import fit_plane, fit_sphere, residual_stats
 
 
 def cap(count, half_angle_deg, seed=0):

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from reconstruction.capture.frame_order import check_order
 from reconstruction.errors import CaptureError
-from reconstruction.frame_order import check_order
 from reconstruction.patterns import PatternSet
-from reconstruction.sensor import SensorNoise
+from reconstruction.rig.sensor import SensorNoise
 
 STEPS = 8
 SENSOR = SensorNoise(0.0625, 4.0, 4.0, 255.0)

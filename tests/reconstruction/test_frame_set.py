@@ -2,10 +2,10 @@
 
 import pytest
 
+from reconstruction.capture.frame_set import FrameSet, frame_files, read_frame_set
 from reconstruction.errors import CaptureError, InputError
-from reconstruction.frame_set import FrameSet, frame_files, read_frame_set
 from reconstruction.patterns import PatternSet
-from reconstruction.sensor import SensorNoise
+from reconstruction.rig.sensor import SensorNoise
 
 SENSOR = SensorNoise(0.1, 5.0, 4.0, 255.0)
 PATTERNS = PatternSet(1280, 720, steps=3)

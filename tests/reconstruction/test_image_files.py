@@ -7,16 +7,16 @@ import numpy as np
 import OpenEXR
 import pytest
 
-from reconstruction.calibrating.captures import pose_folders, read_board_capture
-from reconstruction.calibration import write_calibration
-from reconstruction.capture import read_capture, write_capture
-from reconstruction.capture_description import assignments
+from reconstruction.calibration.captures import pose_folders, read_board_capture
+from reconstruction.capture.description import assignments
+from reconstruction.capture.folder import read_capture, write_capture
+from reconstruction.capture.image_files import subtract_dark
+from reconstruction.capture.pattern_files import write_patterns
 from reconstruction.errors import CaptureError
-from reconstruction.image_files import subtract_dark
-from reconstruction.pattern_files import write_patterns
 from reconstruction.patterns import PatternSet
 from reconstruction.pipeline import reconstruct
-from reconstruction.sensor import SensorNoise
+from reconstruction.rig.calibration import write_calibration
+from reconstruction.rig.sensor import SensorNoise
 
 PATTERNS = PatternSet(1280, 720, steps=4)
 SENSOR = SensorNoise(0.0625, 4.0, 4.0, 255.0)

@@ -7,7 +7,7 @@ import textwrap
 import numpy as np
 
 from reconstruction import _jit, cores
-from reconstruction._decode_kernels import decode_rows
+from reconstruction.decoding._decode import decode_rows
 
 
 def test_bands_cover_every_row_once():
@@ -36,11 +36,11 @@ def test_stored_kernels_depend_on_all_kernel_sources(tmp_path):
     cache_file = decode_rows._cache._cache_file
     assert cache_file._source_stamp == _jit.SOURCE_DIGEST
     folder = tmp_path / "reconstruction"
-    folder.mkdir()
+    (folder / "rig").mkdir(parents=True)
     (folder / "__init__.py").touch()  # or the installed package would win
     program = """
         from reconstruction._jit import compiled, inlined
-        from reconstruction.sensor import formula
+        from reconstruction.rig.sensor import formula
         inner = inlined(formula)
         @compiled
         def outer(x):
@@ -53,7 +53,7 @@ def test_stored_kernels_depend_on_all_kernel_sources(tmp_path):
     (folder / "_outer.py").write_text(textwrap.dedent(program))
     printed = []
     for factor in (2, 3):
-        (folder / "sensor.py").write_text(f"def formula(x):\n    return {factor} * x\n")
+        (folder / "rig" / "sensor.py").write_text(f"def formula(x):\n    return {factor} * x\n")
         done = subprocess.run(
             [sys.executable, "-B", "-m", "reconstruction._outer"],
             cwd=tmp_path,

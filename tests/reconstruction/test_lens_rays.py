@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from reconstruction._lens_kernels import lens_of, ray_row
-from reconstruction.pinhole import NO_DISTORTION, Pinhole, distort
+from reconstruction.rig.pinhole import NO_DISTORTION, Pinhole, distort
+from reconstruction.triangulation._lens import lens_of, ray_row
 
 
 def rays_of(camera, rows):

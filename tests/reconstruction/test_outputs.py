@@ -5,8 +5,8 @@ import pytest
 import trimesh
 import xarray
 
-from reconstruction.capture import Capture
-from reconstruction.decode import DecodeOptions, Reason
+from reconstruction.capture.folder import Capture
+from reconstruction.decoding.decode import DecodeOptions, Reason
 from reconstruction.errors import CaptureError, InputError
 from reconstruction.outputs import (
     read_reconstruction,
@@ -16,7 +16,7 @@ from reconstruction.outputs import (
 )
 from reconstruction.patterns import PatternSet
 from reconstruction.pipeline import ReconstructOptions, reconstruct
-from reconstruction.sensor import SensorNoise
+from reconstruction.rig.sensor import SensorNoise
 
 
 @pytest.fixture(scope="module")

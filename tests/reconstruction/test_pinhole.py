@@ -4,8 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from reconstruction.calibration import Pinhole
 from reconstruction.errors import InputError
+from reconstruction.rig.calibration import Pinhole
 
 DISTORTED = Pinhole(1936, 1464, 2200.0, 2210.0, 960.0, 735.0, (-0.12, 0.05, 1e-3, -5e-4, 0.01))
 

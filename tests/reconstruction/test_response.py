@@ -1,11 +1,11 @@
 import numpy as np
 import pytest
 
-from reconstruction.decode import DecodeOptions, decode
+from reconstruction.capture.response import apply_response, correct_gamma, estimate_gamma
+from reconstruction.decoding.decode import DecodeOptions, decode
 from reconstruction.errors import InputError
 from reconstruction.patterns import PatternSet
-from reconstruction.response import apply_response, correct_gamma, estimate_gamma
-from reconstruction.sensor import SensorNoise
+from reconstruction.rig.sensor import SensorNoise
 
 SENSOR = SensorNoise(0.0, 0.0, 0.0, 255.0)
 UNFILTERED = DecodeOptions(filter_taps=0)

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from reconstruction.errors import InputError
-from reconstruction.sensor import SensorNoise
+from reconstruction.rig.sensor import SensorNoise
 
 
 def test_variance_is_the_photon_transfer_line():

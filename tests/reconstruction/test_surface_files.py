@@ -9,15 +9,15 @@ import trimesh
 import xarray
 
 from reconstruction.errors import InputError
-from reconstruction.height_map import (
+from reconstruction.evaluate.height_map import (
     height_map,
     write_height_exr,
     write_height_netcdf,
     write_height_png,
 )
+from reconstruction.evaluate.surface_mesh import surface_mesh, write_mesh_ply, write_mesh_stl
 from reconstruction.mask import Reason
-from reconstruction.surface_mesh import surface_mesh, write_mesh_ply, write_mesh_stl
-from reconstruction.triangulate import PointMap
+from reconstruction.triangulation.triangulate import PointMap
 
 
 def point_map(z_of, rows=120, cols=160, pitch=0.05):

@@ -5,12 +5,12 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from reconstruction.calibration import Calibration, Pinhole
-from reconstruction.decode import AxisDecode, Decoded, DecodeOptions, Reason, decode
+from reconstruction.decoding.decode import AxisDecode, Decoded, DecodeOptions, Reason, decode
 from reconstruction.errors import InputError
 from reconstruction.patterns import PatternSet
-from reconstruction.sensor import SensorNoise
-from reconstruction.triangulate import EpipolarTolerance, triangulate
+from reconstruction.rig.calibration import Calibration, Pinhole
+from reconstruction.rig.sensor import SensorNoise
+from reconstruction.triangulation.triangulate import EpipolarTolerance, triangulate
 
 
 def decoded_from(projector_px, sigma_px=0.01):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import RegularGridInterpolator
 
-from reconstruction.capture import Capture
+from reconstruction.capture.folder import Capture
 from reconstruction.pipeline import reconstruct
 from twin.camera import expose
 from twin.config import Experiment, load_experiment

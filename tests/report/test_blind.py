@@ -5,9 +5,9 @@ import json
 import numpy as np
 import pytest
 
-from reconstruction.capture import Capture
+from reconstruction.capture.folder import Capture
 from reconstruction.pipeline import Reconstruction, reconstruct
-from reconstruction.triangulate import PointMap
+from reconstruction.triangulation.triangulate import PointMap
 from tests.report.conftest import record_analytically
 from twin.config import vary
 from twin.modalities import Measurement, Recording

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.integrate import trapezoid
 
-from reconstruction.capture import read_capture
+from reconstruction.capture.folder import read_capture
 from reconstruction.errors import InputError
 from reconstruction.mask import Reason
 from twin.config import vary

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from reconstruction.cores import threads
 from reconstruction.errors import InputError
-from reconstruction.sensor import SensorNoise
+from reconstruction.rig.sensor import SensorNoise
 from twin.camera.sensor import (
     dark_offset_e,
     electrons_per_ms,

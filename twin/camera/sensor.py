@@ -8,7 +8,7 @@ a few sigmas of its shot noise, which no decoded coordinate shows (measured at 1
 
 import math
 
-from reconstruction.sensor import SensorNoise
+from reconstruction.rig.sensor import SensorNoise
 from twin.config.models import Camera
 
 _PLANCK_J_S = 6.62607015e-34

@@ -88,7 +88,7 @@ def calibrate(
     as_images
         Keep them as PNG images, as a real camera gives them; camera.bit_depth=8 makes 8-bit ones.
     """
-    from reconstruction.calibrating import AdjustOptions, Freedom
+    from reconstruction.calibration import AdjustOptions, Freedom
     from twin.config.board import load_board
     from twin.modalities.calibration import calibrate_captures, calibrate_rendered
     from twin.modalities.calibration_storage import write_board_calibration
@@ -143,7 +143,7 @@ def patterns(
     experiment
         TOML file, or the name of a shipped experiment such as paper/two_balls.
     """
-    from reconstruction.pattern_files import MANIFEST_FILE, write_patterns
+    from reconstruction.capture.pattern_files import MANIFEST_FILE, write_patterns
     from twin.optics.light import pattern_set
     from twin.output import output_folder
 

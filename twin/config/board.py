@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, ValidationError
 
-from reconstruction.calibrating.boards import Board, CharucoBoard, Chessboard, DotBoard
+from reconstruction.calibration.boards import Board, CharucoBoard, Chessboard, DotBoard
 from twin.assets import asset_path
 from twin.config.base import Angle, Fraction, Length, Model
 from twin.config.errors import ConfigError

@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
-from reconstruction.decode_options import DecodeOptions
+from reconstruction.decoding.options import DecodeOptions
 from twin.config.base import Distortion, Model, Positive
 from twin.config.devices import Camera, Pose, Projector
 from twin.config.elastomer import Coating, Elastomer, Film, Mechanics, PadFile, Press, Texture

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from reconstruction.calibrating import (
+from reconstruction.calibration import (
     AdjustOptions,
     BoardCapture,
     Calibrated,
@@ -20,12 +20,12 @@ from reconstruction.calibrating import (
     observe,
     read_board_capture,
 )
-from reconstruction.calibrating.captures import pose_folders
-from reconstruction.calibrating.quality import parameters_of
-from reconstruction.calibration import Calibration
-from reconstruction.capture import Capture, write_capture
+from reconstruction.calibration.captures import pose_folders
+from reconstruction.calibration.quality import parameters_of
+from reconstruction.capture.folder import Capture, write_capture
+from reconstruction.capture.frame_set_writing import write_frame_set
 from reconstruction.errors import InputError
-from reconstruction.frame_set_writing import write_frame_set
+from reconstruction.rig.calibration import Calibration
 from twin.camera import expose
 from twin.config import Experiment, digest
 from twin.config.board import BoardFile, BoardPose

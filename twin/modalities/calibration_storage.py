@@ -14,8 +14,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from reconstruction.calibrating.quality import pupil_diameter_mm
-from reconstruction.calibration import write_calibration
+from reconstruction.calibration.quality import pupil_diameter_mm
+from reconstruction.rig.calibration import write_calibration
 from twin.config import to_toml
 from twin.modalities.calibration import BoardCalibration
 from twin.output import EXPERIMENT_FILE, RESULT_FILE, versions, write_json

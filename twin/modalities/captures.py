@@ -6,12 +6,12 @@ from typing import Any
 import numpy as np
 import tomli_w
 
-from reconstruction.capture import read_capture
-from reconstruction.decode import Reason
+from reconstruction.capture.folder import read_capture
+from reconstruction.decoding.decode import Reason
 from reconstruction.outputs import write_reconstruction
 from reconstruction.pipeline import Reconstruction, filter_bias, reconstruct
 from reconstruction.surface_files import write_surface
-from reconstruction.triangulate import Use
+from reconstruction.triangulation.triangulate import Use
 from twin.config.models import Decode
 from twin.modalities.contact_fpp import options_of
 from twin.modalities.progress import Watcher, nobody

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from reconstruction.arrays import Levels
-from reconstruction.pinhole import Pinhole
+from reconstruction.rig.pinhole import Pinhole
 from twin.camera import expose
 from twin.camera.exposure import choose_exposure_ms
 from twin.camera.sensor import largest_code_dn

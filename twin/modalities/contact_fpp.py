@@ -1,6 +1,6 @@
 """Contact-FPP: fringes on the coat of the pressed elastomer."""
 
-from reconstruction.decode import DecodeOptions
+from reconstruction.decoding.decode import DecodeOptions
 from reconstruction.errors import InputError
 from reconstruction.pipeline import ReconstructOptions
 from twin.config.models import Decode, Experiment

@@ -22,7 +22,7 @@ from reconstruction.photometric import (
 )
 from reconstruction.photometric.calibration_ball import SampleOptions
 from reconstruction.photometric.sensor_calibration import MapKind
-from reconstruction.pinhole import Pinhole
+from reconstruction.rig.pinhole import Pinhole
 from twin.config import Experiment
 from twin.config.models import Ball
 from twin.mechanics import PressedElastomer, face_mesh

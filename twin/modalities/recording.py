@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from reconstruction.capture import Capture
+from reconstruction.capture.folder import Capture
 from twin.camera import expose
 from twin.config.models import Experiment
 from twin.modalities.progress import Stopwatch

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from reconstruction.errors import FitError
-from reconstruction.fit import SphereFit, fit_sphere
+from reconstruction.evaluate.fit import SphereFit, fit_sphere
 from reconstruction.pipeline import Reconstruction, filter_bias
 from twin.config.models import Experiment
 from twin.optics.stack import Truth

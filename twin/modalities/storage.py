@@ -20,7 +20,7 @@ from typing import Any, Literal
 import imageio.v3 as imageio
 import numpy as np
 
-from reconstruction.capture import write_capture
+from reconstruction.capture.folder import write_capture
 from reconstruction.outputs import write_reconstruction
 from reconstruction.pipeline import Reconstruction
 from reconstruction.surface_files import write_surface

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from reconstruction.calibrating.boards import Board
+from reconstruction.calibration.boards import Board
 from twin.config.board import BoardFile, BoardPose, Plate
 from twin.config.models import Experiment
 from twin.optics.backend import activate

@@ -12,7 +12,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from reconstruction.pinhole import Pinhole
+from reconstruction.rig.pinhole import Pinhole
 from twin.config.lamps import Markers
 from twin.config.models import Experiment
 from twin.optics.coat import COATED_FACE

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from reconstruction.calibration import Pinhole
+from reconstruction.rig.calibration import Pinhole
 from twin.optics.lens import ThinLens
 
 _OPENCV_FROM_MITSUBA = np.diag([-1.0, -1.0, 1.0, 1.0])

@@ -1,6 +1,6 @@
 """Camera rays and projector pixels as Dr.Jit expressions, with Brown-Conrady distortion.
 
-Distortion, its inverse and its fold are those of `reconstruction.pinhole`. Single precision
+Distortion, its inverse and its fold are those of `reconstruction.rig.pinhole`. Single precision
 resolves an image of 1000 pixels to 1e-4 px.
 """
 
@@ -12,7 +12,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from reconstruction.pinhole import (
+from reconstruction.rig.pinhole import (
     INVERSE_STEPS,
     Pinhole,
     distort,

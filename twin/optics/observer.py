@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from reconstruction.pinhole import Pinhole
+from reconstruction.rig.pinhole import Pinhole
 
 Doubles = NDArray[np.float64]
 Point = tuple[float, float, float]

@@ -5,7 +5,7 @@ Irradiance on a plane that faces the projector at distance z (along its axis) is
 fills a flat screen.
 """
 
-from reconstruction.calibration import Pinhole
+from reconstruction.rig.calibration import Pinhole
 from twin.config.models import Projector
 
 

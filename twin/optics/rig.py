@@ -8,7 +8,7 @@ renderer traces with it, and an ideally calibrated decoder triangulates with it.
 import numpy as np
 from numpy.typing import NDArray
 
-from reconstruction.calibration import Calibration, Pinhole
+from reconstruction.rig.calibration import Calibration, Pinhole
 from twin.config.models import Camera, Experiment, Pose, Projector
 
 Matrix = NDArray[np.float64]

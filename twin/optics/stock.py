@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from reconstruction.patterns import Frame, PatternSet
-from reconstruction.pinhole import distort, distortion_jacobian, fold_square, is_before_fold
+from reconstruction.rig.pinhole import distort, distortion_jacobian, fold_square, is_before_fold
 from twin.optics.connection import Rig
 from twin.optics.device_frames import field_of_view_deg, perspective_sensor, to_world
 from twin.optics.light import MARGIN_PX, OVERSAMPLING, LightTable, along

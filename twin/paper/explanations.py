@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from reconstruction.errors import InputError
-from reconstruction.fit import fit_sphere
+from reconstruction.evaluate.fit import fit_sphere
 from twin.config import Experiment, vary
 from twin.modalities.contact_fpp import press_specimen
 from twin.paper.face_model import cap_fit, face_figures, face_points_mm

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from reconstruction.errors import FitError, InputError
-from reconstruction.fit import SphereFit, fit_sphere
+from reconstruction.evaluate.fit import SphereFit, fit_sphere
 from twin.config import Experiment, vary
 from twin.mechanics import PressedElastomer
 from twin.modalities.contact_fpp import press_specimen

@@ -14,9 +14,9 @@ from matplotlib.colors import Normalize
 from numpy.typing import NDArray
 
 from reconstruction.errors import InputError
+from reconstruction.evaluate.surface_mesh import SurfaceMesh, surface_mesh
 from reconstruction.mask import Reason
-from reconstruction.surface_mesh import SurfaceMesh, surface_mesh
-from reconstruction.triangulate import PointMap
+from reconstruction.triangulation.triangulate import PointMap
 from twin.optics.observer import Observer
 from twin.optics.sight import Sight, look
 from twin.paper.panel_data import PanelData, Picture

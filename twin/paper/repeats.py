@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from reconstruction.errors import FitError, InputError
 from reconstruction.pipeline import Reconstruction, reconstruct
-from reconstruction.triangulate import triangulate
+from reconstruction.triangulation.triangulate import triangulate
 from twin.config import Experiment, digest
 from twin.modalities.contact_fpp import options_of
 from twin.modalities.measurement import take

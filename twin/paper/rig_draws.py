@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from reconstruction.arrays import Doubles
-from reconstruction.calibrating.parameters import POSES, Rig, pack, unpack
-from reconstruction.calibration import Calibration
+from reconstruction.calibration.parameters import POSES, Rig, pack, unpack
+from reconstruction.rig.calibration import Calibration
 from twin.config import Experiment
 from twin.config.board import load_board
 from twin.config.digest import keyed_sequence
@@ -32,7 +32,7 @@ class RigScatter:
     ----------
     true : Calibration
     covariance : (24, 24) float
-        Camera, projector and the motion between them, order of `calibrating.parameters`.
+        Camera, projector and the motion between them, order of `calibration.parameters`.
     """
 
     true: Calibration

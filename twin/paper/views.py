@@ -9,7 +9,7 @@ from matplotlib.patches import Polygon
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
-from reconstruction.pinhole import Pinhole
+from reconstruction.rig.pinhole import Pinhole
 from twin.config import Experiment
 from twin.mechanics import PressedElastomer
 from twin.optics.observer import Observer

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
-from reconstruction.fit import SphereFit
+from reconstruction.evaluate.fit import SphereFit
 from twin.modalities.score import SphereScore
 from twin.report.canvas import (
     FIT,

@@ -12,7 +12,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import BoundaryNorm, ListedColormap, Normalize
 from numpy.typing import NDArray
 
-from reconstruction.capture import Capture
+from reconstruction.capture.folder import Capture
 from reconstruction.mask import Reason
 from reconstruction.patterns import Frame
 from twin.modalities.score import wanted_pixels

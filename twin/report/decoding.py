@@ -9,7 +9,7 @@ from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
-from reconstruction.decode import AxisDecode
+from reconstruction.decoding.decode import AxisDecode
 from reconstruction.mask import Reason
 from reconstruction.patterns import PatternSet
 from reconstruction.pipeline import Reconstruction

@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
-from reconstruction.capture import Capture
+from reconstruction.capture.folder import Capture
 from reconstruction.patterns import AXES, Axis, Frame
 from twin.report.canvas import (
     FAINT,

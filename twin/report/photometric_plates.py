@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from reconstruction.triangulate import PointMap
+from reconstruction.triangulation.triangulate import PointMap
 from twin.modalities.photometric_score import in_world
 from twin.report.balls import BallView, draw_ball
 from twin.report.canvas import symmetric_limit

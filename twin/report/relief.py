@@ -11,7 +11,7 @@ from mpl_toolkits.mplot3d.axes3d import Axes3D  # type: ignore[import-untyped]
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
-from reconstruction.triangulate import PointMap
+from reconstruction.triangulation.triangulate import PointMap
 from twin.report.canvas import (
     add_colorbar,
     axes_at,

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from reconstruction.capture import Capture, read_capture
+from reconstruction.capture.folder import Capture, read_capture
 from reconstruction.errors import InputError
 from reconstruction.outputs import read_reconstruction
 from reconstruction.pipeline import Reconstruction

@@ -13,7 +13,7 @@ from matplotlib.patches import Circle, Polygon
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
-from reconstruction.pinhole import Pinhole
+from reconstruction.rig.pinhole import Pinhole
 from twin.config.models import Experiment
 from twin.optics.rig import true_calibration
 from twin.report.canvas import FIT, INK, MEASURED, NOMINAL, axes_at, drawing, plain_spines

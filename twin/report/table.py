@@ -3,7 +3,7 @@
 from dataclasses import astuple, dataclass, replace
 from typing import Any
 
-from reconstruction.fit import SphereFit
+from reconstruction.evaluate.fit import SphereFit
 from twin.modalities.comparison import Outcome
 from twin.modalities.score import SphereScore, why_absent
 from twin.report import direct

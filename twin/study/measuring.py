@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from reconstruction.capture import write_capture
+from reconstruction.capture.folder import write_capture
 from twin.config import Experiment
 from twin.modalities import measure, measure_photometric
 from twin.modalities.measurement import Measurement

@@ -1,0 +1,273 @@
+"""Adjust camera, projector and all poses together, and say how sure each parameter is.
+
+Minimises the misses of all features in camera and projector pixels. The projector coordinate is
+read at the place where the camera sees the feature, so an error d of that place shows in the
+projector as well, as G d with the local slope G. What is independent, and is minimised, is the
+camera's miss and the projector's miss beyond G d, each weighted by its own spread (estimated from
+the misses themselves). Covariance: s^2 (J^T W J)^-1 with s^2 from the residuals (Gauss-Markov;
+Triggs et al., Bundle Adjustment - A Modern Synthesis, 2000).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from reconstruction.arrays import BoolImage, Doubles
+from reconstruction.calibration.conics import centre_bias_px
+from reconstruction.calibration.defocus import PHASE_SHARE, defocus_slopes_px
+from reconstruction.calibration.freedom import Freedom, admissible, freedom_matrix
+from reconstruction.calibration.observation import Observation
+from reconstruction.calibration.parameters import Rig, pack, project_pose, unpack
+from reconstruction.errors import InputError
+
+# The bias of dot centres depends on the poses and is at most some tenths of a pixel: it settles at
+# once. The weights settle with it.
+TURNS = 4
+# A feature that misses by more than this many spreads is left out (a dirty or half-hidden dot), but
+# never for less than this many pixels: exact data have no outliers.
+OUTLIER_SPREADS, MIN_OUTLIER_PX = 6.0, 1e-3
+# Misses are never trusted beyond this: exact data would get infinite weight.
+MIN_SPREAD_PX = 1e-9
+MAD_TO_SIGMA = 1.4826
+# Rounding only: what the poses hardly determine shows in its uncertainty.
+MIN_SINGULAR_RATIO = 1e-9
+# Coefficients of the camera's defocus, at the end of the vector.
+DEFOCUS = 2
+
+
+@dataclass(frozen=True)
+class AdjustOptions:
+    """What is estimated.
+
+    Parameters
+    ----------
+    freedom : parameters that are free, see `Freedom`
+    correct_dot_bias : take out the perspective bias of dot centres
+    """
+
+    freedom: Freedom = field(default_factory=Freedom)
+    correct_dot_bias: bool = True
+
+
+@dataclass(frozen=True, eq=False)
+class Adjustment:
+    """The rig found, and how well.
+
+    Parameters
+    ----------
+    rig : camera, projector and motions
+    vector : (p,) float, all parameters in the order of `parameters`
+    covariance : (p, p) float; 0 for what was held fixed
+    pupil_mm2, pupil_sigma_mm2 : mean square of the x of the camera's pupil, a quarter of its
+        squared radius, and its standard uncertainty; 0 where it is not estimated
+    measured_px : per pose (n, 4) float: camera x, y, projector column, row of the features, the
+        perspective bias of dots and the displacement of defocus taken out
+    misses_px : per pose (n, 4) float: measured minus projected
+    used : per pose (n,) bool, features that took part
+    spread_px : standard deviation of the misses of the camera, and of the projector beyond what the
+        camera's misses explain
+    degrees_of_freedom : measured numbers minus free parameters
+    """
+
+    rig: Rig
+    vector: Doubles
+    covariance: Doubles
+    pupil_mm2: float
+    pupil_sigma_mm2: float
+    measured_px: tuple[Doubles, ...]
+    misses_px: tuple[Doubles, ...]
+    used: tuple[BoolImage, ...]
+    spread_px: tuple[float, float]
+    degrees_of_freedom: int
+
+
+def adjust(
+    observations: Sequence[Observation], start: Rig, options: AdjustOptions | None = None
+) -> Adjustment:
+    """Adjust the rig to the observations.
+
+    Raises
+    ------
+    InputError : the poses do not determine the free parameters, or the adjustment does not settle
+    """
+    chosen = options or AdjustOptions()
+    problem = _Problem(observations, start, chosen)
+    vector = np.append(admissible(chosen.freedom, pack(start)), np.zeros(DEFOCUS))
+    for turn in range(TURNS):
+        problem.measure(vector)
+        if turn:  # the first turn only brings the rig near
+            problem.weigh(vector)
+        vector = problem.solve(vector)
+    problem.measure(vector)
+    return problem.result(vector)
+
+
+class _Problem:
+    """The misses of all features as a function of the free parameters.
+
+    Vectors are those of `pack`, followed by the coefficients of the defocus.
+    """
+
+    def __init__(
+        self, observations: Sequence[Observation], start: Rig, options: AdjustOptions
+    ) -> None:
+        self._seen, self._devices = observations, (start.camera, start.projector)
+        self._correct = options.correct_dot_bias
+        self._freedom = _freedom(options.freedom, len(pack(start)))
+        self._defocus = [np.zeros((len(seen.ids), 4, DEFOCUS)) for seen in observations]
+        self._targets = [np.hstack([seen.camera_px, seen.projector_px]) for seen in observations]
+        self._spread = np.ones(2)
+        self._used = [np.ones(len(seen.ids), dtype=np.bool_) for seen in observations]
+
+    def measure(self, vector: Doubles) -> None:
+        """Move the dot centres from the ellipses' to the imaged centres; see how defocus acts."""
+        rig = unpack(vector[:-DEFOCUS], *self._devices)
+        middle_mm = float(np.median(rig.T_cam_from_board[:, 2, 3]))
+        for k, (seen, T) in enumerate(zip(self._seen, rig.T_cam_from_board, strict=True)):
+            inside = seen.points_mm @ T[:3, :3].T + T[:3, 3]
+            shift = defocus_slopes_px(rig.camera, inside, T[:3, 2], middle_mm)
+            self._defocus[k] = np.hstack([shift, PHASE_SHARE * seen.slopes @ shift])
+            if not self._correct:
+                continue
+            bias = centre_bias_px(rig.camera, inside, seen.radii_mm, T[:3, :3])
+            along = np.einsum("nij,nj->ni", seen.slopes, bias)
+            self._targets[k] = np.hstack([seen.camera_px - bias, seen.projector_px - along])
+
+    def weigh(self, vector: Doubles) -> None:
+        """Set spreads from the misses (robustly) and leave out features far beyond them."""
+        misses = self._independent(vector)
+        stacked = np.concatenate(misses)
+        for device in range(2):
+            own = stacked[:, 2 * device : 2 * device + 2]
+            spread = MAD_TO_SIGMA * np.median(np.abs(own - np.median(own, axis=0)))
+            self._spread[device] = max(float(spread), MIN_SPREAD_PX)
+        limit = np.maximum(OUTLIER_SPREADS * np.repeat(self._spread, 2), MIN_OUTLIER_PX)
+        self._used = [np.asarray(np.all(np.abs(miss) < limit, axis=1)) for miss in misses]
+        self._require_enough()
+
+    def _require_enough(self) -> None:
+        for seen, used in zip(self._seen, self._used, strict=True):
+            if used.sum() < 6:
+                raise InputError(
+                    f"{seen.name}: only {used.sum()} of {len(used)} features fit the common rig; "
+                    "leave this pose out, or check that the board did not move during it"
+                )
+
+    def misses(self, vector: Doubles) -> list[Doubles]:
+        """Return measured minus projected pixels of every pose, (n, 4)."""
+        return [
+            target - project_pose(vector, k, seen.points_mm)[0]
+            for k, (seen, target) in enumerate(zip(self._seen, self._sharp(vector), strict=True))
+        ]
+
+    def _sharp(self, vector: Doubles) -> list[Doubles]:
+        """Return what would be measured without defocus, (n, 4) px."""
+        coefficients = vector[-DEFOCUS:]
+        return [
+            target - slopes @ coefficients
+            for target, slopes in zip(self._targets, self._defocus, strict=True)
+        ]
+
+    def _independent(self, vector: Doubles) -> list[Doubles]:
+        """Return the misses with the camera's share taken out of the projector's, (n, 4)."""
+        found = self.misses(vector)
+        for miss, seen in zip(found, self._seen, strict=True):
+            miss[:, 2:] -= np.einsum("nij,nj->ni", seen.slopes, miss[:, :2])
+        return found
+
+    def _weights(self) -> Doubles:
+        return 1.0 / np.repeat(self._spread, 2)
+
+    def _residuals(self, free: Doubles, vector: Doubles) -> Doubles:
+        misses = self._independent(vector + self._freedom @ free)
+        weights = self._weights()
+        return np.concatenate(
+            [(miss[u] * weights).ravel() for miss, u in zip(misses, self._used, strict=True)]
+        )
+
+    def _jacobian(self, free: Doubles, vector: Doubles) -> Doubles:
+        now, weights = vector + self._freedom @ free, self._weights()
+        blocks = []
+        for k, (seen, used) in enumerate(zip(self._seen, self._used, strict=True)):
+            slopes = project_pose(now, k, seen.points_mm[used])[1]
+            slopes[..., -DEFOCUS:] = self._defocus[k][used]
+            slopes[:, 2:] -= seen.slopes[used] @ slopes[:, :2]
+            blocks.append((-weights[:, np.newaxis] * slopes).reshape(-1, len(vector)))
+        return np.concatenate(blocks) @ self._freedom
+
+    def solve(self, vector: Doubles) -> Doubles:
+        found = least_squares(
+            self._residuals,
+            np.zeros(self._freedom.shape[1]),
+            self._jacobian,
+            method="lm",  # trf spends its time in singular value decompositions
+            x_scale="jac",
+            xtol=1e-12,
+            ftol=1e-12,
+            gtol=1e-12,
+            max_nfev=100,
+            args=(vector,),
+        )
+        if not np.all(np.isfinite(found.x)):
+            raise InputError("the adjustment diverges: check the board's data and the poses")
+        return np.asarray(vector + self._freedom @ found.x)
+
+    def result(self, vector: Doubles) -> Adjustment:
+        nothing = np.zeros(self._freedom.shape[1])
+        jacobian, residuals = self._jacobian(nothing, vector), self._residuals(nothing, vector)
+        degrees = len(residuals) - len(nothing)
+        covariance = _covariance(jacobian) * float(residuals @ residuals) / degrees
+        covariance = self._freedom @ covariance @ self._freedom.T
+        independent = self._independent(vector)
+        return Adjustment(
+            rig=unpack(vector[:-DEFOCUS], *self._devices),
+            vector=vector[:-DEFOCUS],
+            covariance=covariance[:-DEFOCUS, :-DEFOCUS],
+            pupil_mm2=float(vector[-DEFOCUS]),
+            pupil_sigma_mm2=float(np.sqrt(covariance[-DEFOCUS, -DEFOCUS])),
+            measured_px=tuple(self._sharp(vector)),
+            misses_px=tuple(self.misses(vector)),
+            used=tuple(self._used),
+            spread_px=_spreads(independent, self._used, degrees / len(residuals)),
+            degrees_of_freedom=degrees,
+        )
+
+
+def _freedom(freedom: Freedom, size: int) -> Doubles:
+    """Return the map from free changes to changes of the rig's parameters and of the defocus."""
+    rig = freedom_matrix(freedom, size)
+    free = DEFOCUS if freedom.camera_defocus else 0
+    whole = np.zeros((size + DEFOCUS, rig.shape[1] + free))
+    whole[:size, : rig.shape[1]] = rig
+    whole[size : size + free, rig.shape[1] :] = np.eye(free)
+    return whole
+
+
+def _covariance(jacobian: Doubles) -> Doubles:
+    """Invert J^T J, its columns scaled, by way of Q R; refuse what the data do not determine."""
+    scale = np.linalg.norm(jacobian, axis=0)
+    if np.any(scale == 0.0):
+        raise _undetermined()
+    values, vectors = np.linalg.svd(np.linalg.qr(jacobian / scale, mode="r"))[1:]
+    if values[-1] < MIN_SINGULAR_RATIO * values[0]:
+        raise _undetermined()
+    half = vectors.T / values
+    return np.asarray(half @ half.T / np.outer(scale, scale))
+
+
+def _undetermined() -> InputError:
+    return InputError(
+        "the board poses do not determine every free parameter: tilt the board by 10 to 25 degrees "
+        "in at least three directions, or estimate fewer parameters"
+    )
+
+
+def _spreads(
+    misses: Sequence[Doubles], used: Sequence[BoolImage], share: float
+) -> tuple[float, float]:
+    """Return the standard deviation of both devices' misses, free parameters allowed for."""
+    kept = np.concatenate([miss[u] for miss, u in zip(misses, used, strict=True)])
+    camera, projector = (float(np.sqrt(np.mean(kept[:, i : i + 2] ** 2) / share)) for i in (0, 2))
+    return camera, projector

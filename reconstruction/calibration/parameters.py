@@ -1,0 +1,127 @@
+"""The rig and the board poses as one vector, and how it projects the boards' features.
+
+Layout: camera fx fy cx cy k1 k2 p1 p2 k3, projector likewise, T_proj_from_cam (rotation vector in
+rad, translation in mm), then T_cam_from_board of every pose likewise.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from reconstruction.arrays import Doubles
+from reconstruction.rig.pinhole import Pinhole
+
+INTRINSICS = ("fx_px", "fy_px", "cx_px", "cy_px", "k1", "k2", "p1", "p2", "k3")
+MOTION = ("rx_rad", "ry_rad", "rz_rad", "tx_mm", "ty_mm", "tz_mm")
+CAMERA, PROJECTOR = slice(0, 9), slice(9, 18)
+STEREO = slice(18, 24)
+POSES = 24
+
+
+@dataclass(frozen=True, eq=False)
+class Rig:
+    """Camera, projector, motion between them and the board's motions into the camera frame."""
+
+    camera: Pinhole
+    projector: Pinhole
+    T_proj_from_cam: Doubles
+    T_cam_from_board: Doubles
+
+
+def pack(rig: Rig) -> Doubles:
+    """Return the parameter vector, (24 + 6 poses,)."""
+    motions = [rig.T_proj_from_cam, *rig.T_cam_from_board]
+    parts = [_intrinsics(rig.camera), _intrinsics(rig.projector), *map(_vector, motions)]
+    return np.concatenate(parts)
+
+
+def unpack(vector: Doubles, camera: Pinhole, projector: Pinhole) -> Rig:
+    """Return the rig of a parameter vector; image sizes are taken from the given devices."""
+    motions = vector[STEREO.start :].reshape(-1, 6)
+    matrices = np.stack([_matrix(motion) for motion in motions])
+    return Rig(
+        _pinhole(vector[CAMERA], camera),
+        _pinhole(vector[PROJECTOR], projector),
+        matrices[0],
+        matrices[1:],
+    )
+
+
+def _intrinsics(device: Pinhole) -> Doubles:
+    return np.array(
+        [device.fx_px, device.fy_px, device.cx_px, device.cy_px, *device.distortion], np.float64
+    )
+
+
+def _pinhole(values: Doubles, like: Pinhole) -> Pinhole:
+    fx, fy, cx, cy, k1, k2, p1, p2, k3 = (float(value) for value in values)
+    return Pinhole(like.width_px, like.height_px, fx, fy, cx, cy, (k1, k2, p1, p2, k3))
+
+
+def _vector(matrix: Doubles) -> Doubles:
+    return np.concatenate([rotation_vector(matrix[:3, :3]), matrix[:3, 3]])
+
+
+def rotation_vector(rotation: Doubles) -> Doubles:
+    """Return the rotation vector (3,) of a matrix, rad.
+
+    Not OpenCV's: it rounds turns near 180 degrees to 1e-5, and a camera looking down on a board
+    is turned by just that.
+    """
+    return np.asarray(Rotation.from_matrix(rotation).as_rotvec())
+
+
+def _matrix(motion: Doubles) -> Doubles:
+    matrix = np.eye(4)
+    matrix[:3, :3] = cv2.Rodrigues(motion[:3].copy())[0]
+    matrix[:3, 3] = motion[3:]
+    return matrix
+
+
+def project_pose(vector: Doubles, pose: int, points_mm: Doubles) -> tuple[Doubles, Doubles]:
+    """Project a board's points into both devices.
+
+    Parameters
+    ----------
+    vector : the parameters
+    pose : number of the pose
+    points_mm : (n, 3) float, board frame
+
+    Returns
+    -------
+    (n, 4) float: camera x, y, projector column, row in px
+    (n, 4, parameters) float: their derivatives
+    """
+    place = slice(POSES + 6 * pose, POSES + 6 * pose + 6)
+    motion, stereo = vector[place], vector[STEREO]
+    pixels = np.zeros((len(points_mm), 4))
+    slopes = np.zeros((len(points_mm), 4, len(vector)))
+    pixels[:, :2], along = _project(points_mm, motion, vector[CAMERA])
+    slopes[:, :2, place], slopes[:, :2, CAMERA] = along[..., :6], along[..., 6:]
+    inside, by_motion = _move(points_mm, motion)
+    pixels[:, 2:], along = _project(inside, stereo, vector[PROJECTOR])
+    # A step in the camera frame acts like a shift of the projector, turned into its frame.
+    by_point = along[..., 3:6] @ cv2.Rodrigues(stereo[:3].copy())[0]
+    slopes[:, 2:, place] = by_point @ by_motion
+    slopes[:, 2:, STEREO], slopes[:, 2:, PROJECTOR] = along[..., :6], along[..., 6:]
+    return pixels, slopes
+
+
+def _project(points_mm: Doubles, motion: Doubles, lens: Doubles) -> tuple[Doubles, Doubles]:
+    matrix = np.array([[lens[0], 0.0, lens[2]], [0.0, lens[1], lens[3]], [0.0, 0.0, 1.0]])
+    # OpenCV keeps views of what it is given: it gets copies.
+    rotation, shift, distortion = motion[:3].copy(), motion[3:].copy(), lens[4:].copy()
+    pixels, slopes = cv2.projectPoints(points_mm, rotation, shift, matrix, distortion)[:2]
+    return pixels.reshape(-1, 2), slopes.reshape(-1, 2, 15)
+
+
+def _move(points_mm: Doubles, motion: Doubles) -> tuple[Doubles, Doubles]:
+    """Move points (n, 3); also return the derivatives (n, 3, 6) by the motion."""
+    rotation, derivative = cv2.Rodrigues(motion[:3].copy())
+    turned = derivative.reshape(3, 3, 3)  # by rotation vector, row, column
+    slopes = np.zeros((len(points_mm), 3, 6))
+    slopes[..., :3] = np.einsum("kij,nj->nik", turned, points_mm)
+    slopes[..., 3:] = np.eye(3)
+    return points_mm @ rotation.T + motion[3:], slopes

@@ -1,0 +1,120 @@
+"""capture.toml: the small facts of a capture, checked key by key.
+
+Written by hand rather than by a TOML library: it holds only numbers, flags and file names.
+"""
+
+import difflib
+import json
+import tomllib
+from collections.abc import Iterable, Mapping
+from dataclasses import MISSING, asdict, dataclass, fields
+from pathlib import Path
+from typing import Any, TypeVar
+
+from reconstruction.checks import require_integer
+from reconstruction.errors import CaptureError, InputError
+from reconstruction.patterns import PatternSet
+from reconstruction.rig.sensor import SensorNoise
+
+FORMAT = "fringe-capture"
+VERSION = 1
+TABLES: dict[str, type[Any]] = {"patterns": PatternSet, "sensor": SensorNoise}
+Part = TypeVar("Part")
+
+
+@dataclass(frozen=True)
+class Description:
+    """Content of capture.toml; file names are relative to its folder."""
+
+    patterns: PatternSet
+    sensor: SensorNoise
+    width_px: int
+    height_px: int
+    bit_depth: int
+    stack_file: str
+    calibration_file: str
+
+    def __post_init__(self) -> None:
+        require_integer("width_px", self.width_px, 1, 1_000_000)
+        require_integer("height_px", self.height_px, 1, 1_000_000)
+        require_integer("bit_depth", self.bit_depth, 8, 16)
+        for name in ("stack_file", "calibration_file"):
+            value = getattr(self, name)
+            if not isinstance(value, str) or not value or Path(value).name != value:
+                raise InputError(f"{name} is {value!r}; give the name of a file in this folder")
+
+
+def write_description(path: Path, description: Description) -> None:
+    """Write `description` as TOML."""
+    values: dict[str, Any] = {"format": FORMAT, "version": VERSION} | asdict(description)
+    tables = {name: values.pop(name) for name in TABLES}
+    lines = assignments(values)
+    for name, table in tables.items():
+        lines += ["", f"[{name}]", *assignments(table)]
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def assignments(values: Mapping[str, Any]) -> list[str]:
+    """Return the lines of a TOML table; `complementary` goes without saying beside `code`."""
+    # JSON text of a string, flag, finite number or list of them is valid TOML.
+    said = {name: value for name, value in values.items() if name != "complementary"}
+    return [f"{name} = {json.dumps(value)}" for name, value in said.items()]
+
+
+def read_description(path: Path) -> Description:
+    """Read capture.toml.
+
+    Raises
+    ------
+    CaptureError : no TOML, wrong format or version, unknown or missing key, value out of range
+    """
+    values = read_toml(path)
+    try:
+        take_header(values, (FORMAT, VERSION))
+        parts: dict[str, Any] = {
+            name: build(part, table_of(values, name), name) for name, part in TABLES.items()
+        }
+        return build(Description, values | parts, "capture.toml")
+    except InputError as error:
+        raise CaptureError(f"{path}: {error}") from error
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """Return the content of a TOML file, or raise CaptureError."""
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise CaptureError(f"{path}: cannot be read as TOML: {error}") from error
+
+
+def take_header(values: dict[str, Any], expected: tuple[str, int]) -> None:
+    """Remove format and version from `values`; raise CaptureError unless they are `expected`."""
+    found = (values.pop("format", None), values.pop("version", None))
+    if found != expected:
+        raise CaptureError(f"format and version are {found}; this program reads {expected}")
+
+
+def table_of(values: Mapping[str, Any], name: str) -> dict[str, Any]:
+    """Return one table of a TOML file, or raise CaptureError."""
+    table = values.get(name)
+    if not isinstance(table, dict):
+        raise CaptureError(f"table [{name}] is missing")
+    return table
+
+
+def build(part: type[Part], table: Mapping[str, Any], where: str) -> Part:
+    """Make the dataclass `part` from exactly its own keys."""
+    known = {item.name: item for item in fields(part)}  # type: ignore[arg-type]
+    for key in table:
+        if key not in known:
+            raise CaptureError(f"unknown key {key} in {where}{_suggestion(key, known)}")
+    required = [name for name, item in known.items() if item.default is MISSING]
+    missing = [name for name in required if name not in table]
+    if missing:
+        raise CaptureError(f"missing in {where}: {', '.join(missing)}")
+    return part(**table)
+
+
+def _suggestion(key: str, known: Iterable[str]) -> str:
+    close = difflib.get_close_matches(key, known, n=1)
+    return f"; did you mean {close[0]}?" if close else f"; allowed are {', '.join(known)}"

@@ -1,0 +1,149 @@
+"""A capture: everything needed to reconstruct, as a folder that any rig can write.
+
+| file | content |
+|---|---|
+| capture.toml | file names, image size, bit depth, [patterns], [sensor] |
+| stack.nc | netCDF-4: `stack` (frame, row, col) uint8, uint16 or float32, DN; `frame_name` |
+| calibration.yaml | OpenCV YAML, see `calibration` |
+
+Or, from a real camera, one image per frame and another kind of capture.toml: see `frame_set`.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from reconstruction.arrays import FloatImage, Stack
+from reconstruction.capture.description import Description, read_description, write_description
+from reconstruction.capture.frame_order import check_order
+from reconstruction.capture.frame_set import is_frame_set, read_frame_set
+from reconstruction.capture.image_files import read_frames
+from reconstruction.capture.pattern_files import read_manifest
+from reconstruction.capture.stack_file import TYPES, read_stack, write_stack
+from reconstruction.checks import require_integer
+from reconstruction.errors import CaptureError, InputError
+from reconstruction.patterns import PatternSet
+from reconstruction.rig.calibration import Calibration, read_calibration, write_calibration
+from reconstruction.rig.sensor import SensorNoise
+
+DESCRIPTION_FILE = "capture.toml"
+STACK_FILE = "stack.nc"
+CALIBRATION_FILE = "calibration.yaml"
+SUBFOLDER = "capture"
+
+
+@dataclass(frozen=True, eq=False)
+class Capture:
+    """Frames and what is known about them.
+
+    Parameters
+    ----------
+    stack : (frame, row, col) uint8 or uint16, DN, in the order of `patterns.frames`; float32 holds
+        the expected values of a noise-free rendering, or corrected frames
+    patterns : what was projected
+    sensor : camera noise
+    calibration : camera and projector; the camera has the image size of the stack
+    bit_depth : bits per pixel value, 8 to 16
+    scale : (row, col) float32, by which merged exposures were multiplied, see `merge_exposures`
+
+    Raises
+    ------
+    CaptureError : the parts do not fit each other
+    """
+
+    stack: Stack
+    patterns: PatternSet
+    sensor: SensorNoise
+    calibration: Calibration
+    bit_depth: int
+    scale: FloatImage | None = None
+
+    def __post_init__(self) -> None:
+        require_integer("bit_depth", self.bit_depth, 8, 16)
+        camera = self.calibration.camera
+        expected = (len(self.patterns.frames), camera.height_px, camera.width_px)
+        if self.stack.dtype.name not in TYPES or self.stack.shape != expected:
+            raise CaptureError(
+                f"stack is {self.stack.dtype} {self.stack.shape}; patterns and calibrated camera "
+                f"need {' or '.join(TYPES)} {expected} (frame, row, col)"
+            )
+        # This way round a NaN of a float stack is refused as well.
+        largest = 2**self.bit_depth * (1.0 if self.scale is None else float(self.scale.max()))
+        if not self.stack.max() < largest:
+            raise CaptureError(
+                f"stack holds the value {self.stack.max()}; {self.bit_depth} bits end at "
+                f"{2**self.bit_depth - 1}: correct bit_depth or the stack"
+            )
+
+
+def write_capture(folder: Path | str, capture: Capture) -> None:
+    """Write the three files into an existing empty folder.
+
+    Raises
+    ------
+    CaptureError : the folder is missing or holds something; exposures were merged
+    """
+    folder = Path(folder)
+    if capture.scale is not None:
+        raise CaptureError(f"{folder}: merged exposures are no capture; keep their image files")
+    if not folder.is_dir() or any(folder.iterdir()):
+        raise CaptureError(f"{folder}: write a capture into an existing empty folder")
+    _, rows, cols = capture.stack.shape
+    description = Description(
+        capture.patterns,
+        capture.sensor,
+        cols,
+        rows,
+        capture.bit_depth,
+        STACK_FILE,
+        CALIBRATION_FILE,
+    )
+    write_stack(folder / STACK_FILE, capture.stack, capture.patterns)
+    write_calibration(folder / CALIBRATION_FILE, capture.calibration)
+    write_description(folder / DESCRIPTION_FILE, description)
+
+
+def read_capture(folder: Path | str) -> Capture:
+    """Read a capture from its folder, or from a folder that holds it as `capture/`.
+
+    The order of the frames is checked; image files of several exposures are merged.
+
+    Raises
+    ------
+    CaptureError : a file is missing, damaged or does not fit the others, or the frames are clearly
+        in another order
+    """
+    folder = _find(Path(folder))
+    if is_frame_set(folder / DESCRIPTION_FILE):
+        return _read_images(folder)
+    description = read_description(folder / DESCRIPTION_FILE)
+    calibration = read_calibration(folder / description.calibration_file)
+    shape = (description.height_px, description.width_px)
+    stack = read_stack(folder / description.stack_file, description.patterns, shape)
+    parts = (description.patterns, description.sensor, calibration)
+    try:
+        capture = Capture(stack, *parts, description.bit_depth)
+        check_order(stack, *parts)
+    except InputError as error:
+        raise CaptureError(f"{folder}: {error}") from error
+    return capture
+
+
+def _read_images(folder: Path) -> Capture:
+    description = read_frame_set(folder / DESCRIPTION_FILE)
+    patterns = read_manifest(folder / description.patterns_file)
+    calibration = read_calibration(folder / description.calibration_file)
+    frames = read_frames(folder, description, patterns, calibration)
+    parts = (patterns, description.sensor, calibration)
+    try:
+        return Capture(frames.stack, *parts, description.bit_depth, frames.scale)
+    except CaptureError as error:
+        raise CaptureError(f"{folder}: {error}") from error
+
+
+def _find(folder: Path) -> Path:
+    for candidate in (folder, folder / SUBFOLDER):
+        if (candidate / DESCRIPTION_FILE).is_file():
+            return candidate
+    raise CaptureError(
+        f"{folder}: no {DESCRIPTION_FILE} here or in {SUBFOLDER}/; give the folder of a capture"
+    )

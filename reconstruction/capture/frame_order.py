@@ -1,0 +1,200 @@
+"""Find out from the data whether frames stand in the order that the pattern set says.
+
+Four looks at a sample of the lit pixels; each names the mistake that explains the data:
+- the whole sequence: does another order (exchanged axes, shifted by one, reversed ...) turn far
+  more of the lit pixels into points?
+- each N-step set: do its frames follow A + B cos(phi + 2 pi n / N), equally bright, and does an
+  exchange of two of them fit better? (`phase_set_order`)
+- phase against the half-periods that an edge-safe Gray code tells: does the set start at step 0?
+  (`step_offset`)
+- Gray words of neighbouring pixels: do they differ by one? (`word_order`)
+
+Not to be seen in the frames: phase frames that start late, or run backwards along both axes, with
+plain Gray and multi-frequency codes; a foreign phase frame with fewer than five steps.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+
+from reconstruction.arrays import BoolImage, Stack
+from reconstruction.capture.phase_set_order import check_phase_sets
+from reconstruction.capture.step_offset import check_first_step
+from reconstruction.capture.word_order import check_words
+from reconstruction.decoding.decode import DecodeOptions, decode
+from reconstruction.errors import CaptureError
+from reconstruction.patterns import AXES, Axis, Frame, PatternSet
+from reconstruction.rig.calibration import Calibration
+from reconstruction.rig.pinhole import Pinhole
+from reconstruction.rig.sensor import SensorNoise
+from reconstruction.triangulation.triangulate import triangulate
+
+SAMPLE_PX = 72
+"""The shorter side of the sample of the image."""
+# Below this share of lit pixels that become points other orders are tried; one of them is blamed
+# only if it wins this much more, so that a difficult but well-ordered capture passes.
+ENOUGH, MUCH_MORE = 0.8, 0.25
+# A pixel is lit when its frames differ by this many sigmas of its noise.
+LIT_SIGMAS = 8.0
+LEAST_LIT = 50
+
+Order = tuple[str, list[int]]
+
+
+@dataclass(frozen=True, eq=False)
+class Sample:
+    """A coarse grid of the capture's pixels."""
+
+    stack: Stack
+    patterns: PatternSet
+    sensor: SensorNoise
+    calibration: Calibration | None
+    is_lit: BoolImage
+
+
+def check_order(
+    stack: Stack,
+    patterns: PatternSet,
+    sensor: SensorNoise,
+    calibration: Calibration | None = None,
+) -> None:
+    """Compare the frames with the pattern set.
+
+    Parameters
+    ----------
+    stack : (frame, row, col), DN of one exposure
+    patterns : what should have been projected, in this order
+    sensor : tells noise from light
+    calibration : lets exchanged axes be noticed even where both axes look alike; None: none yet
+
+    Raises
+    ------
+    CaptureError : another order or unequal exposures explain the frames; names the mistake
+    """
+    sample = _sample(stack, patterns, sensor, calibration)
+    if np.count_nonzero(sample.is_lit) < LEAST_LIT:
+        return
+    _check_sequence(sample)
+    pixels = sample.stack[:, sample.is_lit].astype(np.float64)
+    check_phase_sets(pixels, patterns)
+    check_first_step(pixels, patterns)
+    check_words(stack, patterns, sensor)
+
+
+def _sample(
+    stack: Stack,
+    patterns: PatternSet,
+    sensor: SensorNoise,
+    calibration: Calibration | None,
+) -> Sample:
+    stride = max(1, min(stack.shape[1:]) // SAMPLE_PX)
+    sample = np.ascontiguousarray(stack[:, ::stride, ::stride])
+    largest = sample.max(axis=0).astype(np.float64)
+    span = largest - sample.min(axis=0)
+    is_lit = (span > LIT_SIGMAS * np.sqrt(sensor.variance_dn2(largest))) & (
+        largest < sensor.clipped_from_dn
+    )
+    thinned = None if calibration is None else _thinned(calibration, stride, sample.shape[1:])
+    return Sample(sample, patterns, sensor, thinned, is_lit)
+
+
+def _thinned(calibration: Calibration, stride: int, shape: tuple[int, ...]) -> Calibration:
+    """Return the calibration of a camera of which only each stride-th pixel is read."""
+    camera = calibration.camera
+    coarse = Pinhole(
+        shape[1],
+        shape[0],
+        camera.fx_px / stride,
+        camera.fy_px / stride,
+        camera.cx_px / stride,
+        camera.cy_px / stride,
+        camera.distortion,
+    )
+    return replace(calibration, camera=coarse)
+
+
+def _check_sequence(sample: Sample) -> None:
+    stated = _share_of_points(sample, None)
+    if stated >= ENOUGH:
+        return
+    needed = stated + MUCH_MORE
+    for orders in (_mistakes(sample.patterns), _exchanged_gray(sample.patterns)):
+        found = [(_share_of_points(sample, take), text) for text, take in orders]
+        best, text = max(found, default=(0.0, ""), key=lambda item: item[0])
+        if best >= needed:
+            raise CaptureError(
+                f"the frames do not fit the pattern set: {text}; that order turns {best:.0%} of "
+                f"the lit pixels into points, the stated one {stated:.0%}"
+            )
+
+
+def _share_of_points(sample: Sample, take: list[int] | None) -> float:
+    stack = sample.stack if take is None else np.ascontiguousarray(sample.stack[take])
+    decoded = decode(stack, sample.patterns, sample.sensor, DecodeOptions(filter_taps=0))
+    valid = decoded.valid
+    if sample.calibration is not None:
+        valid = triangulate(decoded, sample.calibration, "both").valid
+    return float(np.mean(valid[sample.is_lit]))
+
+
+def _mistakes(patterns: PatternSet) -> Iterator[Order]:
+    """Yield likely mistakes of whole sequences: what to say, and the index of every frame."""
+    frames = patterns.frames
+    count = len(frames)
+    kinds = {"phase": 0, "gray": 1, "white": 2, "black": 3}
+
+    def sorted_by(key: Callable[[Frame], object]) -> list[int]:
+        recorded = sorted(frames, key=key)  # type: ignore[arg-type]
+        return [recorded.index(frame) for frame in frames]
+
+    def uniform_first(frame: Frame) -> tuple[int, ...]:
+        return (frame.axis is not None,)
+
+    def by_axis(frame: Frame) -> tuple[int, ...]:
+        return (-1 if frame.axis is None else -2 + AXES.index(frame.axis),)
+
+    yield "white and black look exchanged", [*range(count - 2), count - 1, count - 2]
+    yield (
+        "rows and columns look exchanged",
+        sorted_by(lambda f: (kinds[f.kind], f.axis != "row", f.index)),
+    )
+    yield "white and black look recorded first", sorted_by(uniform_first)
+    yield (
+        "Gray frames look recorded before phase frames",
+        sorted_by(lambda f: (f.kind not in ("gray", "phase"), f.kind != "gray")),
+    )
+    yield "frames look recorded axis by axis (phase, Gray, phase, Gray)", sorted_by(by_axis)
+    yield "the frames look recorded backwards", list(range(count))[::-1]
+    for shift in (1, 2):
+        turned = [(i + shift) % count for i in range(count)]
+        yield f"shifted by {shift}: {shift} frame(s) too many at the start", turned
+        turned = [(i - shift) % count for i in range(count)]
+        yield f"shifted by {shift}: the first {shift} frame(s) look missing", turned
+    column, row = (list(range(count))[patterns.index("phase", axis)] for axis in AXES)
+    yield (
+        "the phase frames of columns and rows look exchanged",
+        [*row, *column, *range(row[-1] + 1, count)],
+    )
+    for axes in (AXES, AXES[:1], AXES[1:]):
+        text = f"the phase frames along {' and '.join(axes)} look recorded backwards"
+        yield text, _phase_backwards(patterns, axes)
+
+
+def _phase_backwards(patterns: PatternSet, axes: tuple[Axis, ...]) -> list[int]:
+    take = list(range(len(patterns.frames)))
+    for axis in axes:
+        start, stop = patterns.index("phase", axis).start, patterns.index("phase", axis).stop
+        for first in range(start, stop, patterns.steps):
+            take[first : first + patterns.steps] = take[first : first + patterns.steps][::-1]
+    return take
+
+
+def _exchanged_gray(patterns: PatternSet) -> Iterator[Order]:
+    frames = patterns.frames
+    gray = [i for i, frame in enumerate(frames) if frame.kind == "gray"]
+    for i, j in combinations(gray, 2):
+        take = list(range(len(frames)))
+        take[i], take[j] = j, i
+        yield f"frames {i} ({frames[i].name}) and {j} ({frames[j].name}) look exchanged", take

@@ -1,0 +1,207 @@
+"""Frames of a real camera from PNG, TIFF, BMP or EXR files into one checked stack.
+
+PNG, TIFF and BMP by imageio, EXR by OpenEXR; EXR holds DN as floating-point numbers. A dark frame D
+is taken off as I - D + black level: a constant per pixel, which drops out of the phase but not of
+white against black or of merged exposures.
+"""
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from reconstruction.arrays import FloatImage, Stack
+from reconstruction.capture.exposures import merge_exposures
+from reconstruction.capture.frame_order import check_order
+from reconstruction.capture.frame_set import FrameSet, frame_files
+from reconstruction.cores import threads
+from reconstruction.errors import CaptureError, InputError
+from reconstruction.patterns import PatternSet
+from reconstruction.rig.calibration import Calibration
+from reconstruction.rig.sensor import SensorNoise
+
+Image = NDArray[Any]
+TYPES = ("uint8", "uint16", "float32")
+# Ratio of two exposures' light against that of their times: beyond it the sets are mixed up.
+EXPOSURE_FACTOR = 1.5
+
+
+@dataclass(frozen=True, eq=False)
+class Frames:
+    """Stack (frame, row, col), DN, and by how much merged exposures were scaled, (row, col)."""
+
+    stack: Stack
+    scale: FloatImage | None
+
+
+def read_frames(
+    folder: Path,
+    description: FrameSet,
+    patterns: PatternSet,
+    calibration: Calibration | None = None,
+) -> Frames:
+    """Read, check, and where there are several exposures merge the frames of a folder.
+
+    Parameters
+    ----------
+    calibration : helps to notice exchanged axes; None: none yet
+
+    Raises
+    ------
+    CaptureError : missing or damaged images, unequal sizes or types, values beyond the bit depth,
+        exposures that do not fit the light, frames clearly in another order
+    """
+    sets = [
+        read_stack_of_images(files, description.bit_depth)
+        for files in frame_files(folder, description, patterns)
+    ]
+    if description.dark_file:
+        dark = _read_dark(folder / description.dark_file, sets[0].shape[1:])
+        sets = [subtract_dark(stack, dark, description.sensor) for stack in sets]
+    try:
+        for stack in sets:
+            check_order(stack, patterns, description.sensor, calibration)
+        if len(sets) == 1:
+            return Frames(sets[0], None)
+        _check_exposures(sets, description, patterns)
+        merged = merge_exposures(sets, description.exposures_ms, description.sensor)
+    except InputError as error:
+        raise CaptureError(f"{folder}: {error}") from error
+    return Frames(merged.stack, merged.scale)
+
+
+def read_stack_of_images(files: Sequence[Path], bit_depth: int) -> Stack:
+    """Return the images as one stack (frame, row, col) of their own type.
+
+    Raises
+    ------
+    CaptureError : an image is damaged or unlike the first one, or holds values beyond `bit_depth`
+    """
+    first = read_image(files[0])
+    stack = np.zeros((len(files), *first.shape), first.dtype)
+
+    def load(number: int) -> None:
+        image = read_image(files[number])
+        if image.shape != first.shape or image.dtype != first.dtype:
+            raise CaptureError(
+                f"{files[number]}: is {_described(image)}, {files[0].name} is {_described(first)}; "
+                "all frames must be recorded alike"
+            )
+        _check_depth(files[number], image, bit_depth)
+        stack[number] = image
+
+    with ThreadPoolExecutor(threads()) as pool:
+        for _ in pool.map(load, range(len(files))):
+            pass
+    return stack
+
+
+def read_image(path: Path) -> Image:
+    """Return a grey image, (row, col) uint8, uint16 or float32.
+
+    Raises
+    ------
+    CaptureError : missing, damaged, coloured, or of another type
+    """
+    if not path.is_file():
+        raise CaptureError(f"{path}: the image is missing")
+    try:
+        image = _read_exr(path) if path.suffix.lower() == ".exr" else _read_plain(path)
+    except (OSError, RuntimeError, ValueError, SyntaxError) as error:
+        # Pillow calls a broken PNG a SyntaxError.
+        reason = " ".join(str(error).split())
+        raise CaptureError(f"{path}: is no complete image ({reason})") from error
+    if image.ndim == 3 and np.all(image[..., :3] == image[..., :1]):
+        image = np.ascontiguousarray(image[..., 0])
+    if image.ndim != 2 or image.dtype.name not in TYPES:
+        raise CaptureError(
+            f"{path}: is {_described(image)}; record grey images of {', '.join(TYPES)}: the three "
+            "channels of a colour image are not one intensity"
+        )
+    return image
+
+
+def _read_plain(path: Path) -> Image:
+    import imageio.v3 as imageio  # 0.1 s that a netCDF capture need not pay
+
+    return np.asarray(imageio.imread(path, plugin="pillow"))
+
+
+def _read_exr(path: Path) -> Image:
+    import OpenEXR  # as above
+
+    with OpenEXR.File(str(path), separate_channels=True) as file:
+        channels = [np.asarray(channel.pixels, np.float32) for channel in file.channels().values()]
+        return channels[0].copy() if len(channels) == 1 else np.stack(channels, axis=-1)
+
+
+def _check_depth(path: Path, image: Image, bit_depth: int) -> None:
+    largest = 2**bit_depth - 1
+    if image.dtype == np.uint8 and bit_depth > 8:
+        raise CaptureError(
+            f"{path}: holds 8 bits, capture.toml says bit_depth = {bit_depth}; store 16-bit images "
+            "or say bit_depth = 8"
+        )
+    # This way round NaN is refused as well; a float between the last two levels is not clipped.
+    if not image.max() < largest + 1:
+        step = int(np.gcd.reduce(image.ravel())) if image.dtype.kind == "u" else 1
+        shifted = f"; all values are multiples of {step}: the bits stand on the left" * (step > 1)
+        raise CaptureError(
+            f"{path}: holds the value {image.max()}, {bit_depth} bits end at {largest}{shifted}; "
+            "correct bit_depth and with it [sensor]"
+        )
+
+
+def _described(image: Image) -> str:
+    size = f"{image.shape[1]} x {image.shape[0]} px" if image.ndim > 1 else f"{image.shape}"
+    colours = f" with {image.shape[2]} channels" if image.ndim == 3 else ""
+    return f"{size} of {image.dtype}{colours}"
+
+
+def _read_dark(path: Path, shape: tuple[int, ...]) -> Image:
+    dark = read_image(path)
+    if dark.shape != shape:
+        raise CaptureError(
+            f"{path}: the dark frame is {dark.shape[1]} x {dark.shape[0]} px, the frames are "
+            f"{shape[1]} x {shape[0]} px; record it with the same region of the sensor"
+        )
+    return dark
+
+
+def subtract_dark(stack: Stack, dark: Image, sensor: SensorNoise) -> Stack:
+    """Return float32 frames with every pixel's dark value moved to the black level.
+
+    A clipped pixel stays clipped, and a lost one (0) stays lost, for `decode` to see. One that a
+    dark value below the black level lifts to `clipped_from_dn` counts as clipped from then on.
+    """
+    black_dn = np.float32(sensor.black_level_dn)
+    offset = dark.astype(np.float32) - black_dn
+    result = stack.astype(np.float32)
+    for frame in result:
+        keeps = (frame >= sensor.clipped_from_dn) | ((frame == 0.0) & (black_dn > 0.0))
+        frame -= np.where(keeps, np.float32(0.0), offset)
+        np.minimum(frame, np.float32(sensor.saturation_dn), out=frame)
+    return result
+
+
+def _check_exposures(sets: Sequence[Stack], description: FrameSet, patterns: PatternSet) -> None:
+    times_ms, sensor = description.exposures_ms, description.sensor
+    white, black = patterns.index("white").start, patterns.index("black").start
+    first = sets[0][white].astype(np.float64) - sets[0][black]
+    for number in range(1, len(sets)):
+        light = sets[number][white].astype(np.float64) - sets[number][black]
+        below = np.maximum(sets[0][white], sets[number][white]) < sensor.clipped_from_dn
+        is_lit = below & (np.maximum(first, light) > 0.1 * sensor.saturation_dn)
+        if not is_lit.any():
+            continue
+        ratio = float(np.median(light[is_lit])) / max(float(np.median(first[is_lit])), 1e-9)
+        expected = times_ms[number] / times_ms[0]
+        if not 1.0 / EXPOSURE_FACTOR < ratio / expected < EXPOSURE_FACTOR:
+            raise CaptureError(
+                f"set {number} is {ratio:.2g} times as bright as set 0, exposures_ms say "
+                f"{expected:.2g}; the sets or their exposures look exchanged"
+            )

@@ -1,0 +1,1 @@
+"""From camera frames to projector coordinates, their sigma, and why a pixel has none."""

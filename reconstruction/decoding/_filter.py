@@ -1,0 +1,221 @@
+"""The filter over a band of image rows, in patches that stay in the cache; see `smoothing`."""
+
+# ruff: noqa: PLR0917 - compiled functions cannot take keyword-only arguments
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from reconstruction._jit import compiled, inlined
+from reconstruction.decoding._half import pack_row, unpack_row
+from reconstruction.decoding._lift import (
+    ONE,
+    ZERO,
+    Planes,
+    Smoothing,
+    Window,
+    make_planes,
+    multiply,
+    weigh,
+    write_coarse,
+    write_lift,
+)
+from reconstruction.decoding._relief import (
+    BLOCK,
+    REACH,
+    Blocks,
+    add_variances,
+    give_back,
+    make_blocks,
+    sum_blocks,
+    weigh_blocks,
+    write_root,
+    write_share,
+)
+from reconstruction.decoding._sum import DARK, LOW_MODULATION
+from reconstruction.mask import Reason
+
+PATCH_COLS = 512
+VALID, EDGE = np.uint8(Reason.VALID), np.uint8(Reason.EDGE)
+# The value of a pixel without one: no pair with it comes within any limit.
+NOWHERE = np.float32(1e30)
+
+
+class Unfiltered(NamedTuple):
+    """Maps to smooth, (axis, row, col), and what tells where they hold: reason 0."""
+
+    coordinate_px: Any
+    sigma: Any
+    reason: Any
+
+
+class Smoothed(NamedTuple):
+    """The result, (axis, row, col): coordinate, packed sigma, share of its square that is bias."""
+
+    coordinate_px: Any
+    sigma: Any
+    bias_share: Any
+    reason: Any  # (row, col)
+
+
+class Patch(NamedTuple):
+    """A part of the image, and where in the planes it and the rest of the image lie."""
+
+    top: int  # image row of plane row 0
+    left: int
+    rows: int
+    cols: int
+    above: int  # plane row and column where the patch begins
+    start: int
+    low: int  # plane rows low to high - 1 and columns near to far - 1 are image
+    high: int
+    near: int
+    far: int
+
+
+@compiled
+def mark_edges(first_row: int, end_row: int, reason: Any, out: Any) -> None:
+    """Copy the mask, with `EDGE` on valid pixels that have a neighbour without light."""
+    rows, width = reason.shape
+    unlit = np.zeros((3, width + 2), np.bool_)
+    for row in range(first_row, end_row):
+        for k in range(3):
+            _find_unlit(reason[min(max(row + k - 1, 0), rows - 1)], unlit[k, 1 : width + 1])
+        middle = unlit[1]
+        _mark_edge(
+            reason[row], unlit[0, 1 : width + 1], unlit[2, 1 : width + 1], middle[:width],
+            middle[2:], out[row],
+        )  # fmt: skip
+
+
+@compiled
+def _find_unlit(reason: Any, unlit: Any) -> None:
+    for col in range(reason.size):
+        unlit[col] = (reason[col] == DARK) | (reason[col] == LOW_MODULATION)
+
+
+@compiled
+def _mark_edge(reason: Any, above: Any, below: Any, left: Any, right: Any, out: Any) -> None:
+    for col in range(out.size):
+        is_edge = (above[col] | below[col] | left[col] | right[col]) & (reason[col] == VALID)
+        out[col] = EDGE if is_edge else reason[col]
+
+
+@compiled
+def _mark(reason: Any, usable: Any) -> None:
+    for col in range(usable.size):
+        usable[col] = ONE if reason[col] == 0 else ZERO
+
+
+@compiled
+def _place(x: Any, usable: Any, out: Any) -> None:
+    for col in range(out.size):
+        out[col] = x[col] if usable[col] > ZERO else NOWHERE
+
+
+@compiled
+def _load_mask(source: Unfiltered, patch: Patch, planes: Planes) -> None:
+    planes.usable[:] = ZERO
+    first, end = patch.left + patch.near, patch.left + patch.far
+    for row in range(patch.low, patch.high):
+        line = source.reason[patch.top + row]
+        _mark(line[first:end], planes.usable[row, patch.near : patch.far])
+
+
+@compiled
+def _load_axis(
+    axis: int, source: Unfiltered, patch: Patch, smoothing: Smoothing, planes: Planes
+) -> None:
+    """Write the coordinate and the variance of the single pixel."""
+    planes.value[:], planes.variance[:] = NOWHERE, ZERO
+    near, far = patch.near, patch.far
+    first, end = patch.left + near, patch.left + far
+    for row in range(patch.low, patch.high):
+        line, variance = source.coordinate_px[axis, patch.top + row], planes.variance[row, near:far]
+        _place(line[first:end], planes.usable[row, near:far], planes.value[row, near:far])
+        sigma = source.sigma[axis, patch.top + row, first:end]
+        unpack_row(sigma, smoothing.sigma_unit, variance)
+        multiply(variance, variance)
+
+
+@compiled
+def _write(
+    axis: int, planes: Planes, patch: Patch, smoothing: Smoothing, blocks: Blocks, target: Smoothed
+) -> None:
+    inside, first = slice(patch.start, patch.start + patch.cols), patch.left + patch.start
+    out, spread = slice(first, first + patch.cols), blocks.spread
+    total, sigma, spare = (
+        np.zeros(patch.cols, np.float32),
+        np.zeros(patch.cols, np.float32),
+        np.zeros(patch.cols, np.float32),
+    )
+    block = -1
+    for row in range(patch.above, patch.above + patch.rows):
+        if row // BLOCK != block:
+            block = row // BLOCK
+            weigh_blocks(block, smoothing, blocks)
+        at = patch.top + row
+        usable, lift, coarse = (
+            planes.usable[row, inside],
+            planes.lift[row, inside],
+            planes.coarse[row, inside],
+        )
+        value = target.coordinate_px[axis, at, out]
+        give_back(
+            planes.value[row, inside],
+            usable,
+            lift,
+            coarse,
+            spread[0, inside],
+            spread[1, inside],
+            value,
+        )
+        add_variances(
+            planes.variance[row, inside], planes.gain[row, inside], smoothing.noise[0, 0],
+            spread[2, inside], spread[3, inside], spread[4, inside], total,
+        )  # fmt: skip
+        write_share(spread[5, inside], total, usable, target.bias_share[axis, at, out])
+        write_root(total, usable, sigma)
+        pack_row(sigma, smoothing.sigma_factor, spare, target.sigma[axis, at, out])
+
+
+@compiled
+def _smooth_patch(
+    patch: Patch, source: Unfiltered, smoothing: Smoothing, planes: Planes, blocks: Blocks,
+    target: Smoothed,
+) -> None:  # fmt: skip
+    half = smoothing.weights.size // 2
+    window = Window(half, planes.usable.shape[1] - 2 * half, half)
+    _load_mask(source, patch, planes)
+    weigh(planes, smoothing.weights, half, window)
+    for axis in range(2):
+        _load_axis(axis, source, patch, smoothing, planes)
+        write_lift(planes, smoothing, window)
+        write_coarse(planes, smoothing.weights, window)
+        sum_blocks(planes, half, blocks)
+        _write(axis, planes, patch, smoothing, blocks, target)
+
+
+@inlined
+def _whole(size: int) -> int:
+    return (size + BLOCK - 1) // BLOCK * BLOCK
+
+
+@compiled
+def smooth_rows(
+    first_row: int, end_row: int, source: Unfiltered, smoothing: Smoothing, target: Smoothed
+) -> None:
+    """Fill `target` for rows first_row to end_row - 1, in patches that stay in the cache."""
+    rows, width = source.reason.shape
+    margin, count = _whole(2 * (smoothing.weights.size // 2) + REACH), end_row - first_row
+    above = margin + first_row % BLOCK
+    top, high = first_row - above, _whole(above + count + margin)
+    # One set for all patches: new memory costs more than the arithmetic.
+    planes = make_planes(high, _whole(min(PATCH_COLS, width)) + 2 * margin)
+    blocks = make_blocks(planes.usable.shape[0], planes.usable.shape[1])
+    low, high = max(-top, 0), min(high, rows - top)
+    for first_col in range(0, width, PATCH_COLS):
+        cols, left = min(PATCH_COLS, width - first_col), first_col - margin
+        near, far = max(-left, 0), min(planes.usable.shape[1], width - left)
+        patch = Patch(top, left, count, cols, above, margin, low, high, near, far)
+        _smooth_patch(patch, source, smoothing, planes, blocks, target)

@@ -1,0 +1,214 @@
+"""What of the filter's lift is relief and what is noise, block by block; see `smoothing`.
+
+Symbols: c share of the coarse part that is relief, f share of the fine part. With the lines of
+`Blocks.values`: sigma^2 = own variance * values[2] + values[3] + excess gain * values[4], of which
+values[5] is bias. Each loop has few arrays: beyond that the compiler gives up on vector code.
+"""
+
+# ruff: noqa: PLR0917 - compiled functions cannot take keyword-only arguments
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from reconstruction._jit import compiled, inlined
+from reconstruction.decoding._lift import ONE, TINY, TWO, ZERO, Planes, Smoothing, add, larger
+
+# Mean squares are taken over 5 x 5 blocks of 4 x 4 pixels, whatever the patch.
+BLOCK, AROUND = 4, 2
+REACH = BLOCK * (AROUND + 1)
+# A part counts as relief beyond so many times the noise expected of it, 2.4 sigmas of a mean square
+# of noise; fine relief comes with coarse relief, which takes the extra off.
+COARSE_FLOOR, FINE_EXTRA, RELIEF_EXTRA = np.float32(1.8), np.float32(0.2), np.float32(0.3)
+SHARE_STEPS, ROUNDING = np.float32(255.0), np.float32(0.5)
+
+
+class Blocks(NamedTuple):
+    """Sums over blocks, of squares of coarse and fine part, variances, counts; what follows."""
+
+    lines: Any  # (sum, col), over the rows of one block row
+    sums: Any  # (sum, block row, block col)
+    around: Any  # (sum, block col), of one block row
+    shares: Any  # (coarse or fine, block col)
+    values: Any  # (value, block col), factors of lift and of coarse part; terms of sigma
+    spread: Any  # (value, col)
+
+
+@compiled
+def make_blocks(rows: int, cols: int) -> Blocks:
+    return Blocks(
+        np.zeros((4, cols), np.float32),
+        np.zeros((4, rows // BLOCK, cols // BLOCK), np.float32),
+        np.zeros((4, cols // BLOCK), np.float32),
+        np.zeros((2, cols // BLOCK), np.float32),
+        np.zeros((6, cols // BLOCK), np.float32),
+        np.zeros((6, cols), np.float32),
+    )
+
+
+@inlined
+def smaller(a: Any, b: Any) -> Any:
+    return a if a < b else b
+
+
+@compiled
+def sum_blocks(planes: Planes, half: int, blocks: Blocks) -> None:
+    """Write the sums over every block: squares of both parts, variances and usable pixels."""
+    rows, lines, sums = planes.lift.shape[0], blocks.lines, blocks.sums
+    for block in range(sums.shape[1]):
+        lines[:] = ZERO
+        for row in range(BLOCK * block, BLOCK * block + BLOCK):
+            if 2 * half <= row < rows - 2 * half:
+                _add_squares(planes.lift[row], planes.coarse[row], lines[0], lines[1])
+                add(planes.variance[row], lines[2])
+                add(planes.usable[row], lines[3])
+        for part in range(4):
+            line, out = lines[part], sums[part, block]
+            for col in range(out.size):
+                at = BLOCK * col
+                out[col] = (line[at] + line[at + 1]) + (line[at + 2] + line[at + 3])
+
+
+@compiled
+def _add_squares(lift: Any, coarse: Any, large: Any, small: Any) -> None:
+    for col in range(lift.size):
+        fine = lift[col] - coarse[col]
+        large[col] += coarse[col] * coarse[col]
+        small[col] += fine * fine
+
+
+@compiled
+def _sum_five(a: Any, b: Any, c: Any, d: Any, e: Any, out: Any) -> None:
+    for col in range(out.size):
+        out[col] = c[col] + ((a[col] + e[col]) + (b[col] + d[col]))
+
+
+@compiled
+def _sum_around(block: int, blocks: Blocks) -> None:
+    """Write the sums over the 5 x 5 blocks around each one of a block row."""
+    for part in range(4):
+        s, line, out = blocks.sums[part], blocks.lines[part], blocks.around[part]
+        size, end = out.size, out.size - AROUND
+        down = line[:size]
+        _sum_five(s[block - 2], s[block - 1], s[block], s[block + 1], s[block + 2], down)
+        _sum_five(
+            down[: end - 2], down[1 : end - 1], down[2:end], down[3 : end + 1], down[4 : end + 2],
+            out[AROUND:end],
+        )  # fmt: skip
+
+
+@inlined
+def _excess(expected: Any, found: Any) -> Any:
+    """Return the share by which `found` exceeds what is expected of noise."""
+    return larger(ONE - expected / larger(found, TINY), ZERO)
+
+
+@compiled
+def _find_shares(large: Any, small: Any, noise: Any, ratios: Any, c: Any, f: Any) -> None:
+    """Write which share of the coarse and of the fine part is relief."""
+    of_coarse, of_fine = ratios[1, 1], ratios[2, 2]
+    for col in range(c.size):
+        coarse = _excess(COARSE_FLOOR * of_coarse * noise[col], large[col])
+        extra = smaller(FINE_EXTRA, RELIEF_EXTRA * (ONE - coarse))
+        c[col], f[col] = coarse, _excess((ONE + extra) * of_fine * noise[col], small[col])
+
+
+@compiled
+def _predict_bias(large: Any, small: Any, c: Any, f: Any, count: Any, out: Any) -> None:
+    """Write the mean square of the relief that is not given back."""
+    for col in range(out.size):
+        kept, lost = ONE - c[col], ONE - f[col]
+        bias = kept * kept * c[col] * large[col] + lost * lost * f[col] * small[col]
+        out[col] = bias / larger(count[col], ONE)
+
+
+@compiled
+def _weigh_own(c: Any, f: Any, centre: Any, out: Any) -> None:
+    """Write the square of the weight with which a pixel counts itself."""
+    g0, c0, f0 = centre[0], centre[1], centre[2]
+    for col in range(out.size):
+        middle = g0 - c[col] * c0 - f[col] * f0
+        out[col] = middle * middle
+
+
+@compiled
+def _weigh_others(
+    c: Any, f: Any, own: Any, noise: Any, count: Any, bias: Any, ratios: Any, out: Any
+) -> None:  # fmt: skip
+    """Write the variance that the pixels around add, with the bias."""
+    g, gc, gf = ratios[0, 0], ratios[0, 1], ratios[0, 2]
+    cc, cf, ff = ratios[1, 1], ratios[1, 2], ratios[2, 2]
+    for col in range(out.size):
+        x, y = c[col], f[col]
+        left = g - TWO * (x * gc + y * gf) + x * x * cc + TWO * x * y * cf + y * y * ff
+        variance = noise[col] / larger(count[col], ONE)
+        out[col] = larger(left - own[col], ZERO) * variance + bias[col]
+
+
+@compiled
+def _weigh_edge(c: Any, f: Any, noise: Any, count: Any, out: Any) -> None:
+    for col in range(out.size):
+        out[col] = noise[col] / larger(count[col], ONE) * (ONE - larger(c[col], f[col]))
+
+
+@compiled
+def _weigh_relief(c: Any, f: Any, all_lift: Any, all_coarse: Any) -> None:
+    for col in range(c.size):
+        all_lift[col], all_coarse[col] = ONE - f[col], f[col] - c[col]
+
+
+@compiled
+def weigh_blocks(block: int, smoothing: Smoothing, blocks: Blocks) -> None:
+    """Write what holds for all pixels of a row of blocks, see `Blocks.values`."""
+    _sum_around(block, blocks)
+    sums, values, ratios = blocks.around, blocks.values, smoothing.noise
+    large, small, noise, count = sums[0], sums[1], sums[2], sums[3]
+    c, f = blocks.shares[0], blocks.shares[1]
+    _find_shares(large, small, noise, ratios, c, f)
+    _weigh_relief(c, f, values[0], values[1])
+    _weigh_own(c, f, smoothing.centre, values[2])
+    _predict_bias(large, small, c, f, count, values[5])
+    _weigh_others(c, f, values[2], noise, count, values[5], ratios, values[3])
+    _weigh_edge(c, f, noise, count, values[4])
+    _spread(values, blocks.spread)
+
+
+@compiled
+def _spread(values: Any, out: Any) -> None:
+    """Give every pixel the value of its block."""
+    for part in range(values.shape[0]):
+        line, pixels = values[part], out[part]
+        for col in range(line.size):
+            for at in range(BLOCK * col, BLOCK * col + BLOCK):
+                pixels[at] = line[col]
+
+
+@compiled
+def give_back(
+    x: Any, usable: Any, lift: Any, coarse: Any, all_lift: Any, all_coarse: Any, out: Any
+) -> None:  # fmt: skip
+    for col in range(out.size):
+        change = all_lift[col] * lift[col] + all_coarse[col] * coarse[col]
+        out[col] = usable[col] * (x[col] + change)
+
+
+@compiled
+def add_variances(
+    variance: Any, gain: Any, full_gain: Any, own: Any, around: Any, edge: Any, out: Any
+) -> None:  # fmt: skip
+    for col in range(out.size):
+        excess = larger(gain[col] - full_gain, ZERO)
+        out[col] = own[col] * variance[col] + around[col] + excess * edge[col]
+
+
+@compiled
+def write_share(bias: Any, total: Any, usable: Any, share: Any) -> None:
+    for col in range(share.size):
+        part = usable[col] * bias[col] / larger(total[col], TINY)
+        share[col] = np.uint8(np.int32(SHARE_STEPS * part + ROUNDING))
+
+
+@compiled
+def write_root(total: Any, usable: Any, sigma: Any) -> None:
+    for col in range(sigma.size):
+        sigma[col] = usable[col] * np.sqrt(total[col])

@@ -1,0 +1,247 @@
+"""Phase frames of one image row: sums, least squares and the masks of single pixels.
+
+Symbols: A mean, B modulation, N steps, z = sum I_n exp(-2 pi i n / N) = (N B / 2) exp(i phi).
+Every inner loop runs along one image row with few arrays, so that the compiler vectorises it.
+"""
+
+# ruff: noqa: PLR0917 - compiled functions cannot take keyword-only arguments
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from reconstruction._jit import compiled, inlined
+from reconstruction.arrays import FloatImage
+from reconstruction.mask import Reason
+from reconstruction.rig.sensor import QUANTISATION_DN2
+
+# As wide as the mask: a plain int would make whole loops run in 64 bits.
+DARK = np.uint8(Reason.DARK)
+LOW_MODULATION = np.uint8(Reason.LOW_MODULATION)
+SATURATED = np.uint8(Reason.SATURATED)
+ZERO, ONE, INFINITE = np.float32(0.0), np.float32(1.0), np.float32(np.inf)
+QUANTISATION = np.float32(QUANTISATION_DN2)
+
+
+class Layout(NamedTuple):
+    """Where frames lie in the stack; pairs are (column, row)."""
+
+    phase_first: tuple[int, int]
+    gray_first: tuple[int, int]
+    gray_bits: tuple[int, int]
+    white: int
+    black: int
+    steps: int
+    sets: int
+    cosines: FloatImage  # (step,)
+    sines: FloatImage
+
+
+class Sums(NamedTuple):
+    """Sums of one fringe set over one row, lines of (col) float32; real and imag: z."""
+
+    total: Any
+    real: Any
+    imag: Any
+    square: Any
+    high: Any
+    low: Any
+
+
+class Limits(NamedTuple):
+    """Sensor model and thresholds of the masks, single precision: twice the pixels per vector."""
+
+    gain_dn_per_e: np.float32
+    read_noise_dn: np.float32
+    black_level_dn: np.float32
+    clipped_from_dn: np.float32
+    lowest_dn: np.float32
+    dark_sigmas: np.float32
+    gray_sigmas: np.float32
+    min_modulation_dn: np.float32
+    max_phase_sigma_rad: np.float32
+    max_condition: np.float32
+    max_order_error: np.float32
+
+
+@inlined
+def noise_dn2(mean: Any, scale: Any, limits: Limits) -> Any:
+    """Return the variance of a pixel that was multiplied by `scale` (above the black level).
+
+    `SensorNoise.variance_dn2` in single precision; a test keeps the two together.
+    """
+    above = mean - limits.black_level_dn
+    shot = limits.gain_dn_per_e * (above if above > ZERO else ZERO)
+    read = limits.read_noise_dn * limits.read_noise_dn + QUANTISATION
+    return scale * (scale * read + shot)
+
+
+@inlined
+def _larger(x: Any, y: Any) -> Any:
+    return x if x > y else y
+
+
+@inlined
+def _smaller(x: Any, y: Any) -> Any:
+    return x if x < y else y
+
+
+@compiled
+def _add_six(
+    a: Any, b: Any, c: Any, d: Any, e: Any, f: Any, cosines: Any, sines: Any,
+    total: Any, real: Any, imag: Any, square: Any, high: Any, low: Any,
+) -> None:  # fmt: skip
+    # Many frames at once: the accumulators, not the frames, are what a row costs.
+    g0, g1, g2, g3, g4, g5 = cosines[0], cosines[1], cosines[2], cosines[3], cosines[4], cosines[5]
+    h0, h1, h2, h3, h4, h5 = sines[0], sines[1], sines[2], sines[3], sines[4], sines[5]
+    for col in range(a.size):
+        # Read before the first write: a store of `old if .. else new` right after reading `old`
+        # is compiled to a masked store, which costs more than all the rest.
+        top, bottom = high[col], low[col]
+        u, v, w = np.float32(a[col]), np.float32(b[col]), np.float32(c[col])
+        x, y, z = np.float32(d[col]), np.float32(e[col]), np.float32(f[col])
+        total[col] += (u + v + w) + (x + y + z)
+        real[col] += (g0 * u + g1 * v + g2 * w) + (g3 * x + g4 * y + g5 * z)
+        imag[col] -= (h0 * u + h1 * v + h2 * w) + (h3 * x + h4 * y + h5 * z)
+        square[col] += (u * u + v * v + w * w) + (x * x + y * y + z * z)
+        largest = _larger(_larger(_larger(u, v), _larger(w, x)), _larger(y, z))
+        smallest = _smaller(_smaller(_smaller(u, v), _smaller(w, x)), _smaller(y, z))
+        high[col] = _larger(largest, top)
+        low[col] = _smaller(smallest, bottom)
+
+
+@compiled
+def _add_three(
+    a: Any, b: Any, c: Any, cosines: Any, sines: Any,
+    total: Any, real: Any, imag: Any, square: Any, high: Any, low: Any,
+) -> None:  # fmt: skip
+    p, q, r = cosines[0], cosines[1], cosines[2]
+    s, t, u = sines[0], sines[1], sines[2]
+    for col in range(a.size):
+        top, bottom = high[col], low[col]
+        x, y, z = np.float32(a[col]), np.float32(b[col]), np.float32(c[col])
+        total[col] += x + y + z
+        real[col] += p * x + q * y + r * z
+        imag[col] -= s * x + t * y + u * z
+        square[col] += x * x + y * y + z * z
+        high[col] = _larger(_larger(_larger(x, y), z), top)
+        low[col] = _smaller(_smaller(_smaller(x, y), z), bottom)
+
+
+@compiled
+def _add_one(
+    a: Any, cosine: Any, sine: Any,
+    total: Any, real: Any, imag: Any, square: Any, high: Any, low: Any,
+) -> None:  # fmt: skip
+    for col in range(a.size):
+        top, bottom = high[col], low[col]
+        x = np.float32(a[col])
+        total[col] += x
+        real[col] += cosine * x
+        imag[col] -= sine * x
+        square[col] += x * x
+        high[col] = _larger(x, top)
+        low[col] = _smaller(x, bottom)
+
+
+@compiled
+def add_frames(stack: Any, first: int, row: int, layout: Layout, sums: Sums) -> None:
+    """Write the sums of one fringe set over one row."""
+    total, real, imag, square, high, low = sums
+    for col in range(total.size):
+        total[col], real[col], imag[col], square[col] = ZERO, ZERO, ZERO, ZERO
+        high[col], low[col] = -INFINITE, INFINITE
+    sixes, threes = layout.steps // 6 * 6, layout.steps // 3 * 3
+    for n in range(0, sixes, 6):
+        k = first + n
+        _add_six(
+            stack[k, row], stack[k + 1, row], stack[k + 2, row],
+            stack[k + 3, row], stack[k + 4, row], stack[k + 5, row],
+            layout.cosines[n : n + 6], layout.sines[n : n + 6],
+            total, real, imag, square, high, low,
+        )  # fmt: skip
+    for n in range(sixes, threes, 3):
+        k = first + n
+        _add_three(
+            stack[k, row], stack[k + 1, row], stack[k + 2, row], layout.cosines[n : n + 3],
+            layout.sines[n : n + 3], total, real, imag, square, high, low,
+        )  # fmt: skip
+    for n in range(threes, layout.steps):
+        cosine, sine = layout.cosines[n], layout.sines[n]
+        _add_one(stack[first + n, row], cosine, sine, total, real, imag, square, high, low)
+
+
+@compiled
+def find_damaged(sums: Sums, scale: Any, limits: Limits, damaged: Any) -> Any:
+    """Mark pixels with a clipped, lost or non-finite frame; return how many there are."""
+    black, span = limits.black_level_dn, limits.clipped_from_dn - limits.black_level_dn
+    total, high, low = sums.total, sums.high, sums.low
+    count = 0
+    for col in range(damaged.size):
+        is_whole = (
+            high[col] < black + span * scale[col]
+            and low[col] > limits.lowest_dn
+            and abs(total[col]) < INFINITE  # false for NaN, which no comparison above finds
+        )
+        damaged[col] = not is_whole
+        count += not is_whole
+    return count
+
+
+@compiled
+def finish_sums(steps: int, sums: Sums, mean: Any, modulation: Any, variance: Any) -> None:
+    """Turn sums into A, B and the variance of the fit.
+
+    sum r^2 = sum I^2 - N A^2 - N B^2 / 2 for equal steps, with N - 3 degrees of freedom. In single
+    precision the rounding of the squares leaves a floor of some 3e-4 of the level.
+    """
+    total, real, imag, square = sums.total, sums.real, sums.imag, sums.square
+    per_step, freedom = np.float32(1.0 / steps), np.float32(1.0 / max(steps - 3, 1))
+    half = np.float32(0.5 * steps)
+    if steps == 3:  # three unknowns always fit
+        freedom = ZERO
+    for col in range(mean.size):
+        level = total[col] * per_step
+        contrast = (
+            np.float32(2.0) * per_step * np.sqrt(real[col] * real[col] + imag[col] * imag[col])
+        )
+        rest = square[col] - total[col] * level - half * contrast * contrast
+        mean[col], modulation[col] = level, contrast
+        variance[col] = (rest if rest > ZERO else ZERO) * freedom
+
+
+@compiled
+def find_noise(mean: Any, scale: Any, limits: Limits, noise: Any) -> None:
+    """Write the predicted sigma of a pixel value at the mean, DN."""
+    for col in range(mean.size):
+        noise[col] = np.sqrt(noise_dn2(mean[col], scale[col], limits))
+
+
+@compiled
+def mark_low_modulation(
+    steps: int, limits: Limits, modulation: Any, noise: Any, reason: Any
+) -> None:
+    """Mark pixels whose own phase would be too uncertain, unless they have none at all."""
+    # sigma_phi = sqrt(2 / N) sigma_I / B (Surrel 1997), solved for B.
+    per_noise = np.float32(np.sqrt(2.0 / steps) / limits.max_phase_sigma_rad)
+    least = limits.min_modulation_dn
+    for col in range(modulation.size):
+        needed = per_noise * noise[col]
+        needed = needed if needed > least else least
+        # This way round a NaN has no modulation.
+        is_kept = modulation[col] >= needed or reason[col] == SATURATED
+        reason[col] = reason[col] if is_kept else LOW_MODULATION
+
+
+@compiled
+def mark_dark(white: Any, black: Any, scale: Any, limits: Limits, reason: Any) -> None:
+    """Mark pixels on which white and black frame do not differ."""
+    square = limits.dark_sigmas * limits.dark_sigmas
+    for col in range(white.size):
+        code, factor = reason[col], scale[col]
+        bright, dim = np.float32(white[col]), np.float32(black[col])
+        variance = noise_dn2(bright, factor, limits) + noise_dn2(dim, factor, limits)
+        step = bright - dim
+        # This way round a NaN counts as dark.
+        is_lit = (step >= ZERO) & (step * step >= square * variance)
+        reason[col] = code if is_lit else DARK

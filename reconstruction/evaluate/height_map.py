@@ -1,0 +1,129 @@
+"""Heights on a regular grid of world x and y, as other programs take them.
+
+A cell's height is the mean world z of the valid points in it; a cell without a point has none. No
+interpolation, so nothing is shown that was not measured.
+"""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import imageio.v3 as imageio
+import numpy as np
+
+from reconstruction.arrays import BoolImage, Doubles, FloatImage
+from reconstruction.disk import write_exr_channels, writing_netcdf
+from reconstruction.errors import InputError
+from reconstruction.triangulation.triangulate import PointMap
+
+_PNG_LEVELS = 65534
+"""Levels 1 to 65535 are heights, 0 is no height."""
+
+
+@dataclass(frozen=True, eq=False)
+class HeightMap:
+    """Mean heights per cell.
+
+    Attributes
+    ----------
+    x_mm : (col,) float
+        World x of the cells' centres, growing.
+    y_mm : (row,) float
+        World y of the cells' centres, falling: row 0 is the top of a picture.
+    z_mm : (row, col) float32
+        Mean world z; 0 where there is none.
+    valid : (row, col) bool
+    pitch_mm : float
+    """
+
+    x_mm: Doubles
+    y_mm: Doubles
+    z_mm: FloatImage
+    valid: BoolImage
+    pitch_mm: float
+
+
+def height_map(points: PointMap, pitch_mm: float | None = None) -> HeightMap:
+    """Average the valid points over square cells.
+
+    Parameters
+    ----------
+    points : PointMap
+    pitch_mm : float, optional
+        Edge of a cell; by default one and a half times the typical distance of neighbouring
+        points, so that nearly every cell on the surface gets one.
+
+    Raises
+    ------
+    InputError : there is no valid point, or the pitch makes more than 10^8 cells
+    """
+    world = points.points_world_mm[points.valid].astype(np.float64)
+    if not len(world):
+        raise InputError("height map: no valid point; look at the mask's reasons")
+    pitch = pitch_mm or 1.5 * _typical_distance_mm(points)
+    low, high = (
+        np.floor(world[:, :2].min(axis=0) / pitch),
+        np.floor(world[:, :2].max(axis=0) / pitch),
+    )
+    cols, rows = (high - low).astype(int) + 1
+    if pitch <= 0.0 or rows * cols > 10**8:
+        raise InputError(f"height map: pitch {pitch:g} mm makes {rows} x {cols} cells; give more")
+    cell = (np.floor(world[:, :2] / pitch) - low).astype(int)
+    index = (rows - 1 - cell[:, 1]) * cols + cell[:, 0]
+    count = np.bincount(index, minlength=rows * cols).reshape(rows, cols)
+    total = np.bincount(index, world[:, 2], rows * cols).reshape(rows, cols)
+    return HeightMap(
+        x_mm=(low[0] + np.arange(cols) + 0.5) * pitch,
+        y_mm=(low[1] + np.arange(rows)[::-1] + 0.5) * pitch,
+        z_mm=(total / np.maximum(count, 1)).astype(np.float32),
+        valid=count > 0,
+        pitch_mm=float(pitch),
+    )
+
+
+def _typical_distance_mm(points: PointMap) -> float:
+    """Median lateral distance of neighbours in an image row."""
+    world, both = points.points_world_mm, points.valid[:, 1:] & points.valid[:, :-1]
+    if not both.any():
+        raise InputError("height map: no two neighbouring points; give the pitch")
+    apart = (world[:, 1:, :2] - world[:, :-1, :2])[both]
+    return float(np.median(np.hypot(apart[:, 0], apart[:, 1])))
+
+
+def write_height_netcdf(path: Path, heights: HeightMap) -> None:
+    """Write as netCDF-4 with coordinates x and y, mm."""
+    with writing_netcdf(path) as file:
+        file.attrs["Conventions"] = "CF-1.8"
+        file.dimensions = {"y": len(heights.y_mm), "x": len(heights.x_mm)}
+        for name, values in (("x", heights.x_mm), ("y", heights.y_mm)):
+            axis = file.create_variable(name, (name,), data=values)
+            axis.attrs["units"] = "mm"
+        z = file.create_variable("z_mm", ("y", "x"), data=heights.z_mm, compression="gzip")
+        z.attrs["units"], z.attrs["long_name"] = "mm", "mean world z of the points in the cell"
+        valid = heights.valid.astype(np.uint8)
+        mask = file.create_variable("valid", ("y", "x"), data=valid, compression="gzip")
+        mask.attrs["long_name"] = "1 where there is a height"
+
+
+def write_height_png(path: Path, heights: HeightMap) -> None:
+    """Write as 16-bit PNG, and beside it PATH.json with the scale: z = first + step (level - 1)."""
+    z = heights.z_mm[heights.valid].astype(np.float64)
+    first, step = float(z.min()), max(float(np.ptp(z)) / (_PNG_LEVELS - 1), 1e-9)
+    level = np.rint((heights.z_mm - first) / step) + 1
+    imageio.imwrite(path, np.where(heights.valid, level, 0).astype(np.uint16))
+    scale = {
+        "first_z_mm": first,
+        "step_z_mm": step,
+        "no_height_level": 0,
+        "first_height_level": 1,
+        "pitch_mm": heights.pitch_mm,
+        "first_x_mm": float(heights.x_mm[0]),
+        "first_y_mm": float(heights.y_mm[0]),
+        "y_per_row": -heights.pitch_mm,
+    }
+    path.with_name(path.name + ".json").write_text(json.dumps(scale, indent=2), encoding="utf-8")
+
+
+def write_height_exr(path: Path, heights: HeightMap) -> None:
+    """Write as EXR with the channels Z (mm) and A (1 where there is a height)."""
+    write_exr_channels(path, {"Z": heights.z_mm, "A": heights.valid.astype(np.float32)})

@@ -1,0 +1,205 @@
+"""Calibration of camera and projector, and its file: OpenCV YAML, which other tools read as well.
+
+Transforms T_a_from_b map points of frame b to frame a; lengths mm.
+"""
+
+import re
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from reconstruction.arrays import Doubles
+from reconstruction.errors import CaptureError, InputError
+from reconstruction.rig.pinhole import Pinhole
+
+__all__ = ["Calibration", "Pinhole", "read_calibration", "write_calibration"]
+
+DEVICES = ("camera", "projector")
+TRANSFORMS = ("T_world_from_cam", "T_world_from_proj")
+# OpenCV's reader goes down one level of C++ per bracket or indent, and overflows its stack: a
+# calibration has 3 kB in short lines and two levels.
+MOST_BYTES, MOST_LINE, MOST_NESTED = 1_000_000, 1000, 32
+# A rotation printed with seven digits is still accepted.
+ROTATION_TOLERANCE = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """Both devices and where they are.
+
+    Parameters
+    ----------
+    camera, projector : intrinsics
+    T_world_from_cam, T_world_from_proj : (4, 4) float, mm, rigid motions
+
+    Raises
+    ------
+    InputError : a transform is no rigid motion
+    """
+
+    camera: Pinhole
+    projector: Pinhole
+    T_world_from_cam: Doubles
+    T_world_from_proj: Doubles
+
+    def __post_init__(self) -> None:
+        for name in TRANSFORMS:
+            matrix: Doubles = np.array(getattr(self, name), dtype=np.float64)
+            _require_rigid(name, matrix)
+            matrix.flags.writeable = False
+            object.__setattr__(self, name, matrix)
+
+    @property
+    def T_proj_from_cam(self) -> Doubles:  # noqa: N802 - the frame names of the paper's symbols
+        """Motion from the camera's to the projector's frame, (4, 4), mm."""
+        motion = np.linalg.solve(self.T_world_from_proj, self.T_world_from_cam)
+        return np.asarray(motion, dtype=np.float64)
+
+
+def _require_rigid(name: str, matrix: Doubles) -> None:
+    if matrix.shape != (4, 4) or not bool(np.all(np.isfinite(matrix))):
+        raise InputError(f"{name} has shape {matrix.shape}; give (4, 4) finite numbers")
+    rotation = matrix[:3, :3]
+    deviation = float(np.max(np.abs(rotation.T @ rotation - np.eye(3))))
+    if deviation > ROTATION_TOLERANCE or np.linalg.det(rotation) < 0.0:
+        raise InputError(
+            f"{name} holds no rotation (R^T R differs from 1 by {deviation:.1e}, "
+            f"det R = {np.linalg.det(rotation):.6f}; allowed {ROTATION_TOLERANCE:.0e} and +1)"
+        )
+    if not np.array_equal(matrix[3], (0.0, 0.0, 0.0, 1.0)):
+        raise InputError(f"{name} has the last row {matrix[3].tolist()}; it must be 0 0 0 1")
+
+
+def write_calibration(path: Path | str, calibration: Calibration) -> None:
+    """Write OpenCV YAML to `path`; read it back with `read_calibration` or cv2.FileStorage."""
+    storage = cv2.FileStorage(".yaml", cv2.FileStorage_WRITE | cv2.FileStorage_MEMORY)
+    for name in DEVICES:
+        _write_pinhole(storage, name, getattr(calibration, name))
+    for name in TRANSFORMS:
+        storage.write(name, getattr(calibration, name))
+    Path(path).write_text(storage.releaseAndGetString(), encoding="ascii")
+
+
+def _write_pinhole(storage: Any, name: str, device: Pinhole) -> None:
+    matrix = [[device.fx_px, 0.0, device.cx_px], [0.0, device.fy_px, device.cy_px], [0.0, 0.0, 1.0]]
+    storage.startWriteStruct(name, cv2.FileNode_MAP)
+    storage.write("image_width", int(device.width_px))
+    storage.write("image_height", int(device.height_px))
+    storage.write("camera_matrix", np.array(matrix))
+    storage.write("distortion_coefficients", np.array(device.distortion).reshape(1, 5))
+    storage.endWriteStruct()
+
+
+def read_calibration(path: Path | str) -> Calibration:
+    """Read a calibration.
+
+    Raises
+    ------
+    CaptureError : the file is missing or is no YAML, a key is missing, a value has the wrong
+        shape, a transform is no rigid motion
+    """
+    path = Path(path)
+    storage = _open(path)
+    try:
+        devices = [_read_pinhole(storage, name) for name in DEVICES]
+        transforms = [_read_matrix(storage.getNode(name), name, (4, 4)) for name in TRANSFORMS]
+        return Calibration(devices[0], devices[1], transforms[0], transforms[1])
+    except InputError as error:
+        raise CaptureError(f"{path}: {error}") from error
+    except cv2.error as error:  # thrown wherever it meets a half-written node
+        raise _damaged(path, error) from error
+    finally:
+        storage.release()
+
+
+def _open(path: Path) -> Any:
+    try:
+        with path.open(encoding="utf-8") as file:
+            text = file.read(MOST_BYTES + 1)
+    except (OSError, UnicodeDecodeError) as error:
+        raise CaptureError(f"{path}: cannot read the calibration: {error}") from error
+    if not text.startswith("%YAML"):  # checked here: OpenCV prints and aborts the parse otherwise
+        raise CaptureError(
+            f"{path}: is no OpenCV calibration; the first line must begin with %YAML"
+        )
+    _require_plain(path, text)
+    try:
+        # Not by the constructor: the binding turns an error in it into a SystemError.
+        storage = cv2.FileStorage()
+        storage.open(text, cv2.FileStorage_READ | cv2.FileStorage_MEMORY)
+        return storage
+    except cv2.error as error:
+        raise _damaged(path, error) from error
+
+
+def _require_plain(path: Path, text: str) -> None:
+    """Refuse a text that is no calibration and may bring OpenCV's reader down."""
+    longest, nested = max(map(len, text.splitlines())), 0
+    for sign in re.findall(r"[][{}]", text):
+        nested = nested + 1 if sign in "[{" else max(nested - 1, 0)
+        if nested > MOST_NESTED:
+            raise CaptureError(
+                f"{path}: is no calibration: brackets nest deeper than {MOST_NESTED} levels"
+            )
+    if len(text) > MOST_BYTES or longest > MOST_LINE:
+        raise CaptureError(
+            f"{path}: is no calibration: found {len(text)} characters in lines of up to "
+            f"{longest}, allowed {MOST_BYTES} and {MOST_LINE}"
+        )
+
+
+def _damaged(path: Path, error: Any) -> CaptureError:
+    # In a parse error OpenCV puts line number and cause where the function's name belongs.
+    is_parse_error = error.code == cv2.Error.StsParseError
+    cause = f"line {error.func}" if is_parse_error else "an entry is incomplete"
+    return CaptureError(f"{path}: is damaged YAML: {cause}")
+
+
+def _read_pinhole(storage: Any, name: str) -> Pinhole:
+    node = storage.getNode(name)
+    if node.empty() or not node.isMap():
+        raise InputError(f"key {name} is missing")
+    matrix = _read_matrix(node.getNode("camera_matrix"), f"{name}/camera_matrix", (3, 3))
+    _require_camera_matrix(name, matrix)
+    coefficients = _read_matrix(
+        node.getNode("distortion_coefficients"), f"{name}/distortion_coefficients", (1, 5)
+    )
+    k1, k2, p1, p2, k3 = (float(value) for value in coefficients[0])
+    ideal = Pinhole(
+        width_px=_read_integer(node.getNode("image_width"), f"{name}/image_width"),
+        height_px=_read_integer(node.getNode("image_height"), f"{name}/image_height"),
+        fx_px=float(matrix[0, 0]),
+        fy_px=float(matrix[1, 1]),
+        cx_px=float(matrix[0, 2]),
+        cy_px=float(matrix[1, 2]),
+    )
+    return replace(ideal, distortion=(k1, k2, p1, p2, k3))
+
+
+def _require_camera_matrix(name: str, matrix: Doubles) -> None:
+    fixed = (matrix[0, 1], matrix[1, 0], *matrix[2])
+    if fixed != (0.0, 0.0, 0.0, 0.0, 1.0):
+        raise InputError(
+            f"{name}/camera_matrix is {matrix.tolist()}; only fx, fy, cx, cy may differ from "
+            "the identity (no skew)"
+        )
+
+
+def _read_integer(node: Any, name: str) -> int:
+    if node.empty() or not node.isInt():
+        raise InputError(f"key {name} is missing or no whole number")
+    return int(node.real())
+
+
+def _read_matrix(node: Any, name: str, shape: tuple[int, int]) -> Doubles:
+    matrix = None if node.empty() else node.mat()
+    if matrix is None:
+        raise InputError(f"key {name} is missing or no matrix")
+    if shape == (1, 5) and matrix.shape == (5, 1):  # calibrateCamera returns either
+        matrix = matrix.reshape(1, 5)
+    if matrix.shape != shape:
+        raise InputError(f"{name} has shape {matrix.shape}; it must be {shape}")
+    return np.asarray(matrix, dtype=np.float64)
