@@ -36,12 +36,11 @@ from reconstruction.photometric.images import mean_background, smoothed
 from twin.config import load_experiment, seed_sequence
 from twin.config.models import Ball
 from twin.mechanics import face_mesh
-from twin.modalities import measure, measure_photometric, press_specimen
-from twin.modalities.instruments import PhotometricPlan, case_for
-from twin.modalities.photometric_decoders import Decoded
-from twin.modalities.photometric_score import cap_height_ratio
-from twin.modalities.photometric_stereo import calibrated_sensor
-from twin.modalities.reference_balls import with_ball
+from twin.pipeline import measure, press_specimen
+from twin.pipeline.colours import calibrated_sensor, with_ball
+from twin.pipeline.instruments import PhotometricPlan, case_for
+from twin.pipeline.photometric_decoders import Decoded
+from twin.pipeline.photometric_score import cap_height_ratio
 
 SCHEMES = {"corrected": "corrected", "faithful_2025": "sdk_2025", "faithful_2024": "sdk_2024"}
 PAPER_RATIO = 10.7
@@ -160,7 +159,7 @@ def two_balls(quick: bool) -> dict[str, float]:
     }
     figures = {}
     for suffix, case in cases.items():
-        done = measure_photometric(case)
+        done = measure(case)
         pressed = done.pressed
         print(f"GelSight pressed {pressed.depth_mm:.3f} mm deep with {pressed.force_n:.3f} N")
         for one in done.decoded:

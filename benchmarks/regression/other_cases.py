@@ -18,9 +18,8 @@ from benchmarks.regression.figures import Values
 from reconstruction.photometric import PhotometricDecoder, PhotometricOptions
 from twin.config import Experiment, load_experiment
 from twin.config.models import Ball
-from twin.modalities.photometric_score import cap_height_ratio
-from twin.modalities.photometric_stereo import calibrated_sensor
-from twin.modalities.reference_balls import with_ball
+from twin.pipeline.colours import calibrated_sensor, with_ball
+from twin.pipeline.photometric_score import cap_height_ratio
 
 FEW_PRESSES = {"photometric.presses.count": 16}
 PLACES_MM = ((0.0, 0.0), (5.0, 2.5), (-4.0, -3.0), (4.0, -3.0), (-5.0, 2.5))

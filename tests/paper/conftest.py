@@ -5,10 +5,10 @@ import pytest
 
 from reconstruction.photometric import HeightMap
 from twin.config import load_experiment
-from twin.modalities.measurement import measure
-from twin.modalities.photometric_score import in_world, score_heights
-from twin.modalities.storage import write_result
 from twin.optics.stack import Truth
+from twin.pipeline.methods import measure
+from twin.pipeline.photometric_score import in_world, score_heights
+from twin.pipeline.storage import write_result
 
 # 160 x 120 pixels over the whole field, three phase steps, one sample: seconds, not minutes.
 SMALL = {

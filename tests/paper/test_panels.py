@@ -111,7 +111,7 @@ def test_the_same_result_gives_the_same_bytes(rod, measured_rod, tmp_path):
 
 
 def test_a_case_keeps_the_figures_of_twin_measure_and_stays_small(rod, measured_rod, tmp_path):
-    from twin.modalities.storage import write_measurement
+    from twin.pipeline.storage import write_measurement
 
     write_measurement(tmp_path, "measure", *measured_rod)
     whole = json.loads((tmp_path / "result.json").read_text())

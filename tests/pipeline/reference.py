@@ -16,11 +16,12 @@ import numpy as np
 import OpenEXR
 
 from twin.config import load_experiment
+from twin.config.methods import METHODS
 from twin.config.study import Study
-from twin.modalities.comparison import compare
-from twin.modalities.instruments import METHODS, PhotometricPlan
-from twin.modalities.measuring import measure_into
 from twin.output import RESULT_FILE, read_json, versions
+from twin.pipeline.comparison import compare
+from twin.pipeline.instruments import PhotometricPlan
+from twin.pipeline.methods import measure_into
 from twin.study.record import StudyRecord
 from twin.study.sweep import sweep
 from twin.study.workers import local_workers

@@ -11,13 +11,13 @@ from reconstruction.pipeline import reconstruct
 from twin.camera import expose
 from twin.config import Experiment, load_experiment
 from twin.mechanics import PressedElastomer
-from twin.modalities import Measurement, Recording
-from twin.modalities.contact_fpp import options_of, press_specimen
-from twin.modalities.score import score
-from twin.modalities.storage import write_measurement
 from twin.optics.light import pattern_set
 from twin.optics.rig import true_calibration
 from twin.optics.stack import RadianceStack, Truth
+from twin.pipeline.fringes import Measurement, Recording, options_of
+from twin.pipeline.press import press_specimen
+from twin.pipeline.score import score
+from twin.pipeline.storage import write_measurement
 
 # mW / (mm^2 sr) of a white field; the automatic exposure takes care of the rest.
 WHITE_RADIANCE = 1e-3

@@ -10,10 +10,9 @@ from reconstruction.pipeline import Reconstruction, reconstruct
 from reconstruction.triangulation.triangulate import PointMap
 from tests.report.conftest import record_analytically
 from twin.config import vary
-from twin.modalities import Measurement, Recording
-from twin.modalities.contact_fpp import options_of
-from twin.modalities.score import metrics, region_of, score, why_absent
-from twin.modalities.storage import write_measurement
+from twin.pipeline.fringes import Measurement, Recording, options_of
+from twin.pipeline.score import metrics, region_of, score, why_absent
+from twin.pipeline.storage import write_measurement
 from twin.report import summary_table, write_report
 from twin.report.discussion import discussion
 from twin.report.result_folder import read_scored

@@ -11,8 +11,8 @@ from reconstruction.errors import InputError
 from reconstruction.mask import Reason
 from twin.cli import run
 from twin.config import load_experiment
-from twin.modalities import comparison
-from twin.modalities.comparison import compare, methods_named
+from twin.pipeline import comparison
+from twin.pipeline.comparison import compare, methods_named
 from twin.report import summary_table, write_comparison, write_report
 from twin.report.camera_view import error_um, true_scale_mm, wanted
 from twin.report.direct import REASON_WORDS, discussion, missing_shares, percent, verdicts

@@ -8,7 +8,7 @@ from reconstruction.capture.folder import read_capture
 from reconstruction.errors import InputError
 from reconstruction.mask import Reason
 from twin.config import vary
-from twin.modalities.contact_fpp import press_specimen
+from twin.pipeline.press import press_specimen
 from twin.report.canvas import (
     axes_at,
     contour_levels,

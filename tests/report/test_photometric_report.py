@@ -1,6 +1,6 @@
 """Photometric stereo beside contact-FPP on one press: files, figures and pages.
 
-The sensor has few reference presses, those of tests/modalities: rendered once for both.
+The sensor has few reference presses, those of tests/pipeline: rendered once for both.
 """
 
 import csv
@@ -15,11 +15,12 @@ import pytest
 
 from twin.cli import run
 from twin.config import load_experiment
+from twin.config.methods import METHODS
 from twin.manifest import MANIFEST_FILE, manifest_lines, write_manifest
-from twin.modalities.comparison import compare
-from twin.modalities.instruments import METHODS, PhotometricPlan
-from twin.modalities.photometric_decoders import write_decoders
-from twin.modalities.photometric_score import in_world, score_heights
+from twin.pipeline.comparison import compare
+from twin.pipeline.instruments import PhotometricPlan
+from twin.pipeline.photometric_decoders import write_decoders
+from twin.pipeline.photometric_score import in_world, score_heights
 from twin.report import summary_table, write_comparison, write_report
 from twin.report.comparison_figures import (
     gist_of,

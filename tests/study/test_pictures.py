@@ -6,16 +6,15 @@ import numpy as np
 import pytest
 
 from reconstruction.errors import InputError
-from twin.modalities import measure
+from twin.pipeline import Memory, measure
 from twin.study import pictures
 from twin.study.pictures import pictures_of, read_picture, take_picture, write_picture
-from twin.study.stages import ContactStages
 from twin.study.store import Store
 
 
 def test_picture_is_of_the_measurement(mi, base):
     """A case of 160 x 120 pixels, which is not thinned: every pixel is that of `measure`."""
-    found, done = take_picture(base, ContactStages()), measure(base)
+    found, done = take_picture(base, Memory()), measure(base)
     points, truth = done.reconstruction.point_map, done.recording.truth
     np.testing.assert_array_equal(found.measured, points.valid)
     np.testing.assert_array_equal(

@@ -75,30 +75,14 @@ def set_coating(scene: Any, coating: Coating) -> None:
     face = next((shape for shape in scene.shapes() if shape.id() == COATED_FACE), None)
     if face is None:
         raise ValueError(f"the scene has no shape named {COATED_FACE}: build it with coated_scene")
-    values, parameters = _parameters(coating), mi.traverse(face.bsdf())
-    if any(name not in parameters for name in values):
-        face.set_bsdf(mi.load_dict(coating_bsdf(coating)))
+    new = mi.load_dict(coating_bsdf(coating))
+    values, parameters = mi.traverse(new), mi.traverse(face.bsdf())
+    if values.keys() != parameters.keys():
+        face.set_bsdf(new)
         return
-    for name, value in values.items():
-        parameters[name] = value
+    for name in values.keys():  # noqa: SIM118  # iterating over it gives pairs
+        parameters[name] = values[name]
     parameters.update()
-
-
-def _parameters(coating: Coating) -> dict[str, float]:
-    """Values by the names under which `mi.traverse` lists those of `coating_bsdf`."""
-    values = {
-        "weight.value": coating.flake_fraction,
-        "bsdf_1.alpha.value": coating.flake_roughness,
-        "bsdf_1.eta.value": coating.flake_ior,
-        "bsdf_1.k.value": coating.flake_extinction,
-    }
-    if coating.binder_ior == 1.0:
-        return values | {"bsdf_0.reflectance.value": coating.base_albedo}
-    return values | {
-        "bsdf_0.diffuse_reflectance.value": coating.base_albedo,
-        "bsdf_0.alpha": coating.binder_roughness,
-        "bsdf_0.eta": coating.binder_ior,
-    }
 
 
 def coated_mesh(face: "trimesh.Trimesh", bsdf: dict[str, Any]) -> Any:

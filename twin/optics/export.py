@@ -38,7 +38,7 @@ def inexpressible(experiment: Experiment) -> list[str]:
             "layers are left out: no stock integrator connects a coat below a refracting face to a"
             " projector",
         )
-    if experiment.modality == "direct_fpp" and any(
+    if not experiment.method.presses and any(
         part.material is not None and sharp(part.material)
         for part in bodies(experiment.specimen, 0.0)
     ):

@@ -6,20 +6,23 @@ from pathlib import Path
 import numpy as np
 
 from twin.config import Experiment
-from twin.modalities.progress import Watcher, nobody
-from twin.modalities.storage import write_result
 from twin.output import read_json, write_json
 from twin.paper.completeness import Completeness, completeness_of
 from twin.paper.panel_data import PANELS_FOLDER, write_panel_data
 from twin.paper.panel_sources import panel_data_of
 from twin.paper.seen import Seen, see
 from twin.paper.table import Cell, Column, Table
+from twin.pipeline.memory import Memory
+from twin.pipeline.progress import Watcher, nobody
+from twin.pipeline.storage import write_result
 
 COMMAND, COMPLETENESS_FILE = "paper", "completeness.json"
 _KEYS = ("contact", "contact_points", "specimen", "specimen_points", "limit_um")
 
 
-def measure_case(folder: Path, experiment: Experiment, watch: Watcher = nobody) -> None:
+def measure_case(
+    folder: Path, experiment: Experiment, watch: Watcher = nobody, memory: Memory | None = None
+) -> None:
     """Measure; keep figures, completeness and panel data. The arrays are nobody's input any more.
 
     Raises
@@ -29,7 +32,7 @@ def measure_case(folder: Path, experiment: Experiment, watch: Watcher = nobody) 
     MissingBackend
         No usable Dr.Jit backend.
     """
-    seen = see(experiment, watch)
+    seen = see(experiment, watch, memory)
     watch("keep", 0.0)
     write_result(folder, COMMAND, experiment, seen.figures)
     write_json(folder / COMPLETENESS_FILE, asdict(counted(seen)))

@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 from reconstruction.errors import FitError
 from twin.config import Experiment
 from twin.config.artefacts import Rods
-from twin.modalities.photometric_score import wanted_of
-from twin.modalities.score import SphereScore, wanted_pixels
 from twin.paper.panel_data import (
     MOST_BALL_POINTS,
     BallFit,
@@ -24,6 +22,8 @@ from twin.paper.panel_data import (
 from twin.paper.photographs import photograph_of
 from twin.paper.rods import SECTION_LENGTH_MM, Section, middle_of, section_of
 from twin.paper.seen import Seen
+from twin.pipeline.photometric_score import wanted_of
+from twin.pipeline.score import SphereScore, wanted_pixels
 from twin.report.canvas import height_scale
 from twin.report.frames import block_mean
 from twin.specimens import shape_of
@@ -39,9 +39,9 @@ def panel_data_of(seen: Seen) -> PanelData:
     MissingBackend
         No usable Dr.Jit backend for the specimen's photograph.
     """
-    experiment, truth = seen.experiment, seen.truth
+    experiment, truth, method = seen.experiment, seen.truth, seen.experiment.method
     true_mm, shown, wanted = truth.points_world_mm, _shown(seen), _wanted(seen)
-    lit = seen.valid & (truth.lit if experiment.modality == "contact_fpp" else shown)
+    lit = seen.valid & (truth.lit if method.fringes and method.presses else shown)
     section, true_section = (
         _section(experiment, points[lit].astype(np.float64)) for points in (seen.points_mm, true_mm)
     )
@@ -62,13 +62,13 @@ def panel_data_of(seen: Seen) -> PanelData:
 
 def _shown(seen: Seen) -> NDArray[np.bool_]:
     """Pixels that show anything at all."""
-    in_colour = seen.experiment.modality == "photometric_stereo"
+    in_colour = not seen.experiment.method.fringes
     return np.asarray(seen.truth.measured if in_colour else seen.truth.depth_mm > 0)
 
 
 def _wanted(seen: Seen) -> NDArray[np.bool_]:
     """Pixels that are evaluated."""
-    if seen.experiment.modality != "photometric_stereo":
+    if seen.experiment.method.fringes:
         return wanted_pixels(seen.experiment, seen.truth)
     return np.asarray(wanted_of(seen.experiment, seen.truth))
 

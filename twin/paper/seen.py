@@ -10,14 +10,16 @@ from numpy.typing import NDArray
 from reconstruction.mask import Reason
 from twin.config import Experiment
 from twin.mechanics import PressedElastomer
-from twin.modalities.measurement import Measurement, measure
-from twin.modalities.photometric_score import in_world
-from twin.modalities.photometric_stereo import PhotometricMeasurement, measure_photometric
-from twin.modalities.photometric_storage import photometric_figures
-from twin.modalities.progress import Watcher, nobody
-from twin.modalities.score import SphereScore, metrics
-from twin.modalities.storage import press_metrics, recording_metrics
 from twin.optics.stack import Truth
+from twin.pipeline.colours import PhotometricMeasurement
+from twin.pipeline.fringes import Measurement
+from twin.pipeline.memory import Memory
+from twin.pipeline.methods import measure
+from twin.pipeline.photometric_score import in_world
+from twin.pipeline.photometric_storage import photometric_figures
+from twin.pipeline.progress import Watcher, nobody
+from twin.pipeline.score import SphereScore
+from twin.pipeline.storage import fringe_figures
 from twin.report.camera_view import fringe_frame
 
 
@@ -50,7 +52,7 @@ class Seen:
         return np.asarray(self.reason == Reason.VALID)
 
 
-def see(experiment: Experiment, watch: Watcher = nobody) -> Seen:
+def see(experiment: Experiment, watch: Watcher = nobody, memory: Memory | None = None) -> Seen:
     """Measure by the method that the experiment names.
 
     Raises
@@ -60,9 +62,10 @@ def see(experiment: Experiment, watch: Watcher = nobody) -> Seen:
     MissingBackend
         No usable Dr.Jit backend.
     """
-    if experiment.modality == "photometric_stereo":
-        return seen_in_colour(experiment, measure_photometric(experiment, watch))
-    return seen_in_fringes(experiment, measure(experiment, watch))
+    done = measure(experiment, watch, memory)
+    if isinstance(done, Measurement):
+        return seen_in_fringes(experiment, done)
+    return seen_in_colour(experiment, done)
 
 
 def seen_in_fringes(experiment: Experiment, done: Measurement) -> Seen:
@@ -70,10 +73,9 @@ def seen_in_fringes(experiment: Experiment, done: Measurement) -> Seen:
     points, capture = done.reconstruction.point_map, done.recording.capture
     frame = capture.stack[capture.patterns.frames.index(fringe_frame(capture))]
     share = frame / np.float32(capture.sensor.saturation_dn)
-    pressing = {} if done.pressed is None else press_metrics(done.pressed)
     return Seen(
         experiment=experiment,
-        figures=pressing | recording_metrics(done.recording) | metrics(done.score),
+        figures=fringe_figures(done),
         picture=np.rint(255.0 * np.clip(share, 0.0, 1.0)).astype(np.uint8),
         points_mm=points.points_world_mm,
         reason=np.asarray(points.mask_reason, np.uint8),

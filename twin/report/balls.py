@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
 from reconstruction.evaluate.fit import SphereFit
-from twin.modalities.score import SphereScore
+from twin.pipeline.score import SphereScore
 from twin.report.canvas import (
     FIT,
     MEASURED,

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from reconstruction.capture.folder import Capture
 from reconstruction.mask import Reason
 from reconstruction.patterns import Frame
-from twin.modalities.score import wanted_pixels
+from twin.pipeline.score import wanted_pixels
 from twin.report.canvas import GAP, add_colorbar, diverging, height_scale, round_up, sequential
 from twin.report.decoding import REASON_COLOURS
 from twin.report.frames import block_mean

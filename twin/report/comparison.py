@@ -4,9 +4,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from twin.modalities.comparison import Outcome, read_outcomes
-from twin.modalities.instruments import Method
-from twin.modalities.progress import Watcher, nobody
+from twin.config.methods import TRAITS, Method
+from twin.pipeline.comparison import Outcome, read_outcomes
+from twin.pipeline.progress import Watcher, nobody
 from twin.report import direct, photometric
 from twin.report.comparison_figures import (
     ROWS,
@@ -19,7 +19,7 @@ from twin.report.comparison_figures import (
     values,
 )
 from twin.report.comparison_panels import AnyMeasured, panels_of, read_any
-from twin.report.comparison_view import METHOD_NAMES, METHOD_WORDS, draw_panel, overview
+from twin.report.comparison_view import draw_panel, overview
 from twin.report.direct import percent
 from twin.report.html import FIGURES_FOLDER, data_uri, make_folder, template, write_page
 from twin.report.photometric_folder import Photographed
@@ -121,8 +121,8 @@ def _read(folder: Path, outcome: Outcome) -> AnyMeasured | None:
 
 def _cell(pictures: Path, outcome: Outcome, measured: AnyMeasured | None) -> Cell:
     cell = Cell(
-        title=METHOD_NAMES[outcome.method],
-        words=METHOD_WORDS[outcome.method],
+        title=TRAITS[outcome.method].title,
+        words=TRAITS[outcome.method].told,
         report=f"{outcome.name}/{outcome.method}/{REPORT_FILE}",
         failure=outcome.failure,
         values=["–"] * len(ROWS),
@@ -149,7 +149,7 @@ def _pictures(pictures: Path, outcome: Outcome, measured: AnyMeasured) -> list[d
     for panel in panels_of(measured):
         path = pictures / f"{outcome.name}_{outcome.method}_{panel.name}.png"
         draw_panel(path, panel, measured)
-        alt = f"{outcome.name}, {METHOD_NAMES[outcome.method]}: {panel.caption}"
+        alt = f"{outcome.name}, {TRAITS[outcome.method].title}: {panel.caption}"
         shown.append({"uri": data_uri(path), "caption": panel.caption, "alt": alt})
     return shown
 

@@ -6,8 +6,8 @@ from statistics import mean
 from typing import Any
 
 from twin.config.models import Experiment
-from twin.modalities.photometric_decoders import Decoded
-from twin.modalities.score import SphereScore
+from twin.pipeline.photometric_decoders import Decoded
+from twin.pipeline.score import SphereScore
 from twin.report.comparison_panels import AnyMeasured
 from twin.report.direct import percent
 from twin.report.fields import NONE, number

@@ -6,20 +6,9 @@ from pathlib import Path
 
 from matplotlib.axes import Axes
 
-from twin.modalities.instruments import Method
+from twin.config.methods import TRAITS, Method
 from twin.report.canvas import FAINT, INK, axes_at, drawing
 from twin.report.comparison_panels import AnyMeasured, Panel, show_result, show_seen
-
-METHOD_NAMES: dict[Method, str] = {
-    "direct_fpp": "direct FPP",
-    "contact_fpp": "contact-FPP",
-    "photometric_stereo": "photometric stereo",
-}
-METHOD_WORDS: dict[Method, str] = {
-    "direct_fpp": "fringes on the bare specimen",
-    "contact_fpp": "fringes on the coat pressed onto it",
-    "photometric_stereo": "the coat of a gel on a window, in coloured light, pressed onto it",
-}
 
 _SIDE_IN, _WIDTH_IN, _BAR_IN, _ABOVE_IN = 0.02, 3.0, 0.95, 0.02
 _CELL_IN, _CELL_SHARE, _GAP_IN, _LABEL_IN, _HEAD_IN = 1.75, 0.75, 0.06, 0.35, 0.3
@@ -67,7 +56,7 @@ def overview(
                 for k in range(2)
             )
             if column == 0:
-                left.set_ylabel(METHOD_NAMES[method], fontsize=9.0, labelpad=6.0)
+                left.set_ylabel(TRAITS[method].title, fontsize=9.0, labelpad=6.0)
             if row == 0:
                 left.set_title(name.replace("_", " "))
             _pair(left, right, measured)

@@ -6,7 +6,7 @@ Shares count the pixels that show the specimen: its visible area, as the camera 
 import numpy as np
 
 from reconstruction.mask import Reason
-from twin.modalities.score import wanted_pixels, why_absent
+from twin.pipeline.score import wanted_pixels, why_absent
 from twin.report.appendix import Figure
 from twin.report.decoding import reason_shares
 from twin.report.fields import NONE, number
@@ -29,9 +29,7 @@ REASON_WORDS = {
 
 def verdict_in_words(scored: Scored) -> str:
     """Return the result in one sentence."""
-    surface = (
-        "specimen's visible area" if scored.experiment.modality == "direct_fpp" else "lit coat"
-    )
+    surface = "lit coat" if scored.experiment.method.presses else "specimen's visible area"
     if scored.figures["good_share"] is None:
         return f"The camera sees nothing of the {surface}."
     return (

@@ -4,7 +4,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from twin.mechanics import opposite_transfer
-from twin.modalities.score import SphereScore
+from twin.pipeline.score import SphereScore
 from twin.report.fields import number
 from twin.report.paper import CONTACT_FPP, PaperRow, paper_row
 from twin.report.result_folder import Scored

@@ -17,7 +17,7 @@ _CODE_WORDS = {
 
 def glance(scored: Scored) -> list[tuple[str, str]]:
     """Return (part, description) pairs."""
-    direct = scored.experiment.modality == "direct_fpp"
+    direct = not scored.experiment.method.presses
     return [
         ("specimen", _specimen(scored)),
         *(_stage(scored) if direct else _coat(scored)),

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from twin.modalities.progress import Watcher, nobody
+from twin.pipeline.progress import Watcher, nobody
 from twin.report import appendix, direct
 from twin.report.direct_view import direct_plates
 from twin.report.discussion import discussion

@@ -2,8 +2,8 @@
 
 from dataclasses import astuple, dataclass
 
-from twin.modalities.photometric_decoders import Decoded
-from twin.modalities.score import SphereScore
+from twin.pipeline.photometric_decoders import Decoded
+from twin.pipeline.score import SphereScore
 from twin.report.appendix import Figure
 from twin.report.direct import percent
 from twin.report.fields import NONE, coating_phrase, number, phrase

@@ -15,14 +15,14 @@ from reconstruction.photometric import SensorCalibration, read_sensor_calibratio
 from reconstruction.photometric.colour_table import ColourTable
 from reconstruction.photometric.sensor_calibration import MapKind
 from twin.mechanics import PressedElastomer, read_press
-from twin.modalities.photometric_decoders import Decoded, chosen, decode_all
-from twin.modalities.photometric_storage import (
+from twin.optics.stack import Truth
+from twin.optics.storage import read_truth
+from twin.pipeline.photometric_decoders import Decoded, chosen, decode_all
+from twin.pipeline.photometric_storage import (
     CALIBRATION_FILE,
     IMAGE_FILE,
     OTHER_CALIBRATION_FILE,
 )
-from twin.optics.stack import Truth
-from twin.optics.storage import read_truth
 from twin.report.result_folder import Result, read_seconds, result_parts
 
 _NEEDED_FIGURES = (

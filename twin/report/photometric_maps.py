@@ -15,8 +15,8 @@ from matplotlib.patches import Rectangle
 from matplotlib.ticker import MultipleLocator
 from numpy.typing import NDArray
 
-from twin.modalities.photometric_decoders import MAP_ORDER, Decoded
-from twin.modalities.photometric_score import wanted_of
+from twin.pipeline.photometric_decoders import MAP_ORDER, Decoded
+from twin.pipeline.photometric_score import wanted_of
 from twin.report.canvas import (
     INK,
     add_colorbar,

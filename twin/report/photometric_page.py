@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from twin.modalities.progress import Watcher
+from twin.pipeline.progress import Watcher
 from twin.report import appendix, photometric
 from twin.report.html import Picture, draw_pictures, template, write_page
 from twin.report.photometric_folder import Photographed, read_photographed

@@ -3,7 +3,7 @@
 import numpy as np
 
 from reconstruction.triangulation.triangulate import PointMap
-from twin.modalities.photometric_score import in_world
+from twin.pipeline.photometric_score import in_world
 from twin.report.balls import BallView, draw_ball
 from twin.report.canvas import symmetric_limit
 from twin.report.html import Plate

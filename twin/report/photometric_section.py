@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from numpy.typing import NDArray
 from scipy.interpolate import RegularGridInterpolator
 
-from twin.modalities.photometric_decoders import Decoded
+from twin.pipeline.photometric_decoders import Decoded
 from twin.report.canvas import (
     FIT,
     MEASURED,

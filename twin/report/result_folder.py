@@ -10,11 +10,11 @@ from reconstruction.outputs import read_reconstruction
 from reconstruction.pipeline import Reconstruction
 from twin.config import Experiment, load_experiment
 from twin.mechanics import PressedElastomer, read_press
-from twin.modalities.score import Score, score
-from twin.modalities.storage import CAPTURE_FOLDER, TIMINGS_FILE
 from twin.optics.stack import Truth
 from twin.optics.storage import read_truth
 from twin.output import EXPERIMENT_FILE, RESULT_FILE, read_json
+from twin.pipeline.score import Score, score
+from twin.pipeline.storage import CAPTURE_FOLDER, TIMINGS_FILE
 
 _MEASURING_COMMANDS = ("measure", "demo")
 
@@ -102,7 +102,7 @@ def read_measured(folder: Path) -> Measured:
         The folder is no finished measurement, or a file is missing or damaged.
     """
     parts = _scored_parts(folder)
-    direct = parts["experiment"].modality == "direct_fpp"
+    direct = not parts["experiment"].method.presses
     return Measured(
         **parts,
         pressed=None if direct else read_press(folder / "press.nc"),
@@ -120,7 +120,7 @@ def is_photometric(folder: Path) -> bool:
         The folder is no finished measurement.
     """
     read_result(folder, ())
-    return _read_experiment(folder / EXPERIMENT_FILE).modality == "photometric_stereo"
+    return not _read_experiment(folder / EXPERIMENT_FILE).method.fringes
 
 
 def result_parts(folder: Path, needed: tuple[str, ...]) -> dict[str, Any]:
@@ -133,7 +133,7 @@ def result_parts(folder: Path, needed: tuple[str, ...]) -> dict[str, Any]:
     """
     result = read_result(folder, needed)
     experiment = _read_experiment(folder / EXPERIMENT_FILE)
-    if experiment.modality != "direct_fpp":
+    if experiment.method.presses:
         _require(folder, result["metrics"], _NEEDED_OF_A_PRESS)
     return {
         "experiment": experiment,

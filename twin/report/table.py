@@ -4,8 +4,8 @@ from dataclasses import astuple, dataclass, replace
 from typing import Any
 
 from reconstruction.evaluate.fit import SphereFit
-from twin.modalities.comparison import Outcome
-from twin.modalities.score import SphereScore, why_absent
+from twin.pipeline.comparison import Outcome
+from twin.pipeline.score import SphereScore, why_absent
 from twin.report import direct
 from twin.report.fields import number
 from twin.report.paper import CONTACT_FPP, GELSIGHT, PaperRow, paper_row
@@ -75,7 +75,7 @@ def ball_rows(
         Row(number, MEASURED_LABEL, fit_values(sphere.measured, nominal_mm)),
         Row(number, "true coated face", fit_values(sphere.true_face, nominal_mm)),
     ]
-    if scored.experiment.modality == "direct_fpp":
+    if not scored.experiment.method.presses:
         return [rows[0], replace(rows[1], label="true surface")]
     for method in methods:
         published: PaperRow | None = paper_row(scored.experiment, method, number)
@@ -98,7 +98,7 @@ def line_of(label: str, cells: tuple[str, ...]) -> str:
 
 def _sentences(scored: Scored) -> list[str]:
     figures = scored.figures
-    if scored.experiment.modality == "direct_fpp":
+    if not scored.experiment.method.presses:
         return direct.sentences(scored)
     warnings, absent = figures["warnings"], why_absent(figures)
     rms, p95, spread = (

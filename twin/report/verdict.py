@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from twin.modalities.score import why_absent
+from twin.pipeline.score import why_absent
 from twin.report.fields import number
 from twin.report.result_folder import Scored
 

@@ -19,15 +19,14 @@ from numpy.typing import NDArray
 from reconstruction.disk import unwritable
 from reconstruction.errors import InputError
 from twin.config import Experiment
-from twin.modalities import measure, measure_photometric
-from twin.modalities.measurement import Measurement
-from twin.modalities.photometric_score import wanted_of
-from twin.modalities.photometric_stereo import PhotometricMeasurement
-from twin.modalities.progress import Watcher, nobody
-from twin.modalities.score import wanted_pixels
 from twin.optics.rig import camera_pinhole
+from twin.pipeline import Memory, measure
+from twin.pipeline.colours import PhotometricMeasurement
+from twin.pipeline.fringes import Measurement
+from twin.pipeline.photometric_score import wanted_of
+from twin.pipeline.progress import Watcher, nobody
+from twin.pipeline.score import wanted_pixels
 from twin.study.cases import Case
-from twin.study.stages import ContactStages, Staged
 from twin.study.store import Store
 
 _FOLDER = "pictures"
@@ -75,10 +74,10 @@ def pictures_of(
     """
     found: dict[str, CasePicture] = {}
     failed: dict[str, str] = {}
-    wanted, stages = list(cases), ContactStages()
+    wanted, memory = list(cases), Memory()
     for number, case in enumerate(wanted, start=1):
         try:
-            found[case.digest] = _picture(store, case, stages)
+            found[case.digest] = _picture(store, case, memory)
         except InputError as error:
             failed[case.digest] = str(error)
         except RuntimeError as error:
@@ -89,18 +88,18 @@ def pictures_of(
     return found, failed
 
 
-def _picture(store: Store, case: Case, stages: ContactStages) -> CasePicture:
+def _picture(store: Store, case: Case, memory: Memory) -> CasePicture:
     path = store.folder / _FOLDER / f"{case.digest}.npz"
     kept = read_picture(path)
     if kept is not None:
         return kept
     store.check_versions()  # other versions would measure something else than the table tells
-    picture = take_picture(case.experiment, stages)
+    picture = take_picture(case.experiment, memory)
     write_picture(path, picture)
     return picture
 
 
-def take_picture(experiment: Experiment, stages: ContactStages) -> CasePicture:
+def take_picture(experiment: Experiment, memory: Memory) -> CasePicture:
     """Measure a case as its study did, and thin it out.
 
     Raises
@@ -110,14 +109,13 @@ def take_picture(experiment: Experiment, stages: ContactStages) -> CasePicture:
     MissingBackend
         No usable Dr.Jit backend.
     """
-    if experiment.modality == "photometric_stereo":
-        return _of_colours(experiment, measure_photometric(experiment))
-    if experiment.modality == "direct_fpp":
-        return _of_fringes(experiment, measure(experiment))
-    return _of_fringes(experiment, stages.measure(experiment))
+    done = measure(experiment, memory=memory)
+    if isinstance(done, Measurement):
+        return _of_fringes(experiment, done)
+    return _of_colours(experiment, done)
 
 
-def _of_fringes(experiment: Experiment, done: Measurement | Staged) -> CasePicture:
+def _of_fringes(experiment: Experiment, done: Measurement) -> CasePicture:
     capture, truth = done.recording.capture, done.recording.truth
     points = done.reconstruction.point_map
     first = capture.patterns.index("phase", "column").start
