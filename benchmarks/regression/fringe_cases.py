@@ -19,7 +19,7 @@ from twin.paper.repeats import rod_width
 from twin.pipeline import Memory, measure, press_specimen, record
 from twin.pipeline.calibration import calibrate_rendered
 from twin.pipeline.fringes import options_of
-from twin.pipeline.score import Score
+from twin.results.score import Score
 
 IDEAL = {"camera.noise": False, "decode.filter_taps": 0}
 CENTRE = {"camera.binning": 2, "camera.width_px": 640, "camera.height_px": 480}
@@ -105,8 +105,8 @@ def rod(seeds: int = 5) -> Values:
     def once(seed: int) -> dict[str, float]:
         experiment = load_experiment("paper/rods_c", {"camera.binning": 4, "seed": seed})
         done = measure(experiment, memory=memory)
-        valid = done.reconstruction.point_map.valid & done.recording.truth.lit
-        points_mm = done.reconstruction.point_map.points_world_mm[valid]
+        valid = done.points.valid & done.truth.lit
+        points_mm = done.points.world_mm[valid]
         found = rod_width(experiment, points_mm, "")
         return {f"rod_{name}_mm": found[f"rod_{name}_mm"] for name in ("width", "height")}
 

@@ -23,7 +23,7 @@ from twin.mechanics.johnson import johnson_of
 from twin.optics.shading import may_shade_itself
 from twin.pipeline import press_specimen
 from twin.pipeline.press import press_smooth
-from twin.pipeline.storage import press_metrics
+from twin.results.parts import press_metrics
 
 NORMAL = Texture(rms_um=12, correlation_mm=0.2)
 TAILED = Texture(rms_um=12, correlation_mm=0.2, skewness=0.5, excess_kurtosis=2.0)

@@ -12,7 +12,7 @@ from twin.paper.repeats import measure_fringes
 from twin.paper.rig_draws import RigScatter
 from twin.pipeline.fringes import options_of, take
 from twin.pipeline.progress import Stopwatch
-from twin.pipeline.score import metrics, score
+from twin.results.score import metrics, score
 
 SMALL = {
     "camera.binning": 4,

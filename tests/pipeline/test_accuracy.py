@@ -12,7 +12,7 @@ from twin.config import load_experiment, vary
 from twin.optics.light import pattern_set
 from twin.pipeline import record
 from twin.pipeline.fringes import options_of
-from twin.pipeline.score import score, score_truth, wrong_orders
+from twin.results.score import score, score_truth, wrong_orders
 
 from .conftest import CENTRE, IDEAL
 

@@ -6,6 +6,7 @@ One sensor with few reference presses serves all tests; `benchmarks/gelsight.py`
 import numpy as np
 import pytest
 
+from benchmarks.cap_height import cap_height_ratio
 from reconstruction.errors import InputError
 from reconstruction.photometric import PhotometricDecoder, PhotometricOptions
 from reconstruction.photometric.calibration_ball import ball_slopes
@@ -18,8 +19,7 @@ from twin.mechanics import face_mesh
 from twin.pipeline import Memory, measure, press_specimen, take
 from twin.pipeline.colour_images import develop, fixed_exposure_ms, image_pinhole
 from twin.pipeline.colours import calibrated_sensor, with_ball
-from twin.pipeline.photometric_score import cap_height_ratio, photometric_metrics
-from twin.pipeline.photometric_storage import write_photometric
+from twin.results.folder import write_measurement
 
 FEW = {"photometric.presses.count": 24, "photometric.presses.smallest_diameter_mm": 5.5}
 BALL_MM, DEPTH_MM = 6.31, 0.7
@@ -158,7 +158,7 @@ def test_pixels_lie_where_the_pitch_says(calibrated):
 
 def test_a_measurement_scores_in_the_stated_field(done):
     """Expected: whole, within a tenth of the depth, the true cap a perfect sphere."""
-    scored, truth = done.score, done.truth
+    scored, truth = done.score.against_truth, done.truth
     lengths = np.ptp(truth.points_world_mm.reshape(-1, 3), axis=0)
     assert lengths[0] > 18.6
     assert lengths[1] > 14.3
@@ -166,29 +166,29 @@ def test_a_measurement_scores_in_the_stated_field(done):
     assert scored.wanted_pixels == pytest.approx(18.6 * 14.3 / 0.0634**2, rel=0.03)
     assert scored.completeness > 0.95
     assert scored.z_rmse_um < 0.1 * 1e3 * DEPTH_MM
-    (ball,) = scored.spheres
+    (ball,) = done.score.spheres
     assert ball.true_face.radius_mm == pytest.approx(BALL_MM / 2, rel=1e-3)
     assert ball.measured.radius_mm == pytest.approx(BALL_MM / 2, rel=0.15)
-    assert {"z_rmse_um", "sphere_1_rmse_mm"} <= set(photometric_metrics(scored))
+    assert {"z_rmse_um", "sphere_1_rmse_mm"} <= set(done.figures)
 
 
 def test_another_decoder_uses_the_same_calibration(experiment, done, memory):
     other = measure(vary(experiment, {"photometric.integration": "sdk_2025"}), memory=memory)
-    assert other.calibration is done.calibration
-    np.testing.assert_array_equal(other.image, done.image)
-    assert other.heights.height_mm.max() < 0.8 * done.heights.height_mm.max()
+    assert other.colours.calibration is done.colours.calibration
+    np.testing.assert_array_equal(other.picture, done.picture)
+    assert other.points.world_mm[..., 2].max() < 0.8 * done.points.world_mm[..., 2].max()
 
 
 def test_another_specimen_uses_the_same_sensor(experiment, done, memory):
     """Neither specimen and load nor what is decoded or scored is part of the sensor."""
     changes = {"specimen.diameter_mm": 7.0, "press.depth_mm": 0.5, "score.roi_radius_mm": 0.5}
     other = measure(vary(experiment, changes), memory=memory)
-    assert other.calibration is done.calibration
-    assert not np.array_equal(other.image, done.image)
+    assert other.colours.calibration is done.colours.calibration
+    assert not np.array_equal(other.picture, done.picture)
 
 
-def test_results_are_files(done, experiment, tmp_path):
-    write_photometric(tmp_path, "measure", experiment, done)
+def test_results_are_files(done, tmp_path):
+    write_measurement(tmp_path, "measure", done)
     names = {path.name for path in tmp_path.iterdir()}
     assert {"result.json", "image.png", "sensor_calibration.npz", "height.nc", "truth.nc"} <= names
 

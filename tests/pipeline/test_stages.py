@@ -6,8 +6,6 @@ import pytest
 from reconstruction.errors import InputError
 from twin.config import vary
 from twin.pipeline import Memory, measure
-from twin.pipeline.storage import press_metrics, recording_metrics
-from twin.study.measuring import CaseMeasurer
 
 # Values around the base for fields that every stage looks at, and for some that none does.
 FIELDS = {
@@ -43,18 +41,16 @@ FIELDS = {
 
 def bytes_of(done):
     """Everything a case can show, as bytes by name."""
-    figures = press_metrics(done.pressed) | recording_metrics(done.recording)
-    truth, points = done.recording.truth, done.reconstruction.point_map
     arrays = {
         "pressure": done.pressed.pressure_kpa,
         "face": done.pressed.face_z_mm,
-        "stack": done.recording.capture.stack,
-        "radiance": np.stack(done.recording.radiance.frames),
-        "truth": truth.points_world_mm,
-        "points": points.points_world_mm,
-        "sigma": points.sigma_z_mm,
+        "stack": done.fringes.capture.stack,
+        "radiance": np.stack(done.fringes.frames),
+        "truth": done.truth.points_world_mm,
+        "points": done.points.world_mm,
+        "sigma": done.points.sigma_mm,
     }
-    return {"figures": repr(figures)} | {name: a.tobytes() for name, a in arrays.items()}
+    return {"figures": repr(done.figures)} | {name: a.tobytes() for name, a in arrays.items()}
 
 
 def test_random_walk_gives_the_same_bytes(mi, base):
@@ -96,7 +92,7 @@ def test_a_bare_specimen_shares_its_stages(mi, base):
         before = {name: computed for name, computed, _, _ in memory.stages()}
         case = vary(bare, {path: value})
         shared, alone = measure(case, memory=memory), measure(case)
-        assert shared.recording.capture.stack.tobytes() == alone.recording.capture.stack.tobytes()
+        assert shared.fringes.capture.stack.tobytes() == alone.fringes.capture.stack.tobytes()
         anew = [name for name, computed, _, _ in memory.stages() if computed > before[name]]
         assert anew == expected.split(), path
         measure(bare, memory=memory)
@@ -187,15 +183,3 @@ def test_a_refusal_is_shared_too(mi, base):
         reasons.add(str(caught.value))
     assert len(reasons) == 1
     assert next(memory.stages())[1] == 1
-
-
-def test_figures_are_those_of_measure(mi, base):
-    """A case's figures are those of `twin measure`'s result.json, for every method."""
-    from twin.pipeline.score import metrics
-
-    direct = vary(base, {"modality": "direct_fpp", "render.bounces": 0, "render.photons": 1000})
-    for experiment in (base, direct):
-        done = measure(experiment)
-        expected = press_metrics(done.pressed) if done.pressed else {"warnings": []}
-        expected |= recording_metrics(done.recording) | metrics(done.score)
-        assert CaseMeasurer()(experiment).figures == expected

@@ -40,7 +40,9 @@ def press(
     from twin.mechanics import write_in_plane
     from twin.output import output_folder
     from twin.pipeline.press import press_specimen, transfer_of
-    from twin.pipeline.storage import (
+    from twin.report.press import draw_press
+    from twin.report.transfer import draw_transfer
+    from twin.results.parts import (
         press_metrics,
         transfer_metrics,
         write_pressed,
@@ -48,8 +50,6 @@ def press(
         write_solid,
         write_transfer,
     )
-    from twin.report.press import draw_press
-    from twin.report.transfer import draw_transfer
 
     loaded = load(experiment, settings)
     with output_folder(out, [experiment]) as folder:
@@ -95,8 +95,8 @@ def render(
     from twin.output import output_folder
     from twin.pipeline.fringes import take
     from twin.pipeline.progress import Stopwatch
-    from twin.pipeline.storage import write_frames, write_result, write_taken, write_timings
     from twin.report.frames import draw_frames
+    from twin.results.parts import write_frames, write_result, write_taken, write_timings
 
     loaded = load(experiment, settings)
     with output_folder(out, [experiment]) as folder:
@@ -214,7 +214,7 @@ def export(experiment: Path, /, *, out: Out, settings: Settings = None) -> None:
     from twin.optics.export import export_stock
     from twin.output import output_folder
     from twin.pipeline.press import press_specimen
-    from twin.pipeline.storage import press_metrics, write_result
+    from twin.results.parts import press_metrics, write_result
 
     loaded = load(experiment, settings)
     with output_folder(out, [experiment]) as folder, progress_bars() as watch:

@@ -13,13 +13,12 @@ from typing import Any
 from twin.config import Experiment, digest
 from twin.paper.repeats import Figures, Repeated, Trial
 from twin.paper.scatter import Scatter
-from twin.pipeline.colours import PhotometricMeasurement
 from twin.pipeline.instruments import PhotometricPlan, case_for
 from twin.pipeline.memory import Memory
 from twin.pipeline.methods import measure
-from twin.pipeline.photometric_decoders import Decoded
-from twin.pipeline.photometric_score import photometric_metrics
 from twin.pipeline.progress import Watcher, nobody
+from twin.results.decoders import Decoded
+from twin.results.score import metrics
 
 CALIBRATIONS = 5
 # The paper's pipeline: a look-up table, then integration as in the vendor's programs of its time.
@@ -36,15 +35,14 @@ def measure_colours(seed: int, memory: Memory, experiment: Experiment, trial: in
     """Measure once; the paper's decoder under plain names, every decoder under its own."""
     case = case_for(experiment, "photometric_stereo", plan_of(seed, trial))
     measured = measure(case, memory=memory, trial=trial)
-    assert isinstance(measured, PhotometricMeasurement)
-    figures = photometric_metrics(measured.score) | {"depth_mm": measured.pressed.depth_mm}
-    for one in measured.decoded:
+    figures = metrics(measured.score)
+    for one in measured.colours.decoded:
         figures |= _by_decoder(one)
-    return figures | {"force_n": measured.pressed.force_n}
+    return figures | {name: measured.figures[name] for name in ("depth_mm", "force_n")}
 
 
 def _by_decoder(one: Decoded) -> Figures:
-    found = photometric_metrics(one.score)
+    found = metrics(one.score)
     return {
         f"{one.colour_map}_{one.integration}_{name}": value
         for name, value in found.items()

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from twin.config.models import Experiment
 from twin.mechanics import PressedElastomer
 from twin.optics.stack import Truth
-from twin.pipeline.score import share_of
+from twin.results.score import share_of
 from twin.specimens import shape_of
 
 _GRID_MM = 0.02

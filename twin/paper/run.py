@@ -33,8 +33,8 @@ from twin.paper.rod_table import hardness_table, rods_table
 from twin.paper.sphere_tables import repeated_fit_table, sphere_fit_table, uncertainty_table
 from twin.paper.table import Cell, Table, shown
 from twin.pipeline.progress import Watcher, nobody
-from twin.pipeline.storage import write_result
 from twin.report.html import FIGURES_FOLDER, make_folder
+from twin.results.parts import write_result
 from twin.study.workers import local_workers
 from twin.working import remove_leftovers
 

@@ -15,19 +15,19 @@ from reconstruction.arrays import Doubles, Levels
 from reconstruction.errors import InputError
 from reconstruction.photometric import (
     BallPress,
-    HeightMap,
     SensorCalibration,
     calibrate_sensor,
 )
 from reconstruction.photometric.calibration_ball import SampleOptions
 from reconstruction.photometric.sensor_calibration import MapKind
 from reconstruction.rig.pinhole import Pinhole
-from twin.config import Experiment, seed_sequence
+from twin.config import Experiment, digest, seed_sequence
 from twin.config.models import Ball, Press
 from twin.mechanics import PressedElastomer, face_mesh
 from twin.optics.backend import activate
 from twin.optics.rig import world_from_device
 from twin.optics.stack import Truth
+from twin.output import versions
 from twin.pipeline.colour_images import (
     cropped_pinhole,
     develop,
@@ -36,9 +36,11 @@ from twin.pipeline.colour_images import (
 )
 from twin.pipeline.fringes import Run
 from twin.pipeline.memory import Kept, Memory
-from twin.pipeline.photometric_decoders import MAP_ORDER, Decoded, chosen, decode_all
-from twin.pipeline.photometric_score import PhotometricScore
 from twin.pipeline.press import press, press_smooth, with_texture
+from twin.results.decoders import MAP_ORDER, chosen, decode_all
+from twin.results.parts import press_metrics
+from twin.results.record import Colours, Measurement
+from twin.results.score import metrics
 
 if TYPE_CHECKING:
     import trimesh
@@ -124,45 +126,7 @@ class References:
     presses: tuple[BallPress, ...]
 
 
-@dataclass(frozen=True, eq=False)
-class PhotometricMeasurement:
-    """One virtual measurement by photometric stereo, whole.
-
-    Attributes
-    ----------
-    calibrations : dict
-        One per colour map, on the same reference images.
-    decoded : list of Decoded
-        The image by every decoder.
-    own : Decoded
-        That of the experiment's own decoder.
-    """
-
-    pressed: PressedElastomer
-    image: Levels
-    calibrations: dict[MapKind, SensorCalibration]
-    decoded: list[Decoded]
-    own: Decoded
-    truth: Truth
-    seconds: dict[str, float]
-
-    @property
-    def calibration(self) -> SensorCalibration:
-        """Calibration of the experiment's own colour map."""
-        return self.calibrations[self.own.colour_map]
-
-    @property
-    def heights(self) -> HeightMap:
-        """Heights by the experiment's own decoder."""
-        return self.own.heights
-
-    @property
-    def score(self) -> PhotometricScore:
-        """Score of the experiment's own decoder."""
-        return self.own.score
-
-
-def measure_colours(experiment: Experiment, run: Run) -> PhotometricMeasurement:
+def measure_colours(experiment: Experiment, run: Run) -> Measurement:
     """Run one virtual measurement by photometric stereo.
 
     Raises
@@ -189,8 +153,16 @@ def measure_colours(experiment: Experiment, run: Run) -> PhotometricMeasurement:
     with clock.stage("reconstruct"):
         decoded = decode_all(experiment, image, calibrations, truth)
     own = chosen(experiment, decoded)
-    return PhotometricMeasurement(
-        pressed.pressed, image, calibrations, decoded, own, truth, clock.seconds
+    return Measurement(
+        experiment=experiment,
+        images=Colours(image, calibrations, decoded, own),
+        truth=truth,
+        score=own.score,
+        figures=press_metrics(pressed.pressed) | metrics(own.score),
+        pressed=pressed.pressed,
+        digest=digest(experiment),
+        versions=versions(),
+        seconds=clock.seconds,
     )
 
 

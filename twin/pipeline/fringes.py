@@ -7,7 +7,7 @@ with an empty memory.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from reconstruction.capture.folder import Capture
@@ -15,17 +15,21 @@ from reconstruction.decoding.decode import DecodeOptions
 from reconstruction.errors import InputError
 from reconstruction.pipeline import Reconstruction, ReconstructOptions, reconstruct
 from twin.camera import expose
+from twin.config import digest
 from twin.config.models import Decode, Experiment
 from twin.mechanics import PressedElastomer, face_mesh
 from twin.optics.backend import activate
 from twin.optics.checks import check_direct_engine
 from twin.optics.light import pattern_set
 from twin.optics.rig import true_calibration
-from twin.optics.stack import RadianceStack, Truth
+from twin.optics.stack import RadianceStack
+from twin.output import versions
 from twin.pipeline.memory import Kept, Memory
 from twin.pipeline.press import Press, press
 from twin.pipeline.progress import Stopwatch
-from twin.pipeline.score import Score, score
+from twin.results.parts import taken_figures
+from twin.results.record import Fringes, Measurement, Recording
+from twin.results.score import metrics, score
 
 if TYPE_CHECKING:
     import trimesh
@@ -33,31 +37,6 @@ if TYPE_CHECKING:
     from twin.pipeline.trace import Geometry
 
 Progress = Callable[[float], None]
-
-
-@dataclass(frozen=True, eq=False)
-class Recording:
-    """What the virtual rig delivers, and the truth that a real rig does not have."""
-
-    radiance: RadianceStack
-    capture: Capture
-    exposure_ms: float
-
-    @property
-    def truth(self) -> Truth:
-        """Geometry behind every camera pixel."""
-        return self.radiance.truth
-
-
-@dataclass(frozen=True, eq=False)
-class Measurement:
-    """One virtual measurement, whole; nothing is pressed where the bare specimen is seen."""
-
-    pressed: PressedElastomer | None
-    recording: Recording
-    reconstruction: Reconstruction
-    score: Score
-    seconds: dict[str, float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,8 +72,28 @@ def measure_fringes(experiment: Experiment, run: Run) -> Measurement:
             lambda seen: reconstruct(capture.value.capture, options_of(seen.decode)),
         ).value
     with run.clock.stage("score"):
-        scored = score(experiment, points, capture.value.truth)
-    return Measurement(pressed, capture.value, points, scored, run.clock.seconds)
+        done = evaluate(experiment, pressed, capture.value, points)
+    return replace(done, seconds=run.clock.seconds)
+
+
+def evaluate(
+    experiment: Experiment,
+    pressed: PressedElastomer | None,
+    recording: Recording,
+    reconstruction: Reconstruction,
+) -> Measurement:
+    """Score a reconstruction against the truth, and put everything into one record."""
+    scored = score(experiment, reconstruction, recording.truth)
+    return Measurement(
+        experiment=experiment,
+        images=Fringes(recording.capture, reconstruction, recording.radiance.frames),
+        truth=recording.truth,
+        score=scored,
+        figures=taken_figures(pressed, recording) | metrics(scored),
+        pressed=pressed,
+        digest=digest(experiment),
+        versions=versions(),
+    )
 
 
 def take(

@@ -1,30 +1,16 @@
 """Run one virtual measurement by whichever method the experiment names: the one place to choose."""
 
 from pathlib import Path
-from typing import Any
 
 from twin.config import Experiment
 from twin.mechanics import check_press
 from twin.optics.checks import check_renderable
-from twin.pipeline.colours import PhotometricMeasurement, check_sensor, measure_colours
-from twin.pipeline.fringes import Measurement, Run, check_layers, measure_fringes
+from twin.pipeline.colours import check_sensor, measure_colours
+from twin.pipeline.fringes import Run, check_layers, measure_fringes
 from twin.pipeline.memory import Memory
-from twin.pipeline.photometric_storage import (
-    photometric_figures,
-    write_heights,
-    write_photometric,
-    write_seen,
-)
 from twin.pipeline.progress import Stopwatch, Watcher, nobody
-from twin.pipeline.storage import (
-    fringe_figures,
-    write_captured,
-    write_measurement,
-    write_pressed,
-    write_reconstructed,
-)
-
-AnyMeasurement = Measurement | PhotometricMeasurement
+from twin.results.folder import write_measurement
+from twin.results.record import Measurement
 
 
 def measure(
@@ -32,7 +18,7 @@ def measure(
     watch: Watcher = nobody,
     memory: Memory | None = None,
     trial: int = 0,
-) -> AnyMeasurement:
+) -> Measurement:
     """Run one virtual measurement.
 
     Parameters
@@ -72,32 +58,8 @@ def measure_into(
     """
     done = measure(experiment, watch, memory)
     watch("write", 0.0)
-    if isinstance(done, Measurement):
-        write_measurement(folder, command, experiment, done)
-    else:
-        write_photometric(folder, command, experiment, done)
+    write_measurement(folder, command, done)
     watch("write", 1.0)
-
-
-def figures_of(done: AnyMeasurement) -> dict[str, Any]:
-    """Return the metrics of result.json."""
-    return fringe_figures(done) if isinstance(done, Measurement) else photometric_figures(done)
-
-
-def write_kept(folder: Path, done: AnyMeasurement, keep: tuple[str, ...]) -> None:
-    """Write the arrays that a study keeps of a case: "press", "capture", "points"."""
-    if "press" in keep and done.pressed is not None:
-        write_pressed(folder, done.pressed)
-    if "capture" in keep:
-        if isinstance(done, Measurement):
-            write_captured(folder, done.recording.capture)
-        else:
-            write_seen(folder, done)
-    if "points" in keep:
-        if isinstance(done, Measurement):
-            write_reconstructed(folder, done.reconstruction)
-        else:
-            write_heights(folder, done)
 
 
 def check_measurable(experiment: Experiment) -> None:

@@ -10,9 +10,10 @@ from twin.report.figures import plates
 from twin.report.glance import glance
 from twin.report.html import STAGE, Picture, draw_pictures, template, write_page
 from twin.report.photometric_page import write_photometric_report
-from twin.report.result_folder import Measured, is_photometric, read_measured
 from twin.report.table import HEADINGS, ball_rows
 from twin.report.verdict import verdicts
+from twin.results.folder import read_measurement
+from twin.results.record import Measurement
 
 REPORT_FILE = "report.html"
 
@@ -39,19 +40,19 @@ def write_report(folder: Path, watch: Watcher = nobody, into: Path | None = None
     """
     watch(STAGE, 0.0)
     path = (into or folder) / REPORT_FILE
-    write = write_photometric_report if is_photometric(folder) else _write_fringes
-    write(folder, path, watch)
+    measured = read_measurement(folder)
+    write = _write_fringes if measured.experiment.method.fringes else write_photometric_report
+    write(measured, path, watch)
     watch(STAGE, 1.0)
     return path
 
 
-def _write_fringes(folder: Path, page: Path, watch: Watcher) -> None:
-    measured = read_measured(folder)
+def _write_fringes(measured: Measurement, page: Path, watch: Watcher) -> None:
     drawn = direct_plates(measured) if measured.pressed is None else plates(measured)
     write_page(page, render_page(measured, draw_pictures(page.parent, drawn, watch)))
 
 
-def render_page(measured: Measured, shown: dict[str, Picture]) -> str:
+def render_page(measured: Measurement, shown: dict[str, Picture]) -> str:
     """Fill the template with figures that are drawn already."""
     pressed = measured.pressed is not None
     return template("report.html").render(

@@ -5,25 +5,24 @@ from pathlib import Path
 from twin.pipeline.progress import Watcher
 from twin.report import appendix, photometric
 from twin.report.html import Picture, draw_pictures, template, write_page
-from twin.report.photometric_folder import Photographed, read_photographed
 from twin.report.photometric_plates import photometric_plates
 from twin.report.table import HEADINGS
+from twin.results.record import Measurement
 
 
-def write_photometric_report(folder: Path, page: Path, watch: Watcher) -> None:
+def write_photometric_report(seen: Measurement, page: Path, watch: Watcher) -> None:
     """Write the page and its figures; see `write_report`."""
-    seen = read_photographed(folder)
     shown = draw_pictures(page.parent, photometric_plates(seen), watch)
     write_page(page, render_page(seen, shown))
 
 
-def render_page(seen: Photographed, shown: dict[str, Picture]) -> str:
+def render_page(seen: Measurement, shown: dict[str, Picture]) -> str:
     """Fill the template with figures that are drawn already."""
-    numbers = [ball.number for ball in seen.own.score.spheres]
+    numbers = [ball.number for ball in seen.score.spheres]
     return template("photometric.html").render(
         experiment=seen.experiment,
         verdicts=photometric.verdicts(seen),
-        warnings=[*seen.figures["warnings"], *seen.own.score.unfitted],
+        warnings=[*seen.figures["warnings"], *seen.score.unfitted],
         glance=photometric.glance(seen),
         field=photometric.field_figures(seen),
         decoder_headings=photometric.DECODER_HEADINGS,

@@ -7,8 +7,8 @@ from typing import Any
 
 from twin.config import Experiment
 from twin.pipeline import Memory, measure
-from twin.pipeline.methods import figures_of, write_kept
 from twin.pipeline.reads import Path as FieldPath
+from twin.results.folder import write_kept
 
 Figures = dict[str, Any]
 StageReads = tuple[tuple[FieldPath, ...], ...]
@@ -51,7 +51,7 @@ class CaseMeasurer:
             No usable Dr.Jit backend.
         """
         done = measure(experiment, memory=self.memory)
-        return Answer(figures_of(done), lambda folder: write_kept(folder, done, self.keep))
+        return Answer(done.figures, lambda folder: write_kept(folder, done, self.keep))
 
     def reads(self) -> StageReads:
         """Fields that each stage looked at for the latest case, first stage first."""

@@ -1,19 +1,6 @@
-"""Write each stage's result into a folder; the names are the contract of `twin ... -o DIR`.
+"""Write what single stages give into a folder, and name their figures."""
 
-| file | content |
-|---|---|
-| result.json | metrics (units in their names), digest, versions |
-| experiment.toml | the resolved experiment |
-| press.nc, coated_face.ply | fields of the pressed elastomer and the coated face |
-| press.png | relief, pressure, section; transfer.csv, transfer.png when asked for |
-| capture/ | what a real rig would have recorded: stack, description, calibration |
-| truth.nc, white.exr | point, normal, depth, projector pixel behind every pixel; white radiance |
-| frames_exr/, frames_png/ | when asked for: each frame as linear radiance, as digital numbers |
-| reconstruction.nc, points.ply | maps of the decoder, organised point cloud |
-| height_map.*, surface.ply | heights on a regular grid, triangle mesh |
-"""
-
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Literal
 
@@ -21,9 +8,6 @@ import imageio.v3 as imageio
 import numpy as np
 
 from reconstruction.capture.folder import Capture, write_capture
-from reconstruction.outputs import write_reconstruction
-from reconstruction.pipeline import Reconstruction
-from reconstruction.surface_files import write_surface
 from twin.config import Experiment, digest, to_toml
 from twin.mechanics import (
     ContactTransfer,
@@ -34,10 +18,9 @@ from twin.mechanics import (
     write_mesh,
     write_press,
 )
-from twin.optics.storage import write_exr, write_truth
 from twin.output import EXPERIMENT_FILE, RESULT_FILE, versions, write_json
-from twin.pipeline.fringes import Measurement, Recording
-from twin.pipeline.score import metrics
+from twin.results.record import Recording
+from twin.results.truth import write_exr, write_truth
 
 Progress = Callable[[float], None]
 
@@ -64,7 +47,7 @@ def write_result(
     write_json(folder / RESULT_FILE, content)
 
 
-def write_timings(folder: Path, seconds: dict[str, float]) -> None:
+def write_timings(folder: Path, seconds: Mapping[str, float]) -> None:
     """Write wall-clock seconds per stage; the only file that differs between equal runs."""
     write_json(folder / TIMINGS_FILE, {name: round(s, 3) for name, s in seconds.items()})
 
@@ -113,29 +96,6 @@ def write_frames(
         else:
             imageio.imwrite(path, np.rint(recording.capture.stack[number]).astype(np.uint16))
         progress((number + 1) / len(frames))
-
-
-def write_reconstructed(folder: Path, reconstruction: Reconstruction) -> None:
-    """Write the decoder's maps and the point cloud."""
-    write_reconstruction(
-        folder / "reconstruction.nc", reconstruction.decoded, reconstruction.point_map
-    )
-    write_surface(folder, reconstruction.point_map)
-
-
-def write_measurement(
-    folder: Path, command: str, experiment: Experiment, done: Measurement
-) -> None:
-    """Write everything of one measurement."""
-    write_taken(folder, done.pressed, done.recording)
-    write_reconstructed(folder, done.reconstruction)
-    write_result(folder, command, experiment, fringe_figures(done))
-    write_timings(folder, done.seconds)
-
-
-def fringe_figures(done: Measurement) -> dict[str, Any]:
-    """Return the metrics of result.json: those of press, recording and score."""
-    return taken_figures(done.pressed, done.recording) | metrics(done.score)
 
 
 def taken_figures(pressed: PressedElastomer | None, recording: Recording) -> dict[str, Any]:

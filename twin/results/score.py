@@ -1,19 +1,23 @@
-"""Score a reconstruction in millimetres: against the truth mesh and against fitted spheres.
+"""Score points in millimetres, whatever the method: against the truth and against fitted spheres.
 
 Sphere metrics follow the paper: least-squares sphere over the points of each ball's region, then
 RMSE, MAE and 95th percentile of the absolute radial residuals. The same fit over the true coated
 face at the same pixels separates what the elastomer did from what the measurement did.
+
+Nothing is registered before comparing: where a method's points lie belongs to the method.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import asdict, dataclass
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from reconstruction.arrays import BoolImage, Doubles, FloatImage
 from reconstruction.errors import FitError
 from reconstruction.evaluate.fit import SphereFit, fit_sphere
+from reconstruction.photometric import HeightMap
 from reconstruction.pipeline import Reconstruction, filter_bias
 from twin.config.models import Experiment
 from twin.optics.stack import Truth
@@ -41,26 +45,48 @@ _SPHERE_FIGURES = (
 
 @dataclass(frozen=True)
 class TruthScore:
-    """Errors of world z against the true surface at the pixel centres, valid pixels only.
+    """Errors of world z against the true surface at the pixel centres, wanted valid pixels only.
 
     `completeness` is the share of the wanted pixels with a point, `good_share` that of those whose
-    point is also right within `score.good_within_um`. `filter_bias_um` and `filter_bias_share` need
-    no truth, see `filter_bias`. A figure that does not exist (the error of no point, the share of
-    no pixel) is None: 0 would beat every measurement. `why_absent` says why.
+    point is also right within `score.good_within_um`. A figure that does not exist (the error of no
+    point, the share of no pixel) is None: 0 would beat every measurement. `why_absent` says why.
     """
 
     points: int
-    lit_pixels: int
     completeness: float | None
     good_share: float | None
-    wrong_order_pixels: int | None
     z_rmse_um: float | None
     z_bias_um: float | None
     z_p95_um: float | None
+
+
+@dataclass(frozen=True)
+class FringeScore(TruthScore):
+    """What fringes tell besides.
+
+    `filter_bias_um` and `filter_bias_share` need no truth, see `filter_bias`. `error_over_sigma` is
+    the robust spread of error / predicted sigma: 1 when the predicted sigma is the actual one, more
+    when systematic errors exceed the noise. One point has no spread.
+    """
+
+    lit_pixels: int
+    wrong_order_pixels: int | None
     sigma_z_median_um: float | None
     filter_bias_um: float | None
     filter_bias_share: float | None
     error_over_sigma: float | None
+
+
+@dataclass(frozen=True)
+class HeightScore(TruthScore):
+    """What heights from slopes tell besides; only pixels within the stated field count.
+
+    `height_scale` is the slope of measured over true z, by least squares with a free zero; 1 where
+    heights are neither flattened nor stretched, and None on a flat truth, which has no scale.
+    """
+
+    wanted_pixels: int
+    height_scale: float | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,67 +100,92 @@ class SphereScore:
     true_face: SphereFit
 
 
+Against = TypeVar("Against", bound=TruthScore, covariant=True)
+
+
 @dataclass(frozen=True, eq=False)
-class Score:
+class Score(Generic[Against]):
     """Everything that is scored on one measurement.
 
     Attributes
     ----------
-    against_truth : TruthScore
+    against_truth : FringeScore or HeightScore, by method
     spheres : tuple of SphereScore
         The balls that could be fitted.
     unfitted : tuple of str
         Why the others could not: a ball without valid points must not sink the measurement.
     """
 
-    against_truth: TruthScore
+    against_truth: Against
     spheres: tuple[SphereScore, ...]
     unfitted: tuple[str, ...] = ()
 
 
-def score(experiment: Experiment, reconstruction: Reconstruction, truth: Truth) -> Score:
+def score(
+    experiment: Experiment, reconstruction: Reconstruction, truth: Truth
+) -> Score[FringeScore]:
     """Score a reconstruction against the truth of the same camera pixels."""
-    measured_mm, fitted, unfitted = reconstruction.point_map.points_world_mm, [], []
-    for number, ball in enumerate(shape_of(experiment.specimen).spheres(), start=1):
-        roi = region_of(ball, reconstruction, truth, experiment.score.roi_radius_mm)
-        try:
-            fitted.append(score_sphere(number, ball, roi, measured_mm, truth.points_world_mm))
-        except FitError as error:
-            unfitted.append(f"ball {number}: {error}")
-    against_truth = score_truth(experiment, reconstruction, truth)
-    return Score(against_truth, tuple(fitted), tuple(unfitted))
+    points = reconstruction.point_map
+    usable = points.valid & truth.lit
+    spheres = _spheres(experiment, points.points_world_mm, truth, usable)
+    return Score(score_truth(experiment, reconstruction, truth), *spheres)
 
 
-def score_truth(experiment: Experiment, reconstruction: Reconstruction, truth: Truth) -> TruthScore:
-    """Compare world z, pixel by pixel, with the truth at the pixel centre.
+def score_heights(experiment: Experiment, heights: HeightMap, truth: Truth) -> Score[HeightScore]:
+    """Score heights of photometric stereo against the truth of the same pixels.
 
-    `error_over_sigma` is the robust spread of error / predicted sigma: 1 when the predicted sigma
-    is the actual one, more when systematic errors exceed the noise. One point has no spread.
+    Raises
+    ------
+    FitError
+        No pixel of the field carries a height.
     """
+    found_mm, wanted = in_world(heights), wanted_pixels(experiment, truth)
+    both = wanted & heights.valid
+    if not both.any():
+        raise FitError("no pixel within photometric.field carries a height")
+    found, true = found_mm[both][:, 2], truth.points_world_mm[both][:, 2]
+    against_truth = HeightScore(
+        **_errors(experiment, 1e3 * (found - true), int(wanted.sum())),
+        wanted_pixels=int(wanted.sum()),
+        height_scale=_scale(found, true),
+    )
+    return Score(against_truth, *_spheres(experiment, found_mm, truth, both))
+
+
+def score_truth(
+    experiment: Experiment, reconstruction: Reconstruction, truth: Truth
+) -> FringeScore:
+    """Compare world z, pixel by pixel, with the truth at the pixel centre."""
     wanted = wanted_pixels(experiment, truth)
     both = reconstruction.point_map.valid & wanted
     points = reconstruction.point_map.points_world_mm[both]
     error_um = 1e3 * (points[:, 2] - truth.points_world_mm[both][:, 2]).astype(np.float64)
     sigma_um = 1e3 * reconstruction.point_map.sigma_z_mm[both].astype(np.float64)
-    good = np.abs(error_um) <= experiment.score.good_within_um
-    lit, count = int(wanted.sum()), int(both.sum())
     bias_um, bias_share = (
-        filter_bias(reconstruction, experiment.decode.use, both) if count else (None, None)
+        filter_bias(reconstruction, experiment.decode.use, both) if both.any() else (None, None)
     )
-    return TruthScore(
-        points=count,
-        lit_pixels=lit,
-        completeness=share_of(count, lit),
-        good_share=share_of(int(good.sum()), lit),
+    return FringeScore(
+        **_errors(experiment, error_um, int(wanted.sum())),
+        lit_pixels=int(wanted.sum()),
         wrong_order_pixels=wrong_orders(experiment, reconstruction, truth),
-        z_rmse_um=figure_of(error_um, rms),
-        z_bias_um=figure_of(error_um, np.mean),
-        z_p95_um=figure_of(error_um, p95_of_size),
         sigma_z_median_um=figure_of(sigma_um, np.median),
         filter_bias_um=bias_um,
         filter_bias_share=bias_share,
         error_over_sigma=figure_of(error_um / np.maximum(sigma_um, 1e-9), _spread, least=2),
     )
+
+
+def _errors(experiment: Experiment, error_um: FloatArray, wanted: int) -> dict[str, Any]:
+    """Figures of `TruthScore` from the errors (n,) of the wanted pixels that have a point."""
+    good = np.abs(error_um) <= experiment.score.good_within_um
+    return {
+        "points": len(error_um),
+        "completeness": share_of(len(error_um), wanted),
+        "good_share": share_of(int(good.sum()), wanted),
+        "z_rmse_um": figure_of(error_um, rms),
+        "z_bias_um": figure_of(error_um, np.mean),
+        "z_p95_um": figure_of(error_um, p95_of_size),
+    }
 
 
 def share_of(count: int, whole: int) -> float | None:
@@ -166,10 +217,25 @@ def _spread(values: FloatArray) -> float:
 def wanted_pixels(experiment: Experiment, truth: Truth) -> NDArray[np.bool_]:
     """Pixels that ought to give a point, (row, col).
 
-    On the coat those that both devices see. On a bare specimen every pixel that shows it: that the
-    method has blind flanks and shadows there is what is to be found out.
+    On a coat under fringes those that both devices see. On a bare specimen every pixel that shows
+    it: that the method has blind flanks and shadows there is what is to be found out. In the light
+    of lamps the coat within the stated field.
     """
-    return truth.lit if experiment.method.presses else truth.measured
+    if experiment.method.fringes:
+        return truth.lit if experiment.method.presses else truth.measured
+    size, points = experiment.photometric, truth.points_world_mm
+    inside = np.abs(points[..., 0]) <= size.field_x_mm / 2
+    inside &= np.abs(points[..., 1]) <= size.field_y_mm / 2
+    return np.asarray(inside & truth.measured)
+
+
+def in_world(heights: HeightMap) -> Doubles:
+    """Place a height map in the world, (row, col, xyz): the image's middle looks at the origin."""
+    rows, cols = heights.height_mm.shape
+    col, row = np.meshgrid(np.arange(cols), np.arange(rows))
+    x_mm = (col - 0.5 * (cols - 1)) * heights.pitch_mm
+    y_mm = (0.5 * (rows - 1) - row) * heights.pitch_mm
+    return np.stack([x_mm, y_mm, heights.height_mm.astype(np.float64)], axis=-1)
 
 
 def wrong_orders(
@@ -189,13 +255,32 @@ def wrong_orders(
 
 
 def region_of(
-    ball: Sphere, reconstruction: Reconstruction, truth: Truth, roi_radius_mm: float
+    ball: Sphere, points_mm: NDArray[np.floating], usable: BoolImage, roi_radius_mm: float
 ) -> NDArray[np.bool_]:
-    """Return the valid lit pixels within `roi_radius_mm` (lateral) of a ball's apex, (row, col)."""
-    points = reconstruction.point_map.points_world_mm
-    lateral_mm = np.hypot(points[..., 0] - ball.x_mm, points[..., 1] - ball.y_mm)
-    region: NDArray[np.bool_] = (lateral_mm <= roi_radius_mm) & truth.lit
-    return region & reconstruction.point_map.valid
+    """Return the usable pixels within `roi_radius_mm` (lateral) of a ball's apex, (row, col)."""
+    lateral_mm = np.hypot(points_mm[..., 0] - ball.x_mm, points_mm[..., 1] - ball.y_mm)
+    return np.asarray((lateral_mm <= roi_radius_mm) & usable)
+
+
+def _spheres(
+    experiment: Experiment, measured_mm: NDArray[np.floating], truth: Truth, usable: BoolImage
+) -> tuple[tuple[SphereScore, ...], tuple[str, ...]]:
+    """Return the balls that could be fitted, and why the others could not."""
+    fitted, unfitted = [], []
+    for number, ball in enumerate(shape_of(experiment.specimen).spheres(), start=1):
+        roi = region_of(ball, measured_mm, usable, experiment.score.roi_radius_mm)
+        try:
+            fitted.append(score_sphere(number, ball, roi, measured_mm, truth.points_world_mm))
+        except FitError as error:
+            unfitted.append(f"ball {number}: {error}")
+    return tuple(fitted), tuple(unfitted)
+
+
+def _scale(found_mm: Doubles, true_mm: FloatImage) -> float | None:
+    true = true_mm.astype(np.float64) - true_mm.mean(dtype=np.float64)
+    if not np.ptp(true_mm):
+        return None
+    return float(true @ (found_mm - found_mm.mean()) / float(true @ true))
 
 
 def score_sphere(
@@ -224,25 +309,10 @@ def score_sphere(
     )
 
 
-def metrics(scored: Score) -> dict[str, Any]:
+def metrics(scored: Score[TruthScore]) -> dict[str, Any]:
     """Flatten a score to names with units, for result.json."""
-    truth = scored.against_truth
-    found: dict[str, Any] = {
-        "unfitted_balls": list(scored.unfitted),
-        "points": truth.points,
-        "lit_pixels": truth.lit_pixels,
-        "completeness": truth.completeness,
-        "good_share": truth.good_share,
-        "wrong_order_pixels": truth.wrong_order_pixels,
-        "z_rmse_um": truth.z_rmse_um,
-        "z_bias_um": truth.z_bias_um,
-        "z_p95_um": truth.z_p95_um,
-        "sigma_z_median_um": truth.sigma_z_median_um,
-        "filter_bias_um": truth.filter_bias_um,
-        "filter_bias_share": truth.filter_bias_share,
-        "error_over_sigma": truth.error_over_sigma,
-    }
-    return found | sphere_metrics(scored.spheres, scored.unfitted)
+    found = asdict(scored.against_truth) | {"unfitted_balls": list(scored.unfitted)}
+    return found | _sphere_metrics(scored.spheres, scored.unfitted)
 
 
 def why_absent(figures: Mapping[str, Any]) -> str:
@@ -252,7 +322,7 @@ def why_absent(figures: Mapping[str, Any]) -> str:
     return "no valid point" if figures.get("points") == 0 else ""
 
 
-def sphere_metrics(fitted: Sequence[SphereScore], unfitted: Sequence[str]) -> dict[str, Any]:
+def _sphere_metrics(fitted: Sequence[SphereScore], unfitted: Sequence[str]) -> dict[str, Any]:
     """Return all balls' figures by name; those of a ball without a fit are None."""
     numbers = range(1, len(fitted) + len(unfitted) + 1)
     names = [f"sphere_{number}_{name}" for number in numbers for name in _SPHERE_FIGURES]

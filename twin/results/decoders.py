@@ -19,12 +19,7 @@ from reconstruction.photometric.integrate import Integration
 from reconstruction.photometric.sensor_calibration import MapKind
 from twin.config.models import Experiment
 from twin.optics.stack import Truth
-from twin.pipeline.photometric_score import (
-    PhotometricScore,
-    in_world,
-    photometric_metrics,
-    score_heights,
-)
+from twin.results.score import HeightScore, Score, metrics, score_heights
 
 INTEGRATION_ORDER: tuple[Integration, ...] = ("corrected", "sdk_2025", "sdk_2024")
 MAP_ORDER: tuple[MapKind, ...] = ("polynomial", "table")
@@ -37,7 +32,12 @@ class Decoded:
     colour_map: MapKind
     integration: Integration
     heights: HeightMap
-    score: PhotometricScore
+    score: Score[HeightScore]
+
+    @property
+    def errors(self) -> HeightScore:
+        """Its figures against the truth."""
+        return self.score.against_truth
 
     @property
     def sphere_rmse_mm(self) -> float | None:
@@ -83,7 +83,7 @@ def decode_one(
     kind, integration = decoder
     options = PhotometricOptions(integration=integration)
     heights = PhotometricDecoder(calibration, options).decode(image)
-    return Decoded(kind, integration, heights, score_heights(experiment, in_world(heights), truth))
+    return Decoded(kind, integration, heights, score_heights(experiment, heights, truth))
 
 
 def chosen(experiment: Experiment, decoded: list[Decoded]) -> Decoded:
@@ -101,7 +101,7 @@ def write_decoders(path: Path, decoded: list[Decoded]) -> None:
 
 
 def _row(one: Decoded) -> dict[str, Any]:
-    figures = photometric_metrics(one.score)
+    figures = metrics(one.score)
     figures.pop("unfitted_balls")
     return {"colour_map": one.colour_map, "integration": one.integration} | figures
 
