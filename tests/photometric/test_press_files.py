@@ -21,7 +21,7 @@ from reconstruction.photometric import (
 )
 from reconstruction.photometric.press_description import Framing
 from reconstruction.photometric.press_files import framed, read_rgb
-from twin.pipeline.photometric_files import reconstruct_press
+from twin.pipeline.captures import reconstruct_press
 
 BALLS = 6
 HEADER = 'format = "photometric-press"\nversion = 1\n'

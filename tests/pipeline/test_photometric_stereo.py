@@ -19,7 +19,7 @@ from twin.mechanics import face_mesh
 from twin.pipeline import Memory, measure, press_specimen, take
 from twin.pipeline.colour_images import develop, fixed_exposure_ms, image_pinhole
 from twin.pipeline.colours import calibrated_sensor, with_ball
-from twin.results.folder import write_measurement
+from twin.results.folder import read_measurement, write_measurement
 
 FEW = {"photometric.presses.count": 24, "photometric.presses.smallest_diameter_mm": 5.5}
 BALL_MM, DEPTH_MM = 6.31, 0.7
@@ -191,6 +191,13 @@ def test_results_are_files(done, tmp_path):
     write_measurement(tmp_path, "measure", done)
     names = {path.name for path in tmp_path.iterdir()}
     assert {"result.json", "image.png", "sensor_calibration.npz", "height.nc", "truth.nc"} <= names
+    again = read_measurement(tmp_path)
+    assert again.figures == done.figures
+    np.testing.assert_array_equal(again.points.world_mm, done.points.world_mm)
+    assert again.score.against_truth.z_rmse_um == pytest.approx(done.figures["z_rmse_um"], rel=1e-6)
+    assert again.points.sigma_mm is done.points.sigma_mm is None
+    with pytest.raises(TypeError, match="no fringes"):
+        again.fringes  # noqa: B018
 
 
 def test_levels_follow_gamma_and_full_well(experiment):

@@ -34,6 +34,7 @@ from twin.report.section import (
 from twin.report.truth_error import predicted_density
 from twin.report.world_map import average_on_grid, pixel_on_face_mm
 from twin.results.folder import read_measurement
+from twin.results.record import Fringes
 
 PNG = b"\x89PNG\r\n\x1a\n"
 
@@ -173,8 +174,9 @@ def test_maps_survive_many_masked_pixels(finished, tmp_path):
     reconstruction = dataclasses.replace(measured.fringes.reconstruction, point_map=holed)
     draw_decoding(tmp_path / "decoding.png", reconstruction, measured.fringes.capture.patterns)
     pixel_mm = pixel_on_face_mm(measured.experiment)
-    draw_relief_view(tmp_path / "relief.png", holed, pixel_mm)
-    draw_height_map(tmp_path / "height.png", holed, pixel_mm)
+    points = Fringes(measured.fringes.capture, reconstruction).points
+    draw_relief_view(tmp_path / "relief.png", points, pixel_mm)
+    draw_height_map(tmp_path / "height.png", points, pixel_mm)
     assert len(list(tmp_path.glob("*.png"))) == 3
 
 

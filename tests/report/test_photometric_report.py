@@ -29,7 +29,6 @@ from twin.report.comparison_figures import (
 from twin.report.paper import paper_rmse_ratio
 from twin.report.photometric import ball_rows, decoder_rows, verdicts
 from twin.report.photometric_maps import error_um, true_heights_mm, true_slopes
-from twin.report.photometric_plates import as_points
 from twin.results.decoders import write_decoders
 from twin.results.folder import read_measurement
 from twin.results.score import score_heights
@@ -231,9 +230,10 @@ def test_height_scale_is_that_of_the_heights(seen, scale):
 
 
 def test_points_of_the_view_are_the_heights(seen):
-    points = as_points(seen)
+    points = seen.points
     np.testing.assert_array_equal(points.valid, seen.colours.own.heights.valid)
-    np.testing.assert_allclose(points.points_world_mm[..., 2], seen.colours.own.heights.height_mm)
+    np.testing.assert_allclose(points.world_mm[..., 2], seen.colours.own.heights.height_mm)
+    assert points.sigma_mm is None
 
 
 def test_a_report_without_its_image_is_refused(result, tmp_path, capsys):

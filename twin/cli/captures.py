@@ -52,7 +52,7 @@ def reconstruct(
 
 
 def _reconstruct_press(description: Path, out: Path) -> None:
-    from twin.pipeline.photometric_files import reconstruct_press
+    from twin.pipeline.captures import reconstruct_press
 
     with progress_bars() as watch:
         figures = reconstruct_press(description, out, watch)

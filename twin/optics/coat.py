@@ -10,6 +10,7 @@ Left out: flakes below the binder's face (they lie bare), and light scattered mo
 rough face (it is lost, as in all single-scattering microfacet models).
 """
 
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,6 +22,9 @@ if TYPE_CHECKING:
 
 COATED_FACE = "coated_face"
 """Name of the coated mesh in every scene that holds one."""
+
+# What `mi.traverse` calls otherwise than `mi.load_dict`.
+_LISTED_AS = {"ink": "bsdf_0", "flakes": "bsdf_1", "int_ior": "eta"}
 
 
 def coating_bsdf(coating: Coating) -> dict[str, Any]:
@@ -75,14 +79,25 @@ def set_coating(scene: Any, coating: Coating) -> None:
     face = next((shape for shape in scene.shapes() if shape.id() == COATED_FACE), None)
     if face is None:
         raise ValueError(f"the scene has no shape named {COATED_FACE}: build it with coated_scene")
-    new = mi.load_dict(coating_bsdf(coating))
-    values, parameters = mi.traverse(new), mi.traverse(face.bsdf())
-    if values.keys() != parameters.keys():
-        face.set_bsdf(new)
+    blend, parameters = coating_bsdf(coating), mi.traverse(face.bsdf())
+    values = {name: value for name, value in _numbers(blend) if name in parameters}
+    if values.keys() != set(parameters.keys()):
+        face.set_bsdf(mi.load_dict(blend))
         return
-    for name in values.keys():  # noqa: SIM118  # iterating over it gives pairs
-        parameters[name] = values[name]
+    for name, value in values.items():
+        parameters[name] = value
     parameters.update()
+
+
+def _numbers(node: dict[str, Any], above: str = "") -> Iterator[tuple[str, float]]:
+    """Yield the numbers of a BSDF's dictionary under the names that `mi.traverse` may list them."""
+    for key, value in node.items():
+        name = above + _LISTED_AS.get(key, key)
+        if isinstance(value, dict):
+            yield from _numbers(value, f"{name}.")
+        elif isinstance(value, float):
+            yield name, value
+            yield f"{name}.value", value  # where it may be a texture
 
 
 def coated_mesh(face: "trimesh.Trimesh", bsdf: dict[str, Any]) -> Any:

@@ -62,7 +62,7 @@ def images(measured: Measurement) -> list[Plate]:
 
 def _surfaces(measured: Measurement) -> list[Plate]:
     points, pixel_mm = (
-        measured.fringes.reconstruction.point_map,
+        measured.points,
         pixel_on_face_mm(measured.experiment),
     )
     enlarged = z_enlargement(points)

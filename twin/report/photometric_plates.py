@@ -2,7 +2,6 @@
 
 import numpy as np
 
-from reconstruction.triangulation.triangulate import PointMap
 from twin.report.balls import BallView, draw_ball
 from twin.report.canvas import symmetric_limit
 from twin.report.html import Plate
@@ -39,17 +38,11 @@ def ball_views(seen: Measurement) -> list[BallView]:
             measured_mm=points[ball.roi].astype(np.float64),
             true_mm=seen.truth.points_world_mm[ball.roi].astype(np.float64),
             trace=trace_through_apexes(seen.experiment),
-            pixel_mm=seen.colours.calibration.pitch_mm,
+            pixel_mm=seen.pixel_mm,
             limit_um=max(limits),
         )
         for ball in balls
     ]
-
-
-def as_points(seen: Measurement) -> PointMap:
-    """Return the heights of the experiment's decoder as points in the world."""
-    points = seen.points.world_mm.astype(np.float32)
-    return PointMap(points, np.zeros_like(points), seen.points.reason, np.eye(4))
 
 
 def _sensor(seen: Measurement) -> Plate:
@@ -85,14 +78,14 @@ def _slopes(seen: Measurement) -> Plate:
 
 
 def _surfaces(seen: Measurement) -> list[Plate]:
-    enlarged, points = enlargement(seen), as_points(seen)
+    enlarged, points = enlargement(seen), seen.points
     view = z_enlargement(points)
     shown = "in true proportion" if view == 1 else f"with z enlarged {view:g} times"
     shading = "" if enlarged == 1 else f" (shading enlarges z {enlarged:g} times)"
     return [
         Plate(
             "relief",
-            lambda path: draw_relief_view(path, points, seen.colours.calibration.pitch_mm),
+            lambda path: draw_relief_view(path, points, seen.pixel_mm),
             "shaded 3-D view of the measured relief",
             f"Measured coat {shown}, lengths in mm, colour is z; {decoder_name(seen.colours.own)}.",
         ),
