@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from reconstruction.photometric.contact_circle import ContactCircle
+from reconstruction.photometric.calibration_ball import ContactCircle
 
 # Of the contact radius: where caps are measured.
 CAP_SHARE = 0.8

@@ -23,13 +23,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
+from reconstruction.arrays import FloatArray
 from twin.camera.sensor import electrons_per_ms, full_well_e
 from twin.config import Experiment, load_experiment
 from twin.config.lamps import CHANNELS, Lamp
 from twin.config.layers import media_of
 from twin.optics.lamps import emitters_of
-
-Doubles = NDArray[np.float64]
 
 # (unit, channel, row, col), rows from the top
 UNITS = np.array(
@@ -100,7 +99,7 @@ FIXED: dict[str, dict[str, Any]] = {
 }
 
 
-def lamp_of(channel: str, values: Doubles) -> Lamp:
+def lamp_of(channel: str, values: FloatArray) -> Lamp:
     """Build a lamp from the fitted numbers."""
     found = {u.name: float(v) for u, v in zip(unknowns(channel), values, strict=True)}
     found["flux_mw"] = float(np.exp(found.pop("log_flux")))
@@ -114,13 +113,13 @@ class Shading:
 
     experiment: Experiment
     #: (n, 3) evaluation points of the untouched coat, and their tile, 0 to 8
-    points_mm: Doubles
+    points_mm: FloatArray
     tiles: NDArray[np.intp]
     #: (m, 3) points and normals of ball caps
-    cap_points_mm: Doubles
-    cap_normals: Doubles
+    cap_points_mm: FloatArray
+    cap_normals: FloatArray
 
-    def levels(self, lamp: Lamp, points_mm: Doubles, normals: Doubles) -> Doubles:
+    def levels(self, lamp: Lamp, points_mm: FloatArray, normals: FloatArray) -> FloatArray:
         """8-bit levels, not rounded, of matte ink in the light of one lamp."""
         camera, media = self.experiment.camera, media_of(self.experiment.layers)
         light = emitters_of({"lamp": lamp}).irradiance(points_mm, normals)
@@ -130,7 +129,7 @@ class Shading:
         linear = np.clip(radiance * rate / full_well_e(camera), 1e-6, 1.0)
         return np.asarray(255.0 * linear ** (1.0 / self.experiment.photometric.gamma))
 
-    def background(self, lamp: Lamp) -> Doubles:
+    def background(self, lamp: Lamp) -> FloatArray:
         """Mean levels of the 3 x 3 tiles."""
         up = np.broadcast_to([0.0, 0.0, 1.0], self.points_mm.shape)
         levels = self.levels(lamp, self.points_mm, up)
@@ -142,7 +141,7 @@ class Shading:
         alone = lamp.model_copy(update={"flux_mw": 0.0})
         return float(self.levels(alone, np.zeros((1, 3)), np.array([[0.0, 0.0, 1.0]]))[0])
 
-    def sensitivity(self, lamp: Lamp) -> Doubles:
+    def sensitivity(self, lamp: Lamp) -> FloatArray:
         """Change of the level per unit normal, image x and y, over all caps."""
         up = np.broadcast_to([0.0, 0.0, 1.0], self.cap_points_mm.shape)
         change = self.levels(lamp, self.cap_points_mm, self.cap_normals)
@@ -150,7 +149,7 @@ class Shading:
         return sensitivity(change, self.cap_normals)
 
 
-def sensitivity(change: Doubles, normals: Doubles) -> Doubles:
+def sensitivity(change: FloatArray, normals: FloatArray) -> FloatArray:
     """Regress changes of level, (n,) or (n, channel), on world normals (n, 3): image x and y.
 
     As for the published figures: the normal's three components, no constant.
@@ -191,7 +190,7 @@ def fit(shading: Shading, channel: str) -> Lamp:
     start = np.array([u.start for u in parts])
     spread = np.array([u.spread for u in parts])
 
-    def residuals(values: Doubles) -> Doubles:
+    def residuals(values: FloatArray) -> FloatArray:
         lamp = lamp_of(channel, values)
         tiles = (shading.background(lamp) - UNITS[:, number]).ravel()
         slopes = SENSITIVITY_WEIGHT * (shading.sensitivity(lamp) - SENSITIVITY[number])
@@ -215,7 +214,7 @@ def figures(shading: Shading, lamps: dict[str, Lamp]) -> dict[str, float]:
     }
 
 
-def azimuth_error_deg(slopes: Doubles) -> float:
+def azimuth_error_deg(slopes: FloatArray) -> float:
     """Largest angle between found and published directions of light, (channel, 2)."""
     angles = [np.arctan2(-s[:, 1], s[:, 0]) for s in (slopes, SENSITIVITY)]
     turned = np.angle(np.exp(1j * (angles[0] - angles[1])))

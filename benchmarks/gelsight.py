@@ -31,8 +31,11 @@ from benchmarks.fit_lamps import (
     sensitivity,
 )
 from reconstruction.photometric import PhotometricDecoder, PhotometricOptions
-from reconstruction.photometric.calibration_ball import ball_slopes
-from reconstruction.photometric.contact_circle import ContactCircle, find_contact_circle
+from reconstruction.photometric.calibration_ball import (
+    ContactCircle,
+    ball_slopes,
+    find_contact_circle,
+)
 from reconstruction.photometric.images import mean_background, smoothed
 from twin.config import load_experiment, seed_sequence
 from twin.config.models import Ball

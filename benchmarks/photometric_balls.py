@@ -23,8 +23,7 @@ from reconstruction.photometric import (
     PhotometricOptions,
     calibrate_sensor,
 )
-from reconstruction.photometric.calibration_ball import ball_slopes
-from reconstruction.photometric.contact_circle import find_contact_circle
+from reconstruction.photometric.calibration_ball import ball_slopes, find_contact_circle
 from reconstruction.photometric.images import mean_background, smoothed
 from reconstruction.photometric.integrate import INTEGRATIONS
 from reconstruction.photometric.press_files import read_rgb

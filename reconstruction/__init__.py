@@ -1,1 +1,85 @@
-"""Decode, triangulate and evaluate fringe captures, real or rendered."""
+"""Decode, triangulate and evaluate fringe captures, real or rendered.
+
+    from reconstruction import read_capture, reconstruct
+
+    found = reconstruct(read_capture("my_capture"))
+    points_mm = found.point_map.points_world_mm  # (row, col, xyz), world frame
+
+| name | what it is |
+|---|---|
+| `PatternSet` | what the projector shows and the decoder expects |
+| `Capture`, `read_capture`, `write_capture` | frames and what is known about them, as a folder |
+| `SensorNoise`, `Pinhole`, `Calibration` | what a capture says of its rig |
+| `decode`, `DecodeOptions` | frames to projector coordinates, their sigma, a reason per pixel |
+| `triangulate` | projector coordinates to points in the world frame, mm |
+| `reconstruct`, `ReconstructOptions` | both in one call |
+| `calibrate` | observations of a board to a calibrated rig; boards and `observe`: `calibration` |
+| `calibration`, `evaluate`, `photometric` | rooms with names of their own, see there |
+
+Nothing is imported before it is asked for.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from reconstruction import calibration, evaluate, photometric
+    from reconstruction.calibration import calibrate
+    from reconstruction.capture.folder import Capture, read_capture, write_capture
+    from reconstruction.decoding.decode import decode
+    from reconstruction.decoding.decoded import DecodeOptions
+    from reconstruction.patterns import PatternSet
+    from reconstruction.pipeline import ReconstructOptions, reconstruct
+    from reconstruction.rig.calibration import Calibration
+    from reconstruction.rig.pinhole import Pinhole
+    from reconstruction.rig.sensor import SensorNoise
+    from reconstruction.triangulation.triangulate import triangulate
+
+__all__ = [
+    "Calibration",
+    "Capture",
+    "DecodeOptions",
+    "PatternSet",
+    "Pinhole",
+    "ReconstructOptions",
+    "SensorNoise",
+    "calibrate",
+    "calibration",
+    "decode",
+    "evaluate",
+    "photometric",
+    "read_capture",
+    "reconstruct",
+    "triangulate",
+    "write_capture",
+]
+
+# No name of a function may be that of a room: importing the room would put itself in its place.
+_ROOMS = ("calibration", "evaluate", "photometric")
+_MODULE_OF = {
+    "Calibration": "rig.calibration",
+    "Capture": "capture.folder",
+    "DecodeOptions": "decoding.decoded",
+    "PatternSet": "patterns",
+    "Pinhole": "rig.pinhole",
+    "ReconstructOptions": "pipeline",
+    "SensorNoise": "rig.sensor",
+    "calibrate": "calibration",
+    "decode": "decoding.decode",
+    "read_capture": "capture.folder",
+    "reconstruct": "pipeline",
+    "triangulate": "triangulation.triangulate",
+    "write_capture": "capture.folder",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name in _ROOMS:
+        return import_module(f"{__name__}.{name}")
+    if name not in _MODULE_OF:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_MODULE_OF[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -7,6 +7,7 @@ of automatic parallelisation and may be called from several threads at once.
 import hashlib
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
@@ -63,8 +64,22 @@ def _compile(function: Function, options: dict[str, Any]) -> Function:
         return cast(Function, numba.njit(**options)(function))
     # The cache notices a change in a function's own file only, and would keep serving code into
     # which another file's old function or constant was inlined.
-    kernel._cache._cache_file._source_stamp = SOURCE_DIGEST
+    stored = kernel._cache._cache_file
+    stored._source_stamp = SOURCE_DIGEST
+    stored._load_index = partial(_load_index, stored)
     return cast(Function, kernel)
+
+
+def _load_index(stored: Any) -> Any:
+    """Return the stored versions of a kernel by their argument types.
+
+    The file names the types of the arguments; reading it fails where one is no longer there, before
+    the digest could tell that the file is old.
+    """
+    try:
+        return type(stored)._load_index(stored)
+    except (AttributeError, ImportError):
+        return {}
 
 
 def run_over_rows(

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-Doubles = NDArray[np.float64]
+FloatArray = NDArray[np.float64]
 FloatImage = NDArray[np.float32]
 OrderImage = NDArray[np.int16]
 ReasonImage = NDArray[np.uint8]

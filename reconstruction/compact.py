@@ -12,7 +12,7 @@ from typing import Any, Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from reconstruction.arrays import Doubles, FloatImage, OrderImage
+from reconstruction.arrays import FloatArray, FloatImage, OrderImage
 
 Class = TypeVar("Class")
 Bits = NDArray[np.uint16]
@@ -28,7 +28,7 @@ class Compact(Protocol):
         """Return a new array, (row, col)."""
 
 
-class Kept:
+class ExpandedOnRead:
     """Attribute that keeps what it was given, and expands it whenever it is read."""
 
     def __init__(self, name: str) -> None:
@@ -49,7 +49,7 @@ def keeps_compact(*names: str) -> Callable[[type[Class]], type[Class]]:
 
     def install(owner: type[Class]) -> type[Class]:
         for name in names:
-            setattr(owner, name, Kept(name))
+            setattr(owner, name, ExpandedOnRead(name))
         return owner
 
     return install
@@ -125,7 +125,7 @@ class RaySpread:
 
     points_world_mm: FloatImage
     sigma_depth_mm: Half
-    T_world_from_cam: Doubles
+    T_world_from_cam: FloatArray
 
     def expand(self) -> FloatImage:
         """Return (row, col, xyz) float32 mm, 0 where the depth has no sigma."""

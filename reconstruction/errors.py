@@ -1,4 +1,7 @@
-"""Errors that tell a user what to change: one line, with place, value found and values allowed."""
+"""Errors of bad input, and checks of single arguments that name the argument and its range."""
+
+import math
+from numbers import Integral, Real
 
 
 class InputError(ValueError):
@@ -11,3 +14,24 @@ class CaptureError(InputError):
 
 class FitError(InputError):
     """Points that do not determine the shape asked for."""
+
+
+def require_integer(name: str, value: object, low: int, high: int) -> None:
+    """Raise InputError unless `value` is an integer in [low, high]."""
+    # bool is an Integral to Python, but `steps = true` is a mistake.
+    is_integer = isinstance(value, Integral) and not isinstance(value, bool)
+    if not (is_integer and low <= int(value) <= high):  # type: ignore[call-overload]
+        raise InputError(f"{name} is {value!r}; give a whole number from {low} to {high}")
+
+
+def require_number(
+    name: str, value: object, low: float, high: float = math.inf, *, open_low: bool = False
+) -> None:
+    """Raise InputError unless `value` is a finite number in [low, high], or (low, high]."""
+    is_number = isinstance(value, Real) and not isinstance(value, bool)
+    number = float(value) if is_number else math.nan  # type: ignore[arg-type]
+    above = number > low if open_low else number >= low
+    if not (above and number <= high and math.isfinite(number)):
+        above_text = "above" if open_low else "of at least"
+        upper = "" if math.isinf(high) else f" and at most {high:g}"
+        raise InputError(f"{name} is {value!r}; give a number {above_text} {low:g}{upper}")

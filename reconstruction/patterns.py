@@ -10,6 +10,12 @@ Frame: projector pixels, x right (column), y down (row), integer = centre of a p
 | k = floor(x / period) | period index (fringe order), shown as plain Gray code |
 | h = floor(2 x / period) | half-period index, shown as complementary Gray code |
 | s = floor(x / period + 1/2) | period index shifted by half a period, shown after k |
+
+Several fringe periods give one absolute coordinate by a chain of levels, coarse to fine. With the
+phase phi_j of fringe set j and its period p_j, the phase of level i is sum_j c_ij phi_j, its period
+P_i = 1 / sum_j c_ij / p_j. Each level numbers the periods of the next one:
+k = round(P_(i-1) Phi_(i-1) / P_i - Phi_i), phases in turns. Zuo et al., Opt. Lasers Eng. 85, 84
+(2016): hierarchical and heterodyne (there "multi-wavelength") temporal phase unwrapping.
 """
 
 import math
@@ -19,11 +25,12 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from reconstruction.arrays import Doubles, Levels
-from reconstruction.chain import HETERODYNE, HIERARCHICAL, Chain, make_chain
-from reconstruction.checks import require_flag, require_integer, require_number
-from reconstruction.errors import InputError
+from reconstruction.arrays import FloatArray, Levels
+from reconstruction.errors import InputError, require_integer, require_number
 
+HIERARCHICAL, HETERODYNE = "hierarchical", "heterodyne"
+# Beats of one, two or three near periods; the first set is the one that is measured with.
+BEATS = {2: ((1, -1), (1, 0)), 3: ((1, -2, 1), (1, -1, 0), (1, 0, 0))}
 Kind = Literal["phase", "gray", "white", "black"]
 Axis = Literal["column", "row"]
 CodeName = Literal["gray", "complementary_gray", "shifted_gray", "hierarchical", "heterodyne"]
@@ -33,11 +40,62 @@ MULTI_FREQUENCY = (HIERARCHICAL, HETERODYNE)
 
 # Below 4 px a Gray stripe of a period that is no whole number of pixels may be misplaced by a
 # quarter of a period, the whole margin of the edge-safe rules.
-MIN_PERIOD_PX = 4.0
+PERIOD_RANGE_PX = (4.0, 65536.0)
+STEPS_RANGE = (3, 1000)
+MOST_FURTHER_PERIODS = 7
 
 
 @dataclass(frozen=True)
-class Frame:
+class Chain:
+    """Levels from the coarsest, which is unambiguous, to fringe set 0.
+
+    Parameters
+    ----------
+    weights : (level, set), whole numbers c_ij
+    periods_px : (level,), falling
+    """
+
+    weights: tuple[tuple[int, ...], ...]
+    periods_px: tuple[float, ...]
+
+
+def make_chain(code: str, periods_px: tuple[float, ...]) -> Chain:
+    """Return the chain of a multi-frequency code; the measuring period comes first.
+
+    Raises
+    ------
+    InputError : periods that make no chain
+    """
+    weights = _hierarchy(periods_px) if code == HIERARCHICAL else _beats(periods_px)
+    inverses = [sum(c / p for c, p in zip(row, periods_px, strict=True)) for row in weights]
+    if any(value <= 0.0 for value in inverses) or inverses != sorted(inverses):
+        raise InputError(
+            f"patterns periods {periods_px} px have no falling beat periods; heterodyne needs"
+            " p0 < p1 (< p2) and 1/p0 - 2/p1 + 1/p2 > 0, change further_periods_px"
+        )
+    return Chain(weights, tuple(1.0 / value for value in inverses))
+
+
+def _hierarchy(periods_px: tuple[float, ...]) -> tuple[tuple[int, ...], ...]:
+    order = sorted(range(len(periods_px)), key=lambda j: -periods_px[j])
+    if order[-1] != 0 or len(set(periods_px)) != len(periods_px):
+        raise InputError(
+            f"patterns periods {periods_px} px: hierarchical needs period_px below all of"
+            " further_periods_px, and no period twice"
+        )
+    return tuple(tuple(int(j == k) for k in range(len(periods_px))) for j in order)
+
+
+def _beats(periods_px: tuple[float, ...]) -> tuple[tuple[int, ...], ...]:
+    if len(periods_px) not in BEATS:
+        raise InputError(
+            f"patterns heterodyne has {len(periods_px)} periods; give one or two further_periods_px"
+        )
+    return BEATS[len(periods_px)]
+
+
+@dataclass(frozen=True)
+class PatternFrame:
     """One projected image: its kind, the axis it varies along (None when uniform), its number."""
 
     kind: Kind
@@ -59,9 +117,8 @@ class PatternSet:
     width_px, height_px : projector image size
     period_px : fringe period, >= 4 px; the finest one of a multi-frequency code
     steps : phase steps N of every period, >= 3
-    complementary : older way to say code = "complementary_gray" (true) or "gray" (false)
     low_level, high_level : 8-bit projector levels of black and white
-    code : how the fringes are numbered; None: complementary_gray
+    code : how the fringes are numbered
     further_periods_px : the other periods of a multi-frequency code: hierarchical any coarser ones,
         the coarsest at least the image; heterodyne one or two near ones, rising
 
@@ -76,32 +133,30 @@ class PatternSet:
     height_px: int
     period_px: float = 18.0
     steps: int = 18
-    complementary: bool | None = None
     low_level: int = 0
     high_level: int = 255
-    code: CodeName | None = None
+    code: CodeName = "complementary_gray"
     further_periods_px: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         require_integer("patterns width_px", self.width_px, 1, 65536)
         require_integer("patterns height_px", self.height_px, 1, 65536)
-        require_number("patterns period_px", self.period_px, MIN_PERIOD_PX, 65536)
-        require_integer("patterns steps", self.steps, 3, 1000)
+        require_number("patterns period_px", self.period_px, *PERIOD_RANGE_PX)
+        require_integer("patterns steps", self.steps, *STEPS_RANGE)
         require_integer("patterns low_level", self.low_level, 0, 254)
         require_integer("patterns high_level", self.high_level, self.low_level + 1, 255)
-        code = _code_name(self.code, self.complementary)
-        object.__setattr__(self, "code", code)
-        object.__setattr__(self, "complementary", code == "complementary_gray")
+        if self.code not in CODES:
+            raise InputError(f"patterns code is {self.code!r}; allowed are {', '.join(CODES)}")
         object.__setattr__(self, "further_periods_px", _periods(self.further_periods_px))
         self._check_chain()
 
     @cached_property
-    def frames(self) -> tuple[Frame, ...]:
+    def frames(self) -> tuple[PatternFrame, ...]:
         """All frames in the order of projection and of the stack."""
         shots = self.steps * len(self.periods_px)
-        phase = [Frame("phase", axis, n) for axis in AXES for n in range(shots)]
-        gray = [Frame("gray", axis, n) for axis in AXES for n in range(self.word_bits(axis))]
-        return (*phase, *gray, Frame("white", None, 0), Frame("black", None, 0))
+        phase = [PatternFrame("phase", axis, n) for axis in AXES for n in range(shots)]
+        gray = [PatternFrame("gray", axis, n) for axis in AXES for n in range(self.word_bits(axis))]
+        return (*phase, *gray, PatternFrame("white", None, 0), PatternFrame("black", None, 0))
 
     @property
     def periods_px(self) -> tuple[float, ...]:
@@ -141,7 +196,7 @@ class PatternSet:
         return self.gray_bits(axis) + self.safety_bits(axis)
 
     def words(self, axis: Axis) -> int:
-        """Return how many different words are shown: half-periods when complementary."""
+        """Return how many different words are shown: half-periods with complementary_gray."""
         return self._word_at(self.length_px(axis) - 1) + 1
 
     def index(self, kind: Kind, axis: Axis | None = None) -> slice:
@@ -151,7 +206,7 @@ class PatternSet:
             raise InputError(f"there are no {kind!r} frames along axis {axis!r}")
         return slice(found[0], found[-1] + 1) if found else slice(0, 0)
 
-    def profile(self, frame: Frame) -> Levels:
+    def profile(self, frame: PatternFrame) -> Levels:
         """Return the levels along the axis of `frame`, (length,) uint8; uniform: (width,)."""
         if frame not in self.frames:
             raise InputError(f"{frame.name} is no frame of this pattern set")
@@ -159,18 +214,18 @@ class PatternSet:
         levels = self.low_level + (self.high_level - self.low_level) * bright
         return np.rint(levels).astype(np.uint8)
 
-    def image(self, frame: Frame) -> Levels:
+    def image(self, frame: PatternFrame) -> Levels:
         """Return the projector image of `frame`, (height, width) uint8."""
         levels = self.profile(frame)
         line = levels[:, np.newaxis] if frame.axis == "row" else levels[np.newaxis, :]
         return np.ascontiguousarray(np.broadcast_to(line, (self.height_px, self.width_px)))
 
-    def phase_of(self, frame: Frame) -> tuple[float, float]:
+    def phase_of(self, frame: PatternFrame) -> tuple[float, float]:
         """Return the period, px, and the shift, turns, of a phase frame."""
         fringes, step = divmod(frame.index, self.steps)
         return self.periods_px[fringes], step / self.steps
 
-    def _brightness(self, frame: Frame) -> Doubles:
+    def _brightness(self, frame: PatternFrame) -> FloatArray:
         if frame.axis is None:
             return np.full(self.width_px, float(frame.kind == "white"))
         x_px = np.arange(self.length_px(frame.axis), dtype=np.float64)
@@ -179,7 +234,7 @@ class PatternSet:
             return 0.5 + 0.5 * np.cos(2.0 * np.pi * (x_px / period_px + shift))
         return self._gray_bit(frame.axis, frame.index, x_px.size)
 
-    def _gray_bit(self, axis: Axis, index: int, length_px: int) -> Doubles:
+    def _gray_bit(self, axis: Axis, index: int, length_px: int) -> FloatArray:
         word_at, last = self._word_at, self.word_bits(axis) - 1
         if self.code == "shifted_gray":
             if index < self.gray_bits(axis):
@@ -187,11 +242,12 @@ class PatternSet:
             else:
                 word_at = self._shifted_at
         word = np.array([word_at(x) for x in range(length_px)])
-        bits: Doubles = (((word ^ (word >> 1)) >> (last - index)) & 1).astype(np.float64)
+        bits: FloatArray = (((word ^ (word >> 1)) >> (last - index)) & 1).astype(np.float64)
         return bits
 
     def _word_at(self, x_px: int) -> int:
-        return math.floor((2 * x_px if self.complementary else x_px) / self.period_px)
+        is_halved = self.code == "complementary_gray"
+        return math.floor((2 * x_px if is_halved else x_px) / self.period_px)
 
     def _shifted_at(self, x_px: int) -> int:
         return math.floor(x_px / self.period_px + 0.5)
@@ -214,23 +270,11 @@ class PatternSet:
             )
 
 
-def _code_name(code: object, complementary: object) -> CodeName:
-    if complementary is not None:
-        require_flag("patterns complementary", complementary)
-    if code is None:
-        return "gray" if complementary is False else "complementary_gray"
-    if code not in CODES:
-        raise InputError(f"patterns code is {code!r}; allowed are {', '.join(CODES)}")
-    if complementary is not None and complementary != (code == "complementary_gray"):
-        raise InputError(
-            f"patterns complementary is {complementary} but code is {code!r}; leave it out"
-        )
-    return next(known for known in CODES if known == code)
-
-
 def _periods(values: object) -> tuple[float, ...]:
-    if not isinstance(values, (tuple, list)) or len(values) > 7:
-        raise InputError(f"patterns further_periods_px is {values!r}; give up to 7 periods")
+    if not isinstance(values, (tuple, list)) or len(values) > MOST_FURTHER_PERIODS:
+        raise InputError(
+            f"patterns further_periods_px is {values!r}; give up to {MOST_FURTHER_PERIODS} periods"
+        )
     for value in values:
-        require_number("patterns further_periods_px", value, MIN_PERIOD_PX, 65536)
+        require_number("patterns further_periods_px", value, *PERIOD_RANGE_PX)
     return tuple(float(value) for value in values)

@@ -7,11 +7,19 @@ together, so that every parameter has an uncertainty.
 
 from reconstruction.calibration.adjustment import Adjustment, AdjustOptions, adjust
 from reconstruction.calibration.boards import Board, CharucoBoard, Chessboard, DotBoard
-from reconstruction.calibration.captures import BoardCapture, read_board_capture
-from reconstruction.calibration.freedom import Freedom
-from reconstruction.calibration.locate import length_errors_mm, locate_features
-from reconstruction.calibration.observation import Observation, observe
-from reconstruction.calibration.pipeline import Calibrated, calibrate
+from reconstruction.calibration.observation import (
+    BoardCapture,
+    Observation,
+    observe,
+    read_board_capture,
+)
+from reconstruction.calibration.parameters import Freedom
+from reconstruction.calibration.pipeline import (
+    Calibrated,
+    calibrate,
+    length_errors_mm,
+    locate_features,
+)
 
 __all__ = [
     "AdjustOptions",

@@ -1,11 +1,11 @@
 """Adjust camera, projector and all poses together, and say how sure each parameter is.
 
-Minimises the misses of all features in camera and projector pixels. The projector coordinate is
-read at the place where the camera sees the feature, so an error d of that place shows in the
-projector as well, as G d with the local slope G. What is independent, and is minimised, is the
-camera's miss and the projector's miss beyond G d, each weighted by its own spread (estimated from
-the misses themselves). Covariance: s^2 (J^T W J)^-1 with s^2 from the residuals (Gauss-Markov;
-Triggs et al., Bundle Adjustment - A Modern Synthesis, 2000).
+Minimises the reprojection residuals of all features in camera and projector pixels. The projector
+coordinate is read at the place where the camera sees the feature, so an error d of that place shows
+in the projector as well, as G d with the local slope G. What is independent, and is minimised, is
+the camera's residual and the projector's beyond G d, each weighted by its own spread (estimated
+from the residuals themselves). Covariance: s^2 (J^T W J)^-1 with s^2 from the residuals
+(Gauss-Markov; Triggs et al., Bundle Adjustment - A Modern Synthesis, 2000).
 """
 
 from collections.abc import Sequence
@@ -14,18 +14,24 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.optimize import least_squares
 
-from reconstruction.arrays import BoolImage, Doubles
-from reconstruction.calibration.conics import centre_bias_px
-from reconstruction.calibration.defocus import PHASE_SHARE, defocus_slopes_px
-from reconstruction.calibration.freedom import Freedom, admissible, freedom_matrix
+from reconstruction.arrays import BoolImage, FloatArray
 from reconstruction.calibration.observation import Observation
-from reconstruction.calibration.parameters import Rig, pack, project_pose, unpack
+from reconstruction.calibration.parameters import (
+    Freedom,
+    RigEstimate,
+    admissible,
+    freedom_matrix,
+    pack,
+    project_pose,
+    unpack,
+)
+from reconstruction.calibration.plane_images import PHASE_SHARE, centre_bias_px, defocus_slopes_px
 from reconstruction.errors import InputError
 
 # The bias of dot centres depends on the poses and is at most some tenths of a pixel: it settles at
 # once. The weights settle with it.
 TURNS = 4
-# A feature that misses by more than this many spreads is left out (a dirty or half-hidden dot), but
+# A feature off by more than this many spreads is left out (a dirty or half-hidden dot), but
 # never for less than this many pixels: exact data have no outliers.
 OUTLIER_SPREADS, MIN_OUTLIER_PX = 6.0, 1e-3
 # Misses are never trusted beyond this: exact data would get infinite weight.
@@ -64,27 +70,27 @@ class Adjustment:
         squared radius, and its standard uncertainty; 0 where it is not estimated
     measured_px : per pose (n, 4) float: camera x, y, projector column, row of the features, the
         perspective bias of dots and the displacement of defocus taken out
-    misses_px : per pose (n, 4) float: measured minus projected
+    residuals_px : per pose (n, 4) float: measured minus projected
     used : per pose (n,) bool, features that took part
-    spread_px : standard deviation of the misses of the camera, and of the projector beyond what the
-        camera's misses explain
+    spread_px : standard deviation of the camera's residuals, and of the projector's beyond what
+        the camera's explain
     degrees_of_freedom : measured numbers minus free parameters
     """
 
-    rig: Rig
-    vector: Doubles
-    covariance: Doubles
+    rig: RigEstimate
+    vector: FloatArray
+    covariance: FloatArray
     pupil_mm2: float
     pupil_sigma_mm2: float
-    measured_px: tuple[Doubles, ...]
-    misses_px: tuple[Doubles, ...]
+    measured_px: tuple[FloatArray, ...]
+    residuals_px: tuple[FloatArray, ...]
     used: tuple[BoolImage, ...]
     spread_px: tuple[float, float]
     degrees_of_freedom: int
 
 
 def adjust(
-    observations: Sequence[Observation], start: Rig, options: AdjustOptions | None = None
+    observations: Sequence[Observation], start: RigEstimate, options: AdjustOptions | None = None
 ) -> Adjustment:
     """Adjust the rig to the observations.
 
@@ -105,13 +111,13 @@ def adjust(
 
 
 class _Problem:
-    """The misses of all features as a function of the free parameters.
+    """The reprojection residuals of all features as a function of the free parameters.
 
     Vectors are those of `pack`, followed by the coefficients of the defocus.
     """
 
     def __init__(
-        self, observations: Sequence[Observation], start: Rig, options: AdjustOptions
+        self, observations: Sequence[Observation], start: RigEstimate, options: AdjustOptions
     ) -> None:
         self._seen, self._devices = observations, (start.camera, start.projector)
         self._correct = options.correct_dot_bias
@@ -121,7 +127,7 @@ class _Problem:
         self._spread = np.ones(2)
         self._used = [np.ones(len(seen.ids), dtype=np.bool_) for seen in observations]
 
-    def measure(self, vector: Doubles) -> None:
+    def measure(self, vector: FloatArray) -> None:
         """Move the dot centres from the ellipses' to the imaged centres; see how defocus acts."""
         rig = unpack(vector[:-DEFOCUS], *self._devices)
         middle_mm = float(np.median(rig.T_cam_from_board[:, 2, 3]))
@@ -135,8 +141,8 @@ class _Problem:
             along = np.einsum("nij,nj->ni", seen.slopes, bias)
             self._targets[k] = np.hstack([seen.camera_px - bias, seen.projector_px - along])
 
-    def weigh(self, vector: Doubles) -> None:
-        """Set spreads from the misses (robustly) and leave out features far beyond them."""
+    def weigh(self, vector: FloatArray) -> None:
+        """Set spreads from the residuals (robustly) and leave out features far beyond them."""
         misses = self._independent(vector)
         stacked = np.concatenate(misses)
         for device in range(2):
@@ -155,14 +161,14 @@ class _Problem:
                     "leave this pose out, or check that the board did not move during it"
                 )
 
-    def misses(self, vector: Doubles) -> list[Doubles]:
+    def reprojection(self, vector: FloatArray) -> list[FloatArray]:
         """Return measured minus projected pixels of every pose, (n, 4)."""
         return [
             target - project_pose(vector, k, seen.points_mm)[0]
             for k, (seen, target) in enumerate(zip(self._seen, self._sharp(vector), strict=True))
         ]
 
-    def _sharp(self, vector: Doubles) -> list[Doubles]:
+    def _sharp(self, vector: FloatArray) -> list[FloatArray]:
         """Return what would be measured without defocus, (n, 4) px."""
         coefficients = vector[-DEFOCUS:]
         return [
@@ -170,24 +176,24 @@ class _Problem:
             for target, slopes in zip(self._targets, self._defocus, strict=True)
         ]
 
-    def _independent(self, vector: Doubles) -> list[Doubles]:
-        """Return the misses with the camera's share taken out of the projector's, (n, 4)."""
-        found = self.misses(vector)
+    def _independent(self, vector: FloatArray) -> list[FloatArray]:
+        """Return the residuals with the camera's share taken out of the projector's, (n, 4)."""
+        found = self.reprojection(vector)
         for miss, seen in zip(found, self._seen, strict=True):
             miss[:, 2:] -= np.einsum("nij,nj->ni", seen.slopes, miss[:, :2])
         return found
 
-    def _weights(self) -> Doubles:
+    def _weights(self) -> FloatArray:
         return 1.0 / np.repeat(self._spread, 2)
 
-    def _residuals(self, free: Doubles, vector: Doubles) -> Doubles:
+    def _residuals(self, free: FloatArray, vector: FloatArray) -> FloatArray:
         misses = self._independent(vector + self._freedom @ free)
         weights = self._weights()
         return np.concatenate(
             [(miss[u] * weights).ravel() for miss, u in zip(misses, self._used, strict=True)]
         )
 
-    def _jacobian(self, free: Doubles, vector: Doubles) -> Doubles:
+    def _jacobian(self, free: FloatArray, vector: FloatArray) -> FloatArray:
         now, weights = vector + self._freedom @ free, self._weights()
         blocks = []
         for k, (seen, used) in enumerate(zip(self._seen, self._used, strict=True)):
@@ -197,7 +203,7 @@ class _Problem:
             blocks.append((-weights[:, np.newaxis] * slopes).reshape(-1, len(vector)))
         return np.concatenate(blocks) @ self._freedom
 
-    def solve(self, vector: Doubles) -> Doubles:
+    def solve(self, vector: FloatArray) -> FloatArray:
         found = least_squares(
             self._residuals,
             np.zeros(self._freedom.shape[1]),
@@ -214,7 +220,7 @@ class _Problem:
             raise InputError("the adjustment diverges: check the board's data and the poses")
         return np.asarray(vector + self._freedom @ found.x)
 
-    def result(self, vector: Doubles) -> Adjustment:
+    def result(self, vector: FloatArray) -> Adjustment:
         nothing = np.zeros(self._freedom.shape[1])
         jacobian, residuals = self._jacobian(nothing, vector), self._residuals(nothing, vector)
         degrees = len(residuals) - len(nothing)
@@ -228,14 +234,14 @@ class _Problem:
             pupil_mm2=float(vector[-DEFOCUS]),
             pupil_sigma_mm2=float(np.sqrt(covariance[-DEFOCUS, -DEFOCUS])),
             measured_px=tuple(self._sharp(vector)),
-            misses_px=tuple(self.misses(vector)),
+            residuals_px=tuple(self.reprojection(vector)),
             used=tuple(self._used),
             spread_px=_spreads(independent, self._used, degrees / len(residuals)),
             degrees_of_freedom=degrees,
         )
 
 
-def _freedom(freedom: Freedom, size: int) -> Doubles:
+def _freedom(freedom: Freedom, size: int) -> FloatArray:
     """Return the map from free changes to changes of the rig's parameters and of the defocus."""
     rig = freedom_matrix(freedom, size)
     free = DEFOCUS if freedom.camera_defocus else 0
@@ -245,7 +251,7 @@ def _freedom(freedom: Freedom, size: int) -> Doubles:
     return whole
 
 
-def _covariance(jacobian: Doubles) -> Doubles:
+def _covariance(jacobian: FloatArray) -> FloatArray:
     """Invert J^T J, its columns scaled, by way of Q R; refuse what the data do not determine."""
     scale = np.linalg.norm(jacobian, axis=0)
     if np.any(scale == 0.0):
@@ -265,9 +271,9 @@ def _undetermined() -> InputError:
 
 
 def _spreads(
-    misses: Sequence[Doubles], used: Sequence[BoolImage], share: float
+    misses: Sequence[FloatArray], used: Sequence[BoolImage], share: float
 ) -> tuple[float, float]:
-    """Return the standard deviation of both devices' misses, free parameters allowed for."""
+    """Return the standard deviation of both devices' residuals, free parameters allowed for."""
     kept = np.concatenate([miss[u] for miss, u in zip(misses, used, strict=True)])
     camera, projector = (float(np.sqrt(np.mean(kept[:, i : i + 2] ** 2) / share)) for i in (0, 2))
     return camera, projector

@@ -11,9 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from reconstruction.arrays import Doubles
-from reconstruction.checks import require_integer, require_number
-from reconstruction.errors import InputError
+from reconstruction.arrays import FloatArray
+from reconstruction.errors import InputError, require_integer, require_number
 
 Indices = NDArray[np.integer[Any]]
 MARKER_DICTIONARY = "DICT_4X4_250"
@@ -52,12 +51,12 @@ class DotBoard:
         require_number("board fiducial_diameter_mm", self.fiducial_diameter_mm, low_mm, high_mm)
 
     @property
-    def points_mm(self) -> Doubles:
+    def points_mm(self) -> FloatArray:
         """Dot centres by id, (n, 3)."""
         return _grid_mm(self.columns, self.rows, self.pitch_mm)
 
     @property
-    def radii_mm(self) -> Doubles:
+    def radii_mm(self) -> FloatArray:
         """Dot radii by id, (n,)."""
         radii = np.full(self.columns * self.rows, self.dot_diameter_mm / 2.0)
         radii[list(self.fiducial_ids)] = self.fiducial_diameter_mm / 2.0
@@ -70,7 +69,7 @@ class DotBoard:
         origin = row * self.columns + column
         return origin, origin + 2, origin - self.columns
 
-    def ink(self, x_mm: Doubles, y_mm: Doubles, edge_mm: float) -> Doubles:
+    def ink(self, x_mm: FloatArray, y_mm: FloatArray, edge_mm: float) -> FloatArray:
         """Share of ink at board positions x (col,) and y (row,): (row, col), edges this wide."""
         centre = _grid_mm(self.columns, self.rows, self.pitch_mm)[0]
         column = np.clip(np.rint((x_mm - centre[0]) / self.pitch_mm), 0, self.columns - 1)
@@ -79,7 +78,7 @@ class DotBoard:
         dy = y_mm - centre[1] + row * self.pitch_mm
         ids = row.astype(int)[:, np.newaxis] * self.columns + column.astype(int)
         distance_mm = np.hypot(dx, dy[:, np.newaxis])
-        inside: Doubles = np.clip(0.5 + (self.radii_mm[ids] - distance_mm) / edge_mm, 0.0, 1.0)
+        inside: FloatArray = np.clip(0.5 + (self.radii_mm[ids] - distance_mm) / edge_mm, 0.0, 1.0)
         return inside
 
 
@@ -105,11 +104,11 @@ class Chessboard:
         require_number("board square_mm", self.square_mm, 0.0, open_low=True)
 
     @property
-    def points_mm(self) -> Doubles:
+    def points_mm(self) -> FloatArray:
         """Inner corners by id, (n, 3)."""
         return _grid_mm(self.columns, self.rows, self.square_mm)
 
-    def ink(self, x_mm: Doubles, y_mm: Doubles, edge_mm: float) -> Doubles:
+    def ink(self, x_mm: FloatArray, y_mm: FloatArray, edge_mm: float) -> FloatArray:
         """Share of ink at board positions x (col,) and y (row,): (row, col), edges this wide."""
         corner = self.points_mm[0]
         across = _square_wave(x_mm - corner[0], self.square_mm, edge_mm)
@@ -143,7 +142,7 @@ class CharucoBoard:
         require_number("board marker_mm", self.marker_mm, 0.0, high_mm, open_low=True)
 
     @property
-    def points_mm(self) -> Doubles:
+    def points_mm(self) -> FloatArray:
         """Inner corners by id, (n, 3)."""
         return _grid_mm(self.columns, self.rows, self.square_mm)
 
@@ -155,7 +154,7 @@ class CharucoBoard:
         size = (self.columns + 1, self.rows + 1)
         return cv2.aruco.CharucoBoard(size, self.square_mm, self.marker_mm, dictionary)
 
-    def ink(self, x_mm: Doubles, y_mm: Doubles, edge_mm: float) -> Doubles:
+    def ink(self, x_mm: FloatArray, y_mm: FloatArray, edge_mm: float) -> FloatArray:
         """Share of ink at board positions x (col,) and y (row,): (row, col), edges this wide."""
         image = self.opencv().generateImage(
             ((self.columns + 1) * MARKER_TEXELS, (self.rows + 1) * MARKER_TEXELS)
@@ -173,22 +172,22 @@ class CharucoBoard:
 Board = DotBoard | Chessboard | CharucoBoard
 
 
-def _grid_mm(columns: int, rows: int, pitch_mm: float) -> Doubles:
+def _grid_mm(columns: int, rows: int, pitch_mm: float) -> FloatArray:
     column, row = np.meshgrid(np.arange(columns), np.arange(rows))
     x_mm = (column - (columns - 1) / 2.0) * pitch_mm
     y_mm = ((rows - 1) / 2.0 - row) * pitch_mm
     return np.stack([x_mm, y_mm, np.zeros_like(x_mm)], axis=-1).reshape(-1, 3)
 
 
-def _square_wave(offset_mm: Doubles, square_mm: float, edge_mm: float) -> Doubles:
+def _square_wave(offset_mm: FloatArray, square_mm: float, edge_mm: float) -> FloatArray:
     """Alternate between -1 and 1 at every multiple of the square, with edges of finite width."""
     nearest = np.rint(offset_mm / square_mm)
     rise = np.clip(2.0 * (offset_mm - nearest * square_mm) / edge_mm, -1.0, 1.0)
-    wave: Doubles = np.where(nearest % 2.0 == 0.0, rise, -rise)
+    wave: FloatArray = np.where(nearest % 2.0 == 0.0, rise, -rise)
     return wave
 
 
-def _box_average(image: Doubles, low: Doubles, high: Doubles) -> Doubles:
+def _box_average(image: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
     """Average rows of an image between positions low and high (n,), texel borders at integers.
 
     Outside the image there is nothing: 0.
@@ -198,13 +197,13 @@ def _box_average(image: Doubles, low: Doubles, high: Doubles) -> Doubles:
     return np.asarray((upper - lower) / (high - low)[:, np.newaxis])
 
 
-def _interpolate(table: Doubles, position: Doubles) -> Doubles:
+def _interpolate(table: FloatArray, position: FloatArray) -> FloatArray:
     first = np.minimum(position.astype(int), len(table) - 2)
     share = (position - first)[:, np.newaxis]
     return np.asarray((1.0 - share) * table[first] + share * table[first + 1])
 
 
-def _on_plate(board: Chessboard, x_mm: Doubles, y_mm: Doubles) -> Doubles:
+def _on_plate(board: Chessboard, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
     half_x = (board.columns + 1) / 2.0 * board.square_mm
     half_y = (board.rows + 1) / 2.0 * board.square_mm
     inside = (np.abs(x_mm) <= half_x) & (np.abs(y_mm) <= half_y)[:, np.newaxis]

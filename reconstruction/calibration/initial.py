@@ -11,9 +11,9 @@ import cv2
 import numpy as np
 from scipy.linalg import rq
 
-from reconstruction.arrays import Doubles, FloatImage
+from reconstruction.arrays import FloatArray, FloatImage
 from reconstruction.calibration.observation import Observation
-from reconstruction.calibration.parameters import Rig
+from reconstruction.calibration.parameters import RigEstimate
 from reconstruction.errors import InputError
 from reconstruction.rig.pinhole import Pinhole
 
@@ -36,7 +36,7 @@ FOCAL_WIDTHS, MAX_RATIO = (0.3, 20.0), 1.3
 FALLBACK_THROW = 1.4
 
 
-def starting_rig(observations: Sequence[Observation]) -> Rig:
+def starting_rig(observations: Sequence[Observation]) -> RigEstimate:
     """Return a first estimate of the whole rig.
 
     Raises
@@ -58,17 +58,17 @@ def starting_rig(observations: Sequence[Observation]) -> Rig:
     )
     pixels = np.concatenate([seen.projector_px for seen in observations])
     projector, motion = _start_projector(points_cam_mm, pixels, observations[0].projector_size_px)
-    return Rig(camera, projector, motion, motions)
+    return RigEstimate(camera, projector, motion, motions)
 
 
-def _require_tilts(motions: Doubles) -> None:
+def _require_tilts(motions: FloatArray) -> None:
     normals = motions[:, :3, 2]
     cosines = np.clip(normals @ normals.T, -1.0, 1.0)
     if np.degrees(np.arccos(cosines.min())) < MIN_TILT_SPREAD_DEG:
         raise _undetermined()
 
 
-def _start_camera(observations: Sequence[Observation]) -> tuple[Pinhole, Doubles]:
+def _start_camera(observations: Sequence[Observation]) -> tuple[Pinhole, FloatArray]:
     size = observations[0].camera_size_px
     objects = [seen.points_mm.astype(np.float32) for seen in observations]
     images = [seen.camera_px.astype(np.float32).reshape(-1, 1, 2) for seen in observations]
@@ -91,9 +91,9 @@ def _calibrate_camera(
     objects: list[FloatImage],
     images: list[FloatImage],
     size: tuple[int, int],
-    guess: Doubles,
+    guess: FloatArray,
     by: float,
-) -> tuple[float, Doubles, Sequence[Doubles], Sequence[Doubles]]:
+) -> tuple[float, FloatArray, Sequence[FloatArray], Sequence[FloatArray]]:
     matrix = np.array(guess, dtype=np.float64)
     matrix[0, 0] = matrix[1, 1] = by * guess[0, 0]
     matrix[:2, 2] = (size[0] - 1) / 2.0, (size[1] - 1) / 2.0
@@ -114,8 +114,8 @@ def _undetermined() -> InputError:
 
 
 def _start_projector(
-    points_cam_mm: Doubles, pixels_px: Doubles, size: tuple[int, int]
-) -> tuple[Pinhole, Doubles]:
+    points_cam_mm: FloatArray, pixels_px: FloatArray, size: tuple[int, int]
+) -> tuple[Pinhole, FloatArray]:
     found = resect(points_cam_mm, pixels_px)
     if found is not None:
         matrix, motion = found
@@ -137,7 +137,7 @@ def _start_projector(
     return device, _motion(rotation, shift)
 
 
-def resect(points_mm: Doubles, pixels_px: Doubles) -> tuple[Doubles, Doubles] | None:
+def resect(points_mm: FloatArray, pixels_px: FloatArray) -> tuple[FloatArray, FloatArray] | None:
     """Return camera matrix (3, 3) and motion (4, 4) of a pinhole from points in space, or None.
 
     Notes
@@ -160,7 +160,7 @@ def resect(points_mm: Doubles, pixels_px: Doubles) -> tuple[Doubles, Doubles] | 
     return _decompose(P, points_mm)
 
 
-def _decompose(P: Doubles, points_mm: Doubles) -> tuple[Doubles, Doubles] | None:
+def _decompose(P: FloatArray, points_mm: FloatArray) -> tuple[FloatArray, FloatArray] | None:
     if np.linalg.det(P[:, :3]) < 0.0:
         P = -P
     matrix, rotation = rq(P[:, :3])
@@ -177,7 +177,7 @@ def _decompose(P: Doubles, points_mm: Doubles) -> tuple[Doubles, Doubles] | None
     return matrix / matrix[2, 2], motion
 
 
-def _similarity(points: Doubles) -> Doubles:
+def _similarity(points: FloatArray) -> FloatArray:
     """Shift and scale to zero mean and unit spread, homogeneous."""
     count = points.shape[1]
     centre = points.mean(axis=0)
@@ -188,7 +188,7 @@ def _similarity(points: Doubles) -> Doubles:
     return scaling
 
 
-def _motion(rotation: Doubles, shift: Doubles) -> Doubles:
+def _motion(rotation: FloatArray, shift: FloatArray) -> FloatArray:
     motion = np.eye(4)
     motion[:3, :3] = cv2.Rodrigues(rotation)[0]
     motion[:3, 3] = np.asarray(shift).reshape(3)

@@ -1,32 +1,121 @@
-"""What one capture of a board says: features in camera and projector pixels."""
+"""Captures of a board, and what each says: features in camera and projector pixels.
+
+A capture like any other, but the rig is not calibrated yet. Features are found in the brightness
+relative to the white print around, so without the lighting.
+"""
 
 from dataclasses import dataclass
+from pathlib import Path
 
+import cv2
 import numpy as np
 
-from reconstruction.arrays import Doubles, FloatImage
+from reconstruction.arrays import BoolImage, FloatArray, FloatImage, Stack
 from reconstruction.calibration.boards import Board, DotBoard, Indices
-from reconstruction.calibration.captures import BoardCapture
-from reconstruction.calibration.corners import find_corners
-from reconstruction.calibration.dot_grid import label_dots
-from reconstruction.calibration.dots import find_dots, refine_centres
-from reconstruction.calibration.homography import apply_homography, fit_homography
-from reconstruction.calibration.light_level import (
-    brightness,
-    ink_threshold,
-    relative_brightness,
-    white_print,
-)
+from reconstruction.calibration.features import find_corners, find_dots, label_dots, refine_centres
+from reconstruction.calibration.plane_images import apply_homography, fit_homography
 from reconstruction.calibration.projector_points import projector_points
-from reconstruction.decoding.decode import DecodeOptions, decode
-from reconstruction.errors import InputError
+from reconstruction.capture.description import read_description
+from reconstruction.capture.folder import DESCRIPTION_FILE, SUBFOLDER, read_stack
+from reconstruction.capture.frame_order import check_order
+from reconstruction.capture.frame_set import is_frame_set, read_frame_set
+from reconstruction.capture.image_files import read_frames
+from reconstruction.capture.pattern_files import read_manifest
+from reconstruction.decoding.decode import Decoded, DecodeOptions, decode
+from reconstruction.errors import CaptureError, InputError
+from reconstruction.patterns import PatternSet
+from reconstruction.rig.sensor import SensorNoise
 
+# What a pose was recorded in; a folder of such files is not left out silently.
+RECORDED = {".png", ".tif", ".tiff", ".bmp", ".exr", ".nc"}
 # Half side of the window in which the phase is fitted, in feature distances.
 WINDOW = 1.1
 # No filter: it would carry phase over the edge of a dot.
 UNFILTERED = DecodeOptions(filter_taps=0)
 # Edge pixels to leave out, as a share of the feature distance (at least one pixel).
 EDGE_SHARE = 0.03
+
+# The white level is the local maximum over this share of the image height: larger than any dot or
+# square, small enough to follow the projector's fall-off.
+WINDOW_SHARE = 0.25
+WORK_HEIGHT_PX = 180
+
+
+@dataclass(frozen=True, eq=False)
+class BoardCapture:
+    """Frames of one board pose, (frame, row, col) DN, and what is known about them.
+
+    scale : (row, col) float32, by which merged exposures were multiplied, see `merge_exposures`
+    """
+
+    stack: Stack
+    patterns: PatternSet
+    sensor: SensorNoise
+    scale: FloatImage | None = None
+
+
+def read_board_capture(folder: Path | str) -> BoardCapture:
+    """Read a capture whose calibration file need not exist.
+
+    Raises
+    ------
+    CaptureError : a file is missing, damaged or does not fit the others, or the frames are clearly
+        in another order
+    """
+    folder = _find(Path(folder))
+    if is_frame_set(folder / DESCRIPTION_FILE):
+        frame_set = read_frame_set(folder / DESCRIPTION_FILE)
+        patterns = read_manifest(folder / frame_set.patterns_file)
+        frames = read_frames(folder, frame_set, patterns)
+        return BoardCapture(frames.stack, patterns, frame_set.sensor, frames.scale)
+    description = read_description(folder / DESCRIPTION_FILE)
+    shape = (description.height_px, description.width_px)
+    stack = read_stack(folder / description.stack_file, description.patterns, shape)
+    try:
+        check_order(stack, description.patterns, description.sensor)
+    except InputError as error:
+        raise CaptureError(f"{folder}: {error}") from error
+    return BoardCapture(stack, description.patterns, description.sensor)
+
+
+def pose_folders(folder: Path | str) -> list[Path]:
+    """Return the pose folders inside `folder` in the order of their names.
+
+    Raises
+    ------
+    CaptureError : there is none, or one holds images that no capture.toml describes
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise CaptureError(f"{folder}: no such folder; give one that holds a folder per board pose")
+    inside = sorted(path for path in folder.iterdir() if path.is_dir())
+    found = [path for path in inside if _described(path) is not None]
+    for path in inside:
+        if path not in found and any(item.suffix.lower() in RECORDED for item in path.iterdir()):
+            raise CaptureError(
+                f"{path}: holds images but no {DESCRIPTION_FILE}; write one (copy that of another "
+                "pose), or move the folder away"
+            )
+    if not found:
+        raise CaptureError(
+            f"{folder}: no folder with {DESCRIPTION_FILE} in it; give the folder that holds one "
+            "capture folder per board pose"
+        )
+    return found
+
+
+def _find(folder: Path) -> Path:
+    found = _described(folder)
+    if found is None:
+        raise CaptureError(f"{folder}: no {DESCRIPTION_FILE} here or in {SUBFOLDER}/")
+    return found
+
+
+def _described(folder: Path) -> Path | None:
+    for candidate in (folder, folder / SUBFOLDER):
+        if (candidate / DESCRIPTION_FILE).is_file():
+            return candidate
+    return None
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,11 +135,11 @@ class Observation:
     """
 
     name: str
-    points_mm: Doubles
-    radii_mm: Doubles
-    camera_px: Doubles
-    projector_px: Doubles
-    slopes: Doubles
+    points_mm: FloatArray
+    radii_mm: FloatArray
+    camera_px: FloatArray
+    projector_px: FloatArray
+    slopes: FloatArray
     ids: Indices
     camera_size_px: tuple[int, int]
     projector_size_px: tuple[int, int]
@@ -97,7 +186,7 @@ def _observe(capture: BoardCapture, board: Board, name: str) -> Observation:
     )
 
 
-def _features(board: Board, relative: FloatImage, threshold: float) -> tuple[Indices, Doubles]:
+def _features(board: Board, relative: FloatImage, threshold: float) -> tuple[Indices, FloatArray]:
     """Return ids (n,) and camera pixels (n, 2) of the features seen."""
     if not isinstance(board, DotBoard):
         return find_corners(board, relative)
@@ -107,7 +196,7 @@ def _features(board: Board, relative: FloatImage, threshold: float) -> tuple[Ind
     return np.array(ids)[found], centres[found]
 
 
-def _spacing_px(points_mm: Doubles, camera_px: Doubles) -> float:
+def _spacing_px(points_mm: FloatArray, camera_px: FloatArray) -> float:
     """Return the image distance of two neighbouring features in the middle of the view."""
     H = fit_homography(points_mm[:, :2], camera_px)
     middle = points_mm[:, :2].mean(axis=0)
@@ -115,3 +204,46 @@ def _spacing_px(points_mm: Doubles, camera_px: Doubles) -> float:
     step_mm = float(gaps[gaps > 0.0].min())
     ends = apply_homography(H, middle + step_mm * np.array([[0.0, 0], [1, 0], [0, 1]]))
     return float(np.mean(np.linalg.norm(ends[1:] - ends[0], axis=1)))
+
+
+def brightness(decoded: Decoded, sensor: SensorNoise) -> FloatImage:
+    """Return the mean of all phase frames above black, (row, col) DN: no fringe, little noise."""
+    mean_dn = 0.5 * (decoded.column.mean_dn + decoded.row.mean_dn)
+    above_dn = np.maximum(mean_dn - np.float32(sensor.black_level_dn), 0.0)
+    return np.asarray(above_dn, dtype=np.float32)
+
+
+def relative_brightness(image_dn: FloatImage) -> FloatImage:
+    """Divide by the local white level, (row, col); white is about 1.
+
+    Raises
+    ------
+    InputError : the image is black
+    """
+    rows, cols = image_dn.shape
+    if not image_dn.max() > 0.0:
+        raise InputError("the board image is black: no projector light reached the camera")
+    scale = min(1.0, WORK_HEIGHT_PX / rows)
+    small = cv2.resize(image_dn, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    side = max(3, round(WINDOW_SHARE * small.shape[0]))
+    white = cv2.blur(cv2.dilate(small, np.ones((side, side), np.uint8)), (side, side))
+    white = cv2.resize(white, (cols, rows), interpolation=cv2.INTER_LINEAR)
+    # Where the board ends there is no white to compare with.
+    floor = np.float32(0.05) * image_dn.max()
+    return np.asarray(image_dn / np.maximum(white, floor), dtype=np.float32)
+
+
+def ink_threshold(relative: FloatImage) -> float:
+    """Return the level between ink and white (Otsu 1979)."""
+    levels = np.clip(relative * 200.0, 0, 255).astype(np.uint8)
+    return float(cv2.threshold(levels, 0, 255, cv2.THRESH_BINARY + cv2.THRESH_OTSU)[0]) / 200.0
+
+
+def white_print(relative: FloatImage, threshold: float, margin_px: int) -> BoolImage:
+    """Return the white pixels at least `margin_px` away from ink, (row, col) bool.
+
+    Pixels on an edge mix two places of the board and lean their fringe towards the brighter one.
+    """
+    white = (relative > threshold).astype(np.uint8)
+    kernel = np.ones((2 * margin_px + 1, 2 * margin_px + 1), np.uint8)
+    return np.asarray(cv2.erode(white, kernel, borderValue=1), dtype=np.bool_)

@@ -2,15 +2,30 @@
 
 Layout: camera fx fy cx cy k1 k2 p1 p2 k3, projector likewise, T_proj_from_cam (rotation vector in
 rad, translation in mm), then T_cam_from_board of every pose likewise.
+
+A field of a few degrees does not determine all of them. Which are free (`Freedom`), with reasons:
+
+- square pixels (fy = fx for camera and projector): both chips are made that way to better than the
+  0.01 % that the poses could tell;
+- camera k1 only: over a field of 4 degrees k2 and k3 act far below the noise, and tangential terms
+  cannot be told from the principal point;
+- no projector distortion: the board covers a small patch of the image, off its axis, where a radial
+  term looks like a shift and a change of focal length;
+- both principal points free: an error of the camera's turns into a tilt, the projector's lies far
+  off-axis and is not known beforehand;
+- defocus of the camera (`defocus_slopes_px`): two coefficients, zero for a
+  camera that is sharp everywhere; neglected they would lean on principal points and rotations.
 """
 
 from dataclasses import dataclass
+from typing import Literal
 
 import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from reconstruction.arrays import Doubles
+from reconstruction.arrays import FloatArray
+from reconstruction.errors import InputError
 from reconstruction.rig.pinhole import Pinhole
 
 INTRINSICS = ("fx_px", "fy_px", "cx_px", "cy_px", "k1", "k2", "p1", "p2", "k3")
@@ -18,30 +33,31 @@ MOTION = ("rx_rad", "ry_rad", "rz_rad", "tx_mm", "ty_mm", "tz_mm")
 CAMERA, PROJECTOR = slice(0, 9), slice(9, 18)
 STEREO = slice(18, 24)
 POSES = 24
+Distortion = Literal["k1", "k2", "p1", "p2", "k3"]
 
 
 @dataclass(frozen=True, eq=False)
-class Rig:
+class RigEstimate:
     """Camera, projector, motion between them and the board's motions into the camera frame."""
 
     camera: Pinhole
     projector: Pinhole
-    T_proj_from_cam: Doubles
-    T_cam_from_board: Doubles
+    T_proj_from_cam: FloatArray
+    T_cam_from_board: FloatArray
 
 
-def pack(rig: Rig) -> Doubles:
+def pack(rig: RigEstimate) -> FloatArray:
     """Return the parameter vector, (24 + 6 poses,)."""
     motions = [rig.T_proj_from_cam, *rig.T_cam_from_board]
     parts = [_intrinsics(rig.camera), _intrinsics(rig.projector), *map(_vector, motions)]
     return np.concatenate(parts)
 
 
-def unpack(vector: Doubles, camera: Pinhole, projector: Pinhole) -> Rig:
+def unpack(vector: FloatArray, camera: Pinhole, projector: Pinhole) -> RigEstimate:
     """Return the rig of a parameter vector; image sizes are taken from the given devices."""
     motions = vector[STEREO.start :].reshape(-1, 6)
     matrices = np.stack([_matrix(motion) for motion in motions])
-    return Rig(
+    return RigEstimate(
         _pinhole(vector[CAMERA], camera),
         _pinhole(vector[PROJECTOR], projector),
         matrices[0],
@@ -49,22 +65,22 @@ def unpack(vector: Doubles, camera: Pinhole, projector: Pinhole) -> Rig:
     )
 
 
-def _intrinsics(device: Pinhole) -> Doubles:
+def _intrinsics(device: Pinhole) -> FloatArray:
     return np.array(
         [device.fx_px, device.fy_px, device.cx_px, device.cy_px, *device.distortion], np.float64
     )
 
 
-def _pinhole(values: Doubles, like: Pinhole) -> Pinhole:
+def _pinhole(values: FloatArray, like: Pinhole) -> Pinhole:
     fx, fy, cx, cy, k1, k2, p1, p2, k3 = (float(value) for value in values)
     return Pinhole(like.width_px, like.height_px, fx, fy, cx, cy, (k1, k2, p1, p2, k3))
 
 
-def _vector(matrix: Doubles) -> Doubles:
+def _vector(matrix: FloatArray) -> FloatArray:
     return np.concatenate([rotation_vector(matrix[:3, :3]), matrix[:3, 3]])
 
 
-def rotation_vector(rotation: Doubles) -> Doubles:
+def rotation_vector(rotation: FloatArray) -> FloatArray:
     """Return the rotation vector (3,) of a matrix, rad.
 
     Not OpenCV's: it rounds turns near 180 degrees to 1e-5, and a camera looking down on a board
@@ -73,14 +89,16 @@ def rotation_vector(rotation: Doubles) -> Doubles:
     return np.asarray(Rotation.from_matrix(rotation).as_rotvec())
 
 
-def _matrix(motion: Doubles) -> Doubles:
+def _matrix(motion: FloatArray) -> FloatArray:
     matrix = np.eye(4)
     matrix[:3, :3] = cv2.Rodrigues(motion[:3].copy())[0]
     matrix[:3, 3] = motion[3:]
     return matrix
 
 
-def project_pose(vector: Doubles, pose: int, points_mm: Doubles) -> tuple[Doubles, Doubles]:
+def project_pose(
+    vector: FloatArray, pose: int, points_mm: FloatArray
+) -> tuple[FloatArray, FloatArray]:
     """Project a board's points into both devices.
 
     Parameters
@@ -109,7 +127,9 @@ def project_pose(vector: Doubles, pose: int, points_mm: Doubles) -> tuple[Double
     return pixels, slopes
 
 
-def _project(points_mm: Doubles, motion: Doubles, lens: Doubles) -> tuple[Doubles, Doubles]:
+def _project(
+    points_mm: FloatArray, motion: FloatArray, lens: FloatArray
+) -> tuple[FloatArray, FloatArray]:
     matrix = np.array([[lens[0], 0.0, lens[2]], [0.0, lens[1], lens[3]], [0.0, 0.0, 1.0]])
     # OpenCV keeps views of what it is given: it gets copies.
     rotation, shift, distortion = motion[:3].copy(), motion[3:].copy(), lens[4:].copy()
@@ -117,7 +137,7 @@ def _project(points_mm: Doubles, motion: Doubles, lens: Doubles) -> tuple[Double
     return pixels.reshape(-1, 2), slopes.reshape(-1, 2, 15)
 
 
-def _move(points_mm: Doubles, motion: Doubles) -> tuple[Doubles, Doubles]:
+def _move(points_mm: FloatArray, motion: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Move points (n, 3); also return the derivatives (n, 3, 6) by the motion."""
     rotation, derivative = cv2.Rodrigues(motion[:3].copy())
     turned = derivative.reshape(3, 3, 3)  # by rotation vector, row, column
@@ -125,3 +145,69 @@ def _move(points_mm: Doubles, motion: Doubles) -> tuple[Doubles, Doubles]:
     slopes[..., :3] = np.einsum("kij,nj->nik", turned, points_mm)
     slopes[..., 3:] = np.eye(3)
     return points_mm @ rotation.T + motion[3:], slopes
+
+
+@dataclass(frozen=True)
+class Freedom:
+    """Free parameters of the devices; motions are always free.
+
+    Parameters
+    ----------
+    camera_distortion, projector_distortion : names of the coefficients to estimate
+    camera_principal_point, projector_principal_point : estimate it
+    square_pixels : one focal length for both axes
+    camera_defocus : estimate what the camera's aperture does to tilted boards
+
+    Raises
+    ------
+    InputError : unknown coefficient
+    """
+
+    camera_distortion: tuple[Distortion, ...] = ("k1",)
+    projector_distortion: tuple[Distortion, ...] = ()
+    camera_principal_point: bool = True
+    projector_principal_point: bool = True
+    square_pixels: bool = True
+    camera_defocus: bool = True
+
+    def __post_init__(self) -> None:
+        for name in (*self.camera_distortion, *self.projector_distortion):
+            if name not in INTRINSICS[4:]:
+                allowed = ", ".join(INTRINSICS[4:])
+                raise InputError(f"distortion coefficient is {name!r}; allowed are {allowed}")
+
+
+def admissible(freedom: Freedom, vector: FloatArray) -> FloatArray:
+    """Return the parameter vector moved to where the fixed relations hold."""
+    moved = vector.copy()
+    if freedom.square_pixels:
+        for device in (CAMERA, PROJECTOR):
+            focal = slice(device.start, device.start + 2)
+            moved[focal] = np.sqrt(np.prod(vector[focal]))
+    return moved
+
+
+def freedom_matrix(freedom: Freedom, size: int) -> FloatArray:
+    """Return the map (parameters, free) from free changes to changes of all `size` parameters."""
+    columns: list[FloatArray] = []
+    settings = (
+        (CAMERA.start, freedom.camera_principal_point, freedom.camera_distortion),
+        (PROJECTOR.start, freedom.projector_principal_point, freedom.projector_distortion),
+    )
+    for first, principal_point, distortion in settings:
+        columns += _focal_columns(size, first, freedom.square_pixels)
+        names = (("cx_px", "cy_px") if principal_point else ()) + tuple(distortion)
+        columns += [_unit(size, first + INTRINSICS.index(name)) for name in names]
+    columns += [_unit(size, k) for k in range(STEREO.start, size)]
+    return np.stack(columns, axis=1)
+
+
+def _focal_columns(size: int, first: int, square: bool) -> list[FloatArray]:
+    fx, fy = _unit(size, first), _unit(size, first + 1)
+    return [fx + fy] if square else [fx, fy]
+
+
+def _unit(size: int, index: int) -> FloatArray:
+    column = np.zeros(size)
+    column[index] = 1.0
+    return column

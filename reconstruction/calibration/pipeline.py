@@ -1,20 +1,169 @@
-"""From observations of a board to the calibration."""
+"""From observations of a board to the calibration, and what to read off it.
+
+Parameters with their uncertainty, residuals of every pose; and, as an independent check of lengths,
+where the calibrated rig sees the features of a board.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import cv2
+import numpy as np
+
+from reconstruction.arrays import FloatArray
 from reconstruction.calibration.adjustment import Adjustment, AdjustOptions, adjust
 from reconstruction.calibration.initial import starting_rig
 from reconstruction.calibration.observation import Observation
-from reconstruction.calibration.quality import (
-    Parameter,
-    PoseResidual,
-    calibration_of,
-    parameters,
-    pose_residuals,
+from reconstruction.calibration.parameters import (
+    INTRINSICS,
+    MOTION,
+    STEREO,
+    RigEstimate,
+    rotation_vector,
 )
+from reconstruction.calibration.plane_images import centre_bias_px
 from reconstruction.errors import InputError
 from reconstruction.rig.calibration import Calibration
+
+COVERAGE_FACTOR = 2.0
+"""Expanded uncertainty U = k sigma, k = 2: about 95 % (JCGM 100, 6.2)."""
+STEPS = 4
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One number of the rig; sigma 0: held fixed."""
+
+    name: str
+    value: float
+    sigma: float
+
+    @property
+    def expanded(self) -> float:
+        """Expanded uncertainty, k = 2."""
+        return COVERAGE_FACTOR * self.sigma
+
+
+@dataclass(frozen=True)
+class PoseResidual:
+    """RMS reprojection residuals of one pose, px; epipolar: distance from the epipolar line."""
+
+    name: str
+    features: int
+    left_out: int
+    camera_px: float
+    projector_px: float
+    epipolar_px: float
+
+
+def parameters(found: Adjustment) -> list[Parameter]:
+    """Return every parameter of the rig with its standard uncertainty, baseline included."""
+    names = [
+        *(f"camera_{name}" for name in INTRINSICS),
+        *(f"projector_{name}" for name in INTRINSICS),
+        *(f"stereo_{name}" for name in MOTION),
+    ]
+    values, sigmas = found.vector, np.sqrt(np.diag(found.covariance))
+    rows = [Parameter(name, float(values[k]), float(sigmas[k])) for k, name in enumerate(names)]
+    return [*rows, _baseline(found)]
+
+
+def parameters_of(rig: RigEstimate | Calibration) -> dict[str, float]:
+    """Return the same parameters of a known rig, to compare with."""
+    T = rig.T_proj_from_cam
+    found: dict[str, float] = {}
+    for device, lens in (("camera", rig.camera), ("projector", rig.projector)):
+        numbers = (lens.fx_px, lens.fy_px, lens.cx_px, lens.cy_px, *lens.distortion)
+        found |= {f"{device}_{name}": n for name, n in zip(INTRINSICS, numbers, strict=True)}
+    motion = [*rotation_vector(T[:3, :3]), *T[:3, 3]]
+    found |= {f"stereo_{name}": float(n) for name, n in zip(MOTION, motion, strict=True)}
+    return found | {"baseline_mm": float(np.linalg.norm(T[:3, 3]))}
+
+
+def _baseline(found: Adjustment) -> Parameter:
+    shift = slice(STEREO.start + 3, STEREO.stop)
+    length = float(np.linalg.norm(found.vector[shift]))
+    along = found.vector[shift] / length
+    return Parameter(
+        "baseline_mm", length, float(np.sqrt(along @ found.covariance[shift, shift] @ along))
+    )
+
+
+def pose_residuals(found: Adjustment, observations: Sequence[Observation]) -> list[PoseResidual]:
+    """Return the residuals of every pose, over the features that took part."""
+    rows = []
+    for k, seen in enumerate(observations):
+        used, residuals = found.used[k], found.residuals_px[k][found.used[k]]
+        rows.append(
+            PoseResidual(
+                name=seen.name,
+                features=int(used.sum()),
+                left_out=int((~used).sum()),
+                camera_px=_rms(residuals[:, :2]),
+                projector_px=_rms(residuals[:, 2:]),
+                epipolar_px=_rms(epipolar_residuals_px(found.rig, found.measured_px[k][used])),
+            )
+        )
+    return rows
+
+
+def epipolar_residuals_px(rig: RigEstimate | Calibration, measured_px: FloatArray) -> FloatArray:
+    """Return the distances of projector points from their camera points' epipolar lines, px.
+
+    Parameters
+    ----------
+    rig : both devices
+    measured_px : (n, 4) float, camera x, y, projector column, row
+
+    Notes
+    -----
+    Lines are drawn on the undistorted projector image and scaled by its focal length.
+    """
+    T = rig.T_proj_from_cam
+    seen = _rays(rig.camera.unproject(measured_px[:, :2]))
+    shown = _rays(rig.projector.unproject(measured_px[:, 2:]))
+    lines = np.cross(T[:3, 3], seen @ T[:3, :3].T)
+    distance = np.sum(lines * shown, axis=1) / np.linalg.norm(lines[:, :2], axis=1)
+    return np.asarray(distance * np.sqrt(rig.projector.fx_px * rig.projector.fy_px))
+
+
+def pupil_diameter_mm(found: Adjustment) -> float:
+    """Return the aperture that the blur of tilted boards tells; 0 where it is not seen.
+
+    To about a tenth; a plausibility check (focal length over f-number), not a measurement.
+    """
+    seen = found.pupil_mm2 > 3.0 * found.pupil_sigma_mm2
+    return 4.0 * float(np.sqrt(found.pupil_mm2)) if seen else 0.0
+
+
+def calibration_of(found: Adjustment, reference_pose: int = 0) -> Calibration:
+    """Return the calibration; the world is the board frame of one pose (z towards the devices).
+
+    Raises
+    ------
+    InputError : there is no such pose
+    """
+    poses = len(found.rig.T_cam_from_board)
+    if not 0 <= reference_pose < poses:
+        raise InputError(f"reference pose is {reference_pose}; allowed are 0 to {poses - 1}")
+    T_world_from_cam = _inverse(found.rig.T_cam_from_board[reference_pose])
+    T_world_from_proj = T_world_from_cam @ _inverse(found.rig.T_proj_from_cam)
+    return Calibration(found.rig.camera, found.rig.projector, T_world_from_cam, T_world_from_proj)
+
+
+def _inverse(motion: FloatArray) -> FloatArray:
+    back = np.eye(4)
+    back[:3, :3] = motion[:3, :3].T
+    back[:3, 3] = -motion[:3, :3].T @ motion[:3, 3]
+    return back
+
+
+def _rays(normalised: FloatArray) -> FloatArray:
+    return np.column_stack([normalised, np.ones(len(normalised))])
+
+
+def _rms(values: FloatArray) -> float:
+    return float(np.sqrt(np.mean(values**2))) if values.size else 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,3 +206,56 @@ def calibrate(
         parameters=tuple(parameters(found)),
         poses=tuple(pose_residuals(found, observations)),
     )
+
+
+def locate_features(calibration: Calibration, seen: Observation) -> FloatArray:
+    """Triangulate every feature from camera and projector pixels, (n, 3) mm, world frame.
+
+    The board's dimensions enter only the bias of the dots' centres (below a micrometre), through a
+    rough pose: distances between the points are measurements.
+    """
+    camera = calibration.camera
+    T = _rough_pose(calibration, seen)
+    inside = seen.points_mm @ T[:3, :3].T + T[:3, 3]
+    bias = centre_bias_px(camera, inside, seen.radii_mm, T[:3, :3])
+    projector_px = seen.projector_px - np.einsum("nij,nj->ni", seen.slopes, bias)
+    rays = np.column_stack([camera.unproject(seen.camera_px - bias), np.ones(len(bias))])
+    points = rays * _depths(calibration, rays, projector_px, inside[:, 2])[:, np.newaxis]
+    world = calibration.T_world_from_cam
+    return np.asarray(points @ world[:3, :3].T + world[:3, 3])
+
+
+def _rough_pose(calibration: Calibration, seen: Observation) -> FloatArray:
+    flat = np.ascontiguousarray(calibration.camera.unproject(seen.camera_px))
+    rotation, shift = cv2.solvePnP(
+        seen.points_mm, flat, np.eye(3), np.zeros(5), flags=cv2.SOLVEPNP_IPPE
+    )[1:3]
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = cv2.Rodrigues(rotation)[0], shift.reshape(3)
+    return T
+
+
+def _depths(
+    calibration: Calibration, rays: FloatArray, projector_px: FloatArray, start_mm: FloatArray
+) -> FloatArray:
+    """Depths along the camera rays that fit both projector coordinates best (Gauss-Newton)."""
+    T, depth, step_mm = calibration.T_proj_from_cam, start_mm.copy(), 1e-3
+    for _ in range(STEPS):
+        places = [
+            calibration.projector.project((rays * d[:, np.newaxis]) @ T[:3, :3].T + T[:3, 3])
+            for d in (depth - step_mm, depth + step_mm)
+        ]
+        slope = (places[1] - places[0]) / (2.0 * step_mm)
+        miss = projector_px - (places[0] + places[1]) / 2.0
+        depth = depth + np.sum(slope * miss, axis=1) / np.sum(slope * slope, axis=1)
+    return depth
+
+
+def length_errors_mm(
+    points_world_mm: FloatArray, seen: Observation, length_mm: float
+) -> FloatArray:
+    """Return measured minus nominal distance of all pairs of features `length_mm` apart, (m,)."""
+    nominal = np.linalg.norm(seen.points_mm[:, np.newaxis] - seen.points_mm, axis=-1)
+    first, second = np.nonzero(np.triu(np.abs(nominal - length_mm) < 1e-6))
+    measured = np.linalg.norm(points_world_mm[first] - points_world_mm[second], axis=1)
+    return np.asarray(measured - nominal[first, second])

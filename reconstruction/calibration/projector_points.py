@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from reconstruction.arrays import BoolImage, Doubles
+from reconstruction.arrays import BoolImage, FloatArray
 from reconstruction.calibration.boards import Indices
-from reconstruction.calibration.homography import apply_homography, fit_homography
+from reconstruction.calibration.plane_images import apply_homography, fit_homography
 from reconstruction.decoding.decode import Decoded
 from reconstruction.errors import InputError
 
@@ -36,13 +36,13 @@ class ProjectorPoints:
     found : (n,) bool
     """
 
-    pixels_px: Doubles
-    slopes: Doubles
+    pixels_px: FloatArray
+    slopes: FloatArray
     found: BoolImage
 
 
 def projector_points(
-    decoded: Decoded, white: BoolImage, features_px: Doubles, reach_px: float
+    decoded: Decoded, white: BoolImage, features_px: FloatArray, reach_px: float
 ) -> ProjectorPoints:
     """Return the projector coordinates of camera positions.
 
@@ -71,7 +71,7 @@ def projector_points(
     return ProjectorPoints(pixels, slopes, found)
 
 
-def _board_map(decoded: Decoded, usable: BoolImage) -> Doubles:
+def _board_map(decoded: Decoded, usable: BoolImage) -> FloatArray:
     row, col = np.nonzero(usable)
     if len(row) < 1000:
         raise InputError(
@@ -87,12 +87,12 @@ def _board_map(decoded: Decoded, usable: BoolImage) -> Doubles:
     return fit_homography(camera[near], projector[near]) if near.sum() >= 1000 else H
 
 
-def _coordinates(decoded: Decoded, row: Indices, col: Indices) -> Doubles:
+def _coordinates(decoded: Decoded, row: Indices, col: Indices) -> FloatArray:
     found = [axis.coordinate_px[row, col] for axis in (decoded.column, decoded.row)]
     return np.stack(found, axis=-1).astype(np.float64)
 
 
-def _slopes(H: Doubles, points: Doubles) -> Doubles:
+def _slopes(H: FloatArray, points: FloatArray) -> FloatArray:
     """Return the derivative of the homography at points, (n, 2, 2)."""
     depth = points @ H[2, :2] + H[2, 2]
     mapped = apply_homography(H, points)
@@ -101,8 +101,8 @@ def _slopes(H: Doubles, points: Doubles) -> Doubles:
 
 
 def _local_residual(
-    decoded: Decoded, usable: BoolImage, H: Doubles, centre: Doubles, reach_px: float
-) -> Doubles | None:
+    decoded: Decoded, usable: BoolImage, H: FloatArray, centre: FloatArray, reach_px: float
+) -> FloatArray | None:
     """Fit a cubic (1, x, y, ...) to what the homography leaves: coefficients (10, 2) at reach 1.
 
     Radial distortion is a cubic: a quadratic would lean where the window is one-sided.
@@ -126,6 +126,6 @@ def _local_residual(
     return np.asarray(np.linalg.lstsq(design.T @ design, design.T @ left[good], rcond=None)[0])
 
 
-def _surrounded(x: Doubles, y: Doubles) -> bool:
+def _surrounded(x: FloatArray, y: FloatArray) -> bool:
     shares = [np.mean(x > 0.0), np.mean(y > 0.0)]
     return bool(min(shares) >= MIN_HALF_SHARE and max(shares) <= 1.0 - MIN_HALF_SHARE)

@@ -11,8 +11,7 @@ from dataclasses import MISSING, asdict, dataclass, fields
 from pathlib import Path
 from typing import Any, TypeVar
 
-from reconstruction.checks import require_integer
-from reconstruction.errors import CaptureError, InputError
+from reconstruction.errors import CaptureError, InputError, require_integer
 from reconstruction.patterns import PatternSet
 from reconstruction.rig.sensor import SensorNoise
 
@@ -55,10 +54,9 @@ def write_description(path: Path, description: Description) -> None:
 
 
 def assignments(values: Mapping[str, Any]) -> list[str]:
-    """Return the lines of a TOML table; `complementary` goes without saying beside `code`."""
+    """Return the lines of a TOML table."""
     # JSON text of a string, flag, finite number or list of them is valid TOML.
-    said = {name: value for name, value in values.items() if name != "complementary"}
-    return [f"{name} = {json.dumps(value)}" for name, value in said.items()]
+    return [f"{name} = {json.dumps(value)}" for name, value in values.items()]
 
 
 def read_description(path: Path) -> Description:

@@ -4,13 +4,20 @@
 |---|---|
 | capture.toml | file names, image size, bit depth, [patterns], [sensor] |
 | stack.nc | netCDF-4: `stack` (frame, row, col) uint8, uint16 or float32, DN; `frame_name` |
-| calibration.yaml | OpenCV YAML, see `calibration` |
+| calibration.yaml | OpenCV YAML, see `rig.calibration` |
+
+The stack is not compressed: xarray, MATLAB and HDFView read it as it is.
 
 Or, from a real camera, one image per frame and another kind of capture.toml: see `frame_set`.
 """
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
+
+import h5netcdf
+import h5py
+import numpy as np
 
 from reconstruction.arrays import FloatImage, Stack
 from reconstruction.capture.description import Description, read_description, write_description
@@ -18,9 +25,8 @@ from reconstruction.capture.frame_order import check_order
 from reconstruction.capture.frame_set import is_frame_set, read_frame_set
 from reconstruction.capture.image_files import read_frames
 from reconstruction.capture.pattern_files import read_manifest
-from reconstruction.capture.stack_file import TYPES, read_stack, write_stack
-from reconstruction.checks import require_integer
-from reconstruction.errors import CaptureError, InputError
+from reconstruction.disk import writing_netcdf
+from reconstruction.errors import CaptureError, InputError, require_integer
 from reconstruction.patterns import PatternSet
 from reconstruction.rig.calibration import Calibration, read_calibration, write_calibration
 from reconstruction.rig.sensor import SensorNoise
@@ -29,6 +35,11 @@ DESCRIPTION_FILE = "capture.toml"
 STACK_FILE = "stack.nc"
 CALIBRATION_FILE = "calibration.yaml"
 SUBFOLDER = "capture"
+DIMENSIONS = ("frame", "row", "col")
+STACK = "stack"
+NAMES = "frame_name"
+# Digital numbers of a sensor, or the expected values of a noise-free rendering.
+TYPES = ("uint8", "uint16", "float32")
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,3 +158,77 @@ def _find(folder: Path) -> Path:
     raise CaptureError(
         f"{folder}: no {DESCRIPTION_FILE} here or in {SUBFOLDER}/; give the folder of a capture"
     )
+
+
+def write_stack(path: Path, stack: Stack, patterns: PatternSet) -> None:
+    """Write a (frame, row, col) uint8, uint16 or float32 stack and the names of its frames."""
+    with writing_netcdf(path) as file:
+        file.dimensions = dict(zip(DIMENSIONS, stack.shape, strict=True))
+        variable = file.create_variable(STACK, DIMENSIONS, data=stack)
+        variable.attrs["units"] = "DN"
+        variable.attrs["long_name"] = "camera frames"
+        names = file.create_variable(NAMES, ("frame",), dtype=h5py.string_dtype())
+        names[...] = np.array([frame.name for frame in patterns.frames], dtype=object)
+
+
+def read_stack(path: Path, patterns: PatternSet, shape: tuple[int, int]) -> Stack:
+    """Read the stack that `patterns` and the image `shape` (rows, cols) announce.
+
+    Raises
+    ------
+    CaptureError : missing, truncated or damaged file, wrong variable, type, size or frames
+    """
+    if not path.is_file():
+        raise CaptureError(f"{path}: the stack of frames is missing")
+    try:
+        with h5netcdf.File(path, "r") as file:
+            _check(path, file, patterns, shape)
+            return np.asarray(file.variables[STACK][...])
+    except OSError as error:
+        raise CaptureError(
+            f"{path}: is no complete netCDF-4 file ({_one_line(error)}); copy or record it again"
+        ) from error
+
+
+def _check(path: Path, file: Any, patterns: PatternSet, shape: tuple[int, int]) -> None:
+    if STACK not in file.variables or NAMES not in file.variables:
+        raise CaptureError(f"{path}: needs the variables {STACK} and {NAMES}")
+    variable = file.variables[STACK]
+    if tuple(variable.dimensions) != DIMENSIONS or str(variable.dtype) not in TYPES:
+        raise CaptureError(
+            f"{path}: stack is {variable.dtype} {tuple(variable.dimensions)}; "
+            f"it must be {' or '.join(TYPES)} {DIMENSIONS}"
+        )
+    _check_frames(path, [_text(name) for name in file.variables[NAMES][...]], patterns)
+    expected = (len(patterns.frames), *shape)
+    if tuple(variable.shape) != expected:
+        raise CaptureError(
+            f"{path}: stack has shape {tuple(variable.shape)}; capture.toml announces {expected}"
+        )
+
+
+def _check_frames(path: Path, found: list[str], patterns: PatternSet) -> None:
+    expected = [frame.name for frame in patterns.frames]
+    if found == expected:
+        return
+    missing = [name for name in expected if name not in found]
+    extra = [name for name in found if name not in expected]
+    raise CaptureError(
+        f"{path}: holds {len(found)} frames, the pattern set has {len(expected)}; "
+        f"missing: {_few(missing)}; not expected: {_few(extra)}; "
+        "frames must be in the order of the pattern set"
+    )
+
+
+def _text(name: Any) -> str:
+    return name.decode("utf-8") if isinstance(name, bytes) else str(name)
+
+
+def _few(names: list[str]) -> str:
+    return (
+        ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "") or "none"
+    )
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split())

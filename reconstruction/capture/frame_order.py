@@ -4,10 +4,10 @@ Four looks at a sample of the lit pixels; each names the mistake that explains t
 - the whole sequence: does another order (exchanged axes, shifted by one, reversed ...) turn far
   more of the lit pixels into points?
 - each N-step set: do its frames follow A + B cos(phi + 2 pi n / N), equally bright, and does an
-  exchange of two of them fit better? (`phase_set_order`)
+  exchange of two of them fit better? (`check_phase_sets`)
 - phase against the half-periods that an edge-safe Gray code tells: does the set start at step 0?
-  (`step_offset`)
-- Gray words of neighbouring pixels: do they differ by one? (`word_order`)
+  (`check_first_step`)
+- Gray words of neighbouring pixels: do they differ by one? (`check_words`)
 
 Not to be seen in the frames: phase frames that start late, or run backwards along both axes, with
 plain Gray and multi-frequency codes; a foreign phase frame with fewer than five steps.
@@ -20,12 +20,10 @@ from itertools import combinations
 import numpy as np
 
 from reconstruction.arrays import BoolImage, Stack
-from reconstruction.capture.phase_set_order import check_phase_sets
-from reconstruction.capture.step_offset import check_first_step
-from reconstruction.capture.word_order import check_words
+from reconstruction.capture.set_order import check_first_step, check_phase_sets, check_words
 from reconstruction.decoding.decode import DecodeOptions, decode
 from reconstruction.errors import CaptureError
-from reconstruction.patterns import AXES, Axis, Frame, PatternSet
+from reconstruction.patterns import AXES, Axis, PatternFrame, PatternSet
 from reconstruction.rig.calibration import Calibration
 from reconstruction.rig.pinhole import Pinhole
 from reconstruction.rig.sensor import SensorNoise
@@ -145,14 +143,14 @@ def _mistakes(patterns: PatternSet) -> Iterator[Order]:
     count = len(frames)
     kinds = {"phase": 0, "gray": 1, "white": 2, "black": 3}
 
-    def sorted_by(key: Callable[[Frame], object]) -> list[int]:
+    def sorted_by(key: Callable[[PatternFrame], object]) -> list[int]:
         recorded = sorted(frames, key=key)  # type: ignore[arg-type]
         return [recorded.index(frame) for frame in frames]
 
-    def uniform_first(frame: Frame) -> tuple[int, ...]:
+    def uniform_first(frame: PatternFrame) -> tuple[int, ...]:
         return (frame.axis is not None,)
 
-    def by_axis(frame: Frame) -> tuple[int, ...]:
+    def by_axis(frame: PatternFrame) -> tuple[int, ...]:
         return (-1 if frame.axis is None else -2 + AXES.index(frame.axis),)
 
     yield "white and black look exchanged", [*range(count - 2), count - 1, count - 2]

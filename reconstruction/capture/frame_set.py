@@ -18,20 +18,24 @@ Paths are relative to the folder of capture.toml.
 
 import re
 import string
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from reconstruction.capture.description import build, read_toml, table_of, take_header
-from reconstruction.checks import require_integer, require_number
-from reconstruction.errors import CaptureError, InputError
+import numpy as np
+
+from reconstruction.arrays import Stack
+from reconstruction.capture.description import assignments, build, read_toml, table_of, take_header
+from reconstruction.capture.pattern_files import MANIFEST_FILE, file_names, write_manifest
+from reconstruction.errors import CaptureError, InputError, require_integer, require_number
 from reconstruction.patterns import PatternSet
 from reconstruction.rig.sensor import SensorNoise
 
 FORMAT, VERSION = "fringe-frames", 1
 _MOST_SIGNS = 200
 FIELDS = ("index", "number", "name", "set")
+FILES = "{index:03d}_{name}.png"
 
 
 @dataclass(frozen=True)
@@ -191,3 +195,47 @@ def _exposures(values: object) -> tuple[float, ...]:
 
 def _few(names: list[str]) -> str:
     return ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
+
+
+def write_frame_set(
+    folder: Path | str,
+    stack: Stack,
+    patterns: PatternSet,
+    sensor: SensorNoise,
+    bit_depth: int,
+) -> None:
+    """Write images, manifest and description into an existing folder; no calibration file.
+
+    Parameters
+    ----------
+    stack : (frame, row, col) uint8 or uint16, DN; images have its type
+    patterns : what was projected
+    sensor : noise of these images
+    bit_depth : 8 to 16
+
+    Raises
+    ------
+    CaptureError : the stack does not fit the patterns, or holds no integers
+    """
+    import imageio.v3 as imageio  # 0.1 s that reading need not pay
+
+    folder = Path(folder)
+    require_integer("bit_depth", bit_depth, 8, 16)
+    if len(stack) != len(patterns.frames) or stack.dtype not in (np.uint8, np.uint16):
+        raise CaptureError(
+            f"stack is {stack.dtype} {stack.shape}; images need uint8 or uint16 of "
+            f"{len(patterns.frames)} frames"
+        )
+    for name, frame in zip(file_names(patterns), stack, strict=True):
+        imageio.imwrite(folder / name, frame)
+    write_manifest(folder / MANIFEST_FILE, patterns)
+    header = {
+        "format": FORMAT,
+        "version": VERSION,
+        "files": FILES,
+        "bit_depth": bit_depth,
+        "patterns_file": MANIFEST_FILE,
+        "calibration_file": "calibration.yaml",
+    }
+    lines = [*assignments(header), "", "[sensor]", *assignments(asdict(sensor))]
+    (folder / "capture.toml").write_text("\n".join(lines) + "\n", encoding="utf-8")

@@ -5,20 +5,24 @@ Nothing but the result is ever as large as the image.
 
 # ruff: noqa: PLR0917 - compiled functions cannot take keyword-only arguments
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from reconstruction._jit import compiled, merged
-from reconstruction.decoding._band import COORDINATE, SIGMA, Maps, Plan, Work, make_work
-from reconstruction.decoding._chain import climb_row
+from reconstruction.arrays import FloatImage
 from reconstruction.decoding._half import pack_row
 from reconstruction.decoding._order import (
     NEAR_SIGMAS,
     PLAIN,
+    Code,
+    Numbered,
+    Unwrapping,
+    Word,
     number_row,
     read_gray_row,
     settle_row,
+    unwrap_row,
     weigh_near_bits,
     weigh_wrap,
     write_valid,
@@ -28,10 +32,14 @@ from reconstruction.decoding._phase import (
     keep_usable,
     phase_row,
     phase_sigma,
+    refit_row,
     write_turns,
 )
-from reconstruction.decoding._refit import refit_row
 from reconstruction.decoding._sum import (
+    Fit,
+    Layout,
+    Limits,
+    RowFrames,
     Sums,
     add_frames,
     find_damaged,
@@ -41,28 +49,101 @@ from reconstruction.decoding._sum import (
     mark_low_modulation,
 )
 
+# Lines of `Work.answers`, column and row.
+COORDINATE, SIGMA = (0, 1), (2, 3)
+
+
+class Units(NamedTuple):
+    """Factors for `pack_row`: BIAS over the unit of each kind of map."""
+
+    level: np.float32
+    sigma: np.float32
+    chance: np.float32
+
+
+class Plan(NamedTuple):
+    """All that is the same for every row; pairs are (column, row)."""
+
+    layout: Layout
+    limits: Limits
+    codes: tuple[Code, Code]
+    units: Units
+    unwrappings: tuple[Unwrapping, Unwrapping]
+    is_chain: bool
+    scale: FloatImage  # (row, col), by which each pixel was multiplied; (0, 0): by 1
+
+
+class Maps(NamedTuple):
+    """The result, (axis, row, col) unless stated, zeroed by the caller; see `compact`."""
+
+    coordinate_px: Any  # float32
+    turns: Any  # uint16, as all that follow
+    mean: Any
+    modulation: Any
+    sigma: Any
+    residual: Any
+    order_error: Any
+    reason: Any  # (row, col) uint8
+
+
+class Work(NamedTuple):
+    """Lines that live as long as a band."""
+
+    sums: Any  # (6, col): total, real, imag, square, high, low
+    fit: Any  # (line, col): mean, variance, noise, excess of one set; total variance, residual
+    mean: Any  # (axis, col), of the measuring period
+    excess: Any  # (axis, col), the largest of all sets
+    modulations: Any  # (axis, set, col)
+    phases: Any  # (axis, set, col)
+    sigmas: Any  # (set, col)
+    answers: Any  # (line, col): coordinate and sigma of both axes
+    lines: Any  # (line, col): error, and two to pack with
+    order: Any
+    damaged: Any
+    ones: Any
+    usable: Any
+    word: Any
+    nearest: Any
+
+
+@compiled
+def make_work(width: int, sets: int) -> Work:
+    return Work(
+        np.zeros((6, width), np.float32),
+        np.zeros((6, width), np.float32),
+        np.zeros((2, width), np.float32),
+        np.zeros((2, width), np.float32),
+        np.zeros((2, sets, width), np.float32),
+        np.zeros((2, sets, width), np.float32),
+        np.zeros((sets, width), np.float32),
+        np.zeros((4, width), np.float32),
+        np.zeros((3, width), np.float32),
+        np.zeros(width, np.int32),
+        np.zeros(width, np.bool_),
+        np.ones(width, np.float32),
+        np.zeros(width, np.float32),
+        np.zeros(width, np.uint32),
+        np.zeros(width, np.float32),
+    )
+
 
 @compiled
 def _fit_set(
-    stack: Any, first: int, row: int, plan: Plan, scale: Any, work: Work, sums: Sums,
-    mean: Any, modulation: Any, variance: Any, reason: Any,
-) -> Any:  # fmt: skip
+    frames: RowFrames, plan: Plan, scale: Any, work: Work, sums: Sums, fit: Fit, reason: Any
+) -> Any:
     """Fit one fringe set over one row; return how many pixels have damaged frames."""
     layout, limits = plan.layout, plan.limits
-    noise, excess = work.fit[2], work.fit[3]
-    add_frames(stack, first, row, layout, sums)
-    finish_sums(layout.steps, sums, mean, modulation, variance)
+    noise = work.fit[2]
+    add_frames(frames, layout, sums)
+    finish_sums(layout.steps, sums, fit)
     count = find_damaged(sums, scale, limits, work.damaged)
     if count:
-        _fill(excess, np.float32(0.0))
-        refit_row(
-            stack, first, row, layout, limits, scale, work.damaged,
-            sums, mean, modulation, variance, excess, reason,
-        )  # fmt: skip
-    find_noise(mean, scale, limits, noise)
+        _fill(fit.excess, np.float32(0.0))
+        refit_row(frames, layout, limits, scale, work.damaged, sums, fit, reason)
+    find_noise(fit.mean, scale, limits, noise)
     if count:
-        grow_sigma(excess, noise)
-    mark_low_modulation(layout.steps, limits, modulation, noise, reason)
+        grow_sigma(fit.excess, noise)
+    mark_low_modulation(layout.steps, limits, fit.modulation, noise, reason)
     return count
 
 
@@ -104,11 +185,8 @@ def _fit_row(
             mean = work.mean[axis] if j == 0 else work.fit[0]
             variance = work.fit[4] if j == 0 else work.fit[1]
             first = layout.phase_first[axis] + j * layout.steps
-            count = _fit_set(
-                stack, first, row, plan, scale, work, sums, mean, work.modulations[axis, j],
-                variance, reason,
-            )  # fmt: skip
-            if count:
+            fit = Fit(mean, work.modulations[axis, j], variance, work.fit[3])
+            if _fit_set(RowFrames(stack, first, row), plan, scale, work, sums, fit, reason):
                 _add_largest(work.fit[3], work.excess[axis])
             if j > 0:
                 _add(variance, work.fit[4])
@@ -140,29 +218,26 @@ def _find_sigmas(axis: int, plan: Plan, scale: Any, work: Work) -> None:
 
 @merged
 def _read_order(
-    axis: int, row: int, stack: Any, plan: Plan, scale: Any, work: Work, coordinate: Any,
-    sigma: Any, error: Any,
-) -> None:  # fmt: skip
+    axis: int, row: int, stack: Any, plan: Plan, scale: Any, work: Work, answer: Numbered
+) -> None:
     """Give one axis its fringe numbers by Gray words."""
-    code, first, limits = plan.codes[axis], plan.layout.gray_first[axis], plan.limits
-    mean, margin = work.mean[axis], work.fit[2]
-    phase, order, word, nearest = work.phases[axis, 0], work.order, work.word, work.nearest
-    find_noise(mean, scale, limits, margin)
+    code, limits, margin = plan.codes[axis], plan.limits, work.fit[2]
+    frames = RowFrames(stack, plan.layout.gray_first[axis], row)
+    read = Word(work.word, work.nearest, work.mean[axis], margin)
+    phase, order = work.phases[axis, 0], work.order
+    find_noise(read.mean, scale, limits, margin)
     # The threshold A carries the noise of N averaged frames.
     widening = np.float32(NEAR_SIGMAS * np.sqrt(1.0 + 1.0 / plan.layout.steps))
     for col in range(margin.size):
         margin[col] *= widening
-    read_gray_row(stack, first, code.bits, row, mean, word, nearest)
-    number_row(code, word, phase, order, coordinate, error)
-    weigh_near_bits(
-        code, stack, first, row, limits.gray_sigmas, mean, margin, word, nearest, phase, order,
-        error,
-    )  # fmt: skip
+    read_gray_row(frames, code.bits, read)
+    number_row(code, read.gray, phase, order, answer)
+    weigh_near_bits(code, frames, limits.gray_sigmas, read, phase, order, answer.error)
     if code.kind == PLAIN:
-        weigh_wrap(code, phase, work.sigmas[0], error)
+        weigh_wrap(code, phase, work.sigmas[0], answer.error)
     per_rad = np.float32(code.period_px / (2.0 * np.pi))
-    for col in range(sigma.size):
-        sigma[col] = per_rad * work.sigmas[0, col]
+    for col in range(margin.size):
+        answer.sigma[col] = per_rad * work.sigmas[0, col]
 
 
 @merged
@@ -180,15 +255,15 @@ def _finish_row(row: int, stack: Any, plan: Plan, scale: Any, work: Work, maps: 
     """Give one row of the band its fringe numbers, and write the result."""
     reason, error, usable = maps.reason[row], work.lines[0], work.usable
     for axis in range(2):
-        coordinate, sigma = work.answers[COORDINATE[axis]], work.answers[SIGMA[axis]]
+        answer = Numbered(work.answers[COORDINATE[axis]], work.answers[SIGMA[axis]], error)
         _find_sigmas(axis, plan, scale, work)
         if plan.is_chain:
-            ladder = plan.ladders[axis]
-            climb_row(ladder, work.phases[axis], work.sigmas, usable, coordinate, sigma, error)
+            unwrapping = plan.unwrappings[axis]
+            unwrap_row(unwrapping, work.phases[axis], work.sigmas, usable, answer)
         else:
-            _read_order(axis, row, stack, plan, scale, work, coordinate, sigma, error)
+            _read_order(axis, row, stack, plan, scale, work, answer)
         length = plan.codes[axis].length_px
-        settle_row(length, plan.limits.max_order_error, coordinate, error, usable, reason)
+        settle_row(length, plan.limits.max_order_error, answer, usable, reason)
         _inform(axis, row, plan, work, error, maps)
     for axis in range(2):  # only now are the reasons of both axes known
         write_valid(work.answers[COORDINATE[axis]], reason, maps.coordinate_px[axis, row])

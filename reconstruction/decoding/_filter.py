@@ -58,7 +58,7 @@ class Smoothed(NamedTuple):
     reason: Any  # (row, col)
 
 
-class Patch(NamedTuple):
+class FilterPatch(NamedTuple):
     """A part of the image, and where in the planes it and the rest of the image lie."""
 
     top: int  # image row of plane row 0
@@ -114,7 +114,7 @@ def _place(x: Any, usable: Any, out: Any) -> None:
 
 
 @compiled
-def _load_mask(source: Unfiltered, patch: Patch, planes: Planes) -> None:
+def _load_mask(source: Unfiltered, patch: FilterPatch, planes: Planes) -> None:
     planes.usable[:] = ZERO
     first, end = patch.left + patch.near, patch.left + patch.far
     for row in range(patch.low, patch.high):
@@ -124,7 +124,7 @@ def _load_mask(source: Unfiltered, patch: Patch, planes: Planes) -> None:
 
 @compiled
 def _load_axis(
-    axis: int, source: Unfiltered, patch: Patch, smoothing: Smoothing, planes: Planes
+    axis: int, source: Unfiltered, patch: FilterPatch, smoothing: Smoothing, planes: Planes
 ) -> None:
     """Write the coordinate and the variance of the single pixel."""
     planes.value[:], planes.variance[:] = NOWHERE, ZERO
@@ -140,7 +140,12 @@ def _load_axis(
 
 @compiled
 def _write(
-    axis: int, planes: Planes, patch: Patch, smoothing: Smoothing, blocks: Blocks, target: Smoothed
+    axis: int,
+    planes: Planes,
+    patch: FilterPatch,
+    smoothing: Smoothing,
+    blocks: Blocks,
+    target: Smoothed,
 ) -> None:
     inside, first = slice(patch.start, patch.start + patch.cols), patch.left + patch.start
     out, spread = slice(first, first + patch.cols), blocks.spread
@@ -181,7 +186,7 @@ def _write(
 
 @compiled
 def _smooth_patch(
-    patch: Patch, source: Unfiltered, smoothing: Smoothing, planes: Planes, blocks: Blocks,
+    patch: FilterPatch, source: Unfiltered, smoothing: Smoothing, planes: Planes, blocks: Blocks,
     target: Smoothed,
 ) -> None:  # fmt: skip
     half = smoothing.weights.size // 2
@@ -217,5 +222,5 @@ def smooth_rows(
     for first_col in range(0, width, PATCH_COLS):
         cols, left = min(PATCH_COLS, width - first_col), first_col - margin
         near, far = max(-left, 0), min(planes.usable.shape[1], width - left)
-        patch = Patch(top, left, count, cols, above, margin, low, high, near, far)
+        patch = FilterPatch(top, left, count, cols, above, margin, low, high, near, far)
         _smooth_patch(patch, source, smoothing, planes, blocks, target)

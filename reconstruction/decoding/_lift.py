@@ -117,10 +117,8 @@ def _add_bend(a: Any, b: Any, middle: Any, weight: Any, limit: Any, total: Any) 
 
 
 @compiled
-def _sum_four_bends(
-    a: Any, b: Any, c: Any, d: Any, middle: Any, e: Any, f: Any, g: Any, h: Any, weights: Any,
-    limit: Any, factor: Any, out: Any,
-) -> None:  # fmt: skip
+def _sum_four_bends(lines: Any, weights: Any, limit: Any, factor: Any, out: Any) -> None:
+    a, b, c, d, middle, e, f, g, h = lines
     p, q, r, s = weights[0], weights[1], weights[2], weights[3]
     for col in range(out.size):
         x = middle[col]
@@ -130,15 +128,32 @@ def _sum_four_bends(
 
 
 @compiled
-def _sum_nine(
-    a: Any, b: Any, c: Any, d: Any, middle: Any, e: Any, f: Any, g: Any, h: Any, weights: Any,
-    out: Any,
-) -> None:  # fmt: skip
+def _sum_nine(lines: Any, weights: Any, out: Any) -> None:
+    a, b, c, d, middle, e, f, g, h = lines
     p, q, r, s, t = weights[0], weights[1], weights[2], weights[3], weights[4]
     for col in range(out.size):
         outer = p * (a[col] + h[col]) + q * (b[col] + g[col])
         inner = r * (c[col] + f[col]) + s * (d[col] + e[col])
         out[col] = t * middle[col] + (outer + inner)
+
+
+@inlined
+def _nine_along(line: Any, gap: int, end: int) -> Any:
+    """Return a row moved by -4 to 4 pixels, each without its gaps."""
+    return (
+        line[gap - 4 : end - 4], line[gap - 3 : end - 3], line[gap - 2 : end - 2],
+        line[gap - 1 : end - 1], line[gap:end], line[gap + 1 : end + 1],
+        line[gap + 2 : end + 2], line[gap + 3 : end + 3], line[gap + 4 : end + 4],
+    )  # fmt: skip
+
+
+@inlined
+def _nine_across(plane: Any, row: int) -> Any:
+    """Return a row and its four neighbours on both sides."""
+    return (
+        plane[row - 4], plane[row - 3], plane[row - 2], plane[row - 1], plane[row],
+        plane[row + 1], plane[row + 2], plane[row + 3], plane[row + 4],
+    )  # fmt: skip
 
 
 @compiled
@@ -149,11 +164,7 @@ def _bend_along(
     gap, end, half = window.gap, window.gap + window.width, window.half
     middle = line[gap:end]
     if half == 4:
-        _sum_four_bends(
-            line[gap - 4 : end - 4], line[gap - 3 : end - 3], line[gap - 2 : end - 2],
-            line[gap - 1 : end - 1], middle, line[gap + 1 : end + 1], line[gap + 2 : end + 2],
-            line[gap + 3 : end + 3], line[gap + 4 : end + 4], weights, limit, factor, out,
-        )  # fmt: skip
+        _sum_four_bends(_nine_along(line, gap, end), weights, limit, factor, out)
         return
     fill(out, ZERO)
     for k in range(1, half + 1):
@@ -167,11 +178,7 @@ def _bend_across(
     plane: Any, row: int, weights: Any, half: int, limit: Any, factor: Any, out: Any
 ) -> None:  # fmt: skip
     if half == 4:
-        _sum_four_bends(
-            plane[row - 4], plane[row - 3], plane[row - 2], plane[row - 1], plane[row],
-            plane[row + 1], plane[row + 2], plane[row + 3], plane[row + 4], weights, limit,
-            factor, out,
-        )  # fmt: skip
+        _sum_four_bends(_nine_across(plane, row), weights, limit, factor, out)
         return
     fill(out, ZERO)
     for k in range(1, half + 1):
@@ -202,11 +209,7 @@ def _average_along(line: Any, weights: Any, window: Window, out: Any) -> None:
     """Weigh a row with the plain kernel; pixels that hold no value are 0."""
     gap, end, half = window.gap, window.gap + window.width, window.half
     if half == 4:
-        _sum_nine(
-            line[gap - 4 : end - 4], line[gap - 3 : end - 3], line[gap - 2 : end - 2],
-            line[gap - 1 : end - 1], line[gap:end], line[gap + 1 : end + 1],
-            line[gap + 2 : end + 2], line[gap + 3 : end + 3], line[gap + 4 : end + 4], weights, out,
-        )  # fmt: skip
+        _sum_nine(_nine_along(line, gap, end), weights, out)
         return
     _scale(line[gap:end], weights[half], out)
     for k in range(1, half + 1):
@@ -216,10 +219,7 @@ def _average_along(line: Any, weights: Any, window: Window, out: Any) -> None:
 @compiled
 def _average_across(plane: Any, row: int, weights: Any, half: int, out: Any) -> None:
     if half == 4:
-        _sum_nine(
-            plane[row - 4], plane[row - 3], plane[row - 2], plane[row - 1], plane[row],
-            plane[row + 1], plane[row + 2], plane[row + 3], plane[row + 4], weights, out,
-        )  # fmt: skip
+        _sum_nine(_nine_across(plane, row), weights, out)
         return
     _scale(plane[row], weights[half], out)
     for k in range(1, half + 1):

@@ -1,7 +1,14 @@
-"""Number the fringes of one image row: Gray word and phase give the projector coordinate.
+"""Number the fringes of one image row, by Gray words or by a chain of fringe periods.
 
-Symbols: K fringe order of the cell coordinate c = x / period + 1 / (2 period), which is whole where
-a Gray stripe ends, at the border of a projector pixel; x is whole at its centre.
+Gray words. Symbols: K fringe order of the cell coordinate c = x / period + 1 / (2 period), which is
+whole where a Gray stripe ends, at the border of a projector pixel; x is whole at its centre.
+
+Chain, coarse to fine, see `Chain`. Symbols: t_j phase of set j in turns, s_j its sigma; level i has
+the phase T_i = sum_j c_ij t_j and the period P_i. With R = P_(i-1) / P_i the step to level i errs
+by e = sum_j (R c_(i-1)j - c_ij) dt_j; hierarchical: s_e^2 = s_h^2 + R^2 s_l^2 (Zuo et al., Opt.
+Lasers Eng. 85, 84 (2016)). The number is right unless |e| > 1/2. Given the distance d of R T_(i-1)
+- T_i from the nearest whole number, its neighbours at 1 - d and 1 + d are less likely by the ratio
+of the normal densities.
 """
 
 # ruff: noqa: PLR0917 - compiled functions cannot take keyword-only arguments
@@ -12,6 +19,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from reconstruction._jit import compiled, inlined
+from reconstruction.arrays import FloatArray
+from reconstruction.decoding._sum import RowFrames
 from reconstruction.mask import Reason
 
 ORDER_UNCERTAIN = np.uint8(Reason.ORDER_UNCERTAIN)
@@ -32,6 +41,24 @@ NONE, STEP = np.int32(0), np.int32(1)
 NOTHING, INFINITE = np.float32(0.0), np.float32(np.inf)
 # Where the first projector pixel begins.
 FIRST = np.float32(-0.5)
+TINY = 1e-12
+
+
+class Word(NamedTuple):
+    """The Gray word of one row along one axis, lines of (col)."""
+
+    gray: Any  # uint32, first frame in the highest bit
+    nearest: Any  # how near to the mean a level comes, DN
+    mean: Any
+    margin: Any  # nearer levels are not certain, DN
+
+
+class Numbered(NamedTuple):
+    """What one row says along one axis, lines of (col) float32."""
+
+    coordinate: Any  # px
+    sigma: Any  # px
+    error: Any  # probability of a wrong order
 
 
 class Code(NamedTuple):
@@ -119,10 +146,10 @@ def _nearer(x: Any, y: Any) -> Any:
 
 
 @compiled
-def read_gray_row(
-    stack: Any, first: int, bits: int, row: int, mean: Any, word: Any, nearest: Any
-) -> None:
-    """Write the Gray word, first frame in the highest bit, and how near to A a level comes."""
+def read_gray_row(frames: RowFrames, bits: int, read: Word) -> None:
+    """Write the Gray word, and how near to A a level comes."""
+    stack, first, row = frames
+    word, nearest, mean = read.gray, read.nearest, read.mean
     for col in range(word.size):
         word[col], nearest[col] = ZERO, INFINITE
     for bit in range(0, bits - 1, 2):
@@ -144,10 +171,9 @@ def read_gray_row(
 
 
 @compiled
-def number_row(
-    code: Code, word: Any, phase: Any, order: Any, coordinate: Any, error: Any
-) -> None:  # fmt: skip
+def number_row(code: Code, word: Any, phase: Any, order: Any, answer: Numbered) -> None:
     """Write order and coordinate as read, and error probability 1 where words contradict."""
+    coordinate, error = answer.coordinate, answer.error
     # The choice of the code stands outside the loops: only so do they become vector code.
     if code.kind == COMPLEMENTARY:
         for col in range(word.size):
@@ -177,20 +203,21 @@ def _tail(sigmas: float) -> float:
 
 @compiled
 def weigh_near_bits(
-    code: Code, stack: Any, first: int, row: int, gray_sigmas: Any, mean: Any, margin: Any,
-    word: Any, nearest: Any, phase: Any, order: Any, error: Any,
-) -> None:  # fmt: skip
+    code: Code, frames: RowFrames, gray_sigmas: Any, read: Word, phase: Any, order: Any, error: Any
+) -> None:
     """Add the probability that a bit near its threshold was misread, where that matters.
 
     A bit that matters and lies within `gray_sigmas` of its threshold makes the order uncertain.
     """
+    stack, last, row = frames.stack, frames.first + code.bits - 1, frames.row
+    word, nearest, mean, margin = read
     for col in range(word.size):
         if not nearest[col] < margin[col] or error[col] == ONE:
             continue
         cell, over = _cell(phase[col], code)
         total = 0.0
         for bit in range(code.bits):
-            distance = abs(np.float32(stack[first + code.bits - 1 - bit, row, col]) - mean[col])
+            distance = abs(np.float32(stack[last - bit, row, col]) - mean[col])
             if not distance < margin[col]:  # this way round a NaN is not near
                 continue
             other, _ = _number(word[col] ^ (BIT << np.uint32(bit)), cell, code)
@@ -212,9 +239,10 @@ def weigh_wrap(code: Code, phase: Any, sigma: Any, error: Any) -> None:
 
 @compiled
 def settle_row(
-    length_px: int, max_order_error: Any, coordinate: Any, error: Any, usable: Any, reason: Any
+    length_px: int, max_order_error: Any, answer: Numbered, usable: Any, reason: Any
 ) -> None:
     """Mark uncertain orders and coordinates outside the projector; no phase, no probability."""
+    coordinate, error = answer.coordinate, answer.error
     last, most = np.float32(length_px - 0.5), np.float32(max_order_error)
     for col in range(reason.size):
         code = reason[col]
@@ -233,3 +261,90 @@ def write_valid(values: Any, reason: Any, out: Any) -> None:
     """Copy a row without what a masked pixel must not tell."""
     for col in range(reason.size):
         out[col] = values[col] if reason[col] == VALID else NOTHING
+
+
+class Unwrapping(NamedTuple):
+    """Chain along one axis: weights (level, set), period of each level and of each set, px."""
+
+    weights: FloatArray
+    level_periods_px: FloatArray
+    set_periods_px: FloatArray
+    length_px: int
+
+
+@inlined
+def _turns(unwrapping: Unwrapping, level: int, phases: Any, col: int) -> float:
+    total = 0.0
+    for j in range(phases.shape[0]):
+        total += unwrapping.weights[level, j] * phases[j, col]
+    return total / TURN
+
+
+@inlined
+def _step_sigma(unwrapping: Unwrapping, level: int, ratio: float, sigmas: Any, col: int) -> float:
+    """Return the sigma of the step to `level`, turns."""
+    total = 0.0
+    for j in range(sigmas.shape[0]):
+        weight = ratio * unwrapping.weights[level - 1, j] - unwrapping.weights[level, j]
+        total += (weight * sigmas[j, col]) ** 2
+    return max(math.sqrt(total) / TURN, TINY)
+
+
+@inlined
+def _wrong_neighbour(off: float, sigma: float) -> float:
+    """Return the probability that a whole number next to the nearest one is the right one."""
+    below, above = (1.0 - 2.0 * off) / (2.0 * sigma**2), (1.0 + 2.0 * off) / (2.0 * sigma**2)
+    other = math.exp(-below) + math.exp(-above)
+    return other / (1.0 + other)
+
+
+@inlined
+def _coarsest(unwrapping: Unwrapping, phases: Any, sigmas: Any, col: int) -> Any:
+    """Return the coordinate on the coarsest level, centred on the image, and its error chance."""
+    period = unwrapping.level_periods_px[0]
+    low = 0.5 * (unwrapping.length_px - 1.0 - period)
+    x = period * _turns(unwrapping, 0, phases, col) - low
+    x -= period * math.floor(x / period)
+    total = 0.0
+    for j in range(sigmas.shape[0]):
+        total += (unwrapping.weights[0, j] * sigmas[j, col]) ** 2
+    sigma = max(period * math.sqrt(total) / TURN, TINY)
+    return x + low, 0.5 * math.erfc(min(x, period - x) / (math.sqrt(2.0) * sigma))
+
+
+@inlined
+def _fused(unwrapping: Unwrapping, x: float, phases: Any, sigmas: Any, col: int) -> Any:
+    """Return the mean of all sets weighted by 1 / sigma^2, and its sigma, px."""
+    total, weights = 0.0, 0.0
+    for j in range(phases.shape[0]):
+        period, turns = unwrapping.set_periods_px[j], phases[j, col] / TURN
+        own = period * (np.rint(x / period - turns) + turns)
+        weight = 1.0 / max(period * sigmas[j, col] / TURN, TINY) ** 2
+        total, weights = total + weight * own, weights + weight
+    return total / weights, 1.0 / math.sqrt(weights)
+
+
+@compiled
+def unwrap_row(
+    unwrapping: Unwrapping, phases: Any, sigmas: Any, usable: Any, answer: Numbered
+) -> None:
+    """Write the fused coordinate, its sigma and the chance of a wrong number; 0 without a phase.
+
+    phases, sigmas : (set, col), rad
+    """
+    coordinate, sigma_px, error = answer
+    for col in range(error.size):
+        coordinate[col], sigma_px[col], error[col] = 0.0, 0.0, 0.0
+        if not usable[col] > 0.0:
+            continue
+        x, wrong = _coarsest(unwrapping, phases, sigmas, col)
+        for level in range(1, unwrapping.weights.shape[0]):
+            period = unwrapping.level_periods_px[level]
+            turns = _turns(unwrapping, level, phases, col)
+            number = np.rint(x / period - turns)
+            off = abs(x / period - turns - number)
+            ratio = unwrapping.level_periods_px[level - 1] / period
+            wrong += _wrong_neighbour(off, _step_sigma(unwrapping, level, ratio, sigmas, col))
+            x = period * (number + turns)
+        coordinate[col], sigma_px[col] = _fused(unwrapping, x, phases, sigmas, col)
+        error[col] = min(wrong, 1.0)

@@ -4,8 +4,6 @@ Symbols: A mean, B modulation, N steps, z = sum I_n exp(-2 pi i n / N) = (N B / 
 Every inner loop runs along one image row with few arrays, so that the compiler vectorises it.
 """
 
-# ruff: noqa: PLR0917 - compiled functions cannot take keyword-only arguments
-
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -37,6 +35,14 @@ class Layout(NamedTuple):
     sines: FloatImage
 
 
+class RowFrames(NamedTuple):
+    """The frames of one fringe set, or of one Gray word, in one image row: the first of them."""
+
+    stack: Any  # (frame, row, col)
+    first: int
+    row: int
+
+
 class Sums(NamedTuple):
     """Sums of one fringe set over one row, lines of (col) float32; real and imag: z."""
 
@@ -46,6 +52,15 @@ class Sums(NamedTuple):
     square: Any
     high: Any
     low: Any
+
+
+class Fit(NamedTuple):
+    """What the fit of one fringe set says of one row, lines of (col) float32."""
+
+    mean: Any
+    modulation: Any
+    variance: Any
+    excess: Any  # how much larger than with all frames the phase variance is, as a share
 
 
 class Limits(NamedTuple):
@@ -87,10 +102,9 @@ def _smaller(x: Any, y: Any) -> Any:
 
 
 @compiled
-def _add_six(
-    a: Any, b: Any, c: Any, d: Any, e: Any, f: Any, cosines: Any, sines: Any,
-    total: Any, real: Any, imag: Any, square: Any, high: Any, low: Any,
-) -> None:  # fmt: skip
+def _add_six(lines: Any, cosines: Any, sines: Any, sums: Sums) -> None:
+    a, b, c, d, e, f = lines
+    total, real, imag, square, high, low = sums
     # Many frames at once: the accumulators, not the frames, are what a row costs.
     g0, g1, g2, g3, g4, g5 = cosines[0], cosines[1], cosines[2], cosines[3], cosines[4], cosines[5]
     h0, h1, h2, h3, h4, h5 = sines[0], sines[1], sines[2], sines[3], sines[4], sines[5]
@@ -111,10 +125,9 @@ def _add_six(
 
 
 @compiled
-def _add_three(
-    a: Any, b: Any, c: Any, cosines: Any, sines: Any,
-    total: Any, real: Any, imag: Any, square: Any, high: Any, low: Any,
-) -> None:  # fmt: skip
+def _add_three(lines: Any, cosines: Any, sines: Any, sums: Sums) -> None:
+    a, b, c = lines
+    total, real, imag, square, high, low = sums
     p, q, r = cosines[0], cosines[1], cosines[2]
     s, t, u = sines[0], sines[1], sines[2]
     for col in range(a.size):
@@ -129,10 +142,8 @@ def _add_three(
 
 
 @compiled
-def _add_one(
-    a: Any, cosine: Any, sine: Any,
-    total: Any, real: Any, imag: Any, square: Any, high: Any, low: Any,
-) -> None:  # fmt: skip
+def _add_one(a: Any, cosine: Any, sine: Any, sums: Sums) -> None:
+    total, real, imag, square, high, low = sums
     for col in range(a.size):
         top, bottom = high[col], low[col]
         x = np.float32(a[col])
@@ -145,8 +156,9 @@ def _add_one(
 
 
 @compiled
-def add_frames(stack: Any, first: int, row: int, layout: Layout, sums: Sums) -> None:
+def add_frames(frames: RowFrames, layout: Layout, sums: Sums) -> None:
     """Write the sums of one fringe set over one row."""
+    stack, first, row = frames
     total, real, imag, square, high, low = sums
     for col in range(total.size):
         total[col], real[col], imag[col], square[col] = ZERO, ZERO, ZERO, ZERO
@@ -154,21 +166,17 @@ def add_frames(stack: Any, first: int, row: int, layout: Layout, sums: Sums) -> 
     sixes, threes = layout.steps // 6 * 6, layout.steps // 3 * 3
     for n in range(0, sixes, 6):
         k = first + n
-        _add_six(
+        lines = (
             stack[k, row], stack[k + 1, row], stack[k + 2, row],
             stack[k + 3, row], stack[k + 4, row], stack[k + 5, row],
-            layout.cosines[n : n + 6], layout.sines[n : n + 6],
-            total, real, imag, square, high, low,
         )  # fmt: skip
+        _add_six(lines, layout.cosines[n : n + 6], layout.sines[n : n + 6], sums)
     for n in range(sixes, threes, 3):
         k = first + n
-        _add_three(
-            stack[k, row], stack[k + 1, row], stack[k + 2, row], layout.cosines[n : n + 3],
-            layout.sines[n : n + 3], total, real, imag, square, high, low,
-        )  # fmt: skip
+        three = (stack[k, row], stack[k + 1, row], stack[k + 2, row])
+        _add_three(three, layout.cosines[n : n + 3], layout.sines[n : n + 3], sums)
     for n in range(threes, layout.steps):
-        cosine, sine = layout.cosines[n], layout.sines[n]
-        _add_one(stack[first + n, row], cosine, sine, total, real, imag, square, high, low)
+        _add_one(stack[first + n, row], layout.cosines[n], layout.sines[n], sums)
 
 
 @compiled
@@ -189,13 +197,14 @@ def find_damaged(sums: Sums, scale: Any, limits: Limits, damaged: Any) -> Any:
 
 
 @compiled
-def finish_sums(steps: int, sums: Sums, mean: Any, modulation: Any, variance: Any) -> None:
+def finish_sums(steps: int, sums: Sums, fit: Fit) -> None:
     """Turn sums into A, B and the variance of the fit.
 
     sum r^2 = sum I^2 - N A^2 - N B^2 / 2 for equal steps, with N - 3 degrees of freedom. In single
     precision the rounding of the squares leaves a floor of some 3e-4 of the level.
     """
     total, real, imag, square = sums.total, sums.real, sums.imag, sums.square
+    mean, modulation, variance = fit.mean, fit.modulation, fit.variance
     per_step, freedom = np.float32(1.0 / steps), np.float32(1.0 / max(steps - 3, 1))
     half = np.float32(0.5 * steps)
     if steps == 3:  # three unknowns always fit

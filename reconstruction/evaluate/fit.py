@@ -1,4 +1,4 @@
-"""Geometric fits of spheres and planes, with the paper's residual statistics; lengths mm."""
+"""Least-squares spheres and planes, the paper's residual statistics, and outliers; lengths mm."""
 
 from dataclasses import dataclass
 
@@ -6,11 +6,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import least_squares
 
-from reconstruction.arrays import Doubles
+from reconstruction.arrays import BoolImage, FloatArray
 from reconstruction.errors import FitError
 
 # Singular value ratio below which points count as coplanar (collinear): rounding only.
 DEGENERATE_RATIO = 1e-10
+# 1.4826 MAD estimates the standard deviation of a normal distribution.
+MAD_TO_SIGMA = 1.4826
+REJECT_BEYOND_SIGMAS = 4.0
+"""One of 16,000 normal residuals lies beyond."""
 
 
 @dataclass(frozen=True)
@@ -26,9 +30,9 @@ class ResidualStats:
 class SphereFit:
     """Least-squares sphere; residuals_mm (n,) are radial distances, positive outside."""
 
-    centre_mm: Doubles
+    centre_mm: FloatArray
     radius_mm: float
-    residuals_mm: Doubles
+    residuals_mm: FloatArray
 
     @property
     def stats(self) -> ResidualStats:
@@ -40,9 +44,9 @@ class SphereFit:
 class PlaneFit:
     """Least-squares plane; unit normal with z >= 0; residuals_mm (n,) positive along it."""
 
-    centroid_mm: Doubles
-    normal: Doubles
-    residuals_mm: Doubles
+    centroid_mm: FloatArray
+    normal: FloatArray
+    residuals_mm: FloatArray
 
     @property
     def stats(self) -> ResidualStats:
@@ -57,14 +61,24 @@ def residual_stats(residuals_mm: ArrayLike) -> ResidualStats:
     ------
     FitError : there are no residuals
     """
-    size_mm = np.abs(np.asarray(residuals_mm, dtype=np.float64))
-    if size_mm.size == 0:
+    values_mm = np.asarray(residuals_mm, dtype=np.float64)
+    if values_mm.size == 0:
         raise FitError("no residuals to evaluate: the fit region holds no valid point")
     return ResidualStats(
-        rmse_mm=float(np.sqrt(np.mean(size_mm**2))),
-        mae_mm=float(np.mean(size_mm)),
-        p95_mm=float(np.percentile(size_mm, 95.0)),
+        rmse_mm=rms(values_mm),
+        mae_mm=float(np.mean(np.abs(values_mm))),
+        p95_mm=p95_of_size(values_mm),
     )
+
+
+def rms(values: FloatArray) -> float:
+    """Return the root mean square of at least one value."""
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def p95_of_size(values: FloatArray) -> float:
+    """Return the 95th percentile of the values' sizes."""
+    return float(np.percentile(np.abs(values), 95.0))
 
 
 def fit_sphere(points_mm: ArrayLike) -> SphereFit:
@@ -113,7 +127,7 @@ def fit_plane(points_mm: ArrayLike) -> PlaneFit:
     return PlaneFit(centroid, normal, (points - centroid) @ normal)
 
 
-def _checked(points_mm: ArrayLike, least: int, shape: str) -> Doubles:
+def _checked(points_mm: ArrayLike, least: int, shape: str) -> FloatArray:
     points = np.asarray(points_mm, dtype=np.float64)
     if points.ndim != 2 or points.shape[1] != 3:
         raise FitError(f"points for the {shape} have shape {points.shape}; give (n, 3)")
@@ -124,7 +138,7 @@ def _checked(points_mm: ArrayLike, least: int, shape: str) -> Doubles:
     return points
 
 
-def _algebraic_sphere(local: Doubles) -> Doubles:
+def _algebraic_sphere(local: FloatArray) -> FloatArray:
     """Return centre and radius from the linear system |p|^2 = 2 c p + k."""
     system = np.column_stack([2.0 * local, np.ones(len(local))])
     solution, _, _, singular = np.linalg.lstsq(system, np.sum(local**2, axis=1))
@@ -134,13 +148,25 @@ def _algebraic_sphere(local: Doubles) -> Doubles:
     return np.append(centre, np.sqrt(max(solution[3] + centre @ centre, 0.0)))
 
 
-def _radial(parameters: Doubles, local: Doubles) -> Doubles:
-    distance: Doubles = np.linalg.norm(local - parameters[:3], axis=1) - parameters[3]
+def _radial(parameters: FloatArray, local: FloatArray) -> FloatArray:
+    distance: FloatArray = np.linalg.norm(local - parameters[:3], axis=1) - parameters[3]
     return distance
 
 
-def _radial_jacobian(parameters: Doubles, local: Doubles) -> Doubles:
+def _radial_jacobian(parameters: FloatArray, local: FloatArray) -> FloatArray:
     toward = parameters[:3] - local
     # A point at the centre has no direction; any finite value serves for that one row.
     distance = np.maximum(np.linalg.norm(toward, axis=1, keepdims=True), 1e-300)
     return np.column_stack([toward / distance, -np.ones(len(local))])
+
+
+def spread(values: FloatArray) -> float:
+    """Robust standard deviation of values, (n,)."""
+    return float(MAD_TO_SIGMA * np.median(np.abs(values - np.median(values))))
+
+
+def inliers(residuals_mm: FloatArray) -> BoolImage:
+    """Tell which residuals, (n,) mm, lie within four robust standard deviations of their median."""
+    limit = REJECT_BEYOND_SIGMAS * max(spread(residuals_mm), 1e-12)
+    kept: BoolImage = np.abs(residuals_mm - np.median(residuals_mm)) <= limit
+    return kept

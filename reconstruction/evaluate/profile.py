@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from reconstruction.arrays import BoolImage, Doubles
+from reconstruction.arrays import BoolImage, FloatArray
 from reconstruction.errors import FitError
-from reconstruction.evaluate.outliers import inliers
+from reconstruction.evaluate.fit import inliers
 
 _LEAST_POINTS = 5
 _MOST_TURNS = 10
@@ -107,13 +107,13 @@ def bar_width(s_mm: ArrayLike, z_mm: ArrayLike, fraction: float = 0.5) -> BarWid
     return BarWidth(right - left, float(top - ground), left, right)
 
 
-def _crossing(s: Doubles, z: Doubles, at: int, level: float) -> float:
+def _crossing(s: FloatArray, z: FloatArray, at: int, level: float) -> float:
     """Position between samples `at` and `at + 1` where z takes a level."""
     share = (level - z[at]) / (z[at + 1] - z[at])
     return float(s[at] + share * (s[at + 1] - s[at]))
 
 
-def _robust_line(design: Doubles, z: Doubles) -> tuple[Doubles, Doubles]:
+def _robust_line(design: FloatArray, z: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Least squares, repeated without outliers; parameters and residuals of the points kept."""
     kept: BoolImage = np.ones(z.size, bool)
     for _ in range(_MOST_TURNS):

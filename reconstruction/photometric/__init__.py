@@ -5,6 +5,7 @@ an indentation is positive; slopes are (2, row, col) mm/mm, along rows and along
 are 8-bit, red first.
 """
 
+from reconstruction.mask import PhotometricReason
 from reconstruction.photometric.calibration_ball import BallPress, SampleOptions
 from reconstruction.photometric.integrate import corrected, integrate, sdk_faithful
 from reconstruction.photometric.pipeline import HeightMap, PhotometricDecoder, PhotometricOptions
@@ -15,7 +16,6 @@ from reconstruction.photometric.press_files import (
     write_height_map,
     write_height_points,
 )
-from reconstruction.photometric.reasons import PhotometricReason
 from reconstruction.photometric.sensor_calibration import (
     SensorCalibration,
     calibrate_sensor,

@@ -1,4 +1,4 @@
-"""Reference ball presses: which colour goes with which slope, where.
+"""Reference ball presses: where a ball touches, and which colour goes with which slope.
 
 A ball of radius R pressed into the gel from behind shows the camera h = sqrt(R^2 - r^2) + const
 within the circle of contact: dh/dx = -x / sqrt(R^2 - r^2), x and r measured from its centre.
@@ -8,15 +8,21 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 
+import cv2
 import numpy as np
 
-from reconstruction.arrays import BoolImage, Doubles, FloatImage, Levels
-from reconstruction.checks import require_integer, require_number
-from reconstruction.errors import FitError, InputError
-from reconstruction.photometric.contact_circle import ContactCircle, find_contact_circle
-from reconstruction.photometric.images import checked_image, smoothed
-from reconstruction.photometric.markers import GROWTH_PX, find_markers
+from reconstruction.arrays import BoolImage, FloatArray, FloatImage, Levels
+from reconstruction.errors import FitError, InputError, require_integer, require_number
+from reconstruction.photometric.images import GROWTH_PX, checked_image, find_markers, smoothed
 
+SMOOTHING_PX = 5
+SECTORS = 72
+ROUNDS = 3
+# Share of the ring's typical contrast below which a direction shows no edge (no lamp on that side).
+LEAST_CONTRAST = 0.35
+# Directions that miss the fitted circle by more than this many robust sigmas are left out.
+OUTLIER_SIGMAS = 2.5
+SIGMA_PER_MAD = 1.4826
 # Left out inside the circle: its radius is uncertain by a few pixels (published practice: 4 px).
 RIM_PX = 4.0
 # Untouched pixels per touched one: enough that untouched gel comes out flat (published practice).
@@ -24,6 +30,115 @@ UNTOUCHED_SHARE = 0.2
 UNTOUCHED_RADII = 2.5
 # Contact radius over ball radius beyond which a press is refused: slope 2.1, no gel follows that.
 LARGEST_SINE = 0.9
+
+Part = tuple[FloatImage, FloatImage, FloatArray, FloatArray]
+
+
+@dataclass(frozen=True)
+class ContactCircle:
+    """Circle in pixels; centres of pixels have whole coordinates."""
+
+    row_px: float
+    col_px: float
+    radius_px: float
+
+
+def find_contact_circle(
+    image: FloatImage, background: FloatImage, threshold_levels: float = 15.0
+) -> ContactCircle:
+    """Find the contact of a ball.
+
+    Parameters
+    ----------
+    image, background : (row, col, 3), 8-bit levels
+    threshold_levels : Euclidean colour difference that tells touched from untouched gel
+
+    Raises
+    ------
+    FitError : nothing touched, or no circle
+
+    Notes
+    -----
+    The largest region above the threshold, holes closed, gives a first circle; it includes the
+    skirt that the gel forms around the ball. The slope of a ball grows up to the edge of contact
+    and drops beyond it, so in every direction the colour difference peaks there: a circle is
+    fitted to these peaks, outliers left out, until it stays.
+    """
+    difference = cv2.GaussianBlur(
+        np.linalg.norm(image.astype(np.float32) - background, axis=2), (0, 0), SMOOTHING_PX / 3.0
+    )
+    circle = _first_circle(difference, threshold_levels)
+    for _ in range(ROUNDS):
+        circle = _refined(difference, circle)
+    rows, cols = difference.shape
+    inside = -0.5 <= circle.row_px <= rows - 0.5 and -0.5 <= circle.col_px <= cols - 0.5
+    if not inside or circle.radius_px < SMOOTHING_PX:
+        raise FitError(
+            f"no contact circle: the best one has centre ({circle.row_px:.1f}, "
+            f"{circle.col_px:.1f}) px and radius {circle.radius_px:.1f} px; centre the ball in the "
+            "field and press deeper"
+        )
+    return circle
+
+
+def _first_circle(difference: FloatImage, threshold_levels: float) -> ContactCircle:
+    touched = (difference > threshold_levels).astype(np.uint8)
+    touched = cv2.morphologyEx(touched, cv2.MORPH_CLOSE, np.ones((7, 7), np.uint8))
+    outlines, _ = cv2.findContours(touched, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    if not outlines:
+        raise FitError(
+            f"no contact: the colour differs by at most {difference.max():.1f} levels from the "
+            f"background, below the threshold {threshold_levels:g}; press deeper or lower it"
+        )
+    outline = max(outlines, key=cv2.contourArea)
+    (col_px, row_px), radius_px = cv2.minEnclosingCircle(outline)
+    return ContactCircle(row_px, col_px, max(float(radius_px), 1.0))
+
+
+def _refined(difference: FloatImage, circle: ContactCircle) -> ContactCircle:
+    """Fit a circle to the peaks of the difference along rays from the centre."""
+    angles = 2.0 * np.pi * np.arange(SECTORS) / SECTORS
+    radii = np.arange(0.4 * circle.radius_px, 1.3 * circle.radius_px, 0.5)
+    rows = circle.row_px + np.outer(np.sin(angles), radii)
+    cols = circle.col_px + np.outer(np.cos(angles), radii)
+    rays = cv2.remap(
+        difference,
+        cols.astype(np.float32),
+        rows.astype(np.float32),
+        cv2.INTER_LINEAR,
+        borderMode=cv2.BORDER_CONSTANT,
+    )
+    peak = np.argmax(rays, axis=1)
+    height = rays[np.arange(SECTORS), peak]
+    # A ray without a peak of its own rises to the end: the edge lies elsewhere or outside.
+    clear = (height > LEAST_CONTRAST * np.median(height)) & (peak > 0) & (peak < len(radii) - 1)
+    at = np.arange(SECTORS)[clear], peak[clear]
+    return _robust_circle(np.column_stack([rows[at], cols[at]]))
+
+
+def _robust_circle(points: FloatArray) -> ContactCircle:
+    kept = points
+    for _ in range(3):
+        if len(kept) < SECTORS // 4:
+            raise FitError(
+                f"no contact circle: an edge shows in {len(kept)} of {SECTORS} directions only; "
+                "press one ball, centred in the field"
+            )
+        circle = _circle_through(kept)
+        miss = np.hypot(points[:, 0] - circle.row_px, points[:, 1] - circle.col_px)
+        miss = np.abs(miss - circle.radius_px)
+        kept = points[miss <= OUTLIER_SIGMAS * SIGMA_PER_MAD * np.median(miss) + 0.5]
+    return circle
+
+
+def _circle_through(points: FloatArray) -> ContactCircle:
+    """Least squares of |p|^2 = 2 c p + k (Kåsa 1976, IEEE Trans. Instrum. Meas. 25, 8)."""
+    offset = points.mean(axis=0)
+    local = points - offset
+    system = np.column_stack([2.0 * local, np.ones(len(local))])
+    row, col, rest = np.linalg.lstsq(system, np.sum(local**2, axis=1))[0]
+    radius = float(np.sqrt(max(rest + row * row + col * col, 0.0)))
+    return ContactCircle(float(row + offset[0]), float(col + offset[1]), radius)
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,17 +199,17 @@ class Samples:
 
     levels: FloatImage
     background: FloatImage
-    places_px: Doubles
-    slopes: Doubles
+    places_px: FloatArray
+    slopes: FloatArray
 
 
 def ball_slopes(
-    circle: ContactCircle, ball_radius_mm: float, pitch_mm: float, places_px: Doubles
-) -> Doubles:
+    circle: ContactCircle, ball_radius_mm: float, pitch_mm: float, places_px: FloatArray
+) -> FloatArray:
     """Return the slopes of a ball at pixels (n, 2) within its radius, (n, 2) mm/mm."""
     offset_mm = (places_px - (circle.row_px, circle.col_px)) * pitch_mm
     depth_mm = np.sqrt(ball_radius_mm**2 - np.sum(offset_mm**2, axis=1))
-    slopes: Doubles = -offset_mm / depth_mm[:, np.newaxis]
+    slopes: FloatArray = -offset_mm / depth_mm[:, np.newaxis]
     return slopes
 
 
@@ -144,9 +259,6 @@ def sample_presses(
     return Samples(*(np.concatenate([part[i] for part in parts]) for i in range(4)))
 
 
-Part = tuple[FloatImage, FloatImage, Doubles, Doubles]
-
-
 def _require_fit(contact_mm: float, ball_radius_mm: float) -> None:
     if contact_mm > LARGEST_SINE * ball_radius_mm:
         raise FitError(
@@ -155,7 +267,7 @@ def _require_fit(contact_mm: float, ball_radius_mm: float) -> None:
         )
 
 
-def _places(circle: ContactCircle, visible: BoolImage) -> tuple[Doubles, Doubles]:
+def _places(circle: ContactCircle, visible: BoolImage) -> tuple[FloatArray, FloatArray]:
     """Return the pixels inside the contact and a few of the untouched ones, (n, 2) each."""
     row, col = np.ogrid[: visible.shape[0], : visible.shape[1]]
     distance_px = np.hypot(row - circle.row_px, col - circle.col_px)
@@ -165,12 +277,14 @@ def _places(circle: ContactCircle, visible: BoolImage) -> tuple[Doubles, Doubles
     return inside, _thinned(np.argwhere(untouched).astype(np.float64), len(inside))
 
 
-def _thinned(places_px: Doubles, touched: int) -> Doubles:
+def _thinned(places_px: FloatArray, touched: int) -> FloatArray:
     wanted = round(UNTOUCHED_SHARE * touched)
     step = max(len(places_px) // wanted, 1) if wanted else len(places_px) + 1
     return places_px[::step][:wanted]
 
 
-def _part(levels: FloatImage, background: FloatImage, places_px: Doubles, slopes: Doubles) -> Part:
+def _part(
+    levels: FloatImage, background: FloatImage, places_px: FloatArray, slopes: FloatArray
+) -> Part:
     row, col = places_px.astype(np.intp).T
     return levels[row, col], background[row, col], places_px, slopes

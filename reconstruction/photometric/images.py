@@ -1,13 +1,24 @@
-"""Colour images of a photometric sensor: 8-bit display values, red first, row 0 at the top."""
+"""Colour images of a photometric sensor, and the dots printed on its gel.
+
+8-bit display values, red first, row 0 at the top.
+"""
 
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
-from reconstruction.arrays import FloatImage, Levels
+from reconstruction.arrays import BoolImage, FloatArray, FloatImage, Levels
 from reconstruction.errors import InputError
 
 CHANNELS = ("red", "green", "blue")
+# How far dots are grown where nothing else is said: their rims are half dark.
+GROWTH_PX = 2
+# Dots are narrower than this, 0.5 mm in radius at 0.0634 mm/px, and so much darker than the gel
+# beside them.
+WIDEST_PX, DOT_CONTRAST = 25, 0.8
+# Smoothings of filled slopes: enough for dots of 8 px radius (0.5 mm at 0.0634 mm/px), since the
+# nearest neighbours they start from are already right at the rim.
+SMOOTHINGS = 40
 
 
 def checked_image(image: ArrayLike, name: str, shape: tuple[int, ...] | None = None) -> Levels:
@@ -44,3 +55,58 @@ def smoothed(image: Levels | FloatImage, side_px: int) -> FloatImage:
         return levels
     mean: FloatImage = cv2.blur(levels, (side_px, side_px), borderType=cv2.BORDER_REPLICATE)
     return mean
+
+
+def find_markers(
+    levels: FloatImage, highest_level: float, grow_px: int, small: bool = False
+) -> BoolImage:
+    """Return where the grey value is at most `highest_level`, grown by `grow_px`, (row, col).
+
+    Level 0 stands for a gel without dots.
+
+    Parameters
+    ----------
+    levels : (row, col, 3) float32, red first; grey = 0.299 R + 0.587 G + 0.114 B
+    small : leave out what is dark over more than a dot, such as the corners of the field, which
+        the lamps hardly reach; the vendor's programs do not
+    """
+    if highest_level == 0:
+        return np.zeros(levels.shape[:2], dtype=np.bool_)
+    grey = cv2.cvtColor(levels, cv2.COLOR_RGB2GRAY)
+    dark = (grey <= highest_level).astype(np.uint8)
+    if small:
+        window = np.ones((WIDEST_PX, WIDEST_PX), np.uint8)
+        without_dots = cv2.morphologyEx(grey, cv2.MORPH_CLOSE, window)
+        dark &= (grey < DOT_CONTRAST * without_dots).astype(np.uint8)
+    if grow_px:
+        dark = cv2.dilate(dark, np.ones((3, 3), np.uint8), iterations=grow_px)
+    return np.asarray(dark, dtype=np.bool_)
+
+
+def fill_nearest(slopes: FloatArray, hidden: BoolImage) -> FloatArray:
+    """Replace hidden slopes by those of about the nearest visible pixel, as the vendor does."""
+    if not hidden.any() or hidden.all():
+        return slopes
+    _, label = cv2.distanceTransformWithLabels(
+        hidden.astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
+    )
+    place_of_label = np.zeros(int(label.max()) + 1, dtype=np.intp)
+    visible = np.flatnonzero(~hidden)
+    place_of_label[label.ravel()[visible]] = visible
+    source = place_of_label[label.ravel()]
+    return np.stack([slope.ravel()[source].reshape(slope.shape) for slope in slopes])
+
+
+def fill_smooth(slopes: FloatArray, hidden: BoolImage) -> FloatArray:
+    """Replace hidden slopes by a membrane through their surroundings.
+
+    Exact where the slopes are linear, as on a paraboloid; nearest neighbours make it a plateau.
+    """
+    if not hidden.any() or hidden.all():
+        return slopes
+    filled = fill_nearest(slopes, hidden).astype(np.float32)
+    inside = hidden.astype(np.uint8)
+    for slope in filled:
+        for _ in range(SMOOTHINGS):
+            cv2.copyTo(cv2.blur(slope, (3, 3), borderType=cv2.BORDER_REPLICATE), inside, slope)
+    return np.where(hidden, filled, slopes)

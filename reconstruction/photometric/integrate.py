@@ -10,17 +10,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.fft import dctn, idctn
 
-from reconstruction.arrays import Doubles
-from reconstruction.checks import require_number
-from reconstruction.errors import InputError
+from reconstruction.arrays import FloatArray
+from reconstruction.errors import InputError, require_number
 from reconstruction.photometric.poisson import (
     BOUNDARIES,
     Boundary,
     edge_steps,
     solve_poisson,
+    solve_weighted,
     sum_of_steps,
 )
-from reconstruction.photometric.weighted import solve_weighted
 
 Form = Literal["2024", "2025"]
 FORMS = ("2024", "2025")
@@ -35,7 +34,7 @@ def integrate(
     integration: Integration = "corrected",
     boundary: Boundary = "neumann",
     weights: ArrayLike | None = None,
-) -> Doubles:
+) -> FloatArray:
     """Integrate by the named scheme; boundary and weights act on `corrected` only.
 
     Raises
@@ -54,7 +53,7 @@ def corrected(
     pitch_mm: float,
     boundary: Boundary = "neumann",
     weights: ArrayLike | None = None,
-) -> Doubles:
+) -> FloatArray:
     """Return the heights whose steps fit the slopes best in the (weighted) least-squares sense.
 
     Parameters
@@ -84,7 +83,7 @@ def corrected(
     return solve_weighted(*steps, _checked_weights(weights, field.shape[1:]), boundary)
 
 
-def sdk_faithful(slopes: ArrayLike, pitch_mm: float, form: Form = "2025") -> Doubles:
+def sdk_faithful(slopes: ArrayLike, pitch_mm: float, form: Form = "2025") -> FloatArray:
     """Return what the vendor's Poisson step makes of the slopes, its wrong height scale included.
 
     Parameters
@@ -118,19 +117,19 @@ def sdk_faithful(slopes: ArrayLike, pitch_mm: float, form: Form = "2025") -> Dou
     divergence -= _flow_through_border(along_row, along_col)
     modes = [4.0 * np.sin(0.5 * np.pi * np.arange(1, n + 1) / n) ** 2 for n in divergence.shape]
     spectrum = dctn(-divergence, type=2, norm="ortho") / (modes[0][:, np.newaxis] + modes[1])
-    height: Doubles = pitch_mm * idctn(spectrum, type=2, norm="ortho")
+    height: FloatArray = pitch_mm * idctn(spectrum, type=2, norm="ortho")
     return height
 
 
-def _change(along_axis: Doubles, form: Form) -> Doubles:
+def _change(along_axis: FloatArray, form: Form) -> FloatArray:
     """Difference along axis 0 with the border repeated."""
     after = np.concatenate([along_axis[1:], along_axis[-1:]])
     before = np.concatenate([along_axis[:1], along_axis[:-1]])
-    change: Doubles = after - (before if form == "2024" else along_axis)
+    change: FloatArray = after - (before if form == "2024" else along_axis)
     return change
 
 
-def _flow_through_border(along_row: Doubles, along_col: Doubles) -> Doubles:
+def _flow_through_border(along_row: FloatArray, along_col: FloatArray) -> FloatArray:
     """Outward slope at the border, which an inhomogeneous Neumann condition takes off."""
     flow = np.zeros_like(along_row)
     flow[0] -= along_row[0]
@@ -140,7 +139,7 @@ def _flow_through_border(along_row: Doubles, along_col: Doubles) -> Doubles:
     return flow
 
 
-def _checked(slopes: ArrayLike, pitch_mm: float) -> Doubles:
+def _checked(slopes: ArrayLike, pitch_mm: float) -> FloatArray:
     require_number("pitch_mm", pitch_mm, 0.0, open_low=True)
     field = np.asarray(slopes, dtype=np.float64)
     if field.ndim != 3 or field.shape[0] != 2 or min(field.shape[1:]) < SMALLEST_IMAGE_PX:
@@ -153,7 +152,7 @@ def _checked(slopes: ArrayLike, pitch_mm: float) -> Doubles:
     return field
 
 
-def _checked_weights(weights: ArrayLike, shape: tuple[int, ...]) -> Doubles:
+def _checked_weights(weights: ArrayLike, shape: tuple[int, ...]) -> FloatArray:
     values = np.asarray(weights, dtype=np.float64)
     if values.shape != shape:
         raise InputError(f"weights have shape {values.shape}; the slopes need {shape}")

@@ -6,16 +6,20 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from reconstruction.arrays import BoolImage, Doubles, FloatImage, Levels, ReasonImage
-from reconstruction.checks import require_number
-from reconstruction.errors import InputError
-from reconstruction.photometric.colour_polynomial import BoundPolynomial
-from reconstruction.photometric.colour_table import BoundTable
-from reconstruction.photometric.images import checked_image, smoothed
+from reconstruction.arrays import BoolImage, FloatArray, FloatImage, Levels, ReasonImage
+from reconstruction.errors import InputError, require_number
+from reconstruction.mask import PhotometricReason
+from reconstruction.photometric.colour_maps import BoundPolynomial, BoundTable
+from reconstruction.photometric.images import (
+    GROWTH_PX,
+    checked_image,
+    fill_nearest,
+    fill_smooth,
+    find_markers,
+    smoothed,
+)
 from reconstruction.photometric.integrate import INTEGRATIONS, Integration, integrate
-from reconstruction.photometric.markers import GROWTH_PX, fill_nearest, fill_smooth, find_markers
 from reconstruction.photometric.poisson import BOUNDARIES, Boundary
-from reconstruction.photometric.reasons import PhotometricReason
 from reconstruction.photometric.sensor_calibration import SensorCalibration
 
 # How far dots are grown before filling. The vendor's 2025 form does not grow them, so that their
@@ -78,7 +82,7 @@ class HeightMap:
         """Pixels that carry a measurement, (row, col)."""
         return np.asarray(self.mask_reason == PhotometricReason.VALID)
 
-    def points_mm(self) -> Doubles:
+    def points_mm(self) -> FloatArray:
         """Return the valid points row by row, (n, 3): x right, y up, z towards the camera.
 
         The origin is the middle of the image.
@@ -142,18 +146,18 @@ class PhotometricDecoder:
         growth_px = MARKER_GROWTH_PX[scheme]
         return find_markers(levels, highest_level, growth_px, small=scheme == "corrected")
 
-    def _filled(self, slopes: Doubles, hidden: BoolImage) -> Doubles:
+    def _filled(self, slopes: FloatArray, hidden: BoolImage) -> FloatArray:
         fill = fill_smooth if self.options.integration == "corrected" else fill_nearest
         return fill(slopes, hidden)
 
-    def _integrated(self, slopes: Doubles, reason: ReasonImage) -> Doubles:
+    def _integrated(self, slopes: FloatArray, reason: ReasonImage) -> FloatArray:
         chosen, weight = self.options, self.options.doubtful_weight
         weights = None if weight == 1.0 else np.where(reason == 0, 1.0, weight)
         return integrate(
             slopes, self.calibration.pitch_mm, chosen.integration, chosen.boundary, weights
         )
 
-    def _zero(self, height: Doubles, levels: FloatImage, hidden: BoolImage) -> float:
+    def _zero(self, height: FloatArray, levels: FloatImage, hidden: BoolImage) -> float:
         """Median height of untouched gel; 0 with a held border or where all is touched."""
         if self.options.integration == "corrected" and self.options.boundary == "dirichlet":
             return 0.0

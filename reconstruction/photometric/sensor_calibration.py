@@ -15,11 +15,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from reconstruction.arrays import FloatImage
-from reconstruction.checks import require_number
-from reconstruction.errors import CaptureError, InputError
+from reconstruction.errors import CaptureError, InputError, require_number
 from reconstruction.photometric.calibration_ball import BallPress, SampleOptions, sample_presses
-from reconstruction.photometric.colour_polynomial import ColourPolynomial, fit_polynomial
-from reconstruction.photometric.colour_table import ColourTable, fit_table
+from reconstruction.photometric.colour_maps import (
+    ColourPolynomial,
+    ColourTable,
+    fit_polynomial,
+    fit_table,
+)
 from reconstruction.photometric.images import mean_background, smoothed
 
 MapKind = Literal["polynomial", "table"]

@@ -11,7 +11,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from reconstruction.arrays import Doubles
+from reconstruction.arrays import FloatArray
 from reconstruction.errors import CaptureError, InputError
 from reconstruction.rig.pinhole import Pinhole
 
@@ -42,24 +42,24 @@ class Calibration:
 
     camera: Pinhole
     projector: Pinhole
-    T_world_from_cam: Doubles
-    T_world_from_proj: Doubles
+    T_world_from_cam: FloatArray
+    T_world_from_proj: FloatArray
 
     def __post_init__(self) -> None:
         for name in TRANSFORMS:
-            matrix: Doubles = np.array(getattr(self, name), dtype=np.float64)
+            matrix: FloatArray = np.array(getattr(self, name), dtype=np.float64)
             _require_rigid(name, matrix)
             matrix.flags.writeable = False
             object.__setattr__(self, name, matrix)
 
     @property
-    def T_proj_from_cam(self) -> Doubles:  # noqa: N802 - the frame names of the paper's symbols
+    def T_proj_from_cam(self) -> FloatArray:  # noqa: N802 - the frame names of the paper's symbols
         """Motion from the camera's to the projector's frame, (4, 4), mm."""
         motion = np.linalg.solve(self.T_world_from_proj, self.T_world_from_cam)
         return np.asarray(motion, dtype=np.float64)
 
 
-def _require_rigid(name: str, matrix: Doubles) -> None:
+def _require_rigid(name: str, matrix: FloatArray) -> None:
     if matrix.shape != (4, 4) or not bool(np.all(np.isfinite(matrix))):
         raise InputError(f"{name} has shape {matrix.shape}; give (4, 4) finite numbers")
     rotation = matrix[:3, :3]
@@ -179,7 +179,7 @@ def _read_pinhole(storage: Any, name: str) -> Pinhole:
     return replace(ideal, distortion=(k1, k2, p1, p2, k3))
 
 
-def _require_camera_matrix(name: str, matrix: Doubles) -> None:
+def _require_camera_matrix(name: str, matrix: FloatArray) -> None:
     fixed = (matrix[0, 1], matrix[1, 0], *matrix[2])
     if fixed != (0.0, 0.0, 0.0, 0.0, 1.0):
         raise InputError(
@@ -194,7 +194,7 @@ def _read_integer(node: Any, name: str) -> int:
     return int(node.real())
 
 
-def _read_matrix(node: Any, name: str, shape: tuple[int, int]) -> Doubles:
+def _read_matrix(node: Any, name: str, shape: tuple[int, int]) -> FloatArray:
     matrix = None if node.empty() else node.mat()
     if matrix is None:
         raise InputError(f"key {name} is missing or no matrix")

@@ -13,9 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from reconstruction.arrays import BoolImage, Doubles
-from reconstruction.checks import require_integer, require_number
-from reconstruction.errors import InputError
+from reconstruction.arrays import BoolImage, FloatArray
+from reconstruction.errors import InputError, require_integer, require_number
 
 NO_DISTORTION = (0.0, 0.0, 0.0, 0.0, 0.0)
 # Newton doubles the digits per step: 1e-12 leaves the returned point far below the 1e-10 promised.
@@ -112,7 +111,7 @@ class Pinhole:
         for value in self.distortion:
             require_number("pinhole distortion", value, -1e9)
 
-    def project(self, points_dev_mm: ArrayLike) -> Doubles:
+    def project(self, points_dev_mm: ArrayLike) -> FloatArray:
         """Return the pixels where points in this device's frame appear.
 
         Parameters
@@ -137,7 +136,7 @@ class Pinhole:
         )
         return np.stack([self.fx_px * x + self.cx_px, self.fy_px * y + self.cy_px], axis=-1)
 
-    def unproject(self, pixels_px: ArrayLike) -> Doubles:
+    def unproject(self, pixels_px: ArrayLike) -> FloatArray:
         """Return the normalised coordinates seen at pixels, the inverse of `project`.
 
         Parameters
@@ -164,7 +163,7 @@ class Pinhole:
             )
         return rays
 
-    def seen_corners(self) -> Doubles:
+    def seen_corners(self) -> FloatArray:
         """Return the normalised coordinates at the image's corners, (4, 2), in turn from (0, 0).
 
         Of a corner without a ray, those at the last point towards it that has one.
@@ -183,7 +182,7 @@ class Pinhole:
             low, high = np.where(found, middle, low), np.where(found, high, middle)
         return self.unproject(centre + low * (corners - centre))
 
-    def _rays(self, pixels_px: Doubles) -> tuple[Doubles, BoolImage]:
+    def _rays(self, pixels_px: FloatArray) -> tuple[FloatArray, BoolImage]:
         """Return normalised coordinates (..., 2), and where there are any (...)."""
         x_target = (pixels_px[..., 0] - self.cx_px) / self.fx_px
         y_target = (pixels_px[..., 1] - self.cy_px) / self.fy_px

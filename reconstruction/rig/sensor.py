@@ -9,9 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from reconstruction.arrays import Doubles
-from reconstruction.checks import require_number
-from reconstruction.errors import InputError
+from reconstruction.arrays import FloatArray
+from reconstruction.errors import InputError, require_number
 
 QUANTISATION_DN2 = 1.0 / 12.0
 
@@ -84,7 +83,7 @@ class SensorNoise:
         spread_e = math.hypot(self.read_noise_e, self.dsnu_e)
         return self.saturation_dn - CLIP_SIGMAS * self.gain_dn_per_e * spread_e - 0.5
 
-    def variance_dn2(self, mean_dn: float | Doubles) -> Doubles:
+    def variance_dn2(self, mean_dn: float | FloatArray) -> FloatArray:
         """Return the variance of a pixel whose expected value is `mean_dn`, DN^2."""
         variance = noise_variance_dn2(
             mean_dn, self.gain_dn_per_e, self.read_noise_e, self.black_level_dn

@@ -1,4 +1,6 @@
-"""Meet every camera ray with the decoded projector coordinate, in double precision.
+"""Camera rays of one image row, and where they meet the decoded projector coordinate.
+
+In double precision; the inverse of the lens distortion takes a whole row per step.
 
 Symbols: d depth along the camera's z axis; (x, y, 1) ray in the camera frame; X = d a + b point in
 the projector frame, with a = R ray and b = t of T_proj_from_cam; (u, v) projector pixel.
@@ -15,14 +17,24 @@ import numpy as np
 from reconstruction._jit import compiled, inlined
 from reconstruction.decoding._half import pack_row, unpack_row
 from reconstruction.mask import Reason
-from reconstruction.triangulation._lens import (
-    Lens,
-    distort_inlined,
-    distortion_jacobian_inlined,
-    is_before_fold_inlined,
-    ray_row,
+from reconstruction.rig.pinhole import (
+    INVERSE_STEPS,
+    NO_DISTORTION,
+    Pinhole,
+    distort,
+    distortion_jacobian,
+    fold_square,
+    is_before_fold,
+    newton_step,
 )
 
+# Newton squares the error: a step below 1e-7 leaves far less than 1e-12.
+RAY_TOLERANCE = 1e-7
+
+distort_inlined = inlined(distort)
+distortion_jacobian_inlined = inlined(distortion_jacobian)
+newton_step_inlined = inlined(newton_step)
+is_before_fold_inlined = inlined(is_before_fold)
 EPIPOLAR_MISMATCH = np.uint8(Reason.EPIPOLAR_MISMATCH)
 NO_POINT = np.uint8(Reason.NO_POINT)
 VALID = np.uint8(Reason.VALID)
@@ -36,6 +48,94 @@ ZERO = np.float32(0.0)
 
 # Rows of [R t]. Tuples, because arrays handed over per pixel cost more than the geometry.
 Motion = tuple[tuple[float, ...], ...]
+
+
+class Lens(NamedTuple):
+    """Intrinsics of one device, pixels and OpenCV coefficients."""
+
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    distortion: tuple[float, float, float, float, float]
+    is_ideal: bool
+    fold_square: float
+
+
+class Rays(NamedTuple):
+    """Lines of one row: the rays (x, y, 1) in the camera frame, and where there is one.
+
+    x_bend, y_bend : how far the lens bends each ray; those of the row before are a good start, as
+        neighbours bend alike: one step is enough in all but the first row
+    """
+
+    x: Any
+    y: Any
+    x_bend: Any
+    y_bend: Any
+    found: Any
+
+
+def lens_of(device: Pinhole) -> Lens:
+    """Return the intrinsics of a device as the kernels take them."""
+    k1, k2, p1, p2, k3 = (float(value) for value in device.distortion)
+    return Lens(
+        float(device.fx_px),
+        float(device.fy_px),
+        float(device.cx_px),
+        float(device.cy_px),
+        (k1, k2, p1, p2, k3),
+        tuple(device.distortion) == NO_DISTORTION,
+        fold_square(device.distortion),
+    )
+
+
+@compiled
+def _newton_row(row: int, camera: Lens, rays: Rays) -> Any:
+    """Improve the rays of a row by one Newton step; return how many have not converged."""
+    x, y, x_bend, y_bend, found = rays
+    x_scale, y_target = 1.0 / camera.fx, (row - camera.cy) / camera.fy
+    pending = 0
+    for col in range(x.size):
+        x_target = (col - camera.cx) * x_scale
+        x_old, y_old = x_target + x_bend[col], y_target + y_bend[col]
+        x_now, y_now = distort_inlined(x_old, y_old, camera.distortion)
+        jacobian = distortion_jacobian_inlined(x_old, y_old, camera.distortion)
+        dx, dy = newton_step_inlined(x_target - x_now, y_target - y_now, jacobian)
+        x[col], y[col] = x_old + dx, y_old + dy
+        x_bend[col], y_bend[col] = x_bend[col] + dx, y_bend[col] + dy
+        is_close = abs(dx) + abs(dy) < RAY_TOLERANCE
+        is_before = is_before_fold_inlined(x_old, y_old, jacobian, camera.fold_square)
+        found[col] = is_close & is_before
+        pending += not is_close
+    return pending
+
+
+@compiled
+def _ideal_row(row: int, camera: Lens, rays: Rays) -> None:
+    x, y, found = rays.x, rays.y, rays.found
+    x_scale, y_target = 1.0 / camera.fx, (row - camera.cy) / camera.fy
+    for col in range(x.size):
+        x[col], y[col], found[col] = (col - camera.cx) * x_scale, y_target, True
+
+
+@compiled
+def _forget_lost(found: Any, x_bend: Any, y_bend: Any) -> None:
+    for col in range(found.size):
+        x_bend[col] = x_bend[col] if found[col] else 0.0
+        y_bend[col] = y_bend[col] if found[col] else 0.0
+
+
+@compiled
+def ray_row(row: int, camera: Lens, rays: Rays) -> None:
+    """Write the rays of an image row; bends are those of the row before, or 0."""
+    if camera.is_ideal:
+        _ideal_row(row, camera, rays)
+        return
+    for _ in range(INVERSE_STEPS):
+        if _newton_row(row, camera, rays) == 0:
+            break
+    _forget_lost(rays.found, rays.x_bend, rays.y_bend)
 
 
 class Match(NamedTuple):
@@ -60,7 +160,7 @@ class Fringe(NamedTuple):
     sigma_unit_px: np.float32
 
 
-class Rig(NamedTuple):
+class LensPair(NamedTuple):
     """Both lenses and the motions between the frames, mm."""
 
     camera: Lens
@@ -69,7 +169,7 @@ class Rig(NamedTuple):
     T_world_from_cam: Motion
 
 
-class Points(NamedTuple):
+class PointRows(NamedTuple):
     """Result: (row, 3 col) x y z mm, (row, col) sigma of the depth in half precision and codes.
 
     sigma_factor : for `pack_row`
@@ -81,7 +181,16 @@ class Points(NamedTuple):
     reason: Any
 
 
-class View(NamedTuple):
+class Pixels(NamedTuple):
+    """Decoded coordinates of one row and their sigmas, lines of (col) px."""
+
+    u: Any
+    v: Any
+    u_sigma: Any
+    v_sigma: Any
+
+
+class ProjectorView(NamedTuple):
     """Lines of one row: what the projector sees of each point.
 
     How far the pixel misses the decoded one and its change per mm of depth, single precision; how
@@ -116,10 +225,17 @@ def _weights(su: Any, sv: Any, match: Match) -> Any:
 
 @compiled
 def _start_row(
-    x: Any, y: Any, found: Any, u: Any, v: Any, su: Any, sv: Any, u_bend: Any, v_bend: Any,
-    match: Match, rig: Rig, depth: Any, reason: Any,
-) -> None:  # fmt: skip
+    rays: Rays,
+    pixels: Pixels,
+    match: Match,
+    rig: LensPair,
+    depth: Any,
+    view: ProjectorView,
+    reason: Any,
+) -> None:
     """Write the depth for a lens that bends as in the row before: weighted planes."""
+    x, y, found, u_bend, v_bend = rays.x, rays.y, rays.found, view.u_bend, view.v_bend
+    u, v, su, sv = pixels
     lens, T = rig.projector, rig.T_proj_from_cam
     bx, by, bz = T[0][3], T[1][3], T[2][3]
     for col in range(depth.size):
@@ -134,14 +250,15 @@ def _start_row(
 
 @compiled
 def _step_row(
-    x: Any, y: Any, u: Any, v: Any, su: Any, sv: Any, match: Match, rig: Rig, is_last: bool,
-    depth: Any, view: View, reason: Any,
+    rays: Rays, pixels: Pixels, match: Match, rig: LensPair, is_last: bool, depth: Any,
+    view: ProjectorView, reason: Any,
 ) -> Any:  # fmt: skip
     """Take one Gauss-Newton step on the weighted residuals; return how many are not there yet."""
+    x, y = rays.x, rays.y
+    u, v, su, sv = pixels
     lens, T = rig.projector, rig.T_proj_from_cam
     bx, by, bz = T[0][3], T[1][3], T[2][3]
-    u_miss, v_miss, u_slope, v_slope = view.u_miss, view.v_miss, view.u_slope, view.v_slope
-    u_bend, v_bend = view.u_bend, view.v_bend
+    u_miss, v_miss, u_slope, v_slope, u_bend, v_bend = view
     pending = 0
     for col in range(depth.size):
         # Read before the first write, see `_add_six`.
@@ -177,8 +294,9 @@ def _step_row(
 
 
 @compiled
-def _judge_row(su: Any, sv: Any, match: Match, view: View, sigma: Any, reason: Any) -> None:
+def _judge_row(pixels: Pixels, match: Match, view: ProjectorView, sigma: Any, reason: Any) -> None:
     """Write the sigma of the depth, and mark coordinates that contradict the point."""
+    su, sv = pixels.u_sigma, pixels.v_sigma
     u_miss, v_miss, u_slope, v_slope = view.u_miss, view.v_miss, view.u_slope, view.v_slope
     tolerance = np.float32(match.tolerance_px)
     square = np.float32(match.tolerance_sigmas * match.tolerance_sigmas)
@@ -204,8 +322,9 @@ def _judge_row(su: Any, sv: Any, match: Match, view: View, sigma: Any, reason: A
 
 
 @compiled
-def _place_row(x: Any, y: Any, depth: Any, reason: Any, T: Motion, world: Any) -> None:
+def _place_row(rays: Rays, depth: Any, reason: Any, T: Motion, world: Any) -> None:
     """Write the points in the world frame, x y z of one pixel after the other."""
+    x, y = rays.x, rays.y
     for col in range(depth.size):
         ray_x, ray_y, ray_z = _rotate(T, x[col], y[col])
         is_point, d = reason[col] == 0, depth[col]
@@ -216,26 +335,26 @@ def _place_row(x: Any, y: Any, depth: Any, reason: Any, T: Motion, world: Any) -
 
 @compiled
 def meet_rows(
-    first_row: int, end_row: int, fringe: Fringe, match: Match, rig: Rig, points: Points
+    first_row: int, end_row: int, fringe: Fringe, match: Match, rig: LensPair, points: PointRows
 ) -> None:  # fmt: skip
     """Fill `points` of some rows; `reason` masks and is updated."""
     width = points.reason.shape[1]
     lines, short = np.zeros((7, width)), np.zeros((8, width), np.float32)
-    x, y, x_bend, y_bend, depth = lines[0], lines[1], lines[2], lines[3], lines[4]
-    view = View(short[0], short[1], short[2], short[3], lines[5], lines[6])
+    rays = Rays(lines[0], lines[1], lines[2], lines[3], np.zeros(width, np.bool_))
+    depth = lines[4]
+    view = ProjectorView(short[0], short[1], short[2], short[3], lines[5], lines[6])
     su, sv, sigma, spare = short[4], short[5], short[6], short[7]
-    found = np.zeros(width, np.bool_)
     for row in range(first_row, end_row):
-        u, v = fringe.column[row], fringe.row[row]
+        pixels = Pixels(fringe.column[row], fringe.row[row], su, sv)
         reason = points.reason[row]
         unpack_row(fringe.sigma_column[row], fringe.sigma_unit_px, su)
         unpack_row(fringe.sigma_row[row], fringe.sigma_unit_px, sv)
-        ray_row(row, rig.camera, x_bend, y_bend, x, y, found)
-        _start_row(x, y, found, u, v, su, sv, view.u_bend, view.v_bend, match, rig, depth, reason)
+        ray_row(row, rig.camera, rays)
+        _start_row(rays, pixels, match, rig, depth, view, reason)
         for step in range(MAX_STEPS):
             is_last = step == MAX_STEPS - 1
-            if _step_row(x, y, u, v, su, sv, match, rig, is_last, depth, view, reason) == 0:
+            if _step_row(rays, pixels, match, rig, is_last, depth, view, reason) == 0:
                 break
-        _judge_row(su, sv, match, view, sigma, reason)
+        _judge_row(pixels, match, view, sigma, reason)
         pack_row(sigma, points.sigma_factor, spare, points.sigma_depth[row])
-        _place_row(x, y, depth, reason, rig.T_world_from_cam, points.points_world_mm[row])
+        _place_row(rays, depth, reason, rig.T_world_from_cam, points.points_world_mm[row])

@@ -12,17 +12,23 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from reconstruction._jit import run_over_rows
-from reconstruction.arrays import BoolImage, Doubles, FloatImage, ReasonImage
-from reconstruction.checks import require_number
+from reconstruction.arrays import BoolImage, FloatArray, FloatImage, ReasonImage
 from reconstruction.compact import Bits, Half, RaySpread, keeps_compact, kept
 from reconstruction.decoding._half import BIAS
+from reconstruction.decoding.decode import SIGMA_UNIT_PX
 from reconstruction.decoding.decoded import AxisDecode, Decoded
-from reconstruction.decoding.plan import SIGMA_UNIT_PX
-from reconstruction.errors import InputError
+from reconstruction.errors import InputError, require_number
 from reconstruction.mask import Reason
 from reconstruction.rig.calibration import Calibration
-from reconstruction.triangulation._lens import lens_of
-from reconstruction.triangulation._ray import Fringe, Match, Motion, Points, Rig, meet_rows
+from reconstruction.triangulation._ray import (
+    Fringe,
+    LensPair,
+    Match,
+    Motion,
+    PointRows,
+    lens_of,
+    meet_rows,
+)
 
 # The first row of a band takes more steps than the others, which start from the row before.
 BAND_ROWS = 48
@@ -67,7 +73,7 @@ class PointMap:
     points_world_mm: FloatImage
     sigma_xyz_mm: FloatImage
     mask_reason: ReasonImage
-    T_world_from_cam: Doubles
+    T_world_from_cam: FloatArray
 
     @property
     def sigma_z_mm(self) -> FloatImage:
@@ -134,7 +140,7 @@ def triangulate(
         ),
         Match(use != "row", use != "column", float(limits.absolute_px), float(limits.sigmas)),
         _rig(calibration),
-        Points(
+        PointRows(
             points.reshape(shape[0], -1),
             sigma_depth.bits,
             np.float32(BIAS / SIGMA_UNIT_MM),
@@ -166,8 +172,8 @@ def _packed_sigma(axis: AxisDecode) -> Bits:
     return Half.of(axis.sigma_px, SIGMA_UNIT_PX).bits
 
 
-def _rig(calibration: Calibration) -> Rig:
-    return Rig(
+def _rig(calibration: Calibration) -> LensPair:
+    return LensPair(
         lens_of(calibration.camera),
         lens_of(calibration.projector),
         _motion(calibration.T_proj_from_cam),
@@ -175,5 +181,5 @@ def _rig(calibration: Calibration) -> Rig:
     )
 
 
-def _motion(matrix: Doubles) -> Motion:
+def _motion(matrix: FloatArray) -> Motion:
     return tuple(tuple(float(value) for value in line) for line in matrix[:3])

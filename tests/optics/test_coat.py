@@ -26,7 +26,7 @@ def experiment():
             "camera.pixel_pitch_um": {"value": 90.0, "source": "test"},
             "patterns.steps": 3,
             "patterns.period_px": 64,
-            "patterns.complementary": False,
+            "patterns.code": "gray",
         },
     )
 

@@ -141,7 +141,7 @@ def test_rendered_modulation_falls_as_the_transfer_function(mi, plane):
         {
             "projector.aperture_mm": stated(40.0),
             "patterns.steps": 3,
-            "patterns.complementary": False,
+            "patterns.code": "gray",
             "camera.width_px": 48,
             "camera.height_px": 36,
             "camera.pixel_pitch_um": {"value": 180.0, "source": "test"},

@@ -17,7 +17,7 @@ OPEN = {
     "camera.height_px": 96,
     "camera.binning": 4,
     "patterns.steps": 3,
-    "patterns.complementary": False,
+    "patterns.code": "gray",
     "coating.flake_fraction": 0.0,
 }
 

@@ -37,7 +37,7 @@ def experiment():
             "projector.height_px": 180,
             "patterns.period_px": {"value": 10.0, "source": "test"},
             "patterns.steps": 3,
-            "patterns.complementary": False,
+            "patterns.code": "gray",
         },
     )
 

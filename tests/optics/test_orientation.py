@@ -15,7 +15,7 @@ SMALL = {
     "camera.pixel_pitch_um": {"value": 144.0, "source": "test"},
     "coating.flake_fraction": 0.0,
     "patterns.steps": 3,
-    "patterns.complementary": False,
+    "patterns.code": "gray",
 }
 
 

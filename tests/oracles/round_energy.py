@@ -4,9 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from reconstruction.arrays import FloatArray
 from tests.oracles.jets import Jet, variables
 from tests.oracles.round_model import Anchors, Load, RoundSheet
-from tests.oracles.sections import FloatArray, Nearest
+from tests.oracles.sections import Nearest
 
 _COMPLIANT_SHARE = 0.25
 _SLIPPING_SHARE = 0.5

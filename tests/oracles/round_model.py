@@ -7,7 +7,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.interpolate import BSpline
 
-from tests.oracles.sections import FloatArray, Section
+from reconstruction.arrays import FloatArray
+from tests.oracles.sections import Section
 
 IntArray = npt.NDArray[np.int64]
 

@@ -22,9 +22,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import LinAlgError, cho_solve_banded, cholesky_banded
 
+from reconstruction.arrays import FloatArray
 from tests.oracles.round_energy import Assembled, assemble, banded, spread
 from tests.oracles.round_model import Anchors, Load, RoundSheet
-from tests.oracles.sections import FloatArray, Section, bar_section, rod_section
+from tests.oracles.sections import Section, bar_section, rod_section
 
 __all__ = ["bar_section", "rod_section", "round_sheet_profile", "strip_sheet_profile"]
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from reconstruction.calibration.parameters import POSES, Rig, pack
+from reconstruction.calibration.parameters import POSES, RigEstimate, pack
 from twin.config import load_experiment
 from twin.optics.rig import true_calibration
 from twin.paper.rig_draws import RigScatter
@@ -22,7 +22,7 @@ def rigs():
 
 
 def vector_of(calibration):
-    rig = Rig(
+    rig = RigEstimate(
         calibration.camera, calibration.projector, calibration.T_proj_from_cam, np.eye(4)[None]
     )
     return pack(rig)[:POSES]

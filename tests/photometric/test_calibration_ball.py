@@ -4,11 +4,12 @@ import pytest
 from reconstruction.errors import FitError, InputError
 from reconstruction.photometric.calibration_ball import (
     BallPress,
+    ContactCircle,
     SampleOptions,
     ball_slopes,
+    find_contact_circle,
     sample_presses,
 )
-from reconstruction.photometric.contact_circle import ContactCircle, find_contact_circle
 from reconstruction.photometric.images import mean_background, smoothed
 
 PITCH_MM = 0.0634

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from reconstruction.errors import CaptureError, FitError, InputError
-from reconstruction.photometric.colour_polynomial import ColourPolynomial
+from reconstruction.photometric.colour_maps import ColourPolynomial
 from reconstruction.photometric.images import smoothed
 from reconstruction.photometric.sensor_calibration import (
     SensorCalibration,

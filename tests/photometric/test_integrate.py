@@ -2,10 +2,14 @@ import numpy as np
 import pytest
 
 from reconstruction.errors import InputError
-from reconstruction.photometric import weighted
+from reconstruction.photometric import poisson
 from reconstruction.photometric.integrate import corrected, integrate, sdk_faithful
-from reconstruction.photometric.poisson import solve_poisson, sum_of_steps
-from reconstruction.photometric.weighted import edge_weights, solve_weighted
+from reconstruction.photometric.poisson import (
+    edge_weights,
+    solve_poisson,
+    solve_weighted,
+    sum_of_steps,
+)
 
 PITCH_MM, SHAPE = 0.0634, (240, 320)
 # Recovered / true peak-to-valley of Gaussian pits, measured on the vendor's published programs.
@@ -151,7 +155,7 @@ def test_iterations_do_not_grow_with_the_grid(monkeypatch):
         _, slopes = pit(0.5, shape, PITCH_MM / factor)
         row, col = np.indices(shape) // (4 * factor)
         calls = []
-        monkeypatch.setattr(weighted, "solve_poisson", counting(calls))
+        monkeypatch.setattr(poisson, "solve_poisson", counting(calls))
         corrected(slopes, PITCH_MM / factor, weights=(row % 3 != 1) | (col % 3 != 1))
         counts.append(len(calls))
     assert counts[0] < 20

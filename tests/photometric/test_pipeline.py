@@ -4,8 +4,8 @@ import pytest
 
 from reconstruction.errors import InputError
 from reconstruction.evaluate.fit import fit_sphere
+from reconstruction.mask import PhotometricReason
 from reconstruction.photometric.pipeline import PhotometricDecoder, PhotometricOptions
-from reconstruction.photometric.reasons import PhotometricReason
 from reconstruction.photometric.sensor_calibration import SensorCalibration
 from tests.work import lines_run
 

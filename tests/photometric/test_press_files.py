@@ -19,8 +19,7 @@ from reconstruction.photometric import (
     write_height_points,
     write_sensor_calibration,
 )
-from reconstruction.photometric.press_description import Framing
-from reconstruction.photometric.press_files import framed, read_rgb
+from reconstruction.photometric.press_files import Framing, framed, read_rgb
 from twin.pipeline.captures import reconstruct_press
 
 BALLS = 6

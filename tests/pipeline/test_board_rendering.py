@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from reconstruction.calibration import observe
-from reconstruction.calibration.defocus import defocus_slopes_px
+from reconstruction.calibration.plane_images import defocus_slopes_px
 from twin.config import load_experiment
 from twin.config.board import BoardPose, load_board
 from twin.optics.board import albedo_image, board_pose

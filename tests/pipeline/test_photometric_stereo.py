@@ -9,8 +9,11 @@ import pytest
 from benchmarks.cap_height import cap_height_ratio
 from reconstruction.errors import InputError
 from reconstruction.photometric import PhotometricDecoder, PhotometricOptions
-from reconstruction.photometric.calibration_ball import ball_slopes
-from reconstruction.photometric.contact_circle import ContactCircle, find_contact_circle
+from reconstruction.photometric.calibration_ball import (
+    ContactCircle,
+    ball_slopes,
+    find_contact_circle,
+)
 from reconstruction.photometric.images import smoothed
 from twin.camera.sensor import electrons_per_ms, full_well_e
 from twin.config import load_experiment, vary

@@ -16,8 +16,8 @@ from reconstruction.calibration import (
     length_errors_mm,
     locate_features,
 )
-from reconstruction.calibration.conics import centre_bias_px
-from reconstruction.calibration.quality import epipolar_misses_px, parameters_of
+from reconstruction.calibration.pipeline import epipolar_residuals_px, parameters_of
+from reconstruction.calibration.plane_images import centre_bias_px
 from reconstruction.errors import InputError
 from reconstruction.rig.calibration import Calibration, read_calibration, write_calibration
 from reconstruction.rig.pinhole import Pinhole
@@ -135,14 +135,14 @@ def test_world_is_the_first_board(rig, exact, tmp_path):
 def test_epipolar_miss_is_the_distance_from_the_line(rig, exact):
     """Expected: 0 for exact points and for points moved along their line, 1 px across it."""
     measured = exact[1].adjustment.measured_px[3]
-    assert np.abs(epipolar_misses_px(rig, measured)).max() < 1e-6
+    assert np.abs(epipolar_residuals_px(rig, measured)).max() < 1e-6
     rays = np.column_stack([rig.camera.unproject(measured[:, :2]), np.ones(len(measured))])
     near, far = (rig.projector.project(moved(rig.T_proj_from_cam, z * rays)) for z in (200, 230))
     along = (far - near) / np.linalg.norm(far - near, axis=1, keepdims=True)
     across = along[:, ::-1] * [-1.0, 1.0]
     for step, expected in ((along, 0.0), (across, 1.0)):
         nudged = np.hstack([measured[:, :2], measured[:, 2:] + step])
-        np.testing.assert_allclose(np.abs(epipolar_misses_px(rig, nudged)), expected, atol=1e-6)
+        np.testing.assert_allclose(np.abs(epipolar_residuals_px(rig, nudged)), expected, atol=1e-6)
 
 
 def test_located_dots_keep_their_distances(rig, exact):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from reconstruction.calibration.boards import CharucoBoard, Chessboard, DotBoard
-from reconstruction.calibration.corners import find_corners
+from reconstruction.calibration.features import find_corners
 from reconstruction.errors import InputError
 
 DOTS = DotBoard(9, 7, 2.0, 0.8, 1.2)

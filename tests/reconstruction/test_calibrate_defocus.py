@@ -7,8 +7,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from reconstruction.calibration import AdjustOptions, DotBoard, Freedom, Observation, calibrate
-from reconstruction.calibration.defocus import defocus_slopes_px
-from reconstruction.calibration.quality import parameters_of, pupil_diameter_mm
+from reconstruction.calibration.pipeline import parameters_of, pupil_diameter_mm
+from reconstruction.calibration.plane_images import defocus_slopes_px
 from reconstruction.rig.pinhole import Pinhole
 
 CAMERA = Pinhole(1936, 1464, 14500.0, 14500.0, 967.5, 731.5)

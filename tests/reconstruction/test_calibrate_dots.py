@@ -4,14 +4,17 @@ import numpy as np
 import pytest
 
 from reconstruction.calibration.boards import DotBoard
-from reconstruction.calibration.conics import centre_bias_px, ellipse_centres
-from reconstruction.calibration.dot_grid import label_dots
-from reconstruction.calibration.dots import find_dots, refine_centres
-from reconstruction.calibration.homography import apply_homography, fit_homography
-from reconstruction.calibration.light_level import (
+from reconstruction.calibration.features import find_dots, label_dots, refine_centres
+from reconstruction.calibration.observation import (
     ink_threshold,
     relative_brightness,
     white_print,
+)
+from reconstruction.calibration.plane_images import (
+    apply_homography,
+    centre_bias_px,
+    ellipse_centres,
+    fit_homography,
 )
 from reconstruction.errors import InputError
 from reconstruction.rig.pinhole import Pinhole

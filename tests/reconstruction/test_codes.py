@@ -159,7 +159,7 @@ def test_uncertain_orders_are_masked(synthesise):
     ("change", "message"),
     [
         ({"code": "morse"}, "morse"),
-        ({"code": "gray", "complementary": True}, "complementary"),
+        ({"code": None}, "None"),
         ({"code": "hierarchical"}, "unambiguous over"),
         ({"code": "hierarchical", "further_periods_px": (1000.0,)}, "1000"),
         ({"code": "hierarchical", "further_periods_px": (1300.0, 12.0)}, "below all"),
@@ -174,9 +174,3 @@ def test_uncertain_orders_are_masked(synthesise):
 def test_codes_that_cannot_work_are_refused(change, message):
     with pytest.raises(InputError, match=message):
         PatternSet(**({"width_px": 1280, "height_px": 720} | change))
-
-
-def test_older_ways_to_name_a_code():
-    assert PatternSet(64, 64) == PatternSet(64, 64, code="complementary_gray")
-    assert PatternSet(64, 64, complementary=False) == PatternSet(64, 64, code="gray")
-    assert PatternSet(64, 64, complementary=True).code == "complementary_gray"

@@ -96,7 +96,7 @@ def test_complementary_bit_leaves_no_order_error(patterns, synthesise, cover, bl
 @pytest.mark.parametrize("blur_px", [0.5, 1.5, 3.0])
 def test_plain_gray_code_does_make_order_errors(synthesise, cover, blur_px):
     """Why: shows that the test above can fail, and what the complementary bit is for."""
-    patterns = PatternSet(1280, 720, complementary=False)
+    patterns = PatternSet(1280, 720, code="gray")
     column, row = cover(60, 900, patterns)
     stack = synthesise(patterns, column, row, mean_dn=120.0, amplitude_dn=90.0, blur_px=blur_px)
     stack += np.random.default_rng(3).normal(0.0, 2.0, stack.shape)

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from reconstruction.capture.exposures import merge_exposures
+from reconstruction.capture.image_files import merge_exposures
 from reconstruction.decoding.decode import DecodeOptions, decode
 from reconstruction.errors import InputError
 from reconstruction.patterns import PatternSet

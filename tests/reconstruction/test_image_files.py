@@ -7,7 +7,7 @@ import numpy as np
 import OpenEXR
 import pytest
 
-from reconstruction.calibration.captures import pose_folders, read_board_capture
+from reconstruction.calibration.observation import pose_folders, read_board_capture
 from reconstruction.capture.description import assignments
 from reconstruction.capture.folder import read_capture, write_capture
 from reconstruction.capture.image_files import subtract_dark

@@ -31,13 +31,31 @@ def test_errors_of_a_band_reach_the_caller():
     raise AssertionError("the error was lost")
 
 
+def run_kernel(folder, files, program):
+    """Run a program beside copies of the compiling modules, which keep kernels in `folder`."""
+    package = folder / "reconstruction"
+    package.mkdir(exist_ok=True)
+    (package / "__init__.py").touch()  # or the installed package would win
+    for module in (_jit, cores):
+        shutil.copy(module.__file__, package)
+    for name, text in (files | {"_outer.py": textwrap.dedent(program)}).items():
+        (package / name).parent.mkdir(exist_ok=True)
+        (package / name).write_text(text)
+    done = subprocess.run(
+        [sys.executable, "-B", "-m", "reconstruction._outer"],
+        cwd=folder,
+        env=os.environ | {"NUMBA_CACHE_DIR": str(folder / "cache")},
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
+    return float(done.stdout)
+
+
 def test_stored_kernels_depend_on_all_kernel_sources(tmp_path):
     """Why: numba itself would keep code into which another module's old function was inlined."""
     cache_file = decode_rows._cache._cache_file
     assert cache_file._source_stamp == _jit.SOURCE_DIGEST
-    folder = tmp_path / "reconstruction"
-    (folder / "rig").mkdir(parents=True)
-    (folder / "__init__.py").touch()  # or the installed package would win
     program = """
         from reconstruction._jit import compiled, inlined
         from reconstruction.rig.sensor import formula
@@ -48,19 +66,22 @@ def test_stored_kernels_depend_on_all_kernel_sources(tmp_path):
         if __name__ == "__main__":
             print(outer(1.0))
     """
-    for module in (_jit, cores):
-        shutil.copy(module.__file__, folder)
-    (folder / "_outer.py").write_text(textwrap.dedent(program))
-    printed = []
     for factor in (2, 3):
-        (folder / "rig" / "sensor.py").write_text(f"def formula(x):\n    return {factor} * x\n")
-        done = subprocess.run(
-            [sys.executable, "-B", "-m", "reconstruction._outer"],
-            cwd=tmp_path,
-            env=os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "cache")},
-            capture_output=True,
-            text=True,
-        )
-        assert done.returncode == 0, done.stderr
-        printed.append(float(done.stdout))
-    assert printed == [2.0, 3.0]
+        files = {"rig/sensor.py": f"def formula(x):\n    return {factor} * x\n"}
+        assert run_kernel(tmp_path, files, program) == factor
+
+
+def test_stored_kernels_may_name_types_that_are_gone(tmp_path):
+    """Why: numba reads the names of a kernel's argument types before it looks at the digest."""
+    program = """
+        from reconstruction._jit import compiled
+        from reconstruction._lines import {name}
+        @compiled
+        def outer(pair):
+            return pair.a + pair.b
+        if __name__ == "__main__":
+            print(outer({name}(1.0, 2.0)))
+    """
+    for name in ("Pair", "Couple"):
+        pair = f"from collections import namedtuple\n{name} = namedtuple('{name}', 'a b')\n"
+        assert run_kernel(tmp_path, {"_lines.py": pair}, program.format(name=name)) == 3.0

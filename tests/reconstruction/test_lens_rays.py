@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from reconstruction.rig.pinhole import NO_DISTORTION, Pinhole, distort
-from reconstruction.triangulation._lens import lens_of, ray_row
+from reconstruction.triangulation._ray import Rays, lens_of, ray_row
 
 
 def rays_of(camera, rows):
@@ -12,7 +12,7 @@ def rays_of(camera, rows):
     rays = np.zeros((len(rows), 2, camera.width_px))
     found = np.zeros((len(rows), camera.width_px), np.bool_)
     for ray, known, row in zip(rays, found, rows, strict=True):
-        ray_row(row, lens, bends[0], bends[1], ray[0], ray[1], known)
+        ray_row(row, lens, Rays(ray[0], ray[1], bends[0], bends[1], known))
     return np.moveaxis(rays, 1, -1), found
 
 

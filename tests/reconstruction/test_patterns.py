@@ -43,7 +43,7 @@ def test_gray_word_counts_half_periods(patterns, axis):
 
 
 def test_plain_gray_counts_periods():
-    patterns = PatternSet(100, 60, complementary=False)
+    patterns = PatternSet(100, 60, code="gray")
     assert len(patterns.frames) == 36 + 3 + 2 + 2
     finest = patterns.frames[patterns.index("gray", "column")][-1]
     expected = np.isin(np.arange(100) // 18, [1, 2, 5])
@@ -76,7 +76,6 @@ def test_levels_bound_all_frames():
         ({"period_px": float("nan")}, "period_px"),
         ({"steps": 2}, "steps"),
         ({"steps": True}, "steps"),
-        ({"complementary": 1}, "complementary"),
         ({"low_level": 255}, "low_level"),
         ({"low_level": 90, "high_level": 90}, "high_level"),
         ({"period_px": "18"}, "period_px"),

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from reconstruction.capture.response import apply_response, correct_gamma, estimate_gamma
+from reconstruction.calibration.response import apply_response, correct_gamma, estimate_gamma
 from reconstruction.decoding.decode import DecodeOptions, decode
 from reconstruction.errors import InputError
 from reconstruction.patterns import PatternSet

@@ -140,8 +140,8 @@ def test_needs_no_renderer():
 @pytest.mark.parametrize(
     ("patterns", "told"),
     [
-        ({"complementary": True}, ", complementary Gray code, white"),
-        ({"complementary": False}, ", Gray code, white"),
+        ({"code": "complementary_gray"}, ", complementary Gray code, white"),
+        ({"code": "gray"}, ", Gray code, white"),
         ({"code": "shifted_gray"}, ", shifted Gray code, white"),
         ({"code": "hierarchical", "further_periods_px": [120.0, 1920.0]},
          ", hierarchical periods of 120, 1920 px, white"),

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from reconstruction.arrays import FloatArray
 from twin.config.specimens import Ball, Flat, Rod, TwoBalls
 from twin.specimens import shape_of
 from twin.specimens.distance import (
@@ -21,7 +22,6 @@ from twin.specimens.distance import (
     frame_wall,
     plate,
 )
-from twin.specimens.pose import FloatArray
 
 STEP_MM = 1e-5
 REACH_MM = 0.6

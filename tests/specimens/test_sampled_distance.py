@@ -5,6 +5,7 @@ import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
 
+from reconstruction.arrays import FloatArray
 from twin.config.artefacts import Bars, Rods, Step, VGroove
 from twin.config.fingerprint import Fingerprint
 from twin.config.objects import Bear, Brick, Nut, TBolt
@@ -12,7 +13,7 @@ from twin.config.specimens import Ball, Flat, Grating, Group, Specimen
 from twin.specimens import shape_of, specimen_mesh
 from twin.specimens.distance import BallDistance, BoxDistance, SignedDistance, distances_of
 from twin.specimens.meshes import MeshShape
-from twin.specimens.pose import UNMOVED, FloatArray, Pose
+from twin.specimens.pose import UNMOVED, Pose
 from twin.specimens.sampled_distance import PITCH_MM, MeshDistance, SampledField
 from twin.specimens.triangle_distance import TriangleTree, unsigned_samples
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from reconstruction.arrays import FloatImage
 from reconstruction.cores import threads
 from reconstruction.errors import InputError
 from reconstruction.rig.sensor import SensorNoise
@@ -30,8 +31,6 @@ from twin.config.models import Camera
 
 _THREADS = min(2, threads())
 
-FloatArray = NDArray[np.float32]
-
 
 @dataclass(frozen=True)
 class Exposed:
@@ -45,7 +44,7 @@ class Exposed:
     sensor : SensorNoise
     """
 
-    stack: NDArray[np.uint16] | FloatArray
+    stack: NDArray[np.uint16] | FloatImage
     exposure_ms: float
     sensor: SensorNoise
 
@@ -54,13 +53,13 @@ class Exposed:
 class _Pixels:
     """Fixed pattern of one camera: relative response and dark offset (e-) per pixel."""
 
-    response: FloatArray
-    offset_e: FloatArray
+    response: FloatImage
+    offset_e: FloatImage
 
 
 def expose(
     experiment: Experiment,
-    radiance: Sequence[FloatArray],
+    radiance: Sequence[FloatImage],
     white_frame: int,
     trial: int = 0,
     progress: Callable[[float], None] = lambda _: None,
@@ -100,7 +99,7 @@ def expose(
     return Exposed(stack, exposure_ms, noise_model(camera))
 
 
-def choose_exposure_ms(experiment: Experiment, white: FloatArray) -> float:
+def choose_exposure_ms(experiment: Experiment, white: FloatImage) -> float:
     """Return the set exposure, or the one that puts the white frame at `auto_level`.
 
     Raises
@@ -126,13 +125,13 @@ def _fixed_pattern(experiment: Experiment, shape: tuple[int, ...]) -> _Pixels:
     return _Pixels(response.astype(np.float32), offset_e.astype(np.float32))
 
 
-def _expected_dn(camera: Camera, mean_e: FloatArray) -> FloatArray:
+def _expected_dn(camera: Camera, mean_e: FloatImage) -> FloatImage:
     well_e = np.minimum(mean_e, np.float32(full_well_e(camera)))
     return (well_e * gain_dn_per_e(camera) + camera.black_level_dn).astype(np.float32)
 
 
 def _recorded_dn(
-    camera: Camera, mean_e: FloatArray, dark_e: float, pixels: _Pixels, rng: np.random.Generator
+    camera: Camera, mean_e: FloatImage, dark_e: float, pixels: _Pixels, rng: np.random.Generator
 ) -> NDArray[np.uint16]:
     collected_e = photon_counts(mean_e * pixels.response + np.float32(dark_e), rng)
     np.minimum(collected_e, np.float32(full_well_e(camera)), out=collected_e)

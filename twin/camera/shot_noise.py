@@ -8,15 +8,14 @@ to tell them apart takes billions of draws of one pixel. Smaller means are drawn
 
 import numpy as np
 from numba import vectorize
-from numpy.typing import NDArray
+
+from reconstruction.arrays import FloatImage
 
 #: Mean from which normal numbers are used.
 FROM_NORMAL = 100.0
 
-FloatArray = NDArray[np.float32]
 
-
-def photon_counts(mean: FloatArray, rng: np.random.Generator) -> FloatArray:
+def photon_counts(mean: FloatImage, rng: np.random.Generator) -> FloatImage:
     """Return Poisson numbers.
 
     Parameters
@@ -31,7 +30,7 @@ def photon_counts(mean: FloatArray, rng: np.random.Generator) -> FloatArray:
         Whole numbers.
     """
     normal = rng.standard_normal(mean.shape, np.float32)
-    counts: FloatArray = poisson_of_normal(mean, normal)
+    counts: FloatImage = poisson_of_normal(mean, normal)
     small = mean < FROM_NORMAL
     if small.any():
         counts[small] = rng.poisson(mean[small])

@@ -10,7 +10,14 @@ from typing import Annotated, Literal
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
-from reconstruction.decoding.options import DecodeOptions
+from reconstruction.decoding.decoded import DecodeOptions
+from reconstruction.patterns import (
+    MOST_FURTHER_PERIODS,
+    PERIOD_RANGE_PX,
+    STEPS_RANGE,
+    CodeName,
+    PatternSet,
+)
 from twin.config.base import Distortion, Model, Positive
 from twin.config.devices import Camera, Pose, Projector
 from twin.config.elastomer import Coating, Elastomer, Film, Mechanics, PadFile, Press, Texture
@@ -74,21 +81,18 @@ __all__ = [
 _DIRECT_BOUNCES = 3
 
 
-class Patterns(Model):
-    """The projected sequence: N-step phase shift both ways, order code, white and black."""
+PeriodPx = Annotated[float, Field(ge=PERIOD_RANGE_PX[0], le=PERIOD_RANGE_PX[1])]
+Periods = Annotated[tuple[PeriodPx, ...], Field(max_length=MOST_FURTHER_PERIODS)]
 
-    period_px: Annotated[float, Field(ge=4, le=512)]
-    steps: Annotated[int, Field(ge=3, le=64)]
-    complementary: bool = Field(
-        default=True, description="without code: complementary Gray code, or plain Gray code"
-    )
-    code: (
-        Literal["gray", "complementary_gray", "shifted_gray", "hierarchical", "heterodyne"] | None
-    ) = Field(default=None, description="how the fringes are numbered; wins over complementary")
-    further_periods_px: Annotated[
-        tuple[Annotated[float, Field(ge=4, le=65536)], ...], Field(max_length=7)
-    ] = Field(
-        default=(),
+
+class Patterns(Model):
+    """What of a `PatternSet` does not follow from the projector, with its ranges and defaults."""
+
+    period_px: PeriodPx
+    steps: Annotated[int, Field(ge=STEPS_RANGE[0], le=STEPS_RANGE[1])]
+    code: CodeName = Field(default=PatternSet.code, description="how the fringes are numbered")
+    further_periods_px: Periods = Field(
+        default=PatternSet.further_periods_px,
         description="hierarchical: coarser periods, one at least the image; heterodyne: one or two"
         " periods slightly above period_px",
     )

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from reconstruction.arrays import FloatArray
 from twin.mechanics.control import BoolArray, Control, Scaling, inner
 from twin.mechanics.errors import SolverError
-from twin.mechanics.transfer import FloatArray
 
 Deflect = Callable[[FloatArray], FloatArray]
 

@@ -10,12 +10,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import brentq
 
+from reconstruction.arrays import FloatArray
 from twin.config.models import Elastomer
 from twin.mechanics.errors import PressError
 from twin.mechanics.hardness import young_modulus
 from twin.mechanics.layer import FreeSlab
 from twin.mechanics.layouts import coat_film
-from twin.mechanics.transfer import FloatArray, opposite_transfer
+from twin.mechanics.transfer import opposite_transfer
 
 _PITCHES_ACROSS = 8
 _CELLS_PER_PITCH = 32

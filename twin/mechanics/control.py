@@ -6,7 +6,7 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from twin.mechanics.transfer import FloatArray
+from reconstruction.arrays import FloatArray
 
 BoolArray = npt.NDArray[np.bool_]
 

@@ -11,7 +11,8 @@ from typing import Literal
 
 import numpy as np
 
-from twin.mechanics.transfer import FloatArray, Transfer, amplitudes
+from reconstruction.arrays import FloatArray
+from twin.mechanics.transfer import Transfer, amplitudes
 
 LoadedBase = Literal["bonded", "free", "free_turned"]
 # Below, waves are long against the layer and its state is carried through by exp(M q).

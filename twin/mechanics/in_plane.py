@@ -8,12 +8,12 @@ for a ball of 4 mm pressed 1 mm into a 4 mm layer (measured on our prototype).
 
 import numpy as np
 
+from reconstruction.arrays import FloatArray
 from twin.config.models import Elastomer, Press
 from twin.mechanics.layer import BondedLayer, FreeSlab
 from twin.mechanics.layouts import layer_on, preload_of
 from twin.mechanics.press import PressedElastomer
 from twin.mechanics.refine import touched_at_nodes, wrapped
-from twin.mechanics.transfer import FloatArray
 
 
 def in_plane_displacement(

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import brentq
 
-from twin.mechanics.transfer import FloatArray
+from reconstruction.arrays import FloatArray
 
 # Steps off the ends of the bracket, where cosh 2b is infinite and where rounding puts it below 1.
 _OFF_END = 1e-9

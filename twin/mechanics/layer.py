@@ -12,12 +12,12 @@ from typing import Self
 import numpy as np
 from scipy import fft
 
+from reconstruction.arrays import FloatArray
 from reconstruction.cores import threads
 from twin.mechanics.film import CoatFilm
 from twin.mechanics.patch import Patch, Span, periodic_patch, sine_patch
 from twin.mechanics.series import cosines, sine_amplitudes, sines_at_nodes
 from twin.mechanics.table import Column, TransferTable, tabulate
-from twin.mechanics.transfer import FloatArray
 
 _WORKERS = min(2, threads())
 

@@ -10,11 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import fft
 
+from reconstruction.arrays import FloatArray
 from twin.config.models import Elastomer, Press
 from twin.mechanics.errors import PressError
 from twin.mechanics.film import CoatFilm
 from twin.mechanics.layer import BondedLayer, FreeSlab
-from twin.mechanics.transfer import FloatArray
 from twin.specimens import Shape
 
 AnyLayer = FreeSlab | BondedLayer

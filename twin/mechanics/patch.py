@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import fft
 
-from twin.mechanics.transfer import FloatArray
+from reconstruction.arrays import FloatArray
 
 ComplexArray = npt.NDArray[np.complex128]
 

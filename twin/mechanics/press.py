@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from reconstruction.arrays import FloatArray
 from twin.config.models import Elastomer, Press, Specimen
 from twin.mechanics.contact import Contact
 from twin.mechanics.control import Control, DepthControl, ForceControl
@@ -20,7 +21,6 @@ from twin.mechanics.hardness import young_modulus
 from twin.mechanics.layer import BondedLayer
 from twin.mechanics.layouts import AnyLayer, Preload, build_layer, face_nodes, preload_of
 from twin.mechanics.refine import touched_at_nodes, wrapped
-from twin.mechanics.transfer import FloatArray
 from twin.mechanics.two_grid import solve_on_layer
 from twin.mechanics.validity import Validity, assess, margin_mm, max_slope_deg
 from twin.specimens import Shape, SphereCluster, shape_of

@@ -7,7 +7,7 @@ edge, where its curvature or slope jumps.
 import numpy as np
 from scipy.interpolate import Akima1DInterpolator
 
-from twin.mechanics.transfer import FloatArray
+from reconstruction.arrays import FloatArray
 
 # Cells beyond the nodes that an interpolant of two neighbours on either side needs.
 _BEYOND = 4

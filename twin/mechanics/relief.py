@@ -6,10 +6,10 @@ import numpy as np
 import numpy.typing as npt
 import trimesh
 
+from reconstruction.arrays import FloatArray
 from twin.config.models import Elastomer
 from twin.mechanics.press import PressedElastomer
 from twin.mechanics.refine import mirrored, touched_at_nodes, widened
-from twin.mechanics.transfer import FloatArray
 
 
 def face_mesh(pressed: PressedElastomer) -> trimesh.Trimesh:

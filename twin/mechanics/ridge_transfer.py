@@ -17,12 +17,13 @@ from scipy import fft
 from scipy.linalg import solve_triangular
 from scipy.optimize import brentq, nnls
 
+from reconstruction.arrays import FloatArray
 from twin.config.models import Elastomer
 from twin.config.specimens import Fingerprint, Grating, Specimen
 from twin.mechanics.contact_transfer import ContactTransfer, positive_pitches
 from twin.mechanics.errors import PressError
 from twin.mechanics.hardness import young_modulus
-from twin.mechanics.transfer import FloatArray, opposite_transfer, solve_transfer
+from twin.mechanics.transfer import opposite_transfer, solve_transfer
 
 #: of a fingerprint, the finest relief that the paper names
 RIDGE_MM = 0.07

@@ -3,8 +3,8 @@
 import numpy as np
 from scipy import fft
 
+from reconstruction.arrays import FloatArray
 from reconstruction.cores import threads
-from twin.mechanics.transfer import FloatArray
 
 _WORKERS = min(2, threads())
 

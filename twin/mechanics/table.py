@@ -6,9 +6,10 @@ from typing import Literal
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from reconstruction.arrays import FloatArray
 from twin.mechanics.errors import PressError
 from twin.mechanics.film import CoatFilm, LoadedBase, solve_coated
-from twin.mechanics.transfer import SMALLEST_Q, Base, FloatArray, Transfer, solve_transfer
+from twin.mechanics.transfer import SMALLEST_Q, Base, Transfer, solve_transfer
 
 Column = Literal["normal_t", "normal_b", "tangential_t", "tangential_b"]
 _COLUMNS: tuple[Column, ...] = ("normal_t", "normal_b", "tangential_t", "tangential_b")

@@ -13,13 +13,13 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
+from reconstruction.arrays import FloatArray
 from twin.config.digest import keyed_sequence
 from twin.config.models import Elastomer, Press, Texture
 from twin.mechanics.in_plane import in_plane_displacement
 from twin.mechanics.johnson import Johnson, johnson_of
 from twin.mechanics.press import PressedElastomer
 from twin.mechanics.relief import face_normals
-from twin.mechanics.transfer import FloatArray
 
 Extent = tuple[float, float, float, float]
 

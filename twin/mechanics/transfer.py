@@ -19,12 +19,12 @@ The analytic lam div makes nu = 0.5 regular.
 """
 
 from dataclasses import dataclass
-from typing import Literal, TypeAlias
+from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
-FloatArray: TypeAlias = npt.NDArray[np.float64]
+from reconstruction.arrays import FloatArray
+
 Base = Literal["bonded", "free"]
 
 # Below, the free layer's 4 x 4 system loses its digits to the rigid motions (condition ~ q^-4).

@@ -11,11 +11,11 @@ import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import maximum_filter
 
+from reconstruction.arrays import FloatArray
 from twin.mechanics.contact import Contact, solve_contact
 from twin.mechanics.control import BoolArray, Control
 from twin.mechanics.errors import SolverError
 from twin.mechanics.patch import Patch, Span
-from twin.mechanics.transfer import FloatArray
 
 COARSENING = 4
 _COARSE_TOLERANCE = 1e-3

@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from twin.mechanics.transfer import FloatArray
+from reconstruction.arrays import FloatArray
 
 Layout = Literal["opposite_face", "contact_face"]
 

@@ -9,8 +9,8 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from reconstruction.arrays import FloatArray, FloatImage
 from reconstruction.calibration.boards import Board
 from twin.config.board import BoardFile, BoardPose, Plate
 from twin.config.models import Experiment
@@ -21,11 +21,8 @@ TEXELS_PER_PIXEL = 2.0
 # 8192 x 8192 float32 texels: 256 MB.
 MAX_TEXELS = 8192
 
-FloatArray = NDArray[np.float32]
-Matrix = NDArray[np.float64]
 
-
-def board_pose(pose: BoardPose) -> Matrix:
+def board_pose(pose: BoardPose) -> FloatArray:
     """Return T_world_from_board (4, 4), mm: spin in the plane, then tilt towards the azimuth."""
     azimuth, tilt, spin = np.deg2rad([pose.azimuth_deg, pose.tilt_deg, pose.spin_deg])
     T = np.eye(4)
@@ -34,7 +31,7 @@ def board_pose(pose: BoardPose) -> Matrix:
     return T
 
 
-def albedo_image(board: Board, plate: Plate, texel_mm: float) -> FloatArray:
+def albedo_image(board: Board, plate: Plate, texel_mm: float) -> FloatImage:
     """Return the plate's albedo, (row, col) float32, row 0 at the top (board y up).
 
     Parameters
@@ -86,7 +83,7 @@ def render_board(experiment: Experiment, file: BoardFile, pose: BoardPose) -> Fr
     return one_trace.trace_stack(scene, rig, tables, experiment.render.samples)
 
 
-def _board_scene(plate: Plate, albedo: FloatArray, T_world_from_board: Matrix) -> Any:
+def _board_scene(plate: Plate, albedo: FloatImage, T_world_from_board: FloatArray) -> Any:
     import mitsuba as mi
 
     print_ = {
@@ -111,7 +108,7 @@ def _board_scene(plate: Plate, albedo: FloatArray, T_world_from_board: Matrix) -
     return mi.load_dict({"type": "scene", "board": mesh}, optimize=False)
 
 
-def _corners_world_mm(plate: Plate, T_world_from_board: Matrix) -> FloatArray:
+def _corners_world_mm(plate: Plate, T_world_from_board: FloatArray) -> FloatImage:
     """Return the plate's corners from the lower left, counter-clockwise from the front, (4, 3)."""
     half_x, half_y = plate.width_mm / 2.0, plate.height_mm / 2.0
     corners = np.array(
@@ -121,16 +118,16 @@ def _corners_world_mm(plate: Plate, T_world_from_board: Matrix) -> FloatArray:
     return np.asarray(world_mm, dtype=np.float32)
 
 
-def _texel_centres(size_mm: float, texel_mm: float) -> Matrix:
+def _texel_centres(size_mm: float, texel_mm: float) -> FloatArray:
     count = int(min(np.ceil(size_mm / texel_mm), MAX_TEXELS))
     return np.asarray(((np.arange(count) + 0.5) / count - 0.5) * size_mm)
 
 
-def _about_z(angle_rad: float) -> Matrix:
+def _about_z(angle_rad: float) -> FloatArray:
     c, s = np.cos(angle_rad), np.sin(angle_rad)
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
-def _about_y(angle_rad: float) -> Matrix:
+def _about_y(angle_rad: float) -> FloatArray:
     c, s = np.cos(angle_rad), np.sin(angle_rad)
     return np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])

@@ -12,6 +12,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from reconstruction.arrays import FloatImage
 from reconstruction.rig.pinhole import Pinhole
 from twin.config.lamps import Markers
 from twin.config.models import Experiment
@@ -26,7 +27,6 @@ from twin.optics.subpixels import SubPixels
 if TYPE_CHECKING:
     import trimesh
 
-FloatArray = NDArray[np.float32]
 
 # As in `connection`: shadow rays start this far off the surface along its normal.
 _SHADOW_OFFSET_MM = 1e-3
@@ -80,7 +80,7 @@ class ColourScene:
         parameters[prefix + "vertex_normals"] = np.asarray(normals, np.float32).ravel()
         parameters.update()
 
-    def render(self, pinhole: Pinhole, T_world_from_cam: NDArray[np.float64]) -> FloatArray:
+    def render(self, pinhole: Pinhole, T_world_from_cam: NDArray[np.float64]) -> FloatImage:
         """Return radiance in air, (row, col, channel), mW / (mm^2 sr)."""
         rig = self._rig(pinhole, T_world_from_cam)
         return trace_channels(self._scene, rig, self._samples)
@@ -94,7 +94,7 @@ class ColourScene:
         return LampRig(camera, self._emitters, self._stack, self._markers)
 
 
-def trace_channels(scene: Any, rig: LampRig, samples: int) -> FloatArray:
+def trace_channels(scene: Any, rig: LampRig, samples: int) -> FloatImage:
     """Render the three channels.
 
     Parameters

@@ -10,21 +10,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from reconstruction.arrays import FloatArray
 from reconstruction.rig.calibration import Pinhole
 from twin.optics.lens import ThinLens
 
 _OPENCV_FROM_MITSUBA = np.diag([-1.0, -1.0, 1.0, 1.0])
 
-Matrix = NDArray[np.float64]
 
-
-def to_world(T_world_from_device: Matrix) -> NDArray[np.float32]:
+def to_world(T_world_from_device: FloatArray) -> NDArray[np.float32]:
     """Mitsuba's `to_world` matrix of a device whose OpenCV pose is given."""
     return (T_world_from_device @ _OPENCV_FROM_MITSUBA).astype(np.float32)
 
 
 def perspective_sensor(
-    pinhole: Pinhole, T_world_from_cam: Matrix, samples: int, lens: ThinLens | None = None
+    pinhole: Pinhole, T_world_from_cam: FloatArray, samples: int, lens: ThinLens | None = None
 ) -> dict[str, Any]:
     """Mitsuba `perspective` or `thinlens` sensor, box filter, as a dictionary for `mi.load_dict`.
 

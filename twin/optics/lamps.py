@@ -15,11 +15,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from reconstruction.arrays import FloatArray
 from twin.config.lamps import CHANNELS, Lamp
-
-Doubles = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,13 +33,15 @@ class Emitters:
     fill : (channel,) float, mW/mm^2 on the untouched coat
     """
 
-    positions_mm: Doubles
-    aims: Doubles
-    exponents: Doubles
-    intensity: Doubles
-    fill: Doubles
+    positions_mm: FloatArray
+    aims: FloatArray
+    exponents: FloatArray
+    intensity: FloatArray
+    fill: FloatArray
 
-    def irradiance(self, points_mm: Doubles, normals: Doubles, absorption: float = 0.0) -> Doubles:
+    def irradiance(
+        self, points_mm: FloatArray, normals: FloatArray, absorption: float = 0.0
+    ) -> FloatArray:
         """Return the irradiance of each channel, mW/mm^2, without cast shadows.
 
         Parameters
@@ -82,7 +82,7 @@ def emitters_of(lamps: Mapping[str, Lamp]) -> Emitters:
     )
 
 
-def _row(lamp: Lamp) -> tuple[Doubles, Doubles]:
+def _row(lamp: Lamp) -> tuple[FloatArray, FloatArray]:
     along, azimuth, down = np.deg2rad([lamp.along_deg, lamp.aim_azimuth_deg, lamp.aim_down_deg])
     middle = np.array([lamp.x_mm, lamp.y_mm, lamp.height_mm])
     # Centres of equal parts of the row: one LED stands in its middle.
@@ -92,12 +92,12 @@ def _row(lamp: Lamp) -> tuple[Doubles, Doubles]:
     return middle + lamp.length_mm * steps[:, np.newaxis] * direction, np.array(aim)
 
 
-def _intensity(lamp: Lamp) -> Doubles:
+def _intensity(lamp: Lamp) -> FloatArray:
     """Intensity along the aim of one LED, mW/sr; (channel,)."""
     one = lamp.flux_mw / lamp.emitters * (lamp.exponent + 1.0) / (2.0 * np.pi)
     return one * _channel(lamp)
 
 
-def _channel(lamp: Lamp) -> Doubles:
+def _channel(lamp: Lamp) -> FloatArray:
     """1 at the lamp's channel, 0 at the others."""
     return np.array([channel == lamp.channel for channel in CHANNELS], dtype=np.float64)

@@ -11,15 +11,13 @@ from functools import lru_cache
 from math import gcd
 
 import numpy as np
-from numpy.typing import NDArray
 
+from reconstruction.arrays import FloatArray
 from twin.config.models import Camera
 
 _GOLDEN_ANGLE = np.pi * (3.0 - np.sqrt(5.0))
 # A correlation of place with position changes the size of the blur, one of their squares its shape.
 _FIRST_POWERS_COUNT = 10.0
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

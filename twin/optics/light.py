@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.special import erf
 
-from reconstruction.patterns import Frame, PatternSet
+from reconstruction.arrays import FloatImage
+from reconstruction.patterns import PatternFrame, PatternSet
 from twin.config.models import Patterns, Projector
 from twin.optics.defocus import BlurLevels, Defocus
 
@@ -24,8 +25,6 @@ of a Gray bit blurred by 0.5 px, and by < 1e-4 on an 18 px fringe."""
 
 MARGIN_PX = 8.0
 """Tables reach this far beyond the image, so that the blurred edge is inside."""
-
-FloatArray = NDArray[np.float32]
 
 
 @dataclass(frozen=True)
@@ -47,24 +46,16 @@ class LightTable:
         `profiles` at each of these blurs.
     """
 
-    profiles: FloatArray
+    profiles: FloatImage
     first_px: float
     frames: tuple[int, ...]
     levels: BlurLevels | None = None
-    defocused: FloatArray | None = None
+    defocused: FloatImage | None = None
 
 
 def pattern_set(projector: Projector, patterns: Patterns) -> PatternSet:
     """Return the sequence that projector and decoder share."""
-    return PatternSet(
-        width_px=projector.width_px,
-        height_px=projector.height_px,
-        period_px=patterns.period_px,
-        steps=patterns.steps,
-        complementary=patterns.complementary if patterns.code is None else None,
-        code=patterns.code,
-        further_periods_px=patterns.further_periods_px,
-    )
+    return PatternSet(projector.width_px, projector.height_px, **patterns.model_dump())
 
 
 def light_tables(
@@ -110,7 +101,7 @@ def _table(
     return replace(table, levels=blur_levels, defocused=np.stack(defocused).astype(np.float32))
 
 
-def along(frame: Frame) -> str:
+def along(frame: PatternFrame) -> str:
     """Axis whose table holds a frame: uniform frames are kept with the columns."""
     return frame.axis or "column"
 

@@ -8,11 +8,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from reconstruction.arrays import FloatArray
 from reconstruction.rig.pinhole import Pinhole
 
-Doubles = NDArray[np.float64]
 Point = tuple[float, float, float]
 
 
@@ -36,7 +35,7 @@ class Observer:
         return Pinhole(self.width_px, self.height_px, focal_px, focal_px, *centre)
 
     @property
-    def world_from_eye(self) -> Doubles:
+    def world_from_eye(self) -> FloatArray:
         """Pose (4, 4) in OpenCV's frame.
 
         A view straight down has world y at the top.
@@ -51,7 +50,7 @@ class Observer:
         pose[:3, 3] = self.eye_mm
         return pose
 
-    def project(self, points_world_mm: Any) -> Doubles:
+    def project(self, points_world_mm: Any) -> FloatArray:
         """Return the pixels (..., 2) where world points (..., 3) appear."""
         pose = self.world_from_eye
         return self.pinhole.project((np.asarray(points_world_mm) - pose[:3, 3]) @ pose[:3, :3])

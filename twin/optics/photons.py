@@ -19,12 +19,11 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from reconstruction.arrays import FloatImage
 from twin.optics.connection import Rig, on_image
 from twin.optics.extent import box_corners_mm
 from twin.optics.light import MARGIN_PX
 from twin.optics.surfaces import Surfaces
-
-FloatArray = NDArray[np.float32]
 
 MOST_EVENTS = 64
 """Reflections and refractions that a photon may suffer; what is then still under way is counted."""
@@ -64,11 +63,11 @@ class Photons:
     balance : Balance
     """
 
-    x_mm: FloatArray
-    y_mm: FloatArray
-    column_px: FloatArray
-    row_px: FloatArray
-    flux_mw: FloatArray
+    x_mm: FloatImage
+    y_mm: FloatImage
+    column_px: FloatImage
+    row_px: FloatImage
+    flux_mw: FloatImage
     balance: Balance
 
 
@@ -110,7 +109,7 @@ def trace_photons(scene: Any, surfaces: Surfaces, rig: Rig, *, count: int, seed:
     counted = ends.met_sharp & on_image(rig, column_px, row_px, MARGIN_PX)
     kept: Any = dr.compress(counted & ends.on_stage)
 
-    def chosen(values: Any) -> FloatArray:
+    def chosen(values: Any) -> FloatImage:
         return np.array(dr.gather(mi.Float, values, kept))
 
     return Photons(

@@ -6,12 +6,10 @@ renderer traces with it, and an ideally calibrated decoder triangulates with it.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
+from reconstruction.arrays import FloatArray
 from reconstruction.rig.calibration import Calibration, Pinhole
 from twin.config.models import Camera, Experiment, Pose, Projector
-
-Matrix = NDArray[np.float64]
 
 
 def true_calibration(experiment: Experiment) -> Calibration:
@@ -58,7 +56,7 @@ def projector_pinhole(projector: Projector) -> Pinhole:
     )
 
 
-def world_from_device(pose: Pose, pinhole: Pinhole) -> Matrix:
+def world_from_device(pose: Pose, pinhole: Pinhole) -> FloatArray:
     """Pose (4, 4) of a device whose image-centre ray hits the world origin.
 
     At polar 0 and roll 0 the image's right is world +x and its top is world +y.
@@ -75,26 +73,26 @@ def world_from_device(pose: Pose, pinhole: Pinhole) -> Matrix:
     return pose_matrix
 
 
-def _looking_along(forward: Matrix) -> Matrix:
+def _looking_along(forward: FloatArray) -> FloatArray:
     """Rotation whose z axis is `forward` and whose y axis points away from world +y."""
     right = np.cross(forward, [0.0, 1.0, 0.0])
     right /= np.linalg.norm(right)
     return np.stack([right, np.cross(forward, right), forward], axis=1)
 
 
-def _about_z(angle_rad: float) -> Matrix:
+def _about_z(angle_rad: float) -> FloatArray:
     c, s = np.cos(angle_rad), np.sin(angle_rad)
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
-def _onto_z(direction: Matrix) -> Matrix:
+def _onto_z(direction: FloatArray) -> FloatArray:
     """Smallest rotation that takes the unit vector `direction` onto the z axis (Rodrigues)."""
     x, y, z = direction
     cross = np.array([[0.0, 0.0, -x], [0.0, 0.0, -y], [x, y, 0.0]])
     return np.asarray(np.eye(3) + cross + cross @ cross / (1.0 + z))
 
 
-def _centre(pinhole: Pinhole) -> Matrix:
+def _centre(pinhole: Pinhole) -> FloatArray:
     centre_px = np.array([(pinhole.width_px - 1) / 2, (pinhole.height_px - 1) / 2])
     ray = np.append(pinhole.unproject(centre_px), 1.0)
     return np.asarray(ray / np.linalg.norm(ray))

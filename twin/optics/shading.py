@@ -11,14 +11,12 @@ projector at q, m is smallest at the highest point and in the corner furthest fr
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from reconstruction.arrays import FloatArray
 from twin.mechanics.relief import grid_facets
 
 if TYPE_CHECKING:
     import trimesh
-
-FloatArray = NDArray[np.float64]
 
 
 def may_shade_itself(face: "trimesh.Trimesh", source_mm: FloatArray) -> bool:

@@ -9,10 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from reconstruction.arrays import FloatImage
 from twin.optics.backend import activate
 from twin.optics.observer import Observer
-
-Floats = NDArray[np.float32]
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,8 +28,8 @@ class Sight:
     """
 
     hit: NDArray[np.bool_]
-    points_mm: Floats
-    normals: Floats
+    points_mm: FloatImage
+    normals: FloatImage
     sunlit: NDArray[np.bool_]
 
 

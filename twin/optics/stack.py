@@ -5,8 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float32]
-Frames = tuple[FloatArray, ...]
+from reconstruction.arrays import FloatImage
+
+Frames = tuple[FloatImage, ...]
 
 
 @dataclass(frozen=True)
@@ -29,11 +30,11 @@ class Truth:
         The point lies on what is to be measured (coat or specimen), not on the stage.
     """
 
-    points_world_mm: FloatArray
-    normals_world: FloatArray
-    depth_mm: FloatArray
-    column_px: FloatArray
-    row_px: FloatArray
+    points_world_mm: FloatImage
+    normals_world: FloatImage
+    depth_mm: FloatImage
+    column_px: FloatImage
+    row_px: FloatImage
     lit: NDArray[np.bool_]
     measured: NDArray[np.bool_]
 

@@ -13,15 +13,13 @@ import drjit as dr
 import mitsuba as mi
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
+from reconstruction.arrays import FloatImage
 from twin.optics.light import OVERSAMPLING, LightTable
 from twin.optics.photons import Photons
 
 PITCH_MM = 0.1
 _PACKET = 4
-
-FloatArray = NDArray[np.float32]
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +38,7 @@ class IrradianceMap:
         How many of the last axis are not padding.
     """
 
-    irradiance: FloatArray
+    irradiance: FloatImage
     first_x_mm: float
     first_y_mm: float
     pitch_mm: float
@@ -55,11 +53,11 @@ class IrradianceMap:
 class _Places(NamedTuple):
     """Photons in units of the map's nodes and of the light tables' nodes, and their density."""
 
-    x: FloatArray
-    y: FloatArray
-    column: FloatArray
-    row: FloatArray
-    density: FloatArray
+    x: FloatImage
+    y: FloatImage
+    column: FloatImage
+    row: FloatImage
+    density: FloatImage
 
 
 def map_photons(
@@ -83,7 +81,7 @@ def map_photons(
     return IrradianceMap(irradiance, first_x_mm, first_y_mm, pitch_mm, frames)
 
 
-def _node_coordinates(position_mm: FloatArray, pitch_mm: float) -> tuple[FloatArray, float, int]:
+def _node_coordinates(position_mm: FloatImage, pitch_mm: float) -> tuple[FloatImage, float, int]:
     """Positions in node units, the first node and the number of nodes along one axis."""
     if position_mm.size == 0:
         return position_mm, 0.0, 2
@@ -92,7 +90,7 @@ def _node_coordinates(position_mm: FloatArray, pitch_mm: float) -> tuple[FloatAr
     return coordinate.astype(np.float32), float(first * pitch_mm), int(coordinate.max()) + 2
 
 
-def _table_coordinates(position_px: FloatArray, table: LightTable) -> FloatArray:
+def _table_coordinates(position_px: FloatImage, table: LightTable) -> FloatImage:
     x = (position_px - np.float32(table.first_px)) * np.float32(OVERSAMPLING)
     return np.asarray(np.clip(x, 0.0, len(table.profiles) - 1.001), np.float32)
 
@@ -100,9 +98,9 @@ def _table_coordinates(position_px: FloatArray, table: LightTable) -> FloatArray
 @numba.njit(cache=True, nogil=True, fastmath={"contract"}, error_model="numpy")  # type: ignore[untyped-decorator]
 def _deposit(
     places: _Places,
-    column_profiles: FloatArray,
-    row_profiles: FloatArray,
-    irradiance: FloatArray,
+    column_profiles: FloatImage,
+    row_profiles: FloatImage,
+    irradiance: FloatImage,
 ) -> None:
     """Add every photon to four nodes of the map."""
     x, y, column, row, density = places

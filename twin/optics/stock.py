@@ -14,7 +14,8 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from reconstruction.patterns import Frame, PatternSet
+from reconstruction.arrays import FloatImage
+from reconstruction.patterns import PatternFrame, PatternSet
 from reconstruction.rig.pinhole import distort, distortion_jacobian, fold_square, is_before_fold
 from twin.optics.connection import Rig
 from twin.optics.device_frames import field_of_view_deg, perspective_sensor, to_world
@@ -22,7 +23,6 @@ from twin.optics.light import MARGIN_PX, OVERSAMPLING, LightTable, along
 from twin.optics.stack import Frames
 
 Emitter = Literal["projector", "spot"]
-FloatArray = NDArray[np.float32]
 
 TEXELS_PER_PX = 4
 """Canvas texels per projector pixel; with bilinear look-up this adds a blur of 0.1 px."""
@@ -70,8 +70,8 @@ def canvas_for(rig: Rig, kind: Emitter, texels_per_px: int = TEXELS_PER_PX) -> C
 
 
 def frame_texture(
-    frame: Frame, index: int, rig: Rig, tables: dict[str, LightTable], canvas: Canvas
-) -> FloatArray:
+    frame: PatternFrame, index: int, rig: Rig, tables: dict[str, LightTable], canvas: Canvas
+) -> FloatImage:
     """Light of one frame on the canvas, (row, col) float32.
 
     Row 0 is the image's top for a `projector`. A `spot` emits radiant intensity, so that a plane
@@ -109,7 +109,7 @@ def _interpolate(
     return np.interp(at_px.ravel(), nodes_px, values, left=0.0, right=0.0).reshape(at_px.shape)
 
 
-def emitter_dict(texture: FloatArray, rig: Rig, canvas: Canvas) -> dict[str, Any]:
+def emitter_dict(texture: FloatImage, rig: Rig, canvas: Canvas) -> dict[str, Any]:
     """Stock emitter that throws a frame's light into the scene with the rig's radiometric scale.
 
     `texture` is what `frame_texture` returns for the same canvas.
@@ -176,7 +176,7 @@ def integrator(bounces: int) -> dict[str, Any]:
     return {"type": "path", "max_depth": bounces + 2, "rr_depth": bounces + 3}
 
 
-def render_frame(scene: Any, seed: int) -> FloatArray:
+def render_frame(scene: Any, seed: int) -> FloatImage:
     """Render one frame; (row, col) float32, mW / (mm^2 sr)."""
     return np.asarray(mi.render(scene, seed=seed), np.float32)[:, :, 0]
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from reconstruction.arrays import FloatArray
 from twin.optics.backend import activate
 from twin.optics.device_frames import perspective_sensor
 from twin.optics.observer import Observer
@@ -18,7 +19,6 @@ from twin.optics.observer import Observer
 if TYPE_CHECKING:
     import trimesh
 
-Doubles = NDArray[np.float64]
 Picture = NDArray[np.uint8]
 
 MOST_BOUNCES = 12
@@ -48,7 +48,7 @@ class Thing:
     name: str
     mesh: "trimesh.Trimesh"
     bsdf: dict[str, Any] = field(default_factory=dict)
-    shade: Doubles | None = None
+    shade: FloatArray | None = None
     smooth: bool = False
 
 

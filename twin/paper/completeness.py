@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from reconstruction.arrays import FloatArray
 from twin.config.models import Experiment
 from twin.mechanics import PressedElastomer
 from twin.optics.stack import Truth
@@ -21,7 +22,6 @@ from twin.specimens import shape_of
 _GRID_MM = 0.02
 
 Mask = NDArray[np.bool_]
-Doubles = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class Completeness:
 def completeness_of(
     experiment: Experiment,
     truth: Truth,
-    points_mm: Doubles,
+    points_mm: FloatArray,
     valid: Mask,
     pressed: PressedElastomer | None,
 ) -> Completeness:
@@ -87,14 +87,16 @@ def completeness_of(
     )
 
 
-def in_contact(pressed: PressedElastomer, points_mm: Doubles) -> Mask:
+def in_contact(pressed: PressedElastomer, points_mm: FloatArray) -> Mask:
     """Tell which points, (..., xyz) world, lie over cells that touch the specimen."""
     col = _nearest(pressed.x_mm, points_mm[..., 0])
     row = _nearest(pressed.y_mm, points_mm[..., 1])
     return np.asarray(pressed.contact[row, col])
 
 
-def specimen_height_mm(experiment: Experiment, depth_mm: float, points_mm: Doubles) -> Doubles:
+def specimen_height_mm(
+    experiment: Experiment, depth_mm: float, points_mm: FloatArray
+) -> FloatArray:
     """Return the specimen's upper face under points, (...), raised by the sheet it lies under.
 
     World z of a sheet that lies on the specimen with its own thickness; -inf beside the outline.
@@ -109,14 +111,14 @@ def specimen_height_mm(experiment: Experiment, depth_mm: float, points_mm: Doubl
     return np.where(beside, -np.inf, found)
 
 
-def _nearest(grid_mm: Doubles, values: Doubles) -> NDArray[np.int64]:
+def _nearest(grid_mm: FloatArray, values: FloatArray) -> NDArray[np.int64]:
     step = grid_mm[1] - grid_mm[0]
     number = np.rint((values - grid_mm[0]) / step).astype(np.int64)
     clipped: NDArray[np.int64] = np.clip(number, 0, grid_mm.size - 1)
     return clipped
 
 
-def _good(found_mm: Doubles, true_mm: Doubles, limit_um: float) -> Mask:
+def _good(found_mm: FloatArray, true_mm: FloatArray, limit_um: float) -> Mask:
     return np.asarray(np.abs(found_mm - true_mm) <= 1e-3 * limit_um)
 
 

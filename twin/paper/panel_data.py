@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from reconstruction.arrays import FloatImage
 from reconstruction.errors import InputError
 from twin.output import read_json, write_json
 
@@ -22,7 +23,6 @@ MOST_PX = 400
 MOST_BALL_POINTS = 20_000
 
 Picture = NDArray[np.uint8]
-Floats = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
 
@@ -100,14 +100,14 @@ class PanelData:
     numbers: Numbers
     picture: Picture
     photograph: Picture
-    points_mm: Floats
+    points_mm: FloatImage
     valid: Mask
-    true_z_mm: Floats
+    true_z_mm: FloatImage
     wanted: Mask
     reason: NDArray[np.uint8]
-    ball_points: Floats
-    section: Floats
-    true_section: Floats
+    ball_points: FloatImage
+    section: FloatImage
+    true_section: FloatImage
 
     @property
     def error_um(self) -> "np.ma.MaskedArray[Any, Any]":
@@ -115,7 +115,7 @@ class PanelData:
         difference = 1e3 * (self.points_mm[..., 2] - self.true_z_mm).astype(np.float64)
         return np.ma.masked_array(difference, ~(self.valid & self.wanted))
 
-    def ball(self, number: int) -> Floats:
+    def ball(self, number: int) -> FloatImage:
         """Return x, y and radial residual of one ball's points, (n, 3) mm."""
         return self.ball_points[self.ball_points[:, 0] == number, 1:]
 

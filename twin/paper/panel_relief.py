@@ -14,7 +14,7 @@ from matplotlib.colors import Normalize
 from numpy.typing import NDArray
 
 from reconstruction.errors import InputError
-from reconstruction.evaluate.surface_mesh import SurfaceMesh, surface_mesh
+from reconstruction.evaluate.surface import SurfaceMesh, surface_mesh
 from reconstruction.mask import Reason
 from reconstruction.triangulation.triangulate import PointMap
 from twin.optics.observer import Observer

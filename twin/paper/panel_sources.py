@@ -6,13 +6,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from reconstruction.arrays import FloatImage
 from reconstruction.errors import FitError
 from twin.config import Experiment
 from twin.config.artefacts import Rods
 from twin.paper.panel_data import (
     MOST_BALL_POINTS,
     BallFit,
-    Floats,
     Numbers,
     PanelData,
     Picture,
@@ -101,7 +101,7 @@ def _fit(ball: SphereScore) -> BallFit:
     )
 
 
-def _ball_points(points_mm: NDArray[Any], balls: Sequence[SphereScore]) -> Floats:
+def _ball_points(points_mm: NDArray[Any], balls: Sequence[SphereScore]) -> FloatImage:
     parts = [np.zeros((0, 4), np.float32)]
     for ball in balls:
         xy, residuals = points_mm[ball.roi][:, :2], ball.measured.residuals_mm
@@ -119,7 +119,7 @@ def _section(experiment: Experiment, points_mm: NDArray[np.float64]) -> Section 
     return section_of(points_mm, SECTION_LENGTH_MM, middle_of(shape_of(specimen)))
 
 
-def _columns(section: Section | None) -> Floats:
+def _columns(section: Section | None) -> FloatImage:
     if section is None:
         return np.zeros((0, 2), np.float32)
     return np.column_stack([section.s_mm, section.z_mm]).astype(np.float32)

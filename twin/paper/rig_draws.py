@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from reconstruction.arrays import Doubles
-from reconstruction.calibration.parameters import POSES, Rig, pack, unpack
+from reconstruction.arrays import FloatArray
+from reconstruction.calibration.parameters import POSES, RigEstimate, pack, unpack
 from reconstruction.rig.calibration import Calibration
 from twin.config import Experiment
 from twin.config.board import load_board
@@ -36,7 +36,7 @@ class RigScatter:
     """
 
     true: Calibration
-    covariance: Doubles
+    covariance: FloatArray
 
     @property
     def digest(self) -> str:
@@ -50,7 +50,9 @@ class RigScatter:
         rng = np.random.default_rng(keyed_sequence(seed, "calibration", trial))
         step = _correlated(self.covariance, rng.standard_normal(len(self.covariance)))
         true = self.true
-        vector = pack(Rig(true.camera, true.projector, true.T_proj_from_cam, np.eye(4)[None]))
+        vector = pack(
+            RigEstimate(true.camera, true.projector, true.T_proj_from_cam, np.eye(4)[None])
+        )
         vector[:POSES] += step
         found = unpack(vector, true.camera, true.projector)
         # The world hangs on the camera: a calibrated world frame of its own would move every point
@@ -59,7 +61,7 @@ class RigScatter:
         return Calibration(found.camera, found.projector, true.T_world_from_cam, world_from_proj)
 
 
-def _correlated(covariance: Doubles, normal: Doubles) -> Doubles:
+def _correlated(covariance: FloatArray, normal: FloatArray) -> FloatArray:
     """Turn independent standard normal numbers into a draw from a covariance, (n,) float."""
     # Through the correlation: radians and pixels differ by nine orders of magnitude in variance.
     sigma = np.sqrt(np.diag(covariance))

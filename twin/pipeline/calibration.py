@@ -20,10 +20,10 @@ from reconstruction.calibration import (
     observe,
     read_board_capture,
 )
-from reconstruction.calibration.captures import pose_folders
-from reconstruction.calibration.quality import parameters_of
+from reconstruction.calibration.observation import pose_folders
+from reconstruction.calibration.pipeline import parameters_of
 from reconstruction.capture.folder import Capture, write_capture
-from reconstruction.capture.frame_set_writing import write_frame_set
+from reconstruction.capture.frame_set import write_frame_set
 from reconstruction.errors import InputError
 from reconstruction.rig.calibration import Calibration
 from twin.camera import expose

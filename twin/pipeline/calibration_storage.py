@@ -14,7 +14,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from reconstruction.calibration.quality import pupil_diameter_mm
+from reconstruction.calibration.pipeline import pupil_diameter_mm
 from reconstruction.rig.calibration import write_calibration
 from twin.config import to_toml
 from twin.output import EXPERIMENT_FILE, RESULT_FILE, versions, write_json
@@ -86,7 +86,7 @@ def _feature_rows(done: BoardCalibration) -> Iterator[dict[str, Any]]:
     found = done.result.adjustment
     for k, seen in enumerate(done.observations):
         for n, identity in enumerate(seen.ids):
-            numbers = [*found.measured_px[k][n], *found.misses_px[k][n]]
+            numbers = [*found.measured_px[k][n], *found.residuals_px[k][n]]
             names = ("camera_x_px", "camera_y_px", "projector_column_px", "projector_row_px")
             misses = tuple(f"miss_{name}" for name in names)
             yield {"pose": seen.name, "id": int(identity), "used": int(found.used[k][n])} | {

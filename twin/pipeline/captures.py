@@ -8,6 +8,7 @@ import tomli_w
 
 from reconstruction.capture.folder import read_capture
 from reconstruction.decoding.decode import Reason
+from reconstruction.evaluate.surface import write_surface
 from reconstruction.outputs import write_reconstruction
 from reconstruction.photometric import (
     HeightMap,
@@ -18,7 +19,6 @@ from reconstruction.photometric import (
     write_sensor_calibration,
 )
 from reconstruction.pipeline import Reconstruction, filter_bias, reconstruct
-from reconstruction.surface_files import write_surface
 from reconstruction.triangulation.triangulate import Use
 from twin.config.models import Decode
 from twin.output import EXPERIMENT_FILE, RESULT_FILE, output_folder, versions, write_json

@@ -8,9 +8,8 @@ from dataclasses import replace
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from reconstruction.arrays import Levels
+from reconstruction.arrays import FloatImage, Levels
 from reconstruction.rig.pinhole import Pinhole
 from twin.camera import expose
 from twin.camera.exposure import choose_exposure_ms
@@ -18,8 +17,6 @@ from twin.camera.sensor import largest_code_dn
 from twin.config.lamps import CHANNELS
 from twin.config.models import Experiment
 from twin.optics.rig import camera_pinhole
-
-FloatArray = NDArray[np.float32]
 
 
 def cropped_pinhole(experiment: Experiment) -> Pinhole:
@@ -51,7 +48,7 @@ def image_pinhole(experiment: Experiment) -> Pinhole:
     )
 
 
-def fixed_exposure_ms(experiment: Experiment, background: FloatArray) -> float:
+def fixed_exposure_ms(experiment: Experiment, background: FloatImage) -> float:
     """Return the exposure; an automatic one is set on the brightest channel of the untouched coat.
 
     Images are compared with the background: all must have its exposure.
@@ -69,7 +66,7 @@ def fixed_exposure_ms(experiment: Experiment, background: FloatArray) -> float:
     return choose_exposure_ms(experiment, brightest)
 
 
-def as_projector_light(experiment: Experiment, radiance: FloatArray) -> FloatArray:
+def as_projector_light(experiment: Experiment, radiance: FloatImage) -> FloatImage:
     """Radiance at the projector's wavelength that frees as many electrons, (row, col, channel).
 
     The exposure model counts photons of one wavelength: mW of red are more photons than of blue.
@@ -79,7 +76,7 @@ def as_projector_light(experiment: Experiment, radiance: FloatArray) -> FloatArr
     return radiance * np.array(factors, np.float32)
 
 
-def develop(experiment: Experiment, radiance: FloatArray, trial: int = 0) -> Levels:
+def develop(experiment: Experiment, radiance: FloatImage, trial: int = 0) -> Levels:
     """Expose the camera and return what its driver delivers.
 
     Parameters

@@ -9,9 +9,8 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
-from reconstruction.arrays import Doubles, Levels
+from reconstruction.arrays import FloatArray, FloatImage, Levels
 from reconstruction.errors import InputError
 from reconstruction.photometric import (
     BallPress,
@@ -47,8 +46,6 @@ if TYPE_CHECKING:
 
     from twin.optics.colour_trace import ColourScene
 
-FloatArray = NDArray[np.float32]
-
 # Dots of the product are read up to this grey level (measured behaviour of the vendor's programs).
 MARKER_LEVEL = 70
 # A small ball in a dark corner now and then leaves no circle: such a press would be repeated.
@@ -70,7 +67,7 @@ class LitCoat:
     """
 
     scene: "ColourScene"
-    background: FloatArray
+    background: FloatImage
     exposure_ms: float
 
 
@@ -114,7 +111,7 @@ class ColourSensor:
         self.coat.scene.put(face)
         return self.coat.scene.truth(*self._pose(image_pinhole(self.experiment)))
 
-    def _pose(self, pinhole: Pinhole) -> tuple[Pinhole, Doubles]:
+    def _pose(self, pinhole: Pinhole) -> tuple[Pinhole, FloatArray]:
         return pinhole, world_from_device(self.experiment.camera.pose, pinhole)
 
 

@@ -50,7 +50,7 @@ def draw_residuals(path: Path, done: BoardCalibration) -> None:
     found = done.result.adjustment
     used = np.concatenate(found.used)
     measured = np.concatenate(found.measured_px)[used]
-    misses = np.concatenate(found.misses_px)[used]
+    misses = np.concatenate(found.residuals_px)[used]
     width, height = done.observations[0].camera_size_px
     with drawing(path, 10.2, 4.2) as figure:
         for left, first, device in ((0.7, 0, "camera"), (5.7, 2, "projector")):

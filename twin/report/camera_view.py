@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from reconstruction.capture.folder import Capture
 from reconstruction.mask import Reason
-from reconstruction.patterns import Frame
+from reconstruction.patterns import PatternFrame
 from twin.report.canvas import GAP, add_colorbar, diverging, height_scale, round_up, sequential
 from twin.report.decoding import REASON_COLOURS
 from twin.report.frames import block_mean
@@ -31,13 +31,13 @@ _SHOWN_PX = 480
 _RELIEF_SHARE = 0.2
 
 
-def white_frame(capture: Capture) -> Frame:
+def white_frame(capture: Capture) -> PatternFrame:
     """Return the white frame of a sequence."""
     frames = capture.patterns.frames[capture.patterns.index("white")]
     return frames[0]
 
 
-def fringe_frame(capture: Capture) -> Frame:
+def fringe_frame(capture: Capture) -> PatternFrame:
     """Return the first phase frame with vertical fringes."""
     frames = capture.patterns.frames[capture.patterns.index("phase", "column")]
     return frames[0]
@@ -62,7 +62,7 @@ def true_scale_mm(scored: Measurement) -> tuple[float, float]:
     return height_scale(scored.truth.points_world_mm[seen][:, 2]) if seen.any() else (0.0, 1.0)
 
 
-def show_frame(axes: Axes, capture: Capture, frame: Frame) -> None:
+def show_frame(axes: Axes, capture: Capture, frame: PatternFrame) -> None:
     """Show a frame's digital numbers: black is 0, white is saturation."""
     image = capture.stack[capture.patterns.frames.index(frame)]
     small = block_mean(image, -(-max(image.shape) // _SHOWN_PX))

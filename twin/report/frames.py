@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
 from reconstruction.capture.folder import Capture
-from reconstruction.patterns import AXES, Axis, Frame
+from reconstruction.patterns import AXES, Axis, PatternFrame
 from twin.report.canvas import (
     FAINT,
     FIT,
@@ -50,7 +50,7 @@ def draw_frames(path: Path, capture: Capture) -> None:
         _profile(profile, capture)
 
 
-def _sheet(capture: Capture) -> list[list[Frame]]:
+def _sheet(capture: Capture) -> list[list[PatternFrame]]:
     """Rows of frames: uniform + phase, then the finest Gray bits; columns first."""
     patterns = capture.patterns
     by_name = {frame.name: frame for frame in patterns.frames}
@@ -61,7 +61,7 @@ def _sheet(capture: Capture) -> list[list[Frame]]:
     ]
 
 
-def _phases(capture: Capture, axis: Axis) -> list[Frame]:
+def _phases(capture: Capture, axis: Axis) -> list[PatternFrame]:
     """Frames about a quarter of a period apart."""
     patterns = capture.patterns
     frames = patterns.frames[patterns.index("phase", axis)]
@@ -69,11 +69,11 @@ def _phases(capture: Capture, axis: Axis) -> list[Frame]:
     return [frames[n] for n in chosen if n < len(frames)]
 
 
-def _finest_gray(capture: Capture, axis: Axis) -> list[Frame]:
+def _finest_gray(capture: Capture, axis: Axis) -> list[PatternFrame]:
     return list(capture.patterns.frames[capture.patterns.index("gray", axis)][-_COLUMNS:])
 
 
-def _thumb(axes: Axes, capture: Capture, frame: Frame) -> None:
+def _thumb(axes: Axes, capture: Capture, frame: PatternFrame) -> None:
     image = capture.stack[capture.patterns.frames.index(frame)]
     axes.set_title(frame.name.replace("_", " "), fontsize=8.0, pad=3.0)
     axes.set(xticks=[], yticks=[])

@@ -5,7 +5,6 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from twin.config.models import Experiment
 from twin.mechanics import PressedElastomer, SheetFields, face_normals
@@ -31,8 +30,6 @@ from twin.report.section import (
     touched_profile,
     trace_through_apexes,
 )
-
-FloatArray = NDArray[np.float64]
 
 _SAMPLES = 801
 # Edges press many times harder than faces: above this ratio the scale ends at that percentile.

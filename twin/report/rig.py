@@ -10,16 +10,14 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.patches import Circle, Polygon
-from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
+from reconstruction.arrays import FloatArray
 from reconstruction.rig.pinhole import Pinhole
 from twin.config.models import Experiment
 from twin.optics.rig import true_calibration
 from twin.report.canvas import FIT, INK, MEASURED, NOMINAL, axes_at, drawing, plain_spines
 from twin.specimens import shape_of
-
-FloatArray = NDArray[np.float64]
 
 
 def draw_rig(path: Path, experiment: Experiment) -> None:

@@ -7,14 +7,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import RegularGridInterpolator
 
+from reconstruction.arrays import FloatArray
 from twin.config.models import Experiment
 from twin.mechanics import PressedElastomer
 from twin.specimens import Sphere, height_above_lowest, shape_of
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

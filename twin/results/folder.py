@@ -38,6 +38,7 @@ import numpy as np
 
 from reconstruction.arrays import Levels
 from reconstruction.errors import InputError
+from reconstruction.evaluate.surface import write_surface
 from reconstruction.outputs import read_reconstruction, write_reconstruction
 from reconstruction.photometric import (
     SensorCalibration,
@@ -46,9 +47,8 @@ from reconstruction.photometric import (
     write_height_points,
     write_sensor_calibration,
 )
-from reconstruction.photometric.colour_table import ColourTable
+from reconstruction.photometric.colour_maps import ColourTable
 from reconstruction.photometric.sensor_calibration import MapKind
-from reconstruction.surface_files import write_surface
 from twin.config import Experiment, load_experiment
 from twin.mechanics import read_press
 from twin.optics.stack import Truth

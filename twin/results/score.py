@@ -14,19 +14,15 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from reconstruction.arrays import BoolImage, Doubles, FloatImage
+from reconstruction.arrays import BoolImage, FloatArray, FloatImage
 from reconstruction.errors import FitError
-from reconstruction.evaluate.fit import SphereFit, fit_sphere
+from reconstruction.evaluate.fit import SphereFit, fit_sphere, p95_of_size, rms, spread
 from reconstruction.photometric import HeightMap
 from reconstruction.pipeline import Reconstruction, filter_bias
 from twin.config.models import Experiment
 from twin.optics.stack import Truth
 from twin.specimens import Sphere, shape_of
 
-FloatArray = NDArray[np.float64]
-
-# 1.4826 MAD estimates the standard deviation of a normal distribution.
-_MAD_TO_SIGMA = 1.4826
 # Four points fix a sphere exactly: its residuals are 0 whatever the error.
 _LEAST_SPHERE_POINTS = 5
 _SPHERE_FIGURES = (
@@ -171,7 +167,7 @@ def score_truth(
         sigma_z_median_um=figure_of(sigma_um, np.median),
         filter_bias_um=bias_um,
         filter_bias_share=bias_share,
-        error_over_sigma=figure_of(error_um / np.maximum(sigma_um, 1e-9), _spread, least=2),
+        error_over_sigma=figure_of(error_um / np.maximum(sigma_um, 1e-9), spread, least=2),
     )
 
 
@@ -200,20 +196,6 @@ def figure_of(
     return float(figure(values)) if len(values) >= least else None
 
 
-def rms(values: FloatArray) -> float:
-    """Return the root mean square of at least one value."""
-    return float(np.sqrt(np.mean(values**2)))
-
-
-def p95_of_size(values: FloatArray) -> float:
-    """Return the 95th percentile of the values' sizes."""
-    return float(np.percentile(np.abs(values), 95))
-
-
-def _spread(values: FloatArray) -> float:
-    return float(_MAD_TO_SIGMA * np.median(np.abs(values - np.median(values))))
-
-
 def wanted_pixels(experiment: Experiment, truth: Truth) -> NDArray[np.bool_]:
     """Pixels that ought to give a point, (row, col).
 
@@ -229,7 +211,7 @@ def wanted_pixels(experiment: Experiment, truth: Truth) -> NDArray[np.bool_]:
     return np.asarray(inside & truth.measured)
 
 
-def in_world(heights: HeightMap) -> Doubles:
+def in_world(heights: HeightMap) -> FloatArray:
     """Place a height map in the world, (row, col, xyz): the image's middle looks at the origin."""
     rows, cols = heights.height_mm.shape
     col, row = np.meshgrid(np.arange(cols), np.arange(rows))
@@ -276,7 +258,7 @@ def _spheres(
     return tuple(fitted), tuple(unfitted)
 
 
-def _scale(found_mm: Doubles, true_mm: FloatImage) -> float | None:
+def _scale(found_mm: FloatArray, true_mm: FloatImage) -> float | None:
     true = true_mm.astype(np.float64) - true_mm.mean(dtype=np.float64)
     if not np.ptp(true_mm):
         return None

@@ -10,10 +10,10 @@ from functools import lru_cache
 import numpy as np
 import trimesh
 
+from reconstruction.arrays import FloatArray
 from twin.config.objects import Bear
 from twin.specimens.catalogue import register
 from twin.specimens.meshes import MeshShape
-from twin.specimens.pose import FloatArray
 from twin.specimens.solids import level_set
 
 # The drawing, 16 mm long, on its back, face up, ears towards +y: middle and half axes of the

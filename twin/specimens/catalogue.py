@@ -12,10 +12,11 @@ from typing import Protocol, TypeVar
 import numpy as np
 import trimesh
 
+from reconstruction.arrays import FloatArray
 from reconstruction.errors import InputError
 from twin.config.models import Specimen
 from twin.specimens.distance import SignedDistance
-from twin.specimens.pose import FloatArray, Pose, pose_of, raised
+from twin.specimens.pose import Pose, pose_of, raised
 
 
 @dataclass(frozen=True)

@@ -5,10 +5,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 import trimesh
 
+from reconstruction.arrays import FloatArray
 from twin.config.models import Flat, Rod
 from twin.specimens.catalogue import Sphere, register
 from twin.specimens.distance import CylinderDistance, SignedDistance
-from twin.specimens.pose import FloatArray, Pose
+from twin.specimens.pose import Pose
 
 _PASSES = 60
 _EXACT_MM = 1e-10

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numba
 import numpy as np
 
+from reconstruction.arrays import FloatArray
 from reconstruction.cores import threads
-from twin.specimens.pose import FloatArray
 
 if TYPE_CHECKING:
     from twin.specimens.catalogue import Shape

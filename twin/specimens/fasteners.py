@@ -5,10 +5,11 @@ from functools import lru_cache
 import numpy as np
 import trimesh
 
+from reconstruction.arrays import FloatArray
 from twin.config.objects import Nut, TBolt
 from twin.specimens.catalogue import register
 from twin.specimens.meshes import MeshShape
-from twin.specimens.pose import FloatArray, unposed
+from twin.specimens.pose import unposed
 from twin.specimens.solids import (
     SECTIONS,
     along_axis,

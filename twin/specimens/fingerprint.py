@@ -13,10 +13,11 @@ from functools import lru_cache
 import numpy as np
 import trimesh
 
+from reconstruction.arrays import FloatArray
 from twin.config.fingerprint import Fingerprint
 from twin.specimens.catalogue import register
 from twin.specimens.meshes import MeshShape
-from twin.specimens.pose import FloatArray, unposed
+from twin.specimens.pose import unposed
 from twin.specimens.raster import IntArray
 
 # Chords stay within depth pi^2 / 4 / 12^2 of a ridge, 1.2 um at 0.07 mm.

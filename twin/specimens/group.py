@@ -6,10 +6,11 @@ from functools import reduce
 import numpy as np
 import trimesh
 
+from reconstruction.arrays import FloatArray
 from twin.config.models import Group
 from twin.specimens.catalogue import Shape, Sphere, register, shape_of
 from twin.specimens.distance import SignedDistance
-from twin.specimens.pose import FloatArray, Pose, raised
+from twin.specimens.pose import Pose, raised
 
 
 @dataclass(frozen=True)

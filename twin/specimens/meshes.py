@@ -7,11 +7,12 @@ from functools import cached_property
 import numpy as np
 import trimesh
 
+from reconstruction.arrays import FloatArray
 from twin.config.models import Grating, MeshFile
 from twin.specimens.catalogue import Sphere, register
 from twin.specimens.distance import BoxDistance, SignedDistance
 from twin.specimens.mesh_file import read_closed_mesh
-from twin.specimens.pose import UNMOVED, FloatArray, Pose
+from twin.specimens.pose import UNMOVED, Pose
 from twin.specimens.raster import upper_side
 from twin.specimens.sampled_distance import MeshDistance
 from twin.specimens.solids import rounded_box

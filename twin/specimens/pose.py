@@ -4,11 +4,10 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
-import numpy.typing as npt
 
+from reconstruction.arrays import FloatArray
 from twin.config.models import Specimen
 
-FloatArray = npt.NDArray[np.float64]
 AnySpecimen = TypeVar("AnySpecimen", bound=Specimen)
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import numpy.typing as npt
 
-from twin.specimens.pose import FloatArray
+from reconstruction.arrays import FloatArray
 
 IntArray = npt.NDArray[np.int64]
 

@@ -14,8 +14,9 @@ import numpy as np
 import numpy.typing as npt
 import trimesh
 
+from reconstruction.arrays import FloatArray
 from twin.specimens.distance import Evaluation, compiled, over_points
-from twin.specimens.pose import FloatArray, Pose
+from twin.specimens.pose import Pose
 from twin.specimens.triangle_crossings import Columns
 from twin.specimens.triangle_distance import (
     IntArray,

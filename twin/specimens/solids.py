@@ -7,7 +7,7 @@ import manifold3d
 import numpy as np
 import trimesh
 
-from twin.specimens.pose import FloatArray
+from reconstruction.arrays import FloatArray
 
 #: Facets round a full turn. 2 degrees each: a chord stays within 0.6 um of a 4 mm radius.
 SECTIONS = 180

@@ -9,10 +9,11 @@ from itertools import pairwise
 import numpy as np
 import trimesh
 
+from reconstruction.arrays import FloatArray
 from twin.config.models import Ball, TwoBalls
 from twin.specimens.catalogue import Sphere, register
 from twin.specimens.distance import BallDistance, SignedDistance
-from twin.specimens.pose import FloatArray, Pose
+from twin.specimens.pose import Pose
 
 # Level 6 has 82 k facets; its chords stay within 0.3 um of a 4 mm ball.
 _SUBDIVISIONS = 6

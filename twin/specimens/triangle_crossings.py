@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from reconstruction.arrays import FloatArray
 from twin.specimens.distance import compiled
-from twin.specimens.pose import FloatArray
 from twin.specimens.triangle_distance import IntArray, over_bands
 
 BoolArray = npt.NDArray[np.bool_]

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from reconstruction.arrays import FloatArray
 from reconstruction.cores import threads
 from twin.specimens.distance import compiled
-from twin.specimens.pose import FloatArray
 
 IntArray = npt.NDArray[np.int64]
 

@@ -14,9 +14,9 @@ import numpy as np
 from scipy import sparse
 from scipy.linalg import cho_factor, cho_solve
 
+from reconstruction.arrays import FloatArray
 from twin.mechanics.control import BoolArray
 from twin.mechanics.errors import SolverError
-from twin.mechanics.transfer import FloatArray
 
 Deflect = Callable[[FloatArray], FloatArray]
 

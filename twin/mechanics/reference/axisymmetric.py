@@ -11,6 +11,7 @@ from typing import Literal
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from reconstruction.arrays import FloatArray
 from twin.mechanics.errors import PressError
 from twin.mechanics.reference.ball_contact import BallContact
 from twin.mechanics.reference.grid import Grid, IntArray, Surface, graded, refined
@@ -19,7 +20,6 @@ from twin.mechanics.reference.material import moduli, neo_hookean
 from twin.mechanics.reference.mixed import Body
 from twin.mechanics.reference.newton import Equilibrium, NewtonOptions, Problem, press_to
 from twin.mechanics.reference.pushed import Pushed
-from twin.mechanics.transfer import FloatArray
 
 Support = Literal["bonded", "simple", "clamped", "ledge"]
 

@@ -11,10 +11,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from reconstruction.arrays import FloatArray
 from twin.mechanics.control import BoolArray
 from twin.mechanics.reference.grid import Surface
 from twin.mechanics.reference.pushed import Pushed, push
-from twin.mechanics.transfer import FloatArray
 
 # The tangential penalty may be softer: sticking needs no sharp constraint.
 _TANGENTIAL_STIFFNESS = 0.3

@@ -11,6 +11,7 @@ from functools import cached_property
 import numpy as np
 from scipy.interpolate import CloughTocher2DInterpolator
 
+from reconstruction.arrays import FloatArray
 from twin.mechanics.control import BoolArray
 from twin.mechanics.errors import PressError
 from twin.mechanics.layouts import Preload
@@ -19,7 +20,6 @@ from twin.mechanics.reference.height_field import sample
 from twin.mechanics.reference.pad import Pad
 from twin.mechanics.reference.taylor_hood import ElasticBody, Facets
 from twin.mechanics.reference.tetrahedra import Tetrahedra
-from twin.mechanics.transfer import FloatArray
 from twin.specimens import Shape
 
 # Foundation stiffness times element size over Young's modulus: it yields by some 0.5 um.

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from reconstruction.arrays import FloatArray
 from twin.config.models import Elastomer, Press, Specimen
 from twin.mechanics.errors import PressError
 from twin.mechanics.hardness import young_modulus
@@ -11,7 +12,6 @@ from twin.mechanics.reference.fem3d import Face, PadPress, press_pad
 from twin.mechanics.reference.pad import Pad, SlabSupport, slab_pad
 from twin.mechanics.reference.pad_mesh import DEFAULT_COUNT, mesh_pad
 from twin.mechanics.reference.result import Scattered, on_grids
-from twin.mechanics.transfer import FloatArray
 from twin.specimens import Shape, shape_of
 
 _TYPICAL_RADIUS_MM = 4.0

@@ -21,8 +21,8 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.special import j0
 
+from reconstruction.arrays import FloatArray
 from twin.mechanics.errors import PressError, SolverError
-from twin.mechanics.transfer import FloatArray
 
 LayerBase = Literal["bonded", "slip", "half_space"]
 Profile = Literal["sphere", "paraboloid"]

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import sparse
 
-from twin.mechanics.transfer import FloatArray
+from reconstruction.arrays import FloatArray
 
 IntArray = npt.NDArray[np.int64]
 

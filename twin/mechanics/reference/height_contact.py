@@ -9,11 +9,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from reconstruction.arrays import FloatArray
 from twin.mechanics.control import BoolArray
 from twin.mechanics.reference.grid import Surface
 from twin.mechanics.reference.height_field import HeightField
 from twin.mechanics.reference.pushed import Pushed, push
-from twin.mechanics.transfer import FloatArray
 
 
 @dataclass(frozen=True)

@@ -10,9 +10,9 @@ import numpy as np
 from scipy import ndimage
 from scipy.interpolate import RectBivariateSpline
 
+from reconstruction.arrays import FloatArray
 from twin.mechanics.control import BoolArray
 from twin.mechanics.errors import PressError
-from twin.mechanics.transfer import FloatArray
 from twin.specimens import Shape
 
 _LARGEST_GRID = 800

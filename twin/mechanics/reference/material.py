@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twin.mechanics.transfer import FloatArray
+from reconstruction.arrays import FloatArray
 
 
 @dataclass(frozen=True)

@@ -10,9 +10,9 @@ from functools import cached_property
 import numpy as np
 from scipy import sparse
 
+from reconstruction.arrays import FloatArray
 from twin.mechanics.reference.grid import Grid, IntArray
 from twin.mechanics.reference.material import Material, Moduli
-from twin.mechanics.transfer import FloatArray
 
 
 @dataclass(frozen=True)

@@ -11,12 +11,12 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
+from reconstruction.arrays import FloatArray
 from twin.mechanics.control import BoolArray
 from twin.mechanics.errors import SolverError
 from twin.mechanics.reference.grid import IntArray
 from twin.mechanics.reference.mixed import Body
 from twin.mechanics.reference.pushed import Pushed
-from twin.mechanics.transfer import FloatArray
 
 _LINEAR_RESIDUAL = 1e-6
 

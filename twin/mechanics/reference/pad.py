@@ -11,9 +11,9 @@ from typing import Literal
 import numpy as np
 import trimesh
 
+from reconstruction.arrays import FloatArray
 from twin.mechanics.control import BoolArray
 from twin.mechanics.errors import PressError
-from twin.mechanics.transfer import FloatArray
 
 #: centres (facet, xyz) mm and outward unit normals (facet, xyz) to a choice (facet,)
 Selector = Callable[[FloatArray, FloatArray], BoolArray]

@@ -3,6 +3,7 @@
 import numpy as np
 import trimesh
 
+from reconstruction.arrays import FloatArray
 from twin.mechanics.reference.height_field import sample
 from twin.mechanics.reference.pad import Pad, Selector
 from twin.mechanics.reference.tetrahedra import (
@@ -12,7 +13,6 @@ from twin.mechanics.reference.tetrahedra import (
     graded_towards,
     tetrahedralize,
 )
-from twin.mechanics.transfer import FloatArray
 from twin.specimens import Shape
 
 # 19 k unknowns, a dozen seconds and 0.6 GiB.

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 
+from reconstruction.arrays import FloatArray
 from twin.mechanics.control import BoolArray
 from twin.mechanics.reference.grid import Surface
-from twin.mechanics.transfer import FloatArray
 
 
 @dataclass(frozen=True)

@@ -6,12 +6,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.interpolate import LinearNDInterpolator
 
+from reconstruction.arrays import FloatArray
 from twin.config.models import Elastomer, Press
 from twin.mechanics.control import BoolArray
 from twin.mechanics.errors import PressError
 from twin.mechanics.layouts import face_nodes
 from twin.mechanics.press import PressedElastomer
-from twin.mechanics.transfer import FloatArray
 from twin.mechanics.validity import Validity, assess, margin_mm, max_slope_deg
 from twin.specimens import Shape
 

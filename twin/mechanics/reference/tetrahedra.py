@@ -20,8 +20,8 @@ import numpy.typing as npt
 import trimesh
 from scipy.spatial import cKDTree
 
+from reconstruction.arrays import FloatArray
 from twin.mechanics.errors import PressError, SolverError
-from twin.mechanics.transfer import FloatArray
 
 IntArray = npt.NDArray[np.int64]
 #: points (n, 3) mm to wanted edge lengths (n,) mm

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import CloughTocher2DInterpolator, NearestNDInterpolator
 
+from reconstruction.arrays import FloatArray
 from twin.config.models import Elastomer, Press, Specimen
 from twin.mechanics.errors import PressError
 from twin.mechanics.hardness import young_modulus
@@ -24,7 +25,6 @@ from twin.mechanics.reference.material import moduli, neo_hookean
 from twin.mechanics.reference.mixed import Body
 from twin.mechanics.reference.newton import Equilibrium, NewtonOptions, Problem, press_to
 from twin.mechanics.reference.result import Scattered, Surface, on_grids
-from twin.mechanics.transfer import FloatArray
 from twin.specimens import shape_of
 
 _SURFACE_POINTS = 3

@@ -12,12 +12,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import numpy.typing as npt
 
+from reconstruction.arrays import FloatArray
 from reconstruction.cores import threads
 from twin.mechanics.errors import SolverError
 from twin.mechanics.sheet.grid import SheetGrid
 from twin.mechanics.sheet.kernel import SLOTS, Grip, Laws, Touch, assemble_rows, surface_rows
 from twin.mechanics.sheet.linear_solver import LinearSolver, linear_solver
-from twin.mechanics.transfer import FloatArray
 from twin.specimens.distance import SignedDistance
 
 # A band is a block of cell rows that one thread takes; its forces reach two rows beyond it.

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 
+from reconstruction.arrays import FloatArray
 from twin.mechanics.sheet.equilibrium import Sheet, SheetState
 from twin.mechanics.sheet.grid import SheetGrid
 from twin.mechanics.sheet.splines import subdivided
-from twin.mechanics.transfer import FloatArray
 
 _FEWEST_PARTS, _MOST_PARTS = 2, 12
 _DEGENERATE_MM2 = 1e-14

@@ -10,9 +10,9 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from reconstruction.arrays import FloatArray
 from twin.mechanics.sheet.kernel import Rest
 from twin.mechanics.sheet.splines import SplineLine
-from twin.mechanics.transfer import FloatArray
 
 Outline = Literal["rectangular", "round"]
 Rim = Literal["clamped", "simple"]

@@ -19,7 +19,7 @@ from typing import Any, NamedTuple, TypeVar, cast
 import numba
 import numpy as np
 
-from twin.mechanics.transfer import FloatArray
+from reconstruction.arrays import FloatArray
 
 # Sums may be reordered for vector units: results are compared with tolerances that know of it.
 _OPTIONS: dict[str, Any] = {

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
-from twin.mechanics.transfer import FloatArray
+from reconstruction.arrays import FloatArray
 
 IntArray = npt.NDArray[np.int32]
 _REAL_POSITIVE_DEFINITE = 2

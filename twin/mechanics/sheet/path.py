@@ -10,11 +10,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.interpolate import RegularGridInterpolator
 
+from reconstruction.arrays import FloatArray
 from twin.mechanics.errors import PressError, SolverError
 from twin.mechanics.sheet.equilibrium import Accuracy, Sheet, SheetState, thinning_of
 from twin.mechanics.sheet.grid import SheetGrid
 from twin.mechanics.sheet.kernel import Grip
-from twin.mechanics.transfer import FloatArray
 
 TRAVEL_STEP_MM, PRESSURE_STEPS_KPA = 0.2, (0.5, 1.0, 2.0, 3.0, 4.5, 6.0, 8.0, 10.0)
 _PRESSURE_STEP_BEYOND_KPA = 2.0

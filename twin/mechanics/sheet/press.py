@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from reconstruction.arrays import FloatArray
 from twin.config.models import Elastomer, Mechanics, Press, Specimen
 from twin.mechanics.errors import PressError, SolverError
 from twin.mechanics.hardness import young_modulus
@@ -34,7 +35,6 @@ from twin.mechanics.sheet.path import (
     refined,
 )
 from twin.mechanics.sheet.splines import graded_line
-from twin.mechanics.transfer import FloatArray
 from twin.mechanics.validity import SHEET_THICKNESS_MM, assess_sheet, margin_mm
 from twin.specimens import Shape, shape_of
 from twin.specimens.distance import (

@@ -5,7 +5,7 @@ from functools import cached_property
 
 import numpy as np
 
-from twin.mechanics.transfer import FloatArray
+from reconstruction.arrays import FloatArray
 
 _GAUSS = 0.5 / np.sqrt(3)
 #: change of width over distance

@@ -1,4 +1,4 @@
-"""Heights on a regular grid of world x and y, as other programs take them.
+"""The measured surface as other programs take it: height map on a grid, triangle mesh, files.
 
 A cell's height is the mean world z of the valid points in it; a cell without a point has none. No
 interpolation, so nothing is shown that was not measured.
@@ -10,18 +10,24 @@ from pathlib import Path
 
 import imageio.v3 as imageio
 import numpy as np
+from numpy.typing import NDArray
 
-from reconstruction.arrays import BoolImage, Doubles, FloatImage
+from reconstruction.arrays import BoolImage, FloatArray, FloatImage
 from reconstruction.disk import write_exr_channels, writing_netcdf
 from reconstruction.errors import InputError
+from reconstruction.outputs import write_point_map_ply
 from reconstruction.triangulation.triangulate import PointMap
 
 _PNG_LEVELS = 65534
 """Levels 1 to 65535 are heights, 0 is no height."""
+Triangles = NDArray[np.int32]
+
+CUT_OVER_TYPICAL = 5.0
+"""An edge this many times longer than the typical one bridges a jump: 79 degrees of slope."""
 
 
 @dataclass(frozen=True, eq=False)
-class HeightMap:
+class HeightGrid:
     """Mean heights per cell.
 
     Attributes
@@ -36,14 +42,14 @@ class HeightMap:
     pitch_mm : float
     """
 
-    x_mm: Doubles
-    y_mm: Doubles
+    x_mm: FloatArray
+    y_mm: FloatArray
     z_mm: FloatImage
     valid: BoolImage
     pitch_mm: float
 
 
-def height_map(points: PointMap, pitch_mm: float | None = None) -> HeightMap:
+def height_map(points: PointMap, pitch_mm: float | None = None) -> HeightGrid:
     """Average the valid points over square cells.
 
     Parameters
@@ -72,7 +78,7 @@ def height_map(points: PointMap, pitch_mm: float | None = None) -> HeightMap:
     index = (rows - 1 - cell[:, 1]) * cols + cell[:, 0]
     count = np.bincount(index, minlength=rows * cols).reshape(rows, cols)
     total = np.bincount(index, world[:, 2], rows * cols).reshape(rows, cols)
-    return HeightMap(
+    return HeightGrid(
         x_mm=(low[0] + np.arange(cols) + 0.5) * pitch,
         y_mm=(low[1] + np.arange(rows)[::-1] + 0.5) * pitch,
         z_mm=(total / np.maximum(count, 1)).astype(np.float32),
@@ -90,7 +96,7 @@ def _typical_distance_mm(points: PointMap) -> float:
     return float(np.median(np.hypot(apart[:, 0], apart[:, 1])))
 
 
-def write_height_netcdf(path: Path, heights: HeightMap) -> None:
+def write_height_netcdf(path: Path, heights: HeightGrid) -> None:
     """Write as netCDF-4 with coordinates x and y, mm."""
     with writing_netcdf(path) as file:
         file.attrs["Conventions"] = "CF-1.8"
@@ -105,7 +111,7 @@ def write_height_netcdf(path: Path, heights: HeightMap) -> None:
         mask.attrs["long_name"] = "1 where there is a height"
 
 
-def write_height_png(path: Path, heights: HeightMap) -> None:
+def write_height_png(path: Path, heights: HeightGrid) -> None:
     """Write as 16-bit PNG, and beside it PATH.json with the scale: z = first + step (level - 1)."""
     z = heights.z_mm[heights.valid].astype(np.float64)
     first, step = float(z.min()), max(float(np.ptp(z)) / (_PNG_LEVELS - 1), 1e-9)
@@ -124,6 +130,87 @@ def write_height_png(path: Path, heights: HeightMap) -> None:
     path.with_name(path.name + ".json").write_text(json.dumps(scale, indent=2), encoding="utf-8")
 
 
-def write_height_exr(path: Path, heights: HeightMap) -> None:
+def write_height_exr(path: Path, heights: HeightGrid) -> None:
     """Write as EXR with the channels Z (mm) and A (1 where there is a height)."""
     write_exr_channels(path, {"Z": heights.z_mm, "A": heights.valid.astype(np.float32)})
+
+
+@dataclass(frozen=True, eq=False)
+class SurfaceMesh:
+    """Triangles over the valid points.
+
+    Attributes
+    ----------
+    vertices_mm : (vertex, xyz) float32
+        World frame.
+    triangles : (triangle, 3) int32
+        Anticlockwise seen from the camera.
+    """
+
+    vertices_mm: FloatImage
+    triangles: Triangles
+
+
+def surface_mesh(points: PointMap, longest_mm: float | None = None) -> SurfaceMesh:
+    """Join valid points that are neighbours in the image.
+
+    Parameters
+    ----------
+    points : PointMap
+    longest_mm : float, optional
+        Triangles with a longer edge are left out; five times the typical edge by default.
+
+    Raises
+    ------
+    InputError : no three neighbouring points
+    """
+    number = np.cumsum(points.valid.ravel()).reshape(points.valid.shape) - 1
+    # Rows run down and the camera looks along the rays: (a, c, b) is anticlockwise from the camera.
+    a, b = number[:-1, :-1], number[:-1, 1:]
+    c, d = number[1:, :-1], number[1:, 1:]
+    v = points.valid
+    upper = v[:-1, :-1] & v[:-1, 1:] & v[1:, :-1]
+    lower = v[:-1, 1:] & v[1:, :-1] & v[1:, 1:]
+    triangles = np.concatenate(
+        [
+            np.stack([a[upper], c[upper], b[upper]], axis=-1),
+            np.stack([b[lower], c[lower], d[lower]], axis=-1),
+        ]
+    )
+    if not len(triangles):
+        raise InputError("surface mesh: no three neighbouring points; look at the mask's reasons")
+    vertices = points.points_world_mm[v].astype(np.float32)
+    corners = vertices[triangles]
+    edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=-1)
+    limit = longest_mm or CUT_OVER_TYPICAL * float(np.median(edges))
+    kept = triangles[edges.max(axis=1) <= limit].astype(np.int32)
+    return SurfaceMesh(vertices, kept)
+
+
+def write_mesh_ply(path: Path, mesh: SurfaceMesh) -> None:
+    """Write as little-endian binary PLY, mm."""
+    header = (
+        "ply\nformat binary_little_endian 1.0\ncomment units mm\n"
+        f"element vertex {len(mesh.vertices_mm)}\n"
+        "property float x\nproperty float y\nproperty float z\n"
+        f"element face {len(mesh.triangles)}\nproperty list uchar int vertex_indices\nend_header\n"
+    )
+    faces = np.zeros(len(mesh.triangles), [("n", "u1"), ("v", "<i4", 3)])
+    faces["n"], faces["v"] = 3, mesh.triangles
+    vertices = mesh.vertices_mm.astype("<f4")
+    path.write_bytes(header.encode("ascii") + vertices.tobytes() + faces.tobytes())
+
+
+def write_surface(folder: Path, points: PointMap) -> None:
+    """Write points.ply, and where there are neighbouring points the height map and the mesh.
+
+    height_map.nc, height_map.png with height_map.png.json, height_map.exr, surface.ply.
+    """
+    write_point_map_ply(folder / "points.ply", points)
+    if not (points.valid[1:, 1:] & points.valid[:-1, 1:] & points.valid[1:, :-1]).any():
+        return
+    heights = height_map(points)
+    write_height_netcdf(folder / "height_map.nc", heights)
+    write_height_png(folder / "height_map.png", heights)
+    write_height_exr(folder / "height_map.exr", heights)
+    write_mesh_ply(folder / "surface.ply", surface_mesh(points))

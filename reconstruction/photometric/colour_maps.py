@@ -1,7 +1,8 @@
-"""Smooth regression from colour and place to slope: polynomials fitted by ridge regression.
+"""From colour to slope: smooth polynomials, or the classic look-up table.
 
-With q = level / background - 1 per channel (vignetting and albedo cancel) and the tilt
-t = slope / sqrt(1 + |slope|^2), the horizontal part of the unit normal:
+Polynomials in colour and place are fitted by ridge regression. With q = level / background - 1 per
+channel (vignetting and albedo cancel) and the tilt t = slope / sqrt(1 + |slope|^2), the horizontal
+part of the unit normal:
 
     t = sum over a of q^a (sum over b of c_ab place^b),   1 <= |a| <= 3, |b| <= 3
 
@@ -9,6 +10,11 @@ For Lambert's law and linear light the tilt is linear in q (Woodham 1980, Optica
 139); the higher terms take up display gamma, soft shadows and crosstalk, the place the finite
 distance of the lamps. Without a term |a| = 0 untouched gel is flat whatever the coefficients.
 A closed-form fit: the same samples give the same bytes, and there is nothing to tune.
+
+The RGB look-up table holds a mean slope for every bin of colour difference. As described for the
+published comparisons: colours minus the background are put in bins, the slopes of calibration
+pixels in a bin are averaged, empty bins take those of the nearest filled one. It knows nothing of
+the place in the image but what the flat-field factor says.
 """
 
 from collections.abc import Mapping
@@ -19,8 +25,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
+from scipy.ndimage import distance_transform_edt
 
-from reconstruction.arrays import BoolImage, Doubles, FloatImage
+from reconstruction.arrays import BoolImage, FloatArray, FloatImage
 from reconstruction.errors import CaptureError, FitError
 from reconstruction.photometric.calibration_ball import Samples
 
@@ -38,6 +45,15 @@ SLACK = 0.1
 RANGE_PERCENT = (0.05, 99.95)
 # Horizontal part of a unit normal, at most: slope 3.
 LARGEST_TILT = 0.95
+# Published practice: 90 bins per channel over differences of [-90, 90) levels; an empty bin counts
+# as calibrated within a squared distance of 20 bins from a filled one.
+BINS = 90
+LOWEST_LEVELS = -90.0
+LEVELS_PER_BIN = 2.0
+FILL_DISTANCE = np.sqrt(20.0)
+# Weak background is amplified by 1 + 2 (mean / background - 1), published practice, here with the
+# median, which printed dots do not shift; the bound keeps a dead corner from becoming noise.
+LARGEST_FACTOR = 4.0
 
 
 def _exponents(variables: int, lowest: int, highest: int) -> tuple[tuple[int, ...], ...]:
@@ -63,9 +79,9 @@ class ColourPolynomial:
     lowest, highest : (3,) float, range of q that the calibration covered
     """
 
-    coefficients: Doubles
-    lowest: Doubles
-    highest: Doubles
+    coefficients: FloatArray
+    lowest: FloatArray
+    highest: FloatArray
 
     def __post_init__(self) -> None:
         shape = (2, len(COLOUR_TERMS), len(PLACE_TERMS))
@@ -150,7 +166,7 @@ def fit_polynomial(samples: Samples, shape: tuple[int, int]) -> ColourPolynomial
     return ColourPolynomial(coefficients, low - slack, high + slack)
 
 
-def _ridge(q: Doubles, places: Doubles, tilt: Doubles) -> Doubles:
+def _ridge(q: FloatArray, places: FloatArray, tilt: FloatArray) -> FloatArray:
     """Return the ridge solution, (feature, 2), from normal equations summed in chunks."""
     size = len(COLOUR_TERMS) * len(PLACE_TERMS)
     normal, right = np.zeros((size, size)), np.zeros((size, 2))
@@ -167,12 +183,12 @@ def _ridge(q: Doubles, places: Doubles, tilt: Doubles) -> Doubles:
     return np.asarray(solved / scale[:, np.newaxis])
 
 
-def _penalties() -> Doubles:
+def _penalties() -> FloatArray:
     of_place = [RIDGE if not place else RIDGE_OF_PLACE for place in PLACE_TERMS]
     return np.tile(of_place, len(COLOUR_TERMS))
 
 
-def _scaled(places_px: Doubles, shape: tuple[int, int]) -> Doubles:
+def _scaled(places_px: FloatArray, shape: tuple[int, int]) -> FloatArray:
     """Return rows and columns as numbers from -1 to 1, (2, n)."""
     size = np.array(shape, dtype=np.float64) - 1.0
     return np.asarray((2.0 * places_px / size - 1.0).T)
@@ -192,3 +208,85 @@ def _slopes_of_tilt(tilt: FloatImage) -> FloatImage:
     square = np.minimum(np.sum(tilt**2, axis=0), np.float32(LARGEST_TILT**2))
     slopes: FloatImage = tilt / np.sqrt(np.float32(1.0) - square)
     return slopes
+
+
+@dataclass(frozen=True, eq=False)
+class ColourTable:
+    """Look-up table.
+
+    Parameters
+    ----------
+    slopes : (red, green, blue, 2) float32, 90 bins each, mm/mm along rows and along columns
+    known : (red, green, blue) bool, bins that calibration pixels reached or nearly reached
+    """
+
+    slopes: FloatImage
+    known: BoolImage
+
+    def __post_init__(self) -> None:
+        shape = (BINS, BINS, BINS)
+        if self.slopes.shape != (*shape, 2) or self.known.shape != shape:
+            raise CaptureError(
+                f"colour table has shapes {self.slopes.shape} and {self.known.shape}; it needs "
+                f"{(*shape, 2)} and {shape}"
+            )
+        if not bool(np.all(np.isfinite(self.slopes))) or self.known.dtype != np.bool_:
+            raise CaptureError("colour table holds slopes that are not finite or no flags")
+
+    def bound_to(self, background: FloatImage) -> "BoundTable":
+        """Return the table with what depends on the background only computed once."""
+        return BoundTable(self, background, _flat_field(background))
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """Return what to store."""
+        return {"slopes": self.slopes, "known": self.known}
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> "ColourTable":
+        """Rebuild from stored arrays; KeyError if one is missing."""
+        return cls(arrays["slopes"].astype(np.float32), arrays["known"])
+
+
+@dataclass(frozen=True, eq=False)
+class BoundTable:
+    """Table, background and its flat-field factor, (row, col, 3)."""
+
+    table: ColourTable
+    background: FloatImage
+    factor: FloatImage
+
+    def slopes(self, levels: FloatImage) -> tuple[FloatImage, BoolImage]:
+        """Return slopes (2, row, col) of smoothed levels (row, col, 3), and whether known."""
+        bins = _flat_bins((levels - self.background) * self.factor)
+        slopes = self.table.slopes.reshape(-1, 2)[bins]
+        known: BoolImage = self.table.known.ravel()[bins]
+        return np.moveaxis(slopes, -1, 0), known
+
+
+def fit_table(samples: Samples, background: FloatImage) -> ColourTable:
+    """Average the slopes of each bin and fill the empty ones from the nearest filled bin."""
+    row, col = samples.places_px.astype(np.intp).T
+    factor = _flat_field(background)[row, col]
+    bins = _flat_bins((samples.levels - samples.background) * factor)
+    count = np.bincount(bins, minlength=BINS**3)
+    sums = [np.bincount(bins, weights=s, minlength=BINS**3) for s in samples.slopes.T]
+    mean = np.stack(sums, axis=-1) / np.maximum(count, 1)[:, np.newaxis]
+    empty = (count == 0).reshape(BINS, BINS, BINS)
+    distance, nearest = distance_transform_edt(empty, return_indices=True)
+    filled = mean.reshape(BINS, BINS, BINS, 2)[tuple(nearest)]
+    return ColourTable(filled.astype(np.float32), distance <= FILL_DISTANCE)
+
+
+def _flat_field(background: FloatImage) -> FloatImage:
+    typical = np.median(background, axis=(0, 1), keepdims=True)
+    factor = 1.0 + 2.0 * (typical / np.maximum(background, 1.0) - 1.0)
+    clipped: FloatImage = np.clip(factor, 1.0 / LARGEST_FACTOR, LARGEST_FACTOR)
+    return clipped.astype(np.float32)
+
+
+def _flat_bins(difference: FloatImage) -> NDArray[np.int32]:
+    """Return the index of each colour in the flattened table, (...,) from (..., 3)."""
+    index = ((difference - LOWEST_LEVELS) * (1.0 / LEVELS_PER_BIN)).astype(np.int32)
+    np.clip(index, 0, BINS - 1, out=index)
+    flat: NDArray[np.int32] = (index[..., 0] * BINS + index[..., 1]) * BINS + index[..., 2]
+    return flat

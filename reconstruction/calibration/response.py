@@ -8,11 +8,10 @@ to 1.
 """
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from reconstruction.arrays import BoolImage, Doubles, Stack
-from reconstruction.checks import require_number
-from reconstruction.errors import InputError
+from reconstruction.arrays import BoolImage, FloatArray, Stack
+from reconstruction.errors import InputError, require_number
 from reconstruction.patterns import AXES, PatternSet
 from reconstruction.rig.sensor import SensorNoise
 
@@ -47,7 +46,7 @@ def estimate_gamma(stack: Stack, patterns: PatternSet, sensor: SensorNoise) -> f
     return float((1.0 + 2.0 * ratio) / (1.0 - ratio))
 
 
-def _harmonics(frames: Stack, sensor: SensorNoise) -> Doubles:
+def _harmonics(frames: Stack, sensor: SensorNoise) -> FloatArray:
     """Return the sums of B_1 and of the part of B_2 in phase with it over all good pixels.
 
     The second one is linear in the noise, so that noise does not look like a harmonic.
@@ -64,7 +63,7 @@ def _harmonics(frames: Stack, sensor: SensorNoise) -> Doubles:
     return np.array([size[is_good].sum(), (second[is_good] / unit**2).real.sum()])
 
 
-def _noise_of_sum(frames: Stack, sensor: SensorNoise) -> Doubles:
+def _noise_of_sum(frames: Stack, sensor: SensorNoise) -> FloatArray:
     mean = frames.mean(axis=0, dtype=np.float64)
     return np.sqrt(len(frames) / 2.0 * sensor.variance_dn2(mean))
 
@@ -99,7 +98,7 @@ def apply_response(stack: Stack, table_dn: ArrayLike) -> Stack:
     ------
     InputError : a table that does not rise or is shorter than the levels of the stack
     """
-    table: NDArray[np.float64] = np.asarray(table_dn, dtype=np.float64)
+    table: FloatArray = np.asarray(table_dn, dtype=np.float64)
     if table.ndim != 1 or table.size < 2 or not np.all(np.diff(table) > 0.0):
         raise InputError(
             f"response table has shape {table.shape}; give strictly rising DN, (level,)"

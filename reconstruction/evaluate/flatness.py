@@ -1,4 +1,4 @@
-"""Areal roughness of a height map: Sa, Sq, Sz after ISO 25178-2."""
+"""Flatness (ISO 12781-1) and areal roughness (ISO 25178-2): what a reference plane leaves."""
 
 from dataclasses import dataclass
 
@@ -6,13 +6,64 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.ndimage import gaussian_filter
 
-from reconstruction.arrays import Doubles
+from reconstruction.arrays import BoolImage, FloatArray
 from reconstruction.errors import FitError
-from reconstruction.evaluate.plane import flatness
+from reconstruction.evaluate.fit import PlaneFit, fit_plane, inliers
 
+_MOST_TURNS = 20
 # Gaussian of ISO 16610-61: exp(-pi (x / (a L))^2) / (a L)^2 with a = sqrt(ln 2 / pi).
 _SIGMA_OVER_NESTING = np.sqrt(np.log(2.0) / np.pi) / np.sqrt(2.0 * np.pi)
 _LEAST_SUPPORT = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class Flatness:
+    """Deviations of points from their plane.
+
+    Attributes
+    ----------
+    peak_to_valley_mm, rms_mm : float
+        ISO 12781-1's peak-to-valley and RMS flatness deviation, over the points kept.
+    kept : (n,) bool
+        Points that are no outliers.
+    plane : PlaneFit
+        Through the points kept.
+    """
+
+    peak_to_valley_mm: float
+    rms_mm: float
+    kept: BoolImage
+    plane: PlaneFit
+
+
+def flatness(points_mm: ArrayLike) -> Flatness:
+    """Fit the reference plane (least squares, repeated without outliers) and rate the deviations.
+
+    Parameters
+    ----------
+    points_mm : (n, 3) float
+
+    Raises
+    ------
+    FitError : too few points, or they lie on a line
+    """
+    points = np.asarray(points_mm, np.float64)
+    plane = fit_plane(points)
+    kept = np.ones(len(points), bool)
+    for _ in range(_MOST_TURNS):
+        now = inliers(distances_mm(points, plane))
+        if np.array_equal(now, kept):
+            break
+        kept = now
+        plane = fit_plane(points[kept])
+    residuals = plane.residuals_mm
+    return Flatness(float(np.ptp(residuals)), float(np.sqrt(np.mean(residuals**2))), kept, plane)
+
+
+def distances_mm(points_mm: FloatArray, plane: PlaneFit) -> FloatArray:
+    """Signed distances of points (n, 3) from a plane."""
+    distances: FloatArray = (points_mm - plane.centroid_mm) @ plane.normal
+    return distances
 
 
 @dataclass(frozen=True)
@@ -64,12 +115,12 @@ def areal_roughness(
     )
 
 
-def _without_waviness(level: Doubles, kept: Doubles, sigma_px: float) -> Doubles:
+def _without_waviness(level: FloatArray, kept: FloatArray, sigma_px: float) -> FloatArray:
     """Heights less their Gaussian mean, where half of the filter's weight lies on heights."""
     weight = gaussian_filter(kept.astype(np.float64), sigma_px, mode="constant")
     wave = gaussian_filter(level, sigma_px, mode="constant") / np.maximum(weight, 1e-12)
     rated = kept & (weight >= _LEAST_SUPPORT)
-    rough: Doubles = (level - wave)[rated]
+    rough: FloatArray = (level - wave)[rated]
     if not rough.size:
         raise FitError("roughness: no height has enough neighbours; take a smaller nesting_mm")
     return np.asarray(rough - rough.mean())

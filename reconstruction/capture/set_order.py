@@ -1,0 +1,279 @@
+"""Do the frames of a set stand in their order? Phase steps, first step and Gray words.
+
+Phase steps, from sums over many pixels. Symbols: x_np light of pixel p in step n, of unit standard
+deviation over the steps; G = x x^T the (N, N) matrix of sums over pixels; H the projection on 1,
+cos, sin of 2 pi n / N. The residual of an order P of the frames is tr((1 - H) P G P^T), so that all
+exchanges are tried without the images.
+
+First step: the phase must agree with the half-periods of the Gray code. A set that starts k steps
+late is a perfect set with all coordinates moved by k period / N. Only the Gray code tells: all bits
+of an edge-safe code together are even in the first half of every period, so that the mean of
++-exp(i phi) has the argument pi / 2, less the half pixel by which stripes begin earlier. A set
+recorded backwards has the phase 2 pi / N - phi.
+
+Gray words: those of neighbouring pixels differ by one. Exchanged Gray frames change neither the
+parity of a word nor that it differs from its neighbours in one bit, but by how much its number
+differs. BoolImage that nowhere change within the view tell nothing.
+"""
+
+from itertools import combinations
+
+import numpy as np
+
+from reconstruction.arrays import BoolImage, FloatArray, FloatImage, Stack
+from reconstruction.errors import CaptureError
+from reconstruction.patterns import AXES, Axis, PatternSet
+from reconstruction.rig.sensor import SensorNoise
+
+# One frame brighter or darker by more than this, measured against the cosine through all sums.
+LEVEL_TOLERANCE = 0.15
+# An exchange must leave less than this share of the residual: noise and harmonics do not profit.
+EXCHANGE_GAIN = 0.5
+# A single strange frame: its RMS deviation in units of the modulation, and its share of all.
+STRANGE_DEVIATION, STRANGE_SHARE = 0.2, 0.5
+# Share of the variance no cosine explains; a gamma of 2.2 leaves 0.08, frames at random 0.8.
+CHAOTIC = 0.35
+# Fewer steps leave no or one degree of freedom, in which no frame can be told from another.
+LEAST_STEPS = 5
+# In steps; and in radians, which blur, noise and a few fringes may move the mean by.
+LEAST_STEPS_OFF, LEAST_ANGLE_OFF = 0.7, 0.2
+# More steps than this are rather a set recorded backwards, where that explains them.
+MOST_STEPS_OFF = 2.0
+# Phase and Gray code go together above, and have nothing to do with each other below these shares
+# of the mean that ideal frames give.
+AGREES, DISAGREES = 0.6, 0.3
+# Points per projector pixel at which the pattern itself is looked up.
+FINE = 16
+
+POSITIONS = 8_000
+LEAST_CHANGES = 30
+# A pixel is used when its frames differ by this many sigmas of its noise.
+LIT_SIGMAS = 20.0
+# Share of jumps by more than one: steep edges and light between parts give up to 0.6 without any
+# mistake, which no exchange lowers: it is blamed only if it explains most. Coarse bits jump seldom.
+MANY_JUMPS, EXPLAINED = 0.02, 1.0 / 3.0
+
+
+def check_phase_sets(pixels: FloatArray, patterns: PatternSet) -> None:
+    """Check each set of N phase frames by itself.
+
+    Parameters
+    ----------
+    pixels : (frame, pixel), DN, unsaturated and lit
+
+    Raises
+    ------
+    CaptureError : one frame has another exposure, two are exchanged, one does not belong
+    """
+    for axis in AXES:
+        span = patterns.index("phase", axis)
+        for first in range(span.start, span.stop, patterns.steps):
+            names = [patterns.frames[first + n].name for n in range(patterns.steps)]
+            _check_set(pixels[first : first + patterns.steps], first, names)
+
+
+def _check_set(x: FloatArray, first: int, names: list[str]) -> None:
+    steps = len(x)
+    if steps < LEAST_STEPS:
+        return
+    remainder = np.eye(steps) - _projection(steps)
+    _check_levels(remainder @ x.mean(axis=1), x.mean(), first, names)
+    deviation = x.std(axis=0)
+    unit = ((x - x.mean(axis=0)) / np.where(deviation > 0.0, deviation, 1.0))[:, deviation > 0.0]
+    gram = unit @ unit.T / max(unit.shape[1], 1)
+    _check_exchange(gram, remainder, first, names)
+    _check_stranger(np.diag(remainder @ gram @ remainder), first, names)
+
+
+def _projection(steps: int) -> FloatArray:
+    angle = 2.0 * np.pi * np.arange(steps) / steps
+    basis = np.stack([np.full(steps, np.sqrt(0.5)), np.cos(angle), np.sin(angle)])
+    product: FloatArray = basis.T @ basis * (2.0 / steps)
+    return product
+
+
+def _check_levels(missed_dn: FloatArray, mean_dn: float, first: int, names: list[str]) -> None:
+    """Compare each frame's mean with the cosine that the means of all frames must follow."""
+    worst = int(np.argmax(np.abs(missed_dn)))
+    # What the frame misses of the cosine through the others; its own weight in the fit is 3 / N.
+    excess = float(missed_dn[worst] / (1.0 - 3.0 / len(names)))
+    if abs(excess) > LEVEL_TOLERANCE * mean_dn:
+        ratio = 1.0 + excess / max(mean_dn - excess / len(names), 1e-9)
+        raise CaptureError(
+            f"mixed exposures: frame {first + worst} ({names[worst]}) is {ratio:.2g} times as "
+            "bright as the frames beside it; record with fixed exposure, gain and light"
+        )
+
+
+def _check_exchange(gram: FloatArray, remainder: FloatArray, first: int, names: list[str]) -> None:
+    stated = float(np.sum(remainder * gram))
+    best, pair = stated, (0, 0)
+    for i, j in combinations(range(len(names)), 2):
+        order = np.arange(len(names))
+        order[[i, j]] = j, i
+        residual = float(np.sum(remainder * gram[np.ix_(order, order)]))
+        if residual < best:
+            best, pair = residual, (i, j)
+    if best < EXCHANGE_GAIN * stated and _is_real(stated - best, pair, len(names)):
+        i, j = pair
+        raise CaptureError(
+            f"frames {first + i} ({names[i]}) and {first + j} ({names[j]}) look exchanged: "
+            f"the other way round they fit the {len(names)} phase steps"
+        )
+
+
+def _is_real(gain: float, pair: tuple[int, int], steps: int) -> bool:
+    """Tell whether exchanging the frames changes the residual as much as their steps demand."""
+    # Two unit cosines apart by the angle a differ by 2 (1 - cos a) in square, twice for two frames;
+    # the fit through N frames takes up a part of it.
+    angle = 2.0 * np.pi * (pair[1] - pair[0]) / steps
+    return bool(gain > 0.3 * 4.0 * (1.0 - np.cos(angle)) * (1.0 - 3.0 / steps))
+
+
+def _check_stranger(power: FloatArray, first: int, names: list[str]) -> None:
+    steps = len(names)
+    worst, total = int(np.argmax(power)), float(power.sum())
+    # Unit standard deviation means a modulation of sqrt 2.
+    deviation = float(np.sqrt(power[worst] / 2.0)) / (1.0 - 3.0 / steps)
+    if deviation > STRANGE_DEVIATION and power[worst] > STRANGE_SHARE * total and steps > 6:
+        raise CaptureError(
+            f"frame {first + worst} ({names[worst]}) does not belong to its {steps} phase steps "
+            f"(it misses them by {deviation:.0%} of the modulation): shown twice, late, or another "
+            "picture; record the sequence again"
+        )
+    if total > CHAOTIC * steps:
+        raise CaptureError(
+            f"frames {first} to {first + steps - 1} ({names[0]} ...) are no {steps} equal phase "
+            f"steps ({total / steps:.0%} of their variance is no cosine); check order and steps"
+        )
+
+
+def check_first_step(pixels: FloatArray, patterns: PatternSet) -> None:
+    """Compare phase and Gray code along both axes; other codes cannot be checked.
+
+    Parameters
+    ----------
+    pixels : (frame, pixel), DN, unsaturated and lit
+
+    Raises
+    ------
+    CaptureError : the phase frames along an axis start at another step, run backwards, or are
+        those of the other axis
+    """
+    if patterns.code not in ("complementary_gray", "shifted_gray"):
+        return
+    found = {axis: _found(pixels, patterns, axis, axis) for axis in AXES}
+    expected = {axis: _expected(patterns, axis) for axis in AXES}
+    if all(abs(found[axis]) < DISAGREES * abs(expected[axis]) for axis in AXES):
+        _check_exchanged_axes(pixels, patterns)
+    for axis in AXES:
+        if abs(found[axis]) > AGREES * abs(expected[axis]):
+            _check_start(found[axis], expected[axis], patterns, axis)
+
+
+def _check_exchanged_axes(pixels: FloatArray, patterns: PatternSet) -> None:
+    crossed = [_found(pixels, patterns, axis, other) for axis, other in (AXES, AXES[::-1])]
+    if min(abs(mean) for mean in crossed) > AGREES * abs(_expected(patterns, "column")):
+        raise CaptureError(
+            "the phase frames of columns and rows look exchanged: each goes with the Gray frames "
+            "of the other axis"
+        )
+
+
+def _check_start(found: complex, expected: complex, patterns: PatternSet, axis: Axis) -> None:
+    per_step = 2.0 * np.pi / patterns.steps
+    turns = float(np.angle(found / expected))
+    backwards = float(np.angle(np.conj(found) * np.exp(1j * per_step) / expected))
+    steps = turns / per_step
+    if abs(steps) <= LEAST_STEPS_OFF or abs(turns) <= LEAST_ANGLE_OFF:
+        return
+    first = patterns.index("phase", axis).start
+    subject = f"the {patterns.steps} phase frames along {axis} (from frame {first}) look"
+    if abs(steps) > MOST_STEPS_OFF and abs(backwards) < LEAST_STEPS_OFF * per_step:
+        raise CaptureError(f"{subject} recorded backwards: against the Gray frames the phase falls")
+    late = "late" if steps > 0 else "early"
+    raise CaptureError(
+        f"{subject} shifted by {abs(round(steps)) or 1}: against the Gray frames they start that "
+        f"many steps {late}; start the recording with step 00"
+    )
+
+
+def _found(pixels: FloatArray, patterns: PatternSet, axis: Axis, coded: Axis) -> complex:
+    """Return the mean of the phase along `axis`, with the sign of the Gray word along `coded`."""
+    phase = pixels[patterns.index("phase", axis)][: patterns.steps]
+    turns = np.arange(patterns.steps) / patterns.steps
+    phasor = np.exp(-2j * np.pi * turns) @ phase
+    bits = pixels[patterns.index("gray", coded)] > phase.mean(axis=0)
+    sign = 1.0 - 2.0 * (bits.sum(axis=0) % 2)
+    return complex(np.mean(sign * phasor / np.maximum(np.abs(phasor), 1e-12)))
+
+
+def _expected(patterns: PatternSet, axis: Axis) -> complex:
+    length = patterns.length_px(axis)
+    x_px = (np.arange(length * FINE) + 0.5) / FINE - 0.5
+    half = np.floor(2.0 * np.arange(length) / patterns.period_px)
+    sign = 1.0 - 2.0 * (np.repeat(half, FINE) % 2)
+    return complex(np.mean(sign * np.exp(2j * np.pi * x_px / patterns.period_px)))
+
+
+def check_words(stack: Stack, patterns: PatternSet, sensor: SensorNoise) -> None:
+    """Compare the Gray words of neighbouring pixels of the frames (frame, row, col), DN.
+
+    Raises
+    ------
+    CaptureError : two Gray frames of an axis are clearly exchanged
+    """
+    if not any(patterns.word_bits(axis) for axis in AXES) or min(stack.shape[1:]) < 2:
+        return
+    corners_dn = _corners(stack, sensor)
+    for axis in AXES:
+        _check_axis_words(corners_dn, patterns, axis)
+
+
+def _corners(stack: Stack, sensor: SensorNoise) -> FloatImage:
+    """Return lit, unsaturated pixels with right and lower neighbour, (frame, pixel, 3) DN."""
+    _, rows, cols = stack.shape
+    # Drawn, always alike, since a regular raster could beat with the fringes.
+    rng = np.random.default_rng(0)
+    row = rng.integers(0, rows - 1, POSITIONS)[:, np.newaxis] + np.array([0, 0, 1])
+    col = rng.integers(0, cols - 1, POSITIONS)[:, np.newaxis] + np.array([0, 1, 0])
+    values_dn = np.stack([frame[row, col] for frame in stack]).astype(np.float32)
+    low_dn, high_dn = values_dn.min(axis=0), values_dn.max(axis=0)
+    noise_dn = np.sqrt(sensor.variance_dn2(high_dn.astype(np.float64)))
+    usable = (high_dn < sensor.clipped_from_dn) & (high_dn - low_dn > LIT_SIGMAS * noise_dn)
+    return values_dn[:, usable.all(axis=1)]
+
+
+def _check_axis_words(corners_dn: FloatImage, patterns: PatternSet, axis: Axis) -> None:
+    gray = patterns.index("gray", axis)
+    phase_dn = corners_dn[patterns.index("phase", axis)]
+    bits = corners_dn[gray] > phase_dn.mean(axis=0)
+    if patterns.code == "shifted_gray":
+        bits = bits[: patterns.gray_bits(axis)]
+    stated = _share_of_jumps(bits)
+    if stated <= MANY_JUMPS:
+        return
+    found = {}
+    for i, j in combinations(range(len(bits)), 2):
+        order = np.arange(len(bits))
+        order[[i, j]] = j, i
+        found[i, j] = _share_of_jumps(bits[order])
+    # Where several explain it alike, the nearest frames.
+    i, j = min(found, key=lambda pair: (round(found[pair], 2), pair[1] - pair[0]))
+    if found[i, j] < EXPLAINED * stated:
+        first, second = (patterns.frames[gray.start + bit].name for bit in (i, j))
+        raise CaptureError(
+            f"frames {gray.start + i} ({first}) and {gray.start + j} ({second}) look exchanged: "
+            f"{stated:.0%} of the changes between neighbouring pixels jump over words, the other "
+            f"way round {found[i, j]:.0%}"
+        )
+
+
+def _share_of_jumps(bits: BoolImage) -> float:
+    """Return the share of changes between neighbours by more than one; 0 if there are few."""
+    # Words of up to 16 bits are exact in single precision.
+    weights = np.float32(2) ** np.arange(len(bits) - 1, -1, -1, dtype=np.float32)
+    words = np.tensordot(weights, np.logical_xor.accumulate(bits).astype(np.float32), axes=1)
+    steps = np.abs(words[:, 1:] - words[:, :1])
+    changes = int(np.count_nonzero(steps))
+    return float(np.count_nonzero(steps > 1)) / changes if changes >= LEAST_CHANGES else 0.0
