@@ -14,7 +14,7 @@ from twin.mechanics import PressedElastomer, SolverError
 from twin.mechanics.contact import _Brake, solve_contact, solve_on_layer
 from twin.mechanics.control import DepthControl, ForceControl
 from twin.mechanics.layer import BondedLayer
-from twin.modalities.contact_fpp import press_specimen
+from twin.pipeline.press import press_specimen
 from twin.specimens import height_above_lowest
 
 Field = NDArray[np.float64]

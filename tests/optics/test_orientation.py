@@ -6,8 +6,8 @@ import trimesh
 
 from twin.config import load_experiment
 from twin.optics.light import pattern_set
-from twin.optics.render import render
 from twin.optics.rig import true_calibration
+from twin.pipeline import render
 
 SMALL = {
     "camera.width_px": 60,

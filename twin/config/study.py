@@ -14,6 +14,7 @@ from twin.config.base import Model
 from twin.config.errors import ConfigError
 from twin.config.loading import load_experiment, read_toml, resolve_uses, vary
 from twin.config.messages import explain
+from twin.config.methods import Method
 from twin.config.models import Experiment
 
 MOST_CASES = 1_000_000
@@ -107,7 +108,7 @@ class Study(Model):
     set: dict[str, Any] = Field(default={}, description="tables laid over the base experiment")
     axis: tuple[Axis, ...] = Field(description="[[axis]]: what is varied, 1 to 16 of them")
     sampling: Sampling = Sampling()
-    modalities: tuple[Literal["contact_fpp", "direct_fpp", "photometric_stereo"], ...] = Field(
+    modalities: tuple[Method, ...] = Field(
         default=(), description="methods to compare; absent: the base's own"
     )
     repeats: Annotated[int, Field(ge=1, le=10_000)] = Field(

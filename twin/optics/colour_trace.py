@@ -51,11 +51,12 @@ class ColourScene:
     """
 
     def __init__(self, experiment: Experiment, face: "trimesh.Trimesh") -> None:
-        self._experiment = experiment
         self._scene = coated_scene(experiment, face)
         self._facets = len(face.faces)
+        self._samples = experiment.render.samples
         self._emitters = emitters_of(experiment.lamps)
-        self._layers = layer_stack(experiment)
+        self._layers, self._stack = experiment.layers, layer_stack(experiment)
+        self._markers = experiment.photometric.markers
 
     def put(self, face: "trimesh.Trimesh") -> None:
         """Exchange the face for another one with the same grid of facets.
@@ -65,7 +66,7 @@ class ColourScene:
         InputError
             The face pokes through the layers that it is seen through.
         """
-        check_below_layers(self._experiment, face)
+        check_below_layers(self._layers, face)
         if len(face.faces) != self._facets:
             raise ValueError(f"the face has {len(face.faces)} facets, the scene {self._facets}")
         parameters = mi.traverse(self._scene)
@@ -78,7 +79,7 @@ class ColourScene:
     def render(self, pinhole: Pinhole, T_world_from_cam: NDArray[np.float64]) -> FloatImage:
         """Return radiance in air, (row, col, channel), mW / (mm^2 sr)."""
         rig = self._rig(pinhole, T_world_from_cam)
-        return trace_channels(self._scene, rig, self._experiment.render.samples)
+        return trace_channels(self._scene, rig, self._samples)
 
     def truth(self, pinhole: Pinhole, T_world_from_cam: NDArray[np.float64]) -> Truth:
         """Return what lies behind the pixel centres; everything seen counts as lit."""
@@ -86,8 +87,7 @@ class ColourScene:
 
     def _rig(self, pinhole: Pinhole, T_world_from_cam: NDArray[np.float64]) -> LampRig:
         camera = Device(pinhole, T_world_from_cam)
-        markers = self._experiment.photometric.markers
-        return LampRig(camera, self._emitters, self._layers, markers)
+        return LampRig(camera, self._emitters, self._stack, self._markers)
 
 
 def trace_channels(scene: Any, rig: LampRig, samples: int) -> FloatImage:

@@ -8,7 +8,7 @@ from typing import Any
 
 from reconstruction.errors import InputError
 from twin.config.study import Objective
-from twin.modalities.progress import Watcher, nobody
+from twin.pipeline.progress import Watcher, nobody
 from twin.report.html import Picture, Plate, draw_pictures, template, write_page
 from twin.report.study_designs import Design, Scales, design_plates, designs_of
 from twin.report.study_view import (

@@ -14,7 +14,7 @@ from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field
 
 from reconstruction.errors import InputError
-from twin.modalities.progress import Watcher, nobody
+from twin.pipeline.progress import Watcher, nobody
 from twin.study.cases import Case
 from twin.study.measuring import CaseMeasurer, StageReads
 from twin.study.order import batches_of, in_sharing_order

@@ -12,9 +12,9 @@ from reconstruction.errors import InputError
 from twin.config import Experiment
 from twin.config.study import Study
 from twin.mechanics.choice import may_wrap
-from twin.modalities.progress import Watcher, nobody
 from twin.optics.light import pattern_set
 from twin.output import read_json
+from twin.pipeline.progress import Watcher, nobody
 from twin.study.cases import Case, Cases
 from twin.study.engine import Run, SweepOutcome
 from twin.study.index import DAMAGED, Index, entry_of

@@ -9,8 +9,8 @@ from typing import Any
 
 from reconstruction.errors import InputError
 from twin.config.study import Constraint
-from twin.modalities.score import why_absent
 from twin.output import creating
+from twin.results.score import why_absent
 from twin.study.cases import Case, meets
 from twin.study.derived import DERIVED, with_derived
 from twin.study.index import Entry, Index

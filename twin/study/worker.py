@@ -15,7 +15,7 @@ from reconstruction.cores import threads
 from reconstruction.disk import is_disk_full
 from reconstruction.errors import InputError
 from twin.config import Experiment
-from twin.modalities.storage import write_result, write_timings
+from twin.results.parts import write_result, write_timings
 from twin.study.measuring import Answer, CaseMeasurer, StageReads
 from twin.study.store import Store, write_failure
 
