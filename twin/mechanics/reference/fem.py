@@ -18,7 +18,7 @@ from twin.mechanics.errors import PressError
 from twin.mechanics.hardness import young_modulus
 from twin.mechanics.layouts import Preload, preload_of
 from twin.mechanics.press import PressedElastomer
-from twin.mechanics.reference.active_set import Points, press_points
+from twin.mechanics.reference.active_set import ContactPoints, press_points
 from twin.mechanics.reference.height_field import sample
 from twin.mechanics.reference.pad import DEFAULT_COUNT, Pad, SlabSupport, mesh_pad, slab_pad
 from twin.mechanics.reference.result import Scattered, on_grids
@@ -132,7 +132,9 @@ def press_pad(
         moved = body.solve(_thrust(body, touched, force))
         return np.asarray(touched.trace @ moved[:, 2] + yielding * force)
 
-    points = Points(touched.trace, body.nodes_mm, yielding, height + touched.trace @ loaded[:, 2])
+    points = ContactPoints(
+        touched.trace, body.nodes_mm, yielding, height + touched.trace @ loaded[:, 2]
+    )
     contact = press_points(
         deflect, points, depth_mm=depth_mm, force_over_modulus_mm2=force_over_modulus_mm2
     )
