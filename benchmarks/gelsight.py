@@ -43,7 +43,7 @@ from twin.mechanics import face_mesh
 from twin.pipeline import Memory, measure, press_specimen
 from twin.pipeline.colours import calibrated_sensor, with_ball
 from twin.pipeline.instruments import PhotometricPlan, case_for
-from twin.results.decoders import Decoded
+from twin.results.decoders import DecodedImage
 
 SENSORS = Memory()
 """Sensors that are calibrated once for all cases."""
@@ -173,12 +173,12 @@ def two_balls(quick: bool) -> dict[str, float]:
     return figures | {"rmse_ratio_faithful": figures["rmse_ratio_faithful_2025"]}
 
 
-def _name(one: Decoded) -> str:
+def _name(one: DecodedImage) -> str:
     scheme = next(name for name, integration in SCHEMES.items() if integration == one.integration)
     return scheme if one.colour_map == "polynomial" else f"{scheme}_table"
 
 
-def _told(one: Decoded, base_mm: float) -> float:
+def _told(one: DecodedImage, base_mm: float) -> float:
     rmse_mm, scored = _rmse_mm(one.score), one.score
     radii = ", ".join(f"{ball.measured.radius_mm:.3f}" for ball in scored.spheres)
     true_um = ", ".join(f"{1e3 * ball.true_face.stats.rmse_mm:.2f}" for ball in scored.spheres)

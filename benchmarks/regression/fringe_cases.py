@@ -19,7 +19,7 @@ from twin.paper.repeats import rod_width
 from twin.pipeline import Memory, measure, press_specimen, record
 from twin.pipeline.calibration import calibrate_rendered
 from twin.pipeline.fringes import options_of
-from twin.results.score import Score
+from twin.results.score import Scores
 
 IDEAL = {"camera.noise": False, "decode.filter_taps": 0}
 CENTRE = {"camera.binning": 2, "camera.width_px": 640, "camera.height_px": 480}
@@ -50,7 +50,7 @@ def two_balls(seeds: int = 5, binning: int = 2) -> Values:
     return repeated(seeds, once)
 
 
-def spheres(scored: Score) -> dict[str, float]:
+def spheres(scored: Scores) -> dict[str, float]:
     """Return radius and residuals, mean over both balls."""
     fits = [ball.measured for ball in scored.spheres]
     return {

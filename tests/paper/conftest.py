@@ -7,7 +7,7 @@ from reconstruction.photometric import HeightMap
 from twin.config import load_experiment
 from twin.optics.stack import Truth
 from twin.pipeline.methods import measure
-from twin.results.decoders import Decoded
+from twin.results.decoders import DecodedImage
 from twin.results.parts import write_result
 from twin.results.record import Colours, Measurement
 from twin.results.score import score_heights
@@ -93,7 +93,7 @@ def perfect_cap(experiment, pitch_mm=0.1, shape=(120, 160)):
     figures = {"completeness": 0.9, "good_share": 0.8, "z_rmse_um": 0.0}
     image = np.full((*shape, 3), 128, np.uint8)
     scored = score_heights(experiment, heights, truth)
-    own = Decoded("table", "sdk_2024", heights, scored)
+    own = DecodedImage("table", "sdk_2024", heights, scored)
     return Measurement(
         experiment, Colours(image, {}, [own], own), truth, scored, figures, None, "", {}
     )

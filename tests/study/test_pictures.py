@@ -7,7 +7,7 @@ import pytest
 
 from reconstruction.errors import InputError
 from twin.pipeline import Memory, measure
-from twin.results.record import Points
+from twin.results.record import SurfacePoints
 from twin.study import pictures
 from twin.study.pictures import pictures_of, read_picture, take_picture, write_picture
 from twin.study.store import Store
@@ -33,7 +33,7 @@ def test_large_pictures_are_thinned(base):
     there = np.ones((300, 400), bool)
     done = SimpleNamespace(
         experiment=base,
-        points=Points(points, np.zeros((300, 400), np.uint8)),
+        points=SurfacePoints(points, np.zeros((300, 400), np.uint8)),
         truth=SimpleNamespace(points_world_mm=0 * points, lit=there, depth_mm=there),
         picture=np.full((300, 400, 3), 90, np.uint8),
         pixel_mm=0.02,

@@ -17,7 +17,7 @@ from twin.pipeline.instruments import PhotometricPlan, case_for
 from twin.pipeline.memory import Memory
 from twin.pipeline.methods import measure
 from twin.pipeline.progress import Watcher, nobody
-from twin.results.decoders import Decoded
+from twin.results.decoders import DecodedImage
 from twin.results.score import metrics
 
 CALIBRATIONS = 5
@@ -41,7 +41,7 @@ def measure_colours(seed: int, memory: Memory, experiment: Experiment, trial: in
     return figures | {name: measured.figures[name] for name in ("depth_mm", "force_n")}
 
 
-def _by_decoder(one: Decoded) -> Figures:
+def _by_decoder(one: DecodedImage) -> Figures:
     found = metrics(one.score)
     return {
         f"{one.colour_map}_{one.integration}_{name}": value

@@ -33,7 +33,7 @@ from twin.pipeline.colour_images import (
     fixed_exposure_ms,
     image_pinhole,
 )
-from twin.pipeline.fringes import Run
+from twin.pipeline.fringes import RunContext
 from twin.pipeline.memory import Kept, Memory
 from twin.pipeline.press import press, press_smooth, with_texture
 from twin.results.decoders import MAP_ORDER, chosen, decode_all
@@ -123,7 +123,7 @@ class References:
     presses: tuple[BallPress, ...]
 
 
-def measure_colours(experiment: Experiment, run: Run) -> Measurement:
+def measure_colours(experiment: Experiment, run: RunContext) -> Measurement:
     """Run one virtual measurement by photometric stereo.
 
     Raises

@@ -25,7 +25,7 @@ from twin.optics.rig import true_calibration
 from twin.optics.stack import RadianceStack
 from twin.output import versions
 from twin.pipeline.memory import Kept, Memory
-from twin.pipeline.press import Press, press
+from twin.pipeline.press import PressedFace, press
 from twin.pipeline.progress import Stopwatch
 from twin.results.parts import taken_figures
 from twin.results.record import Fringes, Measurement, Recording
@@ -40,7 +40,7 @@ Progress = Callable[[float], None]
 
 
 @dataclass(frozen=True, eq=False)
-class Run:
+class RunContext:
     """How a measurement is made: what is kept, who is told, and which repetition it is."""
 
     memory: Memory
@@ -48,12 +48,12 @@ class Run:
     trial: int = 0
 
     @classmethod
-    def alone(cls, clock: Stopwatch | None = None, trial: int = 0) -> "Run":
+    def alone(cls, clock: Stopwatch | None = None, trial: int = 0) -> "RunContext":
         """Return a run that neither finds nor leaves anything."""
         return cls(Memory(), clock or Stopwatch(), trial)
 
 
-def measure_fringes(experiment: Experiment, run: Run) -> Measurement:
+def measure_fringes(experiment: Experiment, run: RunContext) -> Measurement:
     """Run one measurement, each stage only where no kept result is the same.
 
     Raises
@@ -115,7 +115,7 @@ def take(
     MissingBackend
         No usable Dr.Jit backend.
     """
-    pressed, capture = _taken(experiment, Run.alone(clock, trial))
+    pressed, capture = _taken(experiment, RunContext.alone(clock, trial))
     return pressed, capture.value
 
 
@@ -134,7 +134,7 @@ def record(
     MissingBackend
         No usable Dr.Jit backend.
     """
-    return _recorded(experiment, Press.of(pressed), Run.alone(clock, trial)).value
+    return _recorded(experiment, PressedFace.of(pressed), RunContext.alone(clock, trial)).value
 
 
 def render(
@@ -223,7 +223,9 @@ def check_layers(experiment: Experiment) -> None:
         )
 
 
-def _taken(experiment: Experiment, run: Run) -> tuple[PressedElastomer | None, Kept[Recording]]:
+def _taken(
+    experiment: Experiment, run: RunContext
+) -> tuple[PressedElastomer | None, Kept[Recording]]:
     if not experiment.method.fringes:
         raise InputError(
             f"modality = '{experiment.modality}' takes one colour image and no fringe stack; use"
@@ -236,7 +238,9 @@ def _taken(experiment: Experiment, run: Run) -> tuple[PressedElastomer | None, K
     return pressed.pressed, _recorded(experiment, pressed, run)
 
 
-def _recorded(experiment: Experiment, pressed: Press | None, run: Run) -> Kept[Recording]:
+def _recorded(
+    experiment: Experiment, pressed: PressedFace | None, run: RunContext
+) -> Kept[Recording]:
     with run.clock.stage("render") as progress:
         radiance = _rendered(experiment, pressed, run.memory, progress)
     return run.memory.recall(
@@ -248,7 +252,7 @@ def _recorded(experiment: Experiment, pressed: Press | None, run: Run) -> Kept[R
 
 
 def _rendered(
-    experiment: Experiment, pressed: Press | None, memory: Memory, progress: Progress
+    experiment: Experiment, pressed: PressedFace | None, memory: Memory, progress: Progress
 ) -> Kept[RadianceStack]:
     check = check_direct_engine if pressed is None else check_layers
     check(experiment)

@@ -6,7 +6,7 @@ from twin.config import Experiment
 from twin.mechanics import check_press
 from twin.optics.checks import check_renderable
 from twin.pipeline.colours import check_sensor, measure_colours
-from twin.pipeline.fringes import Run, check_layers, measure_fringes
+from twin.pipeline.fringes import RunContext, check_layers, measure_fringes
 from twin.pipeline.memory import Memory
 from twin.pipeline.progress import Stopwatch, Watcher, nobody
 from twin.results.folder import write_measurement
@@ -37,7 +37,7 @@ def measure(
     MissingBackend
         No usable Dr.Jit backend.
     """
-    run = Run(Memory() if memory is None else memory, Stopwatch(watch), trial)
+    run = RunContext(Memory() if memory is None else memory, Stopwatch(watch), trial)
     by_method = measure_fringes if experiment.method.fringes else measure_colours
     return by_method(experiment, run)
 

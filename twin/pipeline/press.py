@@ -18,14 +18,14 @@ from twin.pipeline.memory import Memory
 
 
 @dataclass(frozen=True, eq=False)
-class Press:
+class PressedFace:
     """A press, and the digest of its coated face, which names it wherever it came from."""
 
     pressed: PressedElastomer
     face_digest: str
 
     @classmethod
-    def of(cls, pressed: PressedElastomer) -> "Press":
+    def of(cls, pressed: PressedElastomer) -> "PressedFace":
         """Name the coated face by its heights and the nodes that they stand on."""
         name = hashlib.blake2b(digest_size=16)
         for values in (pressed.face_x_mm, pressed.face_y_mm, pressed.face_z_mm):
@@ -33,7 +33,7 @@ class Press:
         return cls(pressed, name.hexdigest())
 
 
-def press(experiment: Experiment, memory: Memory) -> Press:
+def press(experiment: Experiment, memory: Memory) -> PressedFace:
     """Press by stages: the slab's shape for all moduli, or the whole press; then its texture.
 
     Raises
@@ -68,26 +68,28 @@ def with_texture(experiment: Experiment, smooth: PressedElastomer) -> PressedEla
     return textured(smooth, experiment.elastomer, experiment.press, texture, experiment.seed)
 
 
-def _smooth(experiment: Experiment, memory: Memory) -> tuple[Press, int]:
+def _smooth(experiment: Experiment, memory: Memory) -> tuple[PressedFace, int]:
     """Return the press without texture, and the token of what it comes from."""
     shape = memory.recall("shape", experiment, (), _unit_press)
     if shape.value is None:
-        own = memory.recall("press", experiment, (), lambda seen: Press.of(press_smooth(seen)))
+        own = memory.recall(
+            "press", experiment, (), lambda seen: PressedFace.of(press_smooth(seen))
+        )
         return own.value, own.token
     scaled = with_modulus(shape.value.pressed, experiment.elastomer)
-    return Press(scaled, shape.value.face_digest), shape.token
+    return PressedFace(scaled, shape.value.face_digest), shape.token
 
 
-def _unit_press(experiment: Experiment) -> Press | None:
+def _unit_press(experiment: Experiment) -> PressedFace | None:
     pressed = unit_press(
         experiment.mechanics, experiment.specimen, experiment.elastomer, experiment.press
     )
-    return None if pressed is None else Press.of(pressed)
+    return None if pressed is None else PressedFace.of(pressed)
 
 
-def _with_texture(experiment: Experiment, smooth: Press) -> Press:
+def _with_texture(experiment: Experiment, smooth: PressedFace) -> PressedFace:
     pressed = with_texture(experiment, smooth.pressed)
-    return smooth if pressed is smooth.pressed else Press.of(pressed)
+    return smooth if pressed is smooth.pressed else PressedFace.of(pressed)
 
 
 def transfer_of(experiment: Experiment, pressed: PressedElastomer) -> ContactTransfer:

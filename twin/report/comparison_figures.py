@@ -10,7 +10,7 @@ from twin.report.direct import percent
 from twin.report.fields import NONE, number
 from twin.report.paper import paper_rmse_ratio
 from twin.report.photometric_maps import decoder_name
-from twin.results.decoders import Decoded
+from twin.results.decoders import DecodedImage
 from twin.results.record import Colours, Measurement
 from twin.results.score import SphereScore
 
@@ -51,7 +51,7 @@ class Gist:
     experiment: Experiment
     figures: dict[str, Any]
     spheres: tuple[SphereScore, ...]
-    decoded: list[Decoded]
+    decoded: list[DecodedImage]
 
 
 def gist_of(measured: Measurement) -> Gist:

@@ -9,7 +9,7 @@ from twin.report.paper import CONTACT_FPP, GELSIGHT, paper_row
 from twin.report.photometric_maps import decoder_name
 from twin.report.table import MEASURED_LABEL, Row, fit_values
 from twin.report.verdict import Grade, Verdict, judge_press
-from twin.results.decoders import Decoded
+from twin.results.decoders import DecodedImage
 from twin.results.record import Measurement
 from twin.results.score import SphereScore
 
@@ -216,5 +216,5 @@ def _row(number: int, label: str, ball: SphereScore) -> Row:
     return Row(number, label, fit_values(ball.measured, ball.nominal.radius_mm))
 
 
-def _ball(one: Decoded, number: int) -> SphereScore | None:
+def _ball(one: DecodedImage, number: int) -> SphereScore | None:
     return next((ball for ball in one.score.spheres if ball.number == number), None)

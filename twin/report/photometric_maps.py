@@ -27,7 +27,7 @@ from twin.report.canvas import (
 )
 from twin.report.relief import shaded
 from twin.report.world_map import WorldMap
-from twin.results.decoders import MAP_ORDER, Decoded
+from twin.results.decoders import MAP_ORDER, DecodedImage
 from twin.results.record import Measurement
 from twin.results.score import wanted_pixels
 
@@ -41,7 +41,7 @@ _RELIEF_SHARE, _TICKS_MM = 0.2, 4.0
 _Masked = Any
 
 
-def decoder_name(one: Decoded) -> str:
+def decoder_name(one: DecodedImage) -> str:
     """Name a decoder as figures and tables do."""
     return f"{MAP_NAMES[one.colour_map]}, {INTEGRATION_NAMES[one.integration]}"
 
@@ -62,7 +62,7 @@ def true_heights_mm(seen: Measurement) -> _Masked:
     return np.ma.masked_array(z_mm, ~seen.truth.measured)
 
 
-def error_um(seen: Measurement, one: Decoded) -> _Masked:
+def error_um(seen: Measurement, one: DecodedImage) -> _Masked:
     """Measured minus true world z in the evaluated field, (row, col) masked."""
     scored = wanted_pixels(seen.experiment, seen.truth) & one.heights.valid
     difference = one.heights.height_mm - true_heights_mm(seen).data
@@ -186,7 +186,7 @@ def draw_errors(path: Path, seen: Measurement) -> None:
                     add_colorbar(axes, shown, "z error (µm)", extend="both", side="below")
 
 
-def measured_heights_mm(one: Decoded) -> _Masked:
+def measured_heights_mm(one: DecodedImage) -> _Masked:
     """Heights of one decoder, (row, col); masked where they are no measurement."""
     return np.ma.masked_array(one.heights.height_mm.astype(np.float64), ~one.heights.valid)
 
@@ -206,7 +206,7 @@ def enlargement(seen: Measurement) -> float:
     return max(1.0, round_up(_RELIEF_SHARE * (right - left) / (high - low)))
 
 
-def _lines(seen: Measurement) -> list[list[Decoded]]:
+def _lines(seen: Measurement) -> list[list[DecodedImage]]:
     lines = [[one for one in seen.colours.decoded if one.colour_map == kind] for kind in MAP_ORDER]
     return [line for line in lines if line]
 

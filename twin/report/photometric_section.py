@@ -18,7 +18,7 @@ from twin.report.canvas import (
 )
 from twin.report.photometric_maps import decoder_name, extent_mm
 from twin.report.section import Trace, face_profile, trace_through_apexes
-from twin.results.decoders import Decoded
+from twin.results.decoders import DecodedImage
 from twin.results.record import Measurement
 
 _SAMPLES = 601
@@ -56,7 +56,7 @@ def draw_sections(path: Path, seen: Measurement) -> None:
 
 
 def profile_mm(
-    one: Decoded, seen: Measurement, trace: Trace, s_mm: NDArray[np.float64]
+    one: DecodedImage, seen: Measurement, trace: Trace, s_mm: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Return heights of one decoder at positions s, mm; NaN outside the image."""
     rows, cols = one.heights.height_mm.shape
@@ -68,7 +68,9 @@ def profile_mm(
     return np.asarray(sample(trace.points(s_mm)[:, ::-1]))
 
 
-def _line(axes: Axes, s_mm: NDArray[np.float64], values: NDArray[np.float64], one: Decoded) -> None:
+def _line(
+    axes: Axes, s_mm: NDArray[np.float64], values: NDArray[np.float64], one: DecodedImage
+) -> None:
     axes.plot(
         s_mm,
         values,

@@ -21,7 +21,7 @@ from twin.report.canvas import (
     sequential,
 )
 from twin.report.world_map import WorldMap, average_on_grid
-from twin.results.record import Points
+from twin.results.record import SurfacePoints
 
 _VIEW_CELLS, _MAP_CELLS = 120, 480
 # The relief fills about this share of the field's width in the 3-D view.
@@ -30,7 +30,7 @@ _VIEW_HEIGHT_SHARE = 0.2
 _MAP_LIGHT_DEG, _VIEW_LIGHT_DEG, _LIGHT_HEIGHT_DEG = 315.0, 225.0, 40.0
 
 
-def z_enlargement(points: Points) -> float:
+def z_enlargement(points: SurfacePoints) -> float:
     """Return by how much the 3-D view enlarges z: a round number, at least 1."""
     found = points.world_mm[points.valid]
     if not len(found):
@@ -40,7 +40,7 @@ def z_enlargement(points: Points) -> float:
     return max(1.0, round_up(wanted))
 
 
-def draw_relief_view(path: Path, points: Points, pixel_mm: float) -> None:
+def draw_relief_view(path: Path, points: SurfacePoints, pixel_mm: float) -> None:
     """Draw the measured surface as a shaded 3-D view, as PNG.
 
     Raises
@@ -73,7 +73,7 @@ def draw_relief_view(path: Path, points: Points, pixel_mm: float) -> None:
         bar.set_label("z (mm)")
 
 
-def draw_height_map(path: Path, points: Points, pixel_mm: float) -> None:
+def draw_height_map(path: Path, points: SurfacePoints, pixel_mm: float) -> None:
     """Draw the measured heights in top view, shaded, as PNG.
 
     Raises
@@ -104,7 +104,7 @@ def draw_height_map(path: Path, points: Points, pixel_mm: float) -> None:
         add_colorbar(axes, ScalarMappable(norm, sequential()), "z (mm)")
 
 
-def _relief(points: Points, pixel_mm: float, cells: int) -> WorldMap:
+def _relief(points: SurfacePoints, pixel_mm: float, cells: int) -> WorldMap:
     found = points.world_mm[points.valid]
     return average_on_grid(found, found[:, 2], pixel_mm, cells)
 

@@ -19,20 +19,20 @@ from reconstruction.photometric.integrate import Integration
 from reconstruction.photometric.sensor_calibration import MapKind
 from twin.config.models import Experiment
 from twin.optics.stack import Truth
-from twin.results.score import HeightScore, Score, metrics, score_heights
+from twin.results.score import HeightScore, Scores, metrics, score_heights
 
 INTEGRATION_ORDER: tuple[Integration, ...] = ("corrected", "sdk_2025", "sdk_2024")
 MAP_ORDER: tuple[MapKind, ...] = ("polynomial", "table")
 
 
 @dataclass(frozen=True, eq=False)
-class Decoded:
+class DecodedImage:
     """What one decoder made of an image."""
 
     colour_map: MapKind
     integration: Integration
     heights: HeightMap
-    score: Score[HeightScore]
+    score: Scores[HeightScore]
 
     @property
     def errors(self) -> HeightScore:
@@ -51,12 +51,12 @@ def decode_all(
     image: Levels,
     calibrations: Mapping[MapKind, SensorCalibration],
     truth: Truth,
-) -> list[Decoded]:
+) -> list[DecodedImage]:
     """Decode and score an image by every colour map given and every integration.
 
     Returns
     -------
-    list of Decoded
+    list of DecodedImage
         By map, then by integration, each in its fixed order.
 
     Raises
@@ -78,21 +78,21 @@ def decode_one(
     calibration: SensorCalibration,
     decoder: tuple[MapKind, Integration],
     truth: Truth,
-) -> Decoded:
+) -> DecodedImage:
     """Decode and score an image by one decoder; errors as `decode_all`."""
     kind, integration = decoder
     options = PhotometricOptions(integration=integration)
     heights = PhotometricDecoder(calibration, options).decode(image)
-    return Decoded(kind, integration, heights, score_heights(experiment, heights, truth))
+    return DecodedImage(kind, integration, heights, score_heights(experiment, heights, truth))
 
 
-def chosen(experiment: Experiment, decoded: list[Decoded]) -> Decoded:
+def chosen(experiment: Experiment, decoded: list[DecodedImage]) -> DecodedImage:
     """Return the result of the experiment's own decoder."""
     wanted = experiment.photometric.colour_map, experiment.photometric.integration
     return next(one for one in decoded if (one.colour_map, one.integration) == wanted)
 
 
-def write_decoders(path: Path, decoded: list[Decoded]) -> None:
+def write_decoders(path: Path, decoded: list[DecodedImage]) -> None:
     """Write the figures of every decoder as CSV, one line each; empty where there is none."""
     rows = [_row(one) for one in decoded]
     names = list(dict.fromkeys(name for row in rows for name in row))
@@ -100,7 +100,7 @@ def write_decoders(path: Path, decoded: list[Decoded]) -> None:
     path.write_text("\n".join([*lines, ""]), encoding="utf-8")
 
 
-def _row(one: Decoded) -> dict[str, Any]:
+def _row(one: DecodedImage) -> dict[str, Any]:
     figures = metrics(one.score)
     figures.pop("unfitted_balls")
     return {"colour_map": one.colour_map, "integration": one.integration} | figures

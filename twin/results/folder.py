@@ -63,7 +63,7 @@ from twin.results.parts import (
     write_timings,
 )
 from twin.results.record import Colours, Fringes, Measurement
-from twin.results.score import Score, TruthScore, score
+from twin.results.score import Scores, TruthScore, score
 from twin.results.truth import read_truth, write_exr, write_truth
 
 IMAGE_FILE, BACKGROUND_FILE, DECODERS_FILE = "image.png", "background.png", "decoders.csv"
@@ -169,7 +169,7 @@ def _write_decoding(folder: Path, images: Colours) -> None:
 
 def _read_fringes(
     folder: Path, experiment: Experiment, truth: Truth
-) -> tuple[Fringes, Score[TruthScore]]:
+) -> tuple[Fringes, Scores[TruthScore]]:
     reconstruction = read_reconstruction(folder / MAPS_FILE)
     found, true = reconstruction.point_map.mask_reason.shape, truth.lit.shape
     if found != true:
@@ -182,7 +182,7 @@ def _read_fringes(
 
 def _read_colours(
     folder: Path, experiment: Experiment, truth: Truth
-) -> tuple[Colours, Score[TruthScore]]:
+) -> tuple[Colours, Scores[TruthScore]]:
     image, files = _read_image(folder / IMAGE_FILE), (CALIBRATION_FILE, OTHER_CALIBRATION_FILE)
     calibrations = {
         _kind(one): one for one in (read_sensor_calibration(folder / file) for file in files)

@@ -19,12 +19,12 @@ from twin.config import Experiment
 from twin.mechanics import PressedElastomer
 from twin.optics.rig import camera_pinhole
 from twin.optics.stack import Frames, RadianceStack, Truth
-from twin.results.decoders import Decoded
-from twin.results.score import Score, TruthScore, in_world
+from twin.results.decoders import DecodedImage
+from twin.results.score import Scores, TruthScore, in_world
 
 
 @dataclass(frozen=True, eq=False)
-class Points:
+class SurfacePoints:
     """Where a method found the surface.
 
     Attributes
@@ -84,10 +84,10 @@ class Fringes:
         return read_capture(self.stored) if isinstance(self.stored, Path) else self.stored
 
     @property
-    def points(self) -> Points:
+    def points(self) -> SurfacePoints:
         """The point map."""
         found = self.reconstruction.point_map
-        return Points(
+        return SurfacePoints(
             found.points_world_mm, np.asarray(found.mask_reason, np.uint8), found.sigma_xyz_mm
         )
 
@@ -113,8 +113,8 @@ class Colours:
 
     picture: Levels
     calibrations: Mapping[MapKind, SensorCalibration]
-    decoded: list[Decoded]
-    own: Decoded
+    decoded: list[DecodedImage]
+    own: DecodedImage
 
     @property
     def calibration(self) -> SensorCalibration:
@@ -127,10 +127,10 @@ class Colours:
         return self.own.heights
 
     @property
-    def points(self) -> Points:
+    def points(self) -> SurfacePoints:
         """The heights in the world."""
         reason = np.where(self.heights.valid, Reason.VALID, Reason.LOW_MODULATION)
-        return Points(in_world(self.heights), reason.astype(np.uint8))
+        return SurfacePoints(in_world(self.heights), reason.astype(np.uint8))
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,7 +149,7 @@ class Measurement:
     experiment: Experiment
     images: Fringes | Colours
     truth: Truth
-    score: Score[TruthScore]
+    score: Scores[TruthScore]
     figures: dict[str, Any]
     pressed: PressedElastomer | None
     digest: str
@@ -157,7 +157,7 @@ class Measurement:
     seconds: Mapping[str, float] = field(default_factory=dict)
 
     @property
-    def points(self) -> Points:
+    def points(self) -> SurfacePoints:
         """Where the surface was found."""
         return self.images.points
 

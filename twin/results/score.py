@@ -100,7 +100,7 @@ Against = TypeVar("Against", bound=TruthScore, covariant=True)
 
 
 @dataclass(frozen=True, eq=False)
-class Score(Generic[Against]):
+class Scores(Generic[Against]):
     """Everything that is scored on one measurement.
 
     Attributes
@@ -119,15 +119,15 @@ class Score(Generic[Against]):
 
 def score(
     experiment: Experiment, reconstruction: Reconstruction, truth: Truth
-) -> Score[FringeScore]:
+) -> Scores[FringeScore]:
     """Score a reconstruction against the truth of the same camera pixels."""
     points = reconstruction.point_map
     usable = points.valid & truth.lit
     spheres = _spheres(experiment, points.points_world_mm, truth, usable)
-    return Score(score_truth(experiment, reconstruction, truth), *spheres)
+    return Scores(score_truth(experiment, reconstruction, truth), *spheres)
 
 
-def score_heights(experiment: Experiment, heights: HeightMap, truth: Truth) -> Score[HeightScore]:
+def score_heights(experiment: Experiment, heights: HeightMap, truth: Truth) -> Scores[HeightScore]:
     """Score heights of photometric stereo against the truth of the same pixels.
 
     Raises
@@ -145,7 +145,7 @@ def score_heights(experiment: Experiment, heights: HeightMap, truth: Truth) -> S
         wanted_pixels=int(wanted.sum()),
         height_scale=_scale(found, true),
     )
-    return Score(against_truth, *_spheres(experiment, found_mm, truth, both))
+    return Scores(against_truth, *_spheres(experiment, found_mm, truth, both))
 
 
 def score_truth(
@@ -291,7 +291,7 @@ def score_sphere(
     )
 
 
-def metrics(scored: Score[TruthScore]) -> dict[str, Any]:
+def metrics(scored: Scores[TruthScore]) -> dict[str, Any]:
     """Flatten a score to names with units, for result.json."""
     found = asdict(scored.against_truth) | {"unfitted_balls": list(scored.unfitted)}
     return found | _sphere_metrics(scored.spheres, scored.unfitted)
