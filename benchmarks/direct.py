@@ -23,8 +23,9 @@ from reconstruction.decoding.decode import decode
 from twin.camera import expose
 from twin.config import Experiment, load_experiment
 from twin.optics.backend import activate
-from twin.optics.direct import direct_scene, render_direct
+from twin.optics.direct import direct_scene
 from twin.optics.light import pattern_set
+from twin.pipeline import render_bare
 
 SPECIMENS = ("nut", "brick", "two_balls")
 SEEDS = (1, 2)
@@ -45,9 +46,9 @@ def measure(name: str, binning: int) -> dict[str, float]:
     """Return the figures of one specimen."""
     settings = {"camera.binning": binning, "modality": "direct_fpp", "camera.noise": False}
     runs = [load_experiment(f"paper/{name}", settings | {"seed": seed}) for seed in SEEDS]
-    render_direct(runs[0].model_copy(update={"seed": 99}))  # compiles the kernels
+    render_bare(runs[0].model_copy(update={"seed": 99}))  # compiles the kernels
     start = time.perf_counter()
-    stacks = [render_direct(run).frames for run in runs]
+    stacks = [render_bare(run).frames for run in runs]
     seconds = (time.perf_counter() - start) / len(stacks)
     patterns = pattern_set(runs[0].projector, runs[0].patterns)
     white = patterns.index("white").start

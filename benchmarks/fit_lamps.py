@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from reconstruction.arrays import FloatArray
-from twin.camera.sensor import electrons_per_ms, full_well_e
+from twin.camera import electrons_per_ms, full_well_e
 from twin.config import Experiment, load_experiment
 from twin.config.lamps import CHANNELS, Lamp
 from twin.config.layers import media_of

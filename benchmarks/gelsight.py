@@ -21,6 +21,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.cap_height import cap_height_ratio
 from benchmarks.fit_lamps import (
     CONTACT_MM,
     PRESSES_MM,
@@ -39,12 +40,13 @@ from reconstruction.photometric.images import mean_background, smoothed
 from twin.config import load_experiment, seed_sequence
 from twin.config.models import Ball
 from twin.mechanics import face_mesh
-from twin.modalities import measure, measure_photometric, press_specimen
-from twin.modalities.instruments import PhotometricPlan, case_for
-from twin.modalities.photometric_decoders import Decoded
-from twin.modalities.photometric_score import cap_height_ratio
-from twin.modalities.photometric_stereo import calibrated_sensor
-from twin.modalities.reference_balls import with_ball
+from twin.pipeline import Memory, measure, press_specimen
+from twin.pipeline.colours import calibrated_sensor, with_ball
+from twin.pipeline.instruments import PhotometricPlan, case_for
+from twin.results.decoders import DecodedImage
+
+SENSORS = Memory()
+"""Sensors that are calibrated once for all cases."""
 
 SCHEMES = {"corrected": "corrected", "faithful_2025": "sdk_2025", "faithful_2024": "sdk_2024"}
 PAPER_RATIO = 10.7
@@ -88,14 +90,14 @@ def shots_of(experiment: Any, count: int) -> list[Shot]:
 
 def photographed(experiment: Any, case: Any, number: int) -> Shot:
     """Photograph a press with the experiment's sensor; `number` keys the camera's noise."""
-    sensor, calibration = calibrated_sensor(experiment)
+    sensor, calibration = calibrated_sensor(experiment, SENSORS)
     image = sensor.image(face_mesh(press_specimen(case)), number)
     return Shot(image, find_contact_circle(smoothed(image, 3), calibration.background))
 
 
 def balls(experiment: Any, shots: list[Shot]) -> dict[str, float]:
     """Cap heights over true, and the time of a reconstruction."""
-    sensor, calibration = calibrated_sensor(experiment)
+    sensor, calibration = calibrated_sensor(experiment, SENSORS)
     decoders = {
         name: PhotometricDecoder(calibration, PhotometricOptions(integration=scheme))
         for name, scheme in SCHEMES.items()
@@ -125,7 +127,7 @@ def decode_ms(decoder: PhotometricDecoder, image: Any) -> float:
 
 def lamps(experiment: Any, shots: list[Shot]) -> dict[str, float]:
     """Compare the rendered sensor with the published figures of real units."""
-    sensor, _ = calibrated_sensor(experiment)
+    sensor, _ = calibrated_sensor(experiment, SENSORS)
     background, pitch_mm = mean_background(sensor.backgrounds()), sensor.pitch_mm
     rows, cols = (np.array_split(np.arange(n), 3) for n in background.shape[:2])
     tiles = np.array([[background[np.ix_(r, c)].mean((0, 1)) for c in cols] for r in rows])
@@ -163,27 +165,27 @@ def two_balls(quick: bool) -> dict[str, float]:
     }
     figures = {}
     for suffix, case in cases.items():
-        done = measure_photometric(case)
-        pressed = done.pressed
+        done = measure(case, memory=SENSORS)
+        pressed = done.press
         print(f"GelSight pressed {pressed.depth_mm:.3f} mm deep with {pressed.force_n:.3f} N")
-        for one in done.decoded:
+        for one in done.colours.decoded:
             figures[f"rmse_ratio_{_name(one)}{suffix}"] = _told(one, base_mm)
     return figures | {"rmse_ratio_faithful": figures["rmse_ratio_faithful_2025"]}
 
 
-def _name(one: Decoded) -> str:
+def _name(one: DecodedImage) -> str:
     scheme = next(name for name, integration in SCHEMES.items() if integration == one.integration)
     return scheme if one.colour_map == "polynomial" else f"{scheme}_table"
 
 
-def _told(one: Decoded, base_mm: float) -> float:
+def _told(one: DecodedImage, base_mm: float) -> float:
     rmse_mm, scored = _rmse_mm(one.score), one.score
     radii = ", ".join(f"{ball.measured.radius_mm:.3f}" for ball in scored.spheres)
     true_um = ", ".join(f"{1e3 * ball.true_face.stats.rmse_mm:.2f}" for ball in scored.spheres)
     print(
         f"{_name(one)}: sphere fit RMSE {1e3 * rmse_mm:.2f} um (true coat {true_um}), radii {radii}"
         f" mm, {rmse_mm / base_mm:.2f} times contact-FPP (paper: {PAPER_RATIO}); z RMSE"
-        f" {scored.z_rmse_um:.1f} um"
+        f" {one.errors.z_rmse_um:.1f} um"
     )
     return rmse_mm / base_mm
 

@@ -30,7 +30,6 @@ from scipy.interpolate import CubicSpline
 
 from reconstruction.evaluate.fit import fit_sphere
 from twin.config.artefacts import Bar, Step
-from twin.config.fingerprint import Fingerprint
 from twin.config.models import (
     Ball,
     Elastomer,
@@ -42,7 +41,7 @@ from twin.config.models import (
     Specimen,
     TwoBalls,
 )
-from twin.config.objects import Brick, Nut, TBolt
+from twin.config.objects import Brick, Fingerprint, Nut, TBolt
 from twin.mechanics import PressedElastomer
 from twin.mechanics.errors import PressError, SolverError
 from twin.mechanics.sheet.linear_solver import has_pardiso

@@ -33,7 +33,7 @@ from pathlib import Path
 
 from twin.config import load_experiment, to_toml
 from twin.config.study import Study
-from twin.modalities import measure
+from twin.pipeline import measure
 from twin.study.cases import Case
 from twin.study.engine import Run
 from twin.study.index import Index

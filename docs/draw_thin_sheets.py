@@ -21,8 +21,8 @@ from reconstruction.errors import InputError
 from reconstruction.evaluate.fit import fit_sphere
 from twin.config import Experiment, load_experiment
 from twin.mechanics import PressedElastomer, read_press, ridge_height_mm, write_press
-from twin.mechanics.ridge_transfer import Ridges
-from twin.modalities.contact_fpp import press_specimen
+from twin.mechanics.contact_transfer import Ridges
+from twin.pipeline.press import press_specimen
 from twin.specimens import shape_of
 
 PICTURE = Path(__file__).with_name("thin_sheets.png")

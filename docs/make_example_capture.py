@@ -22,7 +22,7 @@ from reconstruction.capture.frame_set import FORMAT, VERSION
 from reconstruction.capture.pattern_files import file_names, write_patterns
 from reconstruction.rig.calibration import write_calibration
 from twin.config import load_experiment
-from twin.modalities import Recording, press_specimen, record
+from twin.pipeline import Recording, press_specimen, record
 
 FOLDER = Path(__file__).with_name("example_capture")
 CAMERA = {"binning": 4, "width_px": 1280, "height_px": 960, "bit_depth": 8}

@@ -53,6 +53,32 @@ def asset_path(collection: Collection, name: str) -> Path:
     raise AssetError(_not_found(collection, name))
 
 
+def scene_file(name: str | Path) -> Path:
+    """Find a file that a user names: one of their own, or a shipped one in `scenes`.
+
+    Raises
+    ------
+    AssetError
+        There is neither.
+    """
+    file = Path(name)
+    return file if file.is_file() else asset_path("scenes", str(name))
+
+
+def mesh_path(name: str) -> Path:
+    """Return where a file lies that an experiment names, which need not exist.
+
+    Raises
+    ------
+    AssetError
+        The name begins with ``scenes/``, and there is no such file.
+    """
+    path = Path(name)
+    if not path.is_file() and name.startswith("scenes/"):
+        return asset_path("scenes", name.removeprefix("scenes/"))
+    return path
+
+
 def list_assets(collection: Collection) -> list[str]:
     """List the names of a collection, as `asset_path` takes them.
 

@@ -294,7 +294,7 @@ def replacing(path: Path, kind: type[InputError] = InputError) -> Iterator[Path]
     OSError
         The disk is full.
     """
-    part = path.with_name(f".{path.name}.part")
+    part = path.with_name(f".{path.name}.{os.getpid()}.part")  # others may write it, too
     try:
         yield part
         part.replace(path)

@@ -15,12 +15,11 @@ from benchmarks.regression.figures import Values
 from reconstruction.pipeline import reconstruct
 from twin.config import Experiment, load_experiment, vary
 from twin.config.board import load_board
-from twin.modalities import measure, press_specimen, record
-from twin.modalities.calibration import calibrate_rendered
-from twin.modalities.contact_fpp import options_of
-from twin.modalities.score import Score
 from twin.paper.repeats import rod_width
-from twin.study.stages import ContactStages
+from twin.pipeline import Memory, measure, press_specimen, record
+from twin.pipeline.calibration import calibrate_rendered
+from twin.pipeline.fringes import options_of
+from twin.results.score import Scores
 
 IDEAL = {"camera.noise": False, "decode.filter_taps": 0}
 CENTRE = {"camera.binning": 2, "camera.width_px": 640, "camera.height_px": 480}
@@ -29,12 +28,14 @@ CENTRE = {"camera.binning": 2, "camera.width_px": 640, "camera.height_px": 480}
 
 def two_balls(seeds: int = 5, binning: int = 2) -> Values:
     """Measure the paper's scene as `twin demo` does, then decode the same captures unfiltered."""
-    stages = ContactStages()
+    memory = Memory()
 
     def once(seed: int) -> dict[str, float]:
         experiment = load_experiment("paper/two_balls", {"camera.binning": binning, "seed": seed})
-        done = stages.measure(experiment)
-        plain = stages.measure(vary(experiment, {"decode.filter_taps": 0})).score.against_truth
+        done = measure(experiment, memory=memory)
+        plain = measure(
+            vary(experiment, {"decode.filter_taps": 0}), memory=memory
+        ).score.against_truth
         truth = done.score.against_truth
         return spheres(done.score) | {
             "two_balls_force_n": done.pressed.force_n,
@@ -49,7 +50,7 @@ def two_balls(seeds: int = 5, binning: int = 2) -> Values:
     return repeated(seeds, once)
 
 
-def spheres(scored: Score) -> dict[str, float]:
+def spheres(scored: Scores) -> dict[str, float]:
     """Return radius and residuals, mean over both balls."""
     fits = [ball.measured for ball in scored.spheres]
     return {
@@ -84,13 +85,13 @@ def decoded(experiment: Experiment, recording: Any) -> Any:
 
 def albedo(seeds: int = 5) -> Values:
     """Compare the error on a dark coat with that on a coat of albedo 0.4."""
-    dark_stages, bright_stages = ContactStages(), ContactStages()
+    dark_memory, bright_memory = Memory(), Memory()
 
     def once(seed: int) -> dict[str, float]:
         settings = {"camera.binning": 4, "decode.filter_taps": 0, "seed": seed}
         base = load_experiment("paper/two_balls", settings)
-        dark = dark_stages.measure(vary(base, {"coating.base_albedo": 0.1}))
-        bright = bright_stages.measure(vary(base, {"coating.base_albedo": 0.4}))
+        dark = measure(vary(base, {"coating.base_albedo": 0.1}), memory=dark_memory)
+        bright = measure(vary(base, {"coating.base_albedo": 0.4}), memory=bright_memory)
         ratio = dark.score.against_truth.z_rmse_um / bright.score.against_truth.z_rmse_um
         return {"albedo_z_rmse_ratio": ratio}
 
@@ -99,13 +100,13 @@ def albedo(seeds: int = 5) -> Values:
 
 def rod(seeds: int = 5) -> Values:
     """Read the width of the paper's rod C off the relief as the paper's table does."""
-    stages = ContactStages()
+    memory = Memory()
 
     def once(seed: int) -> dict[str, float]:
         experiment = load_experiment("paper/rods_c", {"camera.binning": 4, "seed": seed})
-        done = stages.measure(experiment)
-        valid = done.reconstruction.point_map.valid & done.recording.truth.lit
-        points_mm = done.reconstruction.point_map.points_world_mm[valid]
+        done = measure(experiment, memory=memory)
+        valid = done.points.valid & done.truth.lit
+        points_mm = done.points.world_mm[valid]
         found = rod_width(experiment, points_mm, "")
         return {f"rod_{name}_mm": found[f"rod_{name}_mm"] for name in ("width", "height")}
 
@@ -114,11 +115,11 @@ def rod(seeds: int = 5) -> Values:
 
 def window(seeds: int = 5) -> Values:
     """Measure through a gel and a window, which the decoder takes for air."""
-    stages = ContactStages()
+    memory = Memory()
 
     def once(seed: int) -> dict[str, float]:
         settings = {"camera.binning": 4, "seed": seed}
-        done = stages.measure(load_experiment("examples/gel_on_window", settings))
+        done = measure(load_experiment("examples/gel_on_window", settings), memory=memory)
         return {
             "window_radius_mm": done.score.spheres[0].measured.radius_mm,
             "window_z_bias_um": done.score.against_truth.z_bias_um,

@@ -3,6 +3,7 @@
 import statistics
 
 from benchmarks import mechanics
+from benchmarks.cap_height import cap_height_ratio
 from benchmarks.decode import ideal_rms_px
 from benchmarks.direct import energy_gap
 from benchmarks.gelsight import (
@@ -10,6 +11,7 @@ from benchmarks.gelsight import (
     DEPTH_MM,
     FIRST_IMAGE,
     SCHEMES,
+    SENSORS,
     Shot,
     photographed,
 )
@@ -18,9 +20,7 @@ from benchmarks.regression.figures import Values
 from reconstruction.photometric import PhotometricDecoder, PhotometricOptions
 from twin.config import Experiment, load_experiment
 from twin.config.models import Ball
-from twin.modalities.photometric_score import cap_height_ratio
-from twin.modalities.photometric_stereo import calibrated_sensor
-from twin.modalities.reference_balls import with_ball
+from twin.pipeline.colours import calibrated_sensor, with_ball
 
 FEW_PRESSES = {"photometric.presses.count": 16}
 PLACES_MM = ((0.0, 0.0), (5.0, 2.5), (-4.0, -3.0), (4.0, -3.0), (-5.0, 2.5))
@@ -64,7 +64,7 @@ def gelsight(seeds: int = 4) -> Values:
 def caps(seed: int) -> dict[str, float]:
     """Return heights of the cap over the true one, mean over the places, by integration."""
     experiment = load_experiment("examples/gelsight_ball", FEW_PRESSES | {"seed": seed})
-    sensor, rendered = calibrated_sensor(experiment)
+    sensor, rendered = calibrated_sensor(experiment, SENSORS)
     shots = [photograph(experiment, number) for number in range(len(PLACES_MM))]
     found = {}
     for name, scheme in SCHEMES.items():

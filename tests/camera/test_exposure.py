@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from twin.camera import expose
-from twin.camera.sensor import electrons_per_ms, full_well_e, gain_dn_per_e, noise_model
+from twin.camera import electrons_per_ms, expose, full_well_e, gain_dn_per_e, noise_model
 from twin.config import load_experiment
 
 SHAPE = (200, 200)

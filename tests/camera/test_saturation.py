@@ -6,8 +6,7 @@ from scipy import stats
 
 from reconstruction.decoding.decode import DecodeOptions, decode
 from reconstruction.patterns import PatternSet
-from twin.camera import expose
-from twin.camera.sensor import electrons_per_ms, full_well_e, noise_model, read_noise_e
+from twin.camera import electrons_per_ms, expose, full_well_e, noise_model, read_noise_e
 from twin.config import load_experiment
 
 PATTERNS = PatternSet(width_px=128, height_px=128)

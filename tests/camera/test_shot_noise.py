@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from twin.camera.shot_noise import FROM_NORMAL, photon_counts, poisson_of_normal
+from twin.camera import FROM_NORMAL, photon_counts, poisson_of_normal
 
 
 @pytest.mark.parametrize(("mean", "limit"), [(FROM_NORMAL, 2e-5), (1000.0, 1e-6), (40000.0, 1e-7)])

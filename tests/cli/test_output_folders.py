@@ -20,7 +20,7 @@ TWIN = "import sys; from twin.cli import main; main()"
 WAITING = """
 import time
 from twin.cli import main
-import twin.modalities.captures as captures
+import twin.pipeline.captures as captures
 captures.read_capture = lambda _: time.sleep(60)
 main()
 """

@@ -8,7 +8,7 @@ from twin.config import ConfigError, load_experiment
 from twin.config.models import Ball, Mechanics, PadFile, Press
 from twin.mechanics import PressError, press
 from twin.mechanics.choice import check_press, choose_model, must_wrap, press_with, read_pad
-from twin.modalities import press_specimen
+from twin.pipeline import press_specimen
 from twin.specimens import shape_of
 
 

@@ -11,11 +11,10 @@ from scipy import fft
 from twin.config import load_experiment
 from twin.config.models import Ball, Flat, Rod
 from twin.mechanics import PressedElastomer, SolverError
-from twin.mechanics.contact import _Brake, solve_contact
+from twin.mechanics.contact import _Brake, solve_contact, solve_on_layer
 from twin.mechanics.control import DepthControl, ForceControl
 from twin.mechanics.layer import BondedLayer
-from twin.mechanics.two_grid import solve_on_layer
-from twin.modalities.contact_fpp import press_specimen
+from twin.pipeline.press import press_specimen
 from twin.specimens import height_above_lowest
 
 Field = NDArray[np.float64]

@@ -5,8 +5,14 @@ import pytest
 
 from twin.config.models import Ball, Elastomer, Film, Press
 from twin.mechanics import contact_transfer, press
-from twin.mechanics.film import CoatFilm, LoadedBase, solve_coated
-from twin.mechanics.transfer import SMALLEST_Q, amplitudes, solve_transfer
+from twin.mechanics.transfer import (
+    SMALLEST_Q,
+    CoatFilm,
+    LoadedBase,
+    amplitudes,
+    solve_coated,
+    solve_transfer,
+)
 
 Q = np.geomspace(SMALLEST_Q, 45, 200)
 COLUMNS = ("normal_t", "normal_b", "tangential_t", "tangential_b")

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from tests.oracles import fredholm
 from twin.config.models import Ball, Elastomer, Flat, Press, Rod
 from twin.mechanics import press
-from twin.mechanics.reference import fredholm
 from twin.specimens import height_above_lowest
 
 

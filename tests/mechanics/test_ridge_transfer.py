@@ -6,7 +6,7 @@ import pytest
 from twin.config.models import Elastomer, Grating
 from twin.config.specimens import Fingerprint, Nut
 from twin.mechanics import PressError, ridge_height_mm, ridge_transfer
-from twin.mechanics.ridge_transfer import Ridges
+from twin.mechanics.contact_transfer import Ridges
 from twin.mechanics.transfer import solve_transfer
 
 PITCH_MM = 0.45

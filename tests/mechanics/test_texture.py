@@ -20,10 +20,10 @@ from twin.mechanics import (
     write_press,
 )
 from twin.mechanics.johnson import johnson_of
-from twin.modalities import press_specimen
-from twin.modalities.contact_fpp import press_smooth
-from twin.modalities.storage import press_metrics
 from twin.optics.shading import may_shade_itself
+from twin.pipeline import press_specimen
+from twin.pipeline.press import press_smooth
+from twin.results.parts import press_metrics
 
 NORMAL = Texture(rms_um=12, correlation_mm=0.2)
 TAILED = Texture(rms_um=12, correlation_mm=0.2, skewness=0.5, excess_kurtosis=2.0)
@@ -204,7 +204,7 @@ def test_every_model_gets_it_from_the_experiments_seed(model, monkeypatch):
         "paper/two_balls", SMALL | {"coating.texture": NORMAL.model_dump()}
     )
     smooth = replace(press_smooth(experiment), model=model)
-    monkeypatch.setattr("twin.modalities.contact_fpp.press_with", lambda *_: smooth)
+    monkeypatch.setattr("twin.pipeline.press.press_with", lambda *_: smooth)
     one, again, other = (
         press_specimen(vary(experiment, {"seed": seed})).face_z_mm for seed in (1, 1, 2)
     )

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from twin.mechanics import PressError, opposite_transfer
-from twin.mechanics.table import normal_transfer
-from twin.mechanics.transfer import SMALLEST_Q, solve_transfer
+from twin.mechanics.transfer import SMALLEST_Q, normal_transfer, solve_transfer
 
 Q = np.geomspace(SMALLEST_Q, 40, 400)
 RATIOS = [0.3, 0.45, 0.49, 0.4999, 0.5]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from twin.mechanics.relief import grid_facets
+from twin.specimens.solids import grid_facets
 
 
 @pytest.fixture(scope="session")

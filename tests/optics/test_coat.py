@@ -9,7 +9,6 @@ import pytest
 from reconstruction.errors import InputError
 from twin.config import load_experiment
 from twin.optics.light import light_tables, pattern_set
-from twin.optics.render import render_coatings
 
 ANGLES = np.deg2rad([0.0, 30.0, 60.0, 80.0])
 MATTE, BINDERS = 1.0, (1.2, 1.4, 1.6)
@@ -167,7 +166,7 @@ def test_the_coat_is_reciprocal(mi, coated, binder):
 
 
 def test_a_sweep_on_one_scene_equals_fresh_scenes(mi, experiment, coated, bump):
-    """Matte, binder, binder, matte: every frame byte for byte, and the truth they share."""
+    """Matte, binder, binder, matte: every frame byte for byte, by patches traced once per coat."""
     from twin.optics.one_trace import trace_stack, trace_truth
     from twin.optics.scene import coated_rig, coated_scene
 
@@ -177,17 +176,22 @@ def test_a_sweep_on_one_scene_equals_fresh_scenes(mi, experiment, coated, bump):
         coated(albedo=0.9, flakes=0.0, binder=1.6, roughness=0.3),
         coated(flake_roughness=0.2),
     ]
-    sweep, tables = list(render_coatings(experiment, bump, coatings)), tables_of(experiment)
-    for coating, swept in zip(coatings, sweep, strict=True):
+    from twin.pipeline import trace
+
+    tables = tables_of(experiment)
+    geometry = trace.load_face(experiment, bump)
+    view = trace.view_of(experiment, geometry)
+    for coating in coatings:
         changed = experiment.model_copy(update={"coating": coating})
+        traced = trace.patches_of(changed, geometry, view), None
+        swept = trace.light(changed, geometry, view, traced, lambda _: None)
         scene, rig = coated_scene(changed, bump), coated_rig(changed, bump)
         fresh = trace_stack(scene, rig, tables, experiment.render.samples)
         for one, other in zip(swept.frames, fresh, strict=True):
             assert one.tobytes() == other.tobytes()
     truth = trace_truth(scene, rig)
-    assert all(swept.truth is sweep[0].truth for swept in sweep)
-    assert sweep[0].truth.points_world_mm.tobytes() == truth.points_world_mm.tobytes()
-    assert sweep[0].truth.lit.tobytes() == truth.lit.tobytes()
+    assert view.truth.points_world_mm.tobytes() == truth.points_world_mm.tobytes()
+    assert view.truth.lit.tobytes() == truth.lit.tobytes()
 
 
 @pytest.mark.parametrize("binder", [MATTE, 1.4])
@@ -239,12 +243,6 @@ def test_export_writes_the_same_coat(mi, experiment, coated, plane, tmp_path):
         for bsdf in (bsdf_of(mi, coating), exported)
     )
     np.testing.assert_allclose(theirs, own, rtol=1e-6)
-
-
-def test_the_stock_engine_sweeps_no_coatings(experiment, plane):
-    stock = experiment.render.model_copy(update={"engine": "stock"})
-    with pytest.raises(InputError, match="one_trace"):
-        next(render_coatings(experiment.model_copy(update={"render": stock}), plane, []))
 
 
 def test_a_binder_in_a_gel_is_at_least_as_dense(mi, experiment, coated):

@@ -8,8 +8,8 @@ from twin.config import load_experiment
 from twin.optics.defocus import LEVELS_PER_OCTAVE, BlurLevels, Defocus
 from twin.optics.export import inexpressible
 from twin.optics.light import OVERSAMPLING, blur, light_tables, pattern_set, response
-from twin.optics.render import render
 from twin.optics.rig import projector_pinhole
+from twin.pipeline import render
 
 APERTURE_MM = 24.0
 NEAR_MM, FAR_MM = 215.0, 290.0

@@ -36,8 +36,9 @@ def test_metal_balls_on_a_stage_equal_the_stock_path_tracer(mi, roughness):
     """
     from twin.optics import stock
     from twin.optics.device_frames import perspective_sensor
-    from twin.optics.direct import direct_scene, render_direct
+    from twin.optics.direct import direct_scene
     from twin.optics.scene import rig_of
+    from twin.pipeline import render_bare
 
     settings = {"render.samples": 256, "render.bounce_paths": 1, "render.bounces": 6}
     settings["render.photons"] = 500_000
@@ -46,7 +47,7 @@ def test_metal_balls_on_a_stage_equal_the_stock_path_tracer(mi, roughness):
     index = patterns.index("phase", "column").start + 1
     ours = np.stack(
         [
-            render_direct(experiment.model_copy(update={"seed": seed})).frames[index]
+            render_bare(experiment.model_copy(update={"seed": seed})).frames[index]
             for seed in range(RUNS)
         ]
     )
@@ -76,23 +77,24 @@ def test_metal_balls_on_a_stage_equal_the_stock_path_tracer(mi, roughness):
 
 def test_bright_end_is_stable_between_seeds(mi):
     """No fireflies: 99.99th percentiles of the white frame agree within 10 %, default samples."""
-    from twin.optics.direct import render_direct
+    from twin.pipeline import render_bare
 
     film = {"camera.width_px": 300, "camera.height_px": 220, "patterns.steps": 3}
     fine = film | {"camera.pixel_pitch_um": {"value": 29.0, "source": "test"}}
     experiment = direct(0.1, **fine)
     white = pattern_set(experiment.projector, experiment.patterns).index("white").start
     first, second = (
-        np.percentile(render_direct(experiment.model_copy(update={"seed": s})).frames[white], 99.99)
+        np.percentile(render_bare(experiment.model_copy(update={"seed": s})).frames[white], 99.99)
         for s in (1, 2)
     )
     assert first == pytest.approx(second, rel=0.1)
 
 
 def test_truth_tells_specimen_from_stage(mi):
-    from twin.optics.direct import AIR_GAP_MM, render_direct
+    from twin.optics.direct import AIR_GAP_MM
+    from twin.pipeline import render_bare
 
-    truth = render_direct(direct(**{"render.samples": 1, "render.bounce_paths": 1})).truth
+    truth = render_bare(direct(**{"render.samples": 1, "render.bounce_paths": 1})).truth
     z_mm = truth.points_world_mm[..., 2]
     assert truth.measured.any()
     assert not truth.measured.all()
@@ -101,10 +103,10 @@ def test_truth_tells_specimen_from_stage(mi):
 
 
 def test_same_seed_same_bytes(mi):
-    from twin.optics.direct import render_direct
+    from twin.pipeline import render_bare
 
     experiment = direct(0.1, **{"render.photons": 50_000})
-    first, second = (render_direct(experiment).frames for _ in range(2))
+    first, second = (render_bare(experiment).frames for _ in range(2))
     for one, other in zip(first, second, strict=True):
         np.testing.assert_array_equal(one, other)
 
@@ -118,7 +120,7 @@ def test_same_seed_same_bytes(mi):
     ],
 )
 def test_what_cannot_be_seen_is_refused(mi, name, settings, message):
-    from twin.optics.direct import render_direct
+    from twin.pipeline import render_bare
 
     with pytest.raises(InputError, match=message):
-        render_direct(load_experiment(name, SMALL | settings))
+        render_bare(load_experiment(name, SMALL | settings))

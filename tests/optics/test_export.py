@@ -6,7 +6,7 @@ import pytest
 from twin.config import load_experiment
 from twin.optics.export import export_stock, inexpressible
 from twin.optics.light import pattern_set
-from twin.optics.render import render
+from twin.pipeline import render
 
 SMALL = {
     "projector.width_px": 320,
@@ -50,7 +50,7 @@ def test_what_stock_cannot_express_is_named():
 
 def test_exported_specimen_renders_as_ours(mi, tmp_path):
     """Rough metal balls on the stage: stock's path tracer finds the same mean within 1 %."""
-    from twin.optics.direct import render_direct
+    from twin.pipeline import render_bare
 
     rough = {"specimen.material.roughness": {"value": 0.4, "source": "test"}}
     settings = SMALL | rough | {"modality": "direct_fpp", "render.bounces": 2}
@@ -59,7 +59,7 @@ def test_exported_specimen_renders_as_ours(mi, tmp_path):
     frames = pattern_set(experiment.projector, experiment.patterns).frames
     scene = mi.load_file(str(tmp_path / "scene.xml"), frame=frames[1].name, optimize=False)
     stock = np.asarray(mi.render(scene, spp=256))[:, :, 0]
-    ours = render_direct(experiment).frames[1]
+    ours = render_bare(experiment).frames[1]
     assert stock.mean() == pytest.approx(ours.mean(), rel=0.01)
 
 

@@ -235,8 +235,8 @@ def test_the_flux_through_the_layers_is_conserved(mi, rig, experiment, media):
 def test_layers_of_air_change_nothing(mi, experiment, rig, bump):
     """Index 1: the refracted path is the straight one, to the rounding of float32."""
     from twin.optics.connection import see
+    from twin.optics.devices import SubPixels
     from twin.optics.scene import coated_scene
-    from twin.optics.subpixels import SubPixels
 
     scene, grid = coated_scene(experiment, bump), SubPixels.of_image(120, 92, 1)
     air = stack_of((Medium(8.0, 1.0, 0.0), Medium(3.0, 1.0, 0.0)))

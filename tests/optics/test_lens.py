@@ -129,7 +129,7 @@ def test_an_edge_out_of_focus_has_the_discs_second_moment(mi, grid_face):
 
 
 def test_without_depth_of_field_the_f_number_changes_no_byte(mi, plane):
-    from twin.optics.render import render
+    from twin.pipeline import render
 
     tiny = {"camera.width_px": 32, "camera.height_px": 24}
     frames = [

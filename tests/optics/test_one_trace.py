@@ -6,7 +6,7 @@ import trimesh
 
 from twin.config import load_experiment
 from twin.optics.light import pattern_set
-from twin.optics.render import render
+from twin.pipeline import render
 
 SMALL = {"camera.width_px": 240, "camera.height_px": 184, "camera.binning": 2}
 # 240 binned pixels over the whole field of view

@@ -6,8 +6,8 @@ import trimesh
 
 from twin.config import load_experiment
 from twin.optics.light import pattern_set
-from twin.optics.render import render
 from twin.optics.rig import true_calibration
+from twin.pipeline import render
 
 SMALL = {
     "camera.width_px": 60,
@@ -60,7 +60,7 @@ def test_light_falls_with_the_square_of_the_distance_and_the_cosine(
     mi, plane, standoff_mm, polar_deg
 ):
     """Every lit pixel: rho / pi * E1 / z^2 * cos(plane, ray) / cos(axis, ray)."""
-    from twin.optics.radiometry import irradiance_at_1mm
+    from twin.optics.rig import irradiance_at_1mm
 
     pose = {"projector.pose.standoff_mm": standoff_mm, "projector.pose.polar_deg": polar_deg}
     experiment, stack = rendered(plane, pose)

@@ -7,8 +7,8 @@ from reconstruction.decoding.decode import DecodeOptions, decode
 from reconstruction.rig.sensor import SensorNoise
 from twin.config import load_experiment
 from twin.optics.light import pattern_set
-from twin.optics.render import render
 from twin.optics.rig import true_calibration
+from twin.pipeline import render
 
 SMALL = {
     "camera.width_px": 120,

@@ -8,10 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from twin.optics.backend import Backend, MissingBackend, activate, candidates, choice, find_backend
+from twin.optics.backend import Backend, MissingBackend, activate, choice, find_backend
 from twin.optics.backend.memory import cache_file
-from twin.optics.backend.model import CHOICE_VARIABLE, LIBRARY_VARIABLE, LLVM_VARIANT
-from twin.optics.backend.probe import probe
+from twin.optics.backend.probe import CHOICE_VARIABLE, LIBRARY_VARIABLE, LLVM_VARIANT, probe
 
 ABORTING = """
 import os, sys
@@ -166,9 +165,9 @@ def test_newest_library_comes_first(monkeypatch, tmp_path):
     for name in names + strangers:
         (tmp_path / name).write_bytes(b"")
     (tmp_path / "libLLVM.so").symlink_to("libLLVM.so.19.1")
-    monkeypatch.setattr(candidates, "_LIBRARY_FOLDERS", (str(tmp_path),))
-    monkeypatch.setattr(candidates, "_linker_cache", lambda: iter(()))
-    found = [path.name for path in candidates.llvm_candidates() if path.parent == tmp_path]
+    monkeypatch.setattr(choice, "_LIBRARY_FOLDERS", (str(tmp_path),))
+    monkeypatch.setattr(choice, "_linker_cache", lambda: iter(()))
+    found = [path.name for path in choice.llvm_candidates() if path.parent == tmp_path]
     assert found == ["libLLVM.so.19.1", "libLLVM-18.so.1", "libLLVM-15.so.1", "libLLVM.so.9"]
 
 

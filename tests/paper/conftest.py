@@ -5,10 +5,12 @@ import pytest
 
 from reconstruction.photometric import HeightMap
 from twin.config import load_experiment
-from twin.modalities.measurement import measure
-from twin.modalities.photometric_score import in_world, score_heights
-from twin.modalities.storage import write_result
 from twin.optics.stack import Truth
+from twin.pipeline.methods import measure
+from twin.results.decoders import DecodedImage
+from twin.results.parts import write_result
+from twin.results.record import Colours, Measurement
+from twin.results.score import score_heights
 
 # 160 x 120 pixels over the whole field, three phase steps, one sample: seconds, not minutes.
 SMALL = {
@@ -39,19 +41,16 @@ def small_photographs():
 
 @pytest.fixture(scope="package")
 def measured_rod(mi):
-    """Experiment and measurement of a rod."""
-    experiment = load_experiment("paper/rods_a", SMALL)
-    return experiment, measure(experiment)
+    """Measurement of a rod."""
+    return measure(load_experiment("paper/rods_a", SMALL))
 
 
 @pytest.fixture(scope="package")
 def rod(measured_rod, small_photographs, tmp_path_factory):
     """Folder of a measured rod with panels. Not to be changed by tests."""
-    from twin.paper.seen import seen_in_fringes
-
     folder = tmp_path_factory.mktemp("cases") / "rods_a" / "contact_fpp"
     folder.mkdir(parents=True)
-    keep(folder, seen_in_fringes(*measured_rod))
+    keep(folder, measured_rod)
     return folder
 
 
@@ -78,8 +77,6 @@ def keep(folder, seen):
 
 def perfect_cap(experiment, pitch_mm=0.1, shape=(120, 160)):
     """Heights on an exact sphere over a flat gel; the first ten rows are not measured."""
-    from twin.paper.seen import Seen
-
     rows, cols = shape
     x, y = np.meshgrid(
         (np.arange(cols) - (cols - 1) / 2) * pitch_mm, ((rows - 1) / 2 - np.arange(rows)) * pitch_mm
@@ -88,12 +85,15 @@ def perfect_cap(experiment, pitch_mm=0.1, shape=(120, 160)):
     z = np.maximum(cap, 0.0).astype(np.float32)
     reason = np.zeros(shape, np.uint8)
     reason[:10] = 1
-    found = in_world(HeightMap(z, np.zeros((2, *shape), np.float32), reason, pitch_mm))
+    heights = HeightMap(z, np.zeros((2, *shape), np.float32), reason, pitch_mm)
     zero, all_of_it = np.zeros(shape, np.float32), np.ones(shape, bool)
     points = np.stack([x, y, z], axis=-1).astype(np.float32)
     upwards = np.broadcast_to(np.float32([0, 0, 1]), points.shape)
     truth = Truth(points, upwards, zero + 1, zero, zero, all_of_it, all_of_it)
     figures = {"completeness": 0.9, "good_share": 0.8, "z_rmse_um": 0.0}
     image = np.full((*shape, 3), 128, np.uint8)
-    balls = score_heights(experiment, found, truth).spheres
-    return Seen(experiment, figures, image, found.points_mm, 2 * reason, truth, balls, None)
+    scored = score_heights(experiment, heights, truth)
+    own = DecodedImage("table", "sdk_2024", heights, scored)
+    return Measurement(
+        experiment, Colours(image, {}, [own], own), truth, scored, figures, None, "", {}
+    )

@@ -7,13 +7,12 @@ import pytest
 from reconstruction.pipeline import reconstruct
 from twin.cli import run
 from twin.config import load_experiment
-from twin.modalities.contact_fpp import options_of
-from twin.modalities.measurement import take
-from twin.modalities.progress import Stopwatch
-from twin.modalities.score import metrics, score
 from twin.optics.rig import true_calibration
 from twin.paper.repeats import measure_fringes
 from twin.paper.rig_draws import RigScatter
+from twin.pipeline.fringes import options_of, take
+from twin.pipeline.progress import Stopwatch
+from twin.results.score import metrics, score
 
 SMALL = {
     "camera.binning": 4,

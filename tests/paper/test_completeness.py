@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from twin.config import load_experiment
-from twin.modalities.contact_fpp import press_specimen
 from twin.optics.stack import Truth
 from twin.paper.completeness import completeness_of, specimen_height_mm
+from twin.pipeline.press import press_specimen
 
 PITCH_MM = 0.05
 

@@ -49,8 +49,8 @@ def test_the_drape_makes_one_hump_two_balls():
 
 def test_optics_do_not_move_the_press_and_hardly_the_radius(mi):
     """One press, no noise: the same figures twice; half as bright again moves it little."""
-    from twin.modalities.contact_fpp import press_specimen
     from twin.paper.optics_model import chain_figures
+    from twin.pipeline.press import press_specimen
 
     small = {"camera.binning": 4, "patterns.steps": 3, "render.samples": 1}
     experiment = load_experiment("paper/two_balls", small | {"press.solver_pitch_mm": 0.2})

@@ -14,7 +14,7 @@ def test_panels_of_fringes_are_the_measured_points(rod, measured_rod):
     from twin.paper.panel_data import read_panel_data
 
     data = read_panel_data(rod / "panels")
-    measured = measured_rod[1].reconstruction.point_map
+    measured = measured_rod.fringes.reconstruction.point_map
     np.testing.assert_array_equal(data.points_mm, measured.points_world_mm)
     np.testing.assert_array_equal(data.valid, measured.valid)
     figures = json.loads((rod / "result.json").read_text())["metrics"]
@@ -102,18 +102,17 @@ def test_photometric_points_without_measurement_are_gaps(ball):
 def test_the_same_result_gives_the_same_bytes(rod, measured_rod, tmp_path):
     from twin.paper.panel_data import write_panel_data
     from twin.paper.panel_sources import panel_data_of
-    from twin.paper.seen import seen_in_fringes
 
-    write_panel_data(tmp_path / "again", panel_data_of(seen_in_fringes(*measured_rod)))
+    write_panel_data(tmp_path / "again", panel_data_of(measured_rod))
     assert {path.name for path in (tmp_path / "again").iterdir()} == {"panels.npz", "panels.json"}
     for path in sorted((rod / "panels").iterdir()):
         assert path.read_bytes() == (tmp_path / "again" / path.name).read_bytes(), path.name
 
 
 def test_a_case_keeps_the_figures_of_twin_measure_and_stays_small(rod, measured_rod, tmp_path):
-    from twin.modalities.storage import write_measurement
+    from twin.results.folder import write_measurement
 
-    write_measurement(tmp_path, "measure", *measured_rod)
+    write_measurement(tmp_path, "measure", measured_rod)
     whole = json.loads((tmp_path / "result.json").read_text())
     kept = json.loads((rod / "result.json").read_text())
     assert {**whole, "command": "paper"} == kept

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from twin.config import ConfigError, load_experiment
-from twin.modalities.instruments import PhotometricPlan, case_for
 from twin.paper.scatter import Input, Scatter, draw, drawn_values, load_scatter
+from twin.pipeline.instruments import PhotometricPlan, case_for
 
 SEED = 5
 

@@ -6,8 +6,8 @@ import trimesh
 from PIL import Image
 
 from twin.config import load_experiment
-from twin.modalities.contact_fpp import press_specimen
 from twin.optics.rig import true_calibration
+from twin.pipeline.press import press_specimen
 
 COARSE = {"press.solver_pitch_mm": 0.4, "press.relief_pitch_mm": 0.05}
 TOWARDS_LAMP = (-1.0, 0.0, 1.0)
@@ -53,7 +53,7 @@ def test_view_straight_down_has_world_y_at_the_top(mi):
 
 def test_rays_meet_a_plane_where_they_project_to(mi):
     """Setup: the plane z = 0 fills the picture. Expected: each point projects to its pixel."""
-    from twin.optics.sight import look
+    from twin.optics.observer import look
 
     seen = look(*plane(), observer(), TOWARDS_LAMP)
     assert seen.hit.all()
@@ -66,7 +66,7 @@ def test_rays_meet_a_plane_where_they_project_to(mi):
 
 def test_a_screen_throws_a_shadow_where_geometry_says(mi):
     """Setup: lamp at 45 deg from -x, a wall of height 1 at x = 0. Expected: dark for 0 < x < 1."""
-    from twin.optics.sight import look
+    from twin.optics.observer import look
 
     ground, triangles = plane()
     wall = np.array([(0, -20, 0), (0, 20, 0), (0, 20, 1), (0, -20, 1)], float)

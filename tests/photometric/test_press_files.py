@@ -20,7 +20,7 @@ from reconstruction.photometric import (
     write_sensor_calibration,
 )
 from reconstruction.photometric.press_files import Framing, framed, read_rgb
-from twin.modalities.photometric_files import reconstruct_press
+from twin.pipeline.captures import reconstruct_press
 
 BALLS = 6
 HEADER = 'format = "photometric-press"\nversion = 1\n'

@@ -1,5 +1,6 @@
 """A small finished measurement made without a renderer: analytic rays and pattern levels."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,13 +12,13 @@ from reconstruction.pipeline import reconstruct
 from twin.camera import expose
 from twin.config import Experiment, load_experiment
 from twin.mechanics import PressedElastomer
-from twin.modalities import Measurement, Recording
-from twin.modalities.contact_fpp import options_of, press_specimen
-from twin.modalities.score import score
-from twin.modalities.storage import write_measurement
 from twin.optics.light import pattern_set
 from twin.optics.rig import true_calibration
 from twin.optics.stack import RadianceStack, Truth
+from twin.pipeline.fringes import evaluate, options_of
+from twin.pipeline.press import press_specimen
+from twin.results.folder import write_measurement
+from twin.results.record import Recording
 
 # mW / (mm^2 sr) of a white field; the automatic exposure takes care of the rest.
 WHITE_RADIANCE = 1e-3
@@ -53,9 +54,8 @@ def finished(
     folder.mkdir()
     recording = record_analytically(experiment, pressed)
     reconstruction = reconstruct(recording.capture, options_of(experiment.decode))
-    scored = score(experiment, reconstruction, recording.truth)
-    done = Measurement(pressed, recording, reconstruction, scored, {"press": 1.5})
-    write_measurement(folder, "measure", experiment, done)
+    done = evaluate(experiment, pressed, recording, reconstruction)
+    write_measurement(folder, "measure", replace(done, seconds={"press": 1.5}))
     return folder
 
 

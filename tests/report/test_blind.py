@@ -1,6 +1,7 @@
 """A measurement without one valid point: absent figures, and a dash with the reason in reports."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,14 +11,13 @@ from reconstruction.pipeline import Reconstruction, reconstruct
 from reconstruction.triangulation.triangulate import PointMap
 from tests.report.conftest import record_analytically
 from twin.config import vary
-from twin.modalities import Measurement, Recording
-from twin.modalities.contact_fpp import options_of
-from twin.modalities.score import metrics, region_of, score, why_absent
-from twin.modalities.storage import write_measurement
+from twin.pipeline.fringes import evaluate, options_of
 from twin.report import summary_table, write_report
 from twin.report.discussion import discussion
-from twin.report.result_folder import read_scored
 from twin.report.verdict import verdicts
+from twin.results.folder import read_measurement, write_measurement
+from twin.results.record import Fringes, Recording
+from twin.results.score import metrics, region_of, score, why_absent
 from twin.specimens import shape_of
 
 ERRORS = ("z_rmse_um", "z_bias_um", "z_p95_um", "sigma_z_median_um", "error_over_sigma")
@@ -35,13 +35,10 @@ def blind(experiment, pressed, recording, tmp_path_factory):
     dark = np.full_like(seen.stack, seen.sensor.black_level_dn)
     capture = Capture(dark, seen.patterns, seen.sensor, seen.calibration, seen.bit_depth)
     found = reconstruct(capture, options_of(experiment.decode))
-    scored = score(experiment, found, recording.truth)
     folder = tmp_path_factory.mktemp("blind") / "result"
     folder.mkdir()
     exposed = Recording(recording.radiance, capture, recording.exposure_ms)
-    write_measurement(
-        folder, "measure", experiment, Measurement(pressed, exposed, found, scored, {})
-    )
+    write_measurement(folder, "measure", evaluate(experiment, pressed, exposed, found))
     return folder
 
 
@@ -67,7 +64,7 @@ def test_report_and_table_say_why(blind):
     table = summary_table(blind)
     assert "z error against the true face: none, no valid point" in table
     assert "points on 0.0% of the lit pixels, - wrong fringe orders" in table
-    assert verdicts(read_scored(blind))[0].headline == "no valid point"
+    assert verdicts(read_measurement(blind))[0].headline == "no valid point"
     page = write_report(blind).read_text()
     assert "no valid point" in page
     assert "None" not in page
@@ -77,7 +74,9 @@ def test_figures_that_take_more_points_than_there_are(experiment, recording):
     """One point has an error but no spread; four fix a sphere exactly, five leave a residual."""
     whole = reconstruct(recording.capture, options_of(experiment.decode))
     ball = shape_of(experiment.specimen).spheres()[0]
-    near = region_of(ball, whole, recording.truth, experiment.score.roi_radius_mm)
+    points = whole.point_map
+    usable = points.valid & recording.truth.lit
+    near = region_of(ball, points.points_world_mm, usable, experiment.score.roi_radius_mm)
     spread_out = np.flatnonzero(near)[:: near.sum() // 5]
 
     def figures(count):
@@ -97,11 +96,14 @@ def test_a_single_point_has_a_report_without_a_spread(experiment, blind, recordi
     kept = np.zeros(whole.point_map.valid.shape, bool)
     kept.ravel()[np.flatnonzero(whole.point_map.valid & recording.truth.lit)[0]] = True
     one = with_points(whole, kept)
-    scored = read_scored(blind)
+    scored = read_measurement(blind)
     found = score(experiment, one, recording.truth)
-    figures = scored.figures | metrics(found)
-    seen = type(scored)(
-        experiment, scored.digest, figures, scored.versions, one, recording.truth, found
+    seen = replace(
+        scored,
+        figures=scored.figures | metrics(found),
+        images=Fringes(recording.capture, one),
+        truth=recording.truth,
+        score=found,
     )
     assert "spread – times" in " ".join(verdicts(seen)[0].reasons)
     assert "a single point has no spread" in discussion(seen)[0]

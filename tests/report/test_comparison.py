@@ -11,13 +11,13 @@ from reconstruction.errors import InputError
 from reconstruction.mask import Reason
 from twin.cli import run
 from twin.config import load_experiment
-from twin.modalities import comparison
-from twin.modalities.comparison import compare, methods_named
+from twin.pipeline import comparison
+from twin.pipeline.comparison import compare, methods_named
 from twin.report import summary_table, write_comparison, write_report
 from twin.report.camera_view import error_um, true_scale_mm, wanted
 from twin.report.direct import REASON_WORDS, discussion, missing_shares, percent, verdicts
 from twin.report.fields import split_unit
-from twin.report.result_folder import read_measured
+from twin.results.folder import read_measurement
 
 # 160 x 120 pixels over the whole field, three phase steps, one sample: seconds, not minutes.
 SMALL = {
@@ -67,7 +67,7 @@ def compared(mi, files, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def direct(compared):
-    return read_measured(compared / "ball" / "direct_fpp")
+    return read_measurement(compared / "ball" / "direct_fpp")
 
 
 def contents(folder):
@@ -208,7 +208,7 @@ def test_another_experiment_of_that_name_is_measured_anew(compared, tmp_path, mo
     out, asked = tmp_path / "out", []
     shutil.copytree(compared, out)
 
-    def refuse(folder, command, case, watch):
+    def refuse(folder, command, case, watch, memory):
         asked.append(case.modality)
         raise InputError("measured\nagain")
 

@@ -8,7 +8,7 @@ from reconstruction.capture.folder import read_capture
 from reconstruction.errors import InputError
 from reconstruction.mask import Reason
 from twin.config import vary
-from twin.modalities.contact_fpp import press_specimen
+from twin.pipeline.press import press_specimen
 from twin.report.canvas import (
     axes_at,
     contour_levels,
@@ -23,7 +23,6 @@ from twin.report.fields import in_words, phrase, split_unit
 from twin.report.frames import block_mean, draw_frames
 from twin.report.press import draw_press
 from twin.report.relief import draw_height_map, draw_relief_view
-from twin.report.result_folder import read_measured
 from twin.report.rig import triangulation_angle_deg
 from twin.report.section import (
     face_profile,
@@ -34,6 +33,8 @@ from twin.report.section import (
 )
 from twin.report.truth_error import predicted_density
 from twin.report.world_map import average_on_grid, pixel_on_face_mm
+from twin.results.folder import read_measurement
+from twin.results.record import Fringes
 
 PNG = b"\x89PNG\r\n\x1a\n"
 
@@ -164,17 +165,18 @@ def test_one_moved_ball_can_be_drawn(experiment, tmp_path):
 
 def test_maps_survive_many_masked_pixels(finished, tmp_path):
     """Every reason at once, and holes in the relief."""
-    measured = read_measured(finished)
-    point_map = measured.reconstruction.point_map
+    measured = read_measurement(finished)
+    point_map = measured.fringes.reconstruction.point_map
     reason = point_map.mask_reason.copy()
     for code in Reason:
         reason[10 * code : 10 * code + 10, 40:90] = code
     holed = dataclasses.replace(point_map, mask_reason=reason)
-    reconstruction = dataclasses.replace(measured.reconstruction, point_map=holed)
-    draw_decoding(tmp_path / "decoding.png", reconstruction, measured.capture.patterns)
+    reconstruction = dataclasses.replace(measured.fringes.reconstruction, point_map=holed)
+    draw_decoding(tmp_path / "decoding.png", reconstruction, measured.fringes.capture.patterns)
     pixel_mm = pixel_on_face_mm(measured.experiment)
-    draw_relief_view(tmp_path / "relief.png", holed, pixel_mm)
-    draw_height_map(tmp_path / "height.png", holed, pixel_mm)
+    points = Fringes(measured.fringes.capture, reconstruction).points
+    draw_relief_view(tmp_path / "relief.png", points, pixel_mm)
+    draw_height_map(tmp_path / "height.png", points, pixel_mm)
     assert len(list(tmp_path.glob("*.png"))) == 3
 
 

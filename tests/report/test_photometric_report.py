@@ -1,6 +1,6 @@
 """Photometric stereo beside contact-FPP on one press: files, figures and pages.
 
-The sensor has few reference presses, those of tests/modalities: rendered once for both.
+The sensor has few reference presses, those of tests/pipeline: rendered once for both.
 """
 
 import csv
@@ -15,11 +15,10 @@ import pytest
 
 from twin.cli import run
 from twin.config import load_experiment
+from twin.config.methods import METHODS
 from twin.manifest import MANIFEST_FILE, manifest_lines, write_manifest
-from twin.modalities.comparison import compare
-from twin.modalities.instruments import METHODS, PhotometricPlan
-from twin.modalities.photometric_decoders import write_decoders
-from twin.modalities.photometric_score import in_world, score_heights
+from twin.pipeline.comparison import compare
+from twin.pipeline.instruments import PhotometricPlan
 from twin.report import summary_table, write_comparison, write_report
 from twin.report.comparison_figures import (
     gist_of,
@@ -29,10 +28,10 @@ from twin.report.comparison_figures import (
 )
 from twin.report.paper import paper_rmse_ratio
 from twin.report.photometric import ball_rows, decoder_rows, verdicts
-from twin.report.photometric_folder import read_photographed
 from twin.report.photometric_maps import error_um, true_heights_mm, true_slopes
-from twin.report.photometric_plates import as_points
-from twin.report.result_folder import read_measured
+from twin.results.decoders import write_decoders
+from twin.results.folder import read_measurement
+from twin.results.score import score_heights
 
 SMALL = {
     "camera.width_px": 640,
@@ -80,12 +79,12 @@ def result(compared):
 
 @pytest.fixture(scope="module")
 def seen(result):
-    return read_photographed(result)
+    return read_measurement(result)
 
 
 @pytest.fixture(scope="module")
 def gists(compared, seen):
-    coat = read_measured(compared / "ball" / "contact_fpp")
+    coat = read_measurement(compared / "ball" / "contact_fpp")
     return {"contact_fpp": gist_of(coat), "photometric_stereo": gist_of(seen)}
 
 
@@ -194,16 +193,16 @@ def test_console_table(result, seen):
 
 def test_decoders_read_back_as_measured(result, seen, tmp_path):
     """The page decodes the stored image anew: the same figures as when it was measured."""
-    write_decoders(tmp_path / "again.csv", seen.decoded)
+    write_decoders(tmp_path / "again.csv", seen.colours.decoded)
     assert (tmp_path / "again.csv").read_bytes() == (result / "decoders.csv").read_bytes()
-    assert seen.own.score.z_rmse_um == pytest.approx(seen.figures["z_rmse_um"], rel=1e-9)
+    assert seen.colours.own.errors.z_rmse_um == pytest.approx(seen.figures["z_rmse_um"], rel=1e-9)
 
 
 def test_error_map_is_what_is_scored(seen):
-    for one in seen.decoded:
+    for one in seen.colours.decoded:
         errors = error_um(seen, one).compressed()
-        assert len(errors) == one.score.points
-        assert np.sqrt(np.mean(errors**2)) == pytest.approx(one.score.z_rmse_um, rel=1e-5)
+        assert len(errors) == one.errors.points
+        assert np.sqrt(np.mean(errors**2)) == pytest.approx(one.errors.z_rmse_um, rel=1e-5)
 
 
 def test_true_slopes_are_those_of_the_true_heights(seen):
@@ -212,7 +211,7 @@ def test_true_slopes_are_those_of_the_true_heights(seen):
     Expected: alike in size and sign within the contact. 0.02: the pixels of the truth are bent by
     refraction by up to 1 %, and differences of 63 um smooth slopes of up to 0.4.
     """
-    z_mm, pitch_mm = true_heights_mm(seen).data, seen.calibration.pitch_mm
+    z_mm, pitch_mm = true_heights_mm(seen).data, seen.colours.calibration.pitch_mm
     down, right = np.gradient(z_mm, pitch_mm)
     inside = np.hypot(*np.indices(z_mm.shape) - np.array([119.5, 159.5])[:, None, None]) < 12
     slopes = true_slopes(seen)
@@ -224,16 +223,17 @@ def test_true_slopes_are_those_of_the_true_heights(seen):
 @pytest.mark.parametrize("scale", [0.6, 1.0, 1.3])
 def test_height_scale_is_that_of_the_heights(seen, scale):
     """Setup: the true heights, scaled and shifted, as if measured."""
-    found = in_world(seen.own.heights)
-    found.points_mm[..., 2] = scale * seen.truth.points_world_mm[..., 2] + 0.05
-    scored = score_heights(seen.experiment, found, seen.truth)
+    heights_mm = scale * seen.truth.points_world_mm[..., 2] + 0.05
+    found = replace(seen.colours.heights, height_mm=heights_mm)
+    scored = score_heights(seen.experiment, found, seen.truth).against_truth
     assert scored.height_scale == pytest.approx(scale, rel=1e-5)
 
 
 def test_points_of_the_view_are_the_heights(seen):
-    points = as_points(seen)
-    np.testing.assert_array_equal(points.valid, seen.own.heights.valid)
-    np.testing.assert_allclose(points.points_world_mm[..., 2], seen.own.heights.height_mm)
+    points = seen.points
+    np.testing.assert_array_equal(points.valid, seen.colours.own.heights.valid)
+    np.testing.assert_allclose(points.world_mm[..., 2], seen.colours.own.heights.height_mm)
+    assert points.sigma_mm is None
 
 
 def test_a_report_without_its_image_is_refused(result, tmp_path, capsys):

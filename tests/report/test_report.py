@@ -11,7 +11,7 @@ from reconstruction.errors import InputError
 from twin.config import digest, vary
 from twin.report import write_report
 from twin.report.glance import glance
-from twin.report.result_folder import read_measured, read_scored
+from twin.results.folder import read_measurement
 
 FIGURES = {
     "rig",
@@ -56,7 +56,7 @@ def test_page_needs_nothing_else(reported):
 
 def test_page_tells_result_warnings_and_assumptions(reported, experiment):
     folder, page, _ = reported
-    measured = read_measured(folder)
+    measured = read_measurement(folder)
     assert digest(experiment) in page
     for ball in measured.score.spheres:
         assert f"{ball.measured.radius_mm:.3f}" in page
@@ -150,7 +150,7 @@ def test_needs_no_renderer():
     ],
 )  # fmt: skip
 def test_glance_names_the_code(finished, patterns, told):
-    scored = read_scored(finished)
+    scored = read_measurement(finished)
     changed = vary(scored.experiment, {f"patterns.{key}": value for key, value in patterns.items()})
     lines = dict(glance(replace(scored, experiment=changed)))
     assert told in lines["patterns"]

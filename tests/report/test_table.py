@@ -12,9 +12,9 @@ from twin.config import vary
 from twin.report import summary_table
 from twin.report.discussion import discussion, pitch_kept_mm
 from twin.report.paper import CONTACT_FPP, GELSIGHT, paper_row
-from twin.report.result_folder import read_scored
 from twin.report.table import ball_rows
 from twin.report.verdict import judge_press, verdicts
+from twin.results.folder import read_measurement
 
 
 def _cells(line):
@@ -34,7 +34,7 @@ def test_measured_rows_are_those_of_the_result_file(finished):
 
 def test_rows_hold_full_precision(finished):
     figures = json.loads((finished / "result.json").read_text())["metrics"]
-    scored = read_scored(finished)
+    scored = read_measurement(finished)
     assert [sphere.number for sphere in scored.score.spheres] == [1, 2]
     for sphere in scored.score.spheres:
         ball = sphere.number
@@ -89,7 +89,7 @@ def test_kept_pitch_is_that_of_the_free_slab(share, pitch_over_thickness):
 
 
 def test_discussion_splits_the_radius_error(finished):
-    scored = read_scored(finished)
+    scored = read_measurement(finished)
     text = " ".join(discussion(scored)).replace("−", "-")
     for ball in scored.score.spheres:
         assert f"{ball.true_face.radius_mm - ball.nominal.radius_mm:+.3f} mm" in text
@@ -98,7 +98,7 @@ def test_discussion_splits_the_radius_error(finished):
 
 
 def test_verdicts_follow_the_figures(finished):
-    scored = read_scored(finished)
+    scored = read_measurement(finished)
     sensor, shape, press = verdicts(scored)
     assert sensor.grade != "poor"
     scored.figures["wrong_order_pixels"] = 3
@@ -109,7 +109,7 @@ def test_verdicts_follow_the_figures(finished):
 
 
 def test_discussion_of_a_thin_sheet_tells_of_stretch_and_not_of_the_slab(finished):
-    scored = read_scored(finished)
+    scored = read_measurement(finished)
     sheet = {"mechanics_model": "sheet", "largest_stretch": 1.234}
     sheet |= {"thinnest_mm": 0.1567, "steepest_deg": 61.2}
     wrapped = replace(scored, figures=scored.figures | sheet)

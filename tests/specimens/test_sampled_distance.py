@@ -7,13 +7,12 @@ from scipy.spatial.transform import Rotation
 
 from reconstruction.arrays import FloatArray
 from twin.config.artefacts import Bars, Rods, Step, VGroove
-from twin.config.fingerprint import Fingerprint
-from twin.config.objects import Bear, Brick, Nut, TBolt
+from twin.config.objects import Bear, Brick, Fingerprint, Nut, TBolt
 from twin.config.specimens import Ball, Flat, Grating, Group, Specimen
 from twin.specimens import shape_of, specimen_mesh
 from twin.specimens.distance import BallDistance, BoxDistance, SignedDistance, distances_of
 from twin.specimens.meshes import MeshShape
-from twin.specimens.pose import UNMOVED, Pose
+from twin.specimens.pose import UNMOVED, Placement
 from twin.specimens.sampled_distance import PITCH_MM, MeshDistance, SampledField
 from twin.specimens.triangle_distance import TriangleTree, unsigned_samples
 
@@ -144,7 +143,7 @@ def test_the_order_of_queries_does_not_show() -> None:
 def test_a_pose_turns_what_it_moves() -> None:
     nut = shape_of(Nut())
     turn = np.asarray(Rotation.from_euler("zyx", (25, 4, -3), degrees=True).as_matrix())
-    pose = Pose(turn, np.array([0.4, -0.3, 0.2]))
+    pose = Placement(turn, np.array([0.4, -0.3, 0.2]))
     (still,), (moved,) = nut.distances(), nut.placed(pose).distances()
     points = np.random.default_rng(5).uniform((-5, -5, -1), (5, 5, 0.3), (4000, 3))
     known, found = still.evaluate(points, REACH_MM), moved.evaluate(pose.apply(points), REACH_MM)

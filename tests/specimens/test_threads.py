@@ -8,8 +8,8 @@ from pydantic import ValidationError
 
 from twin.config.objects import Nut, TBolt
 from twin.specimens import height_above_lowest, specimen_mesh
+from twin.specimens.fasteners import minor_diameter_mm, screw, thread_area_mm2
 from twin.specimens.solids import box, common
-from twin.specimens.threads import minor_diameter_mm, screw, thread_area_mm2
 
 
 def hexagon_mm2(across_flats_mm: float) -> float:

@@ -7,13 +7,12 @@ import pytest
 from pydantic import ValidationError
 
 from twin.config.artefacts import Bar, Bars, Rods, Step, VGroove
-from twin.config.fingerprint import Fingerprint
 from twin.config.materials import Conductor, Dielectric
-from twin.config.objects import Bear, Brick, Nut, TBolt
+from twin.config.objects import Bear, Brick, Fingerprint, Nut, TBolt
 from twin.config.specimens import Ball, Group, Rod, Specimen
 from twin.specimens import bodies, height_above_lowest, shape_of, specimen_mesh
-from twin.specimens.bear import bear_level_mm, drawn_bear
 from twin.specimens.fingerprint import ridges_mm
+from twin.specimens.toys import bear_level_mm, drawn_bear
 
 SPECIMENS: list[Specimen] = [
     Nut(yaw_deg=20),
@@ -309,11 +308,11 @@ def test_any_other_kind_is_one_body(specimen: Specimen) -> None:
 
 def test_same_specimen_same_bytes() -> None:
     """The level set and the booleans run in the library's own threads; order must not matter."""
-    from twin.specimens import bear, fasteners
+    from twin.specimens import fasteners, toys
 
-    for build, specimen in ((bear.build_bear, Bear()), (fasteners.build_nut, Nut())):
+    for build, specimen in ((toys.build_bear, Bear()), (fasteners.build_nut, Nut())):
         first = build(specimen).surface  # type: ignore[operator]
-        bear.drawn_bear.cache_clear()
+        toys.drawn_bear.cache_clear()
         fasteners._nut.cache_clear()
         second = build(specimen).surface  # type: ignore[operator]
         assert first.vertices.tobytes() == second.vertices.tobytes()

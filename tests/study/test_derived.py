@@ -5,7 +5,7 @@ import math
 import pytest
 
 from twin.config import load_experiment, vary
-from twin.mechanics.ridge_transfer import Ridges
+from twin.mechanics.contact_transfer import Ridges
 from twin.study.derived import with_derived
 
 BALL = {"specimen": {"kind": "ball", "diameter_mm": 8.0}, "elastomer.thickness_mm": 3.0}

@@ -6,36 +6,39 @@ import numpy as np
 import pytest
 
 from reconstruction.errors import InputError
-from twin.modalities import measure
+from twin.pipeline import Memory, measure
+from twin.results.record import SurfacePoints
 from twin.study import pictures
 from twin.study.pictures import pictures_of, read_picture, take_picture, write_picture
-from twin.study.stages import ContactStages
 from twin.study.store import Store
 
 
 def test_picture_is_of_the_measurement(mi, base):
     """A case of 160 x 120 pixels, which is not thinned: every pixel is that of `measure`."""
-    found, done = take_picture(base, ContactStages()), measure(base)
-    points, truth = done.reconstruction.point_map, done.recording.truth
+    found, done = take_picture(base, Memory()), measure(base)
+    points, truth = done.points, done.truth
     np.testing.assert_array_equal(found.measured, points.valid)
-    np.testing.assert_array_equal(
-        found.z_mm[found.measured], points.points_world_mm[points.valid][:, 2]
-    )
+    np.testing.assert_array_equal(found.z_mm[found.measured], points.world_mm[points.valid][:, 2])
     rmse_um = np.sqrt(np.mean(found.error_um[found.scored].astype(float) ** 2))
     assert rmse_um == pytest.approx(done.score.against_truth.z_rmse_um, rel=1e-5)
     assert found.true_z_mm[1] == truth.points_world_mm[..., 2].max()
     assert found.seen.max() > 150  # the automatic exposure's level
 
 
-def test_colours_are_thinned(base):
+def test_large_pictures_are_thinned(base):
     """400 x 300 pixels become every second one; heights keep their values."""
-    there = np.ones((300, 400), bool)
     z_mm = np.tile(np.linspace(0, 0.2, 400), (300, 1))
-    truth = SimpleNamespace(points_world_mm=np.zeros((300, 400, 3)), measured=there)
-    heights = SimpleNamespace(height_mm=z_mm, valid=there, pitch_mm=0.02)
-    image = np.full((300, 400, 3), 90, np.uint8)
-    done = SimpleNamespace(image=image, heights=heights, truth=truth)
-    found = pictures._of_colours(base, done)
+    points = np.zeros((300, 400, 3))
+    points[..., 2] = z_mm
+    there = np.ones((300, 400), bool)
+    done = SimpleNamespace(
+        experiment=base,
+        points=SurfacePoints(points, np.zeros((300, 400), np.uint8)),
+        truth=SimpleNamespace(points_world_mm=0 * points, lit=there, depth_mm=there),
+        picture=np.full((300, 400, 3), 90, np.uint8),
+        pixel_mm=0.02,
+    )
+    found = pictures.picture_of(done)
     assert found.seen.shape == (150, 200, 3)
     np.testing.assert_allclose(found.z_mm, z_mm[::2, ::2], atol=1e-7)
     np.testing.assert_allclose(found.error_um, 1e3 * z_mm[::2, ::2], atol=1e-4)

@@ -41,7 +41,7 @@ def reconstruct(
         _reconstruct_press(capture, out)
         return
     from twin.config import decode_settings
-    from twin.modalities.captures import reconstruct_capture
+    from twin.pipeline.captures import reconstruct_capture
 
     given = {"use": use, "filter_taps": filter_taps, "filter_sigma_px": filter_sigma_px}
     chosen = decode_settings(**{key: value for key, value in given.items() if value is not None})
@@ -52,7 +52,7 @@ def reconstruct(
 
 
 def _reconstruct_press(description: Path, out: Path) -> None:
-    from twin.modalities.photometric_files import reconstruct_press
+    from twin.pipeline.captures import reconstruct_press
 
     with progress_bars() as watch:
         figures = reconstruct_press(description, out, watch)
@@ -90,9 +90,9 @@ def calibrate(
     """
     from reconstruction.calibration import AdjustOptions, Freedom
     from twin.config.board import load_board
-    from twin.modalities.calibration import calibrate_captures, calibrate_rendered
-    from twin.modalities.calibration_storage import write_board_calibration
     from twin.output import output_folder
+    from twin.pipeline.calibration import calibrate_captures, calibrate_rendered
+    from twin.pipeline.calibration_storage import write_board_calibration
     from twin.report.calibration import draw_calibration
 
     shown = load_board(board)
@@ -163,8 +163,8 @@ def report(folder: Path, /) -> None:
     folder
         Result folder of `twin measure`, `twin demo` or `twin compare`.
     """
-    from twin.modalities.comparison import is_comparison
     from twin.output import adding
+    from twin.pipeline.comparison import is_comparison
     from twin.report import REPORT_FILE, REPORT_NAMES, write_comparison, write_report
 
     draw = write_comparison if is_comparison(folder) else write_report

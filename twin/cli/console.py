@@ -10,7 +10,7 @@ from reconstruction.errors import InputError
 
 if TYPE_CHECKING:
     from twin.config import Experiment
-    from twin.modalities.progress import Watcher
+    from twin.pipeline.progress import Watcher
 
 
 def load(file: Path, settings: list[str] | None) -> "Experiment":

@@ -11,7 +11,8 @@ from twin.cli.console import load, print_metrics, progress_bars, say, settings_o
 
 if TYPE_CHECKING:
     from twin.config import Experiment
-    from twin.modalities.progress import Watcher
+    from twin.pipeline.memory import Memory
+    from twin.pipeline.progress import Watcher
 
 
 @app.command
@@ -37,8 +38,11 @@ def press(
         Also write the pressed slab as a watertight body, slab.stl and slab.ply.
     """
     from twin.mechanics import write_in_plane
-    from twin.modalities.contact_fpp import press_specimen, transfer_of
-    from twin.modalities.storage import (
+    from twin.output import output_folder
+    from twin.pipeline.press import press_specimen, transfer_of
+    from twin.report.press import draw_press
+    from twin.report.transfer import draw_transfer
+    from twin.results.parts import (
         press_metrics,
         transfer_metrics,
         write_pressed,
@@ -46,9 +50,6 @@ def press(
         write_solid,
         write_transfer,
     )
-    from twin.output import output_folder
-    from twin.report.press import draw_press
-    from twin.report.transfer import draw_transfer
 
     loaded = load(experiment, settings)
     with output_folder(out, [experiment]) as folder:
@@ -91,11 +92,11 @@ def render(
     frames
         Write each frame as an image too: exr (linear radiance), png (16-bit digital numbers).
     """
-    from twin.modalities.measurement import take
-    from twin.modalities.progress import Stopwatch
-    from twin.modalities.storage import write_frames, write_result, write_taken, write_timings
     from twin.output import output_folder
+    from twin.pipeline.fringes import take
+    from twin.pipeline.progress import Stopwatch
     from twin.report.frames import draw_frames
+    from twin.results.parts import write_frames, write_result, write_taken, write_timings
 
     loaded = load(experiment, settings)
     with output_folder(out, [experiment]) as folder:
@@ -168,10 +169,10 @@ def compare(
     match
         What the presses of contact_fpp and photometric_stereo share: the force, or the depth.
     """
-    from twin.modalities.comparison import claim_comparison, measure_whole, methods_named
-    from twin.modalities.comparison import compare as run_all
-    from twin.modalities.instruments import PhotometricPlan
     from twin.output import adding
+    from twin.pipeline.comparison import claim_comparison, measure_whole, methods_named
+    from twin.pipeline.comparison import compare as run_all
+    from twin.pipeline.instruments import PhotometricPlan
     from twin.report import (
         REPORT_FILE,
         REPORT_NAMES,
@@ -186,8 +187,8 @@ def compare(
     loaded = [load(experiment, settings) for experiment in experiments]
     plan = PhotometricPlan(photometric_rig, settings_of(photometric_set), match)
 
-    def with_report(folder: Path, case: "Experiment", watch: "Watcher") -> None:
-        measure_whole(folder, case, watch)
+    def with_report(folder: Path, case: "Experiment", watch: "Watcher", memory: "Memory") -> None:
+        measure_whole(folder, case, watch, memory)
         write_report(folder)
 
     claim_comparison(out, [*experiments, Path(photometric_rig)])
@@ -210,15 +211,15 @@ def export(experiment: Path, /, *, out: Out, settings: Settings = None) -> None:
         TOML file, or the name of a shipped experiment such as paper/two_balls.
     """
     from twin.mechanics import face_mesh
-    from twin.modalities.contact_fpp import press_specimen
-    from twin.modalities.storage import press_metrics, write_result
     from twin.optics.export import export_stock
     from twin.output import output_folder
+    from twin.pipeline.press import press_specimen
+    from twin.results.parts import press_metrics, write_result
 
     loaded = load(experiment, settings)
     with output_folder(out, [experiment]) as folder, progress_bars() as watch:
         face, figures = None, {}
-        if loaded.modality == "contact_fpp":
+        if loaded.method.presses and loaded.method.fringes:
             watch("press", 0.0)
             pressed = press_specimen(loaded)
             watch("press", 1.0)
@@ -233,8 +234,8 @@ def export(experiment: Path, /, *, out: Out, settings: Settings = None) -> None:
 def _measure(
     experiment: "Experiment", out: Path, command: str, inputs: Sequence[Path] = ()
 ) -> None:
-    from twin.modalities.measuring import measure_into
     from twin.output import output_folder
+    from twin.pipeline.methods import measure_into
     from twin.report import summary_table, write_report
 
     with output_folder(out, inputs) as folder, progress_bars() as watch:

@@ -11,7 +11,7 @@ from twin.cli.app import BAD_INPUT, FAILURE, Out, app
 from twin.cli.console import cell, print_table, progress_bars, say
 
 if TYPE_CHECKING:
-    from twin.study.engine import Outcome
+    from twin.study.engine import SweepOutcome
     from twin.study.record import StudyRecord
 
 _MOST_REASONS = 10
@@ -95,7 +95,7 @@ def _check(record: "StudyRecord") -> int:
     return BAD_INPUT if sum(map(len, found.values())) == len(cases) else 0
 
 
-def _tell_failures(outcome: "Outcome", out: Path) -> None:
+def _tell_failures(outcome: "SweepOutcome", out: Path) -> None:
     """Say why cases failed, commonest reason first, each with a file that tells more."""
     ranked = sorted(outcome.failures.items(), key=lambda item: -len(item[1]))
     for reason, digests in ranked[:_MOST_REASONS]:

@@ -4,20 +4,19 @@ Poses are in the world frame (z up towards the devices); at zero tilt and shift 
 z = 0 and its rows run along world x.
 """
 
-import tomllib
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import Field, ValidationError
 
 from reconstruction.calibration.boards import Board, CharucoBoard, Chessboard, DotBoard
-from twin.assets import asset_path
+from twin.assets import scene_file
 from twin.config.base import Angle, Fraction, Length, Model
 from twin.config.errors import ConfigError
+from twin.config.loading import read_toml
 from twin.config.messages import explain
 from twin.config.models import Provenance
-from twin.config.quantities import check_ranges, split_quantities
-from twin.config.units import convert_units
+from twin.config.quantities import check_ranges, convert_units, split_quantities
 
 Count = Annotated[int, Field(ge=2, le=1000)]
 Shift = Annotated[float, Field(ge=-1000, le=1000)]
@@ -67,7 +66,7 @@ class Charuco(Model):
         return CharucoBoard(self.columns, self.rows, self.square_mm, self.marker_mm)
 
 
-class Plate(Model):
+class BoardPlate(Model):
     """What the pattern is printed on; a matt (Lambertian) face."""
 
     width_mm: Length
@@ -96,7 +95,7 @@ class BoardFile(Model):
 
     description: str = ""
     pattern: Annotated[Dots | Chess | Charuco, Field(discriminator="kind")]
-    plate: Plate
+    plate: BoardPlate
     poses: tuple[BoardPose, ...] = Field(
         default=(), description="of a rendered calibration; the first is the world frame"
     )
@@ -117,24 +116,13 @@ def load_board(name: str | Path) -> BoardFile:
     AssetError
         No such board.
     """
-    file = Path(name)
-    if not file.is_file():
-        file = asset_path("scenes", str(name))
-    values, origins = split_quantities(convert_units(_read(file)))
+    file = scene_file(name)
+    values, origins = split_quantities(convert_units(read_toml(file)))
     values["provenance"] = {key: origin.model_dump() for key, origin in origins.items()}
     try:
         loaded = BoardFile.model_validate(values)
     except ValidationError as error:
         raise ConfigError("\n".join(f"{file}: {line}" for line in explain(error))) from None
-    problems = check_ranges(values, loaded.provenance)
-    if problems:
-        raise ConfigError("\n".join(f"{file}: {line}" for line in problems))
+    check_ranges(values, loaded.provenance, str(file))
     loaded.board()  # its own checks: dots must not touch
     return loaded
-
-
-def _read(file: Path) -> dict[str, Any]:
-    try:
-        return tomllib.loads(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:  # also bad TOML and bad UTF-8
-        raise ConfigError(f"{file}: cannot be read as TOML: {error}") from None

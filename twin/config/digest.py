@@ -2,12 +2,11 @@
 
 import hashlib
 import json
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from twin.assets import AssetError, asset_path
+from twin.assets import AssetError, mesh_path
 from twin.config.models import Experiment
 
 # What a person calls it and where numbers come from do not change what is computed.
@@ -40,11 +39,8 @@ def with_file_contents(node: Any) -> Any:
 
 def _read(name: str) -> bytes | None:
     """Bytes of a named file; None when it is missing, which the stage that needs it reports."""
-    path = Path(name)
     try:
-        if not path.is_file() and name.startswith("scenes/"):
-            path = asset_path("scenes", name.removeprefix("scenes/"))
-        return path.read_bytes()
+        return mesh_path(name).read_bytes()
     except (OSError, AssetError):
         return None
 

@@ -11,6 +11,7 @@ from pydantic import Field, model_validator
 
 from twin.config.base import Angle, Fraction, Length, Model, NonNegative, Positive
 from twin.config.layers import Layer
+from twin.config.methods import TRAITS
 
 Channel = Literal["red", "green", "blue"]
 CHANNELS: tuple[Channel, ...] = ("red", "green", "blue")
@@ -123,7 +124,7 @@ def check_lamps(lamps: Mapping[str, Lamp], others: Mapping[str, Any]) -> None:
     ValueError
         One line: what, found, allowed, what to do.
     """
-    if others.get("modality") == "photometric_stereo":
+    if "modality" in others and not TRAITS[others["modality"]].fringes:
         _check_method(lamps, others)
     layers: Mapping[str, Layer] = others.get("layers", {})
     top_mm = max((layer.top_mm for layer in layers.values()), default=0.0)

@@ -14,6 +14,7 @@ from typing import Annotated, Any
 from pydantic import AfterValidator, Field
 
 from twin.config.base import Length, Model, NonNegative
+from twin.config.methods import TRAITS
 
 TOUCHING_MM = 1e-6
 """Layers closer than this touch: nobody grinds an air gap of a nanometre."""
@@ -99,8 +100,10 @@ def check_rig(layers: Mapping[str, Layer], others: Mapping[str, Any]) -> None:
     """
     if not layers:
         return
-    if others.get("modality") == "direct_fpp":
-        raise ValueError("modality = 'direct_fpp' looks through air alone; remove the layers")
+    if "modality" in others and not TRAITS[others["modality"]].presses:
+        raise ValueError(
+            f"modality = '{others['modality']}' looks through air alone; remove the layers"
+        )
     if "render" in others:
         _check_render(others["render"])
     for device in ("camera", "projector"):

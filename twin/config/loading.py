@@ -1,4 +1,4 @@
-"""Read an experiment file, resolve the data files it uses, and validate the whole.
+"""Experiment files: read one, resolve the data files it uses, validate the whole, write it.
 
 Any table may say `use = "scenes/..."` or `use = "materials/..."`: the named data file is the base
 on which the table's own keys are laid. The result names no file any more; it can be written,
@@ -10,14 +10,14 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import tomli_w
 from pydantic import ValidationError
 
-from twin.assets import asset_path
+from twin.assets import asset_path, scene_file
 from twin.config.errors import AssetCycleError, ConfigError
 from twin.config.messages import explain
 from twin.config.models import Decode, Experiment
-from twin.config.quantities import check_ranges, is_quantity, split_quantities
-from twin.config.units import convert_units
+from twin.config.quantities import check_ranges, convert_units, is_quantity, split_quantities
 
 
 def load_experiment(path: str | Path, overrides: Mapping[str, Any] | None = None) -> Experiment:
@@ -35,9 +35,7 @@ def load_experiment(path: str | Path, overrides: Mapping[str, Any] | None = None
     ConfigError
         With one line per problem: what, where, found, allowed.
     """
-    file = Path(path)
-    if not file.is_file():
-        file = asset_path("scenes", str(path))
+    file = scene_file(path)
     tree = resolve_uses(read_toml(file), (file,))
     for dotted, value in (overrides or {}).items():
         _assign(tree, dotted, value)
@@ -55,9 +53,7 @@ def validate_experiment(tree: Mapping[str, Any], where: str = "experiment") -> E
         experiment = Experiment.model_validate(values)
     except ValidationError as error:
         raise ConfigError("\n".join(f"{where}: {line}" for line in explain(error))) from None
-    problems = check_ranges(values, experiment.provenance)
-    if problems:
-        raise ConfigError("\n".join(f"{where}: {line}" for line in problems))
+    check_ranges(values, experiment.provenance, where)
     return experiment
 
 
@@ -142,3 +138,14 @@ def _assign(tree: dict[str, Any], dotted: str, value: Any) -> None:
         if not isinstance(node, dict):
             raise ConfigError(f"{dotted}: '{key}' is a value, not a table")
     node.update(_overlay(node, {leaf: value}))
+
+
+def to_toml(experiment: Experiment) -> str:
+    """Return the resolved experiment as TOML text (values that are None are left out)."""
+    return tomli_w.dumps(_without_none(experiment.model_dump(mode="json")))
+
+
+def _without_none(node: Any) -> Any:
+    if isinstance(node, dict):
+        return {key: _without_none(value) for key, value in node.items() if value is not None}
+    return node

@@ -24,6 +24,7 @@ from twin.config.elastomer import Coating, Elastomer, Film, Mechanics, PadFile, 
 from twin.config.lamps import Lamp, Photometric, check_lamps
 from twin.config.layers import Layer, Layers, check_rig
 from twin.config.materials import Conductor, Dielectric, Diffuse, Material, Plastic, Stage
+from twin.config.methods import TRAITS, Method, MethodTraits
 from twin.config.specimens import (
     AnySpecimen,
     Ball,
@@ -68,7 +69,7 @@ __all__ = [
     "Provenance",
     "Render",
     "Rod",
-    "Score",
+    "ScoreSettings",
     "Specimen",
     "Stage",
     "Texture",
@@ -134,7 +135,7 @@ class Decode(Model):
     use: Literal["column", "row", "both"] = "column"
 
 
-class Score(Model):
+class ScoreSettings(Model):
     """What is evaluated."""
 
     roi_radius_mm: Positive = Field(
@@ -159,7 +160,7 @@ class Experiment(Model):
     name: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_\-]*$", max_length=64)]
     description: str = ""
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
-    modality: Literal["contact_fpp", "direct_fpp", "photometric_stereo"] = Field(
+    modality: Method = Field(
         default="contact_fpp",
         description="contact_fpp: fringes on the coat of the pressed elastomer; "
         "direct_fpp: fringes on the bare specimen, which stands on the stage; "
@@ -176,7 +177,7 @@ class Experiment(Model):
     patterns: Patterns
     render: Render = Render()
     decode: Decode = Decode()
-    score: Score
+    score: ScoreSettings
     layers: Layers = Field(
         default={},
         description="[layers.NAME]: clear plane layers above the coat, each with bottom_mm (world "
@@ -199,7 +200,12 @@ class Experiment(Model):
         """Reflections after the first that are traced."""
         if self.render.bounces is not None:
             return self.render.bounces
-        return _DIRECT_BOUNCES if self.modality == "direct_fpp" else 0
+        return 0 if self.method.presses else _DIRECT_BOUNCES
+
+    @property
+    def method(self) -> MethodTraits:
+        """What the method of `modality` does."""
+        return TRAITS[self.modality]
 
     @model_validator(mode="after")
     def _mesh_resolves_the_texture(self) -> "Experiment":

@@ -9,8 +9,7 @@ from pydantic import Field, model_validator
 
 from twin.config.artefacts import Bar, Bars, Rods, Step, VGroove
 from twin.config.base import Length, NonNegative, Positive
-from twin.config.fingerprint import Fingerprint
-from twin.config.objects import Bear, Brick, Nut, TBolt
+from twin.config.objects import Bear, Brick, Fingerprint, Nut, TBolt
 from twin.config.specimen_pose import Specimen
 
 __all__ = [

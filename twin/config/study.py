@@ -8,12 +8,13 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, ValidationError, model_validator
 
-from twin.assets import asset_path
+from twin.assets import scene_file
 from twin.config.axes import Axis
 from twin.config.base import Model
 from twin.config.errors import ConfigError
 from twin.config.loading import load_experiment, read_toml, resolve_uses, vary
 from twin.config.messages import explain
+from twin.config.methods import Method
 from twin.config.models import Experiment
 
 MOST_CASES = 1_000_000
@@ -107,7 +108,7 @@ class Study(Model):
     set: dict[str, Any] = Field(default={}, description="tables laid over the base experiment")
     axis: tuple[Axis, ...] = Field(description="[[axis]]: what is varied, 1 to 16 of them")
     sampling: Sampling = Sampling()
-    modalities: tuple[Literal["contact_fpp", "direct_fpp", "photometric_stereo"], ...] = Field(
+    modalities: tuple[Method, ...] = Field(
         default=(), description="methods to compare; absent: the base's own"
     )
     repeats: Annotated[int, Field(ge=1, le=10_000)] = Field(
@@ -160,9 +161,7 @@ def load_study(path: str | Path) -> tuple[Study, Experiment]:
     ConfigError
         With one line per problem: what, where, found, allowed.
     """
-    file = Path(path)
-    if not file.is_file():
-        file = asset_path("scenes", str(path))
+    file = scene_file(path)
     tree = read_toml(file)
     study = _study_of(tree, str(path), file)
     beside = file.parent / study.base

@@ -1,8 +1,12 @@
 """The pressed elastomer: pressure, force and the coated face."""
 
-from twin.mechanics.calibrate import calibrate_modulus
 from twin.mechanics.choice import check_press, press_with
-from twin.mechanics.contact_transfer import ContactTransfer, contact_transfer
+from twin.mechanics.contact_transfer import (
+    ContactTransfer,
+    contact_transfer,
+    ridge_height_mm,
+    ridge_transfer,
+)
 from twin.mechanics.errors import PressError, SolverError
 from twin.mechanics.hardness import (
     ModulusEstimate,
@@ -10,12 +14,17 @@ from twin.mechanics.hardness import (
     estimate_modulus_00,
     young_modulus,
 )
-from twin.mechanics.in_plane import in_plane_displacement
 from twin.mechanics.press import PressedElastomer, SheetFields, fields_at, press
 from twin.mechanics.relief import face_mesh, face_normals, slab_mesh
-from twin.mechanics.ridge_transfer import ridge_height_mm, ridge_transfer
+from twin.mechanics.scaling import calibrate_modulus
 from twin.mechanics.storage import read_press, write_in_plane, write_mesh, write_press
-from twin.mechanics.texture import Field, texture_field, texture_figures, textured
+from twin.mechanics.texture import (
+    Field,
+    in_plane_displacement,
+    texture_field,
+    texture_figures,
+    textured,
+)
 from twin.mechanics.transfer import opposite_transfer
 from twin.mechanics.validity import Validity
 

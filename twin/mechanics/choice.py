@@ -14,7 +14,7 @@ from twin.mechanics.validity import (
     SHEET_THICKNESS_MM,
 )
 from twin.specimens import Shape, shape_of
-from twin.specimens.mesh_file import read_closed_mesh
+from twin.specimens.meshes import read_closed_mesh
 
 if TYPE_CHECKING:
     from twin.mechanics.reference.pad import Pad
@@ -34,7 +34,7 @@ def press_with(
     """
     # The references pull in scikit-fem and interpolators: only on demand.
     if mechanics.model == "fem":
-        from twin.mechanics.reference.fem_press import press_fem
+        from twin.mechanics.reference.fem import press_fem
 
         found = press_fem(
             specimen,
@@ -58,7 +58,7 @@ def press_with(
         if model == "spectral":
             assert slab is not None  # `choose_model` chose it for its figures
             return slab
-    from twin.mechanics.reference.thin_sheet import press_neo_hookean
+    from twin.mechanics.reference.neo_hookean import press_neo_hookean
 
     _refuse_sheet_keys(elastomer, "neo_hookean")
     return replace(press_neo_hookean(specimen, elastomer, load), model="neo_hookean")
@@ -75,7 +75,7 @@ def check_press(
         What the model cannot do, and what to change.
     """
     if mechanics.model == "fem":
-        from twin.mechanics.reference.fem_press import check_fem
+        from twin.mechanics.reference.fem import check_fem
 
         check_fem(elastomer, mechanics.support)
         if mechanics.pad is not None:
@@ -91,7 +91,7 @@ def check_press(
     bends = mechanics.model == "neo_hookean"
     check_load(shape_of(specimen), elastomer, load, any_depth=bends)
     if mechanics.model == "neo_hookean":
-        from twin.mechanics.reference.thin_sheet import check_neo_hookean
+        from twin.mechanics.reference.neo_hookean import check_neo_hookean
 
         check_neo_hookean(elastomer, load)
 

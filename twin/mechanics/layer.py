@@ -3,6 +3,9 @@
 Arrays are (row, col) at cell centres, row along world y, col along world x, both ascending.
 Pressure comes divided by Young's modulus and deflection is positive along the press, mm: at unit
 modulus the layer's shape depends on thickness and Poisson's ratio alone.
+
+Between the cells a sine series is evaluated at nodes that include the rim, exactly, finer or
+coarser.
 """
 
 from dataclasses import dataclass, replace
@@ -14,16 +17,14 @@ from scipy import fft
 
 from reconstruction.arrays import FloatArray
 from reconstruction.cores import threads
-from twin.mechanics.film import CoatFilm
 from twin.mechanics.patch import Patch, Span, periodic_patch, sine_patch
-from twin.mechanics.series import cosines, sine_amplitudes, sines_at_nodes
-from twin.mechanics.table import Column, TransferTable, tabulate
+from twin.mechanics.transfer import CoatFilm, Column, TransferTable, tabulate
 
 _WORKERS = min(2, threads())
 
 
 @dataclass(frozen=True)
-class Layer:
+class FlatLayer:
     """A flat layer on a grid of cells, centred on the origin."""
 
     rows: int
@@ -72,7 +73,7 @@ class Layer:
 
 
 @dataclass(frozen=True)
-class FreeSlab(Layer):
+class FreeSlab(FlatLayer):
     """A slab on a simply supported rim, stress-free on its far face: the opposite-face layout.
 
     The sine series is the exact three-dimensional solution: at the rim normal deflection,
@@ -183,7 +184,7 @@ class FreeSlab(Layer):
 
 
 @dataclass(frozen=True)
-class BondedLayer(Layer):
+class BondedLayer(FlatLayer):
     """A layer bonded to a rigid window, periodic in the plane: the contact-face layout.
 
     Keep three thicknesses between contact and window edge: the periodic images then move the
@@ -254,14 +255,14 @@ def _oedometric(nu: float) -> float:
     return (1 + nu) * (1 - 2 * nu) / (1 - nu)
 
 
-def _periodic_waves(layer: Layer) -> tuple[FloatArray, FloatArray]:
+def _periodic_waves(layer: FlatLayer) -> tuple[FloatArray, FloatArray]:
     """Return the half spectrum's wavenumbers along x and all along y, 1/mm."""
     k_x: FloatArray = 2 * np.pi * fft.rfftfreq(layer.cols, layer.length_x_mm / layer.cols)
     k_y: FloatArray = 2 * np.pi * fft.fftfreq(layer.rows, layer.length_y_mm / layer.rows)
     return k_x, k_y
 
 
-def _sine_waves(layer: Layer) -> tuple[FloatArray, FloatArray]:
+def _sine_waves(layer: FlatLayer) -> tuple[FloatArray, FloatArray]:
     """Return the sine series' wavenumbers along x and y, 1/mm."""
     k_x: FloatArray = np.pi * np.arange(1.0, layer.cols + 1) / layer.length_x_mm
     k_y: FloatArray = np.pi * np.arange(1.0, layer.rows + 1) / layer.length_y_mm
@@ -271,3 +272,31 @@ def _sine_waves(layer: Layer) -> tuple[FloatArray, FloatArray]:
 def _centres(count: int, length_mm: float) -> FloatArray:
     centres: FloatArray = np.arange(count, dtype=np.float64) + 0.5
     return centres * (length_mm / count) - length_mm / 2
+
+
+def sine_amplitudes(spectrum: FloatArray, rows: int, cols: int) -> FloatArray:
+    """Return what a grid of nodes carries of a DST-II spectrum, which is changed."""
+    counts = spectrum.shape
+    # DST-II counts its highest mode of each axis twice.
+    spectrum[-1] /= 2
+    spectrum[:, -1] /= 2
+    # Coarser nodes than cells cannot carry the highest modes, which the slab has filtered.
+    kept = spectrum[: rows - 1, : cols - 1] / (counts[0] * counts[1])
+    padded = np.zeros((rows - 1, cols - 1))
+    padded[: kept.shape[0], : kept.shape[1]] = kept
+    return padded
+
+
+def sines_at_nodes(spectrum: FloatArray, rows: int, cols: int) -> FloatArray:
+    """Evaluate a DST-II spectrum, which is changed, on nodes that include the rim."""
+    inner = fft.dstn(sine_amplitudes(spectrum, rows, cols), type=1, workers=_WORKERS) / 4
+    return np.pad(inner, 1)
+
+
+def cosines(amplitudes: FloatArray, axis: int) -> FloatArray:
+    """Evaluate sine amplitudes on nodes with cosines along `axis`, sines along the other."""
+    sines = fft.dst(amplitudes, type=1, axis=1 - axis, workers=_WORKERS)
+    along = tuple((1, 1) if direction == axis else (0, 0) for direction in range(2))
+    across = tuple((0, 0) if direction == axis else (1, 1) for direction in range(2))
+    mixed: FloatArray = fft.dct(np.pad(sines, along), type=1, axis=axis, workers=_WORKERS)
+    return np.pad(mixed / 4, across)

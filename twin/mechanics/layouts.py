@@ -13,8 +13,8 @@ from scipy import fft
 from reconstruction.arrays import FloatArray
 from twin.config.models import Elastomer, Press
 from twin.mechanics.errors import PressError
-from twin.mechanics.film import CoatFilm
 from twin.mechanics.layer import BondedLayer, FreeSlab
+from twin.mechanics.transfer import CoatFilm
 from twin.specimens import Shape
 
 AnyLayer = FreeSlab | BondedLayer

@@ -10,6 +10,7 @@ from reconstruction.arrays import FloatArray
 from twin.config.models import Elastomer
 from twin.mechanics.press import PressedElastomer
 from twin.mechanics.refine import mirrored, touched_at_nodes, widened
+from twin.specimens.solids import grid_facets
 
 
 def face_mesh(pressed: PressedElastomer) -> trimesh.Trimesh:
@@ -95,14 +96,6 @@ def face_normals(pressed: PressedElastomer) -> FloatArray:
     upright = 1 / np.sqrt(1 + slope_x**2 + slope_y**2)
     normals: FloatArray = np.stack((-slope_x * upright, -slope_y * upright, upright), axis=-1)
     return normals
-
-
-def grid_facets(rows: int, cols: int) -> npt.NDArray[np.int64]:
-    """Return (2 (rows-1) (cols-1), 3) vertex indices, counter-clockwise seen from +z."""
-    corner = np.arange(rows * cols).reshape(rows, cols)[:-1, :-1, None]
-    two_triangles = np.array([0, 1, cols + 1, 0, cols + 1, cols])
-    facets: npt.NDArray[np.int64] = (corner + two_triangles).reshape(-1, 3)
-    return facets
 
 
 def _vertices(pressed: PressedElastomer, z_mm: FloatArray) -> FloatArray:

@@ -16,8 +16,8 @@ import trimesh
 from reconstruction.disk import writing_netcdf
 from twin.config.models import Elastomer, Press
 from twin.mechanics.errors import PressError
-from twin.mechanics.in_plane import in_plane_displacement
 from twin.mechanics.press import PressedElastomer, SheetFields
+from twin.mechanics.texture import in_plane_displacement
 from twin.mechanics.validity import Validity
 from twin.output import replacing
 

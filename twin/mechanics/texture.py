@@ -1,9 +1,15 @@
-"""The coat's texture: airbrush grain and flakes as a random height field on the sheet's material.
+"""The coat's texture: airbrush grain and flakes as random heights that the sheet carries along.
 
 Z(X, Y) is white noise on a lattice, blurred and seen through cubic B-splines: smooth (C2), standard
 normal, stationary, with the autocorrelation exp(-(lag / L0)^2), and the same wherever and however
 densely it is asked for. Heights follow from Z by a distribution of `johnson`; L0 is chosen so that
 the autocorrelation of the heights themselves falls to 1/e at the wanted length.
+
+The displacement of the coated face in its own plane carries the texture. Never move the nodes of
+the relief by it. Linear contact is solved at fixed world positions: the height found over (x, y) is
+the face's height there, wherever its material came from. Moving the nodes sideways as well makes
+the shape four times worse against large strain, 49 instead of 12 um for a ball of 4 mm pressed 1 mm
+into a 4 mm layer (measured on our prototype).
 """
 
 from dataclasses import dataclass, replace
@@ -16,9 +22,11 @@ from scipy import ndimage
 from reconstruction.arrays import FloatArray
 from twin.config.digest import keyed_sequence
 from twin.config.models import Elastomer, Press, Texture
-from twin.mechanics.in_plane import in_plane_displacement
 from twin.mechanics.johnson import Johnson, johnson_of
+from twin.mechanics.layer import BondedLayer, FreeSlab
+from twin.mechanics.layouts import layer_on, preload_of
 from twin.mechanics.press import PressedElastomer
+from twin.mechanics.refine import touched_at_nodes, wrapped
 from twin.mechanics.relief import face_normals
 
 Extent = tuple[float, float, float, float]
@@ -223,3 +231,44 @@ def _correlation_lag(heights: FloatArray) -> float:
             return lag - (wanted - here) / (before - here)
         before = here
     return float(heights.shape[1])
+
+
+def in_plane_displacement(
+    pressed: PressedElastomer, elastomer: Elastomer, load: Press
+) -> tuple[FloatArray, FloatArray]:
+    """Return how far the coat's material moves sideways under contact, back pressure and weight.
+
+    Parameters
+    ----------
+    pressed : PressedElastomer
+        A press of the spectral model.
+    elastomer : Elastomer
+        What was pressed.
+    load : Press
+        How.
+
+    Returns
+    -------
+    u_x, u_y : (row, col) float, mm
+        At the nodes of the coated face, along world x and y. For texture and markers only.
+    """
+    layer = layer_on(elastomer, pressed.x_mm, pressed.y_mm, pressed.young_modulus_kpa)
+    pressure = pressed.pressure_kpa / pressed.young_modulus_kpa
+    if isinstance(layer, FreeSlab):
+        preload = preload_of(elastomer, load, pressed.young_modulus_kpa)
+        rows, cols = pressed.face_y_mm.size - 1, pressed.face_x_mm.size - 1
+        loaded = pressure + preload.touched
+        return layer.opposite_in_plane_at_nodes(loaded, rows, cols, preload.coated)
+    return _bonded(layer, pressure, pressed)
+
+
+def _bonded(
+    layer: BondedLayer, pressure: FloatArray, pressed: PressedElastomer
+) -> tuple[FloatArray, FloatArray]:
+    nodes = pressed.face_y_mm, pressed.face_x_mm
+    free = np.full((nodes[0].size, nodes[1].size), -np.inf)
+    u_x, u_y = (
+        touched_at_nodes(*wrapped(u, (layer.y_mm, layer.x_mm)), nodes, free)
+        for u in layer.in_plane(pressure)
+    )
+    return u_x, u_y

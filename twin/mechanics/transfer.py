@@ -1,4 +1,4 @@
-"""How one wavenumber of pressure deflects both faces of an elastic layer.
+"""How pressure deflects both faces of an elastic layer, plain or coated, wave by wave.
 
 Frame: z along the press, from the touched face t (z = 0) to the other face b (z = h); a pressure
 p cos(k x) on t deflects by u = 2 Phi p / (E* k), E* = E / (1 - nu^2), at q = k h. Phi is
@@ -16,19 +16,36 @@ b = exp(q s):
     lam div: 0       -4 nu q a          0    4 nu q b
 
 The analytic lam div makes nu = 0.5 regular.
+
+A film of its own stiffness on the coated face makes two elastic layers, bonded. The state of one
+wavenumber at a depth is U, W and, over k, shear and normal traction; the slab's shear modulus is 1.
+A film is much thinner than a wave, where the bounded exponentials of a thick layer coincide; there
+the state is carried through by its exponential instead, exp(M q) with (M^2 - 1)^2 = 0.
+
+A whole grid of wavenumbers is answered through a table in log q.
 """
 
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from reconstruction.arrays import FloatArray
+from twin.mechanics.errors import PressError
 
 Base = Literal["bonded", "free"]
 
 # Below, the free layer's 4 x 4 system loses its digits to the rigid motions (condition ~ q^-4).
 SMALLEST_Q = 0.01
+LoadedBase = Literal["bonded", "free", "free_turned"]
+# Below, waves are long against the layer and its state is carried through by exp(M q).
+_LONG_WAVE_Q = 0.5
+Column = Literal["normal_t", "normal_b", "tangential_t", "tangential_b"]
+_COLUMNS: tuple[Column, ...] = ("normal_t", "normal_b", "tangential_t", "tangential_b")
+# Above, both faces are half-spaces to 1e-15.
+_LARGEST_Q = 45.0
+_TABLE_SIZE = 2000
 
 
 @dataclass(frozen=True)
@@ -116,3 +133,157 @@ def opposite_transfer(q: FloatArray) -> FloatArray:
     lowered = -fade * (2 + fade) + 4 * q * (1 + fade)
     kept: FloatArray = np.divide(raised, lowered, out=np.ones_like(q), where=q > 0)
     return kept
+
+
+@dataclass(frozen=True)
+class CoatFilm:
+    """A film as part of a layer's thickness, on the coated face."""
+
+    #: film thickness over the layer's whole thickness, 0 to 1
+    share: float
+    #: shear modulus over the slab's
+    shear_ratio: float
+    poisson_ratio: float
+
+
+def solve_coated(q: FloatArray, poisson_ratio: float, base: LoadedBase, film: CoatFilm) -> Transfer:
+    """Solve slab and film under unit pressure on face t: eight equations per wavenumber.
+
+    Parameters
+    ----------
+    q : (n,) float
+        Wavenumber times the whole thickness, > 0.
+    poisson_ratio : float
+        Of the slab, 0 < nu <= 0.5.
+    base : {"bonded", "free", "free_turned"}
+        "bonded": film on the touched face t; "free": film on the far face b; "free_turned": film
+        on t of a layer whose far face is free, the same slab loaded from its other side.
+    film : CoatFilm
+        The film.
+
+    Returns
+    -------
+    Transfer
+        Phi at each q, in units of the slab's E*.
+    """
+    slab = _through(q * (1 - film.share), 1.0, poisson_ratio)
+    coat = _through(q * film.share, film.shear_ratio, film.poisson_ratio)
+    (top, upper), (lower, bottom) = (slab, coat) if base == "free" else (coat, slab)
+    rows = np.zeros((q.size, 8, 8))
+    rows[:, 0, :4], rows[:, 1, :4] = top[:, 3], top[:, 2]
+    rows[:, 2:6, :4], rows[:, 2:6, 4:] = upper, -lower
+    rows[:, 6:, 4:] = bottom[:, :2] if base == "bonded" else bottom[:, 2:]
+    load = np.zeros((q.size, 8, 1))
+    load[:, 0] = -1.0
+    scale = np.abs(rows).max(axis=-1, keepdims=True)
+    weights = np.linalg.solve(rows / scale, load / scale)
+    at_t = (top @ weights[:, :4])[..., 0] / (1 - poisson_ratio)
+    at_b = (bottom @ weights[:, 4:])[..., 0] / (1 - poisson_ratio)
+    return Transfer(at_t[:, 1], at_b[:, 1], at_t[:, 0], at_b[:, 0])
+
+
+def _through(q: FloatArray, shear: float, nu: float) -> tuple[FloatArray, FloatArray]:
+    """Return the states (n, 4, 4) of four solutions at a layer's upper and lower face."""
+    upper, lower = (_bounded_states(q, z, nu) for z in (0.0, 1.0))
+    long = q < _LONG_WAVE_Q
+    upper[long], lower[long] = np.eye(4), _carried(q[long], nu)
+    scale = np.array([1.0, 1.0, shear, shear])[:, None]
+    return upper * scale, lower * scale
+
+
+def _bounded_states(q: FloatArray, z: float, nu: float) -> FloatArray:
+    found = amplitudes(q, z, nu)
+    tractions = [found[name] / q[:, None] for name in ("S_xz", "S_zz")]
+    return np.stack((found["U"], found["W"], *tractions), axis=-2)
+
+
+def _carried(q: FloatArray, nu: float) -> FloatArray:
+    """Return exp(M q), M the derivative of the state over k z at unit shear modulus."""
+    side = nu / (1 - nu)
+    M = np.array(
+        [
+            [0.0, -1.0, 1.0, 0.0],
+            [side, 0.0, 0.0, (1 - 2 * nu) / (2 * (1 - nu))],
+            [2 / (1 - nu), 0.0, 0.0, -side],
+            [0.0, 0.0, 1.0, 0.0],
+        ]
+    )
+    second, third = q * np.sinh(q) / 2, (q * np.cosh(q) - np.sinh(q)) / 2
+    factors = (np.cosh(q) - second, np.sinh(q) - third, second, third)
+    powers = (np.eye(4), M, M @ M, M @ M @ M)
+    carried: FloatArray = sum(
+        (factor[:, None, None] * power for factor, power in zip(factors, powers, strict=True)),
+        np.zeros((q.size, 4, 4)),
+    )
+    return carried
+
+
+@dataclass(frozen=True, eq=False)
+class TransferTable:
+    """Phi over log q, from `lowest_q` up; beyond `highest_q` it no longer changes."""
+
+    lowest_q: float
+    highest_q: float
+    splines: dict[Column, CubicSpline]
+
+    def __call__(self, q: FloatArray, column: Column) -> FloatArray:
+        """Return one column of `Transfer` on a wavenumber grid (...), q >= lowest_q."""
+        inside = np.minimum(q, self.highest_q)
+        found: FloatArray = self.splines[column](np.log(inside))
+        found /= _damping(inside)
+        return found
+
+
+def tabulate(
+    lowest_q: float, poisson_ratio: float, base: LoadedBase, film: CoatFilm | None = None
+) -> TransferTable:
+    """Tabulate a layer's transfer from `lowest_q` to where both faces are half-spaces.
+
+    Raises
+    ------
+    PressError
+        The layer is too thin for its span.
+    """
+    if lowest_q < SMALLEST_Q:
+        raise PressError(
+            "elastomer.thickness_mm: the span is more than 300 times the thickness; "
+            "a slab cannot be solved as a film: make it thicker or shorter"
+        )
+    highest_q = max(_LARGEST_Q, 2 * lowest_q)
+    if film is not None and base != "free":
+        highest_q /= film.share  # the loaded film is a half-space to much shorter waves only
+    q = np.geomspace(lowest_q, highest_q, _TABLE_SIZE)
+    solved = _solve(q, poisson_ratio, base, film)
+    splines = {
+        column: CubicSpline(np.log(q), getattr(solved, column) * _damping(q)) for column in _COLUMNS
+    }
+    return TransferTable(lowest_q, highest_q, splines)
+
+
+def normal_transfer(
+    q: FloatArray, poisson_ratio: float, base: Base
+) -> tuple[FloatArray, FloatArray]:
+    """Return Phi of faces t and b on a whole wavenumber grid, q >= SMALLEST_Q, by a table.
+
+    Raises
+    ------
+    PressError
+        The layer is too thin for its span.
+    """
+    table = tabulate(float(q.min()), poisson_ratio, base)
+    return table(q, "normal_t"), table(q, "normal_b")
+
+
+def _solve(
+    q: FloatArray, poisson_ratio: float, base: LoadedBase, film: CoatFilm | None
+) -> Transfer:
+    if film is not None:
+        return solve_coated(q, poisson_ratio, base, film)
+    return solve_transfer(q, poisson_ratio, "bonded" if base == "bonded" else "free")
+
+
+def _damping(q: FloatArray) -> FloatArray:
+    """Long waves of the free layer grow as q^-3 (plate): times this, the spline sees none."""
+    cubed = q * q * q
+    bounded: FloatArray = cubed / (1 + cubed)
+    return bounded

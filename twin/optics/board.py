@@ -12,9 +12,10 @@ import numpy as np
 
 from reconstruction.arrays import FloatArray, FloatImage
 from reconstruction.calibration.boards import Board
-from twin.config.board import BoardFile, BoardPose, Plate
+from twin.config.board import BoardFile, BoardPlate, BoardPose
 from twin.config.models import Experiment
 from twin.optics.backend import activate
+from twin.optics.materials import mitsuba_mesh
 from twin.optics.stack import Frames
 
 TEXELS_PER_PIXEL = 2.0
@@ -31,13 +32,13 @@ def board_pose(pose: BoardPose) -> FloatArray:
     return T
 
 
-def albedo_image(board: Board, plate: Plate, texel_mm: float) -> FloatImage:
+def albedo_image(board: Board, plate: BoardPlate, texel_mm: float) -> FloatImage:
     """Return the plate's albedo, (row, col) float32, row 0 at the top (board y up).
 
     Parameters
     ----------
     board : Board
-    plate : Plate
+    plate : BoardPlate
     texel_mm : float
         Asked-for texel size; the plate holds whole texels.
     """
@@ -69,7 +70,7 @@ def render_board(experiment: Experiment, file: BoardFile, pose: BoardPose) -> Fr
     activate()
     # Mitsuba may be imported only now: the backend's library is chosen when it loads.
     from twin.optics import one_trace
-    from twin.optics.extent import axial_range_mm
+    from twin.optics.connection import axial_range_mm
     from twin.optics.light import light_tables, pattern_set
     from twin.optics.scene import rig_of
 
@@ -83,7 +84,7 @@ def render_board(experiment: Experiment, file: BoardFile, pose: BoardPose) -> Fr
     return one_trace.trace_stack(scene, rig, tables, experiment.render.samples)
 
 
-def _board_scene(plate: Plate, albedo: FloatImage, T_world_from_board: FloatArray) -> Any:
+def _board_scene(plate: BoardPlate, albedo: FloatImage, T_world_from_board: FloatArray) -> Any:
     import mitsuba as mi
 
     print_ = {
@@ -94,21 +95,18 @@ def _board_scene(plate: Plate, albedo: FloatImage, T_world_from_board: FloatArra
         "filter_type": "bilinear",
         "wrap_mode": "clamp",
     }
-    properties = mi.Properties()
-    properties["bsdf"] = mi.load_dict({"type": "diffuse", "reflectance": print_})
-    mesh = mi.Mesh(
-        "board", vertex_count=4, face_count=2, has_vertex_texcoords=True, props=properties
+    mesh = mitsuba_mesh(
+        "board",
+        _corners_world_mm(plate, T_world_from_board),
+        [(0, 1, 2), (0, 2, 3)],
+        {"type": "diffuse", "reflectance": print_},
+        # Row 0 of a bitmap is at v = 0 of a mesh.
+        texture=[(0, 1), (1, 1), (1, 0), (0, 0)],
     )
-    parameters = mi.traverse(mesh)
-    parameters["vertex_positions"] = _corners_world_mm(plate, T_world_from_board).ravel()
-    # Row 0 of a bitmap is at v = 0 of a mesh.
-    parameters["vertex_texcoords"] = np.array([0, 1, 1, 1, 1, 0, 0, 0], np.float32)
-    parameters["faces"] = np.array([0, 1, 2, 0, 2, 3], np.uint32)
-    parameters.update()
     return mi.load_dict({"type": "scene", "board": mesh}, optimize=False)
 
 
-def _corners_world_mm(plate: Plate, T_world_from_board: FloatArray) -> FloatImage:
+def _corners_world_mm(plate: BoardPlate, T_world_from_board: FloatArray) -> FloatImage:
     """Return the plate's corners from the lower left, counter-clockwise from the front, (4, 3)."""
     half_x, half_y = plate.width_mm / 2.0, plate.height_mm / 2.0
     corners = np.array(

@@ -25,9 +25,9 @@ import mitsuba as mi
 import numpy as np
 
 from twin.optics.connection import Connection, Rig, connect
+from twin.optics.devices import SubPixels
 from twin.optics.look_up import FrameLight
 from twin.optics.stage_light import StageLight
-from twin.optics.subpixels import SubPixels
 from twin.optics.surfaces import Surfaces
 
 LAUNCHES = 8

@@ -8,7 +8,7 @@ from twin.specimens import Body, bodies
 
 
 def check_renderable(experiment: Experiment) -> None:
-    """Refuse an experiment that `render` or `render_direct` refuses whatever the press gives.
+    """Refuse an experiment that the renderer refuses whatever the press gives.
 
     Raises
     ------
@@ -18,7 +18,7 @@ def check_renderable(experiment: Experiment) -> None:
         engine, or with a light path that has one blur alone.
     """
     check_samples(experiment)
-    if experiment.modality == "direct_fpp":
+    if not experiment.method.presses:
         check_direct_engine(experiment)
         parts = bodies(experiment.specimen, 0.0)
         check_materials(parts)
@@ -26,7 +26,7 @@ def check_renderable(experiment: Experiment) -> None:
             check_focus(experiment)
         return
     check_binder(experiment)
-    if experiment.modality == "contact_fpp" and experiment.render.engine == "stock":
+    if experiment.method.fringes and experiment.render.engine == "stock":
         check_stock(experiment)
 
 
@@ -67,7 +67,8 @@ def check_direct_engine(experiment: Experiment) -> None:
     """Refuse the stock engine for a bare specimen."""
     if experiment.render.engine != "one_trace":
         raise InputError(
-            "render.engine: found 'stock', allowed 'one_trace' with modality = 'direct_fpp': stock"
+            "render.engine: found 'stock', allowed 'one_trace' with modality ="
+            f" '{experiment.modality}': stock"
             " Mitsuba cannot connect a projector through clear bodies; twin export writes the scene"
         )
 

@@ -10,17 +10,20 @@ Left out: flakes below the binder's face (they lie bare), and light scattered mo
 rough face (it is lost, as in all single-scattering microfacet models).
 """
 
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from twin.config.models import Coating
+from twin.optics.materials import mitsuba_mesh
 
 if TYPE_CHECKING:
     import trimesh
 
 COATED_FACE = "coated_face"
 """Name of the coated mesh in every scene that holds one."""
+
+# What `mi.traverse` calls otherwise than `mi.load_dict`.
+_LISTED_AS = {"ink": "bsdf_0", "flakes": "bsdf_1", "int_ior": "eta"}
 
 
 def coating_bsdf(coating: Coating) -> dict[str, Any]:
@@ -75,48 +78,27 @@ def set_coating(scene: Any, coating: Coating) -> None:
     face = next((shape for shape in scene.shapes() if shape.id() == COATED_FACE), None)
     if face is None:
         raise ValueError(f"the scene has no shape named {COATED_FACE}: build it with coated_scene")
-    values, parameters = _parameters(coating), mi.traverse(face.bsdf())
-    if any(name not in parameters for name in values):
-        face.set_bsdf(mi.load_dict(coating_bsdf(coating)))
+    blend, parameters = coating_bsdf(coating), mi.traverse(face.bsdf())
+    values = {name: value for name, value in _numbers(blend) if name in parameters}
+    if values.keys() != set(parameters.keys()):
+        face.set_bsdf(mi.load_dict(blend))
         return
     for name, value in values.items():
         parameters[name] = value
     parameters.update()
 
 
-def _parameters(coating: Coating) -> dict[str, float]:
-    """Values by the names under which `mi.traverse` lists those of `coating_bsdf`."""
-    values = {
-        "weight.value": coating.flake_fraction,
-        "bsdf_1.alpha.value": coating.flake_roughness,
-        "bsdf_1.eta.value": coating.flake_ior,
-        "bsdf_1.k.value": coating.flake_extinction,
-    }
-    if coating.binder_ior == 1.0:
-        return values | {"bsdf_0.reflectance.value": coating.base_albedo}
-    return values | {
-        "bsdf_0.diffuse_reflectance.value": coating.base_albedo,
-        "bsdf_0.alpha": coating.binder_roughness,
-        "bsdf_0.eta": coating.binder_ior,
-    }
+def _numbers(node: dict[str, Any], above: str = "") -> Iterator[tuple[str, float]]:
+    """Yield the numbers of a BSDF's dictionary under the names that `mi.traverse` may list them."""
+    for key, value in node.items():
+        name = above + _LISTED_AS.get(key, key)
+        if isinstance(value, dict):
+            yield from _numbers(value, f"{name}.")
+        elif isinstance(value, float):
+            yield name, value
+            yield f"{name}.value", value  # where it may be a texture
 
 
 def coated_mesh(face: "trimesh.Trimesh", bsdf: dict[str, Any]) -> Any:
     """Return the coated face (vertices in world mm, smooth vertex normals) as `mi.Mesh`."""
-    import mitsuba as mi
-
-    properties = mi.Properties()
-    properties["bsdf"] = mi.load_dict(bsdf)
-    mesh = mi.Mesh(
-        COATED_FACE,
-        vertex_count=len(face.vertices),
-        face_count=len(face.faces),
-        has_vertex_normals=True,
-        props=properties,
-    )
-    parameters = mi.traverse(mesh)
-    parameters["vertex_positions"] = np.asarray(face.vertices, np.float32).ravel()
-    parameters["vertex_normals"] = np.asarray(face.vertex_normals, np.float32).ravel()
-    parameters["faces"] = np.asarray(face.faces, np.uint32).ravel()
-    parameters.update()
-    return mesh
+    return mitsuba_mesh(COATED_FACE, face.vertices, face.faces, bsdf, normals=face.vertex_normals)

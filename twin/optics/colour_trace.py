@@ -17,19 +17,15 @@ from reconstruction.rig.pinhole import Pinhole
 from twin.config.lamps import Markers
 from twin.config.models import Experiment
 from twin.optics.coat import COATED_FACE
-from twin.optics.devices import Device
+from twin.optics.connection import blocked
+from twin.optics.devices import Device, SubPixels
 from twin.optics.lamps import Emitters, emitters_of
 from twin.optics.layers import LayerStack
 from twin.optics.scene import check_below_layers, coated_scene, layer_stack
 from twin.optics.stack import Truth
-from twin.optics.subpixels import SubPixels
 
 if TYPE_CHECKING:
     import trimesh
-
-
-# As in `connection`: shadow rays start this far off the surface along its normal.
-_SHADOW_OFFSET_MM = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,11 +51,12 @@ class ColourScene:
     """
 
     def __init__(self, experiment: Experiment, face: "trimesh.Trimesh") -> None:
-        self._experiment = experiment
         self._scene = coated_scene(experiment, face)
         self._facets = len(face.faces)
+        self._samples = experiment.render.samples
         self._emitters = emitters_of(experiment.lamps)
-        self._layers = layer_stack(experiment)
+        self._layers, self._stack = experiment.layers, layer_stack(experiment)
+        self._markers = experiment.photometric.markers
 
     def put(self, face: "trimesh.Trimesh") -> None:
         """Exchange the face for another one with the same grid of facets.
@@ -69,7 +66,7 @@ class ColourScene:
         InputError
             The face pokes through the layers that it is seen through.
         """
-        check_below_layers(self._experiment, face)
+        check_below_layers(self._layers, face)
         if len(face.faces) != self._facets:
             raise ValueError(f"the face has {len(face.faces)} facets, the scene {self._facets}")
         parameters = mi.traverse(self._scene)
@@ -82,7 +79,7 @@ class ColourScene:
     def render(self, pinhole: Pinhole, T_world_from_cam: NDArray[np.float64]) -> FloatImage:
         """Return radiance in air, (row, col, channel), mW / (mm^2 sr)."""
         rig = self._rig(pinhole, T_world_from_cam)
-        return trace_channels(self._scene, rig, self._experiment.render.samples)
+        return trace_channels(self._scene, rig, self._samples)
 
     def truth(self, pinhole: Pinhole, T_world_from_cam: NDArray[np.float64]) -> Truth:
         """Return what lies behind the pixel centres; everything seen counts as lit."""
@@ -90,8 +87,7 @@ class ColourScene:
 
     def _rig(self, pinhole: Pinhole, T_world_from_cam: NDArray[np.float64]) -> LampRig:
         camera = Device(pinhole, T_world_from_cam)
-        markers = self._experiment.photometric.markers
-        return LampRig(camera, self._emitters, self._layers, markers)
+        return LampRig(camera, self._emitters, self._stack, self._markers)
 
 
 def trace_channels(scene: Any, rig: LampRig, samples: int) -> FloatImage:
@@ -158,7 +154,7 @@ def _shaded(scene: Any, rig: LampRig, table: _Table, ray: Any) -> Any:
         light, direction, distance_mm = _light(table, number, hit.p, absorption)
         active = hit.is_valid() & (light > 0.0) & (dr.dot(hit.sh_frame.n, direction) > 0.0)
         if rig.shadows:
-            active &= ~_blocked(scene, hit, direction, distance_mm, active)
+            active &= ~blocked(scene, hit, direction, distance_mm, active, coherent=False)
         brdf_cos = bsdf.eval(mi.BSDFContext(), hit, hit.to_local(direction), active)[0]
         weight = dr.select(active, brdf_cos * light, 0.0)
         return number + 1, total + weight * dr.gather(mi.Color3f, table.intensity, number)
@@ -193,13 +189,6 @@ def _light(table: _Table, number: Any, point_mm: Any, absorption: float) -> tupl
     if absorption:
         light *= dr.exp(-absorption * distance_mm)
     return light, direction, distance_mm
-
-
-def _blocked(scene: Any, hit: Any, direction: Any, distance_mm: Any, active: Any) -> Any:
-    start = hit.p + dr.copysign(_SHADOW_OFFSET_MM, dr.dot(hit.n, direction)) * hit.n
-    shadow = mi.Ray3f(start, direction)
-    shadow.maxt = distance_mm * (1.0 - 1e-4)
-    return scene.ray_test(shadow, coherent=False, active=active)
 
 
 def _dots(markers: Markers, point_mm: Any) -> Any:

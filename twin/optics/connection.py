@@ -1,6 +1,7 @@
 """Connect a ray's hit point to the projector: the one event that puts light into the frames.
 
 A path that ends on the projector pixel (u, v) with weight w adds w * P_k(u, v) to every frame k.
+How near to the projector the surfaces of a scene lie, and how far, bounds the blur there.
 """
 
 from dataclasses import dataclass, replace
@@ -8,6 +9,8 @@ from typing import Any
 
 import drjit as dr
 import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
 
 from twin.optics.devices import Device
 from twin.optics.layers import Arrival, LayerStack
@@ -65,7 +68,7 @@ def connect(scene: Any, rig: Rig, hit: Any, bsdf: Any, coherent: bool = True) ->
     column_px, row_px = light.column_px, light.row_px
     lit = hit.is_valid() & (light.axial_mm > 0.0) & on_image(rig, column_px, row_px, MARGIN_PX)
     if rig.shadows:
-        lit &= ~_blocked(scene, hit, light.direction, light.clear_mm, lit, coherent=coherent)
+        lit &= ~blocked(scene, hit, light.direction, light.clear_mm, lit, coherent=coherent)
     brdf_cos = bsdf.eval(mi.BSDFContext(), hit, hit.to_local(light.direction), lit)[0]
     weight = dr.select(lit, brdf_cos * light.irradiance, 0.0)
     nothing = ~hit.is_valid()
@@ -118,12 +121,44 @@ def on_image(rig: Rig, column_px: Any, row_px: Any, margin_px: float) -> Any:
     )
 
 
-def _blocked(
+def blocked(
     scene: Any, hit: Any, direction: Any, distance_mm: Any, active: Any, *, coherent: bool
 ) -> Any:
-    """Test the shadow ray; surfaces that face away from the projector shade themselves."""
+    """Test the shadow ray towards a light; surfaces that face away from it shade themselves."""
     facing = dr.dot(hit.n, direction)
     start = hit.p + dr.copysign(_SHADOW_OFFSET_MM, facing) * hit.n
     shadow = mi.Ray3f(start, direction)
     shadow.maxt = distance_mm * (1.0 - 1e-4)
     return scene.ray_test(shadow, coherent=coherent, active=active)
+
+
+def axial_range_mm(scene: Any, rig: Rig) -> tuple[float, float]:
+    """Return the nearest and farthest distance along the projector's axis of a scene's box.
+
+    Parameters
+    ----------
+    scene : mi.Scene
+    rig : Rig
+        Through its layers points seem nearer than they are, but never above the highest face.
+
+    Raises
+    ------
+    ValueError
+        The scene reaches behind the projector.
+    """
+    corners = box_corners_mm(scene.bbox())
+    if rig.layers is not None:
+        raised = corners.copy()
+        raised[:, 2] = np.maximum(raised[:, 2], max(medium.top_mm for medium in rig.layers.media))
+        corners = np.concatenate([corners, raised])
+    T_world_from_proj = rig.projector.T_world_from_device
+    axial_mm = (corners - T_world_from_proj[:3, 3]) @ T_world_from_proj[:3, 2]
+    if axial_mm.min() <= 0.0:
+        raise ValueError("the scene reaches behind the projector: its blur has no bound there")
+    return float(axial_mm.min()), float(axial_mm.max())
+
+
+def box_corners_mm(box: Any) -> NDArray[np.float64]:
+    """Corners (8, 3) of a `mi.BoundingBox3f`."""
+    low, high = np.array(box.min, np.float64).ravel(), np.array(box.max, np.float64).ravel()
+    return np.where(np.array(list(np.ndindex(2, 2, 2))), high, low)

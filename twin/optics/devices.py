@@ -1,10 +1,12 @@
 """Camera rays and projector pixels as Dr.Jit expressions, with Brown-Conrady distortion.
 
 Distortion, its inverse and its fold are those of `reconstruction.rig.pinhole`. Single precision
-resolves an image of 1000 pixels to 1e-4 px.
+resolves an image of 1000 pixels to 1e-4 px. Camera rays start from a fixed square grid of sub-pixel
+positions on every pixel.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import drjit as dr
@@ -22,7 +24,7 @@ from reconstruction.rig.pinhole import (
     newton_step,
 )
 from twin.config.models import Distortion
-from twin.optics.lens import ThinLens
+from twin.optics.lens import ThinLens, lens_places
 
 # Newton squares the error: after a step below this, normalised, the pixel is met to 1e-5 px at a
 # focal length of 5000 px. Much smaller steps drown in single precision near a fold.
@@ -117,3 +119,45 @@ def _undistort(x_target: Any, y_target: Any, distortion: Distortion) -> tuple[An
     )
     found = close & before
     return dr.select(found, x, 0.0), dr.select(found, y, 0.0), found
+
+
+@dataclass(frozen=True)
+class SubPixels:
+    """Centres of side x side cells on every pixel of an image; pixels in row-major order."""
+
+    #: pixel centres
+    x_px: Any
+    y_px: Any
+    side: int
+
+    @classmethod
+    def of_image(cls, width: int, height: int, samples: int) -> "SubPixels":
+        """Return the grid of an image with a square number of samples per pixel."""
+        index = dr.arange(mi.UInt32, width * height)
+        row = index // width
+        return cls(mi.Float(index - row * width), mi.Float(row), round(samples**0.5))
+
+    @property
+    def samples(self) -> int:
+        """Samples per pixel."""
+        return self.side * self.side
+
+    def position(self, sample: Any) -> tuple[Any, Any]:
+        """Return x_px, y_px of one sample on every pixel."""
+        row = sample // self.side
+        column = sample - row * self.side
+        dx, dy = ((mi.Float(index) + 0.5) / self.side - 0.5 for index in (column, row))
+        return self.x_px + dx, self.y_px + dy
+
+    def ray(self, camera: Device, sample: Any) -> Any:
+        """Return the camera ray (`mi.Ray3f`) of one sample on every pixel."""
+        x_px, y_px = self.position(sample)
+        if camera.lens is None:
+            return camera.ray(x_px, y_px)
+        x, y = (dr.gather(mi.Float, axis, sample) for axis in self._lens_places)
+        return camera.lens_ray(camera.lens, x_px, y_px, (x, y))
+
+    @cached_property
+    def _lens_places(self) -> tuple[Any, Any]:
+        x, y = lens_places(self.side).T
+        return mi.Float(x), mi.Float(y)

@@ -4,18 +4,14 @@ The specimen stands with its foremost point at world z = 0, where the coat would
 stage lies below it.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from twin.config.digest import seed_sequence
 from twin.config.models import Experiment, Material
-from twin.optics.backend import activate
-from twin.optics.checks import check_direct_engine, check_focus, check_materials
-from twin.optics.materials import absorption_per_mm, bsdf_of, sharp
-from twin.optics.stack import RadianceStack
+from twin.optics.checks import check_materials
+from twin.optics.materials import absorption_per_mm, bsdf_of, mitsuba_mesh, sharp
 from twin.specimens import bodies
 
 if TYPE_CHECKING:
@@ -28,9 +24,6 @@ STAGE = "stage"
 AIR_GAP_MM = 0.02
 """Between stage and specimen. Bodies do not wet the table: there is always air below them. It also
 keeps the two surfaces apart by ten times the length by which rays leave a surface."""
-
-# Of the rendering time, for the progress bar.
-_PHOTONS_SHARE = 0.2
 
 CREASE_DEG = 20.0
 """Facets that meet at less than this are one smooth surface."""
@@ -91,10 +84,18 @@ def direct_scene(experiment: Experiment) -> DirectScene:
     from twin.optics.surfaces import Sharp, Surfaces
 
     parts = solids(experiment)
+    meshes = {
+        part.name: mitsuba_mesh(
+            part.name,
+            part.mesh.vertices,
+            part.mesh.faces,
+            part.bsdf,
+            normals=part.mesh.vertex_normals,
+        )
+        for part in parts
+    }
     # optimize=False: since 3.7 load_dict merges shapes.
-    scene = mi.load_dict(
-        {"type": "scene", **{part.name: _mitsuba_mesh(part) for part in parts}}, optimize=False
-    )
+    scene = mi.load_dict({"type": "scene", **meshes}, optimize=False)
     shapes = {shape.id(): shape for shape in scene.shapes()}
     found = tuple(
         Sharp(shapes[part.name], absorption_per_mm(part.material))
@@ -102,61 +103,6 @@ def direct_scene(experiment: Experiment) -> DirectScene:
         if part.material is not None and sharp(part.material)
     )
     return DirectScene(scene, Surfaces(found, shapes[STAGE]))
-
-
-def render_direct(
-    experiment: Experiment, progress: Callable[[float], None] = lambda _: None
-) -> RadianceStack:
-    """Render all frames of the sequence on the bare specimen, and the truth behind them.
-
-    Raises
-    ------
-    InputError
-        A part has no material, or the stock engine was asked for: it shows everything behind clear
-        bodies black.
-    MissingBackend
-        No usable Dr.Jit backend.
-    """
-    check_direct_engine(experiment)
-    activate()
-    from twin.optics import one_trace
-    from twin.optics.bounces import Bounces
-    from twin.optics.extent import axial_range_mm
-    from twin.optics.light import light_tables, pattern_set
-    from twin.optics.photons import trace_photons
-    from twin.optics.scene import rig_of
-    from twin.optics.stage_light import StageLight, map_photons
-
-    built, rig = direct_scene(experiment), rig_of(experiment)
-    patterns = pattern_set(experiment.projector, experiment.patterns)
-    tables = light_tables(experiment.projector, patterns, axial_range_mm(built.scene, rig))
-    photon_seed, path_seed = seed_sequence(experiment, "direct").generate_state(2).tolist()
-    stage_light = None
-    if built.surfaces.sharp:
-        check_focus(experiment)
-        photons = trace_photons(
-            built.scene, built.surfaces, rig, count=experiment.render.photons, seed=photon_seed
-        )
-        stage_light = StageLight(map_photons(photons, tables))
-    progress(_PHOTONS_SHARE)
-    bounces = Bounces(
-        most=experiment.bounces,
-        paths=experiment.render.bounce_paths,
-        seed=path_seed,
-        surfaces=built.surfaces,
-        stage_light=stage_light,
-    )
-    frames = one_trace.trace_stack(
-        built.scene,
-        rig,
-        tables,
-        experiment.render.samples,
-        bounces=bounces,
-        progress=lambda part: progress(_PHOTONS_SHARE + (1.0 - _PHOTONS_SHARE) * part),
-    )
-    truth = one_trace.trace_truth(built.scene, rig, built.surfaces)
-    progress(1.0)
-    return RadianceStack(frames, truth)
 
 
 def _stage(experiment: Experiment, z_mm: float) -> Solid:
@@ -173,26 +119,6 @@ def _stage(experiment: Experiment, z_mm: float) -> Solid:
     )
     reflectance = {"type": "spectrum", "value": experiment.stage.albedo}
     return Solid(STAGE, mesh, {"type": "diffuse", "reflectance": reflectance})
-
-
-def _mitsuba_mesh(part: Solid) -> Any:
-    import mitsuba as mi
-
-    properties = mi.Properties()
-    properties["bsdf"] = mi.load_dict(part.bsdf)
-    mesh = mi.Mesh(
-        part.name,
-        vertex_count=len(part.mesh.vertices),
-        face_count=len(part.mesh.faces),
-        has_vertex_normals=True,
-        props=properties,
-    )
-    parameters = mi.traverse(mesh)
-    parameters["vertex_positions"] = np.asarray(part.mesh.vertices, np.float32).ravel()
-    parameters["vertex_normals"] = np.asarray(part.mesh.vertex_normals, np.float32).ravel()
-    parameters["faces"] = np.asarray(part.mesh.faces, np.uint32).ravel()
-    parameters.update()
-    return mesh
 
 
 def _smooth(mesh: "trimesh.Trimesh") -> "trimesh.Trimesh":

@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Any
 import jinja2
 import numpy as np
 
+from reconstruction.disk import write_exr_channels
 from twin.config.models import Experiment
 from twin.optics.backend import activate
 from twin.optics.coat import COATED_FACE, coating_bsdf
 from twin.optics.device_frames import perspective_sensor, to_world
 from twin.optics.direct import Solid, solids
 from twin.optics.materials import sharp
-from twin.optics.storage import write_exr
 from twin.specimens import bodies
 
 if TYPE_CHECKING:
@@ -38,7 +38,7 @@ def inexpressible(experiment: Experiment) -> list[str]:
             "layers are left out: no stock integrator connects a coat below a refracting face to a"
             " projector",
         )
-    if experiment.modality == "direct_fpp" and any(
+    if not experiment.method.presses and any(
         part.material is not None and sharp(part.material)
         for part in bodies(experiment.specimen, 0.0)
     ):
@@ -96,7 +96,7 @@ def export_stock(
     (folder / "textures").mkdir()
     for number, frame in enumerate(patterns.frames):
         texture = stock.frame_texture(frame, number, rig, tables, canvas)
-        write_exr(folder / "textures" / f"{frame.name}.exr", texture)
+        write_exr_channels(folder / "textures" / f"{frame.name}.exr", {"Y": texture})
         progress((number + 1) / len(patterns.frames))
     shapes = _solids(experiment, face)
     for solid in shapes:

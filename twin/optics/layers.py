@@ -34,7 +34,7 @@ _FLATTEST = 1e-3
 
 
 @dataclass(frozen=True)
-class Sight:
+class RefractedRay:
     """A camera ray below the last interface, and what is left of radiance on its way up."""
 
     ray: Any
@@ -86,7 +86,7 @@ class LayerStack:
         """World z of the last interface; all surfaces lie below it."""
         return self.media[-1].top_mm
 
-    def refract(self, ray: Any) -> Sight:
+    def refract(self, ray: Any) -> RefractedRay:
         """Follow camera rays (`mi.Ray3f`, unit direction, in air) to below the last interface.
 
         Radiance over index squared changes by transmission alone (Nicodemus, Applied Optics 2,
@@ -106,7 +106,9 @@ class LayerStack:
         refracted.o = dr.select(enters, start, ray.o)
         refracted.d = dr.select(enters, below, ray.d)
         left = self._transmittance(t_square, way) / (n * n)
-        return Sight(refracted, dr.select(enters, left, 0.0), self.media[-1].absorption_per_mm)
+        return RefractedRay(
+            refracted, dr.select(enters, left, 0.0), self.media[-1].absorption_per_mm
+        )
 
     def arrive(self, projector: Device, irradiance_at_1mm: float, point_mm: Any) -> Arrival:
         """Find the light that the projector sends to points below the last interface.
@@ -115,7 +117,7 @@ class LayerStack:
         ----------
         projector : Device
         irradiance_at_1mm : float
-            Of a white field in air (see `radiometry`).
+            Of a white field in air (see `rig`).
         point_mm : mi.Point3f
 
         Notes

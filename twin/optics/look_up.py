@@ -33,11 +33,11 @@ class FrameLight:
         return [light * on_columns for light in columns] + [light * on_rows for light in rows]
 
 
-def _on_device(table: LightTable) -> "_Table":
-    return _Table(table) if table.levels is None else _DefocusedTable(table, table.levels)
+def _on_device(table: LightTable) -> "_LookUpTable":
+    return _LookUpTable(table) if table.levels is None else _DefocusedTable(table, table.levels)
 
 
-class _Table:
+class _LookUpTable:
     """A light table on the device, rows padded to whole packets of contiguous profiles."""
 
     def __init__(self, table: LightTable) -> None:
@@ -70,7 +70,7 @@ class _Table:
         return node, x - mi.Float(node), inside
 
 
-class _DefocusedTable(_Table):
+class _DefocusedTable(_LookUpTable):
     """Light tables at several blurs, interpolated at the blur of each path's distance."""
 
     def __init__(self, table: LightTable, levels: BlurLevels) -> None:

@@ -1,10 +1,13 @@
-"""Materials of the experiment as Mitsuba BSDFs, and how their light has to be transported.
+"""Surfaces as Mitsuba has them: materials as BSDFs, and meshes; how their light is transported.
 
 A surface whose reflection or refraction is sharp cannot be connected to a pinhole projector from a
 surface behind it: that light is traced from the projector instead (see `photons`).
 """
 
 from typing import Any, assert_never
+
+import numpy as np
+from numpy.typing import ArrayLike
 
 from twin.config.models import Conductor, Dielectric, Diffuse, Material, Plastic
 
@@ -23,6 +26,57 @@ def sharp(material: Material) -> bool:
 def absorption_per_mm(material: Material) -> float:
     """Napierian absorption coefficient of the bulk; 0 where no light gets in."""
     return material.absorption_per_mm if isinstance(material, Dielectric) else 0.0
+
+
+def mitsuba_mesh(
+    name: str,
+    vertices_mm: ArrayLike,
+    facets: ArrayLike,
+    bsdf: dict[str, Any] | None = None,
+    *,
+    normals: ArrayLike | None = None,
+    texture: ArrayLike | None = None,
+    shade: ArrayLike | None = None,
+) -> Any:
+    """Return a triangle mesh as `mi.Mesh`.
+
+    Parameters
+    ----------
+    vertices_mm : (vertex, xyz) float, mm, world
+    facets : (facet, 3) int, indices of vertices
+    bsdf : dict, optional
+        For `mi.load_dict`.
+    normals : (vertex, xyz) float, optional
+        Unit normals of a smooth surface; faceted without.
+    texture : (vertex, 2) float, optional
+        Coordinates on the bitmap.
+    shade : (vertex,) float, optional
+        The attribute `vertex_shade`.
+    """
+    import mitsuba as mi
+
+    properties = mi.Properties()
+    if bsdf is not None:
+        properties["bsdf"] = mi.load_dict(bsdf)
+    fields = {"vertex_positions": vertices_mm}
+    fields |= {} if normals is None else {"vertex_normals": normals}
+    fields |= {} if texture is None else {"vertex_texcoords": texture}
+    mesh = mi.Mesh(
+        name,
+        vertex_count=len(np.asarray(vertices_mm)),
+        face_count=len(np.asarray(facets)),
+        has_vertex_normals=normals is not None,
+        has_vertex_texcoords=texture is not None,
+        props=properties,
+    )
+    if shade is not None:
+        mesh.add_attribute("vertex_shade", 1, np.asarray(shade).tolist())
+    parameters = mi.traverse(mesh)
+    for key, values in fields.items():
+        parameters[key] = np.asarray(values, np.float32).ravel()
+    parameters["faces"] = np.asarray(facets, np.uint32).ravel()
+    parameters.update()
+    return mesh
 
 
 def bsdf_of(material: Material) -> dict[str, Any]:

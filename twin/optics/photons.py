@@ -20,8 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from reconstruction.arrays import FloatImage
-from twin.optics.connection import Rig, on_image
-from twin.optics.extent import box_corners_mm
+from twin.optics.connection import Rig, box_corners_mm, on_image
 from twin.optics.light import MARGIN_PX
 from twin.optics.surfaces import Surfaces
 

@@ -1,8 +1,12 @@
-"""Geometry of the rig: pinhole models and poses of camera and projector, from the experiment.
+"""Geometry and light of the rig, from the experiment: pinholes, poses, the projector's irradiance.
 
 Frames: world z up, undeformed coated face at z = 0. Device frames are OpenCV's (x right, y down,
 z forward; pixel (0, 0) is the centre of the first pixel). The result is the true calibration: the
 renderer traces with it, and an ideally calibrated decoder triangulates with it.
+
+Irradiance on a plane that faces the projector at distance z (along its axis) is
+`irradiance_at_1mm / z**2` for a full white field: the flux spread evenly over the image, as a DLP
+fills a flat screen.
 """
 
 import numpy as np
@@ -96,3 +100,9 @@ def _centre(pinhole: Pinhole) -> FloatArray:
     centre_px = np.array([(pinhole.width_px - 1) / 2, (pinhole.height_px - 1) / 2])
     ray = np.append(pinhole.unproject(centre_px), 1.0)
     return np.asarray(ray / np.linalg.norm(ray))
+
+
+def irradiance_at_1mm(projector: Projector, pinhole: Pinhole) -> float:
+    """Irradiance of a white field at axial distance 1 mm, in mW/mm^2 (numerically mW/mm^2 mm^2)."""
+    image_area_mm2 = (pinhole.width_px / pinhole.fx_px) * (pinhole.height_px / pinhole.fy_px)
+    return projector.flux_mw / image_area_mm2

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 import mitsuba as mi
 
 from reconstruction.errors import InputError
-from twin.config.layers import holding_layer, media_of
+from twin.config.layers import Layer, holding_layer, media_of
 from twin.config.models import Coating, Experiment
 from twin.optics.checks import check_binder, check_samples
 from twin.optics.coat import coated_mesh, coating_bsdf
@@ -14,8 +14,7 @@ from twin.optics.connection import Rig
 from twin.optics.devices import Device
 from twin.optics.layers import LayerStack
 from twin.optics.lens import ThinLens
-from twin.optics.radiometry import irradiance_at_1mm
-from twin.optics.rig import true_calibration
+from twin.optics.rig import irradiance_at_1mm, true_calibration
 from twin.optics.shading import may_shade_itself
 
 if TYPE_CHECKING:
@@ -41,7 +40,7 @@ def face_scene(experiment: Experiment, face: "trimesh.Trimesh", coating: Coating
     InputError
         The face pokes through the layers that it is seen through.
     """
-    check_below_layers(experiment, face)
+    check_below_layers(experiment.layers, face)
     mesh = coated_mesh(face, coating_bsdf(coating))
     # optimize=False: since 3.7 load_dict merges shapes, which breaks later parameter updates.
     return mi.load_dict({"type": "scene", "coated_face": mesh}, optimize=False)
@@ -99,16 +98,16 @@ def coating_in_layer(experiment: Experiment) -> Coating:
     return coating.model_copy(update=relative)
 
 
-def check_below_layers(experiment: Experiment, face: "trimesh.Trimesh") -> None:
+def check_below_layers(layers: dict[str, Layer], face: "trimesh.Trimesh") -> None:
     """Refuse a coated face that reaches through the lowest interface above it.
 
     Raises
     ------
     InputError
     """
-    if not experiment.layers:
+    if not layers:
         return
-    highest_mm, floor_mm = face.bounds[1][2], media_of(experiment.layers)[-1].top_mm
+    highest_mm, floor_mm = face.bounds[1][2], media_of(layers)[-1].top_mm
     if highest_mm >= floor_mm:
         raise InputError(
             f"layers: the coated face reaches z = {highest_mm:.4g} mm, allowed below "

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from reconstruction.arrays import FloatArray
-from twin.mechanics.relief import grid_facets
+from twin.specimens.solids import grid_facets
 
 if TYPE_CHECKING:
     import trimesh

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from reconstruction.arrays import FloatArray
 from twin.optics.backend import activate
 from twin.optics.device_frames import perspective_sensor
+from twin.optics.materials import mitsuba_mesh
 from twin.optics.observer import Observer
 
 if TYPE_CHECKING:
@@ -152,26 +153,14 @@ def _lights(observer: Observer) -> dict[str, Any]:
 
 
 def _mesh(thing: Thing, primary: int) -> Any:
-    import mitsuba as mi
-
-    properties = mi.Properties()
-    properties["bsdf"] = mi.load_dict(_of_primary(_bsdf(thing), primary))
-    mesh = mi.Mesh(
+    return mitsuba_mesh(
         thing.name,
-        vertex_count=len(thing.mesh.vertices),
-        face_count=len(thing.mesh.faces),
-        has_vertex_normals=thing.smooth,
-        props=properties,
+        thing.mesh.vertices,
+        thing.mesh.faces,
+        _of_primary(_bsdf(thing), primary),
+        normals=thing.mesh.vertex_normals if thing.smooth else None,
+        shade=thing.shade,
     )
-    if thing.shade is not None:
-        mesh.add_attribute("vertex_shade", 1, thing.shade.tolist())
-    parameters = mi.traverse(mesh)
-    parameters["vertex_positions"] = np.asarray(thing.mesh.vertices, np.float32).ravel()
-    if thing.smooth:
-        parameters["vertex_normals"] = np.asarray(thing.mesh.vertex_normals, np.float32).ravel()
-    parameters["faces"] = np.asarray(thing.mesh.faces, np.uint32).ravel()
-    parameters.update()
-    return mesh
 
 
 def _bsdf(thing: Thing) -> dict[str, Any]:

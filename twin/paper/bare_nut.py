@@ -6,8 +6,8 @@ from reconstruction.errors import InputError
 from twin.config import Experiment, vary
 from twin.paper.claims import DIRECT_AT_MOST
 from twin.paper.complete_table import counted
-from twin.paper.seen import see
 from twin.paper.table import Cell, Column, Table
+from twin.pipeline import measure
 
 NUT = "nut"
 ROUGHNESS = (0.05, 0.1, 0.2, 0.4)
@@ -31,7 +31,7 @@ def nut_shares(experiment: Experiment) -> dict[str, list[float]]:
     found = {}
     for alpha in ROUGHNESS:
         bare = vary(experiment, _SETTINGS | {"specimen.material.roughness": alpha})
-        share = counted(see(bare))
+        share = counted(measure(bare))
         if share.specimen is None or share.specimen_points is None:
             raise InputError(f"{experiment.name}: the camera sees nothing of the specimen")
         found[f"{alpha:g}"] = [share.specimen, share.specimen_points]

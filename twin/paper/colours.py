@@ -11,13 +11,14 @@ from pathlib import Path
 from typing import Any
 
 from twin.config import Experiment, digest
-from twin.modalities.instruments import PhotometricPlan, case_for
-from twin.modalities.photometric_decoders import Decoded
-from twin.modalities.photometric_score import photometric_metrics
-from twin.modalities.photometric_stereo import measure_photometric
-from twin.modalities.progress import Watcher, nobody
 from twin.paper.repeats import Figures, Repeated, Trial
 from twin.paper.scatter import Scatter
+from twin.pipeline.instruments import PhotometricPlan, case_for
+from twin.pipeline.memory import Memory
+from twin.pipeline.methods import measure
+from twin.pipeline.progress import Watcher, nobody
+from twin.results.decoders import DecodedImage
+from twin.results.score import metrics
 
 CALIBRATIONS = 5
 # The paper's pipeline: a look-up table, then integration as in the vendor's programs of its time.
@@ -30,18 +31,18 @@ def plan_of(seed: int, trial: int) -> PhotometricPlan:
     return PhotometricPlan(settings=settings)
 
 
-def measure_colours(seed: int, experiment: Experiment, trial: int) -> Figures:
+def measure_colours(seed: int, memory: Memory, experiment: Experiment, trial: int) -> Figures:
     """Measure once; the paper's decoder under plain names, every decoder under its own."""
     case = case_for(experiment, "photometric_stereo", plan_of(seed, trial))
-    measured = measure_photometric(case, trial=trial)
-    figures = photometric_metrics(measured.score) | {"depth_mm": measured.pressed.depth_mm}
-    for one in measured.decoded:
+    measured = measure(case, memory=memory, trial=trial)
+    figures = metrics(measured.score)
+    for one in measured.colours.decoded:
         figures |= _by_decoder(one)
-    return figures | {"force_n": measured.pressed.force_n}
+    return figures | {name: measured.figures[name] for name in ("depth_mm", "force_n")}
 
 
-def _by_decoder(one: Decoded) -> Figures:
-    found = photometric_metrics(one.score)
+def _by_decoder(one: DecodedImage) -> Figures:
+    found = metrics(one.score)
     return {
         f"{one.colour_map}_{one.integration}_{name}": value
         for name, value in found.items()
@@ -51,12 +52,16 @@ def _by_decoder(one: Decoded) -> Figures:
 
 @dataclass(frozen=True, eq=False)
 class ColourTrials:
-    """The repeated presses of an experiment: trials 0 to `count`, kept in `folder`."""
+    """The repeated presses of an experiment: trials 0 to `count`, kept in `folder`.
+
+    `memory` holds the sensor that the trials share.
+    """
 
     experiment: Experiment
     scatter: Scatter
     folder: Path
     count: int
+    memory: Memory
 
     def all(self, watch: Watcher = nobody) -> list[Trial]:
         """Return every trial; trial 0 also holds the nominal press under every calibration.
@@ -64,7 +69,7 @@ class ColourTrials:
         Raises
         ------
         InputError, MissingBackend
-            As `measure_photometric`.
+            As `measure`.
         """
         found, nominal = [], {}
         # The first calibration comes last: it is still in memory for the cases of the figures.
@@ -78,7 +83,7 @@ class ColourTrials:
 
     def of_calibration(self, calibration: int) -> tuple[Figures, list[Trial]]:
         """Return the nominal press under one calibration, and the trials that use it."""
-        measured = partial(measure_colours, self.scatter.seed)
+        measured = partial(measure_colours, self.scatter.seed, self.memory)
         named = _sensor_digest(self.experiment, self.scatter)
         presses = Repeated(self._name, self.experiment, self.scatter, measured, named)
         still = self.scatter.model_copy(update={"inputs": {}})

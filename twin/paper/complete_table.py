@@ -6,20 +6,23 @@ from pathlib import Path
 import numpy as np
 
 from twin.config import Experiment
-from twin.modalities.progress import Watcher, nobody
-from twin.modalities.storage import write_result
 from twin.output import read_json, write_json
 from twin.paper.completeness import Completeness, completeness_of
 from twin.paper.panel_data import PANELS_FOLDER, write_panel_data
 from twin.paper.panel_sources import panel_data_of
-from twin.paper.seen import Seen, see
 from twin.paper.table import Cell, Column, Table
+from twin.pipeline import Memory, measure
+from twin.pipeline.progress import Watcher, nobody
+from twin.results.parts import write_result
+from twin.results.record import Measurement
 
 COMMAND, COMPLETENESS_FILE = "paper", "completeness.json"
 _KEYS = ("contact", "contact_points", "specimen", "specimen_points", "limit_um")
 
 
-def measure_case(folder: Path, experiment: Experiment, watch: Watcher = nobody) -> None:
+def measure_case(
+    folder: Path, experiment: Experiment, watch: Watcher = nobody, memory: Memory | None = None
+) -> None:
     """Measure; keep figures, completeness and panel data. The arrays are nobody's input any more.
 
     Raises
@@ -29,7 +32,7 @@ def measure_case(folder: Path, experiment: Experiment, watch: Watcher = nobody) 
     MissingBackend
         No usable Dr.Jit backend.
     """
-    seen = see(experiment, watch)
+    seen = measure(experiment, watch, memory)
     watch("keep", 0.0)
     write_result(folder, COMMAND, experiment, seen.figures)
     write_json(folder / COMPLETENESS_FILE, asdict(counted(seen)))
@@ -37,10 +40,11 @@ def measure_case(folder: Path, experiment: Experiment, watch: Watcher = nobody) 
     watch("keep", 1.0)
 
 
-def counted(seen: Seen) -> Completeness:
+def counted(seen: Measurement) -> Completeness:
     """Return the completeness of a measurement by any method."""
-    points_mm = seen.points_mm.astype(np.float64)
-    return completeness_of(seen.experiment, seen.truth, points_mm, seen.valid, seen.pressed)
+    points = seen.points
+    points_mm = points.world_mm.astype(np.float64)
+    return completeness_of(seen.experiment, seen.truth, points_mm, points.valid, seen.pressed)
 
 
 def completeness_table(cases: Path) -> Table:

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from reconstruction.arrays import FloatArray
 from twin.config.models import Experiment
 from twin.mechanics import PressedElastomer
-from twin.modalities.score import share_of
 from twin.optics.stack import Truth
+from twin.results.score import share_of
 from twin.specimens import shape_of
 
 _GRID_MM = 0.02

@@ -13,10 +13,10 @@ import numpy as np
 from reconstruction.errors import InputError
 from reconstruction.evaluate.fit import fit_sphere
 from twin.config import Experiment, vary
-from twin.modalities.contact_fpp import press_specimen
 from twin.paper.face_model import cap_fit, face_figures, face_points_mm
 from twin.paper.published import CONTACT_FPP, GELSIGHT, NOMINAL_RADIUS_MM, mean_of
 from twin.paper.table import Cell, Column, Table
+from twin.pipeline.press import press_specimen
 from twin.specimens import shape_of
 
 _COLUMNS = (

@@ -12,9 +12,9 @@ from reconstruction.errors import FitError, InputError
 from reconstruction.evaluate.fit import SphereFit, fit_sphere
 from twin.config import Experiment, vary
 from twin.mechanics import PressedElastomer
-from twin.modalities.contact_fpp import press_specimen
 from twin.paper.repeats import rod_width
 from twin.paper.scatter import Input, nominal_of
+from twin.pipeline.press import press_specimen
 from twin.specimens import Sphere, shape_of
 
 

@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from twin.paper.figure_layout import LETTERS, panels_of
 from twin.paper.panel_data import PanelData
 from twin.paper.panel_plots import no_measurement, residual_limit_um, show_histogram, show_residuals
-from twin.paper.panel_relief import Stage, show_relief, show_scale, stage_for
+from twin.paper.panel_relief import ReliefView, show_relief, show_scale, stage_for
 from twin.paper.sheet import label_panel, sheet
 from twin.report.canvas import FAINT, add_colorbar, axes_at
 
@@ -48,7 +48,7 @@ def draw_sphere_fit(cases: Path, stem: Path) -> None:
             _residuals(figure, column, data, residual_limit_um(*measured))
 
 
-def _surface(axes: Axes, data: PanelData, stage: Stage) -> None:
+def _surface(axes: Axes, data: PanelData, stage: ReliefView) -> None:
     show_relief(axes, data, stage)
     show_scale(axes, stage)
 

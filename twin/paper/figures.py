@@ -8,7 +8,6 @@ from pathlib import Path
 from reconstruction.errors import InputError
 from twin.config import Experiment, load_experiment
 from twin.mechanics import PressedElastomer
-from twin.modalities.contact_fpp import press_specimen
 from twin.paper.figure_objects import (
     COMPARED_OBJECTS,
     HARD_OBJECTS,
@@ -21,6 +20,7 @@ from twin.paper.figure_objects import (
 from twin.paper.figure_spheres import draw_sphere_fit
 from twin.paper.hardness import draw_hardness
 from twin.paper.views import draw_concept, draw_setup
+from twin.pipeline.press import press_specimen
 
 _SHOWN_PRESS = "paper/two_balls"
 _FPP, _ALL = ("direct_fpp", "contact_fpp"), ("photometric_stereo", "contact_fpp")

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from reconstruction.cores import threads
+from twin.config.methods import TRAITS
 from twin.paper.colours import CALIBRATIONS
 from twin.paper.figures import FIGURES
 from twin.paper.plan import BALLS, BUDGET_OF, CASES, RODS
@@ -63,7 +64,7 @@ def jobs_of(tables: Sequence[str], figures: Sequence[str], trials: int) -> list[
 def _case_jobs() -> Iterator[Job]:
     for names, methods in CASES:
         for method in methods:
-            if method != "photometric_stereo":
+            if TRAITS[method].fringes:
                 yield from (Job("cases", ((name,), (method,))) for name in names)
 
 
@@ -115,7 +116,7 @@ def measure_ahead(
 
 def do(work: Path, trials: int, settings: Mapping[str, Any], job: Job) -> None:
     """Do one job in this process, with its share of the cores."""
-    from twin.optics.threads import use_threads
+    from twin.optics.backend import use_threads
 
     use_threads(threads())
     _JOBS[job.what](Reproduction(work, trials, settings), *job.which)
@@ -127,8 +128,7 @@ def _sensor(run: Reproduction, trials: bool, cases: bool) -> None:
         run.colour_trials().of_calibration(0)
     if cases:
         for names, methods in CASES:
-            if "photometric_stereo" in methods:
-                run.cases(names, ("photometric_stereo",))
+            run.cases(names, tuple(one for one in methods if not TRAITS[one].fringes))
 
 
 _JOBS: Mapping[str, Callable[..., Any]] = {

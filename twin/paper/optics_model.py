@@ -6,11 +6,12 @@ from typing import Any
 from reconstruction.pipeline import reconstruct
 from twin.config import Experiment, vary
 from twin.mechanics import PressedElastomer
-from twin.modalities.contact_fpp import options_of, press_specimen, record
-from twin.modalities.progress import Stopwatch
 from twin.paper.face_model import Contribution, contributions
 from twin.paper.repeats import evaluate
 from twin.paper.scatter import Scatter
+from twin.pipeline.fringes import options_of, record
+from twin.pipeline.press import press_specimen
+from twin.pipeline.progress import Stopwatch
 
 
 def optical_contributions(

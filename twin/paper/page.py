@@ -17,7 +17,7 @@ REPORT_FILE = "report.html"
 
 
 @dataclass(frozen=True)
-class Section:
+class PageSection:
     """What stands together on the page: names of tables and figures."""
 
     name: str
@@ -28,29 +28,29 @@ class Section:
 
 
 SECTIONS = (
-    Section("claims", "What was to be shown", (), ("claims",)),
-    Section("sensor", "Sensor and elastomer", ("concept", "setup", "hardness"), ("hardness",)),
-    Section(
+    PageSection("claims", "What was to be shown", (), ("claims",)),
+    PageSection("sensor", "Sensor and elastomer", ("concept", "setup", "hardness"), ("hardness",)),
+    PageSection(
         "direct",
         "Metal and clear specimens: direct FPP beside contact-FPP",
         ("direct_and_contact", "missing"),
         ("completeness",),
     ),
-    Section("rods", "Acrylic rods", ("rods",), ("rods",)),
-    Section("grid", "Side by side with a GelSight-like sensor", ("grid",)),
-    Section(
+    PageSection("rods", "Acrylic rods", ("rods",), ("rods",)),
+    PageSection("grid", "Side by side with a GelSight-like sensor", ("grid",)),
+    PageSection(
         "spheres",
         "Two joined balls",
         ("sphere_fit",),
         ("sphere_fit", "repeated_fit", "uncertainty"),
     ),
-    Section(
+    PageSection(
         "budget",
         "Where the uncertainty comes from",
         (),
         ("budget_two_balls", "budget_rods_a", "budget_rods_b", "budget_rods_c"),
     ),
-    Section(
+    PageSection(
         "differences",
         "Where twin and paper differ, and why",
         (),
@@ -153,7 +153,9 @@ def write_paper_page(folder: Path, contents: Contents) -> Path:
     return path
 
 
-def _part(section: Section, tables: Mapping[str, Table], drawn: Mapping[str, Path]) -> _Part | None:
+def _part(
+    section: PageSection, tables: Mapping[str, Table], drawn: Mapping[str, Path]
+) -> _Part | None:
     pictures = [_picture(name, drawn[name]) for name in section.figures if name in drawn]
     found = [_shown(tables[name]) for name in section.tables if name in tables]
     if not pictures and not found:

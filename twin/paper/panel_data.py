@@ -27,7 +27,7 @@ Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
-class BallFit:
+class PanelBall:
     """Sphere fitted to one ball, as the paper's table has it; mm."""
 
     number: int
@@ -70,7 +70,7 @@ class Numbers:
     outline_mm: tuple[float, float, float, float]
     scale_mm: tuple[float, float]
     half_field_mm: tuple[float, float]
-    balls: tuple[BallFit, ...] = ()
+    balls: tuple[PanelBall, ...] = ()
     width: Width | None = None
 
 
@@ -155,6 +155,6 @@ def read_panel_data(folder: Path) -> PanelData:
 def _numbers(tree: Mapping[str, Any]) -> Numbers:
     width = tree["width"]
     pairs = {key: tuple(tree[key]) for key in ("outline_mm", "scale_mm", "half_field_mm")}
-    balls = tuple(BallFit(**ball) for ball in tree["balls"])
+    balls = tuple(PanelBall(**ball) for ball in tree["balls"])
     parts = {"balls": balls, "width": None if width is None else Width(**width)}
     return Numbers(**{**tree, **pairs, **parts})

@@ -17,8 +17,7 @@ from reconstruction.errors import InputError
 from reconstruction.evaluate.surface import SurfaceMesh, surface_mesh
 from reconstruction.mask import Reason
 from reconstruction.triangulation.triangulate import PointMap
-from twin.optics.observer import Observer
-from twin.optics.sight import Sight, look
+from twin.optics.observer import Observer, Sighted, look
 from twin.paper.panel_data import PanelData, Picture
 from twin.paper.sheet import bare
 from twin.report.canvas import FAINT, add_colorbar, round_up, sequential
@@ -33,7 +32,7 @@ _MARGIN_MM = 3.0
 
 
 @dataclass(frozen=True)
-class Stage:
+class ReliefView:
     """How reliefs that are compared are shown alike.
 
     Attributes
@@ -49,7 +48,7 @@ class Stage:
     gain: float
 
 
-def stage_for(*shown: PanelData) -> Stage:
+def stage_for(*shown: PanelData) -> ReliefView:
     """Return one way of showing several measurements."""
     low = min(one.numbers.scale_mm[0] for one in shown)
     high = max(one.numbers.scale_mm[1] for one in shown)
@@ -59,11 +58,11 @@ def stage_for(*shown: PanelData) -> Stage:
     wanted = max(x_high - x_low, y_high - y_low) / 2 + _MARGIN_MM
     half = min(wanted, max(one.numbers.half_field_mm[0] for one in shown))
     gain = max(1.0, round_up(_RELIEF_SHARE * 2 * half / max(high - low, 1e-6)))
-    return Stage((low, high), ((x_low + x_high) / 2, (y_low + y_high) / 2), half, gain)
+    return ReliefView((low, high), ((x_low + x_high) / 2, (y_low + y_high) / 2), half, gain)
 
 
 def relief_picture(
-    data: PanelData, stage: Stage, width_px: int = 480, height_px: int = 360
+    data: PanelData, stage: ReliefView, width_px: int = 480, height_px: int = 360
 ) -> Picture:
     """Return the measured surface as (row, col, 3) uint8; white where there is none.
 
@@ -82,7 +81,7 @@ def relief_picture(
     return np.asarray(np.rint(255.0 * blocks.mean(axis=(1, 3))), np.uint8)
 
 
-def show_relief(axes: Axes, data: PanelData, stage: Stage, bar: bool = False) -> None:
+def show_relief(axes: Axes, data: PanelData, stage: ReliefView, bar: bool = False) -> None:
     """Show the measured surface with its enlargement, and a colour bar when asked for."""
     axes.imshow(relief_picture(data, stage))
     bare(axes)
@@ -95,13 +94,13 @@ def show_relief(axes: Axes, data: PanelData, stage: Stage, bar: bool = False) ->
         show_scale(axes, stage)
 
 
-def show_scale(axes: Axes, stage: Stage) -> None:
+def show_scale(axes: Axes, stage: ReliefView) -> None:
     """Put the colour bar of heights below a picture."""
     shown = ScalarMappable(Normalize(*stage.scale_mm), sequential())
     add_colorbar(axes, shown, "z (mm)", extend="both", side="below")
 
 
-def _mesh(data: PanelData, stage: Stage) -> SurfaceMesh | None:
+def _mesh(data: PanelData, stage: ReliefView) -> SurfaceMesh | None:
     points = data.points_mm
     away = np.abs(points[..., :2] - np.array(stage.centre_mm)).max(axis=-1)
     # Wildly wrong points would hide all others; half the height range beyond it is room enough.
@@ -116,7 +115,7 @@ def _mesh(data: PanelData, stage: Stage) -> SurfaceMesh | None:
         return None
 
 
-def _observer(stage: Stage, width_px: int, height_px: int) -> Observer:
+def _observer(stage: ReliefView, width_px: int, height_px: int) -> Observer:
     (x, y), low, high = stage.centre_mm, *stage.scale_mm
     middle = (x, y, stage.gain * (low + high) / 2)
     distance = 8.0 * stage.half_mm  # nearly parallel: lengths in front and behind compare
@@ -125,7 +124,7 @@ def _observer(stage: Stage, width_px: int, height_px: int) -> Observer:
     return Observer(eye, middle, 2.25 * stage.half_mm, width_px, height_px)
 
 
-def _colours(seen: Sight, stage: Stage) -> NDArray[np.float64]:
+def _colours(seen: Sighted, stage: ReliefView) -> NDArray[np.float64]:
     """Colour by height times the light of sky and lamp, (row, col, rgb); white where nothing is."""
     z_mm = seen.points_mm[..., 2] / stage.gain
     lamp = np.array(_TOWARDS_LAMP) / np.linalg.norm(_TOWARDS_LAMP)

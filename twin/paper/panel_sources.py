@@ -10,12 +10,10 @@ from reconstruction.arrays import FloatImage
 from reconstruction.errors import FitError
 from twin.config import Experiment
 from twin.config.artefacts import Rods
-from twin.modalities.photometric_score import wanted_of
-from twin.modalities.score import SphereScore, wanted_pixels
 from twin.paper.panel_data import (
     MOST_BALL_POINTS,
-    BallFit,
     Numbers,
+    PanelBall,
     PanelData,
     Picture,
     Width,
@@ -23,15 +21,16 @@ from twin.paper.panel_data import (
 )
 from twin.paper.photographs import photograph_of
 from twin.paper.rods import SECTION_LENGTH_MM, Section, middle_of, section_of
-from twin.paper.seen import Seen
 from twin.report.canvas import height_scale
 from twin.report.frames import block_mean
+from twin.results.record import Measurement
+from twin.results.score import SphereScore, wanted_pixels
 from twin.specimens import shape_of
 
 _PICTURE_PX = 500
 
 
-def panel_data_of(seen: Seen) -> PanelData:
+def panel_data_of(seen: Measurement) -> PanelData:
     """Thin a measurement to what the figures show of it.
 
     Raises
@@ -39,41 +38,30 @@ def panel_data_of(seen: Seen) -> PanelData:
     MissingBackend
         No usable Dr.Jit backend for the specimen's photograph.
     """
-    experiment, truth = seen.experiment, seen.truth
-    true_mm, shown, wanted = truth.points_world_mm, _shown(seen), _wanted(seen)
-    lit = seen.valid & (truth.lit if experiment.modality == "contact_fpp" else shown)
+    experiment, truth, method = seen.experiment, seen.truth, seen.experiment.method
+    true_mm, shown, points = truth.points_world_mm, truth.depth_mm > 0, seen.points
+    wanted = wanted_pixels(experiment, truth)
+    lit = points.valid & (truth.lit if method.fringes and method.presses else shown)
     section, true_section = (
-        _section(experiment, points[lit].astype(np.float64)) for points in (seen.points_mm, true_mm)
+        _section(experiment, points[lit].astype(np.float64))
+        for points in (points.world_mm, true_mm)
     )
     return PanelData(
         numbers=_numbers(seen, true_mm[shown], section),
         picture=_small(seen.picture),
         photograph=photograph_of(experiment),
-        points_mm=thinned(seen.points_mm).astype(np.float32),
-        valid=thinned(seen.valid),
+        points_mm=thinned(points.world_mm).astype(np.float32),
+        valid=thinned(points.valid),
         true_z_mm=thinned(true_mm[..., 2]).astype(np.float32),
         wanted=thinned(wanted),
-        reason=thinned(seen.reason),
-        ball_points=_ball_points(seen.points_mm, seen.balls),
+        reason=thinned(points.reason),
+        ball_points=_ball_points(points.world_mm, seen.score.spheres),
         section=_columns(section),
         true_section=_columns(true_section),
     )
 
 
-def _shown(seen: Seen) -> NDArray[np.bool_]:
-    """Pixels that show anything at all."""
-    in_colour = seen.experiment.modality == "photometric_stereo"
-    return np.asarray(seen.truth.measured if in_colour else seen.truth.depth_mm > 0)
-
-
-def _wanted(seen: Seen) -> NDArray[np.bool_]:
-    """Pixels that are evaluated."""
-    if seen.experiment.modality != "photometric_stereo":
-        return wanted_pixels(seen.experiment, seen.truth)
-    return np.asarray(wanted_of(seen.experiment, seen.truth))
-
-
-def _numbers(seen: Seen, true_mm: NDArray[Any], section: Section | None) -> Numbers:
+def _numbers(seen: Measurement, true_mm: NDArray[Any], section: Section | None) -> Numbers:
     experiment, heights = seen.experiment, true_mm[:, 2]
     return Numbers(
         name=experiment.name,
@@ -84,7 +72,7 @@ def _numbers(seen: Seen, true_mm: NDArray[Any], section: Section | None) -> Numb
         outline_mm=shape_of(experiment.specimen).bounds_mm(),
         scale_mm=height_scale(heights) if heights.size else (0.0, 1.0),
         half_field_mm=_half_field(true_mm),
-        balls=tuple(_fit(ball) for ball in seen.balls),
+        balls=tuple(_fit(ball) for ball in seen.score.spheres),
         width=_width(experiment, section),
     )
 
@@ -101,9 +89,9 @@ def _small(image: Picture) -> Picture:
     return image if step == 1 else np.asarray(np.rint(block_mean(image, step)), np.uint8)
 
 
-def _fit(ball: SphereScore) -> BallFit:
+def _fit(ball: SphereScore) -> PanelBall:
     stats = ball.measured.stats
-    return BallFit(
+    return PanelBall(
         ball.number,
         ball.nominal.radius_mm,
         ball.measured.radius_mm,

@@ -5,7 +5,7 @@ from functools import partial
 from typing import Any
 
 from twin.config import Experiment, load_experiment
-from twin.modalities.instruments import Method
+from twin.config.methods import Method
 from twin.paper.repeats import Repeated, measure_fringes
 from twin.paper.rig_draws import RigScatter
 from twin.paper.scatter import Scatter

@@ -18,15 +18,14 @@ from reconstruction.errors import FitError, InputError
 from reconstruction.pipeline import Reconstruction, reconstruct
 from reconstruction.triangulation.triangulate import triangulate
 from twin.config import Experiment, digest
-from twin.modalities.contact_fpp import options_of
-from twin.modalities.measurement import take
-from twin.modalities.progress import Stopwatch, Watcher, nobody
-from twin.modalities.recording import Recording
-from twin.modalities.score import metrics, score
 from twin.output import replace_json, versions
 from twin.paper.rig_draws import RigScatter
 from twin.paper.rods import SECTION_LENGTH_MM, middle_of, section_of
 from twin.paper.scatter import Scatter, draw, drawn_values
+from twin.pipeline.fringes import options_of, take
+from twin.pipeline.progress import Stopwatch, Watcher, nobody
+from twin.results.record import Recording
+from twin.results.score import metrics, score
 from twin.specimens import shape_of
 
 Figures = dict[str, Any]
@@ -71,7 +70,7 @@ class Repeated:
         Raises
         ------
         InputError, MissingBackend
-            As `twin.modalities.measurement.take`.
+            As `twin.pipeline.take`.
         """
         drawn = draw(self.experiment, self.scatter, number)
         values = drawn_values(self.experiment, self.scatter, number) if number else {}

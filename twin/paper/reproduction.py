@@ -8,9 +8,7 @@ from typing import Any
 
 from twin.config import digest
 from twin.config.board import load_board
-from twin.modalities.comparison import measure_each
-from twin.modalities.instruments import Method
-from twin.modalities.progress import Watcher, nobody
+from twin.config.methods import Method
 from twin.paper.bare_nut import NUT, ROUGHNESS, nut_shares
 from twin.paper.budget import Part, parts_of
 from twin.paper.colours import ColourTrials, plan_of
@@ -28,6 +26,9 @@ from twin.paper.published import CONTACT_FPP, GELSIGHT
 from twin.paper.repeats import Trial, kept
 from twin.paper.rig_draws import BOARD, RigScatter, calibrate_rig, rig_scatter
 from twin.paper.scatter import Scatter, load_scatter
+from twin.pipeline.comparison import measure_each
+from twin.pipeline.memory import Memory
+from twin.pipeline.progress import Watcher, nobody
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,12 +40,14 @@ class Reproduction:
     work : folder of what was measured
     trials : repetitions of every repeated measurement
     settings : laid over every experiment; resolution, never a property of the sensor
+    memory : of the measurements, so that each photometric sensor is calibrated once
     """
 
     work: Path
     trials: int
     settings: Mapping[str, Any] = field(default_factory=lambda: dict(COARSE))
     watch: Watcher = nobody
+    memory: Memory = field(default_factory=Memory)
 
     @property
     def scatter(self) -> Scatter:
@@ -69,7 +72,9 @@ class Reproduction:
     def colour_trials(self) -> ColourTrials:
         """Return the repeated presses of the two balls under the GelSight-like sensor."""
         experiment = experiment_of(BALLS, self.settings)
-        return ColourTrials(experiment, self.scatter, self.work / "trials", self.trials)
+        return ColourTrials(
+            experiment, self.scatter, self.work / "trials", self.trials, self.memory
+        )
 
     def ball_trials(self) -> dict[str, list[Trial]]:
         """Return the repeated measurements of the two balls by method."""
@@ -106,6 +111,12 @@ class Reproduction:
     def cases(self, names: Iterable[str], methods: tuple[Method, ...]) -> None:
         """Measure specimens by methods into the folder of the cases."""
         experiments = [experiment_of(name, self.settings) for name in names]
-        plan = plan_of(self.scatter.seed, 0)  # the sensor of trial 0, which is in memory
-        folder = self.work / "cases"
-        measure_each(experiments, methods, folder, measure_case, watch=self.watch, plan=plan)
+        measure_each(
+            experiments,
+            methods,
+            self.work / "cases",
+            measure_case,
+            watch=self.watch,
+            plan=plan_of(self.scatter.seed, 0),  # the sensor of trial 0, which is in memory
+            memory=self.memory,
+        )

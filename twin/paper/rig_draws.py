@@ -16,10 +16,10 @@ from reconstruction.rig.calibration import Calibration
 from twin.config import Experiment
 from twin.config.board import load_board
 from twin.config.digest import keyed_sequence
-from twin.modalities.calibration import calibrate_rendered
-from twin.modalities.calibration_storage import calibration_metrics
-from twin.modalities.progress import Watcher, nobody
 from twin.optics.rig import true_calibration
+from twin.pipeline.calibration import calibrate_rendered
+from twin.pipeline.calibration_storage import calibration_metrics
+from twin.pipeline.progress import Watcher, nobody
 
 BOARD = "boards/paper_dots"
 

@@ -16,8 +16,6 @@ from pathlib import Path
 from typing import Any
 
 from reconstruction.errors import InputError
-from twin.modalities.progress import Watcher, nobody
-from twin.modalities.storage import write_result
 from twin.output import EXPERIMENT_FILE, RESULT_FILE, adding, claim, versions, write_json
 from twin.paper.bare_nut import nut_table
 from twin.paper.budget import budget_table
@@ -34,7 +32,9 @@ from twin.paper.reproduction import Reproduction
 from twin.paper.rod_table import hardness_table, rods_table
 from twin.paper.sphere_tables import repeated_fit_table, sphere_fit_table, uncertainty_table
 from twin.paper.table import Cell, Table, shown
+from twin.pipeline.progress import Watcher, nobody
 from twin.report.html import FIGURES_FOLDER, make_folder
+from twin.results.parts import write_result
 from twin.study.workers import local_workers
 from twin.working import remove_leftovers
 

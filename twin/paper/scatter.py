@@ -5,13 +5,12 @@ inputs and the instrument do not change it.
 """
 
 from functools import lru_cache
-from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field, ValidationError
 
-from twin.assets import asset_path
+from twin.assets import scene_file
 from twin.config import ConfigError, Experiment, vary
 from twin.config.base import Model, NonNegative
 from twin.config.digest import keyed_sequence
@@ -73,16 +72,14 @@ def load_scatter(name: str = "paper/trials") -> Scatter:
     ConfigError
         One line per problem.
     """
-    file = Path(name) if Path(name).is_file() else asset_path("scenes", name)
+    file = scene_file(name)
     values, origins = split_quantities(read_toml(file))
     try:
         loaded = Scatter.model_validate(values | {"provenance": {}})
     except ValidationError as error:
         lines = explain(error, Scatter)
         raise ConfigError("\n".join(f"{file}: {line}" for line in lines)) from None
-    problems = check_ranges(values, origins)
-    if problems:
-        raise ConfigError("\n".join(f"{file}: {line}" for line in problems))
+    check_ranges(values, origins, str(file))
     return loaded.model_copy(update={"provenance": origins})
 
 

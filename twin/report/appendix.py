@@ -1,12 +1,12 @@
 """The report's appendix: every setting with its source, every metric, times and versions."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from twin.config.models import Experiment, Provenance
 from twin.report.fields import in_words, split_unit
-from twin.report.result_folder import Result
+from twin.results.record import Measurement
 
 _HEAD = ("schema_version", "name", "description", "provenance")
 
@@ -44,7 +44,7 @@ def settings(experiment: Experiment) -> dict[str, list[Setting]]:
     return sections
 
 
-def metrics(measured: Result) -> list[Figure]:
+def metrics(measured: Measurement) -> list[Figure]:
     """Return the metrics of result.json; warnings stand at the head of the report."""
     found = []
     for name, value in measured.figures.items():
@@ -54,12 +54,12 @@ def metrics(measured: Result) -> list[Figure]:
     return found
 
 
-def timings(seconds: dict[str, float]) -> list[Figure]:
+def timings(seconds: Mapping[str, float]) -> list[Figure]:
     """Return the wall-clock time of each stage."""
     return [Figure(name, f"{value:.2f}", "s") for name, value in seconds.items()]
 
 
-def versions(measured: Result) -> list[Figure]:
+def versions(measured: Measurement) -> list[Figure]:
     """Return the versions of what made the result."""
     return [Figure(name, str(value)) for name, value in measured.versions.items()]
 

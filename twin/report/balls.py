@@ -9,7 +9,6 @@ from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
 from reconstruction.evaluate.fit import SphereFit
-from twin.modalities.score import SphereScore
 from twin.report.canvas import (
     FIT,
     MEASURED,
@@ -23,9 +22,10 @@ from twin.report.canvas import (
     plain_spines,
     symmetric_limit,
 )
-from twin.report.result_folder import Scored
 from twin.report.section import Trace, trace_through_apexes
 from twin.report.world_map import average_on_grid, pixel_on_face_mm
+from twin.results.record import Measurement
+from twin.results.score import SphereScore
 
 _MAP_CELLS, _BINS, _CURVE_POINTS = 200, 81, 201
 
@@ -52,9 +52,9 @@ class BallView:
     limit_um: float
 
 
-def ball_views(scored: Scored) -> list[BallView]:
+def ball_views(scored: Measurement) -> list[BallView]:
     """Return one view per ball, all on one residual scale so that they compare."""
-    balls, points = scored.score.spheres, scored.reconstruction.point_map.points_world_mm
+    balls, points = scored.score.spheres, scored.fringes.reconstruction.point_map.points_world_mm
     limits = [symmetric_limit(1e3 * ball.measured.residuals_mm, 99.5) for ball in balls]
     return [
         BallView(

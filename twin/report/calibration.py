@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
-from twin.modalities.calibration import BoardCalibration
+from twin.pipeline.calibration import BoardCalibration
 from twin.report.canvas import (
     FAINT,
     FIT,

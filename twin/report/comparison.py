@@ -4,9 +4,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from twin.modalities.comparison import Outcome, read_outcomes
-from twin.modalities.instruments import Method
-from twin.modalities.progress import Watcher, nobody
+from twin.config.methods import TRAITS, Method
+from twin.pipeline.comparison import Outcome, read_outcomes
+from twin.pipeline.progress import Watcher, nobody
 from twin.report import direct, photometric
 from twin.report.comparison_figures import (
     ROWS,
@@ -18,11 +18,12 @@ from twin.report.comparison_figures import (
     ratio_rows,
     values,
 )
-from twin.report.comparison_panels import AnyMeasured, panels_of, read_any
-from twin.report.comparison_view import METHOD_NAMES, METHOD_WORDS, draw_panel, overview
+from twin.report.comparison_panels import panels_of
+from twin.report.comparison_view import draw_panel, overview
 from twin.report.direct import percent
 from twin.report.html import FIGURES_FOLDER, data_uri, make_folder, template, write_page
-from twin.report.photometric_folder import Photographed
+from twin.results.folder import read_measurement
+from twin.results.record import Colours, Measurement
 
 REPORT_FILE = "report.html"
 _STAGE, _OVERVIEW = "report", "overview.png"
@@ -43,7 +44,7 @@ class Cell:
 
 
 @dataclass(frozen=True)
-class Specimen:
+class ComparedSpecimen:
     """One specimen on the page: a cell per method, and what only all methods together say."""
 
     description: str
@@ -96,8 +97,8 @@ def _specimen(
     folder: Path,
     pictures: Path,
     outcomes: list[Outcome],
-    fill: Callable[[str, Method, AnyMeasured | None], None],
-) -> Specimen:
+    fill: Callable[[str, Method, Measurement | None], None],
+) -> ComparedSpecimen:
     """Draw one specimen by every method, one after the other."""
     found: dict[str, Gist | None] = {}
     cells = []
@@ -106,7 +107,7 @@ def _specimen(
         fill(outcome.name, outcome.method, measured)
         cells.append(_cell(pictures, outcome, measured))
         found[outcome.method] = None if measured is None else gist_of(measured)
-    return Specimen(
+    return ComparedSpecimen(
         outcomes[0].description,
         cells,
         press_in_words(found),
@@ -115,14 +116,14 @@ def _specimen(
     )
 
 
-def _read(folder: Path, outcome: Outcome) -> AnyMeasured | None:
-    return None if outcome.failure else read_any(folder / outcome.name / outcome.method)
+def _read(folder: Path, outcome: Outcome) -> Measurement | None:
+    return None if outcome.failure else read_measurement(folder / outcome.name / outcome.method)
 
 
-def _cell(pictures: Path, outcome: Outcome, measured: AnyMeasured | None) -> Cell:
+def _cell(pictures: Path, outcome: Outcome, measured: Measurement | None) -> Cell:
     cell = Cell(
-        title=METHOD_NAMES[outcome.method],
-        words=METHOD_WORDS[outcome.method],
+        title=TRAITS[outcome.method].title,
+        words=TRAITS[outcome.method].told,
         report=f"{outcome.name}/{outcome.method}/{REPORT_FILE}",
         failure=outcome.failure,
         values=["–"] * len(ROWS),
@@ -138,23 +139,23 @@ def _cell(pictures: Path, outcome: Outcome, measured: AnyMeasured | None) -> Cel
     )
 
 
-def _verdict(measured: AnyMeasured) -> str:
-    if isinstance(measured, Photographed):
+def _verdict(measured: Measurement) -> str:
+    if isinstance(measured.images, Colours):
         return photometric.verdict_in_words(measured)
     return direct.verdict_in_words(measured)
 
 
-def _pictures(pictures: Path, outcome: Outcome, measured: AnyMeasured) -> list[dict[str, str]]:
+def _pictures(pictures: Path, outcome: Outcome, measured: Measurement) -> list[dict[str, str]]:
     shown = []
     for panel in panels_of(measured):
         path = pictures / f"{outcome.name}_{outcome.method}_{panel.name}.png"
         draw_panel(path, panel, measured)
-        alt = f"{outcome.name}, {METHOD_NAMES[outcome.method]}: {panel.caption}"
+        alt = f"{outcome.name}, {TRAITS[outcome.method].title}: {panel.caption}"
         shown.append({"uri": data_uri(path), "caption": panel.caption, "alt": alt})
     return shown
 
 
-def _shares(measured: AnyMeasured) -> list[dict[str, str]]:
+def _shares(measured: Measurement) -> list[dict[str, str]]:
     """Three parts of the wanted pixels, for the bar: good, wrong, none."""
     good, found = measured.figures["good_share"], measured.figures["completeness"]
     if good is None:
@@ -171,7 +172,9 @@ def _shares(measured: AnyMeasured) -> list[dict[str, str]]:
     ]
 
 
-def _page(pictures: Path, methods: tuple[Method, ...], specimens: dict[str, Specimen]) -> str:
+def _page(
+    pictures: Path, methods: tuple[Method, ...], specimens: dict[str, ComparedSpecimen]
+) -> str:
     return template("comparison.html").render(
         overview=data_uri(pictures / _OVERVIEW), methods=methods, specimens=specimens, rows=ROWS
     )

@@ -6,14 +6,13 @@ from statistics import mean
 from typing import Any
 
 from twin.config.models import Experiment
-from twin.modalities.photometric_decoders import Decoded
-from twin.modalities.score import SphereScore
-from twin.report.comparison_panels import AnyMeasured
 from twin.report.direct import percent
 from twin.report.fields import NONE, number
 from twin.report.paper import paper_rmse_ratio
-from twin.report.photometric_folder import Photographed
 from twin.report.photometric_maps import decoder_name
+from twin.results.decoders import DecodedImage
+from twin.results.record import Colours, Measurement
+from twin.results.score import SphereScore
 
 ROWS = (
     "force of the press (N)",
@@ -52,22 +51,17 @@ class Gist:
     experiment: Experiment
     figures: dict[str, Any]
     spheres: tuple[SphereScore, ...]
-    decoded: list[Decoded]
+    decoded: list[DecodedImage]
 
 
-def gist_of(measured: AnyMeasured) -> Gist:
+def gist_of(measured: Measurement) -> Gist:
     """Return what is compared across methods."""
-    decoded = measured.decoded if isinstance(measured, Photographed) else []
-    return Gist(measured.experiment, measured.figures, spheres_of(measured), decoded)
+    images = measured.images
+    decoded = images.decoded if isinstance(images, Colours) else []
+    return Gist(measured.experiment, measured.figures, measured.score.spheres, decoded)
 
 
-def spheres_of(measured: AnyMeasured) -> tuple[SphereScore, ...]:
-    """Return the sphere fits of a measurement."""
-    one = measured.own if isinstance(measured, Photographed) else measured
-    return one.score.spheres
-
-
-def values(measured: AnyMeasured) -> list[str]:
+def values(measured: Measurement) -> list[str]:
     """Return one column of the table, in the order of ROWS."""
     figures = measured.figures
     limit_um = measured.experiment.score.good_within_um
@@ -127,7 +121,7 @@ def ratio_rows(methods: dict[str, Gist | None]) -> list[RatioRow]:
         found_mm = one.sphere_rmse_mm
         if found_mm is not None:
             found = f"{1e3 * found_mm:.2f}", f"{found_mm / base_mm:.1f}"
-            rows.append(RatioRow(decoder_name(one), *found, f"{one.score.z_rmse_um:.1f}"))
+            rows.append(RatioRow(decoder_name(one), *found, f"{one.errors.z_rmse_um:.1f}"))
     published = paper_rmse_ratio(gel.experiment)
     if published is not None:
         rows.append(RatioRow("paper, GelSight over contact-FPP", NONE, f"{published:.1f}", NONE))
@@ -167,15 +161,15 @@ def _mean_rmse_mm(spheres: Sequence[SphereScore]) -> float:
     return mean(ball.measured.stats.rmse_mm for ball in spheres)
 
 
-def _press(measured: AnyMeasured) -> list[str]:
+def _press(measured: Measurement) -> list[str]:
     if measured.pressed is None:
         return [NONE] * 3
     return [f"{measured.figures[name]:.3g}" for name in ("force_n", "depth_mm", "relief_peak_mm")]
 
 
-def _fringes(measured: AnyMeasured) -> list[str]:
+def _fringes(measured: Measurement) -> list[str]:
     figures = measured.figures
-    if isinstance(measured, Photographed):
+    if isinstance(measured.images, Colours):
         exposure_ms = measured.experiment.camera.exposure_ms
         shown = f"{exposure_ms:.3g}" if isinstance(exposure_ms, float) else str(exposure_ms)
         return [NONE, NONE, shown]
@@ -186,8 +180,8 @@ def _fringes(measured: AnyMeasured) -> list[str]:
     ]
 
 
-def _spheres(measured: AnyMeasured) -> list[str]:
-    balls = spheres_of(measured)
+def _spheres(measured: Measurement) -> list[str]:
+    balls = measured.score.spheres
     found, true = [ball.measured for ball in balls], [ball.true_face for ball in balls]
     return [
         ", ".join(text) or NONE

@@ -3,7 +3,6 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
@@ -18,7 +17,6 @@ from twin.report.camera_view import (
     white_frame,
 )
 from twin.report.canvas import add_colorbar, diverging, height_scale, sequential
-from twin.report.photometric_folder import Photographed, read_photographed
 from twin.report.photometric_maps import (
     DIFFERENCE_GAIN,
     difference_levels,
@@ -28,9 +26,7 @@ from twin.report.photometric_maps import (
     show_heights,
     true_heights_mm,
 )
-from twin.report.result_folder import Measured, is_photometric, read_measured
-
-AnyMeasured = Measured | Photographed
+from twin.results.record import Colours, Measurement
 
 
 @dataclass(frozen=True)
@@ -43,41 +39,30 @@ class Panel:
     show: Callable[[Axes], None]
 
 
-def read_any(folder: Path) -> AnyMeasured:
-    """Read a whole result folder of any method.
-
-    Raises
-    ------
-    InputError
-        The folder is no finished measurement, or a file is missing or damaged.
-    """
-    return read_photographed(folder) if is_photometric(folder) else read_measured(folder)
-
-
-def panels_of(measured: AnyMeasured) -> tuple[Panel, ...]:
+def panels_of(measured: Measurement) -> tuple[Panel, ...]:
     """Return what the camera saw, twice, then heights and error."""
-    if isinstance(measured, Photographed):
+    if isinstance(measured.images, Colours):
         return _of_colours(measured)
     return _of_fringes(measured)
 
 
-def show_seen(axes: Axes, measured: AnyMeasured) -> None:
+def show_seen(axes: Axes, measured: Measurement) -> None:
     """Show the image that says most of what the method had to work with."""
-    if isinstance(measured, Photographed):
+    if isinstance(measured.images, Colours):
         _show_image(axes, measured)
     else:
         _show_frame(axes, measured, white=False)
 
 
-def show_result(axes: Axes, measured: AnyMeasured) -> None:
+def show_result(axes: Axes, measured: Measurement) -> None:
     """Show the measured heights without a colour bar."""
-    if isinstance(measured, Photographed):
+    if isinstance(measured.images, Colours):
         _show_heights(axes, measured, bar=False)
     else:
         show_measured(axes, measured, bar=False)
 
 
-def _of_fringes(measured: Measured) -> tuple[Panel, ...]:
+def _of_fringes(measured: Measurement) -> tuple[Panel, ...]:
     return (
         Panel("white", "white frame", False, partial(_show_frame, measured=measured, white=True)),
         Panel("fringes", "fringes", False, partial(_show_frame, measured=measured, white=False)),
@@ -96,7 +81,7 @@ def _of_fringes(measured: Measured) -> tuple[Panel, ...]:
     )
 
 
-def _of_colours(seen: Photographed) -> tuple[Panel, ...]:
+def _of_colours(seen: Measurement) -> tuple[Panel, ...]:
     gain = f"difference to the untouched gel × {DIFFERENCE_GAIN}"
     return (
         Panel("image", "tactile image", False, partial(_show_image, seen=seen)),
@@ -113,33 +98,35 @@ def _of_colours(seen: Photographed) -> tuple[Panel, ...]:
     )
 
 
-def _show_frame(axes: Axes, measured: Measured, white: bool) -> None:
-    capture = measured.capture
+def _show_frame(axes: Axes, measured: Measurement, white: bool) -> None:
+    capture = measured.fringes.capture
     show_frame(axes, capture, white_frame(capture) if white else fringe_frame(capture))
 
 
-def _show_image(axes: Axes, seen: Photographed) -> None:
-    axes.imshow(seen.image, extent=extent_mm(seen))
+def _show_image(axes: Axes, seen: Measurement) -> None:
+    axes.imshow(seen.picture, extent=extent_mm(seen))
     axes.set(xticks=[], yticks=[])
 
 
-def _show_difference(axes: Axes, seen: Photographed) -> None:
+def _show_difference(axes: Axes, seen: Measurement) -> None:
     axes.imshow(difference_levels(seen), extent=extent_mm(seen))
     axes.set(xticks=[], yticks=[])
 
 
-def _show_heights(axes: Axes, seen: Photographed, bar: bool = True) -> None:
+def _show_heights(axes: Axes, seen: Measurement, bar: bool = True) -> None:
     norm = Normalize(*height_scale(true_heights_mm(seen).compressed()))
-    show_heights(axes, seen, measured_heights_mm(seen.own), norm)
+    show_heights(axes, seen, measured_heights_mm(seen.colours.own), norm)
     axes.set(xticks=[], yticks=[])
     if bar:
         shown = ScalarMappable(norm, sequential())
         add_colorbar(axes, shown, "z (mm)", extend="both", side="below")
 
 
-def _show_error(axes: Axes, seen: Photographed) -> None:
+def _show_error(axes: Axes, seen: Measurement) -> None:
     limit_um = seen.experiment.score.good_within_um
     colours = diverging().with_extremes(bad=NO_POINT)
-    shown = axes.imshow(error_um(seen, seen.own), cmap=colours, vmin=-limit_um, vmax=limit_um)
+    shown = axes.imshow(
+        error_um(seen, seen.colours.own), cmap=colours, vmin=-limit_um, vmax=limit_um
+    )
     axes.set(xticks=[], yticks=[])
     add_colorbar(axes, shown, "z error (µm), clipped at the ends", extend="both", side="below")

@@ -6,26 +6,16 @@ from pathlib import Path
 
 from matplotlib.axes import Axes
 
-from twin.modalities.instruments import Method
+from twin.config.methods import TRAITS, Method
 from twin.report.canvas import FAINT, INK, axes_at, drawing
-from twin.report.comparison_panels import AnyMeasured, Panel, show_result, show_seen
-
-METHOD_NAMES: dict[Method, str] = {
-    "direct_fpp": "direct FPP",
-    "contact_fpp": "contact-FPP",
-    "photometric_stereo": "photometric stereo",
-}
-METHOD_WORDS: dict[Method, str] = {
-    "direct_fpp": "fringes on the bare specimen",
-    "contact_fpp": "fringes on the coat pressed onto it",
-    "photometric_stereo": "the coat of a gel on a window, in coloured light, pressed onto it",
-}
+from twin.report.comparison_panels import Panel, show_result, show_seen
+from twin.results.record import Measurement
 
 _SIDE_IN, _WIDTH_IN, _BAR_IN, _ABOVE_IN = 0.02, 3.0, 0.95, 0.02
 _CELL_IN, _CELL_SHARE, _GAP_IN, _LABEL_IN, _HEAD_IN = 1.75, 0.75, 0.06, 0.35, 0.3
 
 
-def draw_panel(path: Path, panel: Panel, measured: AnyMeasured) -> None:
+def draw_panel(path: Path, panel: Panel, measured: Measurement) -> None:
     """Draw one panel as PNG.
 
     Raises
@@ -43,7 +33,7 @@ def draw_panel(path: Path, panel: Panel, measured: AnyMeasured) -> None:
 @contextmanager
 def overview(
     path: Path, methods: Sequence[Method], names: Sequence[str]
-) -> Iterator[Callable[[str, Method, AnyMeasured | None], None]]:
+) -> Iterator[Callable[[str, Method, Measurement | None], None]]:
     """Draw what was seen and the heights: a row per method, two columns per specimen, as PNG.
 
     Yields the function that fills the place of one specimen and method: one measurement after the
@@ -58,7 +48,7 @@ def overview(
     down_in = _HEAD_IN + len(methods) * (height_in + _GAP_IN)
     with drawing(path, _LABEL_IN + pair_in * len(names), down_in) as figure:
 
-        def fill(name: str, method: Method, measured: AnyMeasured | None) -> None:
+        def fill(name: str, method: Method, measured: Measurement | None) -> None:
             row, column = methods.index(method), names.index(name)
             left_in = _LABEL_IN + column * pair_in
             top_in = _HEAD_IN + row * (height_in + _GAP_IN)
@@ -67,7 +57,7 @@ def overview(
                 for k in range(2)
             )
             if column == 0:
-                left.set_ylabel(METHOD_NAMES[method], fontsize=9.0, labelpad=6.0)
+                left.set_ylabel(TRAITS[method].title, fontsize=9.0, labelpad=6.0)
             if row == 0:
                 left.set_title(name.replace("_", " "))
             _pair(left, right, measured)
@@ -75,7 +65,7 @@ def overview(
         yield fill
 
 
-def _pair(left: Axes, right: Axes, cell: AnyMeasured | None) -> None:
+def _pair(left: Axes, right: Axes, cell: Measurement | None) -> None:
     for axes in (left, right):
         axes.set(xticks=[], yticks=[])
     if cell is None:
@@ -87,6 +77,6 @@ def _pair(left: Axes, right: Axes, cell: AnyMeasured | None) -> None:
         spine.set_color(INK)
 
 
-def _height_share(measured: AnyMeasured) -> float:
+def _height_share(measured: Measurement) -> float:
     rows, cols = measured.truth.lit.shape
     return float(rows / cols)

@@ -6,12 +6,12 @@ Shares count the pixels that show the specimen: its visible area, as the camera 
 import numpy as np
 
 from reconstruction.mask import Reason
-from twin.modalities.score import wanted_pixels, why_absent
 from twin.report.appendix import Figure
 from twin.report.decoding import reason_shares
 from twin.report.fields import NONE, number
-from twin.report.result_folder import Scored
 from twin.report.verdict import Grade, Verdict
+from twin.results.record import Measurement
+from twin.results.score import wanted_pixels, why_absent
 
 GOOD_SHARE, POOR_SHARE = 0.95, 0.5
 
@@ -27,11 +27,9 @@ REASON_WORDS = {
 }
 
 
-def verdict_in_words(scored: Scored) -> str:
+def verdict_in_words(scored: Measurement) -> str:
     """Return the result in one sentence."""
-    surface = (
-        "specimen's visible area" if scored.experiment.modality == "direct_fpp" else "lit coat"
-    )
+    surface = "lit coat" if scored.experiment.method.presses else "specimen's visible area"
     if scored.figures["good_share"] is None:
         return f"The camera sees nothing of the {surface}."
     return (
@@ -52,7 +50,7 @@ def percent(share: float | None) -> str:
     return f"{100 * share:.{digits}f} %"
 
 
-def sentences(scored: Scored) -> list[str]:
+def sentences(scored: Measurement) -> list[str]:
     """Return the result for a terminal, at most 100 columns wide, in ASCII."""
     figures = scored.figures
     rms, mean, p95 = (
@@ -70,7 +68,7 @@ def sentences(scored: Scored) -> list[str]:
     ]
 
 
-def shares(scored: Scored) -> list[Figure]:
+def shares(scored: Measurement) -> list[Figure]:
     """Return the figures of the specimen's visible area."""
     figures, limit_um = scored.figures, scored.experiment.score.good_within_um
     why = why_absent(figures)
@@ -87,12 +85,12 @@ def shares(scored: Scored) -> list[Figure]:
     ]
 
 
-def verdicts(scored: Scored) -> list[Verdict]:
+def verdicts(scored: Measurement) -> list[Verdict]:
     """Judge how much is measured, and say what keeps the rest from it."""
     return [_coverage(scored), _missing(scored)]
 
 
-def discussion(scored: Scored) -> list[str]:
+def discussion(scored: Measurement) -> list[str]:
     """Return the paragraphs of the result."""
     if not scored.score.against_truth.points:
         return ["No pixel of the specimen carries a point; the map above says why."]
@@ -105,16 +103,16 @@ def discussion(scored: Scored) -> list[str]:
     ]
 
 
-def missing_shares(scored: Scored) -> dict[Reason, float]:
+def missing_shares(scored: Measurement) -> dict[Reason, float]:
     """Return the share of the wanted pixels without a point by reason, largest first."""
     wanted = wanted_pixels(scored.experiment, scored.truth)
-    reasons = scored.reconstruction.point_map.mask_reason[wanted]
+    reasons = scored.fringes.reconstruction.point_map.mask_reason[wanted]
     found = reason_shares(reasons) if reasons.size else {}
     found.pop(Reason.VALID, None)
     return dict(sorted(found.items(), key=lambda entry: -entry[1]))
 
 
-def _coverage(scored: Scored) -> Verdict:
+def _coverage(scored: Measurement) -> Verdict:
     figures, limit_um = scored.figures, scored.experiment.score.good_within_um
     share, absent = figures["good_share"] or 0.0, why_absent(figures)
     measured: Grade = "good" if share >= GOOD_SHARE else "check"
@@ -131,7 +129,7 @@ def _coverage(scored: Scored) -> Verdict:
     )
 
 
-def _missing(scored: Scored) -> Verdict:
+def _missing(scored: Measurement) -> Verdict:
     missing = missing_shares(scored)
     lost = float(np.sum(list(missing.values())))
     first = next(iter(missing), None)

@@ -21,14 +21,14 @@ from twin.report.decoding import REASON_COLOURS
 from twin.report.direct import REASON_WORDS, missing_shares, percent
 from twin.report.figures import images
 from twin.report.html import Plate
-from twin.report.result_folder import Measured, Scored
+from twin.results.record import Measurement
 
 _PANEL_IN, _ACROSS_IN, _TOP_IN = 3.1, 3.4, 0.3
 # Room for a colour bar below the upper line, and for all reasons below the lower one.
 _BELOW_UPPER_IN, _BELOW_LOWER_IN = 0.85, 1.4
 
 
-def direct_plates(measured: Measured) -> list[Plate]:
+def direct_plates(measured: Measurement) -> list[Plate]:
     """Return the figures of the report, in its order."""
     enlarged = shading_enlargement(measured)
     shading = "" if enlarged == 1 else f" (shading enlarges z {enlarged:g} times)"
@@ -46,7 +46,7 @@ def direct_plates(measured: Measured) -> list[Plate]:
     return [seen, *images(measured)]
 
 
-def draw_seen(path: Path, measured: Measured) -> None:
+def draw_seen(path: Path, measured: Measurement) -> None:
     """Draw white, fringes and true heights over measured heights, error and reasons, as PNG.
 
     Raises
@@ -77,16 +77,16 @@ def draw_seen(path: Path, measured: Measured) -> None:
         _reason_legend(lower[2], measured)
 
 
-def _frames(white: Axes, fringes: Axes, measured: Measured) -> None:
+def _frames(white: Axes, fringes: Axes, measured: Measurement) -> None:
     for axes, frame in (
-        (white, white_frame(measured.capture)),
-        (fringes, fringe_frame(measured.capture)),
+        (white, white_frame(measured.fringes.capture)),
+        (fringes, fringe_frame(measured.fringes.capture)),
     ):
         axes.set_title(frame.name.replace("_", " "))
-        show_frame(axes, measured.capture, frame)
+        show_frame(axes, measured.fringes.capture, frame)
 
 
-def _reason_legend(axes: Axes, scored: Scored) -> None:
+def _reason_legend(axes: Axes, scored: Measurement) -> None:
     missing = missing_shares(scored)
     valid = Patch(
         color=REASON_COLOURS[Reason.VALID],

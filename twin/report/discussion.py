@@ -4,17 +4,17 @@ import numpy as np
 from scipy.optimize import brentq
 
 from twin.mechanics import opposite_transfer
-from twin.modalities.score import SphereScore
 from twin.report.fields import number
 from twin.report.paper import CONTACT_FPP, PaperRow, paper_row
-from twin.report.result_folder import Scored
 from twin.report.verdict import MOST_SPREAD_OVER_SIGMA
+from twin.results.record import Measurement
+from twin.results.score import SphereScore
 
 # Residuals of fit and truth closer than this are one and the same form.
 _SAME_FORM = 0.2
 
 
-def discussion(scored: Scored) -> list[str]:
+def discussion(scored: Measurement) -> list[str]:
     """Return the paragraphs, most important first."""
     if not scored.score.against_truth.points:
         return ["No pixel carries a point; the map of the masked pixels says why."]
@@ -36,7 +36,7 @@ def pitch_kept_mm(share: float, thickness_mm: float) -> float:
     return float(2 * np.pi * thickness_mm / brentq(excess, 1e-3, 40.0))
 
 
-def _measurement(scored: Scored) -> str:
+def _measurement(scored: Measurement) -> str:
     figures = scored.figures
     bias_um, spread = _signed(figures["z_bias_um"], 2), figures["error_over_sigma"]
     cause = "a single point has no spread"
@@ -47,13 +47,13 @@ def _measurement(scored: Scored) -> str:
             else "something systematic adds to the camera noise"
         )
     return (
-        f"Measurement against the true coated face: {figures['z_rmse_um']:.2f} µm RMS in z, mean "
+        f"Measured against the true coated face: {figures['z_rmse_um']:.2f} µm RMS in z, mean "
         f"{bias_um} µm. The spread is {number(spread, '.2f')} times what the camera's noise "
         f"predicts (median σ {figures['sigma_z_median_um']:.2f} µm): {cause}."
     )
 
 
-def _radius(scored: Scored) -> str:
+def _radius(scored: Measurement) -> str:
     parts = [_radius_of(ball) for ball in scored.score.spheres]
     return (
         "The fitted radius is the coated face's, not the ball's: the camera never sees the ball. "
@@ -75,11 +75,11 @@ def _signed(value: float, digits: int = 3) -> str:
     return f"{value:+.{digits}f}".replace("-", "−")
 
 
-def _elastomer(scored: Scored) -> str:
+def _elastomer(scored: Measurement) -> str:
     return _sheet(scored) if scored.figures["mechanics_model"] == "sheet" else _slab(scored)
 
 
-def _sheet(scored: Scored) -> str:
+def _sheet(scored: Measurement) -> str:
     sheet, figures = scored.experiment.elastomer, scored.figures
     return (
         f"The sheet of {sheet.thickness_mm:g} mm wraps the specimen as far as pressure, tack and "
@@ -91,7 +91,7 @@ def _sheet(scored: Scored) -> str:
     )
 
 
-def _slab(scored: Scored) -> str:
+def _slab(scored: Measurement) -> str:
     slab, figures = scored.experiment.elastomer, scored.figures
     half, tenth = (pitch_kept_mm(share, slab.thickness_mm) for share in (0.5, 0.1))
     lifted = figures["relief_peak_mm"] / figures["depth_mm"]
@@ -105,7 +105,7 @@ def _slab(scored: Scored) -> str:
     )
 
 
-def _residuals(scored: Scored) -> str:
+def _residuals(scored: Measurement) -> str:
     ratios = [
         ball.measured.stats.rmse_mm / max(ball.true_face.stats.rmse_mm, 1e-12)
         for ball in scored.score.spheres
@@ -123,7 +123,7 @@ def _residuals(scored: Scored) -> str:
     )
 
 
-def _paper(scored: Scored, published: list[PaperRow]) -> str:
+def _paper(scored: Measurement, published: list[PaperRow]) -> str:
     slab, ball = scored.experiment.elastomer, scored.score.spheres[0].nominal.radius_mm
     papers = " and ".join(f"{row.radius_mm:.3f}" for row in published)
     return (
@@ -135,12 +135,12 @@ def _paper(scored: Scored, published: list[PaperRow]) -> str:
     )
 
 
-def _beyond(scored: Scored) -> str:
+def _beyond(scored: Measurement) -> str:
     linear = scored.figures["mechanics_model"] == "spectral"
     return " and strains beyond the linear slab" if linear else " and texture of the coat"
 
 
-def _origin(scored: Scored) -> str:
+def _origin(scored: Measurement) -> str:
     enlarged = all(b.true_face.radius_mm >= b.nominal.radius_mm for b in scored.score.spheres)
     return (
         "So the paper's value cannot come from the elastomer as modelled here."

@@ -6,10 +6,10 @@ from twin.report.frames import draw_frames
 from twin.report.html import Plate
 from twin.report.press import draw_press
 from twin.report.relief import draw_height_map, draw_relief_view, z_enlargement
-from twin.report.result_folder import Measured
 from twin.report.rig import draw_rig
 from twin.report.truth_error import draw_truth_error
 from twin.report.world_map import pixel_on_face_mm
+from twin.results.record import Measurement
 
 _SHEET_MAPS = (
     " Below: how thick the sheet is where it lies, how far it is stretched, and how steep the coat "
@@ -18,7 +18,7 @@ _SHEET_MAPS = (
 )
 
 
-def plates(measured: Measured) -> list[Plate]:
+def plates(measured: Measurement) -> list[Plate]:
     """Return all figures in the order of the report; without points there is no surface to show."""
     if not measured.score.against_truth.points:
         return [_rig(measured), *images(measured), _press(measured)]
@@ -26,7 +26,7 @@ def plates(measured: Measured) -> list[Plate]:
     return [_rig(measured), *images(measured), *_surfaces(measured), *balls, _press(measured)]
 
 
-def _rig(measured: Measured) -> Plate:
+def _rig(measured: Measurement) -> Plate:
     return Plate(
         "rig",
         lambda path: draw_rig(path, measured.experiment),
@@ -36,12 +36,12 @@ def _rig(measured: Measured) -> Plate:
     )
 
 
-def images(measured: Measured) -> list[Plate]:
+def images(measured: Measurement) -> list[Plate]:
     """Return the figures of frames and decoder maps; they say nothing of what is measured."""
     return [
         Plate(
             "frames",
-            lambda path: draw_frames(path, measured.capture),
+            lambda path: draw_frames(path, measured.fringes.capture),
             "contact sheet of camera frames",
             "Frames in digital numbers (DN), all on one scale: black is 0, white is saturation. "
             "Look for fringes without breaks, for Gray edges that are sharp against a period, and "
@@ -49,7 +49,9 @@ def images(measured: Measured) -> list[Plate]:
         ),
         Plate(
             "decoding",
-            lambda path: draw_decoding(path, measured.reconstruction, measured.capture.patterns),
+            lambda path: draw_decoding(
+                path, measured.fringes.reconstruction, measured.fringes.capture.patterns
+            ),
             "maps of phase, fringe order, modulation and mask",
             "Axes in camera pixels; pale gray has no value. Phase runs once through the cyclic "
             "scale per period; orders must step by one exactly where the phase wraps; masked "
@@ -58,8 +60,11 @@ def images(measured: Measured) -> list[Plate]:
     ]
 
 
-def _surfaces(measured: Measured) -> list[Plate]:
-    points, pixel_mm = measured.reconstruction.point_map, pixel_on_face_mm(measured.experiment)
+def _surfaces(measured: Measurement) -> list[Plate]:
+    points, pixel_mm = (
+        measured.points,
+        pixel_on_face_mm(measured.experiment),
+    )
     enlarged = z_enlargement(points)
     shown = "in true proportion" if enlarged == 1 else f"with z enlarged {enlarged:g} times"
     return [
@@ -79,7 +84,9 @@ def _surfaces(measured: Measured) -> list[Plate]:
         ),
         Plate(
             "truth_error",
-            lambda path: draw_truth_error(path, measured.reconstruction, measured.truth, pixel_mm),
+            lambda path: draw_truth_error(
+                path, measured.fringes.reconstruction, measured.truth, pixel_mm
+            ),
             "map and histogram of the z error",
             "Measured minus true z in µm, colour scale symmetric about 0; the predicted standard "
             "deviation from camera noise; and both compared. A good measurement looks like noise, "
@@ -88,7 +95,7 @@ def _surfaces(measured: Measured) -> list[Plate]:
     ]
 
 
-def _ball(measured: Measured, number: int, view: BallView) -> Plate:
+def _ball(measured: Measurement, number: int, view: BallView) -> Plate:
     radius_mm = measured.experiment.score.roi_radius_mm
     return Plate(
         f"ball_{number}",
@@ -101,7 +108,7 @@ def _ball(measured: Measured, number: int, view: BallView) -> Plate:
     )
 
 
-def _press(measured: Measured) -> Plate:
+def _press(measured: Measurement) -> Plate:
     pressed = measured.pressed
     assert pressed is not None
     kind = "slab" if pressed.sheet is None else "sheet"

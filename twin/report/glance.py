@@ -2,9 +2,9 @@
 
 from twin.optics.light import pattern_set
 from twin.report.fields import coating_phrase, in_words, phrase
-from twin.report.result_folder import Scored
 from twin.report.rig import triangulation_angle_deg
 from twin.report.world_map import pixel_on_face_mm
+from twin.results.record import Measurement
 
 _CODE_WORDS = {
     "gray": "Gray code",
@@ -15,9 +15,9 @@ _CODE_WORDS = {
 }
 
 
-def glance(scored: Scored) -> list[tuple[str, str]]:
+def glance(scored: Measurement) -> list[tuple[str, str]]:
     """Return (part, description) pairs."""
-    direct = scored.experiment.modality == "direct_fpp"
+    direct = not scored.experiment.method.presses
     return [
         ("specimen", _specimen(scored)),
         *(_stage(scored) if direct else _coat(scored)),
@@ -30,14 +30,14 @@ def glance(scored: Scored) -> list[tuple[str, str]]:
     ]
 
 
-def _specimen(scored: Scored) -> str:
+def _specimen(scored: Measurement) -> str:
     values = scored.experiment.specimen.model_dump(exclude={"kind", "material"})
     # A pose of zeros says nothing; a moved or turned specimen is told in full.
     told = {name: value for name, value in values.items() if value}
     return f"{scored.experiment.specimen.kind.replace('_', ' ')}: {phrase(told)}"
 
 
-def _coat(scored: Scored) -> list[tuple[str, str]]:
+def _coat(scored: Measurement) -> list[tuple[str, str]]:
     experiment = scored.experiment
     return [
         ("press", _press(scored)),
@@ -46,7 +46,7 @@ def _coat(scored: Scored) -> list[tuple[str, str]]:
     ]
 
 
-def _stage(scored: Scored) -> list[tuple[str, str]]:
+def _stage(scored: Measurement) -> list[tuple[str, str]]:
     material, stage = scored.experiment.specimen.material, scored.experiment.stage
     assert material is not None  # or nothing would have been rendered
     return [
@@ -55,7 +55,7 @@ def _stage(scored: Scored) -> list[tuple[str, str]]:
     ]
 
 
-def _press(scored: Scored) -> str:
+def _press(scored: Measurement) -> str:
     figures, back_kpa = scored.figures, scored.experiment.press.back_pressure_kpa
     behind = f", {back_kpa:g} kPa on the coated face" if back_kpa else ""
     return (
@@ -64,11 +64,11 @@ def _press(scored: Scored) -> str:
     )
 
 
-def _modulus(scored: Scored) -> str:
+def _modulus(scored: Measurement) -> str:
     return f"Young's modulus {scored.figures['young_modulus_kpa']:.3g} kPa"
 
 
-def _camera(scored: Scored) -> str:
+def _camera(scored: Measurement) -> str:
     camera = scored.experiment.camera
     width, height = camera.width_px // camera.binning, camera.height_px // camera.binning
     pixel_um = 1e3 * pixel_on_face_mm(scored.experiment)
@@ -80,7 +80,7 @@ def _camera(scored: Scored) -> str:
     )
 
 
-def _projector(scored: Scored) -> str:
+def _projector(scored: Measurement) -> str:
     projector = scored.experiment.projector
     return (
         f"{projector.width_px} × {projector.height_px} px, throw ratio {projector.throw_ratio:g}, "
@@ -89,7 +89,7 @@ def _projector(scored: Scored) -> str:
     )
 
 
-def _patterns(scored: Scored) -> str:
+def _patterns(scored: Measurement) -> str:
     patterns = scored.experiment.patterns
     code = _CODE_WORDS[str(pattern_set(scored.experiment.projector, patterns).code)]
     if patterns.further_periods_px:
@@ -100,7 +100,7 @@ def _patterns(scored: Scored) -> str:
     )
 
 
-def _decoding(scored: Scored) -> str:
+def _decoding(scored: Measurement) -> str:
     decode = scored.experiment.decode
     smoothed = (
         f"Gaussian of {decode.filter_taps} × {decode.filter_taps} px, σ {decode.filter_sigma_px:g} "

@@ -9,8 +9,8 @@ from pathlib import Path
 from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 
 from reconstruction.disk import unwritable
-from twin.modalities.progress import Watcher
 from twin.output import replacing
+from twin.pipeline.progress import Watcher
 
 FIGURES_FOLDER = "figures"
 STAGE = "report"

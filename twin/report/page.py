@@ -2,17 +2,18 @@
 
 from pathlib import Path
 
-from twin.modalities.progress import Watcher, nobody
-from twin.report import appendix, direct
+from twin.pipeline.progress import Watcher, nobody
+from twin.report import appendix, direct, photometric
 from twin.report.direct_view import direct_plates
 from twin.report.discussion import discussion
 from twin.report.figures import plates
 from twin.report.glance import glance
-from twin.report.html import STAGE, Picture, draw_pictures, template, write_page
-from twin.report.photometric_page import write_photometric_report
-from twin.report.result_folder import Measured, is_photometric, read_measured
+from twin.report.html import STAGE, Picture, Plate, draw_pictures, template, write_page
+from twin.report.photometric_plates import photometric_plates
 from twin.report.table import HEADINGS, ball_rows
 from twin.report.verdict import verdicts
+from twin.results.folder import read_measurement
+from twin.results.record import Measurement
 
 REPORT_FILE = "report.html"
 
@@ -39,19 +40,22 @@ def write_report(folder: Path, watch: Watcher = nobody, into: Path | None = None
     """
     watch(STAGE, 0.0)
     path = (into or folder) / REPORT_FILE
-    write = write_photometric_report if is_photometric(folder) else _write_fringes
-    write(folder, path, watch)
+    measured = read_measurement(folder)
+    shown = draw_pictures(path.parent, plates_of(measured), watch)
+    render = render_page if measured.experiment.method.fringes else render_photometric
+    write_page(path, render(measured, shown))
     watch(STAGE, 1.0)
     return path
 
 
-def _write_fringes(folder: Path, page: Path, watch: Watcher) -> None:
-    measured = read_measured(folder)
-    drawn = direct_plates(measured) if measured.pressed is None else plates(measured)
-    write_page(page, render_page(measured, draw_pictures(page.parent, drawn, watch)))
+def plates_of(measured: Measurement) -> list[Plate]:
+    """Return all figures of the page in their order."""
+    if not measured.experiment.method.fringes:
+        return photometric_plates(measured)
+    return direct_plates(measured) if measured.pressed is None else plates(measured)
 
 
-def render_page(measured: Measured, shown: dict[str, Picture]) -> str:
+def render_page(measured: Measurement, shown: dict[str, Picture]) -> str:
     """Fill the template with figures that are drawn already."""
     pressed = measured.pressed is not None
     return template("report.html").render(
@@ -71,4 +75,27 @@ def render_page(measured: Measured, shown: dict[str, Picture]) -> str:
         metrics=appendix.metrics(measured),
         timings=appendix.timings(measured.seconds),
         versions=appendix.versions(measured),
+    )
+
+
+def render_photometric(seen: Measurement, shown: dict[str, Picture]) -> str:
+    """Fill the template with figures that are drawn already."""
+    numbers = [ball.number for ball in seen.score.spheres]
+    return template("photometric.html").render(
+        experiment=seen.experiment,
+        verdicts=photometric.verdicts(seen),
+        warnings=[*seen.figures["warnings"], *seen.score.unfitted],
+        glance=photometric.glance(seen),
+        field=photometric.field_figures(seen),
+        decoder_headings=photometric.DECODER_HEADINGS,
+        decoder_rows=photometric.decoder_rows(seen),
+        headings=HEADINGS,
+        ball_rows=[photometric.ball_rows(seen, number) for number in numbers],
+        discussion=photometric.discussion(seen),
+        figures=shown,
+        ball_names=[name for name in shown if name.startswith("ball_")],
+        settings=appendix.settings(seen.experiment),
+        metrics=appendix.metrics(seen),
+        timings=appendix.timings(seen.seconds),
+        versions=appendix.versions(seen),
     )

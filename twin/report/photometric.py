@@ -2,16 +2,16 @@
 
 from dataclasses import astuple, dataclass
 
-from twin.modalities.photometric_decoders import Decoded
-from twin.modalities.score import SphereScore
 from twin.report.appendix import Figure
 from twin.report.direct import percent
 from twin.report.fields import NONE, coating_phrase, number, phrase
 from twin.report.paper import CONTACT_FPP, GELSIGHT, paper_row
-from twin.report.photometric_folder import Photographed
 from twin.report.photometric_maps import decoder_name
 from twin.report.table import MEASURED_LABEL, Row, fit_values
 from twin.report.verdict import Grade, Verdict, judge_press
+from twin.results.decoders import DecodedImage
+from twin.results.record import Measurement
+from twin.results.score import SphereScore
 
 GOOD_SCALE_ERROR, POOR_SCALE_ERROR = 0.05, 0.2
 GOOD_SHARE, POOR_SHARE = 0.95, 0.5
@@ -27,43 +27,43 @@ class DecoderRow:
     cells: tuple[str, ...]
 
 
-def verdict_in_words(seen: Photographed) -> str:
+def verdict_in_words(seen: Measurement) -> str:
     """Return the result in one sentence."""
     limit_um = seen.experiment.score.good_within_um
     share = percent(seen.figures["good_share"])
     return f"{share} of the coat in the evaluated field has a point within {limit_um:g} µm."
 
 
-def verdicts(seen: Photographed) -> list[Verdict]:
+def verdicts(seen: Measurement) -> list[Verdict]:
     """Judge heights, their scale and the press, in this order."""
     return [_heights(seen), _scale(seen), judge_press(seen.figures)]
 
 
-def decoder_rows(seen: Photographed) -> list[DecoderRow]:
+def decoder_rows(seen: Measurement) -> list[DecoderRow]:
     """Return the figures of every decoder of this image."""
     return [
         DecoderRow(
             decoder_name(one),
-            one is seen.own,
+            one is seen.colours.own,
             (
-                number(one.score.height_scale, ".3f"),
-                *(f"{v:.1f}" for v in (one.score.z_rmse_um, one.score.z_bias_um)),
-                f"{one.score.z_p95_um:.1f}",
-                percent(one.score.good_share),
+                number(one.errors.height_scale, ".3f"),
+                *(f"{v:.1f}" for v in (one.errors.z_rmse_um, one.errors.z_bias_um)),
+                f"{one.errors.z_p95_um:.1f}",
+                percent(one.errors.good_share),
             ),
         )
-        for one in seen.decoded
+        for one in seen.colours.decoded
     ]
 
 
-def ball_rows(seen: Photographed, number: int) -> list[Row]:
+def ball_rows(seen: Measurement, number: int) -> list[Row]:
     """Return one ball by the experiment's decoder, the others, the true coat and the paper."""
     rows = [_own_row(seen, number)]
-    for one in seen.decoded:
+    for one in seen.colours.decoded:
         ball = _ball(one, number)
-        if one is not seen.own and ball is not None:
+        if one is not seen.colours.own and ball is not None:
             rows.append(_row(number, decoder_name(one), ball))
-    true = _ball(seen.own, number)
+    true = _ball(seen.colours.own, number)
     assert true is not None  # this number is that of a fitted ball
     rows.append(Row(number, "true coat", fit_values(true.true_face, true.nominal.radius_mm)))
     for method in (GELSIGHT, CONTACT_FPP):
@@ -73,9 +73,9 @@ def ball_rows(seen: Photographed, number: int) -> list[Row]:
     return rows
 
 
-def discussion(seen: Photographed) -> list[str]:
+def discussion(seen: Measurement) -> list[str]:
     """Return the paragraphs of the result."""
-    own = seen.own.score
+    own = seen.score.against_truth
     mean = f"{own.z_bias_um:+.1f}".replace("-", "−")
     found = [
         f"{verdict_in_words(seen)} Heights against the true coat: {own.z_rmse_um:.1f} µm RMS, mean "
@@ -83,7 +83,7 @@ def discussion(seen: Photographed) -> list[str]:
         "add up to a bow over the field when they are integrated.",
         _on_the_scale(seen),
     ]
-    if own.spheres:
+    if seen.score.spheres:
         found.append(
             "A sphere fit with a free radius does not see a wrong height scale: a flattened cap is "
             "nearly a sphere too, of a larger radius. Read its RMSE together with the radius, and "
@@ -92,7 +92,7 @@ def discussion(seen: Photographed) -> list[str]:
     return found
 
 
-def glance(seen: Photographed) -> list[tuple[str, str]]:
+def glance(seen: Measurement) -> list[tuple[str, str]]:
     """Return the experiment as (part, description) pairs."""
     experiment, figures = seen.experiment, seen.figures
     specimen = experiment.specimen.model_dump(exclude={"kind", "material"})
@@ -113,7 +113,7 @@ def glance(seen: Photographed) -> list[tuple[str, str]]:
         ("coating", coating_phrase(experiment.coating)),
         (
             "image",
-            f"{size.width_px} × {size.height_px} px of {1e3 * seen.calibration.pitch_mm:.1f} µm on "
+            f"{size.width_px} × {size.height_px} px of {1e3 * seen.pixel_mm:.1f} µm on "
             f"the coat, 8-bit RGB, gamma {size.gamma:g}; evaluated field {size.field_x_mm:g} × "
             f"{size.field_y_mm:g} mm",
         ),
@@ -122,12 +122,12 @@ def glance(seen: Photographed) -> list[tuple[str, str]]:
             f"{plan.count} rendered presses of balls of {plan.smallest_diameter_mm:g} to "
             f"{plan.largest_diameter_mm:g} mm, {plan.backgrounds} images of the untouched gel",
         ),
-        ("decoding", decoder_name(seen.own)),
+        ("decoding", decoder_name(seen.colours.own)),
         ("digest", seen.digest),
     ]
 
 
-def field_figures(seen: Photographed) -> list[Figure]:
+def field_figures(seen: Measurement) -> list[Figure]:
     """Return the figures of the evaluated field."""
     figures, limit_um = seen.figures, seen.experiment.score.good_within_um
     return [
@@ -137,7 +137,7 @@ def field_figures(seen: Photographed) -> list[Figure]:
     ]
 
 
-def sentences(seen: Photographed) -> list[str]:
+def sentences(seen: Measurement) -> list[str]:
     """Return the result for a terminal, at most 100 columns wide, in ASCII."""
     figures = seen.figures
     return [
@@ -147,15 +147,15 @@ def sentences(seen: Photographed) -> list[str]:
         f"{figures['completeness']:.1%} of the field; force "
         f"{figures['force_n']:.3g} N at {figures['depth_mm']:.3g} mm",
         *(
-            f"{decoder_name(one)}: {one.score.z_rmse_um:.1f} um RMS, scale "
-            f"{number(one.score.height_scale, '.3f', '-')}"
-            for one in seen.decoded
-            if one is not seen.own
+            f"{decoder_name(one)}: {one.errors.z_rmse_um:.1f} um RMS, scale "
+            f"{number(one.errors.height_scale, '.3f', '-')}"
+            for one in seen.colours.decoded
+            if one is not seen.colours.own
         ),
     ]
 
 
-def _heights(seen: Photographed) -> Verdict:
+def _heights(seen: Measurement) -> Verdict:
     figures, limit_um = seen.figures, seen.experiment.score.good_within_um
     share = figures["good_share"]
     measured: Grade = "good" if share >= GOOD_SHARE else "check"
@@ -167,18 +167,20 @@ def _heights(seen: Photographed) -> Verdict:
             f"{percent(share)} of the field within {limit_um:g} µm (good from {GOOD_SHARE:.0%}, "
             f"poor below {POOR_SHARE:.0%})",
             f"a point on {percent(figures['completeness'])}",
-            f"by the decoder {decoder_name(seen.own)}",
+            f"by the decoder {decoder_name(seen.colours.own)}",
         ),
     )
 
 
-def _scale(seen: Photographed) -> Verdict:
+def _scale(seen: Measurement) -> Verdict:
     scale, question = seen.figures["height_scale"], "Are heights neither flattened nor stretched?"
     if scale is None:
         return Verdict(question, NONE, "check", ("the true coat is flat: it has no scale",))
     worst = abs(scale - 1)
     measured: Grade = "good" if worst <= GOOD_SCALE_ERROR else "check"
-    others = [(decoder_name(one), number(one.score.height_scale, ".3f")) for one in seen.decoded]
+    others = [
+        (decoder_name(one), number(one.errors.height_scale, ".3f")) for one in seen.colours.decoded
+    ]
     return Verdict(
         question=question,
         headline=f"{scale:.3f} of the true height",
@@ -190,11 +192,11 @@ def _scale(seen: Photographed) -> Verdict:
     )
 
 
-def _on_the_scale(seen: Photographed) -> str:
+def _on_the_scale(seen: Measurement) -> str:
     scales = {
-        one.integration: number(one.score.height_scale, ".2f")
-        for one in seen.decoded
-        if one.colour_map == seen.own.colour_map
+        one.integration: number(one.errors.height_scale, ".2f")
+        for one in seen.colours.decoded
+        if one.colour_map == seen.colours.own.colour_map
     }
     return (
         "The vendor's programs integrate with a wrong scale that depends on the width of the shape "
@@ -204,15 +206,15 @@ def _on_the_scale(seen: Photographed) -> str:
     )
 
 
-def _own_row(seen: Photographed, number: int) -> Row:
-    ball = _ball(seen.own, number)
+def _own_row(seen: Measurement, number: int) -> Row:
+    ball = _ball(seen.colours.own, number)
     assert ball is not None
-    return _row(number, f"{MEASURED_LABEL}: {decoder_name(seen.own)}", ball)
+    return _row(number, f"{MEASURED_LABEL}: {decoder_name(seen.colours.own)}", ball)
 
 
 def _row(number: int, label: str, ball: SphereScore) -> Row:
     return Row(number, label, fit_values(ball.measured, ball.nominal.radius_mm))
 
 
-def _ball(one: Decoded, number: int) -> SphereScore | None:
+def _ball(one: DecodedImage, number: int) -> SphereScore | None:
     return next((ball for ball in one.score.spheres if ball.number == number), None)

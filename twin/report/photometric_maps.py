@@ -15,8 +15,6 @@ from matplotlib.patches import Rectangle
 from matplotlib.ticker import MultipleLocator
 from numpy.typing import NDArray
 
-from twin.modalities.photometric_decoders import MAP_ORDER, Decoded
-from twin.modalities.photometric_score import wanted_of
 from twin.report.canvas import (
     INK,
     add_colorbar,
@@ -27,9 +25,11 @@ from twin.report.canvas import (
     round_up,
     symmetric_limit,
 )
-from twin.report.photometric_folder import Photographed
 from twin.report.relief import shaded
 from twin.report.world_map import WorldMap
+from twin.results.decoders import MAP_ORDER, DecodedImage
+from twin.results.record import Measurement
+from twin.results.score import wanted_pixels
 
 MAP_NAMES = {"polynomial": "polynomial", "table": "look-up table"}
 INTEGRATION_NAMES = {"corrected": "corrected", "sdk_2025": "vendor 2025", "sdk_2024": "vendor 2024"}
@@ -41,32 +41,35 @@ _RELIEF_SHARE, _TICKS_MM = 0.2, 4.0
 _Masked = Any
 
 
-def decoder_name(one: Decoded) -> str:
+def decoder_name(one: DecodedImage) -> str:
     """Name a decoder as figures and tables do."""
     return f"{MAP_NAMES[one.colour_map]}, {INTEGRATION_NAMES[one.integration]}"
 
 
-def extent_mm(seen: Photographed) -> tuple[float, float, float, float]:
+def extent_mm(seen: Measurement) -> tuple[float, float, float, float]:
     """Outline of the image on the coat: left, right, bottom, top."""
-    rows, cols = seen.image.shape[:2]
-    half_x, half_y = cols * seen.calibration.pitch_mm / 2, rows * seen.calibration.pitch_mm / 2
+    rows, cols = seen.picture.shape[:2]
+    half_x, half_y = (
+        cols * seen.colours.calibration.pitch_mm / 2,
+        rows * seen.colours.calibration.pitch_mm / 2,
+    )
     return (-half_x, half_x, -half_y, half_y)
 
 
-def true_heights_mm(seen: Photographed) -> _Masked:
+def true_heights_mm(seen: Measurement) -> _Masked:
     """World z of the true coat behind each pixel, (row, col) masked."""
     z_mm = seen.truth.points_world_mm[..., 2].astype(np.float64)
     return np.ma.masked_array(z_mm, ~seen.truth.measured)
 
 
-def error_um(seen: Photographed, one: Decoded) -> _Masked:
+def error_um(seen: Measurement, one: DecodedImage) -> _Masked:
     """Measured minus true world z in the evaluated field, (row, col) masked."""
-    scored = wanted_of(seen.experiment, seen.truth) & one.heights.valid
+    scored = wanted_pixels(seen.experiment, seen.truth) & one.heights.valid
     difference = one.heights.height_mm - true_heights_mm(seen).data
     return np.ma.masked_array(1e3 * difference, ~scored)
 
 
-def true_slopes(seen: Photographed) -> NDArray[np.float64]:
+def true_slopes(seen: Measurement) -> NDArray[np.float64]:
     """Slopes of the true coat behind each pixel, (2, row, col), down and to the right."""
     normals = seen.truth.normals_world.astype(np.float64)
     upward = np.where(np.abs(normals[..., 2]) > 1e-6, normals[..., 2], 1.0)
@@ -74,13 +77,13 @@ def true_slopes(seen: Photographed) -> NDArray[np.float64]:
     return np.stack([normals[..., 1] / upward, -normals[..., 0] / upward])
 
 
-def difference_levels(seen: Photographed) -> NDArray[np.uint8]:
+def difference_levels(seen: Measurement) -> NDArray[np.uint8]:
     """Image minus background, enlarged, about mid-grey."""
-    change = seen.image - seen.calibration.background.astype(np.float64)
+    change = seen.picture - seen.colours.calibration.background.astype(np.float64)
     return np.rint(np.clip(128 + DIFFERENCE_GAIN * change, 0, 255)).astype(np.uint8)
 
 
-def draw_images(path: Path, seen: Photographed) -> None:
+def draw_images(path: Path, seen: Measurement) -> None:
     """Draw tactile image, background and their difference, as PNG.
 
     Raises
@@ -88,9 +91,9 @@ def draw_images(path: Path, seen: Photographed) -> None:
     InputError
         `path` cannot be written.
     """
-    background = np.rint(seen.calibration.background).astype(np.uint8)
+    background = np.rint(seen.colours.calibration.background).astype(np.uint8)
     pictures = {
-        "tactile image": seen.image,
+        "tactile image": seen.picture,
         "untouched gel (background)": background,
         f"difference × {DIFFERENCE_GAIN}, grey is none": difference_levels(seen),
     }
@@ -103,7 +106,7 @@ def draw_images(path: Path, seen: Photographed) -> None:
             _mark_field(axes, seen)
 
 
-def draw_slopes(path: Path, seen: Photographed) -> None:
+def draw_slopes(path: Path, seen: Measurement) -> None:
     """Draw measured and true slopes and their difference, both directions, as PNG.
 
     Raises
@@ -111,7 +114,7 @@ def draw_slopes(path: Path, seen: Photographed) -> None:
     InputError
         `path` cannot be written.
     """
-    measured, true = seen.own.heights.slopes.astype(np.float64), true_slopes(seen)
+    measured, true = seen.colours.own.heights.slopes.astype(np.float64), true_slopes(seen)
     limit = symmetric_limit(true, 99.5)
     error_limit = symmetric_limit(measured - true, 99.0)
     panel_in, height_in = _panel(seen, 3)
@@ -131,7 +134,7 @@ def draw_slopes(path: Path, seen: Photographed) -> None:
                     add_colorbar(axes, mapped, "slope (mm/mm)", extend="both", side="below")
 
 
-def draw_heights(path: Path, seen: Photographed) -> None:
+def draw_heights(path: Path, seen: Measurement) -> None:
     """Draw the true heights and those of every decoder, shaded, on one scale, as PNG.
 
     Raises
@@ -158,7 +161,7 @@ def draw_heights(path: Path, seen: Photographed) -> None:
                 axes.set(title=decoder_name(one))
 
 
-def draw_errors(path: Path, seen: Photographed) -> None:
+def draw_errors(path: Path, seen: Measurement) -> None:
     """Draw the height error of every decoder on one scale, as PNG.
 
     Raises
@@ -166,7 +169,7 @@ def draw_errors(path: Path, seen: Photographed) -> None:
     InputError
         `path` cannot be written.
     """
-    errors = {id(one): error_um(seen, one) for one in seen.decoded}
+    errors = {id(one): error_um(seen, one) for one in seen.colours.decoded}
     limit_um = round_up(
         max(float(np.percentile(np.abs(e.compressed()), 95)) for e in errors.values())
     )
@@ -178,39 +181,39 @@ def draw_errors(path: Path, seen: Photographed) -> None:
             for number, one in enumerate(decoders):
                 axes = _axes(figure, number, line * line_in + _TOP_IN, panel_in, height_in)
                 shown = _map(axes, seen, errors[id(one)], limit_um)
-                axes.set(title=f"{decoder_name(one)}: {one.score.z_rmse_um:.1f} µm RMS")
+                axes.set(title=f"{decoder_name(one)}: {one.errors.z_rmse_um:.1f} µm RMS")
                 if line == len(lines) - 1:
                     add_colorbar(axes, shown, "z error (µm)", extend="both", side="below")
 
 
-def measured_heights_mm(one: Decoded) -> _Masked:
+def measured_heights_mm(one: DecodedImage) -> _Masked:
     """Heights of one decoder, (row, col); masked where they are no measurement."""
     return np.ma.masked_array(one.heights.height_mm.astype(np.float64), ~one.heights.valid)
 
 
-def show_heights(axes: Axes, seen: Photographed, z_mm: _Masked, norm: Normalize) -> None:
+def show_heights(axes: Axes, seen: Measurement, z_mm: _Masked, norm: Normalize) -> None:
     """Show heights, coloured and shaded; what is masked stays white."""
     rows, cols = z_mm.shape
-    pitch_mm = seen.calibration.pitch_mm
+    pitch_mm = seen.colours.calibration.pitch_mm
     relief = WorldMap(z_mm[::-1], pitch_mm * np.arange(cols), pitch_mm * np.arange(rows), pitch_mm)
     axes.imshow(shaded(relief, norm, enlargement(seen))[::-1], extent=extent_mm(seen))
 
 
-def enlargement(seen: Photographed) -> float:
+def enlargement(seen: Measurement) -> float:
     """Return by how much shading enlarges z: a round number, at least 1."""
     low, high = height_scale(true_heights_mm(seen).compressed())
     left, right, *_ = extent_mm(seen)
     return max(1.0, round_up(_RELIEF_SHARE * (right - left) / (high - low)))
 
 
-def _lines(seen: Photographed) -> list[list[Decoded]]:
-    lines = [[one for one in seen.decoded if one.colour_map == kind] for kind in MAP_ORDER]
+def _lines(seen: Measurement) -> list[list[DecodedImage]]:
+    lines = [[one for one in seen.colours.decoded if one.colour_map == kind] for kind in MAP_ORDER]
     return [line for line in lines if line]
 
 
-def _panel(seen: Photographed, count: int) -> tuple[float, float]:
+def _panel(seen: Measurement, count: int) -> tuple[float, float]:
     """Width and height of one of `count` maps side by side, inches."""
-    rows, cols = seen.image.shape[:2]
+    rows, cols = seen.picture.shape[:2]
     width_in = (_WIDTH_IN - _LEFT_IN - count * _GAP_IN) / count
     return width_in, width_in * rows / cols
 
@@ -224,11 +227,11 @@ def _axes(figure: Figure, number: int, top_in: float, width_in: float, height_in
     return axes
 
 
-def _map(axes: Axes, seen: Photographed, values: Any, limit: float) -> Any:
+def _map(axes: Axes, seen: Measurement, values: Any, limit: float) -> Any:
     return axes.imshow(values, extent=extent_mm(seen), cmap=diverging(), vmin=-limit, vmax=limit)
 
 
-def _mark_field(axes: Axes, seen: Photographed) -> None:
+def _mark_field(axes: Axes, seen: Measurement) -> None:
     """Outline the part of the coat that is evaluated."""
     size = seen.experiment.photometric
     corner = (-size.field_x_mm / 2, -size.field_y_mm / 2)

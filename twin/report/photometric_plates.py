@@ -2,12 +2,9 @@
 
 import numpy as np
 
-from reconstruction.triangulation.triangulate import PointMap
-from twin.modalities.photometric_score import in_world
 from twin.report.balls import BallView, draw_ball
 from twin.report.canvas import symmetric_limit
 from twin.report.html import Plate
-from twin.report.photometric_folder import Photographed
 from twin.report.photometric_maps import (
     MAP_NAMES,
     decoder_name,
@@ -22,40 +19,33 @@ from twin.report.photometric_sensor import draw_sensor
 from twin.report.press import draw_press
 from twin.report.relief import draw_relief_view, z_enlargement
 from twin.report.section import trace_through_apexes
+from twin.results.record import Measurement
 
 
-def photometric_plates(seen: Photographed) -> list[Plate]:
+def photometric_plates(seen: Measurement) -> list[Plate]:
     """Return all figures in the order of the report."""
     balls = [_ball(seen, view) for view in ball_views(seen)]
     return [_sensor(seen), _images(seen), _slopes(seen), *_surfaces(seen), *balls, _press(seen)]
 
 
-def ball_views(seen: Photographed) -> list[BallView]:
+def ball_views(seen: Measurement) -> list[BallView]:
     """Return one view per ball, all on one residual scale so that they compare."""
-    balls, points = seen.own.score.spheres, in_world(seen.own.heights).points_mm
+    balls, points = seen.score.spheres, seen.points.world_mm
     limits = [symmetric_limit(1e3 * ball.measured.residuals_mm, 99.5) for ball in balls]
     return [
         BallView(
             ball=ball,
-            measured_mm=points[ball.roi],
+            measured_mm=points[ball.roi].astype(np.float64),
             true_mm=seen.truth.points_world_mm[ball.roi].astype(np.float64),
             trace=trace_through_apexes(seen.experiment),
-            pixel_mm=seen.calibration.pitch_mm,
+            pixel_mm=seen.pixel_mm,
             limit_um=max(limits),
         )
         for ball in balls
     ]
 
 
-def as_points(seen: Photographed) -> PointMap:
-    """Return the heights of the experiment's decoder as points in the world."""
-    found = in_world(seen.own.heights)
-    points = found.points_mm.astype(np.float32)
-    codes = np.where(found.valid, 0, 1).astype(np.uint8)
-    return PointMap(points, np.zeros_like(points), codes, np.eye(4))
-
-
-def _sensor(seen: Photographed) -> Plate:
+def _sensor(seen: Measurement) -> Plate:
     return Plate(
         "sensor",
         lambda path: draw_sensor(path, seen.experiment),
@@ -65,7 +55,7 @@ def _sensor(seen: Photographed) -> Plate:
     )
 
 
-def _images(seen: Photographed) -> Plate:
+def _images(seen: Measurement) -> Plate:
     return Plate(
         "images",
         lambda path: draw_images(path, seen),
@@ -76,28 +66,28 @@ def _images(seen: Photographed) -> Plate:
     )
 
 
-def _slopes(seen: Photographed) -> Plate:
+def _slopes(seen: Measurement) -> Plate:
     return Plate(
         "slopes",
         lambda path: draw_slopes(path, seen),
         "measured and true slopes of the coat, and their difference",
-        f"Slopes in mm/mm by the {MAP_NAMES[seen.own.colour_map]} map against the true coat at "
-        "the same pixels. Beside a contact the coat is in shadow of one lamp or another, which no "
-        "reference press taught. Everything after this figure is integration.",
+        f"Slopes in mm/mm by the {MAP_NAMES[seen.colours.own.colour_map]} map against the true "
+        "coat at the same pixels. Beside a contact the coat is in shadow of one lamp or another, "
+        "which no reference press taught. Everything after this figure is integration.",
     )
 
 
-def _surfaces(seen: Photographed) -> list[Plate]:
-    enlarged, points = enlargement(seen), as_points(seen)
+def _surfaces(seen: Measurement) -> list[Plate]:
+    enlarged, points = enlargement(seen), seen.points
     view = z_enlargement(points)
     shown = "in true proportion" if view == 1 else f"with z enlarged {view:g} times"
     shading = "" if enlarged == 1 else f" (shading enlarges z {enlarged:g} times)"
     return [
         Plate(
             "relief",
-            lambda path: draw_relief_view(path, points, seen.calibration.pitch_mm),
+            lambda path: draw_relief_view(path, points, seen.pixel_mm),
             "shaded 3-D view of the measured relief",
-            f"Measured coat {shown}, lengths in mm, colour is z; {decoder_name(seen.own)}.",
+            f"Measured coat {shown}, lengths in mm, colour is z; {decoder_name(seen.colours.own)}.",
         ),
         Plate(
             "heights",
@@ -123,22 +113,22 @@ def _surfaces(seen: Photographed) -> list[Plate]:
     ]
 
 
-def _ball(seen: Photographed, view: BallView) -> Plate:
+def _ball(seen: Measurement, view: BallView) -> Plate:
     number, radius_mm = view.ball.number, seen.experiment.score.roi_radius_mm
     return Plate(
         f"ball_{number}",
         lambda path: draw_ball(path, view),
         f"residuals and sections of ball {number}",
-        f"Ball {number}, {decoder_name(seen.own)}: points within {radius_mm:g} mm of the apex. "
-        f"Radial residuals in µm on a scale of ± {view.limit_um:g} µm, the same for all balls; "
-        "green is the true coat.",
+        f"Ball {number}, {decoder_name(seen.colours.own)}: points within {radius_mm:g} mm of the "
+        f"apex. Radial residuals in µm on a scale of ± {view.limit_um:g} µm, the same for all "
+        "balls; green is the true coat.",
     )
 
 
-def _press(seen: Photographed) -> Plate:
+def _press(seen: Measurement) -> Plate:
     return Plate(
         "press",
-        lambda path: draw_press(path, seen.experiment, seen.pressed),
+        lambda path: draw_press(path, seen.experiment, seen.press),
         "relief, pressure and section of the pressed gel",
         "Relief of the coat in mm, contact pressure in kPa, and the section along the dashed line: "
         "the gel between specimen and window. Where it touches, the coat has the specimen's shape.",

@@ -7,7 +7,6 @@ from matplotlib.axes import Axes
 from numpy.typing import NDArray
 from scipy.interpolate import RegularGridInterpolator
 
-from twin.modalities.photometric_decoders import Decoded
 from twin.report.canvas import (
     FIT,
     MEASURED,
@@ -17,16 +16,17 @@ from twin.report.canvas import (
     drawing,
     plain_spines,
 )
-from twin.report.photometric_folder import Photographed
 from twin.report.photometric_maps import decoder_name, extent_mm
 from twin.report.section import Trace, face_profile, trace_through_apexes
+from twin.results.decoders import DecodedImage
+from twin.results.record import Measurement
 
 _SAMPLES = 601
 _COLOURS = {"corrected": MEASURED, "sdk_2025": FIT, "sdk_2024": NOMINAL}
 _STYLES = {"polynomial": "-", "table": ":"}
 
 
-def draw_sections(path: Path, seen: Photographed) -> None:
+def draw_sections(path: Path, seen: Measurement) -> None:
     """Draw heights and height errors of every decoder along the section, as PNG.
 
     Raises
@@ -37,12 +37,12 @@ def draw_sections(path: Path, seen: Photographed) -> None:
     trace = trace_through_apexes(seen.experiment)
     left, right, *_ = extent_mm(seen)
     s_mm = np.linspace(left, right, _SAMPLES)
-    true_mm = face_profile(seen.pressed, trace, s_mm)
+    true_mm = face_profile(seen.press, trace, s_mm)
     with drawing(path, 10.0, 6.9) as figure:
         heights = axes_at(figure, 0.65, 0.35, 9.2, 3.0)
         errors = axes_at(figure, 0.65, 4.0, 9.2, 2.4)
         heights.plot(s_mm, true_mm, color=TRUE_FACE, lw=2.4, alpha=0.6, label="true coat")
-        for one in seen.decoded:
+        for one in seen.colours.decoded:
             found_mm = profile_mm(one, seen, trace, s_mm)
             _line(heights, s_mm, found_mm, one)
             _line(errors, s_mm, 1e3 * (found_mm - true_mm), one)
@@ -56,7 +56,7 @@ def draw_sections(path: Path, seen: Photographed) -> None:
 
 
 def profile_mm(
-    one: Decoded, seen: Photographed, trace: Trace, s_mm: NDArray[np.float64]
+    one: DecodedImage, seen: Measurement, trace: Trace, s_mm: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Return heights of one decoder at positions s, mm; NaN outside the image."""
     rows, cols = one.heights.height_mm.shape
@@ -68,7 +68,9 @@ def profile_mm(
     return np.asarray(sample(trace.points(s_mm)[:, ::-1]))
 
 
-def _line(axes: Axes, s_mm: NDArray[np.float64], values: NDArray[np.float64], one: Decoded) -> None:
+def _line(
+    axes: Axes, s_mm: NDArray[np.float64], values: NDArray[np.float64], one: DecodedImage
+) -> None:
     axes.plot(
         s_mm,
         values,

@@ -8,7 +8,7 @@ from matplotlib.patches import Polygon, Rectangle
 
 from twin.config.lamps import Lamp
 from twin.config.models import Experiment
-from twin.modalities.colour_images import image_pinhole
+from twin.pipeline.colour_images import image_pinhole
 from twin.report.canvas import FAINT, INK, MEASURED, axes_at, drawing, plain_spines
 
 LAMP_COLOURS = {"red": "#c0392b", "green": "#2b8a57", "blue": "#1f5fb2"}

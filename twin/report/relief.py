@@ -11,7 +11,6 @@ from mpl_toolkits.mplot3d.axes3d import Axes3D  # type: ignore[import-untyped]
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
-from reconstruction.triangulation.triangulate import PointMap
 from twin.report.canvas import (
     add_colorbar,
     axes_at,
@@ -22,6 +21,7 @@ from twin.report.canvas import (
     sequential,
 )
 from twin.report.world_map import WorldMap, average_on_grid
+from twin.results.record import SurfacePoints
 
 _VIEW_CELLS, _MAP_CELLS = 120, 480
 # The relief fills about this share of the field's width in the 3-D view.
@@ -30,17 +30,17 @@ _VIEW_HEIGHT_SHARE = 0.2
 _MAP_LIGHT_DEG, _VIEW_LIGHT_DEG, _LIGHT_HEIGHT_DEG = 315.0, 225.0, 40.0
 
 
-def z_enlargement(point_map: PointMap) -> float:
+def z_enlargement(points: SurfacePoints) -> float:
     """Return by how much the 3-D view enlarges z: a round number, at least 1."""
-    points = point_map.points_world_mm[point_map.valid]
-    if not len(points):
+    found = points.world_mm[points.valid]
+    if not len(found):
         return 1.0
-    width_mm, height_mm = float(np.ptp(points[:, 0])), float(np.ptp(points[:, 2]))
+    width_mm, height_mm = float(np.ptp(found[:, 0])), float(np.ptp(found[:, 2]))
     wanted = _VIEW_HEIGHT_SHARE * width_mm / max(height_mm, 1e-9)
     return max(1.0, round_up(wanted))
 
 
-def draw_relief_view(path: Path, point_map: PointMap, pixel_mm: float) -> None:
+def draw_relief_view(path: Path, points: SurfacePoints, pixel_mm: float) -> None:
     """Draw the measured surface as a shaded 3-D view, as PNG.
 
     Raises
@@ -48,7 +48,7 @@ def draw_relief_view(path: Path, point_map: PointMap, pixel_mm: float) -> None:
     InputError
         `path` cannot be written.
     """
-    relief, enlarged = _relief(point_map, pixel_mm, _VIEW_CELLS).trimmed(), z_enlargement(point_map)
+    relief, enlarged = _relief(points, pixel_mm, _VIEW_CELLS).trimmed(), z_enlargement(points)
     norm = _norm(relief)
     with drawing(path, 10.0, 5.4) as figure:
         axes: Any = figure.add_axes((0.0, 0.02, 0.9, 1.0), projection="3d", computed_zorder=False)
@@ -73,7 +73,7 @@ def draw_relief_view(path: Path, point_map: PointMap, pixel_mm: float) -> None:
         bar.set_label("z (mm)")
 
 
-def draw_height_map(path: Path, point_map: PointMap, pixel_mm: float) -> None:
+def draw_height_map(path: Path, points: SurfacePoints, pixel_mm: float) -> None:
     """Draw the measured heights in top view, shaded, as PNG.
 
     Raises
@@ -81,13 +81,13 @@ def draw_height_map(path: Path, point_map: PointMap, pixel_mm: float) -> None:
     InputError
         `path` cannot be written.
     """
-    relief = _relief(point_map, pixel_mm, _MAP_CELLS)
+    relief = _relief(points, pixel_mm, _MAP_CELLS)
     norm = _norm(relief)
     rows, cols = relief.values.shape
     with drawing(path, 10.0, 0.75 + 8.2 * rows / cols) as figure:
         axes = axes_at(figure, 0.65, 0.15, 8.2, 8.2 * rows / cols)
         axes.imshow(
-            shaded(relief, norm, z_enlargement(point_map)),
+            shaded(relief, norm, z_enlargement(points)),
             origin="lower",
             extent=relief.extent_mm,
         )
@@ -104,9 +104,9 @@ def draw_height_map(path: Path, point_map: PointMap, pixel_mm: float) -> None:
         add_colorbar(axes, ScalarMappable(norm, sequential()), "z (mm)")
 
 
-def _relief(point_map: PointMap, pixel_mm: float, cells: int) -> WorldMap:
-    points = point_map.points_world_mm[point_map.valid]
-    return average_on_grid(points, points[:, 2], pixel_mm, cells)
+def _relief(points: SurfacePoints, pixel_mm: float, cells: int) -> WorldMap:
+    found = points.world_mm[points.valid]
+    return average_on_grid(found, found[:, 2], pixel_mm, cells)
 
 
 def _norm(relief: WorldMap) -> Normalize:

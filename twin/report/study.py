@@ -8,7 +8,7 @@ from typing import Any
 
 from reconstruction.errors import InputError
 from twin.config.study import Objective
-from twin.modalities.progress import Watcher, nobody
+from twin.pipeline.progress import Watcher, nobody
 from twin.report.html import Picture, Plate, draw_pictures, template, write_page
 from twin.report.study_designs import Design, Scales, design_plates, designs_of
 from twin.report.study_view import (
@@ -22,7 +22,7 @@ from twin.study.best import is_number, ranked_rows, usable_rows
 from twin.study.pictures import pictures_of
 from twin.study.sensitivity import Effect, effects_of, without
 from twin.study.store import Store
-from twin.study.table import Table, read_table
+from twin.study.table import StudyTable, read_table
 
 REPORT_FILE = "report.html"
 _MOST_METRICS, _MOST_PAIRS, _MOST_BEST = 5, 6, 12
@@ -43,7 +43,7 @@ _SENSITIVITY_WORDS = {
 class Shown:
     """What the page shows of a study."""
 
-    table: Table
+    table: StudyTable
     rows: list[Row]
     metrics: list[str]
     objectives: list[Objective]
@@ -90,7 +90,7 @@ def write_study(
     return path
 
 
-def _shown(table: Table, asked: Sequence[Objective]) -> Shown:
+def _shown(table: StudyTable, asked: Sequence[Objective]) -> Shown:
     done = table.done()
     if not done:
         raise InputError("report: no case of the study is finished; run twin sweep first")

@@ -3,9 +3,9 @@
 from pathlib import Path
 
 from twin.report.photometric import sentences
-from twin.report.photometric_folder import Photographed, read_photographed
-from twin.report.result_folder import is_photometric, read_scored
 from twin.report.table import HEADINGS, MEASURED_LABEL, Row, fit_values, fringe_table, line_of
+from twin.results.folder import read_measurement
+from twin.results.record import Measurement
 
 
 def summary_table(folder: Path) -> str:
@@ -16,17 +16,17 @@ def summary_table(folder: Path) -> str:
     InputError
         The folder is no finished measurement, or a file is missing or damaged.
     """
-    if is_photometric(folder):
-        return _photometric_table(read_photographed(folder))
-    return fringe_table(read_scored(folder))
+    measured = read_measurement(folder)
+    by_method = fringe_table if measured.experiment.method.fringes else _photometric_table
+    return by_method(measured)
 
 
-def _photometric_table(seen: Photographed) -> str:
-    balls = seen.own.score.spheres
+def _photometric_table(seen: Measurement) -> str:
+    balls = seen.score.spheres
     lines = [line_of(f"{seen.experiment.name}, sphere fits (mm)", HEADINGS)] if balls else []
     for ball in balls:
         for label, fit in ((MEASURED_LABEL, ball.measured), ("true coat", ball.true_face)):
             row = Row(ball.number, label, fit_values(fit, ball.nominal.radius_mm))
             first = f"ball {ball.number}" if label == MEASURED_LABEL else ""
             lines.append(line_of(f"{first:<8}{label}", row.cells))
-    return "\n".join([*lines, *seen.own.score.unfitted, *sentences(seen)])
+    return "\n".join([*lines, *seen.score.unfitted, *sentences(seen)])

@@ -4,12 +4,12 @@ from dataclasses import astuple, dataclass, replace
 from typing import Any
 
 from reconstruction.evaluate.fit import SphereFit
-from twin.modalities.comparison import Outcome
-from twin.modalities.score import SphereScore, why_absent
+from twin.pipeline.comparison import Outcome
 from twin.report import direct
 from twin.report.fields import number
 from twin.report.paper import CONTACT_FPP, GELSIGHT, PaperRow, paper_row
-from twin.report.result_folder import Scored
+from twin.results.record import Measurement
+from twin.results.score import SphereScore, why_absent
 
 HEADINGS = ("radius", "|error|", "RMSE", "MAE", "P95")
 MEASURED_LABEL = "measured"
@@ -31,7 +31,7 @@ class Row:
         return (f"{radius:.3f}", f"{error:.3f}", *(f"{value:.4f}" for value in residuals))
 
 
-def fringe_table(scored: Scored) -> str:
+def fringe_table(scored: Measurement) -> str:
     """Return the result of a measurement with fringes as plain text; see `summary_table`."""
     title = f"{scored.experiment.name}, sphere fits (mm)"
     lines = [line_of(title, HEADINGS)] if scored.score.spheres else []
@@ -66,7 +66,7 @@ def _compared(figures: dict[str, Any]) -> tuple[str, ...]:
 
 
 def ball_rows(
-    scored: Scored, sphere: SphereScore, methods: tuple[str, ...] = (CONTACT_FPP, GELSIGHT)
+    scored: Measurement, sphere: SphereScore, methods: tuple[str, ...] = (CONTACT_FPP, GELSIGHT)
 ) -> list[Row]:
     """Return measured, true face and, for the coat, the paper's rows of one ball."""
     number = sphere.number
@@ -75,7 +75,7 @@ def ball_rows(
         Row(number, MEASURED_LABEL, fit_values(sphere.measured, nominal_mm)),
         Row(number, "true coated face", fit_values(sphere.true_face, nominal_mm)),
     ]
-    if scored.experiment.modality == "direct_fpp":
+    if not scored.experiment.method.presses:
         return [rows[0], replace(rows[1], label="true surface")]
     for method in methods:
         published: PaperRow | None = paper_row(scored.experiment, method, number)
@@ -96,9 +96,9 @@ def line_of(label: str, cells: tuple[str, ...]) -> str:
     return f"{label:<36}" + "".join(f"{cell:>{_WIDTH}}" for cell in cells)
 
 
-def _sentences(scored: Scored) -> list[str]:
+def _sentences(scored: Measurement) -> list[str]:
     figures = scored.figures
-    if scored.experiment.modality == "direct_fpp":
+    if not scored.experiment.method.presses:
         return direct.sentences(scored)
     warnings, absent = figures["warnings"], why_absent(figures)
     rms, p95, spread = (

@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from twin.modalities.score import why_absent
 from twin.report.fields import number
-from twin.report.result_folder import Scored
+from twin.results.record import Measurement
+from twin.results.score import why_absent
 
 Grade = Literal["good", "check", "poor"]
 
@@ -26,13 +26,13 @@ class Verdict:
     reasons: tuple[str, ...]
 
 
-def verdicts(scored: Scored) -> list[Verdict]:
+def verdicts(scored: Measurement) -> list[Verdict]:
     """Judge measurement, shape transfer and press, in this order."""
     shape = [_shape(scored)] if scored.score.spheres else []
     return [_sensor(scored), *shape, judge_press(scored.figures)]
 
 
-def _sensor(scored: Scored) -> Verdict:
+def _sensor(scored: Measurement) -> Verdict:
     figures = scored.figures
     if not scored.score.against_truth.points:
         return Verdict(
@@ -78,7 +78,7 @@ def _filter_hint(figures: dict[str, Any]) -> list[str]:
     ]
 
 
-def _shape(scored: Scored) -> Verdict:
+def _shape(scored: Measurement) -> Verdict:
     spheres = scored.score.spheres
     ratios = [s.true_face.radius_mm / s.nominal.radius_mm for s in spheres]
     farthest = max(ratios, key=lambda ratio: abs(ratio - 1))

@@ -2,14 +2,12 @@
 
 # These fill the catalogue.
 from twin.specimens import artefacts as artefacts
-from twin.specimens import bear as bear
-from twin.specimens import brick as brick
 from twin.specimens import cylinders as cylinders
 from twin.specimens import fasteners as fasteners
 from twin.specimens import fingerprint as fingerprint
 from twin.specimens import group as group
 from twin.specimens import meshes as meshes
-from twin.specimens.bodies import Body, bodies
+from twin.specimens import toys as toys
 from twin.specimens.catalogue import (
     Shape,
     Sphere,
@@ -19,6 +17,7 @@ from twin.specimens.catalogue import (
     shape_of,
     specimen_mesh,
 )
+from twin.specimens.group import Body, bodies
 from twin.specimens.spheres import SphereCluster
 
 __all__ = [

@@ -16,7 +16,7 @@ from reconstruction.arrays import FloatArray
 from reconstruction.errors import InputError
 from twin.config.models import Specimen
 from twin.specimens.distance import SignedDistance
-from twin.specimens.pose import Pose, pose_of, raised
+from twin.specimens.pose import Placement, pose_of, raised
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class Shape(Protocol):
         """Height of the point farthest back, where it stands on its plate."""
         ...
 
-    def placed(self, pose: Pose) -> "Shape":
+    def placed(self, pose: Placement) -> "Shape":
         """Return the shape moved."""
         ...
 

@@ -9,7 +9,7 @@ from reconstruction.arrays import FloatArray
 from twin.config.models import Flat, Rod
 from twin.specimens.catalogue import Sphere, register
 from twin.specimens.distance import CylinderDistance, SignedDistance
-from twin.specimens.pose import Pose
+from twin.specimens.pose import Placement
 
 _PASSES = 60
 _EXACT_MM = 1e-10
@@ -43,7 +43,7 @@ class Cylinder:
         """Height of the point farthest back."""
         return float(self.middle_mm[2] - self._reach(2))
 
-    def placed(self, pose: Pose) -> "Cylinder":
+    def placed(self, pose: Placement) -> "Cylinder":
         """Return the cylinder moved."""
         return replace(self, middle_mm=pose.apply(self.middle_mm), axis=pose.rotation @ self.axis)
 

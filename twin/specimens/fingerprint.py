@@ -14,11 +14,12 @@ import numpy as np
 import trimesh
 
 from reconstruction.arrays import FloatArray
-from twin.config.fingerprint import Fingerprint
+from twin.config.objects import Fingerprint
 from twin.specimens.catalogue import register
 from twin.specimens.meshes import MeshShape
 from twin.specimens.pose import unposed
 from twin.specimens.raster import IntArray
+from twin.specimens.solids import grid_facets
 
 # Chords stay within depth pi^2 / 4 / 12^2 of a ridge, 1.2 um at 0.07 mm.
 _STEPS_PER_PITCH = 12
@@ -81,7 +82,7 @@ def _plate(print_: Fingerprint) -> trimesh.Trimesh:
     rim = np.concatenate((index[0], index[1:, -1], index[-1, -2::-1], index[-2:0:-1, 0]))
     base = top[rim] * [1, 1, 0] + [0, 0, z.min() - print_.thickness_mm]
     below, middle = z.size + np.arange(rim.size), base.mean(axis=0)
-    faces = (_upper(index), _wall(rim, below), _fan(below, z.size + rim.size))
+    faces = (grid_facets(*z.shape), _wall(rim, below), _fan(below, z.size + rim.size))
     return trimesh.Trimesh(
         np.concatenate((top, base, middle[None])), np.concatenate(faces), process=False
     )
@@ -90,11 +91,6 @@ def _plate(print_: Fingerprint) -> trimesh.Trimesh:
 def _lines(length_mm: float, pitch_mm: float) -> FloatArray:
     count = int(np.ceil(length_mm / pitch_mm * _STEPS_PER_PITCH)) + 1
     return np.linspace(-length_mm / 2, length_mm / 2, count)
-
-
-def _upper(index: IntArray) -> IntArray:
-    a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]
-    return np.stack((a, b, c, a, c, d), axis=-1).reshape(-1, 3)
 
 
 def _wall(rim: IntArray, below: IntArray) -> IntArray:

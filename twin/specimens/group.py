@@ -1,4 +1,4 @@
-"""Several specimens on one stage."""
+"""Several specimens on one stage, and any specimen as one closed body per part."""
 
 from dataclasses import dataclass
 from functools import reduce
@@ -7,10 +7,11 @@ import numpy as np
 import trimesh
 
 from reconstruction.arrays import FloatArray
-from twin.config.models import Group
+from twin.config.materials import Material
+from twin.config.specimens import Group, Specimen
 from twin.specimens.catalogue import Shape, Sphere, register, shape_of
 from twin.specimens.distance import SignedDistance
-from twin.specimens.pose import Pose, raised
+from twin.specimens.pose import Placement, raised
 
 
 @dataclass(frozen=True)
@@ -29,7 +30,7 @@ class Assembly:
         """Height of the point farthest back of all parts."""
         return min(part.bottom_mm for part in self.parts)
 
-    def placed(self, pose: Pose) -> "Assembly":
+    def placed(self, pose: Placement) -> "Assembly":
         """Return all parts moved."""
         return Assembly(tuple(part.placed(pose) for part in self.parts))
 
@@ -63,4 +64,41 @@ def build_group(specimen: Group) -> Assembly:
     """Place the parts, each with its foremost point at its own height."""
     return Assembly(
         tuple(shape_of(part).placed(raised(part.z_mm)) for part in specimen.parts.values())
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """One closed surface of one material, world frame, mm."""
+
+    #: the part's name in a group, else the specimen's kind
+    name: str
+    mesh: trimesh.Trimesh
+    #: None where the experiment names none
+    material: Material | None
+
+
+def bodies(specimen: Specimen, touched_z_mm: float = 0.0) -> tuple[Body, ...]:
+    """Return the parts of a specimen at first touch, world frame, mm.
+
+    Parameters
+    ----------
+    specimen : Specimen
+        Configured specimen; its pose is honoured.
+    touched_z_mm : float, mm
+        World z of the plane that the specimen touches from below, as for `specimen_mesh`.
+
+    Returns
+    -------
+    tuple of Body
+        One per part of a group, in the file's order; a part without a material has the group's.
+        Overlapping parts stay separate here. Every other kind is one body, named by its kind.
+    """
+    shape = shape_of(specimen)
+    if not isinstance(specimen, Group) or not isinstance(shape, Assembly):
+        kind = str(getattr(specimen, "kind", type(specimen).__name__))
+        return (Body(kind, shape.mesh(touched_z_mm), specimen.material),)
+    return tuple(
+        Body(name, placed.mesh(touched_z_mm), part.material or specimen.material)
+        for (name, part), placed in zip(specimen.parts.items(), shape.parts, strict=True)
     )

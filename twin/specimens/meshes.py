@@ -1,22 +1,25 @@
-"""Specimens given as a triangle mesh: a file, or a grating made here."""
+"""Specimens given as a triangle mesh: a closed surface from a file, or a grating made here."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 import trimesh
 
 from reconstruction.arrays import FloatArray
+from reconstruction.errors import InputError
+from twin.assets import mesh_path
 from twin.config.models import Grating, MeshFile
 from twin.specimens.catalogue import Sphere, register
 from twin.specimens.distance import BoxDistance, SignedDistance
-from twin.specimens.mesh_file import read_closed_mesh
-from twin.specimens.pose import UNMOVED, Pose
+from twin.specimens.pose import UNMOVED, Placement
 from twin.specimens.raster import upper_side
 from twin.specimens.sampled_distance import MeshDistance
 from twin.specimens.solids import rounded_box
 
+_FILE_TYPES = (".stl", ".ply", ".obj")
 _STEPS_PER_PITCH = 48
 _BODY_MM = 2.0
 # Rows: the file's axes that become x, y and z, for each axis that may face the elastomer.
@@ -30,6 +33,46 @@ _UP = {
 }
 
 
+def read_closed_mesh(key: str, name: str) -> trimesh.Trimesh:
+    """Read a closed surface.
+
+    Parameters
+    ----------
+    key : str
+        Key of the experiment file that names it, for messages.
+    name : str
+        Path of an STL, PLY or OBJ file; `scenes/...` finds shipped ones too.
+
+    Raises
+    ------
+    InputError
+        The file is missing, no mesh, empty or not watertight.
+    """
+    path = _find(key, name)
+    try:
+        surface = trimesh.load_mesh(path)
+    except Exception as error:  # each of trimesh's readers raises its own
+        raise InputError(f"{key}: {path}: cannot be read ({error})") from error
+    if not isinstance(surface, trimesh.Trimesh) or surface.is_empty:
+        raise InputError(f"{key}: {path}: holds no triangles")
+    if not surface.is_watertight:
+        edges = len(trimesh.grouping.group_rows(surface.edges_sorted, require_count=1))
+        raise InputError(
+            f"{key}: {path}: not watertight ({edges} open edges); close it, for example "
+            "with pytetwild or the repair tool of your mesh editor"
+        )
+    return surface
+
+
+def _find(key: str, name: str) -> Path:
+    path = mesh_path(name)
+    if not path.is_file():
+        raise InputError(f"{key}: {name}: no such file")
+    if path.suffix.lower() not in _FILE_TYPES:
+        raise InputError(f"{key}: {name}: not a mesh, allowed: {', '.join(_FILE_TYPES)}")
+    return path
+
+
 @dataclass(frozen=True, eq=False)
 class MeshShape:
     """A closed surface of triangles."""
@@ -37,9 +80,9 @@ class MeshShape:
     #: the surface in the frame in which it was made
     body: trimesh.Trimesh
     #: how it was moved since
-    pose: Pose = UNMOVED
+    pose: Placement = UNMOVED
     #: its distance in a pose in closed form, where there is one
-    exact: Callable[[Pose], SignedDistance] | None = None
+    exact: Callable[[Placement], SignedDistance] | None = None
 
     @cached_property
     def surface(self) -> trimesh.Trimesh:
@@ -58,7 +101,7 @@ class MeshShape:
         """Height of the vertex farthest back."""
         return float(self.surface.bounds[0, 2])
 
-    def placed(self, pose: Pose) -> "MeshShape":
+    def placed(self, pose: Placement) -> "MeshShape":
         """Return the surface moved."""
         return replace(self, pose=self.pose.then(pose))
 
@@ -92,7 +135,7 @@ def block(
     """Return a block between two opposite corners, its edges rounded."""
     low, high = np.array(low_mm), np.array(high_mm)
 
-    def exact(pose: Pose) -> SignedDistance:
+    def exact(pose: Placement) -> SignedDistance:
         middle = pose.apply((low + high) / 2)
         return BoxDistance(middle, pose.rotation, (high - low) / 2, edge_radius_mm)
 

@@ -12,7 +12,7 @@ AnySpecimen = TypeVar("AnySpecimen", bound=Specimen)
 
 
 @dataclass(frozen=True, eq=False)
-class Pose:
+class Placement:
     """A rotation and a shift."""
 
     #: (3, 3) rotation
@@ -25,9 +25,9 @@ class Pose:
         moved: FloatArray = points_mm @ self.rotation.T + self.shift_mm
         return moved
 
-    def then(self, later: "Pose") -> "Pose":
+    def then(self, later: "Placement") -> "Placement":
         """Return this motion followed by another."""
-        return Pose(later.rotation @ self.rotation, later.apply(self.shift_mm))
+        return Placement(later.rotation @ self.rotation, later.apply(self.shift_mm))
 
     @property
     def matrix(self) -> FloatArray:
@@ -37,7 +37,7 @@ class Pose:
         return matrix
 
 
-UNMOVED = Pose(np.eye(3), np.zeros(3))
+UNMOVED = Placement(np.eye(3), np.zeros(3))
 
 
 def unposed(specimen: AnySpecimen) -> AnySpecimen:
@@ -45,16 +45,16 @@ def unposed(specimen: AnySpecimen) -> AnySpecimen:
     return type(specimen)(**specimen.model_dump(exclude=set(Specimen.model_fields)))
 
 
-def raised(height_mm: float) -> Pose:
+def raised(height_mm: float) -> Placement:
     """Return a shift along z."""
-    return Pose(np.eye(3), np.array([0.0, 0.0, height_mm]))
+    return Placement(np.eye(3), np.array([0.0, 0.0, height_mm]))
 
 
-def pose_of(specimen: Specimen) -> Pose:
+def pose_of(specimen: Specimen) -> Placement:
     """Return a specimen's own pose: tilt about its y axis, yaw about z, then shift in the plane."""
     tilt, yaw = np.deg2rad(specimen.tilt_deg), np.deg2rad(specimen.yaw_deg)
     c, s = np.cos(tilt), np.sin(tilt)
     tilted = np.array([[c, 0.0, -s], [0.0, 1.0, 0.0], [s, 0.0, c]])
     c, s = np.cos(yaw), np.sin(yaw)
     turned = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-    return Pose(turned @ tilted, np.array([specimen.x_mm, specimen.y_mm, 0.0]))
+    return Placement(turned @ tilted, np.array([specimen.x_mm, specimen.y_mm, 0.0]))

@@ -16,7 +16,7 @@ import trimesh
 
 from reconstruction.arrays import FloatArray
 from twin.specimens.distance import Evaluation, compiled, over_points
-from twin.specimens.pose import Pose
+from twin.specimens.pose import Placement
 from twin.specimens.triangle_crossings import Columns
 from twin.specimens.triangle_distance import (
     IntArray,
@@ -44,7 +44,7 @@ class MeshDistance:
 
     #: in the frame in which it was made: poses share its samples
     body: trimesh.Trimesh
-    pose: Pose
+    pose: Placement
     pitch_mm: float = PITCH_MM
 
     def evaluate(self, points_mm: FloatArray, reach_mm: float) -> Evaluation:
@@ -99,7 +99,7 @@ class SampledField:
         self._tree, self._pitch_mm, self._lock = tree, pitch_mm, Lock()
         self._begin(_MARGIN_MM)
 
-    def evaluate(self, points_mm: FloatArray, reach_mm: float, pose: Pose) -> Evaluation:
+    def evaluate(self, points_mm: FloatArray, reach_mm: float, pose: Placement) -> Evaluation:
         """Return distance, gradient and Hessian of the mesh in a pose, see `SignedDistance`."""
         points = np.ascontiguousarray(points_mm, dtype=np.float64)
         with self._lock:

@@ -5,6 +5,7 @@ from itertools import product
 
 import manifold3d
 import numpy as np
+import numpy.typing as npt
 import trimesh
 
 from reconstruction.arrays import FloatArray
@@ -125,6 +126,14 @@ def _from_manifold(body: manifold3d.Manifold) -> trimesh.Trimesh:
     return trimesh.Trimesh(
         np.array(mesh.vert_properties[:, :3]), np.array(mesh.tri_verts, np.int64), process=False
     )
+
+
+def grid_facets(rows: int, cols: int) -> npt.NDArray[np.int64]:
+    """Return (2 (rows-1) (cols-1), 3) vertex indices, counter-clockwise seen from +z."""
+    corner = np.arange(rows * cols).reshape(rows, cols)[:-1, :-1, None]
+    two_triangles = np.array([0, 1, cols + 1, 0, cols + 1, cols])
+    facets: npt.NDArray[np.int64] = (corner + two_triangles).reshape(-1, 3)
+    return facets
 
 
 def arc(

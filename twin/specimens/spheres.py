@@ -13,7 +13,7 @@ from reconstruction.arrays import FloatArray
 from twin.config.models import Ball, TwoBalls
 from twin.specimens.catalogue import Sphere, register
 from twin.specimens.distance import BallDistance, SignedDistance
-from twin.specimens.pose import Pose
+from twin.specimens.pose import Placement
 
 # Level 6 has 82 k facets; its chords stay within 0.3 um of a 4 mm ball.
 _SUBDIVISIONS = 6
@@ -36,7 +36,7 @@ class SphereCluster:
         """Height of the point farthest back."""
         return min(ball.z_mm - ball.radius_mm for ball in self.balls)
 
-    def placed(self, pose: Pose) -> "SphereCluster":
+    def placed(self, pose: Placement) -> "SphereCluster":
         """Return the balls moved."""
         moved = [pose.apply(_centre(ball)) for ball in self.balls]
         return SphereCluster(

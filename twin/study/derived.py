@@ -22,8 +22,7 @@ import numpy as np
 
 from twin.config import Experiment
 from twin.config.specimens import Grating
-from twin.mechanics.contact_transfer import pitch_at
-from twin.mechanics.ridge_transfer import Ridges, ridge_height_mm
+from twin.mechanics.contact_transfer import Ridges, pitch_at, ridge_height_mm
 from twin.mechanics.transfer import opposite_transfer
 from twin.specimens import shape_of
 

@@ -5,10 +5,10 @@ from itertools import chain
 
 from reconstruction.errors import InputError
 from twin.config import ConfigError
-from twin.modalities.measuring import check_measurable
+from twin.pipeline.methods import check_measurable
+from twin.pipeline.reads import Path, Reads, values_at, watched
 from twin.study.cases import Case, cases_of
 from twin.study.design import Point
-from twin.study.reads import Path, Reads, values_at, watched
 from twin.study.record import StudyRecord
 
 

@@ -14,7 +14,7 @@ from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field
 
 from reconstruction.errors import InputError
-from twin.modalities.progress import Watcher, nobody
+from twin.pipeline.progress import Watcher, nobody
 from twin.study.cases import Case
 from twin.study.measuring import CaseMeasurer, StageReads
 from twin.study.order import batches_of, in_sharing_order
@@ -30,7 +30,7 @@ _WAIT_FOR_OTHERS_S = 0.2
 
 
 @dataclass(frozen=True)
-class Outcome:
+class SweepOutcome:
     """What a run did.
 
     Attributes
@@ -53,7 +53,7 @@ class Outcome:
     damaged: Mapping[str, str] = field(default_factory=dict)
 
     @classmethod
-    def together(cls, parts: Sequence["Outcome"]) -> "Outcome":
+    def together(cls, parts: Sequence["SweepOutcome"]) -> "SweepOutcome":
         """Return what several runs, one after another, did."""
         states: Counter[State] = Counter()
         for part in parts:
@@ -89,7 +89,7 @@ class Run:
     _total: int = 0
     _deaths: int = 0
 
-    def __call__(self, cases: Iterable[Case]) -> Outcome:
+    def __call__(self, cases: Iterable[Case]) -> SweepOutcome:
         """Compute what is not in the store yet.
 
         Raises
@@ -106,7 +106,7 @@ class Run:
         if missing:
             self._run(missing)
         states = Counter(report.state for report in self._reports.values())
-        return Outcome(
+        return SweepOutcome(
             states=states,
             unsaved={r.digest: r.reason for r in self._reports.values() if r.state == "unsaved"},
             seconds=time.perf_counter() - start,

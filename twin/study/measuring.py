@@ -5,22 +5,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from reconstruction.capture.folder import write_capture
 from twin.config import Experiment
-from twin.modalities import measure, measure_photometric
-from twin.modalities.measurement import Measurement
-from twin.modalities.photometric_stereo import PhotometricMeasurement
-from twin.modalities.photometric_storage import photometric_figures, write_heights, write_seen
-from twin.modalities.score import metrics
-from twin.modalities.storage import (
-    CAPTURE_FOLDER,
-    press_metrics,
-    recording_metrics,
-    write_pressed,
-    write_reconstructed,
-)
-from twin.study.reads import Path as FieldPath
-from twin.study.stages import ContactStages, Staged
+from twin.pipeline import Memory, measure
+from twin.pipeline.reads import Path as FieldPath
+from twin.results.folder import write_kept
 
 Figures = dict[str, Any]
 StageReads = tuple[tuple[FieldPath, ...], ...]
@@ -50,7 +38,7 @@ class CaseMeasurer:
     """
 
     keep: tuple[str, ...] = ()
-    stages: ContactStages = field(default_factory=ContactStages)
+    memory: Memory = field(default_factory=Memory)
 
     def __call__(self, experiment: Experiment) -> Answer:
         """Measure one case.
@@ -62,39 +50,9 @@ class CaseMeasurer:
         MissingBackend
             No usable Dr.Jit backend.
         """
-        if experiment.modality == "photometric_stereo":
-            return self._of_colours(measure_photometric(experiment))
-        if experiment.modality == "direct_fpp":
-            return self._of_fringes(measure(experiment))
-        return self._of_fringes(self.stages.measure(experiment))
+        done = measure(experiment, memory=self.memory)
+        return Answer(done.figures, lambda folder: write_kept(folder, done, self.keep))
 
     def reads(self) -> StageReads:
         """Fields that each stage looked at for the latest case, first stage first."""
-        return tuple(paths for _, _, _, paths in self.stages.stages())
-
-    def _of_fringes(self, done: Measurement | Staged) -> Answer:
-        figures: Figures = {"warnings": []}
-        if done.pressed is not None:
-            figures = press_metrics(done.pressed)
-        figures |= recording_metrics(done.recording) | metrics(done.score)
-        return Answer(figures, lambda folder: self._write_fringes(folder, done))
-
-    def _write_fringes(self, folder: Path, done: Measurement | Staged) -> None:
-        if "press" in self.keep and done.pressed is not None:
-            write_pressed(folder, done.pressed)
-        if "capture" in self.keep:
-            (folder / CAPTURE_FOLDER).mkdir()
-            write_capture(folder / CAPTURE_FOLDER, done.recording.capture)
-        if "points" in self.keep:
-            write_reconstructed(folder, done.reconstruction)
-
-    def _of_colours(self, done: PhotometricMeasurement) -> Answer:
-        return Answer(photometric_figures(done), lambda folder: self._write_colours(folder, done))
-
-    def _write_colours(self, folder: Path, done: PhotometricMeasurement) -> None:
-        if "press" in self.keep:
-            write_pressed(folder, done.pressed)
-        if "capture" in self.keep:
-            write_seen(folder, done)
-        if "points" in self.keep:
-            write_heights(folder, done)
+        return tuple(paths for _, _, _, paths in self.memory.stages())

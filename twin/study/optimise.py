@@ -21,7 +21,7 @@ from twin.study.best import is_number
 from twin.study.cases import Case, Cases, cases_of, quantity
 from twin.study.derived import DERIVED, with_derived
 from twin.study.design import Point
-from twin.study.engine import Outcome
+from twin.study.engine import SweepOutcome
 from twin.study.record import StudyRecord
 from twin.study.store import Store
 
@@ -30,11 +30,11 @@ if TYPE_CHECKING:
 
 _MOST_ASKED = 200  # for one point
 
-RunCases = Callable[[StudyRecord, Cases], Outcome]
+RunCases = Callable[[StudyRecord, Cases], SweepOutcome]
 """Computes the cases that the store lacks, and keeps the record."""
 
 
-def optimise(record: StudyRecord, folder: Path, run: RunCases) -> list[Outcome]:
+def optimise(record: StudyRecord, folder: Path, run: RunCases) -> list[SweepOutcome]:
     """Search until as many points as there are trials are measured.
 
     Parameters
@@ -57,7 +57,7 @@ def optimise(record: StudyRecord, folder: Path, run: RunCases) -> list[Outcome]:
         raise InputError(f"{record.study.name}: has no [optimise]; use twin sweep as it is")
     if len(record.study.modalities) > 1:
         raise InputError("modalities: an optimiser takes one; make them an axis of choices")
-    search, points, outcomes = _search(record.study, plan), list[Point](), list[Outcome]()
+    search, points, outcomes = _search(record.study, plan), list[Point](), list[SweepOutcome]()
     while len(points) < plan.trials:
         count = min(plan.batch, plan.trials - len(points))
         asked = [_ask(search, record) for _ in range(count)]

@@ -8,16 +8,20 @@ from collections.abc import Callable, Hashable, Sequence
 from itertools import groupby
 
 from twin.config import Experiment
+from twin.pipeline.reads import values_at
 from twin.study.cases import Case
 from twin.study.measuring import StageReads
-from twin.study.reads import values_at
 
 Key = tuple[Hashable, ...]
 BATCHES_PER_WORKER = 6
 
 
 def in_sharing_order(cases: Sequence[Case], reads: StageReads) -> list[tuple[Key, Case]]:
-    """Sort cases by what each stage would see of them; the first of a kind keeps its place."""
+    """Sort cases by what each stage would see of them; the first of a kind keeps its place.
+
+    Methods have stages of the same name, but share few: their cases are kept apart first.
+    """
+    reads = ((("modality",),), *reads)
     ranks: list[dict[Hashable, int]] = [{} for _ in reads]
     keyed = []
     for case in cases:

@@ -5,10 +5,8 @@ same path and so with the same bytes, and what it draws is kept as DIR/pictures/
 again it needs no renderer.
 """
 
-import os
 import zipfile
 from collections.abc import Iterable
-from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -16,18 +14,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from reconstruction.disk import unwritable
 from reconstruction.errors import InputError
 from twin.config import Experiment
-from twin.modalities import measure, measure_photometric
-from twin.modalities.measurement import Measurement
-from twin.modalities.photometric_score import wanted_of
-from twin.modalities.photometric_stereo import PhotometricMeasurement
-from twin.modalities.progress import Watcher, nobody
-from twin.modalities.score import wanted_pixels
-from twin.optics.rig import camera_pinhole
+from twin.output import replacing
+from twin.pipeline import Memory, measure
+from twin.pipeline.progress import Watcher, nobody
+from twin.results.record import Measurement
+from twin.results.score import wanted_pixels
 from twin.study.cases import Case
-from twin.study.stages import ContactStages, Staged
 from twin.study.store import Store
 
 _FOLDER = "pictures"
@@ -75,10 +69,10 @@ def pictures_of(
     """
     found: dict[str, CasePicture] = {}
     failed: dict[str, str] = {}
-    wanted, stages = list(cases), ContactStages()
+    wanted, memory = list(cases), Memory()
     for number, case in enumerate(wanted, start=1):
         try:
-            found[case.digest] = _picture(store, case, stages)
+            found[case.digest] = _picture(store, case, memory)
         except InputError as error:
             failed[case.digest] = str(error)
         except RuntimeError as error:
@@ -89,18 +83,18 @@ def pictures_of(
     return found, failed
 
 
-def _picture(store: Store, case: Case, stages: ContactStages) -> CasePicture:
+def _picture(store: Store, case: Case, memory: Memory) -> CasePicture:
     path = store.folder / _FOLDER / f"{case.digest}.npz"
     kept = read_picture(path)
     if kept is not None:
         return kept
     store.check_versions()  # other versions would measure something else than the table tells
-    picture = take_picture(case.experiment, stages)
+    picture = take_picture(case.experiment, memory)
     write_picture(path, picture)
     return picture
 
 
-def take_picture(experiment: Experiment, stages: ContactStages) -> CasePicture:
+def take_picture(experiment: Experiment, memory: Memory) -> CasePicture:
     """Measure a case as its study did, and thin it out.
 
     Raises
@@ -110,67 +104,27 @@ def take_picture(experiment: Experiment, stages: ContactStages) -> CasePicture:
     MissingBackend
         No usable Dr.Jit backend.
     """
-    if experiment.modality == "photometric_stereo":
-        return _of_colours(experiment, measure_photometric(experiment))
-    if experiment.modality == "direct_fpp":
-        return _of_fringes(experiment, measure(experiment))
-    return _of_fringes(experiment, stages.measure(experiment))
+    return picture_of(measure(experiment, memory=memory))
 
 
-def _of_fringes(experiment: Experiment, done: Measurement | Staged) -> CasePicture:
-    capture, truth = done.recording.capture, done.recording.truth
-    points = done.reconstruction.point_map
-    first = capture.patterns.index("phase", "column").start
-    share = capture.stack[first] / np.float32(capture.sensor.saturation_dn)
-    z_mm, true_z_mm = points.points_world_mm[..., 2], truth.points_world_mm[..., 2]
-    pixel_mm = experiment.camera.pose.standoff_mm / camera_pinhole(experiment.camera).fx_px
-    return _thinned(
-        seen=np.rint(255 * np.clip(share, 0.0, 1.0)).astype(np.uint8),
-        z_mm=z_mm,
-        measured=points.valid,
-        true_z_mm=true_z_mm,
-        there=truth.depth_mm > 0,
-        scored=points.valid & wanted_pixels(experiment, truth),
-        width_mm=pixel_mm * z_mm.shape[1],
-    )
-
-
-def _of_colours(experiment: Experiment, done: PhotometricMeasurement) -> CasePicture:
-    heights, truth = done.heights, done.truth
-    return _thinned(
-        seen=done.image,
-        z_mm=heights.height_mm,
-        measured=heights.valid,
-        true_z_mm=truth.points_world_mm[..., 2],
-        there=truth.measured,
-        scored=heights.valid & wanted_of(experiment, truth),
-        width_mm=heights.pitch_mm * heights.height_mm.shape[1],
-    )
-
-
-def _thinned(
-    *,
-    seen: NDArray[np.uint8],
-    z_mm: NDArray[np.floating],
-    measured: NDArray[np.bool_],
-    true_z_mm: NDArray[np.floating],
-    there: NDArray[np.bool_],
-    scored: NDArray[np.bool_],
-    width_mm: float,
-) -> CasePicture:
+def picture_of(done: Measurement) -> CasePicture:
     """Average the image; take every n-th height, which must not be averaged across edges."""
+    points, truth = done.points, done.truth
+    z_mm, true_z_mm = points.world_mm[..., 2], truth.points_world_mm[..., 2]
+    scored = points.valid & wanted_pixels(done.experiment, truth)
     step = -(-max(z_mm.shape) // _MOST_PX)
     error_um = np.where(scored, 1e3 * (z_mm.astype(np.float64) - true_z_mm), 0.0)
-    size = -(-seen.shape[1] // step), -(-seen.shape[0] // step)
+    size = -(-z_mm.shape[1] // step), -(-z_mm.shape[0] // step)
+    there = truth.depth_mm > 0
     ends = (true_z_mm[there].min(), true_z_mm[there].max()) if there.any() else (0.0, 1.0)
     return CasePicture(
-        seen=np.asarray(cv2.resize(seen, size, interpolation=cv2.INTER_AREA), np.uint8),
-        z_mm=np.where(measured, z_mm, 0.0)[::step, ::step].astype(np.float32),
-        measured=measured[::step, ::step],
+        seen=np.asarray(cv2.resize(done.picture, size, interpolation=cv2.INTER_AREA), np.uint8),
+        z_mm=np.where(points.valid, z_mm, 0.0)[::step, ::step].astype(np.float32),
+        measured=points.valid[::step, ::step],
         error_um=error_um[::step, ::step].astype(np.float32),
         scored=scored[::step, ::step],
         true_z_mm=np.array(ends, np.float64),
-        width_mm=np.array(width_mm, np.float64),
+        width_mm=np.array(done.pixel_mm * z_mm.shape[1], np.float64),
     )
 
 
@@ -182,16 +136,10 @@ def write_picture(path: Path, picture: CasePicture) -> None:
     InputError
         It cannot be written.
     """
-    part = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
+    with replacing(path) as part:
         path.parent.mkdir(exist_ok=True)
         with part.open("wb") as file:
             np.savez_compressed(file, **asdict(picture))
-        part.replace(path)
-    except OSError as error:
-        with suppress(OSError):
-            part.unlink()
-        raise unwritable(path, error) from None
 
 
 def read_picture(path: Path) -> CasePicture | None:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from twin.config.study import Study
 from twin.study.best import is_number
 from twin.study.design import shares_of
-from twin.study.table import Table
+from twin.study.table import StudyTable
 
 Values = NDArray[np.float64]
 _DRAWS = 1000
@@ -43,7 +43,7 @@ class Effect:
     total: float | None = None
 
 
-def effects_of(table: Table, metric: str) -> list[Effect]:
+def effects_of(table: StudyTable, metric: str) -> list[Effect]:
     """Return the effect of every axis on a figure; empty where the points cannot tell.
 
     Points without the figure (failed, missing, or nothing measured: see `without`) are left out of
@@ -64,12 +64,12 @@ def effects_of(table: Table, metric: str) -> list[Effect]:
     return morris_effects(values.reshape(-1, len(axes) + 1), walks, axes)
 
 
-def without(table: Table, metric: str) -> int:
+def without(table: StudyTable, metric: str) -> int:
     """Count the cases that lack a figure and are left out of its effects."""
     return sum(not is_number(row.get(metric)) for row in table.rows)
 
 
-def _by_point(table: Table, study: Study, metric: str) -> Values | None:
+def _by_point(table: StudyTable, study: Study, metric: str) -> Values | None:
     """Figure of every point in order, NaN where it is missing; None if points were excluded."""
     repeats = study.repeats * max(1, len(study.modalities))
     found = np.array([_number(row.get(metric)) for row in table.rows])
@@ -82,7 +82,7 @@ def _number(value: object) -> float:
     return float(value) if is_number(value) else np.nan
 
 
-def _grid_effects(table: Table, axes: Sequence[str], metric: str) -> list[Effect]:
+def _grid_effects(table: StudyTable, axes: Sequence[str], metric: str) -> list[Effect]:
     rows = [row for row in table.done() if is_number(row.get(metric))]
     values = np.array([float(row[metric]) for row in rows])
     if len(values) < 2 or np.ptp(values) == 0.0:

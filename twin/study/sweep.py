@@ -12,11 +12,11 @@ from reconstruction.errors import InputError
 from twin.config import Experiment
 from twin.config.study import Study
 from twin.mechanics.choice import may_wrap
-from twin.modalities.progress import Watcher, nobody
 from twin.optics.light import pattern_set
 from twin.output import read_json
+from twin.pipeline.progress import Watcher, nobody
 from twin.study.cases import Case, Cases
-from twin.study.engine import Outcome, Run
+from twin.study.engine import Run, SweepOutcome
 from twin.study.index import DAMAGED, Index, entry_of
 from twin.study.measuring import CaseMeasurer
 from twin.study.optimise import optimise
@@ -144,7 +144,7 @@ def sweep(
     watch: Watcher = nobody,
     make_measurer: Callable[[tuple[str, ...]], Measurer] = CaseMeasurer,
     inputs: Sequence[Path] = (),
-) -> Outcome:
+) -> SweepOutcome:
     """Compute all cases of a study that its store lacks.
 
     Parameters
@@ -177,7 +177,7 @@ def sweep(
     with _tidied(store), lasting(workers) as kept:
         compute = Run(store, kept, record.study.keep, make_measurer, watch, index.enter)
 
-        def run(of: StudyRecord, batch: Cases) -> Outcome:
+        def run(of: StudyRecord, batch: Cases) -> SweepOutcome:
             write_record(folder, of)
             wanted = batch.unique()
             asked.extend(case.digest for case in wanted)
@@ -186,7 +186,7 @@ def sweep(
             return compute(wanted)
 
         if record.study.sampling.method == "optimise":
-            outcome = Outcome.together(optimise(record, folder, run))
+            outcome = SweepOutcome.together(optimise(record, folder, run))
         else:
             outcome = run(record, cases or record.cases())
     return replace(outcome, damaged=damaged, **_standing(index, asked))

@@ -9,8 +9,8 @@ from typing import Any
 
 from reconstruction.errors import InputError
 from twin.config.study import Constraint
-from twin.modalities.score import why_absent
 from twin.output import creating
+from twin.results.score import why_absent
 from twin.study.cases import Case, meets
 from twin.study.derived import DERIVED, with_derived
 from twin.study.index import Entry, Index
@@ -21,7 +21,7 @@ _HEAD = ("case", "state", "reason", "feasible")
 
 
 @dataclass(frozen=True, eq=False)
-class Table:
+class StudyTable:
     """Settings and figures of all cases of a study.
 
     Attributes
@@ -49,7 +49,7 @@ class Table:
         return [row for row in self.rows if row["state"] == "done"]
 
 
-def read_table(folder: Path) -> Table:
+def read_table(folder: Path) -> StudyTable:
     """Read the table of a store's latest study.
 
     Raises
@@ -66,7 +66,7 @@ def read_table(folder: Path) -> Table:
     metrics = _metrics(record, cases, entries)
     bounds = record.study.constraint
     rows = tuple(_row(case, entries.get(case.digest), bounds) for case in cases)
-    return Table(record, axes, metrics, rows, cases)
+    return StudyTable(record, axes, metrics, rows, cases)
 
 
 def _metrics(
@@ -112,7 +112,7 @@ def _cell(value: Any) -> Any:
     return "; ".join(map(str, value)) if isinstance(value, list) else value
 
 
-def csv_text(table: Table) -> str:
+def csv_text(table: StudyTable) -> str:
     """Return the table as CSV (RFC 4180); numbers with all their digits."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
@@ -122,7 +122,7 @@ def csv_text(table: Table) -> str:
     return text.getvalue()
 
 
-def write_csv(table: Table, path: Path) -> None:
+def write_csv(table: StudyTable, path: Path) -> None:
     """Write the table as CSV in UTF-8.
 
     Raises
@@ -140,7 +140,7 @@ def _text(value: Any) -> str:
     return repr(value) if isinstance(value, float) else str(value)
 
 
-def write_parquet(table: Table, path: Path) -> None:
+def write_parquet(table: StudyTable, path: Path) -> None:
     """Write the table as Parquet.
 
     Raises

@@ -15,7 +15,7 @@ from reconstruction.cores import threads
 from reconstruction.disk import is_disk_full
 from reconstruction.errors import InputError
 from twin.config import Experiment
-from twin.modalities.storage import write_result, write_timings
+from twin.results.parts import write_result, write_timings
 from twin.study.measuring import Answer, CaseMeasurer, StageReads
 from twin.study.store import Store, write_failure
 
@@ -112,7 +112,7 @@ def die_with(parent: int) -> None:
 @lru_cache(maxsize=1)  # it holds stacks of frames
 def _measurer(make: Callable[[tuple[str, ...]], Measurer], keep: tuple[str, ...]) -> Measurer:
     if isinstance(make, type) and issubclass(make, CaseMeasurer):
-        from twin.optics.threads import use_threads
+        from twin.optics.backend import use_threads
 
         use_threads(threads())  # the renderer does not look at the environment
     return make(keep)

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from twin.mechanics.reference.axisymmetric import Resolution, RoundSlab, press_axisymmetric
+from tests.oracles.axisymmetric import Resolution, RoundSlab, press_axisymmetric
 
 STORED = Path(__file__).with_name("neo_hookean.json")
 CASES = {

@@ -30,11 +30,9 @@ from tests.mechanics.solids_in_space import (
     wrapped,
 )
 from twin.mechanics.reference import newton
-from twin.mechanics.reference.grid import Grid, Surface, graded
-from twin.mechanics.reference.material import moduli, neo_hookean
-from twin.mechanics.reference.mixed import Body
-from twin.mechanics.reference.newton import Equilibrium, NewtonOptions, Problem, press_to
-from twin.mechanics.reference.pushed import push
+from twin.mechanics.reference.grid import ElementGrid, Surface, graded
+from twin.mechanics.reference.mixed import MixedBody, moduli, neo_hookean
+from twin.mechanics.reference.newton import Equilibrium, NewtonOptions, Problem, press_to, push
 from twin.specimens.distance import SignedDistance
 
 STORED = Path(__file__).with_name("solid_in_space.json")
@@ -92,8 +90,8 @@ class DistanceContact:
 def solve(case: SpaceCase, mesh: Mesh) -> list[dict]:
     """Return force and upper face at the case's travels."""
     x, y = (_edges(focus, mesh) for focus in FOCUS_MM)
-    grid = Grid((x, y, graded(case.thickness_mm, mesh.through, 1.1)))
-    body = Body(grid, neo_hookean, moduli(POISSON_RATIO))
+    grid = ElementGrid((x, y, graded(case.thickness_mm, mesh.through, 1.1)))
+    body = MixedBody(grid, neo_hookean, moduli(POISSON_RATIO))
     surface, free = grid.surface(4), _free(grid)
     penalty = PENALTY_OVER_SHEAR * body.moduli.shear / mesh.finest_mm
     rest = np.zeros_like(surface.weight_mm2)

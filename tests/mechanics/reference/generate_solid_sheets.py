@@ -15,14 +15,12 @@ from pathlib import Path
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from tests.oracles.ball_contact import BallContact
 from tests.oracles.sections import bar_section
 from twin.mechanics.errors import SolverError
-from twin.mechanics.reference.ball_contact import BallContact
-from twin.mechanics.reference.grid import Grid, Surface, graded
-from twin.mechanics.reference.material import moduli, neo_hookean
-from twin.mechanics.reference.mixed import Body
-from twin.mechanics.reference.newton import Equilibrium, NewtonOptions, Problem, press_to
-from twin.mechanics.reference.pushed import push
+from twin.mechanics.reference.grid import ElementGrid, Surface, graded
+from twin.mechanics.reference.mixed import MixedBody, moduli, neo_hookean
+from twin.mechanics.reference.newton import Equilibrium, NewtonOptions, Problem, press_to, push
 
 STORED = Path(__file__).with_name("solid_sheets.json")
 RIM_MM, BALL_MM, TRAVELS_MM = 10.0, 4.0, (0.5, 1.0, 2.0)
@@ -120,8 +118,8 @@ def _body(case):
     finest = (0.03 if case.kind == "bar" else 0.05) / case.fineness
     through = math.ceil((3 if case.thickness_mm <= 0.3 else 6) * case.fineness)
     r = offset + _edges(case, focus, finest)
-    grid = Grid((r, graded(case.thickness_mm, through, 1.0 + 0.1 / case.fineness)))
-    return Body(grid, neo_hookean, moduli(POISSON_RATIO)), finest
+    grid = ElementGrid((r, graded(case.thickness_mm, through, 1.0 + 0.1 / case.fineness)))
+    return MixedBody(grid, neo_hookean, moduli(POISSON_RATIO)), finest
 
 
 def _edges(case, focus_mm, finest_mm):

@@ -16,10 +16,8 @@ from twin.mechanics.contact import solve_contact
 from twin.mechanics.control import DepthControl
 from twin.mechanics.layer import BondedLayer
 from twin.mechanics.reference import tetrahedra
-from twin.mechanics.reference.fem3d import press_pad
-from twin.mechanics.reference.fem_press import press_fem
-from twin.mechanics.reference.pad import Hold, Pad, facing, on_plane, slab_pad
-from twin.mechanics.reference.pad_mesh import mesh_pad
+from twin.mechanics.reference.fem import press_fem, press_pad
+from twin.mechanics.reference.pad import Hold, Pad, facing, mesh_pad, on_plane, slab_pad
 from twin.mechanics.reference.taylor_hood import ElasticBody
 from twin.mechanics.reference.tetrahedra import Tetrahedra, tetrahedralize
 from twin.specimens import shape_of

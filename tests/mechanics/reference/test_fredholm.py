@@ -5,11 +5,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.oracles.fredholm import LayerBase, layer_compliance, press_ball
 from twin.mechanics import PressError, SolverError
 from twin.mechanics.contact import solve_contact
 from twin.mechanics.control import DepthControl
 from twin.mechanics.layer import BondedLayer
-from twin.mechanics.reference.fredholm import LayerBase, layer_compliance, press_ball
 from twin.mechanics.transfer import solve_transfer
 
 RADIUS, THICKNESS = 4.0, 4.0

@@ -5,10 +5,9 @@ import pytest
 
 from twin.config.models import Ball, Elastomer, Press
 from twin.mechanics import PressError, press
-from twin.mechanics.reference.grid import Grid
-from twin.mechanics.reference.height_contact import HeightContact
+from twin.mechanics.reference.grid import ElementGrid
 from twin.mechanics.reference.height_field import sample
-from twin.mechanics.reference.thin_sheet import Bricks, press_neo_hookean
+from twin.mechanics.reference.neo_hookean import Bricks, HeightContact, press_neo_hookean
 from twin.specimens import shape_of
 
 SHEET = Elastomer(
@@ -30,7 +29,7 @@ def load(**prescribed: object) -> Press:
 @pytest.mark.parametrize("linear", [False, True])
 def test_contact_stiffness_is_the_forces_derivative(linear: bool) -> None:
     edge = np.linspace(-1, 1, 4)
-    grid = Grid((edge, edge, np.array([0.0, 1.0])))
+    grid = ElementGrid((edge, edge, np.array([0.0, 1.0])))
     surface = grid.surface(3)
     field = sample(shape_of(Ball()), 6.0, 6.0)
     carried = np.ones_like(surface.weight_mm2)

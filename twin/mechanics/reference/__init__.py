@@ -1,1 +1,1 @@
-"""Independent references for the spectral press: semi-analytic, large strain, finite elements."""
+"""Solid elements, the reference for the spectral press: large strain, and pads of any shape."""

@@ -44,7 +44,7 @@ class PointContact:
 
 
 @dataclass(frozen=True)
-class Points:
+class ContactPoints:
     """Where contact is possible."""
 
     #: (point, node) sparse: deflections of the face's nodes to those of the points
@@ -59,7 +59,7 @@ class Points:
 
 def press_points(
     deflect: Deflect,
-    points: Points,
+    points: ContactPoints,
     *,
     depth_mm: float | None = None,
     force_over_modulus_mm2: float | None = None,
@@ -70,7 +70,7 @@ def press_points(
     ----------
     deflect : callable
         Forces over modulus (point,) to deflections along the press (point,), mm; symmetric.
-    points : Points
+    points : ContactPoints
         Where contact is possible.
 
     Raises
@@ -114,7 +114,7 @@ class _ActiveSolve:
     """Forces on a given contact set."""
 
     def __init__(
-        self, deflect: Deflect, points: Points, active: BoolArray, tolerance: float
+        self, deflect: Deflect, points: ContactPoints, active: BoolArray, tolerance: float
     ) -> None:
         self.deflect, self.active, self.tolerance, self.loads = deflect, active, tolerance, 0
         trace = sparse.csr_array(points.trace[active])

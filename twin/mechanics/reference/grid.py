@@ -22,7 +22,7 @@ _SPATIAL = tuple((i, j) for i in range(3) for j in range(3))
 
 
 @dataclass(frozen=True)
-class Grid:
+class ElementGrid:
     """A rectangle grid (axisymmetric) or a brick grid, given by its element edges."""
 
     #: one ascending array per axis, mm
@@ -157,17 +157,6 @@ def graded(length_mm: float, count: int, ratio: float) -> FloatArray:
     steps = ratio ** np.arange(count)
     edges: FloatArray = np.concatenate(([0.0], np.cumsum(steps)))
     return edges * (length_mm / float(steps.sum()))
-
-
-def refined(fine_mm: float, length_mm: float, fine: int, coarse: int) -> FloatArray:
-    """Return edges on 0..length: `fine` equal steps up to fine_mm, then growing ones."""
-    step, rest = fine_mm / fine, length_mm - fine_mm
-    ratios = np.linspace(1.0, 8.0, 4000)
-    powers = ratios[:, None] ** np.arange(1, coarse + 1)
-    ratio = float(np.interp(rest, step * powers.sum(axis=1), ratios))
-    return np.concatenate(
-        (np.linspace(0, fine_mm, fine + 1), fine_mm + graded(rest, coarse, ratio)[1:])
-    )
 
 
 def _connect(counts: tuple[int, ...], order: int) -> IntArray:

@@ -1,6 +1,7 @@
-"""Press step by step: Newton's method with contact, inside an augmented Lagrangian loop.
+"""Press step by step: what contact does to a body, and Newton's method for where it comes to rest.
 
-Large steps converge, but into spurious pockets without contact near the axis (18 to 60 um at
+Newton's method with contact runs inside an augmented Lagrangian loop. Large steps
+converge, but into spurious pockets without contact near the axis (18 to 60 um at
 R 4, d 1). So a Newton step never moves a node by more than an element, and load steps are short.
 """
 
@@ -14,11 +15,62 @@ from scipy.sparse.linalg import splu
 from reconstruction.arrays import FloatArray
 from twin.mechanics.control import BoolArray
 from twin.mechanics.errors import SolverError
-from twin.mechanics.reference.grid import IntArray
-from twin.mechanics.reference.mixed import Body
-from twin.mechanics.reference.pushed import Pushed
+from twin.mechanics.reference.grid import IntArray, Surface
+from twin.mechanics.reference.mixed import MixedBody
 
 _LINEAR_RESIDUAL = 1e-6
+
+
+@dataclass(frozen=True)
+class Pushed:
+    """The action of a contact at one state, over Young's modulus."""
+
+    #: (displacement unknown,) force on the body
+    force: FloatArray
+    #: (displacement unknown, displacement unknown) its negative derivative
+    stiffness: sparse.csr_array
+    #: (point,) pressure and tangential stress per undeformed area
+    pressure: FloatArray
+    drag: FloatArray
+    #: force along the press, the last axis
+    along: float
+
+    @property
+    def active(self) -> BoolArray:
+        """(point,) where there is contact."""
+        return np.asarray(self.pressure > 0)
+
+
+def push(
+    surface: Surface,
+    traction: FloatArray,
+    stiffness: FloatArray,
+    pressure: FloatArray,
+    drag: FloatArray,
+) -> Pushed:
+    """Gather what acts at the points of a surface.
+
+    Parameters
+    ----------
+    surface : Surface
+        Points on the touched face.
+    traction : (point, axis) float
+        Per undeformed area.
+    stiffness : (point, axis, axis) float
+        Negative derivative of the traction by the point's position, per mm.
+    pressure, drag : (point,) float
+        Normal and tangential stress per undeformed area.
+    """
+    weight, wide = surface.weight_mm2, surface.vector_trace
+    points = np.arange(weight.size + 1)
+    blocks = sparse.bsr_array((stiffness * weight[:, None, None], points[:-1], points))
+    return Pushed(
+        force=wide.T @ (traction * weight[:, None]).ravel(),
+        stiffness=sparse.csr_array(wide.T @ blocks.tocsr() @ wide),
+        pressure=pressure,
+        drag=drag,
+        along=float(weight @ traction[:, -1]),
+    )
 
 
 class MovingContact(Protocol):
@@ -66,7 +118,7 @@ class NewtonOptions:
 class Problem:
     """A held body."""
 
-    body: Body
+    body: MixedBody
     #: (n,) unknowns that are not held
     free: IntArray
     options: NewtonOptions
@@ -160,7 +212,7 @@ def _solve(problem: Problem, start: Equilibrium) -> Equilibrium:
 
 
 def _residual(
-    body: Body, at: Equilibrium, frozen: BoolArray | None
+    body: MixedBody, at: Equilibrium, frozen: BoolArray | None
 ) -> tuple[FloatArray, sparse.csc_array, Pushed]:
     residual, tangent = body.assemble(at.state)
     pushed = at.contact.evaluate(body.displacement_mm(at.state), at.depth_mm, frozen)

@@ -22,7 +22,7 @@ _TOUCHING = 0.3
 # Height error over depth of the default bricks (spectral press at small strain, halved elements).
 _ELEMENT_ERROR = 5e-3
 
-Surface = Callable[[FloatArray, FloatArray], FloatArray]
+FaceHeight = Callable[[FloatArray, FloatArray], FloatArray]
 
 
 @dataclass(frozen=True)
@@ -30,8 +30,8 @@ class Scattered:
     """A solved press at points; lengths in mm, world frame."""
 
     #: world z of each face at points (...) of x and y
-    touched: Surface
-    coated: Surface
+    touched: FaceHeight
+    coated: FaceHeight
     #: (point, [x, y]), force over modulus and area in plan at the touched face's points
     at_mm: FloatArray
     force: FloatArray

@@ -17,7 +17,7 @@ from skfem.helpers import ddot, div, sym_grad
 
 from reconstruction.arrays import FloatArray
 from twin.mechanics.errors import PressError
-from twin.mechanics.reference.material import moduli
+from twin.mechanics.reference.mixed import moduli
 from twin.mechanics.reference.pad import Hold, Selector
 from twin.mechanics.reference.tetrahedra import IntArray, Tetrahedra
 

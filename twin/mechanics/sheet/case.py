@@ -10,11 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from twin.config.models import Elastomer, Mechanics, Press, Specimen
+from twin.mechanics.contact_transfer import finest_pitch_mm
 from twin.mechanics.errors import PressError
 from twin.mechanics.hardness import young_modulus
 from twin.mechanics.layouts import weight_kpa
 from twin.mechanics.press import check_outline
-from twin.mechanics.ridge_transfer import finest_pitch_mm
 from twin.mechanics.sheet.equilibrium import Bodies, Sheet
 from twin.mechanics.sheet.grid import Frame, sheet_grid, span_mm
 from twin.mechanics.sheet.laws import Laws

@@ -10,7 +10,7 @@ the right numbers is used. The finding is kept in the user's cache folder.
 library.
 """
 
-from twin.optics.backend.choice import activate, find_backend
-from twin.optics.backend.model import Backend, MissingBackend
+from twin.optics.backend.choice import activate, find_backend, use_threads
+from twin.optics.backend.probe import Backend, MissingBackend
 
-__all__ = ["Backend", "MissingBackend", "activate", "find_backend"]
+__all__ = ["Backend", "MissingBackend", "activate", "find_backend", "use_threads"]

@@ -5,12 +5,13 @@ import importlib.metadata
 import json
 import os
 import platform
-import tempfile
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from twin.optics.backend.model import CHOICE_VARIABLE, LIBRARY_VARIABLE, Backend, MissingBackend
+from reconstruction.errors import InputError
+from twin.optics.backend.probe import CHOICE_VARIABLE, LIBRARY_VARIABLE, Backend, MissingBackend
+from twin.output import replacing
 
 
 def cache_file() -> Path:
@@ -81,10 +82,9 @@ def remember(key: str, backend: Backend) -> None:
     }
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile("w", dir=path.parent, delete=False) as file:
-            json.dump(entries, file, indent=1)
-        Path(file.name).replace(path)
-    except OSError:
+        with replacing(path) as part:
+            part.write_text(json.dumps(entries, indent=1))
+    except (OSError, InputError):
         return
 
 

@@ -1,4 +1,4 @@
-"""Prove one candidate in a child process: a bad one aborts the child, not us."""
+"""A Dr.Jit backend, proved in a child process: a bad one aborts the child, not us."""
 
 import os
 import re
@@ -6,12 +6,51 @@ import signal
 import subprocess
 import sys
 import tempfile
+from dataclasses import dataclass
 from pathlib import Path
 
-from twin.optics.backend.model import LIBRARY_VARIABLE, Backend, MissingBackend, Refusal
-
+LLVM_VARIANT = "llvm_ad_mono"
+CUDA_VARIANT = "cuda_ad_mono"
+LIBRARY_VARIABLE = "DRJIT_LIBLLVM_PATH"
+CHOICE_VARIABLE = "TWIN_BACKEND"
+ADVICE = "install LLVM 17 or newer (Debian, Ubuntu: apt-get install libllvm19)"
 _PROBE_TIMEOUT_S = 180.0  # the first OptiX start on a cold machine takes about a minute
 _VERSION_LINE = re.compile(r"^backend version (\S+)$", re.MULTILINE)  # among Mitsuba's own output
+
+
+class MissingBackend(RuntimeError):  # noqa: N818  # it names what is missing
+    """No Dr.Jit backend works here; the message says in one line what to install."""
+
+
+@dataclass(frozen=True)
+class Backend:
+    """A Dr.Jit backend that ran the probe.
+
+    Parameters
+    ----------
+    variant : str
+        Mitsuba variant.
+    library : str or None
+        Path of libLLVM; None for CUDA.
+    version : str
+        Version of LLVM or of the CUDA driver interface.
+    """
+
+    variant: str
+    library: str | None
+    version: str
+
+    def __str__(self) -> str:
+        if self.library is None:
+            return f"{self.variant}, CUDA {self.version}"
+        return f"{self.variant}, LLVM {self.version}, {self.library}"
+
+
+@dataclass(frozen=True)
+class Refusal:
+    """Why a candidate is not used."""
+
+    reason: str
 
 
 def probe(

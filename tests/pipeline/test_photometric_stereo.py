@@ -1,0 +1,263 @@
+"""Photometric stereo through the whole twin: images like real units', heights like theirs.
+
+One sensor with few reference presses serves all tests; `benchmarks/gelsight.py` takes the full 50.
+"""
+
+import numpy as np
+import pytest
+
+from benchmarks.cap_height import cap_height_ratio
+from reconstruction.errors import InputError
+from reconstruction.photometric import PhotometricDecoder, PhotometricOptions
+from reconstruction.photometric.calibration_ball import (
+    ContactCircle,
+    ball_slopes,
+    find_contact_circle,
+)
+from reconstruction.photometric.images import smoothed
+from twin.camera import electrons_per_ms, full_well_e
+from twin.config import load_experiment, vary
+from twin.config.models import Ball
+from twin.mechanics import face_mesh
+from twin.pipeline import Memory, measure, press_specimen, take
+from twin.pipeline.colour_images import develop, fixed_exposure_ms, image_pinhole
+from twin.pipeline.colours import calibrated_sensor, with_ball
+from twin.results.folder import read_measurement, write_measurement
+
+FEW = {"photometric.presses.count": 24, "photometric.presses.smallest_diameter_mm": 5.5}
+BALL_MM, DEPTH_MM = 6.31, 0.7
+PLACES_MM = ((0.0, 0.0), (5.0, 2.5), (-4.0, -3.0))
+
+# Means over 3 x 3 tiles of two real units' untouched images (red, green, blue; rows from the top).
+UNITS = np.array(
+    [
+        [
+            [[51, 65, 44], [97, 135, 88], [81, 111, 75]],
+            [[96, 108, 92], [98, 110, 95], [87, 97, 85]],
+            [[112, 129, 106], [123, 142, 115], [82, 99, 81]],
+        ],
+        [
+            [[52, 67, 43], [92, 128, 81], [71, 99, 66]],
+            [[93, 107, 90], [96, 112, 93], [85, 97, 81]],
+            [[101, 123, 100], [116, 142, 112], [81, 97, 76]],
+        ],
+    ]
+)
+# Where each colour comes from on real units, displayed: 0 right, 90 top.
+AZIMUTHS_DEG = np.array([95.0, -7.0, -83.0])
+# Levels per unit of the surface normal, the same presses.
+SENSITIVITIES = np.array([141.0, 94.0, 108.0])
+
+
+@pytest.fixture(scope="module")
+def experiment():
+    return load_experiment("examples/gelsight_ball", FEW)
+
+
+@pytest.fixture(scope="module")
+def memory():
+    return Memory()
+
+
+@pytest.fixture(scope="module")
+def calibrated(mi, experiment, memory):
+    return calibrated_sensor(experiment, memory)
+
+
+@pytest.fixture(scope="module")
+def presses(calibrated, experiment):
+    """Images of one ball at three places, and its true circle (row, col, contact radius)."""
+    sensor, found = calibrated[0], []
+    for number, (x_mm, y_mm) in enumerate(PLACES_MM):
+        ball = Ball(diameter_mm=BALL_MM, x_mm=x_mm, y_mm=y_mm)
+        pressed = press_specimen(with_ball(experiment, ball, DEPTH_MM))
+        area_mm2 = pressed.contact.sum() * (pressed.x_mm[1] - pressed.x_mm[0]) ** 2
+        pitch_mm = sensor.pitch_mm
+        circle = ContactCircle(
+            119.5 - y_mm / pitch_mm, 159.5 + x_mm / pitch_mm, np.sqrt(area_mm2 / np.pi) / pitch_mm
+        )
+        found.append((sensor.image(face_mesh(pressed), 5000 + number), circle))
+    return found
+
+
+@pytest.fixture(scope="module")
+def done(calibrated, experiment, memory):
+    return measure(experiment, memory=memory)
+
+
+def test_the_untouched_image_is_that_of_real_units(calibrated):
+    """Expected: the published tables of both units within 15 levels RMS (they differ by 5)."""
+    background = calibrated[1].background
+    rows, cols = (np.array_split(np.arange(n), 3) for n in (240, 320))
+    tiles = np.array([[background[np.ix_(r, c)].mean((0, 1)) for c in cols] for r in rows])
+    assert np.sqrt(np.mean((np.moveaxis(tiles, -1, 0) - UNITS) ** 2)) < 15.0
+
+
+def test_each_colour_comes_from_its_published_side(calibrated, presses):
+    """Setup: levels regressed on the ball's normal inside the contact, as on the real presses.
+
+    Expected: azimuths within 10 degrees, sensitivities within 15 %: they differ by more than that
+    from place to place, and it is not published where the balls were pressed.
+    """
+    changes, normals = [], []
+    for image, circle in presses:
+        row, col = np.indices(image.shape[:2])
+        inside = np.hypot(row - circle.row_px, col - circle.col_px) < circle.radius_px - 4.0
+        slopes = ball_slopes(circle, BALL_MM / 2, calibrated[0].pitch_mm, np.argwhere(inside) + 0.0)
+        normal = np.column_stack([-slopes[:, 1], slopes[:, 0], np.ones(len(slopes))])
+        normals.append(normal / np.linalg.norm(normal, axis=1, keepdims=True))
+        changes.append((image - calibrated[1].background)[inside])
+    x, y, _ = np.linalg.lstsq(np.concatenate(normals), np.concatenate(changes), rcond=None)[0]
+    found = np.degrees(np.arctan2(y, x))
+    assert np.abs(found - AZIMUTHS_DEG).max() < 10.0
+    assert np.hypot(x, y) == pytest.approx(SENSITIVITIES, rel=0.15)
+
+
+@pytest.mark.parametrize(
+    ("scheme", "expected", "within"),
+    [("corrected", 1.00, 0.03), ("sdk_2025", 0.66, 0.04), ("sdk_2024", 1.32, 0.08)],
+)
+def test_cap_height_is_that_of_real_presses(calibrated, presses, scheme, expected, within):
+    """Setup: a 6.31 mm ball at three places, contact circle found in the image.
+
+    Expected: height of the cap over true as measured on 29 real presses.
+    """
+    sensor, calibration = calibrated
+    decoder = PhotometricDecoder(calibration, PhotometricOptions(integration=scheme))
+    ratios = [
+        cap_height_ratio(
+            decoder.decode(image).height_mm,
+            find_contact_circle(smoothed(image, 3), calibration.background),
+            BALL_MM / 2,
+            sensor.pitch_mm,
+        )
+        for image, _ in presses
+    ]
+    assert np.mean(ratios) == pytest.approx(expected, abs=within)
+
+
+def test_a_cap_ratio_is_one_for_the_ball_itself():
+    row, col = np.indices((120, 160))
+    circle = ContactCircle(60.3, 79.6, 26.0)
+    radii_mm = 0.0634 * np.hypot(row - circle.row_px, col - circle.col_px)
+    height_mm = np.sqrt(np.maximum(3.155**2 - radii_mm**2, 0.0))
+    assert cap_height_ratio(height_mm, circle, 3.155, 0.0634) == pytest.approx(1.0, abs=0.01)
+    assert cap_height_ratio(0.7 * height_mm, circle, 3.155, 0.0634) == pytest.approx(0.7, abs=0.01)
+
+
+def test_pixels_lie_where_the_pitch_says(calibrated):
+    """Expected: 0.0634 mm per pixel in the middle, to 1 % at 4 mm: refraction bends the grid."""
+    sensor = calibrated[0]
+    assert sensor.pitch_mm == pytest.approx(0.0634, rel=0.002)
+    # Off the middle, and too small to matter there.
+    aside = with_ball(sensor.experiment, Ball(diameter_mm=4.0, x_mm=8.0, y_mm=6.0), 0.05)
+    flat = sensor.truth(face_mesh(press_specimen(aside)))
+    points = flat.points_world_mm
+    assert points[120, 160, :2] == pytest.approx([0.0317, -0.0317], abs=0.004)
+    right = (points[120, 223, 0] - points[120, 160, 0]) / 63
+    down = (points[120, 160, 1] - points[183, 160, 1]) / 63
+    assert (right, down) == (pytest.approx(0.0634, rel=0.01), pytest.approx(0.0634, rel=0.01))
+
+
+def test_a_measurement_scores_in_the_stated_field(done):
+    """Expected: whole, within a tenth of the depth, the true cap a perfect sphere."""
+    scored, truth = done.score.against_truth, done.truth
+    lengths = np.ptp(truth.points_world_mm.reshape(-1, 3), axis=0)
+    assert lengths[0] > 18.6
+    assert lengths[1] > 14.3
+    # 18.6 x 14.3 mm at the image's pitch, in pixels
+    assert scored.wanted_pixels == pytest.approx(18.6 * 14.3 / 0.0634**2, rel=0.03)
+    assert scored.completeness > 0.95
+    assert scored.z_rmse_um < 0.1 * 1e3 * DEPTH_MM
+    (ball,) = done.score.spheres
+    assert ball.true_face.radius_mm == pytest.approx(BALL_MM / 2, rel=1e-3)
+    assert ball.measured.radius_mm == pytest.approx(BALL_MM / 2, rel=0.15)
+    assert {"z_rmse_um", "sphere_1_rmse_mm"} <= set(done.figures)
+
+
+def test_another_decoder_uses_the_same_calibration(experiment, done, memory):
+    other = measure(vary(experiment, {"photometric.integration": "sdk_2025"}), memory=memory)
+    assert other.colours.calibration is done.colours.calibration
+    np.testing.assert_array_equal(other.picture, done.picture)
+    assert other.points.world_mm[..., 2].max() < 0.8 * done.points.world_mm[..., 2].max()
+
+
+def test_another_specimen_uses_the_same_sensor(experiment, done, memory):
+    """Neither specimen and load nor what is decoded or scored is part of the sensor."""
+    changes = {"specimen.diameter_mm": 7.0, "press.depth_mm": 0.5, "score.roi_radius_mm": 0.5}
+    other = measure(vary(experiment, changes), memory=memory)
+    assert other.colours.calibration is done.colours.calibration
+    assert not np.array_equal(other.picture, done.picture)
+
+
+def test_results_are_files(done, tmp_path):
+    write_measurement(tmp_path, "measure", done)
+    names = {path.name for path in tmp_path.iterdir()}
+    assert {"result.json", "image.png", "sensor_calibration.npz", "height.nc", "truth.nc"} <= names
+    again = read_measurement(tmp_path)
+    assert again.figures == done.figures
+    np.testing.assert_array_equal(again.points.world_mm, done.points.world_mm)
+    assert again.score.against_truth.z_rmse_um == pytest.approx(done.figures["z_rmse_um"], rel=1e-6)
+    assert again.points.sigma_mm is done.points.sigma_mm is None
+    with pytest.raises(TypeError, match="no fringes"):
+        again.fringes  # noqa: B018
+
+
+def test_levels_follow_gamma_and_full_well(experiment):
+    """Setup: a camera without noise, radiance for a quarter of the full well in every channel.
+
+    Expected: 255 * 0.25 ** (1 / 2.2) = 135.8, so 136, whatever the lamp's wavelength.
+    """
+    quiet = vary(experiment, {"camera.noise": False})
+    camera, lamps = quiet.camera, quiet.lamps
+    quarter = [
+        0.25 * full_well_e(camera)
+        / (electrons_per_ms(camera, lamps[name].wavelength_nm) * camera.exposure_ms)
+        for name in ("red", "green", "blue")
+    ]  # fmt: skip
+    radiance = np.broadcast_to(np.array(quarter, np.float32), (442, 586, 3))
+    image = develop(quiet, radiance)
+    assert image.shape == (240, 320, 3)
+    assert np.all(image == 136)
+
+
+def test_automatic_exposure_is_set_once_on_the_untouched_coat(experiment):
+    """Expected: the channel that frees most electrons reaches 0.85: 255 * 0.85 ** (1 / 2.2)."""
+    automatic = vary(experiment, {"camera.noise": False, "camera.exposure_ms": "auto"})
+    background = np.full((442, 586, 3), 1e-5, np.float32)
+    exposure = {"exposure_ms": fixed_exposure_ms(automatic, background)}
+    camera = automatic.camera.model_copy(update=exposure)
+    found = develop(automatic.model_copy(update={"camera": camera}), background)
+    assert found[..., 0].min() == found[..., 0].max() == 237
+    blue_over_red = 463.0 / 635.0
+    assert found[0, 0, 2] == round(255 * (0.85 * blue_over_red) ** (1 / 2.2))
+
+
+def test_the_final_image_sees_what_the_crop_sees(experiment):
+    """Expected: its corners look at the corners of the middle 5/7 of the sensor, to a pixel."""
+    whole, final = experiment.camera, image_pinhole(experiment)
+    half = (3280 - 2 * 4 * int(820 / 7)) / 2 * whole.pixel_pitch_um * 1e-3
+    image_mm = 1 / (1 / whole.focal_length_mm - 1 / whole.pose.standoff_mm)
+    assert (final.cx_px + 0.5) / final.fx_px == pytest.approx(half / image_mm, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"camera.pose.polar_deg": 5.0}, "set polar_deg"),
+        ({"camera.depth_of_field": True}, "not rendered"),
+    ],
+)
+def test_what_the_method_does_not_take_is_refused(experiment, changes, message):
+    with pytest.raises(InputError, match=message):
+        measure(vary(experiment, changes))
+
+
+def test_darkness_is_refused(experiment):
+    with pytest.raises(InputError, match="found none"):
+        measure(experiment.model_copy(update={"lamps": {}}))
+
+
+def test_there_is_no_fringe_stack(experiment):
+    with pytest.raises(InputError, match="one colour image"):
+        take(experiment)

@@ -1,0 +1,126 @@
+"""What a computation reads of an experiment is found by watching it."""
+
+import copy
+
+import pytest
+
+from reconstruction.errors import InputError
+from twin.config import digest, vary
+from twin.config.models import Film
+from twin.pipeline.memory import Memo
+from twin.pipeline.reads import Reads, values_at, watched
+
+
+def reads_of(experiment, look):
+    reads = Reads()
+    look(watched(experiment, reads))
+    return reads
+
+
+def test_only_what_is_read_counts(base):
+    reads = reads_of(base, lambda seen: seen.camera.pose.polar_deg + seen.seed)
+    assert reads.paths == (
+        ("camera",),
+        ("camera", "pose"),
+        ("camera", "pose", "polar_deg"),
+        ("seed",),
+    )
+    assert reads.hold_for(vary(base, {"camera.read_noise_e": 9.0}))
+    assert not reads.hold_for(vary(base, {"camera.pose.polar_deg": 1.0}))
+    assert not reads.hold_for(vary(base, {"seed": 5}))
+
+
+@pytest.mark.parametrize(
+    "look",
+    [
+        lambda seen: seen.model_dump(),
+        lambda seen: seen.elastomer.model_copy(update={"layout": "contact_face"}).model_dump(),
+        lambda seen: seen.elastomer == 3,
+        lambda seen: hash(seen.elastomer),
+        lambda seen: repr(seen.elastomer),
+        lambda seen: copy.copy(seen.elastomer),
+        lambda seen: vars(seen.elastomer) if hasattr(seen.elastomer, "__dict__") else 0,
+        digest,
+    ],
+)
+def test_anything_but_a_field_reads_all(base, look):
+    reads = reads_of(base, look)
+    assert not reads.hold_for(vary(base, {"elastomer.shore_a": 12.0}))
+
+
+def test_what_a_copy_replaces_is_not_read(base):
+    """A copy of a table in a copy of the whole: the rest is read where it is looked at."""
+
+    def look(seen):
+        camera = seen.camera.model_copy(update={"exposure_ms": 2.0 * seen.camera.pose.polar_deg})
+        changed = seen.model_copy(update={"seed": 5, "camera": camera})
+        return changed.seed, changed.camera.exposure_ms, changed.press.depth_mm
+
+    reads = reads_of(base, look)
+    for same in ({"seed": 9}, {"camera.exposure_ms": 3.0}, {"press.solver_pitch_mm": 0.2}):
+        assert reads.hold_for(vary(base, same))
+    for other in ({"press.depth_mm": 0.6}, {"camera.pose.polar_deg": 1.0}):
+        assert not reads.hold_for(vary(base, other))
+
+
+def test_properties_and_types_are_looked_through(base):
+    reads = reads_of(base, lambda seen: (seen.elastomer.touched_plane_mm, seen.bounces))
+    assert ("elastomer", "thickness_mm") in reads.paths
+    assert ("render", "bounces") in reads.paths
+    assert ("elastomer", "shore_a") not in reads.paths
+    assert isinstance(watched(base, Reads()).coating, type(base.coating))
+
+
+def test_tables_that_may_be_absent(base):
+    """Whether a table is there counts even when nothing in it was read."""
+    reads = reads_of(base, lambda seen: seen.elastomer.film is None)
+    film = Film(thickness_mm=0.1, young_modulus_kpa=100.0)
+    assert reads.hold_for(base)
+    assert not reads.hold_for(vary(base, {"elastomer.film": film.model_dump()}))
+
+
+def test_tables_of_several_kinds_are_read_whole(base):
+    reads = reads_of(base, lambda seen: seen.specimen.kind)
+    assert reads.paths == (("specimen",),)
+    assert not reads.hold_for(vary(base, {"specimen.separation_mm": 8.5}))
+
+
+def test_files_count_by_their_content(base, tmp_path):
+    mesh = tmp_path / "part.stl"
+    mesh.write_bytes(b"first")
+    experiment = vary(base, {"specimen": {"kind": "mesh", "file": str(mesh)}})
+    reads = reads_of(experiment, lambda seen: seen.specimen)
+    assert reads.hold_for(experiment)
+    mesh.write_bytes(b"second")
+    assert not reads.hold_for(experiment)
+
+
+def test_values_of_another_experiment(base):
+    paths = reads_of(base, lambda seen: seen.camera.pose.polar_deg).paths
+    noisy = vary(base, {"camera.read_noise_e": 9.0})
+    assert values_at(noisy, paths) == values_at(base, paths)
+    assert values_at(vary(base, {"camera.pose.polar_deg": 1.0}), paths) != values_at(base, paths)
+
+
+def test_memo_forgets_the_oldest_and_keeps_refusals(base):
+    calls = []
+
+    def albedo(seen):
+        calls.append(seen.coating.base_albedo)
+        if calls[-1] == 0.9:
+            raise InputError("too bright")
+        return calls[-1]
+
+    memo, cases = Memo("albedo", 2), [vary(base, {"coating.base_albedo": a}) for a in (0.1, 0.2)]
+    assert [memo.recall(case, (), albedo).value for case in cases * 2] == [0.1, 0.2] * 2
+    assert calls == [0.1, 0.2]
+    for _ in range(2):
+        with pytest.raises(InputError, match="too bright"):
+            memo.recall(vary(base, {"coating.base_albedo": 0.9}), (), albedo)
+    assert calls == [0.1, 0.2, 0.9]
+    memo.recall(cases[0], (), albedo)
+    assert calls[-1] == 0.1
+    assert (
+        memo.recall(cases[0], "other input", albedo).token
+        != memo.recall(cases[0], (), albedo).token
+    )

@@ -1,0 +1,60 @@
+"""A measurement with fringes as a folder: what is written is what is read back."""
+
+import json
+
+import numpy as np
+import pytest
+
+from twin.config import vary
+from twin.pipeline import measure
+from twin.results.folder import read_measurement, write_kept, write_measurement
+
+TINY = {"camera.width_px": 240, "camera.height_px": 200, "render.bounces": 0}
+
+
+@pytest.fixture(scope="module", params=["contact_fpp", "direct_fpp"])
+def done(request, mi, base):
+    return measure(vary(base, TINY | {"modality": request.param}))
+
+
+@pytest.fixture(scope="module")
+def folder(done, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("measured")
+    write_measurement(folder, "measure", done)
+    return folder
+
+
+def test_a_record_comes_back(done, folder):
+    again = read_measurement(folder)
+    assert again.experiment == done.experiment
+    assert (again.figures, again.digest, again.versions) == (
+        done.figures, done.digest, dict(done.versions),
+    )  # fmt: skip
+    for name in ("world_mm", "sigma_mm", "reason"):
+        found, expected = getattr(again.points, name), getattr(done.points, name)
+        np.testing.assert_array_equal(found, expected)
+    np.testing.assert_array_equal(again.truth.points_world_mm, done.truth.points_world_mm)
+    np.testing.assert_array_equal(again.picture, done.picture)
+    assert again.score.against_truth == done.score.against_truth
+    assert again.pixel_mm == done.pixel_mm
+
+
+def test_what_does_not_exist_is_absent(done, folder):
+    """Frames are not kept in files; nothing is pressed onto a bare specimen; fringes are not seen
+    in colours."""
+    again, presses = read_measurement(folder), done.experiment.method.presses
+    assert again.fringes.frames is None
+    assert (again.pressed is not None) == (folder / "press.nc").is_file() == presses
+    assert ("force_n" in json.loads((folder / "result.json").read_text())["metrics"]) == presses
+    with pytest.raises(TypeError, match="no colours"):
+        again.colours  # noqa: B018
+    if not presses:
+        with pytest.raises(TypeError, match="presses nothing"):
+            again.press  # noqa: B018
+
+
+def test_a_study_keeps_what_it_is_asked_for(done, tmp_path):
+    write_kept(tmp_path, done, ("points",))
+    names = {path.name for path in tmp_path.iterdir()}
+    assert "reconstruction.nc" in names
+    assert not {"capture", "press.nc", "result.json"} & names

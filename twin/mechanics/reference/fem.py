@@ -1,0 +1,330 @@
+"""The `fem` model: a specimen pressed into a slab or a pad of any shape, by finite elements.
+
+Linear, frictionless, contact along the press (+z) on the undeformed face, as in the spectral
+slab. Unknowns of the contact are the forces at integration points; a stiff foundation between face
+and specimen keeps them from over-constraining the quadratic facets.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.interpolate import CloughTocher2DInterpolator
+
+from reconstruction.arrays import FloatArray
+from twin.config.models import Elastomer, Press, Specimen
+from twin.mechanics.control import BoolArray
+from twin.mechanics.errors import PressError
+from twin.mechanics.hardness import young_modulus
+from twin.mechanics.layouts import Preload, preload_of
+from twin.mechanics.press import PressedElastomer
+from twin.mechanics.reference.active_set import ContactPoints, press_points
+from twin.mechanics.reference.height_field import sample
+from twin.mechanics.reference.pad import DEFAULT_COUNT, Pad, SlabSupport, mesh_pad, slab_pad
+from twin.mechanics.reference.result import Scattered, on_grids
+from twin.mechanics.reference.taylor_hood import ElasticBody, Facets
+from twin.mechanics.reference.tetrahedra import Tetrahedra
+from twin.specimens import Shape, shape_of
+
+# Foundation stiffness times element size over Young's modulus: it yields by some 0.5 um.
+_FOUNDATION = 200.0
+_SAMPLES_PER_FACET = 24
+_FLAT_MM = 1e-9
+_TYPICAL_RADIUS_MM = 4.0
+
+
+@dataclass(frozen=True)
+class Face:
+    """One face of a solved pad, seen in plan; a graph over x and y."""
+
+    facets: Facets
+    nodes_mm: FloatArray
+    moved_mm: FloatArray
+
+    def undeformed_mm(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
+        """Return z of the undeformed face at points (...)."""
+        z = self.nodes_mm[self.facets.nodes, 2]
+        if np.ptp(z) < _FLAT_MM:
+            return np.full(np.shape(x_mm), float(z.mean()))
+        return _seen(self._rest, x_mm, y_mm)
+
+    def deflection_mm(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
+        """Return the displacement along z at points (...), continuously differentiable."""
+        return _seen(self._raised, x_mm, y_mm)
+
+    @cached_property
+    def _rest(self) -> CloughTocher2DInterpolator:
+        # Vertices alone: midpoints of the straight edges lie below a curved face.
+        return _surface(self.nodes_mm, self.nodes_mm[:, 2], np.unique(self.facets.nodes[:, :3]))
+
+    @cached_property
+    def _raised(self) -> CloughTocher2DInterpolator:
+        return _surface(self.nodes_mm, self.moved_mm[:, 2], np.unique(self.facets.nodes))
+
+
+@dataclass(frozen=True)
+class PadPress:
+    """A solved press, at unit Young's modulus; lengths in mm, world frame."""
+
+    mesh: Tetrahedra
+    touched: Face
+    coated: Face
+    #: (point,) pressure over Young's modulus at the touched face's integration points
+    pressure_over_modulus: FloatArray
+    force_over_modulus_mm2: float
+    #: world z of the touched face where the specimen first touches
+    first_touch_mm: float
+    depth_mm: float
+    #: (node, xyz) displacement of all nodes
+    moved_mm: FloatArray
+    iterations: int
+
+    @property
+    def contact(self) -> BoolArray:
+        """(point,) where the face touches."""
+        return np.asarray(self.pressure_over_modulus > 0)
+
+
+def press_pad(
+    shape: Shape,
+    pad: Pad,
+    mesh: Tetrahedra,
+    *,
+    depth_mm: float | None = None,
+    force_over_modulus_mm2: float | None = None,
+    preload: Preload | None = None,
+) -> PadPress:
+    """Press a specimen from below into a pad.
+
+    Parameters
+    ----------
+    shape : Shape
+        The specimen in its pose.
+    pad : Pad
+        What is pressed.
+    mesh : Tetrahedra
+        The pad's body, filled.
+    depth_mm, force_over_modulus_mm2 : float
+        Travel after first touch, or force over Young's modulus: give one of the two.
+    preload : Preload, optional
+        Uniform pressures over modulus on both faces, along +z; the depth counts from the plane of
+        first touch of the unloaded pad.
+
+    Returns
+    -------
+    PadPress
+        Both faces, pressure and force.
+
+    Raises
+    ------
+    PressError
+        A selector chooses nothing, or the specimen misses the pad.
+    SolverError
+        The contact did not converge.
+    """
+    body = ElasticBody(mesh, pad.poisson_ratio, pad.holds)
+    touched, coated = body.facets(pad.touched), body.facets(pad.coated)
+    loaded = _preloaded(body, touched, coated, preload or Preload())
+    height, first = _gap(shape, Face(touched, body.nodes_mm, loaded))
+    yielding = touched.size_mm / (_FOUNDATION * touched.weight_mm2)
+
+    def deflect(force: FloatArray) -> FloatArray:
+        moved = body.solve(_thrust(body, touched, force))
+        return np.asarray(touched.trace @ moved[:, 2] + yielding * force)
+
+    points = ContactPoints(
+        touched.trace, body.nodes_mm, yielding, height + touched.trace @ loaded[:, 2]
+    )
+    contact = press_points(
+        deflect, points, depth_mm=depth_mm, force_over_modulus_mm2=force_over_modulus_mm2
+    )
+    force = contact.force
+    moved = body.solve(_thrust(body, touched, force)) + loaded
+    return PadPress(
+        mesh=mesh,
+        touched=Face(touched, body.nodes_mm, moved),
+        coated=Face(coated, body.nodes_mm, moved),
+        pressure_over_modulus=force / touched.plan_mm2,
+        force_over_modulus_mm2=float(force.sum()),
+        first_touch_mm=first,
+        depth_mm=contact.depth_mm,
+        moved_mm=moved,
+        iterations=contact.loads,
+    )
+
+
+def _preloaded(body: ElasticBody, touched: Facets, coated: Facets, preload: Preload) -> FloatArray:
+    if not preload:
+        return np.zeros_like(body.nodes_mm)
+    thrust = _thrust(body, touched, preload.touched * touched.plan_mm2)
+    return body.solve(thrust + _thrust(body, coated, preload.coated * coated.plan_mm2))
+
+
+def _thrust(body: ElasticBody, facets: Facets, force: FloatArray) -> FloatArray:
+    """Return nodal forces (node, xyz) of forces along +z at the integration points."""
+    nodal = np.zeros_like(body.nodes_mm)
+    nodal[:, 2] = facets.trace.T @ force
+    return nodal
+
+
+def _gap(shape: Shape, face: Face) -> tuple[FloatArray, float]:
+    """Return the integration points' gaps at first touch, inf beside, and z of first touch."""
+    x, y = face.facets.points_mm[:, :2].T
+    reach = 2 * np.abs(face.nodes_mm[:, :2]).max(axis=0)
+    field = sample(shape, *reach)
+    gap = field.value(x, y) + face.undeformed_mm(x, y)
+    if not np.isfinite(gap).any():
+        raise PressError("specimen: lies beside the pad's touched face; move it")
+    # First touch lies between the points: sample the facets near it densely.
+    per_facet = gap.reshape(face.facets.nodes.shape[0], -1).min(axis=1)
+    near = face.facets.nodes[np.argsort(per_facet)[:40], :3]
+    i, j = np.indices((_SAMPLES_PER_FACET + 1,) * 2) / _SAMPLES_PER_FACET
+    share = np.stack((i, j, 1 - i - j), axis=-1)[i + j <= 1 + 1e-9]
+    x, y = np.einsum("sc,fcx->xfs", share, face.nodes_mm[near])[:2].reshape(2, -1)
+    closest = field.value(x, y) + face.undeformed_mm(x, y)
+    first = min(float(closest.min()), float(gap.min()))
+    return gap - first, first
+
+
+def _surface(
+    nodes: FloatArray, values: FloatArray, chosen: FloatArray
+) -> CloughTocher2DInterpolator:
+    return CloughTocher2DInterpolator(nodes[chosen, :2], values[chosen])
+
+
+def _seen(surface: CloughTocher2DInterpolator, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
+    """Evaluate within the surface's outline in plan; points on the rim are pulled in a little."""
+    low, high = surface.points.min(axis=0), surface.points.max(axis=0)
+    inside = [
+        np.clip(at, a + 1e-7 * (b - a), b - 1e-7 * (b - a))
+        for at, a, b in zip((x_mm, y_mm), low, high, strict=True)
+    ]
+    seen: FloatArray = surface(*inside)
+    return seen
+
+
+def press_fem(
+    specimen: Specimen,
+    elastomer: Elastomer,
+    load: Press,
+    *,
+    support: SlabSupport | None = None,
+    ledge_mm: float = 2.0,
+    pad: Pad | None = None,
+    count: int = DEFAULT_COUNT,
+    timeout_s: float = 60.0,
+) -> PressedElastomer:
+    """Press `specimen` into `elastomer` as `load` says, by P2/P1 tetrahedra.
+
+    Parameters
+    ----------
+    specimen : Specimen
+        What is pressed, in its pose.
+    elastomer : Elastomer
+        Slab; with a `pad` only its modulus, layout and outline (for the grids) matter.
+    load : Press
+        Depth or force, preloads and pitches, as for the spectral press.
+    support : {"simple", "clamped", "ledge", "bonded", "window"}, optional
+        What holds the slab; by default a simple rim (opposite face) or the window behind a finite
+        pad with free sides (contact face).
+    ledge_mm : float, mm
+        Width of the frame on which a slab on a `ledge` rests, beyond its free span.
+    pad : Pad, optional
+        Another body than the slab.
+    count : int
+        About how many tetrahedra.
+    timeout_s : float, s
+        For meshing.
+
+    Returns
+    -------
+    PressedElastomer
+        As from the spectral press; the relief grid is clipped to the pad's outline in plan.
+
+    Raises
+    ------
+    PressError
+        The specimen lies beside the pad, a film, or a support that does not fit the layout.
+    SolverError
+        Meshing failed, or the contact did not converge.
+    """
+    check_fem(elastomer, support)
+    shape, modulus_kpa = shape_of(specimen), young_modulus(elastomer).best_kpa
+    body = pad or _slab(elastomer, support, ledge_mm)
+    force = None if load.force_n is None else load.force_n / (modulus_kpa * 1e-3)
+    depth_guess = load.depth_mm or _depth_guess(shape, elastomer, force or 0.0)
+    mesh = mesh_pad(shape, body, depth_guess, count=count, timeout_s=timeout_s)
+    preload = preload_of(elastomer, load, modulus_kpa)
+    found = press_pad(
+        shape,
+        body,
+        mesh,
+        depth_mm=load.depth_mm,
+        force_over_modulus_mm2=force,
+        preload=preload,
+    )
+    _check_depth(found.depth_mm, elastomer)
+    return on_grids(_scattered(found), shape, elastomer, load, modulus_kpa)
+
+
+def check_fem(elastomer: Elastomer, support: SlabSupport | None) -> None:
+    """Refuse what this model does not know.
+
+    Raises
+    ------
+    PressError
+        A film, or a support that does not fit the layout.
+    """
+    if elastomer.film is not None:
+        raise PressError(
+            "elastomer.film: mechanics.model = 'fem' knows no film; remove one of them"
+        )
+    on_window = elastomer.layout == "contact_face"
+    chosen = _support(elastomer, support)
+    if (chosen in ("bonded", "window")) != on_window:
+        raise PressError(
+            f"support '{chosen}' does not fit elastomer.layout = '{elastomer.layout}'; allowed: "
+            + ("bonded, window" if on_window else "simple, clamped, ledge")
+        )
+
+
+def _support(elastomer: Elastomer, support: SlabSupport | None) -> SlabSupport:
+    return support or ("bonded" if elastomer.layout == "contact_face" else "simple")
+
+
+def _slab(elastomer: Elastomer, support: SlabSupport | None, ledge_mm: float) -> Pad:
+    span, chosen = (elastomer.length_x_mm, elastomer.length_y_mm), _support(elastomer, support)
+    return slab_pad(span, elastomer.thickness_mm, elastomer.poisson_ratio, chosen, ledge_mm)
+
+
+def _depth_guess(shape: Shape, elastomer: Elastomer, force_over_modulus_mm2: float) -> float:
+    """Return about how far a force presses a ball in (Hertz); it only sizes the mesh."""
+    radius = min((ball.radius_mm for ball in shape.spheres()), default=_TYPICAL_RADIUS_MM)
+    hertz = float(np.cbrt((0.75 * 0.75 * force_over_modulus_mm2) ** 2 / radius))
+    return min(hertz, 0.5 * elastomer.thickness_mm)
+
+
+def _check_depth(depth_mm: float, elastomer: Elastomer) -> None:
+    if depth_mm >= elastomer.thickness_mm:
+        raise PressError(
+            f"press: needs a depth of {depth_mm:.3g} mm, which is not less than the slab's "
+            f"thickness of {elastomer.thickness_mm:g} mm; press less or use a thicker slab"
+        )
+
+
+def _scattered(found: PadPress) -> Scattered:
+    facets = found.touched.facets
+    return Scattered(
+        touched=lambda x, y: _deformed(found.touched, x, y),
+        coated=lambda x, y: _deformed(found.coated, x, y),
+        at_mm=facets.points_mm[:, :2],
+        force=found.pressure_over_modulus * facets.plan_mm2,
+        plan_mm2=facets.plan_mm2,
+        points_per_facet=facets.plan_mm2.size // facets.nodes.shape[0],
+        depth_mm=found.depth_mm,
+        iterations=found.iterations,
+    )
+
+
+def _deformed(face: Face, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
+    return face.undeformed_mm(x_mm, y_mm) + face.deflection_mm(x_mm, y_mm)

@@ -1,0 +1,350 @@
+"""The `neo_hookean` model: large deflection and strain in space, for sheets and deep presses.
+
+Neo-Hookean Q2/Q1 bricks on a grid that is fine where the linear press makes contact; one half or
+quarter of it where specimen and slab are symmetric. A sheet that deflects by about its thickness
+stretches as it bends, which a linear slab leaves out. World frame, mm; the grid's own z counts
+from the touched face.
+
+Contact with the rigid height field is frictionless, z along the press; the specimen's surface is
+z = d - S(x, y). Augmented Lagrangian penalty on the overlap d - S - z at integration points in the
+current configuration. Its gradient g = (S_x, S_y, 1) is the surface's normal over its share along
+the press.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.interpolate import CloughTocher2DInterpolator, NearestNDInterpolator
+
+from reconstruction.arrays import FloatArray
+from twin.config.models import Elastomer, Press, Specimen
+from twin.mechanics.control import BoolArray
+from twin.mechanics.errors import PressError
+from twin.mechanics.hardness import young_modulus
+from twin.mechanics.layouts import preload_of
+from twin.mechanics.press import PressedElastomer, press
+from twin.mechanics.reference.grid import ElementGrid, IntArray, Surface, graded
+from twin.mechanics.reference.height_field import HeightField, sample
+from twin.mechanics.reference.mixed import MixedBody, moduli, neo_hookean
+from twin.mechanics.reference.mixed import linear as small_strain
+from twin.mechanics.reference.newton import (
+    Equilibrium,
+    NewtonOptions,
+    Problem,
+    Pushed,
+    press_to,
+    push,
+)
+from twin.mechanics.reference.result import FaceHeight, Scattered, on_grids
+from twin.specimens import shape_of
+
+_SURFACE_POINTS = 3
+_PENALTY_OVER_SHEAR = 60.0
+_GROWTH = 0.5
+_SYMMETRY_MM = 1e-6
+_SECANTS = 12
+_FORCE_TOLERANCE = 1e-4
+
+
+@dataclass(frozen=True)
+class HeightContact:
+    """A rigid specimen against the touched face."""
+
+    surface: Surface
+    #: (node, xyz) undeformed
+    nodes_mm: FloatArray
+    field: HeightField
+    #: pressure over modulus per mm of overlap
+    penalty: float
+    #: contact along the press on the undeformed face, as in the linear slab
+    linear: bool
+    #: (point,) carried pressure
+    carried: FloatArray
+
+    def evaluate(self, moved_mm: FloatArray, depth_mm: float, active: BoolArray | None) -> Pushed:
+        """Return the specimen's action; arguments as for `BallContact`."""
+        at = self.surface.trace @ (self.nodes_mm + moved_mm)
+        x, y = (self.surface.trace @ self.nodes_mm if self.linear else at)[:, :2].T
+        height = self.field.value(x, y)
+        overlap = np.where(np.isfinite(height), depth_mm - height - at[:, 2], -np.inf)
+        raw = self.carried + self.penalty * overlap
+        touching = raw > 0 if active is None else active & np.isfinite(raw)
+        pressure = np.where(touching, raw, 0.0)
+        normal, bend = self._shape(x, y)
+        stiffness = self.penalty * np.einsum("qi,qj->qij", normal, normal)
+        stiffness[:, :2, :2] -= pressure[:, None, None] * bend
+        return push(
+            self.surface,
+            pressure[:, None] * normal,
+            np.where(touching[:, None, None], stiffness, 0.0),
+            pressure,
+            np.zeros_like(pressure),
+        )
+
+    def settle(self, moved_mm: FloatArray, depth_mm: float) -> "HeightContact":
+        """Return the contact itself: without friction nothing is remembered."""
+        return self
+
+    def carry(self, pressure: FloatArray) -> "HeightContact":
+        """Return the contact with another carried pressure."""
+        return replace(self, carried=pressure)
+
+    def is_spurious(self, moved_mm: FloatArray, depth_mm: float) -> bool:
+        """Tell nothing: a specimen of any shape may touch with holes."""
+        return False
+
+    def _shape(self, x_mm: FloatArray, y_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return normals (point, xyz) along the gradient and curvatures (point, 2, 2)."""
+        normal = np.zeros((x_mm.size, 3))
+        normal[:, 2] = 1.0
+        if self.linear:
+            return normal, np.zeros((x_mm.size, 2, 2))
+        normal[:, :2] = self.field.slope(x_mm, y_mm)
+        return normal, self.field.curvature(x_mm, y_mm)
+
+
+@dataclass(frozen=True)
+class Bricks:
+    """How finely to solve in space."""
+
+    #: elements along each half of x and y
+    half: int = 10
+    #: elements through the thickness; None: two for a sheet up to four for a thick slab
+    through: int | None = None
+    #: elements along the half width of a contact
+    contact: float = 3.0
+    #: load steps to the depth that the linear slab finds, more where that is over a thickness
+    steps: int = 6
+
+
+def press_neo_hookean(
+    specimen: Specimen,
+    elastomer: Elastomer,
+    load: Press,
+    *,
+    bricks: Bricks | None = None,
+    linear: bool = False,
+) -> PressedElastomer:
+    """Press `specimen` into `elastomer` as `load` says, at large strain.
+
+    Parameters
+    ----------
+    specimen : Specimen
+        What is pressed, in its pose.
+    elastomer : Elastomer
+        Flat slab on a simply supported rim, or a pad with free sides bonded to a window.
+    load : Press
+        Depth or force, and pitches. A free slab may travel farther than it is thick.
+    bricks : Bricks, optional
+        How finely to solve.
+    linear : bool
+        Small strain and contact on the undeformed face by the same elements: what remains
+        against the spectral press is the elements' error.
+
+    Returns
+    -------
+    PressedElastomer
+        As from the spectral press; faces are seen at deformed positions.
+
+    Raises
+    ------
+    PressError
+        As `press`; also a film or a preload, which this model does not know.
+    SolverError
+        No equilibrium was found.
+    """
+    fineness, shape = bricks or Bricks(), shape_of(specimen)
+    guess = press(specimen, elastomer, load, any_depth=True)
+    modulus_kpa = guess.young_modulus_kpa
+    check_neo_hookean(elastomer, load)
+    field = sample(shape, elastomer.length_x_mm, elastomer.length_y_mm)
+    grid, element_mm = _grid(guess, elastomer, field, fineness)
+    body = MixedBody(grid, small_strain if linear else neo_hookean, moduli(elastomer.poisson_ratio))
+    surface = grid.surface(_SURFACE_POINTS)
+    penalty = _PENALTY_OVER_SHEAR * body.moduli.shear / element_mm
+    contact = HeightContact(
+        surface, grid.nodes_mm, field, penalty, linear, np.zeros_like(surface.weight_mm2)
+    )
+    options = NewtonOptions(largest_move_mm=4 * element_mm, tolerance=1e-5, augmentations=1)
+    problem = Problem(body, _free(body, elastomer), options)
+    untouched = contact.evaluate(np.zeros_like(grid.nodes_mm), 0.0, None)
+    start = Equilibrium(np.zeros(body.unknowns), contact, 0.0, untouched, 0)
+    copies = float(2 ** sum(edge[0] == 0 for edge in grid.edges_mm[:2]))
+    if load.control == "depth":
+        deep = max(1.0, guess.depth_mm / elastomer.thickness_mm)
+        path = _march(problem, start, guess.depth_mm, int(np.ceil(fineness.steps * deep)))
+        found = path[-1]
+    else:
+        found = _to_force(problem, start, guess, fineness.steps, copies)
+    if found.depth_mm >= elastomer.thickness_mm and elastomer.layout == "contact_face":
+        raise PressError(
+            f"press: needs a depth of {found.depth_mm:.3g} mm, which is not less than the slab's "
+            f"thickness of {elastomer.thickness_mm:g} mm; press less or use a thicker slab"
+        )
+    scattered = _scattered(body, found, elastomer, linear)
+    return on_grids(scattered, shape, elastomer, load, modulus_kpa)
+
+
+def check_neo_hookean(elastomer: Elastomer, load: Press) -> None:
+    """Refuse what this model does not know.
+
+    Raises
+    ------
+    PressError
+        A film or a preload.
+    """
+    modulus_kpa = young_modulus(elastomer).best_kpa
+    if elastomer.film is not None or preload_of(elastomer, load, modulus_kpa):
+        raise PressError(
+            "mechanics.model = 'neo_hookean' knows neither film, back pressure nor weight; "
+            "remove elastomer.film, press.back_pressure_kpa and press.gravity_deg"
+        )
+
+
+def _march(problem: Problem, start: Equilibrium, depth_mm: float, steps: int) -> list[Equilibrium]:
+    path = [start]
+    for aim in np.linspace(start.depth_mm, depth_mm, steps + 1)[1:]:
+        path.append(press_to(problem, path[-1], float(aim)))
+    return path
+
+
+def _to_force(
+    problem: Problem, start: Equilibrium, guess: PressedElastomer, steps: int, copies: float
+) -> Equilibrium:
+    """Press until the force is reached, then between the last two steps."""
+    aim = guess.force_n / (guess.young_modulus_kpa * 1e-3) / copies
+    below, step = start, guess.depth_mm / steps
+    above = press_to(problem, below, below.depth_mm + step)
+    while above.pushed.along < aim:
+        below, above = above, press_to(problem, above, above.depth_mm + step)
+    found = above
+    low, high = (
+        (below.depth_mm, below.pushed.along - aim),
+        (above.depth_mm, above.pushed.along - aim),
+    )
+    for _ in range(_SECANTS):
+        if abs(found.pushed.along - aim) < _FORCE_TOLERANCE * aim:
+            break
+        depth = low[0] - low[1] * (high[0] - low[0]) / (high[1] - low[1])
+        found = press_to(problem, below, depth)
+        miss = found.pushed.along - aim
+        low, high = ((depth, miss), high) if miss < 0 else (low, (depth, miss))
+    return found
+
+
+def _grid(
+    guess: PressedElastomer, elastomer: Elastomer, field: HeightField, fineness: Bricks
+) -> tuple[ElementGrid, float]:
+    """Return the grid and the size of an element in the contact."""
+    edges, sizes = [], []
+    for axis, (at, length) in enumerate(
+        ((guess.x_mm, elastomer.length_x_mm), (guess.y_mm, elastomer.length_y_mm))
+    ):
+        touched = at[guess.contact.any(axis=axis)]
+        half_width = float(np.sqrt(guess.contact.sum() / np.pi)) * float(at[1] - at[0])
+        size = min(half_width, float(np.ptp(touched)) / 2 + half_width) / fineness.contact
+        symmetric = _is_symmetric(field, axis)
+        low, count = (0.0, fineness.half) if symmetric else (-length / 2, 2 * fineness.half)
+        edges.append(_edges(touched, (low, length / 2), size, count))
+        sizes.append(float(np.diff(edges[-1]).min()))
+    through = fineness.through or int(np.clip(np.ceil(elastomer.thickness_mm), 2, 4))
+    z = graded(elastomer.thickness_mm, through, 1.25)
+    return ElementGrid((edges[0], edges[1], z)), min(sizes)
+
+
+def _edges(
+    touched: FloatArray, ends: tuple[float, float], size_mm: float, count: int
+) -> FloatArray:
+    """Return count + 1 edges, `size_mm` apart at the contacts and farther apart away from them."""
+    fine = np.linspace(*ends, 4001)
+    distance = np.abs(fine[:, None] - touched).min(axis=1)
+    # The contact of a stiffening sheet is wider than the linear one.
+    beyond = np.maximum(distance - 0.5 * size_mm, 0.0)
+    low, high = 0.05, 20.0
+    for _ in range(40):
+        growth = np.sqrt(low * high)
+        density = 1 / (size_mm + growth * beyond)
+        elements = np.concatenate(([0.0], np.cumsum((density[1:] + density[:-1]) / 2)))
+        elements *= fine[1] - fine[0]
+        low, high = (growth, high) if elements[-1] > count else (low, growth)
+    edges: FloatArray = np.interp(np.linspace(0, elements[-1], count + 1), elements, fine)
+    return edges
+
+
+def _is_symmetric(field: HeightField, axis: int) -> bool:
+    """Tell whether the specimen is its own mirror image about x = 0 (axis 0) or y = 0."""
+    height = np.where(np.isfinite(field.height_mm), field.height_mm, 1e3)
+    at, flip = ((field.x_mm, np.s_[:, ::-1]), (field.y_mm, np.s_[::-1]))[axis]
+    centred = abs(at[0] + at[-1]) < _SYMMETRY_MM
+    return bool(centred and np.allclose(height, height[flip], atol=_SYMMETRY_MM))
+
+
+def _free(body: MixedBody, elastomer: Elastomer) -> IntArray:
+    """Return the unknowns that support and symmetry leave free."""
+    nodes = body.grid.nodes_mm
+    held = np.zeros(nodes.shape, dtype=bool)
+    near = 1e-9 * elastomer.thickness_mm
+    for axis, length in enumerate((elastomer.length_x_mm, elastomer.length_y_mm)):
+        if body.grid.edges_mm[axis][0] == 0:
+            held[np.abs(nodes[:, axis]) < near, axis] = True
+        rim = np.abs(np.abs(nodes[:, axis]) - length / 2) < near
+        if elastomer.layout == "opposite_face":
+            # As the spectral slab: only the displacement across the rim's side is free.
+            held[rim, 1 - axis] = True
+            held[rim, 2] = True
+    if elastomer.layout == "contact_face":
+        held[nodes[:, 2] > elastomer.thickness_mm - near] = True
+    free: IntArray = np.setdiff1d(np.arange(body.unknowns), np.flatnonzero(held))
+    return free
+
+
+def _scattered(
+    body: MixedBody, found: Equilibrium, elastomer: Elastomer, linear: bool
+) -> Scattered:
+    grid, plane = body.grid, elastomer.touched_plane_mm
+    moved = body.displacement_mm(found.state)
+    after = grid.nodes_mm + moved
+    seen = np.column_stack((grid.nodes_mm[:, :2] if linear else after[:, :2], after[:, 2] + plane))
+    touched = grid.nodes_mm[:, 2] == 0
+    coated = touched if plane == 0 else grid.nodes_mm[:, 2] == grid.edges_mm[2][-1]
+    contact = found.contact
+    assert isinstance(contact, HeightContact)
+    at = contact.surface.trace @ seen[:, :2]
+    weight = contact.surface.weight_mm2
+    points = np.column_stack((at, found.pushed.pressure * weight, weight))
+    whole = _mirrored(points, grid)
+    return Scattered(
+        touched=_surface(_mirrored(seen[touched], grid)),
+        coated=_surface(_mirrored(seen[coated], grid)),
+        at_mm=whole[:, :2],
+        force=whole[:, 2],
+        plan_mm2=whole[:, 3],
+        points_per_facet=_SURFACE_POINTS**2,
+        depth_mm=found.depth_mm,
+        iterations=found.iterations,
+        large_strain=not linear,
+    )
+
+
+def _mirrored(points: FloatArray, grid: ElementGrid) -> FloatArray:
+    """Complete points (n, [x, y, ...]) by their images in the planes of symmetry."""
+    for axis in (0, 1):
+        if grid.edges_mm[axis][0] == 0:
+            image = points.copy()
+            image[:, axis] *= -1
+            points = np.concatenate((points, image))
+    return points
+
+
+def _surface(points: FloatArray) -> FaceHeight:
+    """Return z over x and y, continuously differentiable; beyond the outline the nearest."""
+    # Nodes on a plane of symmetry come twice.
+    _, once = np.unique(np.round(points[:, :2], 9), axis=0, return_index=True)
+    at, z = points[once, :2], points[once, 2]
+    smooth, nearest = CloughTocher2DInterpolator(at, z), NearestNDInterpolator(at, z)
+
+    def surface(x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
+        inside = smooth(x_mm, y_mm)
+        return np.asarray(np.where(np.isnan(inside), nearest(x_mm, y_mm), inside))
+
+    return surface

@@ -1,0 +1,180 @@
+"""Calibrate from captures, or render the board poses of an experiment's rig and calibrate on them.
+
+A rendered calibration knows the true rig, so that every parameter's error is known.
+"""
+
+import hashlib
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from reconstruction.calibration import (
+    AdjustOptions,
+    BoardCapture,
+    Calibrated,
+    Observation,
+    calibrate,
+    observe,
+    read_board_capture,
+)
+from reconstruction.calibration.observation import pose_folders
+from reconstruction.calibration.pipeline import parameters_of
+from reconstruction.capture.folder import Capture, write_capture
+from reconstruction.capture.frame_set import write_frame_set
+from reconstruction.errors import InputError
+from reconstruction.rig.calibration import Calibration
+from twin.camera import expose
+from twin.config import Experiment, digest
+from twin.config.board import BoardFile, BoardPose
+from twin.optics.board import render_board
+from twin.optics.light import pattern_set
+from twin.optics.rig import true_calibration
+from twin.pipeline.progress import Watcher, nobody
+
+
+@dataclass(frozen=True, eq=False)
+class BoardCalibration:
+    """A calibration with what it rests on.
+
+    Attributes
+    ----------
+    result : Calibrated
+    observations : one per pose
+    digest : names the inputs
+    experiment : of a rendered calibration
+    """
+
+    result: Calibrated
+    observations: tuple[Observation, ...]
+    digest: str
+    experiment: Experiment | None = None
+
+    @property
+    def truth(self) -> dict[str, float] | None:
+        """True parameters; None for a real rig."""
+        if self.experiment is None:
+            return None
+        return parameters_of(true_calibration(self.experiment))
+
+
+def record_board(
+    experiment: Experiment, board: BoardFile, pose: BoardPose, number: int = 0
+) -> BoardCapture:
+    """Render and expose the sequence on a board in one pose; `number` keys the temporal noise.
+
+    Raises
+    ------
+    MissingBackend
+        No usable Dr.Jit backend.
+    """
+    frames = render_board(experiment, board, pose)
+    patterns = pattern_set(experiment.projector, experiment.patterns)
+    exposed = expose(experiment, frames, patterns.index("white").start, number)
+    return BoardCapture(exposed.stack, patterns, exposed.sensor)
+
+
+def calibrate_rendered(
+    experiment: Experiment,
+    board: BoardFile,
+    options: AdjustOptions | None = None,
+    *,
+    keep: Path | None = None,
+    as_images: bool = False,
+    watch: Watcher = nobody,
+) -> BoardCalibration:
+    """Render every pose of the board file and calibrate on the images.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        Its rig, patterns, camera noise and seed count; specimen and press do not.
+    board : BoardFile
+    options : AdjustOptions, optional
+    keep : Path, optional
+        New folder for the captures, each with the TRUE calibration beside it.
+    as_images : bool
+        Keep image files instead, as a real camera gives them, without a calibration.
+    watch : Watcher
+
+    Raises
+    ------
+    InputError
+        The board file has no poses, or the board is not recognised in one.
+    MissingBackend
+        No usable Dr.Jit backend.
+    """
+    if not board.poses:
+        raise InputError("the board file has no [[poses]]: add at least 3 (better 12) to render")
+    seen = []
+    for number, pose in enumerate(board.poses):
+        name = f"pose_{number:02d}"
+        watch("poses", number / len(board.poses))
+        capture = record_board(experiment, board, pose, number)
+        if keep is not None:
+            _keep(keep / name, capture, experiment, as_images)
+        seen.append(observe(capture, board.board(), name))
+    watch("poses", 1.0)
+    named = _digest([digest(experiment), _canonical(board), repr(options)])
+    return BoardCalibration(calibrate(seen, options), tuple(seen), named, experiment)
+
+
+def calibrate_captures(
+    folder: Path,
+    board: BoardFile,
+    options: AdjustOptions | None = None,
+    *,
+    watch: Watcher = nobody,
+) -> BoardCalibration:
+    """Calibrate on a folder with one capture folder per board pose, the first one the world.
+
+    Raises
+    ------
+    InputError
+        A capture is incomplete, the board is not recognised, or the poses do not determine the rig.
+    """
+    folders = pose_folders(folder)
+    seen, named, size = [], [_canonical(board), repr(options)], ""
+    for number, path in enumerate(folders):
+        watch("poses", number / len(folders))
+        capture = read_board_capture(path)
+        size = _size(capture) if number == 0 else size
+        if _size(capture) != size:
+            raise InputError(
+                f"{path.name}: {_size(capture)}, but {folders[0].name}: {size}; record all poses "
+                "with the same camera and projector images"
+            )
+        named.append(hashlib.blake2b(capture.stack.tobytes(), digest_size=8).hexdigest())
+        seen.append(observe(capture, board.board(), path.name))
+    watch("poses", 1.0)
+    return BoardCalibration(calibrate(seen, options), tuple(seen), _digest(named))
+
+
+def _size(capture: BoardCapture) -> str:
+    _, rows, cols = capture.stack.shape
+    shown = capture.patterns
+    return f"{cols} x {rows} px seen, {shown.width_px} x {shown.height_px} px projected"
+
+
+def _keep(folder: Path, capture: BoardCapture, experiment: Experiment, as_images: bool) -> None:
+    folder.mkdir(parents=True)
+    depth = experiment.camera.bit_depth
+    if as_images:
+        stack = capture.stack.astype(np.uint8) if depth == 8 else capture.stack
+        write_frame_set(folder, stack, capture.patterns, capture.sensor, depth)
+        return
+    calibration: Calibration = true_calibration(experiment)
+    write_capture(
+        folder, Capture(capture.stack, capture.patterns, capture.sensor, calibration, depth)
+    )
+
+
+def _canonical(board: BoardFile) -> str:
+    content = board.model_dump(mode="json", exclude={"description", "provenance"})
+    return json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
+
+
+def _digest(parts: Sequence[str]) -> str:
+    return hashlib.blake2b("\n".join(parts).encode(), digest_size=8).hexdigest()

@@ -1,0 +1,112 @@
+"""Reconstruct what a sensor recorded, rendered or real, without a renderer: fringes or colours."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tomli_w
+
+from reconstruction.capture.folder import read_capture
+from reconstruction.decoding.decode import Reason
+from reconstruction.evaluate.surface import write_surface
+from reconstruction.outputs import write_reconstruction
+from reconstruction.photometric import (
+    HeightMap,
+    PhotometricReason,
+    reconstruct_photometric,
+    write_height_map,
+    write_height_points,
+    write_sensor_calibration,
+)
+from reconstruction.pipeline import Reconstruction, filter_bias, reconstruct
+from reconstruction.triangulation.triangulate import Use
+from twin.config.models import Decode
+from twin.output import EXPERIMENT_FILE, RESULT_FILE, output_folder, versions, write_json
+from twin.pipeline.fringes import options_of
+from twin.pipeline.progress import Watcher, nobody
+
+
+def reconstruct_capture(
+    capture_folder: Path, out: Path, decode: Decode, watch: Watcher = nobody
+) -> dict[str, Any]:
+    """Reconstruct `capture_folder` into `out`; returns the figures also written to result.json.
+
+    Raises
+    ------
+    InputError
+        The capture is incomplete or damaged, or `out` cannot be written.
+    """
+    with output_folder(out, [capture_folder]) as folder:
+        watch("read", 0.0)
+        capture = read_capture(capture_folder)
+        watch("read", 1.0)
+        watch("reconstruct", 0.0)
+        result = reconstruct(capture, options_of(decode))
+        watch("reconstruct", 1.0)
+        figures = reconstruction_metrics(result, decode.use)
+        write_reconstruction(folder / "reconstruction.nc", result.decoded, result.point_map)
+        write_surface(folder, result.point_map)
+        settings = tomli_w.dumps({"decode": decode.model_dump(mode="json")})
+        (folder / EXPERIMENT_FILE).write_text(settings, encoding="utf-8")
+        content = {"command": "reconstruct", "metrics": figures, "versions": versions()}
+        write_json(folder / RESULT_FILE, {"schema_version": 1, **content})
+    return figures
+
+
+def reconstruction_metrics(result: Reconstruction, use: Use) -> dict[str, Any]:
+    """Count the valid points and, by reason, the masked pixels; say how well they are known."""
+    reasons = result.point_map.mask_reason
+    figures: dict[str, Any] = {
+        "points": int(result.point_map.valid.sum()),
+        "valid_share": float(result.point_map.valid.mean()),
+    }
+    if figures["points"]:
+        sigma = result.point_map.sigma_z_mm[result.point_map.valid]
+        figures["sigma_z_median_um"] = float(1e3 * np.median(sigma))
+        bias_um, bias_share = filter_bias(result, use, result.point_map.valid)
+        figures |= {"filter_bias_um": bias_um, "filter_bias_share": bias_share}
+    for reason in Reason:
+        if reason is not Reason.VALID:
+            figures[f"masked_{reason.name.lower()}"] = int((reasons == reason).sum())
+    return figures
+
+
+def reconstruct_press(description: Path, out: Path, watch: Watcher = nobody) -> dict[str, Any]:
+    """Measure `description` (TOML) into `out`; returns the figures also written to result.json.
+
+    Beside them stand height.nc, points.ply, and sensor_calibration.npz to measure with again.
+
+    Raises
+    ------
+    InputError
+        The description or an image is missing or damaged, no contact is found on a calibration
+        image, or `out` cannot be written.
+    """
+    with output_folder(out, [description]) as folder:
+        watch("reconstruct", 0.0)
+        result = reconstruct_photometric(description)
+        watch("reconstruct", 1.0)
+        figures = height_metrics(result.height_map)
+        write_height_map(folder / "height.nc", result.height_map)
+        write_height_points(folder / "points.ply", result.height_map)
+        write_sensor_calibration(folder / "sensor_calibration.npz", result.calibration)
+        content = {"command": "reconstruct", "metrics": figures, "versions": versions()}
+        write_json(folder / RESULT_FILE, {"schema_version": 1, **content})
+    return figures
+
+
+def height_metrics(height_map: HeightMap) -> dict[str, Any]:
+    """Return the range of the valid heights and, by reason, how many pixels are coded."""
+    heights_mm = height_map.height_mm[height_map.valid]
+    figures: dict[str, Any] = {
+        "points": int(height_map.valid.sum()),
+        "valid_share": float(height_map.valid.mean()),
+    }
+    if figures["points"]:
+        figures["highest_mm"] = float(np.max(heights_mm))
+        figures["lowest_mm"] = float(np.min(heights_mm))
+    for reason in PhotometricReason:
+        if reason is not PhotometricReason.VALID:
+            count = int((height_map.mask_reason == reason).sum())
+            figures[f"masked_{reason.name.lower()}"] = count
+    return figures

@@ -1,0 +1,109 @@
+"""From a colour sensor's linear radiance to the 8-bit image that its driver delivers.
+
+Order as in the product: sensor noise, power law, 8 bits, crop, resize. Cropping is exact for a
+pinhole, so that only what is kept is rendered.
+"""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+
+from reconstruction.arrays import FloatImage, Levels
+from reconstruction.rig.pinhole import Pinhole
+from twin.camera import choose_exposure_ms, expose, largest_code_dn
+from twin.config.lamps import CHANNELS
+from twin.config.models import Experiment
+from twin.optics.rig import camera_pinhole
+
+
+def cropped_pinhole(experiment: Experiment) -> Pinhole:
+    """Pinhole of the part of the binned image that the driver keeps."""
+    whole, share = camera_pinhole(experiment.camera), experiment.photometric.crop
+    left, top = int(whole.width_px * share), int(whole.height_px * share)
+    return replace(
+        whole,
+        width_px=whole.width_px - 2 * left,
+        height_px=whole.height_px - 2 * top,
+        cx_px=whole.cx_px - left,
+        cy_px=whole.cy_px - top,
+    )
+
+
+def image_pinhole(experiment: Experiment) -> Pinhole:
+    """Pinhole of the final image; its pixels need not be square."""
+    kept, size = cropped_pinhole(experiment), experiment.photometric
+    x, y = size.width_px / kept.width_px, size.height_px / kept.height_px
+    # Pixel centres are half a pixel in, whatever the size of the pixels.
+    return replace(
+        kept,
+        width_px=size.width_px,
+        height_px=size.height_px,
+        fx_px=kept.fx_px * x,
+        fy_px=kept.fy_px * y,
+        cx_px=(kept.cx_px + 0.5) * x - 0.5,
+        cy_px=(kept.cy_px + 0.5) * y - 0.5,
+    )
+
+
+def fixed_exposure_ms(experiment: Experiment, background: FloatImage) -> float:
+    """Return the exposure; an automatic one is set on the brightest channel of the untouched coat.
+
+    Images are compared with the background: all must have its exposure.
+
+    Parameters
+    ----------
+    background : (row, col, channel) float32, mW / (mm^2 sr)
+
+    Raises
+    ------
+    InputError
+        Automatic exposure, and no lamp lights the coat.
+    """
+    brightest = as_projector_light(experiment, background).max(axis=-1)
+    return choose_exposure_ms(experiment, brightest)
+
+
+def as_projector_light(experiment: Experiment, radiance: FloatImage) -> FloatImage:
+    """Radiance at the projector's wavelength that frees as many electrons, (row, col, channel).
+
+    The exposure model counts photons of one wavelength: mW of red are more photons than of blue.
+    """
+    reference_nm = experiment.projector.wavelength_nm
+    factors = [_wavelength_nm(experiment, channel) / reference_nm for channel in CHANNELS]
+    return radiance * np.array(factors, np.float32)
+
+
+def develop(experiment: Experiment, radiance: FloatImage, trial: int = 0) -> Levels:
+    """Expose the camera and return what its driver delivers.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        With a set exposure.
+    radiance : (row, col, channel) float32, mW / (mm^2 sr)
+        On the pixels of `cropped_pinhole`.
+    trial : int
+        Number of the image: same camera, new temporal noise.
+
+    Returns
+    -------
+    (row, col, 3) uint8, red first, of the final size
+    """
+    camera, size = experiment.camera, experiment.photometric
+    channels = list(np.moveaxis(as_projector_light(experiment, radiance), -1, 0))
+    exposed = expose(experiment, channels, white_frame=0, trial=trial)
+    black_dn = camera.black_level_dn
+    dn = np.moveaxis(exposed.stack, 0, -1).astype(np.float32)
+    linear = np.clip((dn - black_dn) / (largest_code_dn(camera) - black_dn), 0.0, 1.0)
+    levels = np.rint(255.0 * linear ** (1.0 / size.gamma)).astype(np.uint8)
+    final = (size.width_px, size.height_px)
+    image: Levels = cv2.resize(levels, final, interpolation=cv2.INTER_AREA)
+    return image
+
+
+def _wavelength_nm(experiment: Experiment, channel: str) -> float:
+    """Mean wavelength of the lamps of a channel, weighted by their flux."""
+    lamps = [lamp for lamp in experiment.lamps.values() if lamp.channel == channel]
+    weights = [lamp.flux_mw for lamp in lamps]
+    return float(np.average([lamp.wavelength_nm for lamp in lamps], weights=weights))

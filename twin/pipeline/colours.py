@@ -1,0 +1,295 @@
+"""Photometric stereo: the coat in the light of coloured lamps, seen through its gel.
+
+One sensor sees everything: reference balls that teach it which colour goes with which slope, the
+untouched gel, and the specimen. All of them are pressed, rendered and developed alike. The stages
+sensor -> references -> calibrations serve every specimen under the same sensor.
+"""
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from reconstruction.arrays import FloatArray, FloatImage, Levels
+from reconstruction.errors import InputError
+from reconstruction.photometric import (
+    BallPress,
+    SensorCalibration,
+    calibrate_sensor,
+)
+from reconstruction.photometric.calibration_ball import SampleOptions
+from reconstruction.photometric.sensor_calibration import MapKind
+from reconstruction.rig.pinhole import Pinhole
+from twin.config import Experiment, digest, seed_sequence
+from twin.config.models import Ball, Press
+from twin.mechanics import PressedElastomer, face_mesh
+from twin.optics.backend import activate
+from twin.optics.rig import world_from_device
+from twin.optics.stack import Truth
+from twin.output import versions
+from twin.pipeline.colour_images import (
+    cropped_pinhole,
+    develop,
+    fixed_exposure_ms,
+    image_pinhole,
+)
+from twin.pipeline.fringes import RunContext
+from twin.pipeline.memory import Kept, Memory
+from twin.pipeline.press import press, press_smooth, with_texture
+from twin.results.decoders import MAP_ORDER, chosen, decode_all
+from twin.results.parts import press_metrics
+from twin.results.record import Colours, Measurement
+from twin.results.score import metrics
+
+if TYPE_CHECKING:
+    import trimesh
+
+    from twin.optics.colour_trace import ColourScene
+
+# Dots of the product are read up to this grey level (measured behaviour of the vendor's programs).
+MARKER_LEVEL = 70
+# A small ball in a dark corner now and then leaves no circle: such a press would be repeated.
+UNREADABLE_SHARE = 0.1
+# Numbers of images, so that no two share their noise: backgrounds, presses, then the specimen.
+_FIRST_PRESS, _FIRST_TRIAL = 1000, 2000
+
+
+@dataclass(frozen=True, eq=False)
+class LitCoat:
+    """The untouched coat under its lamps, loaded.
+
+    Attributes
+    ----------
+    background : (row, col, channel) float32
+        Its radiance on the pixels that the driver keeps.
+    exposure_ms : float
+        Set once, on the background.
+    """
+
+    scene: "ColourScene"
+    background: FloatImage
+    exposure_ms: float
+
+
+@dataclass(frozen=True, eq=False)
+class ColourSensor:
+    """A sensor ready to look at pressed faces; its experiment has a set exposure."""
+
+    experiment: Experiment
+    coat: LitCoat
+
+    @classmethod
+    def of(cls, experiment: Experiment, coat: LitCoat) -> "ColourSensor":
+        """Set the exposure."""
+        camera = experiment.camera.model_copy(update={"exposure_ms": coat.exposure_ms})
+        return cls(experiment.model_copy(update={"camera": camera}), coat)
+
+    @property
+    def pitch_mm(self) -> float:
+        """Width of a pixel of the final image on the coat, mean of both axes, middle of the field.
+
+        The layers raise the coat to sum of thickness / index below their top (paraxial).
+        """
+        device, camera = image_pinhole(self.experiment), self.experiment.camera
+        layers = self.experiment.layers.values()
+        raised_mm = sum(layer.thickness_mm * (1.0 - 1.0 / layer.ior) for layer in layers)
+        return (camera.pose.standoff_mm - raised_mm) * (1 / device.fx_px + 1 / device.fy_px) / 2
+
+    def image(self, face: "trimesh.Trimesh", number: int) -> Levels:
+        """Return what the driver delivers of a pressed face, with the noise of image `number`."""
+        self.coat.scene.put(face)
+        radiance = self.coat.scene.render(*self._pose(cropped_pinhole(self.experiment)))
+        return develop(self.experiment, radiance, number)
+
+    def backgrounds(self) -> Levels:
+        """Return untouched images, (frame, row, col, 3)."""
+        count, untouched = self.experiment.photometric.presses.backgrounds, self.coat.background
+        return np.stack([develop(self.experiment, untouched, n) for n in range(count)])
+
+    def truth(self, face: "trimesh.Trimesh") -> Truth:
+        """Return the truth behind the final image; lit is the part that is evaluated."""
+        self.coat.scene.put(face)
+        return self.coat.scene.truth(*self._pose(image_pinhole(self.experiment)))
+
+    def _pose(self, pinhole: Pinhole) -> tuple[Pinhole, FloatArray]:
+        return pinhole, world_from_device(self.experiment.camera.pose, pinhole)
+
+
+@dataclass(frozen=True, eq=False)
+class References:
+    """Images that a sensor is calibrated on."""
+
+    backgrounds: Levels
+    presses: tuple[BallPress, ...]
+
+
+def measure_colours(experiment: Experiment, run: RunContext) -> Measurement:
+    """Run one virtual measurement by photometric stereo.
+
+    Raises
+    ------
+    InputError
+        Something in the experiment cannot be pressed, rendered or fitted.
+    MissingBackend
+        No usable Dr.Jit backend.
+    """
+    memory, clock = run.memory, run.clock
+    check_sensor(experiment)
+    with clock.stage("press"):
+        pressed = press(experiment, memory)
+    with clock.stage("calibrate"):
+        coat, calibrations = _calibrated(experiment, memory)
+    with clock.stage("render"):
+        seen = memory.recall(
+            "image",
+            experiment,
+            (coat.token, pressed.face_digest, run.trial),
+            lambda seen: _photograph(seen, coat.value, pressed.pressed, run.trial),
+        )
+    image, truth = seen.value
+    with clock.stage("reconstruct"):
+        decoded = decode_all(experiment, image, calibrations, truth)
+    own = chosen(experiment, decoded)
+    return Measurement(
+        experiment=experiment,
+        images=Colours(image, calibrations, decoded, own),
+        truth=truth,
+        score=own.score,
+        figures=press_metrics(pressed.pressed) | metrics(own.score),
+        pressed=pressed.pressed,
+        digest=digest(experiment),
+        versions=versions(),
+        seconds=clock.seconds,
+    )
+
+
+def calibrated_sensor(
+    experiment: Experiment, memory: Memory | None = None
+) -> tuple[ColourSensor, SensorCalibration]:
+    """Return the sensor and its calibration on rendered presses of reference balls.
+
+    Raises
+    ------
+    FitError
+        A press without a contact circle, or too few presses.
+    InputError
+        No lamps; or a pose, lens or exposure that this method does not take.
+    MissingBackend
+        No usable Dr.Jit backend.
+    """
+    check_sensor(experiment)
+    coat, calibrations = _calibrated(experiment, memory or Memory())
+    sensor = ColourSensor.of(experiment, coat.value)
+    return sensor, calibrations[experiment.photometric.colour_map]
+
+
+def check_sensor(experiment: Experiment) -> None:
+    """Refuse a rig that is no sensor for photometric stereo.
+
+    Raises
+    ------
+    InputError
+        No lamps, a camera that leans, or depth of field.
+    """
+    if not experiment.lamps:
+        raise InputError("lamps: found none; photometric stereo needs [lamps.NAME] beside the gel")
+    camera = experiment.camera
+    if camera.pose.polar_deg or camera.pose.roll_deg:
+        raise InputError(
+            "camera.pose: photometric stereo maps pixels to mm by one pitch; set polar_deg and"
+            " roll_deg to 0"
+        )
+    if camera.depth_of_field:
+        raise InputError("camera.depth_of_field: not rendered for photometric stereo; set it false")
+
+
+def ball_presses(experiment: Experiment) -> list[Experiment]:
+    """Draw the reference presses: balls at random places of the field, from the root seed."""
+    plan, size = experiment.photometric.presses, experiment.photometric
+    rng = np.random.default_rng(seed_sequence(experiment, "reference_balls"))
+    found = []
+    for _ in range(plan.count):
+        diameter_mm = rng.uniform(plan.smallest_diameter_mm, plan.largest_diameter_mm)
+        depth_mm = 0.5 * diameter_mm * rng.uniform(plan.shallowest, plan.deepest)
+        # A contact's radius is below sqrt(2 R d), the ball's section by the plane.
+        half = np.array([size.field_x_mm, size.field_y_mm]) / 2 - np.sqrt(diameter_mm * depth_mm)
+        x_mm, y_mm = rng.uniform(-1.0, 1.0, 2) * np.maximum(half, 0.0)
+        ball = Ball(diameter_mm=diameter_mm, x_mm=x_mm, y_mm=y_mm)
+        found.append(with_ball(experiment, ball, depth_mm))
+    return found
+
+
+def with_ball(experiment: Experiment, ball: Ball, depth_mm: float) -> Experiment:
+    """Return the experiment with a ball pressed to a depth instead of its own specimen."""
+    load = Press(
+        control="depth",
+        depth_mm=depth_mm,
+        solver_pitch_mm=experiment.press.solver_pitch_mm,
+        relief_pitch_mm=experiment.press.relief_pitch_mm,
+    )
+    return experiment.model_copy(update={"specimen": ball, "press": load})
+
+
+def _calibrated(
+    experiment: Experiment, memory: Memory
+) -> tuple[Kept[LitCoat], dict[MapKind, SensorCalibration]]:
+    """Return the lit coat and one calibration per colour map, all on the same reference images."""
+    coat = memory.recall("sensor", experiment, (), _lit_coat)
+    references = memory.recall(
+        "references",
+        experiment,
+        coat.token,
+        lambda seen: _references(ColourSensor.of(seen, coat.value)),
+    )
+    calibrations = memory.recall(
+        "calibrations",
+        experiment,
+        references.token,
+        lambda seen: _calibrations(ColourSensor.of(seen, coat.value), references.value),
+    )
+    return coat, calibrations.value
+
+
+def _lit_coat(experiment: Experiment) -> LitCoat:
+    activate()
+    from twin.optics.colour_trace import ColourScene
+
+    scene = ColourScene(experiment, face_mesh(_untouched(experiment)))
+    pinhole = cropped_pinhole(experiment)
+    background = scene.render(pinhole, world_from_device(experiment.camera.pose, pinhole))
+    return LitCoat(scene, background, fixed_exposure_ms(experiment, background))
+
+
+def _untouched(experiment: Experiment) -> PressedElastomer:
+    """Return the untouched coat on the nodes of a pressed one: a press, its relief taken off."""
+    case = with_ball(experiment, Ball(diameter_mm=8.0), 0.2)
+    pressed = press_smooth(case)
+    flat, free = np.zeros_like(pressed.face_z_mm), np.zeros_like(pressed.pressure_kpa)
+    return with_texture(case, replace(pressed, face_z_mm=flat, pressure_kpa=free))
+
+
+def _references(sensor: ColourSensor) -> References:
+    """Press, render and develop the reference balls."""
+    found = []
+    for number, case in enumerate(ball_presses(sensor.experiment)):
+        assert isinstance(case.specimen, Ball)
+        pressed = with_texture(case, press_smooth(case))
+        image = sensor.image(face_mesh(pressed), _FIRST_PRESS + number)
+        found.append(BallPress(image, case.specimen.diameter_mm))
+    return References(sensor.backgrounds(), tuple(found))
+
+
+def _calibrations(sensor: ColourSensor, references: References) -> dict[MapKind, SensorCalibration]:
+    markers = sensor.experiment.photometric.markers
+    options = SampleOptions(
+        marker_level=0 if markers is None else MARKER_LEVEL, unreadable_share=UNREADABLE_SHARE
+    )
+    images = references.presses, references.backgrounds
+    return {kind: calibrate_sensor(*images, sensor.pitch_mm, kind, options) for kind in MAP_ORDER}
+
+
+def _photograph(
+    experiment: Experiment, coat: LitCoat, pressed: PressedElastomer, trial: int
+) -> tuple[Levels, Truth]:
+    sensor, face = ColourSensor.of(experiment, coat), face_mesh(pressed)
+    return sensor.image(face, _FIRST_TRIAL + trial), sensor.truth(face)

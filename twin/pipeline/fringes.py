@@ -1,0 +1,302 @@
+"""Measure with fringes: on the coat of a pressed elastomer, or on the bare specimen.
+
+press -> geometry -> view -> trace, photons -> frames -> capture -> reconstruction -> score. Each
+stage is kept in a memory, and used again for every later experiment that has the same values in all
+fields that the stage looked at, and the same earlier stages. A single measurement is the same way
+with an empty memory.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+from reconstruction.capture.folder import Capture
+from reconstruction.decoding.decode import DecodeOptions
+from reconstruction.errors import InputError
+from reconstruction.pipeline import Reconstruction, ReconstructOptions, reconstruct
+from twin.camera import expose
+from twin.config import digest
+from twin.config.models import Decode, Experiment
+from twin.mechanics import PressedElastomer, face_mesh
+from twin.optics.backend import activate
+from twin.optics.checks import check_direct_engine
+from twin.optics.light import pattern_set
+from twin.optics.rig import true_calibration
+from twin.optics.stack import RadianceStack
+from twin.output import versions
+from twin.pipeline.memory import Kept, Memory
+from twin.pipeline.press import PressedFace, press
+from twin.pipeline.progress import Stopwatch
+from twin.results.parts import taken_figures
+from twin.results.record import Fringes, Measurement, Recording
+from twin.results.score import metrics, score
+
+if TYPE_CHECKING:
+    import trimesh
+
+    from twin.pipeline.trace import Geometry
+
+Progress = Callable[[float], None]
+
+
+@dataclass(frozen=True, eq=False)
+class RunContext:
+    """How a measurement is made: what is kept, who is told, and which repetition it is."""
+
+    memory: Memory
+    clock: Stopwatch
+    trial: int = 0
+
+    @classmethod
+    def alone(cls, clock: Stopwatch | None = None, trial: int = 0) -> "RunContext":
+        """Return a run that neither finds nor leaves anything."""
+        return cls(Memory(), clock or Stopwatch(), trial)
+
+
+def measure_fringes(experiment: Experiment, run: RunContext) -> Measurement:
+    """Run one measurement, each stage only where no kept result is the same.
+
+    Raises
+    ------
+    InputError
+        Something in the experiment cannot be pressed, rendered or fitted.
+    MissingBackend
+        No usable Dr.Jit backend.
+    """
+    pressed, capture = _taken(experiment, run)
+    with run.clock.stage("reconstruct"):
+        points = run.memory.recall(
+            "reconstruction",
+            experiment,
+            capture.token,
+            lambda seen: reconstruct(capture.value.capture, options_of(seen.decode)),
+        ).value
+    with run.clock.stage("score"):
+        done = evaluate(experiment, pressed, capture.value, points)
+    return replace(done, seconds=run.clock.seconds)
+
+
+def evaluate(
+    experiment: Experiment,
+    pressed: PressedElastomer | None,
+    recording: Recording,
+    reconstruction: Reconstruction,
+) -> Measurement:
+    """Score a reconstruction against the truth, and put everything into one record."""
+    scored = score(experiment, reconstruction, recording.truth)
+    return Measurement(
+        experiment=experiment,
+        images=Fringes(recording.capture, reconstruction, recording.radiance.frames),
+        truth=recording.truth,
+        score=scored,
+        figures=taken_figures(pressed, recording) | metrics(scored),
+        pressed=pressed,
+        digest=digest(experiment),
+        versions=versions(),
+    )
+
+
+def take(
+    experiment: Experiment, clock: Stopwatch | None = None, trial: int = 0
+) -> tuple[PressedElastomer | None, Recording]:
+    """Press where the method presses, then record.
+
+    Parameters
+    ----------
+    experiment : Experiment
+    clock : Stopwatch, optional
+    trial : int
+        Repetition with new temporal noise.
+
+    Raises
+    ------
+    InputError
+        Something in the experiment cannot be pressed or rendered.
+    MissingBackend
+        No usable Dr.Jit backend.
+    """
+    pressed, capture = _taken(experiment, RunContext.alone(clock, trial))
+    return pressed, capture.value
+
+
+def record(
+    experiment: Experiment,
+    pressed: PressedElastomer,
+    clock: Stopwatch | None = None,
+    trial: int = 0,
+) -> Recording:
+    """Render the sequence on a face that is pressed already, and expose the camera.
+
+    Raises
+    ------
+    InputError
+        The coat is seen through a gel (contact-face layout) that the experiment does not describe.
+    MissingBackend
+        No usable Dr.Jit backend.
+    """
+    return _recorded(experiment, PressedFace.of(pressed), RunContext.alone(clock, trial)).value
+
+
+def render(
+    experiment: Experiment, face: "trimesh.Trimesh", progress: Progress = lambda _: None
+) -> RadianceStack:
+    """Render all frames of the experiment's sequence, and the truth behind them.
+
+    Parameters
+    ----------
+    experiment : Experiment
+    face : trimesh.Trimesh
+        Coated face in world mm, normals towards the camera.
+    progress : callable
+        Told the finished fraction.
+
+    Raises
+    ------
+    MissingBackend
+        No usable Dr.Jit backend.
+    InputError
+        The stock engine cannot express the experiment.
+    """
+    activate()
+    from twin.pipeline import trace
+
+    memory = Memory()
+    geometry = memory.recall("geometry", experiment, (), lambda seen: trace.load_face(seen, face))
+    return _lit(experiment, geometry, memory, progress).value
+
+
+def render_bare(experiment: Experiment, progress: Progress = lambda _: None) -> RadianceStack:
+    """Render all frames on the bare specimen standing on its stage.
+
+    Raises
+    ------
+    InputError
+        A part has no material, or the stock engine was asked for: it shows everything behind clear
+        bodies black.
+    MissingBackend
+        No usable Dr.Jit backend.
+    """
+    return _rendered(experiment, None, Memory(), progress).value
+
+
+def expose_capture(
+    experiment: Experiment, radiance: RadianceStack, clock: Stopwatch, trial: int
+) -> Recording:
+    """Expose the camera to a rendered stack; `trial` draws new temporal noise."""
+    clock.count_frames("render", len(radiance.frames))
+    patterns = pattern_set(experiment.projector, experiment.patterns)
+    with clock.stage("expose") as progress:
+        white = patterns.index("white").start
+        exposed = expose(experiment, radiance.frames, white, trial, progress)
+    capture = Capture(
+        stack=exposed.stack,
+        patterns=patterns,
+        sensor=exposed.sensor,
+        calibration=true_calibration(experiment),
+        bit_depth=experiment.camera.bit_depth,
+    )
+    return Recording(radiance, capture, exposed.exposure_ms)
+
+
+def options_of(decode: Decode) -> ReconstructOptions:
+    """Return the decoder's options as the experiment states them."""
+    return ReconstructOptions(
+        decode=DecodeOptions(
+            filter_taps=decode.filter_taps, filter_sigma_px=decode.filter_sigma_px
+        ),
+        use=decode.use,
+    )
+
+
+def check_layers(experiment: Experiment) -> None:
+    """Refuse a coat that is seen through a gel which the experiment does not describe.
+
+    Raises
+    ------
+    InputError
+    """
+    if experiment.elastomer.layout == "contact_face" and not experiment.layers:
+        raise InputError(
+            "layers: found none, elastomer.layout = 'contact_face' is seen through its gel; add "
+            f"[layers.gel] with bottom_mm = 0, thickness_mm = {experiment.elastomer.thickness_mm:g}"
+            " and ior, or use twin press"
+        )
+
+
+def _taken(
+    experiment: Experiment, run: RunContext
+) -> tuple[PressedElastomer | None, Kept[Recording]]:
+    if not experiment.method.fringes:
+        raise InputError(
+            f"modality = '{experiment.modality}' takes one colour image and no fringe stack; use"
+            " twin measure, or measure in Python"
+        )
+    if not experiment.method.presses:
+        return None, _recorded(experiment, None, run)
+    with run.clock.stage("press"):
+        pressed = press(experiment, run.memory)
+    return pressed.pressed, _recorded(experiment, pressed, run)
+
+
+def _recorded(
+    experiment: Experiment, pressed: PressedFace | None, run: RunContext
+) -> Kept[Recording]:
+    with run.clock.stage("render") as progress:
+        radiance = _rendered(experiment, pressed, run.memory, progress)
+    return run.memory.recall(
+        "capture",
+        experiment,
+        (radiance.token, run.trial),
+        lambda seen: expose_capture(seen, radiance.value, run.clock, run.trial),
+    )
+
+
+def _rendered(
+    experiment: Experiment, pressed: PressedFace | None, memory: Memory, progress: Progress
+) -> Kept[RadianceStack]:
+    check = check_direct_engine if pressed is None else check_layers
+    check(experiment)
+    activate()
+    from twin.pipeline import trace
+
+    if pressed is None:
+        geometry = memory.recall("geometry", experiment, (), trace.load_bare)
+    else:
+        geometry = memory.recall(
+            "geometry",
+            experiment,
+            pressed.face_digest,
+            lambda seen: trace.load_face(seen, face_mesh(pressed.pressed)),
+        )
+    return _lit(experiment, geometry, memory, progress)
+
+
+def _lit(
+    experiment: Experiment, geometry: "Kept[Geometry]", memory: Memory, progress: Progress
+) -> Kept[RadianceStack]:
+    from twin.pipeline import trace
+
+    scene = geometry.value
+    view = memory.recall(
+        "view", experiment, geometry.token, lambda seen: trace.view_of(seen, scene)
+    )
+    if experiment.render.engine == "stock":
+        return memory.recall(
+            "frames",
+            experiment,
+            view.token,
+            lambda seen: trace.light_with_stock(seen, scene, view.value, progress),
+        )
+    rays = memory.recall(
+        "trace", experiment, view.token, lambda seen: trace.patches_of(seen, scene, view.value)
+    )
+    photons = memory.recall(
+        "photons", experiment, view.token, lambda seen: trace.photons_of(seen, scene, view.value)
+    )
+    traced = rays.value, photons.value
+    return memory.recall(
+        "frames",
+        experiment,
+        (rays.token, photons.token),
+        lambda seen: trace.light(seen, scene, view.value, traced, progress),
+    )

@@ -1,0 +1,83 @@
+"""Run one virtual measurement by whichever method the experiment names: the one place to choose."""
+
+from pathlib import Path
+
+from twin.config import Experiment
+from twin.mechanics import check_press
+from twin.optics.checks import check_renderable
+from twin.pipeline.colours import check_sensor, measure_colours
+from twin.pipeline.fringes import RunContext, check_layers, measure_fringes
+from twin.pipeline.memory import Memory
+from twin.pipeline.progress import Stopwatch, Watcher, nobody
+from twin.results.folder import write_measurement
+from twin.results.record import Measurement
+
+
+def measure(
+    experiment: Experiment,
+    watch: Watcher = nobody,
+    memory: Memory | None = None,
+    trial: int = 0,
+) -> Measurement:
+    """Run one virtual measurement.
+
+    Parameters
+    ----------
+    experiment : Experiment
+    watch : Watcher
+    memory : Memory, optional
+        What measurements before it kept, and where it keeps its own; the bytes are the same.
+    trial : int
+        Repetition with new temporal noise.
+
+    Raises
+    ------
+    InputError
+        Something in the experiment cannot be pressed, rendered or fitted.
+    MissingBackend
+        No usable Dr.Jit backend.
+    """
+    run = RunContext(Memory() if memory is None else memory, Stopwatch(watch), trial)
+    by_method = measure_fringes if experiment.method.fringes else measure_colours
+    return by_method(experiment, run)
+
+
+def measure_into(
+    folder: Path,
+    command: str,
+    experiment: Experiment,
+    watch: Watcher = nobody,
+    memory: Memory | None = None,
+) -> None:
+    """Measure, and write everything of it into an empty folder; `command` is who asked.
+
+    Raises
+    ------
+    InputError, MissingBackend
+        As `measure`.
+    """
+    done = measure(experiment, watch, memory)
+    watch("write", 0.0)
+    write_measurement(folder, command, done)
+    watch("write", 1.0)
+
+
+def check_measurable(experiment: Experiment) -> None:
+    """Refuse an experiment that cannot be measured, as far as that is plain without measuring.
+
+    The checks are those of the measurement itself; what only the press or the image can tell, such
+    as the depth that a force needs, is not among them.
+
+    Raises
+    ------
+    InputError
+        What cannot be pressed or rendered, and what to change.
+    """
+    method = experiment.method
+    if method.presses:
+        check_press(
+            experiment.mechanics, experiment.specimen, experiment.elastomer, experiment.press
+        )
+        check = check_layers if method.fringes else check_sensor
+        check(experiment)
+    check_renderable(experiment)

@@ -1,0 +1,106 @@
+"""Press the experiment's specimen: from the shape of the slab to the coated face as it is seen."""
+
+import hashlib
+from dataclasses import dataclass
+
+from twin.config.models import Experiment
+from twin.mechanics import (
+    ContactTransfer,
+    PressedElastomer,
+    contact_transfer,
+    press_with,
+    ridge_height_mm,
+    ridge_transfer,
+    textured,
+)
+from twin.mechanics.scaling import unit_press, with_modulus
+from twin.pipeline.memory import Memory
+
+
+@dataclass(frozen=True, eq=False)
+class PressedFace:
+    """A press, and the digest of its coated face, which names it wherever it came from."""
+
+    pressed: PressedElastomer
+    face_digest: str
+
+    @classmethod
+    def of(cls, pressed: PressedElastomer) -> "PressedFace":
+        """Name the coated face by its heights and the nodes that they stand on."""
+        name = hashlib.blake2b(digest_size=16)
+        for values in (pressed.face_x_mm, pressed.face_y_mm, pressed.face_z_mm):
+            name.update(repr(values.shape).encode() + values.tobytes())
+        return cls(pressed, name.hexdigest())
+
+
+def press(experiment: Experiment, memory: Memory) -> PressedFace:
+    """Press by stages: the slab's shape for all moduli, or the whole press; then its texture.
+
+    Raises
+    ------
+    InputError
+        The press is refused, or its solver does not converge.
+    """
+    smooth, token = _smooth(experiment, memory)
+    made_from = token, smooth.pressed.young_modulus_kpa
+    return memory.recall(
+        "texture", experiment, made_from, lambda seen: _with_texture(seen, smooth)
+    ).value
+
+
+def press_specimen(experiment: Experiment) -> PressedElastomer:
+    """Press the experiment's specimen into its elastomer: the coated face as it is seen."""
+    return press(experiment, Memory()).pressed
+
+
+def press_smooth(experiment: Experiment) -> PressedElastomer:
+    """Press with the model that the experiment asks for; the coat's texture is left out."""
+    return press_with(
+        experiment.mechanics, experiment.specimen, experiment.elastomer, experiment.press
+    )
+
+
+def with_texture(experiment: Experiment, smooth: PressedElastomer) -> PressedElastomer:
+    """Lay the experiment's texture, if its coat has one, on a smooth pressed face."""
+    texture = experiment.coating.texture
+    if texture is None:
+        return smooth
+    return textured(smooth, experiment.elastomer, experiment.press, texture, experiment.seed)
+
+
+def _smooth(experiment: Experiment, memory: Memory) -> tuple[PressedFace, int]:
+    """Return the press without texture, and the token of what it comes from."""
+    shape = memory.recall("shape", experiment, (), _unit_press)
+    if shape.value is None:
+        own = memory.recall(
+            "press", experiment, (), lambda seen: PressedFace.of(press_smooth(seen))
+        )
+        return own.value, own.token
+    scaled = with_modulus(shape.value.pressed, experiment.elastomer)
+    return PressedFace(scaled, shape.value.face_digest), shape.token
+
+
+def _unit_press(experiment: Experiment) -> PressedFace | None:
+    pressed = unit_press(
+        experiment.mechanics, experiment.specimen, experiment.elastomer, experiment.press
+    )
+    return None if pressed is None else PressedFace.of(pressed)
+
+
+def _with_texture(experiment: Experiment, smooth: PressedFace) -> PressedFace:
+    pressed = with_texture(experiment, smooth.pressed)
+    return smooth if pressed is smooth.pressed else PressedFace.of(pressed)
+
+
+def transfer_of(experiment: Experiment, pressed: PressedElastomer) -> ContactTransfer:
+    """Return what the coat shows of grooves of each pitch, by the kind of model that pressed.
+
+    Raises
+    ------
+    PressError
+        A thin sheet without back pressure.
+    """
+    if pressed.model != "sheet":
+        return contact_transfer(experiment.elastomer)
+    ridge_mm = ridge_height_mm(experiment.specimen)
+    return ridge_transfer(experiment.elastomer, experiment.press.back_pressure_kpa, ridge_mm)

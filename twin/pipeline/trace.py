@@ -1,0 +1,188 @@
+"""The one-trace renderer in steps, each of which serves every experiment that it does not look at.
+
+Surfaces and their BVH serve all coats and devices; rays to them, and photons, all patterns; frames
+all cameras' noise. Each step takes the experiment for what it reads itself and the earlier steps'
+results for the rest. Import after `backend.activate()`.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from twin.config.digest import seed_sequence
+from twin.config.models import Coating, Experiment
+from twin.optics.bounces import Bounces
+from twin.optics.checks import check_focus, check_stock
+from twin.optics.coat import coated_mesh, coating_bsdf, set_coating
+from twin.optics.connection import Rig, axial_range_mm
+from twin.optics.direct import direct_scene
+from twin.optics.light import LightTable, light_tables, pattern_set
+from twin.optics.one_trace import Patches, light_stack, trace_patches, trace_truth
+from twin.optics.photons import Photons, trace_photons
+from twin.optics.scene import coated_rig, coating_in_layer, face_scene, rig_of
+from twin.optics.stack import RadianceStack, Truth
+from twin.optics.stage_light import StageLight, map_photons
+from twin.optics.stock import render_stack
+from twin.optics.surfaces import Surfaces
+
+if TYPE_CHECKING:
+    import trimesh
+
+# Any matte coat: each step that looks at the coat sets its own first.
+_BARE = Coating(
+    base_albedo=0.5, flake_fraction=0.0, flake_roughness=0.5, flake_ior=1.0, flake_extinction=1.0
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Geometry:
+    """Surfaces, loaded: a pressed face, whose coat changes from step to step, or a bare specimen.
+
+    Attributes
+    ----------
+    face : None where the bare specimen is seen
+    """
+
+    scene: Any
+    surfaces: Surfaces
+    face: "trimesh.Trimesh | None" = None
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """Devices about a scene, how far from the projector it reaches, and what they truly see."""
+
+    rig: Rig
+    axial_mm: tuple[float, float]
+    truth: Truth
+
+
+def load_face(experiment: Experiment, face: "trimesh.Trimesh") -> Geometry:
+    """Load a pressed face and build its BVH.
+
+    Raises
+    ------
+    InputError
+        The face pokes through the layers that it is seen through.
+    """
+    return Geometry(face_scene(experiment, face, _BARE), Surfaces(), face)
+
+
+def load_bare(experiment: Experiment) -> Geometry:
+    """Load the bare specimen on its stage.
+
+    Raises
+    ------
+    InputError
+        A part of the specimen has no material.
+    """
+    built = direct_scene(experiment)
+    return Geometry(built.scene, built.surfaces)
+
+
+def view_of(experiment: Experiment, geometry: Geometry) -> View:
+    """Place the devices and trace the truth behind every camera pixel."""
+    scene, face = geometry.scene, geometry.face
+    rig = rig_of(experiment) if face is None else coated_rig(experiment, face)
+    axial_mm = axial_range_mm(scene, rig)
+    return View(rig, axial_mm, trace_truth(scene, rig, geometry.surfaces))
+
+
+def patches_of(experiment: Experiment, geometry: Geometry, view: View) -> Patches:
+    """Trace all camera rays, for all patterns."""
+    _dress(experiment, geometry)
+    return trace_patches(geometry.scene, view.rig, experiment.render.samples).evaluate()
+
+
+def photons_of(experiment: Experiment, geometry: Geometry, view: View) -> Photons | None:
+    """Trace the light that clear and polished bodies throw on the stage; None without such.
+
+    Raises
+    ------
+    InputError
+        Blur that grows with the distance.
+    """
+    if not geometry.surfaces.sharp:
+        return None
+    check_focus(experiment)
+    count, (seed, _) = experiment.render.photons, _direct_seeds(experiment)
+    return trace_photons(geometry.scene, geometry.surfaces, view.rig, count=count, seed=seed)
+
+
+def light(
+    experiment: Experiment,
+    geometry: Geometry,
+    view: View,
+    traced: tuple[Patches, Photons | None],
+    progress: Callable[[float], None],
+) -> RadianceStack:
+    """Light what was traced with the experiment's sequence."""
+    # Pixels at edges, and bounces, trace on: they need the coat.
+    _dress(experiment, geometry)
+    (patches, photons), tables = traced, _tables(experiment, view)
+    bounces = _bounces(experiment, geometry, photons, tables)
+    frames = light_stack(
+        geometry.scene, view.rig, tables, patches, bounces=bounces, progress=progress
+    )
+    return RadianceStack(frames, view.truth)
+
+
+def light_with_stock(
+    experiment: Experiment, geometry: Geometry, view: View, progress: Callable[[float], None]
+) -> RadianceStack:
+    """Render every frame of a pressed face by stock Mitsuba.
+
+    Raises
+    ------
+    InputError
+        Stock Mitsuba cannot express the experiment.
+    """
+    check_stock(experiment)
+    assert geometry.face is not None
+    patterns = pattern_set(experiment.projector, experiment.patterns)
+    seeds = seed_sequence(experiment, "stock").generate_state(len(patterns.frames)).tolist()
+    frames = render_stack(
+        coated_mesh(geometry.face, coating_bsdf(experiment.coating)),
+        view.rig,
+        patterns,
+        _tables(experiment, view),
+        emitter=experiment.render.stock_emitter,
+        samples=experiment.render.samples,
+        bounces=experiment.bounces,
+        seeds=seeds,
+        progress=progress,
+    )
+    return RadianceStack(frames, view.truth)
+
+
+def _dress(experiment: Experiment, geometry: Geometry) -> None:
+    if geometry.face is not None:
+        set_coating(geometry.scene, coating_in_layer(experiment))
+
+
+def _tables(experiment: Experiment, view: View) -> dict[str, LightTable]:
+    patterns = pattern_set(experiment.projector, experiment.patterns)
+    return light_tables(experiment.projector, patterns, view.axial_mm)
+
+
+def _bounces(
+    experiment: Experiment,
+    geometry: Geometry,
+    photons: Photons | None,
+    tables: dict[str, LightTable],
+) -> Bounces | None:
+    """Light between surfaces; None on a coat that is seen without it."""
+    if geometry.face is None:
+        received = None if photons is None else StageLight(map_photons(photons, tables))
+        most, paths = experiment.bounces, experiment.render.bounce_paths
+        return Bounces(most, paths, _direct_seeds(experiment)[1], geometry.surfaces, received)
+    if not experiment.bounces:
+        return None
+    seed = int(seed_sequence(experiment, "bounces").generate_state(1)[0])
+    return Bounces(experiment.bounces, experiment.render.bounce_paths, seed)
+
+
+def _direct_seeds(experiment: Experiment) -> tuple[int, int]:
+    """Seeds of the photons and of the paths."""
+    photons, paths = seed_sequence(experiment, "direct").generate_state(2).tolist()
+    return photons, paths

@@ -1,0 +1,1 @@
+"""One record of a measurement by any method: its types, its scores, and its folder."""

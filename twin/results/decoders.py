@@ -1,0 +1,112 @@
+"""One image by every decoder: the paper's look-up table or the polynomial, three integrations.
+
+The decoders share image, reference presses and truth, so that they differ by nothing else.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from reconstruction.arrays import Levels
+from reconstruction.photometric import (
+    HeightMap,
+    PhotometricDecoder,
+    PhotometricOptions,
+    SensorCalibration,
+)
+from reconstruction.photometric.integrate import Integration
+from reconstruction.photometric.sensor_calibration import MapKind
+from twin.config.models import Experiment
+from twin.optics.stack import Truth
+from twin.results.score import HeightScore, Scores, metrics, score_heights
+
+INTEGRATION_ORDER: tuple[Integration, ...] = ("corrected", "sdk_2025", "sdk_2024")
+MAP_ORDER: tuple[MapKind, ...] = ("polynomial", "table")
+
+
+@dataclass(frozen=True, eq=False)
+class DecodedImage:
+    """What one decoder made of an image."""
+
+    colour_map: MapKind
+    integration: Integration
+    heights: HeightMap
+    score: Scores[HeightScore]
+
+    @property
+    def errors(self) -> HeightScore:
+        """Its figures against the truth."""
+        return self.score.against_truth
+
+    @property
+    def sphere_rmse_mm(self) -> float | None:
+        """Mean RMSE of the sphere fits, as the paper compares it; None without a fit."""
+        found = [ball.measured.stats.rmse_mm for ball in self.score.spheres]
+        return sum(found) / len(found) if found else None
+
+
+def decode_all(
+    experiment: Experiment,
+    image: Levels,
+    calibrations: Mapping[MapKind, SensorCalibration],
+    truth: Truth,
+) -> list[DecodedImage]:
+    """Decode and score an image by every colour map given and every integration.
+
+    Returns
+    -------
+    list of DecodedImage
+        By map, then by integration, each in its fixed order.
+
+    Raises
+    ------
+    FitError
+        No pixel of the field carries a height.
+    """
+    return [
+        decode_one(experiment, image, calibrations[kind], (kind, integration), truth)
+        for kind in MAP_ORDER
+        if kind in calibrations
+        for integration in INTEGRATION_ORDER
+    ]
+
+
+def decode_one(
+    experiment: Experiment,
+    image: Levels,
+    calibration: SensorCalibration,
+    decoder: tuple[MapKind, Integration],
+    truth: Truth,
+) -> DecodedImage:
+    """Decode and score an image by one decoder; errors as `decode_all`."""
+    kind, integration = decoder
+    options = PhotometricOptions(integration=integration)
+    heights = PhotometricDecoder(calibration, options).decode(image)
+    return DecodedImage(kind, integration, heights, score_heights(experiment, heights, truth))
+
+
+def chosen(experiment: Experiment, decoded: list[DecodedImage]) -> DecodedImage:
+    """Return the result of the experiment's own decoder."""
+    wanted = experiment.photometric.colour_map, experiment.photometric.integration
+    return next(one for one in decoded if (one.colour_map, one.integration) == wanted)
+
+
+def write_decoders(path: Path, decoded: list[DecodedImage]) -> None:
+    """Write the figures of every decoder as CSV, one line each; empty where there is none."""
+    rows = [_row(one) for one in decoded]
+    names = list(dict.fromkeys(name for row in rows for name in row))
+    lines = [",".join(names), *(",".join(_cell(row.get(name)) for name in names) for row in rows)]
+    path.write_text("\n".join([*lines, ""]), encoding="utf-8")
+
+
+def _row(one: DecodedImage) -> dict[str, Any]:
+    figures = metrics(one.score)
+    figures.pop("unfitted_balls")
+    return {"colour_map": one.colour_map, "integration": one.integration} | figures
+
+
+def _cell(value: Any) -> str:
+    if value is None:
+        return ""
+    return f"{value:.6g}" if isinstance(value, float) else str(value)

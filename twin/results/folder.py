@@ -1,0 +1,237 @@
+"""A measurement as a folder: written, read back; the names are the contract of `twin ... -o DIR`.
+
+| file | content |
+|---|---|
+| result.json | metrics (units in their names), digest, versions |
+| experiment.toml | the resolved experiment |
+| press.nc, coated_face.ply | fields of the pressed elastomer and the coated face |
+| truth.nc | point, normal, depth, projector pixel behind every pixel |
+| points.ply | point cloud |
+
+With fringes:
+
+| file | content |
+|---|---|
+| capture/ | what a real rig would have recorded: stack, description, calibration |
+| white.exr | white frame as linear radiance |
+| reconstruction.nc | maps of the decoder |
+| height_map.*, surface.ply | heights on a regular grid, triangle mesh |
+
+By photometric stereo:
+
+| file | content |
+|---|---|
+| image.png, background.png | what the sensor's driver delivers, 8-bit RGB |
+| sensor_calibration.npz | the sensor's colour map (see `read_sensor_calibration`) |
+| other_calibration.npz | the other kind of colour map, on the same reference images |
+| height.nc | height, slopes and reason codes |
+| decoders.csv | figures of this image by every colour map and every integration |
+
+What is read back is scored anew from the stored maps; a stored image is decoded anew.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import imageio.v3 as imageio
+import numpy as np
+
+from reconstruction.arrays import Levels
+from reconstruction.errors import InputError
+from reconstruction.evaluate.surface import write_surface
+from reconstruction.outputs import read_reconstruction, write_reconstruction
+from reconstruction.photometric import (
+    SensorCalibration,
+    read_sensor_calibration,
+    write_height_map,
+    write_height_points,
+    write_sensor_calibration,
+)
+from reconstruction.photometric.colour_maps import ColourTable
+from reconstruction.photometric.sensor_calibration import MapKind
+from twin.config import Experiment, load_experiment
+from twin.mechanics import read_press
+from twin.optics.stack import Truth
+from twin.output import EXPERIMENT_FILE, RESULT_FILE, read_json
+from twin.results.decoders import chosen, decode_all, write_decoders
+from twin.results.parts import (
+    CAPTURE_FOLDER,
+    TIMINGS_FILE,
+    write_captured,
+    write_pressed,
+    write_result,
+    write_timings,
+)
+from twin.results.record import Colours, Fringes, Measurement
+from twin.results.score import Scores, TruthScore, score
+from twin.results.truth import read_truth, write_exr, write_truth
+
+IMAGE_FILE, BACKGROUND_FILE, DECODERS_FILE = "image.png", "background.png", "decoders.csv"
+CALIBRATION_FILE, OTHER_CALIBRATION_FILE = "sensor_calibration.npz", "other_calibration.npz"
+TRUTH_FILE, MAPS_FILE, HEIGHTS_FILE = "truth.nc", "reconstruction.nc", "height.nc"
+
+_MEASURING_COMMANDS = ("measure", "demo")
+_NEEDED = ("completeness", "good_share", "warnings", "z_bias_um", "z_p95_um", "z_rmse_um")
+_NEEDED_OF_FRINGES = (
+    "error_over_sigma",
+    "exposure_ms",
+    "filter_bias_share",
+    "filter_bias_um",
+    "saturated_share",
+    "sigma_z_median_um",
+    "wrong_order_pixels",
+)
+_NEEDED_OF_COLOURS = ("height_scale",)
+_NEEDED_OF_A_PRESS = (
+    "depth_mm",
+    "force_n",
+    "height_error_estimate_mm",
+    "relief_peak_mm",
+    "young_modulus_kpa",
+)
+
+
+def write_measurement(folder: Path, command: str, done: Measurement) -> None:
+    """Write everything of one measurement into an empty folder; `command` is who asked."""
+    write_kept(folder, done, ("press", "capture", "points"))
+    write_truth(folder / TRUTH_FILE, done.truth)
+    if isinstance(done.images, Fringes):
+        _write_white(folder / "white.exr", done.images)
+    else:
+        _write_decoding(folder, done.images)
+    write_result(folder, command, done.experiment, done.figures)
+    write_timings(folder, done.seconds)
+
+
+def write_kept(folder: Path, done: Measurement, keep: tuple[str, ...]) -> None:
+    """Write some arrays of a measurement: "press", "capture" (images), "points" (and maps)."""
+    if "press" in keep and done.pressed is not None:
+        write_pressed(folder, done.pressed)
+    images = done.images
+    if isinstance(images, Fringes):
+        if "capture" in keep:
+            write_captured(folder, images.capture)
+        if "points" in keep:
+            maps = images.reconstruction
+            write_reconstruction(folder / MAPS_FILE, maps.decoded, maps.point_map)
+            write_surface(folder, maps.point_map)
+        return
+    if "capture" in keep:
+        imageio.imwrite(folder / IMAGE_FILE, images.picture)
+        background = np.rint(images.calibration.background).astype(np.uint8)
+        imageio.imwrite(folder / BACKGROUND_FILE, background)
+    if "points" in keep:
+        write_height_map(folder / HEIGHTS_FILE, images.heights)
+        write_height_points(folder / "points.ply", images.heights)
+
+
+def read_measurement(folder: Path) -> Measurement:
+    """Read a whole result folder.
+
+    Raises
+    ------
+    InputError
+        The folder is no finished measurement, or a file is missing or damaged.
+    """
+    result = _read_result(folder)
+    experiment = _read_experiment(folder / EXPERIMENT_FILE)
+    method, figures = experiment.method, result["metrics"]
+    needed = _NEEDED + (_NEEDED_OF_FRINGES if method.fringes else _NEEDED_OF_COLOURS)
+    _require(folder, figures, needed + (_NEEDED_OF_A_PRESS if method.presses else ()))
+    read = _read_fringes if method.fringes else _read_colours
+    truth = read_truth(folder / TRUTH_FILE)
+    images, scored = read(folder, experiment, truth)
+    return Measurement(
+        experiment=experiment,
+        images=images,
+        truth=truth,
+        score=scored,
+        figures=figures,
+        pressed=read_press(folder / "press.nc") if method.presses else None,
+        digest=str(result.get("digest", "")),
+        versions=result.get("versions", {}),
+        seconds=_read_seconds(folder),
+    )
+
+
+def _write_white(path: Path, images: Fringes) -> None:
+    if images.frames is not None:
+        write_exr(path, images.frames[images.capture.patterns.index("white").start])
+
+
+def _write_decoding(folder: Path, images: Colours) -> None:
+    for kind, calibration in images.calibrations.items():
+        own = kind == images.own.colour_map
+        file = CALIBRATION_FILE if own else OTHER_CALIBRATION_FILE
+        write_sensor_calibration(folder / file, calibration)
+    write_decoders(folder / DECODERS_FILE, images.decoded)
+
+
+def _read_fringes(
+    folder: Path, experiment: Experiment, truth: Truth
+) -> tuple[Fringes, Scores[TruthScore]]:
+    reconstruction = read_reconstruction(folder / MAPS_FILE)
+    found, true = reconstruction.point_map.mask_reason.shape, truth.lit.shape
+    if found != true:
+        raise InputError(
+            f"{folder}: {MAPS_FILE} is {found}, {TRUTH_FILE} {true} (row, col); measure again"
+        )
+    images = Fringes(folder / CAPTURE_FOLDER, reconstruction)
+    return images, score(experiment, reconstruction, truth)
+
+
+def _read_colours(
+    folder: Path, experiment: Experiment, truth: Truth
+) -> tuple[Colours, Scores[TruthScore]]:
+    image, files = _read_image(folder / IMAGE_FILE), (CALIBRATION_FILE, OTHER_CALIBRATION_FILE)
+    calibrations = {
+        _kind(one): one for one in (read_sensor_calibration(folder / file) for file in files)
+    }
+    decoded = decode_all(experiment, image, calibrations, truth)
+    own = chosen(experiment, decoded)
+    return Colours(image, calibrations, decoded, own), own.score
+
+
+def _kind(calibration: SensorCalibration) -> MapKind:
+    return "table" if isinstance(calibration.colour_map, ColourTable) else "polynomial"
+
+
+def _read_image(path: Path) -> Levels:
+    try:
+        return np.asarray(imageio.imread(path))
+    except (OSError, ValueError) as error:
+        reason = " ".join(str(error).split())
+        raise InputError(f"{path}: cannot be read as an image ({reason}); measure again") from None
+
+
+def _read_result(folder: Path) -> dict[str, Any]:
+    """Read result.json of a measurement."""
+    if not (folder / RESULT_FILE).is_file():
+        raise InputError(f"{folder}: no finished result (no {RESULT_FILE}); run twin measure first")
+    result = read_json(folder / RESULT_FILE)
+    command, figures = result.get("command"), result.get("metrics")
+    if command not in _MEASURING_COMMANDS or not isinstance(figures, dict):
+        raise InputError(
+            f"{folder}: result of command {command!r}; "
+            f"a report needs one of {', '.join(_MEASURING_COMMANDS)}"
+        )
+    return result
+
+
+def _require(folder: Path, figures: dict[str, Any], names: tuple[str, ...]) -> None:
+    missing = sorted(name for name in names if name not in figures)
+    if missing:
+        raise InputError(f"{folder / RESULT_FILE}: no {', '.join(missing)}; measure again")
+
+
+def _read_experiment(path: Path) -> Experiment:
+    # load_experiment would take the missing file for the name of a shipped experiment.
+    if not path.is_file():
+        raise InputError(f"{path}: no such file; measure again")
+    return load_experiment(path)
+
+
+def _read_seconds(folder: Path) -> dict[str, float]:
+    """Read stage times; a result may have lost them without losing anything measured."""
+    path = folder / TIMINGS_FILE
+    return read_json(path) if path.is_file() else {}

@@ -1,0 +1,171 @@
+"""Write what single stages give into a folder, and name their figures."""
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, Literal
+
+import imageio.v3 as imageio
+import numpy as np
+
+from reconstruction.capture.folder import Capture, write_capture
+from twin.config import Experiment, digest, to_toml
+from twin.mechanics import (
+    ContactTransfer,
+    PressedElastomer,
+    face_mesh,
+    slab_mesh,
+    texture_figures,
+    write_mesh,
+    write_press,
+)
+from twin.output import EXPERIMENT_FILE, RESULT_FILE, versions, write_json
+from twin.results.record import Recording
+from twin.results.truth import write_exr, write_truth
+
+Progress = Callable[[float], None]
+
+CAPTURE_FOLDER = "capture"
+TIMINGS_FILE = "timings.json"
+
+
+def write_result(
+    folder: Path, command: str, experiment: Experiment, figures: dict[str, Any]
+) -> None:
+    """Write result.json and the resolved experiment.
+
+    The same experiment gives the same bytes: wall-clock times are kept out (see `write_timings`).
+    """
+    (folder / EXPERIMENT_FILE).write_text(to_toml(experiment), encoding="utf-8")
+    content = {
+        "schema_version": 1,
+        "command": command,
+        "name": experiment.name,
+        "digest": digest(experiment),
+        "metrics": figures,
+        "versions": versions(),
+    }
+    write_json(folder / RESULT_FILE, content)
+
+
+def write_timings(folder: Path, seconds: Mapping[str, float]) -> None:
+    """Write wall-clock seconds per stage; the only file that differs between equal runs."""
+    write_json(folder / TIMINGS_FILE, {name: round(s, 3) for name, s in seconds.items()})
+
+
+def write_pressed(folder: Path, pressed: PressedElastomer) -> None:
+    """Write the pressed elastomer and its coated face."""
+    write_press(folder / "press.nc", pressed)
+    write_mesh(folder / "coated_face.ply", face_mesh(pressed))
+
+
+def write_solid(folder: Path, experiment: Experiment, pressed: PressedElastomer) -> None:
+    """Write the pressed slab as one watertight body, for CAD and for printing."""
+    body = slab_mesh(pressed, experiment.elastomer)
+    write_mesh(folder / "slab.stl", body)
+    write_mesh(folder / "slab.ply", body)
+
+
+def write_recording(folder: Path, recording: Recording) -> None:
+    """Write the capture as a rig would deliver it, and beside it what only a twin knows."""
+    write_captured(folder, recording.capture)
+    write_truth(folder / "truth.nc", recording.truth)
+    white = recording.capture.patterns.index("white").start
+    write_exr(folder / "white.exr", recording.radiance.frames[white])
+
+
+def write_captured(folder: Path, capture: Capture) -> None:
+    """Write the capture as a rig would deliver it."""
+    (folder / CAPTURE_FOLDER).mkdir()
+    write_capture(folder / CAPTURE_FOLDER, capture)
+
+
+def write_frames(
+    folder: Path, recording: Recording, kind: Literal["exr", "png"], progress: Progress
+) -> None:
+    """Write every frame as an image of its own, for other decoders.
+
+    `exr`: linear radiance in mW / (mm^2 sr), float32. `png`: the camera's digital numbers,
+    unscaled, in 16 bits.
+    """
+    frames = recording.capture.patterns.frames
+    (folder / f"frames_{kind}").mkdir()
+    for number, frame in enumerate(frames):
+        path = folder / f"frames_{kind}" / f"{number:02d}_{frame.name}.{kind}"
+        if kind == "exr":
+            write_exr(path, recording.radiance.frames[number])
+        else:
+            imageio.imwrite(path, np.rint(recording.capture.stack[number]).astype(np.uint16))
+        progress((number + 1) / len(frames))
+
+
+def taken_figures(pressed: PressedElastomer | None, recording: Recording) -> dict[str, Any]:
+    """Return the figures of press and recording."""
+    figures = {"warnings": []} if pressed is None else press_metrics(pressed)
+    return figures | recording_metrics(recording)
+
+
+def write_taken(
+    folder: Path, pressed: PressedElastomer | None, recording: Recording
+) -> dict[str, Any]:
+    """Write press and recording; returns the figures of both."""
+    if pressed is not None:
+        write_pressed(folder, pressed)
+    write_recording(folder, recording)
+    return taken_figures(pressed, recording)
+
+
+def press_metrics(pressed: PressedElastomer) -> dict[str, Any]:
+    """Figures of the press, warnings included."""
+    return {
+        "mechanics_model": pressed.model,
+        "force_n": pressed.force_n,
+        "depth_mm": pressed.depth_mm,
+        "young_modulus_kpa": pressed.young_modulus_kpa,
+        "relief_peak_mm": float(pressed.face_z_mm.max()),
+        "peak_pressure_kpa": float(pressed.pressure_kpa.max()),
+        "height_error_estimate_mm": pressed.validity.height_error_mm,
+        **sheet_figures(pressed),
+        **texture_figures(pressed),
+        "warnings": list(pressed.validity.warnings),
+    }
+
+
+def sheet_figures(pressed: PressedElastomer) -> dict[str, float]:
+    """Figures of a thin sheet; none of another model."""
+    if pressed.sheet is None:
+        return {}
+    return {
+        "thinnest_mm": float(pressed.sheet.thickness_mm.min()),
+        "largest_stretch": float(pressed.sheet.stretch.max()),
+        "steepest_deg": pressed.validity.max_slope_deg,
+    }
+
+
+def write_transfer(path: Path, transfer: ContactTransfer) -> None:
+    """Write the contact transfer function as CSV: pitch, closed form, computed."""
+    lines = [f"{pitch:.6g},{exact:.6g},{found:.6g}" for pitch, exact, found in transfer.rows()]
+    path.write_text("\n".join(["pitch_mm,closed_form,computed", *lines, ""]), encoding="utf-8")
+
+
+def transfer_metrics(transfer: ContactTransfer) -> dict[str, Any]:
+    """Figures of the contact transfer function."""
+    pitches = {
+        "half_contrast_pitch_mm": transfer.half_pitch_mm,
+        "tenth_contrast_pitch_mm": transfer.tenth_pitch_mm,
+    }
+    if transfer.pressure_kpa is not None:
+        under = {"contact_pressure_kpa": transfer.pressure_kpa, "ridge_mm": transfer.ridge_mm}
+        return pitches | under
+    difference = np.abs(transfer.closed_form - transfer.computed)
+    return pitches | {"transfer_computed_minus_closed_form": float(difference.max())}
+
+
+def recording_metrics(recording: Recording) -> dict[str, Any]:
+    """Figures of the recording."""
+    return {
+        "exposure_ms": recording.exposure_ms,
+        "frames": len(recording.capture.patterns.frames),
+        "saturated_share": float(
+            (recording.capture.stack >= recording.capture.sensor.clipped_from_dn).mean()
+        ),
+    }

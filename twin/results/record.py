@@ -1,0 +1,196 @@
+"""The one record of a measurement, whatever the method: points, truth, score, images, figures."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from reconstruction.arrays import Levels
+from reconstruction.capture.folder import Capture, read_capture
+from reconstruction.mask import Reason
+from reconstruction.photometric import HeightMap, SensorCalibration
+from reconstruction.photometric.sensor_calibration import MapKind
+from reconstruction.pipeline import Reconstruction
+from twin.config import Experiment
+from twin.mechanics import PressedElastomer
+from twin.optics.rig import camera_pinhole
+from twin.optics.stack import Frames, RadianceStack, Truth
+from twin.results.decoders import DecodedImage
+from twin.results.score import Scores, TruthScore, in_world
+
+
+@dataclass(frozen=True, eq=False)
+class SurfacePoints:
+    """Where a method found the surface.
+
+    Attributes
+    ----------
+    world_mm : (row, col, xyz) float
+    reason : (row, col) uint8, codes of `reconstruction.mask.Reason`
+    sigma_mm : (row, col, xyz) float32; None where the method predicts no uncertainty
+    """
+
+    world_mm: NDArray[np.floating[Any]]
+    reason: NDArray[np.uint8]
+    sigma_mm: NDArray[np.float32] | None = None
+
+    @property
+    def valid(self) -> NDArray[np.bool_]:
+        """Pixels with a point, (row, col)."""
+        return np.asarray(self.reason == Reason.VALID)
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """What the virtual rig delivers, and the truth that a real rig does not have."""
+
+    radiance: RadianceStack
+    capture: Capture
+    exposure_ms: float
+
+    @property
+    def truth(self) -> Truth:
+        """Geometry behind every camera pixel."""
+        return self.radiance.truth
+
+
+@dataclass(frozen=True, eq=False)
+class Fringes:
+    """What fringe projection saw, and what its decoder made of it.
+
+    Attributes
+    ----------
+    stored : the capture, or its folder: 600 MB at full size, read when they are asked for
+    frames : linear radiance of every frame; None where the measurement was read from files
+    """
+
+    stored: Capture | Path
+    reconstruction: Reconstruction
+    frames: Frames | None = None
+
+    @cached_property
+    def capture(self) -> Capture:
+        """What the camera recorded.
+
+        Raises
+        ------
+        CaptureError
+            The folder is incomplete or damaged.
+        """
+        return read_capture(self.stored) if isinstance(self.stored, Path) else self.stored
+
+    @property
+    def points(self) -> SurfacePoints:
+        """The point map."""
+        found = self.reconstruction.point_map
+        return SurfacePoints(
+            found.points_world_mm, np.asarray(found.mask_reason, np.uint8), found.sigma_xyz_mm
+        )
+
+    @property
+    def picture(self) -> NDArray[np.uint8]:
+        """First phase frame with vertical fringes, 255 at saturation, (row, col)."""
+        first = self.capture.patterns.index("phase", "column").start
+        share = self.capture.stack[first] / np.float32(self.capture.sensor.saturation_dn)
+        return np.asarray(np.rint(255 * np.clip(share, 0.0, 1.0)), np.uint8)
+
+
+@dataclass(frozen=True, eq=False)
+class Colours:
+    """What a sensor for photometric stereo saw, and what every decoder made of it.
+
+    Attributes
+    ----------
+    picture : (row, col, 3) uint8, red first
+    calibrations : one per colour map, on the same reference images
+    decoded : the image by every decoder
+    own : that of the experiment's own decoder
+    """
+
+    picture: Levels
+    calibrations: Mapping[MapKind, SensorCalibration]
+    decoded: list[DecodedImage]
+    own: DecodedImage
+
+    @property
+    def calibration(self) -> SensorCalibration:
+        """Calibration of the experiment's own colour map."""
+        return self.calibrations[self.own.colour_map]
+
+    @property
+    def heights(self) -> HeightMap:
+        """Heights by the experiment's own decoder."""
+        return self.own.heights
+
+    @property
+    def points(self) -> SurfacePoints:
+        """The heights in the world."""
+        reason = np.where(self.heights.valid, Reason.VALID, Reason.LOW_MODULATION)
+        return SurfacePoints(in_world(self.heights), reason.astype(np.uint8))
+
+
+@dataclass(frozen=True, eq=False)
+class Measurement:
+    """One measurement, whole.
+
+    Attributes
+    ----------
+    images : Fringes or Colours, by method
+    figures : the metrics of result.json, units in their names; None where there is none
+    pressed : None where the bare specimen is seen
+    digest, versions : name what it was made from
+    seconds : wall clock by stage
+    """
+
+    experiment: Experiment
+    images: Fringes | Colours
+    truth: Truth
+    score: Scores[TruthScore]
+    figures: dict[str, Any]
+    pressed: PressedElastomer | None
+    digest: str
+    versions: Mapping[str, str]
+    seconds: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def points(self) -> SurfacePoints:
+        """Where the surface was found."""
+        return self.images.points
+
+    @property
+    def picture(self) -> NDArray[np.uint8]:
+        """What the camera saw: one fringe image, or the colours."""
+        return self.images.picture
+
+    @property
+    def press(self) -> PressedElastomer:
+        """The pressed elastomer; TypeError where nothing was pressed."""
+        if self.pressed is None:
+            raise TypeError(f"{self.experiment.modality} presses nothing")
+        return self.pressed
+
+    @property
+    def pixel_mm(self) -> float:
+        """Width of a pixel on the flat coated face, or where the bare specimen stands highest."""
+        if isinstance(self.images, Colours):
+            return self.images.heights.pitch_mm
+        camera = self.experiment.camera
+        return camera.pose.standoff_mm / camera_pinhole(camera).fx_px
+
+    @property
+    def fringes(self) -> Fringes:
+        """Images and maps of fringe projection; TypeError for another method."""
+        if not isinstance(self.images, Fringes):
+            raise TypeError(f"{self.experiment.modality} takes no fringes")
+        return self.images
+
+    @property
+    def colours(self) -> Colours:
+        """Images and heights of photometric stereo; TypeError for another method."""
+        if not isinstance(self.images, Colours):
+            raise TypeError(f"{self.experiment.modality} takes no colours")
+        return self.images

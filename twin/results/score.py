@@ -1,0 +1,332 @@
+"""Score points in millimetres, whatever the method: against the truth and against fitted spheres.
+
+Sphere metrics follow the paper: least-squares sphere over the points of each ball's region, then
+RMSE, MAE and 95th percentile of the absolute radial residuals. The same fit over the true coated
+face at the same pixels separates what the elastomer did from what the measurement did.
+
+Nothing is registered before comparing: where a method's points lie belongs to the method.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, Generic, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from reconstruction.arrays import BoolImage, FloatArray, FloatImage
+from reconstruction.errors import FitError
+from reconstruction.evaluate.fit import SphereFit, fit_sphere, p95_of_size, rms, spread
+from reconstruction.photometric import HeightMap
+from reconstruction.pipeline import Reconstruction, filter_bias
+from twin.config.models import Experiment
+from twin.optics.stack import Truth
+from twin.specimens import Sphere, shape_of
+
+# Four points fix a sphere exactly: its residuals are 0 whatever the error.
+_LEAST_SPHERE_POINTS = 5
+_SPHERE_FIGURES = (
+    "points",
+    "radius_mm",
+    "abs_radius_error_mm",
+    "rmse_mm",
+    "mae_mm",
+    "p95_mm",
+    "true_face_radius_mm",
+    "true_face_rmse_mm",
+    "true_face_mae_mm",
+    "true_face_p95_mm",
+)
+
+
+@dataclass(frozen=True)
+class TruthScore:
+    """Errors of world z against the true surface at the pixel centres, wanted valid pixels only.
+
+    `completeness` is the share of the wanted pixels with a point, `good_share` that of those whose
+    point is also right within `score.good_within_um`. A figure that does not exist (the error of no
+    point, the share of no pixel) is None: 0 would beat every measurement. `why_absent` says why.
+    """
+
+    points: int
+    completeness: float | None
+    good_share: float | None
+    z_rmse_um: float | None
+    z_bias_um: float | None
+    z_p95_um: float | None
+
+
+@dataclass(frozen=True)
+class FringeScore(TruthScore):
+    """What fringes tell besides.
+
+    `filter_bias_um` and `filter_bias_share` need no truth, see `filter_bias`. `error_over_sigma` is
+    the robust spread of error / predicted sigma: 1 when the predicted sigma is the actual one, more
+    when systematic errors exceed the noise. One point has no spread.
+    """
+
+    lit_pixels: int
+    wrong_order_pixels: int | None
+    sigma_z_median_um: float | None
+    filter_bias_um: float | None
+    filter_bias_share: float | None
+    error_over_sigma: float | None
+
+
+@dataclass(frozen=True)
+class HeightScore(TruthScore):
+    """What heights from slopes tell besides; only pixels within the stated field count.
+
+    `height_scale` is the slope of measured over true z, by least squares with a free zero; 1 where
+    heights are neither flattened nor stretched, and None on a flat truth, which has no scale.
+    """
+
+    wanted_pixels: int
+    height_scale: float | None
+
+
+@dataclass(frozen=True, eq=False)
+class SphereScore:
+    """One ball: the fit to the measured points and the fit to the true face at the same pixels."""
+
+    number: int
+    nominal: Sphere
+    roi: NDArray[np.bool_]
+    measured: SphereFit
+    true_face: SphereFit
+
+
+Against = TypeVar("Against", bound=TruthScore, covariant=True)
+
+
+@dataclass(frozen=True, eq=False)
+class Scores(Generic[Against]):
+    """Everything that is scored on one measurement.
+
+    Attributes
+    ----------
+    against_truth : FringeScore or HeightScore, by method
+    spheres : tuple of SphereScore
+        The balls that could be fitted.
+    unfitted : tuple of str
+        Why the others could not: a ball without valid points must not sink the measurement.
+    """
+
+    against_truth: Against
+    spheres: tuple[SphereScore, ...]
+    unfitted: tuple[str, ...] = ()
+
+
+def score(
+    experiment: Experiment, reconstruction: Reconstruction, truth: Truth
+) -> Scores[FringeScore]:
+    """Score a reconstruction against the truth of the same camera pixels."""
+    points = reconstruction.point_map
+    usable = points.valid & truth.lit
+    spheres = _spheres(experiment, points.points_world_mm, truth, usable)
+    return Scores(score_truth(experiment, reconstruction, truth), *spheres)
+
+
+def score_heights(experiment: Experiment, heights: HeightMap, truth: Truth) -> Scores[HeightScore]:
+    """Score heights of photometric stereo against the truth of the same pixels.
+
+    Raises
+    ------
+    FitError
+        No pixel of the field carries a height.
+    """
+    found_mm, wanted = in_world(heights), wanted_pixels(experiment, truth)
+    both = wanted & heights.valid
+    if not both.any():
+        raise FitError("no pixel within photometric.field carries a height")
+    found, true = found_mm[both][:, 2], truth.points_world_mm[both][:, 2]
+    against_truth = HeightScore(
+        **_errors(experiment, 1e3 * (found - true), int(wanted.sum())),
+        wanted_pixels=int(wanted.sum()),
+        height_scale=_scale(found, true),
+    )
+    return Scores(against_truth, *_spheres(experiment, found_mm, truth, both))
+
+
+def score_truth(
+    experiment: Experiment, reconstruction: Reconstruction, truth: Truth
+) -> FringeScore:
+    """Compare world z, pixel by pixel, with the truth at the pixel centre."""
+    wanted = wanted_pixels(experiment, truth)
+    both = reconstruction.point_map.valid & wanted
+    points = reconstruction.point_map.points_world_mm[both]
+    error_um = 1e3 * (points[:, 2] - truth.points_world_mm[both][:, 2]).astype(np.float64)
+    sigma_um = 1e3 * reconstruction.point_map.sigma_z_mm[both].astype(np.float64)
+    bias_um, bias_share = (
+        filter_bias(reconstruction, experiment.decode.use, both) if both.any() else (None, None)
+    )
+    return FringeScore(
+        **_errors(experiment, error_um, int(wanted.sum())),
+        lit_pixels=int(wanted.sum()),
+        wrong_order_pixels=wrong_orders(experiment, reconstruction, truth),
+        sigma_z_median_um=figure_of(sigma_um, np.median),
+        filter_bias_um=bias_um,
+        filter_bias_share=bias_share,
+        error_over_sigma=figure_of(error_um / np.maximum(sigma_um, 1e-9), spread, least=2),
+    )
+
+
+def _errors(experiment: Experiment, error_um: FloatArray, wanted: int) -> dict[str, Any]:
+    """Figures of `TruthScore` from the errors (n,) of the wanted pixels that have a point."""
+    good = np.abs(error_um) <= experiment.score.good_within_um
+    return {
+        "points": len(error_um),
+        "completeness": share_of(len(error_um), wanted),
+        "good_share": share_of(int(good.sum()), wanted),
+        "z_rmse_um": figure_of(error_um, rms),
+        "z_bias_um": figure_of(error_um, np.mean),
+        "z_p95_um": figure_of(error_um, p95_of_size),
+    }
+
+
+def share_of(count: int, whole: int) -> float | None:
+    """Return count / whole; None where there is nothing to have a share of."""
+    return count / whole if whole else None
+
+
+def figure_of(
+    values: FloatArray, figure: Callable[[FloatArray], Any], least: int = 1
+) -> float | None:
+    """Return a figure of values (n,); None where fewer than `least` leave it without a meaning."""
+    return float(figure(values)) if len(values) >= least else None
+
+
+def wanted_pixels(experiment: Experiment, truth: Truth) -> NDArray[np.bool_]:
+    """Pixels that ought to give a point, (row, col).
+
+    On a coat under fringes those that both devices see. On a bare specimen every pixel that shows
+    it: that the method has blind flanks and shadows there is what is to be found out. In the light
+    of lamps the coat within the stated field.
+    """
+    if experiment.method.fringes:
+        return truth.lit if experiment.method.presses else truth.measured
+    size, points = experiment.photometric, truth.points_world_mm
+    inside = np.abs(points[..., 0]) <= size.field_x_mm / 2
+    inside &= np.abs(points[..., 1]) <= size.field_y_mm / 2
+    return np.asarray(inside & truth.measured)
+
+
+def in_world(heights: HeightMap) -> FloatArray:
+    """Place a height map in the world, (row, col, xyz): the image's middle looks at the origin."""
+    rows, cols = heights.height_mm.shape
+    col, row = np.meshgrid(np.arange(cols), np.arange(rows))
+    x_mm = (col - 0.5 * (cols - 1)) * heights.pitch_mm
+    y_mm = (0.5 * (rows - 1) - row) * heights.pitch_mm
+    return np.stack([x_mm, y_mm, heights.height_mm.astype(np.float64)], axis=-1)
+
+
+def wrong_orders(
+    experiment: Experiment, reconstruction: Reconstruction, truth: Truth
+) -> int | None:
+    """Count decoded lit pixels whose projector column or row is off by half a period or more.
+
+    None where no pixel was decoded: none of nothing is no merit.
+    """
+    decoded = reconstruction.decoded
+    both = decoded.valid & wanted_pixels(experiment, truth)
+    half_px = experiment.patterns.period_px / 2
+    wrong = (np.abs(decoded.column.coordinate_px - truth.column_px) >= half_px) | (
+        np.abs(decoded.row.coordinate_px - truth.row_px) >= half_px
+    )
+    return int((wrong & both).sum()) if both.any() else None
+
+
+def region_of(
+    ball: Sphere, points_mm: NDArray[np.floating], usable: BoolImage, roi_radius_mm: float
+) -> NDArray[np.bool_]:
+    """Return the usable pixels within `roi_radius_mm` (lateral) of a ball's apex, (row, col)."""
+    lateral_mm = np.hypot(points_mm[..., 0] - ball.x_mm, points_mm[..., 1] - ball.y_mm)
+    return np.asarray((lateral_mm <= roi_radius_mm) & usable)
+
+
+def _spheres(
+    experiment: Experiment, measured_mm: NDArray[np.floating], truth: Truth, usable: BoolImage
+) -> tuple[tuple[SphereScore, ...], tuple[str, ...]]:
+    """Return the balls that could be fitted, and why the others could not."""
+    fitted, unfitted = [], []
+    for number, ball in enumerate(shape_of(experiment.specimen).spheres(), start=1):
+        roi = region_of(ball, measured_mm, usable, experiment.score.roi_radius_mm)
+        try:
+            fitted.append(score_sphere(number, ball, roi, measured_mm, truth.points_world_mm))
+        except FitError as error:
+            unfitted.append(f"ball {number}: {error}")
+    return tuple(fitted), tuple(unfitted)
+
+
+def _scale(found_mm: FloatArray, true_mm: FloatImage) -> float | None:
+    true = true_mm.astype(np.float64) - true_mm.mean(dtype=np.float64)
+    if not np.ptp(true_mm):
+        return None
+    return float(true @ (found_mm - found_mm.mean()) / float(true @ true))
+
+
+def score_sphere(
+    number: int,
+    ball: Sphere,
+    roi: NDArray[np.bool_],
+    measured_mm: NDArray[np.floating],
+    true_mm: NDArray[np.floating],
+) -> SphereScore:
+    """Fit spheres to the measured and to the true points (row, col, xyz) of one ball's region.
+
+    Raises
+    ------
+    FitError
+        The region holds too few valid points to fix a sphere and leave a residual.
+    """
+    count = int(roi.sum())
+    if count < _LEAST_SPHERE_POINTS:
+        raise FitError(f"{count} points leave no residual of a sphere; it takes at least 5")
+    return SphereScore(
+        number=number,
+        nominal=ball,
+        roi=roi,
+        measured=fit_sphere(measured_mm[roi].astype(np.float64)),
+        true_face=fit_sphere(true_mm[roi].astype(np.float64)),
+    )
+
+
+def metrics(scored: Scores[TruthScore]) -> dict[str, Any]:
+    """Flatten a score to names with units, for result.json."""
+    found = asdict(scored.against_truth) | {"unfitted_balls": list(scored.unfitted)}
+    return found | _sphere_metrics(scored.spheres, scored.unfitted)
+
+
+def why_absent(figures: Mapping[str, Any]) -> str:
+    """Say why a measurement has no error and no shares; empty where it has."""
+    if 0 in (figures.get("lit_pixels"), figures.get("wanted_pixels")):
+        return "no pixel that ought to give a point"
+    return "no valid point" if figures.get("points") == 0 else ""
+
+
+def _sphere_metrics(fitted: Sequence[SphereScore], unfitted: Sequence[str]) -> dict[str, Any]:
+    """Return all balls' figures by name; those of a ball without a fit are None."""
+    numbers = range(1, len(fitted) + len(unfitted) + 1)
+    names = [f"sphere_{number}_{name}" for number in numbers for name in _SPHERE_FIGURES]
+    found: dict[str, Any] = dict.fromkeys(names)
+    for sphere in fitted:
+        found |= {f"sphere_{sphere.number}_{name}": v for name, v in _ball_figures(sphere).items()}
+    return found
+
+
+def _ball_figures(sphere: SphereScore) -> dict[str, float | int]:
+    """One ball's figures under the names of the paper's table."""
+    measured, true_face = sphere.measured, sphere.true_face
+    values = (
+        len(measured.residuals_mm),
+        measured.radius_mm,
+        abs(measured.radius_mm - sphere.nominal.radius_mm),
+        measured.stats.rmse_mm,
+        measured.stats.mae_mm,
+        measured.stats.p95_mm,
+        true_face.radius_mm,
+        true_face.stats.rmse_mm,
+        true_face.stats.mae_mm,
+        true_face.stats.p95_mm,
+    )
+    return dict(zip(_SPHERE_FIGURES, values, strict=True))
