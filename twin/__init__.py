@@ -1,1 +1,75 @@
-"""Forward model of a contact fringe-projection sensor."""
+"""Digital twin of a contact fringe-projection sensor: press, render, record, decode, score.
+
+    import twin
+
+    experiment = twin.load_experiment("paper/two_balls")
+    harder = twin.vary(experiment, {"elastomer.shore_a": 20})
+    done = twin.measure(harder)
+    print(done.figures)  # metrics by name, units in the names
+
+| name | what it is |
+|---|---|
+| `Experiment`, `load_experiment`, `vary` | sensor, specimen, press as data: read, changed |
+| `press` | experiment to `PressedElastomer`: both faces, pressure, force |
+| `render` | experiment to the light of every frame, and the truth behind it |
+| `measure` | experiment to `Measurement`, the whole way by any method; `Memory` shares stages |
+| `Measurement` | points, sigma, reason, truth, score, images and figures of one measurement |
+| `compare` | experiments by several methods, into a folder |
+| `load_study`, `StudyRecord`, `sweep` | a design space as data, and into its store |
+
+Nothing is imported before it is asked for. Captures, real or rendered: see `reconstruction`.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from twin.config import Experiment, load_experiment, vary
+    from twin.config.study import load_study
+    from twin.pipeline import Measurement, Memory, measure, render
+    from twin.pipeline.comparison import compare
+    from twin.pipeline.press import press_specimen as press
+    from twin.study.record import StudyRecord
+    from twin.study.sweep import sweep
+
+__all__ = [
+    "Experiment",
+    "Measurement",
+    "Memory",
+    "StudyRecord",
+    "compare",
+    "load_experiment",
+    "load_study",
+    "measure",
+    "press",
+    "render",
+    "sweep",
+    "vary",
+]
+
+#: where each name lives, and what it is called there if otherwise
+_PLACES = {
+    "Experiment": "twin.config",
+    "Measurement": "twin.pipeline",
+    "Memory": "twin.pipeline",
+    "StudyRecord": "twin.study.record",
+    "compare": "twin.pipeline.comparison",
+    "load_experiment": "twin.config",
+    "load_study": "twin.config.study",
+    "measure": "twin.pipeline",
+    "press": "twin.pipeline.press:press_specimen",
+    "render": "twin.pipeline",
+    "sweep": "twin.study.sweep",
+    "vary": "twin.config",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _PLACES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    module, _, other = _PLACES[name].partition(":")
+    return getattr(import_module(module), other or name)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})
