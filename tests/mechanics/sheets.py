@@ -103,7 +103,7 @@ def rod(radius_mm: float) -> Bodies:
 
 def line(half_mm: float, fine_mm: float, pitch_mm: float) -> SplineLine:
     """Return the product's cells: of `pitch_mm` up to `fine_mm`, wider beyond."""
-    return graded_line((-half_mm, half_mm), (-fine_mm, fine_mm), pitch_mm, 1.0)
+    return graded_line((-half_mm, half_mm), (-fine_mm, fine_mm), pitch_mm, pitch_mm / 3, 1.0)
 
 
 def finer_at_the_rim(places: SplineLine, pitch_mm: float) -> SplineLine:

@@ -22,7 +22,7 @@ CLOSE = Accuracy(step_mm=1e-6, residual_kpa=1e-4)
 
 def taped(law: Laws, sticks: bool) -> Sheet:
     """Return a strip on a plate: one end free along x, to be lifted, the other held."""
-    along = graded_line((0.0, 20.0), (4.5, 8.0), CELL_MM, 1.0)
+    along = graded_line((0.0, 20.0), (4.5, 8.0), CELL_MM, CELL_MM / 3, 1.0)
     across = SplineLine(np.linspace(-WIDTH_MM / 2, WIDTH_MM / 2, 4))
     grid = sheet_grid(Frame(20.0, WIDTH_MM), along, across)
     free = np.zeros_like(grid.free)

@@ -54,13 +54,15 @@ class SheetCase:
     #: of the specimen's finest grooves, None where it has none
     ridge_pitch_mm: float | None
 
-    def sheet(self, pitch_mm: float, box_mm: tuple[float, float, float, float]) -> Sheet:
+    def sheet(
+        self, pitch_mm: float, rim_mm: float, box_mm: tuple[float, float, float, float]
+    ) -> Sheet:
         """Return the sheet on cells of `pitch_mm` within a box of the world's x and y."""
         x_span, y_span = span_mm(self.frame)
         stretch = self.frame.pre_stretch
         west, east, south, north = (end / stretch for end in box_mm)
-        x = graded_line(x_span, (west, east), pitch_mm, _LONGEST_CELL_MM)
-        y = graded_line(y_span, (south, north), pitch_mm, _LONGEST_CELL_MM)
+        x = graded_line(x_span, (west, east), pitch_mm, rim_mm, _LONGEST_CELL_MM)
+        y = graded_line(y_span, (south, north), pitch_mm, rim_mm, _LONGEST_CELL_MM)
         # A cohesive range below half a cell would let the sheet jump on from point to point.
         laws = self.laws._replace(tack_range_mm=max(_TACK_RANGE_MM, 0.5 * pitch_mm))
         grid = sheet_grid(self.frame, x, y)

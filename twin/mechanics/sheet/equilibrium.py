@@ -245,7 +245,7 @@ class Sheet:
             if self.sticks and count % _REGRIP_EVERY == _REGRIP_EVERY - 1:
                 state = self.regripped(replace(state, control_mm=control))
                 now = self.evaluate(control, state, tangent=True)
-            rest = self._rest(accuracy) if share > 0.9 and viscosity == 0 else None
+            rest = self._rest(share * step, viscosity, accuracy) if share > 0.9 else None
             if rest is not None:
                 control = control + rest
                 settled = replace(state, control_mm=control, steps=state.steps + count + 1)
@@ -255,7 +255,7 @@ class Sheet:
                 # What let go had borne a share of the load.
                 state = replace(gripped, steps=state.steps)
                 now = self.evaluate(control, state, tangent=True)
-                if self._rest(accuracy) is not None:
+                if self._rest(step, viscosity, accuracy) is not None:
                     return gripped
             viscosity = _adapted(viscosity, share)
         raise SolverError(
@@ -268,15 +268,17 @@ class Sheet:
     def _residual_kpa(self) -> float:
         return float(np.abs(self.forces() / self._weights).max())
 
-    def _rest(self, accuracy: Accuracy) -> FloatArray | None:
-        """Return the step that is left, None where it is still long.
+    def _rest(self, made_mm: FloatArray, viscosity: float, accuracy: Accuracy) -> FloatArray | None:
+        """Return the step that is left after a step made, None where one of them is still long.
 
-        With the last factors, so that no factorisation only confirms an equilibrium.
+        With the last factors, so that no factorisation only confirms an equilibrium. Where they
+        hold viscosity they make what is left look short, and the step made counts too.
         """
         if self._residual_kpa() >= accuracy.residual_kpa:
             return None
         rest = -self._spread(self.solver.solve(self.forces()))
-        return rest if float(np.abs(rest).max()) < accuracy.step_mm else None
+        longest = max(float(np.abs(rest).max()), float(np.abs(made_mm).max()) if viscosity else 0.0)
+        return rest if longest < accuracy.step_mm else None
 
     @property
     def _weights(self) -> FloatArray:

@@ -35,7 +35,9 @@ from twin.mechanics.sheet.path import (
 )
 from twin.mechanics.validity import assess_sheet, margin_mm
 
-_COARSE_CELL_MM = 0.4
+_COARSE_CELL_MM, _COARSE_RIM_MM = 0.4, 0.4
+# Width of the cells at the rim over that of the finest.
+_RIM = 1 / 3
 _MARGIN_MM = 1.5
 _ROUGH, _FINE = Accuracy(step_mm=1e-3, residual_kpa=0.1), Accuracy(residual_kpa=2e-3)
 _FORCE_TOLERANCE, _FORCE_STEPS = 1e-3, 40
@@ -126,7 +128,7 @@ def _path(specimen: Specimen, elastomer: Elastomer, load: Press, mechanics: Mech
     key = "\n".join(f"{type(one).__name__} {one.model_dump_json()}" for one in same)
     if key not in _paths:
         case = sheet_case(specimen, elastomer, load, mechanics)
-        sheet = case.sheet(_COARSE_CELL_MM, case.shape.bounds_mm())
+        sheet = case.sheet(_COARSE_CELL_MM, _COARSE_RIM_MM, case.shape.bounds_mm())
         _paths[key] = _Path(case, sheet, [])
     _paths.move_to_end(key)
     while len(_paths) > _KEPT_PATHS:
@@ -152,7 +154,7 @@ def _settled(path: _Path, load: Press, report: Progress) -> tuple[Sheet, SheetSt
     state = follow(coarse, goal, _ROUGH, path.states, lambda share: report(0.6 * share))
     if load.force_n is not None:
         state = _to_force(coarse, state, load.force_n, _ROUGH)
-    fine = case.sheet(case.cell_mm, _contact_box(case, coarse, state))
+    fine = case.sheet(case.cell_mm, _RIM * case.cell_mm, _contact_box(case, coarse, state))
     try:
         found = fine.settle(refined(coarse, fine, state), _FINE)
         check_thickness(fine, found)

@@ -12,8 +12,6 @@ _GAUSS = 0.5 / np.sqrt(3)
 #: change of width over distance
 _GROWTH = 0.2
 _SAMPLES = 2001
-#: width of the cells at the ends over that of the fine ones
-_RIM = 1 / 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,17 +93,18 @@ def graded_line(
     ends_mm: tuple[float, float],
     fine_mm: tuple[float, float],
     pitch_mm: float,
+    rim_mm: float,
     coarse_mm: float,
 ) -> SplineLine:
     """Return cells of about `pitch_mm` within `fine_mm`, wider between it and the ends.
 
-    At the ends cells are smallest, a third of `pitch_mm`: under pressure the sheet bends within
-    less than its thickness where its rim holds it, and what it loses there moves all of its face.
+    At the ends cells are of `rim_mm`: under pressure the sheet bends within less than its thickness
+    where its rim holds it, and what it loses there moves all of its face.
     """
     low, high = max(fine_mm[0], ends_mm[0]), min(fine_mm[1], ends_mm[1])
     count = max(2, int(np.ceil((high - low) / pitch_mm - 1e-9)))
-    before = low - _between(low - ends_mm[0], pitch_mm, coarse_mm)[::-1]
-    after = high + _between(ends_mm[1] - high, pitch_mm, coarse_mm)
+    before = low - _between(low - ends_mm[0], pitch_mm, rim_mm, coarse_mm)[::-1]
+    after = high + _between(ends_mm[1] - high, pitch_mm, rim_mm, coarse_mm)
     return SplineLine(np.concatenate((before, np.linspace(low, high, count + 1), after)))
 
 
@@ -116,14 +115,12 @@ def subdivided(edges: FloatArray, parts: npt.NDArray[np.int64]) -> FloatArray:
     return np.concatenate((*inner, edges[-1:]))
 
 
-def _between(length_mm: float, pitch_mm: float, coarse_mm: float) -> FloatArray:
+def _between(length_mm: float, pitch_mm: float, rim_mm: float, coarse_mm: float) -> FloatArray:
     """Return the ends of cells from the fine part, at 0, to an end of the line."""
     if length_mm < 1e-9:
         return np.zeros(0)
     places = np.linspace(0.0, length_mm, _SAMPLES)
-    width = np.minimum(
-        pitch_mm + _GROWTH * places, _RIM * pitch_mm + _GROWTH * (length_mm - places)
-    )
+    width = np.minimum(pitch_mm + _GROWTH * places, rim_mm + _GROWTH * (length_mm - places))
     density = 1 / np.minimum(width, coarse_mm)
     cells = np.concatenate(([0.0], np.cumsum((density[1:] + density[:-1]) / 2)))
     cells *= length_mm / (_SAMPLES - 1)
