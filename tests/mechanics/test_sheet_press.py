@@ -11,8 +11,9 @@ from scipy.interpolate import RegularGridInterpolator
 
 from tests.mechanics.sheets import build_sheet, pressed
 from twin.config.artefacts import Bar
-from twin.config.models import Ball, Elastomer, Press, Texture
+from twin.config.models import Ball, Elastomer, Grating, Group, Press, Texture
 from twin.mechanics import PressedElastomer, PressError, read_press, write_press
+from twin.mechanics.contact_transfer import finest_pitch_mm
 from twin.mechanics.press import SheetFields
 from twin.mechanics.sheet.linear_solver import LinearSolver, Pardiso, SuperLU, has_pardiso
 from twin.mechanics.texture import textured
@@ -244,3 +245,13 @@ def test_elastomers_round_or_stretched_are_checked() -> None:
     with pytest.raises(ValueError, match="round opening needs length_x_mm = length_y_mm"):
         build_sheet(outline="round", length_x_mm=10.0)
     assert Elastomer.model_fields["pre_stretch"].default == 1.0
+
+
+@pytest.mark.parametrize(("pitch_mm", "warned"), [(0.9, True), (1.1, False)])
+def test_ridges_finer_than_five_thicknesses_are_told(pitch_mm: float, warned: bool) -> None:
+    grating = Grating(pitch_mm=pitch_mm, groove_mm=0.01, length_x_mm=3.0, length_y_mm=3.0)
+    group = Group(parts={"ball": Ball(x_mm=5.0), "grating": grating})
+    assert finest_pitch_mm(group) == pitch_mm
+    assert finest_pitch_mm(Ball()) is None
+    found = pressed(grating, build_sheet(thickness_mm=0.2, **TINY), depth_mm=0.1)
+    assert any("--transfer" in text for text in found.validity.warnings) is warned

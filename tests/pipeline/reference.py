@@ -5,6 +5,7 @@
 
 import hashlib
 import json
+import os
 import sys
 import tempfile
 from pathlib import Path
@@ -129,9 +130,11 @@ def described(values):
 
 
 def machine():
-    """Name what decides on the last digit: processor and versions."""
+    """Name what decides on the last digit: processor, threads of the linear algebra, versions."""
     others = {name: found for name, found in versions().items() if name != "fringe-twin"}
-    return {"cpu": llvmlite.binding.get_host_cpu_name()} | others
+    told = os.environ.get("OPENBLAS_NUM_THREADS") or os.environ.get("OMP_NUM_THREADS")
+    count = told or str(len(os.sched_getaffinity(0)))
+    return {"cpu": llvmlite.binding.get_host_cpu_name(), "threads": count} | others
 
 
 def recorded():

@@ -9,7 +9,7 @@ from pydantic import ValidationError
 from twin.config.artefacts import Bar, Bars, Rods, Step, VGroove
 from twin.config.materials import Conductor, Dielectric
 from twin.config.objects import Bear, Brick, Fingerprint, Nut, TBolt
-from twin.config.specimens import Ball, Group, Rod, Specimen
+from twin.config.specimens import Ball, Group, Rod, Specimen, TwoBalls
 from twin.specimens import bodies, height_above_lowest, shape_of, specimen_mesh
 from twin.specimens.fingerprint import ridges_mm
 from twin.specimens.toys import bear_level_mm, drawn_bear
@@ -49,6 +49,12 @@ def test_mesh_is_one_sound_body(specimen: Specimen) -> None:
     longest = mesh.edges_unique_length[mesh.faces_unique_edges].max(axis=1)
     assert (2 * mesh.area_faces / longest).min() > LEAST_HEIGHT_MM
     assert np.isfinite(mesh.face_normals).all()
+
+
+@pytest.mark.parametrize("specimen", [*SPECIMENS, TwoBalls()], ids=lambda s: s.kind)
+def test_it_stands_on_its_bottom(specimen: Specimen) -> None:
+    shape = shape_of(specimen)
+    assert shape.bottom_mm == pytest.approx(shape.mesh(0.0).bounds[0, 2], abs=0.01)
 
 
 @pytest.mark.parametrize("specimen", SPECIMENS, ids=lambda s: s.kind)
