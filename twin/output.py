@@ -20,8 +20,8 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from reconstruction.disk import is_disk_full, unwritable
 from reconstruction.errors import InputError
+from reconstruction.machine import is_disk_full, unwritable
 from twin.interruption import signals_held
 from twin.manifest import (
     MANIFEST_FILE,

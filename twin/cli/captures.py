@@ -143,7 +143,7 @@ def patterns(
     experiment
         TOML file, or the name of a shipped experiment such as paper/two_balls.
     """
-    from reconstruction.capture.pattern_files import MANIFEST_FILE, write_patterns
+    from reconstruction.capture.description import MANIFEST_FILE, write_patterns
     from twin.optics.light import pattern_set
     from twin.output import output_folder
 

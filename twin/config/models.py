@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
-from reconstruction.decoding.decoded import DecodeOptions
+from reconstruction.decoding import DecodeOptions
 from reconstruction.patterns import (
     MOST_FURTHER_PERIODS,
     PERIOD_RANGE_PX,

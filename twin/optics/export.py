@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import jinja2
 import numpy as np
 
-from reconstruction.disk import write_exr_channels
+from reconstruction.machine import write_exr_channels
 from twin.config.models import Experiment
 from twin.optics.backend import activate
 from twin.optics.device_frames import perspective_sensor, to_world

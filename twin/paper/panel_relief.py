@@ -13,10 +13,10 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from numpy.typing import NDArray
 
+from reconstruction.arrays import Reason
 from reconstruction.errors import InputError
 from reconstruction.evaluate.surface import SurfaceMesh, surface_mesh
-from reconstruction.mask import Reason
-from reconstruction.triangulation.triangulate import PointMap
+from reconstruction.triangulation import PointMap
 from twin.optics.view import ViewCamera, VisibleSurface, visible_surface
 from twin.paper.panel_data import PanelData, Picture
 from twin.paper.sheet import bare
