@@ -22,7 +22,6 @@ from typing import Any
 
 from reconstruction.errors import InputError
 from reconstruction.machine import is_disk_full, unwritable
-from twin.interruption import signals_held
 from twin.manifest import (
     MANIFEST_FILE,
     enter,
@@ -33,7 +32,7 @@ from twin.manifest import (
     read_manifest,
     write_manifest,
 )
-from twin.working import remove_leftovers, working_folder
+from twin.working import remove_leftovers, signals_held, working_folder
 
 RESULT_FILE = "result.json"
 EXPERIMENT_FILE = "experiment.toml"

@@ -23,8 +23,8 @@ from twin.config.devices import Camera, Pose, Projector
 from twin.config.elastomer import Coating, Elastomer, Film, Mechanics, PadFile, Press, Texture
 from twin.config.lamps import Lamp, Photometric, check_lamps
 from twin.config.layers import Layer, Layers, check_rig
-from twin.config.materials import Conductor, Dielectric, Diffuse, Material, Plastic, Stage
 from twin.config.methods import TRAITS, Method, MethodTraits
+from twin.config.specimen_base import Conductor, Dielectric, Diffuse, Material, Plastic, Stage
 from twin.config.specimens import (
     AnySpecimen,
     Ball,
