@@ -1,6 +1,6 @@
 """What a Gaussian adds to the projector coordinate: the lift, and its coarse part.
 
-Symbols: x coordinate, G the Gaussian, lift l = G x - x, coarse part c = G l; see `smoothing`.
+Symbols: x coordinate, G the Gaussian, lift l = G x - x, coarse part c = G l; see `_filter`.
 
 G acts along rows, then along columns, as second differences x(-k) - 2 x + x(+k) of pixel pairs: a
 pair counts only where both its pixels are measured, so that a plane stays as it is next to holes
@@ -21,7 +21,7 @@ ZERO, ONE, TWO, TINY = np.float32(0.0), np.float32(1.0), np.float32(2.0), np.flo
 
 
 class Smoothing(NamedTuple):
-    """Kernel of G along one direction and what follows from it, see `smoothing`.
+    """Kernel of G along one direction and what follows from it, see `_filter`.
 
     noise: products of the kernels of (G, c, f) summed over the plane: (0, 0) is the variance that
     G leaves of white noise. centre: their middle weights. limit_px: half a period.

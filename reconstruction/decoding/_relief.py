@@ -1,4 +1,4 @@
-"""What of the filter's lift is relief and what is noise, block by block; see `smoothing`.
+"""What of the filter's lift is relief and what is noise, block by block; see `_filter`.
 
 Symbols: c share of the coarse part that is relief, f share of the fine part. With the lines of
 `Blocks.values`: sigma^2 = own variance * values[2] + values[3] + excess gain * values[4], of which

@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from reconstruction.mask import Reason
+from reconstruction.arrays import Reason
 from twin.paper.figure_layout import LETTERS, Grid, panels_of
 from twin.paper.panel_data import PanelData
 from twin.paper.panel_plots import (

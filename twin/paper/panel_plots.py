@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import BoundaryNorm, ListedColormap
 
-from reconstruction.mask import Reason
+from reconstruction.arrays import Reason
 from twin.paper.panel_data import PanelData
 from twin.paper.sheet import bare
 from twin.report.camera_view import NO_POINT

@@ -12,8 +12,8 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import BoundaryNorm, ListedColormap, Normalize
 from numpy.typing import NDArray
 
+from reconstruction.arrays import Reason
 from reconstruction.capture.folder import Capture
-from reconstruction.mask import Reason
 from reconstruction.patterns import PatternFrame
 from twin.report.canvas import GAP, add_colorbar, diverging, height_scale, round_up, sequential
 from twin.report.decoding import REASON_COLOURS

@@ -9,8 +9,8 @@ from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
+from reconstruction.arrays import Reason
 from reconstruction.decoding.decode import AxisDecode
-from reconstruction.mask import Reason
 from reconstruction.patterns import PatternSet
 from reconstruction.pipeline import Reconstruction
 from twin.report.canvas import add_colorbar, axes_at, cyclic, drawing, round_up, sequential

@@ -5,7 +5,7 @@ Shares count the pixels that show the specimen: its visible area, as the camera 
 
 import numpy as np
 
-from reconstruction.mask import Reason
+from reconstruction.arrays import Reason
 from twin.report.appendix import Figure
 from twin.report.decoding import reason_shares
 from twin.report.fields import NONE, number

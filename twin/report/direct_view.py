@@ -5,7 +5,7 @@ from pathlib import Path
 from matplotlib.axes import Axes
 from matplotlib.patches import Patch
 
-from reconstruction.mask import Reason
+from reconstruction.arrays import Reason
 from twin.report.camera_view import (
     fringe_frame,
     shading_enlargement,

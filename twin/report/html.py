@@ -8,7 +8,7 @@ from pathlib import Path
 
 from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 
-from reconstruction.disk import unwritable
+from reconstruction.machine import unwritable
 from twin.output import replacing
 from twin.pipeline.progress import Watcher
 

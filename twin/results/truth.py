@@ -6,8 +6,8 @@ import h5netcdf
 import numpy as np
 from numpy.typing import NDArray
 
-from reconstruction.disk import write_exr_channels, writing_netcdf
 from reconstruction.errors import InputError
+from reconstruction.machine import write_exr_channels, writing_netcdf
 from twin.optics.stack import Truth
 
 _VARIABLES = {
