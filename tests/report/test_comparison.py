@@ -14,9 +14,9 @@ from twin.config import load_experiment
 from twin.pipeline import comparison
 from twin.pipeline.comparison import compare, methods_named
 from twin.report import summary_table, write_comparison, write_report
-from twin.report.camera_view import error_um, true_scale_mm, wanted
-from twin.report.direct import REASON_WORDS, discussion, missing_shares, percent, verdicts
-from twin.report.fields import split_unit
+from twin.report.bare import REASON_WORDS, discussion, missing_shares, verdicts
+from twin.report.camera_images import error_um, true_scale_mm, wanted
+from twin.report.words import percent, split_unit
 from twin.results.folder import read_measurement
 
 # 160 x 120 pixels over the whole field, three phase steps, one sample: seconds, not minutes.
@@ -128,7 +128,11 @@ def test_direct_report_tells_what_is_missing(compared, direct):
     folder = compared / "ball" / "direct_fpp"
     page = (folder / "report.html").read_text(encoding="utf-8")
     assert {path.stem for path in (folder / "figures").iterdir()} == {"seen", "frames", "decoding"}
-    for text in ("virtual direct-FPP", percent(direct.figures["good_share"]), "of the specimen"):
+    for text in (
+        "virtual measurement by direct FPP",
+        percent(direct.figures["good_share"]),
+        "of the specimen",
+    ):
         assert text in page
     assert "coated face" not in page
     assert "conductor: ior" in page

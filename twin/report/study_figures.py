@@ -1,18 +1,23 @@
-"""Figures of a study: main effects, interactions, parallel lines, Pareto front, sensitivities.
+"""Figures of a study: effects, interactions, parallel lines, Pareto front, sensitivities, designs.
 
 One figure has one scale per quantity, from 0 or the round ends of all cases, whichever plot it is
 in: plots side by side compare.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection
+from matplotlib.colors import Normalize
 
 from twin.config.study import Objective
+from twin.report.camera_images import NO_POINT
 from twin.report.canvas import (
     FAINT,
     FIT,
@@ -21,10 +26,17 @@ from twin.report.canvas import (
     MEASURED_FILL,
     add_colorbar,
     axes_at,
+    diverging,
     drawing,
+    height_scale,
     plain_spines,
+    round_up,
     sequential,
+    symmetric_limit,
 )
+from twin.report.page import Figure
+from twin.report.surfaces import WorldMap, shaded
+from twin.study.pictures import CasePicture
 from twin.study.sensitivity import Effect
 
 Row = Mapping[str, Any]
@@ -219,3 +231,93 @@ def draw_effects(path: Path, effects: Mapping[str, Sequence[Effect]], method: st
             place.set_xlim(left=0.0, right=None if method == "morris" else 1.05)
             plain_spines(place)
             top += height + 0.75
+
+
+_WIDTH_IN, _SIDE_IN, _BAR_IN, _RELIEF_SHARE = 3.0, 0.02, 0.95, 0.2
+
+
+@dataclass(frozen=True)
+class Scales:
+    """What all designs of a page share.
+
+    Attributes
+    ----------
+    z_mm : round ends of the true heights of all
+    error_um : round limit that 99 % of all errors stay below
+    enlarged : by how much shading enlarges z
+    """
+
+    z_mm: tuple[float, float]
+    error_um: float
+    enlarged: float
+
+    @classmethod
+    def of(cls, pictures: Iterable[CasePicture]) -> "Scales":
+        """Return scales that hold for all pictures, of which there is at least one."""
+        found = list(pictures)
+        z_mm = height_scale(np.concatenate([picture.true_z_mm for picture in found]))
+        errors_um = np.concatenate([picture.error_um[picture.scored] for picture in found])
+        width_mm = max(float(picture.width_mm) for picture in found)
+        enlarged = max(1.0, round_up(_RELIEF_SHARE * width_mm / (z_mm[1] - z_mm[0])))
+        return cls(z_mm, symmetric_limit(errors_um), enlarged)
+
+
+def design_figures(
+    number: int, settings: str, picture: CasePicture, scales: Scales
+) -> list[Figure]:
+    """Return the three pictures of one design; `settings` say which it is."""
+    colours = picture.seen.ndim == 3
+    seen = "camera image" if colours else "fringe image: black is 0, white is saturation"
+    shown = (
+        ("seen", seen, partial(_show_seen, picture=picture)),
+        ("heights", "measured heights; white: no measurement",
+         partial(_show_heights, picture=picture, scales=scales)),
+        ("error", "error against the true surface; gray: no measurement",
+         partial(_show_error, picture=picture, scales=scales)),
+    )  # fmt: skip
+    return [
+        Figure(
+            f"design_{number}_{kind}",
+            "",
+            caption,
+            f"{settings}: {caption}",
+            partial(_draw, picture=picture, show=show, bar=kind != "seen"),
+        )
+        for kind, caption, show in shown
+    ]
+
+
+def _draw(path: Path, picture: CasePicture, show: Any, bar: bool) -> None:
+    rows, cols = picture.measured.shape
+    inside_in = _WIDTH_IN - 2 * _SIDE_IN
+    height_in = inside_in * rows / cols
+    below_in = _BAR_IN if bar else _SIDE_IN
+    with drawing(path, _WIDTH_IN, _SIDE_IN + height_in + below_in) as figure:
+        axes = axes_at(figure, _SIDE_IN, _SIDE_IN, inside_in, height_in)
+        show(axes)
+        axes.set(xticks=[], yticks=[])
+
+
+def _show_seen(axes: Axes, picture: CasePicture) -> None:
+    axes.imshow(picture.seen, cmap="gray", vmin=0, vmax=255)
+
+
+def _show_heights(axes: Axes, picture: CasePicture, scales: Scales) -> None:
+    norm = Normalize(*scales.z_mm)
+    z_mm = np.ma.masked_array(picture.z_mm.astype(np.float64), ~picture.measured)
+    rows, cols = z_mm.shape
+    if z_mm.count():
+        pitch_mm = float(picture.width_mm) / cols
+        x_mm, y_mm = pitch_mm * np.arange(cols), pitch_mm * np.arange(rows)
+        relief = WorldMap(z_mm[::-1], x_mm, y_mm, pitch_mm)  # whose rows grow upwards
+        axes.imshow(shaded(relief, norm, scales.enlarged)[::-1])
+    else:
+        axes.imshow(np.ones((rows, cols, 3)))
+    add_colorbar(axes, ScalarMappable(norm, sequential()), "z (mm)", extend="both", side="below")
+
+
+def _show_error(axes: Axes, picture: CasePicture, scales: Scales) -> None:
+    error_um = np.ma.masked_array(picture.error_um, ~picture.scored)
+    colours, limit_um = diverging().with_extremes(bad=NO_POINT), scales.error_um
+    shown = axes.imshow(error_um, cmap=colours, vmin=-limit_um, vmax=limit_um)
+    add_colorbar(axes, shown, "z error (µm)", extend="both", side="below")
