@@ -15,7 +15,7 @@ from twin.pipeline import comparison
 from twin.pipeline.comparison import compare, methods_named
 from twin.report import summary_table, write_comparison, write_report
 from twin.report.bare import REASON_WORDS, discussion, missing_shares, verdicts
-from twin.report.camera_images import error_um, true_scale_mm, wanted
+from twin.report.pixel_panels import error_um, true_scale, wanted
 from twin.report.words import percent, split_unit
 from twin.results.folder import read_measurement
 
@@ -160,7 +160,7 @@ def test_error_map_is_what_is_scored(direct):
 
 def test_heights_are_scaled_by_the_truth_not_by_wrong_points(direct):
     """Truth: from the stage 8 mm below the ball's apex up to that apex at z = 0."""
-    low_mm, high_mm = true_scale_mm(direct)
+    low_mm, high_mm = true_scale(direct).ends_mm
     assert low_mm == -10.0
     assert high_mm == pytest.approx(0.0, abs=1e-3)
 

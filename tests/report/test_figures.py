@@ -9,13 +9,7 @@ from reconstruction.errors import InputError
 from reconstruction.mask import Reason
 from twin.config import vary
 from twin.pipeline.press import press_specimen
-from twin.report.camera_images import (
-    REASON_COLOURS,
-    block_mean,
-    draw_decoding,
-    draw_frames,
-    reason_shares,
-)
+from twin.report.camera_images import block_mean, draw_decoding, draw_frames, reason_shares
 from twin.report.canvas import (
     axes_at,
     contour_levels,
@@ -25,6 +19,7 @@ from twin.report.canvas import (
     round_up,
     symmetric_limit,
 )
+from twin.report.pixel_panels import REASON_COLOURS
 from twin.report.press import draw_press
 from twin.report.rig import triangulation_angle_deg
 from twin.report.section import (

@@ -101,7 +101,7 @@ def test_best_designs_in_pictures(base, tmp_path, taken):
 
 def test_designs_share_their_scales():
     scales = Scales.of([picture_of(0.2), picture_of(0.41), picture_of(0.3)])
-    assert scales.z_mm == (0.0, 0.5)
+    assert scales.z.ends_mm == (0.0, 0.5)
     assert scales.error_um == 0.5
 
 

@@ -7,22 +7,17 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
 
 from reconstruction.errors import InputError
-from reconstruction.mask import Reason
 from twin.paper.panels import PANELS_FOLDER, PanelData, read_panel_data
-from twin.report.camera_images import NO_POINT, REASON_COLOURS
 from twin.report.canvas import (
     FAINT,
     FIT,
-    GAP,
     INK,
     MEASURED,
     MEASURED_FILL,
     TRUE_FACE,
-    add_colorbar,
     axes_at,
     diverging,
     label_panel,
@@ -115,18 +110,6 @@ def panels_of(cases: Path, name: str, method: str) -> PanelData | None:
 _MOST_CELLS, _POINTS_PER_CELL, _BINS = 90, 3, 61
 
 
-def show_picture(axes: Axes, data: PanelData) -> None:
-    """Show what the camera saw."""
-    axes.imshow(data.picture, cmap="gray", vmin=0, vmax=255)
-    no_ticks(axes)
-
-
-def show_photograph(axes: Axes, data: PanelData) -> None:
-    """Show the specimen alone."""
-    axes.imshow(data.photograph)
-    no_ticks(axes)
-
-
 def show_section(axes: Axes, data: PanelData, legend: bool = True) -> None:
     """Show a rod's cross-section, measured and true, with the width that is read from it."""
     axes.plot(*data.section.T, ".", color=MEASURED_FILL, ms=3.5, label="measured")
@@ -164,23 +147,6 @@ def zoom_to_wanted(axes: Axes, data: PanelData) -> None:
     row, col = (low + high) / 2
     axes.set_xlim(col - share * cols / 2, col + share * cols / 2)
     axes.set_ylim(row + share * rows / 2, row - share * rows / 2)
-
-
-def show_error(axes: Axes, data: PanelData, limit_um: float, bar: bool = True) -> None:
-    """Show measured minus true z in camera pixels; no point is gray, no matter of the method."""
-    colours = diverging().with_extremes(bad=NO_POINT)
-    shown = axes.imshow(data.error_um, cmap=colours, vmin=-limit_um, vmax=limit_um)
-    no_ticks(axes)
-    if bar:
-        add_colorbar(axes, shown, "z error (µm), clipped at the ends", extend="both", side="below")
-
-
-def show_reasons(axes: Axes, data: PanelData) -> None:
-    """Show why wanted pixels have no point; the others are pale gray."""
-    colours = ListedColormap([REASON_COLOURS[r] for r in Reason]).with_extremes(bad=GAP)
-    norm = BoundaryNorm(np.arange(len(Reason) + 1) - 0.5, len(Reason))
-    axes.imshow(np.ma.masked_array(data.reason, ~data.wanted), cmap=colours, norm=norm)
-    no_ticks(axes)
 
 
 def residual_limit_um(*shown: PanelData) -> float:

@@ -15,11 +15,7 @@ from twin.paper.figure_panels import (
     no_measurement,
     panels_of,
     residual_limit_um,
-    show_error,
     show_histogram,
-    show_photograph,
-    show_picture,
-    show_reasons,
     show_residuals,
     show_section,
     zoom_to_wanted,
@@ -27,8 +23,8 @@ from twin.paper.figure_panels import (
 from twin.paper.panels import PanelData
 from twin.paper.relief_views import ReliefView, show_relief, show_scale, stage_for
 from twin.report.bare import REASON_WORDS
-from twin.report.camera_images import REASON_COLOURS
-from twin.report.canvas import FAINT, add_colorbar, axes_at, label_panel, printing
+from twin.report.canvas import FAINT, add_colorbar, axes_at, label_panel, no_ticks, printing
+from twin.report.pixel_panels import REASON_COLOURS, show_codes, show_picture, show_z_error
 from twin.report.words import number
 
 _ROWS = {"direct_fpp": "Conventional DFP\n(direct)", "contact_fpp": "Proposed\n(contact-FPP)"}
@@ -89,8 +85,8 @@ def _rod(cells: list[Axes], data: PanelData | None, found: list[PanelData], last
             no_measurement(axes)
         return
     photograph, fringes, relief, section = cells
-    show_photograph(photograph, data)
-    show_picture(fringes, data)
+    show_picture(photograph, data.photograph)
+    show_picture(fringes, data.picture)
     show_relief(relief, data, stage_for(*found), bar=last)
     if not len(data.section):
         no_measurement(section)
@@ -115,9 +111,9 @@ def draw_grid(cases: Path, stem: Path) -> None:
             gelsight = panels_of(cases, name, "photometric_stereo")
             contact = panels_of(cases, name, "contact_fpp")
             cells = [grid.cell(figure, row, column) for row in range(grid.rows)]
-            _cell(cells[0], contact, show_photograph)
-            _cell(cells[1], gelsight, show_picture)
-            _cell(cells[2], contact, show_picture)
+            _cell(cells[0], contact, _photograph)
+            _cell(cells[1], gelsight, _picture)
+            _cell(cells[2], contact, _picture)
             _compared_reliefs((cells[3], cells[4]), gelsight, contact)
 
 
@@ -128,7 +124,7 @@ def _pair(figure: Figure, grid: Grid, at: tuple[int, int], data: PanelData | Non
         no_measurement(left)
         no_measurement(right)
         return
-    show_picture(left, data)
+    show_picture(left, data.picture)
     stage = stage_for(data)
     show_relief(right, data, stage)
     show_scale(right, stage)
@@ -160,8 +156,17 @@ def _cell(axes: Axes, data: PanelData | None, show: Callable[[Axes, PanelData], 
         show(axes, data)
 
 
+def _photograph(axes: Axes, data: PanelData) -> None:
+    show_picture(axes, data.photograph)
+
+
+def _picture(axes: Axes, data: PanelData) -> None:
+    show_picture(axes, data.picture)
+
+
 def _reasons_near(axes: Axes, data: PanelData) -> None:
-    show_reasons(axes, data)
+    show_codes(axes, np.ma.masked_array(data.reason, ~data.wanted))
+    no_ticks(axes)
     zoom_to_wanted(axes, data)
 
 
@@ -171,11 +176,11 @@ def _error_near(axes: Axes, data: PanelData) -> None:
 
 
 def _error_alone(axes: Axes, data: PanelData) -> None:
-    show_error(axes, data, data.numbers.good_within_um, bar=False)
+    show_z_error(axes, data.error_um, data.numbers.good_within_um, bar=False)
 
 
 def _error_with_bar(axes: Axes, data: PanelData) -> None:
-    show_error(axes, data, data.numbers.good_within_um)
+    show_z_error(axes, data.error_um, data.numbers.good_within_um)
 
 
 def _legend_of_reasons(figure: Figure) -> None:

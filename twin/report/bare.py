@@ -11,22 +11,24 @@ from matplotlib.patches import Patch
 
 from reconstruction.mask import Reason
 from twin.report.camera_images import (
-    REASON_COLOURS,
     decoding_figure,
     frames_figure,
     fringe_frame,
     reason_shares,
-    shading_enlargement,
-    show_error,
     show_frame,
-    show_measured,
-    show_reasons,
-    show_true,
     white_frame,
 )
 from twin.report.canvas import axes_at, drawing
 from twin.report.experiment import appendix, glance, result_in_words
 from twin.report.page import Block, Figure, Grade, Page, Section, Verdict
+from twin.report.pixel_panels import (
+    REASON_COLOURS,
+    show_error,
+    show_measured,
+    show_reasons,
+    show_true,
+    true_scale,
+)
 from twin.report.spheres import fit_table
 from twin.report.table import Table, pairs
 from twin.report.words import number, percent
@@ -175,7 +177,7 @@ def page_of(measured: Measurement) -> Page:
 
 def seen_figure(measured: Measurement) -> Figure:
     """Return frames, heights, errors and reasons, pixel on pixel."""
-    enlarged = shading_enlargement(measured)
+    enlarged = true_scale(measured).enlarged
     shading = "" if enlarged == 1 else f" (shading enlarges z {enlarged:g} times)"
     limit_um = measured.experiment.score.good_within_um
     return Figure(

@@ -1,16 +1,10 @@
-"""What the camera recorded and what was made of it, in camera pixels; row 0 is the top.
-
-All panels of a measurement show the same pixels at the same place, so that a gap in the heights
-can be looked up in the frame beside it.
-"""
+"""Figures of what the camera recorded, and of the decoder's maps; row 0 is the top."""
 
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.cm import ScalarMappable
-from matplotlib.colors import BoundaryNorm, ListedColormap, Normalize
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
@@ -22,16 +16,13 @@ from reconstruction.pipeline import Reconstruction
 from twin.report.canvas import (
     FAINT,
     FIT,
-    GAP,
     INK,
     MEASURED,
     TRUE_FACE,
     add_colorbar,
     axes_at,
     cyclic,
-    diverging,
     drawing,
-    height_scale,
     legend_above,
     no_ticks,
     plain_spines,
@@ -39,9 +30,8 @@ from twin.report.canvas import (
     sequential,
 )
 from twin.report.page import Figure
-from twin.report.surfaces import WorldMap, shaded
+from twin.report.pixel_panels import REASON_COLOURS, show_codes, thinned
 from twin.results.record import Measurement
-from twin.results.score import wanted_pixels
 
 _COLUMNS = 5
 _THUMB_PX = 260
@@ -165,18 +155,6 @@ _SHOWN_PX, _MAP_IN = 480, 2.85
 # Reasons for which the decoder has no phase at all.
 _NO_PHASE = (Reason.DARK, Reason.LOW_MODULATION, Reason.SATURATED)
 
-REASON_COLOURS = {
-    Reason.VALID: "#d5e8da",
-    Reason.DARK: "#2f3640",
-    Reason.LOW_MODULATION: "#7f8c9b",
-    Reason.SATURATED: "#d7263d",
-    Reason.ORDER_UNCERTAIN: "#f2a541",
-    Reason.OUTSIDE_PROJECTOR: "#8e6bbf",
-    Reason.EDGE: "#5fa8d3",
-    Reason.EPIPOLAR_MISMATCH: "#e36bae",
-    Reason.NO_POINT: "#8a5a00",
-}
-
 
 def draw_decoding(path: Path, reconstruction: Reconstruction, patterns: PatternSet) -> None:
     """Draw wrapped phase and order of both directions, modulation and reason mask as PNG.
@@ -217,10 +195,12 @@ def reason_shares(reason: NDArray[np.uint8]) -> dict[Reason, float]:
 
 def _map(axes: Axes, values: NDArray[Any], **options: Any) -> Any:
     """Show every n-th pixel: phases and codes must not be averaged."""
+    return axes.imshow(thinned(values), extent=_extent(values), **options)
+
+
+def _extent(values: NDArray[Any]) -> tuple[float, float, float, float]:
     rows, cols = values.shape
-    step = -(-max(rows, cols) // _SHOWN_PX)
-    extent = (-0.5, cols - 0.5, rows - 0.5, -0.5)
-    return axes.imshow(values[::step, ::step], extent=extent, **options)
+    return -0.5, cols - 0.5, rows - 0.5, -0.5
 
 
 def _phase(axes: Axes, name: str, axis: AxisDecode, reason: NDArray[np.uint8]) -> None:
@@ -253,9 +233,7 @@ def _modulation(axes: Axes, axis: AxisDecode) -> None:
 
 
 def _reasons(axes: Axes, reason: NDArray[np.uint8]) -> None:
-    colours = ListedColormap([REASON_COLOURS[r] for r in Reason])
-    norm = BoundaryNorm(np.arange(len(Reason) + 1) - 0.5, len(Reason))
-    _map(axes, reason, cmap=colours, norm=norm)
+    show_codes(axes, thinned(reason), extent=_extent(reason))
     handles = [
         Patch(
             color=REASON_COLOURS[r], label=f"{r.name.lower().replace('_', ' ')} {_percent(share)}"
@@ -273,14 +251,6 @@ def _reasons(axes: Axes, reason: NDArray[np.uint8]) -> None:
     )
 
 
-NO_POINT = "#c3cbd4"
-"""Darker than other gaps: an error of 0 is white, and must not look like a missing point."""
-
-_SHOWN_PX = 480
-# The relief fills at least this share of the field's width, as in the report's other views.
-_RELIEF_SHARE = 0.2
-
-
 def white_frame(capture: Capture) -> PatternFrame:
     """Return the white frame of a sequence."""
     frames = capture.patterns.frames[capture.patterns.index("white")]
@@ -293,95 +263,9 @@ def fringe_frame(capture: Capture) -> PatternFrame:
     return frames[0]
 
 
-def wanted(scored: Measurement) -> NDArray[np.bool_]:
-    """Pixels that ought to give a point, (row, col)."""
-    return wanted_pixels(scored.experiment, scored.truth)
-
-
-def error_um(scored: Measurement) -> "np.ma.MaskedArray[Any, Any]":
-    """Measured minus true world z, um, (row, col); masked where there is no wanted point."""
-    points = scored.fringes.reconstruction.point_map
-    difference = points.points_world_mm[..., 2] - scored.truth.points_world_mm[..., 2]
-    missing = ~(points.valid & wanted(scored))
-    return np.ma.masked_array(1e3 * difference.astype(np.float64), mask=missing)
-
-
-def true_scale_mm(scored: Measurement) -> tuple[float, float]:
-    """Round ends of a scale of the true heights that the camera sees; wrong points do not count."""
-    seen = scored.truth.depth_mm > 0
-    return height_scale(scored.truth.points_world_mm[seen][:, 2]) if seen.any() else (0.0, 1.0)
-
-
 def show_frame(axes: Axes, capture: Capture, frame: PatternFrame) -> None:
     """Show a frame's digital numbers: black is 0, white is saturation."""
     image = capture.stack[capture.patterns.frames.index(frame)]
     small = block_mean(image, -(-max(image.shape) // _SHOWN_PX))
     axes.imshow(small, cmap="gray", vmin=0, vmax=capture.sensor.saturation_dn)
     no_ticks(axes)
-
-
-def show_measured(axes: Axes, measured: Measurement, bar: bool = True) -> None:
-    """Show the measured heights, shaded; pixels without a point stay white."""
-    points = measured.fringes.reconstruction.point_map
-    z_mm = np.ma.masked_array(points.points_world_mm[..., 2].astype(np.float64), ~points.valid)
-    _show_heights(axes, measured, z_mm, bar)
-
-
-def show_true(axes: Axes, measured: Measurement) -> None:
-    """Show the true heights, shaded, on the same scale as the measured ones."""
-    truth = measured.truth
-    z_mm = np.ma.masked_array(truth.points_world_mm[..., 2].astype(np.float64), truth.depth_mm <= 0)
-    _show_heights(axes, measured, z_mm, bar=True)
-
-
-def shading_enlargement(scored: Measurement) -> float:
-    """Return by how much shading enlarges z: a round number, at least 1."""
-    low_mm, high_mm = true_scale_mm(scored)
-    width_mm = scored.truth.lit.shape[1] * scored.pixel_mm
-    return max(1.0, round_up(_RELIEF_SHARE * width_mm / (high_mm - low_mm)))
-
-
-def show_error(axes: Axes, scored: Measurement) -> None:
-    """Show the error of z; beyond the limit of a good point it keeps the colour of the end."""
-    limit_um = scored.experiment.score.good_within_um
-    colours = diverging().with_extremes(bad=NO_POINT)
-    shown = axes.imshow(_every_nth(error_um(scored)), cmap=colours, vmin=-limit_um, vmax=limit_um)
-    no_ticks(axes)
-    add_colorbar(axes, shown, "z error (µm), clipped at the ends", extend="both", side="below")
-
-
-def show_reasons(axes: Axes, scored: Measurement) -> None:
-    """Show why wanted pixels have no point; the others are pale gray."""
-    reason = scored.fringes.reconstruction.point_map.mask_reason
-    colours = ListedColormap([REASON_COLOURS[r] for r in Reason]).with_extremes(bad=GAP)
-    norm = BoundaryNorm(np.arange(len(Reason) + 1) - 0.5, len(Reason))
-    axes.imshow(_every_nth(np.ma.masked_array(reason, ~wanted(scored))), cmap=colours, norm=norm)
-    no_ticks(axes)
-
-
-def _show_heights(
-    axes: Axes, measured: Measurement, z_mm: "np.ma.MaskedArray[Any, Any]", bar: bool
-) -> None:
-    norm = Normalize(*true_scale_mm(measured))
-    coarse = _every_nth(z_mm)
-    if coarse.count():
-        axes.imshow(shaded(_upwards(measured, coarse), norm, shading_enlargement(measured))[::-1])
-    else:
-        axes.imshow(np.ones((*coarse.shape, 3)))
-    no_ticks(axes)
-    if bar:
-        shown = ScalarMappable(norm, sequential())
-        add_colorbar(axes, shown, "z (mm)", extend="both", side="below")
-
-
-def _upwards(scored: Measurement, z_mm: "np.ma.MaskedArray[Any, Any]") -> WorldMap:
-    """Heights in camera pixels as the shading wants them: rows grow upwards, lengths in mm."""
-    rows, cols = z_mm.shape
-    pitch_mm = scored.pixel_mm * scored.truth.lit.shape[1] / cols
-    return WorldMap(z_mm[::-1], pitch_mm * np.arange(cols), pitch_mm * np.arange(rows), pitch_mm)
-
-
-def _every_nth(values: Any) -> Any:
-    """Thin out: heights and codes must not be averaged across edges."""
-    step = -(-max(values.shape) // _SHOWN_PX)
-    return values[::step, ::step]

@@ -12,7 +12,7 @@ from twin.config.methods import TRAITS, Method
 from twin.config.models import Experiment
 from twin.pipeline.comparison import Outcome, read_outcomes
 from twin.pipeline.progress import Watcher, nobody
-from twin.report.comparison_panels import draw_panel, overview, panels_of
+from twin.report.comparison_panels import overview, panels_of
 from twin.report.experiment import result_in_words
 from twin.report.page import (
     REPORT_FILE,
@@ -27,7 +27,9 @@ from twin.report.page import (
     figures_folder,
     write_page,
 )
-from twin.report.table import Column, Row, Table
+from twin.report.pixel_panels import draw_small
+from twin.report.study_figures import Row
+from twin.report.table import Column, Table
 from twin.report.words import NONE, number, percent
 from twin.results.decoders import DecodedImage, decoder_name
 from twin.results.folder import read_measurement
@@ -287,7 +289,9 @@ def _cell(figures: Path, outcome: Outcome, measured: Measurement | None) -> Sect
     blocks: list[Block] = [Note(link, "verdict"), *_shares(measured)]
     drawn = []
     for panel in panels_of(measured):
-        draw_panel(figures / f"{name}_{panel.name}.png", panel, measured)
+        draw_small(
+            figures / f"{name}_{panel.name}.png", panel.show, measured.truth.lit.shape, panel.bar
+        )
         alt = f"{outcome.name}, {method.title}: {panel.caption}"
         drawn.append(Figure(f"{name}_{panel.name}", "", panel.caption, alt))
     return Section(name, title, (*blocks, Gallery(tuple(drawn), 4)))

@@ -77,7 +77,7 @@ def _coat(measured: Measurement) -> list[tuple[str, str]]:
     experiment = measured.experiment
     return [
         ("press", _press(measured)),
-        ("elastomer", f"{phrase(experiment.elastomer.model_dump())}; {_modulus(measured)}"),
+        ("elastomer", _elastomer(measured)),
         ("coating", coating_phrase(experiment.coating)),
     ]
 
@@ -100,8 +100,10 @@ def _press(measured: Measurement) -> str:
     )
 
 
-def _modulus(measured: Measurement) -> str:
-    return f"Young's modulus {measured.figures['young_modulus_kpa']:.3g} kPa"
+def _elastomer(measured: Measurement) -> str:
+    stated = measured.experiment.elastomer.model_dump(exclude={"young_modulus_kpa"})
+    modulus_kpa = float(f"{measured.figures['young_modulus_kpa']:.3g}")
+    return phrase(stated | {"young_modulus_kpa": modulus_kpa})
 
 
 def _camera(measured: Measurement) -> str:

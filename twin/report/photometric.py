@@ -9,8 +9,8 @@ from twin.report.photometric_figures import (
     draw_sections,
     draw_sensor,
     draw_slopes,
-    enlargement,
 )
+from twin.report.pixel_panels import true_scale
 from twin.report.press import judge_press, press_figure
 from twin.report.spheres import ball_figures, fit_table
 from twin.report.surfaces import relief_figure
@@ -245,7 +245,7 @@ def _slopes(seen: Measurement) -> Figure:
 
 
 def _heights(seen: Measurement) -> Figure:
-    enlarged = enlargement(seen)
+    enlarged = true_scale(seen).enlarged
     shading = "" if enlarged == 1 else f" (shading enlarges z {enlarged:g} times)"
     return Figure(
         "heights",

@@ -8,8 +8,6 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.cm import ScalarMappable
-from matplotlib.colors import Normalize
 from matplotlib.figure import Figure as Canvas
 from matplotlib.patches import Polygon, Rectangle
 from matplotlib.ticker import MultipleLocator
@@ -30,13 +28,12 @@ from twin.report.canvas import (
     axes_at,
     diverging,
     drawing,
-    height_scale,
     plain_spines,
     round_up,
     symmetric_limit,
 )
+from twin.report.pixel_panels import Masked, show_z, true_scale, width_mm
 from twin.report.section import Trace, face_profile, trace_through_apexes
-from twin.report.surfaces import WorldMap, shaded
 from twin.results.decoders import MAP_ORDER, DecodedImage, decoder_name
 from twin.results.record import Measurement
 from twin.results.score import wanted_pixels
@@ -45,8 +42,7 @@ DIFFERENCE_GAIN = 2
 
 _WIDTH_IN, _LEFT_IN, _TOP_IN, _GAP_IN, _BELOW_IN = 10.0, 0.5, 0.32, 0.14, 0.65
 _BETWEEN_IN = 0.25  # tick labels of the upper line
-_RELIEF_SHARE, _TICKS_MM = 0.2, 4.0
-_Masked = Any
+_TICKS_MM = 4.0
 
 
 def extent_mm(seen: Measurement) -> tuple[float, float, float, float]:
@@ -59,13 +55,13 @@ def extent_mm(seen: Measurement) -> tuple[float, float, float, float]:
     return (-half_x, half_x, -half_y, half_y)
 
 
-def true_heights_mm(seen: Measurement) -> _Masked:
+def true_heights_mm(seen: Measurement) -> Masked:
     """World z of the true coat behind each pixel, (row, col) masked."""
     z_mm = seen.truth.points_world_mm[..., 2].astype(np.float64)
     return np.ma.masked_array(z_mm, ~seen.truth.measured)
 
 
-def decoder_error_um(seen: Measurement, one: DecodedImage) -> _Masked:
+def decoder_error_um(seen: Measurement, one: DecodedImage) -> Masked:
     """Measured minus true world z in the evaluated field, (row, col) masked."""
     scored = wanted_pixels(seen.experiment, seen.truth) & one.heights.valid
     difference = one.heights.height_mm - true_heights_mm(seen).data
@@ -145,7 +141,7 @@ def draw_heights(path: Path, seen: Measurement) -> None:
     InputError
         `path` cannot be written.
     """
-    norm = Normalize(*height_scale(true_heights_mm(seen).compressed()))
+    scale, wide_mm, extent = true_scale(seen), width_mm(seen), extent_mm(seen)
     panel_in, height_in = _panel(seen, 4)
     line_in = _TOP_IN + height_in + _BETWEEN_IN
     lines = _lines(seen)
@@ -154,13 +150,12 @@ def draw_heights(path: Path, seen: Measurement) -> None:
             top_in = line * line_in + _TOP_IN
             if not line:
                 axes = _axes(figure, 0, top_in, panel_in, height_in)
-                show_heights(axes, seen, true_heights_mm(seen), norm)
+                show_z(axes, true_heights_mm(seen), wide_mm, scale, extent=extent)
                 axes.set(title="true coat")
-                bar = ScalarMappable(norm, "viridis")
-                add_colorbar(axes, bar, "z (mm)", extend="both", side="below")
             for number, one in enumerate(decoders, start=1):
                 axes = _axes(figure, number, top_in, panel_in, height_in)
-                show_heights(axes, seen, measured_heights_mm(one), norm)
+                z_mm = np.ma.masked_array(one.heights.height_mm, ~one.heights.valid)
+                show_z(axes, z_mm.astype(np.float64), wide_mm, scale, bar=False, extent=extent)
                 axes.set(title=decoder_name(one))
 
 
@@ -187,26 +182,6 @@ def draw_errors(path: Path, seen: Measurement) -> None:
                 axes.set(title=f"{decoder_name(one)}: {one.errors.z_rmse_um:.1f} µm RMS")
                 if line == len(lines) - 1:
                     add_colorbar(axes, shown, "z error (µm)", extend="both", side="below")
-
-
-def measured_heights_mm(one: DecodedImage) -> _Masked:
-    """Heights of one decoder, (row, col); masked where they are no measurement."""
-    return np.ma.masked_array(one.heights.height_mm.astype(np.float64), ~one.heights.valid)
-
-
-def show_heights(axes: Axes, seen: Measurement, z_mm: _Masked, norm: Normalize) -> None:
-    """Show heights, coloured and shaded; what is masked stays white."""
-    rows, cols = z_mm.shape
-    pitch_mm = seen.colours.calibration.pitch_mm
-    relief = WorldMap(z_mm[::-1], pitch_mm * np.arange(cols), pitch_mm * np.arange(rows), pitch_mm)
-    axes.imshow(shaded(relief, norm, enlargement(seen))[::-1], extent=extent_mm(seen))
-
-
-def enlargement(seen: Measurement) -> float:
-    """Return by how much shading enlarges z: a round number, at least 1."""
-    low, high = height_scale(true_heights_mm(seen).compressed())
-    left, right, *_ = extent_mm(seen)
-    return max(1.0, round_up(_RELIEF_SHARE * (right - left) / (high - low)))
 
 
 def _lines(seen: Measurement) -> list[list[DecodedImage]]:
@@ -319,9 +294,9 @@ def draw_sensor(path: Path, experiment: Experiment) -> None:
     InputError
         `path` cannot be written.
     """
-    with drawing(path, 5.0, 5.95) as figure:
+    with drawing(path, 5.0, 6.25) as figure:
         _above(axes_at(figure, 0.6, 0.35, 4.1, 3.3), experiment)
-        _side(axes_at(figure, 0.6, 4.25, 4.1, 1.35), experiment)
+        _side(axes_at(figure, 0.6, 4.4, 4.1, 1.35), experiment)
 
 
 def _above(axes: Axes, experiment: Experiment) -> None:

@@ -4,7 +4,7 @@ One figure has one scale per quantity, from 0 or the round ends of all cases, wh
 in: plots side by side compare.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -12,12 +12,9 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection
-from matplotlib.colors import Normalize
 
 from twin.config.study import Objective
-from twin.report.camera_images import NO_POINT
 from twin.report.canvas import (
     FAINT,
     FIT,
@@ -26,16 +23,14 @@ from twin.report.canvas import (
     MEASURED_FILL,
     add_colorbar,
     axes_at,
-    diverging,
     drawing,
-    height_scale,
+    no_ticks,
     plain_spines,
-    round_up,
     sequential,
     symmetric_limit,
 )
 from twin.report.page import Figure
-from twin.report.surfaces import WorldMap, shaded
+from twin.report.pixel_panels import ZScale, draw_small, show_picture, show_z, show_z_error
 from twin.study.pictures import CasePicture
 from twin.study.sensitivity import Effect
 
@@ -233,47 +228,48 @@ def draw_effects(path: Path, effects: Mapping[str, Sequence[Effect]], method: st
             top += height + 0.75
 
 
-_WIDTH_IN, _SIDE_IN, _BAR_IN, _RELIEF_SHARE = 3.0, 0.02, 0.95, 0.2
-
-
 @dataclass(frozen=True)
 class Scales:
     """What all designs of a page share.
 
     Attributes
     ----------
-    z_mm : round ends of the true heights of all
+    z : scale of the true heights of all
     error_um : round limit that 99 % of all errors stay below
-    enlarged : by how much shading enlarges z
     """
 
-    z_mm: tuple[float, float]
+    z: ZScale
     error_um: float
-    enlarged: float
 
     @classmethod
     def of(cls, pictures: Iterable[CasePicture]) -> "Scales":
         """Return scales that hold for all pictures, of which there is at least one."""
         found = list(pictures)
-        z_mm = height_scale(np.concatenate([picture.true_z_mm for picture in found]))
+        z_mm = np.concatenate([picture.true_z_mm for picture in found])
         errors_um = np.concatenate([picture.error_um[picture.scored] for picture in found])
         width_mm = max(float(picture.width_mm) for picture in found)
-        enlarged = max(1.0, round_up(_RELIEF_SHARE * width_mm / (z_mm[1] - z_mm[0])))
-        return cls(z_mm, symmetric_limit(errors_um), enlarged)
+        return cls(ZScale.of(z_mm, width_mm), symmetric_limit(errors_um))
 
 
 def design_figures(
     number: int, settings: str, picture: CasePicture, scales: Scales
 ) -> list[Figure]:
     """Return the three pictures of one design; `settings` say which it is."""
-    colours = picture.seen.ndim == 3
+    colours, shape = picture.seen.ndim == 3, picture.measured.shape
     seen = "camera image" if colours else "fringe image: black is 0, white is saturation"
-    shown = (
-        ("seen", seen, partial(_show_seen, picture=picture)),
-        ("heights", "measured heights; white: no measurement",
-         partial(_show_heights, picture=picture, scales=scales)),
-        ("error", "error against the true surface; gray: no measurement",
-         partial(_show_error, picture=picture, scales=scales)),
+    z_mm = np.ma.masked_array(picture.z_mm.astype(np.float64), ~picture.measured)
+    error_um = np.ma.masked_array(picture.error_um, ~picture.scored)
+    width_mm = float(picture.width_mm)
+
+    def show_heights(axes: Axes) -> None:
+        show_z(axes, z_mm, width_mm, scales.z)
+        no_ticks(axes)
+
+    shown: tuple[tuple[str, str, Callable[[Axes], None]], ...] = (
+        ("seen", seen, lambda axes: show_picture(axes, picture.seen)),
+        ("heights", "measured heights; white: no measurement", show_heights),
+        ("error", "z error against the true surface; gray: no measurement",
+         lambda axes: show_z_error(axes, error_um, scales.error_um)),
     )  # fmt: skip
     return [
         Figure(
@@ -281,43 +277,7 @@ def design_figures(
             "",
             caption,
             f"{settings}: {caption}",
-            partial(_draw, picture=picture, show=show, bar=kind != "seen"),
+            partial(draw_small, show=show, shape=shape, bar=kind != "seen"),
         )
         for kind, caption, show in shown
     ]
-
-
-def _draw(path: Path, picture: CasePicture, show: Any, bar: bool) -> None:
-    rows, cols = picture.measured.shape
-    inside_in = _WIDTH_IN - 2 * _SIDE_IN
-    height_in = inside_in * rows / cols
-    below_in = _BAR_IN if bar else _SIDE_IN
-    with drawing(path, _WIDTH_IN, _SIDE_IN + height_in + below_in) as figure:
-        axes = axes_at(figure, _SIDE_IN, _SIDE_IN, inside_in, height_in)
-        show(axes)
-        axes.set(xticks=[], yticks=[])
-
-
-def _show_seen(axes: Axes, picture: CasePicture) -> None:
-    axes.imshow(picture.seen, cmap="gray", vmin=0, vmax=255)
-
-
-def _show_heights(axes: Axes, picture: CasePicture, scales: Scales) -> None:
-    norm = Normalize(*scales.z_mm)
-    z_mm = np.ma.masked_array(picture.z_mm.astype(np.float64), ~picture.measured)
-    rows, cols = z_mm.shape
-    if z_mm.count():
-        pitch_mm = float(picture.width_mm) / cols
-        x_mm, y_mm = pitch_mm * np.arange(cols), pitch_mm * np.arange(rows)
-        relief = WorldMap(z_mm[::-1], x_mm, y_mm, pitch_mm)  # whose rows grow upwards
-        axes.imshow(shaded(relief, norm, scales.enlarged)[::-1])
-    else:
-        axes.imshow(np.ones((rows, cols, 3)))
-    add_colorbar(axes, ScalarMappable(norm, sequential()), "z (mm)", extend="both", side="below")
-
-
-def _show_error(axes: Axes, picture: CasePicture, scales: Scales) -> None:
-    error_um = np.ma.masked_array(picture.error_um, ~picture.scored)
-    colours, limit_um = diverging().with_extremes(bad=NO_POINT), scales.error_um
-    shown = axes.imshow(error_um, cmap=colours, vmin=-limit_um, vmax=limit_um)
-    add_colorbar(axes, shown, "z error (µm)", extend="both", side="below")

@@ -8,6 +8,7 @@ from twin.config.models import Coating
 # Longest first: e_per_s ends in no other unit, but `_s` alone would swallow it.
 _UNITS = {
     "_e_per_s": "e⁻/s",
+    "_j_m2": "J/m²",
     "_percent": "%",
     "_per_mm": "1/mm",
     "_kpa": "kPa",
@@ -29,6 +30,7 @@ NONE = "–"
 
 _NAMES = {
     "shore_a": "Shore A",
+    "young_modulus": "Young's modulus",
     "poisson_ratio": "Poisson ratio",
     "flake_ior": "flake refractive index n",
     "flake_extinction": "k",
