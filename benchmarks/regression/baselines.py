@@ -1,7 +1,7 @@
 """The committed baselines: value, standard uncertainty, number of runs, date, versions, machine.
 
-Beside them lie the stated rows of the README's table: figures that take too long, or a machine of
-its own, to be measured with the others. They are written by hand, with date and command.
+Beside them lie stated rows: figures that take too long, or a machine of its own, to be measured
+with the others. They are written by hand, with date and command.
 """
 
 import os
@@ -20,7 +20,7 @@ from twin.output import versions
 NAMED = ("fringe-twin", "mitsuba", "drjit", "numpy")
 HEADER = """\
 # Baselines of the regression benchmarks. [figure] is written by `./run bench all --update`;
-# [stated], by hand, are further rows of the README's table. See docs/benchmarks.md.
+# [stated] are further rows, by hand; headline rows stand in the README. See docs/benchmarks.md.
 
 """
 
@@ -37,7 +37,7 @@ class Baseline:
 
 @dataclass(frozen=True)
 class Stated:
-    """A row of the README's table that nothing here measures."""
+    """A row that nothing here measures; a headline stands in the README's table, too."""
 
     name: str
     what: str
@@ -45,6 +45,7 @@ class Stated:
     measured: str
     how: str
     date: str
+    headline: bool = False
 
 
 @dataclass(frozen=True)
@@ -99,7 +100,7 @@ def write_baselines(baselines: Baselines, registry: Mapping[str, Figure], path: 
             if name in baselines.figures
         },
         "stated": {
-            row.name: _fields(row, ("what", "target", "measured", "how", "date"))
+            row.name: _fields(row, ("what", "target", "measured", "how", "date", "headline"))
             for row in baselines.stated
         },
     }

@@ -13,7 +13,7 @@ class Case:
     Attributes
     ----------
     name, figures
-    how : for the README's table
+    how : image size and repetitions
     measure : returns values of every figure
     quick : runs with `--quick` too
     """

@@ -31,19 +31,22 @@ def desk(tmp_path, monkeypatch):
 class Desk:
     def __init__(self, folder, monkeypatch):
         self.values = {"z_um": [1.0, 1.1, 0.9], "over": [2.0]}
-        speed = Figure("over", "pace", kind="speed", target=Target(high=2.5))
+        speed = Figure("over", "pace", kind="speed", target=Target(high=2.5), headline=True)
         height = Figure("z_um", "height, um", target=Target(0.5, 6.0))
         self.cases = (
             Case("height", "3 seeds", (height,), lambda: self.take("z_um")),
             Case("pace", "`./run bench pace`", (speed,), lambda: self.take("over"), quick=False),
         )
         self.baselines, self.readme = folder / "baselines.toml", folder / "README.md"
-        self.readme.write_text(f"above\n{readme.BEGIN}\n{readme.END}\nbelow\n")
+        self.all = folder / "benchmarks.md"
+        for page in (self.readme, self.all):
+            page.write_text(f"above\n{readme.BEGIN}\n{readme.END}\nbelow\n")
         for name, value in {
             "CASES": self.cases,
             "FIGURES": figures_of(self.cases),
             "BASELINES": self.baselines,
             "README": self.readme,
+            "ALL_FIGURES": self.all,
         }.items():
             monkeypatch.setattr(bench, name, value)
 
@@ -55,7 +58,8 @@ class Desk:
 
     def bytes(self):
         return [
-            path.read_bytes() if path.exists() else None for path in (self.baselines, self.readme)
+            path.read_bytes() if path.exists() else None
+            for path in (self.baselines, self.readme, self.all)
         ]
 
 
@@ -77,7 +81,9 @@ def test_only_update_writes(desk, capsys):
     last = last_line(capsys)
     assert (last["figures"], last["failed"]) == (2, [])
     assert set(last) == {"figures", "failed", "seconds"}
-    assert {path.name for path in desk.readme.parent.iterdir()} == {"README.md", "baselines.toml"}
+    files = {path.name for path in desk.readme.parent.iterdir()}
+    assert files == {"README.md", "benchmarks.md", "baselines.toml"}
+    assert ("height" in desk.all.read_text(), "height" in desk.readme.read_text()) == (True, False)
 
 
 def test_check_fails_outside_the_limit_and_says_which(desk, capsys):
@@ -207,10 +213,10 @@ def test_the_table_goes_between_its_markers():
             readme.with_table(bad, "new")
 
 
-def test_the_readme_is_in_step_with_the_baselines():
-    """Expected: ./run bench all --update, and nobody by hand, has written the table."""
-    text = bench.README.read_text(encoding="utf-8")
-    assert readme.with_table(text, readme.table(CASES, read_baselines(bench.BASELINES))) == text
+def test_readme_and_docs_are_in_step_with_the_baselines():
+    """Expected: ./run bench all --update, and nobody by hand, has written the tables."""
+    for path, text in bench.pages(read_baselines(bench.BASELINES)).items():
+        assert path.read_text(encoding="utf-8") == text
 
 
 def test_every_figure_has_a_baseline_and_none_is_left_over():

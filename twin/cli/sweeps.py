@@ -152,12 +152,14 @@ def report(folder: Path, /, *, objective: Objectives = None) -> None:
     from twin.report import REPORT_FILE, REPORT_NAMES
     from twin.report.study import write_study
     from twin.study.best import objective_of
+    from twin.study.pictures import picture_best
     from twin.study.table import read_table
 
     chosen = [objective_of(text) for text in objective or ()]
     read_table(folder)  # it is a store, and can be read, before anything is made in it
     with adding(folder, *REPORT_NAMES) as drawn, progress_bars() as watch:
-        write_study(folder, watch, chosen, drawn)
+        failed = picture_best(folder, chosen, watch)
+        write_study(folder, watch, chosen, drawn, failed)
     say(f"wrote {folder / REPORT_FILE}")
 
 

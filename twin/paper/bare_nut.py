@@ -6,8 +6,8 @@ from reconstruction.errors import InputError
 from twin.config import Experiment, vary
 from twin.paper.claims import DIRECT_AT_MOST
 from twin.paper.complete_table import counted
-from twin.paper.table import Cell, Column, Table
 from twin.pipeline import measure
+from twin.report.table import Cell, Column, Table
 
 NUT = "nut"
 ROUGHNESS = (0.05, 0.1, 0.2, 0.4)

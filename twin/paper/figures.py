@@ -8,7 +8,8 @@ from pathlib import Path
 from reconstruction.errors import InputError
 from twin.config import Experiment, load_experiment
 from twin.mechanics import PressedElastomer
-from twin.paper.figure_objects import (
+from twin.paper.hardness import draw_hardness
+from twin.paper.object_figures import (
     COMPARED_OBJECTS,
     HARD_OBJECTS,
     RODS,
@@ -16,10 +17,9 @@ from twin.paper.figure_objects import (
     draw_grid,
     draw_missing,
     draw_rods,
+    draw_sphere_fit,
 )
-from twin.paper.figure_spheres import draw_sphere_fit
-from twin.paper.hardness import draw_hardness
-from twin.paper.views import draw_concept, draw_setup
+from twin.paper.rig_figures import draw_concept, draw_setup
 from twin.pipeline.press import press_specimen
 
 _SHOWN_PRESS = "paper/two_balls"
