@@ -40,8 +40,7 @@ def press(
     from twin.mechanics import write_in_plane
     from twin.output import output_folder
     from twin.pipeline.press import press_specimen, transfer_of
-    from twin.report.press import draw_press
-    from twin.report.transfer import draw_transfer
+    from twin.report.press import draw_press, draw_transfer
     from twin.results.parts import (
         press_metrics,
         transfer_metrics,
@@ -95,7 +94,7 @@ def render(
     from twin.output import output_folder
     from twin.pipeline.fringes import take
     from twin.pipeline.progress import Stopwatch
-    from twin.report.frames import draw_frames
+    from twin.report.camera_images import draw_frames
     from twin.results.parts import write_frames, write_result, write_taken, write_timings
 
     loaded = load(experiment, settings)
