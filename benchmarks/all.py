@@ -27,8 +27,8 @@ from benchmarks.regression.baselines import (
     replace_text,
     write_baselines,
 )
-from benchmarks.regression.cases import Case
-from benchmarks.regression.figures import Estimate
+from benchmarks.regression.cases import BenchmarkCase
+from benchmarks.regression.figures import MeanOfRuns
 from benchmarks.regression.registry import ACCURACY_FIGURES, CASES, FIGURES
 from benchmarks.regression.runs import Found, again, failures, run_cases
 from reconstruction.errors import InputError
@@ -79,7 +79,7 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     return parser.parse_args(arguments)
 
 
-def chosen_cases(only: list[str], quick: bool) -> tuple[Case, ...]:
+def chosen_cases(only: list[str], quick: bool) -> tuple[BenchmarkCase, ...]:
     """Return the cases asked for; `--only` goes before `--quick`.
 
     Raises
@@ -96,7 +96,7 @@ def chosen_cases(only: list[str], quick: bool) -> tuple[Case, ...]:
     return tuple(case for case in CASES if case.quick or not quick)
 
 
-def check(cases: tuple[Case, ...], found: Found, baselines: Baselines) -> dict[str, str]:
+def check(cases: tuple[BenchmarkCase, ...], found: Found, baselines: Baselines) -> dict[str, str]:
     """Return what failed; a speed that did is measured once more before."""
     known = baselines.figures
     failed = failures(cases, found.estimates, known, ACCURACY_FIGURES)
@@ -108,7 +108,7 @@ def check(cases: tuple[Case, ...], found: Found, baselines: Baselines) -> dict[s
     return failures(cases, found.estimates, known, ACCURACY_FIGURES)
 
 
-def update(baselines: Baselines, estimates: dict[str, Estimate]) -> None:
+def update(baselines: Baselines, estimates: dict[str, MeanOfRuns]) -> None:
     """Accept what was found: write the baselines, then the two tables from them."""
     accepted = baselines.updated(estimates, datetime.now(UTC).date().isoformat(), machine())
     made = pages(accepted)

@@ -4,15 +4,15 @@ from functools import partial
 
 from benchmarks.regression import fringe_cases as fringe
 from benchmarks.regression import other_cases as other
-from benchmarks.regression.cases import Case
-from benchmarks.regression.figures import Figure, Target
+from benchmarks.regression.cases import BenchmarkCase
+from benchmarks.regression.figures import GuardedFigure, Target
 
 # Code for another processor rounds otherwise. With noise that acts like another seed (the draws of
 # the camera's noise part ways), which the seeds cover; what is left is below this share.
-rendered = partial(Figure, floor_rel=1e-5)
+rendered = partial(GuardedFigure, floor_rel=1e-5)
 
 FRINGES = (
-    Case(
+    BenchmarkCase(
         "two_balls",
         "968 x 732, 5 seeds",
         (
@@ -22,7 +22,7 @@ FRINGES = (
                 headline=True,
             ),
             # Sigma is kept in steps of 6e-4 of it: the median may be the next one.
-            Figure(
+            GuardedFigure(
                 "two_balls_sigma_z_um",
                 "standard deviation of z predicted per pixel: median, um",
                 headline=True,
@@ -33,11 +33,11 @@ FRINGES = (
             ),
             rendered("two_balls_sphere_rmse_um", "radial residual of the sphere fits: RMS, um"),
             # The contact solver stops when the force changes by less than 1e-5.
-            Figure("two_balls_force_n", "force of the press, N", floor_rel=2e-5),
+            GuardedFigure("two_balls_force_n", "force of the press, N", floor_rel=2e-5),
             rendered(
                 "two_balls_completeness", "share of the lit pixels with a point", headline=True
             ),
-            Figure(
+            GuardedFigure(
                 "two_balls_wrong_orders_px",
                 "lit pixels with a wrong fringe order",
                 headline=True,
@@ -57,11 +57,11 @@ FRINGES = (
         ),
         fringe.two_balls,
     ),
-    Case(
+    BenchmarkCase(
         "ideal",
         "484 x 366",
         (
-            Figure(
+            GuardedFigure(
                 # Seen between code for vectors of 4 and of 8 (AVX2), as for sampling_error_px.
                 "ideal_z_rmse_um",
                 "error of z without noise and filter: RMS, um",
@@ -72,11 +72,11 @@ FRINGES = (
         ),
         fringe.ideal,
     ),
-    Case(
+    BenchmarkCase(
         "sampling",
         "320 x 240 of 968 x 732",
         (
-            Figure(
+            GuardedFigure(
                 "sampling_error_px",
                 "projector coordinate with 2 x 2 rays per pixel against 16 x 16: RMS, px (a "
                 "third of the noise is 1.7e-3)",
@@ -86,7 +86,7 @@ FRINGES = (
         ),
         fringe.sampling,
     ),
-    Case(
+    BenchmarkCase(
         "albedo",
         "484 x 366, 5 seeds",
         (
@@ -97,7 +97,7 @@ FRINGES = (
         ),
         fringe.albedo,
     ),
-    Case(
+    BenchmarkCase(
         "rod",
         "484 x 366, 5 seeds",
         (
@@ -106,7 +106,7 @@ FRINGES = (
         ),
         fringe.rod,
     ),
-    Case(
+    BenchmarkCase(
         "window",
         "484 x 366, 5 seeds",
         (
@@ -121,7 +121,7 @@ FRINGES = (
         ),
         fringe.window,
     ),
-    Case(
+    BenchmarkCase(
         "direct_nut",
         "484 x 366, 4 seeds",
         (
@@ -133,7 +133,7 @@ FRINGES = (
         partial(fringe.direct, "nut", 4),
         quick=False,
     ),
-    Case(
+    BenchmarkCase(
         "direct_brick",
         "484 x 366, 3 seeds",
         (
@@ -145,22 +145,22 @@ FRINGES = (
         partial(fringe.direct, "brick", 3),
         quick=False,
     ),
-    Case(
+    BenchmarkCase(
         "calibration",
         "12 poses of 484 x 366, 3 seeds",
         (
-            Figure(
+            GuardedFigure(
                 "calibration_focal_rel",
                 "calibration on a dot board: largest error of a focal length, relative",
                 target=Target(high=5e-3),
             ),
-            Figure(
+            GuardedFigure(
                 "calibration_plane_pv_um",
                 "plane measured with a calibration on a dot board: peak to valley, um",
                 headline=True,
                 target=Target(high=5),
             ),
-            Figure(
+            GuardedFigure(
                 "calibration_length_rms_um",
                 "10 mm lengths measured with a calibration on a dot board: RMS error, um",
                 headline=True,
@@ -173,16 +173,16 @@ FRINGES = (
 )
 
 OTHERS = (
-    Case(
+    BenchmarkCase(
         "decode",
         "5 seeds",
         (
-            Figure(
+            GuardedFigure(
                 "decode_float_rms_px",
                 "decoded column and row, exact frames: RMS error, px",
                 floor_rel=0.01,
             ),
-            Figure(
+            GuardedFigure(
                 "decode_eight_bit_rms_px",
                 "decoded column and row, 8-bit frames: RMS error, px",
                 floor_rel=1e-3,
@@ -190,25 +190,25 @@ OTHERS = (
         ),
         other.decode,
     ),
-    Case(
+    BenchmarkCase(
         "press",
         "closed forms",
         (
-            Figure(
+            GuardedFigure(
                 "press_hertz_force_rel",
                 "contact force of a ball against Hertz: relative error",
                 headline=True,
                 target=Target(high=1e-3),
                 floor=1e-6,
             ),
-            Figure(
+            GuardedFigure(
                 "press_fredholm_force_rel",
                 "contact force of a ball on a bonded layer against the Fredholm equation: "
                 "relative error",
                 target=Target(high=3e-3),
                 floor=2e-5,
             ),
-            Figure(
+            GuardedFigure(
                 "press_large_strain_face_um",
                 "face of a bonded pad against a neo-Hookean solid: RMS difference, um",
                 target=Target(high=5),
@@ -217,11 +217,11 @@ OTHERS = (
         ),
         other.press,
     ),
-    Case(
+    BenchmarkCase(
         "fem",
         "other mesh in every run",
         (
-            Figure(
+            GuardedFigure(
                 "fem_face_um",
                 "height of the coat against 3-D finite elements: largest difference, um",
                 headline=True,
@@ -232,11 +232,11 @@ OTHERS = (
         other.fem,
         quick=False,
     ),
-    Case(
+    BenchmarkCase(
         "photons",
         "3 seeds",
         (
-            Figure(
+            GuardedFigure(
                 "photons_energy_gap_rel",
                 "light into the clear brick that is not accounted for: share",
                 target=Target(high=0.01),
@@ -246,7 +246,7 @@ OTHERS = (
         other.photons,
         quick=False,
     ),
-    Case(
+    BenchmarkCase(
         "gelsight",
         "4 seeds, 5 places each",
         (

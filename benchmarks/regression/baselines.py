@@ -13,7 +13,7 @@ from typing import Any
 
 import tomli_w
 
-from benchmarks.regression.figures import Estimate, Figure
+from benchmarks.regression.figures import GuardedFigure, MeanOfRuns
 from reconstruction.errors import InputError
 from twin.output import versions
 
@@ -29,7 +29,7 @@ HEADER = """\
 class Baseline:
     """What a figure was when it was last accepted."""
 
-    estimate: Estimate
+    estimate: MeanOfRuns
     date: str
     versions: str
     machine: str
@@ -55,7 +55,7 @@ class Baselines:
     figures: Mapping[str, Baseline]
     stated: tuple[Stated, ...] = ()
 
-    def updated(self, found: Mapping[str, Estimate], date: str, machine: str) -> "Baselines":
+    def updated(self, found: Mapping[str, MeanOfRuns], date: str, machine: str) -> "Baselines":
         """Return these with new values of the figures found."""
         named = named_versions()
         new = {name: Baseline(value, date, named, machine) for name, value in found.items()}
@@ -91,7 +91,9 @@ def read_baselines(path: Path) -> Baselines:
         ) from None
 
 
-def write_baselines(baselines: Baselines, registry: Mapping[str, Figure], path: Path) -> None:
+def write_baselines(
+    baselines: Baselines, registry: Mapping[str, GuardedFigure], path: Path
+) -> None:
     """Write the baselines whole or not at all, in the registry's order, others dropped."""
     content = {
         "figure": {
@@ -118,11 +120,11 @@ def replace_text(path: Path, text: str) -> None:
 
 
 def _baseline(table: Mapping[str, Any]) -> Baseline:
-    estimate = Estimate(float(table["value"]), float(table["standard_uncertainty"]), table["n"])
+    estimate = MeanOfRuns(float(table["value"]), float(table["standard_uncertainty"]), table["n"])
     return Baseline(estimate, table["date"], table["versions"], table["machine"])
 
 
-def _table(figure: Figure, baseline: Baseline) -> dict[str, Any]:
+def _table(figure: GuardedFigure, baseline: Baseline) -> dict[str, Any]:
     estimate = _fields(baseline.estimate, ("value", "standard_uncertainty", "n"))
     return {"what": figure.what} | estimate | _fields(baseline, ("date", "versions", "machine"))
 

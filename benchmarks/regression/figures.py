@@ -32,7 +32,7 @@ class Target:
 
 
 @dataclass(frozen=True)
-class Figure:
+class GuardedFigure:
     """One named figure.
 
     Attributes
@@ -66,7 +66,7 @@ class Figure:
 
 
 @dataclass(frozen=True)
-class Estimate:
+class MeanOfRuns:
     """Mean of n runs and its type-A standard uncertainty, 0 for a single one."""
 
     value: float
@@ -74,7 +74,7 @@ class Estimate:
     n: int = 1
 
     @classmethod
-    def of(cls, values: Sequence[float]) -> "Estimate":
+    def of(cls, values: Sequence[float]) -> "MeanOfRuns":
         """Return the mean of the values and its standard uncertainty, s / sqrt(n).
 
         Raises

@@ -4,15 +4,15 @@ import math
 from collections.abc import Iterable
 
 from benchmarks.regression.baselines import Baselines
-from benchmarks.regression.cases import Case
-from benchmarks.regression.figures import Estimate
+from benchmarks.regression.cases import BenchmarkCase
+from benchmarks.regression.figures import MeanOfRuns
 from reconstruction.errors import InputError
 
 BEGIN, END = "<!-- measured: begin -->", "<!-- measured: end -->"
 HEAD = ("| figure | target | measured +- u | case |", "|---|---|---|---|")
 
 
-def table(cases: Iterable[Case], baselines: Baselines, headlines: bool = False) -> str:
+def table(cases: Iterable[BenchmarkCase], baselines: Baselines, headlines: bool = False) -> str:
     """Return the table in Markdown: measured rows first, then the stated ones.
 
     Parameters
@@ -55,7 +55,7 @@ def with_table(page: str, made: str) -> str:
     return f"{before}{BEGIN}\n{made}\n{END}{rest.partition(END)[2]}"
 
 
-def shown(estimate: Estimate) -> str:
+def shown(estimate: MeanOfRuns) -> str:
     """Return value and standard uncertainty, the latter to two digits; one alone to three."""
     value, u = estimate.value, estimate.standard_uncertainty
     if u <= 0.0:
@@ -83,7 +83,7 @@ def _above(baselines: Baselines) -> tuple[str, ...]:
     )
 
 
-def _how(case: Case) -> str:
+def _how(case: BenchmarkCase) -> str:
     return f"`{case.name}`, {case.how}"
 
 

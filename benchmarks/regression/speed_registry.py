@@ -2,15 +2,15 @@
 
 from functools import partial
 
-from benchmarks.regression.cases import Case
-from benchmarks.regression.figures import Figure, Target
+from benchmarks.regression.cases import BenchmarkCase
+from benchmarks.regression.figures import GuardedFigure, Target
 from benchmarks.regression.speed import field, over, reader
 
-ratio = partial(Figure, kind="speed")
-absolute = partial(Figure, kind="absolute")
+ratio = partial(GuardedFigure, kind="speed")
+absolute = partial(GuardedFigure, kind="absolute")
 
 SPEEDS = (
-    Case(
+    BenchmarkCase(
         "decode_speed",
         "`./run bench decode`",
         (
@@ -44,7 +44,7 @@ SPEEDS = (
             },
         ),
     ),
-    Case(
+    BenchmarkCase(
         "mechanics",
         "`./run bench mechanics`",
         (
@@ -103,7 +103,7 @@ SPEEDS = (
             },
         ),
     ),
-    Case(
+    BenchmarkCase(
         "stack",
         "`./run bench stack`",
         (
@@ -147,7 +147,7 @@ SPEEDS = (
         ),
         quick=False,
     ),
-    Case(
+    BenchmarkCase(
         "sweep",
         "`./run bench sweep --quick`",
         (

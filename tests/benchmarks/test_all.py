@@ -13,8 +13,8 @@ from benchmarks.regression.baselines import (
     read_baselines,
     write_baselines,
 )
-from benchmarks.regression.cases import Case, figures_of
-from benchmarks.regression.figures import Estimate, Figure, Target
+from benchmarks.regression.cases import BenchmarkCase, figures_of
+from benchmarks.regression.figures import GuardedFigure, MeanOfRuns, Target
 from benchmarks.regression.limits import judge_target
 from benchmarks.regression.registry import CASES, FIGURES
 from benchmarks.regression.runs import again
@@ -31,11 +31,13 @@ def desk(tmp_path, monkeypatch):
 class Desk:
     def __init__(self, folder, monkeypatch):
         self.values = {"z_um": [1.0, 1.1, 0.9], "over": [2.0]}
-        speed = Figure("over", "pace", kind="speed", target=Target(high=2.5), headline=True)
-        height = Figure("z_um", "height, um", target=Target(0.5, 6.0))
+        speed = GuardedFigure("over", "pace", kind="speed", target=Target(high=2.5), headline=True)
+        height = GuardedFigure("z_um", "height, um", target=Target(0.5, 6.0))
         self.cases = (
-            Case("height", "3 seeds", (height,), lambda: self.take("z_um")),
-            Case("pace", "`./run bench pace`", (speed,), lambda: self.take("over"), quick=False),
+            BenchmarkCase("height", "3 seeds", (height,), lambda: self.take("z_um")),
+            BenchmarkCase(
+                "pace", "`./run bench pace`", (speed,), lambda: self.take("over"), quick=False
+            ),
         )
         self.baselines, self.readme = folder / "baselines.toml", folder / "README.md"
         self.all = folder / "benchmarks.md"
@@ -127,11 +129,12 @@ def test_a_missed_target_fails_whatever_the_baseline(desk, capsys, name, beyond,
 
 def test_the_better_of_two_speeds_counts():
     figures = tuple(
-        Figure(name, "", kind="speed", higher_is_better=name == "up") for name in ("up", "down")
+        GuardedFigure(name, "", kind="speed", higher_is_better=name == "up")
+        for name in ("up", "down")
     )
-    case = Case("pace", "", figures, lambda: {"up": [3.0], "down": [3.0]})
-    found = again(case, {"up": Estimate(2.0), "down": Estimate(2.0)})
-    assert found == {"up": Estimate(3.0), "down": Estimate(2.0)}
+    case = BenchmarkCase("pace", "", figures, lambda: {"up": [3.0], "down": [3.0]})
+    found = again(case, {"up": MeanOfRuns(2.0), "down": MeanOfRuns(2.0)})
+    assert found == {"up": MeanOfRuns(3.0), "down": MeanOfRuns(2.0)}
 
 
 def test_only_and_quick_choose_cases(desk, capsys):
@@ -143,7 +146,7 @@ def test_only_and_quick_choose_cases(desk, capsys):
     assert bench.main(["--update", "--only", "pace"]) == 0
     found = read_baselines(desk.baselines).figures
     assert found["z_um"] == kept
-    assert found["over"].estimate == Estimate(2.5)
+    assert found["over"].estimate == MeanOfRuns(2.5)
 
 
 @pytest.mark.parametrize("arguments", [["--only", "nothing"], ["--check", "--update"], ["--what"]])
@@ -182,8 +185,8 @@ def test_baselines_come_back_as_written(tmp_path):
         tmp_path / "b.toml",
         Stated("demo", "demo", "120 s", "15 s", "time", "2026-01-01"),
     )
-    kept = Baseline(Estimate(1.25, 0.03, 4), "2026-01-02", "numpy 2", "2 cores")
-    figure = Figure("z_um", "height")
+    kept = Baseline(MeanOfRuns(1.25, 0.03, 4), "2026-01-02", "numpy 2", "2 cores")
+    figure = GuardedFigure("z_um", "height")
     written = Baselines({"z_um": kept, "gone": kept}, (stated,))
     write_baselines(written, {"z_um": figure}, path)
     assert read_baselines(path) == Baselines({"z_um": kept}, (stated,))
@@ -202,7 +205,7 @@ def test_baselines_come_back_as_written(tmp_path):
     ],
 )
 def test_values_are_shown_as_far_as_they_are_known(value, uncertainty, text):
-    assert readme.shown(Estimate(value, uncertainty, 5)) == text
+    assert readme.shown(MeanOfRuns(value, uncertainty, 5)) == text
 
 
 def test_the_table_goes_between_its_markers():

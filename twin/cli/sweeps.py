@@ -42,7 +42,7 @@ def sweep(
     study
         TOML file, or the name of a shipped study such as studies/albedo_flakes.
     workers
-        Processes on this machine; absent: one per two cores, at least two of them.
+        Processes on this machine; default: one per two cores, at least two of them.
     cluster
         Address of a Dask scheduler, tcp://HOST:PORT, instead of processes on this machine.
     dry_run
@@ -121,7 +121,7 @@ def best(
         The -o DIR of twin sweep.
     objective
         METRIC that is to be small, or +METRIC that is to be large; give several for a Pareto front.
-        Absent: the objectives of the study.
+        Default: the objectives of the study.
     """
     from twin.study.best import best_rows, objective_of
     from twin.study.table import read_table
@@ -145,8 +145,8 @@ def report(folder: Path, /, *, objective: Objectives = None) -> None:
     folder
         The -o DIR of twin sweep.
     objective
-        What makes a design good, as for twin sweep best; absent: the study's objectives, or a small
-        error.
+        What makes a design good, as for twin sweep best; default: the study's objectives, or a
+        small error.
     """
     from twin.output import adding
     from twin.report import REPORT_FILE, REPORT_NAMES

@@ -59,6 +59,7 @@ def nut_table(shares: Mapping[str, list[float]]) -> Table:
         tuple(rows),
         (
             f"Good points on {min(good):.0%} to {max(good):.0%} of the nut; "
-            f"the bar of {DIRECT_AT_MOST:.0%} is met {asked}. Sixteen camera pixels read as one.",
+            f"the target of at most {DIRECT_AT_MOST:.0%} is met {asked}. "
+            "Sixteen camera pixels read as one.",
         ),
     )

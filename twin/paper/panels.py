@@ -19,7 +19,7 @@ from twin.config import Experiment
 from twin.config.artefacts import Rods
 from twin.output import read_json, write_json
 from twin.paper.photographs import photograph_of
-from twin.paper.rods import SECTION_LENGTH_MM, Section, middle_of, section_of
+from twin.paper.rods import SECTION_LENGTH_MM, RodSection, middle_of, section_of
 from twin.report.camera_images import block_mean
 from twin.report.canvas import height_scale
 from twin.results.record import Measurement
@@ -203,7 +203,7 @@ def panel_data_of(seen: Measurement) -> PanelData:
     )
 
 
-def _numbers(seen: Measurement, true_mm: NDArray[Any], section: Section | None) -> Numbers:
+def _numbers(seen: Measurement, true_mm: NDArray[Any], section: RodSection | None) -> Numbers:
     experiment, heights = seen.experiment, true_mm[:, 2]
     return Numbers(
         name=experiment.name,
@@ -253,7 +253,7 @@ def _ball_points(points_mm: NDArray[Any], balls: Sequence[SphereScore]) -> Float
     return np.concatenate(parts)
 
 
-def _section(experiment: Experiment, points_mm: NDArray[np.float64]) -> Section | None:
+def _section(experiment: Experiment, points_mm: NDArray[np.float64]) -> RodSection | None:
     """Cross-section of a single rod."""
     specimen = experiment.specimen
     if not isinstance(specimen, Rods) or len(specimen.diameters_mm) != 1 or not len(points_mm):
@@ -261,13 +261,13 @@ def _section(experiment: Experiment, points_mm: NDArray[np.float64]) -> Section 
     return section_of(points_mm, SECTION_LENGTH_MM, middle_of(shape_of(specimen)))
 
 
-def _columns(section: Section | None) -> FloatImage:
+def _columns(section: RodSection | None) -> FloatImage:
     if section is None:
         return np.zeros((0, 2), np.float32)
     return np.column_stack([section.s_mm, section.z_mm]).astype(np.float32)
 
 
-def _width(experiment: Experiment, section: Section | None) -> Width | None:
+def _width(experiment: Experiment, section: RodSection | None) -> Width | None:
     if section is None or not isinstance(experiment.specimen, Rods):
         return None
     try:

@@ -207,7 +207,7 @@ def settings_table(experiment: Experiment) -> Table:
         (
             Column("path", "setting (as --set takes it)", kind="code"),
             Column("value", "value", kind="number"),
-            Column("unit", "unit"),
+            Column("unit", "unit", kind="unit"),
             Column("source", "source"),
             Column("range", "valid range", kind="range"),
         ),

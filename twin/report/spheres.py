@@ -44,7 +44,7 @@ _FITS = (
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
+class ComparedFit:
     """One sphere that was fitted, by whom it was measured."""
 
     ball: int
@@ -54,15 +54,15 @@ class Fit:
     measured: bool = False
 
 
-def fits_of(measured: Measurement, decoders: bool = True) -> list[Fit]:
+def fits_of(measured: Measurement, decoders: bool = True) -> list[ComparedFit]:
     """Return what every ball was measured to be, by each decoder, and what the true face is."""
     coat = "true coat" if measured.experiment.method.presses else "true surface"
     label, found = _measured_label(measured) if decoders else "measured", []
     for ball in measured.score.spheres:
         radius_mm = ball.nominal.radius_mm
-        found.append(Fit(ball.number, label, ball.measured, radius_mm, True))
+        found.append(ComparedFit(ball.number, label, ball.measured, radius_mm, True))
         found += _by_other_decoders(measured, ball.number) if decoders else []
-        found.append(Fit(ball.number, coat, ball.true_face, radius_mm))
+        found.append(ComparedFit(ball.number, coat, ball.true_face, radius_mm))
     return found
 
 
@@ -95,7 +95,7 @@ def fit_table(measured: Measurement, decoders: bool = True) -> Table | None:
     )
 
 
-def _row(one: Fit) -> dict[str, Cell]:
+def _row(one: ComparedFit) -> dict[str, Cell]:
     stats = one.fit.stats
     return {
         "ball": f"ball {one.ball}",
@@ -113,12 +113,12 @@ def _measured_label(measured: Measurement) -> str:
     return f"measured: {decoder_name(images.own)}" if isinstance(images, Colours) else "measured"
 
 
-def _by_other_decoders(measured: Measurement, number: int) -> list[Fit]:
+def _by_other_decoders(measured: Measurement, number: int) -> list[ComparedFit]:
     images = measured.images
     if not isinstance(images, Colours):
         return []
     return [
-        Fit(number, decoder_name(one), ball.measured, ball.nominal.radius_mm)
+        ComparedFit(number, decoder_name(one), ball.measured, ball.nominal.radius_mm)
         for one in images.decoded
         for ball in one.score.spheres
         if one is not images.own and ball.number == number

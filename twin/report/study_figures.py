@@ -220,7 +220,8 @@ def draw_effects(path: Path, effects: Mapping[str, Sequence[Effect]], method: st
             ]
             if method != "grid":
                 place.errorbar([e.value for e in found], at, xerr=spread, fmt="none", ecolor=INK)
-                place.plot([e.total or 0.0 for e in found], at, "d", color=FIT, markersize=4)
+                totals = np.array([np.nan if e.total is None else e.total for e in found])
+                place.plot(totals, at, "d", color=FIT, markersize=4)
             place.set_yticks(at, [e.axis for e in found])
             place.set_title(metric, fontsize=8.5)
             place.set_xlim(left=0.0, right=None if method == "morris" else 1.05)

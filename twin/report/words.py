@@ -9,6 +9,7 @@ from twin.config.models import Coating
 _UNITS = {
     "_e_per_s": "e⁻/s",
     "_j_m2": "J/m²",
+    "_kg_m3": "kg/m³",
     "_percent": "%",
     "_per_mm": "1/mm",
     "_kpa": "kPa",

@@ -229,7 +229,7 @@ def write_transfer(path: Path, transfer: ContactTransfer) -> None:
 
 
 def transfer_metrics(transfer: ContactTransfer) -> dict[str, Any]:
-    """Figures of the contact transfer function."""
+    """Figures of the contact transfer function; a pitch of 0: every pitch is kept so far."""
     pitches = {
         "half_contrast_pitch_mm": transfer.half_pitch_mm,
         "tenth_contrast_pitch_mm": transfer.tenth_pitch_mm,
