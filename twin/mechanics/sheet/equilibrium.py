@@ -23,7 +23,7 @@ from twin.specimens.distance import SignedDistance
 
 # A band is a block of cell rows that one thread takes; its forces reach two rows beyond it.
 _BAND_ROWS = 8
-_LARGEST_MOVE_MM, _SMALLEST_SHARE, _SUFFICIENT = 0.2, 1e-3, 1e-4
+_LARGEST_MOVE_MM, _SMALLEST_SHARE, _SUFFICIENT = 0.5, 1e-3, 1e-4
 #: cosine of the largest turn of a normal in one step
 _LARGEST_TURN = 0.5
 _REGRIP_EVERY = 4
@@ -31,7 +31,7 @@ _REGRIP_EVERY = 4
 # largest. Springs held farther would add to the work of peeling: 10 % at 0.2 mm, 50 % at 0.1 mm.
 _GRIPS, _LETS_GO = 0.25, 0.5
 _LEAST_VISCOSITY, _CONVEX_FROM, _MOST_VISCOSITY = 1.0, 1e4, 1e7
-_GROWTH = 4.0
+_GROWTH = 8.0
 
 
 @dataclass(frozen=True)
@@ -330,14 +330,21 @@ class Sheet:
     ) -> tuple[float, Evaluation]:
         """Return the share of the step that lowers the energy enough, and what is there."""
         share = min(1.0, _LARGEST_MOVE_MM / float(np.abs(step).max()))
-        while True:
-            new = self.evaluate(now.control_mm + share * step, state, tangent=True)
-            bound = now.energy + _SUFFICIENT * share * slope + 1e-12 * abs(now.energy)
-            if np.isfinite(new.energy) and new.energy <= bound and _turn(now, new) > _LARGEST_TURN:
-                return share, new
-            if share < _SMALLEST_SHARE:
-                return share, new
+        new = self.evaluate(now.control_mm + share * step, state, tangent=True)
+        if _lowers(now, new, share * slope):
+            return share, new
+        while share >= _SMALLEST_SHARE:
             share *= 0.5
+            new = self.evaluate(now.control_mm + share * step, state, tangent=False)
+            if _lowers(now, new, share * slope):
+                break
+        return share, self.evaluate(new.control_mm, state, tangent=True)
+
+
+def _lowers(now: Evaluation, new: Evaluation, slope: float) -> bool:
+    """Tell whether a step lowers the energy enough and turns no normal too far."""
+    bound = now.energy + _SUFFICIENT * slope + 1e-12 * abs(now.energy)
+    return bool(new.energy <= bound) and _turn(now, new) > _LARGEST_TURN
 
 
 def _adapted(viscosity: float, share: float) -> float:
