@@ -27,6 +27,8 @@ _LARGEST_MOVE_MM, _SMALLEST_SHARE, _SUFFICIENT = 0.5, 1e-3, 1e-4
 #: cosine of the largest turn of a normal in one step
 _LARGEST_TURN = 0.5
 _REGRIP_EVERY = 4
+#: thickness over its undeformed value
+_FILM = 0.1
 # Shares of the cohesive range: anchored below the first, let go above the second, where the pull is
 # largest. Springs held farther would add to the work of peeling: 10 % at 0.2 mm, 50 % at 0.1 mm.
 _GRIPS, _LETS_GO = 0.25, 0.5
@@ -251,6 +253,7 @@ class Sheet:
             slope = float(gradient @ step[self.grid.free])
             share, now = self._search(step, slope, now, state)
             control = control + share * step
+            _refuse_film(now.surface, state)
             if self.sticks and count % _REGRIP_EVERY == _REGRIP_EVERY - 1:
                 state = self.regripped(replace(state, control_mm=control))
                 now = self.evaluate(control, state, tangent=True)
@@ -339,6 +342,16 @@ class Sheet:
             if _lowers(now, new, share * slope):
                 break
         return share, self.evaluate(new.control_mm, state, tangent=True)
+
+
+def _refuse_film(surface: FloatArray, state: SheetState) -> None:
+    """Refuse a sheet that flows away: no equilibrium lies behind so thin a film."""
+    thinnest = float(thinning_of(surface).min())
+    if thinnest < _FILM:
+        raise SolverError(
+            f"sheet: thins to {thinnest:.2f} of its thickness at {state.travel_mm:.3g} mm of "
+            f"travel and {state.pressure_kpa:.3g} kPa"
+        )
 
 
 def _lowers(now: Evaluation, new: Evaluation, slope: float) -> bool:

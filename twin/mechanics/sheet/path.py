@@ -32,10 +32,11 @@ class LimitPressureError(PressError):
     """No equilibrium was found under a pressure; most often the sheet thins without bound."""
 
     def __init__(self, travel_mm: float, held_kpa: float, lost_kpa: float, reason: str) -> None:
+        holds = f"holds {held_kpa:.2f} kPa" if held_kpa > 0 else "holds no pressure found"
         super().__init__(
-            f"press.back_pressure_kpa: the sheet holds {held_kpa:.2f} kPa at {travel_mm:.3g} mm of "
-            f"travel, and no equilibrium was found towards {lost_kpa:.2f} ({reason}); use less "
-            "pressure, a thicker or a harder sheet"
+            f"press.back_pressure_kpa: the sheet {holds} at {travel_mm:.3g} mm of travel, and no "
+            f"equilibrium was found towards {lost_kpa:.2f} ({reason}); use less pressure, a "
+            "thicker or a harder sheet"
         )
         self.held_kpa = held_kpa
         self.reason = reason
@@ -79,6 +80,8 @@ def follow(
     goal: Loads,
     accuracy: Accuracy,
     shared: list[SheetState] | None = None,
+    *,
+    walked: list[SheetState] | None = None,
     progress: Progress | None = None,
 ) -> SheetState:
     """Press from the mounted sheet to `goal`.
@@ -90,6 +93,8 @@ def follow(
     accuracy : Accuracy
     shared : list of SheetState, optional
         States at the first travels of `waypoints`, from earlier paths of this sheet; added to.
+    walked : list of SheetState, optional
+        Takes the states at the stops that bear a pressure.
     progress : called with the share of the stops that is done
 
     Raises
@@ -107,6 +112,8 @@ def follow(
         state, before = advance(sheet, state, before, stops[number], accuracy)
         if number == len(shared) and number < len(common):
             shared.append(state)
+        if walked is not None and state.pressure_kpa > 0:
+            walked.append(state)
         if progress is not None:
             progress((number + 1) / len(stops))
     return state
