@@ -6,8 +6,8 @@
   less its own and twice the local thickness, depth of its hole, radii of the two balls for regions
   of 1.0 to 2.5 mm; bars fully wrapped by 10 kPa, both faces;
 - the same pair on half the cells: how far the coat moves, and its radius;
-- seconds of two balls, nut (3 kPa) and fingerprint, wall clock, median of three after a first one
-  that compiles: judge them on an idle machine;
+- processor seconds of two balls, nut (3 kPa) and fingerprint, all threads together, median of three
+  after a first one that compiles: what an idle machine takes at most, and any machine can tell;
 - random presses (specimen, thickness, travel, tack, pressure, pose), each with a limit on its
   processor time. One that is refused with the pressure that still holds counts neither way.
 
@@ -263,16 +263,16 @@ def bars(quick: bool) -> Figures:
 
 
 def timed(press: Callable[[], PressedElastomer], repeats: int) -> float:
-    """Return the median wall-clock time of a press after a first one, which compiles.
+    """Return the median processor time of a press, s, after a first one, which compiles.
 
     Each begins at the mounted sheet; distances to a mesh stay sampled.
     """
     times = []
     for _ in range(repeats + 1):
         forget_paths()
-        start = time.perf_counter()
+        start = time.process_time()
         press()
-        times.append(time.perf_counter() - start)
+        times.append(time.process_time() - start)
     return statistics.median(times[1:])
 
 
