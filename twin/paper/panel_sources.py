@@ -20,10 +20,10 @@ from twin.paper.panel_data import (
     thinned,
 )
 from twin.paper.photographs import photograph_of
-from twin.paper.rods import SECTION_LENGTH_MM, Section, middle_of, section_of
 from twin.report.canvas import height_scale
 from twin.report.frames import block_mean
 from twin.results.record import Measurement
+from twin.results.rods import SECTION_LENGTH_MM, Section, middle_of, section_of
 from twin.results.score import SphereScore, wanted_pixels
 from twin.specimens import shape_of
 

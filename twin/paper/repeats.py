@@ -20,11 +20,11 @@ from reconstruction.triangulation.triangulate import triangulate
 from twin.config import Experiment, digest
 from twin.output import replace_json, versions
 from twin.paper.rig_draws import RigScatter
-from twin.paper.rods import SECTION_LENGTH_MM, middle_of, section_of
 from twin.paper.scatter import Scatter, draw, drawn_values
 from twin.pipeline.fringes import options_of, take
 from twin.pipeline.progress import Stopwatch, Watcher, nobody
 from twin.results.record import Recording
+from twin.results.rods import SECTION_LENGTH_MM, middle_of, section_of
 from twin.results.score import metrics, score
 from twin.specimens import shape_of
 

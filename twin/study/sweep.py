@@ -10,6 +10,7 @@ from typing import Any
 
 from reconstruction.errors import InputError
 from twin.config import Experiment
+from twin.config.methods import TRAITS
 from twin.config.study import Study
 from twin.mechanics.choice import may_wrap
 from twin.optics.light import pattern_set
@@ -18,9 +19,10 @@ from twin.pipeline.progress import Watcher, nobody
 from twin.study.cases import Case, Cases
 from twin.study.engine import Run, SweepOutcome
 from twin.study.index import DAMAGED, Index, entry_of
-from twin.study.measuring import CaseMeasurer
+from twin.study.measuring import Measuring
 from twin.study.optimise import optimise
 from twin.study.record import StudyRecord, write_record
+from twin.study.rigs import calibrated
 from twin.study.store import FAILURE_FILE, Store
 from twin.study.worker import DIED, UNEXPECTED, Measurer
 from twin.study.workers import Workers, lasting
@@ -142,7 +144,7 @@ def sweep(
     cases: Cases | None = None,
     retry: bool = False,
     watch: Watcher = nobody,
-    make_measurer: Callable[[tuple[str, ...]], Measurer] = CaseMeasurer,
+    make_measurer: Callable[[tuple[str, ...]], Measurer] | None = None,
     inputs: Sequence[Path] = (),
 ) -> SweepOutcome:
     """Compute all cases of a study that its store lacks.
@@ -159,7 +161,8 @@ def sweep(
         Also run again what failed for a reason that lies in the experiment.
     watch : callable
     make_measurer : callable
-        What measures a case; importable by the workers.
+        Makes what measures a case; importable by the workers. Default: `Measuring`, after a
+        calibration of the rig where trials draw theirs.
     inputs : sequence of Path
         Files that the folder must not hold.
 
@@ -175,7 +178,8 @@ def sweep(
     index, asked, damaged = Index(store), list[str](), dict[str, str]()
 
     with _tidied(store), lasting(workers) as kept:
-        compute = Run(store, kept, record.study.keep, make_measurer, watch, index.enter)
+        make = make_measurer or _measuring(record, folder, watch)
+        compute = Run(store, kept, record.study.keep, make, watch, index.enter)
 
         def run(of: StudyRecord, batch: Cases) -> SweepOutcome:
             write_record(folder, of)
@@ -190,6 +194,20 @@ def sweep(
         else:
             outcome = run(record, cases or record.cases())
     return replace(outcome, damaged=damaged, **_standing(index, asked))
+
+
+def _measuring(record: StudyRecord, folder: Path, watch: Watcher) -> Measuring:
+    """Return what measures the cases of a study; calibrates the rig where its trials draw rigs.
+
+    The rig is calibrated in this process: its last digits depend on how many threads the linear
+    algebra has, and these must not depend on the workers.
+    """
+    plan, method = record.study.sampling, record.base.method
+    if record.study.modalities:
+        method = TRAITS[record.study.modalities[0]]
+    if plan.method != "trials" or plan.calibration == "true" or not method.fringes:
+        return Measuring()
+    return Measuring(calibrated(folder, record.base, plan.board, watch))
 
 
 def _standing(index: Index, asked: Sequence[str]) -> dict[str, Any]:
