@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,6 +16,7 @@ from twin.pipeline.memory import Memory
 from twin.pipeline.press import press
 from twin.pipeline.progress import Watcher, nobody
 from twin.results.face import face_figures
+from twin.study.best import is_number
 from twin.study.design import saltelli_shares
 from twin.study.draws import Distribution, counting_for, deviation_of, standard_uncertainty
 from twin.study.sensitivity import Effect, saltelli_effects
@@ -55,69 +57,71 @@ def presses_of_sobol(inputs: Mapping[str, Input], experiment: Experiment, base_p
 def sobol_of_face(
     experiment: Experiment,
     inputs: Mapping[str, Input],
-    measurand: str,
+    measurands: Sequence[str],
     base_points: int,
     *,
     seed: int = 0,
     watch: Watcher = nobody,
-) -> list[Effect]:
-    """Return Sobol' indices of a figure of the pressed face: the cheap stage, without light.
+) -> dict[str, list[Effect]]:
+    """Return Sobol' indices of figures of the pressed face: the cheap stage, without light.
 
     First order and total, by `scipy.stats.sobol_indices` over the inputs' own distributions, with
-    95 % bootstrap intervals. Costs base points x (inputs + 2) presses.
+    95 % bootstrap intervals. Costs base points x (inputs + 2) presses for all figures together.
 
     Parameters
     ----------
     experiment : Experiment
     inputs : those of the optics leave the face alone and have no index
-    measurand : such as sphere_1_radius_mm, rod_width_mm, force_n, relief_peak_mm
+    measurands : such as sphere_1_radius_mm, rod_width_mm, force_n, relief_peak_mm; those that the
+        face does not have are left out
     base_points : a power of 2
 
     Raises
     ------
     InputError
-        `base_points` is no power of 2; a press fails or has no such figure; nothing is pressed.
+        `base_points` is no power of 2; a press fails; the face has none of the figures; nothing is
+        pressed.
     """
     if base_points < 2 or base_points & (base_points - 1):
         raise InputError(f"--sobol {base_points}: allowed a power of 2, for example 64")
     if not experiment.method.presses:
         raise InputError(f"--sobol: modality = '{experiment.modality}' presses nothing; leave it")
-    counting, memory, done = _of_face(inputs, experiment), Memory(), 0
+    counting, memory = _of_face(inputs, experiment), Memory()
     if not counting:
         raise InputError("--sobol: found no input that moves the pressed face; leave it")
-    total = base_points * (len(counting) + 2)
+    nominal = [one.nominal_in(experiment) for one in counting.values()]
+    dists = [deviation_of(o, at) for o, at in zip(counting.values(), nominal, strict=True)]
+    columns = _sobol_points(dists, base_points, seed).T
+    found = []
+    for done, column in enumerate(columns):
+        watch("presses", done / len(columns))
+        values = (float(at + step) for at, step in zip(nominal, column, strict=True))
+        keys = (one.key for one in counting.values())
+        found.append(_face(experiment, dict(zip(keys, values, strict=True)), memory))
+        _refuse_unknown(measurands, found[0])
+    watch("presses", 1.0)
+    return {
+        name: _effects([row[name] for row in found], list(counting))
+        for name in measurands
+        if all(is_number(row.get(name)) for row in found)
+    }
 
-    def figure(deviations: FloatArray) -> float:
-        nonlocal done
-        steps = zip(counting.values(), deviations, strict=True)
-        drawn = {one.key: one.nominal_in(experiment) + float(step) for one, step in steps}
-        found = _face_figure(experiment, drawn, measurand, memory)
-        done += 1
-        watch("presses", done / total)
-        return found
 
-    def figures(columns: FloatArray) -> FloatArray:
-        return np.array([figure(column) for column in columns.T])
-
-    dists = [deviation_of(one, one.nominal_in(experiment)) for one in counting.values()]
-    return sobol_indices(figures, dists, list(counting), base_points, seed)
-
-
-def _face_figure(
-    experiment: Experiment, drawn: Mapping[str, float], measurand: str, memory: Memory
-) -> float:
+def _face(experiment: Experiment, drawn: Mapping[str, float], memory: Memory) -> dict[str, Any]:
     try:
         case = vary(experiment, drawn)
-        figures = face_figures(case, press(case, memory).pressed)
+        return face_figures(case, press(case, memory).pressed)
     except ConfigError as error:
         raise InputError(f"--sobol: {error}") from None
-    value = figures.get(measurand)
-    if isinstance(value, bool) or not isinstance(value, (int, float)):
-        numbers = sorted(n for n, v in figures.items() if isinstance(v, (int, float)))
+
+
+def _refuse_unknown(measurands: Sequence[str], figures: Mapping[str, Any]) -> None:
+    numbers = sorted(name for name, value in figures.items() if is_number(value))
+    if not set(numbers) & set(measurands):
         raise InputError(
-            f"--sobol: {measurand}: no figure of the pressed face, allowed {', '.join(numbers)}"
+            f"--sobol: {', '.join(measurands)}: no figure of the pressed face, allowed "
+            f"{', '.join(numbers)}"
         )
-    return float(value)
 
 
 def _of_face(inputs: Mapping[str, Input], experiment: Experiment) -> dict[str, Input]:
@@ -144,7 +148,16 @@ def sobol_indices(
     distributions : with `ppf`, as frozen ones of `scipy.stats`
     base_points : a power of 2; the model is asked for base points x (inputs + 2) values
     """
+    drawn = _sobol_points(distributions, base_points, seed)
+    return _effects(model(drawn), names)
+
+
+def _sobol_points(distributions: Sequence[Distribution], base_points: int, seed: int) -> FloatArray:
+    """Return the inputs (input, n) at which a model is asked."""
     rng = np.random.default_rng(seed)
     shares = saltelli_shares(len(distributions), base_points, rng)
-    drawn = np.array([one.ppf(column) for one, column in zip(distributions, shares.T, strict=True)])
-    return saltelli_effects(model(drawn).reshape(len(distributions) + 2, base_points), names)
+    return np.array([one.ppf(column) for one, column in zip(distributions, shares.T, strict=True)])
+
+
+def _effects(values: ArrayLike, names: Sequence[str]) -> list[Effect]:
+    return saltelli_effects(np.asarray(values, np.float64).reshape(len(names) + 2, -1), names)
