@@ -94,7 +94,7 @@ class Inputs(Model):
     """All inputs that a repeated measurement varies."""
 
     description: str = ""
-    seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
+    seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
     inputs: dict[str, Input]
 
     @model_validator(mode="after")

@@ -1,5 +1,6 @@
 """What the trials of a study say of a measurand, read from the study's store."""
 
+import json
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
@@ -10,12 +11,13 @@ import numpy as np
 
 from reconstruction.arrays import FloatArray
 from reconstruction.errors import InputError
+from twin.config import digest
 from twin.config.inputs import Input
 from twin.output import read_json
 from twin.study.best import is_number
 from twin.study.draws import counting_for
 from twin.study.measuring import TRUE_RIG
-from twin.study.record import STUDY_FILE, read_record
+from twin.study.record import STUDY_FILE, StudyRecord, read_record
 from twin.study.sensitivity import Effect
 from twin.study.table import StudyTable, read_table
 from twin.study.trials import ALONE, CALIBRATION, INPUT, NOISE, PART, STEP, TRIAL, TRIALS
@@ -140,7 +142,7 @@ def read_uncertainty(
         told = ", ".join(sorted(n for n in known if not n.startswith(TRUE_RIG)))
         why = "; ".join(failures) if failures else "no trial is finished; run it again"
         raise InputError(f"measurand {unknown[0]}: found in no trial, allowed {told or why}")
-    effects = _read_effects(folder)
+    effects = _read_effects(folder, table.record)
     found = {name: _measurand(table, name, coverage, effects.get(name, ())) for name in asked}
     return Uncertainty(table, found, failures)
 
@@ -252,17 +254,26 @@ def _metrics_of(one: Measurand) -> dict[str, Any]:
     }
 
 
-def effects_as_json(effects: Mapping[str, Sequence[Effect]]) -> dict[str, Any]:
-    """Return Sobol' indices for `SOBOL_FILE`."""
-    return {"effects": {name: [asdict(one) for one in some] for name, some in effects.items()}}
+def effects_as_json(record: StudyRecord, effects: Mapping[str, Sequence[Effect]]) -> dict[str, Any]:
+    """Return Sobol' indices for `SOBOL_FILE`, with the name of what they were computed from."""
+    found = {name: [asdict(one) for one in some] for name, some in effects.items()}
+    return {"schema_version": 1, "of": _mark(record), "effects": found}
 
 
-def _read_effects(folder: Path) -> dict[str, list[Effect]]:
+def _mark(record: StudyRecord) -> str:
+    inputs = {name: one.model_dump(mode="json") for name, one in record.study.inputs.items()}
+    return f"{digest(record.base)} {json.dumps(inputs, sort_keys=True)}"
+
+
+def _read_effects(folder: Path, record: StudyRecord) -> dict[str, list[Effect]]:
+    """Read Sobol' indices; those of another experiment or of other inputs are none."""
     path = folder / SOBOL_FILE
     if not path.is_file():
         return {}
+    kept = read_json(path)
+    if kept.get("of") != _mark(record):
+        return {}
     try:
-        kept = read_json(path)["effects"]
-        return {name: [Effect(**one) for one in some] for name, some in kept.items()}
+        return {name: [Effect(**one) for one in some] for name, some in kept["effects"].items()}
     except (KeyError, TypeError, AttributeError):
         raise InputError(f"{path}: damaged; delete it, or ask for --sobol again") from None

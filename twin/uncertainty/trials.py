@@ -170,7 +170,7 @@ def write_uncertainty(
         write_trials(made / TRIALS_FILE, found)
         write_result(made, COMMAND, found.table.record.base, found.metrics())
         if effects:
-            write_json(made / SOBOL_FILE, effects_as_json(effects))
+            write_json(made / SOBOL_FILE, effects_as_json(found.table.record, effects))
 
 
 def write_trials(path: Path, found: Uncertainty) -> None:

@@ -6,7 +6,7 @@ import pytest
 from reconstruction.calibration.parameters import POSES, RigEstimate, pack
 from twin.config import load_experiment
 from twin.optics.rig import true_calibration
-from twin.paper.rig_draws import RigScatter
+from twin.study.rigs import RigCovariance
 
 
 @pytest.fixture(scope="module")
@@ -18,7 +18,12 @@ def rigs():
     covariance = (mix @ mix.T / 6 + 0.1 * np.eye(POSES)) * np.outer(scale, scale)
     for fixed in (6, 7, 8, 15, 16, 17):
         covariance[fixed] = covariance[:, fixed] = 0.0
-    return RigScatter(true_calibration(load_experiment("paper/two_balls")), covariance)
+    return RigCovariance.of(covariance)
+
+
+@pytest.fixture(scope="module")
+def true():
+    return true_calibration(load_experiment("paper/two_balls"))
 
 
 def vector_of(calibration):
@@ -28,25 +33,34 @@ def vector_of(calibration):
     return pack(rig)[:POSES]
 
 
-def test_draws_have_the_covariance(rigs):
+def test_draws_have_the_covariance(rigs, true):
     """1000 draws: standard deviations within 4 standard errors, correlations within 0.13."""
-    n = 1000
-    found = np.array([vector_of(rigs.draw(1, trial)) for trial in range(1, n + 1)])
-    free = np.diag(rigs.covariance) > 0
-    sigma = np.sqrt(np.diag(rigs.covariance))
-    steps = found - vector_of(rigs.true)
+    n, covariance = 1000, np.array(rigs.rows)
+    found = np.array([vector_of(rigs.draw(true, 1, trial)) for trial in range(1, n + 1)])
+    free = np.diag(covariance) > 0
+    sigma = np.sqrt(np.diag(covariance))
+    steps = found - vector_of(true)
     # Poses are chained through 4 x 4 matrices: what is fixed moves by rounding alone.
     assert np.abs(steps[:, ~free]).max() < 1e-12
     np.testing.assert_allclose(steps[:, free].std(axis=0), sigma[free], rtol=4 / np.sqrt(2 * n))
-    expected = rigs.covariance[np.ix_(free, free)] / np.outer(sigma[free], sigma[free])
+    expected = covariance[np.ix_(free, free)] / np.outer(sigma[free], sigma[free])
     np.testing.assert_allclose(np.corrcoef(steps[:, free].T), expected, atol=0.13)
 
 
-def test_trial_zero_is_the_true_rig_and_draws_repeat(rigs):
-    assert rigs.draw(1, 0) is rigs.true
-    np.testing.assert_array_equal(vector_of(rigs.draw(1, 4)), vector_of(rigs.draw(1, 4)))
-    assert not np.array_equal(vector_of(rigs.draw(1, 4)), vector_of(rigs.draw(1, 5)))
+def test_trial_zero_is_the_true_rig_and_draws_repeat(rigs, true):
+    assert rigs.draw(true, 1, 0) is true
+    fourth = vector_of(rigs.draw(true, 1, 4))
+    np.testing.assert_array_equal(fourth, vector_of(rigs.draw(true, 1, 4)))
+    assert not np.array_equal(fourth, vector_of(rigs.draw(true, 1, 5)))
 
 
-def test_the_world_hangs_on_the_camera(rigs):
-    np.testing.assert_array_equal(rigs.draw(1, 2).T_world_from_cam, rigs.true.T_world_from_cam)
+def test_the_world_hangs_on_the_camera(rigs, true):
+    found = rigs.draw(true, 1, 2)
+    np.testing.assert_array_equal(found.T_world_from_cam, true.T_world_from_cam)
+
+
+def test_equal_covariances_share_a_worker_s_measurer(rigs):
+    """Compared by content: each batch brings a copy of its own."""
+    copy = RigCovariance.of(np.array(rigs.rows))
+    assert copy == rigs
+    assert hash(copy) == hash(rigs)
