@@ -6,6 +6,8 @@ import pytest
 from reconstruction.calibration.parameters import POSES, RigEstimate, pack
 from twin.config import load_experiment
 from twin.optics.rig import true_calibration
+from twin.pipeline import measure
+from twin.study.measuring import CaseMeasurer, Conditions
 from twin.study.rigs import RigCovariance
 
 
@@ -64,3 +66,32 @@ def test_equal_covariances_share_a_worker_s_measurer(rigs):
     copy = RigCovariance.of(np.array(rigs.rows))
     assert copy == rigs
     assert hash(copy) == hash(rigs)
+
+
+def test_a_trial_is_a_measurement_with_a_drawn_rig(mi):
+    """With the true rig it equals a plain measurement; a rig 1e-4 larger scales the radius so."""
+    small = {
+        "camera.binning": 4,
+        "press.solver_pitch_mm": 0.15,
+        "press.relief_pitch_mm": 0.05,
+        "render.samples": 1,
+        "patterns.steps": 6,
+    }
+    experiment = load_experiment("paper/two_balls", small)
+
+    class Larger(RigCovariance):
+        def draw(self, true, seed, trial):
+            # Baseline and distances 1e-4 larger: every length is.
+            larger = true.T_world_from_proj.copy()
+            apart = larger[:3, 3] - true.T_world_from_cam[:3, 3]
+            larger[:3, 3] = true.T_world_from_cam[:3, 3] + 1.0001 * apart
+            return type(true)(true.camera, true.projector, true.T_world_from_cam, larger)
+
+    measurer = CaseMeasurer(rigs=Larger(()))
+    figures = measurer(experiment, Conditions(1, "boards/paper_dots", 1)).figures
+    expected = measure(experiment, memory=measurer.memory, trial=1).figures
+    assert figures["true_rig_sphere_1_radius_mm"] == expected["sphere_1_radius_mm"]
+    assert figures["force_n"] == expected["force_n"]
+    ratio = figures["sphere_1_radius_mm"] / figures["true_rig_sphere_1_radius_mm"]
+    # The region of the fit is 1.5 mm in both scales: the radius grows with it, by less than 1e-4.
+    assert ratio == pytest.approx(1.0001, abs=7e-5)

@@ -2,6 +2,7 @@
 
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -11,33 +12,37 @@ from twin.paper.completeness import Completeness, completeness_of
 from twin.paper.panel_data import PANELS_FOLDER, write_panel_data
 from twin.paper.panel_sources import panel_data_of
 from twin.paper.table import Cell, Column, Table
-from twin.pipeline import Memory, measure
-from twin.pipeline.progress import Watcher, nobody
-from twin.results.parts import write_result
+from twin.pipeline import measure
 from twin.results.record import Measurement
+from twin.study.measuring import AS_IT_IS, Answer, CaseMeasurer, Conditions
 
-COMMAND, COMPLETENESS_FILE = "paper", "completeness.json"
+COMPLETENESS_FILE = "completeness.json"
 _KEYS = ("contact", "contact_points", "specimen", "specimen_points", "limit_um")
 
 
-def measure_case(
-    folder: Path, experiment: Experiment, watch: Watcher = nobody, memory: Memory | None = None
-) -> None:
-    """Measure; keep figures, completeness and panel data. The arrays are nobody's input any more.
+class _FigureMeasurer(CaseMeasurer):
+    """Keeps figures, completeness and panel data of a case: its arrays are nobody's input."""
 
-    Raises
-    ------
-    InputError
-        Something in the experiment cannot be pressed, rendered or fitted.
-    MissingBackend
-        No usable Dr.Jit backend.
-    """
-    seen = measure(experiment, watch, memory)
-    watch("keep", 0.0)
-    write_result(folder, COMMAND, experiment, seen.figures)
-    write_json(folder / COMPLETENESS_FILE, asdict(counted(seen)))
-    write_panel_data(folder / PANELS_FOLDER, panel_data_of(seen))
-    watch("keep", 1.0)
+    def __call__(self, experiment: Experiment, conditions: Conditions = AS_IT_IS) -> Answer:
+        """Measure one case."""
+        done = measure(experiment, memory=self.memory, trial=conditions.trial)
+        panels, completeness = panel_data_of(done), asdict(counted(done))
+
+        def write(folder: Path) -> None:
+            write_json(folder / COMPLETENESS_FILE, completeness)
+            write_panel_data(folder / PANELS_FOLDER, panels)
+
+        return Answer(done.figures, write)
+
+
+def measures_figures(keep: tuple[str, ...]) -> CaseMeasurer:
+    """Make what measures the cases of the figures."""
+    return _FigureMeasurer(keep)
+
+
+def shares_of(seen: Measurement) -> dict[str, Any]:
+    """Return the completeness of a measurement as further figures of it."""
+    return {f"share_{name}": value for name, value in asdict(counted(seen)).items()}
 
 
 def counted(seen: Measurement) -> Completeness:

@@ -13,10 +13,10 @@ import numpy as np
 from reconstruction.errors import InputError
 from reconstruction.evaluate.fit import fit_sphere
 from twin.config import Experiment, vary
-from twin.paper.face_model import cap_fit, face_figures, face_points_mm
 from twin.paper.published import CONTACT_FPP, GELSIGHT, NOMINAL_RADIUS_MM, mean_of
 from twin.paper.table import Cell, Column, Table
 from twin.pipeline.press import press_specimen
+from twin.results.face import cap_fit, face_figures, face_points_mm
 from twin.specimens import shape_of
 
 _COLUMNS = (
@@ -133,9 +133,12 @@ def rod_layout_table(rods: Mapping[str, Experiment]) -> Table:
         for label, changes in layouts.items():
             row: dict[str, Cell] = {"value": f"{name}, {label}"}
             try:
-                row["width"] = face_figures(vary(experiment, changes))["rod_width_mm"]
+                changed = vary(experiment, changes)
+                figures = face_figures(changed, press_specimen(changed))
             except InputError as error:
-                row["note"] = str(error)
+                figures = {"rod_failure": str(error)}
+            width = {"rod_width_mm": "width", "rod_failure": "note"}
+            row |= {told: figures[name] for name, told in width.items() if name in figures}
             rows.append(row)
     return Table(
         "explain_rods",

@@ -5,9 +5,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from twin.config import Experiment
+from twin.config.inputs import Inputs
 from twin.output import versions
 from twin.paper.figures import FIGURES
-from twin.paper.scatter import Scatter
 from twin.paper.table import PAPER, Cell, Column, Table, shown
 from twin.report.appendix import settings
 from twin.report.html import Picture, Plate, data_uri, template, write_page
@@ -118,14 +118,14 @@ class Contents:
     tables : by name
     drawn : PNG files of the figures by name
     experiment : whose settings stand for the parameter set
-    scatter : spreads of the trials
+    inputs : spreads of the trials
     trials : repetitions
     """
 
     tables: Mapping[str, Table]
     drawn: Mapping[str, Path]
     experiment: Experiment
-    scatter: Scatter
+    inputs: Inputs
     trials: int
 
 
@@ -145,7 +145,7 @@ def write_paper_page(folder: Path, contents: Contents) -> Path:
         cards=_cards(tables),
         sections=parts,
         settings=settings(contents.experiment),
-        spreads=_spreads(contents.scatter),
+        spreads=_spreads(contents.inputs),
         versions=", ".join(f"{name} {version}" for name, version in versions().items()),
     )
     path = folder / REPORT_FILE
@@ -217,19 +217,15 @@ def _cards(tables: Mapping[str, Table]) -> list[Verdict]:
     ]
 
 
-def _spreads(scatter: Scatter) -> Sequence[dict[str, object]]:
-    rows = []
-    for name, one in scatter.inputs.items():
-        origin = scatter.provenance.get(f"inputs.{name}.spread")
-        source = origin.source if origin else ""
-        rows.append(
-            {
-                "name": name.replace("_", " "),
-                "key": one.key,
-                "distribution": one.distribution,
-                "spread": f"{100 * one.spread:g} %" if one.relative else f"{one.spread:g}",
-                "source": source,
-                "assumed": source.startswith("assumed"),
-            }
-        )
-    return rows
+def _spreads(inputs: Inputs) -> Sequence[dict[str, object]]:
+    return [
+        {
+            "name": name.replace("_", " "),
+            "key": one.key,
+            "distribution": one.distribution,
+            "spread": f"{100 * (one.spread or 0):g} %" if one.relative else f"{one.spread:g}",
+            "source": one.source,
+            "assumed": one.source.startswith("assumed"),
+        }
+        for name, one in inputs.inputs.items()
+    ]

@@ -1,18 +1,14 @@
 """What the paper measured: its specimens and instruments, one parameter set for all of them."""
 
 from collections.abc import Mapping, Sequence
-from functools import partial
 from typing import Any
 
 from twin.config import Experiment, load_experiment
 from twin.config.methods import Method
-from twin.paper.repeats import Repeated, measure_fringes
-from twin.paper.rig_draws import RigScatter
-from twin.paper.scatter import Scatter
 
-BALLS = "two_balls"
+BALLS, NUT = "two_balls", "nut"
 RODS = ("rods_a", "rods_b", "rods_c")
-DIRECT_AND_CONTACT = ("nut", "brick", "ball")
+DIRECT_AND_CONTACT = (NUT, "brick", "ball")
 GRID = ("t_bolt", "bear", BALLS)
 CASES: Sequence[tuple[tuple[str, ...], tuple[Method, ...]]] = (
     (DIRECT_AND_CONTACT, ("direct_fpp", "contact_fpp")),
@@ -34,14 +30,3 @@ FINE: Mapping[str, Any] = {}
 def experiment_of(name: str, settings: Mapping[str, Any] = COARSE) -> Experiment:
     """Return one of the paper's experiments, every one on the same rig and press."""
     return load_experiment(f"paper/{name}", settings)
-
-
-def fringe_repeats(
-    name: str, scatter: Scatter, rigs: RigScatter, settings: Mapping[str, Any] = COARSE
-) -> Repeated:
-    """Return the repeated contact-FPP measurement of a specimen."""
-    measured = partial(measure_fringes, rigs, scatter.seed)
-    drawn_from = f"{rigs.digest} {scatter.seed}"
-    return Repeated(
-        f"{name}_contact_fpp", experiment_of(name, settings), scatter, measured, drawn_from
-    )

@@ -19,7 +19,7 @@ from twin.study.cases import Case
 from twin.study.measuring import PLAINLY, StageReads
 from twin.study.order import batches_of, in_sharing_order
 from twin.study.store import Store, write_failure
-from twin.study.worker import DIED, Batch, BatchReport, Measurer, Report, State, compute
+from twin.study.worker import DIED, Batch, BatchReport, MakeMeasurer, Report, State, compute
 from twin.study.workers import Workers
 
 _STRIKES = 3
@@ -78,7 +78,7 @@ class Run:
     store: Store
     workers: Workers
     keep: tuple[str, ...] = ()
-    make_measurer: Callable[[tuple[str, ...]], Measurer] = PLAINLY
+    make_measurer: MakeMeasurer = PLAINLY
     watch: Watcher = nobody
     done: Callable[[Sequence[Report]], None] = lambda _: None
     _queue: deque[list[Case]] = field(default_factory=deque)

@@ -44,6 +44,10 @@ class Measurer(Protocol):
         """Fields that each stage looked at for the latest case, first stage first."""
 
 
+MakeMeasurer = Callable[[tuple[str, ...]], Measurer]
+"""Takes what a study keeps; called once per process."""
+
+
 @dataclass(frozen=True)
 class Batch:
     """Cases for one worker, in the order in which they share most.
@@ -58,7 +62,7 @@ class Batch:
     store: Path
     cases: tuple[tuple[str, Experiment, Conditions], ...]
     keep: tuple[str, ...] = ()
-    make_measurer: Callable[[tuple[str, ...]], Measurer] = PLAINLY
+    make_measurer: MakeMeasurer = PLAINLY
 
 
 @dataclass(frozen=True)
@@ -117,7 +121,7 @@ def die_with(parent: int) -> None:
 
 
 @lru_cache(maxsize=1)  # it holds stacks of frames
-def _measurer(make: Callable[[tuple[str, ...]], Measurer], keep: tuple[str, ...]) -> Measurer:
+def _measurer(make: MakeMeasurer, keep: tuple[str, ...]) -> Measurer:
     measurer = make(keep)
     if isinstance(measurer, CaseMeasurer):
         from twin.optics.backend import use_threads
