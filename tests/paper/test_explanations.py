@@ -3,11 +3,11 @@
 import pytest
 
 from twin.config import load_experiment
-from twin.paper.bare_nut import nut_table
-from twin.paper.decoder_table import decoder_table
 from twin.paper.explanations import (
+    decoder_table,
     height_scale_table,
     layout_table,
+    nut_table,
     region_table,
     rod_layout_table,
     scale_table,

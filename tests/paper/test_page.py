@@ -13,7 +13,7 @@ from tests.paper.test_tables import colour_trials, fringe_trials
 from twin.config import load_experiment
 from twin.paper.claims import claims_of, claims_table
 from twin.paper.page import SECTIONS, Contents, write_paper_page
-from twin.paper.published import CONTACT_FPP, GELSIGHT
+from twin.paper.plan import CONTACT_FPP, GELSIGHT
 from twin.paper.rod_table import hardness_table
 from twin.paper.sphere_tables import repeated_fit_table, sphere_fit_table, uncertainty_table
 from twin.paper.trials import inputs

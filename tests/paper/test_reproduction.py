@@ -102,7 +102,7 @@ def test_figures_find_their_cases_by_name(run_of, tmp_path):
 
 def test_the_bare_nut_by_roughness(run_of):
     shares = run_of().bare_nut()
-    assert shares == dict.fromkeys(("0.05", "0.1", "0.2", "0.4"), [0.7, 0.8])
+    assert shares == {key: [0.7, 0.8] for key in ("0.05", "0.1", "0.2", "0.4")}
     assert measured == {("nut", "direct_fpp"): 4}
 
 

@@ -9,7 +9,7 @@ from twin.config import load_experiment
 from twin.paper import trials
 from twin.paper.budget import budget_table
 from twin.paper.claims import claims_of
-from twin.paper.published import CONTACT_FPP, GELSIGHT
+from twin.paper.plan import CONTACT_FPP, GELSIGHT
 from twin.paper.rod_table import hardness_table, rods_table
 from twin.paper.sphere_tables import (
     calibration_uncertainty,

@@ -70,7 +70,7 @@ def test_the_drape_makes_one_hump_two_balls():
 
 
 def test_optics_do_not_move_the_press_and_hardly_the_radius(mi):
-    """One press, no noise: half as bright again moves the radius little, and the face not at all."""
+    """One press, no noise: half as bright again moves the radius little, the face not at all."""
     small = {"camera.binning": 4, "patterns.steps": 3, "render.samples": 1}
     experiment = load_experiment("paper/two_balls", small | {"press.solver_pitch_mm": 0.2})
     albedo = {"group": "optics", "key": "coating.base_albedo", "distribution": "choice"}

@@ -11,7 +11,9 @@ from twin.cli.console import load, print_table, progress_bars, say
 from twin.cli.sweeps import tell_outcome
 
 if TYPE_CHECKING:
+    from twin.study.engine import SweepOutcome
     from twin.study.record import StudyRecord
+    from twin.study.workers import Workers
     from twin.uncertainty.results import Uncertainty
 
 
@@ -52,7 +54,7 @@ def uncertainty(
     calibration
         drawn: a new calibration of the rig in each trial; true: always the true rig.
     budget
-        Also vary each input alone (two measurements per input) and the noise alone (up to 20).
+        Also vary each input alone (two measurements each) and the noise alone (up to 20).
     sobol
         Base points of Sobol' indices of the pressed face, a power of 2; costs as many presses
         times the number of inputs and two.
@@ -65,26 +67,39 @@ def uncertainty(
     retry
         Also try again what failed for a reason that lies in the experiment.
     """
-    from twin.study.store import Store
-    from twin.study.sweep import estimate, sweep, told
     from twin.study.workers import dask_workers, default_count, local_workers
     from twin.uncertainty.trials import record_of
 
-    loaded = load(experiment, settings)
-    record = record_of(loaded, inputs, trials, calibration=calibration, budget=budget, seed=seed)
-    cases = record.cases()
+    record = record_of(
+        load(experiment, settings),
+        inputs,
+        trials,
+        calibration=calibration,
+        budget=budget,
+        seed=seed,
+    )
     who = dask_workers(cluster) if cluster else local_workers(workers or default_count())
+    outcome = _swept(record, out, who, [experiment, Path(inputs)], retry)
+    if outcome.finished < 3:  # the nominal one and two trials
+        return FAILURE
+    _tell(_evaluated(record, out, measurand or [], sobol))
+    say(f"wrote {out / 'report.html'}")
+    return FAILURE if outcome.unsaved else 0
+
+
+def _swept(
+    record: "StudyRecord", out: Path, who: "Workers", read: list[Path], retry: bool
+) -> "SweepOutcome":
+    """Say what the trials will take, measure those that OUT lacks, and say what became of them."""
+    from twin.study.store import Store
+    from twin.study.sweep import estimate, sweep, told
+
+    cases = record.cases()
     sys.stderr.write(f"{told(estimate(record, cases, Store(out), who.count))}\n")
-    read = [experiment, Path(inputs)]
     with progress_bars() as watch:
         outcome = sweep(record, out, who, cases=cases, retry=retry, watch=watch, inputs=read)
     tell_outcome(outcome, out)
-    if outcome.finished < 3:  # the nominal one and two trials
-        return FAILURE
-    found = _evaluated(record, out, measurand or [], sobol)
-    _tell(found)
-    say(f"wrote {out / 'report.html'}")
-    return FAILURE if outcome.unsaved else 0
+    return outcome
 
 
 def _evaluated(

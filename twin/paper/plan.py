@@ -1,10 +1,20 @@
-"""What the paper measured: its specimens and instruments, one parameter set for all of them."""
+"""What the paper measured and printed: its specimens and methods, and its numbers as data.
 
+One parameter set for all of them; the numbers are those of scenes/paper/targets.toml.
+"""
+
+import tomllib
 from collections.abc import Mapping, Sequence
+from functools import lru_cache
 from typing import Any
 
+from twin.assets import asset_path
 from twin.config import Experiment, load_experiment
 from twin.config.methods import Method
+
+CONTACT_FPP, GELSIGHT = "contact-FPP", "GelSight"
+METHODS = (GELSIGHT, CONTACT_FPP)
+NOMINAL_RADIUS_MM = 4.0
 
 BALLS, NUT = "two_balls", "nut"
 RODS = ("rods_a", "rods_b", "rods_c")
@@ -30,3 +40,21 @@ FINE: Mapping[str, Any] = {}
 def experiment_of(name: str, settings: Mapping[str, Any] = COARSE) -> Experiment:
     """Return one of the paper's experiments, every one on the same rig and press."""
     return load_experiment(f"paper/{name}", settings)
+
+
+@lru_cache
+def published() -> dict[str, Any]:
+    """Return the whole file."""
+    return tomllib.loads(asset_path("scenes", "paper/targets").read_text(encoding="utf-8"))
+
+
+def rows_of(table: str) -> list[dict[str, Any]]:
+    """Return the rows of one of the paper's tables."""
+    rows: list[dict[str, Any]] = published()[table]
+    return rows
+
+
+def mean_of(table: str, method: str, key: str) -> float:
+    """Return the mean over both balls of one of the paper's columns."""
+    found = [float(row[key]) for row in rows_of(table) if row["method"] == method]
+    return sum(found) / len(found)

@@ -20,9 +20,18 @@ from typing import Any
 from reconstruction.errors import InputError
 from twin.config import Experiment, vary
 from twin.config.methods import TRAITS, Method
-from twin.paper.complete_table import measures_figures, shares_of
-from twin.paper.plan import BALLS, BUDGET_OF, CASES, COARSE, NUT, RODS, experiment_of
-from twin.paper.published import CONTACT_FPP, GELSIGHT
+from twin.paper.completeness import measures_figures, shares_of
+from twin.paper.plan import (
+    BALLS,
+    BUDGET_OF,
+    CASES,
+    COARSE,
+    CONTACT_FPP,
+    GELSIGHT,
+    NUT,
+    RODS,
+    experiment_of,
+)
 from twin.paper.trials import (
     BOARD,
     Trial,

@@ -15,16 +15,13 @@ from typing import Any
 
 from reconstruction.errors import InputError
 from twin.output import EXPERIMENT_FILE, RESULT_FILE, adding, claim, versions, write_json
-from twin.paper.bare_nut import nut_table
 from twin.paper.budget import budget_table
 from twin.paper.claims import claims_of, claims_table
-from twin.paper.complete_table import completeness_table
-from twin.paper.decoder_table import decoder_table
-from twin.paper.explanations import explanations
+from twin.paper.completeness import completeness_table
+from twin.paper.explanations import decoder_table, explanations, nut_table
 from twin.paper.figures import FIGURES, draw_figure
 from twin.paper.page import REPORT_FILE, Contents, write_paper_page
-from twin.paper.plan import BALLS, COARSE, FINE, RODS, experiment_of
-from twin.paper.published import CONTACT_FPP, GELSIGHT
+from twin.paper.plan import BALLS, COARSE, CONTACT_FPP, FINE, GELSIGHT, RODS, experiment_of
 from twin.paper.reproduction import Reproduction
 from twin.paper.rod_table import hardness_table, rods_table
 from twin.paper.sphere_tables import repeated_fit_table, sphere_fit_table, uncertainty_table

@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
-from twin.paper.published import NOMINAL_RADIUS_MM, rows_of
+from twin.paper.plan import NOMINAL_RADIUS_MM, rows_of
 from twin.paper.statistics import Budget, root_mean_square, spread_of, values_of
 from twin.paper.table import PAPER, TWIN, Cell, Column, Table
 from twin.paper.trials import Trial

@@ -58,11 +58,11 @@ def uncertainty(
     experiment : Experiment or str
         The nominal measurement, or the name of a shipped one.
     inputs : Inputs, mapping or str
-        What differs from trial to trial: a file, the name of a shipped one, or tables by name.
+        What differs: a file, the name of a shipped one, or tables by name.
     n : int
         Trials, at least 2; the nominal measurement comes on top.
     folder : path, optional
-        Where the trials are kept; what lies there is not measured again. Default: nowhere.
+        Where the trials are kept; what lies there is not measured again.
     measurands : sequence of str
         Figures of the measurement, such as "sphere_1_radius_mm"; by default the main ones.
     calibration : {"drawn", "true"}
@@ -75,10 +75,6 @@ def uncertainty(
         Who computes; a number of processes on this machine.
     coverage : float
         Probability of the coverage intervals.
-
-    Returns
-    -------
-    Uncertainty
 
     Raises
     ------
