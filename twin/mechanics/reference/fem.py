@@ -6,7 +6,7 @@ and specimen keeps them from over-constraining the quadratic facets.
 """
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from scipy.interpolate import CloughTocher2DInterpolator
@@ -21,7 +21,7 @@ from twin.mechanics.press import PressedElastomer
 from twin.mechanics.reference.active_set import ContactPoints, press_points
 from twin.mechanics.reference.height_field import sample
 from twin.mechanics.reference.pad import DEFAULT_COUNT, Pad, SlabSupport, mesh_pad, slab_pad
-from twin.mechanics.reference.result import Scattered, on_grids
+from twin.mechanics.reference.result import Scattered, check_depth, on_grids
 from twin.mechanics.reference.taylor_hood import ElasticBody, Facets
 from twin.mechanics.reference.tetrahedra import Tetrahedra
 from twin.specimens import Shape, shape_of
@@ -127,25 +127,17 @@ def press_pad(
     loaded = _preloaded(body, touched, coated, preload or Preload())
     height, first = _gap(shape, Face(touched, body.nodes_mm, loaded))
     yielding = touched.size_mm / (_FOUNDATION * touched.weight_mm2)
-
-    def deflect(force: FloatArray) -> FloatArray:
-        moved = body.solve(_thrust(body, touched, force))
-        return np.asarray(touched.trace @ moved[:, 2] + yielding * force)
-
-    points = ContactPoints(
-        touched.trace, body.nodes_mm, yielding, height + touched.trace @ loaded[:, 2]
-    )
-    contact = press_points(
-        deflect, points, depth_mm=depth_mm, force_over_modulus_mm2=force_over_modulus_mm2
-    )
-    force = contact.force
-    moved = body.solve(_thrust(body, touched, force)) + loaded
+    gap = height + touched.trace @ loaded[:, 2]
+    points = ContactPoints(touched.trace, body.nodes_mm, yielding, gap)
+    aim = {"depth_mm": depth_mm, "force_over_modulus_mm2": force_over_modulus_mm2}
+    contact = press_points(partial(_deflect, body, touched, yielding), points, **aim)
+    moved = body.solve(_thrust(body, touched, contact.force)) + loaded
     return PadPress(
         mesh=mesh,
         touched=Face(touched, body.nodes_mm, moved),
         coated=Face(coated, body.nodes_mm, moved),
-        pressure_over_modulus=force / touched.plan_mm2,
-        force_over_modulus_mm2=float(force.sum()),
+        pressure_over_modulus=contact.force / touched.plan_mm2,
+        force_over_modulus_mm2=float(contact.force.sum()),
         first_touch_mm=first,
         depth_mm=contact.depth_mm,
         moved_mm=moved,
@@ -158,6 +150,14 @@ def _preloaded(body: ElasticBody, touched: Facets, coated: Facets, preload: Prel
         return np.zeros_like(body.nodes_mm)
     thrust = _thrust(body, touched, preload.touched * touched.plan_mm2)
     return body.solve(thrust + _thrust(body, coated, preload.coated * coated.plan_mm2))
+
+
+def _deflect(
+    body: ElasticBody, facets: Facets, yielding: FloatArray, force: FloatArray
+) -> FloatArray:
+    """Return what a face and its foundation deflect under forces at the integration points."""
+    moved = body.solve(_thrust(body, facets, force))
+    return np.asarray(facets.trace @ moved[:, 2] + yielding * force)
 
 
 def _thrust(body: ElasticBody, facets: Facets, force: FloatArray) -> FloatArray:
@@ -255,15 +255,9 @@ def press_fem(
     depth_guess = load.depth_mm or _depth_guess(shape, elastomer, force or 0.0)
     mesh = mesh_pad(shape, body, depth_guess, count=count, timeout_s=timeout_s)
     preload = preload_of(elastomer, load, modulus_kpa)
-    found = press_pad(
-        shape,
-        body,
-        mesh,
-        depth_mm=load.depth_mm,
-        force_over_modulus_mm2=force,
-        preload=preload,
-    )
-    _check_depth(found.depth_mm, elastomer)
+    aim = {"depth_mm": load.depth_mm, "force_over_modulus_mm2": force}
+    found = press_pad(shape, body, mesh, preload=preload, **aim)
+    check_depth(found.depth_mm, elastomer)
     return on_grids(_scattered(found), shape, elastomer, load, modulus_kpa)
 
 
@@ -302,14 +296,6 @@ def _depth_guess(shape: Shape, elastomer: Elastomer, force_over_modulus_mm2: flo
     radius = min((ball.radius_mm for ball in shape.spheres()), default=_TYPICAL_RADIUS_MM)
     hertz = float(np.cbrt((0.75 * 0.75 * force_over_modulus_mm2) ** 2 / radius))
     return min(hertz, 0.5 * elastomer.thickness_mm)
-
-
-def _check_depth(depth_mm: float, elastomer: Elastomer) -> None:
-    if depth_mm >= elastomer.thickness_mm:
-        raise PressError(
-            f"press: needs a depth of {depth_mm:.3g} mm, which is not less than the slab's "
-            f"thickness of {elastomer.thickness_mm:g} mm; press less or use a thicker slab"
-        )
 
 
 def _scattered(found: PadPress) -> Scattered:

@@ -1,15 +1,18 @@
 """Q2/Q1 (Taylor-Hood) elements on rectangle and brick grids: where they are and what they see.
 
-Axes: r, z in axisymmetry; x, y, z in space; z is the last and runs along the press from the
-touched face (z = 0) to the far face. Displacement nodes are the grid lines and their midpoints,
-numbered as in `numpy.ravel_multi_index`; unknowns are numbered node by node.
+Meshes, elements and quadrature are scikit-fem's, as for the tetrahedra (`taylor_hood`); here they
+are put in the order of the grid. Axes: r, z in axisymmetry; x, y, z in space; z is the last and
+runs along the press from the touched face (z = 0) to the far face. Displacement nodes are the grid
+lines and their midpoints, numbered as in `numpy.ravel_multi_index`; unknowns node by node.
 """
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import skfem
 from scipy import sparse
 
 from reconstruction.arrays import FloatArray
@@ -19,6 +22,7 @@ IntArray = npt.NDArray[np.int64]
 # Tensor components (i, j) of the deformation gradient that can differ from the identity.
 _AXISYMMETRIC = ((0, 0), (0, 1), (1, 0), (1, 1), (2, 2))
 _SPATIAL = tuple((i, j) for i in range(3) for j in range(3))
+_ROUNDING = 1e-12
 
 
 @dataclass(frozen=True)
@@ -56,83 +60,93 @@ class ElementGrid:
     @cached_property
     def element_nodes(self) -> IntArray:
         """(element, 3^axes) displacement nodes."""
-        return _connect(tuple(e.size - 1 for e in self.edges_mm), 2)
+        nodes: IntArray = self._node_of_unknown[self._displacement.element_dofs.T]
+        return nodes
 
     @cached_property
     def element_corners(self) -> IntArray:
         """(element, 2^axes) pressure nodes, numbered apart from the displacement's."""
-        return _connect(tuple(e.size - 1 for e in self.edges_mm), 1)
+        return np.asarray(self._pressure.element_dofs.T, dtype=np.int64)
 
     @cached_property
     def corner_shapes(self) -> FloatArray:
         """(point, 2^axes) pressure shape functions at the integration points."""
-        return _tensor([_linear(_gauss(self.gauss)[0])] * self.axes)
+        # Shape functions of a grid's elements differ by scale alone: those of the first do.
+        return np.stack([np.asarray(shape[0])[0] for shape in self._pressure.basis], axis=-1)
 
     @cached_property
     def weights(self) -> FloatArray:
         """(element, point) integration weights, mm^3; 2 pi r included in axisymmetry."""
-        sizes = np.stack(np.meshgrid(*map(np.diff, self.edges_mm), indexing="ij"), axis=-1)
-        volume = sizes.reshape(-1, self.axes).prod(axis=1)
-        unit = _tensor([_gauss(self.gauss)[1][:, None]] * self.axes)[:, 0]
-        weights: FloatArray = np.outer(volume, unit)
+        weights: FloatArray = self._displacement.dx
         return weights * 2 * np.pi * self._points_r if self.axes == 2 else weights
 
     @cached_property
     def gradient(self) -> FloatArray:
         """(element, point, component, unknown): displacement to deformation gradient less I."""
-        slopes = self._slopes
+        shapes = [shape[0] for shape in self._displacement.basis]
+        slopes = np.stack([np.moveaxis(shape.grad, 0, -1) for shape in shapes], axis=-2)
         elements, points, nodes, axes = slopes.shape
         operator = np.zeros((elements, points, len(self.components), nodes, axes))
         for row, (i, j) in enumerate(self.components):
             if i < axes:
                 operator[:, :, row, :, i] = slopes[..., j]
             else:
-                operator[:, :, row, :, 0] = self._shapes / self._points_r[..., None]
+                values = np.stack([np.asarray(shape) for shape in shapes], axis=-1)
+                operator[:, :, row, :, 0] = values / self._points_r[..., None]
         return operator.reshape(elements, points, len(self.components), nodes * axes)
 
     def surface(self, gauss: int) -> "Surface":
-        """Return the touched face (z = 0) with `gauss` integration points per element and axis."""
-        lines = tuple(e.size - 1 for e in self.edges_mm[:-1])
-        flat = _connect(lines, 2)
-        points, unit = _gauss(gauss)
-        shapes = _tensor([_quadratic(points)] * (self.axes - 1))
-        # Nodes of the face are those of the plane grid at the first z.
-        nodes = flat * self.lines_mm[-1].size
-        rows = np.repeat(np.arange(flat.shape[0] * shapes.shape[0]), flat.shape[1])
-        columns = np.repeat(nodes[:, None], shapes.shape[0], axis=1).ravel()
-        values = np.tile(shapes, (flat.shape[0], 1, 1)).ravel()
-        shape = (rows[-1] + 1, self.nodes_mm.shape[0])
-        trace = sparse.csr_array((values, (rows, columns)), shape=shape)
-        sizes = np.stack(np.meshgrid(*map(np.diff, self.edges_mm[:-1]), indexing="ij"), axis=-1)
-        area = sizes.reshape(-1, self.axes - 1).prod(axis=1)
-        weight = np.outer(area, _tensor([unit[:, None]] * (self.axes - 1))[:, 0]).ravel()
-        if self.axes == 2:
-            weight = weight * 2 * np.pi * np.asarray(trace @ self.nodes_mm[:, 0])
-        return Surface(trace, weight, self.axes)
+        """Return the touched face (z = 0) with `gauss` integration points per element and axis.
 
-    @cached_property
-    def _slopes(self) -> FloatArray:
-        points = _gauss(self.gauss)[0]
-        value, slope = _quadratic(points), _quadratic_slope(points)
-        sizes = np.stack(np.meshgrid(*map(np.diff, self.edges_mm), indexing="ij"), axis=-1)
-        sizes = sizes.reshape(-1, 1, 1, self.axes)
-        unit = np.stack(
-            [
-                _tensor([slope if axis == j else value for axis in range(self.axes)])
-                for j in range(self.axes)
-            ],
-            axis=-1,
+        Points follow one another facet by facet, ascending in the first axis, then in the second.
+        """
+        low = self._mesh.facets_satisfying(lambda at: np.isclose(at[-1], self.edges_mm[-1][0]))
+        face = skfem.FacetBasis(self._mesh, self._quadratic, facets=low, intorder=2 * gauss - 1)
+        order, first = _in_order(face), np.asarray(face.global_coordinates())[0]
+        weight = face.dx * 2 * np.pi * first if self.axes == 2 else face.dx
+        values = np.stack([np.asarray(shape[0]) for shape in face.basis], axis=-1)
+        nodes = self._node_of_unknown[face.element_dofs.T]
+        columns = np.repeat(nodes[:, None], weight.shape[1], axis=1).reshape(weight.size, -1)
+        count = (weight.size, self.nodes_mm.shape[0])
+        rows = np.repeat(np.arange(weight.size), columns.shape[1])
+        trace = sparse.csr_array(
+            (values.reshape(columns.shape)[order].ravel(), (rows, columns[order].ravel())), count
         )
-        slopes: FloatArray = np.asarray(unit / sizes, dtype=np.float64)
-        return slopes
+        # A facet's basis knows the nodes of its whole element: nothing is seen of those inside.
+        trace.data[np.abs(trace.data) < _ROUNDING] = 0.0
+        trace.eliminate_zeros()
+        return Surface(trace, weight.ravel()[order], self.axes)
 
     @cached_property
-    def _shapes(self) -> FloatArray:
-        return _tensor([_quadratic(_gauss(self.gauss)[0])] * self.axes)
+    def _mesh(self) -> Any:
+        kind = skfem.MeshQuad if self.axes == 2 else skfem.MeshHex
+        return kind.init_tensor(*self.edges_mm)
+
+    @property
+    def _quadratic(self) -> Any:
+        return skfem.ElementQuad2() if self.axes == 2 else skfem.ElementHex2()
+
+    @cached_property
+    def _displacement(self) -> Any:
+        return skfem.CellBasis(self._mesh, self._quadratic, intorder=2 * self.gauss - 1)
+
+    @cached_property
+    def _pressure(self) -> Any:
+        linear = skfem.ElementQuad1() if self.axes == 2 else skfem.ElementHex1()
+        return self._displacement.with_element(linear)
+
+    @cached_property
+    def _node_of_unknown(self) -> IntArray:
+        """Number in the grid of scikit-fem's unknowns, by where they are."""
+        places = zip(self.lines_mm, self._displacement.doflocs, strict=True)
+        halfway = [((line[1:] + line[:-1]) / 2, at) for line, at in places]
+        numbers = tuple(np.searchsorted(between, at) for between, at in halfway)
+        counts = tuple(line.size for line in self.lines_mm)
+        return np.asarray(np.ravel_multi_index(numbers, counts), dtype=np.int64)
 
     @cached_property
     def _points_r(self) -> FloatArray:
-        radii: FloatArray = self.nodes_mm[self.element_nodes, 0] @ self._shapes.T
+        radii: FloatArray = np.asarray(self._displacement.global_coordinates())[0]
         return radii
 
 
@@ -159,34 +173,10 @@ def graded(length_mm: float, count: int, ratio: float) -> FloatArray:
     return edges * (length_mm / float(steps.sum()))
 
 
-def _connect(counts: tuple[int, ...], order: int) -> IntArray:
-    """Return (element, (order + 1)^axes) nodes of a grid of `counts` elements."""
-    first = np.indices(counts).reshape(len(counts), -1, 1) * order
-    local = np.indices((order + 1,) * len(counts)).reshape(len(counts), 1, -1)
-    nodes = np.ravel_multi_index(tuple(first + local), tuple(order * n + 1 for n in counts))
-    return np.asarray(nodes, dtype=np.int64)
-
-
-def _gauss(count: int) -> tuple[FloatArray, FloatArray]:
-    points, weights = np.polynomial.legendre.leggauss(count)
-    return (points + 1) / 2, weights / 2
-
-
-def _linear(x: FloatArray) -> FloatArray:
-    return np.stack((1 - x, x), axis=-1)
-
-
-def _quadratic(x: FloatArray) -> FloatArray:
-    return np.stack(((1 - x) * (1 - 2 * x), 4 * x * (1 - x), x * (2 * x - 1)), axis=-1)
-
-
-def _quadratic_slope(x: FloatArray) -> FloatArray:
-    return np.stack((4 * x - 3, 4 - 8 * x, 4 * x - 1), axis=-1)
-
-
-def _tensor(factors: list[FloatArray]) -> FloatArray:
-    """Return the tensor product of (point, function) tables, the first axis slowest."""
-    product: FloatArray = factors[0]
-    for factor in factors[1:]:
-        product = np.asarray(np.kron(product, factor), dtype=np.float64)
-    return product
+def _in_order(face: Any) -> IntArray:
+    """Return the order of a face's points: facets by their centres, points within by place."""
+    at = np.asarray(face.global_coordinates())[-2::-1]
+    centres = np.broadcast_to(at.mean(axis=2, keepdims=True), at.shape)
+    # The last key counts first; rounded, as points of one line differ in their last digits.
+    keys = np.round(np.concatenate((at, centres)), 9).reshape(2 * len(at), -1)
+    return np.asarray(np.lexsort(keys), dtype=np.int64)

@@ -35,7 +35,7 @@ from twin.mechanics.reference.newton import (
     press_to,
     push,
 )
-from twin.mechanics.reference.result import FaceHeight, Scattered, on_grids
+from twin.mechanics.reference.result import FaceHeight, Scattered, check_depth, on_grids
 from twin.specimens import shape_of
 
 _SURFACE_POINTS = 3
@@ -160,29 +160,30 @@ def press_neo_hookean(
     field = sample(shape, elastomer.length_x_mm, elastomer.length_y_mm)
     grid, element_mm = _grid(guess, elastomer, field, fineness)
     body = MixedBody(grid, small_strain if linear else neo_hookean, moduli(elastomer.poisson_ratio))
-    surface = grid.surface(_SURFACE_POINTS)
-    penalty = _PENALTY_OVER_SHEAR * body.moduli.shear / element_mm
-    contact = HeightContact(
-        surface, grid.nodes_mm, field, penalty, linear, np.zeros_like(surface.weight_mm2)
-    )
     options = NewtonOptions(largest_move_mm=4 * element_mm, tolerance=1e-5, augmentations=1)
     problem = Problem(body, _free(body, elastomer), options)
-    untouched = contact.evaluate(np.zeros_like(grid.nodes_mm), 0.0, None)
-    start = Equilibrium(np.zeros(body.unknowns), contact, 0.0, untouched, 0)
-    copies = float(2 ** sum(edge[0] == 0 for edge in grid.edges_mm[:2]))
+    start = _untouched(body, field, element_mm, linear)
     if load.control == "depth":
         deep = max(1.0, guess.depth_mm / elastomer.thickness_mm)
-        path = _march(problem, start, guess.depth_mm, int(np.ceil(fineness.steps * deep)))
-        found = path[-1]
+        steps = int(np.ceil(fineness.steps * deep))
+        found = _march(problem, start, guess.depth_mm, steps)[-1]
     else:
+        copies = float(2 ** sum(edge[0] == 0 for edge in grid.edges_mm[:2]))
         found = _to_force(problem, start, guess, fineness.steps, copies)
-    if found.depth_mm >= elastomer.thickness_mm and elastomer.layout == "contact_face":
-        raise PressError(
-            f"press: needs a depth of {found.depth_mm:.3g} mm, which is not less than the slab's "
-            f"thickness of {elastomer.thickness_mm:g} mm; press less or use a thicker slab"
-        )
+    if elastomer.layout == "contact_face":
+        check_depth(found.depth_mm, elastomer)
     scattered = _scattered(body, found, elastomer, linear)
     return on_grids(scattered, shape, elastomer, load, modulus_kpa)
+
+
+def _untouched(body: MixedBody, field: HeightField, element_mm: float, linear: bool) -> Equilibrium:
+    grid = body.grid
+    surface = grid.surface(_SURFACE_POINTS)
+    penalty = _PENALTY_OVER_SHEAR * body.moduli.shear / element_mm
+    carried = np.zeros_like(surface.weight_mm2)
+    contact = HeightContact(surface, grid.nodes_mm, field, penalty, linear, carried)
+    pushed = contact.evaluate(np.zeros_like(grid.nodes_mm), 0.0, None)
+    return Equilibrium(np.zeros(body.unknowns), contact, 0.0, pushed, 0)
 
 
 def check_neo_hookean(elastomer: Elastomer, load: Press) -> None:

@@ -84,6 +84,21 @@ def on_grids(
     )
 
 
+def check_depth(depth_mm: float, elastomer: Elastomer) -> None:
+    """Refuse a force that needs as deep a press as the slab is thick.
+
+    Raises
+    ------
+    PressError
+        It does.
+    """
+    if depth_mm >= elastomer.thickness_mm:
+        raise PressError(
+            f"press: needs a depth of {depth_mm:.3g} mm, which is not less than the slab's "
+            f"thickness of {elastomer.thickness_mm:g} mm; press less or use a thicker slab"
+        )
+
+
 def _validity(
     found: Scattered,
     shape: Shape,
