@@ -119,7 +119,7 @@ def _evaluated(
         if sobol is not None:
             inputs, seed = record.study.inputs, record.study.sampling.seed
             names = list(found.measurands)
-            effects = sobol_of_face(record.base, inputs, names, sobol, seed=seed, watch=watch)
+            effects = sobol_of_face(found.experiment, inputs, names, sobol, seed=seed, watch=watch)
         write_uncertainty(out, found, effects)
         with adding(out, *REPORT_NAMES) as drawn:
             write_uncertainty_page(out, watch, drawn, measurands)

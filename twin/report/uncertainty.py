@@ -71,7 +71,7 @@ def write_uncertainty_page(
         parts=[_part(one) for one in found.measurands.values()],
         pictures=pictures,
         inputs=_inputs(found),
-        settings=appendix.settings(record.base),
+        settings=appendix.settings(found.experiment),
     )
     write_page(path, text)
     watch("report", 1.0)
@@ -157,7 +157,7 @@ def _interval(found: Interval | None) -> str:
 
 
 def _inputs(found: Uncertainty) -> list[dict[str, Any]]:
-    base, rows = found.table.record.base, []
+    base, rows = found.experiment, []
     for name, one in found.inputs().items():
         nominal = one.nominal_in(base)
         rows.append(

@@ -10,7 +10,6 @@ from typing import Any
 
 from reconstruction.errors import InputError
 from twin.config import Experiment
-from twin.config.methods import TRAITS
 from twin.config.study import Study
 from twin.mechanics.choice import may_wrap
 from twin.optics.light import pattern_set
@@ -24,6 +23,7 @@ from twin.study.optimise import optimise
 from twin.study.record import StudyRecord, write_record
 from twin.study.rigs import calibrated
 from twin.study.store import FAILURE_FILE, Store
+from twin.study.trials import nominal
 from twin.study.worker import DIED, UNEXPECTED, MakeMeasurer
 from twin.study.workers import Workers, lasting
 
@@ -248,12 +248,13 @@ def _measuring(record: StudyRecord, folder: Path, watch: Watcher) -> Measuring:
     The rig is calibrated in this process: its last digits depend on how many threads the linear
     algebra has, and these must not depend on the workers.
     """
-    plan, method = record.study.sampling, record.base.method
-    if record.study.modalities:
-        method = TRAITS[record.study.modalities[0]]
-    if plan.method != "trials" or plan.calibration == "true" or not method.fringes:
-        return Measuring()
-    return Measuring(calibrated(folder, record.base, plan.board, watch))
+    plan = record.study.sampling
+    if plan.method != "trials" or plan.calibration == "true":
+        return PLAINLY
+    repeated = nominal(record.study, record.base)
+    if not repeated.method.fringes:
+        return PLAINLY
+    return Measuring(calibrated(folder, repeated, plan.board, watch))
 
 
 def _standing(index: Index, asked: Sequence[str]) -> dict[str, Any]:

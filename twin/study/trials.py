@@ -35,7 +35,7 @@ def trial_cases(study: Study, base: Experiment) -> Cases:
     ConfigError
         A key leads to no number, or a drawn value is not allowed: the first of each.
     """
-    experiment = vary(base, {"modality": study.modalities[0]}) if study.modalities else base
+    experiment = nominal(study, base)
     count = study.sampling.count or 0
     if not counting_for(experiment, study.inputs):
         raise ConfigError(f"{study.name}: inputs: none of them is in {experiment.name}; add one")
@@ -46,6 +46,11 @@ def trial_cases(study: Study, base: Experiment) -> Cases:
         if study.sampling.calibration == "drawn" and not experiment.method.fringes:
             found += _recalibrated(experiment)
     return Cases(tuple(found), 0)
+
+
+def nominal(study: Study, base: Experiment) -> Experiment:
+    """Return what a study of trials repeats: its base, by the method that it names."""
+    return vary(base, {"modality": study.modalities[0]}) if study.modalities else base
 
 
 def _trials(study: Study, experiment: Experiment) -> Iterator[Case]:

@@ -11,7 +11,7 @@ import numpy as np
 
 from reconstruction.arrays import FloatArray
 from reconstruction.errors import InputError
-from twin.config import digest
+from twin.config import Experiment, digest
 from twin.config.inputs import Input
 from twin.output import read_json
 from twin.study.best import is_number
@@ -20,7 +20,7 @@ from twin.study.measuring import TRUE_RIG
 from twin.study.record import STUDY_FILE, StudyRecord, read_record
 from twin.study.sensitivity import Effect
 from twin.study.table import StudyTable, read_table
-from twin.study.trials import ALONE, CALIBRATION, INPUT, NOISE, PART, STEP, TRIAL, TRIALS
+from twin.study.trials import ALONE, CALIBRATION, INPUT, NOISE, PART, STEP, TRIAL, TRIALS, nominal
 from twin.uncertainty.budget import Part, calibration_part, noise_part, part_of, ranked, together
 from twin.uncertainty.distribution import COVERAGE, Distribution, distribution_of
 from twin.uncertainty.sensitivity import Correlation, correlation_of
@@ -91,10 +91,15 @@ class Uncertainty:
         """Trials that were asked for; the nominal one is none of them."""
         return self.table.record.study.sampling.count or 0
 
+    @property
+    def experiment(self) -> Experiment:
+        """What was repeated."""
+        record = self.table.record
+        return nominal(record.study, record.base)
+
     def inputs(self) -> dict[str, Input]:
         """Return the inputs that count for the experiment."""
-        record = self.table.record
-        return counting_for(record.base, record.study.inputs)
+        return counting_for(self.experiment, self.table.record.study.inputs)
 
     def metrics(self) -> dict[str, Any]:
         """Return the figures of all measurands, with the unit at the end of each name."""
@@ -177,8 +182,9 @@ def _measurand(
     values = _values(with_value, name)
     if values.size < 2:
         raise InputError(f"measurand {name}: {values.size} trials have it, 2 or more are needed")
-    nominal = next((row.get(name) for row in rows if not row[TRIAL]), None)
-    inputs = counting_for(table.record.base, table.record.study.inputs)
+    middle = next((row.get(name) for row in rows if not row[TRIAL]), None)
+    study = table.record.study
+    inputs = counting_for(nominal(study, table.record.base), study.inputs)
     parts, undetermined = _budget(table, name, inputs, with_value)
     pairs = [
         correlation_of(title, [row[one.key] for row in with_value], values)
@@ -186,7 +192,7 @@ def _measurand(
     ]
     return Measurand(
         name,
-        nominal if is_number(nominal) else None,
+        middle if is_number(middle) else None,
         distribution_of(values, coverage),
         len(drawn) - len(with_value),
         tuple(ranked(parts)),

@@ -164,7 +164,7 @@ def write_uncertainty(
     names = [RESULT_FILE, EXPERIMENT_FILE, TRIALS_FILE, *([SOBOL_FILE] if effects else [])]
     with adding(folder, *names) as made:
         write_trials(made / TRIALS_FILE, found)
-        write_result(made, COMMAND, found.table.record.base, found.metrics())
+        write_result(made, COMMAND, found.experiment, found.metrics())
         if effects:
             write_json(made / SOBOL_FILE, effects_as_json(found.table.record, effects))
 
