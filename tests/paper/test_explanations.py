@@ -68,7 +68,7 @@ def test_decoders_are_averaged_over_balls_and_trials():
     figures = {name.format(ball, "rmse"): 0.02 * ball - 0.01 for ball in (1, 2)}
     figures |= {name.format(ball, "radius"): 3.0 for ball in (1, 2)}
     wrong = dict.fromkeys(figures, 9.0)
-    table = decoder_table([Trial(0, wrong), Trial(1, {}, figures)])
+    table = decoder_table([Trial(0, wrong), Trial(1, figures)])
     (row,) = table.rows
     assert row["decoder"] == "look-up table, sdk_2024"
     assert row["rmse_um"] == pytest.approx(20.0)

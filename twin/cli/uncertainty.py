@@ -50,7 +50,7 @@ def uncertainty(
     inputs
         TOML file of [inputs.NAME] tables, or the name of a shipped one.
     measurand
-        Figure of the measurement such as z_rmse_um; give several. Absent: the main ones.
+        Figure of the measurement such as z_rmse_um; give several. Default: the main ones.
     calibration
         drawn: a new calibration of the rig in each trial; true: always the true rig.
     budget
@@ -59,9 +59,9 @@ def uncertainty(
         Base points of Sobol' indices of the pressed face, a power of 2; costs as many presses
         times the number of inputs and two.
     seed
-        Of all draws; absent: that of the inputs.
+        Of all draws; default: that of the inputs.
     workers
-        Processes on this machine; absent: one per two cores, at least two of them.
+        Processes on this machine; default: one per two cores, at least two of them.
     cluster
         Address of a Dask scheduler, tcp://HOST:PORT, instead of processes on this machine.
     retry

@@ -40,7 +40,7 @@ class Input(Model):
         default=None, description="of student_t"
     )
     values: tuple[float, ...] = Field(default=(), description="what choice picks from")
-    weights: tuple[NonNegative, ...] = Field(default=(), description="absent: all alike")
+    weights: tuple[NonNegative, ...] = Field(default=(), description="default: all alike")
     methods: tuple[str, ...] = Field(default=(), description="modalities; empty: all")
     specimens: tuple[str, ...] = Field(default=(), description="specimen kinds; empty: all")
     optional: bool = Field(

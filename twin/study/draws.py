@@ -18,7 +18,7 @@ from twin.config.digest import keyed_sequence
 from twin.config.inputs import Input
 
 
-class Distribution(Protocol):
+class InputDistribution(Protocol):
     """A distribution as `scipy.stats` has them, frozen."""
 
     def rvs(self, *, random_state: np.random.Generator) -> Any:
@@ -54,7 +54,7 @@ class Choice:
         return float(np.sqrt(shares @ (values - shares @ values) ** 2))
 
 
-def deviation_of(one: Input, nominal: float) -> Distribution:
+def deviation_of(one: Input, nominal: float) -> InputDistribution:
     """Return the distribution of an input's deviation from its nominal value.
 
     Uniform, triangular and arcsine are symmetric with the half width `spread` (JCGM 101, 6.4.2,
@@ -68,7 +68,7 @@ def deviation_of(one: Input, nominal: float) -> Distribution:
     if not spread:
         return Choice((0.0,), (1.0,))
     wide: dict[str, Any] = {"loc": -spread, "scale": 2.0 * spread}
-    found: Distribution
+    found: InputDistribution
     match one.distribution:
         case "uniform":
             found = stats.uniform(**wide)
@@ -83,7 +83,7 @@ def deviation_of(one: Input, nominal: float) -> Distribution:
     return found
 
 
-def _normal(one: Input, nominal: float, sigma: float) -> Distribution:
+def _normal(one: Input, nominal: float, sigma: float) -> InputDistribution:
     if one.at_least is one.at_most is None:
         return stats.norm(scale=sigma)  # type: ignore[no-any-return]
     low = -np.inf if one.at_least is None else (one.at_least - nominal) / sigma

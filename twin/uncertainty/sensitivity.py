@@ -18,7 +18,7 @@ from twin.pipeline.progress import Watcher, nobody
 from twin.results.face import face_figures
 from twin.study.best import is_number
 from twin.study.design import saltelli_shares
-from twin.study.draws import Distribution, counting_for, deviation_of, standard_uncertainty
+from twin.study.draws import InputDistribution, counting_for, deviation_of, standard_uncertainty
 from twin.study.sensitivity import Effect, saltelli_effects
 
 
@@ -135,7 +135,7 @@ def _of_face(inputs: Mapping[str, Input], experiment: Experiment) -> dict[str, I
 
 def sobol_indices(
     model: Callable[[FloatArray], FloatArray],
-    distributions: Sequence[Distribution],
+    distributions: Sequence[InputDistribution],
     names: Sequence[str],
     base_points: int,
     seed: int = 0,
@@ -152,7 +152,9 @@ def sobol_indices(
     return _effects(model(drawn), names)
 
 
-def _sobol_points(distributions: Sequence[Distribution], base_points: int, seed: int) -> FloatArray:
+def _sobol_points(
+    distributions: Sequence[InputDistribution], base_points: int, seed: int
+) -> FloatArray:
     """Return the inputs (input, n) at which a model is asked."""
     rng = np.random.default_rng(seed)
     shares = saltelli_shares(len(distributions), base_points, rng)
