@@ -42,7 +42,7 @@ def sweep(
     study
         TOML file, or the name of a shipped study such as studies/albedo_flakes.
     workers
-        Processes on this machine; absent: one per two cores, at least two of them.
+        Processes on this machine; default: one per two cores, at least two of them.
     cluster
         Address of a Dask scheduler, tcp://HOST:PORT, instead of processes on this machine.
     dry_run
@@ -126,7 +126,7 @@ def best(
         The -o DIR of twin sweep.
     objective
         METRIC that is to be small, or +METRIC that is to be large; give several for a Pareto front.
-        Absent: the objectives of the study.
+        Default: the objectives of the study.
     """
     from twin.study.best import best_rows, objective_of
     from twin.study.table import read_table
@@ -152,14 +152,15 @@ def report(folder: Path, /, *, objective: Objectives = None) -> None:
     folder
         The -o DIR of twin sweep.
     objective
-        What makes a design good, as for twin sweep best; absent: the study's objectives, or a small
-        error.
+        What makes a design good, as for twin sweep best; default: the study's objectives, or a
+        small error.
     """
     from twin.output import adding
     from twin.report import REPORT_FILE, REPORT_NAMES
     from twin.report.study import write_study
     from twin.report.uncertainty import write_uncertainty_page
     from twin.study.best import objective_of
+    from twin.study.pictures import picture_best
     from twin.study.table import read_table
 
     chosen = [objective_of(text) for text in objective or ()]
@@ -168,7 +169,8 @@ def report(folder: Path, /, *, objective: Objectives = None) -> None:
         if found.record.study.sampling.method == "trials":
             write_uncertainty_page(folder, watch, drawn, [one.metric for one in chosen])
         else:
-            write_study(folder, watch, chosen, drawn)
+            failed = picture_best(folder, chosen, watch)
+            write_study(folder, watch, chosen, drawn, failed)
     say(f"wrote {folder / REPORT_FILE}")
 
 

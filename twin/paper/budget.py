@@ -12,8 +12,8 @@ import numpy as np
 from reconstruction.arrays import FloatArray
 from twin.paper.plan import BUDGET_OF
 from twin.paper.statistics import Spread, spread_of, values_of
-from twin.paper.table import Cell, Column, Table
 from twin.paper.trials import Trial
+from twin.report.table import Cell, Column, Table
 from twin.study.measuring import TRUE_RIG
 from twin.uncertainty.budget import (
     Part,

@@ -19,10 +19,9 @@ from twin.config import Experiment
 from twin.mechanics import PressedElastomer
 from twin.optics.stack import Truth
 from twin.output import read_json, write_json
-from twin.paper.panel_data import PANELS_FOLDER, write_panel_data
-from twin.paper.panel_sources import panel_data_of
-from twin.paper.table import Cell, Column, Table
+from twin.paper.panels import PANELS_FOLDER, panel_data_of, write_panel_data
 from twin.pipeline import measure
+from twin.report.table import Cell, Column, Table
 from twin.results.record import Measurement
 from twin.results.score import share_of
 from twin.specimens import shape_of

@@ -16,9 +16,9 @@ from twin.config import Experiment, vary
 from twin.paper.claims import DIRECT_AT_MOST
 from twin.paper.plan import CONTACT_FPP, GELSIGHT, NOMINAL_RADIUS_MM, mean_of
 from twin.paper.statistics import values_of
-from twin.paper.table import Cell, Column, Table
 from twin.paper.trials import Trial
 from twin.pipeline.press import press_specimen
+from twin.report.table import Cell, Column, Table
 from twin.results.decoders import INTEGRATION_ORDER, MAP_ORDER
 from twin.results.face import cap_fit, face_figures, face_points_mm
 from twin.specimens import shape_of

@@ -6,8 +6,8 @@ from twin.paper.hardness import mixes
 from twin.paper.plan import rows_of
 from twin.paper.sphere_tables import PAPER_TRIALS, subsets
 from twin.paper.statistics import spread_of, values_of
-from twin.paper.table import PAPER, TWIN, Cell, Column, Table
 from twin.paper.trials import Trial
+from twin.report.table import PAPER, TWIN, Cell, Column, Table
 
 
 def rods_table(trials: Mapping[str, Sequence[Trial]]) -> Table:

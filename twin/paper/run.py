@@ -20,15 +20,16 @@ from twin.paper.claims import claims_of, claims_table
 from twin.paper.completeness import completeness_table
 from twin.paper.explanations import decoder_table, explanations, nut_table
 from twin.paper.figures import FIGURES, draw_figure
-from twin.paper.page import REPORT_FILE, Contents, write_paper_page
+from twin.paper.page import Contents, write_paper_page
 from twin.paper.plan import BALLS, COARSE, CONTACT_FPP, FINE, GELSIGHT, RODS, experiment_of
 from twin.paper.reproduction import Reproduction
 from twin.paper.rod_table import hardness_table, rods_table
 from twin.paper.sphere_tables import repeated_fit_table, sphere_fit_table, uncertainty_table
-from twin.paper.table import Cell, Table, shown
 from twin.paper.trials import inputs
 from twin.pipeline.progress import Watcher, nobody
-from twin.report.html import FIGURES_FOLDER, make_folder
+from twin.report.page import FIGURES_FOLDER, REPORT_FILE, figures_folder
+from twin.report.table import Cell, Table
+from twin.report.words import shown
 from twin.results.parts import write_result
 from twin.study.workers import lasting, local_workers
 
@@ -128,7 +129,7 @@ def reproduce(out: Path, wish: Wish, watch: Watcher = nobody, workers: int = 1) 
     claim(out, COMMAND, _NAMES)
     with lasting(local_workers(workers)) as kept, adding(out, *_NAMES) as folder:
         settings = dict(FINE if wish.full else COARSE)
-        make_folder(out / WORK)
+        (out / WORK).mkdir(exist_ok=True)
         run = Reproduction(out / WORK, wish.trials, settings, watch, kept)
         return _reproduce(out, folder, wish, run)
 
@@ -154,8 +155,7 @@ def tables_of(run: Reproduction, names: Sequence[str]) -> dict[str, Table]:
 
 def _draw(run: Reproduction, out: Path, names: Sequence[str]) -> dict[str, Path]:
     """Draw the figures in their order; first their cases are measured."""
-    folder, cases = out / FIGURES_FOLDER, run.work / "cases"
-    make_folder(folder)
+    folder, cases = figures_folder(out), run.work / "cases"
     if any(FIGURES[name].cases for name in names):
         cases = run.all_cases()
     for done, name in enumerate(names):

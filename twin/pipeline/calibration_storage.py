@@ -34,7 +34,7 @@ def calibration_metrics(done: BoardCalibration) -> dict[str, Any]:
         "camera_reprojection_rms_px": _rms([pose.camera_px for pose in found.poses]),
         "projector_reprojection_rms_px": _rms([pose.projector_px for pose in found.poses]),
         "epipolar_rms_px": _rms([pose.epipolar_px for pose in found.poses]),
-        "camera_pupil_diameter_mm": pupil_diameter_mm(found.adjustment),
+        "camera_pupil_diameter_mm": pupil_diameter_mm(found.adjustment) or None,  # 0: not seen
     }
     truth = done.truth
     for parameter in found.parameters:

@@ -1,16 +1,13 @@
 """The report of an uncertainty: distributions with their intervals, convergence, ranked budgets."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 
 from twin.pipeline.progress import Watcher, nobody
-from twin.report import appendix
 from twin.report.canvas import (
     FAINT,
     FIT,
@@ -22,15 +19,31 @@ from twin.report.canvas import (
     legend_above,
     plain_spines,
 )
-from twin.report.fields import split_unit
-from twin.report.html import Plate, draw_pictures, template, write_page
-from twin.report.study import REPORT_FILE
+from twin.report.page import REPORT_FILE, STAGE, Block, Figure, Note, Page, Section, write_page
+from twin.report.table import Column, Row, Table
+from twin.report.words import NONE, label_of, split_unit
 from twin.study.draws import standard_uncertainty
 from twin.uncertainty.budget import shares
 from twin.uncertainty.distribution import Interval
 from twin.uncertainty.results import Measurand, Uncertainty, read_uncertainty
 
 _MOST_BARS = 12
+_HEADINGS = {
+    "name": "figure",
+    "n": "trials",
+    "nominal": "nominal",
+    "mean": "mean",
+    "u": "standard uncertainty",
+    "symmetric": "symmetric interval",
+    "shortest": "shortest interval",
+    "digits": "digits supported",
+}
+_HOW_TO_READ = (
+    "Of one measurement, not of a mean of several; units are those at the ends of the names. "
+    "Nominal: without any deviation, with the true rig. Intervals: {coverage:.0%}, JCGM 101, 7.7. "
+    "Digits: how many of the standard uncertainty, and as far of the mean and the interval's ends, "
+    "the number of trials supports (JCGM 101, 7.9)."
+)
 
 
 def write_uncertainty_page(
@@ -44,6 +57,7 @@ def write_uncertainty_page(
     Parameters
     ----------
     folder : the -o DIR of `twin uncertainty`, or of a sweep of trials; nothing else is read
+    watch : progress callback
     into : existing folder to write into instead
     measurands : names; by default those of the study, or the main ones
 
@@ -57,48 +71,109 @@ def write_uncertainty_page(
     InputError
         The folder holds no trials, too few are finished, or the page cannot be written.
     """
-    found = read_uncertainty(folder, measurands)
-    path = (into or folder) / REPORT_FILE
-    pictures = draw_pictures(path.parent, _plates(found), watch)
-    record = found.table.record
-    text = template("uncertainty.html").render(
-        name=record.base.name,
-        about=record.study.description,
-        trials=found.trials,
-        calibration=record.study.sampling.calibration,
-        failures=found.failures,
-        rows=[_result_row(one) for one in found.measurands.values()],
-        parts=[_part(one) for one in found.measurands.values()],
-        pictures=pictures,
-        inputs=_inputs(found),
-        settings=appendix.settings(found.experiment),
+    watch(STAGE, 0.0)
+    page = _page(read_uncertainty(folder, measurands))
+    return write_page((into or folder) / REPORT_FILE, page, watch)
+
+
+def _page(found: Uncertainty) -> Page:
+    study, name = found.table.record.study, found.experiment.name.replace("_", " ")
+    about = f": {study.description}" if study.description else ""
+    drawn = study.sampling.calibration == "drawn"
+    rig = "a new calibration in each" if drawn else "all with the true rig"
+    shown = found.measurands.values()
+    return Page(
+        kind="uncertainty",
+        title=name,
+        lead=f"{found.trials} trials{about}; {rig}.",
+        sections=[_results(found), *map(_section, shown), _inputs(found)],
+        warned="Trials that failed" if found.failures else "",
+        warnings=[f"{count}: {reason}" for reason, count in found.failures.items()],
+        wide=True,
     )
-    write_page(path, text)
-    watch("report", 1.0)
-    return path
 
 
-@dataclass(frozen=True)
-class _Part:
-    """One measurand as the template takes it."""
+def _results(found: Uncertainty) -> Section:
+    columns = tuple(
+        Column(key, heading, kind="" if key == "name" else "number")
+        for key, heading in _HEADINGS.items()
+    )
+    rows = tuple(_result_row(one) for one in found.measurands.values())
+    coverage = next(iter(found.measurands.values())).distribution.coverage
+    note = _HOW_TO_READ.format(coverage=coverage)
+    return Section("results", "Results", (Table("results", "", "", columns, rows, (note,)),))
 
-    name: str
-    title: str
-    told: list[str]
-    budget: list[tuple[str, str, str, str, str]]
-    correlations: list[tuple[str, str, str]]
+
+def _section(one: Measurand) -> Section:
+    label, unit = label_of(one.name)
+    blocks: list[Block] = [*_figures(one), *map(Note, _told(one))]
+    if one.parts:
+        blocks.append(_budget_table(one))
+    if one.correlations:
+        blocks.append(_correlation_table(one))
+    title = f"{label[:1].upper()}{label[1:]}, {unit}" if unit else label
+    return Section(one.name, title, tuple(blocks))
 
 
-def _part(one: Measurand) -> _Part:
-    label, unit = split_unit(one.name)
-    budget = [
-        (part.name.replace("_", " "), part.group, part.key, f"{part.u:.3g}", f"{100 * share:.1f}")
+def _budget_table(one: Measurand) -> Table:
+    rows: tuple[Row, ...] = tuple(
+        {
+            "name": part.name.replace("_", " "),
+            "group": part.group,
+            "key": part.key,
+            "u": f"{part.u:.3g}",
+            "share": 100.0 * share,
+        }
         for part, share in zip(one.parts, shares(one.parts), strict=True)
-    ]
-    correlations = [
-        (c.name.replace("_", " "), f"{c.linear:+.2f}", f"{c.rank:+.2f}") for c in one.correlations
-    ]
-    return _Part(one.name, f"{label.replace('_', ' ')}, {unit}", _told(one), budget, correlations)
+    )
+    columns = (
+        Column("name", "source"),
+        Column("group", "of"),
+        Column("key", "varied"),
+        Column("u", "standard uncertainty", unit=split_unit(one.name)[1], kind="number"),
+        Column("share", "share of variance", 1, "%"),
+    )
+    return Table(f"budget_of_{one.name}", "Ranked budget", "", columns, rows)
+
+
+def _correlation_table(one: Measurand) -> Table:
+    rows: tuple[Row, ...] = tuple(
+        {"name": found.name.replace("_", " "), "linear": found.linear, "rank": found.rank}
+        for found in one.correlations
+    )
+    columns = (
+        Column("name", "input"),
+        Column("linear", "correlation", 2),
+        Column("rank", "of ranks", 2),
+    )
+    return Table(f"correlations_of_{one.name}", "Correlation over the trials", "", columns, rows)
+
+
+def _inputs(found: Uncertainty) -> Section:
+    rows = []
+    for name, one in found.inputs().items():
+        nominal = one.nominal_in(found.experiment)
+        rows.append(
+            {
+                "name": name.replace("_", " "),
+                "key": one.key,
+                "distribution": one.distribution.replace("_", " "),
+                "nominal": f"{nominal:.5g}",
+                "u": f"{standard_uncertainty(one, nominal):.3g}",
+                "source": one.source,
+            }
+        )
+    columns = (
+        Column("name", "input"),
+        Column("key", "key"),
+        Column("distribution", "distribution"),
+        Column("nominal", "nominal", kind="number"),
+        Column("u", "standard uncertainty", kind="number"),
+        Column("source", "source"),
+    )
+    note = "And the camera's noise. Trials with their inputs and all figures: trials.nc."
+    table = Table("inputs", "", "", columns, tuple(rows), (note,))
+    return Section("inputs", "What differs from trial to trial", (table,))
 
 
 def _told(one: Measurand) -> list[str]:
@@ -144,62 +219,43 @@ def _result_row(one: Measurand) -> dict[str, str]:
         "u": f"{found.standard_uncertainty:.3g}",
         "symmetric": _interval(found.symmetric),
         "shortest": _interval(found.shortest),
-        "digits": "–" if found.stability is None else str(found.stability.digits),
+        "digits": NONE if found.stability is None else str(found.stability.digits),
     }
 
 
 def _number(value: float | None) -> str:
-    return "–" if value is None else f"{value:.5g}"
+    return NONE if value is None else f"{value:.5g}"
 
 
 def _interval(found: Interval | None) -> str:
-    return "–" if found is None else f"{found.low:.5g} to {found.high:.5g}"
+    return NONE if found is None else f"{found.low:.5g} to {found.high:.5g}"
 
 
-def _inputs(found: Uncertainty) -> list[dict[str, Any]]:
-    base, rows = found.experiment, []
-    for name, one in found.inputs().items():
-        nominal = one.nominal_in(base)
-        rows.append(
-            {
-                "name": name.replace("_", " "),
-                "key": one.key,
-                "distribution": one.distribution.replace("_", " "),
-                "nominal": f"{nominal:.5g}",
-                "u": f"{standard_uncertainty(one, nominal):.3g}",
-                "source": one.source,
-            }
-        )
-    return rows
-
-
-def _plates(found: Uncertainty) -> list[Plate]:
-    return [plate for one in found.measurands.values() for plate in _plates_of(one)]
-
-
-def _plates_of(one: Measurand) -> list[Plate]:
+def _figures(one: Measurand) -> list[Figure]:
     percent = f"{one.distribution.coverage:.0%}"
-    plates = [
-        Plate(
+    found = [
+        Figure(
             f"distribution_{one.name}",
-            partial(draw_distribution, one=one),
-            f"histogram of {one.name} over the trials and its convergence",
+            "",
             f"Left: the trials, with their mean and, shaded, the probabilistically symmetric "
             f"{percent} interval; below it the shortest one. Right: mean (line) and mean "
             "± standard uncertainty (band) after so many trials; they should have become level.",
+            f"histogram of {one.name} over the trials and its convergence",
+            partial(draw_distribution, one=one),
         )
     ]
     if one.parts:
-        plates.append(
-            Plate(
+        found.append(
+            Figure(
                 f"budget_{one.name}",
-                partial(draw_budget, one=one),
-                f"ranked uncertainty budget of {one.name}",
+                "",
                 "Standard uncertainty that each source alone adds, the largest first; lines: all "
                 "of them combined, and the standard deviation of the trials." + _sobol_words(one),
+                f"ranked uncertainty budget of {one.name}",
+                partial(draw_budget, one=one),
             )
         )
-    return plates
+    return found
 
 
 def _sobol_words(one: Measurand) -> str:
@@ -286,15 +342,14 @@ def _draw_effects(axes: Axes, one: Measurand) -> None:
 
 
 def _axis_label(name: str) -> str:
-    label, unit = split_unit(name)
-    text = label.replace("_", " ")
-    return f"{text}, {unit}" if unit else text
+    label, unit = label_of(name)
+    return f"{label}, {unit}" if unit else label
 
 
 def result_lines(found: Uncertainty) -> list[Mapping[str, str]]:
     """Return mean, standard uncertainty, interval and main source of every measurand, as text."""
     rows: list[Mapping[str, str]] = []
     for one in found.measurands.values():
-        first = one.parts[0].name.replace("_", " ") if one.parts else "–"
+        first = one.parts[0].name.replace("_", " ") if one.parts else NONE
         rows.append(_result_row(one) | {"first": first})
     return rows

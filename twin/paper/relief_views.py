@@ -18,9 +18,8 @@ from reconstruction.evaluate.surface import SurfaceMesh, surface_mesh
 from reconstruction.mask import Reason
 from reconstruction.triangulation.triangulate import PointMap
 from twin.optics.observer import Observer, Sighted, look
-from twin.paper.panel_data import PanelData, Picture
-from twin.paper.sheet import bare
-from twin.report.canvas import FAINT, add_colorbar, round_up, sequential
+from twin.paper.panels import PanelData, Picture
+from twin.report.canvas import FAINT, add_colorbar, no_ticks, round_up, sequential
 
 # Rays per pixel along each axis: edges without stairs.
 _FINER = 2
@@ -84,7 +83,7 @@ def relief_picture(
 def show_relief(axes: Axes, data: PanelData, stage: ReliefView, bar: bool = False) -> None:
     """Show the measured surface with its enlargement, and a colour bar when asked for."""
     axes.imshow(relief_picture(data, stage))
-    bare(axes)
+    no_ticks(axes)
     axes.spines[:].set_visible(False)
     shown = f"z × {stage.gain:g}"
     axes.text(
