@@ -8,7 +8,7 @@ import pytest
 
 from reconstruction.capture.folder import Capture
 from reconstruction.pipeline import Reconstruction, reconstruct
-from reconstruction.triangulation.triangulate import PointMap
+from reconstruction.triangulation import PointMap
 from tests.report.conftest import record_analytically
 from twin.config import vary
 from twin.pipeline.fringes import evaluate, options_of

@@ -7,8 +7,8 @@ import shutil
 import numpy as np
 import pytest
 
+from reconstruction.arrays import Reason
 from reconstruction.errors import InputError
-from reconstruction.mask import Reason
 from twin.cli import run
 from twin.config import load_experiment
 from twin.pipeline import comparison

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.integrate import trapezoid
 
+from reconstruction.arrays import Reason
 from reconstruction.capture.folder import read_capture
 from reconstruction.errors import InputError
-from reconstruction.mask import Reason
 from twin.config import vary
 from twin.pipeline.press import press_specimen
 from twin.report.camera_images import block_mean, draw_decoding, draw_frames, reason_shares

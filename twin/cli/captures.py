@@ -91,8 +91,11 @@ def calibrate(
     from reconstruction.calibration import AdjustOptions, Freedom
     from twin.config.board import load_board
     from twin.output import output_folder
-    from twin.pipeline.calibration import calibrate_captures, calibrate_rendered
-    from twin.pipeline.calibration_storage import write_board_calibration
+    from twin.pipeline.calibration import (
+        calibrate_captures,
+        calibrate_rendered,
+        write_board_calibration,
+    )
     from twin.report.calibration import draw_calibration
 
     shown = load_board(board)
@@ -143,7 +146,7 @@ def patterns(
     experiment
         TOML file, or the name of a shipped experiment such as paper/two_balls.
     """
-    from reconstruction.capture.pattern_files import MANIFEST_FILE, write_patterns
+    from reconstruction.capture.description import MANIFEST_FILE, write_patterns
     from twin.optics.light import pattern_set
     from twin.output import output_folder
 

@@ -11,8 +11,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, ValidationError, model_validator
 
 from twin.assets import scene_file
-from twin.config.base import Model, NonNegative
-from twin.config.errors import ConfigError
+from twin.config.base import ConfigError, Model, NonNegative
 from twin.config.loading import read_toml
 from twin.config.messages import explain
 from twin.config.models import Experiment

@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from reconstruction.mask import Reason
+from reconstruction.arrays import Reason
 from twin.paper.figure_panels import (
     LETTERS,
     Grid,

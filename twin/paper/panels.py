@@ -100,7 +100,7 @@ class PanelData:
     wanted : (row, col) bool
         Pixels that ought to give a point.
     reason : (row, col) uint8
-        Why a pixel of a fringe measurement has no point, `reconstruction.mask.Reason`.
+        Why a pixel of a fringe measurement has no point, `reconstruction.arrays.Reason`.
     ball_points : (point, ball number, x, y, radial residual) float32, mm
     section, true_section : (n, 2) float32
         Position across a rod and height, mm; empty for everything else.

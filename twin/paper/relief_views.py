@@ -13,11 +13,11 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from numpy.typing import NDArray
 
+from reconstruction.arrays import Reason
 from reconstruction.errors import InputError
 from reconstruction.evaluate.surface import SurfaceMesh, surface_mesh
-from reconstruction.mask import Reason
-from reconstruction.triangulation.triangulate import PointMap
-from twin.optics.observer import Observer, Sighted, look
+from reconstruction.triangulation import PointMap
+from twin.optics.view import ViewCamera, VisibleSurface, visible_surface
 from twin.paper.panels import PanelData, Picture
 from twin.report.canvas import FAINT, add_colorbar, no_ticks, round_up, sequential
 
@@ -73,9 +73,9 @@ def relief_picture(
     mesh = _mesh(data, stage)
     if mesh is None:
         return np.full((height_px, width_px, 3), 255, np.uint8)
-    observer = _observer(stage, width_px * _FINER, height_px * _FINER)
+    observer = _view_camera(stage, width_px * _FINER, height_px * _FINER)
     enlarged = mesh.vertices_mm * np.array([1.0, 1.0, stage.gain], np.float32)
-    colours = _colours(look(enlarged, mesh.triangles, observer, _TOWARDS_LAMP), stage)
+    colours = _colours(visible_surface(enlarged, mesh.triangles, observer, _TOWARDS_LAMP), stage)
     blocks = colours.reshape(height_px, _FINER, width_px, _FINER, 3)
     return np.asarray(np.rint(255.0 * blocks.mean(axis=(1, 3))), np.uint8)
 
@@ -114,16 +114,16 @@ def _mesh(data: PanelData, stage: ReliefView) -> SurfaceMesh | None:
         return None
 
 
-def _observer(stage: ReliefView, width_px: int, height_px: int) -> Observer:
+def _view_camera(stage: ReliefView, width_px: int, height_px: int) -> ViewCamera:
     (x, y), low, high = stage.centre_mm, *stage.scale_mm
     middle = (x, y, stage.gain * (low + high) / 2)
     distance = 8.0 * stage.half_mm  # nearly parallel: lengths in front and behind compare
     across, aside, up = (m + distance * e for m, e in zip(middle, _EYE, strict=True))
     eye = (across, aside, up)
-    return Observer(eye, middle, 2.25 * stage.half_mm, width_px, height_px)
+    return ViewCamera(eye, middle, 2.25 * stage.half_mm, width_px, height_px)
 
 
-def _colours(seen: Sighted, stage: ReliefView) -> NDArray[np.float64]:
+def _colours(seen: VisibleSurface, stage: ReliefView) -> NDArray[np.float64]:
     """Colour by height times the light of sky and lamp, (row, col, rgb); white where nothing is."""
     z_mm = seen.points_mm[..., 2] / stage.gain
     lamp = np.array(_TOWARDS_LAMP) / np.linalg.norm(_TOWARDS_LAMP)

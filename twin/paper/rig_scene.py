@@ -15,7 +15,7 @@ from twin.config import Experiment
 from twin.mechanics import PressedElastomer, face_mesh, fields_at, slab_mesh
 from twin.optics.materials import bsdf_of
 from twin.optics.rig import true_calibration
-from twin.optics.view import Thing, matte
+from twin.optics.view import SceneObject, matte
 from twin.specimens import bodies
 
 ALUMINIUM, DARK, CREAM = matte(0.42, 0.44, 0.48), matte(0.05, 0.05, 0.06), matte(0.75, 0.75, 0.72)
@@ -30,14 +30,14 @@ _FRINGE_DARK, _FRINGE_BRIGHT = 0.08, 0.62
 
 def sheet_things(
     experiment: Experiment, pressed: PressedElastomer, cut_y_mm: float | None = None
-) -> list[Thing]:
+) -> list[SceneObject]:
     """Return silicone and coat with a fringe pattern on it; only y > `cut_y_mm` when cut open."""
     coarse = _thinned(pressed, cut_y_mm)
     coat = face_mesh(coarse)
     shade = fringe_shade(experiment, np.asarray(coat.vertices))
     return [
-        Thing("silicone", slab_mesh(coarse, experiment.elastomer), SILICONE),
-        Thing("coat", _shifted(coat, 2 * _APART_MM), shade=shade, smooth=True),
+        SceneObject("silicone", slab_mesh(coarse, experiment.elastomer), SILICONE),
+        SceneObject("coat", _shifted(coat, 2 * _APART_MM), shade=shade, smooth=True),
     ]
 
 
@@ -53,12 +53,12 @@ def fringe_shade(
     return np.asarray(middle + swing * np.cos(phase))
 
 
-def specimen_things(experiment: Experiment, pressed: PressedElastomer) -> list[Thing]:
+def specimen_things(experiment: Experiment, pressed: PressedElastomer) -> list[SceneObject]:
     """Return the specimen where it is pressed to, and the stage under it."""
     top_mm = experiment.elastomer.touched_plane_mm + pressed.depth_mm - _APART_MM
     parts = bodies(experiment.specimen, top_mm)
     things = [
-        Thing(
+        SceneObject(
             f"part_{k}",
             _smooth(part.mesh),
             CREAM if part.material is None else bsdf_of(part.material),
@@ -68,10 +68,10 @@ def specimen_things(experiment: Experiment, pressed: PressedElastomer) -> list[T
     ]
     lowest = min(float(part.mesh.bounds[0, 2]) for part in parts) - _APART_MM
     stage = _box((-14, -11, lowest - 3), (14, 11, lowest))
-    return [*things, Thing("stage_plate", stage, CREAM)]
+    return [*things, SceneObject("stage_plate", stage, CREAM)]
 
 
-def holder_things(experiment: Experiment, cut_y_mm: float | None = None) -> list[Thing]:
+def holder_things(experiment: Experiment, cut_y_mm: float | None = None) -> list[SceneObject]:
     """Return the frame that holds the sheet's rim; open in front when cut."""
     slab, rim = experiment.elastomer, 8.0
     x, y, low, high = slab.length_x_mm / 2, slab.length_y_mm / 2, -slab.thickness_mm - 2.0, 0.3
@@ -83,10 +83,12 @@ def holder_things(experiment: Experiment, cut_y_mm: float | None = None) -> list
     }
     if cut_y_mm is None:
         bars["front"] = ((-x - rim, -y - rim, low), (x + rim, -y, high))
-    return [Thing(f"holder_{name}", _box(*corners), ALUMINIUM) for name, corners in bars.items()]
+    return [
+        SceneObject(f"holder_{name}", _box(*corners), ALUMINIUM) for name, corners in bars.items()
+    ]
 
 
-def frame_things(experiment: Experiment, pressed: PressedElastomer) -> list[Thing]:
+def frame_things(experiment: Experiment, pressed: PressedElastomer) -> list[SceneObject]:
     """Return aluminium extrusions behind the rig, base plate and z stage, schematic."""
     rig = true_calibration(experiment)
     top = float(max(rig.T_world_from_cam[2, 3], rig.T_world_from_proj[2, 3])) + 90.0
@@ -109,21 +111,21 @@ def frame_things(experiment: Experiment, pressed: PressedElastomer) -> list[Thin
     column = trimesh.creation.cylinder(12.0, segment=((0, 0, base + 30), (0, 0, under)))
     foot = _box((-30, -30, base), (30, 30, base + 30))
     return [
-        *(Thing(name, _box(*corners), ALUMINIUM) for name, corners in boxes.items()),
-        Thing("stage_column", column, CREAM),
-        Thing("stage_foot", foot, DARK),
+        *(SceneObject(name, _box(*corners), ALUMINIUM) for name, corners in boxes.items()),
+        SceneObject("stage_column", column, CREAM),
+        SceneObject("stage_foot", foot, DARK),
     ]
 
 
-def device_things(experiment: Experiment) -> list[Thing]:
+def device_things(experiment: Experiment) -> list[SceneObject]:
     """Return housings round the true pinholes, lenses forward."""
     rig = true_calibration(experiment)
     camera, projector = rig.T_world_from_cam, _level_pose(rig.T_world_from_proj)
     return [
-        Thing("camera_lens", _lens(camera, 20.0, -45.0, 12.0), DARK),
-        Thing("camera_body", _posed_box(camera, (-20, -20, -80), (20, 20, -45)), CAMERA_BLUE),
-        Thing("projector_lens", _lens(projector, 11.0, -14.0, 4.0), DARK),
-        Thing(
+        SceneObject("camera_lens", _lens(camera, 20.0, -45.0, 12.0), DARK),
+        SceneObject("camera_body", _posed_box(camera, (-20, -20, -80), (20, 20, -45)), CAMERA_BLUE),
+        SceneObject("projector_lens", _lens(projector, 11.0, -14.0, 4.0), DARK),
+        SceneObject(
             "projector_body",
             _posed_box(projector, (-38, -14, -72), (38, 26, -14)),
             PROJECTOR_ORANGE,

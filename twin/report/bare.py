@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.patches import Patch
 
-from reconstruction.mask import Reason
+from reconstruction.arrays import Reason
 from twin.report.camera_images import (
     decoding_figure,
     frames_figure,

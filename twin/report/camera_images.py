@@ -8,9 +8,9 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
+from reconstruction.arrays import Reason
 from reconstruction.capture.folder import Capture
 from reconstruction.decoding.decode import AxisDecode
-from reconstruction.mask import Reason
 from reconstruction.patterns import AXES, Axis, PatternFrame, PatternSet
 from reconstruction.pipeline import Reconstruction
 from twin.report.canvas import (

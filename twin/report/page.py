@@ -13,7 +13,7 @@ from typing import ClassVar, Literal
 
 from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 
-from reconstruction.disk import unwritable
+from reconstruction.machine import unwritable
 from twin.output import replacing
 from twin.pipeline.progress import Watcher, nobody
 from twin.report.table import Table

@@ -15,7 +15,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import BoundaryNorm, ListedColormap, Normalize
 from numpy.typing import NDArray
 
-from reconstruction.mask import Reason
+from reconstruction.arrays import Reason
 from twin.report.canvas import (
     GAP,
     add_colorbar,

@@ -16,7 +16,7 @@ from reconstruction.photometric import (
     SensorCalibration,
 )
 from reconstruction.photometric.integrate import Integration
-from reconstruction.photometric.sensor_calibration import MapKind
+from reconstruction.photometric.sensor import MapKind
 from twin.config.models import Experiment
 from twin.optics.stack import Truth
 from twin.results.score import HeightScore, Scores, metrics, score_heights

@@ -39,7 +39,6 @@ import numpy as np
 from reconstruction.arrays import Levels
 from reconstruction.errors import InputError
 from reconstruction.evaluate.surface import write_surface
-from reconstruction.outputs import read_reconstruction, write_reconstruction
 from reconstruction.photometric import (
     SensorCalibration,
     read_sensor_calibration,
@@ -48,7 +47,8 @@ from reconstruction.photometric import (
     write_sensor_calibration,
 )
 from reconstruction.photometric.colour_maps import ColourTable
-from reconstruction.photometric.sensor_calibration import MapKind
+from reconstruction.photometric.sensor import MapKind
+from reconstruction.pipeline import read_reconstruction, write_reconstruction
 from twin.config import Experiment, load_experiment
 from twin.mechanics import read_press
 from twin.optics.stack import Truth

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from reconstruction.capture.folder import Capture, write_capture
-from reconstruction.disk import read_dataset, write_dataset, write_exr_channels
 from reconstruction.errors import InputError
+from reconstruction.machine import read_dataset, write_dataset, write_exr_channels
 from twin.config import Experiment, digest, to_toml
 from twin.mechanics import (
     ContactTransfer,

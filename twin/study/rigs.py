@@ -15,13 +15,12 @@ from reconstruction.arrays import FloatArray
 from reconstruction.calibration.parameters import POSES, RigEstimate, pack, unpack
 from reconstruction.pipeline import Reconstruction
 from reconstruction.rig.calibration import Calibration
-from reconstruction.triangulation.triangulate import triangulate
+from reconstruction.triangulation import triangulate
 from twin.config import Experiment, digest
 from twin.config.board import load_board
 from twin.config.digest import keyed_sequence
 from twin.output import read_json, replace_json, versions
-from twin.pipeline.calibration import calibrate_rendered
-from twin.pipeline.calibration_storage import calibration_metrics
+from twin.pipeline.calibration import calibrate_rendered, calibration_metrics
 from twin.pipeline.fringes import options_of
 from twin.pipeline.progress import Watcher, nobody
 from twin.results.record import Measurement

@@ -15,7 +15,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from reconstruction.disk import writing_netcdf
+from reconstruction.machine import write_dataset
 from twin.config import ConfigError, Experiment, load_experiment
 from twin.config.inputs import DEFAULT_INPUTS, Input, Inputs, load_inputs
 from twin.config.messages import explain
@@ -34,6 +34,7 @@ from twin.uncertainty.results import SOBOL_FILE, Uncertainty, effects_as_json, r
 
 COMMAND, TRIALS_FILE = "uncertainty", "trials.nc"
 MOST_TRIALS = 1_000_000
+_TRIALS_TOLD = "trials of a measurement; trial 0 is the nominal one"
 _ABSENT = 9.969209968386869e36  # netCDF's own fill value of doubles
 
 
@@ -172,19 +173,22 @@ def write_uncertainty(
 def write_trials(path: Path, found: Uncertainty) -> None:
     """Write inputs and figures of every trial as netCDF-4, one (trial) variable each.
 
-    A figure that a trial lacks has the fill value.
+    A figure that a trial lacks has the missing value.
     """
+    import xarray
+
     rows = [row for row in found.table.rows if row.get(PART) == TRIALS]
     keys = [one.key for one in found.inputs().values()]
     known = dict.fromkeys(name for row in rows for name, v in row.items() if is_number(v))
     names = [*keys, *(name for name in known if name not in keys and name != TRIAL)]
-    with writing_netcdf(path) as file:
-        file.attrs["description"] = "trials of a measurement; trial 0 is the nominal one"
-        file.dimensions = {TRIAL: len(rows)}
-        file.create_variable(TRIAL, (TRIAL,), data=np.array([row[TRIAL] for row in rows]))
-        for name in names:
-            values = [row[name] if is_number(row.get(name)) else _ABSENT for row in rows]
-            made = file.create_variable(
-                name, (TRIAL,), data=np.array(values, np.float64), fillvalue=_ABSENT
-            )
-            made.attrs["long_name"] = "input" if name in keys else "figure of the measurement"
+    variables = {}
+    for name in names:
+        values = [row[name] if is_number(row.get(name)) else _ABSENT for row in rows]
+        told = "input" if name in keys else "figure of the measurement"
+        attributes = {"long_name": told, "missing_value": _ABSENT}
+        variables[name] = (TRIAL, np.array(values, np.float64), attributes)
+    numbers = np.array([row[TRIAL] for row in rows])
+    write_dataset(
+        path,
+        xarray.Dataset(variables, {TRIAL: (TRIAL, numbers)}, {"description": _TRIALS_TOLD}),
+    )

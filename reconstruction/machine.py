@@ -1,9 +1,12 @@
-"""Write files through HDF5 and OpenEXR so that a full disk is an ordinary error.
+"""What the machine gives: cores to share, and a disk that may be full.
 
-HDF5 must not be told that a write failed: its file can then be closed no more, and the process ends
-in a segmentation fault. So the bytes go to the disk through Python; after the first failure the
-rest is dropped, and the failure is raised once HDF5 has let go of the file. OpenEXR tells the
-reason in words only.
+Programs that share a machine agree on how many threads may run side by side (`VARIABLE`).
+
+Files are written through HDF5 and OpenEXR so that a full disk is an ordinary error. HDF5 must not
+be told that a write failed: its file can then be closed no more, and the process ends in a
+segmentation fault. So the bytes go to the disk through Python; after the first failure the rest is
+dropped, and the failure is raised once HDF5 has let go of the file. OpenEXR tells the reason in
+words only.
 """
 
 import errno
@@ -16,11 +19,23 @@ from typing import TYPE_CHECKING, Any
 
 from reconstruction.errors import InputError
 
-if TYPE_CHECKING:  # commands that write nothing need not wait for HDF5
+if TYPE_CHECKING:
     import h5netcdf
     import numpy as np
     import xarray
     from numpy.typing import NDArray
+
+
+VARIABLE = "NUMBA_NUM_THREADS"
+"""Environment variable that limits the threads of this process, as it limits Numba's."""
+
+
+def threads() -> int:
+    """Return the number of cores that this process may use, or less where VARIABLE says so."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    told = os.environ.get(VARIABLE, "")
+    return max(1, min(cores or 1, int(told) if told.isdecimal() else cores or 1))
+
 
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
