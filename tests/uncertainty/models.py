@@ -21,7 +21,7 @@ class Linear:
         value = 4.0 + 2.0 * place.x_mm - 3.0 * place.y_mm
         if experiment.camera.noise:
             value += NOISE * np.random.default_rng([7, conditions.trial]).normal()
-        figures = {"value_mm": value, "force_n": 1.0, "warnings": []}
+        figures = {"value_mm": value, "force_n": 1.0 + place.x_mm, "warnings": []}
         if conditions.board:
             figures["true_rig_value_mm"] = value
             rng = np.random.default_rng([8, conditions.seed, conditions.trial])

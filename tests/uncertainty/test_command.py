@@ -45,6 +45,7 @@ def test_table_files_and_report(modelled, tmp_path, capsys):
     assert run(["report", str(tmp_path / "out")]) == 0
     again = (tmp_path / "out/report.html").read_text(encoding="utf-8")
     assert again == page
+    assert "force_n" not in page
     assert run(["sweep", "table", str(tmp_path / "out")]) == 0
     assert capsys.readouterr().out.count("\n") > 40
 

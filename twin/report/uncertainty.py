@@ -128,8 +128,8 @@ def _budget_table(one: Measurand) -> Table:
     )
     columns = (
         Column("name", "source"),
-        Column("group", "of"),
-        Column("key", "varied"),
+        Column("group", "of", kind="text"),
+        Column("key", "varied", kind="code"),
         Column("u", "standard uncertainty", unit=split_unit(one.name)[1], kind="number"),
         Column("share", "share of variance", 1, "%"),
     )
@@ -165,11 +165,11 @@ def _inputs(found: Uncertainty) -> Section:
         )
     columns = (
         Column("name", "input"),
-        Column("key", "key"),
-        Column("distribution", "distribution"),
+        Column("key", "key", kind="code"),
+        Column("distribution", "distribution", kind="text"),
         Column("nominal", "nominal", kind="number"),
         Column("u", "standard uncertainty", kind="number"),
-        Column("source", "source"),
+        Column("source", "source", kind="text"),
     )
     note = "And the camera's noise. Trials with their inputs and all figures: trials.nc."
     table = Table("inputs", "", "", columns, tuple(rows), (note,))

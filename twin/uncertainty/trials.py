@@ -10,6 +10,7 @@
 
 import tempfile
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -24,7 +25,7 @@ from twin.output import EXPERIMENT_FILE, RESULT_FILE, adding, write_json
 from twin.pipeline.progress import Watcher, nobody
 from twin.results.parts import write_result
 from twin.study.best import is_number
-from twin.study.record import StudyRecord
+from twin.study.record import StudyRecord, write_record
 from twin.study.sensitivity import Effect
 from twin.study.sweep import sweep
 from twin.study.trials import PART, TRIAL, TRIALS
@@ -157,11 +158,16 @@ def write_uncertainty(
 ) -> None:
     """Write result.json, experiment.toml and trials.nc into the store of the trials.
 
+    Its study remembers the measurands, so that a report drawn again shows the same.
+
     Raises
     ------
     InputError
         It cannot be written.
     """
+    record = found.table.record
+    metrics = {"metrics": tuple(found.measurands)}
+    write_record(folder, replace(record, study=record.study.model_copy(update=metrics)))
     names = [RESULT_FILE, EXPERIMENT_FILE, TRIALS_FILE, *([SOBOL_FILE] if effects else [])]
     with adding(folder, *names) as made:
         write_trials(made / TRIALS_FILE, found)
