@@ -16,6 +16,21 @@ if TYPE_CHECKING:
     from twin.study.workers import Workers
     from twin.uncertainty.results import Uncertainty
 
+WorkerCount = Annotated[
+    int | None,
+    Parameter(
+        name=["--workers", "-j"],
+        help="processes on this machine; default: one per two cores, at least two of them",
+    ),
+]
+Cluster = Annotated[
+    str | None,
+    Parameter(help="Dask scheduler, tcp://HOST:PORT, instead of processes on this machine"),
+]
+Retry = Annotated[
+    bool, Parameter(help="also try again what failed for a reason that lies in the experiment")
+]
+
 
 @app.command
 def uncertainty(
@@ -31,9 +46,9 @@ def uncertainty(
     budget: bool = True,
     sobol: int | None = None,
     seed: int | None = None,
-    workers: Annotated[int | None, Parameter(name=["--workers", "-j"])] = None,
-    cluster: str | None = None,
-    retry: bool = False,
+    workers: WorkerCount = None,
+    cluster: Cluster = None,
+    retry: Retry = False,
 ) -> int:
     """Repeat a measurement with its inputs drawn anew: interval and ranked budget of any figure.
 
@@ -60,12 +75,6 @@ def uncertainty(
         times the number of inputs and two.
     seed
         Of all draws; default: that of the inputs.
-    workers
-        Processes on this machine; default: one per two cores, at least two of them.
-    cluster
-        Address of a Dask scheduler, tcp://HOST:PORT, instead of processes on this machine.
-    retry
-        Also try again what failed for a reason that lies in the experiment.
     """
     from twin.study.workers import dask_workers, default_count, local_workers
     from twin.uncertainty.trials import record_of
