@@ -48,6 +48,10 @@ def test_table_files_and_report(modelled, tmp_path, capsys):
     assert "force_n" not in page
     assert run(["sweep", "table", str(tmp_path / "out")]) == 0
     assert capsys.readouterr().out.count("\n") > 40
+    assert run([*modelled, "-n", "40", "-m", "force_n"]) == 0
+    told = capsys.readouterr().out
+    assert "nothing to do" in told
+    assert "force_n" in told
 
 
 @pytest.mark.parametrize(
