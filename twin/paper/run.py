@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from reconstruction.errors import InputError
+from reconstruction.machine import unwritable
 from twin.output import EXPERIMENT_FILE, RESULT_FILE, adding, claim, versions, write_json
 from twin.paper.budget import budget_table
 from twin.paper.claims import claims_of, claims_table
@@ -129,9 +130,16 @@ def reproduce(out: Path, wish: Wish, watch: Watcher = nobody, workers: int = 1) 
     claim(out, COMMAND, _NAMES)
     with lasting(local_workers(workers)) as kept, adding(out, *_NAMES) as folder:
         settings = dict(FINE if wish.full else COARSE)
-        (out / WORK).mkdir(exist_ok=True)
+        _make_folder(out / WORK)
         run = Reproduction(out / WORK, wish.trials, settings, watch, kept)
         return _reproduce(out, folder, wish, run)
+
+
+def _make_folder(folder: Path) -> None:
+    try:
+        folder.mkdir(exist_ok=True)
+    except OSError as error:
+        raise unwritable(folder, error) from None
 
 
 def _reproduce(out: Path, folder: Path, wish: Wish, run: Reproduction) -> Reproduced:
