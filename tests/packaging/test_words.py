@@ -25,7 +25,8 @@ INSTEAD = {
     r"\bbars? (?:is|are) met\b|\bwithin (?:its|their) bars?\b": "target",
 }
 COMMANDS = ("calibrate", "compare", "demo", "doctor", "export", "init", "keys", "measure", "paper",
-            "patterns", "press", "reconstruct", "render", "report", "sweep")  # fmt: skip
+            "patterns", "press", "reconstruct", "render", "report", "sweep",
+            "uncertainty")  # fmt: skip
 
 
 def written() -> Iterator[tuple[str, str]]:

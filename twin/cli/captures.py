@@ -159,18 +159,21 @@ def patterns(
 
 @app.command
 def report(folder: Path, /) -> None:
-    """Draw the HTML report of a finished measurement or comparison again.
+    """Draw the HTML report of a finished measurement, comparison or uncertainty again.
 
     Parameters
     ----------
     folder
-        Result folder of `twin measure`, `twin demo` or `twin compare`.
+        Result folder of `twin measure`, `twin demo`, `twin compare` or `twin uncertainty`.
     """
     from twin.output import adding
     from twin.pipeline.comparison import is_comparison
     from twin.report import REPORT_FILE, REPORT_NAMES, write_comparison, write_report
+    from twin.report.uncertainty import write_uncertainty_page
+    from twin.uncertainty.results import is_uncertainty
 
     draw = write_comparison if is_comparison(folder) else write_report
+    draw = write_uncertainty_page if is_uncertainty(folder) else draw
     with adding(folder, *REPORT_NAMES) as drawn, progress_bars() as watch:
         draw(folder, watch, drawn)
     say(f"wrote {folder / REPORT_FILE}")
