@@ -205,7 +205,7 @@ def calibration_metrics(done: BoardCalibration) -> dict[str, Any]:
         "camera_reprojection_rms_px": _rms([pose.camera_px for pose in found.poses]),
         "projector_reprojection_rms_px": _rms([pose.projector_px for pose in found.poses]),
         "epipolar_rms_px": _rms([pose.epipolar_px for pose in found.poses]),
-        "camera_pupil_diameter_mm": pupil_diameter_mm(found.adjustment),
+        "camera_pupil_diameter_mm": pupil_diameter_mm(found.adjustment) or None,  # 0: not seen
     }
     truth = done.truth
     for parameter in found.parameters:
@@ -259,9 +259,9 @@ def _feature_rows(done: BoardCalibration) -> Iterator[dict[str, Any]]:
         for n, identity in enumerate(seen.ids):
             numbers = [*found.measured_px[k][n], *found.residuals_px[k][n]]
             names = ("camera_x_px", "camera_y_px", "projector_column_px", "projector_row_px")
-            misses = tuple(f"miss_{name}" for name in names)
+            residuals = tuple(f"residual_{name}" for name in names)
             yield {"pose": seen.name, "id": int(identity), "used": int(found.used[k][n])} | {
-                name: float(number) for name, number in zip(names + misses, numbers, strict=True)
+                name: float(number) for name, number in zip(names + residuals, numbers, strict=True)
             }
 
 
