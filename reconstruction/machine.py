@@ -22,6 +22,7 @@ from reconstruction.errors import InputError
 if TYPE_CHECKING:
     import h5netcdf
     import numpy as np
+    import xarray
     from numpy.typing import NDArray
 
 
@@ -68,10 +69,46 @@ def writing_netcdf(path: Path | str) -> Iterator["h5netcdf.File"]:
     """
     import h5netcdf
 
+    with _patient(path) as target, h5netcdf.File(target, "w") as file:
+        yield file
+
+
+def write_dataset(path: Path | str, dataset: "xarray.Dataset") -> None:
+    """Write a data set as netCDF-4, maps compressed; an existing file is replaced.
+
+    Raises
+    ------
+    OSError
+        It cannot be written: the first failure. What was written until then stays there.
+    """
+    # Nothing here is NaN: a fill value would only say that something may be.
+    plain: dict[str, Any] = {"_FillValue": None}
+    packed = plain | {"compression": "gzip", "compression_opts": 1}
+    kinds = {name: packed if one.ndim > 1 else plain for name, one in dataset.variables.items()}
+    with _patient(path) as target:
+        dataset.to_netcdf(target, engine="h5netcdf", encoding=kinds)
+
+
+def read_dataset(path: Path | str) -> "xarray.Dataset":
+    """Read a netCDF-4 file as it was written, whole.
+
+    Raises
+    ------
+    OSError
+        It is missing, damaged or something else.
+    """
+    import xarray
+
+    # Nothing is decoded: a unit such as ms does not make durations.
+    with xarray.open_dataset(path, engine="h5netcdf", decode_cf=False) as found:
+        return found.load()
+
+
+@contextmanager
+def _patient(path: Path | str) -> Iterator["_PatientFile"]:
     with _PatientFile(path) as target:
         try:
-            with h5netcdf.File(target, "w") as file:
-                yield file
+            yield target
         except Exception:
             if target.failure is None:
                 raise

@@ -114,7 +114,7 @@ def test_a_photograph_is_gray_and_taken_once_per_specimen(mi, monkeypatch):
 
 def test_fringes_on_the_coat_have_the_projectors_period(experiment, mi):
     """Setup: points whose projector columns are a period apart. Expected: the same shade."""
-    from twin.paper.view_things import fringe_shade
+    from twin.paper.rig_scene import fringe_shade
 
     rig = true_calibration(experiment)
     columns = 640.0 + experiment.patterns.period_px * np.arange(4)
@@ -126,7 +126,7 @@ def test_fringes_on_the_coat_have_the_projectors_period(experiment, mi):
 
 
 def test_a_cut_sheet_ends_at_the_cut_and_is_closed(experiment, pressed, mi):
-    from twin.paper.view_things import sheet_things
+    from twin.paper.rig_scene import sheet_things
 
     silicone, coat = sheet_things(experiment, pressed, cut_y_mm=0.0)
     assert silicone.mesh.is_watertight
@@ -137,7 +137,7 @@ def test_a_cut_sheet_ends_at_the_cut_and_is_closed(experiment, pressed, mi):
 
 
 def test_the_specimen_is_where_the_press_put_it(experiment, pressed, mi):
-    from twin.paper.view_things import specimen_things
+    from twin.paper.rig_scene import specimen_things
 
     balls = specimen_things(experiment, pressed)[0]
     top = experiment.elastomer.touched_plane_mm + pressed.depth_mm
@@ -147,14 +147,14 @@ def test_the_specimen_is_where_the_press_put_it(experiment, pressed, mi):
 @pytest.fixture
 def coarse_views(mi, monkeypatch):
     """One path per pixel of small pictures."""
-    from twin.paper import views
+    from twin.paper import rig_figures
 
-    monkeypatch.setattr(views, "_SAMPLES", 1)
+    monkeypatch.setattr(rig_figures, "_SAMPLES", 1)
     for view in ("_RIG", "_SHEET", "_CUT"):
-        full = getattr(views, view)
+        full = getattr(rig_figures, view)
         small = type(full)(full.eye_mm, full.target_mm, full.width_mm, 104, 80)
-        monkeypatch.setattr(views, view, small)
-    return views
+        monkeypatch.setattr(rig_figures, view, small)
+    return rig_figures
 
 
 @pytest.mark.parametrize("name", ["concept", "setup"])

@@ -30,9 +30,9 @@ def reconstruct(
     use
         Projector coordinate that gives the depth.
     filter_taps
-        Width of the Gaussian on the coordinate, px; 0 switches it off; absent: as in twin keys.
+        Width of the Gaussian on the coordinate, px; 0 switches it off; default: as in twin keys.
     filter_sigma_px
-        Standard deviation of that Gaussian, px; absent: as in twin keys.
+        Standard deviation of that Gaussian, px; default: as in twin keys.
     photometric
         CAPTURE is a TOML file that describes a press seen by a photometric-stereo sensor; see
         docs/photometric.md.
@@ -194,7 +194,7 @@ def patterns(
 
 @app.command
 def report(folder: Path, /) -> None:
-    """Draw the HTML report of a finished measurement or comparison anew.
+    """Draw the HTML report of a finished measurement or comparison again.
 
     Parameters
     ----------

@@ -57,14 +57,16 @@ from twin.results.decoders import chosen, decode_all, write_decoders
 from twin.results.parts import (
     CAPTURE_FOLDER,
     TIMINGS_FILE,
+    read_truth,
     write_captured,
+    write_exr,
     write_pressed,
     write_result,
     write_timings,
+    write_truth,
 )
 from twin.results.record import Colours, Fringes, Measurement
 from twin.results.score import Scores, TruthScore, score
-from twin.results.truth import read_truth, write_exr, write_truth
 
 IMAGE_FILE, BACKGROUND_FILE, DECODERS_FILE = "image.png", "background.png", "decoders.csv"
 CALIBRATION_FILE, OTHER_CALIBRATION_FILE = "sensor_calibration.npz", "other_calibration.npz"

@@ -1,4 +1,4 @@
-"""Maps of photometric stereo in mm on the coat: image, slopes, heights and errors by decoder.
+"""Figures of photometric stereo in mm on the coat: sensor, image, slopes, heights, errors, section.
 
 The image is a regular grid on the coat: x grows to the right, y upwards, the middle is the origin.
 """
@@ -8,42 +8,41 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.cm import ScalarMappable
-from matplotlib.colors import Normalize
-from matplotlib.figure import Figure
-from matplotlib.patches import Rectangle
+from matplotlib.figure import Figure as Canvas
+from matplotlib.patches import Polygon, Rectangle
 from matplotlib.ticker import MultipleLocator
 from numpy.typing import NDArray
+from scipy.interpolate import RegularGridInterpolator
 
+from twin.config.lamps import Lamp
+from twin.config.models import Experiment
+from twin.pipeline.colour_images import image_pinhole
 from twin.report.canvas import (
+    FAINT,
+    FIT,
     INK,
+    MEASURED,
+    NOMINAL,
+    TRUE_FACE,
     add_colorbar,
     axes_at,
     diverging,
     drawing,
-    height_scale,
+    plain_spines,
     round_up,
     symmetric_limit,
 )
-from twin.report.relief import shaded
-from twin.report.world_map import WorldMap
-from twin.results.decoders import MAP_ORDER, DecodedImage
+from twin.report.pixel_panels import Masked, show_z, true_scale, width_mm
+from twin.report.section import Trace, face_profile, trace_through_apexes
+from twin.results.decoders import MAP_ORDER, DecodedImage, decoder_name
 from twin.results.record import Measurement
 from twin.results.score import wanted_pixels
 
-MAP_NAMES = {"polynomial": "polynomial", "table": "look-up table"}
-INTEGRATION_NAMES = {"corrected": "corrected", "sdk_2025": "vendor 2025", "sdk_2024": "vendor 2024"}
 DIFFERENCE_GAIN = 2
 
 _WIDTH_IN, _LEFT_IN, _TOP_IN, _GAP_IN, _BELOW_IN = 10.0, 0.5, 0.32, 0.14, 0.65
 _BETWEEN_IN = 0.25  # tick labels of the upper line
-_RELIEF_SHARE, _TICKS_MM = 0.2, 4.0
-_Masked = Any
-
-
-def decoder_name(one: DecodedImage) -> str:
-    """Name a decoder as figures and tables do."""
-    return f"{MAP_NAMES[one.colour_map]}, {INTEGRATION_NAMES[one.integration]}"
+_TICKS_MM = 4.0
 
 
 def extent_mm(seen: Measurement) -> tuple[float, float, float, float]:
@@ -56,13 +55,13 @@ def extent_mm(seen: Measurement) -> tuple[float, float, float, float]:
     return (-half_x, half_x, -half_y, half_y)
 
 
-def true_heights_mm(seen: Measurement) -> _Masked:
+def true_heights_mm(seen: Measurement) -> Masked:
     """World z of the true coat behind each pixel, (row, col) masked."""
     z_mm = seen.truth.points_world_mm[..., 2].astype(np.float64)
     return np.ma.masked_array(z_mm, ~seen.truth.measured)
 
 
-def error_um(seen: Measurement, one: DecodedImage) -> _Masked:
+def decoder_error_um(seen: Measurement, one: DecodedImage) -> Masked:
     """Measured minus true world z in the evaluated field, (row, col) masked."""
     scored = wanted_pixels(seen.experiment, seen.truth) & one.heights.valid
     difference = one.heights.height_mm - true_heights_mm(seen).data
@@ -142,7 +141,7 @@ def draw_heights(path: Path, seen: Measurement) -> None:
     InputError
         `path` cannot be written.
     """
-    norm = Normalize(*height_scale(true_heights_mm(seen).compressed()))
+    scale, wide_mm, extent = true_scale(seen), width_mm(seen), extent_mm(seen)
     panel_in, height_in = _panel(seen, 4)
     line_in = _TOP_IN + height_in + _BETWEEN_IN
     lines = _lines(seen)
@@ -151,13 +150,12 @@ def draw_heights(path: Path, seen: Measurement) -> None:
             top_in = line * line_in + _TOP_IN
             if not line:
                 axes = _axes(figure, 0, top_in, panel_in, height_in)
-                show_heights(axes, seen, true_heights_mm(seen), norm)
+                show_z(axes, true_heights_mm(seen), wide_mm, scale, extent=extent)
                 axes.set(title="true coat")
-                bar = ScalarMappable(norm, "viridis")
-                add_colorbar(axes, bar, "z (mm)", extend="both", side="below")
             for number, one in enumerate(decoders, start=1):
                 axes = _axes(figure, number, top_in, panel_in, height_in)
-                show_heights(axes, seen, measured_heights_mm(one), norm)
+                z_mm = np.ma.masked_array(one.heights.height_mm, ~one.heights.valid)
+                show_z(axes, z_mm.astype(np.float64), wide_mm, scale, bar=False, extent=extent)
                 axes.set(title=decoder_name(one))
 
 
@@ -169,7 +167,7 @@ def draw_errors(path: Path, seen: Measurement) -> None:
     InputError
         `path` cannot be written.
     """
-    errors = {id(one): error_um(seen, one) for one in seen.colours.decoded}
+    errors = {id(one): decoder_error_um(seen, one) for one in seen.colours.decoded}
     limit_um = round_up(
         max(float(np.percentile(np.abs(e.compressed()), 95)) for e in errors.values())
     )
@@ -186,26 +184,6 @@ def draw_errors(path: Path, seen: Measurement) -> None:
                     add_colorbar(axes, shown, "z error (µm)", extend="both", side="below")
 
 
-def measured_heights_mm(one: DecodedImage) -> _Masked:
-    """Heights of one decoder, (row, col); masked where they are no measurement."""
-    return np.ma.masked_array(one.heights.height_mm.astype(np.float64), ~one.heights.valid)
-
-
-def show_heights(axes: Axes, seen: Measurement, z_mm: _Masked, norm: Normalize) -> None:
-    """Show heights, coloured and shaded; what is masked stays white."""
-    rows, cols = z_mm.shape
-    pitch_mm = seen.colours.calibration.pitch_mm
-    relief = WorldMap(z_mm[::-1], pitch_mm * np.arange(cols), pitch_mm * np.arange(rows), pitch_mm)
-    axes.imshow(shaded(relief, norm, enlargement(seen))[::-1], extent=extent_mm(seen))
-
-
-def enlargement(seen: Measurement) -> float:
-    """Return by how much shading enlarges z: a round number, at least 1."""
-    low, high = height_scale(true_heights_mm(seen).compressed())
-    left, right, *_ = extent_mm(seen)
-    return max(1.0, round_up(_RELIEF_SHARE * (right - left) / (high - low)))
-
-
 def _lines(seen: Measurement) -> list[list[DecodedImage]]:
     lines = [[one for one in seen.colours.decoded if one.colour_map == kind] for kind in MAP_ORDER]
     return [line for line in lines if line]
@@ -218,7 +196,7 @@ def _panel(seen: Measurement, count: int) -> tuple[float, float]:
     return width_in, width_in * rows / cols
 
 
-def _axes(figure: Figure, number: int, top_in: float, width_in: float, height_in: float) -> Axes:
+def _axes(figure: Canvas, number: int, top_in: float, width_in: float, height_in: float) -> Axes:
     left_in = _LEFT_IN + number * (width_in + _GAP_IN)
     axes = axes_at(figure, left_in, top_in, width_in, height_in)
     axes.tick_params(labelleft=number == 0)
@@ -241,3 +219,138 @@ def _mark_field(axes: Axes, seen: Measurement) -> None:
                 corner, size.field_x_mm, size.field_y_mm, fill=False, ec=colour, lw=width, ls=style
             )
         )
+
+
+_SAMPLES = 601
+_COLOURS = {"corrected": MEASURED, "sdk_2025": FIT, "sdk_2024": NOMINAL}
+_STYLES = {"polynomial": "-", "table": ":"}
+
+
+def draw_sections(path: Path, seen: Measurement) -> None:
+    """Draw heights and height errors of every decoder along the section, as PNG.
+
+    Raises
+    ------
+    InputError
+        `path` cannot be written.
+    """
+    trace = trace_through_apexes(seen.experiment)
+    left, right, *_ = extent_mm(seen)
+    s_mm = np.linspace(left, right, _SAMPLES)
+    true_mm = face_profile(seen.press, trace, s_mm)
+    with drawing(path, 10.0, 6.9) as figure:
+        heights = axes_at(figure, 0.65, 0.35, 9.2, 3.0)
+        errors = axes_at(figure, 0.65, 4.0, 9.2, 2.4)
+        heights.plot(s_mm, true_mm, color=TRUE_FACE, lw=2.4, alpha=0.6, label="true coat")
+        for one in seen.colours.decoded:
+            found_mm = profile_mm(one, seen, trace, s_mm)
+            _line(heights, s_mm, found_mm, one)
+            _line(errors, s_mm, 1e3 * (found_mm - true_mm), one)
+        heights.set(title="Height along the section, z enlarged", ylabel="z (mm)")
+        errors.set(title="Measured − true", ylabel="z error (µm)")
+        errors.axhline(0.0, color=TRUE_FACE, lw=2.4, alpha=0.6)
+        for axes in (heights, errors):
+            axes.set(xlabel=f"{trace.axis} (mm)", xlim=(left, right))
+            plain_spines(axes)
+        heights.legend(loc="upper right")
+
+
+def profile_mm(
+    one: DecodedImage, seen: Measurement, trace: Trace, s_mm: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return heights of one decoder at positions s, mm; NaN outside the image."""
+    rows, cols = one.heights.height_mm.shape
+    pitch_mm = one.heights.pitch_mm
+    x_mm = (np.arange(cols) - (cols - 1) / 2) * pitch_mm
+    y_mm = (np.arange(rows) - (rows - 1) / 2) * pitch_mm
+    upwards = one.heights.height_mm[::-1].astype(np.float64)
+    sample = RegularGridInterpolator((y_mm, x_mm), upwards, bounds_error=False)
+    return np.asarray(sample(trace.points(s_mm)[:, ::-1]))
+
+
+def _line(
+    axes: Axes, s_mm: NDArray[np.float64], values: NDArray[np.float64], one: DecodedImage
+) -> None:
+    axes.plot(
+        s_mm,
+        values,
+        color=_COLOURS[one.integration],
+        ls=_STYLES[one.colour_map],
+        lw=1.2,
+        label=decoder_name(one),
+    )
+
+
+LAMP_COLOURS = {"red": "#c0392b", "green": "#2b8a57", "blue": "#1f5fb2"}
+_ARROW_MM = 3.5
+_LAYER_COLOURS = ("#cfe3f1", "#e3eef6")
+
+
+def draw_sensor(path: Path, experiment: Experiment) -> None:
+    """Draw the sensor from above and from the side, to scale, as PNG.
+
+    Raises
+    ------
+    InputError
+        `path` cannot be written.
+    """
+    with drawing(path, 5.0, 6.25) as figure:
+        _above(axes_at(figure, 0.6, 0.35, 4.1, 3.3), experiment)
+        _side(axes_at(figure, 0.6, 4.4, 4.1, 1.35), experiment)
+
+
+def _above(axes: Axes, experiment: Experiment) -> None:
+    slab, size = experiment.elastomer, experiment.photometric
+    half = slab.length_x_mm / 2, slab.length_y_mm / 2
+    axes.add_patch(Rectangle((-half[0], -half[1]), 2 * half[0], 2 * half[1], fc="#cfe3f1", ec=INK))
+    field = size.field_x_mm, size.field_y_mm
+    axes.add_patch(
+        Rectangle((-field[0] / 2, -field[1] / 2), *field, fill=False, ec=FAINT, ls="--", lw=0.9)
+    )
+    for lamp in experiment.lamps.values():
+        _lamp_above(axes, lamp)
+    axes.annotate("evaluated field", (-field[0] / 2, field[1] / 2), xytext=(4, -11),
+                  textcoords="offset points", color=FAINT)  # fmt: skip
+    axes.set(title="From above: lamps and their aims", xlabel="x (mm)", ylabel="y (mm)")
+    axes.set(xlim=(-half[0] - 4, half[0] + 4), ylim=(-half[1] - 4, half[1] + 4), aspect="equal")
+    plain_spines(axes)
+
+
+def _lamp_above(axes: Axes, lamp: Lamp) -> None:
+    along = np.deg2rad(lamp.along_deg)
+    place = (np.arange(lamp.emitters) + 0.5) / lamp.emitters - 0.5
+    x_mm = lamp.x_mm + place * lamp.length_mm * np.cos(along)
+    y_mm = lamp.y_mm + place * lamp.length_mm * np.sin(along)
+    colour, aim = LAMP_COLOURS[lamp.channel], np.deg2rad(lamp.aim_azimuth_deg)
+    axes.plot(x_mm, y_mm, "o", ms=4, color=colour)
+    axes.arrow(
+        lamp.x_mm, lamp.y_mm, _ARROW_MM * np.cos(aim), _ARROW_MM * np.sin(aim),
+        width=0.12, head_width=0.7, color=colour,
+    )  # fmt: skip
+
+
+def _side(axes: Axes, experiment: Experiment) -> None:
+    half = experiment.elastomer.length_x_mm / 2
+    top_mm = 0.0
+    for number, (name, layer) in enumerate(experiment.layers.items()):
+        colour = _LAYER_COLOURS[number % len(_LAYER_COLOURS)]
+        corner = (-half, layer.bottom_mm)
+        axes.add_patch(Rectangle(corner, 2 * half, layer.thickness_mm, fc=colour, ec=FAINT, lw=0.6))
+        middle_mm = layer.bottom_mm + layer.thickness_mm / 2
+        axes.text(-half + 0.4, middle_mm, f"{name}, n = {layer.ior:g}", va="center", fontsize=7.5)
+        top_mm = max(top_mm, layer.bottom_mm + layer.thickness_mm)
+    axes.plot([-half, half], [0, 0], color=INK, lw=1.6)
+    for lamp in experiment.lamps.values():
+        axes.plot([lamp.x_mm], [lamp.height_mm], "o", ms=5, color=LAMP_COLOURS[lamp.channel])
+    standoff_mm = experiment.camera.pose.standoff_mm
+    seen_mm = image_pinhole(experiment).width_px / image_pinhole(experiment).fx_px / 2
+    reach_mm = top_mm + 3.0
+    # Air above the window: what is drawn of the fan ends where refraction would bend it.
+    ends = [seen_mm * (standoff_mm - z_mm) for z_mm in (top_mm, reach_mm)]
+    fan = [(-ends[0], top_mm), (ends[0], top_mm), (ends[1], reach_mm), (-ends[1], reach_mm)]
+    axes.add_patch(Polygon(fan, facecolor=MEASURED, alpha=0.15, edgecolor="none"))
+    axes.text(0, top_mm + 0.4, f"to the camera, {standoff_mm:g} mm above the coat", ha="center",
+              fontsize=7.5, color=MEASURED)  # fmt: skip
+    axes.set(title="From the side: coat, layers and lamps", xlabel="x (mm)", ylabel="z (mm)")
+    axes.set(xlim=(-half - 4, half + 4), ylim=(-0.8, reach_mm), aspect="equal")
+    plain_spines(axes)

@@ -1,4 +1,4 @@
-"""Figure of one ball: residuals of the fitted sphere, and sections through the apex."""
+"""Sphere fits: one table for all methods, and one figure per ball."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,12 +22,107 @@ from twin.report.canvas import (
     plain_spines,
     symmetric_limit,
 )
+from twin.report.page import Figure
 from twin.report.section import Trace, trace_through_apexes
-from twin.report.world_map import average_on_grid, pixel_on_face_mm
-from twin.results.record import Measurement
+from twin.report.surfaces import average_on_grid
+from twin.report.table import Cell, Column, Table
+from twin.results.decoders import decoder_name
+from twin.results.record import Colours, Measurement
 from twin.results.score import SphereScore
 
 _MAP_CELLS, _BINS, _CURVE_POINTS = 200, 81, 201
+
+_FITS = (
+    Column("ball", "ball"),
+    Column("surface", "surface"),
+    Column("radius", "radius", 3, "mm"),
+    Column("error", "|error|", 3, "mm"),
+    Column("rmse", "RMSE", 4, "mm"),
+    Column("mae", "MAE", 4, "mm"),
+    Column("p95", "P95", 4, "mm"),
+)
+
+
+@dataclass(frozen=True, eq=False)
+class ComparedFit:
+    """One sphere that was fitted, by whom it was measured."""
+
+    ball: int
+    surface: str
+    fit: SphereFit
+    nominal_mm: float
+    measured: bool = False
+
+
+def fits_of(measured: Measurement, decoders: bool = True) -> list[ComparedFit]:
+    """Return what every ball was measured to be, by each decoder, and what the true face is."""
+    coat = "true coat" if measured.experiment.method.presses else "true surface"
+    label, found = _measured_label(measured) if decoders else "measured", []
+    for ball in measured.score.spheres:
+        radius_mm = ball.nominal.radius_mm
+        found.append(ComparedFit(ball.number, label, ball.measured, radius_mm, True))
+        found += _by_other_decoders(measured, ball.number) if decoders else []
+        found.append(ComparedFit(ball.number, coat, ball.true_face, radius_mm))
+    return found
+
+
+def fit_table(measured: Measurement, decoders: bool = True) -> Table | None:
+    """Return the sphere fits in mm; None where no ball could be fitted.
+
+    Parameters
+    ----------
+    decoders : those of photometric stereo that the experiment does not name, too
+    """
+    fits = fits_of(measured, decoders)
+    if not fits:
+        return None
+    coat = "coat" if measured.experiment.method.presses else "surface"
+    return Table(
+        "sphere_fits",
+        "Sphere fits",
+        "",
+        _FITS,
+        tuple(_row(one) for one in fits),
+        (
+            "Radius of the least-squares sphere over the points within "
+            f"{measured.experiment.score.roi_radius_mm:g} mm (lateral) of each apex. |error|: "
+            "difference to the nominal radius of the ball. RMSE, MAE, P95: root mean square, mean "
+            f"and 95th percentile of the absolute radial residuals. The true {coat} is fitted over "
+            "the same pixels.",
+        ),
+        kinds=tuple("measured" if one.measured else "" for one in fits),
+        group="ball",
+    )
+
+
+def _row(one: ComparedFit) -> dict[str, Cell]:
+    stats = one.fit.stats
+    return {
+        "ball": f"ball {one.ball}",
+        "surface": one.surface,
+        "radius": one.fit.radius_mm,
+        "error": abs(one.fit.radius_mm - one.nominal_mm),
+        "rmse": stats.rmse_mm,
+        "mae": stats.mae_mm,
+        "p95": stats.p95_mm,
+    }
+
+
+def _measured_label(measured: Measurement) -> str:
+    images = measured.images
+    return f"measured: {decoder_name(images.own)}" if isinstance(images, Colours) else "measured"
+
+
+def _by_other_decoders(measured: Measurement, number: int) -> list[ComparedFit]:
+    images = measured.images
+    if not isinstance(images, Colours):
+        return []
+    return [
+        ComparedFit(number, decoder_name(one), ball.measured, ball.nominal.radius_mm)
+        for one in images.decoded
+        for ball in one.score.spheres
+        if one is not images.own and ball.number == number
+    ]
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +149,7 @@ class BallView:
 
 def ball_views(scored: Measurement) -> list[BallView]:
     """Return one view per ball, all on one residual scale so that they compare."""
-    balls, points = scored.score.spheres, scored.fringes.reconstruction.point_map.points_world_mm
+    balls, points = scored.score.spheres, scored.points.world_mm
     limits = [symmetric_limit(1e3 * ball.measured.residuals_mm, 99.5) for ball in balls]
     return [
         BallView(
@@ -62,11 +157,31 @@ def ball_views(scored: Measurement) -> list[BallView]:
             measured_mm=points[ball.roi].astype(np.float64),
             true_mm=scored.truth.points_world_mm[ball.roi].astype(np.float64),
             trace=trace_through_apexes(scored.experiment),
-            pixel_mm=pixel_on_face_mm(scored.experiment),
+            pixel_mm=scored.pixel_mm,
             limit_um=max(limits),
         )
         for ball in balls
     ]
+
+
+def ball_figures(measured: Measurement) -> list[Figure]:
+    """Return one figure per ball."""
+    return [_ball_figure(measured, view) for view in ball_views(measured)]
+
+
+def _ball_figure(measured: Measurement, view: BallView) -> Figure:
+    number, radius_mm = view.ball.number, measured.experiment.score.roi_radius_mm
+    return Figure(
+        f"ball_{number}",
+        f"Ball {number}",
+        f"Points within {radius_mm:g} mm (lateral) of the apex; "
+        f"{_measured_label(measured)}. Radial residuals in µm on a scale of ± {view.limit_um:g} "
+        "µm, the same for all balls. A pattern in the map is the form of the face. Blue points "
+        "should follow the green line, the true face. The dashed line is the ball "
+        "itself, raised to the same peak.",
+        f"residual map, histogram and sections of ball {number}",
+        lambda path: draw_ball(path, view),
+    )
 
 
 def draw_ball(path: Path, view: BallView) -> None:

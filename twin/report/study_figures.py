@@ -1,10 +1,12 @@
-"""Figures of a study: main effects, interactions, parallel lines, Pareto front, sensitivities.
+"""Figures of a study: effects, interactions, parallel lines, Pareto front, sensitivities, designs.
 
 One figure has one scale per quantity, from 0 or the round ends of all cases, whichever plot it is
 in: plots side by side compare.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -22,9 +24,14 @@ from twin.report.canvas import (
     add_colorbar,
     axes_at,
     drawing,
+    no_ticks,
     plain_spines,
     sequential,
+    symmetric_limit,
 )
+from twin.report.page import Figure
+from twin.report.pixel_panels import ZScale, draw_small, show_picture, show_z, show_z_error
+from twin.study.pictures import CasePicture
 from twin.study.sensitivity import Effect
 
 Row = Mapping[str, Any]
@@ -213,9 +220,65 @@ def draw_effects(path: Path, effects: Mapping[str, Sequence[Effect]], method: st
             ]
             if method != "grid":
                 place.errorbar([e.value for e in found], at, xerr=spread, fmt="none", ecolor=INK)
-                place.plot([e.total or 0.0 for e in found], at, "d", color=FIT, markersize=4)
+                totals = np.array([np.nan if e.total is None else e.total for e in found])
+                place.plot(totals, at, "d", color=FIT, markersize=4)
             place.set_yticks(at, [e.axis for e in found])
             place.set_title(metric, fontsize=8.5)
             place.set_xlim(left=0.0, right=None if method == "morris" else 1.05)
             plain_spines(place)
             top += height + 0.75
+
+
+@dataclass(frozen=True)
+class Scales:
+    """What all designs of a page share.
+
+    Attributes
+    ----------
+    z : scale of the true heights of all
+    error_um : round limit that 99 % of all errors stay below
+    """
+
+    z: ZScale
+    error_um: float
+
+    @classmethod
+    def of(cls, pictures: Iterable[CasePicture]) -> "Scales":
+        """Return scales that hold for all pictures, of which there is at least one."""
+        found = list(pictures)
+        z_mm = np.concatenate([picture.true_z_mm for picture in found])
+        errors_um = np.concatenate([picture.error_um[picture.scored] for picture in found])
+        width_mm = max(float(picture.width_mm) for picture in found)
+        return cls(ZScale.of(z_mm, width_mm), symmetric_limit(errors_um))
+
+
+def design_figures(
+    number: int, settings: str, picture: CasePicture, scales: Scales
+) -> list[Figure]:
+    """Return the three pictures of one design; `settings` say which it is."""
+    colours, shape = picture.seen.ndim == 3, picture.measured.shape
+    seen = "camera image" if colours else "fringe image: black is 0, white is saturation"
+    z_mm = np.ma.masked_array(picture.z_mm.astype(np.float64), ~picture.measured)
+    error_um = np.ma.masked_array(picture.error_um, ~picture.scored)
+    width_mm = float(picture.width_mm)
+
+    def show_heights(axes: Axes) -> None:
+        show_z(axes, z_mm, width_mm, scales.z)
+        no_ticks(axes)
+
+    shown: tuple[tuple[str, str, Callable[[Axes], None]], ...] = (
+        ("seen", seen, lambda axes: show_picture(axes, picture.seen)),
+        ("heights", "measured heights; white: no measurement", show_heights),
+        ("error", "z error against the true surface; gray: no measurement",
+         lambda axes: show_z_error(axes, error_um, scales.error_um)),
+    )  # fmt: skip
+    return [
+        Figure(
+            f"design_{number}_{kind}",
+            "",
+            caption,
+            f"{settings}: {caption}",
+            partial(draw_small, show=show, shape=shape, bar=kind != "seen"),
+        )
+        for kind, caption, show in shown
+    ]

@@ -18,9 +18,8 @@ from reconstruction.errors import InputError
 from reconstruction.evaluate.surface import SurfaceMesh, surface_mesh
 from reconstruction.triangulation import PointMap
 from twin.optics.view import ViewCamera, VisibleSurface, visible_surface
-from twin.paper.panel_data import PanelData, Picture
-from twin.paper.sheet import bare
-from twin.report.canvas import FAINT, add_colorbar, round_up, sequential
+from twin.paper.panels import PanelData, Picture
+from twin.report.canvas import FAINT, add_colorbar, no_ticks, round_up, sequential
 
 # Rays per pixel along each axis: edges without stairs.
 _FINER = 2
@@ -74,7 +73,7 @@ def relief_picture(
     mesh = _mesh(data, stage)
     if mesh is None:
         return np.full((height_px, width_px, 3), 255, np.uint8)
-    observer = _observer(stage, width_px * _FINER, height_px * _FINER)
+    observer = _view_camera(stage, width_px * _FINER, height_px * _FINER)
     enlarged = mesh.vertices_mm * np.array([1.0, 1.0, stage.gain], np.float32)
     colours = _colours(visible_surface(enlarged, mesh.triangles, observer, _TOWARDS_LAMP), stage)
     blocks = colours.reshape(height_px, _FINER, width_px, _FINER, 3)
@@ -84,7 +83,7 @@ def relief_picture(
 def show_relief(axes: Axes, data: PanelData, stage: ReliefView, bar: bool = False) -> None:
     """Show the measured surface with its enlargement, and a colour bar when asked for."""
     axes.imshow(relief_picture(data, stage))
-    bare(axes)
+    no_ticks(axes)
     axes.spines[:].set_visible(False)
     shown = f"z × {stage.gain:g}"
     axes.text(
@@ -115,7 +114,7 @@ def _mesh(data: PanelData, stage: ReliefView) -> SurfaceMesh | None:
         return None
 
 
-def _observer(stage: ReliefView, width_px: int, height_px: int) -> ViewCamera:
+def _view_camera(stage: ReliefView, width_px: int, height_px: int) -> ViewCamera:
     (x, y), low, high = stage.centre_mm, *stage.scale_mm
     middle = (x, y, stage.gain * (low + high) / 2)
     distance = 8.0 * stage.half_mm  # nearly parallel: lengths in front and behind compare

@@ -1,44 +1,113 @@
-"""Curves and maps of the figures: sections of rods, height errors, residuals of sphere fits."""
+"""What stands in the panels of a figure, and where: pictures, maps, curves, shaded surfaces."""
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import BoundaryNorm, ListedColormap
+from matplotlib.figure import Figure
 
-from reconstruction.arrays import Reason
-from twin.paper.panel_data import PanelData
-from twin.paper.sheet import bare
-from twin.report.camera_view import NO_POINT
+from reconstruction.errors import InputError
+from twin.paper.panels import PANELS_FOLDER, PanelData, read_panel_data
 from twin.report.canvas import (
     FAINT,
     FIT,
-    GAP,
     INK,
     MEASURED,
     MEASURED_FILL,
     TRUE_FACE,
-    add_colorbar,
+    axes_at,
     diverging,
+    label_panel,
     legend_above,
+    no_ticks,
     plain_spines,
     symmetric_limit,
 )
-from twin.report.decoding import REASON_COLOURS
+
+LETTERS = "abcdefghijklmnopqrstuvwxyz"
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Equal cells; the labels of rows stand left of them, those of columns above."""
+
+    rows: int
+    columns: int
+    cell_width_in: float
+    cell_height_in: float
+    left_in: float = 0.45
+    top_in: float = 0.25
+    gap_in: float = 0.05
+    row_gap_in: float = 0.05
+    right_in: float = 0.05
+    bottom_in: float = 0.05
+
+    @property
+    def size_in(self) -> tuple[float, float]:
+        """Width and height of the figure."""
+        across = self.columns * (self.cell_width_in + self.gap_in) - self.gap_in
+        down = self.rows * (self.cell_height_in + self.row_gap_in) - self.row_gap_in
+        return self.left_in + across + self.right_in, self.top_in + down + self.bottom_in
+
+    def cell(self, figure: Figure, row: int, column: int, letter: bool = True) -> Axes:
+        """Return the axes of one cell; letters run along the rows."""
+        axes = axes_at(
+            figure,
+            self.left_in + column * (self.cell_width_in + self.gap_in),
+            self.top_in + row * (self.cell_height_in + self.row_gap_in),
+            self.cell_width_in,
+            self.cell_height_in,
+        )
+        if letter:
+            label_panel(axes, LETTERS[row * self.columns + column])
+        return axes
+
+    def label_rows(self, figure: Figure, labels: Sequence[str]) -> None:
+        """Write a label beside each row, upright."""
+        width_in, height_in = figure.get_size_inches()
+        for row, label in enumerate(labels):
+            middle_in = self.top_in + row * (self.cell_height_in + self.row_gap_in)
+            middle_in += self.cell_height_in / 2
+            figure.text(
+                0.42 * self.left_in / width_in,
+                1.0 - middle_in / height_in,
+                label,
+                rotation=90,
+                ha="center",
+                va="center",
+                fontsize=7.5,
+            )
+
+    def label_columns(self, figure: Figure, labels: Sequence[str], span: int = 1) -> None:
+        """Write a label above each group of `span` columns."""
+        width_in, height_in = figure.get_size_inches()
+        pitch_in = self.cell_width_in + self.gap_in
+        for number, label in enumerate(labels):
+            middle_in = self.left_in + (number * span + span / 2) * pitch_in - self.gap_in / 2
+            place = middle_in / width_in, 1.0 - 0.5 * self.top_in / height_in
+            figure.text(*place, label, ha="center", va="center", fontsize=8.0)
+
+
+def panels_of(cases: Path, name: str, method: str) -> PanelData | None:
+    """Return the panels of one case; None when it was not measured.
+
+    Raises
+    ------
+    InputError
+        The case is there without panels, or they are damaged.
+    """
+    folder = cases / name / method
+    if not folder.is_dir():
+        return None
+    if not (folder / PANELS_FOLDER).is_dir():
+        raise InputError(f"{folder}: found no {PANELS_FOLDER}; measure the case again")
+    return read_panel_data(folder / PANELS_FOLDER)
+
 
 _MOST_CELLS, _POINTS_PER_CELL, _BINS = 90, 3, 61
-
-
-def show_picture(axes: Axes, data: PanelData) -> None:
-    """Show what the camera saw."""
-    axes.imshow(data.picture, cmap="gray", vmin=0, vmax=255)
-    bare(axes)
-
-
-def show_photograph(axes: Axes, data: PanelData) -> None:
-    """Show the specimen alone."""
-    axes.imshow(data.photograph)
-    bare(axes)
 
 
 def show_section(axes: Axes, data: PanelData, legend: bool = True) -> None:
@@ -78,23 +147,6 @@ def zoom_to_wanted(axes: Axes, data: PanelData) -> None:
     row, col = (low + high) / 2
     axes.set_xlim(col - share * cols / 2, col + share * cols / 2)
     axes.set_ylim(row + share * rows / 2, row - share * rows / 2)
-
-
-def show_error(axes: Axes, data: PanelData, limit_um: float, bar: bool = True) -> None:
-    """Show measured minus true z in camera pixels; no point is gray, no matter of the method."""
-    colours = diverging().with_extremes(bad=NO_POINT)
-    shown = axes.imshow(data.error_um, cmap=colours, vmin=-limit_um, vmax=limit_um)
-    bare(axes)
-    if bar:
-        add_colorbar(axes, shown, "z error (µm), clipped at the ends", extend="both", side="below")
-
-
-def show_reasons(axes: Axes, data: PanelData) -> None:
-    """Show why wanted pixels have no point; the others are pale gray."""
-    colours = ListedColormap([REASON_COLOURS[r] for r in Reason]).with_extremes(bad=GAP)
-    norm = BoundaryNorm(np.arange(len(Reason) + 1) - 0.5, len(Reason))
-    axes.imshow(np.ma.masked_array(data.reason, ~data.wanted), cmap=colours, norm=norm)
-    bare(axes)
 
 
 def residual_limit_um(*shown: PanelData) -> float:
@@ -143,5 +195,5 @@ def show_histogram(axes: Axes, data: PanelData, number: int, limit_um: float) ->
 
 def no_measurement(axes: Axes) -> None:
     """Say that there is nothing to show."""
-    bare(axes)
+    no_ticks(axes)
     axes.text(0.5, 0.5, "not measured", color=INK, ha="center", transform=axes.transAxes)
