@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from twin.cli import run
-from twin.pipeline.dimensions import Part, dimensions
+from twin.pipeline.dimensions import Region, dimensions
 
 DOCUMENT = Path(__file__).parents[2] / "docs" / "evaluation.md"
 NUMBER = r"-?\d+\.?\d*(?:e[+-]?\d+)?"
@@ -69,12 +69,12 @@ def test_figures_of_the_document(executed, text):
 
 
 PARTS = {
-    "plane": (Part((-9.2, -6.8), (-1.2, 1.2)), "flatness_rms_um", (0.5, 2.5)),
-    "ball": (Part((6.9, 9.1), (-1.1, 1.1), (-2.0, 1.0)), "radius_mm", (1.995, 2.005)),
-    "cylinder": (Part((0.2, 1.8), (-3.0, 3.0), (-3.0, 1.0)), "radius_mm", (0.995, 1.005)),
-    "bar": (Part((-30.0, -1.0), (-0.5, 0.5)), "width_mm", (3.88, 4.06)),
-    "step": (Part((-30.0, -1.0), (-0.5, 0.5)), "step_height_mm", (0.519, 0.521)),
-    "roughness": (Part((11.0, 30.0), (-4.0, 4.0)), "sq_um", (0.5, 2.5)),
+    "plane": (Region((-9.2, -6.8), (-1.2, 1.2)), "flatness_rms_um", (0.5, 2.5)),
+    "ball": (Region((6.9, 9.1), (-1.1, 1.1), (-2.0, 1.0)), "radius_mm", (1.995, 2.005)),
+    "cylinder": (Region((0.2, 1.8), (-3.0, 3.0), (-3.0, 1.0)), "radius_mm", (0.995, 1.005)),
+    "bar": (Region((-30.0, -1.0), (-0.5, 0.5)), "width_mm", (3.88, 4.06)),
+    "step": (Region((-30.0, -1.0), (-0.5, 0.5)), "step_height_mm", (0.519, 0.521)),
+    "roughness": (Region((11.0, 30.0), (-4.0, 4.0)), "sq_um", (0.5, 2.5)),
 }
 
 

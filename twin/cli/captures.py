@@ -90,9 +90,9 @@ def evaluate(
     nesting_mm
         Nesting index of the roughness filter.
     """
-    from twin.pipeline.dimensions import Part, dimensions
+    from twin.pipeline.dimensions import Region, dimensions
 
-    print_metrics(dimensions(result, shape, Part(x, y, z, along, fraction, nesting_mm)))
+    print_metrics(dimensions(result, shape, Region(x, y, z, along, fraction, nesting_mm)))
 
 
 @app.command

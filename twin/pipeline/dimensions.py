@@ -29,7 +29,7 @@ RECONSTRUCTION_FILE = "reconstruction.nc"
 
 
 @dataclass(frozen=True)
-class Part:
+class Region:
     """A box of the world (mm; None: without bounds), and what is asked of the surface in it.
 
     Attributes
@@ -47,7 +47,7 @@ class Part:
     nesting_mm: float = 0.8
 
 
-def dimensions(folder: Path, shape: Shape, part: Part) -> dict[str, float]:
+def dimensions(folder: Path, shape: Shape, region: Region) -> dict[str, float]:
     """Return the figures of a shape that a part of a result's surface has; units in their names.
 
     Parameters
@@ -67,8 +67,8 @@ def dimensions(folder: Path, shape: Shape, part: Part) -> dict[str, float]:
         )
     points = read_reconstruction(file).point_map
     if shape in _OF_POINTS:
-        return _OF_POINTS[shape](_points_in(points, part), part)
-    return _OF_HEIGHTS[shape](_heights_in(points, part), part)
+        return _OF_POINTS[shape](_points_in(points, region), region)
+    return _OF_HEIGHTS[shape](_heights_in(points, region), region)
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,23 +97,23 @@ def _within(values_mm: FloatArray, bounds_mm: Range | None) -> BoolImage:
     return inside
 
 
-def _points_in(points: PointMap, part: Part) -> FloatArray:
+def _points_in(points: PointMap, region: Region) -> FloatArray:
     """Return the valid points (n, xyz) in a box."""
     found = points.points_world_mm[points.valid].astype(np.float64)
-    for axis, bounds_mm in enumerate((part.x_mm, part.y_mm, part.z_mm)):
+    for axis, bounds_mm in enumerate((region.x_mm, region.y_mm, region.z_mm)):
         found = found[_within(found[:, axis], bounds_mm)]
     if not len(found):
         raise InputError("no valid point in the given ranges of x, y and z; widen them")
     return found
 
 
-def _heights_in(points: PointMap, part: Part) -> _Heights:
+def _heights_in(points: PointMap, region: Region) -> _Heights:
     """Return the height map in a box."""
     grid = height_map(points)
-    rows, cols = _within(grid.y_mm, part.y_mm), _within(grid.x_mm, part.x_mm)
+    rows, cols = _within(grid.y_mm, region.y_mm), _within(grid.x_mm, region.x_mm)
     inside = np.ix_(rows, cols)
     z_mm = grid.z_mm[inside].astype(np.float64)
-    valid = grid.valid[inside] & _within(z_mm, part.z_mm)
+    valid = grid.valid[inside] & _within(z_mm, region.z_mm)
     if not valid.any():
         raise InputError("no valid height in the given ranges of x, y and z; widen them")
     return _Heights(grid.x_mm[cols], grid.y_mm[rows], z_mm, valid, grid.pitch_mm)
@@ -123,13 +123,13 @@ def _kept(kept: BoolImage) -> dict[str, float]:
     return {"points": int(kept.sum()), "outliers": int((~kept).sum())}
 
 
-def _plane(points_mm: FloatArray, _: Part) -> dict[str, float]:
+def _plane(points_mm: FloatArray, _: Region) -> dict[str, float]:
     found = flatness(points_mm)
     flat = {"flatness_um": 1e3 * found.peak_to_valley_mm, "flatness_rms_um": 1e3 * found.rms_mm}
     return _kept(found.kept) | flat
 
 
-def _ball(points_mm: FloatArray, _: Part) -> dict[str, float]:
+def _ball(points_mm: FloatArray, _: Region) -> dict[str, float]:
     found = fit_ball(points_mm)
     return _kept(found.kept) | {
         "radius_mm": found.radius_mm,
@@ -139,8 +139,8 @@ def _ball(points_mm: FloatArray, _: Part) -> dict[str, float]:
     }
 
 
-def _cylinder(points_mm: FloatArray, part: Part) -> dict[str, float]:
-    found = fit_cylinder(points_mm, axis=(1, 0, 0) if part.along == "x" else (0, 1, 0))
+def _cylinder(points_mm: FloatArray, region: Region) -> dict[str, float]:
+    found = fit_cylinder(points_mm, axis=(1, 0, 0) if region.along == "x" else (0, 1, 0))
     return _kept(found.kept) | {
         "radius_mm": found.radius_mm,
         "cylindricity_um": 1e3 * float(np.ptp(found.residuals_mm)),
@@ -148,20 +148,20 @@ def _cylinder(points_mm: FloatArray, part: Part) -> dict[str, float]:
     }
 
 
-def _bar(heights: _Heights, part: Part) -> dict[str, float]:
-    found = bar_width(*heights.profile(part.along), part.fraction)
+def _bar(heights: _Heights, region: Region) -> dict[str, float]:
+    found = bar_width(*heights.profile(region.along), region.fraction)
     return {"width_mm": found.width_mm, "height_mm": found.height_mm}
 
 
-def _step(heights: _Heights, part: Part) -> dict[str, float]:
-    place_mm, z_mm = heights.profile(part.along)
-    edges = bar_width(place_mm, z_mm, part.fraction)
+def _step(heights: _Heights, region: Region) -> dict[str, float]:
+    place_mm, z_mm = heights.profile(region.along)
+    edges = bar_width(place_mm, z_mm, region.fraction)
     found = step_height(place_mm, z_mm, edges.left_mm, edges.right_mm)
     return {"step_height_mm": found.height_mm, "step_rms_um": 1e3 * found.rms_mm}
 
 
-def _roughness(heights: _Heights, part: Part) -> dict[str, float]:
-    found = areal_roughness(heights.z_mm, heights.valid, heights.pitch_mm, part.nesting_mm)
+def _roughness(heights: _Heights, region: Region) -> dict[str, float]:
+    found = areal_roughness(heights.z_mm, heights.valid, heights.pitch_mm, region.nesting_mm)
     return {
         "sa_um": 1e3 * found.sa_mm,
         "sq_um": 1e3 * found.sq_mm,
@@ -169,12 +169,12 @@ def _roughness(heights: _Heights, part: Part) -> dict[str, float]:
     }
 
 
-_OF_POINTS: dict[str, Callable[[Any, Part], dict[str, float]]] = {
+_OF_POINTS: dict[str, Callable[[Any, Region], dict[str, float]]] = {
     "plane": _plane,
     "ball": _ball,
     "cylinder": _cylinder,
 }
-_OF_HEIGHTS: dict[str, Callable[[Any, Part], dict[str, float]]] = {
+_OF_HEIGHTS: dict[str, Callable[[Any, Region], dict[str, float]]] = {
     "bar": _bar,
     "step": _step,
     "roughness": _roughness,
