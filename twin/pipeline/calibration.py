@@ -259,9 +259,9 @@ def _feature_rows(done: BoardCalibration) -> Iterator[dict[str, Any]]:
         for n, identity in enumerate(seen.ids):
             numbers = [*found.measured_px[k][n], *found.residuals_px[k][n]]
             names = ("camera_x_px", "camera_y_px", "projector_column_px", "projector_row_px")
-            misses = tuple(f"miss_{name}" for name in names)
+            residuals = tuple(f"residual_{name}" for name in names)
             yield {"pose": seen.name, "id": int(identity), "used": int(found.used[k][n])} | {
-                name: float(number) for name, number in zip(names + misses, numbers, strict=True)
+                name: float(number) for name, number in zip(names + residuals, numbers, strict=True)
             }
 
 
