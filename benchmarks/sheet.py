@@ -57,7 +57,7 @@ SOLIDS = Path(__file__).parents[1] / "tests/mechanics/reference/solid_sheets.jso
 YOUNG_KPA, THIN_MM = 300.0, 0.2
 REGIONS_MM = (1.0, 1.2, 1.5, 2.0, 2.5)
 WIDTHS_MM = (1.99, 4.81, 7.23)
-PRESSES, QUICK_PRESSES, LIMIT_S = 300, 12, 120.0
+PRESSES, QUICK_PRESSES, LIMIT_S = 300, 12, 300.0
 KINDS = ("ball", "two_balls", "rod", "flat", "bar", "step", "nut", "t_bolt", "brick", "grating")
 
 Figures = dict[str, float | None]
