@@ -423,7 +423,9 @@ def parse() -> argparse.Namespace:
         "--quick", action="store_true", help="12 random presses, no bars, fewer solids and repeats"
     )
     parser.add_argument("--press", type=int, metavar="SEED", help="only this random press")
-    parser.add_argument("--presses", type=int, metavar="N", help="only the first N random presses")
+    parser.add_argument(
+        "--presses", type=int, metavar="N", help="only the first N random presses; 0: all else"
+    )
     parser.add_argument("--workers", type=int, default=1, help="that press at random side by side")
     parser.add_argument(
         "--kept", type=Path, metavar="FILE", help="JSON lines: random presses done, to go on from"
@@ -446,7 +448,9 @@ def main() -> None:
     if chosen.press is not None:
         print(outcome(chosen.press))
         return
-    count = chosen.presses or (QUICK_PRESSES if chosen.quick else PRESSES)
+    count = QUICK_PRESSES if chosen.quick else PRESSES
+    if chosen.presses is not None:
+        count = chosen.presses
     result: dict[str, Any] = {} if chosen.presses else dict(measured(chosen.quick))
     result |= converged_share(range(count), chosen.workers, chosen.kept)
     # Linux gives KiB.
