@@ -57,7 +57,7 @@ SOLIDS = Path(__file__).parents[1] / "tests/mechanics/reference/solid_sheets.jso
 YOUNG_KPA, THIN_MM = 300.0, 0.2
 REGIONS_MM = (1.0, 1.2, 1.5, 2.0, 2.5)
 WIDTHS_MM = (1.99, 4.81, 7.23)
-PRESSES, QUICK_PRESSES, LIMIT_S = 300, 12, 120.0
+PRESSES, QUICK_PRESSES, LIMIT_S = 300, 12, 300.0
 KINDS = ("ball", "two_balls", "rod", "flat", "bar", "step", "nut", "t_bolt", "brick", "grating")
 
 Figures = dict[str, float | None]
@@ -423,7 +423,9 @@ def parse() -> argparse.Namespace:
         "--quick", action="store_true", help="12 random presses, no bars, fewer solids and repeats"
     )
     parser.add_argument("--press", type=int, metavar="SEED", help="only this random press")
-    parser.add_argument("--presses", type=int, metavar="N", help="only the first N random presses")
+    parser.add_argument(
+        "--presses", type=int, metavar="N", help="only the first N random presses; 0: all else"
+    )
     parser.add_argument("--workers", type=int, default=1, help="that press at random side by side")
     parser.add_argument(
         "--kept", type=Path, metavar="FILE", help="JSON lines: random presses done, to go on from"
@@ -446,7 +448,9 @@ def main() -> None:
     if chosen.press is not None:
         print(outcome(chosen.press))
         return
-    count = chosen.presses or (QUICK_PRESSES if chosen.quick else PRESSES)
+    count = QUICK_PRESSES if chosen.quick else PRESSES
+    if chosen.presses is not None:
+        count = chosen.presses
     result: dict[str, Any] = {} if chosen.presses else dict(measured(chosen.quick))
     result |= converged_share(range(count), chosen.workers, chosen.kept)
     # Linux gives KiB.
