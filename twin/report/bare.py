@@ -193,13 +193,7 @@ def seen_figure(measured: Measurement) -> Figure:
 
 
 def draw_seen(path: Path, measured: Measurement) -> None:
-    """Draw white, fringes and true heights over measured heights, error and reasons, as PNG.
-
-    Raises
-    ------
-    InputError
-        `path` cannot be written.
-    """
+    """Draw white, fringes and true heights over measured heights, error and reasons, as PNG."""
     rows, cols = measured.truth.lit.shape
     height_in = _PANEL_IN * rows / cols
     line_in = _TOP_IN + height_in + _BELOW_UPPER_IN
