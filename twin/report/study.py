@@ -5,7 +5,7 @@ designs once more for their pictures.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 from pathlib import Path
 from typing import Any
@@ -144,7 +144,7 @@ def _page(shown: Shown) -> Page:
         lead=lead + (f" Feasible: {bounds}." if bounds else ""),
         sections=[
             Section("best", "Best designs", tuple(_best(shown))),
-            *(Section(f"of_{one.name}", one.title, (one,)) for one in _figures(shown)),
+            *(Section(f"of_{f.name}", f.title, (replace(f, title=""),)) for f in _figures(shown)),
             Section("cases", "All cases", tuple(_cases(shown))),
         ],
         wide=True,
