@@ -16,7 +16,7 @@ from twin.paper.scatter import Scatter
 from twin.pipeline.instruments import PhotometricPlan, case_for
 from twin.pipeline.memory import Memory
 from twin.pipeline.methods import measure
-from twin.pipeline.progress import Watcher, nobody
+from twin.pipeline.progress import ProgressCallback, no_progress
 from twin.results.decoders import DecodedImage
 from twin.results.score import metrics
 
@@ -63,7 +63,7 @@ class ColourTrials:
     count: int
     memory: Memory
 
-    def all(self, watch: Watcher = nobody) -> list[Trial]:
+    def all(self, watch: ProgressCallback = no_progress) -> list[Trial]:
         """Return every trial; trial 0 also holds the nominal press under every calibration.
 
         Raises

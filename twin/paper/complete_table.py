@@ -10,7 +10,7 @@ from twin.output import read_json, write_json
 from twin.paper.completeness import Completeness, completeness_of
 from twin.paper.panels import PANELS_FOLDER, panel_data_of, write_panel_data
 from twin.pipeline import Memory, measure
-from twin.pipeline.progress import Watcher, nobody
+from twin.pipeline.progress import ProgressCallback, no_progress
 from twin.report.table import Cell, Column, Table
 from twin.results.parts import write_result
 from twin.results.record import Measurement
@@ -20,7 +20,10 @@ _KEYS = ("contact", "contact_points", "specimen", "specimen_points", "limit_um")
 
 
 def measure_case(
-    folder: Path, experiment: Experiment, watch: Watcher = nobody, memory: Memory | None = None
+    folder: Path,
+    experiment: Experiment,
+    watch: ProgressCallback = no_progress,
+    memory: Memory | None = None,
 ) -> None:
     """Measure; keep figures, completeness and panel data. The arrays are nobody's input any more.
 

@@ -23,7 +23,7 @@ from twin.paper.rig_draws import RigScatter
 from twin.paper.rods import SECTION_LENGTH_MM, middle_of, section_of
 from twin.paper.scatter import Scatter, draw, drawn_values
 from twin.pipeline.fringes import options_of, take
-from twin.pipeline.progress import Stopwatch, Watcher, nobody
+from twin.pipeline.progress import ProgressCallback, Stopwatch, no_progress
 from twin.results.record import Recording
 from twin.results.score import metrics, score
 from twin.specimens import shape_of
@@ -83,7 +83,7 @@ class Repeated:
         return Trial(number, values, figures)
 
     def trials(
-        self, folder: Path, numbers: Sequence[int], watch: Watcher = nobody
+        self, folder: Path, numbers: Sequence[int], watch: ProgressCallback = no_progress
     ) -> Iterator[Trial]:
         """Yield the trials of these numbers; 0 is the nominal one."""
         for done, number in enumerate(numbers):

@@ -28,7 +28,7 @@ from twin.paper.rig_draws import BOARD, RigScatter, calibrate_rig, rig_scatter
 from twin.paper.scatter import Scatter, load_scatter
 from twin.pipeline.comparison import measure_each
 from twin.pipeline.memory import Memory
-from twin.pipeline.progress import Watcher, nobody
+from twin.pipeline.progress import ProgressCallback, no_progress
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +46,7 @@ class Reproduction:
     work: Path
     trials: int
     settings: Mapping[str, Any] = field(default_factory=lambda: dict(COARSE))
-    watch: Watcher = nobody
+    watch: ProgressCallback = no_progress
     memory: Memory = field(default_factory=Memory)
 
     @property

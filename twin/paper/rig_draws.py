@@ -18,7 +18,7 @@ from twin.config.board import load_board
 from twin.config.digest import keyed_sequence
 from twin.optics.rig import true_calibration
 from twin.pipeline.calibration import calibrate_rendered, calibration_metrics
-from twin.pipeline.progress import Watcher, nobody
+from twin.pipeline.progress import ProgressCallback, no_progress
 
 BOARD = "boards/paper_dots"
 
@@ -72,7 +72,7 @@ def _correlated(covariance: FloatArray, normal: FloatArray) -> FloatArray:
     return step
 
 
-def calibrate_rig(experiment: Experiment, watch: Watcher = nobody) -> dict[str, Any]:
+def calibrate_rig(experiment: Experiment, watch: ProgressCallback = no_progress) -> dict[str, Any]:
     """Calibrate on rendered board poses; return the figures and the covariance as nested lists.
 
     Raises

@@ -31,7 +31,7 @@ from twin.paper.published import CONTACT_FPP, GELSIGHT
 from twin.paper.reproduction import Reproduction
 from twin.paper.rod_table import hardness_table, rods_table
 from twin.paper.sphere_tables import repeated_fit_table, sphere_fit_table, uncertainty_table
-from twin.pipeline.progress import Watcher, nobody
+from twin.pipeline.progress import ProgressCallback, no_progress
 from twin.report.page import FIGURES_FOLDER, REPORT_FILE, figures_folder
 from twin.report.table import Cell, Table
 from twin.report.words import shown
@@ -84,7 +84,7 @@ TABLES: Mapping[str, Callable[[Reproduction], list[Table]]] = {
 
 
 @dataclass(frozen=True)
-class Wish:
+class Request:
     """What is asked for: repetitions, names of tables or figures (empty: all), all pixels."""
 
     trials: int
@@ -118,7 +118,9 @@ class Reproduced:
     lines: tuple[str, ...]
 
 
-def reproduce(out: Path, wish: Wish, watch: Watcher = nobody, workers: int = 1) -> Reproduced:
+def reproduce(
+    out: Path, request: Request, watch: ProgressCallback = no_progress, workers: int = 1
+) -> Reproduced:
     """Make everything asked for and write it into `out`; what lies there already is used.
 
     Parameters
@@ -134,37 +136,41 @@ def reproduce(out: Path, wish: Wish, watch: Watcher = nobody, workers: int = 1) 
     """
     claim(out, COMMAND, _NAMES)
     with _tidied(out / WORK), adding(out, *_NAMES) as folder:
-        return _reproduce(out, folder, wish, watch, workers)
+        return _reproduce(out, folder, request, watch, workers)
 
 
-def _reproduce(out: Path, folder: Path, wish: Wish, watch: Watcher, workers: int) -> Reproduced:
+def _reproduce(
+    out: Path, folder: Path, request: Request, watch: ProgressCallback, workers: int
+) -> Reproduced:
     """Measure into `out`/work, and write tables, figures and page into `folder`."""
-    settings = dict(FINE if wish.full else COARSE)
-    run = Reproduction(out / WORK, wish.trials, settings, watch)
-    drawn = _measure_and_draw(run, folder, wish, workers)
-    tables = tables_of(run, wish.tables)
-    _write_tables(folder, tables, wish)
+    settings = dict(FINE if request.full else COARSE)
+    run = Reproduction(out / WORK, request.trials, settings, watch)
+    drawn = _measure_and_draw(run, folder, request, workers)
+    tables = tables_of(run, request.tables)
+    _write_tables(folder, tables, request)
     balls = experiment_of(BALLS, settings)
-    contents = Contents(tables, drawn, balls, run.scatter, wish.trials)
+    contents = Contents(tables, drawn, balls, run.scatter, request.trials)
     page = write_paper_page(folder, contents)
     claims = tables["claims"].rows if "claims" in tables else ()
     write_result(folder, COMMAND, balls, _figures_of(claims))
     return Reproduced(out / page.name, tuple(_line(row) for row in claims))
 
 
-def _measure_and_draw(run: Reproduction, out: Path, wish: Wish, workers: int) -> dict[str, Path]:
+def _measure_and_draw(
+    run: Reproduction, out: Path, request: Request, workers: int
+) -> dict[str, Path]:
     """Draw the figures in their order; those that show no measurement while workers measure."""
-    of_cases = [name for name in wish.figures if FIGURES[name].cases]
-    plain = partial(_draw, run, out, [name for name in wish.figures if name not in of_cases])
+    of_cases = [name for name in request.figures if FIGURES[name].cases]
+    plain = partial(_draw, run, out, [name for name in request.figures if name not in of_cases])
     if workers > 1:
-        jobs = jobs_of(wish.tables, wish.figures, wish.trials)
+        jobs = jobs_of(request.tables, request.figures, request.trials)
         found = measure_ahead(run, jobs, local_workers(workers), plain)
     else:
         found = plain()
     if of_cases:
         run.all_cases()
         found |= _draw(run, out, of_cases)
-    return {name: found[name] for name in wish.figures}
+    return {name: found[name] for name in request.figures}
 
 
 def tables_of(run: Reproduction, names: Sequence[str]) -> dict[str, Table]:
@@ -198,10 +204,10 @@ def _remove_parts(work: Path) -> None:
         remove_leftovers(specimen)
 
 
-def _write_tables(out: Path, tables: Mapping[str, Table], wish: Wish) -> None:
+def _write_tables(out: Path, tables: Mapping[str, Table], request: Request) -> None:
     content = {
         "schema_version": 1,
-        "trials": wish.trials,
+        "trials": request.trials,
         "versions": versions(),
         "tables": {name: table.as_json() for name, table in tables.items()},
     }

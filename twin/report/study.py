@@ -14,7 +14,7 @@ from markupsafe import Markup
 
 from reconstruction.errors import InputError
 from twin.config.study import Objective
-from twin.pipeline.progress import Watcher, nobody
+from twin.pipeline.progress import ProgressCallback, no_progress
 from twin.report.page import (
     REPORT_FILE,
     STAGE,
@@ -73,7 +73,7 @@ class Shown:
 
 def write_study(
     folder: Path,
-    watch: Watcher = nobody,
+    watch: ProgressCallback = no_progress,
     objectives: Sequence[Objective] = (),
     into: Path | None = None,
     failed: Mapping[str, str] | None = None,

@@ -14,7 +14,7 @@ from twin.config.study import Study
 from twin.mechanics.choice import may_wrap
 from twin.optics.light import pattern_set
 from twin.output import read_json
-from twin.pipeline.progress import Watcher, nobody
+from twin.pipeline.progress import ProgressCallback, no_progress
 from twin.study.cases import Case, Cases
 from twin.study.engine import Run, SweepOutcome
 from twin.study.index import DAMAGED, Index, entry_of
@@ -141,7 +141,7 @@ def sweep(
     *,
     cases: Cases | None = None,
     retry: bool = False,
-    watch: Watcher = nobody,
+    watch: ProgressCallback = no_progress,
     make_measurer: Callable[[tuple[str, ...]], Measurer] = CaseMeasurer,
     inputs: Sequence[Path] = (),
 ) -> SweepOutcome:
