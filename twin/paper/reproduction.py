@@ -43,7 +43,7 @@ from twin.paper.trials import (
     trials_among,
 )
 from twin.pipeline.instruments import case_for
-from twin.pipeline.progress import Watcher, nobody
+from twin.pipeline.progress import ProgressCallback, no_progress
 from twin.study.cases import Case, case_of
 from twin.study.engine import SweepOutcome
 from twin.study.measuring import Measuring
@@ -75,7 +75,7 @@ class Reproduction:
     work: Path
     trials: int
     settings: Mapping[str, Any] = field(default_factory=lambda: dict(COARSE))
-    watch: Watcher = nobody
+    watch: ProgressCallback = no_progress
     workers: Workers = field(default_factory=lambda: local_workers(1))
 
     @cached_property

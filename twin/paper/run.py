@@ -27,7 +27,7 @@ from twin.paper.reproduction import Reproduction
 from twin.paper.rod_table import hardness_table, rods_table
 from twin.paper.sphere_tables import repeated_fit_table, sphere_fit_table, uncertainty_table
 from twin.paper.trials import inputs
-from twin.pipeline.progress import Watcher, nobody
+from twin.pipeline.progress import ProgressCallback, no_progress
 from twin.report.page import FIGURES_FOLDER, REPORT_FILE, figures_folder
 from twin.report.table import Cell, Table
 from twin.report.words import shown
@@ -79,7 +79,7 @@ TABLES: Mapping[str, Callable[[Reproduction], list[Table]]] = {
 
 
 @dataclass(frozen=True)
-class Wish:
+class Request:
     """What is asked for: repetitions, names of tables or figures (empty: all), all pixels."""
 
     trials: int
@@ -113,7 +113,9 @@ class Reproduced:
     lines: tuple[str, ...]
 
 
-def reproduce(out: Path, wish: Wish, watch: Watcher = nobody, workers: int = 1) -> Reproduced:
+def reproduce(
+    out: Path, request: Request, watch: ProgressCallback = no_progress, workers: int = 1
+) -> Reproduced:
     """Make everything asked for and write it into `out`; what lies there already is used.
 
     Parameters
@@ -129,10 +131,10 @@ def reproduce(out: Path, wish: Wish, watch: Watcher = nobody, workers: int = 1) 
     """
     claim(out, COMMAND, _NAMES)
     with lasting(local_workers(workers)) as kept, adding(out, *_NAMES) as folder:
-        settings = dict(FINE if wish.full else COARSE)
+        settings = dict(FINE if request.full else COARSE)
         _make_folder(out / WORK)
-        run = Reproduction(out / WORK, wish.trials, settings, watch, kept)
-        return _reproduce(out, folder, wish, run)
+        run = Reproduction(out / WORK, request.trials, settings, watch, kept)
+        return _reproduce(out, folder, request, run)
 
 
 def _make_folder(folder: Path) -> None:
@@ -142,13 +144,13 @@ def _make_folder(folder: Path) -> None:
         raise unwritable(folder, error) from None
 
 
-def _reproduce(out: Path, folder: Path, wish: Wish, run: Reproduction) -> Reproduced:
+def _reproduce(out: Path, folder: Path, request: Request, run: Reproduction) -> Reproduced:
     """Measure into `out`/work, and write tables, figures and page into `folder`."""
-    tables = tables_of(run, wish.tables)
-    drawn = _draw(run, folder, wish.figures)
-    _write_tables(folder, tables, wish)
+    tables = tables_of(run, request.tables)
+    drawn = _draw(run, folder, request.figures)
+    _write_tables(folder, tables, request)
     balls = experiment_of(BALLS, run.settings)
-    page = write_paper_page(folder, Contents(tables, drawn, balls, inputs(), wish.trials))
+    page = write_paper_page(folder, Contents(tables, drawn, balls, inputs(), request.trials))
     claims = tables["claims"].rows if "claims" in tables else ()
     write_result(folder, COMMAND, balls, _figures_of(claims))
     return Reproduced(out / page.name, tuple(_line(row) for row in claims))
@@ -173,10 +175,10 @@ def _draw(run: Reproduction, out: Path, names: Sequence[str]) -> dict[str, Path]
     return {name: folder / f"{name}.png" for name in names}
 
 
-def _write_tables(out: Path, tables: Mapping[str, Table], wish: Wish) -> None:
+def _write_tables(out: Path, tables: Mapping[str, Table], request: Request) -> None:
     content = {
         "schema_version": 1,
-        "trials": wish.trials,
+        "trials": request.trials,
         "versions": versions(),
         "tables": {name: table.as_json() for name, table in tables.items()},
     }

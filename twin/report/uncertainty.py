@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 
-from twin.pipeline.progress import Watcher, nobody
+from twin.pipeline.progress import ProgressCallback, no_progress
 from twin.report.canvas import (
     FAINT,
     FIT,
@@ -48,7 +48,7 @@ _HOW_TO_READ = (
 
 def write_uncertainty_page(
     folder: Path,
-    watch: Watcher = nobody,
+    watch: ProgressCallback = no_progress,
     into: Path | None = None,
     measurands: Sequence[str] = (),
 ) -> Path:

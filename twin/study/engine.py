@@ -14,7 +14,7 @@ from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field
 
 from reconstruction.errors import InputError
-from twin.pipeline.progress import Watcher, nobody
+from twin.pipeline.progress import ProgressCallback, no_progress
 from twin.study.cases import Case
 from twin.study.measuring import PLAINLY, StageReads
 from twin.study.order import batches_of, in_sharing_order
@@ -79,7 +79,7 @@ class Run:
     workers: Workers
     keep: tuple[str, ...] = ()
     make_measurer: MakeMeasurer = PLAINLY
-    watch: Watcher = nobody
+    watch: ProgressCallback = no_progress
     done: Callable[[Sequence[Report]], None] = lambda _: None
     _queue: deque[list[Case]] = field(default_factory=deque)
     _alone: deque[Case] = field(default_factory=deque)

@@ -22,7 +22,7 @@ from twin.config.digest import keyed_sequence
 from twin.output import read_json, replace_json, versions
 from twin.pipeline.calibration import calibrate_rendered, calibration_metrics
 from twin.pipeline.fringes import options_of
-from twin.pipeline.progress import Watcher, nobody
+from twin.pipeline.progress import ProgressCallback, no_progress
 from twin.results.record import Measurement
 from twin.results.score import metrics, score
 
@@ -77,7 +77,7 @@ def _correlated(covariance: FloatArray, normal: FloatArray) -> FloatArray:
 
 
 def calibrated(
-    folder: Path, experiment: Experiment, board: str, watch: Watcher = nobody
+    folder: Path, experiment: Experiment, board: str, watch: ProgressCallback = no_progress
 ) -> RigCovariance:
     """Return how well a calibration on rendered board poses knows the experiment's rig.
 

@@ -14,7 +14,7 @@ from twin.config.study import Study
 from twin.mechanics.choice import may_wrap
 from twin.optics.light import pattern_set
 from twin.output import read_json
-from twin.pipeline.progress import Watcher, nobody
+from twin.pipeline.progress import ProgressCallback, no_progress
 from twin.study.cases import Case, Cases
 from twin.study.engine import Run, SweepOutcome
 from twin.study.index import DAMAGED, Index, entry_of
@@ -166,7 +166,7 @@ def sweep(
     *,
     cases: Cases | None = None,
     retry: bool = False,
-    watch: Watcher = nobody,
+    watch: ProgressCallback = no_progress,
     make_measurer: MakeMeasurer | None = None,
     inputs: Sequence[Path] = (),
 ) -> SweepOutcome:
@@ -217,7 +217,7 @@ def run_cases(
     folder: Path,
     workers: Workers,
     *,
-    watch: Watcher = nobody,
+    watch: ProgressCallback = no_progress,
     make_measurer: MakeMeasurer = PLAINLY,
 ) -> SweepOutcome:
     """Compute cases that are no study of their own, where their store lacks them; as `sweep`."""
@@ -234,7 +234,7 @@ def _session(
     workers: Workers,
     keep: tuple[str, ...],
     make: MakeMeasurer,
-    watch: Watcher,
+    watch: ProgressCallback,
     *,
     retry: bool,
 ) -> Iterator[_Session]:
@@ -242,7 +242,7 @@ def _session(
         yield _Session(store, Run(store, kept, keep, make, watch, Index(store).enter), retry)
 
 
-def _measuring(record: StudyRecord, folder: Path, watch: Watcher) -> Measuring:
+def _measuring(record: StudyRecord, folder: Path, watch: ProgressCallback) -> Measuring:
     """Return what measures the cases of a study; calibrates the rig where its trials draw rigs.
 
     The rig is calibrated in this process: its last digits depend on how many threads the linear

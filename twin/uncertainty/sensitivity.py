@@ -14,7 +14,7 @@ from twin.config import ConfigError, Experiment, vary
 from twin.config.inputs import Input
 from twin.pipeline.memory import Memory
 from twin.pipeline.press import press
-from twin.pipeline.progress import Watcher, nobody
+from twin.pipeline.progress import ProgressCallback, no_progress
 from twin.results.face import face_figures
 from twin.study.best import is_number
 from twin.study.design import saltelli_shares
@@ -61,7 +61,7 @@ def sobol_of_face(
     base_points: int,
     *,
     seed: int = 0,
-    watch: Watcher = nobody,
+    watch: ProgressCallback = no_progress,
 ) -> dict[str, list[Effect]]:
     """Return Sobol' indices of figures of the pressed face: the cheap stage, without light.
 

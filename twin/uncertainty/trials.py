@@ -22,7 +22,7 @@ from twin.config.inputs import DEFAULT_INPUTS, Input, Inputs, load_inputs
 from twin.config.messages import explain
 from twin.config.study import Study
 from twin.output import EXPERIMENT_FILE, RESULT_FILE, adding, write_json
-from twin.pipeline.progress import Watcher, nobody
+from twin.pipeline.progress import ProgressCallback, no_progress
 from twin.results.parts import write_result
 from twin.study.best import is_number
 from twin.study.record import StudyRecord, write_record
@@ -51,7 +51,7 @@ def uncertainty(
     seed: int | None = None,
     workers: Workers | int = 1,
     coverage: float = COVERAGE,
-    watch: Watcher = nobody,
+    watch: ProgressCallback = no_progress,
 ) -> Uncertainty:
     """Repeat a measurement with its inputs drawn anew, and say what any of its figures is worth.
 
