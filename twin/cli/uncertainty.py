@@ -79,14 +79,8 @@ def uncertainty(
     from twin.study.workers import dask_workers, default_count, local_workers
     from twin.uncertainty.trials import record_of
 
-    record = record_of(
-        load(experiment, settings),
-        inputs,
-        trials,
-        calibration=calibration,
-        budget=budget,
-        seed=seed,
-    )
+    asked = load(experiment, settings), inputs, trials
+    record = record_of(*asked, calibration=calibration, budget=budget, seed=seed)
     who = dask_workers(cluster) if cluster else local_workers(workers or default_count())
     outcome = _swept(record, out, who, [experiment, Path(inputs)], retry)
     if outcome.finished < 3:  # the nominal one and two trials
