@@ -298,8 +298,10 @@ class Sheet:
 
     def _definite(self, control: FloatArray, state: SheetState, viscosity: float) -> float:
         """Factorise the tangent with as little viscosity as makes it definite; return that."""
+        # A lowered viscosity that is too low is nearly enough; more makes short steps for long.
+        growth = np.sqrt(_GROWTH) if viscosity else _GROWTH
         while not self._factorise(viscosity):
-            viscosity = max(_GROWTH * viscosity, _LEAST_VISCOSITY)
+            viscosity = max(growth * viscosity, _LEAST_VISCOSITY)
             if viscosity > _CONVEX_FROM:
                 break
         else:
