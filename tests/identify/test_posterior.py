@@ -10,7 +10,7 @@ from scipy.stats import multivariate_normal, norm, qmc
 from reconstruction.arrays import FloatArray
 from reconstruction.errors import InputError
 from twin.config.problem import Problem
-from twin.identify.emulator import Emulator, fit_emulator
+from twin.identify.emulator import fit_emulator
 from twin.identify.findings import (
     interval_of,
     predict_rows,
@@ -228,6 +228,9 @@ def test_too_few_figures_are_refused_in_one_line() -> None:
     figures[7:] = np.nan
     with pytest.raises(InputError, match="found 7 of 64 simulations with this figure, needed 8"):
         fit_emulator(places, figures, (0,))
+    figures[:19], figures[19:] = 1.0, np.nan
+    with pytest.raises(InputError, match=r"found 19 of 64 .* needed 20"):
+        fit_emulator(places, figures, (0, 1, 2))
 
 
 def test_the_same_seed_gives_the_same_samples() -> None:
@@ -237,12 +240,18 @@ def test_the_same_seed_gives_the_same_samples() -> None:
     assert sample(likelihood, 9).z.tobytes() == sample(likelihood, 9).z.tobytes()
 
 
-def test_predictions_are_the_librarys() -> None:
+def test_predictions_are_those_of_the_covariance_of_all_figures() -> None:
+    """A vague prior on the trend's coefficients, and conditioning on all figures at once."""
     places, figures = _simulated(noise=0.02)
-    found: Emulator = fit_emulator(places, figures, (0, 1))
-    process = found.process
-    mean, sd = process.predict(places[:, :2], return_std=True)
-    noise = process.kernel_.k2.noise_level
-    ours, our_sd = found._left_over(places[:, :2])
-    assert np.allclose(ours, mean, atol=1e-8)
-    assert np.allclose(our_sd**2 + noise, sd**2, atol=1e-8)
+    found = fit_emulator(places, figures, (0, 1))
+    unseen = np.random.default_rng(3).random((5, 3))
+    whole = np.concatenate((places, unseen))[:, :2]
+    i, j = np.triu_indices(2)
+    terms = np.concatenate((np.ones((69, 1)), whole, whole[:, i] * whole[:, j]), axis=1)
+    covariance = found.covariance(whole) + 1e6 * terms @ terms.T
+    noise = found.lower @ found.lower.T - found.covariance(places[:, :2])
+    inside = np.linalg.solve(covariance[:64, :64] + noise, covariance[:64, 64:])
+    mean, sd = found.predict(unseen)
+    assert np.allclose(inside.T @ figures, mean, atol=1e-4)
+    variance = np.diag(covariance[64:, 64:] - covariance[64:, :64] @ inside)
+    assert np.allclose(found.spread * found.widening * np.sqrt(variance), sd, rtol=1e-2)

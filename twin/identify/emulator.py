@@ -1,18 +1,18 @@
 """What the twin would find anywhere in the space of free fields, learned from its simulations.
 
-A Gaussian process per figure: quadratic trend, anisotropic Matern 5/2 covariance, noise of the
-simulations themselves (the camera's) in it. Its error is cross-validated in closed form (Rasmussen
-and Williams, Gaussian Processes for Machine Learning, 2006, eqs 5.10 to 5.12) and its stated
-uncertainty is widened where it was too small. Places are shares (0 to 1) of the free fields' axes.
+A Gaussian process per figure (universal kriging): quadratic trend, anisotropic Matern 5/2
+covariance, and the simulations' own noise (the camera's). Rasmussen and Williams, Gaussian
+Processes for Machine Learning (2006), eqs 2.41 and 2.42; its error is cross-validated in closed
+form (Dubrule, Mathematical Geology 15, 687-699, 1983), and its uncertainty is widened where that
+shows it too small. Places are shares (0 to 1) of the free fields' axes.
 """
 
 import warnings
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
-from scipy.linalg import cho_solve, lstsq
+from scipy.linalg import lstsq, solve_triangular
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import ConstantKernel, Matern, WhiteKernel
@@ -22,8 +22,10 @@ from reconstruction.errors import InputError
 
 _LEAST_POINTS = 8
 _RESTARTS = 2
-_LENGTHS = (0.05, 30.0)
+# Shares of an axis; what changes faster than the shortest cannot be told from the camera's noise.
+_LENGTHS = (0.2, 30.0)
 _NOISE = (1e-10, 1.0)
+_JITTER = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,24 +35,36 @@ class Emulator:
     Attributes
     ----------
     columns : which free fields it depends on
-    trend : (term,) coefficients of 1, x, x^2 and x y, in the figure's unit
-    process : what the trend leaves over, in units of `spread`
+    known : (point, column) places of the simulations that gave the figure
+    covariance : of the figure without noise, in units of `spread` squared
+    lower : Cholesky factor of the simulations' covariance, noise in it
+    trend, trend_lower : (term,) coefficients of 1, x, x^2 and x y, and the Cholesky factor of the
+        inverse of their covariance, in units of `spread`
+    terms : (point, term) the trend's terms at the simulations, over `lower`
+    left_over : (point,) inverse covariance times what the trend leaves of the figures
+    left_out : (point,) error at each simulation when it is predicted from all others
+    spread : what the trend leaves, RMS, in the figure's unit
     widening : factor on the process' own standard deviation, 1 or more
     missing : share of the simulations that gave no figure
     """
 
     columns: tuple[int, ...]
+    known: FloatArray
+    covariance: Any
+    lower: FloatArray
     trend: FloatArray
-    process: GaussianProcessRegressor
+    trend_lower: FloatArray
+    terms: FloatArray
+    left_over: FloatArray
+    left_out: FloatArray
     spread: float
     widening: float
     missing: float
-    residuals: FloatArray
 
     @property
     def cross_validated_rmse(self) -> float:
         """RMS error at simulations that the emulator has not seen, in the figure's unit."""
-        return float(np.sqrt(np.mean(self.residuals**2)))
+        return self.spread * float(np.sqrt(np.mean(self.left_out**2)))
 
     def predict(self, places: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return mean and standard deviation (n,) of the figure at places (n, free field).
@@ -58,20 +72,14 @@ class Emulator:
         The deviation is the emulator's own; the simulations' noise is not in it.
         """
         at = places[:, self.columns]
-        left, sd = self._left_over(at)
-        return _terms(at) @ self.trend + self.spread * left, self.spread * self.widening * sd
-
-    def _left_over(self, at: FloatArray) -> tuple[FloatArray, FloatArray]:
-        signal, known = self.process.kernel_.k1, self.process.X_train_
-        across = signal(at, known)
-        solved = np.linalg.solve(self._lower, across.T)
-        variance = signal.diag(at) - np.sum(solved**2, axis=0)
-        mean: FloatArray = across @ self.process.alpha_
-        return mean, np.sqrt(np.maximum(variance, 0.0))
-
-    @cached_property
-    def _lower(self) -> FloatArray:
-        return np.asarray(self.process.L_)
+        across, terms = self.covariance(at, self.known), _terms(at)
+        mean = terms @ self.trend + across @ self.left_over
+        seen = solve_triangular(self.lower, across.T, lower=True)
+        apart = terms.T - self.terms.T @ seen
+        open_trend = solve_triangular(self.trend_lower, apart, lower=True)
+        variance = self.covariance.diag(at) - np.sum(seen**2, axis=0)
+        variance = np.maximum(variance, 0.0) + np.sum(open_trend**2, axis=0)
+        return self.spread * mean, self.spread * self.widening * np.sqrt(variance)
 
 
 def fit_emulator(places: FloatArray, figures: FloatArray, columns: tuple[int, ...]) -> Emulator:
@@ -89,54 +97,62 @@ def fit_emulator(places: FloatArray, figures: FloatArray, columns: tuple[int, ..
     Raises
     ------
     InputError
-        Fewer than eight simulations gave the figure.
+        Fewer simulations gave the figure than are needed.
     """
     found = np.isfinite(figures)
-    if found.sum() < _LEAST_POINTS:
-        raise InputError(
-            f"found {found.sum()} of {found.size} simulations with this figure, needed "
-            f"{_LEAST_POINTS}; raise design.count or narrow the free fields"
-        )
     at, values = places[found][:, columns], figures[found]
-    trend = lstsq(_terms(at), values)[0]
-    left = values - _terms(at) @ trend
-    spread = float(left.std()) or max(float(np.abs(values).max()), 1.0) * 1e-12
-    process = _process(at, left / spread)
-    residuals, own_sd = _left_out(process, left / spread)
-    widening = max(1.0, float(np.sqrt(np.mean((residuals / own_sd) ** 2))))
+    terms = _terms(at)
+    needed = max(_LEAST_POINTS, 2 * terms.shape[1])
+    if found.sum() < needed:
+        raise InputError(
+            f"found {found.sum()} of {found.size} simulations with this figure, needed {needed}; "
+            "raise design.count or narrow the free fields"
+        )
+    left = values - terms @ lstsq(terms, values)[0]
+    # A figure that the trend meets exactly has nothing left over to scale with.
+    spread = max(float(left.std()), _JITTER * max(1.0, float(np.abs(values).max())))
+    parts = _universal(at, values / spread, _kernel(at, left / spread))
     return Emulator(
-        columns=columns,
-        trend=trend,
-        process=process,
-        spread=spread,
-        widening=widening,
-        missing=float(1.0 - found.mean()),
-        residuals=residuals * spread,
+        columns=columns, known=at, spread=spread, missing=float(1.0 - found.mean()), **parts
     )
 
 
+def _universal(at: FloatArray, scaled: FloatArray, kernel: Any) -> dict[str, Any]:
+    """Return an emulator's parts for figures of unit spread, trend and its uncertainty included."""
+    lower = np.linalg.cholesky(kernel(at) + _JITTER * np.eye(scaled.size))
+    inverse = solve_triangular(lower, np.eye(scaled.size), lower=True)
+    terms, figures = inverse @ _terms(at), inverse @ scaled
+    trend = lstsq(terms, figures)[0]
+    basis = np.linalg.qr(terms)[0]
+    # What is left of the inverse covariance when the trend is fitted, too.
+    free = inverse.T @ (inverse - basis @ (basis.T @ inverse))
+    own = 1.0 / np.diag(free)
+    left_out = (free @ scaled) * own
+    return {
+        "covariance": kernel.k1,
+        "lower": lower,
+        "trend": trend,
+        "terms": terms,
+        "trend_lower": np.linalg.cholesky(terms.T @ terms),
+        "left_over": inverse.T @ (figures - terms @ trend),
+        "widening": max(1.0, float(np.sqrt(np.mean(left_out**2 / own)))),
+        "left_out": left_out,
+    }
+
+
 def _terms(at: FloatArray) -> FloatArray:
-    """Return (n, term): 1, x and, where there are points enough to tell, squares and products."""
-    ones = np.ones((len(at), 1))
+    """Return (n, term): 1, x, and squares and products of x."""
     i, j = np.triu_indices(at.shape[1])
-    return np.concatenate((ones, at, at[:, i] * at[:, j]), axis=1)
+    return np.concatenate((np.ones((len(at), 1)), at, at[:, i] * at[:, j]), axis=1)
 
 
-def _process(at: FloatArray, left: FloatArray) -> GaussianProcessRegressor:
+def _kernel(at: FloatArray, left: FloatArray) -> Any:
+    """Return the most likely covariance of what a trend leaves, of unit spread."""
     signal = ConstantKernel(1.0, (1e-3, 1e4)) * Matern(np.ones(at.shape[1]), _LENGTHS, nu=2.5)
-    process: Any = GaussianProcessRegressor(
-        signal + WhiteKernel(1e-2, _NOISE),
-        n_restarts_optimizer=_RESTARTS,
-        random_state=0,
+    process = GaussianProcessRegressor(
+        signal + WhiteKernel(0.1, _NOISE), n_restarts_optimizer=_RESTARTS, random_state=0
     )
     with warnings.catch_warnings():
         # A length at its bound is a field that does not matter, or no noise: both are answers.
         warnings.simplefilter("ignore", ConvergenceWarning)
-        return process.fit(at, left)
-
-
-def _left_out(process: GaussianProcessRegressor, left: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the residual of each point predicted from all others, and its own deviation."""
-    inverse = cho_solve((process.L_, True), np.eye(left.size))
-    own = 1.0 / np.diag(inverse)
-    return inverse @ left * own, np.sqrt(own)
+        return process.fit(at, left).kernel_
