@@ -2,7 +2,7 @@
 
     ./run bench all             run everything, print the table
     ./run bench all --check     compare with targets and benchmarks/baselines.toml; writes nothing
-    ./run bench all --update    accept what is found: write the baselines and the README's table
+    ./run bench all --update    accept what is found: write the baselines and both tables
     --quick                     leave out what takes long
     --only CASE                 only this case, repeatable
 
@@ -27,13 +27,14 @@ from benchmarks.regression.baselines import (
     replace_text,
     write_baselines,
 )
-from benchmarks.regression.cases import Case
-from benchmarks.regression.figures import Estimate
+from benchmarks.regression.cases import BenchmarkCase
+from benchmarks.regression.figures import MeanOfRuns
 from benchmarks.regression.registry import ACCURACY_FIGURES, CASES, FIGURES
 from benchmarks.regression.runs import Found, again, failures, run_cases
 from reconstruction.errors import InputError
 
 README = Path(__file__).parents[1] / "README.md"
+ALL_FIGURES = Path(__file__).parents[1] / "docs" / "benchmarks.md"
 BASELINES = Path(__file__).with_name("baselines.toml")
 
 
@@ -72,13 +73,13 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     )
     act = parser.add_mutually_exclusive_group()
     act.add_argument("--check", action="store_true", help="compare with the baselines")
-    act.add_argument("--update", action="store_true", help="write baselines and README table")
+    act.add_argument("--update", action="store_true", help="write baselines and tables")
     parser.add_argument("--quick", action="store_true", help="leave out what takes long")
     parser.add_argument("--only", action="append", default=[], metavar="CASE", help="repeatable")
     return parser.parse_args(arguments)
 
 
-def chosen_cases(only: list[str], quick: bool) -> tuple[Case, ...]:
+def chosen_cases(only: list[str], quick: bool) -> tuple[BenchmarkCase, ...]:
     """Return the cases asked for; `--only` goes before `--quick`.
 
     Raises
@@ -95,7 +96,7 @@ def chosen_cases(only: list[str], quick: bool) -> tuple[Case, ...]:
     return tuple(case for case in CASES if case.quick or not quick)
 
 
-def check(cases: tuple[Case, ...], found: Found, baselines: Baselines) -> dict[str, str]:
+def check(cases: tuple[BenchmarkCase, ...], found: Found, baselines: Baselines) -> dict[str, str]:
     """Return what failed; a speed that did is measured once more before."""
     known = baselines.figures
     failed = failures(cases, found.estimates, known, ACCURACY_FIGURES)
@@ -107,13 +108,24 @@ def check(cases: tuple[Case, ...], found: Found, baselines: Baselines) -> dict[s
     return failures(cases, found.estimates, known, ACCURACY_FIGURES)
 
 
-def update(baselines: Baselines, estimates: dict[str, Estimate]) -> None:
-    """Accept what was found: write the baselines, then the README's table from them."""
+def update(baselines: Baselines, estimates: dict[str, MeanOfRuns]) -> None:
+    """Accept what was found: write the baselines, then the two tables from them."""
     accepted = baselines.updated(estimates, datetime.now(UTC).date().isoformat(), machine())
-    made = readme.with_table(README.read_text(encoding="utf-8"), readme.table(CASES, accepted))
+    made = pages(accepted)
     write_baselines(accepted, FIGURES, BASELINES)
-    replace_text(README, made)
-    print(f"{len(estimates)} baselines and the README's table written")
+    for path, text in made.items():
+        replace_text(path, text)
+    print(f"{len(estimates)} baselines and the tables of README and docs/benchmarks.md written")
+
+
+def pages(baselines: Baselines) -> dict[Path, str]:
+    """Return README and docs/benchmarks.md with the tables of these baselines."""
+    return {
+        path: readme.with_table(
+            path.read_text(encoding="utf-8"), readme.table(CASES, baselines, headlines)
+        )
+        for path, headlines in ((README, True), (ALL_FIGURES, False))
+    }
 
 
 def table_of(found: Found, baselines: Baselines) -> str:

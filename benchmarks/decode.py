@@ -27,7 +27,7 @@ from reconstruction.decoding.decode import DecodeOptions, decode
 from reconstruction.patterns import AXES, PatternSet
 from reconstruction.rig.calibration import Calibration, Pinhole
 from reconstruction.rig.sensor import SensorNoise
-from reconstruction.triangulation.triangulate import PointMap, triangulate
+from reconstruction.triangulation import PointMap, triangulate
 
 FULL = (1464, 1936)
 QUICK = (366, 484)

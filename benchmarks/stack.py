@@ -43,7 +43,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true", help="968 x 732 instead of 1936 x 1464")
     backend = activate()
-    case = Case.of_film(2 if parser.parse_args().quick else 1)
+    case = StackCase.of_film(2 if parser.parse_args().quick else 1)
     print(f"{backend.variant}: {case.frames} frames at {case.size}, {case.samples} samples")
     if case.rig.shadows:
         raise SystemExit(
@@ -72,7 +72,7 @@ def peak_memory_gib() -> float:
 
 
 @dataclass(frozen=True)
-class Case:
+class StackCase:
     """The paper's sensor with two balls pressed in, ready to be traced."""
 
     experiment: Experiment
@@ -83,7 +83,7 @@ class Case:
     tables: Any
 
     @classmethod
-    def of_film(cls, binning: int) -> "Case":
+    def of_film(cls, binning: int) -> "StackCase":
         """Press, mesh and load."""
         from twin.optics.light import light_tables, pattern_set
         from twin.optics.scene import coated_rig, coated_scene
@@ -104,7 +104,7 @@ class Case:
             light_tables(experiment.projector, patterns),
         )
 
-    def with_shadow_rays(self) -> "Case":
+    def with_shadow_rays(self) -> "StackCase":
         """Return the same traced with shadow rays, needed or not."""
         return replace(self, rig=replace(self.rig, shadows=True))
 
@@ -140,8 +140,8 @@ class Case:
     def stock_scene(self) -> Any:
         """Load the same scene for stock Mitsuba, with the first frame."""
         from twin.optics import stock
-        from twin.optics.coat import coated_mesh, coating_bsdf
         from twin.optics.device_frames import perspective_sensor
+        from twin.optics.materials import coated_mesh, coating_bsdf
 
         camera, (texture, canvas) = self.rig.camera, self.texture(0)
         return stock.frame_scene(
@@ -151,7 +151,7 @@ class Case:
         )
 
 
-def against_one_frame(case: Case) -> dict[str, float]:
+def against_one_frame(case: StackCase) -> dict[str, float]:
     """Seconds of a stack, with shadow rays and without, and of one stock frame, and the ratios."""
     from twin.optics import stock
 
@@ -181,7 +181,7 @@ def against_all_frames() -> dict[str, float]:
 
     from twin.optics import stock
 
-    case = Case.of_film(SMALL_FILM_BINNING)
+    case = StackCase.of_film(SMALL_FILM_BINNING)
     scene = case.stock_scene()
     case.trace()
     stock.render_frame(scene, 0)

@@ -16,10 +16,9 @@ from pathlib import Path
 import imageio.v3 as imageio
 import numpy as np
 
-from reconstruction.capture.description import assignments
+from reconstruction.capture.description import assignments, file_names, write_patterns
 from reconstruction.capture.folder import Capture
 from reconstruction.capture.frame_set import FORMAT, VERSION
-from reconstruction.capture.pattern_files import file_names, write_patterns
 from reconstruction.rig.calibration import write_calibration
 from twin.config import load_experiment
 from twin.pipeline import Recording, press_specimen, record

@@ -26,14 +26,14 @@ if TYPE_CHECKING:
     from reconstruction import calibration, evaluate, photometric
     from reconstruction.calibration import calibrate
     from reconstruction.capture.folder import Capture, read_capture, write_capture
+    from reconstruction.decoding import DecodeOptions
     from reconstruction.decoding.decode import decode
-    from reconstruction.decoding.decoded import DecodeOptions
     from reconstruction.patterns import PatternSet
     from reconstruction.pipeline import ReconstructOptions, reconstruct
     from reconstruction.rig.calibration import Calibration
     from reconstruction.rig.pinhole import Pinhole
     from reconstruction.rig.sensor import SensorNoise
-    from reconstruction.triangulation.triangulate import triangulate
+    from reconstruction.triangulation import triangulate
 
 __all__ = [
     "Calibration",
@@ -59,7 +59,7 @@ _ROOMS = ("calibration", "evaluate", "photometric")
 _MODULE_OF = {
     "Calibration": "rig.calibration",
     "Capture": "capture.folder",
-    "DecodeOptions": "decoding.decoded",
+    "DecodeOptions": "decoding",
     "PatternSet": "patterns",
     "Pinhole": "rig.pinhole",
     "ReconstructOptions": "pipeline",
@@ -68,7 +68,7 @@ _MODULE_OF = {
     "decode": "decoding.decode",
     "read_capture": "capture.folder",
     "reconstruct": "pipeline",
-    "triangulate": "triangulation.triangulate",
+    "triangulate": "triangulation",
     "write_capture": "capture.folder",
 }
 

@@ -13,7 +13,7 @@ from typing import Any, TypeVar, cast
 
 import numba
 
-from reconstruction.cores import threads
+from reconstruction.machine import threads
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -22,7 +22,7 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 BAND_ROWS = 16
 
 # Every file whose code or constants end up in a kernel.
-KERNEL_SOURCES = ("**/_[!_]*.py", "mask.py", "rig/pinhole.py", "rig/sensor.py")
+KERNEL_SOURCES = ("**/_[!_]*.py", "arrays.py", "rig/pinhole.py", "rig/sensor.py")
 
 # Division by zero gives inf as in numpy. Fused multiply-add is allowed, but not the fast arithmetic
 # that assumes there are no NaNs: a damaged float stack must not pass a threshold.

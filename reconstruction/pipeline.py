@@ -1,13 +1,23 @@
-"""The whole way from a capture to points."""
+"""The whole way from a capture to points, and to files for other programs.
 
+Files: organised netCDF maps and point clouds as binary PLY.
+"""
+
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
 
+import h5netcdf
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
-from reconstruction.arrays import BoolImage
+from reconstruction.arrays import BoolImage, Reason
 from reconstruction.capture.folder import Capture
-from reconstruction.decoding.decode import Decoded, DecodeOptions, decode
-from reconstruction.triangulation.triangulate import EpipolarTolerance, PointMap, Use, triangulate
+from reconstruction.decoding.decode import AxisDecode, Decoded, DecodeOptions, decode
+from reconstruction.errors import CaptureError, InputError
+from reconstruction.machine import writing_netcdf
+from reconstruction.triangulation import EpipolarTolerance, PointMap, Use, triangulate
 
 
 @dataclass(frozen=True)
@@ -58,3 +68,154 @@ def filter_bias(found: Reconstruction, use: Use, where: BoolImage) -> tuple[floa
     share = np.max([axis.bias_share[where] for axis in chosen], axis=0)
     variance_um2 = 1e6 * found.point_map.sigma_z_mm[where].astype(np.float64) ** 2
     return float(np.sqrt(np.mean(variance_um2 * share))), float(np.mean(share > 0.5))
+
+
+PLY_TYPES = {"float32": "float", "float64": "double", "uint16": "ushort", "int32": "int"}
+DIMENSIONS = ("row", "col")
+POSE = "T_world_from_cam"
+UNITS = {"mm": "mm", "px": "px", "rad": "rad", "dn": "DN"}
+Maps = dict[str, NDArray[Any]]
+
+
+def write_ply(
+    path: Path | str,
+    points_mm: ArrayLike,
+    scalars: Mapping[str, NDArray[Any]] | None = None,
+    comments: tuple[str, ...] = ("units mm",),
+) -> None:
+    """Write points and values per point as little-endian binary PLY.
+
+    Parameters
+    ----------
+    points_mm : (n, 3) float; stored in single precision
+    scalars : further vertex properties, each (n,) of float32, float64, uint16 or int32
+    comments : lines of the header
+    """
+    points = np.asarray(points_mm, dtype=np.float32)
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise InputError(f"points for {path} have shape {points.shape}; give (n, 3)")
+    columns: dict[str, NDArray[Any]] = {
+        name: points[:, i] for i, name in enumerate(("x", "y", "z"))
+    }
+    columns.update(scalars or {})
+    table = _vertex_table(columns, len(points))
+    header = _ply_header(columns, len(points), comments)
+    Path(path).write_bytes(header.encode("ascii") + table.tobytes())
+
+
+def _vertex_table(columns: Mapping[str, NDArray[Any]], count: int) -> NDArray[np.void]:
+    for name, values in columns.items():
+        if values.shape != (count,) or values.dtype.name not in PLY_TYPES:
+            raise InputError(
+                f"PLY property {name} is {values.dtype} {values.shape}; "
+                f"give ({count},) of {', '.join(PLY_TYPES)}"
+            )
+    layout = [(name, values.dtype.newbyteorder("<")) for name, values in columns.items()]
+    table = np.zeros(count, dtype=layout)
+    for name, values in columns.items():
+        table[name] = values
+    return table
+
+
+def _ply_header(columns: Mapping[str, NDArray[Any]], count: int, comments: tuple[str, ...]) -> str:
+    lines = ["ply", "format binary_little_endian 1.0"]
+    lines += [f"comment {comment}" for comment in comments]
+    lines += [f"element vertex {count}"]
+    lines += [f"property {PLY_TYPES[v.dtype.name]} {name}" for name, v in columns.items()]
+    return "\n".join([*lines, "end_header", ""])
+
+
+def write_point_map_ply(path: Path | str, point_map: PointMap) -> None:
+    """Write the valid points row by row, with sigma_*_mm and the pixel (row, col) of each."""
+    row, col = np.nonzero(point_map.valid)
+    sigma_mm = point_map.sigma_xyz_mm[row, col]
+    scalars: Maps = {f"sigma_{name}_mm": sigma_mm[:, i] for i, name in enumerate("xyz")}
+    scalars |= {
+        "row": row.astype(np.uint16),
+        "col": col.astype(np.uint16),
+    }
+    comments = ("frame world, z up", "units mm", "order row-major, valid pixels only")
+    write_ply(path, point_map.points_world_mm[row, col], scalars, comments)
+
+
+def write_reconstruction(path: Path | str, decoded: Decoded, point_map: PointMap) -> None:
+    """Write all maps of a reconstruction as netCDF-4, one (row, col) variable each."""
+    with writing_netcdf(path) as file:
+        file.dimensions = dict(zip(DIMENSIONS, point_map.mask_reason.shape, strict=True))
+        file.attrs["frame"] = "world: z = 0 is the undeformed coated face, z up; row 0 at the top"
+        file.attrs[POSE] = point_map.T_world_from_cam.ravel()
+        for name, values in _variables(decoded, point_map).items():
+            variable = file.create_variable(
+                name, DIMENSIONS, data=values, compression="gzip", compression_opts=1, shuffle=True
+            )
+            variable.attrs["units"] = _units(name)
+        codes = file.variables["mask_reason"].attrs
+        codes["comment"] = "where it is not 0, points and their sigmas are 0 and no values"
+        codes["flag_values"] = np.array([int(reason) for reason in Reason], np.uint8)
+        codes["flag_meanings"] = " ".join(reason.name for reason in Reason)
+
+
+def read_reconstruction(path: Path | str) -> Reconstruction:
+    """Read what `write_reconstruction` wrote.
+
+    Raises
+    ------
+    CaptureError : missing or damaged file, or a map is missing
+    """
+    try:
+        with h5netcdf.File(Path(path), "r") as file:
+            maps = {name: np.asarray(variable[...]) for name, variable in file.variables.items()}
+            if POSE in file.attrs:
+                maps[POSE] = np.asarray(file.attrs[POSE], dtype=np.float64).reshape(4, 4)
+    except OSError as error:
+        reason = " ".join(str(error).split())
+        raise CaptureError(f"{path}: is no complete netCDF-4 file ({reason})") from error
+    try:
+        return _from_variables(maps)
+    except KeyError as error:
+        raise CaptureError(f"{path}: the map {error} is missing") from error
+
+
+def _variables(decoded: Decoded, point_map: PointMap) -> Maps:
+    maps: Maps = {f"{name}_mm": point_map.points_world_mm[..., i] for i, name in enumerate("xyz")}
+    maps |= {f"sigma_{name}_mm": point_map.sigma_xyz_mm[..., i] for i, name in enumerate("xyz")}
+    maps |= {"mask_reason": point_map.mask_reason}
+    for axis, data in (("column", decoded.column), ("row", decoded.row)):
+        maps |= {name: getattr(data, field) for field, name in _axis_names(axis).items()}
+    return maps
+
+
+def _axis_names(axis: str) -> dict[str, str]:
+    """Return the variable of each field of AxisDecode; mean and modulation default to column."""
+    suffix = "" if axis == "column" else f"_{axis}"
+    return {
+        "coordinate_px": f"{axis}_px",
+        "sigma_px": f"sigma_{axis}_px",
+        "phase_rad": f"phase_{axis}_rad",
+        "order": f"order_{axis}",
+        "mean_dn": f"mean{suffix}_dn",
+        "modulation_dn": f"modulation{suffix}_dn",
+        "residual_dn": f"residual{suffix}_dn",
+        "order_error": f"order_error_{axis}",
+        "bias_share": f"bias_share_{axis}",
+    }
+
+
+def _from_variables(maps: Maps) -> Reconstruction:
+    column, row = (
+        AxisDecode(**{field: maps[name] for field, name in _axis_names(axis).items()})
+        for axis in ("column", "row")
+    )
+    reason = maps["mask_reason"].astype(np.uint8)
+    # The last two reasons arise in triangulation: such a pixel was decoded.
+    decoded_reason = np.where(reason < Reason.EPIPOLAR_MISMATCH, reason, 0).astype(np.uint8)
+    points, sigma = (
+        np.stack([maps[f"{before}{name}_mm"] for name in "xyz"], axis=-1).astype(np.float32)
+        for before in ("", "sigma_")
+    )
+    point_map = PointMap(points, sigma, reason, maps[POSE])
+    return Reconstruction(Decoded(column, row, decoded_reason), point_map)
+
+
+def _units(name: str) -> str:
+    return UNITS.get(name.rsplit("_", 1)[-1], "1")

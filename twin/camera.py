@@ -26,8 +26,8 @@ from numba import vectorize
 from numpy.typing import NDArray
 
 from reconstruction.arrays import FloatImage
-from reconstruction.cores import threads
 from reconstruction.errors import InputError
+from reconstruction.machine import threads
 from reconstruction.rig.sensor import SensorNoise
 from twin.config import Experiment, seed_sequence
 from twin.config.models import Camera

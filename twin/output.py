@@ -20,9 +20,8 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from reconstruction.disk import is_disk_full, unwritable
 from reconstruction.errors import InputError
-from twin.interruption import signals_held
+from reconstruction.machine import is_disk_full, unwritable
 from twin.manifest import (
     MANIFEST_FILE,
     enter,
@@ -33,7 +32,7 @@ from twin.manifest import (
     read_manifest,
     write_manifest,
 )
-from twin.working import remove_leftovers, working_folder
+from twin.working import remove_leftovers, signals_held, working_folder
 
 RESULT_FILE = "result.json"
 EXPERIMENT_FILE = "experiment.toml"

@@ -1,7 +1,7 @@
 """The committed baselines: value, standard uncertainty, number of runs, date, versions, machine.
 
-Beside them lie the stated rows of the README's table: figures that take too long, or a machine of
-its own, to be measured with the others. They are written by hand, with date and command.
+Beside them lie stated rows: figures that take too long, or a machine of its own, to be measured
+with the others. They are written by hand, with date and command.
 """
 
 import os
@@ -13,14 +13,14 @@ from typing import Any
 
 import tomli_w
 
-from benchmarks.regression.figures import Estimate, Figure
+from benchmarks.regression.figures import GuardedFigure, MeanOfRuns
 from reconstruction.errors import InputError
 from twin.output import versions
 
 NAMED = ("fringe-twin", "mitsuba", "drjit", "numpy")
 HEADER = """\
 # Baselines of the regression benchmarks. [figure] is written by `./run bench all --update`;
-# [stated], by hand, are further rows of the README's table. See docs/benchmarks.md.
+# [stated] are further rows, by hand; headline rows stand in the README. See docs/benchmarks.md.
 
 """
 
@@ -29,7 +29,7 @@ HEADER = """\
 class Baseline:
     """What a figure was when it was last accepted."""
 
-    estimate: Estimate
+    estimate: MeanOfRuns
     date: str
     versions: str
     machine: str
@@ -37,7 +37,7 @@ class Baseline:
 
 @dataclass(frozen=True)
 class Stated:
-    """A row of the README's table that nothing here measures."""
+    """A row that nothing here measures; a headline stands in the README's table, too."""
 
     name: str
     what: str
@@ -45,6 +45,7 @@ class Stated:
     measured: str
     how: str
     date: str
+    headline: bool = False
 
 
 @dataclass(frozen=True)
@@ -54,7 +55,7 @@ class Baselines:
     figures: Mapping[str, Baseline]
     stated: tuple[Stated, ...] = ()
 
-    def updated(self, found: Mapping[str, Estimate], date: str, machine: str) -> "Baselines":
+    def updated(self, found: Mapping[str, MeanOfRuns], date: str, machine: str) -> "Baselines":
         """Return these with new values of the figures found."""
         named = named_versions()
         new = {name: Baseline(value, date, named, machine) for name, value in found.items()}
@@ -90,7 +91,9 @@ def read_baselines(path: Path) -> Baselines:
         ) from None
 
 
-def write_baselines(baselines: Baselines, registry: Mapping[str, Figure], path: Path) -> None:
+def write_baselines(
+    baselines: Baselines, registry: Mapping[str, GuardedFigure], path: Path
+) -> None:
     """Write the baselines whole or not at all, in the registry's order, others dropped."""
     content = {
         "figure": {
@@ -99,7 +102,7 @@ def write_baselines(baselines: Baselines, registry: Mapping[str, Figure], path: 
             if name in baselines.figures
         },
         "stated": {
-            row.name: _fields(row, ("what", "target", "measured", "how", "date"))
+            row.name: _fields(row, ("what", "target", "measured", "how", "date", "headline"))
             for row in baselines.stated
         },
     }
@@ -117,11 +120,11 @@ def replace_text(path: Path, text: str) -> None:
 
 
 def _baseline(table: Mapping[str, Any]) -> Baseline:
-    estimate = Estimate(float(table["value"]), float(table["standard_uncertainty"]), table["n"])
+    estimate = MeanOfRuns(float(table["value"]), float(table["standard_uncertainty"]), table["n"])
     return Baseline(estimate, table["date"], table["versions"], table["machine"])
 
 
-def _table(figure: Figure, baseline: Baseline) -> dict[str, Any]:
+def _table(figure: GuardedFigure, baseline: Baseline) -> dict[str, Any]:
     estimate = _fields(baseline.estimate, ("value", "standard_uncertainty", "n"))
     return {"what": figure.what} | estimate | _fields(baseline, ("date", "versions", "machine"))
 

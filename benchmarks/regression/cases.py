@@ -3,29 +3,29 @@
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
-from benchmarks.regression.figures import Figure, Values
+from benchmarks.regression.figures import GuardedFigure, Values
 
 
 @dataclass(frozen=True)
-class Case:
+class BenchmarkCase:
     """Figures that are measured together.
 
     Attributes
     ----------
     name, figures
-    how : for the README's table
+    how : image size and repetitions
     measure : returns values of every figure
     quick : runs with `--quick` too
     """
 
     name: str
     how: str
-    figures: tuple[Figure, ...]
+    figures: tuple[GuardedFigure, ...]
     measure: Callable[[], Values]
     quick: bool = True
 
 
-def figures_of(cases: Iterable[Case]) -> dict[str, Figure]:
+def figures_of(cases: Iterable[BenchmarkCase]) -> dict[str, GuardedFigure]:
     """Return all figures by name, in order."""
     return {figure.name: figure for case in cases for figure in case.figures}
 

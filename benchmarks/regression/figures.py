@@ -32,13 +32,14 @@ class Target:
 
 
 @dataclass(frozen=True)
-class Figure:
+class GuardedFigure:
     """One named figure.
 
     Attributes
     ----------
     name : ends with its unit; without one it is a ratio or a count
-    what : for the README's table
+    what : what was measured, which statistic of it, and its unit
+    headline : stands in the README's table, too
     kind : against its baseline "accuracy" fails outside the combined uncertainty, "speed" (a ratio
         inside one run, or memory) when worse by `factor`, "absolute" (seconds, points per hour)
         never
@@ -57,6 +58,7 @@ class Figure:
     floor_rel: float = 0.0
     factor: float = 1.5
     higher_is_better: bool = False
+    headline: bool = False
 
     def floor_of(self, baseline: float) -> float:
         """Return the type-B standard uncertainty of a comparison with the baseline."""
@@ -64,7 +66,7 @@ class Figure:
 
 
 @dataclass(frozen=True)
-class Estimate:
+class MeanOfRuns:
     """Mean of n runs and its type-A standard uncertainty, 0 for a single one."""
 
     value: float
@@ -72,7 +74,7 @@ class Estimate:
     n: int = 1
 
     @classmethod
-    def of(cls, values: Sequence[float]) -> "Estimate":
+    def of(cls, values: Sequence[float]) -> "MeanOfRuns":
         """Return the mean of the values and its standard uncertainty, s / sqrt(n).
 
         Raises

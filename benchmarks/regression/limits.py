@@ -21,14 +21,14 @@ from dataclasses import dataclass
 
 from scipy.special import stdtrit
 
-from benchmarks.regression.figures import Estimate, Figure
+from benchmarks.regression.figures import GuardedFigure, MeanOfRuns
 
 FALSE_ALARMS_PER_RUN = 0.01
 BUSY_MACHINE = 2.0
 
 
 @dataclass(frozen=True)
-class Verdict:
+class Judgement:
     """A figure against its baseline or target; `limit`: how far it may be off, or the worst."""
 
     passed: bool
@@ -36,10 +36,12 @@ class Verdict:
     text: str
 
 
-def judge(figure: Figure, found: Estimate, baseline: Estimate, accuracy_figures: int) -> Verdict:
+def judge(
+    figure: GuardedFigure, found: MeanOfRuns, baseline: MeanOfRuns, accuracy_figures: int
+) -> Judgement:
     """Compare a figure with its baseline; `accuracy_figures` share the false-alarm rate."""
     if figure.kind == "absolute":
-        return Verdict(True, math.inf, "judged by its target only")
+        return Judgement(True, math.inf, "judged by its target only")
     if figure.kind == "speed":
         return _judge_speed(figure, found.value, baseline.value)
     floor = figure.floor_of(baseline.value)
@@ -47,26 +49,26 @@ def judge(figure: Figure, found: Estimate, baseline: Estimate, accuracy_figures:
     limit = coverage_factor(found, baseline, floor, accuracy_figures) * combined
     off = abs(found.value - baseline.value)
     # Zero uncertainty on both sides and no floor: only the very same number passes.
-    return Verdict(off <= limit, limit, f"off by {off:.2g}, allowed {limit:.2g}")
+    return Judgement(off <= limit, limit, f"off by {off:.2g}, allowed {limit:.2g}")
 
 
-def judge_target(figure: Figure, value: float) -> Verdict:
+def judge_target(figure: GuardedFigure, value: float) -> Judgement:
     """Compare a figure with its target; without one it passes."""
     if figure.target is None:
-        return Verdict(True, math.inf, "no target")
+        return Judgement(True, math.inf, "no target")
     low, high, slack, text = figure.target.low, figure.target.high, 1.0, f"target {figure.target}"
     if figure.kind == "absolute":
         slack, text = BUSY_MACHINE, f"{text}, by {BUSY_MACHINE:g} off on a busy machine"
     passed = low / slack <= value <= high * slack
-    return Verdict(passed, low / slack if math.isinf(high) else high * slack, text)
+    return Judgement(passed, low / slack if math.isinf(high) else high * slack, text)
 
 
-def combined_uncertainty(found: Estimate, baseline: Estimate, floor: float) -> float:
+def combined_uncertainty(found: MeanOfRuns, baseline: MeanOfRuns, floor: float) -> float:
     """Return the standard uncertainty of the difference."""
     return math.hypot(found.standard_uncertainty, baseline.standard_uncertainty, floor)
 
 
-def coverage_factor(found: Estimate, baseline: Estimate, floor: float, figures: int) -> float:
+def coverage_factor(found: MeanOfRuns, baseline: MeanOfRuns, floor: float, figures: int) -> float:
     """Return Student's two-sided quantile for one of so many figures."""
     share = -math.expm1(math.log1p(-FALSE_ALARMS_PER_RUN) / figures)
     dof = degrees_of_freedom(found, baseline, floor)
@@ -74,15 +76,15 @@ def coverage_factor(found: Estimate, baseline: Estimate, floor: float, figures: 
     return -float(stdtrit(dof, share / 2.0))
 
 
-def degrees_of_freedom(found: Estimate, baseline: Estimate, floor: float) -> float:
+def degrees_of_freedom(found: MeanOfRuns, baseline: MeanOfRuns, floor: float) -> float:
     """Return the effective degrees of freedom by Welch and Satterthwaite."""
     spent = sum(one.standard_uncertainty**4 / (one.n - 1) for one in (found, baseline) if one.n > 1)
     return combined_uncertainty(found, baseline, floor) ** 4 / spent if spent else math.inf
 
 
-def _judge_speed(figure: Figure, value: float, baseline: float) -> Verdict:
+def _judge_speed(figure: GuardedFigure, value: float, baseline: float) -> Judgement:
     if figure.higher_is_better:
         limit = baseline / figure.factor
-        return Verdict(value >= limit, limit, f"at least {limit:.3g}")
+        return Judgement(value >= limit, limit, f"at least {limit:.3g}")
     limit = baseline * figure.factor
-    return Verdict(value <= limit, limit, f"at most {limit:.3g}")
+    return Judgement(value <= limit, limit, f"at most {limit:.3g}")

@@ -1,19 +1,24 @@
-"""The README's table of measured figures, made from the baselines."""
+"""The tables of measured figures in README and docs/benchmarks.md, made from the baselines."""
 
 import math
 from collections.abc import Iterable
 
 from benchmarks.regression.baselines import Baselines
-from benchmarks.regression.cases import Case
-from benchmarks.regression.figures import Estimate
+from benchmarks.regression.cases import BenchmarkCase
+from benchmarks.regression.figures import MeanOfRuns
 from reconstruction.errors import InputError
 
 BEGIN, END = "<!-- measured: begin -->", "<!-- measured: end -->"
-HEAD = ("| what | target | measured +- u | how |", "|---|---|---|---|")
+HEAD = ("| figure | target | measured +- u | case |", "|---|---|---|---|")
 
 
-def table(cases: Iterable[Case], baselines: Baselines) -> str:
-    """Return the table in Markdown: measured rows first, then the stated ones."""
+def table(cases: Iterable[BenchmarkCase], baselines: Baselines, headlines: bool = False) -> str:
+    """Return the table in Markdown: measured rows first, then the stated ones.
+
+    Parameters
+    ----------
+    headlines : only the rows of the README
+    """
     rows = [
         _row(
             figure.what,
@@ -23,30 +28,34 @@ def table(cases: Iterable[Case], baselines: Baselines) -> str:
         )
         for case in cases
         for figure in case.figures
-        if figure.name in baselines.figures
+        if figure.name in baselines.figures and (figure.headline or not headlines)
     ]
     rows += [
         _row(row.what, row.target, row.measured, f"{row.how}, {row.date}")
         for row in baselines.stated
+        if row.headline or not headlines
     ]
     return "\n".join((*_above(baselines), "", *HEAD, *rows))
 
 
-def with_table(readme: str, made: str) -> str:
-    """Return the README with the table between its two markers.
+def with_table(page: str, made: str) -> str:
+    """Return a page with the table between its two markers.
 
     Raises
     ------
     InputError
         Not exactly one pair of markers.
     """
-    if readme.count(BEGIN) != 1 or readme.count(END) != 1 or readme.find(END) < readme.find(BEGIN):
-        raise InputError(f"README.md: found no single pair of {BEGIN} and {END}; put them back")
-    before, _, rest = readme.partition(BEGIN)
+    if page.count(BEGIN) != 1 or page.count(END) != 1 or page.find(END) < page.find(BEGIN):
+        raise InputError(
+            f"README.md or docs/benchmarks.md: found no single pair of {BEGIN} and {END}; put them "
+            "back"
+        )
+    before, _, rest = page.partition(BEGIN)
     return f"{before}{BEGIN}\n{made}\n{END}{rest.partition(END)[2]}"
 
 
-def shown(estimate: Estimate) -> str:
+def shown(estimate: MeanOfRuns) -> str:
     """Return value and standard uncertainty, the latter to two digits; one alone to three."""
     value, u = estimate.value, estimate.standard_uncertainty
     if u <= 0.0:
@@ -69,13 +78,12 @@ def _above(baselines: Baselines) -> tuple[str, ...]:
     machines = "; ".join(sorted({one.machine for one in baselines.figures.values()}))
     return (
         f"On {machines}; {versions}; {span}.",
-        "`CASE` is run by `./run bench all --only CASE`; u is the standard uncertainty of the mean",
-        "over seeds. `./run bench all --check` compares with these and the targets:",
-        "`docs/benchmarks.md`.",
+        "A case is measured again by `./run bench all --only CASE`; u is the standard uncertainty",
+        "of the mean over the seeds. `./run bench all --check` compares with values and targets.",
     )
 
 
-def _how(case: Case) -> str:
+def _how(case: BenchmarkCase) -> str:
     return f"`{case.name}`, {case.how}"
 
 

@@ -5,8 +5,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 from benchmarks.regression.baselines import Baseline
-from benchmarks.regression.cases import Case
-from benchmarks.regression.figures import Estimate, Figure
+from benchmarks.regression.cases import BenchmarkCase
+from benchmarks.regression.figures import GuardedFigure, MeanOfRuns
 from benchmarks.regression.limits import judge, judge_target
 
 
@@ -20,11 +20,11 @@ class Found:
     broken : by case, why it gave nothing
     """
 
-    estimates: dict[str, Estimate] = field(default_factory=dict)
+    estimates: dict[str, MeanOfRuns] = field(default_factory=dict)
     broken: dict[str, str] = field(default_factory=dict)
 
 
-def run_cases(cases: tuple[Case, ...]) -> Found:
+def run_cases(cases: tuple[BenchmarkCase, ...]) -> Found:
     """Run one case after the other; one that fails does not stop the rest."""
     found = Found()
     for number, case in enumerate(cases, start=1):
@@ -44,7 +44,7 @@ def run_cases(cases: tuple[Case, ...]) -> Found:
     return found
 
 
-def estimates_of(case: Case) -> dict[str, Estimate]:
+def estimates_of(case: BenchmarkCase) -> dict[str, MeanOfRuns]:
     """Measure a case.
 
     Raises
@@ -56,10 +56,10 @@ def estimates_of(case: Case) -> dict[str, Estimate]:
     listed = [figure.name for figure in case.figures]
     if sorted(values) != sorted(listed):
         raise ValueError(f"found the figures {sorted(values)}, allowed {sorted(listed)}")
-    return {name: Estimate.of(values[name]) for name in listed}
+    return {name: MeanOfRuns.of(values[name]) for name in listed}
 
 
-def again(case: Case, first: Mapping[str, Estimate]) -> dict[str, Estimate]:
+def again(case: BenchmarkCase, first: Mapping[str, MeanOfRuns]) -> dict[str, MeanOfRuns]:
     """Measure a speed once more and return the better of each figure.
 
     Other programs on the machine only ever make it slower.
@@ -74,8 +74,8 @@ def again(case: Case, first: Mapping[str, Estimate]) -> dict[str, Estimate]:
 
 
 def failures(
-    cases: Iterable[Case],
-    estimates: Mapping[str, Estimate],
+    cases: Iterable[BenchmarkCase],
+    estimates: Mapping[str, MeanOfRuns],
     baselines: Mapping[str, Baseline],
     accuracy_figures: int,
 ) -> dict[str, str]:
@@ -91,7 +91,9 @@ def failures(
     return failed
 
 
-def _misses(figure: Figure, found: Estimate, known: Baseline | None, accuracy_figures: int) -> str:
+def _misses(
+    figure: GuardedFigure, found: MeanOfRuns, known: Baseline | None, accuracy_figures: int
+) -> str:
     """Return what a figure misses; empty: nothing."""
     promised = judge_target(figure, found.value)
     missed = [] if promised.passed else [promised.text]

@@ -2,32 +2,37 @@
 
 from functools import partial
 
-from benchmarks.regression.cases import Case
-from benchmarks.regression.figures import Figure, Target
+from benchmarks.regression.cases import BenchmarkCase
+from benchmarks.regression.figures import GuardedFigure, Target
 from benchmarks.regression.speed import field, over, reader
 
-ratio = partial(Figure, kind="speed")
-absolute = partial(Figure, kind="absolute")
+ratio = partial(GuardedFigure, kind="speed")
+absolute = partial(GuardedFigure, kind="absolute")
 
 SPEEDS = (
-    Case(
+    BenchmarkCase(
         "decode_speed",
         "`./run bench decode`",
         (
             ratio(
                 "decode_over_memcpy",
-                "53 frames of 1936 x 1464 to xyz over copying them",
+                "decoding 53 frames of 1936 x 1464 to points: run time over copy time",
                 target=Target(high=8),
                 # Copying takes all memory channels: a busy neighbour weighs on it differently.
                 factor=2.5,
             ),
             ratio(
                 "decode_peak_over_stack",
-                "peak memory over the stack",
+                "decoding 53 frames of 1936 x 1464 to points: peak memory over that of the frames",
                 target=Target(high=1.5),
                 factor=1.1,
             ),
-            absolute("decode_s", "53 frames of 1936 x 1464 to xyz, s", target=Target(high=0.25)),
+            absolute(
+                "decode_s",
+                "decoding 53 frames of 1936 x 1464 to points: run time, s",
+                headline=True,
+                target=Target(high=0.25),
+            ),
         ),
         reader(
             "decode",
@@ -39,23 +44,49 @@ SPEEDS = (
             },
         ),
     ),
-    Case(
+    BenchmarkCase(
         "mechanics",
         "`./run bench mechanics`",
         (
             # A press of 50 ms is at the mercy of who shares the cache: 1.5 was seen.
             ratio(
                 "mechanics_bonded_over_fft",
-                "bonded 512 x 512 over an FFT pair of 1024 x 1024",
+                "press of a bonded slab, 512 x 512 cells: run time over that of an FFT pair of "
+                "1024 x 1024",
                 factor=2.0,
             ),
-            ratio("mechanics_free_over_fft", "free ball 512 x 512 over the same", factor=2.0),
-            ratio("mechanics_slowest_over_fft", "slowest specimen over the same"),
-            ratio("mechanics_study_over_fft", "25 cases over the same"),
-            absolute("mechanics_bonded_s", "bonded 512 x 512, s", target=Target(high=1)),
-            absolute("mechanics_free_s", "free ball 512 x 512, s", target=Target(high=2)),
-            absolute("mechanics_slowest_s", "slowest specimen, s", target=Target(high=6)),
-            absolute("mechanics_study_s", "25 cases, s", target=Target(high=8)),
+            ratio(
+                "mechanics_free_over_fft",
+                "press of a free slab by a ball, 512 x 512 cells: run time over that of the FFT "
+                "pair",
+                factor=2.0,
+            ),
+            ratio(
+                "mechanics_slowest_over_fft",
+                "press by the slowest shipped specimen: run time over that of the FFT pair",
+            ),
+            ratio(
+                "mechanics_study_over_fft",
+                "25 presses of a study: run time over that of the FFT pair",
+            ),
+            absolute(
+                "mechanics_bonded_s",
+                "press of a bonded slab, 512 x 512 cells: run time, s",
+                target=Target(high=1),
+            ),
+            absolute(
+                "mechanics_free_s",
+                "press of a free slab by a ball, 512 x 512 cells: run time, s",
+                target=Target(high=2),
+            ),
+            absolute(
+                "mechanics_slowest_s",
+                "press by the slowest shipped specimen: run time, s",
+                target=Target(high=6),
+            ),
+            absolute(
+                "mechanics_study_s", "25 presses of a study: run time, s", target=Target(high=8)
+            ),
         ),
         reader(
             "mechanics",
@@ -72,27 +103,30 @@ SPEEDS = (
             },
         ),
     ),
-    Case(
+    BenchmarkCase(
         "stack",
         "`./run bench stack`",
         (
             ratio(
                 "stack_with_shadow_rays_over_one_frame",
-                "54 frames, 1936 x 1464, over ONE stock Mitsuba frame, shadow rays in both",
+                "rendering 54 frames of 1936 x 1464: run time over ONE stock Mitsuba frame, "
+                "shadow rays in both",
             ),
             ratio(
                 "stack_without_shadow_rays_over_one_frame",
-                "the same without shadow rays in the stack: this relief is proven to cast none",
+                "rendering 54 frames of 1936 x 1464: run time over ONE stock Mitsuba frame, no "
+                "shadow rays in the stack (this relief casts none)",
+                headline=True,
                 target=Target(high=1.25),
             ),
             ratio(
                 "stack_naive_over_stack",
-                "54 stock frames over the whole stack, 484 x 366",
+                "54 stock Mitsuba frames of 484 x 366: run time over that of the whole stack",
                 higher_is_better=True,
             ),
             ratio(
                 "stack_memory_gib",
-                "memory of the full stack, GiB",
+                "rendering 54 frames of 1936 x 1464: peak memory, GiB",
                 target=Target(high=3),
                 factor=1.2,
             ),
@@ -113,32 +147,36 @@ SPEEDS = (
         ),
         quick=False,
     ),
-    Case(
+    BenchmarkCase(
         "sweep",
         "`./run bench sweep --quick`",
         (
             ratio(
                 "sweep_over_one_process",
-                "48 cases by `measure` in one process over a sweep of 2 workers",
+                "48 cases by `measure` in one process: run time over that of a sweep with 2 "
+                "workers",
                 higher_is_better=True,
                 # Two workers against one process: a busy core halves only the former.
                 factor=2.0,
             ),
             ratio(
                 "sweep_over_one_by_one",
-                "the same by `twin measure`, a process for each, over the sweep",
+                "48 cases by `twin measure`, a process each: run time over that of the sweep",
                 target=Target(low=5),
                 higher_is_better=True,
             ),
             ratio(
                 "sweep_speed_up_2_workers",
-                "cases that share nothing: one worker over two",
+                "sweep of cases that share nothing: run time with one worker over two",
                 target=Target(low=1.8),
                 higher_is_better=True,
                 factor=2.0,  # as above
             ),
             absolute(
-                "sweep_points_per_hour", "design points per hour, 48 cases", target=Target(low=5000)
+                "sweep_points_per_hour",
+                "sweep of 48 cases: design points per hour",
+                headline=True,
+                target=Target(low=5000),
             ),
         ),
         reader(

@@ -13,14 +13,16 @@ import numpy as np
 from reconstruction.arrays import BoolImage, FloatArray, FloatImage, Stack
 from reconstruction.calibration.boards import Board, DotBoard, Indices
 from reconstruction.calibration.features import find_corners, find_dots, label_dots, refine_centres
-from reconstruction.calibration.plane_images import apply_homography, fit_homography
-from reconstruction.calibration.projector_points import projector_points
-from reconstruction.capture.description import read_description
+from reconstruction.calibration.plane_images import (
+    apply_homography,
+    fit_homography,
+    projector_points,
+)
+from reconstruction.capture.description import read_description, read_manifest
 from reconstruction.capture.folder import DESCRIPTION_FILE, SUBFOLDER, read_stack
 from reconstruction.capture.frame_order import check_order
 from reconstruction.capture.frame_set import is_frame_set, read_frame_set
 from reconstruction.capture.image_files import read_frames
-from reconstruction.capture.pattern_files import read_manifest
 from reconstruction.decoding.decode import Decoded, DecodeOptions, decode
 from reconstruction.errors import CaptureError, InputError
 from reconstruction.patterns import PatternSet

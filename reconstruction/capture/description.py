@@ -1,6 +1,12 @@
-"""capture.toml: the small facts of a capture, checked key by key.
+"""capture.toml and the projected sequence as files: small facts, checked key by key.
 
-Written by hand rather than by a TOML library: it holds only numbers, flags and file names.
+| file | content |
+|---|---|
+| capture.toml | what is known about a capture |
+| patterns.toml | format, version, files in the order of projection, [patterns] as in capture.toml |
+| 000_phase_column_00.png ... | for a real projector: one grey 8-bit image each, of its size |
+
+TOML is written by hand rather than by a library: it holds only numbers, flags and file names.
 """
 
 import difflib
@@ -116,3 +122,59 @@ def build(part: type[Part], table: Mapping[str, Any], where: str) -> Part:
 def _suggestion(key: str, known: Iterable[str]) -> str:
     close = difflib.get_close_matches(key, known, n=1)
     return f"; did you mean {close[0]}?" if close else f"; allowed are {', '.join(known)}"
+
+
+MANIFEST_FILE = "patterns.toml"
+PATTERN_FORMAT, PATTERN_VERSION = "fringe-patterns", 1
+
+
+def file_names(patterns: PatternSet) -> tuple[str, ...]:
+    """Return the name of each frame's image; sorted by name they are in projection order."""
+    return tuple(f"{i:03d}_{frame.name}.png" for i, frame in enumerate(patterns.frames))
+
+
+def write_patterns(folder: Path | str, patterns: PatternSet) -> None:
+    """Write images and manifest into an existing folder."""
+    import imageio.v3 as imageio  # 0.1 s that reading a manifest need not pay
+
+    folder = Path(folder)
+    for name, frame in zip(file_names(patterns), patterns.frames, strict=True):
+        imageio.imwrite(folder / name, patterns.image(frame))
+    write_manifest(folder / MANIFEST_FILE, patterns)
+
+
+def write_manifest(path: Path, patterns: PatternSet) -> None:
+    """Write the manifest alone."""
+    header = assignments(
+        {"format": PATTERN_FORMAT, "version": PATTERN_VERSION, "files": file_names(patterns)}
+    )
+    lines = [*header, "", "[patterns]", *assignments(asdict(patterns))]
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def read_manifest(path: Path | str) -> PatternSet:
+    """Return the sequence that a manifest, or the folder that holds it, describes.
+
+    Raises
+    ------
+    CaptureError : no TOML, wrong format or version, unknown key, or files of another sequence
+    """
+    path = Path(path)
+    path = path / MANIFEST_FILE if path.is_dir() else path
+    values = read_toml(path)
+    try:
+        take_header(values, (PATTERN_FORMAT, PATTERN_VERSION))
+        patterns = build(PatternSet, table_of(values, "patterns"), "patterns")
+        _check_files(values.get("files"), patterns)
+    except InputError as error:
+        raise CaptureError(f"{path}: {error}") from error
+    return patterns
+
+
+def _check_files(found: object, patterns: PatternSet) -> None:
+    expected = file_names(patterns)
+    if not isinstance(found, Iterable) or tuple(found) != expected:
+        raise CaptureError(
+            f"files do not name the {len(expected)} images of [patterns] in their order, from"
+            f" {expected[0]} to {expected[-1]}; write the sequence anew"
+        )

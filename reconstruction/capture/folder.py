@@ -20,13 +20,17 @@ import h5py
 import numpy as np
 
 from reconstruction.arrays import FloatImage, Stack
-from reconstruction.capture.description import Description, read_description, write_description
+from reconstruction.capture.description import (
+    Description,
+    read_description,
+    read_manifest,
+    write_description,
+)
 from reconstruction.capture.frame_order import check_order
 from reconstruction.capture.frame_set import is_frame_set, read_frame_set
 from reconstruction.capture.image_files import read_frames
-from reconstruction.capture.pattern_files import read_manifest
-from reconstruction.disk import writing_netcdf
 from reconstruction.errors import CaptureError, InputError, require_integer
+from reconstruction.machine import writing_netcdf
 from reconstruction.patterns import PatternSet
 from reconstruction.rig.calibration import Calibration, read_calibration, write_calibration
 from reconstruction.rig.sensor import SensorNoise

@@ -27,7 +27,7 @@ from reconstruction.patterns import AXES, Axis, PatternFrame, PatternSet
 from reconstruction.rig.calibration import Calibration
 from reconstruction.rig.pinhole import Pinhole
 from reconstruction.rig.sensor import SensorNoise
-from reconstruction.triangulation.triangulate import triangulate
+from reconstruction.triangulation import triangulate
 
 SAMPLE_PX = 72
 """The shorter side of the sample of the image."""

@@ -26,8 +26,16 @@ from typing import Any
 import numpy as np
 
 from reconstruction.arrays import Stack
-from reconstruction.capture.description import assignments, build, read_toml, table_of, take_header
-from reconstruction.capture.pattern_files import MANIFEST_FILE, file_names, write_manifest
+from reconstruction.capture.description import (
+    MANIFEST_FILE,
+    assignments,
+    build,
+    file_names,
+    read_toml,
+    table_of,
+    take_header,
+    write_manifest,
+)
 from reconstruction.errors import CaptureError, InputError, require_integer, require_number
 from reconstruction.patterns import PatternSet
 from reconstruction.rig.sensor import SensorNoise

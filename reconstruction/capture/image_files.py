@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 from reconstruction.arrays import FloatImage, ReasonImage, Stack
 from reconstruction.capture.frame_order import check_order
 from reconstruction.capture.frame_set import FrameSet, frame_files
-from reconstruction.cores import threads
 from reconstruction.errors import CaptureError, InputError, require_number
+from reconstruction.machine import threads
 from reconstruction.patterns import PatternSet
 from reconstruction.rig.calibration import Calibration
 from reconstruction.rig.sensor import SensorNoise

@@ -1,13 +1,26 @@
-"""The filter over a band of image rows, in patches that stay in the cache; see `smoothing`."""
+"""The filter on the projector coordinate: a Gaussian that gives back what it takes from relief.
+
+On a plane a Gaussian G changes nothing but the noise. On relief the coordinate x loses the lift
+l = G x - x, of which the coarse part c = G l holds curvature, and the fine part f = l - c texture
+and edges. Both are seen in the data together with noise of known variance n; with E the mean square
+of a part over 17 x 17 pixels, the share w = max(0, 1 - t n / E) of it is relief and is given back
+(a Wiener estimate): x + (1 - w_c) c + (1 - w_f) f. Where nothing stands out of the noise that is
+G x, on strong relief x itself. What stays of the relief, (1 - w)^2 w E, is part of sigma.
+
+Compared with a Gaussian on the complex phasor nothing is lost by the turning of the phase within
+the window, and a pixel that is brighter than its neighbours draws the mean to itself no more.
+
+Kernels run over a band of image rows, in patches that stay in the cache.
+"""
 
 # ruff: noqa: PLR0917 - compiled functions cannot take keyword-only arguments
-
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from reconstruction._jit import compiled, inlined
-from reconstruction.decoding._half import pack_row, unpack_row
+from reconstruction._jit import compiled, inlined, merged, run_over_rows
+from reconstruction.arrays import FloatArray, FloatImage, Reason
+from reconstruction.decoding._half import BIAS, pack_row, unpack_row
 from reconstruction.decoding._lift import (
     ONE,
     ZERO,
@@ -33,7 +46,6 @@ from reconstruction.decoding._relief import (
     write_share,
 )
 from reconstruction.decoding._sum import DARK, LOW_MODULATION
-from reconstruction.mask import Reason
 
 PATCH_COLS = 512
 VALID, EDGE = np.uint8(Reason.VALID), np.uint8(Reason.EDGE)
@@ -113,7 +125,7 @@ def _place(x: Any, usable: Any, out: Any) -> None:
         out[col] = x[col] if usable[col] > ZERO else NOWHERE
 
 
-@compiled
+@merged
 def _load_mask(source: Unfiltered, patch: FilterPatch, planes: Planes) -> None:
     planes.usable[:] = ZERO
     first, end = patch.left + patch.near, patch.left + patch.far
@@ -122,7 +134,7 @@ def _load_mask(source: Unfiltered, patch: FilterPatch, planes: Planes) -> None:
         _mark(line[first:end], planes.usable[row, patch.near : patch.far])
 
 
-@compiled
+@merged
 def _load_axis(
     axis: int, source: Unfiltered, patch: FilterPatch, smoothing: Smoothing, planes: Planes
 ) -> None:
@@ -138,7 +150,7 @@ def _load_axis(
         multiply(variance, variance)
 
 
-@compiled
+@merged
 def _write(
     axis: int,
     planes: Planes,
@@ -184,7 +196,7 @@ def _write(
         pack_row(sigma, smoothing.sigma_factor, spare, target.sigma[axis, at, out])
 
 
-@compiled
+@merged
 def _smooth_patch(
     patch: FilterPatch, source: Unfiltered, smoothing: Smoothing, planes: Planes, blocks: Blocks,
     target: Smoothed,
@@ -224,3 +236,81 @@ def smooth_rows(
         near, far = max(-left, 0), min(planes.usable.shape[1], width - left)
         patch = FilterPatch(top, left, count, cols, above, margin, low, high, near, far)
         _smooth_patch(patch, source, smoothing, planes, blocks, target)
+
+
+# The 20 rows on either side of a band are smoothed twice; fewer bands would leave cores idle.
+BAND_ROWS = 128
+
+
+def smooth(
+    source: Unfiltered, taps: int, sigma_px: float, limit_px: float, unit_px: float
+) -> Smoothed:
+    """Return the filtered coordinates, their sigmas and the share of bias in the variance.
+
+    A pixel beside one without light may lie half beyond the edge of what is lit: such a one takes
+    no part and is masked EDGE.
+
+    Parameters
+    ----------
+    source : what was decoded pixel by pixel
+    taps, sigma_px : the Gaussian
+    limit_px : a pair of pixels whose mean is off by more than half of this is left out
+    unit_px : of packed sigmas
+    """
+    target = Smoothed(
+        np.zeros(source.coordinate_px.shape, np.float32),
+        np.zeros(source.sigma.shape, np.uint16),
+        np.zeros(source.sigma.shape, np.uint8),
+        np.zeros(source.reason.shape, np.uint8),
+    )
+    smoothing = make_smoothing(gaussian_weights(taps, sigma_px), limit_px, unit_px)
+    rows = source.reason.shape[0]
+    run_over_rows(mark_edges, rows, source.reason, target.reason, band_rows=BAND_ROWS)
+    lit = source._replace(reason=target.reason)
+    run_over_rows(smooth_rows, rows, lit, smoothing, target, band_rows=BAND_ROWS)
+    return target
+
+
+def make_smoothing(weights: FloatImage, limit_px: float, unit_px: float) -> Smoothing:
+    """Return the kernel and the noise that it leaves in each part, see `Smoothing`."""
+    gauss = np.outer(weights, weights).astype(np.float64)
+    whole = np.pad(gauss, gauss.shape[0] // 2)
+    lift = whole.copy()
+    lift[lift.shape[0] // 2, lift.shape[1] // 2] -= 1.0
+    inner = np.s_[gauss.shape[0] // 2 : -(gauss.shape[0] // 2)] if gauss.size > 1 else np.s_[:]
+    coarse = _convolved(lift[inner, inner], gauss)
+    parts = np.stack([whole, coarse, lift - coarse])
+    middle = parts.shape[1] // 2
+    return Smoothing(
+        weights,
+        np.einsum("aij,bij->ab", parts, parts).astype(np.float32),
+        parts[:, middle, middle].astype(np.float32),
+        np.float32(limit_px),
+        np.float32(unit_px / BIAS),
+        np.float32(BIAS / unit_px),
+    )
+
+
+def _convolved(image: FloatArray, kernel: FloatArray) -> FloatArray:
+    """Return the full convolution. SciPy's has the same bytes; to load it takes two seconds."""
+    rows, cols = image.shape
+    total = np.zeros((rows + kernel.shape[0] - 1, cols + kernel.shape[1] - 1))
+    for (row, col), weight in np.ndenumerate(kernel):
+        total[row : row + rows, col : col + cols] += weight * image
+    return total
+
+
+def gaussian_weights(taps: int, sigma_px: float) -> FloatImage:
+    """Return symmetric weights of odd length that sum to 1; `taps` 0 gives the identity.
+
+    An even kernel has no centre tap: anchored at either middle tap it shifts the image by half a
+    pixel. The mean of both anchors has one tap more and no shift.
+    """
+    if taps == 0:
+        return np.ones(1, np.float32)
+    offsets = np.arange(taps) - 0.5 * (taps - 1)
+    weights = np.exp(-0.5 * (offsets / sigma_px) ** 2)
+    if taps % 2 == 0:
+        weights = np.append(weights, 0.0) + np.insert(weights, 0, 0.0)
+    normalised: FloatImage = (weights / weights.sum()).astype(np.float32)
+    return normalised

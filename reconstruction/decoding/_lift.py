@@ -1,6 +1,6 @@
 """What a Gaussian adds to the projector coordinate: the lift, and its coarse part.
 
-Symbols: x coordinate, G the Gaussian, lift l = G x - x, coarse part c = G l; see `smoothing`.
+Symbols: x coordinate, G the Gaussian, lift l = G x - x, coarse part c = G l; see `_filter`.
 
 G acts along rows, then along columns, as second differences x(-k) - 2 x + x(+k) of pixel pairs: a
 pair counts only where both its pixels are measured, so that a plane stays as it is next to holes
@@ -14,14 +14,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from reconstruction._jit import compiled, inlined
+from reconstruction._jit import compiled, inlined, merged
 from reconstruction.arrays import FloatImage
 
 ZERO, ONE, TWO, TINY = np.float32(0.0), np.float32(1.0), np.float32(2.0), np.float32(1e-30)
 
 
 class Smoothing(NamedTuple):
-    """Kernel of G along one direction and what follows from it, see `smoothing`.
+    """Kernel of G along one direction and what follows from it, see `_filter`.
 
     noise: products of the kernels of (G, c, f) summed over the plane: (0, 0) is the variance that
     G leaves of white noise. centre: their middle weights. limit_px: half a period.
@@ -227,6 +227,13 @@ def _average_across(plane: Any, row: int, weights: Any, half: int, out: Any) -> 
 
 
 @compiled
+def _copy(line: Any, out: Any) -> None:
+    # A loop: an assignment of slices compiles text for its errors, three seconds of it.
+    for col in range(out.size):
+        out[col] = line[col]
+
+
+@compiled
 def _is_equal(a: Any, b: Any) -> bool:
     differing = 0
     for col in range(a.size):
@@ -234,7 +241,7 @@ def _is_equal(a: Any, b: Any) -> bool:
     return differing == 0
 
 
-@compiled
+@merged
 def _weigh_along(row: int, planes: Planes, weights: Any, window: Window) -> None:
     gap, end, half = window.gap, window.gap + window.width, window.half
     line = planes.usable[row]
@@ -251,7 +258,7 @@ def _weigh_along(row: int, planes: Planes, weights: Any, window: Window) -> None
     _average_along(line, weights, window, planes.coarse[row, gap:end])
 
 
-@compiled
+@merged
 def _weigh_across(row: int, planes: Planes, weights: Any, half: int) -> None:
     usable, noise = planes.usable, planes.spare
     total, left, support = planes.along_cols[row], planes.gain[row], planes.per_support[row]
@@ -268,7 +275,7 @@ def _weigh_across(row: int, planes: Planes, weights: Any, half: int) -> None:
     _invert(support, usable[row])
 
 
-@compiled
+@merged
 def weigh(planes: Planes, weights: Any, half: int, window: Window) -> None:
     """Write what depends on the mask alone: sums of weights, noise, support.
 
@@ -281,18 +288,18 @@ def weigh(planes: Planes, weights: Any, half: int, window: Window) -> None:
         if _is_equal(planes.usable[row], planes.usable[row - 1]):
             alike[row] = alike[row - 1] + 1
             for plane in (planes.along_rows, planes.spare, planes.coarse):
-                plane[row] = plane[row - 1]
+                _copy(plane[row - 1], plane[row])
         else:
             _weigh_along(row, planes, weights, window)
     for row in range(half, rows - half):
         if alike[row + half] > 2 * half:
             for plane in (planes.along_cols, planes.gain, planes.per_support):
-                plane[row] = plane[row - 1]
+                _copy(plane[row - 1], plane[row])
         else:
             _weigh_across(row, planes, weights, half)
 
 
-@compiled
+@merged
 def write_lift(planes: Planes, smoothing: Smoothing, window: Window) -> None:
     """Write l = G x - x."""
     value, spare, lift = planes.value, planes.spare, planes.lift
@@ -314,7 +321,7 @@ def _sum(a: Any, b: Any, out: Any) -> None:
         out[col] = a[col] + b[col]
 
 
-@compiled
+@merged
 def write_coarse(planes: Planes, weights: Any, window: Window) -> None:
     """Write the coarse part of the lift."""
     lift, coarse, spare = planes.lift, planes.coarse, planes.spare

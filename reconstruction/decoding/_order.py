@@ -19,9 +19,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from reconstruction._jit import compiled, inlined
-from reconstruction.arrays import FloatArray
+from reconstruction.arrays import FloatArray, Reason
 from reconstruction.decoding._sum import RowFrames
-from reconstruction.mask import Reason
 
 ORDER_UNCERTAIN = np.uint8(Reason.ORDER_UNCERTAIN)
 OUTSIDE_PROJECTOR = np.uint8(Reason.OUTSIDE_PROJECTOR)

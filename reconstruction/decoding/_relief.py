@@ -1,4 +1,4 @@
-"""What of the filter's lift is relief and what is noise, block by block; see `smoothing`.
+"""What of the filter's lift is relief and what is noise, block by block; see `_filter`.
 
 Symbols: c share of the coarse part that is relief, f share of the fine part. With the lines of
 `Blocks.values`: sigma^2 = own variance * values[2] + values[3] + excess gain * values[4], of which
@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from reconstruction._jit import compiled, inlined
+from reconstruction._jit import compiled, inlined, merged
 from reconstruction.decoding._lift import ONE, TINY, TWO, ZERO, Planes, Smoothing, add, larger
 
 # Mean squares are taken over 5 x 5 blocks of 4 x 4 pixels, whatever the patch.
@@ -51,7 +51,7 @@ def smaller(a: Any, b: Any) -> Any:
     return a if a < b else b
 
 
-@compiled
+@merged
 def sum_blocks(planes: Planes, half: int, blocks: Blocks) -> None:
     """Write the sums over every block: squares of both parts, variances and usable pixels."""
     rows, lines, sums = planes.lift.shape[0], blocks.lines, blocks.sums
@@ -157,7 +157,7 @@ def _weigh_relief(c: Any, f: Any, all_lift: Any, all_coarse: Any) -> None:
         all_lift[col], all_coarse[col] = ONE - f[col], f[col] - c[col]
 
 
-@compiled
+@merged
 def weigh_blocks(block: int, smoothing: Smoothing, blocks: Blocks) -> None:
     """Write what holds for all pixels of a row of blocks, see `Blocks.values`."""
     _sum_around(block, blocks)

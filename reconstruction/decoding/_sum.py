@@ -9,8 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from reconstruction._jit import compiled, inlined
-from reconstruction.arrays import FloatImage
-from reconstruction.mask import Reason
+from reconstruction.arrays import FloatImage, Reason
 from reconstruction.rig.sensor import QUANTISATION_DN2
 
 # As wide as the mask: a plain int would make whole loops run in 64 bits.

@@ -11,17 +11,15 @@ from typing import Any
 import numpy as np
 
 from reconstruction._jit import run_over_rows
-from reconstruction.arrays import FloatImage, Stack
+from reconstruction.arrays import FloatImage, Reason, Stack
 from reconstruction.compact import Half, Orders, Share, Turns
+from reconstruction.decoding import AxisDecode, Decoded, DecodeOptions
 from reconstruction.decoding._decode import Maps, Plan, Units, decode_rows
-from reconstruction.decoding._filter import Smoothed, Unfiltered
+from reconstruction.decoding._filter import Smoothed, Unfiltered, smooth
 from reconstruction.decoding._half import BIAS
 from reconstruction.decoding._order import COMPLEMENTARY, PLAIN, SHIFTED, Code, Unwrapping
 from reconstruction.decoding._sum import Layout, Limits
-from reconstruction.decoding.decoded import AxisDecode, Decoded, DecodeOptions
-from reconstruction.decoding.smoothing import smooth
 from reconstruction.errors import InputError
-from reconstruction.mask import Reason
 from reconstruction.patterns import AXES, Axis, PatternSet
 from reconstruction.rig.sensor import SensorNoise
 

@@ -1,8 +1,16 @@
 """Dimensions of measured surfaces, each with a stated definition and a robust fit; lengths mm."""
 
-from reconstruction.evaluate.flatness import ArealRoughness, Flatness, areal_roughness, flatness
-from reconstruction.evaluate.profile import BarWidth, StepHeight, bar_width, step_height
-from reconstruction.evaluate.solids import BallFit, CylinderFit, fit_ball, fit_cylinder
+from reconstruction.evaluate.fit import BallFit, CylinderFit, fit_ball, fit_cylinder
+from reconstruction.evaluate.plane import (
+    ArealRoughness,
+    BarWidth,
+    Flatness,
+    StepHeight,
+    areal_roughness,
+    bar_width,
+    flatness,
+    step_height,
+)
 
 __all__ = [
     "ArealRoughness",

@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from reconstruction.arrays import BoolImage, FloatArray, FloatImage
-from reconstruction.disk import write_exr_channels, writing_netcdf
 from reconstruction.errors import InputError
-from reconstruction.outputs import write_point_map_ply
-from reconstruction.triangulation.triangulate import PointMap
+from reconstruction.machine import write_exr_channels, writing_netcdf
+from reconstruction.pipeline import write_point_map_ply
+from reconstruction.triangulation import PointMap
 
 _PNG_LEVELS = 65534
 """Levels 1 to 65535 are heights, 0 is no height."""

@@ -5,10 +5,9 @@ an indentation is positive; slopes are (2, row, col) mm/mm, along rows and along
 are 8-bit, red first.
 """
 
-from reconstruction.mask import PhotometricReason
+from reconstruction.arrays import PhotometricReason
 from reconstruction.photometric.calibration_ball import BallPress, SampleOptions
 from reconstruction.photometric.integrate import corrected, integrate, sdk_faithful
-from reconstruction.photometric.pipeline import HeightMap, PhotometricDecoder, PhotometricOptions
 from reconstruction.photometric.press_files import (
     PhotometricResult,
     read_height_map,
@@ -16,7 +15,10 @@ from reconstruction.photometric.press_files import (
     write_height_map,
     write_height_points,
 )
-from reconstruction.photometric.sensor_calibration import (
+from reconstruction.photometric.sensor import (
+    HeightMap,
+    PhotometricDecoder,
+    PhotometricOptions,
     SensorCalibration,
     calibrate_sensor,
     read_sensor_calibration,

@@ -2,24 +2,197 @@
 
 Height is positive towards the camera (an indentation is positive), row 0 at the top; slopes are
 (2, row, col) mm/mm, along rows (down) and along columns (right). Zero is where each scheme puts it.
+
+Steps between pixels: Poisson equation, solved exactly, and weighted least squares.
+
+The unknown is a height per pixel, the data a height step per edge between neighbours. The normal
+equations of least squares, D^T D h = D^T s, are the five-point Laplacian:
+
+| boundary | transform | eigenvalue of mode (k, l) of an M x N grid |
+|---|---|---|
+| neumann: free border, mean 0 | DCT-II | 4 sin^2(pi k / 2M) + 4 sin^2(pi l / 2N), k = 0..M-1 |
+| dirichlet: border pixels at 0 | DST-I inside | 4 sin^2(pi k / 2(M-1)) + ..., k = 1..M-2 |
+
+Strang 1999, The discrete cosine transform, SIAM Review 41, 135; Simchony, Chellappa, Shao 1990,
+Direct analytical methods for solving Poisson equations in computer vision problems, IEEE TPAMI 12,
+435.
+
+With weights: conjugate gradients, preconditioned by the fast solver. They minimise sum over edges
+of w (step of h - measured step)^2. Without weights the preconditioner is the solution. With holes
+(weight 0) the unknowns are the other pixels and the preconditioner is that of the fictitious
+domain: solve on the whole grid, keep the pixels that are there. The number of iterations then
+depends on the ratio of the weights and on the shape of the holes, hardly on the number of pixels: a
+height given around a hole continues into it with bounded energy.
 """
 
+from dataclasses import dataclass
+from functools import lru_cache
 from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.fft import dctn, idctn
+from scipy.fft import dctn, dstn, idctn, idstn
 
-from reconstruction.arrays import FloatArray
-from reconstruction.errors import InputError, require_number
-from reconstruction.photometric.poisson import (
-    BOUNDARIES,
-    Boundary,
-    edge_steps,
-    solve_poisson,
-    solve_weighted,
-    sum_of_steps,
-)
+from reconstruction.arrays import BoolImage, FloatArray
+from reconstruction.errors import FitError, InputError, require_number
+
+Boundary = Literal["neumann", "dirichlet"]
+BOUNDARIES = ("neumann", "dirichlet")
+RELATIVE_TOLERANCE = 1e-5
+MAX_ITERATIONS = 500
+
+
+def edge_steps(slopes: FloatArray, pitch_mm: float) -> tuple[FloatArray, FloatArray]:
+    """Return the height steps to the next row, (M-1, N), and the next column, (M, N-1), mm.
+
+    Parameters
+    ----------
+    slopes : (2, M, N) float, mm/mm: height per row direction (down), per column direction (right)
+
+    Notes
+    -----
+    The trapezoid rule: slopes are known at pixel centres, steps are needed halfway between.
+    """
+    along_row, along_col = slopes
+    half_mm = 0.5 * pitch_mm
+    return (
+        half_mm * (along_row[1:] + along_row[:-1]),
+        half_mm * (along_col[:, 1:] + along_col[:, :-1]),
+    )
+
+
+def sum_of_steps(row_steps: FloatArray, col_steps: FloatArray) -> FloatArray:
+    """Return D^T s, (M, N): steps that lead to a pixel minus steps that leave it."""
+    rows, cols = col_steps.shape[0], row_steps.shape[1]
+    total = np.zeros((rows, cols), dtype=row_steps.dtype)
+    total[1:] += row_steps
+    total[:-1] -= row_steps
+    total[:, 1:] += col_steps
+    total[:, :-1] -= col_steps
+    return total
+
+
+def solve_poisson(right_side: FloatArray, boundary: Boundary = "neumann") -> FloatArray:
+    """Return h with D^T D h = `right_side`, (M, N); mean 0 (neumann) or border 0 (dirichlet)."""
+    return _neumann(right_side) if boundary == "neumann" else _dirichlet(right_side)
+
+
+def _neumann(right_side: FloatArray) -> FloatArray:
+    inverse = _inverse_neumann(right_side.shape)
+    spectrum = dctn(right_side, type=2, norm="ortho")
+    height: FloatArray = idctn(spectrum * inverse, type=2, norm="ortho", overwrite_x=True)
+    return height
+
+
+def _dirichlet(right_side: FloatArray) -> FloatArray:
+    height = np.zeros_like(right_side)
+    spectrum = dstn(right_side[1:-1, 1:-1], type=1, norm="ortho")
+    spectrum *= _inverse_dirichlet(spectrum.shape)
+    height[1:-1, 1:-1] = idstn(spectrum, type=1, norm="ortho", overwrite_x=True)
+    return height
+
+
+@lru_cache(maxsize=8)
+def _inverse_neumann(shape: tuple[int, int]) -> FloatArray:
+    modes = [4.0 * np.sin(0.5 * np.pi * np.arange(n) / n) ** 2 for n in shape]
+    eigenvalues = modes[0][:, np.newaxis] + modes[1]
+    eigenvalues[0, 0] = np.inf  # the mean is free: zero
+    return _frozen(1.0 / eigenvalues)
+
+
+@lru_cache(maxsize=8)
+def _inverse_dirichlet(shape: tuple[int, int]) -> FloatArray:
+    modes = [4.0 * np.sin(0.5 * np.pi * np.arange(1, n + 1) / (n + 1)) ** 2 for n in shape]
+    return _frozen(1.0 / (modes[0][:, np.newaxis] + modes[1]))
+
+
+def _frozen(values: FloatArray) -> FloatArray:
+    values.flags.writeable = False  # shared by all callers through the cache
+    return values
+
+
+@dataclass(frozen=True, eq=False)
+class EdgeWeights:
+    """Weights of the steps to the next row, (M-1, N), and to the next column, (M, N-1)."""
+
+    to_next_row: FloatArray
+    to_next_col: FloatArray
+
+
+def edge_weights(weights: FloatArray) -> EdgeWeights:
+    """Return the weight of a step from those of both pixels, (M, N).
+
+    A step is the mean of two slopes; with weights 1 / variance its own is proportional to the
+    harmonic mean, which also vanishes where one of the pixels is invalid.
+    """
+    return EdgeWeights(
+        _harmonic_mean(weights[1:], weights[:-1]), _harmonic_mean(weights[:, 1:], weights[:, :-1])
+    )
+
+
+def _harmonic_mean(a: FloatArray, b: FloatArray) -> FloatArray:
+    total = a + b
+    mean: FloatArray = 2.0 * a * b / np.where(total > 0.0, total, 1.0)
+    return mean
+
+
+def solve_weighted(
+    row_steps: FloatArray,
+    col_steps: FloatArray,
+    weights: FloatArray,
+    boundary: Boundary = "neumann",
+) -> FloatArray:
+    """Return the heights that fit the steps best, (M, N), in the unit of the steps.
+
+    Pixels of weight 0 get height 0. With a free border (neumann) the mean over the other pixels
+    is 0; parts that weight-0 pixels separate have each its own unknown constant.
+
+    Raises
+    ------
+    FitError : no convergence, since the weights differ by too many orders of magnitude
+    """
+    edges, used = edge_weights(weights), weights > 0.0
+    if boundary == "dirichlet":
+        used = used & _inside(used.shape)
+    right = sum_of_steps(edges.to_next_row * row_steps, edges.to_next_col * col_steps) * used
+    height = _conjugate_gradients(right, edges, used, boundary)
+    if boundary == "neumann" and bool(np.any(used)):
+        height -= height[used].mean()
+    return height * used
+
+
+def _inside(shape: tuple[int, ...]) -> BoolImage:
+    inside = np.zeros(shape, dtype=np.bool_)
+    inside[1:-1, 1:-1] = True
+    return inside
+
+
+def _apply(height: FloatArray, edges: EdgeWeights, used: BoolImage) -> FloatArray:
+    steps = edges.to_next_row * np.diff(height, axis=0), edges.to_next_col * np.diff(height, axis=1)
+    return sum_of_steps(*steps) * used
+
+
+def _conjugate_gradients(
+    right: FloatArray, edges: EdgeWeights, used: BoolImage, boundary: Boundary
+) -> FloatArray:
+    height, residual = np.zeros_like(right), right.copy()
+    direction = preconditioned = solve_poisson(residual, boundary) * used
+    power = start = float(np.vdot(residual, preconditioned))
+    for _ in range(MAX_ITERATIONS):
+        if power <= RELATIVE_TOLERANCE**2 * start:
+            return height
+        image = _apply(direction, edges, used)
+        step = power / float(np.vdot(direction, image))
+        height = height + step * direction
+        residual = residual - step * image
+        preconditioned = solve_poisson(residual, boundary) * used
+        power, before = float(np.vdot(residual, preconditioned)), power
+        direction = preconditioned + (power / before) * direction
+    raise FitError(
+        f"heights did not converge in {MAX_ITERATIONS} iterations: weights above 0 span "
+        "too many orders of magnitude; set the smallest to 0"
+    )
+
 
 Form = Literal["2024", "2025"]
 FORMS = ("2024", "2025")

@@ -32,22 +32,23 @@ import cv2
 import h5netcdf
 import numpy as np
 
-from reconstruction.arrays import Levels
+from reconstruction.arrays import Levels, PhotometricReason
 from reconstruction.capture.description import build, read_toml, table_of, take_header
-from reconstruction.disk import writing_netcdf
 from reconstruction.errors import CaptureError, InputError, require_integer, require_number
-from reconstruction.mask import PhotometricReason
-from reconstruction.outputs import write_ply
+from reconstruction.machine import writing_netcdf
 from reconstruction.photometric.calibration_ball import BallPress, SampleOptions
 from reconstruction.photometric.images import mean_background
-from reconstruction.photometric.pipeline import HeightMap, PhotometricDecoder, PhotometricOptions
-from reconstruction.photometric.sensor_calibration import (
+from reconstruction.photometric.sensor import (
     KINDS,
+    HeightMap,
     MapKind,
+    PhotometricDecoder,
+    PhotometricOptions,
     SensorCalibration,
     calibrate_sensor,
     read_sensor_calibration,
 )
+from reconstruction.pipeline import write_ply
 
 Names = tuple[str, ...]
 DEFAULTS = PhotometricOptions()

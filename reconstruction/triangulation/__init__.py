@@ -1,1 +1,184 @@
-"""From projector coordinates to points in the world frame, mm, with their sigma."""
+"""From projector coordinates to points: each camera ray meets the projector's plane or ray.
+
+Result in the world frame (z up towards the devices), mm. Along a ray there is one unknown, the
+depth; it is found by Gauss-Newton with weights 1 / sigma^2 and its sigma follows from the slope:
+sigma_d = (sum_i (du_i / dd)^2 / sigma_i^2)^(-1/2), sigma_xyz = sigma_d |R (x, y, 1)|.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Literal, get_args
+
+import numpy as np
+
+from reconstruction._jit import run_over_rows
+from reconstruction.arrays import BoolImage, FloatArray, FloatImage, Reason, ReasonImage
+from reconstruction.compact import Bits, Half, RaySpread, keeps_compact, kept
+from reconstruction.decoding import AxisDecode, Decoded
+from reconstruction.decoding._half import BIAS
+from reconstruction.decoding.decode import SIGMA_UNIT_PX
+from reconstruction.errors import InputError, require_number
+from reconstruction.rig.calibration import Calibration
+from reconstruction.triangulation._ray import (
+    Fringe,
+    LensPair,
+    Match,
+    Motion,
+    PointRows,
+    lens_of,
+    meet_rows,
+)
+
+# The first row of a band takes more steps than the others, which start from the row before.
+BAND_ROWS = 48
+# Half precision reaches from 6e-11 to 64 mm.
+SIGMA_UNIT_MM = 2.0**-10
+
+Use = Literal["column", "row", "both"]
+
+
+@dataclass(frozen=True)
+class EpipolarTolerance:
+    """How far a decoded coordinate may lie from the point found: absolute plus sigmas.
+
+    One projector pixel by default: real calibrations miss by some tenths, wrong fringe orders by a
+    whole period.
+    """
+
+    absolute_px: float = 1.0
+    sigmas: float = 5.0
+
+    def __post_init__(self) -> None:
+        require_number("epipolar absolute_px", self.absolute_px, 0.0)
+        require_number("epipolar sigmas", self.sigmas, 0.0)
+
+
+@keeps_compact("sigma_xyz_mm")
+@dataclass(frozen=True, eq=False)
+class PointMap:
+    """One point per camera pixel; everything is 0 where mask_reason is not VALID.
+
+    Parameters
+    ----------
+    points_world_mm : (row, col, xyz) float
+    sigma_xyz_mm : (row, col, xyz) float, predicted standard deviations along the world axes from
+        those of the coordinates; the calibration's own uncertainty is not in them. The error of a
+        point lies along its camera ray: its covariance is `covariance_mm2`, of rank 1. Made
+        whenever it is read, from the points and the sigma of their depth
+    mask_reason : (row, col) Reason
+    T_world_from_cam : (4, 4) float, mm
+    """
+
+    points_world_mm: FloatImage
+    sigma_xyz_mm: FloatImage
+    mask_reason: ReasonImage
+    T_world_from_cam: FloatArray
+
+    @property
+    def sigma_z_mm(self) -> FloatImage:
+        """Predicted standard deviation of world z, (row, col)."""
+        sigma = kept(self, "sigma_xyz_mm")
+        return sigma.component(2) if isinstance(sigma, RaySpread) else self.sigma_xyz_mm[..., 2]
+
+    @cached_property
+    def points_cam_mm(self) -> FloatImage:
+        """The points in the camera's frame (z = depth), (row, col, xyz); 0 where masked."""
+        T = self.T_world_from_cam
+        points = (self.points_world_mm - T[:3, 3]) @ T[:3, :3]
+        return np.where(self.valid[..., np.newaxis], points, 0.0).astype(np.float32)
+
+    @property
+    def covariance_mm2(self) -> FloatImage:
+        """Covariance of each point in the world frame, (row, col, xyz, xyz)."""
+        along = self.points_world_mm - self.T_world_from_cam[:3, 3].astype(np.float32)
+        signed = np.copysign(self.sigma_xyz_mm, along)
+        return signed[..., :, np.newaxis] * signed[..., np.newaxis, :]
+
+    @property
+    def valid(self) -> BoolImage:
+        """Where there is a point, (row, col) bool."""
+        return np.equal(self.mask_reason, Reason.VALID)
+
+
+def triangulate(
+    decoded: Decoded,
+    calibration: Calibration,
+    use: Use = "column",
+    tolerance: EpipolarTolerance | None = None,
+) -> PointMap:
+    """Return the points that the decoded coordinates stand for.
+
+    Parameters
+    ----------
+    decoded : both projector coordinates of every camera pixel
+    calibration : devices, at the camera's image size
+    use : coordinate that determines the depth; the other one only checks it
+    tolerance : beyond it a pixel is masked EPIPOLAR_MISMATCH
+
+    Raises
+    ------
+    InputError : the image size is not the calibrated one, or `use` is unknown
+    """
+    _check(decoded, calibration, use)
+    limits = tolerance or EpipolarTolerance()
+    shape = decoded.mask_reason.shape
+    points = np.zeros((*shape, 3), np.float32)
+    sigma_depth = Half(np.zeros(shape, np.uint16), SIGMA_UNIT_MM)
+    reason = decoded.mask_reason.copy()
+    column, row = decoded.column, decoded.row
+    sigma_column, sigma_row = _packed_sigma(column), _packed_sigma(row)
+    run_over_rows(
+        meet_rows,
+        shape[0],
+        Fringe(
+            column.coordinate_px,
+            row.coordinate_px,
+            sigma_column,
+            sigma_row,
+            np.float32(SIGMA_UNIT_PX / BIAS),
+        ),
+        Match(use != "row", use != "column", float(limits.absolute_px), float(limits.sigmas)),
+        _rig(calibration),
+        PointRows(
+            points.reshape(shape[0], -1),
+            sigma_depth.bits,
+            np.float32(BIAS / SIGMA_UNIT_MM),
+            reason,
+        ),
+        band_rows=BAND_ROWS,
+    )
+    T_world_from_cam = calibration.T_world_from_cam
+    spread: Any = RaySpread(points, sigma_depth, T_world_from_cam)
+    return PointMap(points, spread, reason, T_world_from_cam)
+
+
+def _check(decoded: Decoded, calibration: Calibration, use: str) -> None:
+    if use not in get_args(Use):
+        raise InputError(f"use is {use!r}; allowed are 'column', 'row' and 'both'")
+    rows, cols = decoded.mask_reason.shape
+    camera = calibration.camera
+    if (rows, cols) != (camera.height_px, camera.width_px):
+        raise InputError(
+            f"the images are {cols} x {rows} px, the calibrated camera is "
+            f"{camera.width_px} x {camera.height_px} px; use the calibration of this image size"
+        )
+
+
+def _packed_sigma(axis: AxisDecode) -> Bits:
+    sigma = kept(axis, "sigma_px")
+    if isinstance(sigma, Half) and sigma.unit == SIGMA_UNIT_PX:
+        return sigma.bits
+    return Half.of(axis.sigma_px, SIGMA_UNIT_PX).bits
+
+
+def _rig(calibration: Calibration) -> LensPair:
+    return LensPair(
+        lens_of(calibration.camera),
+        lens_of(calibration.projector),
+        _motion(calibration.T_proj_from_cam),
+        _motion(calibration.T_world_from_cam),
+    )
+
+
+def _motion(matrix: FloatArray) -> Motion:
+    return tuple(tuple(float(value) for value in line) for line in matrix[:3])

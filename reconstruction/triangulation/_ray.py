@@ -15,8 +15,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from reconstruction._jit import compiled, inlined
+from reconstruction.arrays import Reason
 from reconstruction.decoding._half import pack_row, unpack_row
-from reconstruction.mask import Reason
 from reconstruction.rig.pinhole import (
     INVERSE_STEPS,
     NO_DISTORTION,

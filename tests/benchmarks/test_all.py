@@ -13,8 +13,8 @@ from benchmarks.regression.baselines import (
     read_baselines,
     write_baselines,
 )
-from benchmarks.regression.cases import Case, figures_of
-from benchmarks.regression.figures import Estimate, Figure, Target
+from benchmarks.regression.cases import BenchmarkCase, figures_of
+from benchmarks.regression.figures import GuardedFigure, MeanOfRuns, Target
 from benchmarks.regression.limits import judge_target
 from benchmarks.regression.registry import CASES, FIGURES
 from benchmarks.regression.runs import again
@@ -31,19 +31,24 @@ def desk(tmp_path, monkeypatch):
 class Desk:
     def __init__(self, folder, monkeypatch):
         self.values = {"z_um": [1.0, 1.1, 0.9], "over": [2.0]}
-        speed = Figure("over", "pace", kind="speed", target=Target(high=2.5))
-        height = Figure("z_um", "height, um", target=Target(0.5, 6.0))
+        speed = GuardedFigure("over", "pace", kind="speed", target=Target(high=2.5), headline=True)
+        height = GuardedFigure("z_um", "height, um", target=Target(0.5, 6.0))
         self.cases = (
-            Case("height", "3 seeds", (height,), lambda: self.take("z_um")),
-            Case("pace", "`./run bench pace`", (speed,), lambda: self.take("over"), quick=False),
+            BenchmarkCase("height", "3 seeds", (height,), lambda: self.take("z_um")),
+            BenchmarkCase(
+                "pace", "`./run bench pace`", (speed,), lambda: self.take("over"), quick=False
+            ),
         )
         self.baselines, self.readme = folder / "baselines.toml", folder / "README.md"
-        self.readme.write_text(f"above\n{readme.BEGIN}\n{readme.END}\nbelow\n")
+        self.all = folder / "benchmarks.md"
+        for page in (self.readme, self.all):
+            page.write_text(f"above\n{readme.BEGIN}\n{readme.END}\nbelow\n")
         for name, value in {
             "CASES": self.cases,
             "FIGURES": figures_of(self.cases),
             "BASELINES": self.baselines,
             "README": self.readme,
+            "ALL_FIGURES": self.all,
         }.items():
             monkeypatch.setattr(bench, name, value)
 
@@ -55,7 +60,8 @@ class Desk:
 
     def bytes(self):
         return [
-            path.read_bytes() if path.exists() else None for path in (self.baselines, self.readme)
+            path.read_bytes() if path.exists() else None
+            for path in (self.baselines, self.readme, self.all)
         ]
 
 
@@ -77,7 +83,9 @@ def test_only_update_writes(desk, capsys):
     last = last_line(capsys)
     assert (last["figures"], last["failed"]) == (2, [])
     assert set(last) == {"figures", "failed", "seconds"}
-    assert {path.name for path in desk.readme.parent.iterdir()} == {"README.md", "baselines.toml"}
+    files = {path.name for path in desk.readme.parent.iterdir()}
+    assert files == {"README.md", "benchmarks.md", "baselines.toml"}
+    assert ("height" in desk.all.read_text(), "height" in desk.readme.read_text()) == (True, False)
 
 
 def test_check_fails_outside_the_limit_and_says_which(desk, capsys):
@@ -121,11 +129,12 @@ def test_a_missed_target_fails_whatever_the_baseline(desk, capsys, name, beyond,
 
 def test_the_better_of_two_speeds_counts():
     figures = tuple(
-        Figure(name, "", kind="speed", higher_is_better=name == "up") for name in ("up", "down")
+        GuardedFigure(name, "", kind="speed", higher_is_better=name == "up")
+        for name in ("up", "down")
     )
-    case = Case("pace", "", figures, lambda: {"up": [3.0], "down": [3.0]})
-    found = again(case, {"up": Estimate(2.0), "down": Estimate(2.0)})
-    assert found == {"up": Estimate(3.0), "down": Estimate(2.0)}
+    case = BenchmarkCase("pace", "", figures, lambda: {"up": [3.0], "down": [3.0]})
+    found = again(case, {"up": MeanOfRuns(2.0), "down": MeanOfRuns(2.0)})
+    assert found == {"up": MeanOfRuns(3.0), "down": MeanOfRuns(2.0)}
 
 
 def test_only_and_quick_choose_cases(desk, capsys):
@@ -137,7 +146,7 @@ def test_only_and_quick_choose_cases(desk, capsys):
     assert bench.main(["--update", "--only", "pace"]) == 0
     found = read_baselines(desk.baselines).figures
     assert found["z_um"] == kept
-    assert found["over"].estimate == Estimate(2.5)
+    assert found["over"].estimate == MeanOfRuns(2.5)
 
 
 @pytest.mark.parametrize("arguments", [["--only", "nothing"], ["--check", "--update"], ["--what"]])
@@ -176,8 +185,8 @@ def test_baselines_come_back_as_written(tmp_path):
         tmp_path / "b.toml",
         Stated("demo", "demo", "120 s", "15 s", "time", "2026-01-01"),
     )
-    kept = Baseline(Estimate(1.25, 0.03, 4), "2026-01-02", "numpy 2", "2 cores")
-    figure = Figure("z_um", "height")
+    kept = Baseline(MeanOfRuns(1.25, 0.03, 4), "2026-01-02", "numpy 2", "2 cores")
+    figure = GuardedFigure("z_um", "height")
     written = Baselines({"z_um": kept, "gone": kept}, (stated,))
     write_baselines(written, {"z_um": figure}, path)
     assert read_baselines(path) == Baselines({"z_um": kept}, (stated,))
@@ -196,7 +205,7 @@ def test_baselines_come_back_as_written(tmp_path):
     ],
 )
 def test_values_are_shown_as_far_as_they_are_known(value, uncertainty, text):
-    assert readme.shown(Estimate(value, uncertainty, 5)) == text
+    assert readme.shown(MeanOfRuns(value, uncertainty, 5)) == text
 
 
 def test_the_table_goes_between_its_markers():
@@ -207,10 +216,10 @@ def test_the_table_goes_between_its_markers():
             readme.with_table(bad, "new")
 
 
-def test_the_readme_is_in_step_with_the_baselines():
-    """Expected: ./run bench all --update, and nobody by hand, has written the table."""
-    text = bench.README.read_text(encoding="utf-8")
-    assert readme.with_table(text, readme.table(CASES, read_baselines(bench.BASELINES))) == text
+def test_readme_and_docs_are_in_step_with_the_baselines():
+    """Expected: ./run bench all --update, and nobody by hand, has written the tables."""
+    for path, text in bench.pages(read_baselines(bench.BASELINES)).items():
+        assert path.read_text(encoding="utf-8") == text
 
 
 def test_every_figure_has_a_baseline_and_none_is_left_over():

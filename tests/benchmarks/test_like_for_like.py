@@ -36,7 +36,7 @@ def test_a_stack_is_compared_with_shadow_rays_and_without(mi, monkeypatch):
 
 
 def test_shadow_rays_are_traced_when_asked_for(mi):
-    case = stack.Case.of_film(4)
+    case = stack.StackCase.of_film(4)
     assert not case.rig.shadows
     assert case.with_shadow_rays().rig.shadows
 

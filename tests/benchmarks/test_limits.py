@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from benchmarks.regression.figures import Estimate, Figure, Target
+from benchmarks.regression.figures import GuardedFigure, MeanOfRuns, Target
 from benchmarks.regression.limits import (
     FALSE_ALARMS_PER_RUN,
     coverage_factor,
@@ -14,19 +14,19 @@ from benchmarks.regression.limits import (
     judge_target,
 )
 
-ACCURACY = Figure("z_um", "height")
-SURE, UNSURE = Estimate(1.0, 0.001, 5), Estimate(1.0, 0.01, 5)
+ACCURACY = GuardedFigure("z_um", "height")
+SURE, UNSURE = MeanOfRuns(1.0, 0.001, 5), MeanOfRuns(1.0, 0.01, 5)
 
 
 def moved(estimate, by):
-    return Estimate(estimate.value + by, estimate.standard_uncertainty, estimate.n)
+    return MeanOfRuns(estimate.value + by, estimate.standard_uncertainty, estimate.n)
 
 
 def test_the_same_number_passes():
     assert judge(ACCURACY, SURE, SURE, 30).passed
-    exact = Estimate(1.0)
+    exact = MeanOfRuns(1.0)
     assert judge(ACCURACY, exact, exact, 30).passed
-    assert not judge(ACCURACY, Estimate(1.0 + 1e-12), exact, 30).passed
+    assert not judge(ACCURACY, MeanOfRuns(1.0 + 1e-12), exact, 30).passed
 
 
 @pytest.mark.parametrize("direction", [-1.0, 1.0])
@@ -44,8 +44,8 @@ def test_both_uncertainties_count():
 
 
 def test_the_floor_is_for_what_seeds_do_not_vary():
-    absolute, relative = Figure("a", "", floor=0.01), Figure("b", "", floor_rel=0.01)
-    two, off = Estimate(2.0), Estimate(2.06)
+    absolute, relative = GuardedFigure("a", "", floor=0.01), GuardedFigure("b", "", floor_rel=0.01)
+    two, off = MeanOfRuns(2.0), MeanOfRuns(2.06)
     assert not judge(ACCURACY, off, two, 30).passed
     assert not judge(absolute, off, two, 30).passed
     assert judge(relative, off, two, 30).passed
@@ -54,10 +54,12 @@ def test_the_floor_is_for_what_seeds_do_not_vary():
 def test_effective_degrees_of_freedom():
     """Equal uncertainties: their sum; one alone: its own; a floor above all: infinitely many."""
     assert degrees_of_freedom(SURE, SURE, 0.0) == pytest.approx(8.0)
-    assert degrees_of_freedom(SURE, Estimate(1.0), 0.0) == pytest.approx(4.0)
+    assert degrees_of_freedom(SURE, MeanOfRuns(1.0), 0.0) == pytest.approx(4.0)
     assert degrees_of_freedom(SURE, SURE, 1.0) > 1e9
-    assert math.isinf(degrees_of_freedom(Estimate(1.0), Estimate(1.0), 0.1))
-    assert coverage_factor(Estimate(1.0), Estimate(1.0), 0.1, 1) == pytest.approx(2.5758, abs=1e-4)
+    assert math.isinf(degrees_of_freedom(MeanOfRuns(1.0), MeanOfRuns(1.0), 0.1))
+    assert coverage_factor(MeanOfRuns(1.0), MeanOfRuns(1.0), 0.1, 1) == pytest.approx(
+        2.5758, abs=1e-4
+    )
 
 
 def test_one_run_in_a_hundred_raises_a_false_alarm():
@@ -70,7 +72,7 @@ def test_one_run_in_a_hundred_raises_a_false_alarm():
     drawn = rng.normal(size=(runs, figures, 2, 5))
     plain = alarms = 0
     for run in drawn:
-        pairs = [(Estimate.of(found), Estimate.of(base)) for found, base in run.tolist()]
+        pairs = [(MeanOfRuns.of(found), MeanOfRuns.of(base)) for found, base in run.tolist()]
         alarms += not all(judge(ACCURACY, *pair, figures).passed for pair in pairs)
         plain += any(
             abs(a.value - b.value) > 3 * math.hypot(a.standard_uncertainty, b.standard_uncertainty)
@@ -83,20 +85,20 @@ def test_one_run_in_a_hundred_raises_a_false_alarm():
 
 def test_a_true_change_of_eight_spreads_is_found():
     rng = np.random.default_rng(6)
-    found, base = (Estimate.of(rng.normal(mean, 1.0, 5).tolist()) for mean in (8.0, 0.0))
+    found, base = (MeanOfRuns.of(rng.normal(mean, 1.0, 5).tolist()) for mean in (8.0, 0.0))
     assert not judge(ACCURACY, found, base, 30).passed
 
 
 def test_speed_fails_when_worse_by_the_factor():
-    slow = Figure("s", "", kind="speed", factor=1.5)
-    fast = Figure("f", "", kind="speed", factor=1.5, higher_is_better=True)
-    at = Estimate(2.0)
-    assert judge(slow, Estimate(2.99), at, 30).passed
-    assert judge(slow, Estimate(0.1), at, 30).passed
-    assert not judge(slow, Estimate(3.01), at, 30).passed
-    assert judge(fast, Estimate(1.34), at, 30).passed
-    assert judge(fast, Estimate(40.0), at, 30).passed
-    assert not judge(fast, Estimate(1.32), at, 30).passed
+    slow = GuardedFigure("s", "", kind="speed", factor=1.5)
+    fast = GuardedFigure("f", "", kind="speed", factor=1.5, higher_is_better=True)
+    at = MeanOfRuns(2.0)
+    assert judge(slow, MeanOfRuns(2.99), at, 30).passed
+    assert judge(slow, MeanOfRuns(0.1), at, 30).passed
+    assert not judge(slow, MeanOfRuns(3.01), at, 30).passed
+    assert judge(fast, MeanOfRuns(1.34), at, 30).passed
+    assert judge(fast, MeanOfRuns(40.0), at, 30).passed
+    assert not judge(fast, MeanOfRuns(1.32), at, 30).passed
 
 
 @pytest.mark.parametrize(
@@ -111,17 +113,17 @@ def test_speed_fails_when_worse_by_the_factor():
 def test_a_target_is_met_up_to_its_ends(target, text, met, missed):
     assert str(target) == text
     for kind in ("accuracy", "speed"):
-        figure = Figure("f", "", kind=kind, target=target)
+        figure = GuardedFigure("f", "", kind=kind, target=target)
         assert all(judge_target(figure, value).passed for value in met)
         assert not any(judge_target(figure, value).passed for value in missed)
         assert judge_target(figure, missed[0]).text == f"target {text}"
-    assert judge_target(Figure("f", ""), 1e9).passed
+    assert judge_target(GuardedFigure("f", ""), 1e9).passed
 
 
 def test_absolute_figures_fail_beyond_twice_their_target_only():
-    seconds = Figure("t_s", "", kind="absolute", target=Target(high=1.0))
-    pace = Figure("per_hour", "", kind="absolute", target=Target(low=5000.0))
-    assert judge(seconds, Estimate(100.0), Estimate(1.0), 30).passed
+    seconds = GuardedFigure("t_s", "", kind="absolute", target=Target(high=1.0))
+    pace = GuardedFigure("per_hour", "", kind="absolute", target=Target(low=5000.0))
+    assert judge(seconds, MeanOfRuns(100.0), MeanOfRuns(1.0), 30).passed
     assert judge_target(seconds, 2.0).passed
     assert not judge_target(seconds, 2.01).passed
     assert judge_target(pace, 2500.0).passed
@@ -129,9 +131,9 @@ def test_absolute_figures_fail_beyond_twice_their_target_only():
 
 
 def test_mean_and_standard_uncertainty():
-    found = Estimate.of([1.0, 2.0, 3.0])
-    assert found == Estimate(2.0, pytest.approx(1.0 / math.sqrt(3.0)), 3)
-    assert Estimate.of([4.0]) == Estimate(4.0, 0.0, 1)
+    found = MeanOfRuns.of([1.0, 2.0, 3.0])
+    assert found == MeanOfRuns(2.0, pytest.approx(1.0 / math.sqrt(3.0)), 3)
+    assert MeanOfRuns.of([4.0]) == MeanOfRuns(4.0, 0.0, 1)
     for bad in ([], [math.nan], [1.0, math.inf]):
         with pytest.raises(ValueError, match="finite"):
-            Estimate.of(bad)
+            MeanOfRuns.of(bad)

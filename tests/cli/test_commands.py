@@ -153,7 +153,9 @@ def test_press_by_force(tmp_path):
 def test_press_reports_the_contact_transfer(tmp_path):
     """Half the relief is kept at a pitch of 2.40 thicknesses, a tenth at 1.32."""
     out = tmp_path / "pressed"
-    assert run(["press", "paper/two_balls", "--transfer", "--solid", "-o", str(out)]) == 0
+    coarse = ["-s", "press.relief_pitch_mm=0.05"]
+    line = ["press", "paper/two_balls", "--transfer", "--solid", "-o", str(out), *coarse]
+    assert run(line) == 0
     metrics = json.loads((out / "result.json").read_text())["metrics"]
     thickness_mm = load_experiment(out / "experiment.toml").elastomer.thickness_mm
     assert metrics["half_contrast_pitch_mm"] == pytest.approx(2.40 * thickness_mm, rel=2e-3)
@@ -206,22 +208,6 @@ def test_press_of_a_gel_on_a_window(tmp_path, name):
     metrics = json.loads((out / "result.json").read_text())["metrics"]
     assert metrics["force_n"] > 0
     assert metrics["relief_peak_mm"] == pytest.approx(metrics["depth_mm"], abs=2e-3)
-
-
-@pytest.mark.parametrize("emitter", ["projector", "spot"])
-def test_stock_engine_gives_the_same_measurement(mi, tmp_path, emitter):
-    """`render.engine = "stock"`: jitter noise, but the same surface to some micrometres."""
-    out = tmp_path / "stock"
-    tiny = ["-s", "camera.width_px=160", "-s", "camera.height_px=120", "-s", "camera.binning=1"]
-    projector = ["-s", "projector.width_px=320", "-s", "projector.height_px=180"]
-    wide = ["-s", 'camera.pixel_pitch_um={value = 27.0, source = "test"}']
-    engine = ["-s", "render.engine=stock", "-s", "render.samples=16", "-s", "patterns.steps=6"]
-    engine += ["-s", f"render.stock_emitter={emitter}"]
-    settings = [*tiny, *projector, *wide, *engine]
-    assert run(["measure", "paper/two_balls", "-o", str(out), *settings]) == 0
-    metrics = json.loads((out / "result.json").read_text())["metrics"]
-    assert metrics["wrong_order_pixels"] == 0
-    assert metrics["z_rmse_um"] < 20.0  # 6.0 measured; a projector pixel is 0.65 mm here
 
 
 ON_WINDOW = ["-s", "elastomer.layout=contact_face", "-s", "press.back_pressure_kpa=0"]

@@ -240,8 +240,8 @@ def test_the_next_run_removes_what_a_killed_one_left(tmp_path, there):
 
 
 def test_interrupted_workers_are_ended_at_once(tmp_path):
-    from twin.interruption import Interrupted
     from twin.study.workers import local_workers
+    from twin.working import Interrupted
 
     workers = local_workers(1, cores=1)
     executor = workers.open()
@@ -259,7 +259,7 @@ def test_interrupted_workers_are_ended_at_once(tmp_path):
 
 
 def test_the_exchange_of_files_is_not_interrupted():
-    from twin.interruption import Interrupted, signals_held, unwind_on_signals
+    from twin.working import Interrupted, signals_held, unwind_on_signals
 
     before = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGHUP)}
     before[signal.SIGINT] = signal.getsignal(signal.SIGINT)

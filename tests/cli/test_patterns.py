@@ -1,7 +1,7 @@
 import imageio.v3 as imageio
 import numpy as np
 
-from reconstruction.capture.pattern_files import read_manifest
+from reconstruction.capture.description import read_manifest
 from twin.cli import run
 
 

@@ -3,7 +3,7 @@
 import pytest
 
 from twin.config import load_experiment, to_toml, validate_experiment
-from twin.config.errors import ConfigError
+from twin.config.base import ConfigError
 from twin.config.layers import Layer, holding_layer, media_of
 
 

@@ -54,7 +54,7 @@ def tables_of(experiment):
 
 
 def bsdf_of(mi, coating):
-    from twin.optics.coat import coating_bsdf
+    from twin.optics.materials import coating_bsdf
 
     return mi.load_dict(coating_bsdf(coating))
 
@@ -203,7 +203,7 @@ def test_another_coating_needs_neither_geometry_nor_kernel(mi, experiment, coate
     """
     import drjit as dr
 
-    from twin.optics.coat import set_coating
+    from twin.optics.materials import set_coating
     from twin.optics.one_trace import trace_stack
     from twin.optics.scene import coated_scene, rig_of
 

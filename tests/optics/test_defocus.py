@@ -5,9 +5,17 @@ import pytest
 
 from reconstruction.errors import InputError
 from twin.config import load_experiment
-from twin.optics.defocus import LEVELS_PER_OCTAVE, BlurLevels, Defocus
 from twin.optics.export import inexpressible
-from twin.optics.light import OVERSAMPLING, blur, light_tables, pattern_set, response
+from twin.optics.light import (
+    LEVELS_PER_OCTAVE,
+    OVERSAMPLING,
+    BlurLevels,
+    Defocus,
+    blur,
+    light_tables,
+    pattern_set,
+    response,
+)
 from twin.optics.rig import projector_pinhole
 from twin.pipeline import render
 
@@ -40,8 +48,7 @@ def column_levels(patterns, table):
 
 def found_at(mi, tables, column_px, axial_mm):
     """Light of the column frames (point, frame) in the middle row, as the kernel looks it up."""
-    from twin.optics.connection import Connection
-    from twin.optics.look_up import FrameLight
+    from twin.optics.connection import Connection, FrameLight
 
     ones = np.ones_like(column_px)
     place = mi.Float(column_px), mi.Float(360.0 * ones), mi.Float(ones), mi.Bool(ones > 0)
@@ -176,6 +183,6 @@ def test_stock_engine_and_export_say_that_they_cannot(plane):
 
 def test_nodes_are_finer_than_the_least_blur():
     """Blur below 0.1 px is taken as 0.1 px: two nodes per standard deviation need 1/16 px."""
-    from twin.optics.defocus import LEAST_VARIANCE_PX2
+    from twin.optics.light import LEAST_VARIANCE_PX2
 
     assert np.sqrt(LEAST_VARIANCE_PX2) > 1.0 / OVERSAMPLING

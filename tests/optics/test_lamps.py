@@ -33,10 +33,10 @@ MATTE = {"type": "diffuse", "reflectance": {"type": "spectrum", "value": ALBEDO}
 def look(mi):
     """Return a function that renders a matte face in a deep gel, and the truth behind it."""
     from twin.config.layers import Medium
-    from twin.optics.coat import coated_mesh
     from twin.optics.colour_trace import LampRig, trace_channels, trace_face
     from twin.optics.devices import Device
     from twin.optics.layers import LayerStack
+    from twin.optics.materials import coated_mesh
 
     gel = LayerStack((Medium(GEL_MM, N_GEL, ABSORPTION),))
 
@@ -87,8 +87,8 @@ def test_bump_in_air_is_what_stock_mitsuba_renders(mi, look, bump):
     Expected: the same image. The bump is steeper than the light, so shadows are in it; pixels on
     their edge are random in stock: at most 1 % of the pixels may differ by over 2 %.
     """
-    from twin.optics.coat import coated_mesh
     from twin.optics.device_frames import perspective_sensor
+    from twin.optics.materials import coated_mesh
 
     led = lamp(height_mm=3.0)
     found = look(bump, led, layers=None, samples=64)[0][..., 0]

@@ -6,9 +6,8 @@ import pytest
 from reconstruction.errors import InputError
 from twin.config import load_experiment
 from twin.optics.export import export_stock
-from twin.optics.lens import ThinLens, lens_places
 from twin.optics.light import light_tables, pattern_set
-from twin.optics.rig import true_calibration
+from twin.optics.rig import ThinLens, lens_places, true_calibration
 
 OPEN = {
     "camera.depth_of_field": True,

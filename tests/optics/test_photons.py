@@ -45,7 +45,7 @@ def tables(experiment):
 
 def clear_scene(mi, body, absorption_per_mm=0.0):
     """Return scene and surfaces: a body on a matte stage, its top at z = 0."""
-    from twin.optics.surfaces import Sharp, Surfaces
+    from twin.optics.scene import Sharp, Surfaces
 
     place = mi.ScalarTransform4f().translate([0, 0, -HEIGHT_MM - GAP_MM])
     stage = {"type": "rectangle", "to_world": place.scale(STAGE_MM / 2), "bsdf": STAGE}
@@ -128,8 +128,7 @@ def test_absorption_follows_beer_and_lambert(mi, rig):
 
 
 def test_map_holds_the_photons_flux(mi, rig, experiment, tables):
-    from twin.optics.photons import trace_photons
-    from twin.optics.stage_light import map_photons
+    from twin.optics.photons import map_photons, trace_photons
 
     photons = trace_photons(*clear_scene(mi, block(mi)), rig, count=100_000, seed=4)
     found = map_photons(photons, tables)
@@ -159,8 +158,7 @@ def through_block(mi, rig, tables):
     from twin.optics.bounces import Bounces
     from twin.optics.layers import LayerStack
     from twin.optics.one_trace import trace_stack
-    from twin.optics.photons import trace_photons
-    from twin.optics.stage_light import StageLight, map_photons
+    from twin.optics.photons import StageLight, map_photons, trace_photons
 
     scene, surfaces = clear_scene(mi, block(mi))
     photons = trace_photons(scene, surfaces, rig, count=3_000_000, seed=7)
@@ -259,9 +257,8 @@ def tiles(image):
 def white_with_and_without(mi, experiment):
     from twin.optics.bounces import Bounces
     from twin.optics.one_trace import trace_stack
-    from twin.optics.photons import trace_photons
+    from twin.optics.photons import StageLight, map_photons, trace_photons
     from twin.optics.scene import rig_of
-    from twin.optics.stage_light import StageLight, map_photons
 
     rig = rig_of(experiment)
     patterns = pattern_set(experiment.projector, experiment.patterns)

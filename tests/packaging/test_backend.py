@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from twin.optics.backend import Backend, MissingBackend, activate, choice, find_backend
-from twin.optics.backend.memory import cache_file
+from twin.optics.backend.choice import cache_file
 from twin.optics.backend.probe import CHOICE_VARIABLE, LIBRARY_VARIABLE, LLVM_VARIANT, probe
 
 ABORTING = """

@@ -166,7 +166,7 @@ def test_checks_come_before_pytest_which_gets_the_arguments(checkout):
         "ruff format --check .",
         "mypy ",
         "lint-imports ",
-        "-m pytest --quick tests/a b",
+        "-m pytest -n auto --maxprocesses 4 --dist loadfile --quick tests/a b",
     ]
 
 

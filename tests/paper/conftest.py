@@ -68,8 +68,7 @@ def ball(mi, small_photographs, tmp_path_factory):
 
 def keep(folder, seen):
     """Write what a case keeps, without its completeness."""
-    from twin.paper.panel_data import write_panel_data
-    from twin.paper.panel_sources import panel_data_of
+    from twin.paper.panels import panel_data_of, write_panel_data
 
     write_result(folder, "paper", seen.experiment, seen.figures)
     write_panel_data(folder / "panels", panel_data_of(seen))

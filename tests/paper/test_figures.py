@@ -26,10 +26,10 @@ def cases(rod, ball, tmp_path_factory):
 @pytest.fixture(scope="module")
 def quick():
     """One ray per pixel of a relief."""
-    from twin.paper import panel_relief
+    from twin.paper import relief_views
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(panel_relief, "_FINER", 1)
+        patch.setattr(relief_views, "_FINER", 1)
         yield
 
 
@@ -80,7 +80,7 @@ def test_an_unknown_figure_names_the_known_ones(tmp_path, mi):
 
 
 def test_a_case_without_panels_says_what_to_do(tmp_path, mi):
-    from twin.paper.figure_layout import panels_of
+    from twin.paper.figure_panels import panels_of
 
     (tmp_path / "nut" / "direct_fpp").mkdir(parents=True)
     with pytest.raises(InputError, match="found no panels; measure the case again"):
@@ -104,11 +104,11 @@ def test_hardness_is_that_of_the_materials(mi):
 
 
 def test_letters_run_along_the_rows(mi, tmp_path):
-    from twin.paper.figure_layout import Grid
-    from twin.paper.sheet import sheet
+    from twin.paper.figure_panels import Grid
+    from twin.report.canvas import printing
 
     grid = Grid(2, 3, 1.0, 0.8)
-    with sheet(tmp_path / "grid", *grid.size_in) as figure:
+    with printing(tmp_path / "grid", *grid.size_in) as figure:
         axes = grid.cell(figure, 1, 0)
         place = axes.get_position()
     assert axes.texts[0].get_text() == "(d)"

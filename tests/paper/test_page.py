@@ -29,10 +29,11 @@ def page(tmp_path_factory) -> Path:
     makers = (sphere_fit_table, repeated_fit_table, uncertainty_table)
     tables = {table.name: table for table in (*(make(trials) for make in makers), hardness_table())}
     tables["claims"] = claims_table(claims_of(tables))
-    picture = folder / "hardness.png"
+    (folder / "figures").mkdir()
+    picture = folder / "figures" / "hardness.png"
     imwrite(picture, np.full((40, 60, 3), 200, np.uint8))
     experiment = load_experiment("paper/two_balls")
-    contents = Contents(tables, {"hardness": picture}, experiment, load_scatter(), 6)
+    contents = Contents(tables, {"hardness"}, experiment, load_scatter(), 6)
     return write_paper_page(folder, contents)
 
 

@@ -11,7 +11,7 @@ from reconstruction.errors import InputError
 
 
 def test_panels_of_fringes_are_the_measured_points(rod, measured_rod):
-    from twin.paper.panel_data import read_panel_data
+    from twin.paper.panels import read_panel_data
 
     data = read_panel_data(rod / "panels")
     measured = measured_rod.fringes.reconstruction.point_map
@@ -25,7 +25,7 @@ def test_panels_of_fringes_are_the_measured_points(rod, measured_rod):
 
 def test_the_width_of_a_rod_is_that_of_its_section(rod):
     """Where the profile crosses half height is where the panel draws its arrow."""
-    from twin.paper.panel_data import read_panel_data
+    from twin.paper.panels import read_panel_data
 
     data = read_panel_data(rod / "panels")
     width = data.numbers.width
@@ -38,8 +38,8 @@ def test_the_width_of_a_rod_is_that_of_its_section(rod):
 
 def test_a_missing_point_is_a_hole(rod, mi):
     """Setup: points of a block of pixels are taken away. Expected: white there, and only there."""
-    from twin.paper.panel_data import read_panel_data
-    from twin.paper.panel_relief import relief_picture, stage_for
+    from twin.paper.panels import read_panel_data
+    from twin.paper.relief_views import relief_picture, stage_for
 
     data = read_panel_data(rod / "panels")
     stage = stage_for(data)
@@ -56,8 +56,8 @@ def test_a_missing_point_is_a_hole(rod, mi):
 
 def test_colours_are_the_height_not_the_light(rod, mi):
     """Setup: a level surface at either end of the scale. Expected: purple and yellow of viridis."""
-    from twin.paper.panel_data import read_panel_data
-    from twin.paper.panel_relief import relief_picture, stage_for
+    from twin.paper.panels import read_panel_data
+    from twin.paper.relief_views import relief_picture, stage_for
 
     data = read_panel_data(rod / "panels")
     stage = stage_for(data)
@@ -69,8 +69,8 @@ def test_colours_are_the_height_not_the_light(rod, mi):
 
 
 def test_reliefs_that_are_compared_share_scale_and_size(rod, ball):
-    from twin.paper.panel_data import read_panel_data
-    from twin.paper.panel_relief import stage_for
+    from twin.paper.panels import read_panel_data
+    from twin.paper.relief_views import stage_for
 
     one, other = read_panel_data(rod / "panels"), read_panel_data(ball / "panels")
     stage = stage_for(one, other)
@@ -80,7 +80,7 @@ def test_reliefs_that_are_compared_share_scale_and_size(rod, ball):
 
 def test_a_perfect_cap_has_no_residual(ball):
     """Setup: heights on an exact sphere. Expected: its radius, residuals of float32 rounding."""
-    from twin.paper.panel_data import read_panel_data
+    from twin.paper.panels import read_panel_data
 
     data = read_panel_data(ball / "panels")
     (fit,) = data.numbers.balls
@@ -92,7 +92,7 @@ def test_a_perfect_cap_has_no_residual(ball):
 
 
 def test_photometric_points_without_measurement_are_gaps(ball):
-    from twin.paper.panel_data import read_panel_data
+    from twin.paper.panels import read_panel_data
 
     data = read_panel_data(ball / "panels")
     assert not data.valid[:10].any()
@@ -100,8 +100,7 @@ def test_photometric_points_without_measurement_are_gaps(ball):
 
 
 def test_the_same_result_gives_the_same_bytes(rod, measured_rod, tmp_path):
-    from twin.paper.panel_data import write_panel_data
-    from twin.paper.panel_sources import panel_data_of
+    from twin.paper.panels import panel_data_of, write_panel_data
 
     write_panel_data(tmp_path / "again", panel_data_of(measured_rod))
     assert {path.name for path in (tmp_path / "again").iterdir()} == {"panels.npz", "panels.json"}
@@ -120,7 +119,7 @@ def test_a_case_keeps_the_figures_of_twin_measure_and_stays_small(rod, measured_
 
 
 def test_damaged_panels_are_told_in_one_line(rod, tmp_path):
-    from twin.paper.panel_data import read_panel_data
+    from twin.paper.panels import read_panel_data
 
     folder = tmp_path / "panels"
     shutil.copytree(rod / "panels", folder)

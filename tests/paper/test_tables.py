@@ -18,7 +18,7 @@ from twin.paper.sphere_tables import (
     sphere_fit_table,
     uncertainty_table,
 )
-from twin.paper.table import Column, Table
+from twin.report.table import Column, Table
 
 RADII = [4.0, 3.9, 4.1, 4.05, 3.95, 4.2]
 

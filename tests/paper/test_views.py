@@ -1,4 +1,4 @@
-"""Pictures for people: geometry of the observer, light, holes, and what the views show."""
+"""Pictures for people: geometry of the view_camera, light, holes, and what the views show."""
 
 import numpy as np
 import pytest
@@ -23,10 +23,10 @@ def pressed(experiment):
     return press_specimen(experiment)
 
 
-def observer(width_mm=10.0, size=(64, 48), eye=(0.0, -40.0, 40.0)):
-    from twin.optics.observer import Observer
+def view_camera(width_mm=10.0, size=(64, 48), eye=(0.0, -40.0, 40.0)):
+    from twin.optics.view import ViewCamera
 
-    return Observer(eye, (0.0, 0.0, 0.0), width_mm, *size)
+    return ViewCamera(eye, (0.0, 0.0, 0.0), width_mm, *size)
 
 
 def plane(z_mm=0.0, half_mm=50.0):
@@ -35,8 +35,8 @@ def plane(z_mm=0.0, half_mm=50.0):
     return vertices, np.array([(0, 1, 2), (0, 2, 3)])
 
 
-def test_observer_sees_the_target_in_the_middle_and_z_upright(mi):
-    seen = observer()
+def test_view_camera_sees_the_target_in_the_middle_and_z_upright(mi):
+    seen = view_camera()
     at = seen.project([(0.0, 0.0, 0.0), (0.0, 0.0, 1.0), (1.0, 0.0, 0.0)])
     np.testing.assert_allclose(at[0], (31.5, 23.5), atol=1e-9)
     assert at[1, 1] < at[0, 1]
@@ -45,7 +45,7 @@ def test_observer_sees_the_target_in_the_middle_and_z_upright(mi):
 
 
 def test_view_straight_down_has_world_y_at_the_top(mi):
-    seen = observer(eye=(0.0, 0.0, 50.0))
+    seen = view_camera(eye=(0.0, 0.0, 50.0))
     at = seen.project([(0.0, 1.0, 0.0), (1.0, 0.0, 0.0)])
     assert at[0, 1] < 23.5
     assert at[1, 0] > 31.5
@@ -53,26 +53,26 @@ def test_view_straight_down_has_world_y_at_the_top(mi):
 
 def test_rays_meet_a_plane_where_they_project_to(mi):
     """Setup: the plane z = 0 fills the picture. Expected: each point projects to its pixel."""
-    from twin.optics.observer import look
+    from twin.optics.view import visible_surface
 
-    seen = look(*plane(), observer(), TOWARDS_LAMP)
+    seen = visible_surface(*plane(), view_camera(), TOWARDS_LAMP)
     assert seen.hit.all()
     assert seen.sunlit.all()
     row, col = np.mgrid[:48, :64]
-    at = observer().project(seen.points_mm.astype(float))
+    at = view_camera().project(seen.points_mm.astype(float))
     np.testing.assert_allclose(at, np.stack([col, row], axis=-1), atol=2e-3)
     np.testing.assert_allclose(seen.normals, np.broadcast_to((0, 0, 1.0), (48, 64, 3)), atol=1e-6)
 
 
 def test_a_screen_throws_a_shadow_where_geometry_says(mi):
     """Setup: lamp at 45 deg from -x, a wall of height 1 at x = 0. Expected: dark for 0 < x < 1."""
-    from twin.optics.observer import look
+    from twin.optics.view import visible_surface
 
     ground, triangles = plane()
     wall = np.array([(0, -20, 0), (0, 20, 0), (0, 20, 1), (0, -20, 1)], float)
     vertices = np.vstack([ground, wall])
     both = np.vstack([triangles, triangles + 4])
-    seen = look(vertices, both, observer(eye=(0.0, -0.01, 60.0)), TOWARDS_LAMP)
+    seen = visible_surface(vertices, both, view_camera(eye=(0.0, -0.01, 60.0)), TOWARDS_LAMP)
     x = seen.points_mm[..., 0]
     low = seen.hit & (seen.points_mm[..., 2] < 0.01)
     assert not seen.sunlit[low & (x > 0.05) & (x < 0.95)].any()
@@ -81,10 +81,12 @@ def test_a_screen_throws_a_shadow_where_geometry_says(mi):
 
 
 def test_pictures_are_white_where_nothing_is_and_repeat_byte_for_byte(mi):
-    from twin.optics.view import Thing, matte, picture
+    from twin.optics.view import SceneObject, matte, picture
 
-    ball = Thing("ball", trimesh.creation.icosphere(radius=2.0), matte(0.6, 0.1, 0.1), smooth=True)
-    first, again = (picture([ball], observer(), samples=4) for _ in range(2))
+    ball = SceneObject(
+        "ball", trimesh.creation.icosphere(radius=2.0), matte(0.6, 0.1, 0.1), smooth=True
+    )
+    first, again = (picture([ball], view_camera(), samples=4) for _ in range(2))
     np.testing.assert_array_equal(first, again)
     assert (first[0] == 255).all()
     assert (first[:, 0] == 255).all()
@@ -112,7 +114,7 @@ def test_a_photograph_is_gray_and_taken_once_per_specimen(mi, monkeypatch):
 
 def test_fringes_on_the_coat_have_the_projectors_period(experiment, mi):
     """Setup: points whose projector columns are a period apart. Expected: the same shade."""
-    from twin.paper.view_things import fringe_shade
+    from twin.paper.rig_scene import fringe_shade
 
     rig = true_calibration(experiment)
     columns = 640.0 + experiment.patterns.period_px * np.arange(4)
@@ -124,7 +126,7 @@ def test_fringes_on_the_coat_have_the_projectors_period(experiment, mi):
 
 
 def test_a_cut_sheet_ends_at_the_cut_and_is_closed(experiment, pressed, mi):
-    from twin.paper.view_things import sheet_things
+    from twin.paper.rig_scene import sheet_things
 
     silicone, coat = sheet_things(experiment, pressed, cut_y_mm=0.0)
     assert silicone.mesh.is_watertight
@@ -135,7 +137,7 @@ def test_a_cut_sheet_ends_at_the_cut_and_is_closed(experiment, pressed, mi):
 
 
 def test_the_specimen_is_where_the_press_put_it(experiment, pressed, mi):
-    from twin.paper.view_things import specimen_things
+    from twin.paper.rig_scene import specimen_things
 
     balls = specimen_things(experiment, pressed)[0]
     top = experiment.elastomer.touched_plane_mm + pressed.depth_mm
@@ -145,14 +147,14 @@ def test_the_specimen_is_where_the_press_put_it(experiment, pressed, mi):
 @pytest.fixture
 def coarse_views(mi, monkeypatch):
     """One path per pixel of small pictures."""
-    from twin.paper import views
+    from twin.paper import rig_figures
 
-    monkeypatch.setattr(views, "_SAMPLES", 1)
+    monkeypatch.setattr(rig_figures, "_SAMPLES", 1)
     for view in ("_RIG", "_SHEET", "_CUT"):
-        full = getattr(views, view)
+        full = getattr(rig_figures, view)
         small = type(full)(full.eye_mm, full.target_mm, full.width_mm, 104, 80)
-        monkeypatch.setattr(views, view, small)
-    return views
+        monkeypatch.setattr(rig_figures, view, small)
+    return rig_figures
 
 
 @pytest.mark.parametrize("name", ["concept", "setup"])

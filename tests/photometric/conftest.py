@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from reconstruction.photometric.calibration_ball import BallPress
-from reconstruction.photometric.sensor_calibration import calibrate_sensor
+from reconstruction.photometric.sensor import calibrate_sensor
 
 PITCH_MM = 0.0634
 SHAPE = (240, 320)

@@ -4,7 +4,7 @@ import pytest
 from reconstruction.errors import CaptureError, FitError, InputError
 from reconstruction.photometric.colour_maps import ColourPolynomial
 from reconstruction.photometric.images import smoothed
-from reconstruction.photometric.sensor_calibration import (
+from reconstruction.photometric.sensor import (
     SensorCalibration,
     calibrate_sensor,
     read_sensor_calibration,

@@ -2,11 +2,14 @@ import cv2
 import numpy as np
 import pytest
 
+from reconstruction.arrays import PhotometricReason
 from reconstruction.errors import InputError
 from reconstruction.evaluate.fit import fit_sphere
-from reconstruction.mask import PhotometricReason
-from reconstruction.photometric.pipeline import PhotometricDecoder, PhotometricOptions
-from reconstruction.photometric.sensor_calibration import SensorCalibration
+from reconstruction.photometric.sensor import (
+    PhotometricDecoder,
+    PhotometricOptions,
+    SensorCalibration,
+)
 from tests.work import lines_run
 
 PITCH_MM, DIAMETER_MM, CONTACT_PX = 0.0634, 6.31, 26.0

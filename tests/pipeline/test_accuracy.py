@@ -10,7 +10,7 @@ from reconstruction.pipeline import reconstruct
 from twin.camera import expose
 from twin.config import load_experiment, vary
 from twin.optics.light import pattern_set
-from twin.pipeline import record
+from twin.pipeline import measure, record
 from twin.pipeline.fringes import options_of
 from twin.results.score import score, score_truth, wrong_orders
 
@@ -144,3 +144,16 @@ def test_same_experiment_same_capture(default, pressed):
 def test_patterns_of_projector_and_decoder_are_one(default):
     experiment, recording = default
     assert recording.capture.patterns == pattern_set(experiment.projector, experiment.patterns)
+
+
+@pytest.mark.parametrize("emitter", ["projector", "spot"])
+def test_stock_engine_gives_the_same_measurement(mi, emitter):
+    """`render.engine = "stock"`: jitter noise, but the same surface to some micrometres."""
+    tiny = {"camera.width_px": 160, "camera.height_px": 120, "camera.binning": 1}
+    projector = {"projector.width_px": 320, "projector.height_px": 180, "patterns.steps": 6}
+    wide = {"camera.pixel_pitch_um": {"value": 27.0, "source": "test"}}
+    stock = {"render.engine": "stock", "render.samples": 16, "render.stock_emitter": emitter}
+    experiment = load_experiment("paper/two_balls", tiny | projector | wide | stock)
+    figures = measure(experiment).figures
+    assert figures["wrong_order_pixels"] == 0
+    assert figures["z_rmse_um"] < 20.0  # 6.0 measured; a projector pixel is 0.65 mm here

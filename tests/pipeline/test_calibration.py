@@ -12,7 +12,7 @@ import trimesh
 
 from reconstruction.calibration import length_errors_mm, locate_features, observe
 from reconstruction.calibration.pipeline import parameters_of
-from reconstruction.capture.pattern_files import read_manifest
+from reconstruction.capture.description import read_manifest
 from reconstruction.evaluate import flatness
 from reconstruction.rig.calibration import read_calibration
 from twin.cli import run

@@ -5,8 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from reconstruction.calibration.plane_images import apply_homography
-from reconstruction.calibration.projector_points import projector_points
+from reconstruction.calibration.plane_images import apply_homography, projector_points
 from reconstruction.decoding.decode import DecodeOptions, decode
 from reconstruction.errors import InputError
 

@@ -18,7 +18,7 @@ from reconstruction.decoding.decode import (
 from reconstruction.patterns import PatternSet
 from reconstruction.rig.calibration import Calibration, Pinhole
 from reconstruction.rig.sensor import SensorNoise
-from reconstruction.triangulation.triangulate import triangulate
+from reconstruction.triangulation import triangulate
 
 SENSOR = SensorNoise(0.17, 6.2, 64.0, 4095.0)
 

@@ -2,13 +2,13 @@
 
 import pytest
 
-from reconstruction import cores
+from reconstruction import machine
 
 
 @pytest.mark.parametrize(
     ("told", "expected"), [("1", 1), ("3", 3), ("64", 4), ("0", 1), ("", 4), ("many", 4)]
 )
 def test_threads(monkeypatch, told, expected):
-    monkeypatch.setattr(cores.os, "sched_getaffinity", lambda _: set(range(4)))
-    monkeypatch.setenv(cores.VARIABLE, told)
-    assert cores.threads() == expected
+    monkeypatch.setattr(machine.os, "sched_getaffinity", lambda _: set(range(4)))
+    monkeypatch.setenv(machine.VARIABLE, told)
+    assert machine.threads() == expected

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from scipy.ndimage import binary_dilation, gaussian_filter
 
-from reconstruction.decoding import smoothing
+from reconstruction.decoding._filter import gaussian_weights
 from reconstruction.decoding.decode import DecodeOptions, Reason, decode
 from reconstruction.patterns import PatternSet
 from reconstruction.pipeline import Reconstruction, filter_bias
 from reconstruction.rig.sensor import SensorNoise
-from reconstruction.triangulation.triangulate import triangulate
+from reconstruction.triangulation import triangulate
 
 PATTERNS = PatternSet(1280, 720, steps=8)
 SENSOR = SensorNoise(0.17, 6.2, 64.0, 4095.0)
@@ -88,7 +88,7 @@ def test_nothing_is_added_to_sigma_on_a_plane(noisy):
     stack = noisy(column, lines)
     decoded, single = (decode(stack, PATTERNS, SENSOR, options) for options in (None, UNFILTERED))
     inner = np.s_[8:-8, 8:-8]
-    gain = np.sum(smoothing.gaussian_weights(8, 1.5).astype(float) ** 2)
+    gain = np.sum(gaussian_weights(8, 1.5).astype(float) ** 2)
     found = np.sqrt(np.mean(decoded.column.sigma_px[inner] ** 2))
     expected = gain * np.sqrt(np.mean(single.column.sigma_px[inner] ** 2))
     assert found == pytest.approx(expected, rel=0.02)
@@ -157,7 +157,7 @@ def test_bands_and_patches_leave_no_trace(noisy, monkeypatch):
     stack[:, np.random.default_rng(1).random(column.shape) < 0.01] = 64
     expected = decode(stack, PATTERNS, SENSOR)
     for rows in (7, 1000):
-        monkeypatch.setattr(smoothing, "BAND_ROWS", rows)
+        monkeypatch.setattr("reconstruction.decoding._filter.BAND_ROWS", rows)
         found = decode(stack, PATTERNS, SENSOR)
         np.testing.assert_array_equal(found.column.coordinate_px, expected.column.coordinate_px)
         np.testing.assert_array_equal(found.column.sigma_px, expected.column.sigma_px)

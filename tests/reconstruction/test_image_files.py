@@ -8,10 +8,9 @@ import OpenEXR
 import pytest
 
 from reconstruction.calibration.observation import pose_folders, read_board_capture
-from reconstruction.capture.description import assignments
+from reconstruction.capture.description import assignments, write_patterns
 from reconstruction.capture.folder import read_capture, write_capture
 from reconstruction.capture.image_files import subtract_dark
-from reconstruction.capture.pattern_files import write_patterns
 from reconstruction.errors import CaptureError
 from reconstruction.patterns import PatternSet
 from reconstruction.pipeline import reconstruct

@@ -8,14 +8,15 @@ import xarray
 from reconstruction.capture.folder import Capture
 from reconstruction.decoding.decode import DecodeOptions, Reason
 from reconstruction.errors import CaptureError, InputError
-from reconstruction.outputs import (
+from reconstruction.patterns import PatternSet
+from reconstruction.pipeline import (
+    ReconstructOptions,
     read_reconstruction,
+    reconstruct,
     write_ply,
     write_point_map_ply,
     write_reconstruction,
 )
-from reconstruction.patterns import PatternSet
-from reconstruction.pipeline import ReconstructOptions, reconstruct
 from reconstruction.rig.sensor import SensorNoise
 
 

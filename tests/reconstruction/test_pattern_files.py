@@ -2,7 +2,7 @@ import imageio.v3 as imageio
 import numpy as np
 import pytest
 
-from reconstruction.capture.pattern_files import file_names, read_manifest, write_patterns
+from reconstruction.capture.description import file_names, read_manifest, write_patterns
 from reconstruction.errors import CaptureError
 from reconstruction.patterns import PatternSet
 

@@ -8,6 +8,7 @@ import pytest
 import trimesh
 import xarray
 
+from reconstruction.arrays import Reason
 from reconstruction.errors import InputError
 from reconstruction.evaluate.surface import (
     height_map,
@@ -17,8 +18,7 @@ from reconstruction.evaluate.surface import (
     write_height_png,
     write_mesh_ply,
 )
-from reconstruction.mask import Reason
-from reconstruction.triangulation.triangulate import PointMap
+from reconstruction.triangulation import PointMap
 
 
 def point_map(z_of, rows=120, cols=160, pitch=0.05):

@@ -10,7 +10,7 @@ from reconstruction.errors import InputError
 from reconstruction.patterns import PatternSet
 from reconstruction.rig.calibration import Calibration, Pinhole
 from reconstruction.rig.sensor import SensorNoise
-from reconstruction.triangulation.triangulate import EpipolarTolerance, triangulate
+from reconstruction.triangulation import EpipolarTolerance, triangulate
 
 
 def decoded_from(projector_px, sigma_px=0.01):

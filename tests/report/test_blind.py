@@ -8,13 +8,12 @@ import pytest
 
 from reconstruction.capture.folder import Capture
 from reconstruction.pipeline import Reconstruction, reconstruct
-from reconstruction.triangulation.triangulate import PointMap
+from reconstruction.triangulation import PointMap
 from tests.report.conftest import record_analytically
 from twin.config import vary
 from twin.pipeline.fringes import evaluate, options_of
 from twin.report import summary_table, write_report
-from twin.report.discussion import discussion
-from twin.report.verdict import verdicts
+from twin.report.contact import discussion, verdicts
 from twin.results.folder import read_measurement, write_measurement
 from twin.results.record import Fringes, Recording
 from twin.results.score import metrics, region_of, score, why_absent
@@ -62,7 +61,7 @@ def test_figures_of_nothing_are_null(blind):
 
 def test_report_and_table_say_why(blind):
     table = summary_table(blind)
-    assert "z error against the true face: none, no valid point" in table
+    assert "z error against the true coat: none, no valid point" in table
     assert "points on 0.0% of the lit pixels, - wrong fringe orders" in table
     assert verdicts(read_measurement(blind))[0].headline == "no valid point"
     page = write_report(blind).read_text()
@@ -105,7 +104,7 @@ def test_a_single_point_has_a_report_without_a_spread(experiment, blind, recordi
         truth=recording.truth,
         score=found,
     )
-    assert "spread – times" in " ".join(verdicts(seen)[0].reasons)
+    assert "normalised error (error / predicted sigma) – " in " ".join(verdicts(seen)[0].reasons)
     assert "a single point has no spread" in discussion(seen)[0]
 
 

@@ -7,16 +7,16 @@ import shutil
 import numpy as np
 import pytest
 
+from reconstruction.arrays import Reason
 from reconstruction.errors import InputError
-from reconstruction.mask import Reason
 from twin.cli import run
 from twin.config import load_experiment
 from twin.pipeline import comparison
 from twin.pipeline.comparison import compare, methods_named
 from twin.report import summary_table, write_comparison, write_report
-from twin.report.camera_view import error_um, true_scale_mm, wanted
-from twin.report.direct import REASON_WORDS, discussion, missing_shares, percent, verdicts
-from twin.report.fields import split_unit
+from twin.report.bare import REASON_WORDS, discussion, missing_shares, verdicts
+from twin.report.pixel_panels import error_um, true_scale, wanted
+from twin.report.words import percent, split_unit
 from twin.results.folder import read_measurement
 
 # 160 x 120 pixels over the whole field, three phase steps, one sample: seconds, not minutes.
@@ -128,7 +128,11 @@ def test_direct_report_tells_what_is_missing(compared, direct):
     folder = compared / "ball" / "direct_fpp"
     page = (folder / "report.html").read_text(encoding="utf-8")
     assert {path.stem for path in (folder / "figures").iterdir()} == {"seen", "frames", "decoding"}
-    for text in ("virtual direct-FPP", percent(direct.figures["good_share"]), "of the specimen"):
+    for text in (
+        "virtual measurement by direct FPP",
+        percent(direct.figures["good_share"]),
+        "of the specimen",
+    ):
         assert text in page
     assert "coated face" not in page
     assert "conductor: ior" in page
@@ -156,7 +160,7 @@ def test_error_map_is_what_is_scored(direct):
 
 def test_heights_are_scaled_by_the_truth_not_by_wrong_points(direct):
     """Truth: from the stage 8 mm below the ball's apex up to that apex at z = 0."""
-    low_mm, high_mm = true_scale_mm(direct)
+    low_mm, high_mm = true_scale(direct).ends_mm
     assert low_mm == -10.0
     assert high_mm == pytest.approx(0.0, abs=1e-3)
 

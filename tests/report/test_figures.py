@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 from scipy.integrate import trapezoid
 
+from reconstruction.arrays import Reason
 from reconstruction.capture.folder import read_capture
 from reconstruction.errors import InputError
-from reconstruction.mask import Reason
 from twin.config import vary
 from twin.pipeline.press import press_specimen
+from twin.report.camera_images import block_mean, draw_decoding, draw_frames, reason_shares
 from twin.report.canvas import (
     axes_at,
     contour_levels,
@@ -18,11 +19,8 @@ from twin.report.canvas import (
     round_up,
     symmetric_limit,
 )
-from twin.report.decoding import REASON_COLOURS, draw_decoding, reason_shares
-from twin.report.fields import in_words, phrase, split_unit
-from twin.report.frames import block_mean, draw_frames
+from twin.report.pixel_panels import REASON_COLOURS
 from twin.report.press import draw_press
-from twin.report.relief import draw_height_map, draw_relief_view
 from twin.report.rig import triangulation_angle_deg
 from twin.report.section import (
     face_profile,
@@ -31,8 +29,13 @@ from twin.report.section import (
     touched_profile,
     trace_through_apexes,
 )
-from twin.report.truth_error import predicted_density
-from twin.report.world_map import average_on_grid, pixel_on_face_mm
+from twin.report.surfaces import (
+    average_on_grid,
+    draw_height_map,
+    draw_relief_view,
+    predicted_density,
+)
+from twin.report.words import in_words, phrase, split_unit
 from twin.results.folder import read_measurement
 from twin.results.record import Fringes
 
@@ -111,11 +114,12 @@ def test_reasons_are_all_coloured_and_add_up():
     assert shares == {Reason.VALID: 0.5, Reason.SATURATED: 0.25, Reason.EDGE: 0.25}
 
 
-def test_pixel_and_angle_of_the_rig(experiment):
+def test_pixel_and_angle_of_the_rig(finished, experiment):
     assert triangulation_angle_deg(experiment) == pytest.approx(
         experiment.projector.pose.polar_deg - experiment.camera.pose.polar_deg, abs=1e-9
     )
-    field_mm = pixel_on_face_mm(experiment) * experiment.camera.width_px / experiment.camera.binning
+    pixel_mm = read_measurement(finished).pixel_mm
+    field_mm = pixel_mm * experiment.camera.width_px / experiment.camera.binning
     assert 25 < field_mm < 32  # rig_facts.md: 28.6 mm
 
 
@@ -173,7 +177,7 @@ def test_maps_survive_many_masked_pixels(finished, tmp_path):
     holed = dataclasses.replace(point_map, mask_reason=reason)
     reconstruction = dataclasses.replace(measured.fringes.reconstruction, point_map=holed)
     draw_decoding(tmp_path / "decoding.png", reconstruction, measured.fringes.capture.patterns)
-    pixel_mm = pixel_on_face_mm(measured.experiment)
+    pixel_mm = measured.pixel_mm
     points = Fringes(measured.fringes.capture, reconstruction).points
     draw_relief_view(tmp_path / "relief.png", points, pixel_mm)
     draw_height_map(tmp_path / "height.png", points, pixel_mm)

@@ -10,9 +10,9 @@ from twin.config.artefacts import Bars, Rods, Step, VGroove
 from twin.config.objects import Bear, Brick, Fingerprint, Nut, TBolt
 from twin.config.specimens import Ball, Flat, Grating, Group, Specimen
 from twin.specimens import shape_of, specimen_mesh
+from twin.specimens.catalogue import UNMOVED, Placement
 from twin.specimens.distance import BallDistance, BoxDistance, SignedDistance, distances_of
 from twin.specimens.meshes import MeshShape
-from twin.specimens.pose import UNMOVED, Placement
 from twin.specimens.sampled_distance import PITCH_MM, MeshDistance, SampledField
 from twin.specimens.triangle_distance import TriangleTree, unsigned_samples
 

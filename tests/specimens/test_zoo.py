@@ -7,8 +7,8 @@ import pytest
 from pydantic import ValidationError
 
 from twin.config.artefacts import Bar, Bars, Rods, Step, VGroove
-from twin.config.materials import Conductor, Dielectric
 from twin.config.objects import Bear, Brick, Fingerprint, Nut, TBolt
+from twin.config.specimen_base import Conductor, Dielectric
 from twin.config.specimens import Ball, Group, Rod, Specimen, TwoBalls
 from twin.specimens import bodies, height_above_lowest, shape_of, specimen_mesh
 from twin.specimens.fingerprint import ridges_mm

@@ -62,7 +62,7 @@ def test_effects_do_without_the_blind_and_tell_how_many(table, tmp_path, monkeyp
         raise InputError("no renderer in this test")
 
     monkeypatch.setattr(pictures, "take_picture", refuse)
-    page = write_study(tmp_path).read_text()
+    page = write_study(tmp_path, failed=pictures.picture_best(tmp_path)).read_text()
     assert "Cases left out: 4 without z_rmse_um." in page
     assert page.count("no valid point") == 4
     assert (tmp_path / "figures" / "front.png").is_file()

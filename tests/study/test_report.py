@@ -10,7 +10,7 @@ from tests.study import synthetic
 from twin.config.study import Study
 from twin.optics.backend import MissingBackend
 from twin.report.study import write_study
-from twin.report.study_designs import Scales
+from twin.report.study_figures import Scales
 from twin.study import pictures
 from twin.study.pictures import CasePicture
 from twin.study.record import StudyRecord
@@ -45,7 +45,12 @@ def taken(monkeypatch):
 def page_of(base, folder, *axes, **keys):
     record = StudyRecord(Study(name="test", base="x", axis=axes, **keys), base)
     sweep(record, folder, local_workers(1), make_measurer=synthetic.Bowl)
-    return write_study(folder).read_text()
+    return drawn(folder)
+
+
+def drawn(folder):
+    """Take what pictures are missing, then draw."""
+    return write_study(folder, failed=pictures.picture_best(folder)).read_text()
 
 
 def test_grid(base, tmp_path):
@@ -82,19 +87,21 @@ def test_best_designs_in_pictures(base, tmp_path, taken):
     """Five designs of one objective, each with three pictures; drawn again nothing is measured."""
     text = page_of(base, tmp_path, ALBEDO | {"count": 5}, metrics=["bowl"], repeats=2)
     assert len(taken) == 5  # the second repeat is no design of its own
-    assert text.count('class="design"') == 5
+    assert text.count('<section id="design_') == 5
     assert text.index("1 · albedo 0.5, seed") < text.index("2 · albedo 0.3, seed")
     assert len(list((tmp_path / "figures").glob("design_*.png"))) == 15
-    assert write_study(tmp_path).read_text() == text
+    assert drawn(tmp_path) == write_study(tmp_path).read_text() == text
     assert len(taken) == 5
     next((tmp_path / "pictures").iterdir()).write_bytes(b"damaged")
-    assert write_study(tmp_path).read_text() == text
+    assert "Without pictures: not taken yet" in write_study(tmp_path).read_text()
+    assert len(taken) == 5  # the report itself measures nothing
+    assert drawn(tmp_path) == text
     assert len(taken) == 6
 
 
 def test_designs_share_their_scales():
     scales = Scales.of([picture_of(0.2), picture_of(0.41), picture_of(0.3)])
-    assert scales.z_mm == (0.0, 0.5)
+    assert scales.z.ends_mm == (0.0, 0.5)
     assert scales.error_um == 0.5
 
 
@@ -106,5 +113,5 @@ def test_pictures_that_cannot_be_taken(base, tmp_path, monkeypatch, error):
     monkeypatch.setattr(pictures, "take_picture", take)
     text = page_of(base, tmp_path, ALBEDO | {"count": 3})
     assert f"Without pictures: {error}" in text
-    assert text.count('class="design"') == 3
+    assert text.count('<section id="design_') == 3
     assert not list((tmp_path / "figures").glob("design_*.png"))

@@ -9,7 +9,7 @@ from twin.cli import paper as paper
 from twin.cli import start as start
 from twin.cli import sweeps as sweeps
 from twin.cli.app import app, guarded
-from twin.interruption import unwind_on_signals
+from twin.working import unwind_on_signals
 
 __all__ = ["main", "run"]
 

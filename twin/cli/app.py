@@ -9,8 +9,8 @@ from typing import Annotated, Any
 
 from cyclopts import App, CycloptsError, Parameter
 
-from reconstruction.disk import is_disk_full
 from reconstruction.errors import InputError
+from reconstruction.machine import is_disk_full
 
 BAD_INPUT, MISSING_BACKEND, FAILURE = 2, 3, 1
 BY_SIGNAL = 128

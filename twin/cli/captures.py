@@ -30,9 +30,9 @@ def reconstruct(
     use
         Projector coordinate that gives the depth.
     filter_taps
-        Width of the Gaussian on the coordinate, px; 0 switches it off; absent: as in twin keys.
+        Width of the Gaussian on the coordinate, px; 0 switches it off; default: as in twin keys.
     filter_sigma_px
-        Standard deviation of that Gaussian, px; absent: as in twin keys.
+        Standard deviation of that Gaussian, px; default: as in twin keys.
     photometric
         CAPTURE is a TOML file that describes a press seen by a photometric-stereo sensor; see
         docs/photometric.md.
@@ -91,8 +91,11 @@ def calibrate(
     from reconstruction.calibration import AdjustOptions, Freedom
     from twin.config.board import load_board
     from twin.output import output_folder
-    from twin.pipeline.calibration import calibrate_captures, calibrate_rendered
-    from twin.pipeline.calibration_storage import write_board_calibration
+    from twin.pipeline.calibration import (
+        calibrate_captures,
+        calibrate_rendered,
+        write_board_calibration,
+    )
     from twin.report.calibration import draw_calibration
 
     shown = load_board(board)
@@ -143,7 +146,7 @@ def patterns(
     experiment
         TOML file, or the name of a shipped experiment such as paper/two_balls.
     """
-    from reconstruction.capture.pattern_files import MANIFEST_FILE, write_patterns
+    from reconstruction.capture.description import MANIFEST_FILE, write_patterns
     from twin.optics.light import pattern_set
     from twin.output import output_folder
 
@@ -156,7 +159,7 @@ def patterns(
 
 @app.command
 def report(folder: Path, /) -> None:
-    """Draw the HTML report of a finished measurement or comparison anew.
+    """Draw the HTML report of a finished measurement or comparison again.
 
     Parameters
     ----------

@@ -25,23 +25,22 @@ def press(
     transfer: bool = False,
     solid: bool = False,
 ) -> None:
-    """Press the specimen into the elastomer: fields, force, coated face as a mesh.
+    """Press the specimen into the elastomer: pressure, heights, force, coated face as a mesh.
 
     Parameters
     ----------
     experiment
         TOML file, or the name of a shipped experiment such as paper/two_balls.
     transfer
-        Also report how much of a groove of each pitch the slab keeps; of a thin sheet, how much
-        of ridges as high as the specimen's its back pressure lets it show.
+        Also report the contact transfer: the share of a groove's depth that the coat shows, by
+        pitch; for a thin sheet, of ridges as high as the specimen's under its back pressure.
     solid
         Also write the pressed slab as a watertight body, slab.stl and slab.ply.
     """
     from twin.mechanics import write_in_plane
     from twin.output import output_folder
     from twin.pipeline.press import press_specimen, transfer_of
-    from twin.report.press import draw_press
-    from twin.report.transfer import draw_transfer
+    from twin.report.press import draw_press, draw_transfer
     from twin.results.parts import (
         press_metrics,
         transfer_metrics,
@@ -95,7 +94,7 @@ def render(
     from twin.output import output_folder
     from twin.pipeline.fringes import take
     from twin.pipeline.progress import Stopwatch
-    from twin.report.frames import draw_frames
+    from twin.report.camera_images import draw_frames
     from twin.results.parts import write_frames, write_result, write_taken, write_timings
 
     loaded = load(experiment, settings)
@@ -117,7 +116,7 @@ def render(
 
 @app.command
 def measure(experiment: Path, /, *, out: Out, settings: Settings = None) -> None:
-    """Run the whole way: press, render, expose, reconstruct, score, report.
+    """Measure virtually: press, render, expose, reconstruct, score against the truth, report.
 
     Parameters
     ----------
@@ -130,7 +129,7 @@ def measure(experiment: Path, /, *, out: Out, settings: Settings = None) -> None
 
 @app.command
 def demo(*, out: Out = Path("out/demo"), full: bool = False) -> None:
-    """Run the main job: nut, balls and brick under a thin sheet that wraps them, contact-FPP.
+    """Measure the demo: nut, balls and brick under a thin sheet that wraps them, by contact-FPP.
 
     Parameters
     ----------
@@ -153,21 +152,21 @@ def compare(
 ) -> int:
     """Measure each specimen by each method and set the results side by side.
 
-    A measurement that OUT holds already is not made again; delete its folder to have it anew.
+    A measurement that OUT holds already is not repeated; delete its folder to repeat it.
 
     Parameters
     ----------
     experiments
         TOML files, or names of shipped experiments such as paper/nut paper/brick.
     methods
-        Which, and in which order they are shown: direct_fpp, contact_fpp, photometric_stereo.
+        Methods, in the order shown: direct_fpp, contact_fpp, photometric_stereo.
     photometric_rig
         Sensor of photometric_stereo: TOML file without specimen, or name of a shipped rig.
         Specimen, load and scoring come from EXPERIMENT.
     photometric_set
         KEY=VALUE over that rig, as --set is over EXPERIMENT.
     match
-        What the presses of contact_fpp and photometric_stereo share: the force, or the depth.
+        Which load contact_fpp and photometric_stereo have in common: force or depth.
     """
     from twin.output import adding
     from twin.pipeline.comparison import claim_comparison, measure_whole, methods_named

@@ -36,7 +36,7 @@ def paper(
     full
         Use all 1936 x 1464 camera pixels instead of 2 x 2 binning.
     workers
-        Processes that measure side by side; absent: one per two cores, at least two of two.
+        Processes that measure side by side; default: one per two cores, at least two of two.
     """
     from twin.paper.run import Wish, reproduce
     from twin.study.workers import default_count

@@ -42,7 +42,7 @@ def sweep(
     study
         TOML file, or the name of a shipped study such as studies/albedo_flakes.
     workers
-        Processes on this machine; absent: one per two cores, at least two of them.
+        Processes on this machine; default: one per two cores, at least two of them.
     cluster
         Address of a Dask scheduler, tcp://HOST:PORT, instead of processes on this machine.
     dry_run
@@ -121,7 +121,7 @@ def best(
         The -o DIR of twin sweep.
     objective
         METRIC that is to be small, or +METRIC that is to be large; give several for a Pareto front.
-        Absent: the objectives of the study.
+        Default: the objectives of the study.
     """
     from twin.study.best import best_rows, objective_of
     from twin.study.table import read_table
@@ -145,19 +145,21 @@ def report(folder: Path, /, *, objective: Objectives = None) -> None:
     folder
         The -o DIR of twin sweep.
     objective
-        What makes a design good, as for twin sweep best; absent: the study's objectives, or a small
-        error.
+        What makes a design good, as for twin sweep best; default: the study's objectives, or a
+        small error.
     """
     from twin.output import adding
     from twin.report import REPORT_FILE, REPORT_NAMES
     from twin.report.study import write_study
     from twin.study.best import objective_of
+    from twin.study.pictures import picture_best
     from twin.study.table import read_table
 
     chosen = [objective_of(text) for text in objective or ()]
     read_table(folder)  # it is a store, and can be read, before anything is made in it
     with adding(folder, *REPORT_NAMES) as drawn, progress_bars() as watch:
-        write_study(folder, watch, chosen, drawn)
+        failed = picture_best(folder, chosen, watch)
+        write_study(folder, watch, chosen, drawn, failed)
     say(f"wrote {folder / REPORT_FILE}")
 
 

@@ -1,7 +1,7 @@
 """Frozen, validated description of sensor, specimen, press and measurement."""
 
+from twin.config.base import ConfigError
 from twin.config.digest import digest, seed_sequence
-from twin.config.errors import ConfigError
 from twin.config.loading import decode_settings, load_experiment, to_toml, validate_experiment, vary
 from twin.config.models import Experiment
 

@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from twin.config.specimen_pose import OptionalSize, Size, Specimen, require_at_most
+from twin.config.specimen_base import OptionalSize, Size, Specimen, require_at_most
 
 
 class Rods(Specimen):

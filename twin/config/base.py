@@ -1,8 +1,19 @@
-"""What all configuration models share: ranges with a name, and the frozen base."""
+"""What all configuration models share: ranges with a name, the frozen base, and errors."""
 
 from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field
+
+from reconstruction.errors import InputError
+
+
+class ConfigError(InputError):
+    """An experiment file that cannot be used; one line per problem."""
+
+
+class AssetCycleError(ConfigError):
+    """Data files that `use` each other in a circle."""
+
 
 Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]

@@ -11,8 +11,7 @@ from pydantic import Field, ValidationError
 
 from reconstruction.calibration.boards import Board, CharucoBoard, Chessboard, DotBoard
 from twin.assets import scene_file
-from twin.config.base import Angle, Fraction, Length, Model
-from twin.config.errors import ConfigError
+from twin.config.base import Angle, ConfigError, Fraction, Length, Model
 from twin.config.loading import read_toml
 from twin.config.messages import explain
 from twin.config.models import Provenance

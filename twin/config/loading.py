@@ -14,7 +14,7 @@ import tomli_w
 from pydantic import ValidationError
 
 from twin.assets import asset_path, scene_file
-from twin.config.errors import AssetCycleError, ConfigError
+from twin.config.base import AssetCycleError, ConfigError
 from twin.config.messages import explain
 from twin.config.models import Decode, Experiment
 from twin.config.quantities import check_ranges, convert_units, is_quantity, split_quantities

@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
-from reconstruction.decoding.decoded import DecodeOptions
+from reconstruction.decoding import DecodeOptions
 from reconstruction.patterns import (
     MOST_FURTHER_PERIODS,
     PERIOD_RANGE_PX,
@@ -23,8 +23,8 @@ from twin.config.devices import Camera, Pose, Projector
 from twin.config.elastomer import Coating, Elastomer, Film, Mechanics, PadFile, Press, Texture
 from twin.config.lamps import Lamp, Photometric, check_lamps
 from twin.config.layers import Layer, Layers, check_rig
-from twin.config.materials import Conductor, Dielectric, Diffuse, Material, Plastic, Stage
 from twin.config.methods import TRAITS, Method, MethodTraits
+from twin.config.specimen_base import Conductor, Dielectric, Diffuse, Material, Plastic, Stage
 from twin.config.specimens import (
     AnySpecimen,
     Ball,

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from twin.config.specimen_pose import OptionalSize, Size, Specimen, require_at_most
+from twin.config.specimen_base import OptionalSize, Size, Specimen, require_at_most
 
 Thread = Annotated[float, Field(ge=1, le=30)]
 Pitch = Annotated[float, Field(ge=0.2, le=4)]

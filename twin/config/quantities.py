@@ -12,7 +12,7 @@ quantity and is converted once, at the boundary.
 import re
 from typing import Any
 
-from twin.config.errors import ConfigError
+from twin.config.base import ConfigError
 from twin.config.models import Provenance
 
 _SCALE_TO_SI = {

@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 from twin.config.artefacts import Bar, Bars, Rods, Step, VGroove
 from twin.config.base import Length, NonNegative, Positive
 from twin.config.objects import Bear, Brick, Fingerprint, Nut, TBolt
-from twin.config.specimen_pose import Specimen
+from twin.config.specimen_base import Specimen
 
 __all__ = [
     "AnySpecimen",

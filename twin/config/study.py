@@ -10,8 +10,7 @@ from pydantic import Field, ValidationError, model_validator
 
 from twin.assets import scene_file
 from twin.config.axes import Axis
-from twin.config.base import Model
-from twin.config.errors import ConfigError
+from twin.config.base import ConfigError, Model
 from twin.config.loading import load_experiment, read_toml, resolve_uses, vary
 from twin.config.messages import explain
 from twin.config.methods import Method

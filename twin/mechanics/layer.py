@@ -16,7 +16,7 @@ import numpy as np
 from scipy import fft
 
 from reconstruction.arrays import FloatArray
-from reconstruction.cores import threads
+from reconstruction.machine import threads
 from twin.mechanics.patch import Patch, Span, periodic_patch, sine_patch
 from twin.mechanics.transfer import CoatFilm, Column, TransferTable, tabulate
 

@@ -13,7 +13,7 @@ import h5netcdf
 import numpy as np
 import trimesh
 
-from reconstruction.disk import writing_netcdf
+from reconstruction.machine import writing_netcdf
 from twin.config.models import Elastomer, Press
 from twin.mechanics.errors import PressError
 from twin.mechanics.press import PressedElastomer, SheetFields

@@ -24,11 +24,10 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from twin.optics.connection import Connection, Rig, connect
+from twin.optics.connection import Connection, FrameLight, Rig, connect
 from twin.optics.devices import SubPixels
-from twin.optics.look_up import FrameLight
-from twin.optics.stage_light import StageLight
-from twin.optics.surfaces import Surfaces
+from twin.optics.photons import StageLight
+from twin.optics.scene import Surfaces
 
 LAUNCHES = 8
 
@@ -77,7 +76,33 @@ def add_bounces(
     kernel, between which `progress` is told the finished fraction.
     """
     walks, width = grid.samples * bounces.paths, dr.width(grid.x_px)
-    surfaces = bounces.surfaces
+    next_segment = _next_segment(scene, rig, light, grid, bounces)
+    random = _random_numbers(width, bounces.seed)
+    limits = np.linspace(0, walks, min(walks, LAUNCHES) + 1).astype(int).tolist()
+    for first, last in pairwise(limits):
+        # Opaque: a literal would make every launch a kernel of its own.
+        begin, stop = dr.opaque(mi.UInt32, first, width), dr.opaque(mi.UInt32, last)
+        start = (
+            begin,
+            *(dr.zeros(mi.UInt32, width) for _ in range(2)),
+            dr.full(mi.Bool, False, width),
+            dr.zeros(mi.Ray3f, width),
+            dr.ones(mi.Float, width),
+            random,
+            *frames,
+        )
+        end = dr.while_loop(start, lambda walk, *_, stop=stop: walk < stop, next_segment)
+        random, frames = end[6], list(end[7:])
+        dr.eval(random, frames)
+        progress(last / walks)
+    return frames
+
+
+def _next_segment(
+    scene: Any, rig: Rig, light: FrameLight, grid: SubPixels, bounces: Bounces
+) -> Callable[..., tuple[Any, ...]]:
+    """Return the body of the loop: it follows each lane's path by one segment."""
+    walks, surfaces = grid.samples * bounces.paths, bounces.surfaces
 
     def next_segment(*state: Any) -> tuple[Any, ...]:
         walk, matte, events, inside, ray, throughput, rng, *sums = state
@@ -113,25 +138,7 @@ def add_bounces(
             *sums,
         )
 
-    random = _random_numbers(width, bounces.seed)
-    limits = np.linspace(0, walks, min(walks, LAUNCHES) + 1).astype(int).tolist()
-    for first, last in pairwise(limits):
-        # Opaque: a literal would make every launch a kernel of its own.
-        begin, stop = dr.opaque(mi.UInt32, first, width), dr.opaque(mi.UInt32, last)
-        start = (
-            begin,
-            *(dr.zeros(mi.UInt32, width) for _ in range(2)),
-            dr.full(mi.Bool, False, width),
-            dr.zeros(mi.Ray3f, width),
-            dr.ones(mi.Float, width),
-            random,
-            *frames,
-        )
-        end = dr.while_loop(start, lambda walk, *_, stop=stop: walk < stop, next_segment)
-        random, frames = end[6], list(end[7:])
-        dr.eval(random, frames)
-        progress(last / walks)
-    return frames
+    return next_segment
 
 
 def _add_connected(

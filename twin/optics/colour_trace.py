@@ -16,11 +16,11 @@ from reconstruction.arrays import FloatImage
 from reconstruction.rig.pinhole import Pinhole
 from twin.config.lamps import Markers
 from twin.config.models import Experiment
-from twin.optics.coat import COATED_FACE
 from twin.optics.connection import blocked
 from twin.optics.devices import Device, SubPixels
 from twin.optics.lamps import Emitters, emitters_of
 from twin.optics.layers import LayerStack
+from twin.optics.materials import COATED_FACE
 from twin.optics.scene import check_below_layers, coated_scene, layer_stack
 from twin.optics.stack import Truth
 

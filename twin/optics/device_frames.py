@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from reconstruction.arrays import FloatArray
 from reconstruction.rig.calibration import Pinhole
-from twin.optics.lens import ThinLens
+from twin.optics.rig import ThinLens
 
 _OPENCV_FROM_MITSUBA = np.diag([-1.0, -1.0, 1.0, 1.0])
 

@@ -24,7 +24,7 @@ from reconstruction.rig.pinhole import (
     newton_step,
 )
 from twin.config.models import Distortion
-from twin.optics.lens import ThinLens, lens_places
+from twin.optics.rig import ThinLens, lens_places
 
 # Newton squares the error: after a step below this, normalised, the pixel is met to 1e-5 px at a
 # focal length of 5000 px. Much smaller steps drown in single precision near a fold.

@@ -17,7 +17,7 @@ from twin.specimens import bodies
 if TYPE_CHECKING:
     import trimesh
 
-    from twin.optics.surfaces import Surfaces
+    from twin.optics.scene import Surfaces
 
 STAGE = "stage"
 
@@ -81,7 +81,7 @@ def direct_scene(experiment: Experiment) -> DirectScene:
     """
     import mitsuba as mi
 
-    from twin.optics.surfaces import Sharp, Surfaces
+    from twin.optics.scene import Sharp, Surfaces
 
     parts = solids(experiment)
     meshes = {

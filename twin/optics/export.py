@@ -11,17 +11,19 @@ from typing import TYPE_CHECKING, Any
 import jinja2
 import numpy as np
 
-from reconstruction.disk import write_exr_channels
+from reconstruction.machine import write_exr_channels
 from twin.config.models import Experiment
 from twin.optics.backend import activate
-from twin.optics.coat import COATED_FACE, coating_bsdf
 from twin.optics.device_frames import perspective_sensor, to_world
 from twin.optics.direct import Solid, solids
-from twin.optics.materials import sharp
+from twin.optics.materials import COATED_FACE, coating_bsdf, sharp
 from twin.specimens import bodies
 
 if TYPE_CHECKING:
     import trimesh
+
+    from twin.optics.connection import Rig
+    from twin.optics.stock import Canvas
 
 SCENE_FILE = "scene.xml"
 
@@ -82,13 +84,33 @@ def export_stock(
     list of str
         What the scene leaves out (see `inexpressible`).
     """
-    backend = activate()
-    from twin.optics import stock
-    from twin.optics.bounces import MOST_SHARP
-    from twin.optics.light import light_tables, pattern_set
+    variant = activate().variant
     from twin.optics.scene import rig_of
 
     rig = rig_of(experiment)
+    canvas = _write_textures(experiment, rig, folder, progress)
+    shapes = _solids(experiment, face)
+    for solid in shapes:
+        content = solid.mesh.export(file_type="ply", vertex_normal=True)
+        (folder / f"{solid.name}.ply").write_bytes(content)
+    scene = _template().render(
+        title=f"fringe-twin export of {experiment.name}",
+        variant=variant,
+        **_devices(experiment, rig, canvas, face is not None),
+        solids=shapes,
+        kind_of=_kind_of,
+    )
+    (folder / SCENE_FILE).write_text(scene, encoding="utf-8")
+    return inexpressible(experiment)
+
+
+def _write_textures(
+    experiment: Experiment, rig: "Rig", folder: Path, progress: Callable[[float], None]
+) -> "Canvas":
+    """Write what the projector shows, one EXR per frame, and return the area that they cover."""
+    from twin.optics import stock
+    from twin.optics.light import light_tables, pattern_set
+
     patterns = pattern_set(experiment.projector, experiment.patterns)
     in_focus = experiment.projector.model_copy(update={"aperture_mm": 0.0})
     tables = light_tables(in_focus, patterns)
@@ -98,27 +120,28 @@ def export_stock(
         texture = stock.frame_texture(frame, number, rig, tables, canvas)
         write_exr_channels(folder / "textures" / f"{frame.name}.exr", {"Y": texture})
         progress((number + 1) / len(patterns.frames))
-    shapes = _solids(experiment, face)
-    for solid in shapes:
-        content = solid.mesh.export(file_type="ply", vertex_normal=True)
-        (folder / f"{solid.name}.ply").write_bytes(content)
+    return canvas
+
+
+def _devices(experiment: Experiment, rig: "Rig", canvas: "Canvas", pressed: bool) -> dict[str, Any]:
+    """Return the template's words for camera, projector and integrator."""
+    from twin.optics import stock
+    from twin.optics.bounces import MOST_SHARP
+    from twin.optics.light import pattern_set
+    from twin.optics.scene import rig_of
+
     undistorted = experiment.camera.model_copy(update={"distortion": (0.0,) * 5})
     ideal = rig_of(experiment.model_copy(update={"camera": undistorted})).camera
-    scene = _template().render(
-        title=f"fringe-twin export of {experiment.name}",
-        variant=backend.variant,
-        frames=[frame.name for frame in patterns.frames],
-        samples=experiment.render.samples,
-        camera=perspective_sensor(ideal.pinhole, ideal.T_world_from_device, 1, ideal.lens),
-        camera_to_world=_matrix(ideal.T_world_from_device),
-        projector_to_world=_matrix(rig.projector.T_world_from_device),
-        integrator=stock.integrator(experiment.bounces + (0 if face is not None else MOST_SHARP)),
-        solids=shapes,
-        kind_of=_kind_of,
-        emitter=stock.emitter_dict(np.zeros((2, 2), np.float32), rig, canvas),
-    )
-    (folder / SCENE_FILE).write_text(scene, encoding="utf-8")
-    return inexpressible(experiment)
+    patterns = pattern_set(experiment.projector, experiment.patterns)
+    return {
+        "frames": [frame.name for frame in patterns.frames],
+        "samples": experiment.render.samples,
+        "camera": perspective_sensor(ideal.pinhole, ideal.T_world_from_device, 1, ideal.lens),
+        "camera_to_world": _matrix(ideal.T_world_from_device),
+        "projector_to_world": _matrix(rig.projector.T_world_from_device),
+        "integrator": stock.integrator(experiment.bounces + (0 if pressed else MOST_SHARP)),
+        "emitter": stock.emitter_dict(np.zeros((2, 2), np.float32), rig, canvas),
+    }
 
 
 def _solids(experiment: Experiment, face: "trimesh.Trimesh | None") -> tuple[Solid, ...]:

@@ -19,12 +19,11 @@ import mitsuba as mi
 import numpy as np
 
 from twin.optics.bounces import Bounces, add_bounces
-from twin.optics.connection import Connection, Rig, on_image, see
+from twin.optics.connection import Connection, FrameLight, Rig, on_image, see
 from twin.optics.devices import SubPixels
 from twin.optics.light import LightTable
-from twin.optics.look_up import FrameLight
+from twin.optics.scene import Surfaces
 from twin.optics.stack import Frames, Truth
-from twin.optics.surfaces import Surfaces
 
 _OPAQUE = Surfaces()
 

@@ -1,4 +1,4 @@
-"""Geometry and light of the rig, from the experiment: pinholes, poses, the projector's irradiance.
+"""Geometry and light of the rig, from the experiment: pinholes, poses, lens, the projector's light.
 
 Frames: world z up, undeformed coated face at z = 0. Device frames are OpenCV's (x right, y down,
 z forward; pixel (0, 0) is the centre of the first pixel). The result is the true calibration: the
@@ -7,7 +7,16 @@ renderer traces with it, and an ideally calibrated decoder triangulates with it.
 Irradiance on a plane that faces the projector at distance z (along its axis) is
 `irradiance_at_1mm / z**2` for a full white field: the flux spread evenly over the image, as a DLP
 fills a flat screen.
+
+With a thin lens the camera's rays start on its pupil. Every sub-pixel sample has one place there,
+the same on every pixel and in every frame: random places would act as phase noise. The places have
+the disc's centroid and variance exactly, whatever their number, so that a smooth surface out of
+focus keeps its phase and its mean blur; with more samples they fill the disc evenly.
 """
+
+from dataclasses import dataclass
+from functools import lru_cache
+from math import gcd
 
 import numpy as np
 
@@ -106,3 +115,81 @@ def irradiance_at_1mm(projector: Projector, pinhole: Pinhole) -> float:
     """Irradiance of a white field at axial distance 1 mm, in mW/mm^2 (numerically mW/mm^2 mm^2)."""
     image_area_mm2 = (pinhole.width_px / pinhole.fx_px) * (pinhole.height_px / pinhole.fy_px)
     return projector.flux_mw / image_area_mm2
+
+
+_GOLDEN_ANGLE = np.pi * (3.0 - np.sqrt(5.0))
+# A correlation of place with position changes the size of the blur, one of their squares its shape.
+_FIRST_POWERS_COUNT = 10.0
+
+
+@dataclass(frozen=True)
+class ThinLens:
+    """Pupil of a camera; its centre is the pinhole.
+
+    Attributes
+    ----------
+    radius_mm : float
+    focus_mm : float
+        Axial distance of the plane in focus.
+    """
+
+    radius_mm: float
+    focus_mm: float
+
+    @classmethod
+    def of(cls, camera: Camera, T_world_from_cam: FloatArray) -> "ThinLens | None":
+        """Return the lens of a camera, in focus at the world origin's axial distance, or None."""
+        if not camera.depth_of_field:
+            return None
+        focus_mm = float(-T_world_from_cam[:3, 3] @ T_world_from_cam[:3, 2])
+        return cls(camera.focal_length_mm / camera.f_number / 2.0, focus_mm)
+
+
+@lru_cache(maxsize=8)
+def lens_places(side: int) -> FloatArray:
+    """Return the place of every sub-pixel sample on the unit disc, (side * side, 2), x and y.
+
+    A spiral of equal areas (Vogel 1979), whose points are dealt out to the square grid of
+    sub-pixels in steps of a number without common factor, so that neighbours on the grid lie far
+    apart on the lens. Of all such steps and some turns of the spiral that is taken whose places
+    correlate least with the sub-pixel positions: pixel box and lens then blur independently (with
+    fewer than 25 samples only roughly).
+    """
+    samples = side * side
+    if samples == 1:
+        return np.zeros((1, 2))
+    grid, turns = _moments(_cell_centres(side)), 64 // side
+    steps = [step for step in range(1, samples) if gcd(step, samples) == 1]
+    dealt = (
+        _spiral(samples, turn)[np.arange(samples) * step % samples]
+        for step in steps
+        for turn in np.arange(turns) * (2.0 * np.pi / turns)
+    )
+    return min(dealt, key=lambda places: float(np.sum((grid.T @ _moments(places)) ** 2)))
+
+
+def _spiral(samples: int, turn_rad: float) -> FloatArray:
+    index = np.arange(samples)
+    angle_rad = index * _GOLDEN_ANGLE + turn_rad
+    radius = np.sqrt((index + 0.5) / samples)
+    places = np.stack([radius * np.cos(angle_rad), radius * np.sin(angle_rad)], axis=-1)
+    places -= places.mean(axis=0)
+    # Exactly the disc's covariance, 1/4 along every axis.
+    variances, axes = np.linalg.eigh(places.T @ places / samples)
+    return np.asarray(places @ (axes * (0.5 / np.sqrt(variances))) @ axes.T)
+
+
+def _cell_centres(side: int) -> FloatArray:
+    line = (np.arange(side) + 0.5) / side - 0.5
+    y, x = (axis.ravel() for axis in np.meshgrid(line, line, indexing="ij"))
+    return np.stack([x, y], axis=-1)
+
+
+def _moments(places: FloatArray) -> FloatArray:
+    """First and second powers of positions (n, 2), centred and weighted: (n, 5)."""
+    x, y = places.T
+    features = np.stack([x, y, x * x, y * y, x * y], axis=-1)
+    features -= features.mean(axis=0)
+    length = np.linalg.norm(features, axis=0)
+    weight = np.array([_FIRST_POWERS_COUNT, _FIRST_POWERS_COUNT, 1.0, 1.0, 1.0])
+    return np.asarray(weight * features / np.where(length > 1e-9, length, 1.0))

@@ -1,20 +1,20 @@
-"""Mitsuba scenes: the coated face under the rig, for the one-trace and for the stock engine."""
+"""Mitsuba scenes: the coated face under the rig, and what is to be known of their surfaces."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
+import drjit as dr
 import mitsuba as mi
 
 from reconstruction.errors import InputError
 from twin.config.layers import Layer, holding_layer, media_of
 from twin.config.models import Coating, Experiment
 from twin.optics.checks import check_binder, check_samples
-from twin.optics.coat import coated_mesh, coating_bsdf
 from twin.optics.connection import Rig
 from twin.optics.devices import Device
 from twin.optics.layers import LayerStack
-from twin.optics.lens import ThinLens
-from twin.optics.rig import irradiance_at_1mm, true_calibration
+from twin.optics.materials import coated_mesh, coating_bsdf
+from twin.optics.rig import ThinLens, irradiance_at_1mm, true_calibration
 from twin.optics.shading import may_shade_itself
 
 if TYPE_CHECKING:
@@ -113,3 +113,56 @@ def check_below_layers(layers: dict[str, Layer], face: "trimesh.Trimesh") -> Non
             f"layers: the coated face reaches z = {highest_mm:.4g} mm, allowed below "
             f"{floor_mm:.4g} mm, where a layer begins; press less or move the layer"
         )
+
+
+@dataclass(frozen=True)
+class Sharp:
+    """A clear or polished body: light goes on from it along sharp directions."""
+
+    shape: Any
+    #: Napierian absorption coefficient inside, 1/mm
+    absorption_per_mm: float = 0.0
+
+
+@dataclass(frozen=True)
+class Surfaces:
+    """Which surfaces are sharp, and which one receives the light that they pass on.
+
+    Attributes
+    ----------
+    sharp : tuple of Sharp
+    stage : mi.Shape, optional
+        Horizontal matte plane; None when there is none.
+    """
+
+    sharp: tuple[Sharp, ...] = ()
+    stage: Any = None
+
+    def is_sharp(self, hit: Any) -> Any:
+        """Tell which hits are on a sharp body, `mi.Bool`."""
+        found = dr.zeros(mi.Bool, dr.width(hit.t))
+        for body in self.sharp:
+            found |= hit.shape == mi.ShapePtr(body.shape)
+        return found
+
+    def is_stage(self, hit: Any) -> Any:
+        """Tell which hits are on the stage, `mi.Bool`."""
+        if self.stage is None:
+            return dr.zeros(mi.Bool, dr.width(hit.t))
+        return hit.shape == mi.ShapePtr(self.stage)
+
+    def on_stage(self, hit: Any) -> Any:
+        """Tell which hits are on the stage's upper side, `mi.Bool`."""
+        return self.is_stage(hit) & (hit.wi.z > 0.0)
+
+    def transmittance(self, hit: Any, inside: Any) -> Any:
+        """Part of the light left after the way inside a clear body to `hit` (Beer-Lambert).
+
+        The body is that of the surface at the way's end: bodies do not overlap.
+        """
+        absorption = mi.Float(0.0)
+        for body in self.sharp:
+            if body.absorption_per_mm:
+                here = hit.shape == mi.ShapePtr(body.shape)
+                absorption = dr.select(here, body.absorption_per_mm, absorption)
+        return dr.select(inside, dr.exp(-absorption * hit.t), 1.0)

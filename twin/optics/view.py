@@ -1,7 +1,9 @@
-"""Pictures for people: what an observer beside the rig sees in soft light.
+"""External view camera: where it stands, what lies behind its pixels, and pictures in soft light.
 
-The measurement does not use this module. Bodies have colours here, which the monochrome backend
-renders as three passes with the same seed, one per primary: noise is grey. World frame, mm.
+For pictures of rigs, specimens and measured reliefs, without noise; the measurement does not use
+this module. World frame, mm; pixels as everywhere: (0, 0) is the CENTRE of the first, row 0 is the
+top. Scene objects have colours here, which the monochrome backend renders as three passes with the
+same seed, one per primary: noise is grey.
 """
 
 from collections.abc import Sequence
@@ -11,14 +13,133 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from reconstruction.arrays import FloatArray
+from reconstruction.arrays import FloatArray, FloatImage
+from reconstruction.rig.pinhole import Pinhole
 from twin.optics.backend import activate
 from twin.optics.device_frames import perspective_sensor
 from twin.optics.materials import mitsuba_mesh
-from twin.optics.observer import Observer
 
 if TYPE_CHECKING:
     import trimesh
+
+
+Point = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class ViewCamera:
+    """A pinhole camera that looks at a point, the world's z axis upright in its picture."""
+
+    eye_mm: Point
+    target_mm: Point
+    width_mm: float
+    """How much of the plane through the target, across the view, the picture's width shows."""
+    width_px: int = 640
+    height_px: int = 480
+
+    @property
+    def pinhole(self) -> Pinhole:
+        """Intrinsics."""
+        distance_mm = float(np.linalg.norm(np.subtract(self.target_mm, self.eye_mm)))
+        focal_px = self.width_px * distance_mm / self.width_mm
+        centre = (self.width_px - 1) / 2, (self.height_px - 1) / 2
+        return Pinhole(self.width_px, self.height_px, focal_px, focal_px, *centre)
+
+    @property
+    def world_from_eye(self) -> FloatArray:
+        """Pose (4, 4) in OpenCV's frame.
+
+        A view straight down has world y at the top.
+        """
+        forward = np.subtract(self.target_mm, self.eye_mm)
+        forward /= np.linalg.norm(forward)
+        level = np.hypot(forward[0], forward[1]) < 1e-6
+        right = np.cross(forward, [0.0, 1.0, 0.0] if level else [0.0, 0.0, 1.0])
+        right /= np.linalg.norm(right)
+        pose = np.eye(4)
+        pose[:3, :3] = np.stack([right, np.cross(forward, right), forward], axis=1)
+        pose[:3, 3] = self.eye_mm
+        return pose
+
+    def project(self, points_world_mm: Any) -> FloatArray:
+        """Return the pixels (..., 2) where world points (..., 3) appear."""
+        pose = self.world_from_eye
+        return self.pinhole.project((np.asarray(points_world_mm) - pose[:3, 3]) @ pose[:3, :3])
+
+
+@dataclass(frozen=True, eq=False)
+class VisibleSurface:
+    """What lies behind each pixel centre.
+
+    Attributes
+    ----------
+    hit : (row, col) bool
+    points_mm : (row, col, xyz) float32, 0 where nothing is hit
+    normals : (row, col, xyz) float32, unit normals of the facets, turned to the camera
+    sunlit : (row, col) bool
+        Nothing lies between the point and the distant lamp, which is on the visible side.
+    """
+
+    hit: NDArray[np.bool_]
+    points_mm: FloatImage
+    normals: FloatImage
+    sunlit: NDArray[np.bool_]
+
+
+def visible_surface(
+    vertices_mm: NDArray[Any],
+    triangles: NDArray[Any],
+    camera: ViewCamera,
+    towards_lamp: tuple[float, float, float],
+) -> VisibleSurface:
+    """Cast one ray through each pixel centre.
+
+    Parameters
+    ----------
+    vertices_mm : (vertex, xyz) float, world
+    triangles : (triangle, 3) int
+    camera : ViewCamera
+    towards_lamp : direction to a lamp infinitely far away
+
+    Raises
+    ------
+    MissingBackend
+        No usable Dr.Jit backend.
+    """
+    activate()
+    import drjit as dr
+    import mitsuba as mi
+
+    scene = mi.load_dict(
+        {"type": "scene", "relief": mitsuba_mesh("relief", vertices_mm, triangles)}
+    )
+    directions = _directions(camera)
+    ray = mi.Ray3f(mi.Point3f(*camera.eye_mm), mi.Vector3f(directions.astype(np.float32).T))
+    met = scene.ray_intersect_preliminary(ray, coherent=True)
+    hit = met.is_valid()
+    surface = met.compute_surface_interaction(ray)
+    normal = dr.select(dr.dot(surface.n, ray.d) > 0.0, -surface.n, surface.n)
+    lamp = dr.normalize(mi.Vector3f(*towards_lamp))
+    faces_lamp = dr.dot(normal, lamp) > 0.0
+    surface.n = normal  # spawn_ray leaves the surface on this side
+    free = ~scene.ray_test(surface.spawn_ray(lamp), hit & faces_lamp)
+    shape = camera.height_px, camera.width_px
+    found = hit.numpy().reshape(shape)
+    return VisibleSurface(
+        hit=found,
+        points_mm=surface.p.numpy().T.reshape(*shape, 3) * found[..., None],
+        normals=normal.numpy().T.reshape(*shape, 3),
+        sunlit=(hit & faces_lamp & free).numpy().reshape(shape),
+    )
+
+
+def _directions(camera: ViewCamera) -> NDArray[np.float64]:
+    """World directions through the pixel centres, row by row, (n, xyz)."""
+    rows, cols = np.mgrid[: camera.height_px, : camera.width_px]
+    slopes = camera.pinhole.unproject(np.stack([cols.ravel(), rows.ravel()], axis=-1))
+    rays = np.column_stack([slopes, np.ones(len(slopes))]) @ camera.world_from_eye[:3, :3].T
+    return np.asarray(rays / np.linalg.norm(rays, axis=1, keepdims=True))
+
 
 Picture = NDArray[np.uint8]
 
@@ -33,8 +154,8 @@ _PRIMARIES = 3
 
 
 @dataclass(frozen=True, eq=False)
-class Thing:
-    """A surface with its look.
+class SceneObject:
+    """A surface with its colours.
 
     Attributes
     ----------
@@ -60,23 +181,23 @@ def matte(red: float, green: float, blue: float) -> dict[str, Any]:
 
 
 def picture(
-    things: Sequence[Thing],
-    observer: Observer,
+    objects: Sequence[SceneObject],
+    camera: ViewCamera,
     samples: int = 64,
     *,
     seed: int = 0,
     gray: bool = False,
     bounces: int = MOST_BOUNCES,
 ) -> Picture:
-    """Render things before a white background in soft light.
+    """Render objects before a white background in soft light.
 
     Parameters
     ----------
-    things : at least one, all names different
-    observer : Observer
+    objects : at least one, all names different
+    camera : ViewCamera
     samples : paths per pixel
     seed : the same seed gives the same picture
-    gray : True: one pass instead of three, for things without colours
+    gray : True: one pass instead of three, for objects without colours
     bounces : most surfaces that light meets; 4 do where nothing is clear
 
     Returns
@@ -91,7 +212,7 @@ def picture(
     activate()
     passes = [0] if gray else range(_PRIMARIES)
     layers = [
-        _render(_scene(things, observer, primary, samples, bounces), seed) for primary in passes
+        _render(_scene(objects, camera, primary, samples, bounces), seed) for primary in passes
     ]
     light = np.stack(layers * (_PRIMARIES // len(layers)), axis=-1)
     return _srgb(light)
@@ -107,11 +228,11 @@ def _render(scene: Any, seed: int) -> NDArray[np.float32]:
 
 
 def _scene(
-    things: Sequence[Thing], observer: Observer, primary: int, samples: int, bounces: int
+    objects: Sequence[SceneObject], camera: ViewCamera, primary: int, samples: int, bounces: int
 ) -> Any:
     import mitsuba as mi
 
-    sensor = perspective_sensor(observer.pinhole, observer.world_from_eye, samples)
+    sensor = perspective_sensor(camera.pinhole, camera.world_from_eye, samples)
     sensor["film"]["pixel_format"] = "luminance_alpha"
     # One more than bounces: Mitsuba counts the way to the lamp.
     integrator = {"type": "path", "max_depth": bounces + 1, "hide_emitters": True}
@@ -120,19 +241,19 @@ def _scene(
             "type": "scene",
             "integrator": integrator,
             "sensor": sensor,
-            **_lights(observer),
-            **{thing.name: _mesh(thing, primary) for thing in things},
+            **_lights(camera),
+            **{part.name: _mesh(part, primary) for part in objects},
         },
         optimize=False,  # load_dict would merge shapes
     )
 
 
-def _lights(observer: Observer) -> dict[str, Any]:
-    """Sky and two square lamps that follow observer and size of what he looks at."""
+def _lights(camera: ViewCamera) -> dict[str, Any]:
+    """Sky and two square lamps that follow the camera and the size of what it shows."""
     import mitsuba as mi
 
-    target, size = np.array(observer.target_mm), observer.width_mm
-    right, _, forward = observer.world_from_eye[:3, :3].T
+    target, size = np.array(camera.target_mm), camera.width_mm
+    right, _, forward = camera.world_from_eye[:3, :3].T
     towards, up = -np.array([forward[0], forward[1], 0.0]), np.array([0.0, 0.0, 1.0])
     places = {
         "key": (target + size * (-1.0 * right + 0.6 * towards + 1.7 * up), _KEY),
@@ -152,20 +273,20 @@ def _lights(observer: Observer) -> dict[str, Any]:
     return {"sky": {"type": "constant", "radiance": _level(_SKY)}, **lamps}
 
 
-def _mesh(thing: Thing, primary: int) -> Any:
+def _mesh(part: SceneObject, primary: int) -> Any:
     return mitsuba_mesh(
-        thing.name,
-        thing.mesh.vertices,
-        thing.mesh.faces,
-        _of_primary(_bsdf(thing), primary),
-        normals=thing.mesh.vertex_normals if thing.smooth else None,
-        shade=thing.shade,
+        part.name,
+        part.mesh.vertices,
+        part.mesh.faces,
+        _of_primary(_bsdf(part), primary),
+        normals=part.mesh.vertex_normals if part.smooth else None,
+        shade=part.shade,
     )
 
 
-def _bsdf(thing: Thing) -> dict[str, Any]:
-    if thing.shade is None:
-        return thing.bsdf
+def _bsdf(part: SceneObject) -> dict[str, Any]:
+    if part.shade is None:
+        return part.bsdf
     reflectance = {"type": "mesh_attribute", "name": "vertex_shade"}
     return {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": reflectance}}
 

@@ -6,8 +6,8 @@ from reconstruction.errors import InputError
 from twin.config import Experiment, vary
 from twin.paper.claims import DIRECT_AT_MOST
 from twin.paper.complete_table import counted
-from twin.paper.table import Cell, Column, Table
 from twin.pipeline import measure
+from twin.report.table import Cell, Column, Table
 
 NUT = "nut"
 ROUGHNESS = (0.05, 0.1, 0.2, 0.4)
@@ -59,6 +59,7 @@ def nut_table(shares: Mapping[str, list[float]]) -> Table:
         tuple(rows),
         (
             f"Good points on {min(good):.0%} to {max(good):.0%} of the nut; "
-            f"the bar of {DIRECT_AT_MOST:.0%} is met {asked}. Sixteen camera pixels read as one.",
+            f"the target of at most {DIRECT_AT_MOST:.0%} is met {asked}. "
+            "Sixteen camera pixels read as one.",
         ),
     )

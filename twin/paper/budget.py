@@ -17,7 +17,7 @@ from twin.paper.plan import BUDGET_OF
 from twin.paper.repeats import Trial
 from twin.paper.scatter import Scatter
 from twin.paper.statistics import spread_of, values_of
-from twin.paper.table import Cell, Column, Table
+from twin.report.table import Cell, Column, Table
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from twin.paper.published import CONTACT_FPP, GELSIGHT, mean_of, rows_of
-from twin.paper.table import TWIN, Cell, Column, Table
+from twin.report.table import TWIN, Cell, Column, Table
 
 RMSE_FACTOR = 2.0
 LEAST_RATIO = 5.0
@@ -19,12 +19,12 @@ MOST_STEPS = 2.0
 
 @dataclass(frozen=True)
 class Claim:
-    """One figure against its bar.
+    """One figure against its target.
 
     Attributes
     ----------
     found : None where it was not measured
-    why : what stands behind a miss; empty when it is met
+    why : reason where the target is not met; else empty
     """
 
     name: str
@@ -35,7 +35,7 @@ class Claim:
 
 
 def claims_of(tables: dict[str, Table]) -> list[Claim]:
-    """Judge every bar that the tables at hand can judge."""
+    """Judge every target that the tables at hand can judge."""
     found: list[Claim] = []
     if "repeated_fit" in tables:
         found += _rmse_claims(tables["repeated_fit"])
@@ -60,11 +60,11 @@ def claims_table(claims: Sequence[Claim]) -> Table:
         for one in claims
     )
     heads = (
-        Column("claim", "what"),
-        Column("allowed", "bar"),
-        Column("found", "found", 4),
-        Column("met", "met"),
-        Column("why", "why not"),
+        Column("claim", "figure"),
+        Column("allowed", "target"),
+        Column("found", "measured", 4),
+        Column("met", "target met"),
+        Column("why", "reason where it is not met"),
     )
     return Table("claims", "What this reproduction was to show", "", heads, rows)
 
@@ -180,7 +180,7 @@ _WHY_GELSIGHT = (
     "the rendered sensor errs less than the paper's: one gel, no wear, reference presses all over "
     "the field; the paper's region of the fit, travel and load are not known"
 )
-_WHY_RATIO = "see both RMSE: the fair opponent is closer than the paper's"
+_WHY_RATIO = "see both RMSE: the rendered sensor is closer than the paper's"
 _WHY_RODS = (
     "the silicone between rod and coat smooths the rod: 'true coat' has the same width; see the "
     "section on differences for the coat on the touched face"

@@ -8,11 +8,10 @@ import numpy as np
 from twin.config import Experiment
 from twin.output import read_json, write_json
 from twin.paper.completeness import Completeness, completeness_of
-from twin.paper.panel_data import PANELS_FOLDER, write_panel_data
-from twin.paper.panel_sources import panel_data_of
-from twin.paper.table import Cell, Column, Table
+from twin.paper.panels import PANELS_FOLDER, panel_data_of, write_panel_data
 from twin.pipeline import Memory, measure
 from twin.pipeline.progress import Watcher, nobody
+from twin.report.table import Cell, Column, Table
 from twin.results.parts import write_result
 from twin.results.record import Measurement
 

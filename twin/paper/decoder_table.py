@@ -7,7 +7,7 @@ import numpy as np
 from twin.paper.published import GELSIGHT, mean_of
 from twin.paper.repeats import Trial
 from twin.paper.statistics import values_of
-from twin.paper.table import Cell, Column, Table
+from twin.report.table import Cell, Column, Table
 from twin.results.decoders import INTEGRATION_ORDER, MAP_ORDER
 
 _MAP_WORDS = {"table": "look-up table", "polynomial": "polynomial"}

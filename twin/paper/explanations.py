@@ -15,8 +15,8 @@ from reconstruction.evaluate.fit import fit_sphere
 from twin.config import Experiment, vary
 from twin.paper.face_model import cap_fit, face_figures, face_points_mm
 from twin.paper.published import CONTACT_FPP, GELSIGHT, NOMINAL_RADIUS_MM, mean_of
-from twin.paper.table import Cell, Column, Table
 from twin.pipeline.press import press_specimen
+from twin.report.table import Cell, Column, Table
 from twin.specimens import shape_of
 
 _COLUMNS = (

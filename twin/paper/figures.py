@@ -8,7 +8,8 @@ from pathlib import Path
 from reconstruction.errors import InputError
 from twin.config import Experiment, load_experiment
 from twin.mechanics import PressedElastomer
-from twin.paper.figure_objects import (
+from twin.paper.hardness import draw_hardness
+from twin.paper.object_figures import (
     COMPARED_OBJECTS,
     HARD_OBJECTS,
     RODS,
@@ -16,10 +17,9 @@ from twin.paper.figure_objects import (
     draw_grid,
     draw_missing,
     draw_rods,
+    draw_sphere_fit,
 )
-from twin.paper.figure_spheres import draw_sphere_fit
-from twin.paper.hardness import draw_hardness
-from twin.paper.views import draw_concept, draw_setup
+from twin.paper.rig_figures import draw_concept, draw_setup
 from twin.pipeline.press import press_specimen
 
 _SHOWN_PRESS = "paper/two_balls"
@@ -69,8 +69,8 @@ FIGURES: dict[str, PaperFigure] = {
     "hardness": PaperFigure(
         "Hardness against mixing ratio",
         "Shore A of the three silicones with the range of what is plausible; the paper's graph has "
-        "no numbers, its text states 20 for 1:1. Young's modulus by Gent's relation, bars over all "
-        "valid formulas and ±5 points: below 20 they extrapolate.",
+        "no numbers, its text states 20 for 1:1. Young's modulus by Gent's relation, error bars: "
+        "all valid formulas and ±5 points: below 20 they extrapolate.",
         "Fig. 2, Shore graph",
         (),
         draw_hardness,
@@ -87,18 +87,19 @@ FIGURES: dict[str, PaperFigure] = {
     "direct_and_contact": PaperFigure(
         "Metal and clear objects",
         "Fringe image and measured surface of each object, without the sheet (top) and under it "
-        "(bottom). A hole is a missing point; points far outside the true heights are left out. "
-        "Percentages: share of the pixels that show the surface with a point, and with one that is "
-        "right within the stated limit. Each surface has its own height scale: the bare objects "
-        "are higher than the relief of the coat.",
+        "(bottom). Holes are pixels without a measurement; points far outside the true heights are "
+        "left out. Percentages: share of the pixels that show the surface with a point, and with "
+        "one that is right within the stated limit. Each surface has its own height scale: the "
+        "bare objects are higher than the relief of the coat.",
         "Fig. 5",
         _cases(HARD_OBJECTS, _FPP),
         draw_direct_and_contact,
     ),
     "missing": PaperFigure(
-        "Why points are missing",
-        "Top: why a pixel that shows the bare object has no point. Middle and bottom: measured "
-        "minus true height of both methods on one scale; gray has no point or is not wanted.",
+        "Pixels without a measurement, and errors",
+        "Top: reasons why pixels that show the bare object have no point. Middle and bottom: "
+        "measured minus true height of both methods on one scale; gray: no measurement, or not "
+        "scored.",
         "",
         _cases(HARD_OBJECTS, _FPP),
         draw_missing,
@@ -123,7 +124,7 @@ FIGURES: dict[str, PaperFigure] = {
         "Sphere fits",
         "Two joined 8 mm balls: measured surfaces on one height scale, radial residuals of the "
         "least-squares spheres, and their histograms, on one scale for both methods; residuals "
-        "beyond the scale stand in the outermost bars.",
+        "beyond the scale are counted in the outermost bins.",
         "Fig. 9",
         (("two_balls", "photometric_stereo"), ("two_balls", "contact_fpp")),
         draw_sphere_fit,

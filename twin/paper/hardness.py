@@ -11,8 +11,7 @@ from reconstruction.errors import InputError
 from twin.assets import asset_path
 from twin.config.quantities import split_quantities
 from twin.mechanics import ModulusEstimate, estimate_modulus
-from twin.paper.sheet import sheet
-from twin.report.canvas import FIT, MEASURED, NOMINAL, axes_at, plain_spines
+from twin.report.canvas import FIT, MEASURED, NOMINAL, axes_at, plain_spines, printing
 
 MIXES = {"A": 1.0, "B": 1.5, "C": 2.0}
 """Parts of base per part of curing agent (paper, section II-A)."""
@@ -66,7 +65,7 @@ def _mix(letter: str, ratio: float) -> Mix:
 
 def draw_hardness(_cases: Path, stem: Path) -> None:
     """Draw Shore A and Young's modulus against the mixing ratio, with what is not known."""
-    with sheet(stem, 5.6, 2.65) as figure:
+    with printing(stem, 5.6, 2.65) as figure:
         left = axes_at(figure, 0.55, 0.3, 2.1, 1.75)
         right = axes_at(figure, 3.35, 0.3, 2.1, 1.75)
         _hardness(left)

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
-from reconstruction.cores import threads
+from reconstruction.machine import threads
 from twin.config.methods import TRAITS
 from twin.paper.colours import CALIBRATIONS
 from twin.paper.figures import FIGURES

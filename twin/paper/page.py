@@ -1,19 +1,17 @@
 """One page with every table and figure, self-contained; it prints."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from twin.config import Experiment
 from twin.output import versions
 from twin.paper.figures import FIGURES
 from twin.paper.scatter import Scatter
-from twin.paper.table import PAPER, Cell, Column, Table, shown
-from twin.report.appendix import settings
-from twin.report.html import Picture, Plate, data_uri, template, write_page
-from twin.report.verdict import Grade, Verdict
-
-REPORT_FILE = "report.html"
+from twin.report.experiment import settings_table
+from twin.report.page import REPORT_FILE, Figure, Grade, Note, Page, Section, Verdict, write_page
+from twin.report.table import Column, Table
+from twin.report.words import shown
 
 
 @dataclass(frozen=True)
@@ -76,39 +74,6 @@ SECTIONS = (
 )
 
 
-@dataclass(frozen=True)
-class _Text:
-    text: str
-    kind: str = ""
-    number: bool = False
-
-
-@dataclass(frozen=True)
-class _Row:
-    cells: list[_Text]
-    paper: bool
-
-
-@dataclass(frozen=True)
-class _Shown:
-    """A table as the template takes it."""
-
-    title: str
-    of_paper: str
-    heads: list[_Text]
-    rows: list[_Row]
-    notes: tuple[str, ...]
-
-
-@dataclass(frozen=True)
-class _Part:
-    name: str
-    title: str
-    paragraphs: tuple[str, ...]
-    pictures: list[Picture] = field(default_factory=list)
-    tables: list[_Shown] = field(default_factory=list)
-
-
 @dataclass(frozen=True, eq=False)
 class Contents:
     """What the page shows.
@@ -116,14 +81,14 @@ class Contents:
     Attributes
     ----------
     tables : by name
-    drawn : PNG files of the figures by name
+    drawn : names of the figures, which lie in `figures` beside the page
     experiment : whose settings stand for the parameter set
     scatter : spreads of the trials
     trials : repetitions
     """
 
     tables: Mapping[str, Table]
-    drawn: Mapping[str, Path]
+    drawn: Collection[str]
     experiment: Experiment
     scatter: Scatter
     trials: int
@@ -138,65 +103,46 @@ def write_paper_page(folder: Path, contents: Contents) -> Path:
         It cannot be written.
     """
     tables = contents.tables
-    parts = [part for one in SECTIONS if (part := _part(one, tables, contents.drawn)) is not None]
-    text = template("paper.html").render(
-        lead=f"{contents.trials} trials of every repeated measurement; the paper's numbers beside "
-        "ours.",
-        cards=_cards(tables),
-        sections=parts,
-        settings=settings(contents.experiment),
-        spreads=_spreads(contents.scatter),
-        versions=", ".join(f"{name} {version}" for name, version in versions().items()),
+    used = ", ".join(f"{name} {version}" for name, version in versions().items())
+    parameters = (
+        "One set for all tables and figures.",
+        replace(settings_table(contents.experiment), title=""),
+        _spread_table(contents.scatter),
+        Note(used),
     )
-    path = folder / REPORT_FILE
-    write_page(path, text)
-    return path
+    page = Page(
+        kind="every table and figure from one parameter set",
+        title="Contact-based fringe projection profilometry, reproduced",
+        lead=f"{contents.trials} trials of every repeated measurement; the paper's numbers beside "
+        "those of the twin.",
+        sections=[
+            *_sections(tables, contents.drawn),
+            Section("parameters", "Parameter set", parameters),
+        ],
+        verdicts=_verdicts(tables),
+        contents=True,
+    )
+    return write_page(folder / REPORT_FILE, page)
 
 
-def _part(
-    section: PageSection, tables: Mapping[str, Table], drawn: Mapping[str, Path]
-) -> _Part | None:
-    pictures = [_picture(name, drawn[name]) for name in section.figures if name in drawn]
-    found = [_shown(tables[name]) for name in section.tables if name in tables]
-    if not pictures and not found:
-        return None
-    return _Part(section.name, section.title, section.paragraphs, pictures, found)
+def _sections(tables: Mapping[str, Table], drawn: Collection[str]) -> list[Section]:
+    """Return the sections of which anything is there."""
+    found = []
+    for one in SECTIONS:
+        figures = [_figure(name) for name in one.figures if name in drawn]
+        shown = [tables[name] for name in one.tables if name in tables]
+        if figures or shown:
+            found.append(Section(one.name, one.title, (*one.paragraphs, *figures, *shown)))
+    return found
 
 
-def _picture(name: str, path: Path) -> Picture:
+def _figure(name: str) -> Figure:
     figure = FIGURES[name]
-    plate = Plate(name, lambda _: None, figure.title, figure.caption)
-    return Picture(data_uri(path), plate)
+    beside = f" Beside the paper's {figure.paper}." if figure.paper else ""
+    return Figure(name, figure.title, figure.caption + beside, figure.title)
 
 
-def _shown(table: Table) -> _Shown:
-    numeric = {c.key: _is_numeric(table, c) for c in table.columns}
-    heads = [_Text(c.heading, number=numeric[c.key]) for c in table.columns]
-    rows = [
-        _Row(
-            [
-                _Text(shown(row.get(c.key), c.digits), _kind(c, row.get(c.key), numeric[c.key]))
-                for c in table.columns
-            ],
-            row.get("source") == PAPER,
-        )
-        for row in table.rows
-    ]
-    return _Shown(table.title, table.of_paper, heads, rows, table.notes)
-
-
-def _is_numeric(table: Table, column: Column) -> bool:
-    cells = [row.get(column.key) for row in table.rows]
-    return any(isinstance(cell, (int, float)) for cell in cells)
-
-
-def _kind(column: Column, cell: Cell, numeric: bool) -> str:
-    if column.key == "met":
-        return "met" if cell == "yes" else "missed"
-    return "number" if numeric else ""
-
-
-def _cards(tables: Mapping[str, Table]) -> list[Verdict]:
+def _verdicts(tables: Mapping[str, Table]) -> list[Verdict]:
     if "claims" not in tables:
         return []
     rows = tables["claims"].rows
@@ -210,26 +156,35 @@ def _cards(tables: Mapping[str, Table]) -> list[Verdict]:
     return [
         Verdict(
             question="Does the twin show what the paper shows?",
-            headline=f"{len(met)} of {len(rows)} figures within their bars",
+            headline=f"{len(met)} of {len(rows)} figures meet their targets",
             grade=grade,
-            reasons=tuple(missed) or ("every bar is met",),
+            reasons=tuple(missed) or ("every target is met",),
         )
     ]
 
 
-def _spreads(scatter: Scatter) -> Sequence[dict[str, object]]:
-    rows = []
+def _spread_table(scatter: Scatter) -> Table:
+    rows, kinds = [], []
     for name, one in scatter.inputs.items():
         origin = scatter.provenance.get(f"inputs.{name}.spread")
         source = origin.source if origin else ""
+        kinds.append("assumed" if source.startswith("assumed") else "")
+        spread = f"{100 * one.spread:g} %" if one.relative else f"{one.spread:g}"
         rows.append(
             {
                 "name": name.replace("_", " "),
                 "key": one.key,
                 "distribution": one.distribution,
-                "spread": f"{100 * one.spread:g} %" if one.relative else f"{one.spread:g}",
+                "spread": spread,
                 "source": source,
-                "assumed": source.startswith("assumed"),
             }
         )
-    return rows
+    columns = (
+        Column("name", "input"),
+        Column("key", "varied", kind="code"),
+        Column("distribution", "distribution"),
+        Column("spread", "standard deviation or half width", kind="number"),
+        Column("source", "source"),
+    )
+    title = "What differs from trial to trial"
+    return Table("spreads", title, "", columns, tuple(rows), kinds=tuple(kinds), look="settings")

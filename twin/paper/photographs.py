@@ -7,8 +7,7 @@ import numpy as np
 
 from twin.config import Experiment
 from twin.optics.direct import STAGE, solids
-from twin.optics.observer import Observer
-from twin.optics.view import Picture, Thing, picture
+from twin.optics.view import Picture, SceneObject, ViewCamera, picture
 
 _WIDTH_PX, _HEIGHT_PX, _SAMPLES = 360, 270, 20
 _FROM = (0.5, -0.52, 0.69)
@@ -40,7 +39,7 @@ class _Sitter:
 @lru_cache(maxsize=32)
 def _render(sitter: _Sitter) -> Picture:
     things = [
-        Thing(solid.name, solid.mesh, solid.bsdf, smooth=True)
+        SceneObject(solid.name, solid.mesh, solid.bsdf, smooth=True)
         for solid in solids(sitter.experiment)
     ]
     shown = [thing.mesh.bounds for thing in things if thing.name != STAGE]
@@ -48,7 +47,7 @@ def _render(sitter: _Sitter) -> Picture:
     middle = (low + high) / 2
     width_mm = _ROOM * float(np.hypot(*(high - low)[:2]))
     eye = middle + _DISTANCE * width_mm * np.array(_FROM)
-    observer = Observer(_point(eye), _point(middle), width_mm, _WIDTH_PX, _HEIGHT_PX)
+    observer = ViewCamera(_point(eye), _point(middle), width_mm, _WIDTH_PX, _HEIGHT_PX)
     return picture(things, observer, _SAMPLES, gray=True)
 
 

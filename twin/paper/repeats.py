@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from reconstruction.errors import FitError, InputError
 from reconstruction.pipeline import Reconstruction, reconstruct
-from reconstruction.triangulation.triangulate import triangulate
+from reconstruction.triangulation import triangulate
 from twin.config import Experiment, digest
 from twin.output import replace_json, versions
 from twin.paper.rig_draws import RigScatter

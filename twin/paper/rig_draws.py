@@ -17,8 +17,7 @@ from twin.config import Experiment
 from twin.config.board import load_board
 from twin.config.digest import keyed_sequence
 from twin.optics.rig import true_calibration
-from twin.pipeline.calibration import calibrate_rendered
-from twin.pipeline.calibration_storage import calibration_metrics
+from twin.pipeline.calibration import calibrate_rendered, calibration_metrics
 from twin.pipeline.progress import Watcher, nobody
 
 BOARD = "boards/paper_dots"

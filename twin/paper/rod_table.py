@@ -7,7 +7,7 @@ from twin.paper.published import rows_of
 from twin.paper.repeats import Trial
 from twin.paper.sphere_tables import PAPER_TRIALS, subsets
 from twin.paper.statistics import spread_of, values_of
-from twin.paper.table import PAPER, TWIN, Cell, Column, Table
+from twin.report.table import PAPER, TWIN, Cell, Column, Table
 
 
 def rods_table(trials: Mapping[str, Sequence[Trial]]) -> Table:

@@ -21,7 +21,7 @@ _LEAST_IN_BIN = 3
 
 
 @dataclass(frozen=True, eq=False)
-class Section:
+class RodSection:
     """Mean profile across a rod: (n,) position along world x and height, mm; gaps left out."""
 
     s_mm: NDArray[np.float64]
@@ -50,7 +50,7 @@ class Section:
 
 def section_of(
     points_mm: NDArray[np.float64], along_mm: float, centre_mm: tuple[float, float]
-) -> Section:
+) -> RodSection:
     """Average points, (n, 3) mm, over the middle of a rod that lies along world y.
 
     Parameters
@@ -66,7 +66,7 @@ def section_of(
     counts = np.bincount(where)
     means = np.bincount(where, z[inside]) / counts
     full = counts >= _LEAST_IN_BIN
-    return Section(numbers[full] * STEP_MM, means[full])
+    return RodSection(numbers[full] * STEP_MM, means[full])
 
 
 def middle_of(shape: Shape) -> tuple[float, float]:

@@ -25,15 +25,16 @@ from twin.paper.decoder_table import decoder_table
 from twin.paper.explanations import explanations
 from twin.paper.figures import FIGURES, draw_figure
 from twin.paper.jobs import jobs_of, measure_ahead
-from twin.paper.page import REPORT_FILE, Contents, write_paper_page
+from twin.paper.page import Contents, write_paper_page
 from twin.paper.plan import BALLS, COARSE, FINE, RODS, experiment_of
 from twin.paper.published import CONTACT_FPP, GELSIGHT
 from twin.paper.reproduction import Reproduction
 from twin.paper.rod_table import hardness_table, rods_table
 from twin.paper.sphere_tables import repeated_fit_table, sphere_fit_table, uncertainty_table
-from twin.paper.table import Cell, Table, shown
 from twin.pipeline.progress import Watcher, nobody
-from twin.report.html import FIGURES_FOLDER, make_folder
+from twin.report.page import FIGURES_FOLDER, REPORT_FILE, figures_folder
+from twin.report.table import Cell, Table
+from twin.report.words import shown
 from twin.results.parts import write_result
 from twin.study.workers import local_workers
 from twin.working import remove_leftovers
@@ -174,8 +175,7 @@ def tables_of(run: Reproduction, names: Sequence[str]) -> dict[str, Table]:
 
 
 def _draw(run: Reproduction, out: Path, names: Sequence[str]) -> dict[str, Path]:
-    folder = out / FIGURES_FOLDER
-    make_folder(folder)
+    folder = figures_folder(out)
     for done, name in enumerate(names):
         run.watch("figures", done / len(names))
         draw_figure(name, run.work / "cases", folder)

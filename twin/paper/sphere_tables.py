@@ -7,7 +7,7 @@ import numpy as np
 from twin.paper.published import NOMINAL_RADIUS_MM, rows_of
 from twin.paper.repeats import Trial
 from twin.paper.statistics import Budget, root_mean_square, spread_of, values_of
-from twin.paper.table import PAPER, TWIN, Cell, Column, Table
+from twin.report.table import PAPER, TWIN, Cell, Column, Table
 
 PAPER_TRIALS = 5
 BALLS = (1, 2)

@@ -9,7 +9,6 @@ import tomli_w
 from reconstruction.capture.folder import read_capture
 from reconstruction.decoding.decode import Reason
 from reconstruction.evaluate.surface import write_surface
-from reconstruction.outputs import write_reconstruction
 from reconstruction.photometric import (
     HeightMap,
     PhotometricReason,
@@ -18,8 +17,8 @@ from reconstruction.photometric import (
     write_height_points,
     write_sensor_calibration,
 )
-from reconstruction.pipeline import Reconstruction, filter_bias, reconstruct
-from reconstruction.triangulation.triangulate import Use
+from reconstruction.pipeline import Reconstruction, filter_bias, reconstruct, write_reconstruction
+from reconstruction.triangulation import Use
 from twin.config.models import Decode
 from twin.output import EXPERIMENT_FILE, RESULT_FILE, output_folder, versions, write_json
 from twin.pipeline.fringes import options_of

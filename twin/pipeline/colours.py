@@ -18,7 +18,7 @@ from reconstruction.photometric import (
     calibrate_sensor,
 )
 from reconstruction.photometric.calibration_ball import SampleOptions
-from reconstruction.photometric.sensor_calibration import MapKind
+from reconstruction.photometric.sensor import MapKind
 from reconstruction.rig.pinhole import Pinhole
 from twin.config import Experiment, digest, seed_sequence
 from twin.config.models import Ball, Press

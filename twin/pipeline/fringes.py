@@ -165,8 +165,12 @@ def render(
     return _lit(experiment, geometry, memory, progress).value
 
 
-def render_bare(experiment: Experiment, progress: Progress = lambda _: None) -> RadianceStack:
+def render_bare(
+    experiment: Experiment, progress: Progress = lambda _: None, memory: Memory | None = None
+) -> RadianceStack:
     """Render all frames on the bare specimen standing on its stage.
+
+    `memory` holds what renders before kept, such as the loaded specimen; the bytes are the same.
 
     Raises
     ------
@@ -176,7 +180,7 @@ def render_bare(experiment: Experiment, progress: Progress = lambda _: None) -> 
     MissingBackend
         No usable Dr.Jit backend.
     """
-    return _rendered(experiment, None, Memory(), progress).value
+    return _rendered(experiment, None, Memory() if memory is None else memory, progress).value
 
 
 def expose_capture(

@@ -14,17 +14,15 @@ from twin.config.digest import seed_sequence
 from twin.config.models import Coating, Experiment
 from twin.optics.bounces import Bounces
 from twin.optics.checks import check_focus, check_stock
-from twin.optics.coat import coated_mesh, coating_bsdf, set_coating
 from twin.optics.connection import Rig, axial_range_mm
 from twin.optics.direct import direct_scene
 from twin.optics.light import LightTable, light_tables, pattern_set
+from twin.optics.materials import coated_mesh, coating_bsdf, set_coating
 from twin.optics.one_trace import Patches, light_stack, trace_patches, trace_truth
-from twin.optics.photons import Photons, trace_photons
-from twin.optics.scene import coated_rig, coating_in_layer, face_scene, rig_of
+from twin.optics.photons import Photons, StageLight, map_photons, trace_photons
+from twin.optics.scene import Surfaces, coated_rig, coating_in_layer, face_scene, rig_of
 from twin.optics.stack import RadianceStack, Truth
-from twin.optics.stage_light import StageLight, map_photons
 from twin.optics.stock import render_stack
-from twin.optics.surfaces import Surfaces
 
 if TYPE_CHECKING:
     import trimesh

@@ -1,13 +1,12 @@
-"""Reports of finished measurements: one self-contained HTML page and a short plain-text table.
+"""Reports of finished measurements, comparisons and studies: self-contained HTML pages and tables.
 
-Everything here reads result folders only; nothing renders, so no renderer is needed.
+Reports draw what result folders hold; nothing here measures, so no renderer is needed. A page is
+data (`twin.report.page`): sections of text, figures and tables (`twin.report.table`).
 """
 
-from twin.report.comparison import write_comparison
-from twin.report.html import FIGURES_FOLDER
-from twin.report.page import REPORT_FILE, write_report
-from twin.report.summary import summary_table
-from twin.report.table import comparison_table
+from twin.report.comparison import comparison_table, write_comparison
+from twin.report.measurement import summary_table, write_report
+from twin.report.page import FIGURES_FOLDER, REPORT_FILE
 
 __all__ = [
     "REPORT_FILE",

@@ -1,4 +1,4 @@
-"""Pictures of a calibration: misses of all features, residuals by pose, parameter errors."""
+"""Figures of a calibration: reprojection residuals, residuals by pose, parameter errors."""
 
 from pathlib import Path
 
@@ -26,7 +26,7 @@ RESIDUALS_FILE = "residuals.png"
 POSES_FILE = "pose_residuals.png"
 CORRELATIONS_FILE = "correlations.png"
 PARAMETERS_FILE = "parameters.png"
-# An arrow of the typical miss is this share of the image width.
+# An arrow of the typical residual is this share of the image width.
 ARROW_SHARE = 0.02
 
 
@@ -46,29 +46,30 @@ def draw_calibration(folder: Path, done: BoardCalibration) -> None:
 
 
 def draw_residuals(path: Path, done: BoardCalibration) -> None:
-    """Draw the miss of every feature that took part, as arrows on both images."""
+    """Draw the reprojection residual of every feature used, as arrows on both images."""
     found = done.result.adjustment
     used = np.concatenate(found.used)
     measured = np.concatenate(found.measured_px)[used]
-    misses = np.concatenate(found.residuals_px)[used]
+    residuals = np.concatenate(found.residuals_px)[used]
     width, height = done.observations[0].camera_size_px
     with drawing(path, 10.2, 4.2) as figure:
         for left, first, device in ((0.7, 0, "camera"), (5.7, 2, "projector")):
             axes = axes_at(figure, left, 0.5, 4.2, 3.1)
-            _draw_arrows(axes, measured[:, first : first + 2], misses[:, first : first + 2], device)
+            mine = slice(first, first + 2)
+            _draw_arrows(axes, measured[:, mine], residuals[:, mine], device)
             if device == "camera":
                 axes.set_xlim(-0.5, width - 0.5)
                 axes.set_ylim(height - 0.5, -0.5)
 
 
 def _draw_arrows(
-    axes: Axes, places_px: NDArray[np.float64], misses_px: NDArray[np.float64], device: str
+    axes: Axes, places_px: NDArray[np.float64], residuals_px: NDArray[np.float64], device: str
 ) -> None:
-    typical_px = round_up(float(np.sqrt(np.mean(np.sum(misses_px**2, axis=1)))))
+    typical_px = round_up(float(np.sqrt(np.mean(np.sum(residuals_px**2, axis=1)))))
     extent_px = float(np.ptp(places_px[:, 0]))
     arrows = axes.quiver(
         *places_px.T,
-        *misses_px.T,
+        *residuals_px.T,
         color=MEASURED,
         angles="xy",
         scale_units="xy",
@@ -77,7 +78,7 @@ def _draw_arrows(
     )
     axes.quiverkey(arrows, 0.86, 1.05, typical_px, f"{typical_px:g} px", labelpos="W")
     axes.set_aspect("equal")
-    axes.set_title(f"{device}: measured minus projected")
+    axes.set_title(f"{device}: reprojection residual, measured − projected")
     axes.set_xlabel("column (px)")
     axes.set_ylabel("row (px)")
     if device == "projector":

@@ -1,7 +1,7 @@
-"""How every figure of a report looks, and how it reaches the disk.
+"""How every figure looks, and how it reaches the disk: PNG for pages, PDF beside it for print.
 
 Figures use Matplotlib's object interface: no global state, no window system. The same data give
-the same bytes: no date and no version is written into the PNG.
+the same bytes: no date and no version is written into the files.
 """
 
 import math
@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from twin.output import replacing
 
-DPI = 130
+_SCREEN_DPI, _PRINT_DPI = 130, 200
 
 INK, FAINT, GRID = "#1d2733", "#6b7785", "#dfe4ea"
 MEASURED, TRUE_FACE, NOMINAL, FIT = "#1f6fb2", "#2b8a57", "#8a5a00", "#c2410c"
@@ -58,6 +58,21 @@ _STYLE: Any = {
 }
 
 
+# Sizes of a two-column journal.
+_PRINT: Any = _STYLE | {
+    "font.size": 7.5,
+    "axes.labelsize": 7.5,
+    "axes.linewidth": 0.6,
+    "axes.titlesize": 8.0,
+    "axes.titlepad": 4.0,
+    "grid.linewidth": 0.5,
+    "xtick.labelsize": 6.5,
+    "ytick.labelsize": 6.5,
+    "legend.fontsize": 6.5,
+    "pdf.fonttype": 42,  # text stays text
+}
+
+
 @contextmanager
 def drawing(path: Path, width_in: float, height_in: float) -> Iterator[Figure]:
     """Yield a figure; at the end it is written to `path` as PNG, whole or not at all.
@@ -69,12 +84,41 @@ def drawing(path: Path, width_in: float, height_in: float) -> Iterator[Figure]:
     InputError
         `path` cannot be written.
     """
-    with rc_context(_STYLE):
+    with _styled(_STYLE, width_in, height_in) as figure:
+        yield figure
+        _write(figure, path, _SCREEN_DPI)
+
+
+@contextmanager
+def printing(stem: Path, width_in: float, height_in: float) -> Iterator[Figure]:
+    """Yield a figure; at the end it is written as `stem`.png and .pdf, each whole or not at all.
+
+    Raises
+    ------
+    InputError
+        The files cannot be written.
+    """
+    with _styled(_PRINT, width_in, height_in) as figure:
+        yield figure
+        for kind in ("png", "pdf"):
+            _write(figure, stem.with_name(f"{stem.name}.{kind}"), _PRINT_DPI)
+
+
+@contextmanager
+def _styled(style: Any, width_in: float, height_in: float) -> Iterator[Figure]:
+    with rc_context(style):
         figure = Figure(figsize=(width_in, height_in), facecolor="white")
         FigureCanvasAgg(figure)
         yield figure
-        with replacing(path) as part:
-            figure.savefig(part, format="png", dpi=DPI, metadata={"Software": None})
+
+
+def _write(figure: Figure, path: Path, dpi: int) -> None:
+    kind = path.suffix[1:]
+    undated: Any = {"Software": None}
+    if kind == "pdf":
+        undated = {"CreationDate": None, "Producer": None, "Creator": None}
+    with replacing(path) as part:
+        figure.savefig(part, format=kind, dpi=dpi, metadata=undated)
 
 
 def sequential() -> Colormap:
@@ -171,6 +215,24 @@ def legend_above(axes: Axes, entries: int) -> None:
         borderaxespad=0.2,
         columnspacing=1.2,
         handlelength=1.6,
+    )
+
+
+def no_ticks(axes: Axes) -> None:
+    """Leave a picture without ticks."""
+    axes.set(xticks=[], yticks=[])
+
+
+def label_panel(axes: Axes, letter: str) -> None:
+    """Put a panel's letter into its upper left corner, as journals do."""
+    axes.text(
+        0.02,
+        0.97,
+        f"({letter})",
+        transform=axes.transAxes,
+        va="top",
+        fontsize=7.0,
+        bbox={"facecolor": "white", "alpha": 0.75, "edgecolor": "none", "pad": 1.2},
     )
 
 

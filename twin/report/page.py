@@ -1,101 +1,211 @@
-"""The report as one HTML page that needs no other file and no network."""
+"""The page that all reports are: sections of text, figures and tables in one self-contained file.
 
+A report is data (`Page`); `write_page` draws its figures into `figures/NAME.png`, puts them into
+the page, and writes it whole. What a page may hold is listed in `Block`.
+"""
+
+import base64
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
+from typing import ClassVar, Literal
 
+from jinja2 import Environment, PackageLoader, StrictUndefined, Template
+
+from reconstruction.machine import unwritable
+from twin.output import replacing
 from twin.pipeline.progress import Watcher, nobody
-from twin.report import appendix, direct, photometric
-from twin.report.direct_view import direct_plates
-from twin.report.discussion import discussion
-from twin.report.figures import plates
-from twin.report.glance import glance
-from twin.report.html import STAGE, Picture, Plate, draw_pictures, template, write_page
-from twin.report.photometric_plates import photometric_plates
-from twin.report.table import HEADINGS, ball_rows
-from twin.report.verdict import verdicts
-from twin.results.folder import read_measurement
-from twin.results.record import Measurement
+from twin.report.table import Table
 
-REPORT_FILE = "report.html"
+REPORT_FILE, FIGURES_FOLDER = "report.html", "figures"
+STAGE = "report"
+
+Grade = Literal["good", "check", "poor"]
 
 
-def write_report(folder: Path, watch: Watcher = nobody, into: Path | None = None) -> Path:
-    """Write `report.html` and `figures/*.png` into the folder of a finished measurement.
+@dataclass(frozen=True)
+class Figure:
+    """One figure.
 
-    Parameters
+    Attributes
     ----------
-    folder : result folder of `twin measure` or `twin demo`; nothing else is read
-    watch : told how far the report is
-    into : existing folder to write into instead
+    name : of its file, and its place in the page
+    title : what it is, in a few words; empty: the caption says it
+    caption : what it shows, with units, and what to look for
+    alt : its content for those who do not see it
+    draw : writes the PNG; None: it lies in the folder of figures already
+    """
 
-    Returns
-    -------
-    Path
-        The page.
+    name: str
+    title: str
+    caption: str
+    alt: str
+    draw: Callable[[Path], None] | None = None
+
+    block: ClassVar[str] = "figure"
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """One card at the head of a page: a question, its answer and the reasons."""
+
+    question: str
+    headline: str
+    grade: Grade
+    reasons: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Note:
+    """A paragraph that is not running text: small print, a verdict, or why something failed."""
+
+    text: str
+    kind: Literal["note", "verdict", "failure"] = "note"
+
+    block: ClassVar[str] = "note"
+
+
+@dataclass(frozen=True)
+class Gallery:
+    """Small figures in one row of `columns`."""
+
+    figures: tuple[Figure, ...]
+    columns: int
+
+    block: ClassVar[str] = "gallery"
+
+
+@dataclass(frozen=True)
+class Shares:
+    """Parts of a whole as one bar with its key: (kind of colour, words, share)."""
+
+    parts: tuple[tuple[Literal["good", "wrong", "none"], str, float], ...]
+
+    block: ClassVar[str] = "shares"
+
+
+@dataclass(frozen=True)
+class Beside:
+    """Two columns; one below the other where the window is narrow."""
+
+    left: "tuple[Block, ...]"
+    right: "tuple[Block, ...]"
+
+    block: ClassVar[str] = "beside"
+
+
+@dataclass(frozen=True)
+class Section:
+    """What stands together under a heading; sections in sections have smaller headings."""
+
+    name: str
+    title: str
+    blocks: "tuple[Block, ...]"
+
+    block: ClassVar[str] = "section"
+
+
+Block = str | Figure | Table | Note | Gallery | Shares | Beside | Section
+"""Text is escaped unless it is `markupsafe.Markup`."""
+
+
+@dataclass(frozen=True)
+class Page:
+    """One page.
+
+    Attributes
+    ----------
+    kind : of report, above the title
+    title, lead : heading and what stands below it
+    sections : in order
+    verdicts : cards at its head
+    warned, warnings : heading and lines of a box below the cards; no box without lines
+    numbered : sections carry numbers
+    contents : a list of the sections stands before them
+    wide : for tables with many columns
+    """
+
+    kind: str
+    title: str
+    lead: str
+    sections: Sequence[Section]
+    verdicts: Sequence[Verdict] = ()
+    warned: str = ""
+    warnings: Sequence[str] = ()
+    numbered: bool = False
+    contents: bool = False
+    wide: bool = False
+
+
+def write_page(path: Path, page: Page, watch: Watcher = nobody) -> Path:
+    """Draw the figures of a page into `figures` beside it, and write it whole or not at all.
 
     Raises
     ------
     InputError
-        The folder is no finished measurement, a file is missing or damaged, or the page cannot
-        be written.
+        A figure or the page cannot be written.
     """
-    watch(STAGE, 0.0)
-    path = (into or folder) / REPORT_FILE
-    measured = read_measurement(folder)
-    shown = draw_pictures(path.parent, plates_of(measured), watch)
-    render = render_page if measured.experiment.method.fringes else render_photometric
-    write_page(path, render(measured, shown))
+    folder = figures_folder(path.parent)
+    drawn = [figure for section in page.sections for figure in figures_in(section)]
+    uris = {}
+    for number, figure in enumerate(drawn, start=1):
+        picture = folder / f"{figure.name}.png"
+        if figure.draw is not None:
+            figure.draw(picture)
+        uris[figure.name] = _data_uri(picture)
+        watch(STAGE, number / (len(drawn) + 1))
+    text = _template().render(page=page, uris=uris)
+    with replacing(path) as part:
+        part.write_text(text, encoding="utf-8")
     watch(STAGE, 1.0)
     return path
 
 
-def plates_of(measured: Measurement) -> list[Plate]:
-    """Return all figures of the page in their order."""
-    if not measured.experiment.method.fringes:
-        return photometric_plates(measured)
-    return direct_plates(measured) if measured.pressed is None else plates(measured)
+def figures_folder(folder: Path) -> Path:
+    """Make the folder of figures beside a page, unless it is there, and return it.
+
+    Raises
+    ------
+    InputError
+        It cannot be made.
+    """
+    figures = folder / FIGURES_FOLDER
+    try:
+        figures.mkdir(exist_ok=True)
+    except OSError as error:
+        raise unwritable(figures, error) from None
+    return figures
 
 
-def render_page(measured: Measurement, shown: dict[str, Picture]) -> str:
-    """Fill the template with figures that are drawn already."""
-    pressed = measured.pressed is not None
-    return template("report.html").render(
-        experiment=measured.experiment,
-        digest=measured.digest,
-        pressed=pressed,
-        verdicts=verdicts(measured) if pressed else direct.verdicts(measured),
-        warnings=[*measured.figures["warnings"], *measured.score.unfitted],
-        glance=glance(measured),
-        shares=[] if pressed else direct.shares(measured),
-        headings=HEADINGS,
-        ball_rows=[ball_rows(measured, ball) for ball in measured.score.spheres],
-        discussion=discussion(measured) if pressed else direct.discussion(measured),
-        figures=shown,
-        ball_names=[name for name in shown if name.startswith("ball_")],
-        settings=appendix.settings(measured.experiment),
-        metrics=appendix.metrics(measured),
-        timings=appendix.timings(measured.seconds),
-        versions=appendix.versions(measured),
+def figures_in(block: Block) -> Iterator[Figure]:
+    """Return the figures of a block in their order."""
+    if isinstance(block, Figure):
+        yield block
+    inside: Sequence[Block] = ()
+    if isinstance(block, Section):
+        inside = block.blocks
+    elif isinstance(block, Beside):
+        inside = (*block.left, *block.right)
+    elif isinstance(block, Gallery):
+        inside = block.figures
+    for one in inside:
+        yield from figures_in(one)
+
+
+@cache
+def _template() -> Template:
+    """Return the template of all pages; an unknown name inside it is an error, not a gap."""
+    environment = Environment(
+        loader=PackageLoader("twin.report"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
     )
+    return environment.get_template("page.html")
 
 
-def render_photometric(seen: Measurement, shown: dict[str, Picture]) -> str:
-    """Fill the template with figures that are drawn already."""
-    numbers = [ball.number for ball in seen.score.spheres]
-    return template("photometric.html").render(
-        experiment=seen.experiment,
-        verdicts=photometric.verdicts(seen),
-        warnings=[*seen.figures["warnings"], *seen.score.unfitted],
-        glance=photometric.glance(seen),
-        field=photometric.field_figures(seen),
-        decoder_headings=photometric.DECODER_HEADINGS,
-        decoder_rows=photometric.decoder_rows(seen),
-        headings=HEADINGS,
-        ball_rows=[photometric.ball_rows(seen, number) for number in numbers],
-        discussion=photometric.discussion(seen),
-        figures=shown,
-        ball_names=[name for name in shown if name.startswith("ball_")],
-        settings=appendix.settings(seen.experiment),
-        metrics=appendix.metrics(seen),
-        timings=appendix.timings(seen.seconds),
-        versions=appendix.versions(seen),
-    )
+def _data_uri(picture: Path) -> str:
+    """Return a PNG file as the text that stands in the page for it."""
+    return "data:image/png;base64," + base64.b64encode(picture.read_bytes()).decode("ascii")

@@ -1,140 +1,143 @@
-"""What a measurement by photometric stereo says: judgements, tables and sentences."""
+"""The report of a measurement by photometric stereo: judgements, tables, sentences, sections."""
 
-from dataclasses import astuple, dataclass
-
-from twin.report.appendix import Figure
-from twin.report.direct import percent
-from twin.report.fields import NONE, coating_phrase, number, phrase
-from twin.report.paper import CONTACT_FPP, GELSIGHT, paper_row
-from twin.report.photometric_maps import decoder_name
-from twin.report.table import MEASURED_LABEL, Row, fit_values
-from twin.report.verdict import Grade, Verdict, judge_press
-from twin.results.decoders import DecodedImage
+from twin.report.experiment import appendix, glance, result_in_words
+from twin.report.page import Beside, Figure, Grade, Note, Page, Section, Verdict
+from twin.report.photometric_figures import (
+    draw_errors,
+    draw_heights,
+    draw_images,
+    draw_sections,
+    draw_sensor,
+    draw_slopes,
+)
+from twin.report.pixel_panels import true_scale
+from twin.report.press import judge_press, press_figure
+from twin.report.spheres import ball_figures, fit_table
+from twin.report.surfaces import relief_figure
+from twin.report.table import Column, Table, pairs
+from twin.report.words import NONE, number, percent, signed
+from twin.results.decoders import MAP_NAMES, decoder_name
 from twin.results.record import Measurement
-from twin.results.score import SphereScore
 
 GOOD_SCALE_ERROR, POOR_SCALE_ERROR = 0.05, 0.2
 GOOD_SHARE, POOR_SHARE = 0.95, 0.5
-DECODER_HEADINGS = ("height scale", "z RMS (µm)", "z mean (µm)", "z P95 (µm)", "good points")
+_DECODERS = (
+    Column("name", "colour map, integration"),
+    Column("scale", "height scale", 3),
+    Column("rms", "z error, RMS", 1, "µm"),
+    Column("mean", "z error, mean", 1, "µm"),
+    Column("p95", "z error, P95", 1, "µm"),
+    Column("good", "good points", kind="number"),
+)
 
 
-@dataclass(frozen=True)
-class DecoderRow:
-    """One decoder in the table; cells in the order of DECODER_HEADINGS."""
-
-    name: str
-    own: bool
-    cells: tuple[str, ...]
-
-
-def verdict_in_words(seen: Measurement) -> str:
-    """Return the result in one sentence."""
-    limit_um = seen.experiment.score.good_within_um
-    share = percent(seen.figures["good_share"])
-    return f"{share} of the coat in the evaluated field has a point within {limit_um:g} µm."
+def page_of(seen: Measurement) -> Page:
+    """Return the report of a measurement by photometric stereo."""
+    table = fit_table(seen)
+    sections = [
+        Section("glance", "Experiment", (Beside((glance(seen),), (_sensor(seen),)),)),
+        Section(
+            "result",
+            "Result",
+            (
+                field_table(seen),
+                decoder_table(seen),
+                *([table] if table else []),
+                *discussion(seen),
+            ),
+        ),
+        Section("recorded", "Camera image, and the slopes in it", (_images(seen), _slopes(seen))),
+        Section(
+            "surface",
+            "Heights by decoder",
+            (
+                relief_figure(seen),
+                Note(f"Decoded by: {decoder_name(seen.colours.own)}."),
+                _heights(seen),
+                _along_section(seen),
+            ),
+        ),
+        Section("error", "Error against the true coat", (_errors(seen),)),
+    ]
+    if seen.score.spheres:
+        sections.append(Section("balls", "Sphere fits", tuple(ball_figures(seen))))
+    pressed = Section("pressed", "Specimen and gel", (press_figure(seen),))
+    return Page(
+        kind="virtual measurement by photometric stereo",
+        title=seen.experiment.name.replace("_", " "),
+        lead=seen.experiment.description,
+        sections=[*sections, pressed, appendix(seen)],
+        verdicts=verdicts(seen),
+        warned="The press leaves the range of its model, or not everything could be fitted",
+        warnings=[*seen.figures["warnings"], *seen.score.unfitted],
+        numbered=True,
+    )
 
 
 def verdicts(seen: Measurement) -> list[Verdict]:
     """Judge heights, their scale and the press, in this order."""
-    return [_heights(seen), _scale(seen), judge_press(seen.figures)]
+    return [_of_heights(seen), _of_scale(seen), judge_press(seen.figures)]
 
 
-def decoder_rows(seen: Measurement) -> list[DecoderRow]:
+def decoder_table(seen: Measurement) -> Table:
     """Return the figures of every decoder of this image."""
-    return [
-        DecoderRow(
-            decoder_name(one),
-            one is seen.colours.own,
-            (
-                number(one.errors.height_scale, ".3f"),
-                *(f"{v:.1f}" for v in (one.errors.z_rmse_um, one.errors.z_bias_um)),
-                f"{one.errors.z_p95_um:.1f}",
-                percent(one.errors.good_share),
-            ),
-        )
-        for one in seen.colours.decoded
+    decoded = seen.colours.decoded
+    return Table(
+        "decoders",
+        "Heights by decoder",
+        "",
+        _DECODERS,
+        tuple(
+            {
+                "name": decoder_name(one),
+                "scale": one.errors.height_scale,
+                "rms": one.errors.z_rmse_um,
+                "mean": one.errors.z_bias_um,
+                "p95": one.errors.z_p95_um,
+                "good": percent(one.errors.good_share),
+            }
+            for one in decoded
+        ),
+        (
+            "All decoders have the same image and the same reference presses; bold: the one that "
+            "the experiment names. Height scale: slope of measured over true height. Look-up "
+            "table: binned colours, empty bins filled from their neighbours. Vendor 2025 and 2024: "
+            "the behaviour of the published kits with their error of scale; corrected: the exact "
+            "eigenvalues. P95: 95th percentile of the size of the error.",
+        ),
+        kinds=tuple("measured" if one is seen.colours.own else "" for one in decoded),
+    )
+
+
+def field_table(seen: Measurement) -> Table:
+    """Return the figures of the evaluated field."""
+    figures, limit_um = seen.figures, seen.experiment.score.good_within_um
+    rows = [
+        ("pixels of the coat in the evaluated field", str(figures["wanted_pixels"]), ""),
+        ("of these with a point", percent(figures["completeness"]), ""),
+        (f"with a point within {limit_um:g} µm", percent(figures["good_share"]), ""),
     ]
-
-
-def ball_rows(seen: Measurement, number: int) -> list[Row]:
-    """Return one ball by the experiment's decoder, the others, the true coat and the paper."""
-    rows = [_own_row(seen, number)]
-    for one in seen.colours.decoded:
-        ball = _ball(one, number)
-        if one is not seen.colours.own and ball is not None:
-            rows.append(_row(number, decoder_name(one), ball))
-    true = _ball(seen.colours.own, number)
-    assert true is not None  # this number is that of a fitted ball
-    rows.append(Row(number, "true coat", fit_values(true.true_face, true.nominal.radius_mm)))
-    for method in (GELSIGHT, CONTACT_FPP):
-        published = paper_row(seen.experiment, method, number)
-        if published is not None:
-            rows.append(Row(number, f"paper, {method}", astuple(published)))
-    return rows
+    return pairs("field", "In the evaluated field", rows)
 
 
 def discussion(seen: Measurement) -> list[str]:
     """Return the paragraphs of the result."""
     own = seen.score.against_truth
-    mean = f"{own.z_bias_um:+.1f}".replace("-", "−")
+    mean = NONE if own.z_bias_um is None else signed(own.z_bias_um, 1)
     found = [
-        f"{verdict_in_words(seen)} Heights against the true coat: {own.z_rmse_um:.1f} µm RMS, mean "
-        f"{mean} µm. Photometric stereo measures slopes; false ones too small to see in any pixel "
-        "add up to a bow over the field when they are integrated.",
+        f"{result_in_words(seen)} Error of z against the true coat: "
+        f"{number(own.z_rmse_um, '.1f')} µm RMS, mean {mean} µm. Photometric stereo measures "
+        "slopes; slope errors too small to see in any pixel add up to a bow over the field when "
+        "they are integrated.",
         _on_the_scale(seen),
     ]
     if seen.score.spheres:
         found.append(
             "A sphere fit with a free radius does not see a wrong height scale: a flattened cap is "
-            "nearly a sphere too, of a larger radius. Read its RMSE together with the radius, and "
-            "with the height error of the table above."
+            "nearly a sphere too, of a larger radius. Read its RMSE together with the radius and "
+            "with the z error of the table above."
         )
     return found
-
-
-def glance(seen: Measurement) -> list[tuple[str, str]]:
-    """Return the experiment as (part, description) pairs."""
-    experiment, figures = seen.experiment, seen.figures
-    specimen = experiment.specimen.model_dump(exclude={"kind", "material"})
-    told = phrase({name: value for name, value in specimen.items() if value})
-    plan, size = experiment.photometric.presses, experiment.photometric
-    return [
-        ("specimen", f"{experiment.specimen.kind.replace('_', ' ')}: {told}"),
-        (
-            "press",
-            f"{experiment.press.control} controlled: {figures['depth_mm']:.3g} mm deep with "
-            f"{figures['force_n']:.3g} N; relief peak {figures['relief_peak_mm']:.3g} mm",
-        ),
-        (
-            "gel",
-            f"{phrase(experiment.elastomer.model_dump())}; Young's modulus "
-            f"{figures['young_modulus_kpa']:.3g} kPa",
-        ),
-        ("coating", coating_phrase(experiment.coating)),
-        (
-            "image",
-            f"{size.width_px} × {size.height_px} px of {1e3 * seen.pixel_mm:.1f} µm on "
-            f"the coat, 8-bit RGB, gamma {size.gamma:g}; evaluated field {size.field_x_mm:g} × "
-            f"{size.field_y_mm:g} mm",
-        ),
-        (
-            "calibration",
-            f"{plan.count} rendered presses of balls of {plan.smallest_diameter_mm:g} to "
-            f"{plan.largest_diameter_mm:g} mm, {plan.backgrounds} images of the untouched gel",
-        ),
-        ("decoding", decoder_name(seen.colours.own)),
-        ("digest", seen.digest),
-    ]
-
-
-def field_figures(seen: Measurement) -> list[Figure]:
-    """Return the figures of the evaluated field."""
-    figures, limit_um = seen.figures, seen.experiment.score.good_within_um
-    return [
-        Figure("pixels of the coat in the evaluated field", str(figures["wanted_pixels"])),
-        Figure("with a point", percent(figures["completeness"])),
-        Figure(f"with a point within {limit_um:g} µm", percent(figures["good_share"])),
-    ]
 
 
 def sentences(seen: Measurement) -> list[str]:
@@ -155,12 +158,12 @@ def sentences(seen: Measurement) -> list[str]:
     ]
 
 
-def _heights(seen: Measurement) -> Verdict:
+def _of_heights(seen: Measurement) -> Verdict:
     figures, limit_um = seen.figures, seen.experiment.score.good_within_um
     share = figures["good_share"]
     measured: Grade = "good" if share >= GOOD_SHARE else "check"
     return Verdict(
-        question="Does the sensor see the coat?",
+        question="Is the coat measured?",
         headline=f"{figures['z_rmse_um']:.1f}\N{NO-BREAK SPACE}µm RMS in z",
         grade="poor" if share < POOR_SHARE else measured,
         reasons=(
@@ -172,8 +175,8 @@ def _heights(seen: Measurement) -> Verdict:
     )
 
 
-def _scale(seen: Measurement) -> Verdict:
-    scale, question = seen.figures["height_scale"], "Are heights neither flattened nor stretched?"
+def _of_scale(seen: Measurement) -> Verdict:
+    scale, question = seen.figures["height_scale"], "Is the scale of the heights right?"
     if scale is None:
         return Verdict(question, NONE, "check", ("the true coat is flat: it has no scale",))
     worst = abs(scale - 1)
@@ -202,19 +205,75 @@ def _on_the_scale(seen: Measurement) -> str:
         "The vendor's programs integrate with a wrong scale that depends on the width of the shape "
         "and on their version: from the same slopes the heights of this specimen come out "
         f"{scales['sdk_2025']} (2025) and {scales['sdk_2024']} (2024) of the true ones, "
-        f"and {scales['corrected']} with the textbook's eigenvalues."
+        f"and {scales['corrected']} with the exact eigenvalues."
     )
 
 
-def _own_row(seen: Measurement, number: int) -> Row:
-    ball = _ball(seen.colours.own, number)
-    assert ball is not None
-    return _row(number, f"{MEASURED_LABEL}: {decoder_name(seen.colours.own)}", ball)
+def _sensor(seen: Measurement) -> Figure:
+    return Figure(
+        "sensor",
+        "Sensor",
+        "Lamps with the direction of their strongest light, and the layers that the camera looks "
+        "through; lengths in mm, to scale.",
+        "lamps, gel and window of the sensor",
+        lambda path: draw_sensor(path, seen.experiment),
+    )
 
 
-def _row(number: int, label: str, ball: SphereScore) -> Row:
-    return Row(number, label, fit_values(ball.measured, ball.nominal.radius_mm))
+def _images(seen: Measurement) -> Figure:
+    return Figure(
+        "images",
+        "Tactile image",
+        "What the sensor's driver delivers: 8-bit colours after gamma, crop and resize. The dashed "
+        "outline is the evaluated field. Red light comes from the top, green from the right, blue "
+        "from the bottom; there is no lamp on the left.",
+        "tactile image, background and their difference",
+        lambda path: draw_images(path, seen),
+    )
 
 
-def _ball(one: DecodedImage, number: int) -> SphereScore | None:
-    return next((ball for ball in one.score.spheres if ball.number == number), None)
+def _slopes(seen: Measurement) -> Figure:
+    return Figure(
+        "slopes",
+        "Slopes",
+        f"Slopes in mm/mm by the {MAP_NAMES[seen.colours.own.colour_map]} map against the true "
+        "coat at the same pixels. Beside a contact the coat lies in the shadow of a lamp, which no "
+        "reference press taught. Everything after this figure is integration.",
+        "measured and true slopes of the coat, and their difference",
+        lambda path: draw_slopes(path, seen),
+    )
+
+
+def _heights(seen: Measurement) -> Figure:
+    enlarged = true_scale(seen).enlarged
+    shading = "" if enlarged == 1 else f" (shading enlarges z {enlarged:g} times)"
+    return Figure(
+        "heights",
+        "True heights and those of every decoder",
+        f"The same image by every decoder, all on the scale of the true coat{shading}; white: no "
+        "measurement. Lengths in mm.",
+        "true heights and those of every decoder",
+        lambda path: draw_heights(path, seen),
+    )
+
+
+def _along_section(seen: Measurement) -> Figure:
+    return Figure(
+        "sections",
+        "Section",
+        "Along the line through the apexes. The wider a shape, the more the vendor's integration "
+        "flattens it.",
+        "heights and height errors along the section",
+        lambda path: draw_sections(path, seen),
+    )
+
+
+def _errors(seen: Measurement) -> Figure:
+    return Figure(
+        "errors",
+        "Error of z by decoder",
+        "Measured minus true z in the evaluated field, all on one scale, clipped at its ends. "
+        "Nothing is shifted or scaled before comparing.",
+        "height error of every decoder",
+        lambda path: draw_errors(path, seen),
+    )

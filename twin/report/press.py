@@ -1,14 +1,17 @@
-"""Figure of a press: relief of the coated face, pressure, and a section to scale."""
+"""Figures of a press: relief, pressure, section; and the contact transfer function."""
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
+from matplotlib.figure import Figure as Canvas
 
 from twin.config.models import Experiment
-from twin.mechanics import PressedElastomer, SheetFields, face_normals
+from twin.mechanics import ContactTransfer, PressedElastomer, SheetFields, face_normals
 from twin.report.canvas import (
+    FIT,
     INK,
     MEASURED,
     NOMINAL,
@@ -18,10 +21,12 @@ from twin.report.canvas import (
     drawing,
     height_scale,
     legend_above,
+    plain_log,
     plain_spines,
     round_up,
     sequential,
 )
+from twin.report.page import Figure, Verdict
 from twin.report.section import (
     Trace,
     face_profile,
@@ -30,11 +35,54 @@ from twin.report.section import (
     touched_profile,
     trace_through_apexes,
 )
+from twin.results.record import Measurement
 
 _SAMPLES = 801
 # Edges press many times harder than faces: above this ratio the scale ends at that percentile.
 _EDGE_PEAK, _MOST_PERCENT = 2.0, 90.0
+_SHEET_MAPS = (
+    " Bottom row: local thickness of the sheet, its larger principal stretch, and the slope of the "
+    "coat. Where the sheet touches, the specimen lies one local thickness behind the coat, along "
+    "the coat's normal."
+)
 _SILICONE, _STEEL = "#cfe3f1", "#d9cdb8"
+
+
+def press_figure(measured: Measurement) -> Figure:
+    """Return the figure of the pressed elastomer."""
+    pressed = measured.press
+    return Figure(
+        "press",
+        "Pressed elastomer",
+        "Relief of the coated face in mm, contact pressure in kPa, and the section along the "
+        "dashed line, to scale and with z enlarged. The closer the coated face follows the dashed "
+        "outline of the specimen, the more of its shape the sensor can measure."
+        + ("" if pressed.sheet is None else _SHEET_MAPS),
+        "relief, pressure and sections of the pressed elastomer",
+        lambda path: draw_press(path, measured.experiment, pressed),
+    )
+
+
+def judge_press(figures: Mapping[str, Any]) -> Verdict:
+    """Judge the press by its figures in result.json."""
+    warnings = figures["warnings"]
+    error_um, peak_um = 1e3 * figures["height_error_estimate_mm"], 1e3 * figures["relief_peak_mm"]
+    return Verdict(
+        question="Can the press model be trusted?",
+        headline=f"± {error_um:.3g} µm estimated",
+        grade="check" if warnings else "good",
+        reasons=(
+            f"estimated height error of leaving out {_left_out(figures)}: "
+            f"{error_um / max(peak_um, 1e-9):.1%} of the relief",
+            f"{len(warnings)} warning{'' if len(warnings) == 1 else 's'} of the press"
+            + (", listed below" if warnings else ""),
+        ),
+    )
+
+
+def _left_out(figures: Mapping[str, Any]) -> str:
+    sheet = figures.get("mechanics_model") == "sheet"
+    return "shear through the thickness" if sheet else "large strain"
 
 
 def draw_press(path: Path, experiment: Experiment, pressed: PressedElastomer) -> None:
@@ -111,7 +159,7 @@ def _coated_face(
     plain_spines(axes)
 
 
-def _sheet_maps(figure: Figure, pressed: PressedElastomer, sheet: SheetFields) -> None:
+def _sheet_maps(figure: Canvas, pressed: PressedElastomer, sheet: SheetFields) -> None:
     """Draw what a thin sheet has beside its heights, on the coated face."""
     slope_deg = np.rad2deg(np.arccos(np.clip(face_normals(pressed)[..., 2], -1.0, 1.0)))
     maps = (
@@ -205,3 +253,36 @@ def _mark_trace(axes: Axes, experiment: Experiment, trace: Trace) -> None:
     ends = trace.points(np.array(slab_span(experiment, trace)))
     axes.plot(ends[:, 0], ends[:, 1], color="white", lw=1.4, alpha=0.6)
     axes.plot(ends[:, 0], ends[:, 1], color=INK, lw=0.7, ls=(0, (6, 4)))
+
+
+def draw_transfer(path: Path, transfer: ContactTransfer) -> None:
+    """Draw kept relief against pitch, closed form and computed, as PNG.
+
+    Raises
+    ------
+    InputError
+        `path` cannot be written.
+    """
+    with drawing(path, 7.0, 3.6) as figure:
+        axes = axes_at(figure, 0.7, 0.55, 6.0, 2.6)
+        whole, found, what = _labels(transfer)
+        axes.semilogx(transfer.pitch_mm, transfer.closed_form, color=MEASURED, label=whole)
+        axes.semilogx(transfer.pitch_mm, transfer.computed, ".", color=FIT, label=found)
+        for kept, pitch in ((0.5, transfer.half_pitch_mm), (0.1, transfer.tenth_pitch_mm)):
+            if pitch > 0:
+                axes.plot([pitch], [kept], "o", color="black", markersize=4)
+                axes.annotate(f" {kept:.0%} at {pitch:.2f} mm", (pitch, kept), va="top", fontsize=8)
+        axes.set_xlabel(f"pitch of the groove (mm), {what} {transfer.thickness_mm:g} mm thick")
+        axes.set_ylabel("share of the relief on the coat")
+        axes.set_ylim(0.0, 1.05)
+        plain_log(axes.xaxis)
+        axes.grid(visible=True)
+        legend_above(axes, 2)
+
+
+def _labels(transfer: ContactTransfer) -> tuple[str, str, str]:
+    """Return what the curve is, what the points are, and what is pressed."""
+    if transfer.ridge_mm is None:
+        return "closed form", "computed by the solver", "slab"
+    under = f"ridges of {1e3 * transfer.ridge_mm:g} µm under {transfer.pressure_kpa:g} kPa"
+    return "lying on all of the ridge", under, "sheet"

@@ -1,31 +1,49 @@
-"""The report of a study as one HTML page: effects, front, best designs, and every case."""
+"""The report of a study as one HTML page: effects, front, best designs, and every case.
+
+It draws what the store of the study holds; `twin.study.pictures.picture_best` measures the best
+designs once more for their pictures.
+"""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import combinations
 from pathlib import Path
 from typing import Any
 
+from markupsafe import Markup
+
 from reconstruction.errors import InputError
 from twin.config.study import Objective
 from twin.pipeline.progress import Watcher, nobody
-from twin.report.html import Picture, Plate, draw_pictures, template, write_page
-from twin.report.study_designs import Design, Scales, design_plates, designs_of
-from twin.report.study_view import (
+from twin.report.page import (
+    REPORT_FILE,
+    STAGE,
+    Block,
+    Figure,
+    Gallery,
+    Note,
+    Page,
+    Section,
+    write_page,
+)
+from twin.report.study_figures import (
+    Scales,
+    design_figures,
     draw_effects,
     draw_front,
     draw_interactions,
     draw_main_effects,
     draw_parallel,
 )
-from twin.study.best import is_number, ranked_rows, usable_rows
-from twin.study.pictures import pictures_of
+from twin.report.table import Column, Table
+from twin.report.words import NONE
+from twin.study.best import designs_of, goals_of, is_number, ranked_rows, usable_rows
+from twin.study.pictures import CasePicture, kept_picture
 from twin.study.sensitivity import Effect, effects_of, without
-from twin.study.store import Store
 from twin.study.table import StudyTable, read_table
 
-REPORT_FILE = "report.html"
 _MOST_METRICS, _MOST_PAIRS, _MOST_BEST = 5, 6, 12
+_UNTAKEN = "not taken yet; twin sweep report measures the best designs for their pictures"
 
 Row = Mapping[str, Any]
 
@@ -49,6 +67,8 @@ class Shown:
     objectives: list[Objective]
     best: list[Row]
     effects: dict[str, list[Effect]]
+    pictures: dict[str, CasePicture] = field(default_factory=dict)
+    failed: Mapping[str, str] = field(default_factory=dict)
 
 
 def write_study(
@@ -56,18 +76,17 @@ def write_study(
     watch: Watcher = nobody,
     objectives: Sequence[Objective] = (),
     into: Path | None = None,
+    failed: Mapping[str, str] | None = None,
 ) -> Path:
-    """Write `report.html`, `figures/*.png` and `pictures/*.npz` into the store of a sweep.
-
-    The best designs are measured once more for their pictures, unless the store holds these; where
-    that is not possible the page says why.
+    """Write `report.html` and `figures/*.png` into the store of a sweep.
 
     Parameters
     ----------
     folder : the -o DIR of `twin sweep`; nothing else is read
-    watch : told how far the report is
+    watch : progress callback
     objectives : what makes a design good; by default what the study says, or a small error
     into : existing folder to write page and figures into instead
+    failed : why designs have no picture, by digest
 
     Returns
     -------
@@ -79,18 +98,14 @@ def write_study(
     InputError
         The folder is no store, no case is finished, or the page cannot be written.
     """
-    watch("report", 0.0)
-    shown = _shown(read_table(folder), objectives)
-    designs, plates = _designs(shown, folder, watch)
-    path = (into or folder) / REPORT_FILE
-    pictures = draw_pictures(path.parent, [*_plates(shown), *plates], watch)
-    page = template("study.html").render(_page(shown, designs, pictures))
-    write_page(path, page)
-    watch("report", 1.0)
-    return path
+    watch(STAGE, 0.0)
+    shown = _shown(folder, read_table(folder), objectives, failed or {})
+    return write_page((into or folder) / REPORT_FILE, _page(shown), watch)
 
 
-def _shown(table: StudyTable, asked: Sequence[Objective]) -> Shown:
+def _shown(
+    folder: Path, table: StudyTable, asked: Sequence[Objective], failed: Mapping[str, str]
+) -> Shown:
     done = table.done()
     if not done:
         raise InputError("report: no case of the study is finished; run twin sweep first")
@@ -98,79 +113,142 @@ def _shown(table: StudyTable, asked: Sequence[Objective]) -> Shown:
     if not metrics:
         raise InputError("report: no figure is a number in every case; name others in metrics")
     rows = [row for row in done if all(is_number(row.get(name)) for name in metrics)]
-    objectives = list(asked or table.record.study.goals)
-    objectives = objectives or [Objective(metric=_first_error(table.metrics))]
+    objectives = goals_of(table, asked)
+    best = ranked_rows(done, objectives) if usable_rows(done, objectives) else []
     effects = {name: effects_of(table, name) for name in metrics}
+    digests = [str(row["case"]) for row in designs_of(best, table.axes)]
+    pictures = {digest: kept_picture(folder, digest) for digest in digests}
     return Shown(
         table,
         rows,
         metrics,
         objectives,
-        ranked_rows(done, objectives) if usable_rows(done, objectives) else [],
+        best,
         {name: found for name, found in effects.items() if found},
+        {digest: picture for digest, picture in pictures.items() if picture is not None},
+        failed,
     )
 
 
-def _designs(shown: Shown, folder: Path, watch: Watcher) -> tuple[list[Design], list[Plate]]:
-    """Take the pictures of the best designs; returns what is told of them, and the plates."""
-    rows = designs_of(shown.best, shown.table.axes)
-    by_digest = {case.digest: case for case in shown.table.cases}
-    cases = [by_digest[row["case"]] for row in rows]
-    pictures, failed = pictures_of(Store(folder), cases, watch)
-    scales = Scales.of(pictures.values()) if pictures else None
-    designs, plates = [], list[Plate]()
-    for number, row in enumerate(rows, start=1):
-        digest = row["case"]
-        settings = [(name, _text(row[name])) for name in shown.table.axes]
-        name = ", ".join(f"{title} {text}" for title, text in settings)
-        mine = list[Plate]()
-        if scales and digest in pictures:
-            mine = design_plates(number, name, pictures[digest], scales)
-        figures = [(metric, _text(row.get(metric))) for metric in shown.table.metrics]
-        names = [plate.name for plate in mine]
-        designs.append(Design(number, digest, settings, figures, names, failed.get(digest, "")))
-        plates += mine
-    return designs, plates
+def _page(shown: Shown) -> Page:
+    study = shown.table.record.study
+    states: dict[str, int] = {}
+    for row in shown.table.rows:
+        states[row["state"]] = states.get(row["state"], 0) + 1
+    told = "".join(f", {count} {state}" for state, count in states.items())
+    lead = f"{study.description or study.base}: {len(shown.table.rows)} cases{told}."
+    bounds = "; ".join(bound.title for bound in study.constraint)
+    return Page(
+        kind="design study",
+        title=study.name.replace("_", " "),
+        lead=lead + (f" Feasible: {bounds}." if bounds else ""),
+        sections=[
+            Section("best", "Best designs", tuple(_best(shown))),
+            *(Section(f"of_{one.name}", one.title, (one,)) for one in _figures(shown)),
+            Section("cases", "All cases", tuple(_cases(shown))),
+        ],
+        wide=True,
+    )
 
 
-def _is_number(rows: Sequence[Row], name: str) -> bool:
-    """Tell whether a figure is a number in more than half of the cases (some have no ball)."""
-    return sum(is_number(row.get(name)) for row in rows) > len(rows) / 2
+def _best(shown: Shown) -> list[Block]:
+    if not shown.best:
+        return [Note("No case meets all constraints.")]
+    goals = ", ".join(f"{one.goal} {one.metric}" for one in shown.objectives)
+    several = len(shown.objectives) > 1
+    order = "No other feasible case beats these" if several else "Feasible cases, best first"
+    columns = [*shown.table.axes, *shown.metrics]
+    rows = tuple(_row(row, columns) for row in shown.best[:_MOST_BEST])
+    heads = (*_columns(columns), Column("case", "case"))
+    blocks: list[Block] = [
+        Note(f"{order}: {goals}."),
+        Table("best_cases", "", "", heads, rows, look="cases"),
+        *_designs(shown),
+    ]
+    if shown.pictures:
+        note = (
+            "Heights of all designs have one scale, errors have one; 99 % of all errors lie on it."
+        )
+        blocks.append(Note(note))
+    return blocks
 
 
-def _first_error(metrics: Sequence[str]) -> str:
-    return next((name for name in metrics if "rmse" in name or "error" in name), metrics[0])
+def _designs(shown: Shown) -> list[Block]:
+    """Return the best designs with their pictures, and why others have none."""
+    found, reasons = list[Block](), dict[str, None]()
+    scales = Scales.of(shown.pictures.values()) if shown.pictures else None
+    for place, row in enumerate(designs_of(shown.best, shown.table.axes), start=1):
+        digest = str(row["case"])
+        settings = ", ".join(f"{name} {_text(row[name])}" for name in shown.table.axes)
+        picture = shown.pictures.get(digest)
+        gallery: list[Block] = []
+        if scales is not None and picture is not None:
+            gallery = [Gallery(tuple(design_figures(place, settings, picture, scales)), 3)]
+        else:
+            reasons[shown.failed.get(digest, _UNTAKEN)] = None
+        metrics = " · ".join(f"{one} {_text(row.get(one))}" for one in shown.table.metrics)
+        blocks = (Note(metrics), *gallery, Note(_links(digest)))
+        found.append(Section(f"design_{place}", f"{place} · {settings}", blocks))
+    return [*(Note(f"Without pictures: {reason}") for reason in reasons), *found]
 
 
-def _plates(shown: Shown) -> list[Plate]:
+def _links(digest: str) -> str:
+    return Markup(
+        '<a href="cases/{0}/result.json">result</a> · <a href="cases/{0}/experiment.toml">'
+        "experiment</a> · with all files and a page of its own, from the folder of this page: "
+        "<code>twin measure cases/{0}/experiment.toml -o measured/{0}</code>"
+    ).format(digest)
+
+
+def _figures(shown: Shown) -> list[Figure]:
     rows, axes, metrics = shown.rows, shown.table.axes, shown.metrics
-    plates = [
-        Plate("main_effects", lambda path: draw_main_effects(path, rows, axes, metrics),
-              "each figure over each axis",
-              "Line: mean over all other axes; band: range of all cases. A row has one scale."),
-        Plate("parallel", lambda path: draw_parallel(path, rows, axes, metrics),
-              "one line per case over all axes and figures",
-              f"Every case is one line, coloured by {metrics[0]}."),
+    figures = [
+        Figure("main_effects", "Main effects",
+               "Line: mean over all other axes; band: range of all cases. A row has one scale.",
+               "each figure over each axis",
+               lambda path: draw_main_effects(path, rows, axes, metrics)),
+        Figure("parallel", "All cases in parallel coordinates",
+               f"Every case is one line, coloured by {metrics[0]}.",
+               "one line per case over all axes and figures",
+               lambda path: draw_parallel(path, rows, axes, metrics)),
     ]  # fmt: skip
-    pairs = list(combinations(axes, 2))[:_MOST_PAIRS]
-    if pairs:
-        plates += [_interactions(rows, pairs, metric) for metric in metrics[:2]]
-    if len(shown.objectives) > 1 and shown.best:
-        names = [one.metric for one in shown.objectives]
-        whole = [row for row in shown.table.done() if all(is_number(row.get(n)) for n in names)]
-        plates.append(
-            Plate("front", lambda path: draw_front(path, whole, shown.best, shown.objectives),
-                  "two objectives of all cases with the Pareto front",
-                  "Designs that no other beats in every objective.")
-        )  # fmt: skip
+    several = list(combinations(axes, 2))[:_MOST_PAIRS]
+    if several:
+        figures += [_interactions(rows, several, metric) for metric in metrics[:2]]
+    return [*figures, *_front(shown), *_sensitivity(shown)]
+
+
+def _front(shown: Shown) -> list[Figure]:
+    if len(shown.objectives) < 2 or not shown.best:
+        return []
+    names = [one.metric for one in shown.objectives]
+    whole = [row for row in shown.table.done() if all(is_number(row.get(n)) for n in names)]
+    return [
+        Figure("front", "Pareto front", "Designs that no other beats in every objective.",
+               "two objectives of all cases with the Pareto front",
+               lambda path: draw_front(path, whole, shown.best, shown.objectives))
+    ]  # fmt: skip
+
+
+def _sensitivity(shown: Shown) -> list[Figure]:
+    if not shown.effects:
+        return []
     method = shown.table.record.study.sampling.method
-    if shown.effects:
-        plates.append(
-            Plate("sensitivity", lambda path: draw_effects(path, shown.effects, method),
-                  "sensitivity of each figure to each axis",
-                  _SENSITIVITY_WORDS[method] + _left_out(shown))
-        )  # fmt: skip
-    return plates
+    return [
+        Figure("sensitivity", "Sensitivity", _SENSITIVITY_WORDS[method] + _left_out(shown),
+               "sensitivity of each figure to each axis",
+               lambda path: draw_effects(path, shown.effects, method))
+    ]  # fmt: skip
+
+
+def _interactions(rows: list[Row], several: list[tuple[str, str]], metric: str) -> Figure:
+    return Figure(
+        f"interactions_{metric}",
+        f"Interactions: {metric}",
+        f"Mean {metric} over pairs of axes; one colour scale for all maps.",
+        f"mean {metric} over pairs of axes",
+        lambda path: draw_interactions(path, rows, several, metric),
+    )
 
 
 def _left_out(shown: Shown) -> str:
@@ -180,54 +258,63 @@ def _left_out(shown: Shown) -> str:
     return f" Cases left out: {parts}." if parts else ""
 
 
-def _interactions(rows: list[Row], pairs: list[tuple[str, str]], metric: str) -> Plate:
-    return Plate(
-        f"interactions_{metric}",
-        lambda path: draw_interactions(path, rows, pairs, metric),
-        f"mean {metric} over pairs of axes",
-        f"Mean {metric} over pairs of axes; one colour scale for all maps.",
-    )
-
-
-def _page(shown: Shown, designs: list[Design], pictures: dict[str, Picture]) -> dict[str, Any]:
-    table, study = shown.table, shown.table.record.study
-    states: dict[str, int] = {}
-    for row in table.rows:
-        states[row["state"]] = states.get(row["state"], 0) + 1
+def _cases(shown: Shown) -> list[Block]:
+    table, left_out = shown.table, len(shown.table.done()) - len(shown.rows)
     columns = [*table.axes, *shown.metrics]
-    of_designs = {name for design in designs for name in design.names}
-    return {
-        "study": study,
-        "states": states,
-        "columns": columns,
-        "pictures": [picture for name, picture in pictures.items() if name not in of_designs],
-        "designs": designs,
-        "drawn": pictures,
-        "unpictured": list(dict.fromkeys(one.failure for one in designs if one.failure)),
-        "objectives": [f"{one.goal} {one.metric}" for one in shown.objectives],
-        "constraints": [bound.title for bound in study.constraint],
-        "best": [_cells(row, columns) for row in shown.best[:_MOST_BEST]],
-        "cases": [_cells(row, columns) for row in table.rows],
-        "left_out": len(table.done()) - len(shown.rows),
+    more = ("feasible", "case", "experiment", "remark")
+    heads = (*_columns(columns), *(Column(name, name) for name in more[:3]),
+             Column("remark", "remark", kind="reason"))  # fmt: skip
+    rows = tuple(_row(row, columns) for row in table.rows)
+    kinds = tuple(str(row["state"]) for row in table.rows)
+    notes = [f"{left_out} finished cases lack one of the figures and are in no plot."]
+    return [
+        *(Note(note) for note in notes if left_out),
+        Note(
+            Markup(
+                "One case with all files and a page of its own: <code>twin measure "
+                "cases/CASE/experiment.toml -o measured/CASE</code>."
+            )
+        ),
+        Table("all_cases", "", "", heads, rows, kinds=kinds, look="cases"),
+    ]
+
+
+def _columns(names: Sequence[str]) -> list[Column]:
+    return [Column(name, name, kind="number") for name in names]
+
+
+def _row(row: Row, columns: Sequence[str]) -> dict[str, str]:
+    state, digest, reason = str(row["state"]), str(row["case"]), str(row["reason"] or "")
+    if state != "done":
+        reason = f"{state}: {reason}" if reason else state
+    feasible = row["feasible"]
+    return {name: _text(row.get(name)) for name in columns} | {
+        "feasible": "" if feasible is None else ("yes" if feasible else "no"),
+        "case": _link(digest, state),
+        "experiment": _experiment(digest, state),
+        "remark": reason,
     }
 
 
-def _cells(row: Row, columns: Sequence[str]) -> dict[str, Any]:
-    texts = [_text(row.get(name)) for name in columns]
-    file = "failure.json" if row["state"] == "failed" else "result.json"
-    there = row["state"] in ("done", "failed")
-    return {
-        "texts": texts,
-        "state": row["state"],
-        "feasible": row["feasible"],
-        "reason": row["reason"],
-        "digest": row["case"],
-        "link": f"cases/{row['case']}/{file}" if there else "",
-        "experiment": f"cases/{row['case']}/experiment.toml",
-    }
+def _link(digest: str, state: str) -> str:
+    if state not in ("done", "failed"):
+        return digest
+    file = "failure.json" if state == "failed" else "result.json"
+    return Markup('<a href="cases/{0}/{1}">{0}</a>').format(digest, file)
+
+
+def _experiment(digest: str, state: str) -> str:
+    if state not in ("done", "failed"):
+        return ""
+    return Markup('<a href="cases/{}/experiment.toml">experiment</a>').format(digest)
+
+
+def _is_number(rows: Sequence[Row], name: str) -> bool:
+    """Tell whether a figure is a number in more than half of the cases (some have no ball)."""
+    return sum(is_number(row.get(name)) for row in rows) > len(rows) / 2
 
 
 def _text(value: Any) -> str:
     if value is None:
-        return "–"
+        return NONE
     return f"{value:.4g}" if isinstance(value, float) else str(value)

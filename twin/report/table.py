@@ -1,117 +1,199 @@
-"""The result table: sphere fits per ball beside the paper's, as rows and as plain text."""
+"""Tables as data: columns with units and digits, rows of cells; as HTML, Markdown, text, JSON."""
 
-from dataclasses import astuple, dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from itertools import groupby
 from typing import Any
 
-from reconstruction.evaluate.fit import SphereFit
-from twin.pipeline.comparison import Outcome
-from twin.report import direct
-from twin.report.fields import number
-from twin.report.paper import CONTACT_FPP, GELSIGHT, PaperRow, paper_row
-from twin.results.record import Measurement
-from twin.results.score import SphereScore, why_absent
+from twin.report.words import shown
 
-HEADINGS = ("radius", "|error|", "RMSE", "MAE", "P95")
-MEASURED_LABEL = "measured"
-_WIDTH = 10
+PAPER, TWIN = "paper", "twin"
+"""Values of a column `source`: who measured the row."""
+
+Cell = str | int | float | None
+Row = Mapping[str, Cell]
 
 
 @dataclass(frozen=True)
-class Row:
-    """One line of the table; values in mm, in the order of HEADINGS."""
+class Column:
+    """One column.
 
-    ball: int
-    label: str
-    values_mm: tuple[float, ...]
+    Attributes
+    ----------
+    key : of the cells
+    heading : what it is; `unit` is written behind it in brackets
+    digits : decimals of its floats
+    kind : class of its cells in the page; "number" (right-aligned) where any of them is one
+    """
+
+    key: str
+    heading: str
+    digits: int = 3
+    unit: str = ""
+    kind: str = ""
 
     @property
-    def cells(self) -> tuple[str, ...]:
-        """Values as text: radii to 1 um, residuals to 0.1 um."""
-        radius, error, *residuals = self.values_mm
-        return (f"{radius:.3f}", f"{error:.3f}", *(f"{value:.4f}" for value in residuals))
+    def title(self) -> str:
+        """Heading with unit."""
+        return f"{self.heading} ({self.unit})" if self.unit else self.heading
 
 
-def fringe_table(scored: Measurement) -> str:
-    """Return the result of a measurement with fringes as plain text; see `summary_table`."""
-    title = f"{scored.experiment.name}, sphere fits (mm)"
-    lines = [line_of(title, HEADINGS)] if scored.score.spheres else []
-    for ball in scored.score.spheres:
-        for row in ball_rows(scored, ball, methods=(CONTACT_FPP,)):
-            first = row.label == MEASURED_LABEL
-            lines.append(
-                line_of(f"{f'ball {ball.number}' if first else '':<8}{row.label}", row.cells)
-            )
-    return "\n".join([*lines, *scored.score.unfitted, *_sentences(scored)])
+@dataclass(frozen=True)
+class TableText:
+    """One cell as a page shows it; `span` is how many rows it stands for, 0 when another does."""
+
+    text: str
+    kind: str = ""
+    span: int = 1
+    heads_row: bool = False
 
 
-def comparison_table(outcomes: list[Outcome]) -> str:
-    """Return the result of a comparison as a short plain-text table, at most 100 columns."""
-    heads = ("points", "good", "RMS um", "P95 um", "orders")
-    lines = [line_of("specimen, method", heads)]
-    for outcome in outcomes:
-        label = f"{outcome.name[:16]:<17}{outcome.method}"
-        lines.append(line_of(label, _compared(outcome.figures or {})))
-    failed = [f"{one.name}, {one.method}: {one.failure}" for one in outcomes if one.failure]
-    return "\n".join([*lines, *failed])
+@dataclass(frozen=True)
+class TableLine:
+    """One row as a page shows it."""
+
+    cells: list[TableText]
+    kind: str
 
 
-def _compared(figures: dict[str, Any]) -> tuple[str, ...]:
-    if not figures:
-        return ("failed",)
-    return (
-        *(number(figures[name], ".1%", "-") for name in ("completeness", "good_share")),
-        *(number(figures[name], ".2f", "-") for name in ("z_rmse_um", "z_p95_um")),
-        number(figures.get("wrong_order_pixels"), "d", "-"),
-    )
+@dataclass(frozen=True)
+class Table:
+    """One table.
+
+    Attributes
+    ----------
+    name : key in tables.json, and its place in a page
+    title : what it shows
+    beside : which table or figure of the paper it stands beside; empty: the twin's alone
+    columns : in order
+    rows : cells by column key; None where there is no number
+    notes : what a reader has to know
+    kinds : how each row is shown: "measured" (bold), "reference" (faint), "assumed" (shaded), ""
+    group : column whose equal neighbours are told once
+    look : class of the whole in the page's style sheet
+    """
+
+    name: str
+    title: str
+    beside: str
+    columns: tuple[Column, ...]
+    rows: tuple[Row, ...]
+    notes: tuple[str, ...] = ()
+    kinds: tuple[str, ...] = ()
+    group: str = ""
+    look: str = "figures"
+
+    def as_json(self) -> dict[str, Any]:
+        """Return what the table says, not how it looks."""
+        look = ("kinds", "group", "look")
+        return {key: value for key, value in asdict(self).items() if key not in look}
+
+    def as_markdown(self) -> str:
+        """Return heading, table and notes."""
+        lines = [f"### {self.title}", ""]
+        if self.beside:
+            lines += [f"Beside {self.beside}.", ""]
+        lines += [_line([c.title for c in self.columns]), _line(["---"] * len(self.columns))]
+        lines += [_line(texts) for texts in self._texts()]
+        return "\n".join([*lines, "", *(f"- {note}" for note in self.notes), ""])
+
+    def as_text(self) -> str:
+        """Return headings and rows for a terminal, columns aligned."""
+        lines = [[c.title for c in self.columns], *self._texts()]
+        widths = [max(len(line[k]) for line in lines) for k in range(len(self.columns))]
+        right = [self.kind_of(column) == "number" for column in self.columns]
+        return "\n".join(
+            "  ".join(
+                text.rjust(width) if number else text.ljust(width)
+                for text, width, number in zip(line, widths, right, strict=True)
+            ).rstrip()
+            for line in lines
+        )
+
+    def row(self, **wanted: Cell) -> Row:
+        """Return the first row with the given cells.
+
+        Raises
+        ------
+        KeyError
+            There is none.
+        """
+        for row in self.rows:
+            if all(row.get(key) == value for key, value in wanted.items()):
+                return row
+        raise KeyError(f"{self.name}: no row with {wanted}")
+
+    def kind_of(self, column: Column) -> str:
+        """Return the class of a column's cells."""
+        cells = (row.get(column.key) for row in self.rows)
+        number = any(isinstance(cell, (int, float)) for cell in cells)
+        return column.kind or ("number" if number else "")
+
+    def heads(self) -> list[TableText]:
+        """Return the headings as a page shows them; none where no column has one."""
+        if not any(column.title for column in self.columns):
+            return []
+        return [TableText(column.title, self.kind_of(column)) for column in self.columns]
+
+    def bodies(self) -> Iterator[list[TableLine]]:
+        """Return the rows as a page shows them, those of one group together."""
+        kinds = [self.kind_of(column) for column in self.columns]
+        labels = kinds.index("number") if "number" in kinds else 1  # columns that name the row
+        for _, numbered in groupby(enumerate(self.rows), lambda at: at[1].get(self.group)):
+            together = list(numbered)
+            yield [
+                TableLine(
+                    [
+                        TableText(
+                            shown(row.get(column.key), column.digits),
+                            _kind(column, row.get(column.key), kinds[across]),
+                            self._span(column, nth, len(together)),
+                            across < labels,
+                        )
+                        for across, column in enumerate(self.columns)
+                    ],
+                    self._kind_of_row(place, row),
+                )
+                for nth, (place, row) in enumerate(together)
+            ]
+
+    def _span(self, column: Column, nth: int, count: int) -> int:
+        if not self.group or column.key != self.group:
+            return 1
+        return 0 if nth else count
+
+    def _kind_of_row(self, place: int, row: Row) -> str:
+        if self.kinds:
+            return self.kinds[place]
+        return "reference" if row.get("source") == PAPER else ""
+
+    def _texts(self) -> Iterator[list[str]]:
+        for row in self.rows:
+            yield [shown(row.get(column.key), column.digits) for column in self.columns]
 
 
-def ball_rows(
-    scored: Measurement, sphere: SphereScore, methods: tuple[str, ...] = (CONTACT_FPP, GELSIGHT)
-) -> list[Row]:
-    """Return measured, true face and, for the coat, the paper's rows of one ball."""
-    number = sphere.number
-    nominal_mm = sphere.nominal.radius_mm
-    rows = [
-        Row(number, MEASURED_LABEL, fit_values(sphere.measured, nominal_mm)),
-        Row(number, "true coated face", fit_values(sphere.true_face, nominal_mm)),
-    ]
-    if not scored.experiment.method.presses:
-        return [rows[0], replace(rows[1], label="true surface")]
-    for method in methods:
-        published: PaperRow | None = paper_row(scored.experiment, method, number)
-        if published is not None:
-            rows.append(Row(number, f"paper, {method}", astuple(published)))
-    return rows
+def pairs(
+    name: str, title: str, rows: Sequence[tuple[str, str, str]], look: str = "pairs"
+) -> Table:
+    """Return a table of (what, value, unit) without headings."""
+    columns = (Column("what", ""), Column("value", "", kind="number"), Column("unit", ""))
+    keys = [column.key for column in columns]
+    cells = tuple(dict(zip(keys, row, strict=True)) for row in rows)
+    return Table(name, title, "", columns, cells, look=look)
 
 
-def fit_values(fit: SphereFit, nominal_mm: float) -> tuple[float, ...]:
-    """Return one fit as a row of the table, in the order of HEADINGS."""
-    stats = fit.stats
-    error_mm = abs(fit.radius_mm - nominal_mm)
-    return (fit.radius_mm, error_mm, stats.rmse_mm, stats.mae_mm, stats.p95_mm)
+def parts(name: str, rows: Sequence[tuple[str, str]]) -> Table:
+    """Return a table of (part, description) without headings."""
+    columns = (Column("part", ""), Column("description", ""))
+    cells = tuple({"part": part, "description": told} for part, told in rows)
+    return Table(name, "", "", columns, cells, look="parts")
 
 
-def line_of(label: str, cells: tuple[str, ...]) -> str:
-    """Return one line of a plain-text table."""
-    return f"{label:<36}" + "".join(f"{cell:>{_WIDTH}}" for cell in cells)
+def _kind(column: Column, cell: Cell, kind: str) -> str:
+    if column.key == "met":
+        return "met" if cell == "yes" else "missed"
+    return kind
 
 
-def _sentences(scored: Measurement) -> list[str]:
-    figures = scored.figures
-    if not scored.experiment.method.presses:
-        return direct.sentences(scored)
-    warnings, absent = figures["warnings"], why_absent(figures)
-    rms, p95, spread = (
-        number(figures[name], ".2f", "-") for name in ("z_rmse_um", "z_p95_um", "error_over_sigma")
-    )
-    told = f"{rms} um RMS, {p95} um P95; spread {spread} x predicted"
-    lines = [
-        f"z error against the true face: {f'none, {absent}' if absent else told}",
-        f"points on {number(figures['completeness'], '.1%', '-')} of the lit pixels, "
-        f"{number(figures['wrong_order_pixels'], 'd', '-')} wrong fringe orders; "
-        f"force {figures['force_n']:.3g} N at {figures['depth_mm']:.3g} mm",
-    ]
-    if warnings:
-        noun = "warning" if len(warnings) == 1 else "warnings"
-        lines.append(f"{len(warnings)} {noun} of the press, see the report")
-    return lines
+def _line(cells: Sequence[str]) -> str:
+    return "| " + " | ".join(cells) + " |"

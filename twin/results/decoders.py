@@ -16,13 +16,15 @@ from reconstruction.photometric import (
     SensorCalibration,
 )
 from reconstruction.photometric.integrate import Integration
-from reconstruction.photometric.sensor_calibration import MapKind
+from reconstruction.photometric.sensor import MapKind
 from twin.config.models import Experiment
 from twin.optics.stack import Truth
 from twin.results.score import HeightScore, Scores, metrics, score_heights
 
 INTEGRATION_ORDER: tuple[Integration, ...] = ("corrected", "sdk_2025", "sdk_2024")
 MAP_ORDER: tuple[MapKind, ...] = ("polynomial", "table")
+MAP_NAMES = {"polynomial": "polynomial", "table": "look-up table"}
+INTEGRATION_NAMES = {"corrected": "corrected", "sdk_2025": "vendor 2025", "sdk_2024": "vendor 2024"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,6 +92,11 @@ def chosen(experiment: Experiment, decoded: list[DecodedImage]) -> DecodedImage:
     """Return the result of the experiment's own decoder."""
     wanted = experiment.photometric.colour_map, experiment.photometric.integration
     return next(one for one in decoded if (one.colour_map, one.integration) == wanted)
+
+
+def decoder_name(one: DecodedImage) -> str:
+    """Name a decoder as figures and tables do."""
+    return f"{MAP_NAMES[one.colour_map]}, {INTEGRATION_NAMES[one.integration]}"
 
 
 def write_decoders(path: Path, decoded: list[DecodedImage]) -> None:

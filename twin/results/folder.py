@@ -39,7 +39,6 @@ import numpy as np
 from reconstruction.arrays import Levels
 from reconstruction.errors import InputError
 from reconstruction.evaluate.surface import write_surface
-from reconstruction.outputs import read_reconstruction, write_reconstruction
 from reconstruction.photometric import (
     SensorCalibration,
     read_sensor_calibration,
@@ -48,7 +47,8 @@ from reconstruction.photometric import (
     write_sensor_calibration,
 )
 from reconstruction.photometric.colour_maps import ColourTable
-from reconstruction.photometric.sensor_calibration import MapKind
+from reconstruction.photometric.sensor import MapKind
+from reconstruction.pipeline import read_reconstruction, write_reconstruction
 from twin.config import Experiment, load_experiment
 from twin.mechanics import read_press
 from twin.optics.stack import Truth
@@ -57,14 +57,16 @@ from twin.results.decoders import chosen, decode_all, write_decoders
 from twin.results.parts import (
     CAPTURE_FOLDER,
     TIMINGS_FILE,
+    read_truth,
     write_captured,
+    write_exr,
     write_pressed,
     write_result,
     write_timings,
+    write_truth,
 )
 from twin.results.record import Colours, Fringes, Measurement
 from twin.results.score import Scores, TruthScore, score
-from twin.results.truth import read_truth, write_exr, write_truth
 
 IMAGE_FILE, BACKGROUND_FILE, DECODERS_FILE = "image.png", "background.png", "decoders.csv"
 CALIBRATION_FILE, OTHER_CALIBRATION_FILE = "sensor_calibration.npz", "other_calibration.npz"

@@ -1,13 +1,16 @@
-"""Write what single stages give into a folder, and name their figures."""
+"""Files of single stages in a folder, written and read, and the figures of press and recording."""
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import imageio.v3 as imageio
 import numpy as np
+from numpy.typing import NDArray
 
 from reconstruction.capture.folder import Capture, write_capture
+from reconstruction.errors import InputError
+from reconstruction.machine import read_dataset, write_dataset, write_exr_channels
 from twin.config import Experiment, digest, to_toml
 from twin.mechanics import (
     ContactTransfer,
@@ -18,14 +21,32 @@ from twin.mechanics import (
     write_mesh,
     write_press,
 )
+from twin.optics.stack import Truth
 from twin.output import EXPERIMENT_FILE, RESULT_FILE, versions, write_json
 from twin.results.record import Recording
-from twin.results.truth import write_exr, write_truth
+
+if TYPE_CHECKING:
+    import xarray
 
 Progress = Callable[[float], None]
 
 CAPTURE_FOLDER = "capture"
 TIMINGS_FILE = "timings.json"
+PIXELS = ("row", "col")
+_FRAME = "world: z = 0 is the undeformed coated face, z up; row 0 at the top"
+_TRUTH = {
+    "x_mm": ("mm", "world x of the surface point behind the pixel centre"),
+    "y_mm": ("mm", "world y of the surface point behind the pixel centre"),
+    "z_mm": ("mm", "world z of the surface point behind the pixel centre"),
+    "normal_x": ("1", "world x of the surface normal there"),
+    "normal_y": ("1", "world y of the surface normal there"),
+    "normal_z": ("1", "world z of the surface normal there"),
+    "depth_mm": ("mm", "distance from the camera along its optical axis"),
+    "column_px": ("px", "projector column of that point"),
+    "row_px": ("px", "projector row of that point"),
+    "lit": ("1", "1 where camera and projector both see the point"),
+    "measured": ("1", "1 on the coat or the specimen, 0 on the stage and where nothing is"),
+}
 
 
 def write_result(
@@ -71,6 +92,66 @@ def write_recording(folder: Path, recording: Recording) -> None:
     write_truth(folder / "truth.nc", recording.truth)
     white = recording.capture.patterns.index("white").start
     write_exr(folder / "white.exr", recording.radiance.frames[white])
+
+
+def write_truth(path: Path, truth: Truth) -> None:
+    """Write the geometry behind every camera pixel as netCDF-4."""
+    write_dataset(path, truth_dataset(truth))
+
+
+def truth_dataset(truth: Truth) -> "xarray.Dataset":
+    """Return the truth as labelled maps over camera row and column, with units."""
+    import xarray
+
+    maps = (
+        *np.moveaxis(truth.points_world_mm, -1, 0),
+        *np.moveaxis(truth.normals_world, -1, 0),
+        truth.depth_mm,
+        truth.column_px,
+        truth.row_px,
+        truth.lit.astype(np.uint8),
+        truth.measured.astype(np.uint8),
+    )
+    variables = {
+        name: (PIXELS, values, {"units": units, "long_name": told})
+        for (name, (units, told)), values in zip(_TRUTH.items(), maps, strict=True)
+    }
+    return xarray.Dataset(variables, coords=pixels(*truth.lit.shape), attrs={"frame": _FRAME})
+
+
+def read_truth(path: Path) -> Truth:
+    """Read what `write_truth` wrote.
+
+    Raises
+    ------
+    InputError
+        The file is missing, damaged or something else.
+    """
+    try:
+        found = read_dataset(path)
+        maps = [np.asarray(found[name]) for name in _TRUTH]
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file; render or measure first") from None
+    except (OSError, KeyError) as error:
+        raise InputError(f"{path}: damaged or no truth file ({error}); render again") from None
+    points, normals = np.stack(maps[:3], axis=-1), np.stack(maps[3:6], axis=-1)
+    depth_mm, column_px, row_px, lit, measured = maps[6:]
+    masks = lit.astype(bool), measured.astype(bool)
+    return Truth(points, normals, depth_mm, column_px, row_px, *masks)
+
+
+def pixels(rows: int, cols: int) -> dict[str, Any]:
+    """Return the coordinates of camera pixels: (0, 0) is the first, row 0 the top."""
+    told = {"row": "camera row, from the top", "col": "camera column, from the left"}
+    return {
+        name: (name, np.arange(count, dtype=np.int32), {"units": "1", "long_name": told[name]})
+        for name, count in zip(PIXELS, (rows, cols), strict=True)
+    }
+
+
+def write_exr(path: Path, image: NDArray[np.float32]) -> None:
+    """Write a (row, col) float32 image as a one-channel EXR."""
+    write_exr_channels(path, {"Y": image})
 
 
 def write_captured(folder: Path, capture: Capture) -> None:
@@ -148,7 +229,7 @@ def write_transfer(path: Path, transfer: ContactTransfer) -> None:
 
 
 def transfer_metrics(transfer: ContactTransfer) -> dict[str, Any]:
-    """Figures of the contact transfer function."""
+    """Figures of the contact transfer function; a pitch of 0: every pitch is kept so far."""
     pitches = {
         "half_contrast_pitch_mm": transfer.half_pitch_mm,
         "tenth_contrast_pitch_mm": transfer.tenth_pitch_mm,

@@ -9,11 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from reconstruction.arrays import Levels
+from reconstruction.arrays import Levels, Reason
 from reconstruction.capture.folder import Capture, read_capture
-from reconstruction.mask import Reason
 from reconstruction.photometric import HeightMap, SensorCalibration
-from reconstruction.photometric.sensor_calibration import MapKind
+from reconstruction.photometric.sensor import MapKind
 from reconstruction.pipeline import Reconstruction
 from twin.config import Experiment
 from twin.mechanics import PressedElastomer
@@ -30,7 +29,7 @@ class SurfacePoints:
     Attributes
     ----------
     world_mm : (row, col, xyz) float
-    reason : (row, col) uint8, codes of `reconstruction.mask.Reason`
+    reason : (row, col) uint8, codes of `reconstruction.arrays.Reason`
     sigma_mm : (row, col, xyz) float32; None where the method predicts no uncertainty
     """
 

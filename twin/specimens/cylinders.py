@@ -7,9 +7,8 @@ import trimesh
 
 from reconstruction.arrays import FloatArray
 from twin.config.models import Flat, Rod
-from twin.specimens.catalogue import Sphere, register
+from twin.specimens.catalogue import Placement, Sphere, register
 from twin.specimens.distance import CylinderDistance, SignedDistance
-from twin.specimens.pose import Placement
 
 _PASSES = 60
 _EXACT_MM = 1e-10

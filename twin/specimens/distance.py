@@ -14,7 +14,7 @@ import numba
 import numpy as np
 
 from reconstruction.arrays import FloatArray
-from reconstruction.cores import threads
+from reconstruction.machine import threads
 
 if TYPE_CHECKING:
     from twin.specimens.catalogue import Shape

@@ -13,9 +13,8 @@ import trimesh
 
 from reconstruction.arrays import FloatArray
 from twin.config.objects import Nut, TBolt
-from twin.specimens.catalogue import register
+from twin.specimens.catalogue import register, unposed
 from twin.specimens.meshes import MeshShape
-from twin.specimens.pose import unposed
 from twin.specimens.raster import IntArray
 from twin.specimens.solids import (
     SECTIONS,

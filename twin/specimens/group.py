@@ -7,11 +7,10 @@ import numpy as np
 import trimesh
 
 from reconstruction.arrays import FloatArray
-from twin.config.materials import Material
+from twin.config.specimen_base import Material
 from twin.config.specimens import Group, Specimen
-from twin.specimens.catalogue import Shape, Sphere, register, shape_of
+from twin.specimens.catalogue import Placement, Shape, Sphere, raised, register, shape_of
 from twin.specimens.distance import SignedDistance
-from twin.specimens.pose import Placement, raised
 
 
 @dataclass(frozen=True)

@@ -12,9 +12,8 @@ from reconstruction.arrays import FloatArray
 from reconstruction.errors import InputError
 from twin.assets import mesh_path
 from twin.config.models import Grating, MeshFile
-from twin.specimens.catalogue import Sphere, register
+from twin.specimens.catalogue import UNMOVED, Placement, Sphere, register
 from twin.specimens.distance import BoxDistance, SignedDistance
-from twin.specimens.pose import UNMOVED, Placement
 from twin.specimens.raster import upper_side
 from twin.specimens.sampled_distance import MeshDistance
 from twin.specimens.solids import rounded_box

@@ -15,8 +15,8 @@ import numpy.typing as npt
 import trimesh
 
 from reconstruction.arrays import FloatArray
+from twin.specimens.catalogue import Placement
 from twin.specimens.distance import Evaluation, compiled, over_points
-from twin.specimens.pose import Placement
 from twin.specimens.triangle_crossings import Columns
 from twin.specimens.triangle_distance import (
     IntArray,

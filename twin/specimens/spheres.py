@@ -11,9 +11,8 @@ import trimesh
 
 from reconstruction.arrays import FloatArray
 from twin.config.models import Ball, TwoBalls
-from twin.specimens.catalogue import Sphere, register
+from twin.specimens.catalogue import Placement, Sphere, register
 from twin.specimens.distance import BallDistance, SignedDistance
-from twin.specimens.pose import Placement
 
 # Level 6 has 82 k facets; its chords stay within 0.3 um of a 4 mm ball.
 _SUBDIVISIONS = 6

@@ -16,9 +16,8 @@ import trimesh
 
 from reconstruction.arrays import FloatArray
 from twin.config.objects import Bear, Brick
-from twin.specimens.catalogue import register
+from twin.specimens.catalogue import raised, register, unposed
 from twin.specimens.meshes import MeshShape
-from twin.specimens.pose import raised, unposed
 from twin.specimens.solids import arc, box, level_set, moved, turned, union, without
 
 # The drawing, 16 mm long, on its back, face up, ears towards +y: middle and half axes of the

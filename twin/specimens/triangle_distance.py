@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from reconstruction.arrays import FloatArray
-from reconstruction.cores import threads
+from reconstruction.machine import threads
 from twin.specimens.distance import compiled
 
 IntArray = npt.NDArray[np.int64]

@@ -8,6 +8,9 @@ from numpy.typing import NDArray
 
 from reconstruction.errors import InputError
 from twin.config.study import Objective
+from twin.study.table import StudyTable
+
+MOST_DESIGNS = 6
 
 Row = Mapping[str, Any]
 
@@ -52,6 +55,21 @@ def ranked_rows(rows: Sequence[Row], objectives: Sequence[Objective]) -> list[Ro
     if len(objectives) > 1:
         return front
     return sorted(usable_rows(rows, objectives), key=lambda row: _cost(row, objectives[0]))
+
+
+def goals_of(table: StudyTable, asked: Sequence[Objective] = ()) -> list[Objective]:
+    """Return what makes a design good: what is asked for, what the study says, or a small error."""
+    named = [name for name in table.metrics if "rmse" in name or "error" in name]
+    first = (*named, *table.metrics)[0]
+    return list(asked or table.record.study.goals) or [Objective(metric=first)]
+
+
+def designs_of(rows: Sequence[Row], axes: Sequence[str]) -> list[Row]:
+    """Return the first rows of different designs, as many as a report shows in pictures."""
+    found: dict[str, Row] = {}
+    for row in rows:
+        found.setdefault(repr([row[axis] for axis in axes if axis != "seed"]), row)
+    return list(found.values())[:MOST_DESIGNS]
 
 
 def usable_rows(rows: Sequence[Row], objectives: Sequence[Objective]) -> list[Row]:

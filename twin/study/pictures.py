@@ -1,12 +1,12 @@
 """What a case looks like, small: the camera's image, measured heights and their error.
 
 Cases keep figures, not arrays. The few designs that a report shows are measured once more, by the
-same path and so with the same bytes, and what it draws is kept as DIR/pictures/DIGEST.npz: drawn
-again it needs no renderer.
+same path and so with the same bytes, and kept as DIR/pictures/DIGEST.npz: a report draws these
+files and measures nothing.
 """
 
 import zipfile
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -16,13 +16,16 @@ from numpy.typing import NDArray
 
 from reconstruction.errors import InputError
 from twin.config import Experiment
+from twin.config.study import Objective
 from twin.output import replacing
 from twin.pipeline import Memory, measure
 from twin.pipeline.progress import Watcher, nobody
 from twin.results.record import Measurement
 from twin.results.score import wanted_pixels
+from twin.study.best import designs_of, goals_of, ranked_rows, usable_rows
 from twin.study.cases import Case
 from twin.study.store import Store
+from twin.study.table import read_table
 
 _FOLDER = "pictures"
 _MOST_PX = 360
@@ -55,6 +58,30 @@ class CasePicture:
     width_mm: NDArray[np.float64]
 
 
+def picture_best(
+    folder: Path, objectives: Sequence[Objective] = (), watch: Watcher = nobody
+) -> dict[str, str]:
+    """Measure the best designs of a study for their pictures, unless the store holds these.
+
+    Returns
+    -------
+    dict
+        Why designs have no picture, by digest.
+
+    Raises
+    ------
+    InputError
+        The folder is no store, or it cannot be written.
+    """
+    table = read_table(folder)
+    goals = goals_of(table, objectives)
+    if not usable_rows(table.done(), goals):
+        return {}
+    rows = designs_of(ranked_rows(table.done(), goals), table.axes)
+    by_digest = {case.digest: case for case in table.cases}
+    return pictures_of(Store(folder), [by_digest[row["case"]] for row in rows], watch)[1]
+
+
 def pictures_of(
     store: Store, cases: Iterable[Case], watch: Watcher = nobody
 ) -> tuple[dict[str, CasePicture], dict[str, str]]:
@@ -83,8 +110,17 @@ def pictures_of(
     return found, failed
 
 
+def kept_picture(folder: Path, digest: str) -> CasePicture | None:
+    """Return the picture of a case that a store holds; None when it holds none."""
+    return read_picture(_file(folder, digest))
+
+
+def _file(folder: Path, digest: str) -> Path:
+    return folder / _FOLDER / f"{digest}.npz"
+
+
 def _picture(store: Store, case: Case, memory: Memory) -> CasePicture:
-    path = store.folder / _FOLDER / f"{case.digest}.npz"
+    path = _file(store.folder, case.digest)
     kept = read_picture(path)
     if kept is not None:
         return kept

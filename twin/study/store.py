@@ -19,8 +19,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from reconstruction.disk import unwritable
 from reconstruction.errors import InputError
+from reconstruction.machine import unwritable
 from twin.config import Experiment, to_toml
 from twin.manifest import MANIFEST_FILE, foreign, manifest_lines, read_manifest, write_manifest
 from twin.output import (

@@ -11,9 +11,8 @@ from math import isfinite
 from pathlib import Path
 from typing import Literal, Protocol
 
-from reconstruction.cores import threads
-from reconstruction.disk import is_disk_full
 from reconstruction.errors import InputError
+from reconstruction.machine import is_disk_full, threads
 from twin.config import Experiment
 from twin.results.parts import write_result, write_timings
 from twin.study.measuring import Answer, CaseMeasurer, StageReads

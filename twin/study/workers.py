@@ -13,8 +13,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any
 
-from reconstruction.cores import VARIABLE
 from reconstruction.errors import InputError
+from reconstruction.machine import VARIABLE
 from twin.study.worker import die_with
 
 _THREAD_VARIABLES = (

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from reconstruction.arrays import FloatArray
-from reconstruction.cores import threads
+from reconstruction.machine import threads
 from twin.mechanics.errors import SolverError
 from twin.mechanics.sheet.grid import SheetGrid
 from twin.mechanics.sheet.kernel import SLOTS, assemble_rows, surface_rows

@@ -1,0 +1,242 @@
+"""Dimensions on a plane: flatness (ISO 12781-1), roughness (ISO 25178-2), step and bar width."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.ndimage import gaussian_filter
+
+from reconstruction.arrays import BoolImage, FloatArray
+from reconstruction.errors import FitError
+from reconstruction.evaluate.fit import PlaneFit, fit_plane, inliers
+
+_MOST_TURNS = 20
+# Gaussian of ISO 16610-61: exp(-pi (x / (a L))^2) / (a L)^2 with a = sqrt(ln 2 / pi).
+_SIGMA_OVER_NESTING = np.sqrt(np.log(2.0) / np.pi) / np.sqrt(2.0 * np.pi)
+_LEAST_SUPPORT = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class Flatness:
+    """Deviations of points from their plane.
+
+    Attributes
+    ----------
+    peak_to_valley_mm, rms_mm : float
+        ISO 12781-1's peak-to-valley and RMS flatness deviation, over the points kept.
+    kept : (n,) bool
+        Points that are no outliers.
+    plane : PlaneFit
+        Through the points kept.
+    """
+
+    peak_to_valley_mm: float
+    rms_mm: float
+    kept: BoolImage
+    plane: PlaneFit
+
+
+def flatness(points_mm: ArrayLike) -> Flatness:
+    """Fit the reference plane (least squares, repeated without outliers) and rate the deviations.
+
+    Parameters
+    ----------
+    points_mm : (n, 3) float
+
+    Raises
+    ------
+    FitError : too few points, or they lie on a line
+    """
+    points = np.asarray(points_mm, np.float64)
+    plane = fit_plane(points)
+    kept = np.ones(len(points), bool)
+    for _ in range(_MOST_TURNS):
+        now = inliers(distances_mm(points, plane))
+        if np.array_equal(now, kept):
+            break
+        kept = now
+        plane = fit_plane(points[kept])
+    residuals = plane.residuals_mm
+    return Flatness(float(np.ptp(residuals)), float(np.sqrt(np.mean(residuals**2))), kept, plane)
+
+
+def distances_mm(points_mm: FloatArray, plane: PlaneFit) -> FloatArray:
+    """Signed distances of points (n, 3) from a plane."""
+    distances: FloatArray = (points_mm - plane.centroid_mm) @ plane.normal
+    return distances
+
+
+@dataclass(frozen=True)
+class ArealRoughness:
+    """Height parameters of the S-L surface; Sz is the height between highest and lowest point."""
+
+    sa_mm: float
+    sq_mm: float
+    sz_mm: float
+
+
+def areal_roughness(
+    z_mm: ArrayLike, valid: ArrayLike, pitch_mm: float, nesting_mm: float
+) -> ArealRoughness:
+    """Remove the plane, then the waviness (Gaussian L-filter of ISO 16610-61), and rate the rest.
+
+    Parameters
+    ----------
+    z_mm : (row, col) float
+        Heights on a square grid.
+    valid : (row, col) bool
+        Where there is a height.
+    pitch_mm : float
+        Distance of the grid's nodes.
+    nesting_mm : float
+        Nesting index of the L-filter: half of a wave this long passes into the roughness.
+
+    Raises
+    ------
+    FitError : too few heights, or a nesting index below two pitches
+    """
+    z, kept = np.asarray(z_mm, np.float64), np.asarray(valid, bool)
+    if nesting_mm < 2.0 * pitch_mm:
+        raise FitError(f"nesting_mm: found {nesting_mm:g}, allowed at least {2 * pitch_mm:g}")
+    y, x = np.mgrid[: z.shape[0], : z.shape[1]] * pitch_mm
+    plane = flatness(np.column_stack([x[kept], y[kept], z[kept]])).plane
+    tilt = (
+        plane.centroid_mm[2]
+        - (
+            (x - plane.centroid_mm[0]) * plane.normal[0]
+            + (y - plane.centroid_mm[1]) * plane.normal[1]
+        )
+        / plane.normal[2]
+    )
+    level = np.where(kept, z - tilt, 0.0)
+    rough = _without_waviness(level, kept, _SIGMA_OVER_NESTING * nesting_mm / pitch_mm)
+    return ArealRoughness(
+        float(np.mean(np.abs(rough))), float(np.sqrt(np.mean(rough**2))), float(np.ptp(rough))
+    )
+
+
+def _without_waviness(level: FloatArray, kept: FloatArray, sigma_px: float) -> FloatArray:
+    """Heights less their Gaussian mean, where half of the filter's weight lies on heights."""
+    weight = gaussian_filter(kept.astype(np.float64), sigma_px, mode="constant")
+    wave = gaussian_filter(level, sigma_px, mode="constant") / np.maximum(weight, 1e-12)
+    rated = kept & (weight >= _LEAST_SUPPORT)
+    rough: FloatArray = (level - wave)[rated]
+    if not rough.size:
+        raise FitError("roughness: no height has enough neighbours; take a smaller nesting_mm")
+    return np.asarray(rough - rough.mean())
+
+
+_LEAST_POINTS = 5
+_MOST_LINE_TURNS = 10
+
+
+@dataclass(frozen=True)
+class StepHeight:
+    """Height of a groove or ridge after ISO 5436-1, type A1; negative for a groove.
+
+    Attributes
+    ----------
+    height_mm : float
+    rms_mm : float
+        Of the residuals of the two parallel lines.
+    """
+
+    height_mm: float
+    rms_mm: float
+
+
+@dataclass(frozen=True)
+class BarWidth:
+    """Width of a raised bar where it crosses a stated fraction of its height.
+
+    Attributes
+    ----------
+    width_mm : float
+    height_mm : float
+        Median of the top third over median of the ground.
+    left_mm, right_mm : float
+        Positions of the crossings, interpolated between samples.
+    """
+
+    width_mm: float
+    height_mm: float
+    left_mm: float
+    right_mm: float
+
+
+def step_height(s_mm: ArrayLike, z_mm: ArrayLike, left_mm: float, right_mm: float) -> StepHeight:
+    """Fit z = a + b s + h d(s) to a profile with a ridge or groove between two edges.
+
+    d is 1 over the middle third of the width W between the edges and 0 over the two stretches that
+    begin W / 3 outside of them and are 2 W / 3 long (ISO 5436-1, 7.2); what lies between is left
+    out. Outliers are left out of a second fit.
+
+    Parameters
+    ----------
+    s_mm, z_mm : (n,) float
+        Positions along the profile and heights; points without height are left out beforehand.
+    left_mm, right_mm : float
+        The edges.
+
+    Raises
+    ------
+    FitError : fewer than five points on one of the three stretches
+    """
+    s, z = np.asarray(s_mm, np.float64), np.asarray(z_mm, np.float64)
+    width = right_mm - left_mm
+    inside = np.abs(s - (left_mm + right_mm) / 2) <= width / 6
+    before = (s >= left_mm - width) & (s <= left_mm - width / 3)
+    after = (s >= right_mm + width / 3) & (s <= right_mm + width)
+    for name, part in (("ridge", inside), ("left", before), ("right", after)):
+        if part.sum() < _LEAST_POINTS:
+            raise FitError(f"step height: {part.sum()} points on the {name} stretch, 5 needed")
+    used = inside | before | after
+    design = np.column_stack([np.ones_like(s), s, inside.astype(np.float64)])[used]
+    found, residuals = _robust_line(design, z[used])
+    return StepHeight(float(found[2]), float(np.sqrt(np.mean(residuals**2))))
+
+
+def bar_width(s_mm: ArrayLike, z_mm: ArrayLike, fraction: float = 0.5) -> BarWidth:
+    """Measure a bar on a level ground: where the profile crosses `fraction` of its height.
+
+    Parameters
+    ----------
+    s_mm, z_mm : (n,) float
+        Positions, growing, and heights.
+    fraction : float
+        Between 0 and 1; half the height by default.
+
+    Raises
+    ------
+    FitError : the profile has no bar with ground on both sides
+    """
+    s, z = np.asarray(s_mm, np.float64), np.asarray(z_mm, np.float64)
+    if not 0.0 < fraction < 1.0 or s.size < 4 * _LEAST_POINTS:
+        raise FitError("bar width: needs a fraction between 0 and 1, and at least 20 points")
+    order = np.sort(z)
+    ground, top = np.median(order[: s.size // 3]), np.median(order[-(s.size // 10 or 1) :])
+    level = ground + fraction * (top - ground)
+    above = np.flatnonzero(z >= level)
+    first, last = above[0], above[-1]
+    if first == 0 or last == s.size - 1:
+        raise FitError("bar width: the bar reaches the profile's end; give a longer profile")
+    left, right = _crossing(s, z, first - 1, level), _crossing(s, z, last, level)
+    return BarWidth(right - left, float(top - ground), left, right)
+
+
+def _crossing(s: FloatArray, z: FloatArray, at: int, level: float) -> float:
+    """Position between samples `at` and `at + 1` where z takes a level."""
+    share = (level - z[at]) / (z[at + 1] - z[at])
+    return float(s[at] + share * (s[at + 1] - s[at]))
+
+
+def _robust_line(design: FloatArray, z: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Least squares, repeated without outliers; parameters and residuals of the points kept."""
+    kept: BoolImage = np.ones(z.size, bool)
+    for _ in range(_MOST_LINE_TURNS):
+        found, *_ = np.linalg.lstsq(design[kept], z[kept], rcond=None)
+        now = inliers(z - design @ found)
+        if np.array_equal(now, kept):
+            break
+        kept = now
+    return np.asarray(found, np.float64), (z - design @ found)[kept]

@@ -1,0 +1,168 @@
+"""What the machine gives: cores to share, and a disk that may be full.
+
+Programs that share a machine agree on how many threads may run side by side (`VARIABLE`).
+
+Files are written through HDF5 and OpenEXR so that a full disk is an ordinary error. HDF5 must not
+be told that a write failed: its file can then be closed no more, and the process ends in a
+segmentation fault. So the bytes go to the disk through Python; after the first failure the rest is
+dropped, and the failure is raised once HDF5 has let go of the file. OpenEXR tells the reason in
+words only.
+"""
+
+import errno
+import io
+import os
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from reconstruction.errors import InputError
+
+if TYPE_CHECKING:
+    import h5netcdf
+    import numpy as np
+    import xarray
+    from numpy.typing import NDArray
+
+
+VARIABLE = "NUMBA_NUM_THREADS"
+"""Environment variable that limits the threads of this process, as it limits Numba's."""
+
+
+def threads() -> int:
+    """Return the number of cores that this process may use, or less where VARIABLE says so."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    told = os.environ.get(VARIABLE, "")
+    return max(1, min(cores or 1, int(told) if told.isdecimal() else cores or 1))
+
+
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+
+
+def is_disk_full(error: BaseException) -> bool:
+    """Tell whether an error means that there is no room: full disk, quota, or limit of a file."""
+    return isinstance(error, OSError) and error.errno in _FULL
+
+
+def unwritable(
+    path: Path | str, error: OSError, kind: type[InputError] = InputError
+) -> OSError | InputError:
+    """Return what to raise for a file that cannot be written.
+
+    A full disk stays an OSError, for nothing that was asked for is wrong; it names the file.
+    Anything else (no permission, a file in the place of a folder) is bad input.
+    """
+    if is_disk_full(error):
+        return OSError(error.errno, error.strerror, str(path))
+    return kind(f"{path}: cannot be written ({error.strerror or error})")
+
+
+@contextmanager
+def writing_netcdf(path: Path | str) -> Iterator["h5netcdf.File"]:
+    """Yield a new netCDF-4 file to fill; an existing one is replaced.
+
+    Raises
+    ------
+    OSError
+        It cannot be written: the first failure. What was written until then stays there.
+    """
+    import h5netcdf
+
+    with _patient(path) as target, h5netcdf.File(target, "w") as file:
+        yield file
+
+
+def write_dataset(path: Path | str, dataset: "xarray.Dataset") -> None:
+    """Write a data set as netCDF-4, maps compressed; an existing file is replaced.
+
+    Raises
+    ------
+    OSError
+        It cannot be written: the first failure. What was written until then stays there.
+    """
+    # Nothing here is NaN: a fill value would only say that something may be.
+    plain: dict[str, Any] = {"_FillValue": None}
+    packed = plain | {"compression": "gzip", "compression_opts": 1}
+    kinds = {name: packed if one.ndim > 1 else plain for name, one in dataset.variables.items()}
+    with _patient(path) as target:
+        dataset.to_netcdf(target, engine="h5netcdf", encoding=kinds)
+
+
+def read_dataset(path: Path | str) -> "xarray.Dataset":
+    """Read a netCDF-4 file as it was written, whole.
+
+    Raises
+    ------
+    OSError
+        It is missing, damaged or something else.
+    """
+    import xarray
+
+    # Nothing is decoded: a unit such as ms does not make durations.
+    with xarray.open_dataset(path, engine="h5netcdf", decode_cf=False) as found:
+        return found.load()
+
+
+@contextmanager
+def _patient(path: Path | str) -> Iterator["_PatientFile"]:
+    with _PatientFile(path) as target:
+        try:
+            yield target
+        except Exception:
+            if target.failure is None:
+                raise
+        if target.failure is not None:
+            raise target.failure
+
+
+def write_exr_channels(path: Path | str, channels: Mapping[str, "NDArray[np.float32]"]) -> None:
+    """Write (row, col) float32 images as the channels of one EXR file.
+
+    Raises
+    ------
+    OSError
+        The disk is full.
+    """
+    import numpy as np
+    import OpenEXR
+
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    pixels = {name: np.ascontiguousarray(image, np.float32) for name, image in channels.items()}
+    try:
+        with OpenEXR.File(header, pixels) as file:
+            file.write(str(path))
+    except RuntimeError as error:
+        for code in _FULL:
+            if os.strerror(code) in str(error):
+                raise OSError(code, os.strerror(code), str(path)) from None
+        raise
+
+
+class _PatientFile(io.FileIO):
+    """A file that takes everything, and keeps its first failure."""
+
+    failure: OSError | None = None
+
+    def __init__(self, path: Path | str) -> None:
+        super().__init__(path, "w+b")
+
+    def write(self, data: Any, /) -> int:
+        left = memoryview(data).cast("B")
+        size = left.nbytes
+        while left and self.failure is None:
+            try:
+                left = left[super().write(left) :]
+            except OSError as error:
+                self._fail(error)
+        return size
+
+    def truncate(self, size: int | None = None, /) -> int:
+        try:
+            return super().truncate(size)
+        except OSError as error:
+            self._fail(error)
+            return size or 0
+
+    def _fail(self, error: OSError) -> None:
+        self.failure = self.failure or OSError(error.errno, error.strerror, os.fspath(self.name))

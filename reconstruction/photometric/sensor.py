@@ -1,0 +1,344 @@
+"""A photometric sensor: what it needs before it measures, its file, and from colours to heights.
+
+Colour map, untouched image and pitch are a NumPy archive (.npz) of plain arrays, no pickle:
+`format`, `version`, `kind` and `pitch_mm`, `smoothing_px`, `marker_level`, `background`, and the
+arrays of the map, prefixed by `map_`. A measurement is the difference to the background, slopes,
+integration, zero.
+"""
+
+import zipfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from reconstruction.arrays import (
+    BoolImage,
+    FloatArray,
+    FloatImage,
+    Levels,
+    PhotometricReason,
+    ReasonImage,
+)
+from reconstruction.errors import CaptureError, InputError, require_number
+from reconstruction.photometric.calibration_ball import BallPress, SampleOptions, sample_presses
+from reconstruction.photometric.colour_maps import (
+    BoundPolynomial,
+    BoundTable,
+    ColourPolynomial,
+    ColourTable,
+    fit_polynomial,
+    fit_table,
+)
+from reconstruction.photometric.images import (
+    GROWTH_PX,
+    checked_image,
+    fill_nearest,
+    fill_smooth,
+    find_markers,
+    mean_background,
+    smoothed,
+)
+from reconstruction.photometric.integrate import (
+    BOUNDARIES,
+    INTEGRATIONS,
+    Boundary,
+    Integration,
+    integrate,
+)
+
+MapKind = Literal["polynomial", "table"]
+ColourMap = ColourPolynomial | ColourTable
+KINDS: dict[str, type[Any]] = {"polynomial": ColourPolynomial, "table": ColourTable}
+FORMAT, VERSION = "photometric-calibration", 1
+PREFIX = "map_"
+
+
+@dataclass(frozen=True, eq=False)
+class SensorCalibration:
+    """Calibration of a photometric-stereo sensor.
+
+    Parameters
+    ----------
+    colour_map : from colour (and place) to slope
+    background : (row, col, 3) float32, mean of untouched images, 8-bit levels, red first
+    pitch_mm : distance of neighbouring pixels on the surface
+    smoothing_px : side of the square over which colours are averaged first; odd
+    marker_level : grey level up to which a pixel is a printed dot (70 in the vendor's programs);
+        0 where the gel has no dots
+
+    Raises
+    ------
+    InputError : a value out of range
+    """
+
+    colour_map: ColourMap
+    background: FloatImage
+    pitch_mm: float
+    smoothing_px: int = 3
+    marker_level: int = 0
+
+    def __post_init__(self) -> None:
+        require_number("pitch_mm", self.pitch_mm, 0.0, open_low=True)
+        SampleOptions(smoothing_px=self.smoothing_px, marker_level=self.marker_level)
+        shape = self.background.shape
+        if self.background.dtype != np.float32 or len(shape) != 3 or shape[2] != 3:
+            raise InputError(
+                f"background is {self.background.dtype} {shape}; give (row, col, 3) float32"
+            )
+        # This way round NaN is refused as well.
+        if not bool(np.all((self.background >= 0.0) & (self.background <= 255.0))):
+            raise InputError("background holds levels outside 0 to 255")
+
+
+def calibrate_sensor(
+    presses: Sequence[BallPress],
+    background_frames: ArrayLike,
+    pitch_mm: float,
+    kind: MapKind = "polynomial",
+    options: SampleOptions | None = None,
+) -> SensorCalibration:
+    """Calibrate on presses of balls (about 50 of 4 to 9 mm diameter, spread over the field).
+
+    Parameters
+    ----------
+    presses : calibration images
+    background_frames : (frame, row, col, 3) uint8, untouched; about ten
+    pitch_mm : distance of neighbouring pixels on the surface
+    kind : `polynomial` (smooth, knows the place) or `table` (the classic look-up table)
+    options : threshold, smoothing, dots
+
+    Raises
+    ------
+    InputError : unknown kind, images that do not fit each other
+    FitError : a press without a contact circle, too few presses
+    """
+    if kind not in KINDS:
+        raise InputError(f"map is {kind!r}; give one of {', '.join(KINDS)}")
+    how, background = options or SampleOptions(), mean_background(background_frames)
+    samples = sample_presses(presses, background, pitch_mm, how)
+    colour_map: ColourMap
+    if kind == "table":
+        colour_map = fit_table(samples, smoothed(background, how.smoothing_px))
+    else:
+        colour_map = fit_polynomial(samples, (background.shape[0], background.shape[1]))
+    return SensorCalibration(colour_map, background, pitch_mm, how.smoothing_px, how.marker_level)
+
+
+def write_sensor_calibration(path: Path | str, calibration: SensorCalibration) -> None:
+    """Write `calibration` to an .npz file; the same calibration gives the same bytes."""
+    kind = next(k for k, part in KINDS.items() if isinstance(calibration.colour_map, part))
+    arrays: dict[str, NDArray[Any]] = {
+        "format": np.array(FORMAT),
+        "version": np.array(VERSION),
+        "kind": np.array(kind),
+        "pitch_mm": np.array(calibration.pitch_mm),
+        "smoothing_px": np.array(calibration.smoothing_px),
+        "marker_level": np.array(calibration.marker_level),
+        "background": calibration.background,
+    }
+    arrays |= {PREFIX + name: part for name, part in calibration.colour_map.arrays().items()}
+    with Path(path).open("wb") as file:  # a name without .npz stays as it is
+        np.savez_compressed(file, allow_pickle=False, **arrays)
+
+
+def read_sensor_calibration(path: Path | str) -> SensorCalibration:
+    """Read what `write_sensor_calibration` wrote.
+
+    Raises
+    ------
+    CaptureError : the file is missing or damaged, of another format, or an array does not fit
+    """
+    try:
+        # Opened here: np.load leaves a file open that is no archive.
+        with Path(path).open("rb") as stream, np.load(stream, allow_pickle=False) as file:
+            arrays = {name: np.asarray(file[name]) for name in file.files}
+    except (OSError, ValueError, EOFError, AttributeError, zipfile.BadZipFile) as error:
+        reason = " ".join(str(error).split())
+        raise CaptureError(f"{path}: is no photometric calibration ({reason})") from error
+    try:
+        return _from_arrays(arrays)
+    except KeyError as error:
+        raise CaptureError(f"{path}: the array {error} is missing") from error
+    except (InputError, ValueError, TypeError) as error:
+        raise CaptureError(f"{path}: {error}") from error
+
+
+def _from_arrays(arrays: Mapping[str, NDArray[Any]]) -> SensorCalibration:
+    found = str(arrays["format"]), int(arrays["version"])
+    if found != (FORMAT, VERSION):
+        raise CaptureError(f"format and version are {found}; this program reads {FORMAT, VERSION}")
+    kind = str(arrays["kind"])
+    if kind not in KINDS:
+        raise CaptureError(f"map is {kind!r}; this program reads {', '.join(KINDS)}")
+    parts = {
+        name.removeprefix(PREFIX): values
+        for name, values in arrays.items()
+        if name.startswith(PREFIX)
+    }
+    return SensorCalibration(
+        KINDS[kind].from_arrays(parts),
+        arrays["background"],
+        float(arrays["pitch_mm"]),
+        int(arrays["smoothing_px"]),
+        int(arrays["marker_level"]),
+    )
+
+
+# How far dots are grown before filling. The vendor's 2025 form does not grow them, so that their
+# dark rims pass for slopes; that belongs to its behaviour.
+MARKER_GROWTH_PX = {"corrected": GROWTH_PX, "sdk_2024": 2, "sdk_2025": 0}
+# Below this share of untouched pixels their median is no zero level.
+LEAST_UNTOUCHED = 0.05
+
+
+@dataclass(frozen=True)
+class PhotometricOptions:
+    """How to decode.
+
+    Parameters
+    ----------
+    integration : `corrected`, or the vendor's scheme `sdk_2024` or `sdk_2025`
+    boundary : border of `corrected`: `neumann` (free) or `dirichlet` (held at 0)
+    doubtful_weight : weight of pixels with a reason code in `corrected`, 0.001 to 1; below 1 the
+        weighted solver runs, several times slower
+    untouched_levels : colour difference below which gel counts as untouched, for the zero level
+
+    Raises
+    ------
+    InputError : a value out of range
+    """
+
+    integration: Integration = "corrected"
+    boundary: Boundary = "neumann"
+    doubtful_weight: float = 1.0
+    untouched_levels: float = 6.0
+
+    def __post_init__(self) -> None:
+        for name, allowed in (("integration", INTEGRATIONS), ("boundary", BOUNDARIES)):
+            if getattr(self, name) not in allowed:
+                value = getattr(self, name)
+                raise InputError(f"{name} is {value!r}; give one of {', '.join(allowed)}")
+        require_number("doubtful_weight", self.doubtful_weight, 1e-3, 1.0)
+        require_number("untouched_levels", self.untouched_levels, 0.0, open_low=True)
+
+
+@dataclass(frozen=True, eq=False)
+class HeightMap:
+    """Result, row 0 at the top.
+
+    Parameters
+    ----------
+    height_mm : (row, col) float32, positive towards the camera, 0 where the gel is untouched
+    slopes : (2, row, col) float32, mm/mm, along rows (down) and along columns (right)
+    mask_reason : (row, col) uint8, see `PhotometricReason`; all numbers are finite even so
+    pitch_mm : distance of neighbouring pixels on the surface
+    """
+
+    height_mm: FloatImage
+    slopes: FloatImage
+    mask_reason: ReasonImage
+    pitch_mm: float
+
+    @property
+    def valid(self) -> BoolImage:
+        """Pixels that carry a measurement, (row, col)."""
+        return np.asarray(self.mask_reason == PhotometricReason.VALID)
+
+    def points_mm(self) -> FloatArray:
+        """Return the valid points row by row, (n, 3): x right, y up, z towards the camera.
+
+        The origin is the middle of the image.
+        """
+        row, col = np.nonzero(self.valid)
+        rows, cols = self.height_mm.shape
+        x = (col - 0.5 * (cols - 1)) * self.pitch_mm
+        y = (0.5 * (rows - 1) - row) * self.pitch_mm
+        return np.column_stack([x, y, self.height_mm[row, col].astype(np.float64)])
+
+
+@dataclass(frozen=True)
+class PhotometricDecoder:
+    """A calibrated sensor with everything computed that does not depend on the image."""
+
+    calibration: SensorCalibration
+    options: PhotometricOptions = PhotometricOptions()
+
+    def __post_init__(self) -> None:
+        _ = self._bound, self._hidden_in_background
+
+    @cached_property
+    def _bound(self) -> BoundPolynomial | BoundTable:
+        return self.calibration.colour_map.bound_to(self._flat)
+
+    @cached_property
+    def _flat(self) -> FloatImage:
+        return smoothed(self.calibration.background, self.calibration.smoothing_px)
+
+    @cached_property
+    def _hidden_in_background(self) -> BoolImage:
+        return self._markers(self.calibration.background)
+
+    def decode(self, image: ArrayLike) -> HeightMap:
+        """Measure an image.
+
+        Parameters
+        ----------
+        image : (row, col, 3) uint8, red first, of the shape of the background
+
+        Raises
+        ------
+        InputError : wrong type or shape
+        FitError : weights below 1 and no convergence
+        """
+        sensor = self.calibration
+        raw = checked_image(image, "image", sensor.background.shape)
+        levels = smoothed(raw, sensor.smoothing_px)
+        hidden = self._markers(raw.astype(np.float32)) | self._hidden_in_background
+        slopes, known = self._bound.slopes(levels)
+        reason = _reasons(raw, hidden, known)
+        filled = self._filled(slopes.astype(np.float64), hidden)
+        height = self._integrated(filled, reason)
+        height -= self._zero(height, levels, hidden)
+        return HeightMap(
+            height.astype(np.float32), filled.astype(np.float32), reason, sensor.pitch_mm
+        )
+
+    def _markers(self, levels: FloatImage) -> BoolImage:
+        scheme, highest_level = self.options.integration, self.calibration.marker_level
+        growth_px = MARKER_GROWTH_PX[scheme]
+        return find_markers(levels, highest_level, growth_px, small=scheme == "corrected")
+
+    def _filled(self, slopes: FloatArray, hidden: BoolImage) -> FloatArray:
+        fill = fill_smooth if self.options.integration == "corrected" else fill_nearest
+        return fill(slopes, hidden)
+
+    def _integrated(self, slopes: FloatArray, reason: ReasonImage) -> FloatArray:
+        chosen, weight = self.options, self.options.doubtful_weight
+        weights = None if weight == 1.0 else np.where(reason == 0, 1.0, weight)
+        return integrate(
+            slopes, self.calibration.pitch_mm, chosen.integration, chosen.boundary, weights
+        )
+
+    def _zero(self, height: FloatArray, levels: FloatImage, hidden: BoolImage) -> float:
+        """Median height of untouched gel; 0 with a held border or where all is touched."""
+        if self.options.integration == "corrected" and self.options.boundary == "dirichlet":
+            return 0.0
+        difference = levels - self._flat
+        distance = np.einsum("rcb,rcb->rc", difference, difference)
+        untouched = (distance < self.options.untouched_levels**2) & ~hidden
+        enough = np.count_nonzero(untouched) >= LEAST_UNTOUCHED * untouched.size
+        return float(np.median(height[untouched])) if enough else 0.0
+
+
+def _reasons(raw: Levels, hidden: BoolImage, known: BoolImage) -> ReasonImage:
+    reason = np.zeros(hidden.shape, dtype=np.uint8)
+    reason[~known] = PhotometricReason.UNCALIBRATED
+    clipped = (raw == 0) | (raw == 255)
+    reason[clipped[..., 0] | clipped[..., 1] | clipped[..., 2]] = PhotometricReason.CLIPPED
+    reason[hidden] = PhotometricReason.MARKER
+    return reason

@@ -1,0 +1,72 @@
+"""Words of the field where a user looks, and one meaning for each class name."""
+
+import ast
+import contextlib
+import io
+import re
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from twin.cli import run
+
+ROOT = Path(__file__).parents[2]
+INSTEAD = {
+    r"\bopponents?\b": "comparison method",
+    r"does not get\b": "pixels without a measurement",
+    r"\bsomebody\b|\bwhoever looks\b|\bobservers?\b": "external view camera",
+    r"\bladders?\b": "temporal unwrapping",
+    r"\bwatchers?\b": "progress callback",
+    r"\berrors? over sigma\b": "normalised error",
+    r"\bmisses of\b|\bpixel misses\b": "reprojection residuals",
+    r"\babsent:": "default:",
+    r"\bbars? (?:is|are) met\b|\bwithin (?:its|their) bars?\b": "target",
+}
+COMMANDS = ("calibrate", "compare", "demo", "doctor", "export", "init", "keys", "measure", "paper",
+            "patterns", "press", "reconstruct", "render", "report", "sweep")  # fmt: skip
+
+
+def written() -> Iterator[tuple[str, str]]:
+    """Pages that a user reads."""
+    for path in (ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(ROOT.glob("docs/*.md"))):
+        yield path.name, path.read_text(encoding="utf-8")
+
+
+def told() -> Iterator[tuple[str, str]]:
+    """Help of every command."""
+    for command in ([], *([name] for name in COMMANDS), ["sweep", "table"], ["sweep", "best"]):
+        shown = io.StringIO()
+        with contextlib.redirect_stdout(shown):
+            assert run([*command, "--help"]) == 0
+        assert len(shown.getvalue()) > 60
+        yield " ".join(["twin", *command]), shown.getvalue()
+
+
+def captioned() -> Iterator[tuple[str, str]]:
+    """Titles, captions, notes and labels: every text in the modules that make pages."""
+    for folder in ("twin/report", "twin/paper"):
+        for path in sorted((ROOT / folder).glob("*.py")):
+            tree = ast.parse(path.read_text(encoding="utf-8"))
+            texts = [n.value for n in ast.walk(tree) if isinstance(n, ast.Constant)]
+            yield path.name, "\n".join(text for text in texts if isinstance(text, str))
+
+
+@pytest.mark.parametrize("texts", [written, told, captioned])
+def test_users_read_the_words_of_the_field(texts):
+    for name, text in texts():
+        for banned, better in INSTEAD.items():
+            found = re.search(banned, text, re.IGNORECASE)
+            assert found is None, f"{name}: '{found.group()}'; say {better}"
+
+
+def test_no_class_name_is_defined_twice():
+    names = Counter(
+        node.name
+        for folder in ("twin", "reconstruction", "benchmarks")
+        for path in (ROOT / folder).rglob("*.py")
+        for node in ast.parse(path.read_text(encoding="utf-8")).body
+        if isinstance(node, ast.ClassDef)
+    )
+    assert [name for name, count in names.items() if count > 1] == []

@@ -1,0 +1,98 @@
+"""What every specimen has: its pose on the stage, and the optical material that it is made of.
+
+Lengths in mm, relative to the slab's centre; the specimen presses from below. Every material
+conserves energy by construction; complex indices hold at the projector's wavelength.
+"""
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from twin.config.base import Angle, Length, Model, NonNegative, Positive
+
+Roughness = Annotated[float, Field(ge=0, le=1)]
+Index = Annotated[float, Field(ge=1, le=4)]
+Albedo = Annotated[float, Field(ge=0, lt=1)]
+
+
+class Conductor(Model):
+    """A metal surface with GGX microfacets."""
+
+    kind: Literal["conductor"] = "conductor"
+    ior: Positive = Field(description="real part n of the complex index")
+    extinction: NonNegative = Field(description="imaginary part k of the complex index")
+    roughness: Roughness = Field(description="GGX alpha; 0 is a perfect mirror")
+
+
+class Dielectric(Model):
+    """A clear body: refracts, reflects after Fresnel, absorbs along the way (Beer-Lambert)."""
+
+    kind: Literal["dielectric"] = "dielectric"
+    ior: Index = Field(description="index of refraction against air")
+    roughness: Annotated[float, Field(ge=0, le=0.5)] = Field(
+        default=0.0, description="GGX alpha; 0 is perfectly smooth"
+    )
+    absorption_per_mm: NonNegative = Field(
+        default=0.0, description="Napierian coefficient of the bulk"
+    )
+
+
+class Diffuse(Model):
+    """A matte (Lambertian) surface."""
+
+    kind: Literal["diffuse"] = "diffuse"
+    albedo: Albedo
+
+
+class Plastic(Model):
+    """Opaque pigment below a clear surface that reflects after Fresnel."""
+
+    kind: Literal["plastic"] = "plastic"
+    albedo: Albedo = Field(description="of the pigment, below the surface")
+    ior: Index
+    roughness: Annotated[float, Field(ge=0.02, le=1)] = Field(description="GGX alpha")
+
+
+Material = Annotated[Conductor | Dielectric | Diffuse | Plastic, Field(discriminator="kind")]
+
+
+class Stage(Model):
+    """The matte table under a specimen that is seen directly."""
+
+    albedo: Albedo = 0.35
+    size_mm: Length = Field(default=80.0, description="edge of the square, round the world origin")
+
+
+#: A length of a part that fits under the sensor.
+Size = Annotated[float, Field(gt=0, le=100)]
+#: A length that may be left out by giving 0.
+OptionalSize = Annotated[float, Field(ge=0, le=100)]
+
+
+class Specimen(Model):
+    """What every specimen has: its pose on the stage, relative to the slab's centre."""
+
+    x_mm: float = 0.0
+    y_mm: float = 0.0
+    z_mm: float = Field(
+        default=0.0, description="within a group: height of the foremost point over the others'"
+    )
+    yaw_deg: Angle = 0.0
+    tilt_deg: Annotated[float, Field(ge=-30, le=30)] = Field(
+        default=0.0, description="tilt about the specimen's y axis; positive lifts its +x side"
+    )
+    material: Material | None = Field(
+        default=None, description="needed where the specimen itself is seen (direct_fpp)"
+    )
+
+
+def require_at_most(key: str, found_mm: float, limit_mm: float, why: str) -> None:
+    """Refuse a length above a limit that other keys set, in one line.
+
+    Raises
+    ------
+    ValueError
+        Names the key, what was found, what is allowed and which other keys say so.
+    """
+    if found_mm > limit_mm:
+        raise ValueError(f"{key}: found {found_mm:g}, allowed at most {limit_mm:g}: {why}")

@@ -1,0 +1,271 @@
+"""Figures of what the camera recorded, and of the decoder's maps; row 0 is the top."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.patches import Patch
+from numpy.typing import NDArray
+
+from reconstruction.arrays import Reason
+from reconstruction.capture.folder import Capture
+from reconstruction.decoding.decode import AxisDecode
+from reconstruction.patterns import AXES, Axis, PatternFrame, PatternSet
+from reconstruction.pipeline import Reconstruction
+from twin.report.canvas import (
+    FAINT,
+    FIT,
+    INK,
+    MEASURED,
+    TRUE_FACE,
+    add_colorbar,
+    axes_at,
+    cyclic,
+    drawing,
+    legend_above,
+    no_ticks,
+    plain_spines,
+    round_up,
+    sequential,
+)
+from twin.report.page import Figure
+from twin.report.pixel_panels import REASON_COLOURS, show_codes, thinned
+from twin.results.record import Measurement
+
+_COLUMNS = 5
+_THUMB_PX = 260
+_WIDTH_IN, _SIDE_IN, _TITLE_IN, _PROFILE_IN = 10.0, 0.05, 0.27, 2.6
+
+
+def frames_figure(measured: Measurement) -> Figure:
+    """Return the contact sheet of the capture."""
+    return Figure(
+        "frames",
+        "Camera frames",
+        "Pixel values in digital numbers (DN), all on one scale: black is 0, white is saturation. "
+        "Look for fringes without breaks, for Gray-code edges that are sharp against a period, and "
+        "for peaks that stay below the dashed saturation line.",
+        "camera frames and one image row of them",
+        lambda path: draw_frames(path, measured.fringes.capture),
+    )
+
+
+def decoding_figure(measured: Measurement) -> Figure:
+    """Return the maps of the decoder."""
+    return Figure(
+        "decoding",
+        "Phase, fringe order, modulation and masked pixels",
+        "Axes in camera pixels; pale gray has no value. Phase runs once through the cyclic "
+        "scale per period; the order must step by one exactly where the phase wraps; masked "
+        "pixels should occur at edges and in shadows only.",
+        "maps of phase, fringe order, modulation and reasons",
+        lambda path: draw_decoding(
+            path, measured.fringes.reconstruction, measured.fringes.capture.patterns
+        ),
+    )
+
+
+def draw_frames(path: Path, capture: Capture) -> None:
+    """Draw white, black, phase and Gray frames of both directions, and one image row, as PNG.
+
+    Raises
+    ------
+    InputError
+        `path` cannot be written.
+    """
+    rows = _sheet(capture)
+    _, height, width = capture.stack.shape
+    thumb_in = (_WIDTH_IN - 2 * _SIDE_IN) / _COLUMNS * 0.95
+    line_in = thumb_in * height / width + _TITLE_IN
+    height_in = line_in * len(rows) + _PROFILE_IN
+    with drawing(path, _WIDTH_IN, height_in) as figure:
+        for r, row in enumerate(rows):
+            for c, frame in enumerate(row):
+                place = (_SIDE_IN + c * thumb_in / 0.95, r * line_in + _TITLE_IN)
+                thumb = axes_at(figure, *place, thumb_in, line_in - _TITLE_IN)
+                _thumb(thumb, capture, frame)
+        top_in = line_in * len(rows) + 0.5
+        profile = axes_at(figure, 0.65, top_in, _WIDTH_IN - 0.75, _PROFILE_IN - 1.05)
+        _profile(profile, capture)
+
+
+def _sheet(capture: Capture) -> list[list[PatternFrame]]:
+    """Rows of frames: uniform + phase, then the finest Gray bits; columns first."""
+    patterns = capture.patterns
+    by_name = {frame.name: frame for frame in patterns.frames}
+    return [
+        [by_name["white"], *_phases(capture, "column")],
+        [by_name["black"], *_phases(capture, "row")],
+        *(_finest_gray(capture, axis) for axis in AXES),
+    ]
+
+
+def _phases(capture: Capture, axis: Axis) -> list[PatternFrame]:
+    """Frames about a quarter of a period apart."""
+    patterns = capture.patterns
+    frames = patterns.frames[patterns.index("phase", axis)]
+    chosen = sorted({round(k * patterns.steps / 4) for k in range(4)})
+    return [frames[n] for n in chosen if n < len(frames)]
+
+
+def _finest_gray(capture: Capture, axis: Axis) -> list[PatternFrame]:
+    return list(capture.patterns.frames[capture.patterns.index("gray", axis)][-_COLUMNS:])
+
+
+def _thumb(axes: Axes, capture: Capture, frame: PatternFrame) -> None:
+    image = capture.stack[capture.patterns.frames.index(frame)]
+    axes.set_title(frame.name.replace("_", " "), fontsize=8.0, pad=3.0)
+    axes.set(xticks=[], yticks=[])
+    thumb = block_mean(image, -(-image.shape[1] // _THUMB_PX))
+    axes.imshow(thumb, cmap="gray", vmin=0, vmax=capture.sensor.saturation_dn)
+
+
+def block_mean(image: NDArray[Any], side: int) -> NDArray[np.float32]:
+    """Average squares of `side` pixels; plain decimation would alias the fringes."""
+    rows, cols = (length // side * side for length in image.shape)
+    blocks = image[:rows, :cols].reshape(rows // side, side, cols // side, side)
+    return np.asarray(blocks.mean(axis=(1, 3), dtype=np.float32))
+
+
+def _profile(axes: Axes, capture: Capture) -> None:
+    """One image row of three frames: shows exposure, contrast and clipping at a glance."""
+    middle = capture.stack.shape[1] // 2
+    phase = capture.patterns.index("phase", "column").start
+    for name, color, index in (
+        ("white", FIT, capture.patterns.index("white").start),
+        (capture.patterns.frames[phase].name.replace("_", " "), MEASURED, phase),
+        ("black", INK, capture.patterns.index("black").start),
+    ):
+        axes.plot(capture.stack[index, middle], color=color, lw=0.8, label=name)
+    axes.axhline(capture.sensor.saturation_dn, color=FAINT, lw=1.0, ls="--", label="saturation")
+    axes.axhline(capture.sensor.black_level_dn, color=TRUE_FACE, lw=0.8, ls=":", label="dark level")
+    axes.set(
+        title=f"Image row {middle}",
+        xlabel="camera column (px)",
+        ylabel="pixel value (DN)",
+        xlim=(0, capture.stack.shape[2] - 1),
+        ylim=(0, 1.08 * capture.sensor.saturation_dn),
+    )
+    legend_above(axes, 5)
+    plain_spines(axes)
+
+
+_SHOWN_PX, _MAP_IN = 480, 2.85
+# Reasons for which the decoder has no phase at all.
+_NO_PHASE = (Reason.DARK, Reason.LOW_MODULATION, Reason.SATURATED)
+
+
+def draw_decoding(path: Path, reconstruction: Reconstruction, patterns: PatternSet) -> None:
+    """Draw wrapped phase and order of both directions, modulation and reason mask as PNG.
+
+    Raises
+    ------
+    InputError
+        `path` cannot be written.
+    """
+    decoded, reason = reconstruction.decoded, reconstruction.point_map.mask_reason
+    rows, cols = reason.shape
+    height_in = _MAP_IN * rows / cols
+    line_in = height_in + 1.25
+    with drawing(path, 10.0, 2 * line_in) as figure:
+        places = [
+            [
+                axes_at(figure, 0.4 + 3.3 * at, 0.3 + line * line_in, _MAP_IN, height_in)
+                for at in range(3)
+            ]
+            for line in range(2)
+        ]
+        for line, (name, axis) in enumerate((("column", decoded.column), ("row", decoded.row))):
+            _phase(places[line][0], name, axis, reason)
+            _order(places[line][1], name, axis, reconstruction)
+        _modulation(places[0][2], decoded.column)
+        _reasons(places[1][2], reason)
+
+
+def _percent(share: float) -> str:
+    return "< 0.01%" if share < 1e-4 else f"{share:.2%}"
+
+
+def reason_shares(reason: NDArray[np.uint8]) -> dict[Reason, float]:
+    """Return the share of the image under each reason that occurs."""
+    counts = np.bincount(reason.ravel(), minlength=len(Reason))
+    return {r: float(counts[r]) / reason.size for r in Reason if counts[r]}
+
+
+def _map(axes: Axes, values: NDArray[Any], **options: Any) -> Any:
+    """Show every n-th pixel: phases and codes must not be averaged."""
+    return axes.imshow(thinned(values), extent=_extent(values), **options)
+
+
+def _extent(values: NDArray[Any]) -> tuple[float, float, float, float]:
+    rows, cols = values.shape
+    return -0.5, cols - 0.5, rows - 0.5, -0.5
+
+
+def _phase(axes: Axes, name: str, axis: AxisDecode, reason: NDArray[np.uint8]) -> None:
+    known = np.ma.masked_where(np.isin(reason, _NO_PHASE), axis.phase_rad)
+    shown = _map(axes, known, cmap=cyclic(), vmin=0, vmax=2 * np.pi)
+    axes.set_title(f"wrapped phase, {name}")
+    add_colorbar(axes, shown, "phase (rad), 0 to 2π", side="below")
+
+
+def _order(axes: Axes, name: str, axis: AxisDecode, reconstruction: Reconstruction) -> None:
+    valid = reconstruction.decoded.valid
+    orders = axis.order[valid]
+    low, high = (int(orders.min()), int(orders.max())) if orders.size else (0, 1)
+    shown = _map(
+        axes,
+        np.ma.masked_where(~valid, axis.order),
+        cmap=sequential(),
+        vmin=low,
+        vmax=max(high, low + 1),
+    )
+    axes.set_title(f"fringe order, {name}")
+    add_colorbar(axes, shown, f"period number, {low} to {high}", side="below")
+
+
+def _modulation(axes: Axes, axis: AxisDecode) -> None:
+    top = round_up(float(axis.modulation_dn.max()))
+    shown = _map(axes, axis.modulation_dn, cmap=sequential(), vmin=0, vmax=top)
+    axes.set_title("modulation, column")
+    add_colorbar(axes, shown, "amplitude (DN)", side="below")
+
+
+def _reasons(axes: Axes, reason: NDArray[np.uint8]) -> None:
+    show_codes(axes, thinned(reason), extent=_extent(reason))
+    handles = [
+        Patch(
+            color=REASON_COLOURS[r], label=f"{r.name.lower().replace('_', ' ')} {_percent(share)}"
+        )
+        for r, share in reason_shares(reason).items()
+    ]
+    axes.set_title("masked pixels by reason")
+    axes.legend(
+        handles=handles,
+        loc="upper center",
+        bbox_to_anchor=(0.5, -0.1),
+        ncols=2,
+        fontsize=7.5,
+        handlelength=1.0,
+    )
+
+
+def white_frame(capture: Capture) -> PatternFrame:
+    """Return the white frame of a sequence."""
+    frames = capture.patterns.frames[capture.patterns.index("white")]
+    return frames[0]
+
+
+def fringe_frame(capture: Capture) -> PatternFrame:
+    """Return the first phase frame with vertical fringes."""
+    frames = capture.patterns.frames[capture.patterns.index("phase", "column")]
+    return frames[0]
+
+
+def show_frame(axes: Axes, capture: Capture, frame: PatternFrame) -> None:
+    """Show a frame's digital numbers: black is 0, white is saturation."""
+    image = capture.stack[capture.patterns.frames.index(frame)]
+    small = block_mean(image, -(-max(image.shape) // _SHOWN_PX))
+    axes.imshow(small, cmap="gray", vmin=0, vmax=capture.sensor.saturation_dn)
+    no_ticks(axes)

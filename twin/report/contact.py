@@ -1,0 +1,267 @@
+"""The report of a measurement of the pressed coat by fringes: judgements, discussion, sections."""
+
+from typing import Any
+
+import numpy as np
+from scipy.optimize import brentq
+
+from twin.mechanics import opposite_transfer
+from twin.report.camera_images import decoding_figure, frames_figure
+from twin.report.experiment import appendix, glance
+from twin.report.page import Beside, Figure, Grade, Page, Section, Verdict
+from twin.report.press import judge_press, press_figure
+from twin.report.rig import draw_rig
+from twin.report.spheres import ball_figures, fit_table
+from twin.report.surfaces import error_figure, height_map_figure, relief_figure
+from twin.report.words import number, signed
+from twin.results.record import Measurement
+from twin.results.score import SphereScore, why_absent
+
+MOST_SPREAD_OVER_SIGMA = 1.15
+LEAST_COMPLETENESS = 0.95
+MOST_SATURATED_SHARE = 1e-3
+MOST_FILTER_BIAS_SHARE = 0.1
+GOOD_RADIUS_SHARE, POOR_RADIUS_SHARE = 0.05, 0.25
+
+
+def verdicts(scored: Measurement) -> list[Verdict]:
+    """Judge measurement, shape transfer and press, in this order."""
+    shape = [_shape(scored)] if scored.score.spheres else []
+    return [_sensor(scored), *shape, judge_press(scored.figures)]
+
+
+def _sensor(scored: Measurement) -> Verdict:
+    figures = scored.figures
+    if not scored.score.against_truth.points:
+        return Verdict(
+            question="Is the coated face measured?",
+            headline=why_absent(figures),
+            grade="poor",
+            reasons=(
+                f"{figures['saturated_share']:.1%} of all pixel values saturated",
+                "the reason map below says why each pixel was left out",
+            ),
+        )
+    wrong, share = figures["wrong_order_pixels"], figures["completeness"]
+    spread, saturated = figures["error_over_sigma"], figures["saturated_share"]
+    held = (
+        share >= LEAST_COMPLETENESS
+        and spread is not None
+        and spread <= MOST_SPREAD_OVER_SIGMA
+        and saturated <= MOST_SATURATED_SHARE
+    )
+    return Verdict(
+        question="Is the coated face measured?",
+        headline=f"{figures['z_rmse_um']:.2f}\N{NO-BREAK SPACE}µm RMS in z",
+        grade="poor" if wrong else ("good" if held else "check"),
+        reasons=(
+            f"{wrong} wrong fringe orders (target 0)",
+            f"{share:.1%} of the lit pixels have a point (target: at least "
+            f"{LEAST_COMPLETENESS:.0%})",
+            f"normalised error (error / predicted sigma) {number(spread, '.2f')} (target: "
+            f"at most {MOST_SPREAD_OVER_SIGMA:g})",
+            f"{saturated:.2%} of all pixel values saturated (target: at most "
+            f"{MOST_SATURATED_SHARE:.1%})",
+            *_filter_hint(figures),
+        ),
+    )
+
+
+def _filter_hint(figures: dict[str, Any]) -> list[str]:
+    share = figures["filter_bias_share"]
+    if share is None or share <= MOST_FILTER_BIAS_SHARE:
+        return []
+    return [
+        f"on {share:.0%} of the points the phase filter may bias the height by more than the noise "
+        f"(target: at most {MOST_FILTER_BIAS_SHARE:.0%}; bias {figures['filter_bias_um']:.2f} µm "
+        "RMS, included in sigma): lower decode.filter_sigma_px"
+    ]
+
+
+def _shape(scored: Measurement) -> Verdict:
+    spheres = scored.score.spheres
+    ratios = [s.true_face.radius_mm / s.nominal.radius_mm for s in spheres]
+    farthest = max(ratios, key=lambda ratio: abs(ratio - 1))
+    worst = abs(farthest - 1)
+    grade: Grade = "check" if worst <= POOR_RADIUS_SHARE else "poor"
+    radii = dict.fromkeys(f"{s.true_face.radius_mm:.2f}" for s in spheres)
+    return Verdict(
+        question="Does the coated face have the radius of the ball?",
+        headline=f"radius {' and '.join(radii)}\N{NO-BREAK SPACE}mm, "
+        f"ball\N{NO-BREAK SPACE}{spheres[0].nominal.radius_mm:g}\N{NO-BREAK SPACE}mm",
+        grade="good" if worst <= GOOD_RADIUS_SHARE else grade,
+        reasons=(
+            f"the radius of the true coated face is {farthest:.2f} times the ball's "
+            f"(good within {GOOD_RADIUS_SHARE:.0%}, poor beyond {POOR_RADIUS_SHARE:.0%})",
+            "caused by elastomer and press, not by the optics",
+        ),
+    )
+
+
+# Residuals of fit and truth closer than this are one and the same form.
+_SAME_FORM = 0.2
+
+
+def discussion(scored: Measurement) -> list[str]:
+    """Return the paragraphs, most important first."""
+    if not scored.score.against_truth.points:
+        return ["No pixel has a point; the map of reasons says why."]
+    paragraphs = [_measurement(scored)]
+    if scored.score.spheres:
+        paragraphs += [_radius(scored), _elastomer(scored), _residuals(scored)]
+    return paragraphs
+
+
+def sentences(measured: Measurement) -> list[str]:
+    """Return the result for a terminal, at most 100 columns wide, in ASCII."""
+    figures = measured.figures
+    warnings, absent = figures["warnings"], why_absent(figures)
+    rms, p95, spread = (
+        number(figures[name], ".2f", "-") for name in ("z_rmse_um", "z_p95_um", "error_over_sigma")
+    )
+    told = f"{rms} um RMS, {p95} um P95; normalised error {spread}"
+    lines = [
+        f"z error against the true coat: {f'none, {absent}' if absent else told}",
+        f"points on {number(figures['completeness'], '.1%', '-')} of the lit pixels, "
+        f"{number(figures['wrong_order_pixels'], 'd', '-')} wrong fringe orders; "
+        f"force {figures['force_n']:.3g} N at {figures['depth_mm']:.3g} mm",
+    ]
+    if warnings:
+        noun = "warning" if len(warnings) == 1 else "warnings"
+        lines.append(f"{len(warnings)} {noun} of the press, see the report")
+    return lines
+
+
+def pitch_kept_mm(share: float, thickness_mm: float) -> float:
+    """Pitch whose relief the coated face keeps to `share`, from T(q), q = 2 pi h / pitch."""
+
+    def excess(q: float) -> float:
+        return float(opposite_transfer(np.array([q]))[0]) - share
+
+    return float(2 * np.pi * thickness_mm / brentq(excess, 1e-3, 40.0))
+
+
+def _measurement(scored: Measurement) -> str:
+    figures = scored.figures
+    bias_um, spread = signed(figures["z_bias_um"], 2), figures["error_over_sigma"]
+    cause = "a single point has no spread"
+    if spread is not None:
+        cause = (
+            "camera noise explains the errors"
+            if spread <= MOST_SPREAD_OVER_SIGMA
+            else "something systematic adds to the camera noise"
+        )
+    return (
+        f"Error of z against the true coated face: {figures['z_rmse_um']:.2f} µm RMS, mean "
+        f"{bias_um} µm. Predicted from camera noise: σ = {figures['sigma_z_median_um']:.2f} µm "
+        f"(median). Normalised error (robust spread of error / predicted σ): "
+        f"{number(spread, '.2f')}; {cause}."
+    )
+
+
+def _radius(scored: Measurement) -> str:
+    parts = [_radius_of(ball) for ball in scored.score.spheres]
+    return (
+        "The fitted radius is that of the coated face: the camera never sees the ball. "
+        + " ".join(parts)
+    )
+
+
+def _radius_of(ball: SphereScore) -> str:
+    nominal, true, measured = ball.nominal.radius_mm, ball.true_face.radius_mm, ball.measured
+    return (
+        f"Ball {ball.number}: of the difference of {signed(measured.radius_mm - nominal)} mm to "
+        f"the ball's {nominal:g} mm, the elastomer accounts for {signed(true - nominal)} mm and "
+        f"the measurement for {signed(measured.radius_mm - true)} mm."
+    )
+
+
+def _elastomer(scored: Measurement) -> str:
+    return _sheet(scored) if scored.figures["mechanics_model"] == "sheet" else _slab(scored)
+
+
+def _sheet(scored: Measurement) -> str:
+    sheet, figures = scored.experiment.elastomer, scored.figures
+    return (
+        f"The sheet of {sheet.thickness_mm:g} mm wraps the specimen as far as pressure, tack and "
+        "stretch allow: there the coat lies one local thickness above it, and a ball of radius R "
+        "is measured as R plus that thickness. Beyond the contact the sheet spans freely, and "
+        "its shape says little of the ball. Here it is stretched up to "
+        f"{figures['largest_stretch']:.2f} times, {figures['thinnest_mm']:.3f} mm thick where it "
+        f"is thinnest and up to {figures['steepest_deg']:.0f}° steep."
+    )
+
+
+def _slab(scored: Measurement) -> str:
+    slab, figures = scored.experiment.elastomer, scored.figures
+    half, tenth = (pitch_kept_mm(share, slab.thickness_mm) for share in (0.5, 0.1))
+    lifted = figures["relief_peak_mm"] / figures["depth_mm"]
+    return (
+        f"Two effects of the slab shape that radius. It is a low-pass filter: T(q) = (sinh q + q "
+        f"cosh q) / (sinh q cosh q + q), q = 2π · thickness / pitch; with {slab.thickness_mm:g} mm "
+        f"it keeps half the contrast at a pitch of {half:.2f} mm and a tenth at {tenth:.2f} mm, "
+        f"whatever the hardness. And it bends over its free span of {slab.length_x_mm:g} × "
+        f"{slab.length_y_mm:g} mm: the coated face rises by {figures['relief_peak_mm']:.3f} mm, "
+        f"{lifted:.0%} of the press depth."
+    )
+
+
+def _residuals(scored: Measurement) -> str:
+    ratios = [
+        ball.measured.stats.rmse_mm / max(ball.true_face.stats.rmse_mm, 1e-12)
+        for ball in scored.score.spheres
+    ]
+    ours = (
+        "Here measured and true face leave nearly the same RMSE, so the residuals are the form of "
+        "the face and the noise hardly adds to them."
+        if max(ratios) < 1 + _SAME_FORM
+        else f"Here the measured RMSE is up to {max(ratios):.1f} times that of the true face: "
+        "noise and systematic errors of the measurement add to the form of the face."
+    )
+    return (
+        "RMSE, MAE and P95 are radial distances from the fitted sphere. Small values say that the "
+        f"face is spherical, not that its radius is the ball's. {ours}"
+    )
+
+
+def page_of(measured: Measurement) -> Page:
+    """Return the report of a measurement of the pressed coat by fringes."""
+    table = fit_table(measured)
+    sections = [
+        Section("glance", "Experiment", (Beside((glance(measured),), (_rig(measured),)),)),
+        Section("result", "Result", (*([table] if table else []), *discussion(measured))),
+        Section(
+            "recorded",
+            "Camera frames and what the decoder made of them",
+            (frames_figure(measured), decoding_figure(measured)),
+        ),
+    ]
+    if measured.score.against_truth.points:
+        relief = (relief_figure(measured), height_map_figure(measured))
+        sections.append(Section("surface", "Measured surface", relief))
+        error = Section("error", "Error against the true coat", (error_figure(measured),))
+        sections.append(error)
+    if measured.score.spheres:
+        sections.append(Section("balls", "Sphere fits", tuple(ball_figures(measured))))
+    pressed = Section("pressed", "Specimen and elastomer", (press_figure(measured),))
+    return Page(
+        kind="virtual measurement by contact-FPP",
+        title=measured.experiment.name.replace("_", " "),
+        lead=measured.experiment.description,
+        sections=[*sections, pressed, appendix(measured)],
+        verdicts=verdicts(measured),
+        warned="The press leaves the range of its model, or not everything could be fitted",
+        warnings=[*measured.figures["warnings"], *measured.score.unfitted],
+        numbered=True,
+    )
+
+
+def _rig(measured: Measurement) -> Figure:
+    return Figure(
+        "rig",
+        "Side view of the rig",
+        "Camera, projector and the fields they cover; lengths in mm, to scale. The elastomer "
+        "should lie where both fields overlap, inside the projector's.",
+        "side view of camera, projector and elastomer",
+        lambda path: draw_rig(path, measured.experiment),
+    )

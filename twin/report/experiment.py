@@ -1,0 +1,277 @@
+"""The experiment in a report: one line per part, and every setting with its source."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from markupsafe import Markup
+
+from twin.config.models import Experiment, Provenance
+from twin.optics.light import pattern_set
+from twin.report.page import Beside, Section
+from twin.report.rig import triangulation_angle_deg
+from twin.report.table import Column, Table, pairs, parts
+from twin.report.words import coating_phrase, in_words, label_of, percent, phrase, split_unit
+from twin.results.decoders import decoder_name
+from twin.results.record import Measurement
+
+_CODE_WORDS = {
+    "gray": "Gray code",
+    "complementary_gray": "complementary Gray code",
+    "shifted_gray": "shifted Gray code",
+    "hierarchical": "hierarchical periods",
+    "heterodyne": "heterodyne periods",
+}
+
+
+def glance(measured: Measurement) -> Table:
+    """Return one line per part of the sensor."""
+    method = measured.experiment.method
+    return parts(
+        "experiment",
+        [
+            ("specimen", _specimen(measured)),
+            *(_coat(measured) if method.presses else _stage(measured)),
+            *(_fringes(measured) if method.fringes else _colours(measured)),
+            ("digest", measured.digest),
+        ],
+    )
+
+
+def _fringes(measured: Measurement) -> list[tuple[str, str]]:
+    return [
+        ("camera", _camera(measured)),
+        ("projector", _projector(measured)),
+        ("patterns", _patterns(measured)),
+        ("exposure", f"{measured.figures['exposure_ms']:.3g} ms per frame"),
+        ("decoding", _decoding(measured)),
+    ]
+
+
+def _colours(measured: Measurement) -> list[tuple[str, str]]:
+    size, plan = measured.experiment.photometric, measured.experiment.photometric.presses
+    return [
+        (
+            "image",
+            f"{size.width_px} × {size.height_px} px of {1e3 * measured.pixel_mm:.1f} µm on "
+            f"the coat, 8-bit RGB, gamma {size.gamma:g}; evaluated field {size.field_x_mm:g} × "
+            f"{size.field_y_mm:g} mm",
+        ),
+        (
+            "calibration",
+            f"{plan.count} rendered presses of balls of {plan.smallest_diameter_mm:g} to "
+            f"{plan.largest_diameter_mm:g} mm, {plan.backgrounds} images of the untouched gel",
+        ),
+        ("decoding", decoder_name(measured.colours.own)),
+    ]
+
+
+def _specimen(measured: Measurement) -> str:
+    values = measured.experiment.specimen.model_dump(exclude={"kind", "material"})
+    # A pose of zeros says nothing; a moved or turned specimen is told in full.
+    told = {name: value for name, value in values.items() if value}
+    return f"{measured.experiment.specimen.kind.replace('_', ' ')}: {phrase(told)}"
+
+
+def _coat(measured: Measurement) -> list[tuple[str, str]]:
+    experiment = measured.experiment
+    return [
+        ("press", _press(measured)),
+        ("elastomer", _elastomer(measured)),
+        ("coating", coating_phrase(experiment.coating)),
+    ]
+
+
+def _stage(measured: Measurement) -> list[tuple[str, str]]:
+    material, stage = measured.experiment.specimen.material, measured.experiment.stage
+    assert material is not None  # or nothing would have been rendered
+    return [
+        ("material", f"{material.kind}: {phrase(material.model_dump(exclude={'kind'}))}"),
+        ("stage", f"matte: {phrase(stage.model_dump())}"),
+    ]
+
+
+def _press(measured: Measurement) -> str:
+    figures, back_kpa = measured.figures, measured.experiment.press.back_pressure_kpa
+    behind = f", {back_kpa:g} kPa on the coated face" if back_kpa else ""
+    return (
+        f"{measured.experiment.press.control} controlled: {figures['depth_mm']:.3g} mm deep with "
+        f"{figures['force_n']:.3g} N{behind}; relief peak {figures['relief_peak_mm']:.3g} mm"
+    )
+
+
+def _elastomer(measured: Measurement) -> str:
+    stated = measured.experiment.elastomer.model_dump(exclude={"young_modulus_kpa"})
+    modulus_kpa = float(f"{measured.figures['young_modulus_kpa']:.3g}")
+    return phrase(stated | {"young_modulus_kpa": modulus_kpa})
+
+
+def _camera(measured: Measurement) -> str:
+    camera = measured.experiment.camera
+    width, height = camera.width_px // camera.binning, camera.height_px // camera.binning
+    pixel_um = 1e3 * measured.pixel_mm
+    return (
+        f"{width} × {height} px ({camera.binning} × {camera.binning} binning), "
+        f"{camera.focal_length_mm:g} mm f/{camera.f_number:g}, {camera.bit_depth} bit, "
+        f"{camera.full_well_e:g} e⁻ full well, {camera.read_noise_e:g} e⁻ read noise; "
+        f"{pixel_um:.1f} µm per pixel on the face"
+    )
+
+
+def _projector(measured: Measurement) -> str:
+    projector = measured.experiment.projector
+    return (
+        f"{projector.width_px} × {projector.height_px} px, throw ratio {projector.throw_ratio:g}, "
+        f"{projector.flux_mw:g} mW at {projector.wavelength_nm:g} nm, "
+        f"{triangulation_angle_deg(measured.experiment):.1f}° from the camera"
+    )
+
+
+def _patterns(measured: Measurement) -> str:
+    patterns = measured.experiment.patterns
+    code = _CODE_WORDS[str(pattern_set(measured.experiment.projector, patterns).code)]
+    if patterns.further_periods_px:
+        code += " of " + in_words(patterns.further_periods_px) + " px"
+    return (
+        f"{patterns.steps} phase steps of {patterns.period_px:g} px in both directions, {code}, "
+        f"white, black: {in_words(measured.figures.get('frames'))} frames"
+    )
+
+
+def _decoding(measured: Measurement) -> str:
+    decode = measured.experiment.decode
+    smoothed = (
+        f"Gaussian of {decode.filter_taps} × {decode.filter_taps} px, σ {decode.filter_sigma_px:g} "
+        "px, on the coordinate"
+        if decode.filter_taps
+        else "no filter"
+    )
+    return f"{smoothed}; depth from {decode.use}"
+
+
+_HEAD = ("schema_version", "name", "description", "provenance")
+
+
+@dataclass(frozen=True)
+class Setting:
+    """One number of the experiment and where it comes from; `path` is what `--set` takes."""
+
+    section: str
+    path: str
+    value: str
+    unit: str
+    source: str
+    range: str
+    assumed: bool
+
+
+def result_in_words(measured: Measurement) -> str:
+    """Return how much of what is scored was measured well, in one sentence."""
+    method, share = measured.experiment.method, measured.figures["good_share"]
+    surface = "specimen's visible area"
+    if method.presses:
+        surface = "lit coat" if method.fringes else "coat in the evaluated field"
+    if share is None:
+        return f"The camera sees nothing of the {surface}."
+    limit_um = measured.experiment.score.good_within_um
+    return f"{percent(share)} of the {surface} has a point within {limit_um:g} µm."
+
+
+def appendix(measured: Measurement) -> Section:
+    """Return what a report ends with: settings, metrics, times per stage, versions."""
+    times = [(name, f"{value:.2f}", "s") for name, value in measured.seconds.items()]
+    versions = [(name, str(value), "") for name, value in measured.versions.items()]
+    return Section(
+        "appendix",
+        "Appendix",
+        (
+            settings_table(measured.experiment),
+            Beside(
+                (pairs("metrics", "Metrics", _metrics(measured.figures)),),
+                (
+                    *([pairs("timings", "Time per stage", times)] if times else []),
+                    pairs("versions", "Versions", versions),
+                ),
+            ),
+        ),
+    )
+
+
+def settings_table(experiment: Experiment) -> Table:
+    """Return every setting of an experiment with its source, by section."""
+    settings = settings_of(experiment)
+    return Table(
+        "settings",
+        "Resolved experiment",
+        "",
+        (
+            Column("path", "setting (as --set takes it)", kind="code"),
+            Column("value", "value", kind="number"),
+            Column("unit", "unit", kind="unit"),
+            Column("source", "source"),
+            Column("range", "valid range", kind="range"),
+        ),
+        tuple(
+            {
+                "path": one.path,
+                "value": one.value,
+                "unit": one.unit,
+                "source": _marked(one),
+                "range": one.range,
+                "section": one.section,
+            }
+            for one in settings
+        ),
+        (
+            "Shaded values are assumed: no source gives them. Change them before trusting what "
+            "depends on them.",
+        ),
+        kinds=tuple("assumed" if one.assumed else "" for one in settings),
+        group="section",
+        look="settings",
+    )
+
+
+def settings_of(experiment: Experiment) -> list[Setting]:
+    """Return every setting in the order of the experiment."""
+    tree = experiment.model_dump(mode="json", exclude=set(_HEAD))
+    return [_setting(path, value, experiment.provenance.get(path)) for path, value in _leaves(tree)]
+
+
+def _metrics(figures: Mapping[str, Any]) -> list[tuple[str, str, str]]:
+    """Return the metrics of result.json; warnings stand at the head of the report."""
+    found = []
+    for name, value in figures.items():
+        if name != "warnings":
+            label, unit = label_of(name)
+            found.append((label, in_words(value), unit))
+    return found
+
+
+def _marked(setting: Setting) -> str:
+    if not setting.assumed:
+        return setting.source
+    told = setting.source.removeprefix("assumed").removeprefix(":")
+    return Markup('<span class="tag">assumed</span> {}').format(told)
+
+
+def _leaves(node: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    for key, value in node.items():
+        if isinstance(value, dict):
+            yield from _leaves(value, f"{prefix}{key}.")
+        elif value is not None:
+            yield f"{prefix}{key}", value
+
+
+def _setting(path: str, value: Any, origin: Provenance | None) -> Setting:
+    _, unit = split_unit(path)
+    allowed = f"{origin.range[0]:g} to {origin.range[1]:g}" if origin and origin.range else ""
+    return Setting(
+        section=path.split(".")[0] if "." in path else "experiment",
+        path=path,
+        value=in_words(value),
+        unit=unit,
+        source=origin.source if origin else "set in the experiment or default, no source stated",
+        range=allowed,
+        assumed=origin is not None and origin.source.startswith("assumed"),
+    )

@@ -1,0 +1,356 @@
+"""Figures of photometric stereo in mm on the coat: sensor, image, slopes, heights, errors, section.
+
+The image is a regular grid on the coat: x grows to the right, y upwards, the middle is the origin.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure as Canvas
+from matplotlib.patches import Polygon, Rectangle
+from matplotlib.ticker import MultipleLocator
+from numpy.typing import NDArray
+from scipy.interpolate import RegularGridInterpolator
+
+from twin.config.lamps import Lamp
+from twin.config.models import Experiment
+from twin.pipeline.colour_images import image_pinhole
+from twin.report.canvas import (
+    FAINT,
+    FIT,
+    INK,
+    MEASURED,
+    NOMINAL,
+    TRUE_FACE,
+    add_colorbar,
+    axes_at,
+    diverging,
+    drawing,
+    plain_spines,
+    round_up,
+    symmetric_limit,
+)
+from twin.report.pixel_panels import Masked, show_z, true_scale, width_mm
+from twin.report.section import Trace, face_profile, trace_through_apexes
+from twin.results.decoders import MAP_ORDER, DecodedImage, decoder_name
+from twin.results.record import Measurement
+from twin.results.score import wanted_pixels
+
+DIFFERENCE_GAIN = 2
+
+_WIDTH_IN, _LEFT_IN, _TOP_IN, _GAP_IN, _BELOW_IN = 10.0, 0.5, 0.32, 0.14, 0.65
+_BETWEEN_IN = 0.25  # tick labels of the upper line
+_TICKS_MM = 4.0
+
+
+def extent_mm(seen: Measurement) -> tuple[float, float, float, float]:
+    """Outline of the image on the coat: left, right, bottom, top."""
+    rows, cols = seen.picture.shape[:2]
+    half_x, half_y = (
+        cols * seen.colours.calibration.pitch_mm / 2,
+        rows * seen.colours.calibration.pitch_mm / 2,
+    )
+    return (-half_x, half_x, -half_y, half_y)
+
+
+def true_heights_mm(seen: Measurement) -> Masked:
+    """World z of the true coat behind each pixel, (row, col) masked."""
+    z_mm = seen.truth.points_world_mm[..., 2].astype(np.float64)
+    return np.ma.masked_array(z_mm, ~seen.truth.measured)
+
+
+def decoder_error_um(seen: Measurement, one: DecodedImage) -> Masked:
+    """Measured minus true world z in the evaluated field, (row, col) masked."""
+    scored = wanted_pixels(seen.experiment, seen.truth) & one.heights.valid
+    difference = one.heights.height_mm - true_heights_mm(seen).data
+    return np.ma.masked_array(1e3 * difference, ~scored)
+
+
+def true_slopes(seen: Measurement) -> NDArray[np.float64]:
+    """Slopes of the true coat behind each pixel, (2, row, col), down and to the right."""
+    normals = seen.truth.normals_world.astype(np.float64)
+    upward = np.where(np.abs(normals[..., 2]) > 1e-6, normals[..., 2], 1.0)
+    # World y points up, rows count down.
+    return np.stack([normals[..., 1] / upward, -normals[..., 0] / upward])
+
+
+def difference_levels(seen: Measurement) -> NDArray[np.uint8]:
+    """Image minus background, enlarged, about mid-grey."""
+    change = seen.picture - seen.colours.calibration.background.astype(np.float64)
+    return np.rint(np.clip(128 + DIFFERENCE_GAIN * change, 0, 255)).astype(np.uint8)
+
+
+def draw_images(path: Path, seen: Measurement) -> None:
+    """Draw tactile image, background and their difference, as PNG.
+
+    Raises
+    ------
+    InputError
+        `path` cannot be written.
+    """
+    background = np.rint(seen.colours.calibration.background).astype(np.uint8)
+    pictures = {
+        "tactile image": seen.picture,
+        "untouched gel (background)": background,
+        f"difference × {DIFFERENCE_GAIN}, grey is none": difference_levels(seen),
+    }
+    panel_in, height_in = _panel(seen, 3)
+    with drawing(path, _WIDTH_IN, _TOP_IN + height_in + 0.5) as figure:
+        for number, (title, picture) in enumerate(pictures.items()):
+            axes = _axes(figure, number, _TOP_IN, panel_in, height_in)
+            axes.imshow(picture, extent=extent_mm(seen))
+            axes.set(title=title, xlabel="x (mm)", ylabel="" if number else "y (mm)")
+            _mark_field(axes, seen)
+
+
+def draw_slopes(path: Path, seen: Measurement) -> None:
+    """Draw measured and true slopes and their difference, both directions, as PNG.
+
+    Raises
+    ------
+    InputError
+        `path` cannot be written.
+    """
+    measured, true = seen.colours.own.heights.slopes.astype(np.float64), true_slopes(seen)
+    limit = symmetric_limit(true, 99.5)
+    error_limit = symmetric_limit(measured - true, 99.0)
+    panel_in, height_in = _panel(seen, 3)
+    line_in = _TOP_IN + height_in + _BETWEEN_IN
+    with drawing(path, _WIDTH_IN, 2 * line_in + _BELOW_IN) as figure:
+        for line, (name, at) in enumerate((("to the right", 1), ("downwards", 0))):
+            shown = (
+                (f"measured, {name}", measured[at], limit),
+                (f"true, {name}", true[at], limit),
+                ("measured − true", measured[at] - true[at], error_limit),
+            )
+            for number, (title, values, end) in enumerate(shown):
+                axes = _axes(figure, number, line * line_in + _TOP_IN, panel_in, height_in)
+                mapped = _map(axes, seen, values, end)
+                axes.set(title=title)
+                if line:
+                    add_colorbar(axes, mapped, "slope (mm/mm)", extend="both", side="below")
+
+
+def draw_heights(path: Path, seen: Measurement) -> None:
+    """Draw the true heights and those of every decoder, shaded, on one scale, as PNG.
+
+    Raises
+    ------
+    InputError
+        `path` cannot be written.
+    """
+    scale, wide_mm, extent = true_scale(seen), width_mm(seen), extent_mm(seen)
+    panel_in, height_in = _panel(seen, 4)
+    line_in = _TOP_IN + height_in + _BETWEEN_IN
+    lines = _lines(seen)
+    with drawing(path, _WIDTH_IN, len(lines) * line_in) as figure:
+        for line, decoders in enumerate(lines):
+            top_in = line * line_in + _TOP_IN
+            if not line:
+                axes = _axes(figure, 0, top_in, panel_in, height_in)
+                show_z(axes, true_heights_mm(seen), wide_mm, scale, extent=extent)
+                axes.set(title="true coat")
+            for number, one in enumerate(decoders, start=1):
+                axes = _axes(figure, number, top_in, panel_in, height_in)
+                z_mm = np.ma.masked_array(one.heights.height_mm, ~one.heights.valid)
+                show_z(axes, z_mm.astype(np.float64), wide_mm, scale, bar=False, extent=extent)
+                axes.set(title=decoder_name(one))
+
+
+def draw_errors(path: Path, seen: Measurement) -> None:
+    """Draw the height error of every decoder on one scale, as PNG.
+
+    Raises
+    ------
+    InputError
+        `path` cannot be written.
+    """
+    errors = {id(one): decoder_error_um(seen, one) for one in seen.colours.decoded}
+    limit_um = round_up(
+        max(float(np.percentile(np.abs(e.compressed()), 95)) for e in errors.values())
+    )
+    panel_in, height_in = _panel(seen, 3)
+    line_in = _TOP_IN + height_in + _BETWEEN_IN
+    lines = _lines(seen)
+    with drawing(path, _WIDTH_IN, len(lines) * line_in + _BELOW_IN) as figure:
+        for line, decoders in enumerate(lines):
+            for number, one in enumerate(decoders):
+                axes = _axes(figure, number, line * line_in + _TOP_IN, panel_in, height_in)
+                shown = _map(axes, seen, errors[id(one)], limit_um)
+                axes.set(title=f"{decoder_name(one)}: {one.errors.z_rmse_um:.1f} µm RMS")
+                if line == len(lines) - 1:
+                    add_colorbar(axes, shown, "z error (µm)", extend="both", side="below")
+
+
+def _lines(seen: Measurement) -> list[list[DecodedImage]]:
+    lines = [[one for one in seen.colours.decoded if one.colour_map == kind] for kind in MAP_ORDER]
+    return [line for line in lines if line]
+
+
+def _panel(seen: Measurement, count: int) -> tuple[float, float]:
+    """Width and height of one of `count` maps side by side, inches."""
+    rows, cols = seen.picture.shape[:2]
+    width_in = (_WIDTH_IN - _LEFT_IN - count * _GAP_IN) / count
+    return width_in, width_in * rows / cols
+
+
+def _axes(figure: Canvas, number: int, top_in: float, width_in: float, height_in: float) -> Axes:
+    left_in = _LEFT_IN + number * (width_in + _GAP_IN)
+    axes = axes_at(figure, left_in, top_in, width_in, height_in)
+    axes.tick_params(labelleft=number == 0)
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_locator(MultipleLocator(_TICKS_MM))
+    return axes
+
+
+def _map(axes: Axes, seen: Measurement, values: Any, limit: float) -> Any:
+    return axes.imshow(values, extent=extent_mm(seen), cmap=diverging(), vmin=-limit, vmax=limit)
+
+
+def _mark_field(axes: Axes, seen: Measurement) -> None:
+    """Outline the part of the coat that is evaluated."""
+    size = seen.experiment.photometric
+    corner = (-size.field_x_mm / 2, -size.field_y_mm / 2)
+    for colour, width, style in (("white", 1.4, "-"), (INK, 0.7, (0, (6, 4)))):
+        axes.add_patch(
+            Rectangle(
+                corner, size.field_x_mm, size.field_y_mm, fill=False, ec=colour, lw=width, ls=style
+            )
+        )
+
+
+_SAMPLES = 601
+_COLOURS = {"corrected": MEASURED, "sdk_2025": FIT, "sdk_2024": NOMINAL}
+_STYLES = {"polynomial": "-", "table": ":"}
+
+
+def draw_sections(path: Path, seen: Measurement) -> None:
+    """Draw heights and height errors of every decoder along the section, as PNG.
+
+    Raises
+    ------
+    InputError
+        `path` cannot be written.
+    """
+    trace = trace_through_apexes(seen.experiment)
+    left, right, *_ = extent_mm(seen)
+    s_mm = np.linspace(left, right, _SAMPLES)
+    true_mm = face_profile(seen.press, trace, s_mm)
+    with drawing(path, 10.0, 6.9) as figure:
+        heights = axes_at(figure, 0.65, 0.35, 9.2, 3.0)
+        errors = axes_at(figure, 0.65, 4.0, 9.2, 2.4)
+        heights.plot(s_mm, true_mm, color=TRUE_FACE, lw=2.4, alpha=0.6, label="true coat")
+        for one in seen.colours.decoded:
+            found_mm = profile_mm(one, seen, trace, s_mm)
+            _line(heights, s_mm, found_mm, one)
+            _line(errors, s_mm, 1e3 * (found_mm - true_mm), one)
+        heights.set(title="Height along the section, z enlarged", ylabel="z (mm)")
+        errors.set(title="Measured − true", ylabel="z error (µm)")
+        errors.axhline(0.0, color=TRUE_FACE, lw=2.4, alpha=0.6)
+        for axes in (heights, errors):
+            axes.set(xlabel=f"{trace.axis} (mm)", xlim=(left, right))
+            plain_spines(axes)
+        heights.legend(loc="upper right")
+
+
+def profile_mm(
+    one: DecodedImage, seen: Measurement, trace: Trace, s_mm: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return heights of one decoder at positions s, mm; NaN outside the image."""
+    rows, cols = one.heights.height_mm.shape
+    pitch_mm = one.heights.pitch_mm
+    x_mm = (np.arange(cols) - (cols - 1) / 2) * pitch_mm
+    y_mm = (np.arange(rows) - (rows - 1) / 2) * pitch_mm
+    upwards = one.heights.height_mm[::-1].astype(np.float64)
+    sample = RegularGridInterpolator((y_mm, x_mm), upwards, bounds_error=False)
+    return np.asarray(sample(trace.points(s_mm)[:, ::-1]))
+
+
+def _line(
+    axes: Axes, s_mm: NDArray[np.float64], values: NDArray[np.float64], one: DecodedImage
+) -> None:
+    axes.plot(
+        s_mm,
+        values,
+        color=_COLOURS[one.integration],
+        ls=_STYLES[one.colour_map],
+        lw=1.2,
+        label=decoder_name(one),
+    )
+
+
+LAMP_COLOURS = {"red": "#c0392b", "green": "#2b8a57", "blue": "#1f5fb2"}
+_ARROW_MM = 3.5
+_LAYER_COLOURS = ("#cfe3f1", "#e3eef6")
+
+
+def draw_sensor(path: Path, experiment: Experiment) -> None:
+    """Draw the sensor from above and from the side, to scale, as PNG.
+
+    Raises
+    ------
+    InputError
+        `path` cannot be written.
+    """
+    with drawing(path, 5.0, 6.25) as figure:
+        _above(axes_at(figure, 0.6, 0.35, 4.1, 3.3), experiment)
+        _side(axes_at(figure, 0.6, 4.4, 4.1, 1.35), experiment)
+
+
+def _above(axes: Axes, experiment: Experiment) -> None:
+    slab, size = experiment.elastomer, experiment.photometric
+    half = slab.length_x_mm / 2, slab.length_y_mm / 2
+    axes.add_patch(Rectangle((-half[0], -half[1]), 2 * half[0], 2 * half[1], fc="#cfe3f1", ec=INK))
+    field = size.field_x_mm, size.field_y_mm
+    axes.add_patch(
+        Rectangle((-field[0] / 2, -field[1] / 2), *field, fill=False, ec=FAINT, ls="--", lw=0.9)
+    )
+    for lamp in experiment.lamps.values():
+        _lamp_above(axes, lamp)
+    axes.annotate("evaluated field", (-field[0] / 2, field[1] / 2), xytext=(4, -11),
+                  textcoords="offset points", color=FAINT)  # fmt: skip
+    axes.set(title="From above: lamps and their aims", xlabel="x (mm)", ylabel="y (mm)")
+    axes.set(xlim=(-half[0] - 4, half[0] + 4), ylim=(-half[1] - 4, half[1] + 4), aspect="equal")
+    plain_spines(axes)
+
+
+def _lamp_above(axes: Axes, lamp: Lamp) -> None:
+    along = np.deg2rad(lamp.along_deg)
+    place = (np.arange(lamp.emitters) + 0.5) / lamp.emitters - 0.5
+    x_mm = lamp.x_mm + place * lamp.length_mm * np.cos(along)
+    y_mm = lamp.y_mm + place * lamp.length_mm * np.sin(along)
+    colour, aim = LAMP_COLOURS[lamp.channel], np.deg2rad(lamp.aim_azimuth_deg)
+    axes.plot(x_mm, y_mm, "o", ms=4, color=colour)
+    axes.arrow(
+        lamp.x_mm, lamp.y_mm, _ARROW_MM * np.cos(aim), _ARROW_MM * np.sin(aim),
+        width=0.12, head_width=0.7, color=colour,
+    )  # fmt: skip
+
+
+def _side(axes: Axes, experiment: Experiment) -> None:
+    half = experiment.elastomer.length_x_mm / 2
+    top_mm = 0.0
+    for number, (name, layer) in enumerate(experiment.layers.items()):
+        colour = _LAYER_COLOURS[number % len(_LAYER_COLOURS)]
+        corner = (-half, layer.bottom_mm)
+        axes.add_patch(Rectangle(corner, 2 * half, layer.thickness_mm, fc=colour, ec=FAINT, lw=0.6))
+        middle_mm = layer.bottom_mm + layer.thickness_mm / 2
+        axes.text(-half + 0.4, middle_mm, f"{name}, n = {layer.ior:g}", va="center", fontsize=7.5)
+        top_mm = max(top_mm, layer.bottom_mm + layer.thickness_mm)
+    axes.plot([-half, half], [0, 0], color=INK, lw=1.6)
+    for lamp in experiment.lamps.values():
+        axes.plot([lamp.x_mm], [lamp.height_mm], "o", ms=5, color=LAMP_COLOURS[lamp.channel])
+    standoff_mm = experiment.camera.pose.standoff_mm
+    seen_mm = image_pinhole(experiment).width_px / image_pinhole(experiment).fx_px / 2
+    reach_mm = top_mm + 3.0
+    # Air above the window: what is drawn of the fan ends where refraction would bend it.
+    ends = [seen_mm * (standoff_mm - z_mm) for z_mm in (top_mm, reach_mm)]
+    fan = [(-ends[0], top_mm), (ends[0], top_mm), (ends[1], reach_mm), (-ends[1], reach_mm)]
+    axes.add_patch(Polygon(fan, facecolor=MEASURED, alpha=0.15, edgecolor="none"))
+    axes.text(0, top_mm + 0.4, f"to the camera, {standoff_mm:g} mm above the coat", ha="center",
+              fontsize=7.5, color=MEASURED)  # fmt: skip
+    axes.set(title="From the side: coat, layers and lamps", xlabel="x (mm)", ylabel="z (mm)")
+    axes.set(xlim=(-half - 4, half + 4), ylim=(-0.8, reach_mm), aspect="equal")
+    plain_spines(axes)

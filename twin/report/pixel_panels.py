@@ -1,0 +1,203 @@
+"""Panels in camera pixels, whatever the method: image, heights, error and reasons, pixel on pixel.
+
+All panels of a measurement show the same pixels at the same place, so that a gap in the heights
+can be looked up in the image beside it. Row 0 is the top, as in the image.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import BoundaryNorm, ListedColormap, Normalize
+from numpy.typing import NDArray
+
+from reconstruction.arrays import Reason
+from twin.report.canvas import (
+    GAP,
+    add_colorbar,
+    axes_at,
+    diverging,
+    drawing,
+    height_scale,
+    no_ticks,
+    round_up,
+    sequential,
+)
+from twin.report.surfaces import WorldMap, shaded
+from twin.results.record import Measurement
+from twin.results.score import wanted_pixels
+
+Masked = Any
+"""(row, col) masked array, for which numpy has no useful type."""
+NO_POINT = "#c3cbd4"
+"""Darker than other gaps: an error of 0 is white, and must not look like a missing point."""
+REASON_COLOURS = {
+    Reason.VALID: "#d5e8da",
+    Reason.DARK: "#2f3640",
+    Reason.LOW_MODULATION: "#7f8c9b",
+    Reason.SATURATED: "#d7263d",
+    Reason.ORDER_UNCERTAIN: "#f2a541",
+    Reason.OUTSIDE_PROJECTOR: "#8e6bbf",
+    Reason.EDGE: "#5fa8d3",
+    Reason.EPIPOLAR_MISMATCH: "#e36bae",
+    Reason.NO_POINT: "#8a5a00",
+}
+_SHOWN_PX = 480
+# The relief fills at least this share of the field's width, as in the report's other views.
+_RELIEF_SHARE = 0.2
+_SIDE_IN, _WIDTH_IN, _BAR_IN = 0.02, 3.0, 0.95
+
+
+@dataclass(frozen=True)
+class ZScale:
+    """How heights that are compared are shown alike.
+
+    Attributes
+    ----------
+    ends_mm : round ends of the colour scale
+    enlarged : by how much shading enlarges z: a round number, at least 1
+    """
+
+    ends_mm: tuple[float, float]
+    enlarged: float
+
+    @classmethod
+    def of(cls, z_mm: NDArray[Any], width_mm: float) -> "ZScale":
+        """Return the scale of heights (n,) in an image that is so wide."""
+        low, high = height_scale(z_mm) if z_mm.size else (0.0, 1.0)
+        return cls((low, high), max(1.0, round_up(_RELIEF_SHARE * width_mm / (high - low))))
+
+
+def draw_small(path: Path, show: Callable[[Axes], None], shape: tuple[int, int], bar: bool) -> None:
+    """Draw one panel as a small PNG.
+
+    Parameters
+    ----------
+    shape : (row, col) of the image
+    bar : leave room for a colour bar below
+
+    Raises
+    ------
+    InputError
+        `path` cannot be written.
+    """
+    inside_in = _WIDTH_IN - 2 * _SIDE_IN
+    height_in, below_in = inside_in * shape[0] / shape[1], _BAR_IN if bar else _SIDE_IN
+    with drawing(path, _WIDTH_IN, _SIDE_IN + height_in + below_in) as figure:
+        show(axes_at(figure, _SIDE_IN, _SIDE_IN, inside_in, height_in))
+
+
+def show_picture(axes: Axes, image: NDArray[np.uint8]) -> None:
+    """Show an 8-bit image: gray where black is 0 and white is saturation, or colours."""
+    axes.imshow(image, cmap="gray", vmin=0, vmax=255)
+    no_ticks(axes)
+
+
+def show_z(
+    axes: Axes,
+    z_mm: Masked,
+    width_mm: float,
+    scale: ZScale,
+    *,
+    bar: bool = True,
+    extent: tuple[float, float, float, float] | None = None,
+) -> None:
+    """Show heights (row, col), coloured and shaded; masked pixels stay white.
+
+    Parameters
+    ----------
+    width_mm : of the image on the coat
+    bar : draw a colour bar below
+    extent : of the image in the axes' coordinates; pixels by default
+    """
+    norm, (rows, cols) = Normalize(*scale.ends_mm), z_mm.shape
+    if z_mm.count():
+        pitch_mm = width_mm / cols
+        x_mm, y_mm = pitch_mm * np.arange(cols), pitch_mm * np.arange(rows)
+        upwards = WorldMap(z_mm[::-1], x_mm, y_mm, pitch_mm)  # whose rows grow upwards
+        axes.imshow(shaded(upwards, norm, scale.enlarged)[::-1], extent=extent)
+    else:
+        axes.imshow(np.ones((rows, cols, 3)), extent=extent)
+    if bar:
+        shown = ScalarMappable(norm, sequential())
+        add_colorbar(axes, shown, "z (mm)", extend="both", side="below")
+
+
+def show_z_error(axes: Axes, error_um: Masked, limit_um: float, bar: bool = True) -> None:
+    """Show errors of z (row, col); beyond the limit they keep the colour of the end."""
+    colours = diverging().with_extremes(bad=NO_POINT)
+    shown = axes.imshow(error_um, cmap=colours, vmin=-limit_um, vmax=limit_um)
+    no_ticks(axes)
+    if bar:
+        add_colorbar(axes, shown, "z error (µm), clipped at the ends", extend="both", side="below")
+
+
+def show_codes(axes: Axes, reason: Masked, **options: Any) -> None:
+    """Show reason codes (row, col); masked pixels are pale gray."""
+    colours = ListedColormap([REASON_COLOURS[r] for r in Reason]).with_extremes(bad=GAP)
+    norm = BoundaryNorm(np.arange(len(Reason) + 1) - 0.5, len(Reason))
+    axes.imshow(reason, cmap=colours, norm=norm, **options)
+
+
+def wanted(measured: Measurement) -> NDArray[np.bool_]:
+    """Pixels that ought to give a point, (row, col)."""
+    return wanted_pixels(measured.experiment, measured.truth)
+
+
+def error_um(measured: Measurement) -> Masked:
+    """Measured minus true world z, um, (row, col); masked where there is no wanted point."""
+    points, true_mm = measured.points, measured.truth.points_world_mm
+    difference = (points.world_mm[..., 2] - true_mm[..., 2]).astype(np.float64)
+    return np.ma.masked_array(1e3 * difference, mask=~(points.valid & wanted(measured)))
+
+
+def true_scale(measured: Measurement) -> ZScale:
+    """Return the scale of the true heights that the camera sees; wrong points do not count."""
+    truth = measured.truth
+    return ZScale.of(truth.points_world_mm[truth.depth_mm > 0][:, 2], width_mm(measured))
+
+
+def width_mm(measured: Measurement) -> float:
+    """Width of the image on the flat coat."""
+    return float(measured.pixel_mm * measured.truth.lit.shape[1])
+
+
+def show_measured(axes: Axes, measured: Measurement, bar: bool = True) -> None:
+    """Show the measured heights on the scale of the true ones."""
+    points = measured.points
+    _show(axes, measured, points.world_mm[..., 2], points.valid, bar)
+
+
+def show_true(axes: Axes, measured: Measurement) -> None:
+    """Show the true heights, on the same scale as the measured ones."""
+    truth = measured.truth
+    _show(axes, measured, truth.points_world_mm[..., 2], truth.depth_mm > 0, bar=True)
+
+
+def show_error(axes: Axes, measured: Measurement) -> None:
+    """Show the error of z on the scale of a good point."""
+    show_z_error(axes, thinned(error_um(measured)), measured.experiment.score.good_within_um)
+
+
+def show_reasons(axes: Axes, measured: Measurement) -> None:
+    """Show why wanted pixels have no point; the others are pale gray."""
+    show_codes(axes, thinned(np.ma.masked_array(measured.points.reason, ~wanted(measured))))
+    no_ticks(axes)
+
+
+def thinned(values: Any, most_px: int = _SHOWN_PX) -> Any:
+    """Keep every nth row and column: heights and codes must not be averaged across edges."""
+    step = -(-max(values.shape[:2]) // most_px)
+    return values[::step, ::step]
+
+
+def _show(
+    axes: Axes, measured: Measurement, z_mm: NDArray[Any], there: NDArray[np.bool_], bar: bool
+) -> None:
+    shown = thinned(np.ma.masked_array(z_mm.astype(np.float64), ~there))
+    show_z(axes, shown, width_mm(measured), true_scale(measured), bar=bar)
+    no_ticks(axes)

@@ -1,0 +1,306 @@
+"""Sphere fits: one table for all methods, and one figure per ball."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from numpy.typing import NDArray
+
+from reconstruction.evaluate.fit import SphereFit
+from twin.report.canvas import (
+    FIT,
+    MEASURED,
+    MEASURED_FILL,
+    NOMINAL,
+    TRUE_FACE,
+    add_colorbar,
+    axes_at,
+    diverging,
+    drawing,
+    plain_spines,
+    symmetric_limit,
+)
+from twin.report.page import Figure
+from twin.report.section import Trace, trace_through_apexes
+from twin.report.surfaces import average_on_grid
+from twin.report.table import Cell, Column, Table
+from twin.results.decoders import decoder_name
+from twin.results.record import Colours, Measurement
+from twin.results.score import SphereScore
+
+_MAP_CELLS, _BINS, _CURVE_POINTS = 200, 81, 201
+
+_FITS = (
+    Column("ball", "ball"),
+    Column("surface", "surface"),
+    Column("radius", "radius", 3, "mm"),
+    Column("error", "|error|", 3, "mm"),
+    Column("rmse", "RMSE", 4, "mm"),
+    Column("mae", "MAE", 4, "mm"),
+    Column("p95", "P95", 4, "mm"),
+)
+
+
+@dataclass(frozen=True, eq=False)
+class ComparedFit:
+    """One sphere that was fitted, by whom it was measured."""
+
+    ball: int
+    surface: str
+    fit: SphereFit
+    nominal_mm: float
+    measured: bool = False
+
+
+def fits_of(measured: Measurement, decoders: bool = True) -> list[ComparedFit]:
+    """Return what every ball was measured to be, by each decoder, and what the true face is."""
+    coat = "true coat" if measured.experiment.method.presses else "true surface"
+    label, found = _measured_label(measured) if decoders else "measured", []
+    for ball in measured.score.spheres:
+        radius_mm = ball.nominal.radius_mm
+        found.append(ComparedFit(ball.number, label, ball.measured, radius_mm, True))
+        found += _by_other_decoders(measured, ball.number) if decoders else []
+        found.append(ComparedFit(ball.number, coat, ball.true_face, radius_mm))
+    return found
+
+
+def fit_table(measured: Measurement, decoders: bool = True) -> Table | None:
+    """Return the sphere fits in mm; None where no ball could be fitted.
+
+    Parameters
+    ----------
+    decoders : those of photometric stereo that the experiment does not name, too
+    """
+    fits = fits_of(measured, decoders)
+    if not fits:
+        return None
+    coat = "coat" if measured.experiment.method.presses else "surface"
+    return Table(
+        "sphere_fits",
+        "Sphere fits",
+        "",
+        _FITS,
+        tuple(_row(one) for one in fits),
+        (
+            "Radius of the least-squares sphere over the points within "
+            f"{measured.experiment.score.roi_radius_mm:g} mm (lateral) of each apex. |error|: "
+            "difference to the nominal radius of the ball. RMSE, MAE, P95: root mean square, mean "
+            f"and 95th percentile of the absolute radial residuals. The true {coat} is fitted over "
+            "the same pixels.",
+        ),
+        kinds=tuple("measured" if one.measured else "" for one in fits),
+        group="ball",
+    )
+
+
+def _row(one: ComparedFit) -> dict[str, Cell]:
+    stats = one.fit.stats
+    return {
+        "ball": f"ball {one.ball}",
+        "surface": one.surface,
+        "radius": one.fit.radius_mm,
+        "error": abs(one.fit.radius_mm - one.nominal_mm),
+        "rmse": stats.rmse_mm,
+        "mae": stats.mae_mm,
+        "p95": stats.p95_mm,
+    }
+
+
+def _measured_label(measured: Measurement) -> str:
+    images = measured.images
+    return f"measured: {decoder_name(images.own)}" if isinstance(images, Colours) else "measured"
+
+
+def _by_other_decoders(measured: Measurement, number: int) -> list[ComparedFit]:
+    images = measured.images
+    if not isinstance(images, Colours):
+        return []
+    return [
+        ComparedFit(number, decoder_name(one), ball.measured, ball.nominal.radius_mm)
+        for one in images.decoded
+        for ball in one.score.spheres
+        if one is not images.own and ball.number == number
+    ]
+
+
+@dataclass(frozen=True, eq=False)
+class BallView:
+    """What the figure of one ball shows.
+
+    Attributes
+    ----------
+    measured_mm, true_mm : (n, xyz) float, world
+        Points of the fit region, and the true face at the same pixels.
+    trace : Trace
+        Line of the sections.
+    limit_um : float
+        End of the symmetric residual scale.
+    """
+
+    ball: SphereScore
+    measured_mm: NDArray[np.float64]
+    true_mm: NDArray[np.float64]
+    trace: Trace
+    pixel_mm: float
+    limit_um: float
+
+
+def ball_views(scored: Measurement) -> list[BallView]:
+    """Return one view per ball, all on one residual scale so that they compare."""
+    balls, points = scored.score.spheres, scored.points.world_mm
+    limits = [symmetric_limit(1e3 * ball.measured.residuals_mm, 99.5) for ball in balls]
+    return [
+        BallView(
+            ball=ball,
+            measured_mm=points[ball.roi].astype(np.float64),
+            true_mm=scored.truth.points_world_mm[ball.roi].astype(np.float64),
+            trace=trace_through_apexes(scored.experiment),
+            pixel_mm=scored.pixel_mm,
+            limit_um=max(limits),
+        )
+        for ball in balls
+    ]
+
+
+def ball_figures(measured: Measurement) -> list[Figure]:
+    """Return one figure per ball."""
+    return [_ball_figure(measured, view) for view in ball_views(measured)]
+
+
+def _ball_figure(measured: Measurement, view: BallView) -> Figure:
+    number, radius_mm = view.ball.number, measured.experiment.score.roi_radius_mm
+    return Figure(
+        f"ball_{number}",
+        f"Ball {number}",
+        f"Points within {radius_mm:g} mm (lateral) of the apex; "
+        f"{_measured_label(measured)}. Radial residuals in µm on a scale of ± {view.limit_um:g} "
+        "µm, the same for all balls. A pattern in the map is the form of the face. Blue points "
+        "should follow the green line, the true face. The dashed line is the ball "
+        "itself, raised to the same peak.",
+        f"residual map, histogram and sections of ball {number}",
+        lambda path: draw_ball(path, view),
+    )
+
+
+def draw_ball(path: Path, view: BallView) -> None:
+    """Draw residual map and histogram, section and departure from the fit, as PNG.
+
+    Raises
+    ------
+    InputError
+        `path` cannot be written.
+    """
+    with drawing(path, 10.0, 6.8) as figure:
+        _residual_map(axes_at(figure, 0.65, 0.35, 3.6, 2.7), view)
+        _residual_histogram(axes_at(figure, 5.75, 0.35, 4.1, 2.7), view)
+        _section(axes_at(figure, 0.65, 3.85, 4.1, 2.5), view)
+        _departure(axes_at(figure, 5.75, 3.85, 4.1, 2.5), view)
+
+
+def fitted_height(fit: SphereFit, xy_mm: NDArray[Any]) -> NDArray[np.float64]:
+    """World z of a fitted sphere's upper side at points (n, 2)."""
+    across2 = np.sum((xy_mm - fit.centre_mm[:2]) ** 2, axis=1)
+    return np.asarray(fit.centre_mm[2] + np.sqrt(np.maximum(fit.radius_mm**2 - across2, 0.0)))
+
+
+def _residual_map(axes: Axes, view: BallView) -> None:
+    residuals_um = 1e3 * view.ball.measured.residuals_mm
+    cells = average_on_grid(view.measured_mm, residuals_um, view.pixel_mm, _MAP_CELLS)
+    shown = axes.imshow(
+        cells.values,
+        origin="lower",
+        extent=cells.extent_mm,
+        cmap=diverging(),
+        vmin=-view.limit_um,
+        vmax=view.limit_um,
+    )
+    axes.set(title="Residual from the fitted sphere", xlabel="x (mm)", ylabel="y (mm)")
+    add_colorbar(axes, shown, "radial residual (µm)", extend="both")
+
+
+def _residual_histogram(axes: Axes, view: BallView) -> None:
+    edges = np.linspace(-view.limit_um, view.limit_um, _BINS + 1).tolist()
+    measured_um = 1e3 * view.ball.measured.residuals_mm
+    true_um = 1e3 * view.ball.true_face.residuals_mm
+    axes.hist(measured_um, edges, density=True, color=MEASURED_FILL, label="measured")
+    axes.hist(
+        true_um,
+        edges,
+        density=True,
+        histtype="step",
+        color=TRUE_FACE,
+        lw=1.4,
+        label="true face, its own fit",
+    )
+    axes.set(
+        title="Residuals",
+        xlabel="radial residual (µm)",
+        ylabel="density (1/µm)",
+        xlim=(-view.limit_um, view.limit_um),
+    )
+    axes.legend(loc="upper left")
+    plain_spines(axes)
+
+
+def _strip(points: NDArray[Any], view: BallView) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Positions s and points within one pixel of the section, in the order of s."""
+    near = points[np.abs(view.trace.offset(points[:, 0], points[:, 1])) <= view.pixel_mm]
+    s_mm = np.asarray(view.trace.position(near[:, 0], near[:, 1]))
+    order = np.argsort(s_mm, kind="stable")
+    return s_mm[order], near[order]
+
+
+def _section(axes: Axes, view: BallView) -> None:
+    (s_measured, measured), (s_true, true) = (
+        _strip(view.measured_mm, view),
+        _strip(view.true_mm, view),
+    )
+    low, high = float(view.true_mm[:, 2].min()), float(view.true_mm[:, 2].max())
+    reach = view.trace.position(view.true_mm[:, 0], view.true_mm[:, 1])
+    along = np.linspace(float(reach.min()), float(reach.max()), _CURVE_POINTS)
+    fitted = fitted_height(view.ball.measured, view.trace.points(along))
+    cap = _nominal_cap(view, along, high)
+    axes.plot(along, cap, color=NOMINAL, lw=1.0, ls="--", label="the ball, moved to the peak")
+    axes.plot(s_measured, measured[:, 2], ".", color=MEASURED, ms=3, label="measured")
+    axes.plot(s_true, true[:, 2], color=TRUE_FACE, lw=1.2, label="true coated face")
+    axes.plot(along, fitted, color=FIT, lw=1.0, ls=":", label="fitted sphere")
+    room = max(high - low, 0.02)
+    axes.set(
+        title="Section through the apex, z enlarged",
+        xlabel=f"{view.trace.axis} (mm)",
+        ylabel="z (mm)",
+        ylim=(low - 0.9 * room, high + 0.15 * room),
+    )
+    axes.legend(loc="lower center", ncols=2, frameon=True, framealpha=0.9, edgecolor="none")
+    plain_spines(axes)
+
+
+def _departure(axes: Axes, view: BallView) -> None:
+    s_measured, measured = _strip(view.measured_mm, view)
+    s_true, true = _strip(view.true_mm, view)
+    measured_um, true_um = _above_fit_um(view, measured), _above_fit_um(view, true)
+    axes.plot(s_measured, measured_um, ".", color=MEASURED, ms=3, label="measured")
+    axes.plot(s_true, true_um, color=TRUE_FACE, lw=1.2, label="true coated face")
+    axes.axhline(0.0, color=FIT, lw=1.0, ls=":", label="fitted sphere")
+    axes.set(
+        title="The same, height above the fitted sphere",
+        xlabel=f"{view.trace.axis} (mm)",
+        ylabel="height above the fit (µm)",
+        ylim=(-1.6 * view.limit_um, 1.6 * view.limit_um),
+    )
+    axes.legend(loc="lower center", ncols=3)
+    plain_spines(axes)
+
+
+def _above_fit_um(view: BallView, points: NDArray[Any]) -> NDArray[np.float64]:
+    return np.asarray(1e3 * (points[:, 2] - fitted_height(view.ball.measured, points[:, :2])))
+
+
+def _nominal_cap(view: BallView, s_mm: NDArray[Any], peak_mm: float) -> NDArray[np.float64]:
+    """World z of the ball itself with its apex raised to the peak of the coated face."""
+    nominal = view.ball.nominal
+    across2 = np.sum((view.trace.points(s_mm) - [nominal.x_mm, nominal.y_mm]) ** 2, axis=1)
+    fall = nominal.radius_mm - np.sqrt(np.maximum(nominal.radius_mm**2 - across2, 0.0))
+    return np.asarray(peak_mm - fall)

@@ -1,0 +1,284 @@
+"""Figures of a study: effects, interactions, parallel lines, Pareto front, sensitivities, designs.
+
+One figure has one scale per quantity, from 0 or the round ends of all cases, whichever plot it is
+in: plots side by side compare.
+"""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+
+from twin.config.study import Objective
+from twin.report.canvas import (
+    FAINT,
+    FIT,
+    INK,
+    MEASURED,
+    MEASURED_FILL,
+    add_colorbar,
+    axes_at,
+    drawing,
+    no_ticks,
+    plain_spines,
+    sequential,
+    symmetric_limit,
+)
+from twin.report.page import Figure
+from twin.report.pixel_panels import ZScale, draw_small, show_picture, show_z, show_z_error
+from twin.study.pictures import CasePicture
+from twin.study.sensitivity import Effect
+
+Row = Mapping[str, Any]
+_MOST_LABELS = 9
+_BINS = 6
+
+
+def numbers(rows: Sequence[Row], name: str) -> np.ndarray[Any, np.dtype[np.float64]]:
+    """Return one figure of all rows."""
+    return np.array([float(row[name]) for row in rows])
+
+
+def groups_of(rows: Sequence[Row], axis: str) -> tuple[list[str], list[list[Row]]]:
+    """Group rows by an axis' levels, or by sixths of its range where it has too many."""
+    levels = list(dict.fromkeys(row[axis] for row in rows))
+    if all(isinstance(level, (int, float)) for level in levels):
+        levels.sort()
+    if len(levels) <= _MOST_LABELS:
+        groups = [[row for row in rows if row[axis] == level] for level in levels]
+        return [_short(level) for level in levels], groups
+    values = numbers(rows, axis)
+    edges = np.linspace(values.min(), values.max(), _BINS + 1)
+    bins = np.clip(np.digitize(values, edges) - 1, 0, _BINS - 1)
+    filled = [i for i in range(_BINS) if (bins == i).any()]
+    names = [f"{(edges[i] + edges[i + 1]) / 2:.3g}" for i in filled]
+    return names, [[r for r, b in zip(rows, bins, strict=True) if b == i] for i in filled]
+
+
+def _short(level: Any) -> str:
+    return f"{level:.4g}" if isinstance(level, float) else str(level)
+
+
+def draw_main_effects(
+    path: Path, rows: Sequence[Row], axes: Sequence[str], metrics: Sequence[str]
+) -> None:
+    """Draw each figure over each axis: mean over everything else, and the range of all cases."""
+    width, height = 2.2, 1.5
+    size = 0.9 + len(axes) * (width + 0.3), 0.4 + len(metrics) * (height + 0.65)
+    with drawing(path, *size) as figure:
+        for down, metric in enumerate(metrics):
+            for across, axis in enumerate(axes):
+                left, top = 0.85 + across * (width + 0.3), 0.3 + down * (height + 0.65)
+                place = axes_at(figure, left, top, width, height)
+                _draw_effect(place, rows, axis, metric)
+                if across:
+                    place.set_yticklabels([])
+                else:
+                    place.set_ylabel(metric)
+                if down == len(metrics) - 1:
+                    place.set_xlabel(axis)
+
+
+def _draw_effect(place: Axes, rows: Sequence[Row], axis: str, metric: str) -> None:
+    names, groups = groups_of(rows, axis)
+    values = [numbers(group, metric) for group in groups]
+    at = np.arange(len(names))
+    place.fill_between(
+        at, [v.min() for v in values], [v.max() for v in values], color=MEASURED_FILL, alpha=0.5
+    )
+    place.plot(at, [v.mean() for v in values], "o-", color=MEASURED, markersize=4)
+    long = max(map(len, names)) > 5
+    place.set_xticks(at, names, rotation=30 if long else 0, ha="right" if long else "center")
+    place.set_ylim(*_limits(numbers(rows, metric)))
+    plain_spines(place)
+
+
+def _limits(values: np.ndarray[Any, np.dtype[np.float64]]) -> tuple[float, float]:
+    low, high = float(values.min()), float(values.max())
+    margin = 0.06 * (high - low) or 0.05 * abs(high) or 1.0
+    return low - margin, high + margin
+
+
+def draw_interactions(
+    path: Path, rows: Sequence[Row], pairs: Sequence[tuple[str, str]], metric: str
+) -> None:
+    """Draw a figure's mean over each pair of axes as a map; one colour scale for all."""
+    low, high = numbers(rows, metric).min(), numbers(rows, metric).max()
+    across = min(3, len(pairs))
+    down = -(-len(pairs) // across)
+    with drawing(path, 1.4 + across * 3.0, 0.3 + down * 2.9) as figure:
+        for number, (x, y) in enumerate(pairs):
+            left, top = 0.8 + number % across * 3.0, 0.25 + number // across * 2.9
+            place = axes_at(figure, left, top, 2.1, 2.0)
+            shown = _draw_pair(place, rows, (x, y), metric, (float(low), float(high)))
+        add_colorbar(place, shown, f"mean {metric}")
+
+
+def _draw_pair(
+    place: Axes, rows: Sequence[Row], pair: tuple[str, str], metric: str, ends: tuple[float, float]
+) -> Any:
+    columns, groups = groups_of(rows, pair[0])
+    lines, by_line = groups_of(rows, pair[1])
+    line_of = {id(row): number for number, group in enumerate(by_line) for row in group}
+    means = np.full((len(lines), len(columns)), np.nan)
+    for column, group in enumerate(groups):
+        for line in range(len(lines)):
+            cell = [float(row[metric]) for row in group if line_of[id(row)] == line]
+            means[line, column] = np.mean(cell) if cell else np.nan
+    shown = place.imshow(
+        np.ma.masked_invalid(means), sequential(), vmin=ends[0], vmax=ends[1], origin="lower",
+        aspect="auto",
+    )  # fmt: skip
+    place.set_xticks(range(len(columns)), columns, rotation=30)
+    place.set_yticks(range(len(lines)), lines)
+    place.set_xlabel(pair[0])
+    place.set_ylabel(pair[1])
+    return shown
+
+
+def draw_parallel(
+    path: Path, rows: Sequence[Row], axes: Sequence[str], metrics: Sequence[str]
+) -> None:
+    """Draw every case as a line over axes and figures, coloured by the first figure."""
+    names = [*axes, *metrics]
+    places = np.stack([_places(rows, name) for name in names], axis=1)
+    colour = numbers(rows, metrics[0])
+    with drawing(path, 1.7 + 1.15 * len(names), 3.3) as figure:
+        place = axes_at(figure, 1.0, 0.3, 1.15 * (len(names) - 1), 2.3)
+        segments = [np.column_stack([np.arange(len(names)), line]) for line in places]
+        lines = LineCollection(segments, cmap=sequential(), linewidths=0.8, alpha=0.7)
+        lines.set_array(colour)
+        place.add_collection(lines)
+        place.set_xlim(0, len(names) - 1)
+        place.set_ylim(-0.07, 1.07)
+        place.spines[:].set_visible(False)
+        place.set_xticks(range(len(names)), names, rotation=20, ha="right")
+        place.set_yticks([])
+        for at, name in enumerate(names):
+            place.axvline(at, color=FAINT, linewidth=0.6)
+            for height, text in zip((-0.035, 1.035), _ends(rows, name), strict=True):
+                place.text(at, height, text, fontsize=7.0, color=INK, ha="center", va="center")
+        add_colorbar(place, lines, metrics[0])
+
+
+def _places(rows: Sequence[Row], name: str) -> np.ndarray[Any, np.dtype[np.float64]]:
+    """Return heights 0 to 1 of a column: numbers between their ends, texts evenly spread."""
+    column = [row[name] for row in rows]
+    if not all(isinstance(value, (int, float)) for value in column):
+        order = {value: i for i, value in enumerate(dict.fromkeys(map(str, column)))}
+        column = [order[str(value)] for value in column]
+    values = np.array(column, np.float64)
+    return np.asarray((values - values.min()) / (np.ptp(values) or 1.0))
+
+
+def _ends(rows: Sequence[Row], name: str) -> tuple[str, str]:
+    column = [row[name] for row in rows]
+    if all(isinstance(value, (int, float)) for value in column):
+        return f"{min(column):.3g}", f"{max(column):.3g}"
+    known = list(dict.fromkeys(map(str, column)))
+    return known[0], known[-1]
+
+
+def draw_front(
+    path: Path, rows: Sequence[Row], front: Sequence[Row], objectives: Sequence[Objective]
+) -> None:
+    """Draw two objectives of all cases, and the front of those that no other beats."""
+    x, y = objectives[0].metric, objectives[1].metric
+    with drawing(path, 5.4, 3.9) as figure:
+        place = axes_at(figure, 0.8, 0.3, 4.3, 2.9)
+        feasible = [row for row in rows if row["feasible"]]
+        rest = [row for row in rows if not row["feasible"]]
+        place.plot(numbers(rest, x), numbers(rest, y), "x", color=FAINT, label="not feasible")
+        place.plot(numbers(feasible, x), numbers(feasible, y), "o", color=MEASURED_FILL,
+                   markersize=4, label="feasible")  # fmt: skip
+        order = sorted(front, key=lambda row: float(row[x]))
+        place.plot(numbers(order, x), numbers(order, y), "o-", color=FIT, markersize=5,
+                   linewidth=1.0, label="best")  # fmt: skip
+        place.set_xlabel(f"{x} ({objectives[0].goal})")
+        place.set_ylabel(f"{y} ({objectives[1].goal})")
+        place.legend()
+        plain_spines(place)
+
+
+def draw_effects(path: Path, effects: Mapping[str, Sequence[Effect]], method: str) -> None:
+    """Draw sensitivities: one group of bars per figure, intervals where there are any."""
+    with drawing(path, 7.2, 0.4 + sum(0.75 + 0.28 * len(e) for e in effects.values())) as figure:
+        top = 0.3
+        for metric, found in effects.items():
+            height = 0.28 * len(found)
+            place = axes_at(figure, 1.9, top, 4.6, height)
+            at = np.arange(len(found))[::-1]
+            place.barh(at, [e.value for e in found], 0.6, color=MEASURED)
+            spread = [
+                [max(0.0, e.value - e.low) for e in found],
+                [max(0.0, e.high - e.value) for e in found],
+            ]
+            if method != "grid":
+                place.errorbar([e.value for e in found], at, xerr=spread, fmt="none", ecolor=INK)
+                totals = np.array([np.nan if e.total is None else e.total for e in found])
+                place.plot(totals, at, "d", color=FIT, markersize=4)
+            place.set_yticks(at, [e.axis for e in found])
+            place.set_title(metric, fontsize=8.5)
+            place.set_xlim(left=0.0, right=None if method == "morris" else 1.05)
+            plain_spines(place)
+            top += height + 0.75
+
+
+@dataclass(frozen=True)
+class Scales:
+    """What all designs of a page share.
+
+    Attributes
+    ----------
+    z : scale of the true heights of all
+    error_um : round limit that 99 % of all errors stay below
+    """
+
+    z: ZScale
+    error_um: float
+
+    @classmethod
+    def of(cls, pictures: Iterable[CasePicture]) -> "Scales":
+        """Return scales that hold for all pictures, of which there is at least one."""
+        found = list(pictures)
+        z_mm = np.concatenate([picture.true_z_mm for picture in found])
+        errors_um = np.concatenate([picture.error_um[picture.scored] for picture in found])
+        width_mm = max(float(picture.width_mm) for picture in found)
+        return cls(ZScale.of(z_mm, width_mm), symmetric_limit(errors_um))
+
+
+def design_figures(
+    number: int, settings: str, picture: CasePicture, scales: Scales
+) -> list[Figure]:
+    """Return the three pictures of one design; `settings` say which it is."""
+    colours, shape = picture.seen.ndim == 3, picture.measured.shape
+    seen = "camera image" if colours else "fringe image: black is 0, white is saturation"
+    z_mm = np.ma.masked_array(picture.z_mm.astype(np.float64), ~picture.measured)
+    error_um = np.ma.masked_array(picture.error_um, ~picture.scored)
+    width_mm = float(picture.width_mm)
+
+    def show_heights(axes: Axes) -> None:
+        show_z(axes, z_mm, width_mm, scales.z)
+        no_ticks(axes)
+
+    shown: tuple[tuple[str, str, Callable[[Axes], None]], ...] = (
+        ("seen", seen, lambda axes: show_picture(axes, picture.seen)),
+        ("heights", "measured heights; white: no measurement", show_heights),
+        ("error", "z error against the true surface; gray: no measurement",
+         lambda axes: show_z_error(axes, error_um, scales.error_um)),
+    )  # fmt: skip
+    return [
+        Figure(
+            f"design_{number}_{kind}",
+            "",
+            caption,
+            f"{settings}: {caption}",
+            partial(draw_small, show=show, shape=shape, bar=kind != "seen"),
+        )
+        for kind, caption, show in shown
+    ]
