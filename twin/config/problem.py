@@ -16,8 +16,7 @@ from scipy.stats import truncnorm
 from reconstruction.arrays import FloatArray
 from twin.assets import scene_file
 from twin.config.axes import Axis
-from twin.config.base import Model, NonNegative, Positive
-from twin.config.errors import ConfigError
+from twin.config.base import ConfigError, Model, NonNegative, Positive
 from twin.config.loading import load_experiment, read_toml, resolve_uses, vary
 from twin.config.messages import explain
 from twin.config.models import Experiment
@@ -199,6 +198,11 @@ class Problem(Model):
     def fitted(self) -> dict[str, Row]:
         """Rows that are fitted."""
         return {name: row for name, row in self.rows.items() if not row.held_out}
+
+    def quick(self) -> "Problem":
+        """Return the problem with a quarter of the simulations, 32 at least."""
+        count = max(min(self.design.count, 32), self.design.count // 4)
+        return self.model_copy(update={"design": self.design.model_copy(update={"count": count})})
 
     def combinations(self) -> Iterator[dict[str, str]]:
         """Yield one choice per alternative, in all ways."""

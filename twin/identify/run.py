@@ -12,12 +12,13 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from reconstruction.arrays import FloatArray
-from twin.config import Experiment, vary
+from reconstruction.machine import write_dataset
+from twin.config import Experiment, to_toml, vary
 from twin.config.problem import Problem, Row
 from twin.config.study import without_absent
 from twin.identify.emulator import Emulator
@@ -40,12 +41,19 @@ from twin.identify.posterior import (
     sample,
 )
 from twin.identify.simulations import Simulated, Variant, simulate, variant_for
+from twin.output import EXPERIMENT_FILE, RESULT_FILE
 from twin.pipeline.progress import Watcher, nobody
+from twin.results.parts import write_result
 from twin.study.measuring import CaseMeasurer
 from twin.study.worker import Measurer
 from twin.study.workers import Workers
 
+if TYPE_CHECKING:
+    import xarray
+
 COMMAND = "identify"
+POSTERIOR_FILE, EXPERIMENTS_FOLDER = "posterior.nc", "experiments"
+WRITTEN = (POSTERIOR_FILE, EXPERIMENTS_FOLDER, RESULT_FILE, EXPERIMENT_FILE)
 
 
 @dataclass(frozen=True, eq=False)
@@ -293,3 +301,33 @@ def figures_of(found: Identified) -> dict[str, Any]:
             for name, one in found.best.emulators.items()
         },
     }
+
+
+def write_identified(
+    folder: Path, found: Identified, experiments: Mapping[str, Experiment]
+) -> None:
+    """Write what was found, the samples, and the experiments at the most probable values."""
+    best = experiments_at_best(found, experiments)
+    (folder / EXPERIMENTS_FOLDER).mkdir()
+    for name, one in best.items():
+        path = folder / EXPERIMENTS_FOLDER / f"{name}.toml"
+        path.write_text(to_toml(one), encoding="utf-8")
+    write_dataset(folder / POSTERIOR_FILE, samples_of(found))
+    write_result(folder, COMMAND, next(iter(best.values())), figures_of(found))
+
+
+def samples_of(found: Identified) -> "xarray.Dataset":
+    """Return the samples of the free fields by model, in the fields' own units."""
+    import xarray
+
+    count = min(len(one.posterior.z) for one in found.models)
+    dims = ("model", "sample")
+    by_model = np.stack([one.posterior.values[-count:] for one in found.models])
+    variables = {
+        name: (dims, by_model[:, :, i], {"long_name": free.path})
+        for i, (name, free) in enumerate(found.problem.free.items())
+    }
+    names = [", ".join(one.combination.values()) or "only" for one in found.models]
+    weights = [one.probability for one in found.models]
+    probability = ("model", weights, {"units": "1", "long_name": "probability given the rows"})
+    return xarray.Dataset(variables | {"probability": probability}, coords={"model": names})
