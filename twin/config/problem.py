@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field, ValidationError, model_validator
-from scipy.stats import truncnorm
+from scipy.special import ndtr, ndtri
 
 from reconstruction.arrays import FloatArray
 from twin.assets import scene_file
@@ -73,8 +73,9 @@ class Free(Model):
         if self.mean is None or self.sd is None:
             return np.asarray(probability, dtype=np.float64)
         middle, width = self._share(self.mean), self._width(self.sd)
-        bounds = (0.0 - middle) / width, (1.0 - middle) / width
-        return np.asarray(truncnorm.ppf(probability, *bounds, loc=middle, scale=width))
+        below, within = ndtr(-middle / width), ndtr((1.0 - middle) / width)
+        share = middle + width * ndtri(below + probability * (within - below))
+        return np.asarray(np.clip(share, 0.0, 1.0))
 
     def value(self, share: FloatArray) -> FloatArray:
         """Return the field's values at shares (0 to 1) of the axis."""

@@ -14,7 +14,7 @@ from typing import Any
 import emcee
 import numpy as np
 from scipy.optimize import minimize
-from scipy.special import logsumexp
+from scipy.special import logsumexp, ndtr
 from scipy.stats import multivariate_t, norm, qmc
 
 from reconstruction.arrays import FloatArray
@@ -24,7 +24,7 @@ from twin.identify.emulator import Emulator
 _START_EXPONENT = 13
 _WALKERS_PER_FIELD, _LEAST_WALKERS = 6, 40
 _STEPS, _LONGEST = 1000, 8000
-_CORRELATION_TIMES = 50
+_CORRELATION_TIMES, _EFFECTIVE = 20, 1000
 _FARTHEST = 6.0
 _PROPOSALS_EXPONENT = 13
 _FREEDOM = 5.0
@@ -49,7 +49,7 @@ class Likelihood:
 
     def places(self, z: FloatArray) -> FloatArray:
         """Return places (n, free field) of standard normal coordinates (n, free field)."""
-        probability = norm.cdf(np.clip(z, -_FARTHEST, _FARTHEST))
+        probability = ndtr(np.clip(z, -_FARTHEST, _FARTHEST))
         columns = [one.place(p) for one, p in zip(self.free.values(), probability.T, strict=True)]
         return np.stack(columns, axis=1)
 
@@ -71,7 +71,7 @@ class Likelihood:
 
     def log_posterior(self, z: FloatArray) -> FloatArray:
         """Return log likelihood plus log prior density (n,), up to no constant."""
-        found = self.log(z) + norm.logpdf(z).sum(axis=1)
+        found = self.log(z) + _log_prior(z)
         return np.where(np.abs(z).max(axis=1) < _FARTHEST, found, -np.inf)
 
     def covariance(self, emulated_sd: FloatArray) -> FloatArray:
@@ -83,6 +83,11 @@ class Likelihood:
             change = sd * np.array([row.nuisance.get(name, 0.0) for row in rows])
             covariance = covariance + np.outer(change, change)
         return covariance
+
+
+def _log_prior(z: FloatArray) -> FloatArray:
+    """Return the logarithm of the prior density (n,) at standard normal coordinates."""
+    return np.asarray(-0.5 * np.sum(z**2, axis=1) - 0.5 * z.shape[1] * np.log(2 * np.pi))
 
 
 def likelihood_of(
@@ -133,8 +138,9 @@ class Posterior:
 def sample(likelihood: Likelihood, seed: int) -> Posterior:
     """Sample the posterior by affine-invariant ensembles (Goodman and Weare 2010).
 
-    The walkers start from places of the prior drawn by their likelihood, so that all basins that it
-    holds are found; chains run until they are 50 autocorrelation times long, or 8000 steps.
+    The walkers start from places of the prior drawn by their likelihood, so that all basins that
+    it holds are found. Chains run until they are 20 autocorrelation times long and hold 1000
+    independent samples, or 8000 steps.
     """
     rng = np.random.default_rng(seed)
     fields = len(likelihood.free)
@@ -148,7 +154,7 @@ def sample(likelihood: Likelihood, seed: int) -> Posterior:
     random_state = np.random.RandomState(seed).get_state()
     state: Any = emcee.State(_starts(likelihood, walkers, rng), random_state=random_state)
     steps, time = 0, np.inf
-    while steps < _LONGEST and steps < _CORRELATION_TIMES * time:
+    while steps < _LONGEST and steps < max(_CORRELATION_TIMES, _EFFECTIVE / walkers) * time:
         state = sampler.run_mcmc(state, _STEPS, skip_initial_state_check=True)
         steps += _STEPS
         time = float(np.max(sampler.get_autocorr_time(tol=0)))
@@ -187,7 +193,7 @@ def _evidence(
     steps = np.reshape(kernel.rvs(count // 2), (-1, fields))
     near = centres[rng.integers(len(centres), size=count // 2)] + steps
     drawn = np.concatenate((near, rng.standard_normal((count // 2, fields))))
-    prior = norm.logpdf(drawn).sum(axis=1)
+    prior = _log_prior(drawn)
     local = logsumexp([kernel.logpdf(drawn - centre) for centre in centres], axis=0)
     proposal = np.logaddexp(local - np.log(len(centres)), prior) - np.log(2.0)
     weight = likelihood.log_posterior(drawn) - proposal

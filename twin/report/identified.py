@@ -37,7 +37,7 @@ from twin.report.page import (
 from twin.report.table import Column, Row, Table
 from twin.report.words import split_unit
 
-_PANEL_IN, _MARGIN_IN, _GAP_IN = 1.45, 0.75, 0.12
+_PANEL_IN, _LEFT_IN, _TOP_IN, _BELOW_IN, _GAP_IN = 1.45, 0.75, 0.15, 0.5, 0.14
 _BINS = 36
 _AGREES, _DISAGREES = 2.0, 3.0
 
@@ -61,13 +61,14 @@ def page_of(found: Identified) -> Page:
     fitted = len(problem.fitted)
     lead = (
         f"{problem.description or problem.name}: {len(problem.free)} unknown fields, {fitted} rows "
-        f"fitted, {len(problem.rows) - fitted} held out, {len(found.models)} combinations of "
-        "choices."
+        f"fitted, {len(problem.rows) - fitted} held out"
     )
+    if len(found.models) > 1:
+        lead += f", {len(found.models)} combinations of choices"
     return Page(
         kind="identification",
         title=problem.name.replace("_", " "),
-        lead=lead,
+        lead=f"{lead}.",
         sections=[section for section in _sections(found) if section.blocks],
         verdicts=_verdicts(found),
         numbered=True,
@@ -80,7 +81,7 @@ def _sections(found: Identified) -> list[Section]:
         Section("rows", "Measured and predicted", tuple(_rows(found))),
         Section("models", "Which choices hold", tuple(_models(found))),
         Section("worth", "What one more measurement would decide", tuple(_worth(found))),
-        Section("emulators", "How well the simulations are learned", (_emulators(found),)),
+        Section("emulators", "How well the simulations are learned", tuple(_emulators(found))),
     ]
 
 
@@ -135,7 +136,7 @@ def _fields(found: Identified) -> list[Block]:
         Column("field", "field"),
         Column("prior", "prior"),
         Column("mean", "mean", 4),
-        Column("sd", "standard deviation", 4),
+        Column("sd", "± (1 sd)", 4),
         Column("central", "68 % interval"),
         Column("wide", "95 % interval"),
         Column("known", "narrowed by the rows"),
@@ -162,12 +163,11 @@ def _fields(found: Identified) -> list[Block]:
 
 
 def _field_row(name: str, free: Free, one: Interval, is_open: bool) -> dict[str, str | float]:
-    unit = split_unit(free.path.rsplit(".", 1)[-1])[1]
     prior = f"{free.low:g} to {free.high:g}" + (", log scale" if free.scale == "log" else "")
     if free.mean is not None and free.sd is not None:
         prior = f"{free.mean:g} ± {free.sd:g} in {prior}"
     return {
-        "field": f"{name} ({unit})" if unit else name,
+        "field": field_words(name, free),
         "prior": prior,
         "mean": one.mean,
         "sd": one.sd,
@@ -178,16 +178,23 @@ def _field_row(name: str, free: Free, one: Interval, is_open: bool) -> dict[str,
     }
 
 
+def field_words(name: str, free: Free) -> str:
+    """Return what a field is called, with the unit of its path."""
+    unit = split_unit(free.path.rsplit(".", 1)[-1])[1]
+    words = split_unit(name)[0].replace("_", " ")
+    return f"{words} ({unit})" if unit else words
+
+
 def _rows(found: Identified) -> list[Block]:
     columns = (
         Column("row", "row"),
         Column("use", "use"),
         Column("measured", "measured", 4),
-        Column("measured_sd", "its standard deviation", 4),
-        Column("twin", "twin, mean", 4),
-        Column("twin_sd", "twin, standard deviation", 4),
-        Column("deviation", "difference over its standard deviation", 2),
-        Column("rotated", "the same when this row is held out", 2),
+        Column("measured_sd", "± (1 sd)", 4),
+        Column("twin", "twin", 4),
+        Column("twin_sd", "± (1 sd) ", 4),
+        Column("deviation", "normalised difference", 2),
+        Column("rotated", "when held out", 2),
     )
     problem, rotated = found.problem, found.best.rotated
     rows = [
@@ -247,22 +254,29 @@ def _worth(found: Identified) -> list[Block]:
     fields = list(found.problem.free)
     columns = (
         Column("row", "measurement"),
-        Column("sd", "its uncertainty", 4),
-        Column("expected_sd", "what the twin expects: standard deviation", 4),
-        *(Column(name, f"{name}: variance left", 2) for name in fields),
+        Column("sd", "± (1 sd)", 4),
+        Column("expected_sd", "twin ± (1 sd)", 4),
+        *(Column(name, split_unit(name)[0].replace("_", " "), 2) for name in fields),
         Column("gain", "information", 2, "nats"),
     )
     rows: list[Row] = [
-        {"row": one.row, "sd": found.problem.worth[one.row].sd, "expected_sd": one.expected_sd}
-        | dict(one.shrink)
-        | {"gain": one.gain}
+        {
+            "row": one.row,
+            "sd": found.problem.worth[one.row].sd,
+            "expected_sd": one.expected_sd,
+            **one.shrink,
+            "gain": one.gain,
+        }
         for one in ranked
     ]
-    words = "Share of today's variance of each field that would be left, the most telling first."
+    words = (
+        "What would be left of today's variance of each field (1: nothing gained) if this were "
+        "measured so well; the most telling first."
+    )
     return [words, Table("worth", "", "", columns, tuple(rows))]
 
 
-def _emulators(found: Identified) -> Table:
+def _emulators(found: Identified) -> list[Block]:
     columns = (
         Column("row", "figure"),
         Column("rmse", "cross-validated error, RMS", 5),
@@ -270,7 +284,7 @@ def _emulators(found: Identified) -> Table:
         Column("missing", "simulations without it", 1, "%"),
     )
     every = {**found.problem.rows, **found.problem.worth}
-    rows = [
+    rows: list[Row] = [
         {
             "row": name,
             "rmse": one.cross_validated_rmse,
@@ -280,19 +294,27 @@ def _emulators(found: Identified) -> Table:
         for name, one in found.best.emulators.items()
     ]
     notes = ("The error of one noisy simulation that the emulator has not seen (leave one out).",)
-    return Table("emulators", "", "", columns, tuple(rows), notes)
+    coarse = [
+        n for n, one in found.best.emulators.items() if one.cross_validated_rmse > every[n].sd
+    ]
+    told = Note(
+        f"Learned less well than measured: {', '.join(coarse)}. The intervals are honest about it, "
+        "and would be narrower with more simulations (design.count) or narrower priors."
+    )
+    table = Table("emulators", "", "", columns, tuple(rows), notes)
+    return [table, told] if coarse else [table]
 
 
 def draw_corner(found: Identified, path: Path) -> None:
     """Draw densities of fields and pairs of fields, with the profiles of the likelihood."""
     free, values = found.problem.free, found.values
     count, profiles = len(free), found.profiles()
-    size = 2 * _MARGIN_IN + count * (_PANEL_IN + _GAP_IN)
-    with drawing(path, size, size) as figure:
+    panels = count * (_PANEL_IN + _GAP_IN)
+    with drawing(path, _LEFT_IN + panels, _TOP_IN + panels + _BELOW_IN) as figure:
         for row, (name, one) in enumerate(free.items()):
             for column, other in enumerate(list(free.values())[: row + 1]):
-                left = _MARGIN_IN + column * (_PANEL_IN + _GAP_IN)
-                top = 0.3 + row * (_PANEL_IN + _GAP_IN)
+                left = _LEFT_IN + column * (_PANEL_IN + _GAP_IN)
+                top = _TOP_IN + row * (_PANEL_IN + _GAP_IN)
                 axes = axes_at(figure, left, top, _PANEL_IN, _PANEL_IN)
                 if row == column:
                     _density(axes, one, values[:, row], profiles[name])
@@ -327,10 +349,8 @@ def _edges(free: Free) -> FloatArray:
 
 
 def _label(axes: Axes, free: list[tuple[str, Free]], row: int, column: int) -> None:
-    names = [
-        f"{name}\n({unit})" if (unit := split_unit(one.path)[1]) else name for name, one in free
-    ]
-    axes.tick_params(labelsize=6.5, which="both")
+    names = [field_words(name, one) for name, one in free]
+    axes.tick_params(labelsize=6.0, which="both")
     if row == len(free) - 1:
         axes.set_xlabel(names[column], fontsize=8.0)
     else:
