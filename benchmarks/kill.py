@@ -26,7 +26,7 @@ from pathlib import Path
 
 from twin.config import digest, load_experiment
 from twin.config.study import Study
-from twin.study.measuring import Answer, CaseMeasurer
+from twin.study.measuring import AS_IT_IS, Answer, CaseMeasurer
 from twin.study.record import StudyRecord
 from twin.study.store import Store
 from twin.study.sweep import sweep
@@ -41,11 +41,11 @@ WAYS = ("everything", "everything", "run", "worker")
 class Logged(CaseMeasurer):
     """Measures as ever, and notes when it begins."""
 
-    def __call__(self, experiment) -> Answer:
+    def __call__(self, experiment, conditions=AS_IT_IS) -> Answer:
         """Measure one case."""
         with Path(os.environ[LOG]).open("a") as file:
             file.write(f"{digest(experiment)} {time.time()}\n")
-        return super().__call__(experiment)
+        return super().__call__(experiment, conditions)
 
 
 def record_of(quick: bool) -> StudyRecord:

@@ -5,24 +5,29 @@
 - through 0.2 mm (300 kPa, 20 x 20 mm, 1 and 3 kPa, travel 1 mm): width of an M6 nut over its flats
   less its own and twice the local thickness, depth of its hole, radii of the two balls for regions
   of 1.0 to 2.5 mm; bars fully wrapped by 10 kPa, both faces;
-- seconds of two balls, nut (3 kPa) and fingerprint, wall clock, median of three after a first one
-  that compiles: judge them on an idle machine;
-- random presses (specimen, thickness, travel, tack, pressure, pose), each in a child with a time
-  limit. One that is refused with the pressure that still holds counts neither way.
+- the same pair on half the cells: how far the coat moves, and its radius;
+- processor seconds of two balls, nut (3 kPa) and fingerprint, all threads together, median of three
+  after a first one that compiles: what an idle machine takes at most, and any machine can tell;
+- random presses (specimen, thickness, travel, tack, pressure, pose), each with a limit on its
+  processor time. One that is refused with the pressure that still holds counts neither way.
 
-`--press SEED` repeats one of these. Last line: {"solid_max_um_h02", "force_rel_h02", ...}.
+`--press SEED` repeats one of these, `--presses N --workers 2 --kept FILE` runs many, as two
+processes, and goes on where it was interrupted. Last line: {"solid_max_um_h02", ...}.
 """
 
 import argparse
 import json
 import multiprocessing
 import resource
+import signal
 import statistics
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from concurrent.futures import ProcessPoolExecutor
 from multiprocessing.connection import Connection
 from pathlib import Path
+from types import FrameType
 from typing import Any
 
 import numpy as np
@@ -45,13 +50,14 @@ from twin.config.objects import Brick, Fingerprint, Nut, TBolt
 from twin.mechanics import PressedElastomer
 from twin.mechanics.errors import PressError, SolverError
 from twin.mechanics.sheet.linear_solver import has_pardiso
+from twin.mechanics.sheet.path import LimitPressureError
 from twin.mechanics.sheet.press import forget_paths, press_sheet
 
 SOLIDS = Path(__file__).parents[1] / "tests/mechanics/reference/solid_sheets.json"
 YOUNG_KPA, THIN_MM = 300.0, 0.2
 REGIONS_MM = (1.0, 1.2, 1.5, 2.0, 2.5)
 WIDTHS_MM = (1.99, 4.81, 7.23)
-PRESSES, QUICK_PRESSES, LIMIT_S, START_S = 300, 30, 180.0, 120.0
+PRESSES, QUICK_PRESSES, LIMIT_S = 300, 12, 300.0
 KINDS = ("ball", "two_balls", "rod", "flat", "bar", "step", "nut", "t_bolt", "brick", "grating")
 
 Figures = dict[str, float | None]
@@ -158,7 +164,7 @@ def edge_of_flats_mm(x_mm: float) -> float:
     return -float(max(outside, 0.0) * np.tan(np.pi / 6))
 
 
-def nut() -> Figures:
+def nut(quick: bool) -> Figures:
     """Measure the M6 nut: width over the flats, which face +-y, and depth of the hole."""
     flats, depth = [], []
     for pressure in (1.0, 3.0):
@@ -175,16 +181,18 @@ def nut() -> Figures:
             f"{steepest:.3f} mm wide at the steepest), hole {depth[-1]:.3f} mm deep",
             flush=True,
         )
-    plain = pressed(Nut(countersink_mm=0.0), elastomer(), 1.0, back_pressure_kpa=3.0)
-    return {
+    found: Figures = {
         "nut_flats_error_mm": float(np.abs(flats).max()),
         "nut_hole_depth_mm": depth[1],
         "nut_hole_depth_1kpa_mm": depth[0],
-        "nut_plain_hole_depth_mm": hole_depth_mm(plain),
     }
+    if not quick:
+        plain = pressed(Nut(countersink_mm=0.0), elastomer(), 1.0, back_pressure_kpa=3.0)
+        found["nut_plain_hole_depth_mm"] = hole_depth_mm(plain)
+    return found
 
 
-def balls() -> Figures:
+def balls(quick: bool) -> Figures:
     """Fit spheres to both balls of the pair; 4.23 +- 0.02 is wanted for every region."""
     radii = []
     for pressure in (1.0, 3.0):
@@ -197,15 +205,33 @@ def balls() -> Figures:
                 radii.append(fit_sphere(points[near]).radius_mm)
         shown = ", ".join(f"{radius:.3f}" for radius in radii[-2 * len(REGIONS_MM) :])
         print(f"two balls, {pressure:g} kPa, regions {REGIONS_MM}: {shown}", flush=True)
-    return {"balls_radius_low_mm": min(radii), "balls_radius_high_mm": max(radii)}
+    found: Figures = {"balls_radius_low_mm": min(radii), "balls_radius_high_mm": max(radii)}
+    return found if quick else found | halved()
 
 
-def bars() -> Figures:
+def halved() -> Figures:
+    """Press the pair with 3 kPa on cells of 0.15 mm and of half of that."""
+    faces, radii = [], []
+    for cell in (0.15, 0.075):
+        one = pressed(TwoBalls(), elastomer(), 1.0, back_pressure_kpa=3.0, cell_mm=cell)
+        x, y = np.meshgrid(one.face_x_mm, one.face_y_mm)
+        near = np.hypot(x - 4.0, y) < max(REGIONS_MM)
+        faces.append(one.face_z_mm[near])
+        radii.append(fit_sphere(np.stack((x[near], y[near], faces[-1]), axis=-1)).radius_mm)
+    return {
+        "balls_halved_um": 1e3 * float(np.abs(faces[1] - faces[0]).max()),
+        "balls_halved_radius_rel": abs(radii[1] / radii[0] - 1),
+    }
+
+
+def bars(quick: bool) -> Figures:
     """Measure bars where they are wrapped, a third down: w + 2 h lambda, and w below.
 
     Towards the plate the sheet leaves the wall on an arc of tension over pressure, about 1 mm.
     """
     over, under = [], []
+    if quick:
+        return {"bars_error_mm": None, "bars_lower_error_mm": None}
     for width in WIDTHS_MM:
         bar = Bar(width_mm=width, length_mm=15.0)
         try:
@@ -237,16 +263,16 @@ def bars() -> Figures:
 
 
 def timed(press: Callable[[], PressedElastomer], repeats: int) -> float:
-    """Return the median wall-clock time of a press after a first one, which compiles.
+    """Return the median processor time of a press, s, after a first one, which compiles.
 
     Each begins at the mounted sheet; distances to a mesh stay sampled.
     """
     times = []
     for _ in range(repeats + 1):
         forget_paths()
-        start = time.perf_counter()
+        start = time.process_time()
         press()
-        times.append(time.perf_counter() - start)
+        times.append(time.process_time() - start)
     return statistics.median(times[1:])
 
 
@@ -315,69 +341,54 @@ def random_press(seed: int) -> tuple[Specimen, Elastomer, float, dict[str, float
     return sizes[kind](), sheet, float(rng.uniform(0.1, 2.0)), load
 
 
+class TooLongError(Exception):
+    """A press has used up its processor time."""
+
+
 def outcome(seed: int) -> str:
-    """Press and tell how it ended: converged, refused or failed, and why."""
+    """Press and tell how it ended: converged, refused or failed, and why.
+
+    Refused counts what names a pressure that holds; whatever else does not converge has failed.
+    """
     specimen, sheet, travel, load = random_press(seed)
     told = (
         f"{specimen.kind}, h {sheet.thickness_mm:.3f}, travel {travel:.2f}, "  # type: ignore[attr-defined]
         f"G {sheet.tack_j_m2:.2f} ({sheet.friction}), {load['back_pressure_kpa']:.2f} kPa"
     )
+    forget_paths()
+    signal.signal(signal.SIGPROF, _end)
+    signal.setitimer(signal.ITIMER_PROF, LIMIT_S)
     try:
         pressed(specimen, sheet, travel, relief_pitch_mm=0.05, **load)
-    except PressError as error:
-        return f"refused: {told}: {error}"
+    except LimitPressureError as error:
+        return f"{'refused' if error.held_kpa > 0 else 'failed'}: {told}: {error}"
     except Exception as error:  # whatever it is, it is counted and shown
         return f"failed: {told}: {type(error).__name__}: {error}"
+    finally:
+        signal.setitimer(signal.ITIMER_PROF, 0.0)
     return f"converged: {told}"
 
 
-def serve(connection: Connection) -> None:
-    """Answer seeds with outcomes, in a child."""
-    connection.send("ready")
-    while True:
-        connection.send(outcome(connection.recv()))
+def _end(_signal: int, _frame: FrameType | None) -> None:
+    raise TooLongError(f"not done within {LIMIT_S:g} s of processor time")
 
 
-class Child:
-    """A process that presses, and can be ended."""
-
-    def __init__(self) -> None:
-        context = multiprocessing.get_context("spawn")
-        self.connection, theirs = context.Pipe()
-        self.process = context.Process(target=serve, args=(theirs,), daemon=True)
-        self.process.start()
-        self._answer(START_S)
-
-    def outcome(self, seed: int) -> str | None:
-        """Return how a press ended; None where it did not within the limit."""
-        self.connection.send(seed)
-        return self._answer(LIMIT_S)
-
-    def end(self) -> None:
-        """End it; its memory counts from here on."""
-        self.process.kill()
-        self.process.join()
-
-    def _answer(self, limit_s: float) -> str | None:
-        return self.connection.recv() if self.connection.poll(limit_s) else None
-
-
-def converged_share(count: int) -> Figures:
-    """Press at random in a child; one that takes too long is ended and counts as failed."""
-    child, ends = Child(), Counter[str]()
-    for seed in range(count):
-        start = time.perf_counter()
-        try:
-            found = child.outcome(seed)
-        except (EOFError, OSError):
-            found = "failed: the process died"
-        if found is None:
-            child.end()
-            child, found = Child(), f"failed: not done within {LIMIT_S:g} s"
-        end = found.split(":")[0]
-        ends[end] += 1
-        print(f"press {seed}, {time.perf_counter() - start:.1f} s: {found}", flush=True)
-    child.end()
+def converged_share(seeds: Iterable[int], workers: int, kept: Path | None) -> Figures:
+    """Press at random in processes of their own; take what a file has kept, and add to it."""
+    known: dict[int, str] = {}
+    if kept is not None and kept.exists():
+        lines = kept.read_text(encoding="utf-8").splitlines()
+        known = {one["seed"]: one["outcome"] for one in map(json.loads, lines)}
+    ends = Counter(known[seed].split(":")[0] for seed in seeds if seed in known)
+    left = [seed for seed in seeds if seed not in known]
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(workers, mp_context=context) as pool:
+        for number, (seed, found) in enumerate(zip(left, pool.map(outcome, left), strict=True), 1):
+            ends[found.split(":")[0]] += 1
+            print(f"press {seed} ({number} of {len(left)}): {found}", flush=True)
+            if kept is not None:
+                with kept.open("a", encoding="utf-8") as file:
+                    file.write(json.dumps({"seed": seed, "outcome": found}) + "\n")
     asked = ends["converged"] + ends["failed"]
     return {
         "converged_share": ends["converged"] / asked if asked else None,
@@ -405,23 +416,43 @@ def in_child(part: Callable[..., Figures], *arguments: Any) -> Figures:
     return found
 
 
-def main() -> None:
+def parse() -> argparse.Namespace:
+    """Parse the command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="30 random presses, fewer repeats")
+    parser.add_argument(
+        "--quick", action="store_true", help="12 random presses, no bars, fewer solids and repeats"
+    )
     parser.add_argument("--press", type=int, metavar="SEED", help="only this random press")
-    chosen = parser.parse_args()
+    parser.add_argument(
+        "--presses", type=int, metavar="N", help="only the first N random presses; 0: all else"
+    )
+    parser.add_argument("--workers", type=int, default=1, help="that press at random side by side")
+    parser.add_argument(
+        "--kept", type=Path, metavar="FILE", help="JSON lines: random presses done, to go on from"
+    )
+    return parser.parse_args()
+
+
+def measured(quick: bool) -> Figures:
+    """Measure all but the random presses."""
+    parts = (solids, nut, bars, balls, balls_s, nut_s, fingerprint_s)
+    result: Figures = {}
+    for part in parts:
+        result |= in_child(part, quick)
+    return result
+
+
+def main() -> None:
+    chosen = parse()
     print(f"solver: {'PARDISO' if has_pardiso() else 'SuperLU'}", flush=True)
     if chosen.press is not None:
         print(outcome(chosen.press))
         return
-    quick = chosen.quick
-    result: dict[str, Any] = {}
-    for part, arguments in (
-        (solids, (quick,)), (nut, ()), (bars, ()), (balls, ()), (balls_s, (quick,)),
-        (nut_s, (quick,)), (fingerprint_s, (quick,)),
-    ):  # fmt: skip
-        result |= in_child(part, *arguments)
-    result |= converged_share(QUICK_PRESSES if quick else PRESSES)
+    count = QUICK_PRESSES if chosen.quick else PRESSES
+    if chosen.presses is not None:
+        count = chosen.presses
+    result: dict[str, Any] = {} if chosen.presses else dict(measured(chosen.quick))
+    result |= converged_share(range(count), chosen.workers, chosen.kept)
     # Linux gives KiB.
     result["peak_memory_gib"] = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 2**20
     result = {key: v if v is None else float(f"{v:.4g}") for key, v in result.items()}

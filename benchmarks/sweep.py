@@ -193,7 +193,7 @@ class _Instant:
     def __init__(self, keep: tuple[str, ...]) -> None:
         self.keep = keep
 
-    def __call__(self, experiment):
+    def __call__(self, experiment, conditions=None):
         from twin.study.measuring import Answer
 
         return Answer({"value": experiment.coating.base_albedo, "warnings": []})

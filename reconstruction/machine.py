@@ -26,6 +26,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 
+PIXELS = ("row", "col")
+"""Dimensions of maps in camera pixels."""
+
 VARIABLE = "NUMBA_NUM_THREADS"
 """Environment variable that limits the threads of this process, as it limits Numba's."""
 
@@ -83,10 +86,21 @@ def write_dataset(path: Path | str, dataset: "xarray.Dataset") -> None:
     """
     # Nothing here is NaN: a fill value would only say that something may be.
     plain: dict[str, Any] = {"_FillValue": None}
-    packed = plain | {"compression": "gzip", "compression_opts": 1}
+    packed = plain | {"compression": "gzip", "compression_opts": 1, "shuffle": True}
     kinds = {name: packed if one.ndim > 1 else plain for name, one in dataset.variables.items()}
     with _patient(path) as target:
         dataset.to_netcdf(target, engine="h5netcdf", encoding=kinds)
+
+
+def pixel_coordinates(rows: int, cols: int) -> dict[str, Any]:
+    """Return the coordinates of camera pixels: (0, 0) is the first, row 0 the top."""
+    import numpy as np
+
+    told = {"row": "camera row, from the top", "col": "camera column, from the left"}
+    return {
+        name: (name, np.arange(count, dtype=np.int32), {"units": "1", "long_name": told[name]})
+        for name, count in zip(PIXELS, (rows, cols), strict=True)
+    }
 
 
 def read_dataset(path: Path | str) -> "xarray.Dataset":

@@ -6,9 +6,8 @@ Files: organised netCDF maps and point clouds as binary PLY.
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import h5netcdf
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -16,7 +15,7 @@ from reconstruction.arrays import BoolImage, Reason
 from reconstruction.capture.folder import Capture
 from reconstruction.decoding.decode import AxisDecode, Decoded, DecodeOptions, decode
 from reconstruction.errors import CaptureError, InputError
-from reconstruction.machine import writing_netcdf
+from reconstruction.machine import PIXELS, pixel_coordinates, read_dataset, write_dataset
 from reconstruction.triangulation import EpipolarTolerance, PointMap, Use, triangulate
 
 
@@ -70,11 +69,37 @@ def filter_bias(found: Reconstruction, use: Use, where: BoolImage) -> tuple[floa
     return float(np.sqrt(np.mean(variance_um2 * share))), float(np.mean(share > 0.5))
 
 
+if TYPE_CHECKING:
+    import xarray
+
 PLY_TYPES = {"float32": "float", "float64": "double", "uint16": "ushort", "int32": "int"}
-DIMENSIONS = ("row", "col")
 POSE = "T_world_from_cam"
 UNITS = {"mm": "mm", "px": "px", "rad": "rad", "dn": "DN"}
 Maps = dict[str, NDArray[Any]]
+_LONG_NAMES = {
+    "x_mm": "world x of the point",
+    "y_mm": "world y of the point",
+    "z_mm": "world z of the point",
+    "sigma_x_mm": "standard uncertainty of world x",
+    "sigma_y_mm": "standard uncertainty of world y",
+    "sigma_z_mm": "standard uncertainty of world z",
+    "mask_reason": "reason why there is no point; 0: there is one",
+    "column_px": "projector column",
+    "row_px": "projector row",
+    "sigma_column_px": "standard uncertainty of the projector column",
+    "sigma_row_px": "standard uncertainty of the projector row",
+    "phase_column": "wrapped phase of the fringes along the projector column",
+    "phase_row": "wrapped phase of the fringes along the projector row",
+    "order_error_column": "probability that the fringe order of the column is wrong",
+    "order_error_row": "probability that the fringe order of the row is wrong",
+    "order_column": "fringe order of the column",
+    "order_row": "fringe order of the row",
+    "mean": "mean pixel value over the phase frames",
+    "modulation": "amplitude of the fringes",
+    "residual": "residual of the phase fit",
+    "bias_share_column": "share of the filter's bias in the variance of the column",
+    "bias_share_row": "share of the filter's bias in the variance of the row",
+}
 
 
 def write_ply(
@@ -140,19 +165,28 @@ def write_point_map_ply(path: Path | str, point_map: PointMap) -> None:
 
 def write_reconstruction(path: Path | str, decoded: Decoded, point_map: PointMap) -> None:
     """Write all maps of a reconstruction as netCDF-4, one (row, col) variable each."""
-    with writing_netcdf(path) as file:
-        file.dimensions = dict(zip(DIMENSIONS, point_map.mask_reason.shape, strict=True))
-        file.attrs["frame"] = "world: z = 0 is the undeformed coated face, z up; row 0 at the top"
-        file.attrs[POSE] = point_map.T_world_from_cam.ravel()
-        for name, values in _variables(decoded, point_map).items():
-            variable = file.create_variable(
-                name, DIMENSIONS, data=values, compression="gzip", compression_opts=1, shuffle=True
-            )
-            variable.attrs["units"] = _units(name)
-        codes = file.variables["mask_reason"].attrs
-        codes["comment"] = "where it is not 0, points and their sigmas are 0 and no values"
-        codes["flag_values"] = np.array([int(reason) for reason in Reason], np.uint8)
-        codes["flag_meanings"] = " ".join(reason.name for reason in Reason)
+    write_dataset(path, reconstruction_dataset(decoded, point_map))
+
+
+def reconstruction_dataset(decoded: Decoded, point_map: PointMap) -> "xarray.Dataset":
+    """Return all maps over camera row and column, with units and long names."""
+    import xarray
+
+    told: dict[str, dict[str, Any]] = {}
+    maps = _variables(decoded, point_map)
+    for name in maps:
+        told[name] = {"units": _units(name), "long_name": _long_name(name)}
+    told["mask_reason"].update(
+        comment="where it is not 0, points and their sigmas are 0 and no values",
+        flag_values=np.array([int(reason) for reason in Reason], np.uint8),
+        flag_meanings=" ".join(reason.name for reason in Reason),
+    )
+    frame = "world: z = 0 is the undeformed coated face, z up; row 0 at the top"
+    return xarray.Dataset(
+        {name: (PIXELS, values, told[name]) for name, values in maps.items()},
+        coords=pixel_coordinates(*point_map.mask_reason.shape),
+        attrs={"frame": frame, POSE: point_map.T_world_from_cam.ravel()},
+    )
 
 
 def read_reconstruction(path: Path | str) -> Reconstruction:
@@ -163,13 +197,13 @@ def read_reconstruction(path: Path | str) -> Reconstruction:
     CaptureError : missing or damaged file, or a map is missing
     """
     try:
-        with h5netcdf.File(Path(path), "r") as file:
-            maps = {name: np.asarray(variable[...]) for name, variable in file.variables.items()}
-            if POSE in file.attrs:
-                maps[POSE] = np.asarray(file.attrs[POSE], dtype=np.float64).reshape(4, 4)
+        found = read_dataset(path)
     except OSError as error:
         reason = " ".join(str(error).split())
         raise CaptureError(f"{path}: is no complete netCDF-4 file ({reason})") from error
+    maps = {str(name): np.asarray(values) for name, values in found.data_vars.items()}
+    if POSE in found.attrs:
+        maps[POSE] = np.asarray(found.attrs[POSE], dtype=np.float64).reshape(4, 4)
     try:
         return _from_variables(maps)
     except KeyError as error:
@@ -215,6 +249,12 @@ def _from_variables(maps: Maps) -> Reconstruction:
     )
     point_map = PointMap(points, sigma, reason, maps[POSE])
     return Reconstruction(Decoded(column, row, decoded_reason), point_map)
+
+
+def _long_name(name: str) -> str:
+    """Return what a map holds; names of the row's maps of pixel values end in _row_dn."""
+    told = next(told for start, told in _LONG_NAMES.items() if name.startswith(start))
+    return f"{told}, horizontal fringes" if name.endswith("_row_dn") else told
 
 
 def _units(name: str) -> str:

@@ -16,6 +16,7 @@
 | `Measurement` | points, sigma, reason, truth, score, images and figures of one measurement |
 | `compare` | experiments by several methods, into a folder |
 | `load_study`, `StudyRecord`, `sweep` | a design space as data, and into its store |
+| `uncertainty` | a measurement repeated with its inputs drawn anew: intervals, ranked budget |
 
 Nothing is imported before it is asked for. Captures, real or rendered: see `reconstruction`.
 """
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
     from twin.pipeline.press import press_specimen as press
     from twin.study.record import StudyRecord
     from twin.study.sweep import sweep
+    from twin.uncertainty.trials import uncertainty
 
 __all__ = [
     "Experiment",
@@ -44,10 +46,11 @@ __all__ = [
     "press",
     "render",
     "sweep",
+    "uncertainty",
     "vary",
 ]
 
-#: where each name lives, and what it is called there if otherwise
+#: where each name lives, and what it is called there if otherwise; a dot: the package itself
 _PLACES = {
     "Experiment": "twin.config",
     "Measurement": "twin.pipeline",
@@ -60,6 +63,7 @@ _PLACES = {
     "press": "twin.pipeline.press:press_specimen",
     "render": "twin.pipeline",
     "sweep": "twin.study.sweep",
+    "uncertainty": "twin.uncertainty:.",
     "vary": "twin.config",
 }
 
@@ -67,8 +71,9 @@ _PLACES = {
 def __getattr__(name: str) -> Any:
     if name not in _PLACES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    module, _, other = _PLACES[name].partition(":")
-    return getattr(import_module(module), other or name)
+    place, _, other = _PLACES[name].partition(":")
+    module = import_module(place)
+    return module if other == "." else getattr(module, other or name)
 
 
 def __dir__() -> list[str]:

@@ -15,7 +15,6 @@ from benchmarks.regression.figures import Values
 from reconstruction.pipeline import reconstruct
 from twin.config import Experiment, load_experiment, vary
 from twin.config.board import load_board
-from twin.paper.repeats import rod_width
 from twin.pipeline import Memory, measure, press_specimen, record
 from twin.pipeline.calibration import calibrate_rendered
 from twin.pipeline.fringes import options_of
@@ -104,10 +103,7 @@ def rod(seeds: int = 5) -> Values:
 
     def once(seed: int) -> dict[str, float]:
         experiment = load_experiment("paper/rods_c", {"camera.binning": 4, "seed": seed})
-        done = measure(experiment, memory=memory)
-        valid = done.points.valid & done.truth.lit
-        points_mm = done.points.world_mm[valid]
-        found = rod_width(experiment, points_mm, "")
+        found = measure(experiment, memory=memory).figures
         return {f"rod_{name}_mm": found[f"rod_{name}_mm"] for name in ("width", "height")}
 
     return repeated(seeds, once)

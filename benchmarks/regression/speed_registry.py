@@ -9,6 +9,12 @@ from benchmarks.regression.speed import field, over, reader
 ratio = partial(GuardedFigure, kind="speed")
 absolute = partial(GuardedFigure, kind="absolute")
 
+
+def sheet(name: str, what: str, most: float) -> GuardedFigure:
+    """Return an error of the thin sheet; where Newton stops depends on the processor a little."""
+    return GuardedFigure(name, what, target=Target(high=most), floor_rel=0.01)
+
+
 SPEEDS = (
     BenchmarkCase(
         "decode_speed",
@@ -143,6 +149,48 @@ SPEEDS = (
                 ),
                 "stack_naive_over_stack": field("naive_over_stack"),
                 "stack_memory_gib": field("peak_memory_gib"),
+            },
+        ),
+        quick=False,
+    ),
+    BenchmarkCase(
+        "sheet",
+        "`./run bench sheet --quick --presses 0`",
+        (
+            sheet("sheet_solid_h02_um", "thin sheet of 0.2 mm against solid elements, um", 3),
+            sheet("sheet_solid_h05_um", "the same of 0.5 mm", 7),
+            sheet("sheet_solid_h10_um", "the same of 1 mm", 20),
+            sheet("sheet_force_h02_rel", "its force at 0.2 mm, relative", 0.01),
+            sheet("sheet_stick_h05_rel", "the same of a sheet of 0.5 mm that sticks", 0.01),
+            GuardedFigure(
+                "sheet_nut_flats_mm",
+                "M6 nut through 0.2 mm: flats less its own, mm",
+                target=Target(high=0.1),
+                floor=0.016,  # between two equilibria, docs/sheet.md
+            ),
+            absolute(
+                "sheet_balls_s", "two balls, 1 mm and 3 kPa, processor s", target=Target(high=6)
+            ),
+            absolute("sheet_nut_s", "M6 nut, the same, processor s", target=Target(high=15)),
+            absolute(
+                "sheet_fingerprint_s",
+                "fingerprint of 20 x 20 mm, processor s",
+                target=Target(high=30),
+            ),
+        ),
+        reader(
+            "sheet",
+            ("--quick", "--presses", "0"),
+            {
+                "sheet_solid_h02_um": field("solid_max_um_h02"),
+                "sheet_solid_h05_um": field("solid_max_um_h05"),
+                "sheet_solid_h10_um": field("solid_max_um_h10"),
+                "sheet_force_h02_rel": field("force_rel_h02"),
+                "sheet_stick_h05_rel": field("stick_force_rel_h05"),
+                "sheet_nut_flats_mm": field("nut_flats_error_mm"),
+                "sheet_balls_s": field("balls_s"),
+                "sheet_nut_s": field("nut_s"),
+                "sheet_fingerprint_s": field("fingerprint_s"),
             },
         ),
         quick=False,

@@ -34,7 +34,7 @@ TURNS = 4
 # A feature off by more than this many spreads is left out (a dirty or half-hidden dot), but
 # never for less than this many pixels: exact data have no outliers.
 OUTLIER_SPREADS, MIN_OUTLIER_PX = 6.0, 1e-3
-# Misses are never trusted beyond this: exact data would get infinite weight.
+# Residuals are never trusted beyond this: exact data would get infinite weight.
 MIN_SPREAD_PX = 1e-9
 MAD_TO_SIGMA = 1.4826
 # Rounding only: what the poses hardly determine shows in its uncertainty.
@@ -143,14 +143,16 @@ class _Problem:
 
     def weigh(self, vector: FloatArray) -> None:
         """Set spreads from the residuals (robustly) and leave out features far beyond them."""
-        misses = self._independent(vector)
-        stacked = np.concatenate(misses)
+        residuals = self._independent(vector)
+        stacked = np.concatenate(residuals)
         for device in range(2):
             own = stacked[:, 2 * device : 2 * device + 2]
             spread = MAD_TO_SIGMA * np.median(np.abs(own - np.median(own, axis=0)))
             self._spread[device] = max(float(spread), MIN_SPREAD_PX)
         limit = np.maximum(OUTLIER_SPREADS * np.repeat(self._spread, 2), MIN_OUTLIER_PX)
-        self._used = [np.asarray(np.all(np.abs(miss) < limit, axis=1)) for miss in misses]
+        self._used = [
+            np.asarray(np.all(np.abs(residual) < limit, axis=1)) for residual in residuals
+        ]
         self._require_enough()
 
     def _require_enough(self) -> None:
@@ -179,18 +181,21 @@ class _Problem:
     def _independent(self, vector: FloatArray) -> list[FloatArray]:
         """Return the residuals with the camera's share taken out of the projector's, (n, 4)."""
         found = self.reprojection(vector)
-        for miss, seen in zip(found, self._seen, strict=True):
-            miss[:, 2:] -= np.einsum("nij,nj->ni", seen.slopes, miss[:, :2])
+        for residual, seen in zip(found, self._seen, strict=True):
+            residual[:, 2:] -= np.einsum("nij,nj->ni", seen.slopes, residual[:, :2])
         return found
 
     def _weights(self) -> FloatArray:
         return 1.0 / np.repeat(self._spread, 2)
 
     def _residuals(self, free: FloatArray, vector: FloatArray) -> FloatArray:
-        misses = self._independent(vector + self._freedom @ free)
+        residuals = self._independent(vector + self._freedom @ free)
         weights = self._weights()
         return np.concatenate(
-            [(miss[u] * weights).ravel() for miss, u in zip(misses, self._used, strict=True)]
+            [
+                (residual[u] * weights).ravel()
+                for residual, u in zip(residuals, self._used, strict=True)
+            ]
         )
 
     def _jacobian(self, free: FloatArray, vector: FloatArray) -> FloatArray:
@@ -271,9 +276,9 @@ def _undetermined() -> InputError:
 
 
 def _spreads(
-    misses: Sequence[FloatArray], used: Sequence[BoolImage], share: float
+    residuals: Sequence[FloatArray], used: Sequence[BoolImage], share: float
 ) -> tuple[float, float]:
     """Return the standard deviation of both devices' residuals, free parameters allowed for."""
-    kept = np.concatenate([miss[u] for miss, u in zip(misses, used, strict=True)])
+    kept = np.concatenate([residual[u] for residual, u in zip(residuals, used, strict=True)])
     camera, projector = (float(np.sqrt(np.mean(kept[:, i : i + 2] ** 2) / share)) for i in (0, 2))
     return camera, projector

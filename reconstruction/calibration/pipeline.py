@@ -246,8 +246,8 @@ def _depths(
             for d in (depth - step_mm, depth + step_mm)
         ]
         slope = (places[1] - places[0]) / (2.0 * step_mm)
-        miss = projector_px - (places[0] + places[1]) / 2.0
-        depth = depth + np.sum(slope * miss, axis=1) / np.sum(slope * slope, axis=1)
+        residual = projector_px - (places[0] + places[1]) / 2.0
+        depth = depth + np.sum(slope * residual, axis=1) / np.sum(slope * slope, axis=1)
     return depth
 
 

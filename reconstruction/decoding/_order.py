@@ -231,9 +231,9 @@ def weigh_wrap(code: Code, phase: Any, sigma: Any, error: Any) -> None:
     """Add the probability that noise carried the phase over the end of a plain Gray word."""
     for col in range(error.size):
         cell, _ = _cell(phase[col], code)
-        miss_rad = TURN * min(cell, ONE - cell)
-        if miss_rad < NEAR_SIGMAS * sigma[col]:
-            error[col] = min(error[col] + _tail(miss_rad / sigma[col]), 1.0)
+        to_border_rad = TURN * min(cell, ONE - cell)
+        if to_border_rad < NEAR_SIGMAS * sigma[col]:
+            error[col] = min(error[col] + _tail(to_border_rad / sigma[col]), 1.0)
 
 
 @compiled

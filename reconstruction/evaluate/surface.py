@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from reconstruction.arrays import BoolImage, FloatArray, FloatImage
 from reconstruction.errors import InputError
-from reconstruction.machine import write_exr_channels, writing_netcdf
+from reconstruction.machine import write_dataset, write_exr_channels
 from reconstruction.pipeline import write_point_map_ply
 from reconstruction.triangulation import PointMap
 
@@ -98,17 +98,22 @@ def _typical_distance_mm(points: PointMap) -> float:
 
 def write_height_netcdf(path: Path, heights: HeightGrid) -> None:
     """Write as netCDF-4 with coordinates x and y, mm."""
-    with writing_netcdf(path) as file:
-        file.attrs["Conventions"] = "CF-1.8"
-        file.dimensions = {"y": len(heights.y_mm), "x": len(heights.x_mm)}
-        for name, values in (("x", heights.x_mm), ("y", heights.y_mm)):
-            axis = file.create_variable(name, (name,), data=values)
-            axis.attrs["units"] = "mm"
-        z = file.create_variable("z_mm", ("y", "x"), data=heights.z_mm, compression="gzip")
-        z.attrs["units"], z.attrs["long_name"] = "mm", "mean world z of the points in the cell"
-        valid = heights.valid.astype(np.uint8)
-        mask = file.create_variable("valid", ("y", "x"), data=valid, compression="gzip")
-        mask.attrs["long_name"] = "1 where there is a height"
+    import xarray
+
+    told = {"units": "mm", "long_name": "mean world z of the points in the cell"}
+    valid = {"units": "1", "long_name": "1 where there is a height"}
+    dataset = xarray.Dataset(
+        {
+            "z_mm": (("y", "x"), heights.z_mm, told),
+            "valid": (("y", "x"), heights.valid.astype(np.uint8), valid),
+        },
+        coords={
+            "x": ("x", heights.x_mm, {"units": "mm", "long_name": "world x of the cell"}),
+            "y": ("y", heights.y_mm, {"units": "mm", "long_name": "world y of the cell"}),
+        },
+        attrs={"Conventions": "CF-1.8"},
+    )
+    write_dataset(path, dataset)
 
 
 def write_height_png(path: Path, heights: HeightGrid) -> None:

@@ -125,9 +125,9 @@ def _robust_circle(points: FloatArray) -> ContactCircle:
                 "press one ball, centred in the field"
             )
         circle = _circle_through(kept)
-        miss = np.hypot(points[:, 0] - circle.row_px, points[:, 1] - circle.col_px)
-        miss = np.abs(miss - circle.radius_px)
-        kept = points[miss <= OUTLIER_SIGMAS * SIGMA_PER_MAD * np.median(miss) + 0.5]
+        off_px = np.hypot(points[:, 0] - circle.row_px, points[:, 1] - circle.col_px)
+        off_px = np.abs(off_px - circle.radius_px)
+        kept = points[off_px <= OUTLIER_SIGMAS * SIGMA_PER_MAD * np.median(off_px) + 0.5]
     return circle
 
 

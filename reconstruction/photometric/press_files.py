@@ -26,16 +26,15 @@ File names are relative to the folder of the description.
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import cv2
-import h5netcdf
 import numpy as np
 
 from reconstruction.arrays import Levels, PhotometricReason
 from reconstruction.capture.description import build, read_toml, table_of, take_header
 from reconstruction.errors import CaptureError, InputError, require_integer, require_number
-from reconstruction.machine import writing_netcdf
+from reconstruction.machine import PIXELS, pixel_coordinates, read_dataset, write_dataset
 from reconstruction.photometric.calibration_ball import BallPress, SampleOptions
 from reconstruction.photometric.images import mean_background
 from reconstruction.photometric.sensor import (
@@ -48,11 +47,13 @@ from reconstruction.photometric.sensor import (
     calibrate_sensor,
     read_sensor_calibration,
 )
+
+if TYPE_CHECKING:
+    import xarray
 from reconstruction.pipeline import write_ply
 
 Names = tuple[str, ...]
 DEFAULTS = PhotometricOptions()
-DIMENSIONS = ("row", "col")
 SLOPES = ("slope_row", "slope_col")
 
 FORMAT, VERSION = "photometric-press", 1
@@ -272,23 +273,34 @@ def framed(image: Levels, frame: Framing) -> Levels:
 
 def write_height_map(path: Path | str, height_map: HeightMap) -> None:
     """Write height, slopes and reason codes as netCDF-4, one (row, col) variable each."""
-    with writing_netcdf(path) as file:
-        file.dimensions = dict(zip(DIMENSIONS, height_map.height_mm.shape, strict=True))
-        file.attrs["frame"] = "row 0 at the top; height is positive towards the camera"
-        file.attrs["pitch_mm"] = height_map.pitch_mm
-        maps = dict(zip(SLOPES, height_map.slopes, strict=True))
-        maps |= {"height_mm": height_map.height_mm, "mask_reason": height_map.mask_reason}
-        for name, values in maps.items():
-            variable = file.create_variable(
-                name, DIMENSIONS, data=values, compression="gzip", compression_opts=1, shuffle=True
-            )
-            variable.attrs["units"] = "mm" if name == "height_mm" else "1"
-        codes = file.variables["mask_reason"].attrs
-        codes["comment"] = (
-            "where it is not 0, slopes are estimates; heights are integrated over them"
-        )
-        codes["flag_values"] = np.array([int(reason) for reason in PhotometricReason], np.uint8)
-        codes["flag_meanings"] = " ".join(reason.name for reason in PhotometricReason)
+    write_dataset(path, height_dataset(height_map))
+
+
+def height_dataset(height_map: HeightMap) -> "xarray.Dataset":
+    """Return height, slopes and reason codes over image row and column, with units."""
+    import xarray
+
+    told = ("slope of the surface down the rows", "slope of the surface along the columns")
+    variables: dict[str, Any] = {
+        name: (PIXELS, values, {"units": "1", "long_name": long_name})
+        for name, values, long_name in zip(SLOPES, height_map.slopes, told, strict=True)
+    }
+    height = {"units": "mm", "long_name": "height above the untouched surface"}
+    variables["height_mm"] = (PIXELS, height_map.height_mm, height)
+    codes = {
+        "units": "1",
+        "long_name": "reason why the height is no measurement; 0: it is one",
+        "comment": "where it is not 0, slopes are estimates; heights are integrated over them",
+        "flag_values": np.array([int(reason) for reason in PhotometricReason], np.uint8),
+        "flag_meanings": " ".join(reason.name for reason in PhotometricReason),
+    }
+    variables["mask_reason"] = (PIXELS, height_map.mask_reason, codes)
+    frame = "row 0 at the top; height is positive towards the camera"
+    return xarray.Dataset(
+        variables,
+        coords=pixel_coordinates(*height_map.height_mm.shape),
+        attrs={"frame": frame, "pitch_mm": height_map.pitch_mm},
+    )
 
 
 def read_height_map(path: Path | str) -> HeightMap:
@@ -299,10 +311,10 @@ def read_height_map(path: Path | str) -> HeightMap:
     CaptureError : missing or damaged file, or a map is missing
     """
     try:
-        with h5netcdf.File(Path(path), "r") as file:
-            maps = {name: np.asarray(values[...]) for name, values in file.variables.items()}
-            pitch_mm = float(file.attrs["pitch_mm"])
+        found = read_dataset(path)
+        maps = {name: np.asarray(found[name]) for name in (*SLOPES, "height_mm", "mask_reason")}
         slopes = np.stack([maps[name] for name in SLOPES])
+        pitch_mm = float(found.attrs["pitch_mm"])
         return HeightMap(maps["height_mm"], slopes, maps["mask_reason"], pitch_mm)
     except OSError as error:
         reason = " ".join(str(error).split())

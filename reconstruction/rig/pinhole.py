@@ -48,11 +48,13 @@ def distortion_jacobian(x: Any, y: Any, distortion: tuple[float, ...]) -> tuple[
     return xx, xy, yy
 
 
-def newton_step(x_miss: Any, y_miss: Any, jacobian: tuple[Any, Any, Any]) -> tuple[Any, Any]:
-    """Return the step in x and y that takes off what `distort` misses, to first order."""
+def newton_step(
+    x_residual: Any, y_residual: Any, jacobian: tuple[Any, Any, Any]
+) -> tuple[Any, Any]:
+    """Return the step in x and y that takes off the residual of `distort`, to first order."""
     xx, xy, yy = jacobian
     scale = 1.0 / (xx * yy - xy * xy)
-    return scale * (yy * x_miss - xy * y_miss), scale * (xx * y_miss - xy * x_miss)
+    return scale * (yy * x_residual - xy * y_residual), scale * (xx * y_residual - xy * x_residual)
 
 
 def is_before_fold(x: Any, y: Any, jacobian: tuple[Any, Any, Any], fold_square: float) -> Any:

@@ -193,12 +193,13 @@ class Pixels(NamedTuple):
 class ProjectorView(NamedTuple):
     """Lines of one row: what the projector sees of each point.
 
-    How far the pixel misses the decoded one and its change per mm of depth, single precision; how
-    far the lens moves it, double precision: that of the row before is a good start.
+    Reprojection residual (decoded minus projected pixel) and the pixel's change per mm of depth,
+    single precision; how far the lens moves it, double precision: that of the row before is a good
+    start.
     """
 
-    u_miss: Any
-    v_miss: Any
+    u_residual: Any
+    v_residual: Any
     u_slope: Any
     v_slope: Any
     u_bend: Any
@@ -258,7 +259,7 @@ def _step_row(
     u, v, su, sv = pixels
     lens, T = rig.projector, rig.T_proj_from_cam
     bx, by, bz = T[0][3], T[1][3], T[2][3]
-    u_miss, v_miss, u_slope, v_slope, u_bend, v_bend = view
+    u_residual, v_residual, u_slope, v_slope, u_bend, v_bend = view
     pending = 0
     for col in range(depth.size):
         # Read before the first write, see `_add_six`.
@@ -285,7 +286,7 @@ def _step_row(
         reason[col] = NO_POINT if is_active & is_lost else reason[col]
         pending += is_active & is_ahead & (not is_there)
         depth[col] = d + step
-        u_miss[col], v_miss[col] = du - us * step, dv - vs * step
+        u_residual[col], v_residual[col] = du - us * step, dv - vs * step
         u_slope[col], v_slope[col] = us, vs
         is_known = is_active & is_there
         u_bend[col] = lens.fx * (xd - px) if is_known else u_old
@@ -297,7 +298,12 @@ def _step_row(
 def _judge_row(pixels: Pixels, match: Match, view: ProjectorView, sigma: Any, reason: Any) -> None:
     """Write the sigma of the depth, and mark coordinates that contradict the point."""
     su, sv = pixels.u_sigma, pixels.v_sigma
-    u_miss, v_miss, u_slope, v_slope = view.u_miss, view.v_miss, view.u_slope, view.v_slope
+    u_residual, v_residual, u_slope, v_slope = (
+        view.u_residual,
+        view.v_residual,
+        view.u_slope,
+        view.v_slope,
+    )
     tolerance = np.float32(match.tolerance_px)
     square = np.float32(match.tolerance_sigmas * match.tolerance_sigmas)
     for col in range(sigma.size):
@@ -309,7 +315,7 @@ def _judge_row(pixels: Pixels, match: Match, view: ProjectorView, sigma: Any, re
         else:
             s = u_sigma / abs(us) if match.use_column else v_sigma / abs(vs)
         # Squares, not roots: beyond the tolerance by so many sigmas of the difference.
-        u_over, v_over = abs(u_miss[col]) - tolerance, abs(v_miss[col]) - tolerance
+        u_over, v_over = abs(u_residual[col]) - tolerance, abs(v_residual[col]) - tolerance
         u_along, v_along = us * s, vs * s
         u_limit = square * (u_sigma * u_sigma + u_along * u_along)
         v_limit = square * (v_sigma * v_sigma + v_along * v_along)

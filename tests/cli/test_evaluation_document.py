@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from twin.cli import run
+from twin.pipeline.dimensions import Region, dimensions
 
 DOCUMENT = Path(__file__).parents[2] / "docs" / "evaluation.md"
 NUMBER = r"-?\d+\.?\d*(?:e[+-]?\d+)?"
@@ -22,7 +23,7 @@ def text():
 
 @pytest.fixture(scope="module")
 def executed(mi, text, tmp_path_factory):
-    """Return the variables of the document's code blocks, and what these print."""
+    """Return the variables of the document's code blocks, what these print, and the result."""
     folder = tmp_path_factory.mktemp("document")
     script = folder / "blocks.py"
     blocks = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
@@ -35,7 +36,7 @@ def executed(mi, text, tmp_path_factory):
         assert run(command.group(1).split()) == 0
         with contextlib.redirect_stdout(printed):
             variables = runpy.run_path(str(script))
-    return variables, printed.getvalue()
+    return variables, printed.getvalue(), folder / "gauges"
 
 
 def test_gauges_have_their_size(executed):
@@ -45,7 +46,7 @@ def test_gauges_have_their_size(executed):
     shape, and camera pixels of 0.06 mm, which lower a crest of radius R by 0.06^2 / (24 R). The
     bar's edges lie within a cell (0.09 mm) of where half of the band's rows reach over the rim.
     """
-    found, _ = executed
+    found = executed[0]
     assert found["ball"].radius_mm == pytest.approx(2.0, abs=5e-3)
     assert found["rod"].radius_mm == pytest.approx(1.0, abs=5e-3)
     np.testing.assert_allclose(found["rod"].axis, [0.0, 1.0, 0.0], atol=1e-3)
@@ -65,3 +66,31 @@ def test_figures_of_the_document(executed, text):
     for shown, got in zip(stated, printed, strict=True):
         pairs = [[float(n) for n in re.findall(NUMBER, line)] for line in (got, shown)]
         np.testing.assert_allclose(*pairs, rtol=0.2, atol=2e-3, err_msg=shown)
+
+
+PARTS = {
+    "plane": (Region((-9.2, -6.8), (-1.2, 1.2)), "flatness_rms_um", (0.5, 2.5)),
+    "ball": (Region((6.9, 9.1), (-1.1, 1.1), (-2.0, 1.0)), "radius_mm", (1.995, 2.005)),
+    "cylinder": (Region((0.2, 1.8), (-3.0, 3.0), (-3.0, 1.0)), "radius_mm", (0.995, 1.005)),
+    "bar": (Region((-30.0, -1.0), (-0.5, 0.5)), "width_mm", (3.88, 4.06)),
+    "step": (Region((-30.0, -1.0), (-0.5, 0.5)), "step_height_mm", (0.519, 0.521)),
+    "roughness": (Region((11.0, 30.0), (-4.0, 4.0)), "sq_um", (0.5, 2.5)),
+}
+
+
+@pytest.mark.parametrize("shape", PARTS)
+def test_the_command_tells_the_gauges_sizes(executed, capsys, shape):
+    """Expected: sizes as above; the perfectly smooth disc and stage show the noise of 1.5 um."""
+    part, figure, (low, high) = PARTS[shape]
+    assert low < dimensions(executed[2], shape, part)[figure] < high
+    ranges = (("--x", part.x_mm), ("--y", part.y_mm), ("--z", part.z_mm))
+    given = [str(word) for name, ends in ranges if ends for word in (name, *ends)]
+    assert run(["evaluate", str(executed[2]), shape, *given]) == 0
+    assert figure in capsys.readouterr().out
+
+
+def test_a_part_without_points_is_refused(executed, tmp_path, capsys):
+    assert run(["evaluate", str(executed[2]), "ball", "--x", "100", "101"]) == 2
+    assert "no valid point in the given ranges" in capsys.readouterr().err
+    assert run(["evaluate", str(tmp_path), "ball"]) == 2
+    assert "no reconstruction.nc" in capsys.readouterr().err

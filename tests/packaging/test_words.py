@@ -25,7 +25,8 @@ INSTEAD = {
     r"\bbars? (?:is|are) met\b|\bwithin (?:its|their) bars?\b": "target",
 }
 COMMANDS = ("calibrate", "compare", "demo", "doctor", "export", "init", "keys", "measure", "paper",
-            "patterns", "press", "reconstruct", "render", "report", "sweep")  # fmt: skip
+            "patterns", "press", "reconstruct", "render", "report", "sweep",
+            "uncertainty")  # fmt: skip
 
 
 def written() -> Iterator[tuple[str, str]]:
@@ -70,3 +71,13 @@ def test_no_class_name_is_defined_twice():
         if isinstance(node, ast.ClassDef)
     )
     assert [name for name, count in names.items() if count > 1] == []
+
+
+def test_names_are_words_of_the_field_too():
+    """Classes are called what they are called elsewhere."""
+    banned = {"Watcher", "Thing", "Observer", "Wish", "Opponent", "Ladder"}
+    for folder in ("twin", "reconstruction", "benchmarks"):
+        for path in (ROOT / folder).rglob("*.py"):
+            tree = ast.parse(path.read_text(encoding="utf-8"))
+            classes = {node.name for node in ast.walk(tree) if isinstance(node, ast.ClassDef)}
+            assert not classes & banned, path

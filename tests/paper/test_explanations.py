@@ -3,17 +3,17 @@
 import pytest
 
 from twin.config import load_experiment
-from twin.paper.bare_nut import nut_table
-from twin.paper.decoder_table import decoder_table
 from twin.paper.explanations import (
+    decoder_table,
     height_scale_table,
     layout_table,
+    nut_table,
     region_table,
     rod_layout_table,
     scale_table,
     varied,
 )
-from twin.paper.repeats import Trial
+from twin.paper.trials import Trial
 
 COARSE = {"press.solver_pitch_mm": 0.15, "press.relief_pitch_mm": 0.05}
 
@@ -68,7 +68,7 @@ def test_decoders_are_averaged_over_balls_and_trials():
     figures = {name.format(ball, "rmse"): 0.02 * ball - 0.01 for ball in (1, 2)}
     figures |= {name.format(ball, "radius"): 3.0 for ball in (1, 2)}
     wrong = dict.fromkeys(figures, 9.0)
-    table = decoder_table([Trial(0, {}, wrong), Trial(1, {}, figures)])
+    table = decoder_table([Trial(0, wrong), Trial(1, figures)])
     (row,) = table.rows
     assert row["decoder"] == "look-up table, sdk_2024"
     assert row["rmse_um"] == pytest.approx(20.0)

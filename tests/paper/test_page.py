@@ -13,10 +13,10 @@ from tests.paper.test_tables import colour_trials, fringe_trials
 from twin.config import load_experiment
 from twin.paper.claims import claims_of, claims_table
 from twin.paper.page import SECTIONS, Contents, write_paper_page
-from twin.paper.published import CONTACT_FPP, GELSIGHT
+from twin.paper.plan import CONTACT_FPP, GELSIGHT
 from twin.paper.rod_table import hardness_table
-from twin.paper.scatter import load_scatter
 from twin.paper.sphere_tables import repeated_fit_table, sphere_fit_table, uncertainty_table
+from twin.paper.trials import inputs
 
 BROWSER = shutil.which("chromium") or shutil.which("chromium-browser")
 
@@ -33,7 +33,7 @@ def page(tmp_path_factory) -> Path:
     picture = folder / "figures" / "hardness.png"
     imwrite(picture, np.full((40, 60, 3), 200, np.uint8))
     experiment = load_experiment("paper/two_balls")
-    contents = Contents(tables, {"hardness"}, experiment, load_scatter(), 6)
+    contents = Contents(tables, {"hardness"}, experiment, inputs(), 6)
     return write_paper_page(folder, contents)
 
 

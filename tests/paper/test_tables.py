@@ -6,26 +6,27 @@ import numpy as np
 import pytest
 
 from twin.config import load_experiment
-from twin.paper import colours
+from twin.paper import trials
+from twin.paper.budget import budget_table
 from twin.paper.claims import claims_of
-from twin.paper.published import CONTACT_FPP, GELSIGHT
-from twin.paper.repeats import Trial, kept
+from twin.paper.plan import CONTACT_FPP, GELSIGHT
 from twin.paper.rod_table import hardness_table, rods_table
-from twin.paper.scatter import load_scatter
 from twin.paper.sphere_tables import (
     calibration_uncertainty,
     repeated_fit_table,
     sphere_fit_table,
     uncertainty_table,
 )
+from twin.paper.trials import Trial, colour_cases
 from twin.report.table import Column, Table
+from twin.uncertainty.budget import Part
 
 RADII = [4.0, 3.9, 4.1, 4.05, 3.95, 4.2]
 
 
 def fringe_trials(rmse=0.012):
     """Trial 0 and as many others as RADII; the drawn rig adds 2 um to every radius."""
-    trials = []
+    made = []
     for number, radius in enumerate([4.0, *RADII]):
         figures = {}
         for ball in (1, 2):
@@ -34,8 +35,8 @@ def fringe_trials(rmse=0.012):
                 f"true_rig_sphere_{ball}_radius_mm": radius,
                 f"sphere_{ball}_rmse_mm": rmse,
             }
-        trials.append(Trial(number, {}, figures))
-    return trials
+        made.append(Trial(number, figures))
+    return made
 
 
 def colour_trials(rmse=0.09):
@@ -92,8 +93,8 @@ def test_claims_are_judged_by_the_tables():
 
 
 def test_rods_that_show_no_crest_are_counted():
-    trials = [Trial(k, {}, {"rod_width_mm": 2.0 + 0.1 * k}) for k in range(5)]
-    trials.append(Trial(5, {}, {"rod_failure": "no crest"}))
+    trials = [Trial(k, {"rod_width_mm": 2.0 + 0.1 * k}) for k in range(5)]
+    trials.append(Trial(5, {"rod_failure": "no crest"}))
     row = rods_table({"A": trials}).row(rod="A", source="twin")
     assert row["failed"] == 1
     assert row["mean"] == pytest.approx(2.25)
@@ -104,23 +105,6 @@ def test_tables_as_json_and_markdown():
     table = Table("t", "Title", "", columns, ({"a": "x", "b": 1.234}, {"a": "y"}), ("note",))
     assert "| x | 1.23 |\n| y | – |" in table.as_markdown()
     assert json.loads(json.dumps(table.as_json()))["rows"][0]["b"] == 1.234
-
-
-def test_a_kept_trial_is_not_taken_again(tmp_path):
-    path, calls = tmp_path / "a" / "trial.json", []
-
-    def compute():
-        calls.append(1)
-        return {"x_mm": 0.1 + 0.2}
-
-    first = kept(path, "digest", compute)
-    assert kept(path, "digest", compute) == first == {"x_mm": 0.1 + 0.2}
-    assert len(calls) == 1
-    kept(path, "another digest", compute)
-    path.write_text("{half a fi", encoding="utf-8")
-    kept(path, "another digest", compute)
-    assert len(calls) == 3
-    assert [file.name for file in path.parent.iterdir()] == ["trial.json"]
 
 
 def test_the_mean_rmse_rests_on_all_trials_once():
@@ -138,8 +122,8 @@ def test_five_trials_that_lie_elsewhere_are_told():
     radii = np.concatenate(
         [4.0 + 0.01 * (rng.standard_normal(5) - 1.2), 4.0 + 0.01 * rng.standard_normal(95)]
     )
-    trials = [Trial(0, {}, {})] + [
-        Trial(n, {}, {f"sphere_1_{key}_mm": value for key in ("radius", "rmse")})
+    trials = [Trial(0, {})] + [
+        Trial(n, {f"sphere_1_{key}_mm": value for key in ("radius", "rmse")})
         for n, value in enumerate(radii, start=1)
     ]
     spread, mean = claims_of({"repeated_fit": repeated_fit_table({CONTACT_FPP: trials})})[1:3]
@@ -154,7 +138,44 @@ def test_five_trials_that_lie_elsewhere_are_told():
 
 def test_trials_of_another_sensor_are_not_taken_for_these(monkeypatch):
     """A change of the photometric rig alone must not reuse what the former one measured."""
-    experiment, scatter = load_experiment("paper/two_balls"), load_scatter()
-    before = colours._sensor_digest(experiment, scatter)
-    monkeypatch.setitem(colours.PAPER_DECODER, "photometric.gamma", 2.0)
-    assert colours._sensor_digest(experiment, scatter) != before
+    experiment = load_experiment("paper/two_balls", {"press.solver_pitch_mm": 0.4})
+    before = [case.digest for case in colour_cases(experiment, 1)]
+    monkeypatch.setitem(trials.PAPER_DECODER, "photometric.gamma", 2.0)
+    after = [case.digest for case in colour_cases(experiment, 1)]
+    assert not set(before) & set(after)
+
+
+def test_the_budget_of_a_radius_in_quadrature():
+    """Trials: face 4 + 0.3 s, true rig 0.05 t more, drawn rig 0.02 more, with s, t of deviation 1.
+
+    Optics explain 0.03 of the 0.05, so noise is 0.04; every trial but the nominal one counts.
+    """
+    rng = np.random.default_rng(1)
+    s, t, r = ((v - v.mean()) / v.std(ddof=1) for v in rng.normal(size=(3, 50)))
+    many = [Trial(0, {"sphere_1_radius_mm": 99.0, "sphere_1_true_face_radius_mm": 0.0})]
+    for k in range(50):
+        face = 4.0 + 0.3 * s[k]
+        figures = {"sphere_1_true_face_radius_mm": face}
+        figures["true_rig_sphere_1_radius_mm"] = face + 0.05 * t[k]
+        figures["sphere_1_radius_mm"] = face + 0.05 * t[k] + 0.02 * r[k]
+        many.append(Trial(k + 1, figures))
+    parts = [Part("thickness", "elastomer", "k", 0.3), Part("focus", "optics", "k", 0.03)]
+    table = budget_table("two_balls", parts, many)
+    names = ["thickness", "noise and decoding", "focus", "calibration", "all, each alone"]
+    assert [row["input"] for row in table.rows[:5]] == names
+    found = [row["u"] for row in table.rows[:5]]
+    assert found == pytest.approx([0.3, 0.04, 0.03, 0.02, np.sqrt(0.09 + 0.0025 + 0.0004)])
+    radii = [one.figures["sphere_1_radius_mm"] for one in many[1:]]
+    assert table.rows[5]["u"] == pytest.approx(np.std(radii, ddof=1))
+    low, high = np.percentile(radii, (2.5, 97.5))
+    assert f"between {low:.3f} and {high:.3f} mm" in table.notes[-1]
+    assert "95 %" not in budget_table("two_balls", parts, many[:21]).notes[-1]
+
+
+def test_the_nominal_trial_has_no_part_in_u_cal():
+    """Its rig is the true one: a zero among the changes would make u_cal too small."""
+    some = fringe_trials()
+    for name in list(some[0].figures):
+        if name.startswith("true_rig_"):
+            some[0].figures[name.removeprefix("true_rig_")] = some[0].figures[name]
+    assert calibration_uncertainty(some, 1) == pytest.approx(0.002)

@@ -14,7 +14,7 @@ from reconstruction.errors import InputError
 from twin.config import digest
 from twin.study.engine import Run
 from twin.study.index import Index
-from twin.study.measuring import Answer
+from twin.study.measuring import AS_IT_IS, Answer
 from twin.study.record import read_record
 from twin.study.store import Store
 from twin.study.workers import local_workers
@@ -29,7 +29,7 @@ class Fake:
     keep: tuple[str, ...] = ()
     seconds: float = 0.004
 
-    def __call__(self, experiment):
+    def __call__(self, experiment, conditions=AS_IT_IS):
         _log(digest(experiment))
         time.sleep(self.seconds)
         noise = np.random.default_rng(experiment.seed).normal()
@@ -43,7 +43,7 @@ class Fake:
 class Meeting(Fake):
     """Ends a case when another process has begun as many as this one."""
 
-    def __call__(self, experiment):
+    def __call__(self, experiment, conditions=AS_IT_IS):
         _log(os.getpid())
         until = time.monotonic() + 60
         while not _others_have_begun_as_many():
@@ -56,7 +56,7 @@ class Meeting(Fake):
 class Failing(Fake):
     """Refuses one albedo, breaks on another, kills its process on a third."""
 
-    def __call__(self, experiment):
+    def __call__(self, experiment, conditions=AS_IT_IS):
         albedo = experiment.coating.base_albedo
         if albedo == 0.2:
             raise InputError("coating.base_albedo: found 0.2,\nwhich this test refuses")
@@ -64,7 +64,7 @@ class Failing(Fake):
             raise ZeroDivisionError("broken")
         if albedo == 0.4:
             os.kill(os.getpid(), signal.SIGKILL)
-        return super().__call__(experiment)
+        return super().__call__(experiment, conditions)
 
 
 def _log(*words):
@@ -90,7 +90,7 @@ def run_here(folder, log):
 class Bowl(Fake):
     """A parabola over albedo and flake roughness, lowest at (0.4, 0.6), and a slope."""
 
-    def __call__(self, experiment):
+    def __call__(self, experiment, conditions=AS_IT_IS):
         coating = experiment.coating
         bowl = (coating.base_albedo - 0.4) ** 2 + (coating.flake_roughness - 0.6) ** 2
         figures = {"bowl": bowl, "bowl_albedo": coating.base_albedo, "warnings": []}
@@ -100,7 +100,7 @@ class Bowl(Fake):
 class Blind(Fake):
     """Measures no point at an albedo of 0.5 and more; else the error is the albedo."""
 
-    def __call__(self, experiment):
+    def __call__(self, experiment, conditions=AS_IT_IS):
         albedo = experiment.coating.base_albedo
         seen = albedo < 0.5
         return Answer(
@@ -119,10 +119,10 @@ class Blind(Fake):
 class Slow(Fake):
     """Takes a minute per case."""
 
-    def __call__(self, experiment):
+    def __call__(self, experiment, conditions=AS_IT_IS):
         if experiment.coating.base_albedo > 0.1:
             time.sleep(60)
-        return super().__call__(experiment)
+        return super().__call__(experiment, conditions)
 
 
 def run_slowly(folder, pids):

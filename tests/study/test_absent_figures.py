@@ -118,7 +118,7 @@ def test_a_bound_on_an_absent_figure_is_not_met(base, tmp_path, sampler):
 
 def test_figures_that_are_no_numbers_cost_their_case(base, study_of, stored):
     class Broken(Blind):
-        def __call__(self, experiment):
+        def __call__(self, experiment, conditions=None):
             found = super().__call__(experiment)
             nan = float("nan") if experiment.coating.base_albedo == 0.2 else 1.0
             return Answer(found.figures | {"spread": nan})

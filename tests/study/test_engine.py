@@ -69,7 +69,7 @@ def test_killed_at_random_20_times(two_axes, stored, tmp_path):
 
 
 def test_killed_worker_costs_its_case_only(two_axes, stored, tmp_path, monkeypatch):
-    """kill -9 of a pool's worker: the run itself goes on, nobody starts it again."""
+    """kill -9 of a pool's worker: the run itself goes on, no_progress starts it again."""
     log = tmp_path / "log"
     monkeypatch.setenv(synthetic.LOG_VARIABLE, str(log))
     store, cases = stored(two_axes)

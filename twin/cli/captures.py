@@ -61,6 +61,41 @@ def _reconstruct_press(description: Path, out: Path) -> None:
 
 
 @app.command
+def evaluate(
+    result: Path,
+    shape: Literal["plane", "ball", "cylinder", "bar", "step", "roughness"],
+    /,
+    *,
+    x: tuple[float, float] | None = None,
+    y: tuple[float, float] | None = None,
+    z: tuple[float, float] | None = None,
+    along: Literal["x", "y"] = "y",
+    fraction: float = 0.5,
+    nesting_mm: float = 0.8,
+) -> None:
+    """Measure a dimension on a part of a result's surface; see docs/evaluation.md.
+
+    Parameters
+    ----------
+    result
+        Result folder of `twin measure` or `twin reconstruct`.
+    shape
+        What the part is: flatness, radius, width, height or roughness are told.
+    x, y, z
+        Lowest and highest world coordinate of the part, mm; absent: all.
+    along
+        World axis along which a cylinder or a bar lies.
+    fraction
+        Of a bar's height, at which its width is measured.
+    nesting_mm
+        Nesting index of the roughness filter.
+    """
+    from twin.pipeline.dimensions import Region, dimensions
+
+    print_metrics(dimensions(result, shape, Region(x, y, z, along, fraction, nesting_mm)))
+
+
+@app.command
 def calibrate(
     source: Path,
     /,
@@ -159,18 +194,21 @@ def patterns(
 
 @app.command
 def report(folder: Path, /) -> None:
-    """Draw the HTML report of a finished measurement or comparison again.
+    """Draw the HTML report of a finished measurement, comparison or uncertainty again.
 
     Parameters
     ----------
     folder
-        Result folder of `twin measure`, `twin demo` or `twin compare`.
+        Result folder of `twin measure`, `twin demo`, `twin compare` or `twin uncertainty`.
     """
     from twin.output import adding
     from twin.pipeline.comparison import is_comparison
     from twin.report import REPORT_FILE, REPORT_NAMES, write_comparison, write_report
+    from twin.report.uncertainty import write_uncertainty_page
+    from twin.uncertainty.results import is_uncertainty
 
     draw = write_comparison if is_comparison(folder) else write_report
+    draw = write_uncertainty_page if is_uncertainty(folder) else draw
     with adding(folder, *REPORT_NAMES) as drawn, progress_bars() as watch:
         draw(folder, watch, drawn)
     say(f"wrote {folder / REPORT_FILE}")

@@ -10,7 +10,7 @@ from reconstruction.errors import InputError
 
 if TYPE_CHECKING:
     from twin.config import Experiment
-    from twin.pipeline.progress import Watcher
+    from twin.pipeline.progress import ProgressCallback
 
 
 def load(file: Path, settings: list[str] | None) -> "Experiment":
@@ -39,7 +39,7 @@ def _setting(text: str) -> tuple[str, Any]:
 
 
 @contextmanager
-def progress_bars() -> "Iterator[Watcher]":
+def progress_bars() -> "Iterator[ProgressCallback]":
     """Show one bar per stage on stderr; quiet when nobody watches."""
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn

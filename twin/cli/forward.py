@@ -12,7 +12,7 @@ from twin.cli.console import load, print_metrics, progress_bars, say, settings_o
 if TYPE_CHECKING:
     from twin.config import Experiment
     from twin.pipeline.memory import Memory
-    from twin.pipeline.progress import Watcher
+    from twin.pipeline.progress import ProgressCallback
 
 
 @app.command
@@ -186,7 +186,9 @@ def compare(
     loaded = [load(experiment, settings) for experiment in experiments]
     plan = PhotometricPlan(photometric_rig, settings_of(photometric_set), match)
 
-    def with_report(folder: Path, case: "Experiment", watch: "Watcher", memory: "Memory") -> None:
+    def with_report(
+        folder: Path, case: "Experiment", watch: "ProgressCallback", memory: "Memory"
+    ) -> None:
         measure_whole(folder, case, watch, memory)
         write_report(folder)
 

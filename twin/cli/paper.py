@@ -38,7 +38,7 @@ def paper(
     workers
         Processes that measure side by side; default: one per two cores, at least two of two.
     """
-    from twin.paper.run import Wish, reproduce
+    from twin.paper.run import Request, reproduce
     from twin.study.workers import default_count
 
     if trials is not None and not 2 <= trials <= 10000:
@@ -47,8 +47,8 @@ def paper(
         raise InputError(f"--workers {workers}: allowed 1 or more")
     count = trials or (QUICK_TRIALS if quick else FULL_TRIALS)
     with progress_bars() as watch:
-        wish = Wish(count, tuple(only or ()), full)
-        done = reproduce(out, wish, watch, default_count() if workers is None else workers)
+        request = Request(count, tuple(only or ()), full)
+        done = reproduce(out, request, watch, default_count() if workers is None else workers)
     for line in done.lines:
         say(line)
     say(f"wrote {done.page}")

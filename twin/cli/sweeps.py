@@ -68,13 +68,7 @@ def sweep(
         return _check(record)
     with progress_bars() as watch:
         outcome = run(record, out, who, cases=cases, retry=retry, watch=watch, inputs=[study])
-    for digest, reason in outcome.unsaved.items():
-        sys.stderr.write(f"twin: case {digest} could not be saved: {reason}\n")
-    for digest, reason in outcome.damaged.items():
-        sys.stderr.write(f"twin: case {digest} was damaged and ran again: {reason}\n")
-    _tell_failures(outcome, out)
-    counts = ", ".join(f"{number} {state}" for state, number in sorted(outcome.states.items()))
-    say(f"{counts or 'nothing to do'} in {outcome.seconds:.1f} s; wrote {out}")
+    tell_outcome(outcome, out)
     return FAILURE if outcome.unsaved or not outcome.finished else 0
 
 
@@ -93,6 +87,17 @@ def _check(record: "StudyRecord") -> int:
             f"(at {at})\n"
         )
     return BAD_INPUT if sum(map(len, found.values())) == len(cases) else 0
+
+
+def tell_outcome(outcome: "SweepOutcome", out: Path) -> None:
+    """Say what a run did: what could not be saved, what failed and why, how much is done."""
+    for digest, reason in outcome.unsaved.items():
+        sys.stderr.write(f"twin: case {digest} could not be saved: {reason}\n")
+    for digest, reason in outcome.damaged.items():
+        sys.stderr.write(f"twin: case {digest} was damaged and ran again: {reason}\n")
+    _tell_failures(outcome, out)
+    counts = ", ".join(f"{number} {state}" for state, number in sorted(outcome.states.items()))
+    say(f"{counts or 'nothing to do'} in {outcome.seconds:.1f} s; wrote {out}")
 
 
 def _tell_failures(outcome: "SweepOutcome", out: Path) -> None:
@@ -140,6 +145,8 @@ def best(
 def report(folder: Path, /, *, objective: Objectives = None) -> None:
     """Draw the HTML report of a study: best designs in pictures, effects, every case.
 
+    Of a study of trials: distributions, intervals and ranked budgets.
+
     Parameters
     ----------
     folder
@@ -151,15 +158,19 @@ def report(folder: Path, /, *, objective: Objectives = None) -> None:
     from twin.output import adding
     from twin.report import REPORT_FILE, REPORT_NAMES
     from twin.report.study import write_study
+    from twin.report.uncertainty import write_uncertainty_page
     from twin.study.best import objective_of
     from twin.study.pictures import picture_best
     from twin.study.table import read_table
 
     chosen = [objective_of(text) for text in objective or ()]
-    read_table(folder)  # it is a store, and can be read, before anything is made in it
+    found = read_table(folder)  # it is a store, and can be read, before anything is made in it
     with adding(folder, *REPORT_NAMES) as drawn, progress_bars() as watch:
-        failed = picture_best(folder, chosen, watch)
-        write_study(folder, watch, chosen, drawn, failed)
+        if found.record.study.sampling.method == "trials":
+            write_uncertainty_page(folder, watch, drawn, [one.metric for one in chosen])
+        else:
+            failed = picture_best(folder, chosen, watch)
+            write_study(folder, watch, chosen, drawn, failed)
     say(f"wrote {folder / REPORT_FILE}")
 
 

@@ -11,6 +11,7 @@ from pydantic import Field, ValidationError, model_validator
 from twin.assets import scene_file
 from twin.config.axes import Axis
 from twin.config.base import ConfigError, Model
+from twin.config.inputs import Input, load_inputs, refuse_shared_keys, with_sources
 from twin.config.loading import load_experiment, read_toml, resolve_uses, vary
 from twin.config.messages import explain
 from twin.config.methods import Method
@@ -25,24 +26,43 @@ ABSENT = "absent"
 class Sampling(Model):
     """Which points of the design space are taken."""
 
-    method: Literal["grid", "latin_hypercube", "sobol", "saltelli", "morris", "optimise"] = Field(
+    method: Literal[
+        "grid", "latin_hypercube", "sobol", "saltelli", "morris", "optimise", "trials"
+    ] = Field(
         default="grid",
         description="grid: every combination; latin_hypercube, sobol: `count` points that fill the "
         "space; saltelli: sobol pairs for sensitivity indices; morris: `count` elementary-effect "
-        "walks; optimise: chosen from the results so far, see [optimise]",
+        "walks; optimise: chosen from the results so far, see [optimise]; trials: `count` "
+        "repetitions with all [inputs] drawn anew, for an uncertainty",
     )
     count: Annotated[int, Field(ge=1, le=MOST_CASES)] | None = Field(
-        default=None, description="points (latin_hypercube, sobol), base points or walks"
+        default=None, description="points (latin_hypercube, sobol), base points, walks or trials"
     )
     seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
+    calibration: Literal["drawn", "true"] = Field(
+        default="drawn", description="of trials: a new calibration in each, or the true rig"
+    )
+    board: str = Field(
+        default="boards/paper_dots", description="of trials: what drawn calibrations rest on"
+    )
+    budget: bool = Field(
+        default=True, description="of trials: also vary each input alone, and the noise alone"
+    )
 
     @model_validator(mode="after")
     def _counted(self) -> "Sampling":
-        counted = self.method in ("latin_hypercube", "sobol", "saltelli", "morris")
+        counted = self.method not in ("grid", "optimise")
         if counted and self.count is None:
             raise ValueError(f"count: missing; method = '{self.method}' needs it")
         if not counted and self.count is not None:
             raise ValueError(f"count: method = '{self.method}' does not take it; remove it")
+        trials = self.method == "trials"
+        if trials and self.count is not None and self.count < 2:
+            raise ValueError(f"count: found {self.count}, allowed 2 or more trials")
+        of_trials = ("calibration", "board", "budget")
+        set_here = [n for n in of_trials if getattr(self, n) != Sampling.model_fields[n].default]
+        if set_here and not trials:
+            raise ValueError(f"{set_here[0]}: method = '{self.method}' does not take it; remove it")
         return self
 
 
@@ -105,7 +125,13 @@ class Study(Model):
     description: str = ""
     base: str = Field(description="experiment file beside the study, or a shipped experiment")
     set: dict[str, Any] = Field(default={}, description="tables laid over the base experiment")
-    axis: tuple[Axis, ...] = Field(description="[[axis]]: what is varied, 1 to 16 of them")
+    axis: tuple[Axis, ...] = Field(
+        default=(), description="[[axis]]: what is varied, 1 to 16 of them; of trials none"
+    )
+    inputs_file: str = Field(
+        default="", description="of trials: file of inputs, or a shipped one; [inputs] lie over it"
+    )
+    inputs: dict[str, Input] = Field(default={}, description="[inputs.NAME]: what trials draw")
     sampling: Sampling = Sampling()
     modalities: tuple[Method, ...] = Field(
         default=(), description="methods to compare; absent: the base's own"
@@ -125,6 +151,10 @@ class Study(Model):
 
     @model_validator(mode="after")
     def _whole(self) -> "Study":
+        if self.sampling.method == "trials":
+            return self._checked_trials()
+        if self.inputs or self.inputs_file:
+            raise ValueError("inputs: only sampling.method = 'trials' draws them")
         if not 1 <= len(self.axis) <= 16:
             raise ValueError(f"axis: found {len(self.axis)}, allowed 1 to 16")
         titles = [axis.title for axis in self.axis]
@@ -139,6 +169,21 @@ class Study(Model):
             open_axes = [axis.title for axis in self.axis if axis.is_continuous]
             if open_axes:
                 raise ValueError(f"axis {', '.join(open_axes)}: a grid needs count or values")
+        return self
+
+    def _checked_trials(self) -> "Study":
+        refused = {
+            "axis": len(self.axis) > 0,
+            "modalities": len(self.modalities) > 1,
+            "repeats": self.repeats > 1,
+            "optimise": self.optimise is not None,
+        }
+        for name, there in refused.items():
+            if there:
+                raise ValueError(f"{name}: sampling.method = 'trials' does not take it; remove it")
+        if not self.inputs:
+            raise ValueError("inputs: found none; trials need [inputs.NAME] or inputs_file")
+        refuse_shared_keys(self.inputs)
         return self
 
     @property
@@ -170,13 +215,26 @@ def load_study(path: str | Path) -> tuple[Study, Experiment]:
 
 def _study_of(tree: dict[str, Any], where: str, file: Path) -> Study:
     try:
-        study = Study.model_validate(tree)
+        study = Study.model_validate(_with_inputs(tree, where, file))
     except ValidationError as error:
         lines = explain(error, Study)
         raise ConfigError("\n".join(f"{where}: {line}" for line in lines)) from None
     axes = tuple(_with_files(axis, file) for axis in study.axis)
     laid = without_absent(resolve_uses(study.set, (file,)))
     return study.model_copy(update={"axis": axes, "set": laid})
+
+
+def _with_inputs(tree: dict[str, Any], where: str, file: Path) -> dict[str, Any]:
+    """Lay the study's own inputs over those of the file that it names."""
+    own, named = with_sources(tree, where), tree.get("inputs_file")
+    if not isinstance(named, str) or not named:
+        return own
+    beside = file.parent / named
+    loaded = load_inputs(beside if beside.is_file() else named)
+    theirs = {name: one.model_dump(exclude_unset=True) for name, one in loaded.inputs.items()}
+    mine = own.get("inputs", {})
+    merged = {name: {**theirs.get(name, {}), **mine.get(name, {})} for name in {**theirs, **mine}}
+    return own | {"inputs": merged}
 
 
 def _with_files(axis: Axis, file: Path) -> Axis:

@@ -42,7 +42,7 @@ from twin.identify.posterior import (
 )
 from twin.identify.simulations import Simulated, Variant, simulate, variant_for
 from twin.output import EXPERIMENT_FILE, RESULT_FILE
-from twin.pipeline.progress import Watcher, nobody
+from twin.pipeline.progress import ProgressCallback, no_progress
 from twin.results.parts import write_result
 from twin.study.measuring import CaseMeasurer
 from twin.study.worker import Measurer
@@ -140,7 +140,7 @@ def identify(
     folder: Path,
     workers: Workers,
     *,
-    watch: Watcher = nobody,
+    watch: ProgressCallback = no_progress,
     make_measurer: Callable[[tuple[str, ...]], Measurer] = CaseMeasurer,
     inputs: Iterable[Path] = (),
 ) -> Identified:
@@ -177,7 +177,7 @@ def identify(
 
 
 def infer(
-    problem: Problem, simulated: Mapping[Variant, Simulated], watch: Watcher = nobody
+    problem: Problem, simulated: Mapping[Variant, Simulated], watch: ProgressCallback = no_progress
 ) -> Identified:
     """Return what the rows say, given the simulations."""
     learned: dict[tuple[Variant, str], Emulator] = {}

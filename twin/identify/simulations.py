@@ -19,7 +19,7 @@ from twin.config import Experiment, vary
 from twin.config.problem import Problem
 from twin.config.study import Sampling, Study, without_absent
 from twin.identify.emulator import Emulator, fit_emulator
-from twin.pipeline.progress import Watcher, nobody
+from twin.pipeline.progress import ProgressCallback, no_progress
 from twin.study.design import shares_of
 from twin.study.measuring import CaseMeasurer
 from twin.study.record import StudyRecord
@@ -154,7 +154,7 @@ def simulate(
     folder: Path,
     workers: Workers,
     *,
-    watch: Watcher = nobody,
+    watch: ProgressCallback = no_progress,
     make_measurer: Callable[[tuple[str, ...]], Measurer] = CaseMeasurer,
     inputs: Iterable[Path] = (),
 ) -> dict[Variant, Simulated]:
@@ -180,7 +180,7 @@ def simulate(
     return found
 
 
-def _part(watch: Watcher, number: int, count: int, stage: str, fraction: float) -> None:
+def _part(watch: ProgressCallback, number: int, count: int, stage: str, fraction: float) -> None:
     watch("simulations", (number + fraction) / count)
 
 

@@ -15,7 +15,7 @@ contact: from a far guess a bending slab rebounds and the contact is lost and re
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -45,6 +45,7 @@ _GAP_TOLERANCE = 1e-4
 _MOST_PATCHES = 20
 # Pressure of cells that are only suspected to touch, over the highest.
 _FAINT = 1e-6
+_ADVICE = "use a thicker slab, a shorter span or a coarser press.solver_pitch_mm"
 
 
 @dataclass(frozen=True)
@@ -112,19 +113,10 @@ def solve_contact(
     for iteration in range(1, max_iterations + 1):
         touching = pressure > 0
         gap = control.gap(deflection + height, touching)
-        direction, image, step = search.step(gap, touching)
-        # A single cell under a force has nowhere to step to: its neighbours join all the same.
-        advanced, overlapping = _advance(
-            pressure - step * direction, gap, present, (step or 1.0) * search.scaling.cell
-        )
-        factor = control.scale(advanced)
-        advanced *= factor
         closed = float(np.abs(gap[touching]).max(initial=0.0)) <= _CLOSED * float(deflection.max())
-        # An unchanged contact moves the deflection along the known image: no transform.
-        unchanged = not overlapping.any() and np.array_equal(advanced > 0, touching)
-        after = factor * (deflection - step * image) if unchanged else deflect(advanced)
-        share = 1.0
-        if not unchanged:
+        passed = _pass(search, pressure, deflection, gap, present)
+        advanced, after, share = passed.pressure, passed.deflection, 1.0
+        if not passed.unchanged:
             energy = control.energy(pressure, deflection + height, height)
             moved = advanced - pressure
             share = brake.share(energy, inner(gap, moved), inner(after - deflection, moved))
@@ -133,14 +125,45 @@ def solve_contact(
             after = deflection + share * (after - deflection)
         change = float(np.abs(advanced - pressure).sum())
         pressure, deflection = advanced, after
-        if overlapping.any() or share < 1.0:
+        if passed.joined or share < 1.0:
             search.restart()  # a grown contact ends the conjugacy of the directions
         elif closed and change < tolerance * float(pressure.sum()) and iteration >= 4:
             return _finish(deflect, height, pressure, control, iteration)
-    raise SolverError(
-        f"press: no contact solution within {max_iterations} passes; "
-        "use a thicker slab, a shorter span or a coarser press.solver_pitch_mm"
+    raise SolverError(f"press: no contact solution within {max_iterations} passes; {_ADVICE}")
+
+
+class _Passed(NamedTuple):
+    """Where a whole pass leads."""
+
+    pressure: FloatArray
+    deflection: FloatArray
+    #: the same cells touch as before
+    unchanged: bool
+    #: cells without pressure overlapped
+    joined: bool
+
+
+def _pass(
+    search: "_Search",
+    pressure: FloatArray,
+    deflection: FloatArray,
+    gap: FloatArray,
+    present: BoolArray,
+) -> _Passed:
+    """Step along the next direction, let overlapping cells join, and meet the control."""
+    touching = pressure > 0
+    direction, image, step = search.step(gap, touching)
+    # A single cell under a force has nowhere to step to: its neighbours join all the same.
+    advanced, overlapping = _advance(
+        pressure - step * direction, gap, present, (step or 1.0) * search.scaling.cell
     )
+    factor = search.control.scale(advanced)
+    advanced *= factor
+    # An unchanged contact moves the deflection along the known image: no transform.
+    joined = bool(overlapping.any())
+    unchanged = not joined and np.array_equal(advanced > 0, touching)
+    after = factor * (deflection - step * image) if unchanged else search.deflect(advanced)
+    return _Passed(advanced, after, unchanged, joined)
 
 
 def _advance(

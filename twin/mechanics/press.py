@@ -4,6 +4,9 @@ World frame, mm: the undeformed coated face is z = 0, slab and specimen are cent
 and the specimen comes from below. It touches the clear face at z = -thickness (opposite-face
 layout) or the coat itself (contact-face layout). Arrays are (row, col) with row along y and col
 along x, both ascending.
+
+The model is linear, frictionless and exact for the flat slab. At a given depth, without preload and
+film, the shape does not depend on the modulus, which only scales pressure and force.
 """
 
 from dataclasses import dataclass
@@ -97,8 +100,8 @@ def press(
     Returns
     -------
     PressedElastomer
-        The result on the solver's cells and on the relief's nodes. In the contact-face layout the
-        cells cover the periodic window, which is larger than the pad.
+        On the solver's cells (of the contact-face layout: of a window larger than the pad) and the
+        relief's nodes.
 
     Raises
     ------
@@ -107,21 +110,14 @@ def press(
         the specimen's height, or touches no solver cell.
     SolverError
         The contact did not converge.
-
-    Notes
-    -----
-    Linear, frictionless, exact for the flat slab. At a given depth, without preload and film, the
-    shape does not depend on the modulus, which only scales pressure and force.
     """
     shape = shape_of(specimen)
     check_load(shape, elastomer, load, any_depth=any_depth)
     modulus_kpa = young_modulus(elastomer).best_kpa
     layer = build_layer(elastomer, load, shape, modulus_kpa)
     preload = preload_of(elastomer, load, modulus_kpa)
-    sag = preload.deflection(layer)
-    height = shape.height_above_lowest(layer.x_mm, layer.y_mm)
-    control = _control(layer, height + sag, load, modulus_kpa)
-    contact = solve_on_layer(layer, height + sag, control)
+    sag, height = preload.deflection(layer), shape.height_above_lowest(layer.x_mm, layer.y_mm)
+    contact = solve_on_layer(layer, height + sag, _control(layer, height + sag, load, modulus_kpa))
     if not (any_depth and elastomer.layout == "opposite_face"):
         _check_depth(contact.depth_mm, layer.thickness_mm, load)
     nodes = face_nodes(elastomer.length_y_mm, load), face_nodes(elastomer.length_x_mm, load)

@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Any
 import drjit as dr
 import mitsuba as mi
 import numpy as np
-from numpy.typing import NDArray
 
-from reconstruction.arrays import FloatImage
+from reconstruction.arrays import FloatArray, FloatImage
 from reconstruction.rig.pinhole import Pinhole
 from twin.config.lamps import Markers
 from twin.config.models import Experiment
@@ -76,16 +75,16 @@ class ColourScene:
         parameters[prefix + "vertex_normals"] = np.asarray(normals, np.float32).ravel()
         parameters.update()
 
-    def render(self, pinhole: Pinhole, T_world_from_cam: NDArray[np.float64]) -> FloatImage:
+    def render(self, pinhole: Pinhole, T_world_from_cam: FloatArray) -> FloatImage:
         """Return radiance in air, (row, col, channel), mW / (mm^2 sr)."""
         rig = self._rig(pinhole, T_world_from_cam)
         return trace_channels(self._scene, rig, self._samples)
 
-    def truth(self, pinhole: Pinhole, T_world_from_cam: NDArray[np.float64]) -> Truth:
+    def truth(self, pinhole: Pinhole, T_world_from_cam: FloatArray) -> Truth:
         """Return what lies behind the pixel centres; everything seen counts as lit."""
         return trace_face(self._scene, self._rig(pinhole, T_world_from_cam))
 
-    def _rig(self, pinhole: Pinhole, T_world_from_cam: NDArray[np.float64]) -> LampRig:
+    def _rig(self, pinhole: Pinhole, T_world_from_cam: FloatArray) -> LampRig:
         camera = Device(pinhole, T_world_from_cam)
         return LampRig(camera, self._emitters, self._stack, self._markers)
 

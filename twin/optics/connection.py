@@ -11,8 +11,8 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 import numpy as np
-from numpy.typing import NDArray
 
+from reconstruction.arrays import FloatArray, FloatImage
 from twin.optics.devices import Device
 from twin.optics.layers import Arrival, LayerStack
 from twin.optics.light import LEAST_VARIANCE_PX2, MARGIN_PX, OVERSAMPLING, BlurLevels, LightTable
@@ -159,7 +159,7 @@ def axial_range_mm(scene: Any, rig: Rig) -> tuple[float, float]:
     return float(axial_mm.min()), float(axial_mm.max())
 
 
-def box_corners_mm(box: Any) -> NDArray[np.float64]:
+def box_corners_mm(box: Any) -> FloatArray:
     """Corners (8, 3) of a `mi.BoundingBox3f`."""
     low, high = np.array(box.min, np.float64).ravel(), np.array(box.max, np.float64).ravel()
     return np.where(np.array(list(np.ndindex(2, 2, 2))), high, low)
@@ -199,7 +199,7 @@ class _LookUpTable:
         self.first_px, self.packets = table.first_px, -(-self.profiles // _PACKET)
         self.values = self._padded(table.profiles)
 
-    def _padded(self, profiles: NDArray[np.float32]) -> Any:
+    def _padded(self, profiles: FloatImage) -> Any:
         padded = np.zeros((*profiles.shape[:-1], self.packets * _PACKET), np.float32)
         padded[..., : self.profiles] = profiles
         return mi.Float(padded.ravel())

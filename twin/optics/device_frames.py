@@ -8,16 +8,15 @@ CORNER, fields of view instead of focal lengths, principal point offsets as frac
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from reconstruction.arrays import FloatArray
+from reconstruction.arrays import FloatArray, FloatImage
 from reconstruction.rig.calibration import Pinhole
 from twin.optics.rig import ThinLens
 
 _OPENCV_FROM_MITSUBA = np.diag([-1.0, -1.0, 1.0, 1.0])
 
 
-def to_world(T_world_from_device: FloatArray) -> NDArray[np.float32]:
+def to_world(T_world_from_device: FloatArray) -> FloatImage:
     """Mitsuba's `to_world` matrix of a device whose OpenCV pose is given."""
     return (T_world_from_device @ _OPENCV_FROM_MITSUBA).astype(np.float32)
 

@@ -11,9 +11,8 @@ from typing import Any
 
 import drjit as dr
 import mitsuba as mi
-import numpy as np
-from numpy.typing import NDArray
 
+from reconstruction.arrays import FloatArray
 from reconstruction.rig.pinhole import (
     INVERSE_STEPS,
     Pinhole,
@@ -39,7 +38,7 @@ class Device:
     """A pinhole at a pose, ready for use inside a kernel; a camera may have a thin lens."""
 
     pinhole: Pinhole
-    T_world_from_device: NDArray[np.float64]
+    T_world_from_device: FloatArray
     lens: ThinLens | None = None
 
     @property

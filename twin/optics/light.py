@@ -22,11 +22,10 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.special import erf
 
-from reconstruction.arrays import FloatImage
+from reconstruction.arrays import FloatArray, FloatImage, Levels
 from reconstruction.patterns import PatternFrame, PatternSet
 from twin.config.models import Patterns, Projector
 from twin.optics.rig import projector_pinhole, world_from_device
@@ -193,7 +192,7 @@ def along(frame: PatternFrame) -> str:
     return frame.axis or "column"
 
 
-def response(levels: NDArray[np.uint8], projector: Projector) -> NDArray[np.float64]:
+def response(levels: Levels, projector: Projector) -> FloatArray:
     """Relative light of 8-bit levels: power law or table on top of the black level 1 / contrast."""
     black = 1.0 / projector.contrast
     relative = levels.astype(np.float64) / 255.0
@@ -205,9 +204,7 @@ def response(levels: NDArray[np.uint8], projector: Projector) -> NDArray[np.floa
     return np.asarray(black + (1.0 - black) * relative)
 
 
-def blur(
-    light: NDArray[np.float64], nodes_px: NDArray[np.float64], blur_px: float
-) -> NDArray[np.float64]:
+def blur(light: FloatArray, nodes_px: FloatArray, blur_px: float) -> FloatArray:
     """Convolve pixel values (pixel, frame) with the DMD box and a Gaussian, at the nodes.
 
     The weight of pixel j at x is the Gaussian's mass over [x - j - 1/2, x - j + 1/2].
@@ -224,8 +221,8 @@ def blur(
     return np.asarray(weights @ light)
 
 
-def _mass(offset_px: NDArray[np.float64], blur_px: float) -> NDArray[np.float64]:
-    def below(edge_px: NDArray[np.float64]) -> NDArray[np.float64]:
+def _mass(offset_px: FloatArray, blur_px: float) -> FloatArray:
+    def below(edge_px: FloatArray) -> FloatArray:
         # The limit of no blur: a node on the border of two pixels belongs half to each, else the
         # ramp to the node beside it would shift the border by half a node.
         return np.sign(edge_px) if blur_px == 0.0 else erf(edge_px / (np.sqrt(2.0) * blur_px))

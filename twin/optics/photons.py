@@ -23,9 +23,8 @@ import drjit as dr
 import mitsuba as mi
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
-from reconstruction.arrays import FloatImage
+from reconstruction.arrays import FloatArray, FloatImage
 from twin.optics.connection import Rig, box_corners_mm, on_image
 from twin.optics.light import MARGIN_PX, OVERSAMPLING, LightTable
 from twin.optics.scene import Surfaces
@@ -127,7 +126,7 @@ def trace_photons(scene: Any, surfaces: Surfaces, rig: Rig, *, count: int, seed:
     )
 
 
-def _window(surfaces: Surfaces, rig: Rig) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _window(surfaces: Surfaces, rig: Rig) -> tuple[FloatArray, FloatArray]:
     """Rectangle (low, high) on the image plane at 1 mm that holds every sharp body's light."""
     corners = np.concatenate([box_corners_mm(body.shape.bbox()) for body in surfaces.sharp])
     T = rig.projector.T_world_from_device
@@ -139,7 +138,7 @@ def _window(surfaces: Surfaces, rig: Rig) -> tuple[NDArray[np.float64], NDArray[
     return low, np.maximum(low, high)
 
 
-def _image_border(rig: Rig) -> NDArray[np.float64]:
+def _image_border(rig: Rig) -> FloatArray:
     """Points (n, 2) all along the border of the projector's image and its blurred margin, px."""
     p, along = rig.projector.pinhole, np.linspace(0.0, 1.0, 33)
     low, end = -0.5 - MARGIN_PX, MARGIN_PX - 0.5

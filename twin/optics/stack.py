@@ -2,10 +2,7 @@
 
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
-from reconstruction.arrays import FloatImage
+from reconstruction.arrays import BoolImage, FloatImage
 
 Frames = tuple[FloatImage, ...]
 
@@ -35,8 +32,8 @@ class Truth:
     depth_mm: FloatImage
     column_px: FloatImage
     row_px: FloatImage
-    lit: NDArray[np.bool_]
-    measured: NDArray[np.bool_]
+    lit: BoolImage
+    measured: BoolImage
 
 
 @dataclass(frozen=True)

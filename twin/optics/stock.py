@@ -14,7 +14,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from reconstruction.arrays import FloatImage
+from reconstruction.arrays import FloatArray, FloatImage
 from reconstruction.patterns import PatternFrame, PatternSet
 from reconstruction.rig.pinhole import distort, distortion_jacobian, fold_square, is_before_fold
 from twin.optics.connection import Rig
@@ -46,7 +46,7 @@ class Canvas:
     half_height_px: float
     texels_per_px: int
 
-    def centres_px(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def centres_px(self) -> tuple[FloatArray, FloatArray]:
         """Texel centres (col,) and (row,), projector pixels relative to the optical axis."""
         return (
             _centres(self.half_width_px, self.texels_per_px),
@@ -54,7 +54,7 @@ class Canvas:
         )
 
 
-def _centres(half_px: float, texels_per_px: int) -> NDArray[np.float64]:
+def _centres(half_px: float, texels_per_px: int) -> FloatArray:
     count = 2 * round(half_px * texels_per_px)
     return (np.arange(count, dtype=np.float64) + 0.5) * (2.0 * half_px / count) - half_px
 
@@ -88,7 +88,7 @@ def frame_texture(
     return np.ascontiguousarray(light, np.float32)
 
 
-def _pixels_on(canvas: Canvas, rig: Rig) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _pixels_on(canvas: Canvas, rig: Rig) -> tuple[FloatArray, FloatArray]:
     """Projector pixel of every texel; (1, col) and (row, 1) while there is no distortion."""
     p = rig.projector.pinhole
     x_px, y_px = canvas.centres_px()
@@ -101,9 +101,7 @@ def _pixels_on(canvas: Canvas, rig: Rig) -> tuple[NDArray[np.float64], NDArray[n
     return x * p.fx_px + p.cx_px, y * p.fy_px + p.cy_px
 
 
-def _interpolate(
-    table: LightTable, profile: int, at_px: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _interpolate(table: LightTable, profile: int, at_px: FloatArray) -> FloatArray:
     nodes_px = table.first_px + np.arange(len(table.profiles)) / OVERSAMPLING
     values = table.profiles[:, profile].astype(np.float64)
     return np.interp(at_px.ravel(), nodes_px, values, left=0.0, right=0.0).reshape(at_px.shape)
@@ -145,7 +143,7 @@ def _bitmap(texture: NDArray[np.floating]) -> dict[str, Any]:
     }
 
 
-def _cos_cubed(canvas: Canvas, rig: Rig) -> NDArray[np.float64]:
+def _cos_cubed(canvas: Canvas, rig: Rig) -> FloatArray:
     p = rig.projector.pinhole
     x_px, y_px = canvas.centres_px()
     square = (x_px[None, :] / p.fx_px) ** 2 + (y_px[:, None] / p.fy_px) ** 2

@@ -11,9 +11,9 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike
 
-from reconstruction.arrays import FloatArray, FloatImage
+from reconstruction.arrays import BoolImage, FloatArray, FloatImage, Levels
 from reconstruction.rig.pinhole import Pinhole
 from twin.optics.backend import activate
 from twin.optics.device_frames import perspective_sensor
@@ -80,15 +80,15 @@ class VisibleSurface:
         Nothing lies between the point and the distant lamp, which is on the visible side.
     """
 
-    hit: NDArray[np.bool_]
+    hit: BoolImage
     points_mm: FloatImage
     normals: FloatImage
-    sunlit: NDArray[np.bool_]
+    sunlit: BoolImage
 
 
 def visible_surface(
-    vertices_mm: NDArray[Any],
-    triangles: NDArray[Any],
+    vertices_mm: ArrayLike,
+    triangles: ArrayLike,
     camera: ViewCamera,
     towards_lamp: tuple[float, float, float],
 ) -> VisibleSurface:
@@ -133,7 +133,7 @@ def visible_surface(
     )
 
 
-def _directions(camera: ViewCamera) -> NDArray[np.float64]:
+def _directions(camera: ViewCamera) -> FloatArray:
     """World directions through the pixel centres, row by row, (n, xyz)."""
     rows, cols = np.mgrid[: camera.height_px, : camera.width_px]
     slopes = camera.pinhole.unproject(np.stack([cols.ravel(), rows.ravel()], axis=-1))
@@ -141,7 +141,7 @@ def _directions(camera: ViewCamera) -> NDArray[np.float64]:
     return np.asarray(rays / np.linalg.norm(rays, axis=1, keepdims=True))
 
 
-Picture = NDArray[np.uint8]
+Picture = Levels
 
 MOST_BOUNCES = 12
 """Enough for light to leave a hollow clear body: each wall takes two."""
@@ -218,7 +218,7 @@ def picture(
     return _srgb(light)
 
 
-def _render(scene: Any, seed: int) -> NDArray[np.float32]:
+def _render(scene: Any, seed: int) -> FloatImage:
     """Return the light of one primary over white, (row, col) float, 1 is white."""
     import mitsuba as mi
 
@@ -302,7 +302,7 @@ def _level(value: float) -> dict[str, Any]:
     return {"type": "spectrum", "value": value}
 
 
-def _srgb(light: NDArray[np.float32]) -> Picture:
+def _srgb(light: FloatImage) -> Picture:
     """Encode linear light, 1 is white (IEC 61966-2-1)."""
     linear = np.clip(light, 0.0, 1.0)
     encoded = np.where(

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twin.paper.published import CONTACT_FPP, GELSIGHT, mean_of, rows_of
+from twin.paper.plan import CONTACT_FPP, GELSIGHT, mean_of, rows_of
 from twin.report.table import TWIN, Cell, Column, Table
 
 RMSE_FACTOR = 2.0

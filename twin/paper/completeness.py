@@ -7,18 +7,28 @@ method reads it off the coat, as if the sheet lay on it with its own thickness e
 directly, the truth is what the pixel shows of the specimen.
 """
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from reconstruction.arrays import FloatArray
-from twin.config.models import Experiment
+from twin.config import Experiment
 from twin.mechanics import PressedElastomer
 from twin.optics.stack import Truth
+from twin.output import read_json, write_json
+from twin.paper.panels import PANELS_FOLDER, panel_data_of, write_panel_data
+from twin.pipeline import measure
+from twin.report.table import Cell, Column, Table
+from twin.results.record import Measurement
 from twin.results.score import share_of
 from twin.specimens import shape_of
+from twin.study.measuring import AS_IT_IS, Answer, CaseMeasurer, Conditions
 
+COMPLETENESS_FILE = "completeness.json"
+_KEYS = ("contact", "contact_points", "specimen", "specimen_points", "limit_um")
 _GRID_MM = 0.02
 
 Mask = NDArray[np.bool_]
@@ -124,3 +134,66 @@ def _good(found_mm: FloatArray, true_mm: FloatArray, limit_um: float) -> Mask:
 
 def _share(of: Mask, asked: Mask) -> float | None:
     return share_of(int((of & asked).sum()), int(asked.sum()))
+
+
+class _FigureMeasurer(CaseMeasurer):
+    """Keeps figures, completeness and panel data of a case: its arrays are nobody's input."""
+
+    def __call__(self, experiment: Experiment, conditions: Conditions = AS_IT_IS) -> Answer:
+        """Measure one case."""
+        done = measure(experiment, memory=self.memory, trial=conditions.trial)
+        panels, completeness = panel_data_of(done), asdict(counted(done))
+
+        def write(folder: Path) -> None:
+            write_json(folder / COMPLETENESS_FILE, completeness)
+            write_panel_data(folder / PANELS_FOLDER, panels)
+
+        return Answer(done.figures, write)
+
+
+def measures_figures(keep: tuple[str, ...]) -> CaseMeasurer:
+    """Make what measures the cases of the figures."""
+    return _FigureMeasurer(keep)
+
+
+def shares_of(seen: Measurement) -> dict[str, Any]:
+    """Return the completeness of a measurement as further figures of it."""
+    return {f"share_{name}": value for name, value in asdict(counted(seen)).items()}
+
+
+def counted(seen: Measurement) -> Completeness:
+    """Return the completeness of a measurement by any method."""
+    points = seen.points
+    points_mm = points.world_mm.astype(np.float64)
+    return completeness_of(seen.experiment, seen.truth, points_mm, points.valid, seen.pressed)
+
+
+def completeness_table(cases: Path) -> Table:
+    """Return one row per case in a folder of cases, NAME/METHOD."""
+    rows: list[dict[str, Cell]] = []
+    for file in sorted(cases.glob(f"*/*/{COMPLETENESS_FILE}")):
+        found = read_json(file)
+        row: dict[str, Cell] = {key: found[key] for key in _KEYS}
+        name, method = file.parent.parent.name, file.parent.name
+        rows.append({"specimen_name": name, "method": method, **row})
+    return Table(
+        "completeness",
+        "Share of the specimen with good points",
+        "Figure: direct FPP and contact-FPP",
+        (
+            Column("specimen_name", "specimen"),
+            Column("method", "method"),
+            Column("specimen", "of the specimen, good"),
+            Column("specimen_points", "of the specimen, any point"),
+            Column("contact", "of the contact region, good"),
+            Column("contact_points", "of the contact region, any point"),
+            Column("limit_um", "good within, um", 0),
+        ),
+        tuple(rows),
+        (
+            "Direct FPP is judged against the specimen's own surface. Contact methods are judged "
+            "against the coat over the contact region, and against the specimen as if the sheet "
+            "lay on it with its own thickness everywhere: what is missing there is not touched or "
+            "not carried through the sheet.",
+        ),
+    )

@@ -5,7 +5,7 @@ the coat itself as the score does. No light, noise or calibration: these change 
 than the last digit shown.
 """
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -13,10 +13,14 @@ import numpy as np
 from reconstruction.errors import InputError
 from reconstruction.evaluate.fit import fit_sphere
 from twin.config import Experiment, vary
-from twin.paper.face_model import cap_fit, face_figures, face_points_mm
-from twin.paper.published import CONTACT_FPP, GELSIGHT, NOMINAL_RADIUS_MM, mean_of
+from twin.paper.claims import DIRECT_AT_MOST
+from twin.paper.plan import CONTACT_FPP, GELSIGHT, NOMINAL_RADIUS_MM, mean_of
+from twin.paper.statistics import values_of
+from twin.paper.trials import Trial
 from twin.pipeline.press import press_specimen
 from twin.report.table import Cell, Column, Table
+from twin.results.decoders import INTEGRATION_ORDER, MAP_ORDER
+from twin.results.face import cap_fit, face_figures, face_points_mm
 from twin.specimens import shape_of
 
 _COLUMNS = (
@@ -25,6 +29,7 @@ _COLUMNS = (
     Column("rmse_um", "RMSE, um", 1),
     Column("note", "note"),
 )
+_MAP_WORDS = {"table": "look-up table", "polynomial": "polynomial"}
 ROI_MM = (0.5, 1.0, 1.5, 2.0, 2.5, 3.0)
 THICKNESS_MM = (1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0)
 DRAPE_KPA = (0.0, 4.0, 8.0, 16.0, 24.0, 30.0)
@@ -133,9 +138,12 @@ def rod_layout_table(rods: Mapping[str, Experiment]) -> Table:
         for label, changes in layouts.items():
             row: dict[str, Cell] = {"value": f"{name}, {label}"}
             try:
-                row["width"] = face_figures(vary(experiment, changes))["rod_width_mm"]
+                changed = vary(experiment, changes)
+                figures = face_figures(changed, press_specimen(changed))
             except InputError as error:
-                row["note"] = str(error)
+                figures = {"rod_failure": str(error)}
+            width = {"rod_width_mm": "width", "rod_failure": "note"}
+            row |= {told: figures[name] for name, told in width.items() if name in figures}
             rows.append(row)
     return Table(
         "explain_rods",
@@ -148,6 +156,72 @@ def rod_layout_table(rods: Mapping[str, Experiment]) -> Table:
         ),
         tuple(rows),
         (_range_of_widths(rows),),
+    )
+
+
+def decoder_table(trials: Sequence[Trial]) -> Table:
+    """Return one row per colour map and integration, means over both balls and all trials."""
+    repeated = [one for one in trials if one.number]
+    rows: list[dict[str, Cell]] = []
+    for kind in MAP_ORDER:
+        for scheme in INTEGRATION_ORDER:
+            radius, rmse = (_mean(repeated, f"{kind}_{scheme}", key) for key in ("radius", "rmse"))
+            if radius is not None and rmse is not None:
+                name = f"{_MAP_WORDS[kind]}, {scheme}"
+                rows.append({"decoder": name, "radius": radius, "rmse_um": 1e3 * rmse})
+    return Table(
+        "explain_decoders",
+        "GelSight by every decoder, same images",
+        "",
+        (
+            Column("decoder", "colour map, integration"),
+            Column("radius", "radius, mm"),
+            Column("rmse_um", "RMSE, um", 1),
+        ),
+        tuple(rows),
+        tuple(_decoder_notes([float(str(row["rmse_um"])) for row in rows])),
+    )
+
+
+def _decoder_notes(found_um: Sequence[float]) -> Iterator[str]:
+    if found_um:
+        paper_um = 1e3 * mean_of("sphere_fit", GELSIGHT, "rmse")
+        told = "a decoder" if max(found_um) > paper_um / 2 else "no decoder"
+        yield (
+            f"From {min(found_um):.1f} to {max(found_um):.1f} um; the paper reports "
+            f"{paper_um:.0f} um: {told} comes within a factor of two."
+        )
+
+
+def _mean(trials: Sequence[Trial], decoder: str, key: str) -> float | None:
+    values = [values_of(trials, f"{decoder}_sphere_{ball}_{key}_mm") for ball in (1, 2)]
+    together = np.concatenate(values)
+    return float(together.mean()) if together.size else None
+
+
+def nut_table(shares: Mapping[str, list[float]]) -> Table:
+    """Return one row per roughness."""
+    rows: list[dict[str, Cell]] = [
+        {"alpha": alpha, "good": good, "points": points} for alpha, (good, points) in shares.items()
+    ]
+    good = [share for share, _ in shares.values()]
+    asked = "at all of them" if max(good) <= DIRECT_AT_MOST else "not at all of them"
+    if min(good) > DIRECT_AT_MOST:
+        asked = "at none of them"
+    return Table(
+        "explain_roughness",
+        "Roughness of the bare nut",
+        "",
+        (
+            Column("alpha", "GGX alpha of the steel"),
+            Column("good", "of the nut, good"),
+            Column("points", "of the nut, any point"),
+        ),
+        tuple(rows),
+        (
+            f"Good points on {min(good):.0%} to {max(good):.0%} of the nut; the "
+            f"target of {DIRECT_AT_MOST:.0%} is met {asked}. Sixteen camera pixels read as one.",
+        ),
     )
 
 

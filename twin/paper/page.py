@@ -5,9 +5,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from twin.config import Experiment
+from twin.config.inputs import Inputs
 from twin.output import versions
 from twin.paper.figures import FIGURES
-from twin.paper.scatter import Scatter
 from twin.report.experiment import settings_table
 from twin.report.page import REPORT_FILE, Figure, Grade, Note, Page, Section, Verdict, write_page
 from twin.report.table import Column, Table
@@ -83,14 +83,14 @@ class Contents:
     tables : by name
     drawn : names of the figures, which lie in `figures` beside the page
     experiment : whose settings stand for the parameter set
-    scatter : spreads of the trials
+    inputs : spreads of the trials
     trials : repetitions
     """
 
     tables: Mapping[str, Table]
     drawn: Collection[str]
     experiment: Experiment
-    scatter: Scatter
+    inputs: Inputs
     trials: int
 
 
@@ -107,7 +107,7 @@ def write_paper_page(folder: Path, contents: Contents) -> Path:
     parameters = (
         "One set for all tables and figures.",
         replace(settings_table(contents.experiment), title=""),
-        _spread_table(contents.scatter),
+        _spread_table(contents.inputs),
         Note(used),
     )
     page = Page(
@@ -163,20 +163,18 @@ def _verdicts(tables: Mapping[str, Table]) -> list[Verdict]:
     ]
 
 
-def _spread_table(scatter: Scatter) -> Table:
+def _spread_table(inputs: Inputs) -> Table:
     rows, kinds = [], []
-    for name, one in scatter.inputs.items():
-        origin = scatter.provenance.get(f"inputs.{name}.spread")
-        source = origin.source if origin else ""
-        kinds.append("assumed" if source.startswith("assumed") else "")
-        spread = f"{100 * one.spread:g} %" if one.relative else f"{one.spread:g}"
+    for name, one in inputs.inputs.items():
+        kinds.append("assumed" if one.source.startswith("assumed") else "")
+        spread = f"{100 * (one.spread or 0):g} %" if one.relative else f"{one.spread:g}"
         rows.append(
             {
                 "name": name.replace("_", " "),
                 "key": one.key,
                 "distribution": one.distribution,
                 "spread": spread,
-                "source": source,
+                "source": one.source,
             }
         )
     columns = (

@@ -19,10 +19,10 @@ from twin.config import Experiment
 from twin.config.artefacts import Rods
 from twin.output import read_json, write_json
 from twin.paper.photographs import photograph_of
-from twin.paper.rods import SECTION_LENGTH_MM, RodSection, middle_of, section_of
 from twin.report.camera_images import block_mean
 from twin.report.canvas import height_scale
 from twin.results.record import Measurement
+from twin.results.rods import SECTION_LENGTH_MM, RodSection, middle_of, section_of
 from twin.results.score import SphereScore, wanted_pixels
 from twin.specimens import shape_of
 

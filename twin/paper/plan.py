@@ -1,18 +1,24 @@
-"""What the paper measured: its specimens and instruments, one parameter set for all of them."""
+"""What the paper measured and printed: its specimens and methods, and its numbers as data.
 
+One parameter set for all of them; the numbers are those of scenes/paper/targets.toml.
+"""
+
+import tomllib
 from collections.abc import Mapping, Sequence
-from functools import partial
+from functools import lru_cache
 from typing import Any
 
+from twin.assets import asset_path
 from twin.config import Experiment, load_experiment
 from twin.config.methods import Method
-from twin.paper.repeats import Repeated, measure_fringes
-from twin.paper.rig_draws import RigScatter
-from twin.paper.scatter import Scatter
 
-BALLS = "two_balls"
+CONTACT_FPP, GELSIGHT = "contact-FPP", "GelSight"
+METHODS = (GELSIGHT, CONTACT_FPP)
+NOMINAL_RADIUS_MM = 4.0
+
+BALLS, NUT = "two_balls", "nut"
 RODS = ("rods_a", "rods_b", "rods_c")
-DIRECT_AND_CONTACT = ("nut", "brick", "ball")
+DIRECT_AND_CONTACT = (NUT, "brick", "ball")
 GRID = ("t_bolt", "bear", BALLS)
 CASES: Sequence[tuple[tuple[str, ...], tuple[Method, ...]]] = (
     (DIRECT_AND_CONTACT, ("direct_fpp", "contact_fpp")),
@@ -36,12 +42,19 @@ def experiment_of(name: str, settings: Mapping[str, Any] = COARSE) -> Experiment
     return load_experiment(f"paper/{name}", settings)
 
 
-def fringe_repeats(
-    name: str, scatter: Scatter, rigs: RigScatter, settings: Mapping[str, Any] = COARSE
-) -> Repeated:
-    """Return the repeated contact-FPP measurement of a specimen."""
-    measured = partial(measure_fringes, rigs, scatter.seed)
-    drawn_from = f"{rigs.digest} {scatter.seed}"
-    return Repeated(
-        f"{name}_contact_fpp", experiment_of(name, settings), scatter, measured, drawn_from
-    )
+@lru_cache
+def published() -> dict[str, Any]:
+    """Return the whole file."""
+    return tomllib.loads(asset_path("scenes", "paper/targets").read_text(encoding="utf-8"))
+
+
+def rows_of(table: str) -> list[dict[str, Any]]:
+    """Return the rows of one of the paper's tables."""
+    rows: list[dict[str, Any]] = published()[table]
+    return rows
+
+
+def mean_of(table: str, method: str, key: str) -> float:
+    """Return the mean over both balls of one of the paper's columns."""
+    found = [float(row[key]) for row in rows_of(table) if row["method"] == method]
+    return sum(found) / len(found)

@@ -1,34 +1,63 @@
-"""What a reproduction measures: each thing once, kept in small files and then taken from there."""
+"""What a reproduction measures, each thing once: cases in stores of `twin.study` under one folder.
 
-from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass, field
-from functools import partial
+| in work/ | content |
+|---|---|
+| calibration.json | what a calibration of the rig leaves open |
+| trials/NAME/ | studies of the repeated measurements; `twin report` draws their uncertainty |
+| gelsight/ | the repeated presses under the GelSight-like sensor |
+| budgets/, nut/, measured/ | steps of the budgets, the bare nut, the cases of the figures |
+| cases/NAME/METHOD | links to the cases of the figures, which are found by these names |
+"""
+
+import os
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from twin.config import digest
-from twin.config.board import load_board
-from twin.config.methods import Method
-from twin.paper.bare_nut import NUT, ROUGHNESS, nut_shares
-from twin.paper.budget import Part, parts_of
-from twin.paper.colours import ColourTrials, plan_of
-from twin.paper.complete_table import measure_case
+from reconstruction.errors import InputError
+from twin.config import Experiment, vary
+from twin.config.methods import TRAITS, Method
+from twin.paper.completeness import measures_figures, shares_of
 from twin.paper.plan import (
     BALLS,
     BUDGET_OF,
     CASES,
     COARSE,
+    CONTACT_FPP,
+    GELSIGHT,
+    NUT,
     RODS,
     experiment_of,
-    fringe_repeats,
 )
-from twin.paper.published import CONTACT_FPP, GELSIGHT
-from twin.paper.repeats import Trial, kept
-from twin.paper.rig_draws import BOARD, RigScatter, calibrate_rig, rig_scatter
-from twin.paper.scatter import Scatter, load_scatter
-from twin.pipeline.comparison import measure_each
-from twin.pipeline.memory import Memory
-from twin.pipeline.progress import Watcher, nobody
+from twin.paper.trials import (
+    BOARD,
+    Trial,
+    colour_cases,
+    figures_by_decoder,
+    fringe_study,
+    inputs,
+    plan_of,
+    trials_among,
+)
+from twin.pipeline.instruments import case_for
+from twin.pipeline.progress import ProgressCallback, no_progress
+from twin.study.cases import Case, case_of
+from twin.study.engine import SweepOutcome
+from twin.study.measuring import Measuring
+from twin.study.rigs import RigCovariance, calibrated
+from twin.study.store import Store
+from twin.study.sweep import run_cases, sweep
+from twin.study.trials import INPUT, STEP, TRIAL, alone_cases
+from twin.study.worker import MakeMeasurer
+from twin.study.workers import Workers, local_workers
+from twin.uncertainty.budget import Part, part_of
+
+ROUGHNESS = (0.05, 0.1, 0.2, 0.4)
+# Sixteen pixels read as one take a quarter of the time; the table says so.
+_BARE_NUT = {"modality": "direct_fpp", "camera.binning": 4}
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,83 +69,159 @@ class Reproduction:
     work : folder of what was measured
     trials : repetitions of every repeated measurement
     settings : laid over every experiment; resolution, never a property of the sensor
-    memory : of the measurements, so that each photometric sensor is calibrated once
+    workers : who measures; the result is the same with any
     """
 
     work: Path
     trials: int
     settings: Mapping[str, Any] = field(default_factory=lambda: dict(COARSE))
-    watch: Watcher = nobody
-    memory: Memory = field(default_factory=Memory)
+    watch: ProgressCallback = no_progress
+    workers: Workers = field(default_factory=lambda: local_workers(1))
 
-    @property
-    def scatter(self) -> Scatter:
-        """Spread of the inputs."""
-        return load_scatter()
+    @cached_property
+    def rigs(self) -> RigCovariance:
+        """What a calibration leaves open of the rig, which is the same for all specimens."""
+        return calibrated(self.work, self._experiment(BALLS), BOARD, self.watch)
 
-    def rigs(self) -> RigScatter:
-        """Return the rig and what a calibration leaves open of it."""
-        experiment = experiment_of(BALLS, self.settings)
-        named = f"{digest(experiment)} {load_board(BOARD).model_dump_json()}"
-        path = self.work / "calibration.json"
-        return rig_scatter(
-            experiment, kept(path, named, lambda: calibrate_rig(experiment, self.watch))
+    def fringe_trials(self, name: str) -> list[Trial]:
+        """Return the repeated contact-FPP measurement of a specimen."""
+        record, folder = fringe_study(self._experiment(name), self.trials), self._trials(name)
+        cases = record.cases()
+        make = Measuring(self.rigs)
+        outcome = sweep(
+            record, folder, self.workers, cases=cases, watch=self.watch, make_measurer=make
         )
-
-    def fringe_trials(self, name: str, numbers: Iterable[int] | None = None) -> list[Trial]:
-        """Return the repeated contact-FPP measurement of a specimen: some trials, or all."""
-        repeats = fringe_repeats(name, self.scatter, self.rigs(), self.settings)
-        asked = range(self.trials + 1) if numbers is None else numbers
-        return list(repeats.trials(self.work / "trials", list(asked), self.watch))
-
-    def colour_trials(self) -> ColourTrials:
-        """Return the repeated presses of the two balls under the GelSight-like sensor."""
-        experiment = experiment_of(BALLS, self.settings)
-        return ColourTrials(
-            experiment, self.scatter, self.work / "trials", self.trials, self.memory
-        )
+        return trials_among(cases.run, _figures(cases.run, folder, outcome))
 
     def ball_trials(self) -> dict[str, list[Trial]]:
         """Return the repeated measurements of the two balls by method."""
-        colours = self.colour_trials().all(self.watch)
-        return {GELSIGHT: colours, CONTACT_FPP: self.fringe_trials(BALLS)}
+        cases = colour_cases(self._experiment(BALLS), self.trials)
+        found = self._run("gelsight", cases, Measuring(more=figures_by_decoder))
+        return {GELSIGHT: trials_among(cases, found), CONTACT_FPP: self.fringe_trials(BALLS)}
 
     def rod_trials(self) -> dict[str, list[Trial]]:
         """Return the repeated measurements of the rods: A, B, C."""
         return {name[-1].upper(): self.fringe_trials(name) for name in RODS}
 
     def budget(self, name: str) -> list[Part]:
-        """Return what the inputs add to the uncertainty of a specimen's figure."""
-        experiment = experiment_of(name, self.settings)
-        named = f"slope and bend {digest(experiment)} {self.scatter.model_dump_json()}"
-        compute = partial(parts_of, experiment, self.scatter, BUDGET_OF[name])
-        path = self.work / "budgets" / f"{name}.json"
-        found = kept(path, named, lambda: {"parts": [asdict(part) for part in compute()]})
-        return [Part(**part) for part in found["parts"]]
+        """Return what every input adds: by the pressed face, and of balls the optics by the chain.
+
+        Two renders for each optical input are spent on the balls only; in the trials of a rod the
+        optics stay in the row of the noise.
+
+        Raises
+        ------
+        InputError
+            A press fails one standard uncertainty away from the nominal one.
+        MissingBackend
+            No usable Dr.Jit backend.
+        """
+        experiment, given = self._experiment(name), inputs().inputs
+        optics = {title: one for title, one in given.items() if one.group == "optics"}
+        cases = [alone_cases(experiment, given, face_only=True)]
+        if name == BALLS:
+            cases.append(alone_cases(experiment, optics))
+        found = self._run("budgets", [one for some in cases for one in some], Measuring())
+        parts = [self._part_of(BUDGET_OF[name], some, found) for some in cases]
+        return [part for some in parts for part in some]
+
+    def _part_of(
+        self, output: str, cases: Sequence[Case], found: Mapping[str, Mapping[str, Any]]
+    ) -> list[Part]:
+        """Return the parts of the inputs among these cases."""
+        values = {(one.settings[INPUT], one.settings[STEP]): found[one.digest] for one in cases}
+        middle = {step: figures[output] for (title, step), figures in values.items() if not title}
+        parts = []
+        for title in dict.fromkeys(title for title, _ in values if title):
+            steps = {
+                step: figures.get(output) for (of, step), figures in values.items() if of == title
+            }
+            part = part_of(title, inputs().inputs[title], middle | steps)
+            if part is None:
+                raise InputError(f"budget of {output}: {title}: no such figure beside the nominal")
+            parts.append(part)
+        return parts
 
     def bare_nut(self) -> dict[str, list[float]]:
-        """Return how much of the bare nut is seen, by its roughness; see `nut_shares`."""
-        experiment = experiment_of(NUT, self.settings)
-        named = f"{digest(experiment)} {ROUGHNESS}"
-        path = self.work / "bare_nut.json"
-        found: dict[str, list[float]] = kept(path, named, lambda: nut_shares(experiment))
-        return found
+        """Return shares of the bare nut's pixels with a good point, and with any, by roughness.
+
+        Raises
+        ------
+        InputError, MissingBackend
+            As `measure`; or the camera sees nothing of the nut.
+        """
+        bare = vary(self._experiment(NUT), _BARE_NUT)
+        key = "specimen.material.roughness"
+        cases = [case_of({key: alpha}, vary(bare, {key: alpha})) for alpha in ROUGHNESS]
+        found = self._run("nut", cases, Measuring(more=shares_of))
+        shares = {}
+        for alpha, case in zip(ROUGHNESS, cases, strict=True):
+            both = [found[case.digest][f"share_{name}"] for name in ("specimen", "specimen_points")]
+            if None in both:
+                raise InputError(f"{NUT}: the camera sees nothing of the specimen")
+            shares[f"{alpha:g}"] = both
+        return shares
 
     def all_cases(self) -> Path:
-        """Measure every specimen of the figures; return the folder of the cases."""
-        for names, methods in CASES:
-            self.cases(names, methods)
+        """Measure every specimen of the figures; return the folder of the cases by name."""
+        asked = [(name, method) for names, methods in CASES for name in names for method in methods]
+        cases = {pair: self._case(*pair) for pair in asked}
+        self._run("measured", list(cases.values()), measures_figures)
+        for (name, method), case in cases.items():
+            link(self.work / "cases" / name / method, self.work / "measured/cases" / case.digest)
         return self.work / "cases"
 
-    def cases(self, names: Iterable[str], methods: tuple[Method, ...]) -> None:
-        """Measure specimens by methods into the folder of the cases."""
-        experiments = [experiment_of(name, self.settings) for name in names]
-        measure_each(
-            experiments,
-            methods,
-            self.work / "cases",
-            measure_case,
-            watch=self.watch,
-            plan=plan_of(self.scatter.seed, 0),  # the sensor of trial 0, which is in memory
-            memory=self.memory,
-        )
+    def _case(self, name: str, method: Method) -> Case:
+        experiment = self._experiment(name)
+        told = {"specimen": name, "method": TRAITS[method].title}
+        return case_of(told, case_for(experiment, method, plan_of(0)))
+
+    def _run(
+        self, name: str, cases: Sequence[Case], make: MakeMeasurer
+    ) -> dict[str, dict[str, Any]]:
+        """Measure cases that are no study, and return their figures by digest."""
+        folder = self.work / name
+        outcome = run_cases(cases, folder, self.workers, watch=self.watch, make_measurer=make)
+        return _figures(cases, folder, outcome)
+
+    def _experiment(self, name: str) -> Experiment:
+        return experiment_of(name, self.settings)
+
+    def _trials(self, name: str) -> Path:
+        return self.work / "trials" / name
+
+
+def _figures(
+    cases: Sequence[Case], folder: Path, outcome: SweepOutcome
+) -> dict[str, dict[str, Any]]:
+    """Return the figures of cases, by digest; the first failure is told.
+
+    Raises
+    ------
+    InputError
+        A case failed, or could not be saved.
+    """
+    store, found = Store(folder), {}
+    for case in cases:
+        content = store.read(case.digest) or {"failure": outcome.unsaved.get(case.digest, "lost")}
+        if "metrics" not in content:
+            at = f", trial {case.settings[TRIAL]}" if TRIAL in case.settings else ""
+            raise InputError(f"{case.experiment.name}{at}: {content['failure']}")
+        found[case.digest] = content["metrics"]
+    return found
+
+
+def link(path: Path, target: Path) -> None:
+    """Make a symbolic link, or let an earlier one lead there.
+
+    Raises
+    ------
+    InputError
+        There is something else.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if path.exists() and not path.is_symlink():
+        raise InputError(f"{path}: is in the way; move or delete it")
+    with suppress(FileNotFoundError):
+        path.unlink()
+    path.symlink_to(os.path.relpath(target, path.parent))

@@ -3,10 +3,10 @@
 from collections.abc import Iterator, Mapping, Sequence
 
 from twin.paper.hardness import mixes
-from twin.paper.published import rows_of
-from twin.paper.repeats import Trial
+from twin.paper.plan import rows_of
 from twin.paper.sphere_tables import PAPER_TRIALS, subsets
 from twin.paper.statistics import spread_of, values_of
+from twin.paper.trials import Trial
 from twin.report.table import PAPER, TWIN, Cell, Column, Table
 
 

@@ -8,36 +8,31 @@
 | work/ | what was measured: calibration, trials, cases; an interrupted run goes on from here |
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 from reconstruction.errors import InputError
+from reconstruction.machine import unwritable
 from twin.output import EXPERIMENT_FILE, RESULT_FILE, adding, claim, versions, write_json
-from twin.paper.bare_nut import nut_table
 from twin.paper.budget import budget_table
 from twin.paper.claims import claims_of, claims_table
-from twin.paper.complete_table import completeness_table
-from twin.paper.decoder_table import decoder_table
-from twin.paper.explanations import explanations
+from twin.paper.completeness import completeness_table
+from twin.paper.explanations import decoder_table, explanations, nut_table
 from twin.paper.figures import FIGURES, draw_figure
-from twin.paper.jobs import jobs_of, measure_ahead
 from twin.paper.page import Contents, write_paper_page
-from twin.paper.plan import BALLS, COARSE, FINE, RODS, experiment_of
-from twin.paper.published import CONTACT_FPP, GELSIGHT
+from twin.paper.plan import BALLS, COARSE, CONTACT_FPP, FINE, GELSIGHT, RODS, experiment_of
 from twin.paper.reproduction import Reproduction
 from twin.paper.rod_table import hardness_table, rods_table
 from twin.paper.sphere_tables import repeated_fit_table, sphere_fit_table, uncertainty_table
-from twin.pipeline.progress import Watcher, nobody
+from twin.paper.trials import inputs
+from twin.pipeline.progress import ProgressCallback, no_progress
 from twin.report.page import FIGURES_FOLDER, REPORT_FILE, figures_folder
 from twin.report.table import Cell, Table
 from twin.report.words import shown
 from twin.results.parts import write_result
-from twin.study.workers import local_workers
-from twin.working import remove_leftovers
+from twin.study.workers import lasting, local_workers
 
 COMMAND, WORK = "paper", "work"
 _NAMES = (
@@ -84,7 +79,7 @@ TABLES: Mapping[str, Callable[[Reproduction], list[Table]]] = {
 
 
 @dataclass(frozen=True)
-class Wish:
+class Request:
     """What is asked for: repetitions, names of tables or figures (empty: all), all pixels."""
 
     trials: int
@@ -118,7 +113,9 @@ class Reproduced:
     lines: tuple[str, ...]
 
 
-def reproduce(out: Path, wish: Wish, watch: Watcher = nobody, workers: int = 1) -> Reproduced:
+def reproduce(
+    out: Path, request: Request, watch: ProgressCallback = no_progress, workers: int = 1
+) -> Reproduced:
     """Make everything asked for and write it into `out`; what lies there already is used.
 
     Parameters
@@ -133,38 +130,30 @@ def reproduce(out: Path, wish: Wish, watch: Watcher = nobody, workers: int = 1) 
         No usable Dr.Jit backend.
     """
     claim(out, COMMAND, _NAMES)
-    with _tidied(out / WORK), adding(out, *_NAMES) as folder:
-        return _reproduce(out, folder, wish, watch, workers)
+    with lasting(local_workers(workers)) as kept, adding(out, *_NAMES) as folder:
+        settings = dict(FINE if request.full else COARSE)
+        _make_folder(out / WORK)
+        run = Reproduction(out / WORK, request.trials, settings, watch, kept)
+        return _reproduce(out, folder, request, run)
 
 
-def _reproduce(out: Path, folder: Path, wish: Wish, watch: Watcher, workers: int) -> Reproduced:
+def _make_folder(folder: Path) -> None:
+    try:
+        folder.mkdir(exist_ok=True)
+    except OSError as error:
+        raise unwritable(folder, error) from None
+
+
+def _reproduce(out: Path, folder: Path, request: Request, run: Reproduction) -> Reproduced:
     """Measure into `out`/work, and write tables, figures and page into `folder`."""
-    settings = dict(FINE if wish.full else COARSE)
-    run = Reproduction(out / WORK, wish.trials, settings, watch)
-    drawn = _measure_and_draw(run, folder, wish, workers)
-    tables = tables_of(run, wish.tables)
-    _write_tables(folder, tables, wish)
-    balls = experiment_of(BALLS, settings)
-    contents = Contents(tables, drawn, balls, run.scatter, wish.trials)
-    page = write_paper_page(folder, contents)
+    tables = tables_of(run, request.tables)
+    drawn = _draw(run, folder, request.figures)
+    _write_tables(folder, tables, request)
+    balls = experiment_of(BALLS, run.settings)
+    page = write_paper_page(folder, Contents(tables, drawn, balls, inputs(), request.trials))
     claims = tables["claims"].rows if "claims" in tables else ()
     write_result(folder, COMMAND, balls, _figures_of(claims))
     return Reproduced(out / page.name, tuple(_line(row) for row in claims))
-
-
-def _measure_and_draw(run: Reproduction, out: Path, wish: Wish, workers: int) -> dict[str, Path]:
-    """Draw the figures in their order; those that show no measurement while workers measure."""
-    of_cases = [name for name in wish.figures if FIGURES[name].cases]
-    plain = partial(_draw, run, out, [name for name in wish.figures if name not in of_cases])
-    if workers > 1:
-        jobs = jobs_of(wish.tables, wish.figures, wish.trials)
-        found = measure_ahead(run, jobs, local_workers(workers), plain)
-    else:
-        found = plain()
-    if of_cases:
-        run.all_cases()
-        found |= _draw(run, out, of_cases)
-    return {name: found[name] for name in wish.figures}
 
 
 def tables_of(run: Reproduction, names: Sequence[str]) -> dict[str, Table]:
@@ -175,33 +164,21 @@ def tables_of(run: Reproduction, names: Sequence[str]) -> dict[str, Table]:
 
 
 def _draw(run: Reproduction, out: Path, names: Sequence[str]) -> dict[str, Path]:
-    folder = figures_folder(out)
+    """Draw the figures in their order; first their cases are measured."""
+    folder, cases = figures_folder(out), run.work / "cases"
+    if any(FIGURES[name].cases for name in names):
+        cases = run.all_cases()
     for done, name in enumerate(names):
         run.watch("figures", done / len(names))
-        draw_figure(name, run.work / "cases", folder)
+        draw_figure(name, cases, folder)
     run.watch("figures", 1.0)
     return {name: folder / f"{name}.png" for name in names}
 
 
-@contextmanager
-def _tidied(work: Path) -> Iterator[None]:
-    """Remove before and after what killed or interrupted workers were writing."""
-    try:
-        _remove_parts(work)
-        yield
-    finally:
-        _remove_parts(work)
-
-
-def _remove_parts(work: Path) -> None:
-    for specimen in work.glob("cases/*/"):
-        remove_leftovers(specimen)
-
-
-def _write_tables(out: Path, tables: Mapping[str, Table], wish: Wish) -> None:
+def _write_tables(out: Path, tables: Mapping[str, Table], request: Request) -> None:
     content = {
         "schema_version": 1,
-        "trials": wish.trials,
+        "trials": request.trials,
         "versions": versions(),
         "tables": {name: table.as_json() for name, table in tables.items()},
     }

@@ -4,9 +4,9 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
-from twin.paper.published import NOMINAL_RADIUS_MM, rows_of
-from twin.paper.repeats import Trial
+from twin.paper.plan import NOMINAL_RADIUS_MM, rows_of
 from twin.paper.statistics import Budget, root_mean_square, spread_of, values_of
+from twin.paper.trials import Trial
 from twin.report.table import PAPER, TWIN, Cell, Column, Table
 
 PAPER_TRIALS = 5
@@ -175,15 +175,15 @@ def budget_of(trials: Sequence[Trial], ball: int) -> Budget | None:
 def calibration_uncertainty(trials: Sequence[Trial], ball: int) -> float | None:
     """Return the standard uncertainty that the calibration gives to a fitted radius, mm.
 
-    Fringes: root mean square over the trials of what the drawn rig changes. Photometric stereo has
-    no true calibration: standard deviation over several, all on the image of trial 0. None where
-    nothing was calibrated twice.
+    Fringes: root mean square over the trials of what the drawn rig changes; trial 0 has the true
+    rig and does not count. Photometric stereo has no true calibration: standard deviation over
+    several, all on the image of trial 0. None where nothing was calibrated twice.
     """
     name = f"sphere_{ball}_radius_mm"
     changes = [
         float(one.figures[name]) - float(one.figures[f"true_rig_{name}"])
         for one in trials
-        if None not in (one.figures.get(name), one.figures.get(f"true_rig_{name}"))
+        if one.number and None not in (one.figures.get(name), one.figures.get(f"true_rig_{name}"))
     ]
     redone = [
         value

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twin.paper.repeats import Trial
+from twin.paper.trials import Trial
 
 COVERAGE_FACTOR = 2.0
 # Probabilistically symmetric coverage interval of 95 % (JCGM 101, 7.7), in percent.

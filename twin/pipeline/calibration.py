@@ -43,7 +43,7 @@ from twin.optics.board import render_board
 from twin.optics.light import pattern_set
 from twin.optics.rig import true_calibration
 from twin.output import EXPERIMENT_FILE, RESULT_FILE, versions, write_json
-from twin.pipeline.progress import Watcher, nobody
+from twin.pipeline.progress import ProgressCallback, no_progress
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +94,7 @@ def calibrate_rendered(
     *,
     keep: Path | None = None,
     as_images: bool = False,
-    watch: Watcher = nobody,
+    watch: ProgressCallback = no_progress,
 ) -> BoardCalibration:
     """Render every pose of the board file and calibrate on the images.
 
@@ -108,7 +108,7 @@ def calibrate_rendered(
         New folder for the captures, each with the TRUE calibration beside it.
     as_images : bool
         Keep image files instead, as a real camera gives them, without a calibration.
-    watch : Watcher
+    watch : ProgressCallback
 
     Raises
     ------
@@ -137,7 +137,7 @@ def calibrate_captures(
     board: BoardFile,
     options: AdjustOptions | None = None,
     *,
-    watch: Watcher = nobody,
+    watch: ProgressCallback = no_progress,
 ) -> BoardCalibration:
     """Calibrate on a folder with one capture folder per board pose, the first one the world.
 
@@ -259,9 +259,9 @@ def _feature_rows(done: BoardCalibration) -> Iterator[dict[str, Any]]:
         for n, identity in enumerate(seen.ids):
             numbers = [*found.measured_px[k][n], *found.residuals_px[k][n]]
             names = ("camera_x_px", "camera_y_px", "projector_column_px", "projector_row_px")
-            misses = tuple(f"miss_{name}" for name in names)
+            residuals = tuple(f"residual_{name}" for name in names)
             yield {"pose": seen.name, "id": int(identity), "used": int(found.used[k][n])} | {
-                name: float(number) for name, number in zip(names + misses, numbers, strict=True)
+                name: float(number) for name, number in zip(names + residuals, numbers, strict=True)
             }
 
 

@@ -22,11 +22,11 @@ from reconstruction.triangulation import Use
 from twin.config.models import Decode
 from twin.output import EXPERIMENT_FILE, RESULT_FILE, output_folder, versions, write_json
 from twin.pipeline.fringes import options_of
-from twin.pipeline.progress import Watcher, nobody
+from twin.pipeline.progress import ProgressCallback, no_progress
 
 
 def reconstruct_capture(
-    capture_folder: Path, out: Path, decode: Decode, watch: Watcher = nobody
+    capture_folder: Path, out: Path, decode: Decode, watch: ProgressCallback = no_progress
 ) -> dict[str, Any]:
     """Reconstruct `capture_folder` into `out`; returns the figures also written to result.json.
 
@@ -70,7 +70,9 @@ def reconstruction_metrics(result: Reconstruction, use: Use) -> dict[str, Any]:
     return figures
 
 
-def reconstruct_press(description: Path, out: Path, watch: Watcher = nobody) -> dict[str, Any]:
+def reconstruct_press(
+    description: Path, out: Path, watch: ProgressCallback = no_progress
+) -> dict[str, Any]:
     """Measure `description` (TOML) into `out`; returns the figures also written to result.json.
 
     Beside them stand height.nc, points.ply, and sensor_calibration.npz to measure with again.

@@ -24,12 +24,12 @@ from twin.output import (
 from twin.pipeline.instruments import PhotometricPlan, case_for
 from twin.pipeline.memory import Memory
 from twin.pipeline.methods import measure_into
-from twin.pipeline.progress import Watcher, nobody
+from twin.pipeline.progress import ProgressCallback, no_progress
 
 COMMAND = "compare"
 _NAMES = (RESULT_FILE, "report.html", "figures")
 
-Filler = Callable[[Path, Experiment, Watcher, Memory], None]
+Filler = Callable[[Path, Experiment, ProgressCallback, Memory], None]
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,9 @@ def methods_named(text: str) -> tuple[Method, ...]:
     return tuple(known[name] for name in names)
 
 
-def measure_whole(folder: Path, experiment: Experiment, watch: Watcher, memory: Memory) -> None:
+def measure_whole(
+    folder: Path, experiment: Experiment, watch: ProgressCallback, memory: Memory
+) -> None:
     """Fill a result folder as `twin measure` does, but for its report."""
     measure_into(folder, "measure", experiment, watch, memory)
 
@@ -83,7 +85,7 @@ def compare(
     out: Path,
     fill: Filler = measure_whole,
     *,
-    watch: Watcher = nobody,
+    watch: ProgressCallback = no_progress,
     plan: PhotometricPlan | None = None,
 ) -> list[Outcome]:
     """Measure every experiment by every method, into `out`.
@@ -94,7 +96,7 @@ def compare(
     methods : in the order in which they are shown
     out : folder of the comparison; an earlier one is continued
     fill : measures one experiment into a folder, which becomes visible when it is complete
-    watch : told how far each measurement is
+    watch : progress callback
     plan : sensor and load of photometric stereo; a GelSight Mini under the same force by default
 
     Returns
@@ -127,7 +129,7 @@ def measure_each(
     out: Path,
     fill: Filler = measure_whole,
     *,
-    watch: Watcher = nobody,
+    watch: ProgressCallback = no_progress,
     plan: PhotometricPlan | None = None,
     memory: Memory | None = None,
 ) -> list[Outcome]:
@@ -170,7 +172,7 @@ class _Run:
 
     out: Path
     fill: Filler
-    watch: Watcher
+    watch: ProgressCallback
     plan: PhotometricPlan
     memory: Memory
 
@@ -201,7 +203,7 @@ def _finished(folder: Path, case: Experiment) -> dict[str, Any] | None:
     return figures if same and isinstance(figures, dict) else None
 
 
-def _labelled(watch: Watcher, label: str) -> Watcher:
+def _labelled(watch: ProgressCallback, label: str) -> ProgressCallback:
     return lambda stage, fraction: watch(f"{label}: {stage}", fraction)
 
 

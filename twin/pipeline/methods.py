@@ -8,14 +8,14 @@ from twin.optics.checks import check_renderable
 from twin.pipeline.colours import check_sensor, measure_colours
 from twin.pipeline.fringes import RunContext, check_layers, measure_fringes
 from twin.pipeline.memory import Memory
-from twin.pipeline.progress import Stopwatch, Watcher, nobody
+from twin.pipeline.progress import ProgressCallback, Stopwatch, no_progress
 from twin.results.folder import write_measurement
 from twin.results.record import Measurement
 
 
 def measure(
     experiment: Experiment,
-    watch: Watcher = nobody,
+    watch: ProgressCallback = no_progress,
     memory: Memory | None = None,
     trial: int = 0,
 ) -> Measurement:
@@ -24,7 +24,7 @@ def measure(
     Parameters
     ----------
     experiment : Experiment
-    watch : Watcher
+    watch : ProgressCallback
     memory : Memory, optional
         What measurements before it kept, and where it keeps its own; the bytes are the same.
     trial : int
@@ -46,7 +46,7 @@ def measure_into(
     folder: Path,
     command: str,
     experiment: Experiment,
-    watch: Watcher = nobody,
+    watch: ProgressCallback = no_progress,
     memory: Memory | None = None,
 ) -> None:
     """Measure, and write everything of it into an empty folder; `command` is who asked.

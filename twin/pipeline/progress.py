@@ -1,4 +1,4 @@
-"""Tell whoever watches how far a command is, and time its stages."""
+"""Progress of a command, told by a callback, and the time of its stages."""
 
 import time
 from collections.abc import Callable, Iterator
@@ -7,22 +7,22 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 
-class Watcher(Protocol):
-    """Someone who is told how far a measurement is."""
+class ProgressCallback(Protocol):
+    """Progress callback: is told the finished fraction of a stage."""
 
     def __call__(self, stage: str, fraction: float, /) -> None:
         """Report the finished fraction of a stage."""
 
 
-def nobody(stage: str, fraction: float, /) -> None:
-    """Watch nothing."""
+def no_progress(stage: str, fraction: float, /) -> None:
+    """Do without a progress callback."""
 
 
 @dataclass
 class Stopwatch:
-    """Wall-clock seconds per stage, and the messages to the watcher."""
+    """Wall-clock seconds per stage, and the calls of the progress callback."""
 
-    watch: Watcher = nobody
+    watch: ProgressCallback = no_progress
     seconds: dict[str, float] = field(default_factory=dict)
     frames_per_s: dict[str, float] = field(default_factory=dict)
 

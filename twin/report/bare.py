@@ -145,7 +145,7 @@ def _missing(scored: Measurement) -> Verdict:
 
 _PANEL_IN, _ACROSS_IN, _TOP_IN = 3.1, 3.4, 0.3
 # Room for a colour bar below the upper line, and for all reasons below the lower one.
-_BELOW_UPPER_IN, _BELOW_LOWER_IN = 0.85, 1.4
+_BELOW_UPPER_IN, _BELOW_LOWER_IN = 0.95, 1.4
 
 
 def page_of(measured: Measurement) -> Page:
@@ -193,13 +193,7 @@ def seen_figure(measured: Measurement) -> Figure:
 
 
 def draw_seen(path: Path, measured: Measurement) -> None:
-    """Draw white, fringes and true heights over measured heights, error and reasons, as PNG.
-
-    Raises
-    ------
-    InputError
-        `path` cannot be written.
-    """
+    """Draw white, fringes and true heights over measured heights, error and reasons, as PNG."""
     rows, cols = measured.truth.lit.shape
     height_in = _PANEL_IN * rows / cols
     line_in = _TOP_IN + height_in + _BELOW_UPPER_IN

@@ -67,13 +67,7 @@ def decoding_figure(measured: Measurement) -> Figure:
 
 
 def draw_frames(path: Path, capture: Capture) -> None:
-    """Draw white, black, phase and Gray frames of both directions, and one image row, as PNG.
-
-    Raises
-    ------
-    InputError
-        `path` cannot be written.
-    """
+    """Draw white, black, phase and Gray frames of both directions, and one image row, as PNG."""
     rows = _sheet(capture)
     _, height, width = capture.stack.shape
     thumb_in = (_WIDTH_IN - 2 * _SIDE_IN) / _COLUMNS * 0.95
@@ -157,13 +151,7 @@ _NO_PHASE = (Reason.DARK, Reason.LOW_MODULATION, Reason.SATURATED)
 
 
 def draw_decoding(path: Path, reconstruction: Reconstruction, patterns: PatternSet) -> None:
-    """Draw wrapped phase and order of both directions, modulation and reason mask as PNG.
-
-    Raises
-    ------
-    InputError
-        `path` cannot be written.
-    """
+    """Draw wrapped phase and order of both directions, modulation and reason mask as PNG."""
     decoded, reason = reconstruction.decoded, reconstruction.point_map.mask_reason
     rows, cols = reason.shape
     height_in = _MAP_IN * rows / cols

@@ -11,7 +11,7 @@ from markupsafe import Markup
 from twin.config.methods import TRAITS, Method
 from twin.config.models import Experiment
 from twin.pipeline.comparison import Outcome, read_outcomes
-from twin.pipeline.progress import Watcher, nobody
+from twin.pipeline.progress import ProgressCallback, no_progress
 from twin.report.comparison_panels import overview, panels_of
 from twin.report.experiment import result_in_words
 from twin.report.page import (
@@ -64,7 +64,9 @@ class Quantity:
     of: Callable[[Gist], str]
 
 
-def write_comparison(folder: Path, watch: Watcher = nobody, into: Path | None = None) -> Path:
+def write_comparison(
+    folder: Path, watch: ProgressCallback = no_progress, into: Path | None = None
+) -> Path:
     """Write `report.html` and `figures/*.png` into the folder of a finished comparison.
 
     Parameters

@@ -70,11 +70,6 @@ def overview(
 
     Yields the function that fills the place of one specimen and method: one measurement after the
     other, because a stack at full size takes 600 MB. None says that there is no measurement.
-
-    Raises
-    ------
-    InputError
-        `path` cannot be written.
     """
     height_in, pair_in = _CELL_IN * _CELL_SHARE, 2 * _CELL_IN + 3 * _GAP_IN
     down_in = _HEAD_IN + len(methods) * (height_in + _GAP_IN)

@@ -11,7 +11,7 @@ from reconstruction.arrays import FloatArray
 from twin.config.problem import Free
 from twin.identify.findings import Interval, Prediction, Ridge
 from twin.identify.run import Identified
-from twin.pipeline.progress import Watcher, nobody
+from twin.pipeline.progress import ProgressCallback, no_progress
 from twin.report.canvas import (
     FAINT,
     FIT,
@@ -43,7 +43,7 @@ _AGREES, _DISAGREES = 2.0, 3.0
 
 
 def write_identified(
-    folder: Path, found: Identified, watch: Watcher = nobody, into: Path | None = None
+    folder: Path, found: Identified, watch: ProgressCallback = no_progress, into: Path | None = None
 ) -> Path:
     """Write `report.html` and `figures/*.png`.
 

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from pathlib import Path
 
-from twin.pipeline.progress import Watcher, nobody
+from twin.pipeline.progress import ProgressCallback, no_progress
 from twin.report import bare, contact, photometric
 from twin.report.page import REPORT_FILE, STAGE, Page, write_page
 from twin.report.spheres import fit_table
@@ -11,7 +11,9 @@ from twin.results.folder import read_measurement
 from twin.results.record import Measurement
 
 
-def write_report(folder: Path, watch: Watcher = nobody, into: Path | None = None) -> Path:
+def write_report(
+    folder: Path, watch: ProgressCallback = no_progress, into: Path | None = None
+) -> Path:
     """Write `report.html` and `figures/*.png` into the folder of a finished measurement.
 
     Parameters

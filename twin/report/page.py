@@ -15,7 +15,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 
 from reconstruction.machine import unwritable
 from twin.output import replacing
-from twin.pipeline.progress import Watcher, nobody
+from twin.pipeline.progress import ProgressCallback, no_progress
 from twin.report.table import Table
 
 REPORT_FILE, FIGURES_FOLDER = "report.html", "figures"
@@ -138,7 +138,7 @@ class Page:
     wide: bool = False
 
 
-def write_page(path: Path, page: Page, watch: Watcher = nobody) -> Path:
+def write_page(path: Path, page: Page, watch: ProgressCallback = no_progress) -> Path:
     """Draw the figures of a page into `figures` beside it, and write it whole or not at all.
 
     Raises

@@ -83,13 +83,7 @@ def difference_levels(seen: Measurement) -> NDArray[np.uint8]:
 
 
 def draw_images(path: Path, seen: Measurement) -> None:
-    """Draw tactile image, background and their difference, as PNG.
-
-    Raises
-    ------
-    InputError
-        `path` cannot be written.
-    """
+    """Draw tactile image, background and their difference, as PNG."""
     background = np.rint(seen.colours.calibration.background).astype(np.uint8)
     pictures = {
         "tactile image": seen.picture,
@@ -106,13 +100,7 @@ def draw_images(path: Path, seen: Measurement) -> None:
 
 
 def draw_slopes(path: Path, seen: Measurement) -> None:
-    """Draw measured and true slopes and their difference, both directions, as PNG.
-
-    Raises
-    ------
-    InputError
-        `path` cannot be written.
-    """
+    """Draw measured and true slopes and their difference, both directions, as PNG."""
     measured, true = seen.colours.own.heights.slopes.astype(np.float64), true_slopes(seen)
     limit = symmetric_limit(true, 99.5)
     error_limit = symmetric_limit(measured - true, 99.0)
@@ -134,13 +122,7 @@ def draw_slopes(path: Path, seen: Measurement) -> None:
 
 
 def draw_heights(path: Path, seen: Measurement) -> None:
-    """Draw the true heights and those of every decoder, shaded, on one scale, as PNG.
-
-    Raises
-    ------
-    InputError
-        `path` cannot be written.
-    """
+    """Draw the true heights and those of every decoder, shaded, on one scale, as PNG."""
     scale, wide_mm, extent = true_scale(seen), width_mm(seen), extent_mm(seen)
     panel_in, height_in = _panel(seen, 4)
     line_in = _TOP_IN + height_in + _BETWEEN_IN
@@ -160,13 +142,7 @@ def draw_heights(path: Path, seen: Measurement) -> None:
 
 
 def draw_errors(path: Path, seen: Measurement) -> None:
-    """Draw the height error of every decoder on one scale, as PNG.
-
-    Raises
-    ------
-    InputError
-        `path` cannot be written.
-    """
+    """Draw the height error of every decoder on one scale, as PNG."""
     errors = {id(one): decoder_error_um(seen, one) for one in seen.colours.decoded}
     limit_um = round_up(
         max(float(np.percentile(np.abs(e.compressed()), 95)) for e in errors.values())
@@ -227,13 +203,7 @@ _STYLES = {"polynomial": "-", "table": ":"}
 
 
 def draw_sections(path: Path, seen: Measurement) -> None:
-    """Draw heights and height errors of every decoder along the section, as PNG.
-
-    Raises
-    ------
-    InputError
-        `path` cannot be written.
-    """
+    """Draw heights and height errors of every decoder along the section, as PNG."""
     trace = trace_through_apexes(seen.experiment)
     left, right, *_ = extent_mm(seen)
     s_mm = np.linspace(left, right, _SAMPLES)
@@ -287,13 +257,7 @@ _LAYER_COLOURS = ("#cfe3f1", "#e3eef6")
 
 
 def draw_sensor(path: Path, experiment: Experiment) -> None:
-    """Draw the sensor from above and from the side, to scale, as PNG.
-
-    Raises
-    ------
-    InputError
-        `path` cannot be written.
-    """
+    """Draw the sensor from above and from the side, to scale, as PNG."""
     with drawing(path, 5.0, 6.25) as figure:
         _above(axes_at(figure, 0.6, 0.35, 4.1, 3.3), experiment)
         _side(axes_at(figure, 0.6, 4.4, 4.1, 1.35), experiment)

@@ -79,11 +79,6 @@ def draw_small(path: Path, show: Callable[[Axes], None], shape: tuple[int, int],
     ----------
     shape : (row, col) of the image
     bar : leave room for a colour bar below
-
-    Raises
-    ------
-    InputError
-        `path` cannot be written.
     """
     inside_in = _WIDTH_IN - 2 * _SIDE_IN
     height_in, below_in = inside_in * shape[0] / shape[1], _BAR_IN if bar else _SIDE_IN

@@ -86,13 +86,7 @@ def _left_out(figures: Mapping[str, Any]) -> str:
 
 
 def draw_press(path: Path, experiment: Experiment, pressed: PressedElastomer) -> None:
-    """Draw relief, pressure and the section through the apexes as PNG.
-
-    Raises
-    ------
-    InputError
-        `path` cannot be written.
-    """
+    """Draw relief, pressure and the section through the apexes as PNG."""
     trace = trace_through_apexes(experiment)
     with drawing(path, 10.0, 8.6 if pressed.sheet is None else 11.6) as figure:
         relief = axes_at(figure, 0.65, 0.35, 3.45, 2.7)
@@ -256,13 +250,7 @@ def _mark_trace(axes: Axes, experiment: Experiment, trace: Trace) -> None:
 
 
 def draw_transfer(path: Path, transfer: ContactTransfer) -> None:
-    """Draw kept relief against pitch, closed form and computed, as PNG.
-
-    Raises
-    ------
-    InputError
-        `path` cannot be written.
-    """
+    """Draw kept relief against pitch, closed form and computed, as PNG."""
     with drawing(path, 7.0, 3.6) as figure:
         axes = axes_at(figure, 0.7, 0.55, 6.0, 2.6)
         whole, found, what = _labels(transfer)

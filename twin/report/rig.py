@@ -21,13 +21,7 @@ from twin.specimens import shape_of
 
 
 def draw_rig(path: Path, experiment: Experiment) -> None:
-    """Draw the side view as PNG.
-
-    Raises
-    ------
-    InputError
-        `path` cannot be written.
-    """
+    """Draw the side view as PNG."""
     rig = true_calibration(experiment)
     camera, projector = rig.T_world_from_cam[:3, 3], rig.T_world_from_proj[:3, 3]
     across = _horizontal(projector - camera)

@@ -185,13 +185,7 @@ def _ball_figure(measured: Measurement, view: BallView) -> Figure:
 
 
 def draw_ball(path: Path, view: BallView) -> None:
-    """Draw residual map and histogram, section and departure from the fit, as PNG.
-
-    Raises
-    ------
-    InputError
-        `path` cannot be written.
-    """
+    """Draw residual map and histogram, section and departure from the fit, as PNG."""
     with drawing(path, 10.0, 6.8) as figure:
         _residual_map(axes_at(figure, 0.65, 0.35, 3.6, 2.7), view)
         _residual_histogram(axes_at(figure, 5.75, 0.35, 4.1, 2.7), view)

@@ -5,7 +5,7 @@ designs once more for their pictures.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ from markupsafe import Markup
 
 from reconstruction.errors import InputError
 from twin.config.study import Objective
-from twin.pipeline.progress import Watcher, nobody
+from twin.pipeline.progress import ProgressCallback, no_progress
 from twin.report.page import (
     REPORT_FILE,
     STAGE,
@@ -73,7 +73,7 @@ class Shown:
 
 def write_study(
     folder: Path,
-    watch: Watcher = nobody,
+    watch: ProgressCallback = no_progress,
     objectives: Sequence[Objective] = (),
     into: Path | None = None,
     failed: Mapping[str, str] | None = None,
@@ -144,7 +144,7 @@ def _page(shown: Shown) -> Page:
         lead=lead + (f" Feasible: {bounds}." if bounds else ""),
         sections=[
             Section("best", "Best designs", tuple(_best(shown))),
-            *(Section(f"of_{one.name}", one.title, (one,)) for one in _figures(shown)),
+            *(Section(f"of_{f.name}", f.title, (replace(f, title=""),)) for f in _figures(shown)),
             Section("cases", "All cases", tuple(_cases(shown))),
         ],
         wide=True,

@@ -174,13 +174,7 @@ def _enlarged(points: SurfacePoints) -> str:
 
 
 def draw_relief_view(path: Path, points: SurfacePoints, pixel_mm: float) -> None:
-    """Draw the measured surface as a shaded 3-D view, as PNG.
-
-    Raises
-    ------
-    InputError
-        `path` cannot be written.
-    """
+    """Draw the measured surface as a shaded 3-D view, as PNG."""
     relief, enlarged = _relief(points, pixel_mm, _VIEW_CELLS).trimmed(), z_enlargement(points)
     norm = _norm(relief)
     with drawing(path, 10.0, 5.4) as figure:
@@ -207,13 +201,7 @@ def draw_relief_view(path: Path, points: SurfacePoints, pixel_mm: float) -> None
 
 
 def draw_height_map(path: Path, points: SurfacePoints, pixel_mm: float) -> None:
-    """Draw the measured heights in top view, shaded, as PNG.
-
-    Raises
-    ------
-    InputError
-        `path` cannot be written.
-    """
+    """Draw the measured heights in top view, shaded, as PNG."""
     relief = _relief(points, pixel_mm, _MAP_CELLS)
     norm = _norm(relief)
     rows, cols = relief.values.shape
@@ -287,13 +275,7 @@ _MAP_CELLS, _BINS, _SIGMAS = 480, 121, 200
 def draw_truth_error(
     path: Path, reconstruction: Reconstruction, truth: Truth, pixel_mm: float
 ) -> None:
-    """Draw the error map, the predicted sigma and the histogram of errors as PNG.
-
-    Raises
-    ------
-    InputError
-        `path` cannot be written.
-    """
+    """Draw the error map, the predicted sigma and the histogram of errors as PNG."""
     both = reconstruction.point_map.valid & truth.lit
     points = truth.points_world_mm[both]
     error_um = 1e3 * (reconstruction.point_map.points_world_mm[both] - points)[:, 2].astype(float)

@@ -10,7 +10,13 @@ from numpy.typing import NDArray
 
 from reconstruction.capture.folder import Capture, write_capture
 from reconstruction.errors import InputError
-from reconstruction.machine import read_dataset, write_dataset, write_exr_channels
+from reconstruction.machine import (
+    PIXELS,
+    pixel_coordinates,
+    read_dataset,
+    write_dataset,
+    write_exr_channels,
+)
 from twin.config import Experiment, digest, to_toml
 from twin.mechanics import (
     ContactTransfer,
@@ -32,7 +38,6 @@ Progress = Callable[[float], None]
 
 CAPTURE_FOLDER = "capture"
 TIMINGS_FILE = "timings.json"
-PIXELS = ("row", "col")
 _FRAME = "world: z = 0 is the undeformed coated face, z up; row 0 at the top"
 _TRUTH = {
     "x_mm": ("mm", "world x of the surface point behind the pixel centre"),
@@ -116,7 +121,9 @@ def truth_dataset(truth: Truth) -> "xarray.Dataset":
         name: (PIXELS, values, {"units": units, "long_name": told})
         for (name, (units, told)), values in zip(_TRUTH.items(), maps, strict=True)
     }
-    return xarray.Dataset(variables, coords=pixels(*truth.lit.shape), attrs={"frame": _FRAME})
+    return xarray.Dataset(
+        variables, coords=pixel_coordinates(*truth.lit.shape), attrs={"frame": _FRAME}
+    )
 
 
 def read_truth(path: Path) -> Truth:
@@ -138,15 +145,6 @@ def read_truth(path: Path) -> Truth:
     depth_mm, column_px, row_px, lit, measured = maps[6:]
     masks = lit.astype(bool), measured.astype(bool)
     return Truth(points, normals, depth_mm, column_px, row_px, *masks)
-
-
-def pixels(rows: int, cols: int) -> dict[str, Any]:
-    """Return the coordinates of camera pixels: (0, 0) is the first, row 0 the top."""
-    told = {"row": "camera row, from the top", "col": "camera column, from the left"}
-    return {
-        name: (name, np.arange(count, dtype=np.int32), {"units": "1", "long_name": told[name]})
-        for name, count in zip(PIXELS, (rows, cols), strict=True)
-    }
 
 
 def write_exr(path: Path, image: NDArray[np.float32]) -> None:

@@ -8,7 +8,7 @@ Nothing is registered before comparing: where a method's points lie belongs to t
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Any, Generic, TypeVar
 
 import numpy as np
@@ -21,6 +21,7 @@ from reconstruction.photometric import HeightMap
 from reconstruction.pipeline import Reconstruction, filter_bias
 from twin.config.models import Experiment
 from twin.optics.stack import Truth
+from twin.results.rods import rod_figures
 from twin.specimens import Sphere, shape_of
 
 # Four points fix a sphere exactly: its residuals are 0 whatever the error.
@@ -110,11 +111,14 @@ class Scores(Generic[Against]):
         The balls that could be fitted.
     unfitted : tuple of str
         Why the others could not: a ball without valid points must not sink the measurement.
+    rod : mapping
+        Width and height of a single rod, measured and of the true face; empty for all else.
     """
 
     against_truth: Against
     spheres: tuple[SphereScore, ...]
     unfitted: tuple[str, ...] = ()
+    rod: Mapping[str, Any] = field(default_factory=dict)
 
 
 def score(
@@ -124,7 +128,8 @@ def score(
     points = reconstruction.point_map
     usable = points.valid & truth.lit
     spheres = _spheres(experiment, points.points_world_mm, truth, usable)
-    return Scores(score_truth(experiment, reconstruction, truth), *spheres)
+    rod = _rod(experiment, points.points_world_mm, truth, usable)
+    return Scores(score_truth(experiment, reconstruction, truth), *spheres, rod=rod)
 
 
 def score_heights(experiment: Experiment, heights: HeightMap, truth: Truth) -> Scores[HeightScore]:
@@ -145,7 +150,8 @@ def score_heights(experiment: Experiment, heights: HeightMap, truth: Truth) -> S
         wanted_pixels=int(wanted.sum()),
         height_scale=_scale(found, true),
     )
-    return Scores(against_truth, *_spheres(experiment, found_mm, truth, both))
+    rod = _rod(experiment, found_mm, truth, both)
+    return Scores(against_truth, *_spheres(experiment, found_mm, truth, both), rod=rod)
 
 
 def score_truth(
@@ -258,6 +264,13 @@ def _spheres(
     return tuple(fitted), tuple(unfitted)
 
 
+def _rod(
+    experiment: Experiment, measured_mm: NDArray[np.floating], truth: Truth, usable: BoolImage
+) -> dict[str, Any]:
+    true = rod_figures(experiment, truth.points_world_mm[usable], "true_face_")
+    return rod_figures(experiment, measured_mm[usable]) | true
+
+
 def _scale(found_mm: FloatArray, true_mm: FloatImage) -> float | None:
     true = true_mm.astype(np.float64) - true_mm.mean(dtype=np.float64)
     if not np.ptp(true_mm):
@@ -294,7 +307,7 @@ def score_sphere(
 def metrics(scored: Scores[TruthScore]) -> dict[str, Any]:
     """Flatten a score to names with units, for result.json."""
     found = asdict(scored.against_truth) | {"unfitted_balls": list(scored.unfitted)}
-    return found | _sphere_metrics(scored.spheres, scored.unfitted)
+    return found | _sphere_metrics(scored.spheres, scored.unfitted) | dict(scored.rod)
 
 
 def why_absent(figures: Mapping[str, Any]) -> str:

@@ -11,11 +11,10 @@ from math import sqrt
 import numpy as np
 import trimesh
 
-from reconstruction.arrays import FloatArray
+from reconstruction.arrays import FloatArray, IntArray
 from twin.config.objects import Nut, TBolt
 from twin.specimens.catalogue import register, unposed
 from twin.specimens.meshes import MeshShape
-from twin.specimens.raster import IntArray
 from twin.specimens.solids import (
     SECTIONS,
     along_axis,

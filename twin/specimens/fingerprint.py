@@ -13,11 +13,10 @@ from functools import lru_cache
 import numpy as np
 import trimesh
 
-from reconstruction.arrays import FloatArray
+from reconstruction.arrays import FloatArray, IntArray
 from twin.config.objects import Fingerprint
 from twin.specimens.catalogue import register, unposed
 from twin.specimens.meshes import MeshShape
-from twin.specimens.raster import IntArray
 from twin.specimens.solids import grid_facets
 
 # Chords stay within depth pi^2 / 4 / 12^2 of a ridge, 1.2 um at 0.07 mm.

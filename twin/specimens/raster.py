@@ -1,11 +1,8 @@
 """The upper side of a triangle mesh as a height map: vertical rays, exact at every cell."""
 
 import numpy as np
-import numpy.typing as npt
 
-from reconstruction.arrays import FloatArray
-
-IntArray = npt.NDArray[np.int64]
+from reconstruction.arrays import FloatArray, IntArray
 
 # Rays per batch: bounds the memory of a mesh with few large triangles.
 _BATCH = 2_000_000

@@ -14,12 +14,11 @@ import numpy as np
 import numpy.typing as npt
 import trimesh
 
-from reconstruction.arrays import FloatArray
+from reconstruction.arrays import BoolImage, FloatArray, IntArray
 from twin.specimens.catalogue import Placement
 from twin.specimens.distance import Evaluation, compiled, over_points
 from twin.specimens.triangle_crossings import Columns
 from twin.specimens.triangle_distance import (
-    IntArray,
     TriangleTree,
     distances_mm,
     middles_mm,
@@ -193,7 +192,7 @@ def _in_body(
 
 
 @compiled  # type: ignore[untyped-decorator]
-def _ask(points: FloatArray, reach: float, table: Table, asked: npt.NDArray[np.bool_]) -> None:
+def _ask(points: FloatArray, reach: float, table: Table, asked: BoolImage) -> None:
     """Mark the bricks that are unknown, or near enough and not sampled."""
     rotation, shift, pitch, low, least, slot = table
     for n in range(len(points)):

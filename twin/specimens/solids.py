@@ -5,10 +5,9 @@ from itertools import product
 
 import manifold3d
 import numpy as np
-import numpy.typing as npt
 import trimesh
 
-from reconstruction.arrays import FloatArray
+from reconstruction.arrays import FloatArray, IntArray
 
 #: Facets round a full turn. 2 degrees each: a chord stays within 0.6 um of a 4 mm radius.
 SECTIONS = 180
@@ -128,11 +127,11 @@ def _from_manifold(body: manifold3d.Manifold) -> trimesh.Trimesh:
     )
 
 
-def grid_facets(rows: int, cols: int) -> npt.NDArray[np.int64]:
+def grid_facets(rows: int, cols: int) -> IntArray:
     """Return (2 (rows-1) (cols-1), 3) vertex indices, counter-clockwise seen from +z."""
     corner = np.arange(rows * cols).reshape(rows, cols)[:-1, :-1, None]
     two_triangles = np.array([0, 1, cols + 1, 0, cols + 1, cols])
-    facets: npt.NDArray[np.int64] = (corner + two_triangles).reshape(-1, 3)
+    facets: IntArray = (corner + two_triangles).reshape(-1, 3)
     return facets
 
 

@@ -8,13 +8,11 @@ within one mesh are joined. Nodes, cells and pitch as in `triangle_distance`.
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from reconstruction.arrays import FloatArray
+from reconstruction.arrays import BoolImage, FloatArray, IntArray
 from twin.specimens.distance import compiled
-from twin.specimens.triangle_distance import IntArray, over_bands
+from twin.specimens.triangle_distance import over_bands
 
-BoolArray = npt.NDArray[np.bool_]
 # A node's column leaves the lattice by this many pitches, so that it meets no edge: not by a ratio
 # that a designer's dimensions would have.
 _ASIDE = (0.6180339e-6, 0.4142135e-6)
@@ -57,7 +55,7 @@ class Columns:
 
         over_bands(negate, len(cells))
 
-    def inside(self, points_mm: FloatArray) -> BoolArray:
+    def inside(self, points_mm: FloatArray) -> BoolImage:
         """Tell which points (n, xyz) lie inside."""
         cells = np.floor(points_mm / (self.nodes * self.pitch_mm)).astype(np.int64)
         inside = np.zeros(len(points_mm), np.bool_)
@@ -145,7 +143,7 @@ def _inside(
     corners: FloatArray,
     lists: tuple[IntArray, IntArray, IntArray],
     points: FloatArray,
-    inside: BoolArray,
+    inside: BoolImage,
 ) -> None:
     begin, end, member = lists
     for n in range(len(points)):

@@ -10,13 +10,10 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from reconstruction.arrays import FloatArray
+from reconstruction.arrays import FloatArray, IntArray
 from reconstruction.machine import threads
 from twin.specimens.distance import compiled
-
-IntArray = npt.NDArray[np.int64]
 
 _CHUNK = 64
 _LEAF = 2

@@ -1,12 +1,15 @@
 """Cases of a study: one validated experiment each, under the name that its content gives it."""
 
+import hashlib
+import json
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 from twin.config import ConfigError, Experiment, digest, vary
 from twin.config.study import Constraint, Study, without_absent
 from twin.study.design import Point, points_of
+from twin.study.measuring import AS_IT_IS, Conditions
 
 _MOST_PROBLEMS = 5
 
@@ -20,11 +23,24 @@ class Case:
     settings : value of every axis by its title, with `modality` and `seed` where they are varied
     experiment : Experiment
     digest : name of the case in the store
+    conditions : how it is measured, beside what its experiment says
     """
 
     settings: Mapping[str, Any]
     experiment: Experiment
     digest: str
+    conditions: Conditions = AS_IT_IS
+
+
+def case_of(
+    settings: Mapping[str, Any], experiment: Experiment, conditions: Conditions = AS_IT_IS
+) -> Case:
+    """Return a case under its name: the experiment's, unless the conditions are others."""
+    name = digest(experiment)
+    if conditions != AS_IT_IS:
+        named = f"{name} {json.dumps(asdict(conditions), sort_keys=True)}"
+        name = hashlib.blake2b(named.encode(), digest_size=8).hexdigest()
+    return Case(settings, experiment, name, conditions)
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +107,7 @@ def _cases_at(study: Study, base: Experiment, point: Point) -> Iterable[Case]:
                 named["seed"] = base.seed + repeat
             method = {"modality": modality} if study.modalities else {}
             experiment = vary(base, changes | method | _seed(named))
-            yield Case(settings | named, experiment, digest(experiment))
+            yield case_of(settings | named, experiment)
 
 
 def _seed(named: Mapping[str, Any]) -> dict[str, Any]:

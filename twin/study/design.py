@@ -26,8 +26,8 @@ def points_of(study: Study) -> list[Point]:
         More points than a study may have, or a study that finds its points as it goes.
     """
     method = study.sampling.method
-    if method == "optimise":
-        raise InputError("sampling.method = 'optimise': its points are found as it runs")
+    if method in ("optimise", "trials"):
+        raise InputError(f"sampling.method = '{method}': its cases are no points of axes")
     count = point_count(study)
     if count > MOST_CASES:
         raise InputError(f"study: found {count} points, allowed up to {MOST_CASES}; take fewer")
@@ -66,7 +66,7 @@ def shares_of(study: Study) -> Shares:
         case "sobol":
             return _sobol(axes, count, rng)
         case "saltelli":
-            return _saltelli(_sobol(2 * axes, count, rng))
+            return saltelli_shares(axes, count, rng)
         case "morris":
             return np.concatenate(list(_walks(axes, count, rng)))
     raise ValueError(f"{study.sampling.method} does not draw from the unit cube")
@@ -78,13 +78,13 @@ def _sobol(axes: int, count: int, rng: np.random.Generator) -> Shares:
     return np.asarray(qmc.Sobol(axes, rng=rng).random_base2(exponent))[:count]
 
 
-def _saltelli(pairs: Shares) -> Shares:
+def saltelli_shares(axes: int, count: int, rng: np.random.Generator) -> Shares:
     """Rows A, B and A with column i from B, for Saltelli et al. (2010), blocks one after another.
 
     Saltelli, A. et al.: Variance based sensitivity analysis of model output. Computer Physics
     Communications 181, 259-270 (2010), table 2.
     """
-    axes = pairs.shape[1] // 2
+    pairs = _sobol(2 * axes, count, rng)
     a, b = pairs[:, :axes], pairs[:, axes:]
     mixed = [np.where(np.arange(axes) == i, b, a) for i in range(axes)]
     return np.concatenate([a, b, *mixed])

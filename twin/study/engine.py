@@ -14,12 +14,12 @@ from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field
 
 from reconstruction.errors import InputError
-from twin.pipeline.progress import Watcher, nobody
+from twin.pipeline.progress import ProgressCallback, no_progress
 from twin.study.cases import Case
-from twin.study.measuring import CaseMeasurer, StageReads
+from twin.study.measuring import PLAINLY, StageReads
 from twin.study.order import batches_of, in_sharing_order
 from twin.study.store import Store, write_failure
-from twin.study.worker import DIED, Batch, BatchReport, Measurer, Report, State, compute
+from twin.study.worker import DIED, Batch, BatchReport, MakeMeasurer, Report, State, compute
 from twin.study.workers import Workers
 
 _STRIKES = 3
@@ -78,8 +78,8 @@ class Run:
     store: Store
     workers: Workers
     keep: tuple[str, ...] = ()
-    make_measurer: Callable[[tuple[str, ...]], Measurer] = CaseMeasurer
-    watch: Watcher = nobody
+    make_measurer: MakeMeasurer = PLAINLY
+    watch: ProgressCallback = no_progress
     done: Callable[[Sequence[Report]], None] = lambda _: None
     _queue: deque[list[Case]] = field(default_factory=deque)
     _alone: deque[Case] = field(default_factory=deque)
@@ -231,7 +231,7 @@ class Run:
     def _batch(self, cases: list[Case]) -> Batch:
         return Batch(
             store=self.store.folder,
-            cases=tuple((case.digest, case.experiment) for case in cases),
+            cases=tuple((case.digest, case.experiment, case.conditions) for case in cases),
             keep=self.keep,
             make_measurer=self.make_measurer,
         )

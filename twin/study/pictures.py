@@ -19,7 +19,7 @@ from twin.config import Experiment
 from twin.config.study import Objective
 from twin.output import replacing
 from twin.pipeline import Memory, measure
-from twin.pipeline.progress import Watcher, nobody
+from twin.pipeline.progress import ProgressCallback, no_progress
 from twin.results.record import Measurement
 from twin.results.score import wanted_pixels
 from twin.study.best import designs_of, goals_of, ranked_rows, usable_rows
@@ -59,7 +59,7 @@ class CasePicture:
 
 
 def picture_best(
-    folder: Path, objectives: Sequence[Objective] = (), watch: Watcher = nobody
+    folder: Path, objectives: Sequence[Objective] = (), watch: ProgressCallback = no_progress
 ) -> dict[str, str]:
     """Measure the best designs of a study for their pictures, unless the store holds these.
 
@@ -83,7 +83,7 @@ def picture_best(
 
 
 def pictures_of(
-    store: Store, cases: Iterable[Case], watch: Watcher = nobody
+    store: Store, cases: Iterable[Case], watch: ProgressCallback = no_progress
 ) -> tuple[dict[str, CasePicture], dict[str, str]]:
     """Return the pictures of cases by digest, and for those that have none the reason.
 

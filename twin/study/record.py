@@ -14,6 +14,7 @@ from twin.config.study import Study
 from twin.output import adding, read_json, write_json
 from twin.study.cases import Cases, cases_of
 from twin.study.design import Point
+from twin.study.trials import trial_cases
 
 STUDY_FILE = "study.json"
 
@@ -28,6 +29,8 @@ class StudyRecord:
 
     def cases(self) -> Cases:
         """Return the study's cases so far."""
+        if self.study.sampling.method == "trials":
+            return trial_cases(self.study, self.base)
         return cases_of(self.study, self.base, self.points)
 
 

@@ -4,8 +4,8 @@ Three answers, by how the points were drawn. Values are means over repeats.
 
 - grid: share of the variance of the figure over all cases that each axis explains by itself
   (correlation ratio); exact for the grid, no interval. What is left to 1 are interactions.
-- saltelli: first-order and total Sobol' indices with 95 % bootstrap intervals.
-  Saltelli, A. et al., Computer Physics Communications 181, 259-270 (2010), table 2 (b) and (f).
+- saltelli: first-order and total Sobol' indices with 95 % bootstrap intervals, by
+  `scipy.stats.sobol_indices` (Saltelli et al., Computer Physics Communications 181, 259-270, 2010).
 - morris: mean absolute elementary effect over the whole axis, mu*, and its spread sigma.
   Morris, M. D., Technometrics 33, 161-174 (1991); Campolongo et al. (2007) for mu*.
 """
@@ -15,6 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import stats
 
 from twin.config.study import Study
 from twin.study.best import is_number
@@ -106,26 +107,26 @@ def correlation_ratio(values: Values, labels: Sequence[str]) -> float:
 
 
 def saltelli_effects(blocks: Values, axes: Sequence[str]) -> list[Effect]:
-    """Return Sobol' indices from values (block, row) of the blocks A, B, A with B's column i."""
+    """Return Sobol' indices from values (block, row) of the blocks A, B, A with B's column i.
+
+    Rows that lack a value are left out, and further ones until their number is a power of two, as
+    `scipy.stats.sobol_indices` asks.
+    """
     blocks = blocks[:, np.isfinite(blocks).all(axis=0)]
     if blocks.shape[1] < 2:
         return []
+    whole = 1 << (blocks.shape[1].bit_length() - 1)
 
     def indices(rows: NDArray[np.int64]) -> Values:
         a, b, mixed = blocks[0, rows], blocks[1, rows], blocks[2:, rows]
-        # Centred: the estimators' errors grow with the mean, the indices do not know it.
-        centre = 0.5 * (a.mean() + b.mean())
-        variance = np.concatenate([a, b]).var()
-        if variance == 0.0:
-            return np.zeros((2, len(axes)))
-        first = ((b - centre) * (mixed - a)).mean(axis=1) / variance
-        total = ((a - mixed) ** 2).mean(axis=1) / (2.0 * variance)
-        return np.stack([first, total])
+        taken = {"f_A": a[None], "f_B": b[None], "f_AB": mixed[:, None]}
+        found = stats.sobol_indices(func=taken, n=whole)
+        return np.stack([np.atleast_1d(found.first_order), np.atleast_1d(found.total_order)])
 
-    best = indices(np.arange(blocks.shape[1]))
-    low, high = _interval(lambda rows: indices(rows)[0], blocks.shape[1])
+    first, total = indices(np.arange(whole))
+    low, high = _interval(lambda rows: indices(rows)[0], whole)
     return [
-        Effect(axis, float(best[0, i]), float(low[i]), float(high[i]), float(best[1, i]))
+        Effect(axis, float(first[i]), float(low[i]), float(high[i]), float(total[i]))
         for i, axis in enumerate(axes)
     ]
 

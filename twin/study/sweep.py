@@ -2,9 +2,9 @@
 
 import math
 import shutil
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,15 +14,17 @@ from twin.config.study import Study
 from twin.mechanics.choice import may_wrap
 from twin.optics.light import pattern_set
 from twin.output import read_json
-from twin.pipeline.progress import Watcher, nobody
+from twin.pipeline.progress import ProgressCallback, no_progress
 from twin.study.cases import Case, Cases
 from twin.study.engine import Run, SweepOutcome
 from twin.study.index import DAMAGED, Index, entry_of
-from twin.study.measuring import CaseMeasurer
+from twin.study.measuring import PLAINLY, Measuring
 from twin.study.optimise import optimise
 from twin.study.record import StudyRecord, write_record
+from twin.study.rigs import calibrated
 from twin.study.store import FAILURE_FILE, Store
-from twin.study.worker import DIED, UNEXPECTED, Measurer
+from twin.study.trials import nominal
+from twin.study.worker import DIED, UNEXPECTED, MakeMeasurer
 from twin.study.workers import Workers, lasting
 
 # Measured on two cores of 2.5 GHz: camera noise dominates, then loading a pressed face.
@@ -134,6 +136,29 @@ def _kind_of(failure: Path) -> str:
         return ""
 
 
+@dataclass(frozen=True)
+class _Session:
+    """A store at work; notes what was asked of it."""
+
+    store: Store
+    compute: Run
+    retry: bool
+    asked: list[str] = field(default_factory=list)
+    damaged: dict[str, str] = field(default_factory=dict)
+
+    def run(self, cases: Cases) -> SweepOutcome:
+        wanted = cases.unique()
+        self.asked.extend(case.digest for case in wanted)
+        self.damaged.update(forget_damaged(self.store, wanted))
+        forget_failures(self.store, wanted, every=self.retry)
+        return self.compute(wanted)
+
+    def whole(self, outcome: SweepOutcome) -> SweepOutcome:
+        """Return the outcome with how all the cases stand that were asked for."""
+        standing = _standing(Index(self.store), self.asked)
+        return replace(outcome, damaged=self.damaged, **standing)
+
+
 def sweep(
     record: StudyRecord,
     folder: Path,
@@ -141,8 +166,8 @@ def sweep(
     *,
     cases: Cases | None = None,
     retry: bool = False,
-    watch: Watcher = nobody,
-    make_measurer: Callable[[tuple[str, ...]], Measurer] = CaseMeasurer,
+    watch: ProgressCallback = no_progress,
+    make_measurer: MakeMeasurer | None = None,
     inputs: Sequence[Path] = (),
 ) -> SweepOutcome:
     """Compute all cases of a study that its store lacks.
@@ -159,7 +184,8 @@ def sweep(
         Also run again what failed for a reason that lies in the experiment.
     watch : callable
     make_measurer : callable
-        What measures a case; importable by the workers.
+        Makes what measures a case; importable by the workers. Default: `Measuring`, after a
+        calibration of the rig where trials draw theirs.
     inputs : sequence of Path
         Files that the folder must not hold.
 
@@ -170,26 +196,65 @@ def sweep(
     MissingBackend
         No usable Dr.Jit backend.
     """
+
+    def run(of: StudyRecord, batch: Cases) -> SweepOutcome:
+        write_record(folder, of)
+        return session.run(batch)
+
     store = Store(folder)
     store.open(inputs)
-    index, asked, damaged = Index(store), list[str](), dict[str, str]()
-
-    with _tidied(store), lasting(workers) as kept:
-        compute = Run(store, kept, record.study.keep, make_measurer, watch, index.enter)
-
-        def run(of: StudyRecord, batch: Cases) -> SweepOutcome:
-            write_record(folder, of)
-            wanted = batch.unique()
-            asked.extend(case.digest for case in wanted)
-            damaged.update(forget_damaged(store, wanted))
-            forget_failures(store, wanted, every=retry)
-            return compute(wanted)
-
+    make = make_measurer or _measuring(record, folder, watch)
+    with _session(store, workers, record.study.keep, make, watch, retry=retry) as session:
         if record.study.sampling.method == "optimise":
             outcome = SweepOutcome.together(optimise(record, folder, run))
         else:
             outcome = run(record, cases or record.cases())
-    return replace(outcome, damaged=damaged, **_standing(index, asked))
+    return session.whole(outcome)
+
+
+def run_cases(
+    cases: Sequence[Case],
+    folder: Path,
+    workers: Workers,
+    *,
+    watch: ProgressCallback = no_progress,
+    make_measurer: MakeMeasurer = PLAINLY,
+) -> SweepOutcome:
+    """Compute cases that are no study of their own, where their store lacks them; as `sweep`."""
+    store = Store(folder)
+    store.open()
+    with _session(store, workers, (), make_measurer, watch, retry=False) as session:
+        outcome = session.run(Cases(tuple(cases), 0))
+    return session.whole(outcome)
+
+
+@contextmanager
+def _session(
+    store: Store,
+    workers: Workers,
+    keep: tuple[str, ...],
+    make: MakeMeasurer,
+    watch: ProgressCallback,
+    *,
+    retry: bool,
+) -> Iterator[_Session]:
+    with _tidied(store), lasting(workers) as kept:
+        yield _Session(store, Run(store, kept, keep, make, watch, Index(store).enter), retry)
+
+
+def _measuring(record: StudyRecord, folder: Path, watch: ProgressCallback) -> Measuring:
+    """Return what measures the cases of a study; calibrates the rig where its trials draw rigs.
+
+    The rig is calibrated in this process: its last digits depend on how many threads the linear
+    algebra has, and these must not depend on the workers.
+    """
+    plan = record.study.sampling
+    if plan.method != "trials" or plan.calibration == "true":
+        return PLAINLY
+    repeated = nominal(record.study, record.base)
+    if not repeated.method.fringes:
+        return PLAINLY
+    return Measuring(calibrated(folder, repeated, plan.board, watch))
 
 
 def _standing(index: Index, asked: Sequence[str]) -> dict[str, Any]:

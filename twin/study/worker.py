@@ -15,7 +15,14 @@ from reconstruction.errors import InputError
 from reconstruction.machine import is_disk_full, threads
 from twin.config import Experiment
 from twin.results.parts import write_result, write_timings
-from twin.study.measuring import Answer, CaseMeasurer, StageReads
+from twin.study.measuring import (
+    AS_IT_IS,
+    PLAINLY,
+    Answer,
+    CaseMeasurer,
+    Conditions,
+    StageReads,
+)
 from twin.study.store import Store, write_failure
 
 State = Literal["done", "failed", "elsewhere", "known", "unsaved"]
@@ -29,11 +36,15 @@ _one_at_a_time = threading.Lock()
 class Measurer(Protocol):
     """Something that answers a case."""
 
-    def __call__(self, experiment: Experiment) -> Answer:
+    def __call__(self, experiment: Experiment, conditions: Conditions = AS_IT_IS, /) -> Answer:
         """Measure one case."""
 
     def reads(self) -> StageReads:
         """Fields that each stage looked at for the latest case, first stage first."""
+
+
+MakeMeasurer = Callable[[tuple[str, ...]], Measurer]
+"""Takes what a study keeps; called once per process."""
 
 
 @dataclass(frozen=True)
@@ -42,15 +53,15 @@ class Batch:
 
     Attributes
     ----------
-    cases : digest and experiment of each
+    cases : digest, experiment and conditions of each
     keep : arrays to write per case
     make_measurer : called once per process with `keep`
     """
 
     store: Path
-    cases: tuple[tuple[str, Experiment], ...]
+    cases: tuple[tuple[str, Experiment, Conditions], ...]
     keep: tuple[str, ...] = ()
-    make_measurer: Callable[[tuple[str, ...]], Measurer] = CaseMeasurer
+    make_measurer: MakeMeasurer = PLAINLY
 
 
 @dataclass(frozen=True)
@@ -109,15 +120,18 @@ def die_with(parent: int) -> None:
 
 
 @lru_cache(maxsize=1)  # it holds stacks of frames
-def _measurer(make: Callable[[tuple[str, ...]], Measurer], keep: tuple[str, ...]) -> Measurer:
-    if isinstance(make, type) and issubclass(make, CaseMeasurer):
+def _measurer(make: MakeMeasurer, keep: tuple[str, ...]) -> Measurer:
+    measurer = make(keep)
+    if isinstance(measurer, CaseMeasurer):
         from twin.optics.backend import use_threads
 
         use_threads(threads())  # the renderer does not look at the environment
-    return make(keep)
+    return measurer
 
 
-def _compute_case(store: Store, digest: str, experiment: Experiment, measurer: Measurer) -> Report:
+def _compute_case(
+    store: Store, digest: str, experiment: Experiment, conditions: Conditions, measurer: Measurer
+) -> Report:
     start = time.perf_counter()
     with store.claimed(digest) as mine:
         if store.path_of(digest).is_dir():
@@ -125,16 +139,18 @@ def _compute_case(store: Store, digest: str, experiment: Experiment, measurer: M
         if not mine:
             return Report(digest, "elsewhere")
         try:
-            found = _into_store(store, digest, experiment, measurer)
+            found = _into_store(store, digest, experiment, conditions, measurer)
         except OSError as error:
             return Report(digest, "unsaved", reason=_unsaved(error))
     return replace(found, seconds=time.perf_counter() - start)
 
 
-def _into_store(store: Store, digest: str, experiment: Experiment, measurer: Measurer) -> Report:
+def _into_store(
+    store: Store, digest: str, experiment: Experiment, conditions: Conditions, measurer: Measurer
+) -> Report:
     start = time.perf_counter()
     with store.writing(digest) as folder:
-        answer = _answer(measurer, experiment)
+        answer = _answer(measurer, experiment, conditions)
         if isinstance(answer, _Failure):
             write_failure(folder, experiment, answer.kind, answer.reason, answer.trace)
         else:
@@ -153,10 +169,12 @@ class _Failure:
     trace: str = ""
 
 
-def _answer(measurer: Measurer, experiment: Experiment) -> Answer | _Failure:
+def _answer(
+    measurer: Measurer, experiment: Experiment, conditions: Conditions
+) -> Answer | _Failure:
     """Measure; what a case does wrong must not end the others."""
     try:
-        answer = measurer(experiment)
+        answer = measurer(experiment, conditions)
         wrong = [n for n, v in answer.figures.items() if isinstance(v, float) and not isfinite(v)]
         told = f"{', '.join(wrong)}: not finite"
         return _Failure(UNEXPECTED, told) if wrong else answer

@@ -93,7 +93,7 @@ def lasting(workers: Workers) -> Iterator[Workers]:
         )
     finally:
         for executor in held:
-            workers.close(executor)
+            (workers.release or workers.close)(executor)
 
 
 def default_count() -> int:

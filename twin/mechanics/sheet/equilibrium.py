@@ -15,23 +15,25 @@ import numpy.typing as npt
 from reconstruction.arrays import FloatArray
 from reconstruction.machine import threads
 from twin.mechanics.errors import SolverError
-from twin.mechanics.sheet.grid import SheetGrid
-from twin.mechanics.sheet.kernel import SLOTS, assemble_rows, surface_rows
+from twin.mechanics.sheet.grid import SheetGrid, functions_of
+from twin.mechanics.sheet.kernel import SLOTS, assemble_rows, scratch, surface_rows
 from twin.mechanics.sheet.laws import Grip, Laws, Touch
 from twin.mechanics.sheet.linear_solver import LinearSolver, linear_solver
 from twin.specimens.distance import SignedDistance
 
 # A band is a block of cell rows that one thread takes; its forces reach two rows beyond it.
 _BAND_ROWS = 8
-_LARGEST_MOVE_MM, _SMALLEST_SHARE, _SUFFICIENT = 0.2, 1e-3, 1e-4
+_LARGEST_MOVE_MM, _SMALLEST_SHARE, _SUFFICIENT = 0.5, 1e-3, 1e-4
 #: cosine of the largest turn of a normal in one step
 _LARGEST_TURN = 0.5
 _REGRIP_EVERY = 4
+#: thickness over its undeformed value
+_FILM = 0.1
 # Shares of the cohesive range: anchored below the first, let go above the second, where the pull is
 # largest. Springs held farther would add to the work of peeling: 10 % at 0.2 mm, 50 % at 0.1 mm.
 _GRIPS, _LETS_GO = 0.25, 0.5
 _LEAST_VISCOSITY, _CONVEX_FROM, _MOST_VISCOSITY = 1.0, 1e4, 1e7
-_GROWTH = 4.0
+_GROWTH = 8.0
 
 
 @dataclass(frozen=True)
@@ -111,7 +113,7 @@ class Sheet:
     ) -> Evaluation:
         """Evaluate the energy and forces of `control_mm` under the state's loads."""
         surface = self.surface(control_mm)
-        touch = self.touch(surface[..., 0, :], state.travel_mm)
+        touch = self.touch(surface[..., 0, :], state.travel_mm, near=True)
         laws = self.laws._replace(pressure_kpa=state.pressure_kpa)
         lifted = state.grip._replace(
             anchor_mm=state.grip.anchor_mm + np.array([0.0, 0.0, state.travel_mm])
@@ -121,12 +123,13 @@ class Sheet:
         self._forces[:] = 0.0
         if tangent:
             self._tangent[:] = 0.0
-        arguments = (
-            control_mm, self.grid.rest, laws, touch, lifted, tangent, convex, energy,
-            self._forces, self._tangent,
-        )  # fmt: skip
+        tangents = self._tangent.reshape(*self._tangent.shape[:2], -1)
+        before = control_mm, self.grid.rest, laws, touch, lifted, tangent, convex
+        after = energy, self._forces, tangents
         for parity in (0, 1):  # neighbouring bands write to the same control points
-            self._over_bands(rows, parity, lambda a, b: assemble_rows(a, b, *arguments))
+            self._over_bands(
+                rows, parity, lambda a, b: assemble_rows(a, b, *before, *scratch(), *after)
+            )
         self.evaluations += 1
         return Evaluation(float(energy.sum()), control_mm, surface)
 
@@ -134,10 +137,13 @@ class Sheet:
         """Return (row, col, 4, 3, xyz): place and derivatives at the Gauss points."""
         rows, cols = self.grid.y.cells, self.grid.x.cells
         out = np.zeros((rows, cols, 4, 3, 3))
-        functions = self.grid.rest.functions
         for parity in (0, 1):
             self._over_bands(
-                rows, parity, lambda a, b: surface_rows(a, b, control_mm, functions, out)
+                rows,
+                parity,
+                lambda a, b: surface_rows(
+                    a, b, control_mm, self.grid.rest, np.zeros((9, 3)), np.zeros(5), out
+                ),
             )
         return out
 
@@ -149,14 +155,19 @@ class Sheet:
         """
         return 0.75 * self.laws.thickness_mm + self.laws.tack_range_mm
 
-    def touch(self, place_mm: FloatArray, travel_mm: float) -> Touch:
-        """Return the bodies' distances at the sheet's Gauss points (row, col, 4, xyz)."""
+    def touch(self, place_mm: FloatArray, travel_mm: float, *, near: bool = False) -> Touch:
+        """Return the bodies' distances at the sheet's Gauss points (row, col, 4, xyz).
+
+        Of all bodies, the specimen's first and walls last, or of those `near` enough to be felt.
+        """
         reach = self.reach_mm
         shape = place_mm.shape[:3]
         lift = np.array([0.0, 0.0, self.touched_z_mm + travel_mm])
         points = place_mm.reshape(-1, 3)
         found = [body.evaluate(points - lift, reach) for body in self.bodies.moving]
         found += [body.evaluate(points, reach) for body in self.bodies.fixed]
+        if near:
+            found = [one for one in found if one[0].min() <= reach] or found[:1]
         distance, gradient, hessian = (np.stack(parts) for parts in zip(*found, strict=True))
         count = len(found)
         return Touch(
@@ -186,7 +197,7 @@ class Sheet:
 
     def curvature_squared(self, control_mm: FloatArray) -> FloatArray:
         """Return (row, col, 4) mean of the two squared principal curvatures, 1/mm^2."""
-        functions = self.grid.rest.functions
+        functions = functions_of(self.grid.rest)
         rows, cols = functions.shape[:2]
         cell = np.arange(9)
         local = control_mm[
@@ -242,6 +253,7 @@ class Sheet:
             slope = float(gradient @ step[self.grid.free])
             share, now = self._search(step, slope, now, state)
             control = control + share * step
+            _refuse_film(now.surface, state)
             if self.sticks and count % _REGRIP_EVERY == _REGRIP_EVERY - 1:
                 state = self.regripped(replace(state, control_mm=control))
                 now = self.evaluate(control, state, tangent=True)
@@ -321,14 +333,31 @@ class Sheet:
     ) -> tuple[float, Evaluation]:
         """Return the share of the step that lowers the energy enough, and what is there."""
         share = min(1.0, _LARGEST_MOVE_MM / float(np.abs(step).max()))
-        while True:
-            new = self.evaluate(now.control_mm + share * step, state, tangent=True)
-            bound = now.energy + _SUFFICIENT * share * slope + 1e-12 * abs(now.energy)
-            if np.isfinite(new.energy) and new.energy <= bound and _turn(now, new) > _LARGEST_TURN:
-                return share, new
-            if share < _SMALLEST_SHARE:
-                return share, new
+        new = self.evaluate(now.control_mm + share * step, state, tangent=True)
+        if _lowers(now, new, share * slope):
+            return share, new
+        while share >= _SMALLEST_SHARE:
             share *= 0.5
+            new = self.evaluate(now.control_mm + share * step, state, tangent=False)
+            if _lowers(now, new, share * slope):
+                break
+        return share, self.evaluate(new.control_mm, state, tangent=True)
+
+
+def _refuse_film(surface: FloatArray, state: SheetState) -> None:
+    """Refuse a sheet that flows away: no equilibrium lies behind so thin a film."""
+    thinnest = float(thinning_of(surface).min())
+    if thinnest < _FILM:
+        raise SolverError(
+            f"sheet: thins to {thinnest:.2f} of its thickness at {state.travel_mm:.3g} mm of "
+            f"travel and {state.pressure_kpa:.3g} kPa"
+        )
+
+
+def _lowers(now: Evaluation, new: Evaluation, slope: float) -> bool:
+    """Tell whether a step lowers the energy enough and turns no normal too far."""
+    bound = now.energy + _SUFFICIENT * slope + 1e-12 * abs(now.energy)
+    return bool(new.energy <= bound) and _turn(now, new) > _LARGEST_TURN
 
 
 def _adapted(viscosity: float, share: float) -> float:
@@ -361,7 +390,7 @@ def thinning_of(surface: FloatArray) -> FloatArray:
 
 def _control_areas(grid: SheetGrid) -> FloatArray:
     """Return (row + 2, col + 2) area of the undeformed sheet that each control point carries."""
-    share = (grid.rest.functions[..., 0] * grid.rest.area_mm2[..., None]).sum(axis=2)
+    share = (functions_of(grid.rest)[..., 0] * grid.rest.area_mm2[..., None]).sum(axis=2)
     area = np.zeros(grid.free.shape[:2])
     rows, cols = share.shape[:2]
     for node in range(9):

@@ -138,45 +138,55 @@ class _Map:
         return np.stack((xu, yu, xv, yv, xu * yv - yu * xv))
 
 
-def _rest(frame: Frame, x: SplineLine, y: SplineLine, control: FloatArray) -> Rest:
-    """Return the functions' derivatives along the sheet, and areas, at the Gauss points."""
-    # (row, col, qy, qx, b, a, derivative): value, u, v, uu, vv, uv
+def functions_of(rest: Rest) -> FloatArray:
+    """Return (row, col, 4, 9, 6) all functions: value, d/dX, d/dY, d2/dX2, d2/dY2, d2/dXdY."""
+    products = _products(rest.along_x, rest.along_y)
+    if rest.turned.size:
+        products[..., 1:] = np.einsum("jiqst,jiqnt->jiqns", rest.turned, products[..., 1:])
+    return products
+
+
+def _products(along_x: FloatArray, along_y: FloatArray) -> FloatArray:
+    """Return the functions and their derivatives along the grid, as `functions_of` does."""
     orders = ((0, 0), (1, 0), (0, 1), (2, 0), (0, 2), (1, 1))
-    parts = [
-        np.einsum("jqb,ipa->jiqpba", y.table[:, :, dy], x.table[:, :, dx]) for dx, dy in orders
-    ]
-    shape = (y.cells, x.cells, 4, 9)
-    functions = np.stack([part.reshape(shape) for part in parts], axis=-1)
-    area = np.einsum("jq,ip->jiqp", y.weights, x.weights).reshape(shape[:3])
+    # (row, col, qy, qx, b, a, derivative)
+    parts = [np.einsum("jqb,ipa->jiqpba", along_y[:, :, y], along_x[:, :, x]) for x, y in orders]
+    shape = (along_y.shape[0], along_x.shape[0], 4, 9)
+    return np.stack([part.reshape(shape) for part in parts], axis=-1)
+
+
+def _rest(frame: Frame, x: SplineLine, y: SplineLine, control: FloatArray) -> Rest:
+    """Return the undeformed sheet at its Gauss points."""
+    shape = (y.cells, x.cells, 4)
+    area = np.einsum("jq,ip->jiqp", y.weights, x.weights).reshape(shape)
     if frame.outline == "rectangular":
-        return Rest(functions, area)
-    return _along_the_sheet(functions, area, control)
+        return Rest(x.table, y.table, np.zeros((0, 0, 0, 0, 0)), area)
+    turned, det = _along_the_sheet(_products(x.table, y.table), control)
+    return Rest(x.table, y.table, turned, area * det)
 
 
-def _along_the_sheet(functions: FloatArray, area: FloatArray, control: FloatArray) -> Rest:
-    """Turn derivatives by the parameters into derivatives along the undeformed sheet."""
+def _along_the_sheet(functions: FloatArray, control: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return how derivatives along the sheet follow from those along the grid, and its area."""
     rows, cols = functions.shape[:2]
     cell = np.arange(9)
     local = control[
         np.arange(rows)[:, None, None] + cell // 3, np.arange(cols)[None, :, None] + cell % 3
     ]
-    geometry = np.einsum("jiqnd,jink->dkjiq", functions, local)
+    geometry = np.einsum("jiqnd,jink->dkjiq", functions, local)[..., None]
     (xu, yu), (xv, yv) = geometry[1], geometry[2]
     (xuu, yuu), (xvv, yvv), (xuv, yuv) = geometry[3], geometry[4], geometry[5]
     det = xu * yv - yu * xv
-    by = [functions[..., d] for d in range(6)]
-    wide = [part[..., None] for part in (xu, yu, xv, yv, det, xuu, yuu, xvv, yvv, xuv, yuv)]
-    xu, yu, xv, yv, det1, xuu, yuu, xvv, yvv, xuv, yuv = wide
-    along_x = (by[1] * yv - by[2] * yu) / det1
-    along_y = (by[2] * xu - by[1] * xv) / det1
+    by = np.eye(5)
+    along_x = (by[0] * yv - by[1] * yu) / det
+    along_y = (by[1] * xu - by[0] * xv) / det
     # What is left of the second derivatives after the map's own curvature, then J^-T (.) J^-1.
-    uu = by[3] - xuu * along_x - yuu * along_y
-    vv = by[4] - xvv * along_x - yvv * along_y
-    uv = by[5] - xuv * along_x - yuv * along_y
-    ux, uy, vx, vy = yv / det1, -xv / det1, -yu / det1, xu / det1
+    uu = by[2] - xuu * along_x - yuu * along_y
+    vv = by[3] - xvv * along_x - yvv * along_y
+    uv = by[4] - xuv * along_x - yuv * along_y
+    ux, uy, vx, vy = yv / det, -xv / det, -yu / det, xu / det
     second = (
         uu * ux * ux + 2 * uv * ux * vx + vv * vx * vx,
         uu * uy * uy + 2 * uv * uy * vy + vv * vy * vy,
         uu * ux * uy + uv * (ux * vy + uy * vx) + vv * vx * vy,
     )
-    return Rest(np.stack((by[0], along_x, along_y, *second), axis=-1), area * det)
+    return np.stack((along_x, along_y, *second), axis=-2), det[..., 0]

@@ -4,6 +4,8 @@ Energies are per undeformed area, kPa mm = J/m^2; lengths mm. Kirchhoff-Love she
 neo-Hookean solid (Kiendl et al. 2015), in closed form.
 """
 
+# ruff: noqa: PLR0917 - compiled functions cannot take keyword-only arguments
+
 import hashlib
 from collections.abc import Callable
 from pathlib import Path
@@ -16,6 +18,9 @@ from reconstruction.arrays import FloatArray
 # Sums may be reordered for vector units: results are compared with tolerances that know of it.
 _OPTIONS: dict[str, Any] = {
     "nogil": True,
+    # References to arrays are the callers' to count: counted in every call, they take longer than
+    # the sums.
+    "_nrt": False,
     "error_model": "numpy",
     "fastmath": {"contract", "reassoc", "arcp", "nsz"},
 }
@@ -50,8 +55,13 @@ def _compiled(function: Function, options: dict[str, Any]) -> Function:
 class Rest(NamedTuple):
     """The undeformed sheet at its Gauss points."""
 
-    #: (row, col, 4, 9, 6) functions of the cell: value, d/dX, d/dY, d2/dX2, d2/dY2, d2/dXdY
-    functions: FloatArray
+    #: (col, 2, derivative, 3) functions of a cell along the grid's x, at its Gauss points
+    along_x: FloatArray
+    #: (row, 2, derivative, 3) and along y
+    along_y: FloatArray
+    #: (row, col, 4, 5, 5) derivatives (X, Y, XX, YY, XY) along the sheet from those along the grid;
+    #: empty where the two are one
+    turned: FloatArray
     #: (row, col, 4) area of each Gauss point, mm^2
     area_mm2: FloatArray
 
@@ -97,14 +107,29 @@ class Laws(NamedTuple):
     weight_kpa: float
 
 
+class Material(NamedTuple):
+    """Scratch of `material`: derivatives of (tr a, det a, T, det b, tr b) by the forms."""
+
+    #: (6, 5) by (a11, a22, a12, b11, b22, b12); those that are constant are set by the caller
+    slopes: FloatArray
+    #: (6, 5) the same times the energy's Hessian by the invariants
+    bent: FloatArray
+
+
 @inlined
 def material(
-    forms: tuple[float, float, float, float, float, float], h: float, g: FloatArray, H: FloatArray
+    forms: tuple[float, float, float, float, float, float],
+    h: float,
+    scratch: Material,
+    g: FloatArray,
+    H: FloatArray,
+    want: bool,
 ) -> float:
-    """Return energy per undeformed area over shear modulus; fill gradient and Hessian by (a, b).
+    """Return energy per undeformed area over shear modulus; fill its derivatives by (a, b).
 
     W = h/2 (A + 1/d - 3) + h^3/24 (3 T^2/d^4 - 2 k/d^3 + (B T - k A)/d^2) with A = tr a, d = det a,
     T = a22 b11 + a11 b22 - 2 a12 b12, k = det b, B = tr b: an incompressible neo-Hookean sheet.
+    The gradient goes to g and, if wanted, the Hessian to H.
     """
     a11, a22, a12, b11, b22, b12 = forms
     A, d, B = a11 + a22, a11 * a22 - a12 * a12, b11 + b22
@@ -119,51 +144,47 @@ def material(
     by_T = c * (6 * T * i4 + B * i2)
     by_k = -c * (2 * i3 + A * i2)
     by_B = c * T * i2
-    Ad, Ak = 2 * c * k * i3, -c * i2
-    dd = h * i3 + c * (60 * T * T * i3 * i3 - 24 * k * i4 * i + 6 * bent * i4)
-    dT, dk, dB = -c * (24 * T * i4 * i + 2 * B * i3), c * (6 * i4 + 2 * A * i3), -2 * c * T * i3
-    TT, TB = 6 * c * i4, c * i2
+    J, M = scratch.slopes, scratch.bent
+    J[0, 1], J[1, 1], J[2, 1] = a22, a11, -2 * a12
+    J[0, 2], J[1, 2], J[2, 2] = b22, b11, -2 * b12
+    J[3, 2], J[4, 2], J[5, 2] = a22, a11, -2 * a12
+    J[3, 3], J[4, 3], J[5, 3] = b22, b11, -2 * b12
     for n in range(6):
-        # Row n of the Jacobian of (A, d, T, k, B), and what it becomes under their Hessian.
-        jA, jd, jT, jk, jB = _invariants(n, forms)
-        g[n] = by_A * jA + by_d * jd + by_T * jT + by_k * jk + by_B * jB
-        mA, md = Ad * jd + Ak * jk, Ad * jA + dd * jd + dT * jT + dk * jk + dB * jB
-        mT, mk, mB = dT * jd + TT * jT + TB * jB, Ak * jA + dk * jd, dB * jd + TB * jT
-        for m in range(6):
-            lA, ld, lT, lk, lB = _invariants(m, forms)
-            H[n, m] = mA * lA + md * ld + mT * lT + mk * lk + mB * lB
-    H[0, 1] += by_d
-    H[1, 0] += by_d
-    H[2, 2] -= 2 * by_d
-    H[0, 4] += by_T
-    H[4, 0] += by_T
-    H[1, 3] += by_T
-    H[3, 1] += by_T
-    H[2, 5] -= 2 * by_T
-    H[5, 2] -= 2 * by_T
-    H[3, 4] += by_k
-    H[4, 3] += by_k
-    H[5, 5] -= 2 * by_k
+        g[n] = by_A * J[n, 0] + by_d * J[n, 1] + by_T * J[n, 2] + by_k * J[n, 3] + by_B * J[n, 4]
+    if want:
+        Ad, Ak = 2 * c * k * i3, -c * i2
+        dd = h * i3 + c * (60 * T * T * i3 * i3 - 24 * k * i4 * i + 6 * bent * i4)
+        dT, dk, dB = -c * (24 * T * i4 * i + 2 * B * i3), c * (6 * i4 + 2 * A * i3), -2 * c * T * i3
+        TT, TB = 6 * c * i4, c * i2
+        for n in range(6):
+            jA, jd, jT, jk, jB = J[n, 0], J[n, 1], J[n, 2], J[n, 3], J[n, 4]
+            M[n, 0] = Ad * jd + Ak * jk
+            M[n, 1] = Ad * jA + dd * jd + dT * jT + dk * jk + dB * jB
+            M[n, 2] = dT * jd + TT * jT + TB * jB
+            M[n, 3], M[n, 4] = Ak * jA + dk * jd, dB * jd + TB * jT
+        for n in range(6):
+            for m in range(6):
+                x = 0.0
+                for e in range(5):
+                    x += M[n, e] * J[m, e]
+                H[n, m] = x
+        _add_second_slopes((by_d, by_T, by_k), H)
     return h / 2 * (A + i - 3) + c * (3 * T * T * i4 - 2 * k * i3 + bent * i2)
 
 
 @inlined
-def _invariants(
-    n: int, forms: tuple[float, float, float, float, float, float]
-) -> tuple[float, float, float, float, float]:
-    """Return the derivatives of (A, d, T, k, B) by the n-th of (a11, a22, a12, b11, b22, b12)."""
-    a11, a22, a12, b11, b22, b12 = forms
-    if n == 0:
-        return 1.0, a22, b22, 0.0, 0.0
-    if n == 1:
-        return 1.0, a11, b11, 0.0, 0.0
-    if n == 2:
-        return 0.0, -2 * a12, -2 * b12, 0.0, 0.0
-    if n == 3:
-        return 0.0, 0.0, a22, b22, 1.0
-    if n == 4:
-        return 0.0, 0.0, a11, b11, 1.0
-    return 0.0, 0.0, -2 * a12, -2 * b12, 0.0
+def _add_second_slopes(slopes: tuple[float, float, float], H: FloatArray) -> None:
+    """Add what the second derivatives of d, T and k by the forms make of the Hessian."""
+    by_d, by_T, by_k = slopes
+    for n, m, x in (
+        (0, 1, by_d), (0, 4, by_T), (1, 3, by_T), (3, 4, by_k),
+    ):  # fmt: skip
+        H[n, m] += x
+        H[m, n] += x
+    H[2, 2] -= 2 * by_d
+    H[2, 5] -= 2 * by_T
+    H[5, 2] -= 2 * by_T
+    H[5, 5] -= 2 * by_k
 
 
 @inlined

@@ -22,6 +22,8 @@ _PRESSURE_STEP_BEYOND_KPA = 2.0
 _SMALLEST_STEP = 1 / 16
 #: thickness over its undeformed value below which a sheet flows away: silicones tear before
 THINNEST = 0.2
+# Straight on is far too far where a tent falls round the specimen.
+_PREDICTED_SHARES = (1.0, 0.5, 0.25, 0.0)
 
 Progress = Callable[[float], None]
 
@@ -30,10 +32,11 @@ class LimitPressureError(PressError):
     """No equilibrium was found under a pressure; most often the sheet thins without bound."""
 
     def __init__(self, travel_mm: float, held_kpa: float, lost_kpa: float, reason: str) -> None:
+        holds = f"holds {held_kpa:.2f} kPa" if held_kpa > 0 else "holds no pressure found"
         super().__init__(
-            f"press.back_pressure_kpa: the sheet holds {held_kpa:.2f} kPa at {travel_mm:.3g} mm of "
-            f"travel, and no equilibrium was found towards {lost_kpa:.2f} ({reason}); use less "
-            "pressure, a thicker or a harder sheet"
+            f"press.back_pressure_kpa: the sheet {holds} at {travel_mm:.3g} mm of travel, and no "
+            f"equilibrium was found towards {lost_kpa:.2f} ({reason}); use less pressure, a "
+            "thicker or a harder sheet"
         )
         self.held_kpa = held_kpa
         self.reason = reason
@@ -77,6 +80,8 @@ def follow(
     goal: Loads,
     accuracy: Accuracy,
     shared: list[SheetState] | None = None,
+    *,
+    walked: list[SheetState] | None = None,
     progress: Progress | None = None,
 ) -> SheetState:
     """Press from the mounted sheet to `goal`.
@@ -88,6 +93,8 @@ def follow(
     accuracy : Accuracy
     shared : list of SheetState, optional
         States at the first travels of `waypoints`, from earlier paths of this sheet; added to.
+    walked : list of SheetState, optional
+        Takes the states at the stops that bear a pressure.
     progress : called with the share of the stops that is done
 
     Raises
@@ -105,6 +112,8 @@ def follow(
         state, before = advance(sheet, state, before, stops[number], accuracy)
         if number == len(shared) and number < len(common):
             shared.append(state)
+        if walked is not None and state.pressure_kpa > 0:
+            walked.append(state)
         if progress is not None:
             progress((number + 1) / len(stops))
     return state
@@ -131,7 +140,7 @@ def advance(
         share = min(1.0, done + step)
         loads = _between(start, goal, share)
         try:
-            new = sheet.settle(_predicted(state, before, loads), accuracy)
+            new = sheet.settle(_predicted(sheet, state, before, loads), accuracy)
             check_thickness(sheet, new)
         except SolverError as error:
             step /= 2
@@ -192,18 +201,22 @@ def _between(start: Loads, goal: Loads, share: float) -> Loads:
     )
 
 
-def _predicted(state: SheetState, before: SheetState, loads: Loads) -> SheetState:
-    """Return the line through the last two states, at `loads`, if they lie on one line of loads."""
-    control = state.control_mm
+def _predicted(sheet: Sheet, state: SheetState, before: SheetState, loads: Loads) -> SheetState:
+    """Return the place of least energy on the line through the last two states, at `loads`.
+
+    Or the last state, if they do not lie on one line of loads.
+    """
+    there = replace(state, travel_mm=loads.travel_mm, pressure_kpa=loads.pressure_kpa)
     made = np.array([state.travel_mm - before.travel_mm, state.pressure_kpa - before.pressure_kpa])
     asked = np.array([loads.travel_mm - state.travel_mm, loads.pressure_kpa - state.pressure_kpa])
     along = made != 0
-    if along.sum() == 1 and (along == (asked != 0)).all():
-        ratio = min(1.5, float(asked[along][0] / made[along][0]))
-        control = control + ratio * (control - before.control_mm)
-    return replace(
-        state, control_mm=control, travel_mm=loads.travel_mm, pressure_kpa=loads.pressure_kpa
-    )
+    if along.sum() != 1 or (along != (asked != 0)).any():
+        return there
+    ratio = min(1.5, float(asked[along][0] / made[along][0]))
+    way = ratio * (state.control_mm - before.control_mm)
+    places = [state.control_mm + share * way for share in _PREDICTED_SHARES]
+    energies = [sheet.evaluate(place, there, tangent=False).energy for place in places]
+    return replace(there, control_mm=places[int(np.nanargmin(energies))])
 
 
 def check_thickness(sheet: Sheet, state: SheetState) -> None:

@@ -10,6 +10,7 @@ thickness, E* / (h / 4), which fits solid elements best (shared notes on the she
 """
 
 from collections import OrderedDict
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -39,10 +40,11 @@ _COARSE_CELL_MM, _COARSE_RIM_MM = 0.4, 0.4
 # Width of the cells at the rim over that of the finest.
 _RIM = 1 / 3
 _MARGIN_MM = 1.5
-_ROUGH, _FINE = Accuracy(step_mm=1e-3, residual_kpa=0.1), Accuracy(residual_kpa=2e-3)
+# A slack sheet of 0.05 mm finds its way in a hundred steps and more, and no half way is nearer.
+_ROUGH = Accuracy(step_mm=1e-3, residual_kpa=0.1, most_steps=160)
+_FINE = Accuracy(residual_kpa=2e-3)
 _FORCE_TOLERANCE, _FORCE_STEPS = 1e-3, 40
 _KEPT_PATHS = 4
-_HELD_SHARES = (1.0, 0.9, 0.8, 0.65, 0.5, 0.35, 0.2, 0.1)
 _HALF = 0.5
 # What presses of one path may differ in.
 _LOADS = {"control": "depth", "depth_mm": 1.0, "force_n": None, "back_pressure_kpa": 0.0}
@@ -137,27 +139,29 @@ def _path(specimen: Specimen, elastomer: Elastomer, load: Press, mechanics: Mech
 
 
 def _equilibrium(path: _Path, load: Press, progress: Progress | None) -> tuple[Sheet, SheetState]:
-    report = progress or _silent
+    walked: list[SheetState] = []
     try:
-        return _settled(path, load, report)
+        return _settled(path, load, walked, progress or _silent)
     except LimitPressureError as limit:
-        held_kpa = _held_kpa(path, load, limit.held_kpa)
+        held_kpa = _held_kpa(path, load, walked, limit.held_kpa)
         travel_mm = load.depth_mm or TRAVEL_STEP_MM
         raise LimitPressureError(
             travel_mm, held_kpa, load.back_pressure_kpa, limit.reason
         ) from limit
 
 
-def _settled(path: _Path, load: Press, report: Progress) -> tuple[Sheet, SheetState]:
+def _settled(
+    path: _Path, load: Press, walked: list[SheetState], report: Progress
+) -> tuple[Sheet, SheetState]:
     case, coarse = path.case, path.sheet
     goal = Loads(load.depth_mm or TRAVEL_STEP_MM, load.back_pressure_kpa)
-    state = follow(coarse, goal, _ROUGH, path.states, lambda share: report(0.6 * share))
+    state = follow(
+        coarse, goal, _ROUGH, path.states, walked=walked, progress=lambda share: report(0.6 * share)
+    )
     if load.force_n is not None:
         state = _to_force(coarse, state, load.force_n, _ROUGH)
-    fine = case.sheet(case.cell_mm, _RIM * case.cell_mm, _contact_box(case, coarse, state))
     try:
-        found = fine.settle(refined(coarse, fine, state), _FINE)
-        check_thickness(fine, found)
+        fine, found = _on_fine_cells(case, coarse, state)
     except SolverError as error:
         if state.pressure_kpa == 0:
             raise
@@ -171,15 +175,31 @@ def _settled(path: _Path, load: Press, report: Progress) -> tuple[Sheet, SheetSt
     return fine, found
 
 
-def _held_kpa(path: _Path, load: Press, most_kpa: float) -> float:
-    """Return a pressure, not far below the largest, that fine cells hold too; 0 where none."""
-    for share in _HELD_SHARES:
-        pressure_kpa = float(np.floor(100 * share * most_kpa)) / 100
-        try:
-            _settled(path, load.model_copy(update={"back_pressure_kpa": pressure_kpa}), _silent)
-        except (LimitPressureError, SolverError):
-            continue
-        return pressure_kpa
+def _on_fine_cells(case: SheetCase, coarse: Sheet, state: SheetState) -> tuple[Sheet, SheetState]:
+    """Return the equilibrium of a state of the coarse sheet on the case's finest cells."""
+    fine = case.sheet(case.cell_mm, _RIM * case.cell_mm, _contact_box(case, coarse, state))
+    found = fine.settle(refined(coarse, fine, state), _FINE)
+    check_thickness(fine, found)
+    return fine, found
+
+
+def _held_kpa(path: _Path, load: Press, walked: list[SheetState], most_kpa: float) -> float:
+    """Return a pressure, not far below the largest, that fine cells hold too; 0 where none.
+
+    A press with that pressure alone holds it as well: it stops where this one has stopped, and
+    does what is done here.
+    """
+    between = float(np.floor(100 * most_kpa)) / 100
+    if between < load.back_pressure_kpa and all(between > one.pressure_kpa for one in walked):
+        less = load.model_copy(update={"back_pressure_kpa": between})
+        with suppress(LimitPressureError, SolverError):
+            _settled(path, less, [], _silent)
+            return between
+    lower = [one for one in walked if one.pressure_kpa < load.back_pressure_kpa]
+    for state in reversed(lower):
+        with suppress(SolverError):
+            _on_fine_cells(path.case, path.sheet, state)
+            return state.pressure_kpa
     return 0.0
 
 

@@ -1,17 +1,20 @@
-"""Width of a rod's cross-section, read from a relief as one reads a caliper.
+"""Width and height of a rod's cross-section, read from a relief as one reads a caliper.
 
 A sheet draped over a rod on a plate rises from two valleys to a crest. The profile runs from valley
 to valley; the width is taken where it crosses half of the height of the crest over their level.
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from reconstruction.errors import FitError
 from reconstruction.evaluate import BarWidth, bar_width
-from twin.specimens import Shape
+from twin.config.artefacts import Rods
+from twin.config.models import Experiment
+from twin.specimens import Shape, shape_of
 
 # The cross-section is the mean over this length of the rod, in its middle.
 SECTION_LENGTH_MM = 2.0
@@ -73,3 +76,27 @@ def middle_of(shape: Shape) -> tuple[float, float]:
     """Return the middle of a specimen's outline in world xy, mm."""
     x_low, x_high, y_low, y_high = shape.bounds_mm()
     return (x_low + x_high) / 2, (y_low + y_high) / 2
+
+
+def has_one_rod(experiment: Experiment) -> bool:
+    """Tell whether the specimen is a single rod: of several the sections run into one another."""
+    specimen = experiment.specimen
+    return isinstance(specimen, Rods) and len(specimen.diameters_mm) == 1
+
+
+def rod_figures(
+    experiment: Experiment, points_mm: NDArray[np.floating[Any]], prefix: str = ""
+) -> dict[str, Any]:
+    """Return width and height of the rod under points (n, xyz); why, when it has no crest.
+
+    Nothing where the specimen is not a single rod.
+    """
+    if not has_one_rod(experiment):
+        return {}
+    centre = middle_of(shape_of(experiment.specimen))
+    section = section_of(points_mm.astype(np.float64), SECTION_LENGTH_MM, centre)
+    try:
+        crest = section.width()
+    except FitError as error:
+        return {f"{prefix}rod_failure": str(error)}
+    return {f"{prefix}rod_width_mm": crest.width_mm, f"{prefix}rod_height_mm": crest.height_mm}

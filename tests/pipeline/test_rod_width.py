@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from reconstruction.errors import FitError
-from twin.paper.rods import section_of
+from twin.results.rods import section_of
 
 
 def crest(width_mm, sag_mm=0.2):

@@ -1,0 +1,117 @@
+"""A reproduction measures what is asked for, each thing once, in stores of the study."""
+
+from collections import Counter
+
+import pytest
+
+from reconstruction.errors import InputError
+from twin.paper import reproduction
+from twin.paper.plan import BALLS, CASES
+from twin.paper.reproduction import Reproduction, link
+from twin.study import sweep as sweeping
+from twin.study.measuring import AS_IT_IS, Answer
+from twin.study.rigs import RigCovariance
+from twin.uncertainty.results import is_uncertainty
+
+measured = Counter()
+
+
+class Fake:
+    """Answers every figure that tables ask for from the experiment's numbers."""
+
+    def __init__(self, keep=()):
+        pass
+
+    def __call__(self, experiment, conditions=AS_IT_IS):
+        measured[experiment.name, experiment.modality] += 1
+        value = 4.0 + experiment.specimen.x_mm + 1e-3 * conditions.trial
+        figures = {"sphere_1_radius_mm": value, "rod_width_mm": value}
+        if conditions.board:
+            figures["true_rig_sphere_1_radius_mm"] = value - 0.01
+        return Answer(figures | {"share_specimen": 0.7, "share_specimen_points": 0.8})
+
+    def reads(self):
+        return ()
+
+
+class Refusing(Fake):
+    def __call__(self, experiment, conditions=AS_IT_IS):
+        if conditions.trial == 2:
+            raise InputError("specimen: too large")
+        return super().__call__(experiment, conditions)
+
+
+@pytest.fixture
+def run_of(tmp_path, monkeypatch):
+    """Return a reproduction that measures by a stand-in."""
+
+    def make(fake=Fake, trials=3):
+        for name in ("sweep", "run_cases"):
+            real = getattr(sweeping, name)
+            monkeypatch.setattr(
+                reproduction,
+                name,
+                lambda *given, _real=real, **named: _real(
+                    *given, **{**named, "make_measurer": fake}
+                ),
+            )
+        monkeypatch.setattr(reproduction, "calibrated", lambda *_: RigCovariance(()))
+        measured.clear()
+        return Reproduction(tmp_path / "work", trials, {"press.solver_pitch_mm": 0.4})
+
+    return make
+
+
+def test_trials_are_a_study_that_others_can_read(run_of, tmp_path):
+    run = run_of()
+    found = run.fringe_trials("rods_a")
+    assert [one.number for one in found] == [0, 1, 2, 3]
+    assert "true_rig_sphere_1_radius_mm" in found[1].figures
+    assert is_uncertainty(tmp_path / "work/trials/rods_a")
+    assert measured == {("rods_a", "contact_fpp"): 4}
+    assert run.fringe_trials("rods_a") == found
+    assert run_of(trials=4).fringe_trials("rods_a")[:4] == found
+    assert sum(measured.values()) == 1
+
+
+def test_the_nominal_press_under_every_calibration(run_of):
+    colours = run_of().ball_trials()["GelSight"]
+    redone = [name for name in colours[0].figures if name.startswith("calibration_")]
+    assert redone == [f"calibration_{number}_sphere_1_radius_mm" for number in range(5)]
+    assert [one.number for one in colours] == [0, 1, 2, 3]
+    assert not any(name.startswith("calibration_") for name in colours[1].figures)
+
+
+def test_budget_of_a_model(run_of):
+    """radius = 4 + x: u = u(x) = 0.2 mm, nothing else; and nobody's optics but the balls'."""
+    run = run_of()
+    parts = {part.name: part.u for part in run.budget(BALLS)}
+    assert parts.pop("place_x") == pytest.approx(0.2)
+    assert set(parts.values()) == {0.0}
+    assert "projector_focus" in parts
+    assert "projector_focus" not in {part.name for part in run.budget("rods_a")}
+
+
+def test_figures_find_their_cases_by_name(run_of, tmp_path):
+    cases = run_of().all_cases()
+    asked = {(name, method) for names, methods in CASES for name in names for method in methods}
+    for name, method in asked:
+        assert (cases / name / method / "result.json").is_file()
+    assert sum(measured.values()) == len(asked)
+
+
+def test_the_bare_nut_by_roughness(run_of):
+    shares = run_of().bare_nut()
+    assert shares == {key: [0.7, 0.8] for key in ("0.05", "0.1", "0.2", "0.4")}
+    assert measured == {("nut", "direct_fpp"): 4}
+
+
+def test_a_failure_is_told_with_its_trial(run_of):
+    with pytest.raises(InputError, match="rods_a, trial 2: specimen: too large"):
+        run_of(Refusing).fringe_trials("rods_a")
+
+
+def test_nothing_of_somebody_else_is_replaced_by_a_link(tmp_path):
+    (tmp_path / "theirs").mkdir()
+    with pytest.raises(InputError, match="is in the way"):
+        link(tmp_path / "theirs", tmp_path / "target")

@@ -1,0 +1,158 @@
+"""Draws of repeated trials: distributions as stated, keyed by input and trial alone."""
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from twin.config import ConfigError, load_experiment
+from twin.config.inputs import DEFAULT_INPUTS, Input, load_inputs
+from twin.pipeline.instruments import PhotometricPlan, case_for
+from twin.study.draws import deviation_of, draw, drawn_values, standard_uncertainty
+
+SEED = 5
+
+
+def inputs_of(**inputs):
+    return {name: Input(**({"group": "placement"} | one)) for name, one in inputs.items()}
+
+
+def values_of(experiment, inputs, trial):
+    return drawn_values(experiment, inputs, SEED, trial)
+
+
+def paper():
+    return load_inputs("paper/trials")
+
+
+def balls():
+    return load_experiment("paper/two_balls")
+
+
+X = {"key": "specimen.x_mm", "distribution": "normal", "spread": 0.2}
+SIZE = {"key": "specimen.diameter_mm", "distribution": "uniform", "spread": 0.01}
+DRAPE = {
+    "key": "press.back_pressure_kpa",
+    "distribution": "normal",
+    "spread": 0.05,
+    "relative": True,
+}
+
+
+def test_draws_have_the_stated_mean_and_spread():
+    """4000 draws: means within 4 standard errors, standard deviations within 4 of theirs."""
+    all_three, experiment, n = inputs_of(x=X, size=SIZE, drape=DRAPE), balls(), 4000
+    values = [values_of(experiment, all_three, trial) for trial in range(1, n + 1)]
+    for name, one in all_three.items():
+        nominal = {"x": 0.0, "size": 8.0, "drape": experiment.press.back_pressure_kpa}[name]
+        found = np.array([drawn[one.key] for drawn in values])
+        u = standard_uncertainty(one, nominal)
+        assert abs(found.mean() - nominal) < 4 * u / np.sqrt(n)
+        assert abs(found.std(ddof=1) / u - 1) < 4 / np.sqrt(2 * n)
+    sizes = [drawn["specimen.diameter_mm"] for drawn in values]
+    assert 7.99 <= min(sizes) < 7.9905
+    assert 8.0095 < max(sizes) <= 8.01
+
+
+def test_a_draw_does_not_depend_on_the_other_inputs():
+    alone = values_of(balls(), inputs_of(x=X), 3)
+    together = values_of(balls(), inputs_of(drape=DRAPE, size=SIZE, x=X), 3)
+    assert alone["specimen.x_mm"] == together["specimen.x_mm"]
+    assert alone != values_of(balls(), inputs_of(x=X), 4)
+
+
+def test_trial_zero_is_the_nominal_one():
+    assert draw(balls(), paper().inputs, SEED, 0) == balls()
+    assert values_of(balls(), inputs_of(x=X), 0) == {"specimen.x_mm": 0.0}
+
+
+def test_every_instrument_meets_the_specimen_in_the_same_place():
+    drawn = draw(balls(), paper().inputs, SEED, 7)
+    gelsight = case_for(drawn, "photometric_stereo", PhotometricPlan(match="depth"))
+    assert gelsight.specimen == drawn.specimen
+    assert drawn.specimen.x_mm != 0.0
+
+
+def test_shipped_inputs_reach_numbers_of_every_repeated_experiment():
+    """A renamed field would otherwise be noticed after an hour."""
+    for name in ("two_balls", "rods_a", "rods_b", "rods_c"):
+        experiment = load_experiment(f"paper/{name}")
+        assert len(values_of(experiment, paper().inputs, 1)) >= 8 - (name != "two_balls")
+
+
+@pytest.mark.parametrize("name", ["paper/two_balls", "examples/wrapped_nut", "examples/starter"])
+def test_default_inputs_fit_any_experiment(name):
+    """Placement, press, elastomer and optics have some each; what is not there is left out."""
+    experiment, shipped = load_experiment(name), load_inputs(DEFAULT_INPUTS).inputs
+    keys = values_of(experiment, shipped, 1)
+    groups = {one.group for one in shipped.values() if one.key in keys}
+    assert groups == {"placement", "press", "elastomer", "optics"}
+    for trial in range(1, 20):
+        draw(experiment, shipped, SEED, trial)
+
+
+def test_spreads_carry_their_source():
+    assert all(one.source for one in paper().inputs.values())
+    assert all(one.source for one in load_inputs(DEFAULT_INPUTS).inputs.values())
+
+
+def test_a_key_that_leads_nowhere_is_one_line():
+    with pytest.raises(ConfigError, match=r"specimen\.weight_g: found no number"):
+        draw(balls(), inputs_of(w={**X, "key": "specimen.weight_g"}), SEED, 1)
+
+
+def test_a_bad_file_is_one_line(tmp_path):
+    file = tmp_path / "spread.toml"
+    text = 'seed = 1\n[inputs.x]\ngroup = "press"\nkey = "specimen.x_mm"\ndistribution = "cauchy"\n'
+    file.write_text(text)
+    with pytest.raises(ConfigError, match="distribution"):
+        load_inputs(str(file))
+    file.write_text(text.replace("cauchy", "normal") + "spread = { value = 0.1 }\n")
+    with pytest.raises(ConfigError, match=r"inputs\.x\.spread: a quantity needs a source"):
+        load_inputs(file.with_name("spread.toml").resolve())
+
+
+SHAPES = {
+    "normal": ({}, 1.0),
+    "uniform": ({}, 1 / np.sqrt(3.0)),
+    "triangular": ({}, 1 / np.sqrt(6.0)),
+    "arcsine": ({}, 1 / np.sqrt(2.0)),
+    "student_t": ({"degrees_of_freedom": 5.0}, np.sqrt(5.0 / 3.0)),
+}
+
+
+@pytest.mark.parametrize("kind", SHAPES)
+def test_standard_uncertainties_of_the_guide(kind):
+    """JCGM 101, 6.4: s, a / sqrt 3, a / sqrt 6, a / sqrt 2, s sqrt(nu / (nu - 2)); and of draws."""
+    more, factor = SHAPES[kind]
+    one = Input(group="press", key="k", distribution=kind, spread=0.2, **more)
+    assert standard_uncertainty(one, 7.0) == pytest.approx(0.2 * factor)
+    dist, rng = deviation_of(one, 7.0), np.random.default_rng(1)
+    values = [float(dist.rvs(random_state=rng)) for _ in range(3000)]
+    assert stats.kstest(np.array(values), dist.cdf).pvalue > 1e-3
+    assert np.mean(values) == pytest.approx(0.0, abs=4 * 0.2 * factor / 3000**0.5)
+
+
+def test_a_normal_that_is_cut_off():
+    """Half normal: standard deviation s sqrt(1 - 2 / pi), and no draw below the cut."""
+    one = Input(group="press", key="k", distribution="normal", spread=0.5, at_least=3.0)
+    assert standard_uncertainty(one, 3.0) == pytest.approx(0.5 * np.sqrt(1 - 2 / np.pi))
+    rng, dist = np.random.default_rng(1), deviation_of(one, 3.0)
+    assert min(float(dist.rvs(random_state=rng)) for _ in range(500)) >= 0.0
+
+
+def test_a_choice_among_values():
+    """Values 4 and 8 with weights 3 and 1: mean 5, standard deviation sqrt 3; no other is drawn."""
+    one = Input(group="optics", key="k", distribution="choice", values=(4, 8), weights=(3, 1))
+    dist, rng = deviation_of(one, 4.0), np.random.default_rng(1)
+    assert dist.std() == pytest.approx(np.sqrt(3.0))
+    drawn = np.array([dist.rvs(random_state=rng) for _ in range(1000)])
+    assert set(drawn) == {0.0, 4.0}
+    assert (drawn == 4.0).mean() == pytest.approx(0.25, abs=4 * np.sqrt(0.1875 / 1000))
+    np.testing.assert_array_equal(dist.ppf([0.1, 0.74, 0.76, 1.0]), [0.0, 0.0, 4.0, 4.0])
+
+
+def test_draws_of_the_earlier_paper():
+    """The draws of the reproduction of 2026-11 stay what they were: its tables depend on them."""
+    found = drawn_values(balls(), paper().inputs, 20261121, 1)
+    assert found["specimen.x_mm"] == 0.045347888207099785
+    assert found["specimen.diameter_mm"] == 8.007813392360598

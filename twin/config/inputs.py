@@ -1,0 +1,159 @@
+"""Quantities that differ when a measurement is repeated: distributions as data.
+
+Shipped ones lie in `scenes/inputs`; `docs/uncertainty.md` explains every key.
+"""
+
+from collections.abc import Mapping
+from functools import lru_cache
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, ValidationError, model_validator
+
+from twin.assets import scene_file
+from twin.config.base import ConfigError, Model, NonNegative
+from twin.config.loading import read_toml
+from twin.config.messages import explain
+from twin.config.models import Experiment
+from twin.config.quantities import check_ranges, split_quantities
+
+DEFAULT_INPUTS = "inputs/handling"
+
+Group = Literal["placement", "press", "elastomer", "optics"]
+
+
+class Input(Model):
+    """One quantity that differs from trial to trial, as a distribution about its nominal value."""
+
+    group: Group = Field(description="what it is summed under; optics leave the pressed face alone")
+    key: str = Field(description="dotted path of a number in the experiment")
+    distribution: Literal["normal", "uniform", "triangular", "arcsine", "student_t", "choice"]
+    spread: NonNegative | None = Field(
+        default=None,
+        description="standard deviation of normal; scale of student_t; half width of the others",
+    )
+    relative: bool = Field(default=False, description="spread is a share of the nominal value")
+    at_least: float | None = Field(default=None, description="normal is cut off below this value")
+    at_most: float | None = Field(default=None, description="normal is cut off above this value")
+    degrees_of_freedom: Annotated[float, Field(gt=2)] | None = Field(
+        default=None, description="of student_t"
+    )
+    values: tuple[float, ...] = Field(default=(), description="what choice picks from")
+    weights: tuple[NonNegative, ...] = Field(default=(), description="default: all alike")
+    methods: tuple[str, ...] = Field(default=(), description="modalities; empty: all")
+    specimens: tuple[str, ...] = Field(default=(), description="specimen kinds; empty: all")
+    optional: bool = Field(
+        default=False, description="leave it out where the experiment has no such number"
+    )
+    source: str = Field(default="", description="where the spread comes from")
+
+    @model_validator(mode="after")
+    def _whole(self) -> "Input":
+        kind = self.distribution
+        if (self.spread is None) != (kind == "choice"):
+            raise ValueError("spread: every distribution but choice needs one, choice has none")
+        if (self.degrees_of_freedom is None) == (kind == "student_t"):
+            raise ValueError("degrees_of_freedom: student_t needs them, nothing else has them")
+        if kind != "normal" and not self.at_least is self.at_most is None:
+            raise ValueError("at_least, at_most: only normal is cut off")
+        if kind != "choice" and (self.values or self.weights):
+            raise ValueError("values, weights: only choice has them")
+        if kind == "choice" and len(set(self.values)) < 2:
+            raise ValueError("values: a choice needs at least two different ones")
+        if self.weights and (len(self.weights) != len(self.values) or not sum(self.weights)):
+            raise ValueError("weights: give one per value, not all 0")
+        return self
+
+    def counts_for(self, experiment: Experiment) -> bool:
+        """Tell whether the input can change this experiment's result."""
+        return (
+            (not self.methods or experiment.modality in self.methods)
+            and (not self.specimens or experiment.specimen.kind in self.specimens)
+            and not (self.optional and number_at(experiment, self.key) is None)
+        )
+
+    def nominal_in(self, experiment: Experiment) -> float:
+        """Return the nominal value.
+
+        Raises
+        ------
+        ConfigError
+            The key does not lead to a number.
+        """
+        found = number_at(experiment, self.key)
+        if found is None:
+            raise ConfigError(
+                f"inputs: {self.key}: found no number there in {experiment.name}; give the dotted "
+                "path of one (twin keys lists them), or say optional = true"
+            )
+        return found
+
+
+class Inputs(Model):
+    """All inputs that a repeated measurement varies."""
+
+    description: str = ""
+    seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
+    inputs: dict[str, Input]
+
+    @model_validator(mode="after")
+    def _keys_differ(self) -> "Inputs":
+        refuse_shared_keys(self.inputs)
+        return self
+
+
+def refuse_shared_keys(inputs: Mapping[str, Input]) -> None:
+    """Raise a ValueError where two inputs draw the same number of the same experiment."""
+    seen: dict[tuple[Any, ...], str] = {}
+    for name, one in inputs.items():
+        mark = (one.key, one.methods, one.specimens)
+        if mark in seen:
+            raise ValueError(f"inputs: {name} and {seen[mark]} both draw {one.key}; remove one")
+        seen[mark] = name
+
+
+@lru_cache
+def load_inputs(name: str | Path = DEFAULT_INPUTS) -> Inputs:
+    """Load a file of inputs, or a shipped one by name.
+
+    Raises
+    ------
+    ConfigError
+        One line per problem.
+    """
+    file = scene_file(name)
+    tree = with_sources(read_toml(file), str(file))
+    try:
+        return Inputs.model_validate(tree)
+    except ValidationError as error:
+        lines = explain(error, Inputs)
+        raise ConfigError("\n".join(f"{file}: {line}" for line in lines)) from None
+
+
+def with_sources(tree: dict[str, Any], where: str) -> dict[str, Any]:
+    """Turn spreads that are written as quantities into numbers, and enter their sources.
+
+    Raises
+    ------
+    ConfigError
+        A quantity without a source, or outside its range.
+    """
+    found = tree.get("inputs")
+    if not isinstance(found, dict):
+        return tree
+    values, origins = split_quantities({"inputs": found})
+    check_ranges(values, origins, where)
+    for path, origin in origins.items():
+        _, name, *_ = path.split(".")
+        values["inputs"][name].setdefault("source", origin.source)
+    return tree | values
+
+
+def number_at(experiment: Experiment, key: str) -> float | None:
+    """Return a number of the experiment by its dotted path; None where there is none."""
+    node: Any = experiment
+    for part in key.split("."):
+        node = node.get(part) if isinstance(node, dict) else getattr(node, part, None)
+    if isinstance(node, bool) or not isinstance(node, (int, float)):
+        return None
+    return float(node)

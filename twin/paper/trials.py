@@ -1,0 +1,108 @@
+"""The paper's repeated measurements: studies of trials, and a GelSight-like sensor beside them."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from twin.config import Experiment
+from twin.config.inputs import Inputs, load_inputs
+from twin.pipeline.instruments import PhotometricPlan, case_for
+from twin.results.decoders import DecodedImage
+from twin.results.record import Measurement
+from twin.results.score import metrics
+from twin.study.cases import Case, case_of
+from twin.study.draws import draw
+from twin.study.measuring import Conditions
+from twin.study.record import StudyRecord
+from twin.study.trials import CALIBRATION, CALIBRATIONS, PART, TRIAL, TRIALS
+from twin.uncertainty.trials import record_of
+
+INPUTS, BOARD = "paper/trials", "boards/paper_dots"
+# The paper's pipeline: a look-up table, then integration as in the vendor's programs of its time.
+PAPER_DECODER = {"photometric.colour_map": "table", "photometric.integration": "sdk_2024"}
+
+Figures = Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One repetition: its number, 0 for the nominal one, and what was measured."""
+
+    number: int
+    figures: Figures
+
+
+def inputs() -> Inputs:
+    """Return what differs from trial to trial."""
+    return load_inputs(INPUTS)
+
+
+def fringe_study(experiment: Experiment, trials: int) -> StudyRecord:
+    """Return the repeated contact-FPP measurement of a specimen."""
+    return record_of(experiment, inputs(), trials, budget=False)
+
+
+def plan_of(trial: int) -> PhotometricPlan:
+    """Return sensor and decoder of a trial; its reference presses are one of five sets."""
+    seed = inputs().seed + trial % CALIBRATIONS
+    settings: dict[str, Any] = {**PAPER_DECODER, "seed": seed}
+    return PhotometricPlan(settings=settings)
+
+
+def colour_cases(experiment: Experiment, trials: int) -> list[Case]:
+    """Return the repeated presses under the GelSight-like sensor.
+
+    And the nominal press under each calibration. A trial has the specimen, pose and load of the
+    same trial of contact-FPP.
+
+    Raises
+    ------
+    InputError
+        A press of contact-FPP, whose force the sensor shares, fails.
+    """
+    given, found = inputs(), []
+    for number in range(trials + 1):
+        drawn = draw(experiment, given.inputs, given.seed, number)
+        found.append(_colour_case(TRIALS, drawn, number))
+    return found + [_colour_case(CALIBRATION, experiment, n) for n in range(CALIBRATIONS)]
+
+
+def _colour_case(part: str, experiment: Experiment, number: int) -> Case:
+    case = case_for(experiment, "photometric_stereo", plan_of(number))
+    return case_of({PART: part, TRIAL: number}, case, Conditions(number))
+
+
+def figures_by_decoder(done: Measurement) -> dict[str, Any]:
+    """Return the balls' figures of one image by every decoder, each under its name."""
+    found: dict[str, Any] = {}
+    for one in done.colours.decoded:
+        found |= _by_decoder(one)
+    return found
+
+
+def _by_decoder(one: DecodedImage) -> dict[str, Any]:
+    return {
+        f"{one.colour_map}_{one.integration}_{name}": value
+        for name, value in metrics(one.score).items()
+        if name.startswith("sphere_") or name == "z_rmse_um"
+    }
+
+
+def trials_among(cases: Sequence[Case], found: Mapping[str, Figures]) -> list[Trial]:
+    """Return the trials in their order, by the figures of each case's digest.
+
+    Trial 0 has the balls' radii under every calibration, too.
+    """
+    redone = {
+        f"calibration_{case.settings[TRIAL]}_{name}": value
+        for case in cases
+        if case.settings[PART] == CALIBRATION
+        for name, value in found[case.digest].items()
+        if name.startswith("sphere_") and name.endswith("_radius_mm") and "true" not in name
+    }
+    trials = [
+        Trial(case.settings[TRIAL], found[case.digest])
+        for case in cases
+        if case.settings[PART] == TRIALS
+    ]
+    return [Trial(0, {**trials[0].figures, **redone}), *trials[1:]]

@@ -1,0 +1,285 @@
+"""What the trials of a study say of a measurand, read from the study's store."""
+
+import json
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from reconstruction.arrays import FloatArray
+from reconstruction.errors import InputError
+from twin.config import Experiment, digest
+from twin.config.inputs import Input
+from twin.output import read_json
+from twin.study.best import is_number
+from twin.study.draws import counting_for
+from twin.study.measuring import TRUE_RIG
+from twin.study.record import STUDY_FILE, StudyRecord, read_record
+from twin.study.sensitivity import Effect
+from twin.study.table import StudyTable, read_table
+from twin.study.trials import ALONE, CALIBRATION, INPUT, NOISE, PART, STEP, TRIAL, TRIALS, nominal
+from twin.uncertainty.budget import Part, calibration_part, noise_part, part_of, ranked, together
+from twin.uncertainty.distribution import COVERAGE, Distribution, distribution_of
+from twin.uncertainty.sensitivity import Correlation, correlation_of
+
+SOBOL_FILE = "sobol.json"
+MAIN = (
+    "sphere_1_radius_mm",
+    "rod_width_mm",
+    "z_rmse_um",
+    "z_bias_um",
+    "completeness",
+    "force_n",
+)
+"""Measurands where none is named, as far as a measurement has them."""
+_MOST_OTHERS = 4
+
+Row = Mapping[str, Any]
+
+
+@dataclass(frozen=True, eq=False)
+class Measurand:
+    """One figure of the measurement over the trials.
+
+    Attributes
+    ----------
+    name : with its unit
+    nominal : in trial 0, with the true rig; None where that has no value
+    distribution : over the trials that have a value
+    missing : trials without a value: they failed, or had nothing to fit
+    parts : of the budget, the largest first; empty where the study made none
+    undetermined : inputs whose part is not known, because a step has no value
+    correlations : with the inputs, the strongest first
+    effects : Sobol' indices, where they were asked for
+    """
+
+    name: str
+    nominal: float | None
+    distribution: Distribution
+    missing: int
+    parts: tuple[Part, ...] = ()
+    undetermined: tuple[str, ...] = ()
+    correlations: tuple[Correlation, ...] = ()
+    effects: tuple[Effect, ...] = ()
+
+    @property
+    def from_budget(self) -> float | None:
+        """Combined standard uncertainty of the parts; None without a budget."""
+        return together(self.parts) if self.parts else None
+
+
+@dataclass(frozen=True, eq=False)
+class Uncertainty:
+    """What the trials of a study say.
+
+    Attributes
+    ----------
+    table : of all cases
+    measurands : by name
+    failures : how many trials failed, by reason
+    """
+
+    table: StudyTable
+    measurands: Mapping[str, Measurand]
+    failures: Mapping[str, int] = field(default_factory=dict)
+
+    @property
+    def trials(self) -> int:
+        """Trials that were asked for; the nominal one is none of them."""
+        return self.table.record.study.sampling.count or 0
+
+    @property
+    def experiment(self) -> Experiment:
+        """What was repeated."""
+        record = self.table.record
+        return nominal(record.study, record.base)
+
+    def inputs(self) -> dict[str, Input]:
+        """Return the inputs that count for the experiment."""
+        return counting_for(self.experiment, self.table.record.study.inputs)
+
+    def metrics(self) -> dict[str, Any]:
+        """Return the figures of all measurands, with the unit at the end of each name."""
+        found: dict[str, Any] = {
+            "trials": self.trials,
+            "failed_trials": sum(self.failures.values()),
+        }
+        for one in self.measurands.values():
+            found |= _metrics_of(one)
+        return found
+
+
+def is_uncertainty(folder: Path) -> bool:
+    """Tell whether a folder is the store of a study of trials."""
+    if not (folder / STUDY_FILE).is_file():
+        return False
+    return read_record(folder).study.sampling.method == "trials"
+
+
+def read_uncertainty(
+    folder: Path, measurands: Sequence[str] = (), coverage: float = COVERAGE
+) -> Uncertainty:
+    """Evaluate the trials in a store.
+
+    Parameters
+    ----------
+    measurands : names of figures; by default those of the study's metrics, or the main ones
+
+    Raises
+    ------
+    InputError
+        The folder holds no study of trials, fewer than two trials have a value, or no trial has a
+        figure of that name.
+    """
+    if not is_uncertainty(folder):
+        raise InputError(f"{folder}: holds no trials; give the -o DIR of twin uncertainty")
+    table = read_table(folder)
+    trials = _part(table.rows, TRIALS)
+    failures = Counter(row["reason"] for row in trials if row["state"] == "failed" and row[TRIAL])
+    asked = list(measurands or table.record.study.metrics) or _main(trials)
+    known = {name for row in trials for name, value in row.items() if is_number(value)}
+    known -= {TRIAL, *(one.key for one in table.record.study.inputs.values())}
+    unknown = [name for name in asked if name not in known]
+    if unknown:
+        told = ", ".join(sorted(n for n in known if not n.startswith(TRUE_RIG)))
+        why = "; ".join(failures) if failures else "no trial is finished; run it again"
+        raise InputError(f"measurand {unknown[0]}: found in no trial, allowed {told or why}")
+    effects = _read_effects(folder, table.record)
+    found = {name: _measurand(table, name, coverage, effects.get(name, ())) for name in asked}
+    return Uncertainty(table, found, failures)
+
+
+def _main(trials: Sequence[Row]) -> list[str]:
+    """Return the main figures that differ, or the first other ones."""
+    some = [row for row in trials if row["state"] == "done"]
+    if not some:
+        return list(MAIN[:1])
+    of_inputs = {TRIAL, *_titles(some[0])}
+    differ = [
+        name
+        for name, value in some[0].items()
+        if is_number(value)
+        and name not in of_inputs
+        and not name.startswith(TRUE_RIG)
+        and len({row.get(name) for row in some}) > 1
+    ]
+    return [name for name in MAIN if name in differ] or differ[:_MOST_OTHERS] or list(MAIN[:1])
+
+
+def _titles(row: Row) -> list[str]:
+    return [name for name in row if "." in name]
+
+
+def _measurand(
+    table: StudyTable, name: str, coverage: float, effects: Iterable[Effect]
+) -> Measurand:
+    rows = _part(table.rows, TRIALS)
+    drawn = [row for row in rows if row[TRIAL]]
+    with_value = [row for row in drawn if is_number(row.get(name))]
+    values = _values(with_value, name)
+    if values.size < 2:
+        raise InputError(f"measurand {name}: {values.size} trials have it, 2 or more are needed")
+    middle = next((row.get(name) for row in rows if not row[TRIAL]), None)
+    study = table.record.study
+    inputs = counting_for(nominal(study, table.record.base), study.inputs)
+    parts, undetermined = _budget(table, name, inputs, with_value)
+    pairs = [
+        correlation_of(title, [row[one.key] for row in with_value], values)
+        for title, one in inputs.items()
+    ]
+    return Measurand(
+        name,
+        middle if is_number(middle) else None,
+        distribution_of(values, coverage),
+        len(drawn) - len(with_value),
+        tuple(ranked(parts)),
+        tuple(undetermined),
+        tuple(sorted(filter(None, pairs), key=lambda one: -abs(one.rank))),
+        tuple(effects),
+    )
+
+
+def _budget(
+    table: StudyTable, name: str, inputs: Mapping[str, Input], trials: Sequence[Row]
+) -> tuple[list[Part], list[str]]:
+    """Return what each input alone, noise and calibration add; and the inputs that do not tell."""
+    if not table.record.study.sampling.budget:
+        return [], []
+    alone = [row for row in _part(table.rows, ALONE) if is_number(row.get(name))]
+    middle = {row[STEP]: row[name] for row in alone if not row[INPUT]}
+    parts, undetermined = [], []
+    for title, one in inputs.items():
+        steps = middle | {row[STEP]: row[name] for row in alone if row[INPUT] == title}
+        part = part_of(title, one, steps)
+        if part is None:
+            undetermined.append(title)
+        else:
+            parts.append(part)
+    rest = (
+        noise_part(_values(_part(table.rows, NOISE), name)),
+        calibration_part(_calibration_changes(table, name, trials)),
+    )
+    return parts + [part for part in rest if part is not None], undetermined
+
+
+def _calibration_changes(table: StudyTable, name: str, trials: Sequence[Row]) -> FloatArray:
+    """Return what another calibration changes, (n,): of fringes on the same images."""
+    both = [row for row in trials if is_number(row.get(f"{TRUE_RIG}{name}"))]
+    if both:
+        return _values(both, name) - _values(both, f"{TRUE_RIG}{name}")
+    return _values(_part(table.rows, CALIBRATION), name)
+
+
+def _part(rows: Iterable[Row], part: str) -> list[Row]:
+    return [row for row in rows if row.get(PART) == part]
+
+
+def _values(rows: Iterable[Row], name: str) -> FloatArray:
+    return np.array([row[name] for row in rows if is_number(row.get(name))], np.float64)
+
+
+def _metrics_of(one: Measurand) -> dict[str, Any]:
+    found, name = one.distribution, one.name
+    stability = found.stability
+    figures: dict[str, Any] = {
+        f"trials_of_{name}": int(found.values.size),
+        f"nominal_{name}": one.nominal,
+        f"mean_{name}": found.mean,
+        f"standard_uncertainty_{name}": found.standard_uncertainty,
+        f"budget_standard_uncertainty_{name}": one.from_budget,
+        f"supported_digits_of_{name}": None if stability is None else stability.digits,
+    }
+    for title, interval in (("interval", found.symmetric), ("shortest_interval", found.shortest)):
+        figures[f"{title}_low_{name}"] = None if interval is None else interval.low
+        figures[f"{title}_high_{name}"] = None if interval is None else interval.high
+    return figures | {
+        f"uncertainty_by_{part.name}_{name}".replace(" ", "_"): part.u for part in one.parts
+    }
+
+
+def effects_as_json(record: StudyRecord, effects: Mapping[str, Sequence[Effect]]) -> dict[str, Any]:
+    """Return Sobol' indices for `SOBOL_FILE`, with the name of what they were computed from."""
+    found = {name: [asdict(one) for one in some] for name, some in effects.items()}
+    return {"schema_version": 1, "of": _mark(record), "effects": found}
+
+
+def _mark(record: StudyRecord) -> str:
+    inputs = {name: one.model_dump(mode="json") for name, one in record.study.inputs.items()}
+    return f"{digest(record.base)} {json.dumps(inputs, sort_keys=True)}"
+
+
+def _read_effects(folder: Path, record: StudyRecord) -> dict[str, list[Effect]]:
+    """Read Sobol' indices; those of another experiment or of other inputs are none."""
+    path = folder / SOBOL_FILE
+    if not path.is_file():
+        return {}
+    kept = read_json(path)
+    if kept.get("of") != _mark(record):
+        return {}
+    try:
+        return {name: [Effect(**one) for one in some] for name, some in kept["effects"].items()}
+    except (KeyError, TypeError, AttributeError):
+        raise InputError(f"{path}: damaged; delete it, or ask for --sobol again") from None

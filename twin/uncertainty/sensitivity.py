@@ -1,0 +1,165 @@
+"""Which input moves a measurand: correlations over the trials, and Sobol' indices."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy import stats
+
+from reconstruction.arrays import FloatArray
+from reconstruction.errors import InputError
+from twin.config import ConfigError, Experiment, vary
+from twin.config.inputs import Input
+from twin.pipeline.memory import Memory
+from twin.pipeline.press import press
+from twin.pipeline.progress import ProgressCallback, no_progress
+from twin.results.face import face_figures
+from twin.study.best import is_number
+from twin.study.design import saltelli_shares
+from twin.study.draws import InputDistribution, counting_for, deviation_of, standard_uncertainty
+from twin.study.sensitivity import Effect, saltelli_effects
+
+
+@dataclass(frozen=True)
+class Correlation:
+    """How an input and a measurand go together over the trials.
+
+    Attributes
+    ----------
+    name : of the input
+    linear, rank : coefficients of Pearson and Spearman, -1 to 1
+    """
+
+    name: str
+    linear: float
+    rank: float
+
+
+def correlation_of(name: str, inputs: ArrayLike, values: ArrayLike) -> Correlation | None:
+    """Return the correlation of an input (n,) with a measurand (n,).
+
+    None with fewer than three trials, or where one of both does not differ.
+    """
+    x, y = np.asarray(inputs, np.float64), np.asarray(values, np.float64)
+    if x.size < 3 or not np.ptp(x) or not np.ptp(y):
+        return None
+    linear = float(np.corrcoef(x, y)[0, 1])
+    return Correlation(name, linear, float(stats.spearmanr(x, y).statistic))
+
+
+def presses_of_sobol(inputs: Mapping[str, Input], experiment: Experiment, base_points: int) -> int:
+    """Return how many presses `sobol_of_face` costs: base points x (inputs + 2)."""
+    return base_points * (len(_of_face(inputs, experiment)) + 2)
+
+
+def sobol_of_face(
+    experiment: Experiment,
+    inputs: Mapping[str, Input],
+    measurands: Sequence[str],
+    base_points: int,
+    *,
+    seed: int = 0,
+    watch: ProgressCallback = no_progress,
+) -> dict[str, list[Effect]]:
+    """Return Sobol' indices of figures of the pressed face: the cheap stage, without light.
+
+    First order and total, by `scipy.stats.sobol_indices` over the inputs' own distributions, with
+    95 % bootstrap intervals. Costs base points x (inputs + 2) presses for all figures together.
+
+    Parameters
+    ----------
+    experiment : Experiment
+    inputs : those of the optics leave the face alone and have no index
+    measurands : such as sphere_1_radius_mm, rod_width_mm, force_n, relief_peak_mm; those that the
+        face does not have are left out
+    base_points : a power of 2
+
+    Raises
+    ------
+    InputError
+        `base_points` is no power of 2; a press fails; the face has none of the figures; nothing is
+        pressed.
+    """
+    if base_points < 2 or base_points & (base_points - 1):
+        raise InputError(f"--sobol {base_points}: allowed a power of 2, for example 64")
+    if not experiment.method.presses:
+        raise InputError(f"--sobol: modality = '{experiment.modality}' presses nothing; leave it")
+    counting, memory = _of_face(inputs, experiment), Memory()
+    if not counting:
+        raise InputError("--sobol: found no input that moves the pressed face; leave it")
+    nominal = [one.nominal_in(experiment) for one in counting.values()]
+    dists = [deviation_of(o, at) for o, at in zip(counting.values(), nominal, strict=True)]
+    columns = _sobol_points(dists, base_points, seed).T
+    found = []
+    for done, column in enumerate(columns):
+        watch("presses", done / len(columns))
+        values = (float(at + step) for at, step in zip(nominal, column, strict=True))
+        keys = (one.key for one in counting.values())
+        found.append(_face(experiment, dict(zip(keys, values, strict=True)), memory))
+        _refuse_unknown(measurands, found[0])
+    watch("presses", 1.0)
+    return {
+        name: _effects([row[name] for row in found], list(counting))
+        for name in measurands
+        if all(is_number(row.get(name)) for row in found)
+    }
+
+
+def _face(experiment: Experiment, drawn: Mapping[str, float], memory: Memory) -> dict[str, Any]:
+    try:
+        case = vary(experiment, drawn)
+        return face_figures(case, press(case, memory).pressed)
+    except ConfigError as error:
+        raise InputError(f"--sobol: {error}") from None
+
+
+def _refuse_unknown(measurands: Sequence[str], figures: Mapping[str, Any]) -> None:
+    numbers = sorted(name for name, value in figures.items() if is_number(value))
+    if not set(numbers) & set(measurands):
+        raise InputError(
+            f"--sobol: {', '.join(measurands)}: no figure of the pressed face, allowed "
+            f"{', '.join(numbers)}"
+        )
+
+
+def _of_face(inputs: Mapping[str, Input], experiment: Experiment) -> dict[str, Input]:
+    """Return the inputs that move the face."""
+    return {
+        name: one
+        for name, one in counting_for(experiment, inputs).items()
+        if one.group != "optics" and standard_uncertainty(one, one.nominal_in(experiment)) > 0
+    }
+
+
+def sobol_indices(
+    model: Callable[[FloatArray], FloatArray],
+    distributions: Sequence[InputDistribution],
+    names: Sequence[str],
+    base_points: int,
+    seed: int = 0,
+) -> list[Effect]:
+    """Return Sobol' indices of a model over independent inputs.
+
+    Parameters
+    ----------
+    model : takes inputs (input, n) and returns values (n,)
+    distributions : with `ppf`, as frozen ones of `scipy.stats`
+    base_points : a power of 2; the model is asked for base points x (inputs + 2) values
+    """
+    drawn = _sobol_points(distributions, base_points, seed)
+    return _effects(model(drawn), names)
+
+
+def _sobol_points(
+    distributions: Sequence[InputDistribution], base_points: int, seed: int
+) -> FloatArray:
+    """Return the inputs (input, n) at which a model is asked."""
+    rng = np.random.default_rng(seed)
+    shares = saltelli_shares(len(distributions), base_points, rng)
+    return np.array([one.ppf(column) for one, column in zip(distributions, shares.T, strict=True)])
+
+
+def _effects(values: ArrayLike, names: Sequence[str]) -> list[Effect]:
+    return saltelli_effects(np.asarray(values, np.float64).reshape(len(names) + 2, -1), names)

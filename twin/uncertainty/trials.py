@@ -1,0 +1,200 @@
+"""Repeat a measurement with its inputs drawn anew: the study of an experiment's uncertainty.
+
+| in the folder | content |
+|---|---|
+| result.json | mean, standard uncertainty, coverage intervals, budget of every measurand |
+| experiment.toml | the nominal experiment |
+| trials.nc | inputs and figures of every trial |
+| study.json, cases/, index.sqlite, ... | the store of the study, see `twin.study.store` |
+"""
+
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from reconstruction.machine import write_dataset
+from twin.config import ConfigError, Experiment, load_experiment
+from twin.config.inputs import DEFAULT_INPUTS, Input, Inputs, load_inputs
+from twin.config.messages import explain
+from twin.config.study import Study
+from twin.output import EXPERIMENT_FILE, RESULT_FILE, adding, write_json
+from twin.pipeline.progress import ProgressCallback, no_progress
+from twin.results.parts import write_result
+from twin.study.best import is_number
+from twin.study.record import StudyRecord, write_record
+from twin.study.sensitivity import Effect
+from twin.study.sweep import sweep
+from twin.study.trials import PART, TRIAL, TRIALS
+from twin.study.workers import Workers, local_workers
+from twin.uncertainty.distribution import COVERAGE
+from twin.uncertainty.results import SOBOL_FILE, Uncertainty, effects_as_json, read_uncertainty
+
+COMMAND, TRIALS_FILE = "uncertainty", "trials.nc"
+MOST_TRIALS = 1_000_000
+_TRIALS_TOLD = "trials of a measurement; trial 0 is the nominal one"
+_ABSENT = 9.969209968386869e36  # netCDF's own fill value of doubles
+
+
+def uncertainty(
+    experiment: Experiment | str,
+    inputs: Inputs | Mapping[str, Input | Mapping[str, Any]] | str = DEFAULT_INPUTS,
+    n: int = 100,
+    *,
+    folder: Path | str | None = None,
+    measurands: Sequence[str] = (),
+    calibration: Literal["drawn", "true"] = "drawn",
+    budget: bool = True,
+    seed: int | None = None,
+    workers: Workers | int = 1,
+    coverage: float = COVERAGE,
+    watch: ProgressCallback = no_progress,
+) -> Uncertainty:
+    """Repeat a measurement with its inputs drawn anew, and say what any of its figures is worth.
+
+    Parameters
+    ----------
+    experiment : Experiment or str
+        The nominal measurement, or the name of a shipped one.
+    inputs : Inputs, mapping or str
+        What differs: a file, the name of a shipped one, or tables by name.
+    n : int
+        Trials, at least 2; the nominal measurement comes on top.
+    folder : path, optional
+        Where the trials are kept; what lies there is not measured again.
+    measurands : sequence of str
+        Figures of the measurement, such as "sphere_1_radius_mm"; by default the main ones.
+    calibration : {"drawn", "true"}
+        A new calibration of the rig in each trial, or the true rig.
+    budget : bool
+        Also vary each input alone, for the ranked budget: two measurements per input.
+    seed : int, optional
+        Of all draws; default: that of the inputs.
+    workers : Workers or int
+        Who computes; a number of processes on this machine.
+    coverage : float
+        Probability of the coverage intervals.
+
+    Raises
+    ------
+    InputError
+        An input leads to no number, a drawn value is not allowed, no trial has such a figure, or
+        the folder cannot be used.
+    MissingBackend
+        No usable Dr.Jit backend.
+    """
+    base = load_experiment(experiment) if isinstance(experiment, str) else experiment
+    record = record_of(base, inputs, n, calibration=calibration, budget=budget, seed=seed)
+    who = local_workers(workers) if isinstance(workers, int) else workers
+    if folder is not None:
+        sweep(record, Path(folder), who, watch=watch)
+        found = read_uncertainty(Path(folder), measurands, coverage)
+        write_uncertainty(Path(folder), found)
+        return found
+    with tempfile.TemporaryDirectory() as scratch:
+        sweep(record, Path(scratch), who, watch=watch)
+        return read_uncertainty(Path(scratch), measurands, coverage)
+
+
+def record_of(
+    experiment: Experiment,
+    inputs: Inputs | Mapping[str, Input | Mapping[str, Any]] | str | Path,
+    n: int,
+    *,
+    calibration: Literal["drawn", "true"] = "drawn",
+    budget: bool = True,
+    seed: int | None = None,
+) -> StudyRecord:
+    """Return the study of trials of an experiment.
+
+    Raises
+    ------
+    ConfigError
+        One line per problem of the inputs; or a number of trials that is not allowed.
+    """
+    if not 2 <= n <= MOST_TRIALS:
+        raise ConfigError(f"trials: found {n}, allowed 2 to {MOST_TRIALS}")
+    given = _inputs(inputs)
+    sampling = {
+        "method": "trials",
+        "count": n,
+        "seed": given.seed if seed is None else seed,
+        "calibration": calibration,
+        "budget": budget,
+    }
+    study = {
+        "name": "trials",
+        "description": given.description,
+        "base": experiment.name,
+        "sampling": sampling,
+        "inputs": given.inputs,
+    }
+    return StudyRecord(_validated(Study, study), experiment)
+
+
+def _inputs(given: Inputs | Mapping[str, Input | Mapping[str, Any]] | str | Path) -> Inputs:
+    if isinstance(given, Inputs):
+        return given
+    if isinstance(given, (str, Path)):
+        return load_inputs(given)
+    made: Inputs = _validated(Inputs, {"inputs": dict(given)})
+    return made
+
+
+def _validated(kind: Any, tree: Mapping[str, Any]) -> Any:
+    from pydantic import ValidationError
+
+    try:
+        return kind.model_validate(tree)
+    except ValidationError as error:
+        raise ConfigError("\n".join(explain(error, kind))) from None
+
+
+def write_uncertainty(
+    folder: Path, found: Uncertainty, effects: Mapping[str, Sequence[Effect]] | None = None
+) -> None:
+    """Write result.json, experiment.toml and trials.nc into the store of the trials.
+
+    Its study remembers the measurands, so that a report drawn again shows the same.
+
+    Raises
+    ------
+    InputError
+        It cannot be written.
+    """
+    record = found.table.record
+    metrics = {"metrics": tuple(found.measurands)}
+    write_record(folder, replace(record, study=record.study.model_copy(update=metrics)))
+    names = [RESULT_FILE, EXPERIMENT_FILE, TRIALS_FILE, *([SOBOL_FILE] if effects else [])]
+    with adding(folder, *names) as made:
+        write_trials(made / TRIALS_FILE, found)
+        write_result(made, COMMAND, found.experiment, found.metrics())
+        if effects:
+            write_json(made / SOBOL_FILE, effects_as_json(found.table.record, effects))
+
+
+def write_trials(path: Path, found: Uncertainty) -> None:
+    """Write inputs and figures of every trial as netCDF-4, one (trial) variable each.
+
+    A figure that a trial lacks has the missing value.
+    """
+    import xarray
+
+    rows = [row for row in found.table.rows if row.get(PART) == TRIALS]
+    keys = [one.key for one in found.inputs().values()]
+    known = dict.fromkeys(name for row in rows for name, v in row.items() if is_number(v))
+    names = [*keys, *(name for name in known if name not in keys and name != TRIAL)]
+    variables = {}
+    for name in names:
+        values = [row[name] if is_number(row.get(name)) else _ABSENT for row in rows]
+        told = "input" if name in keys else "figure of the measurement"
+        attributes = {"long_name": told, "missing_value": _ABSENT}
+        variables[name] = (TRIAL, np.array(values, np.float64), attributes)
+    numbers = np.array([row[TRIAL] for row in rows])
+    write_dataset(
+        path,
+        xarray.Dataset(variables, {TRIAL: (TRIAL, numbers)}, {"description": _TRIALS_TOLD}),
+    )
