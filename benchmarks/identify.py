@@ -2,7 +2,7 @@
 
 Forty sensors (--quick: twelve) with a slab of hidden thickness, hardness and travel, drawn from the
 priors, are measured by the whole chain: pressed, rendered, exposed, decoded, fitted. Their radius,
-relief and force, moved by the rows' own noise, are given to `twin.identify`, which learned the same
+relief and force, moved by the rows' own noise, are given to `twin identify`, which learned the same
 chain from other simulations. 68 and 95 % intervals must cover the hidden values so often: binomial,
 120 intervals, three standard deviations are 13 and 6 %. Then the force alone is given, of hardness
 and travel: their trade-off must be told as a ridge.
@@ -24,9 +24,9 @@ import numpy as np
 from twin.config import load_experiment
 from twin.config.problem import Problem
 from twin.config.study import Sampling
-from twin.identify.findings import Interval
-from twin.identify.run import Identified, infer
-from twin.identify.simulations import Simulated, Variant, record_of, simulate
+from twin.identification.findings import Interval
+from twin.identification.run import Identified, infer
+from twin.identification.simulations import Simulated, Variant, record_of, simulate
 from twin.study.record import StudyRecord
 from twin.study.sweep import sweep
 from twin.study.table import read_table

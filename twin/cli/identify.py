@@ -37,8 +37,8 @@ def identify(
         Address of a Dask scheduler, tcp://HOST:PORT, instead of processes on this machine.
     """
     from twin.config.problem import load_problem
-    from twin.identify.run import COMMAND, WRITTEN, write_identified
-    from twin.identify.run import identify as find
+    from twin.identification.run import COMMAND, WRITTEN, write_identified
+    from twin.identification.run import identify as find
     from twin.output import adding, claim
     from twin.report import REPORT_NAMES
     from twin.report.identified import write_identified as draw

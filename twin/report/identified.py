@@ -9,8 +9,8 @@ from matplotlib.axes import Axes
 
 from reconstruction.arrays import FloatArray
 from twin.config.problem import Free
-from twin.identify.findings import Interval, Prediction, Ridge
-from twin.identify.run import Identified
+from twin.identification.findings import Interval, Prediction, Ridge
+from twin.identification.run import Identified
 from twin.pipeline.progress import ProgressCallback, no_progress
 from twin.report.canvas import (
     FAINT,

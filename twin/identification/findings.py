@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from reconstruction.arrays import FloatArray
-from twin.identify.posterior import Likelihood, Posterior
+from twin.identification.posterior import Likelihood, Posterior
 
 # A field whose posterior variance is more than this share of the prior's is not determined.
 _UNDETERMINED = 0.5

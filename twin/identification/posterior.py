@@ -19,7 +19,7 @@ from scipy.stats import multivariate_t, norm, qmc
 
 from reconstruction.arrays import FloatArray
 from twin.config.problem import Free, Problem, Row
-from twin.identify.emulator import Emulator
+from twin.identification.emulator import Emulator
 
 _START_EXPONENT = 13
 _WALKERS_PER_FIELD, _LEAST_WALKERS = 6, 40

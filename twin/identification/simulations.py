@@ -18,7 +18,7 @@ from reconstruction.errors import InputError
 from twin.config import Experiment, vary
 from twin.config.problem import Problem
 from twin.config.study import Sampling, Study, without_absent
-from twin.identify.emulator import Emulator, fit_emulator
+from twin.identification.emulator import Emulator, fit_emulator
 from twin.pipeline.progress import ProgressCallback, no_progress
 from twin.study.design import shares_of
 from twin.study.measuring import CaseMeasurer

@@ -10,15 +10,15 @@ from scipy.stats import multivariate_normal, norm, qmc
 from reconstruction.arrays import FloatArray
 from reconstruction.errors import InputError
 from twin.config.problem import Problem
-from twin.identify.emulator import fit_emulator
-from twin.identify.findings import (
+from twin.identification.emulator import fit_emulator
+from twin.identification.findings import (
     interval_of,
     predict_rows,
     ridges,
     undetermined,
     worth_of,
 )
-from twin.identify.posterior import (
+from twin.identification.posterior import (
     Likelihood,
     Posterior,
     likelihood_of,

@@ -5,12 +5,12 @@ import json
 import pytest
 import xarray
 
-from tests.identify.sensors import Formula
-from tests.identify.test_identify import CHOICES
+from tests.identification.sensors import Formula
+from tests.identification.test_identify import CHOICES
 from twin.cli import run as command
 from twin.config import load_experiment
-from twin.identify import run as identification
-from twin.identify import simulations
+from twin.identification import run as identification
+from twin.identification import simulations
 from twin.report.identified import ridge_words
 
 ROWS = """

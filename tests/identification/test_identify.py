@@ -5,11 +5,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.identify.sensors import NOISE_MM, Formula
+from tests.identification.sensors import NOISE_MM, Formula
 from twin.config import ConfigError
 from twin.config.problem import load_problem
-from twin.identify.run import experiments_at_best, figures_of, identify, infer
-from twin.identify.simulations import simulate, variants_of
+from twin.identification.run import experiments_at_best, figures_of, identify, infer
+from twin.identification.simulations import simulate, variants_of
 from twin.study.workers import local_workers
 
 PROBLEM = """

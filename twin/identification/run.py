@@ -21,8 +21,8 @@ from reconstruction.machine import write_dataset
 from twin.config import Experiment, to_toml, vary
 from twin.config.problem import Problem, Row
 from twin.config.study import without_absent
-from twin.identify.emulator import Emulator
-from twin.identify.findings import (
+from twin.identification.emulator import Emulator
+from twin.identification.findings import (
     Interval,
     Prediction,
     Ridge,
@@ -33,14 +33,14 @@ from twin.identify.findings import (
     undetermined,
     worth_of,
 )
-from twin.identify.posterior import (
+from twin.identification.posterior import (
     Posterior,
     likelihood_of,
     probabilities,
     profile,
     sample,
 )
-from twin.identify.simulations import Simulated, Variant, simulate, variant_for
+from twin.identification.simulations import Simulated, Variant, simulate, variant_for
 from twin.output import EXPERIMENT_FILE, RESULT_FILE
 from twin.pipeline.progress import ProgressCallback, no_progress
 from twin.results.parts import write_result
