@@ -16,6 +16,7 @@
 | `Measurement` | points, sigma, reason, truth, score, images and figures of one measurement |
 | `compare` | experiments by several methods, into a folder |
 | `load_study`, `StudyRecord`, `sweep` | a design space as data, and into its store |
+| `load_problem`, `identify` | which values of unknown fields agree with measurements |
 | `uncertainty` | a measurement repeated with its inputs drawn anew: intervals, ranked budget |
 
 Nothing is imported before it is asked for. Captures, real or rendered: see `reconstruction`.
@@ -26,7 +27,9 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from twin.config import Experiment, load_experiment, vary
+    from twin.config.problem import load_problem
     from twin.config.study import load_study
+    from twin.identification.run import identify
     from twin.pipeline import Measurement, Memory, measure, render
     from twin.pipeline.comparison import compare
     from twin.pipeline.press import press_specimen as press
@@ -40,7 +43,9 @@ __all__ = [
     "Memory",
     "StudyRecord",
     "compare",
+    "identify",
     "load_experiment",
+    "load_problem",
     "load_study",
     "measure",
     "press",
@@ -57,7 +62,9 @@ _PLACES = {
     "Memory": "twin.pipeline",
     "StudyRecord": "twin.study.record",
     "compare": "twin.pipeline.comparison",
+    "identify": "twin.identification.run",
     "load_experiment": "twin.config",
+    "load_problem": "twin.config.problem",
     "load_study": "twin.config.study",
     "measure": "twin.pipeline",
     "press": "twin.pipeline.press:press_specimen",

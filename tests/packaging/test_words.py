@@ -24,8 +24,8 @@ INSTEAD = {
     r"\babsent:": "default:",
     r"\bbars? (?:is|are) met\b|\bwithin (?:its|their) bars?\b": "target",
 }
-COMMANDS = ("calibrate", "compare", "demo", "doctor", "export", "init", "keys", "measure", "paper",
-            "patterns", "press", "reconstruct", "render", "report", "sweep",
+COMMANDS = ("calibrate", "compare", "demo", "doctor", "export", "identify", "init", "keys",
+            "measure", "paper", "patterns", "press", "reconstruct", "render", "report", "sweep",
             "uncertainty")  # fmt: skip
 
 

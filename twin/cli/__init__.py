@@ -5,6 +5,7 @@ import sys
 # These enter their commands into the application.
 from twin.cli import captures as captures
 from twin.cli import forward as forward
+from twin.cli import identify as identify
 from twin.cli import paper as paper
 from twin.cli import start as start
 from twin.cli import sweeps as sweeps

@@ -1,0 +1,128 @@
+"""Coverage of identified values, and whether inseparable ones are told.
+
+Forty sensors (--quick: twelve) with a slab of hidden thickness, hardness and travel, drawn from the
+priors, are measured by the whole chain: pressed, rendered, exposed, decoded, fitted. Their radius,
+relief and force, moved by the rows' own noise, are given to `twin identify`, which learned the same
+chain from other simulations. 68 and 95 % intervals must cover the hidden values so often: binomial,
+120 intervals, three standard deviations are 13 and 6 %. Then the force alone is given, of hardness
+and travel: their trade-off must be told as a ridge.
+
+Last line: {"coverage_68", "coverage_95", "intervals", "ridge_told_share", "learned_over_row_sd",
+"seconds"}. `learned_over_row_sd` is the largest cross-validated error of an emulator over the row's
+own standard deviation.
+"""
+
+import argparse
+import json
+import tempfile
+import time
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from twin.config import load_experiment
+from twin.config.problem import Problem
+from twin.config.study import Sampling
+from twin.identification.findings import Interval
+from twin.identification.run import Identified, infer
+from twin.identification.simulations import Simulated, Variant, record_of, simulate
+from twin.study.record import StudyRecord
+from twin.study.sweep import sweep
+from twin.study.table import read_table
+from twin.study.workers import local_workers
+
+ROWS = {
+    "radius": {"metric": "sphere_1_radius_mm", "sd": 0.1},
+    "relief": {"metric": "relief_peak_mm", "sd": 0.004},
+    "force": {"metric": "force_n", "sd": 0.05},
+}
+FREE = {
+    "thickness": {"path": "elastomer.thickness_mm", "low": 2.0, "high": 3.5},
+    "hardness": {"path": "elastomer.shore_a", "low": 6.0, "high": 14.0},
+    "travel": {"path": "press.depth_mm", "low": 0.5, "high": 0.8},
+}
+BASE = {"camera.binning": 4, "mechanics.model": "spectral"}
+
+
+def problem_of(count: int, free: list[str], rows: list[str]) -> Problem:
+    """Return the problem; the rows' values are given later."""
+    return Problem.model_validate(
+        {
+            "name": "bench",
+            "experiments": {"balls": {"base": "paper/two_balls"}},
+            "free": {name: FREE[name] for name in free},
+            "rows": {name: ROWS[name] | {"experiment": "balls", "value": 0.0} for name in rows},
+            "design": {"count": count},
+        }
+    )
+
+
+def hidden_sensors(problem: Problem, count: int, folder: Path) -> list[Mapping[str, float]]:
+    """Measure sensors drawn from the priors; settings and figures by name."""
+    record = record_of(problem, load_experiment("paper/two_balls", BASE), Variant("balls"))
+    sampling = Sampling(method="latin_hypercube", count=count, seed=11)
+    study = record.study.model_copy(update={"sampling": sampling})
+    hidden = StudyRecord(study, record.base)
+    sweep(hidden, folder, local_workers(2))
+    return list(read_table(folder).rows)
+
+
+def identified(
+    problem: Problem,
+    simulated: Mapping[Variant, Simulated],
+    sensor: Mapping[str, float],
+    rng: np.random.Generator,
+) -> Identified:
+    """Read a sensor with the rows' noise, and identify it."""
+    read = {
+        name: row.model_copy(update={"value": sensor[row.metric] + row.sd * rng.normal()})
+        for name, row in problem.rows.items()
+    }
+    return infer(problem.model_copy(update={"rows": read}), simulated)
+
+
+def covered(one: Interval, value: float) -> tuple[bool, bool]:
+    """Tell whether the 68 and the 95 % interval hold a value."""
+    return one.low_68 <= value <= one.high_68, one.low_95 <= value <= one.high_95
+
+
+def main() -> None:
+    """Run the benchmark."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--quick", action="store_true")
+    quick = parser.parse_args().quick
+    count, sensors, ridge_sensors = (64, 12, 3) if quick else (160, 40, 10)
+    start, rng = time.perf_counter(), np.random.default_rng(3)
+    experiments = {"balls": load_experiment("paper/two_balls", BASE)}
+    whole = problem_of(count, list(FREE), list(ROWS))
+    force = problem_of(count, ["hardness", "travel"], ["force"])
+    with tempfile.TemporaryDirectory() as folder:
+        simulated = simulate(whole, experiments, Path(folder) / "whole", local_workers(2))
+        hidden = hidden_sensors(whole, sensors, Path(folder) / "hidden")
+        found = [identified(whole, simulated, sensor, rng) for sensor in hidden]
+        alone = simulate(force, experiments, Path(folder) / "force", local_workers(2))
+        told = hidden_sensors(force, ridge_sensors, Path(folder) / "hidden_force")
+        ridges = [identified(force, alone, sensor, rng).ridges() for sensor in told]
+    hits = np.array(
+        [
+            covered(one.intervals()[name], sensor[name])
+            for one, sensor in zip(found, hidden, strict=True)
+            for name in FREE
+        ]
+    )
+    emulators = found[0].best.emulators
+    errors = [emulators[n].cross_validated_rmse / row.sd for n, row in whole.rows.items()]
+    figures = {
+        "coverage_68": round(float(hits[:, 0].mean()), 3),
+        "coverage_95": round(float(hits[:, 1].mean()), 3),
+        "intervals": len(hits),
+        "ridge_told_share": float(np.mean([len(one) == 1 for one in ridges])),
+        "learned_over_row_sd": round(float(max(errors)), 3),
+        "seconds": round(time.perf_counter() - start, 1),
+    }
+    print(json.dumps(figures))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,30 @@
+"""A sensor of two hidden values whose figures are formulas, importable by worker processes."""
+
+import numpy as np
+
+from twin.study.measuring import Answer
+
+NOISE_MM = 0.004
+
+
+class Formula:
+    """Reads radius and width as a sheet of some thickness, pressed so deep, would show them."""
+
+    def __init__(self, keep=()):
+        self.keep = keep
+
+    def __call__(self, experiment):
+        thickness, depth = experiment.elastomer.thickness_mm, experiment.press.depth_mm
+        noise = NOISE_MM * np.random.default_rng(int(1e9 * (thickness + depth)) % 2**32).normal()
+        far = 2.0 if experiment.elastomer.layout == "contact_face" else 1.0
+        figures = {
+            "radius_mm": 4.0 + thickness + noise,
+            "radius_far_mm": 4.0 + 2.0 * thickness + noise,
+            "product_mm2": far * thickness * depth,
+            "height_mm": depth * np.exp(-thickness) + noise,
+            "warnings": [],
+        }
+        return Answer(figures)
+
+    def reads(self):
+        return ()

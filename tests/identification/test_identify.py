@@ -1,0 +1,189 @@
+"""From a problem file to intervals, with a sensor of formulas."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.identification.sensors import NOISE_MM, Formula
+from twin.config import ConfigError
+from twin.config.problem import load_problem
+from twin.identification.run import experiments_at_best, figures_of, identify, infer
+from twin.identification.simulations import simulate, variants_of
+from twin.study.workers import local_workers
+
+PROBLEM = """
+name = "sensor"
+[experiments.ball]
+base = "paper/two_balls"
+[free.thickness]
+path = "elastomer.thickness_mm"
+low = 0.1
+high = 0.8
+source = "assumed: a thin sheet"
+[free.depth]
+path = "press.depth_mm"
+low = 0.2
+high = 0.7
+[design]
+count = 64
+[rows.radius]
+experiment = "ball"
+metric = "radius_mm"
+value = 4.3
+sd = 0.01
+[rows.height]
+experiment = "ball"
+metric = "height_mm"
+value = 0.4
+sd = 0.01
+"""
+
+
+def _load(tmp_path: Path, text: str = PROBLEM):
+    file = tmp_path / "problem.toml"
+    file.write_text(text)
+    return load_problem(file)
+
+
+def _identify(tmp_path: Path, text: str = PROBLEM, workers: int = 1):
+    problem, experiments = _load(tmp_path, text)
+    found = identify(
+        problem, experiments, tmp_path / "out", local_workers(workers), make_measurer=Formula
+    )
+    return found, experiments
+
+
+@pytest.fixture(scope="module")
+def identified(tmp_path_factory):
+    return _identify(tmp_path_factory.mktemp("identified"))
+
+
+def test_values_are_found_with_the_rows_uncertainty(identified):
+    fields = identified[0].intervals()
+    assert fields["thickness"].mean == pytest.approx(0.3, abs=0.004)
+    assert fields["thickness"].sd == pytest.approx(0.01, rel=0.15)
+    exact = 0.4 * np.exp(0.3)
+    assert fields["depth"].mean == pytest.approx(exact, abs=0.006)
+    assert fields["depth"].sd == pytest.approx(np.hypot(0.01 * exact, 0.01 * np.exp(0.3)), rel=0.15)
+
+
+def test_the_best_experiments_have_the_found_values(identified):
+    found, experiments = identified
+    best = experiments_at_best(found, experiments)["ball"]
+    assert best.elastomer.thickness_mm == pytest.approx(0.3, abs=0.01)
+    assert best.press.depth_mm == pytest.approx(0.54, abs=0.02)
+
+
+def test_intervals_cover_the_hidden_values_of_twelve_sensors(tmp_path):
+    problem, experiments = _load(tmp_path)
+    simulated = simulate(
+        problem, experiments, tmp_path / "out", local_workers(1), make_measurer=Formula
+    )
+    rng = np.random.default_rng(5)
+    within_68, within_95 = [], []
+    for _ in range(12):
+        thickness, depth = rng.uniform(0.1, 0.8), rng.uniform(0.2, 0.7)
+        true = {"radius": 4.0 + thickness, "height": depth * np.exp(-thickness)}
+        read = {
+            name: row.model_copy(update={"value": true[name] + row.sd * rng.normal()})
+            for name, row in problem.rows.items()
+        }
+        found = infer(problem.model_copy(update={"rows": read}), simulated).intervals()
+        for name, value in (("thickness", thickness), ("depth", depth)):
+            one = found[name]
+            within_68.append(one.low_68 <= value <= one.high_68)
+            within_95.append(one.low_95 <= value <= one.high_95)
+    # Binomial, 24 intervals, three standard deviations; forty sensors: `./run bench identify`.
+    assert 0.40 < np.mean(within_68) < 0.96
+    assert np.mean(within_95) > 0.81
+
+
+def test_a_product_alone_is_told_as_a_ridge(tmp_path):
+    text = (
+        PROBLEM.split("[rows.radius]")[0]
+        + """
+[rows.product]
+experiment = "ball"
+metric = "product_mm2"
+value = 0.12
+sd = 0.001
+"""
+    )
+    found, _ = _identify(tmp_path, text)
+    assert [set(one.share) for one in found.ridges()] == [{"thickness", "depth"}]
+    shares = list(found.ridges()[0].share.values())
+    assert shares[0] * shares[1] > 0  # a product: both up is across, one up and one down along
+
+
+CHOICES = (
+    PROBLEM
+    + """
+[alternatives.fit.choices.near]
+[alternatives.fit.choices.far]
+metrics = { radius = "radius_far_mm" }
+[alternatives.layout.choices.free]
+[alternatives.layout.choices.window]
+set = { elastomer = { layout = "contact_face" } }
+[rows.product]
+experiment = "ball"
+metric = "product_mm2"
+value = 0.32
+sd = 0.005
+"""
+)
+
+
+def test_choices_are_judged_and_only_those_that_change_it_are_simulated(tmp_path):
+    problem, _ = _load(tmp_path, CHOICES)
+    assert [one.name for one in variants_of(problem)] == ["ball-free", "ball-window"]
+    found, _ = _identify(tmp_path, CHOICES)
+    # thickness 0.3 and depth 0.54 give 0.162: twice that is the window's.
+    assert found.best.combination == {"fit": "near", "layout": "window"}
+    assert found.best.probability > 0.95
+    assert sum(one.probability for one in found.models) == pytest.approx(1.0)
+
+
+def test_a_row_held_out_is_not_fitted_and_rotated_ones_are_predicted(tmp_path):
+    text = PROBLEM.replace("value = 0.4\n", "value = 0.9\nheld_out = true\n")
+    found, _ = _identify(tmp_path, text)
+    row = {one.row: one for one in found.best.predictions}["height"]
+    assert not row.fitted
+    assert row.deviation > 2.0
+    assert "depth" in found.undetermined()
+
+
+def test_same_results_after_a_resume_and_with_two_workers(tmp_path):
+    (tmp_path / "one").mkdir()
+    (tmp_path / "two").mkdir()
+    first, _ = _identify(tmp_path / "one")
+    again, _ = _identify(tmp_path / "one")
+    beside, _ = _identify(tmp_path / "two", workers=2)
+    assert figures_of(first) == figures_of(again) == figures_of(beside)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ('experiment = "ball"', 'experiment = "bal"', "rows.radius: found 'bal', allowed ball"),
+        ("sd = 0.01", "sd = 0", "sd"),
+        ("low = 0.1", "low = 1.0", "low: found 1, allowed below high, 0.8"),
+        ("[design]", 'rotate = ["wide"]\n[design]', "rotate"),
+        ('name = "sensor"', 'name = "sensor"\nrotate = ["wide"]', "found 'wide', allowed"),
+        ("count = 64", "count = 4", "count"),
+    ],
+)
+def test_a_faulty_problem_is_refused_in_one_line(tmp_path, old, new, said):
+    with pytest.raises(ConfigError, match=said) as error:
+        _load(tmp_path, PROBLEM.replace(old, new, 1))
+    assert "\n" not in str(error.value)
+
+
+def test_an_unknown_figure_names_those_that_there_are(tmp_path):
+    with pytest.raises(Exception, match="radius_m: found in no simulation, allowed height_mm"):
+        _identify(tmp_path, PROBLEM.replace('"radius_mm"', '"radius_m"'))
+
+
+def test_the_emulators_error_is_the_simulations_noise(identified):
+    error = identified[0].best.emulators["radius"].cross_validated_rmse
+    assert 0.7 * NOISE_MM < error < 1.4 * NOISE_MM

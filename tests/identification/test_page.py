@@ -1,0 +1,85 @@
+"""The page, the folder and the command of an identification."""
+
+import json
+
+import pytest
+import xarray
+
+from tests.identification.sensors import Formula
+from tests.identification.test_identify import CHOICES
+from twin.cli import run as command
+from twin.config import load_experiment
+from twin.identification import run as identification
+from twin.identification import simulations
+from twin.report.identified import ridge_words
+
+ROWS = """
+[rows.held]
+experiment = "ball"
+metric = "radius_mm"
+value = 4.9
+sd = 0.01
+held_out = true
+[worth.depth]
+experiment = "ball"
+metric = "height_mm"
+value = 0.0
+sd = 0.001
+"""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """What `twin identify` leaves, with a sensor of formulas."""
+    home = tmp_path_factory.mktemp("identify")
+    (home / "problem.toml").write_text(CHOICES.replace('name = "sensor"', _NAMED) + ROWS)
+    with pytest.MonkeyPatch.context() as patched:
+        defaults = simulations.simulate.__kwdefaults__ | {"make_measurer": Formula}
+        patched.setattr(simulations.simulate, "__kwdefaults__", defaults)
+        defaults = identification.identify.__kwdefaults__ | {"make_measurer": Formula}
+        patched.setattr(identification.identify, "__kwdefaults__", defaults)
+        code = command(["identify", str(home / "problem.toml"), "-o", str(home / "out"), "-j", "1"])
+    assert code in (0, None)
+    return home / "out"
+
+
+_NAMED = 'name = "sensor"\nrotate = ["radius"]'
+
+
+def test_the_folder_holds_figures_samples_and_experiments(folder):
+    found = json.loads((folder / "result.json").read_text())["metrics"]
+    assert found["fields"]["thickness"]["path"] == "elastomer.thickness_mm"
+    assert found["fields"]["thickness"]["mean"] == pytest.approx(0.3, abs=0.01)
+    assert found["rows"]["held"]["fitted"] is False
+    assert set(found["rotated"]) == {"radius"}
+    assert sum(one["probability"] for one in found["models"]) == pytest.approx(1.0)
+    with xarray.open_dataset(folder / "posterior.nc") as samples:
+        assert samples["thickness"].dims == ("model", "sample")
+        best = int(samples["probability"].argmax())
+        assert float(samples["thickness"][best].mean()) == pytest.approx(0.3, abs=0.01)
+    best = load_experiment(folder / "experiments" / "ball.toml")
+    assert best.elastomer.layout == "contact_face"
+    assert best.elastomer.thickness_mm == pytest.approx(0.3, abs=0.02)
+
+
+def test_the_page_tells_what_is_unexplained_and_what_would_help(folder):
+    text = (folder / "report.html").read_text()
+    assert "held: unexplained, +" in text
+    assert "What one more measurement would decide" in text
+    assert 'id="corner"' in text
+    assert (folder / "figures" / "corner.png").stat().st_size > 0
+
+
+def test_it_goes_on_in_its_own_folder_and_not_in_anothers(folder, tmp_path, capsys):
+    (tmp_path / "notes.txt").write_text("mine")
+    problem = folder.parent / "problem.toml"
+    assert command(["identify", str(problem), "-o", str(tmp_path)]) == 2
+    assert "notes.txt" in capsys.readouterr().err
+    assert (tmp_path / "notes.txt").read_text() == "mine"
+
+
+def test_a_ridge_is_told_in_words():
+    product = identification.Ridge({"thickness": 0.7, "travel": 0.7}, 1e-3, 0.4)
+    ratio = identification.Ridge({"thickness": 0.7, "travel": -0.7}, 1e-3, 0.4)
+    assert ridge_words(product) == "thickness up with travel down changes no row"
+    assert ridge_words(ratio) == "thickness up with travel up changes no row"

@@ -1,0 +1,257 @@
+"""Posterior, evidence, profile and ridges against closed forms of the linear normal problem."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.stats import multivariate_normal, norm, qmc
+
+from reconstruction.arrays import FloatArray
+from reconstruction.errors import InputError
+from twin.config.problem import Problem
+from twin.identification.emulator import fit_emulator
+from twin.identification.findings import (
+    interval_of,
+    predict_rows,
+    ridges,
+    undetermined,
+    worth_of,
+)
+from twin.identification.posterior import (
+    Likelihood,
+    Posterior,
+    likelihood_of,
+    probabilities,
+    profile,
+    sample,
+)
+
+NORMAL = {"low": -6.0, "high": 6.0, "prior": "normal", "mean": 0.0, "sd": 1.0}
+
+
+class _Exact:
+    """A figure that is known everywhere, in place of an emulator; takes values, not shares."""
+
+    def __init__(self, figure: Callable[[FloatArray], FloatArray]) -> None:
+        self.figure = figure
+
+    def predict(self, places: FloatArray) -> tuple[FloatArray, FloatArray]:
+        values = self.figure(12.0 * places - 6.0)
+        return values, np.zeros_like(values)
+
+
+def _problem(rows: dict[str, Any], fields: int = 2, **more: Any) -> Problem:
+    whole = {name: {"experiment": "one", "metric": name} | row for name, row in rows.items()}
+    return Problem.model_validate(
+        {
+            "name": "linear",
+            "experiments": {"one": {"base": "none"}},
+            "free": {f"x{i}": NORMAL | {"path": f"p{i}"} for i in range(fields)},
+            "rows": whole,
+        }
+        | more
+    )
+
+
+def _linear(matrix: FloatArray, names: list[str]) -> dict[str, Any]:
+    return {n: _Exact(lambda v, g=g: v @ g) for n, g in zip(names, matrix, strict=True)}
+
+
+MATRIX = np.array([[1.0, 0.5], [-0.3, 2.0], [0.7, 0.7]])
+VALUES, SDS = np.array([0.8, -1.1, 0.4]), np.array([0.5, 0.3, 1.0])
+
+
+@pytest.fixture(scope="module")
+def linear() -> tuple[Problem, Posterior]:
+    """Three rows on two normal fields, with a nuisance that shifts the first two together."""
+    rows = {
+        f"r{i}": {"value": VALUES[i], "sd": SDS[i], "nuisance": {"scale": s}}
+        for i, s in enumerate((1.0, 2.0, 0.0))
+    }
+    problem = _problem(rows, nuisance={"scale": {"sd": 0.2}})
+    likelihood = likelihood_of(problem, problem.rows, _linear(MATRIX, list(rows)))
+    return problem, sample(likelihood, seed=3)
+
+
+def _covariance() -> FloatArray:
+    shift = 0.2 * np.array([1.0, 2.0, 0.0])
+    return np.asarray(np.diag(SDS**2) + np.outer(shift, shift))
+
+
+def test_samples_have_the_closed_forms_mean_and_covariance(
+    linear: tuple[Problem, Posterior],
+) -> None:
+    precision = np.linalg.inv(_covariance())
+    covariance = np.linalg.inv(np.eye(2) + MATRIX.T @ precision @ MATRIX)
+    mean = covariance @ MATRIX.T @ precision @ VALUES
+    found = linear[1].values
+    effective = len(found) / 2
+    error = 4 * np.sqrt(np.diag(covariance) / effective)
+    assert (np.abs(found.mean(axis=0) - mean) < error).all()
+    assert np.allclose(np.cov(found.T), covariance, atol=0.05 * np.trace(covariance))
+
+
+def test_evidence_is_the_density_of_the_rows(linear: tuple[Problem, Posterior]) -> None:
+    whole = MATRIX @ MATRIX.T + _covariance()
+    exact = multivariate_normal(np.zeros(3), whole).logpdf(VALUES)
+    found = linear[1]
+    assert found.log_evidence_sd < 0.05
+    # The priors are cut at six standard deviations: nothing of it is seen at this accuracy.
+    assert abs(found.log_evidence - exact) < 4 * found.log_evidence_sd
+
+
+def test_profile_is_a_parabola_of_the_other_fields_best(linear: tuple[Problem, Posterior]) -> None:
+    shares, found = profile(linear[1], 0)
+    at = 12.0 * shares - 6.0
+    precision = np.linalg.inv(_covariance())
+    information = MATRIX.T @ precision @ MATRIX
+    width = np.sqrt(np.linalg.inv(information)[0, 0])
+    best = (np.linalg.inv(information) @ MATRIX.T @ precision @ VALUES)[0]
+    assert np.allclose(found, -0.5 * ((at - best) / width) ** 2, atol=0.02)
+
+
+def test_a_held_out_row_is_predicted_with_all_that_is_open() -> None:
+    rows = {
+        "fit": {"value": 1.0, "sd": 0.1},
+        "held": {"value": 5.0, "sd": 0.3, "held_out": True, "discrepancy": 0.4},
+    }
+    problem = _problem(rows, fields=1)
+    emulators = _linear(np.array([[1.0], [2.0]]), ["fit", "held"])
+    found = sample(likelihood_of(problem, problem.fitted, emulators), seed=1)
+    row = predict_rows(found, likelihood_of(problem, problem.rows, emulators), seed=2)[1]
+    mean, sd = 2.0 / 1.01, float(np.hypot(2.0 * 0.1 / np.sqrt(1.01), 0.4))
+    assert not row.fitted
+    assert row.twin.mean == pytest.approx(mean, abs=0.05)
+    assert row.twin.sd == pytest.approx(sd, rel=0.06)
+    assert row.deviation == pytest.approx((5.0 - mean) / np.hypot(sd, 0.3), rel=0.06)
+
+
+def test_what_only_a_product_shows_is_named_as_a_ridge() -> None:
+    problem = _problem({"sum": {"value": 1.0, "sd": 0.01}}, fields=3)
+    emulators = _linear(np.array([[1.0, 1.0, 0.0]]), ["sum"])
+    found = sample(likelihood_of(problem, problem.rows, emulators), seed=4)
+    named = ridges(found)
+    assert [set(one.share) for one in named] == [{"x0", "x1"}]
+    # Across it sd 0.01 of x0 + x1, along it each is as open as half the prior's variance.
+    assert named[0].variance_ratio == pytest.approx(0.5e-4, rel=0.1)
+    assert named[0].open_ratio == pytest.approx(0.5, rel=0.1)
+    assert "x2" in undetermined(found)
+
+
+def test_separate_rows_leave_no_ridge(linear: tuple[Problem, Posterior]) -> None:
+    rows = {f"r{i}": {"value": 0.3, "sd": 0.05} for i in range(2)}
+    problem = _problem(rows)
+    found = sample(likelihood_of(problem, problem.rows, _linear(np.eye(2), list(rows))), seed=4)
+    assert not ridges(found)
+
+
+def test_both_of_two_basins_are_found() -> None:
+    problem = _problem({"square": {"value": 4.0, "sd": 0.05}}, fields=1)
+    square: Any = {"square": _Exact(lambda v: v[:, 0] ** 2)}
+    found = sample(likelihood_of(problem, problem.rows, square), seed=5).values[:, 0]
+    assert 0.35 < np.mean(found > 0) < 0.65
+    assert np.allclose(np.abs(found), 2.0, atol=0.1)
+
+
+def test_models_are_weighed_by_evidence_and_prior() -> None:
+    rows = {"r": {"value": 3.0, "sd": 0.5}}
+    problem = _problem(rows, fields=1)
+    found = [
+        sample(likelihood_of(problem, problem.rows, _linear(np.array([[g]]), ["r"])), seed=6)
+        for g in (1.0, 3.0)
+    ]
+    exact = np.array(
+        [0.7 * norm(0, np.hypot(1, 0.5)).pdf(3), 0.3 * norm(0, np.hypot(3, 0.5)).pdf(3)]
+    )
+    assert np.allclose(probabilities(found, (0.7, 0.3)), exact / exact.sum(), atol=0.02)
+
+
+def test_worth_is_what_the_measurement_would_leave() -> None:
+    problem = _problem(
+        {"sum": {"value": 0.0, "sd": 0.01}},
+        worth={
+            "first": {"experiment": "one", "metric": "m", "value": 0.0, "sd": 0.1},
+            "sum_again": {"experiment": "one", "metric": "m", "value": 0.0, "sd": 0.1},
+        },
+    )
+    matrix = np.array([[1.0, 1.0], [1.0, 0.0], [1.0, 1.0]])
+    emulators = _linear(matrix, ["sum", "first", "sum_again"])
+    found = sample(likelihood_of(problem, problem.rows, emulators), seed=7)
+    ranked = worth_of(found, likelihood_of(problem, problem.worth, emulators), seed=8)
+    assert [one.row for one in ranked] == ["first", "sum_again"]
+    # Given x0 + x1 = 0: var x0 = 1/2; the reading leaves 1 / (2 + 100) of it.
+    assert ranked[0].shrink["x0"] == pytest.approx(1 / 51, abs=0.01)
+    assert ranked[1].shrink["x0"] > 0.95
+
+
+def test_intervals_are_those_of_a_normal() -> None:
+    found = interval_of(norm.ppf((np.arange(20001) + 0.5) / 20001))
+    assert found.high_68 == pytest.approx(1.0, abs=0.01)
+    assert found.low_95 == pytest.approx(-1.96, abs=0.01)
+
+
+def _simulated(noise: float) -> tuple[FloatArray, FloatArray]:
+    places = qmc.Sobol(3, rng=np.random.default_rng(0)).random_base2(6)
+    figures = _figure(places) + noise * np.random.default_rng(1).standard_normal(64)
+    return places, figures
+
+
+def _figure(places: FloatArray) -> FloatArray:
+    return np.asarray(4.0 + np.sin(3.0 * places[:, 0]) * (1.0 + places[:, 1]))
+
+
+def test_an_emulator_knows_how_wrong_it_is() -> None:
+    places, figures = _simulated(noise=0.02)
+    found = fit_emulator(places, figures, (0, 1, 2))
+    unseen = np.random.default_rng(2).random((4000, 3))
+    mean, sd = found.predict(unseen)
+    error = mean - _figure(unseen)
+    assert error.std() < 0.02  # below the simulations' own noise
+    assert 0.6 < np.sqrt(np.mean((error / sd) ** 2)) < 1.5
+    assert 0.015 < found.cross_validated_rmse < 0.035  # that of a noisy simulation
+
+
+def test_an_emulator_is_not_moved_by_failed_simulations() -> None:
+    places, figures = _simulated(noise=0.0)
+    figures[::4] = np.nan
+    found = fit_emulator(places, figures, (0, 1))
+    assert found.missing == 0.25
+    mean, sd = found.predict(places)
+    known = np.isfinite(figures)
+    assert np.abs(mean - _figure(places))[known].max() < 1e-6
+    assert (np.abs(mean - _figure(places))[~known] < 4 * sd[~known] + 1e-3).all()
+
+
+def test_too_few_figures_are_refused_in_one_line() -> None:
+    places, figures = _simulated(noise=0.0)
+    figures[7:] = np.nan
+    with pytest.raises(InputError, match="found 7 of 64 simulations with this figure, needed 8"):
+        fit_emulator(places, figures, (0,))
+    figures[:19], figures[19:] = 1.0, np.nan
+    with pytest.raises(InputError, match=r"found 19 of 64 .* needed 20"):
+        fit_emulator(places, figures, (0, 1, 2))
+
+
+def test_the_same_seed_gives_the_same_samples() -> None:
+    problem = _problem({"r": {"value": 1.0, "sd": 0.5}}, fields=1)
+    emulators = _linear(np.array([[1.0]]), ["r"])
+    likelihood: Likelihood = likelihood_of(problem, problem.rows, emulators)
+    assert sample(likelihood, 9).z.tobytes() == sample(likelihood, 9).z.tobytes()
+
+
+def test_predictions_are_those_of_the_covariance_of_all_figures() -> None:
+    """A vague prior on the trend's coefficients, and conditioning on all figures at once."""
+    places, figures = _simulated(noise=0.02)
+    found = fit_emulator(places, figures, (0, 1))
+    unseen = np.random.default_rng(3).random((5, 3))
+    whole = np.concatenate((places, unseen))[:, :2]
+    i, j = np.triu_indices(2)
+    terms = np.concatenate((np.ones((69, 1)), whole, whole[:, i] * whole[:, j]), axis=1)
+    covariance = found.covariance(whole) + 1e6 * terms @ terms.T
+    noise = found.lower @ found.lower.T - found.covariance(places[:, :2])
+    inside = np.linalg.solve(covariance[:64, :64] + noise, covariance[:64, 64:])
+    mean, sd = found.predict(unseen)
+    assert np.allclose(inside.T @ figures, mean, atol=1e-4)
+    variance = np.diag(covariance[64:, 64:] - covariance[64:, :64] @ inside)
+    assert np.allclose(found.spread * found.widening * np.sqrt(variance), sd, rtol=1e-2)

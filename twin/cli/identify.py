@@ -1,0 +1,62 @@
+"""`twin identify`: find what is not known of a sensor from what was measured with it."""
+
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from twin.cli.app import Out, app
+from twin.cli.console import print_table, progress_bars, say
+
+
+@app.command
+def identify(
+    problem: Path,
+    /,
+    *,
+    out: Out,
+    quick: bool = False,
+    workers: Annotated[int | None, Parameter(name=["--workers", "-j"])] = None,
+    cluster: str | None = None,
+) -> None:
+    """Find the values of unknown fields that agree with measurements, and what stays open.
+
+    The problem names experiments, free fields with priors, discrete choices and measured rows. The
+    twin simulates the experiments over the space of the fields, learns its own figures from that,
+    and samples what the rows leave of the priors. Run it again to go on after an interruption.
+
+    Parameters
+    ----------
+    problem
+        TOML file, or the name of a shipped problem such as examples/identify_sheet.
+    quick
+        A quarter of the simulations: wider intervals, for a first look.
+    workers
+        Processes on this machine; absent: one per two cores, at least two of them.
+    cluster
+        Address of a Dask scheduler, tcp://HOST:PORT, instead of processes on this machine.
+    """
+    from twin.config.problem import load_problem
+    from twin.identification.run import COMMAND, WRITTEN, write_identified
+    from twin.identification.run import identify as find
+    from twin.output import adding, claim
+    from twin.report import REPORT_NAMES
+    from twin.report.identified import write_identified as draw
+    from twin.study.workers import dask_workers, default_count, local_workers
+
+    loaded, experiments = load_problem(problem)
+    asked = loaded.quick() if quick else loaded
+    who = dask_workers(cluster) if cluster else local_workers(workers or default_count())
+    names = (*WRITTEN, *REPORT_NAMES)
+    claim(out, COMMAND, names, [problem])
+    with progress_bars() as watch:
+        found = find(asked, experiments, out, who, watch=watch, inputs=[problem])
+        with adding(out, *names) as folder:
+            write_identified(folder, found, experiments)
+            draw(folder, found, watch)
+    rows = [
+        [name, f"{one.mean:.4g}", f"{one.sd:.2g}", f"{one.low_95:.4g} to {one.high_95:.4g}"]
+        for name, one in found.intervals().items()
+    ]
+    print_table(("field", "mean", "standard deviation", "95 % interval"), rows)
+    say(f"wrote {out / 'report.html'}")

@@ -1,0 +1,273 @@
+"""An identification problem as data: what is not known of a sensor, and what was measured with it.
+
+`twin identify` finds which values of the free fields agree with the measured rows. Shipped ones lie
+in `scenes`; `docs/identify.md` explains every key.
+"""
+
+import itertools
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import Field, ValidationError, model_validator
+from scipy.special import ndtr, ndtri
+
+from reconstruction.arrays import FloatArray
+from twin.assets import scene_file
+from twin.config.axes import Axis
+from twin.config.base import ConfigError, Model, NonNegative, Positive
+from twin.config.loading import load_experiment, read_toml, resolve_uses, vary
+from twin.config.messages import explain
+from twin.config.models import Experiment
+from twin.config.study import without_absent
+
+MOST_FREE, MOST_COMBINATIONS = 12, 64
+Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_\-]+$", max_length=48)]
+DottedPath = Annotated[str, Field(pattern=r"^[A-Za-z0-9_\-]+(\.[A-Za-z0-9_\-]+)*$")]
+
+
+class Free(Model):
+    """A field of the experiments whose value is not known, and what is believed of it."""
+
+    path: DottedPath = Field(description="dotted path of the field")
+    low: float
+    high: float
+    scale: Literal["linear", "log"] = "linear"
+    prior: Literal["uniform", "normal"] = Field(
+        default="uniform", description="density over the scale, cut at low and high"
+    )
+    mean: float | None = Field(default=None, description="of a normal prior, in the field's unit")
+    sd: Positive | None = Field(
+        default=None, description="of a normal prior: the field's unit, with scale = 'log' relative"
+    )
+    experiments: tuple[Name, ...] = Field(default=(), description="where it applies; absent: all")
+    source: str | None = Field(default=None, description="where range and prior come from")
+
+    @model_validator(mode="after")
+    def _whole(self) -> "Free":
+        if not self.low < self.high:
+            raise ValueError(f"low: found {self.low:g}, allowed below high, {self.high:g}")
+        if self.scale == "log" and self.low <= 0:
+            raise ValueError(f"low: found {self.low:g}, allowed above 0 with scale = 'log'")
+        stated = (self.mean is not None, self.sd is not None)
+        if stated != ((self.prior == "normal"),) * 2:
+            raise ValueError("mean and sd: needed with prior = 'normal', not allowed with uniform")
+        if self.mean is not None and not self.low <= self.mean <= self.high:
+            raise ValueError(f"mean: found {self.mean:g}, allowed {self.low:g} to {self.high:g}")
+        return self
+
+    def axis(self, name: str) -> Axis:
+        """Return the field as an axis of a study."""
+        return Axis(
+            path=self.path,
+            name=name,
+            low=self.low,
+            high=self.high,
+            scale=self.scale,
+            source=self.source,
+        )
+
+    def place(self, probability: FloatArray) -> FloatArray:
+        """Return shares (0 to 1) of the axis at cumulative prior probabilities."""
+        if self.mean is None or self.sd is None:
+            return np.asarray(probability, dtype=np.float64)
+        middle, width = self._share(self.mean), self._width(self.sd)
+        below, within = ndtr(-middle / width), ndtr((1.0 - middle) / width)
+        share = middle + width * ndtri(below + probability * (within - below))
+        return np.asarray(np.clip(share, 0.0, 1.0))
+
+    def value(self, share: FloatArray) -> FloatArray:
+        """Return the field's values at shares (0 to 1) of the axis."""
+        if self.scale == "log":
+            return np.asarray(self.low * (self.high / self.low) ** share)
+        return np.asarray(self.low + (self.high - self.low) * share)
+
+    def _share(self, value: float) -> float:
+        if self.scale == "log":
+            return float(np.log(value / self.low) / np.log(self.high / self.low))
+        return (value - self.low) / (self.high - self.low)
+
+    def _width(self, sd: float) -> float:
+        if self.scale == "log":
+            return sd / float(np.log(self.high / self.low))
+        return sd / (self.high - self.low)
+
+
+class Choice(Model):
+    """One way in which something can have been: other fields, or other figures for the rows."""
+
+    set: dict[str, Any] = Field(default={}, description="tables laid over the experiments")
+    metrics: dict[Name, str] = Field(default={}, description="metric by row, in place of its own")
+    weight: Positive = Field(default=1.0, description="prior probability over the other choices'")
+
+
+class Alternative(Model):
+    """A discrete unknown: one of several choices holds, for all experiments that it names."""
+
+    choices: Annotated[dict[Name, Choice], Field(min_length=2)]
+    experiments: tuple[Name, ...] = Field(
+        default=(), description="where `set` applies; absent: all"
+    )
+    source: str | None = None
+
+
+class Nuisance(Model):
+    """An error common to several rows that is not asked for: a scale, the size of an artefact."""
+
+    sd: Positive = Field(description="standard deviation; its mean is 0")
+    source: str | None = None
+
+
+class Setup(Model):
+    """An experiment in which rows were measured."""
+
+    base: str = Field(description="experiment file beside the problem, or a shipped experiment")
+    set: dict[str, Any] = Field(default={}, description="tables laid over it")
+
+
+class Row(Model):
+    """One measured figure."""
+
+    experiment: Name
+    metric: str = Field(description="the twin's name of the figure, in result.json")
+    value: float
+    sd: Positive = Field(description="standard uncertainty of the value, and of a twin's one run")
+    discrepancy: NonNegative = Field(
+        default=0.0, description="standard deviation of what the twin's model itself lacks"
+    )
+    nuisance: dict[Name, float] = Field(
+        default={}, description="change of the figure for a nuisance of 1, by name"
+    )
+    held_out: bool = Field(default=False, description="predicted, not fitted")
+    source: str | None = None
+
+
+class Design(Model):
+    """How many simulations the emulator learns from."""
+
+    count: Annotated[int, Field(ge=8, le=100_000)] = Field(
+        default=128, description="Sobol' points per experiment and choice"
+    )
+    seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
+
+
+class Problem(Model):
+    """An identification problem, whole."""
+
+    schema_version: Literal[1] = 1
+    name: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_\-]*$", max_length=64)]
+    description: str = ""
+    experiments: Annotated[dict[Name, Setup], Field(min_length=1)]
+    free: Annotated[dict[Name, Free], Field(min_length=1, max_length=MOST_FREE)]
+    alternatives: dict[Name, Alternative] = Field(default={})
+    nuisance: dict[Name, Nuisance] = Field(default={})
+    rows: Annotated[dict[Name, Row], Field(min_length=1)]
+    design: Design = Design()
+    rotate: tuple[Name, ...] = Field(
+        default=(), description="fitted rows that are held out in turn, one at a time"
+    )
+    worth: dict[Name, Row] = Field(
+        default={},
+        description="measurements that could be made: what would each decide? `value` is not used",
+    )
+
+    @model_validator(mode="after")
+    def _refers_to_what_is_there(self) -> "Problem":
+        _named("free", {n: f.experiments for n, f in self.free.items()}, self.experiments)
+        _named(
+            "alternatives",
+            {n: a.experiments for n, a in self.alternatives.items()},
+            self.experiments,
+        )
+        for rows, where in ((self.rows, "rows"), (self.worth, "worth")):
+            _named(where, {n: (row.experiment,) for n, row in rows.items()}, self.experiments)
+            _named(where, {n: tuple(row.nuisance) for n, row in rows.items()}, self.nuisance)
+        _named("rotate", {"": self.rotate}, self.fitted)
+        for name, one in self.alternatives.items():
+            known = {*self.rows, *self.worth}
+            _named(
+                f"alternatives.{name}", {n: tuple(c.metrics) for n, c in one.choices.items()}, known
+            )
+        if not self.fitted:
+            raise ValueError("rows: found all of them held_out; at least one must be fitted")
+        if len(list(self.combinations())) > MOST_COMBINATIONS:
+            raise ValueError(f"alternatives: allowed up to {MOST_COMBINATIONS} combinations")
+        return self
+
+    @property
+    def fitted(self) -> dict[str, Row]:
+        """Rows that are fitted."""
+        return {name: row for name, row in self.rows.items() if not row.held_out}
+
+    def quick(self) -> "Problem":
+        """Return the problem with a quarter of the simulations, 32 at least."""
+        count = max(min(self.design.count, 32), self.design.count // 4)
+        return self.model_copy(update={"design": self.design.model_copy(update={"count": count})})
+
+    def combinations(self) -> Iterator[dict[str, str]]:
+        """Yield one choice per alternative, in all ways."""
+        names = list(self.alternatives)
+        for chosen in itertools.product(*(self.alternatives[name].choices for name in names)):
+            yield dict(zip(names, chosen, strict=True))
+
+    def weight(self, combination: Mapping[str, str]) -> float:
+        """Return the prior probability of a combination."""
+        shares = [
+            one.choices[combination[name]].weight / sum(c.weight for c in one.choices.values())
+            for name, one in self.alternatives.items()
+        ]
+        return float(np.prod(shares))
+
+    def free_in(self, experiment: str) -> list[str]:
+        """Return the names of the free fields that an experiment has."""
+        return [n for n, f in self.free.items() if not f.experiments or experiment in f.experiments]
+
+
+def _named(where: str, used: Mapping[str, tuple[str, ...]], known: Any) -> None:
+    for name, words in used.items():
+        for word in words:
+            if word not in known:
+                at = f"{where}.{name}" if name else where
+                raise ValueError(f"{at}: found {word!r}, allowed {', '.join(known) or 'none'}")
+
+
+def load_problem(path: str | Path) -> tuple[Problem, dict[str, Experiment]]:
+    """Read a problem and its experiments, by their names in it.
+
+    Parameters
+    ----------
+    path : path or str
+        A TOML file, or the name of a shipped one.
+
+    Raises
+    ------
+    ConfigError
+        With one line per fault: what, where, found, allowed.
+    """
+    file = scene_file(path)
+    try:
+        problem = Problem.model_validate(read_toml(file))
+    except ValidationError as error:
+        lines = explain(error, Problem)
+        raise ConfigError("\n".join(f"{path}: {line}" for line in lines)) from None
+    found = {name: _experiment(setup, file) for name, setup in problem.experiments.items()}
+    return _with_files(problem, file), found
+
+
+def _experiment(setup: Setup, file: Path) -> Experiment:
+    beside = file.parent / setup.base
+    base = load_experiment(beside if beside.is_file() else setup.base)
+    return vary(base, without_absent(resolve_uses(setup.set, (file,))))
+
+
+def _with_files(problem: Problem, file: Path) -> Problem:
+    """Replace what choices `use` by the values of the data files."""
+    alternatives = {}
+    for name, one in problem.alternatives.items():
+        choices = {
+            label: choice.model_copy(update={"set": resolve_uses(choice.set, (file,))})
+            for label, choice in one.choices.items()
+        }
+        alternatives[name] = one.model_copy(update={"choices": choices})
+    return problem.model_copy(update={"alternatives": alternatives})

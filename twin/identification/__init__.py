@@ -1,0 +1,1 @@
+"""Identify what is not known of a sensor from what was measured with it."""

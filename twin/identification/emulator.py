@@ -1,0 +1,158 @@
+"""What the twin would find anywhere in the space of free fields, learned from its simulations.
+
+A Gaussian process per figure (universal kriging): quadratic trend, anisotropic Matern 5/2
+covariance, and the simulations' own noise (the camera's). Rasmussen and Williams, Gaussian
+Processes for Machine Learning (2006), eqs 2.41 and 2.42; its error is cross-validated in closed
+form (Dubrule, Mathematical Geology 15, 687-699, 1983), and its uncertainty is widened where that
+shows it too small. Places are shares (0 to 1) of the free fields' axes.
+"""
+
+import warnings
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.linalg import lstsq, solve_triangular
+from sklearn.exceptions import ConvergenceWarning
+from sklearn.gaussian_process import GaussianProcessRegressor
+from sklearn.gaussian_process.kernels import ConstantKernel, Matern, WhiteKernel
+
+from reconstruction.arrays import FloatArray
+from reconstruction.errors import InputError
+
+_LEAST_POINTS = 8
+_RESTARTS = 2
+# Shares of an axis; what changes faster than the shortest cannot be told from the camera's noise.
+_LENGTHS = (0.2, 30.0)
+_NOISE = (1e-10, 1.0)
+_JITTER = 1e-12
+
+
+@dataclass(frozen=True, eq=False)
+class Emulator:
+    """An emulated figure.
+
+    Attributes
+    ----------
+    columns : which free fields it depends on
+    known : (point, column) places of the simulations that gave the figure
+    covariance : of the figure without noise, in units of `spread` squared
+    lower : Cholesky factor of the simulations' covariance, noise in it
+    trend, trend_lower : (term,) coefficients of 1, x, x^2 and x y, and the Cholesky factor of the
+        inverse of their covariance, in units of `spread`
+    terms : (point, term) the trend's terms at the simulations, over `lower`
+    left_over : (point,) inverse covariance times what the trend leaves of the figures
+    left_out : (point,) error at each simulation when it is predicted from all others
+    spread : what the trend leaves, RMS, in the figure's unit
+    widening : factor on the process' own standard deviation, 1 or more
+    missing : share of the simulations that gave no figure
+    """
+
+    columns: tuple[int, ...]
+    known: FloatArray
+    covariance: Any
+    lower: FloatArray
+    trend: FloatArray
+    trend_lower: FloatArray
+    terms: FloatArray
+    left_over: FloatArray
+    left_out: FloatArray
+    spread: float
+    widening: float
+    missing: float
+
+    @property
+    def cross_validated_rmse(self) -> float:
+        """RMS error at simulations that the emulator has not seen, in the figure's unit."""
+        return self.spread * float(np.sqrt(np.mean(self.left_out**2)))
+
+    def predict(self, places: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return mean and standard deviation (n,) of the figure at places (n, free field).
+
+        The deviation is the emulator's own; the simulations' noise is not in it.
+        """
+        at = places[:, self.columns]
+        across, terms = self.covariance(at, self.known), _terms(at)
+        mean = terms @ self.trend + across @ self.left_over
+        seen = solve_triangular(self.lower, across.T, lower=True)
+        apart = terms.T - self.terms.T @ seen
+        open_trend = solve_triangular(self.trend_lower, apart, lower=True)
+        variance = self.covariance.diag(at) - np.sum(seen**2, axis=0)
+        variance = np.maximum(variance, 0.0) + np.sum(open_trend**2, axis=0)
+        return self.spread * mean, self.spread * self.widening * np.sqrt(variance)
+
+
+def fit_emulator(places: FloatArray, figures: FloatArray, columns: tuple[int, ...]) -> Emulator:
+    """Learn a figure from simulations.
+
+    Parameters
+    ----------
+    places : (n, free field) float
+        Shares of the axes, 0 to 1.
+    figures : (n,) float
+        What was simulated there; NaN where there was no such figure.
+    columns : tuple of int
+        The free fields that the figure can depend on.
+
+    Raises
+    ------
+    InputError
+        Fewer simulations gave the figure than are needed.
+    """
+    found = np.isfinite(figures)
+    at, values = places[found][:, columns], figures[found]
+    terms = _terms(at)
+    needed = max(_LEAST_POINTS, 2 * terms.shape[1])
+    if found.sum() < needed:
+        raise InputError(
+            f"found {found.sum()} of {found.size} simulations with this figure, needed {needed}; "
+            "raise design.count or narrow the free fields"
+        )
+    left = values - terms @ lstsq(terms, values)[0]
+    # A figure that the trend meets exactly has nothing left over to scale with.
+    spread = max(float(left.std()), _JITTER * max(1.0, float(np.abs(values).max())))
+    parts = _universal(at, values / spread, _kernel(at, left / spread))
+    return Emulator(
+        columns=columns, known=at, spread=spread, missing=float(1.0 - found.mean()), **parts
+    )
+
+
+def _universal(at: FloatArray, scaled: FloatArray, kernel: Any) -> dict[str, Any]:
+    """Return an emulator's parts for figures of unit spread, trend and its uncertainty included."""
+    lower = np.linalg.cholesky(kernel(at) + _JITTER * np.eye(scaled.size))
+    inverse = solve_triangular(lower, np.eye(scaled.size), lower=True)
+    terms, figures = inverse @ _terms(at), inverse @ scaled
+    trend = lstsq(terms, figures)[0]
+    basis = np.linalg.qr(terms)[0]
+    # What is left of the inverse covariance when the trend is fitted, too.
+    free = inverse.T @ (inverse - basis @ (basis.T @ inverse))
+    own = 1.0 / np.diag(free)
+    left_out = (free @ scaled) * own
+    return {
+        "covariance": kernel.k1,
+        "lower": lower,
+        "trend": trend,
+        "terms": terms,
+        "trend_lower": np.linalg.cholesky(terms.T @ terms),
+        "left_over": inverse.T @ (figures - terms @ trend),
+        "widening": max(1.0, float(np.sqrt(np.mean(left_out**2 / own)))),
+        "left_out": left_out,
+    }
+
+
+def _terms(at: FloatArray) -> FloatArray:
+    """Return (n, term): 1, x, and squares and products of x."""
+    i, j = np.triu_indices(at.shape[1])
+    return np.concatenate((np.ones((len(at), 1)), at, at[:, i] * at[:, j]), axis=1)
+
+
+def _kernel(at: FloatArray, left: FloatArray) -> Any:
+    """Return the most likely covariance of what a trend leaves, of unit spread."""
+    signal = ConstantKernel(1.0, (1e-3, 1e4)) * Matern(np.ones(at.shape[1]), _LENGTHS, nu=2.5)
+    process = GaussianProcessRegressor(
+        signal + WhiteKernel(0.1, _NOISE), n_restarts_optimizer=_RESTARTS, random_state=0
+    )
+    with warnings.catch_warnings():
+        # A length at its bound is a field that does not matter, or no noise: both are answers.
+        warnings.simplefilter("ignore", ConvergenceWarning)
+        return process.fit(at, left).kernel_

@@ -1,0 +1,172 @@
+"""What a posterior says: intervals, predictions of rows, ridges, and the worth of a measurement."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from reconstruction.arrays import FloatArray
+from twin.identification.posterior import Likelihood, Posterior
+
+# A field whose posterior variance is more than this share of the prior's is not determined.
+_UNDETERMINED = 0.5
+# Components of a unit vector below this say nothing.
+_NEGLIGIBLE = 0.25
+# A ridge is so much narrower (variance) than its fields alone are known.
+_NARROW = 0.1
+
+
+@dataclass(frozen=True)
+class Interval:
+    """Mean, standard deviation and central 68.3 and 95 % intervals."""
+
+    mean: float
+    sd: float
+    low_68: float
+    high_68: float
+    low_95: float
+    high_95: float
+
+
+def interval_of(samples: FloatArray) -> Interval:
+    """Return the interval of samples (n,)."""
+    quantiles = np.quantile(samples, (0.1585, 0.8415, 0.025, 0.975))
+    low_68, high_68, low_95, high_95 = map(float, quantiles)
+    return Interval(float(samples.mean()), float(samples.std()), low_68, high_68, low_95, high_95)
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """A row beside what the twin says of it, given the rows that were fitted.
+
+    Attributes
+    ----------
+    twin : of the figure, with all that adds to it: fields, emulator, nuisance, discrepancy
+    deviation : (measured - twin) over the standard deviation of their difference
+    """
+
+    row: str
+    measured: float
+    sd: float
+    fitted: bool
+    twin: Interval
+    deviation: float
+
+
+def predict_rows(posterior: Posterior, rows: Likelihood, seed: int) -> list[Prediction]:
+    """Predict rows, fitted and held out, from the posterior.
+
+    Parameters
+    ----------
+    posterior : Posterior
+    rows : Likelihood
+        The rows to predict, of the same free fields.
+    seed : int
+    """
+    whole = draw_rows(posterior, rows, seed)
+    found = []
+    for number, (name, row) in enumerate(rows.rows.items()):
+        twin = interval_of(whole[:, number])
+        deviation = (row.value - twin.mean) / float(np.hypot(twin.sd, row.sd))
+        fitted = name in posterior.likelihood.rows
+        found.append(Prediction(name, row.value, row.sd, fitted, twin, deviation))
+    return found
+
+
+def draw_rows(posterior: Posterior, rows: Likelihood, seed: int) -> FloatArray:
+    """Return figures (sample, row) with all that the model leaves open, but for the rows' noise."""
+    rng = np.random.default_rng(seed)
+    figures, emulated_sd = rows.predicted(posterior.z)
+    whole = figures + emulated_sd * rng.standard_normal(figures.shape)
+    for name, sd in rows.nuisance_sd.items():
+        change = np.array([row.nuisance.get(name, 0.0) for row in rows.rows.values()])
+        whole += sd * rng.standard_normal((len(whole), 1)) * change
+    discrepancy = np.array([row.discrepancy for row in rows.rows.values()])
+    return np.asarray(whole + discrepancy * rng.standard_normal(whole.shape))
+
+
+@dataclass(frozen=True)
+class Ridge:
+    """A combination of fields that the rows determine, while they leave its parts open.
+
+    Along the ridge the fields trade off: only their combination is known.
+
+    Attributes
+    ----------
+    share : component by field of the unit vector across the ridge, in standard deviations of the
+        prior
+    variance_ratio : posterior over prior variance across it
+    open_ratio : posterior over prior variance of the best determined of its fields alone
+    """
+
+    share: Mapping[str, float]
+    variance_ratio: float
+    open_ratio: float
+
+
+def ridges(posterior: Posterior) -> list[Ridge]:
+    """Return the combinations of two or more fields that the rows cannot take apart.
+
+    Principal directions of the posterior whose variance is less than a tenth of that of each field
+    that takes part. The narrowest first.
+    """
+    names = list(posterior.likelihood.free)
+    covariance = np.atleast_2d(np.cov(posterior.z.T))
+    variances, axes = np.linalg.eigh(covariance)
+    found = []
+    for variance, axis in zip(variances, axes.T, strict=True):
+        axis = axis * np.sign(axis[np.argmax(np.abs(axis))])
+        takes_part = (np.abs(axis) > _NEGLIGIBLE) & (np.diag(covariance) > variance / _NARROW)
+        if takes_part.sum() > 1:
+            share = {names[i]: float(axis[i]) for i in np.flatnonzero(takes_part).tolist()}
+            alone = float(np.diag(covariance)[takes_part].min())
+            found.append(Ridge(share, float(variance), alone))
+    return found
+
+
+def undetermined(posterior: Posterior) -> list[str]:
+    """Return the fields of which the rows say little: posterior variance over half the prior's."""
+    variances = posterior.z.var(axis=0)
+    names = posterior.likelihood.free
+    return [name for name, v in zip(names, variances, strict=True) if v > _UNDETERMINED]
+
+
+@dataclass(frozen=True)
+class Worth:
+    """What one more measurement would decide.
+
+    Attributes
+    ----------
+    expected_sd : of the figure before it is measured
+    shrink : by field, its expected posterior variance over today's
+    """
+
+    row: str
+    expected_sd: float
+    shrink: Mapping[str, float]
+
+    @property
+    def gain(self) -> float:
+        """Expected information (nats) on the fields, each alone, summed."""
+        return float(-0.5 * np.sum(np.log(list(self.shrink.values()))))
+
+
+def worth_of(posterior: Posterior, candidates: Likelihood, seed: int) -> list[Worth]:
+    """Return what measuring each of some rows would decide, the most telling first.
+
+    Linear Bayes estimate from the posterior's samples: 1 - corr^2 of the field with the figure as
+    it would be measured.
+    """
+    if not candidates.rows:
+        return []
+    whole = draw_rows(posterior, candidates, seed)
+    rng = np.random.default_rng(seed + 1)
+    found = []
+    for number, (name, row) in enumerate(candidates.rows.items()):
+        read = whole[:, number] + row.sd * rng.standard_normal(len(whole))
+        shrink = {
+            field: 1.0 - min(0.999, float(np.corrcoef(posterior.z[:, i], read)[0, 1]) ** 2)
+            for i, field in enumerate(candidates.free)
+        }
+        found.append(Worth(name, float(whole[:, number].std()), shrink))
+    return sorted(found, key=lambda one: -one.gain)

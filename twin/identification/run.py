@@ -1,0 +1,333 @@
+"""Identify: simulate, learn, sample, and say what is known, what is not, and what would decide it.
+
+| in the folder | content |
+|---|---|
+| result.json | intervals of the fields, rows measured and predicted, ridges, models |
+| posterior.nc | samples of the fields by model |
+| experiment.toml, experiments/NAME.toml | the experiments at the most probable values |
+| studies/ | the simulations; an interrupted run goes on from here |
+"""
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from reconstruction.arrays import FloatArray
+from reconstruction.machine import write_dataset
+from twin.config import Experiment, to_toml, vary
+from twin.config.problem import Problem, Row
+from twin.config.study import without_absent
+from twin.identification.emulator import Emulator
+from twin.identification.findings import (
+    Interval,
+    Prediction,
+    Ridge,
+    Worth,
+    interval_of,
+    predict_rows,
+    ridges,
+    undetermined,
+    worth_of,
+)
+from twin.identification.posterior import (
+    Posterior,
+    likelihood_of,
+    probabilities,
+    profile,
+    sample,
+)
+from twin.identification.simulations import Simulated, Variant, simulate, variant_for
+from twin.output import EXPERIMENT_FILE, RESULT_FILE
+from twin.pipeline.progress import ProgressCallback, no_progress
+from twin.results.parts import write_result
+from twin.study.measuring import CaseMeasurer
+from twin.study.worker import Measurer
+from twin.study.workers import Workers
+
+if TYPE_CHECKING:
+    import xarray
+
+COMMAND = "identify"
+POSTERIOR_FILE, EXPERIMENTS_FOLDER = "posterior.nc", "experiments"
+WRITTEN = (POSTERIOR_FILE, EXPERIMENTS_FOLDER, RESULT_FILE, EXPERIMENT_FILE)
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """The sensor under one combination of choices.
+
+    Attributes
+    ----------
+    combination : choice by alternative
+    prior, probability : of the combination, before and after the fitted rows
+    emulators : by row, of `rows` and `worth`
+    rotated : by held-out row, its prediction when the other rows are fitted
+    """
+
+    combination: Mapping[str, str]
+    prior: float
+    probability: float
+    emulators: Mapping[str, Emulator]
+    posterior: Posterior
+    predictions: tuple[Prediction, ...]
+    rotated: Mapping[str, Prediction]
+
+
+@dataclass(frozen=True, eq=False)
+class Identified:
+    """What is known of a sensor; models with the most probable first."""
+
+    problem: Problem
+    models: tuple[Model, ...]
+    seed: int
+
+    @property
+    def best(self) -> Model:
+        """The most probable model."""
+        return self.models[0]
+
+    @cached_property
+    def values(self) -> FloatArray:
+        """(sample, free field) over all models, each with its share of the samples."""
+        return mixed([one.posterior.values for one in self.models], self._weights, self.seed)
+
+    @property
+    def _weights(self) -> list[float]:
+        return [one.probability for one in self.models]
+
+    def intervals(self) -> dict[str, Interval]:
+        """Return the intervals of the free fields, in their own units, by name."""
+        return {n: interval_of(v) for n, v in zip(self.problem.free, self.values.T, strict=True)}
+
+    def ridges(self) -> list[Ridge]:
+        """Return what the most probable model's rows cannot take apart."""
+        return ridges(self.best.posterior)
+
+    def undetermined(self) -> list[str]:
+        """Return the fields of which the rows say little."""
+        return undetermined(self.best.posterior)
+
+    def worth(self) -> list[Worth]:
+        """Return what each measurement of `worth` would decide."""
+        candidates = likelihood_of(self.problem, self.problem.worth, self.best.emulators)
+        return worth_of(self.best.posterior, candidates, self.seed)
+
+    def profiles(self) -> dict[str, tuple[FloatArray, FloatArray]]:
+        """Return the profile of the likelihood by field: its values and log likelihood."""
+        found = {}
+        for number, (name, free) in enumerate(self.problem.free.items()):
+            shares, heights = profile(self.best.posterior, number)
+            found[name] = free.value(shares), heights
+        return found
+
+
+def mixed(samples: list[FloatArray], weights: list[float], seed: int) -> FloatArray:
+    """Draw from the models' samples, each with its weight."""
+    rng = np.random.default_rng(seed)
+    count = min(len(one) for one in samples)
+    shares = rng.multinomial(count, np.array(weights) / sum(weights))
+    drawn = [one[rng.choice(len(one), n)] for one, n in zip(samples, shares, strict=True)]
+    return np.concatenate(drawn)
+
+
+def identify(
+    problem: Problem,
+    experiments: Mapping[str, Experiment],
+    folder: Path,
+    workers: Workers,
+    *,
+    watch: ProgressCallback = no_progress,
+    make_measurer: Callable[[tuple[str, ...]], Measurer] = CaseMeasurer,
+    inputs: Iterable[Path] = (),
+) -> Identified:
+    """Find what the rows say of the free fields.
+
+    Parameters
+    ----------
+    problem, experiments
+        As from `twin.config.problem.load_problem`.
+    folder : Path
+        Where the simulations are kept, below `studies`.
+    workers : Workers
+        Processes that simulate; the result is the same with any number.
+
+    Raises
+    ------
+    ConfigError
+        A choice, or an end of a field's range, does not fit an experiment.
+    InputError
+        A store cannot be used, or too few simulations gave a row's figure.
+    MissingBackend
+        No usable Dr.Jit backend.
+    """
+    simulated = simulate(
+        problem,
+        experiments,
+        folder,
+        workers,
+        watch=watch,
+        make_measurer=make_measurer,
+        inputs=inputs,
+    )
+    return infer(problem, simulated, watch)
+
+
+def infer(
+    problem: Problem, simulated: Mapping[Variant, Simulated], watch: ProgressCallback = no_progress
+) -> Identified:
+    """Return what the rows say, given the simulations."""
+    learned: dict[tuple[Variant, str], Emulator] = {}
+    models, combinations = [], list(problem.combinations())
+    for number, combination in enumerate(combinations):
+        watch("posterior", number / len(combinations))
+        emulators = _emulators(problem, simulated, combination, learned)
+        models.append(_model(problem, combination, emulators))
+    watch("posterior", 1.0)
+    found = probabilities([one.posterior for one in models], [one.prior for one in models])
+    judged = [replace(m, probability=float(p)) for m, p in zip(models, found, strict=True)]
+    ranked = sorted(judged, key=lambda one: -one.probability)
+    return Identified(problem, tuple(ranked), problem.design.seed)
+
+
+def _emulators(
+    problem: Problem,
+    simulated: Mapping[Variant, Simulated],
+    combination: Mapping[str, str],
+    learned: dict[tuple[Variant, str], Emulator],
+) -> dict[str, Emulator]:
+    """Return the emulators of all rows; those of other combinations are used again."""
+    found = {}
+    for name, row in {**problem.rows, **problem.worth}.items():
+        variant = variant_for(problem, row.experiment, combination)
+        key = variant, _metric(problem, name, row, combination)
+        if key not in learned:
+            learned[key] = simulated[variant].emulator(key[1])
+        found[name] = learned[key]
+    return found
+
+
+def _metric(problem: Problem, name: str, row: Row, combination: Mapping[str, str]) -> str:
+    for alternative, choice in combination.items():
+        other = problem.alternatives[alternative].choices[choice].metrics.get(name)
+        if other is not None:
+            return other
+    return row.metric
+
+
+def _model(
+    problem: Problem, combination: Mapping[str, str], emulators: Mapping[str, Emulator]
+) -> Model:
+    """Return a model whose probability among the others is still to be judged."""
+    seed = problem.design.seed
+    every = likelihood_of(problem, problem.rows, emulators)
+    posterior = sample(likelihood_of(problem, problem.fitted, emulators), seed)
+    rotated = {}
+    for held in problem.rotate:
+        rows = {name: row for name, row in problem.fitted.items() if name != held}
+        without = sample(likelihood_of(problem, rows, emulators), seed)
+        found = predict_rows(without, every, seed)
+        rotated[held] = next(one for one in found if one.row == held)
+    return Model(
+        combination=combination,
+        prior=problem.weight(combination),
+        probability=np.nan,
+        emulators=emulators,
+        posterior=posterior,
+        predictions=tuple(predict_rows(posterior, every, seed)),
+        rotated=rotated,
+    )
+
+
+def experiments_at_best(
+    found: Identified, experiments: Mapping[str, Experiment]
+) -> dict[str, Experiment]:
+    """Return the experiments with the most probable choices and values.
+
+    Raises
+    ------
+    ConfigError
+        The values do not fit an experiment.
+    """
+    problem, best = found.problem, found.best.posterior
+    at = best.likelihood.places(best.best_z[None])[0]
+    values = {n: float(f.value(x)) for (n, f), x in zip(problem.free.items(), at, strict=True)}
+    return {
+        name: _at(problem, name, one, found.best.combination, values)
+        for name, one in experiments.items()
+    }
+
+
+def _at(
+    problem: Problem,
+    name: str,
+    base: Experiment,
+    combination: Mapping[str, str],
+    values: Mapping[str, float],
+) -> Experiment:
+    for alternative, choice in variant_for(problem, name, combination).choices:
+        base = vary(base, without_absent(problem.alternatives[alternative].choices[choice].set))
+    levels = [problem.free[n].axis(n).level_of(values[n]) for n in problem.free_in(name)]
+    return vary(base, {path: value for one in levels for path, value in one.changes.items()})
+
+
+def figures_of(found: Identified) -> dict[str, Any]:
+    """Return everything that was found, as for result.json; fields and rows by their names."""
+    return {
+        "fields": {
+            name: {"path": found.problem.free[name].path} | asdict(one)
+            for name, one in found.intervals().items()
+        },
+        "rows": {one.row: asdict(one) for one in found.best.predictions},
+        "rotated": {name: asdict(one) for name, one in found.best.rotated.items()},
+        "models": [
+            {
+                "choices": dict(one.combination),
+                "prior": one.prior,
+                "probability": one.probability,
+                "log_evidence": one.posterior.log_evidence,
+                "log_evidence_sd": one.posterior.log_evidence_sd,
+            }
+            for one in found.models
+        ],
+        "ridges": [asdict(one) for one in found.ridges()],
+        "undetermined": found.undetermined(),
+        "worth": [asdict(one) for one in found.worth()],
+        "emulators": {
+            name: {"cross_validated_rmse": one.cross_validated_rmse, "missing_share": one.missing}
+            for name, one in found.best.emulators.items()
+        },
+    }
+
+
+def write_identified(
+    folder: Path, found: Identified, experiments: Mapping[str, Experiment]
+) -> None:
+    """Write what was found, the samples, and the experiments at the most probable values."""
+    best = experiments_at_best(found, experiments)
+    (folder / EXPERIMENTS_FOLDER).mkdir()
+    for name, one in best.items():
+        path = folder / EXPERIMENTS_FOLDER / f"{name}.toml"
+        path.write_text(to_toml(one), encoding="utf-8")
+    write_dataset(folder / POSTERIOR_FILE, samples_of(found))
+    write_result(folder, COMMAND, next(iter(best.values())), figures_of(found))
+
+
+def samples_of(found: Identified) -> "xarray.Dataset":
+    """Return the samples of the free fields by model, in the fields' own units."""
+    import xarray
+
+    count = min(len(one.posterior.z) for one in found.models)
+    dims = ("model", "sample")
+    by_model = np.stack([one.posterior.values[-count:] for one in found.models])
+    variables = {
+        name: (dims, by_model[:, :, i], {"long_name": free.path})
+        for i, (name, free) in enumerate(found.problem.free.items())
+    }
+    names = [", ".join(one.combination.values()) or "only" for one in found.models]
+    weights = [one.probability for one in found.models]
+    probability = ("model", weights, {"units": "1", "long_name": "probability given the rows"})
+    return xarray.Dataset(variables | {"probability": probability}, coords={"model": names})

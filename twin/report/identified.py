@@ -1,0 +1,388 @@
+"""The report of an identification: what is known of a sensor, what is not, and what would tell."""
+
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from reconstruction.arrays import FloatArray
+from twin.config.problem import Free
+from twin.identification.findings import Interval, Prediction, Ridge
+from twin.identification.run import Identified
+from twin.pipeline.progress import ProgressCallback, no_progress
+from twin.report.canvas import (
+    FAINT,
+    FIT,
+    INK,
+    MEASURED,
+    MEASURED_FILL,
+    axes_at,
+    drawing,
+    legend_above,
+    plain_spines,
+)
+from twin.report.page import (
+    REPORT_FILE,
+    Block,
+    Figure,
+    Grade,
+    Note,
+    Page,
+    Section,
+    Verdict,
+    write_page,
+)
+from twin.report.table import Column, Row, Table
+from twin.report.words import split_unit
+
+_PANEL_IN, _LEFT_IN, _TOP_IN, _BELOW_IN, _GAP_IN = 1.45, 0.75, 0.15, 0.5, 0.14
+_BINS = 36
+_AGREES, _DISAGREES = 2.0, 3.0
+
+
+def write_identified(
+    folder: Path, found: Identified, watch: ProgressCallback = no_progress, into: Path | None = None
+) -> Path:
+    """Write `report.html` and `figures/*.png`.
+
+    Raises
+    ------
+    InputError
+        The page cannot be written.
+    """
+    return write_page((into or folder) / REPORT_FILE, page_of(found), watch)
+
+
+def page_of(found: Identified) -> Page:
+    """Return the page of an identification."""
+    problem = found.problem
+    fitted = len(problem.fitted)
+    lead = (
+        f"{problem.description or problem.name}: {len(problem.free)} unknown fields, {fitted} rows "
+        f"fitted, {len(problem.rows) - fitted} held out"
+    )
+    if len(found.models) > 1:
+        lead += f", {len(found.models)} combinations of choices"
+    return Page(
+        kind="identification",
+        title=problem.name.replace("_", " "),
+        lead=f"{lead}.",
+        sections=[section for section in _sections(found) if section.blocks],
+        verdicts=_verdicts(found),
+        numbered=True,
+    )
+
+
+def _sections(found: Identified) -> list[Section]:
+    return [
+        Section("fields", "What the rows say of the unknown fields", tuple(_fields(found))),
+        Section("rows", "Measured and predicted", tuple(_rows(found))),
+        Section("models", "Which choices hold", tuple(_models(found))),
+        Section("worth", "What one more measurement would decide", tuple(_worth(found))),
+        Section("emulators", "How well the simulations are learned", tuple(_emulators(found))),
+    ]
+
+
+def _verdicts(found: Identified) -> list[Verdict]:
+    open_fields, named = found.undetermined(), found.ridges()
+    told = [f"{name}: the rows say little of it" for name in open_fields]
+    told += [f"only in combination: {ridge_words(one)}" for one in named]
+    known = len(found.problem.free) - len(open_fields)
+    grade: Grade = "good" if not told else "check" if known else "poor"
+    return [
+        Verdict(
+            "What is known?",
+            f"{known} of {len(found.problem.free)} fields are narrowed",
+            grade,
+            tuple(told) or ("every field by itself",),
+        ),
+        _agreement("Do the fitted rows agree?", [p for p in found.best.predictions if p.fitted]),
+        *(
+            [_agreement("Are the held-out rows predicted?", held)]
+            if (held := [p for p in found.best.predictions if not p.fitted])
+            else []
+        ),
+    ]
+
+
+def _agreement(question: str, rows: Sequence[Prediction]) -> Verdict:
+    far = [one for one in rows if abs(one.deviation) > _AGREES]
+    worst = max((abs(one.deviation) for one in rows), default=0.0)
+    return Verdict(
+        question,
+        f"{len(rows) - len(far)} of {len(rows)} within two standard deviations",
+        "good" if not far else "check" if worst < _DISAGREES else "poor",
+        tuple(f"{one.row}: unexplained, {one.deviation:+.1f} standard deviations" for one in far)
+        or (f"farthest: {worst:.1f} standard deviations",),
+    )
+
+
+def ridge_words(ridge: Ridge) -> str:
+    """Say a ridge: which fields, moved which way, leave the rows as they are."""
+    first, *rest = ridge.share.items()
+    ways = [f"{name} {'down' if part * first[1] > 0 else 'up'}" for name, part in rest]
+    return f"{first[0]} up with {', '.join(ways)} changes no row"
+
+
+def _fields(found: Identified) -> list[Block]:
+    intervals, open_fields = found.intervals(), found.undetermined()
+    rows = [
+        _field_row(name, free, intervals[name], name in open_fields)
+        for name, free in found.problem.free.items()
+    ]
+    columns = (
+        Column("field", "field"),
+        Column("prior", "prior"),
+        Column("mean", "mean", 4),
+        Column("sd", "± (1 sd)", 4),
+        Column("central", "68 % interval"),
+        Column("wide", "95 % interval"),
+        Column("known", "narrowed by the rows"),
+        Column("source", "source of the prior"),
+    )
+    ridges = [
+        Note(
+            f"Not separable: {ridge_words(one)} (posterior over prior variance across it "
+            f"{one.variance_ratio:.2g}, of the best known of its fields alone {one.open_ratio:.2g})"
+        )
+        for one in found.ridges()
+    ]
+    figure = Figure(
+        "corner",
+        "",
+        "Posterior of the unknown fields over all choices. Diagonal: density, and in orange the "
+        "profile of the likelihood (largest over all other fields) of the most probable choices. "
+        "Below: pairs; a narrow slanted band is a combination that the rows cannot take apart. The "
+        "axes span the prior's range.",
+        "Corner plot of the unknown fields",
+        partial(draw_corner, found),
+    )
+    return [Table("fields", "", "", columns, tuple(rows)), *ridges, figure]
+
+
+def _field_row(name: str, free: Free, one: Interval, is_open: bool) -> dict[str, str | float]:
+    prior = f"{free.low:g} to {free.high:g}" + (", log scale" if free.scale == "log" else "")
+    if free.mean is not None and free.sd is not None:
+        prior = f"{free.mean:g} ± {free.sd:g} in {prior}"
+    return {
+        "field": field_words(name, free),
+        "prior": prior,
+        "mean": one.mean,
+        "sd": one.sd,
+        "central": f"{one.low_68:.4g} to {one.high_68:.4g}",
+        "wide": f"{one.low_95:.4g} to {one.high_95:.4g}",
+        "known": "hardly" if is_open else "yes",
+        "source": free.source or "",
+    }
+
+
+def field_words(name: str, free: Free) -> str:
+    """Return what a field is called, with the unit of its path."""
+    unit = split_unit(free.path.rsplit(".", 1)[-1])[1]
+    words = split_unit(name)[0].replace("_", " ")
+    return f"{words} ({unit})" if unit else words
+
+
+def _rows(found: Identified) -> list[Block]:
+    columns = (
+        Column("row", "row"),
+        Column("use", "use"),
+        Column("measured", "measured", 4),
+        Column("measured_sd", "± (1 sd)", 4),
+        Column("twin", "twin", 4),
+        Column("twin_sd", "± (1 sd) ", 4),
+        Column("deviation", "normalised difference", 2),
+        Column("rotated", "when held out", 2),
+    )
+    problem, rotated = found.problem, found.best.rotated
+    rows = [
+        {
+            "row": one.row,
+            "use": "fitted" if one.fitted else "held out",
+            "measured": one.measured,
+            "measured_sd": one.sd,
+            "twin": one.twin.mean,
+            "twin_sd": one.twin.sd,
+            "deviation": one.deviation,
+            "rotated": rotated[one.row].deviation if one.row in rotated else None,
+        }
+        for one in found.best.predictions
+    ]
+    sources = [f"{n}: {row.source}" for n, row in problem.rows.items() if row.source]
+    figure = Figure(
+        "rows",
+        "",
+        "Measured minus predicted over the standard deviation of the difference (measurement, "
+        "unknown fields, nuisances, discrepancy, emulator). Filled: fitted, open: held out. The "
+        "band is two standard deviations.",
+        "Normalised difference of every row",
+        partial(draw_rows, found),
+    )
+    return [Table("rows", "", "", columns, tuple(rows), tuple(sources)), figure]
+
+
+def _models(found: Identified) -> list[Block]:
+    if len(found.models) == 1:
+        return []
+    names = list(found.problem.alternatives)
+    columns = (
+        *(Column(name, name.replace("_", " ")) for name in names),
+        Column("prior", "prior probability"),
+        Column("probability", "probability given the rows"),
+        Column("evidence", "log evidence", 2),
+        Column("evidence_sd", "its standard error", 2),
+    )
+    rows: list[Row] = [
+        dict(one.combination)
+        | {
+            "prior": one.prior,
+            "probability": one.probability,
+            "evidence": one.posterior.log_evidence,
+            "evidence_sd": one.posterior.log_evidence_sd,
+        }
+        for one in found.models
+    ]
+    return [Table("models", "", "", columns, tuple(rows))]
+
+
+def _worth(found: Identified) -> list[Block]:
+    ranked = found.worth()
+    if not ranked:
+        return []
+    fields = list(found.problem.free)
+    columns = (
+        Column("row", "measurement"),
+        Column("sd", "± (1 sd)", 4),
+        Column("expected_sd", "twin ± (1 sd)", 4),
+        *(Column(name, split_unit(name)[0].replace("_", " "), 2) for name in fields),
+        Column("gain", "information", 2, "nats"),
+    )
+    rows: list[Row] = [
+        {
+            "row": one.row,
+            "sd": found.problem.worth[one.row].sd,
+            "expected_sd": one.expected_sd,
+            **one.shrink,
+            "gain": one.gain,
+        }
+        for one in ranked
+    ]
+    words = (
+        "What would be left of today's variance of each field (1: nothing gained) if this were "
+        "measured so well; the most telling first."
+    )
+    return [words, Table("worth", "", "", columns, tuple(rows))]
+
+
+def _emulators(found: Identified) -> list[Block]:
+    columns = (
+        Column("row", "figure"),
+        Column("rmse", "cross-validated error, RMS", 5),
+        Column("sd", "the row's standard deviation", 5),
+        Column("missing", "simulations without it", 1, "%"),
+    )
+    every = {**found.problem.rows, **found.problem.worth}
+    rows: list[Row] = [
+        {
+            "row": name,
+            "rmse": one.cross_validated_rmse,
+            "sd": every[name].sd,
+            "missing": 100.0 * one.missing,
+        }
+        for name, one in found.best.emulators.items()
+    ]
+    notes = ("The error of one noisy simulation that the emulator has not seen (leave one out).",)
+    coarse = [
+        n for n, one in found.best.emulators.items() if one.cross_validated_rmse > every[n].sd
+    ]
+    told = Note(
+        f"Learned less well than measured: {', '.join(coarse)}. The intervals are honest about it, "
+        "and would be narrower with more simulations (design.count) or narrower priors."
+    )
+    table = Table("emulators", "", "", columns, tuple(rows), notes)
+    return [table, told] if coarse else [table]
+
+
+def draw_corner(found: Identified, path: Path) -> None:
+    """Draw densities of fields and pairs of fields, with the profiles of the likelihood."""
+    free, values = found.problem.free, found.values
+    count, profiles = len(free), found.profiles()
+    panels = count * (_PANEL_IN + _GAP_IN)
+    with drawing(path, _LEFT_IN + panels, _TOP_IN + panels + _BELOW_IN) as figure:
+        for row, (name, one) in enumerate(free.items()):
+            for column, other in enumerate(list(free.values())[: row + 1]):
+                left = _LEFT_IN + column * (_PANEL_IN + _GAP_IN)
+                top = _TOP_IN + row * (_PANEL_IN + _GAP_IN)
+                axes = axes_at(figure, left, top, _PANEL_IN, _PANEL_IN)
+                if row == column:
+                    _density(axes, one, values[:, row], profiles[name])
+                else:
+                    _pair(axes, (other, one), values[:, [column, row]])
+                _label(axes, list(free.items()), row, column)
+
+
+def _density(
+    axes: Axes, free: Free, samples: FloatArray, profile: tuple[FloatArray, FloatArray]
+) -> None:
+    axes.hist(
+        samples, _edges(free).tolist(), density=True, color=MEASURED_FILL, histtype="stepfilled"
+    )
+    top = axes.get_ylim()[1]
+    at, heights = profile
+    axes.plot(at, 0.95 * top * np.exp(heights), color=FIT, linewidth=1.1)
+    axes.set(xlim=(free.low, free.high), yticks=[], xscale=free.scale)
+
+
+def _pair(axes: Axes, free: tuple[Free, Free], samples: FloatArray) -> None:
+    across, up = free
+    bins = [_edges(across), _edges(up)]
+    density, x, y = np.histogram2d(samples[:, 0], samples[:, 1], bins=bins)
+    axes.pcolormesh(x, y, np.sqrt(density.T), cmap="Blues", rasterized=True)
+    axes.set(xscale=across.scale, yscale=up.scale)
+    axes.set(xlim=(across.low, across.high), ylim=(up.low, up.high))
+
+
+def _edges(free: Free) -> FloatArray:
+    return free.value(np.linspace(0.0, 1.0, _BINS + 1))
+
+
+def _label(axes: Axes, free: list[tuple[str, Free]], row: int, column: int) -> None:
+    names = [field_words(name, one) for name, one in free]
+    axes.tick_params(labelsize=6.0, which="both")
+    if row == len(free) - 1:
+        axes.set_xlabel(names[column], fontsize=8.0)
+    else:
+        axes.tick_params(labelbottom=False, which="both")
+    if column == 0 and row:
+        axes.set_ylabel(names[row], fontsize=8.0)
+    elif column:
+        axes.tick_params(labelleft=False, which="both")
+
+
+def draw_rows(found: Identified, path: Path) -> None:
+    """Draw the normalised difference of every row."""
+    rows = found.best.predictions
+    height = 0.9 + 0.26 * len(rows)
+    with drawing(path, 7.0, height) as figure:
+        axes = axes_at(figure, 2.3, 0.35, 4.4, height - 0.85)
+        axes.axvspan(-_AGREES, _AGREES, color="#eef3f8")
+        axes.axvline(0.0, color=FAINT, linewidth=0.8)
+        for fitted, face, label in ((True, MEASURED, "fitted"), (False, "white", "held out")):
+            at = [i for i, one in enumerate(rows) if one.fitted == fitted]
+            axes.plot(
+                [rows[i].deviation for i in at],
+                at,
+                "o",
+                color=MEASURED,
+                markerfacecolor=face,
+                label=label,
+            )
+        axes.set_yticks(range(len(rows)), [one.row for one in rows], color=INK)
+        axes.invert_yaxis()
+        farthest = max(3.0, *(abs(one.deviation) for one in rows)) * 1.1
+        axes.set(xlim=(-farthest, farthest), ylim=(len(rows) - 0.5, -0.5))
+        axes.set_xlabel("(measured − predicted) / standard deviation of the difference")
+        plain_spines(axes)
+        legend_above(axes, 2)
