@@ -22,9 +22,9 @@ from pathlib import Path
 import numpy as np
 
 from twin.config import load_experiment
-from twin.config.problem import Problem
+from twin.config.problem import SensorProblem
 from twin.config.study import Sampling
-from twin.identification.findings import Interval
+from twin.identification.findings import Marginal
 from twin.identification.run import Identified, infer
 from twin.identification.simulations import Simulated, Variant, record_of, simulate
 from twin.study.record import StudyRecord
@@ -45,9 +45,9 @@ FREE = {
 BASE = {"camera.binning": 4, "mechanics.model": "spectral"}
 
 
-def problem_of(count: int, free: list[str], rows: list[str]) -> Problem:
+def problem_of(count: int, free: list[str], rows: list[str]) -> SensorProblem:
     """Return the problem; the rows' values are given later."""
-    return Problem.model_validate(
+    return SensorProblem.model_validate(
         {
             "name": "bench",
             "experiments": {"balls": {"base": "paper/two_balls"}},
@@ -58,7 +58,7 @@ def problem_of(count: int, free: list[str], rows: list[str]) -> Problem:
     )
 
 
-def hidden_sensors(problem: Problem, count: int, folder: Path) -> list[Mapping[str, float]]:
+def hidden_sensors(problem: SensorProblem, count: int, folder: Path) -> list[Mapping[str, float]]:
     """Measure sensors drawn from the priors; settings and figures by name."""
     record = record_of(problem, load_experiment("paper/two_balls", BASE), Variant("balls"))
     sampling = Sampling(method="latin_hypercube", count=count, seed=11)
@@ -69,7 +69,7 @@ def hidden_sensors(problem: Problem, count: int, folder: Path) -> list[Mapping[s
 
 
 def identified(
-    problem: Problem,
+    problem: SensorProblem,
     simulated: Mapping[Variant, Simulated],
     sensor: Mapping[str, float],
     rng: np.random.Generator,
@@ -82,7 +82,7 @@ def identified(
     return infer(problem.model_copy(update={"rows": read}), simulated)
 
 
-def covered(one: Interval, value: float) -> tuple[bool, bool]:
+def covered(one: Marginal, value: float) -> tuple[bool, bool]:
     """Tell whether the 68 and the 95 % interval hold a value."""
     return one.low_68 <= value <= one.high_68, one.low_95 <= value <= one.high_95
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from twin.study.measuring import Answer
+from twin.study.measuring import AS_IT_IS, Answer
 
 NOISE_MM = 0.004
 
@@ -13,7 +13,7 @@ class Formula:
     def __init__(self, keep=()):
         self.keep = keep
 
-    def __call__(self, experiment):
+    def __call__(self, experiment, conditions=AS_IT_IS):
         thickness, depth = experiment.elastomer.thickness_mm, experiment.press.depth_mm
         noise = NOISE_MM * np.random.default_rng(int(1e9 * (thickness + depth)) % 2**32).normal()
         far = 2.0 if experiment.elastomer.layout == "contact_face" else 1.0

@@ -9,7 +9,7 @@ from scipy.stats import multivariate_normal, norm, qmc
 
 from reconstruction.arrays import FloatArray
 from reconstruction.errors import InputError
-from twin.config.problem import Problem
+from twin.config.problem import SensorProblem
 from twin.identification.emulator import fit_emulator
 from twin.identification.findings import (
     interval_of,
@@ -41,9 +41,9 @@ class _Exact:
         return values, np.zeros_like(values)
 
 
-def _problem(rows: dict[str, Any], fields: int = 2, **more: Any) -> Problem:
+def _problem(rows: dict[str, Any], fields: int = 2, **more: Any) -> SensorProblem:
     whole = {name: {"experiment": "one", "metric": name} | row for name, row in rows.items()}
-    return Problem.model_validate(
+    return SensorProblem.model_validate(
         {
             "name": "linear",
             "experiments": {"one": {"base": "none"}},
@@ -63,7 +63,7 @@ VALUES, SDS = np.array([0.8, -1.1, 0.4]), np.array([0.5, 0.3, 1.0])
 
 
 @pytest.fixture(scope="module")
-def linear() -> tuple[Problem, Posterior]:
+def linear() -> tuple[SensorProblem, Posterior]:
     """Three rows on two normal fields, with a nuisance that shifts the first two together."""
     rows = {
         f"r{i}": {"value": VALUES[i], "sd": SDS[i], "nuisance": {"scale": s}}
@@ -80,7 +80,7 @@ def _covariance() -> FloatArray:
 
 
 def test_samples_have_the_closed_forms_mean_and_covariance(
-    linear: tuple[Problem, Posterior],
+    linear: tuple[SensorProblem, Posterior],
 ) -> None:
     precision = np.linalg.inv(_covariance())
     covariance = np.linalg.inv(np.eye(2) + MATRIX.T @ precision @ MATRIX)
@@ -92,7 +92,7 @@ def test_samples_have_the_closed_forms_mean_and_covariance(
     assert np.allclose(np.cov(found.T), covariance, atol=0.05 * np.trace(covariance))
 
 
-def test_evidence_is_the_density_of_the_rows(linear: tuple[Problem, Posterior]) -> None:
+def test_evidence_is_the_density_of_the_rows(linear: tuple[SensorProblem, Posterior]) -> None:
     whole = MATRIX @ MATRIX.T + _covariance()
     exact = multivariate_normal(np.zeros(3), whole).logpdf(VALUES)
     found = linear[1]
@@ -101,7 +101,9 @@ def test_evidence_is_the_density_of_the_rows(linear: tuple[Problem, Posterior]) 
     assert abs(found.log_evidence - exact) < 4 * found.log_evidence_sd
 
 
-def test_profile_is_a_parabola_of_the_other_fields_best(linear: tuple[Problem, Posterior]) -> None:
+def test_profile_is_a_parabola_of_the_other_fields_best(
+    linear: tuple[SensorProblem, Posterior],
+) -> None:
     shares, found = profile(linear[1], 0)
     at = 12.0 * shares - 6.0
     precision = np.linalg.inv(_covariance())
@@ -139,7 +141,7 @@ def test_what_only_a_product_shows_is_named_as_a_ridge() -> None:
     assert "x2" in undetermined(found)
 
 
-def test_separate_rows_leave_no_ridge(linear: tuple[Problem, Posterior]) -> None:
+def test_separate_rows_leave_no_ridge(linear: tuple[SensorProblem, Posterior]) -> None:
     rows = {f"r{i}": {"value": 0.3, "sd": 0.05} for i in range(2)}
     problem = _problem(rows)
     found = sample(likelihood_of(problem, problem.rows, _linear(np.eye(2), list(rows))), seed=4)

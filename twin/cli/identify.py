@@ -32,7 +32,7 @@ def identify(
     quick
         A quarter of the simulations: wider intervals, for a first look.
     workers
-        Processes on this machine; absent: one per two cores, at least two of them.
+        Processes on this machine; default: one per two cores, at least two of them.
     cluster
         Address of a Dask scheduler, tcp://HOST:PORT, instead of processes on this machine.
     """

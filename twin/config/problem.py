@@ -94,7 +94,7 @@ class Free(Model):
         return sd / (self.high - self.low)
 
 
-class Choice(Model):
+class SensorChoice(Model):
     """One way in which something can have been: other fields, or other figures for the rows."""
 
     set: dict[str, Any] = Field(default={}, description="tables laid over the experiments")
@@ -105,7 +105,7 @@ class Choice(Model):
 class Alternative(Model):
     """A discrete unknown: one of several choices holds, for all experiments that it names."""
 
-    choices: Annotated[dict[Name, Choice], Field(min_length=2)]
+    choices: Annotated[dict[Name, SensorChoice], Field(min_length=2)]
     experiments: tuple[Name, ...] = Field(
         default=(), description="where `set` applies; absent: all"
     )
@@ -152,7 +152,7 @@ class Design(Model):
     seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
 
 
-class Problem(Model):
+class SensorProblem(Model):
     """An identification problem, whole."""
 
     schema_version: Literal[1] = 1
@@ -173,7 +173,7 @@ class Problem(Model):
     )
 
     @model_validator(mode="after")
-    def _refers_to_what_is_there(self) -> "Problem":
+    def _refers_to_what_is_there(self) -> "SensorProblem":
         _named("free", {n: f.experiments for n, f in self.free.items()}, self.experiments)
         _named(
             "alternatives",
@@ -200,7 +200,7 @@ class Problem(Model):
         """Rows that are fitted."""
         return {name: row for name, row in self.rows.items() if not row.held_out}
 
-    def quick(self) -> "Problem":
+    def quick(self) -> "SensorProblem":
         """Return the problem with a quarter of the simulations, 32 at least."""
         count = max(min(self.design.count, 32), self.design.count // 4)
         return self.model_copy(update={"design": self.design.model_copy(update={"count": count})})
@@ -232,7 +232,7 @@ def _named(where: str, used: Mapping[str, tuple[str, ...]], known: Any) -> None:
                 raise ValueError(f"{at}: found {word!r}, allowed {', '.join(known) or 'none'}")
 
 
-def load_problem(path: str | Path) -> tuple[Problem, dict[str, Experiment]]:
+def load_problem(path: str | Path) -> tuple[SensorProblem, dict[str, Experiment]]:
     """Read a problem and its experiments, by their names in it.
 
     Parameters
@@ -247,9 +247,9 @@ def load_problem(path: str | Path) -> tuple[Problem, dict[str, Experiment]]:
     """
     file = scene_file(path)
     try:
-        problem = Problem.model_validate(read_toml(file))
+        problem = SensorProblem.model_validate(read_toml(file))
     except ValidationError as error:
-        lines = explain(error, Problem)
+        lines = explain(error, SensorProblem)
         raise ConfigError("\n".join(f"{path}: {line}" for line in lines)) from None
     found = {name: _experiment(setup, file) for name, setup in problem.experiments.items()}
     return _with_files(problem, file), found
@@ -261,7 +261,7 @@ def _experiment(setup: Setup, file: Path) -> Experiment:
     return vary(base, without_absent(resolve_uses(setup.set, (file,))))
 
 
-def _with_files(problem: Problem, file: Path) -> Problem:
+def _with_files(problem: SensorProblem, file: Path) -> SensorProblem:
     """Replace what choices `use` by the values of the data files."""
     alternatives = {}
     for name, one in problem.alternatives.items():

@@ -17,7 +17,7 @@ _NARROW = 0.1
 
 
 @dataclass(frozen=True)
-class Interval:
+class Marginal:
     """Mean, standard deviation and central 68.3 and 95 % intervals."""
 
     mean: float
@@ -28,11 +28,11 @@ class Interval:
     high_95: float
 
 
-def interval_of(samples: FloatArray) -> Interval:
+def interval_of(samples: FloatArray) -> Marginal:
     """Return the interval of samples (n,)."""
     quantiles = np.quantile(samples, (0.1585, 0.8415, 0.025, 0.975))
     low_68, high_68, low_95, high_95 = map(float, quantiles)
-    return Interval(float(samples.mean()), float(samples.std()), low_68, high_68, low_95, high_95)
+    return Marginal(float(samples.mean()), float(samples.std()), low_68, high_68, low_95, high_95)
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class Prediction:
     measured: float
     sd: float
     fitted: bool
-    twin: Interval
+    twin: Marginal
     deviation: float
 
 

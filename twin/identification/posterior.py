@@ -18,7 +18,7 @@ from scipy.special import logsumexp, ndtr
 from scipy.stats import multivariate_t, norm, qmc
 
 from reconstruction.arrays import FloatArray
-from twin.config.problem import Free, Problem, Row
+from twin.config.problem import Free, Row, SensorProblem
 from twin.identification.emulator import Emulator
 
 _START_EXPONENT = 13
@@ -91,7 +91,7 @@ def _log_prior(z: FloatArray) -> FloatArray:
 
 
 def likelihood_of(
-    problem: Problem, rows: Mapping[str, Row], emulators: Mapping[str, Emulator]
+    problem: SensorProblem, rows: Mapping[str, Row], emulators: Mapping[str, Emulator]
 ) -> Likelihood:
     """Return the likelihood of some rows of a problem."""
     sds = {name: one.sd for name, one in problem.nuisance.items()}

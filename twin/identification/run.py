@@ -15,15 +15,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from reconstruction.arrays import FloatArray
 from reconstruction.machine import write_dataset
 from twin.config import Experiment, to_toml, vary
-from twin.config.problem import Problem, Row
+from twin.config.problem import Row, SensorProblem
 from twin.config.study import without_absent
 from twin.identification.emulator import Emulator
 from twin.identification.findings import (
-    Interval,
+    Marginal,
     Prediction,
     Ridge,
     Worth,
@@ -57,7 +58,7 @@ WRITTEN = (POSTERIOR_FILE, EXPERIMENTS_FOLDER, RESULT_FILE, EXPERIMENT_FILE)
 
 
 @dataclass(frozen=True, eq=False)
-class Model:
+class SensorModel:
     """The sensor under one combination of choices.
 
     Attributes
@@ -81,12 +82,12 @@ class Model:
 class Identified:
     """What is known of a sensor; models with the most probable first."""
 
-    problem: Problem
-    models: tuple[Model, ...]
+    problem: SensorProblem
+    models: tuple[SensorModel, ...]
     seed: int
 
     @property
-    def best(self) -> Model:
+    def best(self) -> SensorModel:
         """The most probable model."""
         return self.models[0]
 
@@ -99,7 +100,7 @@ class Identified:
     def _weights(self) -> list[float]:
         return [one.probability for one in self.models]
 
-    def intervals(self) -> dict[str, Interval]:
+    def intervals(self) -> dict[str, Marginal]:
         """Return the intervals of the free fields, in their own units, by name."""
         return {n: interval_of(v) for n, v in zip(self.problem.free, self.values.T, strict=True)}
 
@@ -135,7 +136,7 @@ def mixed(samples: list[FloatArray], weights: list[float], seed: int) -> FloatAr
 
 
 def identify(
-    problem: Problem,
+    problem: SensorProblem,
     experiments: Mapping[str, Experiment],
     folder: Path,
     workers: Workers,
@@ -177,9 +178,19 @@ def identify(
 
 
 def infer(
-    problem: Problem, simulated: Mapping[Variant, Simulated], watch: ProgressCallback = no_progress
+    problem: SensorProblem,
+    simulated: Mapping[Variant, Simulated],
+    watch: ProgressCallback = no_progress,
 ) -> Identified:
     """Return what the rows say, given the simulations."""
+    # Matrices this small are slower on several threads, whose number would show in last digits.
+    with threadpool_limits(1):
+        return _infer(problem, simulated, watch)
+
+
+def _infer(
+    problem: SensorProblem, simulated: Mapping[Variant, Simulated], watch: ProgressCallback
+) -> Identified:
     learned: dict[tuple[Variant, str], Emulator] = {}
     models, combinations = [], list(problem.combinations())
     for number, combination in enumerate(combinations):
@@ -194,7 +205,7 @@ def infer(
 
 
 def _emulators(
-    problem: Problem,
+    problem: SensorProblem,
     simulated: Mapping[Variant, Simulated],
     combination: Mapping[str, str],
     learned: dict[tuple[Variant, str], Emulator],
@@ -210,7 +221,7 @@ def _emulators(
     return found
 
 
-def _metric(problem: Problem, name: str, row: Row, combination: Mapping[str, str]) -> str:
+def _metric(problem: SensorProblem, name: str, row: Row, combination: Mapping[str, str]) -> str:
     for alternative, choice in combination.items():
         other = problem.alternatives[alternative].choices[choice].metrics.get(name)
         if other is not None:
@@ -219,8 +230,8 @@ def _metric(problem: Problem, name: str, row: Row, combination: Mapping[str, str
 
 
 def _model(
-    problem: Problem, combination: Mapping[str, str], emulators: Mapping[str, Emulator]
-) -> Model:
+    problem: SensorProblem, combination: Mapping[str, str], emulators: Mapping[str, Emulator]
+) -> SensorModel:
     """Return a model whose probability among the others is still to be judged."""
     seed = problem.design.seed
     every = likelihood_of(problem, problem.rows, emulators)
@@ -231,7 +242,7 @@ def _model(
         without = sample(likelihood_of(problem, rows, emulators), seed)
         found = predict_rows(without, every, seed)
         rotated[held] = next(one for one in found if one.row == held)
-    return Model(
+    return SensorModel(
         combination=combination,
         prior=problem.weight(combination),
         probability=np.nan,
@@ -262,7 +273,7 @@ def experiments_at_best(
 
 
 def _at(
-    problem: Problem,
+    problem: SensorProblem,
     name: str,
     base: Experiment,
     combination: Mapping[str, str],

@@ -16,7 +16,7 @@ import numpy as np
 from reconstruction.arrays import FloatArray
 from reconstruction.errors import InputError
 from twin.config import Experiment, vary
-from twin.config.problem import Problem
+from twin.config.problem import SensorProblem
 from twin.config.study import Sampling, Study, without_absent
 from twin.identification.emulator import Emulator, fit_emulator
 from twin.pipeline.progress import ProgressCallback, no_progress
@@ -44,7 +44,7 @@ class Variant:
         return "-".join((self.experiment, *(choice for _, choice in self.choices))).lower()
 
 
-def variants_of(problem: Problem) -> list[Variant]:
+def variants_of(problem: SensorProblem) -> list[Variant]:
     """Return the variants that must be simulated."""
     found = []
     for experiment in _used(problem):
@@ -55,18 +55,18 @@ def variants_of(problem: Problem) -> list[Variant]:
     return found
 
 
-def variant_for(problem: Problem, experiment: str, combination: Mapping[str, str]) -> Variant:
+def variant_for(problem: SensorProblem, experiment: str, combination: Mapping[str, str]) -> Variant:
     """Return the variant of an experiment in a combination of choices."""
     changing = _changing(problem, experiment)
     return Variant(experiment, tuple((name, combination[name]) for name in changing))
 
 
-def _used(problem: Problem) -> list[str]:
+def _used(problem: SensorProblem) -> list[str]:
     rows = (*problem.rows.values(), *problem.worth.values())
     return list(dict.fromkeys(row.experiment for row in rows))
 
 
-def _changing(problem: Problem, experiment: str) -> list[str]:
+def _changing(problem: SensorProblem, experiment: str) -> list[str]:
     return [
         name
         for name, one in problem.alternatives.items()
@@ -75,7 +75,7 @@ def _changing(problem: Problem, experiment: str) -> list[str]:
     ]
 
 
-def record_of(problem: Problem, base: Experiment, variant: Variant) -> StudyRecord:
+def record_of(problem: SensorProblem, base: Experiment, variant: Variant) -> StudyRecord:
     """Return the study of a variant.
 
     Raises
@@ -149,7 +149,7 @@ def _number(value: Any) -> float:
 
 
 def simulate(
-    problem: Problem,
+    problem: SensorProblem,
     experiments: Mapping[str, Experiment],
     folder: Path,
     workers: Workers,
@@ -184,7 +184,7 @@ def _part(watch: ProgressCallback, number: int, count: int, stage: str, fraction
     watch("simulations", (number + fraction) / count)
 
 
-def _read(problem: Problem, variant: Variant, record: StudyRecord, store: Path) -> Simulated:
+def _read(problem: SensorProblem, variant: Variant, record: StudyRecord, store: Path) -> Simulated:
     table, shares = read_table(store), shares_of(record.study)
     names = list(problem.free)
     columns = tuple(names.index(name) for name in problem.free_in(variant.experiment))

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 
 from reconstruction.arrays import FloatArray
 from twin.config.problem import Free
-from twin.identification.findings import Interval, Prediction, Ridge
+from twin.identification.findings import Marginal, Prediction, Ridge
 from twin.identification.run import Identified
 from twin.pipeline.progress import ProgressCallback, no_progress
 from twin.report.canvas import (
@@ -162,7 +162,7 @@ def _fields(found: Identified) -> list[Block]:
     return [Table("fields", "", "", columns, tuple(rows)), *ridges, figure]
 
 
-def _field_row(name: str, free: Free, one: Interval, is_open: bool) -> dict[str, str | float]:
+def _field_row(name: str, free: Free, one: Marginal, is_open: bool) -> dict[str, str | float]:
     prior = f"{free.low:g} to {free.high:g}" + (", log scale" if free.scale == "log" else "")
     if free.mean is not None and free.sd is not None:
         prior = f"{free.mean:g} ± {free.sd:g} in {prior}"
