@@ -9,7 +9,7 @@ from tests.identification.sensors import NOISE_MM, Formula
 from twin.config import ConfigError
 from twin.config.problem import load_problem
 from twin.identification.run import experiments_at_best, figures_of, identify, infer
-from twin.identification.simulations import simulate, variants_of
+from twin.identification.simulations import record_of, simulate, variants_of
 from twin.study.workers import local_workers
 
 PROBLEM = """
@@ -187,3 +187,12 @@ def test_an_unknown_figure_names_those_that_there_are(tmp_path):
 def test_the_emulators_error_is_the_simulations_noise(identified):
     error = identified[0].best.emulators["radius"].cross_validated_rmse
     assert 0.7 * NOISE_MM < error < 1.4 * NOISE_MM
+
+
+def test_shipped_problems_are_valid():
+    files = sorted((Path(__file__).parents[2] / "scenes" / "problems").glob("*.toml"))
+    assert files
+    for file in files:
+        problem, experiments = load_problem(f"problems/{file.stem}")
+        for variant in variants_of(problem):
+            record_of(problem, experiments[variant.experiment], variant).cases()
