@@ -141,6 +141,14 @@ def test_what_only_a_product_shows_is_named_as_a_ridge() -> None:
     assert "x2" in undetermined(found)
 
 
+def test_a_curved_trade_off_is_named_too() -> None:
+    problem = _problem({"product": {"value": 1.0, "sd": 0.02}})
+    product: Any = {"product": _Exact(lambda v: np.exp(0.5 * v[:, 0]) + 0.6 * v[:, 1])}
+    found = ridges(sample(likelihood_of(problem, problem.rows, product), seed=4))
+    assert [set(one.share) for one in found] == [{"x0", "x1"}]
+    assert np.prod(list(found[0].share.values())) > 0
+
+
 def test_separate_rows_leave_no_ridge(linear: tuple[SensorProblem, Posterior]) -> None:
     rows = {f"r{i}": {"value": 0.3, "sd": 0.05} for i in range(2)}
     problem = _problem(rows)

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 
@@ -108,8 +109,18 @@ def ridges(posterior: Posterior) -> list[Ridge]:
     """Return the combinations of two or more fields that the rows cannot take apart.
 
     Principal directions of the posterior whose variance is less than a tenth of that of each field
-    that takes part. The narrowest first.
+    that takes part, the narrowest first; then pairs on a curve: a parabola of one of them leaves
+    less than a tenth of the other's variance.
     """
+    straight = _straight_ridges(posterior)
+    told = [set(one.share) for one in straight]
+    curved = [
+        one for one in _curved_ridges(posterior) if not any(set(one.share) <= t for t in told)
+    ]
+    return straight + curved
+
+
+def _straight_ridges(posterior: Posterior) -> list[Ridge]:
     names = list(posterior.likelihood.free)
     covariance = np.atleast_2d(np.cov(posterior.z.T))
     variances, axes = np.linalg.eigh(covariance)
@@ -122,6 +133,26 @@ def ridges(posterior: Posterior) -> list[Ridge]:
             alone = float(np.diag(covariance)[takes_part].min())
             found.append(Ridge(share, float(variance), alone))
     return found
+
+
+def _curved_ridges(posterior: Posterior) -> list[Ridge]:
+    names, z = list(posterior.likelihood.free), posterior.z
+    found = []
+    for i, j in combinations(range(len(names)), 2):
+        variances = z[:, i].var(), z[:, j].var()
+        left = min(_left_by_parabola(z[:, i], z[:, j]), _left_by_parabola(z[:, j], z[:, i]))
+        if left < _NARROW:
+            # Where one falls as the other grows, both up is across.
+            sign = -float(np.sign(np.corrcoef(z[:, i], z[:, j])[0, 1]))
+            share = {names[i]: np.sqrt(0.5), names[j]: sign * np.sqrt(0.5)}
+            found.append(Ridge(share, float(left * min(variances)), float(min(variances))))
+    return found
+
+
+def _left_by_parabola(of: FloatArray, by: FloatArray) -> float:
+    """Return the share of a field's variance that a parabola of another field leaves."""
+    fitted = np.polynomial.Polynomial.fit(by, of, 2)
+    return float(np.var(of - fitted(by)) / of.var())
 
 
 def undetermined(posterior: Posterior) -> list[str]:
