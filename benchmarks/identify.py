@@ -4,7 +4,7 @@ Forty sensors (--quick: twelve) with a slab of hidden thickness, hardness and tr
 priors, are measured by the whole chain: pressed, rendered, exposed, decoded, fitted. Their radius,
 relief and force, moved by the rows' own noise, are given to `twin identify`, which learned the same
 chain from other simulations. 68 and 95 % intervals must cover the hidden values so often: binomial,
-120 intervals, three standard deviations are 13 and 6 %. Then the force alone is given, of hardness
+120 intervals, three standard deviations are 13 and 6 %. Then the relief alone is given, of hardness
 and travel: their trade-off must be told as a ridge.
 
 Last line: {"coverage_68", "coverage_95", "intervals", "ridge_told_share", "learned_over_row_sd",
@@ -96,14 +96,14 @@ def main() -> None:
     start, rng = time.perf_counter(), np.random.default_rng(3)
     experiments = {"balls": load_experiment("paper/two_balls", BASE)}
     whole = problem_of(count, list(FREE), list(ROWS))
-    force = problem_of(count, ["hardness", "travel"], ["force"])
+    relief = problem_of(count, ["hardness", "travel"], ["relief"])
     with tempfile.TemporaryDirectory() as folder:
         simulated = simulate(whole, experiments, Path(folder) / "whole", local_workers(2))
         hidden = hidden_sensors(whole, sensors, Path(folder) / "hidden")
         found = [identified(whole, simulated, sensor, rng) for sensor in hidden]
-        alone = simulate(force, experiments, Path(folder) / "force", local_workers(2))
-        told = hidden_sensors(force, ridge_sensors, Path(folder) / "hidden_force")
-        ridges = [identified(force, alone, sensor, rng).ridges() for sensor in told]
+        alone = simulate(relief, experiments, Path(folder) / "relief", local_workers(2))
+        told = hidden_sensors(relief, ridge_sensors, Path(folder) / "hidden_relief")
+        ridges = [identified(relief, alone, sensor, rng).ridges() for sensor in told]
     hits = np.array(
         [
             covered(one.intervals()[name], sensor[name])

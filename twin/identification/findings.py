@@ -15,6 +15,7 @@ _UNDETERMINED = 0.5
 _NEGLIGIBLE = 0.25
 # A ridge is so much narrower (variance) than its fields alone are known.
 _NARROW = 0.1
+_HALF = float(np.sqrt(0.5))
 
 
 @dataclass(frozen=True)
@@ -144,7 +145,7 @@ def _curved_ridges(posterior: Posterior) -> list[Ridge]:
         if left < _NARROW:
             # Where one falls as the other grows, both up is across.
             sign = -float(np.sign(np.corrcoef(z[:, i], z[:, j])[0, 1]))
-            share = {names[i]: np.sqrt(0.5), names[j]: sign * np.sqrt(0.5)}
+            share = {names[i]: _HALF, names[j]: sign * _HALF}
             found.append(Ridge(share, float(left * min(variances)), float(min(variances))))
     return found
 
