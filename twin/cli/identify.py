@@ -1,12 +1,10 @@
 """`twin identify`: find what is not known of a sensor from what was measured with it."""
 
 from pathlib import Path
-from typing import Annotated
-
-from cyclopts import Parameter
 
 from twin.cli.app import Out, app
 from twin.cli.console import print_table, progress_bars, say
+from twin.cli.uncertainty import Cluster, WorkerCount
 
 
 @app.command
@@ -16,8 +14,8 @@ def identify(
     *,
     out: Out,
     quick: bool = False,
-    workers: Annotated[int | None, Parameter(name=["--workers", "-j"])] = None,
-    cluster: str | None = None,
+    workers: WorkerCount = None,
+    cluster: Cluster = None,
 ) -> None:
     """Find the values of unknown fields that agree with measurements, and what stays open.
 
@@ -28,13 +26,9 @@ def identify(
     Parameters
     ----------
     problem
-        TOML file, or the name of a shipped problem such as examples/identify_sheet.
+        TOML file, or the name of a shipped problem such as problems/slab.
     quick
         A quarter of the simulations: wider intervals, for a first look.
-    workers
-        Processes on this machine; default: one per two cores, at least two of them.
-    cluster
-        Address of a Dask scheduler, tcp://HOST:PORT, instead of processes on this machine.
     """
     from twin.config.problem import load_problem
     from twin.identification.run import COMMAND, WRITTEN, write_identified

@@ -108,6 +108,7 @@ class Posterior:
     log_evidence : logarithm of the probability of the rows, over prior and noise
     log_evidence_sd : its standard uncertainty
     steps, correlation_time : of the chains
+    independent : about how many independent samples the chains are worth
     """
 
     likelihood: Likelihood
@@ -116,6 +117,15 @@ class Posterior:
     log_evidence_sd: float
     steps: int
     correlation_time: float
+    independent: float
+
+    @property
+    def is_converged(self) -> bool:
+        """Tell whether the chains are as long as was asked for."""
+        return (
+            self.independent >= 0.75 * _EFFECTIVE
+            and self.steps >= _CORRELATION_TIMES * self.correlation_time
+        )
 
     @property
     def places(self) -> FloatArray:
@@ -161,7 +171,8 @@ def sample(likelihood: Likelihood, seed: int) -> Posterior:
         time = time if np.isfinite(time) else steps
     z = sampler.get_chain(discard=steps // 4, thin=max(1, int(time / 2)), flat=True)
     evidence, sd = _evidence(likelihood, z, rng)
-    return Posterior(likelihood, z, evidence, sd, steps, time)
+    independent = walkers * (steps - steps // 4) / max(time, 1.0)
+    return Posterior(likelihood, z, evidence, sd, steps, time, independent)
 
 
 def _starts(likelihood: Likelihood, walkers: int, rng: np.random.Generator) -> FloatArray:

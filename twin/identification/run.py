@@ -301,6 +301,8 @@ def figures_of(found: Identified) -> dict[str, Any]:
                 "probability": one.probability,
                 "log_evidence": one.posterior.log_evidence,
                 "log_evidence_sd": one.posterior.log_evidence_sd,
+                "independent_samples": one.posterior.independent,
+                "converged": one.posterior.is_converged,
             }
             for one in found.models
         ],

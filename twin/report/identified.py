@@ -302,7 +302,19 @@ def _emulators(found: Identified) -> list[Block]:
         "and would be narrower with more simulations (design.count) or narrower priors."
     )
     table = Table("emulators", "", "", columns, tuple(rows), notes)
-    return [table, told] if coarse else [table]
+    return [table, *([told] if coarse else []), _sampling(found)]
+
+
+def _sampling(found: Identified) -> Note:
+    """Say how far the chains can be trusted: those of the choices that were sampled worst."""
+    worst = min((one.posterior for one in found.models), key=lambda one: one.independent)
+    told = (
+        f"The chains ran {worst.steps} steps, autocorrelation time {worst.correlation_time:.0f} "
+        f"steps: about {worst.independent:.0f} independent samples."
+    )
+    if all(one.posterior.is_converged for one in found.models):
+        return Note(told)
+    return Note(f"{told} That is too short: take the intervals as rough.", kind="failure")
 
 
 def draw_corner(found: Identified, path: Path) -> None:
