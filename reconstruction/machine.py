@@ -67,8 +67,7 @@ def writing_netcdf(path: Path | str) -> Iterator["h5netcdf.File"]:
 
     Raises
     ------
-    OSError
-        It cannot be written: the first failure. What was written until then stays there.
+    OSError : it cannot be written: the first failure. What was written until then stays there.
     """
     import h5netcdf
 
@@ -81,8 +80,7 @@ def write_dataset(path: Path | str, dataset: "xarray.Dataset") -> None:
 
     Raises
     ------
-    OSError
-        It cannot be written: the first failure. What was written until then stays there.
+    OSError : it cannot be written: the first failure. What was written until then stays there.
     """
     # Nothing here is NaN: a fill value would only say that something may be.
     plain: dict[str, Any] = {"_FillValue": None}
@@ -108,8 +106,7 @@ def read_dataset(path: Path | str) -> "xarray.Dataset":
 
     Raises
     ------
-    OSError
-        It is missing, damaged or something else.
+    OSError : it is missing, damaged or something else
     """
     import xarray
 
@@ -135,8 +132,7 @@ def write_exr_channels(path: Path | str, channels: Mapping[str, "NDArray[np.floa
 
     Raises
     ------
-    OSError
-        The disk is full.
+    OSError : the disk is full
     """
     import numpy as np
     import OpenEXR

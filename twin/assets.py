@@ -28,21 +28,17 @@ def asset_path(collection: Collection, name: str) -> Path:
 
     Parameters
     ----------
-    collection : {"scenes", "materials"}
-        Kind of data.
-    name : str
-        Name inside the collection, for example ``elastomers/silicone_c``, ``.toml`` understood; or
-        the path of a file, absolute or beginning with ``./``.
+    collection : {"scenes", "materials"}; kind of data
+    name : name inside the collection, for example ``elastomers/silicone_c``, ``.toml`` understood;
+        or the path of a file, absolute or beginning with ``./``
 
     Returns
     -------
-    Path
-        An existing file.
+    An existing file
 
     Raises
     ------
-    AssetError
-        If there is no such file; close names are told.
+    AssetError : if there is no such file; close names are told
     """
     _check_name(collection, name)
     folders = [Path()] if _is_path(name) else asset_folders(collection)
@@ -58,8 +54,7 @@ def scene_file(name: str | Path) -> Path:
 
     Raises
     ------
-    AssetError
-        There is neither.
+    AssetError : there is neither
     """
     file = Path(name)
     return file if file.is_file() else asset_path("scenes", str(name))
@@ -70,8 +65,7 @@ def mesh_path(name: str) -> Path:
 
     Raises
     ------
-    AssetError
-        The name begins with ``scenes/``, and there is no such file.
+    AssetError : the name begins with ``scenes/``, and there is no such file
     """
     path = Path(name)
     if not path.is_file() and name.startswith("scenes/"):
@@ -84,13 +78,11 @@ def list_assets(collection: Collection) -> list[str]:
 
     Parameters
     ----------
-    collection : {"scenes", "materials"}
-        Kind of data.
+    collection : {"scenes", "materials"}; kind of data
 
     Returns
     -------
-    list of str
-        Sorted names without ``.toml``.
+    Sorted names without ``.toml``
     """
     return sorted(
         {
@@ -106,13 +98,11 @@ def asset_folders(collection: Collection) -> list[Path]:
 
     Parameters
     ----------
-    collection : {"scenes", "materials"}
-        Kind of data.
+    collection : {"scenes", "materials"}; kind of data
 
     Returns
     -------
-    list of Path
-        Existing folders.
+    Existing folders
     """
     if collection not in get_args(Collection):
         raise AssetError(f"{collection}: no such collection, there are scenes and materials")

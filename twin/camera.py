@@ -46,9 +46,7 @@ class Exposed:
     Attributes
     ----------
     stack : (frame, row, col) uint16, DN; float32 when camera.noise is off
-    exposure_ms : float
-        As set, or as found by the automatic exposure.
-    sensor : SensorNoise
+    exposure_ms : as set, or as found by the automatic exposure
     """
 
     stack: NDArray[np.uint16] | FloatImage
@@ -75,14 +73,10 @@ def expose(
 
     Parameters
     ----------
-    experiment : Experiment
     radiance : sequence of (row, col) float32, mW / (mm^2 sr)
-    white_frame : int
-        Index of the white frame, on which the automatic exposure measures.
-    trial : int
-        Repetition: same camera and same fixed pattern, new temporal noise.
-    progress : callable
-        Called with the finished fraction.
+    white_frame : index of the white frame, on which the automatic exposure measures
+    trial : repetition: same camera and same fixed pattern, new temporal noise
+    progress : called with the finished fraction
     """
     camera = experiment.camera
     exposure_ms = choose_exposure_ms(experiment, radiance[white_frame])
@@ -111,8 +105,7 @@ def choose_exposure_ms(experiment: Experiment, white: FloatImage) -> float:
 
     Raises
     ------
-    ValueError
-        Automatic exposure on a white frame without any light.
+    ValueError : automatic exposure on a white frame without any light
     """
     camera = experiment.camera
     if camera.exposure_ms != "auto":
@@ -210,9 +203,7 @@ def photon_counts(mean: FloatImage, rng: np.random.Generator) -> FloatImage:
 
     Parameters
     ----------
-    mean : float32, any shape
-        Not negative.
-    rng : numpy.random.Generator
+    mean : float32, any shape; not negative
 
     Returns
     -------

@@ -33,14 +33,10 @@ class Finding:
 
     Parameters
     ----------
-    name : str
-        What was looked at.
-    ok : bool
-        Whether the twin can work with it.
-    detail : str
-        What was found.
-    advice : str
-        What to do; empty if nothing.
+    name : what was looked at
+    ok : whether the twin can work with it
+    detail : what was found
+    advice : what to do; empty if nothing
     """
 
     name: str
@@ -54,8 +50,7 @@ def diagnose() -> list[Finding]:
 
     Returns
     -------
-    list of Finding
-        In the order in which they should be mended.
+    In the order in which they should be mended
     """
     checks: tuple[Callable[[], list[Finding]], ...] = (
         _python,

@@ -51,8 +51,7 @@ def read_manifest(folder: Path) -> Manifest | None:
 
     Raises
     ------
-    InputError
-        It was written by a version that this one does not know, or cannot be read.
+    InputError : it was written by a version that this one does not know, or cannot be read
     """
     path = folder / MANIFEST_FILE
     try:

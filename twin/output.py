@@ -53,11 +53,10 @@ def output_folder(target: Path, inputs: Iterable[Path] = ()) -> Iterator[Path]:
 
     Raises
     ------
-    InputError
-        `target` cannot be written, holds something that was not written by `twin` or was changed
-        since, or is the current folder, home, an input, or a folder above these, or in an input.
-    OSError
-        The disk is full.
+    InputError : `target` cannot be written, holds something that was not written by `twin` or was
+        changed since, or is the current folder, home, an input, or a folder above these, or in an
+        input
+    OSError : the disk is full
     """
     real = _checked_place(target, inputs)
     _refuse_foreign(target, real)
@@ -82,10 +81,9 @@ def adding(target: Path, *names: str) -> Iterator[Path]:
 
     Raises
     ------
-    InputError
-        `target` cannot be written, or holds a file of such a name that `twin` did not write.
-    OSError
-        The disk is full.
+    InputError : `target` cannot be written, or holds a file of such a name that `twin` did not
+        write
+    OSError : the disk is full
     """
     real = Path(os.path.realpath(target))
     _refuse_in_the_way(target, real, names)
@@ -110,10 +108,8 @@ def claim(target: Path, kind: str, names: Collection[str], inputs: Iterable[Path
 
     Raises
     ------
-    InputError
-        As `output_folder`; or the folder is one of another command.
-    OSError
-        The disk is full.
+    InputError : as `output_folder`; or the folder is one of another command
+    OSError : the disk is full
     """
     real = _checked_place(target, inputs)
     known = read_manifest(real)
@@ -260,10 +256,8 @@ def creating(path: Path) -> Iterator[Path]:
 
     Raises
     ------
-    InputError
-        There is such a file already, or it cannot be written.
-    OSError
-        The disk is full.
+    InputError : there is such a file already, or it cannot be written
+    OSError : the disk is full
     """
     _refuse_existing(path)
     with ExitStack() as stack:
@@ -288,10 +282,8 @@ def replacing(path: Path, kind: type[InputError] = InputError) -> Iterator[Path]
 
     Raises
     ------
-    InputError
-        It cannot be written; `kind` where another one is asked for.
-    OSError
-        The disk is full.
+    InputError : it cannot be written; `kind` where another one is asked for
+    OSError : the disk is full
     """
     part = path.with_name(f".{path.name}.{os.getpid()}.part")  # others may write it, too
     try:
@@ -324,8 +316,7 @@ def read_json(path: Path) -> dict[str, Any]:
 
     Raises
     ------
-    InputError
-        The file is missing, damaged or no object.
+    InputError : the file is missing, damaged or no object
     """
     try:
         content = json.loads(path.read_text(encoding="utf-8"))

@@ -82,8 +82,7 @@ def working_folder(place: Path, target: str) -> Iterator[Path]:
 
     Raises
     ------
-    OSError
-        It cannot be made.
+    OSError : it cannot be made
     """
     folder, lock = None, None
     try:

@@ -72,8 +72,8 @@ class Adjustment:
         perspective bias of dots and the displacement of defocus taken out
     residuals_px : per pose (n, 4) float: measured minus projected
     used : per pose (n,) bool, features that took part
-    spread_px : standard deviation of the camera's residuals, and of the projector's beyond what
-        the camera's explain
+    spread_px : standard deviation of the camera's residuals, and of the projector's beyond what the
+        camera's explain
     degrees_of_freedom : measured numbers minus free parameters
     """
 

@@ -157,8 +157,8 @@ def check_first_step(pixels: FloatArray, patterns: PatternSet) -> None:
 
     Raises
     ------
-    CaptureError : the phase frames along an axis start at another step, run backwards, or are
-        those of the other axis
+    CaptureError : the phase frames along an axis start at another step, run backwards, or are those
+        of the other axis
     """
     if patterns.code not in ("complementary_gray", "shifted_gray"):
         return

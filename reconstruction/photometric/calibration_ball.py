@@ -161,8 +161,8 @@ class SampleOptions:
     ----------
     threshold_levels : colour difference that tells touched from untouched gel
     smoothing_px : side of the square over which colours are averaged; odd, 1 for none
-    marker_level : grey level up to which a pixel is a printed dot (70 in the vendor's programs)
-        and left out; 0 where the gel has no dots
+    marker_level : grey level up to which a pixel is a printed dot (70 in the vendor's programs) and
+        left out; 0 where the gel has no dots
     unreadable_share : share of the images that may lack a contact circle and are left out then, as
         one would press again; 0: every image must have one
 

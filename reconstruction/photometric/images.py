@@ -67,8 +67,8 @@ def find_markers(
     Parameters
     ----------
     levels : (row, col, 3) float32, red first; grey = 0.299 R + 0.587 G + 0.114 B
-    small : leave out what is dark over more than a dot, such as the corners of the field, which
-        the lamps hardly reach; the vendor's programs do not
+    small : leave out what is dark over more than a dot, such as the corners of the field, which the
+        lamps hardly reach; the vendor's programs do not
     """
     if highest_level == 0:
         return np.zeros(levels.shape[:2], dtype=np.bool_)

@@ -68,8 +68,8 @@ class SensorCalibration:
     background : (row, col, 3) float32, mean of untouched images, 8-bit levels, red first
     pitch_mm : distance of neighbouring pixels on the surface
     smoothing_px : side of the square over which colours are averaged first; odd
-    marker_level : grey level up to which a pixel is a printed dot (70 in the vendor's programs);
-        0 where the gel has no dots
+    marker_level : grey level up to which a pixel is a printed dot (70 in the vendor's programs); 0
+        where the gel has no dots
 
     Raises
     ------

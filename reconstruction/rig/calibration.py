@@ -98,8 +98,8 @@ def read_calibration(path: Path | str) -> Calibration:
 
     Raises
     ------
-    CaptureError : the file is missing or is no YAML, a key is missing, a value has the wrong
-        shape, a transform is no rigid motion
+    CaptureError : the file is missing or is no YAML, a key is missing, a value has the wrong shape,
+        a transform is no rigid motion
     """
     path = Path(path)
     storage = _open(path)

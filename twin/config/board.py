@@ -110,10 +110,8 @@ def load_board(name: str | Path) -> BoardFile:
 
     Raises
     ------
-    ConfigError
-        One line per problem: what, where, found, allowed.
-    AssetError
-        No such board.
+    ConfigError : one line per problem: what, where, found, allowed
+    AssetError : no such board
     """
     file = scene_file(name)
     values, origins = split_quantities(convert_units(read_toml(file)))

@@ -77,8 +77,7 @@ class Input(Model):
 
         Raises
         ------
-        ConfigError
-            The key does not lead to a number.
+        ConfigError : the key does not lead to a number
         """
         found = number_at(experiment, self.key)
         if found is None:
@@ -118,8 +117,7 @@ def load_inputs(name: str | Path = DEFAULT_INPUTS) -> Inputs:
 
     Raises
     ------
-    ConfigError
-        One line per problem.
+    ConfigError : one line per problem
     """
     file = scene_file(name)
     tree = with_sources(read_toml(file), str(file))
@@ -135,8 +133,7 @@ def with_sources(tree: dict[str, Any], where: str) -> dict[str, Any]:
 
     Raises
     ------
-    ConfigError
-        A quantity without a source, or outside its range.
+    ConfigError : a quantity without a source, or outside its range
     """
     found = tree.get("inputs")
     if not isinstance(found, dict):

@@ -115,14 +115,11 @@ def check_lamps(lamps: Mapping[str, Lamp], others: Mapping[str, Any]) -> None:
 
     Parameters
     ----------
-    lamps : mapping
-    others : mapping
-        The validated tables by name; invalid ones are absent, and reported elsewhere.
+    others : the validated tables by name; invalid ones are absent, and reported elsewhere
 
     Raises
     ------
-    ValueError
-        One line: what, found, allowed, what to do.
+    ValueError : one line: what, found, allowed, what to do
     """
     if "modality" in others and not TRAITS[others["modality"]].fringes:
         _check_method(lamps, others)

@@ -89,14 +89,11 @@ def check_rig(layers: Mapping[str, Layer], others: Mapping[str, Any]) -> None:
 
     Parameters
     ----------
-    layers : mapping
-    others : mapping
-        The validated tables by name; invalid ones are absent, and reported elsewhere.
+    others : the validated tables by name; invalid ones are absent, and reported elsewhere
 
     Raises
     ------
-    ValueError
-        One line: what, found, allowed, what to do.
+    ValueError : one line: what, found, allowed, what to do
     """
     if not layers:
         return

@@ -25,15 +25,12 @@ def load_experiment(path: str | Path, overrides: Mapping[str, Any] | None = None
 
     Parameters
     ----------
-    path : path or str
-        A TOML file, or the name of a shipped one ("paper/two_balls").
-    overrides : mapping, optional
-        Values by dotted path ("camera.binning") laid over the file.
+    path : a TOML file, or the name of a shipped one ("paper/two_balls")
+    overrides : values by dotted path ("camera.binning") laid over the file
 
     Raises
     ------
-    ConfigError
-        With one line per problem: what, where, found, allowed.
+    ConfigError : with one line per problem: what, where, found, allowed
     """
     file = scene_file(path)
     tree = resolve_uses(read_toml(file), (file,))

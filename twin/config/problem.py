@@ -237,13 +237,11 @@ def load_problem(path: str | Path) -> tuple[SensorProblem, dict[str, Experiment]
 
     Parameters
     ----------
-    path : path or str
-        A TOML file, or the name of a shipped one.
+    path : a TOML file, or the name of a shipped one
 
     Raises
     ------
-    ConfigError
-        With one line per fault: what, where, found, allowed.
+    ConfigError : with one line per fault: what, where, found, allowed
     """
     file = scene_file(path)
     try:

@@ -41,15 +41,12 @@ def convert_units(tree: dict[str, Any], path: str = "") -> dict[str, Any]:
 
     Parameters
     ----------
-    tree : dict
-        Nested tables as read from TOML.
-    path : str
-        Dotted path of `tree`, for messages.
+    tree : nested tables as read from TOML
+    path : dotted path of `tree`, for messages
 
     Raises
     ------
-    ConfigError
-        The unit is unknown or measures something else than the key.
+    ConfigError : the unit is unknown or measures something else than the key
     """
     return {key: _convert(key, value, f"{path}{key}") for key, value in tree.items()}
 
@@ -89,8 +86,7 @@ def split_quantities(
 
     Raises
     ------
-    ConfigError
-        A quantity without a source.
+    ConfigError : a quantity without a source
     """
     values: dict[str, Any] = {}
     provenance: dict[str, Provenance] = {}
@@ -117,8 +113,7 @@ def check_ranges(values: dict[str, Any], provenance: dict[str, Provenance], wher
 
     Raises
     ------
-    ConfigError
-        One line per value, which begins with `where`.
+    ConfigError : one line per value, which begins with `where`
     """
     problems = []
     for path, origin in provenance.items():

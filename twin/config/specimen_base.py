@@ -91,8 +91,7 @@ def require_at_most(key: str, found_mm: float, limit_mm: float, why: str) -> Non
 
     Raises
     ------
-    ValueError
-        Names the key, what was found, what is allowed and which other keys say so.
+    ValueError : names the key, what was found, what is allowed and which other keys say so
     """
     if found_mm > limit_mm:
         raise ValueError(f"{key}: found {found_mm:g}, allowed at most {limit_mm:g}: {why}")

@@ -197,13 +197,11 @@ def load_study(path: str | Path) -> tuple[Study, Experiment]:
 
     Parameters
     ----------
-    path : path or str
-        A TOML file, or the name of a shipped one ("studies/albedo_flakes").
+    path : a TOML file, or the name of a shipped one ("studies/albedo_flakes")
 
     Raises
     ------
-    ConfigError
-        With one line per problem: what, where, found, allowed.
+    ConfigError : with one line per problem: what, where, found, allowed
     """
     file = scene_file(path)
     tree = read_toml(file)

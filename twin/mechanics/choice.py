@@ -27,10 +27,8 @@ def press_with(
 
     Raises
     ------
-    PressError
-        What the model cannot do, and what to change.
-    SolverError
-        The solution did not converge.
+    PressError : what the model cannot do, and what to change
+    SolverError : the solution did not converge
     """
     # The references pull in scikit-fem and interpolators: only on demand.
     if mechanics.model == "fem":
@@ -71,8 +69,7 @@ def check_press(
 
     Raises
     ------
-    PressError
-        What the model cannot do, and what to change.
+    PressError : what the model cannot do, and what to change
     """
     if mechanics.model == "fem":
         from twin.mechanics.reference.fem import check_fem
@@ -188,8 +185,7 @@ def read_pad(source: PadFile, elastomer: Elastomer) -> "Pad":
 
     Raises
     ------
-    InputError
-        The file is missing, unreadable or not closed, or the layout does not fit.
+    InputError : the file is missing, unreadable or not closed, or the layout does not fit
     """
     from twin.mechanics.reference.pad import Hold, Pad, facing, on_plane
 

@@ -85,25 +85,18 @@ def solve_contact(
 
     Parameters
     ----------
-    deflect : callable
-        Pressure over modulus (row, col) to deflection of the touched face (row, col), mm.
-    height_mm : (row, col) float, mm
-        The specimen's height behind its foremost point, inf where absent.
-    control : Control
-        What is prescribed.
-    tolerance : float
-        Largest relative change of the pressure per pass, as its sum of absolute values.
-    max_iterations : int
-        Passes before the solver gives up.
-    scaling : Scaling, optional
-        Approximate inverse of `deflect`; the passes then hardly grow with the grid.
-    start : (row, col) float, optional
-        First guess of the pressure over modulus.
+    deflect : pressure over modulus (row, col) to deflection of the touched face (row, col), mm
+    height_mm : (row, col) float, mm; the specimen's height behind its foremost point, inf where
+        absent
+    control : what is prescribed
+    tolerance : largest relative change of the pressure per pass, as its sum of absolute values
+    max_iterations : passes before the solver gives up
+    scaling : approximate inverse of `deflect`; the passes then hardly grow with the grid
+    start : (row, col) float; first guess of the pressure over modulus
 
     Raises
     ------
-    SolverError
-        The passes were used up.
+    SolverError : the passes were used up
     """
     present = np.isfinite(height_mm)
     height = np.where(present, height_mm, 0.0)
@@ -270,19 +263,15 @@ def solve_on_layer(
 
     Parameters
     ----------
-    layer : FreeSlab or BondedLayer
-        Best with numbers of cells that are multiples of 16.
-    height_mm : (row, col) float, mm
-        The specimen's height behind its foremost point, inf where absent.
-    control : DepthControl or ForceControl
-        What is prescribed.
-    tolerance : float
-        Largest relative change of the pressure per pass.
+    layer : best with numbers of cells that are multiples of 16
+    height_mm : (row, col) float, mm; the specimen's height behind its foremost point, inf where
+        absent
+    control : what is prescribed
+    tolerance : largest relative change of the pressure per pass
 
     Raises
     ------
-    SolverError
-        No solution was found.
+    SolverError : no solution was found
     """
     guess, passes = _guess(layer, height_mm, control), 0
     for _ in range(_MOST_PATCHES):

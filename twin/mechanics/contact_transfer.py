@@ -75,15 +75,12 @@ def contact_transfer(elastomer: Elastomer, pitches_mm: FloatArray | None = None)
 
     Parameters
     ----------
-    elastomer : Elastomer
-        The slab.
-    pitches_mm : (n,) float, mm, optional
-        Pitches; by default half to six thicknesses.
+    elastomer : the slab
+    pitches_mm : (n,) float, mm; pitches; by default half to six thicknesses
 
     Raises
     ------
-    PressError
-        A pitch that is not positive, or so long that the slab cannot be solved.
+    PressError : a pitch that is not positive, or so long that the slab cannot be solved
     """
     thickness = elastomer.thickness_mm
     default = thickness * np.geomspace(0.5, 6.0, 41)
@@ -106,8 +103,7 @@ def positive_pitches(pitches_mm: FloatArray) -> FloatArray:
 
     Raises
     ------
-    PressError
-        One is not positive.
+    PressError : one is not positive
     """
     pitches = np.atleast_1d(np.asarray(pitches_mm, dtype=np.float64))
     if not (pitches > 0).all():
@@ -180,24 +176,18 @@ def ridge_transfer(
 
     Parameters
     ----------
-    elastomer : Elastomer
-        A sheet or slab in the opposite-face layout; a film of its own is left out.
-    pressure_kpa : float, kPa
-        That presses the sheet onto the ridges: on a flat specimen the back pressure.
-    ridge_mm : float, mm
-        Crest to root.
-    pitches_mm : (n,) float, mm, optional
-        Pitches; by default 1 to 30 thicknesses.
+    elastomer : a sheet or slab in the opposite-face layout; a film of its own is left out
+    pressure_kpa : that presses the sheet onto the ridges: on a flat specimen the back pressure
+    ridge_mm : crest to root
+    pitches_mm : (n,) float, mm; pitches; by default 1 to 30 thicknesses
 
     Returns
     -------
-    ContactTransfer
-        `closed_form` is the T(q) of a sheet that lies on all of the ridge, `computed` what shows.
+    `closed_form` is the T(q) of a sheet that lies on all of the ridge, `computed` what shows
 
     Raises
     ------
-    PressError
-        No pressure, a ridge without height, or a pitch that is not positive.
+    PressError : no pressure, a ridge without height, or a pitch that is not positive
     """
     if not pressure_kpa > 0:
         raise PressError(

@@ -76,8 +76,7 @@ def bs_903_modulus_kpa(shore_a: float) -> float:
 
     Raises
     ------
-    PressError
-        A softer rubber, where the relation falls far below every measurement.
+    PressError : a softer rubber, where the relation falls far below every measurement
     """
     if not BS_903_FROM <= shore_a <= _LARGEST_SHORE:
         raise PressError(f"BS 903: found Shore A {shore_a:g}, allowed: 40 to 95")
@@ -106,8 +105,7 @@ def estimate_modulus(shore_a: float) -> ModulusEstimate:
 
     Raises
     ------
-    PressError
-        Hardness outside 0 to 95, where Gent's relation diverges.
+    PressError : hardness outside 0 to 95, where Gent's relation diverges
     """
     _check_shore("shore_a", shore_a)
     soft, hard = _reading(shore_a)
@@ -132,8 +130,7 @@ def estimate_modulus_00(shore_00: float) -> ModulusEstimate:
 
     Raises
     ------
-    PressError
-        Hardness outside 0 to 95.
+    PressError : hardness outside 0 to 95
     """
     _check_shore("shore_00", shore_00)
     soft, hard = _reading(shore_00)

@@ -67,8 +67,8 @@ def johnson_of(skewness: float, excess_kurtosis: float) -> Johnson:
 
     Parameters
     ----------
-    skewness, excess_kurtosis : float
-        Both 0, or tails above those of the log-normal distribution of that skewness.
+    skewness, excess_kurtosis : both 0, or tails above those of the log-normal distribution of that
+        skewness
 
     Notes
     -----

@@ -99,17 +99,14 @@ class FreeSlab(FlatLayer):
 
         Parameters
         ----------
-        pressure : (row, col) float
-            Pressure over modulus on the touched face, at cell centres.
-        rows, cols : int
-            Intervals along y and x.
-        uniform_load : float
-            Uniform pressure over modulus on the far face itself, along the press.
+        pressure : (row, col) float; pressure over modulus on the touched face, at cell centres
+        rows, cols : intervals along y and x
+        uniform_load : uniform pressure over modulus on the far face itself, along the press
 
         Returns
         -------
-        (rows + 1, cols + 1) float, mm
-            Deflection, 0 on the rim: the series itself, so no interpolation error or ripple.
+        (rows + 1, cols + 1) float, mm; deflection, 0 on the rim: the series itself, so no
+            interpolation error or ripple
         """
         spectrum = fft.dstn(pressure, type=2, workers=_WORKERS) * self._compliance_b
         if uniform_load:

@@ -54,8 +54,7 @@ def preload_of(elastomer: Elastomer, load: Press, modulus_kpa: float) -> Preload
 
     Raises
     ------
-    PressError
-        Pressure on a bonded layer, or weight without a density.
+    PressError : pressure on a bonded layer, or weight without a density
     """
     if elastomer.layout == "contact_face":
         if load.back_pressure_kpa:

@@ -86,30 +86,24 @@ def press(
 
     Parameters
     ----------
-    specimen : Specimen
-        What is pressed, in its pose.
-    elastomer : Elastomer
-        Flat slab on a simply supported rim, or gel bonded to a window.
-    load : Press
-        Depth or force, back pressure, gravity, and the pitches of solver and relief. Back pressure
-        drapes the slab over the specimen, weight lets it sag; the depth then counts from the plane
-        of the unloaded touched face.
-    any_depth : bool
-        Go on where a free slab's travel reaches its thickness: a first guess for other models.
+    specimen : what is pressed, in its pose
+    elastomer : flat slab on a simply supported rim, or gel bonded to a window
+    load : depth or force, back pressure, gravity, and the pitches of solver and relief. Back
+        pressure drapes the slab over the specimen, weight lets it sag; the depth then counts from
+        the plane of the unloaded touched face.
+    any_depth : go on where a free slab's travel reaches its thickness: a first guess for other
+        models
 
     Returns
     -------
-    PressedElastomer
-        On the solver's cells (of the contact-face layout: of a window larger than the pad) and the
-        relief's nodes.
+    On the solver's cells (of the contact-face layout: of a window larger than the pad) and the
+        relief's nodes
 
     Raises
     ------
-    PressError
-        The specimen reaches over the slab, the press needs more than the slab's thickness or than
-        the specimen's height, or touches no solver cell.
-    SolverError
-        The contact did not converge.
+    PressError : the specimen reaches over the slab, the press needs more than the slab's thickness
+        or than the specimen's height, or touches no solver cell
+    SolverError : the contact did not converge
     """
     shape = shape_of(specimen)
     check_load(shape, elastomer, load, any_depth=any_depth)
@@ -146,9 +140,8 @@ def check_load(shape: Shape, elastomer: Elastomer, load: Press, *, any_depth: bo
 
     Raises
     ------
-    PressError
-        The specimen reaches over the slab, the depth is the slab's thickness or more, or the
-        preload does not fit the layout.
+    PressError : the specimen reaches over the slab, the depth is the slab's thickness or more, or
+        the preload does not fit the layout
     """
     check_outline(shape, elastomer)
     preload_of(elastomer, load, young_modulus(elastomer).best_kpa)
@@ -190,8 +183,7 @@ def check_outline(shape: Shape, elastomer: Elastomer) -> None:
 
     Raises
     ------
-    PressError
-        Names the axis, what was found and what is allowed.
+    PressError : names the axis, what was found and what is allowed
     """
     x_low, x_high, y_low, y_high = shape.bounds_mm()
     free = elastomer.layout == "opposite_face"

@@ -23,20 +23,15 @@ def touched_at_nodes(
 
     Parameters
     ----------
-    deflection_mm : (row, col) float, mm
-        At the cell centres, along the press.
-    cells_mm : ((row,), (col,)) float, mm
-        World y and x of the cell centres.
-    nodes_mm : ((node row,), (node col,)) float, mm
-        World y and x of the nodes, within the cells.
-    indented_mm : (node row, node col) float, mm
-        Depth minus the specimen's height at the nodes, -inf where there is no specimen: no face
-        lies lower.
+    deflection_mm : (row, col) float, mm; at the cell centres, along the press
+    cells_mm : ((row,), (col,)) float, mm; world y and x of the cell centres
+    nodes_mm : ((node row,), (node col,)) float, mm; world y and x of the nodes, within the cells
+    indented_mm : (node row, node col) float, mm; depth minus the specimen's height at the nodes,
+        -inf where there is no specimen: no face lies lower
 
     Returns
     -------
-    (node row, node col) float, mm
-        Deflection at the nodes.
+    (node row, node col) float, mm; deflection at the nodes
 
     Notes
     -----

@@ -44,8 +44,7 @@ def unit_press(
 
     Raises
     ------
-    PressError, SolverError
-        As `press_with`.
+    PressError, SolverError : as `press_with`
     """
     if not modulus_only_scales(mechanics, elastomer, load):
         return None
@@ -77,26 +76,20 @@ def calibrate_modulus(
 
     Parameters
     ----------
-    measured_force_n : float, N
-        Read from the stage, > 0.
-    pressed : PressedElastomer
-        The same press by DEPTH, of any modulus, without back pressure, gravity or film: its force
-        is then in proportion to the modulus.
-    force_error : float
-        Relative error of the force gauge.
-    depth_error_mm : float, mm
-        Error of the depth, first touch included.
+    measured_force_n : read from the stage, > 0
+    pressed : the same press by DEPTH, of any modulus, without back pressure, gravity or film: its
+        force is then in proportion to the modulus
+    force_error : relative error of the force gauge
+    depth_error_mm : error of the depth, first touch included
 
     Returns
     -------
-    ModulusEstimate
-        Range: errors of gauge, depth (force grows at least as depth^1.5, taken as depth^2) and
-        model (4 %) added up.
+    Range: errors of gauge, depth (force grows at least as depth^1.5, taken as depth^2) and model (4
+        %) added up
 
     Raises
     ------
-    PressError
-        A force that is not positive.
+    PressError : a force that is not positive
     """
     if not measured_force_n > 0:
         raise PressError(f"measured force: found {measured_force_n:g} N, allowed: more than 0")

@@ -57,8 +57,7 @@ def write_press(path: Path, pressed: PressedElastomer) -> None:
 
     Raises
     ------
-    PressError
-        The file cannot be written.
+    PressError : the file cannot be written
     """
     with replacing(path, PressError) as part, writing_netcdf(part) as file:
         _fill(file, pressed)
@@ -69,8 +68,7 @@ def read_press(path: Path) -> PressedElastomer:
 
     Raises
     ------
-    PressError
-        The file is missing, damaged or something else.
+    PressError : the file is missing, damaged or something else
     """
     try:
         with h5netcdf.File(path, "r") as file:
@@ -98,8 +96,7 @@ def write_in_plane(
 
     Raises
     ------
-    PressError
-        The press is not of the spectral model, or the file cannot be written.
+    PressError : the press is not of the spectral model, or the file cannot be written
     """
     if pressed.model != "spectral":
         raise PressError(f"in-plane displacement: the model is {pressed.model}, allowed: spectral")
@@ -122,8 +119,7 @@ def write_mesh(path: Path, mesh: trimesh.Trimesh) -> None:
 
     Raises
     ------
-    PressError
-        The file is to be neither, or cannot be written.
+    PressError : the file is to be neither, or cannot be written
     """
     kind = path.suffix.lower()
     if kind not in (".ply", ".stl"):

@@ -61,19 +61,16 @@ class Field:
 
         Parameters
         ----------
-        X_mm, Y_mm : (...) float, mm
-            Material coordinates: where in the world the points lie while the elastomer is flat and
-            untouched. Within the field's extent.
+        X_mm, Y_mm : (...) float, mm; material coordinates: where in the world the points lie while
+            the elastomer is flat and untouched. Within the field's extent.
 
         Returns
         -------
-        (...) float, mm
-            Positive along the normal that points to +z.
+        (...) float, mm; positive along the normal that points to +z
 
         Raises
         ------
-        ValueError
-            A point lies outside the extent.
+        ValueError : a point lies outside the extent
         """
         cells = [
             np.asarray(along) / self.pitch_mm - first
@@ -93,15 +90,9 @@ def texture_field(texture: Texture, seed: int, extent_mm: Extent) -> Field:
 
     Parameters
     ----------
-    texture : Texture
-    seed : int
-        Root seed of the experiment: one seed, one coat.
-    extent_mm : (x_low, x_high, y_low, y_high) float, mm
-        Material coordinates that will be asked for. But for rounding, heights do not depend on it.
-
-    Returns
-    -------
-    Field
+    seed : root seed of the experiment: one seed, one coat
+    extent_mm : (x_low, x_high, y_low, y_high) float, mm; material coordinates that will be asked
+        for. But for rounding, heights do not depend on it.
     """
     distribution = johnson_of(texture.skewness, texture.excess_kurtosis)
     at_length = distribution.correlation_of_normals(exp(-1))
@@ -126,17 +117,12 @@ def textured(
 
     Parameters
     ----------
-    pressed : PressedElastomer
-    elastomer, load : Elastomer, Press
-        What was pressed, and how.
-    texture : Texture
-    seed : int
-        Root seed of the experiment.
+    elastomer, load : what was pressed, and how
+    seed : root seed of the experiment
 
     Returns
     -------
-    PressedElastomer
-        With the textured `face_z_mm`, and `texture_mm`, which is what was added to it.
+    With the textured `face_z_mm`, and `texture_mm`, which is what was added to it
 
     Notes
     -----
@@ -157,8 +143,7 @@ def texture_figures(pressed: PressedElastomer) -> dict[str, float]:
 
     Returns
     -------
-    dict
-        Empty for a smooth coat. The lag is the mean of those along x and y, in plan, over the face.
+    Empty for a smooth coat. The lag is the mean of those along x and y, in plan, over the face
     """
     if pressed.texture_mm is None:
         return {}
@@ -240,12 +225,9 @@ def in_plane_displacement(
 
     Parameters
     ----------
-    pressed : PressedElastomer
-        A press of the spectral model.
-    elastomer : Elastomer
-        What was pressed.
-    load : Press
-        How.
+    pressed : a press of the spectral model
+    elastomer : what was pressed
+    load : how
 
     Returns
     -------

@@ -64,17 +64,13 @@ def solve_transfer(q: FloatArray, poisson_ratio: float, base: Base) -> Transfer:
 
     Parameters
     ----------
-    q : (n,) float
-        Wavenumber times thickness, > 0.
-    poisson_ratio : float
-        0 < nu <= 0.5.
-    base : {"bonded", "free"}
-        Face b: no displacement, or no traction.
+    q : (n,) float; wavenumber times thickness, > 0
+    poisson_ratio : 0 < nu <= 0.5
+    base : {"bonded", "free"}; face b: no displacement, or no traction
 
     Returns
     -------
-    Transfer
-        Phi at each q.
+    Phi at each q
     """
     top, bottom = amplitudes(q, 0.0, poisson_ratio), amplitudes(q, 1.0, poisson_ratio)
     held = (bottom["U"], bottom["W"]) if base == "bonded" else (bottom["S_xz"], bottom["S_zz"])
@@ -121,8 +117,7 @@ def opposite_transfer(q: FloatArray) -> FloatArray:
 
     Parameters
     ----------
-    q : (...) float
-        Wavenumber times thickness, >= 0.
+    q : (...) float; wavenumber times thickness, >= 0
 
     >>> float(opposite_transfer(np.array([2 * np.pi / 2.40]))[0].round(2))
     0.5
@@ -151,20 +146,16 @@ def solve_coated(q: FloatArray, poisson_ratio: float, base: LoadedBase, film: Co
 
     Parameters
     ----------
-    q : (n,) float
-        Wavenumber times the whole thickness, > 0.
-    poisson_ratio : float
-        Of the slab, 0 < nu <= 0.5.
-    base : {"bonded", "free", "free_turned"}
-        "bonded": film on the touched face t; "free": film on the far face b; "free_turned": film
-        on t of a layer whose far face is free, the same slab loaded from its other side.
-    film : CoatFilm
-        The film.
+    q : (n,) float; wavenumber times the whole thickness, > 0
+    poisson_ratio : of the slab, 0 < nu <= 0.5
+    base : {"bonded", "free", "free_turned"}; "bonded": film on the touched face t; "free": film on
+        the far face b; "free_turned": film on t of a layer whose far face is free, the same slab
+        loaded from its other side
+    film : the film
 
     Returns
     -------
-    Transfer
-        Phi at each q, in units of the slab's E*.
+    Phi at each q, in units of the slab's E*
     """
     slab = _through(q * (1 - film.share), 1.0, poisson_ratio)
     coat = _through(q * film.share, film.shear_ratio, film.poisson_ratio)
@@ -241,8 +232,7 @@ def tabulate(
 
     Raises
     ------
-    PressError
-        The layer is too thin for its span.
+    PressError : the layer is too thin for its span
     """
     if lowest_q < SMALLEST_Q:
         raise PressError(
@@ -267,8 +257,7 @@ def normal_transfer(
 
     Raises
     ------
-    PressError
-        The layer is too thin for its span.
+    PressError : the layer is too thin for its span
     """
     table = tabulate(float(q.min()), poisson_ratio, base)
     return table(q, "normal_t"), table(q, "normal_b")

@@ -37,10 +37,7 @@ def albedo_image(board: Board, plate: BoardPlate, texel_mm: float) -> FloatImage
 
     Parameters
     ----------
-    board : Board
-    plate : BoardPlate
-    texel_mm : float
-        Asked-for texel size; the plate holds whole texels.
+    texel_mm : asked-for texel size; the plate holds whole texels
     """
     x_mm, y_mm = (_texel_centres(size, texel_mm) for size in (plate.width_mm, plate.height_mm))
     ink = board.ink(x_mm, -y_mm, texel_mm)
@@ -64,8 +61,7 @@ def render_board(experiment: Experiment, file: BoardFile, pose: BoardPose) -> Fr
 
     Raises
     ------
-    MissingBackend
-        No usable Dr.Jit backend.
+    MissingBackend : no usable Dr.Jit backend
     """
     activate()
     # Mitsuba may be imported only now: the backend's library is chosen when it loads.

@@ -41,15 +41,10 @@ class Bounces:
 
     Attributes
     ----------
-    most : int
-        Largest number of reflections after the first; 1 is light reflected twice. Sharp bodies do
-        not count.
-    paths : int
-        Random continuations per camera sample.
-    seed : int
-    surfaces : Surfaces
-    stage_light : StageLight, optional
-        What photons brought to the stage.
+    most : largest number of reflections after the first; 1 is light reflected twice. Sharp bodies
+        do not count.
+    paths : random continuations per camera sample
+    stage_light : what photons brought to the stage
     """
 
     most: int

@@ -12,10 +12,9 @@ def check_renderable(experiment: Experiment) -> None:
 
     Raises
     ------
-    InputError
-        Depth of field with one sample; a coat's binder below the index of the layer around it; the
-        stock engine with what it cannot express; a bare specimen without material, by the stock
-        engine, or with a light path that has one blur alone.
+    InputError : depth of field with one sample; a coat's binder below the index of the layer around
+        it; the stock engine with what it cannot express; a bare specimen without material, by the
+        stock engine, or with a light path that has one blur alone
     """
     check_samples(experiment)
     if not experiment.method.presses:

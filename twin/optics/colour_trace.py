@@ -43,10 +43,8 @@ class ColourScene:
 
     Parameters
     ----------
-    experiment : Experiment
-        Its lamps, layers, coating and dots are used; the specimen is not.
-    face : trimesh.Trimesh
-        Coated face in world mm.
+    experiment : its lamps, layers, coating and dots are used; the specimen is not
+    face : coated face in world mm
     """
 
     def __init__(self, experiment: Experiment, face: "trimesh.Trimesh") -> None:
@@ -62,8 +60,7 @@ class ColourScene:
 
         Raises
         ------
-        InputError
-            The face pokes through the layers that it is seen through.
+        InputError : the face pokes through the layers that it is seen through
         """
         check_below_layers(self._layers, face)
         if len(face.faces) != self._facets:
@@ -94,16 +91,12 @@ def trace_channels(scene: Any, rig: LampRig, samples: int) -> FloatImage:
 
     Parameters
     ----------
-    scene : mi.Scene
-        World in mm; emitters and sensors in it are ignored.
-    rig : LampRig
-    samples : int
-        A square number: camera rays per pixel.
+    scene : world in mm; emitters and sensors in it are ignored
+    samples : a square number: camera rays per pixel
 
     Returns
     -------
-    (row, col, channel) float32
-        Radiance in air, mW / (mm^2 sr).
+    (row, col, channel) float32; radiance in air, mW / (mm^2 sr)
     """
     width, height = rig.camera.pinhole.width_px, rig.camera.pinhole.height_px
     grid, table = SubPixels.of_image(width, height, samples), _Table.of(rig.emitters)

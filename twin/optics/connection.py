@@ -56,14 +56,9 @@ def connect(scene: Any, rig: Rig, hit: Any, bsdf: Any, coherent: bool = True) ->
 
     Parameters
     ----------
-    scene : mi.Scene
-    rig : Rig
-    hit : mi.SurfaceInteraction3f
-        May be invalid: then nothing is lit.
-    bsdf : mi.BSDFPtr
-        Of the hit surface.
-    coherent : bool
-        Neighbouring lanes ask for similar shadow rays.
+    hit : may be invalid: then nothing is lit
+    bsdf : of the hit surface
+    coherent : neighbouring lanes ask for similar shadow rays
     """
     light = _arrive(rig, hit.p)
     column_px, row_px = light.column_px, light.row_px
@@ -138,14 +133,11 @@ def axial_range_mm(scene: Any, rig: Rig) -> tuple[float, float]:
 
     Parameters
     ----------
-    scene : mi.Scene
-    rig : Rig
-        Through its layers points seem nearer than they are, but never above the highest face.
+    rig : through its layers points seem nearer than they are, but never above the highest face
 
     Raises
     ------
-    ValueError
-        The scene reaches behind the projector.
+    ValueError : the scene reaches behind the projector
     """
     corners = box_corners_mm(scene.bbox())
     if rig.layers is not None:

@@ -28,9 +28,8 @@ def perspective_sensor(
 
     Raises
     ------
-    ValueError
-        The pinhole has what stock Mitsuba cannot express: lens distortion, or an off-axis principal
-        point behind a thin lens.
+    ValueError : the pinhole has what stock Mitsuba cannot express: lens distortion, or an off-axis
+        principal point behind a thin lens
     """
     import mitsuba as mi
 

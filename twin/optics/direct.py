@@ -53,8 +53,7 @@ def solids(experiment: Experiment) -> tuple[Solid, ...]:
 
     Raises
     ------
-    InputError
-        A part of the specimen has no material.
+    InputError : a part of the specimen has no material
     """
     parts = bodies(experiment.specimen, 0.0)
     check_materials(parts)
@@ -76,8 +75,7 @@ def direct_scene(experiment: Experiment) -> DirectScene:
 
     Raises
     ------
-    InputError
-        A part of the specimen has no material.
+    InputError : a part of the specimen has no material
     """
     import mitsuba as mi
 

@@ -70,19 +70,14 @@ def export_stock(
 
     Parameters
     ----------
-    experiment : Experiment
-        `render.stock_emitter` chooses between `projector` and `spot`.
-    face : trimesh.Trimesh, optional
-        Coated face in world mm; None where the bare specimen is seen.
-    folder : Path
-        An existing folder.
-    progress : callable
-        Called with the finished fraction.
+    experiment : `render.stock_emitter` chooses between `projector` and `spot`
+    face : coated face in world mm; None where the bare specimen is seen
+    folder : an existing folder
+    progress : called with the finished fraction
 
     Returns
     -------
-    list of str
-        What the scene leaves out (see `inexpressible`).
+    What the scene leaves out (see `inexpressible`)
     """
     variant = activate().variant
     from twin.optics.scene import rig_of

@@ -55,16 +55,12 @@ class Arrival:
 
     Attributes
     ----------
-    column_px, row_px : mi.Float
-        Projector pixel whose light arrives.
-    axial_mm : mi.Float
-        Distance along the projector's axis to the point's image by the layers (sagittal).
-    direction : mi.Vector3f
-        Unit vector along which the point sees the light come.
-    clear_mm : mi.Float
-        Way along `direction` within which something else could stand in the light.
-    irradiance : mi.Float
-        On a surface element that faces `direction`, mW/mm^2.
+    column_px, row_px : mi.Float Projector pixel whose light arrives.
+    axial_mm : mi.Float Distance along the projector's axis to the point's image by the layers
+        (sagittal).
+    direction : mi.Vector3f Unit vector along which the point sees the light come.
+    clear_mm : mi.Float Way along `direction` within which something else could stand in the light.
+    irradiance : mi.Float On a surface element that faces `direction`, mW/mm^2.
     """
 
     column_px: Any
@@ -115,10 +111,7 @@ class LayerStack:
 
         Parameters
         ----------
-        projector : Device
-        irradiance_at_1mm : float
-            Of a white field in air (see `rig`).
-        point_mm : mi.Point3f
+        irradiance_at_1mm : of a white field in air (see `rig`)
 
         Notes
         -----

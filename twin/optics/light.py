@@ -53,12 +53,10 @@ class Defocus:
 
     Attributes
     ----------
-    blur_px : float
-        Standard deviation in the focal plane.
-    growth_px_mm : float
-        Standard deviation per difference of 1/z: focal length (px) times pupil diameter (mm) / 4.
-    focus_mm : float
-        Axial distance of the focal plane.
+    blur_px : standard deviation in the focal plane
+    growth_px_mm : standard deviation per difference of 1/z: focal length (px) times pupil diameter
+        (mm) / 4
+    focus_mm : axial distance of the focal plane
     """
 
     blur_px: float
@@ -119,17 +117,12 @@ class LightTable:
 
     Attributes
     ----------
-    profiles : (node, frame) float32
-        Relative light at best focus, 1 for a full white field; the last column is the outline of
-        the image.
-    first_px : float
-        Projector coordinate of node 0, px; nodes are 1 / OVERSAMPLING px apart.
-    frames : (frame,) int
-        Index of each profile's frame in the sequence.
-    levels : BlurLevels, optional
-        Blurs of `defocused`; None when the blur is the same at every distance.
-    defocused : (level, node, frame) float32
-        `profiles` at each of these blurs.
+    profiles : (node, frame) float32; relative light at best focus, 1 for a full white field; the
+        last column is the outline of the image
+    first_px : projector coordinate of node 0, px; nodes are 1 / OVERSAMPLING px apart
+    frames : (frame,) int; index of each profile's frame in the sequence
+    levels : blurs of `defocused`; None when the blur is the same at every distance
+    defocused : (level, node, frame) float32; `profiles` at each of these blurs
     """
 
     profiles: FloatImage
@@ -151,15 +144,12 @@ def light_tables(
 
     Parameters
     ----------
-    projector : Projector
-    patterns : PatternSet
-    axial_mm : (nearest, farthest), optional
-        Distances along the projector's axis at which surfaces may lie; needed with an aperture.
+    axial_mm : (nearest, farthest); distances along the projector's axis at which surfaces may lie;
+        needed with an aperture
 
     Raises
     ------
-    ValueError
-        The projector has an aperture, and no distances are given.
+    ValueError : the projector has an aperture, and no distances are given
     """
     defocus, levels = Defocus.of(projector), None
     if defocus is not None:

@@ -58,14 +58,10 @@ def mitsuba_mesh(
     ----------
     vertices_mm : (vertex, xyz) float, mm, world
     facets : (facet, 3) int, indices of vertices
-    bsdf : dict, optional
-        For `mi.load_dict`.
-    normals : (vertex, xyz) float, optional
-        Unit normals of a smooth surface; faceted without.
-    texture : (vertex, 2) float, optional
-        Coordinates on the bitmap.
-    shade : (vertex,) float, optional
-        The attribute `vertex_shade`.
+    bsdf : for `mi.load_dict`
+    normals : (vertex, xyz) float; unit normals of a smooth surface; faceted without
+    texture : (vertex, 2) float; coordinates on the bitmap
+    shade : (vertex,) float; the attribute `vertex_shade`
     """
     import mitsuba as mi
 
@@ -185,16 +181,13 @@ def set_coating(scene: Any, coating: Coating) -> None:
 
     Parameters
     ----------
-    scene : mi.Scene
-        Holds a mesh named `COATED_FACE`, as `coated_scene` makes it.
-    coating : Coating
-        Any: new numbers are parameter updates that keep the compiled kernel. Between a matte ink
-        and one with a binder the BSDF is exchanged, which compiles one kernel more.
+    scene : holds a mesh named `COATED_FACE`, as `coated_scene` makes it
+    coating : any: new numbers are parameter updates that keep the compiled kernel. Between a matte
+        ink and one with a binder the BSDF is exchanged, which compiles one kernel more.
 
     Raises
     ------
-    ValueError
-        The scene has no coated face.
+    ValueError : the scene has no coated face
     """
     import mitsuba as mi
 

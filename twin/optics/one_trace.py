@@ -84,19 +84,13 @@ def trace_stack(
 
     Parameters
     ----------
-    scene : mi.Scene
-        World in mm; emitters and sensors in it are ignored.
-    rig : Rig
-    tables : dict
-        Light tables of the axes "column" and "row".
-    samples : int
-        A square number: camera rays per pixel.
-    bounces : Bounces, optional
-        Light that is reflected more than once; None leaves it out.
-    progress : callable
-        Told the finished fraction of the bounces.
-    smooth_within_px : float
-        Pixels whose samples lie within this many projector pixels look the light up once.
+    scene : world in mm; emitters and sensors in it are ignored
+    tables : light tables of the axes "column" and "row"
+    samples : a square number: camera rays per pixel
+    bounces : light that is reflected more than once; None leaves it out
+    progress : told the finished fraction of the bounces
+    smooth_within_px : pixels whose samples lie within this many projector pixels look the light up
+        once
 
     Returns
     -------

@@ -58,13 +58,9 @@ class Photons:
 
     Attributes
     ----------
-    x_mm, y_mm : (photon,) float32
-        World position.
-    column_px, row_px : (photon,) float32
-        Projector pixel that each comes from.
-    flux_mw : (photon,) float32
-        Flux in the white image.
-    balance : Balance
+    x_mm, y_mm : (photon,) float32; world position
+    column_px, row_px : (photon,) float32; projector pixel that each comes from
+    flux_mw : (photon,) float32; flux in the white image
     """
 
     x_mm: FloatImage
@@ -93,13 +89,8 @@ def trace_photons(scene: Any, surfaces: Surfaces, rig: Rig, *, count: int, seed:
 
     Parameters
     ----------
-    scene : mi.Scene
-        World in mm; its stage must be horizontal.
-    surfaces : Surfaces
-    rig : Rig
-    count : int
-        Photons sent towards the bounding boxes of the sharp bodies.
-    seed : int
+    scene : world in mm; its stage must be horizontal
+    count : photons sent towards the bounding boxes of the sharp bodies
     """
     low, high = _window(surfaces, rig)
     rotation = rig.projector.T_world_from_device[:3, :3]
@@ -243,14 +234,10 @@ class IrradianceMap:
 
     Attributes
     ----------
-    irradiance : (row, col, frame) float32, mW/mm^2
-        Frames in the order of the tables: those of the columns, then those of the rows; padded
-        with zeros to a multiple of four.
-    first_x_mm, first_y_mm : float
-        World position of node (0, 0); x grows with the column, y with the row.
-    pitch_mm : float
-    frames : int
-        How many of the last axis are not padding.
+    irradiance : (row, col, frame) float32, mW/mm^2; frames in the order of the tables: those of the
+        columns, then those of the rows; padded with zeros to a multiple of four
+    first_x_mm, first_y_mm : world position of node (0, 0); x grows with the column, y with the row
+    frames : how many of the last axis are not padding
     """
 
     irradiance: FloatImage

@@ -128,9 +128,7 @@ class ThinLens:
 
     Attributes
     ----------
-    radius_mm : float
-    focus_mm : float
-        Axial distance of the plane in focus.
+    focus_mm : axial distance of the plane in focus
     """
 
     radius_mm: float

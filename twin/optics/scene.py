@@ -26,8 +26,7 @@ def coated_scene(experiment: Experiment, face: "trimesh.Trimesh") -> Any:
 
     Raises
     ------
-    InputError
-        The face pokes through the layers that it is seen through.
+    InputError : the face pokes through the layers that it is seen through
     """
     return face_scene(experiment, face, coating_in_layer(experiment))
 
@@ -37,8 +36,7 @@ def face_scene(experiment: Experiment, face: "trimesh.Trimesh", coating: Coating
 
     Raises
     ------
-    InputError
-        The face pokes through the layers that it is seen through.
+    InputError : the face pokes through the layers that it is seen through
     """
     check_below_layers(experiment.layers, face)
     mesh = coated_mesh(face, coating_bsdf(coating))
@@ -51,8 +49,7 @@ def rig_of(experiment: Experiment) -> Rig:
 
     Raises
     ------
-    InputError
-        Depth of field with one sample per pixel, which sees through one place of the lens.
+    InputError : depth of field with one sample per pixel, which sees through one place of the lens
     """
     calibration = true_calibration(experiment)
     lens = ThinLens.of(experiment.camera, calibration.T_world_from_cam)
@@ -83,8 +80,7 @@ def coating_in_layer(experiment: Experiment) -> Coating:
 
     Raises
     ------
-    InputError
-        The binder's index is below the medium's.
+    InputError : the binder's index is below the medium's
     """
     coating, holder = experiment.coating, holding_layer(experiment.layers)
     if holder is None:
@@ -130,9 +126,7 @@ class Surfaces:
 
     Attributes
     ----------
-    sharp : tuple of Sharp
-    stage : mi.Shape, optional
-        Horizontal matte plane; None when there is none.
+    stage : mi.Shape, optional Horizontal matte plane; None when there is none.
     """
 
     sharp: tuple[Sharp, ...] = ()

@@ -24,16 +24,13 @@ def may_shade_itself(face: "trimesh.Trimesh", source_mm: FloatArray) -> bool:
 
     Parameters
     ----------
-    face : trimesh.Trimesh
-        World frame, mm.
-    source_mm : (3,) float
-        World position of the light, mm.
+    face : world frame, mm
+    source_mm : (3,) float; world position of the light, mm
 
     Returns
     -------
-    bool
-        False is proven; True also for every mesh that is not a grid of heights as `face_mesh`
-        builds it, and for a source below the highest point.
+    False is proven; True also for every mesh that is not a grid of heights as `face_mesh` builds
+        it, and for a source below the highest point
     """
     grid = _height_grid(face)
     if grid is None:

@@ -13,18 +13,15 @@ class Truth:
 
     Attributes
     ----------
-    points_world_mm : (row, col, xyz) float32
-        Surface point; 0 where the ray hits nothing.
-    normals_world : (row, col, xyz) float32
-        Unit normal of the (smooth) surface there; 0 where the ray hits nothing.
-    depth_mm : (row, col) float32
-        Distance from the camera along its optical axis; 0 where the ray hits nothing.
-    column_px, row_px : (row, col) float32
-        Projector coordinate of that point.
-    lit : (row, col) bool
-        The point is seen by the camera and lit by the projector's image.
-    measured : (row, col) bool
-        The point lies on what is to be measured (coat or specimen), not on the stage.
+    points_world_mm : (row, col, xyz) float32; surface point; 0 where the ray hits nothing
+    normals_world : (row, col, xyz) float32; unit normal of the (smooth) surface there; 0 where the
+        ray hits nothing
+    depth_mm : (row, col) float32; distance from the camera along its optical axis; 0 where the ray
+        hits nothing
+    column_px, row_px : (row, col) float32; projector coordinate of that point
+    lit : (row, col) bool; the point is seen by the camera and lit by the projector's image
+    measured : (row, col) bool; the point lies on what is to be measured (coat or specimen), not on
+        the stage
     """
 
     points_world_mm: FloatImage
@@ -42,10 +39,9 @@ class RadianceStack:
 
     Attributes
     ----------
-    frames : tuple of (row, col) float32, mW / (mm^2 sr)
-        Mean radiance over each camera pixel, in the order of the sequence. Not one array: at full
-        size a stack has 600 MB, and the camera takes it frame by frame.
-    truth : Truth
+    frames : tuple of (row, col) float32, mW / (mm^2 sr) Mean radiance over each camera pixel, in
+        the order of the sequence. Not one array: at full size a stack has 600 MB, and the camera
+        takes it frame by frame.
     """
 
     frames: Frames

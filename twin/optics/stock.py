@@ -34,11 +34,8 @@ class Canvas:
 
     Attributes
     ----------
-    kind : "projector" or "spot"
-        Emitter that carries it.
-    half_width_px, half_height_px : float
-        Half extent in projector pixels.
-    texels_per_px : int
+    kind : "projector" or "spot" Emitter that carries it.
+    half_width_px, half_height_px : half extent in projector pixels
     """
 
     kind: Emitter
@@ -195,8 +192,7 @@ def render_stack(
 
     Raises
     ------
-    ValueError
-        The camera has lens distortion.
+    ValueError : the camera has lens distortion
     """
     sensor = perspective_sensor(
         rig.camera.pinhole, rig.camera.T_world_from_device, samples, rig.camera.lens

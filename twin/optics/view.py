@@ -76,8 +76,8 @@ class VisibleSurface:
     hit : (row, col) bool
     points_mm : (row, col, xyz) float32, 0 where nothing is hit
     normals : (row, col, xyz) float32, unit normals of the facets, turned to the camera
-    sunlit : (row, col) bool
-        Nothing lies between the point and the distant lamp, which is on the visible side.
+    sunlit : (row, col) bool; nothing lies between the point and the distant lamp, which is on the
+        visible side
     """
 
     hit: BoolImage
@@ -98,13 +98,11 @@ def visible_surface(
     ----------
     vertices_mm : (vertex, xyz) float, world
     triangles : (triangle, 3) int
-    camera : ViewCamera
     towards_lamp : direction to a lamp infinitely far away
 
     Raises
     ------
-    MissingBackend
-        No usable Dr.Jit backend.
+    MissingBackend : no usable Dr.Jit backend
     """
     activate()
     import drjit as dr
@@ -159,12 +157,9 @@ class SceneObject:
 
     Attributes
     ----------
-    bsdf : dict
-        For `mi.load_dict`; a tuple of three numbers stands for red, green and blue.
-    shade : (vertex,) float, optional
-        Albedo of a matte surface at each vertex; the BSDF is then not used.
-    smooth : bool
-        With the mesh's vertex normals; faceted otherwise.
+    bsdf : for `mi.load_dict`; a tuple of three numbers stands for red, green and blue
+    shade : (vertex,) float; albedo of a matte surface at each vertex; the BSDF is then not used
+    smooth : with the mesh's vertex normals; faceted otherwise
     """
 
     name: str
@@ -194,7 +189,6 @@ def picture(
     Parameters
     ----------
     objects : at least one, all names different
-    camera : ViewCamera
     samples : paths per pixel
     seed : the same seed gives the same picture
     gray : True: one pass instead of three, for objects without colours
@@ -206,8 +200,7 @@ def picture(
 
     Raises
     ------
-    MissingBackend
-        No usable Dr.Jit backend.
+    MissingBackend : no usable Dr.Jit backend
     """
     activate()
     passes = [0] if gray else range(_PRIMARIES)

@@ -151,8 +151,7 @@ def shape_of(specimen: Specimen) -> Shape:
 
     Raises
     ------
-    InputError
-        No shape is registered under the specimen's kind, or its mesh file is of no use.
+    InputError : no shape is registered under the specimen's kind, or its mesh file is of no use
     """
     kind = getattr(specimen, "kind", type(specimen).__name__)
     if kind not in _builders:
@@ -166,18 +165,14 @@ def height_above_lowest(specimen: Specimen, x_mm: FloatArray, y_mm: FloatArray) 
 
     Parameters
     ----------
-    specimen : Specimen
-        Configured specimen; its pose is honoured.
-    x_mm : (col,) float, mm
-        World x of the columns.
-    y_mm : (row,) float, mm
-        World y of the rows.
+    specimen : configured specimen; its pose is honoured
+    x_mm : (col,) float, mm; world x of the columns
+    y_mm : (row,) float, mm; world y of the rows
 
     Returns
     -------
-    (row, col) float, mm
-        Distance from the plane of first touch, counted away from the elastomer: 0 at the
-        foremost point, inf where there is no specimen. Exact, not a paraboloid.
+    (row, col) float, mm; distance from the plane of first touch, counted away from the elastomer: 0
+        at the foremost point, inf where there is no specimen. Exact, not a paraboloid.
     """
     return np.maximum(shape_of(specimen).height_above_lowest(x_mm, y_mm), 0.0)
 
@@ -187,11 +182,9 @@ def specimen_mesh(specimen: Specimen, touched_z_mm: float = 0.0) -> trimesh.Trim
 
     Parameters
     ----------
-    specimen : Specimen
-        Configured specimen; its pose is honoured.
-    touched_z_mm : float, mm
-        World z of the plane that the specimen touches from below: -thickness for the clear face
-        of the opposite-face layout, 0 for the coat of the contact-face layout.
+    specimen : configured specimen; its pose is honoured
+    touched_z_mm : world z of the plane that the specimen touches from below: -thickness for the
+        clear face of the opposite-face layout, 0 for the coat of the contact-face layout
     """
     return shape_of(specimen).mesh(touched_z_mm)
 

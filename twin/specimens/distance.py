@@ -37,11 +37,9 @@ class SignedDistance(Protocol):
 
         Parameters
         ----------
-        points_mm : (n, xyz) float, mm
-            Frame of the shape.
-        reach_mm : float, mm
-            Farther outside than this nothing is asked: the distance is then any value of at least
-            `reach_mm`, gradient and Hessian are 0.
+        points_mm : (n, xyz) float, mm; frame of the shape
+        reach_mm : farther outside than this nothing is asked: the distance is then any value of at
+            least `reach_mm`, gradient and Hessian are 0
 
         Returns
         -------

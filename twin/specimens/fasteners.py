@@ -64,12 +64,10 @@ def screw(
 
     Parameters
     ----------
-    major_mm, pitch_mm : float, mm
-        Major diameter and pitch.
-    low_mm, high_mm : float, mm
-        Heights between which the thread is complete; the ends beyond them are ragged, to be cut.
-    sections : int
-        Facets round one turn.
+    major_mm, pitch_mm : major diameter and pitch
+    low_mm, high_mm : heights between which the thread is complete; the ends beyond them are ragged,
+        to be cut
+    sections : facets round one turn
 
     Notes
     -----

@@ -82,16 +82,13 @@ def bodies(specimen: Specimen, touched_z_mm: float = 0.0) -> tuple[Body, ...]:
 
     Parameters
     ----------
-    specimen : Specimen
-        Configured specimen; its pose is honoured.
-    touched_z_mm : float, mm
-        World z of the plane that the specimen touches from below, as for `specimen_mesh`.
+    specimen : configured specimen; its pose is honoured
+    touched_z_mm : world z of the plane that the specimen touches from below, as for `specimen_mesh`
 
     Returns
     -------
-    tuple of Body
-        One per part of a group, in the file's order; a part without a material has the group's.
-        Overlapping parts stay separate here. Every other kind is one body, named by its kind.
+    One per part of a group, in the file's order; a part without a material has the group's.
+        Overlapping parts stay separate here. Every other kind is one body, named by its kind
     """
     shape = shape_of(specimen)
     if not isinstance(specimen, Group) or not isinstance(shape, Assembly):

@@ -37,15 +37,12 @@ def read_closed_mesh(key: str, name: str) -> trimesh.Trimesh:
 
     Parameters
     ----------
-    key : str
-        Key of the experiment file that names it, for messages.
-    name : str
-        Path of an STL, PLY or OBJ file; `scenes/...` finds shipped ones too.
+    key : key of the experiment file that names it, for messages
+    name : path of an STL, PLY or OBJ file; `scenes/...` finds shipped ones too
 
     Raises
     ------
-    InputError
-        The file is missing, no mesh, empty or not watertight.
+    InputError : the file is missing, no mesh, empty or not watertight
     """
     path = _find(key, name)
     try:
@@ -147,8 +144,7 @@ def build_mesh(specimen: MeshFile) -> MeshShape:
 
     Raises
     ------
-    InputError
-        The file is missing, no mesh, empty or not watertight.
+    InputError : the file is missing, no mesh, empty or not watertight
     """
     surface = read_closed_mesh("specimen.file", specimen.file)
     surface.apply_scale(specimen.scale)

@@ -17,15 +17,12 @@ def upper_side(triangles_mm: FloatArray, x_mm: FloatArray, y_mm: FloatArray) -> 
 
     Parameters
     ----------
-    triangles_mm : (n, 3, xyz) float, mm
-        Corners.
-    x_mm, y_mm : (col,) and (row,) float, mm
-        Grid lines in any order.
+    triangles_mm : (n, 3, xyz) float, mm; corners
+    x_mm, y_mm : (col,) and (row,) float, mm; grid lines in any order
 
     Returns
     -------
-    (row, col) float, mm
-        -inf where no triangle is met.
+    (row, col) float, mm; -inf where no triangle is met
     """
     order_x, order_y = np.argsort(x_mm, kind="stable"), np.argsort(y_mm, kind="stable")
     sorted_x, sorted_y = x_mm[order_x], y_mm[order_y]

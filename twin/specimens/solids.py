@@ -106,14 +106,10 @@ def level_set(
 
     Parameters
     ----------
-    level_mm : callable
-        Signed level.
-    box_mm : (x, y, z low, x, y, z high) float, mm
-        Box that holds the body.
-    edge_mm : float, mm
-        Edge of the facets before they are split.
-    refined : int
-        Pieces of each edge; the new vertices lie on the flat facets.
+    level_mm : signed level
+    box_mm : (x, y, z low, x, y, z high) float, mm; box that holds the body
+    edge_mm : edge of the facets before they are split
+    refined : pieces of each edge; the new vertices lie on the flat facets
     """
     negated = manifold3d.Manifold.level_set(lambda *at: -level_mm(*at), box_mm, edge_mm)
     return _from_manifold(negated.refine(refined))

@@ -68,15 +68,12 @@ def press_points(
 
     Parameters
     ----------
-    deflect : callable
-        Forces over modulus (point,) to deflections along the press (point,), mm; symmetric.
-    points : ContactPoints
-        Where contact is possible.
+    deflect : forces over modulus (point,) to deflections along the press (point,), mm; symmetric
+    points : where contact is possible
 
     Raises
     ------
-    SolverError
-        The contact set did not settle.
+    SolverError : the contact set did not settle
     """
     known = np.isfinite(points.gap_mm)
     gap = np.where(known, points.gap_mm, 0.0)

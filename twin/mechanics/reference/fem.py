@@ -98,29 +98,22 @@ def press_pad(
 
     Parameters
     ----------
-    shape : Shape
-        The specimen in its pose.
-    pad : Pad
-        What is pressed.
-    mesh : Tetrahedra
-        The pad's body, filled.
-    depth_mm, force_over_modulus_mm2 : float
-        Travel after first touch, or force over Young's modulus: give one of the two.
-    preload : Preload, optional
-        Uniform pressures over modulus on both faces, along +z; the depth counts from the plane of
-        first touch of the unloaded pad.
+    shape : the specimen in its pose
+    pad : what is pressed
+    mesh : the pad's body, filled
+    depth_mm, force_over_modulus_mm2 : travel after first touch, or force over Young's modulus: give
+        one of the two
+    preload : uniform pressures over modulus on both faces, along +z; the depth counts from the
+        plane of first touch of the unloaded pad
 
     Returns
     -------
-    PadPress
-        Both faces, pressure and force.
+    Both faces, pressure and force
 
     Raises
     ------
-    PressError
-        A selector chooses nothing, or the specimen misses the pad.
-    SolverError
-        The contact did not converge.
+    PressError : a selector chooses nothing, or the specimen misses the pad
+    SolverError : the contact did not converge
     """
     body = ElasticBody(mesh, pad.poisson_ratio, pad.holds)
     touched, coated = body.facets(pad.touched), body.facets(pad.coated)
@@ -218,35 +211,24 @@ def press_fem(
 
     Parameters
     ----------
-    specimen : Specimen
-        What is pressed, in its pose.
-    elastomer : Elastomer
-        Slab; with a `pad` only its modulus, layout and outline (for the grids) matter.
-    load : Press
-        Depth or force, preloads and pitches, as for the spectral press.
-    support : {"simple", "clamped", "ledge", "bonded", "window"}, optional
-        What holds the slab; by default a simple rim (opposite face) or the window behind a finite
-        pad with free sides (contact face).
-    ledge_mm : float, mm
-        Width of the frame on which a slab on a `ledge` rests, beyond its free span.
-    pad : Pad, optional
-        Another body than the slab.
-    count : int
-        About how many tetrahedra.
-    timeout_s : float, s
-        For meshing.
+    specimen : what is pressed, in its pose
+    elastomer : slab; with a `pad` only its modulus, layout and outline (for the grids) matter
+    load : depth or force, preloads and pitches, as for the spectral press
+    support : {"simple", "clamped", "ledge", "bonded", "window"}; what holds the slab; by default a
+        simple rim (opposite face) or the window behind a finite pad with free sides (contact face)
+    ledge_mm : width of the frame on which a slab on a `ledge` rests, beyond its free span
+    pad : another body than the slab
+    count : about how many tetrahedra
+    timeout_s : for meshing
 
     Returns
     -------
-    PressedElastomer
-        As from the spectral press; the relief grid is clipped to the pad's outline in plan.
+    As from the spectral press; the relief grid is clipped to the pad's outline in plan
 
     Raises
     ------
-    PressError
-        The specimen lies beside the pad, a film, or a support that does not fit the layout.
-    SolverError
-        Meshing failed, or the contact did not converge.
+    PressError : the specimen lies beside the pad, a film, or a support that does not fit the layout
+    SolverError : meshing failed, or the contact did not converge
     """
     check_fem(elastomer, support)
     shape, modulus_kpa = shape_of(specimen), young_modulus(elastomer).best_kpa
@@ -266,8 +248,7 @@ def check_fem(elastomer: Elastomer, support: SlabSupport | None) -> None:
 
     Raises
     ------
-    PressError
-        A film, or a support that does not fit the layout.
+    PressError : a film, or a support that does not fit the layout
     """
     if elastomer.film is not None:
         raise PressError(

@@ -70,8 +70,7 @@ def sample(shape: Shape, length_x_mm: float, length_y_mm: float) -> HeightField:
 
     Raises
     ------
-    PressError
-        The specimen lies beside the rectangle.
+    PressError : the specimen lies beside the rectangle
     """
     x_low, x_high, y_low, y_high = shape.bounds_mm()
     x = _axis(max(x_low, -length_x_mm / 2), min(x_high, length_x_mm / 2))

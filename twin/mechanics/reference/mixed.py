@@ -58,12 +58,9 @@ def neo_hookean(gradient: FloatArray, pressure: FloatArray, material: Moduli) ->
 
     Parameters
     ----------
-    gradient : (..., 3, 3) float
-        Deformation gradient F with det F > 0.
-    pressure : (...) float
-        p over Young's modulus.
-    material : Moduli
-        Over Young's modulus.
+    gradient : (..., 3, 3) float; deformation gradient F with det F > 0
+    pressure : (...) float; p over Young's modulus
+    material : over Young's modulus
     """
     J = np.linalg.det(gradient)
     inverse = np.swapaxes(np.linalg.inv(gradient), -1, -2)

@@ -129,29 +129,21 @@ def press_neo_hookean(
 
     Parameters
     ----------
-    specimen : Specimen
-        What is pressed, in its pose.
-    elastomer : Elastomer
-        Flat slab on a simply supported rim, or a pad with free sides bonded to a window.
-    load : Press
-        Depth or force, and pitches. A free slab may travel farther than it is thick.
-    bricks : Bricks, optional
-        How finely to solve.
-    linear : bool
-        Small strain and contact on the undeformed face by the same elements: what remains
-        against the spectral press is the elements' error.
+    specimen : what is pressed, in its pose
+    elastomer : flat slab on a simply supported rim, or a pad with free sides bonded to a window
+    load : depth or force, and pitches. A free slab may travel farther than it is thick.
+    bricks : how finely to solve
+    linear : small strain and contact on the undeformed face by the same elements: what remains
+        against the spectral press is the elements' error
 
     Returns
     -------
-    PressedElastomer
-        As from the spectral press; faces are seen at deformed positions.
+    As from the spectral press; faces are seen at deformed positions
 
     Raises
     ------
-    PressError
-        As `press`; also a film or a preload, which this model does not know.
-    SolverError
-        No equilibrium was found.
+    PressError : as `press`; also a film or a preload, which this model does not know
+    SolverError : no equilibrium was found
     """
     fineness, shape = bricks or Bricks(), shape_of(specimen)
     guess = press(specimen, elastomer, load, any_depth=True)
@@ -191,8 +183,7 @@ def check_neo_hookean(elastomer: Elastomer, load: Press) -> None:
 
     Raises
     ------
-    PressError
-        A film or a preload.
+    PressError : a film or a preload
     """
     modulus_kpa = young_modulus(elastomer).best_kpa
     if elastomer.film is not None or preload_of(elastomer, load, modulus_kpa):

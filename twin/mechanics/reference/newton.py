@@ -52,14 +52,11 @@ def push(
 
     Parameters
     ----------
-    surface : Surface
-        Points on the touched face.
-    traction : (point, axis) float
-        Per undeformed area.
-    stiffness : (point, axis, axis) float
-        Negative derivative of the traction by the point's position, per mm.
-    pressure, drag : (point,) float
-        Normal and tangential stress per undeformed area.
+    surface : points on the touched face
+    traction : (point, axis) float; per undeformed area
+    stiffness : (point, axis, axis) float; negative derivative of the traction by the point's
+        position, per mm
+    pressure, drag : (point,) float; normal and tangential stress per undeformed area
     """
     weight, wide = surface.weight_mm2, surface.vector_trace
     points = np.arange(weight.size + 1)
@@ -146,17 +143,13 @@ def press_to(problem: Problem, start: Equilibrium, depth_mm: float) -> Equilibri
 
     Parameters
     ----------
-    problem : Problem
-        What is pressed, and how to solve.
-    start : Equilibrium
-        Where the step begins.
-    depth_mm : float, mm
-        Where it ends.
+    problem : what is pressed, and how to solve
+    start : where the step begins
+    depth_mm : where it ends
 
     Raises
     ------
-    SolverError
-        The shortest step failed.
+    SolverError : the shortest step failed
     """
     at, step = start, depth_mm - start.depth_mm
     shortest = step / 2**problem.options.halvings

@@ -108,24 +108,19 @@ def slab_pad(
 
     Parameters
     ----------
-    span_mm : (float, float), mm
-        Free lengths along x and y.
-    thickness_mm : float, mm
-        Thickness.
-    poisson_ratio : float
-        0 < nu < 0.5.
-    support : {"simple", "clamped", "ledge", "bonded", "window"}
-        Touched at z = -thickness: rim without deflection, tangential displacement along it and
-        normal stress (as the spectral slab); rim held; a frame of the coated face beyond the free
-        span held, as by a window's edge. Touched at z = 0 and held at z = thickness: sides free;
-        sides on rollers (as one period of the spectral layer).
-    ledge_mm : float, mm
-        Width of that frame on each side.
+    span_mm : (float, float), mm; free lengths along x and y
+    thickness_mm : thickness
+    poisson_ratio : 0 < nu < 0.5
+    support : {"simple", "clamped", "ledge", "bonded", "window"}; touched at z = -thickness: rim
+        without deflection, tangential displacement along it and normal stress (as the spectral
+        slab); rim held; a frame of the coated face beyond the free span held, as by a window's
+        edge. Touched at z = 0 and held at z = thickness: sides free; sides on rollers (as one
+        period of the spectral layer).
+    ledge_mm : width of that frame on each side
 
     Raises
     ------
-    PressError
-        A ledge without width.
+    PressError : a ledge without width
     """
     if support == "ledge" and ledge_mm <= 0:
         raise PressError(f"pad: a window ledge needs a width, found {ledge_mm:g} mm")
@@ -174,10 +169,8 @@ def mesh_pad(
 
     Raises
     ------
-    PressError
-        The pad is not closed, or the specimen lies beside it.
-    SolverError
-        pytetwild failed.
+    PressError : the pad is not closed, or the specimen lies beside it
+    SolverError : pytetwild failed
     """
     touched, coated = _spread(pad.body, pad.touched), _spread(pad.body, pad.coated)
     zone = _zone(shape, touched, depth_mm)

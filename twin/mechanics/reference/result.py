@@ -53,8 +53,7 @@ def on_grids(
 
     Raises
     ------
-    PressError
-        The contact is too small for the cells.
+    PressError : the contact is too small for the cells
     """
     x, y = _centres(elastomer.length_x_mm, load), _centres(elastomer.length_y_mm, load)
     nodes_x, nodes_y = (
@@ -89,8 +88,7 @@ def check_depth(depth_mm: float, elastomer: Elastomer) -> None:
 
     Raises
     ------
-    PressError
-        It does.
+    PressError : it does
     """
     if depth_mm >= elastomer.thickness_mm:
         raise PressError(

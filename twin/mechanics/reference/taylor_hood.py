@@ -64,8 +64,7 @@ class ElasticBody:
 
         Raises
         ------
-        PressError
-            Nothing was chosen.
+        PressError : nothing was chosen
         """
         corners, centres, normals = self._boundary
         chosen = where(centres, normals)

@@ -65,21 +65,15 @@ def tetrahedralize(
 
     Parameters
     ----------
-    body : trimesh.Trimesh
-        Surface, mm; internal surfaces are kept as mesh faces.
-    sizing : callable
-        Wanted edge length per point.
-    epsilon : float
-        How far the surface may stray, over the diagonal of the bounding box.
-    timeout_s : float, s
-        The child is killed after this time.
+    body : surface, mm; internal surfaces are kept as mesh faces
+    sizing : wanted edge length per point
+    epsilon : how far the surface may stray, over the diagonal of the bounding box
+    timeout_s : the child is killed after this time
 
     Raises
     ------
-    PressError
-        The surface is not closed.
-    SolverError
-        pytetwild crashed, ran out of time, or its mesh is unusable.
+    PressError : the surface is not closed
+    SolverError : pytetwild crashed, ran out of time, or its mesh is unusable
     """
     if not body.is_watertight:
         raise PressError(

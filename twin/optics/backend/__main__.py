@@ -13,8 +13,7 @@ def main() -> int:
 
     Returns
     -------
-    int
-        Exit status: 0, or 3 without a backend.
+    Exit status: 0, or 3 without a backend
     """
     parser = argparse.ArgumentParser(prog="python -m twin.optics.backend", description=main.__doc__)
     parser.add_argument("--fresh", action="store_true", help="probe again")

@@ -44,12 +44,7 @@ _LIBRARY_FOLDERS = (
 
 
 def llvm_candidates() -> list[Path]:
-    """List the LLVM libraries of this machine, newest first, each once.
-
-    Returns
-    -------
-    list of Path
-    """
+    """List the LLVM libraries of this machine, newest first, each once."""
     found = {path.resolve() for path in _library_paths() if _LIBRARY_NAME.match(path.name)}
     return sorted((path for path in found if path.is_file()), key=_version_key, reverse=True)
 
@@ -92,14 +87,9 @@ def has_cuda_driver() -> bool:
 def activate() -> Backend:
     """Make the backend of this machine the current one; any number of calls.
 
-    Returns
-    -------
-    Backend
-
     Raises
     ------
-    MissingBackend
-        If no backend works here.
+    MissingBackend : if no backend works here
     """
     backend = _backend_of_this_process()
     if backend.library is not None:
@@ -121,17 +111,11 @@ def find_backend(*, fresh: bool = False) -> Backend:
 
     Parameters
     ----------
-    fresh : bool
-        Probe again even if an earlier finding is in the cache.
-
-    Returns
-    -------
-    Backend
+    fresh : probe again even if an earlier finding is in the cache
 
     Raises
     ------
-    MissingBackend
-        If no backend works here.
+    MissingBackend : if no backend works here
     """
     key = circumstances()
     known = None if fresh else recall(key)
@@ -184,8 +168,7 @@ def use_threads(count: int) -> None:
 
     Raises
     ------
-    MissingBackend
-        No usable Dr.Jit backend.
+    MissingBackend : no usable Dr.Jit backend
     """
     activate()
     import drjit as dr
@@ -194,12 +177,7 @@ def use_threads(count: int) -> None:
 
 
 def cache_file() -> Path:
-    """Tell where findings are kept.
-
-    Returns
-    -------
-    Path
-    """
+    """Tell where findings are kept."""
     base = os.environ.get("XDG_CACHE_HOME") or str(Path("~/.cache").expanduser())
     return Path(base) / "fringe-twin" / "backend.json"
 

@@ -28,12 +28,9 @@ class Backend:
 
     Parameters
     ----------
-    variant : str
-        Mitsuba variant.
-    library : str or None
-        Path of libLLVM; None for CUDA.
-    version : str
-        Version of LLVM or of the CUDA driver interface.
+    variant : Mitsuba variant
+    library : path of libLLVM; None for CUDA
+    version : version of LLVM or of the CUDA driver interface
     """
 
     variant: str
@@ -60,22 +57,17 @@ def probe(
 
     Parameters
     ----------
-    variant : str
-        Mitsuba variant.
-    library : str or None
-        Path of libLLVM; None for CUDA.
-    timeout_s : float
-        Patience with the child.
+    variant : Mitsuba variant
+    library : path of libLLVM; None for CUDA
+    timeout_s : patience with the child
 
     Returns
     -------
-    Backend or Refusal
-        The proved backend, or the reason why it is not used.
+    The proved backend, or the reason why it is not used
 
     Raises
     ------
-    MissingBackend
-        If Mitsuba does not even load.
+    MissingBackend : if Mitsuba does not even load
     """
     with tempfile.TemporaryDirectory(prefix="fringe-twin-probe-") as folder:
         try:
