@@ -103,8 +103,6 @@ def project_pose(
 
     Parameters
     ----------
-    vector : the parameters
-    pose : number of the pose
     points_mm : (n, 3) float, board frame
 
     Returns

@@ -186,7 +186,6 @@ def calibrate(
     Parameters
     ----------
     observations : one per board pose
-    options : free parameters
     reference_pose : the board frame of this pose becomes the world frame
 
     Raises

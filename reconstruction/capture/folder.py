@@ -54,7 +54,6 @@ class Capture:
     ----------
     stack : (frame, row, col) uint8 or uint16, DN, in the order of `patterns.frames`; float32 holds
         the expected values of a noise-free rendering, or corrected frames
-    patterns : what was projected
     sensor : camera noise
     calibration : camera and projector; the camera has the image size of the stack
     bit_depth : bits per pixel value, 8 to 16

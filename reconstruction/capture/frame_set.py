@@ -217,7 +217,6 @@ def write_frame_set(
     Parameters
     ----------
     stack : (frame, row, col) uint8 or uint16, DN; images have its type
-    patterns : what was projected
     sensor : noise of these images
     bit_depth : 8 to 16
 

@@ -47,7 +47,6 @@ def decode(
     Parameters
     ----------
     stack : (frame, row, col) uint8, uint16 or float32, DN, in the order of `patterns.frames`
-    patterns : what was projected
     sensor : noise model; gives the masks and the predicted sigma
     options : filter and masks; None: the defaults of `DecodeOptions`
     scale : (row, col) float32, by which each pixel's DN above the black level were multiplied, see

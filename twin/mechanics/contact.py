@@ -88,7 +88,6 @@ def solve_contact(
     deflect : pressure over modulus (row, col) to deflection of the touched face (row, col), mm
     height_mm : (row, col) float, mm; the specimen's height behind its foremost point, inf where
         absent
-    control : what is prescribed
     tolerance : largest relative change of the pressure per pass, as its sum of absolute values
     max_iterations : passes before the solver gives up
     scaling : approximate inverse of `deflect`; the passes then hardly grow with the grid
@@ -266,7 +265,6 @@ def solve_on_layer(
     layer : best with numbers of cells that are multiples of 16
     height_mm : (row, col) float, mm; the specimen's height behind its foremost point, inf where
         absent
-    control : what is prescribed
     tolerance : largest relative change of the pressure per pass
 
     Raises

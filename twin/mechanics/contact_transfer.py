@@ -75,7 +75,6 @@ def contact_transfer(elastomer: Elastomer, pitches_mm: FloatArray | None = None)
 
     Parameters
     ----------
-    elastomer : the slab
     pitches_mm : (n,) float, mm; pitches; by default half to six thicknesses
 
     Raises

@@ -86,7 +86,6 @@ def press(
 
     Parameters
     ----------
-    specimen : what is pressed, in its pose
     elastomer : flat slab on a simply supported rim, or gel bonded to a window
     load : depth or force, back pressure, gravity, and the pitches of solver and relief. Back
         pressure drapes the slab over the specimen, weight lets it sag; the depth then counts from

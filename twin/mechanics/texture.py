@@ -115,11 +115,6 @@ def textured(
 ) -> PressedElastomer:
     """Lay the coat's texture on a smooth pressed face; contact, pressure and force stay.
 
-    Parameters
-    ----------
-    elastomer, load : what was pressed, and how
-    seed : root seed of the experiment
-
     Returns
     -------
     With the textured `face_z_mm`, and `texture_mm`, which is what was added to it
@@ -226,8 +221,6 @@ def in_plane_displacement(
     Parameters
     ----------
     pressed : a press of the spectral model
-    elastomer : what was pressed
-    load : how
 
     Returns
     -------

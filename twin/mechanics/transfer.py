@@ -151,7 +151,6 @@ def solve_coated(q: FloatArray, poisson_ratio: float, base: LoadedBase, film: Co
     base : {"bonded", "free", "free_turned"}; "bonded": film on the touched face t; "free": film on
         the far face b; "free_turned": film on t of a layer whose far face is free, the same slab
         loaded from its other side
-    film : the film
 
     Returns
     -------

@@ -165,7 +165,6 @@ def height_above_lowest(specimen: Specimen, x_mm: FloatArray, y_mm: FloatArray) 
 
     Parameters
     ----------
-    specimen : configured specimen; its pose is honoured
     x_mm : (col,) float, mm; world x of the columns
     y_mm : (row,) float, mm; world y of the rows
 
@@ -182,7 +181,6 @@ def specimen_mesh(specimen: Specimen, touched_z_mm: float = 0.0) -> trimesh.Trim
 
     Parameters
     ----------
-    specimen : configured specimen; its pose is honoured
     touched_z_mm : world z of the plane that the specimen touches from below: -thickness for the
         clear face of the opposite-face layout, 0 for the coat of the contact-face layout
     """

@@ -64,7 +64,6 @@ def screw(
 
     Parameters
     ----------
-    major_mm, pitch_mm : major diameter and pitch
     low_mm, high_mm : heights between which the thread is complete; the ends beyond them are ragged,
         to be cut
     sections : facets round one turn

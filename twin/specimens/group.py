@@ -82,7 +82,6 @@ def bodies(specimen: Specimen, touched_z_mm: float = 0.0) -> tuple[Body, ...]:
 
     Parameters
     ----------
-    specimen : configured specimen; its pose is honoured
     touched_z_mm : world z of the plane that the specimen touches from below, as for `specimen_mesh`
 
     Returns

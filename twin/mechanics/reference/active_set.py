@@ -69,7 +69,6 @@ def press_points(
     Parameters
     ----------
     deflect : forces over modulus (point,) to deflections along the press (point,), mm; symmetric
-    points : where contact is possible
 
     Raises
     ------

@@ -99,16 +99,10 @@ def press_pad(
     Parameters
     ----------
     shape : the specimen in its pose
-    pad : what is pressed
-    mesh : the pad's body, filled
     depth_mm, force_over_modulus_mm2 : travel after first touch, or force over Young's modulus: give
         one of the two
     preload : uniform pressures over modulus on both faces, along +z; the depth counts from the
         plane of first touch of the unloaded pad
-
-    Returns
-    -------
-    Both faces, pressure and force
 
     Raises
     ------
@@ -211,7 +205,6 @@ def press_fem(
 
     Parameters
     ----------
-    specimen : what is pressed, in its pose
     elastomer : slab; with a `pad` only its modulus, layout and outline (for the grids) matter
     load : depth or force, preloads and pitches, as for the spectral press
     support : {"simple", "clamped", "ledge", "bonded", "window"}; what holds the slab; by default a
@@ -219,7 +212,6 @@ def press_fem(
     ledge_mm : width of the frame on which a slab on a `ledge` rests, beyond its free span
     pad : another body than the slab
     count : about how many tetrahedra
-    timeout_s : for meshing
 
     Returns
     -------

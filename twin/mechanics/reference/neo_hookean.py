@@ -129,10 +129,8 @@ def press_neo_hookean(
 
     Parameters
     ----------
-    specimen : what is pressed, in its pose
     elastomer : flat slab on a simply supported rim, or a pad with free sides bonded to a window
     load : depth or force, and pitches. A free slab may travel farther than it is thick.
-    bricks : how finely to solve
     linear : small strain and contact on the undeformed face by the same elements: what remains
         against the spectral press is the elements' error
 

@@ -141,12 +141,6 @@ class _StepFailedError(Exception):
 def press_to(problem: Problem, start: Equilibrium, depth_mm: float) -> Equilibrium:
     """Move the object to a depth in one load step, or in several where one fails.
 
-    Parameters
-    ----------
-    problem : what is pressed, and how to solve
-    start : where the step begins
-    depth_mm : where it ends
-
     Raises
     ------
     SolverError : the shortest step failed

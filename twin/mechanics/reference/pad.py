@@ -109,7 +109,6 @@ def slab_pad(
     Parameters
     ----------
     span_mm : (float, float), mm; free lengths along x and y
-    thickness_mm : thickness
     poisson_ratio : 0 < nu < 0.5
     support : {"simple", "clamped", "ledge", "bonded", "window"}; touched at z = -thickness: rim
         without deflection, tangential displacement along it and normal stress (as the spectral

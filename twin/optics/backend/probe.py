@@ -28,7 +28,6 @@ class Backend:
 
     Parameters
     ----------
-    variant : Mitsuba variant
     library : path of libLLVM; None for CUDA
     version : version of LLVM or of the CUDA driver interface
     """
@@ -57,9 +56,7 @@ def probe(
 
     Parameters
     ----------
-    variant : Mitsuba variant
     library : path of libLLVM; None for CUDA
-    timeout_s : patience with the child
 
     Returns
     -------
