@@ -30,8 +30,8 @@ from twin.config.specimens import (
     TwoBalls,
     VGroove,
 )
-from twin.specimens import specimen_mesh
-from twin.specimens.raster import upper_side
+from twin.specimens import shape_of
+from twin.specimens.meshes import upper_side
 
 PICTURE = Path(__file__).with_name("specimens.png")
 SPECIMENS: list[tuple[str, Specimen, bool]] = [
@@ -65,7 +65,7 @@ def main() -> None:
     figure = Figure(figsize=(2.6 * columns, 2.6 * rows), facecolor="white", layout="constrained")
     panels = figure.subplots(rows, columns).ravel()
     for axes, (name, specimen, below) in zip(panels, SPECIMENS, strict=False):
-        shade(axes, oblique(specimen_mesh(specimen), below))
+        shade(axes, oblique(shape_of(specimen).mesh(0.0), below))
         axes.set_title(name, fontsize=11)
     for axes in panels:
         axes.set_axis_off()

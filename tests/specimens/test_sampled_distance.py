@@ -9,12 +9,12 @@ from reconstruction.arrays import FloatArray
 from twin.config.artefacts import Bars, Rods, Step, VGroove
 from twin.config.objects import Bear, Brick, Fingerprint, Nut, TBolt
 from twin.config.specimens import Ball, Flat, Grating, Group, Specimen
-from twin.specimens import shape_of, specimen_mesh
+from twin.specimens import shape_of
 from twin.specimens.catalogue import UNMOVED, Placement
 from twin.specimens.distance import BallDistance, BoxDistance, SignedDistance, distances_of
 from twin.specimens.meshes import MeshShape
 from twin.specimens.sampled_distance import PITCH_MM, MeshDistance, SampledField
-from twin.specimens.triangle_distance import TriangleTree, unsigned_samples
+from twin.specimens.triangles import TriangleTree, unsigned_samples
 
 REACH_MM = 0.4
 MESHES: list[Specimen] = [
@@ -37,7 +37,7 @@ def _near(body: SignedDistance, count: int, half_mm: float, inside_mm: float = 0
 
 
 def _sampled(specimen: Specimen) -> MeshDistance:
-    return MeshDistance(specimen_mesh(specimen), UNMOVED)
+    return MeshDistance(shape_of(specimen).mesh(0.0), UNMOVED)
 
 
 def _field(body: trimesh.Trimesh, pitch_mm: float = PITCH_MM) -> SampledField:
@@ -127,7 +127,7 @@ def test_derivatives_are_the_differences_of_the_interpolant() -> None:
 
 def test_the_order_of_queries_does_not_show() -> None:
     """Bricks are made when touched, at any reach; the same point has the same bytes."""
-    mesh = specimen_mesh(Step(edge_radius_mm=0.1))
+    mesh = shape_of(Step(edge_radius_mm=0.1)).mesh(0.0)
     points = np.random.default_rng(3).uniform(-0.6, 0.6, (2000, 3))
     whole = _field(mesh).evaluate(points, REACH_MM, UNMOVED)
     bit_by_bit = _field(mesh)
@@ -195,7 +195,7 @@ def test_a_thread_winds_inside_a_nut() -> None:
 @pytest.mark.parametrize("specimen", MESHES, ids=lambda s: s.kind)
 def test_the_surface_is_where_the_distance_is_zero(specimen: Specimen) -> None:
     """Facets within 1.5 mm of first touch: 0 on them, +-0.05 mm beside them away from edges."""
-    surface = specimen_mesh(specimen)
+    surface = shape_of(specimen).mesh(0.0)
     points, facet = trimesh.sample.sample_surface(surface, 1500, seed=1)
     kept = points[:, 2] > -1.5
     points, normals = points[kept], surface.face_normals[facet[kept]]

@@ -18,8 +18,8 @@ from twin.config.models import (
     Specimen,
     TwoBalls,
 )
-from twin.specimens import apexes_mm, height_above_lowest, shape_of, specimen_mesh
-from twin.specimens.raster import upper_side
+from twin.specimens import height_above_lowest, shape_of
+from twin.specimens.meshes import upper_side
 
 X = np.linspace(-9.03, 9.07, 182)
 Y = np.linspace(-8.04, 8.02, 161)
@@ -45,7 +45,7 @@ SPECIMENS: list[Specimen] = [
 
 @pytest.mark.parametrize("specimen", SPECIMENS, ids=lambda s: s.kind)
 def test_height_field_is_the_upper_side_of_the_closed_mesh(specimen: Specimen) -> None:
-    mesh = specimen_mesh(specimen, touched_z_mm=-2.5)
+    mesh = shape_of(specimen).mesh(-2.5)
     assert mesh.is_watertight
     assert mesh.volume > 0
     assert mesh.bounds[1, 2] == pytest.approx(-2.5, abs=2e-3)
@@ -68,7 +68,7 @@ def test_foremost_point_is_zero_and_the_outline_holds_everything(specimen: Speci
     rows, cols = np.nonzero(np.isfinite(height))
     assert x_low <= X[cols].min() < X[cols].max() <= x_high
     assert y_low <= Y[rows].min() < Y[rows].max() <= y_high
-    bounds = specimen_mesh(specimen).bounds[:, :2].T.ravel()
+    bounds = shape_of(specimen).mesh(0.0).bounds[:, :2].T.ravel()
     np.testing.assert_allclose(bounds, (x_low, x_high, y_low, y_high), atol=3e-3)
 
 
@@ -101,7 +101,7 @@ def test_parts_of_a_group_keep_their_own_height_and_balls() -> None:
     group = Group(
         parts={"a": Ball(x_mm=-4, diameter_mm=4), "b": Ball(x_mm=4, diameter_mm=6, z_mm=-0.5)}
     )
-    first, second = apexes_mm(group)
+    first, second = shape_of(group).spheres()
     assert (first.x_mm, first.apex_z_mm) == pytest.approx((-4, 0))
     assert (second.x_mm, second.apex_z_mm) == pytest.approx((4, -0.5))
     at = height_above_lowest(group, np.array([-4.0, 4.0]), np.array([0.0]))[0]

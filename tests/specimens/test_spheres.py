@@ -6,7 +6,7 @@ import trimesh
 
 from reconstruction.errors import InputError
 from twin.config.models import Ball, Specimen, TwoBalls
-from twin.specimens import apexes_mm, height_above_lowest, kinds, shape_of, specimen_mesh
+from twin.specimens import height_above_lowest, kinds, shape_of
 
 X = np.linspace(-10, 10, 201)
 Y = np.linspace(-8, 8, 161)
@@ -56,7 +56,7 @@ def test_yaw_turns_x_towards_y() -> None:
 @pytest.mark.parametrize("specimen", SPECIMENS)
 def test_foremost_point_is_zero_and_nothing_lies_before_it(specimen: Specimen) -> None:
     assert height_above_lowest(specimen, X, Y).min() >= 0
-    apexes = apexes_mm(specimen)
+    apexes = shape_of(specimen).spheres()
     assert max(ball.apex_z_mm for ball in apexes) == 0
     for ball in apexes:
         assert at(specimen, ball.x_mm, ball.y_mm) == pytest.approx(-ball.apex_z_mm, abs=1e-12)
@@ -64,7 +64,7 @@ def test_foremost_point_is_zero_and_nothing_lies_before_it(specimen: Specimen) -
 
 @pytest.mark.parametrize("specimen", SPECIMENS)
 def test_mesh_is_one_watertight_body_in_the_same_pose(specimen: Specimen) -> None:
-    mesh = specimen_mesh(specimen, touched_z_mm=-2.5)
+    mesh = shape_of(specimen).mesh(-2.5)
     assert mesh.is_watertight
     assert mesh.body_count == 1
     assert mesh.volume > 0
@@ -82,7 +82,7 @@ def test_overlapping_balls_have_the_volume_of_the_union() -> None:
     radius, distance = 4.0, 6.0
     cap = np.pi * (radius - distance / 2) ** 2 * (2 * radius + distance / 2) / 3
     union = 2 * 4 / 3 * np.pi * radius**3 - 2 * cap
-    mesh: trimesh.Trimesh = specimen_mesh(TwoBalls(separation_mm=distance))
+    mesh: trimesh.Trimesh = shape_of(TwoBalls(separation_mm=distance)).mesh(0.0)
     assert mesh.volume == pytest.approx(union, rel=5e-4)
 
 

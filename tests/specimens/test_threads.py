@@ -7,7 +7,7 @@ import pytest
 from pydantic import ValidationError
 
 from twin.config.objects import Nut, TBolt
-from twin.specimens import height_above_lowest, specimen_mesh
+from twin.specimens import height_above_lowest, shape_of
 from twin.specimens.fasteners import minor_diameter_mm, screw, thread_area_mm2
 from twin.specimens.solids import box, common
 
@@ -64,18 +64,18 @@ def test_thread_is_right_handed_with_its_pitch_and_flank_angle() -> None:
 def test_nut_without_chamfer_is_hexagon_less_thread() -> None:
     nut = Nut(chamfer_mm=0, countersink_mm=0)
     exact = (hexagon_mm2(10.0) - thread_area_mm2(6.0, 1.0)) * nut.height_mm
-    assert specimen_mesh(nut).volume == pytest.approx(exact, rel=2e-4)
+    assert shape_of(nut).mesh(0.0).volume == pytest.approx(exact, rel=2e-4)
 
 
 def test_chamfer_and_countersink_take_what_they_should() -> None:
     """The countersunk rings lie between a plain and a threaded cone; the chamfer is checked by
     height: its cone falls with tan 30 deg beyond the bearing face."""
     nut = Nut()
-    plain = specimen_mesh(nut.model_copy(update={"countersink_mm": 0.0})).volume
+    plain = shape_of(nut.model_copy(update={"countersink_mm": 0.0})).mesh(0.0).volume
     outer, hole = nut.countersink_mm / 2, minor_diameter_mm(6.0, 1.0) / 2
     depth = (outer - hole) / sqrt(3)
     cone = pi * depth / 3 * (outer**2 + outer * hole + hole**2) - pi * hole**2 * depth
-    taken = plain - specimen_mesh(nut).volume
+    taken = plain - shape_of(nut).mesh(0.0).volume
     # The thread has already taken up to a pitch's worth of that ring on each face.
     assert 0.2 * 2 * cone < taken < 2 * cone
     corner = 10 / sqrt(3) - 0.05
@@ -96,7 +96,7 @@ def test_bolt_volume_is_the_sum_of_its_parts() -> None:
     head = (bolt.head_length_mm * bolt.head_width_mm - rounded) * bolt.head_height_mm
     neck = bolt.head_width_mm**2 * bolt.neck_mm
     shank = thread_area_mm2(5.0, 0.8) * bolt.shank_mm
-    volume = specimen_mesh(bolt).volume
+    volume = shape_of(bolt).mesh(0.0).volume
     assert head + neck + 0.98 * shank < volume < head + neck + shank
 
 
@@ -106,7 +106,7 @@ def test_bolt_volume_is_the_sum_of_its_parts() -> None:
 )
 def test_bolt_turns_the_chosen_side_up(facing: str, extents: tuple[float, float, float]) -> None:
     bolt = TBolt.model_validate({"facing": facing})
-    np.testing.assert_allclose(specimen_mesh(bolt).extents, extents, atol=1e-6)
+    np.testing.assert_allclose(shape_of(bolt).mesh(0.0).extents, extents, atol=1e-6)
     grid = np.linspace(-6, 6, 121)
     touching = (height_above_lowest(bolt, grid, grid) < 0.1).sum() * 0.01
     flat_mm2 = {"side": 5.8 * 5.5, "tip": 13.0, "head": 50.0}[facing]

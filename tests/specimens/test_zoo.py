@@ -10,9 +10,8 @@ from twin.config.artefacts import Bar, Bars, Rods, Step, VGroove
 from twin.config.objects import Bear, Brick, Fingerprint, Nut, TBolt
 from twin.config.specimen_base import Conductor, Dielectric
 from twin.config.specimens import Ball, Group, Rod, Specimen, TwoBalls
-from twin.specimens import bodies, height_above_lowest, shape_of, specimen_mesh
-from twin.specimens.fingerprint import ridges_mm
-from twin.specimens.toys import bear_level_mm, drawn_bear
+from twin.specimens import bodies, height_above_lowest, shape_of
+from twin.specimens.objects import bear_level_mm, drawn_bear, ridges_mm
 
 SPECIMENS: list[Specimen] = [
     Nut(yaw_deg=20),
@@ -40,7 +39,7 @@ LEAST_HEIGHT_MM = 1e-5
 
 @pytest.mark.parametrize("specimen", SPECIMENS, ids=lambda s: s.kind)
 def test_mesh_is_one_sound_body(specimen: Specimen) -> None:
-    mesh = specimen_mesh(specimen, touched_z_mm=-2.5)
+    mesh = shape_of(specimen).mesh(-2.5)
     assert mesh.is_watertight
     assert mesh.is_winding_consistent
     assert mesh.body_count == 1
@@ -67,7 +66,7 @@ def test_foremost_point_is_zero_within_the_outline(specimen: Specimen) -> None:
     rows, cols = np.nonzero(np.isfinite(height))
     assert x_low <= x[cols].min() < x[cols].max() <= x_high
     assert y_low <= y[rows].min() < y[rows].max() <= y_high
-    outline = specimen_mesh(specimen).bounds[:, :2].T.ravel()
+    outline = shape_of(specimen).mesh(0.0).bounds[:, :2].T.ravel()
     np.testing.assert_allclose(outline, (x_low, x_high, y_low, y_high), atol=5e-3)
 
 
@@ -86,7 +85,7 @@ def test_brick_volume(studs: tuple[int, int], edge_mm: float) -> None:
     tube = pi * (tube_outer**2 - 2.4**2) * depth
     tubes = (studs[0] - 1) * (studs[1] - 1)
     exact = outer.prod() * 9.6 - inner.prod() * depth + np.prod(studs) * stud + tubes * tube
-    assert specimen_mesh(brick).volume == pytest.approx(exact, rel=2e-4)
+    assert shape_of(brick).mesh(0.0).volume == pytest.approx(exact, rel=2e-4)
 
 
 def test_brick_is_studs_above_a_flat_roof() -> None:
@@ -108,7 +107,7 @@ def test_rods_volume_and_heights() -> None:
     x_low, x_high, y_low, y_high = shape_of(rods).bounds_mm()
     plate = (x_high - x_low) * (y_high - y_low) * rods.plate_mm
     exact = plate + (cylinders + cusp * (length - edge)).sum()
-    assert specimen_mesh(rods).volume == pytest.approx(exact, rel=2e-4)
+    assert shape_of(rods).mesh(0.0).volume == pytest.approx(exact, rel=2e-4)
     middles = np.array(rods.middles_mm)
     np.testing.assert_allclose(
         height_above_lowest(rods, middles, np.array([0.0]))[0], 7.23 - 2 * radii, atol=1e-8
@@ -133,7 +132,7 @@ def test_bars_volume_and_heights() -> None:
     taken = (1 - pi / 4) * r**2 * (around + upright) + 4 * (1 - pi / 6) * r**3
     plate = (widths.sum() + 2 + 2) * (length + 2) * bars.plate_mm
     exact = plate + (block - taken).sum()
-    assert specimen_mesh(bars).volume == pytest.approx(exact, rel=2e-5)
+    assert shape_of(bars).mesh(0.0).volume == pytest.approx(exact, rel=2e-5)
     middles = np.array(bars.middles_mm)
     beside = middles + widths / 2 + 0.5
     found = height_above_lowest(bars, np.concatenate((middles, beside)), np.array([0.1]))[0]
@@ -177,7 +176,7 @@ def test_minutiae_leave_the_pitch_and_end_ridges() -> None:
 
 def test_a_fingerprint_is_its_seed() -> None:
     one, same, other = (
-        specimen_mesh(Fingerprint(length_x_mm=3, length_y_mm=3, pattern_seed=seed))
+        shape_of(Fingerprint(length_x_mm=3, length_y_mm=3, pattern_seed=seed)).mesh(0.0)
         for seed in (1, 1, 2)
     )
     assert one.vertices.tobytes() == same.vertices.tobytes()
@@ -211,7 +210,7 @@ def test_neighbouring_rods_keep_their_gap() -> None:
 def test_step_volume_and_levels(height_mm: float, edge_mm: float) -> None:
     step = Step(height_mm=height_mm, edge_radius_mm=edge_mm)
     exact = 12 * (12 * 2.0 + 6 * height_mm - (1 - pi / 4) * edge_mm**2)
-    assert specimen_mesh(step).volume == pytest.approx(exact, rel=1e-6)
+    assert shape_of(step).mesh(0.0).volume == pytest.approx(exact, rel=1e-6)
     found = height_above_lowest(step, np.array([-3.0, -0.01, 0.5, 3.0]), np.array([0.1]))[0]
     np.testing.assert_allclose(found, [height_mm, height_mm, 0, 0], atol=1e-9)
 
@@ -230,7 +229,7 @@ def test_v_groove_volume_and_flanks(angle_deg: float) -> None:
     groove = VGroove(angle_deg=angle_deg)
     half = np.deg2rad(angle_deg / 2)
     exact = 12 * (12 * 2.5 - 0.5**2 * np.tan(half))
-    assert specimen_mesh(groove).volume == pytest.approx(exact, rel=1e-9)
+    assert shape_of(groove).mesh(0.0).volume == pytest.approx(exact, rel=1e-9)
     x = np.array([0.0, 0.1, -0.2, 5.0])
     found = height_above_lowest(groove, x, np.array([0.0]))[0]
     np.testing.assert_allclose(found, [0.5, *(0.5 - x[1:3].__abs__() / np.tan(half)), 0], atol=1e-9)
@@ -240,14 +239,14 @@ def test_bear_lies_on_the_smooth_union() -> None:
     """Every vertex is on the level set to a nanometre; the bear is that drawing at its length."""
     drawn = drawn_bear(0.15)
     assert np.abs(bear_level_mm(np.asarray(drawn.vertices), 0.15)).max() < 1e-6
-    bear = specimen_mesh(Bear(length_mm=20.0))
+    bear = shape_of(Bear(length_mm=20.0)).mesh(0.0)
     assert bear.extents[1] == pytest.approx(20.0, abs=1e-9)
     assert bear.volume == pytest.approx(drawn.volume * (20 / drawn.extents[1]) ** 3, rel=1e-9)
 
 
 def test_bear_turns_little_from_facet_to_facet() -> None:
     """Refraction wants smooth facets: 2 deg in the middle of the distribution; creases more."""
-    angle = np.rad2deg(specimen_mesh(Bear()).face_adjacency_angles)
+    angle = np.rad2deg(shape_of(Bear()).mesh(0.0).face_adjacency_angles)
     assert np.median(angle) < 2
     assert np.quantile(angle, 0.9) < 6
 
@@ -290,7 +289,7 @@ def test_bodies_are_the_parts_in_place_with_their_materials() -> None:
         ("ball", steel),
         ("rod", clear),
     ]
-    whole = specimen_mesh(group, touched_z_mm=-3.0)
+    whole = shape_of(group).mesh(-3.0)
     assert ball.mesh.volume + rod.mesh.volume == pytest.approx(whole.volume, rel=1e-6)
     assert max(ball.mesh.bounds[1, 2], rod.mesh.bounds[1, 2]) == pytest.approx(-3.0, abs=2e-3)
     both = np.array([ball.mesh.bounds, rod.mesh.bounds])
@@ -301,7 +300,7 @@ def test_overlapping_parts_stay_two_bodies() -> None:
     group = Group(parts={"a": Ball(x_mm=-1), "b": Ball(x_mm=1)})
     parts = bodies(group)
     assert [part.name for part in parts] == ["a", "b"]
-    assert sum(part.mesh.volume for part in parts) > 1.2 * specimen_mesh(group).volume
+    assert sum(part.mesh.volume for part in parts) > 1.2 * shape_of(group).mesh(0.0).volume
 
 
 @pytest.mark.parametrize("specimen", [Ball(), Rods(), Nut(x_mm=1.0)], ids=lambda s: s.kind)
@@ -309,16 +308,16 @@ def test_any_other_kind_is_one_body(specimen: Specimen) -> None:
     (body,) = bodies(specimen, touched_z_mm=-2.0)
     assert body.name == specimen.kind  # type: ignore[attr-defined]
     assert body.material is None
-    np.testing.assert_array_equal(body.mesh.vertices, specimen_mesh(specimen, -2.0).vertices)
+    np.testing.assert_array_equal(body.mesh.vertices, shape_of(specimen).mesh(-2.0).vertices)
 
 
 def test_same_specimen_same_bytes() -> None:
     """The level set and the booleans run in the library's own threads; order must not matter."""
-    from twin.specimens import fasteners, toys
+    from twin.specimens import fasteners, objects
 
-    for build, specimen in ((toys.build_bear, Bear()), (fasteners.build_nut, Nut())):
+    for build, specimen in ((objects.build_bear, Bear()), (fasteners.build_nut, Nut())):
         first = build(specimen).surface  # type: ignore[operator]
-        toys.drawn_bear.cache_clear()
+        objects.drawn_bear.cache_clear()
         fasteners._nut.cache_clear()
         second = build(specimen).surface  # type: ignore[operator]
         assert first.vertices.tobytes() == second.vertices.tobytes()

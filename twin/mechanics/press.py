@@ -96,7 +96,7 @@ def press(
     Returns
     -------
     On the solver's cells (of the contact-face layout: of a window larger than the pad) and the
-        relief's nodes
+    relief's nodes
 
     Raises
     ------

@@ -85,7 +85,7 @@ def calibrate_modulus(
     Returns
     -------
     Range: errors of gauge, depth (force grows at least as depth^1.5, taken as depth^2) and model (4
-        %) added up
+    %) added up
 
     Raises
     ------

@@ -30,7 +30,7 @@ def may_shade_itself(face: "trimesh.Trimesh", source_mm: FloatArray) -> bool:
     Returns
     -------
     False is proven; True also for every mesh that is not a grid of heights as `face_mesh` builds
-        it, and for a source below the highest point
+    it, and for a source below the highest point
     """
     grid = _height_grid(face)
     if grid is None:

@@ -3,9 +3,8 @@
 import numpy as np
 
 from twin.config.artefacts import Bar, Bars, Rods, Step, VGroove, row_width_mm
-from twin.specimens.catalogue import Shape, register
-from twin.specimens.cylinders import Cylinder
-from twin.specimens.group import Assembly
+from twin.specimens.catalogue import Assembly, Shape, register
+from twin.specimens.closed_form import Cylinder
 from twin.specimens.meshes import MeshShape, block
 from twin.specimens.solids import along_axis, arc, prism
 

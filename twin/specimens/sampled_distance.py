@@ -17,8 +17,8 @@ import trimesh
 from reconstruction.arrays import BoolImage, FloatArray, IntArray
 from twin.specimens.catalogue import Placement
 from twin.specimens.distance import Evaluation, compiled, over_points
-from twin.specimens.triangle_crossings import Columns
-from twin.specimens.triangle_distance import (
+from twin.specimens.triangles import (
+    Columns,
     TriangleTree,
     distances_mm,
     middles_mm,
