@@ -34,7 +34,6 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from reconstruction.evaluate.fit import fit_sphere
-from twin.config.artefacts import Bar, Step
 from twin.config.models import (
     Ball,
     Elastomer,
@@ -47,6 +46,7 @@ from twin.config.models import (
     TwoBalls,
 )
 from twin.config.objects import Brick, Fingerprint, Nut, TBolt
+from twin.config.specimens import Bar, Step
 from twin.mechanics import PressedElastomer
 from twin.mechanics.errors import PressError, SolverError
 from twin.mechanics.sheet.linear_solver import has_pardiso

@@ -140,8 +140,8 @@ class StackCase:
     def stock_scene(self) -> Any:
         """Load the same scene for stock Mitsuba, with the first frame."""
         from twin.optics import stock
-        from twin.optics.device_frames import perspective_sensor
         from twin.optics.materials import coated_mesh, coating_bsdf
+        from twin.optics.rig import perspective_sensor
 
         camera, (texture, canvas) = self.rig.camera, self.texture(0)
         return stock.frame_scene(

@@ -5,7 +5,7 @@ from math import exp
 import numpy as np
 import pytest
 
-from twin.mechanics.johnson import Johnson, johnson_of
+from twin.mechanics.texture import Johnson, johnson_of
 
 MOMENTS = [(0.0, 0.0), (0.0, 3.0), (0.0, 40.0), (0.5, 1.0), (-1.0, 5.0), (2.5, 16.0), (1e-6, 0.01)]
 

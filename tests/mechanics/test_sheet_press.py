@@ -10,8 +10,8 @@ from scipy import sparse
 from scipy.interpolate import RegularGridInterpolator
 
 from tests.mechanics.sheets import build_sheet, pressed
-from twin.config.artefacts import Bar
 from twin.config.models import Ball, Elastomer, Grating, Group, Press, Texture
+from twin.config.specimens import Bar
 from twin.mechanics import PressedElastomer, PressError, read_press, write_press
 from twin.mechanics.contact_transfer import finest_pitch_mm
 from twin.mechanics.press import SheetFields

@@ -19,8 +19,8 @@ from twin.mechanics import (
     textured,
     write_press,
 )
-from twin.mechanics.johnson import johnson_of
-from twin.optics.shading import may_shade_itself
+from twin.mechanics.texture import johnson_of
+from twin.optics.scene import may_shade_itself
 from twin.pipeline import press_specimen
 from twin.pipeline.press import press_smooth
 from twin.results.parts import press_metrics

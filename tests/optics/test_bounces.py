@@ -49,9 +49,9 @@ def test_bounces_equal_the_stock_path_tracer(mi, experiment, corner, most):
     """
     from twin.optics import stock
     from twin.optics.bounces import Bounces
-    from twin.optics.device_frames import perspective_sensor
     from twin.optics.materials import coated_mesh, coating_bsdf
     from twin.optics.one_trace import trace_stack
+    from twin.optics.rig import perspective_sensor
     from twin.optics.scene import coated_scene, rig_of
 
     rig = rig_of(experiment)

@@ -35,8 +35,8 @@ def test_metal_balls_on_a_stage_equal_the_stock_path_tracer(mi, roughness):
     within 4 standard errors and 0.2 %.
     """
     from twin.optics import stock
-    from twin.optics.device_frames import perspective_sensor
     from twin.optics.direct import direct_scene
+    from twin.optics.rig import perspective_sensor
     from twin.optics.scene import rig_of
     from twin.pipeline import Memory, render_bare
 

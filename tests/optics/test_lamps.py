@@ -87,8 +87,8 @@ def test_bump_in_air_is_what_stock_mitsuba_renders(mi, look, bump):
     Expected: the same image. The bump is steeper than the light, so shadows are in it; pixels on
     their edge are random in stock: at most 1 % of the pixels may differ by over 2 %.
     """
-    from twin.optics.device_frames import perspective_sensor
     from twin.optics.materials import coated_mesh
+    from twin.optics.rig import perspective_sensor
 
     led = lamp(height_mm=3.0)
     found = look(bump, led, layers=None, samples=64)[0][..., 0]

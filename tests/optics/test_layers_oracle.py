@@ -66,8 +66,8 @@ def light_pose():
 
 def stock_runs(mi, experiment, rig, face):
     """Render with the area light behind real interfaces; (run, row, col)."""
-    from twin.optics.device_frames import perspective_sensor
     from twin.optics.materials import coated_mesh, coating_bsdf
+    from twin.optics.rig import perspective_sensor
     from twin.optics.scene import coating_in_layer
 
     def interface(z_mm, above, below):

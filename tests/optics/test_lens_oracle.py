@@ -91,7 +91,7 @@ def one_trace(setting):
 @pytest.mark.parametrize(("kind", "axis"), [("phase", "column"), ("white", None)])
 def test_stock_thin_lens_renders_the_same_frame(setting, one_trace, coated_sheets, kind, axis):
     from twin.optics import stock
-    from twin.optics.device_frames import perspective_sensor
+    from twin.optics.rig import perspective_sensor
 
     _, rig, patterns, tables = setting
     index = patterns.index(kind, axis).start

@@ -62,8 +62,8 @@ def one_trace(mi, experiment, bump):
 @pytest.mark.parametrize("case", CASES, ids=lambda case: "-".join(map(str, case)))
 def test_stock_mitsuba_renders_the_same_frame(experiment, one_trace, bump, case):
     from twin.optics import stock
-    from twin.optics.device_frames import perspective_sensor
     from twin.optics.materials import coated_mesh, coating_bsdf
+    from twin.optics.rig import perspective_sensor
 
     emitter, kind, axis, number = case
     rig, patterns, tables, frames = one_trace

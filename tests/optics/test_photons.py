@@ -278,7 +278,7 @@ def white_with_and_without(mi, experiment):
 
 def lamp_with_and_without(mi, experiment, runs):
     """Images of stock with the ball, its mirror images of the lamp taken off, and without it."""
-    from twin.optics.device_frames import perspective_sensor
+    from twin.optics.rig import perspective_sensor
     from twin.optics.scene import rig_of
 
     camera = rig_of(experiment).camera

@@ -10,7 +10,7 @@ from scipy.ndimage import binary_dilation, binary_erosion
 from twin.config import load_experiment
 from twin.optics.light import light_tables, pattern_set
 from twin.optics.rig import true_calibration
-from twin.optics.shading import may_shade_itself
+from twin.optics.scene import may_shade_itself
 
 SPIKE_MM = 6.0
 

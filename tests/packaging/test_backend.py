@@ -8,9 +8,18 @@ from pathlib import Path
 
 import pytest
 
-from twin.optics.backend import Backend, MissingBackend, activate, choice, find_backend
-from twin.optics.backend.choice import cache_file
-from twin.optics.backend.probe import CHOICE_VARIABLE, LIBRARY_VARIABLE, LLVM_VARIANT, probe
+from twin.optics import backend
+from twin.optics.backend import (
+    CHOICE_VARIABLE,
+    LIBRARY_VARIABLE,
+    LLVM_VARIANT,
+    Backend,
+    MissingBackend,
+    activate,
+    cache_file,
+    find_backend,
+    probe,
+)
 
 ABORTING = """
 import os, sys
@@ -27,7 +36,7 @@ def llvm_only(monkeypatch, tmp_path):
     for name in (LIBRARY_VARIABLE, CHOICE_VARIABLE):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    monkeypatch.setattr(choice, "has_cuda_driver", lambda: False)
+    monkeypatch.setattr(backend, "has_cuda_driver", lambda: False)
     return monkeypatch
 
 
@@ -42,8 +51,8 @@ def good_library(llvm_only, tmp_path):
         probes.append(path)
         return Backend(variant, path, "19.1.7")
 
-    llvm_only.setattr(choice, "probe", accept)
-    llvm_only.setattr(choice, "llvm_candidates", lambda: [library])
+    llvm_only.setattr(backend, "probe", accept)
+    llvm_only.setattr(backend, "llvm_candidates", lambda: [library])
     return library, probes
 
 
@@ -80,7 +89,7 @@ def test_missing_system_library_is_told(monkeypatch, tmp_path):
 
 
 def test_missing_backend_says_what_to_install(llvm_only):
-    llvm_only.setattr(choice, "llvm_candidates", list)
+    llvm_only.setattr(backend, "llvm_candidates", list)
     with pytest.raises(MissingBackend) as caught:
         find_backend()
     message = str(caught.value)
@@ -91,7 +100,7 @@ def test_missing_backend_says_what_to_install(llvm_only):
 
 def test_every_refused_library_is_named(llvm_only, tmp_path):
     replace_drjit(llvm_only, tmp_path, ABORTING)
-    llvm_only.setattr(choice, "llvm_candidates", lambda: [Path("/x/libLLVM-15.so.1")])
+    llvm_only.setattr(backend, "llvm_candidates", lambda: [Path("/x/libLLVM-15.so.1")])
     with pytest.raises(MissingBackend, match=r"libLLVM-15\.so\.1: SIGABRT"):
         find_backend()
 
@@ -165,9 +174,9 @@ def test_newest_library_comes_first(monkeypatch, tmp_path):
     for name in names + strangers:
         (tmp_path / name).write_bytes(b"")
     (tmp_path / "libLLVM.so").symlink_to("libLLVM.so.19.1")
-    monkeypatch.setattr(choice, "_LIBRARY_FOLDERS", (str(tmp_path),))
-    monkeypatch.setattr(choice, "_linker_cache", lambda: iter(()))
-    found = [path.name for path in choice.llvm_candidates() if path.parent == tmp_path]
+    monkeypatch.setattr(backend, "_LIBRARY_FOLDERS", (str(tmp_path),))
+    monkeypatch.setattr(backend, "_linker_cache", lambda: iter(()))
+    found = [path.name for path in backend.llvm_candidates() if path.parent == tmp_path]
     assert found == ["libLLVM.so.19.1", "libLLVM-18.so.1", "libLLVM-15.so.1", "libLLVM.so.9"]
 
 

@@ -6,9 +6,8 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from reconstruction.arrays import FloatArray
-from twin.config.artefacts import Bars, Rods, Step, VGroove
 from twin.config.objects import Bear, Brick, Fingerprint, Nut, TBolt
-from twin.config.specimens import Ball, Flat, Grating, Group, Specimen
+from twin.config.specimens import Ball, Bars, Flat, Grating, Group, Rods, Specimen, Step, VGroove
 from twin.specimens import shape_of
 from twin.specimens.catalogue import UNMOVED, Placement
 from twin.specimens.distance import BallDistance, BoxDistance, SignedDistance, distances_of

@@ -6,10 +6,20 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from twin.config.artefacts import Bar, Bars, Rods, Step, VGroove
 from twin.config.objects import Bear, Brick, Fingerprint, Nut, TBolt
 from twin.config.specimen_base import Conductor, Dielectric
-from twin.config.specimens import Ball, Group, Rod, Specimen, TwoBalls
+from twin.config.specimens import (
+    Ball,
+    Bar,
+    Bars,
+    Group,
+    Rod,
+    Rods,
+    Specimen,
+    Step,
+    TwoBalls,
+    VGroove,
+)
 from twin.specimens import bodies, height_above_lowest, shape_of
 from twin.specimens.objects import bear_level_mm, drawn_bear, ridges_mm
 

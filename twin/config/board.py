@@ -12,8 +12,7 @@ from pydantic import Field, ValidationError
 from reconstruction.calibration.boards import Board, CharucoBoard, Chessboard, DotBoard
 from twin.assets import scene_file
 from twin.config.base import Angle, ConfigError, Fraction, Length, Model
-from twin.config.loading import read_toml
-from twin.config.messages import explain
+from twin.config.loading import explain, read_toml
 from twin.config.models import Provenance
 from twin.config.quantities import check_ranges, convert_units, split_quantities
 

@@ -12,8 +12,7 @@ from pydantic import Field, ValidationError, model_validator
 
 from twin.assets import scene_file
 from twin.config.base import ConfigError, Model, NonNegative
-from twin.config.loading import read_toml
-from twin.config.messages import explain
+from twin.config.loading import explain, read_toml
 from twin.config.models import Experiment
 from twin.config.quantities import check_ranges, split_quantities
 

@@ -15,12 +15,10 @@ from scipy.special import ndtr, ndtri
 
 from reconstruction.arrays import FloatArray
 from twin.assets import scene_file
-from twin.config.axes import Axis
 from twin.config.base import ConfigError, Model, NonNegative, Positive
-from twin.config.loading import load_experiment, read_toml, resolve_uses, vary
-from twin.config.messages import explain
+from twin.config.loading import explain, load_experiment, read_toml, resolve_uses, vary
 from twin.config.models import Experiment
-from twin.config.study import without_absent
+from twin.config.study import Axis, without_absent
 
 MOST_FREE, MOST_COMBINATIONS = 12, 64
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_\-]+$", max_length=48)]

@@ -21,7 +21,9 @@ from scipy.optimize import brentq, nnls
 
 from reconstruction.arrays import FloatArray
 from twin.config.models import Elastomer
-from twin.config.specimens import Fingerprint, Grating, Group, Specimen
+from twin.config.objects import Fingerprint
+from twin.config.specimen_base import Specimen
+from twin.config.specimens import Grating, Group
 from twin.mechanics.errors import PressError
 from twin.mechanics.hardness import young_modulus
 from twin.mechanics.layer import FreeSlab

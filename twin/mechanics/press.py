@@ -22,8 +22,15 @@ from twin.mechanics.control import Control, DepthControl, ForceControl
 from twin.mechanics.errors import PressError
 from twin.mechanics.hardness import young_modulus
 from twin.mechanics.layer import BondedLayer
-from twin.mechanics.layouts import AnyLayer, Preload, build_layer, face_nodes, preload_of
-from twin.mechanics.refine import touched_at_nodes, wrapped
+from twin.mechanics.layouts import (
+    AnyLayer,
+    Preload,
+    build_layer,
+    face_nodes,
+    preload_of,
+    touched_at_nodes,
+    wrapped,
+)
 from twin.mechanics.validity import Validity, assess, margin_mm, max_slope_deg
 from twin.specimens import Shape, SphereCluster, shape_of
 

@@ -8,8 +8,8 @@ import trimesh
 
 from reconstruction.arrays import FloatArray
 from twin.config.models import Elastomer
+from twin.mechanics.layouts import mirrored, touched_at_nodes, widened
 from twin.mechanics.press import PressedElastomer
-from twin.mechanics.refine import mirrored, touched_at_nodes, widened
 from twin.specimens.solids import grid_facets
 
 

@@ -14,9 +14,9 @@ import numpy as np
 from reconstruction.machine import write_exr_channels
 from twin.config.models import Experiment
 from twin.optics.backend import activate
-from twin.optics.device_frames import perspective_sensor, to_world
 from twin.optics.direct import Solid, solids
 from twin.optics.materials import COATED_FACE, coating_bsdf, sharp
+from twin.optics.rig import perspective_sensor, to_world
 from twin.specimens import bodies
 
 if TYPE_CHECKING:

@@ -18,8 +18,8 @@ from reconstruction.arrays import FloatArray, FloatImage
 from reconstruction.patterns import PatternFrame, PatternSet
 from reconstruction.rig.pinhole import distort, distortion_jacobian, fold_square, is_before_fold
 from twin.optics.connection import Rig
-from twin.optics.device_frames import field_of_view_deg, perspective_sensor, to_world
 from twin.optics.light import MARGIN_PX, OVERSAMPLING, LightTable, along
+from twin.optics.rig import field_of_view_deg, perspective_sensor, to_world
 from twin.optics.stack import Frames
 
 Emitter = Literal["projector", "spot"]

@@ -16,8 +16,8 @@ from numpy.typing import ArrayLike
 from reconstruction.arrays import BoolImage, FloatArray, FloatImage, Levels
 from reconstruction.rig.pinhole import Pinhole
 from twin.optics.backend import activate
-from twin.optics.device_frames import perspective_sensor
 from twin.optics.materials import mitsuba_mesh
+from twin.optics.rig import perspective_sensor
 
 if TYPE_CHECKING:
     import trimesh

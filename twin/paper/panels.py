@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from reconstruction.arrays import FloatImage
 from reconstruction.errors import FitError, InputError
 from twin.config import Experiment
-from twin.config.artefacts import Rods
+from twin.config.specimens import Rods
 from twin.output import read_json, write_json
 from twin.paper.photographs import photograph_of
 from twin.report.camera_images import block_mean

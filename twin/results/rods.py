@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from reconstruction.errors import FitError
 from reconstruction.evaluate import BarWidth, bar_width
-from twin.config.artefacts import Rods
 from twin.config.models import Experiment
+from twin.config.specimens import Rods
 from twin.specimens import Shape, shape_of
 
 # The cross-section is the mean over this length of the rod, in its middle.

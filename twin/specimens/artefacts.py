@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from twin.config.artefacts import Bar, Bars, Rods, Step, VGroove, row_width_mm
+from twin.config.specimens import Bar, Bars, Rods, Step, VGroove, row_width_mm
 from twin.specimens.catalogue import Assembly, Shape, register
 from twin.specimens.closed_form import Cylinder
 from twin.specimens.meshes import MeshShape, block

@@ -17,8 +17,8 @@ import trimesh
 
 from reconstruction.arrays import FloatArray
 from reconstruction.errors import InputError
-from twin.config.specimen_base import Material
-from twin.config.specimens import Group, Specimen
+from twin.config.specimen_base import Material, Specimen
+from twin.config.specimens import Group
 from twin.specimens.distance import SignedDistance
 
 AnySpecimen = TypeVar("AnySpecimen", bound=Specimen)

@@ -8,8 +8,7 @@ from numpy.typing import NDArray
 from scipy.stats import qmc
 
 from reconstruction.errors import InputError
-from twin.config.axes import Axis, Level
-from twin.config.study import MOST_CASES, Study
+from twin.config.study import MOST_CASES, Axis, Level, Study
 
 Point = tuple[Level, ...]
 Shares = NDArray[np.float64]

@@ -15,8 +15,7 @@ import numpy as np
 
 from reconstruction.errors import InputError
 from twin.config import ConfigError
-from twin.config.axes import Axis
-from twin.config.study import Constraint, Objective, Optimise, Study
+from twin.config.study import Axis, Constraint, Objective, Optimise, Study
 from twin.study.best import is_number
 from twin.study.cases import Case, Cases, cases_of, quantity
 from twin.study.derived import DERIVED, with_derived

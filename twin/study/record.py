@@ -9,8 +9,7 @@ from pydantic import ValidationError
 
 from reconstruction.errors import InputError
 from twin.config import Experiment
-from twin.config.axes import Axis, Level
-from twin.config.study import Study
+from twin.config.study import Axis, Level, Study
 from twin.output import adding, read_json, write_json
 from twin.study.cases import Cases, cases_of
 from twin.study.design import Point

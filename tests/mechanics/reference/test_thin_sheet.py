@@ -6,8 +6,8 @@ import pytest
 from twin.config.models import Ball, Elastomer, Press
 from twin.mechanics import PressError, press
 from twin.mechanics.reference.grid import ElementGrid
-from twin.mechanics.reference.height_field import sample
 from twin.mechanics.reference.neo_hookean import Bricks, HeightContact, press_neo_hookean
+from twin.mechanics.reference.result import sample
 from twin.specimens import shape_of
 
 SHEET = Elastomer(

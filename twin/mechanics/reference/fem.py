@@ -19,9 +19,8 @@ from twin.mechanics.hardness import young_modulus
 from twin.mechanics.layouts import Preload, preload_of
 from twin.mechanics.press import PressedElastomer
 from twin.mechanics.reference.active_set import ContactPoints, press_points
-from twin.mechanics.reference.height_field import sample
 from twin.mechanics.reference.pad import DEFAULT_COUNT, Pad, SlabSupport, mesh_pad, slab_pad
-from twin.mechanics.reference.result import Scattered, check_depth, on_grids
+from twin.mechanics.reference.result import Scattered, check_depth, on_grids, sample
 from twin.mechanics.reference.taylor_hood import ElasticBody, Facets
 from twin.mechanics.reference.tetrahedra import Tetrahedra
 from twin.specimens import Shape, shape_of

@@ -24,7 +24,6 @@ from twin.mechanics.hardness import young_modulus
 from twin.mechanics.layouts import preload_of
 from twin.mechanics.press import PressedElastomer, press
 from twin.mechanics.reference.grid import ElementGrid, IntArray, Surface, graded
-from twin.mechanics.reference.height_field import HeightField, sample
 from twin.mechanics.reference.mixed import MixedBody, moduli, neo_hookean
 from twin.mechanics.reference.mixed import linear as small_strain
 from twin.mechanics.reference.newton import (
@@ -35,7 +34,14 @@ from twin.mechanics.reference.newton import (
     press_to,
     push,
 )
-from twin.mechanics.reference.result import FaceHeight, Scattered, check_depth, on_grids
+from twin.mechanics.reference.result import (
+    FaceHeight,
+    HeightField,
+    Scattered,
+    check_depth,
+    on_grids,
+    sample,
+)
 from twin.specimens import shape_of
 
 _SURFACE_POINTS = 3

@@ -15,7 +15,7 @@ import trimesh
 from reconstruction.arrays import FloatArray
 from twin.mechanics.control import BoolArray
 from twin.mechanics.errors import PressError
-from twin.mechanics.reference.height_field import sample
+from twin.mechanics.reference.result import sample
 from twin.mechanics.reference.tetrahedra import (
     Sizing,
     Tetrahedra,

@@ -6,7 +6,7 @@ import resource
 import sys
 from typing import Any
 
-from twin.optics.backend.probe import LLVM_VARIANT
+from twin.optics.backend import LLVM_VARIANT
 
 
 def run_kernels(variant: str) -> None:
