@@ -7,12 +7,12 @@ z = 0 and its rows run along world x.
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import Field, ValidationError
+from pydantic import Field
 
 from reconstruction.calibration.boards import Board, CharucoBoard, Chessboard, DotBoard
 from twin.assets import scene_file
-from twin.config.base import Angle, ConfigError, Fraction, Length, Model
-from twin.config.loading import explain, read_toml
+from twin.config.base import Angle, Fraction, Length, Model
+from twin.config.loading import read_toml, validated
 from twin.config.models import Provenance
 from twin.config.quantities import check_ranges, convert_units, split_quantities
 
@@ -115,10 +115,7 @@ def load_board(name: str | Path) -> BoardFile:
     file = scene_file(name)
     values, origins = split_quantities(convert_units(read_toml(file)))
     values["provenance"] = {key: origin.model_dump() for key, origin in origins.items()}
-    try:
-        loaded = BoardFile.model_validate(values)
-    except ValidationError as error:
-        raise ConfigError("\n".join(f"{file}: {line}" for line in explain(error))) from None
+    loaded = validated(BoardFile, values, f"{file}: ")
     check_ranges(values, loaded.provenance, str(file))
     loaded.board()  # its own checks: dots must not touch
     return loaded

@@ -8,11 +8,11 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, ValidationError, model_validator
+from pydantic import Field, model_validator
 
 from twin.assets import scene_file
 from twin.config.base import ConfigError, Model, NonNegative
-from twin.config.loading import explain, read_toml
+from twin.config.loading import read_toml, validated
 from twin.config.models import Experiment
 from twin.config.quantities import check_ranges, split_quantities
 
@@ -120,11 +120,7 @@ def load_inputs(name: str | Path = DEFAULT_INPUTS) -> Inputs:
     """
     file = scene_file(name)
     tree = with_sources(read_toml(file), str(file))
-    try:
-        return Inputs.model_validate(tree)
-    except ValidationError as error:
-        lines = explain(error, Inputs)
-        raise ConfigError("\n".join(f"{file}: {line}" for line in lines)) from None
+    return validated(Inputs, tree, f"{file}: ")
 
 
 def with_sources(tree: dict[str, Any], where: str) -> dict[str, Any]:

@@ -13,7 +13,7 @@ import types
 import typing
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import tomli_w
 from pydantic import BaseModel, ValidationError
@@ -50,20 +50,14 @@ def validate_experiment(tree: Mapping[str, Any], where: str = "experiment") -> E
     if not isinstance(stated, dict):
         raise ConfigError(f"{where}: provenance: found a value, allowed a table")
     values["provenance"] = stated | {key: origin.model_dump() for key, origin in origins.items()}
-    try:
-        experiment = Experiment.model_validate(values)
-    except ValidationError as error:
-        raise ConfigError("\n".join(f"{where}: {line}" for line in explain(error))) from None
+    experiment = validated(Experiment, values, f"{where}: ")
     check_ranges(values, experiment.provenance, where)
     return experiment
 
 
 def decode_settings(**values: Any) -> Decode:
     """Validate the settings of the decoder alone, for captures that come without an experiment."""
-    try:
-        return Decode.model_validate(values)
-    except ValidationError as error:
-        raise ConfigError("\n".join(f"decode.{line}" for line in explain(error))) from None
+    return validated(Decode, values, "decode.")
 
 
 def vary(experiment: Experiment, changes: Mapping[str, Any]) -> Experiment:
@@ -152,13 +146,22 @@ def _without_none(node: Any) -> Any:
     return node
 
 
+Document = TypeVar("Document", bound=BaseModel)
 Loc = tuple[int | str, ...]
 
 # Branches of a union of plain values, such as camera.exposure_ms.
 _SCALAR_TAGS = {"constrained-float", "float", "literal['auto']"}
 
 
-def explain(error: ValidationError, document: type[BaseModel] = Experiment) -> list[str]:
+def validated(document: type[Document], tree: Any, before: str = "") -> Document:
+    """Build a document from nested tables; every problem at once, one line each after `before`."""
+    try:
+        return document.model_validate(tree)
+    except ValidationError as error:
+        raise ConfigError("\n".join(before + line for line in explain(error, document))) from None
+
+
+def explain(error: ValidationError, document: type[BaseModel]) -> list[str]:
     """Turn pydantic's report on a document into plain lines; a misspelt key gets a suggestion.
 
     A typo shows up twice (an unknown key and, for required fields, a missing one): the second

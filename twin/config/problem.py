@@ -10,13 +10,13 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Field, ValidationError, model_validator
+from pydantic import Field, model_validator
 from scipy.special import ndtr, ndtri
 
 from reconstruction.arrays import FloatArray
 from twin.assets import scene_file
-from twin.config.base import ConfigError, Model, NonNegative, Positive
-from twin.config.loading import explain, load_experiment, read_toml, resolve_uses, vary
+from twin.config.base import Model, NonNegative, Positive
+from twin.config.loading import load_experiment, read_toml, resolve_uses, validated, vary
 from twin.config.models import Experiment
 from twin.config.study import Axis, without_absent
 
@@ -242,11 +242,7 @@ def load_problem(path: str | Path) -> tuple[SensorProblem, dict[str, Experiment]
     ConfigError : with one line per fault: what, where, found, allowed
     """
     file = scene_file(path)
-    try:
-        problem = SensorProblem.model_validate(read_toml(file))
-    except ValidationError as error:
-        lines = explain(error, SensorProblem)
-        raise ConfigError("\n".join(f"{path}: {line}" for line in lines)) from None
+    problem = validated(SensorProblem, read_toml(file), f"{path}: ")
     found = {name: _experiment(setup, file) for name, setup in problem.experiments.items()}
     return _with_files(problem, file), found
 

@@ -13,12 +13,12 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Field, ValidationError, field_validator, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from twin.assets import scene_file
-from twin.config.base import ConfigError, Model
+from twin.config.base import Model
 from twin.config.inputs import Input, load_inputs, refuse_shared_keys, with_sources
-from twin.config.loading import explain, load_experiment, read_toml, resolve_uses, vary
+from twin.config.loading import load_experiment, read_toml, resolve_uses, validated, vary
 from twin.config.methods import Method
 from twin.config.models import Experiment
 
@@ -334,11 +334,7 @@ def load_study(path: str | Path) -> tuple[Study, Experiment]:
 
 
 def _study_of(tree: dict[str, Any], where: str, file: Path) -> Study:
-    try:
-        study = Study.model_validate(_with_inputs(tree, where, file))
-    except ValidationError as error:
-        lines = explain(error, Study)
-        raise ConfigError("\n".join(f"{where}: {line}" for line in lines)) from None
+    study = validated(Study, _with_inputs(tree, where, file), f"{where}: ")
     axes = tuple(_with_files(axis, file) for axis in study.axis)
     laid = without_absent(resolve_uses(study.set, (file,)))
     return study.model_copy(update={"axis": axes, "set": laid})

@@ -10,13 +10,13 @@ from twin.mechanics.contact_transfer import (
 from twin.mechanics.errors import PressError, SolverError
 from twin.mechanics.hardness import (
     ModulusEstimate,
+    calibrate_modulus,
     estimate_modulus,
     estimate_modulus_00,
     young_modulus,
 )
 from twin.mechanics.press import PressedElastomer, SheetFields, fields_at, press
 from twin.mechanics.relief import face_mesh, face_normals, slab_mesh
-from twin.mechanics.scaling import calibrate_modulus
 from twin.mechanics.storage import read_press, write_in_plane, write_mesh, write_press
 from twin.mechanics.texture import (
     Field,

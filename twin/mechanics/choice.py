@@ -1,4 +1,9 @@
-"""Press with the model that the experiment asks for; every model returns the same type."""
+"""Press with the model that the experiment asks for; every model returns the same type.
+
+At a given depth the shape of a linear slab does not depend on its modulus. With unit modulus the
+contact pressure is what the solver finds; pressure and force of any modulus are that times the
+modulus, to the last bit, because the solver works in pressure over modulus: one press for all.
+"""
 
 from dataclasses import replace
 from typing import TYPE_CHECKING
@@ -7,6 +12,7 @@ import numpy as np
 
 from twin.config.models import Elastomer, Mechanics, PadFile, Press, Specimen
 from twin.mechanics.errors import PressError
+from twin.mechanics.hardness import young_modulus
 from twin.mechanics.press import PressedElastomer, check_load, press
 from twin.mechanics.validity import (
     DEFLECTION_OVER_THICKNESS_LIMIT,
@@ -18,6 +24,8 @@ from twin.specimens.meshes import read_closed_mesh
 
 if TYPE_CHECKING:
     from twin.mechanics.reference.pad import Pad
+
+_STIFFNESS = {"shore_a", "shore_00", "young_modulus_kpa"}
 
 
 def press_with(
@@ -204,3 +212,48 @@ def _check_pad(elastomer: Elastomer) -> None:
         raise PressError(
             "mechanics.pad: needs elastomer.layout = 'contact_face' (it is seen through its window)"
         )
+
+
+def modulus_only_scales(mechanics: Mechanics, elastomer: Elastomer, load: Press) -> bool:
+    """Tell whether a press depends on the modulus through the size of pressure and force alone.
+
+    Not under force control; not with a coat, weight or back pressure of given size beside the
+    modulus; not in the references, whose solvers work in kPa.
+    """
+    return (
+        load.control == "depth"
+        and elastomer.film is None
+        and load.back_pressure_kpa == 0.0
+        and load.gravity_deg is None
+        and (
+            mechanics.model == "spectral" or (mechanics.model == "auto" and not may_wrap(elastomer))
+        )
+    )
+
+
+def unit_press(
+    mechanics: Mechanics, specimen: Specimen, elastomer: Elastomer, load: Press
+) -> PressedElastomer | None:
+    """Press an elastomer of 1 kPa; None where the modulus does more than scale.
+
+    Raises
+    ------
+    PressError, SolverError : as `press_with`
+    """
+    if not modulus_only_scales(mechanics, elastomer, load):
+        return None
+    kept = {n: getattr(elastomer, n) for n in Elastomer.model_fields if n not in _STIFFNESS}
+    soft = Elastomer(**kept, young_modulus_kpa=1.0)
+    pressed = press_with(mechanics, specimen, soft, load)
+    return pressed if pressed.model == "spectral" else None
+
+
+def with_modulus(pressed: PressedElastomer, elastomer: Elastomer) -> PressedElastomer:
+    """Scale what `unit_press` found to an elastomer's own modulus."""
+    modulus_kpa = young_modulus(elastomer).best_kpa
+    return replace(
+        pressed,
+        pressure_kpa=pressed.pressure_kpa * modulus_kpa,
+        force_n=pressed.force_n * modulus_kpa,
+        young_modulus_kpa=modulus_kpa,
+    )

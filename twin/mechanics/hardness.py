@@ -23,6 +23,7 @@ moduli of cast silicones come out down to 1.6 times below Gent.
 """
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.optimize import brentq
@@ -31,6 +32,9 @@ from scipy.special import erfinv
 from twin.config.models import Elastomer
 from twin.mechanics.errors import PressError
 
+if TYPE_CHECKING:
+    from twin.mechanics.press import PressedElastomer
+
 VALID_SHORE_A = (20.0, 80.0)
 # A durometer's reading is good to 5 points (ISO 48-4 practice), the formula's own spread aside.
 _READING_POINTS = 5.0
@@ -38,6 +42,11 @@ _SOFT_LOW_FACTOR = 1.6
 _LARGEST_SHORE = 95.0
 BS_903_FROM = 40.0
 _TIP_RADIUS_MM = 1.19
+# Of a real press: force gauge, and depth with first touch.
+_FORCE_SHARE, _DEPTH_ERROR_MM = 0.02, 0.01
+# Of a ball press: frictionless linear slab against neo-Hookean ones, bonded and free (shared
+# notes, mechanics.md, section 6), +1 to +4 %.
+_MODEL_SHARE = 0.04
 
 
 @dataclass(frozen=True)
@@ -152,6 +161,37 @@ def young_modulus(elastomer: Elastomer) -> ModulusEstimate:
         return estimate_modulus_00(elastomer.shore_00)
     assert elastomer.shore_a is not None  # the model's own validator
     return estimate_modulus(elastomer.shore_a)
+
+
+def calibrate_modulus(measured_force_n: float, pressed: "PressedElastomer") -> ModulusEstimate:
+    """Find Young's modulus from the force that one real press to a known depth took.
+
+    Parameters
+    ----------
+    measured_force_n : read from the stage, > 0
+    pressed : the same press by DEPTH, of any modulus, without back pressure, gravity or film: its
+        force is then in proportion to the modulus
+
+    Returns
+    -------
+    Range: errors of gauge (2 %), depth (0.01 mm with first touch; force grows at least as
+    depth^1.5, taken as depth^2) and model (4 %) added up
+
+    Raises
+    ------
+    PressError : a force that is not positive
+    """
+    if not measured_force_n > 0:
+        raise PressError(f"measured force: found {measured_force_n:g} N, allowed: more than 0")
+    best = pressed.young_modulus_kpa * measured_force_n / pressed.force_n
+    share = _FORCE_SHARE + 2 * _DEPTH_ERROR_MM / pressed.depth_mm + _MODEL_SHARE
+    return ModulusEstimate(
+        low_kpa=best * max(0.0, 1 - share),
+        best_kpa=best,
+        high_kpa=best * (1 + share),
+        source=f"{measured_force_n:g} N measured at {pressed.depth_mm:g} mm",
+        extrapolated=False,
+    )
 
 
 def _check_shore(key: str, shore: float) -> None:

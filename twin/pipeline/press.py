@@ -13,7 +13,7 @@ from twin.mechanics import (
     ridge_transfer,
     textured,
 )
-from twin.mechanics.scaling import unit_press, with_modulus
+from twin.mechanics.choice import unit_press, with_modulus
 from twin.pipeline.memory import Memory
 
 
