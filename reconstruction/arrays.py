@@ -15,7 +15,8 @@ FloatImage = NDArray[np.float32]
 OrderImage = NDArray[np.int16]
 ReasonImage = NDArray[np.uint8]
 IntArray = NDArray[np.int64]
-BoolImage = NDArray[np.bool_]
+BoolArray = NDArray[np.bool_]
+BoolImage = BoolArray
 Levels = NDArray[np.uint8]
 Stack = NDArray[Any]
 

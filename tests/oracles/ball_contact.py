@@ -11,8 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from reconstruction.arrays import FloatArray
-from twin.mechanics.control import BoolArray
+from reconstruction.arrays import BoolArray, FloatArray
 from twin.mechanics.reference.grid import Surface
 from twin.mechanics.reference.newton import Pushed, push
 

@@ -21,8 +21,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import maximum_filter
 
-from reconstruction.arrays import FloatArray
-from twin.mechanics.control import BoolArray, Control, Scaling, inner
+from reconstruction.arrays import BoolArray, FloatArray
+from twin.mechanics.control import Control, Scaling, inner
 from twin.mechanics.errors import SolverError
 from twin.mechanics.patch import Patch, Span
 

@@ -4,11 +4,8 @@ from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
-import numpy.typing as npt
 
-from reconstruction.arrays import FloatArray
-
-BoolArray = npt.NDArray[np.bool_]
+from reconstruction.arrays import BoolArray, FloatArray
 
 
 class Scaling(Protocol):

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import fft
 
-from reconstruction.arrays import FloatArray
+from reconstruction.arrays import FloatArray, IntArray
 
 ComplexArray = npt.NDArray[np.complex128]
 
@@ -38,12 +38,12 @@ class Span:
         """The cells as an index."""
         return slice(self.first, self.first + self.count)
 
-    def offsets(self) -> npt.NDArray[np.int64]:
+    def offsets(self) -> IntArray:
         """Return i - j behind each element of the padded convolution kernel."""
         lag = np.arange(self.padded)
         return np.where(lag < self.count, lag, lag - self.padded)
 
-    def sums(self) -> npt.NDArray[np.int64]:
+    def sums(self) -> IntArray:
         """Return i + j + 1 likewise, for a pressure that runs backwards."""
         last = 2 * self.first + self.count
         return np.clip(self.offsets(), 1 - self.count, self.count - 1) + last
@@ -123,9 +123,7 @@ def sine_patch(kernel: FloatArray, rows: Span, cols: Span, stiffness: FloatArray
     )
 
 
-def _folded(
-    kernel: FloatArray, across: npt.NDArray[np.int64], along: npt.NDArray[np.int64]
-) -> ComplexArray:
+def _folded(kernel: FloatArray, across: IntArray, along: IntArray) -> ComplexArray:
     periods = 2 * (kernel.shape[0] - 1), 2 * (kernel.shape[1] - 1)
     folded = [
         np.minimum(np.abs(lags) % period, period - np.abs(lags) % period)
@@ -134,9 +132,7 @@ def _folded(
     return _spectrum(kernel, folded[0], folded[1])
 
 
-def _spectrum(
-    kernel: FloatArray, across: npt.NDArray[np.int64], along: npt.NDArray[np.int64]
-) -> ComplexArray:
+def _spectrum(kernel: FloatArray, across: IntArray, along: IntArray) -> ComplexArray:
     spectrum: ComplexArray = fft.rfft2(kernel[np.ix_(across, along)])
     return spectrum
 

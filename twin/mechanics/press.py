@@ -13,9 +13,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from reconstruction.arrays import FloatArray
+from reconstruction.arrays import BoolArray, FloatArray
 from twin.config.models import Elastomer, Press, Specimen
 from twin.mechanics.contact import Contact, solve_on_layer
 from twin.mechanics.control import Control, DepthControl, ForceControl
@@ -63,7 +62,7 @@ class PressedElastomer:
     #: (row, col) pressure on the touched face
     pressure_kpa: FloatArray
     #: (row, col) cells that touch the specimen
-    contact: npt.NDArray[np.bool_]
+    contact: BoolArray
     #: (row, col) world z of the touched face at the cell centres
     touched_face_mm: FloatArray
     force_n: float

@@ -3,10 +3,9 @@
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 import trimesh
 
-from reconstruction.arrays import FloatArray
+from reconstruction.arrays import FloatArray, IntArray
 from twin.config.models import Elastomer
 from twin.mechanics.layouts import mirrored, touched_at_nodes, widened
 from twin.mechanics.press import PressedElastomer
@@ -83,7 +82,7 @@ def _other_face(pressed: PressedElastomer, elastomer: Elastomer) -> FloatArray:
     return plane + touched_at_nodes(odd, cells, nodes, free)
 
 
-def _rim(rows: int, cols: int) -> npt.NDArray[np.int64]:
+def _rim(rows: int, cols: int) -> IntArray:
     """Return the grid's outline, counter-clockwise seen from +z."""
     index = np.arange(rows * cols).reshape(rows, cols)
     return np.concatenate((index[0, :-1], index[:-1, -1], index[-1, :0:-1], index[:0:-1, 0]))

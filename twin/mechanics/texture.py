@@ -27,11 +27,10 @@ from dataclasses import dataclass, replace
 from math import ceil, exp, floor
 
 import numpy as np
-import numpy.typing as npt
 from scipy import ndimage
 from scipy.optimize import brentq
 
-from reconstruction.arrays import FloatArray
+from reconstruction.arrays import FloatArray, IntArray
 from twin.config.digest import keyed_sequence
 from twin.config.models import Elastomer, Press, Texture
 from twin.mechanics.layer import BondedLayer, FreeSlab
@@ -275,14 +274,14 @@ def _material_points(
     return X_mm - u_x.round(decimals), Y_mm - u_y.round(decimals)
 
 
-def _lattice(low_mm: float, high_mm: float, pitch_mm: float) -> npt.NDArray[np.int64]:
+def _lattice(low_mm: float, high_mm: float, pitch_mm: float) -> IntArray:
     """Return the lattice's numbers along one axis, with what splines and blur need beyond."""
     margin = 2 + _REACH
     first, last = floor(low_mm / pitch_mm) - margin, ceil(high_mm / pitch_mm) + margin
     return np.arange(first, last + 1)
 
 
-def _white_noise(seed: int, rows: npt.NDArray[np.int64], cols: npt.NDArray[np.int64]) -> FloatArray:
+def _white_noise(seed: int, rows: IntArray, cols: IntArray) -> FloatArray:
     """Draw standard normal numbers (row, col): one stream per row, from the middle outwards.
 
     So the number at a lattice point depends on seed, row and column alone.
@@ -296,7 +295,7 @@ def _white_noise(seed: int, rows: npt.NDArray[np.int64], cols: npt.NDArray[np.in
     return noise
 
 
-def _outwards(numbers: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+def _outwards(numbers: IntArray) -> IntArray:
     """Give 0, -1, 1, -2, 2, ... the numbers 0, 1, 2, 3, 4, ...; none is negative."""
     return np.where(numbers >= 0, 2 * numbers, -2 * numbers - 1)
 

@@ -9,9 +9,8 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
-from reconstruction.arrays import FloatArray
+from reconstruction.arrays import BoolArray, FloatArray
 
 Layout = Literal["opposite_face", "contact_face"]
 
@@ -50,7 +49,7 @@ class Validity:
     warnings: tuple[str, ...]
 
 
-def max_slope_deg(height_mm: FloatArray, contact: npt.NDArray[np.bool_], pitch_mm: float) -> float:
+def max_slope_deg(height_mm: FloatArray, contact: BoolArray, pitch_mm: float) -> float:
     """Return the specimen's steepest slope within the contact; 90 at its widest outline."""
     known = np.where(np.isfinite(height_mm), height_mm, np.nan)
     across_y, across_x = np.gradient(known, pitch_mm)
@@ -59,7 +58,7 @@ def max_slope_deg(height_mm: FloatArray, contact: npt.NDArray[np.bool_], pitch_m
 
 
 def margin_mm(
-    contact: npt.NDArray[np.bool_], x_mm: FloatArray, y_mm: FloatArray, half_mm: tuple[float, float]
+    contact: BoolArray, x_mm: FloatArray, y_mm: FloatArray, half_mm: tuple[float, float]
 ) -> float:
     """Return the distance from the contact's cells to the nearest edge of the slab.
 

@@ -171,7 +171,7 @@ def build_grating(specimen: Grating) -> MeshShape:
     return MeshShape(trimesh.Trimesh(vertices, _prism_facets(x.size), process=False))
 
 
-def _prism_facets(count: int) -> np.ndarray[tuple[int, int], np.dtype[np.int64]]:
+def _prism_facets(count: int) -> IntArray:
     """Return the facets of four lines of vertices joined to a closed bar."""
     step = np.arange(count - 1)
     sides = []

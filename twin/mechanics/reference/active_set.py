@@ -14,8 +14,7 @@ import numpy as np
 from scipy import sparse
 from scipy.linalg import cho_factor, cho_solve
 
-from reconstruction.arrays import FloatArray
-from twin.mechanics.control import BoolArray
+from reconstruction.arrays import BoolArray, FloatArray
 from twin.mechanics.errors import SolverError
 
 Deflect = Callable[[FloatArray], FloatArray]

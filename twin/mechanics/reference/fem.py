@@ -11,9 +11,8 @@ from functools import cached_property, partial
 import numpy as np
 from scipy.interpolate import CloughTocher2DInterpolator
 
-from reconstruction.arrays import FloatArray
+from reconstruction.arrays import BoolArray, FloatArray
 from twin.config.models import Elastomer, Press, Specimen
-from twin.mechanics.control import BoolArray
 from twin.mechanics.errors import PressError
 from twin.mechanics.hardness import young_modulus
 from twin.mechanics.layouts import Preload, preload_of

@@ -11,13 +11,10 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import skfem
 from scipy import sparse
 
-from reconstruction.arrays import FloatArray
-
-IntArray = npt.NDArray[np.int64]
+from reconstruction.arrays import FloatArray, IntArray
 
 # Tensor components (i, j) of the deformation gradient that can differ from the identity.
 _AXISYMMETRIC = ((0, 0), (0, 1), (1, 0), (1, 1), (2, 2))

@@ -19,8 +19,8 @@ from functools import cached_property
 import numpy as np
 from scipy import sparse
 
-from reconstruction.arrays import FloatArray
-from twin.mechanics.reference.grid import ElementGrid, IntArray
+from reconstruction.arrays import FloatArray, IntArray
+from twin.mechanics.reference.grid import ElementGrid
 
 
 @dataclass(frozen=True)

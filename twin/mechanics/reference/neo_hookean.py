@@ -16,14 +16,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.interpolate import CloughTocher2DInterpolator, NearestNDInterpolator
 
-from reconstruction.arrays import FloatArray
+from reconstruction.arrays import BoolArray, FloatArray, IntArray
 from twin.config.models import Elastomer, Press, Specimen
-from twin.mechanics.control import BoolArray
 from twin.mechanics.errors import PressError
 from twin.mechanics.hardness import young_modulus
 from twin.mechanics.layouts import preload_of
 from twin.mechanics.press import PressedElastomer, press
-from twin.mechanics.reference.grid import ElementGrid, IntArray, Surface, graded
+from twin.mechanics.reference.grid import ElementGrid, Surface, graded
 from twin.mechanics.reference.mixed import MixedBody, moduli, neo_hookean
 from twin.mechanics.reference.mixed import linear as small_strain
 from twin.mechanics.reference.newton import (

@@ -12,10 +12,9 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
-from reconstruction.arrays import FloatArray
-from twin.mechanics.control import BoolArray
+from reconstruction.arrays import BoolArray, FloatArray, IntArray
 from twin.mechanics.errors import SolverError
-from twin.mechanics.reference.grid import IntArray, Surface
+from twin.mechanics.reference.grid import Surface
 from twin.mechanics.reference.mixed import MixedBody
 
 _LINEAR_RESIDUAL = 1e-6

@@ -12,8 +12,7 @@ from typing import Literal
 import numpy as np
 import trimesh
 
-from reconstruction.arrays import FloatArray
-from twin.mechanics.control import BoolArray
+from reconstruction.arrays import BoolArray, FloatArray
 from twin.mechanics.errors import PressError
 from twin.mechanics.reference.result import sample
 from twin.mechanics.reference.tetrahedra import (

@@ -12,9 +12,8 @@ import numpy as np
 from scipy import ndimage
 from scipy.interpolate import LinearNDInterpolator, RectBivariateSpline
 
-from reconstruction.arrays import FloatArray
+from reconstruction.arrays import BoolArray, FloatArray
 from twin.config.models import Elastomer, Press
-from twin.mechanics.control import BoolArray
 from twin.mechanics.errors import PressError
 from twin.mechanics.layouts import face_nodes
 from twin.mechanics.press import PressedElastomer

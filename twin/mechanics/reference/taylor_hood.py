@@ -15,11 +15,11 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 from skfem.helpers import ddot, div, sym_grad
 
-from reconstruction.arrays import FloatArray
+from reconstruction.arrays import FloatArray, IntArray
 from twin.mechanics.errors import PressError
 from twin.mechanics.reference.mixed import moduli
 from twin.mechanics.reference.pad import Hold, Selector
-from twin.mechanics.reference.tetrahedra import IntArray, Tetrahedra
+from twin.mechanics.reference.tetrahedra import Tetrahedra
 
 _FACET_ORDER = 4
 

@@ -16,14 +16,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import trimesh
 from scipy.spatial import cKDTree
 
-from reconstruction.arrays import FloatArray
+from reconstruction.arrays import FloatArray, IntArray
 from twin.mechanics.errors import PressError, SolverError
 
-IntArray = npt.NDArray[np.int64]
 #: points (n, 3) mm to wanted edge lengths (n,) mm
 Sizing = Callable[[FloatArray], FloatArray]
 
