@@ -8,8 +8,19 @@ from pydantic import ValidationError
 
 from twin.config.objects import Nut, TBolt
 from twin.specimens import height_above_lowest, shape_of
-from twin.specimens.fasteners import minor_diameter_mm, screw, thread_area_mm2
+from twin.specimens.fasteners import minor_diameter_mm, screw
 from twin.specimens.solids import box, common
+
+
+def thread_area_mm2(major_mm: float, pitch_mm: float) -> float:
+    """Return the mean area of the section across the axis, mm^2.
+
+    Every section across the axis is the same one, turned; so this area times the length is the
+    volume. Integral of pi r^2 over one pitch: two cylinders and two cone frustums.
+    """
+    crest, root = major_mm / 2, minor_diameter_mm(major_mm, pitch_mm) / 2
+    flank = (crest**2 + crest * root + root**2) / 3
+    return float(pi * (root**2 / 4 + crest**2 / 8 + flank * 5 / 8))
 
 
 def hexagon_mm2(across_flats_mm: float) -> float:

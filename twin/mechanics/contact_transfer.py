@@ -62,14 +62,8 @@ class ContactTransfer:
 
     def rows(self) -> list[tuple[float, float, float]]:
         """Return (pitch mm, closed form, computed) per pitch, for tables."""
-        return list(
-            zip(
-                self.pitch_mm.tolist(),
-                self.closed_form.tolist(),
-                self.computed.tolist(),
-                strict=True,
-            )
-        )
+        columns = (self.pitch_mm, self.closed_form, self.computed)
+        return list(zip(*(column.tolist() for column in columns), strict=True))
 
 
 def contact_transfer(elastomer: Elastomer, pitches_mm: FloatArray | None = None) -> ContactTransfer:
@@ -85,7 +79,9 @@ def contact_transfer(elastomer: Elastomer, pitches_mm: FloatArray | None = None)
     """
     thickness = elastomer.thickness_mm
     default = thickness * np.geomspace(0.5, 6.0, 41)
-    pitches = positive_pitches(default if pitches_mm is None else pitches_mm)
+    pitches = np.atleast_1d(default if pitches_mm is None else np.asarray(pitches_mm, float))
+    if not (pitches > 0).all():
+        raise PressError(f"pitch: found {pitches.min():g} mm, allowed: more than 0")
     if elastomer.layout == "contact_face":
         whole = np.ones_like(pitches)
         return ContactTransfer(pitches, whole, whole, 0.0, 0.0, thickness)
@@ -97,19 +93,6 @@ def contact_transfer(elastomer: Elastomer, pitches_mm: FloatArray | None = None)
         tenth_pitch_mm=pitch_at(0.1, thickness),
         thickness_mm=thickness,
     )
-
-
-def positive_pitches(pitches_mm: FloatArray) -> FloatArray:
-    """Return pitches as a (n,) array.
-
-    Raises
-    ------
-    PressError : one is not positive
-    """
-    pitches = np.atleast_1d(np.asarray(pitches_mm, dtype=np.float64))
-    if not (pitches > 0).all():
-        raise PressError(f"pitch: found {pitches.min():g} mm, allowed: more than 0")
-    return pitches
 
 
 def pitch_at(kept: float, thickness_mm: float) -> float:
@@ -168,19 +151,15 @@ def ridge_height_mm(specimen: Specimen) -> float:
 
 
 def ridge_transfer(
-    elastomer: Elastomer,
-    pressure_kpa: float,
-    ridge_mm: float = RIDGE_MM,
-    pitches_mm: FloatArray | None = None,
+    elastomer: Elastomer, pressure_kpa: float, ridge_mm: float = RIDGE_MM
 ) -> ContactTransfer:
-    """Return what the coated face shows of ridges of each pitch.
+    """Return what the coated face shows of ridges with pitches of 1 to 30 thicknesses.
 
     Parameters
     ----------
     elastomer : a sheet or slab in the opposite-face layout; a film of its own is left out
     pressure_kpa : that presses the sheet onto the ridges: on a flat specimen the back pressure
     ridge_mm : crest to root
-    pitches_mm : (n,) float, mm; pitches; by default 1 to 30 thicknesses
 
     Returns
     -------
@@ -188,7 +167,7 @@ def ridge_transfer(
 
     Raises
     ------
-    PressError : no pressure, a ridge without height, or a pitch that is not positive
+    PressError : no pressure, or a ridge without height
     """
     if not pressure_kpa > 0:
         raise PressError(
@@ -196,7 +175,7 @@ def ridge_transfer(
             "presses a thin sheet into grooves"
         )
     thickness = elastomer.thickness_mm
-    pitches = positive_pitches(thickness * _PITCHES if pitches_mm is None else pitches_mm)
+    pitches = thickness * _PITCHES
     ridges = Ridges(elastomer, pressure_kpa, ridge_mm)
     return ContactTransfer(
         pitch_mm=pitches,

@@ -1,7 +1,7 @@
 """What a press prescribes: a depth or a force. Arrays are (row, col); see `contact`."""
 
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import Protocol, Self
 
 import numpy as np
 
@@ -22,41 +22,39 @@ class Scaling(Protocol):
 
 
 class Control(Protocol):
-    """What distinguishes a press to a depth from a press with a force."""
+    """What distinguishes a press to a depth from a press with a force; `raised` = A p + S."""
 
     def start(self, height: FloatArray, present: BoolArray) -> FloatArray:
         """Return the first pressure."""
-        ...
-
-    def gap(self, raised: FloatArray, touching: BoolArray) -> FloatArray:
-        """Return the gap from `raised` = A p + S."""
-        ...
-
-    def balanced(
-        self, direction: FloatArray, touching: BoolArray, scaling: "Scaling"
-    ) -> FloatArray:
-        """Remove from a search direction what the control forbids."""
-        ...
-
-    def scale(self, pressure: FloatArray) -> float:
-        """Return the factor by which the pressure meets a prescribed force."""
-        ...
-
-    def energy(self, pressure: FloatArray, raised: FloatArray, height: FloatArray) -> float:
-        """Return what the contact minimises: its gradient is the gap, but for a constant."""
         ...
 
     def depth_mm(self, raised: FloatArray, touching: BoolArray) -> float:
         """Return the travel after first touch."""
         ...
 
-    def coarsened(self, factor: int) -> "Control":
-        """Return the same control on cells `factor` times as wide."""
+    def energy(self, pressure: FloatArray, raised: FloatArray, height: FloatArray) -> float:
+        """Return what the contact minimises: its gradient is the gap, but for a constant."""
         ...
+
+    def gap(self, raised: FloatArray, touching: BoolArray) -> FloatArray:
+        """Return A p + S - d."""
+        return raised - self.depth_mm(raised, touching)
+
+    def balanced(self, direction: FloatArray, touching: BoolArray, scaling: Scaling) -> FloatArray:
+        """Remove from a search direction what the control forbids: nothing."""
+        return direction
+
+    def scale(self, pressure: FloatArray) -> float:
+        """Return the factor by which the pressure meets a prescribed force."""
+        return 1.0
+
+    def coarsened(self, factor: int) -> Self:
+        """Return the same control on cells `factor` times as wide."""
+        return self
 
 
 @dataclass(frozen=True)
-class DepthControl:
+class DepthControl(Control):
     """Press to a given travel after first touch."""
 
     depth: float
@@ -65,35 +63,17 @@ class DepthControl:
         """Touch wherever the undeformed slab would be penetrated."""
         return np.where(present & (height < self.depth), 1e-6, 0.0)
 
-    def gap(self, raised: FloatArray, touching: BoolArray) -> FloatArray:
-        """Return A p + S - d."""
-        return raised - self.depth
-
-    def balanced(
-        self, direction: FloatArray, touching: BoolArray, scaling: "Scaling"
-    ) -> FloatArray:
-        """Leave the direction as it is: nothing is forbidden."""
-        return direction
-
-    def scale(self, pressure: FloatArray) -> float:
-        """Leave the pressure as it is."""
-        return 1.0
+    def depth_mm(self, raised: FloatArray, touching: BoolArray) -> float:
+        """Return the given depth."""
+        return self.depth
 
     def energy(self, pressure: FloatArray, raised: FloatArray, height: FloatArray) -> float:
         """Return p (A p / 2 + S - d), summed."""
         return inner(pressure, (raised + height) / 2 - self.depth)
 
-    def depth_mm(self, raised: FloatArray, touching: BoolArray) -> float:
-        """Return the given depth."""
-        return self.depth
-
-    def coarsened(self, factor: int) -> "DepthControl":
-        """Return this control: cells do not matter."""
-        return self
-
 
 @dataclass(frozen=True)
-class ForceControl:
+class ForceControl(Control):
     """Press with a given force; here force is divided by Young's modulus, mm^2."""
 
     force_over_modulus: float
@@ -105,13 +85,15 @@ class ForceControl:
         uniform = foremost.astype(np.float64)
         return uniform * self.scale(uniform)
 
-    def gap(self, raised: FloatArray, touching: BoolArray) -> FloatArray:
-        """Return A p + S less its mean over the contact: the depth follows from the force."""
-        return raised - float(raised[touching].mean())
+    def depth_mm(self, raised: FloatArray, touching: BoolArray) -> float:
+        """Return the mean of A p + S over the contact: the depth follows from the force."""
+        return float(raised[touching].mean())
 
-    def balanced(
-        self, direction: FloatArray, touching: BoolArray, scaling: "Scaling"
-    ) -> FloatArray:
+    def energy(self, pressure: FloatArray, raised: FloatArray, height: FloatArray) -> float:
+        """Return p (A p / 2 + S), summed: the force is the same for all pressures."""
+        return inner(pressure, (raised + height) / 2)
+
+    def balanced(self, direction: FloatArray, touching: BoolArray, scaling: Scaling) -> FloatArray:
         """Make the direction free of force, conjugate to a uniform displacement."""
         uniform = np.where(touching, scaling.apply(touching.astype(np.float64)), 0.0)
         balanced: FloatArray = direction - uniform * float(direction.sum() / uniform.sum())
@@ -121,15 +103,7 @@ class ForceControl:
         """Scale to the prescribed force."""
         return self.force_over_modulus / (float(pressure.sum()) * self.cell_area_mm2)
 
-    def energy(self, pressure: FloatArray, raised: FloatArray, height: FloatArray) -> float:
-        """Return p (A p / 2 + S), summed: the force is the same for all pressures."""
-        return inner(pressure, (raised + height) / 2)
-
-    def depth_mm(self, raised: FloatArray, touching: BoolArray) -> float:
-        """Return the mean of A p + S over the contact."""
-        return float(raised[touching].mean())
-
-    def coarsened(self, factor: int) -> "ForceControl":
+    def coarsened(self, factor: int) -> Self:
         """Return the control with wider cells."""
         return replace(self, cell_area_mm2=self.cell_area_mm2 * factor**2)
 

@@ -249,19 +249,6 @@ def tabulate(
     return TransferTable(lowest_q, highest_q, splines)
 
 
-def normal_transfer(
-    q: FloatArray, poisson_ratio: float, base: Base
-) -> tuple[FloatArray, FloatArray]:
-    """Return Phi of faces t and b on a whole wavenumber grid, q >= SMALLEST_Q, by a table.
-
-    Raises
-    ------
-    PressError : the layer is too thin for its span
-    """
-    table = tabulate(float(q.min()), poisson_ratio, base)
-    return table(q, "normal_t"), table(q, "normal_b")
-
-
 def _solve(
     q: FloatArray, poisson_ratio: float, base: LoadedBase, film: CoatFilm | None
 ) -> Transfer:

@@ -74,51 +74,25 @@ def trace_stack(
     scene: Any,
     rig: Rig,
     tables: dict[str, LightTable],
-    samples: int,
+    traced: Patches | int,
     *,
     bounces: Bounces | None = None,
     progress: Callable[[float], None] = lambda _: None,
     smooth_within_px: float = SMOOTH_WITHIN_PX,
 ) -> Frames:
-    """Render all frames.
+    """Render all frames, radiance in mW / (mm^2 sr).
 
     Parameters
     ----------
     scene : world in mm; emitters and sensors in it are ignored
     tables : light tables of the axes "column" and "row"
-    samples : a square number: camera rays per pixel
+    traced : what was traced already; or camera rays per pixel, a square number, to trace now
     bounces : light that is reflected more than once; None leaves it out
     progress : told the finished fraction of the bounces
     smooth_within_px : pixels whose samples lie within this many projector pixels look the light up
         once
-
-    Returns
-    -------
-    tuple of (row, col) float32
-        Radiance of each frame in mW / (mm^2 sr).
     """
-    return light_stack(
-        scene,
-        rig,
-        tables,
-        trace_patches(scene, rig, samples),
-        bounces=bounces,
-        progress=progress,
-        smooth_within_px=smooth_within_px,
-    )
-
-
-def light_stack(
-    scene: Any,
-    rig: Rig,
-    tables: dict[str, LightTable],
-    patches: Patches,
-    *,
-    bounces: Bounces | None = None,
-    progress: Callable[[float], None] = lambda _: None,
-    smooth_within_px: float = SMOOTH_WITHIN_PX,
-) -> Frames:
-    """Render all frames from patches that are traced already; otherwise as `trace_stack`."""
+    patches = trace_patches(scene, rig, traced) if isinstance(traced, int) else traced
     width, height = rig.camera.pinhole.width_px, rig.camera.pinhole.height_px
     light, grid = FrameLight(tables), SubPixels.of_image(width, height, patches.samples)
     smooth = patches.spread_px <= smooth_within_px
@@ -141,7 +115,7 @@ def light_stack(
 def trace_patches(scene: Any, rig: Rig, samples: int) -> Patches:
     """Trace all samples and keep sums instead of frames: eight numbers per pixel, not 53.
 
-    Recorded, not yet run: `light_stack` fuses it into its kernel, `Patches.evaluate` runs it.
+    Recorded, not yet run: `trace_stack` fuses it into its kernel, `Patches.evaluate` runs it.
     """
     grid = SubPixels.of_image(rig.camera.pinhole.width_px, rig.camera.pinhole.height_px, samples)
 

@@ -262,34 +262,32 @@ class _Places(NamedTuple):
     density: FloatImage
 
 
-def map_photons(
-    photons: Photons, tables: dict[str, LightTable], pitch_mm: float = PITCH_MM
-) -> IrradianceMap:
+def map_photons(photons: Photons, tables: dict[str, LightTable]) -> IrradianceMap:
     """Collect photons into the irradiance of every frame."""
     columns, rows = tables["column"], tables["row"]
     frames = len(columns.frames) + len(rows.frames)
     padded = -(-frames // _PACKET) * _PACKET
-    x, first_x_mm, cols = _node_coordinates(photons.x_mm, pitch_mm)
-    y, first_y_mm, lines = _node_coordinates(photons.y_mm, pitch_mm)
+    x, first_x_mm, cols = _node_coordinates(photons.x_mm)
+    y, first_y_mm, lines = _node_coordinates(photons.y_mm)
     irradiance = np.zeros((lines, cols, padded), np.float32)
     places = _Places(
         x,
         y,
         _table_coordinates(photons.column_px, columns),
         _table_coordinates(photons.row_px, rows),
-        photons.flux_mw / np.float32(pitch_mm**2),
+        photons.flux_mw / np.float32(PITCH_MM**2),
     )
     _deposit(places, columns.profiles, rows.profiles, irradiance)
-    return IrradianceMap(irradiance, first_x_mm, first_y_mm, pitch_mm, frames)
+    return IrradianceMap(irradiance, first_x_mm, first_y_mm, PITCH_MM, frames)
 
 
-def _node_coordinates(position_mm: FloatImage, pitch_mm: float) -> tuple[FloatImage, float, int]:
+def _node_coordinates(position_mm: FloatImage) -> tuple[FloatImage, float, int]:
     """Positions in node units, the first node and the number of nodes along one axis."""
     if position_mm.size == 0:
         return position_mm, 0.0, 2
-    first = np.floor(float(position_mm.min()) / pitch_mm)
-    coordinate = position_mm.astype(np.float64) / pitch_mm - first
-    return coordinate.astype(np.float32), float(first * pitch_mm), int(coordinate.max()) + 2
+    first = np.floor(float(position_mm.min()) / PITCH_MM)
+    coordinate = position_mm.astype(np.float64) / PITCH_MM - first
+    return coordinate.astype(np.float32), float(first * PITCH_MM), int(coordinate.max()) + 2
 
 
 def _table_coordinates(position_px: FloatImage, table: LightTable) -> FloatImage:

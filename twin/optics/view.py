@@ -180,7 +180,6 @@ def picture(
     camera: ViewCamera,
     samples: int = 64,
     *,
-    seed: int = 0,
     gray: bool = False,
     bounces: int = MOST_BOUNCES,
 ) -> Picture:
@@ -190,7 +189,6 @@ def picture(
     ----------
     objects : at least one, all names different
     samples : paths per pixel
-    seed : the same seed gives the same picture
     gray : True: one pass instead of three, for objects without colours
     bounces : most surfaces that light meets; 4 do where nothing is clear
 
@@ -204,18 +202,16 @@ def picture(
     """
     activate()
     passes = [0] if gray else range(_PRIMARIES)
-    layers = [
-        _render(_scene(objects, camera, primary, samples, bounces), seed) for primary in passes
-    ]
+    layers = [_render(_scene(objects, camera, primary, samples, bounces)) for primary in passes]
     light = np.stack(layers * (_PRIMARIES // len(layers)), axis=-1)
     return _srgb(light)
 
 
-def _render(scene: Any, seed: int) -> FloatImage:
+def _render(scene: Any) -> FloatImage:
     """Return the light of one primary over white, (row, col) float, 1 is white."""
     import mitsuba as mi
 
-    image = np.array(mi.render(scene, seed=seed))
+    image = np.array(mi.render(scene, seed=0))
     light, alpha = image[..., 0], image[..., -1]
     return np.asarray(light + (1.0 - np.clip(alpha, 0.0, 1.0)), np.float32)
 

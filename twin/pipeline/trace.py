@@ -18,7 +18,7 @@ from twin.optics.connection import Rig, axial_range_mm
 from twin.optics.direct import direct_scene
 from twin.optics.light import LightTable, light_tables, pattern_set
 from twin.optics.materials import coated_mesh, coating_bsdf, set_coating
-from twin.optics.one_trace import Patches, light_stack, trace_patches, trace_truth
+from twin.optics.one_trace import Patches, trace_patches, trace_stack, trace_truth
 from twin.optics.photons import Photons, StageLight, map_photons, trace_photons
 from twin.optics.scene import Surfaces, coated_rig, coating_in_layer, face_scene, rig_of
 from twin.optics.stack import RadianceStack, Truth
@@ -123,7 +123,7 @@ def light(
     _dress(experiment, geometry)
     (patches, photons), tables = traced, _tables(experiment, view)
     bounces = _bounces(experiment, geometry, photons, tables)
-    frames = light_stack(
+    frames = trace_stack(
         geometry.scene, view.rig, tables, patches, bounces=bounces, progress=progress
     )
     return RadianceStack(frames, view.truth)

@@ -46,17 +46,6 @@ def minor_diameter_mm(major_mm: float, pitch_mm: float) -> float:
     return major_mm - 1.25 * sqrt(3) / 2 * pitch_mm
 
 
-def thread_area_mm2(major_mm: float, pitch_mm: float) -> float:
-    """Return the mean area of the section across the axis, mm^2.
-
-    Every section across the axis is the same one, turned; so this area times the length is the
-    volume. Integral of pi r^2 over one pitch: two cylinders and two cone frustums.
-    """
-    crest, root = major_mm / 2, minor_diameter_mm(major_mm, pitch_mm) / 2
-    flank = (crest**2 + crest * root + root**2) / 3
-    return float(np.pi * (root**2 / 4 + crest**2 / 8 + flank * 5 / 8))
-
-
 def screw(
     major_mm: float, pitch_mm: float, low_mm: float, high_mm: float, sections: int = SECTIONS
 ) -> trimesh.Trimesh:

@@ -44,9 +44,9 @@ def prism(outline_mm: FloatArray, low_mm: float, high_mm: float) -> trimesh.Trim
     return _from_manifold(section.extrude(high_mm - low_mm).translate((0.0, 0.0, low_mm)))
 
 
-def turned(profile_mm: Sequence[tuple[float, float]], sections: int = SECTIONS) -> trimesh.Trimesh:
+def turned(profile_mm: Sequence[tuple[float, float]]) -> trimesh.Trimesh:
     """Turn a profile (radius, z), from its lower end on the axis to its upper, about z."""
-    return trimesh.creation.revolve(np.array(profile_mm), sections=sections)
+    return trimesh.creation.revolve(np.array(profile_mm), sections=SECTIONS)
 
 
 def along_axis(

@@ -160,7 +160,6 @@ def mesh_pad(
     depth_mm: float,
     *,
     count: int = DEFAULT_COUNT,
-    epsilon: float = 1e-3,
     timeout_s: float = 60.0,
 ) -> Tetrahedra:
     """Fill a pad with about `count` tetrahedra for a press of about `depth_mm`.
@@ -187,7 +186,7 @@ def mesh_pad(
     for _ in range(16):
         fine = float(np.sqrt(low * high))
         low, high = (fine, high) if count_estimate(pad.body, sizing(fine)) > count else (low, fine)
-    return tetrahedralize(pad.body, sizing(high), epsilon=epsilon, timeout_s=timeout_s)
+    return tetrahedralize(pad.body, sizing(high), timeout_s=timeout_s)
 
 
 def _spread(body: trimesh.Trimesh, where: Selector) -> FloatArray:

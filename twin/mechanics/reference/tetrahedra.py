@@ -30,6 +30,8 @@ _CHILD = Path(__file__).with_name("tetwild_child.py")
 _PLANE_SHARE = 0.02
 _BACKGROUND_CELLS = 24
 _POOREST_QUALITY = 1e-3
+# Of the edges' length, per distance from where they are finest.
+_GROWTH = 0.35
 
 
 @dataclass(frozen=True)
@@ -90,15 +92,13 @@ def tetrahedralize(
     return _checked(*_collapse(snapped, cells, 1e-9 * body.scale))
 
 
-def graded_towards(
-    zone_mm: FloatArray, fine_mm: float, coarse_mm: float, growth: float = 0.35
-) -> Sizing:
+def graded_towards(zone_mm: FloatArray, fine_mm: float, coarse_mm: float) -> Sizing:
     """Return edge lengths that grow from `fine_mm` at the zone's points (n, 3) to `coarse_mm`."""
     tree = cKDTree(zone_mm)
 
     def sizing(points_mm: FloatArray) -> FloatArray:
         distance, _ = tree.query(points_mm)
-        return np.clip(fine_mm + growth * np.asarray(distance), fine_mm, coarse_mm)
+        return np.clip(fine_mm + _GROWTH * np.asarray(distance), fine_mm, coarse_mm)
 
     return sizing
 
