@@ -16,6 +16,17 @@ class FitError(InputError):
     """Points that do not determine the shape asked for."""
 
 
+def one_line(error: Exception) -> str:
+    """Return what a library said, as part of a message."""
+    return " ".join(str(error).split())
+
+
+def few(names: list[str]) -> str:
+    """Return the first three of some names and how many more there are."""
+    more = f" and {len(names) - 3} more" if len(names) > 3 else ""
+    return ", ".join(names[:3]) + more or "none"
+
+
 def require_integer(name: str, value: object, low: int, high: int) -> None:
     """Raise InputError unless `value` is an integer in [low, high]."""
     # bool is an Integral to Python, but `steps = true` is a mistake.

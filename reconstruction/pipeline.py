@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from reconstruction.arrays import BoolImage, Reason
 from reconstruction.capture.folder import Capture
 from reconstruction.decoding.decode import AxisDecode, Decoded, DecodeOptions, decode
-from reconstruction.errors import CaptureError, InputError
+from reconstruction.errors import CaptureError, InputError, one_line
 from reconstruction.machine import PIXELS, pixel_coordinates, read_dataset, write_dataset
 from reconstruction.triangulation import EpipolarTolerance, PointMap, Use, triangulate
 
@@ -196,11 +196,7 @@ def read_reconstruction(path: Path | str) -> Reconstruction:
     ------
     CaptureError : missing or damaged file, or a map is missing
     """
-    try:
-        found = read_dataset(path)
-    except OSError as error:
-        reason = " ".join(str(error).split())
-        raise CaptureError(f"{path}: is no complete netCDF-4 file ({reason})") from error
+    found = read_maps(path)
     maps = {str(name): np.asarray(values) for name, values in found.data_vars.items()}
     if POSE in found.attrs:
         maps[POSE] = np.asarray(found.attrs[POSE], dtype=np.float64).reshape(4, 4)
@@ -208,6 +204,14 @@ def read_reconstruction(path: Path | str) -> Reconstruction:
         return _from_variables(maps)
     except KeyError as error:
         raise CaptureError(f"{path}: the map {error} is missing") from error
+
+
+def read_maps(path: Path | str) -> "xarray.Dataset":
+    """Read a netCDF-4 file whole, or raise CaptureError."""
+    try:
+        return read_dataset(path)
+    except OSError as error:
+        raise CaptureError(f"{path}: is no complete netCDF-4 file ({one_line(error)})") from error
 
 
 def _variables(decoded: Decoded, point_map: PointMap) -> Maps:

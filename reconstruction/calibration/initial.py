@@ -13,7 +13,8 @@ from scipy.linalg import rq
 
 from reconstruction.arrays import FloatArray, FloatImage
 from reconstruction.calibration.observation import Observation
-from reconstruction.calibration.parameters import RigEstimate
+from reconstruction.calibration.parameters import RigEstimate, rigid
+from reconstruction.calibration.plane_images import normaliser
 from reconstruction.errors import InputError
 from reconstruction.rig.pinhole import Pinhole
 
@@ -83,7 +84,7 @@ def _start_camera(observations: Sequence[Observation]) -> tuple[Pinhole, FloatAr
     if not np.isfinite(error):
         raise _undetermined()
     f, cx, cy = float(matrix[0, 0]), float(matrix[0, 2]), float(matrix[1, 2])
-    motions = np.stack([_motion(r, t) for r, t in zip(rotations, shifts, strict=True)])
+    motions = np.stack([rigid(r, t) for r, t in zip(rotations, shifts, strict=True)])
     return Pinhole(size[0], size[1], f, f, cx, cy), motions
 
 
@@ -134,7 +135,7 @@ def _start_projector(
     if not ok:
         raise InputError("the projector cannot be placed: its coordinates fit no pinhole")
     device = Pinhole(size[0], size[1], f, f, float(matrix[0, 2]), float(matrix[1, 2]))
-    return device, _motion(rotation, shift)
+    return device, rigid(rotation, shift)
 
 
 def resect(points_mm: FloatArray, pixels_px: FloatArray) -> tuple[FloatArray, FloatArray] | None:
@@ -145,7 +146,7 @@ def resect(points_mm: FloatArray, pixels_px: FloatArray) -> tuple[FloatArray, Fl
     Direct linear transformation with normalised coordinates: Hartley and Zisserman, Multiple View
     Geometry, algorithm 7.1. The principal point may lie anywhere.
     """
-    space, image = _similarity(points_mm), _similarity(pixels_px)
+    space, image = normaliser(points_mm), normaliser(pixels_px)
     X = np.column_stack([points_mm, np.ones(len(points_mm))]) @ space.T
     u, v = (np.column_stack([pixels_px, np.ones(len(pixels_px))]) @ image.T)[:, :2].T
     zero = np.zeros_like(X)
@@ -175,21 +176,3 @@ def _decompose(P: FloatArray, points_mm: FloatArray) -> tuple[FloatArray, FloatA
     if np.linalg.det(rotation) < 0.0 or depth.min() <= 0.0:
         return None
     return matrix / matrix[2, 2], motion
-
-
-def _similarity(points: FloatArray) -> FloatArray:
-    """Shift and scale to zero mean and unit spread, homogeneous."""
-    count = points.shape[1]
-    centre = points.mean(axis=0)
-    spread = float(np.sqrt(np.mean((points - centre) ** 2))) or 1.0
-    scaling = np.eye(count + 1)
-    scaling[:count, :count] /= spread
-    scaling[:count, count] = -centre / spread
-    return scaling
-
-
-def _motion(rotation: FloatArray, shift: FloatArray) -> FloatArray:
-    motion = np.eye(4)
-    motion[:3, :3] = cv2.Rodrigues(rotation)[0]
-    motion[:3, 3] = np.asarray(shift).reshape(3)
-    return motion

@@ -19,7 +19,7 @@ from reconstruction.calibration.plane_images import (
     projector_points,
 )
 from reconstruction.capture.description import read_description, read_manifest
-from reconstruction.capture.folder import DESCRIPTION_FILE, SUBFOLDER, read_stack
+from reconstruction.capture.folder import DESCRIPTION_FILE, described, find_capture, read_stack
 from reconstruction.capture.frame_order import check_order
 from reconstruction.capture.frame_set import is_frame_set, read_frame_set
 from reconstruction.capture.image_files import read_frames
@@ -64,7 +64,7 @@ def read_board_capture(folder: Path | str) -> BoardCapture:
     CaptureError : a file is missing, damaged or does not fit the others, or the frames are clearly
         in another order
     """
-    folder = _find(Path(folder))
+    folder = find_capture(folder)
     if is_frame_set(folder / DESCRIPTION_FILE):
         frame_set = read_frame_set(folder / DESCRIPTION_FILE)
         patterns = read_manifest(folder / frame_set.patterns_file)
@@ -91,7 +91,7 @@ def pose_folders(folder: Path | str) -> list[Path]:
     if not folder.is_dir():
         raise CaptureError(f"{folder}: no such folder; give one that holds a folder per board pose")
     inside = sorted(path for path in folder.iterdir() if path.is_dir())
-    found = [path for path in inside if _described(path) is not None]
+    found = [path for path in inside if described(path) is not None]
     for path in inside:
         if path not in found and any(item.suffix.lower() in RECORDED for item in path.iterdir()):
             raise CaptureError(
@@ -104,20 +104,6 @@ def pose_folders(folder: Path | str) -> list[Path]:
             "capture folder per board pose"
         )
     return found
-
-
-def _find(folder: Path) -> Path:
-    found = _described(folder)
-    if found is None:
-        raise CaptureError(f"{folder}: no {DESCRIPTION_FILE} here or in {SUBFOLDER}/")
-    return found
-
-
-def _described(folder: Path) -> Path | None:
-    for candidate in (folder, folder / SUBFOLDER):
-        if (candidate / DESCRIPTION_FILE).is_file():
-            return candidate
-    return None
 
 
 @dataclass(frozen=True, eq=False)

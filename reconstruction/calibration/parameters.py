@@ -56,7 +56,7 @@ def pack(rig: RigEstimate) -> FloatArray:
 def unpack(vector: FloatArray, camera: Pinhole, projector: Pinhole) -> RigEstimate:
     """Return the rig of a parameter vector; image sizes are taken from the given devices."""
     motions = vector[STEREO.start :].reshape(-1, 6)
-    matrices = np.stack([_matrix(motion) for motion in motions])
+    matrices = np.stack([rigid(motion[:3], motion[3:]) for motion in motions])
     return RigEstimate(
         _pinhole(vector[CAMERA], camera),
         _pinhole(vector[PROJECTOR], projector),
@@ -89,10 +89,11 @@ def rotation_vector(rotation: FloatArray) -> FloatArray:
     return np.asarray(Rotation.from_matrix(rotation).as_rotvec())
 
 
-def _matrix(motion: FloatArray) -> FloatArray:
+def rigid(rotation: FloatArray, shift: FloatArray) -> FloatArray:
+    """Return the motion (4, 4) of a rotation vector, rad, and a shift, mm; OpenCV's columns too."""
     matrix = np.eye(4)
-    matrix[:3, :3] = cv2.Rodrigues(motion[:3].copy())[0]
-    matrix[:3, 3] = motion[3:]
+    matrix[:3, :3] = cv2.Rodrigues(np.array(rotation))[0]
+    matrix[:3, 3] = np.ravel(shift)
     return matrix
 
 

@@ -19,6 +19,7 @@ from reconstruction.calibration.parameters import (
     MOTION,
     STEREO,
     RigEstimate,
+    rigid,
     rotation_vector,
 )
 from reconstruction.calibration.plane_images import centre_bias_px
@@ -136,17 +137,9 @@ def pupil_diameter_mm(found: Adjustment) -> float:
     return 4.0 * float(np.sqrt(found.pupil_mm2)) if seen else 0.0
 
 
-def calibration_of(found: Adjustment, reference_pose: int = 0) -> Calibration:
-    """Return the calibration; the world is the board frame of one pose (z towards the devices).
-
-    Raises
-    ------
-    InputError : there is no such pose
-    """
-    poses = len(found.rig.T_cam_from_board)
-    if not 0 <= reference_pose < poses:
-        raise InputError(f"reference pose is {reference_pose}; allowed are 0 to {poses - 1}")
-    T_world_from_cam = _inverse(found.rig.T_cam_from_board[reference_pose])
+def calibration_of(found: Adjustment) -> Calibration:
+    """Return the calibration; the world is the board frame of the first pose, z to the devices."""
+    T_world_from_cam = _inverse(found.rig.T_cam_from_board[0])
     T_world_from_proj = T_world_from_cam @ _inverse(found.rig.T_proj_from_cam)
     return Calibration(found.rig.camera, found.rig.projector, T_world_from_cam, T_world_from_proj)
 
@@ -177,16 +170,13 @@ class Calibrated:
 
 
 def calibrate(
-    observations: Sequence[Observation],
-    options: AdjustOptions | None = None,
-    reference_pose: int = 0,
+    observations: Sequence[Observation], options: AdjustOptions | None = None
 ) -> Calibrated:
     """Calibrate camera and projector.
 
     Parameters
     ----------
-    observations : one per board pose
-    reference_pose : the board frame of this pose becomes the world frame
+    observations : one per board pose; the first pose's board frame becomes the world frame
 
     Raises
     ------
@@ -200,7 +190,7 @@ def calibrate(
         )
     found = adjust(observations, starting_rig(observations), options)
     return Calibrated(
-        calibration=calibration_of(found, reference_pose),
+        calibration=calibration_of(found),
         adjustment=found,
         parameters=tuple(parameters(found)),
         poses=tuple(pose_residuals(found, observations)),
@@ -218,7 +208,7 @@ def locate_features(calibration: Calibration, seen: Observation) -> FloatArray:
     inside = seen.points_mm @ T[:3, :3].T + T[:3, 3]
     bias = centre_bias_px(camera, inside, seen.radii_mm, T[:3, :3])
     projector_px = seen.projector_px - np.einsum("nij,nj->ni", seen.slopes, bias)
-    rays = np.column_stack([camera.unproject(seen.camera_px - bias), np.ones(len(bias))])
+    rays = _rays(camera.unproject(seen.camera_px - bias))
     points = rays * _depths(calibration, rays, projector_px, inside[:, 2])[:, np.newaxis]
     world = calibration.T_world_from_cam
     return np.asarray(points @ world[:3, :3].T + world[:3, 3])
@@ -229,9 +219,7 @@ def _rough_pose(calibration: Calibration, seen: Observation) -> FloatArray:
     rotation, shift = cv2.solvePnP(
         seen.points_mm, flat, np.eye(3), np.zeros(5), flags=cv2.SOLVEPNP_IPPE
     )[1:3]
-    T = np.eye(4)
-    T[:3, :3], T[:3, 3] = cv2.Rodrigues(rotation)[0], shift.reshape(3)
-    return T
+    return rigid(rotation, shift)
 
 
 def _depths(

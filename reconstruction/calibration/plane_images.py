@@ -61,7 +61,7 @@ def fit_homography(source: FloatArray, target: FloatArray) -> FloatArray:
     """
     if len(source) < 4:
         raise InputError(f"a homography needs 4 points, found {len(source)}")
-    scale_source, scale_target = _normaliser(source), _normaliser(target)
+    scale_source, scale_target = normaliser(source), normaliser(target)
     x, y = apply_homography(scale_source, source).T
     u, v = apply_homography(scale_target, target).T
     zero, one = np.zeros_like(x), np.ones_like(x)
@@ -76,13 +76,13 @@ def fit_homography(source: FloatArray, target: FloatArray) -> FloatArray:
     return np.asarray(H / H[2, 2])
 
 
-def _normaliser(points: FloatArray) -> FloatArray:
+def normaliser(points: FloatArray) -> FloatArray:
+    """Return the homogeneous map of points (n, d) to zero mean and unit spread, (d + 1, d + 1)."""
     centre = points.mean(axis=0)
-    spread = float(np.sqrt(np.mean((points - centre) ** 2)))
-    scale = 1.0 / spread if spread > 0.0 else 1.0
-    return np.array(
-        [[scale, 0.0, -scale * centre[0]], [0.0, scale, -scale * centre[1]], [0.0, 0.0, 1.0]]
-    )
+    scale = 1.0 / (float(np.sqrt(np.mean((points - centre) ** 2))) or 1.0)
+    scaling = np.diag(np.append(np.full(len(centre), scale), 1.0))
+    scaling[:-1, -1] = -scale * centre
+    return scaling
 
 
 def ellipse_centres(

@@ -72,13 +72,20 @@ def read_description(path: Path) -> Description:
     ------
     CaptureError : no TOML, wrong format or version, unknown or missing key, value out of range
     """
+    return read_parts(path, (FORMAT, VERSION), Description, TABLES)
+
+
+def read_parts(
+    path: Path, header: tuple[str, int], whole: type[Part], tables: Mapping[str, type[Any]]
+) -> Part:
+    """Read a TOML file with this header as a dataclass, of which some fields are tables."""
     values = read_toml(path)
     try:
-        take_header(values, (FORMAT, VERSION))
+        take_header(values, header)
         parts: dict[str, Any] = {
-            name: build(part, table_of(values, name), name) for name, part in TABLES.items()
+            name: build(part, table_of(values, name), name) for name, part in tables.items()
         }
-        return build(Description, values | parts, "capture.toml")
+        return build(whole, values | parts, path.name)
     except InputError as error:
         raise CaptureError(f"{path}: {error}") from error
 

@@ -29,7 +29,7 @@ from reconstruction.capture.description import (
 from reconstruction.capture.frame_order import check_order
 from reconstruction.capture.frame_set import is_frame_set, read_frame_set
 from reconstruction.capture.image_files import read_frames
-from reconstruction.errors import CaptureError, InputError, require_integer
+from reconstruction.errors import CaptureError, InputError, few, one_line, require_integer
 from reconstruction.machine import writing_netcdf
 from reconstruction.patterns import PatternSet
 from reconstruction.rig.calibration import Calibration, read_calibration, write_calibration
@@ -126,7 +126,7 @@ def read_capture(folder: Path | str) -> Capture:
     CaptureError : a file is missing, damaged or does not fit the others, or the frames are clearly
         in another order
     """
-    folder = _find(Path(folder))
+    folder = find_capture(folder)
     if is_frame_set(folder / DESCRIPTION_FILE):
         return _read_images(folder)
     description = read_description(folder / DESCRIPTION_FILE)
@@ -154,13 +154,22 @@ def _read_images(folder: Path) -> Capture:
         raise CaptureError(f"{folder}: {error}") from error
 
 
-def _find(folder: Path) -> Path:
+def described(folder: Path) -> Path | None:
+    """Return the folder, here or below, that capture.toml describes; None where there is none."""
     for candidate in (folder, folder / SUBFOLDER):
         if (candidate / DESCRIPTION_FILE).is_file():
             return candidate
-    raise CaptureError(
-        f"{folder}: no {DESCRIPTION_FILE} here or in {SUBFOLDER}/; give the folder of a capture"
-    )
+    return None
+
+
+def find_capture(folder: Path | str) -> Path:
+    """Return the folder, here or below, that capture.toml describes, or raise CaptureError."""
+    found = described(Path(folder))
+    if found is None:
+        raise CaptureError(
+            f"{folder}: no {DESCRIPTION_FILE} here or in {SUBFOLDER}/; give the folder of a capture"
+        )
+    return found
 
 
 def write_stack(path: Path, stack: Stack, patterns: PatternSet) -> None:
@@ -189,7 +198,7 @@ def read_stack(path: Path, patterns: PatternSet, shape: tuple[int, int]) -> Stac
             return np.asarray(file.variables[STACK][...])
     except OSError as error:
         raise CaptureError(
-            f"{path}: is no complete netCDF-4 file ({_one_line(error)}); copy or record it again"
+            f"{path}: is no complete netCDF-4 file ({one_line(error)}); copy or record it again"
         ) from error
 
 
@@ -218,20 +227,10 @@ def _check_frames(path: Path, found: list[str], patterns: PatternSet) -> None:
     extra = [name for name in found if name not in expected]
     raise CaptureError(
         f"{path}: holds {len(found)} frames, the pattern set has {len(expected)}; "
-        f"missing: {_few(missing)}; not expected: {_few(extra)}; "
+        f"missing: {few(missing)}; not expected: {few(extra)}; "
         "frames must be in the order of the pattern set"
     )
 
 
 def _text(name: Any) -> str:
     return name.decode("utf-8") if isinstance(name, bytes) else str(name)
-
-
-def _few(names: list[str]) -> str:
-    return (
-        ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "") or "none"
-    )
-
-
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split())

@@ -21,7 +21,6 @@ import string
 from dataclasses import asdict, dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -29,14 +28,12 @@ from reconstruction.arrays import Stack
 from reconstruction.capture.description import (
     MANIFEST_FILE,
     assignments,
-    build,
     file_names,
+    read_parts,
     read_toml,
-    table_of,
-    take_header,
     write_manifest,
 )
-from reconstruction.errors import CaptureError, InputError, require_integer, require_number
+from reconstruction.errors import CaptureError, InputError, few, require_integer, require_number
 from reconstruction.patterns import PatternSet
 from reconstruction.rig.sensor import SensorNoise
 
@@ -91,13 +88,7 @@ def read_frame_set(path: Path) -> FrameSet:
     ------
     CaptureError : no TOML, wrong format or version, unknown or missing key, value out of range
     """
-    values = read_toml(path)
-    try:
-        take_header(values, (FORMAT, VERSION))
-        parts: dict[str, Any] = {"sensor": build(SensorNoise, table_of(values, "sensor"), "sensor")}
-        return build(FrameSet, values | parts, "capture.toml")
-    except InputError as error:
-        raise CaptureError(f"{path}: {error}") from error
+    return read_parts(path, (FORMAT, VERSION), FrameSet, {"sensor": SensorNoise})
 
 
 def frame_files(folder: Path, description: FrameSet, patterns: PatternSet) -> list[list[Path]]:
@@ -121,7 +112,7 @@ def _named_files(
     missing = [path.relative_to(folder).as_posix() for path in files if not path.is_file()]
     if missing:
         raise CaptureError(
-            f"{folder}: {len(missing)} of {len(files)} frames are missing: {_few(missing)}; "
+            f"{folder}: {len(missing)} of {len(files)} frames are missing: {few(missing)}; "
             "record them, or correct files in capture.toml"
         )
     return files
@@ -199,10 +190,6 @@ def _exposures(values: object) -> tuple[float, ...]:
     for value in values:
         require_number("exposures_ms", value, 0.0, open_low=True)
     return tuple(float(value) for value in values)
-
-
-def _few(names: list[str]) -> str:
-    return ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
 
 
 def write_frame_set(

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from reconstruction.arrays import FloatImage, ReasonImage, Stack
 from reconstruction.capture.frame_order import check_order
 from reconstruction.capture.frame_set import FrameSet, frame_files
-from reconstruction.errors import CaptureError, InputError, require_number
+from reconstruction.errors import CaptureError, InputError, one_line, require_number
 from reconstruction.machine import threads
 from reconstruction.patterns import PatternSet
 from reconstruction.rig.calibration import Calibration
@@ -117,8 +117,7 @@ def read_image(path: Path) -> Image:
         image = _read_exr(path) if path.suffix.lower() == ".exr" else _read_plain(path)
     except (OSError, RuntimeError, ValueError, SyntaxError) as error:
         # Pillow calls a broken PNG a SyntaxError.
-        reason = " ".join(str(error).split())
-        raise CaptureError(f"{path}: is no complete image ({reason})") from error
+        raise CaptureError(f"{path}: is no complete image ({one_line(error)})") from error
     if image.ndim == 3 and np.all(image[..., :3] == image[..., :1]):
         image = np.ascontiguousarray(image[..., 0])
     if image.ndim != 2 or image.dtype.name not in TYPES:

@@ -11,7 +11,6 @@ import numpy as np
 
 from reconstruction._jit import compiled, merged
 from reconstruction.arrays import FloatImage
-from reconstruction.decoding._half import pack_row
 from reconstruction.decoding._order import (
     NEAR_SIGMAS,
     PLAIN,
@@ -35,6 +34,7 @@ from reconstruction.decoding._phase import (
     refit_row,
     write_turns,
 )
+from reconstruction.decoding._rows import add, fill, pack_row
 from reconstruction.decoding._sum import (
     Fit,
     Layout,
@@ -138,25 +138,13 @@ def _fit_set(
     finish_sums(layout.steps, sums, fit)
     count = find_damaged(sums, scale, limits, work.damaged)
     if count:
-        _fill(fit.excess, np.float32(0.0))
+        fill(fit.excess, np.float32(0.0))
         refit_row(frames, layout, limits, scale, work.damaged, sums, fit, reason)
     find_noise(fit.mean, scale, limits, noise)
     if count:
         grow_sigma(fit.excess, noise)
     mark_low_modulation(layout.steps, limits, fit.modulation, noise, reason)
     return count
-
-
-@compiled
-def _fill(line: Any, value: Any) -> None:
-    for i in range(line.size):
-        line[i] = value
-
-
-@compiled
-def _add(values: Any, total: Any) -> None:
-    for col in range(total.size):
-        total[col] += values[col]
 
 
 @compiled
@@ -180,7 +168,7 @@ def _fit_row(
     layout, sets, total = plan.layout, plan.layout.sets, work.sums
     sums = Sums(total[0], total[1], total[2], total[3], total[4], total[5])
     for axis in range(2):
-        _fill(work.excess[axis], np.float32(0.0))
+        fill(work.excess[axis], np.float32(0.0))
         for j in range(sets):
             mean = work.mean[axis] if j == 0 else work.fit[0]
             variance = work.fit[4] if j == 0 else work.fit[1]
@@ -189,7 +177,7 @@ def _fit_row(
             if _fit_set(RowFrames(stack, first, row), plan, scale, work, sums, fit, reason):
                 _add_largest(work.fit[3], work.excess[axis])
             if j > 0:
-                _add(variance, work.fit[4])
+                add(variance, work.fit[4])
             phase_row(sums.real, sums.imag, work.phases[axis, j])
         # Never in place: loops whose input and output overlap do not become vector code.
         _root_of_mean(sets, work.fit[4], work.fit[5])

@@ -20,7 +20,6 @@ import numpy as np
 
 from reconstruction._jit import compiled, inlined, merged, run_over_rows
 from reconstruction.arrays import FloatArray, FloatImage, Reason
-from reconstruction.decoding._half import BIAS, pack_row, unpack_row
 from reconstruction.decoding._lift import (
     ONE,
     ZERO,
@@ -28,7 +27,6 @@ from reconstruction.decoding._lift import (
     Smoothing,
     Window,
     make_planes,
-    multiply,
     weigh,
     write_coarse,
     write_lift,
@@ -45,6 +43,7 @@ from reconstruction.decoding._relief import (
     write_root,
     write_share,
 )
+from reconstruction.decoding._rows import BIAS, multiply, pack_row, unpack_row
 from reconstruction.decoding._sum import DARK, LOW_MODULATION
 
 PATCH_COLS = 512

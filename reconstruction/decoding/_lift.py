@@ -16,6 +16,7 @@ import numpy as np
 
 from reconstruction._jit import compiled, inlined, merged
 from reconstruction.arrays import FloatImage
+from reconstruction.decoding._rows import add, fill, larger, multiply
 
 ZERO, ONE, TWO, TINY = np.float32(0.0), np.float32(1.0), np.float32(2.0), np.float32(1e-30)
 
@@ -58,17 +59,6 @@ class Window(NamedTuple):
     half: int
 
 
-@inlined
-def larger(a: Any, b: Any) -> Any:
-    return a if a > b else b
-
-
-@compiled
-def add(a: Any, total: Any) -> None:
-    for col in range(total.size):
-        total[col] += a[col]
-
-
 @compiled
 def make_planes(rows: int, cols: int) -> Planes:
     shape = (rows, cols)
@@ -78,12 +68,6 @@ def make_planes(rows: int, cols: int) -> Planes:
         np.zeros(shape, np.float32), np.zeros(shape, np.float32), np.zeros(shape, np.float32),
         np.zeros(shape, np.float32),
     )  # fmt: skip
-
-
-@compiled
-def fill(line: Any, value: Any) -> None:
-    for col in range(line.size):
-        line[col] = value
 
 
 @compiled
@@ -196,12 +180,6 @@ def _invert(line: Any, usable: Any) -> None:
 def _scale(line: Any, factor: Any, out: Any) -> None:
     for col in range(line.size):
         out[col] = line[col] * factor
-
-
-@compiled
-def multiply(line: Any, factor: Any) -> None:
-    for col in range(line.size):
-        line[col] *= factor[col]
 
 
 @compiled

@@ -20,6 +20,7 @@ import numpy as np
 
 from reconstruction._jit import compiled, inlined
 from reconstruction.arrays import FloatArray, Reason
+from reconstruction.decoding._rows import smaller
 from reconstruction.decoding._sum import RowFrames
 
 ORDER_UNCERTAIN = np.uint8(Reason.ORDER_UNCERTAIN)
@@ -139,11 +140,6 @@ def _number(gray: Any, cell: Any, code: Code) -> Any:
     return _number_plain(gray, cell, code)
 
 
-@inlined
-def _nearer(x: Any, y: Any) -> Any:
-    return x if x < y else y
-
-
 @compiled
 def read_gray_row(frames: RowFrames, bits: int, read: Word) -> None:
     """Write the Gray word, and how near to A a level comes."""
@@ -159,14 +155,14 @@ def read_gray_row(frames: RowFrames, bits: int, read: Word) -> None:
             low = np.float32(b[col]) - mean[col]
             bright = (TWO if high > NOTHING else ZERO) | (BIT if low > NOTHING else ZERO)
             word[col] = (word[col] << TWO) | bright
-            nearest[col] = _nearer(_nearer(abs(high), abs(low)), least)
+            nearest[col] = smaller(smaller(abs(high), abs(low)), least)
     if bits % 2:
         frame = stack[first + bits - 1, row]
         for col in range(frame.size):
             least = nearest[col]
             over = np.float32(frame[col]) - mean[col]
             word[col] = (word[col] << BIT) | (BIT if over > NOTHING else ZERO)
-            nearest[col] = _nearer(abs(over), least)
+            nearest[col] = smaller(abs(over), least)
 
 
 @compiled

@@ -12,7 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from reconstruction._jit import compiled, inlined, merged
-from reconstruction.decoding._lift import ONE, TINY, TWO, ZERO, Planes, Smoothing, add, larger
+from reconstruction.decoding._lift import ONE, TINY, TWO, ZERO, Planes, Smoothing
+from reconstruction.decoding._rows import add, larger, smaller
 
 # Mean squares are taken over 5 x 5 blocks of 4 x 4 pixels, whatever the patch.
 BLOCK, AROUND = 4, 2
@@ -44,11 +45,6 @@ def make_blocks(rows: int, cols: int) -> Blocks:
         np.zeros((6, cols // BLOCK), np.float32),
         np.zeros((6, cols), np.float32),
     )
-
-
-@inlined
-def smaller(a: Any, b: Any) -> Any:
-    return a if a < b else b
 
 
 @merged

@@ -10,6 +10,7 @@ import numpy as np
 
 from reconstruction._jit import compiled, inlined
 from reconstruction.arrays import FloatImage, Reason
+from reconstruction.decoding._rows import larger, smaller
 from reconstruction.rig.sensor import QUANTISATION_DN2
 
 # As wide as the mask: a plain int would make whole loops run in 64 bits.
@@ -90,16 +91,6 @@ def noise_dn2(mean: Any, scale: Any, limits: Limits) -> Any:
     return scale * (scale * read + shot)
 
 
-@inlined
-def _larger(x: Any, y: Any) -> Any:
-    return x if x > y else y
-
-
-@inlined
-def _smaller(x: Any, y: Any) -> Any:
-    return x if x < y else y
-
-
 @compiled
 def _add_six(lines: Any, cosines: Any, sines: Any, sums: Sums) -> None:
     a, b, c, d, e, f = lines
@@ -117,10 +108,10 @@ def _add_six(lines: Any, cosines: Any, sines: Any, sums: Sums) -> None:
         real[col] += (g0 * u + g1 * v + g2 * w) + (g3 * x + g4 * y + g5 * z)
         imag[col] -= (h0 * u + h1 * v + h2 * w) + (h3 * x + h4 * y + h5 * z)
         square[col] += (u * u + v * v + w * w) + (x * x + y * y + z * z)
-        largest = _larger(_larger(_larger(u, v), _larger(w, x)), _larger(y, z))
-        smallest = _smaller(_smaller(_smaller(u, v), _smaller(w, x)), _smaller(y, z))
-        high[col] = _larger(largest, top)
-        low[col] = _smaller(smallest, bottom)
+        largest = larger(larger(larger(u, v), larger(w, x)), larger(y, z))
+        smallest = smaller(smaller(smaller(u, v), smaller(w, x)), smaller(y, z))
+        high[col] = larger(largest, top)
+        low[col] = smaller(smallest, bottom)
 
 
 @compiled
@@ -136,8 +127,8 @@ def _add_three(lines: Any, cosines: Any, sines: Any, sums: Sums) -> None:
         real[col] += p * x + q * y + r * z
         imag[col] -= s * x + t * y + u * z
         square[col] += x * x + y * y + z * z
-        high[col] = _larger(_larger(_larger(x, y), z), top)
-        low[col] = _smaller(_smaller(_smaller(x, y), z), bottom)
+        high[col] = larger(larger(larger(x, y), z), top)
+        low[col] = smaller(smaller(smaller(x, y), z), bottom)
 
 
 @compiled
@@ -150,8 +141,8 @@ def _add_one(a: Any, cosine: Any, sine: Any, sums: Sums) -> None:
         real[col] += cosine * x
         imag[col] -= sine * x
         square[col] += x * x
-        high[col] = _larger(x, top)
-        low[col] = _smaller(x, bottom)
+        high[col] = larger(x, top)
+        low[col] = smaller(x, bottom)
 
 
 @compiled

@@ -16,8 +16,8 @@ from reconstruction.compact import Half, Orders, Share, Turns
 from reconstruction.decoding import AxisDecode, Decoded, DecodeOptions
 from reconstruction.decoding._decode import Maps, Plan, Units, decode_rows
 from reconstruction.decoding._filter import Smoothed, Unfiltered, smooth
-from reconstruction.decoding._half import BIAS
 from reconstruction.decoding._order import COMPLEMENTARY, PLAIN, SHIFTED, Code, Unwrapping
+from reconstruction.decoding._rows import BIAS
 from reconstruction.decoding._sum import Layout, Limits
 from reconstruction.errors import InputError
 from reconstruction.patterns import AXES, Axis, PatternSet

@@ -33,8 +33,14 @@ import numpy as np
 
 from reconstruction.arrays import Levels, PhotometricReason
 from reconstruction.capture.description import build, read_toml, table_of, take_header
-from reconstruction.errors import CaptureError, InputError, require_integer, require_number
-from reconstruction.machine import PIXELS, pixel_coordinates, read_dataset, write_dataset
+from reconstruction.errors import (
+    CaptureError,
+    InputError,
+    one_line,
+    require_integer,
+    require_number,
+)
+from reconstruction.machine import PIXELS, pixel_coordinates, write_dataset
 from reconstruction.photometric.calibration_ball import BallPress, SampleOptions
 from reconstruction.photometric.images import mean_background
 from reconstruction.photometric.sensor import (
@@ -50,7 +56,7 @@ from reconstruction.photometric.sensor import (
 
 if TYPE_CHECKING:
     import xarray
-from reconstruction.pipeline import write_ply
+from reconstruction.pipeline import read_maps, write_ply
 
 Names = tuple[str, ...]
 DEFAULTS = PhotometricOptions()
@@ -250,8 +256,7 @@ def read_rgb(path: Path, frame: Framing | None = None) -> Levels:
     try:
         stored = cv2.imdecode(np.fromfile(path, np.uint8), cv2.IMREAD_UNCHANGED)
     except (OSError, cv2.error) as error:
-        reason = " ".join(str(error).split())
-        raise CaptureError(f"{path}: cannot be read as an image ({reason})") from error
+        raise CaptureError(f"{path}: cannot be read as an image ({one_line(error)})") from error
     if stored is None or stored.dtype != np.uint8 or stored.ndim != 3 or stored.shape[2] != 3:
         found = "no image" if stored is None else f"{stored.dtype} {stored.shape}"
         raise CaptureError(f"{path}: holds {found}; give an 8-bit colour image without alpha")
@@ -310,15 +315,12 @@ def read_height_map(path: Path | str) -> HeightMap:
     ------
     CaptureError : missing or damaged file, or a map is missing
     """
+    found = read_maps(path)
     try:
-        found = read_dataset(path)
         maps = {name: np.asarray(found[name]) for name in (*SLOPES, "height_mm", "mask_reason")}
         slopes = np.stack([maps[name] for name in SLOPES])
         pitch_mm = float(found.attrs["pitch_mm"])
         return HeightMap(maps["height_mm"], slopes, maps["mask_reason"], pitch_mm)
-    except OSError as error:
-        reason = " ".join(str(error).split())
-        raise CaptureError(f"{path}: is no complete netCDF-4 file ({reason})") from error
     except KeyError as error:
         raise CaptureError(f"{path}: no height map: {error} is missing") from error
 

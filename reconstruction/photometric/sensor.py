@@ -24,7 +24,7 @@ from reconstruction.arrays import (
     PhotometricReason,
     ReasonImage,
 )
-from reconstruction.errors import CaptureError, InputError, require_number
+from reconstruction.errors import CaptureError, InputError, one_line, require_number
 from reconstruction.photometric.calibration_ball import BallPress, SampleOptions, sample_presses
 from reconstruction.photometric.colour_maps import (
     BoundPolynomial,
@@ -158,8 +158,7 @@ def read_sensor_calibration(path: Path | str) -> SensorCalibration:
         with Path(path).open("rb") as stream, np.load(stream, allow_pickle=False) as file:
             arrays = {name: np.asarray(file[name]) for name in file.files}
     except (OSError, ValueError, EOFError, AttributeError, zipfile.BadZipFile) as error:
-        reason = " ".join(str(error).split())
-        raise CaptureError(f"{path}: is no photometric calibration ({reason})") from error
+        raise CaptureError(f"{path}: is no photometric calibration ({one_line(error)})") from error
     try:
         return _from_arrays(arrays)
     except KeyError as error:

@@ -15,7 +15,7 @@ from reconstruction._jit import run_over_rows
 from reconstruction.arrays import BoolImage, FloatArray, FloatImage, Reason, ReasonImage
 from reconstruction.compact import Bits, Half, RaySpread, keeps_compact, kept
 from reconstruction.decoding import AxisDecode, Decoded
-from reconstruction.decoding._half import BIAS
+from reconstruction.decoding._rows import BIAS
 from reconstruction.decoding.decode import SIGMA_UNIT_PX
 from reconstruction.errors import InputError, require_number
 from reconstruction.rig.calibration import Calibration

@@ -16,7 +16,7 @@ import numpy as np
 
 from reconstruction._jit import compiled, inlined
 from reconstruction.arrays import Reason
-from reconstruction.decoding._half import pack_row, unpack_row
+from reconstruction.decoding._rows import pack_row, unpack_row
 from reconstruction.rig.pinhole import (
     INVERSE_STEPS,
     NO_DISTORTION,

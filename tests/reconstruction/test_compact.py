@@ -6,7 +6,7 @@ import pytest
 
 from reconstruction import _jit
 from reconstruction.compact import Half, Orders, RaySpread, Turns, kept
-from reconstruction.decoding._half import BIAS, pack_row, unpack_row
+from reconstruction.decoding._rows import BIAS, pack_row, unpack_row
 from reconstruction.decoding.decode import (
     CHANCE_UNIT,
     SIGMA_UNIT_PX,
