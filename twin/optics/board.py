@@ -15,7 +15,8 @@ from reconstruction.calibration.boards import Board
 from twin.config.board import BoardFile, BoardPlate, BoardPose
 from twin.config.models import Experiment
 from twin.optics.backend import activate
-from twin.optics.materials import mitsuba_mesh
+from twin.optics.materials import bitmap, mitsuba_mesh
+from twin.optics.rig import about_z
 from twin.optics.stack import Frames
 
 TEXELS_PER_PIXEL = 2.0
@@ -27,7 +28,7 @@ def board_pose(pose: BoardPose) -> FloatArray:
     """Return T_world_from_board (4, 4), mm: spin in the plane, then tilt towards the azimuth."""
     azimuth, tilt, spin = np.deg2rad([pose.azimuth_deg, pose.tilt_deg, pose.spin_deg])
     T = np.eye(4)
-    T[:3, :3] = _about_z(azimuth) @ _about_y(tilt) @ _about_z(spin - azimuth)
+    T[:3, :3] = about_z(azimuth) @ _about_y(tilt) @ about_z(spin - azimuth)
     T[:3, 3] = pose.x_mm, pose.y_mm, pose.z_mm
     return T
 
@@ -83,19 +84,11 @@ def render_board(experiment: Experiment, file: BoardFile, pose: BoardPose) -> Fr
 def _board_scene(plate: BoardPlate, albedo: FloatImage, T_world_from_board: FloatArray) -> Any:
     import mitsuba as mi
 
-    print_ = {
-        "type": "bitmap",
-        "bitmap": mi.Bitmap(albedo[..., np.newaxis]),
-        "raw": True,
-        "format": "variant",
-        "filter_type": "bilinear",
-        "wrap_mode": "clamp",
-    }
     mesh = mitsuba_mesh(
         "board",
         _corners_world_mm(plate, T_world_from_board),
         [(0, 1, 2), (0, 2, 3)],
-        {"type": "diffuse", "reflectance": print_},
+        {"type": "diffuse", "reflectance": bitmap(albedo)},
         # Row 0 of a bitmap is at v = 0 of a mesh.
         texture=[(0, 1), (1, 1), (1, 0), (0, 0)],
     )
@@ -115,11 +108,6 @@ def _corners_world_mm(plate: BoardPlate, T_world_from_board: FloatArray) -> Floa
 def _texel_centres(size_mm: float, texel_mm: float) -> FloatArray:
     count = int(min(np.ceil(size_mm / texel_mm), MAX_TEXELS))
     return np.asarray(((np.arange(count) + 0.5) / count - 0.5) * size_mm)
-
-
-def _about_z(angle_rad: float) -> FloatArray:
-    c, s = np.cos(angle_rad), np.sin(angle_rad)
-    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
 def _about_y(angle_rad: float) -> FloatArray:

@@ -26,7 +26,7 @@ import numpy as np
 
 from twin.optics.connection import Connection, FrameLight, Rig, connect
 from twin.optics.devices import SubPixels
-from twin.optics.photons import StageLight
+from twin.optics.photons import StageLight, random_streams
 from twin.optics.scene import Surfaces
 
 LAUNCHES = 8
@@ -72,7 +72,7 @@ def add_bounces(
     """
     walks, width = grid.samples * bounces.paths, dr.width(grid.x_px)
     next_segment = _next_segment(scene, rig, light, grid, bounces)
-    random = _random_numbers(width, bounces.seed)
+    random = random_streams(width, bounces.seed)
     limits = np.linspace(0, walks, min(walks, LAUNCHES) + 1).astype(int).tolist()
     for first, last in pairwise(limits):
         # Opaque: a literal would make every launch a kernel of its own.
@@ -171,13 +171,3 @@ def _add_where(
 
     result = dr.if_stmt((arguments, sums), active, add, lambda _, sums: sums)
     return list(result)
-
-
-def _random_numbers(width: int, seed: int) -> Any:
-    """One stream per lane. Opaque: a literal seed would be compiled into the kernel anew."""
-    generator: Any = mi.PCG32
-    return generator(
-        size=width,
-        initstate=dr.opaque(mi.UInt64, seed),
-        initseq=dr.arange(mi.UInt64, width),
-    )

@@ -15,7 +15,7 @@ from reconstruction.arrays import FloatArray, FloatImage
 from reconstruction.rig.pinhole import Pinhole
 from twin.config.lamps import Markers
 from twin.config.models import Experiment
-from twin.optics.connection import blocked
+from twin.optics.connection import blocked, truth_of
 from twin.optics.devices import Device, SubPixels
 from twin.optics.lamps import Emitters, emitters_of
 from twin.optics.layers import LayerStack
@@ -194,18 +194,9 @@ def _dots(markers: Markers, point_mm: Any) -> Any:
 def trace_face(scene: Any, rig: LampRig) -> Truth:
     """Trace one ray through every pixel centre; there is no projector: its coordinates are 0."""
     width, height = rig.camera.pinhole.width_px, rig.camera.pinhole.height_px
-    centres, image = SubPixels.of_image(width, height, 1), (height, width)
+    centres = SubPixels.of_image(width, height, 1)
     ray = rig.camera.ray(centres.x_px, centres.y_px)
     ray = ray if rig.layers is None else rig.layers.refract(ray).ray
     hit = scene.ray_intersect(ray, mi.RayFlags.All, coherent=False)
-    seen = hit.is_valid()
-    point, normal = (dr.select(seen, value, 0.0) for value in (hit.p, hit.sh_frame.n))
-    depth_mm = dr.select(seen, rig.camera.project(hit.p)[2], 0.0)
-    dr.eval(point, normal, depth_mm, seen)
-    points, normals = (
-        np.stack([np.asarray(axis).reshape(image) for axis in value], axis=-1)
-        for value in (point, normal)
-    )
-    nothing, found = np.zeros(image, np.float32), np.array(seen).reshape(image)
-    depth = np.array(depth_mm).reshape(image)
-    return Truth(points, normals, depth, nothing, nothing, found, found)
+    nothing, seen = dr.zeros(mi.Float, width * height), hit.is_valid()
+    return truth_of(rig.camera, hit, (nothing, nothing), seen, seen)

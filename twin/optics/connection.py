@@ -16,6 +16,7 @@ from reconstruction.arrays import FloatArray, FloatImage
 from twin.optics.devices import Device
 from twin.optics.layers import Arrival, LayerStack
 from twin.optics.light import LEAST_VARIANCE_PX2, MARGIN_PX, OVERSAMPLING, BlurLevels, LightTable
+from twin.optics.stack import Truth
 
 # Shadow rays start this far off the surface along its normal: 50 times the float32 resolution of
 # a point 250 mm away, 1/40 of the smallest mesh pitch.
@@ -126,6 +127,22 @@ def blocked(
     shadow = mi.Ray3f(start, direction)
     shadow.maxt = distance_mm * (1.0 - 1e-4)
     return scene.ray_test(shadow, coherent=coherent, active=active)
+
+
+def truth_of(
+    camera: Device, hit: Any, projector_px: tuple[Any, Any], lit: Any, measured: Any
+) -> Truth:
+    """Return what the rays through a camera's pixel centres hit, as images."""
+    image, seen = (camera.pinhole.height_px, camera.pinhole.width_px), hit.is_valid()
+    point, normal = (dr.select(seen, value, 0.0) for value in (hit.p, hit.sh_frame.n))
+    depth_mm = dr.select(seen, camera.project(hit.p)[2], 0.0)
+    dr.eval(point, normal, depth_mm, *projector_px, lit, measured)
+    points, normals = (
+        np.stack([np.asarray(axis).reshape(image) for axis in value], axis=-1)
+        for value in (point, normal)
+    )
+    values = (depth_mm, *projector_px, lit, measured)
+    return Truth(points, normals, *(np.array(value).reshape(image) for value in values))
 
 
 def axial_range_mm(scene: Any, rig: Rig) -> tuple[float, float]:

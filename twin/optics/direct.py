@@ -11,7 +11,7 @@ import numpy as np
 
 from twin.config.models import Experiment, Material
 from twin.optics.checks import check_materials
-from twin.optics.materials import absorption_per_mm, bsdf_of, mitsuba_mesh, sharp
+from twin.optics.materials import absorption_per_mm, bsdf_of, level, mitsuba_mesh, sharp
 from twin.specimens import bodies
 
 if TYPE_CHECKING:
@@ -115,8 +115,7 @@ def _stage(experiment: Experiment, z_mm: float) -> Solid:
         vertex_normals=np.tile([0.0, 0.0, 1.0], (4, 1)),
         process=False,
     )
-    reflectance = {"type": "spectrum", "value": experiment.stage.albedo}
-    return Solid(STAGE, mesh, {"type": "diffuse", "reflectance": reflectance})
+    return Solid(STAGE, mesh, {"type": "diffuse", "reflectance": level(experiment.stage.albedo)})
 
 
 def _smooth(mesh: "trimesh.Trimesh") -> "trimesh.Trimesh":

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any, assert_never
 import numpy as np
 from numpy.typing import ArrayLike
 
+from reconstruction.arrays import FloatImage
 from twin.config.models import Coating, Conductor, Dielectric, Diffuse, Material, Plastic
 
 if TYPE_CHECKING:
@@ -89,52 +90,46 @@ def mitsuba_mesh(
     return mesh
 
 
+def bitmap(light: FloatImage) -> dict[str, Any]:
+    """Return numbers (row, col) as a texture for `mi.load_dict`, interpolated between texels."""
+    import mitsuba as mi
+
+    return {
+        "type": "bitmap",
+        "bitmap": mi.Bitmap(np.ascontiguousarray(light[..., None], np.float32)),
+        "raw": True,  # the numbers are light, not sRGB
+        "format": "variant",  # float32, not half precision
+        "filter_type": "bilinear",
+        "wrap_mode": "clamp",
+    }
+
+
 def bsdf_of(material: Material) -> dict[str, Any]:
     """Return the dictionary of a material's BSDF for `mi.load_dict`."""
     match material:
         case Conductor():
-            return _conductor(material)
+            eta, k = level(material.ior), level(material.extinction)
+            return _microfacets("conductor", material.roughness, eta=eta, k=k)
         case Dielectric():
-            return _dielectric(material)
+            index = {"int_ior": material.ior, "ext_ior": 1.0}
+            return _microfacets("dielectric", material.roughness, **index)
         case Diffuse():
-            return {"type": "diffuse", "reflectance": _level(material.albedo)}
+            return {"type": "diffuse", "reflectance": level(material.albedo)}
         case Plastic():
-            return {
-                "type": "roughplastic",
-                "distribution": "ggx",
-                "alpha": material.roughness,
-                "int_ior": material.ior,
-                "ext_ior": 1.0,
-                "diffuse_reflectance": _level(material.albedo),
-            }
+            index, pigment = {"int_ior": material.ior, "ext_ior": 1.0}, level(material.albedo)
+            return _microfacets("plastic", material.roughness, **index, diffuse_reflectance=pigment)
     assert_never(material)
 
 
-def _conductor(material: Conductor) -> dict[str, Any]:
-    index = {"eta": _level(material.ior), "k": _level(material.extinction)}
-    if material.roughness == 0.0:
-        return {"type": "conductor", **index}
-    return {
-        "type": "roughconductor",
-        "distribution": "ggx",
-        "alpha": material.roughness,
-        **index,
-    }
+def _microfacets(kind: str, roughness: float, **index: Any) -> dict[str, Any]:
+    """Return a smooth surface of a kind, or its rough form with GGX microfacets."""
+    if roughness == 0.0:
+        return {"type": kind, **index}
+    return {"type": f"rough{kind}", "distribution": "ggx", "alpha": roughness, **index}
 
 
-def _dielectric(material: Dielectric) -> dict[str, Any]:
-    index = {"int_ior": material.ior, "ext_ior": 1.0}
-    if material.roughness == 0.0:
-        return {"type": "dielectric", **index}
-    return {
-        "type": "roughdielectric",
-        "distribution": "ggx",
-        "alpha": material.roughness,
-        **index,
-    }
-
-
-def _level(value: float) -> dict[str, Any]:
+def level(value: float) -> dict[str, Any]:
+    """Return a number as a spectrum: what `mi.load_dict` would take for a colour otherwise."""
     return {"type": "spectrum", "value": value}
 
 
@@ -151,29 +146,27 @@ def coating_bsdf(coating: Coating) -> dict[str, Any]:
         "type": "blendbsdf",
         "weight": coating.flake_fraction,
         "ink": _ink(coating),
-        "flakes": {
-            "type": "roughconductor",
-            "distribution": "ggx",
-            "alpha": coating.flake_roughness,
-            "eta": {"type": "spectrum", "value": coating.flake_ior},
-            "k": {"type": "spectrum", "value": coating.flake_extinction},
-        },
+        "flakes": _microfacets(
+            "conductor",
+            coating.flake_roughness,
+            eta=level(coating.flake_ior),
+            k=level(coating.flake_extinction),
+        ),
     }
 
 
 def _ink(coating: Coating) -> dict[str, Any]:
-    pigment = {"type": "spectrum", "value": coating.base_albedo}
+    pigment = level(coating.base_albedo)
     if coating.binder_ior == 1.0:
         return {"type": "diffuse", "reflectance": pigment}
-    return {
-        "type": "roughplastic",
-        "distribution": "ggx",
-        "alpha": coating.binder_roughness,
-        "int_ior": coating.binder_ior,
-        "ext_ior": 1.0,
-        "nonlinear": True,  # inter-reflections below the binder meet the pigment again and again
-        "diffuse_reflectance": pigment,
-    }
+    return _microfacets(
+        "plastic",
+        coating.binder_roughness,
+        int_ior=coating.binder_ior,
+        ext_ior=1.0,
+        nonlinear=True,  # inter-reflections below the binder meet the pigment again and again
+        diffuse_reflectance=pigment,
+    )
 
 
 def set_coating(scene: Any, coating: Coating) -> None:

@@ -19,7 +19,7 @@ import mitsuba as mi
 import numpy as np
 
 from twin.optics.bounces import Bounces, add_bounces
-from twin.optics.connection import Connection, FrameLight, Rig, on_image, see
+from twin.optics.connection import Connection, FrameLight, Rig, on_image, see, truth_of
 from twin.optics.devices import SubPixels
 from twin.optics.light import LightTable
 from twin.optics.scene import Surfaces
@@ -169,25 +169,8 @@ def trace_truth(scene: Any, rig: Rig, surfaces: Surfaces = _OPAQUE) -> Truth:
     centres = SubPixels.of_image(width, height, 1)
     hit, path = see(scene, rig, rig.camera.ray(centres.x_px, centres.y_px))
     lit = path.lit & on_image(rig, path.column_px, path.row_px, 0.0)
-    nothing = ~hit.is_valid()
-    point, normal = (dr.select(nothing, 0.0, value) for value in (hit.p, hit.sh_frame.n))
-    depth_mm = dr.select(nothing, 0.0, rig.camera.project(hit.p)[2])
     measured = hit.is_valid() & ~surfaces.is_stage(hit)
-    dr.eval(point, normal, depth_mm, path.column_px, path.row_px, lit, measured)
-    image = (height, width)
-    points, normals = (
-        np.stack([np.asarray(axis).reshape(image) for axis in value], axis=-1)
-        for value in (point, normal)
-    )
-    return Truth(
-        points_world_mm=points,
-        normals_world=normals,
-        depth_mm=np.array(depth_mm).reshape(image),
-        column_px=np.array(path.column_px).reshape(image),
-        row_px=np.array(path.row_px).reshape(image),
-        lit=np.array(lit).reshape(image),
-        measured=np.array(measured).reshape(image),
-    )
+    return truth_of(rig.camera, hit, (path.column_px, path.row_px), lit, measured)
 
 
 def _in_sequence(frames: list[Any], order: list[int], shape: tuple[int, int]) -> Frames:

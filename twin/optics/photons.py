@@ -154,12 +154,7 @@ def _follow(scene: Any, surfaces: Surfaces, ray: Any, seed: int) -> _Ends:
     """Follow every photon until it rests, leaves, or meets a matte body."""
     width = dr.width(ray.d)
     context = mi.BSDFContext(mi.TransportMode.Importance)
-    generator: Any = mi.PCG32
-    random = generator(
-        size=width,
-        initstate=dr.opaque(mi.UInt64, seed),
-        initseq=dr.arange(mi.UInt64, width),
-    )
+    random = random_streams(width, seed)
 
     def next_event(*state: Any) -> tuple[Any, ...]:
         _, event, ray, point, weight, absorbed, inside, _, _, rng = state
@@ -206,6 +201,17 @@ def _follow(scene: Any, surfaces: Surfaces, ray: Any, seed: int) -> _Ends:
     dr.eval(under_way, event, point, weight, absorbed, on_stage, missed)
     met_sharp = under_way | (event > 1)
     return _Ends(point, weight, absorbed, met_sharp, on_stage, missed, under_way)
+
+
+def random_streams(width: int, seed: int) -> Any:
+    """Return one stream of random numbers per lane."""
+    # Opaque: a literal seed would be compiled into the kernel anew.
+    generator: Any = mi.PCG32
+    return generator(
+        size=width,
+        initstate=dr.opaque(mi.UInt64, seed),
+        initseq=dr.arange(mi.UInt64, width),
+    )
 
 
 def _balance(ends: _Ends, counted: Any, flux_mw: float) -> Balance:

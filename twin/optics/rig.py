@@ -86,7 +86,7 @@ def world_from_device(pose: Pose, pinhole: Pinhole) -> FloatArray:
     )
     pose_matrix = np.eye(4)
     pose_matrix[:3, :3] = (
-        _looking_along(-outward) @ _about_z(np.deg2rad(pose.roll_deg)) @ _onto_z(_centre(pinhole))
+        _looking_along(-outward) @ about_z(np.deg2rad(pose.roll_deg)) @ _onto_z(_centre(pinhole))
     )
     pose_matrix[:3, 3] = pose.standoff_mm * outward
     return pose_matrix
@@ -99,7 +99,8 @@ def _looking_along(forward: FloatArray) -> FloatArray:
     return np.stack([right, np.cross(forward, right), forward], axis=1)
 
 
-def _about_z(angle_rad: float) -> FloatArray:
+def about_z(angle_rad: float) -> FloatArray:
+    """Return the rotation (3, 3) about the z axis."""
     c, s = np.cos(angle_rad), np.sin(angle_rad)
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 

@@ -12,13 +12,13 @@ from typing import Any, Literal
 
 import mitsuba as mi
 import numpy as np
-from numpy.typing import NDArray
 
 from reconstruction.arrays import FloatArray, FloatImage
 from reconstruction.patterns import PatternFrame, PatternSet
 from reconstruction.rig.pinhole import distort, distortion_jacobian, fold_square, is_before_fold
 from twin.optics.connection import Rig
 from twin.optics.light import MARGIN_PX, OVERSAMPLING, LightTable, along
+from twin.optics.materials import bitmap
 from twin.optics.rig import field_of_view_deg, perspective_sensor, to_world
 from twin.optics.stack import Frames
 
@@ -116,7 +116,7 @@ def emitter_dict(texture: FloatImage, rig: Rig, canvas: Canvas) -> dict[str, Any
             "type": "projector",
             **place,
             "fov": full_angle_deg,
-            "irradiance": _bitmap(texture),
+            "irradiance": bitmap(texture),
             "scale": rig.irradiance_at_1mm / np.pi,  # the emitter multiplies by pi
         }
     return {
@@ -125,18 +125,7 @@ def emitter_dict(texture: FloatImage, rig: Rig, canvas: Canvas) -> dict[str, Any
         "cutoff_angle": full_angle_deg / 2.0,
         "beam_width": full_angle_deg / 2.0,
         "intensity": rig.irradiance_at_1mm,
-        "texture": _bitmap(texture),
-    }
-
-
-def _bitmap(texture: NDArray[np.floating]) -> dict[str, Any]:
-    return {
-        "type": "bitmap",
-        "bitmap": mi.Bitmap(np.ascontiguousarray(texture[..., None], np.float32)),
-        "raw": True,  # the numbers are light, not sRGB
-        "format": "variant",  # float32, not half precision
-        "filter_type": "bilinear",
-        "wrap_mode": "clamp",
+        "texture": bitmap(texture),
     }
 
 

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from reconstruction.arrays import BoolImage, FloatArray, FloatImage, Levels
 from reconstruction.rig.pinhole import Pinhole
 from twin.optics.backend import activate
-from twin.optics.materials import mitsuba_mesh
+from twin.optics.materials import level, mitsuba_mesh
 from twin.optics.rig import perspective_sensor
 
 if TYPE_CHECKING:
@@ -255,11 +255,11 @@ def _lights(camera: ViewCamera) -> dict[str, Any]:
                 origin=place.tolist(), target=target.tolist(), up=[0.1, 0.2, 1.0]
             )
             @ mi.ScalarTransform4f().scale([_LAMP * size] * 3),
-            "emitter": {"type": "area", "radiance": _level(radiance)},
+            "emitter": {"type": "area", "radiance": level(radiance)},
         }
         for name, (place, radiance) in places.items()
     }
-    return {"sky": {"type": "constant", "radiance": _level(_SKY)}, **lamps}
+    return {"sky": {"type": "constant", "radiance": level(_SKY)}, **lamps}
 
 
 def _mesh(part: SceneObject, primary: int) -> Any:
@@ -285,10 +285,6 @@ def _of_primary(tree: Any, primary: int) -> Any:
     if isinstance(tree, dict):
         return {key: _of_primary(value, primary) for key, value in tree.items()}
     return tree[primary] if isinstance(tree, tuple) else tree
-
-
-def _level(value: float) -> dict[str, Any]:
-    return {"type": "spectrum", "value": value}
 
 
 def _srgb(light: FloatImage) -> Picture:

@@ -115,8 +115,8 @@ class Shape(Protocol):
         ...
 
     def spheres(self) -> tuple[Sphere, ...]:
-        """Return the balls to fit, in the order of the specimen's x axis; may be empty."""
-        ...
+        """Return the balls to fit, in the order of the specimen's x axis; none by default."""
+        return ()
 
     def distances(self) -> tuple[SignedDistance, ...]:
         """Return the signed distances to the bodies, whose contact potentials add."""

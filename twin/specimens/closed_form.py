@@ -11,7 +11,7 @@ import trimesh
 
 from reconstruction.arrays import FloatArray
 from twin.config.models import Ball, Flat, Rod, TwoBalls
-from twin.specimens.catalogue import Placement, Sphere, register
+from twin.specimens.catalogue import Placement, Shape, Sphere, register
 from twin.specimens.distance import BallDistance, CylinderDistance, SignedDistance
 
 # Level 6 has 82 k facets; its chords stay within 0.3 um of a 4 mm ball.
@@ -137,7 +137,7 @@ _SECTIONS, _EDGE_STEPS = 256, 16
 
 
 @dataclass(frozen=True, eq=False)
-class Cylinder:
+class Cylinder(Shape):
     """A cylinder with rounded edges.
 
     Its surface is where the distance function is zero. That function is convex, so Newton's steps
@@ -165,10 +165,6 @@ class Cylinder:
     def placed(self, pose: Placement) -> "Cylinder":
         """Return the cylinder moved."""
         return replace(self, middle_mm=pose.apply(self.middle_mm), axis=pose.rotation @ self.axis)
-
-    def spheres(self) -> tuple[Sphere, ...]:
-        """No balls."""
-        return ()
 
     def distances(self) -> tuple[SignedDistance, ...]:
         """Return the distance to the cylinder."""

@@ -15,7 +15,7 @@ from reconstruction.arrays import FloatArray, IntArray
 from reconstruction.errors import InputError
 from twin.assets import mesh_path
 from twin.config.models import Grating, MeshFile
-from twin.specimens.catalogue import UNMOVED, Placement, Sphere, register
+from twin.specimens.catalogue import UNMOVED, Placement, Shape, register
 from twin.specimens.distance import BoxDistance, SignedDistance
 from twin.specimens.sampled_distance import MeshDistance
 from twin.specimens.solids import rounded_box
@@ -72,7 +72,7 @@ def _find(key: str, name: str) -> Path:
 
 
 @dataclass(frozen=True, eq=False)
-class MeshShape:
+class MeshShape(Shape):
     """A closed surface of triangles."""
 
     #: the surface in the frame in which it was made
@@ -106,10 +106,6 @@ class MeshShape:
     def distances(self) -> tuple[SignedDistance, ...]:
         """Return the distance to the surface."""
         return (self.exact(self.pose) if self.exact else MeshDistance(self.body, self.pose),)
-
-    def spheres(self) -> tuple[Sphere, ...]:
-        """No balls."""
-        return ()
 
     def bounds_mm(self) -> tuple[float, float, float, float]:
         """Return the outline in world xy: (x low, x high, y low, y high)."""
