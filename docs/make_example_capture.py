@@ -16,9 +16,14 @@ from pathlib import Path
 import imageio.v3 as imageio
 import numpy as np
 
-from reconstruction.capture.description import assignments, file_names, write_patterns
+from reconstruction.capture.description import (
+    FRAMES_FORMAT,
+    FRAMES_VERSION,
+    assignments,
+    file_names,
+    write_patterns,
+)
 from reconstruction.capture.folder import Capture
-from reconstruction.capture.frame_set import FORMAT, VERSION
 from reconstruction.rig.calibration import write_calibration
 from twin.config import load_experiment
 from twin.pipeline import Recording, press_specimen, record
@@ -51,8 +56,8 @@ def write_frames(capture: Capture) -> None:
         imageio.imwrite(FOLDER / name, frame.astype(np.uint8), optimize=True)
     write_calibration(FOLDER / "calibration.yaml", capture.calibration)
     header = {
-        "format": FORMAT,
-        "version": VERSION,
+        "format": FRAMES_FORMAT,
+        "version": FRAMES_VERSION,
         "files": "{index:03d}_{name}.png",
         "bit_depth": capture.bit_depth,
         "patterns_file": "patterns.toml",

@@ -18,10 +18,14 @@ from reconstruction.calibration.plane_images import (
     fit_homography,
     projector_points,
 )
-from reconstruction.capture.description import read_description, read_manifest
+from reconstruction.capture.description import (
+    is_frame_set,
+    read_description,
+    read_frame_set,
+    read_manifest,
+)
 from reconstruction.capture.folder import DESCRIPTION_FILE, described, find_capture, read_stack
 from reconstruction.capture.frame_order import check_order
-from reconstruction.capture.frame_set import is_frame_set, read_frame_set
 from reconstruction.capture.image_files import read_frames
 from reconstruction.decoding.decode import Decoded, DecodeOptions, decode
 from reconstruction.errors import CaptureError, InputError

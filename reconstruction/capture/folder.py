@@ -22,12 +22,13 @@ import numpy as np
 from reconstruction.arrays import FloatImage, Stack
 from reconstruction.capture.description import (
     Description,
+    is_frame_set,
     read_description,
+    read_frame_set,
     read_manifest,
     write_description,
 )
 from reconstruction.capture.frame_order import check_order
-from reconstruction.capture.frame_set import is_frame_set, read_frame_set
 from reconstruction.capture.image_files import read_frames
 from reconstruction.errors import CaptureError, InputError, few, one_line, require_integer
 from reconstruction.machine import writing_netcdf

@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from reconstruction.arrays import FloatImage, ReasonImage, Stack
+from reconstruction.capture.description import FrameSet, frame_files
 from reconstruction.capture.frame_order import check_order
-from reconstruction.capture.frame_set import FrameSet, frame_files
 from reconstruction.errors import CaptureError, InputError, one_line, require_number
 from reconstruction.machine import threads
 from reconstruction.patterns import PatternSet

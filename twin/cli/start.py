@@ -52,7 +52,7 @@ def init(
 @app.command
 def keys() -> None:
     """List every key of an experiment file: type, allowed values, default, meaning."""
-    from twin.config.reference import experiment_keys
+    from twin.config.loading import experiment_keys
 
     print_table(
         ("key", "allowed", "default", "meaning"),

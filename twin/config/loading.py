@@ -5,22 +5,26 @@ on which the table's own keys are laid. The result names no file any more; it ca
 read back and rerun anywhere.
 
 Validation problems are told in one line each: what, where, found, allowed, what to do.
+The keys of a file are read off the models, too: no second list to keep true.
 """
 
 import difflib
 import tomllib
 import types
 import typing
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
 import tomli_w
 from pydantic import BaseModel, ValidationError
+from pydantic.fields import FieldInfo
+from pydantic_core import PydanticUndefined
 
 from twin.assets import asset_path, scene_file
 from twin.config.base import AssetCycleError, ConfigError
-from twin.config.models import Decode, Experiment
+from twin.config.models import Conductor, Decode, Dielectric, Diffuse, Experiment, Layer, Plastic
 from twin.config.quantities import check_ranges, convert_units, is_quantity, split_quantities
 
 
@@ -243,3 +247,82 @@ def _options(annotation: Any) -> list[Any]:
     if typing.get_origin(annotation) in (typing.Union, types.UnionType):
         return list(typing.get_args(annotation))
     return [annotation]
+
+
+@dataclass(frozen=True)
+class Key:
+    """One key of an experiment file."""
+
+    path: str
+    allowed: str
+    default: str
+    meaning: str
+
+
+def experiment_keys() -> Iterator[Key]:
+    """Yield every key of an experiment file, the materials' once at the end."""
+    yield from list_keys(Experiment)
+    for material in (Conductor, Dielectric, Diffuse, Plastic):
+        kind = material.model_fields["kind"].default
+        yield from list_keys(material, f"specimen.material({kind}).")
+    yield from list_keys(Layer, "layers.NAME.")
+
+
+def list_keys(model: type[BaseModel], prefix: str = "") -> Iterator[Key]:
+    """Yield every key of a model and of the models inside it, in file order."""
+    for name, field in model.model_fields.items():
+        inner = [] if name == "material" else _parts_of(field.annotation)
+        if name == "provenance":
+            continue
+        if not inner:
+            yield Key(f"{prefix}{name}", _range_of(field), _default(field), field.description or "")
+        for part in inner:
+            tag = f"({part.model_fields['kind'].default})" if len(inner) > 1 else ""
+            yield from list_keys(part, f"{prefix}{name}{tag}.")
+
+
+def _parts_of(annotation: Any) -> list[type[BaseModel]]:
+    if typing.get_origin(annotation) is dict:
+        return []  # named parts, each one of the kinds listed beside it
+    return _models(list(typing.get_args(annotation) or (annotation,)))
+
+
+def _range_of(field: FieldInfo) -> str:
+    limits = [_limit(item) for item in field.metadata]
+    return ", ".join([_type_name(field.annotation), *filter(None, limits)])
+
+
+def _type_name(annotation: Any) -> str:
+    if typing.get_origin(annotation) is typing.Literal:
+        return " | ".join(repr(value) for value in typing.get_args(annotation))
+    if typing.get_origin(annotation) is typing.Annotated:
+        inner, *metadata = typing.get_args(annotation)
+        limits = [_limit(item) for extra in metadata for item in getattr(extra, "metadata", [])]
+        return ", ".join([_type_name(inner), *filter(None, limits)])
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return f"table ({annotation.model_fields['kind'].default})"
+    if typing.get_origin(annotation) in (dict, tuple):
+        return _collection_name(annotation)
+    parts = [part for part in typing.get_args(annotation) if part is not type(None)]
+    if parts:
+        return " | ".join(_type_name(part) for part in parts)
+    names = {float: "number", int: "integer", bool: "true | false", str: "text"}
+    return names.get(annotation, str(annotation))
+
+
+def _collection_name(annotation: Any) -> str:
+    if typing.get_origin(annotation) is dict:
+        return "tables by name"
+    items = typing.get_args(annotation)
+    return "numbers" if Ellipsis in items else f"{len(items)} numbers"
+
+
+def _limit(item: Any) -> str:
+    for name, sign in (("gt", ">"), ("ge", ">="), ("lt", "<"), ("le", "<=")):
+        if hasattr(item, name):
+            return f"{sign} {getattr(item, name):g}"
+    return ""
+
+
+def _default(field: FieldInfo) -> str:
+    return "required" if field.default is PydanticUndefined else str(field.default)

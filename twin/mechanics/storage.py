@@ -22,6 +22,7 @@ from twin.mechanics.validity import Validity
 from twin.output import replacing
 
 _SCHEMA = "fringe-twin press 1"
+_FACE = ("face_y", "face_x")
 
 # field: (dimensions, units, long name)
 _VARIABLES: dict[str, tuple[tuple[str, ...], str, str]] = {
@@ -32,13 +33,13 @@ _VARIABLES: dict[str, tuple[tuple[str, ...], str, str]] = {
     "touched_face_mm": (("y", "x"), "mm", "world z of the touched face"),
     "face_x_mm": (("face_x",), "mm", "world x of the coated face's nodes"),
     "face_y_mm": (("face_y",), "mm", "world y of the coated face's nodes"),
-    "face_z_mm": (("face_y", "face_x"), "mm", "world z of the coated face"),
+    "face_z_mm": (_FACE, "mm", "world z of the coated face"),
     "force_n": ((), "N", "contact force"),
     "depth_mm": ((), "mm", "travel after first touch"),
     "young_modulus_kpa": ((), "kPa", "Young's modulus of the elastomer"),
     "iterations": ((), "1", "passes of the contact solver"),
     "converged": ((), "1", "1 when the contact solver converged"),
-    "texture_mm": (("face_y", "face_x"), "mm", "what the coat's texture adds to face_z_mm"),
+    "texture_mm": (_FACE, "mm", "what the coat's texture adds to face_z_mm"),
 }
 _OPTIONAL = {"texture_mm"}
 
@@ -106,12 +107,8 @@ def write_in_plane(
         file.attrs["comment"] = "moves texture and markers; the relief's nodes stay where they are"
         file.dimensions = {"face_y": pressed.face_y_mm.size, "face_x": pressed.face_x_mm.size}
         for axis, data in zip("xy", moved, strict=True):
-            variable = file.create_variable(
-                f"u_{axis}_mm", ("face_y", "face_x"), data=data,
-                compression="gzip", compression_opts=1,
-            )  # fmt: skip
-            variable.attrs["units"] = "mm"
-            variable.attrs["long_name"] = f"displacement of the coat along world {axis}"
+            told = f"displacement of the coat along world {axis}"
+            _write(file, f"u_{axis}_mm", _FACE, data, ("mm", told))
 
 
 def write_mesh(path: Path, mesh: trimesh.Trimesh) -> None:
@@ -145,44 +142,36 @@ def _fill(file: Any, pressed: PressedElastomer) -> None:
             continue
         data = np.asarray(getattr(pressed, name))
         stored = data.astype(np.int8) if data.dtype == bool else data
-        packing = {"compression": "gzip", "compression_opts": 1} if data.ndim == 2 else {}
-        variable = file.create_variable(name, dimensions, stored.dtype, data=stored, **packing)
-        variable.attrs["units"] = units
-        variable.attrs["long_name"] = long_name
+        _write(file, name, dimensions, stored, (units, long_name))
     for name, data in _sheet_arrays(pressed.sheet).items():
-        units, long_name = _SHEET_VARIABLES[name]
-        variable = file.create_variable(
-            f"sheet_{name}", ("face_y", "face_x"), data=data, compression="gzip", compression_opts=1
-        )
-        variable.attrs["units"] = units
-        variable.attrs["long_name"] = long_name
+        _write(file, f"sheet_{name}", _FACE, data, _SHEET_VARIABLES[name])
     file.create_group("validity").attrs.update(
         {**asdict(pressed.validity), "warnings": "\n".join(pressed.validity.warnings)}
     )
 
 
+def _write(
+    file: Any, name: str, dimensions: tuple[str, ...], data: Any, told: tuple[str, str]
+) -> None:
+    """Write a variable with its units and long name, maps compressed."""
+    packing = {"compression": "gzip", "compression_opts": 1} if data.ndim == 2 else {}
+    variable = file.create_variable(name, dimensions, data.dtype, data=data, **packing)
+    variable.attrs["units"], variable.attrs["long_name"] = told
+
+
 def _sheet_arrays(sheet: SheetFields | None) -> dict[str, Any]:
     if sheet is None:
         return {}
-    return {
-        "thickness_mm": sheet.thickness_mm,
-        "stretch_1": sheet.stretch[..., 0],
-        "stretch_2": sheet.stretch[..., 1],
-        "material_x_mm": sheet.material_x_mm,
-        "material_y_mm": sheet.material_y_mm,
-    }
+    larger, smaller = np.moveaxis(sheet.stretch, -1, 0)
+    places = (sheet.material_x_mm, sheet.material_y_mm)
+    return dict(zip(_SHEET_VARIABLES, (sheet.thickness_mm, larger, smaller, *places), strict=True))
 
 
 def _read_sheet(file: Any) -> SheetFields | None:
     if "sheet_thickness_mm" not in file.variables:
         return None
-    maps = {name: np.asarray(file[f"sheet_{name}"][...]) for name in _SHEET_VARIABLES}
-    return SheetFields(
-        thickness_mm=maps["thickness_mm"],
-        stretch=np.stack((maps["stretch_1"], maps["stretch_2"]), axis=-1),
-        material_x_mm=maps["material_x_mm"],
-        material_y_mm=maps["material_y_mm"],
-    )
+    thickness, *stretch, x, y = (file[f"sheet_{name}"][...] for name in _SHEET_VARIABLES)
+    return SheetFields(thickness, np.stack(stretch, axis=-1), x, y)
 
 
 def _read_validity(file: Any) -> Validity:

@@ -30,34 +30,34 @@ SCENE_FILE = "scene.xml"
 
 def inexpressible(experiment: Experiment) -> list[str]:
     """List what stock Mitsuba cannot express of this experiment, one line each."""
-    lines = [
+    parts = () if experiment.method.presses else bodies(experiment.specimen, 0.0)
+    clear = any(part.material is not None and sharp(part.material) for part in parts)
+    checks = (
+        (
+            experiment.projector.aperture_mm > 0.0,
+            "projector.aperture_mm is left out: a texture has the same blur at every distance, that"
+            " of best focus",
+        ),
+        (
+            any(experiment.camera.distortion),
+            "camera.distortion is left out: stock sensors have no lens distortion",
+        ),
+        (
+            clear,
+            "light that comes through or off smooth bodies is missing: stock integrators cannot"
+            " connect them to a projector, what lies behind glass is black",
+        ),
+        (
+            bool(experiment.layers),
+            "layers are left out: no stock integrator connects a coat below a refracting face to a"
+            " projector",
+        ),
+    )
+    return [
+        *(line for left_out, line in checks if left_out),
         "sub-pixel positions are random in stock Mitsuba: at few samples they act as phase noise",
         "the camera's noise and bits are not in the scene: its images are linear radiance",
     ]
-    if experiment.layers:
-        lines.insert(
-            0,
-            "layers are left out: no stock integrator connects a coat below a refracting face to a"
-            " projector",
-        )
-    if not experiment.method.presses and any(
-        part.material is not None and sharp(part.material)
-        for part in bodies(experiment.specimen, 0.0)
-    ):
-        lines.insert(
-            0,
-            "light that comes through or off smooth bodies is missing: stock integrators cannot"
-            " connect them to a projector, what lies behind glass is black",
-        )
-    if any(experiment.camera.distortion):
-        lines.insert(0, "camera.distortion is left out: stock sensors have no lens distortion")
-    if experiment.projector.aperture_mm:
-        lines.insert(
-            0,
-            "projector.aperture_mm is left out: a texture has the same blur at every distance, that"
-            " of best focus",
-        )
-    return lines
 
 
 def export_stock(

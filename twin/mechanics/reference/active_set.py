@@ -37,7 +37,6 @@ class PointContact:
     #: (point,) force over Young's modulus, mm^2
     force: FloatArray
     depth_mm: float
-    passes: int
     #: loads that the body answered
     loads: int
 
@@ -96,7 +95,7 @@ def press_points(
         wanted = np.where(active, force > -slack * force.max(), (raised < -slack * depth) & known)
         settled = np.array_equal(wanted, active)
         if settled and tolerance == _FINE:
-            return PointContact(np.maximum(force, 0.0), depth, passes, loads)
+            return PointContact(np.maximum(force, 0.0), depth, loads)
         if settled or passes >= _PATIENCE:
             tolerance = _FINE
         active = wanted

@@ -70,11 +70,7 @@ class PadPress:
     #: (point,) pressure over Young's modulus at the touched face's integration points
     pressure_over_modulus: FloatArray
     force_over_modulus_mm2: float
-    #: world z of the touched face where the specimen first touches
-    first_touch_mm: float
     depth_mm: float
-    #: (node, xyz) displacement of all nodes
-    moved_mm: FloatArray
     iterations: int
 
     @property
@@ -110,7 +106,7 @@ def press_pad(
     body = ElasticBody(mesh, pad.poisson_ratio, pad.holds)
     touched, coated = body.facets(pad.touched), body.facets(pad.coated)
     loaded = _preloaded(body, touched, coated, preload or Preload())
-    height, first = _gap(shape, Face(touched, body.nodes_mm, loaded))
+    height = _gap(shape, Face(touched, body.nodes_mm, loaded))
     yielding = touched.size_mm / (_FOUNDATION * touched.weight_mm2)
     gap = height + touched.trace @ loaded[:, 2]
     points = ContactPoints(touched.trace, body.nodes_mm, yielding, gap)
@@ -123,9 +119,7 @@ def press_pad(
         coated=Face(coated, body.nodes_mm, moved),
         pressure_over_modulus=contact.force / touched.plan_mm2,
         force_over_modulus_mm2=float(contact.force.sum()),
-        first_touch_mm=first,
         depth_mm=contact.depth_mm,
-        moved_mm=moved,
         iterations=contact.loads,
     )
 
@@ -152,8 +146,8 @@ def _thrust(body: ElasticBody, facets: Facets, force: FloatArray) -> FloatArray:
     return nodal
 
 
-def _gap(shape: Shape, face: Face) -> tuple[FloatArray, float]:
-    """Return the integration points' gaps at first touch, inf beside, and z of first touch."""
+def _gap(shape: Shape, face: Face) -> FloatArray:
+    """Return the integration points' gaps at first touch, inf beside."""
     x, y = face.facets.points_mm[:, :2].T
     reach = 2 * np.abs(face.nodes_mm[:, :2]).max(axis=0)
     field = sample(shape, *reach)
@@ -167,8 +161,7 @@ def _gap(shape: Shape, face: Face) -> tuple[FloatArray, float]:
     share = np.stack((i, j, 1 - i - j), axis=-1)[i + j <= 1 + 1e-9]
     x, y = np.einsum("sc,fcx->xfs", share, face.nodes_mm[near])[:2].reshape(2, -1)
     closest = field.value(x, y) + face.undeformed_mm(x, y)
-    first = min(float(closest.min()), float(gap.min()))
-    return gap - first, first
+    return np.asarray(gap - min(float(closest.min()), float(gap.min())))
 
 
 def _surface(
