@@ -19,9 +19,9 @@ import numpy as np
 from reconstruction.capture.description import (
     FRAMES_FORMAT,
     FRAMES_VERSION,
-    assignments,
     file_names,
     write_patterns,
+    write_toml,
 )
 from reconstruction.capture.folder import Capture
 from reconstruction.rig.calibration import write_calibration
@@ -63,8 +63,7 @@ def write_frames(capture: Capture) -> None:
         "patterns_file": "patterns.toml",
         "calibration_file": "calibration.yaml",
     }
-    lines = [*assignments(header), "", "[sensor]", *assignments(asdict(capture.sensor))]
-    (FOLDER / "capture.toml").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    write_toml(FOLDER / "capture.toml", header, {"sensor": asdict(capture.sensor)})
 
 
 def true_heights(recording: Recording) -> dict[str, float]:

@@ -75,10 +75,11 @@ class Description:
 def write_description(path: Path, description: Description) -> None:
     """Write `description` as TOML."""
     values: dict[str, Any] = {"format": FORMAT, "version": VERSION} | asdict(description)
-    _write_toml(path, values, {name: values.pop(name) for name in TABLES})
+    write_toml(path, values, {name: values.pop(name) for name in TABLES})
 
 
-def _write_toml(path: Path, values: Mapping[str, Any], tables: Mapping[str, Any]) -> None:
+def write_toml(path: Path, values: Mapping[str, Any], tables: Mapping[str, Any]) -> None:
+    """Write plain values, and tables of them."""
     lines = []
     for name, table in {"": values, **tables}.items():
         lines += ["", f"[{name}]"] if name else []
@@ -176,7 +177,7 @@ def write_manifest(path: Path, patterns: PatternSet) -> None:
     """Write the manifest alone."""
     files = file_names(patterns)
     header = {"format": PATTERN_FORMAT, "version": PATTERN_VERSION, "files": files}
-    _write_toml(path, header, {"patterns": asdict(patterns)})
+    write_toml(path, header, {"patterns": asdict(patterns)})
 
 
 def read_manifest(path: Path | str) -> PatternSet:
@@ -401,4 +402,4 @@ def write_frame_set(
         "patterns_file": FrameSet.patterns_file,
         "calibration_file": FrameSet.calibration_file,
     }
-    _write_toml(folder / "capture.toml", header, {"sensor": asdict(sensor)})
+    write_toml(folder / "capture.toml", header, {"sensor": asdict(sensor)})

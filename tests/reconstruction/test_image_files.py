@@ -8,7 +8,7 @@ import OpenEXR
 import pytest
 
 from reconstruction.calibration.observation import pose_folders, read_board_capture
-from reconstruction.capture.description import assignments, write_patterns
+from reconstruction.capture.description import write_patterns, write_toml
 from reconstruction.capture.folder import read_capture, write_capture
 from reconstruction.capture.image_files import subtract_dark
 from reconstruction.errors import CaptureError
@@ -49,8 +49,7 @@ def write_folder(tmp_path, calibration, manifest):
         folder = tmp_path / "rig"
         folder.mkdir()
         values = {"format": "fringe-frames", "version": 1, "files": "{name}.png", "bit_depth": 8}
-        lines = [*assignments(values | said), "[sensor]", *assignments(asdict(sensor))]
-        (folder / "capture.toml").write_text("\n".join(lines))
+        write_toml(folder / "capture.toml", values | said, {"sensor": asdict(sensor)})
         (folder / "patterns.toml").write_bytes(manifest)
         write_calibration(folder / "calibration.yaml", calibration)
         return folder
