@@ -139,7 +139,7 @@ def rod_layout_table(rods: Mapping[str, Experiment]) -> Table:
             row: dict[str, Cell] = {"value": f"{name}, {label}"}
             try:
                 changed = vary(experiment, changes)
-                figures = face_figures(changed, press_specimen(changed))
+                figures: dict[str, Any] = dict(face_figures(changed, press_specimen(changed)))
             except InputError as error:
                 figures = {"rod_failure": str(error)}
             width = {"rod_width_mm": "width", "rod_failure": "note"}

@@ -155,7 +155,7 @@ def measure_colours(experiment: Experiment, run: RunContext) -> Measurement:
         images=Colours(image, calibrations, decoded, own),
         truth=truth,
         score=own.score,
-        figures=press_metrics(pressed.pressed) | metrics(own.score),
+        metrics=press_metrics(pressed.pressed) | metrics(own.score),
         pressed=pressed.pressed,
         digest=digest(experiment),
         versions=versions(),

@@ -7,7 +7,6 @@ Everything of one comparison lies in one folder, `NAME/METHOD/` as `twin measure
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from reconstruction.errors import InputError
 from twin.config import Experiment, digest
@@ -25,6 +24,7 @@ from twin.pipeline.instruments import PhotometricPlan, case_for
 from twin.pipeline.memory import Memory
 from twin.pipeline.methods import measure_into
 from twin.pipeline.progress import ProgressCallback, no_progress
+from twin.results.figures import Metrics
 
 COMMAND = "compare"
 _NAMES = (RESULT_FILE, "report.html", "figures")
@@ -48,7 +48,7 @@ class Outcome:
     description: str
     method: Method
     digest: str = ""
-    figures: dict[str, Any] | None = None
+    figures: Metrics | None = None
     failure: str = ""
     reused: bool = False
 
@@ -193,7 +193,7 @@ def _outcome(experiment: Experiment, method: Method, run: _Run) -> Outcome:
     return Outcome(name, told, method, digest(case), figures, reused=kept is not None)
 
 
-def _finished(folder: Path, case: Experiment) -> dict[str, Any] | None:
+def _finished(folder: Path, case: Experiment) -> Metrics | None:
     """Metrics of the same measurement by the same versions, if the folder holds it."""
     if not (folder / RESULT_FILE).is_file():
         return None

@@ -89,7 +89,7 @@ def evaluate(
         images=Fringes(recording.capture, reconstruction, recording.radiance.frames),
         truth=recording.truth,
         score=scored,
-        figures=taken_figures(pressed, recording) | metrics(scored),
+        metrics=taken_figures(pressed, recording) | metrics(scored),
         pressed=pressed,
         digest=digest(experiment),
         versions=versions(),

@@ -32,8 +32,9 @@ from twin.report.pixel_panels import (
 from twin.report.spheres import fit_table
 from twin.report.table import Table, pairs
 from twin.report.words import number, percent
+from twin.results.figures import why_absent
 from twin.results.record import Measurement
-from twin.results.score import wanted_pixels, why_absent
+from twin.results.score import wanted_pixels
 
 GOOD_SHARE, POOR_SHARE = 0.95, 0.5
 
@@ -95,7 +96,7 @@ def discussion(scored: Measurement) -> list[str]:
     if not scored.score.against_truth.points:
         return ["No pixel of the specimen has a point; the map above says why."]
     figures = scored.figures
-    wrong_points = figures["completeness"] - figures["good_share"]
+    wrong_points = figures.known("completeness") - figures.known("good_share")
     return [
         f"{result_in_words(scored)} {percent(wrong_points)} of it has a point with a larger error: "
         "a decoder that masks by contrast and consistency cannot tell light reflected by another "
@@ -170,7 +171,7 @@ def page_of(measured: Measurement) -> Page:
         ],
         verdicts=verdicts(measured),
         warned="Not everything could be fitted",
-        warnings=[*measured.figures["warnings"], *measured.score.unfitted],
+        warnings=[*measured.warnings, *measured.score.unfitted],
         numbered=True,
     )
 

@@ -4,7 +4,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import mean
-from typing import Any
 
 from markupsafe import Markup
 
@@ -32,6 +31,7 @@ from twin.report.study_figures import Row
 from twin.report.table import Column, Table
 from twin.report.words import NONE, number, percent
 from twin.results.decoders import DecodedImage, decoder_name
+from twin.results.figures import Figures, Metrics
 from twin.results.folder import read_measurement
 from twin.results.record import Colours, Measurement
 from twin.results.score import SphereScore
@@ -51,7 +51,7 @@ class Gist:
     """What is compared across methods; without the frames, which take 600 MB at full size."""
 
     experiment: Experiment
-    figures: dict[str, Any]
+    figures: Figures
     spheres: tuple[SphereScore, ...]
     decoded: list[DecodedImage]
 
@@ -149,7 +149,7 @@ def press_in_words(methods: dict[str, Gist | None]) -> str:
             "and the other measurement is shown alone."
         )
     (force_coat, force_gel), (depth_coat, depth_gel) = (
-        (coat.figures[name], gel.figures[name]) for name in ("force_n", "depth_mm")
+        (coat.figures.known(name), gel.figures.known(name)) for name in ("force_n", "depth_mm")
     )
     if coat.experiment.elastomer == gel.experiment.elastomer:
         return f"One elastomer, one press: {depth_coat:.3g} mm deep with {force_coat:.3g} N."
@@ -302,7 +302,7 @@ def _cell(figures: Path, outcome: Outcome, measured: Measurement | None) -> Sect
 def _shares(measured: Measurement) -> list[Shares]:
     """Return the wanted pixels in three parts: good, wrong, without a point."""
     good, found = measured.figures["good_share"], measured.figures["completeness"]
-    if good is None:
+    if good is None or found is None:
         return []
     limit_um = measured.experiment.score.good_within_um
     return [
@@ -373,9 +373,10 @@ QUANTITIES = (
 """What the table under each specimen compares: a new figure is one more line here."""
 
 
-def _short(figures: dict[str, Any] | None) -> dict[str, Any]:
-    if not figures:
+def _short(metrics: Metrics | None) -> Row:
+    if not metrics:
         return {"points": "failed"}
+    figures = Figures(metrics)
     return {
         "points": number(figures["completeness"], ".1%"),
         "good": number(figures["good_share"], ".1%"),

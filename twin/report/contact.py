@@ -1,7 +1,5 @@
 """The report of a measurement of the pressed coat by fringes: judgements, discussion, sections."""
 
-from typing import Any
-
 import numpy as np
 from scipy.optimize import brentq
 
@@ -14,8 +12,9 @@ from twin.report.rig import draw_rig
 from twin.report.spheres import ball_figures, fit_table
 from twin.report.surfaces import error_figure, height_map_figure, relief_figure
 from twin.report.words import number, signed
+from twin.results.figures import Figures, why_absent
 from twin.results.record import Measurement
-from twin.results.score import SphereScore, why_absent
+from twin.results.score import SphereScore
 
 MOST_SPREAD_OVER_SIGMA = 1.15
 LEAST_COMPLETENESS = 0.95
@@ -27,7 +26,7 @@ GOOD_RADIUS_SHARE, POOR_RADIUS_SHARE = 0.05, 0.25
 def verdicts(scored: Measurement) -> list[Verdict]:
     """Judge measurement, shape transfer and press, in this order."""
     shape = [_shape(scored)] if scored.score.spheres else []
-    return [_sensor(scored), *shape, judge_press(scored.figures)]
+    return [_sensor(scored), *shape, judge_press(scored)]
 
 
 def _sensor(scored: Measurement) -> Verdict:
@@ -42,8 +41,8 @@ def _sensor(scored: Measurement) -> Verdict:
                 "the reason map below says why each pixel was left out",
             ),
         )
-    wrong, share = figures["wrong_order_pixels"], figures["completeness"]
-    spread, saturated = figures["error_over_sigma"], figures["saturated_share"]
+    wrong, share = figures["wrong_order_pixels"], figures.known("completeness")
+    spread, saturated = figures["error_over_sigma"], figures.known("saturated_share")
     held = (
         share >= LEAST_COMPLETENESS
         and spread is not None
@@ -67,7 +66,7 @@ def _sensor(scored: Measurement) -> Verdict:
     )
 
 
-def _filter_hint(figures: dict[str, Any]) -> list[str]:
+def _filter_hint(figures: Figures) -> list[str]:
     share = figures["filter_bias_share"]
     if share is None or share <= MOST_FILTER_BIAS_SHARE:
         return []
@@ -115,7 +114,7 @@ def discussion(scored: Measurement) -> list[str]:
 def sentences(measured: Measurement) -> list[str]:
     """Return the result for a terminal, at most 100 columns wide, in ASCII."""
     figures = measured.figures
-    warnings, absent = figures["warnings"], why_absent(figures)
+    warnings, absent = measured.warnings, why_absent(figures)
     rms, p95, spread = (
         number(figures[name], ".2f", "-") for name in ("z_rmse_um", "z_p95_um", "error_over_sigma")
     )
@@ -143,7 +142,7 @@ def pitch_kept_mm(share: float, thickness_mm: float) -> float:
 
 def _measurement(scored: Measurement) -> str:
     figures = scored.figures
-    bias_um, spread = signed(figures["z_bias_um"], 2), figures["error_over_sigma"]
+    bias_um, spread = signed(figures.known("z_bias_um"), 2), figures["error_over_sigma"]
     cause = "a single point has no spread"
     if spread is not None:
         cause = (
@@ -177,7 +176,7 @@ def _radius_of(ball: SphereScore) -> str:
 
 
 def _elastomer(scored: Measurement) -> str:
-    return _sheet(scored) if scored.figures["mechanics_model"] == "sheet" else _slab(scored)
+    return _sheet(scored) if scored.metrics["mechanics_model"] == "sheet" else _slab(scored)
 
 
 def _sheet(scored: Measurement) -> str:
@@ -195,7 +194,7 @@ def _sheet(scored: Measurement) -> str:
 def _slab(scored: Measurement) -> str:
     slab, figures = scored.experiment.elastomer, scored.figures
     half, tenth = (pitch_kept_mm(share, slab.thickness_mm) for share in (0.5, 0.1))
-    lifted = figures["relief_peak_mm"] / figures["depth_mm"]
+    lifted = figures.known("relief_peak_mm") / figures.known("depth_mm")
     return (
         f"Two effects of the slab shape that radius. It is a low-pass filter: T(q) = (sinh q + q "
         f"cosh q) / (sinh q cosh q + q), q = 2π · thickness / pitch; with {slab.thickness_mm:g} mm "
@@ -251,7 +250,7 @@ def page_of(measured: Measurement) -> Page:
         sections=[*sections, pressed, appendix(measured)],
         verdicts=verdicts(measured),
         warned="The press leaves the range of its model, or not everything could be fitted",
-        warnings=[*measured.figures["warnings"], *measured.score.unfitted],
+        warnings=[*measured.warnings, *measured.score.unfitted],
         numbered=True,
     )
 

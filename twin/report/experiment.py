@@ -187,7 +187,7 @@ def appendix(measured: Measurement) -> Section:
         (
             settings_table(measured.experiment),
             Beside(
-                (pairs("metrics", "Metrics", _metrics(measured.figures)),),
+                (pairs("metrics", "Metrics", _metrics(measured.metrics)),),
                 (
                     *([pairs("timings", "Time per stage", times)] if times else []),
                     pairs("versions", "Versions", versions),

@@ -69,14 +69,14 @@ def page_of(seen: Measurement) -> Page:
         sections=[*sections, pressed, appendix(seen)],
         verdicts=verdicts(seen),
         warned="The press leaves the range of its model, or not everything could be fitted",
-        warnings=[*seen.figures["warnings"], *seen.score.unfitted],
+        warnings=[*seen.warnings, *seen.score.unfitted],
         numbered=True,
     )
 
 
 def verdicts(seen: Measurement) -> list[Verdict]:
     """Judge heights, their scale and the press, in this order."""
-    return [_of_heights(seen), _of_scale(seen), judge_press(seen.figures)]
+    return [_of_heights(seen), _of_scale(seen), judge_press(seen)]
 
 
 def decoder_table(seen: Measurement) -> Table:
@@ -160,7 +160,7 @@ def sentences(seen: Measurement) -> list[str]:
 
 def _of_heights(seen: Measurement) -> Verdict:
     figures, limit_um = seen.figures, seen.experiment.score.good_within_um
-    share = figures["good_share"]
+    share = figures.known("good_share")
     measured: Grade = "good" if share >= GOOD_SHARE else "check"
     return Verdict(
         question="Is the coat measured?",

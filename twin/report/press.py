@@ -1,8 +1,6 @@
 """Figures of a press: relief, pressure, section; and the contact transfer function."""
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -63,26 +61,24 @@ def press_figure(measured: Measurement) -> Figure:
     )
 
 
-def judge_press(figures: Mapping[str, Any]) -> Verdict:
-    """Judge the press by its figures in result.json."""
-    warnings = figures["warnings"]
-    error_um, peak_um = 1e3 * figures["height_error_estimate_mm"], 1e3 * figures["relief_peak_mm"]
+def judge_press(measured: Measurement) -> Verdict:
+    """Judge the press by its figures."""
+    warnings, left_out = measured.warnings, "large strain"
+    if measured.metrics["mechanics_model"] == "sheet":
+        left_out = "shear through the thickness"
+    known = measured.figures.known
+    error_um, peak_um = 1e3 * known("height_error_estimate_mm"), 1e3 * known("relief_peak_mm")
     return Verdict(
         question="Can the press model be trusted?",
         headline=f"± {error_um:.3g} µm estimated",
         grade="check" if warnings else "good",
         reasons=(
-            f"estimated height error of leaving out {_left_out(figures)}: "
+            f"estimated height error of leaving out {left_out}: "
             f"{error_um / max(peak_um, 1e-9):.1%} of the relief",
             f"{len(warnings)} warning{'' if len(warnings) == 1 else 's'} of the press"
             + (", listed below" if warnings else ""),
         ),
     )
-
-
-def _left_out(figures: Mapping[str, Any]) -> str:
-    sheet = figures.get("mechanics_model") == "sheet"
-    return "shear through the thickness" if sheet else "large strain"
 
 
 def draw_press(path: Path, experiment: Experiment, pressed: PressedElastomer) -> None:

@@ -4,20 +4,19 @@ A press of a slab costs a tenth of a second, a measurement seconds: sensitivitie
 need hundreds of them.
 """
 
-from typing import Any
-
 import numpy as np
 
 from reconstruction.arrays import FloatArray
 from reconstruction.evaluate.fit import SphereFit, fit_sphere
 from twin.config import Experiment
 from twin.mechanics import PressedElastomer
+from twin.results.figures import Metric
 from twin.results.parts import press_metrics
 from twin.results.rods import rod_figures
 from twin.specimens import Sphere, shape_of
 
 
-def face_figures(experiment: Experiment, pressed: PressedElastomer) -> dict[str, Any]:
+def face_figures(experiment: Experiment, pressed: PressedElastomer) -> dict[str, Metric]:
     """Return the figures of a press, and of its face under the names of a measurement.
 
     Radius and RMSE of the balls, and width and height of a single rod, are those of the face itself

@@ -101,7 +101,7 @@ def write_measurement(folder: Path, command: str, done: Measurement) -> None:
         _write_white(folder / "white.exr", done.images)
     else:
         _write_decoding(folder, done.images)
-    write_result(folder, command, done.experiment, done.figures)
+    write_result(folder, command, done.experiment, done.metrics)
     write_timings(folder, done.seconds)
 
 
@@ -148,7 +148,7 @@ def read_measurement(folder: Path) -> Measurement:
         images=images,
         truth=truth,
         score=scored,
-        figures=figures,
+        metrics=figures,
         pressed=read_press(folder / "press.nc") if method.presses else None,
         digest=str(result.get("digest", "")),
         versions=result.get("versions", {}),

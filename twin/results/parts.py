@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 import imageio.v3 as imageio
 import numpy as np
@@ -29,6 +29,7 @@ from twin.mechanics import (
 )
 from twin.optics.stack import Truth
 from twin.output import EXPERIMENT_FILE, RESULT_FILE, versions, write_json
+from twin.results.figures import Metric, Metrics
 from twin.results.record import Recording
 
 if TYPE_CHECKING:
@@ -54,9 +55,7 @@ _TRUTH = {
 }
 
 
-def write_result(
-    folder: Path, command: str, experiment: Experiment, figures: dict[str, Any]
-) -> None:
+def write_result(folder: Path, command: str, experiment: Experiment, figures: Metrics) -> None:
     """Write result.json and the resolved experiment.
 
     The same experiment gives the same bytes: wall-clock times are kept out (see `write_timings`).
@@ -177,15 +176,15 @@ def write_frames(
         progress((number + 1) / len(frames))
 
 
-def taken_figures(pressed: PressedElastomer | None, recording: Recording) -> dict[str, Any]:
+def taken_figures(pressed: PressedElastomer | None, recording: Recording) -> dict[str, Metric]:
     """Return the figures of press and recording."""
-    figures = {"warnings": []} if pressed is None else press_metrics(pressed)
+    figures: dict[str, Metric] = {"warnings": []} if pressed is None else press_metrics(pressed)
     return figures | recording_metrics(recording)
 
 
 def write_taken(
     folder: Path, pressed: PressedElastomer | None, recording: Recording
-) -> dict[str, Any]:
+) -> dict[str, Metric]:
     """Write press and recording; returns the figures of both."""
     if pressed is not None:
         write_pressed(folder, pressed)
@@ -193,7 +192,7 @@ def write_taken(
     return taken_figures(pressed, recording)
 
 
-def press_metrics(pressed: PressedElastomer) -> dict[str, Any]:
+def press_metrics(pressed: PressedElastomer) -> dict[str, Metric]:
     """Figures of the press, warnings included."""
     return {
         "mechanics_model": pressed.model,
@@ -226,7 +225,7 @@ def write_transfer(path: Path, transfer: ContactTransfer) -> None:
     path.write_text("\n".join(["pitch_mm,closed_form,computed", *lines, ""]), encoding="utf-8")
 
 
-def transfer_metrics(transfer: ContactTransfer) -> dict[str, Any]:
+def transfer_metrics(transfer: ContactTransfer) -> Metrics:
     """Figures of the contact transfer function; a pitch of 0: every pitch is kept so far."""
     pitches = {
         "half_contrast_pitch_mm": transfer.half_pitch_mm,
@@ -239,7 +238,7 @@ def transfer_metrics(transfer: ContactTransfer) -> dict[str, Any]:
     return pitches | {"transfer_computed_minus_closed_form": float(difference.max())}
 
 
-def recording_metrics(recording: Recording) -> dict[str, Any]:
+def recording_metrics(recording: Recording) -> dict[str, float]:
     """Figures of the recording."""
     return {
         "exposure_ms": recording.exposure_ms,

@@ -19,6 +19,7 @@ from twin.mechanics import PressedElastomer
 from twin.optics.rig import camera_pinhole
 from twin.optics.stack import Frames, RadianceStack, Truth
 from twin.results.decoders import DecodedImage
+from twin.results.figures import Figures, Metrics, warnings_of
 from twin.results.score import Scores, TruthScore, in_world
 
 
@@ -139,7 +140,7 @@ class Measurement:
     Attributes
     ----------
     images : Fringes or Colours, by method
-    figures : the metrics of result.json, units in their names; None where there is none
+    metrics : as in result.json; `figures` are its numbers, `warnings` those of the press
     pressed : None where the bare specimen is seen
     digest, versions : name what it was made from
     seconds : wall clock by stage
@@ -149,11 +150,21 @@ class Measurement:
     images: Fringes | Colours
     truth: Truth
     score: Scores[TruthScore]
-    figures: dict[str, Any]
+    metrics: Metrics
     pressed: PressedElastomer | None
     digest: str
     versions: Mapping[str, str]
     seconds: Mapping[str, float] = field(default_factory=dict)
+
+    @cached_property
+    def figures(self) -> Figures:
+        """Numbers by name, units in the names; None where there is none."""
+        return Figures(self.metrics)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Why the press may be wrong."""
+        return warnings_of(self.metrics)
 
     @property
     def points(self) -> SurfacePoints:

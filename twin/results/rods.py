@@ -86,7 +86,7 @@ def has_one_rod(experiment: Experiment) -> bool:
 
 def rod_figures(
     experiment: Experiment, points_mm: NDArray[np.floating[Any]], prefix: str = ""
-) -> dict[str, Any]:
+) -> dict[str, float | str]:
     """Return width and height of the rod under points (n, xyz); why, when it has no crest.
 
     Nothing where the specimen is not a single rod.

@@ -310,13 +310,6 @@ def metrics(scored: Scores[TruthScore]) -> dict[str, Any]:
     return found | _sphere_metrics(scored.spheres, scored.unfitted) | dict(scored.rod)
 
 
-def why_absent(figures: Mapping[str, Any]) -> str:
-    """Say why a measurement has no error and no shares; empty where it has."""
-    if 0 in (figures.get("lit_pixels"), figures.get("wanted_pixels")):
-        return "no pixel that ought to give a point"
-    return "no valid point" if figures.get("points") == 0 else ""
-
-
 def _sphere_metrics(fitted: Sequence[SphereScore], unfitted: Sequence[str]) -> dict[str, Any]:
     """Return all balls' figures by name; those of a ball without a fit are None."""
     numbers = range(1, len(fitted) + len(unfitted) + 1)

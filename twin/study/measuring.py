@@ -3,21 +3,20 @@
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 from twin.config import Experiment
 from twin.pipeline import Memory, measure
 from twin.pipeline.press import press
 from twin.pipeline.reads import Path as FieldPath
 from twin.results.face import face_figures
+from twin.results.figures import Metrics
 from twin.results.folder import write_kept
 from twin.results.record import Measurement
 from twin.results.score import metrics
 from twin.study.rigs import RigCovariance, seen_with
 
-Figures = dict[str, Any]
 StageReads = tuple[tuple[FieldPath, ...], ...]
-MoreFigures = Callable[[Measurement], Figures]
+MoreFigures = Callable[[Measurement], Metrics]
 
 TRUE_RIG = "true_rig_"
 """What figures begin with that were measured on the same images with the true rig."""
@@ -54,7 +53,7 @@ class Answer:
     write : puts the arrays asked for into the case's folder
     """
 
-    figures: Figures
+    figures: Metrics
     write: Callable[[Path], None] = lambda _: None
 
 
@@ -87,16 +86,16 @@ class CaseMeasurer:
         if conditions.face_only:
             return Answer(face_figures(experiment, press(experiment, self.memory).pressed))
         done = measure(experiment, memory=self.memory, trial=conditions.trial)
-        figures, rigs = done.figures | self._more(done), self.rigs
+        figures, rigs = {**done.metrics, **self._more(done)}, self.rigs
         if conditions.board and rigs is not None and experiment.method.fringes:
-            exact = metrics(done.score) | self._more(done)
+            exact = {**metrics(done.score), **self._more(done)}
             true = done.fringes.capture.calibration
             done = seen_with(done, rigs.draw(true, conditions.seed, conditions.trial))
             figures = {f"{TRUE_RIG}{name}": value for name, value in exact.items()}
-            figures |= done.figures | self._more(done)
+            figures |= {**done.metrics, **self._more(done)}
         return Answer(figures, lambda folder: write_kept(folder, done, self.keep))
 
-    def _more(self, done: Measurement) -> Figures:
+    def _more(self, done: Measurement) -> Metrics:
         return {} if self.more is None else self.more(done)
 
     def reads(self) -> StageReads:

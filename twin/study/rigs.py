@@ -113,5 +113,5 @@ def seen_with(done: Measurement, rig: Calibration) -> Measurement:
         done,
         images=replace(images, reconstruction=maps),
         score=scored,
-        figures=done.figures | metrics(scored),
+        metrics={**done.metrics, **metrics(scored)},
     )

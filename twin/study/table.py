@@ -10,7 +10,7 @@ from typing import Any
 from reconstruction.errors import InputError
 from twin.config.study import Constraint
 from twin.output import creating
-from twin.results.score import why_absent
+from twin.results.figures import why_absent
 from twin.study.cases import Case, meets
 from twin.study.derived import DERIVED, with_derived
 from twin.study.index import Entry, Index
@@ -103,9 +103,9 @@ def is_feasible(case: Case, figures: Mapping[str, Any], bounds: tuple[Constraint
 
 def _reason(entry: Entry) -> str:
     """Why a case has no figures, or not all of them."""
-    unfitted = entry.figures.get("unfitted_balls") or ()
+    unfitted = entry.figures.get("unfitted_balls")
     told = entry.reason or why_absent(entry.figures)
-    return told or "; ".join(map(str, unfitted))
+    return told or (_cell(unfitted) if unfitted else "")
 
 
 def _cell(value: Any) -> Any:
