@@ -6,8 +6,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from reconstruction.errors import InputError
-from twin.cli.app import BAD_INPUT, Out, Settings, app
-from twin.cli.console import load, print_metrics, progress_bars, say, settings_of
+from twin.cli.app import (
+    BAD_INPUT,
+    ExperimentFile,
+    Out,
+    Settings,
+    app,
+    load,
+    print_metrics,
+    progress_bars,
+    say,
+    settings_of,
+)
 
 if TYPE_CHECKING:
     from twin.config import Experiment
@@ -17,7 +27,7 @@ if TYPE_CHECKING:
 
 @app.command
 def press(
-    experiment: Path,
+    experiment: ExperimentFile,
     /,
     *,
     out: Out,
@@ -29,8 +39,6 @@ def press(
 
     Parameters
     ----------
-    experiment
-        TOML file, or the name of a shipped experiment such as paper/two_balls.
     transfer
         Also report the contact transfer: the share of a groove's depth that the coat shows, by
         pitch; for a thin sheet, of ridges as high as the specimen's under its back pressure.
@@ -67,7 +75,7 @@ def press(
             kept = transfer_of(loaded, pressed)
             write_transfer(folder / "transfer.csv", kept)
             draw_transfer(folder / "transfer.png", kept)
-            figures |= transfer_metrics(kept)
+            figures |= dict(transfer_metrics(kept))
         write_result(folder, "press", loaded, figures)
     print_metrics(figures)
     say(f"wrote {out}")
@@ -75,7 +83,7 @@ def press(
 
 @app.command
 def render(
-    experiment: Path,
+    experiment: ExperimentFile,
     /,
     *,
     out: Out,
@@ -86,8 +94,6 @@ def render(
 
     Parameters
     ----------
-    experiment
-        TOML file, or the name of a shipped experiment such as paper/two_balls.
     frames
         Write each frame as an image too: exr (linear radiance), png (16-bit digital numbers).
     """
@@ -115,14 +121,8 @@ def render(
 
 
 @app.command
-def measure(experiment: Path, /, *, out: Out, settings: Settings = None) -> None:
-    """Measure virtually: press, render, expose, reconstruct, score against the truth, report.
-
-    Parameters
-    ----------
-    experiment
-        TOML file, or the name of a shipped experiment such as paper/two_balls.
-    """
+def measure(experiment: ExperimentFile, /, *, out: Out, settings: Settings = None) -> None:
+    """Measure virtually: press, render, expose, reconstruct, score against the truth, report."""
     loaded = load(experiment, settings)
     _measure(loaded, out, "measure", [experiment])
 
@@ -203,14 +203,8 @@ def compare(
 
 
 @app.command
-def export(experiment: Path, /, *, out: Out, settings: Settings = None) -> None:
-    """Press, then write a stock Mitsuba scene: XML, mesh and one texture per frame.
-
-    Parameters
-    ----------
-    experiment
-        TOML file, or the name of a shipped experiment such as paper/two_balls.
-    """
+def export(experiment: ExperimentFile, /, *, out: Out, settings: Settings = None) -> None:
+    """Press, then write a stock Mitsuba scene: XML, mesh and one texture per frame."""
     from twin.mechanics import face_mesh
     from twin.optics.export import export_stock
     from twin.output import output_folder
