@@ -7,8 +7,7 @@ from twin.assets import list_assets
 from twin.config import ConfigError
 from twin.config.axes import Axis
 from twin.config.study import Study, load_study
-from twin.study.cases import cases_of
-from twin.study.design import point_count, points_of, shares_of
+from twin.study.cases import cases_of, point_count, points_of, shares_of
 from twin.study.record import StudyRecord
 
 LOW_HIGH = {"path": "coating.base_albedo", "low": 0.1, "high": 0.5}

@@ -169,15 +169,17 @@ def compare(
         Which load contact_fpp and photometric_stereo have in common: force or depth.
     """
     from twin.output import adding
-    from twin.pipeline.comparison import claim_comparison, measure_whole, methods_named
+    from twin.pipeline.comparison import (
+        PhotometricPlan,
+        claim_comparison,
+        methods_named,
+    )
     from twin.pipeline.comparison import compare as run_all
-    from twin.pipeline.instruments import PhotometricPlan
     from twin.report import (
         REPORT_FILE,
         REPORT_NAMES,
         comparison_table,
         write_comparison,
-        write_report,
     )
 
     chosen = methods_named(methods)
@@ -185,16 +187,9 @@ def compare(
         raise InputError("EXPERIMENT: found none; name at least one, e.g. twin compare paper/nut")
     loaded = [load(experiment, settings) for experiment in experiments]
     plan = PhotometricPlan(photometric_rig, settings_of(photometric_set), match)
-
-    def with_report(
-        folder: Path, case: "Experiment", watch: "ProgressCallback", memory: "Memory"
-    ) -> None:
-        measure_whole(folder, case, watch, memory)
-        write_report(folder)
-
     claim_comparison(out, [*experiments, Path(photometric_rig)])
     with progress_bars() as watch:
-        outcomes = run_all(loaded, chosen, out, with_report, watch=watch, plan=plan)
+        outcomes = run_all(loaded, chosen, out, _with_report, watch=watch, plan=plan)
         with adding(out, *REPORT_NAMES) as drawn:
             write_comparison(out, watch, drawn)
     say(comparison_table(outcomes))
@@ -238,3 +233,13 @@ def _measure(
         write_report(folder, watch)
     say(summary_table(out))
     say(f"wrote {out / 'report.html'}")
+
+
+def _with_report(
+    folder: Path, case: "Experiment", watch: "ProgressCallback", memory: "Memory"
+) -> None:
+    from twin.pipeline.methods import measure_into
+    from twin.report import write_report
+
+    measure_into(folder, "measure", case, watch, memory)
+    write_report(folder)

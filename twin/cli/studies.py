@@ -137,8 +137,7 @@ def best(
         METRIC that is to be small, or +METRIC that is to be large; give several for a Pareto front.
         Default: the objectives of the study.
     """
-    from twin.study.best import best_rows, objective_of
-    from twin.study.table import read_table
+    from twin.study.table import best_rows, objective_of, read_table
 
     found = read_table(folder)
     chosen = [objective_of(text) for text in objective or ()] or list(found.record.study.goals)
@@ -168,9 +167,8 @@ def report(folder: Path, /, *, objective: Objectives = None) -> None:
     from twin.report import REPORT_FILE, REPORT_NAMES
     from twin.report.study import write_study
     from twin.report.uncertainty import write_uncertainty_page
-    from twin.study.best import objective_of
     from twin.study.pictures import picture_best
-    from twin.study.table import read_table
+    from twin.study.table import objective_of, read_table
 
     chosen = [objective_of(text) for text in objective or ()]
     found = read_table(folder)  # it is a store, and can be read, before anything is made in it

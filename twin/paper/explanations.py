@@ -20,7 +20,7 @@ from twin.paper.trials import Trial
 from twin.pipeline.press import press_specimen
 from twin.report.table import Cell, Column, Table
 from twin.results.decoders import INTEGRATION_ORDER, MAP_ORDER
-from twin.results.face import cap_fit, face_figures, face_points_mm
+from twin.results.parts import cap_fit, face_figures, face_points_mm
 from twin.specimens import shape_of
 
 _COLUMNS = (

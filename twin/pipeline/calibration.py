@@ -52,7 +52,6 @@ class BoardCalibration:
 
     Attributes
     ----------
-    result : Calibrated
     observations : one per pose
     digest : names the inputs
     experiment : of a rendered calibration
@@ -100,15 +99,9 @@ def calibrate_rendered(
 
     Parameters
     ----------
-    experiment : Experiment
-        Its rig, patterns, camera noise and seed count; specimen and press do not.
-    board : BoardFile
-    options : AdjustOptions, optional
-    keep : Path, optional
-        New folder for the captures, each with the TRUE calibration beside it.
-    as_images : bool
-        Keep image files instead, as a real camera gives them, without a calibration.
-    watch : ProgressCallback
+    experiment : its rig, patterns, camera noise and seed count; specimen and press do not
+    keep : new folder for the captures, each with the TRUE calibration beside it
+    as_images : keep image files instead, as a real camera gives them, without a calibration
 
     Raises
     ------

@@ -62,8 +62,7 @@ class LitCoat:
     ----------
     background : (row, col, channel) float32
         Its radiance on the pixels that the driver keeps.
-    exposure_ms : float
-        Set once, on the background.
+    exposure_ms : set once, on the background
     """
 
     scene: "ColourScene"

@@ -103,10 +103,7 @@ def take(
 
     Parameters
     ----------
-    experiment : Experiment
-    clock : Stopwatch, optional
-    trial : int
-        Repetition with new temporal noise.
+    trial : repetition with new temporal noise
 
     Raises
     ------
@@ -144,11 +141,8 @@ def render(
 
     Parameters
     ----------
-    experiment : Experiment
-    face : trimesh.Trimesh
-        Coated face in world mm, normals towards the camera.
-    progress : callable
-        Told the finished fraction.
+    face : coated face in world mm, normals towards the camera
+    progress : told the finished fraction
 
     Raises
     ------

@@ -11,16 +11,15 @@ from matplotlib.patches import Patch
 
 from reconstruction.arrays import Reason
 from twin.report.camera_images import (
-    decoding_figure,
-    frames_figure,
     fringe_frame,
     reason_shares,
+    recorded_section,
     show_frame,
     white_frame,
 )
 from twin.report.canvas import axes_at, drawing
-from twin.report.experiment import appendix, glance, result_in_words
-from twin.report.page import Block, Figure, Grade, Page, Section, Verdict
+from twin.report.experiment import glance, result_in_words
+from twin.report.page import Block, Figure, Grade, Section, Verdict
 from twin.report.pixel_panels import (
     REASON_COLOURS,
     show_error,
@@ -29,13 +28,14 @@ from twin.report.pixel_panels import (
     show_true,
     true_scale,
 )
-from twin.report.spheres import fit_table
+from twin.report.spheres import fit_tables
 from twin.report.table import Table, pairs
 from twin.report.words import number, percent
 from twin.results.figures import why_absent
 from twin.results.record import Measurement
 from twin.results.score import wanted_pixels
 
+METHOD, WARNED = "direct FPP", "Not everything could be fitted"
 GOOD_SHARE, POOR_SHARE = 0.95, 0.5
 
 REASON_WORDS = {
@@ -149,31 +149,15 @@ _PANEL_IN, _ACROSS_IN, _TOP_IN = 3.1, 3.4, 0.3
 _BELOW_UPPER_IN, _BELOW_LOWER_IN = 0.95, 1.4
 
 
-def page_of(measured: Measurement) -> Page:
-    """Return the report of a measurement of the bare specimen."""
-    table = fit_table(measured)
-    result: tuple[Block, ...] = (
-        seen_figure(measured),
-        shares(measured),
-        *([table] if table else []),
-        *discussion(measured),
-    )
-    recorded = (frames_figure(measured), decoding_figure(measured))
-    return Page(
-        kind="virtual measurement by direct FPP",
-        title=measured.experiment.name.replace("_", " "),
-        lead=measured.experiment.description,
-        sections=[
-            Section("glance", "Experiment", (glance(measured),)),
-            Section("result", "Result", result),
-            Section("recorded", "Camera frames and what the decoder made of them", recorded),
-            appendix(measured),
-        ],
-        verdicts=verdicts(measured),
-        warned="Not everything could be fitted",
-        warnings=[*measured.warnings, *measured.score.unfitted],
-        numbered=True,
-    )
+def sections(measured: Measurement) -> list[Section]:
+    """Return the page of a measurement of the bare specimen."""
+    result: list[Block] = [seen_figure(measured), shares(measured), *fit_tables(measured)]
+    result += discussion(measured)
+    return [
+        Section("glance", "Experiment", (glance(measured),)),
+        Section("result", "Result", tuple(result)),
+        recorded_section(measured),
+    ]
 
 
 def seen_figure(measured: Measurement) -> Figure:

@@ -72,13 +72,7 @@ def write_comparison(
     Parameters
     ----------
     folder : result folder of `twin compare`; nothing else is read
-    watch : progress callback
     into : existing folder to write into instead
-
-    Returns
-    -------
-    Path
-        The page.
 
     Raises
     ------

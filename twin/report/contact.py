@@ -4,18 +4,19 @@ import numpy as np
 from scipy.optimize import brentq
 
 from twin.mechanics import opposite_transfer
-from twin.report.camera_images import decoding_figure, frames_figure
-from twin.report.experiment import appendix, glance
-from twin.report.page import Beside, Figure, Grade, Page, Section, Verdict
+from twin.report.camera_images import recorded_section
+from twin.report.experiment import glance, rig_figure
+from twin.report.page import Beside, Grade, Section, Verdict
 from twin.report.press import judge_press, press_figure
-from twin.report.rig import draw_rig
-from twin.report.spheres import ball_figures, fit_table
+from twin.report.spheres import ball_sections, fit_tables
 from twin.report.surfaces import error_figure, height_map_figure, relief_figure
 from twin.report.words import number, signed
 from twin.results.figures import Figures, why_absent
 from twin.results.record import Measurement
 from twin.results.score import SphereScore
 
+METHOD = "contact-FPP"
+WARNED = "The press leaves the range of its model, or not everything could be fitted"
 MOST_SPREAD_OVER_SIGMA = 1.15
 LEAST_COMPLETENESS = 0.95
 MOST_SATURATED_SHARE = 1e-3
@@ -223,44 +224,17 @@ def _residuals(scored: Measurement) -> str:
     )
 
 
-def page_of(measured: Measurement) -> Page:
-    """Return the report of a measurement of the pressed coat by fringes."""
-    table = fit_table(measured)
-    sections = [
-        Section("glance", "Experiment", (Beside((glance(measured),), (_rig(measured),)),)),
-        Section("result", "Result", (*([table] if table else []), *discussion(measured))),
-        Section(
-            "recorded",
-            "Camera frames and what the decoder made of them",
-            (frames_figure(measured), decoding_figure(measured)),
-        ),
+def sections(measured: Measurement) -> list[Section]:
+    """Return the page of a measurement of the pressed coat by fringes."""
+    found = [
+        Section("glance", "Experiment", (Beside((glance(measured),), (rig_figure(measured),)),)),
+        Section("result", "Result", (*fit_tables(measured), *discussion(measured))),
+        recorded_section(measured),
     ]
     if measured.score.against_truth.points:
         relief = (relief_figure(measured), height_map_figure(measured))
-        sections.append(Section("surface", "Measured surface", relief))
-        error = Section("error", "Error against the true coat", (error_figure(measured),))
-        sections.append(error)
-    if measured.score.spheres:
-        sections.append(Section("balls", "Sphere fits", tuple(ball_figures(measured))))
+        error = (error_figure(measured),)
+        found.append(Section("surface", "Measured surface", relief))
+        found.append(Section("error", "Error against the true coat", error))
     pressed = Section("pressed", "Specimen and elastomer", (press_figure(measured),))
-    return Page(
-        kind="virtual measurement by contact-FPP",
-        title=measured.experiment.name.replace("_", " "),
-        lead=measured.experiment.description,
-        sections=[*sections, pressed, appendix(measured)],
-        verdicts=verdicts(measured),
-        warned="The press leaves the range of its model, or not everything could be fitted",
-        warnings=[*measured.warnings, *measured.score.unfitted],
-        numbered=True,
-    )
-
-
-def _rig(measured: Measurement) -> Figure:
-    return Figure(
-        "rig",
-        "Side view of the rig",
-        "Camera, projector and the fields they cover; lengths in mm, to scale. The elastomer "
-        "should lie where both fields overlap, inside the projector's.",
-        "side view of camera, projector and elastomer",
-        lambda path: draw_rig(path, measured.experiment),
-    )
+    return [*found, *ball_sections(measured), pressed]

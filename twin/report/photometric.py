@@ -1,7 +1,7 @@
 """The report of a measurement by photometric stereo: judgements, tables, sentences, sections."""
 
-from twin.report.experiment import appendix, glance, result_in_words
-from twin.report.page import Beside, Figure, Grade, Note, Page, Section, Verdict
+from twin.report.experiment import glance, result_in_words
+from twin.report.page import Beside, Figure, Grade, Note, Section, Verdict
 from twin.report.photometric_figures import (
     draw_errors,
     draw_heights,
@@ -12,13 +12,15 @@ from twin.report.photometric_figures import (
 )
 from twin.report.pixel_panels import true_scale
 from twin.report.press import judge_press, press_figure
-from twin.report.spheres import ball_figures, fit_table
+from twin.report.spheres import ball_sections, fit_tables
 from twin.report.surfaces import relief_figure
 from twin.report.table import Column, Table, pairs
 from twin.report.words import NONE, number, percent, signed
 from twin.results.decoders import MAP_NAMES, decoder_name
 from twin.results.record import Measurement
 
+METHOD = "photometric stereo"
+WARNED = "The press leaves the range of its model, or not everything could be fitted"
 GOOD_SCALE_ERROR, POOR_SCALE_ERROR = 0.05, 0.2
 GOOD_SHARE, POOR_SHARE = 0.95, 0.5
 _DECODERS = (
@@ -31,47 +33,23 @@ _DECODERS = (
 )
 
 
-def page_of(seen: Measurement) -> Page:
-    """Return the report of a measurement by photometric stereo."""
-    table = fit_table(seen)
-    sections = [
+def sections(seen: Measurement) -> list[Section]:
+    """Return the page of a measurement by photometric stereo."""
+    by = Note(f"Decoded by: {decoder_name(seen.colours.own)}.")
+    tables = field_table(seen), decoder_table(seen), *fit_tables(seen)
+    return [
         Section("glance", "Experiment", (Beside((glance(seen),), (_sensor(seen),)),)),
-        Section(
-            "result",
-            "Result",
-            (
-                field_table(seen),
-                decoder_table(seen),
-                *([table] if table else []),
-                *discussion(seen),
-            ),
-        ),
+        Section("result", "Result", (*tables, *discussion(seen))),
         Section("recorded", "Camera image, and the slopes in it", (_images(seen), _slopes(seen))),
         Section(
             "surface",
             "Heights by decoder",
-            (
-                relief_figure(seen),
-                Note(f"Decoded by: {decoder_name(seen.colours.own)}."),
-                _heights(seen),
-                _along_section(seen),
-            ),
+            (relief_figure(seen), by, _heights(seen), _along_section(seen)),
         ),
         Section("error", "Error against the true coat", (_errors(seen),)),
+        *ball_sections(seen),
+        Section("pressed", "Specimen and gel", (press_figure(seen),)),
     ]
-    if seen.score.spheres:
-        sections.append(Section("balls", "Sphere fits", tuple(ball_figures(seen))))
-    pressed = Section("pressed", "Specimen and gel", (press_figure(seen),))
-    return Page(
-        kind="virtual measurement by photometric stereo",
-        title=seen.experiment.name.replace("_", " "),
-        lead=seen.experiment.description,
-        sections=[*sections, pressed, appendix(seen)],
-        verdicts=verdicts(seen),
-        warned="The press leaves the range of its model, or not everything could be fitted",
-        warnings=[*seen.warnings, *seen.score.unfitted],
-        numbered=True,
-    )
 
 
 def verdicts(seen: Measurement) -> list[Verdict]:

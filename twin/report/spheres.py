@@ -8,6 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
+from reconstruction.arrays import FloatArray
 from reconstruction.evaluate.fit import SphereFit
 from twin.report.canvas import (
     FIT,
@@ -15,14 +16,14 @@ from twin.report.canvas import (
     MEASURED_FILL,
     NOMINAL,
     TRUE_FACE,
-    add_colorbar,
     axes_at,
+    chart,
     diverging,
+    draw_map,
     drawing,
-    plain_spines,
     symmetric_limit,
 )
-from twin.report.page import Figure
+from twin.report.page import Figure, Section
 from twin.report.section import Trace, trace_through_apexes
 from twin.report.surfaces import average_on_grid
 from twin.report.table import Cell, Column, Table
@@ -95,6 +96,12 @@ def fit_table(measured: Measurement, decoders: bool = True) -> Table | None:
     )
 
 
+def fit_tables(measured: Measurement) -> list[Table]:
+    """Return the table of the sphere fits, if there is one."""
+    table = fit_table(measured)
+    return [table] if table else []
+
+
 def _row(one: ComparedFit) -> dict[str, Cell]:
     stats = one.fit.stats
     return {
@@ -133,15 +140,13 @@ class BallView:
     ----------
     measured_mm, true_mm : (n, xyz) float, world
         Points of the fit region, and the true face at the same pixels.
-    trace : Trace
-        Line of the sections.
-    limit_um : float
-        End of the symmetric residual scale.
+    trace : line of the sections
+    limit_um : end of the symmetric residual scale
     """
 
     ball: SphereScore
-    measured_mm: NDArray[np.float64]
-    true_mm: NDArray[np.float64]
+    measured_mm: FloatArray
+    true_mm: FloatArray
     trace: Trace
     pixel_mm: float
     limit_um: float
@@ -164,9 +169,10 @@ def ball_views(scored: Measurement) -> list[BallView]:
     ]
 
 
-def ball_figures(measured: Measurement) -> list[Figure]:
-    """Return one figure per ball."""
-    return [_ball_figure(measured, view) for view in ball_views(measured)]
+def ball_sections(measured: Measurement) -> list[Section]:
+    """Return one figure per ball, in a section of their own; no section without balls."""
+    figures = tuple(_ball_figure(measured, view) for view in ball_views(measured))
+    return [Section("balls", "Sphere fits", figures)] if figures else []
 
 
 def _ball_figure(measured: Measurement, view: BallView) -> Figure:
@@ -193,7 +199,7 @@ def draw_ball(path: Path, view: BallView) -> None:
         _departure(axes_at(figure, 5.75, 3.85, 4.1, 2.5), view)
 
 
-def fitted_height(fit: SphereFit, xy_mm: NDArray[Any]) -> NDArray[np.float64]:
+def fitted_height(fit: SphereFit, xy_mm: NDArray[Any]) -> FloatArray:
     """World z of a fitted sphere's upper side at points (n, 2)."""
     across2 = np.sum((xy_mm - fit.centre_mm[:2]) ** 2, axis=1)
     return np.asarray(fit.centre_mm[2] + np.sqrt(np.maximum(fit.radius_mm**2 - across2, 0.0)))
@@ -202,16 +208,9 @@ def fitted_height(fit: SphereFit, xy_mm: NDArray[Any]) -> NDArray[np.float64]:
 def _residual_map(axes: Axes, view: BallView) -> None:
     residuals_um = 1e3 * view.ball.measured.residuals_mm
     cells = average_on_grid(view.measured_mm, residuals_um, view.pixel_mm, _MAP_CELLS)
-    shown = axes.imshow(
-        cells.values,
-        origin="lower",
-        extent=cells.extent_mm,
-        cmap=diverging(),
-        vmin=-view.limit_um,
-        vmax=view.limit_um,
-    )
-    axes.set(title="Residual from the fitted sphere", xlabel="x (mm)", ylabel="y (mm)")
-    add_colorbar(axes, shown, "radial residual (µm)", extend="both")
+    ends = (-view.limit_um, view.limit_um)
+    told = "Residual from the fitted sphere", "radial residual (µm)"
+    draw_map(axes, cells.values, cells.extent_mm, *told, cmap=diverging(), ends=ends, extend="both")
 
 
 def _residual_histogram(axes: Axes, view: BallView) -> None:
@@ -228,14 +227,14 @@ def _residual_histogram(axes: Axes, view: BallView) -> None:
         lw=1.4,
         label="true face, its own fit",
     )
-    axes.set(
-        title="Residuals",
-        xlabel="radial residual (µm)",
-        ylabel="density (1/µm)",
+    chart(
+        axes,
+        "Residuals",
+        "radial residual (µm)",
+        "density (1/µm)",
         xlim=(-view.limit_um, view.limit_um),
     )
     axes.legend(loc="upper left")
-    plain_spines(axes)
 
 
 def _strip(points: NDArray[Any], view: BallView) -> tuple[NDArray[Any], NDArray[Any]]:
@@ -261,14 +260,14 @@ def _section(axes: Axes, view: BallView) -> None:
     axes.plot(s_true, true[:, 2], color=TRUE_FACE, lw=1.2, label="true coated face")
     axes.plot(along, fitted, color=FIT, lw=1.0, ls=":", label="fitted sphere")
     room = max(high - low, 0.02)
-    axes.set(
-        title="Section through the apex, z enlarged",
-        xlabel=f"{view.trace.axis} (mm)",
-        ylabel="z (mm)",
+    chart(
+        axes,
+        "Section through the apex, z enlarged",
+        f"{view.trace.axis} (mm)",
+        "z (mm)",
         ylim=(low - 0.9 * room, high + 0.15 * room),
     )
     axes.legend(loc="lower center", ncols=2, frameon=True, framealpha=0.9, edgecolor="none")
-    plain_spines(axes)
 
 
 def _departure(axes: Axes, view: BallView) -> None:
@@ -278,21 +277,21 @@ def _departure(axes: Axes, view: BallView) -> None:
     axes.plot(s_measured, measured_um, ".", color=MEASURED, ms=3, label="measured")
     axes.plot(s_true, true_um, color=TRUE_FACE, lw=1.2, label="true coated face")
     axes.axhline(0.0, color=FIT, lw=1.0, ls=":", label="fitted sphere")
-    axes.set(
-        title="The same, height above the fitted sphere",
-        xlabel=f"{view.trace.axis} (mm)",
-        ylabel="height above the fit (µm)",
+    chart(
+        axes,
+        "The same, height above the fitted sphere",
+        f"{view.trace.axis} (mm)",
+        "height above the fit (µm)",
         ylim=(-1.6 * view.limit_um, 1.6 * view.limit_um),
     )
     axes.legend(loc="lower center", ncols=3)
-    plain_spines(axes)
 
 
-def _above_fit_um(view: BallView, points: NDArray[Any]) -> NDArray[np.float64]:
+def _above_fit_um(view: BallView, points: NDArray[Any]) -> FloatArray:
     return np.asarray(1e3 * (points[:, 2] - fitted_height(view.ball.measured, points[:, :2])))
 
 
-def _nominal_cap(view: BallView, s_mm: NDArray[Any], peak_mm: float) -> NDArray[np.float64]:
+def _nominal_cap(view: BallView, s_mm: NDArray[Any], peak_mm: float) -> FloatArray:
     """World z of the ball itself with its apex raised to the peak of the coated face."""
     nominal = view.ball.nominal
     across2 = np.sum((view.trace.points(s_mm) - [nominal.x_mm, nominal.y_mm]) ** 2, axis=1)

@@ -1,4 +1,9 @@
-"""Files of single stages in a folder, written and read, and the figures of press and recording."""
+"""Files of single stages in a folder, written and read, and the figures of press and recording.
+
+`face_figures` are what the coated face alone would give, without light, noise or calibration: a
+press of a slab costs a tenth of a second, a measurement seconds, and sensitivities and explanations
+need hundreds of them.
+"""
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -6,10 +11,11 @@ from typing import TYPE_CHECKING, Literal
 
 import imageio.v3 as imageio
 import numpy as np
-from numpy.typing import NDArray
 
+from reconstruction.arrays import FloatArray, FloatImage
 from reconstruction.capture.folder import Capture, write_capture
 from reconstruction.errors import InputError
+from reconstruction.evaluate.fit import SphereFit, fit_sphere
 from reconstruction.machine import (
     PIXELS,
     pixel_coordinates,
@@ -31,6 +37,8 @@ from twin.optics.stack import Truth
 from twin.output import EXPERIMENT_FILE, RESULT_FILE, versions, write_json
 from twin.results.figures import Metric, Metrics
 from twin.results.record import Recording
+from twin.results.rods import rod_figures
+from twin.specimens import Sphere, shape_of
 
 if TYPE_CHECKING:
     import xarray
@@ -146,7 +154,7 @@ def read_truth(path: Path) -> Truth:
     return Truth(points, normals, depth_mm, column_px, row_px, *masks)
 
 
-def write_exr(path: Path, image: NDArray[np.float32]) -> None:
+def write_exr(path: Path, image: FloatImage) -> None:
     """Write a (row, col) float32 image as a one-channel EXR."""
     write_exr_channels(path, {"Y": image})
 
@@ -247,3 +255,41 @@ def recording_metrics(recording: Recording) -> dict[str, float]:
             (recording.capture.stack >= recording.capture.sensor.clipped_from_dn).mean()
         ),
     }
+
+
+def face_figures(experiment: Experiment, pressed: PressedElastomer) -> dict[str, Metric]:
+    """Return the figures of a press, and of its face under the names of a measurement.
+
+    Radius and RMSE of the balls, and width and height of a single rod, are those of the face itself
+    over the region that is scored.
+
+    Raises
+    ------
+    FitError
+        A ball's region holds too few nodes.
+    """
+    points = face_points_mm(pressed)
+    found = press_metrics(pressed) | rod_figures(experiment, points)
+    for number, ball in enumerate(shape_of(experiment.specimen).spheres(), start=1):
+        fit = cap_fit(points, ball, experiment.score.roi_radius_mm)
+        found[f"sphere_{number}_radius_mm"] = fit.radius_mm
+        found[f"sphere_{number}_rmse_mm"] = fit.stats.rmse_mm
+    return found
+
+
+def face_points_mm(pressed: PressedElastomer) -> FloatArray:
+    """Return the nodes of the coated face, (n, 3) float, world mm."""
+    x, y = np.meshgrid(pressed.face_x_mm, pressed.face_y_mm)
+    return np.column_stack([x.ravel(), y.ravel(), pressed.face_z_mm.ravel()])
+
+
+def cap_fit(points_mm: FloatArray, ball: Sphere, roi_radius_mm: float) -> SphereFit:
+    """Fit the face over one ball's region, as the score does over camera pixels.
+
+    Raises
+    ------
+    FitError
+        Too few points.
+    """
+    lateral = np.hypot(points_mm[:, 0] - ball.x_mm, points_mm[:, 1] - ball.y_mm)
+    return fit_sphere(points_mm[lateral <= roi_radius_mm])

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from reconstruction.arrays import Levels, Reason
+from reconstruction.arrays import BoolImage, FloatImage, Levels, Reason
 from reconstruction.capture.folder import Capture, read_capture
 from reconstruction.photometric import HeightMap, SensorCalibration
 from reconstruction.photometric.sensor import MapKind
@@ -35,11 +35,11 @@ class SurfacePoints:
     """
 
     world_mm: NDArray[np.floating[Any]]
-    reason: NDArray[np.uint8]
-    sigma_mm: NDArray[np.float32] | None = None
+    reason: Levels
+    sigma_mm: FloatImage | None = None
 
     @property
-    def valid(self) -> NDArray[np.bool_]:
+    def valid(self) -> BoolImage:
         """Pixels with a point, (row, col)."""
         return np.asarray(self.reason == Reason.VALID)
 
@@ -92,7 +92,7 @@ class Fringes:
         )
 
     @property
-    def picture(self) -> NDArray[np.uint8]:
+    def picture(self) -> Levels:
         """First phase frame with vertical fringes, 255 at saturation, (row, col)."""
         first = self.capture.patterns.index("phase", "column").start
         share = self.capture.stack[first] / np.float32(self.capture.sensor.saturation_dn)
@@ -172,7 +172,7 @@ class Measurement:
         return self.images.points
 
     @property
-    def picture(self) -> NDArray[np.uint8]:
+    def picture(self) -> Levels:
         """What the camera saw: one fringe image, or the colours."""
         return self.images.picture
 

@@ -107,12 +107,9 @@ class Scores(Generic[Against]):
     Attributes
     ----------
     against_truth : FringeScore or HeightScore, by method
-    spheres : tuple of SphereScore
-        The balls that could be fitted.
-    unfitted : tuple of str
-        Why the others could not: a ball without valid points must not sink the measurement.
-    rod : mapping
-        Width and height of a single rod, measured and of the true face; empty for all else.
+    spheres : the balls that could be fitted
+    unfitted : why the others could not: a ball without valid points must not sink the measurement
+    rod : width and height of a single rod, measured and of the true face; empty for all else
     """
 
     against_truth: Against

@@ -17,13 +17,12 @@ from reconstruction.errors import InputError
 from twin.config import ConfigError
 from twin.config.axes import Axis
 from twin.config.study import Constraint, Objective, Optimise, Study
-from twin.study.best import is_number
-from twin.study.cases import Case, Cases, cases_of, quantity
+from twin.study.cases import Case, Cases, Point, cases_of, quantity
 from twin.study.derived import DERIVED, with_derived
-from twin.study.design import Point
 from twin.study.engine import SweepOutcome
 from twin.study.record import StudyRecord
 from twin.study.store import Store
+from twin.study.table import is_number
 
 if TYPE_CHECKING:
     import optuna
@@ -39,12 +38,9 @@ def optimise(record: StudyRecord, folder: Path, run: RunCases) -> list[SweepOutc
 
     Parameters
     ----------
-    record : StudyRecord
-        With sampling.method = "optimise".
-    folder : Path
-        The store.
-    run : callable
-        Computes a batch.
+    record : with sampling.method = "optimise"
+    folder : the store
+    run : computes a batch
 
     Raises
     ------

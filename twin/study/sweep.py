@@ -16,18 +16,16 @@ from twin.config.study import Study
 from twin.mechanics.choice import may_wrap
 from twin.optics.light import pattern_set
 from twin.output import read_json
+from twin.pipeline.memory import Path as FieldPath
+from twin.pipeline.memory import Reads, values_at, watched
 from twin.pipeline.methods import check_measurable
 from twin.pipeline.progress import ProgressCallback, no_progress
-from twin.pipeline.reads import Path as FieldPath
-from twin.pipeline.reads import Reads, values_at, watched
-from twin.study.cases import Case, Cases, cases_of
-from twin.study.design import Point
+from twin.study.cases import Case, Cases, Point, cases_of
 from twin.study.engine import Run, SweepOutcome
 from twin.study.index import DAMAGED, Index, entry_of
-from twin.study.measuring import PLAINLY, Measuring
+from twin.study.measuring import CALIBRATION_FILE, PLAINLY, Measuring, calibrated
 from twin.study.optimise import optimise
 from twin.study.record import StudyRecord, write_record
-from twin.study.rigs import CALIBRATION_FILE, calibrated
 from twin.study.store import FAILURE_FILE, Store
 from twin.study.trials import nominal
 from twin.study.worker import DIED, UNEXPECTED, MakeMeasurer
@@ -189,20 +187,12 @@ def sweep(
 
     Parameters
     ----------
-    record : StudyRecord
-    folder : Path
-        The store; made when it is not there.
-    workers : Workers
-    cases : Cases, optional
-        The record's, where they are made already.
-    retry : bool
-        Also run again what failed for a reason that lies in the experiment.
-    watch : callable
-    make_measurer : callable
-        Makes what measures a case; importable by the workers. Default: `Measuring`, after a
-        calibration of the rig where trials draw theirs.
-    inputs : sequence of Path
-        Files that the folder must not hold.
+    folder : the store; made when it is not there
+    cases : the record's, where they are made already
+    retry : also run again what failed for a reason that lies in the experiment
+    make_measurer : makes what measures a case; importable by the workers. Default: `Measuring`,
+        after a calibration of the rig where trials draw theirs
+    inputs : files that the folder must not hold
 
     Raises
     ------

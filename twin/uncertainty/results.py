@@ -14,13 +14,22 @@ from reconstruction.errors import InputError
 from twin.config import Experiment, digest
 from twin.config.inputs import Input
 from twin.output import read_json
-from twin.study.best import is_number
-from twin.study.draws import counting_for
 from twin.study.measuring import TRUE_RIG
 from twin.study.record import STUDY_FILE, StudyRecord, read_record
 from twin.study.sensitivity import Effect
-from twin.study.table import StudyTable, read_table
-from twin.study.trials import ALONE, CALIBRATION, INPUT, NOISE, PART, STEP, TRIAL, TRIALS, nominal
+from twin.study.table import StudyTable, is_number, read_table
+from twin.study.trials import (
+    ALONE,
+    CALIBRATION,
+    INPUT,
+    NOISE,
+    PART,
+    STEP,
+    TRIAL,
+    TRIALS,
+    counting_for,
+    nominal,
+)
 from twin.uncertainty.budget import Part, calibration_part, noise_part, part_of, ranked, together
 from twin.uncertainty.distribution import COVERAGE, Distribution, distribution_of
 from twin.uncertainty.sensitivity import Correlation, correlation_of

@@ -15,11 +15,11 @@ from twin.config.inputs import Input
 from twin.pipeline.memory import Memory
 from twin.pipeline.press import press
 from twin.pipeline.progress import ProgressCallback, no_progress
-from twin.results.face import face_figures
-from twin.study.best import is_number
-from twin.study.design import saltelli_shares
-from twin.study.draws import InputDistribution, counting_for, deviation_of, standard_uncertainty
+from twin.results.parts import face_figures
+from twin.study.cases import saltelli_shares
 from twin.study.sensitivity import Effect, saltelli_effects
+from twin.study.table import is_number
+from twin.study.trials import InputDistribution, counting_for, deviation_of, standard_uncertainty
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,6 @@ def sobol_of_face(
 
     Parameters
     ----------
-    experiment : Experiment
     inputs : those of the optics leave the face alone and have no index
     measurands : such as sphere_1_radius_mm, rod_width_mm, force_n, relief_peak_mm; those that the
         face does not have are left out

@@ -25,13 +25,22 @@ from twin.config.study import Study
 from twin.output import EXPERIMENT_FILE, RESULT_FILE, adding, write_json
 from twin.pipeline.progress import ProgressCallback, no_progress
 from twin.results.parts import write_result
-from twin.study.best import is_number
-from twin.study.draws import counting_for, standard_uncertainty
 from twin.study.record import StudyRecord, write_record
 from twin.study.sensitivity import Effect
 from twin.study.store import Store
 from twin.study.sweep import drawn_board, duration, estimate, press_seconds, sweep, told
-from twin.study.trials import ALONE, CALIBRATION, NOISE, PART, TRIAL, TRIALS, nominal
+from twin.study.table import is_number
+from twin.study.trials import (
+    ALONE,
+    CALIBRATION,
+    NOISE,
+    PART,
+    TRIAL,
+    TRIALS,
+    counting_for,
+    nominal,
+    standard_uncertainty,
+)
 from twin.study.workers import Workers, local_workers
 from twin.uncertainty.distribution import COVERAGE
 from twin.uncertainty.results import SOBOL_FILE, Uncertainty, effects_as_json, read_uncertainty
@@ -71,22 +80,17 @@ def uncertainty(
         The nominal measurement, or the name of a shipped one.
     inputs : Inputs, mapping or str
         What differs: a file, the name of a shipped one, or tables by name.
-    n : int
-        Trials, at least 2; the nominal measurement comes on top.
+    n : trials, at least 2; the nominal measurement comes on top
     folder : path, optional
         Where the trials are kept; what lies there is not measured again.
-    measurands : sequence of str
-        Figures of the measurement, such as "sphere_1_radius_mm"; by default the main ones.
+    measurands : figures of the measurement, such as "sphere_1_radius_mm"; by default the main ones
     calibration : {"drawn", "true"}
         A new calibration of the rig in each trial, or the true rig.
-    budget : bool
-        Also vary each input alone, for the ranked budget: two measurements per input.
-    seed : int, optional
-        Of all draws; default: that of the inputs.
+    budget : also vary each input alone, for the ranked budget: two measurements per input
+    seed : of all draws; default: that of the inputs
     workers : Workers or int
         Who computes; a number of processes on this machine.
-    coverage : float
-        Probability of the coverage intervals.
+    coverage : probability of the coverage intervals
 
     Raises
     ------
@@ -152,11 +156,8 @@ def plan_in_words(
 
     Parameters
     ----------
-    folder : Path
-        Where they would be kept: what lies there is not measured again.
-    workers : int
-    sobol : int, optional
-        Base points of Sobol' indices of the pressed face.
+    folder : where they would be kept: what lies there is not measured again
+    sobol : base points of Sobol' indices of the pressed face
     """
     experiment, cases = nominal(record.study, record.base), record.cases()
     varied = counting_for(experiment, record.study.inputs)
