@@ -171,7 +171,6 @@ def compare(
     from twin.output import adding
     from twin.pipeline.comparison import (
         PhotometricPlan,
-        claim_comparison,
         methods_named,
     )
     from twin.pipeline.comparison import compare as run_all
@@ -187,9 +186,9 @@ def compare(
         raise InputError("EXPERIMENT: found none; name at least one, e.g. twin compare paper/nut")
     loaded = [load(experiment, settings) for experiment in experiments]
     plan = PhotometricPlan(photometric_rig, settings_of(photometric_set), match)
-    claim_comparison(out, [*experiments, Path(photometric_rig)])
+    read = [*experiments, Path(photometric_rig)]
     with progress_bars() as watch:
-        outcomes = run_all(loaded, chosen, out, _with_report, watch=watch, plan=plan)
+        outcomes = run_all(loaded, chosen, out, _with_report, watch=watch, plan=plan, inputs=read)
         with adding(out, *REPORT_NAMES) as drawn:
             write_comparison(out, watch, drawn)
     say(comparison_table(outcomes))

@@ -10,7 +10,7 @@ comparison: a gel bonded to a window resists far more than a free sheet.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
@@ -195,8 +195,11 @@ def compare(
     *,
     watch: ProgressCallback = no_progress,
     plan: PhotometricPlan | None = None,
+    inputs: Iterable[Path] = (),
 ) -> list[Outcome]:
     """Measure every experiment by every method, into `out`.
+
+    All measurements share one memory, so that a sensor is calibrated once.
 
     Parameters
     ----------
@@ -205,6 +208,7 @@ def compare(
     out : folder of the comparison; an earlier one is continued
     fill : measures one experiment into a folder, which becomes visible when it is complete
     plan : sensor and load of photometric stereo; a GelSight Mini under the same force by default
+    inputs : files that `out` must not hold, see `claim`
 
     Returns
     -------
@@ -219,33 +223,11 @@ def compare(
         No usable Dr.Jit backend.
     """
     _refuse_namesakes(experiments)
-    claim_comparison(out)
-    outcomes = measure_each(experiments, methods, out, fill, watch=watch, plan=plan)
-    _write(out, outcomes)
-    return outcomes
-
-
-def claim_comparison(out: Path, inputs: Iterable[Path] = ()) -> None:
-    """Make `out` the folder of a comparison, or go on with the one there; see `claim`."""
     claim(out, COMMAND, _NAMES, inputs)
-
-
-def measure_each(
-    experiments: Sequence[Experiment],
-    methods: Sequence[Method],
-    out: Path,
-    fill: Filler = measure_whole,
-    *,
-    watch: ProgressCallback = no_progress,
-    plan: PhotometricPlan | None = None,
-    memory: Memory | None = None,
-) -> list[Outcome]:
-    """Measure as `compare` does, but write nothing except the folders NAME/METHOD.
-
-    All measurements share one memory, so that a sensor is calibrated once.
-    """
-    run = _Run(out, fill, watch, plan or PhotometricPlan(), memory or Memory())
-    return [_outcome(experiment, method, run) for experiment in experiments for method in methods]
+    run = _Run(out, fill, watch, plan or PhotometricPlan(), Memory())
+    found = [_outcome(experiment, method, run) for experiment in experiments for method in methods]
+    _write(out, found)
+    return found
 
 
 def read_outcomes(folder: Path) -> list[Outcome]:
@@ -287,12 +269,16 @@ class _Run:
 def _outcome(experiment: Experiment, method: Method, run: _Run) -> Outcome:
     name, told = experiment.name, experiment.description
     folder = run.out / name / method
+
+    def watch(stage: str, fraction: float, /) -> None:
+        run.watch(f"{name}, {method}: {stage}", fraction)
+
     try:
         case = case_for(experiment, method, run.plan)
         kept = _finished(folder, case)
         if kept is None:
             with output_folder(folder) as working:
-                run.fill(working, case, _labelled(run.watch, f"{name}, {method}"), run.memory)
+                run.fill(working, case, watch, run.memory)
     except InputError as error:
         line = " ".join(str(error).split())
         return Outcome(name, told, method, failure=line)
@@ -310,10 +296,6 @@ def _finished(folder: Path, case: Experiment) -> Metrics | None:
     return figures if same and isinstance(figures, dict) else None
 
 
-def _labelled(watch: ProgressCallback, label: str) -> ProgressCallback:
-    return lambda stage, fraction: watch(f"{label}: {stage}", fraction)
-
-
 def _refuse_namesakes(experiments: Sequence[Experiment]) -> None:
     names = [experiment.name for experiment in experiments]
     twice = sorted({name for name in names if names.count(name) > 1})
@@ -325,17 +307,7 @@ def _refuse_namesakes(experiments: Sequence[Experiment]) -> None:
 
 
 def _write(out: Path, outcomes: list[Outcome]) -> None:
-    cases = [
-        {
-            "name": one.name,
-            "description": one.description,
-            "method": one.method,
-            "digest": one.digest,
-            "figures": one.figures,
-            "failure": one.failure,
-        }
-        for one in outcomes
-    ]
+    cases = [{k: v for k, v in asdict(one).items() if k != "reused"} for one in outcomes]
     content = {"command": COMMAND, "cases": cases, "versions": versions()}
     with adding(out, RESULT_FILE) as folder:
         write_json(folder / RESULT_FILE, {"schema_version": 1, **content})

@@ -97,7 +97,7 @@ def _sheet(capture: Capture) -> list[list[PatternFrame]]:
     return [
         [by_name["white"], *_phases(capture, "column")],
         [by_name["black"], *_phases(capture, "row")],
-        *(_finest_gray(capture, axis) for axis in AXES),
+        *(list(patterns.frames[patterns.index("gray", axis)][-_COLUMNS:]) for axis in AXES),
     ]
 
 
@@ -107,10 +107,6 @@ def _phases(capture: Capture, axis: Axis) -> list[PatternFrame]:
     frames = patterns.frames[patterns.index("phase", axis)]
     chosen = sorted({round(k * patterns.steps / 4) for k in range(4)})
     return [frames[n] for n in chosen if n < len(frames)]
-
-
-def _finest_gray(capture: Capture, axis: Axis) -> list[PatternFrame]:
-    return list(capture.patterns.frames[capture.patterns.index("gray", axis)][-_COLUMNS:])
 
 
 def _thumb(axes: Axes, capture: Capture, frame: PatternFrame) -> None:

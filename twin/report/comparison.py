@@ -311,7 +311,9 @@ def _shares(measured: Measurement) -> list[Shares]:
 
 
 def _quantities_table(name: str, found: dict[str, Gist | None]) -> Table:
-    methods = [Column(method, TRAITS[method].title, kind="number") for method in _known(found)]
+    methods = [
+        Column(method, TRAITS[method].title, kind="number") for method in TRAITS if method in found
+    ]
     rows = tuple(
         {"quantity": one.label}
         | {method: NONE if gist is None else one.of(gist) for method, gist in found.items()}
@@ -319,10 +321,6 @@ def _quantities_table(name: str, found: dict[str, Gist | None]) -> Table:
     )
     columns = (Column("quantity", "quantity"), *methods)
     return Table(f"{name}_figures", "", "", columns, rows, look="compared")
-
-
-def _known(found: dict[str, Gist | None]) -> list[Method]:
-    return [method for method in TRAITS if method in found]
 
 
 def _figure(name: str, form: str) -> Callable[[Gist], str]:

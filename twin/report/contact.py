@@ -108,7 +108,8 @@ def discussion(scored: Measurement) -> list[str]:
         return ["No pixel has a point; the map of reasons says why."]
     paragraphs = [_measurement(scored)]
     if scored.score.spheres:
-        paragraphs += [_radius(scored), _elastomer(scored), _residuals(scored)]
+        elastomer = _sheet if scored.metrics["mechanics_model"] == "sheet" else _slab
+        paragraphs += [_radius(scored), elastomer(scored), _residuals(scored)]
     return paragraphs
 
 
@@ -174,10 +175,6 @@ def _radius_of(ball: SphereScore) -> str:
         f"the ball's {nominal:g} mm, the elastomer accounts for {signed(true - nominal)} mm and "
         f"the measurement for {signed(measured.radius_mm - true)} mm."
     )
-
-
-def _elastomer(scored: Measurement) -> str:
-    return _sheet(scored) if scored.metrics["mechanics_model"] == "sheet" else _slab(scored)
 
 
 def _sheet(scored: Measurement) -> str:

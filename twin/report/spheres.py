@@ -1,5 +1,6 @@
 """Sphere fits: one table for all methods, and one figure per ball."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -44,29 +45,6 @@ _FITS = (
 )
 
 
-@dataclass(frozen=True, eq=False)
-class ComparedFit:
-    """One sphere that was fitted, by whom it was measured."""
-
-    ball: int
-    surface: str
-    fit: SphereFit
-    nominal_mm: float
-    measured: bool = False
-
-
-def fits_of(measured: Measurement, decoders: bool = True) -> list[ComparedFit]:
-    """Return what every ball was measured to be, by each decoder, and what the true face is."""
-    coat = "true coat" if measured.experiment.method.presses else "true surface"
-    label, found = _measured_label(measured) if decoders else "measured", []
-    for ball in measured.score.spheres:
-        radius_mm = ball.nominal.radius_mm
-        found.append(ComparedFit(ball.number, label, ball.measured, radius_mm, True))
-        found += _by_other_decoders(measured, ball.number) if decoders else []
-        found.append(ComparedFit(ball.number, coat, ball.true_face, radius_mm))
-    return found
-
-
 def fit_table(measured: Measurement, decoders: bool = True) -> Table | None:
     """Return the sphere fits in mm; None where no ball could be fitted.
 
@@ -74,7 +52,7 @@ def fit_table(measured: Measurement, decoders: bool = True) -> Table | None:
     ----------
     decoders : those of photometric stereo that the experiment does not name, too
     """
-    fits = fits_of(measured, decoders)
+    fits = [one for ball in measured.score.spheres for one in _fits(measured, ball, decoders)]
     if not fits:
         return None
     coat = "coat" if measured.experiment.method.presses else "surface"
@@ -83,7 +61,7 @@ def fit_table(measured: Measurement, decoders: bool = True) -> Table | None:
         "Sphere fits",
         "",
         _FITS,
-        tuple(_row(one) for one in fits),
+        tuple(row for row, _ in fits),
         (
             "Radius of the least-squares sphere over the points within "
             f"{measured.experiment.score.roi_radius_mm:g} mm (lateral) of each apex. |error|: "
@@ -91,7 +69,7 @@ def fit_table(measured: Measurement, decoders: bool = True) -> Table | None:
             f"and 95th percentile of the absolute radial residuals. The true {coat} is fitted over "
             "the same pixels.",
         ),
-        kinds=tuple("measured" if one.measured else "" for one in fits),
+        kinds=tuple(kind for _, kind in fits),
         group="ball",
     )
 
@@ -102,34 +80,37 @@ def fit_tables(measured: Measurement) -> list[Table]:
     return [table] if table else []
 
 
-def _row(one: ComparedFit) -> dict[str, Cell]:
-    stats = one.fit.stats
+def _fits(
+    measured: Measurement, ball: SphereScore, decoders: bool
+) -> Iterator[tuple[dict[str, Cell], str]]:
+    """Yield rows, and how they are shown, of what a ball was measured to be and truly is."""
+    coat = "true coat" if measured.experiment.method.presses else "true surface"
+    images, nominal_mm = measured.images, ball.nominal.radius_mm
+    label = _measured_label(measured) if decoders else "measured"
+    yield _row(ball.number, label, ball.measured, nominal_mm), "measured"
+    if decoders and isinstance(images, Colours):
+        for one in images.decoded:
+            for other in one.score.spheres:
+                if one is not images.own and other.number == ball.number:
+                    yield _row(ball.number, decoder_name(one), other.measured, nominal_mm), ""
+    yield _row(ball.number, coat, ball.true_face, nominal_mm), ""
+
+
+def _row(ball: int, surface: str, fit: SphereFit, nominal_mm: float) -> dict[str, Cell]:
     return {
-        "ball": f"ball {one.ball}",
-        "surface": one.surface,
-        "radius": one.fit.radius_mm,
-        "error": abs(one.fit.radius_mm - one.nominal_mm),
-        "rmse": stats.rmse_mm,
-        "mae": stats.mae_mm,
-        "p95": stats.p95_mm,
+        "ball": f"ball {ball}",
+        "surface": surface,
+        "radius": fit.radius_mm,
+        "error": abs(fit.radius_mm - nominal_mm),
+        "rmse": fit.stats.rmse_mm,
+        "mae": fit.stats.mae_mm,
+        "p95": fit.stats.p95_mm,
     }
 
 
 def _measured_label(measured: Measurement) -> str:
     images = measured.images
     return f"measured: {decoder_name(images.own)}" if isinstance(images, Colours) else "measured"
-
-
-def _by_other_decoders(measured: Measurement, number: int) -> list[ComparedFit]:
-    images = measured.images
-    if not isinstance(images, Colours):
-        return []
-    return [
-        ComparedFit(number, decoder_name(one), ball.measured, ball.nominal.radius_mm)
-        for one in images.decoded
-        for ball in one.score.spheres
-        if one is not images.own and ball.number == number
-    ]
 
 
 @dataclass(frozen=True, eq=False)

@@ -52,17 +52,13 @@ def groups_of(rows: Sequence[Row], axis: str) -> tuple[list[str], list[list[Row]
         levels.sort()
     if len(levels) <= _MOST_LABELS:
         groups = [[row for row in rows if row[axis] == level] for level in levels]
-        return [_short(level) for level in levels], groups
+        return [f"{one:.4g}" if isinstance(one, float) else str(one) for one in levels], groups
     values = numbers(rows, axis)
     edges = np.linspace(values.min(), values.max(), _BINS + 1)
     bins = np.clip(np.digitize(values, edges) - 1, 0, _BINS - 1)
     filled = [i for i in range(_BINS) if (bins == i).any()]
     names = [f"{(edges[i] + edges[i + 1]) / 2:.3g}" for i in filled]
     return names, [[r for r, b in zip(rows, bins, strict=True) if b == i] for i in filled]
-
-
-def _short(level: Any) -> str:
-    return f"{level:.4g}" if isinstance(level, float) else str(level)
 
 
 def draw_main_effects(

@@ -5,7 +5,7 @@ press of a slab costs a tenth of a second, a measurement seconds, and sensitivit
 need hundreds of them.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -69,15 +69,26 @@ def write_result(folder: Path, command: str, experiment: Experiment, figures: Me
     The same experiment gives the same bytes: wall-clock times are kept out (see `write_timings`).
     """
     (folder / EXPERIMENT_FILE).write_text(to_toml(experiment), encoding="utf-8")
-    content = {
-        "schema_version": 1,
-        "command": command,
-        "name": experiment.name,
-        "digest": digest(experiment),
-        "metrics": figures,
-        "versions": versions(),
-    }
-    write_json(folder / RESULT_FILE, content)
+    write_outcome(folder, command, figures, name=experiment.name, digest=digest(experiment))
+
+
+def write_outcome(folder: Path, command: str, figures: Metrics, **named: str) -> None:
+    """Write result.json: the figures, which command and versions made them, and what names them."""
+    content = {"command": command, "metrics": figures, "versions": versions(), **named}
+    write_json(folder / RESULT_FILE, {"schema_version": 1, **content})
+
+
+def write_rows(path: Path, rows: Sequence[Metrics], digits: int) -> None:
+    """Write rows as CSV, numbers with so many significant digits; empty where there is none."""
+    names = list(dict.fromkeys(name for row in rows for name in row))
+    lines = [",".join(_cell(row.get(name), digits) for name in names) for row in rows]
+    path.write_text("\n".join([",".join(names), *lines, ""]), encoding="utf-8")
+
+
+def _cell(value: Metric, digits: int) -> str:
+    if value is None:
+        return ""
+    return f"{value:.{digits}g}" if isinstance(value, float) else str(value)
 
 
 def write_timings(folder: Path, seconds: Mapping[str, float]) -> None:
@@ -229,8 +240,8 @@ def sheet_figures(pressed: PressedElastomer) -> dict[str, float]:
 
 def write_transfer(path: Path, transfer: ContactTransfer) -> None:
     """Write the contact transfer function as CSV: pitch, closed form, computed."""
-    lines = [f"{pitch:.6g},{exact:.6g},{found:.6g}" for pitch, exact, found in transfer.rows()]
-    path.write_text("\n".join(["pitch_mm,closed_form,computed", *lines, ""]), encoding="utf-8")
+    names = ("pitch_mm", "closed_form", "computed")
+    write_rows(path, [dict(zip(names, row, strict=True)) for row in transfer.rows()], 6)
 
 
 def transfer_metrics(transfer: ContactTransfer) -> Metrics:

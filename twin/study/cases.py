@@ -208,12 +208,7 @@ def _cases_at(study: Study, base: Experiment, point: Point) -> Iterable[Case]:
             if study.repeats > 1:
                 named["seed"] = base.seed + repeat
             method = {"modality": modality} if study.modalities else {}
-            experiment = vary(base, changes | method | _seed(named))
-            yield case_of(settings | named, experiment)
-
-
-def _seed(named: Mapping[str, Any]) -> dict[str, Any]:
-    return {"seed": named["seed"]} if "seed" in named else {}
+            yield case_of(settings | named, vary(base, changes | method | named))
 
 
 def _settings(study: Study, point: Point) -> dict[str, Any]:

@@ -80,22 +80,14 @@ def _radius_bias_mm(experiment: Experiment, metrics: Metrics) -> float:
     return _number(metrics, "sphere_1_true_face_radius_mm") - nominal
 
 
-def _depth_over_thickness(experiment: Experiment, metrics: Metrics) -> float:
-    return _number(metrics, "depth_mm") / experiment.elastomer.thickness_mm
-
-
-def _force_per_depth(_: Experiment, metrics: Metrics) -> float:
-    return _number(metrics, "force_n") / _number(metrics, "depth_mm")
-
-
 DERIVED: dict[str, Callable[[Experiment, Metrics], float]] = {
     "half_contrast_pitch_mm": _kept_pitch(0.5),
     "tenth_contrast_pitch_mm": _kept_pitch(0.1),
     "groove_contrast_kept": _groove_contrast,
     "groove_over_error": _groove_over_error,
     "radius_bias_mm": _radius_bias_mm,
-    "depth_over_thickness": _depth_over_thickness,
-    "force_per_depth_n_per_mm": _force_per_depth,
+    "depth_over_thickness": lambda e, m: _number(m, "depth_mm") / e.elastomer.thickness_mm,
+    "force_per_depth_n_per_mm": lambda _, m: _number(m, "force_n") / _number(m, "depth_mm"),
 }
 
 

@@ -19,7 +19,6 @@ from dataclasses import dataclass, field
 from itertools import groupby
 
 from reconstruction.errors import InputError
-from twin.config import Experiment
 from twin.pipeline.memory import values_at
 from twin.pipeline.progress import ProgressCallback, no_progress
 from twin.study.cases import Case
@@ -262,15 +261,11 @@ def in_sharing_order(cases: Sequence[Case], reads: StageReads) -> list[tuple[Key
     keyed = []
     for case in cases:
         key = tuple(
-            rank.setdefault(_seen(case.experiment, paths), len(rank))
+            rank.setdefault(values_at(case.experiment, paths), len(rank))
             for rank, paths in zip(ranks, reads, strict=True)
         )
         keyed.append((key, case))
     return sorted(keyed, key=lambda item: item[0])
-
-
-def _seen(experiment: Experiment, paths: Sequence[tuple[str, ...]]) -> Hashable:
-    return values_at(experiment, paths)
 
 
 def batches_of(keyed: Sequence[tuple[Key, Case]], workers: int) -> list[list[Case]]:

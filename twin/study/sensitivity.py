@@ -71,14 +71,11 @@ def without(table: StudyTable, metric: str) -> int:
 def _by_point(table: StudyTable, study: Study, metric: str) -> FloatArray | None:
     """Figure of every point in order, NaN where it is missing; None if points were excluded."""
     repeats = study.repeats * max(1, len(study.modalities))
-    found = np.array([_number(row.get(metric)) for row in table.rows])
+    cells = (row.get(metric) for row in table.rows)
+    found = np.array([float(cell) if is_number(cell) else np.nan for cell in cells])
     if len(found) != len(shares_of(study)) * repeats:
         return None
     return np.asarray(found.reshape(-1, repeats).mean(axis=1))
-
-
-def _number(value: object) -> float:
-    return float(value) if is_number(value) else np.nan
 
 
 def _grid_effects(table: StudyTable, axes: Sequence[str], metric: str) -> list[Effect]:

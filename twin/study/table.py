@@ -201,9 +201,9 @@ def best_rows(rows: Sequence[Row], objectives: Sequence[Objective]) -> list[Row]
         raise InputError(
             f"no feasible case has {', '.join(names)}; there are {', '.join(known) or 'no figures'}"
         )
-    costs = np.array([[_cost(row, one) for one in objectives] for row in usable])
+    costs = np.array([[cost_of(row, one) for one in objectives] for row in usable])
     front = [row for row, kept in zip(usable, on_front(costs), strict=True) if kept]
-    return sorted(front, key=lambda row: _cost(row, objectives[0]))
+    return sorted(front, key=lambda row: cost_of(row, objectives[0]))
 
 
 def ranked_rows(rows: Sequence[Row], objectives: Sequence[Objective]) -> list[Row]:
@@ -217,7 +217,7 @@ def ranked_rows(rows: Sequence[Row], objectives: Sequence[Objective]) -> list[Ro
     front = best_rows(rows, objectives)
     if len(objectives) > 1:
         return front
-    return sorted(usable_rows(rows, objectives), key=lambda row: _cost(row, objectives[0]))
+    return sorted(usable_rows(rows, objectives), key=lambda row: cost_of(row, objectives[0]))
 
 
 def goals_of(table: StudyTable, asked: Sequence[Objective] = ()) -> list[Objective]:
@@ -257,6 +257,7 @@ def is_number(value: object) -> TypeGuard[float]:
     return isinstance(value, (int, float)) and not isinstance(value, bool)
 
 
-def _cost(row: Row, objective: Objective) -> float:
+def cost_of(row: Row, objective: Objective) -> float:
+    """Return what is to become small: an objective that is to grow counts negative."""
     value = float(row[objective.metric])
     return value if objective.goal == "minimise" else -value

@@ -166,7 +166,7 @@ def _main(trials: Sequence[Row]) -> list[str]:
     some = [row for row in trials if row["state"] == "done"]
     if not some:
         return list(MAIN[:1])
-    of_inputs = {TRIAL, *_titles(some[0])}
+    of_inputs = {TRIAL, *(name for name in some[0] if "." in name)}
     differ = [
         name
         for name, value in some[0].items()
@@ -176,10 +176,6 @@ def _main(trials: Sequence[Row]) -> list[str]:
         and len({row.get(name) for row in some}) > 1
     ]
     return [name for name in MAIN if name in differ] or differ[:_MOST_OTHERS] or list(MAIN[:1])
-
-
-def _titles(row: Row) -> list[str]:
-    return [name for name in row if "." in name]
 
 
 def _measurand(
