@@ -22,11 +22,11 @@ from twin.report.experiment import glance, result_in_words
 from twin.report.page import Block, Figure, Grade, Section, Verdict
 from twin.report.pixel_panels import (
     REASON_COLOURS,
+    shading_words,
     show_error,
     show_measured,
     show_reasons,
     show_true,
-    true_scale,
 )
 from twin.report.spheres import fit_tables
 from twin.report.table import Table, pairs
@@ -162,16 +162,15 @@ def sections(measured: Measurement) -> list[Section]:
 
 def seen_figure(measured: Measurement) -> Figure:
     """Return frames, heights, errors and reasons, pixel on pixel."""
-    enlarged = true_scale(measured).enlarged
-    shading = "" if enlarged == 1 else f" (shading enlarges z {enlarged:g} times)"
     limit_um = measured.experiment.score.good_within_um
     return Figure(
         "seen",
         "Frames, heights, errors and missing points",
         "The same camera pixels in all panels. Frames in digital numbers: black is 0, white is "
         "saturation. Heights are lit from the upper left, on the scale of the true ones"
-        f"{shading}; white: no point. Errors and reasons are shown on the specimen, the rest is "
-        f"gray. The error scale ends at ± {limit_um:g} µm: points in its end colours are not good.",
+        f"{shading_words(measured)}; white: no point. Errors and reasons are shown on the "
+        f"specimen, the rest is gray. The error scale ends at ± {limit_um:g} µm: points in its end "
+        "colours are not good.",
         "frames, true and measured heights, error and reasons in camera pixels",
         lambda path: draw_seen(path, measured),
     )

@@ -253,8 +253,9 @@ _ARROW_MM = 3.5
 _LAYER_COLOURS = ("#cfe3f1", "#e3eef6")
 
 
-def draw_sensor(path: Path, experiment: Experiment) -> None:
+def draw_sensor(path: Path, seen: Measurement) -> None:
     """Draw the sensor from above and from the side, to scale, as PNG."""
+    experiment = seen.experiment
     with drawing(path, 5.0, 6.25) as figure:
         _above(axes_at(figure, 0.6, 0.35, 4.1, 3.3), experiment)
         _side(axes_at(figure, 0.6, 4.4, 4.1, 1.35), experiment)

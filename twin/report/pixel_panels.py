@@ -156,6 +156,12 @@ def true_scale(measured: Measurement) -> ZScale:
     return ZScale.of(truth.points_world_mm[truth.depth_mm > 0][:, 2], width_mm(measured))
 
 
+def shading_words(measured: Measurement) -> str:
+    """Say by how much shading enlarges z, in brackets; empty where it does not."""
+    enlarged = true_scale(measured).enlarged
+    return "" if enlarged == 1 else f" (shading enlarges z {enlarged:g} times)"
+
+
 def width_mm(measured: Measurement) -> float:
     """Width of the image on the flat coat."""
     return float(measured.pixel_mm * measured.truth.lit.shape[1])
