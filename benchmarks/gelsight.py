@@ -42,7 +42,7 @@ from twin.config.models import Ball
 from twin.mechanics import face_mesh
 from twin.pipeline import Memory, measure, press_specimen
 from twin.pipeline.colours import calibrated_sensor, with_ball
-from twin.pipeline.instruments import PhotometricPlan, case_for
+from twin.pipeline.comparison import PhotometricPlan, case_for
 from twin.results.decoders import DecodedImage
 
 SENSORS = Memory()

@@ -20,7 +20,6 @@ from typing import TYPE_CHECKING, Any
 from reconstruction.errors import InputError
 
 if TYPE_CHECKING:
-    import h5netcdf
     import numpy as np
     import xarray
     from numpy.typing import NDArray
@@ -61,22 +60,10 @@ def unwritable(
     return kind(f"{path}: cannot be written ({error.strerror or error})")
 
 
-@contextmanager
-def writing_netcdf(path: Path | str) -> Iterator["h5netcdf.File"]:
-    """Yield a new netCDF-4 file to fill; an existing one is replaced.
-
-    Raises
-    ------
-    OSError : it cannot be written: the first failure. What was written until then stays there.
-    """
-    import h5netcdf
-
-    with _patient(path) as target, h5netcdf.File(target, "w") as file:
-        yield file
-
-
 def write_dataset(path: Path | str, dataset: "xarray.Dataset") -> None:
-    """Write a data set as netCDF-4, maps compressed; an existing file is replaced.
+    """Write a data set as netCDF-4; an existing file is replaced.
+
+    Maps are compressed, unless their `encoding` states how they are stored.
 
     Raises
     ------
@@ -84,8 +71,11 @@ def write_dataset(path: Path | str, dataset: "xarray.Dataset") -> None:
     """
     # Nothing here is NaN: a fill value would only say that something may be.
     plain: dict[str, Any] = {"_FillValue": None}
-    packed = plain | {"compression": "gzip", "compression_opts": 1, "shuffle": True}
-    kinds = {name: packed if one.ndim > 1 else plain for name, one in dataset.variables.items()}
+    packed = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
+    kinds = {
+        name: plain | (one.encoding or (packed if one.ndim > 1 else {}))
+        for name, one in dataset.variables.items()
+    }
     with _patient(path) as target:
         dataset.to_netcdf(target, engine="h5netcdf", encoding=kinds)
 
@@ -101,8 +91,8 @@ def pixel_coordinates(rows: int, cols: int) -> dict[str, Any]:
     }
 
 
-def read_dataset(path: Path | str) -> "xarray.Dataset":
-    """Read a netCDF-4 file as it was written, whole.
+def read_dataset(path: Path | str, group: str | None = None) -> "xarray.Dataset":
+    """Read a netCDF-4 file, or a group of it, as it was written, whole.
 
     Raises
     ------
@@ -111,7 +101,7 @@ def read_dataset(path: Path | str) -> "xarray.Dataset":
     import xarray
 
     # Nothing is decoded: a unit such as ms does not make durations.
-    with xarray.open_dataset(path, engine="h5netcdf", decode_cf=False) as found:
+    with xarray.open_dataset(path, engine="h5netcdf", group=group, decode_cf=False) as found:
         return found.load()
 
 

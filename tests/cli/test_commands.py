@@ -13,7 +13,7 @@ import pytest
 import trimesh
 
 from twin.cli import run
-from twin.cli.console import print_metrics
+from twin.cli.app import print_metrics
 from twin.config import digest, load_experiment
 
 SMALL = ["-s", "camera.binning=4", "-s", "camera.width_px=968", "-s", "camera.height_px=732"]

@@ -36,6 +36,22 @@ def test_a_press_comes_back_whole(reference_press: PressedElastomer, tmp_path: P
     assert [path.name for path in tmp_path.iterdir()] == ["press.nc"]
 
 
+def test_a_file_of_the_first_schema_is_still_read(
+    reference_press: PressedElastomer, tmp_path: Path
+) -> None:
+    path = tmp_path / "press.nc"
+    write_press(path, reference_press)
+    with h5netcdf.File(path, "a") as file:
+        file.attrs["schema"] = "fringe-twin press 1"
+        group = file.create_group("validity")
+        for name in [name for name in file.attrs if name.startswith("validity_")]:
+            group.attrs[name.removeprefix("validity_")] = file.attrs[name]
+            del file.attrs[name]
+    back = read_press(path)
+    assert back.validity == reference_press.validity
+    np.testing.assert_array_equal(back.face_z_mm, reference_press.face_z_mm)
+
+
 def test_no_warnings_come_back_as_none(reference_press: PressedElastomer, tmp_path: Path) -> None:
     write_press(tmp_path / "press.nc", reference_press)
     assert read_press(tmp_path / "press.nc").validity == reference_press.validity

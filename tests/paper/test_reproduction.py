@@ -9,8 +9,7 @@ from twin.paper import reproduction
 from twin.paper.plan import BALLS, CASES
 from twin.paper.reproduction import Reproduction, link
 from twin.study import sweep as sweeping
-from twin.study.measuring import AS_IT_IS, Answer
-from twin.study.rigs import RigCovariance
+from twin.study.measuring import AS_IT_IS, Answer, RigCovariance
 from twin.uncertainty.results import is_uncertainty
 
 measured = Counter()

@@ -20,8 +20,7 @@ from twin.config import load_experiment
 from twin.config.methods import METHODS
 from twin.config.study import Study
 from twin.output import RESULT_FILE, read_json, versions
-from twin.pipeline.comparison import compare
-from twin.pipeline.instruments import PhotometricPlan
+from twin.pipeline.comparison import PhotometricPlan, compare
 from twin.pipeline.methods import measure_into
 from twin.study.record import StudyRecord
 from twin.study.sweep import sweep

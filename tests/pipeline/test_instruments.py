@@ -4,7 +4,7 @@ import pytest
 
 from reconstruction.errors import InputError
 from twin.config import load_experiment, vary
-from twin.pipeline.instruments import PhotometricPlan, case_for
+from twin.pipeline.comparison import PhotometricPlan, case_for
 
 
 @pytest.fixture(scope="module")

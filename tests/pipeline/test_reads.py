@@ -7,8 +7,7 @@ import pytest
 from reconstruction.errors import InputError
 from twin.config import digest, vary
 from twin.config.models import Film
-from twin.pipeline.memory import Memo
-from twin.pipeline.reads import Reads, values_at, watched
+from twin.pipeline.memory import Memo, Reads, values_at, watched
 
 
 def reads_of(experiment, look):

@@ -27,8 +27,8 @@ def folder(done, tmp_path_factory):
 def test_a_record_comes_back(done, folder):
     again = read_measurement(folder)
     assert again.experiment == done.experiment
-    assert (again.figures, again.digest, again.versions) == (
-        done.figures, done.digest, dict(done.versions),
+    assert (again.metrics, again.digest, again.versions) == (
+        done.metrics, done.digest, dict(done.versions),
     )  # fmt: skip
     for name in ("world_mm", "sigma_mm", "reason"):
         found, expected = getattr(again.points, name), getattr(done.points, name)

@@ -50,7 +50,7 @@ def bytes_of(done):
         "points": done.points.world_mm,
         "sigma": done.points.sigma_mm,
     }
-    return {"figures": repr(done.figures)} | {name: a.tobytes() for name, a in arrays.items()}
+    return {"figures": repr(done.metrics)} | {name: a.tobytes() for name, a in arrays.items()}
 
 
 def test_random_walk_gives_the_same_bytes(mi, base):
@@ -109,7 +109,7 @@ def counted(mi, base):
         import itertools
 
         from twin.study.cases import Case
-        from twin.study.order import in_sharing_order
+        from twin.study.engine import in_sharing_order
 
         memory = Memory()
         cases = [

@@ -14,9 +14,10 @@ from twin.config import vary
 from twin.pipeline.fringes import evaluate, options_of
 from twin.report import summary_table, write_report
 from twin.report.contact import discussion, verdicts
+from twin.results.figures import why_absent
 from twin.results.folder import read_measurement, write_measurement
 from twin.results.record import Fringes, Recording
-from twin.results.score import metrics, region_of, score, why_absent
+from twin.results.score import metrics, region_of, score
 from twin.specimens import shape_of
 
 ERRORS = ("z_rmse_um", "z_bias_um", "z_p95_um", "sigma_z_median_um", "error_over_sigma")
@@ -99,7 +100,7 @@ def test_a_single_point_has_a_report_without_a_spread(experiment, blind, recordi
     found = score(experiment, one, recording.truth)
     seen = replace(
         scored,
-        figures=scored.figures | metrics(found),
+        metrics={**scored.metrics, **metrics(found)},
         images=Fringes(recording.capture, one),
         truth=recording.truth,
         score=found,

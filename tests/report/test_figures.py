@@ -19,9 +19,9 @@ from twin.report.canvas import (
     round_up,
     symmetric_limit,
 )
+from twin.report.experiment import triangulation_angle_deg
 from twin.report.pixel_panels import REASON_COLOURS
 from twin.report.press import draw_press
-from twin.report.rig import triangulation_angle_deg
 from twin.report.section import (
     face_profile,
     slab_span,

@@ -17,15 +17,13 @@ from twin.cli import run
 from twin.config import load_experiment
 from twin.config.methods import METHODS
 from twin.manifest import MANIFEST_FILE, manifest_lines, write_manifest
-from twin.pipeline.comparison import compare
-from twin.pipeline.instruments import PhotometricPlan
+from twin.pipeline.comparison import PhotometricPlan, compare
 from twin.report import summary_table, write_comparison, write_report
 from twin.report.comparison import gist_of, press_in_words, ratio_table
 from twin.report.photometric import decoder_table, verdicts
 from twin.report.photometric_figures import decoder_error_um, true_heights_mm, true_slopes
 from twin.report.spheres import fit_table
-from twin.results.decoders import write_decoders
-from twin.results.folder import read_measurement
+from twin.results.folder import read_measurement, write_decoders
 from twin.results.score import score_heights
 
 SMALL = {

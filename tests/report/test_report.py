@@ -62,7 +62,7 @@ def test_page_tells_result_warnings_and_assumptions(reported, experiment):
         assert f"{ball.measured.radius_mm:.3f}" in page
         assert f"{ball.true_face.stats.p95_mm:.4f}" in page
     assert "paper" not in page.split("<main")[1].split("Appendix")[0]
-    for warning in measured.figures["warnings"]:
+    for warning in measured.warnings:
         assert warning.replace("'", "&#39;") in page
     assumed = [p for p in experiment.provenance.values() if p.source.startswith("assumed")]
     assert page.count('<tr class="assumed">') == len(assumed) > 0

@@ -82,10 +82,10 @@ def test_verdicts_follow_the_figures(finished):
     scored = read_measurement(finished)
     sensor, shape, press = verdicts(scored)
     assert sensor.grade != "poor"
-    scored.figures["wrong_order_pixels"] = 3
-    assert verdicts(scored)[0].grade == "poor"
-    assert "3 wrong fringe orders" in verdicts(scored)[0].reasons[0]
-    assert press.grade == ("check" if scored.figures["warnings"] else "good")
+    wrong = replace(scored, metrics={**scored.metrics, "wrong_order_pixels": 3})
+    assert verdicts(wrong)[0].grade == "poor"
+    assert "3 wrong fringe orders" in verdicts(wrong)[0].reasons[0]
+    assert press.grade == ("check" if scored.warnings else "good")
     assert "mm" in shape.headline
 
 
@@ -93,13 +93,13 @@ def test_discussion_of_a_thin_sheet_tells_of_stretch_and_not_of_the_slab(finishe
     scored = read_measurement(finished)
     sheet = {"mechanics_model": "sheet", "largest_stretch": 1.234}
     sheet |= {"thinnest_mm": 0.1567, "steepest_deg": 61.2}
-    wrapped = replace(scored, figures=scored.figures | sheet)
+    wrapped = replace(scored, metrics={**scored.metrics, **sheet})
     text = " ".join(discussion(wrapped))
     assert "stretched up to 1.23 times, 0.157 mm thick where it is thinnest" in text
     assert "low-pass" in " ".join(discussion(scored))
     assert "low-pass filter: T(q)" not in text
-    assert "shear through the thickness" in judge_press(wrapped.figures).reasons[0]
-    assert "large strain" in judge_press(scored.figures).reasons[0]
+    assert "shear through the thickness" in judge_press(wrapped).reasons[0]
+    assert "large strain" in judge_press(scored).reasons[0]
 
 
 def test_a_table_says_the_same_as_html_markdown_text_and_json():

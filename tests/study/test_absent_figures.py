@@ -11,14 +11,13 @@ from twin.config import vary
 from twin.config.study import Constraint, Objective, Study
 from twin.report.study import write_study
 from twin.study import optimise, pictures
-from twin.study.best import best_rows, ranked_rows
 from twin.study.cases import cases_of, quantity
 from twin.study.derived import with_derived
 from twin.study.measuring import Answer
 from twin.study.record import StudyRecord, read_record
 from twin.study.sensitivity import effects_of, without
 from twin.study.sweep import sweep
-from twin.study.table import csv_text, read_table, write_parquet
+from twin.study.table import best_rows, csv_text, ranked_rows, read_table, write_parquet
 from twin.study.workers import local_workers
 
 ALBEDO = {"path": "coating.base_albedo", "name": "albedo", "values": [0.1, 0.2, 0.3, 0.5, 0.7]}

@@ -240,15 +240,15 @@ def test_dry_run_of_a_search_looks_along_its_axes(tmp_path, capsys):
 
 def test_dry_run_checks_equal_fields_once(base, study_of, monkeypatch):
     """200 noise draws and codes of one press and one coat: one check."""
-    from twin.study import dry_run
+    from twin.study import sweep as module
     from twin.study.cases import cases_of
 
     checked = []
-    check = dry_run.check_measurable
-    monkeypatch.setattr(dry_run, "check_measurable", lambda e: (checked.append(e), check(e)))
+    check = module.check_measurable
+    monkeypatch.setattr(module, "check_measurable", lambda e: (checked.append(e), check(e)))
     period = {"path": "patterns.period_px", "low": 10, "high": 28, "count": 10}
     cases = cases_of(study_of(period, repeats=20), base).run
-    assert dry_run.unmeasurable(cases) == {}
+    assert module.unmeasurable(cases) == {}
     assert (len(cases), len(checked)) == (200, 1)
 
 

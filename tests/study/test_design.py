@@ -6,8 +6,7 @@ import pytest
 from twin.assets import list_assets
 from twin.config import ConfigError
 from twin.config.study import Axis, Study, load_study
-from twin.study.cases import cases_of
-from twin.study.design import point_count, points_of, shares_of
+from twin.study.cases import cases_of, point_count, points_of, shares_of
 from twin.study.record import StudyRecord
 
 LOW_HIGH = {"path": "coating.base_albedo", "low": 0.1, "high": 0.5}

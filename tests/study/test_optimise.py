@@ -6,11 +6,10 @@ import pytest
 from reconstruction.errors import InputError
 from tests.study.synthetic import Bowl
 from twin.config.study import Objective
-from twin.study.best import best_rows, on_front
 from twin.study.record import StudyRecord, read_record
 from twin.study.store import Store
 from twin.study.sweep import sweep
-from twin.study.table import csv_text, read_table
+from twin.study.table import best_rows, csv_text, on_front, read_table
 from twin.study.workers import local_workers
 
 ALBEDO = {"path": "coating.base_albedo", "name": "albedo", "low": 0.1, "high": 0.9}

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from twin.config.study import Study
-from twin.study.design import shares_of
+from twin.study.cases import shares_of
 from twin.study.sensitivity import correlation_ratio, morris_effects, saltelli_effects
 
 AXES = ("a", "b", "c")

@@ -4,7 +4,7 @@ import pytest
 
 from tests.uncertainty.models import Linear
 from twin.config import load_experiment
-from twin.study.rigs import RigCovariance
+from twin.study.measuring import RigCovariance
 from twin.study.sweep import sweep
 from twin.study.workers import local_workers
 from twin.uncertainty.results import read_uncertainty

@@ -77,6 +77,35 @@ def test_inputs_that_are_nowhere(tmp_path, capsys):
     assert not (tmp_path / "out").exists()
 
 
+def test_dry_run_tells_what_and_measures_nothing(modelled, tmp_path, capsys):
+    """41 trials, two cases a normal input and the nominal one, 20 repeats, 8 (2 + 2) presses."""
+    assert run([*modelled, "-n", "40", "--dry-run", "--sobol", "8"]) == 0
+    said = capsys.readouterr().err
+    assert "specimen.x_mm: 0, standard uncertainty 0.1 (normal)" in said
+    assert "specimen.y_mm: 0, standard uncertainty 0.0408 (triangular)" in said
+    assert "41 trials with the nominal one, 5 with one input varied or none" in said
+    assert "20 repeats with new noise alone\n" in said
+    assert "66 cases, about " in said
+    assert "Sobol' indices: 32 presses more" in said
+    assert "calibration of the rig" not in said
+    assert not (tmp_path / "out").exists()
+
+
+def test_dry_run_names_the_calibration_and_counts_what_is_there(modelled, capsys):
+    assert run([*modelled, "-n", "4"]) == 0
+    assert run([*modelled, "-n", "6", "--dry-run"]) == 0
+    # Two trials more, and as many repeats of the noise.
+    assert "18 cases, 14 of them known" in capsys.readouterr().err
+    assert run([*modelled[:-2], "-n", "6", "--dry-run"]) == 0
+    assert "a calibration of the rig on rendered poses" in capsys.readouterr().err
+
+
+def test_dry_run_refuses_what_cannot_be_pressed(modelled, capsys):
+    deep = 'press.depth_mm={ value = 9.0, source = "assumed: too deep" }'
+    assert run([*modelled, "-n", "4", "--dry-run", "-s", deep]) == 2
+    assert "cannot be measured: press.depth_mm" in capsys.readouterr().err
+
+
 def test_nothing_measured_is_a_failure(modelled, monkeypatch, tmp_path, capsys):
     monkeypatch.setattr(module, "sweep", partial(module.sweep, make_measurer=Refusing))
     assert run([*modelled, "-n", "2", "-s", "specimen.x_mm=2"]) == 1

@@ -6,8 +6,8 @@ from scipy import stats
 
 from twin.config import ConfigError, load_experiment
 from twin.config.inputs import DEFAULT_INPUTS, Input, load_inputs
-from twin.pipeline.instruments import PhotometricPlan, case_for
-from twin.study.draws import deviation_of, draw, drawn_values, standard_uncertainty
+from twin.pipeline.comparison import PhotometricPlan, case_for
+from twin.study.trials import deviation_of, draw, drawn_values, standard_uncertainty
 
 SEED = 5
 

@@ -6,7 +6,7 @@ import pytest
 from twin.config import load_experiment, vary
 from twin.config.inputs import Input
 from twin.pipeline.press import press_specimen
-from twin.results.face import face_figures
+from twin.results.parts import face_figures
 from twin.study.measuring import CaseMeasurer
 from twin.study.trials import INPUT, STEP, alone_cases
 from twin.uncertainty.budget import part_of

@@ -7,8 +7,7 @@ from reconstruction.calibration.parameters import POSES, RigEstimate, pack
 from twin.config import load_experiment
 from twin.optics.rig import true_calibration
 from twin.pipeline import measure
-from twin.study.measuring import CaseMeasurer, Conditions
-from twin.study.rigs import RigCovariance
+from twin.study.measuring import CaseMeasurer, Conditions, RigCovariance
 
 
 @pytest.fixture(scope="module")

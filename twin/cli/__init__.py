@@ -6,10 +6,8 @@ import sys
 from twin.cli import captures as captures
 from twin.cli import forward as forward
 from twin.cli import identify as identify
-from twin.cli import paper as paper
 from twin.cli import start as start
-from twin.cli import sweeps as sweeps
-from twin.cli import uncertainty as uncertainty
+from twin.cli import studies as studies
 from twin.cli.app import app, guarded
 from twin.working import unwind_on_signals
 

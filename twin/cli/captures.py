@@ -3,8 +3,16 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from twin.cli.app import Out, Settings, app
-from twin.cli.console import load, print_metrics, progress_bars, say
+from twin.cli.app import (
+    ExperimentFile,
+    Out,
+    Settings,
+    app,
+    load,
+    print_metrics,
+    progress_bars,
+    say,
+)
 
 if TYPE_CHECKING:
     from twin.config import Experiment
@@ -172,15 +180,9 @@ def _rig(source: Path, settings: Settings) -> "Experiment":
 
 @app.command
 def patterns(
-    experiment: Path = Path("paper/two_balls"), /, *, out: Out, settings: Settings = None
+    experiment: ExperimentFile = Path("paper/two_balls"), /, *, out: Out, settings: Settings = None
 ) -> None:
-    """Write the projected sequence for a real projector: 8-bit PNG images and a manifest.
-
-    Parameters
-    ----------
-    experiment
-        TOML file, or the name of a shipped experiment such as paper/two_balls.
-    """
+    """Write the projected sequence for a real projector: 8-bit PNG images and a manifest."""
     from reconstruction.capture.description import MANIFEST_FILE, write_patterns
     from twin.optics.light import pattern_set
     from twin.output import output_folder

@@ -6,8 +6,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from reconstruction.errors import InputError
-from twin.cli.app import BAD_INPUT, Out, Settings, app
-from twin.cli.console import load, print_metrics, progress_bars, say, settings_of
+from twin.cli.app import (
+    BAD_INPUT,
+    ExperimentFile,
+    Out,
+    Settings,
+    app,
+    load,
+    print_metrics,
+    progress_bars,
+    say,
+    settings_of,
+)
 
 if TYPE_CHECKING:
     from twin.config import Experiment
@@ -17,7 +27,7 @@ if TYPE_CHECKING:
 
 @app.command
 def press(
-    experiment: Path,
+    experiment: ExperimentFile,
     /,
     *,
     out: Out,
@@ -29,8 +39,6 @@ def press(
 
     Parameters
     ----------
-    experiment
-        TOML file, or the name of a shipped experiment such as paper/two_balls.
     transfer
         Also report the contact transfer: the share of a groove's depth that the coat shows, by
         pitch; for a thin sheet, of ridges as high as the specimen's under its back pressure.
@@ -67,7 +75,7 @@ def press(
             kept = transfer_of(loaded, pressed)
             write_transfer(folder / "transfer.csv", kept)
             draw_transfer(folder / "transfer.png", kept)
-            figures |= transfer_metrics(kept)
+            figures |= dict(transfer_metrics(kept))
         write_result(folder, "press", loaded, figures)
     print_metrics(figures)
     say(f"wrote {out}")
@@ -75,7 +83,7 @@ def press(
 
 @app.command
 def render(
-    experiment: Path,
+    experiment: ExperimentFile,
     /,
     *,
     out: Out,
@@ -86,8 +94,6 @@ def render(
 
     Parameters
     ----------
-    experiment
-        TOML file, or the name of a shipped experiment such as paper/two_balls.
     frames
         Write each frame as an image too: exr (linear radiance), png (16-bit digital numbers).
     """
@@ -115,14 +121,8 @@ def render(
 
 
 @app.command
-def measure(experiment: Path, /, *, out: Out, settings: Settings = None) -> None:
-    """Measure virtually: press, render, expose, reconstruct, score against the truth, report.
-
-    Parameters
-    ----------
-    experiment
-        TOML file, or the name of a shipped experiment such as paper/two_balls.
-    """
+def measure(experiment: ExperimentFile, /, *, out: Out, settings: Settings = None) -> None:
+    """Measure virtually: press, render, expose, reconstruct, score against the truth, report."""
     loaded = load(experiment, settings)
     _measure(loaded, out, "measure", [experiment])
 
@@ -169,15 +169,16 @@ def compare(
         Which load contact_fpp and photometric_stereo have in common: force or depth.
     """
     from twin.output import adding
-    from twin.pipeline.comparison import claim_comparison, measure_whole, methods_named
+    from twin.pipeline.comparison import (
+        PhotometricPlan,
+        methods_named,
+    )
     from twin.pipeline.comparison import compare as run_all
-    from twin.pipeline.instruments import PhotometricPlan
     from twin.report import (
         REPORT_FILE,
         REPORT_NAMES,
         comparison_table,
         write_comparison,
-        write_report,
     )
 
     chosen = methods_named(methods)
@@ -185,16 +186,9 @@ def compare(
         raise InputError("EXPERIMENT: found none; name at least one, e.g. twin compare paper/nut")
     loaded = [load(experiment, settings) for experiment in experiments]
     plan = PhotometricPlan(photometric_rig, settings_of(photometric_set), match)
-
-    def with_report(
-        folder: Path, case: "Experiment", watch: "ProgressCallback", memory: "Memory"
-    ) -> None:
-        measure_whole(folder, case, watch, memory)
-        write_report(folder)
-
-    claim_comparison(out, [*experiments, Path(photometric_rig)])
+    read = [*experiments, Path(photometric_rig)]
     with progress_bars() as watch:
-        outcomes = run_all(loaded, chosen, out, with_report, watch=watch, plan=plan)
+        outcomes = run_all(loaded, chosen, out, _with_report, watch=watch, plan=plan, inputs=read)
         with adding(out, *REPORT_NAMES) as drawn:
             write_comparison(out, watch, drawn)
     say(comparison_table(outcomes))
@@ -203,14 +197,8 @@ def compare(
 
 
 @app.command
-def export(experiment: Path, /, *, out: Out, settings: Settings = None) -> None:
-    """Press, then write a stock Mitsuba scene: XML, mesh and one texture per frame.
-
-    Parameters
-    ----------
-    experiment
-        TOML file, or the name of a shipped experiment such as paper/two_balls.
-    """
+def export(experiment: ExperimentFile, /, *, out: Out, settings: Settings = None) -> None:
+    """Press, then write a stock Mitsuba scene: XML, mesh and one texture per frame."""
     from twin.mechanics import face_mesh
     from twin.optics.export import export_stock
     from twin.output import output_folder
@@ -244,3 +232,13 @@ def _measure(
         write_report(folder, watch)
     say(summary_table(out))
     say(f"wrote {out / 'report.html'}")
+
+
+def _with_report(
+    folder: Path, case: "Experiment", watch: "ProgressCallback", memory: "Memory"
+) -> None:
+    from twin.pipeline.methods import measure_into
+    from twin.report import write_report
+
+    measure_into(folder, "measure", case, watch, memory)
+    write_report(folder)

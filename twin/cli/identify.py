@@ -2,9 +2,7 @@
 
 from pathlib import Path
 
-from twin.cli.app import Out, app
-from twin.cli.console import print_table, progress_bars, say
-from twin.cli.uncertainty import Cluster, WorkerCount
+from twin.cli.app import Cluster, Out, WorkerCount, app, print_table, progress_bars, say, workers_of
 
 
 @app.command
@@ -36,11 +34,10 @@ def identify(
     from twin.output import adding, claim
     from twin.report import REPORT_NAMES
     from twin.report.identified import write_identified as draw
-    from twin.study.workers import dask_workers, default_count, local_workers
 
     loaded, experiments = load_problem(problem)
     asked = loaded.quick() if quick else loaded
-    who = dask_workers(cluster) if cluster else local_workers(workers or default_count())
+    who = workers_of(workers, cluster)
     names = (*WRITTEN, *REPORT_NAMES)
     claim(out, COMMAND, names, [problem])
     with progress_bars() as watch:

@@ -5,8 +5,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from twin.cli.app import FAILURE, MISSING_BACKEND, app
-from twin.cli.console import print_table, say
+from twin.cli.app import FAILURE, MISSING_BACKEND, app, print_table, say
 
 
 @app.command

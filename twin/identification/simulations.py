@@ -20,7 +20,7 @@ from twin.config.problem import SensorProblem
 from twin.config.study import Sampling, Study, without_absent
 from twin.identification.emulator import Emulator, fit_emulator
 from twin.pipeline.progress import ProgressCallback, no_progress
-from twin.study.design import shares_of
+from twin.study.cases import shares_of
 from twin.study.measuring import CaseMeasurer
 from twin.study.record import StudyRecord
 from twin.study.sweep import sweep

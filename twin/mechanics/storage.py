@@ -4,16 +4,16 @@ Files follow the CF conventions: every variable has `units` and `long_name`; arr
 A file is written under a temporary name and renamed: it is never half there.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, fields
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import h5netcdf
 import numpy as np
 import trimesh
+from numpy.typing import NDArray
 
-from reconstruction.machine import writing_netcdf
+from reconstruction.machine import read_dataset, write_dataset
 from twin.config.models import Elastomer, Press
 from twin.mechanics.errors import PressError
 from twin.mechanics.press import PressedElastomer, SheetFields
@@ -21,8 +21,16 @@ from twin.mechanics.texture import in_plane_displacement
 from twin.mechanics.validity import Validity
 from twin.output import replacing
 
-_SCHEMA = "fringe-twin press 1"
+if TYPE_CHECKING:
+    import xarray
+
+_SCHEMA = "fringe-twin press 2"
+_GROUPED = "fringe-twin press 1"
+"""Files of this schema keep the figures of `Validity` in a group of that name."""
+_VALIDITY = "validity_"
 _FACE = ("face_y", "face_x")
+Labelled = tuple[tuple[str, ...], NDArray[Any], dict[str, str]]
+"""Dimensions, values, units and long name."""
 
 # field: (dimensions, units, long name)
 _VARIABLES: dict[str, tuple[tuple[str, ...], str, str]] = {
@@ -58,10 +66,19 @@ def write_press(path: Path, pressed: PressedElastomer) -> None:
 
     Raises
     ------
-    PressError : the file cannot be written
+    PressError
+        The file cannot be written.
     """
-    with replacing(path, PressError) as part, writing_netcdf(part) as file:
-        _fill(file, pressed)
+    variables = {
+        name: _labelled(np.asarray(getattr(pressed, name)), *told)
+        for name, told in _VARIABLES.items()
+        if name not in _OPTIONAL or getattr(pressed, name) is not None
+    }
+    for name, data in _sheet_arrays(pressed.sheet).items():
+        variables[f"sheet_{name}"] = _labelled(data, _FACE, *_SHEET_VARIABLES[name])
+    validity = asdict(pressed.validity) | {"warnings": "\n".join(pressed.validity.warnings)}
+    told = {_VALIDITY + name: value for name, value in validity.items()}
+    _write(path, variables, {"schema": _SCHEMA, "model": pressed.model} | told)
 
 
 def read_press(path: Path) -> PressedElastomer:
@@ -69,16 +86,19 @@ def read_press(path: Path) -> PressedElastomer:
 
     Raises
     ------
-    PressError : the file is missing, damaged or something else
+    PressError
+        The file is missing, damaged or something else.
     """
     try:
-        with h5netcdf.File(path, "r") as file:
-            if file.attrs.get("schema") != _SCHEMA:
-                raise PressError(f"{path}: not a pressed elastomer (schema '{_SCHEMA}')")
-            stored = [name for name in _VARIABLES if name in file or name not in _OPTIONAL]
-            values = {name: file[name][...] for name in stored}
-            validity, model = _read_validity(file), str(file.attrs["model"])
-            sheet = _read_sheet(file)
+        file = read_dataset(path)
+        schema = file.attrs.get("schema")
+        if schema not in (_SCHEMA, _GROUPED):
+            raise PressError(f"{path}: not a pressed elastomer (schema '{_SCHEMA}')")
+        stored = [name for name in _VARIABLES if name in file or name not in _OPTIONAL]
+        values = {name: file[name].values for name in stored}
+        grouped = read_dataset(path, "validity").attrs if schema == _GROUPED else {}
+        validity = _validity(file.attrs | {_VALIDITY + name: one for name, one in grouped.items()})
+        model, sheet = str(file.attrs["model"]), _sheet(file)
     except PressError:
         raise
     except FileNotFoundError as error:
@@ -97,18 +117,19 @@ def write_in_plane(
 
     Raises
     ------
-    PressError : the press is not of the spectral model, or the file cannot be written
+    PressError
+        The press is not of the spectral model, or the file cannot be written.
     """
     if pressed.model != "spectral":
         raise PressError(f"in-plane displacement: the model is {pressed.model}, allowed: spectral")
     moved = in_plane_displacement(pressed, elastomer, load)
 
-    with replacing(path, PressError) as part, writing_netcdf(part) as file:
-        file.attrs["comment"] = "moves texture and markers; the relief's nodes stay where they are"
-        file.dimensions = {"face_y": pressed.face_y_mm.size, "face_x": pressed.face_x_mm.size}
-        for axis, data in zip("xy", moved, strict=True):
-            told = f"displacement of the coat along world {axis}"
-            _write(file, f"u_{axis}_mm", _FACE, data, ("mm", told))
+    told = {"comment": "moves texture and markers; the relief's nodes stay where they are"}
+    maps = {
+        f"u_{axis}_mm": _labelled(data, _FACE, "mm", f"displacement of the coat along world {axis}")
+        for axis, data in zip("xy", moved, strict=True)
+    }
+    _write(path, maps, told)
 
 
 def write_mesh(path: Path, mesh: trimesh.Trimesh) -> None:
@@ -116,7 +137,8 @@ def write_mesh(path: Path, mesh: trimesh.Trimesh) -> None:
 
     Raises
     ------
-    PressError : the file is to be neither, or cannot be written
+    PressError
+        The file is to be neither, or cannot be written.
     """
     kind = path.suffix.lower()
     if kind not in (".ply", ".stl"):
@@ -127,58 +149,44 @@ def write_mesh(path: Path, mesh: trimesh.Trimesh) -> None:
         part.write_bytes(content)
 
 
-def _fill(file: Any, pressed: PressedElastomer) -> None:
-    file.attrs["Conventions"] = "CF-1.11"
-    file.attrs["schema"] = _SCHEMA
-    file.attrs["model"] = pressed.model
-    file.dimensions = {
-        "x": pressed.x_mm.size,
-        "y": pressed.y_mm.size,
-        "face_x": pressed.face_x_mm.size,
-        "face_y": pressed.face_y_mm.size,
-    }
-    for name, (dimensions, units, long_name) in _VARIABLES.items():
-        if name in _OPTIONAL and getattr(pressed, name) is None:
-            continue
-        data = np.asarray(getattr(pressed, name))
-        stored = data.astype(np.int8) if data.dtype == bool else data
-        _write(file, name, dimensions, stored, (units, long_name))
-    for name, data in _sheet_arrays(pressed.sheet).items():
-        _write(file, f"sheet_{name}", _FACE, data, _SHEET_VARIABLES[name])
-    file.create_group("validity").attrs.update(
-        {**asdict(pressed.validity), "warnings": "\n".join(pressed.validity.warnings)}
-    )
+def _labelled(
+    data: NDArray[Any], dimensions: tuple[str, ...], units: str, long_name: str
+) -> Labelled:
+    stored = data.astype(np.int8) if data.dtype == bool else data
+    return dimensions, stored, {"units": units, "long_name": long_name}
 
 
-def _write(
-    file: Any, name: str, dimensions: tuple[str, ...], data: Any, told: tuple[str, str]
-) -> None:
-    """Write a variable with its units and long name, maps compressed."""
-    packing = {"compression": "gzip", "compression_opts": 1} if data.ndim == 2 else {}
-    variable = file.create_variable(name, dimensions, data.dtype, data=data, **packing)
-    variable.attrs["units"], variable.attrs["long_name"] = told
+def _write(path: Path, variables: Mapping[str, Labelled], told: Mapping[str, Any]) -> None:
+    import xarray
+
+    dataset = xarray.Dataset(variables, attrs={"Conventions": "CF-1.11", **told})
+    with replacing(path, PressError) as part:
+        write_dataset(part, dataset)
 
 
 def _sheet_arrays(sheet: SheetFields | None) -> dict[str, Any]:
     if sheet is None:
         return {}
-    larger, smaller = np.moveaxis(sheet.stretch, -1, 0)
-    places = (sheet.material_x_mm, sheet.material_y_mm)
-    return dict(zip(_SHEET_VARIABLES, (sheet.thickness_mm, larger, smaller, *places), strict=True))
+    return {
+        "thickness_mm": sheet.thickness_mm,
+        "stretch_1": sheet.stretch[..., 0],
+        "stretch_2": sheet.stretch[..., 1],
+        "material_x_mm": sheet.material_x_mm,
+        "material_y_mm": sheet.material_y_mm,
+    }
 
 
-def _read_sheet(file: Any) -> SheetFields | None:
-    if "sheet_thickness_mm" not in file.variables:
+def _sheet(file: "xarray.Dataset") -> SheetFields | None:
+    if "sheet_thickness_mm" not in file:
         return None
-    thickness, *stretch, x, y = (file[f"sheet_{name}"][...] for name in _SHEET_VARIABLES)
-    return SheetFields(thickness, np.stack(stretch, axis=-1), x, y)
+    maps = {name: file[f"sheet_{name}"].values for name in _SHEET_VARIABLES}
+    stretch = np.stack((maps.pop("stretch_1"), maps.pop("stretch_2")), axis=-1)
+    return SheetFields(stretch=stretch, **maps)
 
 
-def _read_validity(file: Any) -> Validity:
-    attributes = dict(file["validity"].attrs)
-    warnings = tuple(str(attributes.pop("warnings")).splitlines())
-    figures = {f.name: float(attributes[f.name]) for f in fields(Validity) if f.name != "warnings"}
-    return Validity(warnings=warnings, **figures)
+def _validity(told: Mapping[str, Any]) -> Validity:
+    figures = {f.name: float(told[_VALIDITY + f.name]) for f in fields(Validity)[:-1]}
+    return Validity(**figures, warnings=tuple(str(told[f"{_VALIDITY}warnings"]).splitlines()))
 
 
 def _typed(values: dict[str, Any]) -> dict[str, Any]:

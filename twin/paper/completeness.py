@@ -148,7 +148,7 @@ class _FigureMeasurer(CaseMeasurer):
             write_json(folder / COMPLETENESS_FILE, completeness)
             write_panel_data(folder / PANELS_FOLDER, panels)
 
-        return Answer(done.figures, write)
+        return Answer(done.metrics, write)
 
 
 def measures_figures(keep: tuple[str, ...]) -> CaseMeasurer:

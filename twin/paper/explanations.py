@@ -20,7 +20,7 @@ from twin.paper.trials import Trial
 from twin.pipeline.press import press_specimen
 from twin.report.table import Cell, Column, Table
 from twin.results.decoders import INTEGRATION_ORDER, MAP_ORDER
-from twin.results.face import cap_fit, face_figures, face_points_mm
+from twin.results.parts import cap_fit, face_figures, face_points_mm
 from twin.specimens import shape_of
 
 _COLUMNS = (
@@ -139,7 +139,7 @@ def rod_layout_table(rods: Mapping[str, Experiment]) -> Table:
             row: dict[str, Cell] = {"value": f"{name}, {label}"}
             try:
                 changed = vary(experiment, changes)
-                figures = face_figures(changed, press_specimen(changed))
+                figures: dict[str, Any] = dict(face_figures(changed, press_specimen(changed)))
             except InputError as error:
                 figures = {"rod_failure": str(error)}
             width = {"rod_width_mm": "width", "rod_failure": "note"}

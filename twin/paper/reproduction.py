@@ -42,12 +42,11 @@ from twin.paper.trials import (
     plan_of,
     trials_among,
 )
-from twin.pipeline.instruments import case_for
+from twin.pipeline.comparison import case_for
 from twin.pipeline.progress import ProgressCallback, no_progress
 from twin.study.cases import Case, case_of
 from twin.study.engine import SweepOutcome
-from twin.study.measuring import Measuring
-from twin.study.rigs import RigCovariance, calibrated
+from twin.study.measuring import Measuring, RigCovariance, calibrated
 from twin.study.store import Store
 from twin.study.sweep import run_cases, sweep
 from twin.study.trials import INPUT, STEP, TRIAL, alone_cases

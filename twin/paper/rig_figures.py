@@ -32,7 +32,7 @@ from twin.report.canvas import (
     no_ticks,
     printing,
 )
-from twin.report.rig import triangulation_angle_deg
+from twin.report.experiment import triangulation_angle_deg
 from twin.report.section import (
     face_profile,
     slab_span,

@@ -6,15 +6,14 @@ from typing import Any
 
 from twin.config import Experiment
 from twin.config.inputs import Inputs, load_inputs
-from twin.pipeline.instruments import PhotometricPlan, case_for
+from twin.pipeline.comparison import PhotometricPlan, case_for
 from twin.results.decoders import DecodedImage
 from twin.results.record import Measurement
 from twin.results.score import metrics
 from twin.study.cases import Case, case_of
-from twin.study.draws import draw
 from twin.study.measuring import Conditions
 from twin.study.record import StudyRecord
-from twin.study.trials import CALIBRATION, CALIBRATIONS, PART, TRIAL, TRIALS
+from twin.study.trials import CALIBRATION, CALIBRATIONS, PART, TRIAL, TRIALS, draw
 from twin.uncertainty.trials import record_of
 
 INPUTS, BOARD = "paper/trials", "boards/paper_dots"

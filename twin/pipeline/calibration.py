@@ -42,8 +42,9 @@ from twin.config.board import BoardFile, BoardPose
 from twin.optics.board import render_board
 from twin.optics.light import pattern_set
 from twin.optics.rig import true_calibration
-from twin.output import EXPERIMENT_FILE, RESULT_FILE, versions, write_json
+from twin.output import EXPERIMENT_FILE
 from twin.pipeline.progress import ProgressCallback, no_progress
+from twin.results.parts import write_outcome, write_rows
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +53,6 @@ class BoardCalibration:
 
     Attributes
     ----------
-    result : Calibrated
     observations : one per pose
     digest : names the inputs
     experiment : of a rendered calibration
@@ -100,15 +100,9 @@ def calibrate_rendered(
 
     Parameters
     ----------
-    experiment : Experiment
-        Its rig, patterns, camera noise and seed count; specimen and press do not.
-    board : BoardFile
-    options : AdjustOptions, optional
-    keep : Path, optional
-        New folder for the captures, each with the TRUE calibration beside it.
-    as_images : bool
-        Keep image files instead, as a real camera gives them, without a calibration.
-    watch : ProgressCallback
+    experiment : its rig, patterns, camera noise and seed count; specimen and press do not
+    keep : new folder for the captures, each with the TRUE calibration beside it
+    as_images : keep image files instead, as a real camera gives them, without a calibration
 
     Raises
     ------
@@ -224,14 +218,13 @@ def write_board_calibration(folder: Path, done: BoardCalibration) -> dict[str, A
     """Write calibration.yaml, the tables and result.json; returns the figures."""
     figures = calibration_metrics(done)
     write_calibration(folder / CALIBRATION_FILE, done.result.calibration)
-    _write_table(folder / PARAMETERS_FILE, list(parameter_rows(done)))
-    _write_table(folder / POSES_FILE, [asdict(pose) for pose in done.result.poses])
-    _write_table(folder / FEATURES_FILE, list(_feature_rows(done)))
+    write_rows(folder / PARAMETERS_FILE, list(parameter_rows(done)), 10)
+    write_rows(folder / POSES_FILE, [asdict(pose) for pose in done.result.poses], 10)
+    write_rows(folder / FEATURES_FILE, list(_feature_rows(done)), 10)
     if done.experiment is not None:
         text = to_toml(done.experiment)
         (folder / EXPERIMENT_FILE).write_text(text, encoding="utf-8")
-    content = {"command": "calibrate", "digest": done.digest, "metrics": figures}
-    write_json(folder / RESULT_FILE, {"schema_version": 1, "versions": versions(), **content})
+    write_outcome(folder, "calibrate", figures, digest=done.digest)
     return figures
 
 
@@ -263,11 +256,3 @@ def _feature_rows(done: BoardCalibration) -> Iterator[dict[str, Any]]:
             yield {"pose": seen.name, "id": int(identity), "used": int(found.used[k][n])} | {
                 name: float(number) for name, number in zip(names + residuals, numbers, strict=True)
             }
-
-
-def _write_table(path: Path, rows: list[dict[str, Any]]) -> None:
-    lines = [",".join(rows[0])]
-    for row in rows:
-        cells = (f"{v:.10g}" if isinstance(v, float) else str(v) for v in row.values())
-        lines.append(",".join(cells))
-    path.write_text("\n".join([*lines, ""]), encoding="utf-8")

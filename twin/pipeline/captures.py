@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import tomli_w
 
+from reconstruction.arrays import ReasonImage
 from reconstruction.capture.folder import read_capture
 from reconstruction.decoding.decode import Reason
 from reconstruction.evaluate.surface import write_surface
@@ -20,9 +21,10 @@ from reconstruction.photometric import (
 from reconstruction.pipeline import Reconstruction, filter_bias, reconstruct, write_reconstruction
 from reconstruction.triangulation import Use
 from twin.config.models import Decode
-from twin.output import EXPERIMENT_FILE, RESULT_FILE, output_folder, versions, write_json
+from twin.output import EXPERIMENT_FILE, output_folder
 from twin.pipeline.fringes import options_of
 from twin.pipeline.progress import ProgressCallback, no_progress
+from twin.results.parts import write_outcome
 
 
 def reconstruct_capture(
@@ -47,8 +49,7 @@ def reconstruct_capture(
         write_surface(folder, result.point_map)
         settings = tomli_w.dumps({"decode": decode.model_dump(mode="json")})
         (folder / EXPERIMENT_FILE).write_text(settings, encoding="utf-8")
-        content = {"command": "reconstruct", "metrics": figures, "versions": versions()}
-        write_json(folder / RESULT_FILE, {"schema_version": 1, **content})
+        write_outcome(folder, "reconstruct", figures)
     return figures
 
 
@@ -64,10 +65,7 @@ def reconstruction_metrics(result: Reconstruction, use: Use) -> dict[str, Any]:
         figures["sigma_z_median_um"] = float(1e3 * np.median(sigma))
         bias_um, bias_share = filter_bias(result, use, result.point_map.valid)
         figures |= {"filter_bias_um": bias_um, "filter_bias_share": bias_share}
-    for reason in Reason:
-        if reason is not Reason.VALID:
-            figures[f"masked_{reason.name.lower()}"] = int((reasons == reason).sum())
-    return figures
+    return figures | _masked(reasons, Reason)
 
 
 def reconstruct_press(
@@ -91,8 +89,7 @@ def reconstruct_press(
         write_height_map(folder / "height.nc", result.height_map)
         write_height_points(folder / "points.ply", result.height_map)
         write_sensor_calibration(folder / "sensor_calibration.npz", result.calibration)
-        content = {"command": "reconstruct", "metrics": figures, "versions": versions()}
-        write_json(folder / RESULT_FILE, {"schema_version": 1, **content})
+        write_outcome(folder, "reconstruct", figures)
     return figures
 
 
@@ -106,8 +103,10 @@ def height_metrics(height_map: HeightMap) -> dict[str, Any]:
     if figures["points"]:
         figures["highest_mm"] = float(np.max(heights_mm))
         figures["lowest_mm"] = float(np.min(heights_mm))
-    for reason in PhotometricReason:
-        if reason is not PhotometricReason.VALID:
-            count = int((height_map.mask_reason == reason).sum())
-            figures[f"masked_{reason.name.lower()}"] = count
-    return figures
+    return figures | _masked(height_map.mask_reason, PhotometricReason)
+
+
+def _masked(found: ReasonImage, codes: type[Reason] | type[PhotometricReason]) -> dict[str, int]:
+    """Count the masked pixels (row, col) by reason."""
+    reasons = (one for one in codes if one.name != "VALID")
+    return {f"masked_{one.name.lower()}": int((found == one).sum()) for one in reasons}

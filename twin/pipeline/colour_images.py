@@ -79,12 +79,10 @@ def develop(experiment: Experiment, radiance: FloatImage, trial: int = 0) -> Lev
 
     Parameters
     ----------
-    experiment : Experiment
-        With a set exposure.
+    experiment : with a set exposure
     radiance : (row, col, channel) float32, mW / (mm^2 sr)
         On the pixels of `cropped_pinhole`.
-    trial : int
-        Number of the image: same camera, new temporal noise.
+    trial : number of the image: same camera, new temporal noise
 
     Returns
     -------

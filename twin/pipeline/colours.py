@@ -62,8 +62,7 @@ class LitCoat:
     ----------
     background : (row, col, channel) float32
         Its radiance on the pixels that the driver keeps.
-    exposure_ms : float
-        Set once, on the background.
+    exposure_ms : set once, on the background
     """
 
     scene: "ColourScene"
@@ -155,7 +154,7 @@ def measure_colours(experiment: Experiment, run: RunContext) -> Measurement:
         images=Colours(image, calibrations, decoded, own),
         truth=truth,
         score=own.score,
-        figures=press_metrics(pressed.pressed) | metrics(own.score),
+        metrics=press_metrics(pressed.pressed) | metrics(own.score),
         pressed=pressed.pressed,
         digest=digest(experiment),
         versions=versions(),

@@ -2,16 +2,23 @@
 
 Everything of one comparison lies in one folder, `NAME/METHOD/` as `twin measure` writes it, and
 `result.json` over all. A measurement that lies there finished is not made again.
+
+Fringes are projected by the experiment's own rig. Photometric stereo is another sensor with another
+gel: specimen, scoring and load of the experiment are carried over to a rig of its own. The load is
+the force by default, as two sensors on one press would feel it. The same depth is another
+comparison: a gel bonded to a window resists far more than a free sheet.
 """
 
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from reconstruction.errors import InputError
-from twin.config import Experiment, digest
-from twin.config.methods import METHODS, Method
+from twin.config import Experiment, digest, load_experiment, vary
+from twin.config.loading import validate_experiment
+from twin.config.methods import METHODS, TRAITS, Method
+from twin.config.models import Press, Provenance
 from twin.output import (
     RESULT_FILE,
     adding,
@@ -21,10 +28,111 @@ from twin.output import (
     versions,
     write_json,
 )
-from twin.pipeline.instruments import PhotometricPlan, case_for
 from twin.pipeline.memory import Memory
 from twin.pipeline.methods import measure_into
+from twin.pipeline.press import press_specimen
 from twin.pipeline.progress import ProgressCallback, no_progress
+from twin.results.figures import Metrics
+
+Match = Literal["force", "depth"]
+
+# Digits kept of a force that was computed: the last ones of the finite-element model vary.
+_FORCE_DIGITS = 4
+# Not the seed: all specimens meet one sensor, whose noise and reference presses are the rig's.
+_CARRIED = ("name", "description", "specimen", "stage", "score")
+_LOAD = ("control", "depth_mm", "force_n")
+
+
+@dataclass(frozen=True)
+class PhotometricPlan:
+    """Which sensor stands for photometric stereo, and what its press has in common.
+
+    Attributes
+    ----------
+    rig : TOML file without specimen, or the name of a shipped rig
+    settings : values by dotted path laid over the rig
+    match : what both presses share: force (N) or depth (mm)
+    """
+
+    rig: str = "rigs/gelsight_mini"
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    match: Match = "force"
+
+
+def case_for(experiment: Experiment, method: Method, plan: PhotometricPlan) -> Experiment:
+    """Return the experiment as `method` measures it.
+
+    An experiment that brings lamps of its own is a photometric rig already and stays as it is.
+
+    Raises
+    ------
+    InputError
+        The rig cannot be used, or the experiment's own press fails.
+    """
+    if TRAITS[method].fringes or experiment.lamps:
+        return vary(experiment, {"modality": method})
+    return _carried_over(experiment, _rig(plan), plan.match)
+
+
+def _rig(plan: PhotometricPlan) -> Experiment:
+    stand_in = {"name": "rig", "specimen": {"kind": "flat"}}
+    try:
+        rig = load_experiment(plan.rig, stand_in | dict(plan.settings))
+    except InputError as error:
+        raise InputError(f"photometric rig: {error}") from None
+    if rig.method.fringes:
+        raise InputError(
+            f"{plan.rig}: modality: found '{rig.modality}', allowed 'photometric_stereo' for the "
+            "photometric rig"
+        )
+    return rig
+
+
+def _carried_over(experiment: Experiment, rig: Experiment, match: Match) -> Experiment:
+    press, origin = _load(experiment, rig, match)
+    tree = rig.model_dump(mode="python", exclude={"provenance"})
+    tree |= experiment.model_dump(mode="python", include=set(_CARRIED))
+    tree["press"] = press.model_dump(mode="python")
+    theirs = {
+        path: one
+        for path, one in rig.provenance.items()
+        if path.partition(".")[0] not in _CARRIED and path.removeprefix("press.") not in _LOAD
+    }
+    ours = {
+        path: one
+        for path, one in experiment.provenance.items()
+        if path.partition(".")[0] in _CARRIED
+    }
+    kept = {path: one.model_dump() for path, one in (theirs | ours | origin).items()}
+    return validate_experiment(tree | {"provenance": kept}, where=experiment.name)
+
+
+def _load(
+    experiment: Experiment, rig: Experiment, match: Match
+) -> tuple[Press, dict[str, Provenance]]:
+    """Return the press of the rig under the experiment's load, and where the load comes from."""
+    pitches = rig.press.model_dump(include={"solver_pitch_mm", "relief_pitch_mm"})
+    own = experiment.press
+    if match == own.control:
+        press = Press(control=match, depth_mm=own.depth_mm, force_n=own.force_n, **pitches)
+        name = "press.force_n" if match == "force" else "press.depth_mm"
+        found = experiment.provenance.get(name)
+        return press, {name: found} if found else {}
+    pressed = press_specimen(experiment)
+    why = f"computed: the press of the same specimen into {_gel(experiment)}"
+    if match == "force":
+        force_n = float(f"{pressed.force_n:.{_FORCE_DIGITS}g}")
+        press = Press(control="force", force_n=force_n, **pitches)
+        return press, {"press.force_n": Provenance(source=f"{why}, {own.depth_mm:g} mm deep")}
+    depth_mm = float(f"{pressed.depth_mm:.{_FORCE_DIGITS}g}")
+    press = Press(control="depth", depth_mm=depth_mm, **pitches)
+    return press, {"press.depth_mm": Provenance(source=f"{why} with {own.force_n:g} N")}
+
+
+def _gel(experiment: Experiment) -> str:
+    slab = experiment.elastomer
+    return f"the experiment's own elastomer ({slab.thickness_mm:g} mm, {slab.layout})"
+
 
 COMMAND = "compare"
 _NAMES = (RESULT_FILE, "report.html", "figures")
@@ -48,7 +156,7 @@ class Outcome:
     description: str
     method: Method
     digest: str = ""
-    figures: dict[str, Any] | None = None
+    figures: Metrics | None = None
     failure: str = ""
     reused: bool = False
 
@@ -87,8 +195,11 @@ def compare(
     *,
     watch: ProgressCallback = no_progress,
     plan: PhotometricPlan | None = None,
+    inputs: Iterable[Path] = (),
 ) -> list[Outcome]:
     """Measure every experiment by every method, into `out`.
+
+    All measurements share one memory, so that a sensor is calibrated once.
 
     Parameters
     ----------
@@ -96,8 +207,8 @@ def compare(
     methods : in the order in which they are shown
     out : folder of the comparison; an earlier one is continued
     fill : measures one experiment into a folder, which becomes visible when it is complete
-    watch : progress callback
     plan : sensor and load of photometric stereo; a GelSight Mini under the same force by default
+    inputs : files that `out` must not hold, see `claim`
 
     Returns
     -------
@@ -112,33 +223,11 @@ def compare(
         No usable Dr.Jit backend.
     """
     _refuse_namesakes(experiments)
-    claim_comparison(out)
-    outcomes = measure_each(experiments, methods, out, fill, watch=watch, plan=plan)
-    _write(out, outcomes)
-    return outcomes
-
-
-def claim_comparison(out: Path, inputs: Iterable[Path] = ()) -> None:
-    """Make `out` the folder of a comparison, or go on with the one there; see `claim`."""
     claim(out, COMMAND, _NAMES, inputs)
-
-
-def measure_each(
-    experiments: Sequence[Experiment],
-    methods: Sequence[Method],
-    out: Path,
-    fill: Filler = measure_whole,
-    *,
-    watch: ProgressCallback = no_progress,
-    plan: PhotometricPlan | None = None,
-    memory: Memory | None = None,
-) -> list[Outcome]:
-    """Measure as `compare` does, but write nothing except the folders NAME/METHOD.
-
-    All measurements share one memory, so that a sensor is calibrated once.
-    """
-    run = _Run(out, fill, watch, plan or PhotometricPlan(), memory or Memory())
-    return [_outcome(experiment, method, run) for experiment in experiments for method in methods]
+    run = _Run(out, fill, watch, plan or PhotometricPlan(), Memory())
+    found = [_outcome(experiment, method, run) for experiment in experiments for method in methods]
+    _write(out, found)
+    return found
 
 
 def read_outcomes(folder: Path) -> list[Outcome]:
@@ -180,12 +269,16 @@ class _Run:
 def _outcome(experiment: Experiment, method: Method, run: _Run) -> Outcome:
     name, told = experiment.name, experiment.description
     folder = run.out / name / method
+
+    def watch(stage: str, fraction: float, /) -> None:
+        run.watch(f"{name}, {method}: {stage}", fraction)
+
     try:
         case = case_for(experiment, method, run.plan)
         kept = _finished(folder, case)
         if kept is None:
             with output_folder(folder) as working:
-                run.fill(working, case, _labelled(run.watch, f"{name}, {method}"), run.memory)
+                run.fill(working, case, watch, run.memory)
     except InputError as error:
         line = " ".join(str(error).split())
         return Outcome(name, told, method, failure=line)
@@ -193,7 +286,7 @@ def _outcome(experiment: Experiment, method: Method, run: _Run) -> Outcome:
     return Outcome(name, told, method, digest(case), figures, reused=kept is not None)
 
 
-def _finished(folder: Path, case: Experiment) -> dict[str, Any] | None:
+def _finished(folder: Path, case: Experiment) -> Metrics | None:
     """Metrics of the same measurement by the same versions, if the folder holds it."""
     if not (folder / RESULT_FILE).is_file():
         return None
@@ -201,10 +294,6 @@ def _finished(folder: Path, case: Experiment) -> dict[str, Any] | None:
     same = result.get("digest") == digest(case) and result.get("versions") == versions()
     figures = result.get("metrics")
     return figures if same and isinstance(figures, dict) else None
-
-
-def _labelled(watch: ProgressCallback, label: str) -> ProgressCallback:
-    return lambda stage, fraction: watch(f"{label}: {stage}", fraction)
 
 
 def _refuse_namesakes(experiments: Sequence[Experiment]) -> None:
@@ -218,17 +307,7 @@ def _refuse_namesakes(experiments: Sequence[Experiment]) -> None:
 
 
 def _write(out: Path, outcomes: list[Outcome]) -> None:
-    cases = [
-        {
-            "name": one.name,
-            "description": one.description,
-            "method": one.method,
-            "digest": one.digest,
-            "figures": one.figures,
-            "failure": one.failure,
-        }
-        for one in outcomes
-    ]
+    cases = [{k: v for k, v in asdict(one).items() if k != "reused"} for one in outcomes]
     content = {"command": COMMAND, "cases": cases, "versions": versions()}
     with adding(out, RESULT_FILE) as folder:
         write_json(folder / RESULT_FILE, {"schema_version": 1, **content})

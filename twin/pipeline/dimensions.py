@@ -52,8 +52,7 @@ def dimensions(folder: Path, shape: Shape, region: Region) -> dict[str, float]:
 
     Parameters
     ----------
-    folder : Path
-        Result of `twin measure` or `twin reconstruct` by fringes.
+    folder : result of `twin measure` or `twin reconstruct` by fringes
 
     Raises
     ------

@@ -89,7 +89,7 @@ def evaluate(
         images=Fringes(recording.capture, reconstruction, recording.radiance.frames),
         truth=recording.truth,
         score=scored,
-        figures=taken_figures(pressed, recording) | metrics(scored),
+        metrics=taken_figures(pressed, recording) | metrics(scored),
         pressed=pressed,
         digest=digest(experiment),
         versions=versions(),
@@ -103,10 +103,7 @@ def take(
 
     Parameters
     ----------
-    experiment : Experiment
-    clock : Stopwatch, optional
-    trial : int
-        Repetition with new temporal noise.
+    trial : repetition with new temporal noise
 
     Raises
     ------
@@ -144,11 +141,8 @@ def render(
 
     Parameters
     ----------
-    experiment : Experiment
-    face : trimesh.Trimesh
-        Coated face in world mm, normals towards the camera.
-    progress : callable
-        Told the finished fraction.
+    face : coated face in world mm, normals towards the camera
+    progress : told the finished fraction
 
     Raises
     ------

@@ -23,12 +23,8 @@ def measure(
 
     Parameters
     ----------
-    experiment : Experiment
-    watch : ProgressCallback
-    memory : Memory, optional
-        What measurements before it kept, and where it keeps its own; the bytes are the same.
-    trial : int
-        Repetition with new temporal noise.
+    memory : what measurements before it kept, and where it keeps its own; the bytes are the same
+    trial : repetition with new temporal noise
 
     Raises
     ------

@@ -11,30 +11,31 @@ from matplotlib.patches import Patch
 
 from reconstruction.arrays import Reason
 from twin.report.camera_images import (
-    decoding_figure,
-    frames_figure,
     fringe_frame,
     reason_shares,
+    recorded_section,
     show_frame,
     white_frame,
 )
 from twin.report.canvas import axes_at, drawing
-from twin.report.experiment import appendix, glance, result_in_words
-from twin.report.page import Block, Figure, Grade, Page, Section, Verdict
+from twin.report.experiment import glance, result_in_words
+from twin.report.page import Block, Figure, Grade, Section, Verdict
 from twin.report.pixel_panels import (
     REASON_COLOURS,
+    shading_words,
     show_error,
     show_measured,
     show_reasons,
     show_true,
-    true_scale,
 )
-from twin.report.spheres import fit_table
+from twin.report.spheres import fit_tables
 from twin.report.table import Table, pairs
 from twin.report.words import number, percent
+from twin.results.figures import why_absent
 from twin.results.record import Measurement
-from twin.results.score import wanted_pixels, why_absent
+from twin.results.score import wanted_pixels
 
+METHOD, WARNED = "direct FPP", "Not everything could be fitted"
 GOOD_SHARE, POOR_SHARE = 0.95, 0.5
 
 REASON_WORDS = {
@@ -95,7 +96,7 @@ def discussion(scored: Measurement) -> list[str]:
     if not scored.score.against_truth.points:
         return ["No pixel of the specimen has a point; the map above says why."]
     figures = scored.figures
-    wrong_points = figures["completeness"] - figures["good_share"]
+    wrong_points = figures.known("completeness") - figures.known("good_share")
     return [
         f"{result_in_words(scored)} {percent(wrong_points)} of it has a point with a larger error: "
         "a decoder that masks by contrast and consistency cannot tell light reflected by another "
@@ -148,45 +149,28 @@ _PANEL_IN, _ACROSS_IN, _TOP_IN = 3.1, 3.4, 0.3
 _BELOW_UPPER_IN, _BELOW_LOWER_IN = 0.95, 1.4
 
 
-def page_of(measured: Measurement) -> Page:
-    """Return the report of a measurement of the bare specimen."""
-    table = fit_table(measured)
-    result: tuple[Block, ...] = (
-        seen_figure(measured),
-        shares(measured),
-        *([table] if table else []),
-        *discussion(measured),
-    )
-    recorded = (frames_figure(measured), decoding_figure(measured))
-    return Page(
-        kind="virtual measurement by direct FPP",
-        title=measured.experiment.name.replace("_", " "),
-        lead=measured.experiment.description,
-        sections=[
-            Section("glance", "Experiment", (glance(measured),)),
-            Section("result", "Result", result),
-            Section("recorded", "Camera frames and what the decoder made of them", recorded),
-            appendix(measured),
-        ],
-        verdicts=verdicts(measured),
-        warned="Not everything could be fitted",
-        warnings=[*measured.figures["warnings"], *measured.score.unfitted],
-        numbered=True,
-    )
+def sections(measured: Measurement) -> list[Section]:
+    """Return the page of a measurement of the bare specimen."""
+    result: list[Block] = [seen_figure(measured), shares(measured), *fit_tables(measured)]
+    result += discussion(measured)
+    return [
+        Section("glance", "Experiment", (glance(measured),)),
+        Section("result", "Result", tuple(result)),
+        recorded_section(measured),
+    ]
 
 
 def seen_figure(measured: Measurement) -> Figure:
     """Return frames, heights, errors and reasons, pixel on pixel."""
-    enlarged = true_scale(measured).enlarged
-    shading = "" if enlarged == 1 else f" (shading enlarges z {enlarged:g} times)"
     limit_um = measured.experiment.score.good_within_um
     return Figure(
         "seen",
         "Frames, heights, errors and missing points",
         "The same camera pixels in all panels. Frames in digital numbers: black is 0, white is "
         "saturation. Heights are lit from the upper left, on the scale of the true ones"
-        f"{shading}; white: no point. Errors and reasons are shown on the specimen, the rest is "
-        f"gray. The error scale ends at ± {limit_um:g} µm: points in its end colours are not good.",
+        f"{shading_words(measured)}; white: no point. Errors and reasons are shown on the "
+        f"specimen, the rest is gray. The error scale ends at ± {limit_um:g} µm: points in its end "
+        "colours are not good.",
         "frames, true and measured heights, error and reasons in camera pixels",
         lambda path: draw_seen(path, measured),
     )

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from numpy.typing import NDArray
 
+from reconstruction.arrays import FloatArray
 from twin.pipeline.calibration import BoardCalibration
 from twin.report.canvas import (
     FAINT,
@@ -62,9 +62,7 @@ def draw_residuals(path: Path, done: BoardCalibration) -> None:
                 axes.set_ylim(height - 0.5, -0.5)
 
 
-def _draw_arrows(
-    axes: Axes, places_px: NDArray[np.float64], residuals_px: NDArray[np.float64], device: str
-) -> None:
+def _draw_arrows(axes: Axes, places_px: FloatArray, residuals_px: FloatArray, device: str) -> None:
     typical_px = round_up(float(np.sqrt(np.mean(np.sum(residuals_px**2, axis=1)))))
     extent_px = float(np.ptp(places_px[:, 0]))
     arrows = axes.quiver(

@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
-from reconstruction.arrays import Reason
+from reconstruction.arrays import FloatImage, Levels, Reason
 from reconstruction.capture.folder import Capture
 from reconstruction.decoding.decode import AxisDecode
 from reconstruction.patterns import AXES, Axis, PatternFrame, PatternSet
@@ -21,21 +21,27 @@ from twin.report.canvas import (
     TRUE_FACE,
     add_colorbar,
     axes_at,
+    chart,
     cyclic,
     drawing,
     legend_above,
     no_ticks,
-    plain_spines,
     round_up,
     sequential,
 )
-from twin.report.page import Figure
+from twin.report.page import Figure, Section
 from twin.report.pixel_panels import REASON_COLOURS, show_codes, thinned
 from twin.results.record import Measurement
 
 _COLUMNS = 5
 _THUMB_PX = 260
 _WIDTH_IN, _SIDE_IN, _TITLE_IN, _PROFILE_IN = 10.0, 0.05, 0.27, 2.6
+
+
+def recorded_section(measured: Measurement) -> Section:
+    """Return what the camera saw of fringes, and what the decoder made of it."""
+    title = "Camera frames and what the decoder made of them"
+    return Section("recorded", title, (frames_figure(measured), decoding_figure(measured)))
 
 
 def frames_figure(measured: Measurement) -> Figure:
@@ -91,7 +97,7 @@ def _sheet(capture: Capture) -> list[list[PatternFrame]]:
     return [
         [by_name["white"], *_phases(capture, "column")],
         [by_name["black"], *_phases(capture, "row")],
-        *(_finest_gray(capture, axis) for axis in AXES),
+        *(list(patterns.frames[patterns.index("gray", axis)][-_COLUMNS:]) for axis in AXES),
     ]
 
 
@@ -103,10 +109,6 @@ def _phases(capture: Capture, axis: Axis) -> list[PatternFrame]:
     return [frames[n] for n in chosen if n < len(frames)]
 
 
-def _finest_gray(capture: Capture, axis: Axis) -> list[PatternFrame]:
-    return list(capture.patterns.frames[capture.patterns.index("gray", axis)][-_COLUMNS:])
-
-
 def _thumb(axes: Axes, capture: Capture, frame: PatternFrame) -> None:
     image = capture.stack[capture.patterns.frames.index(frame)]
     axes.set_title(frame.name.replace("_", " "), fontsize=8.0, pad=3.0)
@@ -115,7 +117,7 @@ def _thumb(axes: Axes, capture: Capture, frame: PatternFrame) -> None:
     axes.imshow(thumb, cmap="gray", vmin=0, vmax=capture.sensor.saturation_dn)
 
 
-def block_mean(image: NDArray[Any], side: int) -> NDArray[np.float32]:
+def block_mean(image: NDArray[Any], side: int) -> FloatImage:
     """Average squares of `side` pixels; plain decimation would alias the fringes."""
     rows, cols = (length // side * side for length in image.shape)
     blocks = image[:rows, :cols].reshape(rows // side, side, cols // side, side)
@@ -134,15 +136,15 @@ def _profile(axes: Axes, capture: Capture) -> None:
         axes.plot(capture.stack[index, middle], color=color, lw=0.8, label=name)
     axes.axhline(capture.sensor.saturation_dn, color=FAINT, lw=1.0, ls="--", label="saturation")
     axes.axhline(capture.sensor.black_level_dn, color=TRUE_FACE, lw=0.8, ls=":", label="dark level")
-    axes.set(
-        title=f"Image row {middle}",
-        xlabel="camera column (px)",
-        ylabel="pixel value (DN)",
+    chart(
+        axes,
+        f"Image row {middle}",
+        "camera column (px)",
+        "pixel value (DN)",
         xlim=(0, capture.stack.shape[2] - 1),
         ylim=(0, 1.08 * capture.sensor.saturation_dn),
     )
     legend_above(axes, 5)
-    plain_spines(axes)
 
 
 _SHOWN_PX, _MAP_IN = 480, 2.85
@@ -175,7 +177,7 @@ def _percent(share: float) -> str:
     return "< 0.01%" if share < 1e-4 else f"{share:.2%}"
 
 
-def reason_shares(reason: NDArray[np.uint8]) -> dict[Reason, float]:
+def reason_shares(reason: Levels) -> dict[Reason, float]:
     """Return the share of the image under each reason that occurs."""
     counts = np.bincount(reason.ravel(), minlength=len(Reason))
     return {r: float(counts[r]) / reason.size for r in Reason if counts[r]}
@@ -191,7 +193,7 @@ def _extent(values: NDArray[Any]) -> tuple[float, float, float, float]:
     return -0.5, cols - 0.5, rows - 0.5, -0.5
 
 
-def _phase(axes: Axes, name: str, axis: AxisDecode, reason: NDArray[np.uint8]) -> None:
+def _phase(axes: Axes, name: str, axis: AxisDecode, reason: Levels) -> None:
     known = np.ma.masked_where(np.isin(reason, _NO_PHASE), axis.phase_rad)
     shown = _map(axes, known, cmap=cyclic(), vmin=0, vmax=2 * np.pi)
     axes.set_title(f"wrapped phase, {name}")
@@ -220,7 +222,7 @@ def _modulation(axes: Axes, axis: AxisDecode) -> None:
     add_colorbar(axes, shown, "amplitude (DN)", side="below")
 
 
-def _reasons(axes: Axes, reason: NDArray[np.uint8]) -> None:
+def _reasons(axes: Axes, reason: Levels) -> None:
     show_codes(axes, thinned(reason), extent=_extent(reason))
     handles = [
         Patch(

@@ -218,6 +218,39 @@ def legend_above(axes: Axes, entries: int) -> None:
     )
 
 
+def chart(axes: Axes, title: str, xlabel: str, ylabel: str, **limits: Any) -> None:
+    """Title and label a plot of curves, set its limits, and lay a light grid behind them."""
+    axes.set(title=title, xlabel=xlabel, ylabel=ylabel, **limits)
+    plain_spines(axes)
+
+
+def draw_map(
+    axes: Axes,
+    values: NDArray[Any],
+    extent_mm: tuple[float, float, float, float],
+    title: str,
+    label: str,
+    *,
+    cmap: Colormap | None = None,
+    ends: tuple[float | None, float | None] = (None, None),
+    extend: Literal["neither", "both", "max"] = "neither",
+) -> None:
+    """Draw a map over world x and y with its colour bar.
+
+    Parameters
+    ----------
+    values : (row along y, col along x), row 0 at the smallest y
+    extent_mm : left, right, bottom, top
+    label : of the colour bar, with the unit
+    cmap, ends : colour map, by default that of amounts, and the values at its ends
+    """
+    low, high = ends
+    colours = cmap or sequential()
+    shown = axes.imshow(values, origin="lower", extent=extent_mm, cmap=colours, vmin=low, vmax=high)
+    axes.set(title=title, xlabel="x (mm)", ylabel="y (mm)")
+    add_colorbar(axes, shown, label, extend)
+
+
 def no_ticks(axes: Axes) -> None:
     """Leave a picture without ticks."""
     axes.set(xticks=[], yticks=[])

@@ -4,7 +4,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import mean
-from typing import Any
 
 from markupsafe import Markup
 
@@ -32,6 +31,7 @@ from twin.report.study_figures import Row
 from twin.report.table import Column, Table
 from twin.report.words import NONE, number, percent
 from twin.results.decoders import DecodedImage, decoder_name
+from twin.results.figures import Figures, Metrics
 from twin.results.folder import read_measurement
 from twin.results.record import Colours, Measurement
 from twin.results.score import SphereScore
@@ -51,7 +51,7 @@ class Gist:
     """What is compared across methods; without the frames, which take 600 MB at full size."""
 
     experiment: Experiment
-    figures: dict[str, Any]
+    figures: Figures
     spheres: tuple[SphereScore, ...]
     decoded: list[DecodedImage]
 
@@ -72,13 +72,7 @@ def write_comparison(
     Parameters
     ----------
     folder : result folder of `twin compare`; nothing else is read
-    watch : progress callback
     into : existing folder to write into instead
-
-    Returns
-    -------
-    Path
-        The page.
 
     Raises
     ------
@@ -149,7 +143,7 @@ def press_in_words(methods: dict[str, Gist | None]) -> str:
             "and the other measurement is shown alone."
         )
     (force_coat, force_gel), (depth_coat, depth_gel) = (
-        (coat.figures[name], gel.figures[name]) for name in ("force_n", "depth_mm")
+        (coat.figures.known(name), gel.figures.known(name)) for name in ("force_n", "depth_mm")
     )
     if coat.experiment.elastomer == gel.experiment.elastomer:
         return f"One elastomer, one press: {depth_coat:.3g} mm deep with {force_coat:.3g} N."
@@ -302,7 +296,7 @@ def _cell(figures: Path, outcome: Outcome, measured: Measurement | None) -> Sect
 def _shares(measured: Measurement) -> list[Shares]:
     """Return the wanted pixels in three parts: good, wrong, without a point."""
     good, found = measured.figures["good_share"], measured.figures["completeness"]
-    if good is None:
+    if good is None or found is None:
         return []
     limit_um = measured.experiment.score.good_within_um
     return [
@@ -317,7 +311,9 @@ def _shares(measured: Measurement) -> list[Shares]:
 
 
 def _quantities_table(name: str, found: dict[str, Gist | None]) -> Table:
-    methods = [Column(method, TRAITS[method].title, kind="number") for method in _known(found)]
+    methods = [
+        Column(method, TRAITS[method].title, kind="number") for method in TRAITS if method in found
+    ]
     rows = tuple(
         {"quantity": one.label}
         | {method: NONE if gist is None else one.of(gist) for method, gist in found.items()}
@@ -325,10 +321,6 @@ def _quantities_table(name: str, found: dict[str, Gist | None]) -> Table:
     )
     columns = (Column("quantity", "quantity"), *methods)
     return Table(f"{name}_figures", "", "", columns, rows, look="compared")
-
-
-def _known(found: dict[str, Gist | None]) -> list[Method]:
-    return [method for method in TRAITS if method in found]
 
 
 def _figure(name: str, form: str) -> Callable[[Gist], str]:
@@ -373,9 +365,10 @@ QUANTITIES = (
 """What the table under each specimen compares: a new figure is one more line here."""
 
 
-def _short(figures: dict[str, Any] | None) -> dict[str, Any]:
-    if not figures:
+def _short(metrics: Metrics | None) -> Row:
+    if not metrics:
         return {"points": "failed"}
+    figures = Figures(metrics)
     return {
         "points": number(figures["completeness"], ".1%"),
         "good": number(figures["good_share"], ".1%"),

@@ -1,22 +1,22 @@
 """The report of a measurement of the pressed coat by fringes: judgements, discussion, sections."""
 
-from typing import Any
-
 import numpy as np
 from scipy.optimize import brentq
 
 from twin.mechanics import opposite_transfer
-from twin.report.camera_images import decoding_figure, frames_figure
-from twin.report.experiment import appendix, glance
-from twin.report.page import Beside, Figure, Grade, Page, Section, Verdict
+from twin.report.camera_images import recorded_section
+from twin.report.experiment import glance, rig_figure
+from twin.report.page import Beside, Grade, Section, Verdict
 from twin.report.press import judge_press, press_figure
-from twin.report.rig import draw_rig
-from twin.report.spheres import ball_figures, fit_table
+from twin.report.spheres import ball_sections, fit_tables
 from twin.report.surfaces import error_figure, height_map_figure, relief_figure
 from twin.report.words import number, signed
+from twin.results.figures import Figures, why_absent
 from twin.results.record import Measurement
-from twin.results.score import SphereScore, why_absent
+from twin.results.score import SphereScore
 
+METHOD = "contact-FPP"
+WARNED = "The press leaves the range of its model, or not everything could be fitted"
 MOST_SPREAD_OVER_SIGMA = 1.15
 LEAST_COMPLETENESS = 0.95
 MOST_SATURATED_SHARE = 1e-3
@@ -27,7 +27,7 @@ GOOD_RADIUS_SHARE, POOR_RADIUS_SHARE = 0.05, 0.25
 def verdicts(scored: Measurement) -> list[Verdict]:
     """Judge measurement, shape transfer and press, in this order."""
     shape = [_shape(scored)] if scored.score.spheres else []
-    return [_sensor(scored), *shape, judge_press(scored.figures)]
+    return [_sensor(scored), *shape, judge_press(scored)]
 
 
 def _sensor(scored: Measurement) -> Verdict:
@@ -42,8 +42,8 @@ def _sensor(scored: Measurement) -> Verdict:
                 "the reason map below says why each pixel was left out",
             ),
         )
-    wrong, share = figures["wrong_order_pixels"], figures["completeness"]
-    spread, saturated = figures["error_over_sigma"], figures["saturated_share"]
+    wrong, share = figures["wrong_order_pixels"], figures.known("completeness")
+    spread, saturated = figures["error_over_sigma"], figures.known("saturated_share")
     held = (
         share >= LEAST_COMPLETENESS
         and spread is not None
@@ -67,7 +67,7 @@ def _sensor(scored: Measurement) -> Verdict:
     )
 
 
-def _filter_hint(figures: dict[str, Any]) -> list[str]:
+def _filter_hint(figures: Figures) -> list[str]:
     share = figures["filter_bias_share"]
     if share is None or share <= MOST_FILTER_BIAS_SHARE:
         return []
@@ -108,14 +108,15 @@ def discussion(scored: Measurement) -> list[str]:
         return ["No pixel has a point; the map of reasons says why."]
     paragraphs = [_measurement(scored)]
     if scored.score.spheres:
-        paragraphs += [_radius(scored), _elastomer(scored), _residuals(scored)]
+        elastomer = _sheet if scored.metrics["mechanics_model"] == "sheet" else _slab
+        paragraphs += [_radius(scored), elastomer(scored), _residuals(scored)]
     return paragraphs
 
 
 def sentences(measured: Measurement) -> list[str]:
     """Return the result for a terminal, at most 100 columns wide, in ASCII."""
     figures = measured.figures
-    warnings, absent = figures["warnings"], why_absent(figures)
+    warnings, absent = measured.warnings, why_absent(figures)
     rms, p95, spread = (
         number(figures[name], ".2f", "-") for name in ("z_rmse_um", "z_p95_um", "error_over_sigma")
     )
@@ -143,7 +144,7 @@ def pitch_kept_mm(share: float, thickness_mm: float) -> float:
 
 def _measurement(scored: Measurement) -> str:
     figures = scored.figures
-    bias_um, spread = signed(figures["z_bias_um"], 2), figures["error_over_sigma"]
+    bias_um, spread = signed(figures.known("z_bias_um"), 2), figures["error_over_sigma"]
     cause = "a single point has no spread"
     if spread is not None:
         cause = (
@@ -176,10 +177,6 @@ def _radius_of(ball: SphereScore) -> str:
     )
 
 
-def _elastomer(scored: Measurement) -> str:
-    return _sheet(scored) if scored.figures["mechanics_model"] == "sheet" else _slab(scored)
-
-
 def _sheet(scored: Measurement) -> str:
     sheet, figures = scored.experiment.elastomer, scored.figures
     return (
@@ -195,7 +192,7 @@ def _sheet(scored: Measurement) -> str:
 def _slab(scored: Measurement) -> str:
     slab, figures = scored.experiment.elastomer, scored.figures
     half, tenth = (pitch_kept_mm(share, slab.thickness_mm) for share in (0.5, 0.1))
-    lifted = figures["relief_peak_mm"] / figures["depth_mm"]
+    lifted = figures.known("relief_peak_mm") / figures.known("depth_mm")
     return (
         f"Two effects of the slab shape that radius. It is a low-pass filter: T(q) = (sinh q + q "
         f"cosh q) / (sinh q cosh q + q), q = 2π · thickness / pitch; with {slab.thickness_mm:g} mm "
@@ -224,44 +221,17 @@ def _residuals(scored: Measurement) -> str:
     )
 
 
-def page_of(measured: Measurement) -> Page:
-    """Return the report of a measurement of the pressed coat by fringes."""
-    table = fit_table(measured)
-    sections = [
-        Section("glance", "Experiment", (Beside((glance(measured),), (_rig(measured),)),)),
-        Section("result", "Result", (*([table] if table else []), *discussion(measured))),
-        Section(
-            "recorded",
-            "Camera frames and what the decoder made of them",
-            (frames_figure(measured), decoding_figure(measured)),
-        ),
+def sections(measured: Measurement) -> list[Section]:
+    """Return the page of a measurement of the pressed coat by fringes."""
+    found = [
+        Section("glance", "Experiment", (Beside((glance(measured),), (rig_figure(measured),)),)),
+        Section("result", "Result", (*fit_tables(measured), *discussion(measured))),
+        recorded_section(measured),
     ]
     if measured.score.against_truth.points:
         relief = (relief_figure(measured), height_map_figure(measured))
-        sections.append(Section("surface", "Measured surface", relief))
-        error = Section("error", "Error against the true coat", (error_figure(measured),))
-        sections.append(error)
-    if measured.score.spheres:
-        sections.append(Section("balls", "Sphere fits", tuple(ball_figures(measured))))
+        error = (error_figure(measured),)
+        found.append(Section("surface", "Measured surface", relief))
+        found.append(Section("error", "Error against the true coat", error))
     pressed = Section("pressed", "Specimen and elastomer", (press_figure(measured),))
-    return Page(
-        kind="virtual measurement by contact-FPP",
-        title=measured.experiment.name.replace("_", " "),
-        lead=measured.experiment.description,
-        sections=[*sections, pressed, appendix(measured)],
-        verdicts=verdicts(measured),
-        warned="The press leaves the range of its model, or not everything could be fitted",
-        warnings=[*measured.figures["warnings"], *measured.score.unfitted],
-        numbered=True,
-    )
-
-
-def _rig(measured: Measurement) -> Figure:
-    return Figure(
-        "rig",
-        "Side view of the rig",
-        "Camera, projector and the fields they cover; lengths in mm, to scale. The elastomer "
-        "should lie where both fields overlap, inside the projector's.",
-        "side view of camera, projector and elastomer",
-        lambda path: draw_rig(path, measured.experiment),
-    )
+    return [*found, *ball_sections(measured), pressed]

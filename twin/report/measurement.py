@@ -1,31 +1,46 @@
-"""The report of one finished measurement by any method: HTML page, and table for a terminal."""
+"""The report of one finished measurement by any method: HTML page, and table for a terminal.
 
-from collections.abc import Callable
+Each method has a module with its judgements (`verdicts`), its sections (`sections`) and the result
+in words for a terminal (`sentences`); what all pages share is put together here.
+"""
+
 from pathlib import Path
+from typing import Protocol
 
 from twin.pipeline.progress import ProgressCallback, no_progress
 from twin.report import bare, contact, photometric
-from twin.report.page import REPORT_FILE, STAGE, Page, write_page
+from twin.report.experiment import appendix
+from twin.report.page import REPORT_FILE, STAGE, Page, Section, Verdict, write_page
 from twin.report.spheres import fit_table
 from twin.results.folder import read_measurement
 from twin.results.record import Measurement
 
 
+class MethodReport(Protocol):
+    """What a method's module gives."""
+
+    METHOD: str
+    WARNED: str
+
+    def verdicts(self, measured: Measurement, /) -> list[Verdict]:
+        """Judge the measurement."""
+
+    def sections(self, measured: Measurement, /) -> list[Section]:
+        """Return the page, but for its appendix."""
+
+    def sentences(self, measured: Measurement, /) -> list[str]:
+        """Return the result for a terminal, at most 100 columns wide, in ASCII."""
+
+
 def write_report(
     folder: Path, watch: ProgressCallback = no_progress, into: Path | None = None
 ) -> Path:
-    """Write `report.html` and `figures/*.png` into the folder of a finished measurement.
+    """Write `report.html` and `figures/*.png` of a finished measurement; return the page.
 
     Parameters
     ----------
     folder : result folder of `twin measure` or `twin demo`; nothing else is read
-    watch : progress callback
     into : existing folder to write into instead
-
-    Returns
-    -------
-    Path
-        The page.
 
     Raises
     ------
@@ -39,7 +54,17 @@ def write_report(
 
 def page_of(measured: Measurement) -> Page:
     """Return the page of a measurement by its method."""
-    return _by_method(measured)[0](measured)
+    by, experiment = _by_method(measured), measured.experiment
+    return Page(
+        kind=f"virtual measurement by {by.METHOD}",
+        title=experiment.name.replace("_", " "),
+        lead=experiment.description,
+        sections=[*by.sections(measured), appendix(measured)],
+        verdicts=by.verdicts(measured),
+        warned=by.WARNED,
+        warnings=[*measured.warnings, *measured.score.unfitted],
+        numbered=True,
+    )
 
 
 def summary_table(folder: Path) -> str:
@@ -51,16 +76,16 @@ def summary_table(folder: Path) -> str:
         The folder is no finished measurement, or a file is missing or damaged.
     """
     measured = read_measurement(folder)
-    fits, sentences = fit_table(measured, decoders=False), _by_method(measured)[1](measured)
+    fits = fit_table(measured, decoders=False)
     head = [f"{measured.experiment.name}, sphere fits", fits.as_text()] if fits else []
-    return "\n".join([*head, *measured.score.unfitted, *sentences])
+    lines = _by_method(measured).sentences(measured)
+    return "\n".join([*head, *measured.score.unfitted, *lines])
 
 
-def _by_method(
-    measured: Measurement,
-) -> tuple[Callable[[Measurement], Page], Callable[[Measurement], list[str]]]:
+def _by_method(measured: Measurement) -> MethodReport:
     method = measured.experiment.method
     if not method.fringes:
-        return photometric.page_of, photometric.sentences
-    room = contact if method.presses else bare
-    return room.page_of, room.sentences
+        return photometric
+    if method.presses:
+        return contact
+    return bare

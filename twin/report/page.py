@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import ClassVar, Literal
+from typing import Literal
 
 from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 
@@ -43,8 +43,6 @@ class Figure:
     alt: str
     draw: Callable[[Path], None] | None = None
 
-    block: ClassVar[str] = "figure"
-
 
 @dataclass(frozen=True)
 class Verdict:
@@ -63,8 +61,6 @@ class Note:
     text: str
     kind: Literal["note", "verdict", "failure"] = "note"
 
-    block: ClassVar[str] = "note"
-
 
 @dataclass(frozen=True)
 class Gallery:
@@ -73,16 +69,12 @@ class Gallery:
     figures: tuple[Figure, ...]
     columns: int
 
-    block: ClassVar[str] = "gallery"
-
 
 @dataclass(frozen=True)
 class Shares:
     """Parts of a whole as one bar with its key: (kind of colour, words, share)."""
 
     parts: tuple[tuple[Literal["good", "wrong", "none"], str, float], ...]
-
-    block: ClassVar[str] = "shares"
 
 
 @dataclass(frozen=True)
@@ -92,8 +84,6 @@ class Beside:
     left: "tuple[Block, ...]"
     right: "tuple[Block, ...]"
 
-    block: ClassVar[str] = "beside"
-
 
 @dataclass(frozen=True)
 class Section:
@@ -102,8 +92,6 @@ class Section:
     name: str
     title: str
     blocks: "tuple[Block, ...]"
-
-    block: ClassVar[str] = "section"
 
 
 Block = str | Figure | Table | Note | Gallery | Shares | Beside | Section
@@ -153,7 +141,8 @@ def write_page(path: Path, page: Page, watch: ProgressCallback = no_progress) ->
         picture = folder / f"{figure.name}.png"
         if figure.draw is not None:
             figure.draw(picture)
-        uris[figure.name] = _data_uri(picture)
+        image = base64.b64encode(picture.read_bytes()).decode("ascii")
+        uris[figure.name] = f"data:image/png;base64,{image}"
         watch(STAGE, number / (len(drawn) + 1))
     text = _template().render(page=page, uris=uris)
     with replacing(path) as part:
@@ -203,9 +192,5 @@ def _template() -> Template:
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    environment.filters["kind"] = lambda block: type(block).__name__.lower()
     return environment.get_template("page.html")
-
-
-def _data_uri(picture: Path) -> str:
-    """Return a PNG file as the text that stands in the page for it."""
-    return "data:image/png;base64," + base64.b64encode(picture.read_bytes()).decode("ascii")

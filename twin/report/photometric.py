@@ -1,7 +1,10 @@
 """The report of a measurement by photometric stereo: judgements, tables, sentences, sections."""
 
-from twin.report.experiment import appendix, glance, result_in_words
-from twin.report.page import Beside, Figure, Grade, Note, Page, Section, Verdict
+from collections.abc import Callable
+from pathlib import Path
+
+from twin.report.experiment import glance, result_in_words
+from twin.report.page import Beside, Figure, Grade, Note, Section, Verdict
 from twin.report.photometric_figures import (
     draw_errors,
     draw_heights,
@@ -10,15 +13,17 @@ from twin.report.photometric_figures import (
     draw_sensor,
     draw_slopes,
 )
-from twin.report.pixel_panels import true_scale
+from twin.report.pixel_panels import shading_words
 from twin.report.press import judge_press, press_figure
-from twin.report.spheres import ball_figures, fit_table
+from twin.report.spheres import ball_sections, fit_tables
 from twin.report.surfaces import relief_figure
 from twin.report.table import Column, Table, pairs
 from twin.report.words import NONE, number, percent, signed
 from twin.results.decoders import MAP_NAMES, decoder_name
 from twin.results.record import Measurement
 
+METHOD = "photometric stereo"
+WARNED = "The press leaves the range of its model, or not everything could be fitted"
 GOOD_SCALE_ERROR, POOR_SCALE_ERROR = 0.05, 0.2
 GOOD_SHARE, POOR_SHARE = 0.95, 0.5
 _DECODERS = (
@@ -31,52 +36,33 @@ _DECODERS = (
 )
 
 
-def page_of(seen: Measurement) -> Page:
-    """Return the report of a measurement by photometric stereo."""
-    table = fit_table(seen)
-    sections = [
-        Section("glance", "Experiment", (Beside((glance(seen),), (_sensor(seen),)),)),
-        Section(
-            "result",
-            "Result",
-            (
-                field_table(seen),
-                decoder_table(seen),
-                *([table] if table else []),
-                *discussion(seen),
-            ),
-        ),
-        Section("recorded", "Camera image, and the slopes in it", (_images(seen), _slopes(seen))),
-        Section(
-            "surface",
-            "Heights by decoder",
-            (
-                relief_figure(seen),
-                Note(f"Decoded by: {decoder_name(seen.colours.own)}."),
-                _heights(seen),
-                _along_section(seen),
-            ),
-        ),
-        Section("error", "Error against the true coat", (_errors(seen),)),
-    ]
-    if seen.score.spheres:
-        sections.append(Section("balls", "Sphere fits", tuple(ball_figures(seen))))
-    pressed = Section("pressed", "Specimen and gel", (press_figure(seen),))
-    return Page(
-        kind="virtual measurement by photometric stereo",
-        title=seen.experiment.name.replace("_", " "),
-        lead=seen.experiment.description,
-        sections=[*sections, pressed, appendix(seen)],
-        verdicts=verdicts(seen),
-        warned="The press leaves the range of its model, or not everything could be fitted",
-        warnings=[*seen.figures["warnings"], *seen.score.unfitted],
-        numbered=True,
+def sections(seen: Measurement) -> list[Section]:
+    """Return the page of a measurement by photometric stereo."""
+    own, tables = seen.colours.own, (field_table(seen), decoder_table(seen), *fit_tables(seen))
+    seen_in = (
+        _figure(seen, "images"),
+        _figure(seen, "slopes", colour_map=MAP_NAMES[own.colour_map]),
     )
+    by_decoder = (
+        relief_figure(seen),
+        Note(f"Decoded by: {decoder_name(own)}."),
+        _figure(seen, "heights", shading=shading_words(seen)),
+        _figure(seen, "sections"),
+    )
+    return [
+        Section("glance", "Experiment", (Beside((glance(seen),), (_figure(seen, "sensor"),)),)),
+        Section("result", "Result", (*tables, *discussion(seen))),
+        Section("recorded", "Camera image, and the slopes in it", seen_in),
+        Section("surface", "Heights by decoder", by_decoder),
+        Section("error", "Error against the true coat", (_figure(seen, "errors"),)),
+        *ball_sections(seen),
+        Section("pressed", "Specimen and gel", (press_figure(seen),)),
+    ]
 
 
 def verdicts(seen: Measurement) -> list[Verdict]:
     """Judge heights, their scale and the press, in this order."""
-    return [_of_heights(seen), _of_scale(seen), judge_press(seen.figures)]
+    return [_of_heights(seen), _of_scale(seen), judge_press(seen)]
 
 
 def decoder_table(seen: Measurement) -> Table:
@@ -160,7 +146,7 @@ def sentences(seen: Measurement) -> list[str]:
 
 def _of_heights(seen: Measurement) -> Verdict:
     figures, limit_um = seen.figures, seen.experiment.score.good_within_um
-    share = figures["good_share"]
+    share = figures.known("good_share")
     measured: Grade = "good" if share >= GOOD_SHARE else "check"
     return Verdict(
         question="Is the coat measured?",
@@ -209,71 +195,55 @@ def _on_the_scale(seen: Measurement) -> str:
     )
 
 
-def _sensor(seen: Measurement) -> Figure:
-    return Figure(
-        "sensor",
+def _figure(seen: Measurement, name: str, **told: str) -> Figure:
+    title, caption, alt, draw = _FIGURES[name]
+    return Figure(name, title, caption.format(**told), alt, lambda path: draw(path, seen))
+
+
+_FIGURES: dict[str, tuple[str, str, str, Callable[[Path, Measurement], None]]] = {
+    "sensor": (
         "Sensor",
         "Lamps with the direction of their strongest light, and the layers that the camera looks "
         "through; lengths in mm, to scale.",
         "lamps, gel and window of the sensor",
-        lambda path: draw_sensor(path, seen.experiment),
-    )
-
-
-def _images(seen: Measurement) -> Figure:
-    return Figure(
-        "images",
+        draw_sensor,
+    ),
+    "images": (
         "Tactile image",
         "What the sensor's driver delivers: 8-bit colours after gamma, crop and resize. The dashed "
         "outline is the evaluated field. Red light comes from the top, green from the right, blue "
         "from the bottom; there is no lamp on the left.",
         "tactile image, background and their difference",
-        lambda path: draw_images(path, seen),
-    )
-
-
-def _slopes(seen: Measurement) -> Figure:
-    return Figure(
-        "slopes",
+        draw_images,
+    ),
+    "slopes": (
         "Slopes",
-        f"Slopes in mm/mm by the {MAP_NAMES[seen.colours.own.colour_map]} map against the true "
+        "Slopes in mm/mm by the {colour_map} map against the true "
         "coat at the same pixels. Beside a contact the coat lies in the shadow of a lamp, which no "
         "reference press taught. Everything after this figure is integration.",
         "measured and true slopes of the coat, and their difference",
-        lambda path: draw_slopes(path, seen),
-    )
-
-
-def _heights(seen: Measurement) -> Figure:
-    enlarged = true_scale(seen).enlarged
-    shading = "" if enlarged == 1 else f" (shading enlarges z {enlarged:g} times)"
-    return Figure(
-        "heights",
+        draw_slopes,
+    ),
+    "heights": (
         "True heights and those of every decoder",
-        f"The same image by every decoder, all on the scale of the true coat{shading}; white: no "
+        "The same image by every decoder, all on the scale of the true coat{shading}; white: no "
         "measurement. Lengths in mm.",
         "true heights and those of every decoder",
-        lambda path: draw_heights(path, seen),
-    )
-
-
-def _along_section(seen: Measurement) -> Figure:
-    return Figure(
-        "sections",
+        draw_heights,
+    ),
+    "sections": (
         "Section",
         "Along the line through the apexes. The wider a shape, the more the vendor's integration "
         "flattens it.",
         "heights and height errors along the section",
-        lambda path: draw_sections(path, seen),
-    )
-
-
-def _errors(seen: Measurement) -> Figure:
-    return Figure(
-        "errors",
+        draw_sections,
+    ),
+    "errors": (
         "Error of z by decoder",
         "Measured minus true z in the evaluated field, all on one scale, clipped at its ends. "
         "Nothing is shifted or scaled before comparing.",
         "height error of every decoder",
-        lambda path: draw_errors(path, seen),
-    )
+        draw_errors,
+    ),
+}
+"""Title, caption, alternative text and drawing of the figures by name."""

@@ -11,9 +11,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
 from matplotlib.patches import Polygon, Rectangle
 from matplotlib.ticker import MultipleLocator
-from numpy.typing import NDArray
 from scipy.interpolate import RegularGridInterpolator
 
+from reconstruction.arrays import FloatArray, Levels
 from twin.config.lamps import Lamp
 from twin.config.models import Experiment
 from twin.pipeline.colour_images import image_pinhole
@@ -26,6 +26,7 @@ from twin.report.canvas import (
     TRUE_FACE,
     add_colorbar,
     axes_at,
+    chart,
     diverging,
     drawing,
     plain_spines,
@@ -68,7 +69,7 @@ def decoder_error_um(seen: Measurement, one: DecodedImage) -> Masked:
     return np.ma.masked_array(1e3 * difference, ~scored)
 
 
-def true_slopes(seen: Measurement) -> NDArray[np.float64]:
+def true_slopes(seen: Measurement) -> FloatArray:
     """Slopes of the true coat behind each pixel, (2, row, col), down and to the right."""
     normals = seen.truth.normals_world.astype(np.float64)
     upward = np.where(np.abs(normals[..., 2]) > 1e-6, normals[..., 2], 1.0)
@@ -76,7 +77,7 @@ def true_slopes(seen: Measurement) -> NDArray[np.float64]:
     return np.stack([normals[..., 1] / upward, -normals[..., 0] / upward])
 
 
-def difference_levels(seen: Measurement) -> NDArray[np.uint8]:
+def difference_levels(seen: Measurement) -> Levels:
     """Image minus background, enlarged, about mid-grey."""
     change = seen.picture - seen.colours.calibration.background.astype(np.float64)
     return np.rint(np.clip(128 + DIFFERENCE_GAIN * change, 0, 255)).astype(np.uint8)
@@ -225,9 +226,7 @@ def draw_sections(path: Path, seen: Measurement) -> None:
         heights.legend(loc="upper right")
 
 
-def profile_mm(
-    one: DecodedImage, seen: Measurement, trace: Trace, s_mm: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def profile_mm(one: DecodedImage, seen: Measurement, trace: Trace, s_mm: FloatArray) -> FloatArray:
     """Return heights of one decoder at positions s, mm; NaN outside the image."""
     rows, cols = one.heights.height_mm.shape
     pitch_mm = one.heights.pitch_mm
@@ -238,9 +237,7 @@ def profile_mm(
     return np.asarray(sample(trace.points(s_mm)[:, ::-1]))
 
 
-def _line(
-    axes: Axes, s_mm: NDArray[np.float64], values: NDArray[np.float64], one: DecodedImage
-) -> None:
+def _line(axes: Axes, s_mm: FloatArray, values: FloatArray, one: DecodedImage) -> None:
     axes.plot(
         s_mm,
         values,
@@ -256,8 +253,9 @@ _ARROW_MM = 3.5
 _LAYER_COLOURS = ("#cfe3f1", "#e3eef6")
 
 
-def draw_sensor(path: Path, experiment: Experiment) -> None:
+def draw_sensor(path: Path, seen: Measurement) -> None:
     """Draw the sensor from above and from the side, to scale, as PNG."""
+    experiment = seen.experiment
     with drawing(path, 5.0, 6.25) as figure:
         _above(axes_at(figure, 0.6, 0.35, 4.1, 3.3), experiment)
         _side(axes_at(figure, 0.6, 4.4, 4.1, 1.35), experiment)
@@ -275,9 +273,8 @@ def _above(axes: Axes, experiment: Experiment) -> None:
         _lamp_above(axes, lamp)
     axes.annotate("evaluated field", (-field[0] / 2, field[1] / 2), xytext=(4, -11),
                   textcoords="offset points", color=FAINT)  # fmt: skip
-    axes.set(title="From above: lamps and their aims", xlabel="x (mm)", ylabel="y (mm)")
+    chart(axes, "From above: lamps and their aims", "x (mm)", "y (mm)")
     axes.set(xlim=(-half[0] - 4, half[0] + 4), ylim=(-half[1] - 4, half[1] + 4), aspect="equal")
-    plain_spines(axes)
 
 
 def _lamp_above(axes: Axes, lamp: Lamp) -> None:
@@ -315,6 +312,5 @@ def _side(axes: Axes, experiment: Experiment) -> None:
     axes.add_patch(Polygon(fan, facecolor=MEASURED, alpha=0.15, edgecolor="none"))
     axes.text(0, top_mm + 0.4, f"to the camera, {standoff_mm:g} mm above the coat", ha="center",
               fontsize=7.5, color=MEASURED)  # fmt: skip
-    axes.set(title="From the side: coat, layers and lamps", xlabel="x (mm)", ylabel="z (mm)")
+    chart(axes, "From the side: coat, layers and lamps", "x (mm)", "z (mm)")
     axes.set(xlim=(-half - 4, half + 4), ylim=(-0.8, reach_mm), aspect="equal")
-    plain_spines(axes)

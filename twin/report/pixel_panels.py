@@ -15,7 +15,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import BoundaryNorm, ListedColormap, Normalize
 from numpy.typing import NDArray
 
-from reconstruction.arrays import Reason
+from reconstruction.arrays import BoolImage, Levels, Reason
 from twin.report.canvas import (
     GAP,
     add_colorbar,
@@ -86,7 +86,7 @@ def draw_small(path: Path, show: Callable[[Axes], None], shape: tuple[int, int],
         show(axes_at(figure, _SIDE_IN, _SIDE_IN, inside_in, height_in))
 
 
-def show_picture(axes: Axes, image: NDArray[np.uint8]) -> None:
+def show_picture(axes: Axes, image: Levels) -> None:
     """Show an 8-bit image: gray where black is 0 and white is saturation, or colours."""
     axes.imshow(image, cmap="gray", vmin=0, vmax=255)
     no_ticks(axes)
@@ -138,7 +138,7 @@ def show_codes(axes: Axes, reason: Masked, **options: Any) -> None:
     axes.imshow(reason, cmap=colours, norm=norm, **options)
 
 
-def wanted(measured: Measurement) -> NDArray[np.bool_]:
+def wanted(measured: Measurement) -> BoolImage:
     """Pixels that ought to give a point, (row, col)."""
     return wanted_pixels(measured.experiment, measured.truth)
 
@@ -154,6 +154,12 @@ def true_scale(measured: Measurement) -> ZScale:
     """Return the scale of the true heights that the camera sees; wrong points do not count."""
     truth = measured.truth
     return ZScale.of(truth.points_world_mm[truth.depth_mm > 0][:, 2], width_mm(measured))
+
+
+def shading_words(measured: Measurement) -> str:
+    """Say by how much shading enlarges z, in brackets; empty where it does not."""
+    enlarged = true_scale(measured).enlarged
+    return "" if enlarged == 1 else f" (shading enlarges z {enlarged:g} times)"
 
 
 def width_mm(measured: Measurement) -> float:
@@ -191,7 +197,7 @@ def thinned(values: Any, most_px: int = _SHOWN_PX) -> Any:
 
 
 def _show(
-    axes: Axes, measured: Measurement, z_mm: NDArray[Any], there: NDArray[np.bool_], bar: bool
+    axes: Axes, measured: Measurement, z_mm: NDArray[Any], there: BoolImage, bar: bool
 ) -> None:
     shown = thinned(np.ma.masked_array(z_mm.astype(np.float64), ~there))
     show_z(axes, shown, width_mm(measured), true_scale(measured), bar=bar)

@@ -1,8 +1,6 @@
 """Figures of a press: relief, pressure, section; and the contact transfer function."""
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -15,16 +13,15 @@ from twin.report.canvas import (
     INK,
     MEASURED,
     NOMINAL,
-    add_colorbar,
     axes_at,
+    chart,
     contour_levels,
+    draw_map,
     drawing,
     height_scale,
     legend_above,
     plain_log,
-    plain_spines,
     round_up,
-    sequential,
 )
 from twin.report.page import Figure, Verdict
 from twin.report.section import (
@@ -63,26 +60,24 @@ def press_figure(measured: Measurement) -> Figure:
     )
 
 
-def judge_press(figures: Mapping[str, Any]) -> Verdict:
-    """Judge the press by its figures in result.json."""
-    warnings = figures["warnings"]
-    error_um, peak_um = 1e3 * figures["height_error_estimate_mm"], 1e3 * figures["relief_peak_mm"]
+def judge_press(measured: Measurement) -> Verdict:
+    """Judge the press by its figures."""
+    warnings, left_out = measured.warnings, "large strain"
+    if measured.metrics["mechanics_model"] == "sheet":
+        left_out = "shear through the thickness"
+    known = measured.figures.known
+    error_um, peak_um = 1e3 * known("height_error_estimate_mm"), 1e3 * known("relief_peak_mm")
     return Verdict(
         question="Can the press model be trusted?",
         headline=f"± {error_um:.3g} µm estimated",
         grade="check" if warnings else "good",
         reasons=(
-            f"estimated height error of leaving out {_left_out(figures)}: "
+            f"estimated height error of leaving out {left_out}: "
             f"{error_um / max(peak_um, 1e-9):.1%} of the relief",
             f"{len(warnings)} warning{'' if len(warnings) == 1 else 's'} of the press"
             + (", listed below" if warnings else ""),
         ),
     )
-
-
-def _left_out(figures: Mapping[str, Any]) -> str:
-    sheet = figures.get("mechanics_model") == "sheet"
-    return "shear through the thickness" if sheet else "large strain"
 
 
 def draw_press(path: Path, experiment: Experiment, pressed: PressedElastomer) -> None:
@@ -120,14 +115,8 @@ def draw_section(
     name = "window" if on_window else "clear face"
     axes.plot(s_mm, far if on_window else touched, color=INK, lw=0.8, label=name)
     axes.plot(s_mm, coated, color=MEASURED, lw=1.5, label="coated face")
-    axes.set(
-        xlabel=f"{trace.axis} (mm), to scale",
-        ylabel="z (mm)",
-        xlim=(low, high),
-        aspect="equal",
-    )
+    chart(axes, "", f"{trace.axis} (mm), to scale", "z (mm)", xlim=(low, high), aspect="equal")
     legend_above(axes, 3)
-    plain_spines(axes)
 
 
 def _coated_face(
@@ -143,14 +132,14 @@ def _coated_face(
     shown = np.where(body + lift >= floor, body + lift, np.nan)
     axes.plot(s_mm, shown, color=NOMINAL, lw=1.0, ls="--", label="specimen, moved to the same peak")
     axes.plot(s_mm, coated, color=MEASURED, lw=1.6, label="coated face")
-    axes.set(
-        title="What the camera sees of it, z enlarged",
-        xlabel=f"{trace.axis} (mm)",
-        ylabel="z (mm)",
+    chart(
+        axes,
+        "What the camera sees of it, z enlarged",
+        f"{trace.axis} (mm)",
+        "z (mm)",
         xlim=(low, high),
     )
     legend_above(axes, 2)
-    plain_spines(axes)
 
 
 def _sheet_maps(figure: Canvas, pressed: PressedElastomer, sheet: SheetFields) -> None:
@@ -163,10 +152,10 @@ def _sheet_maps(figure: Canvas, pressed: PressedElastomer, sheet: SheetFields) -
     )
     for column, (title, values) in enumerate(maps):
         axes = axes_at(figure, 0.65 + 3.2 * column, 9.1, 2.3, 1.9)
-        shown = axes.imshow(values, origin="lower", extent=_extent(pressed), cmap=sequential())
-        axes.set(title=title, xlabel="x (mm)", ylabel="" if column else "y (mm)")
+        draw_map(axes, values, _extent(pressed), title, "")
         axes.tick_params(labelleft=column == 0)
-        add_colorbar(axes, shown, "")
+        if column:
+            axes.set_ylabel("")
 
 
 def _extent(pressed: PressedElastomer) -> tuple[float, float, float, float]:
@@ -178,14 +167,8 @@ def _relief(axes: Axes, pressed: PressedElastomer) -> None:
     bottom, top = height_scale(pressed.face_z_mm)
     levels = contour_levels(bottom, float(pressed.face_z_mm.max()))
     step = levels[-1] - levels[-2] if len(levels) > 1 else levels[0]
-    shown = axes.imshow(
-        pressed.face_z_mm,
-        origin="lower",
-        extent=_extent(pressed),
-        cmap=sequential(),
-        vmin=bottom,
-        vmax=top,
-    )
+    title = f"Relief of the coated face, contours every {step:g} mm"
+    draw_map(axes, pressed.face_z_mm, _extent(pressed), title, "z (mm)", ends=(bottom, top))
     axes.contour(
         pressed.face_x_mm,
         pressed.face_y_mm,
@@ -195,26 +178,22 @@ def _relief(axes: Axes, pressed: PressedElastomer) -> None:
         linewidths=0.4,
         alpha=0.7,
     )
-    axes.set(title=f"Relief of the coated face, contours every {step:g} mm")
-    axes.set(xlabel="x (mm)", ylabel="y (mm)")
-    add_colorbar(axes, shown, "z (mm)")
 
 
 def _pressure(axes: Axes, pressed: PressedElastomer) -> None:
     top, beyond = _pressure_scale(pressed)
     x, y = pressed.x_mm, pressed.y_mm
     half = float(x[1] - x[0]) / 2
-    shown = axes.imshow(
+    draw_map(
+        axes,
         np.ma.masked_where(~pressed.contact, pressed.pressure_kpa),
-        origin="lower",
-        extent=(x[0] - half, x[-1] + half, y[0] - half, y[-1] + half),
-        cmap=sequential(),
-        vmin=0,
-        vmax=top,
+        (x[0] - half, x[-1] + half, y[0] - half, y[-1] + half),
+        "Pressure where it touches",
+        "pressure (kPa)",
+        ends=(0, top),
+        extend="max" if beyond else "neither",
     )
-    axes.set(title="Pressure where it touches", xlabel="x (mm)", ylabel="y (mm)")
     _zoom_to_contact(axes, pressed)
-    add_colorbar(axes, shown, "pressure (kPa)", extend="max" if beyond else "neither")
 
 
 def _pressure_scale(pressed: PressedElastomer) -> tuple[float, bool]:

@@ -1,5 +1,6 @@
 """Sphere fits: one table for all methods, and one figure per ball."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -8,6 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
+from reconstruction.arrays import FloatArray
 from reconstruction.evaluate.fit import SphereFit
 from twin.report.canvas import (
     FIT,
@@ -15,14 +17,14 @@ from twin.report.canvas import (
     MEASURED_FILL,
     NOMINAL,
     TRUE_FACE,
-    add_colorbar,
     axes_at,
+    chart,
     diverging,
+    draw_map,
     drawing,
-    plain_spines,
     symmetric_limit,
 )
-from twin.report.page import Figure
+from twin.report.page import Figure, Section
 from twin.report.section import Trace, trace_through_apexes
 from twin.report.surfaces import average_on_grid
 from twin.report.table import Cell, Column, Table
@@ -43,29 +45,6 @@ _FITS = (
 )
 
 
-@dataclass(frozen=True, eq=False)
-class ComparedFit:
-    """One sphere that was fitted, by whom it was measured."""
-
-    ball: int
-    surface: str
-    fit: SphereFit
-    nominal_mm: float
-    measured: bool = False
-
-
-def fits_of(measured: Measurement, decoders: bool = True) -> list[ComparedFit]:
-    """Return what every ball was measured to be, by each decoder, and what the true face is."""
-    coat = "true coat" if measured.experiment.method.presses else "true surface"
-    label, found = _measured_label(measured) if decoders else "measured", []
-    for ball in measured.score.spheres:
-        radius_mm = ball.nominal.radius_mm
-        found.append(ComparedFit(ball.number, label, ball.measured, radius_mm, True))
-        found += _by_other_decoders(measured, ball.number) if decoders else []
-        found.append(ComparedFit(ball.number, coat, ball.true_face, radius_mm))
-    return found
-
-
 def fit_table(measured: Measurement, decoders: bool = True) -> Table | None:
     """Return the sphere fits in mm; None where no ball could be fitted.
 
@@ -73,7 +52,7 @@ def fit_table(measured: Measurement, decoders: bool = True) -> Table | None:
     ----------
     decoders : those of photometric stereo that the experiment does not name, too
     """
-    fits = fits_of(measured, decoders)
+    fits = [one for ball in measured.score.spheres for one in _fits(measured, ball, decoders)]
     if not fits:
         return None
     coat = "coat" if measured.experiment.method.presses else "surface"
@@ -82,7 +61,7 @@ def fit_table(measured: Measurement, decoders: bool = True) -> Table | None:
         "Sphere fits",
         "",
         _FITS,
-        tuple(_row(one) for one in fits),
+        tuple(row for row, _ in fits),
         (
             "Radius of the least-squares sphere over the points within "
             f"{measured.experiment.score.roi_radius_mm:g} mm (lateral) of each apex. |error|: "
@@ -90,39 +69,48 @@ def fit_table(measured: Measurement, decoders: bool = True) -> Table | None:
             f"and 95th percentile of the absolute radial residuals. The true {coat} is fitted over "
             "the same pixels.",
         ),
-        kinds=tuple("measured" if one.measured else "" for one in fits),
+        kinds=tuple(kind for _, kind in fits),
         group="ball",
     )
 
 
-def _row(one: ComparedFit) -> dict[str, Cell]:
-    stats = one.fit.stats
+def fit_tables(measured: Measurement) -> list[Table]:
+    """Return the table of the sphere fits, if there is one."""
+    table = fit_table(measured)
+    return [table] if table else []
+
+
+def _fits(
+    measured: Measurement, ball: SphereScore, decoders: bool
+) -> Iterator[tuple[dict[str, Cell], str]]:
+    """Yield rows, and how they are shown, of what a ball was measured to be and truly is."""
+    coat = "true coat" if measured.experiment.method.presses else "true surface"
+    images, nominal_mm = measured.images, ball.nominal.radius_mm
+    label = _measured_label(measured) if decoders else "measured"
+    yield _row(ball.number, label, ball.measured, nominal_mm), "measured"
+    if decoders and isinstance(images, Colours):
+        for one in images.decoded:
+            for other in one.score.spheres:
+                if one is not images.own and other.number == ball.number:
+                    yield _row(ball.number, decoder_name(one), other.measured, nominal_mm), ""
+    yield _row(ball.number, coat, ball.true_face, nominal_mm), ""
+
+
+def _row(ball: int, surface: str, fit: SphereFit, nominal_mm: float) -> dict[str, Cell]:
     return {
-        "ball": f"ball {one.ball}",
-        "surface": one.surface,
-        "radius": one.fit.radius_mm,
-        "error": abs(one.fit.radius_mm - one.nominal_mm),
-        "rmse": stats.rmse_mm,
-        "mae": stats.mae_mm,
-        "p95": stats.p95_mm,
+        "ball": f"ball {ball}",
+        "surface": surface,
+        "radius": fit.radius_mm,
+        "error": abs(fit.radius_mm - nominal_mm),
+        "rmse": fit.stats.rmse_mm,
+        "mae": fit.stats.mae_mm,
+        "p95": fit.stats.p95_mm,
     }
 
 
 def _measured_label(measured: Measurement) -> str:
     images = measured.images
     return f"measured: {decoder_name(images.own)}" if isinstance(images, Colours) else "measured"
-
-
-def _by_other_decoders(measured: Measurement, number: int) -> list[ComparedFit]:
-    images = measured.images
-    if not isinstance(images, Colours):
-        return []
-    return [
-        ComparedFit(number, decoder_name(one), ball.measured, ball.nominal.radius_mm)
-        for one in images.decoded
-        for ball in one.score.spheres
-        if one is not images.own and ball.number == number
-    ]
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,15 +121,13 @@ class BallView:
     ----------
     measured_mm, true_mm : (n, xyz) float, world
         Points of the fit region, and the true face at the same pixels.
-    trace : Trace
-        Line of the sections.
-    limit_um : float
-        End of the symmetric residual scale.
+    trace : line of the sections
+    limit_um : end of the symmetric residual scale
     """
 
     ball: SphereScore
-    measured_mm: NDArray[np.float64]
-    true_mm: NDArray[np.float64]
+    measured_mm: FloatArray
+    true_mm: FloatArray
     trace: Trace
     pixel_mm: float
     limit_um: float
@@ -164,9 +150,10 @@ def ball_views(scored: Measurement) -> list[BallView]:
     ]
 
 
-def ball_figures(measured: Measurement) -> list[Figure]:
-    """Return one figure per ball."""
-    return [_ball_figure(measured, view) for view in ball_views(measured)]
+def ball_sections(measured: Measurement) -> list[Section]:
+    """Return one figure per ball, in a section of their own; no section without balls."""
+    figures = tuple(_ball_figure(measured, view) for view in ball_views(measured))
+    return [Section("balls", "Sphere fits", figures)] if figures else []
 
 
 def _ball_figure(measured: Measurement, view: BallView) -> Figure:
@@ -193,7 +180,7 @@ def draw_ball(path: Path, view: BallView) -> None:
         _departure(axes_at(figure, 5.75, 3.85, 4.1, 2.5), view)
 
 
-def fitted_height(fit: SphereFit, xy_mm: NDArray[Any]) -> NDArray[np.float64]:
+def fitted_height(fit: SphereFit, xy_mm: NDArray[Any]) -> FloatArray:
     """World z of a fitted sphere's upper side at points (n, 2)."""
     across2 = np.sum((xy_mm - fit.centre_mm[:2]) ** 2, axis=1)
     return np.asarray(fit.centre_mm[2] + np.sqrt(np.maximum(fit.radius_mm**2 - across2, 0.0)))
@@ -202,16 +189,9 @@ def fitted_height(fit: SphereFit, xy_mm: NDArray[Any]) -> NDArray[np.float64]:
 def _residual_map(axes: Axes, view: BallView) -> None:
     residuals_um = 1e3 * view.ball.measured.residuals_mm
     cells = average_on_grid(view.measured_mm, residuals_um, view.pixel_mm, _MAP_CELLS)
-    shown = axes.imshow(
-        cells.values,
-        origin="lower",
-        extent=cells.extent_mm,
-        cmap=diverging(),
-        vmin=-view.limit_um,
-        vmax=view.limit_um,
-    )
-    axes.set(title="Residual from the fitted sphere", xlabel="x (mm)", ylabel="y (mm)")
-    add_colorbar(axes, shown, "radial residual (µm)", extend="both")
+    ends = (-view.limit_um, view.limit_um)
+    told = "Residual from the fitted sphere", "radial residual (µm)"
+    draw_map(axes, cells.values, cells.extent_mm, *told, cmap=diverging(), ends=ends, extend="both")
 
 
 def _residual_histogram(axes: Axes, view: BallView) -> None:
@@ -228,14 +208,14 @@ def _residual_histogram(axes: Axes, view: BallView) -> None:
         lw=1.4,
         label="true face, its own fit",
     )
-    axes.set(
-        title="Residuals",
-        xlabel="radial residual (µm)",
-        ylabel="density (1/µm)",
+    chart(
+        axes,
+        "Residuals",
+        "radial residual (µm)",
+        "density (1/µm)",
         xlim=(-view.limit_um, view.limit_um),
     )
     axes.legend(loc="upper left")
-    plain_spines(axes)
 
 
 def _strip(points: NDArray[Any], view: BallView) -> tuple[NDArray[Any], NDArray[Any]]:
@@ -261,14 +241,14 @@ def _section(axes: Axes, view: BallView) -> None:
     axes.plot(s_true, true[:, 2], color=TRUE_FACE, lw=1.2, label="true coated face")
     axes.plot(along, fitted, color=FIT, lw=1.0, ls=":", label="fitted sphere")
     room = max(high - low, 0.02)
-    axes.set(
-        title="Section through the apex, z enlarged",
-        xlabel=f"{view.trace.axis} (mm)",
-        ylabel="z (mm)",
+    chart(
+        axes,
+        "Section through the apex, z enlarged",
+        f"{view.trace.axis} (mm)",
+        "z (mm)",
         ylim=(low - 0.9 * room, high + 0.15 * room),
     )
     axes.legend(loc="lower center", ncols=2, frameon=True, framealpha=0.9, edgecolor="none")
-    plain_spines(axes)
 
 
 def _departure(axes: Axes, view: BallView) -> None:
@@ -278,21 +258,21 @@ def _departure(axes: Axes, view: BallView) -> None:
     axes.plot(s_measured, measured_um, ".", color=MEASURED, ms=3, label="measured")
     axes.plot(s_true, true_um, color=TRUE_FACE, lw=1.2, label="true coated face")
     axes.axhline(0.0, color=FIT, lw=1.0, ls=":", label="fitted sphere")
-    axes.set(
-        title="The same, height above the fitted sphere",
-        xlabel=f"{view.trace.axis} (mm)",
-        ylabel="height above the fit (µm)",
+    chart(
+        axes,
+        "The same, height above the fitted sphere",
+        f"{view.trace.axis} (mm)",
+        "height above the fit (µm)",
         ylim=(-1.6 * view.limit_um, 1.6 * view.limit_um),
     )
     axes.legend(loc="lower center", ncols=3)
-    plain_spines(axes)
 
 
-def _above_fit_um(view: BallView, points: NDArray[Any]) -> NDArray[np.float64]:
+def _above_fit_um(view: BallView, points: NDArray[Any]) -> FloatArray:
     return np.asarray(1e3 * (points[:, 2] - fitted_height(view.ball.measured, points[:, :2])))
 
 
-def _nominal_cap(view: BallView, s_mm: NDArray[Any], peak_mm: float) -> NDArray[np.float64]:
+def _nominal_cap(view: BallView, s_mm: NDArray[Any], peak_mm: float) -> FloatArray:
     """World z of the ball itself with its apex raised to the peak of the coated face."""
     nominal = view.ball.nominal
     across2 = np.sum((view.trace.points(s_mm) - [nominal.x_mm, nominal.y_mm]) ** 2, axis=1)

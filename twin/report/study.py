@@ -37,10 +37,17 @@ from twin.report.study_figures import (
 )
 from twin.report.table import Column, Table
 from twin.report.words import NONE
-from twin.study.best import designs_of, goals_of, is_number, ranked_rows, usable_rows
 from twin.study.pictures import CasePicture, kept_picture
 from twin.study.sensitivity import Effect, effects_of, without
-from twin.study.table import StudyTable, read_table
+from twin.study.table import (
+    StudyTable,
+    designs_of,
+    goals_of,
+    is_number,
+    ranked_rows,
+    read_table,
+    usable_rows,
+)
 
 _MOST_METRICS, _MOST_PAIRS, _MOST_BEST = 5, 6, 12
 _UNTAKEN = "not taken yet; twin sweep report measures the best designs for their pictures"
@@ -83,15 +90,9 @@ def write_study(
     Parameters
     ----------
     folder : the -o DIR of `twin sweep`; nothing else is read
-    watch : progress callback
     objectives : what makes a design good; by default what the study says, or a small error
     into : existing folder to write page and figures into instead
     failed : why designs have no picture, by digest
-
-    Returns
-    -------
-    Path
-        The page.
 
     Raises
     ------

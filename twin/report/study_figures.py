@@ -14,6 +14,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 
+from reconstruction.arrays import FloatArray
 from twin.config.study import Objective
 from twin.report.canvas import (
     FAINT,
@@ -39,7 +40,7 @@ _MOST_LABELS = 9
 _BINS = 6
 
 
-def numbers(rows: Sequence[Row], name: str) -> np.ndarray[Any, np.dtype[np.float64]]:
+def numbers(rows: Sequence[Row], name: str) -> FloatArray:
     """Return one figure of all rows."""
     return np.array([float(row[name]) for row in rows])
 
@@ -51,17 +52,13 @@ def groups_of(rows: Sequence[Row], axis: str) -> tuple[list[str], list[list[Row]
         levels.sort()
     if len(levels) <= _MOST_LABELS:
         groups = [[row for row in rows if row[axis] == level] for level in levels]
-        return [_short(level) for level in levels], groups
+        return [f"{one:.4g}" if isinstance(one, float) else str(one) for one in levels], groups
     values = numbers(rows, axis)
     edges = np.linspace(values.min(), values.max(), _BINS + 1)
     bins = np.clip(np.digitize(values, edges) - 1, 0, _BINS - 1)
     filled = [i for i in range(_BINS) if (bins == i).any()]
     names = [f"{(edges[i] + edges[i + 1]) / 2:.3g}" for i in filled]
     return names, [[r for r, b in zip(rows, bins, strict=True) if b == i] for i in filled]
-
-
-def _short(level: Any) -> str:
-    return f"{level:.4g}" if isinstance(level, float) else str(level)
 
 
 def draw_main_effects(
@@ -98,7 +95,7 @@ def _draw_effect(place: Axes, rows: Sequence[Row], axis: str, metric: str) -> No
     plain_spines(place)
 
 
-def _limits(values: np.ndarray[Any, np.dtype[np.float64]]) -> tuple[float, float]:
+def _limits(values: FloatArray) -> tuple[float, float]:
     low, high = float(values.min()), float(values.max())
     margin = 0.06 * (high - low) or 0.05 * abs(high) or 1.0
     return low - margin, high + margin
@@ -166,7 +163,7 @@ def draw_parallel(
         add_colorbar(place, lines, metrics[0])
 
 
-def _places(rows: Sequence[Row], name: str) -> np.ndarray[Any, np.dtype[np.float64]]:
+def _places(rows: Sequence[Row], name: str) -> FloatArray:
     """Return heights 0 to 1 of a column: numbers between their ends, texts evenly spread."""
     column = [row[name] for row in rows]
     if not all(isinstance(value, (int, float)) for value in column):

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 from scipy.stats import norm
 
+from reconstruction.arrays import FloatArray
 from reconstruction.pipeline import Reconstruction
 from twin.optics.stack import Truth
 from twin.report.canvas import (
@@ -25,11 +26,12 @@ from twin.report.canvas import (
     MEASURED_FILL,
     add_colorbar,
     axes_at,
+    chart,
     contour_levels,
     diverging,
+    draw_map,
     drawing,
     height_scale,
-    plain_spines,
     round_up,
     sequential,
     symmetric_limit,
@@ -49,12 +51,11 @@ class WorldMap:
     ----------
     values : (row, col) masked float
     x_mm, y_mm : (col,), (row,) float, cell centres, ascending
-    pitch_mm : float
     """
 
     values: "np.ma.MaskedArray[Any, Any]"
-    x_mm: NDArray[np.float64]
-    y_mm: NDArray[np.float64]
+    x_mm: FloatArray
+    y_mm: FloatArray
     pitch_mm: float
 
     @property
@@ -282,31 +283,28 @@ def draw_truth_error(
     sigma_um = 1e3 * reconstruction.point_map.sigma_z_mm[both].astype(float)
     limit_um = symmetric_limit(error_um, 99.5)
     with drawing(path, 10.0, 6.7) as figure:
-        shown = _map(
+        cells = average_on_grid(points, error_um, pixel_mm, _MAP_CELLS)
+        draw_map(
             axes_at(figure, 0.65, 0.35, 3.45, 2.65),
+            cells.values,
+            cells.extent_mm,
             "z error, measured − true face",
-            (points, error_um, pixel_mm),
-            {"cmap": diverging(), "vmin": -limit_um, "vmax": limit_um},
+            "z error (µm)",
+            cmap=diverging(),
+            ends=(-limit_um, limit_um),
+            extend="both",
         )
-        add_colorbar(shown.axes, shown, "z error (µm)", extend="both")
-        top_um = round_up(float(np.percentile(sigma_um, 99)))
-        shown = _map(
+        cells = average_on_grid(points, sigma_um, pixel_mm, _MAP_CELLS)
+        draw_map(
             axes_at(figure, 5.75, 0.35, 3.45, 2.65),
+            cells.values,
+            cells.extent_mm,
             "predicted σ of z, from camera noise",
-            (points, sigma_um, pixel_mm),
-            {"cmap": sequential(), "vmin": 0, "vmax": top_um},
+            "σ (µm)",
+            ends=(0, round_up(float(np.percentile(sigma_um, 99)))),
+            extend="max",
         )
-        add_colorbar(shown.axes, shown, "σ (µm)", extend="max")
         _histogram(axes_at(figure, 0.65, 3.95, 9.2, 2.2), error_um, sigma_um, limit_um)
-
-
-def _map(
-    axes: Axes, title: str, data: tuple[NDArray[Any], NDArray[Any], float], options: dict[str, Any]
-) -> Any:
-    points, values, pixel_mm = data
-    cells = average_on_grid(points, values, pixel_mm, _MAP_CELLS)
-    axes.set(title=title, xlabel="x (mm)", ylabel="y (mm)")
-    return axes.imshow(cells.values, origin="lower", extent=cells.extent_mm, **options)
 
 
 def _histogram(axes: Axes, error_um: NDArray[Any], sigma_um: NDArray[Any], limit_um: float) -> None:
@@ -319,17 +317,17 @@ def _histogram(axes: Axes, error_um: NDArray[Any], sigma_um: NDArray[Any], limit
         lw=1.6,
         label="predicted from σ alone (no bias)",
     )
-    axes.set(
-        title="Errors of all scored pixels",
-        xlabel="z error (µm)",
-        ylabel="density (1/µm)",
+    chart(
+        axes,
+        "Errors of all scored pixels",
+        "z error (µm)",
+        "density (1/µm)",
         xlim=(-limit_um, limit_um),
     )
     axes.legend(loc="upper right")
-    plain_spines(axes)
 
 
-def predicted_density(error_um: NDArray[Any], sigma_um: NDArray[Any]) -> NDArray[np.float64]:
+def predicted_density(error_um: NDArray[Any], sigma_um: NDArray[Any]) -> FloatArray:
     """Density of zero-mean normal errors whose sigma differs from pixel to pixel.
 
     The mixture is taken over quantiles of sigma: enough of them look like all pixels.

@@ -15,6 +15,7 @@ from twin.report.canvas import (
     MEASURED_FILL,
     NOMINAL,
     axes_at,
+    chart,
     drawing,
     legend_above,
     plain_spines,
@@ -22,7 +23,7 @@ from twin.report.canvas import (
 from twin.report.page import REPORT_FILE, STAGE, Block, Figure, Note, Page, Section, write_page
 from twin.report.table import Column, Row, Table
 from twin.report.words import NONE, label_of, split_unit
-from twin.study.draws import standard_uncertainty
+from twin.study.trials import standard_uncertainty
 from twin.uncertainty.budget import shares
 from twin.uncertainty.distribution import Interval
 from twin.uncertainty.results import Measurand, Uncertainty, read_uncertainty
@@ -57,14 +58,8 @@ def write_uncertainty_page(
     Parameters
     ----------
     folder : the -o DIR of `twin uncertainty`, or of a sweep of trials; nothing else is read
-    watch : progress callback
     into : existing folder to write into instead
     measurands : names; by default those of the study, or the main ones
-
-    Returns
-    -------
-    Path
-        The page.
 
     Raises
     ------
@@ -287,9 +282,8 @@ def _draw_histogram(axes: Axes, one: Measurand) -> None:
     if found.shortest is not None:
         ends = [found.shortest.low, found.shortest.high]
         axes.plot(ends, [0.02, 0.02], color=FIT, lw=3, transform=axes.get_xaxis_transform())
-    axes.set(xlabel=_axis_label(one.name), ylabel="trials")
+    chart(axes, "", _axis_label(one.name), "trials")
     legend_above(axes, 2)
-    plain_spines(axes)
 
 
 def _draw_convergence(axes: Axes, one: Measurand) -> None:
@@ -302,9 +296,8 @@ def _draw_convergence(axes: Axes, one: Measurand) -> None:
     spread = np.sqrt(np.maximum(variance, 0.0))
     axes.fill_between(count, mean - spread, mean + spread, color=MEASURED_FILL, alpha=0.5, lw=0)
     axes.plot(count, mean, color=MEASURED)
-    axes.set(xlabel="trials so far", ylabel=_axis_label(one.name))
+    chart(axes, "", "trials so far", _axis_label(one.name))
     axes.ticklabel_format(axis="y", useOffset=False)
-    plain_spines(axes)
 
 
 def draw_budget(path: Path, one: Measurand) -> None:

@@ -5,8 +5,6 @@ The decoders share image, reference presses and truth, so that they differ by no
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
 
 from reconstruction.arrays import Levels
 from reconstruction.photometric import (
@@ -19,7 +17,7 @@ from reconstruction.photometric.integrate import Integration
 from reconstruction.photometric.sensor import MapKind
 from twin.config.models import Experiment
 from twin.optics.stack import Truth
-from twin.results.score import HeightScore, Scores, metrics, score_heights
+from twin.results.score import HeightScore, Scores, score_heights
 
 INTEGRATION_ORDER: tuple[Integration, ...] = ("corrected", "sdk_2025", "sdk_2024")
 MAP_ORDER: tuple[MapKind, ...] = ("polynomial", "table")
@@ -97,23 +95,3 @@ def chosen(experiment: Experiment, decoded: list[DecodedImage]) -> DecodedImage:
 def decoder_name(one: DecodedImage) -> str:
     """Name a decoder as figures and tables do."""
     return f"{MAP_NAMES[one.colour_map]}, {INTEGRATION_NAMES[one.integration]}"
-
-
-def write_decoders(path: Path, decoded: list[DecodedImage]) -> None:
-    """Write the figures of every decoder as CSV, one line each; empty where there is none."""
-    rows = [_row(one) for one in decoded]
-    names = list(dict.fromkeys(name for row in rows for name in row))
-    lines = [",".join(names), *(",".join(_cell(row.get(name)) for name in names) for row in rows)]
-    path.write_text("\n".join([*lines, ""]), encoding="utf-8")
-
-
-def _row(one: DecodedImage) -> dict[str, Any]:
-    figures = metrics(one.score)
-    figures.pop("unfitted_balls")
-    return {"colour_map": one.colour_map, "integration": one.integration} | figures
-
-
-def _cell(value: Any) -> str:
-    if value is None:
-        return ""
-    return f"{value:.6g}" if isinstance(value, float) else str(value)

@@ -30,6 +30,7 @@ By photometric stereo:
 What is read back is scored anew from the stored maps; a stored image is decoded anew.
 """
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -53,7 +54,8 @@ from twin.config import Experiment, load_experiment
 from twin.mechanics import read_press
 from twin.optics.stack import Truth
 from twin.output import EXPERIMENT_FILE, RESULT_FILE, read_json
-from twin.results.decoders import chosen, decode_all, write_decoders
+from twin.results.decoders import DecodedImage, chosen, decode_all
+from twin.results.figures import Metrics
 from twin.results.parts import (
     CAPTURE_FOLDER,
     TIMINGS_FILE,
@@ -62,11 +64,12 @@ from twin.results.parts import (
     write_exr,
     write_pressed,
     write_result,
+    write_rows,
     write_timings,
     write_truth,
 )
 from twin.results.record import Colours, Fringes, Measurement
-from twin.results.score import Scores, TruthScore, score
+from twin.results.score import Scores, TruthScore, metrics, score
 
 IMAGE_FILE, BACKGROUND_FILE, DECODERS_FILE = "image.png", "background.png", "decoders.csv"
 CALIBRATION_FILE, OTHER_CALIBRATION_FILE = "sensor_calibration.npz", "other_calibration.npz"
@@ -101,7 +104,7 @@ def write_measurement(folder: Path, command: str, done: Measurement) -> None:
         _write_white(folder / "white.exr", done.images)
     else:
         _write_decoding(folder, done.images)
-    write_result(folder, command, done.experiment, done.figures)
+    write_result(folder, command, done.experiment, done.metrics)
     write_timings(folder, done.seconds)
 
 
@@ -148,7 +151,7 @@ def read_measurement(folder: Path) -> Measurement:
         images=images,
         truth=truth,
         score=scored,
-        figures=figures,
+        metrics=figures,
         pressed=read_press(folder / "press.nc") if method.presses else None,
         digest=str(result.get("digest", "")),
         versions=result.get("versions", {}),
@@ -169,6 +172,17 @@ def _write_decoding(folder: Path, images: Colours) -> None:
     write_decoders(folder / DECODERS_FILE, images.decoded)
 
 
+def write_decoders(path: Path, decoded: Sequence[DecodedImage]) -> None:
+    """Write the figures of every decoder as CSV, one line each; empty where there is none."""
+    write_rows(path, [_decoder_row(one) for one in decoded], 6)
+
+
+def _decoder_row(one: DecodedImage) -> Metrics:
+    figures = metrics(one.score)
+    figures.pop("unfitted_balls")
+    return {"colour_map": one.colour_map, "integration": one.integration, **figures}
+
+
 def _read_fringes(
     folder: Path, experiment: Experiment, truth: Truth
 ) -> tuple[Fringes, Scores[TruthScore]]:
@@ -186,16 +200,12 @@ def _read_colours(
     folder: Path, experiment: Experiment, truth: Truth
 ) -> tuple[Colours, Scores[TruthScore]]:
     image, files = _read_image(folder / IMAGE_FILE), (CALIBRATION_FILE, OTHER_CALIBRATION_FILE)
-    calibrations = {
-        _kind(one): one for one in (read_sensor_calibration(folder / file) for file in files)
-    }
+    calibrations: dict[MapKind, SensorCalibration] = {}
+    for one in (read_sensor_calibration(folder / file) for file in files):
+        calibrations["table" if isinstance(one.colour_map, ColourTable) else "polynomial"] = one
     decoded = decode_all(experiment, image, calibrations, truth)
     own = chosen(experiment, decoded)
     return Colours(image, calibrations, decoded, own), own.score
-
-
-def _kind(calibration: SensorCalibration) -> MapKind:
-    return "table" if isinstance(calibration.colour_map, ColourTable) else "polynomial"
 
 
 def _read_image(path: Path) -> Levels:

@@ -1,15 +1,21 @@
-"""Files of single stages in a folder, written and read, and the figures of press and recording."""
+"""Files of single stages in a folder, written and read, and the figures of press and recording.
 
-from collections.abc import Callable, Mapping
+`face_figures` are what the coated face alone would give, without light, noise or calibration: a
+press of a slab costs a tenth of a second, a measurement seconds, and sensitivities and explanations
+need hundreds of them.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 import imageio.v3 as imageio
 import numpy as np
-from numpy.typing import NDArray
 
+from reconstruction.arrays import FloatArray, FloatImage
 from reconstruction.capture.folder import Capture, write_capture
 from reconstruction.errors import InputError
+from reconstruction.evaluate.fit import SphereFit, fit_sphere
 from reconstruction.machine import (
     PIXELS,
     pixel_coordinates,
@@ -29,7 +35,10 @@ from twin.mechanics import (
 )
 from twin.optics.stack import Truth
 from twin.output import EXPERIMENT_FILE, RESULT_FILE, versions, write_json
+from twin.results.figures import Metric, Metrics
 from twin.results.record import Recording
+from twin.results.rods import rod_figures
+from twin.specimens import Sphere, shape_of
 
 if TYPE_CHECKING:
     import xarray
@@ -54,23 +63,32 @@ _TRUTH = {
 }
 
 
-def write_result(
-    folder: Path, command: str, experiment: Experiment, figures: dict[str, Any]
-) -> None:
+def write_result(folder: Path, command: str, experiment: Experiment, figures: Metrics) -> None:
     """Write result.json and the resolved experiment.
 
     The same experiment gives the same bytes: wall-clock times are kept out (see `write_timings`).
     """
     (folder / EXPERIMENT_FILE).write_text(to_toml(experiment), encoding="utf-8")
-    content = {
-        "schema_version": 1,
-        "command": command,
-        "name": experiment.name,
-        "digest": digest(experiment),
-        "metrics": figures,
-        "versions": versions(),
-    }
-    write_json(folder / RESULT_FILE, content)
+    write_outcome(folder, command, figures, name=experiment.name, digest=digest(experiment))
+
+
+def write_outcome(folder: Path, command: str, figures: Metrics, **named: str) -> None:
+    """Write result.json: the figures, which command and versions made them, and what names them."""
+    content = {"command": command, "metrics": figures, "versions": versions(), **named}
+    write_json(folder / RESULT_FILE, {"schema_version": 1, **content})
+
+
+def write_rows(path: Path, rows: Sequence[Metrics], digits: int) -> None:
+    """Write rows as CSV, numbers with so many significant digits; empty where there is none."""
+    names = list(dict.fromkeys(name for row in rows for name in row))
+    lines = [",".join(_cell(row.get(name), digits) for name in names) for row in rows]
+    path.write_text("\n".join([",".join(names), *lines, ""]), encoding="utf-8")
+
+
+def _cell(value: Metric, digits: int) -> str:
+    if value is None:
+        return ""
+    return f"{value:.{digits}g}" if isinstance(value, float) else str(value)
 
 
 def write_timings(folder: Path, seconds: Mapping[str, float]) -> None:
@@ -147,7 +165,7 @@ def read_truth(path: Path) -> Truth:
     return Truth(points, normals, depth_mm, column_px, row_px, *masks)
 
 
-def write_exr(path: Path, image: NDArray[np.float32]) -> None:
+def write_exr(path: Path, image: FloatImage) -> None:
     """Write a (row, col) float32 image as a one-channel EXR."""
     write_exr_channels(path, {"Y": image})
 
@@ -177,15 +195,15 @@ def write_frames(
         progress((number + 1) / len(frames))
 
 
-def taken_figures(pressed: PressedElastomer | None, recording: Recording) -> dict[str, Any]:
+def taken_figures(pressed: PressedElastomer | None, recording: Recording) -> dict[str, Metric]:
     """Return the figures of press and recording."""
-    figures = {"warnings": []} if pressed is None else press_metrics(pressed)
+    figures: dict[str, Metric] = {"warnings": []} if pressed is None else press_metrics(pressed)
     return figures | recording_metrics(recording)
 
 
 def write_taken(
     folder: Path, pressed: PressedElastomer | None, recording: Recording
-) -> dict[str, Any]:
+) -> dict[str, Metric]:
     """Write press and recording; returns the figures of both."""
     if pressed is not None:
         write_pressed(folder, pressed)
@@ -193,7 +211,7 @@ def write_taken(
     return taken_figures(pressed, recording)
 
 
-def press_metrics(pressed: PressedElastomer) -> dict[str, Any]:
+def press_metrics(pressed: PressedElastomer) -> dict[str, Metric]:
     """Figures of the press, warnings included."""
     return {
         "mechanics_model": pressed.model,
@@ -222,11 +240,11 @@ def sheet_figures(pressed: PressedElastomer) -> dict[str, float]:
 
 def write_transfer(path: Path, transfer: ContactTransfer) -> None:
     """Write the contact transfer function as CSV: pitch, closed form, computed."""
-    lines = [f"{pitch:.6g},{exact:.6g},{found:.6g}" for pitch, exact, found in transfer.rows()]
-    path.write_text("\n".join(["pitch_mm,closed_form,computed", *lines, ""]), encoding="utf-8")
+    names = ("pitch_mm", "closed_form", "computed")
+    write_rows(path, [dict(zip(names, row, strict=True)) for row in transfer.rows()], 6)
 
 
-def transfer_metrics(transfer: ContactTransfer) -> dict[str, Any]:
+def transfer_metrics(transfer: ContactTransfer) -> Metrics:
     """Figures of the contact transfer function; a pitch of 0: every pitch is kept so far."""
     pitches = {
         "half_contrast_pitch_mm": transfer.half_pitch_mm,
@@ -239,7 +257,7 @@ def transfer_metrics(transfer: ContactTransfer) -> dict[str, Any]:
     return pitches | {"transfer_computed_minus_closed_form": float(difference.max())}
 
 
-def recording_metrics(recording: Recording) -> dict[str, Any]:
+def recording_metrics(recording: Recording) -> dict[str, float]:
     """Figures of the recording."""
     return {
         "exposure_ms": recording.exposure_ms,
@@ -248,3 +266,41 @@ def recording_metrics(recording: Recording) -> dict[str, Any]:
             (recording.capture.stack >= recording.capture.sensor.clipped_from_dn).mean()
         ),
     }
+
+
+def face_figures(experiment: Experiment, pressed: PressedElastomer) -> dict[str, Metric]:
+    """Return the figures of a press, and of its face under the names of a measurement.
+
+    Radius and RMSE of the balls, and width and height of a single rod, are those of the face itself
+    over the region that is scored.
+
+    Raises
+    ------
+    FitError
+        A ball's region holds too few nodes.
+    """
+    points = face_points_mm(pressed)
+    found = press_metrics(pressed) | rod_figures(experiment, points)
+    for number, ball in enumerate(shape_of(experiment.specimen).spheres(), start=1):
+        fit = cap_fit(points, ball, experiment.score.roi_radius_mm)
+        found[f"sphere_{number}_radius_mm"] = fit.radius_mm
+        found[f"sphere_{number}_rmse_mm"] = fit.stats.rmse_mm
+    return found
+
+
+def face_points_mm(pressed: PressedElastomer) -> FloatArray:
+    """Return the nodes of the coated face, (n, 3) float, world mm."""
+    x, y = np.meshgrid(pressed.face_x_mm, pressed.face_y_mm)
+    return np.column_stack([x.ravel(), y.ravel(), pressed.face_z_mm.ravel()])
+
+
+def cap_fit(points_mm: FloatArray, ball: Sphere, roi_radius_mm: float) -> SphereFit:
+    """Fit the face over one ball's region, as the score does over camera pixels.
+
+    Raises
+    ------
+    FitError
+        Too few points.
+    """
+    lateral = np.hypot(points_mm[:, 0] - ball.x_mm, points_mm[:, 1] - ball.y_mm)
+    return fit_sphere(points_mm[lateral <= roi_radius_mm])

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from reconstruction.arrays import Levels, Reason
+from reconstruction.arrays import BoolImage, FloatImage, Levels, Reason
 from reconstruction.capture.folder import Capture, read_capture
 from reconstruction.photometric import HeightMap, SensorCalibration
 from reconstruction.photometric.sensor import MapKind
@@ -19,6 +19,7 @@ from twin.mechanics import PressedElastomer
 from twin.optics.rig import camera_pinhole
 from twin.optics.stack import Frames, RadianceStack, Truth
 from twin.results.decoders import DecodedImage
+from twin.results.figures import Figures, Metrics, warnings_of
 from twin.results.score import Scores, TruthScore, in_world
 
 
@@ -34,11 +35,11 @@ class SurfacePoints:
     """
 
     world_mm: NDArray[np.floating[Any]]
-    reason: NDArray[np.uint8]
-    sigma_mm: NDArray[np.float32] | None = None
+    reason: Levels
+    sigma_mm: FloatImage | None = None
 
     @property
-    def valid(self) -> NDArray[np.bool_]:
+    def valid(self) -> BoolImage:
         """Pixels with a point, (row, col)."""
         return np.asarray(self.reason == Reason.VALID)
 
@@ -91,7 +92,7 @@ class Fringes:
         )
 
     @property
-    def picture(self) -> NDArray[np.uint8]:
+    def picture(self) -> Levels:
         """First phase frame with vertical fringes, 255 at saturation, (row, col)."""
         first = self.capture.patterns.index("phase", "column").start
         share = self.capture.stack[first] / np.float32(self.capture.sensor.saturation_dn)
@@ -139,7 +140,7 @@ class Measurement:
     Attributes
     ----------
     images : Fringes or Colours, by method
-    figures : the metrics of result.json, units in their names; None where there is none
+    metrics : as in result.json; `figures` are its numbers, `warnings` those of the press
     pressed : None where the bare specimen is seen
     digest, versions : name what it was made from
     seconds : wall clock by stage
@@ -149,11 +150,21 @@ class Measurement:
     images: Fringes | Colours
     truth: Truth
     score: Scores[TruthScore]
-    figures: dict[str, Any]
+    metrics: Metrics
     pressed: PressedElastomer | None
     digest: str
     versions: Mapping[str, str]
     seconds: Mapping[str, float] = field(default_factory=dict)
+
+    @cached_property
+    def figures(self) -> Figures:
+        """Numbers by name, units in the names; None where there is none."""
+        return Figures(self.metrics)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Why the press may be wrong."""
+        return warnings_of(self.metrics)
 
     @property
     def points(self) -> SurfacePoints:
@@ -161,7 +172,7 @@ class Measurement:
         return self.images.points
 
     @property
-    def picture(self) -> NDArray[np.uint8]:
+    def picture(self) -> Levels:
         """What the camera saw: one fringe image, or the colours."""
         return self.images.picture
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from reconstruction.arrays import FloatArray
 from reconstruction.errors import FitError
 from reconstruction.evaluate import BarWidth, bar_width
 from twin.config.models import Experiment
@@ -27,8 +28,8 @@ _LEAST_IN_BIN = 3
 class RodSection:
     """Mean profile across a rod: (n,) position along world x and height, mm; gaps left out."""
 
-    s_mm: NDArray[np.float64]
-    z_mm: NDArray[np.float64]
+    s_mm: FloatArray
+    z_mm: FloatArray
 
     def width(self) -> BarWidth:
         """Return the width of the crest between its valleys.
@@ -52,7 +53,7 @@ class RodSection:
 
 
 def section_of(
-    points_mm: NDArray[np.float64], along_mm: float, centre_mm: tuple[float, float]
+    points_mm: FloatArray, along_mm: float, centre_mm: tuple[float, float]
 ) -> RodSection:
     """Average points, (n, 3) mm, over the middle of a rod that lies along world y.
 
@@ -86,7 +87,7 @@ def has_one_rod(experiment: Experiment) -> bool:
 
 def rod_figures(
     experiment: Experiment, points_mm: NDArray[np.floating[Any]], prefix: str = ""
-) -> dict[str, Any]:
+) -> dict[str, float | str]:
     """Return width and height of the rod under points (n, xyz); why, when it has no crest.
 
     Nothing where the specimen is not a single rod.

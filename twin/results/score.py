@@ -107,12 +107,9 @@ class Scores(Generic[Against]):
     Attributes
     ----------
     against_truth : FringeScore or HeightScore, by method
-    spheres : tuple of SphereScore
-        The balls that could be fitted.
-    unfitted : tuple of str
-        Why the others could not: a ball without valid points must not sink the measurement.
-    rod : mapping
-        Width and height of a single rod, measured and of the true face; empty for all else.
+    spheres : the balls that could be fitted
+    unfitted : why the others could not: a ball without valid points must not sink the measurement
+    rod : width and height of a single rod, measured and of the true face; empty for all else
     """
 
     against_truth: Against
@@ -308,13 +305,6 @@ def metrics(scored: Scores[TruthScore]) -> dict[str, Any]:
     """Flatten a score to names with units, for result.json."""
     found = asdict(scored.against_truth) | {"unfitted_balls": list(scored.unfitted)}
     return found | _sphere_metrics(scored.spheres, scored.unfitted) | dict(scored.rod)
-
-
-def why_absent(figures: Mapping[str, Any]) -> str:
-    """Say why a measurement has no error and no shares; empty where it has."""
-    if 0 in (figures.get("lit_pixels"), figures.get("wanted_pixels")):
-        return "no pixel that ought to give a point"
-    return "no valid point" if figures.get("points") == 0 else ""
 
 
 def _sphere_metrics(fitted: Sequence[SphereScore], unfitted: Sequence[str]) -> dict[str, Any]:

@@ -1,15 +1,120 @@
-"""Cases of a study: one validated experiment each, under the name that its content gives it."""
+"""Cases of a study: points of the design space, and at each a validated experiment.
+
+A point takes one level of every axis; a case has the name that its content gives it.
+"""
 
 import hashlib
+import itertools
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
+import numpy as np
+from scipy.stats import qmc
+
+from reconstruction.arrays import FloatArray
+from reconstruction.errors import InputError
 from twin.config import ConfigError, Experiment, digest, vary
-from twin.config.study import Constraint, Study, without_absent
-from twin.study.design import Point, points_of
+from twin.config.study import MOST_CASES, Axis, Constraint, Level, Study, without_absent
 from twin.study.measuring import AS_IT_IS, Conditions
+
+Point = tuple[Level, ...]
+
+MORRIS_LEVELS = 4
+
+
+def points_of(study: Study) -> list[Point]:
+    """Return the points of a study, one level per axis each.
+
+    Raises
+    ------
+    InputError
+        More points than a study may have, or a study that finds its points as it goes.
+    """
+    method = study.sampling.method
+    if method in ("optimise", "trials"):
+        raise InputError(f"sampling.method = '{method}': its cases are no points of axes")
+    count = point_count(study)
+    if count > MOST_CASES:
+        raise InputError(f"study: found {count} points, allowed up to {MOST_CASES}; take fewer")
+    if method == "grid":
+        return list(itertools.product(*(axis.levels() for axis in study.axis)))
+    return [point_at(study.axis, row) for row in shares_of(study)]
+
+
+def point_count(study: Study) -> int:
+    """Return how many points a study has, without making them."""
+    count, axes = study.sampling.count or 0, len(study.axis)
+    match study.sampling.method:
+        case "grid":
+            return int(np.prod([len(axis.levels()) for axis in study.axis], dtype=object))
+        case "saltelli":
+            return count * (axes + 2)
+        case "morris":
+            return count * (axes + 1)
+        case "optimise":
+            return study.optimise.trials if study.optimise else 0
+    return count
+
+
+def point_at(axes: tuple[Axis, ...], shares: FloatArray) -> Point:
+    """Return the point at a place (axis,) of the unit cube."""
+    return tuple(axis.level_at(float(u)) for axis, u in zip(axes, shares, strict=True))
+
+
+def shares_of(study: Study) -> FloatArray:
+    """Return places (point, axis) in the unit cube for a study that samples."""
+    count, axes = study.sampling.count or 1, len(study.axis)
+    rng = np.random.default_rng(study.sampling.seed)
+    match study.sampling.method:
+        case "latin_hypercube":
+            return np.asarray(qmc.LatinHypercube(axes, rng=rng).random(count))
+        case "sobol":
+            return _sobol(axes, count, rng)
+        case "saltelli":
+            return saltelli_shares(axes, count, rng)
+        case "morris":
+            return np.concatenate(list(_walks(axes, count, rng)))
+    raise ValueError(f"{study.sampling.method} does not draw from the unit cube")
+
+
+def _sobol(axes: int, count: int, rng: np.random.Generator) -> FloatArray:
+    """Scrambled Sobol' points; the first `count` of the next power of two, drawn whole."""
+    exponent = int(np.ceil(np.log2(max(count, 1))))
+    return np.asarray(qmc.Sobol(axes, rng=rng).random_base2(exponent))[:count]
+
+
+def saltelli_shares(axes: int, count: int, rng: np.random.Generator) -> FloatArray:
+    """Rows A, B and A with column i from B, for Saltelli et al. (2010), blocks one after another.
+
+    Saltelli, A. et al.: Variance based sensitivity analysis of model output. Computer Physics
+    Communications 181, 259-270 (2010), table 2.
+    """
+    pairs = _sobol(2 * axes, count, rng)
+    a, b = pairs[:, :axes], pairs[:, axes:]
+    mixed = [np.where(np.arange(axes) == i, b, a) for i in range(axes)]
+    return np.concatenate([a, b, *mixed])
+
+
+def _walks(axes: int, count: int, rng: np.random.Generator) -> Iterator[FloatArray]:
+    """Yield walks (axes + 1, axes) in which every axis takes one step, in random order.
+
+    Morris, M. D.: Factorial sampling plans for preliminary computational experiments.
+    Technometrics 33, 161-174 (1991): p = 4 levels, step p / (2 (p - 1)) = 2/3.
+    """
+    step = MORRIS_LEVELS / (2 * (MORRIS_LEVELS - 1))
+    low = np.arange(MORRIS_LEVELS // 2) / (MORRIS_LEVELS - 1)
+    for _ in range(count):
+        start = rng.choice(low, axes)
+        up = rng.random(axes) < 0.5
+        place = np.where(up, start, start + step)
+        rows = [place.copy()]
+        for axis in rng.permutation(axes):
+            place[axis] += step if up[axis] else -step
+            rows.append(place.copy())
+        yield np.clip(np.array(rows), 0.0, 1.0)
+
 
 _MOST_PROBLEMS = 5
 
@@ -21,7 +126,6 @@ class Case:
     Attributes
     ----------
     settings : value of every axis by its title, with `modality` and `seed` where they are varied
-    experiment : Experiment
     digest : name of the case in the store
     conditions : how it is measured, beside what its experiment says
     """
@@ -60,10 +164,7 @@ def cases_of(study: Study, base: Experiment, points: Iterable[Point] | None = No
 
     Parameters
     ----------
-    study : Study
-    base : Experiment
-    points : iterable of points, optional
-        Default: those of the study's sampling.
+    points : default: those of the study's sampling
 
     Raises
     ------
@@ -106,12 +207,7 @@ def _cases_at(study: Study, base: Experiment, point: Point) -> Iterable[Case]:
             if study.repeats > 1:
                 named["seed"] = base.seed + repeat
             method = {"modality": modality} if study.modalities else {}
-            experiment = vary(base, changes | method | _seed(named))
-            yield case_of(settings | named, experiment)
-
-
-def _seed(named: Mapping[str, Any]) -> dict[str, Any]:
-    return {"seed": named["seed"]} if "seed" in named else {}
+            yield case_of(settings | named, vary(base, changes | method | named))
 
 
 def _settings(study: Study, point: Point) -> dict[str, Any]:

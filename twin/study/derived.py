@@ -15,8 +15,7 @@ They are not in result.json; tables, constraints and objectives know them beside
 """
 
 import math
-from collections.abc import Callable, Mapping
-from typing import Any
+from collections.abc import Callable
 
 import numpy as np
 
@@ -24,24 +23,30 @@ from twin.config import Experiment
 from twin.config.specimens import Grating
 from twin.mechanics.contact_transfer import Ridges, pitch_at, ridge_height_mm
 from twin.mechanics.transfer import opposite_transfer
+from twin.results.figures import Metric, Metrics
 from twin.specimens import shape_of
 
-Figures = Mapping[str, Any]
 
-
-def _kept_pitch(share: float) -> Callable[[Experiment, Figures], float]:
-    def pitch_mm(experiment: Experiment, figures: Figures) -> float:
+def _kept_pitch(share: float) -> Callable[[Experiment, Metrics], float]:
+    def pitch_mm(experiment: Experiment, metrics: Metrics) -> float:
         if experiment.elastomer.layout == "contact_face":
             return 0.0
-        if _is_sheet(figures):
+        if _is_sheet(metrics):
             return _ridges(experiment).pitch_mm(share)
         return pitch_at(share, experiment.elastomer.thickness_mm)
 
     return pitch_mm
 
 
-def _is_sheet(figures: Figures) -> bool:
-    return figures.get("mechanics_model") == "sheet"
+def _is_sheet(metrics: Metrics) -> bool:
+    return metrics.get("mechanics_model") == "sheet"
+
+
+def _number(metrics: Metrics, name: str) -> float:
+    value = metrics[name]
+    if not isinstance(value, (int, float)):
+        raise KeyError(name)
+    return float(value)
 
 
 def _ridges(experiment: Experiment) -> Ridges:
@@ -51,58 +56,50 @@ def _ridges(experiment: Experiment) -> Ridges:
     return Ridges(experiment.elastomer, pressure_kpa, ridge_height_mm(experiment.specimen))
 
 
-def _groove_contrast(experiment: Experiment, figures: Figures) -> float:
+def _groove_contrast(experiment: Experiment, metrics: Metrics) -> float:
     if not isinstance(experiment.specimen, Grating):
         raise KeyError("pitch_mm")
     if experiment.elastomer.layout == "contact_face":
         return 1.0  # while the grooves are filled
-    if _is_sheet(figures):
+    if _is_sheet(metrics):
         return _ridges(experiment).shown(experiment.specimen.pitch_mm)
     waves = 2 * np.pi * experiment.elastomer.thickness_mm / experiment.specimen.pitch_mm
     return float(opposite_transfer(np.array([waves]))[0])
 
 
-def _groove_over_error(experiment: Experiment, figures: Figures) -> float:
-    kept = _groove_contrast(experiment, figures)
+def _groove_over_error(experiment: Experiment, metrics: Metrics) -> float:
+    kept = _groove_contrast(experiment, metrics)
     assert isinstance(experiment.specimen, Grating)
     # A sine of height h from crest to root has an RMS of h / sqrt(8).
     rms_um = 1e3 * kept * experiment.specimen.groove_mm / math.sqrt(8.0)
-    return rms_um / float(figures["z_rmse_um"])
+    return rms_um / _number(metrics, "z_rmse_um")
 
 
-def _radius_bias_mm(experiment: Experiment, figures: Figures) -> float:
+def _radius_bias_mm(experiment: Experiment, metrics: Metrics) -> float:
     nominal = next(iter(shape_of(experiment.specimen).spheres())).radius_mm
-    return float(figures["sphere_1_true_face_radius_mm"]) - nominal
+    return _number(metrics, "sphere_1_true_face_radius_mm") - nominal
 
 
-def _depth_over_thickness(experiment: Experiment, figures: Figures) -> float:
-    return float(figures["depth_mm"]) / experiment.elastomer.thickness_mm
-
-
-def _force_per_depth(_: Experiment, figures: Figures) -> float:
-    return float(figures["force_n"]) / float(figures["depth_mm"])
-
-
-DERIVED: dict[str, Callable[[Experiment, Figures], float]] = {
+DERIVED: dict[str, Callable[[Experiment, Metrics], float]] = {
     "half_contrast_pitch_mm": _kept_pitch(0.5),
     "tenth_contrast_pitch_mm": _kept_pitch(0.1),
     "groove_contrast_kept": _groove_contrast,
     "groove_over_error": _groove_over_error,
     "radius_bias_mm": _radius_bias_mm,
-    "depth_over_thickness": _depth_over_thickness,
-    "force_per_depth_n_per_mm": _force_per_depth,
+    "depth_over_thickness": lambda e, m: _number(m, "depth_mm") / e.elastomer.thickness_mm,
+    "force_per_depth_n_per_mm": lambda _, m: _number(m, "force_n") / _number(m, "depth_mm"),
 }
 
 
-def with_derived(experiment: Experiment, figures: Figures) -> dict[str, Any]:
+def with_derived(experiment: Experiment, metrics: Metrics) -> dict[str, Metric]:
     """Return a case's figures and all derived ones that its result allows.
 
     What follows from a figure that does not exist (None) does not exist either, and is left out.
     """
-    found, present = dict(figures), {n: value for n, value in figures.items() if value is not None}
+    found = dict(metrics)
     for name, derive in DERIVED.items():
         try:
-            found[name] = derive(experiment, present)
+            found[name] = derive(experiment, metrics)
         except (KeyError, StopIteration, ZeroDivisionError):
             continue  # no such ball or groove, nothing was pressed, or nothing measured
     return found

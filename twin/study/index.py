@@ -15,6 +15,7 @@ from typing import Any
 
 from reconstruction.errors import InputError
 from twin.output import RESULT_FILE, read_json
+from twin.results.figures import Metrics
 from twin.study.store import FAILURE_FILE, TIMINGS_FILE, Store
 from twin.study.worker import Report
 
@@ -35,7 +36,7 @@ class Entry:
     state: str
     reason: str
     seconds: float
-    figures: dict[str, Any]
+    figures: Metrics
 
 
 class Index:

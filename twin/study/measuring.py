@@ -1,23 +1,131 @@
-"""What a worker does for one case: measure it, sharing stages with the cases before it."""
+"""What a worker does for one case: measure it, sharing stages with the cases before it.
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
+Trials measure with a rig as a calibration would have found it. The calibration of a rig on rendered
+board poses states a covariance, from which such rigs are drawn: what differs from the true rig is
+what a new calibration adds, not an assumed number.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from twin.config import Experiment
-from twin.pipeline import Memory, measure
-from twin.pipeline.press import press
-from twin.pipeline.reads import Path as FieldPath
-from twin.results.face import face_figures
-from twin.results.folder import write_kept
-from twin.results.record import Measurement
-from twin.results.score import metrics
-from twin.study.rigs import RigCovariance, seen_with
+import numpy as np
 
-Figures = dict[str, Any]
+from reconstruction.arrays import FloatArray
+from reconstruction.calibration.parameters import POSES, RigEstimate, pack, unpack
+from reconstruction.pipeline import Reconstruction
+from reconstruction.rig.calibration import Calibration
+from reconstruction.triangulation import triangulate
+from twin.config import Experiment, digest
+from twin.config.board import load_board
+from twin.config.digest import keyed_sequence
+from twin.output import read_json, replace_json, versions
+from twin.pipeline import Memory, measure
+from twin.pipeline.calibration import calibrate_rendered, calibration_metrics
+from twin.pipeline.fringes import options_of
+from twin.pipeline.memory import Path as FieldPath
+from twin.pipeline.press import press
+from twin.pipeline.progress import ProgressCallback, no_progress
+from twin.results.figures import Metrics
+from twin.results.folder import write_kept
+from twin.results.parts import face_figures
+from twin.results.record import Measurement
+from twin.results.score import metrics, score
+
+CALIBRATION_FILE = "calibration.json"
+
+
+@dataclass(frozen=True)
+class RigCovariance:
+    """How well a calibration knows a rig; compared and hashed by content.
+
+    Attributes
+    ----------
+    rows : (24, 24), camera, projector and the motion between them, order of
+        `reconstruction.calibration.parameters`
+    """
+
+    rows: tuple[tuple[float, ...], ...]
+
+    @classmethod
+    def of(cls, rows: Sequence[Sequence[float]] | FloatArray) -> "RigCovariance":
+        """Take a covariance, (24, 24)."""
+        return cls(tuple(tuple(map(float, row)) for row in rows))
+
+    def draw(self, true: Calibration, seed: int, trial: int) -> Calibration:
+        """Return a rig as one calibration found it; trial 0 is the true rig."""
+        if not trial:
+            return true
+        covariance = np.array(self.rows, np.float64)
+        rng = np.random.default_rng(keyed_sequence(seed, "calibration", trial))
+        step = _correlated(covariance, rng.standard_normal(len(covariance)))
+        vector = pack(
+            RigEstimate(true.camera, true.projector, true.T_proj_from_cam, np.eye(4)[None])
+        )
+        vector[:POSES] += step
+        found = unpack(vector, true.camera, true.projector)
+        # The world hangs on the camera: a calibrated world frame of its own would move every point
+        # alike, which no fitted radius or width feels.
+        world_from_proj = true.T_world_from_cam @ np.linalg.inv(found.T_proj_from_cam)
+        return Calibration(found.camera, found.projector, true.T_world_from_cam, world_from_proj)
+
+
+def _correlated(covariance: FloatArray, normal: FloatArray) -> FloatArray:
+    """Turn independent standard normal numbers into a draw from a covariance, (n,) float."""
+    # Through the correlation: radians and pixels differ by nine orders of magnitude in variance.
+    sigma = np.sqrt(np.diag(covariance))
+    free = sigma > 0
+    correlation = covariance[np.ix_(free, free)] / np.outer(sigma[free], sigma[free])
+    values, vectors = np.linalg.eigh(correlation)
+    step = np.zeros_like(sigma)
+    step[free] = sigma[free] * (vectors @ (np.sqrt(np.maximum(values, 0.0)) * normal[free]))
+    return step
+
+
+def calibrated(
+    folder: Path, experiment: Experiment, board: str, watch: ProgressCallback = no_progress
+) -> RigCovariance:
+    """Return how well a calibration on rendered board poses knows the experiment's rig.
+
+    Kept in the folder, with its figures, and taken from there where rig, board and versions are the
+    same.
+
+    Raises
+    ------
+    InputError, MissingBackend
+        As `calibrate_rendered`.
+    """
+    shown, path = load_board(board), folder / CALIBRATION_FILE
+    mark: dict[str, Any] = {
+        "digest": f"{digest(experiment)} {shown.model_dump_json()}",
+        "versions": versions(),
+    }
+    kept = read_json(path) if path.is_file() else {}
+    if {name: kept.get(name) for name in mark} == mark:
+        return RigCovariance.of(kept["covariance"])
+    done = calibrate_rendered(experiment, shown, watch=watch)
+    rows = done.result.adjustment.covariance[:POSES, :POSES].tolist()
+    replace_json(path, mark | {"figures": calibration_metrics(done), "covariance": rows})
+    return RigCovariance.of(rows)
+
+
+def seen_with(done: Measurement, rig: Calibration) -> Measurement:
+    """Return a measurement with fringes as it is when its images are triangulated with a rig."""
+    images, options = done.fringes, options_of(done.experiment.decode)
+    decoded = images.reconstruction.decoded
+    maps = Reconstruction(decoded, triangulate(decoded, rig, options.use, options.tolerance))
+    scored = score(done.experiment, maps, done.truth)
+    return replace(
+        done,
+        images=replace(images, reconstruction=maps),
+        score=scored,
+        metrics={**done.metrics, **metrics(scored)},
+    )
+
+
 StageReads = tuple[tuple[FieldPath, ...], ...]
-MoreFigures = Callable[[Measurement], Figures]
+MoreFigures = Callable[[Measurement], Metrics]
 
 TRUE_RIG = "true_rig_"
 """What figures begin with that were measured on the same images with the true rig."""
@@ -54,7 +162,7 @@ class Answer:
     write : puts the arrays asked for into the case's folder
     """
 
-    figures: Figures
+    figures: Metrics
     write: Callable[[Path], None] = lambda _: None
 
 
@@ -87,16 +195,16 @@ class CaseMeasurer:
         if conditions.face_only:
             return Answer(face_figures(experiment, press(experiment, self.memory).pressed))
         done = measure(experiment, memory=self.memory, trial=conditions.trial)
-        figures, rigs = done.figures | self._more(done), self.rigs
+        figures, rigs = {**done.metrics, **self._more(done)}, self.rigs
         if conditions.board and rigs is not None and experiment.method.fringes:
-            exact = metrics(done.score) | self._more(done)
+            exact = {**metrics(done.score), **self._more(done)}
             true = done.fringes.capture.calibration
             done = seen_with(done, rigs.draw(true, conditions.seed, conditions.trial))
             figures = {f"{TRUE_RIG}{name}": value for name, value in exact.items()}
-            figures |= done.figures | self._more(done)
+            figures |= {**done.metrics, **self._more(done)}
         return Answer(figures, lambda folder: write_kept(folder, done, self.keep))
 
-    def _more(self, done: Measurement) -> Figures:
+    def _more(self, done: Measurement) -> Metrics:
         return {} if self.more is None else self.more(done)
 
     def reads(self) -> StageReads:

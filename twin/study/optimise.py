@@ -15,14 +15,13 @@ import numpy as np
 
 from reconstruction.errors import InputError
 from twin.config import ConfigError
-from twin.config.study import Axis, Constraint, Objective, Optimise, Study
-from twin.study.best import is_number
-from twin.study.cases import Case, Cases, cases_of, quantity
+from twin.config.study import Axis, Constraint, Optimise, Study
+from twin.study.cases import Case, Cases, Point, cases_of, quantity
 from twin.study.derived import DERIVED, with_derived
-from twin.study.design import Point
 from twin.study.engine import SweepOutcome
 from twin.study.record import StudyRecord
 from twin.study.store import Store
+from twin.study.table import cost_of, is_number
 
 if TYPE_CHECKING:
     import optuna
@@ -38,12 +37,9 @@ def optimise(record: StudyRecord, folder: Path, run: RunCases) -> list[SweepOutc
 
     Parameters
     ----------
-    record : StudyRecord
-        With sampling.method = "optimise".
-    folder : Path
-        The store.
-    run : callable
-        Computes a batch.
+    record : with sampling.method = "optimise"
+    folder : the store
+    run : computes a batch
 
     Raises
     ------
@@ -133,18 +129,11 @@ def _figures(
     values, excesses = [], []
     for case in cases:
         figures = _found(case, store) or {}
-        objectives = [figures.get(one.metric) for one in plan.objectives]
-        if not all(map(is_number, objectives)):
+        if not all(is_number(figures.get(one.metric)) for one in plan.objectives):
             return None
-        values.append(
-            [_cost(value, one) for value, one in zip(objectives, plan.objectives, strict=True)]
-        )
+        values.append([cost_of(figures, one) for one in plan.objectives])
         excesses.append([_excess(case, figures, bound) for bound in study.constraint])
     return np.mean(values, axis=0).tolist(), np.mean(excesses, axis=0).tolist()
-
-
-def _cost(value: Any, objective: Objective) -> float:
-    return float(value) * (1.0 if objective.goal == "minimise" else -1.0)
 
 
 def _excess(case: Case, figures: Mapping[str, Any], bound: Constraint) -> float:

@@ -12,8 +12,8 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from reconstruction.arrays import BoolImage, FloatArray, FloatImage, Levels
 from reconstruction.errors import InputError
 from twin.config import Experiment
 from twin.config.study import Objective
@@ -22,10 +22,9 @@ from twin.pipeline import Memory, measure
 from twin.pipeline.progress import ProgressCallback, no_progress
 from twin.results.record import Measurement
 from twin.results.score import wanted_pixels
-from twin.study.best import designs_of, goals_of, ranked_rows, usable_rows
 from twin.study.cases import Case
 from twin.study.store import Store
-from twin.study.table import read_table
+from twin.study.table import designs_of, goals_of, ranked_rows, read_table, usable_rows
 
 _FOLDER = "pictures"
 _MOST_PX = 360
@@ -49,13 +48,13 @@ class CasePicture:
         Width of the image on the flat coated face.
     """
 
-    seen: NDArray[np.uint8]
-    z_mm: NDArray[np.float32]
-    measured: NDArray[np.bool_]
-    error_um: NDArray[np.float32]
-    scored: NDArray[np.bool_]
-    true_z_mm: NDArray[np.float64]
-    width_mm: NDArray[np.float64]
+    seen: Levels
+    z_mm: FloatImage
+    measured: BoolImage
+    error_um: FloatImage
+    scored: BoolImage
+    true_z_mm: FloatArray
+    width_mm: FloatArray
 
 
 def picture_best(

@@ -11,8 +11,7 @@ from reconstruction.errors import InputError
 from twin.config import Experiment
 from twin.config.study import Axis, Level, Study
 from twin.output import adding, read_json, write_json
-from twin.study.cases import Cases, cases_of
-from twin.study.design import Point
+from twin.study.cases import Cases, Point, cases_of
 from twin.study.trials import trial_cases
 
 STUDY_FILE = "study.json"

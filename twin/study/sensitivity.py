@@ -1,6 +1,6 @@
 """Which axis moves a figure, and how much: shares of variance, or elementary effects.
 
-Three answers, by how the points were drawn. Values are means over repeats.
+Three answers, by how the points were drawn. FloatArray are means over repeats.
 
 - grid: share of the variance of the figure over all cases that each axis explains by itself
   (correlation ratio); exact for the grid, no interval. What is left to 1 are interactions.
@@ -14,15 +14,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 
+from reconstruction.arrays import FloatArray, IntArray
 from twin.config.study import Study
-from twin.study.best import is_number
-from twin.study.design import shares_of
-from twin.study.table import StudyTable
+from twin.study.cases import shares_of
+from twin.study.table import StudyTable, is_number
 
-Values = NDArray[np.float64]
 _DRAWS = 1000
 
 
@@ -70,17 +68,14 @@ def without(table: StudyTable, metric: str) -> int:
     return sum(not is_number(row.get(metric)) for row in table.rows)
 
 
-def _by_point(table: StudyTable, study: Study, metric: str) -> Values | None:
+def _by_point(table: StudyTable, study: Study, metric: str) -> FloatArray | None:
     """Figure of every point in order, NaN where it is missing; None if points were excluded."""
     repeats = study.repeats * max(1, len(study.modalities))
-    found = np.array([_number(row.get(metric)) for row in table.rows])
+    cells = (row.get(metric) for row in table.rows)
+    found = np.array([float(cell) if is_number(cell) else np.nan for cell in cells])
     if len(found) != len(shares_of(study)) * repeats:
         return None
     return np.asarray(found.reshape(-1, repeats).mean(axis=1))
-
-
-def _number(value: object) -> float:
-    return float(value) if is_number(value) else np.nan
 
 
 def _grid_effects(table: StudyTable, axes: Sequence[str], metric: str) -> list[Effect]:
@@ -96,7 +91,7 @@ def _grid_effects(table: StudyTable, axes: Sequence[str], metric: str) -> list[E
     return found
 
 
-def correlation_ratio(values: Values, labels: Sequence[str]) -> float:
+def correlation_ratio(values: FloatArray, labels: Sequence[str]) -> float:
     """Return the share of variance between the groups of a label, 0 to 1."""
     names = np.asarray(labels)
     between = sum(
@@ -106,7 +101,7 @@ def correlation_ratio(values: Values, labels: Sequence[str]) -> float:
     return float(between / ((values - values.mean()) ** 2).sum())
 
 
-def saltelli_effects(blocks: Values, axes: Sequence[str]) -> list[Effect]:
+def saltelli_effects(blocks: FloatArray, axes: Sequence[str]) -> list[Effect]:
     """Return Sobol' indices from values (block, row) of the blocks A, B, A with B's column i.
 
     Rows that lack a value are left out, and further ones until their number is a power of two, as
@@ -117,7 +112,7 @@ def saltelli_effects(blocks: Values, axes: Sequence[str]) -> list[Effect]:
         return []
     whole = 1 << (blocks.shape[1].bit_length() - 1)
 
-    def indices(rows: NDArray[np.int64]) -> Values:
+    def indices(rows: IntArray) -> FloatArray:
         a, b, mixed = blocks[0, rows], blocks[1, rows], blocks[2:, rows]
         taken = {"f_A": a[None], "f_B": b[None], "f_AB": mixed[:, None]}
         found = stats.sobol_indices(func=taken, n=whole)
@@ -131,7 +126,7 @@ def saltelli_effects(blocks: Values, axes: Sequence[str]) -> list[Effect]:
     ]
 
 
-def morris_effects(values: Values, walks: Values, axes: Sequence[str]) -> list[Effect]:
+def morris_effects(values: FloatArray, walks: FloatArray, axes: Sequence[str]) -> list[Effect]:
     """Return mu* and sigma from values (walk, place) at places (walk, place, axis)."""
     whole = np.isfinite(values).all(axis=1)
     values, walks = values[whole], walks[whole]
@@ -155,7 +150,9 @@ def morris_effects(values: Values, walks: Values, axes: Sequence[str]) -> list[E
     ]
 
 
-def _interval(estimate: Callable[[NDArray[np.int64]], Values], count: int) -> tuple[Values, Values]:
+def _interval(
+    estimate: Callable[[IntArray], FloatArray], count: int
+) -> tuple[FloatArray, FloatArray]:
     """Return the 95 % bootstrap interval over rows, percentiles."""
     rng = np.random.default_rng(0)
     drawn = np.array([estimate(rng.integers(0, count, count)) for _ in range(_DRAWS)])

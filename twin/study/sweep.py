@@ -1,27 +1,31 @@
-"""Run a study into its store, from the file to the table."""
+"""Run a study into its store; before that say what it takes, and which cases cannot be measured."""
 
 import math
 import shutil
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
 from reconstruction.errors import InputError
-from twin.config import Experiment
+from twin.config import ConfigError, Experiment
+from twin.config.board import load_board
 from twin.config.study import Study
 from twin.mechanics.choice import may_wrap
 from twin.optics.light import pattern_set
 from twin.output import read_json
+from twin.pipeline.memory import Path as FieldPath
+from twin.pipeline.memory import Reads, values_at, watched
+from twin.pipeline.methods import check_measurable
 from twin.pipeline.progress import ProgressCallback, no_progress
-from twin.study.cases import Case, Cases
+from twin.study.cases import Case, Cases, Point, cases_of
 from twin.study.engine import Run, SweepOutcome
 from twin.study.index import DAMAGED, Index, entry_of
-from twin.study.measuring import PLAINLY, Measuring
+from twin.study.measuring import CALIBRATION_FILE, PLAINLY, Measuring, calibrated
 from twin.study.optimise import optimise
 from twin.study.record import StudyRecord, write_record
-from twin.study.rigs import calibrated
 from twin.study.store import FAILURE_FILE, Store
 from twin.study.trials import nominal
 from twin.study.worker import DIED, UNEXPECTED, MakeMeasurer
@@ -54,17 +58,25 @@ def estimate(record: StudyRecord, cases: Cases, store: Store, workers: int) -> E
     known = store.finished() if store.exists() else set()
     unique = cases.unique()
     missing = [case for case in unique if case.digest not in known]
-    presses = {_pressing(case.experiment): _press_seconds(case.experiment) for case in missing}
+    presses = {_pressing(case.experiment): press_seconds(case.experiment) for case in missing}
     work = sum(_case_seconds(case.experiment) for case in missing) + sum(presses.values())
     folder = next(p for p in (store.folder, *store.folder.parents) if p.exists())
     return Estimate(
         cases=len(unique),
         known=len(unique) - len(missing),
         excluded=cases.excluded,
-        seconds=work / workers,
+        seconds=work / workers + _calibration_seconds(record, store),
         disk_bytes=sum(_case_bytes(record.study, case.experiment) for case in missing),
         free_bytes=shutil.disk_usage(folder).free,
     )
+
+
+def _calibration_seconds(record: StudyRecord, store: Store) -> float:
+    """Seconds, in one process, of the calibration that drawn rigs rest on; 0 where it is kept."""
+    board = drawn_board(record)
+    if not board or (store.folder / CALIBRATION_FILE).is_file():
+        return 0.0
+    return len(load_board(board).poses) * _case_seconds(record.base)
 
 
 def _pressing(experiment: Experiment) -> str:
@@ -72,7 +84,8 @@ def _pressing(experiment: Experiment) -> str:
     return experiment.model_dump_json(include=parts)
 
 
-def _press_seconds(experiment: Experiment) -> float:
+def press_seconds(experiment: Experiment) -> float:
+    """Return about how long one press takes."""
     wraps = experiment.mechanics.model in ("auto", "sheet") and may_wrap(experiment.elastomer)
     return _SECONDS_PER_SHEET if wraps else _SECONDS_PER_PRESS
 
@@ -174,20 +187,12 @@ def sweep(
 
     Parameters
     ----------
-    record : StudyRecord
-    folder : Path
-        The store; made when it is not there.
-    workers : Workers
-    cases : Cases, optional
-        The record's, where they are made already.
-    retry : bool
-        Also run again what failed for a reason that lies in the experiment.
-    watch : callable
-    make_measurer : callable
-        Makes what measures a case; importable by the workers. Default: `Measuring`, after a
-        calibration of the rig where trials draw theirs.
-    inputs : sequence of Path
-        Files that the folder must not hold.
+    folder : the store; made when it is not there
+    cases : the record's, where they are made already
+    retry : also run again what failed for a reason that lies in the experiment
+    make_measurer : makes what measures a case; importable by the workers. Default: `Measuring`,
+        after a calibration of the rig where trials draw theirs
+    inputs : files that the folder must not hold
 
     Raises
     ------
@@ -248,13 +253,18 @@ def _measuring(record: StudyRecord, folder: Path, watch: ProgressCallback) -> Me
     The rig is calibrated in this process: its last digits depend on how many threads the linear
     algebra has, and these must not depend on the workers.
     """
+    board = drawn_board(record)
+    if not board:
+        return PLAINLY
+    return Measuring(calibrated(folder, nominal(record.study, record.base), board, watch))
+
+
+def drawn_board(record: StudyRecord) -> str:
+    """Return the board whose calibration trials draw their rigs from; empty: the true rig."""
     plan = record.study.sampling
     if plan.method != "trials" or plan.calibration == "true":
-        return PLAINLY
-    repeated = nominal(record.study, record.base)
-    if not repeated.method.fringes:
-        return PLAINLY
-    return Measuring(calibrated(folder, repeated, plan.board, watch))
+        return ""
+    return plan.board if nominal(record.study, record.base).method.fringes else ""
 
 
 def _standing(index: Index, asked: Sequence[str]) -> dict[str, Any]:
@@ -284,12 +294,13 @@ def told(found: Estimate) -> str:
         parts.append(f"{found.excluded} more excluded by constraints")
     if found.known:
         parts.append(f"{found.known} of them known")
-    parts.append(f"about {_duration(found.seconds)}")
+    parts.append(f"about {duration(found.seconds)}")
     parts.append(f"{_size(found.disk_bytes)} of {_size(found.free_bytes)} free disk")
     return ", ".join(parts)
 
 
-def _duration(seconds: float) -> str:
+def duration(seconds: float) -> str:
+    """Write a time in seconds, minutes or hours."""
     if seconds < 90:
         return f"{math.ceil(seconds)} s"
     return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
@@ -300,3 +311,61 @@ def _size(count: float) -> str:
         if count >= size:
             return f"{count / size:.1f} {unit}"
     return f"{count / 1e3:.0f} kB"
+
+
+def unmeasurable(cases: Sequence[Case]) -> dict[str, list[Case]]:
+    """Return the cases that no run can measure, by reason.
+
+    The checks are watched for the fields that they read, so that cases with the same values there
+    are checked once: seeds, codes and exposures cost nothing.
+    """
+    known: dict[tuple[FieldPath, ...], dict[tuple[bytes, ...], str]] = {}
+    found: dict[str, list[Case]] = {}
+    for case in cases:
+        seen = ((told, values_at(case.experiment, paths)) for paths, told in known.items())
+        reason = next((told[values] for told, values in seen if values in told), None)
+        if reason is None:
+            reads = Reads()
+            reason = _problem(case, reads)
+            paths = reads.paths
+            known.setdefault(paths, {})[values_at(case.experiment, paths)] = reason
+        if reason:
+            found.setdefault(reason, []).append(case)
+    return found
+
+
+def _problem(case: Case, reads: Reads) -> str:
+    try:
+        check_measurable(watched(case.experiment, reads))
+    except InputError as error:
+        return " ".join(str(error).split())
+    return ""
+
+
+def probes_of(record: StudyRecord) -> list[Case]:
+    """Return cases along the axes of a search: ends and middle, the other axes in their middle.
+
+    Raises
+    ------
+    ConfigError
+        None of them is a valid experiment that the constraints admit.
+    """
+    cases, told = list[Case](), ""
+    for point in dict(_along_axes(record)).values():
+        try:
+            cases += cases_of(record.study, record.base, [point]).run
+        except ConfigError as error:
+            told = str(error)
+    if not cases:
+        raise ConfigError(told)
+    return cases
+
+
+def _along_axes(record: StudyRecord) -> Iterator[tuple[str, Point]]:
+    axes = record.study.axis
+    middle = tuple(axis.level_at(0.5) for axis in axes)
+    for number, axis in enumerate(axes):
+        ends = (axis.level_at(share) for share in (0.0, 0.5, 1.0))
+        for level in chain(axis.levels(), ends if axis.is_continuous else ()):
+            point = (*middle[:number], level, *middle[number + 1 :])
+            yield repr([one.label for one in point]), point

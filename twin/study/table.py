@@ -1,16 +1,22 @@
-"""The table of a study: one row per case, in the study's own order."""
+"""The table of a study, one row per case in the study's own order, and its best designs.
+
+The best are the Pareto front of what is to become small or large.
+"""
 
 import csv
 import io
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeGuard
 
+import numpy as np
+
+from reconstruction.arrays import BoolImage, FloatArray
 from reconstruction.errors import InputError
-from twin.config.study import Constraint
+from twin.config.study import Constraint, Objective
 from twin.output import creating
-from twin.results.score import why_absent
+from twin.results.figures import why_absent
 from twin.study.cases import Case, meets
 from twin.study.derived import DERIVED, with_derived
 from twin.study.index import Entry, Index
@@ -103,9 +109,9 @@ def is_feasible(case: Case, figures: Mapping[str, Any], bounds: tuple[Constraint
 
 def _reason(entry: Entry) -> str:
     """Why a case has no figures, or not all of them."""
-    unfitted = entry.figures.get("unfitted_balls") or ()
+    unfitted = entry.figures.get("unfitted_balls")
     told = entry.reason or why_absent(entry.figures)
-    return told or "; ".join(map(str, unfitted))
+    return told or (_cell(unfitted) if unfitted else "")
 
 
 def _cell(value: Any) -> Any:
@@ -165,3 +171,93 @@ def _column(values: list[Any]) -> list[Any]:
         return values
     wanted: type = float if kinds == {int, float} else str
     return [None if value is None else wanted(value) for value in values]
+
+
+MOST_DESIGNS = 6
+
+Row = Mapping[str, Any]
+
+
+def objective_of(text: str) -> Objective:
+    """Read "METRIC" (to be small) or "+METRIC" (to be large), as on a command line."""
+    goal: Any = "maximise" if text.startswith("+") else "minimise"
+    return Objective(metric=text.removeprefix("+"), goal=goal)
+
+
+def best_rows(rows: Sequence[Row], objectives: Sequence[Objective]) -> list[Row]:
+    """Return the feasible rows that no other beats in one objective without losing in another.
+
+    Rows of the front come by the first objective, best first.
+
+    Raises
+    ------
+    InputError
+        No finished, feasible case has all objectives.
+    """
+    names = [objective.metric for objective in objectives]
+    usable = usable_rows(rows, objectives)
+    if not usable:
+        known = sorted({n for row in rows for n, v in row.items() if isinstance(v, float)})
+        raise InputError(
+            f"no feasible case has {', '.join(names)}; there are {', '.join(known) or 'no figures'}"
+        )
+    costs = np.array([[cost_of(row, one) for one in objectives] for row in usable])
+    front = [row for row, kept in zip(usable, on_front(costs), strict=True) if kept]
+    return sorted(front, key=lambda row: cost_of(row, objectives[0]))
+
+
+def ranked_rows(rows: Sequence[Row], objectives: Sequence[Objective]) -> list[Row]:
+    """Return the Pareto front; for a single objective all feasible rows, best first.
+
+    Raises
+    ------
+    InputError
+        No finished, feasible case has all objectives.
+    """
+    front = best_rows(rows, objectives)
+    if len(objectives) > 1:
+        return front
+    return sorted(usable_rows(rows, objectives), key=lambda row: cost_of(row, objectives[0]))
+
+
+def goals_of(table: StudyTable, asked: Sequence[Objective] = ()) -> list[Objective]:
+    """Return what makes a design good: what is asked for, what the study says, or a small error."""
+    named = [name for name in table.metrics if "rmse" in name or "error" in name]
+    first = (*named, *table.metrics)[0]
+    return list(asked or table.record.study.goals) or [Objective(metric=first)]
+
+
+def designs_of(rows: Sequence[Row], axes: Sequence[str]) -> list[Row]:
+    """Return the first rows of different designs, as many as a report shows in pictures."""
+    found: dict[str, Row] = {}
+    for row in rows:
+        found.setdefault(repr([row[axis] for axis in axes if axis != "seed"]), row)
+    return list(found.values())[:MOST_DESIGNS]
+
+
+def usable_rows(rows: Sequence[Row], objectives: Sequence[Objective]) -> list[Row]:
+    """Return the feasible rows that have all objectives: who measured nothing cannot win."""
+    names = [objective.metric for objective in objectives]
+    return [
+        row for row in rows if row.get("feasible") and all(is_number(row.get(n)) for n in names)
+    ]
+
+
+def on_front(costs: FloatArray) -> BoolImage:
+    """Tell which rows (case,) of costs (case, objective) no other row dominates."""
+    kept = np.ones(len(costs), bool)
+    for i, cost in enumerate(costs):
+        better = np.all(costs <= cost, axis=1) & np.any(costs < cost, axis=1)
+        kept[i] = not better.any()
+    return kept
+
+
+def is_number(value: object) -> TypeGuard[float]:
+    """Tell whether a cell is a figure: neither text nor yes or no nor empty."""
+    return isinstance(value, (int, float)) and not isinstance(value, bool)
+
+
+def cost_of(row: Row, objective: Objective) -> float:
+    """Return what is to become small: an objective that is to grow counts negative."""
+    value = float(row[objective.metric])
+    return value if objective.goal == "minimise" else -value

@@ -4,16 +4,25 @@ Trial 0 is the nominal measurement. In every other trial all inputs are drawn an
 the camera's noise is new, and the rig is as one calibration found it. For the budget each input is
 set to one standard uncertainty below and above its nominal value, without noise, and the nominal
 measurement is repeated with new noise alone.
+
+A draw depends on the root seed, the input's name and the trial alone: the order of inputs, other
+inputs and the instrument do not change it.
 """
 
 from collections.abc import Iterator, Mapping
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, Protocol
 
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy import stats
+
+from reconstruction.arrays import FloatArray
 from twin.config import ConfigError, Experiment, vary
+from twin.config.digest import keyed_sequence
 from twin.config.inputs import Input
 from twin.config.study import Study
 from twin.study.cases import Case, Cases, case_of
-from twin.study.draws import counting_for, draw, drawn_values, standard_uncertainty
 from twin.study.measuring import Conditions
 
 PART, TRIAL, INPUT, STEP = "part", "trial", "input", "step"
@@ -122,3 +131,112 @@ def _recalibrated(experiment: Experiment) -> Iterator[Case]:
     for number in range(CALIBRATIONS):
         redone = vary(experiment, {"seed": experiment.seed + number})
         yield case_of({PART: CALIBRATION, TRIAL: number}, redone)
+
+
+class InputDistribution(Protocol):
+    """A distribution as `scipy.stats` has them, frozen."""
+
+    def rvs(self, *, random_state: np.random.Generator) -> Any:
+        """Draw once."""
+
+    def ppf(self, q: ArrayLike, /) -> Any:
+        """Return quantiles."""
+
+    def std(self) -> Any:
+        """Return the standard deviation."""
+
+
+@dataclass(frozen=True)
+class Choice:
+    """A distribution over a few values, in the order in which they are given."""
+
+    values: tuple[float, ...]
+    shares: tuple[float, ...]
+
+    def rvs(self, *, random_state: np.random.Generator) -> float:
+        """Draw once."""
+        return float(random_state.choice(self.values, p=self.shares))
+
+    def ppf(self, q: ArrayLike, /) -> FloatArray:
+        """Return the value at a cumulated share, (...) float."""
+        ends = np.cumsum(self.shares)
+        at = np.searchsorted(ends, np.asarray(q), side="left")
+        return np.asarray(self.values, np.float64)[np.minimum(at, len(self.values) - 1)]
+
+    def std(self) -> float:
+        """Return the standard deviation."""
+        values, shares = np.array(self.values), np.array(self.shares)
+        return float(np.sqrt(shares @ (values - shares @ values) ** 2))
+
+
+def deviation_of(one: Input, nominal: float) -> InputDistribution:
+    """Return the distribution of an input's deviation from its nominal value.
+
+    Uniform, triangular and arcsine are symmetric with the half width `spread` (JCGM 101, 6.4.2,
+    6.4.5, 6.4.6); a normal may be cut off; student_t is scaled and shifted (6.4.9).
+    """
+    if one.distribution == "choice":
+        weights = np.array(one.weights or [1.0] * len(one.values))
+        values = tuple(value - nominal for value in one.values)
+        return Choice(values, tuple((weights / weights.sum()).tolist()))
+    spread = (one.spread or 0.0) * (abs(nominal) if one.relative else 1.0)
+    if not spread:
+        return Choice((0.0,), (1.0,))
+    wide: dict[str, Any] = {"loc": -spread, "scale": 2.0 * spread}
+    found: InputDistribution
+    match one.distribution:
+        case "uniform":
+            found = stats.uniform(**wide)
+        case "triangular":
+            found = stats.triang(0.5, **wide)
+        case "arcsine":
+            found = stats.arcsine(**wide)
+        case "student_t":
+            found = stats.t(one.degrees_of_freedom, scale=spread)
+        case _:
+            found = _normal(one, nominal, spread)
+    return found
+
+
+def _normal(one: Input, nominal: float, sigma: float) -> InputDistribution:
+    if one.at_least is one.at_most is None:
+        return stats.norm(scale=sigma)  # type: ignore[no-any-return]
+    low = -np.inf if one.at_least is None else (one.at_least - nominal) / sigma
+    high = np.inf if one.at_most is None else (one.at_most - nominal) / sigma
+    if not low < high:
+        raise ConfigError(f"inputs: {one.key}: at_least is not below at_most; exchange them")
+    return stats.truncnorm(low, high, scale=sigma)  # type: ignore[no-any-return]
+
+
+def standard_uncertainty(one: Input, nominal: float) -> float:
+    """Return the standard deviation of an input (JCGM 100, 4.3.7)."""
+    return float(deviation_of(one, nominal).std())
+
+
+def counting_for(experiment: Experiment, inputs: Mapping[str, Input]) -> dict[str, Input]:
+    """Return the inputs that can change an experiment's result."""
+    return {name: one for name, one in inputs.items() if one.counts_for(experiment)}
+
+
+def draw(experiment: Experiment, inputs: Mapping[str, Input], seed: int, trial: int) -> Experiment:
+    """Return the experiment as it is in one trial; trial 0 is the nominal one.
+
+    Raises
+    ------
+    ConfigError
+        An input's key is not in the experiment, or a drawn value is not allowed.
+    """
+    return vary(experiment, drawn_values(experiment, inputs, seed, trial)) if trial else experiment
+
+
+def drawn_values(
+    experiment: Experiment, inputs: Mapping[str, Input], seed: int, trial: int
+) -> dict[str, float]:
+    """Return the values of one trial by dotted path; of trial 0 the nominal ones."""
+    found = {}
+    for name, one in counting_for(experiment, inputs).items():
+        found[one.key] = nominal = one.nominal_in(experiment)
+        if trial:
+            rng = np.random.default_rng(keyed_sequence(seed, f"trial {name}", trial))
+            found[one.key] = nominal + float(deviation_of(one, nominal).rvs(random_state=rng))
+    return found

@@ -63,9 +63,7 @@ def local_workers(count: int, cores: int | None = None) -> Workers:
 
     Parameters
     ----------
-    count : int
-    cores : int, optional
-        How many they share; 1 worker then is a process of its own. Default: all.
+    cores : how many they share; 1 worker then is a process of its own. Default: all
 
     Raises
     ------

@@ -48,17 +48,14 @@ def part_of(name: str, one: Input, found: Mapping[str, float]) -> Part | None:
         if None in values:
             return None
         taken, shares = np.array(values, np.float64), weights / weights.sum()
-        return Part(name, one.group, one.key, _weighted_spread(taken, shares))
+        u = float(np.sqrt(shares @ (taken - shares @ taken) ** 2))
+        return Part(name, one.group, one.key, u)
     if one.spread == 0.0:
         return Part(name, one.group, one.key, 0.0)
     ends = [found.get(step) for step in (LOW, MIDDLE, HIGH)]
     if None in ends:
         return None
     return Part(name, one.group, one.key, spread_of_parabola(*map(float, ends)))  # type: ignore[arg-type]
-
-
-def _weighted_spread(values: FloatArray, shares: FloatArray) -> float:
-    return float(np.sqrt(shares @ (values - shares @ values) ** 2))
 
 
 def spread_of_parabola(low: float, middle: float, high: float) -> float:

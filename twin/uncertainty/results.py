@@ -14,13 +14,22 @@ from reconstruction.errors import InputError
 from twin.config import Experiment, digest
 from twin.config.inputs import Input
 from twin.output import read_json
-from twin.study.best import is_number
-from twin.study.draws import counting_for
 from twin.study.measuring import TRUE_RIG
 from twin.study.record import STUDY_FILE, StudyRecord, read_record
 from twin.study.sensitivity import Effect
-from twin.study.table import StudyTable, read_table
-from twin.study.trials import ALONE, CALIBRATION, INPUT, NOISE, PART, STEP, TRIAL, TRIALS, nominal
+from twin.study.table import StudyTable, is_number, read_table
+from twin.study.trials import (
+    ALONE,
+    CALIBRATION,
+    INPUT,
+    NOISE,
+    PART,
+    STEP,
+    TRIAL,
+    TRIALS,
+    counting_for,
+    nominal,
+)
 from twin.uncertainty.budget import Part, calibration_part, noise_part, part_of, ranked, together
 from twin.uncertainty.distribution import COVERAGE, Distribution, distribution_of
 from twin.uncertainty.sensitivity import Correlation, correlation_of
@@ -157,7 +166,7 @@ def _main(trials: Sequence[Row]) -> list[str]:
     some = [row for row in trials if row["state"] == "done"]
     if not some:
         return list(MAIN[:1])
-    of_inputs = {TRIAL, *_titles(some[0])}
+    of_inputs = {TRIAL, *(name for name in some[0] if "." in name)}
     differ = [
         name
         for name, value in some[0].items()
@@ -167,10 +176,6 @@ def _main(trials: Sequence[Row]) -> list[str]:
         and len({row.get(name) for row in some}) > 1
     ]
     return [name for name in MAIN if name in differ] or differ[:_MOST_OTHERS] or list(MAIN[:1])
-
-
-def _titles(row: Row) -> list[str]:
-    return [name for name in row if "." in name]
 
 
 def _measurand(

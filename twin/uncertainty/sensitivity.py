@@ -1,6 +1,6 @@
 """Which input moves a measurand: correlations over the trials, and Sobol' indices."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,11 +15,11 @@ from twin.config.inputs import Input
 from twin.pipeline.memory import Memory
 from twin.pipeline.press import press
 from twin.pipeline.progress import ProgressCallback, no_progress
-from twin.results.face import face_figures
-from twin.study.best import is_number
-from twin.study.design import saltelli_shares
-from twin.study.draws import InputDistribution, counting_for, deviation_of, standard_uncertainty
+from twin.results.parts import face_figures
+from twin.study.cases import saltelli_shares
 from twin.study.sensitivity import Effect, saltelli_effects
+from twin.study.table import is_number
+from twin.study.trials import InputDistribution, counting_for, deviation_of, standard_uncertainty
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,6 @@ def sobol_of_face(
 
     Parameters
     ----------
-    experiment : Experiment
     inputs : those of the optics leave the face alone and have no index
     measurands : such as sphere_1_radius_mm, rod_width_mm, force_n, relief_peak_mm; those that the
         face does not have are left out
@@ -91,7 +90,7 @@ def sobol_of_face(
         raise InputError("--sobol: found no input that moves the pressed face; leave it")
     nominal = [one.nominal_in(experiment) for one in counting.values()]
     dists = [deviation_of(o, at) for o, at in zip(counting.values(), nominal, strict=True)]
-    columns = _sobol_points(dists, base_points, seed).T
+    columns = sobol_points(dists, base_points, seed).T
     found = []
     for done, column in enumerate(columns):
         watch("presses", done / len(columns))
@@ -101,7 +100,7 @@ def sobol_of_face(
         _refuse_unknown(measurands, found[0])
     watch("presses", 1.0)
     return {
-        name: _effects([row[name] for row in found], list(counting))
+        name: sobol_effects([row[name] for row in found], list(counting))
         for name in measurands
         if all(is_number(row.get(name)) for row in found)
     }
@@ -133,26 +132,7 @@ def _of_face(inputs: Mapping[str, Input], experiment: Experiment) -> dict[str, I
     }
 
 
-def sobol_indices(
-    model: Callable[[FloatArray], FloatArray],
-    distributions: Sequence[InputDistribution],
-    names: Sequence[str],
-    base_points: int,
-    seed: int = 0,
-) -> list[Effect]:
-    """Return Sobol' indices of a model over independent inputs.
-
-    Parameters
-    ----------
-    model : takes inputs (input, n) and returns values (n,)
-    distributions : with `ppf`, as frozen ones of `scipy.stats`
-    base_points : a power of 2; the model is asked for base points x (inputs + 2) values
-    """
-    drawn = _sobol_points(distributions, base_points, seed)
-    return _effects(model(drawn), names)
-
-
-def _sobol_points(
+def sobol_points(
     distributions: Sequence[InputDistribution], base_points: int, seed: int
 ) -> FloatArray:
     """Return the inputs (input, n) at which a model is asked."""
@@ -161,5 +141,6 @@ def _sobol_points(
     return np.array([one.ppf(column) for one, column in zip(distributions, shares.T, strict=True)])
 
 
-def _effects(values: ArrayLike, names: Sequence[str]) -> list[Effect]:
+def sobol_effects(values: ArrayLike, names: Sequence[str]) -> list[Effect]:
+    """Return Sobol' indices from the values (n,) at `sobol_points`."""
     return saltelli_effects(np.asarray(values, np.float64).reshape(len(names) + 2, -1), names)

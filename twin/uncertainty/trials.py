@@ -9,6 +9,7 @@
 """
 
 import tempfile
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -24,17 +25,35 @@ from twin.config.study import Study
 from twin.output import EXPERIMENT_FILE, RESULT_FILE, adding, write_json
 from twin.pipeline.progress import ProgressCallback, no_progress
 from twin.results.parts import write_result
-from twin.study.best import is_number
 from twin.study.record import StudyRecord, write_record
 from twin.study.sensitivity import Effect
-from twin.study.sweep import sweep
-from twin.study.trials import PART, TRIAL, TRIALS
+from twin.study.store import Store
+from twin.study.sweep import drawn_board, duration, estimate, press_seconds, sweep, told
+from twin.study.table import is_number
+from twin.study.trials import (
+    ALONE,
+    CALIBRATION,
+    NOISE,
+    PART,
+    TRIAL,
+    TRIALS,
+    counting_for,
+    nominal,
+    standard_uncertainty,
+)
 from twin.study.workers import Workers, local_workers
 from twin.uncertainty.distribution import COVERAGE
 from twin.uncertainty.results import SOBOL_FILE, Uncertainty, effects_as_json, read_uncertainty
+from twin.uncertainty.sensitivity import presses_of_sobol
 
 COMMAND, TRIALS_FILE = "uncertainty", "trials.nc"
 MOST_TRIALS = 1_000_000
+_PARTS = {
+    TRIALS: "trials with the nominal one",
+    ALONE: "with one input varied or none, without noise",
+    NOISE: "repeats with new noise alone",
+    CALIBRATION: "with another calibration of the sensor",
+}
 _TRIALS_TOLD = "trials of a measurement; trial 0 is the nominal one"
 _ABSENT = 9.969209968386869e36  # netCDF's own fill value of doubles
 
@@ -61,22 +80,17 @@ def uncertainty(
         The nominal measurement, or the name of a shipped one.
     inputs : Inputs, mapping or str
         What differs: a file, the name of a shipped one, or tables by name.
-    n : int
-        Trials, at least 2; the nominal measurement comes on top.
+    n : trials, at least 2; the nominal measurement comes on top
     folder : path, optional
         Where the trials are kept; what lies there is not measured again.
-    measurands : sequence of str
-        Figures of the measurement, such as "sphere_1_radius_mm"; by default the main ones.
+    measurands : figures of the measurement, such as "sphere_1_radius_mm"; by default the main ones
     calibration : {"drawn", "true"}
         A new calibration of the rig in each trial, or the true rig.
-    budget : bool
-        Also vary each input alone, for the ranked budget: two measurements per input.
-    seed : int, optional
-        Of all draws; default: that of the inputs.
+    budget : also vary each input alone, for the ranked budget: two measurements per input
+    seed : of all draws; default: that of the inputs
     workers : Workers or int
         Who computes; a number of processes on this machine.
-    coverage : float
-        Probability of the coverage intervals.
+    coverage : probability of the coverage intervals
 
     Raises
     ------
@@ -133,6 +147,43 @@ def record_of(
         "inputs": given.inputs,
     }
     return StudyRecord(_validated(Study, study), experiment)
+
+
+def plan_in_words(
+    record: StudyRecord, folder: Path, workers: int, sobol: int | None = None
+) -> list[str]:
+    """Say what the trials of a record would measure, how many cases, and how long as far as known.
+
+    Parameters
+    ----------
+    folder : where they would be kept: what lies there is not measured again
+    sobol : base points of Sobol' indices of the pressed face
+    """
+    experiment, cases = nominal(record.study, record.base), record.cases()
+    varied = counting_for(experiment, record.study.inputs)
+    lines = [f"{one.key}: {_in_words(one, experiment)}" for one in varied.values()]
+    idle = [one.key for name, one in record.study.inputs.items() if name not in varied]
+    if idle:
+        lines.append(f"not in the experiment, left out: {', '.join(idle)}")
+    counts = Counter(case.settings[PART] for case in cases.run)
+    lines.append(
+        ", ".join(f"{counts[part]} {told}" for part, told in _PARTS.items() if counts[part])
+    )
+    board = drawn_board(record)
+    if board:
+        lines.append(f"before them a calibration of the rig on rendered poses of {board}")
+    lines.append(told(estimate(record, cases, Store(folder), workers)))
+    if sobol is not None:
+        presses = presses_of_sobol(record.study.inputs, experiment, sobol)
+        seconds = duration(presses * press_seconds(experiment))
+        lines.append(f"Sobol' indices: {presses} presses more, about {seconds}")
+    return lines
+
+
+def _in_words(one: Input, experiment: Experiment) -> str:
+    at = one.nominal_in(experiment)
+    drawn = one.distribution.replace("_", " ")
+    return f"{at:.5g}, standard uncertainty {standard_uncertainty(one, at):.3g} ({drawn})"
 
 
 def _inputs(given: Inputs | Mapping[str, Input | Mapping[str, Any]] | str | Path) -> Inputs:

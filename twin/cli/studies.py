@@ -1,0 +1,355 @@
+"""Commands that measure many times: a design space, an uncertainty, the paper."""
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from cyclopts import App, Parameter
+
+from reconstruction.errors import InputError
+from twin.cli.app import (
+    BAD_INPUT,
+    FAILURE,
+    Cluster,
+    DryRun,
+    ExperimentFile,
+    Out,
+    Retry,
+    Settings,
+    WorkerCount,
+    app,
+    cell,
+    load,
+    print_table,
+    progress_bars,
+    say,
+    workers_of,
+)
+
+if TYPE_CHECKING:
+    from twin.study.engine import SweepOutcome
+    from twin.study.record import StudyRecord
+    from twin.study.workers import Workers
+    from twin.uncertainty.results import Uncertainty
+
+_MOST_REASONS = 10
+QUICK_TRIALS, FULL_TRIALS = 5, 100
+
+Objectives = Annotated[list[str] | None, Parameter(name=["--objective", "-b"])]
+
+sweep_app = App(name="sweep", help="Measure a whole design space: twin sweep STUDY.toml -o DIR.")
+app.command(sweep_app)
+
+
+@sweep_app.default
+def sweep(
+    study: Path,
+    /,
+    *,
+    out: Out,
+    workers: WorkerCount = None,
+    cluster: Cluster = None,
+    dry_run: DryRun = False,
+    retry: Retry = False,
+) -> int:
+    """Compute every case of a study that OUT does not hold yet; run it again to go on.
+
+    Why cases failed is told. Exit code 1: none has a result, or some could not be saved.
+
+    Parameters
+    ----------
+    study
+        TOML file, or the name of a shipped study such as studies/albedo_flakes.
+    """
+    from twin.config.study import load_study
+    from twin.study.record import StudyRecord
+    from twin.study.store import Store
+    from twin.study.sweep import estimate, told
+    from twin.study.sweep import sweep as run
+
+    record = StudyRecord(*load_study(study))
+    searches = record.study.sampling.method == "optimise"
+    cases = None if searches else record.cases()
+    who = workers_of(workers, cluster)
+    if cases is not None:
+        sys.stderr.write(f"{told(estimate(record, cases, Store(out), who.count))}\n")
+    if dry_run:
+        return _check(record)
+    with progress_bars() as watch:
+        outcome = run(record, out, who, cases=cases, retry=retry, watch=watch, inputs=[study])
+    _tell_outcome(outcome, out)
+    return FAILURE if outcome.unsaved or not outcome.finished else 0
+
+
+def _check(record: "StudyRecord") -> int:
+    """Say which cases cannot be measured; of a search, which along its axes."""
+    from twin.study.sweep import probes_of, unmeasurable
+
+    searches = record.study.sampling.method == "optimise"
+    cases = probes_of(record) if searches else list(record.cases().run)
+    found = unmeasurable(cases)
+    for reason, some in found.items():
+        at = ", ".join(f"{name} = {value}" for name, value in some[0].settings.items())
+        probes = " tried along the axes" if searches else ""
+        sys.stderr.write(
+            f"twin: {len(some)} of {len(cases)} cases{probes} cannot be measured: {reason} "
+            f"(at {at})\n"
+        )
+    return BAD_INPUT if sum(map(len, found.values())) == len(cases) else 0
+
+
+def _tell_outcome(outcome: "SweepOutcome", out: Path) -> None:
+    """Say what a run did: what could not be saved, what failed and why, how much is done."""
+    for digest, reason in outcome.unsaved.items():
+        sys.stderr.write(f"twin: case {digest} could not be saved: {reason}\n")
+    for digest, reason in outcome.damaged.items():
+        sys.stderr.write(f"twin: case {digest} was damaged and ran again: {reason}\n")
+    _tell_failures(outcome, out)
+    counts = ", ".join(f"{number} {state}" for state, number in sorted(outcome.states.items()))
+    say(f"{counts or 'nothing to do'} in {outcome.seconds:.1f} s; wrote {out}")
+
+
+def _tell_failures(outcome: "SweepOutcome", out: Path) -> None:
+    """Say why cases failed, commonest reason first, each with a file that tells more."""
+    ranked = sorted(outcome.failures.items(), key=lambda item: -len(item[1]))
+    for reason, digests in ranked[:_MOST_REASONS]:
+        file = out / "cases" / digests[0] / "failure.json"
+        sys.stderr.write(f"twin: {len(digests)} failed: {reason} (see {file})\n")
+    if len(ranked) > _MOST_REASONS:
+        more = len(ranked) - _MOST_REASONS
+        sys.stderr.write(f"twin: {more} more reasons: twin sweep table {out}\n")
+
+
+@sweep_app.command
+def best(
+    folder: Path,
+    /,
+    *,
+    objective: Objectives = None,
+) -> None:
+    """Print the best feasible designs of a study: those that no other beats in every objective.
+
+    Parameters
+    ----------
+    folder
+        The -o DIR of twin sweep.
+    objective
+        METRIC that is to be small, or +METRIC that is to be large; give several for a Pareto front.
+        Default: the objectives of the study.
+    """
+    from twin.study.table import best_rows, objective_of, read_table
+
+    found = read_table(folder)
+    chosen = [objective_of(text) for text in objective or ()] or list(found.record.study.goals)
+    if not chosen:
+        raise InputError("--objective: found none; name a METRIC, for example -b z_rmse_um")
+    names = dict.fromkeys([one.metric for one in chosen] + list(found.metrics))
+    headings = (*found.axes, *names, "case")
+    rows = ([cell(row.get(n), 5) for n in headings] for row in best_rows(found.rows, chosen))
+    print_table(headings, rows, width=None if sys.stdout.isatty() else 200)
+
+
+@sweep_app.command
+def report(folder: Path, /, *, objective: Objectives = None) -> None:
+    """Draw the HTML report of a study: best designs in pictures, effects, every case.
+
+    Of a study of trials: distributions, intervals and ranked budgets.
+
+    Parameters
+    ----------
+    folder
+        The -o DIR of twin sweep.
+    objective
+        What makes a design good, as for twin sweep best; default: the study's objectives, or a
+        small error.
+    """
+    from twin.output import adding
+    from twin.report import REPORT_FILE, REPORT_NAMES
+    from twin.report.study import write_study
+    from twin.report.uncertainty import write_uncertainty_page
+    from twin.study.pictures import picture_best
+    from twin.study.table import objective_of, read_table
+
+    chosen = [objective_of(text) for text in objective or ()]
+    found = read_table(folder)  # it is a store, and can be read, before anything is made in it
+    with adding(folder, *REPORT_NAMES) as drawn, progress_bars() as watch:
+        if found.record.study.sampling.method == "trials":
+            write_uncertainty_page(folder, watch, drawn, [one.metric for one in chosen])
+        else:
+            failed = picture_best(folder, chosen, watch)
+            write_study(folder, watch, chosen, drawn, failed)
+    say(f"wrote {folder / REPORT_FILE}")
+
+
+@sweep_app.command
+def table(folder: Path, /, *, csv: Path | None = None, parquet: Path | None = None) -> None:
+    """Print the table of a study's cases, or write it as CSV or Parquet.
+
+    Parameters
+    ----------
+    folder
+        The -o DIR of twin sweep.
+    csv
+        New file, for example table.csv; without --csv and --parquet CSV goes to stdout.
+    parquet
+        New file; needs pyarrow.
+    """
+    from twin.study.table import csv_text, read_table, write_csv, write_parquet
+
+    found = read_table(folder)
+    if csv is None and parquet is None:
+        sys.stdout.write(csv_text(found))
+        return
+    for path, write in ((csv, write_csv), (parquet, write_parquet)):
+        if path is not None:
+            write(found, path)
+            say(f"wrote {path}, {len(found.rows)} cases")
+
+
+@app.command
+def uncertainty(
+    experiment: ExperimentFile,
+    /,
+    *,
+    out: Out,
+    trials: Annotated[int, Parameter(name=["--trials", "-n"])] = 100,
+    inputs: str = "inputs/handling",
+    settings: Settings = None,
+    measurand: Annotated[list[str] | None, Parameter(name=["--measurand", "-m"])] = None,
+    calibration: Literal["drawn", "true"] = "drawn",
+    budget: bool = True,
+    sobol: int | None = None,
+    seed: int | None = None,
+    workers: WorkerCount = None,
+    cluster: Cluster = None,
+    dry_run: DryRun = False,
+    retry: Retry = False,
+) -> int:
+    """Repeat a measurement with its inputs drawn anew: interval and ranked budget of any figure.
+
+    For example: twin uncertainty paper/two_balls -n 100 -m sphere_1_radius_mm -s camera.binning=4
+    -o out/u. Run it again to go on, or with a larger -n to add trials. Exit code 1: too few trials
+    have a result, or some could not be saved.
+
+    Parameters
+    ----------
+    trials
+        Repetitions with all inputs drawn; the nominal measurement comes on top.
+    inputs
+        TOML file of [inputs.NAME] tables, or the name of a shipped one.
+    measurand
+        Figure of the measurement such as z_rmse_um; give several. Default: the main ones.
+    calibration
+        drawn: a new calibration of the rig in each trial; true: always the true rig.
+    budget
+        Also vary each input alone (two measurements each) and the noise alone (up to 20).
+    sobol
+        Base points of Sobol' indices of the pressed face, a power of 2; costs as many presses
+        times the number of inputs and two.
+    seed
+        Of all draws; default: that of the inputs.
+    """
+    from twin.uncertainty.trials import plan_in_words, record_of
+
+    asked = load(experiment, settings), inputs, trials
+    record = record_of(*asked, calibration=calibration, budget=budget, seed=seed)
+    who = workers_of(workers, cluster)
+    if dry_run:
+        for line in plan_in_words(record, out, who.count, sobol):
+            sys.stderr.write(f"{line}\n")
+        return _check(record)
+    outcome = _swept(record, out, who, [experiment, Path(inputs)], retry)
+    if outcome.finished < 3:  # the nominal one and two trials
+        return FAILURE
+    _tell_results(_evaluated(record, out, measurand or [], sobol))
+    say(f"wrote {out / 'report.html'}")
+    return FAILURE if outcome.unsaved else 0
+
+
+def _swept(
+    record: "StudyRecord", out: Path, who: "Workers", read: list[Path], retry: bool
+) -> "SweepOutcome":
+    """Say what the trials will take, measure those that OUT lacks, and say what became of them."""
+    from twin.study.store import Store
+    from twin.study.sweep import estimate, sweep, told
+
+    cases = record.cases()
+    sys.stderr.write(f"{told(estimate(record, cases, Store(out), who.count))}\n")
+    with progress_bars() as watch:
+        outcome = sweep(record, out, who, cases=cases, retry=retry, watch=watch, inputs=read)
+    _tell_outcome(outcome, out)
+    return outcome
+
+
+def _evaluated(
+    record: "StudyRecord", out: Path, measurands: list[str], sobol: int | None
+) -> "Uncertainty":
+    """Evaluate the trials, write the results and draw the report."""
+    from twin.output import adding
+    from twin.report import REPORT_NAMES
+    from twin.report.uncertainty import write_uncertainty_page
+    from twin.uncertainty.results import read_uncertainty
+    from twin.uncertainty.sensitivity import sobol_of_face
+    from twin.uncertainty.trials import write_uncertainty
+
+    found = read_uncertainty(out, measurands)
+    with progress_bars() as watch:
+        effects = {}
+        if sobol is not None:
+            inputs, seed = record.study.inputs, record.study.sampling.seed
+            names = list(found.measurands)
+            effects = sobol_of_face(found.experiment, inputs, names, sobol, seed=seed, watch=watch)
+        write_uncertainty(out, found, effects)
+        with adding(out, *REPORT_NAMES) as drawn:
+            write_uncertainty_page(out, watch, drawn, measurands)
+    return found
+
+
+def _tell_results(found: "Uncertainty") -> None:
+    from twin.report.uncertainty import result_lines
+
+    headings = ("figure", "trials", "mean", "u", "95 % interval", "digits", "largest part")
+    keys = ("name", "n", "mean", "u", "symmetric", "digits", "first")
+    rows = ([line[key] for key in keys] for line in result_lines(found))
+    print_table(headings, rows, width=None if sys.stdout.isatty() else 120)
+
+
+@app.command
+def paper(
+    *,
+    out: Out,
+    only: list[str] | None = None,
+    trials: int | None = None,
+    quick: bool = False,
+    full: bool = False,
+    workers: WorkerCount = None,
+) -> None:
+    """Reproduce the paper's tables and figures, its numbers beside ours.
+
+    What OUT/work holds already is not measured again: an interrupted run goes on where it stopped.
+
+    Parameters
+    ----------
+    only
+        Name of a group of tables or of a figure; give it several times for several.
+    trials
+        Repetitions of every repeated measurement: 100, with --quick the paper's 5.
+    quick
+        Five trials as in the paper; the same parameters.
+    full
+        Use all 1936 x 1464 camera pixels instead of 2 x 2 binning.
+    """
+    from twin.paper.run import Request, reproduce
+    from twin.study.workers import default_count
+
+    if trials is not None and not 2 <= trials <= 10000:
+        raise InputError(f"--trials {trials}: allowed 2 to 10000")
+    if workers is not None and workers < 1:
+        raise InputError(f"--workers {workers}: allowed 1 or more")
+    count = trials or (QUICK_TRIALS if quick else FULL_TRIALS)
+    with progress_bars() as watch:
+        request = Request(count, tuple(only or ()), full)
+        done = reproduce(out, request, watch, default_count() if workers is None else workers)
+    for line in done.lines:
+        say(line)
+    say(f"wrote {done.page}")
