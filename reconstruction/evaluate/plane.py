@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.ndimage import gaussian_filter
+from scipy.ndimage import gaussian_filter, gaussian_filter1d
 
 from reconstruction.arrays import BoolImage, FloatArray
 from reconstruction.errors import FitError
@@ -128,6 +128,8 @@ def _without_waviness(level: FloatArray, kept: FloatArray, sigma_px: float) -> F
 
 _LEAST_POINTS = 5
 _MOST_LINE_TURNS = 10
+_STEPS_PER_SIGMA = 4
+_REACH_STEPS = 4 * _STEPS_PER_SIGMA
 
 
 @dataclass(frozen=True)
@@ -222,6 +224,50 @@ def bar_width(s_mm: ArrayLike, z_mm: ArrayLike, fraction: float = 0.5) -> BarWid
         raise FitError("bar width: the bar reaches the profile's end; give a longer profile")
     left, right = _crossing(s, z, first - 1, level), _crossing(s, z, last, level)
     return BarWidth(right - left, float(top - ground), left, right)
+
+
+def break_width(s_mm: ArrayLike, z_mm: ArrayLike, sigma_mm: float) -> BarWidth:
+    """Measure a crest where its profile breaks: between the sharpest downward bends of its flanks.
+
+    The bends are where z'' of the profile, smoothed by a Gaussian, is lowest left and right of the
+    middle: the upper edges of a trapezoid; the ends of the contact where a sheet leaves a cylinder.
+
+    Parameters
+    ----------
+    s_mm, z_mm : (n,) float
+        Positions, growing, and heights.
+    sigma_mm : float
+        Standard deviation of the Gaussian; edges nearer to each other than twice of it merge.
+
+    Raises
+    ------
+    FitError : the profile does not bend down on both sides
+    """
+    s, z = np.asarray(s_mm, np.float64), np.asarray(z_mm, np.float64)
+    if s.size < 4 * _LEAST_POINTS or sigma_mm <= 0.0:
+        raise FitError("break width: needs at least 20 points, and sigma_mm above 0")
+    step = sigma_mm / _STEPS_PER_SIGMA
+    even = np.arange(s[0], s[-1], step)
+    bend = gaussian_filter1d(np.interp(even, s, z), _STEPS_PER_SIGMA, order=2, mode="nearest")
+    # The Gaussian sees a level ground beyond both ends, towards which they bend.
+    bend[:_REACH_STEPS] = bend[-_REACH_STEPS:] = 0.0
+    middle = even.size // 2
+    left, right = int(np.argmin(bend[:middle])), middle + int(np.argmin(bend[middle:]))
+    if max(bend[left], bend[right]) >= 0.0 or right - left < 2 * _STEPS_PER_SIGMA:
+        raise FitError("break width: the profile does not bend down on both sides of its middle")
+    ends = _summit(even, bend, left), _summit(even, bend, right)
+    height = float(z.max() - np.median(np.sort(z)[: s.size // 3]))
+    return BarWidth(ends[1] - ends[0], height, *ends)
+
+
+def _summit(s: FloatArray, bend: FloatArray, at: int) -> float:
+    """Position of the lowest value near a sample: vertex of the parabola through three samples."""
+    if not 0 < at < s.size - 1:
+        return float(s[at])
+    before, here, after = bend[at - 1 : at + 2]
+    curvature = before - 2.0 * here + after
+    shift = 0.5 * (before - after) / curvature if curvature > 0.0 else 0.0
+    return float(s[at] + shift * (s[1] - s[0]))
 
 
 def _crossing(s: FloatArray, z: FloatArray, at: int, level: float) -> float:
