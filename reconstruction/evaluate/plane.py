@@ -130,6 +130,7 @@ _LEAST_POINTS = 5
 _MOST_LINE_TURNS = 10
 _STEPS_PER_SIGMA = 4
 _REACH_STEPS = 4 * _STEPS_PER_SIGMA
+_BREAK_SHARE = 0.8
 
 
 @dataclass(frozen=True)
@@ -227,47 +228,57 @@ def bar_width(s_mm: ArrayLike, z_mm: ArrayLike, fraction: float = 0.5) -> BarWid
 
 
 def break_width(s_mm: ArrayLike, z_mm: ArrayLike, sigma_mm: float) -> BarWidth:
-    """Measure a crest where its profile breaks: between the sharpest downward bends of its flanks.
+    """Measure a crest between the breaks of its slope, where its flanks begin.
 
-    The bends are where z'' of the profile, smoothed by a Gaussian, is lowest left and right of the
-    middle: the upper edges of a trapezoid; the ends of the contact where a sheet leaves a cylinder.
+    On either side the outermost place at which the downward curvature -z'' / (1 + z'^2)^(3/2) of
+    the profile, smoothed by a Gaussian, still reaches four fifths of the side's strongest: within
+    one sigma the edge of a trapezoid (0.67 outside of shallow ones), or the place where a tent
+    leaves a cylinder (0.84 inside).
 
     Parameters
     ----------
     s_mm, z_mm : (n,) float
         Positions, growing, and heights.
     sigma_mm : float
-        Standard deviation of the Gaussian; edges nearer to each other than twice of it merge.
+        Standard deviation of the Gaussian.
 
     Raises
     ------
-    FitError : the profile does not bend down on both sides
+    FitError : the profile does not bend down on both sides of its middle
     """
     s, z = np.asarray(s_mm, np.float64), np.asarray(z_mm, np.float64)
     if s.size < 4 * _LEAST_POINTS or sigma_mm <= 0.0:
         raise FitError("break width: needs at least 20 points, and sigma_mm above 0")
     step = sigma_mm / _STEPS_PER_SIGMA
     even = np.arange(s[0], s[-1], step)
-    bend = gaussian_filter1d(np.interp(even, s, z), _STEPS_PER_SIGMA, order=2, mode="nearest")
+    down = -_curvature(np.interp(even, s, z), step)
     # The Gaussian sees a level ground beyond both ends, towards which they bend.
-    bend[:_REACH_STEPS] = bend[-_REACH_STEPS:] = 0.0
+    down[:_REACH_STEPS] = down[-_REACH_STEPS:] = 0.0
     middle = even.size // 2
-    left, right = int(np.argmin(bend[:middle])), middle + int(np.argmin(bend[middle:]))
-    if max(bend[left], bend[right]) >= 0.0 or right - left < 2 * _STEPS_PER_SIGMA:
-        raise FitError("break width: the profile does not bend down on both sides of its middle")
-    ends = _summit(even, bend, left), _summit(even, bend, right)
+    left, right = _outermost(down[:middle][::-1]), _outermost(down[middle:])
+    ends = float(even[middle - 1] - left * step), float(even[middle] + right * step)
     height = float(z.max() - np.median(np.sort(z)[: s.size // 3]))
     return BarWidth(ends[1] - ends[0], height, *ends)
 
 
-def _summit(s: FloatArray, bend: FloatArray, at: int) -> float:
-    """Position of the lowest value near a sample: vertex of the parabola through three samples."""
-    if not 0 < at < s.size - 1:
-        return float(s[at])
-    before, here, after = bend[at - 1 : at + 2]
-    curvature = before - 2.0 * here + after
-    shift = 0.5 * (before - after) / curvature if curvature > 0.0 else 0.0
-    return float(s[at] + shift * (s[1] - s[0]))
+def _outermost(down: FloatArray) -> float:
+    """Return the last place, in samples, where a curvature falls below its share of the largest."""
+    level = _BREAK_SHARE * float(down.max(initial=0.0))
+    if level <= 0.0:
+        raise FitError("break width: the profile does not bend down on both sides of its middle")
+    last = int(np.flatnonzero(down >= level)[-1])
+    if last == down.size - 1:
+        return float(last)
+    return last + float((down[last] - level) / (down[last] - down[last + 1]))
+
+
+def _curvature(z: FloatArray, step: float) -> FloatArray:
+    """Curvature of a profile smoothed by a Gaussian of `_STEPS_PER_SIGMA` samples."""
+    slope, change = (
+        gaussian_filter1d(z, _STEPS_PER_SIGMA, order=order, mode="nearest") / step**order
+        for order in (1, 2)
+    )
+    return np.asarray(change / (1.0 + slope**2) ** 1.5)
 
 
 def _crossing(s: FloatArray, z: FloatArray, at: int, level: float) -> float:

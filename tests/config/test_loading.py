@@ -157,7 +157,13 @@ def leaves(tree, prefix=""):
 EXPERIMENTS = [
     name
     for name in list_assets("scenes")
-    if name.split("/")[0] in ("examples", "paper") and name not in ("paper/targets", "paper/trials")
+    if name.split("/")[0] in ("examples", "paper")
+    and name
+    not in (
+        "paper/identify",
+        "paper/targets",
+        "paper/trials",
+    )
 ]
 
 

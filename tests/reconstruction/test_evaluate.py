@@ -165,26 +165,31 @@ def test_the_filter_passes_half_at_its_nesting_index():
     assert found.sq_mm == pytest.approx(0.5 * 0.01 / np.sqrt(2), rel=0.03)
 
 
-@pytest.mark.parametrize("flank_mm", [0.8, 1.0, 3.0])
+@pytest.mark.parametrize("flank_mm", [0.3, 1.0, 3.0])
 def test_slope_breaks_at_the_upper_edges_of_a_trapezoid(flank_mm):
-    """Expected: the width of the top, however steep the flanks; half height gives a flank more."""
-    s = np.arange(-8.0, 8.0, 0.05)
+    """Expected: the width of the top within a sigma a side, and its middle."""
+    s, sigma = np.arange(-8.0, 8.0, 0.05), 0.1
     z = np.clip((4.0 + flank_mm - np.abs(s - 0.3)) / flank_mm, 0.0, 1.0)
-    found = break_width(s, z, 0.15)
-    assert found.width_mm == pytest.approx(8.0, abs=0.01)
+    found = break_width(s, z, sigma)
+    assert found.width_mm == pytest.approx(8.0, abs=2 * sigma)
     assert (found.left_mm + found.right_mm) / 2 == pytest.approx(0.3, abs=0.01)
+    if flank_mm == 3.0:
+        outside = np.sqrt(2 * np.log(1 / 0.8)) * sigma
+        assert found.width_mm == pytest.approx(8.0 + 2 * outside, abs=0.02)
 
 
 def test_slope_breaks_where_a_tent_leaves_a_cylinder():
     """A strip over a cylinder of radius 2 leaves it 0.5 rad from its top, at 2 sin 0.5.
 
-    Expected: up to three sigmas inside of it on either side, where the smoothed bend is largest.
+    Expected: inside of it by what a smoothed step of the curvature needs to reach 0.8, or a little
+    more, since samples on an arc join to a polygon.
     """
-    s, edge = np.arange(-6.0, 6.0, 0.02), 2.0 * np.sin(0.5)
+    s, edge, sigma = np.arange(-6.0, 6.0, 0.01), 2.0 * np.sin(0.5), 0.05
     arc = np.sqrt(np.maximum(4.0 - s**2, 0.0))
     tent = 2.0 * np.cos(0.5) - np.tan(0.5) * (np.abs(s) - edge)
     z = np.where(np.abs(s) < edge, arc, tent)
-    assert 2 * edge - 0.3 <= break_width(s, z, 0.05).width_mm <= 2 * edge
+    found = break_width(s, z, sigma).width_mm
+    assert 2 * (edge - 2 * sigma) < found < 2 * (edge - 0.8 * sigma)
 
 
 def test_a_slope_that_does_not_break_is_refused():

@@ -24,6 +24,9 @@ from twin.config.study import without_absent
 
 MOST_FREE, MOST_COMBINATIONS = 12, 64
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_\-]+$", max_length=48)]
+Metric = str | tuple[str, ...]
+Statistic = Literal["mean", "sd"]
+LearnedAs = Literal["value", "log", "reciprocal"]
 DottedPath = Annotated[str, Field(pattern=r"^[A-Za-z0-9_\-]+(\.[A-Za-z0-9_\-]+)*$")]
 
 
@@ -98,8 +101,18 @@ class SensorChoice(Model):
     """One way in which something can have been: other fields, or other figures for the rows."""
 
     set: dict[str, Any] = Field(default={}, description="tables laid over the experiments")
-    metrics: dict[Name, str] = Field(default={}, description="metric by row, in place of its own")
+    metrics: dict[Name, Metric] = Field(
+        default={}, description="metric by row, in place of its own"
+    )
+    instead: dict[Name, Name] = Field(
+        default={}, description="experiment in place of another, for the rows measured in that"
+    )
     weight: Positive = Field(default=1.0, description="prior probability over the other choices'")
+
+    @property
+    def instead_named(self) -> dict[str, tuple[str, ...]]:
+        """Names of experiments, by where they stand."""
+        return {"instead": (*self.instead, *self.instead.values())} if self.instead else {}
 
 
 class Alternative(Model):
@@ -124,13 +137,28 @@ class Setup(Model):
 
     base: str = Field(description="experiment file beside the problem, or a shipped experiment")
     set: dict[str, Any] = Field(default={}, description="tables laid over it")
+    count: Annotated[int, Field(ge=8, le=100_000)] | None = Field(
+        default=None, description="simulations; absent: design.count"
+    )
+    repeats: Annotated[int, Field(ge=1, le=100)] = Field(
+        default=1, description="measurements per simulation, each of another coat and noise"
+    )
 
 
 class Row(Model):
     """One measured figure."""
 
     experiment: Name
-    metric: str = Field(description="the twin's name of the figure, in result.json")
+    metric: Metric = Field(
+        description="the twin's name of the figure, in result.json, or a free field; of several "
+        "names their mean"
+    )
+    statistic: Statistic = Field(
+        default="mean", description="over repeats: their mean, or their standard deviation"
+    )
+    learned_as: LearnedAs = Field(
+        default="value", description="log or reciprocal where that is the smoother function"
+    )
     value: float
     sd: Positive = Field(description="standard uncertainty of the value, and of a twin's one run")
     discrepancy: NonNegative = Field(
@@ -173,6 +201,16 @@ class SensorProblem(Model):
     )
 
     @model_validator(mode="after")
+    def _scatter_needs_repeats(self) -> "SensorProblem":
+        for name, row in {**self.rows, **self.worth}.items():
+            setup = self.experiments.get(row.experiment)
+            if row.statistic == "sd" and setup is not None and setup.repeats < 2:
+                raise ValueError(
+                    f"rows.{name}: statistic = 'sd' needs experiments.{row.experiment}.repeats of 2"
+                )
+        return self
+
+    @model_validator(mode="after")
     def _refers_to_what_is_there(self) -> "SensorProblem":
         _named("free", {n: f.experiments for n, f in self.free.items()}, self.experiments)
         _named(
@@ -186,6 +224,9 @@ class SensorProblem(Model):
         _named("rotate", {"": self.rotate}, self.fitted)
         for name, one in self.alternatives.items():
             known = {*self.rows, *self.worth}
+            for label, choice in one.choices.items():
+                where = f"alternatives.{name}.{label}"
+                _named(where, choice.instead_named, self.experiments)
             _named(
                 f"alternatives.{name}", {n: tuple(c.metrics) for n, c in one.choices.items()}, known
             )
@@ -201,9 +242,13 @@ class SensorProblem(Model):
         return {name: row for name, row in self.rows.items() if not row.held_out}
 
     def quick(self) -> "SensorProblem":
-        """Return the problem with a quarter of the simulations, 32 at least."""
-        count = max(min(self.design.count, 32), self.design.count // 4)
-        return self.model_copy(update={"design": self.design.model_copy(update={"count": count})})
+        """Return the problem with a third of the simulations, 16 at least."""
+        design = self.design.model_copy(update={"count": _fewer(self.design.count)})
+        setups = {
+            name: one if one.count is None else one.model_copy(update={"count": _fewer(one.count)})
+            for name, one in self.experiments.items()
+        }
+        return self.model_copy(update={"design": design, "experiments": setups})
 
     def combinations(self) -> Iterator[dict[str, str]]:
         """Yield one choice per alternative, in all ways."""
@@ -219,9 +264,20 @@ class SensorProblem(Model):
         ]
         return float(np.prod(shares))
 
+    def experiment_of(self, row: Row, combination: Mapping[str, str]) -> str:
+        """Return the experiment in which a row was measured if a combination of choices holds."""
+        chosen = [self.alternatives[name].choices[one].instead for name, one in combination.items()]
+        return next(
+            (one[row.experiment] for one in chosen if row.experiment in one), row.experiment
+        )
+
     def free_in(self, experiment: str) -> list[str]:
         """Return the names of the free fields that an experiment has."""
         return [n for n, f in self.free.items() if not f.experiments or experiment in f.experiments]
+
+
+def _fewer(count: int) -> int:
+    return max(min(count, 16), count // 3)
 
 
 def _named(where: str, used: Mapping[str, tuple[str, ...]], known: Any) -> None:

@@ -16,7 +16,7 @@ import numpy as np
 from reconstruction.arrays import FloatArray
 from reconstruction.errors import InputError
 from twin.config import Experiment, vary
-from twin.config.problem import SensorProblem
+from twin.config.problem import LearnedAs, Metric, SensorProblem, Statistic
 from twin.config.study import Sampling, Study, without_absent
 from twin.identification.emulator import Emulator, fit_emulator
 from twin.pipeline.progress import ProgressCallback, no_progress
@@ -63,7 +63,8 @@ def variant_for(problem: SensorProblem, experiment: str, combination: Mapping[st
 
 def _used(problem: SensorProblem) -> list[str]:
     rows = (*problem.rows.values(), *problem.worth.values())
-    return list(dict.fromkeys(row.experiment for row in rows))
+    combinations = list(problem.combinations())
+    return list(dict.fromkeys(problem.experiment_of(r, c) for r in rows for c in combinations))
 
 
 def _changing(problem: SensorProblem, experiment: str) -> list[str]:
@@ -83,13 +84,16 @@ def record_of(problem: SensorProblem, base: Experiment, variant: Variant) -> Stu
     ConfigError
         A choice does not fit the experiment.
     """
-    names = problem.free_in(variant.experiment)
+    names, setup = problem.free_in(variant.experiment), problem.experiments[variant.experiment]
     study = Study(
         name=variant.name,
         description=f"simulations for {problem.name}",
         base=base.name,
         axis=tuple(problem.free[name].axis(name) for name in names),
-        sampling=Sampling(method="sobol", count=problem.design.count, seed=problem.design.seed),
+        sampling=Sampling(
+            method="sobol", count=setup.count or problem.design.count, seed=problem.design.seed
+        ),
+        repeats=setup.repeats,
     )
     changed = base
     for alternative, choice in variant.choices:
@@ -107,27 +111,42 @@ class Simulated:
     columns : which free fields were varied
     places : (point, free field) shares of the axes; fields that the experiment lacks are 0.5
     table : StudyTable
+        One row per point and repeat, those of a point together.
+    repeats : int
     """
 
     variant: Variant
     columns: tuple[int, ...]
     places: FloatArray
     table: StudyTable
+    repeats: int = 1
 
-    def emulator(self, metric: str) -> Emulator:
+    def emulator(
+        self, metric: Metric, statistic: Statistic = "mean", learned_as: LearnedAs = "value"
+    ) -> Emulator:
         """Learn a figure.
+
+        Parameters
+        ----------
+        metric : str or tuple of str
+            Name of the figure; of several their mean.
+        statistic : "mean" or "sd"
+            Over the repeats of a point. The deviation is pooled over several figures.
+        learned_as : "value", "log" or "reciprocal"
 
         Raises
         ------
         InputError
             No simulation, or too few, gave this figure.
         """
-        figures = np.array([_number(row.get(metric)) for row in self.table.rows])
-        where = f"{self.variant.experiment}: {metric}"
-        if not np.isfinite(figures).any():
+        names = (metric,) if isinstance(metric, str) else metric
+        where = f"{self.variant.experiment}: {', '.join(names)}"
+        figures = np.array([[_number(row.get(n)) for n in names] for row in self.table.rows])
+        if not np.isfinite(figures).all(axis=1).any():
             raise InputError(f"{where}: found in no simulation, allowed {self._known()}")
+        found = summary(figures.reshape(-1, self.repeats, len(names)), statistic)
         try:
-            return fit_emulator(self.places, figures, self.columns)
+            return fit_emulator(self.places, found, self.columns, learned_as)
         except InputError as error:
             raise InputError(f"{where}: {error}") from None
 
@@ -141,6 +160,21 @@ class Simulated:
 
     def _reasons(self) -> str:
         return "; ".join(dict.fromkeys(str(row["reason"]) for row in self.table.rows))
+
+
+def summary(figures: FloatArray, statistic: Statistic) -> FloatArray:
+    """Return mean or pooled standard deviation (point,) of figures (point, repeat, figure).
+
+    NaN where a point has no figure, or for a deviation fewer than two repeats of one.
+    """
+    there = np.isfinite(figures)
+    count, filled = there.sum(axis=1), np.where(there, figures, 0.0)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        mean = filled.sum(axis=1) / count
+        if statistic == "mean":
+            return np.asarray(mean.mean(axis=1))
+        squares = np.where(there, (figures - mean[:, None]) ** 2, 0.0).sum(axis=1)
+        return np.asarray(np.sqrt((squares / (count - 1)).mean(axis=1)))
 
 
 def _number(value: Any) -> float:
@@ -190,4 +224,4 @@ def _read(problem: SensorProblem, variant: Variant, record: StudyRecord, store: 
     columns = tuple(names.index(name) for name in problem.free_in(variant.experiment))
     places = np.full((len(shares), len(names)), 0.5)
     places[:, columns] = shares
-    return Simulated(variant, columns, places, table)
+    return Simulated(variant, columns, places, table, record.study.repeats)
