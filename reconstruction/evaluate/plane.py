@@ -130,7 +130,6 @@ _LEAST_POINTS = 5
 _MOST_LINE_TURNS = 10
 _STEPS_PER_SIGMA = 4
 _REACH_STEPS = 4 * _STEPS_PER_SIGMA
-_BREAK_SHARE = 0.8
 
 
 @dataclass(frozen=True)
@@ -230,10 +229,10 @@ def bar_width(s_mm: ArrayLike, z_mm: ArrayLike, fraction: float = 0.5) -> BarWid
 def break_width(s_mm: ArrayLike, z_mm: ArrayLike, sigma_mm: float) -> BarWidth:
     """Measure a crest between the breaks of its slope, where its flanks begin.
 
-    On either side the outermost place at which the downward curvature -z'' / (1 + z'^2)^(3/2) of
-    the profile, smoothed by a Gaussian, still reaches four fifths of the side's strongest: within
-    one sigma the edge of a trapezoid (0.67 outside of shallow ones), or the place where a tent
-    leaves a cylinder (0.84 inside).
+    On either side the place in the upper half of the crest at which the downward curvature
+    -z'' / (1 + z'^2)^(3/2) of the profile, smoothed by a Gaussian, is strongest: the upper edge of
+    a trapezoid, up to one sigma inside of steep ones. A round crest has no such edge: its width is
+    somewhere on its arc.
 
     Parameters
     ----------
@@ -251,25 +250,28 @@ def break_width(s_mm: ArrayLike, z_mm: ArrayLike, sigma_mm: float) -> BarWidth:
         raise FitError("break width: needs at least 20 points, and sigma_mm above 0")
     step = sigma_mm / _STEPS_PER_SIGMA
     even = np.arange(s[0], s[-1], step)
-    down = -_curvature(np.interp(even, s, z), step)
+    heights = np.interp(even, s, z)
+    ground, top = float(np.median(np.sort(z)[: s.size // 3])), float(z.max())
+    upper = heights >= (ground + top) / 2
+    down = np.where(upper, -_curvature(heights, step), 0.0)
     # The Gaussian sees a level ground beyond both ends, towards which they bend.
     down[:_REACH_STEPS] = down[-_REACH_STEPS:] = 0.0
-    middle = even.size // 2
-    left, right = _outermost(down[:middle][::-1]), _outermost(down[middle:])
-    ends = float(even[middle - 1] - left * step), float(even[middle] + right * step)
-    height = float(z.max() - np.median(np.sort(z)[: s.size // 3]))
-    return BarWidth(ends[1] - ends[0], height, *ends)
-
-
-def _outermost(down: FloatArray) -> float:
-    """Return the last place, in samples, where a curvature falls below its share of the largest."""
-    level = _BREAK_SHARE * float(down.max(initial=0.0))
-    if level <= 0.0:
+    middle = int(np.flatnonzero(upper)[[0, -1]].mean())
+    left, right = int(np.argmax(down[:middle])), middle + int(np.argmax(down[middle:]))
+    if min(down[left], down[right]) <= 0.0:
         raise FitError("break width: the profile does not bend down on both sides of its middle")
-    last = int(np.flatnonzero(down >= level)[-1])
-    if last == down.size - 1:
-        return float(last)
-    return last + float((down[last] - level) / (down[last] - down[last + 1]))
+    ends = _summit(even, down, left), _summit(even, down, right)
+    return BarWidth(ends[1] - ends[0], top - ground, *ends)
+
+
+def _summit(s: FloatArray, values: FloatArray, at: int) -> float:
+    """Position of a largest value: vertex of the parabola through three samples."""
+    if not 0 < at < s.size - 1:
+        return float(s[at])
+    before, here, after = values[at - 1 : at + 2]
+    bend = before - 2.0 * here + after
+    shift = 0.5 * (before - after) / bend if bend < 0.0 else 0.0
+    return float(s[at] + shift * (s[1] - s[0]))
 
 
 def _curvature(z: FloatArray, step: float) -> FloatArray:

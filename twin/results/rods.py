@@ -22,7 +22,7 @@ SECTION_LENGTH_MM = 2.0
 STEP_MM = 0.05
 FRACTION = 0.5
 # Above the camera's pixels and the grain of the coat, below the radius of a wrapped edge.
-BREAK_SIGMA_MM = 0.1
+BREAK_SIGMA_MM = 0.15
 _LEAST_IN_BIN = 3
 
 
