@@ -73,6 +73,11 @@ def test_the_best_experiments_have_the_found_values(identified):
     best = experiments_at_best(found, experiments)["ball"]
     assert best.elastomer.thickness_mm == pytest.approx(0.3, abs=0.01)
     assert best.press.depth_mm == pytest.approx(0.54, abs=0.02)
+    told = best.provenance["elastomer.thickness_mm"]
+    assert told.source.startswith("identified: sensor, from the rows radius, height")
+    low, high = told.range
+    assert high - low == pytest.approx(4 * 0.01, rel=0.2)  # 95 % of a normal: 3.92 SD
+    assert low <= best.elastomer.thickness_mm <= high
 
 
 def test_intervals_cover_the_hidden_values_of_twelve_sensors(tmp_path):

@@ -5,7 +5,7 @@ import pytest
 from scipy import stats
 
 from twin.config import ConfigError, load_experiment
-from twin.config.inputs import DEFAULT_INPUTS, Input, load_inputs
+from twin.config.inputs import DEFAULT_INPUTS, Input, Inputs, load_inputs
 from twin.pipeline.instruments import PhotometricPlan, case_for
 from twin.study.draws import deviation_of, draw, drawn_values, standard_uncertainty
 
@@ -156,3 +156,28 @@ def test_draws_of_the_earlier_paper():
     found = drawn_values(balls(), paper().inputs, 20261121, 1)
     assert found["specimen.x_mm"] == 0.045347888207099785
     assert found["specimen.diameter_mm"] == 8.007813392360598
+
+
+def test_values_drawn_together_keep_their_pairs():
+    """Travel and pressure from one list of pairs: 200 trials hold these pairs and no other."""
+    pairs = [(0.5, 1.0), (0.6, 4.0), (0.7, 9.0)]
+    travel, pressure = (list(values) for values in zip(*pairs, strict=True))
+    listed = {"distribution": "choice", "together": "posterior"}
+    given = inputs_of(
+        travel=listed | {"key": "press.depth_mm", "values": travel},
+        pressure=listed | {"key": "press.back_pressure_kpa", "values": pressure},
+    )
+    drawn = [values_of(balls(), given, trial) for trial in range(1, 201)]
+    counted = [sum(np.allclose(list(one.values()), pair) for one in drawn) for pair in pairs]
+    assert sum(counted) == 200
+    assert min(counted) > 40  # of 67 expected, SD 6.7
+
+
+def test_lists_drawn_together_are_as_long():
+    listed = {"group": "press", "distribution": "choice", "together": "posterior"}
+    two = {
+        "travel": listed | {"key": "press.depth_mm", "values": [0.5, 0.6]},
+        "pressure": listed | {"key": "press.back_pressure_kpa", "values": [1.0, 2.0, 3.0]},
+    }
+    with pytest.raises(ValueError, match="as many in each"):
+        Inputs.model_validate({"inputs": two})

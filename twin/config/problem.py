@@ -161,6 +161,9 @@ class Row(Model):
     )
     value: float
     sd: Positive = Field(description="standard uncertainty of the value, and of a twin's one run")
+    trials: Annotated[int, Field(ge=1)] = Field(
+        default=1, description="measurements of which the value is the mean"
+    )
     discrepancy: NonNegative = Field(
         default=0.0, description="standard deviation of what the twin's model itself lacks"
     )
@@ -169,6 +172,11 @@ class Row(Model):
     )
     held_out: bool = Field(default=False, description="predicted, not fitted")
     source: str | None = None
+
+    @property
+    def scatter(self) -> float:
+        """Standard deviation of one measurement: sd times the root of `trials`."""
+        return self.sd * float(np.sqrt(self.trials))
 
 
 class Design(Model):

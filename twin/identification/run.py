@@ -267,18 +267,35 @@ def experiments_at_best(
 ) -> dict[str, Experiment]:
     """Return the experiments with the most probable choices and values.
 
+    Every value states that it is identified, its 95 % interval, and the rows that it rests on.
+
     Raises
     ------
     ConfigError
         The values do not fit an experiment.
     """
-    problem, best = found.problem, found.best.posterior
-    at = best.likelihood.places(best.best_z[None])[0]
-    values = {n: float(f.value(x)) for (n, f), x in zip(problem.free.items(), at, strict=True)}
+    values = identified_values(found)
     return {
-        name: _at(problem, name, one, found.best.combination, values)
+        name: _at(found.problem, name, one, found.best.combination, values)
         for name, one in experiments.items()
     }
+
+
+def identified_values(found: Identified) -> dict[str, dict[str, Any]]:
+    """Return the most probable values of the fields by name, as data files state them."""
+    problem, best = found.problem, found.best.posterior
+    at = best.likelihood.places(best.best_z[None])[0]
+    source = f"identified: {problem.name}, from the rows {', '.join(problem.fitted)}; 95 % interval"
+    values = {}
+    for (name, free), share, samples in zip(problem.free.items(), at, best.values.T, strict=True):
+        value, wide = _digits(float(free.value(share))), interval_of(samples)
+        ends = [min(_digits(wide.low_95), value), max(_digits(wide.high_95), value)]
+        values[name] = {"value": value, "range": ends, "source": source}
+    return values
+
+
+def _digits(value: float) -> float:
+    return float(f"{value:.4g}")
 
 
 def _at(
@@ -286,12 +303,11 @@ def _at(
     name: str,
     base: Experiment,
     combination: Mapping[str, str],
-    values: Mapping[str, float],
+    values: Mapping[str, Mapping[str, Any]],
 ) -> Experiment:
     for alternative, choice in variant_for(problem, name, combination).choices:
         base = vary(base, without_absent(problem.alternatives[alternative].choices[choice].set))
-    levels = [problem.free[n].axis(n).level_of(values[n]) for n in problem.free_in(name)]
-    return vary(base, {path: value for one in levels for path, value in one.changes.items()})
+    return vary(base, {problem.free[n].path: dict(values[n]) for n in problem.free_in(name)})
 
 
 def figures_of(found: Identified) -> dict[str, Any]:
