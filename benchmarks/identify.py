@@ -57,7 +57,7 @@ def problem_of(count: int, free: list[str], rows: list[str]) -> SensorProblem:
     return SensorProblem.model_validate(
         {
             "name": "bench",
-            "experiments": {"balls": {"base": "paper/two_balls"}},
+            "experiments": {"balls": {"base": "examples/slab_balls"}},
             "free": {name: FREE[name] for name in free},
             "rows": {name: ROWS[name] | {"experiment": "balls", "value": 0.0} for name in rows},
             "design": {"count": count},
@@ -67,7 +67,7 @@ def problem_of(count: int, free: list[str], rows: list[str]) -> SensorProblem:
 
 def hidden_sensors(problem: SensorProblem, count: int, folder: Path) -> list[Mapping[str, float]]:
     """Measure sensors drawn from the priors; settings and figures by name."""
-    record = record_of(problem, load_experiment("paper/two_balls", BASE), Variant("balls"))
+    record = record_of(problem, load_experiment("examples/slab_balls", BASE), Variant("balls"))
     sampling = Sampling(method="latin_hypercube", count=count, seed=11)
     study = record.study.model_copy(update={"sampling": sampling})
     hidden = StudyRecord(study, record.base)
@@ -117,7 +117,7 @@ def synthetic_figures(quick: bool) -> dict[str, float | int]:
     """Identify sensors of hidden values; return how often they are covered, and ridges told."""
     count, sensors, ridge_sensors = (64, 12, 3) if quick else (160, 40, 10)
     rng = np.random.default_rng(3)
-    experiments = {"balls": load_experiment("paper/two_balls", BASE)}
+    experiments = {"balls": load_experiment("examples/slab_balls", BASE)}
     whole = problem_of(count, list(FREE), list(ROWS))
     relief = problem_of(count, ["hardness", "travel"], ["relief"])
     with tempfile.TemporaryDirectory() as folder:

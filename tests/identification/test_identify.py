@@ -15,7 +15,7 @@ from twin.study.workers import local_workers
 PROBLEM = """
 name = "sensor"
 [experiments.ball]
-base = "paper/two_balls"
+base = "examples/slab_balls"
 [free.thickness]
 path = "elastomer.thickness_mm"
 low = 0.1

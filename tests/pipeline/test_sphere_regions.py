@@ -17,7 +17,7 @@ SMALL = {
 @pytest.fixture(scope="module")
 def figures(mi):
     regions = {"score.regions_mm": [1.5, 0.8, 4.0]}
-    return measure(load_experiment("paper/two_balls", SMALL | regions)).figures
+    return measure(load_experiment("examples/slab_balls", SMALL | regions)).figures
 
 
 @pytest.mark.parametrize(
@@ -42,7 +42,7 @@ def test_the_least_squares_sphere_leaves_least(figures):
 
 
 def test_without_further_regions_an_experiment_keeps_its_digest():
-    base = load_experiment("paper/two_balls")
+    base = load_experiment("examples/slab_balls")
     assert "regions_mm" not in base.score.model_dump()
     assert "regions_mm" in vary(base, {"score.regions_mm": [1.2]}).score.model_dump()
     assert np.isclose(base.score.roi_radius_mm, 1.5)

@@ -25,7 +25,7 @@ def paper():
 
 
 def balls():
-    return load_experiment("paper/two_balls")
+    return load_experiment("examples/slab_balls")
 
 
 X = {"key": "specimen.x_mm", "distribution": "normal", "spread": 0.2}
@@ -79,7 +79,9 @@ def test_shipped_inputs_reach_numbers_of_every_repeated_experiment():
         assert len(values_of(experiment, paper().inputs, 1)) >= 8 - (name != "two_balls")
 
 
-@pytest.mark.parametrize("name", ["paper/two_balls", "examples/wrapped_nut", "examples/starter"])
+@pytest.mark.parametrize(
+    "name", ["examples/slab_balls", "examples/wrapped_nut", "examples/starter"]
+)
 def test_default_inputs_fit_any_experiment(name):
     """Placement, press, elastomer and optics have some each; what is not there is left out."""
     experiment, shipped = load_experiment(name), load_inputs(DEFAULT_INPUTS).inputs
