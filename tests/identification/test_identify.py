@@ -158,6 +158,38 @@ def test_a_row_held_out_is_not_fitted_and_rotated_ones_are_predicted(tmp_path):
     assert "depth" in found.undetermined()
 
 
+def test_a_field_among_the_figures_costs_no_simulation(tmp_path):
+    """The reach is thickness times region: 0.3 mm by the radius and 0.6 by the reach are 2 mm."""
+    region = """
+[free.region]
+path = "score.roi_radius_mm"
+low = 1.0
+high = 4.0
+scale = "log"
+among = [1.0, 1.5, 2.5, 4.0]
+[rows.reach]
+experiment = "ball"
+metric = "reach_{region}_mm"
+learned_as = "log"
+value = 0.6
+sd = 0.003
+[worth.region]
+experiment = "ball"
+metric = "{region}"
+value = 0.0
+sd = 0.1
+"""
+    found, _ = _identify(tmp_path, PROBLEM + region)
+    studies = list((tmp_path / "out" / "studies").iterdir())
+    assert [len(list((one / "cases").iterdir())) for one in studies] == [64]
+    known = found.intervals()["region"]
+    assert known.mean == pytest.approx(2.0, abs=0.02)
+    assert known.sd == pytest.approx(2.0 * np.hypot(0.01 / 0.3, 0.003 / 0.6), rel=0.15)
+    (worth,) = found.worth()
+    left = 1 / (1 + (known.sd / 0.1) ** 2)
+    assert worth.shrink["region"] == pytest.approx(left, rel=0.15)
+
+
 def test_same_results_after_a_resume_and_with_two_workers(tmp_path):
     (tmp_path / "one").mkdir()
     (tmp_path / "two").mkdir()

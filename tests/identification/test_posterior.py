@@ -10,7 +10,7 @@ from scipy.stats import multivariate_normal, norm, qmc
 from reconstruction.arrays import FloatArray
 from reconstruction.errors import InputError
 from twin.config.problem import LearnedAs, SensorProblem
-from twin.identification.emulator import fit_emulator
+from twin.identification.emulator import _left_out, fit_emulator
 from twin.identification.findings import (
     interval_of,
     predict_rows,
@@ -286,3 +286,24 @@ def test_a_figure_is_learned_as_a_smoother_function_of_it(learned_as: LearnedAs)
     plain = fit_emulator(places, made(places), (0, 1))
     np.testing.assert_allclose(found.predict(at)[0], made(at), rtol=1e-5)
     assert found.cross_validated_rmse < 0.1 * plain.cross_validated_rmse
+
+
+def test_figures_of_one_simulation_are_left_out_together() -> None:
+    """Universal kriging from the others, written out, against the closed form for blocks."""
+    rng = np.random.default_rng(6)
+    places, simulation = rng.random((12, 2)), np.repeat(np.arange(4), 3)
+    apart = np.linalg.norm(places[:, None] - places, axis=2)
+    covariance = np.exp(-(apart**2)) + 0.1 * np.eye(12)
+    terms, figures = np.column_stack([np.ones(12), places]), rng.normal(size=12)
+    inverse = np.linalg.inv(covariance)
+    fitted = inverse @ terms @ np.linalg.inv(terms.T @ inverse @ terms) @ terms.T @ inverse
+    found, _ = _left_out(inverse - fitted, (inverse - fitted) @ figures, simulation)
+    for number in range(4):
+        ours, others = simulation == number, simulation != number
+        known = np.linalg.inv(covariance[np.ix_(others, others)])
+        trend = np.linalg.solve(
+            terms[others].T @ known @ terms[others], terms[others].T @ known @ figures[others]
+        )
+        left = known @ (figures[others] - terms[others] @ trend)
+        predicted = terms[ours] @ trend + covariance[np.ix_(ours, others)] @ left
+        np.testing.assert_allclose(found[ours], figures[ours] - predicted, atol=1e-10)

@@ -45,6 +45,11 @@ class Free(Model):
         default=None, description="of a normal prior: the field's unit, with scale = 'log' relative"
     )
     experiments: tuple[Name, ...] = Field(default=(), description="where it applies; absent: all")
+    among: Annotated[tuple[float, ...], Field(min_length=3)] | None = Field(
+        default=None,
+        description="values at which every simulation gives its figures, in metrics named with "
+        "{NAME} of this field: it costs no simulation",
+    )
     source: str | None = Field(default=None, description="where range and prior come from")
 
     @model_validator(mode="after")
@@ -53,6 +58,9 @@ class Free(Model):
             raise ValueError(f"low: found {self.low:g}, allowed below high, {self.high:g}")
         if self.scale == "log" and self.low <= 0:
             raise ValueError(f"low: found {self.low:g}, allowed above 0 with scale = 'log'")
+        outside = [one for one in self.among or () if not self.low <= one <= self.high]
+        if outside:
+            raise ValueError(f"among: found {outside[0]:g}, allowed {self.low:g} to {self.high:g}")
         stated = (self.mean is not None, self.sd is not None)
         if stated != ((self.prior == "normal"),) * 2:
             raise ValueError("mean and sd: needed with prior = 'normal', not allowed with uniform")
@@ -75,7 +83,7 @@ class Free(Model):
         """Return shares (0 to 1) of the axis at cumulative prior probabilities."""
         if self.mean is None or self.sd is None:
             return np.asarray(probability, dtype=np.float64)
-        middle, width = self._share(self.mean), self._width(self.sd)
+        middle, width = self.share(self.mean), self._width(self.sd)
         below, within = ndtr(-middle / width), ndtr((1.0 - middle) / width)
         share = middle + width * ndtri(below + probability * (within - below))
         return np.asarray(np.clip(share, 0.0, 1.0))
@@ -86,7 +94,8 @@ class Free(Model):
             return np.asarray(self.low * (self.high / self.low) ** share)
         return np.asarray(self.low + (self.high - self.low) * share)
 
-    def _share(self, value: float) -> float:
+    def share(self, value: float) -> float:
+        """Return the share (0 to 1) of the axis at which a value lies."""
         if self.scale == "log":
             return float(np.log(value / self.low) / np.log(self.high / self.low))
         return (value - self.low) / (self.high - self.low)
@@ -282,6 +291,10 @@ class SensorProblem(Model):
     def free_in(self, experiment: str) -> list[str]:
         """Return the names of the free fields that an experiment has."""
         return [n for n, f in self.free.items() if not f.experiments or experiment in f.experiments]
+
+    def simulated_in(self, experiment: str) -> list[str]:
+        """Return the names of those that its simulations vary."""
+        return [name for name in self.free_in(experiment) if self.free[name].among is None]
 
 
 def _fewer(count: int) -> int:

@@ -18,7 +18,7 @@ from sklearn.exceptions import ConvergenceWarning
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import ConstantKernel, Matern, WhiteKernel
 
-from reconstruction.arrays import FloatArray
+from reconstruction.arrays import FloatArray, IntArray
 from reconstruction.errors import InputError
 from twin.config.problem import LearnedAs
 
@@ -103,6 +103,7 @@ def fit_emulator(
     figures: FloatArray,
     columns: tuple[int, ...],
     learned_as: LearnedAs = "value",
+    simulation: IntArray | None = None,
 ) -> Emulator:
     """Learn a figure from simulations.
 
@@ -116,6 +117,9 @@ def fit_emulator(
         The free fields that the figure can depend on.
     learned_as : "value", "log" or "reciprocal"
         Figures of 0 or less have neither logarithm nor reciprocal here: they count as missing.
+    simulation : (n,) int, optional
+        Number of the simulation that gave each figure, where one gave several: they are left out
+        together when the error is cross-validated. Default: each has its own.
 
     Raises
     ------
@@ -126,11 +130,12 @@ def fit_emulator(
     if learned_as != "value":
         found &= np.where(found, figures, 0.0) > 0.0
     at, values = places[found][:, columns], _learn(figures[found], learned_as)
-    terms = _trend(at, figures.size)
+    of = np.arange(figures.size) if simulation is None else simulation
+    terms = _trend(at, np.unique(of[found]).size, np.unique(of).size)
     left = values - terms @ lstsq(terms, values)[0]
     # A figure that the trend meets exactly has nothing left over to scale with.
     spread = max(float(left.std()), _JITTER * max(1.0, float(np.abs(values).max())))
-    parts = _universal(at, terms, values / spread, _kernel(at, left / spread))
+    parts = _universal(at, terms, values / spread, _kernel(at, left / spread), of[found])
     return Emulator(
         columns=columns,
         known=at,
@@ -142,14 +147,17 @@ def fit_emulator(
     )
 
 
-def _trend(at: FloatArray, simulated: int) -> FloatArray:
-    """Return the terms (n, term) of the fullest trend that half of the simulations determine."""
+def _trend(at: FloatArray, count: int, simulated: int) -> FloatArray:
+    """Return the terms (n, term) of the fullest trend that half of `count` simulations determine.
+
+    `simulated` is how many there are, with those that gave no figure.
+    """
     every, fields = _terms(at), at.shape[1]
-    for count in (every.shape[1], 1 + 2 * fields, 1 + fields):
-        if len(at) >= max(_LEAST_POINTS, 2 * count):
-            return every[:, :count]
+    for terms in (every.shape[1], 1 + 2 * fields, 1 + fields):
+        if count >= max(_LEAST_POINTS, 2 * terms):
+            return every[:, :terms]
     raise InputError(
-        f"found {len(at)} of {simulated} simulations with this figure, needed "
+        f"found {count} of {simulated} simulations with this figure, needed "
         f"{max(_LEAST_POINTS, 2 * (1 + fields))}; raise design.count or narrow the free fields"
     )
 
@@ -174,7 +182,7 @@ def _slope(figures: FloatArray, learned_as: LearnedAs) -> FloatArray:
 
 
 def _universal(
-    at: FloatArray, trend_terms: FloatArray, scaled: FloatArray, kernel: Any
+    at: FloatArray, trend_terms: FloatArray, scaled: FloatArray, kernel: Any, simulation: IntArray
 ) -> dict[str, Any]:
     """Return an emulator's parts for figures of unit spread, trend and its uncertainty included."""
     lower = np.linalg.cholesky(kernel(at) + _JITTER * np.eye(scaled.size))
@@ -184,8 +192,7 @@ def _universal(
     basis = np.linalg.qr(terms)[0]
     # What is left of the inverse covariance when the trend is fitted, too.
     free = inverse.T @ (inverse - basis @ (basis.T @ inverse))
-    own = 1.0 / np.diag(free)
-    left_out = (free @ scaled) * own
+    left_out, surprise = _left_out(free, free @ scaled, simulation)
     return {
         "covariance": kernel.k1,
         "lower": lower,
@@ -193,9 +200,24 @@ def _universal(
         "terms": terms,
         "trend_lower": np.linalg.cholesky(terms.T @ terms),
         "left_over": inverse.T @ (figures - terms @ trend),
-        "widening": max(1.0, float(np.sqrt(np.mean(left_out**2 / own)))),
+        "widening": max(1.0, float(np.sqrt(surprise / scaled.size))),
         "left_out": left_out,
     }
+
+
+def _left_out(
+    free: FloatArray, weighted: FloatArray, simulation: IntArray
+) -> tuple[FloatArray, float]:
+    """Return the error (n,) at each simulation's figures predicted from all other simulations.
+
+    And the sum of their squares over their predicted covariance, which is n where that is right.
+    """
+    left_out, surprise = np.zeros(len(free)), 0.0
+    for number in np.unique(simulation):
+        ours = np.flatnonzero(simulation == number)
+        left_out[ours] = np.linalg.solve(free[np.ix_(ours, ours)], weighted[ours])
+        surprise += float(left_out[ours] @ weighted[ours])
+    return left_out, surprise
 
 
 def _terms(at: FloatArray) -> FloatArray:
