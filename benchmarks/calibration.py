@@ -93,7 +93,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true", help="968 x 732 px instead of 1936 x 1464")
     binning = 2 if parser.parse_args().quick else 1
-    experiment = load_experiment("paper/two_balls", {"camera.binning": binning})
+    experiment = load_experiment("examples/slab_balls", {"camera.binning": binning})
     board = load_board("boards/paper_dots")
     start = time.perf_counter()
     done = calibrate_rendered(

@@ -155,7 +155,7 @@ def lamps(experiment: Any, shots: list[Shot]) -> dict[str, float]:
 
 def two_balls(quick: bool) -> dict[str, float]:
     """Sphere fits on the same specimen: both sensors, all decoders, same depth and same force."""
-    paper = load_experiment("paper/two_balls", {"camera.binning": 2} if quick else {})
+    paper = load_experiment("examples/slab_balls", {"camera.binning": 2} if quick else {})
     base_mm = _rmse_mm(measure(paper).score)
     print(f"contact-FPP: sphere fit RMSE {1e3 * base_mm:.2f} um")
     count = {"photometric.presses.count": 16 if quick else 50}

@@ -53,7 +53,7 @@ def record_of(quick: bool) -> StudyRecord:
     albedo = {"path": "coating.base_albedo", "values": [0.2, 0.3, 0.4, 0.5, 0.6]}
     level = {"path": "camera.auto_level", "values": [0.5, 0.6, 0.7, 0.8]}
     study = Study(name="kill", base="x", axis=(albedo, level), repeats=2 if quick else 10)
-    return StudyRecord(study, load_experiment("paper/two_balls", BASE))
+    return StudyRecord(study, load_experiment("examples/slab_balls", BASE))
 
 
 def main() -> None:

@@ -88,7 +88,7 @@ class StackCase:
         from twin.optics.light import light_tables, pattern_set
         from twin.optics.scene import coated_rig, coated_scene
 
-        experiment = load_experiment("paper/two_balls", SETTINGS | {"camera.binning": binning})
+        experiment = load_experiment("examples/slab_balls", SETTINGS | {"camera.binning": binning})
         face = face_mesh(
             press_with(
                 experiment.mechanics, experiment.specimen, experiment.elastomer, experiment.press

@@ -58,7 +58,7 @@ def study_of(albedos: int, hardnesses: int, periods: int) -> Study:
     """Return the study with so many levels per axis."""
     return Study(
         name="bench",
-        base="paper/two_balls",
+        base="examples/slab_balls",
         axis=(
             {"path": "coating.base_albedo", "low": 0.2, "high": 0.7, "count": albedos},
             {"path": "elastomer.shore_a", "low": 8.0, "high": 14.0, "count": hardnesses},
@@ -73,7 +73,7 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="48 cases instead of 320")
     quick = parser.parse_args().quick
     levels = (4, 3, 4) if quick else (8, 4, 10)
-    record = StudyRecord(study_of(*levels), load_experiment("paper/two_balls", BASE))
+    record = StudyRecord(study_of(*levels), load_experiment("examples/slab_balls", BASE))
     cases = record.cases().unique()
     print(f"{len(cases)} cases of {' x '.join(map(str, levels))}, {os.cpu_count()} cores")
     with tempfile.TemporaryDirectory() as scratch:
@@ -120,7 +120,7 @@ def gains(per_point_s: float, in_process_s: float, alone_s: float) -> dict[str, 
 
 def warm_up(record: StudyRecord, scratch: Path) -> None:
     """Compile the kernels of every number of frames that occurs."""
-    kernels = Study(name="warm", base="paper/two_balls", axis=record.study.axis[-1:])
+    kernels = Study(name="warm", base="examples/slab_balls", axis=record.study.axis[-1:])
     sweep(StudyRecord(kernels, record.base), scratch / "warm", local_workers(1))
 
 
@@ -147,7 +147,7 @@ def measured_in_process(cases: list[Case]) -> float:
 
 def of_workers(count: int, cases: int, scratch: Path) -> float:
     """Return the seconds that workers of one core each take for cases that share nothing."""
-    base = load_experiment("paper/two_balls", BASE)
+    base = load_experiment("examples/slab_balls", BASE)
 
     def of(low_mm: float, levels: int) -> list[Case]:
         axis = {"path": "elastomer.thickness_mm", "low": low_mm, "high": 4.0, "count": levels}

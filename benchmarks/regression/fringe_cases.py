@@ -30,7 +30,9 @@ def two_balls(seeds: int = 5, binning: int = 2) -> Values:
     memory = Memory()
 
     def once(seed: int) -> dict[str, float]:
-        experiment = load_experiment("paper/two_balls", {"camera.binning": binning, "seed": seed})
+        experiment = load_experiment(
+            "examples/slab_balls", {"camera.binning": binning, "seed": seed}
+        )
         done = measure(experiment, memory=memory)
         plain = measure(
             vary(experiment, {"decode.filter_taps": 0}), memory=memory
@@ -60,13 +62,13 @@ def spheres(scored: Scores) -> dict[str, float]:
 
 def ideal() -> Values:
     """Measure without noise and filter: what sampling, decoding and triangulation lose."""
-    truth = measure(load_experiment("paper/two_balls", IDEAL | {"camera.binning": 4})).score
+    truth = measure(load_experiment("examples/slab_balls", IDEAL | {"camera.binning": 4})).score
     return {"ideal_z_rmse_um": [truth.against_truth.z_rmse_um]}
 
 
 def sampling() -> Values:
     """Compare projector columns of 2 x 2 rays per pixel with those of 16 x 16, noise-free."""
-    experiment = load_experiment("paper/two_balls", IDEAL | CENTRE)
+    experiment = load_experiment("examples/slab_balls", IDEAL | CENTRE)
     pressed = press_specimen(experiment)
     coarse, fine = (
         decoded(one, record(one, pressed))
@@ -88,7 +90,7 @@ def albedo(seeds: int = 5) -> Values:
 
     def once(seed: int) -> dict[str, float]:
         settings = {"camera.binning": 4, "decode.filter_taps": 0, "seed": seed}
-        base = load_experiment("paper/two_balls", settings)
+        base = load_experiment("examples/slab_balls", settings)
         dark = measure(vary(base, {"coating.base_albedo": 0.1}), memory=dark_memory)
         bright = measure(vary(base, {"coating.base_albedo": 0.4}), memory=bright_memory)
         ratio = dark.score.against_truth.z_rmse_um / bright.score.against_truth.z_rmse_um
@@ -102,7 +104,7 @@ def rod(seeds: int = 5) -> Values:
     memory = Memory()
 
     def once(seed: int) -> dict[str, float]:
-        experiment = load_experiment("paper/rods_c", {"camera.binning": 4, "seed": seed})
+        experiment = load_experiment("examples/slab_rod", {"camera.binning": 4, "seed": seed})
         found = measure(experiment, memory=memory).figures
         return {f"rod_{name}_mm": found[f"rod_{name}_mm"] for name in ("width", "height")}
 
@@ -140,7 +142,7 @@ def calibration(seeds: int = 3) -> Values:
     board = load_board("boards/paper_dots")
 
     def once(seed: int) -> dict[str, float]:
-        experiment = load_experiment("paper/two_balls", {"camera.binning": 4, "seed": seed})
+        experiment = load_experiment("examples/slab_balls", {"camera.binning": 4, "seed": seed})
         done = calibrate_rendered(experiment, board)
         rig = done.result.calibration
         lengths_um = bench.length_errors_um(experiment, board, rig, 0)

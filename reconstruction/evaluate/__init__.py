@@ -1,6 +1,12 @@
 """Dimensions of measured surfaces, each with a stated definition and a robust fit; lengths mm."""
 
-from reconstruction.evaluate.fit import BallFit, CylinderFit, fit_ball, fit_cylinder
+from reconstruction.evaluate.fit import (
+    BallFit,
+    CylinderFit,
+    fit_ball,
+    fit_cylinder,
+    fit_sphere_algebraic,
+)
 from reconstruction.evaluate.plane import (
     ArealRoughness,
     BarWidth,
@@ -8,6 +14,7 @@ from reconstruction.evaluate.plane import (
     StepHeight,
     areal_roughness,
     bar_width,
+    break_width,
     flatness,
     step_height,
 )
@@ -21,8 +28,10 @@ __all__ = [
     "StepHeight",
     "areal_roughness",
     "bar_width",
+    "break_width",
     "fit_ball",
     "fit_cylinder",
+    "fit_sphere_algebraic",
     "flatness",
     "step_height",
 ]

@@ -94,15 +94,43 @@ def fit_sphere(points_mm: ArrayLike) -> SphereFit:
     """
     points = _checked(points_mm, 4, "sphere")
     # Centred and scaled: the algebraic start and the iteration then see numbers near one.
-    offset = points.mean(axis=0)
-    scale = float(np.sqrt(np.mean(np.sum((points - offset) ** 2, axis=1)))) or 1.0
-    local = (points - offset) / scale
+    local, offset, scale = _centred(points)
     solution = least_squares(
         _radial, _algebraic_sphere(local), _radial_jacobian, args=(local,), method="lm", xtol=1e-14,
         ftol=1e-14, gtol=1e-14,
     )  # fmt: skip
     centre, radius = solution.x[:3] * scale + offset, abs(float(solution.x[3])) * scale
     return SphereFit(centre, radius, np.linalg.norm(points - centre, axis=1) - radius)
+
+
+def fit_sphere_algebraic(points_mm: ArrayLike) -> SphereFit:
+    """Fit the sphere with the least sum of squared differences of squared distances.
+
+    Linear, so it is what short programs use; but noise pulls it towards smaller spheres (Kasa, IEEE
+    Transactions on Instrumentation and Measurement 25, 8-14, 1976). On a cap the radius shrinks to
+    R / (1 + 12 sigma^2 / S^2) for points spread evenly over the plan, with their noise sigma and
+    the cap's height S, both small beside R.
+
+    Parameters
+    ----------
+    points_mm : (n, 3) float, n >= 4, not coplanar
+
+    Raises
+    ------
+    FitError : too few, coplanar or non-finite points
+    """
+    points = _checked(points_mm, 4, "sphere")
+    local, offset, scale = _centred(points)
+    found = _algebraic_sphere(local)
+    centre, radius = found[:3] * scale + offset, float(found[3]) * scale
+    return SphereFit(centre, radius, np.linalg.norm(points - centre, axis=1) - radius)
+
+
+def _centred(points: FloatArray) -> tuple[FloatArray, FloatArray, float]:
+    """Return points about their mean in units of their spread, the mean, and that spread."""
+    offset = points.mean(axis=0)
+    scale = float(np.sqrt(np.mean(np.sum((points - offset) ** 2, axis=1)))) or 1.0
+    return (points - offset) / scale, offset, scale
 
 
 def fit_plane(points_mm: ArrayLike) -> PlaneFit:

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.ndimage import gaussian_filter
+from scipy.ndimage import gaussian_filter, gaussian_filter1d
 
 from reconstruction.arrays import BoolImage, FloatArray
 from reconstruction.errors import FitError
@@ -128,6 +128,8 @@ def _without_waviness(level: FloatArray, kept: FloatArray, sigma_px: float) -> F
 
 _LEAST_POINTS = 5
 _MOST_LINE_TURNS = 10
+_STEPS_PER_SIGMA = 4
+_REACH_STEPS = 4 * _STEPS_PER_SIGMA
 
 
 @dataclass(frozen=True)
@@ -222,6 +224,63 @@ def bar_width(s_mm: ArrayLike, z_mm: ArrayLike, fraction: float = 0.5) -> BarWid
         raise FitError("bar width: the bar reaches the profile's end; give a longer profile")
     left, right = _crossing(s, z, first - 1, level), _crossing(s, z, last, level)
     return BarWidth(right - left, float(top - ground), left, right)
+
+
+def break_width(s_mm: ArrayLike, z_mm: ArrayLike, sigma_mm: float) -> BarWidth:
+    """Measure a crest between the breaks of its slope, where its flanks begin.
+
+    On either side the place in the upper half of the crest at which the downward curvature
+    -z'' / (1 + z'^2)^(3/2) of the profile, smoothed by a Gaussian, is strongest: the upper edge of
+    a trapezoid, up to one sigma inside of steep ones. A round crest has no such edge: its width is
+    somewhere on its arc.
+
+    Parameters
+    ----------
+    s_mm, z_mm : (n,) float
+        Positions, growing, and heights.
+    sigma_mm : float
+        Standard deviation of the Gaussian.
+
+    Raises
+    ------
+    FitError : the profile does not bend down on both sides of its middle
+    """
+    s, z = np.asarray(s_mm, np.float64), np.asarray(z_mm, np.float64)
+    if s.size < 4 * _LEAST_POINTS or sigma_mm <= 0.0:
+        raise FitError("break width: needs at least 20 points, and sigma_mm above 0")
+    step = sigma_mm / _STEPS_PER_SIGMA
+    even = np.arange(s[0], s[-1], step)
+    heights = np.interp(even, s, z)
+    ground, top = float(np.median(np.sort(z)[: s.size // 3])), float(z.max())
+    upper = heights >= (ground + top) / 2
+    down = np.where(upper, -_curvature(heights, step), 0.0)
+    # The Gaussian sees a level ground beyond both ends, towards which they bend.
+    down[:_REACH_STEPS] = down[-_REACH_STEPS:] = 0.0
+    middle = int(np.flatnonzero(upper)[[0, -1]].mean())
+    left, right = int(np.argmax(down[:middle])), middle + int(np.argmax(down[middle:]))
+    if min(down[left], down[right]) <= 0.0:
+        raise FitError("break width: the profile does not bend down on both sides of its middle")
+    ends = _summit(even, down, left), _summit(even, down, right)
+    return BarWidth(ends[1] - ends[0], top - ground, *ends)
+
+
+def _summit(s: FloatArray, values: FloatArray, at: int) -> float:
+    """Position of a largest value: vertex of the parabola through three samples."""
+    if not 0 < at < s.size - 1:
+        return float(s[at])
+    before, here, after = values[at - 1 : at + 2]
+    bend = before - 2.0 * here + after
+    shift = 0.5 * (before - after) / bend if bend < 0.0 else 0.0
+    return float(s[at] + shift * (s[1] - s[0]))
+
+
+def _curvature(z: FloatArray, step: float) -> FloatArray:
+    """Curvature of a profile smoothed by a Gaussian of `_STEPS_PER_SIGMA` samples."""
+    slope, change = (
+        gaussian_filter1d(z, _STEPS_PER_SIGMA, order=order, mode="nearest") / step**order
+        for order in (1, 2)
+    )
+    return np.asarray(change / (1.0 + slope**2) ** 1.5)
 
 
 def _crossing(s: FloatArray, z: FloatArray, at: int, level: float) -> float:

@@ -12,7 +12,7 @@ BASE = {"camera.exposure_ms": 10.0, "camera.prnu_percent": 0.0, "camera.dsnu_e":
 
 def experiment_with(**changes):
     dotted = {f"camera.{key}": value for key, value in changes.items()}
-    return load_experiment("paper/two_balls", BASE | dotted)
+    return load_experiment("examples/slab_balls", BASE | dotted)
 
 
 def uniform(experiment, electrons):
@@ -84,7 +84,7 @@ def test_prnu_and_dsnu_are_fixed_over_frames_and_trials():
 
 
 def test_automatic_exposure_reaches_its_level():
-    experiment = load_experiment("paper/two_balls")
+    experiment = load_experiment("examples/slab_balls")
     rng = np.random.default_rng(5)
     white = rng.uniform(0.0, 1e-3, SHAPE).astype(np.float32)
     exposed = expose(experiment, [white], 0)
@@ -94,7 +94,7 @@ def test_automatic_exposure_reaches_its_level():
 
 def test_automatic_exposure_in_the_dark_says_so():
     with pytest.raises(ValueError, match="white frame is black"):
-        expose(load_experiment("paper/two_balls"), [np.zeros(SHAPE, np.float32)], 0)
+        expose(load_experiment("examples/slab_balls"), [np.zeros(SHAPE, np.float32)], 0)
 
 
 def test_same_seed_same_bytes_and_noise_free_is_the_expectation():

@@ -19,7 +19,7 @@ NO_READ_NOISE = {"read_noise_e": {"value": 0.0, "source": "test"}, "dsnu_e": 0.0
 
 def experiment_with(**changes):
     dotted = {f"camera.{key}": value for key, value in changes.items()}
-    return load_experiment("paper/two_balls", {"camera.exposure_ms": EXPOSURE_MS} | dotted)
+    return load_experiment("examples/slab_balls", {"camera.exposure_ms": EXPOSURE_MS} | dotted)
 
 
 def coordinates_px():

@@ -22,7 +22,7 @@ SMALL = ["-s", "camera.binning=4", "-s", "camera.width_px=968", "-s", "camera.he
 @pytest.fixture(scope="module")
 def measured(mi, tmp_path_factory):
     out = tmp_path_factory.mktemp("cli") / "measured"
-    assert run(["measure", "paper/two_balls", "-o", str(out), *SMALL]) == 0
+    assert run(["measure", "examples/slab_balls", "-o", str(out), *SMALL]) == 0
     return out
 
 
@@ -140,7 +140,7 @@ def test_press_by_force(tmp_path):
     out = tmp_path / "pressed"
     file = tmp_path / "e.toml"
     file.write_text(
-        'name = "f"\nuse = "scenes/rigs/paper"\n[specimen]\nkind = "ball"\n'
+        'name = "f"\nuse = "scenes/rigs/slab"\n[specimen]\nkind = "ball"\n'
         '[press]\ncontrol = "force"\nforce_n = 0.1\n',
         encoding="utf-8",
     )
@@ -154,7 +154,7 @@ def test_press_reports_the_contact_transfer(tmp_path):
     """Half the relief is kept at a pitch of 2.40 thicknesses, a tenth at 1.32."""
     out = tmp_path / "pressed"
     coarse = ["-s", "press.relief_pitch_mm=0.05"]
-    line = ["press", "paper/two_balls", "--transfer", "--solid", "-o", str(out), *coarse]
+    line = ["press", "examples/slab_balls", "--transfer", "--solid", "-o", str(out), *coarse]
     assert run(line) == 0
     metrics = json.loads((out / "result.json").read_text())["metrics"]
     thickness_mm = load_experiment(out / "experiment.toml").elastomer.thickness_mm
@@ -213,12 +213,12 @@ def test_press_of_a_gel_on_a_window(tmp_path, name):
 ON_WINDOW = ["-s", "elastomer.layout=contact_face", "-s", "press.back_pressure_kpa=0"]
 REFUSED = [
     (["measure", "nowhere.toml"], "nowhere.toml: not found"),
-    (["measure", "paper/two_balls", "-s", "elastomer.thicknes_mm=2"], "did you mean"),
-    (["measure", "paper/two_balls", "-s", "press.depth_mm"], "write KEY=VALUE"),
-    (["measure", "paper/two_balls", "-s", "press.depth_mm=30"], "press.depth_mm"),
-    (["press", "paper/two_balls", "-s", "specimen.x_mm=8.0"], "free span"),
+    (["measure", "examples/slab_balls", "-s", "elastomer.thicknes_mm=2"], "did you mean"),
+    (["measure", "examples/slab_balls", "-s", "press.depth_mm"], "write KEY=VALUE"),
+    (["measure", "examples/slab_balls", "-s", "press.depth_mm=30"], "press.depth_mm"),
+    (["press", "examples/slab_balls", "-s", "specimen.x_mm=8.0"], "free span"),
     (["reconstruct", "nowhere"], "no capture.toml"),
-    (["measure", "paper/two_balls", *ON_WINDOW], "add [layers.gel]"),
+    (["measure", "examples/slab_balls", *ON_WINDOW], "add [layers.gel]"),
 ]
 
 
@@ -286,7 +286,7 @@ def test_missing_backend_is_exit_code_three(tmp_path):
         "XDG_CACHE_HOME": str(tmp_path / "cache"),
     }
     done = subprocess.run(
-        [sys.executable, "-c", "from twin.cli import main; main()", "render", "paper/two_balls",
+        [sys.executable, "-c", "from twin.cli import main; main()", "render", "examples/slab_balls",
          "-o", str(tmp_path / "out"), *SMALL],
         capture_output=True, text=True, check=False, env=environment,
     )  # fmt: skip
@@ -299,7 +299,7 @@ def test_an_overexposed_measurement_reports_why_instead_of_failing(mi, tmp_path,
     """Everything saturated: no point, no fit, still a result and a report."""
     out = tmp_path / "bright"
     settings = [*SMALL, "-s", "camera.exposure_ms=5000.0"]
-    assert run(["measure", "paper/two_balls", "-o", str(out), *settings]) == 0
+    assert run(["measure", "examples/slab_balls", "-o", str(out), *settings]) == 0
     metrics = json.loads((out / "result.json").read_text())["metrics"]
     assert metrics["points"] == 0
     assert metrics["saturated_share"] > 0.3

@@ -11,7 +11,7 @@ from twin.config.quantities import split_quantities
 
 @pytest.fixture(scope="module")
 def experiment():
-    return load_experiment("paper/two_balls")
+    return load_experiment("examples/slab_balls")
 
 
 def test_resolved_experiment_loads_back_to_itself(experiment, tmp_path):
@@ -45,7 +45,7 @@ def test_length_with_its_own_unit(experiment):
 
 def test_provenance_travels_and_says_when_a_value_was_set(experiment):
     assert experiment.provenance["elastomer.thickness_mm"].source.startswith("assumed")
-    changed = load_experiment("paper/two_balls", {"elastomer.thickness_mm": 2.0})
+    changed = load_experiment("examples/slab_balls", {"elastomer.thickness_mm": 2.0})
     assert changed.provenance["elastomer.thickness_mm"].source == "set in the experiment"
     assert changed.provenance["elastomer.thickness_mm"].range == (1.0, 5.0)
 
@@ -70,7 +70,7 @@ MISTAKES = [
 @pytest.mark.parametrize(("changes", "found", "allowed"), MISTAKES)
 def test_every_mistake_is_one_line(changes, found, allowed):
     with pytest.raises(ConfigError) as caught:
-        load_experiment("paper/two_balls", changes)
+        load_experiment("examples/slab_balls", changes)
     message = str(caught.value)
     assert found in message
     assert allowed in message
@@ -98,7 +98,7 @@ def test_paths_are_those_of_the_file(experiment, specimen, line):
 
 def test_all_mistakes_are_reported_at_once():
     with pytest.raises(ConfigError) as caught:
-        load_experiment("paper/two_balls", {"seed": -1, "press.depth_mm": -2, "colour": "red"})
+        load_experiment("examples/slab_balls", {"seed": -1, "press.depth_mm": -2, "colour": "red"})
     assert len(str(caught.value).splitlines()) == 3
 
 
@@ -157,7 +157,13 @@ def leaves(tree, prefix=""):
 EXPERIMENTS = [
     name
     for name in list_assets("scenes")
-    if name.split("/")[0] in ("examples", "paper") and name not in ("paper/targets", "paper/trials")
+    if name.split("/")[0] in ("examples", "paper")
+    and name
+    not in (
+        "paper/identify",
+        "paper/targets",
+        "paper/trials",
+    )
 ]
 
 

@@ -23,7 +23,7 @@ SCENES = [
 
 def ball_of(name, tmp_path, extra=""):
     """Write the ball's scene with another material, and with keys laid over that."""
-    text = asset_path("scenes", "paper/ball").read_text(encoding="utf-8")
+    text = asset_path("scenes", "examples/slab_ball").read_text(encoding="utf-8")
     text = text.replace("metals/steel", name).replace("[press]", f"{extra}\n\n[press]")
     file = tmp_path / "experiment.toml"
     file.write_text(text, encoding="utf-8")
@@ -135,8 +135,8 @@ def test_scenes_of_the_paper_load_with_material_and_stage(name):
 
 
 def test_two_balls_are_steel():
-    material = load_experiment("paper/two_balls").specimen.material
-    assert material == load_experiment("paper/ball").specimen.material
+    material = load_experiment("examples/slab_balls").specimen.material
+    assert material == load_experiment("examples/slab_ball").specimen.material
 
 
 @pytest.mark.parametrize("name", ["nut", "balls", "bars", "brick", "fingerprint", "group"])

@@ -5,6 +5,7 @@ import numpy as np
 from twin.study.measuring import AS_IT_IS, Answer
 
 NOISE_MM = 0.004
+REACHES = {"1": 1.0, "1p5": 1.5, "2p5": 2.5, "4": 4.0}
 
 
 class Formula:
@@ -24,6 +25,7 @@ class Formula:
             "height_mm": depth * np.exp(-thickness) + noise,
             "warnings": [],
         }
+        figures |= {f"reach_{told}_mm": thickness * r for told, r in REACHES.items()}
         return Answer(figures)
 
     def reads(self):

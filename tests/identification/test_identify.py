@@ -15,7 +15,7 @@ from twin.study.workers import local_workers
 PROBLEM = """
 name = "sensor"
 [experiments.ball]
-base = "paper/two_balls"
+base = "examples/slab_balls"
 [free.thickness]
 path = "elastomer.thickness_mm"
 low = 0.1
@@ -73,6 +73,11 @@ def test_the_best_experiments_have_the_found_values(identified):
     best = experiments_at_best(found, experiments)["ball"]
     assert best.elastomer.thickness_mm == pytest.approx(0.3, abs=0.01)
     assert best.press.depth_mm == pytest.approx(0.54, abs=0.02)
+    told = best.provenance["elastomer.thickness_mm"]
+    assert told.source.startswith("identified: sensor, from the rows radius, height")
+    low, high = told.range
+    assert high - low == pytest.approx(4 * 0.01, rel=0.2)  # 95 % of a normal: 3.92 SD
+    assert low <= best.elastomer.thickness_mm <= high
 
 
 def test_intervals_cover_the_hidden_values_of_twelve_sensors(tmp_path):
@@ -151,6 +156,38 @@ def test_a_row_held_out_is_not_fitted_and_rotated_ones_are_predicted(tmp_path):
     assert not row.fitted
     assert row.deviation > 2.0
     assert "depth" in found.undetermined()
+
+
+def test_a_field_among_the_figures_costs_no_simulation(tmp_path):
+    """The reach is thickness times region: 0.3 mm by the radius and 0.6 by the reach are 2 mm."""
+    region = """
+[free.region]
+path = "score.roi_radius_mm"
+low = 1.0
+high = 4.0
+scale = "log"
+among = [1.0, 1.5, 2.5, 4.0]
+[rows.reach]
+experiment = "ball"
+metric = "reach_{region}_mm"
+learned_as = "log"
+value = 0.6
+sd = 0.003
+[worth.region]
+experiment = "ball"
+metric = "{region}"
+value = 0.0
+sd = 0.1
+"""
+    found, _ = _identify(tmp_path, PROBLEM + region)
+    studies = list((tmp_path / "out" / "studies").iterdir())
+    assert [len(list((one / "cases").iterdir())) for one in studies] == [64]
+    known = found.intervals()["region"]
+    assert known.mean == pytest.approx(2.0, abs=0.02)
+    assert known.sd == pytest.approx(2.0 * np.hypot(0.01 / 0.3, 0.003 / 0.6), rel=0.15)
+    (worth,) = found.worth()
+    left = 1 / (1 + (known.sd / 0.1) ** 2)
+    assert worth.shrink["region"] == pytest.approx(left, rel=0.15)
 
 
 def test_same_results_after_a_resume_and_with_two_workers(tmp_path):

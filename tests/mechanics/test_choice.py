@@ -12,7 +12,7 @@ from twin.pipeline import press_specimen
 from twin.specimens import shape_of
 
 
-def pressed(name="paper/two_balls", **changes):
+def pressed(name="examples/slab_balls", **changes):
     return press_specimen(
         load_experiment(name, {k.replace("__", "."): v for k, v in changes.items()})
     )
@@ -107,7 +107,7 @@ def test_auto_presses_thin_sheets_as_sheets(keys):
 def test_other_models_refuse_what_only_the_sheet_knows(key, value, model):
     keys = {f"elastomer.{key}": value, "elastomer.length_x_mm": 20.0, "mechanics.model": model}
     with pytest.raises(PressError, match=rf"^elastomer\.{key}: .* the {model} model") as caught:
-        press_specimen(load_experiment("paper/two_balls", keys))
+        press_specimen(load_experiment("examples/slab_balls", keys))
     assert "\n" not in str(caught.value)
 
 
@@ -123,7 +123,7 @@ def test_supports_and_pads_belong_to_fem_and_sheet():
     for model in ("spectral", "neo_hookean"):
         with pytest.raises(ConfigError, match="support needs model = 'fem'"):
             load_experiment(
-                "paper/two_balls", {"mechanics.support": "clamped", "mechanics.model": model}
+                "examples/slab_balls", {"mechanics.support": "clamped", "mechanics.model": model}
             )
     ledge = Mechanics(model="sheet", support="ledge")
     with pytest.raises(PressError, match=r"^mechanics\.support: found 'ledge', .*'simple' or"):
@@ -132,7 +132,7 @@ def test_supports_and_pads_belong_to_fem_and_sheet():
 
 def test_pads_that_cannot_be_read_are_one_line(tmp_path):
     on_window = load_experiment("examples/domed_pad").elastomer
-    slab = load_experiment("paper/two_balls").elastomer
+    slab = load_experiment("examples/slab_balls").elastomer
     with pytest.raises(PressError, match="contact_face"):
         read_pad(PadFile(file="scenes/examples/dome.stl"), slab)
     with pytest.raises(ValueError, match=r"mechanics\.pad\.file: nowhere\.stl: no such file"):

@@ -189,7 +189,7 @@ def test_a_tilted_rod_under_a_draped_slab_is_found_without_rebounds() -> None:
         "press.depth_mm": 0.7667668789711536, "press.back_pressure_kpa": 16.834198310420753,
         "elastomer.thickness_mm": 2.9852608833583902, "elastomer.shore_a": 10.13986265468515,
     }  # fmt: skip
-    experiment = load_experiment("paper/rods_c", changes)
+    experiment = load_experiment("examples/slab_rod", changes)
     assert press_specimen(experiment).iterations < 200
 
 

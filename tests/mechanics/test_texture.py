@@ -185,7 +185,7 @@ SMALL = {"press.solver_pitch_mm": 0.2, "press.relief_pitch_mm": 0.05}
 
 
 def test_a_smooth_coat_keeps_its_bytes_and_digest():
-    experiment = load_experiment("paper/two_balls", SMALL)
+    experiment = load_experiment("examples/slab_balls", SMALL)
     assert "texture" not in experiment.coating.model_dump()
     rough = vary(experiment, {"coating.texture": NORMAL.model_dump()})
     assert digest(vary(rough, {"coating.texture": None})) == digest(experiment) != digest(rough)
@@ -201,7 +201,7 @@ def test_a_smooth_coat_keeps_its_bytes_and_digest():
 def test_every_model_gets_it_from_the_experiments_seed(model, monkeypatch):
     """What a model pressed stands in for the slow ones: one place lays the texture on them all."""
     experiment = load_experiment(
-        "paper/two_balls", SMALL | {"coating.texture": NORMAL.model_dump()}
+        "examples/slab_balls", SMALL | {"coating.texture": NORMAL.model_dump()}
     )
     smooth = replace(press_smooth(experiment), model=model)
     monkeypatch.setattr("twin.pipeline.press.press_with", lambda *_: smooth)
@@ -223,7 +223,7 @@ def test_every_model_gets_it_from_the_experiments_seed(model, monkeypatch):
 def test_what_cannot_be_is_refused_in_one_line(changes, told):
     with pytest.raises(ConfigError) as caught:
         load_experiment(
-            "paper/two_balls", SMALL | {"coating.texture": NORMAL.model_dump() | changes}
+            "examples/slab_balls", SMALL | {"coating.texture": NORMAL.model_dump() | changes}
         )
     assert told in str(caught.value)
     assert "\n" not in str(caught.value)

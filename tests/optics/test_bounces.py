@@ -27,7 +27,7 @@ def corner(grid_face):
 @pytest.fixture(scope="module")
 def experiment():
     return load_experiment(
-        "paper/two_balls",
+        "examples/slab_balls",
         {
             "projector.width_px": 320,
             "projector.height_px": 180,

@@ -17,7 +17,7 @@ MATTE, BINDERS = 1.0, (1.2, 1.4, 1.6)
 @pytest.fixture(scope="module")
 def experiment():
     return load_experiment(
-        "paper/two_balls",
+        "examples/slab_balls",
         {
             "projector.width_px": 320,
             "projector.height_px": 180,

@@ -29,7 +29,7 @@ def stated(value):
 
 def paper(changes):
     few = {"projector.width_px": 320, "patterns.steps": 3}
-    return load_experiment("paper/two_balls", few | changes)
+    return load_experiment("examples/slab_balls", few | changes)
 
 
 @pytest.fixture(scope="module")
@@ -144,7 +144,7 @@ def test_rendered_modulation_falls_as_the_transfer_function(mi, plane):
     from twin.optics.rig import true_calibration
 
     experiment = load_experiment(
-        "paper/two_balls",
+        "examples/slab_balls",
         {
             "projector.aperture_mm": stated(40.0),
             "patterns.steps": 3,

@@ -99,7 +99,7 @@ def test_beyond_the_fold_there_is_no_light(mi, plane, device):
     from twin.optics.scene import coated_scene, rig_of
 
     experiment = load_experiment(
-        "paper/two_balls", {"render.samples": 1, "projector.height_px": 1280}
+        "examples/slab_balls", {"render.samples": 1, "projector.height_px": 1280}
     )
     folding, far = (-0.5, 0.0, 0.0, 0.0, 0.0), np.diag([1.0, -1.0, -1.0, 1.0])
     far[2, 3] = 14.137  # no ray along an edge of the mesh
@@ -148,7 +148,7 @@ def test_the_whole_field_is_where_opencv_projects_it(mi, name):
     from twin.config import load_experiment
     from twin.optics.scene import rig_of
 
-    device = getattr(rig_of(load_experiment("paper/two_balls", LENSES[name])), name)
+    device = getattr(rig_of(load_experiment("examples/slab_balls", LENSES[name])), name)
     p, T_world_from_device = device.pinhole, device.T_world_from_device
     columns, rows = (
         np.linspace(-0.5, p.width_px - 0.5, 25),

@@ -22,7 +22,7 @@ SMALL = {
 
 def direct(roughness=0.4, **settings):
     metal = {"specimen.material.roughness": {"value": roughness, "source": "test"}}
-    return load_experiment("paper/two_balls", SMALL | metal | settings)
+    return load_experiment("examples/slab_balls", SMALL | metal | settings)
 
 
 @pytest.mark.parametrize("roughness", [0.4, 0.2], ids=["rough", "polished"])
@@ -113,7 +113,7 @@ def test_same_seed_same_bytes(mi):
     ("name", "settings", "message"),
     [
         ("examples/starter", {}, "specimen.material: found none for"),
-        ("paper/two_balls", {"render.engine": "stock"}, "render.engine: found 'stock'"),
+        ("examples/slab_balls", {"render.engine": "stock"}, "render.engine: found 'stock'"),
         ("paper/brick", {"projector.aperture_mm": 4.0}, "projector.aperture_mm: found 4"),
     ],
 )

@@ -22,7 +22,7 @@ SMALL = {
 @pytest.mark.parametrize("emitter", ["projector", "spot"])
 def test_exported_scene_renders_the_same_frame(mi, plane, tmp_path, emitter):
     """One phase frame at 256 samples: every lit pixel within 3 %, their mean within 0.1 %."""
-    experiment = load_experiment("paper/two_balls", SMALL | {"render.stock_emitter": emitter})
+    experiment = load_experiment("examples/slab_balls", SMALL | {"render.stock_emitter": emitter})
     left_out = export_stock(experiment, plane, tmp_path)
     assert left_out == inexpressible(experiment)
     patterns = pattern_set(experiment.projector, experiment.patterns)
@@ -43,7 +43,7 @@ def test_exported_scene_renders_the_same_frame(mi, plane, tmp_path, emitter):
 
 def test_what_stock_cannot_express_is_named():
     distorted = load_experiment(
-        "paper/two_balls", {"camera.distortion": [-0.1, 0.0, 0.0, 0.0, 0.0]}
+        "examples/slab_balls", {"camera.distortion": [-0.1, 0.0, 0.0, 0.0, 0.0]}
     )
     assert "camera.distortion" in inexpressible(distorted)[0]
 
@@ -54,7 +54,7 @@ def test_exported_specimen_renders_as_ours(mi, tmp_path):
 
     rough = {"specimen.material.roughness": {"value": 0.4, "source": "test"}}
     settings = SMALL | rough | {"modality": "direct_fpp", "render.bounces": 2}
-    experiment = load_experiment("paper/two_balls", settings)
+    experiment = load_experiment("examples/slab_balls", settings)
     export_stock(experiment, None, tmp_path)
     frames = pattern_set(experiment.projector, experiment.patterns).frames
     scene = mi.load_file(str(tmp_path / "scene.xml"), frame=frames[1].name, optimize=False)

@@ -25,7 +25,7 @@ STACKS = [GEL_AND_WINDOW, WINDOW_OVER_AIR, ABSORBING, THICK]
 def experiment():
     """The paper's rig with a matte coat and few, large pixels."""
     return load_experiment(
-        "paper/two_balls",
+        "examples/slab_balls",
         {
             "camera.width_px": 120,
             "camera.height_px": 92,

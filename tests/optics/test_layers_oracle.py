@@ -36,7 +36,7 @@ LAYERS = {
 @pytest.fixture(scope="module")
 def experiment():
     return load_experiment(
-        "paper/two_balls",
+        "examples/slab_balls",
         {
             "camera.width_px": 24,
             "camera.height_px": 18,

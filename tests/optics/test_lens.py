@@ -48,18 +48,18 @@ def test_one_sample_is_the_chief_ray():
 
 
 def test_focus_is_the_plane_through_the_origin():
-    experiment = load_experiment("paper/two_balls", OPEN)
+    experiment = load_experiment("examples/slab_balls", OPEN)
     lens = ThinLens.of(experiment.camera, true_calibration(experiment).T_world_from_cam)
     assert lens.focus_mm == pytest.approx(experiment.camera.pose.standoff_mm)
     assert lens.radius_mm == pytest.approx(50.0 / 2.8 / 2)
-    assert ThinLens.of(load_experiment("paper/two_balls").camera, np.eye(4)) is None
+    assert ThinLens.of(load_experiment("examples/slab_balls").camera, np.eye(4)) is None
 
 
 def test_rays_through_the_rim_span_the_circle_of_confusion(mi):
     """c = (f / N) fx |1/z - 1/z_focus| in undistorted pixels, at the centre and in a corner."""
     from twin.optics.scene import rig_of
 
-    camera = rig_of(load_experiment("paper/two_balls", OPEN)).camera
+    camera = rig_of(load_experiment("examples/slab_balls", OPEN)).camera
     lens, pinhole = camera.lens, camera.pinhole
     x_px, y_px = mi.Float([192.0, 1.0]), mi.Float([48.0, 90.0])
     for axial_mm in (190.0, lens.focus_mm, 230.0):
@@ -78,7 +78,7 @@ def test_lens_and_distortion_compose(mi):
     from twin.optics.scene import rig_of
 
     distorted = OPEN | {"camera.distortion": [-0.1, 0.02, 1e-3, -1e-3, 0.0]}
-    camera = rig_of(load_experiment("paper/two_balls", distorted)).camera
+    camera = rig_of(load_experiment("examples/slab_balls", distorted)).camera
     x_px, y_px = mi.Float([5.0, 200.0, 380.0]), mi.Float([3.0, 50.0, 90.0])
     for place in ((0.0, 0.0), (0.9, 0.1), (-0.5, 0.7)):
         ray = camera.lens_ray(camera.lens, x_px, y_px, tuple(map(mi.Float, place)))
@@ -98,7 +98,7 @@ def test_an_edge_out_of_focus_has_the_discs_second_moment(mi, grid_face):
     from twin.optics.scene import coated_scene, rig_of
 
     height_mm, edge_mm, samples = 6.0, 0.02, 256
-    experiment = load_experiment("paper/two_balls", OPEN)
+    experiment = load_experiment("examples/slab_balls", OPEN)
     patterns = pattern_set(experiment.projector, experiment.patterns)
     tables, rig = light_tables(experiment.projector, patterns), rig_of(experiment)
     images = []
@@ -134,7 +134,7 @@ def test_without_depth_of_field_the_f_number_changes_no_byte(mi, plane):
     frames = [
         render(
             load_experiment(
-                "paper/two_balls", tiny | {"camera.f_number": {"value": n, "source": "test"}}
+                "examples/slab_balls", tiny | {"camera.f_number": {"value": n, "source": "test"}}
             ),
             plane,
         ).frames
@@ -147,12 +147,12 @@ def test_one_sample_sees_no_depth_of_field(mi):
     from twin.optics.scene import rig_of
 
     with pytest.raises(InputError, match=r"^render\.samples: found 1[^\n]*$"):
-        rig_of(load_experiment("paper/two_balls", OPEN | {"render.samples": 1}))
+        rig_of(load_experiment("examples/slab_balls", OPEN | {"render.samples": 1}))
 
 
 def test_the_exported_scene_has_the_thin_lens(mi, plane, tmp_path):
     small = {"projector.width_px": 320, "projector.height_px": 180}
-    export_stock(load_experiment("paper/two_balls", OPEN | small), plane, tmp_path)
+    export_stock(load_experiment("examples/slab_balls", OPEN | small), plane, tmp_path)
     sensor = mi.load_file(str(tmp_path / "scene.xml")).sensors()[0]
     parameters = mi.traverse(sensor)
     assert parameters["aperture_radius"][0] == pytest.approx(50.0 / 2.8 / 2)

@@ -26,7 +26,7 @@ RUNS, SAMPLES, OURS = 24, 16, 576
 @pytest.fixture(scope="module")
 def experiment():
     return load_experiment(
-        "paper/two_balls",
+        "examples/slab_balls",
         {
             "camera.depth_of_field": True,
             "camera.f_number": {"value": 2.8, "source": "test"},

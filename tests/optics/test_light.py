@@ -10,7 +10,7 @@ from twin.optics.light import OVERSAMPLING, blur, light_tables, pattern_set, res
 
 @pytest.fixture(scope="module")
 def experiment():
-    return load_experiment("paper/two_balls", {"projector.width_px": 320})
+    return load_experiment("examples/slab_balls", {"projector.width_px": 320})
 
 
 def test_blur_is_box_then_gaussian():
@@ -126,7 +126,7 @@ def test_a_fine_table_of_a_power_law_is_the_power_law(experiment):
 def test_a_wrong_response_is_one_line(changes, problem):
     dotted = {f"projector.{key}": value for key, value in changes.items()}
     with pytest.raises(ConfigError) as caught:
-        load_experiment("paper/two_balls", dotted)
+        load_experiment("examples/slab_balls", dotted)
     assert "projector.response: found" in str(caught.value)
     assert problem in str(caught.value)
     assert "\n" not in str(caught.value)

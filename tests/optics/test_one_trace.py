@@ -16,7 +16,7 @@ WIDE = {"value": 36.0, "source": "test"}
 @pytest.fixture(scope="module")
 def experiment():
     changes = SMALL | {"camera.pixel_pitch_um": WIDE, "coating.flake_fraction": 0.0}
-    return load_experiment("paper/two_balls", changes)
+    return load_experiment("examples/slab_balls", changes)
 
 
 def white_frame(experiment, stack):
@@ -127,7 +127,7 @@ def test_one_look_up_per_smooth_pixel_is_as_good_as_one_per_sample(mi, bump):
     from twin.optics.scene import coated_scene, rig_of
 
     centre = {"camera.binning": 2, "camera.width_px": 640, "camera.height_px": 480}
-    experiment = load_experiment("paper/two_balls", centre)
+    experiment = load_experiment("examples/slab_balls", centre)
     wall = trimesh.creation.box(extents=[0.3, 20.0, 2.0])
     wall.apply_translation([3.0, 0.0, 0.5])
     face = trimesh.util.concatenate([bump, wall])

@@ -20,7 +20,7 @@ SMALL = {
 
 
 def rendered(face, changes=None):
-    experiment = load_experiment("paper/two_balls", SMALL | (changes or {}))
+    experiment = load_experiment("examples/slab_balls", SMALL | (changes or {}))
     return experiment, render(experiment, face)
 
 

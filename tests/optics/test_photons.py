@@ -19,7 +19,7 @@ STAGE = {"type": "diffuse", "reflectance": {"type": "spectrum", "value": 0.5}}
 @pytest.fixture(scope="module")
 def experiment():
     return load_experiment(
-        "paper/two_balls",
+        "examples/slab_balls",
         {
             "camera.width_px": 120,
             "camera.height_px": 92,
@@ -225,7 +225,7 @@ def test_light_through_a_ball_equals_stock_with_a_small_lamp(mi):
     against the projector's even field, the lamp's size, light reflected twice by the stage).
     With a pinhole stock shows the shadow black.
     """
-    near = load_experiment("paper/two_balls", NEAR)
+    near = load_experiment("examples/slab_balls", NEAR)
     ours, bare_ours = white_with_and_without(mi, near)
     theirs, bare_theirs = lamp_with_and_without(mi, near, runs=6)
     seen = tiles(ours / bare_ours)

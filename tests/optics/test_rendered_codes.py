@@ -34,7 +34,7 @@ def test_rendered_code_gives_the_true_projector_coordinate(mi, plane, change):
 
     Why 0.1: one value stands for the four rays of a pixel that covers 2 to 3 projector pixels.
     """
-    experiment = load_experiment("paper/two_balls", SMALL | change)
+    experiment = load_experiment("examples/slab_balls", SMALL | change)
     patterns = pattern_set(experiment.projector, experiment.patterns)
     stack = render(experiment, plane)
     calibration = true_calibration(experiment)

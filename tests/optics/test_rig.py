@@ -14,7 +14,7 @@ def project(pinhole, T_world_from_device, point_world_mm):
 
 @pytest.fixture(scope="module")
 def rig():
-    return true_calibration(load_experiment("paper/two_balls"))
+    return true_calibration(load_experiment("examples/slab_balls"))
 
 
 def test_camera_looks_down_with_x_right_and_y_up(rig):
@@ -58,7 +58,7 @@ def test_triangulation_angle_is_the_polar_angle(rig):
 @pytest.mark.parametrize("azimuth_deg", [-170.0, -90.0, 0.0, 60.0, 180.0])
 def test_poses_are_rotations(azimuth_deg):
     experiment = load_experiment(
-        "paper/two_balls",
+        "examples/slab_balls",
         {"projector.pose.azimuth_deg": azimuth_deg, "projector.pose.roll_deg": 12.0},
     )
     rotation = true_calibration(experiment).T_world_from_proj[:3, :3]
@@ -67,6 +67,6 @@ def test_poses_are_rotations(azimuth_deg):
 
 
 def test_binning_keeps_the_field_of_view():
-    full = true_calibration(load_experiment("paper/two_balls")).camera
-    binned = true_calibration(load_experiment("paper/two_balls", {"camera.binning": 2})).camera
+    full = true_calibration(load_experiment("examples/slab_balls")).camera
+    binned = true_calibration(load_experiment("examples/slab_balls", {"camera.binning": 2})).camera
     np.testing.assert_allclose(full.unproject([-0.5, -0.5]), binned.unproject([-0.5, -0.5]))

@@ -18,7 +18,7 @@ SPIKE_MM = 6.0
 @pytest.fixture(scope="module")
 def experiment():
     return load_experiment(
-        "paper/two_balls",
+        "examples/slab_balls",
         {
             "projector.width_px": 320,
             "projector.height_px": 180,

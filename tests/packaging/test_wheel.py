@@ -22,8 +22,8 @@ site = Path(twin.__file__).parents[1]
 material = asset_path("materials", "elastomers/silicone_c")
 assert material.is_relative_to(site), material
 assert tomllib.loads(material.read_text())
-assert asset_path("scenes", "paper/two_balls").is_relative_to(site)
-assert load_experiment("paper/two_balls")
+assert asset_path("scenes", "examples/slab_balls").is_relative_to(site)
+assert load_experiment("examples/slab_balls")
 assert Path(reconstruction.__file__).is_relative_to(site)
 print(len(list_assets("scenes")), len(list_assets("materials")))
 """

@@ -18,13 +18,13 @@ IDEAL = {"camera.noise": False, "decode.filter_taps": 0}
 @pytest.fixture(scope="session")
 def base() -> Experiment:
     """Return an experiment with small images and a coarse face."""
-    return load_experiment("paper/two_balls", FREE)
+    return load_experiment("examples/slab_balls", FREE)
 
 
 @pytest.fixture(scope="session")
 def pressed() -> PressedElastomer:
     """Return the default press: two balls."""
-    return press_specimen(load_experiment("paper/two_balls"))
+    return press_specimen(load_experiment("examples/slab_balls"))
 
 
 @pytest.fixture(scope="session")

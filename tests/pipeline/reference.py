@@ -54,7 +54,7 @@ AXES = (
 
 def measured(folder):
     """Measure everything; digests and figures by the name of the measurement."""
-    two_balls, found = load_experiment("paper/two_balls", FREE), {}
+    two_balls, found = load_experiment("examples/slab_balls", FREE), {}
     plan = PhotometricPlan(settings=FEW_PRESSES)
     compare([two_balls], METHODS, folder / "compare", plan=plan)
     for method in METHODS:

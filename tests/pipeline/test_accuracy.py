@@ -24,7 +24,7 @@ def decoded(experiment, recording):
 @pytest.fixture(scope="module")
 def ideal(mi, pressed):
     """Noise-free, unfiltered, whole field at 484 x 366."""
-    experiment = load_experiment("paper/two_balls", IDEAL | {"camera.binning": 4})
+    experiment = load_experiment("examples/slab_balls", IDEAL | {"camera.binning": 4})
     recording = record(experiment, pressed)
     return experiment, recording, decoded(experiment, recording)
 
@@ -44,7 +44,7 @@ def test_noise_free_fringe_orders_are_all_right(ideal):
 
 def test_radius_of_an_ideal_ball_cap(mi, ball_cap):
     """A rendered cap of a 4 mm ball: fitted radius within 2 um of 4 mm."""
-    experiment = load_experiment("paper/two_balls", IDEAL | CENTRE)
+    experiment = load_experiment("examples/slab_balls", IDEAL | CENTRE)
     recording = record(experiment, ball_cap)
     result = decoded(experiment, recording)
     points = result.point_map.points_world_mm[result.point_map.valid & recording.truth.lit]
@@ -57,7 +57,7 @@ def test_radius_of_an_ideal_ball_cap(mi, ball_cap):
 @pytest.fixture(scope="module")
 def default(mi, pressed):
     """Return the default camera, patterns and filter, middle of the field."""
-    experiment = load_experiment("paper/two_balls", CENTRE)
+    experiment = load_experiment("examples/slab_balls", CENTRE)
     return experiment, record(experiment, pressed)
 
 
@@ -153,7 +153,7 @@ def test_stock_engine_gives_the_same_measurement(mi, emitter):
     projector = {"projector.width_px": 320, "projector.height_px": 180, "patterns.steps": 6}
     wide = {"camera.pixel_pitch_um": {"value": 27.0, "source": "test"}}
     stock = {"render.engine": "stock", "render.samples": 16, "render.stock_emitter": emitter}
-    experiment = load_experiment("paper/two_balls", tiny | projector | wide | stock)
+    experiment = load_experiment("examples/slab_balls", tiny | projector | wide | stock)
     figures = measure(experiment).figures
     assert figures["wrong_order_pixels"] == 0
     assert figures["z_rmse_um"] < 20.0  # 6.0 measured; a projector pixel is 0.65 mm here

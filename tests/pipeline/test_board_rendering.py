@@ -37,7 +37,7 @@ def defocus_misses(pose):
     lens = {"camera.depth_of_field": True, "camera.noise": False, "render.samples": 16}
     lens |= {"camera.width_px": 1200, "camera.height_px": 900}
     experiment, board = (
-        load_experiment("paper/two_balls", SMALL | lens),
+        load_experiment("examples/slab_balls", SMALL | lens),
         load_board("boards/paper_dots"),
     )
     seen = observe(record_board(experiment, board, pose), board.board())
@@ -61,7 +61,7 @@ def test_corner_boards_are_observed(mi, name):
     The projector coordinate belongs to the place seen, so its error beyond the camera's share is
     that of the phase alone: 5e-3 px.
     """
-    board, experiment = load_board(name), load_experiment("paper/two_balls", SMALL)
+    board, experiment = load_board(name), load_experiment("examples/slab_balls", SMALL)
     pose = BoardPose(tilt_deg=12.0, azimuth_deg=40.0)
     seen = observe(record_board(experiment, board, pose), board.board())
     assert len(seen.ids) >= 50

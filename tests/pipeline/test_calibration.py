@@ -70,7 +70,15 @@ def folder(mi, board_file, tmp_path_factory):
     """Result of `twin calibrate EXPERIMENT`, the captures kept as 8-bit images."""
     out = tmp_path_factory.mktemp("calibrate") / "rendered"
     settings = [part for k, v in EIGHT_BIT.items() for part in ("-s", f"{k}={v}")]
-    line = ["calibrate", "paper/two_balls", "-o", str(out), "--board", str(board_file), *settings]
+    line = [
+        "calibrate",
+        "examples/slab_balls",
+        "-o",
+        str(out),
+        "--board",
+        str(board_file),
+        *settings,
+    ]
     assert run([*line, "--as-images"]) == 0
     return out
 
@@ -93,7 +101,7 @@ def test_rendered_calibration_finds_the_true_rig(folder):
 def test_world_frame_is_the_first_board(folder):
     """The first pose lies in the rig's own reference frame: transforms agree with the true ones."""
     found = read_calibration(folder / "calibration.yaml")
-    true = true_calibration(load_experiment("paper/two_balls", SMALL))
+    true = true_calibration(load_experiment("examples/slab_balls", SMALL))
     np.testing.assert_allclose(
         found.T_world_from_cam[:3, 3], true.T_world_from_cam[:3, 3], atol=0.2
     )
@@ -152,7 +160,7 @@ def test_calibration_of_folders_holds_the_true_rig(calibrated):
     """Expected: every parameter within twice its U: with 11 free ones, one lies beyond U (k = 2)
     in every second calibration, and one beyond 2 U in 1500.
     """
-    true = parameters_of(true_calibration(load_experiment("paper/two_balls", SMALL)))
+    true = parameters_of(true_calibration(load_experiment("examples/slab_balls", SMALL)))
     with (calibrated / "parameters.csv").open() as file:
         rows = {row["parameter"]: row for row in csv.DictReader(file)}
     assert "truth" not in rows["baseline_mm"]
@@ -202,7 +210,7 @@ def test_lengths_on_a_new_pose(folder, board_file, mi):
     """Setup: the calibration found, a pose that took no part. Expected: 11 mm within 5 um."""
     board = load_board(board_file)
     new = BoardPose(tilt_deg=10.0, azimuth_deg=60.0, spin_deg=15.0, z_mm=0.5)
-    experiment = load_experiment("paper/two_balls", EIGHT_BIT)
+    experiment = load_experiment("examples/slab_balls", EIGHT_BIT)
     seen = observe(record_board(experiment, board, new, 50), board.board())
     points = locate_features(read_calibration(folder / "calibration.yaml"), seen)
     assert np.abs(length_errors_mm(points, seen, 11.0)).max() < 5e-3

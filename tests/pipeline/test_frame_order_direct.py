@@ -20,10 +20,10 @@ def test_bare_specimen_passes_at_any_exposure(mi):
     Expected: no alarm, with and without calibration; and the same images with two frames exchanged
     are still refused at the normal exposure, or the check would be asleep.
     """
-    _, recording = take(load_experiment("paper/ball", SMALL))
+    _, recording = take(load_experiment("examples/slab_ball", SMALL))
     for factor in (1.0, 8.0, 0.1):
         exposure = {"camera.exposure_ms": factor * recording.exposure_ms}
-        experiment = load_experiment("paper/ball", SMALL | exposure)
+        experiment = load_experiment("examples/slab_ball", SMALL | exposure)
         capture = expose_capture(experiment, recording.radiance, Stopwatch(), 1).capture
         clipped = np.mean(capture.stack.max(axis=0) >= capture.sensor.clipped_from_dn)
         assert (clipped > 0.02) == (factor == 8.0)

@@ -41,7 +41,7 @@ def test_a_gel_measured_in_air_looks_thinner(mi):
 
 def test_a_gel_that_nobody_describes_is_refused():
     experiment = load_experiment(
-        "paper/two_balls",
+        "examples/slab_balls",
         {
             "elastomer.layout": "contact_face",
             "press.solver_pitch_mm": 0.4,

@@ -9,7 +9,7 @@ from twin.pipeline.comparison import PhotometricPlan, case_for
 
 @pytest.fixture(scope="module")
 def coarse():
-    return load_experiment("paper/ball", {"press.solver_pitch_mm": 0.4})
+    return load_experiment("examples/slab_ball", {"press.solver_pitch_mm": 0.4})
 
 
 def test_a_load_is_carried_over(coarse):

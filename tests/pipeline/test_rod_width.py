@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from reconstruction.errors import FitError
-from twin.results.rods import section_of
+from twin.config import load_experiment
+from twin.results.rods import rod_figures, section_of
 
 
 def crest(width_mm, sag_mm=0.2):
@@ -35,3 +36,15 @@ def test_no_crest_is_refused():
     slope = np.column_stack([x.ravel(), y.ravel(), x.ravel()])
     with pytest.raises(FitError):
         section_of(slope, 2.0, (0.0, 0.0)).width()
+
+
+def test_the_slope_breaks_at_the_upper_edges():
+    """Flanks of 0.5 mm: the top is half a millimetre narrower than the width at half height."""
+    section = section_of(crest(4.81), 2.0, (0.0, 0.0))
+    assert section.break_width().width_mm == pytest.approx(4.81 - 0.5, abs=0.3)
+
+
+def test_a_single_bar_is_read_like_a_rod():
+    bar = load_experiment("paper/bars_b")
+    assert rod_figures(bar, crest(4.81))["rod_width_mm"] == pytest.approx(4.81, abs=0.01)
+    assert rod_figures(load_experiment("paper/bars"), crest(4.81)) == {}

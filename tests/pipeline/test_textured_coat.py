@@ -25,7 +25,7 @@ def rmse_um(points_mm, region):
 @pytest.fixture(scope="module")
 def recorded(mi, ball_cap):
     """Recordings of an ideal cap, smooth and rough."""
-    experiment = load_experiment("paper/two_balls", COARSE)
+    experiment = load_experiment("examples/slab_balls", COARSE)
     # Not the press that the cap stands in for: its material lies where it lay.
     cap = replace(ball_cap, model="fem")
     rough = textured(cap, experiment.elastomer, experiment.press, TEXTURE, seed=1)
@@ -35,7 +35,7 @@ def recorded(mi, ball_cap):
 @pytest.fixture(params=[0, 8])
 def residuals(request, recorded):
     """Residuals of sphere fits: measured and true of both caps, and true under the filter, um."""
-    decode = load_experiment("paper/two_balls", {"decode.filter_taps": request.param}).decode
+    decode = load_experiment("examples/slab_balls", {"decode.filter_taps": request.param}).decode
     true = [recording.truth.points_world_mm.astype(np.float64) for recording in recorded]
     maps = [reconstruct(each.capture, options_of(decode)).point_map for each in recorded]
     region = np.hypot(true[0][..., 0], true[0][..., 1]) < 2.0

@@ -7,6 +7,7 @@ from reconstruction.errors import FitError
 from reconstruction.evaluate import (
     areal_roughness,
     bar_width,
+    break_width,
     fit_ball,
     fit_cylinder,
     flatness,
@@ -162,3 +163,29 @@ def test_the_filter_passes_half_at_its_nesting_index():
     wave = 0.01 * np.sin(2 * np.pi * x / length)
     found = areal_roughness(wave, np.ones_like(x, bool), pitch, nesting_mm=length)
     assert found.sq_mm == pytest.approx(0.5 * 0.01 / np.sqrt(2), rel=0.03)
+
+
+@pytest.mark.parametrize(("flank_mm", "inside"), [(0.4, 1.0), (1.0, 0.6), (6.0, 0.05)])
+def test_slope_breaks_at_the_upper_edges_of_a_trapezoid(flank_mm, inside):
+    """Expected: the width of the top, up to a sigma less a side on steep flanks, and its middle."""
+    s, sigma = np.arange(-12.0, 12.0, 0.05), 0.15
+    z = np.clip((4.0 + flank_mm - np.abs(s - 0.3)) / flank_mm, 0.0, 1.0)
+    found = break_width(s, z, sigma)
+    assert 8.0 - 2 * inside * sigma < found.width_mm < 8.0 + 0.005
+    assert (found.left_mm + found.right_mm) / 2 == pytest.approx(0.3, abs=0.01)
+    assert found.height_mm == pytest.approx(1.0, abs=0.01)
+
+
+def test_the_break_of_a_round_crest_is_on_its_arc():
+    """A strip over a cylinder of radius 2 leaves it 0.5 rad from its top."""
+    s, edge = np.arange(-6.0, 6.0, 0.01), 2.0 * np.sin(0.5)
+    arc = np.sqrt(np.maximum(4.0 - s**2, 0.0))
+    tent = 2.0 * np.cos(0.5) - np.tan(0.5) * (np.abs(s) - edge)
+    z = np.where(np.abs(s) < edge, arc, tent)
+    assert 0.0 < break_width(s, z, 0.15).width_mm <= 2 * edge
+
+
+def test_a_slope_that_does_not_break_is_refused():
+    s = np.linspace(-3.0, 3.0, 100)
+    with pytest.raises(FitError, match="bend down"):
+        break_width(s, s**2, 0.1)

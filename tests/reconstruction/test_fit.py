@@ -2,7 +2,12 @@ import numpy as np
 import pytest
 
 from reconstruction.errors import FitError
-from reconstruction.evaluate.fit import fit_plane, fit_sphere, residual_stats
+from reconstruction.evaluate.fit import (
+    fit_plane,
+    fit_sphere,
+    fit_sphere_algebraic,
+    residual_stats,
+)
 
 
 def cap(count, half_angle_deg, seed=0):
@@ -80,3 +85,41 @@ def test_undetermined_shapes_are_refused(fit, points, message):
 def test_no_residuals_are_refused():
     with pytest.raises(FitError, match="no valid point"):
         residual_stats([])
+
+
+def plan_cap(count, radius_mm, region_mm, noise_mm, seed=0):
+    """Return points of a sphere spread evenly over the plan of a region, with radial noise."""
+    rng = np.random.default_rng(seed)
+    r = region_mm * np.sqrt(rng.uniform(0.0, 1.0, count))
+    azimuth = rng.uniform(0.0, 2.0 * np.pi, count)
+    z = np.sqrt(radius_mm**2 - r**2)
+    points = np.column_stack([r * np.cos(azimuth), r * np.sin(azimuth), z])
+    return points * (1.0 + rng.normal(0.0, noise_mm, (count, 1)) / radius_mm)
+
+
+@pytest.mark.parametrize("half_angle_deg", [10.0, 40.0, 180.0])
+def test_exact_points_give_the_exact_sphere_algebraically_too(half_angle_deg):
+    centre = np.array([1.0, -2.0, 3.0])
+    fit = fit_sphere_algebraic(centre + 4.0 * cap(500, half_angle_deg))
+    assert fit.radius_mm == pytest.approx(4.0, abs=1e-7)
+    np.testing.assert_allclose(fit.centre_mm, centre, atol=1e-7)
+
+
+@pytest.mark.parametrize("region_mm", [1.0, 1.2, 1.5, 2.5])
+def test_noise_shrinks_the_algebraic_sphere_as_its_cap_says(region_mm):
+    """r^2 regressed on z: noise in z attenuates the slope by 1 + sigma^2 / (S^2 / 12).
+
+    Expected: R / (1 + 12 sigma^2 / S^2), but for a share S / R of the shift (noise is radial, and
+    the sphere no paraboloid); the geometric fit does not shrink.
+    """
+    points = plan_cap(200_000, 4.0, region_mm, 0.013)
+    sagitta_mm = 4.0 - np.sqrt(16.0 - region_mm**2)
+    expected_mm = 4.0 / (1.0 + 12.0 * (0.013 / sagitta_mm) ** 2)
+    found_mm = fit_sphere_algebraic(points).radius_mm
+    assert found_mm - 4.0 == pytest.approx(expected_mm - 4.0, rel=0.03 + sagitta_mm / 4.0)
+    assert fit_sphere(points).radius_mm == pytest.approx(4.0, abs=0.012)
+
+
+def test_both_fits_refuse_the_same_points():
+    with pytest.raises(FitError, match="one plane"):
+        fit_sphere_algebraic(np.zeros((9, 3)))

@@ -28,7 +28,7 @@ WHITE_RADIANCE = 1e-3
 def experiment() -> Experiment:
     """The shipped experiment with a camera of 242 x 183 large pixels and coarse meshes."""
     return load_experiment(
-        "paper/two_balls",
+        "examples/slab_balls",
         {
             "camera.width_px": 968,
             "camera.height_px": 732,

@@ -36,7 +36,7 @@ FRINGES = ("direct_fpp", "contact_fpp")
 BALL = """
 name = "ball"
 description = "one ball"
-use = "scenes/rigs/paper"
+use = "scenes/rigs/slab"
 [specimen]
 kind = "ball"
 diameter_mm = 8.0

@@ -39,7 +39,7 @@ SMALL = {
 FEW = {"photometric.presses.count": 24, "photometric.presses.smallest_diameter_mm": 5.5}
 BALL = """
 name = "ball"
-use = "scenes/rigs/paper"
+use = "scenes/rigs/slab"
 [specimen]
 kind = "ball"
 diameter_mm = 8.0

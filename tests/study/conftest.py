@@ -21,7 +21,7 @@ SMALL = {
 
 @pytest.fixture(scope="session")
 def base():
-    return load_experiment("paper/two_balls", SMALL)
+    return load_experiment("examples/slab_balls", SMALL)
 
 
 @pytest.fixture
@@ -29,7 +29,7 @@ def study_of():
     """Make a study from its axes and further keys."""
 
     def make(*axes, **keys):
-        return Study(name="test", base="paper/two_balls", axis=axes, **keys)
+        return Study(name="test", base="examples/slab_balls", axis=axes, **keys)
 
     return make
 

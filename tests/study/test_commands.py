@@ -15,7 +15,7 @@ from twin.study import pictures
 
 STUDY = """
 name = "small"
-base = "paper/two_balls"
+base = "examples/slab_balls"
 metrics = ["force_n", "z_rmse_um", "completeness"]
 set.camera = { binning = 4, width_px = 640, height_px = 480 }
 set.press = { relief_pitch_mm = 0.05, solver_pitch_mm = 0.16, back_pressure_kpa = 0.0 }
@@ -112,7 +112,7 @@ def test_csv_and_parquet(swept, capsys, tmp_path):
         (("[8.0, 12.0]", "[8.0, 40.0]"), "elastomer.shore_a: found 40, allowed 5 to 15"),
         (("values", "valeus"), "unknown key 'valeus' in [axis.0]; did you mean 'values'?"),
         (("at_most = 0.3", ""), "constraint.0: found {'value': 'force_n'}, needs at_least"),
-        (('"paper/two_balls"', '"paper/two_bals"'), "did you mean paper/two_balls"),
+        (('"examples/slab_balls"', '"paper/two_bals"'), "did you mean examples/slab_balls"),
         (('value = "force_n"\nat_most = 0.3', 'value = "press.depth_mm"\nat_most = 0.1'),
          "constraints exclude all 4"),
     ],
@@ -158,7 +158,7 @@ def faked(monkeypatch):
 
 def study_file(folder, *lines):
     file = folder / "study.toml"
-    file.write_text("\n".join(['name = "test"', 'base = "paper/two_balls"', *lines, ""]))
+    file.write_text("\n".join(['name = "test"', 'base = "examples/slab_balls"', *lines, ""]))
     return str(file)
 
 

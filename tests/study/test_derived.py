@@ -14,7 +14,7 @@ GRATING = {"specimen": {"kind": "grating", "pitch_mm": 7.19, "groove_mm": 0.2}}
 
 @pytest.fixture(scope="module")
 def paper():
-    return load_experiment("paper/two_balls")
+    return load_experiment("examples/slab_balls")
 
 
 def test_of_a_press(paper):

@@ -65,7 +65,7 @@ def test_choices_move_several_fields(base, tmp_path):
     file.write_text(
         """
         name = "mix"
-        base = "paper/two_balls"
+        base = "examples/slab_balls"
         [[axis]]
         name = "mix"
         [axis.choices.A]
@@ -136,7 +136,7 @@ def test_bad_axes(axis, told):
 )
 def test_bad_studies(keys, told):
     with pytest.raises(ValueError, match=told):
-        Study(name="test", base="paper/two_balls", **keys)
+        Study(name="test", base="examples/slab_balls", **keys)
 
 
 @pytest.mark.parametrize(

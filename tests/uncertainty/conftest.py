@@ -16,7 +16,7 @@ Y = {"group": "placement", "key": "specimen.y_mm", "distribution": "uniform", "s
 
 @pytest.fixture(scope="session")
 def balls():
-    return load_experiment("paper/two_balls")
+    return load_experiment("examples/slab_balls")
 
 
 @pytest.fixture

@@ -27,7 +27,7 @@ def modelled(monkeypatch, tmp_path):
     """Measure by a model; returns the arguments of a short run."""
     monkeypatch.setattr(module, "sweep", partial(module.sweep, make_measurer=Linear))
     (tmp_path / "inputs.toml").write_text(INPUTS)
-    return ["uncertainty", "paper/two_balls", "-o", str(tmp_path / "out"), "-j", "1",
+    return ["uncertainty", "examples/slab_balls", "-o", str(tmp_path / "out"), "-j", "1",
             "--inputs", str(tmp_path / "inputs.toml"), "--calibration", "true"]  # fmt: skip
 
 
@@ -71,7 +71,7 @@ def test_bad_input_is_one_line(modelled, capsys, arguments, line):
 
 
 def test_inputs_that_are_nowhere(tmp_path, capsys):
-    arguments = ["uncertainty", "paper/two_balls", "-o", str(tmp_path / "out")]
+    arguments = ["uncertainty", "examples/slab_balls", "-o", str(tmp_path / "out")]
     assert run([*arguments, "--inputs", "inputs/nowhere"]) == 2
     assert "inputs/nowhere" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
@@ -121,6 +121,6 @@ def test_a_folder_of_something_else_is_left_alone(modelled, tmp_path, capsys):
 
 def test_help_has_an_example(capsys):
     assert run(["uncertainty", "-h"]) == 0
-    assert "For example: twin uncertainty paper/two_balls -n 100" in " ".join(
+    assert "For example: twin uncertainty examples/slab_balls -n 100" in " ".join(
         capsys.readouterr().out.split()
     )

@@ -5,7 +5,7 @@ import pytest
 from scipy import stats
 
 from twin.config import ConfigError, load_experiment
-from twin.config.inputs import DEFAULT_INPUTS, Input, load_inputs
+from twin.config.inputs import DEFAULT_INPUTS, Input, Inputs, load_inputs
 from twin.pipeline.comparison import PhotometricPlan, case_for
 from twin.study.trials import deviation_of, draw, drawn_values, standard_uncertainty
 
@@ -25,7 +25,7 @@ def paper():
 
 
 def balls():
-    return load_experiment("paper/two_balls")
+    return load_experiment("examples/slab_balls")
 
 
 X = {"key": "specimen.x_mm", "distribution": "normal", "spread": 0.2}
@@ -79,7 +79,9 @@ def test_shipped_inputs_reach_numbers_of_every_repeated_experiment():
         assert len(values_of(experiment, paper().inputs, 1)) >= 8 - (name != "two_balls")
 
 
-@pytest.mark.parametrize("name", ["paper/two_balls", "examples/wrapped_nut", "examples/starter"])
+@pytest.mark.parametrize(
+    "name", ["examples/slab_balls", "examples/wrapped_nut", "examples/starter"]
+)
 def test_default_inputs_fit_any_experiment(name):
     """Placement, press, elastomer and optics have some each; what is not there is left out."""
     experiment, shipped = load_experiment(name), load_inputs(DEFAULT_INPUTS).inputs
@@ -156,3 +158,28 @@ def test_draws_of_the_earlier_paper():
     found = drawn_values(balls(), paper().inputs, 20261121, 1)
     assert found["specimen.x_mm"] == 0.045347888207099785
     assert found["specimen.diameter_mm"] == 8.007813392360598
+
+
+def test_values_drawn_together_keep_their_pairs():
+    """Travel and pressure from one list of pairs: 200 trials hold these pairs and no other."""
+    pairs = [(0.5, 1.0), (0.6, 4.0), (0.7, 9.0)]
+    travel, pressure = (list(values) for values in zip(*pairs, strict=True))
+    listed = {"distribution": "choice", "together": "posterior"}
+    given = inputs_of(
+        travel=listed | {"key": "press.depth_mm", "values": travel},
+        pressure=listed | {"key": "press.back_pressure_kpa", "values": pressure},
+    )
+    drawn = [values_of(balls(), given, trial) for trial in range(1, 201)]
+    counted = [sum(np.allclose(list(one.values()), pair) for one in drawn) for pair in pairs]
+    assert sum(counted) == 200
+    assert min(counted) > 40  # of 67 expected, SD 6.7
+
+
+def test_lists_drawn_together_are_as_long():
+    listed = {"group": "press", "distribution": "choice", "together": "posterior"}
+    two = {
+        "travel": listed | {"key": "press.depth_mm", "values": [0.5, 0.6]},
+        "pressure": listed | {"key": "press.back_pressure_kpa", "values": [1.0, 2.0, 3.0]},
+    }
+    with pytest.raises(ValueError, match="as many in each"):
+        Inputs.model_validate({"inputs": two})

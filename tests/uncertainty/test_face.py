@@ -21,7 +21,7 @@ ON_COAT = {
 @pytest.fixture(scope="module")
 def on_coat():
     """The coat touches the balls: within the contact it IS their surface."""
-    return load_experiment("paper/two_balls", ON_COAT)
+    return load_experiment("examples/slab_balls", ON_COAT)
 
 
 def test_a_coat_that_touches_the_ball_shows_its_radius(on_coat):
@@ -61,7 +61,7 @@ def test_parts_against_the_closed_form(on_coat):
 
 def test_the_drape_makes_one_hump_two_balls():
     """What the decision on the paper's scenes rests on: radius and residual with and without."""
-    draped = load_experiment("paper/two_balls", {"press.solver_pitch_mm": 0.1})
+    draped = load_experiment("examples/slab_balls", {"press.solver_pitch_mm": 0.1})
     free = vary(draped, {"press.back_pressure_kpa": 0.0})
     with_drape, without = pressed_figures(draped), pressed_figures(free)
     assert with_drape["sphere_1_radius_mm"] == pytest.approx(6.5, abs=0.1)
@@ -72,7 +72,7 @@ def test_the_drape_makes_one_hump_two_balls():
 def test_optics_do_not_move_the_press_and_hardly_the_radius(mi):
     """One press, no noise: half as bright again moves the radius little, the face not at all."""
     small = {"camera.binning": 4, "patterns.steps": 3, "render.samples": 1}
-    experiment = load_experiment("paper/two_balls", small | {"press.solver_pitch_mm": 0.2})
+    experiment = load_experiment("examples/slab_balls", small | {"press.solver_pitch_mm": 0.2})
     albedo = {"group": "optics", "key": "coating.base_albedo", "distribution": "choice"}
     cases = alone_cases(experiment, {"albedo": Input(**albedo, values=(0.4, 0.6))})
     measurer = CaseMeasurer()

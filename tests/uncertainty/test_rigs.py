@@ -24,7 +24,7 @@ def rigs():
 
 @pytest.fixture(scope="module")
 def true():
-    return true_calibration(load_experiment("paper/two_balls"))
+    return true_calibration(load_experiment("examples/slab_balls"))
 
 
 def vector_of(calibration):
@@ -76,7 +76,7 @@ def test_a_trial_is_a_measurement_with_a_drawn_rig(mi):
         "render.samples": 1,
         "patterns.steps": 6,
     }
-    experiment = load_experiment("paper/two_balls", small)
+    experiment = load_experiment("examples/slab_balls", small)
 
     class Larger(RigCovariance):
         def draw(self, true, seed, trial):

@@ -57,7 +57,7 @@ def on_coat():
         "press.back_pressure_kpa": 0.0,
         "press.solver_pitch_mm": 0.2,
     }
-    return load_experiment("paper/two_balls", settings)
+    return load_experiment("examples/slab_balls", settings)
 
 
 def test_the_radius_on_a_touched_coat_follows_the_diameter(on_coat):

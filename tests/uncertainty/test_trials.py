@@ -131,7 +131,7 @@ def test_a_study_file_of_trials(tmp_path, balls):
     """Own inputs lie over those of a named file, key by key; spreads carry their source."""
     file = tmp_path / "study.toml"
     file.write_text(
-        'name = "t"\nbase = "paper/two_balls"\ninputs_file = "paper/trials"\n'
+        'name = "t"\nbase = "examples/slab_balls"\ninputs_file = "paper/trials"\n'
         '[sampling]\nmethod = "trials"\ncount = 4\nseed = 3\ncalibration = "true"\n'
         "[inputs.place_x]\nspread = 0.5\n"
     )
@@ -166,7 +166,7 @@ def test_bad_studies(change, line):
 
     tree = {
         "name": "t",
-        "base": "paper/two_balls",
+        "base": "examples/slab_balls",
         "sampling": {"method": "trials", "count": 4},
         "inputs": {"x": X},
     }
@@ -225,7 +225,7 @@ def test_a_real_trial(mi, tmp_path):
         "patterns.steps": 3,
         "render.samples": 1,
     }
-    experiment = load_experiment("paper/two_balls", small)
+    experiment = load_experiment("examples/slab_balls", small)
     thick = {**X, "group": "elastomer", "key": "elastomer.thickness_mm", "spread": 0.02}
     found = twin.uncertainty(
         experiment,

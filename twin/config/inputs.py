@@ -39,6 +39,9 @@ class Input(Model):
     )
     values: tuple[float, ...] = Field(default=(), description="what choice picks from")
     weights: tuple[NonNegative, ...] = Field(default=(), description="default: all alike")
+    together: str = Field(
+        default="", description="of choice: inputs of one such name take the same place of `values`"
+    )
     methods: tuple[str, ...] = Field(default=(), description="modalities; empty: all")
     specimens: tuple[str, ...] = Field(default=(), description="specimen kinds; empty: all")
     optional: bool = Field(
@@ -55,8 +58,8 @@ class Input(Model):
             raise ValueError("degrees_of_freedom: student_t needs them, nothing else has them")
         if kind != "normal" and not self.at_least is self.at_most is None:
             raise ValueError("at_least, at_most: only normal is cut off")
-        if kind != "choice" and (self.values or self.weights):
-            raise ValueError("values, weights: only choice has them")
+        if kind != "choice" and (self.values or self.weights or self.together):
+            raise ValueError("values, weights, together: only choice has them")
         if kind == "choice" and len(set(self.values)) < 2:
             raise ValueError("values: a choice needs at least two different ones")
         if self.weights and (len(self.weights) != len(self.values) or not sum(self.weights)):
@@ -101,7 +104,10 @@ class Inputs(Model):
 
 
 def refuse_shared_keys(inputs: Mapping[str, Input]) -> None:
-    """Raise a ValueError where two inputs draw the same number of the same experiment."""
+    """Raise a ValueError where two inputs draw the same number, or joint ones differ in length."""
+    lists = {(one.together, len(one.values)) for one in inputs.values() if one.together}
+    if len(lists) > len({name for name, _ in lists}):
+        raise ValueError("inputs: values drawn together must be as many in each; add some")
     seen: dict[tuple[Any, ...], str] = {}
     for name, one in inputs.items():
         mark = (one.key, one.methods, one.specimens)

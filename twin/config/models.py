@@ -252,6 +252,13 @@ class ScoreSettings(Model):
     roi_radius_mm: Positive = Field(
         description="sphere fit over points within this lateral distance of each apex"
     )
+    # Left out where there are none: such an experiment keeps its digest.
+    regions_mm: tuple[Positive, ...] = Field(
+        default=(),
+        exclude_if=lambda regions: not regions,
+        description="the same over further distances, up to the ball's footprint; figures named "
+        "sphere_1_within_4_radius_mm",
+    )
     good_within_um: Positive = Field(
         default=50.0, description="a point counts as good when its height errs by no more"
     )

@@ -22,6 +22,9 @@ from twin.config.study import Axis, without_absent
 
 MOST_FREE, MOST_COMBINATIONS = 12, 64
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_\-]+$", max_length=48)]
+Metric = str | tuple[str, ...]
+Statistic = Literal["mean", "sd"]
+LearnedAs = Literal["value", "log", "reciprocal"]
 DottedPath = Annotated[str, Field(pattern=r"^[A-Za-z0-9_\-]+(\.[A-Za-z0-9_\-]+)*$")]
 
 
@@ -40,6 +43,11 @@ class Free(Model):
         default=None, description="of a normal prior: the field's unit, with scale = 'log' relative"
     )
     experiments: tuple[Name, ...] = Field(default=(), description="where it applies; absent: all")
+    among: Annotated[tuple[float, ...], Field(min_length=3)] | None = Field(
+        default=None,
+        description="values at which every simulation gives its figures, in metrics named with "
+        "{NAME} of this field: it costs no simulation",
+    )
     source: str | None = Field(default=None, description="where range and prior come from")
 
     @model_validator(mode="after")
@@ -48,6 +56,9 @@ class Free(Model):
             raise ValueError(f"low: found {self.low:g}, allowed below high, {self.high:g}")
         if self.scale == "log" and self.low <= 0:
             raise ValueError(f"low: found {self.low:g}, allowed above 0 with scale = 'log'")
+        outside = [one for one in self.among or () if not self.low <= one <= self.high]
+        if outside:
+            raise ValueError(f"among: found {outside[0]:g}, allowed {self.low:g} to {self.high:g}")
         stated = (self.mean is not None, self.sd is not None)
         if stated != ((self.prior == "normal"),) * 2:
             raise ValueError("mean and sd: needed with prior = 'normal', not allowed with uniform")
@@ -70,7 +81,7 @@ class Free(Model):
         """Return shares (0 to 1) of the axis at cumulative prior probabilities."""
         if self.mean is None or self.sd is None:
             return np.asarray(probability, dtype=np.float64)
-        middle, width = self._share(self.mean), self._width(self.sd)
+        middle, width = self.share(self.mean), self._width(self.sd)
         below, within = ndtr(-middle / width), ndtr((1.0 - middle) / width)
         share = middle + width * ndtri(below + probability * (within - below))
         return np.asarray(np.clip(share, 0.0, 1.0))
@@ -81,7 +92,8 @@ class Free(Model):
             return np.asarray(self.low * (self.high / self.low) ** share)
         return np.asarray(self.low + (self.high - self.low) * share)
 
-    def _share(self, value: float) -> float:
+    def share(self, value: float) -> float:
+        """Return the share (0 to 1) of the axis at which a value lies."""
         if self.scale == "log":
             return float(np.log(value / self.low) / np.log(self.high / self.low))
         return (value - self.low) / (self.high - self.low)
@@ -96,8 +108,18 @@ class SensorChoice(Model):
     """One way in which something can have been: other fields, or other figures for the rows."""
 
     set: dict[str, Any] = Field(default={}, description="tables laid over the experiments")
-    metrics: dict[Name, str] = Field(default={}, description="metric by row, in place of its own")
+    metrics: dict[Name, Metric] = Field(
+        default={}, description="metric by row, in place of its own"
+    )
+    instead: dict[Name, Name] = Field(
+        default={}, description="experiment in place of another, for the rows measured in that"
+    )
     weight: Positive = Field(default=1.0, description="prior probability over the other choices'")
+
+    @property
+    def instead_named(self) -> dict[str, tuple[str, ...]]:
+        """Names of experiments, by where they stand."""
+        return {"instead": (*self.instead, *self.instead.values())} if self.instead else {}
 
 
 class Alternative(Model):
@@ -122,15 +144,33 @@ class Setup(Model):
 
     base: str = Field(description="experiment file beside the problem, or a shipped experiment")
     set: dict[str, Any] = Field(default={}, description="tables laid over it")
+    count: Annotated[int, Field(ge=8, le=100_000)] | None = Field(
+        default=None, description="simulations; absent: design.count"
+    )
+    repeats: Annotated[int, Field(ge=1, le=100)] = Field(
+        default=1, description="measurements per simulation, each of another coat and noise"
+    )
 
 
 class Row(Model):
     """One measured figure."""
 
     experiment: Name
-    metric: str = Field(description="the twin's name of the figure, in result.json")
+    metric: Metric = Field(
+        description="the twin's name of the figure, in result.json, or a free field; of several "
+        "names their mean"
+    )
+    statistic: Statistic = Field(
+        default="mean", description="over repeats: their mean, or their standard deviation"
+    )
+    learned_as: LearnedAs = Field(
+        default="value", description="log or reciprocal where that is the smoother function"
+    )
     value: float
     sd: Positive = Field(description="standard uncertainty of the value, and of a twin's one run")
+    trials: Annotated[int, Field(ge=1)] = Field(
+        default=1, description="measurements of which the value is the mean"
+    )
     discrepancy: NonNegative = Field(
         default=0.0, description="standard deviation of what the twin's model itself lacks"
     )
@@ -139,6 +179,11 @@ class Row(Model):
     )
     held_out: bool = Field(default=False, description="predicted, not fitted")
     source: str | None = None
+
+    @property
+    def scatter(self) -> float:
+        """Standard deviation of one measurement: sd times the root of `trials`."""
+        return self.sd * float(np.sqrt(self.trials))
 
 
 class Design(Model):
@@ -171,6 +216,16 @@ class SensorProblem(Model):
     )
 
     @model_validator(mode="after")
+    def _scatter_needs_repeats(self) -> "SensorProblem":
+        for name, row in {**self.rows, **self.worth}.items():
+            setup = self.experiments.get(row.experiment)
+            if row.statistic == "sd" and setup is not None and setup.repeats < 2:
+                raise ValueError(
+                    f"rows.{name}: statistic = 'sd' needs experiments.{row.experiment}.repeats of 2"
+                )
+        return self
+
+    @model_validator(mode="after")
     def _refers_to_what_is_there(self) -> "SensorProblem":
         _named("free", {n: f.experiments for n, f in self.free.items()}, self.experiments)
         _named(
@@ -184,6 +239,9 @@ class SensorProblem(Model):
         _named("rotate", {"": self.rotate}, self.fitted)
         for name, one in self.alternatives.items():
             known = {*self.rows, *self.worth}
+            for label, choice in one.choices.items():
+                where = f"alternatives.{name}.{label}"
+                _named(where, choice.instead_named, self.experiments)
             _named(
                 f"alternatives.{name}", {n: tuple(c.metrics) for n, c in one.choices.items()}, known
             )
@@ -199,9 +257,13 @@ class SensorProblem(Model):
         return {name: row for name, row in self.rows.items() if not row.held_out}
 
     def quick(self) -> "SensorProblem":
-        """Return the problem with a quarter of the simulations, 32 at least."""
-        count = max(min(self.design.count, 32), self.design.count // 4)
-        return self.model_copy(update={"design": self.design.model_copy(update={"count": count})})
+        """Return the problem with a third of the simulations, 16 at least."""
+        design = self.design.model_copy(update={"count": _fewer(self.design.count)})
+        setups = {
+            name: one if one.count is None else one.model_copy(update={"count": _fewer(one.count)})
+            for name, one in self.experiments.items()
+        }
+        return self.model_copy(update={"design": design, "experiments": setups})
 
     def combinations(self) -> Iterator[dict[str, str]]:
         """Yield one choice per alternative, in all ways."""
@@ -217,9 +279,24 @@ class SensorProblem(Model):
         ]
         return float(np.prod(shares))
 
+    def experiment_of(self, row: Row, combination: Mapping[str, str]) -> str:
+        """Return the experiment in which a row was measured if a combination of choices holds."""
+        chosen = [self.alternatives[name].choices[one].instead for name, one in combination.items()]
+        return next(
+            (one[row.experiment] for one in chosen if row.experiment in one), row.experiment
+        )
+
     def free_in(self, experiment: str) -> list[str]:
         """Return the names of the free fields that an experiment has."""
         return [n for n, f in self.free.items() if not f.experiments or experiment in f.experiments]
+
+    def simulated_in(self, experiment: str) -> list[str]:
+        """Return the names of those that its simulations vary."""
+        return [name for name in self.free_in(experiment) if self.free[name].among is None]
+
+
+def _fewer(count: int) -> int:
+    return max(min(count, 16), count // 3)
 
 
 def _named(where: str, used: Mapping[str, tuple[str, ...]], known: Any) -> None:

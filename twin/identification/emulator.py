@@ -4,7 +4,8 @@ A Gaussian process per figure (universal kriging): quadratic trend, anisotropic 
 covariance, and the simulations' own noise (the camera's). Rasmussen and Williams, Gaussian
 Processes for Machine Learning (2006), eqs 2.41 and 2.42; its error is cross-validated in closed
 form (Dubrule, Mathematical Geology 15, 687-699, 1983), and its uncertainty is widened where that
-shows it too small. Places are shares (0 to 1) of the free fields' axes.
+shows it too small. With few simulations the trend has no products, or no squares. Places are
+shares (0 to 1) of the free fields' axes. A figure may be learned as its logarithm or reciprocal.
 """
 
 import warnings
@@ -17,8 +18,9 @@ from sklearn.exceptions import ConvergenceWarning
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import ConstantKernel, Matern, WhiteKernel
 
-from reconstruction.arrays import FloatArray
+from reconstruction.arrays import FloatArray, IntArray
 from reconstruction.errors import InputError
+from twin.config.problem import LearnedAs
 
 _LEAST_POINTS = 8
 _RESTARTS = 2
@@ -36,6 +38,7 @@ class Emulator:
     ----------
     columns : which free fields it depends on
     known : (point, column) places of the simulations that gave the figure
+    learned : (point,) what was learned there
     covariance : of the figure without noise, in units of `spread` squared
     lower : Cholesky factor of the simulations' covariance, noise in it
     trend, trend_lower : (term,) coefficients of 1, x, x^2 and x y, and the Cholesky factor of the
@@ -46,10 +49,12 @@ class Emulator:
     spread : what the trend leaves, RMS, in the figure's unit
     widening : factor on the process' own standard deviation, 1 or more
     missing : share of the simulations that gave no figure
+    learned_as : the function of the figure that is learned
     """
 
     columns: tuple[int, ...]
     known: FloatArray
+    learned: FloatArray
     covariance: Any
     lower: FloatArray
     trend: FloatArray
@@ -60,11 +65,14 @@ class Emulator:
     spread: float
     widening: float
     missing: float
+    learned_as: LearnedAs
 
     @property
     def cross_validated_rmse(self) -> float:
         """RMS error at simulations that the emulator has not seen, in the figure's unit."""
-        return self.spread * float(np.sqrt(np.mean(self.left_out**2)))
+        figures = _figure(self.learned, self.learned_as)
+        missed = self.spread * self.left_out * _slope(figures, self.learned_as)
+        return float(np.sqrt(np.mean(missed**2)))
 
     def predict(self, places: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return mean and standard deviation (n,) of the figure at places (n, free field).
@@ -72,17 +80,31 @@ class Emulator:
         The deviation is the emulator's own; the simulations' noise is not in it.
         """
         at = places[:, self.columns]
-        across, terms = self.covariance(at, self.known), _terms(at)
+        across, terms = self.covariance(at, self.known), _terms(at)[:, : self.trend.size]
         mean = terms @ self.trend + across @ self.left_over
         seen = solve_triangular(self.lower, across.T, lower=True)
         apart = terms.T - self.terms.T @ seen
         open_trend = solve_triangular(self.trend_lower, apart, lower=True)
         variance = self.covariance.diag(at) - np.sum(seen**2, axis=0)
         variance = np.maximum(variance, 0.0) + np.sum(open_trend**2, axis=0)
-        return self.spread * mean, self.spread * self.widening * np.sqrt(variance)
+        learned, deviation = self.spread * mean, self.spread * self.widening * np.sqrt(variance)
+        figure = _figure(np.clip(learned, *self._sane), self.learned_as)
+        return figure, deviation * _slope(figure, self.learned_as)
+
+    @property
+    def _sane(self) -> tuple[float, float]:
+        """Bounds of what is learned: a reciprocal of 0 is no figure."""
+        low = float(self.learned.min())
+        return (0.2 * low if self.learned_as == "reciprocal" else -np.inf), np.inf
 
 
-def fit_emulator(places: FloatArray, figures: FloatArray, columns: tuple[int, ...]) -> Emulator:
+def fit_emulator(
+    places: FloatArray,
+    figures: FloatArray,
+    columns: tuple[int, ...],
+    learned_as: LearnedAs = "value",
+    simulation: IntArray | None = None,
+) -> Emulator:
     """Learn a figure from simulations.
 
     Parameters
@@ -93,6 +115,11 @@ def fit_emulator(places: FloatArray, figures: FloatArray, columns: tuple[int, ..
         What was simulated there; NaN where there was no such figure.
     columns : tuple of int
         The free fields that the figure can depend on.
+    learned_as : "value", "log" or "reciprocal"
+        Figures of 0 or less have neither logarithm nor reciprocal here: they count as missing.
+    simulation : (n,) int, optional
+        Number of the simulation that gave each figure, where one gave several: they are left out
+        together when the error is cross-validated. Default: each has its own.
 
     Raises
     ------
@@ -100,34 +127,72 @@ def fit_emulator(places: FloatArray, figures: FloatArray, columns: tuple[int, ..
         Fewer simulations gave the figure than are needed.
     """
     found = np.isfinite(figures)
-    at, values = places[found][:, columns], figures[found]
-    terms = _terms(at)
-    needed = max(_LEAST_POINTS, 2 * terms.shape[1])
-    if found.sum() < needed:
-        raise InputError(
-            f"found {found.sum()} of {found.size} simulations with this figure, needed {needed}; "
-            "raise design.count or narrow the free fields"
-        )
+    if learned_as != "value":
+        found &= np.where(found, figures, 0.0) > 0.0
+    at, values = places[found][:, columns], _learn(figures[found], learned_as)
+    of = np.arange(figures.size) if simulation is None else simulation
+    terms = _trend(at, np.unique(of[found]).size, np.unique(of).size)
     left = values - terms @ lstsq(terms, values)[0]
     # A figure that the trend meets exactly has nothing left over to scale with.
     spread = max(float(left.std()), _JITTER * max(1.0, float(np.abs(values).max())))
-    parts = _universal(at, values / spread, _kernel(at, left / spread))
+    parts = _universal(at, terms, values / spread, _kernel(at, left / spread), of[found])
     return Emulator(
-        columns=columns, known=at, spread=spread, missing=float(1.0 - found.mean()), **parts
+        columns=columns,
+        known=at,
+        learned=values,
+        spread=spread,
+        missing=float(1.0 - found.mean()),
+        learned_as=learned_as,
+        **parts,
     )
 
 
-def _universal(at: FloatArray, scaled: FloatArray, kernel: Any) -> dict[str, Any]:
+def _trend(at: FloatArray, count: int, simulated: int) -> FloatArray:
+    """Return the terms (n, term) of the fullest trend that half of `count` simulations determine.
+
+    `simulated` is how many there are, with those that gave no figure.
+    """
+    every, fields = _terms(at), at.shape[1]
+    for terms in (every.shape[1], 1 + 2 * fields, 1 + fields):
+        if count >= max(_LEAST_POINTS, 2 * terms):
+            return every[:, :terms]
+    raise InputError(
+        f"found {count} of {simulated} simulations with this figure, needed "
+        f"{max(_LEAST_POINTS, 2 * (1 + fields))}; raise design.count or narrow the free fields"
+    )
+
+
+def _learn(figures: FloatArray, learned_as: LearnedAs) -> FloatArray:
+    if learned_as == "value":
+        return figures
+    return np.asarray(np.log(figures) if learned_as == "log" else 1.0 / figures)
+
+
+def _figure(learned: FloatArray, learned_as: LearnedAs) -> FloatArray:
+    if learned_as == "value":
+        return learned
+    return np.asarray(np.exp(learned) if learned_as == "log" else 1.0 / learned)
+
+
+def _slope(figures: FloatArray, learned_as: LearnedAs) -> FloatArray:
+    """Return by how much a figure changes with what is learned."""
+    if learned_as == "value":
+        return np.ones_like(figures)
+    return figures if learned_as == "log" else np.asarray(figures**2)
+
+
+def _universal(
+    at: FloatArray, trend_terms: FloatArray, scaled: FloatArray, kernel: Any, simulation: IntArray
+) -> dict[str, Any]:
     """Return an emulator's parts for figures of unit spread, trend and its uncertainty included."""
     lower = np.linalg.cholesky(kernel(at) + _JITTER * np.eye(scaled.size))
     inverse = solve_triangular(lower, np.eye(scaled.size), lower=True)
-    terms, figures = inverse @ _terms(at), inverse @ scaled
+    terms, figures = inverse @ trend_terms, inverse @ scaled
     trend = lstsq(terms, figures)[0]
     basis = np.linalg.qr(terms)[0]
     # What is left of the inverse covariance when the trend is fitted, too.
     free = inverse.T @ (inverse - basis @ (basis.T @ inverse))
-    own = 1.0 / np.diag(free)
-    left_out = (free @ scaled) * own
+    left_out, surprise = _left_out(free, free @ scaled, simulation)
     return {
         "covariance": kernel.k1,
         "lower": lower,
@@ -135,15 +200,30 @@ def _universal(at: FloatArray, scaled: FloatArray, kernel: Any) -> dict[str, Any
         "terms": terms,
         "trend_lower": np.linalg.cholesky(terms.T @ terms),
         "left_over": inverse.T @ (figures - terms @ trend),
-        "widening": max(1.0, float(np.sqrt(np.mean(left_out**2 / own)))),
+        "widening": max(1.0, float(np.sqrt(surprise / scaled.size))),
         "left_out": left_out,
     }
 
 
+def _left_out(
+    free: FloatArray, weighted: FloatArray, simulation: IntArray
+) -> tuple[FloatArray, float]:
+    """Return the error (n,) at each simulation's figures predicted from all other simulations.
+
+    And the sum of their squares over their predicted covariance, which is n where that is right.
+    """
+    left_out, surprise = np.zeros(len(free)), 0.0
+    for number in np.unique(simulation):
+        ours = np.flatnonzero(simulation == number)
+        left_out[ours] = np.linalg.solve(free[np.ix_(ours, ours)], weighted[ours])
+        surprise += float(left_out[ours] @ weighted[ours])
+    return left_out, surprise
+
+
 def _terms(at: FloatArray) -> FloatArray:
-    """Return (n, term): 1, x, and squares and products of x."""
-    i, j = np.triu_indices(at.shape[1])
-    return np.concatenate((np.ones((len(at), 1)), at, at[:, i] * at[:, j]), axis=1)
+    """Return (n, term): 1, x, the squares and then the products of x."""
+    i, j = np.triu_indices(at.shape[1], 1)
+    return np.concatenate((np.ones((len(at), 1)), at, at**2, at[:, i] * at[:, j]), axis=1)
 
 
 def _kernel(at: FloatArray, left: FloatArray) -> Any:

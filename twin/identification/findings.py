@@ -44,15 +44,22 @@ class Prediction:
     Attributes
     ----------
     twin : of the figure, with all that adds to it: fields, emulator, nuisance, discrepancy
+    scatter : standard deviation of one measurement, where `sd` is that of a mean
     deviation : (measured - twin) over the standard deviation of their difference
     """
 
     row: str
     measured: float
     sd: float
+    scatter: float
     fitted: bool
     twin: Marginal
     deviation: float
+
+    @property
+    def steps(self) -> float:
+        """Measured minus the twin's mean, in standard deviations of one measurement."""
+        return (self.measured - self.twin.mean) / self.scatter
 
 
 def predict_rows(posterior: Posterior, rows: Likelihood, seed: int) -> list[Prediction]:
@@ -71,7 +78,7 @@ def predict_rows(posterior: Posterior, rows: Likelihood, seed: int) -> list[Pred
         twin = interval_of(whole[:, number])
         deviation = (row.value - twin.mean) / float(np.hypot(twin.sd, row.sd))
         fitted = name in posterior.likelihood.rows
-        found.append(Prediction(name, row.value, row.sd, fitted, twin, deviation))
+        found.append(Prediction(name, row.value, row.sd, row.scatter, fitted, twin, deviation))
     return found
 
 

@@ -55,8 +55,11 @@ class Likelihood:
 
     def predicted(self, z: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return figures (n, row) and the emulators' standard deviations."""
-        at = self.places(z)
-        both = [self.emulators[name].predict(at) for name in self.rows]
+        at, told = self.places(z), {}
+        for emulator in (self.emulators[name] for name in self.rows):
+            if id(emulator) not in told:  # rows of one figure share theirs
+                told[id(emulator)] = emulator.predict(at)
+        both = [told[id(self.emulators[name])] for name in self.rows]
         return np.stack([b[0] for b in both], axis=1), np.stack([b[1] for b in both], axis=1)
 
     def log(self, z: FloatArray) -> FloatArray:

@@ -20,7 +20,7 @@ from threadpoolctl import threadpool_limits
 from reconstruction.arrays import FloatArray
 from reconstruction.machine import write_dataset
 from twin.config import Experiment, to_toml, vary
-from twin.config.problem import Row, SensorProblem
+from twin.config.problem import LearnedAs, Metric, Row, SensorProblem, Statistic
 from twin.config.study import without_absent
 from twin.identification.emulator import Emulator
 from twin.identification.findings import (
@@ -52,6 +52,7 @@ from twin.study.workers import Workers
 if TYPE_CHECKING:
     import xarray
 
+_Key = tuple[Variant, Metric, Statistic, LearnedAs]
 COMMAND = "identify"
 POSTERIOR_FILE, EXPERIMENTS_FOLDER = "posterior.nc", "experiments"
 WRITTEN = (POSTERIOR_FILE, EXPERIMENTS_FOLDER, RESULT_FILE, EXPERIMENT_FILE)
@@ -66,7 +67,8 @@ class SensorModel:
     combination : choice by alternative
     prior, probability : of the combination, before and after the fitted rows
     emulators : by row, of `rows` and `worth`
-    rotated : by held-out row, its prediction when the other rows are fitted
+    rotated : by held-out row, its prediction when the other rows are fitted; of the most probable
+        model alone
     """
 
     combination: Mapping[str, str]
@@ -191,7 +193,7 @@ def infer(
 def _infer(
     problem: SensorProblem, simulated: Mapping[Variant, Simulated], watch: ProgressCallback
 ) -> Identified:
-    learned: dict[tuple[Variant, str], Emulator] = {}
+    learned: dict[_Key, Emulator] = {}
     models, combinations = [], list(problem.combinations())
     for number, combination in enumerate(combinations):
         watch("posterior", number / len(combinations))
@@ -200,28 +202,30 @@ def _infer(
     watch("posterior", 1.0)
     found = probabilities([one.posterior for one in models], [one.prior for one in models])
     judged = [replace(m, probability=float(p)) for m, p in zip(models, found, strict=True)]
-    ranked = sorted(judged, key=lambda one: -one.probability)
-    return Identified(problem, tuple(ranked), problem.design.seed)
+    best, *others = sorted(judged, key=lambda one: -one.probability)
+    best = replace(best, rotated=_rotated(problem, best.emulators))
+    return Identified(problem, (best, *others), problem.design.seed)
 
 
 def _emulators(
     problem: SensorProblem,
     simulated: Mapping[Variant, Simulated],
     combination: Mapping[str, str],
-    learned: dict[tuple[Variant, str], Emulator],
+    learned: dict[_Key, Emulator],
 ) -> dict[str, Emulator]:
     """Return the emulators of all rows; those of other combinations are used again."""
     found = {}
     for name, row in {**problem.rows, **problem.worth}.items():
-        variant = variant_for(problem, row.experiment, combination)
-        key = variant, _metric(problem, name, row, combination)
+        variant = variant_for(problem, problem.experiment_of(row, combination), combination)
+        asked = _metric(problem, name, row, combination), row.statistic, row.learned_as
+        key = variant, *asked
         if key not in learned:
-            learned[key] = simulated[variant].emulator(key[1])
+            learned[key] = simulated[variant].emulator(*asked)
         found[name] = learned[key]
     return found
 
 
-def _metric(problem: SensorProblem, name: str, row: Row, combination: Mapping[str, str]) -> str:
+def _metric(problem: SensorProblem, name: str, row: Row, combination: Mapping[str, str]) -> Metric:
     for alternative, choice in combination.items():
         other = problem.alternatives[alternative].choices[choice].metrics.get(name)
         if other is not None:
@@ -236,12 +240,6 @@ def _model(
     seed = problem.design.seed
     every = likelihood_of(problem, problem.rows, emulators)
     posterior = sample(likelihood_of(problem, problem.fitted, emulators), seed)
-    rotated = {}
-    for held in problem.rotate:
-        rows = {name: row for name, row in problem.fitted.items() if name != held}
-        without = sample(likelihood_of(problem, rows, emulators), seed)
-        found = predict_rows(without, every, seed)
-        rotated[held] = next(one for one in found if one.row == held)
     return SensorModel(
         combination=combination,
         prior=problem.weight(combination),
@@ -249,8 +247,19 @@ def _model(
         emulators=emulators,
         posterior=posterior,
         predictions=tuple(predict_rows(posterior, every, seed)),
-        rotated=rotated,
+        rotated={},
     )
+
+
+def _rotated(problem: SensorProblem, emulators: Mapping[str, Emulator]) -> dict[str, Prediction]:
+    """Predict each row of `rotate` from the other fitted rows."""
+    seed, every = problem.design.seed, likelihood_of(problem, problem.rows, emulators)
+    rotated = {}
+    for held in problem.rotate:
+        rows = {name: row for name, row in problem.fitted.items() if name != held}
+        found = predict_rows(sample(likelihood_of(problem, rows, emulators), seed), every, seed)
+        rotated[held] = next(one for one in found if one.row == held)
+    return rotated
 
 
 def experiments_at_best(
@@ -258,18 +267,35 @@ def experiments_at_best(
 ) -> dict[str, Experiment]:
     """Return the experiments with the most probable choices and values.
 
+    Every value states that it is identified, its 95 % interval, and the rows that it rests on.
+
     Raises
     ------
     ConfigError
         The values do not fit an experiment.
     """
-    problem, best = found.problem, found.best.posterior
-    at = best.likelihood.places(best.best_z[None])[0]
-    values = {n: float(f.value(x)) for (n, f), x in zip(problem.free.items(), at, strict=True)}
+    values = identified_values(found)
     return {
-        name: _at(problem, name, one, found.best.combination, values)
+        name: _at(found.problem, name, one, found.best.combination, values)
         for name, one in experiments.items()
     }
+
+
+def identified_values(found: Identified) -> dict[str, dict[str, Any]]:
+    """Return the most probable values of the fields by name, as data files state them."""
+    problem, best = found.problem, found.best.posterior
+    at = best.likelihood.places(best.best_z[None])[0]
+    source = f"identified: {problem.name}, from the rows {', '.join(problem.fitted)}; 95 % interval"
+    values = {}
+    for (name, free), share, samples in zip(problem.free.items(), at, best.values.T, strict=True):
+        value, wide = _digits(float(free.value(share))), interval_of(samples)
+        ends = [min(_digits(wide.low_95), value), max(_digits(wide.high_95), value)]
+        values[name] = {"value": value, "range": ends, "source": source}
+    return values
+
+
+def _digits(value: float) -> float:
+    return float(f"{value:.4g}")
 
 
 def _at(
@@ -277,12 +303,11 @@ def _at(
     name: str,
     base: Experiment,
     combination: Mapping[str, str],
-    values: Mapping[str, float],
+    values: Mapping[str, Mapping[str, Any]],
 ) -> Experiment:
     for alternative, choice in variant_for(problem, name, combination).choices:
         base = vary(base, without_absent(problem.alternatives[alternative].choices[choice].set))
-    levels = [problem.free[n].axis(n).level_of(values[n]) for n in problem.free_in(name)]
-    return vary(base, {path: value for one in levels for path, value in one.changes.items()})
+    return vary(base, {problem.free[n].path: dict(values[n]) for n in problem.free_in(name)})
 
 
 def figures_of(found: Identified) -> dict[str, Any]:

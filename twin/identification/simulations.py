@@ -4,8 +4,8 @@ One study for every experiment and every choice that changes it; an interrupted 
 them, and cases of the same content are shared within a study.
 """
 
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
 from functools import partial
 from itertools import product
 from pathlib import Path
@@ -16,7 +16,7 @@ import numpy as np
 from reconstruction.arrays import FloatArray
 from reconstruction.errors import InputError
 from twin.config import Experiment, vary
-from twin.config.problem import SensorProblem
+from twin.config.problem import LearnedAs, Metric, SensorProblem, Statistic
 from twin.config.study import Sampling, Study, without_absent
 from twin.identification.emulator import Emulator, fit_emulator
 from twin.pipeline.progress import ProgressCallback, no_progress
@@ -63,7 +63,8 @@ def variant_for(problem: SensorProblem, experiment: str, combination: Mapping[st
 
 def _used(problem: SensorProblem) -> list[str]:
     rows = (*problem.rows.values(), *problem.worth.values())
-    return list(dict.fromkeys(row.experiment for row in rows))
+    combinations = list(problem.combinations())
+    return list(dict.fromkeys(problem.experiment_of(r, c) for r in rows for c in combinations))
 
 
 def _changing(problem: SensorProblem, experiment: str) -> list[str]:
@@ -83,13 +84,17 @@ def record_of(problem: SensorProblem, base: Experiment, variant: Variant) -> Stu
     ConfigError
         A choice does not fit the experiment.
     """
-    names = problem.free_in(variant.experiment)
+    setup = problem.experiments[variant.experiment]
+    names = problem.simulated_in(variant.experiment)
     study = Study(
         name=variant.name,
         description=f"simulations for {problem.name}",
         base=base.name,
         axis=tuple(problem.free[name].axis(name) for name in names),
-        sampling=Sampling(method="sobol", count=problem.design.count, seed=problem.design.seed),
+        sampling=Sampling(
+            method="sobol", count=setup.count or problem.design.count, seed=problem.design.seed
+        ),
+        repeats=setup.repeats,
     )
     changed = base
     for alternative, choice in variant.choices:
@@ -107,29 +112,75 @@ class Simulated:
     columns : which free fields were varied
     places : (point, free field) shares of the axes; fields that the experiment lacks are 0.5
     table : StudyTable
+        One row per point and repeat, those of a point together.
+    repeats : int
+    among : by name, the column of a field that varies among the figures, and by how these are
+        named its values and the shares of its axis
     """
 
     variant: Variant
     columns: tuple[int, ...]
     places: FloatArray
     table: StudyTable
+    repeats: int = 1
+    among: Mapping[str, tuple[int, Mapping[str, tuple[float, float]]]] = field(default_factory=dict)
 
-    def emulator(self, metric: str) -> Emulator:
+    def emulator(
+        self, metric: Metric, statistic: Statistic = "mean", learned_as: LearnedAs = "value"
+    ) -> Emulator:
         """Learn a figure.
+
+        Parameters
+        ----------
+        metric : str or tuple of str
+            Name of the figure; of several their mean.
+        statistic : "mean" or "sd"
+            Over the repeats of a point. The deviation is pooled over several figures.
+        learned_as : "value", "log" or "reciprocal"
 
         Raises
         ------
         InputError
             No simulation, or too few, gave this figure.
         """
-        figures = np.array([_number(row.get(metric)) for row in self.table.rows])
-        where = f"{self.variant.experiment}: {metric}"
+        names = (metric,) if isinstance(metric, str) else metric
+        where = f"{self.variant.experiment}: {', '.join(names)}"
+        parts = [
+            (places, columns, self._figures(told, statistic))
+            for places, columns, told in self._named(names)
+        ]
+        places = np.concatenate([part[0] for part in parts])
+        figures = np.concatenate([part[2] for part in parts])
+        simulation = np.tile(np.arange(len(self.places)), len(parts))
         if not np.isfinite(figures).any():
             raise InputError(f"{where}: found in no simulation, allowed {self._known()}")
         try:
-            return fit_emulator(self.places, figures, self.columns)
+            return fit_emulator(places, figures, parts[0][1], learned_as, simulation)
         except InputError as error:
             raise InputError(f"{where}: {error}") from None
+
+    def _named(
+        self, names: tuple[str, ...]
+    ) -> Iterator[tuple[FloatArray, tuple[int, ...], tuple[str, ...]]]:
+        """Yield places, columns, and full names of figures, for each value of a field among."""
+        field_name = next((n for n in self.among if any(f"{{{n}}}" in one for one in names)), None)
+        if field_name is None:
+            yield self.places, self.columns, names
+            return
+        column, given = self.among[field_name]
+        for told, (_, share) in given.items():
+            places = self.places.copy()
+            places[:, column] = share
+            full = tuple(name.replace(f"{{{field_name}}}", told) for name in names)
+            yield places, tuple(sorted((*self.columns, column))), full
+
+    def _figures(self, names: tuple[str, ...], statistic: Statistic) -> FloatArray:
+        """Return a figure (point,) that is the mean of several, over the repeats."""
+        values = {told: v for _, given in self.among.values() for told, (v, _) in given.items()}
+        if names[0] in values:  # the field itself
+            return np.full(len(self.places), values[names[0]])
+        found = np.array([[_number(row.get(n)) for n in names] for row in self.table.rows])
+        return summary(found.reshape(-1, self.repeats, len(names)), statistic)
 
     def _known(self) -> str:
         numbers = [
@@ -141,6 +192,21 @@ class Simulated:
 
     def _reasons(self) -> str:
         return "; ".join(dict.fromkeys(str(row["reason"]) for row in self.table.rows))
+
+
+def summary(figures: FloatArray, statistic: Statistic) -> FloatArray:
+    """Return mean or pooled standard deviation (point,) of figures (point, repeat, figure).
+
+    NaN where a point has no figure, or for a deviation fewer than two repeats of one.
+    """
+    there = np.isfinite(figures)
+    count, filled = there.sum(axis=1), np.where(there, figures, 0.0)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        mean = filled.sum(axis=1) / count
+        if statistic == "mean":
+            return np.asarray(mean.mean(axis=1))
+        squares = np.where(there, (figures - mean[:, None]) ** 2, 0.0).sum(axis=1)
+        return np.asarray(np.sqrt((squares / (count - 1)).mean(axis=1)))
 
 
 def _number(value: Any) -> float:
@@ -187,7 +253,17 @@ def _part(watch: ProgressCallback, number: int, count: int, stage: str, fraction
 def _read(problem: SensorProblem, variant: Variant, record: StudyRecord, store: Path) -> Simulated:
     table, shares = read_table(store), shares_of(record.study)
     names = list(problem.free)
-    columns = tuple(names.index(name) for name in problem.free_in(variant.experiment))
+    columns = tuple(names.index(name) for name in problem.simulated_in(variant.experiment))
     places = np.full((len(shares), len(names)), 0.5)
     places[:, columns] = shares
-    return Simulated(variant, columns, places, table)
+    among = {
+        name: (names.index(name), {figure_part(v): (v, one.share(v)) for v in one.among})
+        for name, one in problem.free.items()
+        if one.among is not None and name in problem.free_in(variant.experiment)
+    }
+    return Simulated(variant, columns, places, table, record.study.repeats, among)
+
+
+def figure_part(value: float) -> str:
+    """Return how a value stands in the name of a figure: 1p2 for 1.2."""
+    return f"{value:g}".replace(".", "p")

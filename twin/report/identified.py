@@ -193,6 +193,7 @@ def _rows(found: Identified) -> list[Block]:
         Column("measured_sd", "± (1 sd)", 4),
         Column("twin", "twin", 4),
         Column("twin_sd", "± (1 sd) ", 4),
+        Column("steps", "difference over the scatter of one measurement", 2),
         Column("deviation", "normalised difference", 2),
         Column("rotated", "when held out", 2),
     )
@@ -205,6 +206,7 @@ def _rows(found: Identified) -> list[Block]:
             "measured_sd": one.sd,
             "twin": one.twin.mean,
             "twin_sd": one.twin.sd,
+            "steps": one.steps,
             "deviation": one.deviation,
             "rotated": rotated[one.row].deviation if one.row in rotated else None,
         }

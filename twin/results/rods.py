@@ -1,7 +1,8 @@
 """Width and height of a rod's cross-section, read from a relief as one reads a caliper.
 
 A sheet draped over a rod on a plate rises from two valleys to a crest. The profile runs from valley
-to valley; the width is taken where it crosses half of the height of the crest over their level.
+to valley. Its width is taken where it crosses half of the height of the crest over their level, and
+between the breaks of its slope, where a sheet leaves the rod.
 """
 
 from dataclasses import dataclass
@@ -12,15 +13,17 @@ from numpy.typing import NDArray
 
 from reconstruction.arrays import FloatArray
 from reconstruction.errors import FitError
-from reconstruction.evaluate import BarWidth, bar_width
+from reconstruction.evaluate import BarWidth, bar_width, break_width
 from twin.config.models import Experiment
-from twin.config.specimens import Rods
+from twin.config.specimens import Bars, Rods
 from twin.specimens import Shape, shape_of
 
 # The cross-section is the mean over this length of the rod, in its middle.
 SECTION_LENGTH_MM = 2.0
 STEP_MM = 0.05
 FRACTION = 0.5
+# Above the camera's pixels and the grain of the coat, below the radius of a wrapped edge.
+BREAK_SIGMA_MM = 0.15
 _LEAST_IN_BIN = 3
 
 
@@ -42,6 +45,12 @@ class RodSection:
         low, high = self.valleys()
         inside = slice(low, high + 1)
         return bar_width(self.s_mm[inside], self.z_mm[inside], FRACTION)
+
+    def break_width(self) -> BarWidth:
+        """Return the width between the breaks of the slope; errors as `width`."""
+        low, high = self.valleys()
+        inside = slice(low, high + 1)
+        return break_width(self.s_mm[inside], self.z_mm[inside], BREAK_SIGMA_MM)
 
     def valleys(self) -> tuple[int, int]:
         """Return the indices of the lowest points on both sides of the crest."""
@@ -80,8 +89,10 @@ def middle_of(shape: Shape) -> tuple[float, float]:
 
 
 def has_one_rod(experiment: Experiment) -> bool:
-    """Tell whether the specimen is a single rod: of several the sections run into one another."""
+    """Tell whether the specimen is one rod or bar: of several the sections run into one another."""
     specimen = experiment.specimen
+    if isinstance(specimen, Bars):
+        return len(specimen.widths_mm) == 1
     return isinstance(specimen, Rods) and len(specimen.diameters_mm) == 1
 
 
@@ -97,7 +108,11 @@ def rod_figures(
     centre = middle_of(shape_of(experiment.specimen))
     section = section_of(points_mm.astype(np.float64), SECTION_LENGTH_MM, centre)
     try:
-        crest = section.width()
+        crest, broken = section.width(), section.break_width()
     except FitError as error:
         return {f"{prefix}rod_failure": str(error)}
-    return {f"{prefix}rod_width_mm": crest.width_mm, f"{prefix}rod_height_mm": crest.height_mm}
+    return {
+        f"{prefix}rod_width_mm": crest.width_mm,
+        f"{prefix}rod_break_width_mm": broken.width_mm,
+        f"{prefix}rod_height_mm": crest.height_mm,
+    }

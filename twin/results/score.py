@@ -1,8 +1,10 @@
 """Score points in millimetres, whatever the method: against the truth and against fitted spheres.
 
 Sphere metrics follow the paper: least-squares sphere over the points of each ball's region, then
-RMSE, MAE and 95th percentile of the absolute radial residuals. The same fit over the true coated
-face at the same pixels separates what the elastomer did from what the measurement did.
+RMSE, MAE and 95th percentile of the absolute radial residuals. "Least squares" is read both ways:
+of radial distances (geometric) and of squared distances (algebraic), over every region that is
+asked for. The same fit over the true coated face at the same pixels separates what the elastomer
+did from what the measurement did.
 
 Nothing is registered before comparing: where a method's points lie belongs to the method.
 """
@@ -16,7 +18,14 @@ from numpy.typing import NDArray
 
 from reconstruction.arrays import BoolImage, FloatArray, FloatImage
 from reconstruction.errors import FitError
-from reconstruction.evaluate.fit import SphereFit, fit_sphere, p95_of_size, rms, spread
+from reconstruction.evaluate.fit import (
+    SphereFit,
+    fit_sphere,
+    fit_sphere_algebraic,
+    p95_of_size,
+    rms,
+    spread,
+)
 from reconstruction.photometric import HeightMap
 from reconstruction.pipeline import Reconstruction, filter_bias
 from twin.config.models import Experiment
@@ -26,17 +35,12 @@ from twin.specimens import Sphere, shape_of
 
 # Four points fix a sphere exactly: its residuals are 0 whatever the error.
 _LEAST_SPHERE_POINTS = 5
+_FIT_FIGURES = ("radius_mm", "rmse_mm", "mae_mm", "p95_mm")
+_KINDS = ("", "true_face_", "algebraic_", "true_face_algebraic_")
 _SPHERE_FIGURES = (
     "points",
-    "radius_mm",
     "abs_radius_error_mm",
-    "rmse_mm",
-    "mae_mm",
-    "p95_mm",
-    "true_face_radius_mm",
-    "true_face_rmse_mm",
-    "true_face_mae_mm",
-    "true_face_p95_mm",
+    *(f"{kind}{name}" for kind in _KINDS for name in _FIT_FIGURES),
 )
 
 
@@ -88,13 +92,15 @@ class HeightScore(TruthScore):
 
 @dataclass(frozen=True, eq=False)
 class SphereScore:
-    """One ball: the fit to the measured points and the fit to the true face at the same pixels."""
+    """One ball over one region: the fits to the measured points and to the true face's there."""
 
     number: int
     nominal: Sphere
     roi: NDArray[np.bool_]
     measured: SphereFit
     true_face: SphereFit
+    measured_algebraic: SphereFit
+    true_face_algebraic: SphereFit
 
 
 Against = TypeVar("Against", bound=TruthScore, covariant=True)
@@ -109,12 +115,14 @@ class Scores(Generic[Against]):
     against_truth : FringeScore or HeightScore, by method
     spheres : the balls that could be fitted
     unfitted : why the others could not: a ball without valid points must not sink the measurement
+    regions : the same figures of the balls over the further regions of `score.regions_mm`, by name
     rod : width and height of a single rod, measured and of the true face; empty for all else
     """
 
     against_truth: Against
     spheres: tuple[SphereScore, ...]
     unfitted: tuple[str, ...] = ()
+    regions: Mapping[str, Any] = field(default_factory=dict)
     rod: Mapping[str, Any] = field(default_factory=dict)
 
 
@@ -124,7 +132,7 @@ def score(
     """Score a reconstruction against the truth of the same camera pixels."""
     points = reconstruction.point_map
     usable = points.valid & truth.lit
-    spheres = _spheres(experiment, points.points_world_mm, truth, usable)
+    spheres = _balls(experiment, points.points_world_mm, truth, usable)
     rod = _rod(experiment, points.points_world_mm, truth, usable)
     return Scores(score_truth(experiment, reconstruction, truth), *spheres, rod=rod)
 
@@ -148,7 +156,7 @@ def score_heights(experiment: Experiment, heights: HeightMap, truth: Truth) -> S
         height_scale=_scale(found, true),
     )
     rod = _rod(experiment, found_mm, truth, both)
-    return Scores(against_truth, *_spheres(experiment, found_mm, truth, both), rod=rod)
+    return Scores(against_truth, *_balls(experiment, found_mm, truth, both), rod=rod)
 
 
 def score_truth(
@@ -247,13 +255,34 @@ def region_of(
     return np.asarray((lateral_mm <= roi_radius_mm) & usable)
 
 
-def _spheres(
+def _balls(
     experiment: Experiment, measured_mm: NDArray[np.floating], truth: Truth, usable: BoolImage
+) -> tuple[tuple[SphereScore, ...], tuple[str, ...], dict[str, Any]]:
+    """Return the balls that could be fitted, why the others could not, and further regions."""
+    further: dict[str, Any] = {}
+    for radius_mm in experiment.score.regions_mm:
+        found = _spheres(experiment, measured_mm, truth, usable, radius_mm)
+        further |= _sphere_metrics(*found, region_name(radius_mm))
+    scored_mm = experiment.score.roi_radius_mm
+    return *_spheres(experiment, measured_mm, truth, usable, scored_mm), further
+
+
+def region_name(radius_mm: float) -> str:
+    """Return how figures of a further region are named: within_1p2_ for 1.2 mm."""
+    return f"within_{radius_mm:g}_".replace(".", "p")
+
+
+def _spheres(
+    experiment: Experiment,
+    measured_mm: NDArray[np.floating],
+    truth: Truth,
+    usable: BoolImage,
+    roi_radius_mm: float,
 ) -> tuple[tuple[SphereScore, ...], tuple[str, ...]]:
-    """Return the balls that could be fitted, and why the others could not."""
+    """Return the balls that could be fitted over a region, and why the others could not."""
     fitted, unfitted = [], []
     for number, ball in enumerate(shape_of(experiment.specimen).spheres(), start=1):
-        roi = region_of(ball, measured_mm, usable, experiment.score.roi_radius_mm)
+        roi = region_of(ball, measured_mm, usable, roi_radius_mm)
         try:
             fitted.append(score_sphere(number, ball, roi, measured_mm, truth.points_world_mm))
         except FitError as error:
@@ -292,44 +321,47 @@ def score_sphere(
     count = int(roi.sum())
     if count < _LEAST_SPHERE_POINTS:
         raise FitError(f"{count} points leave no residual of a sphere; it takes at least 5")
+    found, true = measured_mm[roi].astype(np.float64), true_mm[roi].astype(np.float64)
     return SphereScore(
         number=number,
         nominal=ball,
         roi=roi,
-        measured=fit_sphere(measured_mm[roi].astype(np.float64)),
-        true_face=fit_sphere(true_mm[roi].astype(np.float64)),
+        measured=fit_sphere(found),
+        true_face=fit_sphere(true),
+        measured_algebraic=fit_sphere_algebraic(found),
+        true_face_algebraic=fit_sphere_algebraic(true),
     )
 
 
 def metrics(scored: Scores[TruthScore]) -> dict[str, Any]:
     """Flatten a score to names with units, for result.json."""
     found = asdict(scored.against_truth) | {"unfitted_balls": list(scored.unfitted)}
-    return found | _sphere_metrics(scored.spheres, scored.unfitted) | dict(scored.rod)
+    spheres = _sphere_metrics(scored.spheres, scored.unfitted)
+    return found | spheres | dict(scored.regions) | dict(scored.rod)
 
 
-def _sphere_metrics(fitted: Sequence[SphereScore], unfitted: Sequence[str]) -> dict[str, Any]:
+def _sphere_metrics(
+    fitted: Sequence[SphereScore], unfitted: Sequence[str], region: str = ""
+) -> dict[str, Any]:
     """Return all balls' figures by name; those of a ball without a fit are None."""
     numbers = range(1, len(fitted) + len(unfitted) + 1)
-    names = [f"sphere_{number}_{name}" for number in numbers for name in _SPHERE_FIGURES]
+    names = [f"sphere_{n}_{region}{figure}" for n in numbers for figure in _SPHERE_FIGURES]
     found: dict[str, Any] = dict.fromkeys(names)
-    for sphere in fitted:
-        found |= {f"sphere_{sphere.number}_{name}": v for name, v in _ball_figures(sphere).items()}
+    for ball in fitted:
+        ours = _ball_figures(ball).items()
+        found |= {f"sphere_{ball.number}_{region}{name}": value for name, value in ours}
     return found
 
 
 def _ball_figures(sphere: SphereScore) -> dict[str, float | int]:
     """One ball's figures under the names of the paper's table."""
-    measured, true_face = sphere.measured, sphere.true_face
-    values = (
-        len(measured.residuals_mm),
-        measured.radius_mm,
-        abs(measured.radius_mm - sphere.nominal.radius_mm),
-        measured.stats.rmse_mm,
-        measured.stats.mae_mm,
-        measured.stats.p95_mm,
-        true_face.radius_mm,
-        true_face.stats.rmse_mm,
-        true_face.stats.mae_mm,
-        true_face.stats.p95_mm,
-    )
-    return dict(zip(_SPHERE_FIGURES, values, strict=True))
+    measured = sphere.measured
+    fits = (measured, sphere.true_face, sphere.measured_algebraic, sphere.true_face_algebraic)
+    values = [figure for fit in fits for figure in _fit_figures(fit)]
+    error_mm = abs(measured.radius_mm - sphere.nominal.radius_mm)
+    return dict(zip(_SPHERE_FIGURES, (len(measured.residuals_mm), error_mm, *values), strict=True))
+
+
+def _fit_figures(fit: SphereFit) -> tuple[float, float, float, float]:
+    stats = fit.stats
+    return fit.radius_mm, stats.rmse_mm, stats.mae_mm, stats.p95_mm

@@ -6,7 +6,8 @@ set to one standard uncertainty below and above its nominal value, without noise
 measurement is repeated with new noise alone.
 
 A draw depends on the root seed, the input's name and the trial alone: the order of inputs, other
-inputs and the instrument do not change it.
+inputs and the instrument do not change it. Inputs that are drawn together share a name, and so take
+the same place of their lists: a sample of a joint distribution.
 """
 
 from collections.abc import Iterator, Mapping
@@ -237,6 +238,7 @@ def drawn_values(
     for name, one in counting_for(experiment, inputs).items():
         found[one.key] = nominal = one.nominal_in(experiment)
         if trial:
-            rng = np.random.default_rng(keyed_sequence(seed, f"trial {name}", trial))
+            key = keyed_sequence(seed, f"trial {one.together or name}", trial)
+            rng = np.random.default_rng(key)
             found[one.key] = nominal + float(deviation_of(one, nominal).rvs(random_state=rng))
     return found

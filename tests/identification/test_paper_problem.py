@@ -1,0 +1,93 @@
+"""The paper as a problem: what is fitted and what is held out, and why its press has one scale."""
+
+import numpy as np
+import pytest
+
+from twin.config import vary
+from twin.config.problem import load_problem
+from twin.identification.simulations import record_of, summary, variants_of
+from twin.paper.plan import rows_of
+from twin.pipeline.press import press_smooth
+
+HELD_OUT = ("rod_b", "single", "mae", "p95", "gelsight")
+
+
+@pytest.fixture(scope="module")
+def loaded():
+    return load_problem("paper/identify")
+
+
+def test_every_design_point_is_a_valid_experiment(loaded):
+    problem, experiments = loaded
+    for variant in variants_of(problem):
+        cases = record_of(problem, experiments[variant.experiment], variant).cases().run
+        setup = problem.experiments[variant.experiment]
+        assert len(cases) == (setup.count or problem.design.count) * setup.repeats
+
+
+def test_the_rows_asked_for_are_held_out(loaded):
+    problem, _ = loaded
+    assert set(problem.fitted) == {"rod_a", "rod_c", "radius_1", "radius_2", "rmse_1", "rmse_2"}
+    held = [name for name, row in problem.rows.items() if row.held_out]
+    assert all(name.startswith(HELD_OUT) or "_sd" in name for name in held)
+    assert sum(name.startswith("gelsight") for name in held) == 16
+
+
+def test_values_are_those_of_the_papers_tables(loaded):
+    rows = loaded[0].rows
+    for row in rows_of("rods"):
+        ours = rows[f"rod_{row['name'].lower()}"]
+        assert ours.value == row["mean"]
+        assert ours.sd == pytest.approx(row["sd"] / np.sqrt(5), abs=5e-4)
+        assert rows[f"rod_{row['name'].lower()}_sd"].value == row["sd"]
+    for row in rows_of("repeated_fit"):
+        kind = {"GelSight": "gelsight_", "contact-FPP": ""}[row["method"]]
+        tail = "_footprint" if kind else ""
+        assert rows[f"{kind}radius_{row['sphere']}{tail}"].value == row["mean_radius"]
+        assert rows[f"{kind}radius_{row['sphere']}_sd{tail}"].value == row["sd"]
+    for row in rows_of("sphere_fit"):
+        kind = {"GelSight": "gelsight_", "contact-FPP": ""}[row["method"]]
+        tail = "_footprint" if kind else ""
+        for ours, theirs in (("single", "radius"), ("mae", "mae"), ("p95", "p95")):
+            assert rows[f"{kind}{ours}_{row['sphere']}{tail}"].value == row[theirs]
+        assert rows[f"{kind}rmse_{row['sphere']}{tail}"].value == row["rmse"]
+
+
+def test_the_round_form_measures_the_rows_on_round_rods(loaded):
+    problem, _ = loaded
+    chosen = {"form": "round", "width": "slope_break", "sphere_fit": "geometric"}
+    assert problem.experiment_of(problem.rows["rod_b"], chosen) == "round_b"
+    assert problem.experiment_of(problem.rows["radius_1"], chosen) == "balls"
+    assert problem.experiment_of(problem.rows["rod_b"], chosen | {"form": "bars"}) == "bar_b"
+
+
+@pytest.mark.parametrize("thickness_mm", [0.3, 1.5])
+def test_shape_depends_on_pressure_over_modulus(loaded, thickness_mm):
+    """Twice the modulus under twice the pressure: at a set travel the same face, twice the force.
+
+    Dimensions say so: without weight and tack nothing else has a unit of force.
+    """
+    base = vary(
+        loaded[1]["balls"],
+        {
+            "elastomer.thickness_mm": thickness_mm,
+            "press.depth_mm": 0.5,
+            "press.cell_mm": 0.5,
+            "elastomer.young_modulus_kpa": 200.0,
+            "press.back_pressure_kpa": 1.0,
+        },
+    )
+    twice = vary(base, {"elastomer.young_modulus_kpa": 400.0, "press.back_pressure_kpa": 2.0})
+    soft, hard = (press_smooth(one) for one in (base, twice))
+    np.testing.assert_allclose(hard.face_z_mm, soft.face_z_mm, atol=2e-5)
+    assert hard.force_n == pytest.approx(2 * soft.force_n, rel=1e-3)
+
+
+def test_scatter_is_pooled_over_figures():
+    """Two balls with SD 3 and 4 (n - 1) have the pooled SD of their mean variance."""
+    figures = np.array([[[1.0, 10.0], [1.0 + 3.0 * np.sqrt(2), 10.0 + 4.0 * np.sqrt(2)]]])
+    assert summary(figures, "sd") == pytest.approx([np.sqrt((9 + 16) / 2)])
+    assert summary(figures, "mean") == pytest.approx([5.5 + 3.5 / np.sqrt(2)])
+    figures[0, 1] = np.nan
+    assert summary(figures, "mean") == pytest.approx([5.5])
+    assert np.isnan(summary(figures, "sd")).all()
