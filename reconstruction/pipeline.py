@@ -4,7 +4,7 @@ Files: organised netCDF maps and point clouds as binary PLY.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,11 +21,16 @@ from reconstruction.triangulation import EpipolarTolerance, PointMap, Use, trian
 
 @dataclass(frozen=True)
 class ReconstructOptions:
-    """Options of both stages; see `DecodeOptions`, `triangulate`, `EpipolarTolerance`."""
+    """Options of both stages; see `DecodeOptions`, `triangulate`, `EpipolarTolerance`.
+
+    through_layers : bend the rays at the calibration's plane layers; otherwise triangulate as if
+        air reached down to the surface, as software does that does not know them
+    """
 
     decode: DecodeOptions = field(default_factory=DecodeOptions)
     use: Use = "column"
     tolerance: EpipolarTolerance = field(default_factory=EpipolarTolerance)
+    through_layers: bool = True
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +50,9 @@ def reconstruct(capture: Capture, options: ReconstructOptions | None = None) -> 
     """
     chosen = options or ReconstructOptions()
     decoded = decode(capture.stack, capture.patterns, capture.sensor, chosen.decode, capture.scale)
-    point_map = triangulate(decoded, capture.calibration, chosen.use, chosen.tolerance)
+    rig = capture.calibration
+    seen = rig if chosen.through_layers else replace(rig, layers=None)
+    point_map = triangulate(decoded, seen, chosen.use, chosen.tolerance)
     return Reconstruction(decoded, point_map)
 
 

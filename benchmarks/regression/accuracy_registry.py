@@ -110,12 +110,14 @@ FRINGES = (
         "window",
         "484 x 366, 5 seeds",
         (
+            rendered("window_radius_mm", "4 mm ball through gel and window: fitted radius, mm"),
+            rendered("window_z_rmse_um", "4 mm ball through gel and window: RMS error of z, um"),
             rendered(
-                "window_radius_mm",
+                "window_in_air_radius_mm",
                 "4 mm ball through gel and window, decoded as in air: fitted radius, mm",
             ),
             rendered(
-                "window_z_bias_um",
+                "window_in_air_z_bias_um",
                 "4 mm ball through gel and window, decoded as in air: mean error of z, um",
             ),
         ),

@@ -112,15 +112,19 @@ def rod(seeds: int = 5) -> Values:
 
 
 def window(seeds: int = 5) -> Values:
-    """Measure through a gel and a window, which the decoder takes for air."""
+    """Measure through a gel and a window, which the decoder knows, and takes for air."""
     memory = Memory()
 
     def once(seed: int) -> dict[str, float]:
         settings = {"camera.binning": 4, "seed": seed}
-        done = measure(load_experiment("examples/gel_on_window", settings), memory=memory)
+        known = load_experiment("examples/gel_on_window", settings)
+        air = load_experiment("examples/gel_on_window", settings | {"decode.through_layers": False})
+        done, in_air = measure(known, memory=memory), measure(air, memory=memory)
         return {
             "window_radius_mm": done.score.spheres[0].measured.radius_mm,
-            "window_z_bias_um": done.score.against_truth.z_bias_um,
+            "window_z_rmse_um": done.score.against_truth.z_rmse_um,
+            "window_in_air_radius_mm": in_air.score.spheres[0].measured.radius_mm,
+            "window_in_air_z_bias_um": in_air.score.against_truth.z_bias_um,
         }
 
     return repeated(seeds, once)

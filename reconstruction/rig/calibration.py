@@ -13,12 +13,14 @@ import numpy as np
 
 from reconstruction.arrays import FloatArray
 from reconstruction.errors import CaptureError, InputError
+from reconstruction.rig.layers import PlaneLayers, plane_layers
 from reconstruction.rig.pinhole import Pinhole
 
 __all__ = ["Calibration", "Pinhole", "read_calibration", "write_calibration"]
 
 DEVICES = ("camera", "projector")
 TRANSFORMS = ("T_world_from_cam", "T_world_from_proj")
+LAYERS = "layers"
 # OpenCV's reader goes down one level of C++ per bracket or indent, and overflows its stack: a
 # calibration has 3 kB in short lines and two levels.
 MOST_BYTES, MOST_LINE, MOST_NESTED = 1_000_000, 1000, 32
@@ -34,16 +36,18 @@ class Calibration:
     ----------
     camera, projector : intrinsics
     T_world_from_cam, T_world_from_proj : (4, 4) float, mm, rigid motions
+    layers : clear media, planes z = const of the world, that both look through; None: air alone
 
     Raises
     ------
-    InputError : a transform is no rigid motion
+    InputError : a transform is no rigid motion, or a device is not above the layers
     """
 
     camera: Pinhole
     projector: Pinhole
     T_world_from_cam: FloatArray
     T_world_from_proj: FloatArray
+    layers: PlaneLayers | None = None
 
     def __post_init__(self) -> None:
         for name in TRANSFORMS:
@@ -51,6 +55,9 @@ class Calibration:
             _require_rigid(name, matrix)
             matrix.flags.writeable = False
             object.__setattr__(self, name, matrix)
+        if self.layers is not None:
+            self.layers.require_below("camera", float(self.T_world_from_cam[2, 3]))
+            self.layers.require_below("projector", float(self.T_world_from_proj[2, 3]))
 
     @property
     def T_proj_from_cam(self) -> FloatArray:  # noqa: N802 - the frame names of the paper's symbols
@@ -80,6 +87,8 @@ def write_calibration(path: Path | str, calibration: Calibration) -> None:
         _write_pinhole(storage, name, getattr(calibration, name))
     for name in TRANSFORMS:
         storage.write(name, getattr(calibration, name))
+    if calibration.layers is not None:
+        _write_layers(storage, calibration.layers)
     Path(path).write_text(storage.releaseAndGetString(), encoding="ascii")
 
 
@@ -90,6 +99,16 @@ def _write_pinhole(storage: Any, name: str, device: Pinhole) -> None:
     storage.write("image_height", int(device.height_px))
     storage.write("camera_matrix", np.array(matrix))
     storage.write("distortion_coefficients", np.array(device.distortion).reshape(1, 5))
+    storage.endWriteStruct()
+
+
+def _write_layers(storage: Any, layers: PlaneLayers) -> None:
+    storage.startWriteStruct(LAYERS, cv2.FileNode_SEQ)
+    for top_mm, ior in zip(layers.tops_mm, layers.iors, strict=True):
+        storage.startWriteStruct("", cv2.FileNode_MAP | cv2.FileNode_FLOW)
+        storage.write("top_mm", top_mm)
+        storage.write("ior", ior)
+        storage.endWriteStruct()
     storage.endWriteStruct()
 
 
@@ -106,7 +125,8 @@ def read_calibration(path: Path | str) -> Calibration:
     try:
         devices = [_read_pinhole(storage, name) for name in DEVICES]
         transforms = [_read_matrix(storage.getNode(name), name, (4, 4)) for name in TRANSFORMS]
-        return Calibration(devices[0], devices[1], transforms[0], transforms[1])
+        layers = _read_layers(storage.getNode(LAYERS))
+        return Calibration(devices[0], devices[1], transforms[0], transforms[1], layers)
     except InputError as error:
         raise CaptureError(f"{path}: {error}") from error
     except cv2.error as error:  # thrown wherever it meets a half-written node
@@ -186,6 +206,26 @@ def _require_camera_matrix(name: str, matrix: FloatArray) -> None:
             f"{name}/camera_matrix is {matrix.tolist()}; only fx, fy, cx, cy may differ from "
             "the identity (no skew)"
         )
+
+
+def _read_layers(node: Any) -> PlaneLayers | None:
+    if node.empty():
+        return None
+    if not node.isSeq():
+        raise InputError(f"key {LAYERS} is no list; give one {{ top_mm, ior }} per medium")
+    found = [node.at(number) for number in range(node.size())]
+    names = ("top_mm", "ior")
+    for number, one in enumerate(found):
+        if not one.isMap() or sorted(one.keys()) != sorted(names):
+            raise InputError(f"{LAYERS} {number}: give exactly the keys top_mm and ior")
+    return plane_layers([(_read_number(one, "top_mm"), _read_number(one, "ior")) for one in found])
+
+
+def _read_number(parent: Any, name: str) -> float:
+    node = parent.getNode(name)
+    if not (node.isReal() or node.isInt()):
+        raise InputError(f"{LAYERS}: {name} is no number")
+    return float(node.real())
 
 
 def _read_integer(node: Any, name: str) -> int:

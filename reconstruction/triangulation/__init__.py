@@ -3,6 +3,9 @@
 Result in the world frame (z up towards the devices), mm. Along a ray there is one unknown, the
 depth; it is found by Gauss-Newton with weights 1 / sigma^2 and its sigma follows from the slope:
 sigma_d = (sum_i (du_i / dd)^2 / sigma_i^2)^(-1/2), sigma_xyz = sigma_d |R (x, y, 1)|.
+
+Below plane clear layers (a window, a gel) both rays are bent by Snell's law, see `_layers`; the
+unknown is then the depth below the last interface.
 """
 
 from dataclasses import dataclass
@@ -19,6 +22,8 @@ from reconstruction.decoding._rows import BIAS
 from reconstruction.decoding.decode import SIGMA_UNIT_PX
 from reconstruction.errors import InputError, require_number
 from reconstruction.rig.calibration import Calibration
+from reconstruction.rig.layers import PlaneLayers
+from reconstruction.triangulation._layers import LayeredRig, SpreadRows, meet_rows_below
 from reconstruction.triangulation._ray import (
     Fringe,
     LensPair,
@@ -121,24 +126,28 @@ def triangulate(
     """
     _check(decoded, calibration, use)
     limits = tolerance or EpipolarTolerance()
+    match = Match(use != "row", use != "column", float(limits.absolute_px), float(limits.sigmas))
+    if calibration.layers is None:
+        return _in_air(decoded, calibration, match)
+    return _below(calibration.layers, decoded, calibration, match)
+
+
+def _in_air(decoded: Decoded, calibration: Calibration, match: Match) -> PointMap:
     shape = decoded.mask_reason.shape
     points = np.zeros((*shape, 3), np.float32)
     sigma_depth = Half(np.zeros(shape, np.uint16), SIGMA_UNIT_MM)
     reason = decoded.mask_reason.copy()
-    column, row = decoded.column, decoded.row
-    sigma_column, sigma_row = _packed_sigma(column), _packed_sigma(row)
     run_over_rows(
         meet_rows,
         shape[0],
-        Fringe(
-            column.coordinate_px,
-            row.coordinate_px,
-            sigma_column,
-            sigma_row,
-            np.float32(SIGMA_UNIT_PX / BIAS),
+        _fringe(decoded),
+        match,
+        LensPair(
+            lens_of(calibration.camera),
+            lens_of(calibration.projector),
+            _motion(calibration.T_proj_from_cam),
+            _motion(calibration.T_world_from_cam),
         ),
-        Match(use != "row", use != "column", float(limits.absolute_px), float(limits.sigmas)),
-        _rig(calibration),
         PointRows(
             points.reshape(shape[0], -1),
             sigma_depth.bits,
@@ -150,6 +159,44 @@ def triangulate(
     T_world_from_cam = calibration.T_world_from_cam
     spread: Any = RaySpread(points, sigma_depth, T_world_from_cam)
     return PointMap(points, spread, reason, T_world_from_cam)
+
+
+def _below(
+    layers: PlaneLayers, decoded: Decoded, calibration: Calibration, match: Match
+) -> PointMap:
+    shape = decoded.mask_reason.shape
+    points, spread = np.zeros((2, *shape, 3), np.float32)
+    reason = decoded.mask_reason.copy()
+    x_mm, y_mm, z_mm = (float(value) for value in calibration.T_world_from_proj[:3, 3])
+    run_over_rows(
+        meet_rows_below,
+        shape[0],
+        _fringe(decoded),
+        match,
+        LayeredRig(
+            lens_of(calibration.camera),
+            lens_of(calibration.projector),
+            _motion(calibration.T_world_from_cam),
+            _motion(np.asarray(np.linalg.inv(calibration.T_world_from_proj))),
+            (x_mm, y_mm, z_mm),
+            np.array(layers.tops_mm),
+            np.array(layers.iors),
+        ),
+        SpreadRows(points.reshape(shape[0], -1), spread.reshape(shape[0], -1), reason),
+        band_rows=BAND_ROWS,
+    )
+    return PointMap(points, spread, reason, calibration.T_world_from_cam)
+
+
+def _fringe(decoded: Decoded) -> Fringe:
+    column, row = decoded.column, decoded.row
+    return Fringe(
+        column.coordinate_px,
+        row.coordinate_px,
+        _packed_sigma(column),
+        _packed_sigma(row),
+        np.float32(SIGMA_UNIT_PX / BIAS),
+    )
 
 
 def _check(decoded: Decoded, calibration: Calibration, use: str) -> None:
@@ -169,15 +216,6 @@ def _packed_sigma(axis: AxisDecode) -> Bits:
     if isinstance(sigma, Half) and sigma.unit == SIGMA_UNIT_PX:
         return sigma.bits
     return Half.of(axis.sigma_px, SIGMA_UNIT_PX).bits
-
-
-def _rig(calibration: Calibration) -> LensPair:
-    return LensPair(
-        lens_of(calibration.camera),
-        lens_of(calibration.projector),
-        _motion(calibration.T_proj_from_cam),
-        _motion(calibration.T_world_from_cam),
-    )
 
 
 def _motion(matrix: FloatArray) -> Motion:

@@ -216,7 +216,7 @@ def _rotate(T: Motion, x: float, y: float) -> Any:
 
 
 @inlined
-def _weights(su: Any, sv: Any, match: Match) -> Any:
+def weights(su: Any, sv: Any, match: Match) -> Any:
     """Weights of both coordinates up to a common factor: alone, one needs no division."""
     if match.use_column and match.use_row:
         su, sv = max(su, SMALLEST_SIGMA_PX), max(sv, SMALLEST_SIGMA_PX)
@@ -240,7 +240,7 @@ def _start_row(
     lens, T = rig.projector, rig.T_proj_from_cam
     bx, by, bz = T[0][3], T[1][3], T[2][3]
     for col in range(depth.size):
-        wu, wv = _weights(su[col], sv[col], match)
+        wu, wv = weights(su[col], sv[col], match)
         ax, ay, az = _rotate(T, x[col], y[col])
         uc, vc = u[col] - u_bend[col] - lens.cx, v[col] - v_bend[col] - lens.cy
         au, bu = lens.fx * ax - uc * az, uc * bz - lens.fx * bx
@@ -275,7 +275,7 @@ def _step_row(
         us = lens.fx * (xx * px_slope + xy * py_slope)
         vs = lens.fy * (xy * px_slope + yy * py_slope)
         du, dv = u[col] - lens.fx * xd - lens.cx, v[col] - lens.fy * yd - lens.cy
-        wu, wv = _weights(su[col], sv[col], match)
+        wu, wv = weights(su[col], sv[col], match)
         step = (wu * us * du + wv * vs * dv) / (wu * us * us + wv * vs * vs)
         is_ahead = (d > 0.0) & (z > 0.0)
         # A NaN counts as ahead of nothing and as not there.
@@ -295,7 +295,7 @@ def _step_row(
 
 
 @compiled
-def _judge_row(pixels: Pixels, match: Match, view: ProjectorView, sigma: Any, reason: Any) -> None:
+def judge_row(pixels: Pixels, match: Match, view: ProjectorView, sigma: Any, reason: Any) -> None:
     """Write the sigma of the depth, and mark coordinates that contradict the point."""
     su, sv = pixels.u_sigma, pixels.v_sigma
     u_residual, v_residual, u_slope, v_slope = (
@@ -361,6 +361,6 @@ def meet_rows(
             is_last = step == MAX_STEPS - 1
             if _step_row(rays, pixels, match, rig, is_last, depth, view, reason) == 0:
                 break
-        _judge_row(pixels, match, view, sigma, reason)
+        judge_row(pixels, match, view, sigma, reason)
         pack_row(sigma, points.sigma_factor, spare, points.sigma_depth[row])
         _place_row(rays, depth, reason, rig.T_world_from_cam, points.points_world_mm[row])

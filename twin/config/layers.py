@@ -55,7 +55,8 @@ def media_of(layers: Mapping[str, Layer]) -> tuple[Medium, ...]:
     """
     media: list[Medium] = []
     descending = sorted(layers.values(), key=lambda layer: layer.top_mm, reverse=True)
-    for layer, below in zip(descending, [*descending[1:], None], strict=True):
+    for layer, below in pairwise([*descending, None]):
+        assert layer is not None
         media.append(Medium(layer.top_mm, layer.ior, layer.absorption_per_mm))
         next_mm = 0.0 if below is None else below.top_mm
         if layer.bottom_mm - next_mm > (TOUCHING_MM if below is not None else 0.0):

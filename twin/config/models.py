@@ -244,6 +244,10 @@ class Decode(Model):
     )
     filter_sigma_px: Positive = DecodeOptions.filter_sigma_px
     use: Literal["column", "row", "both"] = "column"
+    through_layers: bool = Field(
+        default=True,
+        description="bend the rays at the plane layers; false: triangulate as in air",
+    )
 
 
 class ScoreSettings(Model):

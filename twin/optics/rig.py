@@ -28,6 +28,8 @@ import numpy as np
 
 from reconstruction.arrays import FloatArray, FloatImage
 from reconstruction.rig.calibration import Calibration, Pinhole
+from reconstruction.rig.layers import plane_layers
+from twin.config.layers import media_of
 from twin.config.models import Camera, Experiment, Pose, Projector
 
 
@@ -40,6 +42,7 @@ def true_calibration(experiment: Experiment) -> Calibration:
         projector=projector,
         T_world_from_cam=world_from_device(experiment.camera.pose, camera),
         T_world_from_proj=world_from_device(experiment.projector.pose, projector),
+        layers=plane_layers([(one.top_mm, one.ior) for one in media_of(experiment.layers)]),
     )
 
 

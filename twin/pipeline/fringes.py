@@ -84,12 +84,14 @@ def evaluate(
 ) -> Measurement:
     """Score a reconstruction against the truth, and put everything into one record."""
     scored = score(experiment, reconstruction, recording.truth)
+    figures = taken_figures(pressed, recording) | metrics(scored)
+    figures["warnings"] += decoding_warnings(experiment)
     return Measurement(
         experiment=experiment,
         images=Fringes(recording.capture, reconstruction, recording.radiance.frames),
         truth=recording.truth,
         score=scored,
-        metrics=taken_figures(pressed, recording) | metrics(scored),
+        metrics=figures,
         pressed=pressed,
         digest=digest(experiment),
         versions=versions(),
@@ -203,7 +205,18 @@ def options_of(decode: Decode) -> ReconstructOptions:
             filter_taps=decode.filter_taps, filter_sigma_px=decode.filter_sigma_px
         ),
         use=decode.use,
+        through_layers=decode.through_layers,
     )
+
+
+def decoding_warnings(experiment: Experiment) -> list[str]:
+    """Say what the decoder is told to leave out, one line each."""
+    if experiment.decode.through_layers or not experiment.layers:
+        return []
+    return [
+        "the decoder takes the layers for air, and its heights, widths and radii are wrong by what "
+        "they bend the rays; set decode.through_layers = true"
+    ]
 
 
 def check_layers(experiment: Experiment) -> None:

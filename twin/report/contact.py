@@ -129,7 +129,7 @@ def sentences(measured: Measurement) -> list[str]:
     ]
     if warnings:
         noun = "warning" if len(warnings) == 1 else "warnings"
-        lines.append(f"{len(warnings)} {noun} of the press, see the report")
+        lines.append(f"{len(warnings)} {noun}, see the report")
     return lines
 
 

@@ -140,7 +140,7 @@ class Measurement:
     Attributes
     ----------
     images : Fringes or Colours, by method
-    metrics : as in result.json; `figures` are its numbers, `warnings` those of the press
+    metrics : as in result.json; `figures` are its numbers, `warnings` its warnings
     pressed : None where the bare specimen is seen
     digest, versions : name what it was made from
     seconds : wall clock by stage

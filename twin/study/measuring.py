@@ -68,7 +68,9 @@ class RigCovariance:
         # The world hangs on the camera: a calibrated world frame of its own would move every point
         # alike, which no fitted radius or width feels.
         world_from_proj = true.T_world_from_cam @ np.linalg.inv(found.T_proj_from_cam)
-        return Calibration(found.camera, found.projector, true.T_world_from_cam, world_from_proj)
+        return Calibration(
+            found.camera, found.projector, true.T_world_from_cam, world_from_proj, true.layers
+        )
 
 
 def _correlated(covariance: FloatArray, normal: FloatArray) -> FloatArray:

@@ -1,0 +1,264 @@
+"""Camera rays below plane clear layers, and where they meet the decoded projector coordinate.
+
+World frame, z up; air above medium 1, the surface in medium m. With w_i the vertical way in medium
+i (air is 0) and t the tangent of the angle to the vertical IN AIR, Snell's law gives the horizontal
+way
+
+    r(t) = sum_i w_i t / q_i,   q_i = sqrt(n_i^2 + (n_i^2 - 1) t^2),
+    dr/dt = sum_i w_i n_i^2 / q_i^3,
+
+and the tangent t / q_m in the last medium. A camera ray of known t enters that medium at a known
+point A with the direction G = (h / q_m, -1), h its horizontal way in air per mm of height. On
+X = A + s G the unknown is s, the depth below the last interface. The projector sees X along the t
+that solves r(t) = |X - P| horizontally: concave and growing, so that Newton's method from the left
+of the root never overshoots. Its image then moves with s by the implicit function theorem.
+
+Light thrown back between the interfaces is no measured light: it is left out.
+"""
+
+# ruff: noqa: PLR0917 - compiled functions cannot take keyword-only arguments
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from reconstruction._jit import compiled, inlined
+from reconstruction.decoding._half import unpack_row
+from reconstruction.triangulation._ray import (
+    MAX_STEPS,
+    NO_POINT,
+    Fringe,
+    Lens,
+    Match,
+    Motion,
+    Pixels,
+    ProjectorView,
+    Rays,
+    distort_inlined,
+    distortion_jacobian_inlined,
+    is_before_fold_inlined,
+    judge_row,
+    ray_row,
+    weights,
+)
+
+# A gel behind a window needs two turns from the straight line, thick layers of index 3 five.
+MAX_TURNS = 20
+TANGENT_TOLERANCE = 1e-12
+# The error left after such a step is that step times the next contraction, below 1e-3.
+STEP_TOLERANCE_MM = 1e-5
+# Rays flatter than this in air (89.9 degrees) see nothing.
+FLATTEST = 1e-3
+
+
+class LayeredRig(NamedTuple):
+    """Lenses, motions between the frames, mm, and the media from the top down.
+
+    projector_mm : place of the projector in the world
+    tops_mm, iors : (medium,) double precision
+    """
+
+    camera: Lens
+    projector: Lens
+    T_world_from_cam: Motion
+    T_proj_from_world: Motion
+    projector_mm: tuple[float, float, float]
+    tops_mm: Any
+    iors: Any
+
+
+class SpreadRows(NamedTuple):
+    """Result: points and their sigmas, (row, 3 col) x y z mm, and (row, col) codes."""
+
+    points_world_mm: Any
+    sigma_xyz_mm: Any
+    reason: Any
+
+
+class LayerEntry(NamedTuple):
+    """Lines of one row: where each camera ray enters the last medium, and its direction there.
+
+    The direction has -1 as its z. depth: of the point below the last interface.
+    """
+
+    x: Any
+    y: Any
+    x_slope: Any
+    y_slope: Any
+    depth: Any
+
+
+@inlined
+def _reach(t_square: float, air_mm: float, last_mm: float, rig: LayeredRig) -> Any:
+    """Return r / t, dr / dt and q of the last medium."""
+    tops, iors = rig.tops_mm, rig.iors
+    reach, slope, q = air_mm, air_mm, 1.0
+    for i in range(tops.size):
+        way = tops[i] - tops[i + 1] if i + 1 < tops.size else last_mm
+        square = iors[i] * iors[i]
+        q = np.sqrt(square + (square - 1.0) * t_square)
+        reach += way / q
+        slope += way * square / (q * q * q)
+    return reach, slope, q
+
+
+@compiled
+def _enter_row(rays: Rays, rig: LayeredRig, entry: LayerEntry, reason: Any) -> None:
+    T = rig.T_world_from_cam
+    air_mm = T[2][3] - rig.tops_mm[0]
+    for col in range(reason.size):
+        x, y = rays.x[col], rays.y[col]
+        down = -(T[2][0] * x + T[2][1] * y + T[2][2])
+        is_ray = rays.found[col] and down > FLATTEST * np.sqrt(x * x + y * y + 1.0)
+        if reason[col] == 0 and not is_ray:
+            reason[col] = NO_POINT
+        down = down if is_ray else 1.0
+        along_x = (T[0][0] * x + T[0][1] * y + T[0][2]) / down
+        along_y = (T[1][0] * x + T[1][1] * y + T[1][2]) / down
+        reach, _, q = _reach(along_x * along_x + along_y * along_y, air_mm, 0.0, rig)
+        entry.x[col], entry.y[col] = T[0][3] + reach * along_x, T[1][3] + reach * along_y
+        entry.x_slope[col], entry.y_slope[col] = along_x / q, along_y / q
+
+
+@inlined
+def _towards(x: float, y: float, depth: float, tangent: float, rig: LayeredRig) -> Any:
+    """Return the tangent in air of the projector's ray to a place, and r / t, dr / dt, q there.
+
+    x, y : horizontal way from the projector; tangent : not above the one sought
+    """
+    way = np.sqrt(x * x + y * y)
+    air_mm = rig.projector_mm[2] - rig.tops_mm[0]
+    reach, slope, q = _reach(tangent * tangent, air_mm, depth, rig)
+    for _ in range(MAX_TURNS):
+        step = (way - reach * tangent) / slope
+        tangent += step
+        reach, slope, q = _reach(tangent * tangent, air_mm, depth, rig)
+        if abs(step) <= TANGENT_TOLERANCE * (1.0 + tangent):
+            break
+    return tangent, reach, slope, q
+
+
+@inlined
+def _seen(x: float, y: float, x_slope: float, y_slope: float, depth: float, rig: LayeredRig) -> Any:
+    """Return the projector's ray to a place, (x, y, z) in its frame, and its change with depth.
+
+    x, y : horizontal way from the projector; x_slope, y_slope : its change with depth
+    """
+    air_mm = rig.projector_mm[2] - rig.tops_mm[0]
+    height = air_mm + rig.tops_mm[0] - rig.tops_mm[-1] + depth
+    way = np.sqrt(x * x + y * y)
+    tangent, reach, slope, q = _towards(x, y, depth, way / height, rig)
+    scale = 1.0 / way if way > 0.0 else 0.0
+    ex, ey = x * scale, y * scale
+    outwards = ex * x_slope + ey * y_slope
+    grows = (outwards - tangent / q) / slope
+    hx, hy = x / reach, y / reach
+    hx_slope = grows * ex + (x_slope - ex * outwards) / reach
+    hy_slope = grows * ey + (y_slope - ey * outwards) / reach
+    R = rig.T_proj_from_world
+    ray = (
+        R[0][0] * hx + R[0][1] * hy - R[0][2],
+        R[1][0] * hx + R[1][1] * hy - R[1][2],
+        R[2][0] * hx + R[2][1] * hy - R[2][2],
+    )
+    turn = (
+        R[0][0] * hx_slope + R[0][1] * hy_slope,
+        R[1][0] * hx_slope + R[1][1] * hy_slope,
+        R[2][0] * hx_slope + R[2][1] * hy_slope,
+    )
+    return ray, turn
+
+
+@inlined
+def _image(ray: Any, turn: Any, lens: Lens) -> Any:
+    """Return the pixel of a ray, its change with depth, and whether the lens shows it."""
+    inverse = 1.0 / ray[2]
+    px, py = ray[0] * inverse, ray[1] * inverse
+    px_slope, py_slope = (turn[0] - px * turn[2]) * inverse, (turn[1] - py * turn[2]) * inverse
+    xd, yd = distort_inlined(px, py, lens.distortion)
+    jacobian = distortion_jacobian_inlined(px, py, lens.distortion)
+    xx, xy, yy = jacobian
+    us = lens.fx * (xx * px_slope + xy * py_slope)
+    vs = lens.fy * (xy * px_slope + yy * py_slope)
+    is_shown = (ray[2] > 0.0) & is_before_fold_inlined(px, py, jacobian, lens.fold_square)
+    return lens.fx * xd + lens.cx, lens.fy * yd + lens.cy, us, vs, is_shown
+
+
+@compiled
+def _meet_row(
+    pixels: Pixels,
+    match: Match,
+    rig: LayeredRig,
+    entry: LayerEntry,
+    view: ProjectorView,
+    reason: Any,
+) -> None:
+    """Take Gauss-Newton steps on the weighted residuals of each pixel, from its left neighbour."""
+    place, lens = rig.projector_mm, rig.projector
+    start = 0.0
+    for col in range(reason.size):
+        if reason[col] != 0:
+            continue
+        wu, wv = weights(pixels.u_sigma[col], pixels.v_sigma[col], match)
+        x_slope, y_slope = entry.x_slope[col], entry.y_slope[col]
+        depth, is_there = start, False
+        for _ in range(MAX_STEPS):
+            x = entry.x[col] + depth * x_slope - place[0]
+            y = entry.y[col] + depth * y_slope - place[1]
+            ray, turn = _seen(x, y, x_slope, y_slope, depth, rig)
+            u, v, us, vs, is_shown = _image(ray, turn, lens)
+            du, dv = pixels.u[col] - u, pixels.v[col] - v
+            step = (wu * us * du + wv * vs * dv) / (wu * us * us + wv * vs * vs)
+            # A surface above the last interface is none; a NaN is not there either.
+            is_there = is_shown & (abs(step) <= STEP_TOLERANCE_MM)
+            depth = max(depth + step, 0.0)
+            if is_there:
+                break
+        view.u_residual[col], view.v_residual[col] = du - us * step, dv - vs * step
+        view.u_slope[col], view.v_slope[col] = us, vs
+        entry.depth[col] = depth
+        reason[col] = reason[col] if is_there else NO_POINT
+        start = depth if is_there else start
+
+
+@compiled
+def _place_row(
+    entry: LayerEntry, floor_mm: float, sigma: Any, reason: Any, world: Any, spread: Any
+) -> None:
+    """Write points and sigmas in the world frame, x y z of one pixel after the other."""
+    for col in range(reason.size):
+        if reason[col] != 0:
+            continue
+        depth, x_slope, y_slope = entry.depth[col], entry.x_slope[col], entry.y_slope[col]
+        world[3 * col] = entry.x[col] + depth * x_slope
+        world[3 * col + 1] = entry.y[col] + depth * y_slope
+        world[3 * col + 2] = floor_mm - depth
+        spread[3 * col] = sigma[col] * abs(x_slope)
+        spread[3 * col + 1] = sigma[col] * abs(y_slope)
+        spread[3 * col + 2] = sigma[col]
+
+
+@compiled
+def meet_rows_below(
+    first_row: int, end_row: int, fringe: Fringe, match: Match, rig: LayeredRig, points: SpreadRows
+) -> None:  # fmt: skip
+    """Fill `points` of some rows; `reason` masks and is updated."""
+    width = points.reason.shape[1]
+    lines, short = np.zeros((11, width)), np.zeros((7, width), np.float32)
+    rays = Rays(lines[0], lines[1], lines[2], lines[3], np.zeros(width, np.bool_))
+    entry = LayerEntry(lines[4], lines[5], lines[6], lines[7], lines[8])
+    view = ProjectorView(short[0], short[1], short[2], short[3], lines[9], lines[10])
+    su, sv, sigma = short[4], short[5], short[6]
+    for row in range(first_row, end_row):
+        pixels = Pixels(fringe.column[row], fringe.row[row], su, sv)
+        reason = points.reason[row]
+        unpack_row(fringe.sigma_column[row], fringe.sigma_unit_px, su)
+        unpack_row(fringe.sigma_row[row], fringe.sigma_unit_px, sv)
+        ray_row(row, rig.camera, rays)
+        _enter_row(rays, rig, entry, reason)
+        _meet_row(pixels, match, rig, entry, view, reason)
+        judge_row(pixels, match, view, sigma, reason)
+        _place_row(
+            entry, rig.tops_mm[-1], sigma, reason,
+            points.points_world_mm[row], points.sigma_xyz_mm[row],
+        )  # fmt: skip
