@@ -141,7 +141,9 @@ def _not_found(collection: Collection, name: str) -> str:
     known = list_assets(collection)
     stem = Path(name.removesuffix(".toml")).name
     same = [entry for entry in known if Path(entry).name == stem]
-    close = difflib.get_close_matches(name.removesuffix(".toml"), known, n=3, cutoff=0.5)
-    likely = ", ".join(dict.fromkeys(same + close))
-    advice = f"did you mean {likely}?" if likely else f"there are {', '.join(known) or 'none'}"
-    return f"{name}: not found in {collection}; {advice}"
+    own = [str(path) for path in Path(name).parent.glob("*.toml")]
+    wanted = name.removesuffix(".toml")
+    close = difflib.get_close_matches(wanted, [*known, *own], n=2, cutoff=0.5)
+    nearest = difflib.get_close_matches(wanted, known, n=1, cutoff=0.0)
+    likely = ", ".join(dict.fromkeys(same + close)) or "".join(nearest)
+    return f"{name}: no such file, nor is it one of {collection}; did you mean {likely}?"

@@ -10,7 +10,7 @@ from twin.assets import AssetError, mesh_path
 from twin.config.models import Experiment
 
 # What a person calls it and where numbers come from do not change what is computed.
-_NOT_CONTENT = {"name", "description", "provenance"}
+_NOT_CONTENT = {"name", "description", "provenance", "links"}
 
 
 def digest(experiment: Experiment) -> str:

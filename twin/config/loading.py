@@ -1,19 +1,26 @@
 """Experiment files: read one, resolve the data files it uses, validate the whole, write it.
 
-Any table may say `use = "scenes/..."` or `use = "materials/..."`: the named data file is the base
-on which the table's own keys are laid. The result names no file any more; it can be written,
-read back and rerun anywhere.
+Any table may say `use = "scenes/..."`, `use = "materials/..."` or, with a file of one's own,
+`use = "./coat.toml"`: that file is the base on which the table's own keys are laid. Names that
+begin with `./` or `../` are found from the file that they stand in, meshes and tables alike.
+
+A value may be that of another key: `thickness_mm = "= elastomer.thickness_mm"`. Such links are kept
+in `[links]` and hold when the other key is varied; setting the key itself ends its link.
+
+The result names no data file any more; it can be written, read back and rerun anywhere.
 
 Validation problems are told in one line each: what, where, found, allowed, what to do.
 The keys of a file are read off the models, too: no second list to keep true.
 """
 
+import copy
 import difflib
 import tomllib
 import types
 import typing
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -25,7 +32,16 @@ from pydantic_core import PydanticUndefined
 from twin.assets import asset_path, scene_file
 from twin.config.base import AssetCycleError, ConfigError
 from twin.config.models import Conductor, Decode, Dielectric, Diffuse, Experiment, Layer, Plastic
-from twin.config.quantities import check_ranges, convert_units, is_quantity, split_quantities
+from twin.config.quantities import (
+    check_ranges,
+    convert_units,
+    is_quantity,
+    split_quantities,
+    value_at,
+)
+
+ABSENT = "absent"
+"""Says that a key is not there, so that its default holds: TOML knows no null."""
 
 
 def load_experiment(path: str | Path, overrides: Mapping[str, Any] | None = None) -> Experiment:
@@ -49,7 +65,7 @@ def load_experiment(path: str | Path, overrides: Mapping[str, Any] | None = None
 
 def validate_experiment(tree: Mapping[str, Any], where: str = "experiment") -> Experiment:
     """Build an experiment from nested tables; every problem at once, one line each."""
-    values, origins = split_quantities(convert_units(dict(tree)))
+    values, origins = split_quantities(convert_units(_linked(tree, where)))
     stated = values.pop("provenance", {})
     if not isinstance(stated, dict):
         raise ConfigError(f"{where}: provenance: found a value, allowed a table")
@@ -72,6 +88,43 @@ def vary(experiment: Experiment, changes: Mapping[str, Any]) -> Experiment:
     return validate_experiment(tree, where=experiment.name)
 
 
+def _linked(tree: Mapping[str, Any], where: str) -> dict[str, Any]:
+    """Give every linked key the value of the key that it names, and list the links in [links]."""
+    told = tree.get("links", {})
+    if not isinstance(told, dict):
+        raise ConfigError(f"{where}: links: found a value, allowed a table")
+    links = {**told, **dict(_links_in(tree, ""))}
+    try:
+        order = [*TopologicalSorter({key: [named] for key, named in links.items()}).static_order()]
+    except CycleError as error:
+        circle = " = ".join(error.args[1])
+        raise ConfigError(f"{where}: links lead back to themselves: {circle}") from None
+    linked = copy.deepcopy(dict(tree))
+    linked.pop("links", None)
+    for key in order:
+        if key in links:
+            _assign(linked, key, _quantity_of(linked, key, links[key], where))
+    return linked | ({"links": links} if links else {})
+
+
+def _links_in(tree: Mapping[str, Any], before: str) -> Iterator[tuple[str, str]]:
+    for key, node in tree.items():
+        value = node["value"] if is_quantity(node) else node
+        if isinstance(value, str) and value.startswith("=") and before + key != "description":
+            yield f"{before}{key}", value.removeprefix("=").strip()
+        elif isinstance(value, dict) and before + key not in ("links", "provenance"):
+            yield from _links_in(value, f"{before}{key}.")
+
+
+def _quantity_of(tree: dict[str, Any], key: str, named: Any, where: str) -> dict[str, Any]:
+    found = value_at(tree, str(named))
+    found = found["value"] if is_quantity(found) else found
+    if found is None or isinstance(found, dict):
+        what = "a table" if found is not None else "no value"
+        raise ConfigError(f"{where}: {key} = '= {named}': found {what} there; name a key with one")
+    return {"value": found, "source": f"as {named}"}
+
+
 def read_toml(file: Path) -> dict[str, Any]:
     """Read a TOML file; one line says what is wrong with it."""
     try:
@@ -85,7 +138,7 @@ def read_toml(file: Path) -> dict[str, Any]:
 def resolve_uses(tree: dict[str, Any], trail: tuple[Path, ...]) -> dict[str, Any]:
     """Lay tables over the data files that they `use`; `trail` holds the files that led here."""
     own = {
-        key: resolve_uses(node, trail) if isinstance(node, dict) else node
+        key: resolve_uses(node, trail) if isinstance(node, dict) else _from_here(node, trail[-1])
         for key, node in tree.items()
         if key != "use" or "/" not in str(node)  # decode.use = "column" is a value, no file
     }
@@ -96,16 +149,40 @@ def resolve_uses(tree: dict[str, Any], trail: tuple[Path, ...]) -> dict[str, Any
 
 
 def _load_used(name: str, trail: tuple[Path, ...]) -> dict[str, Any]:
-    collection, _, rest = name.partition("/")
-    if collection not in ("scenes", "materials"):
-        raise ConfigError(f"{trail[-1]}: use = '{name}': must start with scenes/ or materials/")
-    file = asset_path("scenes" if collection == "scenes" else "materials", rest)
+    file = _used_file(name, trail[-1])
     if file in trail:
         raise AssetCycleError(f"{trail[-1]}: use = '{name}' leads back to itself: remove one use")
     tree = resolve_uses(read_toml(file), (*trail, file))
     tree.pop("description", None)
     tree.pop("name", None)
     return tree
+
+
+def _used_file(name: str, here: Path) -> Path:
+    collection, _, rest = name.partition("/")
+    if collection in ("scenes", "materials"):
+        return asset_path("scenes" if collection == "scenes" else "materials", rest)
+    if not _is_own(name):
+        raise ConfigError(
+            f"{here}: use = '{name}': must start with scenes/ or materials/, or with ./ for a file "
+            "found from this one"
+        )
+    file = Path(_from_here(name, here))
+    if not file.is_file():
+        beside = sorted(path.name for path in file.parent.glob("*.toml"))
+        close = difflib.get_close_matches(file.name, beside, n=1)
+        hint = f"; did you mean {close[0]}?" if close else ""
+        raise ConfigError(f"{here}: use = '{name}': there is no file {file}{hint}")
+    return file
+
+
+def _is_own(name: Any) -> bool:
+    return isinstance(name, str) and name.startswith(("./", "../"))
+
+
+def _from_here(value: Any, here: Path) -> Any:
+    """Return a name that begins with ./ or ../ as the path from where the program runs."""
+    return str(here.parent / value) if _is_own(value) else value
 
 
 def _overlay(base: dict[str, Any], top: dict[str, Any]) -> dict[str, Any]:
@@ -136,7 +213,20 @@ def _assign(tree: dict[str, Any], dotted: str, value: Any) -> None:
         node = node.setdefault(key, {})
         if not isinstance(node, dict):
             raise ConfigError(f"{dotted}: '{key}' is a value, not a table")
-    node.update(_overlay(node, {leaf: value}))
+    if isinstance(tree.get("links"), dict):
+        tree["links"] = {k: v for k, v in tree["links"].items() if not _sets(dotted, value, k)}
+    if value == ABSENT:
+        node.pop(leaf, None)
+    else:
+        node.update(_overlay(node, {leaf: value}))
+
+
+def _sets(dotted: str, value: Any, key: str) -> bool:
+    """Tell whether a value, a table perhaps, laid at a path sets a key."""
+    if isinstance(value, dict) and not is_quantity(value):
+        inside = key.removeprefix(f"{dotted}.")
+        return inside != key and value_at(value, inside) is not None
+    return dotted == key
 
 
 def to_toml(experiment: Experiment) -> str:

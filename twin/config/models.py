@@ -282,6 +282,11 @@ class Experiment(Model):
     name: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_\-]*$", max_length=64)]
     description: str = ""
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
+    links: dict[str, str] = Field(
+        default_factory=dict,
+        exclude_if=lambda links: not links,
+        description="keys whose value is that of another key, which must be set",
+    )
     modality: Method = Field(
         default="contact_fpp",
         description="contact_fpp: fringes on the coat of the pressed elastomer; "

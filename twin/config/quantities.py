@@ -117,20 +117,23 @@ def check_ranges(values: dict[str, Any], provenance: dict[str, Provenance], wher
     """
     problems = []
     for path, origin in provenance.items():
-        value = _lookup(values, path)
+        value = value_at(values, path)
         if origin.range is None or not isinstance(value, (int, float)):
             continue
         low, high = origin.range
         if not low <= value <= high:
             problems.append(
-                f"{path}: found {value:g}, allowed {low:g} to {high:g} ({origin.source});"
-                " give another value, or a quantity with its own range and source"
+                f"{path}: found {value:g}, allowed {low:g} to {high:g} ({origin.source}); give "
+                f"another value, or write in [{path.rpartition('.')[0]}] "
+                f"{path.rpartition('.')[2]} = {{ value = {value:g}, range = [{min(low, value):g}, "
+                f'{max(high, value):g}], source = "why" }}'
             )
     if problems:
         raise ConfigError("\n".join(f"{where}: {line}" for line in problems))
 
 
-def _lookup(values: dict[str, Any], path: str) -> Any:
+def value_at(values: dict[str, Any], path: str) -> Any:
+    """Return what stands at a dotted path of nested tables; None: nothing."""
     node: Any = values
     for key in path.split("."):
         node = node.get(key) if isinstance(node, dict) else None

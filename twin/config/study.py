@@ -18,7 +18,14 @@ from pydantic import Field, field_validator, model_validator
 from twin.assets import scene_file
 from twin.config.base import Model
 from twin.config.inputs import Input, load_inputs, refuse_shared_keys, with_sources
-from twin.config.loading import load_experiment, read_toml, resolve_uses, validated, vary
+from twin.config.loading import (
+    ABSENT,
+    load_experiment,
+    read_toml,
+    resolve_uses,
+    validated,
+    vary,
+)
 from twin.config.methods import Method
 from twin.config.models import Experiment
 
@@ -140,9 +147,6 @@ class Axis(Model):
 
 
 MOST_CASES = 1_000_000
-
-ABSENT = "absent"
-"""Written for a value that the base has and a case has not: TOML knows no null."""
 
 
 class Sampling(Model):

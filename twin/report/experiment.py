@@ -162,7 +162,7 @@ def _decoding(measured: Measurement) -> str:
     return f"{smoothed}; depth from {decode.use}"
 
 
-_HEAD = ("schema_version", "name", "description", "provenance")
+_HEAD = ("schema_version", "name", "description", "provenance", "links")
 
 
 @dataclass(frozen=True)
