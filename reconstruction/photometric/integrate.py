@@ -167,11 +167,6 @@ def _inside(shape: tuple[int, ...]) -> BoolImage:
     return inside
 
 
-def _apply(height: FloatArray, edges: EdgeWeights, used: BoolImage) -> FloatArray:
-    steps = edges.to_next_row * np.diff(height, axis=0), edges.to_next_col * np.diff(height, axis=1)
-    return sum_of_steps(*steps) * used
-
-
 def _conjugate_gradients(
     right: FloatArray, edges: EdgeWeights, used: BoolImage, boundary: Boundary
 ) -> FloatArray:
@@ -181,7 +176,8 @@ def _conjugate_gradients(
     for _ in range(MAX_ITERATIONS):
         if power <= RELATIVE_TOLERANCE**2 * start:
             return height
-        image = _apply(direction, edges, used)
+        along_row, along_col = np.diff(direction, axis=0), np.diff(direction, axis=1)
+        image = sum_of_steps(edges.to_next_row * along_row, edges.to_next_col * along_col) * used
         step = power / float(np.vdot(direction, image))
         height = height + step * direction
         residual = residual - step * image

@@ -273,7 +273,7 @@ def solve_on_layer(
     """
     guess, passes = _guess(layer, height_mm, control), 0
     for _ in range(_MOST_PATCHES):
-        patch = layer.patch(*_spans(guess > 0))
+        patch = layer.patch(*map(_span, np.nonzero(guess > 0), guess.shape))
         within, start = height_mm[patch.cells], guess[patch.cells]
         solved = solve_contact(
             patch.deflect, within, control, tolerance, scaling=patch, start=start
@@ -332,12 +332,7 @@ def _between_cells(height_mm: FloatArray) -> FloatArray:
     return between
 
 
-def _spans(touching: BoolArray) -> tuple[Span, Span]:
-    """Return the rows and columns that hold a contact, with a margin."""
-    rows, cols = np.nonzero(touching)
-    return _span(rows, touching.shape[0]), _span(cols, touching.shape[1])
-
-
 def _span(cells: npt.NDArray[np.intp], count: int) -> Span:
+    """Return the rows or columns that hold a contact, with a margin."""
     first = max(int(cells.min()) - _MARGIN, 0)
     return Span(first, min(int(cells.max()) + _MARGIN + 1, count) - first)

@@ -182,8 +182,9 @@ def touched_at_nodes(
     """
     refined = deflection_mm
     for axis, (cells, nodes) in enumerate(zip(cells_mm, nodes_mm, strict=True)):
-        near = _around(cells, nodes)
-        part = refined.take(np.arange(near.start, near.stop), axis=axis)
+        first, last = np.searchsorted(cells, (nodes[0], nodes[-1]))
+        near = np.arange(max(first - _BEYOND, 0), min(last + _BEYOND, cells.size))
+        part = refined.take(near, axis=axis)
         refined = Akima1DInterpolator(cells[near], part, axis=axis, method="makima")(nodes)
     lifted: FloatArray = np.maximum(refined, indented_mm)
     return lifted
@@ -212,8 +213,3 @@ def mirrored(deflection_mm: FloatArray) -> FloatArray:
     wide[:, :_BEYOND] *= -1
     wide[:, -_BEYOND:] *= -1
     return wide
-
-
-def _around(cells_mm: FloatArray, nodes_mm: FloatArray) -> slice:
-    first, last = np.searchsorted(cells_mm, (nodes_mm[0], nodes_mm[-1]))
-    return slice(max(int(first) - _BEYOND, 0), min(int(last) + _BEYOND, cells_mm.size))

@@ -242,19 +242,14 @@ def tabulate(
     if film is not None and base != "free":
         highest_q /= film.share  # the loaded film is a half-space to much shorter waves only
     q = np.geomspace(lowest_q, highest_q, _TABLE_SIZE)
-    solved = _solve(q, poisson_ratio, base, film)
+    if film is not None:
+        solved = solve_coated(q, poisson_ratio, base, film)
+    else:
+        solved = solve_transfer(q, poisson_ratio, "bonded" if base == "bonded" else "free")
     splines = {
         column: CubicSpline(np.log(q), getattr(solved, column) * _damping(q)) for column in _COLUMNS
     }
     return TransferTable(lowest_q, highest_q, splines)
-
-
-def _solve(
-    q: FloatArray, poisson_ratio: float, base: LoadedBase, film: CoatFilm | None
-) -> Transfer:
-    if film is not None:
-        return solve_coated(q, poisson_ratio, base, film)
-    return solve_transfer(q, poisson_ratio, "bonded" if base == "bonded" else "free")
 
 
 def _damping(q: FloatArray) -> FloatArray:

@@ -207,7 +207,8 @@ def upper_side(triangles_mm: FloatArray, x_mm: FloatArray, y_mm: FloatArray) -> 
     low, high = _crossing(triangles[owner], sorted_y[row])
     first, count = _covered(sorted_x, low, high)
     top = np.full((y_mm.size, x_mm.size), -np.inf)
-    for scan in np.split(np.arange(owner.size), _cuts(count)):
+    cuts = np.flatnonzero(np.diff(np.cumsum(count) // _BATCH)) + 1
+    for scan in np.split(np.arange(owner.size), cuts):
         which, col = _expanded(first[scan], count[scan])
         which = scan[which]
         z = _height(triangles[owner[which]], sorted_x[col], sorted_y[row[which]])
@@ -257,10 +258,6 @@ def _crossing(triangles: FloatArray, y_mm: FloatArray) -> tuple[FloatArray, Floa
         np.where(met, x, np.inf).min(axis=1, initial=np.inf),
         np.where(met, x, -np.inf).max(axis=1, initial=-np.inf),
     )
-
-
-def _cuts(rays: IntArray) -> IntArray:
-    return np.flatnonzero(np.diff(np.cumsum(rays) // _BATCH)) + 1
 
 
 def _height(triangles: FloatArray, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:

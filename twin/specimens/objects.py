@@ -227,7 +227,9 @@ def _plate(print_: Fingerprint) -> trimesh.Trimesh:
     rim = np.concatenate((index[0], index[1:, -1], index[-1, -2::-1], index[-2:0:-1, 0]))
     base = top[rim] * [1, 1, 0] + [0, 0, z.min() - print_.thickness_mm]
     below, middle = z.size + np.arange(rim.size), base.mean(axis=0)
-    faces = (grid_facets(*z.shape), _wall(rim, below), _fan(below, z.size + rim.size))
+    # The base's facets look down.
+    fan = (np.roll(below, -1), below, np.full_like(below, z.size + rim.size))
+    faces = (grid_facets(*z.shape), _wall(rim, below), np.stack(fan, axis=-1))
     return trimesh.Trimesh(
         np.concatenate((top, base, middle[None])), np.concatenate(faces), process=False
     )
@@ -242,8 +244,3 @@ def _wall(rim: IntArray, below: IntArray) -> IntArray:
     """Return the facets between the rim, counter-clockwise seen from above, and the base."""
     after, below_after = np.roll(rim, -1), np.roll(below, -1)
     return np.stack((rim, below, below_after, rim, below_after, after), axis=-1).reshape(-1, 3)
-
-
-def _fan(loop: IntArray, middle: int) -> IntArray:
-    """Return the base's facets, which look down."""
-    return np.stack((np.roll(loop, -1), loop, np.full_like(loop, middle)), axis=-1)
