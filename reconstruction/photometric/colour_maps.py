@@ -203,8 +203,7 @@ def _products(variables: NDArray[Any], terms: tuple[tuple[int, ...], ...]) -> ND
 
 def _slopes_of_tilt(tilt: FloatImage) -> FloatImage:
     square = np.minimum(np.sum(tilt**2, axis=0), np.float32(LARGEST_TILT**2))
-    slopes: FloatImage = tilt / np.sqrt(np.float32(1.0) - square)
-    return slopes
+    return np.asarray(tilt / np.sqrt(np.float32(1.0) - square))
 
 
 @dataclass(frozen=True, eq=False)

@@ -328,8 +328,7 @@ def _between_cells(height_mm: FloatArray) -> FloatArray:
     rows, cols = (count // COARSENING for count in height_mm.shape)
     blocks = height_mm.reshape(rows, COARSENING, cols, COARSENING)
     middle = slice(COARSENING // 2 - 1, COARSENING // 2 + 1)
-    between: FloatArray = blocks[:, middle, :, middle].mean(axis=(1, 3))
-    return between
+    return np.asarray(blocks[:, middle, :, middle].mean(axis=(1, 3)))
 
 
 def _span(cells: npt.NDArray[np.intp], count: int) -> Span:

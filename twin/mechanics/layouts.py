@@ -186,8 +186,7 @@ def touched_at_nodes(
         near = np.arange(max(first - _BEYOND, 0), min(last + _BEYOND, cells.size))
         part = refined.take(near, axis=axis)
         refined = Akima1DInterpolator(cells[near], part, axis=axis, method="makima")(nodes)
-    lifted: FloatArray = np.maximum(refined, indented_mm)
-    return lifted
+    return np.asarray(np.maximum(refined, indented_mm))
 
 
 def wrapped(
@@ -201,8 +200,7 @@ def wrapped(
 def widened(cells_mm: FloatArray) -> FloatArray:
     """Continue cell centres at both ends."""
     step = cells_mm[1] - cells_mm[0]
-    centres: FloatArray = cells_mm[0] + step * np.arange(-_BEYOND, cells_mm.size + _BEYOND)
-    return centres
+    return np.asarray(cells_mm[0] + step * np.arange(-_BEYOND, cells_mm.size + _BEYOND))
 
 
 def mirrored(deflection_mm: FloatArray) -> FloatArray:

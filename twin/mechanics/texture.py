@@ -67,8 +67,7 @@ class Johnson:
         """Turn standard normal numbers (...) into numbers of this distribution."""
         if self.a == 0.0:
             return normal
-        found: FloatArray = (np.sinh(self.a * normal + self.b) - self._mean) / self._spread
-        return found
+        return np.asarray((np.sinh(self.a * normal + self.b) - self._mean) / self._spread)
 
     def correlation(self, of_normals: float) -> float:
         """Return the correlation of two numbers made from normal ones of a given correlation."""

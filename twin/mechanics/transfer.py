@@ -126,8 +126,7 @@ def opposite_transfer(q: FloatArray) -> FloatArray:
     fade = np.expm1(-2 * q)
     raised = 2 * np.exp(-q) * (-fade + q * (2 + fade))
     lowered = -fade * (2 + fade) + 4 * q * (1 + fade)
-    kept: FloatArray = np.divide(raised, lowered, out=np.ones_like(q), where=q > 0)
-    return kept
+    return np.asarray(np.divide(raised, lowered, out=np.ones_like(q), where=q > 0))
 
 
 @dataclass(frozen=True)
@@ -255,5 +254,4 @@ def tabulate(
 def _damping(q: FloatArray) -> FloatArray:
     """Long waves of the free layer grow as q^-3 (plate): times this, the spline sees none."""
     cubed = q * q * q
-    bounded: FloatArray = cubed / (1 + cubed)
-    return bounded
+    return np.asarray(cubed / (1 + cubed))

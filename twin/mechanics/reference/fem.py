@@ -177,8 +177,7 @@ def _seen(surface: CloughTocher2DInterpolator, x_mm: FloatArray, y_mm: FloatArra
         np.clip(at, a + 1e-7 * (b - a), b - 1e-7 * (b - a))
         for at, a, b in zip((x_mm, y_mm), low, high, strict=True)
     ]
-    seen: FloatArray = surface(*inside)
-    return seen
+    return np.asarray(surface(*inside))
 
 
 def press_fem(

@@ -198,8 +198,7 @@ def _zone(shape: Shape, touched: FloatArray, depth_mm: float) -> FloatArray:
     gap = touched[:, 2] + sample(shape, *reach[:2]).value(touched[:, 0], touched[:, 1])
     # The foremost facets may be missed by the points: take at least the nearest few.
     limit = max(gap.min() + _REACH * depth_mm, np.sort(gap)[min(8, gap.size - 1)])
-    zone: FloatArray = touched[np.isfinite(gap) & (gap <= limit)]
-    return zone
+    return np.asarray(touched[np.isfinite(gap) & (gap <= limit)])
 
 
 def _near_in_plan(points: FloatArray, zone: FloatArray) -> FloatArray:
