@@ -126,27 +126,13 @@ def triangulate(
     sigma_depth = Half(np.zeros(shape, np.uint16), SIGMA_UNIT_MM)
     reason = decoded.mask_reason.copy()
     column, row = decoded.column, decoded.row
-    sigma_column, sigma_row = _packed_sigma(column), _packed_sigma(row)
-    run_over_rows(
-        meet_rows,
-        shape[0],
-        Fringe(
-            column.coordinate_px,
-            row.coordinate_px,
-            sigma_column,
-            sigma_row,
-            np.float32(SIGMA_UNIT_PX / BIAS),
-        ),
-        Match(use != "row", use != "column", float(limits.absolute_px), float(limits.sigmas)),
-        _rig(calibration),
-        PointRows(
-            points.reshape(shape[0], -1),
-            sigma_depth.bits,
-            np.float32(BIAS / SIGMA_UNIT_MM),
-            reason,
-        ),
-        band_rows=BAND_ROWS,
-    )
+    sigmas, unit = (_packed_sigma(column), _packed_sigma(row)), np.float32(SIGMA_UNIT_PX / BIAS)
+    fringe = Fringe(column.coordinate_px, row.coordinate_px, *sigmas, unit)
+    match = Match(use != "row", use != "column", float(limits.absolute_px), float(limits.sigmas))
+    unit = np.float32(BIAS / SIGMA_UNIT_MM)
+    found = PointRows(points.reshape(shape[0], -1), sigma_depth.bits, unit, reason)
+    rig = _rig(calibration)
+    run_over_rows(meet_rows, shape[0], fringe, match, rig, found, band_rows=BAND_ROWS)
     T_world_from_cam = calibration.T_world_from_cam
     spread: Any = RaySpread(points, sigma_depth, T_world_from_cam)
     return PointMap(points, spread, reason, T_world_from_cam)

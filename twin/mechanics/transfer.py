@@ -89,23 +89,13 @@ def amplitudes(q: FloatArray, z: float, nu: float) -> dict[str, FloatArray]:
     """Return displacement and stress of the four solutions at depth z, 0 to 1, each (n, 4)."""
     kappa, s = 3 - 4 * nu, z - 1
     a, b = np.exp(-q * z), np.exp(q * s)
+    shear = -2 * a, (kappa - 1 + 2 * q * z) * a, 2 * b, (kappa - 1 - 2 * q * s) * b
+    down, up = (2 - 2 * kappa - 4 * nu - 2 * q * z) * a, (2 * kappa - 2 + 4 * nu - 2 * q * s) * b
     return {
         "U": np.stack((a, -q * z * a, b, -q * s * b), axis=-1),
         "W": np.stack((-a, (kappa + q * z) * a, b, (kappa - q * s) * b), axis=-1),
-        "S_xz": q[:, None]
-        * np.stack(
-            (-2 * a, (kappa - 1 + 2 * q * z) * a, 2 * b, (kappa - 1 - 2 * q * s) * b), axis=-1
-        ),
-        "S_zz": q[:, None]
-        * np.stack(
-            (
-                2 * a,
-                (2 - 2 * kappa - 4 * nu - 2 * q * z) * a,
-                2 * b,
-                (2 * kappa - 2 + 4 * nu - 2 * q * s) * b,
-            ),
-            axis=-1,
-        ),
+        "S_xz": q[:, None] * np.stack(shear, axis=-1),
+        "S_zz": q[:, None] * np.stack((2 * a, down, 2 * b, up), axis=-1),
     }
 
 
