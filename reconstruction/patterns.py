@@ -242,8 +242,7 @@ class PatternSet:
             else:
                 word_at = self._shifted_at
         word = np.array([word_at(x) for x in range(length_px)])
-        bits: FloatArray = (((word ^ (word >> 1)) >> (last - index)) & 1).astype(np.float64)
-        return bits
+        return np.asarray((((word ^ (word >> 1)) >> (last - index)) & 1).astype(np.float64))
 
     def _word_at(self, x_px: int) -> int:
         is_halved = self.code == "complementary_gray"

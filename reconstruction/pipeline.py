@@ -182,7 +182,8 @@ def reconstruction_dataset(decoded: Decoded, point_map: PointMap) -> "xarray.Dat
     told: dict[str, dict[str, Any]] = {}
     maps = _variables(decoded, point_map)
     for name in maps:
-        told[name] = {"units": _units(name), "long_name": _long_name(name)}
+        units = UNITS.get(name.rsplit("_", 1)[-1], "1")
+        told[name] = {"units": units, "long_name": _long_name(name)}
     told["mask_reason"].update(
         comment="where it is not 0, points and their sigmas are 0 and no values",
         flag_values=np.array([int(reason) for reason in Reason], np.uint8),
@@ -266,7 +267,3 @@ def _long_name(name: str) -> str:
     """Return what a map holds; names of the row's maps of pixel values end in _row_dn."""
     told = next(told for start, told in _LONG_NAMES.items() if name.startswith(start))
     return f"{told}, horizontal fringes" if name.endswith("_row_dn") else told
-
-
-def _units(name: str) -> str:
-    return UNITS.get(name.rsplit("_", 1)[-1], "1")

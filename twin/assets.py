@@ -117,14 +117,11 @@ def _is_path(name: str) -> bool:
     return name.startswith("./") or Path(name).is_absolute()
 
 
-def _spellings(path: Path) -> tuple[Path, ...]:
-    """List the file itself, then the same with ``.toml``: a name may have a point of its own."""
-    with_suffix = path.with_name(path.name + ".toml")
-    return (path, with_suffix) if path.suffix else (with_suffix,)
-
-
 def _existing(path: Path) -> Path | None:
-    return next((spelling for spelling in _spellings(path) if spelling.is_file()), None)
+    """Return the file itself, or the same with ``.toml``: a name may have a point of its own."""
+    with_suffix = path.with_name(path.name + ".toml")
+    spellings = (path, with_suffix) if path.suffix else (with_suffix,)
+    return next((spelling for spelling in spellings if spelling.is_file()), None)
 
 
 def _check_name(collection: Collection, name: str) -> None:

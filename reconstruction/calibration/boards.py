@@ -78,8 +78,7 @@ class DotBoard:
         dy = y_mm - centre[1] + row * self.pitch_mm
         ids = row.astype(int)[:, np.newaxis] * self.columns + column.astype(int)
         distance_mm = np.hypot(dx, dy[:, np.newaxis])
-        inside: FloatArray = np.clip(0.5 + (self.radii_mm[ids] - distance_mm) / edge_mm, 0.0, 1.0)
-        return inside
+        return np.asarray(np.clip(0.5 + (self.radii_mm[ids] - distance_mm) / edge_mm, 0.0, 1.0))
 
 
 @dataclass(frozen=True)
@@ -183,8 +182,7 @@ def _square_wave(offset_mm: FloatArray, square_mm: float, edge_mm: float) -> Flo
     """Alternate between -1 and 1 at every multiple of the square, with edges of finite width."""
     nearest = np.rint(offset_mm / square_mm)
     rise = np.clip(2.0 * (offset_mm - nearest * square_mm) / edge_mm, -1.0, 1.0)
-    wave: FloatArray = np.where(nearest % 2.0 == 0.0, rise, -rise)
-    return wave
+    return np.asarray(np.where(nearest % 2.0 == 0.0, rise, -rise))
 
 
 def _box_average(image: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:

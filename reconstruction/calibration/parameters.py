@@ -49,7 +49,8 @@ class RigEstimate:
 def pack(rig: RigEstimate) -> FloatArray:
     """Return the parameter vector, (24 + 6 poses,)."""
     motions = [rig.T_proj_from_cam, *rig.T_cam_from_board]
-    parts = [_intrinsics(rig.camera), _intrinsics(rig.projector), *map(_vector, motions)]
+    vectors = [np.append(rotation_vector(T[:3, :3]), T[:3, 3]) for T in motions]
+    parts = [_intrinsics(rig.camera), _intrinsics(rig.projector), *vectors]
     return np.concatenate(parts)
 
 
@@ -74,10 +75,6 @@ def _intrinsics(device: Pinhole) -> FloatArray:
 def _pinhole(values: FloatArray, like: Pinhole) -> Pinhole:
     fx, fy, cx, cy, k1, k2, p1, p2, k3 = (float(value) for value in values)
     return Pinhole(like.width_px, like.height_px, fx, fy, cx, cy, (k1, k2, p1, p2, k3))
-
-
-def _vector(matrix: FloatArray) -> FloatArray:
-    return np.concatenate([rotation_vector(matrix[:3, :3]), matrix[:3, 3]])
 
 
 def rotation_vector(rotation: FloatArray) -> FloatArray:
@@ -194,16 +191,12 @@ def freedom_matrix(freedom: Freedom, size: int) -> FloatArray:
         (PROJECTOR.start, freedom.projector_principal_point, freedom.projector_distortion),
     )
     for first, principal_point, distortion in settings:
-        columns += _focal_columns(size, first, freedom.square_pixels)
+        fx, fy = _unit(size, first), _unit(size, first + 1)
+        columns += [fx + fy] if freedom.square_pixels else [fx, fy]
         names = (("cx_px", "cy_px") if principal_point else ()) + tuple(distortion)
         columns += [_unit(size, first + INTRINSICS.index(name)) for name in names]
     columns += [_unit(size, k) for k in range(STEREO.start, size)]
     return np.stack(columns, axis=1)
-
-
-def _focal_columns(size: int, first: int, square: bool) -> list[FloatArray]:
-    fx, fy = _unit(size, first), _unit(size, first + 1)
-    return [fx + fy] if square else [fx, fy]
 
 
 def _unit(size: int, index: int) -> FloatArray:

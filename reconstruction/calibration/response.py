@@ -58,14 +58,10 @@ def _harmonics(frames: Stack, sensor: SensorNoise) -> FloatArray:
         second += frame * np.exp(-4j * np.pi * turn)
     size = np.abs(first)
     is_whole = frames.max(axis=0) < sensor.clipped_from_dn
-    is_good = is_whole & (size > 10.0 * _noise_of_sum(frames, sensor))
+    variance = sensor.variance_dn2(frames.mean(axis=0, dtype=np.float64))
+    is_good = is_whole & (size > 10.0 * np.sqrt(len(frames) / 2.0 * variance))
     unit = first[is_good] / size[is_good]
     return np.array([size[is_good].sum(), (second[is_good] / unit**2).real.sum()])
-
-
-def _noise_of_sum(frames: Stack, sensor: SensorNoise) -> FloatArray:
-    mean = frames.mean(axis=0, dtype=np.float64)
-    return np.sqrt(len(frames) / 2.0 * sensor.variance_dn2(mean))
 
 
 def correct_gamma(stack: Stack, patterns: PatternSet, gamma: float) -> Stack:

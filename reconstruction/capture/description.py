@@ -141,17 +141,14 @@ def build(part: type[Part], table: Mapping[str, Any], where: str) -> Part:
     known = {item.name: item for item in fields(part)}  # type: ignore[arg-type]
     for key in table:
         if key not in known:
-            raise CaptureError(f"unknown key {key} in {where}{_suggestion(key, known)}")
+            close = difflib.get_close_matches(key, known, n=1)
+            told = f"did you mean {close[0]}?" if close else f"allowed are {', '.join(known)}"
+            raise CaptureError(f"unknown key {key} in {where}; {told}")
     required = [name for name, item in known.items() if item.default is MISSING]
     missing = [name for name in required if name not in table]
     if missing:
         raise CaptureError(f"missing in {where}: {', '.join(missing)}")
     return part(**table)
-
-
-def _suggestion(key: str, known: Iterable[str]) -> str:
-    close = difflib.get_close_matches(key, known, n=1)
-    return f"; did you mean {close[0]}?" if close else f"; allowed are {', '.join(known)}"
 
 
 MANIFEST_FILE = "patterns.toml"
@@ -332,9 +329,9 @@ def _check_fields(files: str, sets: int) -> None:
     named, allowed = [str(part[0]) for part in parts], ("set",) if _is_glob(files) else FIELDS
     if not all(name in allowed and _is_narrow(name, *form) for name, *form in parts):
         raise InputError(
-            f"files is {_few_signs(files)}; allowed are the fields {', '.join(FIELDS)} in braces, "
-            "numbers with up to two digits of width as in {index:03d}, or * and ? with at most "
-            "{set}"
+            f"files is {files[:_MOST_SIGNS]!r}; allowed are the fields {', '.join(FIELDS)} in "
+            "braces, numbers with up to two digits of width as in {index:03d}, or * and ? with at "
+            "most {set}"
         )
     if not (_is_glob(files) or {"index", "number", "name"} & set(named)):
         raise InputError(f"files is {files!r}: the same name for all frames; use {{index}}")
@@ -349,10 +346,6 @@ def _is_narrow(name: str | None, form: str | None, conversion: str | None) -> bo
     """Tell whether a field is written plainly: a width of ten digits takes as many GB."""
     width = r"" if name == "name" else r"0?\d{0,2}d?"
     return conversion is None and re.fullmatch(width, form or "") is not None
-
-
-def _few_signs(text: str) -> str:
-    return repr(text if len(text) <= _MOST_SIGNS else f"{text[:_MOST_SIGNS]}...")
 
 
 def _exposures(values: object) -> tuple[float, ...]:

@@ -88,8 +88,7 @@ def _check_set(x: FloatArray, first: int, names: list[str]) -> None:
 def _projection(steps: int) -> FloatArray:
     angle = 2.0 * np.pi * np.arange(steps) / steps
     basis = np.stack([np.full(steps, np.sqrt(0.5)), np.cos(angle), np.sin(angle)])
-    product: FloatArray = basis.T @ basis * (2.0 / steps)
-    return product
+    return np.asarray(basis.T @ basis * (2.0 / steps))
 
 
 def _check_levels(missed_dn: FloatArray, mean_dn: float, first: int, names: list[str]) -> None:

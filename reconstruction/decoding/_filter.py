@@ -311,5 +311,4 @@ def gaussian_weights(taps: int, sigma_px: float) -> FloatImage:
     weights = np.exp(-0.5 * (offsets / sigma_px) ** 2)
     if taps % 2 == 0:
         weights = np.append(weights, 0.0) + np.insert(weights, 0, 0.0)
-    normalised: FloatImage = (weights / weights.sum()).astype(np.float32)
-    return normalised
+    return np.asarray((weights / weights.sum()).astype(np.float32))

@@ -209,8 +209,7 @@ def ball_slopes(
     """Return the slopes of a ball at pixels (n, 2) within its radius, (n, 2) mm/mm."""
     offset_mm = (places_px - (circle.row_px, circle.col_px)) * pitch_mm
     depth_mm = np.sqrt(ball_radius_mm**2 - np.sum(offset_mm**2, axis=1))
-    slopes: FloatArray = -offset_mm / depth_mm[:, np.newaxis]
-    return slopes
+    return np.asarray(-offset_mm / depth_mm[:, np.newaxis])
 
 
 def sample_presses(

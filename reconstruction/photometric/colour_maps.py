@@ -178,14 +178,11 @@ def _ridge(q: FloatArray, places: FloatArray, tilt: FloatArray) -> FloatArray:
         normal += features @ features.T
         right += features @ tilt[part]
     scale = np.sqrt(np.diag(normal) / len(q))
-    system = normal / np.outer(scale, scale) / len(q) + np.diag(_penalties())
+    of_place = [RIDGE if not place else RIDGE_OF_PLACE for place in PLACE_TERMS]
+    penalties = np.tile(of_place, len(COLOUR_TERMS))
+    system = normal / np.outer(scale, scale) / len(q) + np.diag(penalties)
     solved = cho_solve(cho_factor(system), right / scale[:, np.newaxis] / len(q))
     return np.asarray(solved / scale[:, np.newaxis])
-
-
-def _penalties() -> FloatArray:
-    of_place = [RIDGE if not place else RIDGE_OF_PLACE for place in PLACE_TERMS]
-    return np.tile(of_place, len(COLOUR_TERMS))
 
 
 def _scaled(places_px: FloatArray, shape: tuple[int, int]) -> FloatArray:
@@ -206,8 +203,7 @@ def _products(variables: NDArray[Any], terms: tuple[tuple[int, ...], ...]) -> ND
 
 def _slopes_of_tilt(tilt: FloatImage) -> FloatImage:
     square = np.minimum(np.sum(tilt**2, axis=0), np.float32(LARGEST_TILT**2))
-    slopes: FloatImage = tilt / np.sqrt(np.float32(1.0) - square)
-    return slopes
+    return np.asarray(tilt / np.sqrt(np.float32(1.0) - square))
 
 
 @dataclass(frozen=True, eq=False)

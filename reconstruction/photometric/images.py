@@ -53,8 +53,7 @@ def smoothed(image: Levels | FloatImage, side_px: int) -> FloatImage:
     levels = image.astype(np.float32)
     if side_px == 1:
         return levels
-    mean: FloatImage = cv2.blur(levels, (side_px, side_px), borderType=cv2.BORDER_REPLICATE)
-    return mean
+    return np.asarray(cv2.blur(levels, (side_px, side_px), borderType=cv2.BORDER_REPLICATE))
 
 
 def find_markers(

@@ -80,8 +80,7 @@ def solve_poisson(right_side: FloatArray, boundary: Boundary = "neumann") -> Flo
 def _neumann(right_side: FloatArray) -> FloatArray:
     inverse = _inverse_neumann(right_side.shape)
     spectrum = dctn(right_side, type=2, norm="ortho")
-    height: FloatArray = idctn(spectrum * inverse, type=2, norm="ortho", overwrite_x=True)
-    return height
+    return np.asarray(idctn(spectrum * inverse, type=2, norm="ortho", overwrite_x=True))
 
 
 def _dirichlet(right_side: FloatArray) -> FloatArray:
@@ -132,8 +131,7 @@ def edge_weights(weights: FloatArray) -> EdgeWeights:
 
 def _harmonic_mean(a: FloatArray, b: FloatArray) -> FloatArray:
     total = a + b
-    mean: FloatArray = 2.0 * a * b / np.where(total > 0.0, total, 1.0)
-    return mean
+    return np.asarray(2.0 * a * b / np.where(total > 0.0, total, 1.0))
 
 
 def solve_weighted(
@@ -167,11 +165,6 @@ def _inside(shape: tuple[int, ...]) -> BoolImage:
     return inside
 
 
-def _apply(height: FloatArray, edges: EdgeWeights, used: BoolImage) -> FloatArray:
-    steps = edges.to_next_row * np.diff(height, axis=0), edges.to_next_col * np.diff(height, axis=1)
-    return sum_of_steps(*steps) * used
-
-
 def _conjugate_gradients(
     right: FloatArray, edges: EdgeWeights, used: BoolImage, boundary: Boundary
 ) -> FloatArray:
@@ -181,7 +174,8 @@ def _conjugate_gradients(
     for _ in range(MAX_ITERATIONS):
         if power <= RELATIVE_TOLERANCE**2 * start:
             return height
-        image = _apply(direction, edges, used)
+        along_row, along_col = np.diff(direction, axis=0), np.diff(direction, axis=1)
+        image = sum_of_steps(edges.to_next_row * along_row, edges.to_next_col * along_col) * used
         step = power / float(np.vdot(direction, image))
         height = height + step * direction
         residual = residual - step * image
@@ -290,16 +284,14 @@ def sdk_faithful(slopes: ArrayLike, pitch_mm: float, form: Form = "2025") -> Flo
     divergence -= _flow_through_border(along_row, along_col)
     modes = [4.0 * np.sin(0.5 * np.pi * np.arange(1, n + 1) / n) ** 2 for n in divergence.shape]
     spectrum = dctn(-divergence, type=2, norm="ortho") / (modes[0][:, np.newaxis] + modes[1])
-    height: FloatArray = pitch_mm * idctn(spectrum, type=2, norm="ortho")
-    return height
+    return np.asarray(pitch_mm * idctn(spectrum, type=2, norm="ortho"))
 
 
 def _change(along_axis: FloatArray, form: Form) -> FloatArray:
     """Difference along axis 0 with the border repeated."""
     after = np.concatenate([along_axis[1:], along_axis[-1:]])
     before = np.concatenate([along_axis[:1], along_axis[:-1]])
-    change: FloatArray = after - (before if form == "2024" else along_axis)
-    return change
+    return np.asarray(after - (before if form == "2024" else along_axis))
 
 
 def _flow_through_border(along_row: FloatArray, along_col: FloatArray) -> FloatArray:

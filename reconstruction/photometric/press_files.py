@@ -272,8 +272,7 @@ def framed(image: Levels, frame: Framing) -> Levels:
     if frame.width_px == 0:
         return cut
     size = (frame.width_px, frame.height_px)
-    resized: Levels = cv2.resize(cut, size, interpolation=cv2.INTER_AREA)
-    return resized
+    return np.asarray(cv2.resize(cut, size, interpolation=cv2.INTER_AREA))
 
 
 def write_height_map(path: Path | str, height_map: HeightMap) -> None:

@@ -137,25 +137,16 @@ def _in_air(decoded: Decoded, calibration: Calibration, match: Match) -> PointMa
     points = np.zeros((*shape, 3), np.float32)
     sigma_depth = Half(np.zeros(shape, np.uint16), SIGMA_UNIT_MM)
     reason = decoded.mask_reason.copy()
-    run_over_rows(
-        meet_rows,
-        shape[0],
-        _fringe(decoded),
-        match,
-        LensPair(
-            lens_of(calibration.camera),
-            lens_of(calibration.projector),
-            _motion(calibration.T_proj_from_cam),
-            _motion(calibration.T_world_from_cam),
-        ),
-        PointRows(
-            points.reshape(shape[0], -1),
-            sigma_depth.bits,
-            np.float32(BIAS / SIGMA_UNIT_MM),
-            reason,
-        ),
-        band_rows=BAND_ROWS,
+    unit = np.float32(BIAS / SIGMA_UNIT_MM)
+    found = PointRows(points.reshape(shape[0], -1), sigma_depth.bits, unit, reason)
+    rig = LensPair(
+        lens_of(calibration.camera),
+        lens_of(calibration.projector),
+        _motion(calibration.T_proj_from_cam),
+        _motion(calibration.T_world_from_cam),
     )
+    fringe = _fringe(decoded)
+    run_over_rows(meet_rows, shape[0], fringe, match, rig, found, band_rows=BAND_ROWS)
     T_world_from_cam = calibration.T_world_from_cam
     spread: Any = RaySpread(points, sigma_depth, T_world_from_cam)
     return PointMap(points, spread, reason, T_world_from_cam)
@@ -168,35 +159,25 @@ def _below(
     points, spread = np.zeros((2, *shape, 3), np.float32)
     reason = decoded.mask_reason.copy()
     x_mm, y_mm, z_mm = (float(value) for value in calibration.T_world_from_proj[:3, 3])
-    run_over_rows(
-        meet_rows_below,
-        shape[0],
-        _fringe(decoded),
-        match,
-        LayeredRig(
-            lens_of(calibration.camera),
-            lens_of(calibration.projector),
-            _motion(calibration.T_world_from_cam),
-            _motion(np.asarray(np.linalg.inv(calibration.T_world_from_proj))),
-            (x_mm, y_mm, z_mm),
-            np.array(layers.tops_mm),
-            np.array(layers.iors),
-        ),
-        SpreadRows(points.reshape(shape[0], -1), spread.reshape(shape[0], -1), reason),
-        band_rows=BAND_ROWS,
+    found = SpreadRows(points.reshape(shape[0], -1), spread.reshape(shape[0], -1), reason)
+    rig = LayeredRig(
+        lens_of(calibration.camera),
+        lens_of(calibration.projector),
+        _motion(calibration.T_world_from_cam),
+        _motion(np.asarray(np.linalg.inv(calibration.T_world_from_proj))),
+        (x_mm, y_mm, z_mm),
+        np.array(layers.tops_mm),
+        np.array(layers.iors),
     )
+    fringe = _fringe(decoded)
+    run_over_rows(meet_rows_below, shape[0], fringe, match, rig, found, band_rows=BAND_ROWS)
     return PointMap(points, spread, reason, calibration.T_world_from_cam)
 
 
 def _fringe(decoded: Decoded) -> Fringe:
     column, row = decoded.column, decoded.row
-    return Fringe(
-        column.coordinate_px,
-        row.coordinate_px,
-        _packed_sigma(column),
-        _packed_sigma(row),
-        np.float32(SIGMA_UNIT_PX / BIAS),
-    )
+    sigmas, unit = (_packed_sigma(column), _packed_sigma(row)), np.float32(SIGMA_UNIT_PX / BIAS)
+    return Fringe(column.coordinate_px, row.coordinate_px, *sigmas, unit)
 
 
 def _check(decoded: Decoded, calibration: Calibration, use: str) -> None:

@@ -26,7 +26,6 @@ from typing import Any, TypeVar
 
 import tomli_w
 from pydantic import BaseModel, ValidationError
-from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
 from twin.assets import asset_path, scene_file
@@ -365,7 +364,11 @@ def list_keys(model: type[BaseModel], prefix: str = "") -> Iterator[Key]:
         if name == "provenance":
             continue
         if not inner:
-            yield Key(f"{prefix}{name}", _range_of(field), _default(field), field.description or "")
+            limits = [_limit(item) for item in field.metadata]
+            allowed = ", ".join([_type_name(field.annotation), *filter(None, limits)])
+            required = field.default is PydanticUndefined
+            default = "required" if required else str(field.default)
+            yield Key(f"{prefix}{name}", allowed, default, field.description or "")
         for part in inner:
             tag = f"({part.model_fields['kind'].default})" if len(inner) > 1 else ""
             yield from list_keys(part, f"{prefix}{name}{tag}.")
@@ -375,11 +378,6 @@ def _parts_of(annotation: Any) -> list[type[BaseModel]]:
     if typing.get_origin(annotation) is dict:
         return []  # named parts, each one of the kinds listed beside it
     return _models(list(typing.get_args(annotation) or (annotation,)))
-
-
-def _range_of(field: FieldInfo) -> str:
-    limits = [_limit(item) for item in field.metadata]
-    return ", ".join([_type_name(field.annotation), *filter(None, limits)])
 
 
 def _type_name(annotation: Any) -> str:
@@ -412,7 +410,3 @@ def _limit(item: Any) -> str:
         if hasattr(item, name):
             return f"{sign} {getattr(item, name):g}"
     return ""
-
-
-def _default(field: FieldInfo) -> str:
-    return "required" if field.default is PydanticUndefined else str(field.default)

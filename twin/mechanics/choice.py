@@ -128,8 +128,10 @@ def choose_model(
     radius of bending; beyond a quarter solid elements are right, but they know neither film, back
     pressure nor weight.
     """
-    if slab is not None and _is_flat_enough(slab, elastomer):
-        return "spectral"
+    if slab is not None:
+        bent = slab.validity.deflection_over_thickness > DEFLECTION_OVER_THICKNESS_LIMIT
+        if elastomer.layout == "contact_face" or not bent:
+            return "spectral"
     radius_mm = min((ball.radius_mm for ball in shape.spheres()), default=np.inf)
     solids = not (load.back_pressure_kpa or load.gravity_deg is not None or elastomer.film)
     if may_wrap(elastomer):
@@ -137,11 +139,6 @@ def choose_model(
         thick = bends > SHEET_LIMIT and slab is not None and solids
         return "neo_hookean" if thick else "sheet"
     return "neo_hookean" if solids or slab is None else "spectral"
-
-
-def _is_flat_enough(slab: PressedElastomer, elastomer: Elastomer) -> bool:
-    bent = slab.validity.deflection_over_thickness > DEFLECTION_OVER_THICKNESS_LIMIT
-    return elastomer.layout == "contact_face" or not bent
 
 
 def _press_slab(specimen: Specimen, elastomer: Elastomer, load: Press) -> PressedElastomer:

@@ -273,7 +273,7 @@ def solve_on_layer(
     """
     guess, passes = _guess(layer, height_mm, control), 0
     for _ in range(_MOST_PATCHES):
-        patch = layer.patch(*_spans(guess > 0))
+        patch = layer.patch(*map(_span, np.nonzero(guess > 0), guess.shape))
         within, start = height_mm[patch.cells], guess[patch.cells]
         solved = solve_contact(
             patch.deflect, within, control, tolerance, scaling=patch, start=start
@@ -328,16 +328,10 @@ def _between_cells(height_mm: FloatArray) -> FloatArray:
     rows, cols = (count // COARSENING for count in height_mm.shape)
     blocks = height_mm.reshape(rows, COARSENING, cols, COARSENING)
     middle = slice(COARSENING // 2 - 1, COARSENING // 2 + 1)
-    between: FloatArray = blocks[:, middle, :, middle].mean(axis=(1, 3))
-    return between
-
-
-def _spans(touching: BoolArray) -> tuple[Span, Span]:
-    """Return the rows and columns that hold a contact, with a margin."""
-    rows, cols = np.nonzero(touching)
-    return _span(rows, touching.shape[0]), _span(cols, touching.shape[1])
+    return np.asarray(blocks[:, middle, :, middle].mean(axis=(1, 3)))
 
 
 def _span(cells: npt.NDArray[np.intp], count: int) -> Span:
+    """Return the rows or columns that hold a contact, with a margin."""
     first = max(int(cells.min()) - _MARGIN, 0)
     return Span(first, min(int(cells.max()) + _MARGIN + 1, count) - first)

@@ -246,5 +246,4 @@ def _pressure(layer: _Period, ridge_mm: FloatArray, mean: float) -> FloatArray:
     factor = np.linalg.cholesky(compliance + spring)
     pulled = spring * mean * _CELLS - ridge_mm
     found, _ = nnls(factor.T, solve_triangular(factor, pulled, lower=True))
-    pressure: FloatArray = found * (mean / found.mean())
-    return pressure
+    return np.asarray(found * (mean / found.mean()))

@@ -96,8 +96,7 @@ class ForceControl(Control):
     def balanced(self, direction: FloatArray, touching: BoolArray, scaling: Scaling) -> FloatArray:
         """Make the direction free of force, conjugate to a uniform displacement."""
         uniform = np.where(touching, scaling.apply(touching.astype(np.float64)), 0.0)
-        balanced: FloatArray = direction - uniform * float(direction.sum() / uniform.sum())
-        return balanced
+        return np.asarray(direction - uniform * float(direction.sum() / uniform.sum()))
 
     def scale(self, pressure: FloatArray) -> float:
         """Scale to the prescribed force."""

@@ -138,8 +138,7 @@ class FreeSlab(FlatLayer):
     def _apply(self, pressure: FloatArray, compliance: FloatArray) -> FloatArray:
         spectrum = fft.dstn(pressure, type=2, workers=_WORKERS)
         spectrum *= compliance
-        deflection: FloatArray = fft.idstn(spectrum, type=2, workers=_WORKERS, overwrite_x=True)
-        return deflection
+        return np.asarray(fft.idstn(spectrum, type=2, workers=_WORKERS, overwrite_x=True))
 
     @cached_property
     def _k(self) -> FloatArray:
@@ -191,8 +190,7 @@ class BondedLayer(FlatLayer):
     def deflect(self, pressure: FloatArray) -> FloatArray:
         """Return the touched face's deflection (row, col), mm."""
         spectrum = fft.rfft2(pressure, workers=_WORKERS) * self._compliance
-        deflection: FloatArray = fft.irfft2(spectrum, s=pressure.shape, workers=_WORKERS)
-        return deflection
+        return np.asarray(fft.irfft2(spectrum, s=pressure.shape, workers=_WORKERS))
 
     def patch(self, rows: Span, cols: Span) -> Patch:
         """Return the touched face's response within a patch of cells."""

@@ -182,11 +182,11 @@ def touched_at_nodes(
     """
     refined = deflection_mm
     for axis, (cells, nodes) in enumerate(zip(cells_mm, nodes_mm, strict=True)):
-        near = _around(cells, nodes)
-        part = refined.take(np.arange(near.start, near.stop), axis=axis)
+        first, last = np.searchsorted(cells, (nodes[0], nodes[-1]))
+        near = np.arange(max(first - _BEYOND, 0), min(last + _BEYOND, cells.size))
+        part = refined.take(near, axis=axis)
         refined = Akima1DInterpolator(cells[near], part, axis=axis, method="makima")(nodes)
-    lifted: FloatArray = np.maximum(refined, indented_mm)
-    return lifted
+    return np.asarray(np.maximum(refined, indented_mm))
 
 
 def wrapped(
@@ -200,8 +200,7 @@ def wrapped(
 def widened(cells_mm: FloatArray) -> FloatArray:
     """Continue cell centres at both ends."""
     step = cells_mm[1] - cells_mm[0]
-    centres: FloatArray = cells_mm[0] + step * np.arange(-_BEYOND, cells_mm.size + _BEYOND)
-    return centres
+    return np.asarray(cells_mm[0] + step * np.arange(-_BEYOND, cells_mm.size + _BEYOND))
 
 
 def mirrored(deflection_mm: FloatArray) -> FloatArray:
@@ -212,8 +211,3 @@ def mirrored(deflection_mm: FloatArray) -> FloatArray:
     wide[:, :_BEYOND] *= -1
     wide[:, -_BEYOND:] *= -1
     return wide
-
-
-def _around(cells_mm: FloatArray, nodes_mm: FloatArray) -> slice:
-    first, last = np.searchsorted(cells_mm, (nodes_mm[0], nodes_mm[-1]))
-    return slice(max(int(first) - _BEYOND, 0), min(int(last) + _BEYOND, cells_mm.size))

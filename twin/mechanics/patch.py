@@ -91,8 +91,7 @@ class Patch:
         return float((self.stiffness @ weights).sum()) / (self.rows.padded * self.cols.padded)
 
     def _forward(self, field: FloatArray) -> ComplexArray:
-        spectrum: ComplexArray = fft.rfft2(field, s=(self.rows.padded, self.cols.padded))
-        return spectrum
+        return np.asarray(fft.rfft2(field, s=(self.rows.padded, self.cols.padded)))
 
     def _back(self, spectrum: ComplexArray) -> FloatArray:
         shape = (self.rows.padded, self.cols.padded)
@@ -133,12 +132,10 @@ def _folded(kernel: FloatArray, across: IntArray, along: IntArray) -> ComplexArr
 
 
 def _spectrum(kernel: FloatArray, across: IntArray, along: IntArray) -> ComplexArray:
-    spectrum: ComplexArray = fft.rfft2(kernel[np.ix_(across, along)])
-    return spectrum
+    return np.asarray(fft.rfft2(kernel[np.ix_(across, along)]))
 
 
 def _reversal(span: Span) -> ComplexArray:
     """Return the spectrum's factor for a field counted from the patch's last cell backwards."""
     turn = -2j * np.pi * np.arange(span.padded) * (span.count - 1) / span.padded
-    factor: ComplexArray = np.exp(turn)
-    return factor
+    return np.asarray(np.exp(turn))

@@ -93,8 +93,7 @@ def face_normals(pressed: PressedElastomer) -> FloatArray:
     slope_x = _derivative(pressed.face_z_mm, pressed.face_x_mm, axis=1)
     slope_y = _derivative(pressed.face_z_mm, pressed.face_y_mm, axis=0)
     upright = 1 / np.sqrt(1 + slope_x**2 + slope_y**2)
-    normals: FloatArray = np.stack((-slope_x * upright, -slope_y * upright, upright), axis=-1)
-    return normals
+    return np.asarray(np.stack((-slope_x * upright, -slope_y * upright, upright), axis=-1))
 
 
 def _vertices(pressed: PressedElastomer, z_mm: FloatArray) -> FloatArray:
@@ -120,5 +119,4 @@ def _derivative(z: FloatArray, nodes_mm: FloatArray, axis: int) -> FloatArray:
         window[axis] = slice(2 + cells, wide.shape[axis] - 2 + cells)
         return wide[tuple(window)]
 
-    slope: FloatArray = (8 * (shifted(1) - shifted(-1)) - (shifted(2) - shifted(-2))) / (12 * step)
-    return slope
+    return np.asarray((8 * (shifted(1) - shifted(-1)) - (shifted(2) - shifted(-2))) / (12 * step))

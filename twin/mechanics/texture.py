@@ -67,8 +67,7 @@ class Johnson:
         """Turn standard normal numbers (...) into numbers of this distribution."""
         if self.a == 0.0:
             return normal
-        found: FloatArray = (np.sinh(self.a * normal + self.b) - self._mean) / self._spread
-        return found
+        return np.asarray((np.sinh(self.a * normal + self.b) - self._mean) / self._spread)
 
     def correlation(self, of_normals: float) -> float:
         """Return the correlation of two numbers made from normal ones of a given correlation."""
@@ -116,19 +115,16 @@ def johnson_of(skewness: float, excess_kurtosis: float) -> Johnson:
     symmetric_w = np.sqrt(np.sqrt(2 * kurtosis - 2) - 1)
     if skewness == 0.0:
         return Johnson(a=float(np.sqrt(np.log(symmetric_w))))
+    # The log-normal distribution of that kurtosis is the limit of large b.
+    log_normal_w = brentq(lambda w: _log_normal_kurtosis(w) - kurtosis, 1.0, kurtosis, xtol=1e-14)
     w = brentq(
         lambda w: _skewness(w, _cosh_2b(w, kurtosis)) - abs(skewness),
-        _log_normal_w(kurtosis) * (1 + _OFF_END),
+        log_normal_w * (1 + _OFF_END),
         symmetric_w * (1 + _OFF_END),
         xtol=1e-14,
     )
     b = np.arccosh(_cosh_2b(w, kurtosis)) / 2
     return Johnson(a=float(np.sqrt(np.log(w))), b=float(np.copysign(b, skewness)))
-
-
-def _log_normal_w(kurtosis: float) -> float:
-    """Return the w of the log-normal distribution of that kurtosis, the limit of large b."""
-    return float(brentq(lambda w: _log_normal_kurtosis(w) - kurtosis, 1.0, kurtosis, xtol=1e-14))
 
 
 def _log_normal_kurtosis(w: float) -> float:

@@ -89,23 +89,13 @@ def amplitudes(q: FloatArray, z: float, nu: float) -> dict[str, FloatArray]:
     """Return displacement and stress of the four solutions at depth z, 0 to 1, each (n, 4)."""
     kappa, s = 3 - 4 * nu, z - 1
     a, b = np.exp(-q * z), np.exp(q * s)
+    shear = -2 * a, (kappa - 1 + 2 * q * z) * a, 2 * b, (kappa - 1 - 2 * q * s) * b
+    down, up = (2 - 2 * kappa - 4 * nu - 2 * q * z) * a, (2 * kappa - 2 + 4 * nu - 2 * q * s) * b
     return {
         "U": np.stack((a, -q * z * a, b, -q * s * b), axis=-1),
         "W": np.stack((-a, (kappa + q * z) * a, b, (kappa - q * s) * b), axis=-1),
-        "S_xz": q[:, None]
-        * np.stack(
-            (-2 * a, (kappa - 1 + 2 * q * z) * a, 2 * b, (kappa - 1 - 2 * q * s) * b), axis=-1
-        ),
-        "S_zz": q[:, None]
-        * np.stack(
-            (
-                2 * a,
-                (2 - 2 * kappa - 4 * nu - 2 * q * z) * a,
-                2 * b,
-                (2 * kappa - 2 + 4 * nu - 2 * q * s) * b,
-            ),
-            axis=-1,
-        ),
+        "S_xz": q[:, None] * np.stack(shear, axis=-1),
+        "S_zz": q[:, None] * np.stack((2 * a, down, 2 * b, up), axis=-1),
     }
 
 
@@ -126,8 +116,7 @@ def opposite_transfer(q: FloatArray) -> FloatArray:
     fade = np.expm1(-2 * q)
     raised = 2 * np.exp(-q) * (-fade + q * (2 + fade))
     lowered = -fade * (2 + fade) + 4 * q * (1 + fade)
-    kept: FloatArray = np.divide(raised, lowered, out=np.ones_like(q), where=q > 0)
-    return kept
+    return np.asarray(np.divide(raised, lowered, out=np.ones_like(q), where=q > 0))
 
 
 @dataclass(frozen=True)
@@ -242,23 +231,17 @@ def tabulate(
     if film is not None and base != "free":
         highest_q /= film.share  # the loaded film is a half-space to much shorter waves only
     q = np.geomspace(lowest_q, highest_q, _TABLE_SIZE)
-    solved = _solve(q, poisson_ratio, base, film)
+    if film is not None:
+        solved = solve_coated(q, poisson_ratio, base, film)
+    else:
+        solved = solve_transfer(q, poisson_ratio, "bonded" if base == "bonded" else "free")
     splines = {
         column: CubicSpline(np.log(q), getattr(solved, column) * _damping(q)) for column in _COLUMNS
     }
     return TransferTable(lowest_q, highest_q, splines)
 
 
-def _solve(
-    q: FloatArray, poisson_ratio: float, base: LoadedBase, film: CoatFilm | None
-) -> Transfer:
-    if film is not None:
-        return solve_coated(q, poisson_ratio, base, film)
-    return solve_transfer(q, poisson_ratio, "bonded" if base == "bonded" else "free")
-
-
 def _damping(q: FloatArray) -> FloatArray:
     """Long waves of the free layer grow as q^-3 (plate): times this, the spline sees none."""
     cubed = q * q * q
-    bounded: FloatArray = cubed / (1 + cubed)
-    return bounded
+    return np.asarray(cubed / (1 + cubed))

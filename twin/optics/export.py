@@ -84,7 +84,10 @@ def export_stock(
 
     rig = rig_of(experiment)
     canvas = _write_textures(experiment, rig, folder, progress)
-    shapes = _solids(experiment, face)
+    if face is None:
+        shapes = solids(experiment)
+    else:
+        shapes = (Solid(COATED_FACE, face, coating_bsdf(experiment.coating)),)
     for solid in shapes:
         content = solid.mesh.export(file_type="ply", vertex_normal=True)
         (folder / f"{solid.name}.ply").write_bytes(content)
@@ -137,12 +140,6 @@ def _devices(experiment: Experiment, rig: "Rig", canvas: "Canvas", pressed: bool
         "integrator": stock.integrator(experiment.bounces + (0 if pressed else MOST_SHARP)),
         "emitter": stock.emitter_dict(np.zeros((2, 2), np.float32), rig, canvas),
     }
-
-
-def _solids(experiment: Experiment, face: "trimesh.Trimesh | None") -> tuple[Solid, ...]:
-    if face is None:
-        return solids(experiment)
-    return (Solid(COATED_FACE, face, coating_bsdf(experiment.coating)),)
 
 
 def _kind_of(value: bool | float | str) -> str:

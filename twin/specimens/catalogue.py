@@ -35,8 +35,7 @@ class Placement:
 
     def apply(self, points_mm: FloatArray) -> FloatArray:
         """Move points (..., xyz)."""
-        moved: FloatArray = points_mm @ self.rotation.T + self.shift_mm
-        return moved
+        return np.asarray(points_mm @ self.rotation.T + self.shift_mm)
 
     def then(self, later: "Placement") -> "Placement":
         """Return this motion followed by another."""

@@ -121,13 +121,9 @@ def _necks(balls: tuple[Sphere, ...]) -> list[trimesh.Trimesh]:
             sections=64,
         )
         for first, second in pairwise(balls)
-        if _overlap(first, second) < 1e-2 * first.radius_mm
+        if first.radius_mm + second.radius_mm - np.linalg.norm(_centre(first) - _centre(second))
+        < 1e-2 * first.radius_mm
     ]
-
-
-def _overlap(first: Sphere, second: Sphere) -> float:
-    distance = float(np.linalg.norm(_centre(first) - _centre(second)))
-    return first.radius_mm + second.radius_mm - distance
 
 
 _PASSES = 60

@@ -113,18 +113,15 @@ def build_nut(specimen: Nut) -> MeshShape:
 def _nut(nut: Nut) -> trimesh.Trimesh:
     """Chamfer a hexagon, then cut the thread and both countersinks."""
     half, corner_mm = nut.height_mm / 2, nut.across_flats_mm / np.sqrt(3)
-    body = prism(_hexagon(corner_mm), -half, half)
+    turn = np.arange(6) * np.pi / 3
+    hexagon = corner_mm * np.stack((np.cos(turn), np.sin(turn)), axis=-1)
+    body = prism(hexagon, -half, half)
     if nut.chamfer_mm > 0:
         body = common([body, _chamfered(nut.face_radius_mm, corner_mm, half)])
     holes = [screw(nut.thread_mm, nut.pitch_mm, -half, half)]
     if nut.countersink_mm > minor_diameter_mm(nut.thread_mm, nut.pitch_mm):
         holes += [_countersink(nut.countersink_mm / 2, half, side) for side in (1, -1)]
     return without(body, *holes)
-
-
-def _hexagon(corner_mm: float) -> FloatArray:
-    turn = np.arange(6) * np.pi / 3
-    return corner_mm * np.stack((np.cos(turn), np.sin(turn)), axis=-1)
 
 
 def _chamfered(face_radius_mm: float, corner_mm: float, half_mm: float) -> trimesh.Trimesh:

@@ -207,7 +207,8 @@ def upper_side(triangles_mm: FloatArray, x_mm: FloatArray, y_mm: FloatArray) -> 
     low, high = _crossing(triangles[owner], sorted_y[row])
     first, count = _covered(sorted_x, low, high)
     top = np.full((y_mm.size, x_mm.size), -np.inf)
-    for scan in np.split(np.arange(owner.size), _cuts(count)):
+    cuts = np.flatnonzero(np.diff(np.cumsum(count) // _BATCH)) + 1
+    for scan in np.split(np.arange(owner.size), cuts):
         which, col = _expanded(first[scan], count[scan])
         which = scan[which]
         z = _height(triangles[owner[which]], sorted_x[col], sorted_y[row[which]])
@@ -220,8 +221,7 @@ def upper_side(triangles_mm: FloatArray, x_mm: FloatArray, y_mm: FloatArray) -> 
 def _doubled_area(triangles: FloatArray) -> FloatArray:
     """Return twice the signed area seen from above."""
     ab, ac = triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
-    area: FloatArray = ab[:, 0] * ac[:, 1] - ab[:, 1] * ac[:, 0]
-    return area
+    return np.asarray(ab[:, 0] * ac[:, 1] - ab[:, 1] * ac[:, 0])
 
 
 def _limits(values_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -259,10 +259,6 @@ def _crossing(triangles: FloatArray, y_mm: FloatArray) -> tuple[FloatArray, Floa
     )
 
 
-def _cuts(rays: IntArray) -> IntArray:
-    return np.flatnonzero(np.diff(np.cumsum(rays) // _BATCH)) + 1
-
-
 def _height(triangles: FloatArray, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
     """Return z of each triangle's plane, within the triangle's own z."""
     a = triangles[:, 0]
@@ -271,5 +267,4 @@ def _height(triangles: FloatArray, x_mm: FloatArray, y_mm: FloatArray) -> FloatA
     along_ab = dx * ac[:, 1] - dy * ac[:, 0]
     along_ac = dy * ab[:, 0] - dx * ab[:, 1]
     rise = (along_ab * ab[:, 2] + along_ac * ac[:, 2]) / _doubled_area(triangles)
-    z: FloatArray = np.clip(a[:, 2] + rise, *_limits(triangles[..., 2]))
-    return z
+    return np.asarray(np.clip(a[:, 2] + rise, *_limits(triangles[..., 2])))

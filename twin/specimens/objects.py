@@ -89,8 +89,7 @@ def bear_level_mm(points_mm: FloatArray, blend_mm: float) -> FloatArray:
     distance = (np.sqrt((scaled**2).sum(axis=-1)) - 1) * _LEAST_MM
     nearest = distance.min(axis=-1)
     total = np.exp((nearest[..., None] - distance) / blend_mm).sum(axis=-1)
-    level: FloatArray = nearest - blend_mm * np.log(total)
-    return level
+    return np.asarray(nearest - blend_mm * np.log(total))
 
 
 def bear_gradient(points_mm: FloatArray, blend_mm: float) -> FloatArray:
@@ -100,8 +99,7 @@ def bear_gradient(points_mm: FloatArray, blend_mm: float) -> FloatArray:
     distance = (reach - 1) * _LEAST_MM
     weight = np.exp((distance.min(axis=-1, keepdims=True) - distance) / blend_mm)
     pull = weight / weight.sum(axis=-1, keepdims=True) * _LEAST_MM / reach
-    gradient: FloatArray = (pull[..., None] * scaled / _HALF_AXES_MM).sum(axis=1)
-    return gradient
+    return np.asarray((pull[..., None] * scaled / _HALF_AXES_MM).sum(axis=1))
 
 
 def _on_surface(points_mm: FloatArray, blend_mm: float) -> FloatArray:
@@ -196,8 +194,7 @@ def ridges_mm(print_: Fingerprint, x_mm: FloatArray, y_mm: FloatArray) -> FloatA
     for place, sense in _minutiae(print_, half, rng):
         off = (x_mm - place[0]) + 1j * sense * (y_mm - place[1])
         wave *= off / np.sqrt(np.abs(off) ** 2 + (_VORTEX * print_.pitch_mm) ** 2)
-    height: FloatArray = print_.depth_mm / 2 * wave.real
-    return height
+    return np.asarray(print_.depth_mm / 2 * wave.real)
 
 
 def _minutiae(
@@ -227,7 +224,9 @@ def _plate(print_: Fingerprint) -> trimesh.Trimesh:
     rim = np.concatenate((index[0], index[1:, -1], index[-1, -2::-1], index[-2:0:-1, 0]))
     base = top[rim] * [1, 1, 0] + [0, 0, z.min() - print_.thickness_mm]
     below, middle = z.size + np.arange(rim.size), base.mean(axis=0)
-    faces = (grid_facets(*z.shape), _wall(rim, below), _fan(below, z.size + rim.size))
+    # The base's facets look down.
+    fan = (np.roll(below, -1), below, np.full_like(below, z.size + rim.size))
+    faces = (grid_facets(*z.shape), _wall(rim, below), np.stack(fan, axis=-1))
     return trimesh.Trimesh(
         np.concatenate((top, base, middle[None])), np.concatenate(faces), process=False
     )
@@ -242,8 +241,3 @@ def _wall(rim: IntArray, below: IntArray) -> IntArray:
     """Return the facets between the rim, counter-clockwise seen from above, and the base."""
     after, below_after = np.roll(rim, -1), np.roll(below, -1)
     return np.stack((rim, below, below_after, rim, below_after, after), axis=-1).reshape(-1, 3)
-
-
-def _fan(loop: IntArray, middle: int) -> IntArray:
-    """Return the base's facets, which look down."""
-    return np.stack((np.roll(loop, -1), loop, np.full_like(loop, middle)), axis=-1)

@@ -127,8 +127,7 @@ def grid_facets(rows: int, cols: int) -> IntArray:
     """Return (2 (rows-1) (cols-1), 3) vertex indices, counter-clockwise seen from +z."""
     corner = np.arange(rows * cols).reshape(rows, cols)[:-1, :-1, None]
     two_triangles = np.array([0, 1, cols + 1, 0, cols + 1, cols])
-    facets: IntArray = (corner + two_triangles).reshape(-1, 3)
-    return facets
+    return np.asarray((corner + two_triangles).reshape(-1, 3))
 
 
 def arc(

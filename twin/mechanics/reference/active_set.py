@@ -144,8 +144,7 @@ class _ActiveSolve:
 
     def _deflected(self, force: FloatArray) -> FloatArray:
         self.loads += 1
-        deflected: FloatArray = self.deflect(self._spread(force))[self.active]
-        return deflected
+        return np.asarray(self.deflect(self._spread(force))[self.active])
 
     def _spread(self, force: FloatArray) -> FloatArray:
         whole = np.zeros(self.active.size)

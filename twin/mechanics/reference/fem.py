@@ -177,8 +177,7 @@ def _seen(surface: CloughTocher2DInterpolator, x_mm: FloatArray, y_mm: FloatArra
         np.clip(at, a + 1e-7 * (b - a), b - 1e-7 * (b - a))
         for at, a, b in zip((x_mm, y_mm), low, high, strict=True)
     ]
-    seen: FloatArray = surface(*inside)
-    return seen
+    return np.asarray(surface(*inside))
 
 
 def press_fem(
@@ -215,7 +214,8 @@ def press_fem(
     """
     check_fem(elastomer, support)
     shape, modulus_kpa = shape_of(specimen), young_modulus(elastomer).best_kpa
-    body = pad or _slab(elastomer, support, ledge_mm)
+    span, chosen = (elastomer.length_x_mm, elastomer.length_y_mm), _support(elastomer, support)
+    body = pad or slab_pad(span, elastomer.thickness_mm, elastomer.poisson_ratio, chosen, ledge_mm)
     force = None if load.force_n is None else load.force_n / (modulus_kpa * 1e-3)
     depth_guess = load.depth_mm or _depth_guess(shape, elastomer, force or 0.0)
     mesh = mesh_pad(shape, body, depth_guess, count=count, timeout_s=timeout_s)
@@ -248,11 +248,6 @@ def check_fem(elastomer: Elastomer, support: SlabSupport | None) -> None:
 
 def _support(elastomer: Elastomer, support: SlabSupport | None) -> SlabSupport:
     return support or ("bonded" if elastomer.layout == "contact_face" else "simple")
-
-
-def _slab(elastomer: Elastomer, support: SlabSupport | None, ledge_mm: float) -> Pad:
-    span, chosen = (elastomer.length_x_mm, elastomer.length_y_mm), _support(elastomer, support)
-    return slab_pad(span, elastomer.thickness_mm, elastomer.poisson_ratio, chosen, ledge_mm)
 
 
 def _depth_guess(shape: Shape, elastomer: Elastomer, force_over_modulus_mm2: float) -> float:

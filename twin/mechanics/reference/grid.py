@@ -57,8 +57,7 @@ class ElementGrid:
     @cached_property
     def element_nodes(self) -> IntArray:
         """(element, 3^axes) displacement nodes."""
-        nodes: IntArray = self._node_of_unknown[self._displacement.element_dofs.T]
-        return nodes
+        return np.asarray(self._node_of_unknown[self._displacement.element_dofs.T])
 
     @cached_property
     def element_corners(self) -> IntArray:
@@ -143,8 +142,7 @@ class ElementGrid:
 
     @cached_property
     def _points_r(self) -> FloatArray:
-        radii: FloatArray = np.asarray(self._displacement.global_coordinates())[0]
-        return radii
+        return np.asarray(np.asarray(self._displacement.global_coordinates())[0])
 
 
 @dataclass(frozen=True)

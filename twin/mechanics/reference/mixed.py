@@ -208,5 +208,4 @@ def _contract(operator: FloatArray, stress: FloatArray) -> FloatArray:
     """Return int B^T stress per element."""
     elements, points, rows, width = operator.shape
     flat = operator.reshape(elements, points * rows, width)
-    forces: FloatArray = np.matmul(stress.reshape(elements, 1, points * rows), flat)[:, 0]
-    return forces
+    return np.asarray(np.matmul(stress.reshape(elements, 1, points * rows), flat)[:, 0])

@@ -262,8 +262,7 @@ def _edges(
         elements = np.concatenate(([0.0], np.cumsum((density[1:] + density[:-1]) / 2)))
         elements *= fine[1] - fine[0]
         low, high = (growth, high) if elements[-1] > count else (low, growth)
-    edges: FloatArray = np.interp(np.linspace(0, elements[-1], count + 1), elements, fine)
-    return edges
+    return np.asarray(np.interp(np.linspace(0, elements[-1], count + 1), elements, fine))
 
 
 def _is_symmetric(field: HeightField, axis: int) -> bool:
@@ -289,8 +288,7 @@ def _free(body: MixedBody, elastomer: Elastomer) -> IntArray:
             held[rim, 2] = True
     if elastomer.layout == "contact_face":
         held[nodes[:, 2] > elastomer.thickness_mm - near] = True
-    free: IntArray = np.setdiff1d(np.arange(body.unknowns), np.flatnonzero(held))
-    return free
+    return np.asarray(np.setdiff1d(np.arange(body.unknowns), np.flatnonzero(held)))
 
 
 def _scattered(

@@ -127,11 +127,9 @@ def slab_pad(
     on_window = support in ("bonded", "window")
     body = _box(length_x, length_y, thickness_mm, raised=on_window)
     coated, touched = on_plane("z", 0.0), on_plane("z", 0.0 if on_window else -thickness_mm)
-    sides_x, sides_y = (
-        tuple(Hold(on_plane(axis, sign * length / 2), held) for sign in (-1, 1))
-        for axis, length, held in _sides(support, length_x, length_y)
-    )
-    holds = sides_x + sides_y
+    across_x, across_y = _RIM[support]
+    holds = tuple(Hold(on_plane("x", sign * length_x / 2), across_x) for sign in (-1, 1))
+    holds += tuple(Hold(on_plane("y", sign * length_y / 2), across_y) for sign in (-1, 1))
     if on_window:
         holds += (Hold(on_plane("z", thickness_mm)),)
     if support == "ledge":
@@ -139,13 +137,6 @@ def slab_pad(
         # The free span as a body of its own within: the mesh then has its edge as a line.
         body = trimesh.util.concatenate([body, _box(*span_mm, thickness_mm, raised=False)])
     return Pad(body, poisson_ratio, holds, touched, coated)
-
-
-def _sides(
-    support: SlabSupport, length_x: float, length_y: float
-) -> tuple[tuple[Literal["x", "y"], float, str], ...]:
-    across_x, across_y = _RIM[support]
-    return ("x", length_x, across_x), ("y", length_y, across_y)
 
 
 def _box(length_x: float, length_y: float, thickness: float, *, raised: bool) -> trimesh.Trimesh:
@@ -207,8 +198,7 @@ def _zone(shape: Shape, touched: FloatArray, depth_mm: float) -> FloatArray:
     gap = touched[:, 2] + sample(shape, *reach[:2]).value(touched[:, 0], touched[:, 1])
     # The foremost facets may be missed by the points: take at least the nearest few.
     limit = max(gap.min() + _REACH * depth_mm, np.sort(gap)[min(8, gap.size - 1)])
-    zone: FloatArray = touched[np.isfinite(gap) & (gap <= limit)]
-    return zone
+    return np.asarray(touched[np.isfinite(gap) & (gap <= limit)])
 
 
 def _near_in_plan(points: FloatArray, zone: FloatArray) -> FloatArray:

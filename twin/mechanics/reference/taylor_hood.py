@@ -80,16 +80,14 @@ class ElasticBody:
         right[:] = displaced[self._free]
         found = np.zeros(self._size)
         found[self._free] = self._factor.solve(right)
-        moved: FloatArray = found[self._unknowns]
-        return moved
+        return np.asarray(found[self._unknowns])
 
     def residual(self, moved_mm: FloatArray, pressure: FloatArray) -> FloatArray:
         """Return the nodal forces (node, xyz) over E of a displacement and vertex pressures."""
         state = np.zeros(self._size)
         state[self._unknowns] = moved_mm
         state[self._size - pressure.size :] = pressure
-        forces: FloatArray = (self._matrix @ state)[self._unknowns]
-        return forces
+        return np.asarray((self._matrix @ state)[self._unknowns])
 
     @cached_property
     def _mesh(self) -> Any:
@@ -144,8 +142,7 @@ class ElasticBody:
             nodes = np.unique(self._six_nodes(corners[chosen]))
             for direction in hold.directions:
                 held[nodes, "xyz".index(direction)] = True
-        free: IntArray = np.setdiff1d(np.arange(self._size), self._unknowns[held])
-        return free
+        return np.asarray(np.setdiff1d(np.arange(self._size), self._unknowns[held]))
 
     @cached_property
     def _factor(self) -> Any:

@@ -54,8 +54,7 @@ class Tetrahedra:
         corner = self.points_mm[self.cells]
         pairs = np.array(list(itertools.combinations(range(4), 2)))
         squares = np.sum((corner[:, pairs[:, 0]] - corner[:, pairs[:, 1]]) ** 2, axis=-1)
-        quality: FloatArray = 6 * np.sqrt(2) * self.volumes_mm3 / squares.mean(axis=1) ** 1.5
-        return quality
+        return np.asarray(6 * np.sqrt(2) * self.volumes_mm3 / squares.mean(axis=1) ** 1.5)
 
 
 def tetrahedralize(
@@ -189,8 +188,7 @@ def _collapse(points: FloatArray, cells: IntArray, reach_mm: float) -> tuple[Flo
 
 def _volumes(points: FloatArray, cells: IntArray) -> FloatArray:
     edges = points[cells[:, 1:]] - points[cells[:, :1]]
-    volumes: FloatArray = np.linalg.det(edges) / 6
-    return volumes
+    return np.asarray(np.linalg.det(edges) / 6)
 
 
 def _checked(points: FloatArray, cells: IntArray) -> Tetrahedra:
