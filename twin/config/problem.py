@@ -288,6 +288,14 @@ class SensorProblem(Model):
             (one[row.experiment] for one in chosen if row.experiment in one), row.experiment
         )
 
+    def metric_of(self, name: str, row: Row, combination: Mapping[str, str]) -> Metric:
+        """Return the figure behind a row if a combination of choices holds."""
+        for alternative, choice in combination.items():
+            other = self.alternatives[alternative].choices[choice].metrics.get(name)
+            if other is not None:
+                return other
+        return row.metric
+
     def free_in(self, experiment: str) -> list[str]:
         """Return the names of the free fields that an experiment has."""
         return [n for n, f in self.free.items() if not f.experiments or experiment in f.experiments]
