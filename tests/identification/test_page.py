@@ -65,7 +65,7 @@ def test_the_folder_holds_figures_samples_and_experiments(folder):
 
 
 def test_the_summary_holds_rows_worth_and_joint_draws(folder):
-    """thickness and depth of one place come from one sample: exp(thickness) as the rows say."""
+    """thickness and depth of one place come from one sample: more of one is less of the other for one product."""
     found = tomllib.loads((folder / "identified.toml").read_text())
     assert found["rows"]["held"]["fitted"] is False
     assert found["rows"]["held"]["steps"] > 2.0
@@ -73,7 +73,7 @@ def test_the_summary_holds_rows_worth_and_joint_draws(folder):
     assert set(found["worth"]["depth"]) == {"thickness", "depth"}
     thickness, depth = (np.array(found["draws"][name]) for name in ("thickness", "depth"))
     assert thickness.shape == depth.shape == (64,)
-    assert np.corrcoef(thickness, depth)[0, 1] > 0.1
+    assert np.corrcoef(thickness, depth)[0, 1] < -0.3
     told = found["fields"]["thickness"]
     assert told["range"][0] <= told["value"] <= told["range"][1]
     assert told["source"].startswith("identified: ")
