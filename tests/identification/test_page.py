@@ -65,7 +65,7 @@ def test_the_folder_holds_figures_samples_and_experiments(folder):
 
 
 def test_the_summary_holds_rows_worth_and_joint_draws(folder):
-    """thickness and depth of one place come from one sample: more of one is less of the other for one product."""
+    """Both fields of one place come from one sample: one product, so more of one, less of other."""
     found = tomllib.loads((folder / "identified.toml").read_text())
     assert found["rows"]["held"]["fitted"] is False
     assert found["rows"]["held"]["steps"] > 2.0
