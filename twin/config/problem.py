@@ -259,7 +259,7 @@ class SensorProblem(Model):
         return {name: row for name, row in self.rows.items() if not row.held_out}
 
     def quick(self) -> "SensorProblem":
-        """Return the problem with a third of the simulations, 16 at least."""
+        """Return the problem with a third of the simulations, 12 at least."""
         design = self.design.model_copy(update={"count": _fewer(self.design.count)})
         setups = {
             name: one if one.count is None else one.model_copy(update={"count": _fewer(one.count)})
@@ -306,7 +306,7 @@ class SensorProblem(Model):
 
 
 def _fewer(count: int) -> int:
-    return max(min(count, 16), count // 3)
+    return max(min(count, 12), count // 3)
 
 
 def _named(where: str, used: Mapping[str, tuple[str, ...]], known: Any) -> None:
