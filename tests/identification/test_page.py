@@ -1,6 +1,7 @@
 """The page, the folder and the command of an identification."""
 
 import json
+import tomllib
 
 import numpy as np
 import pytest
@@ -61,6 +62,21 @@ def test_the_folder_holds_figures_samples_and_experiments(folder):
     best = load_experiment(folder / "experiments" / "ball.toml")
     assert best.elastomer.layout == "contact_face"
     assert best.elastomer.thickness_mm == pytest.approx(0.3, abs=0.02)
+
+
+def test_the_summary_holds_rows_worth_and_joint_draws(folder):
+    """Both fields of one place come from one sample: one product, so more of one, less of other."""
+    found = tomllib.loads((folder / "identified.toml").read_text())
+    assert found["rows"]["held"]["fitted"] is False
+    assert found["rows"]["held"]["steps"] > 2.0
+    assert found["models"][0]["probability"] > 0.5
+    assert set(found["worth"]["depth"]) == {"thickness", "depth"}
+    thickness, depth = (np.array(found["draws"][name]) for name in ("thickness", "depth"))
+    assert thickness.shape == depth.shape == (64,)
+    assert np.corrcoef(thickness, depth)[0, 1] < -0.3
+    told = found["fields"]["thickness"]
+    assert told["range"][0] <= told["value"] <= told["range"][1]
+    assert told["source"].startswith("identified: ")
 
 
 def test_the_page_tells_what_is_unexplained_and_what_would_help(folder):

@@ -31,6 +31,7 @@ def identify(
     from twin.config.problem import load_problem
     from twin.identification.run import COMMAND, WRITTEN, write_identified
     from twin.identification.run import identify as find
+    from twin.identification.summary import SUMMARY_FILE, write_summary
     from twin.output import adding, claim
     from twin.report import REPORT_NAMES
     from twin.report.identified import write_identified as draw
@@ -38,12 +39,13 @@ def identify(
     loaded, experiments = load_problem(problem)
     asked = loaded.quick() if quick else loaded
     who = workers_of(workers, cluster)
-    names = (*WRITTEN, *REPORT_NAMES)
+    names = (*WRITTEN, SUMMARY_FILE, *REPORT_NAMES)
     claim(out, COMMAND, names, [problem])
     with progress_bars() as watch:
         found = find(asked, experiments, out, who, watch=watch, inputs=[problem])
         with adding(out, *names) as folder:
             write_identified(folder, found, experiments)
+            write_summary(folder, found)
             draw(folder, found, watch)
     rows = [
         [name, f"{one.mean:.4g}", f"{one.sd:.2g}", f"{one.low_95:.4g} to {one.high_95:.4g}"]

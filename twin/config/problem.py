@@ -257,7 +257,7 @@ class SensorProblem(Model):
         return {name: row for name, row in self.rows.items() if not row.held_out}
 
     def quick(self) -> "SensorProblem":
-        """Return the problem with a third of the simulations, 16 at least."""
+        """Return the problem with a third of the simulations, 12 at least."""
         design = self.design.model_copy(update={"count": _fewer(self.design.count)})
         setups = {
             name: one if one.count is None else one.model_copy(update={"count": _fewer(one.count)})
@@ -286,6 +286,14 @@ class SensorProblem(Model):
             (one[row.experiment] for one in chosen if row.experiment in one), row.experiment
         )
 
+    def metric_of(self, name: str, row: Row, combination: Mapping[str, str]) -> Metric:
+        """Return the figure behind a row if a combination of choices holds."""
+        for alternative, choice in combination.items():
+            other = self.alternatives[alternative].choices[choice].metrics.get(name)
+            if other is not None:
+                return other
+        return row.metric
+
     def free_in(self, experiment: str) -> list[str]:
         """Return the names of the free fields that an experiment has."""
         return [n for n, f in self.free.items() if not f.experiments or experiment in f.experiments]
@@ -296,7 +304,7 @@ class SensorProblem(Model):
 
 
 def _fewer(count: int) -> int:
-    return max(min(count, 16), count // 3)
+    return max(min(count, 12), count // 3)
 
 
 def _named(where: str, used: Mapping[str, tuple[str, ...]], known: Any) -> None:

@@ -4,6 +4,7 @@
 |---|---|
 | result.json | intervals of the fields, rows measured and predicted, ridges, models |
 | posterior.nc | samples of the fields by model |
+| identified.toml | the same and joint draws of the fields, see `summary` |
 | experiment.toml, experiments/NAME.toml | the experiments at the most probable values |
 | studies/ | the simulations; an interrupted run goes on from here |
 """
@@ -20,7 +21,7 @@ from threadpoolctl import threadpool_limits
 from reconstruction.arrays import FloatArray
 from reconstruction.machine import write_dataset
 from twin.config import Experiment, to_toml, vary
-from twin.config.problem import LearnedAs, Metric, Row, SensorProblem, Statistic
+from twin.config.problem import LearnedAs, Metric, SensorProblem, Statistic
 from twin.config.study import without_absent
 from twin.identification.emulator import Emulator
 from twin.identification.findings import (
@@ -217,20 +218,12 @@ def _emulators(
     found = {}
     for name, row in {**problem.rows, **problem.worth}.items():
         variant = variant_for(problem, problem.experiment_of(row, combination), combination)
-        asked = _metric(problem, name, row, combination), row.statistic, row.learned_as
+        asked = problem.metric_of(name, row, combination), row.statistic, row.learned_as
         key = variant, *asked
         if key not in learned:
             learned[key] = simulated[variant].emulator(*asked)
         found[name] = learned[key]
     return found
-
-
-def _metric(problem: SensorProblem, name: str, row: Row, combination: Mapping[str, str]) -> Metric:
-    for alternative, choice in combination.items():
-        other = problem.alternatives[alternative].choices[choice].metrics.get(name)
-        if other is not None:
-            return other
-    return row.metric
 
 
 def _model(
