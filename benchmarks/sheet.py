@@ -332,8 +332,8 @@ def random_press(seed: int) -> tuple[Specimen, Elastomer, float, dict[str, float
     tack = float(rng.uniform(0.02, 0.5)) if rng.random() < 0.5 else 0.0
     sheet = elastomer(
         thickness_mm=float(np.exp(rng.uniform(np.log(0.05), 0.0))),
-        length_x_mm=32.0,
-        length_y_mm=32.0,
+        length_x_mm=26.0,
+        length_y_mm=26.0,
         tack_j_m2=tack,
         friction="none" if rng.random() < 0.2 else "auto",
     )
@@ -382,7 +382,8 @@ def converged_share(seeds: Iterable[int], workers: int, kept: Path | None) -> Fi
     ends = Counter(known[seed].split(":")[0] for seed in seeds if seed in known)
     left = [seed for seed in seeds if seed not in known]
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(workers, mp_context=context) as pool:
+    # Each in a process of its own, as a user's press is: its memory is known and given back.
+    with ProcessPoolExecutor(workers, mp_context=context, max_tasks_per_child=1) as pool:
         for number, (seed, found) in enumerate(zip(left, pool.map(outcome, left), strict=True), 1):
             ends[found.split(":")[0]] += 1
             print(f"press {seed} ({number} of {len(left)}): {found}", flush=True)

@@ -51,6 +51,8 @@ class SheetCase:
     sticks: bool
     #: the finest cells
     cell_mm: float
+    #: the experiment names them
+    asked_cell: bool
     #: of the specimen's finest grooves, None where it has none
     ridge_pitch_mm: float | None
 
@@ -66,7 +68,7 @@ class SheetCase:
         # A cohesive range below half a cell would let the sheet jump on from point to point.
         laws = self.laws._replace(tack_range_mm=max(_TACK_RANGE_MM, 0.5 * pitch_mm))
         grid = sheet_grid(self.frame, x, y)
-        return Sheet(grid, laws, self.bodies, -laws.thickness_mm / 2, self.sticks)
+        return Sheet(grid, laws, self.bodies, -laws.thickness_mm / 2, self.sticks, pitch_mm)
 
 
 def sheet_case(
@@ -97,6 +99,7 @@ def sheet_case(
         shape=shape,
         sticks=elastomer.sticks,
         cell_mm=finest_cell_mm(elastomer, load),
+        asked_cell=load.cell_mm is not None,
         ridge_pitch_mm=finest_pitch_mm(specimen),
     )
 

@@ -1,7 +1,8 @@
 """The way to a press: travel first, pressure after contact, coarse cells first, fine ones last.
 
-Every step starts from the line through the last two states. A step that finds no equilibrium is
-halved; where even a small one finds none, the last state that held is told.
+Every step starts from the line through the last two states. Only the end of the way must be in
+equilibrium. A step that flows away is halved; where even a small one does, the last state that held
+is told.
 """
 
 from collections.abc import Callable
@@ -22,6 +23,10 @@ _PRESSURE_STEP_BEYOND_KPA = 2.0
 _SMALLEST_STEP = 1 / 16
 #: thickness over its undeformed value below which a sheet flows away: silicones tear before
 THINNEST = 0.2
+# A stop on the way is no result: where many equilibria lie side by side, as on a slack sheet, the
+# way goes on before one of them is found.
+_MOST_STEPS_ON_THE_WAY = 20
+_ROUGH_STEP_MM, _ROUGH_RESIDUAL_KPA = 5e-3, 1.0
 # Straight on is far too far where a tent falls round the specimen.
 _PREDICTED_SHARES = (1.0, 0.5, 0.25, 0.0)
 
@@ -105,18 +110,35 @@ def follow(
         No equilibrium; names the last travel that had one.
     """
     stops, shared = waypoints(goal), [] if shared is None else shared
+    on_the_way = _on_the_way(sheet, accuracy)
     common = [stop for stop in stops if _is_common(stop)]
     known = [mounted(sheet.grid), *shared[: len(common)]]
     state, before = known[-1], known[max(len(known) - 2, 0)]
     for number in range(len(known) - 1, len(stops)):
-        state, before = advance(sheet, state, before, stops[number], accuracy)
+        state, before = advance(sheet, state, before, stops[number], on_the_way)
         if number == len(shared) and number < len(common):
             shared.append(state)
         if walked is not None and state.pressure_kpa > 0:
             walked.append(state)
         if progress is not None:
             progress((number + 1) / len(stops))
-    return state
+    try:
+        found = sheet.settle(state, accuracy)
+        check_thickness(sheet, found)
+    except SolverError as error:
+        raise _ended(before, goal, error) from error
+    return found
+
+
+def _on_the_way(sheet: Sheet, accuracy: Accuracy) -> Accuracy:
+    less = replace(accuracy, most_steps=_MOST_STEPS_ON_THE_WAY, strict=False)
+    if sheet.sticks:  # its anchors remember where it has been
+        return less
+    return replace(
+        less,
+        step_mm=max(accuracy.step_mm, _ROUGH_STEP_MM),
+        residual_kpa=max(accuracy.residual_kpa, _ROUGH_RESIDUAL_KPA),
+    )
 
 
 def _common_travel(step: int) -> float:

@@ -40,8 +40,13 @@ _COARSE_CELL_MM, _COARSE_RIM_MM = 0.4, 0.4
 # Width of the cells at the rim over that of the finest.
 _RIM = 1 / 3
 _MARGIN_MM = 1.5
+# Cells of the coarse sheet over those of the fine one, beyond which there are some between them.
+_WIDEST_RATIO = 3.0
+# Most cells in the box of contact, some 130,000 unknowns: more want more than 2 GiB.
+_MOST_CELLS = 36_000
 # A slack sheet of 0.05 mm finds its way in a hundred steps and more, and no half way is nearer.
-_ROUGH = Accuracy(step_mm=1e-3, residual_kpa=0.1, most_steps=160)
+_ROUGH = Accuracy(step_mm=1e-3, residual_kpa=0.1, most_steps=300)
+_BETWEEN = Accuracy(step_mm=5e-3, residual_kpa=1.0, most_steps=40, strict=False)
 _FINE = Accuracy(residual_kpa=2e-3)
 _FORCE_TOLERANCE, _FORCE_STEPS = 1e-3, 40
 _KEPT_PATHS = 4
@@ -177,10 +182,25 @@ def _settled(
 
 def _on_fine_cells(case: SheetCase, coarse: Sheet, state: SheetState) -> tuple[Sheet, SheetState]:
     """Return the equilibrium of a state of the coarse sheet on the case's finest cells."""
-    fine = case.sheet(case.cell_mm, _RIM * case.cell_mm, _contact_box(case, coarse, state))
+    box = _contact_box(case, coarse, state)
+    cell_mm = _affordable_mm(case, box)
+    if cell_mm * _WIDEST_RATIO < _COARSE_CELL_MM:
+        middle_mm = float(np.sqrt(cell_mm * _COARSE_CELL_MM))
+        between = case.sheet(middle_mm, _RIM * middle_mm, box)
+        state = between.settle(refined(coarse, between, state), _BETWEEN)
+        coarse, box = between, _contact_box(case, between, state)
+    fine = case.sheet(cell_mm, _RIM * cell_mm, box)
     found = fine.settle(refined(coarse, fine, state), _FINE)
     check_thickness(fine, found)
     return fine, found
+
+
+def _affordable_mm(case: SheetCase, box: tuple[float, float, float, float]) -> float:
+    """Return the finest cells: wider than the thickness needs where contact is that large."""
+    if case.asked_cell:
+        return case.cell_mm
+    west, east, south, north = box
+    return max(case.cell_mm, float(np.sqrt((east - west) * (north - south) / _MOST_CELLS)))
 
 
 def _held_kpa(path: _Path, load: Press, walked: list[SheetState], most_kpa: float) -> float:
@@ -297,7 +317,7 @@ def _result(
             margin_to_rim_mm=margin_mm(
                 contact, x, y, (elastomer.length_x_mm / 2, elastomer.length_y_mm / 2)
             ),
-            cells_across=float(np.sqrt(4 / np.pi * contact.sum())) * pitch / case.cell_mm,
+            cells_across=float(np.sqrt(4 / np.pi * contact.sum())) * pitch / sheet.cell_mm,
             ridge_pitch_mm=case.ridge_pitch_mm,
         ),
         iterations=state.steps,
