@@ -190,13 +190,8 @@ class _Problem:
 
     def _residuals(self, free: FloatArray, vector: FloatArray) -> FloatArray:
         residuals = self._independent(vector + self._freedom @ free)
-        weights = self._weights()
-        return np.concatenate(
-            [
-                (residual[u] * weights).ravel()
-                for residual, u in zip(residuals, self._used, strict=True)
-            ]
-        )
+        kept = [residual[u] for residual, u in zip(residuals, self._used, strict=True)]
+        return (np.concatenate(kept) * self._weights()).ravel()
 
     def _jacobian(self, free: FloatArray, vector: FloatArray) -> FloatArray:
         now, weights = vector + self._freedom @ free, self._weights()

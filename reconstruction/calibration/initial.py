@@ -51,12 +51,8 @@ def starting_rig(observations: Sequence[Observation]) -> RigEstimate:
         )
     camera, motions = _start_camera(observations)
     _require_tilts(motions)
-    points_cam_mm = np.concatenate(
-        [
-            seen.points_mm @ T[:3, :3].T + T[:3, 3]
-            for seen, T in zip(observations, motions, strict=True)
-        ]
-    )
+    poses = zip(observations, motions, strict=True)
+    points_cam_mm = np.concatenate([seen.points_mm @ T[:3, :3].T + T[:3, 3] for seen, T in poses])
     pixels = np.concatenate([seen.projector_px for seen in observations])
     projector, motion = _start_projector(points_cam_mm, pixels, observations[0].projector_size_px)
     return RigEstimate(camera, projector, motion, motions)
@@ -150,12 +146,8 @@ def resect(points_mm: FloatArray, pixels_px: FloatArray) -> tuple[FloatArray, Fl
     X = np.column_stack([points_mm, np.ones(len(points_mm))]) @ space.T
     u, v = (np.column_stack([pixels_px, np.ones(len(pixels_px))]) @ image.T)[:, :2].T
     zero = np.zeros_like(X)
-    design = np.concatenate(
-        [
-            np.hstack([X, zero, -u[:, np.newaxis] * X]),
-            np.hstack([zero, X, -v[:, np.newaxis] * X]),
-        ]
-    )
+    upper, lower = [X, zero, -u[:, np.newaxis] * X], [zero, X, -v[:, np.newaxis] * X]
+    design = np.concatenate([np.hstack(upper), np.hstack(lower)])
     solution = np.linalg.svd(design, full_matrices=False)[2][-1].reshape(3, 4)
     P = np.linalg.inv(image) @ solution @ space
     return _decompose(P, points_mm)

@@ -8,7 +8,7 @@
 
 The stack is not compressed: xarray, MATLAB and HDFView read it as it is.
 
-Or, from a real camera, one image per frame and another kind of capture.toml: see `frame_set`.
+Or, from a real camera, one image per frame and another kind of capture.toml: see `description`.
 """
 
 from dataclasses import dataclass

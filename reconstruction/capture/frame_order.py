@@ -25,7 +25,6 @@ from reconstruction.decoding.decode import DecodeOptions, decode
 from reconstruction.errors import CaptureError
 from reconstruction.patterns import AXES, Axis, PatternFrame, PatternSet
 from reconstruction.rig.calibration import Calibration
-from reconstruction.rig.pinhole import Pinhole
 from reconstruction.rig.sensor import SensorNoise
 from reconstruction.triangulation import triangulate
 
@@ -101,15 +100,9 @@ def _sample(
 def _thinned(calibration: Calibration, stride: int, shape: tuple[int, ...]) -> Calibration:
     """Return the calibration of a camera of which only each stride-th pixel is read."""
     camera = calibration.camera
-    coarse = Pinhole(
-        shape[1],
-        shape[0],
-        camera.fx_px / stride,
-        camera.fy_px / stride,
-        camera.cx_px / stride,
-        camera.cy_px / stride,
-        camera.distortion,
-    )
+    numbers = ("fx_px", "fy_px", "cx_px", "cy_px")
+    scaled = {name: getattr(camera, name) / stride for name in numbers}
+    coarse = replace(camera, width_px=shape[1], height_px=shape[0], **scaled)
     return replace(calibration, camera=coarse)
 
 

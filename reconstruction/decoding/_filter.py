@@ -160,32 +160,18 @@ def _write(
 ) -> None:
     inside, first = slice(patch.start, patch.start + patch.cols), patch.left + patch.start
     out, spread = slice(first, first + patch.cols), blocks.spread
-    total, sigma, spare = (
-        np.zeros(patch.cols, np.float32),
-        np.zeros(patch.cols, np.float32),
-        np.zeros(patch.cols, np.float32),
-    )
+    lines = np.zeros((3, patch.cols), np.float32)
+    total, sigma, spare = lines[0], lines[1], lines[2]
     block = -1
     for row in range(patch.above, patch.above + patch.rows):
         if row // BLOCK != block:
             block = row // BLOCK
             weigh_blocks(block, smoothing, blocks)
         at = patch.top + row
-        usable, lift, coarse = (
-            planes.usable[row, inside],
-            planes.lift[row, inside],
-            planes.coarse[row, inside],
-        )
-        value = target.coordinate_px[axis, at, out]
-        give_back(
-            planes.value[row, inside],
-            usable,
-            lift,
-            coarse,
-            spread[0, inside],
-            spread[1, inside],
-            value,
-        )
+        value, usable = planes.value[row, inside], planes.usable[row, inside]
+        lift, coarse = planes.lift[row, inside], planes.coarse[row, inside]
+        whole, part = spread[0, inside], spread[1, inside]
+        give_back(value, usable, lift, coarse, whole, part, target.coordinate_px[axis, at, out])
         add_variances(
             planes.variance[row, inside], planes.gain[row, inside], smoothing.noise[0, 0],
             spread[2, inside], spread[3, inside], spread[4, inside], total,

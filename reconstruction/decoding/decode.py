@@ -96,12 +96,8 @@ def _blank_maps(rows: int, cols: int) -> Maps:
 def _smoothed(maps: Maps, options: DecodeOptions, period_px: float) -> Smoothed:
     source = Unfiltered(maps.coordinate_px, maps.sigma, maps.reason)
     if options.filter_taps == 0:
-        return Smoothed(
-            source.coordinate_px,
-            source.sigma,
-            np.zeros(source.sigma.shape, np.uint8),
-            source.reason,
-        )
+        no_bias = np.zeros(source.sigma.shape, np.uint8)
+        return Smoothed(source.coordinate_px, source.sigma, no_bias, source.reason)
     limit_px = 0.5 * float(period_px)
     return smooth(source, options.filter_taps, options.filter_sigma_px, limit_px, SIGMA_UNIT_PX)
 
@@ -140,9 +136,7 @@ def make_plan(
         units=Units(*(np.float32(BIAS / unit) for unit in units_of(sensor, scale))),
         unwrappings=(_unwrapping(patterns, column), _unwrapping(patterns, row)),
         is_chain=patterns.chain is not None,
-        scale=np.zeros((0, 0), np.float32)
-        if scale is None
-        else np.ascontiguousarray(scale, dtype=np.float32),
+        scale=np.ascontiguousarray(np.zeros((0, 0)) if scale is None else scale, np.float32),
     )
 
 

@@ -101,13 +101,8 @@ def _refined(difference: FloatImage, circle: ContactCircle) -> ContactCircle:
     radii = np.arange(0.4 * circle.radius_px, 1.3 * circle.radius_px, 0.5)
     rows = circle.row_px + np.outer(np.sin(angles), radii)
     cols = circle.col_px + np.outer(np.cos(angles), radii)
-    rays = cv2.remap(
-        difference,
-        cols.astype(np.float32),
-        rows.astype(np.float32),
-        cv2.INTER_LINEAR,
-        borderMode=cv2.BORDER_CONSTANT,
-    )
+    places = cols.astype(np.float32), rows.astype(np.float32)
+    rays = cv2.remap(difference, *places, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
     peak = np.argmax(rays, axis=1)
     height = rays[np.arange(SECTORS), peak]
     # A ray without a peak of its own rises to the end: the edge lies elsewhere or outside.

@@ -298,12 +298,7 @@ def _step_row(
 def judge_row(pixels: Pixels, match: Match, view: ProjectorView, sigma: Any, reason: Any) -> None:
     """Write the sigma of the depth, and mark coordinates that contradict the point."""
     su, sv = pixels.u_sigma, pixels.v_sigma
-    u_residual, v_residual, u_slope, v_slope = (
-        view.u_residual,
-        view.v_residual,
-        view.u_slope,
-        view.v_slope,
-    )
+    u_residual, v_residual, u_slope, v_slope, _, _ = view
     tolerance = np.float32(match.tolerance_px)
     square = np.float32(match.tolerance_sigmas * match.tolerance_sigmas)
     for col in range(sigma.size):

@@ -15,23 +15,14 @@ from typing import Any
 from twin.config.base import ConfigError
 from twin.config.models import Provenance
 
-_SCALE_TO_SI = {
-    "nm": ("length", 1e-9),
-    "um": ("length", 1e-6),
-    "mm": ("length", 1e-3),
-    "cm": ("length", 1e-2),
-    "m": ("length", 1.0),
-    "us": ("time", 1e-6),
-    "ms": ("time", 1e-3),
-    "s": ("time", 1.0),
-    "n": ("force", 1.0),
-    "mn": ("force", 1e-3),
-    "pa": ("pressure", 1.0),
-    "kpa": ("pressure", 1e3),
-    "mpa": ("pressure", 1e6),
-    "mw": ("power", 1e-3),
-    "w": ("power", 1.0),
+_UNITS = {
+    "length": {"nm": 1e-9, "um": 1e-6, "mm": 1e-3, "cm": 1e-2, "m": 1.0},
+    "time": {"us": 1e-6, "ms": 1e-3, "s": 1.0},
+    "force": {"n": 1.0, "mn": 1e-3},
+    "pressure": {"pa": 1.0, "kpa": 1e3, "mpa": 1e6},
+    "power": {"mw": 1e-3, "w": 1.0},
 }
+_SCALE_TO_SI = {unit: (kind, si) for kind, units in _UNITS.items() for unit, si in units.items()}
 _NUMBER_AND_UNIT = re.compile(r"^\s*([-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?)\s*([A-Za-zµ]+)\s*$")
 _KEYS = {"value", "source", "range"}
 
@@ -68,7 +59,7 @@ def _rescale(number: float, written: str, wanted: str, path: str) -> float:
     quantity, scale = _SCALE_TO_SI[wanted]
     found = _SCALE_TO_SI.get(written.replace("µ", "u").lower())
     if found is None or found[0] != quantity:
-        allowed = ", ".join(unit for unit, (kind, _) in _SCALE_TO_SI.items() if kind == quantity)
+        allowed = ", ".join(_UNITS[quantity])
         raise ConfigError(f"{path}: found unit '{written}', allowed for a {quantity}: {allowed}")
     # One rounding step, so that "120 um" is the same number as 0.12.
     return float(f"{number * found[1] / scale:.15g}")

@@ -28,7 +28,7 @@ class Rig:
     """What a path needs: the two devices, the projector's irradiance at 1 mm (mW/mm^2), layers.
 
     With `layers`, both devices look through them at surfaces below. Without `shadows` no shadow ray
-    is traced: for scenes in which proven nothing stands in the light (`shading`).
+    is traced: for scenes in which proven nothing stands in the light (`scene`).
     """
 
     camera: Device

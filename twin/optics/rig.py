@@ -52,30 +52,17 @@ def camera_pinhole(camera: Camera) -> Pinhole:
     image_distance_mm = f_mm * u_mm / (u_mm - f_mm)
     width_px, height_px = camera.width_px // camera.binning, camera.height_px // camera.binning
     focal_px = image_distance_mm / (camera.pixel_pitch_um * 1e-3 * camera.binning)
-    return Pinhole(
-        width_px=width_px,
-        height_px=height_px,
-        fx_px=focal_px,
-        fy_px=focal_px,
-        cx_px=(width_px - 1) / 2,
-        cy_px=(height_px - 1) / 2,
-        distortion=camera.distortion,
-    )
+    centre = (width_px - 1) / 2, (height_px - 1) / 2
+    return Pinhole(width_px, height_px, focal_px, focal_px, *centre, camera.distortion)
 
 
 def projector_pinhole(projector: Projector) -> Pinhole:
     """Pinhole of a DLP projector; 100 % offset puts the optical axis on the image's lower edge."""
-    focal_px = projector.throw_ratio * projector.width_px
-    return Pinhole(
-        width_px=projector.width_px,
-        height_px=projector.height_px,
-        fx_px=focal_px,
-        fy_px=focal_px,
-        cx_px=(projector.width_px - 1) / 2,
-        cy_px=(projector.height_px - 1) / 2
-        + projector.offset_percent / 100 * projector.height_px / 2,
-        distortion=projector.distortion,
-    )
+    width_px, height_px = projector.width_px, projector.height_px
+    focal_px = projector.throw_ratio * width_px
+    axis_row_px = (height_px - 1) / 2 + projector.offset_percent / 100 * height_px / 2
+    centre = (width_px - 1) / 2, axis_row_px
+    return Pinhole(width_px, height_px, focal_px, focal_px, *centre, projector.distortion)
 
 
 def world_from_device(pose: Pose, pinhole: Pinhole) -> FloatArray:

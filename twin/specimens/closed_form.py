@@ -187,13 +187,8 @@ class Cylinder(Shape):
         """Return the closed surface, edges rounded."""
         turn = np.linspace(0, np.pi / 2, _EDGE_STEPS)
         core, length = self.radius_mm - self.edge_radius_mm, self.half_length_mm
-        edge = np.stack(
-            (
-                core + self.edge_radius_mm * np.sin(turn),
-                length - self.edge_radius_mm * (1 - np.cos(turn)),
-            ),
-            axis=-1,
-        )
+        out, back = self.edge_radius_mm * np.sin(turn), self.edge_radius_mm * (1 - np.cos(turn))
+        edge = np.stack((core + out, length - back), axis=-1)
         if self.edge_radius_mm == 0:
             edge = edge[:1]
         line = np.concatenate(([[0.0, length]], edge, edge[::-1] * [1, -1], [[0.0, -length]]))
@@ -251,22 +246,12 @@ class Cylinder(Shape):
 @register("rod")
 def build_rod(specimen: Rod) -> Cylinder:
     """Lay a cylinder along x."""
-    return Cylinder(
-        np.zeros(3),
-        np.array([1.0, 0.0, 0.0]),
-        specimen.diameter_mm / 2,
-        specimen.length_mm / 2,
-        specimen.edge_radius_mm,
-    )
+    sizes = specimen.diameter_mm / 2, specimen.length_mm / 2, specimen.edge_radius_mm
+    return Cylinder(np.zeros(3), np.array([1.0, 0.0, 0.0]), *sizes)
 
 
 @register("flat")
 def build_flat(specimen: Flat) -> Cylinder:
     """Stand a cylinder up."""
-    return Cylinder(
-        np.zeros(3),
-        np.array([0.0, 0.0, 1.0]),
-        specimen.diameter_mm / 2,
-        specimen.height_mm / 2,
-        specimen.edge_radius_mm,
-    )
+    sizes = specimen.diameter_mm / 2, specimen.height_mm / 2, specimen.edge_radius_mm
+    return Cylinder(np.zeros(3), np.array([0.0, 0.0, 1.0]), *sizes)

@@ -18,6 +18,7 @@ from functools import cached_property
 
 import numpy as np
 from scipy import sparse
+from scipy.sparse.linalg import SuperLU, splu
 
 from reconstruction.arrays import FloatArray, IntArray
 from twin.mechanics.reference.grid import ElementGrid
@@ -202,6 +203,12 @@ class MixedBody:
         unknowns = self._element_unknowns
         width = unknowns.shape[1]
         return np.repeat(unknowns, width, axis=1).ravel(), np.tile(unknowns, width).ravel()
+
+
+def symmetric_lu(matrix: sparse.csc_array) -> SuperLU:
+    """Factorise with a symmetric ordering and without pivoting, several times faster in space."""
+    options = {"SymmetricMode": True}
+    return splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
 
 
 def _contract(operator: FloatArray, stress: FloatArray) -> FloatArray:

@@ -12,12 +12,11 @@ from typing import Any
 import numpy as np
 import skfem
 from scipy import sparse
-from scipy.sparse.linalg import splu
 from skfem.helpers import ddot, div, sym_grad
 
 from reconstruction.arrays import FloatArray, IntArray
 from twin.mechanics.errors import PressError
-from twin.mechanics.reference.mixed import moduli
+from twin.mechanics.reference.mixed import moduli, symmetric_lu
 from twin.mechanics.reference.pad import Hold, Selector
 from twin.mechanics.reference.tetrahedra import Tetrahedra
 
@@ -148,12 +147,7 @@ class ElasticBody:
     def _factor(self) -> Any:
         matrix = sparse.csc_array(self._matrix[self._free][:, self._free])
         # Quasi-definite: any symmetric ordering is stable; three times less fill than COLAMD.
-        return splu(
-            matrix,
-            permc_spec="MMD_AT_PLUS_A",
-            diag_pivot_thresh=0.0,
-            options={"SymmetricMode": True},
-        )
+        return symmetric_lu(matrix)
 
     @cached_property
     def _boundary(self) -> tuple[IntArray, FloatArray, FloatArray]:
