@@ -96,8 +96,7 @@ def write_study(
 
     Raises
     ------
-    InputError
-        The folder is no store, no case is finished, or the page cannot be written.
+    InputError : the folder is no store, no case is finished, or the page cannot be written
     """
     watch(STAGE, 0.0)
     shown = _shown(folder, read_table(folder), objectives, failed or {})

@@ -63,8 +63,7 @@ def write_uncertainty_page(
 
     Raises
     ------
-    InputError
-        The folder holds no trials, too few are finished, or the page cannot be written.
+    InputError : the folder holds no trials, too few are finished, or the page cannot be written
     """
     watch(STAGE, 0.0)
     page = _page(read_uncertainty(folder, measurands))

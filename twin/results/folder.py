@@ -135,8 +135,7 @@ def read_measurement(folder: Path) -> Measurement:
 
     Raises
     ------
-    InputError
-        The folder is no finished measurement, or a file is missing or damaged.
+    InputError : the folder is no finished measurement, or a file is missing or damaged
     """
     result = _read_result(folder)
     experiment = _read_experiment(folder / EXPERIMENT_FILE)
