@@ -23,7 +23,7 @@ import threading
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 from reconstruction.errors import InputError
 from reconstruction.machine import unwritable
@@ -44,7 +44,7 @@ from twin.output import (
 _LOCK_BITS = 62
 
 # Opened once per process: closing any handle of a file would drop all locks on it.
-_open_files: dict[Path, IO[bytes]] = {}
+_open_files: dict[Path, int] = {}
 # Record locks do not keep the threads of one process apart.
 _held: set[tuple[Path, str]] = set()
 _holding = threading.Lock()
@@ -73,9 +73,9 @@ def _release(file: Path, digest: str) -> None:
         _held.remove((file, digest))
 
 
-def _opened(file: Path) -> IO[bytes]:
+def _opened(file: Path) -> int:
     if file not in _open_files:
-        _open_files[file] = file.open("r+b")
+        _open_files[file] = os.open(file, os.O_RDWR)
     return _open_files[file]
 
 
