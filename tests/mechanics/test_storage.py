@@ -1,5 +1,7 @@
 """What is written comes back, and what is not ours is refused in one line."""
 
+import resource
+import signal
 from dataclasses import fields, replace
 from pathlib import Path
 
@@ -111,6 +113,22 @@ def test_truncated_and_other_netcdf_files_are_refused(
     for name in ("cut.nc", "other.nc"):
         with pytest.raises(PressError, match=name):
             read_press(tmp_path / name)
+
+
+def test_a_full_disk_is_an_ordinary_error_and_leaves_nothing(
+    reference_press: PressedElastomer, tmp_path: Path
+) -> None:
+    """No file may be longer than 4 kB: HDF5 is not told, and the first failure is raised."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    ignored = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (4096, before[1]))
+    try:
+        with pytest.raises(OSError, match=r"File too large: .*press\.nc"):
+            write_press(tmp_path / "press.nc", reference_press)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+        signal.signal(signal.SIGXFSZ, ignored)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_an_unwritable_place_is_refused(reference_press: PressedElastomer, tmp_path: Path) -> None:

@@ -1,4 +1,5 @@
 import shutil
+from pathlib import Path
 
 import h5netcdf
 import h5py
@@ -6,7 +7,7 @@ import numpy as np
 import pytest
 import xarray
 
-from reconstruction.capture.folder import Capture, read_capture, write_capture
+from reconstruction.capture.folder import Capture, read_capture, write_capture, write_stack
 from reconstruction.errors import CaptureError, InputError
 from reconstruction.patterns import PatternSet
 from reconstruction.rig.sensor import SensorNoise
@@ -49,6 +50,19 @@ def test_stack_is_plain_netcdf(folder, capture):
         assert data["stack"].attrs["units"] == "DN"
         assert str(data["frame_name"].values[3]) == "phase_column_03"
         np.testing.assert_array_equal(data["stack"].values, capture.stack)
+
+
+def test_frames_lie_one_after_the_other_uncompressed(folder, capture):
+    """So that any frame is one read; and nothing but the stack takes room."""
+    with h5py.File(folder / "stack.nc", "r") as file:
+        assert file["stack"].chunks is None
+        assert file["stack"].id.get_storage_size() == capture.stack.nbytes
+    assert (folder / "stack.nc").stat().st_size < capture.stack.nbytes + 50_000
+
+
+def test_a_full_disk_is_an_ordinary_error(capture):
+    with pytest.raises(OSError, match="No space left on device"):
+        write_stack(Path("/dev/full"), capture.stack, capture.patterns)
 
 
 def test_only_an_existing_empty_folder_is_written(folder, capture, tmp_path):

@@ -1,11 +1,14 @@
 """The files of a measurement are labelled data sets: dimensions, coordinates, units, long names."""
 
+import json
+import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
 import xarray
 
+from reconstruction.errors import InputError
 from twin.results.folder import read_measurement
 from twin.results.parts import read_truth, write_truth
 
@@ -44,3 +47,20 @@ def test_a_full_disk_is_an_ordinary_error(finished):
     truth = read_truth(finished / "truth.nc")
     with pytest.raises(OSError, match="No space left on device"):
         write_truth(Path("/dev/full"), truth)
+
+
+@pytest.mark.parametrize("value", ["absent", "many", ["none"]])
+def test_a_result_without_a_figure_is_refused(finished, tmp_path, value):
+    """A word, or nothing, is no figure; null is one that does not exist."""
+    folder = tmp_path / "result"
+    shutil.copytree(finished, folder)
+    result = json.loads((folder / "result.json").read_text())
+    result["metrics"]["z_rmse_um"] = None
+    (folder / "result.json").write_text(json.dumps(result))
+    assert read_measurement(folder).figures["z_rmse_um"] is None
+    result["metrics"].pop("z_rmse_um")
+    if value != "absent":
+        result["metrics"]["z_rmse_um"] = value
+    (folder / "result.json").write_text(json.dumps(result))
+    with pytest.raises(InputError, match=r"result\.json: no z_rmse_um; measure again"):
+        read_measurement(folder)

@@ -78,8 +78,7 @@ def record_board(
 
     Raises
     ------
-    MissingBackend
-        No usable Dr.Jit backend.
+    MissingBackend : no usable Dr.Jit backend
     """
     frames = render_board(experiment, board, pose)
     patterns = pattern_set(experiment.projector, experiment.patterns)
@@ -106,10 +105,8 @@ def calibrate_rendered(
 
     Raises
     ------
-    InputError
-        The board file has no poses, or the board is not recognised in one.
-    MissingBackend
-        No usable Dr.Jit backend.
+    InputError : the board file has no poses, or the board is not recognised in one
+    MissingBackend : no usable Dr.Jit backend
     """
     if not board.poses:
         raise InputError("the board file has no [[poses]]: add at least 3 (better 12) to render")
@@ -137,8 +134,8 @@ def calibrate_captures(
 
     Raises
     ------
-    InputError
-        A capture is incomplete, the board is not recognised, or the poses do not determine the rig.
+    InputError : a capture is incomplete, the board is not recognised, or the poses do not determine
+        the rig
     """
     folders = pose_folders(folder)
     seen, named, size = [], [_canonical(board), repr(options)], ""

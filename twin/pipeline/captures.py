@@ -34,8 +34,7 @@ def reconstruct_capture(
 
     Raises
     ------
-    InputError
-        The capture is incomplete or damaged, or `out` cannot be written.
+    InputError : the capture is incomplete or damaged, or `out` cannot be written
     """
     with output_folder(out, [capture_folder]) as folder:
         watch("read", 0.0)
@@ -77,9 +76,8 @@ def reconstruct_press(
 
     Raises
     ------
-    InputError
-        The description or an image is missing or damaged, no contact is found on a calibration
-        image, or `out` cannot be written.
+    InputError : the description or an image is missing or damaged, no contact is found on a
+        calibration image, or `out` cannot be written
     """
     with output_folder(out, [description]) as folder:
         watch("reconstruct", 0.0)

@@ -57,8 +57,7 @@ def fixed_exposure_ms(experiment: Experiment, background: FloatImage) -> float:
 
     Raises
     ------
-    InputError
-        Automatic exposure, and no lamp lights the coat.
+    InputError : automatic exposure, and no lamp lights the coat
     """
     brightest = as_projector_light(experiment, background).max(axis=-1)
     return choose_exposure_ms(experiment, brightest)

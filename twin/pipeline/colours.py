@@ -127,10 +127,7 @@ def measure_colours(experiment: Experiment, run: RunContext) -> Measurement:
 
     Raises
     ------
-    InputError
-        Something in the experiment cannot be pressed, rendered or fitted.
-    MissingBackend
-        No usable Dr.Jit backend.
+    InputError, MissingBackend : as `twin.pipeline.measure`
     """
     memory, clock = run.memory, run.clock
     check_sensor(experiment)
@@ -169,12 +166,9 @@ def calibrated_sensor(
 
     Raises
     ------
-    FitError
-        A press without a contact circle, or too few presses.
-    InputError
-        No lamps; or a pose, lens or exposure that this method does not take.
-    MissingBackend
-        No usable Dr.Jit backend.
+    FitError : a press without a contact circle, or too few presses
+    InputError : no lamps; or a pose, lens or exposure that this method does not take
+    MissingBackend : no usable Dr.Jit backend
     """
     check_sensor(experiment)
     coat, calibrations = _calibrated(experiment, memory or Memory())
@@ -187,8 +181,7 @@ def check_sensor(experiment: Experiment) -> None:
 
     Raises
     ------
-    InputError
-        No lamps, a camera that leans, or depth of field.
+    InputError : no lamps, a camera that leans, or depth of field
     """
     if not experiment.lamps:
         raise InputError("lamps: found none; photometric stereo needs [lamps.NAME] beside the gel")

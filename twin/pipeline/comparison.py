@@ -66,8 +66,7 @@ def case_for(experiment: Experiment, method: Method, plan: PhotometricPlan) -> E
 
     Raises
     ------
-    InputError
-        The rig cannot be used, or the experiment's own press fails.
+    InputError : the rig cannot be used, or the experiment's own press fails
     """
     if TRAITS[method].fringes or experiment.lamps:
         return vary(experiment, {"modality": method})
@@ -166,8 +165,7 @@ def methods_named(text: str) -> tuple[Method, ...]:
 
     Raises
     ------
-    InputError
-        An unknown method, one named twice, or none.
+    InputError : an unknown method, one named twice, or none
     """
     names = [name.strip() for name in text.split(",")]
     known: dict[str, Method] = {method: method for method in METHODS}
@@ -217,10 +215,8 @@ def compare(
 
     Raises
     ------
-    InputError
-        Two experiments of one name, or `out` is no comparison or cannot be written.
-    MissingBackend
-        No usable Dr.Jit backend.
+    InputError : two experiments of one name, or `out` is no comparison or cannot be written
+    MissingBackend : no usable Dr.Jit backend
     """
     _refuse_namesakes(experiments)
     claim(out, COMMAND, _NAMES, inputs)
@@ -235,8 +231,7 @@ def read_outcomes(folder: Path) -> list[Outcome]:
 
     Raises
     ------
-    InputError
-        The folder holds none, or its result is damaged.
+    InputError : the folder holds none, or its result is damaged
     """
     result = read_json(folder / RESULT_FILE)
     if result.get("command") != COMMAND:

@@ -56,8 +56,7 @@ def dimensions(folder: Path, shape: Shape, region: Region) -> dict[str, float]:
 
     Raises
     ------
-    InputError
-        No points, or none that determine the shape.
+    InputError : no points, or none that determine the shape
     """
     file = folder / RECONSTRUCTION_FILE
     if not file.exists():

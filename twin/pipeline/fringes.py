@@ -58,10 +58,7 @@ def measure_fringes(experiment: Experiment, run: RunContext) -> Measurement:
 
     Raises
     ------
-    InputError
-        Something in the experiment cannot be pressed, rendered or fitted.
-    MissingBackend
-        No usable Dr.Jit backend.
+    InputError, MissingBackend : as `twin.pipeline.measure`
     """
     pressed, capture = _taken(experiment, run)
     with run.clock.stage("reconstruct"):
@@ -109,10 +106,8 @@ def take(
 
     Raises
     ------
-    InputError
-        Something in the experiment cannot be pressed or rendered.
-    MissingBackend
-        No usable Dr.Jit backend.
+    InputError : something in the experiment cannot be pressed or rendered
+    MissingBackend : no usable Dr.Jit backend
     """
     pressed, capture = _taken(experiment, RunContext.alone(clock, trial))
     return pressed, capture.value
@@ -128,10 +123,9 @@ def record(
 
     Raises
     ------
-    InputError
-        The coat is seen through a gel (contact-face layout) that the experiment does not describe.
-    MissingBackend
-        No usable Dr.Jit backend.
+    InputError : the coat is seen through a gel (contact-face layout) that the experiment does not
+        describe
+    MissingBackend : no usable Dr.Jit backend
     """
     return _recorded(experiment, PressedFace.of(pressed), RunContext.alone(clock, trial)).value
 
@@ -148,10 +142,8 @@ def render(
 
     Raises
     ------
-    MissingBackend
-        No usable Dr.Jit backend.
-    InputError
-        The stock engine cannot express the experiment.
+    MissingBackend : no usable Dr.Jit backend
+    InputError : the stock engine cannot express the experiment
     """
     activate()
     from twin.pipeline import trace
@@ -170,11 +162,9 @@ def render_bare(
 
     Raises
     ------
-    InputError
-        A part has no material, or the stock engine was asked for: it shows everything behind clear
-        bodies black.
-    MissingBackend
-        No usable Dr.Jit backend.
+    InputError : a part has no material, or the stock engine was asked for: it shows everything
+        behind clear bodies black
+    MissingBackend : no usable Dr.Jit backend
     """
     return _rendered(experiment, None, Memory() if memory is None else memory, progress).value
 

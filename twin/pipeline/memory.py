@@ -187,8 +187,7 @@ class Kept(Generic[Result]):
 
         Raises
         ------
-        InputError
-            The stage refused: it would again.
+        InputError : the stage refused: it would again
         """
         if isinstance(self.outcome, InputError):
             raise self.outcome

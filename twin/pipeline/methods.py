@@ -28,10 +28,8 @@ def measure(
 
     Raises
     ------
-    InputError
-        Something in the experiment cannot be pressed, rendered or fitted.
-    MissingBackend
-        No usable Dr.Jit backend.
+    InputError : something in the experiment cannot be pressed, rendered or fitted
+    MissingBackend : no usable Dr.Jit backend
     """
     run = RunContext(Memory() if memory is None else memory, Stopwatch(watch), trial)
     by_method = measure_fringes if experiment.method.fringes else measure_colours
@@ -49,8 +47,7 @@ def measure_into(
 
     Raises
     ------
-    InputError, MissingBackend
-        As `measure`.
+    InputError, MissingBackend : as `measure`
     """
     done = measure(experiment, watch, memory)
     watch("write", 0.0)
@@ -66,8 +63,7 @@ def check_measurable(experiment: Experiment) -> None:
 
     Raises
     ------
-    InputError
-        What cannot be pressed or rendered, and what to change.
+    InputError : what cannot be pressed or rendered, and what to change
     """
     method = experiment.method
     if method.presses:

@@ -38,8 +38,7 @@ def press(experiment: Experiment, memory: Memory) -> PressedFace:
 
     Raises
     ------
-    InputError
-        The press is refused, or its solver does not converge.
+    InputError : the press is refused, or its solver does not converge
     """
     smooth, token = _smooth(experiment, memory)
     made_from = token, smooth.pressed.young_modulus_kpa
@@ -97,8 +96,7 @@ def transfer_of(experiment: Experiment, pressed: PressedElastomer) -> ContactTra
 
     Raises
     ------
-    PressError
-        A thin sheet without back pressure.
+    PressError : a thin sheet without back pressure
     """
     if pressed.model != "sheet":
         return contact_transfer(experiment.elastomer)

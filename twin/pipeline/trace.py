@@ -61,8 +61,7 @@ def load_face(experiment: Experiment, face: "trimesh.Trimesh") -> Geometry:
 
     Raises
     ------
-    InputError
-        The face pokes through the layers that it is seen through.
+    InputError : the face pokes through the layers that it is seen through
     """
     # A mesh of trimesh and a traversal of Mitsuba hold themselves: the face before this one, up to
     # 70 MB, would stay until Python looks for such cycles by itself.
@@ -75,8 +74,7 @@ def load_bare(experiment: Experiment) -> Geometry:
 
     Raises
     ------
-    InputError
-        A part of the specimen has no material.
+    InputError : a part of the specimen has no material
     """
     built = direct_scene(experiment)
     return Geometry(built.scene, built.surfaces)
@@ -101,8 +99,7 @@ def photons_of(experiment: Experiment, geometry: Geometry, view: View) -> Photon
 
     Raises
     ------
-    InputError
-        Blur that grows with the distance.
+    InputError : blur that grows with the distance
     """
     if not geometry.surfaces.sharp:
         return None
@@ -136,8 +133,7 @@ def light_with_stock(
 
     Raises
     ------
-    InputError
-        Stock Mitsuba cannot express the experiment.
+    InputError : stock Mitsuba cannot express the experiment
     """
     check_stock(experiment)
     assert geometry.face is not None

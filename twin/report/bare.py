@@ -18,8 +18,8 @@ from twin.report.camera_images import (
     white_frame,
 )
 from twin.report.canvas import axes_at, drawing
-from twin.report.experiment import glance, result_in_words
-from twin.report.page import Block, Figure, Grade, Section, Verdict
+from twin.report.experiment import GOOD_SHARE, POOR_SHARE, glance, grade_of_share, result_in_words
+from twin.report.page import Block, Figure, Section, Verdict
 from twin.report.pixel_panels import (
     REASON_COLOURS,
     shading_words,
@@ -36,7 +36,6 @@ from twin.results.record import Measurement
 from twin.results.score import wanted_pixels
 
 METHOD, WARNED = "direct FPP", "Not everything could be fitted"
-GOOD_SHARE, POOR_SHARE = 0.95, 0.5
 
 REASON_WORDS = {
     Reason.DARK: "no projector light comes back",
@@ -115,12 +114,11 @@ def missing_shares(scored: Measurement) -> dict[Reason, float]:
 
 def _coverage(scored: Measurement) -> Verdict:
     figures, limit_um = scored.figures, scored.experiment.score.good_within_um
-    share, absent = figures["good_share"] or 0.0, why_absent(figures)
-    measured: Grade = "good" if share >= GOOD_SHARE else "check"
+    absent = why_absent(figures)
     return Verdict(
         question="How much of the specimen is measured?",
         headline=f"{percent(figures['good_share'])} within {limit_um:g}\N{NO-BREAK SPACE}µm",
-        grade="poor" if share < POOR_SHARE else measured,
+        grade=grade_of_share(figures["good_share"] or 0.0),
         reasons=(
             f"{result_in_words(scored)} Good from {GOOD_SHARE:.0%}, poor below {POOR_SHARE:.0%}",
             f"a point, good or not, on {percent(figures['completeness'])}",
@@ -134,11 +132,10 @@ def _missing(scored: Measurement) -> Verdict:
     missing = missing_shares(scored)
     lost = float(np.sum(list(missing.values())))
     first = next(iter(missing), None)
-    measured: Grade = "good" if lost <= 1 - GOOD_SHARE else "check"
     return Verdict(
         question="Why do the other pixels have no point?",
         headline=REASON_WORDS[first] if first else "all pixels have one",
-        grade="poor" if lost > 1 - POOR_SHARE else measured,
+        grade=grade_of_share(1.0 - lost),
         reasons=tuple(f"{REASON_WORDS[r]}: {percent(share)}" for r, share in missing.items())
         or ("every pixel that shows the specimen has a point",),
     )

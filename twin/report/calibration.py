@@ -35,8 +35,7 @@ def draw_calibration(folder: Path, done: BoardCalibration) -> None:
 
     Raises
     ------
-    InputError
-        A picture cannot be written.
+    InputError : a picture cannot be written
     """
     draw_residuals(folder / RESIDUALS_FILE, done)
     draw_poses(folder / POSES_FILE, done)

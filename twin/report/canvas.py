@@ -81,8 +81,7 @@ def drawing(path: Path, width_in: float, height_in: float) -> Iterator[Figure]:
 
     Raises
     ------
-    InputError
-        `path` cannot be written.
+    InputError : `path` cannot be written
     """
     with _styled(_STYLE, width_in, height_in) as figure:
         yield figure
@@ -95,8 +94,7 @@ def printing(stem: Path, width_in: float, height_in: float) -> Iterator[Figure]:
 
     Raises
     ------
-    InputError
-        The files cannot be written.
+    InputError : the files cannot be written
     """
     with _styled(_PRINT, width_in, height_in) as figure:
         yield figure

@@ -76,9 +76,8 @@ def write_comparison(
 
     Raises
     ------
-    InputError
-        The folder is no finished comparison, a file is missing or damaged, or the page cannot be
-        written.
+    InputError : the folder is no finished comparison, a file is missing or damaged, or the page
+        cannot be written
     """
     watch(STAGE, 0.0)
     outcomes = read_outcomes(folder)

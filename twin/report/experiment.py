@@ -21,7 +21,7 @@ from twin.config.models import Experiment, Provenance
 from twin.optics.light import pattern_set
 from twin.optics.rig import true_calibration
 from twin.report.canvas import FIT, INK, MEASURED, NOMINAL, axes_at, chart, drawing
-from twin.report.page import Beside, Figure, Section
+from twin.report.page import Beside, Figure, Grade, Section
 from twin.report.table import Column, Table, pairs, parts
 from twin.report.words import coating_phrase, in_words, label_of, percent, phrase, split_unit
 from twin.results.decoders import decoder_name
@@ -176,6 +176,15 @@ class Setting:
     source: str
     range: str
     assumed: bool
+
+
+GOOD_SHARE, POOR_SHARE = 0.95, 0.5
+
+
+def grade_of_share(share: float) -> Grade:
+    """Judge the share of what is scored that has a good point."""
+    measured: Grade = "good" if share >= GOOD_SHARE else "check"
+    return "poor" if share < POOR_SHARE else measured
 
 
 def result_in_words(measured: Measurement) -> str:

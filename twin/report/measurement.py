@@ -44,9 +44,8 @@ def write_report(
 
     Raises
     ------
-    InputError
-        The folder is no finished measurement, a file is missing or damaged, or the page cannot
-        be written.
+    InputError : the folder is no finished measurement, a file is missing or damaged, or the page
+        cannot be written
     """
     watch(STAGE, 0.0)
     return write_page((into or folder) / REPORT_FILE, page_of(read_measurement(folder)), watch)
@@ -72,8 +71,7 @@ def summary_table(folder: Path) -> str:
 
     Raises
     ------
-    InputError
-        The folder is no finished measurement, or a file is missing or damaged.
+    InputError : the folder is no finished measurement, or a file is missing or damaged
     """
     measured = read_measurement(folder)
     fits = fit_table(measured, decoders=False)

@@ -131,8 +131,7 @@ def write_page(path: Path, page: Page, watch: ProgressCallback = no_progress) ->
 
     Raises
     ------
-    InputError
-        A figure or the page cannot be written.
+    InputError : a figure or the page cannot be written
     """
     folder = figures_folder(path.parent)
     drawn = [figure for section in page.sections for figure in figures_in(section)]
@@ -156,8 +155,7 @@ def figures_folder(folder: Path) -> Path:
 
     Raises
     ------
-    InputError
-        It cannot be made.
+    InputError : it cannot be made
     """
     figures = folder / FIGURES_FOLDER
     try:

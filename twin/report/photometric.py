@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from pathlib import Path
 
-from twin.report.experiment import glance, result_in_words
+from twin.report.experiment import GOOD_SHARE, POOR_SHARE, glance, grade_of_share, result_in_words
 from twin.report.page import Beside, Figure, Grade, Note, Section, Verdict
 from twin.report.photometric_figures import (
     draw_errors,
@@ -25,7 +25,6 @@ from twin.results.record import Measurement
 METHOD = "photometric stereo"
 WARNED = "The press leaves the range of its model, or not everything could be fitted"
 GOOD_SCALE_ERROR, POOR_SCALE_ERROR = 0.05, 0.2
-GOOD_SHARE, POOR_SHARE = 0.95, 0.5
 _DECODERS = (
     Column("name", "colour map, integration"),
     Column("scale", "height scale", 3),
@@ -147,11 +146,10 @@ def sentences(seen: Measurement) -> list[str]:
 def _of_heights(seen: Measurement) -> Verdict:
     figures, limit_um = seen.figures, seen.experiment.score.good_within_um
     share = figures.known("good_share")
-    measured: Grade = "good" if share >= GOOD_SHARE else "check"
     return Verdict(
         question="Is the coat measured?",
         headline=f"{figures['z_rmse_um']:.1f}\N{NO-BREAK SPACE}µm RMS in z",
-        grade="poor" if share < POOR_SHARE else measured,
+        grade=grade_of_share(share),
         reasons=(
             f"{percent(share)} of the field within {limit_um:g} µm (good from {GOOD_SHARE:.0%}, "
             f"poor below {POOR_SHARE:.0%})",

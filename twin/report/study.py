@@ -96,8 +96,7 @@ def write_study(
 
     Raises
     ------
-    InputError
-        The folder is no store, no case is finished, or the page cannot be written.
+    InputError : the folder is no store, no case is finished, or the page cannot be written
     """
     watch(STAGE, 0.0)
     shown = _shown(folder, read_table(folder), objectives, failed or {})
@@ -286,28 +285,21 @@ def _columns(names: Sequence[str]) -> list[Column]:
 
 def _row(row: Row, columns: Sequence[str]) -> dict[str, str]:
     state, digest, reason = str(row["state"]), str(row["case"]), str(row["reason"] or "")
+    there = state in ("done", "failed")
+    file = "failure.json" if state == "failed" else "result.json"
     if state != "done":
         reason = f"{state}: {reason}" if reason else state
     feasible = row["feasible"]
     return {name: _text(row.get(name)) for name in columns} | {
         "feasible": "" if feasible is None else ("yes" if feasible else "no"),
-        "case": _link(digest, state),
-        "experiment": _experiment(digest, state),
+        "case": _link(digest, file, digest) if there else digest,
+        "experiment": _link(digest, "experiment.toml", "experiment") if there else "",
         "remark": reason,
     }
 
 
-def _link(digest: str, state: str) -> str:
-    if state not in ("done", "failed"):
-        return digest
-    file = "failure.json" if state == "failed" else "result.json"
-    return Markup('<a href="cases/{0}/{1}">{0}</a>').format(digest, file)
-
-
-def _experiment(digest: str, state: str) -> str:
-    if state not in ("done", "failed"):
-        return ""
-    return Markup('<a href="cases/{}/experiment.toml">experiment</a>').format(digest)
+def _link(digest: str, file: str, text: str) -> str:
+    return Markup('<a href="cases/{}/{}">{}</a>').format(digest, file, text)
 
 
 def _is_number(rows: Sequence[Row], name: str) -> bool:

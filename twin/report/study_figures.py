@@ -209,21 +209,25 @@ def draw_effects(path: Path, effects: Mapping[str, Sequence[Effect]], method: st
         for metric, found in effects.items():
             height = 0.28 * len(found)
             place = axes_at(figure, 1.9, top, 4.6, height)
-            at = np.arange(len(found))[::-1]
-            place.barh(at, [e.value for e in found], 0.6, color=MEASURED)
-            spread = [
-                [max(0.0, e.value - e.low) for e in found],
-                [max(0.0, e.high - e.value) for e in found],
-            ]
-            if method != "grid":
-                place.errorbar([e.value for e in found], at, xerr=spread, fmt="none", ecolor=INK)
-                totals = np.array([np.nan if e.total is None else e.total for e in found])
-                place.plot(totals, at, "d", color=FIT, markersize=4)
-            place.set_yticks(at, [e.axis for e in found])
+            draw_effect_bars(place, found, intervals=method != "grid")
             place.set_title(metric, fontsize=8.5)
             place.set_xlim(left=0.0, right=None if method == "morris" else 1.05)
-            plain_spines(place)
             top += height + 0.75
+
+
+def draw_effect_bars(place: Axes, effects: Sequence[Effect], intervals: bool = True) -> None:
+    """Draw one bar per axis, the first on top; with intervals, and totals as diamonds."""
+    at = np.arange(len(effects))[::-1]
+    value = np.array([e.value for e in effects])
+    place.barh(at, value, 0.6, color=MEASURED)
+    if intervals:
+        ends = np.array([[e.low, e.high] for e in effects]).T
+        reach = np.maximum((ends - value) * [[-1.0], [1.0]], 0.0)
+        place.errorbar(value, at, xerr=reach, fmt="none", ecolor=INK)
+        totals = [np.nan if e.total is None else e.total for e in effects]
+        place.plot(totals, at, "d", color=FIT, markersize=4)
+    place.set_yticks(at, [e.axis for e in effects])
+    plain_spines(place)
 
 
 @dataclass(frozen=True)

@@ -115,8 +115,7 @@ class Table:
 
         Raises
         ------
-        KeyError
-            There is none.
+        KeyError : there is none
         """
         for row in self.rows:
             if all(row.get(key) == value for key, value in wanted.items()):

@@ -1,6 +1,7 @@
 """The report of an uncertainty: distributions with their intervals, convergence, ranked budgets."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -21,6 +22,7 @@ from twin.report.canvas import (
     plain_spines,
 )
 from twin.report.page import REPORT_FILE, STAGE, Block, Figure, Note, Page, Section, write_page
+from twin.report.study_figures import draw_effect_bars
 from twin.report.table import Column, Row, Table
 from twin.report.words import NONE, label_of, split_unit
 from twin.study.trials import standard_uncertainty
@@ -63,8 +65,7 @@ def write_uncertainty_page(
 
     Raises
     ------
-    InputError
-        The folder holds no trials, too few are finished, or the page cannot be written.
+    InputError : the folder holds no trials, too few are finished, or the page cannot be written
     """
     watch(STAGE, 0.0)
     page = _page(read_uncertainty(folder, measurands))
@@ -320,18 +321,9 @@ def draw_budget(path: Path, one: Measurand) -> None:
 
 
 def _draw_effects(axes: Axes, one: Measurand) -> None:
-    effects = sorted(one.effects, key=lambda effect: -(effect.total or 0.0))
-    at = np.arange(len(effects))[::-1]
-    value = np.array([effect.value for effect in effects])
-    reach = [
-        [max(e.value - e.low, 0.0) for e in effects],
-        [max(e.high - e.value, 0.0) for e in effects],
-    ]
-    axes.barh(at, value, xerr=reach, color=MEASURED_FILL, ecolor=FAINT, height=0.7)
-    axes.plot([effect.total or 0.0 for effect in effects], at, "D", color=MEASURED, ms=4)
-    axes.set_yticks(at, [effect.axis.replace("_", " ") for effect in effects])
-    axes.set(xlabel="Sobol' index", xlim=(min(0.0, float(value.min())), 1.05))
-    plain_spines(axes)
+    ordered = sorted(one.effects, key=lambda effect: -(effect.total or 0.0))
+    draw_effect_bars(axes, [replace(e, axis=e.axis.replace("_", " ")) for e in ordered])
+    axes.set(xlabel="Sobol' index", xlim=(min(0.0, *(e.value for e in ordered)), 1.05))
 
 
 def _axis_label(name: str) -> str:

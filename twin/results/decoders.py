@@ -61,8 +61,7 @@ def decode_all(
 
     Raises
     ------
-    FitError
-        No pixel of the field carries a height.
+    FitError : no pixel of the field carries a height
     """
     return [
         decode_one(experiment, image, calibrations[kind], (kind, integration), truth)

@@ -38,8 +38,7 @@ class Figures(Mapping[str, float | None]):
 
         Raises
         ------
-        InputError
-            It does not, and why.
+        InputError : it does not, and why
         """
         value = self._values.get(name)
         if value is None:

@@ -55,7 +55,7 @@ from twin.mechanics import read_press
 from twin.optics.stack import Truth
 from twin.output import EXPERIMENT_FILE, RESULT_FILE, read_json
 from twin.results.decoders import DecodedImage, chosen, decode_all
-from twin.results.figures import Metrics
+from twin.results.figures import Figures, Metrics
 from twin.results.parts import (
     CAPTURE_FOLDER,
     TIMINGS_FILE,
@@ -135,8 +135,7 @@ def read_measurement(folder: Path) -> Measurement:
 
     Raises
     ------
-    InputError
-        The folder is no finished measurement, or a file is missing or damaged.
+    InputError : the folder is no finished measurement, or a file is missing or damaged
     """
     result = _read_result(folder)
     experiment = _read_experiment(folder / EXPERIMENT_FILE)
@@ -230,8 +229,9 @@ def _read_result(folder: Path) -> dict[str, Any]:
     return result
 
 
-def _require(folder: Path, figures: dict[str, Any], names: tuple[str, ...]) -> None:
-    missing = sorted(name for name in names if name not in figures)
+def _require(folder: Path, figures: Metrics, names: tuple[str, ...]) -> None:
+    """Refuse a result that lacks figures, or has words in their place."""
+    missing = sorted(set(names) - set(Figures(figures)) - ({"warnings"} & set(figures)))
     if missing:
         raise InputError(f"{folder / RESULT_FILE}: no {', '.join(missing)}; measure again")
 

@@ -149,8 +149,7 @@ def read_truth(path: Path) -> Truth:
 
     Raises
     ------
-    InputError
-        The file is missing, damaged or something else.
+    InputError : the file is missing, damaged or something else
     """
     try:
         found = read_dataset(path)
@@ -276,8 +275,7 @@ def face_figures(experiment: Experiment, pressed: PressedElastomer) -> dict[str,
 
     Raises
     ------
-    FitError
-        A ball's region holds too few nodes.
+    FitError : a ball's region holds too few nodes
     """
     points = face_points_mm(pressed)
     found = press_metrics(pressed) | rod_figures(experiment, points)
@@ -299,8 +297,7 @@ def cap_fit(points_mm: FloatArray, ball: Sphere, roi_radius_mm: float) -> Sphere
 
     Raises
     ------
-    FitError
-        Too few points.
+    FitError : too few points
     """
     lateral = np.hypot(points_mm[:, 0] - ball.x_mm, points_mm[:, 1] - ball.y_mm)
     return fit_sphere(points_mm[lateral <= roi_radius_mm])

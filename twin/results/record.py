@@ -78,8 +78,7 @@ class Fringes:
 
         Raises
         ------
-        CaptureError
-            The folder is incomplete or damaged.
+        CaptureError : the folder is incomplete or damaged
         """
         return read_capture(self.stored) if isinstance(self.stored, Path) else self.stored
 

@@ -39,8 +39,7 @@ class RodSection:
 
         Raises
         ------
-        FitError
-            No crest with a valley on both sides.
+        FitError : no crest with a valley on both sides
         """
         low, high = self.valleys()
         inside = slice(low, high + 1)

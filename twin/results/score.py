@@ -142,8 +142,7 @@ def score_heights(experiment: Experiment, heights: HeightMap, truth: Truth) -> S
 
     Raises
     ------
-    FitError
-        No pixel of the field carries a height.
+    FitError : no pixel of the field carries a height
     """
     found_mm, wanted = in_world(heights), wanted_pixels(experiment, truth)
     both = wanted & heights.valid
@@ -315,8 +314,7 @@ def score_sphere(
 
     Raises
     ------
-    FitError
-        The region holds too few valid points to fix a sphere and leave a residual.
+    FitError : the region holds too few valid points to fix a sphere and leave a residual
     """
     count = int(roi.sum())
     if count < _LEAST_SPHERE_POINTS:

@@ -29,8 +29,7 @@ def points_of(study: Study) -> list[Point]:
 
     Raises
     ------
-    InputError
-        More points than a study may have, or a study that finds its points as it goes.
+    InputError : more points than a study may have, or a study that finds its points as it goes
     """
     method = study.sampling.method
     if method in ("optimise", "trials"):
@@ -168,10 +167,8 @@ def cases_of(study: Study, base: Experiment, points: Iterable[Point] | None = No
 
     Raises
     ------
-    ConfigError
-        Cases that are no valid experiment: each problem once, with a case that has it.
-    InputError
-        Too many points.
+    ConfigError : cases that are no valid experiment: each problem once, with a case that has it
+    InputError : too many points
     """
     cases, excluded = [], 0
     problems: dict[str, str] = {}

@@ -99,8 +99,7 @@ class Run:
 
         Raises
         ------
-        MissingBackend
-            No usable Dr.Jit backend.
+        MissingBackend : no usable Dr.Jit backend
         """
         start = time.perf_counter()
         self._reports = {}

@@ -95,8 +95,7 @@ def calibrated(
 
     Raises
     ------
-    InputError, MissingBackend
-        As `calibrate_rendered`.
+    InputError, MissingBackend : as `calibrate_rendered`
     """
     shown, path = load_board(board), folder / CALIBRATION_FILE
     mark: dict[str, Any] = {
@@ -189,10 +188,7 @@ class CaseMeasurer:
 
         Raises
         ------
-        InputError
-            Something in the experiment cannot be pressed, rendered or fitted.
-        MissingBackend
-            No usable Dr.Jit backend.
+        InputError, MissingBackend : as `twin.pipeline.measure`
         """
         if conditions.face_only:
             return Answer(face_figures(experiment, press(experiment, self.memory).pressed))

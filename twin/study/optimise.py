@@ -43,9 +43,8 @@ def optimise(record: StudyRecord, folder: Path, run: RunCases) -> list[SweepOutc
 
     Raises
     ------
-    InputError
-        Optuna is not installed, an objective is no figure of the cases, or no point is a valid
-        experiment that the constraints admit.
+    InputError : optuna is not installed, an objective is no figure of the cases, or no point is a
+        valid experiment that the constraints admit
     """
     plan = record.study.optimise
     if plan is None:

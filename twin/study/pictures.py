@@ -69,8 +69,7 @@ def picture_best(
 
     Raises
     ------
-    InputError
-        The folder is no store, or it cannot be written.
+    InputError : the folder is no store, or it cannot be written
     """
     table = read_table(folder)
     goals = goals_of(table, objectives)
@@ -90,8 +89,7 @@ def pictures_of(
 
     Raises
     ------
-    InputError
-        The store cannot be written.
+    InputError : the store cannot be written
     """
     found: dict[str, CasePicture] = {}
     failed: dict[str, str] = {}
@@ -134,10 +132,7 @@ def take_picture(experiment: Experiment, memory: Memory) -> CasePicture:
 
     Raises
     ------
-    InputError
-        Something in the experiment cannot be pressed, rendered or fitted.
-    MissingBackend
-        No usable Dr.Jit backend.
+    InputError, MissingBackend : as `twin.pipeline.measure`
     """
     return picture_of(measure(experiment, memory=memory))
 
@@ -168,8 +163,7 @@ def write_picture(path: Path, picture: CasePicture) -> None:
 
     Raises
     ------
-    InputError
-        It cannot be written.
+    InputError : it cannot be written
     """
     with replacing(path) as part:
         path.parent.mkdir(exist_ok=True)

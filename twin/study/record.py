@@ -37,8 +37,7 @@ def write_record(folder: Path, record: StudyRecord) -> None:
 
     Raises
     ------
-    InputError
-        The store cannot be written, or holds another study.json.
+    InputError : the store cannot be written, or holds another study.json
     """
     labels = None
     if record.points is not None:
@@ -58,8 +57,7 @@ def read_record(folder: Path) -> StudyRecord:
 
     Raises
     ------
-    InputError
-        It is missing or damaged.
+    InputError : it is missing or damaged
     """
     content = read_json(folder / STUDY_FILE)
     try:

@@ -23,7 +23,7 @@ import threading
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 from reconstruction.errors import InputError
 from reconstruction.machine import unwritable
@@ -44,27 +44,10 @@ from twin.output import (
 _LOCK_BITS = 62
 
 # Opened once per process: closing any handle of a file would drop all locks on it.
-_open_files: dict[Path, IO[bytes]] = {}
+_open_files: dict[Path, int] = {}
 # Record locks do not keep the threads of one process apart.
 _held: set[tuple[Path, str]] = set()
 _holding = threading.Lock()
-
-
-@contextmanager
-def claimed(file: Path, digest: str) -> Iterator[bool]:
-    """Hold a case; yields False when another process or thread holds it.
-
-    Raises
-    ------
-    InputError
-        The file system has no record locks.
-    """
-    mine = _claim(file, digest)
-    try:
-        yield mine
-    finally:
-        if mine:
-            _release(file, digest)
 
 
 def _claim(file: Path, digest: str) -> bool:
@@ -90,9 +73,9 @@ def _release(file: Path, digest: str) -> None:
         _held.remove((file, digest))
 
 
-def _opened(file: Path) -> IO[bytes]:
+def _opened(file: Path) -> int:
     if file not in _open_files:
-        _open_files[file] = file.open("r+b")
+        _open_files[file] = os.open(file, os.O_RDWR)
     return _open_files[file]
 
 
@@ -119,9 +102,8 @@ class Store:
 
         Raises
         ------
-        InputError
-            The folder is something else, cannot be written, or was made by other versions; or an
-            input lies in it, see `claim`.
+        InputError : the folder is something else, cannot be written, or was made by other versions;
+            or an input lies in it, see `claim`
         """
         claim(self.folder, COMMAND, _NAMES, inputs)
         try:
@@ -157,8 +139,7 @@ class Store:
 
         Raises
         ------
-        InputError
-            Its folder holds what `twin` did not write.
+        InputError : its folder holds what `twin` did not write
         """
         case = self.path_of(digest)
         found = foreign(case, read_manifest(case), changed=False) if case.is_dir() else None
@@ -192,11 +173,15 @@ class Store:
 
         Raises
         ------
-        InputError
-            The file system has no record locks.
+        InputError : the file system has no record locks
         """
-        with claimed(self.folder / _LOCKS, digest) as mine:
+        file = self.folder / _LOCKS
+        mine = _claim(file, digest)
+        try:
             yield mine
+        finally:
+            if mine:
+                _release(file, digest)
 
     def abandoned(self) -> list[str]:
         """Remove what dead processes left half-written; return the digests of their cases."""
@@ -234,8 +219,7 @@ class Store:
 
         Raises
         ------
-        InputError
-            They are of others.
+        InputError : they are of others
         """
         known, now = read_json(self.folder / STORE_FILE).get("versions", {}), versions()
         changed = [name for name in now if name != "python" and known.get(name) != now[name]]

@@ -196,10 +196,8 @@ def sweep(
 
     Raises
     ------
-    InputError
-        The folder cannot be used.
-    MissingBackend
-        No usable Dr.Jit backend.
+    InputError : the folder cannot be used
+    MissingBackend : no usable Dr.Jit backend
     """
 
     def run(of: StudyRecord, batch: Cases) -> SweepOutcome:
@@ -243,8 +241,11 @@ def _session(
     *,
     retry: bool,
 ) -> Iterator[_Session]:
-    with _tidied(store), lasting(workers) as kept:
-        yield _Session(store, Run(store, kept, keep, make, watch, Index(store).enter), retry)
+    try:
+        with lasting(workers) as kept:
+            yield _Session(store, Run(store, kept, keep, make, watch, Index(store).enter), retry)
+    finally:
+        store.abandoned()  # what workers left that were ended at once
 
 
 def _measuring(record: StudyRecord, folder: Path, watch: ProgressCallback) -> Measuring:
@@ -276,15 +277,6 @@ def _standing(index: Index, asked: Sequence[str]) -> dict[str, Any]:
         if entry.state == "failed":
             failures.setdefault(entry.reason, []).append(entry.digest)
     return {"finished": sum(entry.state == "done" for entry in found), "failures": failures}
-
-
-@contextmanager
-def _tidied(store: Store) -> Iterator[None]:
-    """Remove at the end what workers left that were ended at once."""
-    try:
-        yield
-    finally:
-        store.abandoned()
 
 
 def told(found: Estimate) -> str:
@@ -347,8 +339,7 @@ def probes_of(record: StudyRecord) -> list[Case]:
 
     Raises
     ------
-    ConfigError
-        None of them is a valid experiment that the constraints admit.
+    ConfigError : none of them is a valid experiment that the constraints admit
     """
     cases, told = list[Case](), ""
     for point in dict(_along_axes(record)).values():

@@ -60,8 +60,7 @@ def read_table(folder: Path) -> StudyTable:
 
     Raises
     ------
-    InputError
-        The folder is no store, or a metric that the study names is in no case.
+    InputError : the folder is no store, or a metric that the study names is in no case
     """
     store = Store(folder)
     if not store.exists():
@@ -133,8 +132,7 @@ def write_csv(table: StudyTable, path: Path) -> None:
 
     Raises
     ------
-    InputError
-        The file exists or cannot be written.
+    InputError : the file exists or cannot be written
     """
     with creating(path) as part:
         part.write_text(csv_text(table), encoding="utf-8", newline="")
@@ -151,8 +149,7 @@ def write_parquet(table: StudyTable, path: Path) -> None:
 
     Raises
     ------
-    InputError
-        pyarrow is not installed, or the file exists or cannot be written.
+    InputError : pyarrow is not installed, or the file exists or cannot be written
     """
     try:
         import pyarrow
@@ -191,8 +188,7 @@ def best_rows(rows: Sequence[Row], objectives: Sequence[Objective]) -> list[Row]
 
     Raises
     ------
-    InputError
-        No finished, feasible case has all objectives.
+    InputError : no finished, feasible case has all objectives
     """
     names = [objective.metric for objective in objectives]
     usable = usable_rows(rows, objectives)
@@ -211,8 +207,7 @@ def ranked_rows(rows: Sequence[Row], objectives: Sequence[Objective]) -> list[Ro
 
     Raises
     ------
-    InputError
-        No finished, feasible case has all objectives.
+    InputError : no finished, feasible case has all objectives
     """
     front = best_rows(rows, objectives)
     if len(objectives) > 1:

@@ -42,8 +42,7 @@ def trial_cases(study: Study, base: Experiment) -> Cases:
 
     Raises
     ------
-    ConfigError
-        A key leads to no number, or a drawn value is not allowed: the first of each.
+    ConfigError : a key leads to no number, or a drawn value is not allowed: the first of each
     """
     experiment = nominal(study, base)
     count = study.sampling.count or 0
@@ -99,8 +98,7 @@ def alone_cases(
 
     Raises
     ------
-    ConfigError
-        A key leads to no number, or such a value is not allowed.
+    ConfigError : a key leads to no number, or such a value is not allowed
     """
     silent = vary(experiment, {"camera.noise": False})
     conditions = Conditions(face_only=face_only)
@@ -224,8 +222,7 @@ def draw(experiment: Experiment, inputs: Mapping[str, Input], seed: int, trial: 
 
     Raises
     ------
-    ConfigError
-        An input's key is not in the experiment, or a drawn value is not allowed.
+    ConfigError : an input's key is not in the experiment, or a drawn value is not allowed
     """
     return vary(experiment, drawn_values(experiment, inputs, seed, trial)) if trial else experiment
 

@@ -95,8 +95,7 @@ def compute(batch: Batch) -> BatchReport:
 
     Raises
     ------
-    MissingBackend
-        No usable Dr.Jit backend.
+    MissingBackend : no usable Dr.Jit backend
     """
     with _one_at_a_time:
         measurer = _measurer(batch.make_measurer, batch.keep)

@@ -67,8 +67,7 @@ def local_workers(count: int, cores: int | None = None) -> Workers:
 
     Raises
     ------
-    InputError
-        Fewer than one.
+    InputError : fewer than one
     """
     available = cores or len(os.sched_getaffinity(0))
     if count < 1:
@@ -105,8 +104,7 @@ def dask_workers(address: str) -> Workers:
 
     Raises
     ------
-    InputError
-        Dask is not installed, or no scheduler answers.
+    InputError : dask is not installed, or no scheduler answers
     """
     client = _client(address)
     found = client.scheduler_info(n_workers=-1)["workers"]

@@ -83,8 +83,7 @@ def distribution_of(values: ArrayLike, coverage: float = COVERAGE) -> Distributi
 
     Raises
     ------
-    ValueError
-        Fewer than two values, or a coverage that is not between 0 and 1.
+    ValueError : fewer than two values, or a coverage that is not between 0 and 1
     """
     found = np.asarray(values, np.float64)
     if found.ndim != 1 or found.size < 2 or not 0.0 < coverage < 1.0:

@@ -139,9 +139,8 @@ def read_uncertainty(
 
     Raises
     ------
-    InputError
-        The folder holds no study of trials, fewer than two trials have a value, or no trial has a
-        figure of that name.
+    InputError : the folder holds no study of trials, fewer than two trials have a value, or no
+        trial has a figure of that name
     """
     if not is_uncertainty(folder):
         raise InputError(f"{folder}: holds no trials; give the -o DIR of twin uncertainty")

@@ -77,9 +77,8 @@ def sobol_of_face(
 
     Raises
     ------
-    InputError
-        `base_points` is no power of 2; a press fails; the face has none of the figures; nothing is
-        pressed.
+    InputError : `base_points` is no power of 2; a press fails; the face has none of the figures;
+        nothing is pressed
     """
     if base_points < 2 or base_points & (base_points - 1):
         raise InputError(f"--sobol {base_points}: allowed a power of 2, for example 64")

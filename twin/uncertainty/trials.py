@@ -94,11 +94,9 @@ def uncertainty(
 
     Raises
     ------
-    InputError
-        An input leads to no number, a drawn value is not allowed, no trial has such a figure, or
-        the folder cannot be used.
-    MissingBackend
-        No usable Dr.Jit backend.
+    InputError : an input leads to no number, a drawn value is not allowed, no trial has such a
+        figure, or the folder cannot be used
+    MissingBackend : no usable Dr.Jit backend
     """
     base = load_experiment(experiment) if isinstance(experiment, str) else experiment
     record = record_of(base, inputs, n, calibration=calibration, budget=budget, seed=seed)
@@ -126,8 +124,7 @@ def record_of(
 
     Raises
     ------
-    ConfigError
-        One line per problem of the inputs; or a number of trials that is not allowed.
+    ConfigError : one line per problem of the inputs; or a number of trials that is not allowed
     """
     if not 2 <= n <= MOST_TRIALS:
         raise ConfigError(f"trials: found {n}, allowed 2 to {MOST_TRIALS}")
@@ -213,8 +210,7 @@ def write_uncertainty(
 
     Raises
     ------
-    InputError
-        It cannot be written.
+    InputError : it cannot be written
     """
     record = found.table.record
     metrics = {"metrics": tuple(found.measurands)}
