@@ -260,6 +260,9 @@ class Sheet:
             if not serves:
                 viscosity = self._definite(control, state, viscosity)
             step = self._spread(-self.solver.solve(gradient))
+            if viscosity and np.abs(step).max() > _LARGEST_MOVE_MM:  # nearly indefinite
+                viscosity = self._definite(control, state, _GROWTH * viscosity)
+                step = self._spread(-self.solver.solve(gradient))
             slope = float(gradient @ step[self.grid.free])
             energy = now.energy
             share, now = self._search(step, slope, now, state)
@@ -363,8 +366,8 @@ class Sheet:
             share *= 0.5
             new = self.evaluate(now.control_mm + share * step, state, tangent=False)
             if _lowers(now, new, share * slope):
-                break
-        return share, self.evaluate(new.control_mm, state, tangent=True)
+                return share, self.evaluate(new.control_mm, state, tangent=True)
+        return 0.0, self.evaluate(now.control_mm, state, tangent=True)
 
 
 def _refuse_film(surface: FloatArray, state: SheetState) -> None:
@@ -390,7 +393,7 @@ def _adapted(viscosity: float, share: float, gain: float) -> float:
     a poor one.
     """
     if share < 1:
-        return max(viscosity, _LEAST_VISCOSITY / 2) * min(_GROWTH, 2 / share)
+        return max(viscosity, _LEAST_VISCOSITY / 2) * min(_GROWTH, 2 / max(share, 1 / _GROWTH))
     if gain < _POOR:
         return 2 * viscosity
     less = viscosity if gain < _GOOD else viscosity / _GROWTH
