@@ -47,7 +47,7 @@ _MOST_CELLS = 36_000
 # A slack sheet of 0.05 mm finds its way in a hundred steps and more, and no half way is nearer.
 _ROUGH = Accuracy(step_mm=1e-3, residual_kpa=0.1, most_steps=300)
 _BETWEEN = Accuracy(step_mm=5e-3, residual_kpa=1.0, most_steps=40, strict=False)
-_FINE = Accuracy(residual_kpa=2e-3)
+_FINE = Accuracy(residual_kpa=2e-3, most_steps=200)
 _FORCE_TOLERANCE, _FORCE_STEPS = 1e-3, 40
 _KEPT_PATHS = 4
 _HALF = 0.5
