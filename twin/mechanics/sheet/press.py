@@ -22,8 +22,9 @@ from twin.mechanics.hardness import young_modulus
 from twin.mechanics.layouts import face_nodes
 from twin.mechanics.press import PressedElastomer, SheetFields
 from twin.mechanics.sheet.case import SheetCase, sheet_case
-from twin.mechanics.sheet.equilibrium import Accuracy, Sheet, SheetState, normal_of
+from twin.mechanics.sheet.equilibrium import Accuracy, Sheet, SheetState
 from twin.mechanics.sheet.faces import height_map, sample
+from twin.mechanics.sheet.grid import normal_of
 from twin.mechanics.sheet.path import (
     TRAVEL_STEP_MM,
     LimitPressureError,
