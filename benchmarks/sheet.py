@@ -8,57 +8,40 @@
 - the same pair on half the cells: how far the coat moves, and its radius;
 - processor seconds of two balls, nut (3 kPa) and fingerprint, all threads together, median of three
   after a first one that compiles: what an idle machine takes at most, and any machine can tell;
-- random presses (specimen, thickness, travel, tack, pressure, pose), each with a limit on its
-  processor time. One that is refused with the pressure that still holds counts neither way.
+- random presses (`random_presses`).
 
-`--press SEED` repeats one of these, `--presses N --workers 2 --kept FILE` runs many, as two
-processes, and goes on where it was interrupted. Last line: {"solid_max_um_h02", ...}.
+`--press SEED` repeats one of these, `--presses N --workers 2 --kept FILE` runs many, two side by
+side, and goes on where it was interrupted. Last line: {"solid_max_um_h02", ...}.
 """
 
 import argparse
 import json
 import multiprocessing
 import resource
-import signal
 import statistics
 import time
-from collections import Counter
-from collections.abc import Callable, Iterable
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Callable
 from multiprocessing.connection import Connection
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from benchmarks.random_presses import PRESSES, QUICK_PRESSES, outcome, press_all, summary
 from reconstruction.evaluate.fit import fit_sphere
-from twin.config.models import (
-    Ball,
-    Elastomer,
-    Flat,
-    Grating,
-    Mechanics,
-    Press,
-    Rod,
-    Specimen,
-    TwoBalls,
-)
-from twin.config.objects import Brick, Fingerprint, Nut, TBolt
-from twin.config.specimens import Bar, Step
+from twin.config.models import Ball, Elastomer, Mechanics, Press, Specimen, TwoBalls
+from twin.config.objects import Fingerprint, Nut
+from twin.config.specimens import Bar
 from twin.mechanics import PressedElastomer
 from twin.mechanics.errors import PressError, SolverError
 from twin.mechanics.sheet.linear_solver import has_pardiso
-from twin.mechanics.sheet.path import LimitPressureError
 from twin.mechanics.sheet.press import forget_paths, press_sheet
 
 SOLIDS = Path(__file__).parents[1] / "tests/mechanics/reference/solid_sheets.json"
 YOUNG_KPA, THIN_MM = 300.0, 0.2
 REGIONS_MM = (1.0, 1.2, 1.5, 2.0, 2.5)
 WIDTHS_MM = (1.99, 4.81, 7.23)
-PRESSES, QUICK_PRESSES, LIMIT_S = 300, 12, 300.0
-KINDS = ("ball", "two_balls", "rod", "flat", "bar", "step", "nut", "t_bolt", "brick", "grating")
 
 Figures = dict[str, float | None]
 
@@ -304,99 +287,6 @@ def _seconds(
     return {name: found}
 
 
-# ---- random presses --------------------------------------------------------------------------
-
-
-def random_press(seed: int) -> tuple[Specimen, Elastomer, float, dict[str, float]]:
-    """Draw a specimen in its pose, a sheet, a travel and a load; always one that fits its frame."""
-    rng = np.random.default_rng([20261122, seed])
-    pose = {
-        "x_mm": rng.uniform(-1.5, 1.5),
-        "y_mm": rng.uniform(-1.5, 1.5),
-        "yaw_deg": rng.uniform(-180, 180),
-        "tilt_deg": rng.uniform(-5, 5),
-    }
-    kind = KINDS[rng.integers(len(KINDS))]
-    sizes: dict[str, Callable[[], Specimen]] = {
-        "ball": lambda: Ball(diameter_mm=rng.uniform(4, 10), **pose),
-        "two_balls": lambda: TwoBalls(**pose),
-        "rod": lambda: Rod(diameter_mm=rng.uniform(1.5, 8), **pose),
-        "flat": lambda: Flat(diameter_mm=rng.uniform(3, 10), **pose),
-        "bar": lambda: Bar(width_mm=rng.uniform(1.5, 8), length_mm=12.0, **pose),
-        "step": lambda: Step(**pose),
-        "nut": lambda: Nut(**pose),
-        "t_bolt": lambda: TBolt(**pose),
-        "brick": lambda: Brick(**pose),
-        "grating": lambda: Grating(**pose),
-    }
-    tack = float(rng.uniform(0.02, 0.5)) if rng.random() < 0.5 else 0.0
-    sheet = elastomer(
-        thickness_mm=float(np.exp(rng.uniform(np.log(0.05), 0.0))),
-        length_x_mm=26.0,
-        length_y_mm=26.0,
-        tack_j_m2=tack,
-        friction="none" if rng.random() < 0.2 else "auto",
-    )
-    load = {"back_pressure_kpa": float(rng.uniform(0, 5)) if rng.random() < 0.5 else 0.0}
-    return sizes[kind](), sheet, float(rng.uniform(0.1, 2.0)), load
-
-
-class TooLongError(Exception):
-    """A press has used up its processor time."""
-
-
-def outcome(seed: int) -> str:
-    """Press and tell how it ended: converged, refused or failed, and why.
-
-    Refused counts what names a pressure that holds; whatever else does not converge has failed.
-    """
-    specimen, sheet, travel, load = random_press(seed)
-    told = (
-        f"{specimen.kind}, h {sheet.thickness_mm:.3f}, travel {travel:.2f}, "  # type: ignore[attr-defined]
-        f"G {sheet.tack_j_m2:.2f} ({sheet.friction}), {load['back_pressure_kpa']:.2f} kPa"
-    )
-    forget_paths()
-    signal.signal(signal.SIGPROF, _end)
-    signal.setitimer(signal.ITIMER_PROF, LIMIT_S)
-    try:
-        pressed(specimen, sheet, travel, relief_pitch_mm=0.05, **load)
-    except LimitPressureError as error:
-        return f"{'refused' if error.held_kpa > 0 else 'failed'}: {told}: {error}"
-    except Exception as error:  # whatever it is, it is counted and shown
-        return f"failed: {told}: {type(error).__name__}: {error}"
-    finally:
-        signal.setitimer(signal.ITIMER_PROF, 0.0)
-    return f"converged: {told}"
-
-
-def _end(_signal: int, _frame: FrameType | None) -> None:
-    raise TooLongError(f"not done within {LIMIT_S:g} s of processor time")
-
-
-def converged_share(seeds: Iterable[int], workers: int, kept: Path | None) -> Figures:
-    """Press at random in processes of their own; take what a file has kept, and add to it."""
-    known: dict[int, str] = {}
-    if kept is not None and kept.exists():
-        lines = kept.read_text(encoding="utf-8").splitlines()
-        known = {one["seed"]: one["outcome"] for one in map(json.loads, lines)}
-    ends = Counter(known[seed].split(":")[0] for seed in seeds if seed in known)
-    left = [seed for seed in seeds if seed not in known]
-    context = multiprocessing.get_context("spawn")
-    # Each in a process of its own, as a user's press is: its memory is known and given back.
-    with ProcessPoolExecutor(workers, mp_context=context, max_tasks_per_child=1) as pool:
-        for number, (seed, found) in enumerate(zip(left, pool.map(outcome, left), strict=True), 1):
-            ends[found.split(":")[0]] += 1
-            print(f"press {seed} ({number} of {len(left)}): {found}", flush=True)
-            if kept is not None:
-                with kept.open("a", encoding="utf-8") as file:
-                    file.write(json.dumps({"seed": seed, "outcome": found}) + "\n")
-    asked = ends["converged"] + ends["failed"]
-    return {
-        "converged_share": ends["converged"] / asked if asked else None,
-        "refused": float(ends["refused"]),
-    }
-
-
 # ---- all -------------------------------------------------------------------------------------
 
 
@@ -453,7 +343,7 @@ def main() -> None:
     if chosen.presses is not None:
         count = chosen.presses
     result: dict[str, Any] = {} if chosen.presses else dict(measured(chosen.quick))
-    result |= converged_share(range(count), chosen.workers, chosen.kept)
+    result |= summary(press_all(range(count), chosen.workers, chosen.kept))
     # Linux gives KiB.
     result["peak_memory_gib"] = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 2**20
     result = {key: v if v is None else float(f"{v:.4g}") for key, v in result.items()}

@@ -10,15 +10,16 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from reconstruction.arrays import FloatArray
 from reconstruction.machine import threads
 from twin.mechanics.errors import SolverError
-from twin.mechanics.sheet.grid import SheetGrid, functions_of
-from twin.mechanics.sheet.kernel import SLOTS, assemble_rows, scratch, surface_rows
+from twin.mechanics.sheet.grid import SheetGrid, functions_of, normal_of, thinning_of
+from twin.mechanics.sheet.kernel import SLOTS, Sums, assemble_rows, scratch, surface_rows
 from twin.mechanics.sheet.laws import Grip, Laws, Touch
 from twin.mechanics.sheet.linear_solver import LinearSolver, linear_solver
+from twin.mechanics.sheet.point import Asked, Felt
+from twin.mechanics.sheet.stencil import control_areas, stencil
 from twin.specimens.distance import SignedDistance
 
 # A band is a block of cell rows that one thread takes; its forces reach two rows beyond it.
@@ -60,16 +61,6 @@ class Bodies:
 
 
 @dataclass(frozen=True, eq=False)
-class Stencil:
-    """The tangent's sparsity: where each element of the stencil goes in the upper triangle."""
-
-    start: npt.NDArray[np.int32]
-    columns: npt.NDArray[np.int32]
-    #: elements of the stencil array, in the order of the upper triangle
-    taken: npt.NDArray[np.int64]
-
-
-@dataclass(frozen=True, eq=False)
 class SheetState:
     """A sheet in equilibrium, or on its way there."""
 
@@ -107,11 +98,11 @@ class Sheet:
 
     def __post_init__(self) -> None:
         rows, cols = self.grid.free.shape[:2]
-        self._stencil = _stencil(self.grid.free)
+        self._stencil = stencil(self.grid.free)
         self.solver = linear_solver(self._stencil.start, self._stencil.columns)
         self._forces = np.zeros((rows, cols, 3))
         self._tangent = np.zeros((rows, cols, len(SLOTS), 3, 3))
-        self.area_mm2 = _control_areas(self.grid)
+        self.area_mm2 = control_areas(self.grid)
         self._pool = ThreadPoolExecutor(threads())
 
     # ---- evaluation ----------------------------------------------------------------------
@@ -132,11 +123,15 @@ class Sheet:
         if tangent:
             self._tangent[:] = 0.0
         tangents = self._tangent.reshape(*self._tangent.shape[:2], -1)
-        before = control_mm, self.grid.rest, laws, touch, lifted, tangent, convex
-        after = energy, self._forces, tangents
+        felt, asked = Felt(laws, touch, lifted), Asked(tangent, convex)
+        sums = Sums(energy, self._forces, tangents)
         for parity in (0, 1):  # neighbouring bands write to the same control points
             self._over_bands(
-                rows, parity, lambda a, b: assemble_rows(a, b, *before, *scratch(), *after)
+                rows,
+                parity,
+                lambda a, b: assemble_rows(
+                    (a, b), control_mm, self.grid.rest, felt, asked, scratch(), sums
+                ),
             )
         self.evaluations += 1
         return Evaluation(float(energy.sum()), control_mm, surface)
@@ -260,6 +255,9 @@ class Sheet:
             if not serves:
                 viscosity = self._definite(control, state, viscosity)
             step = self._spread(-self.solver.solve(gradient))
+            if viscosity and np.abs(step).max() > _LARGEST_MOVE_MM:  # nearly indefinite
+                viscosity = self._definite(control, state, _GROWTH * viscosity)
+                step = self._spread(-self.solver.solve(gradient))
             slope = float(gradient @ step[self.grid.free])
             energy = now.energy
             share, now = self._search(step, slope, now, state)
@@ -363,8 +361,8 @@ class Sheet:
             share *= 0.5
             new = self.evaluate(now.control_mm + share * step, state, tangent=False)
             if _lowers(now, new, share * slope):
-                break
-        return share, self.evaluate(new.control_mm, state, tangent=True)
+                return share, self.evaluate(new.control_mm, state, tangent=True)
+        return 0.0, self.evaluate(now.control_mm, state, tangent=True)
 
 
 def _refuse_film(surface: FloatArray, state: SheetState) -> None:
@@ -390,7 +388,7 @@ def _adapted(viscosity: float, share: float, gain: float) -> float:
     a poor one.
     """
     if share < 1:
-        return max(viscosity, _LEAST_VISCOSITY / 2) * min(_GROWTH, 2 / share)
+        return max(viscosity, _LEAST_VISCOSITY / 2) * min(_GROWTH, 2 / max(share, 1 / _GROWTH))
     if gain < _POOR:
         return 2 * viscosity
     less = viscosity if gain < _GOOD else viscosity / _GROWTH
@@ -401,44 +399,3 @@ def _turn(before: Evaluation, after: Evaluation) -> float:
     """Return the least cosine between the normals of two surfaces."""
     normals = [normal_of(one.surface) for one in (before, after)]
     return float((normals[0] * normals[1]).sum(axis=-1).min())
-
-
-def normal_of(surface: FloatArray) -> FloatArray:
-    """Return unit normals of (..., 3, xyz) place and derivatives."""
-    across = np.cross(surface[..., 1, :], surface[..., 2, :])
-    unit: FloatArray = across / np.linalg.norm(across, axis=-1, keepdims=True)
-    return unit
-
-
-def thinning_of(surface: FloatArray) -> FloatArray:
-    """Return the thickness stretch lambda = 1 / area stretch of (..., 3, xyz)."""
-    across = np.cross(surface[..., 1, :], surface[..., 2, :])
-    thinning: FloatArray = 1 / np.linalg.norm(across, axis=-1)
-    return thinning
-
-
-def _control_areas(grid: SheetGrid) -> FloatArray:
-    """Return (row + 2, col + 2) area of the undeformed sheet that each control point carries."""
-    share = (functions_of(grid.rest)[..., 0] * grid.rest.area_mm2[..., None]).sum(axis=2)
-    area = np.zeros(grid.free.shape[:2])
-    rows, cols = share.shape[:2]
-    for node in range(9):
-        b, a = divmod(node, 3)
-        area[b : b + rows, a : a + cols] += share[..., node]
-    return area
-
-
-def _stencil(free: npt.NDArray[np.bool_]) -> Stencil:
-    rows, cols, _ = free.shape
-    number = np.full((rows + 4, cols + 4, 3), -1, np.int64)
-    number[2:-2, 2:-2][free] = np.arange(free.sum())
-    own = number[2:-2, 2:-2]
-    other = np.stack([number[2 + b : 2 + b + rows, 2 + a : 2 + a + cols] for b, a in SLOTS], axis=2)
-    shape = (rows, cols, len(SLOTS), 3, 3)
-    first = np.broadcast_to(own[:, :, None, :, None], shape).ravel()
-    second = np.broadcast_to(other[:, :, :, None, :], shape).ravel()
-    taken = np.flatnonzero((first >= 0) & (second >= first))
-    taken = taken[np.lexsort((second[taken], first[taken]))]
-    count = np.bincount(first[taken], minlength=int(free.sum()))
-    start = np.concatenate(([0], np.cumsum(count))).astype(np.int32)
-    return Stencil(start, second[taken].astype(np.int32), taken)

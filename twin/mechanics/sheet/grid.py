@@ -146,6 +146,20 @@ def functions_of(rest: Rest) -> FloatArray:
     return products
 
 
+def normal_of(surface: FloatArray) -> FloatArray:
+    """Return unit normals of (..., 3, xyz) place and derivatives."""
+    across = np.cross(surface[..., 1, :], surface[..., 2, :])
+    unit: FloatArray = across / np.linalg.norm(across, axis=-1, keepdims=True)
+    return unit
+
+
+def thinning_of(surface: FloatArray) -> FloatArray:
+    """Return the thickness stretch lambda = 1 / area stretch of (..., 3, xyz)."""
+    across = np.cross(surface[..., 1, :], surface[..., 2, :])
+    thinning: FloatArray = 1 / np.linalg.norm(across, axis=-1)
+    return thinning
+
+
 def _products(along_x: FloatArray, along_y: FloatArray) -> FloatArray:
     """Return the functions and their derivatives along the grid, as `functions_of` does."""
     orders = ((0, 0), (1, 0), (0, 1), (2, 0), (0, 2), (1, 1))

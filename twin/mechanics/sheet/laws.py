@@ -27,8 +27,11 @@ _OPTIONS: dict[str, Any] = {
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 
+_SOURCES = ("laws.py", "point.py", "tangent.py", "kernel.py")
+
+
 def _digest_of_sources() -> str:
-    files = (Path(__file__).with_name(name) for name in ("laws.py", "kernel.py"))
+    files = (Path(__file__).with_name(name) for name in _SOURCES)
     return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
 
 

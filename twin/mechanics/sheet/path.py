@@ -13,8 +13,8 @@ from scipy.interpolate import RegularGridInterpolator
 
 from reconstruction.arrays import FloatArray
 from twin.mechanics.errors import PressError, SolverError
-from twin.mechanics.sheet.equilibrium import Accuracy, Sheet, SheetState, thinning_of
-from twin.mechanics.sheet.grid import SheetGrid
+from twin.mechanics.sheet.equilibrium import Accuracy, Sheet, SheetState
+from twin.mechanics.sheet.grid import SheetGrid, thinning_of
 from twin.mechanics.sheet.laws import Grip
 
 TRAVEL_STEP_MM, PRESSURE_STEPS_KPA = 0.2, (0.5, 1.0, 2.0, 3.0, 4.5, 6.0, 8.0, 10.0)

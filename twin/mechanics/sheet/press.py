@@ -22,8 +22,9 @@ from twin.mechanics.hardness import young_modulus
 from twin.mechanics.layouts import face_nodes
 from twin.mechanics.press import PressedElastomer, SheetFields
 from twin.mechanics.sheet.case import SheetCase, sheet_case
-from twin.mechanics.sheet.equilibrium import Accuracy, Sheet, SheetState, normal_of
+from twin.mechanics.sheet.equilibrium import Accuracy, Sheet, SheetState
 from twin.mechanics.sheet.faces import height_map, sample
+from twin.mechanics.sheet.grid import normal_of
 from twin.mechanics.sheet.path import (
     TRAVEL_STEP_MM,
     LimitPressureError,
@@ -47,7 +48,7 @@ _MOST_CELLS = 36_000
 # A slack sheet of 0.05 mm finds its way in a hundred steps and more, and no half way is nearer.
 _ROUGH = Accuracy(step_mm=1e-3, residual_kpa=0.1, most_steps=300)
 _BETWEEN = Accuracy(step_mm=5e-3, residual_kpa=1.0, most_steps=40, strict=False)
-_FINE = Accuracy(residual_kpa=2e-3)
+_FINE = Accuracy(residual_kpa=2e-3, most_steps=200)
 _FORCE_TOLERANCE, _FORCE_STEPS = 1e-3, 40
 _KEPT_PATHS = 4
 _HALF = 0.5

@@ -1,0 +1,172 @@
+"""Random presses of the thin sheet: how many find their equilibrium, and what they take.
+
+Specimen, thickness (0.05 to 1 mm), travel (0.1 to 2 mm), tack, pressure (0 to 5 kPa) and pose are
+drawn from a seed, in a frame of 26 x 26 mm. Each press runs in a process of its own, as a user's
+does, with a limit on its processor time. It has converged, or was refused with the pressure that
+still holds, which counts neither way, or has failed.
+"""
+
+import hashlib
+import json
+import multiprocessing
+import resource
+import signal
+import statistics
+import time
+from collections import Counter
+from collections.abc import Callable, Iterable
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from types import FrameType
+
+import numpy as np
+
+import twin.mechanics.sheet
+from twin.config.models import (
+    Ball,
+    Elastomer,
+    Flat,
+    Grating,
+    Mechanics,
+    Press,
+    Rod,
+    Specimen,
+    TwoBalls,
+)
+from twin.config.objects import Brick, Nut, TBolt
+from twin.config.specimens import Bar, Step
+from twin.mechanics.sheet.path import LimitPressureError
+from twin.mechanics.sheet.press import press_sheet
+
+PRESSES, QUICK_PRESSES, LIMIT_S = 300, 12, 300.0
+KINDS = ("ball", "two_balls", "rod", "flat", "bar", "step", "nut", "t_bolt", "brick", "grating")
+SPAN_MM, YOUNG_KPA = 26.0, 300.0
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a press ended, and what it took."""
+
+    seed: int
+    #: converged, refused or failed
+    end: str
+    #: what was pressed, and why it did not converge
+    told: str
+    cpu_s: float
+    memory_gib: float
+    #: digest of the solver's sources
+    code: str
+
+
+def random_press(seed: int) -> tuple[Specimen, Elastomer, float, dict[str, float]]:
+    """Draw a specimen in its pose, a sheet, a travel and a load; always one that fits its frame."""
+    rng = np.random.default_rng([20261122, seed])
+    pose = {
+        "x_mm": rng.uniform(-1.5, 1.5),
+        "y_mm": rng.uniform(-1.5, 1.5),
+        "yaw_deg": rng.uniform(-180, 180),
+        "tilt_deg": rng.uniform(-5, 5),
+    }
+    kind = KINDS[rng.integers(len(KINDS))]
+    sizes: dict[str, Callable[[], Specimen]] = {
+        "ball": lambda: Ball(diameter_mm=rng.uniform(4, 10), **pose),
+        "two_balls": lambda: TwoBalls(**pose),
+        "rod": lambda: Rod(diameter_mm=rng.uniform(1.5, 8), **pose),
+        "flat": lambda: Flat(diameter_mm=rng.uniform(3, 10), **pose),
+        "bar": lambda: Bar(width_mm=rng.uniform(1.5, 8), length_mm=12.0, **pose),
+        "step": lambda: Step(**pose),
+        "nut": lambda: Nut(**pose),
+        "t_bolt": lambda: TBolt(**pose),
+        "brick": lambda: Brick(**pose),
+        "grating": lambda: Grating(**pose),
+    }
+    tack = float(rng.uniform(0.02, 0.5)) if rng.random() < 0.5 else 0.0
+    sheet = Elastomer(
+        young_modulus_kpa=YOUNG_KPA,
+        poisson_ratio=0.49,
+        thickness_mm=float(np.exp(rng.uniform(np.log(0.05), 0.0))),
+        length_x_mm=SPAN_MM,
+        length_y_mm=SPAN_MM,
+        tack_j_m2=tack,
+        friction="none" if rng.random() < 0.2 else "auto",
+    )
+    load = {"back_pressure_kpa": float(rng.uniform(0, 5)) if rng.random() < 0.5 else 0.0}
+    return sizes[kind](), sheet, float(rng.uniform(0.1, 2.0)), load
+
+
+class TooLongError(Exception):
+    """A press has used up its processor time."""
+
+
+def outcome(seed: int) -> Outcome:
+    """Press and tell how it ended.
+
+    Refused counts what names a pressure that holds; whatever else does not converge has failed.
+    """
+    specimen, sheet, travel, load = random_press(seed)
+    told = (
+        f"{specimen.kind}, h {sheet.thickness_mm:.3f}, travel {travel:.2f}, "  # type: ignore[attr-defined]
+        f"G {sheet.tack_j_m2:.2f} ({sheet.friction}), {load['back_pressure_kpa']:.2f} kPa"
+    )
+    values = {"control": "depth", "depth_mm": travel, "relief_pitch_mm": 0.05} | load
+    start = time.process_time()
+    signal.signal(signal.SIGPROF, _end)
+    signal.setitimer(signal.ITIMER_PROF, LIMIT_S)
+    end = "converged"
+    try:
+        press_sheet(specimen, sheet, Press.model_validate(values), Mechanics(model="sheet"))
+    except LimitPressureError as error:
+        end, told = "refused" if error.held_kpa > 0 else "failed", f"{told}: {error}"
+    except Exception as error:  # whatever it is, it is counted and shown
+        end, told = "failed", f"{told}: {type(error).__name__}: {error}"
+    finally:
+        signal.setitimer(signal.ITIMER_PROF, 0.0)
+    took = time.process_time() - start
+    # Linux gives KiB.
+    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
+    return Outcome(seed, end, told, round(took, 1), round(memory, 3), code_digest())
+
+
+def _end(_signal: int, _frame: FrameType | None) -> None:
+    raise TooLongError(f"not done within {LIMIT_S:g} s of processor time")
+
+
+def code_digest() -> str:
+    """Return the digest of the solver's sources, by which kept presses are told apart."""
+    files = sorted(Path(twin.mechanics.sheet.__path__[0]).glob("*.py"))
+    return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()[:12]
+
+
+def press_all(seeds: Iterable[int], workers: int, kept: Path | None) -> list[Outcome]:
+    """Press at random in processes of their own; take what a file has kept, and add to it."""
+    known: dict[int, Outcome] = {}
+    if kept is not None and kept.exists():
+        lines = kept.read_text(encoding="utf-8").splitlines()
+        known = {one.seed: one for one in (Outcome(**json.loads(line)) for line in lines)}
+    found = [known[seed] for seed in seeds if seed in known]
+    left = [seed for seed in seeds if seed not in known]
+    context = multiprocessing.get_context("spawn")
+    # One press per process: its memory is known, and given back.
+    with ProcessPoolExecutor(workers, mp_context=context, max_tasks_per_child=1) as pool:
+        for number, one in enumerate(pool.map(outcome, left), 1):
+            found.append(one)
+            print(f"{number} of {len(left)}: {one}", flush=True)
+            if kept is not None:
+                with kept.open("a", encoding="utf-8") as file:
+                    file.write(json.dumps(asdict(one)) + "\n")
+    return found
+
+
+def summary(outcomes: list[Outcome]) -> dict[str, float | None]:
+    """Return the share that converged of those not refused, and what a press takes."""
+    ends = Counter(one.end for one in outcomes)
+    asked = ends["converged"] + ends["failed"]
+    return {
+        "presses": float(len(outcomes)),
+        "presses_of_this_code": float(sum(one.code == code_digest() for one in outcomes)),
+        "converged_share": ends["converged"] / asked if asked else None,
+        "refused": float(ends["refused"]),
+        "press_s": statistics.median(one.cpu_s for one in outcomes) if outcomes else None,
+        "press_gib": max((one.memory_gib for one in outcomes), default=None),
+    }

@@ -1,0 +1,48 @@
+"""Where the tangent of a spline grid goes in a sparse matrix, and what its control points weigh."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from reconstruction.arrays import FloatArray
+from twin.mechanics.sheet.grid import SheetGrid, functions_of
+from twin.mechanics.sheet.kernel import SLOTS
+
+
+@dataclass(frozen=True, eq=False)
+class Stencil:
+    """The tangent's sparsity: where each element of the stencil goes in the upper triangle."""
+
+    start: npt.NDArray[np.int32]
+    columns: npt.NDArray[np.int32]
+    #: elements of the stencil array, in the order of the upper triangle
+    taken: npt.NDArray[np.int64]
+
+
+def control_areas(grid: SheetGrid) -> FloatArray:
+    """Return (row + 2, col + 2) area of the undeformed sheet that each control point carries."""
+    share = (functions_of(grid.rest)[..., 0] * grid.rest.area_mm2[..., None]).sum(axis=2)
+    area = np.zeros(grid.free.shape[:2])
+    rows, cols = share.shape[:2]
+    for node in range(9):
+        b, a = divmod(node, 3)
+        area[b : b + rows, a : a + cols] += share[..., node]
+    return area
+
+
+def stencil(free: npt.NDArray[np.bool_]) -> Stencil:
+    """Return where the tangent of a grid goes whose control points (row, col, xyz) are free so."""
+    rows, cols, _ = free.shape
+    number = np.full((rows + 4, cols + 4, 3), -1, np.int64)
+    number[2:-2, 2:-2][free] = np.arange(free.sum())
+    own = number[2:-2, 2:-2]
+    other = np.stack([number[2 + b : 2 + b + rows, 2 + a : 2 + a + cols] for b, a in SLOTS], axis=2)
+    shape = (rows, cols, len(SLOTS), 3, 3)
+    first = np.broadcast_to(own[:, :, None, :, None], shape).ravel()
+    second = np.broadcast_to(other[:, :, :, None, :], shape).ravel()
+    taken = np.flatnonzero((first >= 0) & (second >= first))
+    taken = taken[np.lexsort((second[taken], first[taken]))]
+    count = np.bincount(first[taken], minlength=int(free.sum()))
+    start = np.concatenate(([0], np.cumsum(count))).astype(np.int32)
+    return Stencil(start, second[taken].astype(np.int32), taken)
