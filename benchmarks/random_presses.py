@@ -45,7 +45,7 @@ SPAN_MM, YOUNG_KPA = 26.0, 300.0
 
 
 @dataclass(frozen=True)
-class Outcome:
+class PressOutcome:
     """How a press ended, and what it took."""
 
     seed: int
@@ -99,7 +99,7 @@ class TooLongError(Exception):
     """A press has used up its processor time."""
 
 
-def outcome(seed: int) -> Outcome:
+def outcome(seed: int) -> PressOutcome:
     """Press and tell how it ended.
 
     Refused counts what names a pressure that holds; whatever else does not converge has failed.
@@ -125,7 +125,7 @@ def outcome(seed: int) -> Outcome:
     took = time.process_time() - start
     # Linux gives KiB.
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
-    return Outcome(seed, end, told, round(took, 1), round(memory, 3), code_digest())
+    return PressOutcome(seed, end, told, round(took, 1), round(memory, 3), code_digest())
 
 
 def _end(_signal: int, _frame: FrameType | None) -> None:
@@ -138,12 +138,12 @@ def code_digest() -> str:
     return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()[:12]
 
 
-def press_all(seeds: Iterable[int], workers: int, kept: Path | None) -> list[Outcome]:
+def press_all(seeds: Iterable[int], workers: int, kept: Path | None) -> list[PressOutcome]:
     """Press at random in processes of their own; take what a file has kept, and add to it."""
-    known: dict[int, Outcome] = {}
+    known: dict[int, PressOutcome] = {}
     if kept is not None and kept.exists():
         lines = kept.read_text(encoding="utf-8").splitlines()
-        known = {one.seed: one for one in (Outcome(**json.loads(line)) for line in lines)}
+        known = {one.seed: one for one in (PressOutcome(**json.loads(line)) for line in lines)}
     found = [known[seed] for seed in seeds if seed in known]
     left = [seed for seed in seeds if seed not in known]
     context = multiprocessing.get_context("spawn")
@@ -158,7 +158,7 @@ def press_all(seeds: Iterable[int], workers: int, kept: Path | None) -> list[Out
     return found
 
 
-def summary(outcomes: list[Outcome]) -> dict[str, float | None]:
+def summary(outcomes: list[PressOutcome]) -> dict[str, float | None]:
     """Return the share that converged of those not refused, and what a press takes."""
     ends = Counter(one.end for one in outcomes)
     asked = ends["converged"] + ends["failed"]

@@ -15,7 +15,7 @@ from reconstruction.arrays import FloatArray
 from reconstruction.machine import threads
 from twin.mechanics.errors import SolverError
 from twin.mechanics.sheet.grid import SheetGrid, functions_of, normal_of, thinning_of
-from twin.mechanics.sheet.kernel import SLOTS, Sums, assemble_rows, scratch, surface_rows
+from twin.mechanics.sheet.kernel import SLOTS, Assembled, assemble_rows, scratch, surface_rows
 from twin.mechanics.sheet.laws import Grip, Laws, Touch
 from twin.mechanics.sheet.linear_solver import LinearSolver, linear_solver
 from twin.mechanics.sheet.point import Asked, Felt
@@ -124,7 +124,7 @@ class Sheet:
             self._tangent[:] = 0.0
         tangents = self._tangent.reshape(*self._tangent.shape[:2], -1)
         felt, asked = Felt(laws, touch, lifted), Asked(tangent, convex)
-        sums = Sums(energy, self._forces, tangents)
+        sums = Assembled(energy, self._forces, tangents)
         for parity in (0, 1):  # neighbouring bands write to the same control points
             self._over_bands(
                 rows,

@@ -41,7 +41,7 @@ class Scratch(NamedTuple):
     cell: Cell
 
 
-class Sums(NamedTuple):
+class Assembled(NamedTuple):
     """What `assemble_rows` adds to."""
 
     #: (row,) of each row of cells
@@ -66,7 +66,7 @@ def assemble_rows(
     felt: Felt,
     asked: Asked,
     work: Scratch,
-    sums: Sums,
+    sums: Assembled,
 ) -> None:
     """Add the energy, forces and, if asked for, the tangent of some cell rows.
 
@@ -76,7 +76,7 @@ def assemble_rows(
     c : (row + 2, col + 2, 3) control points
     rest, felt, asked : Rest, Felt, Asked
     work : Scratch
-    sums : Sums, added to
+    sums : Assembled, added to
     """
     point, cell = work.point, work.cell
     energy, F, S = sums.energy, sums.forces, sums.tangent
