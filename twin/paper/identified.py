@@ -17,7 +17,7 @@ from twin.paper.plan import identified
 from twin.paper.statistics import spread_of, values_of
 from twin.paper.trials import REFUSED, Trial
 from twin.report.canvas import FIT, MEASURED, axes_at, plain_spines, printing
-from twin.report.identified import field_words
+from twin.report.identified import field_words, mark
 from twin.report.table import Cell, Column, Table
 
 PROBLEM = "paper/identify"
@@ -169,6 +169,8 @@ def draw_ridges(_cases: Path, stem: Path) -> None:
             one, other = problem().free[across], problem().free[up]
             axes.set(xscale=one.scale, yscale=other.scale)
             axes.set(xlim=(one.low, one.high), ylim=(other.low, other.high))
+            mark(axes.xaxis, one)
+            mark(axes.yaxis, other)
             plain_spines(axes)
 
 
