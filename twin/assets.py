@@ -142,5 +142,6 @@ def _not_found(collection: Collection, name: str) -> str:
     wanted = name.removesuffix(".toml")
     close = difflib.get_close_matches(wanted, [*known, *own], n=2, cutoff=0.5)
     nearest = difflib.get_close_matches(wanted, known, n=1, cutoff=0.0)
-    likely = ", ".join(dict.fromkeys(same + close)) or "".join(nearest)
-    return f"{name}: no such file, nor is it one of {collection}; did you mean {likely}?"
+    likely = ", ".join(dict.fromkeys(same + close))
+    advice = f"did you mean {likely}?" if likely else f"the nearest name is {', '.join(nearest)}"
+    return f"{name}: not found, neither as a file nor in {collection}; {advice}"

@@ -161,6 +161,7 @@ EXPERIMENTS = [
     if name.split("/")[0] in ("examples", "paper")
     and name
     not in (
+        "paper/identified",
         "paper/identify",
         "paper/targets",
         "paper/trials",

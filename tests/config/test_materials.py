@@ -128,7 +128,7 @@ def test_scenes_of_the_paper_load_with_material_and_stage(name):
     experiment = load_experiment(f"paper/{name}")
     assert experiment.name == name
     assert experiment.specimen.material is not None
-    assert experiment.provenance["press.depth_mm"].source.startswith("assumed")
+    assert experiment.provenance["press.depth_mm"].source.startswith("identified")
     assert experiment.provenance["stage.albedo"].range == (0.02, 0.9)
     metal = name in ("ball", "nut", "t_bolt")
     assert experiment.specimen.material.kind == ("conductor" if metal else "dielectric")

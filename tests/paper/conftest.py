@@ -6,6 +6,7 @@ import pytest
 from reconstruction.photometric import HeightMap
 from twin.config import load_experiment
 from twin.optics.stack import Truth
+from twin.paper.plan import RODS
 from twin.pipeline.methods import measure
 from twin.results.decoders import DecodedImage
 from twin.results.parts import write_result
@@ -42,13 +43,13 @@ def small_photographs():
 @pytest.fixture(scope="package")
 def measured_rod(mi):
     """Measurement of a rod."""
-    return measure(load_experiment("paper/rods_a", SMALL))
+    return measure(load_experiment("examples/slab_rod", SMALL))
 
 
 @pytest.fixture(scope="package")
 def rod(measured_rod, small_photographs, tmp_path_factory):
     """Folder of a measured rod with panels. Not to be changed by tests."""
-    folder = tmp_path_factory.mktemp("cases") / "rods_a" / "contact_fpp"
+    folder = tmp_path_factory.mktemp("cases") / RODS[0] / "contact_fpp"
     folder.mkdir(parents=True)
     keep(folder, measured_rod)
     return folder

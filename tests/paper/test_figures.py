@@ -6,6 +6,7 @@ from PIL import Image
 
 from reconstruction.errors import InputError
 from twin.mechanics.hardness import gent_modulus_kpa
+from twin.paper.plan import RODS
 
 
 @pytest.fixture(scope="module")
@@ -13,7 +14,7 @@ def cases(rod, ball, tmp_path_factory):
     """A folder of cases in which one rod and one ball were measured, and nothing else."""
     folder = tmp_path_factory.mktemp("all") / "cases"
     for measured, name, method in (
-        (rod, "rods_a", "contact_fpp"),
+        (rod, RODS[0], "contact_fpp"),
         (ball, "two_balls", "photometric_stereo"),
         (rod, "nut", "contact_fpp"),
         (rod, "nut", "direct_fpp"),

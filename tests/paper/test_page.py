@@ -54,7 +54,9 @@ def test_numbers_stand_beside_the_papers(page):
 
 def test_assumptions_are_marked_with_their_source(page):
     text = page.read_text(encoding="utf-8")
-    assert '<tr class="assumed"><th scope="row" class="code">press.back_pressure_kpa' in text
+    assert '<tr class="assumed"><th scope="row" class="code">projector.pose.polar_deg' in text
+    assert "identified: paper, from the rows" in text
+    assert " joint samples, " in text
     assert "placed by hand against a mark on the stage" in text
 
 

@@ -6,8 +6,10 @@ import pytest
 
 from reconstruction.errors import InputError
 from twin.paper import reproduction
-from twin.paper.plan import BALLS, CASES
+from twin.paper.plan import BALLS, CASES, RODS, WIDTH
 from twin.paper.reproduction import Reproduction, link
+from twin.paper.statistics import values_of
+from twin.paper.trials import REFUSED
 from twin.study import sweep as sweeping
 from twin.study.measuring import AS_IT_IS, Answer, RigCovariance
 from twin.uncertainty.results import is_uncertainty
@@ -24,7 +26,7 @@ class Fake:
     def __call__(self, experiment, conditions=AS_IT_IS):
         measured[experiment.name, experiment.modality] += 1
         value = 4.0 + experiment.specimen.x_mm + 1e-3 * conditions.trial
-        figures = {"sphere_1_radius_mm": value, "rod_width_mm": value}
+        figures = {"sphere_1_radius_mm": value, WIDTH: value}
         if conditions.board:
             figures["true_rig_sphere_1_radius_mm"] = value - 0.01
         return Answer(figures | {"share_specimen": 0.7, "share_specimen_points": 0.8})
@@ -38,6 +40,11 @@ class Refusing(Fake):
         if conditions.trial == 2:
             raise InputError("specimen: too large")
         return super().__call__(experiment, conditions)
+
+
+class RefusingAll(Fake):
+    def __call__(self, experiment, conditions=AS_IT_IS):
+        raise InputError("specimen: too large")
 
 
 @pytest.fixture
@@ -63,13 +70,13 @@ def run_of(tmp_path, monkeypatch):
 
 def test_trials_are_a_study_that_others_can_read(run_of, tmp_path):
     run = run_of()
-    found = run.fringe_trials("rods_a")
+    found = run.fringe_trials(RODS[0])
     assert [one.number for one in found] == [0, 1, 2, 3]
     assert "true_rig_sphere_1_radius_mm" in found[1].figures
-    assert is_uncertainty(tmp_path / "work/trials/rods_a")
-    assert measured == {("rods_a", "contact_fpp"): 4}
-    assert run.fringe_trials("rods_a") == found
-    assert run_of(trials=4).fringe_trials("rods_a")[:4] == found
+    assert is_uncertainty(tmp_path / "work/trials" / RODS[0])
+    assert measured == {(RODS[0], "contact_fpp"): 4}
+    assert run.fringe_trials(RODS[0]) == found
+    assert run_of(trials=4).fringe_trials(RODS[0])[:4] == found
     assert sum(measured.values()) == 1
 
 
@@ -82,13 +89,13 @@ def test_the_nominal_press_under_every_calibration(run_of):
 
 
 def test_budget_of_a_model(run_of):
-    """radius = 4 + x: u = u(x) = 0.2 mm, nothing else; and nobody's optics but the balls'."""
+    """radius = 4 + x: u = u(x) = 0.2 mm, nothing else; joint samples are no part of it."""
     run = run_of()
     parts = {part.name: part.u for part in run.budget(BALLS)}
     assert parts.pop("place_x") == pytest.approx(0.2)
     assert set(parts.values()) == {0.0}
     assert "projector_focus" in parts
-    assert "projector_focus" not in {part.name for part in run.budget("rods_a")}
+    assert "thickness_mm" not in {part.name for part in run.budget(BALLS)}
 
 
 def test_figures_find_their_cases_by_name(run_of, tmp_path):
@@ -105,9 +112,17 @@ def test_the_bare_nut_by_roughness(run_of):
     assert measured == {("nut", "direct_fpp"): 4}
 
 
-def test_a_failure_is_told_with_its_trial(run_of):
-    with pytest.raises(InputError, match="rods_a, trial 2: specimen: too large"):
-        run_of(Refusing).fringe_trials("rods_a")
+def test_a_refused_trial_is_left_out_and_told(run_of):
+    """A drawn sheet may hold less than its drawn pressure; the other trials count."""
+    found = run_of(Refusing).fringe_trials(RODS[0])
+    assert [REFUSED in one.figures for one in found] == [False, False, True, False]
+    assert found[2].figures[REFUSED] == "specimen: too large"
+    assert values_of(found[1:], WIDTH).size == 2
+
+
+def test_a_refused_case_that_is_no_repetition_ends_the_run(run_of):
+    with pytest.raises(InputError, match="specimen: too large"):
+        run_of(RefusingAll).bare_nut()
 
 
 def test_nothing_of_somebody_else_is_replaced_by_a_link(tmp_path):

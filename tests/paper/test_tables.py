@@ -9,7 +9,7 @@ from twin.config import load_experiment
 from twin.paper import trials
 from twin.paper.budget import budget_table
 from twin.paper.claims import claims_of
-from twin.paper.plan import CONTACT_FPP, GELSIGHT
+from twin.paper.plan import CONTACT_FPP, FIT, GELSIGHT, WIDTH
 from twin.paper.rod_table import hardness_table, rods_table
 from twin.paper.sphere_tables import (
     calibration_uncertainty,
@@ -31,9 +31,9 @@ def fringe_trials(rmse=0.012):
         figures = {}
         for ball in (1, 2):
             figures |= {
-                f"sphere_{ball}_radius_mm": radius + 0.002,
-                f"true_rig_sphere_{ball}_radius_mm": radius,
-                f"sphere_{ball}_rmse_mm": rmse,
+                f"sphere_{ball}_{FIT}radius_mm": radius + 0.002,
+                f"true_rig_sphere_{ball}_{FIT}radius_mm": radius,
+                f"sphere_{ball}_{FIT}rmse_mm": rmse,
             }
         made.append(Trial(number, figures))
     return made
@@ -43,8 +43,8 @@ def colour_trials(rmse=0.09):
     trials = fringe_trials(rmse)
     for trial in trials:
         for ball in (1, 2):
-            del trial.figures[f"true_rig_sphere_{ball}_radius_mm"]
-    radii = {f"calibration_{k}_sphere_1_radius_mm": 4.0 + 0.01 * k for k in range(5)}
+            del trial.figures[f"true_rig_sphere_{ball}_{FIT}radius_mm"]
+    radii = {f"calibration_{k}_sphere_1_{FIT}radius_mm": 4.0 + 0.01 * k for k in range(5)}
     trials[0].figures.update(radii)
     return trials
 
@@ -93,7 +93,7 @@ def test_claims_are_judged_by_the_tables():
 
 
 def test_rods_that_show_no_crest_are_counted():
-    trials = [Trial(k, {"rod_width_mm": 2.0 + 0.1 * k}) for k in range(5)]
+    trials = [Trial(k, {WIDTH: 2.0 + 0.1 * k}) for k in range(5)]
     trials.append(Trial(5, {"rod_failure": "no crest"}))
     row = rods_table({"A": trials}).row(rod="A", source="twin")
     assert row["failed"] == 1
@@ -111,7 +111,7 @@ def test_the_mean_rmse_rests_on_all_trials_once():
     """Five trials of 10 um and one of 40: the mean over six is 15 um, not that of both subsets."""
     trials = fringe_trials(0.010)
     for ball in (1, 2):
-        trials[-1].figures[f"sphere_{ball}_rmse_mm"] = 0.040
+        trials[-1].figures[f"sphere_{ball}_{FIT}rmse_mm"] = 0.040
     claims = claims_of({"repeated_fit": repeated_fit_table({CONTACT_FPP: trials})})
     assert claims[0].found == pytest.approx(0.015)
 
@@ -123,7 +123,7 @@ def test_five_trials_that_lie_elsewhere_are_told():
         [4.0 + 0.01 * (rng.standard_normal(5) - 1.2), 4.0 + 0.01 * rng.standard_normal(95)]
     )
     trials = [Trial(0, {})] + [
-        Trial(n, {f"sphere_1_{key}_mm": value for key in ("radius", "rmse")})
+        Trial(n, {f"sphere_1_{FIT}{key}_mm": value for key in ("radius", "rmse")})
         for n, value in enumerate(radii, start=1)
     ]
     spread, mean = claims_of({"repeated_fit": repeated_fit_table({CONTACT_FPP: trials})})[1:3]

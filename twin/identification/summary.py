@@ -7,7 +7,7 @@
 | models | choices with their probabilities, the most probable first |
 | ridges | what cannot be taken apart, in words and components |
 | worth.NAME | what would be left of each field's variance if this were measured |
-| draws | joint samples of the fields, the same place of each list together |
+| draws | joint samples within all stated ranges, the same place of each list together |
 """
 
 from dataclasses import asdict
@@ -52,7 +52,7 @@ def summary_of(found: Identified) -> dict[str, Any]:
         ],
         "ridges": [asdict(one) for one in found.ridges()],
         "worth": {one.row: dict(one.shrink) for one in found.worth()},
-        "draws": _draws(list(problem.free), samples, found.seed),
+        "draws": _draws(values, samples, found.seed),
     }
     rounded: dict[str, Any] = _rounded(whole)
     return rounded
@@ -78,9 +78,14 @@ def _row(found: Identified, one: Prediction) -> dict[str, Any]:
     return told if rotated is None else told | {"deviation_when_held_out": rotated.deviation}
 
 
-def _draws(names: list[str], samples: FloatArray, seed: int) -> dict[str, list[float]]:
-    chosen = np.random.default_rng(seed).choice(len(samples), DRAWS)
-    return {name: samples[chosen, i].tolist() for i, name in enumerate(names)}
+def _draws(
+    values: dict[str, dict[str, Any]], samples: FloatArray, seed: int
+) -> dict[str, list[float]]:
+    """Return samples that an experiment takes, whose values must lie in their stated ranges."""
+    low, high = np.array([one["range"] for one in values.values()]).T
+    allowed = samples[((samples >= low) & (samples <= high)).all(axis=1)]
+    chosen = np.random.default_rng(seed).choice(len(allowed), DRAWS)
+    return {name: allowed[chosen, i].tolist() for i, name in enumerate(values)}
 
 
 def _rounded(node: Any) -> Any:

@@ -49,7 +49,8 @@ def budget_table(name: str, parts: Sequence[Part], trials: Sequence[Trial]) -> T
 
 
 _NOTES = (
-    "Standard uncertainties of one measurement, not of a mean of five.",
+    "Standard uncertainties of one measurement, not of a mean of five. The inputs alone are the "
+    "handling; the trials also draw what was identified.",
     "Each input alone: slope and bend over one standard uncertainty of the input, of the pressed "
     "face or, for optics, of the whole chain without noise; noise and calibration from the trials' "
     "own differences.",

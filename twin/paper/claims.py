@@ -173,17 +173,17 @@ def _completeness_claims(table: Table) -> list[Claim]:
 
 _WHY_FEW = "the first trials happen to lie where 5 % of such samples do"
 _WHY_CONTACT = (
-    "the residual is the form of the draped coat, set by thickness, drape and region of the fit, "
-    "none of which the paper gives"
+    "the residual is the coat's texture where the sheet wraps, and form beyond: texture and region "
+    "of the fit are identified from this row among others"
 )
 _WHY_GELSIGHT = (
     "the rendered sensor errs less than the paper's: one gel, no wear, reference presses all over "
-    "the field; the paper's region of the fit, travel and load are not known"
+    "the field; the identified rows have it with its own region, too"
 )
 _WHY_RATIO = "see both RMSE: the rendered sensor is closer than the paper's"
 _WHY_RODS = (
-    "the silicone between rod and coat smooths the rod: 'true coat' has the same width; see the "
-    "section on differences for the coat on the touched face"
+    "the coat is wider than the rod by up to two local thicknesses; which of its widths the paper "
+    "reads is a choice of the identification"
 )
 _WHY_DIRECT = (
     "the rendered surface shows more of itself than the paper's, at any plausible roughness of its "

@@ -9,6 +9,7 @@ from reconstruction.errors import InputError
 from twin.config import Experiment, load_experiment
 from twin.mechanics import PressedElastomer
 from twin.paper.hardness import draw_hardness
+from twin.paper.identified import draw_ridges
 from twin.paper.object_figures import (
     COMPARED_OBJECTS,
     HARD_OBJECTS,
@@ -65,6 +66,14 @@ FIGURES: dict[str, PaperFigure] = {
         "Fig. 1, concept",
         (),
         lambda _, stem: draw_concept(stem, *_pressed()),
+    ),
+    "ridges": PaperFigure(
+        "What cannot be told apart",
+        "Joint samples of the pairs of unknown fields that trade off most, over the range that was "
+        "thought possible; the cross is the set that is used here.",
+        "",
+        (),
+        draw_ridges,
     ),
     "hardness": PaperFigure(
         "Hardness against mixing ratio",

@@ -21,6 +21,7 @@ from twin.paper.figure_panels import (
     zoom_to_wanted,
 )
 from twin.paper.panels import PanelData
+from twin.paper.plan import RODS as ROD_NAMES
 from twin.paper.relief_views import ReliefView, show_relief, show_scale, stage_for
 from twin.report.bare import REASON_WORDS
 from twin.report.canvas import FAINT, add_colorbar, axes_at, label_panel, no_ticks, printing
@@ -30,7 +31,7 @@ from twin.report.words import number
 _ROWS = {"direct_fpp": "Conventional DFP\n(direct)", "contact_fpp": "Proposed\n(contact-FPP)"}
 HARD_OBJECTS = {"nut": "nut", "brick": "clear brick", "ball": "metal ball"}
 COMPARED_OBJECTS = {"t_bolt": "T-bolt", "bear": "transparent bear", "two_balls": "two balls"}
-RODS = {"rods_a": "A", "rods_b": "B", "rods_c": "C"}
+RODS = {name: name[-1].upper() for name in ROD_NAMES}
 
 
 def draw_direct_and_contact(cases: Path, stem: Path) -> None:

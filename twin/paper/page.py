@@ -8,6 +8,7 @@ from twin.config import Experiment
 from twin.config.inputs import Inputs
 from twin.output import versions
 from twin.paper.figures import FIGURES
+from twin.paper.plan import BALLS
 from twin.report.experiment import settings_table
 from twin.report.page import REPORT_FILE, Figure, Grade, Note, Page, Section, Verdict, write_page
 from twin.report.table import Column, Table
@@ -27,6 +28,12 @@ class PageSection:
 
 SECTIONS = (
     PageSection("claims", "What was to be shown", (), ("claims",)),
+    PageSection(
+        "identified",
+        "The sensor as identified: paper, twin, fitted or predicted",
+        ("ridges",),
+        ("identified", "identified_fields", "identified_choices", "identified_worth"),
+    ),
     PageSection("sensor", "Sensor and elastomer", ("concept", "setup", "hardness"), ("hardness",)),
     PageSection(
         "direct",
@@ -46,7 +53,7 @@ SECTIONS = (
         "budget",
         "Where the uncertainty comes from",
         (),
-        ("budget_two_balls", "budget_rods_a", "budget_rods_b", "budget_rods_c"),
+        (f"budget_{BALLS}",),
     ),
     PageSection(
         "differences",
@@ -54,22 +61,11 @@ SECTIONS = (
         (),
         (
             "explain_region",
-            "explain_layout",
-            "explain_thickness",
-            "explain_drape",
-            "explain_travel",
-            "explain_scale",
             "explain_height_scale",
-            "explain_rods",
             "explain_decoders",
             "explain_roughness",
         ),
-        (
-            "The paper does not state thickness, support, drape, travel or the region of its fits. "
-            "Each table presses the same two balls with one of these changed and fits the coat "
-            "itself; a note marks where the linear slab is no longer valid. The last tables are "
-            "on the rods, on GelSight's decoders and on the bare nut.",
-        ),
+        ("The paper states neither region nor kind of its fits, nor GelSight's decoder.",),
     ),
 )
 
@@ -167,7 +163,10 @@ def _spread_table(inputs: Inputs) -> Table:
     rows, kinds = [], []
     for name, one in inputs.inputs.items():
         kinds.append("assumed" if one.source.startswith("assumed") else "")
-        spread = f"{100 * (one.spread or 0):g} %" if one.relative else f"{one.spread:g}"
+        spread = f"{100 * (one.spread or 0):g} %" if one.relative else f"{one.spread or 0:g}"
+        if one.together:
+            low, high = min(one.values), max(one.values)
+            spread = f"{len(one.values)} joint samples, {low:.3g} to {high:.3g}"
         rows.append(
             {
                 "name": name.replace("_", " "),

@@ -17,7 +17,25 @@ METHODS = (GELSIGHT, CONTACT_FPP)
 NOMINAL_RADIUS_MM = 4.0
 
 BALLS, NUT = "two_balls", "nut"
-RODS = ("rods_a", "rods_b", "rods_c")
+
+
+@lru_cache
+def identified() -> dict[str, Any]:
+    """Return what `twin identify paper/identify` found; see `twin.identification.summary`."""
+    return tomllib.loads(asset_path("scenes", "paper/identified").read_text(encoding="utf-8"))
+
+
+def chosen(alternative: str) -> str:
+    """Return the most probable choice of something that the paper leaves open."""
+    choice: str = identified()["models"][0]["choices"][alternative]
+    return choice
+
+
+_FORM = {"bars": "bars", "round": "rods"}[chosen("form")]
+RODS = tuple(f"{_FORM}_{letter}" for letter in "abc")
+WIDTH = {"half_height": "rod_width_mm", "slope_break": "rod_break_width_mm"}[chosen("width")]
+FIT = {"geometric": "", "algebraic": "algebraic_"}[chosen("sphere_fit")]
+"""Before the names of a sphere's figures: how the paper most probably fitted."""
 DIRECT_AND_CONTACT = (NUT, "brick", "ball")
 GRID = ("t_bolt", "bear", BALLS)
 CASES: Sequence[tuple[tuple[str, ...], tuple[Method, ...]]] = (
@@ -28,12 +46,16 @@ CASES: Sequence[tuple[tuple[str, ...], tuple[Method, ...]]] = (
 """Specimens and methods of the figures."""
 BUDGET_OF: Mapping[str, str] = {
     BALLS: "sphere_1_radius_mm",
-    **dict.fromkeys(RODS, "rod_width_mm"),
 }
 """The figure of each specimen whose uncertainty is ranked."""
 
-# Two by two pixels are read as one: a quarter of the time, and the same projector pixels.
-COARSE: Mapping[str, Any] = {"camera.binning": 2}
+# Two by two pixels are read as one: a quarter of the time, and the same projector pixels. Cells of
+# the sheet and nodes of the coat are as coarse as where the values were identified.
+COARSE: Mapping[str, Any] = {
+    "camera.binning": 2,
+    "press.cell_mm": 0.3,
+    "press.relief_pitch_mm": 0.05,
+}
 FINE: Mapping[str, Any] = {}
 
 

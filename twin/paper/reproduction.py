@@ -34,11 +34,12 @@ from twin.paper.plan import (
 )
 from twin.paper.trials import (
     BOARD,
+    REFUSED,
     Trial,
     colour_cases,
     figures_by_decoder,
     fringe_study,
-    inputs,
+    handling,
     plan_of,
     trials_among,
 )
@@ -49,7 +50,7 @@ from twin.study.engine import SweepOutcome
 from twin.study.measuring import Measuring, RigCovariance, calibrated
 from twin.study.store import Store
 from twin.study.sweep import run_cases, sweep
-from twin.study.trials import INPUT, STEP, TRIAL, alone_cases
+from twin.study.trials import INPUT, PART, STEP, TRIAL, TRIALS, alone_cases
 from twin.study.worker import MakeMeasurer
 from twin.study.workers import Workers, local_workers
 from twin.uncertainty.budget import Part, part_of
@@ -115,7 +116,7 @@ class Reproduction:
         MissingBackend
             No usable Dr.Jit backend.
         """
-        experiment, given = self._experiment(name), inputs().inputs
+        experiment, given = self._experiment(name), handling().inputs
         optics = {title: one for title, one in given.items() if one.group == "optics"}
         cases = [alone_cases(experiment, given, face_only=True)]
         if name == BALLS:
@@ -135,7 +136,7 @@ class Reproduction:
             steps = {
                 step: figures.get(output) for (of, step), figures in values.items() if of == title
             }
-            part = part_of(title, inputs().inputs[title], middle | steps)
+            part = part_of(title, handling().inputs[title], middle | steps)
             if part is None:
                 raise InputError(f"budget of {output}: {title}: no such figure beside the nominal")
             parts.append(part)
@@ -193,21 +194,28 @@ class Reproduction:
 def _figures(
     cases: Sequence[Case], folder: Path, outcome: SweepOutcome
 ) -> dict[str, dict[str, Any]]:
-    """Return the figures of cases, by digest; the first failure is told.
+    """Return the figures of cases, by digest; a repeated trial that was refused has the reason.
 
     Raises
     ------
     InputError
-        A case failed, or could not be saved.
+        Another case failed, or a case could not be saved.
     """
     store, found = Store(folder), {}
     for case in cases:
         content = store.read(case.digest) or {"failure": outcome.unsaved.get(case.digest, "lost")}
+        if "metrics" not in content and _is_repeated(case) and "failure" in content:
+            # A drawn sheet may hold less than its pressure: one trial less, and told.
+            content["metrics"] = {REFUSED: content["failure"]}
         if "metrics" not in content:
             at = f", trial {case.settings[TRIAL]}" if TRIAL in case.settings else ""
             raise InputError(f"{case.experiment.name}{at}: {content['failure']}")
         found[case.digest] = content["metrics"]
     return found
+
+
+def _is_repeated(case: Case) -> bool:
+    return case.settings.get(PART) == TRIALS and case.settings[TRIAL] > 0
 
 
 def link(path: Path, target: Path) -> None:

@@ -3,11 +3,16 @@
 from collections.abc import Iterator, Mapping, Sequence
 
 from twin.paper.hardness import mixes
-from twin.paper.plan import rows_of
+from twin.paper.plan import WIDTH, rows_of
 from twin.paper.sphere_tables import PAPER_TRIALS, subsets
 from twin.paper.statistics import spread_of, values_of
-from twin.paper.trials import Trial
+from twin.paper.trials import REFUSED, Trial
 from twin.report.table import PAPER, TWIN, Cell, Column, Table
+
+_WIDTHS = {
+    "rod_width_mm": "between its flanking valleys at half of its height",
+    "rod_break_width_mm": "between the breaks of its slope",
+}
 
 
 def rods_table(trials: Mapping[str, Sequence[Trial]]) -> Table:
@@ -38,8 +43,8 @@ def rods_table(trials: Mapping[str, Sequence[Trial]]) -> Table:
         ),
         tuple(rows),
         (
-            "Width of the coat's crest between its flanking valleys, at half of its height, over "
-            "the mean section of 2 mm in the middle of the rod.",
+            f"Width of the coat's crest, {_WIDTHS[WIDTH]}, over the mean section of 2 mm in the "
+            "middle of the rod.",
             "'true coat' is the same width of the coat itself: the elastomer's share of the error.",
         ),
     )
@@ -47,11 +52,11 @@ def rods_table(trials: Mapping[str, Sequence[Trial]]) -> Table:
 
 def _rod_rows(trials: Sequence[Trial], reference_mm: float) -> Iterator[dict[str, Cell]]:
     for some in subsets(trials):
-        width = spread_of(values_of(some, "rod_width_mm"))
-        failed = sum("rod_failure" in one.figures for one in some)
+        width = spread_of(values_of(some, WIDTH))
+        failed = sum(not {"rod_failure", REFUSED}.isdisjoint(one.figures) for one in some)
         row: dict[str, Cell] = {"source": TWIN, "trials": len(some), "failed": failed}
         if width is not None:
-            face = spread_of(values_of(some, "true_face_rod_width_mm"))
+            face = spread_of(values_of(some, f"true_face_{WIDTH}"))
             row |= {
                 "mean": width.mean,
                 "abs_error": abs(width.mean - reference_mm),

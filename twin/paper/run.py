@@ -19,10 +19,16 @@ from twin.output import EXPERIMENT_FILE, RESULT_FILE, adding, claim, versions, w
 from twin.paper.budget import budget_table
 from twin.paper.claims import claims_of, claims_table
 from twin.paper.completeness import completeness_table
-from twin.paper.explanations import decoder_table, explanations, nut_table
+from twin.paper.explanations import (
+    decoder_table,
+    height_scale_table,
+    nut_table,
+    region_table,
+)
 from twin.paper.figures import FIGURES, draw_figure
+from twin.paper.identified import identified_tables
 from twin.paper.page import Contents, write_paper_page
-from twin.paper.plan import BALLS, COARSE, CONTACT_FPP, FINE, GELSIGHT, RODS, experiment_of
+from twin.paper.plan import BALLS, COARSE, CONTACT_FPP, FINE, GELSIGHT, experiment_of
 from twin.paper.reproduction import Reproduction
 from twin.paper.rod_table import hardness_table, rods_table
 from twin.paper.sphere_tables import repeated_fit_table, sphere_fit_table, uncertainty_table
@@ -55,21 +61,29 @@ def sphere_tables(run: Reproduction) -> list[Table]:
 
 def rod_tables(run: Reproduction) -> list[Table]:
     """Return the tables on the rods."""
-    trials = run.rod_trials()
-    budgets = [budget_table(name, run.budget(name), trials[name[-1].upper()]) for name in RODS]
-    return [rods_table(trials), *budgets]
+    return [rods_table(run.rod_trials())]
 
 
 def difference_tables(run: Reproduction) -> list[Table]:
     """Return the experiments on where twin and paper differ."""
     run.watch("differences", 0.0)
-    rods = {name: experiment_of(name, run.settings) for name in RODS}
-    found = explanations(experiment_of(BALLS, run.settings), rods)
+    balls = experiment_of(BALLS, run.settings)
+    found = [region_table(balls), height_scale_table(balls.score.roi_radius_mm)]
     run.watch("differences", 1.0)
     return [*found, nut_table(run.bare_nut())]
 
 
+def sensor_tables(run: Reproduction) -> list[Table]:
+    """Return what was identified, beside the trials of balls and rods."""
+    balls = run.ball_trials()
+    trials = {"balls": balls[CONTACT_FPP], "gelsight": balls[GELSIGHT]}
+    for letter, found in run.rod_trials().items():
+        trials |= {f"{form}_{letter.lower()}": found for form in ("bar", "round")}
+    return identified_tables(trials)
+
+
 TABLES: Mapping[str, Callable[[Reproduction], list[Table]]] = {
+    "identified": sensor_tables,
     "hardness": lambda _: [hardness_table()],
     "rods": rod_tables,
     "spheres": sphere_tables,

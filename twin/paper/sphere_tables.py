@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
-from twin.paper.plan import NOMINAL_RADIUS_MM, rows_of
+from twin.paper.plan import FIT, NOMINAL_RADIUS_MM, rows_of
 from twin.paper.statistics import Budget, root_mean_square, spread_of, values_of
 from twin.paper.trials import Trial
 from twin.report.table import PAPER, TWIN, Cell, Column, Table
@@ -57,8 +57,10 @@ _FIT = ("radius", "abs_radius_error", "rmse", "mae", "p95")
 def _fit_row(method: str, ball: int, trial: Trial) -> dict[str, Cell]:
     figures, prefix = trial.figures, f"sphere_{ball}_"
     row: dict[str, Cell] = {"method": method, "sphere": ball, "source": TWIN}
-    row |= {key: figures.get(f"{prefix}{key}_mm") for key in _FIT}
-    face = {key: figures.get(f"{prefix}true_face_{key}_mm") for key in ("radius", "rmse")}
+    row |= {key: figures.get(f"{prefix}{FIT}{key}_mm") for key in _FIT}
+    if row["radius"] is not None:
+        row["abs_radius_error"] = abs(float(str(row["radius"])) - NOMINAL_RADIUS_MM)
+    face = {key: figures.get(f"{prefix}true_face_{FIT}{key}_mm") for key in ("radius", "rmse")}
     return row | {f"face_{key}": value for key, value in face.items()}
 
 
@@ -103,8 +105,8 @@ def repeated_fit_table(trials: Trials) -> Table:
 
 def _repeated_rows(method: str, ball: int, trials: Sequence[Trial]) -> Iterator[dict[str, Cell]]:
     for some in subsets(trials):
-        radius = spread_of(values_of(some, f"sphere_{ball}_radius_mm"))
-        rmse = spread_of(values_of(some, f"sphere_{ball}_rmse_mm"))
+        radius = spread_of(values_of(some, f"sphere_{ball}_{FIT}radius_mm"))
+        rmse = spread_of(values_of(some, f"sphere_{ball}_{FIT}rmse_mm"))
         if radius is None or rmse is None:
             continue
         yield {
@@ -165,7 +167,7 @@ def uncertainty_table(trials: Trials) -> Table:
 def budget_of(trials: Sequence[Trial], ball: int) -> Budget | None:
     """Return the budget of one ball's radius; None without repetitions of press or rig."""
     repeated = [one for one in trials if one.number]
-    radius = spread_of(values_of(repeated, f"sphere_{ball}_radius_mm"))
+    radius = spread_of(values_of(repeated, f"sphere_{ball}_{FIT}radius_mm"))
     u_cal = calibration_uncertainty(trials, ball)
     if radius is None or radius.u_rep is None or u_cal is None:
         return None
@@ -179,7 +181,7 @@ def calibration_uncertainty(trials: Sequence[Trial], ball: int) -> float | None:
     rig and does not count. Photometric stereo has no true calibration: standard deviation over
     several, all on the image of trial 0. None where nothing was calibrated twice.
     """
-    name = f"sphere_{ball}_radius_mm"
+    name = f"sphere_{ball}_{FIT}radius_mm"
     changes = [
         float(one.figures[name]) - float(one.figures[f"true_rig_{name}"])
         for one in trials

@@ -2,10 +2,12 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 from twin.config import Experiment
-from twin.config.inputs import Inputs, load_inputs
+from twin.config.inputs import Group, Input, Inputs, load_inputs
+from twin.paper.plan import identified
 from twin.pipeline.comparison import PhotometricPlan, case_for
 from twin.results.decoders import DecodedImage
 from twin.results.record import Measurement
@@ -20,6 +22,16 @@ INPUTS, BOARD = "paper/trials", "boards/paper_dots"
 # The paper's pipeline: a look-up table, then integration as in the vendor's programs of its time.
 PAPER_DECODER = {"photometric.colour_map": "table", "photometric.integration": "sdk_2024"}
 
+REFUSED = "refused"
+"""Figure of a trial that could not be pressed or measured: the reason."""
+
+_GROUPS: Mapping[str, Group] = {
+    "elastomer": "elastomer",
+    "coating": "elastomer",
+    "press": "press",
+    "score": "press",
+}
+
 Figures = Mapping[str, Any]
 
 
@@ -31,9 +43,30 @@ class Trial:
     figures: Figures
 
 
-def inputs() -> Inputs:
-    """Return what differs from trial to trial."""
+def handling() -> Inputs:
+    """Return what differs from trial to trial in the handling and the piece."""
     return load_inputs(INPUTS)
+
+
+@lru_cache
+def inputs() -> Inputs:
+    """Return what differs from trial to trial: handling, and joint samples of the identified."""
+    given = handling()
+    found = identified()
+    drawn = {
+        name: Input(
+            group=_GROUPS[one["path"].partition(".")[0]],
+            key=one["path"],
+            distribution="choice",
+            together="posterior",
+            values=tuple(found["draws"][name]),
+            # GelSight has a gel of its own, and no air: it shares the travel alone.
+            methods=() if one["path"] == "press.depth_mm" else ("contact_fpp",),
+            source=one["source"],
+        )
+        for name, one in found["fields"].items()
+    }
+    return given.model_copy(update={"inputs": given.inputs | drawn})
 
 
 def fringe_study(experiment: Experiment, trials: int) -> StudyRecord:
@@ -45,7 +78,8 @@ def plan_of(trial: int) -> PhotometricPlan:
     """Return sensor and decoder of a trial; its reference presses are one of five sets."""
     seed = inputs().seed + trial % CALIBRATIONS
     settings: dict[str, Any] = {**PAPER_DECODER, "seed": seed}
-    return PhotometricPlan(settings=settings)
+    # The z stage goes as far: a thin sheet gives way at forces that a gel on a window hardly feels.
+    return PhotometricPlan(settings=settings, match="depth")
 
 
 def colour_cases(experiment: Experiment, trials: int) -> list[Case]:

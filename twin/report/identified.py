@@ -6,6 +6,8 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
+from matplotlib.ticker import NullLocator
 
 from reconstruction.arrays import FloatArray
 from twin.config.problem import Free
@@ -362,8 +364,18 @@ def _edges(free: Free) -> FloatArray:
     return free.value(np.linspace(0.0, 1.0, _BINS + 1))
 
 
+def mark(axis: Axis, free: Free) -> None:
+    """Put ends and middle of a field's range on an axis, in plain figures."""
+    marks = free.value(np.array([0.0, 0.5, 1.0]))
+    axis.set_ticks(marks.tolist(), labels=[f"{one:.2g}" for one in marks])
+    axis.set_minor_locator(NullLocator())
+
+
 def _label(axes: Axes, free: list[tuple[str, Free]], row: int, column: int) -> None:
     names = [field_words(name, one) for name, one in free]
+    mark(axes.xaxis, free[column][1])
+    if row != column:
+        mark(axes.yaxis, free[row][1])
     axes.tick_params(labelsize=6.0, which="both")
     if row == len(free) - 1:
         axes.set_xlabel(names[column], fontsize=8.0)

@@ -1,0 +1,75 @@
+"""What was identified stands once: in scenes, trials and tables alike."""
+
+import numpy as np
+import pytest
+
+from twin.config import load_experiment
+from twin.paper.identified import (
+    choices_table,
+    draw_ridges,
+    fields_table,
+    identified_rows_table,
+    problem,
+    worth_table,
+)
+from twin.paper.plan import BALLS, FIT, RODS, identified
+from twin.paper.trials import REFUSED, Trial, inputs
+from twin.study.cases import field_of
+from twin.study.trials import draw
+
+
+@pytest.mark.parametrize("name", [BALLS, *RODS, "nut", "gelsight_two_balls"])
+def test_every_scene_has_the_identified_values(name):
+    experiment, fields = load_experiment(f"paper/{name}"), identified()["fields"]
+    of_sheet = name != "gelsight_two_balls"
+    for field in fields.values():
+        if of_sheet or field["path"] in ("press.depth_mm", "score.roi_radius_mm"):
+            assert field_of(experiment, field["path"]) == pytest.approx(field["value"])
+    if of_sheet:
+        told = experiment.provenance["elastomer.thickness_mm"]
+        assert told.source == fields["thickness_mm"]["source"]
+        assert list(told.range) == pytest.approx(fields["thickness_mm"]["range"])
+
+
+def test_trials_draw_joint_samples_and_placement():
+    experiment, given = load_experiment(f"paper/{BALLS}"), inputs()
+    draws = identified()["draws"]
+    samples = list(zip(draws["thickness_mm"], draws["back_pressure_kpa"], strict=True))
+    drawn = [draw(experiment, given.inputs, given.seed, trial) for trial in range(1, 12)]
+    for one in drawn:
+        pair = one.elastomer.thickness_mm, one.press.back_pressure_kpa
+        assert any(np.allclose(pair, sample) for sample in samples)
+    assert len({one.specimen.x_mm for one in drawn}) == 11
+
+
+def test_rows_stand_beside_their_trials():
+    """Balls of 3.8 and 4.0 mm in two trials: mean 3.9, SD 0.1414 pooled over the balls."""
+    figures = [{f"sphere_{ball}_{FIT}radius_mm": value for ball in (1, 2)} for value in (3.8, 4.0)]
+    trials = [Trial(0, {}), *(Trial(k, one) for k, one in enumerate(figures, 1))]
+    table = identified_rows_table({"balls": [*trials, Trial(3, {REFUSED: "too thin"})]})
+    row = table.row(row="radius_1")
+    assert row["use"] == "fitted"
+    assert row["trials_mean"] == pytest.approx(3.9)
+    assert row["trials_sd"] == pytest.approx(np.sqrt(0.02))
+    assert row["refused"] == 1
+    assert table.row(row="mae_1")["use"] == "predicted"
+    within = {"1 SD": 1.0, "2 SD": 2.0, "unexplained": np.inf}
+    for row in table.rows:
+        assert abs(row["steps"]) <= within[row["within"]]
+
+
+def test_tables_hold_every_field_choice_and_measurement():
+    assert len(fields_table().rows) == len(problem().free)
+    assert {"caliper"} <= set(identified()["worth"])
+    assert len(worth_table().rows) == len(identified()["worth"])
+    by_alternative = {}
+    for row in choices_table().rows:
+        name = str(row["choice"]).partition(":")[0]
+        by_alternative[name] = by_alternative.get(name, 0.0) + row["probability"]
+    assert all(total == pytest.approx(1.0, abs=1e-3) for total in by_alternative.values())
+
+
+def test_ridges_are_drawn(tmp_path):
+    draw_ridges(tmp_path, tmp_path / "ridges")
+    assert (tmp_path / "ridges.png").stat().st_size > 0
+    assert (tmp_path / "ridges.pdf").stat().st_size > 0
