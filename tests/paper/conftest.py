@@ -71,7 +71,7 @@ def keep(folder, seen):
     """Write what a case keeps, without its completeness."""
     from twin.paper.panels import panel_data_of, write_panel_data
 
-    write_result(folder, "paper", seen.experiment, seen.figures)
+    write_result(folder, "paper", seen.experiment, seen.metrics)
     write_panel_data(folder / "panels", panel_data_of(seen))
 
 

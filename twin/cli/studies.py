@@ -227,9 +227,9 @@ def uncertainty(
 ) -> int:
     """Repeat a measurement with its inputs drawn anew: interval and ranked budget of any figure.
 
-    For example: twin uncertainty paper/two_balls -n 100 -m sphere_1_radius_mm -s camera.binning=4
-    -o out/u. Run it again to go on, or with a larger -n to add trials. Exit code 1: too few trials
-    have a result, or some could not be saved.
+    For example: twin uncertainty examples/slab_balls -n 100 -m sphere_1_radius_mm
+    -s camera.binning=4 -o out/u. Run it again to go on, or with a larger -n to add trials. Exit
+    code 1: too few trials have a result, or some could not be saved.
 
     Parameters
     ----------
