@@ -112,7 +112,7 @@ def test_csv_and_parquet(swept, capsys, tmp_path):
         (("[8.0, 12.0]", "[8.0, 40.0]"), "elastomer.shore_a: found 40, allowed 5 to 15"),
         (("values", "valeus"), "unknown key 'valeus' in [axis.0]; did you mean 'values'?"),
         (("at_most = 0.3", ""), "constraint.0: found {'value': 'force_n'}, needs at_least"),
-        (('"examples/slab_balls"', '"paper/two_bals"'), "did you mean examples/slab_balls"),
+        (('"examples/slab_balls"', '"paper/two_bals"'), "did you mean paper/two_balls"),
         (('value = "force_n"\nat_most = 0.3', 'value = "press.depth_mm"\nat_most = 0.1'),
          "constraints exclude all 4"),
     ],
