@@ -30,7 +30,7 @@ def test_the_width_of_a_rod_is_that_of_its_section(rod):
     data = read_panel_data(rod / "panels")
     width = data.numbers.width
     assert width is not None
-    assert width.nominal_mm == 1.99
+    assert width.nominal_mm == 7.23
     assert width.right_mm - width.left_mm == pytest.approx(width.width_mm)
     ends = np.interp([width.left_mm, width.right_mm], *data.section.T)
     assert ends[0] == pytest.approx(ends[1], abs=1e-4)

@@ -49,11 +49,10 @@ BUDGET_OF: Mapping[str, str] = {
 }
 """The figure of each specimen whose uncertainty is ranked."""
 
-# Two by two pixels are read as one: a quarter of the time, and the same projector pixels. Cells of
-# the sheet and nodes of the coat are as coarse as where the values were identified.
+# Two by two pixels are read as one: a quarter of the time, and the same projector pixels. Nodes of
+# the coat are as coarse as where the values were identified.
 COARSE: Mapping[str, Any] = {
     "camera.binning": 2,
-    "press.cell_mm": 0.3,
     "press.relief_pitch_mm": 0.05,
 }
 FINE: Mapping[str, Any] = {}
