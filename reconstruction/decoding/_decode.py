@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from reconstruction._jit import compiled, merged
 from reconstruction.arrays import FloatImage
+from reconstruction.compiling import compiled, merged
 from reconstruction.decoding._order import (
     NEAR_SIGMAS,
     PLAIN,

@@ -18,8 +18,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from reconstruction._jit import compiled, inlined, merged, run_over_rows
 from reconstruction.arrays import FloatArray, FloatImage, Reason
+from reconstruction.compiling import compiled, inlined, merged, run_over_rows
 from reconstruction.decoding._lift import (
     ONE,
     ZERO,

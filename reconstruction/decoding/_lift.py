@@ -14,8 +14,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from reconstruction._jit import compiled, inlined, merged
 from reconstruction.arrays import FloatImage
+from reconstruction.compiling import compiled, inlined, merged
 from reconstruction.decoding._rows import add, fill, larger, multiply
 
 ZERO, ONE, TWO, TINY = np.float32(0.0), np.float32(1.0), np.float32(2.0), np.float32(1e-30)

@@ -18,8 +18,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from reconstruction._jit import compiled, inlined
 from reconstruction.arrays import FloatArray, Reason
+from reconstruction.compiling import compiled, inlined
 from reconstruction.decoding._rows import smaller
 from reconstruction.decoding._sum import RowFrames
 

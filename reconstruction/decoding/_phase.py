@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from reconstruction._jit import compiled, inlined
+from reconstruction.compiling import compiled, inlined
 from reconstruction.decoding._sum import SATURATED, Fit, Layout, Limits, RowFrames, Sums, noise_dn2
 
 TURN = 2.0 * np.pi

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from reconstruction._jit import compiled, inlined, merged
+from reconstruction.compiling import compiled, inlined, merged
 from reconstruction.decoding._lift import ONE, TINY, TWO, ZERO, Planes, Smoothing
 from reconstruction.decoding._rows import add, larger, smaller
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from reconstruction._jit import compiled, inlined
+from reconstruction.compiling import compiled, inlined
 
 BIAS = 2.0**-112
 DROPPED = np.uint32(13)

@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from reconstruction._jit import compiled, inlined
 from reconstruction.arrays import FloatImage, Reason
+from reconstruction.compiling import compiled, inlined
 from reconstruction.decoding._rows import larger, smaller
 from reconstruction.rig.sensor import QUANTISATION_DN2
 

@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from reconstruction._jit import run_over_rows
 from reconstruction.arrays import FloatImage, Reason, Stack
 from reconstruction.compact import Half, Orders, Share, Turns
+from reconstruction.compiling import run_over_rows
 from reconstruction.decoding import AxisDecode, Decoded, DecodeOptions
 from reconstruction.decoding._decode import Maps, Plan, Units, decode_rows
 from reconstruction.decoding._filter import Smoothed, Unfiltered, smooth

@@ -14,9 +14,9 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from reconstruction._jit import run_over_rows
 from reconstruction.arrays import BoolImage, FloatArray, FloatImage, Reason, ReasonImage
 from reconstruction.compact import Bits, Half, RaySpread, keeps_compact, kept
+from reconstruction.compiling import run_over_rows
 from reconstruction.decoding import AxisDecode, Decoded
 from reconstruction.decoding._rows import BIAS
 from reconstruction.decoding.decode import SIGMA_UNIT_PX

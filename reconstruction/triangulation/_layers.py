@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from reconstruction._jit import compiled, inlined
+from reconstruction.compiling import compiled, inlined
 from reconstruction.decoding._rows import unpack_row
 from reconstruction.triangulation._ray import (
     MAX_STEPS,

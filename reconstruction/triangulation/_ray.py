@@ -14,8 +14,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from reconstruction._jit import compiled, inlined
 from reconstruction.arrays import Reason
+from reconstruction.compiling import compiled, inlined
 from reconstruction.decoding._rows import pack_row, unpack_row
 from reconstruction.rig.pinhole import (
     INVERSE_STEPS,

@@ -4,7 +4,7 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from reconstruction import _jit
+from reconstruction import compiling
 from reconstruction.compact import Half, Orders, RaySpread, Turns, kept
 from reconstruction.decoding._rows import BIAS, pack_row, unpack_row
 from reconstruction.decoding.decode import (
@@ -158,7 +158,7 @@ def test_result_needs_less_than_half_of_the_memory_of_the_stack(monkeypatch, cap
     Setup: a dark capture of full size, beside which the lines and patches of two threads are small.
     Why: with the stack itself that is the promised 1.5, which the benchmark measures.
     """
-    monkeypatch.setattr(_jit, "threads", lambda: 2)
+    monkeypatch.setattr(compiling, "threads", lambda: 2)
     _, patterns, calibration = capture
     stack = np.zeros((len(patterns.frames), 1464, 1936), np.uint16)
     camera = dataclasses.replace(calibration.camera, width_px=1936, height_px=1464)

@@ -3,7 +3,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from reconstruction import _jit
+from reconstruction import compiling
 from reconstruction.decoding import decode as decode_module
 from reconstruction.decoding._sum import find_noise
 from reconstruction.decoding.decode import AxisDecode, Decoded, DecodeOptions, decode, make_plan
@@ -41,7 +41,7 @@ def fields(decoded: Decoded):
 def test_result_is_the_same_on_any_number_of_threads(monkeypatch, patterns, stack, threads):
     """Expected: the same bytes, as the bands do not depend on the number of threads."""
     expected = decode(stack, patterns, SENSOR)
-    monkeypatch.setattr(_jit, "threads", lambda: threads)
+    monkeypatch.setattr(compiling, "threads", lambda: threads)
     for found, wanted in zip(
         fields(decode(stack, patterns, SENSOR)), fields(expected), strict=True
     ):

@@ -6,14 +6,12 @@ neo-Hookean solid (Kiendl et al. 2015), in closed form.
 
 # ruff: noqa: PLR0917 - compiled functions cannot take keyword-only arguments
 
-import hashlib
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar, cast
-
-import numba
+from typing import Any, NamedTuple, TypeVar
 
 from reconstruction.arrays import FloatArray
+from reconstruction.compiling import compile_and_keep, digest_of_sources
 
 # Sums may be reordered for vector units: results are compared with tolerances that know of it.
 _OPTIONS: dict[str, Any] = {
@@ -30,29 +28,17 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 _SOURCES = ("laws.py", "point.py", "tangent.py", "kernel.py")
 
 
-def _digest_of_sources() -> str:
-    files = (Path(__file__).with_name(name) for name in _SOURCES)
-    return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
-
-
-_SOURCE_DIGEST = _digest_of_sources()
+_SOURCE_DIGEST = digest_of_sources(Path(__file__).parent, _SOURCES)
 
 
 def kernel(function: Function) -> Function:
     """Compile on first call and keep the result on disk."""
-    return _compiled(function, _OPTIONS)
+    return compile_and_keep(function, _OPTIONS, _SOURCE_DIGEST)
 
 
 def inlined(function: Function) -> Function:
     """Compile into the callers: for what runs once per Gauss point."""
-    return _compiled(function, _OPTIONS | {"forceinline": True})
-
-
-def _compiled(function: Function, options: dict[str, Any]) -> Function:
-    compiled = numba.njit(cache=True, **options)(function)
-    # The cache notices a change in a function's own file only, not of what is inlined from here.
-    compiled._cache._cache_file._source_stamp = _SOURCE_DIGEST
-    return cast(Function, compiled)
+    return compile_and_keep(function, _OPTIONS | {"forceinline": True}, _SOURCE_DIGEST)
 
 
 class Rest(NamedTuple):

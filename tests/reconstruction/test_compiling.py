@@ -6,7 +6,7 @@ import textwrap
 
 import numpy as np
 
-from reconstruction import _jit, errors, machine
+from reconstruction import compiling, errors, machine
 from reconstruction.decoding._decode import decode_rows
 
 
@@ -16,7 +16,7 @@ def test_bands_cover_every_row_once():
     def count(first_row, end_row, step):
         counts[first_row:end_row] += step
 
-    _jit.run_over_rows(count, 37, 3)
+    compiling.run_over_rows(count, 37, 3)
     assert np.all(counts == 3)
 
 
@@ -25,7 +25,7 @@ def test_errors_of_a_band_reach_the_caller():
         raise ZeroDivisionError
 
     try:
-        _jit.run_over_rows(fail, 5)
+        compiling.run_over_rows(fail, 5)
     except ZeroDivisionError:
         return
     raise AssertionError("the error was lost")
@@ -36,7 +36,7 @@ def run_kernel(folder, files, program):
     package = folder / "reconstruction"
     package.mkdir(exist_ok=True)
     (package / "__init__.py").touch()  # or the installed package would win
-    for module in (_jit, machine, errors):
+    for module in (compiling, machine, errors):
         shutil.copy(module.__file__, package)
     for name, text in (files | {"_outer.py": textwrap.dedent(program)}).items():
         (package / name).parent.mkdir(exist_ok=True)
@@ -55,9 +55,9 @@ def run_kernel(folder, files, program):
 def test_stored_kernels_depend_on_all_kernel_sources(tmp_path):
     """Why: numba itself would keep code into which another module's old function was inlined."""
     cache_file = decode_rows._cache._cache_file
-    assert cache_file._source_stamp == _jit.SOURCE_DIGEST
+    assert cache_file._source_stamp == compiling.SOURCE_DIGEST
     program = """
-        from reconstruction._jit import compiled, inlined
+        from reconstruction.compiling import compiled, inlined
         from reconstruction.rig.sensor import formula
         inner = inlined(formula)
         @compiled
@@ -74,7 +74,7 @@ def test_stored_kernels_depend_on_all_kernel_sources(tmp_path):
 def test_stored_kernels_may_name_types_that_are_gone(tmp_path):
     """Why: numba reads the names of a kernel's argument types before it looks at the digest."""
     program = """
-        from reconstruction._jit import compiled
+        from reconstruction.compiling import compiled
         from reconstruction._lines import {name}
         @compiled
         def outer(pair):

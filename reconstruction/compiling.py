@@ -22,30 +22,30 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 BAND_ROWS = 16
 
 # Every file whose code or constants end up in a kernel.
-KERNEL_SOURCES = ("**/_[!_]*.py", "arrays.py", "rig/pinhole.py", "rig/sensor.py")
+KERNEL_SOURCES = ("**/_[!_]*.py", "compiling.py", "arrays.py", "rig/pinhole.py", "rig/sensor.py")
 
 # Division by zero gives inf as in numpy. Fused multiply-add is allowed, but not the fast arithmetic
 # that assumes there are no NaNs: a damaged float stack must not pass a threshold.
 OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath": {"contract"}}
 
 
-def _digest_of_sources() -> str:
-    folder = Path(__file__).parent
-    files = sorted(file for pattern in KERNEL_SOURCES for file in folder.glob(pattern))
+def digest_of_sources(folder: Path, patterns: tuple[str, ...]) -> str:
+    """Return the digest of all files whose code or constants end up in some kernels."""
+    files = sorted(file for pattern in patterns for file in folder.glob(pattern))
     return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
 
 
-SOURCE_DIGEST = _digest_of_sources()
+SOURCE_DIGEST = digest_of_sources(Path(__file__).parent, KERNEL_SOURCES)
 
 
 def compiled(function: Function) -> Function:
     """Compile `function` on first call and keep the result on disk."""
-    return _compile(function, OPTIONS)
+    return compile_and_keep(function, OPTIONS, SOURCE_DIGEST)
 
 
 def inlined(function: Function) -> Function:
     """Compile `function` into its callers: for what runs once per pixel."""
-    return _compile(function, OPTIONS | {"forceinline": True})
+    return compile_and_keep(function, OPTIONS | {"forceinline": True}, SOURCE_DIGEST)
 
 
 def merged(function: Function) -> Function:
@@ -57,7 +57,8 @@ def merged(function: Function) -> Function:
     return cast(Function, numba.njit(inline="always", **OPTIONS)(function))
 
 
-def _compile(function: Function, options: dict[str, Any]) -> Function:
+def compile_and_keep(function: Function, options: dict[str, Any], source_digest: str) -> Function:
+    """Compile on first call; keep the result on disk for as long as the sources are the same."""
     try:
         kernel = numba.njit(cache=True, **options)(function)
     except RuntimeError:  # there is no place to write: compile anew in every process
@@ -65,7 +66,7 @@ def _compile(function: Function, options: dict[str, Any]) -> Function:
     # The cache notices a change in a function's own file only, and would keep serving code into
     # which another file's old function or constant was inlined.
     stored = kernel._cache._cache_file
-    stored._source_stamp = SOURCE_DIGEST
+    stored._source_stamp = source_digest
     stored._load_index = partial(_load_index, stored)
     return cast(Function, kernel)
 
