@@ -26,7 +26,7 @@ def test_one_table_and_one_figure(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--only", "tabel"], "--only tabel: found no such table or figure, allowed hardness"),
+        (["--only", "tabel"], "--only tabel: found no such table or figure, allowed identified"),
         (["-j", "0"], "--workers 0: allowed 1 or more"),
         (["--trials", "1"], "--trials 1: allowed 2 to 10000"),
     ],

@@ -15,7 +15,7 @@ PITCH_MM = 0.05
 def seen():
     """An 8 mm ball 0.5 mm deep in a coat that touches it, seen by 241 x 241 pixels."""
     experiment = load_experiment(
-        "paper/ball",
+        "examples/slab_ball",
         {
             "elastomer.layout": "contact_face",
             "press.back_pressure_kpa": 0.0,

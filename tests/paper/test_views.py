@@ -132,7 +132,8 @@ def test_a_cut_sheet_ends_at_the_cut_and_is_closed(experiment, pressed, mi):
     assert silicone.mesh.is_watertight
     assert silicone.mesh.bounds[0, 1] == pytest.approx(0.0, abs=0.06)
     half = experiment.elastomer.length_y_mm / 2
-    assert silicone.mesh.bounds[1, 1] == pytest.approx(half)
+    # A sheet leans at its simple support, and its faces are half a thickness off its middle.
+    assert half <= silicone.mesh.bounds[1, 1] <= half + experiment.elastomer.thickness_mm / 2
     assert coat.mesh.bounds[1, 2] == pytest.approx(pressed.face_z_mm.max() + 0.04, abs=0.01)
 
 
