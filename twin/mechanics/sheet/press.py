@@ -210,8 +210,11 @@ def _soft(sheet: Sheet) -> Sheet:
     """Return the sheet with contact no stiffer than its cells, for the way.
 
     On cells much wider than it is thick a sheet passes an edge point by point, and the stiffer
-    contact is, the more equilibria lie side by side.
+    contact is, the more equilibria lie side by side. A sheet that sticks remembers its way, and
+    keeps the stiffness of its thickness.
     """
+    if sheet.sticks:
+        return sheet
     stiffest = sheet.laws.shear_modulus_kpa / (_SOFT * sheet.cell_mm)
     softened = min(sheet.laws.contact_stiffness, stiffest)
     sheet.laws = sheet.laws._replace(contact_stiffness=softened)
