@@ -42,6 +42,19 @@ def test_what_is_still_going_down_is_refused_or_taken() -> None:
     assert sheet.evaluate(taken.control_mm, taken, tangent=False).energy < before
 
 
+def test_a_step_that_is_far_too_short_is_made_longer() -> None:
+    sheet = slack_strip()
+    state = follow(sheet, Loads(0.2), Accuracy())
+    state = SheetState(state.control_mm, state.grip, travel_mm=0.4)
+    now = sheet.evaluate(state.control_mm, state, tangent=True)
+    forces = sheet.forces()
+    step = -1e-6 * sheet._spread(forces) / np.abs(forces).max()
+    slope = float(forces @ step[sheet.grid.free])
+    share, new = sheet._search(step, slope, now, state)
+    assert share >= 4
+    assert new.energy < now.energy + 3 * slope
+
+
 @pytest.mark.parametrize(
     ("thickness_mm", "asked_mm", "most_cells", "pitches_mm"),
     [
@@ -62,6 +75,7 @@ def test_cells_follow_from_thickness_and_contact(
 ) -> None:
     found: list[float] = []
     boxes: list[tuple[float, float, float, float]] = []
+    made: list[Sheet] = []
     make = SheetCase.sheet
 
     def seen(
@@ -69,7 +83,8 @@ def test_cells_follow_from_thickness_and_contact(
     ) -> Sheet:
         found.append(pitch)
         boxes.append(box)
-        return make(case, pitch, rim, box)
+        made.append(make(case, pitch, rim, box))
+        return made[-1]
 
     monkeypatch.setattr(SheetCase, "sheet", seen)
     monkeypatch.setattr(press, "_MOST_CELLS", most_cells)
@@ -79,3 +94,7 @@ def test_cells_follow_from_thickness_and_contact(
     west, east, south, north = boxes[-1]
     widest = np.sqrt((east - west) * (north - south) / most_cells)
     assert found == pytest.approx([widest if one is None else one for one in pitches_mm])
+    stiffness = 300.0 / 0.75 / (0.25 * thickness_mm)
+    assert made[-1].laws.contact_stiffness == pytest.approx(stiffness)
+    on_the_way = [300.0 / 0.75 / (0.5 * pitch) for pitch in found[:-1]]
+    assert [one.laws.contact_stiffness for one in made[:-1]] == pytest.approx(on_the_way)

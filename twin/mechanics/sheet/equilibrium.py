@@ -37,6 +37,9 @@ _LEAST_VISCOSITY, _CONVEX_FROM, _MOST_VISCOSITY = 1.0, 1e4, 1e7
 _GROWTH = 8.0
 # Of a step's promised gain.
 _POOR, _GOOD = 0.5, 0.75
+# Of the fall that the slope at a step's start promises; a quadratic of the step's own length has
+# half of it.
+_STILL_STEEP = 0.75
 # Factors serve a second step where the residual is less than this many times the one asked for.
 _FACTORS_SERVE = 100.0
 
@@ -356,13 +359,41 @@ class Sheet:
         share = min(1.0, _LARGEST_MOVE_MM / float(np.abs(step).max()))
         new = self.evaluate(now.control_mm + share * step, state, tangent=True)
         if _lowers(now, new, share * slope):
-            return share, new
+            return self._extended(step, now, new, state, share=share, slope=slope)
         while share >= _SMALLEST_SHARE:
             share *= 0.5
             new = self.evaluate(now.control_mm + share * step, state, tangent=False)
             if _lowers(now, new, share * slope):
                 return share, self.evaluate(new.control_mm, state, tangent=True)
         return 0.0, self.evaluate(now.control_mm, state, tangent=True)
+
+    def _extended(
+        self,
+        step: FloatArray,
+        now: Evaluation,
+        new: Evaluation,
+        state: SheetState,
+        *,
+        share: float,
+        slope: float,
+    ) -> tuple[float, Evaluation]:
+        """Return the share of the step, doubled while the energy falls as steeply as at its start.
+
+        As it does where viscosity, and no stiffness of the sheet's, has made the step short.
+        """
+        best, largest_mm, tried = new, float(np.abs(step).max()), False
+        while (
+            best.energy - now.energy < _STILL_STEEP * slope * share
+            and 2 * share * largest_mm <= _LARGEST_MOVE_MM
+        ):
+            tried = True
+            farther = self.evaluate(now.control_mm + 2 * share * step, state, tangent=False)
+            if farther.energy >= best.energy or _turn(now, farther) <= _LARGEST_TURN:
+                break
+            share, best = 2 * share, farther
+        if tried:  # the last tangent is of another place
+            best = self.evaluate(best.control_mm, state, tangent=True)
+        return share, best
 
 
 def _refuse_film(surface: FloatArray, state: SheetState) -> None:

@@ -99,7 +99,7 @@ def follow(
     shared : list of SheetState, optional
         States at the first travels of `waypoints`, from earlier paths of this sheet; added to.
     walked : list of SheetState, optional
-        Takes the states at the stops that bear a pressure.
+        Takes the states on the way that bear a pressure.
     progress : called with the share of the stops that is done
 
     Raises
@@ -115,11 +115,9 @@ def follow(
     known = [mounted(sheet.grid), *shared[: len(common)]]
     state, before = known[-1], known[max(len(known) - 2, 0)]
     for number in range(len(known) - 1, len(stops)):
-        state, before = advance(sheet, state, before, stops[number], on_the_way)
+        state, before = advance(sheet, state, before, stops[number], on_the_way, walked=walked)
         if number == len(shared) and number < len(common):
             shared.append(state)
-        if walked is not None and state.pressure_kpa > 0:
-            walked.append(state)
         if progress is not None:
             progress((number + 1) / len(stops))
     try:
@@ -152,9 +150,18 @@ def _is_common(stop: Loads) -> bool:
 
 
 def advance(
-    sheet: Sheet, state: SheetState, before: SheetState, goal: Loads, accuracy: Accuracy
+    sheet: Sheet,
+    state: SheetState,
+    before: SheetState,
+    goal: Loads,
+    accuracy: Accuracy,
+    *,
+    walked: list[SheetState] | None = None,
 ) -> tuple[SheetState, SheetState]:
-    """Move from `state` to `goal`; return the new state and the one before it."""
+    """Move from `state` to `goal`; return the new state and the one before it.
+
+    `walked` takes the states that bear a pressure.
+    """
     step = 1.0
     done = 0.0
     start = Loads(state.travel_mm, state.pressure_kpa)
@@ -170,6 +177,8 @@ def advance(
                 raise _ended(state, goal, error) from error
             continue
         state, before, done = new, state, share
+        if walked is not None and state.pressure_kpa > 0:
+            walked.append(state)
     return state, before
 
 
@@ -241,15 +250,17 @@ def _predicted(sheet: Sheet, state: SheetState, before: SheetState, loads: Loads
     return replace(there, control_mm=places[int(np.nanargmin(energies))])
 
 
-def check_thickness(sheet: Sheet, state: SheetState) -> None:
+def check_thickness(sheet: Sheet, state: SheetState, least: float = THINNEST) -> None:
     """Refuse a state that is thinner than silicone bears: a sheet on its way to no equilibrium.
+
+    `least` is of the undeformed thickness.
 
     Raises
     ------
     SolverError
     """
     thinnest = float(thinning_of(sheet.surface(state.control_mm)).min())
-    if thinnest < THINNEST:
+    if thinnest < least:
         raise SolverError(f"sheet: thins to {thinnest:.2f} of its thickness")
 
 

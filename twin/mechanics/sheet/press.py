@@ -11,7 +11,7 @@ thickness, E* / (h / 4), which fits solid elements best (shared notes on the she
 
 from collections import OrderedDict
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -26,6 +26,7 @@ from twin.mechanics.sheet.equilibrium import Accuracy, Sheet, SheetState
 from twin.mechanics.sheet.faces import height_map, sample
 from twin.mechanics.sheet.grid import normal_of
 from twin.mechanics.sheet.path import (
+    THINNEST,
     TRAVEL_STEP_MM,
     LimitPressureError,
     Loads,
@@ -50,6 +51,10 @@ _ROUGH = Accuracy(step_mm=1e-3, residual_kpa=0.1, most_steps=300)
 _BETWEEN = Accuracy(step_mm=5e-3, residual_kpa=1.0, most_steps=40, strict=False)
 _FINE = Accuracy(residual_kpa=2e-3, most_steps=200)
 _FORCE_TOLERANCE, _FORCE_STEPS = 1e-3, 40
+# Thickness over its undeformed value of what is told to hold: far from what is refused.
+_HOLDS = 2 * THINNEST
+# Of contact on the way: what yields under it, in cells, at the sheet's shear modulus.
+_SOFT = 0.125
 _KEPT_PATHS = 4
 _HALF = 0.5
 # What presses of one path may differ in.
@@ -136,7 +141,7 @@ def _path(specimen: Specimen, elastomer: Elastomer, load: Press, mechanics: Mech
     key = "\n".join(f"{type(one).__name__} {one.model_dump_json()}" for one in same)
     if key not in _paths:
         case = sheet_case(specimen, elastomer, load, mechanics)
-        sheet = case.sheet(_COARSE_CELL_MM, _COARSE_RIM_MM, case.shape.bounds_mm())
+        sheet = _soft(case.sheet(_COARSE_CELL_MM, _COARSE_RIM_MM, case.shape.bounds_mm()))
         _paths[key] = _Path(case, sheet, [])
     _paths.move_to_end(key)
     while len(_paths) > _KEPT_PATHS:
@@ -149,11 +154,10 @@ def _equilibrium(path: _Path, load: Press, progress: Progress | None) -> tuple[S
     try:
         return _settled(path, load, walked, progress or _silent)
     except LimitPressureError as limit:
-        held_kpa = _held_kpa(path, load, walked, limit.held_kpa)
+        asked_kpa = load.back_pressure_kpa
+        held_kpa = _held_kpa(path, walked, asked_kpa)
         travel_mm = load.depth_mm or TRAVEL_STEP_MM
-        raise LimitPressureError(
-            travel_mm, held_kpa, load.back_pressure_kpa, limit.reason
-        ) from limit
+        raise LimitPressureError(travel_mm, held_kpa, asked_kpa, limit.reason) from limit
 
 
 def _settled(
@@ -186,14 +190,35 @@ def _on_fine_cells(case: SheetCase, coarse: Sheet, state: SheetState) -> tuple[S
     box = _contact_box(case, coarse, state)
     cell_mm = _affordable_mm(case, box)
     if cell_mm * _WIDEST_RATIO < _COARSE_CELL_MM:
-        middle_mm = float(np.sqrt(cell_mm * _COARSE_CELL_MM))
-        between = case.sheet(middle_mm, _RIM * middle_mm, box)
+        between = _between(case, coarse, state)
         state = between.settle(refined(coarse, between, state), _BETWEEN)
         coarse, box = between, _contact_box(case, between, state)
     fine = case.sheet(cell_mm, _RIM * cell_mm, box)
     found = fine.settle(refined(coarse, fine, state), _FINE)
     check_thickness(fine, found)
     return fine, found
+
+
+def _between(case: SheetCase, coarse: Sheet, state: SheetState) -> Sheet:
+    """Return a sheet whose cells are between the coarse ones and the finest."""
+    box = _contact_box(case, coarse, state)
+    middle_mm = float(np.sqrt(_affordable_mm(case, box) * _COARSE_CELL_MM))
+    return _soft(case.sheet(middle_mm, _RIM * middle_mm, box))
+
+
+def _soft(sheet: Sheet) -> Sheet:
+    """Return the sheet with contact no stiffer than its cells, for the way.
+
+    On cells much wider than it is thick a sheet passes an edge point by point, and the stiffer
+    contact is, the more equilibria lie side by side. A sheet that sticks remembers its way, and
+    keeps the stiffness of its thickness.
+    """
+    if sheet.sticks:
+        return sheet
+    stiffest = sheet.laws.shear_modulus_kpa / (_SOFT * sheet.cell_mm)
+    softened = min(sheet.laws.contact_stiffness, stiffest)
+    sheet.laws = sheet.laws._replace(contact_stiffness=softened)
+    return sheet
 
 
 def _affordable_mm(case: SheetCase, box: tuple[float, float, float, float]) -> float:
@@ -204,23 +229,26 @@ def _affordable_mm(case: SheetCase, box: tuple[float, float, float, float]) -> f
     return max(case.cell_mm, float(np.sqrt((east - west) * (north - south) / _MOST_CELLS)))
 
 
-def _held_kpa(path: _Path, load: Press, walked: list[SheetState], most_kpa: float) -> float:
-    """Return a pressure, not far below the largest, that fine cells hold too; 0 where none.
+def _held_kpa(path: _Path, walked: list[SheetState], asked_kpa: float) -> float:
+    """Return a pressure below the one asked for that the sheet holds with a margin; 0 where none.
 
-    A press with that pressure alone holds it as well: it stops where this one has stopped, and
-    does what is done here.
+    The largest of the way's that has an equilibrium on coarse cells and on those between, or, where
+    that is not found within few steps, the next lower one with an equilibrium on coarse cells.
     """
-    between = float(np.floor(100 * most_kpa)) / 100
-    if between < load.back_pressure_kpa and all(between > one.pressure_kpa for one in walked):
-        less = load.model_copy(update={"back_pressure_kpa": between})
-        with suppress(LimitPressureError, SolverError):
-            _settled(path, less, [], _silent)
-            return between
-    lower = [one for one in walked if one.pressure_kpa < load.back_pressure_kpa]
-    for state in reversed(lower):
+    tried = False
+    for state in sorted(walked, key=lambda one: -one.pressure_kpa):
+        if state.pressure_kpa >= asked_kpa:
+            continue
         with suppress(SolverError):
-            _on_fine_cells(path.case, path.sheet, state)
-            return state.pressure_kpa
+            found = path.sheet.settle(state, _ROUGH)
+            check_thickness(path.sheet, found, _HOLDS)
+            if not tried:
+                tried = True
+                between = _between(path.case, path.sheet, found)
+                start = refined(path.sheet, between, found)
+                found = between.settle(start, replace(_BETWEEN, strict=True))
+                check_thickness(between, found, _HOLDS)
+            return float(np.floor(100 * state.pressure_kpa)) / 100
     return 0.0
 
 
