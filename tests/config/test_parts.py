@@ -96,6 +96,14 @@ def test_a_missing_own_file_names_its_neighbour(tmp_path):
         load_experiment(tmp_path / "mine.toml")
 
 
+def test_own_files_that_lead_back_are_one_line_however_spelt(tmp_path):
+    (tmp_path / "inner").mkdir()
+    mine = tmp_path / "inner/mine.toml"
+    mine.write_text('name = "mine"\nuse = "../inner/mine.toml"\n', encoding="utf-8")
+    with pytest.raises(ConfigError, match="leads back to itself"):
+        load_experiment(mine)
+
+
 def test_absent_takes_a_key_away():
     found = load_experiment("paper/two_balls", {"decode.filter_taps": "absent"})
     assert found.decode.filter_taps == type(found.decode)().filter_taps

@@ -149,7 +149,7 @@ def resolve_uses(tree: dict[str, Any], trail: tuple[Path, ...]) -> dict[str, Any
 
 def _load_used(name: str, trail: tuple[Path, ...]) -> dict[str, Any]:
     file = _used_file(name, trail[-1])
-    if file in trail:
+    if file.resolve() in {one.resolve() for one in trail}:
         raise AssetCycleError(f"{trail[-1]}: use = '{name}' leads back to itself: remove one use")
     tree = resolve_uses(read_toml(file), (*trail, file))
     tree.pop("description", None)
