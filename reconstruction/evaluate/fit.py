@@ -99,8 +99,7 @@ def fit_sphere(points_mm: ArrayLike) -> SphereFit:
         _radial, _algebraic_sphere(local), _radial_jacobian, args=(local,), method="lm", xtol=1e-14,
         ftol=1e-14, gtol=1e-14,
     )  # fmt: skip
-    centre, radius = solution.x[:3] * scale + offset, abs(float(solution.x[3])) * scale
-    return SphereFit(centre, radius, np.linalg.norm(points - centre, axis=1) - radius)
+    return _sphere_of(solution.x, points, offset, scale)
 
 
 def fit_sphere_algebraic(points_mm: ArrayLike) -> SphereFit:
@@ -121,8 +120,14 @@ def fit_sphere_algebraic(points_mm: ArrayLike) -> SphereFit:
     """
     points = _checked(points_mm, 4, "sphere")
     local, offset, scale = _centred(points)
-    found = _algebraic_sphere(local)
-    centre, radius = found[:3] * scale + offset, float(found[3]) * scale
+    return _sphere_of(_algebraic_sphere(local), points, offset, scale)
+
+
+def _sphere_of(
+    found: FloatArray, points: FloatArray, offset: FloatArray, scale: float
+) -> SphereFit:
+    """Return the sphere (centre, radius) found in centred and scaled coordinates, in mm."""
+    centre, radius = found[:3] * scale + offset, abs(float(found[3])) * scale
     return SphereFit(centre, radius, np.linalg.norm(points - centre, axis=1) - radius)
 
 

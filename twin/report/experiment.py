@@ -392,7 +392,7 @@ def _slab_and_specimen(axes: Axes, experiment: Experiment, across: FloatArray) -
         centre = (s, z - slab.thickness_mm)
         axes.add_patch(Circle(centre, ball.radius_mm, facecolor="#d9cdb8", edgecolor=NOMINAL))
     axes.annotate(
-        "slab over specimen",
+        "elastomer over specimen",
         (half, -slab.thickness_mm / 2),
         xytext=(8, -4),
         textcoords="offset points",
