@@ -127,7 +127,12 @@ def test_the_coat_is_measured_better_than_the_metal(compared):
 def test_direct_report_tells_what_is_missing(compared, direct):
     folder = compared / "ball" / "direct_fpp"
     page = (folder / "report.html").read_text(encoding="utf-8")
-    assert {path.stem for path in (folder / "figures").iterdir()} == {"seen", "frames", "decoding"}
+    assert {path.stem for path in (folder / "figures").iterdir()} == {
+        "seen",
+        "object",
+        "frames",
+        "decoding",
+    }
     for text in (
         "virtual measurement by direct FPP",
         percent(direct.figures["good_share"]),

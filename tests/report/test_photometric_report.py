@@ -49,7 +49,8 @@ diameter_mm = 8.0
 DEEP = BALL.format(load='control = "depth"\ndepth_mm = 0.4')
 HARD = BALL.format(load='control = "force"\nforce_n = 60.0')
 FIGURES = {
-    "sensor", "images", "slopes", "relief", "heights", "sections", "errors", "ball_1", "press",
+    "sensor", "object", "images", "slopes", "relief", "heights", "sections", "errors", "ball_1",
+    "press",
 }  # fmt: skip
 
 

@@ -15,6 +15,7 @@ from twin.results.folder import read_measurement
 
 FIGURES = {
     "rig",
+    "object",
     "frames",
     "decoding",
     "relief",

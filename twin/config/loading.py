@@ -236,7 +236,7 @@ def to_toml(experiment: Experiment) -> str:
 def _without_none(node: Any) -> Any:
     if isinstance(node, dict):
         return {key: _without_none(value) for key, value in node.items() if value is not None}
-    return node
+    return [_without_none(one) for one in node] if isinstance(node, list) else node
 
 
 Document = TypeVar("Document", bound=BaseModel)

@@ -23,6 +23,7 @@ from twin.config.base import Angle, Distortion, Fraction, Length, Model, NonNega
 from twin.config.elastomer import Coating, Elastomer, Film, Mechanics, PadFile, Press, Texture
 from twin.config.lamps import Lamp, Photometric, check_lamps
 from twin.config.layers import Layer, Layers, check_rig
+from twin.config.measurands import ObjectMeasurand
 from twin.config.methods import TRAITS, Method, MethodTraits
 from twin.config.specimen_base import (
     Conductor,
@@ -66,6 +67,7 @@ __all__ = [
     "Mechanics",
     "MeshFile",
     "Model",
+    "ObjectMeasurand",
     "PadFile",
     "Patterns",
     "Photometric",
@@ -305,6 +307,12 @@ class Experiment(Model):
     render: Render = Render()
     decode: Decode = Decode()
     score: ScoreSettings
+    measurand: tuple[ObjectMeasurand, ...] = Field(
+        default=(),
+        exclude_if=lambda asked: not asked,
+        description="[[measurand]]: what is to be found out about the specimen, each with name, "
+        "quantity, and perhaps nominal_mm and what is allowed",
+    )
     layers: Layers = Field(
         default={},
         description="[layers.NAME]: clear plane layers above the coat, each with bottom_mm (world "
@@ -344,6 +352,17 @@ class Experiment(Model):
                 "finer relief or a coarser texture"
             )
         return self
+
+    @field_validator("measurand")
+    @classmethod
+    def _measurands_have_names(
+        cls, asked: tuple[ObjectMeasurand, ...]
+    ) -> tuple[ObjectMeasurand, ...]:
+        names = [one.name for one in asked]
+        twice = sorted({name for name in names if names.count(name) > 1})
+        if twice:
+            raise ValueError(f"found the name {', '.join(twice)} twice; each needs its own")
+        return asked
 
     @field_validator("layers")
     @classmethod

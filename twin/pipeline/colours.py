@@ -156,7 +156,7 @@ def measure_colours(experiment: Experiment, run: RunContext) -> Measurement:
         digest=digest(experiment),
         versions=versions(),
         seconds=clock.seconds,
-    )
+    ).with_object()
 
 
 def calibrated_sensor(

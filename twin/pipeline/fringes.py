@@ -92,7 +92,7 @@ def evaluate(
         pressed=pressed,
         digest=digest(experiment),
         versions=versions(),
-    )
+    ).with_object()
 
 
 def take(

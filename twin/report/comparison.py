@@ -1,7 +1,8 @@
 """The report of a comparison: every specimen by every method, as one HTML page and as text."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from statistics import mean
 
@@ -13,6 +14,7 @@ from twin.pipeline.comparison import Outcome, read_outcomes
 from twin.pipeline.progress import ProgressCallback, no_progress
 from twin.report.comparison_panels import overview, panels_of
 from twin.report.experiment import result_in_words
+from twin.report.object import object_rows, object_sentence
 from twin.report.page import (
     REPORT_FILE,
     STAGE,
@@ -54,6 +56,7 @@ class Gist:
     figures: Figures
     spheres: tuple[SphereScore, ...]
     decoded: list[DecodedImage]
+    measurands: dict[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -104,10 +107,10 @@ def comparison_table(outcomes: list[Outcome]) -> str:
         (
             Column("specimen", "specimen"),
             Column("method", "method"),
+            Column("object", "object RMS um", 2),
+            Column("covered", "of it", kind="number"),
             Column("points", "with a point", kind="number"),
-            Column("good", "good", kind="number"),
             Column("rms", "z RMS um", 2),
-            Column("p95", "z P95 um", 2),
             Column("orders", "wrong orders"),
         ),
         tuple(
@@ -123,7 +126,8 @@ def gist_of(measured: Measurement) -> Gist:
     """Return what is compared across methods."""
     images = measured.images
     decoded = images.decoded if isinstance(images, Colours) else []
-    return Gist(measured.experiment, measured.figures, measured.score.spheres, decoded)
+    of_object = object_rows(measured)
+    return Gist(measured.experiment, measured.figures, measured.score.spheres, decoded, of_object)
 
 
 def press_in_words(methods: dict[str, Gist | None]) -> str:
@@ -233,7 +237,11 @@ def _reading(methods: Sequence[Method]) -> list[str]:
         "Direct FPP is scored on every pixel that shows the specimen, shadows and dark flanks "
         "included, against its true surface. Contact-FPP is scored on the coat that camera and "
         "projector both see, against the true coat: what the elastomer hides of the specimen is no "
-        "error of the optics and is not counted here.",
+        "error of the optics and is not counted there.",
+        "The rows of the object have one reference for all methods: the specimen itself. Direct "
+        "FPP is compared where the specimen is seen, the others where the elastomer touches it; "
+        "its nominal thickness is taken off where it lies between. How much of the specimen that "
+        "is stands beside it.",
         *gel,
         "Errors are along z. A point counts as good when its height errs by no more than the limit "
         "beside its share; the error scale ends there. A pixel without a measurement has no error. "
@@ -281,7 +289,11 @@ def _cell(figures: Path, outcome: Outcome, measured: Measurement | None) -> Sect
     link = Markup('{} <a href="{}">Report of this measurement</a>').format(
         result_in_words(measured), f"{outcome.name}/{outcome.method}/{REPORT_FILE}"
     )
-    blocks: list[Block] = [Note(link, "verdict"), *_shares(measured)]
+    blocks: list[Block] = [
+        Note(link, "verdict"),
+        Note(object_sentence(measured).capitalize()),
+        *_shares(measured),
+    ]
     drawn = []
     for panel in panels_of(measured):
         draw_small(
@@ -316,10 +328,20 @@ def _quantities_table(name: str, found: dict[str, Gist | None]) -> Table:
     rows = tuple(
         {"quantity": one.label}
         | {method: NONE if gist is None else one.of(gist) for method, gist in found.items()}
-        for one in QUANTITIES
+        for one in (*QUANTITIES, *_measurands(found))
     )
     columns = (Column("quantity", "quantity"), *methods)
     return Table(f"{name}_figures", "", "", columns, rows, look="compared")
+
+
+def _measurands(found: dict[str, Gist | None]) -> list[Quantity]:
+    """Return a row for each measurand of the object that any method has."""
+    names = dict.fromkeys(name for gist in found.values() if gist for name in gist.measurands)
+    return [Quantity(name, partial(_measurand, name)) for name in names]
+
+
+def _measurand(name: str, gist: Gist) -> str:
+    return gist.measurands.get(name, NONE)
 
 
 def _figure(name: str, form: str) -> Callable[[Gist], str]:
@@ -337,6 +359,13 @@ def _of_balls(figure: Callable[[SphereScore], str]) -> Callable[[Gist], str]:
 
 
 QUANTITIES = (
+    Quantity("object: deviation, RMS (µm)", _figure("object_rms_um", ".2f")),
+    Quantity("object: the same, offset taken off (µm)", _figure("object_offset_rms_um", ".2f")),
+    Quantity("object: form, band of 95 % after a best fit (µm)", _figure("object_form_um", ".2f")),
+    Quantity(
+        "object: share that is touched or seen, and has a point",
+        lambda gist: percent(gist.figures.get("object_coverage_share")),
+    ),
     Quantity("force of the press (N)", _figure("force_n", ".3g")),
     Quantity("depth of the press (mm)", _figure("depth_mm", ".3g")),
     Quantity("highest point of the coat (mm)", _figure("relief_peak_mm", ".3g")),
@@ -369,10 +398,10 @@ def _short(metrics: Metrics | None) -> Row:
         return {"points": "failed"}
     figures = Figures(metrics)
     return {
+        "object": figures.get("object_rms_um"),
+        "covered": number(figures.get("object_coverage_share"), ".0%"),
         "points": number(figures["completeness"], ".1%"),
-        "good": number(figures["good_share"], ".1%"),
         "rms": figures["z_rmse_um"],
-        "p95": figures["z_p95_um"],
         "orders": figures.get("wrong_order_pixels"),
     }
 

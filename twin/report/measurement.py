@@ -4,12 +4,14 @@ Each method has a module with its judgements (`verdicts`), its sections (`sectio
 in words for a terminal (`sentences`); what all pages share is put together here.
 """
 
+import textwrap
 from pathlib import Path
 from typing import Protocol
 
 from twin.pipeline.progress import ProgressCallback, no_progress
 from twin.report import bare, contact, photometric
 from twin.report.experiment import appendix
+from twin.report.object import object_section, object_sentence, object_verdict
 from twin.report.page import REPORT_FILE, STAGE, Page, Section, Verdict, write_page
 from twin.report.spheres import fit_table
 from twin.results.folder import read_measurement
@@ -58,12 +60,17 @@ def page_of(measured: Measurement) -> Page:
         kind=f"virtual measurement by {by.METHOD}",
         title=experiment.name.replace("_", " "),
         lead=experiment.description,
-        sections=[*by.sections(measured), appendix(measured)],
-        verdicts=by.verdicts(measured),
+        sections=[*_with_object(measured, by.sections(measured)), appendix(measured)],
+        verdicts=[object_verdict(measured), *by.verdicts(measured)],
         warned=by.WARNED,
         warnings=[*measured.warnings, *measured.score.unfitted],
         numbered=True,
     )
+
+
+def _with_object(measured: Measurement, sections: list[Section]) -> list[Section]:
+    """Return the sections, the object behind the experiment: it is what was asked about."""
+    return [*sections[:1], *object_section(measured), *sections[1:]]
 
 
 def summary_table(folder: Path) -> str:
@@ -77,7 +84,8 @@ def summary_table(folder: Path) -> str:
     fits = fit_table(measured, decoders=False)
     head = [f"{measured.experiment.name}, sphere fits", fits.as_text()] if fits else []
     lines = _by_method(measured).sentences(measured)
-    return "\n".join([*head, *measured.score.unfitted, *lines])
+    told = textwrap.wrap(object_sentence(measured), 100, subsequent_indent="  ")
+    return "\n".join([*head, *measured.score.unfitted, *lines, *told])
 
 
 def _by_method(measured: Measurement) -> MethodReport:

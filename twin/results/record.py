@@ -1,7 +1,7 @@
 """The one record of a measurement, whatever the method: points, truth, score, images, figures."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -20,6 +20,7 @@ from twin.optics.rig import camera_pinhole
 from twin.optics.stack import Frames, RadianceStack, Truth
 from twin.results.decoders import DecodedImage
 from twin.results.figures import Figures, Metrics, warnings_of
+from twin.results.object_score import ObjectScore, score_object
 from twin.results.score import Scores, TruthScore, in_world
 
 
@@ -169,6 +170,23 @@ class Measurement:
     def points(self) -> SurfacePoints:
         """Where the surface was found."""
         return self.images.points
+
+    @cached_property
+    def object(self) -> ObjectScore:
+        """The object itself: its deviation from the truth, and its measurands.
+
+        Raises
+        ------
+        InputError : a measurand names a part that the specimen does not have
+        """
+        found = self.points
+        sigma_z = None if found.sigma_mm is None else found.sigma_mm[..., 2]
+        points = found.world_mm, found.valid, sigma_z
+        return score_object(self.experiment, points, self.truth, self.pressed)
+
+    def with_object(self) -> "Measurement":
+        """Return the measurement with the figures of the object among its metrics."""
+        return replace(self, metrics={**self.metrics, **self.object.figures})
 
     @property
     def picture(self) -> Levels:

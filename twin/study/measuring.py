@@ -122,7 +122,7 @@ def seen_with(done: Measurement, rig: Calibration) -> Measurement:
         images=replace(images, reconstruction=maps),
         score=scored,
         metrics={**done.metrics, **metrics(scored)},
-    )
+    ).with_object()
 
 
 StageReads = tuple[tuple[FieldPath, ...], ...]
@@ -195,7 +195,7 @@ class CaseMeasurer:
         done = measure(experiment, memory=self.memory, trial=conditions.trial)
         figures, rigs = {**done.metrics, **self._more(done)}, self.rigs
         if conditions.board and rigs is not None and experiment.method.fringes:
-            exact = {**metrics(done.score), **self._more(done)}
+            exact = {**metrics(done.score), **done.object.figures, **self._more(done)}
             true = done.fringes.capture.calibration
             done = seen_with(done, rigs.draw(true, conditions.seed, conditions.trial))
             figures = {f"{TRUE_RIG}{name}": value for name, value in exact.items()}

@@ -1,0 +1,133 @@
+"""Deviation of points from a known surface, after a stated alignment; lengths mm.
+
+A coordinate metrologist's "best fit": the points are moved, never stretched, so that the sum of
+squared distances is least. `none` leaves them where the sensor put them, `offset` shifts them along
+z, `offset_tilt` tilts them too, `rigid` moves and turns them freely. What the surface cannot tell
+(a ball's turning, a plane's sliding) stays as it is.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from reconstruction.arrays import FloatArray
+from reconstruction.errors import FitError
+from reconstruction.evaluate.estimates import FittedDimension
+from reconstruction.evaluate.fit import inliers, p95_of_size, rms
+
+Alignment = Literal["none", "offset", "offset_tilt", "rigid"]
+ALIGNMENTS: tuple[Alignment, ...] = ("none", "offset", "offset_tilt", "rigid")
+Distance = Callable[[FloatArray], FloatArray]
+"""Signed distance (n,) of points (n, xyz) from the surface, positive outside."""
+
+_FREE = {"none": 0, "offset": 1, "offset_tilt": 3, "rigid": 6}
+_TURNS = 4
+_STEP_MM = 1e-4
+# A motion that moves the surface along itself leaves a singular value of rounding and facets.
+_STIFF = 1e-3
+_DISPERSION = (0.025, 0.975)
+_WINDOW = 0.01
+
+
+@dataclass(frozen=True, eq=False)
+class Deviations:
+    """What is left between points and surface.
+
+    Attributes
+    ----------
+    deviation_mm : (n,) signed, along the surface's normal, positive outside
+    points_mm : (n, xyz) the points as aligned
+    offset_mm : by how much they were raised, at their centroid
+    tilt_deg : by how much they were turned
+    """
+
+    deviation_mm: FloatArray
+    points_mm: FloatArray
+    offset_mm: float
+    tilt_deg: float
+
+    def rms(self, upward: FloatArray) -> FittedDimension:
+        """Root mean square; `upward` (n,): z component of the surface's normal at each point."""
+        value, count = rms(self.deviation_mm), len(self.deviation_mm)
+        slope = upward * self.deviation_mm / max(count * value, 1e-12)
+        return FittedDimension(value, slope, self.deviation_mm, np.ones(count, bool))
+
+    def form(self, upward: FloatArray) -> FittedDimension:
+        """Width of the band that holds the middle 95 % of the deviations (as D95 %, ISO 10360-8).
+
+        A quantile moves as the points next to it do: the percent around it.
+        """
+        low, high = np.quantile(self.deviation_mm, _DISPERSION)
+        order = np.argsort(self.deviation_mm)
+        slope = np.zeros(len(order))
+        half = max(1, round(_WINDOW * len(order)))
+        for share, sign in zip(_DISPERSION, (-1.0, 1.0), strict=True):
+            at = round(share * (len(order) - 1))
+            near = order[max(0, at - half) : at + half + 1]
+            slope[near] += sign * upward[near] / len(near)
+        used = np.ones(len(order), bool)
+        return FittedDimension(float(high - low), slope, self.deviation_mm, used)
+
+    @property
+    def p95_mm(self) -> float:
+        """95th percentile of the deviations' size."""
+        return p95_of_size(self.deviation_mm)
+
+
+def normals_of(points_mm: FloatArray, distance: Distance) -> FloatArray:
+    """Return the gradient (n, xyz) of a distance by central differences of 0.1 um."""
+    steps = np.eye(3) * _STEP_MM
+    sides = [distance(points_mm + step) - distance(points_mm - step) for step in steps]
+    gradient = np.stack(sides, axis=-1) / (2 * _STEP_MM)
+    return np.asarray(gradient / np.maximum(np.linalg.norm(gradient, axis=1, keepdims=True), 1e-9))
+
+
+def deviations(
+    points_mm: FloatArray, distance: Distance, alignment: Alignment, normals: FloatArray
+) -> Deviations:
+    """Align points and return what is left of their distances.
+
+    Parameters
+    ----------
+    points_mm : (n, xyz) float
+    distance : of the surface
+    normals : (n, xyz) of the surface nearest to each point, see `normals_of`
+
+    Raises
+    ------
+    FitError : fewer points than the alignment has freedoms, and some to spare
+    """
+    freedoms = _FREE[alignment]
+    if len(points_mm) < freedoms + 4:
+        raise FitError(f"{len(points_mm)} points do not fix an alignment by {alignment}")
+    centre, moved = points_mm.mean(axis=0), points_mm
+    motion = np.zeros(6)
+    for _ in range(_TURNS if freedoms else 0):
+        left = distance(moved)
+        columns = _columns(moved - centre, normals)[:, :freedoms]
+        kept = inliers(left)
+        step = np.linalg.pinv(columns[kept], rcond=_STIFF) @ -left[kept]
+        motion[:freedoms] += step
+        moved = _moved(points_mm - centre, motion) + centre
+    turned_deg = float(np.rad2deg(np.linalg.norm(motion[[1, 2, 5]])))
+    return Deviations(distance(moved), moved, float(motion[0]), turned_deg)
+
+
+def _columns(lever_mm: FloatArray, normals: FloatArray) -> FloatArray:
+    """Change of the distances by shift along z, turn about x and y; shift along x, y, turn on z."""
+    turns = np.cross(lever_mm, normals)
+    columns = [normals[:, 2], turns[:, 0], turns[:, 1], normals[:, 0], normals[:, 1], turns[:, 2]]
+    return np.column_stack(columns)
+
+
+def _moved(lever_mm: FloatArray, motion: FloatArray) -> FloatArray:
+    """Turn and shift points about their centroid (Rodrigues)."""
+    turn, shift = motion[[1, 2, 5]], motion[[3, 4, 0]]
+    angle = float(np.linalg.norm(turn))
+    if angle:
+        axis = turn / angle
+        across = np.cross(axis, lever_mm)
+        lever_mm = lever_mm + np.sin(angle) * across + (1 - np.cos(angle)) * np.cross(axis, across)
+    return np.asarray(lever_mm + shift)

@@ -1,0 +1,201 @@
+"""The object scored from points of known surfaces: no press, no light."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from reconstruction.errors import InputError
+from twin.config import load_experiment
+from twin.config.base import ConfigError
+from twin.optics.stack import Truth
+from twin.results.features import feature_of, features_of, measurands_of
+from twin.results.object_fits import fit, levels
+from twin.results.object_points import Heights
+from twin.results.object_score import score_object
+from twin.specimens import shape_of
+from twin.specimens.true_surface import TrueSurface
+
+BASE = "examples/gel_on_window"
+DEPTH_MM = 0.5
+COLS, ROWS, HALF_MM = 241, 181, (6.0, 4.5)
+
+
+def experiment(specimen, **more):
+    settings = {"specimen": specimen, "decode.filter_taps": 0} | more
+    return load_experiment(BASE, settings)
+
+
+def seen(case, error_mm=0.0, sigma_mm=None, skin_mm=0.0):
+    """Score the specimen's own upper side, as a coat that lies on all of it would show it."""
+    x = np.linspace(-HALF_MM[0], HALF_MM[0], COLS)
+    y = np.linspace(HALF_MM[1], -HALF_MM[1], ROWS)
+    surface = TrueSurface(shape_of(case.specimen), DEPTH_MM + case.elastomer.touched_plane_mm)
+    z = surface.heights_mm(x, y)
+    on = np.isfinite(z)
+    z = np.where(on, z, -5.0) + skin_mm
+    points = np.stack([*np.meshgrid(x, y), z], axis=-1)
+    truth = Truth(points, np.zeros_like(points), z, z, z, on, on)
+    pressed = SimpleNamespace(
+        depth_mm=DEPTH_MM, x_mm=x, y_mm=y[::-1], contact=on[::-1], face_z_mm=z
+    )
+    measured = points + np.stack([0 * z, 0 * z, 0 * z + error_mm], axis=-1)
+    sigma = None if sigma_mm is None else np.full(z.shape, sigma_mm, np.float32)
+    return score_object(case, (measured, on, sigma), truth, pressed)
+
+
+STEP = {"kind": "step", "height_mm": 0.1, "edge_radius_mm": 0.02}
+KNOWN = [
+    ({"kind": "ball"}, "radius_1", 4.0),
+    ({"kind": "two_balls", "diameter_mm": 5.0, "separation_mm": 5.2}, "radius_2", 2.5),
+    ({"kind": "rod", "yaw_deg": 30.0}, "radius_1", 2.4),
+    ({"kind": "rods", "diameters_mm": [2.0, 3.0]}, "radius_2", 1.5),
+    (STEP, "step_height", 0.1),
+    ({"kind": "v_groove", "angle_deg": 150.0, "yaw_deg": 20.0}, "depth", 0.5),
+    ({"kind": "v_groove", "angle_deg": 150.0}, "width", 3.7321),
+    ({"kind": "grating", "pitch_mm": 1.5, "groove_mm": 0.1, "x_mm": 0.4}, "depth", 0.1),
+    ({"kind": "bars", "widths_mm": [2.0, 3.0], "gap_mm": 2.0}, "width_2", 3.0),
+    ({"kind": "bars", "widths_mm": [4.0], "height_mm": 0.8}, "step_height", 0.8),
+]
+
+
+@pytest.mark.parametrize(("specimen", "name", "true_mm"), KNOWN)
+def test_known_dimensions_are_found(specimen, name, true_mm):
+    """Setup: each specimen's own upper side at 241 x 181 places of 50 um, without error.
+
+    Expected: the drawing's dimension within its facets and a cell of the section.
+    """
+    found = seen(experiment(specimen), sigma_mm=1e-6).figures
+    loose = {"width_2": 0.06, "width": 2e-3, "depth": 1e-3}.get(name, 1e-3)
+    assert found[f"object_{name}_mm"] == pytest.approx(true_mm, abs=loose)
+    assert found[f"object_{name}_error_um"] == pytest.approx(
+        1e3 * (found[f"object_{name}_mm"] - true_mm), abs=0.2
+    )
+    # Height fields and solid agree: the deviation from the solid is that of its facets.
+    assert found["object_rms_um"] < 1.0
+    assert found["object_coverage_share"] == 1.0
+
+
+@pytest.mark.parametrize("specimen", [KNOWN[at][0] for at in (0, 2, 4, 5, 7)])
+def test_the_stated_interval_covers_the_truth(specimen):
+    """Setup: 40 times the same surface with independent normal noise of 3 um.
+
+    Expected: within U (k = 2) of what the surface itself gives in at least 33 of 40 (binomial 95 %:
+    0.2 %), and not by an interval that is far too wide. A section's width is known to its cells.
+    """
+    case, rng = experiment(specimen), np.random.default_rng(2)
+    found = seen(case, 0.0, 3e-3)
+    for one in (one for one in found.quantities if one.asked.quantity != "resolution"):
+        feature = feature_of(features_of(case.specimen), one.asked)
+        clean, ratios = found.seen.measured, []
+        for _ in range(40):
+            noise = np.outer(rng.normal(0, 3e-3, len(clean.points_mm)), [0, 0, 1])
+            noisy = replace(clean, points_mm=clean.points_mm + noise)
+            value = fit(one.asked, feature, found.seen, noisy)
+            ratios.append((value.value - one.value) / (2 * value.noise_mm))
+        assert (np.abs(ratios) <= 1).sum() >= 33
+        assert np.std(ratios) > 0.3 or one.asked.quantity == "width"
+
+
+def test_a_value_gets_its_verdict_from_limits_and_uncertainty():
+    """A step read 8 um too high, known to 3 um: within 15, cannot tell within 10, not within 5."""
+    x_mm = np.linspace(-HALF_MM[0], HALF_MM[0], COLS)
+    asked = [
+        {"name": f"within_{limit}", "quantity": "step_height", "plus_minus_um": limit,
+         "calibration_um": 1.5}
+        for limit in (15, 10, 5)
+    ]  # fmt: skip
+    found = seen(experiment(STEP, measurand=asked), np.where(x_mm > 0, 8e-3, 0), 1e-6)
+    decided = [one.decision for one in found.quantities if one.tolerance is not None]
+    assert decided == ["within tolerance", "cannot tell", "not within tolerance"]
+    assert found.figures["object_within_15_margin_um"] == pytest.approx(15 - 8 - 3, abs=0.05)
+    assert found.figures["measurands_judged"] == 3
+    assert found.figures["measurands_within"] == 1
+    assert found.figures["least_margin_um"] == pytest.approx(5 - 8 - 3, abs=0.05)
+
+
+def test_a_constant_error_is_taken_off_by_the_stated_alignment():
+    case = experiment(STEP)
+    x_mm = np.linspace(-HALF_MM[0], HALF_MM[0], COLS)
+    found = seen(case, 0.02 + 0.001 * x_mm, 1e-6).figures
+    assert found["object_bias_um"] == pytest.approx(20.0, rel=0.01)
+    tilt_um = np.std(x_mm)
+    assert found["object_rms_um"] == pytest.approx(np.hypot(20.0, tilt_um), rel=0.02)
+    assert found["object_offset_rms_um"] == pytest.approx(tilt_um, rel=0.02)
+    assert found["object_offset_tilt_rms_um"] < 0.2
+    assert found["true_face_object_rms_um"] < 0.1
+
+
+def test_a_skin_of_known_thickness_is_taken_off():
+    """The far face of a sheet of 0.3 mm lies as much above the object, along the normal."""
+    sheet = {"elastomer.layout": "opposite_face", "layers": {}}
+    sheet["elastomer.thickness_mm"] = {"value": 0.3, "source": "test"}
+    case = experiment(STEP, **sheet)
+    found = seen(case, 0.0, 1e-6, skin_mm=0.3).figures
+    # Next to the riser the parallel surface is round, the raised one is not.
+    assert found["object_step_height_error_um"] == pytest.approx(0, abs=0.1)
+    assert abs(found["object_bias_um"]) < 5.0
+    assert found["object_form_um"] < 1e3 * 0.1
+
+
+def test_resolution_is_the_finest_pitch_that_keeps_half_its_depth():
+    """Setup: three gratings side by side, flattened to 100, 70 and 40 % of their depth.
+
+    Expected: the second finest; with all of the depth kept, the finest.
+    """
+    parts = {
+        name: {"kind": "grating", "pitch_mm": pitch, "groove_mm": 0.1, "length_x_mm": 3.6,
+               "length_y_mm": 8.0, "x_mm": x}
+        for name, pitch, x in (("coarse", 1.8, -4.0), ("middle", 0.9, 0.0), ("fine", 0.45, 4.0))
+    }  # fmt: skip
+    asked = [{"name": "resolution", "quantity": "resolution", "nominal_mm": 0.5}]
+    case = experiment({"kind": "group", "parts": parts}, measurand=asked)
+    x_mm = np.linspace(-HALF_MM[0], HALF_MM[0], COLS)
+    kept = np.select([x_mm < -2, x_mm < 2], [1.0, 0.7], 0.4)
+    surface = TrueSurface(shape_of(case.specimen), DEPTH_MM)
+    z = surface.heights_mm(x_mm, np.zeros(1))[0]
+    middle = DEPTH_MM - 0.05
+    flattened = (kept - 1) * (np.where(np.isfinite(z), z, middle) - middle)
+    found = seen(case, flattened, 1e-4).figures
+    assert found["object_resolution_mm"] == 0.9
+    assert found["object_resolution_verdict"] == "not within tolerance"
+    assert found["object_fine_depth_mm"] == pytest.approx(0.04, rel=0.05)
+    assert seen(case, 0.0, 1e-4).figures["object_resolution_mm"] == 0.45
+
+
+def test_levels_leave_out_the_edges():
+    """A ridge 1.2 mm wide on a plate: a third of its width is left out beside each edge."""
+    x, y = np.arange(-3, 3, 0.02), np.arange(-2, 2, 0.02)
+    z = np.where(np.abs(x) <= 0.6, 0.2, 0.0) * np.ones((len(y), 1))
+    upper, lower = levels(Heights(x, y, z, 0.02))
+    inside, outside = np.abs(x[upper.any(axis=0)]), np.abs(x[lower.any(axis=0)])
+    assert inside.max() == pytest.approx(0.2, abs=0.03)
+    assert outside.min() == pytest.approx(1.0, abs=0.03)
+    assert outside.max() == pytest.approx(1.8, abs=0.03)
+
+
+def test_limits_that_make_no_sense_are_refused():
+    for wrong, told in (
+        ({"quantity": "form", "plus_minus_um": 3.0}, "give upper_um"),
+        ({"quantity": "radius", "plus_minus_um": 3.0, "upper_um": 1.0}, "remove one"),
+        ({"quantity": "coverage", "upper_um": 1.0}, "give at_least"),
+        ({"quantity": "width", "lower_um": 2.0, "upper_um": 1.0}, "allowed up to upper_um"),
+    ):
+        with pytest.raises(ConfigError, match=told):
+            experiment(STEP, measurand=[{"name": "one"} | wrong])
+    twice = [{"name": "one", "quantity": "form"}] * 2
+    with pytest.raises(ConfigError, match="each needs its own"):
+        experiment(STEP, measurand=twice)
+    with pytest.raises(InputError, match="part: found 'nut', allowed: none"):
+        seen(experiment(STEP, measurand=[{"name": "a", "quantity": "form", "part": "nut"}]))
+
+
+def test_an_experiment_without_measurands_keeps_its_digest():
+    from twin.config import digest
+
+    plain = experiment(STEP)
+    asked = experiment(STEP, measurand=[{"name": "flat", "quantity": "form"}])
+    assert "measurand" not in plain.model_dump()
+    assert digest(plain) != digest(asked)
+    assert [one.name for one in measurands_of(asked)] == ["step_height", "flat"]

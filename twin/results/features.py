@@ -1,0 +1,161 @@
+"""Where a specimen's features lie, and which quantities it has by nature: radius, step, groove.
+
+A feature's own frame: x across it, y along it, as its specimen's.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from reconstruction.arrays import FloatArray
+from reconstruction.errors import InputError
+from twin.config.measurands import ObjectMeasurand
+from twin.config.models import Experiment
+from twin.config.specimen_base import Specimen
+from twin.config.specimens import (
+    Ball,
+    Bars,
+    Grating,
+    Group,
+    Rod,
+    Rods,
+    Step,
+    TwoBalls,
+    VGroove,
+)
+from twin.specimens import Shape, Sphere, shape_of
+from twin.specimens.catalogue import Placement, pose_of
+
+
+@dataclass(frozen=True, eq=False)
+class Feature:
+    """One specimen, alone or as part of a group.
+
+    Attributes
+    ----------
+    name : of the part; empty for a specimen that is no group
+    world_from_own : its pose
+    shape : in the world's x and y
+    """
+
+    name: str
+    specimen: Specimen
+    world_from_own: Placement
+    shape: Shape
+
+    def own(self, points_mm: FloatArray) -> FloatArray:
+        """Return world points (n, xyz) in the feature's own frame; z is left as it is."""
+        turned = (points_mm - self.world_from_own.shift_mm) @ self.world_from_own.rotation
+        return np.column_stack([turned[:, :2], points_mm[:, 2]])
+
+    @property
+    def balls(self) -> tuple[Sphere, ...]:
+        """Balls in world x and y, along the specimen's x axis."""
+        return self.shape.spheres()
+
+
+def features_of(specimen: Specimen) -> list[Feature]:
+    """Return the parts of a specimen in the file's order; itself where it is no group."""
+    if not isinstance(specimen, Group):
+        return [Feature("", specimen, pose_of(specimen), shape_of(specimen))]
+    whole = pose_of(specimen)
+    return [
+        Feature(name, part, pose_of(part).then(whole), shape_of(part).placed(whole))
+        for name, part in specimen.parts.items()
+    ]
+
+
+def gratings_of(specimen: Specimen) -> tuple[Feature, ...]:
+    """Return the parts of a specimen that are gratings."""
+    return tuple(one for one in features_of(specimen) if isinstance(one.specimen, Grating))
+
+
+def feature_of(features: list[Feature], asked: ObjectMeasurand) -> Feature:
+    """Return the part that a measurand means.
+
+    Raises
+    ------
+    InputError : there is no such part
+    """
+    if not asked.part:
+        return features[0]
+    for one in features:
+        if one.name == asked.part:
+            return one
+    names = ", ".join(one.name for one in features if one.name) or "none, the specimen is no group"
+    raise InputError(f"measurand {asked.name}: part: found '{asked.part}', allowed: {names}")
+
+
+def measurands_of(experiment: Experiment) -> list[ObjectMeasurand]:
+    """Return what is asked of an experiment, after what its specimen has by nature.
+
+    One asked for under the name of a natural one takes its place.
+    """
+    asked = {one.name: one for one in experiment.measurand}
+    natural = {one.name: one for part in features_of(experiment.specimen) for one in _natural(part)}
+    return list((natural | asked).values())
+
+
+def nominal_mm(feature: Feature, asked: ObjectMeasurand) -> float | None:
+    """Return a length as the specimen's description has it; None where it does not."""
+    if asked.nominal_mm is not None:
+        return asked.nominal_mm
+    own, at = feature.specimen, asked.number - 1
+    known: dict[str, tuple[float, ...]] = {}
+    if isinstance(own, Ball | TwoBalls):
+        known["radius"] = tuple(ball.radius_mm for ball in feature.balls)
+    elif isinstance(own, Rod):
+        known["radius"] = (own.diameter_mm / 2,)
+    elif isinstance(own, Rods):
+        known["radius"] = tuple(d / 2 for d in own.diameters_mm)
+    elif isinstance(own, Bars):
+        known = {"width": own.widths_mm, "step_height": (own.height_mm,)}
+    elif isinstance(own, Step):
+        known["step_height"] = (own.height_mm,)
+    elif isinstance(own, VGroove):
+        known = {"depth": (own.depth_mm,), "width": (own.opening_mm,)}
+    elif isinstance(own, Grating):
+        known["depth"] = (own.groove_mm,)
+    values = known.get(asked.quantity, ())
+    return values[at] if at < len(values) else None
+
+
+def _natural(feature: Feature) -> Iterator[ObjectMeasurand]:
+    own, before = feature.specimen, _prefix(feature.name)
+
+    def one(name: str, quantity: str, number: int = 1) -> ObjectMeasurand:
+        return ObjectMeasurand.model_validate(
+            {"name": f"{before}{name}", "quantity": quantity, "part": feature.name}
+            | {"number": number}
+        )
+
+    if isinstance(own, Ball | TwoBalls):
+        for number in range(1, len(feature.balls) + 1):
+            yield one(f"radius_{number}", "radius", number)
+    elif isinstance(own, Rod):
+        yield one("radius_1", "radius")
+    elif isinstance(own, Rods):
+        for number in range(1, len(own.diameters_mm) + 1):
+            yield one(f"radius_{number}", "radius", number)
+    elif isinstance(own, Bars):
+        for number in range(1, len(own.widths_mm) + 1):
+            yield one(f"width_{number}", "width", number)
+        yield one("step_height", "step_height")
+    elif isinstance(own, Step):
+        yield one("step_height", "step_height")
+    elif isinstance(own, VGroove):
+        yield one("depth", "depth")
+        yield one("width", "width")
+    elif isinstance(own, Grating):
+        yield one("depth", "depth")
+        # One for all gratings of a group: under the same name they are one.
+        yield ObjectMeasurand(name="resolution", quantity="resolution")
+
+
+def _prefix(part: str) -> str:
+    """Return a part's name as the beginning of a measurand's."""
+    if not part:
+        return ""
+    plain = "".join(c if c.isascii() and c.isalnum() else "_" for c in part.lower())
+    return f"{plain[:20]}_" if plain[0].isalpha() else f"part_{plain[:15]}_"

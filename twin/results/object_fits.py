@@ -1,0 +1,321 @@
+"""Fit what a measurand asks for to the points of an object.
+
+Each fit takes points in the world and returns a value with its slope by each point's height: mm,
+but for the resolution, a pitch. Where fits differ from a caliper, the docs say so
+(docs/evaluation.md).
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import distance_transform_edt
+
+from reconstruction.arrays import BoolImage, FloatArray
+from reconstruction.errors import FitError
+from reconstruction.evaluate import bar_width
+from reconstruction.evaluate.deviation import deviations, normals_of
+from reconstruction.evaluate.estimates import (
+    FittedDimension,
+    ball_radius,
+    cylinder_radius,
+    step_between,
+    v_groove,
+    wave_depth,
+)
+from twin.config.measurands import ObjectMeasurand
+from twin.config.specimens import Bars, Grating, Rod, Rods, VGroove
+from twin.results.features import Feature, nominal_mm
+from twin.results.object_points import Heights, ObjectPoints, SeenObject
+
+# Of a rod's or ball's radius: beyond it a wall is too steep to be seen from above.
+_CAP_SHARE = 0.9
+# Of a step: levels are known to so much of it.
+_LEVEL_SHARE = 0.1
+_SECTION_MM = 2.0
+_LEAST_IN_BIN = 3
+KEPT_SHARE = 0.5
+"""Of a grating's depth that must be left for it to be resolved: ISO 25178-600's lateral period
+limit."""
+_SIGMAS_ABOVE_NOISE = 3.0
+
+
+@dataclass(frozen=True, eq=False)
+class FittedValue:
+    """A fitted value, and the points that it rests on.
+
+    Attributes
+    ----------
+    value : in mm
+    noise_mm : standard uncertainty from the points
+    points_mm : (n, xyz) the points that took part
+    """
+
+    value: float
+    noise_mm: float
+    points_mm: FloatArray
+
+
+Fitter = Callable[[ObjectMeasurand, Feature, SeenObject, ObjectPoints], FittedValue]
+
+
+def fit(
+    asked: ObjectMeasurand, feature: Feature, seen: SeenObject, points: ObjectPoints
+) -> FittedValue:
+    """Fit one quantity to measured points, or to the true face's.
+
+    Raises
+    ------
+    FitError : the points do not determine it
+    """
+    return _FITTERS[asked.quantity](asked, feature, seen, _where(asked, points))
+
+
+def _where(asked: ObjectMeasurand, points: ObjectPoints) -> ObjectPoints:
+    kept = np.ones(len(points.points_mm), bool)
+    for axis, bounds in enumerate((asked.x_mm, asked.y_mm)):
+        if bounds is not None:
+            kept &= (points.points_mm[:, axis] >= bounds[0]) & (
+                points.points_mm[:, axis] <= bounds[1]
+            )
+    return points.part(kept)
+
+
+def _fitted(
+    points: ObjectPoints, estimate: FittedDimension, value: float | None = None
+) -> FittedValue:
+    used = points.points_mm[estimate.used]
+    return FittedValue(estimate.value if value is None else value, points.noise_mm(estimate), used)
+
+
+def _radius(
+    asked: ObjectMeasurand, feature: Feature, seen: SeenObject, points: ObjectPoints
+) -> FittedValue:
+    """Fit ball or rod where it is touched; the elastomer's nominal thickness is taken off."""
+    if feature.balls:
+        cap = _cap_of_ball(asked, feature, points)
+        estimate, _ = ball_radius(cap.points_mm)
+    else:
+        cap, axis = _top_of_rod(asked, feature, points)
+        estimate, _ = cylinder_radius(cap.points_mm, axis)
+    return _fitted(cap, estimate, estimate.value - seen.surface.skin_mm)
+
+
+def _cap_of_ball(asked: ObjectMeasurand, feature: Feature, points: ObjectPoints) -> ObjectPoints:
+    balls, xy = feature.balls, points.points_mm[:, :2]
+    if asked.number > len(balls):
+        raise FitError(f"number: found {asked.number}, the specimen has {len(balls)} balls")
+    apart = [np.hypot(*(xy - (ball.x_mm, ball.y_mm)).T) for ball in balls]
+    own = apart[asked.number - 1]
+    near = own <= np.min(apart, axis=0)
+    near &= own <= _CAP_SHARE * balls[asked.number - 1].radius_mm
+    return points.part(near & points.touching)
+
+
+def _top_of_rod(
+    asked: ObjectMeasurand, feature: Feature, points: ObjectPoints
+) -> tuple[ObjectPoints, FloatArray]:
+    rod, own = feature.specimen, feature.own(points.points_mm)
+    if isinstance(rod, Rod):
+        along, across, middle, radius = own[:, 0], own[:, 1], 0.0, rod.diameter_mm / 2
+        axis, length, edge = 0, rod.length_mm, rod.edge_radius_mm
+    elif isinstance(rod, Rods) and asked.number <= len(rod.diameters_mm):
+        along, across, middle = own[:, 1], own[:, 0], rod.middles_mm[asked.number - 1]
+        axis, length, edge = 1, rod.length_mm, rod.edge_radius_mm
+        radius = rod.diameters_mm[asked.number - 1] / 2
+    else:
+        raise FitError(f"radius {asked.number}: the specimen has no such ball or rod")
+    top = (np.abs(across - middle) <= _CAP_SHARE * radius) & points.touching
+    top &= np.abs(along) <= length / 2 - edge - 0.25 * radius
+    return points.part(top), feature.world_from_own.rotation[:, axis]
+
+
+def _step(
+    asked: ObjectMeasurand, feature: Feature, seen: SeenObject, points: ObjectPoints
+) -> FittedValue:
+    """Fit the two levels, their edges left out as in ISO 5436-1 type A1, see `levels`."""
+    if not len(points.points_mm):
+        raise FitError("step: no point in the given ranges")
+    heights = Heights.over(seen.surface, points.points_mm[:, :2])
+    upper, lower = levels(heights, nominal_mm(feature, asked))
+    at = heights.cells_of(points.points_mm[:, :2])
+    estimate = step_between(points.points_mm[:, :2], points.points_mm[:, 2], upper[at], lower[at])
+    return _fitted(points, estimate)
+
+
+def levels(heights: Heights, step_mm: float | None = None) -> tuple[BoolImage, BoolImage]:
+    """Return the cells (row, col) of the upper and of the lower level without their edges.
+
+    The upper level is what lies within a tenth of the step below the highest cell, the lower one
+    what lies as near to a step below. W is twice the farthest that a cell of the upper level is
+    from its edge, the width of a ridge. Kept are the upper level's cells W / 3 or more from the
+    edge, and the lower level's ones up to W from the upper level and W / 3 from all else; where the
+    lower level is narrower than W, a third of its own width.
+
+    Parameters
+    ----------
+    step_mm : None: from the highest to the lowest cell
+
+    Raises
+    ------
+    FitError : no step, or no cell is left
+    """
+    z, known = heights.z_mm, np.isfinite(heights.z_mm)
+    if not known.any():
+        raise FitError("step: no specimen in the given ranges")
+    top = float(z[known].max())
+    step = top - float(z[known].min()) if step_mm is None else step_mm
+    if step <= 0:
+        raise FitError("step: the specimen is flat in the given ranges")
+    near = _LEVEL_SHARE * step
+    upper, lower = np.abs(z - top) <= near, np.abs(z - (top - step)) <= near
+    if upper.all() or not lower.any():
+        raise FitError(f"step: the specimen has no level {step:g} mm below its top there")
+    inside, clear = (_inward_mm(level, heights.pitch_mm) for level in (upper, lower))
+    width = 2 * float(inside.max())
+    margin = min(width, 2 * float(clear.max())) / 3
+    away = np.asarray(distance_transform_edt(~upper)) * heights.pitch_mm
+    kept = lower & (clear >= margin) & (away >= margin) & (away <= width)
+    return upper & (inside >= width / 3), kept
+
+
+def _inward_mm(level: BoolImage, pitch_mm: float) -> FloatArray:
+    return np.asarray(distance_transform_edt(level), np.float64) * pitch_mm
+
+
+def _depth(
+    asked: ObjectMeasurand, feature: Feature, seen: SeenObject, points: ObjectPoints
+) -> FittedValue:
+    own = feature.specimen
+    if isinstance(own, Grating):
+        inside = points.part(_within(feature, points, own.length_x_mm, own.length_y_mm))
+        place = feature.own(inside.points_mm)[:, 0]
+        return _fitted(inside, wave_depth(place, inside.points_mm[:, 2], own.pitch_mm))
+    if isinstance(own, VGroove):
+        near, place = _over_groove(own, feature, points)
+        fitted = v_groove(place, near.points_mm[:, 2], own.depth_mm, own.opening_mm)
+        return _fitted(near, fitted.depth)
+    return _step(asked, feature, seen, points)
+
+
+def _within(feature: Feature, points: ObjectPoints, x_mm: float, y_mm: float) -> BoolImage:
+    own = np.abs(feature.own(points.points_mm))
+    return np.asarray((own[:, 0] <= x_mm / 2) & (own[:, 1] <= y_mm / 2))
+
+
+def _over_groove(
+    groove: VGroove, feature: Feature, points: ObjectPoints
+) -> tuple[ObjectPoints, FloatArray]:
+    """Return the points within an opening on both sides of a groove, and their place across."""
+    wide = min(groove.length_x_mm, 3 * groove.opening_mm)
+    near = points.part(_within(feature, points, wide, 0.9 * groove.length_y_mm))
+    return near, feature.own(near.points_mm)[:, 0]
+
+
+def _width(
+    asked: ObjectMeasurand, feature: Feature, seen: SeenObject, points: ObjectPoints
+) -> FittedValue:
+    """Width at half height of a section across; of a V groove its opening, by the flanks."""
+    if isinstance(feature.specimen, VGroove):
+        near, place = _over_groove(feature.specimen, feature, points)
+        groove = feature.specimen
+        fitted = v_groove(place, near.points_mm[:, 2], groove.depth_mm, groove.opening_mm)
+        return _fitted(near, fitted.width)
+    place = feature.own(points.points_mm)
+    band = np.abs(place[:, 1]) <= _SECTION_MM / 2
+    bars = feature.specimen
+    if isinstance(bars, Bars):
+        if asked.number > len(bars.widths_mm):
+            raise FitError(f"width {asked.number}: the specimen has {len(bars.widths_mm)} bars")
+        half = (bars.widths_mm[asked.number - 1] + bars.gap_mm) / 2
+        only = len(bars.widths_mm) == 1
+        middle = bars.middles_mm[asked.number - 1]
+        band &= np.abs(place[:, 0] - middle) <= (np.inf if only else half)
+    return _section_width(points.part(band), place[band, 0], seen.pixel_mm)
+
+
+def _section_width(points: ObjectPoints, place: FloatArray, pixel_mm: float) -> FittedValue:
+    pitch = 1.5 * pixel_mm
+    numbers, where = np.unique(np.round(place / pitch).astype(int), return_inverse=True)
+    counts = np.bincount(where)
+    means = np.bincount(where, points.points_mm[:, 2]) / counts
+    full = counts >= _LEAST_IN_BIN
+    if not full.any():
+        raise FitError("width: no points across the section")
+    s, z = numbers[full] * pitch, means[full]
+    found = bar_width(s, z)
+    slope = np.gradient(z, s)
+    noise = 0.0
+    for edge in (found.left_mm, found.right_mm):
+        at = int(np.argmin(np.abs(s - edge)))
+        sigma = _mean_sigma(points, where == np.flatnonzero(full)[at])
+        # What the height errs by, and where within its cell the profile crosses.
+        noise += (sigma / max(abs(float(slope[at])), 1e-9)) ** 2 + pitch**2 / 12
+    return FittedValue(found.width_mm, float(np.sqrt(noise)), points.points_mm)
+
+
+def _mean_sigma(points: ObjectPoints, members: BoolImage) -> float:
+    """Return the standard uncertainty of the mean height of some points."""
+    if points.sigma_mm is None:
+        return float(np.std(points.points_mm[members, 2]))
+    sigma = points.sigma_mm[members]
+    return float(np.sqrt(np.mean(sigma**2) * min(1.0, points.together / len(sigma))))
+
+
+def _resolution(
+    asked: ObjectMeasurand, feature: Feature, seen: SeenObject, points: ObjectPoints
+) -> FittedValue:
+    """Find the finest pitch that, with all coarser ones, keeps half its depth, above the noise."""
+    found = None
+    for one in sorted(seen.gratings, key=_pitch_mm, reverse=True):
+        assert isinstance(one.specimen, Grating)
+        fitted = _depth(asked, one, seen, points)
+        kept = fitted.value / one.specimen.groove_mm
+        if kept < KEPT_SHARE or fitted.value < _SIGMAS_ABOVE_NOISE * fitted.noise_mm:
+            break
+        found = FittedValue(one.specimen.pitch_mm, 0.0, fitted.points_mm)
+    if found is None:
+        raise FitError("resolution: none of the gratings keeps half its depth above the noise")
+    return found
+
+
+def _pitch_mm(feature: Feature) -> float:
+    assert isinstance(feature.specimen, Grating)
+    return feature.specimen.pitch_mm
+
+
+def _deviation(
+    asked: ObjectMeasurand, feature: Feature, seen: SeenObject, points: ObjectPoints
+) -> FittedValue:
+    """RMS, or for the form the band of 95 %, of the distances from the true object."""
+    del feature
+    kept = points.part(points.touching if asked.over == "contact" else points.over).thinned()
+    if not len(kept.points_mm):
+        raise FitError("deviation: no point on the object in the given ranges")
+    distance = seen.surface.distance_mm
+    normals = normals_of(kept.points_mm, distance)
+    form = asked.quantity == "form"
+    left = deviations(kept.points_mm, distance, "rigid" if form else asked.alignment, normals)
+    upward = normals[:, 2]
+    return _fitted(kept, left.form(upward) if form else left.rms(upward))
+
+
+def _coverage(
+    asked: ObjectMeasurand, feature: Feature, seen: SeenObject, points: ObjectPoints
+) -> FittedValue:
+    del asked, feature
+    if seen.coverage is None:
+        raise FitError("coverage: the camera sees nothing of the specimen")
+    return FittedValue(seen.coverage, 0.0, points.points_mm[points.touching])
+
+
+_FITTERS: dict[str, Fitter] = {
+    "radius": _radius,
+    "step_height": _step,
+    "depth": _depth,
+    "width": _width,
+    "resolution": _resolution,
+    "form": _deviation,
+    "deviation": _deviation,
+    "coverage": _coverage,
+}

@@ -1,0 +1,212 @@
+"""Measured points of the object: which of them lie on it, where it touches, and how well known.
+
+Scored are every n-th row and column of the image, so that there are some ten thousand points: more
+of them would not make a best fit better, whose points share the errors of their neighbours.
+"""
+
+from dataclasses import dataclass, replace
+from math import ceil, sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+from reconstruction.arrays import BoolImage, FloatArray, FloatImage
+from reconstruction.evaluate.estimates import FittedDimension, shared_by
+from twin.config.models import Experiment
+from twin.mechanics import PressedElastomer
+from twin.optics.stack import Truth
+from twin.results.features import Feature, gratings_of
+from twin.specimens import Shape, shape_of
+from twin.specimens.true_surface import TrueSurface
+
+_MOST_POINTS = 40_000
+_MOST_ALIGNED = 4_000
+_RASTER_CELLS = 400
+_LEAST_RASTER_MM = 0.005
+
+
+@dataclass(frozen=True, eq=False)
+class Heights:
+    """True heights of a specimen over part of the world.
+
+    Attributes
+    ----------
+    x_mm, y_mm : (col,), (row,) cell centres, ascending
+    z_mm : (row, col) world z of the upper side, -inf where there is no specimen
+    pitch_mm : of the cells
+    """
+
+    x_mm: FloatArray
+    y_mm: FloatArray
+    z_mm: FloatArray
+    pitch_mm: float
+
+    @classmethod
+    def over(cls, surface: TrueSurface, xy_mm: FloatArray) -> "Heights":
+        """Sample a surface over the outline of points (n, xy)."""
+        low, high = xy_mm.min(axis=0), xy_mm.max(axis=0)
+        pitch = max(float((high - low).max()) / _RASTER_CELLS, _LEAST_RASTER_MM)
+        x, y = (np.arange(a, b + pitch, pitch) for a, b in zip(low, high, strict=True))
+        return cls(x, y, surface.heights_mm(x, y), pitch)
+
+    def cells_of(self, xy_mm: FloatArray) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Return row and column of the cells that points (n, xy) lie in."""
+        places = [
+            np.clip(np.rint((xy_mm[:, axis] - of[0]) / self.pitch_mm), 0, len(of) - 1)
+            for axis, of in ((1, self.y_mm), (0, self.x_mm))
+        ]
+        return places[0].astype(np.intp), places[1].astype(np.intp)
+
+
+@dataclass(frozen=True, eq=False)
+class ObjectPoints:
+    """Points of one method, or of the true face at the same pixels.
+
+    Attributes
+    ----------
+    points_mm : (n, xyz) world
+    sigma_mm : (n,) standard uncertainty along z; None where the method predicts none
+    touching : (n,) bool: the elastomer lies on the specimen there, or the specimen itself is seen
+    over : (n,) bool: above the specimen, touching or not
+    together : how many of them share one error
+    """
+
+    points_mm: FloatArray
+    sigma_mm: FloatArray | None
+    touching: BoolImage
+    over: BoolImage
+    together: float
+
+    def part(self, kept: BoolImage) -> "ObjectPoints":
+        """Return some of the points."""
+        sigma = None if self.sigma_mm is None else self.sigma_mm[kept]
+        return replace(
+            self,
+            points_mm=self.points_mm[kept],
+            sigma_mm=sigma,
+            touching=self.touching[kept],
+            over=self.over[kept],
+        )
+
+    def thinned(self) -> "ObjectPoints":
+        """Return every n-th point, so many as distances to a mesh take a second for."""
+        nth = max(1, -(-len(self.points_mm) // _MOST_ALIGNED))
+        kept = np.zeros(len(self.points_mm), bool)
+        kept[::nth] = True
+        return replace(self.part(kept), together=max(1.0, self.together / nth))
+
+    def noise_mm(self, estimate: FittedDimension) -> float:
+        """Return the standard uncertainty of a fitted value from that of the points.
+
+        Without one their scatter stands for it, taken as one error of all: what integrates slopes
+        has errors as wide as the field.
+        """
+        if self.sigma_mm is not None:
+            return estimate.noise_mm(self.sigma_mm, self.together)
+        spread = np.std(estimate.residuals_mm[estimate.used])
+        count = len(self.points_mm)
+        return estimate.noise_mm(np.full(count, spread), float(count))
+
+
+@dataclass(frozen=True, eq=False)
+class SeenObject:
+    """An object as it was measured.
+
+    Attributes
+    ----------
+    surface : where it truly is, grown by the elastomer's nominal thickness
+    measured, true_face : the points found, and the true coat or specimen at the same pixels
+    coverage : share of the specimen's pixels that have a point where it touches; None: none seen
+    heights : of the specimen over the points
+    pixel_mm : distance of neighbouring points
+    gratings : parts with grooves of a known pitch
+    """
+
+    shape: Shape
+    surface: TrueSurface
+    measured: ObjectPoints
+    true_face: ObjectPoints
+    coverage: float | None
+    heights: Heights
+    pixel_mm: float
+    gratings: tuple[Feature, ...]
+
+
+def surface_of(experiment: Experiment, pressed: PressedElastomer | None) -> TrueSurface:
+    """Return the specimen where the press left it, or on its stage."""
+    shape = shape_of(experiment.specimen)
+    if pressed is None:
+        return TrueSurface(shape, 0.0)
+    slab = experiment.elastomer
+    skin_mm = slab.thickness_mm if slab.layout == "opposite_face" else 0.0
+    return TrueSurface(shape, pressed.depth_mm + slab.touched_plane_mm, skin_mm)
+
+
+def seen_object(
+    experiment: Experiment,
+    points: tuple[NDArray[np.floating], BoolImage, FloatImage | None],
+    truth: Truth,
+    pressed: PressedElastomer | None,
+) -> SeenObject | None:
+    """Pick the points of the object; None where nothing of it was found.
+
+    Parameters
+    ----------
+    points : world_mm (row, col, xyz), valid (row, col), sigma_z_mm (row, col) or None
+    """
+    world_mm, valid, sigma_mm = points
+    seen = truth.lit if experiment.method.fringes and pressed is not None else truth.measured
+    surface = surface_of(experiment, pressed)
+    nth = _nth(int(seen.sum()))
+    every = (slice(None, None, nth), slice(None, None, nth))
+    wanted, true_mm = seen[every], truth.points_world_mm[every].astype(np.float64)
+    found = wanted & valid[every]
+    if found.sum() < 2 or not np.ptp(true_mm[wanted][:, :2], axis=0).all():
+        return None
+    heights = Heights.over(surface, true_mm[wanted][:, :2])
+    touching, over = _places(true_mm, wanted, heights, pressed)
+    whole = int((wanted & over).sum())
+    blur_px = experiment.decode.filter_sigma_px if experiment.decode.filter_taps else 0.0
+    on = (touching[found], over[found], shared_by(blur_px, nth))
+    sigma = None if sigma_mm is None else sigma_mm[every][found].astype(np.float64)
+    return SeenObject(
+        shape=surface.shape,
+        surface=surface,
+        measured=ObjectPoints(world_mm[every][found].astype(np.float64), sigma, *on),
+        true_face=ObjectPoints(true_mm[found], np.zeros(int(found.sum())), *on),
+        coverage=float((found & touching & over).sum()) / whole if whole else None,
+        heights=heights,
+        pixel_mm=_pitch(true_mm, wanted),
+        gratings=gratings_of(experiment.specimen),
+    )
+
+
+def _nth(count: int) -> int:
+    return max(1, ceil(sqrt(count / _MOST_POINTS)))
+
+
+def _places(
+    true_mm: FloatArray, wanted: BoolImage, heights: Heights, pressed: PressedElastomer | None
+) -> tuple[BoolImage, BoolImage]:
+    """Tell which pixels (row, col) touch the specimen, and which lie above it."""
+    touching, over = np.zeros(wanted.shape, bool), np.zeros(wanted.shape, bool)
+    if pressed is None:
+        return wanted, wanted
+    xy = true_mm[wanted][:, :2]
+    over[wanted] = np.isfinite(heights.z_mm[heights.cells_of(xy)])
+    row = _nearest(pressed.y_mm, xy[:, 1])
+    touching[wanted] = pressed.contact[row, _nearest(pressed.x_mm, xy[:, 0])]
+    return touching, over
+
+
+def _nearest(places: FloatArray, wanted: FloatArray) -> NDArray[np.intp]:
+    """Return the index of the nearest of evenly spaced places."""
+    step = (places[-1] - places[0]) / max(len(places) - 1, 1)
+    nearest = np.clip(np.rint((wanted - places[0]) / step), 0, len(places) - 1)
+    return np.asarray(nearest, np.intp)
+
+
+def _pitch(true_mm: FloatArray, wanted: BoolImage) -> float:
+    both = wanted[:, 1:] & wanted[:, :-1]
+    apart = (true_mm[:, 1:] - true_mm[:, :-1])[both]
+    return float(np.median(np.hypot(apart[:, 0], apart[:, 1]))) if len(apart) else 0.0

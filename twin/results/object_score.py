@@ -1,0 +1,257 @@
+"""Score the object itself: its deviation from the truth, and its measurands with their verdicts.
+
+The coat is what a contact sensor sees, the object what it is asked about. Points where the
+elastomer touches the specimen are compared with the specimen's true surface, grown by the nominal
+thickness of what lies between; the same at the true coat tells how much of it the elastomer causes.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from reconstruction.arrays import BoolImage, FloatArray, FloatImage
+from reconstruction.errors import FitError
+from reconstruction.evaluate.conformity import CombinedUncertainty, Decision, Tolerance
+from reconstruction.evaluate.deviation import (
+    ALIGNMENTS,
+    Alignment,
+    Deviations,
+    deviations,
+    normals_of,
+)
+from twin.config.measurands import LENGTHS, LIMITED, ObjectMeasurand
+from twin.config.models import Experiment
+from twin.mechanics import PressedElastomer
+from twin.optics.stack import Truth
+from twin.results.features import Feature, feature_of, features_of, measurands_of, nominal_mm
+from twin.results.figures import Metric
+from twin.results.object_fits import FittedValue, fit
+from twin.results.object_points import ObjectPoints, SeenObject, seen_object
+
+_ALIGNED_NAMES = {"none": "", "offset": "offset_", "offset_tilt": "offset_tilt_", "rigid": "rigid_"}
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredQuantity:
+    """One measurand: what was found, how well it is known, and whether it is within tolerance.
+
+    Attributes
+    ----------
+    value : in the measurand's unit; None where `why` says why there is none
+    true_face : the same of the true coat: what a perfect measurement would have found
+    uncertainty : in um (of a share: as the share)
+    tolerance : on the value's deviation, in um (of a share: on the share); None: none is given
+    points_mm : (n, xyz) what it rests on
+    """
+
+    asked: ObjectMeasurand
+    nominal: float | None
+    value: float | None
+    true_face: float | None
+    uncertainty: CombinedUncertainty
+    tolerance: Tolerance | None
+    points_mm: FloatArray
+    why: str = ""
+
+    @property
+    def error(self) -> float | None:
+        """Value less nominal, um; of form and deviation the value, of coverage the share."""
+        return self._deviation_of(self.value)
+
+    @property
+    def true_face_error(self) -> float | None:
+        """The same of the true coat: what the elastomer causes."""
+        return self._deviation_of(self.true_face)
+
+    @property
+    def decision(self) -> Decision | None:
+        """Within tolerance or not, by ISO 14253-1; None without a tolerance."""
+        if self.tolerance is None:
+            return None
+        if self.error is None:
+            return "cannot tell"
+        return self.tolerance.verdict(self.error, self.uncertainty.expanded)
+
+    @property
+    def margin(self) -> float | None:
+        """By how much it is within tolerance beyond U; None without a tolerance or a value."""
+        if self.tolerance is None or self.error is None:
+            return None
+        return self.tolerance.margin(self.error, self.uncertainty.expanded)
+
+    def _deviation_of(self, value: float | None) -> float | None:
+        if self.asked.quantity not in LENGTHS:
+            return value
+        known = value is not None and self.nominal is not None
+        return 1e3 * (value - self.nominal) if known else None  # type: ignore[operator]
+
+
+@dataclass(frozen=True, eq=False)
+class ObjectScore:
+    """What was found of the object.
+
+    Attributes
+    ----------
+    seen : None where nothing of it was found
+    quantities : its measurands
+    aligned : deviations of the measured points that touch, by alignment
+    """
+
+    seen: SeenObject | None
+    quantities: tuple[MeasuredQuantity, ...]
+    aligned: dict[Alignment, Deviations]
+    figures: dict[str, Metric]
+
+
+def score_object(
+    experiment: Experiment,
+    points: tuple[NDArray[np.floating], BoolImage, FloatImage | None],
+    truth: Truth,
+    pressed: PressedElastomer | None,
+) -> ObjectScore:
+    """Compare measured points with the specimen itself.
+
+    Parameters
+    ----------
+    points : world_mm (row, col, xyz), valid (row, col), sigma_z_mm (row, col) or None
+
+    Raises
+    ------
+    InputError : a measurand names a part that the specimen does not have
+    """
+    asked, features = measurands_of(experiment), features_of(experiment.specimen)
+    seen = seen_object(experiment, points, truth, pressed)
+    found = tuple(_quantity(one, feature_of(features, one), seen) for one in asked)
+    measured = _aligned(seen, seen.measured) if seen else {}
+    true_face = _aligned(seen, seen.true_face) if seen else {}
+    figures = dict(_deviation_figures(seen, measured, true_face))
+    for one in found:
+        figures |= dict(_quantity_figures(one))
+    return ObjectScore(seen, found, measured, figures | _summary(found))
+
+
+def _aligned(seen: SeenObject, points: ObjectPoints) -> dict[Alignment, Deviations]:
+    """Return the deviations of the touching points by alignment; none where there are too few."""
+    kept = points.part(points.touching).thinned().points_mm
+    distance = seen.surface.distance_mm
+    if not len(kept):
+        return {}
+    normals = normals_of(kept, distance)
+    try:
+        return {how: deviations(kept, distance, how, normals) for how in ALIGNMENTS}
+    except FitError:
+        return {}
+
+
+def _deviation_figures(
+    seen: SeenObject | None,
+    measured: dict[Alignment, Deviations],
+    true_face: dict[Alignment, Deviations],
+) -> Iterator[tuple[str, Metric]]:
+    yield "object_points", 0 if seen is None else int(seen.measured.touching.sum())
+    yield "object_coverage_share", None if seen is None else seen.coverage
+    for name, of in (("object_", measured), ("true_face_object_", true_face)):
+        for how in ALIGNMENTS:
+            left, word = of.get(how), _ALIGNED_NAMES[how]
+            yield f"{name}{word}rms_um", None if left is None else 1e3 * _rms(left)
+        plain, rigid = of.get("none"), of.get("rigid")
+        bias_mm = None if plain is None else float(plain.deviation_mm.mean())
+        yield f"{name}bias_um", None if bias_mm is None else 1e3 * bias_mm
+        yield f"{name}p95_um", None if plain is None else 1e3 * plain.p95_mm
+        yield f"{name}form_um", None if rigid is None else 1e3 * _form(rigid)
+
+
+def _rms(left: Deviations) -> float:
+    return left.rms(np.ones(len(left.deviation_mm))).value
+
+
+def _form(left: Deviations) -> float:
+    return left.form(np.ones(len(left.deviation_mm))).value
+
+
+def _quantity(
+    asked: ObjectMeasurand, feature: Feature, seen: SeenObject | None
+) -> MeasuredQuantity:
+    value, true_value, why = None, None, "nothing of the object was found"
+    if seen is not None:
+        value, why = _attempt(asked, feature, seen, seen.measured)
+        true_value, _ = _attempt(asked, feature, seen, seen.true_face)
+    return MeasuredQuantity(
+        asked=asked,
+        nominal=nominal_mm(feature, asked),
+        value=None if value is None else _in_unit(asked, value.value),
+        true_face=None if true_value is None else _in_unit(asked, true_value.value),
+        uncertainty=CombinedUncertainty(
+            noise=0.0 if value is None else 1e3 * value.noise_mm,
+            repeatability=asked.repeatability_um,
+            calibration=asked.calibration_um,
+            coverage_factor=asked.coverage_factor,
+        ),
+        tolerance=tolerance_of(asked),
+        points_mm=np.zeros((0, 3)) if value is None else value.points_mm,
+        why=why,
+    )
+
+
+def _attempt(
+    asked: ObjectMeasurand, feature: Feature, seen: SeenObject, points: ObjectPoints
+) -> tuple[FittedValue | None, str]:
+    try:
+        return fit(asked, feature, seen, points), ""
+    except FitError as error:
+        return None, str(error)
+
+
+def _in_unit(asked: ObjectMeasurand, value: float) -> float:
+    return 1e3 * value if asked.quantity in LIMITED else value
+
+
+def tolerance_of(asked: ObjectMeasurand) -> Tolerance | None:
+    """Return what is allowed of a measurand's deviation; None where nothing is stated."""
+    if asked.plus_minus_um is not None:
+        return Tolerance(-asked.plus_minus_um, asked.plus_minus_um)
+    if asked.at_least is not None:
+        return Tolerance(lower=asked.at_least)
+    if asked.quantity == "resolution" and asked.nominal_mm is not None:
+        return Tolerance(upper=asked.upper_um or 0.0)
+    if asked.lower_um is None and asked.upper_um is None:
+        return None
+    return Tolerance(
+        -np.inf if asked.lower_um is None else asked.lower_um,
+        np.inf if asked.upper_um is None else asked.upper_um,
+    )
+
+
+def _quantity_figures(one: MeasuredQuantity) -> Iterator[tuple[str, Metric]]:
+    name, unit = f"object_{one.asked.name}", one.asked.unit
+    yield f"{name}_{unit}", one.value
+    yield f"{name}_true_face_{unit}", one.true_face
+    if unit != "share":
+        known = one.value is not None
+        yield f"{name}_expanded_um", one.uncertainty.expanded if known else None
+        yield f"{name}_noise_um", one.uncertainty.noise if known else None
+    if unit == "mm" and one.nominal is not None:
+        yield f"{name}_error_um", one.error
+        yield f"{name}_abs_error_um", None if one.error is None else abs(one.error)
+    if one.tolerance is not None:
+        yield f"{name}_margin_{'share' if unit == 'share' else 'um'}", one.margin
+        yield f"{name}_verdict", str(one.decision)
+    if one.why:
+        yield f"{name}_why", one.why
+
+
+def _summary(found: tuple[MeasuredQuantity, ...]) -> dict[str, Metric]:
+    """Count the verdicts; the least margin in um is what a design is ranked by."""
+    judged = [one for one in found if one.tolerance is not None]
+    if not judged:
+        return {}
+    within = sum(one.decision == "within tolerance" for one in judged)
+    margins = [one.margin for one in judged if one.asked.unit != "share"]
+    least = None if not margins or None in margins else min(m for m in margins if m is not None)
+    return {
+        "measurands_judged": len(judged),
+        "measurands_within": within,
+        "least_margin_um": least,
+    }

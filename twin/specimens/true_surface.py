@@ -1,0 +1,99 @@
+"""The true surface of a specimen where it ended up: what a measured object is compared with.
+
+World frame, mm. Closed forms where there are some, otherwise the exact distance to the triangles:
+the sampled distance that a wrapping sheet uses rounds edges by its lattice.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from reconstruction.arrays import BoolImage, FloatArray
+from twin.specimens.catalogue import Assembly, Shape
+from twin.specimens.meshes import MeshShape
+from twin.specimens.triangles import Columns, TriangleTree, distances_mm
+
+_CELL_MM = 0.5
+_REACH_MM = 1e6
+
+
+@dataclass(frozen=True, eq=False)
+class TrueSurface:
+    """A specimen's surface, raised from first touch to its place, and grown by a skin.
+
+    Attributes
+    ----------
+    shape : at first touch: its foremost point is z = 0
+    raised_mm : world z of that point
+    skin_mm : thickness of what lies between specimen and measured face: a point is at distance 0
+        where it lies so far outside of the specimen, along the normal
+    """
+
+    shape: Shape
+    raised_mm: float
+    skin_mm: float = 0.0
+
+    def distance_mm(self, points_mm: FloatArray) -> FloatArray:
+        """Return the signed distance (n,) of points (n, xyz), positive outside."""
+        local = points_mm - np.array([0.0, 0.0, self.raised_mm])
+        found = [part.distance_mm(local) for part in self._parts]
+        return np.asarray(np.min(found, axis=0) - self.skin_mm)
+
+    def heights_mm(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
+        """Return world z (row, col) of the upper side over columns x and rows y; -inf: none."""
+        return self.raised_mm - self.shape.height_above_lowest(x_mm, y_mm)
+
+    @cached_property
+    def _parts(self) -> "list[_Closed | _Facets]":
+        return [_part(one) for one in _leaves(self.shape)]
+
+
+def _leaves(shape: Shape) -> list[Shape]:
+    if not isinstance(shape, Assembly):
+        return [shape]
+    return [leaf for part in shape.parts for leaf in _leaves(part)]
+
+
+@dataclass(frozen=True, eq=False)
+class _Closed:
+    """A body with a closed form."""
+
+    shape: Shape
+
+    def distance_mm(self, points_mm: FloatArray) -> FloatArray:
+        found = [one.evaluate(points_mm, _REACH_MM)[0] for one in self.shape.distances()]
+        return np.asarray(np.min(found, axis=0))
+
+
+@dataclass(frozen=True, eq=False)
+class _Facets:
+    """A closed mesh."""
+
+    tree: TriangleTree
+    columns: Columns
+
+    @classmethod
+    def of(cls, corners_mm: FloatArray) -> "_Facets":
+        ends = corners_mm.reshape(-1, 3)[:, :2]
+        low = np.floor(ends.min(axis=0) / _CELL_MM).astype(np.int64)
+        count = np.floor(ends.max(axis=0) / _CELL_MM).astype(np.int64) + 1 - low
+        return cls(TriangleTree.of(corners_mm), Columns.of(corners_mm, 1, _CELL_MM, low, count))
+
+    def distance_mm(self, points_mm: FloatArray) -> FloatArray:
+        found = distances_mm(self.tree, points_mm)
+        under = self._over(points_mm)
+        inside = self.columns.inside(points_mm[under])
+        found[np.flatnonzero(under)[inside]] *= -1
+        return found
+
+    def _over(self, points_mm: FloatArray) -> BoolImage:
+        """Tell which points lie within the outline: only there are lists of facets."""
+        cells = np.floor(points_mm[:, :2] / _CELL_MM) - self.columns.low
+        return np.asarray(np.all((cells >= 0) & (cells < self.columns.count), axis=1))
+
+
+def _part(shape: Shape) -> _Closed | _Facets:
+    if isinstance(shape, MeshShape) and shape.exact is None:
+        return _Facets.of(np.ascontiguousarray(shape.surface.triangles, np.float64))
+    return _Closed(shape)
