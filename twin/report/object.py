@@ -35,7 +35,7 @@ from twin.report.surfaces import average_on_grid
 from twin.report.table import Column, Row, Table
 from twin.report.words import NONE, number, percent, signed
 from twin.results.object_points import SeenObject
-from twin.results.object_score import MeasuredQuantity, ObjectScore
+from twin.results.object_score import MeasuredQuantity
 from twin.results.record import Measurement
 from twin.specimens import shape_of
 
@@ -54,7 +54,7 @@ def object_section(measured: Measurement) -> list[Section]:
     found = measured.object
     if found.seen is None or not found.aligned:
         return []
-    tables = [quantity_table(found)] if found.quantities else []
+    tables = [quantity_table(measured)] if found.quantities else []
     blocks: list[Block] = [*tables, deviation_table(measured), Note(_how(measured))]
     return [Section("object", "The object", (*blocks, object_figure(measured)))]
 
@@ -146,7 +146,7 @@ _QUANTITIES = (
     Column("nominal", "nominal", kind="number"),
     Column("value", "measured", kind="number"),
     Column("error", "deviation (µm)", kind="number"),
-    Column("coat", "of the coat itself (µm)", kind="number"),
+    Column("coat", "of the true surface seen (µm)", kind="number"),
     Column("expanded", "U (µm)", kind="number"),
     Column("parts", "u: points, repeated, calibration (µm)", kind="number"),
     Column("limits", "allowed (µm)", kind="number"),
@@ -154,8 +154,15 @@ _QUANTITIES = (
 )
 
 
-def quantity_table(found: ObjectScore) -> Table:
+def quantity_table(measured: Measurement) -> Table:
     """Return the measurands: value, deviation, uncertainty with its parts, verdict."""
+    found = measured.object
+    hidden = (
+        " What the elastomer does to the object is no part of U: it is in the deviation, and alone "
+        "in the deviation of the true coat."
+        if measured.experiment.method.presses
+        else ""
+    )
     factors = sorted({f"{one.uncertainty.coverage_factor:g}" for one in found.quantities})
     return Table(
         "measurands",
@@ -167,8 +174,7 @@ def quantity_table(found: ObjectScore) -> Table:
             f"U: expanded uncertainty with k = {', '.join(factors)} (2: about 95 %), of the noise "
             "of the points through the fit, and of repeatability and calibration where they are "
             "stated. Verdict after ISO 14253-1 with guard band U: within tolerance by U or more, "
-            "outside by U or more, or it cannot be told. What the elastomer does to the object is "
-            "no part of U: it is in the deviation, and alone in the deviation of the coat itself.",
+            f"outside by U or more, or it cannot be told.{hidden}",
         ),
         look="compared",
     )
@@ -266,11 +272,16 @@ def object_figure(measured: Measurement) -> Figure:
         "Measured relief, true object, deviation and section",
         f"Heights in mm on one scale. Deviation along the normal, offset taken off, where the "
         f"specimen {_touches(measured.experiment)}; elsewhere gray. The section shows measured "
-        "points, the specimen's surface (grown by the elastomer where it lies between), and what "
-        "was fitted; thick points took part.",
+        f"points, the specimen's surface{_grown(measured)}, and what was fitted; thick points took "
+        "part.",
         "maps of measured relief, true object and deviation, and a section",
         lambda path: draw_object(path, measured),
     )
+
+
+def _grown(measured: Measurement) -> str:
+    seen = measured.object.seen
+    return " (grown by the elastomer between)" if seen is not None and seen.surface.skin_mm else ""
 
 
 def draw_object(path: Path, measured: Measurement) -> None:
