@@ -18,6 +18,8 @@ from reconstruction.evaluate.fit import BallFit, CylinderFit, fit_ball, fit_cyli
 _MOST_TURNS = 20
 _LEAST_POINTS = 5
 _LEAST_IN_FIT = 20
+# Residuals of 0.1 um are no outliers, however exact the other points are.
+_NEVER_OUT_MM = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +79,7 @@ def step_between(
         if part.sum() < _LEAST_POINTS:
             raise FitError(f"step: {part.sum()} points on the {name} level, 5 needed")
     design = np.column_stack([upper.astype(np.float64), np.ones(len(z_mm)), xy_mm])
-    return _linear(design, z_mm, upper | lower)
+    return _linear(design, z_mm, (upper, lower))
 
 
 def wave_depth(s_mm: FloatArray, z_mm: FloatArray, pitch_mm: float) -> FittedDimension:
@@ -95,7 +97,7 @@ def wave_depth(s_mm: FloatArray, z_mm: FloatArray, pitch_mm: float) -> FittedDim
         raise FitError(f"grooves: {len(s_mm)} points, 20 over at least one pitch needed")
     angle = 2 * np.pi * s_mm / pitch_mm
     design = np.column_stack([np.cos(angle), np.sin(angle), np.ones(len(s_mm)), s_mm])
-    parts = [_linear(design, z_mm, np.ones(len(z_mm), bool), which) for which in (0, 1)]
+    parts = [_linear(design, z_mm, (np.ones(len(z_mm), bool),), which) for which in (0, 1)]
     size = float(np.hypot(parts[0].value, parts[1].value))
     slope = sum(one.value / max(size, 1e-12) * one.slope for one in parts)
     return FittedDimension(2 * size, np.asarray(2 * slope), parts[0].residuals_mm, parts[0].used)
@@ -189,15 +191,20 @@ def _radius(
 
 
 def _linear(
-    design: FloatArray, z_mm: FloatArray, wanted: BoolImage, which: int = 0
+    design: FloatArray, z_mm: FloatArray, groups: tuple[BoolImage, ...], which: int = 0
 ) -> FittedDimension:
-    """Fit by least squares, repeated without outliers; the value is parameter `which`."""
-    kept = wanted
+    """Fit by least squares, repeated without outliers; the value is parameter `which`.
+
+    An outlier is one among its own group: a small level must not be one beside a large one.
+    """
+    kept = np.any(groups, axis=0)
     for _ in range(_MOST_TURNS):
         found, *_ = np.linalg.lstsq(design[kept], z_mm[kept], rcond=None)
         residuals = z_mm - design @ found
         good = np.zeros(len(z_mm), bool)
-        good[wanted] = inliers(residuals[wanted])
+        for group in groups:
+            left = residuals[group]
+            good[group] = inliers(left) | (np.abs(left - np.median(left)) <= _NEVER_OUT_MM)
         if np.array_equal(good, kept):
             break
         kept = good

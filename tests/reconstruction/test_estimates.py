@@ -104,6 +104,16 @@ def test_a_gaussian_filter_shares_errors_over_its_correlation_area():
     assert mean / pixel == pytest.approx(shared_by(1.5), rel=0.25)
 
 
+def test_a_small_exact_level_is_no_outlier_beside_a_large_bent_one():
+    """Three hundred points 0.1 mm up, exact; two thousand below, a few of them on a flank."""
+    upper, lower = (X > 2) & (Y > 0), X < 1
+    flank = np.where((X > 0.8) & (Y > 1), 0.01, 0.0) * lower
+    found = step_between(np.column_stack([X, Y]), 0.1 * upper + flank, upper, lower)
+    assert found.value == pytest.approx(0.1, abs=1e-4)
+    assert found.used[upper].all()
+    assert not found.used[flank > 0].any()
+
+
 def test_too_few_points_are_told():
     few = np.zeros(4)
     with pytest.raises(FitError, match="upper level"):
