@@ -262,7 +262,7 @@ def test_report_of_something_else_is_refused(tmp_path, capsys):
 def test_init_writes_a_valid_experiment_once(tmp_path, capsys):
     file = tmp_path / "mine.toml"
     assert run(["init", str(file)]) == 0
-    assert load_experiment(file).specimen.kind == "ball"
+    assert load_experiment(file).specimen.kind == "step"
     assert run(["init", str(file)]) == 2
     assert "exists already" in error_of(capsys)
 

@@ -158,9 +158,10 @@ def leaves(tree, prefix=""):
 EXPERIMENTS = [
     name
     for name in list_assets("scenes")
-    if name.split("/")[0] in ("examples", "paper")
+    if name.split("/")[0] in ("examples", "paper", "templates")
     and name
     not in (
+        "templates/study",
         "paper/identified",
         "paper/identify",
         "paper/targets",

@@ -199,3 +199,5 @@ def test_an_experiment_without_measurands_keeps_its_digest():
     assert "measurand" not in plain.model_dump()
     assert digest(plain) != digest(asked)
     assert [one.name for one in measurands_of(asked)] == ["step_height", "flat"]
+    own = experiment(STEP, measurand=[{"name": "riser", "quantity": "step_height"}])
+    assert [one.name for one in measurands_of(own)] == ["riser"]

@@ -30,22 +30,39 @@ def doctor() -> int:
 
 @app.command
 def init(
-    file: Annotated[Path, Parameter(help="experiment file to write")] = Path("experiment.toml"),
+    file: Annotated[
+        Path | None,
+        Parameter(help="file to write; default: experiment.toml, of a study study.toml"),
+    ] = None,
+    *,
+    template: str = "gel",
+    listed: Annotated[bool, Parameter(name="--list", negative="")] = False,
 ) -> None:
-    """Write a commented starter experiment.
+    """Write a commented starter: a sensor that measures its object, to change from there.
 
     Parameters
     ----------
     file
         Where to write it; an existing file is never overwritten.
+    template
+        Which one: gel (default), part, sheet, gelsight, rig, study.
+    listed
+        Only list the templates.
     """
-    from twin.assets import asset_path
+    from twin.config.templates import read_template, templates
     from twin.output import creating
 
-    starter = asset_path("scenes", "examples/starter").read_text(encoding="utf-8")
-    with creating(file) as part:
-        part.write_text(starter, encoding="utf-8")
-    say(f"wrote {file}; next: twin measure {file} -o out")
+    if listed:
+        print_table(
+            ("template", "what it is"), ((one.name, one.description) for one in templates())
+        )
+        return
+    text = read_template(template)
+    command = "sweep" if template == "study" else "measure"
+    target = file or Path("study.toml" if template == "study" else "experiment.toml")
+    with creating(target) as part:
+        part.write_text(text, encoding="utf-8")
+    say(f"wrote {target}; next: twin {command} {target} -o out")
 
 
 @app.command

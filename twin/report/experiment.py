@@ -281,6 +281,9 @@ def _leaves(node: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]
     for key, value in node.items():
         if isinstance(value, dict):
             yield from _leaves(value, f"{prefix}{key}.")
+        elif isinstance(value, list) and value and isinstance(value[0], dict):
+            for one in value:
+                yield from _leaves(one, f"{prefix}{key}.{one.get('name', '')}.")
         elif value is not None:
             yield f"{prefix}{key}", value
 

@@ -90,10 +90,16 @@ def feature_of(features: list[Feature], asked: ObjectMeasurand) -> Feature:
 def measurands_of(experiment: Experiment) -> list[ObjectMeasurand]:
     """Return what is asked of an experiment, after what its specimen has by nature.
 
-    One asked for under the name of a natural one takes its place.
+    One asked for under the name of a natural one, or for the same of it, takes its place.
     """
     asked = {one.name: one for one in experiment.measurand}
-    natural = {one.name: one for part in features_of(experiment.specimen) for one in _natural(part)}
+    same = {(one.quantity, one.part, one.number) for one in experiment.measurand}
+    natural = {
+        one.name: one
+        for part in features_of(experiment.specimen)
+        for one in _natural(part)
+        if (one.quantity, one.part, one.number) not in same
+    }
     return list((natural | asked).values())
 
 
