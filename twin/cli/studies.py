@@ -27,6 +27,9 @@ from twin.cli.app import (
 )
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from twin.study.cases import Case
     from twin.study.engine import SweepOutcome
     from twin.study.record import StudyRecord
     from twin.study.workers import Workers
@@ -73,20 +76,34 @@ def sweep(
     who = workers_of(workers, cluster)
     if cases is not None:
         sys.stderr.write(f"{told(estimate(record, cases, Store(out), who.count))}\n")
-    if dry_run:
-        return _check(record)
+    code = _check(record, () if cases is None else cases.run)
+    if dry_run or code:
+        return code
     with progress_bars() as watch:
-        outcome = run(record, out, who, cases=cases, retry=retry, watch=watch, inputs=[study])
+        outcome = run(
+            record, out, who, cases=cases, retry=retry, watch=watch, inputs=[study], tell=_fails
+        )
     _tell_outcome(outcome, out)
     return FAILURE if outcome.unsaved or not outcome.finished else 0
 
 
-def _check(record: "StudyRecord") -> int:
-    """Say which cases cannot be measured; of a search, which along its axes."""
+def _fails(reason: str) -> None:
+    sys.stderr.write(f"twin: a case failed: {reason}\n")
+
+
+def _check(record: "StudyRecord", cases: "Sequence[Case]") -> int:
+    """Say what needs no rendering: which cases, of a search along its axes, cannot be measured.
+
+    Raises
+    ------
+    InputError : no case has a figure that the study asks for
+    """
+    from twin.study.checks import check_figures
     from twin.study.sweep import probes_of, unmeasurable
 
     searches = record.study.sampling.method == "optimise"
-    cases = probes_of(record) if searches else list(record.cases().run)
+    cases = probes_of(record) if searches else cases
+    check_figures(record, cases)
     found = unmeasurable(cases)
     for reason, some in found.items():
         at = ", ".join(f"{name} = {value}" for name, value in some[0].settings.items())
@@ -257,7 +274,7 @@ def uncertainty(
     if dry_run:
         for line in plan_in_words(record, out, who.count, sobol):
             sys.stderr.write(f"{line}\n")
-        return _check(record)
+        return _check(record, record.cases().run)
     outcome = _swept(record, out, who, [experiment, Path(inputs)], retry)
     if outcome.finished < 3:  # the nominal one and two trials
         return FAILURE

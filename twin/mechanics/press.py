@@ -118,7 +118,7 @@ def press(
     sag, height = preload.deflection(layer), shape.height_above_lowest(layer.x_mm, layer.y_mm)
     contact = solve_on_layer(layer, height + sag, _control(layer, height + sag, load, modulus_kpa))
     if not (any_depth and elastomer.layout == "opposite_face"):
-        _check_depth(contact.depth_mm, layer.thickness_mm, load)
+        _check_depth(contact.depth_mm, elastomer, load)
     nodes = face_nodes(elastomer.length_y_mm, load), face_nodes(elastomer.length_x_mm, load)
     face_z = _coated_face(layer, contact, preload, shape, nodes)
     return PressedElastomer(
@@ -151,7 +151,7 @@ def check_load(shape: Shape, elastomer: Elastomer, load: Press, *, any_depth: bo
     check_outline(shape, elastomer)
     preload_of(elastomer, load, young_modulus(elastomer).best_kpa)
     if load.depth_mm is not None and not (any_depth and elastomer.layout == "opposite_face"):
-        _check_depth(load.depth_mm, elastomer.thickness_mm, load)
+        _check_depth(load.depth_mm, elastomer, load)
 
 
 def _coated_face(
@@ -205,17 +205,20 @@ def check_outline(shape: Shape, elastomer: Elastomer) -> None:
             )
 
 
-def _check_depth(depth_mm: float, thickness_mm: float, load: Press) -> None:
-    if depth_mm < thickness_mm:
+def _check_depth(depth_mm: float, elastomer: Elastomer, load: Press) -> None:
+    if depth_mm < elastomer.thickness_mm:
         return
-    asked = (
-        f"press.depth_mm: {depth_mm:g} mm"
-        if load.control == "depth"
-        else f"press.force_n: {load.force_n:g} N needs a depth of {depth_mm:.3g} mm, which"
-    )
+    asked, remedy = f"press.depth_mm: {depth_mm:g} mm", "press less or use a thicker slab"
+    if load.control == "force":
+        asked = f"press.force_n: {load.force_n:g} N needs a depth of {depth_mm:.3g} mm, which"
+        remedy = "lower press.force_n, or use a thicker or harder slab"
+        if elastomer.layout == "opposite_face":
+            remedy += (
+                ", a narrower rim (elastomer.length_x_mm, length_y_mm), or a gel bonded to a "
+                "window (elastomer.layout = 'contact_face', with layers)"
+            )
     raise PressError(
-        f"{asked} is not less than the slab's thickness of {thickness_mm:g} mm; "
-        "press less or use a thicker slab"
+        f"{asked} is not less than the slab's thickness of {elastomer.thickness_mm:g} mm; {remedy}"
     )
 
 

@@ -9,6 +9,7 @@ from twin.pipeline.colours import check_sensor, measure_colours
 from twin.pipeline.fringes import RunContext, check_layers, measure_fringes
 from twin.pipeline.memory import Memory
 from twin.pipeline.progress import ProgressCallback, Stopwatch, no_progress
+from twin.results.features import check_measurands
 from twin.results.folder import write_measurement
 from twin.results.record import Measurement
 
@@ -31,6 +32,7 @@ def measure(
     InputError : something in the experiment cannot be pressed, rendered or fitted
     MissingBackend : no usable Dr.Jit backend
     """
+    check_measurands(experiment)
     run = RunContext(Memory() if memory is None else memory, Stopwatch(watch), trial)
     by_method = measure_fringes if experiment.method.fringes else measure_colours
     return by_method(experiment, run)
@@ -72,4 +74,5 @@ def check_measurable(experiment: Experiment) -> None:
         )
         check = check_layers if method.fringes else check_sensor
         check(experiment)
+    check_measurands(experiment)
     check_renderable(experiment)

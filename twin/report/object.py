@@ -335,15 +335,15 @@ def _draw_section(axes: Axes, measured: Measurement, seen: SeenObject) -> None:
     trace, points = trace_of(measured.experiment), seen.measured.points_mm
     place, z = _band(trace, points, seen.pixel_mm)
     axes.plot(place, z, ".", ms=2.0, color=MEASURED_FILL, label="measured")
-    fitted = next((one for one in measured.object.quantities if len(one.points_mm)), None)
-    if fitted is not None:
+    fitted = next((one for one in measured.object.quantities if one.points_mm is not None), None)
+    if fitted is not None and fitted.points_mm is not None:
         used, used_z = _band(trace, fitted.points_mm, seen.pixel_mm)
         axes.plot(used, used_z, ".", ms=3.5, color=MEASURED, label="fitted")
     grid = np.linspace(float(place.min()), float(place.max()), 600) if len(place) else place
     true = _true_profile(seen, trace, grid)
     axes.plot(grid, true, color=NOMINAL, lw=1.0, label="true object")
-    if fitted is not None:
-        for s, line in _fit_lines(fitted, trace, seen):
+    if fitted is not None and fitted.points_mm is not None:
+        for s, line in _fit_lines(fitted, fitted.points_mm, trace, seen):
             axes.plot(s, line, color=FIT, lw=1.2, ls="--")
     low, high = (float(z.min()), float(z.max())) if len(z) else (0.0, 1.0)
     margin = 0.15 * max(high - low, 0.01)
@@ -366,10 +366,9 @@ def _true_profile(seen: SeenObject, trace: Trace, place: FloatArray) -> FloatArr
 
 
 def _fit_lines(
-    one: MeasuredQuantity, trace: Trace, seen: SeenObject
+    one: MeasuredQuantity, points: FloatArray, trace: Trace, seen: SeenObject
 ) -> list[tuple[FloatArray, FloatArray]]:
     """Return what was fitted, as curves (s, z): two levels, or the arc of a ball."""
-    points = one.points_mm
     if one.asked.quantity == "radius" and seen.shape.spheres():
         return _arc(points, trace)
     if one.asked.quantity != "step_height" or one.value is None:

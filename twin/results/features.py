@@ -103,6 +103,40 @@ def measurands_of(experiment: Experiment) -> list[ObjectMeasurand]:
     return list((natural | asked).values())
 
 
+def check_measurands(experiment: Experiment) -> None:
+    """Refuse measurands that the specimen cannot have, before anything is measured.
+
+    Raises
+    ------
+    InputError : a part, a ball, a rod, a bar or a grating that is not there
+    """
+    features = features_of(experiment.specimen)
+    for asked in experiment.measurand:
+        feature = feature_of(features, asked)
+        kind = getattr(feature.specimen, "kind", "specimen")
+        count = _how_many(feature, asked)
+        if count is not None and asked.number > count:
+            raise InputError(
+                f"measurand {asked.name}: {asked.quantity} number {asked.number}: the specimen "
+                f"({kind}) has {count or 'none'}; ask for another quantity, number or part"
+            )
+        if asked.quantity == "resolution" and not gratings_of(experiment.specimen):
+            raise InputError(
+                f"measurand {asked.name}: resolution is that of gratings, found {kind}; use kind = "
+                "'grating', or a group of several pitches"
+            )
+
+
+def _how_many(feature: Feature, asked: ObjectMeasurand) -> int | None:
+    """Return how many features of the kind there are; None where they are not counted."""
+    own = feature.specimen
+    if asked.quantity == "radius":
+        if isinstance(own, Rods):
+            return len(own.diameters_mm)
+        return 1 if isinstance(own, Rod) else len(feature.balls)
+    return len(own.widths_mm) if asked.quantity == "width" and isinstance(own, Bars) else None
+
+
 def nominal_mm(feature: Feature, asked: ObjectMeasurand) -> float | None:
     """Return a length as the specimen's description has it; None where it does not."""
     if asked.nominal_mm is not None:

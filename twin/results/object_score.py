@@ -43,7 +43,7 @@ class MeasuredQuantity:
     true_face : the same of the true coat: what a perfect measurement would have found
     uncertainty : in um (of a share: as the share)
     tolerance : on the value's deviation, in um (of a share: on the share); None: none is given
-    points_mm : (n, xyz) what it rests on
+    points_mm : (n, xyz) what it rests on; None without a value
     """
 
     asked: ObjectMeasurand
@@ -52,7 +52,7 @@ class MeasuredQuantity:
     true_face: float | None
     uncertainty: CombinedUncertainty
     tolerance: Tolerance | None
-    points_mm: FloatArray
+    points_mm: FloatArray | None
     why: str = ""
 
     @property
@@ -126,10 +126,10 @@ def score_object(
     found = tuple(_quantity(one, feature_of(features, one), seen) for one in asked)
     measured = _aligned(seen, seen.measured) if seen else {}
     true_face = _aligned(seen, seen.true_face) if seen else {}
-    figures = dict(_deviation_figures(seen, measured, true_face))
+    figures = dict(deviation_figures(seen, measured, true_face))
     for one in found:
-        figures |= dict(_quantity_figures(one))
-    return ObjectScore(seen, found, measured, figures | _summary(found))
+        figures |= dict(quantity_figures(one))
+    return ObjectScore(seen, found, measured, figures | summary_of(found))
 
 
 def _aligned(seen: SeenObject, points: ObjectPoints) -> dict[Alignment, Deviations]:
@@ -145,11 +145,12 @@ def _aligned(seen: SeenObject, points: ObjectPoints) -> dict[Alignment, Deviatio
         return {}
 
 
-def _deviation_figures(
+def deviation_figures(
     seen: SeenObject | None,
     measured: dict[Alignment, Deviations],
     true_face: dict[Alignment, Deviations],
 ) -> Iterator[tuple[str, Metric]]:
+    """Yield the figures of the deviation from the true object."""
     yield "object_points", 0 if seen is None else int(seen.measured.touching.sum())
     yield "object_coverage_share", None if seen is None else seen.coverage
     for name, of in (("object_", measured), ("true_face_object_", true_face)):
@@ -190,7 +191,7 @@ def _quantity(
             coverage_factor=asked.coverage_factor,
         ),
         tolerance=tolerance_of(asked),
-        points_mm=np.zeros((0, 3)) if value is None else value.points_mm,
+        points_mm=None if value is None else value.points_mm,
         why=why,
     )
 
@@ -224,7 +225,8 @@ def tolerance_of(asked: ObjectMeasurand) -> Tolerance | None:
     )
 
 
-def _quantity_figures(one: MeasuredQuantity) -> Iterator[tuple[str, Metric]]:
+def quantity_figures(one: MeasuredQuantity) -> Iterator[tuple[str, Metric]]:
+    """Yield the figures of one measurand."""
     name, unit = f"object_{one.asked.name}", one.asked.unit
     yield f"{name}_{unit}", one.value
     yield f"{name}_true_face_{unit}", one.true_face
@@ -242,7 +244,7 @@ def _quantity_figures(one: MeasuredQuantity) -> Iterator[tuple[str, Metric]]:
         yield f"{name}_why", one.why
 
 
-def _summary(found: tuple[MeasuredQuantity, ...]) -> dict[str, Metric]:
+def summary_of(found: tuple[MeasuredQuantity, ...]) -> dict[str, Metric]:
     """Count the verdicts; the least margin in um is what a design is ranked by."""
     judged = [one for one in found if one.tolerance is not None]
     if not judged:

@@ -342,13 +342,17 @@ def _sphere_metrics(
     fitted: Sequence[SphereScore], unfitted: Sequence[str], region: str = ""
 ) -> dict[str, Any]:
     """Return all balls' figures by name; those of a ball without a fit are None."""
-    numbers = range(1, len(fitted) + len(unfitted) + 1)
-    names = [f"sphere_{n}_{region}{figure}" for n in numbers for figure in _SPHERE_FIGURES]
-    found: dict[str, Any] = dict.fromkeys(names)
+    found: dict[str, Any] = dict.fromkeys(sphere_names(len(fitted) + len(unfitted), region))
     for ball in fitted:
         ours = _ball_figures(ball).items()
         found |= {f"sphere_{ball.number}_{region}{name}": value for name, value in ours}
     return found
+
+
+def sphere_names(balls: int, region: str = "") -> list[str]:
+    """Return the names of the figures of so many balls."""
+    numbers = range(1, balls + 1)
+    return [f"sphere_{n}_{region}{figure}" for n in numbers for figure in _SPHERE_FIGURES]
 
 
 def _ball_figures(sphere: SphereScore) -> dict[str, float | int]:

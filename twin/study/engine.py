@@ -30,6 +30,7 @@ from twin.study.workers import Workers
 _STRIKES = 3
 _ROUNDS_AHEAD = 4  # where those computed ahead fail, or are at another run
 _MOST_DEATHS = 10  # one after another, without any case finished between them
+_FIRST_REASONS = 3
 _AHEAD = 2  # batches per worker that wait in the executor
 _WAIT_FOR_OTHERS_S = 0.2
 
@@ -78,6 +79,7 @@ class Run:
     Attributes
     ----------
     done : told about every batch, for example to enter it into an index
+    tell : told, once each, the first reasons why cases fail, while the others still run
     """
 
     store: Store
@@ -86,6 +88,7 @@ class Run:
     make_measurer: MakeMeasurer = PLAINLY
     watch: ProgressCallback = no_progress
     done: Callable[[Sequence[Report]], None] = lambda _: None
+    tell: Callable[[str], None] = lambda _: None
     _queue: deque[list[Case]] = field(default_factory=deque)
     _alone: deque[Case] = field(default_factory=deque)
     _strikes: Counter[str] = field(default_factory=Counter)
@@ -93,6 +96,7 @@ class Run:
     _reads: StageReads = ()
     _total: int = 0
     _deaths: int = 0
+    _told: set[str] = field(default_factory=set)
 
     def __call__(self, cases: Iterable[Case]) -> SweepOutcome:
         """Compute what is not in the store yet.
@@ -228,9 +232,16 @@ class Run:
     def _enter(self, reports: Sequence[Report]) -> None:
         self._reports |= {report.digest: report for report in reports}
         self._deaths = 0 if reports else self._deaths
+        self._tell_new(reports)
         self.done(reports)
         ended = sum(report.state != "elsewhere" for report in self._reports.values())
         self.watch("cases", ended / max(self._total, 1))
+
+    def _tell_new(self, reports: Sequence[Report]) -> None:
+        for reason in dict.fromkeys(one.reason for one in reports if one.state == "failed"):
+            if reason not in self._told and len(self._told) < _FIRST_REASONS:
+                self._told.add(reason)
+                self.tell(reason)
 
     def _batch(self, cases: list[Case]) -> Batch:
         return Batch(

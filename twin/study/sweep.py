@@ -2,7 +2,7 @@
 
 import math
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from itertools import chain
@@ -182,6 +182,7 @@ def sweep(
     watch: ProgressCallback = no_progress,
     make_measurer: MakeMeasurer | None = None,
     inputs: Sequence[Path] = (),
+    tell: Callable[[str], None] = lambda _: None,
 ) -> SweepOutcome:
     """Compute all cases of a study that its store lacks.
 
@@ -193,6 +194,7 @@ def sweep(
     make_measurer : makes what measures a case; importable by the workers. Default: `Measuring`,
         after a calibration of the rig where trials draw theirs
     inputs : files that the folder must not hold
+    tell : told the first reasons why cases fail, as they do
 
     Raises
     ------
@@ -207,7 +209,8 @@ def sweep(
     store = Store(folder)
     store.open(inputs)
     make = make_measurer or _measuring(record, folder, watch)
-    with _session(store, workers, record.study.keep, make, watch, retry=retry) as session:
+    keep = record.study.keep
+    with _session(store, workers, keep, make, watch, retry=retry, tell=tell) as session:
         if record.study.sampling.method == "optimise":
             outcome = SweepOutcome.together(optimise(record, folder, run))
         else:
@@ -240,10 +243,12 @@ def _session(
     watch: ProgressCallback,
     *,
     retry: bool,
+    tell: Callable[[str], None] = lambda _: None,
 ) -> Iterator[_Session]:
     try:
         with lasting(workers) as kept:
-            yield _Session(store, Run(store, kept, keep, make, watch, Index(store).enter), retry)
+            run = Run(store, kept, keep, make, watch, Index(store).enter, tell)
+            yield _Session(store, run, retry)
     finally:
         store.abandoned()  # what workers left that were ended at once
 
