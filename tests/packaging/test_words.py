@@ -31,7 +31,8 @@ COMMANDS = ("calibrate", "compare", "demo", "doctor", "export", "identify", "ini
 
 def written() -> Iterator[tuple[str, str]]:
     """Pages that a user reads."""
-    for path in (ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(ROOT.glob("docs/*.md"))):
+    pages = sorted(ROOT.glob("docs/*.md")) + sorted(ROOT.glob("docs/physics/*.md"))
+    for path in (ROOT / "README.md", ROOT / "CONTRIBUTING.md", *pages):
         yield path.name, path.read_text(encoding="utf-8")
 
 
