@@ -40,6 +40,50 @@ class Reconstruction:
     decoded: Decoded
     point_map: PointMap
 
+    def __repr__(self) -> str:
+        rows, cols = self.point_map.mask_reason.shape
+        told = ", ".join(f"{name} {value}" for name, value in self._in_short().items())
+        return f"<Reconstruction: {rows} x {cols} pixels, {told}>"
+
+    def _repr_html_(self) -> str:
+        from reconstruction.drawing import as_html
+
+        return as_html("reconstruction", self._in_short(), self.plot())
+
+    def _in_short(self) -> dict[str, str]:
+        valid = self.point_map.valid
+        shown = {"points": f"{100 * valid.mean():.1f} % of all pixels"}
+        if valid.any():
+            sigma_um = 1e3 * float(np.median(self.point_map.sigma_xyz_mm[valid][:, 2]))
+            shown["median sigma of z"] = f"{sigma_um:.3g} um"
+        return shown
+
+    def plot(self) -> "Drawing":
+        """Draw heights, their predicted standard deviation, and a section: a Matplotlib figure.
+
+        Raises
+        ------
+        InputError : no pixel has a point
+        """
+        from reconstruction.drawing import Drawing, draw_cells, draw_section, gridded
+
+        valid = self.point_map.valid
+        if not valid.any():
+            raise InputError("plot: found no valid point; look at the mask's reasons")
+        points_mm = self.point_map.points_world_mm[valid].astype(np.float64)
+        sigma_um = 1e3 * self.point_map.sigma_xyz_mm[valid][:, 2]
+        drawing = Drawing(3)
+        panels = drawing.subplots(1, 3)
+        relief = gridded(points_mm, points_mm[:, 2])
+        draw_cells(panels[0], relief, "measured heights", "z (mm)")
+        draw_cells(panels[1], gridded(points_mm, sigma_um), "predicted sigma of z", "um")
+        draw_section(panels[2], {"measured": relief})
+        return drawing
+
+    def to_xarray(self) -> "xarray.Dataset":
+        """Return all maps over camera row and column, as reconstruction.nc holds them."""
+        return reconstruction_dataset(self.decoded, self.point_map)
+
 
 def reconstruct(capture: Capture, options: ReconstructOptions | None = None) -> Reconstruction:
     """Decode and triangulate a capture.
@@ -78,6 +122,8 @@ def filter_bias(found: Reconstruction, use: Use, where: BoolImage) -> tuple[floa
 
 if TYPE_CHECKING:
     import xarray
+
+    from reconstruction.drawing import Drawing
 
 PLY_TYPES = {"float32": "float", "float64": "double", "uint16": "ushort", "int32": "int"}
 POSE = "T_world_from_cam"

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from reconstruction.arrays import BoolImage, FloatArray, FloatImage
+from reconstruction.cells import cell_means
 from reconstruction.errors import InputError
 from reconstruction.machine import write_dataset, write_exr_channels
 from reconstruction.pipeline import write_point_map_ply
@@ -66,24 +67,9 @@ def height_map(points: PointMap, pitch_mm: float | None = None) -> HeightGrid:
     world = points.points_world_mm[points.valid].astype(np.float64)
     if not len(world):
         raise InputError("height map: no valid point; look at the mask's reasons")
-    pitch = pitch_mm or 1.5 * _typical_distance_mm(points)
-    low, high = (
-        np.floor(world[:, :2].min(axis=0) / pitch),
-        np.floor(world[:, :2].max(axis=0) / pitch),
-    )
-    cols, rows = (high - low).astype(int) + 1
-    if pitch <= 0.0 or rows * cols > 10**8:
-        raise InputError(f"height map: pitch {pitch:g} mm makes {rows} x {cols} cells; give more")
-    cell = (np.floor(world[:, :2] / pitch) - low).astype(int)
-    index = (rows - 1 - cell[:, 1]) * cols + cell[:, 0]
-    count = np.bincount(index, minlength=rows * cols).reshape(rows, cols)
-    total = np.bincount(index, world[:, 2], rows * cols).reshape(rows, cols)
+    cells = cell_means(world, world[:, 2], pitch_mm or 1.5 * _typical_distance_mm(points))
     return HeightGrid(
-        x_mm=(low[0] + np.arange(cols) + 0.5) * pitch,
-        y_mm=(low[1] + np.arange(rows)[::-1] + 0.5) * pitch,
-        z_mm=(total / np.maximum(count, 1)).astype(np.float32),
-        valid=count > 0,
-        pitch_mm=float(pitch),
+        cells.x_mm, cells.y_mm, cells.mean.astype(np.float32), cells.valid, cells.pitch_mm
     )
 
 
