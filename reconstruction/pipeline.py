@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from reconstruction.arrays import BoolImage, Reason
 from reconstruction.capture.folder import Capture
+from reconstruction.colouring import Deviation
 from reconstruction.decoding.decode import AxisDecode, Decoded, DecodeOptions, decode
 from reconstruction.errors import CaptureError, InputError, one_line
 from reconstruction.machine import PIXELS, pixel_coordinates, read_dataset, write_dataset
@@ -125,7 +126,13 @@ if TYPE_CHECKING:
 
     from reconstruction.drawing import Drawing
 
-PLY_TYPES = {"float32": "float", "float64": "double", "uint16": "ushort", "int32": "int"}
+PLY_TYPES = {
+    "uint8": "uchar",
+    "float32": "float",
+    "float64": "double",
+    "uint16": "ushort",
+    "int32": "int",
+}
 POSE = "T_world_from_cam"
 UNITS = {"mm": "mm", "px": "px", "rad": "rad", "dn": "DN"}
 Maps = dict[str, NDArray[Any]]
@@ -166,7 +173,7 @@ def write_ply(
     Parameters
     ----------
     points_mm : (n, 3) float; stored in single precision
-    scalars : further vertex properties, each (n,) of float32, float64, uint16 or int32
+    scalars : further vertex properties, each (n,) of uint8, float32, float64, uint16 or int32
     comments : lines of the header
     """
     points = np.asarray(points_mm, dtype=np.float32)
@@ -203,8 +210,13 @@ def _ply_header(columns: Mapping[str, NDArray[Any]], count: int, comments: tuple
     return "\n".join([*lines, "end_header", ""])
 
 
-def write_point_map_ply(path: Path | str, point_map: PointMap) -> None:
-    """Write the valid points row by row, with sigma_*_mm and the pixel (row, col) of each."""
+def write_point_map_ply(
+    path: Path | str, point_map: PointMap, deviation: Deviation | None = None
+) -> None:
+    """Write the valid points row by row, with sigma_*_mm and the pixel (row, col) of each.
+
+    Where the truth is known, deviation_um and its colour (red, green, blue) are properties, too.
+    """
     row, col = np.nonzero(point_map.valid)
     sigma_mm = point_map.sigma_xyz_mm[row, col]
     scalars: Maps = {f"sigma_{name}_mm": sigma_mm[:, i] for i, name in enumerate("xyz")}
@@ -212,8 +224,13 @@ def write_point_map_ply(path: Path | str, point_map: PointMap) -> None:
         "row": row.astype(np.uint16),
         "col": col.astype(np.uint16),
     }
-    comments = ("frame world, z up", "units mm", "order row-major, valid pixels only")
-    write_ply(path, point_map.points_world_mm[row, col], scalars, comments)
+    comments = ["frame world, z up", "units mm", "order row-major, valid pixels only"]
+    if deviation is not None:
+        rgb = deviation.rgb[row, col]
+        scalars |= {name: rgb[:, i] for i, name in enumerate(("red", "green", "blue"))}
+        scalars |= {"deviation_um": deviation.um[row, col]}
+        comments.append(deviation.legend)
+    write_ply(path, point_map.points_world_mm[row, col], scalars, tuple(comments))
 
 
 def write_reconstruction(path: Path | str, decoded: Decoded, point_map: PointMap) -> None:

@@ -14,7 +14,7 @@ from twin.working import end_within, unwind_on_signals
 
 __all__ = ["main", "run"]
 
-ANSWER_S = 1.5
+ANSWER_S = 1.2
 """A signal that finds the command in a long call is answered after this time."""
 
 
