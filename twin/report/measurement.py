@@ -12,6 +12,7 @@ from twin.report import bare, contact, photometric
 from twin.report.experiment import appendix
 from twin.report.page import REPORT_FILE, STAGE, Page, Section, Verdict, write_page
 from twin.report.spheres import fit_table
+from twin.report.view import view_section
 from twin.results.folder import read_measurement
 from twin.results.record import Measurement
 
@@ -58,7 +59,7 @@ def page_of(measured: Measurement) -> Page:
         kind=f"virtual measurement by {by.METHOD}",
         title=experiment.name.replace("_", " "),
         lead=experiment.description,
-        sections=[*by.sections(measured), appendix(measured)],
+        sections=[*by.sections(measured), *view_section(measured), appendix(measured)],
         verdicts=by.verdicts(measured),
         warned=by.WARNED,
         warnings=[*measured.warnings, *measured.score.unfitted],
