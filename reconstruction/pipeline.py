@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from reconstruction.arrays import BoolImage, Reason
 from reconstruction.capture.folder import Capture
+from reconstruction.colouring import Deviation
 from reconstruction.decoding.decode import AxisDecode, Decoded, DecodeOptions, decode
 from reconstruction.errors import CaptureError, InputError, one_line
 from reconstruction.machine import PIXELS, pixel_coordinates, read_dataset, write_dataset
@@ -39,6 +40,50 @@ class Reconstruction:
 
     decoded: Decoded
     point_map: PointMap
+
+    def __repr__(self) -> str:
+        rows, cols = self.point_map.mask_reason.shape
+        told = ", ".join(f"{name} {value}" for name, value in self._in_short().items())
+        return f"<Reconstruction: {rows} x {cols} pixels, {told}>"
+
+    def _repr_html_(self) -> str:
+        from reconstruction.drawing import as_html
+
+        return as_html("reconstruction", self._in_short(), self.plot())
+
+    def _in_short(self) -> dict[str, str]:
+        valid = self.point_map.valid
+        shown = {"points": f"{100 * valid.mean():.1f} % of all pixels"}
+        if valid.any():
+            sigma_um = 1e3 * float(np.median(self.point_map.sigma_xyz_mm[valid][:, 2]))
+            shown["median sigma of z"] = f"{sigma_um:.3g} um"
+        return shown
+
+    def plot(self) -> "Drawing":
+        """Draw heights, their predicted standard deviation, and a section: a Matplotlib figure.
+
+        Raises
+        ------
+        InputError : no pixel has a point
+        """
+        from reconstruction.drawing import Drawing, draw_cells, draw_section, gridded
+
+        valid = self.point_map.valid
+        if not valid.any():
+            raise InputError("plot: found no valid point; look at the mask's reasons")
+        points_mm = self.point_map.points_world_mm[valid].astype(np.float64)
+        sigma_um = 1e3 * self.point_map.sigma_xyz_mm[valid][:, 2]
+        drawing = Drawing(3)
+        panels = drawing.subplots(1, 3)
+        relief = gridded(points_mm, points_mm[:, 2])
+        draw_cells(panels[0], relief, "measured heights", "z (mm)")
+        draw_cells(panels[1], gridded(points_mm, sigma_um), "predicted sigma of z", "um")
+        draw_section(panels[2], {"measured": relief})
+        return drawing
+
+    def to_xarray(self) -> "xarray.Dataset":
+        """Return all maps over camera row and column, as reconstruction.nc holds them."""
+        return reconstruction_dataset(self.decoded, self.point_map)
 
 
 def reconstruct(capture: Capture, options: ReconstructOptions | None = None) -> Reconstruction:
@@ -79,7 +124,15 @@ def filter_bias(found: Reconstruction, use: Use, where: BoolImage) -> tuple[floa
 if TYPE_CHECKING:
     import xarray
 
-PLY_TYPES = {"float32": "float", "float64": "double", "uint16": "ushort", "int32": "int"}
+    from reconstruction.drawing import Drawing
+
+PLY_TYPES = {
+    "uint8": "uchar",
+    "float32": "float",
+    "float64": "double",
+    "uint16": "ushort",
+    "int32": "int",
+}
 POSE = "T_world_from_cam"
 UNITS = {"mm": "mm", "px": "px", "rad": "rad", "dn": "DN"}
 Maps = dict[str, NDArray[Any]]
@@ -120,7 +173,7 @@ def write_ply(
     Parameters
     ----------
     points_mm : (n, 3) float; stored in single precision
-    scalars : further vertex properties, each (n,) of float32, float64, uint16 or int32
+    scalars : further vertex properties, each (n,) of uint8, float32, float64, uint16 or int32
     comments : lines of the header
     """
     points = np.asarray(points_mm, dtype=np.float32)
@@ -157,8 +210,13 @@ def _ply_header(columns: Mapping[str, NDArray[Any]], count: int, comments: tuple
     return "\n".join([*lines, "end_header", ""])
 
 
-def write_point_map_ply(path: Path | str, point_map: PointMap) -> None:
-    """Write the valid points row by row, with sigma_*_mm and the pixel (row, col) of each."""
+def write_point_map_ply(
+    path: Path | str, point_map: PointMap, deviation: Deviation | None = None
+) -> None:
+    """Write the valid points row by row, with sigma_*_mm and the pixel (row, col) of each.
+
+    Where the truth is known, deviation_um and its colour (red, green, blue) are properties, too.
+    """
     row, col = np.nonzero(point_map.valid)
     sigma_mm = point_map.sigma_xyz_mm[row, col]
     scalars: Maps = {f"sigma_{name}_mm": sigma_mm[:, i] for i, name in enumerate("xyz")}
@@ -166,8 +224,13 @@ def write_point_map_ply(path: Path | str, point_map: PointMap) -> None:
         "row": row.astype(np.uint16),
         "col": col.astype(np.uint16),
     }
-    comments = ("frame world, z up", "units mm", "order row-major, valid pixels only")
-    write_ply(path, point_map.points_world_mm[row, col], scalars, comments)
+    comments = ["frame world, z up", "units mm", "order row-major, valid pixels only"]
+    if deviation is not None:
+        rgb = deviation.rgb[row, col]
+        scalars |= {name: rgb[:, i] for i, name in enumerate(("red", "green", "blue"))}
+        scalars |= {"deviation_um": deviation.um[row, col]}
+        comments.append(deviation.legend)
+    write_ply(path, point_map.points_world_mm[row, col], scalars, tuple(comments))
 
 
 def write_reconstruction(path: Path | str, decoded: Decoded, point_map: PointMap) -> None:

@@ -7,19 +7,26 @@ free is what a killed run left, and the next run on the same target removes it.
 A signal ends a command as an error does: working folders are removed and worker processes ended.
 SIGINT, SIGTERM and SIGHUP raise `Interrupted` in the main thread. A signal that this process was
 started to ignore (nohup) stays ignored.
+
+Python tells the main thread of a signal when the call that it is in returns, and a call into a
+renderer or a solver may last a minute. `end_within` starts a thread that does the same clean-up by
+itself when the main thread has not ended by then. It waits for what must not be done by half.
 """
 
 import fcntl
+import os
 import re
 import shutil
 import signal
+import sys
 import tempfile
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType
-from typing import IO
+from typing import IO, ClassVar
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
@@ -35,6 +42,11 @@ class Interrupted(KeyboardInterrupt):
 class _Hold:
     depth = 0
     waiting: int | None = None
+    #: held by whoever changes files that must not be left half-changed, or ends the process
+    gate = threading.Lock()
+    #: folders that the process has not finished
+    working: ClassVar[set[Path]] = set()
+    said = threading.Lock()
 
 
 def unwind_on_signals() -> None:
@@ -51,10 +63,14 @@ def signals_held() -> Iterator[None]:
         yield  # handlers run in the main thread only
         return
     _Hold.depth += 1
+    if _Hold.depth == 1:
+        _Hold.gate.acquire()
     try:
         yield
     finally:
         _Hold.depth -= 1
+        if not _Hold.depth:
+            _Hold.gate.release()
         if _Hold.waiting is not None and not _Hold.depth:
             number, _Hold.waiting = _Hold.waiting, None
             raise Interrupted(number)
@@ -64,6 +80,46 @@ def _interrupt(number: int, _: FrameType | None) -> None:
     if not _Hold.depth:
         raise Interrupted(number)
     _Hold.waiting = number
+
+
+def end_within(seconds: float) -> None:
+    """End the process so long after a signal at the latest, whatever the main thread is in.
+
+    Only for a process that is a command: in any other one this would end it, too.
+    """
+    read, write = os.pipe()
+    os.set_blocking(write, False)
+    signal.set_wakeup_fd(write, warn_on_full_buffer=False)
+    threading.Thread(target=_guard, args=(read, seconds), name="signals", daemon=True).start()
+
+
+def _guard(read: int, seconds: float) -> None:
+    for number in iter(lambda: os.read(read, 1)[0], None):
+        if number in _SIGNALS and signal.getsignal(number) is _interrupt:
+            time.sleep(seconds)
+            with _Hold.gate:
+                _end_now(number)
+
+
+def _end_now(number: int) -> None:
+    # Who has children has imported it; to import it here might wait for the main thread.
+    processes = sys.modules.get("multiprocessing")
+    for child in processes.active_children() if processes else ():
+        child.terminate()
+    for folder in list(_Hold.working):
+        shutil.rmtree(folder, ignore_errors=True)
+    says_the_end(number)
+    if sys.stderr.isatty():
+        sys.stderr.write("\x1b[?25h")  # a progress bar hides the cursor
+    sys.stderr.flush()
+    os._exit(128 + number)
+
+
+def says_the_end(number: int) -> None:
+    """Say once that a signal has ended the command."""
+    if _Hold.said.acquire(blocking=False):
+        name = signal.Signals(number).name
+        sys.stderr.write(f"twin: ended by {name}; nothing is left half-written\n")
 
 
 _NAME = re.compile(r"\.(?P<target>.*)\.twin-[^.]+\.part", re.DOTALL)
@@ -88,6 +144,7 @@ def working_folder(place: Path, target: str) -> Iterator[Path]:
     try:
         with signals_held():
             folder = Path(tempfile.mkdtemp(prefix=f".{target}.twin-", suffix=".part", dir=place))
+            _Hold.working.add(folder)
             lock = _locked(folder)
             (folder / _NEW).mkdir()
         yield folder / _NEW
@@ -95,6 +152,7 @@ def working_folder(place: Path, target: str) -> Iterator[Path]:
         with signals_held():
             if folder is not None:
                 shutil.rmtree(folder, ignore_errors=True)
+                _Hold.working.discard(folder)
             if lock is not None:
                 lock.close()
 

@@ -12,7 +12,9 @@ import imageio.v3 as imageio
 import numpy as np
 from numpy.typing import NDArray
 
-from reconstruction.arrays import BoolImage, FloatArray, FloatImage
+from reconstruction.arrays import BoolImage, FloatArray, FloatImage, Levels
+from reconstruction.cells import cell_means
+from reconstruction.colouring import Deviation
 from reconstruction.errors import InputError
 from reconstruction.machine import write_dataset, write_exr_channels
 from reconstruction.pipeline import write_point_map_ply
@@ -21,6 +23,8 @@ from reconstruction.triangulation import PointMap
 _PNG_LEVELS = 65534
 """Levels 1 to 65535 are heights, 0 is no height."""
 Triangles = NDArray[np.int32]
+_VERTEX: list[tuple[str, str, int]] = [("xyz", "<f4", 3)]
+_RGB = ("rgb", "u1", 3)
 
 CUT_OVER_TYPICAL = 5.0
 """An edge this many times longer than the typical one bridges a jump: 79 degrees of slope."""
@@ -66,24 +70,9 @@ def height_map(points: PointMap, pitch_mm: float | None = None) -> HeightGrid:
     world = points.points_world_mm[points.valid].astype(np.float64)
     if not len(world):
         raise InputError("height map: no valid point; look at the mask's reasons")
-    pitch = pitch_mm or 1.5 * _typical_distance_mm(points)
-    low, high = (
-        np.floor(world[:, :2].min(axis=0) / pitch),
-        np.floor(world[:, :2].max(axis=0) / pitch),
-    )
-    cols, rows = (high - low).astype(int) + 1
-    if pitch <= 0.0 or rows * cols > 10**8:
-        raise InputError(f"height map: pitch {pitch:g} mm makes {rows} x {cols} cells; give more")
-    cell = (np.floor(world[:, :2] / pitch) - low).astype(int)
-    index = (rows - 1 - cell[:, 1]) * cols + cell[:, 0]
-    count = np.bincount(index, minlength=rows * cols).reshape(rows, cols)
-    total = np.bincount(index, world[:, 2], rows * cols).reshape(rows, cols)
+    cells = cell_means(world, world[:, 2], pitch_mm or 1.5 * _typical_distance_mm(points))
     return HeightGrid(
-        x_mm=(low[0] + np.arange(cols) + 0.5) * pitch,
-        y_mm=(low[1] + np.arange(rows)[::-1] + 0.5) * pitch,
-        z_mm=(total / np.maximum(count, 1)).astype(np.float32),
-        valid=count > 0,
-        pitch_mm=float(pitch),
+        cells.x_mm, cells.y_mm, cells.mean.astype(np.float32), cells.valid, cells.pitch_mm
     )
 
 
@@ -192,30 +181,37 @@ def surface_mesh(points: PointMap, longest_mm: float | None = None) -> SurfaceMe
     return SurfaceMesh(vertices, kept)
 
 
-def write_mesh_ply(path: Path, mesh: SurfaceMesh) -> None:
-    """Write as little-endian binary PLY, mm."""
+def write_mesh_ply(path: Path, mesh: SurfaceMesh, rgb: Levels | None = None) -> None:
+    """Write as little-endian binary PLY, mm; `rgb` (vertex, 3) uint8 colours the vertices."""
+    coloured = "".join(f"property uchar {name}\n" for name in ("red", "green", "blue"))
     header = (
         "ply\nformat binary_little_endian 1.0\ncomment units mm\n"
         f"element vertex {len(mesh.vertices_mm)}\n"
         "property float x\nproperty float y\nproperty float z\n"
+        f"{'' if rgb is None else coloured}"
         f"element face {len(mesh.triangles)}\nproperty list uchar int vertex_indices\nend_header\n"
     )
     faces = np.zeros(len(mesh.triangles), [("n", "u1"), ("v", "<i4", 3)])
     faces["n"], faces["v"] = 3, mesh.triangles
-    vertices = mesh.vertices_mm.astype("<f4")
+    vertices = np.zeros(len(mesh.vertices_mm), _VERTEX if rgb is None else [*_VERTEX, _RGB])
+    vertices["xyz"] = mesh.vertices_mm
+    if rgb is not None:
+        vertices["rgb"] = rgb
     path.write_bytes(header.encode("ascii") + vertices.tobytes() + faces.tobytes())
 
 
-def write_surface(folder: Path, points: PointMap) -> None:
+def write_surface(folder: Path, points: PointMap, deviation: Deviation | None = None) -> None:
     """Write points.ply, and where there are neighbouring points the height map and the mesh.
 
-    height_map.nc, height_map.png with height_map.png.json, height_map.exr, surface.ply.
+    height_map.nc, height_map.png with height_map.png.json, height_map.exr, surface.ply. Points and
+    mesh have the colour of the deviation where it is known.
     """
-    write_point_map_ply(folder / "points.ply", points)
+    write_point_map_ply(folder / "points.ply", points, deviation)
     if not (points.valid[1:, 1:] & points.valid[:-1, 1:] & points.valid[1:, :-1]).any():
         return
     heights = height_map(points)
     write_height_netcdf(folder / "height_map.nc", heights)
     write_height_png(folder / "height_map.png", heights)
     write_height_exr(folder / "height_map.exr", heights)
-    write_mesh_ply(folder / "surface.ply", surface_mesh(points))
+    rgb = None if deviation is None else deviation.rgb[points.valid]
+    write_mesh_ply(folder / "surface.ply", surface_mesh(points), rgb)

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from reconstruction.machine import write_dataset
 from twin.mechanics import (
     PressedElastomer,
     PressError,
@@ -51,6 +52,19 @@ def test_a_file_of_the_first_schema_is_still_read(
             del file.attrs[name]
     back = read_press(path)
     assert back.validity == reference_press.validity
+    np.testing.assert_array_equal(back.face_z_mm, reference_press.face_z_mm)
+
+
+def test_a_file_without_coordinates_is_still_read(
+    reference_press: PressedElastomer, tmp_path: Path
+) -> None:
+    """The second schema had x_mm over a dimension x where there is now a coordinate x."""
+    path = tmp_path / "press.nc"
+    axes = {"x": "x_mm", "y": "y_mm", "face_x": "face_x_mm", "face_y": "face_y_mm"}
+    data = reference_press.to_xarray().reset_index(list(axes)).reset_coords().rename_vars(axes)
+    write_dataset(path, data.assign_attrs(schema="fringe-twin press 2"))
+    back = read_press(path)
+    np.testing.assert_array_equal(back.face_x_mm, reference_press.face_x_mm)
     np.testing.assert_array_equal(back.face_z_mm, reference_press.face_z_mm)
 
 

@@ -24,14 +24,15 @@ INSTEAD = {
     r"\babsent:": "default:",
     r"\bbars? (?:is|are) met\b|\bwithin (?:its|their) bars?\b": "target",
 }
-COMMANDS = ("calibrate", "compare", "demo", "doctor", "export", "identify", "init", "keys",
-            "measure", "paper", "patterns", "press", "reconstruct", "render", "report", "sweep",
-            "uncertainty")  # fmt: skip
+COMMANDS = ("calibrate", "compare", "completion", "demo", "doctor", "export", "identify", "init",
+            "keys", "measure", "paper", "patterns", "press", "reconstruct", "render", "report",
+            "sweep", "uncertainty")  # fmt: skip
 
 
 def written() -> Iterator[tuple[str, str]]:
     """Pages that a user reads."""
-    for path in (ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(ROOT.glob("docs/*.md"))):
+    pages = sorted(ROOT.glob("docs/*.md")) + sorted(ROOT.glob("docs/physics/*.md"))
+    for path in (ROOT / "README.md", ROOT / "CONTRIBUTING.md", *pages):
         yield path.name, path.read_text(encoding="utf-8")
 
 

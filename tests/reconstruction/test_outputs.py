@@ -6,8 +6,10 @@ import trimesh
 import xarray
 
 from reconstruction.capture.folder import Capture
+from reconstruction.colouring import UNKNOWN, Deviation
 from reconstruction.decoding.decode import DecodeOptions, Reason
 from reconstruction.errors import CaptureError, InputError
+from reconstruction.evaluate.surface import write_surface
 from reconstruction.patterns import PatternSet
 from reconstruction.pipeline import (
     ReconstructOptions,
@@ -111,6 +113,31 @@ def test_ply_loads_in_trimesh(reconstruction, tmp_path):
     row, col = np.nonzero(valid)
     np.testing.assert_array_equal(raw["row"].ravel(), row)
     np.testing.assert_array_equal(raw["col"].ravel(), col)
+
+
+def test_ply_carries_deviation_as_colour(reconstruction, tmp_path):
+    """Blue below, white at 0, red above the truth, grey where it is not known; the mesh alike."""
+    points = reconstruction.point_map
+    um = np.zeros(points.valid.shape)
+    um[:, ::3], um[:, 1::3] = -2.0, 2.0
+    known = np.ones(points.valid.shape, dtype=bool)
+    known[::2] = False
+    deviation = Deviation(um, known)
+    assert deviation.limit_um == 2.0
+    write_surface(tmp_path, points, deviation)
+    cloud, mesh = (trimesh.load(tmp_path / name) for name in ("points.ply", "surface.ply"))
+    raw = cloud.metadata["_ply_raw"]["vertex"]["data"]
+    row, col = np.nonzero(points.valid)
+    np.testing.assert_array_equal(raw["deviation_um"].ravel(), np.where(known, um, 0)[row, col])
+    assert "sigma_z_mm" in raw.dtype.names
+    levels = {-2.0: (0, 0, 255), 2.0: (255, 0, 0), 0.0: (255, 255, 255)}
+    for value, rgb in levels.items():
+        chosen = known[row, col] & (um[row, col] == value)
+        assert (cloud.colors[chosen, :3] == rgb).all()
+        assert (mesh.visual.vertex_colors[chosen, :3] == rgb).all()
+    assert (cloud.colors[~known[row, col], :3] == UNKNOWN).all()
+    header = (tmp_path / "points.ply").read_bytes()[:400]
+    assert b"colour is deviation_um: blue -2 um, white 0, red +2 um" in header
 
 
 def test_wrong_arrays_are_refused(tmp_path):

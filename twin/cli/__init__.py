@@ -9,19 +9,29 @@ from twin.cli import identify as identify
 from twin.cli import start as start
 from twin.cli import studies as studies
 from twin.cli.app import app, guarded
-from twin.working import unwind_on_signals
+from twin.cli.talk import choose_level, introduce
+from twin.working import end_within, unwind_on_signals
 
 __all__ = ["main", "run"]
+
+ANSWER_S = 1.2
+"""A signal that finds the command in a long call is answered after this time."""
 
 
 def run(arguments: list[str] | None = None) -> int:
     """Run one command line (default: the process' own arguments) and return its exit code."""
-    return guarded(
-        lambda: app(arguments, exit_on_error=False, print_error=False, result_action="return_value")
-    )
+    words = choose_level(sys.argv[1:] if arguments is None else arguments)
+    return guarded(lambda: _answer(words))
+
+
+def _answer(words: list[str]) -> int | None:
+    introduce()
+    done = app(words, exit_on_error=False, print_error=False, result_action="return_value")
+    return None if done is None else int(done)
 
 
 def main() -> None:
     """Entry point of the `twin` command."""
     unwind_on_signals()
+    end_within(ANSWER_S)
     sys.exit(run())

@@ -3,10 +3,11 @@
 Progress and failures go to stderr, figures and paths to stdout.
 """
 
+import os
 import signal
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+import traceback
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -15,10 +16,12 @@ from cyclopts import App, CycloptsError, Parameter
 
 from reconstruction.errors import InputError
 from reconstruction.machine import is_disk_full
+from twin.cli.talk import OPTIONS, verbose
+from twin.cli.talk import progress_bars as progress_bars
+from twin.working import says_the_end
 
 if TYPE_CHECKING:
     from twin.config import Experiment
-    from twin.pipeline.progress import ProgressCallback
     from twin.study.workers import Workers
 
 BAD_INPUT, MISSING_BACKEND, FAILURE = 2, 3, 1
@@ -28,6 +31,7 @@ BY_SIGNAL = 128
 app = App(
     name="twin",
     help="Digital twin of a contact fringe-projection sensor: press, render, reconstruct, score.",
+    help_epilogue=OPTIONS,
     version=lambda: metadata.version("fringe-twin"),
     version_flags=["--version"],
     help_flags=["--help", "-h"],
@@ -70,17 +74,21 @@ def guarded(run: Callable[[], Any]) -> int:
     """Run a command; turn expected failures into one line and an exit code."""
     try:
         return int(run() or 0)
-    except InputError as error:
-        sys.stderr.write(f"twin: {error}\n")
-        return BAD_INPUT
-    except CycloptsError as error:
-        sys.stderr.write(f"twin: {' '.join(str(error).split())} See twin --help.\n")
+    except (InputError, CycloptsError) as error:
+        if verbose():
+            traceback.print_exc()
+        ours = isinstance(error, InputError)
+        told = str(error) if ours else f"{' '.join(str(error).split())} See twin --help."
+        sys.stderr.write(f"twin: {told}\n")
         return BAD_INPUT
     except KeyboardInterrupt as error:
         number = getattr(error, "number", signal.SIGINT)
-        name = signal.Signals(number).name
-        sys.stderr.write(f"twin: ended by {name}; nothing is left half-written\n")
+        says_the_end(number)
         return BY_SIGNAL + number
+    except BrokenPipeError:
+        # Who read our output has seen enough; Python would complain once more when it flushes.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return BY_SIGNAL + signal.SIGPIPE
     except OSError as error:
         if not is_disk_full(error):
             raise
@@ -128,28 +136,6 @@ def workers_of(count: int | None, cluster: str | None = None) -> "Workers":
     return dask_workers(cluster) if cluster else local_workers(count or default_count())
 
 
-@contextmanager
-def progress_bars() -> "Iterator[ProgressCallback]":
-    """Show one bar per stage on stderr; quiet when nobody watches."""
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-
-    name = TextColumn("{task.description:<12}", markup=False)
-    columns = (name, BarColumn(), TimeElapsedColumn())
-    console = Console(stderr=True)
-    with Progress(*columns, console=console, disable=not console.is_terminal) as progress:
-        bars: dict[str, Any] = {}
-
-        def watch(stage: str, fraction: float) -> None:
-            if stage not in bars:
-                bars[stage] = progress.add_task(stage, total=1.0)
-                if not console.is_terminal:
-                    sys.stderr.write(f"{stage} ...\n")
-            progress.update(bars[stage], completed=fraction)
-
-        yield watch
-
-
 def print_metrics(figures: dict[str, Any]) -> None:
     """Print figures as a table; a dash stands for one that does not exist."""
     print_table(
@@ -188,7 +174,8 @@ def print_table(
 
     table = Table()
     for number, heading in enumerate(headings):
-        table.add_column(Text(heading), no_wrap=number == 0 and len(headings) > 2)
+        whole = number == 0 and len(headings) > 2
+        table.add_column(Text(heading), no_wrap=whole, overflow="fold")
     for first, *rest in rows:
         table.add_row(Text(first, (styles or {}).get(first, "")), *map(Text, rest))
     Console(width=width).print(table)

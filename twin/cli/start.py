@@ -1,7 +1,7 @@
 """Commands about this machine and the experiment file."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
@@ -66,11 +66,28 @@ def init(
 
 
 @app.command
-def keys() -> None:
-    """List every key of an experiment file: type, allowed values, default, meaning."""
-    from twin.config.loading import experiment_keys
+def keys(pattern: str | None = None, /) -> None:
+    """List the keys of an experiment file: allowed values, default, meaning.
 
-    print_table(
-        ("key", "allowed", "default", "meaning"),
-        ((key.path, key.allowed, key.default, key.meaning) for key in experiment_keys()),
-    )
+    Parameters
+    ----------
+    pattern
+        Words that key or meaning must hold, for example thickness, "noise camera"; default: all.
+    """
+    from twin.cli.keys import lines_of, matching
+
+    for line in lines_of(matching(pattern or "")):
+        say(line)
+
+
+@app.command
+def completion(shell: Literal["bash", "zsh", "fish"], /) -> None:
+    """Print a script that completes commands and options in a shell.
+
+    Parameters
+    ----------
+    shell
+        bash: source <(twin completion bash); zsh: the same, after compinit; fish: twin completion
+        fish | source.
+    """
+    say(app.generate_completion(prog_name="twin", shell=shell))

@@ -10,7 +10,7 @@ film, the shape does not depend on the modulus, which only scales pressure and f
 """
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -32,6 +32,11 @@ from twin.mechanics.layouts import (
 )
 from twin.mechanics.validity import Validity, assess, margin_mm, max_slope_deg
 from twin.specimens import Shape, SphereCluster, shape_of
+
+if TYPE_CHECKING:
+    import xarray
+
+    from reconstruction.drawing import Drawing
 
 
 @dataclass(frozen=True)
@@ -83,6 +88,38 @@ class PressedElastomer:
     texture_mm: FloatArray | None = None
     #: of the sheet model only
     sheet: SheetFields | None = None
+
+    def __repr__(self) -> str:
+        rows, cols = self.face_z_mm.shape
+        low, high = float(self.face_z_mm.min()), float(self.face_z_mm.max())
+        return (
+            f"<PressedElastomer: {self.model}, {self.force_n:.3g} N at {self.depth_mm:.3g} mm, "
+            f"coat from {low:.3g} to {high:.3g} mm on {rows} x {cols} nodes, "
+            f"{len(self.validity.warnings)} warnings>"
+        )
+
+    def _repr_html_(self) -> str:
+        from reconstruction.drawing import as_html
+
+        rows = {
+            "force": f"{self.force_n:.4g} N",
+            "travel": f"{self.depth_mm:.4g} mm",
+            "Young's modulus": f"{self.young_modulus_kpa:.4g} kPa",
+            "highest pressure": f"{self.pressure_kpa.max():.4g} kPa",
+        }
+        return as_html(f"pressed elastomer ({self.model})", rows, self.plot())
+
+    def plot(self) -> "Drawing":
+        """Draw the coated face, the pressure, and a section: a Matplotlib figure."""
+        from twin.mechanics.drawing import press_drawing
+
+        return press_drawing(self)
+
+    def to_xarray(self) -> "xarray.Dataset":
+        """Return all fields with coordinates (mm), units and long names, as press.nc holds them."""
+        from twin.mechanics.storage import press_dataset
+
+        return press_dataset(self)
 
 
 def press(

@@ -24,9 +24,12 @@ from twin.output import replacing
 if TYPE_CHECKING:
     import xarray
 
-_SCHEMA = "fringe-twin press 2"
+_SCHEMA = "fringe-twin press 3"
+_PLAIN = "fringe-twin press 2"
+"""Files of this schema and the first have no coordinates: x is the variable x_mm, and so on."""
 _GROUPED = "fringe-twin press 1"
 """Files of this schema keep the figures of `Validity` in a group of that name."""
+_AXES = ("x_mm", "y_mm", "face_x_mm", "face_y_mm")
 _VALIDITY = "validity_"
 _FACE = ("face_y", "face_x")
 Labelled = tuple[tuple[str, ...], NDArray[Any], dict[str, str]]
@@ -69,6 +72,18 @@ def write_press(path: Path, pressed: PressedElastomer) -> None:
     PressError
         The file cannot be written.
     """
+    dataset = press_dataset(pressed)
+    with replacing(path, PressError) as part:
+        write_dataset(part, dataset)
+
+
+def press_dataset(pressed: PressedElastomer) -> "xarray.Dataset":
+    """Return all fields over their coordinates x, y (solver cells) and face_x, face_y (nodes), mm.
+
+    Figures of `Validity` are attributes.
+    """
+    import xarray
+
     variables = {
         name: _labelled(np.asarray(getattr(pressed, name)), *told)
         for name, told in _VARIABLES.items()
@@ -76,9 +91,11 @@ def write_press(path: Path, pressed: PressedElastomer) -> None:
     }
     for name, data in _sheet_arrays(pressed.sheet).items():
         variables[f"sheet_{name}"] = _labelled(data, _FACE, *_SHEET_VARIABLES[name])
+    axes = {name.removesuffix("_mm"): variables.pop(name) for name in _AXES}
     validity = asdict(pressed.validity) | {"warnings": "\n".join(pressed.validity.warnings)}
     told = {_VALIDITY + name: value for name, value in validity.items()}
-    _write(path, variables, {"schema": _SCHEMA, "model": pressed.model} | told)
+    attributes = {"Conventions": "CF-1.11", "schema": _SCHEMA, "model": pressed.model}
+    return xarray.Dataset(variables, coords=axes, attrs=attributes | told)
 
 
 def read_press(path: Path) -> PressedElastomer:
@@ -92,10 +109,11 @@ def read_press(path: Path) -> PressedElastomer:
     try:
         file = read_dataset(path)
         schema = file.attrs.get("schema")
-        if schema not in (_SCHEMA, _GROUPED):
+        if schema not in (_SCHEMA, _PLAIN, _GROUPED):
             raise PressError(f"{path}: not a pressed elastomer (schema '{_SCHEMA}')")
+        axes = {name: name.removesuffix("_mm") for name in _AXES if name not in file}
         stored = [name for name in _VARIABLES if name in file or name not in _OPTIONAL]
-        values = {name: file[name].values for name in stored}
+        values = {name: file[axes.get(name, name)].values for name in stored}
         grouped = read_dataset(path, "validity").attrs if schema == _GROUPED else {}
         validity = _validity(file.attrs | {_VALIDITY + name: one for name, one in grouped.items()})
         model, sheet = str(file.attrs["model"]), _sheet(file)

@@ -14,6 +14,7 @@ from twin.report.experiment import appendix
 from twin.report.object import object_section, object_sentence, object_verdict
 from twin.report.page import REPORT_FILE, STAGE, Page, Section, Verdict, write_page
 from twin.report.spheres import fit_table
+from twin.report.view import view_section
 from twin.results.folder import read_measurement
 from twin.results.record import Measurement
 
@@ -60,7 +61,11 @@ def page_of(measured: Measurement) -> Page:
         kind=f"virtual measurement by {by.METHOD}",
         title=experiment.name.replace("_", " "),
         lead=experiment.description,
-        sections=[*_with_object(measured, by.sections(measured)), appendix(measured)],
+        sections=[
+            *_with_object(measured, by.sections(measured)),
+            *view_section(measured),
+            appendix(measured),
+        ],
         verdicts=[object_verdict(measured), *by.verdicts(measured)],
         warned=by.WARNED,
         warnings=[*measured.warnings, *measured.score.unfitted],

@@ -86,6 +86,26 @@ class Beside:
 
 
 @dataclass(frozen=True)
+class TurnableView:
+    """A view in three dimensions that the reader turns; `twin.report.view` makes its data.
+
+    Attributes
+    ----------
+    name : its place in the page
+    caption : what it shows, and how to turn it
+    data : JSON for the script
+    homes : views to begin with, one button each
+    parts : what can be shown and hidden
+    """
+
+    name: str
+    caption: str
+    data: str
+    homes: tuple[str, ...]
+    parts: tuple[str, ...]
+
+
+@dataclass(frozen=True)
 class Section:
     """What stands together under a heading; sections in sections have smaller headings."""
 
@@ -94,7 +114,7 @@ class Section:
     blocks: "tuple[Block, ...]"
 
 
-Block = str | Figure | Table | Note | Gallery | Shares | Beside | Section
+Block = str | Figure | Table | Note | Gallery | Shares | Beside | TurnableView | Section
 """Text is escaped unless it is `markupsafe.Markup`."""
 
 
@@ -124,6 +144,12 @@ class Page:
     numbered: bool = False
     contents: bool = False
     wide: bool = False
+
+    @property
+    def turns(self) -> bool:
+        """Whether a view is on the page, which needs the script."""
+        blocks = (block for section in self.sections for block in section.blocks)
+        return any(isinstance(block, TurnableView) for block in blocks)
 
 
 def write_page(path: Path, page: Page, watch: ProgressCallback = no_progress) -> Path:

@@ -33,6 +33,16 @@ class Figures(Mapping[str, float | None]):
     def __len__(self) -> int:
         return len(self._values)
 
+    def __repr__(self) -> str:
+        width = max(map(len, self._values), default=0)
+        return "\n".join(f"{name:<{width}}  {_short(value)}" for name, value in self.items())
+
+    def _repr_html_(self) -> str:
+        rows = "".join(
+            f"<tr><td>{name}</td><td>{_short(value)}</td></tr>" for name, value in self.items()
+        )
+        return f"<table>{rows}</table>"
+
     def known(self, name: str) -> float:
         """Return a figure that must exist.
 
@@ -44,6 +54,10 @@ class Figures(Mapping[str, float | None]):
         if value is None:
             raise InputError(f"{name}: found none, {why_absent(self) or 'not measured'}")
         return value
+
+
+def _short(value: float | None) -> str:
+    return "-" if value is None else f"{value:.6g}"
 
 
 def warnings_of(metrics: Metrics) -> tuple[str, ...]:

@@ -38,6 +38,7 @@ import imageio.v3 as imageio
 import numpy as np
 
 from reconstruction.arrays import Levels
+from reconstruction.colouring import Deviation
 from reconstruction.errors import InputError
 from reconstruction.evaluate.surface import write_surface
 from reconstruction.photometric import (
@@ -119,7 +120,7 @@ def write_kept(folder: Path, done: Measurement, keep: tuple[str, ...]) -> None:
         if "points" in keep:
             maps = images.reconstruction
             write_reconstruction(folder / MAPS_FILE, maps.decoded, maps.point_map)
-            write_surface(folder, maps.point_map)
+            write_surface(folder, maps.point_map, deviation_of(done))
         return
     if "capture" in keep:
         imageio.imwrite(folder / IMAGE_FILE, images.picture)
@@ -128,6 +129,13 @@ def write_kept(folder: Path, done: Measurement, keep: tuple[str, ...]) -> None:
     if "points" in keep:
         write_height_map(folder / HEIGHTS_FILE, images.heights)
         write_height_points(folder / "points.ply", images.heights)
+
+
+def deviation_of(done: Measurement) -> Deviation:
+    """Return measured less true z, um, on what is measured."""
+    found, true = done.points, done.truth
+    error_um = 1e3 * (found.world_mm[..., 2] - true.points_world_mm[..., 2])
+    return Deviation(error_um, found.valid & true.measured)
 
 
 def read_measurement(folder: Path) -> Measurement:

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,11 @@ from twin.results.decoders import DecodedImage
 from twin.results.figures import Figures, Metrics, warnings_of
 from twin.results.object_score import ObjectScore, score_object
 from twin.results.score import Scores, TruthScore, in_world
+
+if TYPE_CHECKING:
+    import xarray
+
+    from reconstruction.drawing import Drawing
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,6 +160,49 @@ class Measurement:
     digest: str
     versions: Mapping[str, str]
     seconds: Mapping[str, float] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        rows, cols = self.points.reason.shape
+        told = ", ".join(f"{name} {value}" for name, value in self._in_short().items())
+        name, modality = self.experiment.name, self.experiment.modality
+        return f"<Measurement {name}: {modality}, {rows} x {cols} pixels, {told}>"
+
+    def _repr_html_(self) -> str:
+        from reconstruction.drawing import as_html
+
+        return as_html(
+            f"{self.experiment.name} ({self.experiment.modality})", self._in_short(), self.plot()
+        )
+
+    def _in_short(self) -> dict[str, str]:
+        """Return the figures that tell most, as texts."""
+        score = self.score.against_truth
+        shown = {"points": f"{100 * self.points.valid.mean():.1f} % of all pixels"}
+        if score.z_rmse_um is not None:
+            shown["error of z"] = f"{score.z_rmse_um:.3g} um RMS"
+        if self.pressed is not None:
+            shown["force"] = f"{self.pressed.force_n:.3g} N"
+        return shown | {"warnings": str(len(self.warnings))}
+
+    def plot(self) -> "Drawing":
+        """Draw relief, deviation from the true surface, and a section: a Matplotlib figure.
+
+        Raises
+        ------
+        InputError : no pixel has a point
+        """
+        from twin.results.drawing import measurement_drawing
+
+        return measurement_drawing(self)
+
+    def to_xarray(self) -> "xarray.Dataset":
+        """Return heights, truth, deviation and sigma over camera pixels, with units.
+
+        World x and y are coordinates; what has no point is NaN, and `mask_reason` says why.
+        """
+        from twin.results.drawing import measurement_dataset
+
+        return measurement_dataset(self)
 
     @cached_property
     def figures(self) -> Figures:

@@ -1,0 +1,45 @@
+"""Deviations as colours of points, for programs that show a cloud without being told how."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from reconstruction.arrays import BoolImage, FloatImage, Levels
+
+UNKNOWN = 128
+"""Grey level of points whose deviation is not known."""
+
+
+class Deviation:
+    """Measured less true height, where it is known, and its colour.
+
+    Attributes
+    ----------
+    um : (row, col) float32; 0 where it is not known
+    known : (row, col) bool
+    limit_um : deviations as large as this or larger have the full colour
+    """
+
+    def __init__(self, um: NDArray[Any], known: BoolImage) -> None:
+        self.known = np.asarray(known)
+        self.um: FloatImage = np.where(self.known, um, 0.0).astype(np.float32)
+        found = np.abs(self.um[self.known])
+        self.limit_um = float(np.percentile(found, 99.0)) if found.any() else 1.0
+
+    @property
+    def rgb(self) -> Levels:
+        """(row, col, 3) uint8: blue below, white at 0, red above, grey where nothing is known."""
+        share = np.clip(self.um / self.limit_um, -1.0, 1.0)
+        levels = np.stack(
+            (1.0 + np.minimum(share, 0.0), 1.0 - np.abs(share), 1.0 - np.maximum(share, 0.0)),
+            axis=-1,
+        )
+        coloured = np.rint(255.0 * levels).astype(np.uint8)
+        return np.where(self.known[..., np.newaxis], coloured, np.uint8(UNKNOWN))
+
+    @property
+    def legend(self) -> str:
+        """What the colours mean, for the head of a file."""
+        limit = f"{self.limit_um:.3g} um"
+        return f"colour is deviation_um: blue -{limit}, white 0, red +{limit}, grey unknown"

@@ -1,0 +1,100 @@
+"""Pictures of results: maps over world x and y, sections, as figures that a notebook shows.
+
+Matplotlib is imported here and nowhere else in `reconstruction`, and only when something is drawn.
+"""
+
+import base64
+import html
+import io
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from reconstruction.cells import CellMeans, cell_means
+
+_MOST_CELLS = 400
+_GAP = "#d9d9d9"
+_DPI = 100
+
+
+class Drawing(Figure):
+    """A Matplotlib figure that a notebook shows by itself; `savefig` writes it to a file."""
+
+    def __init__(self, panels: int) -> None:
+        super().__init__(figsize=(4.4 * panels, 3.4), facecolor="white", layout="constrained")
+
+    def png(self) -> bytes:
+        """Return it as a PNG file."""
+        drawn = io.BytesIO()
+        self.savefig(drawn, format="png", dpi=_DPI, metadata={"Software": None})
+        return drawn.getvalue()
+
+    def _repr_png_(self) -> bytes:
+        return self.png()
+
+
+def gridded(points_mm: NDArray[Any], values: NDArray[Any]) -> CellMeans:
+    """Average (point,) values at (point, xyz) points on at most 400 cells along a side."""
+    span_mm = float(np.ptp(points_mm[:, :2], axis=0).max())
+    # Cells of two typical distances of neighbours: nearly every one has a point.
+    apart_mm = 2.0 * np.sqrt(np.prod(np.ptp(points_mm[:, :2], axis=0)) / len(points_mm))
+    return cell_means(points_mm, values, max(span_mm / _MOST_CELLS, float(apart_mm), 1e-6))
+
+
+def draw_cells(
+    axes: Axes, cells: CellMeans, title: str, label: str, *, signed: bool = False
+) -> None:
+    """Draw means over world x and y with their scale; cells without a point are grey.
+
+    Parameters
+    ----------
+    label : of the scale, with the unit
+    signed : colours are symmetric about 0
+    """
+    found = cells.mean[cells.valid]
+    if signed:
+        high = float(np.percentile(np.abs(found), 99.0)) or 1.0
+        low = -high
+    else:
+        low, high = float(found.min()), float(found.max())
+    axes.set_facecolor(_GAP)
+    shown = axes.imshow(
+        np.ma.masked_array(cells.mean, ~cells.valid),
+        extent=cells.extent_mm,
+        cmap="RdBu_r" if signed else "viridis",
+        vmin=low,
+        vmax=high,
+    )
+    axes.set(title=title, xlabel="x (mm)", ylabel="y (mm)")
+    figure = axes.get_figure()
+    assert figure is not None
+    figure.colorbar(shown, ax=axes, label=label, extend="both" if signed else "neither")
+
+
+def draw_section(axes: Axes, curves: Mapping[str, CellMeans]) -> None:
+    """Draw z of some height maps along x, through the row of cells nearest y = 0."""
+    for number, (name, cells) in enumerate(curves.items()):
+        row = int(np.abs(cells.y_mm).argmin())
+        z_mm = np.ma.masked_array(cells.mean[row], ~cells.valid[row])
+        axes.plot(cells.x_mm, z_mm, label=name, linewidth=1.6 - 0.6 * number)
+    axes.set(title="section at y = 0", xlabel="x (mm)", ylabel="z (mm)")
+    axes.grid(visible=True, alpha=0.4)
+    axes.legend()
+
+
+def as_html(title: str, rows: Mapping[str, str], drawing: Drawing) -> str:
+    """Return what a notebook shows: a title, a short table and the drawing, in one piece."""
+    lines = "".join(
+        f'<tr><td style="text-align:left">{html.escape(name)}</td>'
+        f'<td style="text-align:right">{html.escape(value)}</td></tr>'
+        for name, value in rows.items()
+    )
+    picture = base64.b64encode(drawing.png()).decode("ascii")
+    return (
+        f"<p><b>{html.escape(title)}</b></p><table>{lines}</table>"
+        f'<img alt="{html.escape(title)}" src="data:image/png;base64,{picture}">'
+    )

@@ -1,0 +1,209 @@
+"""A headless Chromium that a test drives: open a page, look at it, drag on it.
+
+It is told what to do through a pipe, by the browser's own debugging protocol: no driver, no port.
+"""
+
+import base64
+import json
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from select import select
+from time import monotonic
+from typing import Any
+
+import pytest
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
+SECONDS = 60.0
+"""A guard against a hang, far beyond what any page takes."""
+
+
+@dataclass
+class Seen:
+    """What a page did since it was opened: errors on its console, addresses that it asked for."""
+
+    errors: list[str] = field(default_factory=list)
+    requests: list[str] = field(default_factory=list)
+
+    def take(self, message: dict[str, Any]) -> None:
+        """Keep what an event tells."""
+        told = message.get("params", {})
+        match message.get("method"):
+            case "Network.requestWillBeSent":
+                self.requests.append(told["request"]["url"])
+            case "Network.webSocketCreated":
+                self.requests.append(told["url"])
+            case "Runtime.exceptionThrown":
+                self.errors.append(json.dumps(told["exceptionDetails"])[:500])
+            case "Runtime.consoleAPICalled" if told["type"] == "error":
+                self.errors.append(json.dumps(told["args"])[:500])
+            case "Log.entryAdded" if told["entry"]["level"] == "error":
+                self.errors.append(told["entry"]["text"])
+
+
+class Browser:
+    """One tab; the methods return when the browser has answered."""
+
+    def __init__(self, commands: int, events: int) -> None:
+        self._commands, self._events = commands, events
+        self._bytes = b""
+        self._number = 0
+        self._session: str | None = None
+        self.seen = Seen()
+        page = self._call("Target.createTarget", url="about:blank")["targetId"]
+        attached = self._call("Target.attachToTarget", targetId=page, flatten=True)
+        self._session = attached["sessionId"]
+        for domain in ("Page", "Runtime", "Log", "Network"):
+            self._call(f"{domain}.enable")
+
+    def open(self, address: str, width: int = 1280, height: int = 900) -> None:
+        """Open an address in a window of this size and wait until it has loaded."""
+        self.resize(width, height)
+        self.seen = Seen()
+        self._call("Page.navigate", url=address)
+        self._until(lambda message: message.get("method") == "Page.loadEventFired")
+        self.evaluate("document.readyState")
+
+    def resize(self, width: int, height: int = 900) -> None:
+        """Give the window another size."""
+        size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
+        self._call("Emulation.setDeviceMetricsOverride", **size)
+
+    def evaluate(self, expression: str) -> Any:
+        """Return the value of an expression in the page; a promise is waited for."""
+        asked = {"expression": expression, "returnByValue": True, "awaitPromise": True}
+        answer = self._call("Runtime.evaluate", **asked)
+        assert "exceptionDetails" not in answer, answer["exceptionDetails"]
+        return answer["result"].get("value")
+
+    def until(self, expression: str) -> None:
+        """Wait until an expression in the page holds."""
+        end = monotonic() + SECONDS
+        while not self.evaluate(f"new Promise(r => setTimeout(() => r({expression}), 50))"):
+            assert monotonic() < end, f"never true: {expression}"
+
+    def drag(self, start: tuple[float, float], end: tuple[float, float], steps: int = 5) -> None:
+        """Press the mouse at a place of the window, move it to another, let go."""
+        places = [
+            tuple(a + (b - a) * step / steps for a, b in zip(start, end, strict=True))
+            for step in range(steps + 1)
+        ]
+        self._mouse("mousePressed", places[0])
+        for place in places:
+            self._mouse("mouseMoved", place)
+        self._mouse("mouseReleased", places[-1])
+
+    def picture(self) -> bytes:
+        """Return what the window shows, as PNG."""
+        return base64.b64decode(self._call("Page.captureScreenshot", format="png")["data"])
+
+    def overflow(self) -> list[str]:
+        """Name what is wider than the window, where the page can be scrolled sideways."""
+        found = self.evaluate(WIDER)
+        assert isinstance(found, list)
+        return found
+
+    def _mouse(self, kind: str, place: tuple[float, ...]) -> None:
+        held = {"button": "left", "buttons": 1, "clickCount": 1}
+        self._call("Input.dispatchMouseEvent", type=kind, x=place[0], y=place[1], **held)
+
+    def _call(self, method: str, **told: Any) -> dict[str, Any]:
+        self._number += 1
+        number = self._number
+        message = {"id": number, "method": method, "params": told}
+        if self._session:
+            message["sessionId"] = self._session
+        os.write(self._commands, json.dumps(message).encode() + b"\0")
+        answer = self._until(lambda message: message.get("id") == number)
+        assert "error" not in answer, answer
+        result = answer["result"]
+        assert isinstance(result, dict)
+        return result
+
+    def _until(self, wanted: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
+        end = monotonic() + SECONDS
+        while True:
+            message = self._next(end)
+            self.seen.take(message)
+            if wanted(message):
+                return message
+
+    def _next(self, end: float) -> dict[str, Any]:
+        while b"\0" not in self._bytes:
+            ready, _, _ = select([self._events], [], [], max(0.0, end - monotonic()))
+            assert ready, "the browser does not answer"
+            read = os.read(self._events, 1 << 16)
+            assert read, "the browser has ended"
+            self._bytes += read
+        text, self._bytes = self._bytes.split(b"\0", 1)
+        message = json.loads(text)
+        assert isinstance(message, dict)
+        return message
+
+
+WIDER = """
+(() => {
+  const page = document.documentElement, width = page.clientWidth;
+  if (page.scrollWidth <= width) return [];
+  const wide = [...document.body.querySelectorAll('*')]
+    .filter(one => one.getBoundingClientRect().right > width + 0.5)
+    .map(one => one.tagName + '.' + one.className + ' ' + one.textContent.slice(0, 60));
+  return ['page: ' + page.scrollWidth, ...wide.slice(-5)];
+})()
+"""
+
+
+PLUMB = """
+import fcntl, os, sys
+read, write = (fcntl.fcntl(int(end), fcntl.F_DUPFD, 10) for end in sys.argv[1:3])
+os.dup2(read, 3)
+os.dup2(write, 4)
+os.execv(sys.argv[3], sys.argv[3:])
+"""
+"""Becomes the browser, which reads on 3 and writes on 4."""
+
+
+@contextmanager
+def browser(profile: Path) -> Iterator[Browser]:
+    """Start a browser; skip the test where there is none, or none that starts here.
+
+    Parameters
+    ----------
+    profile : folder for what it keeps
+    """
+    if CHROMIUM is None:
+        pytest.skip("no chromium on this machine")
+    line = [
+        CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage",
+        "--disable-background-networking", "--disable-component-update", "--no-first-run",
+        "--enable-unsafe-swiftshader", "--remote-debugging-pipe", f"--user-data-dir={profile}",
+    ]  # fmt: skip
+    from_us, commands = os.pipe()
+    events, to_us = os.pipe()
+    through = [sys.executable, "-c", PLUMB, str(from_us), str(to_us), *line]
+    process = subprocess.Popen(
+        through,
+        pass_fds=(from_us, to_us),
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    os.close(from_us)
+    os.close(to_us)
+    try:
+        try:
+            tab = Browser(commands, events)
+        except (AssertionError, OSError) as error:
+            pytest.skip(f"chromium does not start here: {error}")
+        yield tab
+    finally:
+        process.kill()
+        process.wait()
+        os.close(commands)
+        os.close(events)

@@ -1,0 +1,121 @@
+"""The documentation: built without a warning, no dead link, and readable in a browser."""
+
+import subprocess
+import sys
+from collections.abc import Iterator
+from html.parser import HTMLParser
+from pathlib import Path
+from urllib.parse import unquote, urlsplit
+
+import pytest
+
+from tests.browser import Browser, browser
+
+ROOT = Path(__file__).parents[2]
+WIDTHS = (1280, 390)
+ELSEWHERE = {"https://github.com/pradyunsg/furo"}
+"""Links to other sites: the theme names itself."""
+
+
+class Links(HTMLParser):
+    """Where a page points to, what it loads, and what can be pointed to."""
+
+    def __init__(self, page: Path) -> None:
+        super().__init__()
+        self.targets: list[str] = []
+        self.loads: list[str] = []
+        self.names: set[str] = set()
+        self.feed(page.read_text(encoding="utf-8"))
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        told = {key: value for key, value in attrs if value is not None}
+        self.names |= {told[key] for key in ("id", "name") if key in told}
+        if tag == "a" and "href" in told:
+            self.targets.append(told["href"])
+        else:
+            self.loads += [told[key] for key in ("src", "href") if key in told]
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory) -> Path:
+    """The site, built as `./run docs` builds it."""
+    built = tmp_path_factory.mktemp("site")
+    line = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", ROOT / "docs", built]
+    done = subprocess.run(line, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return built
+
+
+@pytest.fixture(scope="module")
+def pages(site) -> dict[Path, Links]:
+    return {page: Links(page) for page in sorted(site.rglob("*.html"))}
+
+
+def test_every_document_is_a_page(site):
+    documents = {
+        page.relative_to(ROOT / "docs").with_suffix("")
+        for page in (ROOT / "docs").rglob("*.md")
+        if "example_capture" not in page.parts
+    }
+    assert len(documents) > 40
+    built = {page.relative_to(site).with_suffix("") for page in site.rglob("*.html")}
+    assert documents <= built
+
+
+def test_no_link_is_dead(pages):
+    """Every address on a page is a file of the site, and a place in it where one is named."""
+    dead = [
+        f"{page.name}: {address}"
+        for page, links in pages.items()
+        for address in (*links.targets, *links.loads)
+        if not arrives(page, address, pages)
+    ]
+    assert dead == []
+
+
+def arrives(page: Path, address: str, pages: dict[Path, Links]) -> bool:
+    """Tell whether an address leads somewhere."""
+    parts = urlsplit(address)
+    if parts.scheme in ("http", "https"):
+        return address in ELSEWHERE
+    if parts.scheme == "data":
+        return True
+    target = (page.parent / unquote(parts.path)).resolve() if parts.path else page
+    if not target.is_file():
+        return False
+    name = unquote(parts.fragment)
+    return not name or target not in pages or name in pages[target].names
+
+
+def test_pages_name_nothing_that_is_elsewhere(site, pages):
+    """No script, style, font or picture comes from another host."""
+    loads = [one for links in pages.values() for one in links.loads]
+    assert loads
+    assert [one for one in loads if urlsplit(one).netloc] == []
+    for style in site.rglob("*.css"):
+        text = style.read_text(encoding="utf-8")
+        assert not [one for one in ("url(http", "url(//", "@import") if one in text], style
+
+
+@pytest.fixture(scope="module")
+def tab(tmp_path_factory) -> Iterator[Browser]:
+    with browser(tmp_path_factory.mktemp("profile")) as started:
+        yield started
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+def test_a_browser_opens_every_page(site, pages, tab, width):
+    """No error, no request to another host, nothing that sticks out sideways."""
+    for page in pages:
+        tab.open(page.as_uri(), width)
+        assert tab.seen.errors == [], page
+        assert {urlsplit(one).scheme for one in tab.seen.requests} <= {"file", "data"}, page
+        assert tab.overflow() == [], f"{page.relative_to(site)} at {width}"
+
+
+def test_equations_are_drawn(site, tab):
+    """MathML of the sheet's energy takes room: the browser has laid it out."""
+    tab.open((site / "physics" / "sheet.html").as_uri())
+    box = "document.querySelector('.equation math').getBoundingClientRect()"
+    assert tab.evaluate(f"{box}.width") > 200
+    assert tab.evaluate(f"{box}.height") > 30

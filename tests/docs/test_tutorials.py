@@ -1,0 +1,61 @@
+"""The tutorials: every command and every block of code, run in order as they stand on the page."""
+
+import contextlib
+import io
+import re
+from pathlib import Path
+
+import pytest
+
+from twin.cli import run
+
+DOCS = Path(__file__).parents[2] / "docs"
+BLOCK = re.compile(
+    r"^```(?:\{code-block\} )?(\w+)\n(?::caption: (\S+)\n)?(.*?)^```$", re.DOTALL | re.M
+)
+
+
+def blocks(page: str) -> list[tuple[str, str, str]]:
+    """Return the language, caption and text of every block of a page."""
+    return BLOCK.findall((DOCS / page).read_text(encoding="utf-8"))
+
+
+def follow(page: str) -> None:
+    """Do in the current folder what the page says."""
+    variables: dict[str, object] = {}
+    for language, caption, text in blocks(page):
+        if language == "toml" and caption:
+            Path(caption).write_text(text, encoding="utf-8")
+        elif language == "sh":
+            for line in text.splitlines():
+                command, *words = line.split()
+                assert command in ("twin", "./run"), line
+                if command == "twin":
+                    assert run(words) == 0, line
+        elif language == "python":
+            printed = io.StringIO()
+            with contextlib.redirect_stdout(printed):
+                exec(compile(text, page, "exec"), variables)
+            expected = said(text)
+            assert printed.getvalue().splitlines()[-len(expected) :] == expected
+
+
+def said(text: str) -> list[str]:
+    """Return what a block says that it prints: comments behind a print, or below the block."""
+    below = [line.removeprefix("# ") for line in text.splitlines() if re.match(r"# [\d.]", line)]
+    behind = re.findall(r"print\(.*\)  # (.*)$", text, re.MULTILINE)
+    return below or behind
+
+
+@pytest.mark.parametrize("page", ["getting_started.md", "tutorial_design.md"])
+def test_a_tutorial_does_what_it_says(mi, tmp_path, monkeypatch, page):
+    monkeypatch.chdir(tmp_path)
+    follow(page)
+    assert (tmp_path / "out" / "report.html").is_file()
+
+
+def test_tutorials_have_something_to_run():
+    for page in ("getting_started.md", "tutorial_design.md"):
+        languages = [language for language, _, _ in blocks(page)]
+        assert {"toml", "sh", "python"} <= set(languages), page
+    assert sum(len(said(text)) for _, _, text in blocks("tutorial_design.md")) >= 8

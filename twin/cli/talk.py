@@ -1,0 +1,138 @@
+"""How much a command says: quiet, as usual, or verbose; and its progress on stderr.
+
+Results go to stdout whatever the choice.
+"""
+
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from enum import IntEnum
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from twin.pipeline.progress import ProgressCallback
+
+OPTIONS = (
+    "Every command takes -q, --quiet: no progress; and -v, --verbose: versions, the time of each "
+    "stage, and where a failure came from. Ctrl-C ends a command within two seconds."
+)
+
+
+class Loudness(IntEnum):
+    """How much is said on stderr."""
+
+    QUIET = 0
+    USUAL = 1
+    VERBOSE = 2
+
+
+_LEVEL_OF = {
+    "-q": Loudness.QUIET,
+    "--quiet": Loudness.QUIET,
+    "-v": Loudness.VERBOSE,
+    "--verbose": Loudness.VERBOSE,
+}
+
+
+class _Chosen:
+    level = Loudness.USUAL
+
+
+def choose_level(words: Sequence[str]) -> list[str]:
+    """Take -q and -v out of a command line, the last one wins, and return the other words."""
+    kept: list[str] = []
+    _Chosen.level = Loudness.USUAL
+    for number, word in enumerate(words):
+        if word == "--":
+            return [*kept, *words[number:]]
+        if word in _LEVEL_OF:
+            _Chosen.level = _LEVEL_OF[word]
+        else:
+            kept.append(word)
+    return kept
+
+
+def verbose() -> bool:
+    """Tell whether the command line asked for more than usual."""
+    return _Chosen.level == Loudness.VERBOSE
+
+
+def introduce() -> None:
+    """Say, where more was asked for, what runs."""
+    if verbose():
+        import platform
+        from importlib import metadata
+
+        version = metadata.version("fringe-twin")
+        note(f"fringe-twin {version}, Python {platform.python_version()}, {sys.prefix}")
+
+
+def note(line: str) -> None:
+    """Write a line on stderr, unless quiet was asked for."""
+    if _Chosen.level > Loudness.QUIET:
+        sys.stderr.write(f"{line}\n")
+
+
+@contextmanager
+def progress_bars() -> "Iterator[ProgressCallback]":
+    """Show one bar per stage on stderr, with percent, time gone and time left.
+
+    Where nobody watches, each stage is a line when it begins; verbose also when it ends.
+    """
+    from rich.console import Console
+
+    console = Console(stderr=True)
+    if _Chosen.level == Loudness.QUIET:
+        yield lambda stage, fraction, /: None
+    elif console.is_terminal:
+        with _bars(console) as watch:
+            yield watch
+    else:
+        yield _lines()
+
+
+@contextmanager
+def _bars(console: Any) -> "Iterator[ProgressCallback]":
+    from rich.progress import (
+        BarColumn,
+        Progress,
+        TaskProgressColumn,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
+    columns = (
+        TextColumn("{task.description:<12}", markup=False),
+        BarColumn(),
+        TaskProgressColumn(),
+        TimeElapsedColumn(),
+        TextColumn("left", style="dim"),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=console) as progress:
+        bars: dict[str, Any] = {}
+
+        def watch(stage: str, fraction: float, /) -> None:
+            if stage not in bars:
+                # Without an end until something is finished: the bar then only shows that it lives.
+                bars[stage] = progress.add_task(stage, total=None)
+            if fraction > 0.0:
+                progress.update(bars[stage], total=1.0, completed=fraction)
+
+        yield watch
+
+
+def _lines() -> "ProgressCallback":
+    import time
+
+    begun: dict[str, float] = {}
+
+    def watch(stage: str, fraction: float, /) -> None:
+        if stage not in begun:
+            begun[stage] = time.perf_counter()
+            sys.stderr.write(f"{stage} ...\n")
+        elif fraction >= 1.0 and verbose():
+            sys.stderr.write(f"{stage} took {time.perf_counter() - begun[stage]:.2f} s\n")
+
+    return watch
