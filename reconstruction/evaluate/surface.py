@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from reconstruction.arrays import BoolImage, FloatArray, FloatImage
 from reconstruction.errors import InputError
-from reconstruction.machine import write_dataset, write_exr_channels
+from reconstruction.machine import Labelled, LabelledArrays, write_dataset, write_exr_channels
 from reconstruction.pipeline import write_point_map_ply
 from reconstruction.triangulation import PointMap
 
@@ -98,20 +98,17 @@ def _typical_distance_mm(points: PointMap) -> float:
 
 def write_height_netcdf(path: Path, heights: HeightGrid) -> None:
     """Write as netCDF-4 with coordinates x and y, mm."""
-    import xarray
-
     told = {"units": "mm", "long_name": "mean world z of the points in the cell"}
     valid = {"units": "1", "long_name": "1 where there is a height"}
-    dataset = xarray.Dataset(
+    places = {"units": "mm", "long_name": "world x of the cell"}
+    dataset = LabelledArrays(
         {
-            "z_mm": (("y", "x"), heights.z_mm, told),
-            "valid": (("y", "x"), heights.valid.astype(np.uint8), valid),
+            "z_mm": Labelled(("y", "x"), heights.z_mm, told),
+            "valid": Labelled(("y", "x"), heights.valid.astype(np.uint8), valid),
+            "x": Labelled(("x",), heights.x_mm, places),
+            "y": Labelled(("y",), heights.y_mm, places | {"long_name": "world y of the cell"}),
         },
-        coords={
-            "x": ("x", heights.x_mm, {"units": "mm", "long_name": "world x of the cell"}),
-            "y": ("y", heights.y_mm, {"units": "mm", "long_name": "world y of the cell"}),
-        },
-        attrs={"Conventions": "CF-1.8"},
+        {"Conventions": "CF-1.8"},
     )
     write_dataset(path, dataset)
 
@@ -184,12 +181,28 @@ def surface_mesh(points: PointMap, longest_mm: float | None = None) -> SurfaceMe
     )
     if not len(triangles):
         raise InputError("surface mesh: no three neighbouring points; look at the mask's reasons")
-    vertices = points.points_world_mm[v].astype(np.float32)
-    corners = vertices[triangles]
-    edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=-1)
+    world = points.points_world_mm.astype(np.float32)
+    edges = np.concatenate(_edges_mm(world, upper, lower))
     limit = longest_mm or CUT_OVER_TYPICAL * float(np.median(edges))
     kept = triangles[edges.max(axis=1) <= limit].astype(np.int32)
-    return SurfaceMesh(vertices, kept)
+    return SurfaceMesh(world[v], kept)
+
+
+def _edges_mm(
+    world_mm: FloatImage, upper: BoolImage, lower: BoolImage
+) -> tuple[FloatImage, FloatImage]:
+    """Return the edges of the upper and the lower triangles, (triangle, edge) float32.
+
+    Each edge is measured once, on the pixels, though two triangles share it.
+    """
+    down = np.linalg.norm(world_mm[1:] - world_mm[:-1], axis=-1)
+    right = np.linalg.norm(world_mm[:, 1:] - world_mm[:, :-1], axis=-1)
+    across = np.linalg.norm(world_mm[1:, :-1] - world_mm[:-1, 1:], axis=-1)[..., None]
+    both = [
+        np.dstack([down[:, :-1], across, right[:-1]])[upper],
+        np.dstack([down[:, 1:], across, right[1:]])[lower],
+    ]
+    return both[0], both[1]
 
 
 def write_mesh_ply(path: Path, mesh: SurfaceMesh) -> None:
