@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Protocol
 
 from twin.pipeline.progress import ProgressCallback, no_progress
-from twin.report import bare, contact, photometric
 from twin.report.experiment import appendix
 from twin.report.page import REPORT_FILE, STAGE, Page, Section, Verdict, write_page
 from twin.report.spheres import fit_table
@@ -33,7 +32,10 @@ class MethodReport(Protocol):
 
 
 def write_report(
-    folder: Path, watch: ProgressCallback = no_progress, into: Path | None = None
+    folder: Path,
+    watch: ProgressCallback = no_progress,
+    into: Path | None = None,
+    measured: Measurement | None = None,
 ) -> Path:
     """Write `report.html` and `figures/*.png` of a finished measurement; return the page.
 
@@ -41,6 +43,7 @@ def write_report(
     ----------
     folder : result folder of `twin measure` or `twin demo`; nothing else is read
     into : existing folder to write into instead
+    measured : what the folder holds, where that is at hand
 
     Raises
     ------
@@ -48,7 +51,8 @@ def write_report(
         cannot be written
     """
     watch(STAGE, 0.0)
-    return write_page((into or folder) / REPORT_FILE, page_of(read_measurement(folder)), watch)
+    page = page_of(measured or read_measurement(folder))
+    return write_page((into or folder) / REPORT_FILE, page, watch)
 
 
 def page_of(measured: Measurement) -> Page:
@@ -66,14 +70,8 @@ def page_of(measured: Measurement) -> Page:
     )
 
 
-def summary_table(folder: Path) -> str:
-    """Return the result of a measurement as a short plain-text table, at most 100 columns.
-
-    Raises
-    ------
-    InputError : the folder is no finished measurement, or a file is missing or damaged
-    """
-    measured = read_measurement(folder)
+def summary_table(measured: Measurement) -> str:
+    """Return the result of a measurement as a short plain-text table, at most 100 columns."""
     fits = fit_table(measured, decoders=False)
     head = [f"{measured.experiment.name}, sphere fits", fits.as_text()] if fits else []
     lines = _by_method(measured).sentences(measured)
@@ -81,9 +79,16 @@ def summary_table(folder: Path) -> str:
 
 
 def _by_method(measured: Measurement) -> MethodReport:
+    """Return the module of the method; only one of them is imported."""
     method = measured.experiment.method
     if not method.fringes:
+        from twin.report import photometric
+
         return photometric
     if method.presses:
+        from twin.report import contact
+
         return contact
+    from twin.report import bare
+
     return bare

@@ -31,6 +31,7 @@ What is read back is scored anew from the stored maps; a stored image is decoded
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -154,6 +155,22 @@ def read_measurement(folder: Path) -> Measurement:
         pressed=read_press(folder / "press.nc") if method.presses else None,
         digest=str(result.get("digest", "")),
         versions=result.get("versions", {}),
+        seconds=_read_seconds(folder),
+    )
+
+
+def as_stored(folder: Path, done: Measurement) -> Measurement:
+    """Return a measurement as `read_measurement` does, once `write_measurement` has written it.
+
+    Only the small files are read; the arrays are at hand.
+    """
+    result = _read_result(folder)
+    return replace(
+        done,
+        experiment=_read_experiment(folder / EXPERIMENT_FILE),
+        metrics=result["metrics"],
+        digest=str(result["digest"]),
+        versions=result["versions"],
         seconds=_read_seconds(folder),
     )
 
