@@ -195,7 +195,7 @@ def draw_relief_view(path: Path, points: SurfacePoints, pixel_mm: float) -> None
 
 
 class _Surface(QuadMesh):
-    """A surface over a grid in a 3-D view, as one artist: a polygon per cell takes ten times longer.
+    """A surface over a grid in a 3-D view, as one artist: polygons take ten times the time.
 
     Seen from +x and -y, as `_frame_view` does, cells are painted from far to near in this order:
     y falling, x growing.
