@@ -250,7 +250,7 @@ def region_of(
 ) -> NDArray[np.bool_]:
     """Return the usable pixels within `roi_radius_mm` (lateral) of a ball's apex, (row, col)."""
     x_mm, y_mm = points_mm[..., 0] - ball.x_mm, points_mm[..., 1] - ball.y_mm
-    inside = (np.abs(x_mm) <= roi_radius_mm) & (np.abs(y_mm) <= roi_radius_mm) & usable
+    inside: BoolImage = (np.abs(x_mm) <= roi_radius_mm) & (np.abs(y_mm) <= roi_radius_mm) & usable
     inside[inside] = np.hypot(x_mm[inside], y_mm[inside]) <= roi_radius_mm
     return inside
 
