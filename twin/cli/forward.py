@@ -243,14 +243,21 @@ def _measure(
     report: bool = True,
 ) -> None:
     from twin.output import RESULT_FILE, output_folder
-    from twin.pipeline.methods import measure_into
-    from twin.report.measurement import summary_table, write_report
     from twin.report.page import REPORT_FILE
+    from twin.report.side_by_side import second_process
 
-    with output_folder(out, inputs) as folder, progress_bars() as watch:
+    # The second process imports what it draws with while this one measures.
+    with (
+        second_process(wanted=report) as second,
+        output_folder(out, inputs) as folder,
+        progress_bars() as watch,
+    ):
+        from twin.pipeline.methods import measure_into
+        from twin.report.measurement import summary_table, write_report
+
         done = measure_into(folder, command, experiment, watch)
         if report:
-            write_report(folder, watch, measured=done)
+            write_report(folder, watch, measured=done, second=second)
     say(summary_table(done))
     say(f"wrote {out / (REPORT_FILE if report else RESULT_FILE)}")
 

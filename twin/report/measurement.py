@@ -4,12 +4,14 @@ Each method has a module with its judgements (`verdicts`), its sections (`sectio
 in words for a terminal (`sentences`); what all pages share is put together here.
 """
 
+from functools import partial
 from pathlib import Path
 from typing import Protocol
 
 from twin.pipeline.progress import ProgressCallback, no_progress
 from twin.report.experiment import appendix
-from twin.report.page import REPORT_FILE, STAGE, Page, Section, Verdict, write_page
+from twin.report.page import REPORT_FILE, STAGE, Page, Section, Verdict, one_by_one, write_page
+from twin.report.side_by_side import SecondProcess, draw_figures
 from twin.report.spheres import fit_table
 from twin.results.folder import read_measurement
 from twin.results.record import Measurement
@@ -36,6 +38,7 @@ def write_report(
     watch: ProgressCallback = no_progress,
     into: Path | None = None,
     measured: Measurement | None = None,
+    second: SecondProcess | None = None,
 ) -> Path:
     """Write `report.html` and `figures/*.png` of a finished measurement; return the page.
 
@@ -44,6 +47,7 @@ def write_report(
     folder : result folder of `twin measure` or `twin demo`; nothing else is read
     into : existing folder to write into instead
     measured : what the folder holds, where that is at hand
+    second : process that draws some of the figures
 
     Raises
     ------
@@ -52,7 +56,8 @@ def write_report(
     """
     watch(STAGE, 0.0)
     page = page_of(measured or read_measurement(folder))
-    return write_page((into or folder) / REPORT_FILE, page, watch)
+    draw = one_by_one if second is None else partial(draw_figures, second=(second, folder))
+    return write_page((into or folder) / REPORT_FILE, page, watch, draw)
 
 
 def page_of(measured: Measurement) -> Page:
