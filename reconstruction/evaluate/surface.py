@@ -7,6 +7,7 @@ interpolation, so nothing is shown that was not measured.
 import json
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import imageio.v3 as imageio
 import numpy as np
@@ -14,7 +15,13 @@ from numpy.typing import NDArray
 
 from reconstruction.arrays import BoolImage, FloatArray, FloatImage
 from reconstruction.errors import InputError
-from reconstruction.machine import Labelled, LabelledArrays, write_dataset, write_exr_channels
+from reconstruction.machine import (
+    Labelled,
+    LabelledArrays,
+    run_side_by_side,
+    write_dataset,
+    write_exr_channels,
+)
 from reconstruction.pipeline import write_point_map_ply
 from reconstruction.triangulation import PointMap
 
@@ -166,11 +173,11 @@ def surface_mesh(points: PointMap, longest_mm: float | None = None) -> SurfaceMe
     ------
     InputError : no three neighbouring points
     """
-    number = np.cumsum(points.valid.ravel()).reshape(points.valid.shape) - 1
+    v = points.valid
+    number = (np.cumsum(v.ravel(), dtype=np.int32) - 1).reshape(v.shape)
     # Rows run down and the camera looks along the rays: (a, c, b) is anticlockwise from the camera.
     a, b = number[:-1, :-1], number[:-1, 1:]
     c, d = number[1:, :-1], number[1:, 1:]
-    v = points.valid
     upper = v[:-1, :-1] & v[:-1, 1:] & v[1:, :-1]
     lower = v[:-1, 1:] & v[1:, :-1] & v[1:, 1:]
     triangles = np.concatenate(
@@ -182,27 +189,33 @@ def surface_mesh(points: PointMap, longest_mm: float | None = None) -> SurfaceMe
     if not len(triangles):
         raise InputError("surface mesh: no three neighbouring points; look at the mask's reasons")
     world = points.points_world_mm.astype(np.float32)
-    edges = np.concatenate(_edges_mm(world, upper, lower))
+    edges, longest = _edges_mm(world, upper, lower)
     limit = longest_mm or CUT_OVER_TYPICAL * float(np.median(edges))
-    kept = triangles[edges.max(axis=1) <= limit].astype(np.int32)
-    return SurfaceMesh(world[v], kept)
+    return SurfaceMesh(world[v], triangles[longest <= limit])
 
 
 def _edges_mm(
     world_mm: FloatImage, upper: BoolImage, lower: BoolImage
 ) -> tuple[FloatImage, FloatImage]:
-    """Return the edges of the upper and the lower triangles, (triangle, edge) float32.
+    """Return all edges of the triangles, (3 triangles) float32, and the longest of each triangle.
 
     Each edge is measured once, on the pixels, though two triangles share it.
     """
-    down = np.linalg.norm(world_mm[1:] - world_mm[:-1], axis=-1)
-    right = np.linalg.norm(world_mm[:, 1:] - world_mm[:, :-1], axis=-1)
-    across = np.linalg.norm(world_mm[1:, :-1] - world_mm[:-1, 1:], axis=-1)[..., None]
-    both = [
-        np.dstack([down[:, :-1], across, right[:-1]])[upper],
-        np.dstack([down[:, 1:], across, right[1:]])[lower],
+    x, y, z = np.ascontiguousarray(np.moveaxis(world_mm, -1, 0))
+
+    def apart(one: Any, other: Any) -> FloatImage:
+        squares = ((values[one] - values[other]) ** 2 for values in (x, y, z))
+        return np.asarray(np.sqrt(sum(squares, start=np.float32(0.0))))
+
+    down, right = apart(np.s_[1:], np.s_[:-1]), apart(np.s_[:, 1:], np.s_[:, :-1])
+    across = apart(np.s_[1:, :-1], np.s_[:-1, 1:])
+    sides = [
+        ((down[:, :-1], across, right[:-1]), upper),
+        ((down[:, 1:], across, right[1:]), lower),
     ]
-    return both[0], both[1]
+    edges = [side[which] for all_three, which in sides for side in all_three]
+    longest = [np.maximum(np.maximum(a, b), c)[which] for (a, b, c), which in sides]
+    return np.concatenate(edges), np.concatenate(longest)
 
 
 def write_mesh_ply(path: Path, mesh: SurfaceMesh) -> None:
@@ -224,11 +237,16 @@ def write_surface(folder: Path, points: PointMap) -> None:
 
     height_map.nc, height_map.png with height_map.png.json, height_map.exr, surface.ply.
     """
-    write_point_map_ply(folder / "points.ply", points)
-    if not (points.valid[1:, 1:] & points.valid[:-1, 1:] & points.valid[1:, :-1]).any():
-        return
-    heights = height_map(points)
+    jobs = [lambda: write_point_map_ply(folder / "points.ply", points)]
+    if (points.valid[1:, 1:] & points.valid[:-1, 1:] & points.valid[1:, :-1]).any():
+        jobs += [
+            lambda: write_mesh_ply(folder / "surface.ply", surface_mesh(points)),
+            lambda: _write_heights(folder, height_map(points)),
+        ]
+    run_side_by_side(jobs)
+
+
+def _write_heights(folder: Path, heights: HeightGrid) -> None:
     write_height_netcdf(folder / "height_map.nc", heights)
     write_height_png(folder / "height_map.png", heights)
     write_height_exr(folder / "height_map.exr", heights)
-    write_mesh_ply(folder / "surface.ply", surface_mesh(points))

@@ -41,6 +41,7 @@ import numpy as np
 from reconstruction.arrays import Levels
 from reconstruction.errors import InputError
 from reconstruction.evaluate.surface import write_surface
+from reconstruction.machine import run_side_by_side
 from reconstruction.photometric import (
     SensorCalibration,
     read_sensor_calibration,
@@ -99,8 +100,13 @@ _NEEDED_OF_A_PRESS = (
 
 def write_measurement(folder: Path, command: str, done: Measurement) -> None:
     """Write everything of one measurement into an empty folder; `command` is who asked."""
-    write_kept(folder, done, ("press", "capture", "points"))
-    write_truth(folder / TRUTH_FILE, done.truth)
+    run_side_by_side(
+        [
+            lambda: write_kept(folder, done, ("points",)),
+            lambda: write_kept(folder, done, ("press", "capture")),
+            lambda: write_truth(folder / TRUTH_FILE, done.truth),
+        ]
+    )
     if isinstance(done.images, Fringes):
         _write_white(folder / "white.exr", done.images)
     else:
@@ -119,8 +125,12 @@ def write_kept(folder: Path, done: Measurement, keep: tuple[str, ...]) -> None:
             write_captured(folder, images.capture)
         if "points" in keep:
             maps = images.reconstruction
-            write_reconstruction(folder / MAPS_FILE, maps.decoded, maps.point_map)
-            write_surface(folder, maps.point_map)
+            run_side_by_side(
+                [
+                    lambda: write_reconstruction(folder / MAPS_FILE, maps.decoded, maps.point_map),
+                    lambda: write_surface(folder, maps.point_map),
+                ]
+            )
         return
     if "capture" in keep:
         imageio.imwrite(folder / IMAGE_FILE, images.picture)
