@@ -15,14 +15,14 @@ import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from reconstruction.errors import InputError
 
 if TYPE_CHECKING:
     import numpy as np
+    import xarray
     from numpy.typing import NDArray
 
 
@@ -71,109 +71,51 @@ def unwritable(
     return kind(f"{path}: cannot be written ({error.strerror or error})")
 
 
-@dataclass(frozen=True, eq=False)
-class Labelled:
-    """An array with the names of its dimensions.
-
-    Attributes
-    ----------
-    attrs : `units`, `long_name` and what else is told
-    """
-
-    dims: tuple[str, ...]
-    values: "NDArray[Any]"
-    attrs: Mapping[str, Any] = field(default_factory=dict)
-
-
-@dataclass(frozen=True, eq=False)
-class LabelledArrays:
-    """Content of a netCDF file: what xarray calls a data set, without its second of imports."""
-
-    variables: Mapping[str, Labelled]
-    attrs: Mapping[str, Any] = field(default_factory=dict)
-
-    def __contains__(self, name: object) -> bool:
-        return name in self.variables
-
-    def __getitem__(self, name: str) -> "NDArray[Any]":
-        return self.variables[name].values
-
-
-class _Written(Protocol):
-    """A data set of xarray, or `LabelledArrays`."""
-
-    @property
-    def variables(self) -> Mapping[Any, Any]: ...
-
-    @property
-    def attrs(self) -> Mapping[Any, Any]: ...
-
-
-def write_dataset(path: Path | str, dataset: _Written) -> None:
+def write_dataset(path: Path | str, dataset: "xarray.Dataset") -> None:
     """Write a data set as netCDF-4; an existing file is replaced.
 
     Maps of whole numbers are compressed: masks, reasons, orders. Maps of measured numbers are not:
-    noise leaves a third of their size, and takes longer to compress than all else. Nor are stacks:
-    a frame is one run of bytes in the file.
+    noise leaves a third of their size, and takes longer to compress than all else. An `encoding`
+    of a variable's own goes before.
 
     Raises
     ------
     OSError : it cannot be written: the first failure. What was written until then stays there.
     """
-    import h5netcdf
-
-    with _patient(path) as target, h5netcdf.File(target, "w") as file:
-        for name, one in dataset.variables.items():
-            for dimension, count in zip(one.dims, one.values.shape, strict=True):
-                if dimension not in file.dimensions:
-                    file.dimensions[dimension] = count
-            _write_variable(file, str(name), one)
-        file.attrs.update(dataset.attrs)
-
-
-def _write_variable(file: Any, name: str, one: Any) -> None:
-    import h5netcdf
-    import numpy as np
-
-    values, how = np.asarray(one.values), {}
-    kind: Any = values.dtype
-    if kind.kind in "OU":
-        values, kind = values.astype(object), h5netcdf.core.h5py.string_dtype()
-    elif values.ndim == 2 and kind.kind in "iu":
-        how = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
-    file.create_variable(name, one.dims, kind, values, **how).attrs.update(one.attrs)
+    # Nothing here is NaN: a fill value would only say that something may be.
+    plain: dict[str, Any] = {"_FillValue": None}
+    packed = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
+    kinds = {
+        name: plain | (one.encoding or (packed if one.ndim == 2 and one.dtype.kind in "iu" else {}))
+        for name, one in dataset.variables.items()
+    }
+    with _patient(path) as target:
+        dataset.to_netcdf(target, engine="h5netcdf", encoding=kinds)
 
 
-def pixel_coordinates(rows: int, cols: int) -> dict[str, Labelled]:
+def pixel_coordinates(rows: int, cols: int) -> dict[str, Any]:
     """Return the coordinates of camera pixels: (0, 0) is the first, row 0 the top."""
     import numpy as np
 
     told = {"row": "camera row, from the top", "col": "camera column, from the left"}
     return {
-        name: Labelled(
-            (name,), np.arange(count, dtype=np.int32), {"units": "1", "long_name": told[name]}
-        )
+        name: (name, np.arange(count, dtype=np.int32), {"units": "1", "long_name": told[name]})
         for name, count in zip(PIXELS, (rows, cols), strict=True)
     }
 
 
-def read_dataset(path: Path | str, group: str | None = None) -> LabelledArrays:
+def read_dataset(path: Path | str, group: str | None = None) -> "xarray.Dataset":
     """Read a netCDF-4 file, or a group of it, as it was written, whole.
 
     Raises
     ------
     OSError : it is missing, damaged or something else
     """
-    import h5netcdf
+    import xarray
 
     # Nothing is decoded: a unit such as ms does not make durations.
-    with h5netcdf.File(path, "r") as file:
-        found = file if group is None else file[group]
-        variables = {
-            name: Labelled(tuple(one.dimensions), one[...], dict(one.attrs))
-            for name, one in found.variables.items()
-        }
-        return LabelledArrays(variables, dict(found.attrs))
+    with xarray.open_dataset(path, engine="h5netcdf", group=group, decode_cf=False) as found:
+        return found.load()
 
 
 @contextmanager

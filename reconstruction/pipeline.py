@@ -6,7 +6,7 @@ Files: organised netCDF maps and point clouds as binary PLY.
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,14 +15,7 @@ from reconstruction.arrays import BoolImage, Reason
 from reconstruction.capture.folder import Capture
 from reconstruction.decoding.decode import AxisDecode, Decoded, DecodeOptions, decode
 from reconstruction.errors import CaptureError, InputError, one_line
-from reconstruction.machine import (
-    PIXELS,
-    Labelled,
-    LabelledArrays,
-    pixel_coordinates,
-    read_dataset,
-    write_dataset,
-)
+from reconstruction.machine import PIXELS, pixel_coordinates, read_dataset, write_dataset
 from reconstruction.triangulation import EpipolarTolerance, PointMap, Use, triangulate
 
 
@@ -82,6 +75,9 @@ def filter_bias(found: Reconstruction, use: Use, where: BoolImage) -> tuple[floa
     variance_um2 = 1e6 * found.point_map.sigma_z_mm[where].astype(np.float64) ** 2
     return float(np.sqrt(np.mean(variance_um2 * share))), float(np.mean(share > 0.5))
 
+
+if TYPE_CHECKING:
+    import xarray
 
 PLY_TYPES = {"float32": "float", "float64": "double", "uint16": "ushort", "int32": "int"}
 POSE = "T_world_from_cam"
@@ -179,8 +175,10 @@ def write_reconstruction(path: Path | str, decoded: Decoded, point_map: PointMap
     write_dataset(path, reconstruction_dataset(decoded, point_map))
 
 
-def reconstruction_dataset(decoded: Decoded, point_map: PointMap) -> LabelledArrays:
+def reconstruction_dataset(decoded: Decoded, point_map: PointMap) -> "xarray.Dataset":
     """Return all maps over camera row and column, with units and long names."""
+    import xarray
+
     told: dict[str, dict[str, Any]] = {}
     maps = _variables(decoded, point_map)
     for name in maps:
@@ -192,10 +190,10 @@ def reconstruction_dataset(decoded: Decoded, point_map: PointMap) -> LabelledArr
         flag_meanings=" ".join(reason.name for reason in Reason),
     )
     frame = "world: z = 0 is the undeformed coated face, z up; row 0 at the top"
-    labelled = {name: Labelled(PIXELS, values, told[name]) for name, values in maps.items()}
-    return LabelledArrays(
-        labelled | pixel_coordinates(*point_map.mask_reason.shape),
-        {"frame": frame, POSE: point_map.T_world_from_cam.ravel()},
+    return xarray.Dataset(
+        {name: (PIXELS, values, told[name]) for name, values in maps.items()},
+        coords=pixel_coordinates(*point_map.mask_reason.shape),
+        attrs={"frame": frame, POSE: point_map.T_world_from_cam.ravel()},
     )
 
 
@@ -207,7 +205,7 @@ def read_reconstruction(path: Path | str) -> Reconstruction:
     CaptureError : missing or damaged file, or a map is missing
     """
     found = read_maps(path)
-    maps = {name: one.values for name, one in found.variables.items()}
+    maps = {str(name): np.asarray(values) for name, values in found.data_vars.items()}
     if POSE in found.attrs:
         maps[POSE] = np.asarray(found.attrs[POSE], dtype=np.float64).reshape(4, 4)
     try:
@@ -216,7 +214,7 @@ def read_reconstruction(path: Path | str) -> Reconstruction:
         raise CaptureError(f"{path}: the map {error} is missing") from error
 
 
-def read_maps(path: Path | str) -> LabelledArrays:
+def read_maps(path: Path | str) -> "xarray.Dataset":
     """Read a netCDF-4 file whole, or raise CaptureError."""
     try:
         return read_dataset(path)

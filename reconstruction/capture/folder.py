@@ -13,7 +13,7 @@ Or, from a real camera, one image per frame and another kind of capture.toml: se
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -29,10 +29,13 @@ from reconstruction.capture.description import (
 from reconstruction.capture.frame_order import check_order
 from reconstruction.capture.image_files import read_frames
 from reconstruction.errors import CaptureError, InputError, few, one_line, require_integer
-from reconstruction.machine import Labelled, LabelledArrays, read_dataset, write_dataset
+from reconstruction.machine import read_dataset, write_dataset
 from reconstruction.patterns import PatternSet
 from reconstruction.rig.calibration import Calibration, read_calibration, write_calibration
 from reconstruction.rig.sensor import SensorNoise
+
+if TYPE_CHECKING:
+    import xarray
 
 DESCRIPTION_FILE = "capture.toml"
 STACK_FILE = "stack.nc"
@@ -173,10 +176,14 @@ def find_capture(folder: Path | str) -> Path:
 
 def write_stack(path: Path, stack: Stack, patterns: PatternSet) -> None:
     """Write a (frame, row, col) uint8, uint16 or float32 stack and the names of its frames."""
+    import xarray
+
     told = {"units": "DN", "long_name": "camera frames"}
     names = np.array([frame.name for frame in patterns.frames], dtype=object)
-    frames = Labelled(DIMENSIONS, stack, told)
-    write_dataset(path, LabelledArrays({STACK: frames, NAMES: Labelled(("frame",), names)}))
+    # A frame is one run of bytes in the file; chunks of one frame each take ten times as long.
+    whole = {"contiguous": True}
+    frames = xarray.Variable(DIMENSIONS, stack, told, whole)
+    write_dataset(path, xarray.Dataset({STACK: frames, NAMES: ("frame", names)}))
 
 
 def read_stack(path: Path, patterns: PatternSet, shape: tuple[int, int]) -> Stack:
@@ -195,22 +202,25 @@ def read_stack(path: Path, patterns: PatternSet, shape: tuple[int, int]) -> Stac
             f"{path}: is no complete netCDF-4 file ({one_line(error)}); copy or record it again"
         ) from error
     _check(path, file, patterns, shape)
-    return file[STACK]
+    return np.asarray(file[STACK])
 
 
-def _check(path: Path, file: LabelledArrays, patterns: PatternSet, shape: tuple[int, int]) -> None:
+def _check(
+    path: Path, file: "xarray.Dataset", patterns: PatternSet, shape: tuple[int, int]
+) -> None:
     if STACK not in file or NAMES not in file:
         raise CaptureError(f"{path}: needs the variables {STACK} and {NAMES}")
-    dims, stack = file.variables[STACK].dims, file[STACK]
-    if dims != DIMENSIONS or str(stack.dtype) not in TYPES:
+    variable = file[STACK]
+    if variable.dims != DIMENSIONS or str(variable.dtype) not in TYPES:
         raise CaptureError(
-            f"{path}: stack is {stack.dtype} {dims}; it must be {' or '.join(TYPES)} {DIMENSIONS}"
+            f"{path}: stack is {variable.dtype} {variable.dims}; "
+            f"it must be {' or '.join(TYPES)} {DIMENSIONS}"
         )
-    _check_frames(path, [_text(name) for name in file[NAMES]], patterns)
+    _check_frames(path, [_text(name) for name in file[NAMES].values], patterns)
     expected = (len(patterns.frames), *shape)
-    if stack.shape != expected:
+    if variable.shape != expected:
         raise CaptureError(
-            f"{path}: stack has shape {stack.shape}; capture.toml announces {expected}"
+            f"{path}: stack has shape {variable.shape}; capture.toml announces {expected}"
         )
 
 

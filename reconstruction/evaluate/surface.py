@@ -15,13 +15,7 @@ from numpy.typing import NDArray
 
 from reconstruction.arrays import BoolImage, FloatArray, FloatImage
 from reconstruction.errors import InputError
-from reconstruction.machine import (
-    Labelled,
-    LabelledArrays,
-    run_side_by_side,
-    write_dataset,
-    write_exr_channels,
-)
+from reconstruction.machine import run_side_by_side, write_dataset, write_exr_channels
 from reconstruction.pipeline import write_point_map_ply
 from reconstruction.triangulation import PointMap
 
@@ -105,17 +99,20 @@ def _typical_distance_mm(points: PointMap) -> float:
 
 def write_height_netcdf(path: Path, heights: HeightGrid) -> None:
     """Write as netCDF-4 with coordinates x and y, mm."""
+    import xarray
+
     told = {"units": "mm", "long_name": "mean world z of the points in the cell"}
     valid = {"units": "1", "long_name": "1 where there is a height"}
-    places = {"units": "mm", "long_name": "world x of the cell"}
-    dataset = LabelledArrays(
+    dataset = xarray.Dataset(
         {
-            "z_mm": Labelled(("y", "x"), heights.z_mm, told),
-            "valid": Labelled(("y", "x"), heights.valid.astype(np.uint8), valid),
-            "x": Labelled(("x",), heights.x_mm, places),
-            "y": Labelled(("y",), heights.y_mm, places | {"long_name": "world y of the cell"}),
+            "z_mm": (("y", "x"), heights.z_mm, told),
+            "valid": (("y", "x"), heights.valid.astype(np.uint8), valid),
         },
-        {"Conventions": "CF-1.8"},
+        coords={
+            "x": ("x", heights.x_mm, {"units": "mm", "long_name": "world x of the cell"}),
+            "y": ("y", heights.y_mm, {"units": "mm", "long_name": "world y of the cell"}),
+        },
+        attrs={"Conventions": "CF-1.8"},
     )
     write_dataset(path, dataset)
 

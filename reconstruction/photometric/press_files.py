@@ -26,7 +26,7 @@ File names are relative to the folder of the description.
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
@@ -40,13 +40,7 @@ from reconstruction.errors import (
     require_integer,
     require_number,
 )
-from reconstruction.machine import (
-    PIXELS,
-    Labelled,
-    LabelledArrays,
-    pixel_coordinates,
-    write_dataset,
-)
+from reconstruction.machine import PIXELS, pixel_coordinates, write_dataset
 from reconstruction.photometric.calibration_ball import BallPress, SampleOptions
 from reconstruction.photometric.images import mean_background
 from reconstruction.photometric.sensor import (
@@ -59,6 +53,9 @@ from reconstruction.photometric.sensor import (
     calibrate_sensor,
     read_sensor_calibration,
 )
+
+if TYPE_CHECKING:
+    import xarray
 from reconstruction.pipeline import read_maps, write_ply
 
 Names = tuple[str, ...]
@@ -283,15 +280,17 @@ def write_height_map(path: Path | str, height_map: HeightMap) -> None:
     write_dataset(path, height_dataset(height_map))
 
 
-def height_dataset(height_map: HeightMap) -> LabelledArrays:
+def height_dataset(height_map: HeightMap) -> "xarray.Dataset":
     """Return height, slopes and reason codes over image row and column, with units."""
+    import xarray
+
     told = ("slope of the surface down the rows", "slope of the surface along the columns")
-    variables = {
-        name: Labelled(PIXELS, values, {"units": "1", "long_name": long_name})
+    variables: dict[str, Any] = {
+        name: (PIXELS, values, {"units": "1", "long_name": long_name})
         for name, values, long_name in zip(SLOPES, height_map.slopes, told, strict=True)
     }
     height = {"units": "mm", "long_name": "height above the untouched surface"}
-    variables["height_mm"] = Labelled(PIXELS, height_map.height_mm, height)
+    variables["height_mm"] = (PIXELS, height_map.height_mm, height)
     codes = {
         "units": "1",
         "long_name": "reason why the height is no measurement; 0: it is one",
@@ -299,11 +298,12 @@ def height_dataset(height_map: HeightMap) -> LabelledArrays:
         "flag_values": np.array([int(reason) for reason in PhotometricReason], np.uint8),
         "flag_meanings": " ".join(reason.name for reason in PhotometricReason),
     }
-    variables["mask_reason"] = Labelled(PIXELS, height_map.mask_reason, codes)
+    variables["mask_reason"] = (PIXELS, height_map.mask_reason, codes)
     frame = "row 0 at the top; height is positive towards the camera"
-    return LabelledArrays(
-        variables | pixel_coordinates(*height_map.height_mm.shape),
-        {"frame": frame, "pitch_mm": height_map.pitch_mm},
+    return xarray.Dataset(
+        variables,
+        coords=pixel_coordinates(*height_map.height_mm.shape),
+        attrs={"frame": frame, "pitch_mm": height_map.pitch_mm},
     )
 
 

@@ -7,13 +7,13 @@ A file is written under a temporary name and renamed: it is never half there.
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, fields
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from reconstruction.machine import Labelled, LabelledArrays, read_dataset, write_dataset
+from reconstruction.machine import read_dataset, write_dataset
 from twin.config.models import Elastomer, Press
 from twin.mechanics.errors import PressError
 from twin.mechanics.press import PressedElastomer, SheetFields
@@ -21,11 +21,16 @@ from twin.mechanics.texture import in_plane_displacement
 from twin.mechanics.validity import Validity
 from twin.output import replacing
 
+if TYPE_CHECKING:
+    import xarray
+
 _SCHEMA = "fringe-twin press 2"
 _GROUPED = "fringe-twin press 1"
 """Files of this schema keep the figures of `Validity` in a group of that name."""
 _VALIDITY = "validity_"
 _FACE = ("face_y", "face_x")
+Labelled = tuple[tuple[str, ...], NDArray[Any], dict[str, str]]
+"""Dimensions, values, units and long name."""
 
 # field: (dimensions, units, long name)
 _VARIABLES: dict[str, tuple[tuple[str, ...], str, str]] = {
@@ -90,10 +95,9 @@ def read_press(path: Path) -> PressedElastomer:
         if schema not in (_SCHEMA, _GROUPED):
             raise PressError(f"{path}: not a pressed elastomer (schema '{_SCHEMA}')")
         stored = [name for name in _VARIABLES if name in file or name not in _OPTIONAL]
-        values = {name: file[name] for name in stored}
+        values = {name: file[name].values for name in stored}
         grouped = read_dataset(path, "validity").attrs if schema == _GROUPED else {}
-        told = {_VALIDITY + name: one for name, one in grouped.items()}
-        validity = _validity({**file.attrs, **told})
+        validity = _validity(file.attrs | {_VALIDITY + name: one for name, one in grouped.items()})
         model, sheet = str(file.attrs["model"]), _sheet(file)
     except PressError:
         raise
@@ -149,11 +153,13 @@ def _labelled(
     data: NDArray[Any], dimensions: tuple[str, ...], units: str, long_name: str
 ) -> Labelled:
     stored = data.astype(np.int8) if data.dtype == bool else data
-    return Labelled(dimensions, stored, {"units": units, "long_name": long_name})
+    return dimensions, stored, {"units": units, "long_name": long_name}
 
 
 def _write(path: Path, variables: Mapping[str, Labelled], told: Mapping[str, Any]) -> None:
-    dataset = LabelledArrays(variables, {"Conventions": "CF-1.11", **told})
+    import xarray
+
+    dataset = xarray.Dataset(variables, attrs={"Conventions": "CF-1.11", **told})
     with replacing(path, PressError) as part:
         write_dataset(part, dataset)
 
@@ -170,10 +176,10 @@ def _sheet_arrays(sheet: SheetFields | None) -> dict[str, Any]:
     }
 
 
-def _sheet(file: LabelledArrays) -> SheetFields | None:
+def _sheet(file: "xarray.Dataset") -> SheetFields | None:
     if "sheet_thickness_mm" not in file:
         return None
-    maps = {name: file[f"sheet_{name}"] for name in _SHEET_VARIABLES}
+    maps = {name: file[f"sheet_{name}"].values for name in _SHEET_VARIABLES}
     stretch = np.stack((maps.pop("stretch_1"), maps.pop("stretch_2")), axis=-1)
     return SheetFields(stretch=stretch, **maps)
 

@@ -7,7 +7,7 @@ need hundreds of them.
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import imageio.v3 as imageio
 import numpy as np
@@ -18,8 +18,6 @@ from reconstruction.errors import InputError
 from reconstruction.evaluate.fit import SphereFit, fit_sphere
 from reconstruction.machine import (
     PIXELS,
-    Labelled,
-    LabelledArrays,
     pixel_coordinates,
     read_dataset,
     write_dataset,
@@ -41,6 +39,9 @@ from twin.results.figures import Metric, Metrics
 from twin.results.record import Recording
 from twin.results.rods import rod_figures
 from twin.specimens import Sphere, shape_of
+
+if TYPE_CHECKING:
+    import xarray
 
 Progress = Callable[[float], None]
 
@@ -121,8 +122,10 @@ def write_truth(path: Path, truth: Truth) -> None:
     write_dataset(path, truth_dataset(truth))
 
 
-def truth_dataset(truth: Truth) -> LabelledArrays:
+def truth_dataset(truth: Truth) -> "xarray.Dataset":
     """Return the truth as labelled maps over camera row and column, with units."""
+    import xarray
+
     maps = (
         *np.moveaxis(truth.points_world_mm, -1, 0),
         *np.moveaxis(truth.normals_world, -1, 0),
@@ -133,10 +136,12 @@ def truth_dataset(truth: Truth) -> LabelledArrays:
         truth.measured.astype(np.uint8),
     )
     variables = {
-        name: Labelled(PIXELS, values, {"units": units, "long_name": told})
+        name: (PIXELS, values, {"units": units, "long_name": told})
         for (name, (units, told)), values in zip(_TRUTH.items(), maps, strict=True)
     }
-    return LabelledArrays(variables | pixel_coordinates(*truth.lit.shape), {"frame": _FRAME})
+    return xarray.Dataset(
+        variables, coords=pixel_coordinates(*truth.lit.shape), attrs={"frame": _FRAME}
+    )
 
 
 def read_truth(path: Path) -> Truth:
@@ -148,7 +153,7 @@ def read_truth(path: Path) -> Truth:
     """
     try:
         found = read_dataset(path)
-        maps = [found[name] for name in _TRUTH]
+        maps = [np.asarray(found[name]) for name in _TRUTH]
     except FileNotFoundError:
         raise InputError(f"{path}: no such file; render or measure first") from None
     except (OSError, KeyError) as error:
