@@ -18,7 +18,9 @@ taken before and after, says what it has to give: cores of a virtual machine are
 Last line: {"over_one_process": r, "over_one_by_one": r, "points_per_hour": n, ...}. The first is
 like for like: `measure` called again and again in one process, so that nothing but the sharing and
 the second worker is gained; the second also gains what starting a process per case takes. Also
-given is the overhead of engine and store per case.
+given are the overhead of engine and store per case, and what each stage takes of a point: wall
+clock of one process on all cores that measures cases in the order of the sweep, `press_s, trace_s,
+light_s, noise_s, decode_s, score_s`, and `store_s`, the overhead.
 """
 
 import argparse
@@ -29,14 +31,16 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections import Counter
 from pathlib import Path
 
 from twin.config import load_experiment, to_toml
 from twin.config.study import Study
-from twin.pipeline import measure
+from twin.pipeline import Memory, measure
 from twin.study.cases import Case
-from twin.study.engine import Run
+from twin.study.engine import Run, in_sharing_order
 from twin.study.index import Index
+from twin.study.measuring import CaseMeasurer
 from twin.study.record import StudyRecord
 from twin.study.store import Store
 from twin.study.sweep import sweep
@@ -51,6 +55,15 @@ BASE = {
     # By hardness the sheet may deflect by 0.4 of its thickness, where `auto` takes a model that
     # needs a minute: the benchmark is about the sweep.
     "mechanics.model": "spectral",
+}
+
+# What the last line calls them: stages of `twin.pipeline.memory`.
+STAGES = {
+    "press_s": ("shape", "press", "texture"),
+    "trace_s": ("geometry", "view", "trace", "photons"),
+    "light_s": ("frames",),
+    "noise_s": ("capture",),
+    "decode_s": ("reconstruction",),
 }
 
 
@@ -88,6 +101,7 @@ def main() -> None:
         few = cases[:: max(1, len(cases) // (2 if quick else 4))][: 2 if quick else 4]
         alone_s = measured_alone(few, Path(scratch))
         in_process_s = measured_in_process(few)
+        stages = seconds_of_stages(cases[: 24 if quick else 80])
         alike = (12 if quick else 24, Path(scratch))
         loops = [machine_speed_up()]
         one_s, two_s = (of_workers(count, *alike) for count in (1, 2))
@@ -101,7 +115,9 @@ def main() -> None:
                 "speed_up_2_workers": round(one_s / two_s, 2),
                 "machine_speed_up": round(sum(loops) / len(loops), 2),
                 "cpu_s_per_point": round(cpu_s, 3),
-                "overhead_ms": round(1e3 * overhead_s(record, len(cases)), 2),
+                "overhead_ms": round(1e3 * (store_s := overhead_s(record, len(cases))), 2),
+                **stages,
+                "store_s": round(store_s, 4),
                 "cases": len(cases),
                 "done": outcome.states.get("done", 0),
             }
@@ -143,6 +159,41 @@ def measured_in_process(cases: list[Case]) -> float:
     for case in cases:
         measure(case.experiment)
     return (time.perf_counter() - start) / len(cases)
+
+
+class _Timed(Memory):
+    """Adds up the seconds of every stage that is asked for by no other."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.seconds: Counter[str] = Counter()
+        self._inside = False
+
+    def recall(self, stage, *arguments):
+        """Recall a stage and time it."""
+        if self._inside:
+            return super().recall(stage, *arguments)
+        self._inside, start = True, time.perf_counter()
+        try:
+            return super().recall(stage, *arguments)
+        finally:
+            self._inside = False
+            self.seconds[stage] += time.perf_counter() - start
+
+
+def seconds_of_stages(cases: list[Case]) -> dict[str, float]:
+    """Return seconds per case of every stage, measured in the sweep's order by one process."""
+    first = CaseMeasurer()
+    first(cases[0].experiment)
+    memory, score_s = _Timed(), 0.0
+    for _, case in in_sharing_order(cases, first.reads()):
+        score_s += measure(case.experiment, memory=memory).seconds["score"]
+    found = {
+        name: sum(memory.seconds[stage] for stage in stages) for name, stages in STAGES.items()
+    }
+    return {
+        name: round(value / len(cases), 4) for name, value in (found | {"score_s": score_s}).items()
+    }
 
 
 def of_workers(count: int, cases: int, scratch: Path) -> float:

@@ -287,7 +287,8 @@ def read_maps(path: Path | str) -> "xarray.Dataset":
 
 def _variables(decoded: Decoded, point_map: PointMap) -> Maps:
     maps: Maps = {f"{name}_mm": point_map.points_world_mm[..., i] for i, name in enumerate("xyz")}
-    maps |= {f"sigma_{name}_mm": point_map.sigma_xyz_mm[..., i] for i, name in enumerate("xyz")}
+    sigma_mm = point_map.sigma_xyz_mm
+    maps |= {f"sigma_{name}_mm": sigma_mm[..., i] for i, name in enumerate("xyz")}
     maps |= {"mask_reason": point_map.mask_reason}
     for axis, data in (("column", decoded.column), ("row", decoded.row)):
         maps |= {name: getattr(data, field) for field, name in _axis_names(axis).items()}

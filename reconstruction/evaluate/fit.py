@@ -13,6 +13,8 @@ from reconstruction.errors import FitError
 DEGENERATE_RATIO = 1e-10
 # 1.4826 MAD estimates the standard deviation of a normal distribution.
 MAD_TO_SIGMA = 1.4826
+# A Gauss-Newton step is a hundredth of the one before it on points that fix a sphere well.
+_MOST_STEPS, _STEP_OF_ROUNDING = 30, 1e-13
 REJECT_BEYOND_SIGMAS = 4.0
 """One of 16,000 normal residuals lies beyond."""
 
@@ -92,14 +94,7 @@ def fit_sphere(points_mm: ArrayLike) -> SphereFit:
     ------
     FitError : too few, coplanar or non-finite points
     """
-    points = _checked(points_mm, 4, "sphere")
-    # Centred and scaled: the algebraic start and the iteration then see numbers near one.
-    local, offset, scale = _centred(points)
-    solution = least_squares(
-        _radial, _algebraic_sphere(local), _radial_jacobian, args=(local,), method="lm", xtol=1e-14,
-        ftol=1e-14, gtol=1e-14,
-    )  # fmt: skip
-    return _sphere_of(solution.x, points, offset, scale)
+    return fit_sphere_both_ways(points_mm)[0]
 
 
 def fit_sphere_algebraic(points_mm: ArrayLike) -> SphereFit:
@@ -121,6 +116,52 @@ def fit_sphere_algebraic(points_mm: ArrayLike) -> SphereFit:
     points = _checked(points_mm, 4, "sphere")
     local, offset, scale = _centred(points)
     return _sphere_of(_algebraic_sphere(local), points, offset, scale)
+
+
+def fit_sphere_both_ways(points_mm: ArrayLike) -> tuple[SphereFit, SphereFit]:
+    """Return `fit_sphere` and `fit_sphere_algebraic` of the same points, (n, 3) float.
+
+    The second is the start of the first.
+
+    Raises
+    ------
+    FitError : too few, coplanar or non-finite points
+    """
+    points = _checked(points_mm, 4, "sphere")
+    # Centred and scaled: the algebraic start and the iteration then see numbers near one.
+    local, offset, scale = _centred(points)
+    start = _algebraic_sphere(local)
+    found = _gauss_newton(local, start)
+    if found is None:
+        found = least_squares(
+            _radial, start, _radial_jacobian, args=(local,), method="lm", xtol=1e-14, ftol=1e-14,
+            gtol=1e-14,
+        ).x  # fmt: skip
+    return _sphere_of(found, points, offset, scale), _sphere_of(start, points, offset, scale)
+
+
+def _gauss_newton(local: FloatArray, start: FloatArray) -> FloatArray | None:
+    """Return the sphere (centre, radius) with the least radial distances, from the algebraic one.
+
+    None where steps do not shrink to rounding: of points that hardly fix a sphere.
+    """
+    axes, found, before = np.ascontiguousarray(local.T), start, np.inf
+    for _ in range(_MOST_STEPS):
+        toward = found[:3, None] - axes
+        distance = np.sqrt(np.einsum("ij,ij->j", toward, toward))
+        # A point at the centre has no direction.
+        if not distance.all():
+            return None
+        slopes = np.vstack([toward / distance, np.full_like(distance, -1.0)])
+        normal, downhill = slopes @ slopes.T, slopes @ (found[3] - distance)
+        step = np.linalg.solve(normal, downhill)
+        found, size = found + step, float(np.abs(step).max())
+        if size <= _STEP_OF_ROUNDING * max(1.0, float(np.abs(found).max())):
+            return found
+        if size > before:
+            return None
+        before = size
+    return None
 
 
 def _sphere_of(

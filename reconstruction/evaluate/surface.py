@@ -7,6 +7,7 @@ interpolation, so nothing is shown that was not measured.
 import json
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import imageio.v3 as imageio
 import numpy as np
@@ -16,7 +17,7 @@ from reconstruction.arrays import BoolImage, FloatArray, FloatImage, Levels
 from reconstruction.cells import cell_means
 from reconstruction.colouring import Deviation
 from reconstruction.errors import InputError
-from reconstruction.machine import write_dataset, write_exr_channels
+from reconstruction.machine import run_side_by_side, write_dataset, write_exr_channels
 from reconstruction.pipeline import write_point_map_ply
 from reconstruction.triangulation import PointMap
 
@@ -158,11 +159,11 @@ def surface_mesh(points: PointMap, longest_mm: float | None = None) -> SurfaceMe
     ------
     InputError : no three neighbouring points
     """
-    number = np.cumsum(points.valid.ravel()).reshape(points.valid.shape) - 1
+    v = points.valid
+    number = (np.cumsum(v.ravel(), dtype=np.int32) - 1).reshape(v.shape)
     # Rows run down and the camera looks along the rays: (a, c, b) is anticlockwise from the camera.
     a, b = number[:-1, :-1], number[:-1, 1:]
     c, d = number[1:, :-1], number[1:, 1:]
-    v = points.valid
     upper = v[:-1, :-1] & v[:-1, 1:] & v[1:, :-1]
     lower = v[:-1, 1:] & v[1:, :-1] & v[1:, 1:]
     triangles = np.concatenate(
@@ -173,12 +174,34 @@ def surface_mesh(points: PointMap, longest_mm: float | None = None) -> SurfaceMe
     )
     if not len(triangles):
         raise InputError("surface mesh: no three neighbouring points; look at the mask's reasons")
-    vertices = points.points_world_mm[v].astype(np.float32)
-    corners = vertices[triangles]
-    edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=-1)
+    world = points.points_world_mm.astype(np.float32)
+    edges, longest = _edges_mm(world, upper, lower)
     limit = longest_mm or CUT_OVER_TYPICAL * float(np.median(edges))
-    kept = triangles[edges.max(axis=1) <= limit].astype(np.int32)
-    return SurfaceMesh(vertices, kept)
+    return SurfaceMesh(world[v], triangles[longest <= limit])
+
+
+def _edges_mm(
+    world_mm: FloatImage, upper: BoolImage, lower: BoolImage
+) -> tuple[FloatImage, FloatImage]:
+    """Return all edges of the triangles, (3 triangles) float32, and the longest of each triangle.
+
+    Each edge is measured once, on the pixels, though two triangles share it.
+    """
+    x, y, z = np.ascontiguousarray(np.moveaxis(world_mm, -1, 0))
+
+    def apart(one: Any, other: Any) -> FloatImage:
+        squares = ((values[one] - values[other]) ** 2 for values in (x, y, z))
+        return np.asarray(np.sqrt(sum(squares, start=np.float32(0.0))))
+
+    down, right = apart(np.s_[1:], np.s_[:-1]), apart(np.s_[:, 1:], np.s_[:, :-1])
+    across = apart(np.s_[1:, :-1], np.s_[:-1, 1:])
+    sides = [
+        ((down[:, :-1], across, right[:-1]), upper),
+        ((down[:, 1:], across, right[1:]), lower),
+    ]
+    edges = [side[which] for all_three, which in sides for side in all_three]
+    longest = [np.maximum(np.maximum(a, b), c)[which] for (a, b, c), which in sides]
+    return np.concatenate(edges), np.concatenate(longest)
 
 
 def write_mesh_ply(path: Path, mesh: SurfaceMesh, rgb: Levels | None = None) -> None:
@@ -206,12 +229,17 @@ def write_surface(folder: Path, points: PointMap, deviation: Deviation | None = 
     height_map.nc, height_map.png with height_map.png.json, height_map.exr, surface.ply. Points and
     mesh have the colour of the deviation where it is known.
     """
-    write_point_map_ply(folder / "points.ply", points, deviation)
-    if not (points.valid[1:, 1:] & points.valid[:-1, 1:] & points.valid[1:, :-1]).any():
-        return
-    heights = height_map(points)
+    jobs = [lambda: write_point_map_ply(folder / "points.ply", points, deviation)]
+    if (points.valid[1:, 1:] & points.valid[:-1, 1:] & points.valid[1:, :-1]).any():
+        rgb = None if deviation is None else deviation.rgb[points.valid]
+        jobs += [
+            lambda: write_mesh_ply(folder / "surface.ply", surface_mesh(points), rgb),
+            lambda: _write_heights(folder, height_map(points)),
+        ]
+    run_side_by_side(jobs)
+
+
+def _write_heights(folder: Path, heights: HeightGrid) -> None:
     write_height_netcdf(folder / "height_map.nc", heights)
     write_height_png(folder / "height_map.png", heights)
     write_height_exr(folder / "height_map.exr", heights)
-    rgb = None if deviation is None else deviation.rgb[points.valid]
-    write_mesh_ply(folder / "surface.ply", surface_mesh(points), rgb)

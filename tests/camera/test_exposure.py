@@ -108,3 +108,29 @@ def test_same_seed_same_bytes_and_noise_free_is_the_expectation():
     dark_e = 10.0 * 10e-3
     expected = gain_dn_per_e(experiment.camera) * (3000.0 + dark_e) + 16
     np.testing.assert_allclose(clean, expected, rtol=1e-5)
+
+
+def test_frames_are_the_same_in_any_order_and_on_any_number_of_threads(monkeypatch):
+    """Each frame alone, last frame first, gives what all of them give on one and on two threads."""
+    experiment = experiment_with(prnu_percent=1.0)
+    frames = uniform(experiment, [0.0, 5.0, 150.0, 9000.0])
+    found = []
+    for count in ("1", "2"):
+        monkeypatch.setenv("NUMBA_NUM_THREADS", count)
+        found.append(expose(experiment, frames, 0).stack)
+    assert np.array_equal(*found)
+    backwards = experiment_with(prnu_percent=1.0)
+    alone = [expose(backwards, frames[: end + 1], 0).stack[end] for end in (3, 1, 2, 0)]
+    assert all(
+        np.array_equal(found[0][end], one) for end, one in zip((3, 1, 2, 0), alone, strict=True)
+    )
+
+
+def test_shot_and_read_noise_of_frames_and_trials_are_independent():
+    """Correlation of the readings of frames and of trials: none beyond four standard errors."""
+    experiment = experiment_with()
+    frames = uniform(experiment, [2000.0] * 3)
+    stack = expose(experiment, frames, 0).stack.reshape(3, -1)
+    again = expose(experiment, frames, 0, trial=1).stack.reshape(3, -1)
+    both = np.corrcoef(np.concatenate([stack, again]))
+    assert np.abs(both - np.eye(6)).max() < 4 / np.sqrt(stack.shape[1])

@@ -254,6 +254,28 @@ def test_output_over_something_else_is_refused(measured, tmp_path, capsys):
     assert (tmp_path / "precious.txt").read_text() == "mine"
 
 
+def test_a_report_drawn_later_is_the_one_drawn_at_once(mi, measured, tmp_path):
+    """Expected: the same page of a measurement, and the same pictures of a press and a rendering;
+    the times of the stages, which differ from run to run, are taken from the same run.
+    """
+    out = tmp_path / "measured"
+    line = ["measure", "examples/slab_balls", "-o", str(out), *SMALL, "--no-report"]
+    assert run(line) == 0
+    assert not (out / "report.html").exists()
+    assert not (out / "figures").exists()
+    (out / "timings.json").write_bytes((measured / "timings.json").read_bytes())
+    assert run(["report", str(out)]) == 0
+    assert (out / "report.html").read_bytes() == (measured / "report.html").read_bytes()
+    for command, picture in (("press", "press.png"), ("render", "frames.png")):
+        at_once, later = tmp_path / f"{command}_1", tmp_path / f"{command}_2"
+        line = [command, "examples/slab_balls", *SMALL, "-s", "press.relief_pitch_mm=0.05"]
+        assert run([*line, "-o", str(at_once)]) == 0
+        assert run([*line, "-o", str(later), "--no-report"]) == 0
+        assert not (later / picture).exists()
+        assert run(["report", str(later)]) == 0
+        assert (later / picture).read_bytes() == (at_once / picture).read_bytes()
+
+
 def test_report_of_something_else_is_refused(tmp_path, capsys):
     assert run(["report", str(tmp_path)]) == 2
     assert str(tmp_path) in error_of(capsys)

@@ -7,7 +7,8 @@ import pytest
 
 from twin.config import vary
 from twin.pipeline import measure
-from twin.results.folder import read_measurement, write_kept, write_measurement
+from twin.report.measurement import summary_table, write_report
+from twin.results.folder import as_stored, read_measurement, write_kept, write_measurement
 
 TINY = {"camera.width_px": 240, "camera.height_px": 200, "render.bounces": 0}
 
@@ -58,3 +59,14 @@ def test_a_study_keeps_what_it_is_asked_for(done, tmp_path):
     names = {path.name for path in tmp_path.iterdir()}
     assert "reconstruction.nc" in names
     assert not {"capture", "press.nc", "result.json"} & names
+
+
+def test_the_page_drawn_at_once_is_the_page_drawn_later(done, folder, tmp_path):
+    """Expected: the same bytes from the arrays at hand as from those in the folder."""
+    at_hand = as_stored(folder, done)
+    pages = []
+    for name, measured in (("at_once", at_hand), ("later", read_measurement(folder))):
+        (tmp_path / name).mkdir()
+        pages.append(write_report(folder, into=tmp_path / name, measured=measured).read_bytes())
+    assert pages[0] == pages[1]
+    assert summary_table(at_hand) == summary_table(read_measurement(folder))

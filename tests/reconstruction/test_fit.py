@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from scipy.optimize import least_squares
 
 from reconstruction.errors import FitError
 from reconstruction.evaluate.fit import (
@@ -38,6 +39,39 @@ def test_radial_noise_averages_out():
     assert fit.stats.rmse_mm == pytest.approx(0.01, rel=0.02)
     assert fit.stats.mae_mm == pytest.approx(0.01 * np.sqrt(2.0 / np.pi), rel=0.02)
     assert fit.stats.p95_mm == pytest.approx(0.01 * 1.95996, rel=0.02)
+
+
+def by_levenberg_marquardt(points):
+    """Centre and radius by another way: MINPACK from the middle of the points, no derivatives."""
+
+    def radial(sphere):
+        return np.linalg.norm(points - sphere[:3], axis=1) - sphere[3]
+
+    middle = points.mean(axis=0) - [0.0, 0.0, 1.0]
+    start = np.append(middle, np.linalg.norm(points - middle, axis=1).mean())
+    tight = {"xtol": 1e-15, "ftol": 1e-15, "gtol": 1e-15, "max_nfev": 4000}
+    return least_squares(radial, start, method="lm", **tight).x
+
+
+@pytest.mark.parametrize("half_angle_deg", [25.0, 50.0, 120.0, 180.0])
+@pytest.mark.parametrize("noise_mm", [0.001, 0.02, 0.2])
+def test_the_sphere_is_the_one_with_the_least_radial_distances(half_angle_deg, noise_mm):
+    """Setup: a cap with noise and a wave of its size, as a pressed face has.
+
+    Expected: the sphere of another solver, to where that one stops (the sum of squares is flat
+    there); the next Gauss-Newton step would move it by less than 1e-9 mm.
+    """
+    rng, directions = np.random.default_rng(6), cap(3000, half_angle_deg)
+    wave = noise_mm * np.cos(9.0 * directions[:, :1])
+    points = (4.0 + wave + rng.normal(0.0, noise_mm, (3000, 1))) * directions
+    fit, other = fit_sphere(points), by_levenberg_marquardt(points)
+    assert np.abs(np.append(fit.centre_mm, fit.radius_mm) - other).max() < 1e-6
+    normals = (points - fit.centre_mm) / np.linalg.norm(
+        points - fit.centre_mm, axis=1, keepdims=True
+    )
+    slopes = np.column_stack([normals, np.ones(len(points))])
+    left_mm = np.linalg.solve(slopes.T @ slopes, slopes.T @ fit.residuals_mm)
+    assert np.abs(left_mm).max() < 1e-9
 
 
 def test_residuals_are_positive_outside():

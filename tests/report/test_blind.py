@@ -12,8 +12,8 @@ from reconstruction.triangulation import PointMap
 from tests.report.conftest import record_analytically
 from twin.config import vary
 from twin.pipeline.fringes import evaluate, options_of
-from twin.report import summary_table, write_report
 from twin.report.contact import discussion, verdicts
+from twin.report.measurement import summary_table, write_report
 from twin.results.figures import why_absent
 from twin.results.folder import read_measurement, write_measurement
 from twin.results.record import Fringes, Recording
@@ -61,7 +61,7 @@ def test_figures_of_nothing_are_null(blind):
 
 
 def test_report_and_table_say_why(blind):
-    table = summary_table(blind)
+    table = summary_table(read_measurement(blind))
     assert "z error against the true coat: none, no valid point" in table
     assert "points on 0.0% of the lit pixels, - wrong fringe orders" in table
     assert verdicts(read_measurement(blind))[0].headline == "no valid point"

@@ -13,8 +13,9 @@ from twin.cli import run
 from twin.config import load_experiment
 from twin.pipeline import comparison
 from twin.pipeline.comparison import compare, methods_named
-from twin.report import summary_table, write_comparison, write_report
 from twin.report.bare import REASON_WORDS, discussion, missing_shares, verdicts
+from twin.report.comparison import write_comparison
+from twin.report.measurement import summary_table, write_report
 from twin.report.pixel_panels import error_um, true_scale, wanted
 from twin.report.words import percent, split_unit
 from twin.results.folder import read_measurement
@@ -171,7 +172,7 @@ def test_heights_are_scaled_by_the_truth_not_by_wrong_points(direct):
 
 
 def test_console_and_verdicts_of_a_direct_measurement(compared, direct):
-    table = summary_table(compared / "ball" / "direct_fpp")
+    table = summary_table(read_measurement(compared / "ball" / "direct_fpp"))
     assert f"{percent(direct.figures['good_share'])} of the specimen's visible area" in table
     assert all(len(line) <= 100 for line in table.splitlines())
     assert "true surface" in table or direct.score.unfitted

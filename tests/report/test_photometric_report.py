@@ -18,8 +18,8 @@ from twin.config import load_experiment
 from twin.config.methods import METHODS
 from twin.manifest import MANIFEST_FILE, manifest_lines, write_manifest
 from twin.pipeline.comparison import PhotometricPlan, compare
-from twin.report import summary_table, write_comparison, write_report
-from twin.report.comparison import gist_of, press_in_words, ratio_table
+from twin.report.comparison import gist_of, press_in_words, ratio_table, write_comparison
+from twin.report.measurement import summary_table, write_report
 from twin.report.photometric import decoder_table, verdicts
 from twin.report.photometric_figures import decoder_error_um, true_heights_mm, true_slopes
 from twin.report.spheres import fit_table
@@ -151,7 +151,7 @@ def test_report_redraws_the_same_page(result, tmp_path):
 
 
 def test_console_table(result, seen):
-    table = summary_table(result)
+    table = summary_table(read_measurement(result))
     assert all(len(line) <= 100 for line in table.splitlines())
     assert f"{seen.figures['z_rmse_um']:.2f} um RMS" in table
     assert "look-up table, vendor 2024" in table

@@ -9,8 +9,8 @@ import pytest
 
 from reconstruction.errors import InputError
 from twin.config import digest, vary
-from twin.report import write_report
 from twin.report.experiment import glance
+from twin.report.measurement import write_report
 from twin.results.folder import read_measurement
 
 FIGURES = {

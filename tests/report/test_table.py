@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from reconstruction.errors import InputError
-from twin.report import summary_table
 from twin.report.contact import discussion, pitch_kept_mm, verdicts
+from twin.report.measurement import summary_table
 from twin.report.press import judge_press
 from twin.report.spheres import fit_table
 from twin.report.table import Column, Table
@@ -20,7 +20,7 @@ def _cells(line):
 
 def test_measured_rows_are_those_of_the_result_file(finished):
     figures = json.loads((finished / "result.json").read_text())["metrics"]
-    lines = summary_table(finished).splitlines()
+    lines = summary_table(read_measurement(finished)).splitlines()
     measured = [line for line in lines if "measured" in line]
     names = ("radius", "abs_radius_error", "rmse", "mae", "p95")
     for ball, line in enumerate(measured, start=1):
@@ -45,7 +45,7 @@ def test_rows_hold_full_precision(finished):
 
 
 def test_table_fits_a_terminal_and_tells_the_rest(finished):
-    table = summary_table(finished)
+    table = summary_table(read_measurement(finished))
     figures = json.loads((finished / "result.json").read_text())["metrics"]
     assert all(len(line) <= 100 for line in table.splitlines())
     assert f"{figures['z_rmse_um']:.2f} um RMS" in table
@@ -54,14 +54,14 @@ def test_table_fits_a_terminal_and_tells_the_rest(finished):
     assert f"force {figures['force_n']:.3g} N" in table
 
 
-def test_summary_refuses_what_is_no_result(finished, tmp_path):
+def test_what_is_no_result_is_refused(finished, tmp_path):
     with pytest.raises(InputError, match="no finished result"):
-        summary_table(tmp_path)
+        read_measurement(tmp_path)
     folder = tmp_path / "result"
     shutil.copytree(finished, folder)
     (folder / "truth.nc").unlink()
     with pytest.raises(InputError, match=r"truth\.nc"):
-        summary_table(folder)
+        read_measurement(folder)
 
 
 @pytest.mark.parametrize(("share", "pitch_over_thickness"), [(0.5, 2.40), (0.1, 1.32), (0.9, 4.57)])

@@ -47,6 +47,7 @@ Settings = Annotated[
     list[str] | None,
     Parameter(name=["--set", "-s"], help="KEY=VALUE by dotted path, for example camera.binning=2"),
 ]
+Report = Annotated[bool, Parameter(help="draw pictures and report; twin report does so later")]
 WorkerCount = Annotated[
     int | None,
     Parameter(

@@ -15,6 +15,8 @@ from twin.cli.app import (
 )
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from twin.config import Experiment
 
 
@@ -201,16 +203,38 @@ def report(folder: Path, /) -> None:
     Parameters
     ----------
     folder
-        Result folder of `twin measure`, `twin demo`, `twin compare` or `twin uncertainty`.
+        Result folder of `twin measure`, `twin demo`, `twin compare` or `twin uncertainty`; of
+        `twin press` or `twin render`, the picture is drawn.
     """
     from twin.output import adding
-    from twin.pipeline.comparison import is_comparison
-    from twin.report import REPORT_FILE, REPORT_NAMES, write_comparison, write_report
-    from twin.report.uncertainty import write_uncertainty_page
-    from twin.uncertainty.results import is_uncertainty
+    from twin.report import REPORT_FILE, REPORT_NAMES
+    from twin.report.pictures import draw_picture, picture_of
 
-    draw = write_comparison if is_comparison(folder) else write_report
-    draw = write_uncertainty_page if is_uncertainty(folder) else draw
+    picture = picture_of(folder)
+    if picture:
+        with adding(folder, picture) as drawn:
+            draw_picture(folder, drawn)
+        say(f"wrote {folder / picture}")
+        return
+    draw = _drawer(folder)
     with adding(folder, *REPORT_NAMES) as drawn, progress_bars() as watch:
         draw(folder, watch, drawn)
     say(f"wrote {folder / REPORT_FILE}")
+
+
+def _drawer(folder: Path) -> "Callable[..., Path]":
+    """Return what draws the report of a folder; only that is imported."""
+    from twin.pipeline.comparison import is_comparison
+    from twin.uncertainty.results import is_uncertainty
+
+    if is_uncertainty(folder):
+        from twin.report.uncertainty import write_uncertainty_page
+
+        return write_uncertainty_page
+    if is_comparison(folder):
+        from twin.report.comparison import write_comparison
+
+        return write_comparison
+    from twin.report.measurement import write_report
+
+    return write_report

@@ -10,6 +10,7 @@ from twin.cli.app import (
     BAD_INPUT,
     ExperimentFile,
     Out,
+    Report,
     Settings,
     app,
     load,
@@ -34,6 +35,7 @@ def press(
     settings: Settings = None,
     transfer: bool = False,
     solid: bool = False,
+    report: Report = True,
 ) -> None:
     """Press the specimen into the elastomer: pressure, heights, force, coated face as a mesh.
 
@@ -48,7 +50,6 @@ def press(
     from twin.mechanics import write_in_plane
     from twin.output import output_folder
     from twin.pipeline.press import press_specimen, transfer_of
-    from twin.report.press import draw_press, draw_transfer
     from twin.results.parts import (
         press_metrics,
         transfer_metrics,
@@ -65,7 +66,10 @@ def press(
             pressed = press_specimen(loaded)
             watch("press", 1.0)
         write_pressed(folder, pressed)
-        draw_press(folder / "press.png", loaded, pressed)
+        if report:
+            from twin.report.press import draw_press
+
+            draw_press(folder / "press.png", loaded, pressed)
         figures = press_metrics(pressed)
         if pressed.model == "spectral":
             write_in_plane(folder / "in_plane.nc", pressed, loaded.elastomer, loaded.press)
@@ -74,6 +78,8 @@ def press(
         if transfer:
             kept = transfer_of(loaded, pressed)
             write_transfer(folder / "transfer.csv", kept)
+            from twin.report.press import draw_transfer
+
             draw_transfer(folder / "transfer.png", kept)
             figures |= dict(transfer_metrics(kept))
         write_result(folder, "press", loaded, figures)
@@ -89,6 +95,7 @@ def render(
     out: Out,
     settings: Settings = None,
     frames: tuple[Literal["exr", "png"], ...] = (),
+    report: Report = True,
 ) -> None:
     """Press, render the fringe stack and expose the camera: a capture as a rig delivers it.
 
@@ -100,7 +107,6 @@ def render(
     from twin.output import output_folder
     from twin.pipeline.fringes import take
     from twin.pipeline.progress import Stopwatch
-    from twin.report.camera_images import draw_frames
     from twin.results.parts import write_frames, write_result, write_taken, write_timings
 
     loaded = load(experiment, settings)
@@ -112,7 +118,10 @@ def render(
                 with clock.stage(f"write {kind}") as progress:
                     write_frames(folder, recording, kind, progress)
         figures = write_taken(folder, pressed, recording)
-        draw_frames(folder / "frames.png", recording.capture)
+        if report:
+            from twin.report.camera_images import draw_frames
+
+            draw_frames(folder / "frames.png", recording.capture)
         write_result(folder, "render", loaded, figures)
         write_timings(folder, clock.seconds)
     print_metrics(figures)
@@ -121,10 +130,17 @@ def render(
 
 
 @app.command
-def measure(experiment: ExperimentFile, /, *, out: Out, settings: Settings = None) -> None:
+def measure(
+    experiment: ExperimentFile,
+    /,
+    *,
+    out: Out,
+    settings: Settings = None,
+    report: Report = True,
+) -> None:
     """Measure virtually: press, render, expose, reconstruct, score against the truth, report."""
     loaded = load(experiment, settings)
-    _measure(loaded, out, "measure", [experiment])
+    _measure(loaded, out, "measure", [experiment], report)
 
 
 @app.command
@@ -149,6 +165,7 @@ def compare(
     photometric_rig: str = "rigs/gelsight_mini",
     photometric_set: list[str] | None = None,
     match: Literal["force", "depth"] = "force",
+    report: Report = True,
 ) -> int:
     """Measure each specimen by each method and set the results side by side.
 
@@ -174,12 +191,8 @@ def compare(
         methods_named,
     )
     from twin.pipeline.comparison import compare as run_all
-    from twin.report import (
-        REPORT_FILE,
-        REPORT_NAMES,
-        comparison_table,
-        write_comparison,
-    )
+    from twin.report import REPORT_FILE, REPORT_NAMES
+    from twin.report.comparison import comparison_table, write_comparison
 
     chosen = methods_named(methods)
     if not experiments:
@@ -188,11 +201,13 @@ def compare(
     plan = PhotometricPlan(photometric_rig, settings_of(photometric_set), match)
     read = [*experiments, Path(photometric_rig)]
     with progress_bars() as watch:
-        outcomes = run_all(loaded, chosen, out, _with_report, watch=watch, plan=plan, inputs=read)
-        with adding(out, *REPORT_NAMES) as drawn:
-            write_comparison(out, watch, drawn)
+        one = _with_report if report else _without_report
+        outcomes = run_all(loaded, chosen, out, one, watch=watch, plan=plan, inputs=read)
+        if report:
+            with adding(out, *REPORT_NAMES) as drawn:
+                write_comparison(out, watch, drawn)
     say(comparison_table(outcomes))
-    say(f"wrote {out / REPORT_FILE}")
+    say(f"wrote {out / REPORT_FILE if report else out}")
     return BAD_INPUT if all(outcome.failure for outcome in outcomes) else 0
 
 
@@ -221,24 +236,44 @@ def export(experiment: ExperimentFile, /, *, out: Out, settings: Settings = None
 
 
 def _measure(
-    experiment: "Experiment", out: Path, command: str, inputs: Sequence[Path] = ()
+    experiment: "Experiment",
+    out: Path,
+    command: str,
+    inputs: Sequence[Path] = (),
+    report: bool = True,
 ) -> None:
-    from twin.output import output_folder
-    from twin.pipeline.methods import measure_into
-    from twin.report import summary_table, write_report
+    from twin.output import RESULT_FILE, output_folder
+    from twin.report.page import REPORT_FILE
+    from twin.report.side_by_side import second_process
 
-    with output_folder(out, inputs) as folder, progress_bars() as watch:
-        measure_into(folder, command, experiment, watch)
-        write_report(folder, watch)
-    say(summary_table(out))
-    say(f"wrote {out / 'report.html'}")
+    # The second process imports what it draws with while this one measures.
+    with (
+        second_process(wanted=report) as second,
+        output_folder(out, inputs) as folder,
+        progress_bars() as watch,
+    ):
+        from twin.pipeline.methods import measure_into
+        from twin.report.measurement import summary_table, write_report
+
+        done = measure_into(folder, command, experiment, watch)
+        if report:
+            write_report(folder, watch, measured=done, second=second)
+    say(summary_table(done))
+    say(f"wrote {out / (REPORT_FILE if report else RESULT_FILE)}")
 
 
 def _with_report(
     folder: Path, case: "Experiment", watch: "ProgressCallback", memory: "Memory"
 ) -> None:
     from twin.pipeline.methods import measure_into
-    from twin.report import write_report
+    from twin.report.measurement import write_report
+
+    write_report(folder, measured=measure_into(folder, "measure", case, watch, memory))
+
+
+def _without_report(
+    folder: Path, case: "Experiment", watch: "ProgressCallback", memory: "Memory"
+) -> None:
+    from twin.pipeline.methods import measure_into
 
     measure_into(folder, "measure", case, watch, memory)
-    write_report(folder)

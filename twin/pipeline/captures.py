@@ -10,6 +10,7 @@ from reconstruction.arrays import ReasonImage
 from reconstruction.capture.folder import read_capture
 from reconstruction.decoding.decode import Reason
 from reconstruction.evaluate.surface import write_surface
+from reconstruction.machine import run_side_by_side
 from reconstruction.photometric import (
     HeightMap,
     PhotometricReason,
@@ -44,8 +45,13 @@ def reconstruct_capture(
         result = reconstruct(capture, options_of(decode))
         watch("reconstruct", 1.0)
         figures = reconstruction_metrics(result, decode.use)
-        write_reconstruction(folder / "reconstruction.nc", result.decoded, result.point_map)
-        write_surface(folder, result.point_map)
+        maps = folder / "reconstruction.nc", result.decoded, result.point_map
+        run_side_by_side(
+            [
+                lambda: write_reconstruction(*maps),
+                lambda: write_surface(folder, result.point_map),
+            ]
+        )
         settings = tomli_w.dumps({"decode": decode.model_dump(mode="json")})
         (folder / EXPERIMENT_FILE).write_text(settings, encoding="utf-8")
         write_outcome(folder, "reconstruct", figures)

@@ -10,7 +10,7 @@ from twin.pipeline.fringes import RunContext, check_layers, measure_fringes
 from twin.pipeline.memory import Memory
 from twin.pipeline.progress import ProgressCallback, Stopwatch, no_progress
 from twin.results.features import check_measurands
-from twin.results.folder import write_measurement
+from twin.results.folder import as_stored, write_measurement
 from twin.results.record import Measurement
 
 
@@ -44,8 +44,10 @@ def measure_into(
     experiment: Experiment,
     watch: ProgressCallback = no_progress,
     memory: Memory | None = None,
-) -> None:
+) -> Measurement:
     """Measure, and write everything of it into an empty folder; `command` is who asked.
+
+    What is returned is what `read_measurement` would read there.
 
     Raises
     ------
@@ -55,6 +57,7 @@ def measure_into(
     watch("write", 0.0)
     write_measurement(folder, command, done)
     watch("write", 1.0)
+    return as_stored(folder, done)
 
 
 def check_measurable(experiment: Experiment) -> None:

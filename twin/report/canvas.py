@@ -115,8 +115,10 @@ def _write(figure: Figure, path: Path, dpi: int) -> None:
     undated: Any = {"Software": None}
     if kind == "pdf":
         undated = {"CreationDate": None, "Producer": None, "Creator": None}
+    # The usual level, 6, takes twice the time for a tenth of the size.
+    packed: Any = {"pil_kwargs": {"compress_level": 3}} if kind == "png" else {}
     with replacing(path) as part:
-        figure.savefig(part, format=kind, dpi=dpi, metadata=undated)
+        figure.savefig(part, format=kind, dpi=dpi, metadata=undated, **packed)
 
 
 def sequential() -> Colormap:

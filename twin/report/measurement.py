@@ -5,14 +5,15 @@ in words for a terminal (`sentences`); what all pages share is put together here
 """
 
 import textwrap
+from functools import partial
 from pathlib import Path
 from typing import Protocol
 
 from twin.pipeline.progress import ProgressCallback, no_progress
-from twin.report import bare, contact, photometric
 from twin.report.experiment import appendix
 from twin.report.object import object_section, object_sentence, object_verdict
-from twin.report.page import REPORT_FILE, STAGE, Page, Section, Verdict, write_page
+from twin.report.page import REPORT_FILE, STAGE, Page, Section, Verdict, one_by_one, write_page
+from twin.report.side_by_side import SecondProcess, draw_figures
 from twin.report.spheres import fit_table
 from twin.report.view import view_section
 from twin.results.folder import read_measurement
@@ -36,7 +37,11 @@ class MethodReport(Protocol):
 
 
 def write_report(
-    folder: Path, watch: ProgressCallback = no_progress, into: Path | None = None
+    folder: Path,
+    watch: ProgressCallback = no_progress,
+    into: Path | None = None,
+    measured: Measurement | None = None,
+    second: SecondProcess | None = None,
 ) -> Path:
     """Write `report.html` and `figures/*.png` of a finished measurement; return the page.
 
@@ -44,6 +49,8 @@ def write_report(
     ----------
     folder : result folder of `twin measure` or `twin demo`; nothing else is read
     into : existing folder to write into instead
+    measured : what the folder holds, where that is at hand
+    second : process that draws some of the figures
 
     Raises
     ------
@@ -51,7 +58,9 @@ def write_report(
         cannot be written
     """
     watch(STAGE, 0.0)
-    return write_page((into or folder) / REPORT_FILE, page_of(read_measurement(folder)), watch)
+    page = page_of(measured or read_measurement(folder))
+    draw = one_by_one if second is None else partial(draw_figures, second=(second, folder))
+    return write_page((into or folder) / REPORT_FILE, page, watch, draw)
 
 
 def page_of(measured: Measurement) -> Page:
@@ -78,14 +87,8 @@ def _with_object(measured: Measurement, sections: list[Section]) -> list[Section
     return [*sections[:1], *object_section(measured), *sections[1:]]
 
 
-def summary_table(folder: Path) -> str:
-    """Return the result of a measurement as a short plain-text table, at most 100 columns.
-
-    Raises
-    ------
-    InputError : the folder is no finished measurement, or a file is missing or damaged
-    """
-    measured = read_measurement(folder)
+def summary_table(measured: Measurement) -> str:
+    """Return the result of a measurement as a short plain-text table, at most 100 columns."""
     fits = fit_table(measured, decoders=False)
     head = [f"{measured.experiment.name}, sphere fits", fits.as_text()] if fits else []
     lines = _by_method(measured).sentences(measured)
@@ -94,9 +97,16 @@ def summary_table(folder: Path) -> str:
 
 
 def _by_method(measured: Measurement) -> MethodReport:
+    """Return the module of the method; only one of them is imported."""
     method = measured.experiment.method
     if not method.fringes:
+        from twin.report import photometric
+
         return photometric
     if method.presses:
+        from twin.report import contact
+
         return contact
+    from twin.report import bare
+
     return bare

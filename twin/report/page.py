@@ -8,6 +8,7 @@ import base64
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
+from itertools import count
 from pathlib import Path
 from typing import Literal
 
@@ -42,6 +43,20 @@ class Figure:
     caption: str
     alt: str
     draw: Callable[[Path], None] | None = None
+
+
+Drawer = Callable[[Sequence[Figure], Callable[[Figure], Path], Callable[[], None]], None]
+"""Draws figures to where the second argument says, and calls the third after each."""
+
+
+def one_by_one(
+    figures: Sequence[Figure], place: Callable[[Figure], Path], told: Callable[[], None]
+) -> None:
+    """Draw figures in their order."""
+    for figure in figures:
+        if figure.draw is not None:
+            figure.draw(place(figure))
+        told()
 
 
 @dataclass(frozen=True)
@@ -152,7 +167,12 @@ class Page:
         return any(isinstance(block, TurnableView) for block in blocks)
 
 
-def write_page(path: Path, page: Page, watch: ProgressCallback = no_progress) -> Path:
+def write_page(
+    path: Path,
+    page: Page,
+    watch: ProgressCallback = no_progress,
+    draw: Drawer = one_by_one,
+) -> Path:
     """Draw the figures of a page into `figures` beside it, and write it whole or not at all.
 
     Raises
@@ -161,19 +181,24 @@ def write_page(path: Path, page: Page, watch: ProgressCallback = no_progress) ->
     """
     folder = figures_folder(path.parent)
     drawn = [figure for section in page.sections for figure in figures_in(section)]
-    uris = {}
-    for number, figure in enumerate(drawn, start=1):
-        picture = folder / f"{figure.name}.png"
-        if figure.draw is not None:
-            figure.draw(picture)
-        image = base64.b64encode(picture.read_bytes()).decode("ascii")
-        uris[figure.name] = f"data:image/png;base64,{image}"
-        watch(STAGE, number / (len(drawn) + 1))
+    pictures = {figure.name: folder / f"{figure.name}.png" for figure in drawn}
+    steps = count(1)
+    draw(
+        [figure for figure in drawn if figure.draw is not None],
+        lambda figure: pictures[figure.name],
+        lambda: watch(STAGE, next(steps) / (len(drawn) + 1)),
+    )
+    uris = {name: _as_uri(picture) for name, picture in pictures.items()}
     text = _template().render(page=page, uris=uris)
     with replacing(path) as part:
         part.write_text(text, encoding="utf-8")
     watch(STAGE, 1.0)
     return path
+
+
+def _as_uri(picture: Path) -> str:
+    image = base64.b64encode(picture.read_bytes()).decode("ascii")
+    return f"data:image/png;base64,{image}"
 
 
 def figures_folder(folder: Path) -> Path:

@@ -198,7 +198,8 @@ def _residual_histogram(axes: Axes, view: BallView) -> None:
     edges = np.linspace(-view.limit_um, view.limit_um, _BINS + 1).tolist()
     measured_um = 1e3 * view.ball.measured.residuals_mm
     true_um = 1e3 * view.ball.true_face.residuals_mm
-    axes.hist(measured_um, edges, density=True, color=MEASURED_FILL, label="measured")
+    bars: Any = {"density": True, "histtype": "stepfilled", "color": MEASURED_FILL}
+    axes.hist(measured_um, edges, label="measured", **bars)
     axes.hist(
         true_um,
         edges,

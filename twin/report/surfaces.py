@@ -11,12 +11,13 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
+from matplotlib.collections import QuadMesh
 from matplotlib.colors import LightSource, Normalize
 from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d.axes3d import Axes3D  # type: ignore[import-untyped]
+from mpl_toolkits.mplot3d.proj3d import proj_transform  # type: ignore[import-untyped]
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
-from scipy.stats import norm
 
 from reconstruction.arrays import FloatArray
 from reconstruction.pipeline import Reconstruction
@@ -182,23 +183,50 @@ def draw_relief_view(path: Path, points: SurfacePoints, pixel_mm: float) -> None
         axes: Any = figure.add_axes((0.0, 0.02, 0.9, 1.0), projection="3d", computed_zorder=False)
         assert isinstance(axes, Axes3D)
         x_mm, y_mm = np.meshgrid(relief.x_mm, relief.y_mm)
-        axes.plot_surface(
-            x_mm,
-            y_mm,
-            relief.values.filled(np.nan),
-            rcount=_VIEW_CELLS,
-            ccount=_VIEW_CELLS,
-            facecolors=shaded(relief, norm, enlarged, _VIEW_LIGHT_DEG),
-            linewidth=0,
-            antialiased=False,
-            shade=False,
-            clip_on=False,
-        )
+        surface = _Surface(x_mm, y_mm, relief.values)
+        surface.colour(shaded(relief, norm, enlarged, _VIEW_LIGHT_DEG))
+        axes.add_collection(surface, autolim=False)
         _frame_view(axes, relief, norm, enlarged)
         bar = figure.colorbar(
             ScalarMappable(norm, sequential()), cax=figure.add_axes((0.92, 0.2, 0.013, 0.6))
         )
         bar.set_label("z (mm)")
+
+
+class _Surface(QuadMesh):
+    """A surface over a grid in a 3-D view, as one artist: polygons take ten times the time.
+
+    Seen from +x and -y, as `_frame_view` does, cells are painted from far to near in this order:
+    y falling, x growing.
+
+    Parameters
+    ----------
+    x_mm, y_mm, z_mm : (row, col) float, ascending along col and row; cells that touch a masked z
+        are left out
+    """
+
+    def __init__(
+        self, x_mm: FloatArray, y_mm: FloatArray, z_mm: "np.ma.MaskedArray[Any, Any]"
+    ) -> None:
+        holes = np.ma.getmaskarray(z_mm)[::-1]
+        self._missing = holes[1:, 1:] | holes[1:, :-1] | holes[:-1, 1:] | holes[:-1, :-1]
+        self._points_mm = [values[::-1] for values in (x_mm, y_mm, z_mm.filled(0.0))]
+        super().__init__(np.zeros((*x_mm.shape, 2)), antialiased=False, clip_on=False)
+
+    def colour(self, rgba: NDArray[Any]) -> None:
+        """Colour every cell as the corner at its smallest x and y."""
+        cells = rgba[::-1][1:, :-1].copy()
+        cells[self._missing] = 0.0
+        colours: Any = cells.reshape(-1, 4)
+        self.set_facecolor(colours)
+
+    def do_3d_projection(self) -> float:
+        """Put the corners where the view shows them, as Matplotlib asks before it draws."""
+        axes: Any = self.axes
+        flat = (values.ravel() for values in self._points_mm)
+        x, y, _ = proj_transform(*flat, axes.get_proj())
+        self._coordinates = np.stack([x, y], axis=-1).reshape(*self._points_mm[0].shape, 2)
+        return 0.0
 
 
 def draw_height_map(path: Path, points: SurfacePoints, pixel_mm: float) -> None:
@@ -309,7 +337,8 @@ def draw_truth_error(
 
 def _histogram(axes: Axes, error_um: NDArray[Any], sigma_um: NDArray[Any], limit_um: float) -> None:
     edges = np.linspace(-limit_um, limit_um, _BINS + 1)
-    axes.hist(error_um, edges.tolist(), density=True, color=MEASURED_FILL, label="actual errors")
+    bars: Any = {"density": True, "histtype": "stepfilled", "color": MEASURED_FILL}
+    axes.hist(error_um, edges.tolist(), label="actual errors", **bars)
     axes.plot(
         edges,
         predicted_density(edges, sigma_um),
@@ -334,4 +363,5 @@ def predicted_density(error_um: NDArray[Any], sigma_um: NDArray[Any]) -> FloatAr
     """
     levels = np.quantile(sigma_um, (np.arange(_SIGMAS) + 0.5) / _SIGMAS)
     levels = np.maximum(levels, 1e-9)
-    return np.asarray(norm.pdf(error_um[:, None], scale=levels).mean(axis=1))
+    densities = np.exp(-0.5 * (error_um[:, None] / levels) ** 2) / levels
+    return np.asarray(densities.mean(axis=1) / np.sqrt(2.0 * np.pi))

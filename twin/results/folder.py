@@ -31,6 +31,7 @@ What is read back is scored anew from the stored maps; a stored image is decoded
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -41,6 +42,7 @@ from reconstruction.arrays import Levels
 from reconstruction.colouring import Deviation
 from reconstruction.errors import InputError
 from reconstruction.evaluate.surface import write_surface
+from reconstruction.machine import run_side_by_side
 from reconstruction.photometric import (
     SensorCalibration,
     read_sensor_calibration,
@@ -99,8 +101,13 @@ _NEEDED_OF_A_PRESS = (
 
 def write_measurement(folder: Path, command: str, done: Measurement) -> None:
     """Write everything of one measurement into an empty folder; `command` is who asked."""
-    write_kept(folder, done, ("press", "capture", "points"))
-    write_truth(folder / TRUTH_FILE, done.truth)
+    run_side_by_side(
+        [
+            lambda: write_kept(folder, done, ("points",)),
+            lambda: write_kept(folder, done, ("press", "capture")),
+            lambda: write_truth(folder / TRUTH_FILE, done.truth),
+        ]
+    )
     if isinstance(done.images, Fringes):
         _write_white(folder / "white.exr", done.images)
     else:
@@ -119,8 +126,12 @@ def write_kept(folder: Path, done: Measurement, keep: tuple[str, ...]) -> None:
             write_captured(folder, images.capture)
         if "points" in keep:
             maps = images.reconstruction
-            write_reconstruction(folder / MAPS_FILE, maps.decoded, maps.point_map)
-            write_surface(folder, maps.point_map, deviation_of(done))
+            run_side_by_side(
+                [
+                    lambda: write_reconstruction(folder / MAPS_FILE, maps.decoded, maps.point_map),
+                    lambda: write_surface(folder, maps.point_map, deviation_of(done)),
+                ]
+            )
         return
     if "capture" in keep:
         imageio.imwrite(folder / IMAGE_FILE, images.picture)
@@ -162,6 +173,22 @@ def read_measurement(folder: Path) -> Measurement:
         pressed=read_press(folder / "press.nc") if method.presses else None,
         digest=str(result.get("digest", "")),
         versions=result.get("versions", {}),
+        seconds=_read_seconds(folder),
+    )
+
+
+def as_stored(folder: Path, done: Measurement) -> Measurement:
+    """Return a measurement as `read_measurement` does, once `write_measurement` has written it.
+
+    Only the small files are read; the arrays are at hand.
+    """
+    result = _read_result(folder)
+    return replace(
+        done,
+        experiment=_read_experiment(folder / EXPERIMENT_FILE),
+        metrics=result["metrics"],
+        digest=str(result["digest"]),
+        versions=result["versions"],
         seconds=_read_seconds(folder),
     )
 

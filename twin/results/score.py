@@ -20,8 +20,7 @@ from reconstruction.arrays import BoolImage, FloatArray, FloatImage
 from reconstruction.errors import FitError
 from reconstruction.evaluate.fit import (
     SphereFit,
-    fit_sphere,
-    fit_sphere_algebraic,
+    fit_sphere_both_ways,
     p95_of_size,
     rms,
     spread,
@@ -30,7 +29,7 @@ from reconstruction.photometric import HeightMap
 from reconstruction.pipeline import Reconstruction, filter_bias
 from twin.config.models import Experiment
 from twin.optics.stack import Truth
-from twin.results.rods import rod_figures
+from twin.results.rods import has_one_rod, rod_figures
 from twin.specimens import Sphere, shape_of
 
 # Four points fix a sphere exactly: its residuals are 0 whatever the error.
@@ -164,8 +163,8 @@ def score_truth(
     """Compare world z, pixel by pixel, with the truth at the pixel centre."""
     wanted = wanted_pixels(experiment, truth)
     both = reconstruction.point_map.valid & wanted
-    points = reconstruction.point_map.points_world_mm[both]
-    error_um = 1e3 * (points[:, 2] - truth.points_world_mm[both][:, 2]).astype(np.float64)
+    found_mm = reconstruction.point_map.points_world_mm[..., 2][both]
+    error_um = 1e3 * (found_mm - truth.points_world_mm[..., 2][both]).astype(np.float64)
     sigma_um = 1e3 * reconstruction.point_map.sigma_z_mm[both].astype(np.float64)
     bias_um, bias_share = (
         filter_bias(reconstruction, experiment.decode.use, both) if both.any() else (None, None)
@@ -250,8 +249,10 @@ def region_of(
     ball: Sphere, points_mm: NDArray[np.floating], usable: BoolImage, roi_radius_mm: float
 ) -> NDArray[np.bool_]:
     """Return the usable pixels within `roi_radius_mm` (lateral) of a ball's apex, (row, col)."""
-    lateral_mm = np.hypot(points_mm[..., 0] - ball.x_mm, points_mm[..., 1] - ball.y_mm)
-    return np.asarray((lateral_mm <= roi_radius_mm) & usable)
+    x_mm, y_mm = points_mm[..., 0] - ball.x_mm, points_mm[..., 1] - ball.y_mm
+    inside: BoolImage = (np.abs(x_mm) <= roi_radius_mm) & (np.abs(y_mm) <= roi_radius_mm) & usable
+    inside[inside] = np.hypot(x_mm[inside], y_mm[inside]) <= roi_radius_mm
+    return inside
 
 
 def _balls(
@@ -292,6 +293,8 @@ def _spheres(
 def _rod(
     experiment: Experiment, measured_mm: NDArray[np.floating], truth: Truth, usable: BoolImage
 ) -> dict[str, Any]:
+    if not has_one_rod(experiment):
+        return {}
     true = rod_figures(experiment, truth.points_world_mm[usable], "true_face_")
     return rod_figures(experiment, measured_mm[usable]) | true
 
@@ -319,15 +322,16 @@ def score_sphere(
     count = int(roi.sum())
     if count < _LEAST_SPHERE_POINTS:
         raise FitError(f"{count} points leave no residual of a sphere; it takes at least 5")
-    found, true = measured_mm[roi].astype(np.float64), true_mm[roi].astype(np.float64)
+    found, found_algebraic = fit_sphere_both_ways(measured_mm[roi])
+    true, true_algebraic = fit_sphere_both_ways(true_mm[roi])
     return SphereScore(
         number=number,
         nominal=ball,
         roi=roi,
-        measured=fit_sphere(found),
-        true_face=fit_sphere(true),
-        measured_algebraic=fit_sphere_algebraic(found),
-        true_face_algebraic=fit_sphere_algebraic(true),
+        measured=found,
+        true_face=true,
+        measured_algebraic=found_algebraic,
+        true_face_algebraic=true_algebraic,
     )
 
 

@@ -8,12 +8,6 @@ Binning sums b x b pixels: full well, dark current and fixed pattern add up, noi
 and the gain shrinks so that the full scale in DN stays. The b x b pixels are taken to fill alike:
 their sum clips as one. Where some of them clip before others, the sum is near the top and errs by
 a few sigmas of its shot noise, which no decoded coordinate shows (measured at 1.5 full wells).
-
-Poisson numbers of a frame are made fast, from normal ones where the mean is large: the
-Cornish-Fisher expansion of the Poisson quantile to the third cumulant order, its variance less
-the 1/12 that rounding to whole electrons adds (Sheppard). From a mean of 100 on the probabilities
-of all counts differ from the Poisson ones by 1.6e-5 together (total variation; 5e-7 from 1000 on):
-to tell them apart takes billions of draws of one pixel. Smaller means are drawn exactly.
 """
 
 import math
@@ -22,21 +16,18 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
-from numba import vectorize
 from numpy.typing import NDArray
 
 from reconstruction.arrays import FloatImage
 from reconstruction.errors import InputError
 from reconstruction.machine import threads
 from reconstruction.rig.sensor import SensorNoise
+from twin.camera.noise import Key, Sensor, record_frame
 from twin.config import Experiment, seed_sequence
 from twin.config.models import Camera
 
-_THREADS = min(2, threads())
 _PLANCK_J_S = 6.62607015e-34
 _LIGHT_SPEED_M_PER_S = 2.99792458e8
-#: Mean from which normal numbers are used.
-FROM_NORMAL = 100.0
 
 
 @dataclass(frozen=True)
@@ -86,15 +77,19 @@ def expose(
     stack = np.zeros((len(radiance), *shape), np.uint16 if camera.noise else np.float32)
     pixels = _fixed_pattern(experiment, shape)
 
-    def record(frame: int) -> None:
-        mean_e = radiance[frame] * np.float32(per_radiance)
-        if not camera.noise:
-            stack[frame] = _expected_dn(camera, mean_e + np.float32(dark_e))
-            return
-        rng = np.random.default_rng(seed_sequence(experiment, "sensor", trial, frame))
-        stack[frame] = _recorded_dn(camera, mean_e, dark_e, pixels, rng)
+    sensor, key = _sensor(camera, per_radiance, dark_e), _key(experiment, trial)
 
-    with ThreadPoolExecutor(_THREADS) as pool:
+    def record(frame: int) -> None:
+        if camera.noise:
+            place = key, frame
+            record_frame(
+                radiance[frame], pixels.response, pixels.offset_e, sensor, place, stack[frame]
+            )
+        else:
+            mean_e = radiance[frame] * np.float32(per_radiance) + np.float32(dark_e)
+            stack[frame] = _expected_dn(camera, mean_e)
+
+    with ThreadPoolExecutor(threads()) as pool:
         for done, _ in enumerate(pool.map(record, range(len(radiance))), start=1):
             progress(done / len(radiance))
     return Exposed(stack, exposure_ms, noise_model(camera))
@@ -130,19 +125,23 @@ def _expected_dn(camera: Camera, mean_e: FloatImage) -> FloatImage:
     return (well_e * gain_dn_per_e(camera) + camera.black_level_dn).astype(np.float32)
 
 
-def _recorded_dn(
-    camera: Camera, mean_e: FloatImage, dark_e: float, pixels: _Pixels, rng: np.random.Generator
-) -> NDArray[np.uint16]:
-    collected_e = photon_counts(mean_e * pixels.response + np.float32(dark_e), rng)
-    np.minimum(collected_e, np.float32(full_well_e(camera)), out=collected_e)
-    dn = rng.standard_normal(mean_e.shape, np.float32)
-    dn *= np.float32(read_noise_e(camera))
-    dn += collected_e
-    dn += pixels.offset_e
-    dn *= np.float32(gain_dn_per_e(camera))
-    dn += np.float32(camera.black_level_dn)
-    np.clip(np.rint(dn, out=dn), 0, largest_code_dn(camera), out=dn)
-    return dn.astype(np.uint16)
+def _sensor(camera: Camera, per_radiance: float, dark_e: float) -> Sensor:
+    """Return what recording a frame needs of the camera."""
+    return Sensor(
+        per_radiance=np.float32(per_radiance),
+        dark_e=np.float32(dark_e),
+        full_well_e=np.float32(full_well_e(camera)),
+        read_noise_e=np.float32(read_noise_e(camera)),
+        gain_dn_per_e=np.float32(gain_dn_per_e(camera)),
+        black_level_dn=np.float32(camera.black_level_dn),
+        largest_dn=np.float32(largest_code_dn(camera)),
+    )
+
+
+def _key(experiment: Experiment, trial: int) -> Key:
+    """Return what names the random numbers of one repetition."""
+    a, b, c, d = seed_sequence(experiment, "sensor", trial).generate_state(4, np.uint32)
+    return a, b, c, d
 
 
 def full_well_e(camera: Camera) -> float:
@@ -196,32 +195,3 @@ def noise_model(camera: Camera) -> SensorNoise:
         saturation_dn=float(largest_code_dn(camera)),
         dsnu_e=dark_offset_e(camera),
     )
-
-
-def photon_counts(mean: FloatImage, rng: np.random.Generator) -> FloatImage:
-    """Return Poisson numbers.
-
-    Parameters
-    ----------
-    mean : float32, any shape; not negative
-
-    Returns
-    -------
-    float32, shape of `mean`
-        Whole numbers.
-    """
-    normal = rng.standard_normal(mean.shape, np.float32)
-    counts: FloatImage = poisson_of_normal(mean, normal)
-    small = mean < FROM_NORMAL
-    if small.any():
-        counts[small] = rng.poisson(mean[small])
-    return counts
-
-
-@vectorize(["float32(float32, float32)", "float64(float64, float64)"], cache=True)
-def poisson_of_normal(mean, normal):  # type: ignore[no-untyped-def]  # compiled
-    """Turn standard normal numbers into Poisson numbers of a large mean, by equal quantiles."""
-    spread = np.sqrt(max(mean, 1.0) - 1.0 / 12.0)
-    square = normal * normal
-    skew = (square - 1.0) / 6.0
-    return np.rint(mean + spread * normal + skew + normal * (1.0 - square) / (72.0 * spread))

@@ -1,0 +1,25 @@
+"""EMVA 1288 camera: exposure and sensor (`sensor`), its noise (`noise`)."""
+
+from twin.camera.sensor import (
+    Exposed,
+    choose_exposure_ms,
+    electrons_per_ms,
+    expose,
+    full_well_e,
+    gain_dn_per_e,
+    largest_code_dn,
+    noise_model,
+    read_noise_e,
+)
+
+__all__ = [
+    "Exposed",
+    "choose_exposure_ms",
+    "electrons_per_ms",
+    "expose",
+    "full_well_e",
+    "gain_dn_per_e",
+    "largest_code_dn",
+    "noise_model",
+    "read_noise_e",
+]

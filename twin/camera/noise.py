@@ -1,0 +1,309 @@
+"""Noise of one frame, drawn and recorded row by row in one compiled pass.
+
+Every pixel of every frame has random numbers of its own, computed from their place: blocks of four
+words of 32 bits by Threefry 4x32-20 (Salmon et al. 2011, "Parallel random numbers: as easy as 1, 2,
+3") from the counter (i, row, frame, kind) and a key, each for the columns i and n/2 + i. So rows
+and frames can be recorded in any order and by any number of threads. The two words of kind 0 give
+two independent normal numbers (Box and Muller 1958), for shot and read noise; kind 1 is for small
+counts.
+
+Poisson numbers of a mean from `FROM_NORMAL` on are made from a normal one: the Cornish-Fisher
+expansion of the Poisson quantile to the third cumulant order, its variance less the 1/12 that
+rounding to whole electrons adds (Sheppard). From a mean of 100 on the probabilities of all counts
+differ from the Poisson ones by 1.6e-5 together (total variation; 5e-7 from 1000 on): to tell them
+apart takes billions of draws of one pixel. Smaller means are drawn by inversion, to the 32 bits of
+a word: a Poisson number of the mean rounded down to 1/8, by table, plus one of the rest.
+"""
+
+# ruff: noqa: PLR0917 - compiled functions cannot take keyword-only arguments
+
+import math
+from functools import cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import pdtr
+
+from reconstruction.arrays import FloatImage
+from reconstruction.compiling import OPTIONS, Function, compile_and_keep, digest_of_sources
+
+#: Mean from which normal numbers are used.
+FROM_NORMAL = 100
+
+_SOURCE_DIGEST = digest_of_sources(Path(__file__).parent, ("noise.py",))
+# Of the tables of small counts; a larger count than the last has a probability below 2^-32.
+_STEPS_PER_ELECTRON, _COUNTS, _BUCKET_BITS = 8, 192, 8
+
+_F = np.float32
+_FROM_NORMAL, _STEPS = _F(FROM_NORMAL), _F(_STEPS_PER_ELECTRON)
+_ZERO, _HALF, _ONE, _TWO, _72 = _F(0), _F(0.5), _F(1), _F(2), _F(72)
+_6TH, _12TH, _LN_2 = _F(1 / 6), _F(1 / 12), _F(math.log(2.0))
+_PER_WORD = _F(2.0**-32)
+_EIGHTH_TURN_PER_WORD = _F(math.pi / 4.0 * 2.0**-31)
+# Threefry 4x32: parity of the key, and by how many bits its eight rounds turn words.
+_PARITY = np.uint32(0x1BD11BDA)
+_TURNS = (10, 26, 11, 21, 13, 27, 23, 5, 6, 20, 17, 11, 25, 10, 18, 20)
+
+Key = tuple[np.uint32, np.uint32, np.uint32, np.uint32]
+
+
+class Sensor(NamedTuple):
+    """What a kernel needs of one camera.
+
+    Attributes
+    ----------
+    per_radiance : electrons per mW / (mm^2 sr)
+    """
+
+    per_radiance: np.float32
+    dark_e: np.float32
+    full_well_e: np.float32
+    read_noise_e: np.float32
+    gain_dn_per_e: np.float32
+    black_level_dn: np.float32
+    largest_dn: np.float32
+
+
+class SmallCounts(NamedTuple):
+    """Poisson numbers of means below `FROM_NORMAL`, at equal steps from 0 on.
+
+    Attributes
+    ----------
+    ends : (mean, count) uint64
+        Words below which a number is at most the count.
+    first : (mean, bucket) uint8
+        Count of the least word of a bucket, which the highest bits of a word name.
+    """
+
+    ends: NDArray[np.uint64]
+    first: NDArray[np.uint8]
+
+
+def _compiled(function: Function) -> Function:
+    return compile_and_keep(function, OPTIONS, _SOURCE_DIGEST)
+
+
+def _inlined(function: Function) -> Function:
+    return compile_and_keep(function, OPTIONS | {"forceinline": True}, _SOURCE_DIGEST)
+
+
+@cache
+def small_counts() -> SmallCounts:
+    """Return the tables of small counts."""
+    mean = np.arange(FROM_NORMAL * _STEPS_PER_ELECTRON + 1)[:, None] / _STEPS_PER_ELECTRON
+    ends = np.rint(pdtr(np.arange(_COUNTS), mean) * 2.0**32).astype(np.uint64)
+    ends[:, -1] = 1 << 32
+    least = np.arange(1 << _BUCKET_BITS, dtype=np.uint64) << np.uint64(32 - _BUCKET_BITS)
+    first = np.array([np.searchsorted(row, least, side="right") for row in ends])
+    return SmallCounts(ends, first.astype(np.uint8))
+
+
+def record_frame(
+    radiance: FloatImage,
+    response: FloatImage,
+    offset_e: FloatImage,
+    sensor: Sensor,
+    place: tuple[Key, int],
+    recorded: NDArray[np.uint16],
+) -> None:
+    """Record one frame: photons and dark current, full well, read noise, gain, converter.
+
+    Parameters
+    ----------
+    radiance : (row, col) float32, mW / (mm^2 sr)
+    response, offset_e : (row, col) float32; relative, and e-
+    place : key and number of the frame; they name its random numbers
+    recorded : (row, col) uint16, DN; filled
+    """
+    (key, frame), pattern = place, (response, offset_e)
+    # Slices of other arrays would be compiled for anew.
+    plain = np.ascontiguousarray(radiance, np.float32)
+    _record(plain, pattern, sensor, small_counts(), key, np.uint32(frame), recorded)
+
+
+def poisson_counts(mean: FloatImage, key: Key, frame: int = 0) -> FloatImage:
+    """Return Poisson numbers, (row, col) float32, whole; of means (row, col) float32, e-."""
+    counts = np.zeros(mean.shape, np.float32)
+    _draw(mean, small_counts(), key, np.uint32(frame), counts)
+    return counts
+
+
+@_inlined
+def _turned(word: Any, bits: int) -> Any:
+    return np.uint32(np.uint32(word << np.uint32(bits)) | np.uint32(word >> np.uint32(32 - bits)))
+
+
+@_inlined
+def _mixed(word: Any, turns: Any) -> Any:
+    """Four rounds of Threefry 4x32, which turn words by these pairs of bits."""
+    a, b, c, d = word
+    for n in range(2):
+        a, c = np.uint32(a + b), np.uint32(c + d)
+        b, d = np.uint32(_turned(b, turns[4 * n]) ^ a), np.uint32(_turned(d, turns[4 * n + 1]) ^ c)
+        a, c = np.uint32(a + d), np.uint32(c + b)
+        d, b = (
+            np.uint32(_turned(d, turns[4 * n + 2]) ^ a),
+            np.uint32(_turned(b, turns[4 * n + 3]) ^ c),
+        )
+    return a, b, c, d
+
+
+@_inlined
+def _keyed(word: Any, key: Any, number: int) -> Any:
+    """Add a key of four words, and the number of the addition."""
+    last = np.uint32(word[3] + key[3] + np.uint32(number))
+    return (
+        np.uint32(word[0] + key[0]),
+        np.uint32(word[1] + key[1]),
+        np.uint32(word[2] + key[2]),
+        last,
+    )
+
+
+@_inlined
+def threefry(counter: Any, key: Any) -> Any:
+    """Return four random words of a counter and a key of four words each, by twenty rounds."""
+    a, b, c, d = key
+    e = np.uint32(_PARITY ^ a ^ b ^ c ^ d)
+    word = _keyed(counter, (a, b, c, d), 0)
+    word = _keyed(_mixed(word, _TURNS[:8]), (b, c, d, e), 1)
+    word = _keyed(_mixed(word, _TURNS[8:]), (c, d, e, a), 2)
+    word = _keyed(_mixed(word, _TURNS[:8]), (d, e, a, b), 3)
+    word = _keyed(_mixed(word, _TURNS[8:]), (e, a, b, c), 4)
+    return _keyed(_mixed(word, _TURNS[:8]), (a, b, c, d), 5)
+
+
+@_inlined
+def _log(x: Any) -> Any:
+    """Natural logarithm of a positive normal float32, to 2 units in the last place.
+
+    x = m 2^e with m in [sqrt(1/2), sqrt(2)); the polynomial of log(m) is that of Cephes' logf.
+    """
+    bits = np.float32(x).view(np.int32)
+    # 0x3F3504F3 are the bits of sqrt(1/2).
+    exponent = np.int32(np.int32(bits - np.int32(0x3F3504F3)) >> np.int32(23))
+    m = np.int32(bits - np.int32(exponent << np.int32(23))).view(np.float32) - _ONE
+    p = _F(7.0376836292e-2) * m - _F(1.1514610310e-1)
+    p = p * m + _F(1.1676998740e-1)
+    p = p * m - _F(1.2420140846e-1)
+    p = p * m + _F(1.4249322787e-1)
+    p = p * m - _F(1.6668057665e-1)
+    p = p * m + _F(2.0000714765e-1)
+    p = p * m - _F(2.4999993993e-1)
+    p = p * m + _F(3.3333331174e-1)
+    square = m * m
+    return m + (p * m * square - _HALF * square) + _LN_2 * np.float32(exponent)
+
+
+@_inlined
+def normal_pair(word_0: Any, word_1: Any) -> Any:
+    """Return two independent standard normal numbers of two words (Box and Muller 1958).
+
+    The angle is a quarter turn by the two highest bits, and within an eighth of a turn on either
+    side by the others.
+    """
+    radius = np.sqrt(-_TWO * _log((np.float32(word_0) + _HALF) * _PER_WORD))
+    within = np.float32(np.uint32(word_1 << np.uint32(2)).view(np.int32)) * _EIGHTH_TURN_PER_WORD
+    quarter = np.uint32(word_1 >> np.uint32(30))
+    square = within * within
+    # Polynomials of Cephes' sinf and cosf.
+    sine = _F(-1.9515295891e-4) * square + _F(8.3321608736e-3)
+    sine = within + within * square * (sine * square - _F(1.6666654611e-1))
+    cosine = _F(2.443315711809948e-5) * square - _F(1.388731625493765e-3)
+    cosine = (cosine * square + _F(4.166664568298827e-2)) * square * square
+    cosine = cosine - _HALF * square + _ONE
+    turned = (quarter & np.uint32(1)) == np.uint32(1)
+    along, across = (sine, cosine) if turned else (cosine, sine)
+    along = -along if turned else along
+    sign = _ONE if quarter < np.uint32(2) else -_ONE
+    return sign * radius * along, sign * radius * across
+
+
+@_inlined
+def count_of_normal(mean: Any, normal: Any) -> Any:
+    """Turn a standard normal number into a Poisson number of a large mean, by equal quantiles."""
+    spread = np.sqrt(max(mean, _ONE) - _12TH)
+    square = normal * normal
+    skew = (square - _ONE) * _6TH
+    return np.rint(mean + spread * normal + skew + normal * (_ONE - square) / (_72 * spread))
+
+
+@_inlined
+def _small_count(mean: Any, word_0: Any, word_1: Any, tables: Any) -> Any:
+    """Return a Poisson number of a mean below `FROM_NORMAL` by inversion."""
+    step = np.int64(mean * _STEPS)
+    count = np.int64(tables.first[step, word_0 >> np.uint32(32 - _BUCKET_BITS)])
+    while np.uint64(word_0) >= tables.ends[step, count]:
+        count += 1
+    rest, share = float(mean) - step / _STEPS_PER_ELECTRON, (float(word_1) + 0.5) * 2.0**-32
+    if share < 1.0 - rest:  # and so below exp(-rest), as nearly always
+        return np.float32(count)
+    term = np.exp(-rest)
+    below = term
+    more = 0
+    while share > below:
+        more += 1
+        term *= rest / more
+        below += term
+    return np.float32(count + more)
+
+
+@_compiled
+def _fill(words: Any, key: Any, place: Any) -> None:
+    """Fill (2, 2 n) words of one row: block i serves the columns i and n + i."""
+    row, frame, kind = place
+    half = words.shape[1] // 2
+    for i in range(half):
+        block = threefry((np.uint32(i), row, frame, kind), key)
+        words[0, i], words[1, i], words[0, half + i], words[1, half + i] = block
+
+
+@_compiled
+def _draw_row(
+    mean: Any, tables: Any, key: Any, place: Any, words: Any, counts: Any, read: Any
+) -> None:
+    """Draw Poisson numbers of one row of means, and a normal number beside each."""
+    row, frame = place
+    _fill(words, key, (row, frame, np.uint32(0)))
+    small = 0
+    for col in range(mean.size):
+        shot, read[col] = normal_pair(words[0, col], words[1, col])
+        counts[col] = count_of_normal(mean[col], shot)
+        small += mean[col] < _FROM_NORMAL
+    if not small:
+        return
+    _fill(words, key, (row, frame, np.uint32(1)))
+    for col in range(mean.size):
+        if mean[col] < _FROM_NORMAL:
+            counts[col] = _small_count(mean[col], words[0, col], words[1, col], tables)
+
+
+@_compiled
+def _draw(mean: Any, tables: Any, key: Any, frame: Any, counts: Any) -> None:
+    """Draw Poisson numbers of the means of one frame."""
+    cols = mean.shape[1]
+    words, read = np.zeros((2, cols + cols % 2), np.uint32), np.zeros(cols, np.float32)
+    for row in range(mean.shape[0]):
+        _draw_row(mean[row], tables, key, (np.uint32(row), frame), words, counts[row], read)
+
+
+@_compiled
+def _record(
+    radiance: Any, pattern: Any, sensor: Any, tables: Any, key: Any, frame: Any, recorded: Any
+) -> None:
+    response, offset_e = pattern
+    rows, cols = radiance.shape
+    words, mean = np.zeros((2, cols + cols % 2), np.uint32), np.zeros(cols, np.float32)
+    counts, read = np.zeros(cols, np.float32), np.zeros(cols, np.float32)
+    for row in range(rows):
+        for col in range(cols):
+            light_e = radiance[row, col] * sensor.per_radiance
+            mean[col] = max(light_e * response[row, col] + sensor.dark_e, _ZERO)
+        _draw_row(mean, tables, key, (np.uint32(row), frame), words, counts, read)
+        for col in range(cols):
+            well_e = min(counts[col], sensor.full_well_e)
+            signal_e = read[col] * sensor.read_noise_e + well_e + offset_e[row, col]
+            dn = np.rint(signal_e * sensor.gain_dn_per_e + sensor.black_level_dn)
+            recorded[row, col] = np.uint16(min(max(dn, _ZERO), sensor.largest_dn))

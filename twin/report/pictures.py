@@ -1,0 +1,37 @@
+"""The one picture that `twin press` and `twin render` give, drawn from their folders later on."""
+
+from pathlib import Path
+
+from reconstruction.capture.folder import read_capture
+from twin.config import load_experiment
+from twin.mechanics import read_press
+from twin.output import EXPERIMENT_FILE, RESULT_FILE, read_json
+
+PRESS_PICTURE, FRAMES_PICTURE = "press.png", "frames.png"
+PICTURES = {"press": PRESS_PICTURE, "render": FRAMES_PICTURE}
+"""By command."""
+
+
+def picture_of(folder: Path) -> str | None:
+    """Return the name of a folder's one picture; None of a folder that has a report."""
+    path = folder / RESULT_FILE
+    return PICTURES.get(str(read_json(path).get("command"))) if path.is_file() else None
+
+
+def draw_picture(folder: Path, into: Path) -> Path:
+    """Draw the picture of what `folder` holds into another folder, and return its path.
+
+    Raises
+    ------
+    InputError : a file is missing or damaged
+    """
+    if picture_of(folder) == PRESS_PICTURE:
+        from twin.report.press import draw_press
+
+        experiment = load_experiment(folder / EXPERIMENT_FILE)
+        draw_press(into / PRESS_PICTURE, experiment, read_press(folder / "press.nc"))
+        return into / PRESS_PICTURE
+    from twin.report.camera_images import draw_frames
+
+    draw_frames(into / FRAMES_PICTURE, read_capture(folder))
+    return into / FRAMES_PICTURE
