@@ -72,7 +72,7 @@ def read_bytes(path: Path | str, most_bytes: int = MOST_DATA_BYTES) -> bytes:
     try:
         # Not waiting for a writer, should a pipe have taken the file's place.
         with os.fdopen(os.open(path, os.O_RDONLY | os.O_NONBLOCK), "rb") as file:
-            return file.read(most_bytes)
+            return file.read()
     except OSError as error:
         raise InputError(f"{shown(path)}: cannot be read: {error.strerror}") from None
 
