@@ -18,7 +18,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from reconstruction.errors import InputError
+from reconstruction.errors import InputError, one_line
+from reconstruction.reading import regular_file
 
 if TYPE_CHECKING:
     import numpy as np
@@ -109,13 +110,31 @@ def read_dataset(path: Path | str, group: str | None = None) -> "xarray.Dataset"
 
     Raises
     ------
-    OSError : it is missing, damaged or something else
+    InputError : it is missing, or no file
+    OSError : it is damaged or something else
     """
     import xarray
 
+    _require_sound(path)
     # Nothing is decoded: a unit such as ms does not make durations.
     with xarray.open_dataset(path, engine="h5netcdf", group=group, decode_cf=False) as found:
         return found.load()
+
+
+def _require_sound(path: Path | str) -> None:
+    """Refuse a file of which h5netcdf would open a part, and print a traceback at its end.
+
+    All of its structure is read, checksums included, not its arrays.
+    """
+    import h5py
+
+    # Before the library opens it: reading from a pipe or a device may never end.
+    regular_file(path)
+    try:
+        with h5py.File(path, "r") as file:
+            file.visititems(lambda _, node: dict(node.attrs) and None)
+    except (KeyError, RuntimeError, TypeError, ValueError) as error:
+        raise OSError(f"{path}: is damaged ({one_line(error)})") from error
 
 
 @contextmanager

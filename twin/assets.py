@@ -14,9 +14,13 @@ from pathlib import Path
 from typing import Literal, get_args
 
 from reconstruction.errors import InputError
+from reconstruction.reading import is_regular, shown
 
 Collection = Literal["scenes", "materials"]
 FOLDER_VARIABLE = "TWIN_ASSETS"
+
+
+_LONGEST_NAME = 255
 
 
 class AssetError(InputError):
@@ -57,7 +61,7 @@ def scene_file(name: str | Path) -> Path:
     AssetError : there is neither
     """
     file = Path(name)
-    return file if file.is_file() else asset_path("scenes", str(name))
+    return file if is_regular(file) else asset_path("scenes", str(name))
 
 
 def mesh_path(name: str) -> Path:
@@ -68,7 +72,7 @@ def mesh_path(name: str) -> Path:
     AssetError : the name begins with ``scenes/``, and there is no such file
     """
     path = Path(name)
-    if not path.is_file() and name.startswith("scenes/"):
+    if not is_regular(path) and name.startswith("scenes/"):
         return asset_path("scenes", name.removeprefix("scenes/"))
     return path
 
@@ -121,7 +125,7 @@ def _existing(path: Path) -> Path | None:
     """Return the file itself, or the same with ``.toml``: a name may have a point of its own."""
     with_suffix = path.with_name(path.name + ".toml")
     spellings = (path, with_suffix) if path.suffix else (with_suffix,)
-    return next((spelling for spelling in spellings if spelling.is_file()), None)
+    return next((spelling for spelling in spellings if is_regular(spelling)), None)
 
 
 def _check_name(collection: Collection, name: str) -> None:
@@ -133,8 +137,8 @@ def _check_name(collection: Collection, name: str) -> None:
 
 
 def _not_found(collection: Collection, name: str) -> str:
-    if _is_path(name):
-        return f"{name}: no such file"
+    if _is_path(name) or len(name) > _LONGEST_NAME:
+        return f"{shown(name)}: no such file"
     known = list_assets(collection)
     stem = Path(name.removesuffix(".toml")).name
     same = [entry for entry in known if Path(entry).name == stem]

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
 from reconstruction.errors import InputError
+from reconstruction.reading import read_bytes
 from twin.working import is_working
 
 MANIFEST_FILE = "twin-manifest.txt"
@@ -54,12 +55,9 @@ def read_manifest(folder: Path) -> Manifest | None:
     InputError : it was written by a version that this one does not know, or cannot be read
     """
     path = folder / MANIFEST_FILE
-    try:
-        text = path.read_text(encoding="utf-8", errors="surrogateescape")
-    except (FileNotFoundError, NotADirectoryError):
+    if not os.path.lexists(path):
         return None
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror})") from None
+    text = read_bytes(path).decode("utf-8", errors="surrogateescape")
     head, *rest = text.split("\n")
     found = _HEAD.fullmatch(head)
     if found is None:

@@ -311,24 +311,6 @@ def replace_json(path: Path, content: Mapping[str, Any]) -> None:
             os.fsync(file.fileno())
 
 
-def read_json(path: Path) -> dict[str, Any]:
-    """Read a JSON object.
-
-    Raises
-    ------
-    InputError : the file is missing, damaged or no object
-    """
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file; give the folder of a finished result") from None
-    except (OSError, ValueError, RecursionError) as error:
-        raise InputError(f"{path}: cannot be read: {error}") from None
-    if not isinstance(content, dict):
-        raise InputError(f"{path}: found {type(content).__name__}, allowed a JSON object")
-    return content
-
-
 def versions() -> dict[str, str]:
     """Versions of everything that can change a number in a result."""
     return dict(_versions())

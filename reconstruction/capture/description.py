@@ -30,7 +30,6 @@ import difflib
 import json
 import re
 import string
-import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import MISSING, asdict, dataclass, fields
 from itertools import pairwise
@@ -39,6 +38,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from reconstruction import reading
 from reconstruction.arrays import Stack
 from reconstruction.errors import CaptureError, InputError, few, require_integer, require_number
 from reconstruction.patterns import PatternSet
@@ -116,9 +116,9 @@ def read_parts(
 def read_toml(path: Path) -> dict[str, Any]:
     """Return the content of a TOML file, or raise CaptureError."""
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise CaptureError(f"{path}: cannot be read as TOML: {error}") from error
+        return reading.read_toml(path)
+    except InputError as error:
+        raise CaptureError(str(error)) from None
 
 
 def take_header(values: dict[str, Any], expected: tuple[str, int]) -> None:
@@ -277,7 +277,9 @@ def _named_files(
         folder / description.files.format(index=i, number=i + 1, name=frame.name, set=number)
         for i, frame in enumerate(patterns.frames)
     ]
-    missing = [path.relative_to(folder).as_posix() for path in files if not path.is_file()]
+    missing = [
+        path.relative_to(folder).as_posix() for path in files if not reading.is_regular(path)
+    ]
     if missing:
         raise CaptureError(
             f"{folder}: {len(missing)} of {len(files)} frames are missing: {few(missing)}; "

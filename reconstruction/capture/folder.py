@@ -31,6 +31,7 @@ from reconstruction.capture.image_files import read_frames
 from reconstruction.errors import CaptureError, InputError, few, one_line, require_integer
 from reconstruction.machine import read_dataset, write_dataset
 from reconstruction.patterns import PatternSet
+from reconstruction.reading import is_regular
 from reconstruction.rig.calibration import Calibration, read_calibration, write_calibration
 from reconstruction.rig.sensor import SensorNoise
 
@@ -159,7 +160,7 @@ def _read_images(folder: Path) -> Capture:
 def described(folder: Path) -> Path | None:
     """Return the folder, here or below, that capture.toml describes; None where there is none."""
     for candidate in (folder, folder / SUBFOLDER):
-        if (candidate / DESCRIPTION_FILE).is_file():
+        if is_regular(candidate / DESCRIPTION_FILE):
             return candidate
     return None
 
@@ -193,7 +194,7 @@ def read_stack(path: Path, patterns: PatternSet, shape: tuple[int, int]) -> Stac
     ------
     CaptureError : missing, truncated or damaged file, wrong variable, type, size or frames
     """
-    if not path.is_file():
+    if not is_regular(path):
         raise CaptureError(f"{path}: the stack of frames is missing")
     try:
         file = read_dataset(path)

@@ -25,11 +25,13 @@ from reconstruction.capture.frame_order import check_order
 from reconstruction.errors import CaptureError, InputError, one_line, require_number
 from reconstruction.machine import threads
 from reconstruction.patterns import PatternSet
+from reconstruction.reading import regular_file
 from reconstruction.rig.calibration import Calibration
 from reconstruction.rig.sensor import SensorNoise
 
 Image = NDArray[Any]
 TYPES = ("uint8", "uint16", "float32")
+MOST_IMAGE_BYTES = 2**30
 # Ratio of two exposures' light against that of their times: beyond it the sets are mixed up.
 EXPOSURE_FACTOR = 1.5
 
@@ -111,8 +113,10 @@ def read_image(path: Path) -> Image:
     ------
     CaptureError : missing, damaged, coloured, or of another type
     """
-    if not path.is_file():
-        raise CaptureError(f"{path}: the image is missing")
+    try:
+        regular_file(path, MOST_IMAGE_BYTES)
+    except InputError as error:
+        raise CaptureError(f"the image {error}") from None
     try:
         image = _read_exr(path) if path.suffix.lower() == ".exr" else _read_plain(path)
     except (OSError, RuntimeError, ValueError, SyntaxError) as error:

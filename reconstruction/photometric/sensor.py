@@ -50,6 +50,7 @@ from reconstruction.photometric.integrate import (
     Integration,
     integrate,
 )
+from reconstruction.reading import regular_file
 
 MapKind = Literal["polynomial", "table"]
 ColourMap = ColourPolynomial | ColourTable
@@ -155,7 +156,7 @@ def read_sensor_calibration(path: Path | str) -> SensorCalibration:
     """
     try:
         # Opened here: np.load leaves a file open that is no archive.
-        with Path(path).open("rb") as stream, np.load(stream, allow_pickle=False) as file:
+        with regular_file(path).open("rb") as stream, np.load(stream, allow_pickle=False) as file:
             arrays = {name: np.asarray(file[name]) for name in file.files}
     except (OSError, ValueError, EOFError, AttributeError, zipfile.BadZipFile) as error:
         raise CaptureError(f"{path}: is no photometric calibration ({one_line(error)})") from error

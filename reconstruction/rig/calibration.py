@@ -13,6 +13,7 @@ import numpy as np
 
 from reconstruction.arrays import FloatArray
 from reconstruction.errors import CaptureError, InputError
+from reconstruction.reading import read_text
 from reconstruction.rig.layers import PlaneLayers, plane_layers
 from reconstruction.rig.pinhole import Pinhole
 
@@ -137,10 +138,9 @@ def read_calibration(path: Path | str) -> Calibration:
 
 def _open(path: Path) -> Any:
     try:
-        with path.open(encoding="utf-8") as file:
-            text = file.read(MOST_BYTES + 1)
-    except (OSError, UnicodeDecodeError) as error:
-        raise CaptureError(f"{path}: cannot read the calibration: {error}") from error
+        text = read_text(path)
+    except InputError as error:
+        raise CaptureError(str(error)) from None
     if not text.startswith("%YAML"):  # checked here: OpenCV prints and aborts the parse otherwise
         raise CaptureError(
             f"{path}: is no OpenCV calibration; the first line must begin with %YAML"

@@ -16,10 +16,11 @@ import llvmlite.binding
 import numpy as np
 import OpenEXR
 
+from reconstruction.reading import read_json
 from twin.config import load_experiment
 from twin.config.methods import METHODS
 from twin.config.study import Study
-from twin.output import RESULT_FILE, read_json, versions
+from twin.output import RESULT_FILE, versions
 from twin.pipeline.comparison import PhotometricPlan, compare
 from twin.pipeline.methods import measure_into
 from twin.study.record import StudyRecord

@@ -116,7 +116,10 @@ def restack(change=lambda stack: stack, names=lambda names: names, variable="sta
 
 DAMAGES = {
     "no description": (remove("capture.toml"), "no capture.toml"),
-    "no calibration": (remove("calibration.yaml"), "cannot read the calibration"),
+    "no calibration": (
+        remove("calibration.yaml"),
+        r"calibration\.yaml: cannot be read: No such file",
+    ),
     "no stack": (remove("stack.nc"), "missing"),
     "truncated stack": (truncate("stack.nc", 0.6), "no complete netCDF-4"),
     "stack of few bytes": (truncate("stack.nc", 1e-4), "no complete netCDF-4"),

@@ -3,6 +3,7 @@
 Progress and failures go to stderr, figures and paths to stdout.
 """
 
+import errno
 import os
 import signal
 import sys
@@ -16,6 +17,7 @@ from cyclopts import App, CycloptsError, Parameter
 
 from reconstruction.errors import InputError
 from reconstruction.machine import is_disk_full
+from reconstruction.reading import parse_toml, shown
 from twin.cli.talk import OPTIONS, verbose
 from twin.cli.talk import progress_bars as progress_bars
 from twin.working import says_the_end
@@ -25,6 +27,8 @@ if TYPE_CHECKING:
     from twin.study.workers import Workers
 
 BAD_INPUT, MISSING_BACKEND, FAILURE = 2, 3, 1
+# Whoever asks the system about such a name, be it only whether it is there, gets an error.
+_NO_SUCH_NAME = (errno.ENAMETOOLONG, errno.ELOOP)
 BY_SIGNAL = 128
 """Exit code of a command that a signal ended, less the number of the signal."""
 
@@ -75,13 +79,6 @@ def guarded(run: Callable[[], Any]) -> int:
     """Run a command; turn expected failures into one line and an exit code."""
     try:
         return int(run() or 0)
-    except (InputError, CycloptsError) as error:
-        if verbose():
-            traceback.print_exc()
-        ours = isinstance(error, InputError)
-        told = str(error) if ours else f"{' '.join(str(error).split())} See twin --help."
-        sys.stderr.write(f"twin: {told}\n")
-        return BAD_INPUT
     except KeyboardInterrupt as error:
         number = getattr(error, "number", signal.SIGINT)
         says_the_end(number)
@@ -90,19 +87,40 @@ def guarded(run: Callable[[], Any]) -> int:
         # Who read our output has seen enough; Python would complain once more when it flushes.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return BY_SIGNAL + signal.SIGPIPE
-    except OSError as error:
-        if not is_disk_full(error):
+    except Exception as error:
+        told = _in_words(error)
+        if told is None:
             raise
+        if verbose():
+            traceback.print_exc()
+    message, code = told
+    sys.stderr.write(f"twin: {message}\n")
+    return code
+
+
+def _in_words(error: Exception) -> tuple[str, int] | None:
+    """Return what to say of an expected failure, and its exit code; None for any other."""
+    match error:
+        case InputError():
+            return str(error), BAD_INPUT
+        case CycloptsError():
+            return f"{' '.join(str(error).split())} See twin --help.", BAD_INPUT
+        case OSError():
+            return _of_the_system(error)
+        case RuntimeError() if type(error).__name__ == "MissingBackend":
+            return str(error), MISSING_BACKEND
+    return None
+
+
+def _of_the_system(error: OSError) -> tuple[str, int] | None:
+    if error.errno in _NO_SUCH_NAME:
+        name = shown(str(error.filename))
+        return f"{name}: {error.strerror}; give a name that a file can have", BAD_INPUT
+    if is_disk_full(error):
         where = error.filename or "writing"
-        sys.stderr.write(
-            f"twin: {where}: no room left ({error.strerror}); make room, or write to another disk\n"
-        )
-        return FAILURE
-    except RuntimeError as error:
-        if type(error).__name__ != "MissingBackend":
-            raise
-        sys.stderr.write(f"twin: {error}\n")
-        return MISSING_BACKEND
+        message = f"{where}: no room left ({error.strerror}); make room, or write to another disk"
+        return message, FAILURE
+    return None
 
 
 def load(file: Path, settings: list[str] | None) -> "Experiment":
@@ -119,14 +137,12 @@ def settings_of(texts: list[str] | None) -> dict[str, Any]:
 
 def _setting(text: str) -> tuple[str, Any]:
     """Split KEY=VALUE; the value is read as TOML, and as a plain string if it is none."""
-    import tomllib
-
     key, found, value = text.partition("=")
     if not found or not key.strip():
         raise InputError(f"--set {text}: found no '='; write KEY=VALUE, e.g. camera.binning=2")
     try:
-        return key.strip(), tomllib.loads(f"value = {value}")["value"]
-    except tomllib.TOMLDecodeError:
+        return key.strip(), parse_toml(f"value = {value}", f"--set {key}")["value"]
+    except InputError:
         return key.strip(), value.strip()
 
 

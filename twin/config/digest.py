@@ -6,7 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from twin.assets import AssetError, mesh_path
+from reconstruction.errors import InputError
+from reconstruction.reading import read_bytes
+from twin.assets import mesh_path
 from twin.config.models import Experiment
 
 # What a person calls it and where numbers come from do not change what is computed.
@@ -40,8 +42,8 @@ def with_file_contents(node: Any) -> Any:
 def _read(name: str) -> bytes | None:
     """Bytes of a named file; None when it is missing, which the stage that needs it reports."""
     try:
-        return mesh_path(name).read_bytes()
-    except (OSError, AssetError):
+        return read_bytes(mesh_path(name))
+    except InputError:
         return None
 
 

@@ -15,7 +15,6 @@ The keys of a file are read off the models, too: no second list to keep true.
 
 import copy
 import difflib
-import tomllib
 import types
 import typing
 from collections.abc import Iterator, Mapping
@@ -28,6 +27,8 @@ import tomli_w
 from pydantic import BaseModel, ValidationError
 from pydantic_core import PydanticUndefined
 
+from reconstruction import reading
+from reconstruction.errors import InputError
 from twin.assets import asset_path, scene_file
 from twin.config.base import AssetCycleError, ConfigError
 from twin.config.models import Conductor, Decode, Dielectric, Diffuse, Experiment, Layer, Plastic
@@ -127,11 +128,9 @@ def _quantity_of(tree: dict[str, Any], key: str, named: Any, where: str) -> dict
 def read_toml(file: Path) -> dict[str, Any]:
     """Read a TOML file; one line says what is wrong with it."""
     try:
-        return tomllib.loads(file.read_text(encoding="utf-8"))
-    except tomllib.TOMLDecodeError as error:
-        raise ConfigError(f"{file}: not valid TOML: {error}") from None
-    except (UnicodeDecodeError, OSError) as error:
-        raise ConfigError(f"{file}: cannot be read: {error}") from None
+        return reading.read_toml(file)
+    except InputError as error:
+        raise ConfigError(str(error)) from None
 
 
 def resolve_uses(tree: dict[str, Any], trail: tuple[Path, ...]) -> dict[str, Any]:
@@ -167,7 +166,7 @@ def _used_file(name: str, here: Path) -> Path:
             "found from this one"
         )
     file = Path(_from_here(name, here))
-    if not file.is_file():
+    if not reading.is_regular(file):
         beside = sorted(path.name for path in file.parent.glob("*.toml"))
         close = difflib.get_close_matches(file.name, beside, n=1)
         hint = f"; did you mean {close[0]}?" if close else ""

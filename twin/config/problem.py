@@ -14,6 +14,7 @@ from pydantic import Field, model_validator
 from scipy.special import ndtr, ndtri
 
 from reconstruction.arrays import FloatArray
+from reconstruction.reading import is_regular
 from twin.assets import scene_file
 from twin.config.base import Model, NonNegative, Positive
 from twin.config.loading import load_experiment, read_toml, resolve_uses, validated, vary
@@ -334,7 +335,7 @@ def load_problem(path: str | Path) -> tuple[SensorProblem, dict[str, Experiment]
 
 def _experiment(setup: Setup, file: Path) -> Experiment:
     beside = file.parent / setup.base
-    base = load_experiment(beside if beside.is_file() else setup.base)
+    base = load_experiment(beside if is_regular(beside) else setup.base)
     return vary(base, without_absent(resolve_uses(setup.set, (file,))))
 
 

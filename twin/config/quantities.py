@@ -12,6 +12,8 @@ quantity and is converted once, at the boundary.
 import re
 from typing import Any
 
+from pydantic import ValidationError
+
 from twin.config.base import ConfigError
 from twin.config.models import Provenance
 
@@ -23,7 +25,9 @@ _UNITS = {
     "power": {"mw": 1e-3, "w": 1.0},
 }
 _SCALE_TO_SI = {unit: (kind, si) for kind, units in _UNITS.items() for unit, si in units.items()}
-_NUMBER_AND_UNIT = re.compile(r"^\s*([-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?)\s*([A-Za-zµ]+)\s*$")
+_NUMBER_AND_UNIT = re.compile(
+    r"^\s*([-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?)\s*([A-Za-zµ]+)\s*$"
+)
 _KEYS = {"value", "source", "range"}
 
 
@@ -96,7 +100,15 @@ def split_quantities(
 def _provenance(node: dict[str, Any], path: str) -> Provenance:
     if "source" not in node:
         raise ConfigError(f"{path}: a quantity needs a source; write 'assumed: why' if it is one")
-    return Provenance.model_validate({k: v for k, v in node.items() if k != "value"})
+    try:
+        return Provenance.model_validate({k: v for k, v in node.items() if k != "value"})
+    except ValidationError as error:
+        faults = (
+            f"{path}.{'.'.join(map(str, fault['loc']))}: found {fault['input']!r}, allowed "
+            f"{'a text' if fault['loc'][0] == 'source' else 'two numbers, low and high'}"
+            for fault in error.errors()
+        )
+        raise ConfigError("\n".join(faults)) from None
 
 
 def check_ranges(values: dict[str, Any], provenance: dict[str, Provenance], where: str) -> None:

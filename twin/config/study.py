@@ -15,6 +15,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
+from reconstruction.reading import is_regular
 from twin.assets import scene_file
 from twin.config.base import Model
 from twin.config.inputs import Input, load_inputs, refuse_shared_keys, with_sources
@@ -333,7 +334,7 @@ def load_study(path: str | Path) -> tuple[Study, Experiment]:
     tree = read_toml(file)
     study = _study_of(tree, str(path), file)
     beside = file.parent / study.base
-    base = load_experiment(beside if beside.is_file() else study.base)
+    base = load_experiment(beside if is_regular(beside) else study.base)
     return study, vary(base, study.set)
 
 
@@ -350,7 +351,7 @@ def _with_inputs(tree: dict[str, Any], where: str, file: Path) -> dict[str, Any]
     if not isinstance(named, str) or not named:
         return own
     beside = file.parent / named
-    loaded = load_inputs(beside if beside.is_file() else named)
+    loaded = load_inputs(beside if is_regular(beside) else named)
     theirs = {name: one.model_dump(exclude_unset=True) for name, one in loaded.inputs.items()}
     mine = own.get("inputs", {})
     merged = {name: {**theirs.get(name, {}), **mine.get(name, {})} for name in {**theirs, **mine}}

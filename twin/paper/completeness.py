@@ -15,10 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from reconstruction.arrays import FloatArray
+from reconstruction.reading import read_json
 from twin.config import Experiment
 from twin.mechanics import PressedElastomer
 from twin.optics.stack import Truth
-from twin.output import read_json, write_json
+from twin.output import write_json
 from twin.paper.panels import PANELS_FOLDER, panel_data_of, write_panel_data
 from twin.pipeline import measure
 from twin.report.table import Cell, Column, Table

@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 
 from reconstruction.arrays import FloatImage
 from reconstruction.errors import FitError, InputError
+from reconstruction.reading import read_json
 from twin.config import Experiment
 from twin.config.specimens import Rods
-from twin.output import read_json, write_json
+from twin.output import write_json
 from twin.paper.photographs import photograph_of
 from twin.report.camera_images import block_mean
 from twin.report.canvas import height_scale

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from reconstruction.errors import InputError
+from reconstruction.reading import is_regular, read_json
 from twin.config import Experiment, digest, load_experiment, vary
 from twin.config.loading import validate_experiment
 from twin.config.methods import METHODS, TRAITS, Method
@@ -24,7 +25,6 @@ from twin.output import (
     adding,
     claim,
     output_folder,
-    read_json,
     versions,
     write_json,
 )
@@ -247,7 +247,7 @@ def read_outcomes(folder: Path) -> list[Outcome]:
 def is_comparison(folder: Path) -> bool:
     """Return whether a folder holds a finished comparison."""
     path = folder / RESULT_FILE
-    return path.is_file() and read_json(path).get("command") == COMMAND
+    return is_regular(path) and read_json(path).get("command") == COMMAND
 
 
 @dataclass(frozen=True)
@@ -283,7 +283,7 @@ def _outcome(experiment: Experiment, method: Method, run: _Run) -> Outcome:
 
 def _finished(folder: Path, case: Experiment) -> Metrics | None:
     """Metrics of the same measurement by the same versions, if the folder holds it."""
-    if not (folder / RESULT_FILE).is_file():
+    if not is_regular(folder / RESULT_FILE):
         return None
     result = read_json(folder / RESULT_FILE)
     same = result.get("digest") == digest(case) and result.get("versions") == versions()

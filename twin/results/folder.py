@@ -53,10 +53,11 @@ from reconstruction.photometric import (
 from reconstruction.photometric.colour_maps import ColourTable
 from reconstruction.photometric.sensor import MapKind
 from reconstruction.pipeline import read_reconstruction, write_reconstruction
+from reconstruction.reading import is_regular, read_json
 from twin.config import Experiment, load_experiment
 from twin.mechanics import read_press
 from twin.optics.stack import Truth
-from twin.output import EXPERIMENT_FILE, RESULT_FILE, read_json
+from twin.output import EXPERIMENT_FILE, RESULT_FILE
 from twin.results.decoders import DecodedImage, chosen, decode_all
 from twin.results.figures import Figures, Metrics
 from twin.results.parts import (
@@ -252,7 +253,7 @@ def _read_image(path: Path) -> Levels:
 
 def _read_result(folder: Path) -> dict[str, Any]:
     """Read result.json of a measurement."""
-    if not (folder / RESULT_FILE).is_file():
+    if not is_regular(folder / RESULT_FILE):
         raise InputError(f"{folder}: no finished result (no {RESULT_FILE}); run twin measure first")
     result = read_json(folder / RESULT_FILE)
     command, figures = result.get("command"), result.get("metrics")
@@ -273,7 +274,7 @@ def _require(folder: Path, figures: Metrics, names: tuple[str, ...]) -> None:
 
 def _read_experiment(path: Path) -> Experiment:
     # load_experiment would take the missing file for the name of a shipped experiment.
-    if not path.is_file():
+    if not is_regular(path):
         raise InputError(f"{path}: no such file; measure again")
     return load_experiment(path)
 
@@ -281,4 +282,4 @@ def _read_experiment(path: Path) -> Experiment:
 def _read_seconds(folder: Path) -> dict[str, float]:
     """Read stage times; a result may have lost them without losing anything measured."""
     path = folder / TIMINGS_FILE
-    return read_json(path) if path.is_file() else {}
+    return read_json(path) if is_regular(path) else {}

@@ -13,6 +13,7 @@ import trimesh
 
 from reconstruction.arrays import FloatArray, IntArray
 from reconstruction.errors import InputError
+from reconstruction.reading import is_regular, regular_file
 from twin.assets import mesh_path
 from twin.config.models import Grating, MeshFile
 from twin.specimens.catalogue import UNMOVED, Placement, Shape, register
@@ -21,6 +22,7 @@ from twin.specimens.sampled_distance import MeshDistance
 from twin.specimens.solids import rounded_box
 
 _FILE_TYPES = (".stl", ".ply", ".obj")
+_MOST_BYTES = 2**30
 _STEPS_PER_PITCH = 48
 _BODY_MM = 2.0
 # Rows: the file's axes that become x, y and z, for each axis that may face the elastomer.
@@ -47,6 +49,7 @@ def read_closed_mesh(key: str, name: str) -> trimesh.Trimesh:
     InputError : the file is missing, no mesh, empty or not watertight
     """
     path = _find(key, name)
+    regular_file(path, _MOST_BYTES)
     try:
         surface = trimesh.load_mesh(path)
     except Exception as error:  # each of trimesh's readers raises its own
@@ -64,7 +67,7 @@ def read_closed_mesh(key: str, name: str) -> trimesh.Trimesh:
 
 def _find(key: str, name: str) -> Path:
     path = mesh_path(name)
-    if not path.is_file():
+    if not is_regular(path):
         raise InputError(f"{key}: {name}: no such file")
     if path.suffix.lower() not in _FILE_TYPES:
         raise InputError(f"{key}: {name}: not a mesh, allowed: {', '.join(_FILE_TYPES)}")

@@ -14,7 +14,8 @@ from pathlib import Path
 from typing import Any
 
 from reconstruction.errors import InputError
-from twin.output import RESULT_FILE, read_json
+from reconstruction.reading import read_json
+from twin.output import RESULT_FILE
 from twin.results.figures import Metrics
 from twin.study.store import FAILURE_FILE, TIMINGS_FILE, Store
 from twin.study.worker import Report

@@ -15,12 +15,13 @@ import numpy as np
 from reconstruction.arrays import FloatArray
 from reconstruction.calibration.parameters import POSES, RigEstimate, pack, unpack
 from reconstruction.pipeline import Reconstruction
+from reconstruction.reading import read_json
 from reconstruction.rig.calibration import Calibration
 from reconstruction.triangulation import triangulate
 from twin.config import Experiment, digest
 from twin.config.board import load_board
 from twin.config.digest import keyed_sequence
-from twin.output import read_json, replace_json, versions
+from twin.output import replace_json, versions
 from twin.pipeline import Memory, measure
 from twin.pipeline.calibration import calibrate_rendered, calibration_metrics
 from twin.pipeline.fringes import options_of

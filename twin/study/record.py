@@ -8,9 +8,10 @@ from typing import Any
 from pydantic import ValidationError
 
 from reconstruction.errors import InputError
+from reconstruction.reading import read_json
 from twin.config import Experiment
 from twin.config.study import Axis, Level, Study
-from twin.output import adding, read_json, write_json
+from twin.output import adding, write_json
 from twin.study.cases import Cases, Point, cases_of
 from twin.study.trials import trial_cases
 

@@ -27,6 +27,7 @@ from typing import Any
 
 from reconstruction.errors import InputError
 from reconstruction.machine import unwritable
+from reconstruction.reading import is_regular, read_json
 from twin.config import Experiment, to_toml
 from twin.manifest import MANIFEST_FILE, foreign, manifest_lines, read_manifest, write_manifest
 from twin.output import (
@@ -35,7 +36,6 @@ from twin.output import (
     RESULT_FILE,
     adding,
     claim,
-    read_json,
     versions,
     write_json,
 )
@@ -114,7 +114,7 @@ class Store:
 
     def exists(self) -> bool:
         """Tell whether the folder is a store."""
-        return (self.folder / STORE_FILE).is_file()
+        return is_regular(self.folder / STORE_FILE)
 
     def path_of(self, digest: str) -> Path:
         """Folder of a finished or failed case."""
@@ -130,7 +130,7 @@ class Store:
         """Content of a case's result.json or failure.json; None when it is not there."""
         for name in (RESULT_FILE, FAILURE_FILE):
             path = self.path_of(digest) / name
-            if path.is_file():
+            if is_regular(path):
                 return read_json(path)
         return None
 
@@ -242,7 +242,7 @@ def write_failure(
 
 def _synchronise(folder: Path) -> None:
     for path in folder.rglob("*"):
-        if path.is_file():
+        if is_regular(path):
             with path.open("rb") as file:
                 os.fsync(file.fileno())
         else:

@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import Any
 
 from reconstruction.errors import InputError
+from reconstruction.reading import read_json
 from twin.config import ConfigError, Experiment
 from twin.config.board import load_board
 from twin.config.study import Study
 from twin.mechanics.choice import may_wrap
 from twin.optics.light import pattern_set
-from twin.output import read_json
 from twin.pipeline.memory import Path as FieldPath
 from twin.pipeline.memory import Reads, values_at, watched
 from twin.pipeline.methods import check_measurable

@@ -11,9 +11,9 @@ import numpy as np
 
 from reconstruction.arrays import FloatArray
 from reconstruction.errors import InputError
+from reconstruction.reading import is_regular, read_json
 from twin.config import Experiment, digest
 from twin.config.inputs import Input
-from twin.output import read_json
 from twin.study.measuring import TRUE_RIG
 from twin.study.record import STUDY_FILE, StudyRecord, read_record
 from twin.study.sensitivity import Effect
@@ -123,7 +123,7 @@ class Uncertainty:
 
 def is_uncertainty(folder: Path) -> bool:
     """Tell whether a folder is the store of a study of trials."""
-    if not (folder / STUDY_FILE).is_file():
+    if not is_regular(folder / STUDY_FILE):
         return False
     return read_record(folder).study.sampling.method == "trials"
 
@@ -278,7 +278,7 @@ def _mark(record: StudyRecord) -> str:
 def _read_effects(folder: Path, record: StudyRecord) -> dict[str, list[Effect]]:
     """Read Sobol' indices; those of another experiment or of other inputs are none."""
     path = folder / SOBOL_FILE
-    if not path.is_file():
+    if not is_regular(path):
         return {}
     kept = read_json(path)
     if kept.get("of") != _mark(record):

@@ -1,0 +1,446 @@
+"""Damaged and hostile input for every command: how it is made, run, and judged.
+
+A case is a seed: it copies a sound input into a folder of its own, damages it, and names the
+command line that reads it. It runs in a forked child, so that a crash or a hang costs that case
+alone. Round the output folder stands a tree of canaries; a case is bad when
+
+- a traceback is printed (`traceback`), a signal ends the process (`crash`), or it takes too long
+  (`hang`);
+- an output folder is left without its result, or a working folder beside it (`partial_output`);
+- a canary was changed, added or removed (`foreign_change`);
+- the exit code is none of the documented ones (`exit_code`), or bad input is not told in a few
+  lines (`not_told`).
+"""
+
+import hashlib
+import os
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+LIMIT_S = 20.0
+_EXIT_CODES = (0, 1, 2, 3)
+_MOST_LINES = 40
+_POLL_S = 0.005
+
+
+@dataclass(frozen=True)
+class FuzzOutcome:
+    """How a case ended.
+
+    Attributes
+    ----------
+    seed, target, damage : what was run on what
+    end : "told" (refused in words), "done", or what was bad
+    said : the last line on stderr
+    seconds : wall clock
+    """
+
+    seed: int
+    target: str
+    damage: str
+    end: str
+    said: str
+    seconds: float
+
+    @property
+    def is_bad(self) -> bool:
+        """Tell whether the program misbehaved."""
+        return self.end not in ("told", "done")
+
+
+# ---- damage to bytes ---------------------------------------------------------------------------
+
+_TOKENS = (
+    b"nan", b"inf", b"-inf", b"-1", b"0", b"1e300", b"-1e-300", b"9" * 5000, b"true", b"[]", b"{}",
+    b'""', b"'", b'"""', b"\x00", b"\xff\xfe", b"[[a]]", b"[a.b.c]", b"=", b"#", b"..",
+    b"/dev/zero", b"[bold]", b"$\\frac{$", b"=cmd|' /C calc'!A0", b"\xe2\x80\xae",
+    b"{" * 3000, b"[" * 3000, b"a" * 300, b"a" * 100_000, b"1" + b"0" * 400, b"-0.0",
+    b"1979-05-27T07:32:00Z",
+)  # fmt: skip
+
+
+def damaged_bytes(content: bytes, rng: random.Random) -> tuple[bytes, str]:
+    """Return a file's content with one to four faults, and their names."""
+    told = []
+    for _ in range(rng.choice((1, 1, 1, 2, 4))):
+        fault = rng.choice((_flip, _cut, _truncate, _double, _token, _zero, _number, _line))
+        content = fault(content, rng)
+        told.append(fault.__name__.strip("_"))
+    return content, "+".join(told)
+
+
+def _at(content: bytes, rng: random.Random) -> int:
+    # Headers decide more than pixels do.
+    reach = rng.choice((64, 512, 4096, len(content)))
+    return rng.randrange(max(1, min(reach, len(content))))
+
+
+def _flip(content: bytes, rng: random.Random) -> bytes:
+    changed = bytearray(content)
+    for _ in range(rng.choice((1, 8, 64)) if changed else 0):
+        changed[_at(content, rng)] ^= 1 << rng.randrange(8)
+    return bytes(changed)
+
+
+def _cut(content: bytes, rng: random.Random) -> bytes:
+    at = _at(content, rng)
+    return content[:at] + content[at + rng.choice((1, 4, 100, 10_000)) :]
+
+
+def _truncate(content: bytes, rng: random.Random) -> bytes:
+    return content[: _at(content, rng)]
+
+
+def _double(content: bytes, rng: random.Random) -> bytes:
+    at, size = _at(content, rng), rng.choice((1, 16, 1000))
+    return content[: at + size] + content[at:]
+
+
+def _token(content: bytes, rng: random.Random) -> bytes:
+    at = _at(content, rng)
+    return content[:at] + rng.choice(_TOKENS) + content[at:]
+
+
+def _zero(content: bytes, rng: random.Random) -> bytes:
+    at, size = _at(content, rng), rng.choice((1, 8, 1000))
+    return content[:at] + bytes(min(size, len(content) - at)) + content[at + size :]
+
+
+def _number(content: bytes, rng: random.Random) -> bytes:
+    """Put another token in the place of a number or a word after `=`, `:` or `,`."""
+    places = [i for i, sign in enumerate(content[:100_000]) if sign in b"=:,"]
+    if not places:
+        return _flip(content, rng)
+    at = rng.choice(places) + 1
+    end = at
+    while end < len(content) and content[end] not in b"\n,]}":
+        end += 1
+    return content[:at] + b" " + rng.choice(_TOKENS) + content[end:]
+
+
+def _line(content: bytes, rng: random.Random) -> bytes:
+    """Drop, double or exchange a line."""
+    lines = content.split(b"\n")
+    one, other = rng.randrange(len(lines)), rng.randrange(len(lines))
+    way = rng.randrange(3)
+    if way == 0:
+        del lines[one]
+    elif way == 1:
+        lines.insert(other, lines[one])
+    else:
+        lines[one], lines[other] = lines[other], lines[one]
+    return b"\n".join(lines)
+
+
+# ---- damage to files ---------------------------------------------------------------------------
+
+
+def damage_file(path: Path, rng: random.Random) -> str:
+    """Damage a file, or put something else in its place; return what was done."""
+    if rng.random() < 0.85:
+        content, told = damaged_bytes(path.read_bytes(), rng)
+        path.write_bytes(content)
+        return f"{path.name}: {told}"
+    other = rng.choice((_to_fifo, _to_folder, _to_nothing, _to_device, _to_circle, _to_empty))
+    path.unlink()
+    other(path)
+    return f"{path.name}: {other.__name__.removeprefix('_to_')}"
+
+
+def _to_fifo(path: Path) -> None:
+    os.mkfifo(path)
+
+
+def _to_folder(path: Path) -> None:
+    path.mkdir()
+
+
+def _to_nothing(_path: Path) -> None:
+    pass
+
+
+def _to_device(path: Path) -> None:
+    path.symlink_to("/dev/zero")
+
+
+def _to_circle(path: Path) -> None:
+    path.symlink_to(path.name)
+
+
+def _to_empty(path: Path) -> None:
+    path.touch()
+
+
+# ---- targets -----------------------------------------------------------------------------------
+
+OUT = "kept/out"
+"""Where commands write, below the case's folder; `kept` holds the canaries."""
+
+
+@dataclass(frozen=True)
+class FuzzTarget:
+    """An input that is copied and damaged, and the command that reads it.
+
+    Attributes
+    ----------
+    source : file or folder below the stock
+    arguments : of the command; {input} and {out} stand for paths
+    damaged : patterns of the files below the input that may be damaged; empty: the input itself
+    leads_to_result : whether success leaves a result folder
+    """
+
+    source: str
+    arguments: tuple[str, ...]
+    damaged: tuple[str, ...] = ()
+    leads_to_result: bool = True
+
+
+_O = ("-o", "{out}")
+TARGETS = {
+    "experiment": FuzzTarget("slab.toml", ("press", "{input}", *_O)),
+    "trials": FuzzTarget("sheet.toml", ("uncertainty", "{input}", "--dry-run", *_O), (), False),
+    "mesh": FuzzTarget("part.stl", ("press", "slab_mesh.toml", "-s", "specimen.file={input}", *_O)),
+    "mesh_ply": FuzzTarget(
+        "part.ply", ("press", "slab_mesh.toml", "-s", "specimen.file={input}", *_O)
+    ),
+    "study": FuzzTarget("study.toml", ("sweep", "{input}", "--dry-run", *_O), (), False),
+    "problem": FuzzTarget("problem.toml", ("identify", "{input}", "-o", "{refusing}")),
+    "capture": FuzzTarget(
+        "capture", ("reconstruct", "{input}", *_O), ("*.toml", "*.yaml", "*.png")
+    ),
+    "capture_toml": FuzzTarget("capture", ("reconstruct", "{input}", *_O), ("*.toml", "*.yaml")),
+    "capture_nc": FuzzTarget("rendered", ("reconstruct", "{input}", *_O), ("capture/*",)),
+    "result": FuzzTarget(
+        "measured", ("report", "{input}"), ("*.json", "*.toml", "*.nc", "*.exr", "*.ply"), False
+    ),
+    "evaluate": FuzzTarget(
+        "measured", ("evaluate", "{input}", "plane"), ("*.nc", "*.json", "*.toml"), False
+    ),
+    "store": FuzzTarget("swept", ("sweep", "report", "{input}"), ("**/*",), False),
+    "store_table": FuzzTarget("swept", ("sweep", "table", "{input}"), ("**/*",), False),
+    "board": FuzzTarget(
+        "board.toml", ("calibrate", "slab.toml", "--board", "{input}", "-o", "{refusing}")
+    ),
+}
+
+
+def argument_case(rng: random.Random) -> list[str]:
+    """Return a hostile command line on sound files."""
+    name = rng.choice(
+        ("", ".", "..", "/", "/dev/zero", "/dev/null", "fifo", "x" * 300, "x" * 5000,
+         "[bold]x[/bold]", "$\\alpha", "-", "--", "slab.toml/x", "\udcff", "scenes/../../x", "~x")
+    )  # fmt: skip
+    setting = rng.choice(
+        ("a", "=", "a=", "camera=1", "camera.binning=nan", "camera.binning=" + "9" * 5000,
+         "camera.binning=[" * 50, "links.a==b", "seed=true", "seed=1e400", "specimen.kind=none",
+         "elastomer.thickness_mm=absent", "name=[red]", "name=" + "n" * 400, ".=1", "..=1",
+         "press.depth_mm='= press.depth_mm'", "use=./slab.toml", "a.b.c.d.e=1", "specimen=absent")
+    )  # fmt: skip
+    return rng.choice(
+        (
+            ["press", name, "-o", "{out}"],
+            ["press", "slab.toml", "-s", setting, "-o", "{out}"],
+            ["press", "slab.toml", "-o", name],
+            ["reconstruct", name, "-o", "{out}"],
+            ["report", name],
+            ["sweep", name, "--dry-run", "-o", "{out}"],
+            ["sweep", "report", name],
+            ["identify", name, "-o", "{out}"],
+            ["evaluate", name, "plane"],
+            ["keys", name],
+            ["init", name],
+            ["uncertainty", name, "--dry-run", "-o", "{out}"],
+            [name, name],
+        )
+    )
+
+
+# ---- one case ----------------------------------------------------------------------------------
+
+
+def run_case(
+    seed: int, stock: Path, scratch: Path, command: Callable[[list[str]], int]
+) -> FuzzOutcome:
+    """Make, run and judge a case.
+
+    Parameters
+    ----------
+    seed : decides everything
+    stock : sound inputs, see `make_stock`
+    scratch : an empty folder for the case
+    command : runs a command line in the forked child, and returns its exit code
+    """
+    rng = random.Random(seed)
+    target = rng.choice((*TARGETS, "arguments"))
+    shutil.copytree(stock / "kept", scratch / "kept")
+    os.mkfifo(scratch / "fifo")
+    for name in ("slab.toml", "slab_mesh.toml"):
+        shutil.copy(stock / name, scratch / name)
+    if target == "arguments":
+        arguments, damage, leads = argument_case(rng), "", True
+        damage = " ".join(arguments)[:80]
+    else:
+        one = TARGETS[target]
+        given = scratch / Path(one.source).name
+        damage = _copied_and_damaged(stock / one.source, given, one, rng)
+        arguments, leads = list(one.arguments), one.leads_to_result
+        arguments = [part.replace("{input}", given.name) for part in arguments]
+    out = scratch / OUT
+    places = {"{out}": OUT, "{refusing}": "kept"}
+    arguments = [places.get(part, part) for part in arguments]
+    before = _digests(scratch / "kept")
+    end, said, seconds = _forked(arguments, scratch, command)
+    if end in ("told", "done"):
+        end = _left_behind(scratch, out, end == "done" and leads) or end
+        if _digests(scratch / "kept") != before:
+            end = "foreign_change"
+    return FuzzOutcome(seed, target, damage, end, said, seconds)
+
+
+def _copied_and_damaged(source: Path, given: Path, target: FuzzTarget, rng: random.Random) -> str:
+    if source.is_file():
+        shutil.copy(source, given)
+        return damage_file(given, rng)
+    shutil.copytree(source, given, symlinks=True)
+    files = sorted({f for pattern in target.damaged for f in given.glob(pattern) if f.is_file()})
+    return damage_file(rng.choice(files), rng)
+
+
+def _digests(folder: Path) -> dict[str, str]:
+    """Return what lies in a tree of canaries, the output folder apart."""
+    return {
+        path.relative_to(folder).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in sorted(folder.rglob("*"))
+        if path.is_file() and "out" not in path.relative_to(folder).parts[:1]
+    }
+
+
+def _left_behind(scratch: Path, out: Path, leads_to_result: bool) -> str:
+    beside = [path for path in out.parent.iterdir() if path.name.startswith(".")]
+    if beside:
+        return "partial_output"
+    if out.exists() and leads_to_result and not (out / "result.json").is_file():
+        return "partial_output"
+    return ""
+
+
+def _forked(
+    arguments: list[str], folder: Path, command: Callable[[list[str]], int]
+) -> tuple[str, str, float]:
+    start = time.monotonic()
+    child = os.fork()
+    if child == 0:
+        _be_child(arguments, folder, command)
+    status = _waited(child, start + LIMIT_S)
+    seconds = time.monotonic() - start
+    text = (folder / "stderr").read_text(encoding="utf-8", errors="replace")
+    said = text.strip().splitlines()[-1][:300] if text.strip() else ""
+    if status is None:
+        return "hang", said, seconds
+    if os.WIFSIGNALED(status):
+        return "crash", f"signal {os.WTERMSIG(status)}: {said}", seconds
+    code = os.WEXITSTATUS(status)
+    if "Traceback (most recent call last)" in text:
+        return "traceback", said, seconds
+    if code not in _EXIT_CODES:
+        return "exit_code", f"{code}: {said}", seconds
+    if code and not (said and len(text.splitlines()) <= _MOST_LINES):
+        return "not_told", f"{code}, {len(text.splitlines())} lines: {said}", seconds
+    return ("told" if code else "done"), said, seconds
+
+
+def _be_child(arguments: list[str], folder: Path, command: Callable[[list[str]], int]) -> None:
+    code = 1
+    try:
+        os.setsid()
+        os.chdir(folder)
+        for number, name, flags in (
+            (0, os.devnull, os.O_RDONLY),
+            (1, "stdout", os.O_WRONLY | os.O_CREAT),
+            (2, "stderr", os.O_WRONLY | os.O_CREAT),
+        ):
+            os.dup2(os.open(name, flags, 0o600), number)
+        try:
+            code = command(arguments)
+        except BaseException:
+            sys.excepthook(*sys.exc_info())  # type: ignore[arg-type]
+        sys.stdout.flush()
+        sys.stderr.flush()
+    finally:
+        os._exit(code)
+
+
+def _waited(child: int, until: float) -> int | None:
+    """Return the child's status; None where it had to be killed, with all that it started."""
+    while time.monotonic() < until:
+        done, status = os.waitpid(child, os.WNOHANG)
+        if done:
+            return status
+        time.sleep(_POLL_S)
+    os.killpg(child, signal.SIGKILL)
+    os.waitpid(child, 0)
+    return None
+
+
+# ---- sound inputs ------------------------------------------------------------------------------
+
+_SMALL = {
+    "camera.binning": 4,
+    "camera.width_px": 484,
+    "camera.height_px": 368,
+    "press.solver_pitch_mm": 0.4,
+}
+_STUDY = """name = "fuzz"
+base = "slab.toml"
+[[axis]]
+path = "coating.base_albedo"
+values = [0.3, 0.5]
+"""
+
+
+def make_stock(folder: Path, run: Path) -> None:
+    """Make the sound inputs once: small experiments, a capture, a measurement, a store.
+
+    Parameters
+    ----------
+    folder : new folder
+    run : program of the command line
+    """
+    import trimesh
+
+    from twin.assets import asset_path
+    from twin.config import load_experiment
+    from twin.config.loading import to_toml
+
+    (folder / "kept" / "deep").mkdir(parents=True)
+    for name in ("canary.txt", "deep/canary.json", "result.csv"):
+        (folder / "kept" / name).write_text("nobody may change this\n")
+    slab = load_experiment("examples/slab_ball", _SMALL)
+    (folder / "slab.toml").write_text(to_toml(slab))
+    sheet = _SMALL | {"press.cell_mm": 0.4}
+    (folder / "sheet.toml").write_text(to_toml(load_experiment("examples/wrapped_balls", sheet)))
+    part = trimesh.creation.box((4.0, 3.0, 2.0))
+    for name in ("part.stl", "part.ply"):
+        part.export(folder / name)
+    mesh = {"specimen": {"kind": "mesh", "file": str(folder / "part.stl")}}
+    (folder / "slab_mesh.toml").write_text(
+        to_toml(load_experiment("examples/slab_ball", _SMALL | mesh))
+    )
+    (folder / "study.toml").write_text(_STUDY)
+    shutil.copy(asset_path("scenes", "boards/paper_dots"), folder / "board.toml")
+    shutil.copy(asset_path("scenes", "problems/slab"), folder / "problem.toml")
+    capture = Path(__file__).parents[1] / "docs" / "example_capture"
+    shutil.copytree(capture, folder / "capture")
+    for command in (
+        ("measure", "slab.toml", "-o", "measured"),
+        ("render", "slab.toml", "-o", "rendered"),
+        ("sweep", "study.toml", "-o", "swept", "-j", "1"),
+    ):
+        subprocess.run([str(run), *command], cwd=folder, check=True, capture_output=True)

@@ -1,0 +1,82 @@
+"""Documents drawn from the config models: valid, or refused in lines, never anything else."""
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from reconstruction.errors import InputError
+from tests.fuzz.trees import damaged, documents
+from twin.config.loading import load_experiment, to_toml, validate_experiment, validated
+from twin.config.models import Camera, Coating, Elastomer, Experiment, Press, Projector
+from twin.config.problem import SensorProblem
+from twin.config.study import Study
+
+# The same cases in every run, and no time limit: the machine's speed is not what is tested.
+FUZZED = settings(
+    max_examples=60,
+    derandomize=True,
+    deadline=None,
+    suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large],
+)
+MOST_LINES, LONGEST_LINE = 300, 2000
+
+
+def _refused_in_lines(error: InputError) -> None:
+    lines = str(error).split("\n")
+    assert 0 < len(lines) <= MOST_LINES
+    assert max(map(len, lines)) <= LONGEST_LINE
+    assert all(line.strip() for line in lines)
+
+
+@FUZZED
+@given(tree=documents(Experiment))
+def test_an_experiment_is_valid_or_refused_in_lines(tree):
+    try:
+        found = validate_experiment(tree)
+    except InputError as error:
+        _refused_in_lines(error)
+    else:
+        assert validate_experiment(found.model_dump(mode="json")) == found
+        assert to_toml(found)
+
+
+@pytest.mark.parametrize(
+    "name", ["examples/wrapped_group", "examples/gelsight_ball", "paper/bear", "examples/gauges"]
+)
+@FUZZED
+@given(data=st.data())
+def test_a_shipped_experiment_with_faults_is_valid_or_refused_in_lines(name, data):
+    tree = load_experiment(name).model_dump(mode="json")
+    try:
+        found = validate_experiment(data.draw(damaged(tree)))
+    except InputError as error:
+        _refused_in_lines(error)
+    else:
+        assert validate_experiment(found.model_dump(mode="json")) == found
+
+
+@pytest.mark.parametrize(
+    "model", [Camera, Projector, Elastomer, Coating, Press, Study, SensorProblem]
+)
+@FUZZED
+@given(data=st.data())
+def test_a_part_is_valid_or_refused_in_lines(model, data):
+    try:
+        found = validated(model, data.draw(documents(model)))
+    except InputError as error:
+        _refused_in_lines(error)
+    else:
+        assert isinstance(found, model)
+
+
+@pytest.mark.parametrize("text", ["1.2.3 mm", ". mm", "1e5e5 mm", "--1 mm"])
+def test_what_is_no_number_with_a_unit_is_refused_in_lines(text):
+    with pytest.raises(InputError, match="thickness_mm"):
+        load_experiment("examples/wrapped_nut", {"elastomer.thickness_mm": text})
+
+
+def test_a_source_that_is_no_text_is_refused_in_a_line():
+    with pytest.raises(InputError, match=r"thickness_mm\.source: found 3, allowed a text"):
+        load_experiment(
+            "examples/wrapped_nut", {"elastomer.thickness_mm": {"value": 1, "source": 3}}
+        )
