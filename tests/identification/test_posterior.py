@@ -12,6 +12,7 @@ from reconstruction.errors import InputError
 from twin.config.problem import LearnedAs, SensorProblem
 from twin.identification.emulator import _left_out, fit_emulator
 from twin.identification.findings import (
+    draw_rows,
     interval_of,
     predict_rows,
     ridges,
@@ -127,6 +128,38 @@ def test_a_held_out_row_is_predicted_with_all_that_is_open() -> None:
     assert row.twin.mean == pytest.approx(mean, abs=0.05)
     assert row.twin.sd == pytest.approx(sd, rel=0.06)
     assert row.deviation == pytest.approx((5.0 - mean) / np.hypot(sd, 0.3), rel=0.06)
+
+
+def test_the_scatter_of_what_a_row_is_a_mean_of_counts_beside_its_own() -> None:
+    # Scatter grows with the field: the posterior is compared with its quadrature.
+    rows = {"r": {"value": 1.2, "sd": 0.1, "realisations": 4}}
+    experiments = {"one": {"base": "none", "repeats": 2}}
+    problem = _problem(rows, fields=1, experiments=experiments)
+    scatters: dict[str, Any] = {"r": _Exact(lambda v: np.exp(0.5 * v[:, 0]))}
+    likelihood = likelihood_of(problem, problem.rows, _linear(np.ones((1, 1)), ["r"]), scatters)
+    found = sample(likelihood, seed=9)
+
+    x = np.linspace(-6.0, 6.0, 20001)
+    weight = norm.pdf(x) * norm.pdf(1.2, x, np.hypot(0.1, np.exp(0.5 * x) / 2))
+    mean = np.sum(x * weight) / weight.sum()
+    sd = np.sqrt(np.sum((x - mean) ** 2 * weight) / weight.sum())
+    assert found.values.mean() == pytest.approx(mean, abs=0.04)
+    assert found.values.std() == pytest.approx(sd, abs=0.04)
+    assert found.log_evidence == pytest.approx(
+        np.log(weight.sum() * (x[1] - x[0])), abs=4 * found.log_evidence_sd + 0.01
+    )
+    # And the prediction of another measurement has the scatter of its coat.
+    drawn = draw_rows(found, likelihood, seed=2)[:, 0]
+    coat = np.exp(found.values[:, 0]).mean() / 4
+    assert drawn.var() == pytest.approx(found.values.var() + coat, rel=0.1)
+
+
+def test_scatter_needs_repeats_and_a_mean() -> None:
+    row = {"value": 1.0, "sd": 0.1, "realisations": 1}
+    with pytest.raises(ValueError, match=r"realisations needs experiments\.one\.repeats of 2"):
+        _problem({"r": row}, fields=1)
+    with pytest.raises(ValueError, match="realisations: not allowed with statistic = 'sd'"):
+        _problem({"r": row | {"statistic": "sd"}}, fields=1)
 
 
 def test_what_only_a_product_shows_is_named_as_a_ridge() -> None:

@@ -172,6 +172,11 @@ class Row(Model):
     trials: Annotated[int, Field(ge=1)] = Field(
         default=1, description="measurements of which the value is the mean"
     )
+    realisations: Annotated[int, Field(ge=1)] | None = Field(
+        default=None,
+        description="how many draws of what the repeats vary (coats) the value is a mean of: their "
+        "learned scatter, over the root of this, counts beside sd; absent: sd holds it",
+    )
     discrepancy: NonNegative = Field(
         default=0.0, description="standard deviation of what the twin's model itself lacks"
     )
@@ -180,6 +185,19 @@ class Row(Model):
     )
     held_out: bool = Field(default=False, description="predicted, not fitted")
     source: str | None = None
+
+    @model_validator(mode="after")
+    def _scatter_is_of_a_mean(self) -> "Row":
+        if self.statistic == "sd" and self.realisations is not None:
+            raise ValueError("realisations: not allowed with statistic = 'sd'")
+        return self
+
+    @property
+    def needs_repeats(self) -> str:
+        """What of the row needs several measurements per simulation; empty where nothing does."""
+        if self.statistic == "sd":
+            return "statistic = 'sd'"
+        return "" if self.realisations is None else "realisations"
 
     @property
     def scatter(self) -> float:
@@ -220,9 +238,10 @@ class SensorProblem(Model):
     def _scatter_needs_repeats(self) -> "SensorProblem":
         for name, row in {**self.rows, **self.worth}.items():
             setup = self.experiments.get(row.experiment)
-            if row.statistic == "sd" and setup is not None and setup.repeats < 2:
+            needs = row.needs_repeats
+            if needs and setup is not None and setup.repeats < 2:
                 raise ValueError(
-                    f"rows.{name}: statistic = 'sd' needs experiments.{row.experiment}.repeats of 2"
+                    f"rows.{name}: {needs} needs experiments.{row.experiment}.repeats of 2 or more"
                 )
         return self
 

@@ -2,13 +2,14 @@
 
 Coordinates: z, standard normal under the prior, one per free field; a place is the prior's
 quantile of Phi(z) on the field's axis. Rows are normal: their own uncertainty, the model's
-discrepancy and the emulator's error each add to the variance, and nuisances, linear with normal
-priors, are integrated out: C = diag(s^2) + sum_k sd_k^2 g_k g_k^T, with g_k the rows' change for
-nuisance k.
+discrepancy, the scatter of what they are one draw of and the emulator's error each add to the
+variance, and nuisances, linear with normal priors, are integrated out:
+C = diag(s^2) + sum_k sd_k^2 g_k g_k^T, with g_k the rows' change for nuisance k.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import Any
 
 import emcee
@@ -40,12 +41,14 @@ class Likelihood:
     free : the free fields by name, in the order of the columns of places
     rows, emulators : by name of the row
     nuisance_sd : standard deviation by nuisance
+    scatters : emulated scatter over the repeats, by name of the rows with `realisations`
     """
 
     free: Mapping[str, Free]
     rows: Mapping[str, Row]
     emulators: Mapping[str, Emulator]
     nuisance_sd: Mapping[str, float]
+    scatters: Mapping[str, Emulator] = field(default_factory=dict)
 
     def places(self, z: FloatArray) -> FloatArray:
         """Return places (n, free field) of standard normal coordinates (n, free field)."""
@@ -54,13 +57,22 @@ class Likelihood:
         return np.stack(columns, axis=1)
 
     def predicted(self, z: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return figures (n, row) and the emulators' standard deviations."""
-        at, told = self.places(z), {}
-        for emulator in (self.emulators[name] for name in self.rows):
-            if id(emulator) not in told:  # rows of one figure share theirs
-                told[id(emulator)] = emulator.predict(at)
-        both = [told[id(self.emulators[name])] for name in self.rows]
-        return np.stack([b[0] for b in both], axis=1), np.stack([b[1] for b in both], axis=1)
+        """Return figures (n, row) and what is open of each: emulator's error, and the scatter."""
+        at = self.places(z)
+        told = _told(at, [self.emulators[name] for name in self.rows])
+        scatter = self._scatter(at)
+        figures = np.stack([mean for mean, _ in told], axis=1)
+        return figures, np.hypot(np.stack([sd for _, sd in told], axis=1), scatter)
+
+    def _scatter(self, at: FloatArray) -> FloatArray:
+        """Return (n, row) the standard deviation of the mean of a row's realisations, or 0."""
+        scatter = np.zeros((len(at), len(self.rows)))
+        told = _told(at, list(self.scatters.values()))
+        by_name = dict(zip(self.scatters, told, strict=True))
+        for number, (name, row) in enumerate(self.rows.items()):
+            if row.realisations is not None:
+                scatter[:, number] = by_name[name][0] / np.sqrt(row.realisations)
+        return scatter
 
     def log(self, z: FloatArray) -> FloatArray:
         """Return the logarithm of the likelihood (n,)."""
@@ -88,17 +100,30 @@ class Likelihood:
         return covariance
 
 
+def _told(at: FloatArray, emulators: Sequence[Emulator]) -> list[tuple[FloatArray, FloatArray]]:
+    """Return mean and standard deviation (n,) by each emulator; rows of one figure share theirs."""
+    told: dict[int, tuple[FloatArray, FloatArray]] = {}
+    for emulator in emulators:
+        if id(emulator) not in told:
+            told[id(emulator)] = emulator.predict(at)
+    return [told[id(emulator)] for emulator in emulators]
+
+
 def _log_prior(z: FloatArray) -> FloatArray:
     """Return the logarithm of the prior density (n,) at standard normal coordinates."""
     return np.asarray(-0.5 * np.sum(z**2, axis=1) - 0.5 * z.shape[1] * np.log(2 * np.pi))
 
 
 def likelihood_of(
-    problem: SensorProblem, rows: Mapping[str, Row], emulators: Mapping[str, Emulator]
+    problem: SensorProblem,
+    rows: Mapping[str, Row],
+    emulators: Mapping[str, Emulator],
+    scatters: Mapping[str, Emulator] = MappingProxyType({}),
 ) -> Likelihood:
     """Return the likelihood of some rows of a problem."""
     sds = {name: one.sd for name, one in problem.nuisance.items()}
-    return Likelihood(problem.free, rows, emulators, sds)
+    ours = {name: one for name, one in scatters.items() if name in rows}
+    return Likelihood(problem.free, rows, emulators, sds, ours)
 
 
 @dataclass(frozen=True, eq=False)

@@ -68,6 +68,7 @@ class SensorModel:
     combination : choice by alternative
     prior, probability : of the combination, before and after the fitted rows
     emulators : by row, of `rows` and `worth`
+    scatters : of the figures over the repeats, by the rows with `realisations`
     rotated : by held-out row, its prediction when the other rows are fitted; of the most probable
         model alone
     """
@@ -76,6 +77,7 @@ class SensorModel:
     prior: float
     probability: float
     emulators: Mapping[str, Emulator]
+    scatters: Mapping[str, Emulator]
     posterior: Posterior
     predictions: tuple[Prediction, ...]
     rotated: Mapping[str, Prediction]
@@ -117,7 +119,9 @@ class Identified:
 
     def worth(self) -> list[Worth]:
         """Return what each measurement of `worth` would decide."""
-        candidates = likelihood_of(self.problem, self.problem.worth, self.best.emulators)
+        candidates = likelihood_of(
+            self.problem, self.problem.worth, self.best.emulators, self.best.scatters
+        )
         return worth_of(self.best.posterior, candidates, self.seed)
 
     def profiles(self) -> dict[str, tuple[FloatArray, FloatArray]]:
@@ -198,13 +202,13 @@ def _infer(
     models, combinations = [], list(problem.combinations())
     for number, combination in enumerate(combinations):
         watch("posterior", number / len(combinations))
-        emulators = _emulators(problem, simulated, combination, learned)
-        models.append(_model(problem, combination, emulators))
+        emulators, scatters = _emulators(problem, simulated, combination, learned)
+        models.append(_model(problem, combination, emulators, scatters))
     watch("posterior", 1.0)
     found = probabilities([one.posterior for one in models], [one.prior for one in models])
     judged = [replace(m, probability=float(p)) for m, p in zip(models, found, strict=True)]
     best, *others = sorted(judged, key=lambda one: -one.probability)
-    best = replace(best, rotated=_rotated(problem, best.emulators))
+    best = replace(best, rotated=_rotated(problem, best.emulators, best.scatters))
     return Identified(problem, (best, *others), problem.design.seed)
 
 
@@ -213,44 +217,64 @@ def _emulators(
     simulated: Mapping[Variant, Simulated],
     combination: Mapping[str, str],
     learned: dict[_Key, Emulator],
-) -> dict[str, Emulator]:
-    """Return the emulators of all rows; those of other combinations are used again."""
-    found = {}
+) -> tuple[dict[str, Emulator], dict[str, Emulator]]:
+    """Return the emulators of all rows' figures, and of the scatter of those with `realisations`.
+
+    Those of other combinations are used again.
+    """
+    figures, scatters = {}, {}
     for name, row in {**problem.rows, **problem.worth}.items():
         variant = variant_for(problem, problem.experiment_of(row, combination), combination)
-        asked = problem.metric_of(name, row, combination), row.statistic, row.learned_as
-        key = variant, *asked
-        if key not in learned:
-            learned[key] = simulated[variant].emulator(*asked)
-        found[name] = learned[key]
-    return found
+        metric = problem.metric_of(name, row, combination)
+        figures[name] = _learned(
+            simulated, learned, (variant, metric, row.statistic, row.learned_as)
+        )
+        if row.realisations is not None:
+            scatters[name] = _learned(simulated, learned, (variant, metric, "sd", "log"))
+    return figures, scatters
+
+
+def _learned(
+    simulated: Mapping[Variant, Simulated], learned: dict[_Key, Emulator], key: _Key
+) -> Emulator:
+    if key not in learned:
+        variant, metric, statistic, learned_as = key
+        learned[key] = simulated[variant].emulator(metric, statistic, learned_as)
+    return learned[key]
 
 
 def _model(
-    problem: SensorProblem, combination: Mapping[str, str], emulators: Mapping[str, Emulator]
+    problem: SensorProblem,
+    combination: Mapping[str, str],
+    emulators: Mapping[str, Emulator],
+    scatters: Mapping[str, Emulator],
 ) -> SensorModel:
     """Return a model whose probability among the others is still to be judged."""
     seed = problem.design.seed
-    every = likelihood_of(problem, problem.rows, emulators)
-    posterior = sample(likelihood_of(problem, problem.fitted, emulators), seed)
+    every = likelihood_of(problem, problem.rows, emulators, scatters)
+    posterior = sample(likelihood_of(problem, problem.fitted, emulators, scatters), seed)
     return SensorModel(
         combination=combination,
         prior=problem.weight(combination),
         probability=np.nan,
         emulators=emulators,
+        scatters=scatters,
         posterior=posterior,
         predictions=tuple(predict_rows(posterior, every, seed)),
         rotated={},
     )
 
 
-def _rotated(problem: SensorProblem, emulators: Mapping[str, Emulator]) -> dict[str, Prediction]:
+def _rotated(
+    problem: SensorProblem, emulators: Mapping[str, Emulator], scatters: Mapping[str, Emulator]
+) -> dict[str, Prediction]:
     """Predict each row of `rotate` from the other fitted rows."""
-    seed, every = problem.design.seed, likelihood_of(problem, problem.rows, emulators)
+    seed, every = problem.design.seed, likelihood_of(problem, problem.rows, emulators, scatters)
     rotated = {}
     for held in problem.rotate:
         rows = {name: row for name, row in problem.fitted.items() if name != held}
-        found = predict_rows(sample(likelihood_of(problem, rows, emulators), seed), every, seed)
+        likelihood = likelihood_of(problem, rows, emulators, scatters)
+        found = predict_rows(sample(likelihood, seed), every, seed)
         rotated[held] = next(one for one in found if one.row == held)
     return rotated
 

@@ -203,11 +203,17 @@ class Sheet:
 
     def curvature_squared(self, control_mm: FloatArray) -> FloatArray:
         """Return (row, col, 4) mean of the two squared principal curvatures, 1/mm^2."""
-        functions = functions_of(self.grid.rest)
+        # All functions of a fine grid at once are half a gibibyte.
+        bands = (slice(a, a + _BAND_ROWS) for a in range(0, self.grid.y.cells, _BAND_ROWS))
+        return np.concatenate([self._curvature_squared(control_mm, band) for band in bands])
+
+    def _curvature_squared(self, control_mm: FloatArray, band: slice) -> FloatArray:
+        functions = functions_of(self.grid.rest, band)
         rows, cols = functions.shape[:2]
         cell = np.arange(9)
         local = control_mm[
-            np.arange(rows)[:, None, None] + cell // 3, np.arange(cols)[None, :, None] + cell % 3
+            np.arange(band.start, band.start + rows)[:, None, None] + cell // 3,
+            np.arange(cols)[None, :, None] + cell % 3,
         ]
         v = np.einsum("jiqnd,jink->djiqk", functions, local)
         unit = normal_of(np.moveaxis(v[:3], 0, -2))

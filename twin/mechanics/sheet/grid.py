@@ -138,11 +138,11 @@ class _Map:
         return np.stack((xu, yu, xv, yv, xu * yv - yu * xv))
 
 
-def functions_of(rest: Rest) -> FloatArray:
+def functions_of(rest: Rest, rows: slice = slice(None)) -> FloatArray:
     """Return (row, col, 4, 9, 6) all functions: value, d/dX, d/dY, d2/dX2, d2/dY2, d2/dXdY."""
-    products = _products(rest.along_x, rest.along_y)
+    products = _products(rest.along_x, rest.along_y[rows])
     if rest.turned.size:
-        products[..., 1:] = np.einsum("jiqst,jiqnt->jiqns", rest.turned, products[..., 1:])
+        products[..., 1:] = np.einsum("jiqst,jiqnt->jiqns", rest.turned[rows], products[..., 1:])
     return products
 
 

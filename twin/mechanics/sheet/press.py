@@ -44,8 +44,8 @@ _RIM = 1 / 3
 _MARGIN_MM = 1.5
 # Cells of the coarse sheet over those of the fine one, beyond which there are some between them.
 _WIDEST_RATIO = 3.0
-# Most cells in the box of contact, some 130,000 unknowns: more want more than 2 GiB.
-_MOST_CELLS = 36_000
+# Most cells in the box of contact, some 90,000 unknowns: more want more than 2 GiB.
+_MOST_CELLS = 24_000
 # A slack sheet of 0.05 mm finds its way in a hundred steps and more, and no half way is nearer.
 _ROUGH = Accuracy(step_mm=1e-3, residual_kpa=0.1, most_steps=300)
 _BETWEEN = Accuracy(step_mm=5e-3, residual_kpa=1.0, most_steps=40, strict=False)
@@ -193,8 +193,11 @@ def _on_fine_cells(case: SheetCase, coarse: Sheet, state: SheetState) -> tuple[S
         between = _between(case, coarse, state)
         state = between.settle(refined(coarse, between, state), _BETWEEN)
         coarse, box = between, _contact_box(case, between, state)
+        del between
     fine = case.sheet(cell_mm, _RIM * cell_mm, box)
-    found = fine.settle(refined(coarse, fine, state), _FINE)
+    state = refined(coarse, fine, state)
+    del coarse  # its factors: this is where memory is short
+    found = fine.settle(state, _FINE)
     check_thickness(fine, found)
     return fine, found
 
