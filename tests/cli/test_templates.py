@@ -2,11 +2,11 @@
 
 import pytest
 
+from reconstruction.reading import read_json
 from twin.cli import run
 from twin.config import load_experiment
 from twin.config.study import load_study
 from twin.config.templates import read_template, templates
-from twin.output import read_json
 from twin.specimens import kinds
 from twin.study.record import StudyRecord
 

@@ -5,9 +5,9 @@ import re
 
 import pytest
 
+from reconstruction.reading import read_json
 from tests.letters import raised_text
 from twin.cli import run
-from twin.output import read_json
 
 PART = """
 [specimen]

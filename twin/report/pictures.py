@@ -3,9 +3,10 @@
 from pathlib import Path
 
 from reconstruction.capture.folder import read_capture
+from reconstruction.reading import read_json
 from twin.config import load_experiment
 from twin.mechanics import read_press
-from twin.output import EXPERIMENT_FILE, RESULT_FILE, read_json
+from twin.output import EXPERIMENT_FILE, RESULT_FILE
 
 PRESS_PICTURE, FRAMES_PICTURE = "press.png", "frames.png"
 PICTURES = {"press": PRESS_PICTURE, "render": FRAMES_PICTURE}
