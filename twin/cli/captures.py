@@ -235,6 +235,12 @@ def _drawer(folder: Path) -> "Callable[..., Path]":
         from twin.report.comparison import write_comparison
 
         return write_comparison
+    from twin.paper.demo import is_demo
+
+    if is_demo(folder):
+        from twin.paper.demo import write_demo
+
+        return write_demo
     from twin.report.measurement import write_report
 
     return write_report

@@ -144,16 +144,37 @@ def measure(
 
 
 @app.command
-def demo(*, out: Out = Path("out/demo"), full: bool = False) -> None:
+def demo(*, out: Out = Path("out/demo"), full: bool = False, paper: bool = False) -> None:
     """Measure the demo: nut, balls and brick under a thin sheet that wraps them, by contact-FPP.
 
     Parameters
     ----------
     full
         Use all 1936 x 1464 camera pixels instead of 2 x 2 binning.
+    paper
+        Measure the paper's two balls and its nut instead, by its sensor as identified: true
+        object, paper and twin side by side.
     """
+    if paper:
+        _demo_of_paper(out, full)
+        return
     group = Path("examples/wrapped_group")
     _measure(load(group, [f"camera.binning={1 if full else 2}"]), out, "demo")
+
+
+def _demo_of_paper(out: Path, full: bool) -> None:
+    from twin.output import output_folder
+    from twin.paper.demo import measure_demo, write_demo
+    from twin.paper.plan import COARSE, FINE
+    from twin.report.measurement import summary_table
+    from twin.report.page import REPORT_FILE
+
+    with output_folder(out) as folder, progress_bars() as watch:
+        both = measure_demo(folder, FINE if full else COARSE, watch)
+        write_demo(folder, watch, both=both)
+    for measured in both:
+        say(summary_table(measured))
+    say(f"wrote {out / REPORT_FILE}")
 
 
 @app.command

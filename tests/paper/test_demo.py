@@ -1,0 +1,54 @@
+"""The paper's balls and nut by its sensor as identified: one page, drawn again the same."""
+
+import pytest
+
+from reconstruction.reading import read_json
+from twin.cli import run
+from twin.paper.demo import NUT_FOLDER, is_demo, paper_table
+from twin.paper.plan import COARSE
+from twin.results.folder import read_measurement
+
+SMALL = {
+    "camera.binning": 4,
+    "camera.width_px": 968,
+    "camera.height_px": 732,
+    "press.cell_mm": 0.4,
+    "elastomer.thickness_mm": 0.5,
+    "press.depth_mm": 0.6,
+}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("twin.paper.plan.COARSE", dict(COARSE) | SMALL)
+        out = tmp_path_factory.mktemp("demo") / "out"
+        assert run(["demo", "--paper", "-o", str(out)]) == 0
+        return out
+
+
+def test_it_holds_both_measurements_and_their_page(folder):
+    assert is_demo(folder)
+    assert not is_demo(folder / NUT_FOLDER)
+    assert read_json(folder / "result.json")["command"] == "demo"
+    page = (folder / "report.html").read_text(encoding="utf-8")
+    assert "True object, paper and twin" in page
+    assert (folder / "figures" / "nut_relief.png").is_file()
+
+
+def test_true_object_paper_and_twin_stand_side_by_side(folder):
+    balls, nut = read_measurement(folder), read_measurement(folder / NUT_FOLDER)
+    rows = {row["quantity"]: row for row in paper_table(balls, nut).rows}
+    first = rows["ball 1: radius, as the paper evaluates"]
+    # Table of repeated fits: 3.835 mm, SD 0.052; the balls are 8 mm wide.
+    assert first["true"] == 4.0
+    assert first["paper"] == "3.835 ± 0.052"
+    assert first["twin"] == balls.metrics["sphere_1_algebraic_radius_mm"]
+    assert rows["ball 2: RMSE of the fit's residuals"]["paper"] == "12.0"
+    assert rows["ball 2: P95 of the fit's residuals"]["paper"] == "20.9"
+
+
+def test_the_report_command_draws_the_same_page(folder):
+    before = (folder / "report.html").read_bytes()
+    assert run(["report", str(folder)]) == 0
+    assert (folder / "report.html").read_bytes() == before

@@ -1,0 +1,178 @@
+"""The demo: the paper's sensor, as identified, measures its two balls and its nut.
+
+| in the folder | content |
+|---|---|
+| result.json, ... | the measurement of the balls, as of `twin measure` |
+| nut/ | that of the nut |
+| report.html | both: true object, paper and twin first |
+"""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from twin.output import RESULT_FILE
+from twin.paper.plan import BALLS, CONTACT_FPP, FIT, NOMINAL_RADIUS_MM, NUT, experiment_of, rows_of
+from twin.pipeline.methods import measure_into
+from twin.pipeline.progress import ProgressCallback, no_progress
+from twin.report.measurement import page_of
+from twin.report.object import object_section
+from twin.report.page import REPORT_FILE, Figure, Page, Section, write_page
+from twin.report.surfaces import height_map_figure, relief_figure
+from twin.report.table import Cell, Column, Table
+from twin.results.folder import read_measurement
+from twin.results.record import Measurement
+
+COMMAND, NUT_FOLDER = "demo", "nut"
+
+
+def is_demo(folder: Path) -> bool:
+    """Tell whether a result folder is the demo's."""
+    return (folder / NUT_FOLDER / RESULT_FILE).is_file()
+
+
+def measure_demo(
+    folder: Path, settings: Mapping[str, Any], watch: ProgressCallback
+) -> tuple[Measurement, Measurement]:
+    """Measure the balls into a folder and the nut into one below it; return both."""
+    nut = folder / NUT_FOLDER
+    nut.mkdir()
+    return (
+        measure_into(folder, COMMAND, experiment_of(BALLS, settings), watch),
+        measure_into(nut, COMMAND, experiment_of(NUT, settings), watch),
+    )
+
+
+def write_demo(
+    folder: Path,
+    watch: ProgressCallback = no_progress,
+    into: Path | None = None,
+    both: tuple[Measurement, Measurement] | None = None,
+) -> Path:
+    """Write the page of the demo and its figures; return the page.
+
+    Parameters
+    ----------
+    folder : as `measure_demo` leaves it
+    into : existing folder to write into instead
+    both : what the folder holds, where that is at hand
+
+    Raises
+    ------
+    InputError : a measurement is not there or damaged, or the page cannot be written
+    """
+    balls, nut = both or (read_measurement(folder), read_measurement(folder / NUT_FOLDER))
+    return write_page((into or folder) / REPORT_FILE, demo_page(balls, nut), watch)
+
+
+def demo_page(balls: Measurement, nut: Measurement) -> Page:
+    """Return the page of the balls with the paper's figures before it and the nut behind."""
+    page = page_of(balls)
+    first = Section("paper", "True object, paper and twin", (paper_table(balls, nut), *_views(nut)))
+    *sections, last = page.sections
+    return replace(
+        page,
+        kind="demo: the paper's sensor, as identified",
+        title="two balls and a nut",
+        lead="Two joined 8 mm steel balls and an M6 nut, pressed into the coated sheet that the "
+        "paper's own tables speak for; decoded as a real rig's captures are.",
+        sections=[first, *sections, *_renamed(object_section(nut)), last],
+    )
+
+
+def paper_table(balls: Measurement, nut: Measurement) -> Table:
+    """Return what is true, what the paper printed, and what the twin measures."""
+    rows = [row for ball in (1, 2) for row in _ball(balls, ball)]
+    deviation = nut.figures.get("object_rms_um")
+    rows.append(
+        {
+            "quantity": "nut: deviation where the sheet touches it, RMS",
+            "true": 0.0,
+            "paper": "a picture: hexagon and hole",
+            "twin": deviation,
+            "unit": "µm",
+        }
+    )
+    columns = (
+        Column("quantity", "quantity"),
+        Column("true", "true object", 3),
+        Column("paper", "paper, ± SD of one trial", 3),
+        Column("twin", "twin", 3),
+        Column("unit", "unit"),
+    )
+    notes = (
+        f"Fitted over {balls.experiment.score.roi_radius_mm:g} mm round each apex. Thickness, "
+        "pressure, travel, texture and this radius are identified from the paper's tables "
+        "(docs/identify.md); this is one press on one coat, and coats differ: `twin paper` has "
+        "the trials.",
+        "The paper's fit is most probably algebraic, which reads a rough cap too small; the "
+        "geometric fit of the same points stands beside it, and the object's own radius from all "
+        "that the sheet touches, its thickness taken off.",
+    )
+    return Table("paper", "", "", columns, tuple(rows), notes)
+
+
+def _ball(balls: Measurement, ball: int) -> list[dict[str, Cell]]:
+    figures, printed = balls.figures, _printed(ball)
+    by_paper, geometric = f"sphere_{ball}_{FIT}", f"sphere_{ball}_"
+    name = f"ball {ball}: "
+    radius: dict[str, Cell] = {"true": NOMINAL_RADIUS_MM, "unit": "mm"}
+    residual: dict[str, Cell] = {"true": 0.0, "unit": "µm"}
+    rows = [
+        radius
+        | {
+            "quantity": name + "radius, as the paper evaluates",
+            "paper": f"{printed['mean_radius']:.3f} ± {printed['sd']:.3f}",
+            "twin": figures.get(f"{by_paper}radius_mm"),
+        },
+        radius
+        | {"quantity": name + "radius, geometric fit"}
+        | {"twin": figures.get(f"{geometric}radius_mm")},
+        radius
+        | {"quantity": name + "radius of the object itself"}
+        | {"twin": figures.get(f"object_radius_{ball}_mm")},
+    ]
+    for key in ("rmse", "mae", "p95"):
+        found = figures.get(f"{by_paper}{key}_mm")
+        rows.append(
+            residual
+            | {
+                "quantity": f"{name}{key.upper()} of the fit's residuals",
+                "paper": f"{1e3 * printed[key]:.1f}",
+                "twin": None if found is None else 1e3 * found,
+            }
+        )
+    return rows
+
+
+def _printed(ball: int) -> dict[str, float]:
+    """Return the paper's figures of a ball by contact-FPP: repeated fits, and the single one."""
+    tables = ("sphere_fit", "repeated_fit")
+    rows = [row for table in tables for row in rows_of(table)]
+    ours = [row for row in rows if row["method"] == CONTACT_FPP and row["sphere"] == ball]
+    return {key: value for row in ours for key, value in row.items()}
+
+
+def _views(nut: Measurement) -> tuple[Figure, ...]:
+    return tuple(
+        replace(figure, name=f"nut_{figure.name}", title=f"Nut: {figure.title.lower()}")
+        for figure in (relief_figure(nut), height_map_figure(nut))
+    )
+
+
+def _renamed(sections: list[Section]) -> list[Section]:
+    """Return the nut's sections under names of their own: the balls have sections of the same."""
+    return [
+        Section(
+            f"nut_{one.name}",
+            f"Nut: {one.title.lower()}",
+            tuple(
+                replace(block, name=f"nut_{block.name}")
+                if isinstance(block, Figure | Table)
+                else block
+                for block in one.blocks
+            ),
+        )
+        for one in sections
+    ]
