@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from twin.cli import run
+from twin.config import load_experiment
 
 DOCS = Path(__file__).parents[2] / "docs"
 BLOCK = re.compile(
@@ -59,3 +60,12 @@ def test_tutorials_have_something_to_run():
         languages = [language for language, _, _ in blocks(page)]
         assert {"toml", "sh", "python"} <= set(languages), page
     assert sum(len(said(text)) for _, _, text in blocks("tutorial_design.md")) >= 8
+
+
+def test_the_readmes_experiment_is_valid(tmp_path):
+    text = (DOCS.parent / "README.md").read_text(encoding="utf-8")
+    whole = [block for language, _, block in BLOCK.findall(text) if language == "toml"]
+    assert whole
+    for block in whole:
+        (tmp_path / "my.toml").write_text(block, encoding="utf-8")
+        assert load_experiment(tmp_path / "my.toml").name == "my_first_press"
