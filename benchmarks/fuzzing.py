@@ -367,6 +367,8 @@ def _be_child(arguments: list[str], folder: Path, command: Callable[[list[str]],
             (2, "stderr", os.O_WRONLY | os.O_CREAT),
         ):
             os.dup2(os.open(name, flags, 0o600), number)
+        # Whoever runs us may have put streams of its own there.
+        sys.stdout, sys.stderr = (open(n, "w", closefd=False, encoding="utf-8") for n in (1, 2))
         try:
             code = command(arguments)
         except BaseException:

@@ -1,0 +1,77 @@
+"""Every command on damaged files and hostile arguments, in processes of its own: 40 fixed seeds."""
+
+import json
+import random
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from benchmarks.fuzzing import TARGETS, damaged_bytes, run_case
+
+ROOT = Path(__file__).parents[2]
+
+
+def test_damage_changes_a_file_and_says_how():
+    content = b"a = 1\nb = [1, 2]\nc = 'x'\n" * 20
+    told = {damaged_bytes(content, random.Random(seed))[1] for seed in range(200)}
+    changed = sum(damaged_bytes(content, random.Random(seed))[0] != content for seed in range(200))
+    assert changed > 190
+    names = {part for one in told for part in one.split("+")}
+    assert names == {"flip", "cut", "truncate", "double", "token", "zero", "number", "line"}
+
+
+def _seed_of(target: str) -> int:
+    names = (*TARGETS, "arguments")
+    return next(seed for seed in range(1000) if random.Random(seed).choice(names) == target)
+
+
+@pytest.mark.parametrize(
+    ("ending", "end"),
+    [
+        ("raise SystemError('x')", "traceback"),
+        ("import os; os.kill(os.getpid(), 11)", "crash"),
+        ("open('kept/canary.txt', 'a').write('x')", "foreign_change"),
+        ("import os; os.mkdir('kept/.half')", "partial_output"),
+        ("import os; os.mkdir('kept/out')", "partial_output"),
+        ("import sys; sys.exit(7)", "exit_code"),
+        ("import sys; print('x\\n' * 100, file=sys.stderr); sys.exit(2)", "not_told"),
+    ],
+)
+def test_misbehaviour_is_seen(tmp_path, ending, end):
+    """The judge is a test, too: each way of going wrong is told as what it is."""
+    stock, scratch = tmp_path / "stock", tmp_path / "case"
+    (stock / "kept").mkdir(parents=True)
+    scratch.mkdir()
+    (stock / "kept" / "canary.txt").write_text("x")
+    for name in ("slab.toml", "slab_mesh.toml"):
+        (stock / name).write_text("")
+
+    def command(_arguments: list[str]) -> int:
+        try:
+            exec(ending)
+        except SystemExit as error:
+            return int(str(error))
+        return 0
+
+    found = run_case(_seed_of("arguments"), stock, scratch, command)
+    assert found.end == end
+    assert found.is_bad
+
+
+def test_commands_survive_damaged_input(tmp_path):
+    done = subprocess.run(
+        [sys.executable, "-m", "benchmarks.fuzz", "--cases", "40", "--stock", tmp_path / "stock"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    found = json.loads(done.stdout.splitlines()[-1])
+    bad = {key: value for key, value in found.items() if key.endswith("s") and key != "cases"}
+    assert done.returncode == 0, done.stdout
+    assert found["cases"] == 40
+    assert found["told"] > 10
+    assert not any(bad[name] for name in ("tracebacks", "hangs", "crashes", "partial_outputs"))
+    assert not bad["foreign_changes"]
