@@ -13,6 +13,7 @@ alone. Round the output folder stands a tree of canaries; a case is bad when
 """
 
 import hashlib
+import io
 import os
 import random
 import shutil
@@ -368,7 +369,7 @@ def _be_child(arguments: list[str], folder: Path, command: Callable[[list[str]],
         ):
             os.dup2(os.open(name, flags, 0o600), number)
         # Whoever runs us may have put streams of its own there.
-        sys.stdout, sys.stderr = (open(n, "w", closefd=False, encoding="utf-8") for n in (1, 2))
+        sys.stdout, sys.stderr = (io.TextIOWrapper(io.FileIO(n, "w"), "utf-8") for n in (1, 2))
         try:
             code = command(arguments)
         except BaseException:
