@@ -96,7 +96,7 @@ def object_sentence(measured: Measurement) -> str:
     if rms_um is None:
         return "object: no point lies on it; press deeper, or look at another part"
     share = percent(figures.get("object_coverage_share"))
-    where = f"on the {share} of it that it {_touches(measured.experiment)}"
+    where = f"on the {share} of it that {_touches(measured.experiment)}"
     first = next((one for one in found.quantities if one.error is not None), None)
     more = "" if first is None else f"; {_ascii(told(first))}"
     return f"object: deviation {rms_um:.1f} um RMS {where}{more}"
@@ -125,7 +125,7 @@ def _ascii(text: str) -> str:
 
 
 def _touches(experiment: Experiment) -> str:
-    return "touches" if experiment.method.presses else "is seen"
+    return "is touched" if experiment.method.presses else "is seen"
 
 
 def _headline(judged: list[MeasuredQuantity]) -> str:
