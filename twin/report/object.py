@@ -94,11 +94,11 @@ def object_sentence(measured: Measurement) -> str:
     coated = measured.experiment.method.presses
     judged = [one for one in found.quantities if one.tolerance is not None]
     if judged:
-        first = _ascii(told(judged[0], coated))
+        leading = _ascii(told(judged[0], coated))
         if len(judged) == 1:
-            return f"object: {first}"
+            return f"object: {leading}"
         outcome = "; ".join(f"{one.asked.name} {one.decision}" for one in judged)
-        return f"object: {outcome}; {first}"
+        return f"object: {outcome}; {leading}"
     rms_um = figures.get("object_rms_um")
     if rms_um is None:
         return "object: no point lies on it; press deeper, or look at another part"
