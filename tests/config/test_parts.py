@@ -4,6 +4,7 @@ import pytest
 
 from twin.assets import AssetError, asset_path
 from twin.config import ConfigError, digest, load_experiment, to_toml, vary
+from twin.config.loading import by_method
 
 GEL = """
 name = "mine"
@@ -44,6 +45,14 @@ def test_setting_a_linked_key_ends_its_link(gel):
     assert list(own.links) == ["layers.gel.thickness_mm"]
     nested = vary(gel, {"layers": {"window": {"bottom_mm": 3.2}}})
     assert nested.layers == own.layers
+
+
+def test_a_table_that_is_taken_away_takes_its_links_along(gel):
+    bare = vary(gel, by_method("direct_fpp"))
+    assert not bare.layers
+    assert not bare.links
+    assert gel.links
+    assert by_method("contact_fpp") == {"modality": "contact_fpp"}
 
 
 def test_links_are_no_content(gel):

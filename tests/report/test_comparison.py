@@ -12,7 +12,7 @@ from reconstruction.errors import InputError
 from twin.cli import run
 from twin.config import load_experiment
 from twin.pipeline import comparison
-from twin.pipeline.comparison import compare, methods_named
+from twin.pipeline.comparison import compare, methods_named, read_outcomes
 from twin.report.bare import REASON_WORDS, discussion, missing_shares, verdicts
 from twin.report.comparison import write_comparison
 from twin.report.measurement import summary_table, write_report
@@ -112,6 +112,22 @@ def test_page_shows_every_method_and_needs_no_network(compared):
         figures = json.loads((compared / "ball" / method / "result.json").read_text())["metrics"]
         assert percent(figures["good_share"]) in page
         assert f"{figures['z_rmse_um']:.2f}" in page
+
+
+def test_both_methods_are_put_on_the_object_itself(compared):
+    """One reference, the ball's own surface, beside what each method is scored on; each with how
+    much of the ball that is. The ball's radius is a row of its own.
+    """
+    page = (compared / "report.html").read_text(encoding="utf-8")
+    for row in ("object: deviation, RMS", "object: form", "radius 1: deviation (µm)"):
+        assert row in page
+    table = comparison_table(read_outcomes(compared))
+    assert "object RMS um" in table
+    for method in FRINGES:
+        figures = json.loads((compared / "ball" / method / "result.json").read_text())["metrics"]
+        assert f"{figures['object_rms_um']:.2f}" in page
+        assert f"{figures['object_rms_um']:.2f}" in table
+        assert percent(figures["object_coverage_share"]) in page
 
 
 def test_the_coat_is_measured_better_than_the_metal(compared):

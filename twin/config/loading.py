@@ -31,6 +31,7 @@ from reconstruction import reading
 from reconstruction.errors import InputError
 from twin.assets import asset_path, scene_file
 from twin.config.base import AssetCycleError, ConfigError
+from twin.config.methods import TRAITS, Method
 from twin.config.models import Conductor, Decode, Dielectric, Diffuse, Experiment, Layer, Plastic
 from twin.config.quantities import (
     check_ranges,
@@ -86,6 +87,15 @@ def vary(experiment: Experiment, changes: Mapping[str, Any]) -> Experiment:
     for dotted, value in changes.items():
         _assign(tree, dotted, value)
     return validate_experiment(tree, where=experiment.name)
+
+
+def by_method(method: Method) -> dict[str, Any]:
+    """Return the changes that make an experiment one by another method.
+
+    A bare specimen is seen through air, whatever the gel is seen through.
+    """
+    bare = {} if TRAITS[method].presses else {"layers": ABSENT}
+    return {"modality": method} | bare
 
 
 def _linked(tree: Mapping[str, Any], where: str) -> dict[str, Any]:
@@ -220,7 +230,9 @@ def _assign(tree: dict[str, Any], dotted: str, value: Any) -> None:
 
 
 def _sets(dotted: str, value: Any, key: str) -> bool:
-    """Tell whether a value, a table perhaps, laid at a path sets a key."""
+    """Tell whether a value, a table perhaps, laid at a path sets a key, or takes it away."""
+    if value == ABSENT:
+        return key == dotted or key.startswith(f"{dotted}.")
     if isinstance(value, dict) and not is_quantity(value):
         inside = key.removeprefix(f"{dotted}.")
         return inside != key and value_at(value, inside) is not None

@@ -17,7 +17,7 @@ from typing import Any, Literal
 from reconstruction.errors import InputError
 from reconstruction.reading import is_regular, read_json
 from twin.config import Experiment, digest, load_experiment, vary
-from twin.config.loading import validate_experiment
+from twin.config.loading import by_method, validate_experiment
 from twin.config.methods import METHODS, TRAITS, Method
 from twin.config.models import Press, Provenance
 from twin.output import (
@@ -69,7 +69,7 @@ def case_for(experiment: Experiment, method: Method, plan: PhotometricPlan) -> E
     InputError : the rig cannot be used, or the experiment's own press fails
     """
     if TRAITS[method].fringes or experiment.lamps:
-        return vary(experiment, {"modality": method})
+        return vary(experiment, by_method(method))
     return _carried_over(experiment, _rig(plan), plan.match)
 
 

@@ -62,9 +62,12 @@ def object_section(measured: Measurement) -> list[Section]:
 def object_verdict(measured: Measurement) -> Verdict:
     """Judge the object: by its tolerances, or by its deviation where none are given."""
     found, question = measured.object, "Does the sensor measure the object?"
+    coated = measured.experiment.method.presses
     judged = [one for one in found.quantities if one.tolerance is not None]
     if judged:
-        return Verdict(question, _headline(judged), _grade(judged), tuple(map(told, judged)))
+        return Verdict(
+            question, _headline(judged), _grade(judged), tuple(told(one, coated) for one in judged)
+        )
     figures = measured.figures
     rms_um, share = figures.get("object_rms_um"), figures.get("object_coverage_share")
     if rms_um is None or share is None:
@@ -79,7 +82,7 @@ def object_verdict(measured: Measurement) -> Verdict:
             f"95 % of its points there deviate by up to {p95_um:.1f} µm (good up to "
             f"{limit_um:g} µm)",
             f"{percent(share)} of it {_touches(measured.experiment)} and has a point",
-            *(told(one) for one in found.quantities[:2]),
+            *(told(one, coated) for one in found.quantities[:2]),
             "state a tolerance in [[measurand]] for a verdict",
         ),
     )
@@ -88,22 +91,31 @@ def object_verdict(measured: Measurement) -> Verdict:
 def object_sentence(measured: Measurement) -> str:
     """Say in one sentence how well the object itself was measured, in ASCII."""
     found, figures = measured.object, measured.figures
+    coated = measured.experiment.method.presses
     judged = [one for one in found.quantities if one.tolerance is not None]
     if judged:
+        leading = _ascii(told(judged[0], coated))
+        if len(judged) == 1:
+            return f"object: {leading}"
         outcome = "; ".join(f"{one.asked.name} {one.decision}" for one in judged)
-        return f"object: {outcome}; {_ascii(told(judged[0]))}"
+        return f"object: {outcome}; {leading}"
     rms_um = figures.get("object_rms_um")
     if rms_um is None:
         return "object: no point lies on it; press deeper, or look at another part"
     share = percent(figures.get("object_coverage_share"))
-    where = f"on the {share} of it that it {_touches(measured.experiment)}"
+    where = f"on the {share} of it that {_touches(measured.experiment)}"
     first = next((one for one in found.quantities if one.error is not None), None)
-    more = "" if first is None else f"; {_ascii(told(first))}"
+    more = "" if first is None else f"; {_ascii(told(first, coated))}"
     return f"object: deviation {rms_um:.1f} um RMS {where}{more}"
 
 
-def told(one: MeasuredQuantity) -> str:
-    """Say what was found of a measurand, with its expanded uncertainty and verdict."""
+def told(one: MeasuredQuantity, coated: bool) -> str:
+    """Say what was found of a measurand, with its expanded uncertainty and verdict.
+
+    Parameters
+    ----------
+    coated : a coat was measured, which is told between object and measurement
+    """
     name = one.asked.name.replace("_", " ")
     if one.value is None:
         return f"{name}: none, {one.why}"
@@ -115,7 +127,9 @@ def told(one: MeasuredQuantity) -> str:
         unit = "µm" if one.asked.unit == "um" else "mm"
         return f"{name} {one.value:.4g} {unit} {interval}{verdict}"
     error = signed(float(one.error or 0.0), 1)
-    return f"{name} {one.value:.4f} mm, {error} µm {interval} from {one.nominal:g} mm{verdict}"
+    coat = "" if not coated or one.true_face is None else f"coat {one.true_face:.4f} mm, "
+    chain = f"object {one.nominal:g} mm, {coat}measured {one.value:.4f} mm"
+    return f"{name}: {chain}: {error} µm {interval}{verdict.replace(': ', ', ')}"
 
 
 def _ascii(text: str) -> str:
@@ -125,7 +139,7 @@ def _ascii(text: str) -> str:
 
 
 def _touches(experiment: Experiment) -> str:
-    return "touches" if experiment.method.presses else "is seen"
+    return "is touched" if experiment.method.presses else "is seen"
 
 
 def _headline(judged: list[MeasuredQuantity]) -> str:
@@ -312,8 +326,8 @@ def draw_object(path: Path, measured: Measurement) -> None:
         )  # fmt: skip
         deviation_um = 1e3 * aligned.deviation_mm
         limit_um = symmetric_limit(deviation_um)
-        wide = 2 * pixel_mm * max(1.0, np.sqrt(len(points) / max(len(deviation_um), 1)) / 2)
-        cells = average_on_grid(aligned.points_mm, deviation_um, wide / 2, _MAP_CELLS)
+        apart_mm = pixel_mm * np.sqrt(seen.measured.touching.sum() / max(len(deviation_um), 1))
+        cells = average_on_grid(aligned.points_mm, deviation_um, float(apart_mm), _MAP_CELLS)
         axes = axes_at(figure, 0.6, 3.95, 3.5, 2.6)
         draw_map(
             axes, cells.values, cells.extent_mm, "deviation, offset taken off", "deviation (µm)",

@@ -20,7 +20,7 @@ from twin.specimens import Shape, shape_of
 from twin.specimens.true_surface import TrueSurface
 
 _MOST_POINTS = 40_000
-_MOST_ALIGNED = 4_000
+_MOST_ALIGNED = 2_500
 _RASTER_CELLS = 400
 _LEAST_RASTER_MM = 0.005
 

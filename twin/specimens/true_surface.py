@@ -14,7 +14,8 @@ from twin.specimens.catalogue import Assembly, Shape
 from twin.specimens.meshes import MeshShape
 from twin.specimens.triangles import Columns, TriangleTree, distances_mm
 
-_CELL_MM = 0.5
+# A few facets per cell: each point over a cell asks all of them on which side of it they are.
+_FACETS_PER_CELL = 8
 _REACH_MM = 1e6
 
 
@@ -76,9 +77,11 @@ class _Facets:
     @classmethod
     def of(cls, corners_mm: FloatArray) -> "_Facets":
         ends = corners_mm.reshape(-1, 3)[:, :2]
-        low = np.floor(ends.min(axis=0) / _CELL_MM).astype(np.int64)
-        count = np.floor(ends.max(axis=0) / _CELL_MM).astype(np.int64) + 1 - low
-        return cls(TriangleTree.of(corners_mm), Columns.of(corners_mm, 1, _CELL_MM, low, count))
+        outline = float(np.prod(np.ptp(ends, axis=0)))
+        cell = np.sqrt(_FACETS_PER_CELL * outline / len(corners_mm))
+        low = np.floor(ends.min(axis=0) / cell).astype(np.int64)
+        count = np.floor(ends.max(axis=0) / cell).astype(np.int64) + 1 - low
+        return cls(TriangleTree.of(corners_mm), Columns.of(corners_mm, 1, cell, low, count))
 
     def distance_mm(self, points_mm: FloatArray) -> FloatArray:
         found = distances_mm(self.tree, points_mm)
@@ -89,7 +92,7 @@ class _Facets:
 
     def _over(self, points_mm: FloatArray) -> BoolImage:
         """Tell which points lie within the outline: only there are lists of facets."""
-        cells = np.floor(points_mm[:, :2] / _CELL_MM) - self.columns.low
+        cells = np.floor(points_mm[:, :2] / self.columns.pitch_mm) - self.columns.low
         return np.asarray(np.all((cells >= 0) & (cells < self.columns.count), axis=1))
 
 

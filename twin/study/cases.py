@@ -16,6 +16,7 @@ from scipy.stats import qmc
 from reconstruction.arrays import FloatArray
 from reconstruction.errors import InputError
 from twin.config import ConfigError, Experiment, digest, vary
+from twin.config.loading import by_method
 from twin.config.study import MOST_CASES, Axis, Constraint, Level, Study, without_absent
 from twin.study.measuring import AS_IT_IS, Conditions
 
@@ -203,7 +204,7 @@ def _cases_at(study: Study, base: Experiment, point: Point) -> Iterable[Case]:
             named: dict[str, Any] = {"modality": modality} if len(study.modalities) > 1 else {}
             if study.repeats > 1:
                 named["seed"] = base.seed + repeat
-            method = {"modality": modality} if study.modalities else {}
+            method = by_method(modality) if study.modalities else {}
             yield case_of(settings | named, vary(base, changes | method | named))
 
 

@@ -22,6 +22,7 @@ from reconstruction.arrays import FloatArray
 from twin.config import ConfigError, Experiment, vary
 from twin.config.digest import keyed_sequence
 from twin.config.inputs import Input
+from twin.config.loading import by_method
 from twin.config.study import Study
 from twin.study.cases import Case, Cases, case_of
 from twin.study.measuring import Conditions
@@ -59,7 +60,7 @@ def trial_cases(study: Study, base: Experiment) -> Cases:
 
 def nominal(study: Study, base: Experiment) -> Experiment:
     """Return what a study of trials repeats: its base, by the method that it names."""
-    return vary(base, {"modality": study.modalities[0]}) if study.modalities else base
+    return vary(base, by_method(study.modalities[0])) if study.modalities else base
 
 
 def _trials(study: Study, experiment: Experiment) -> Iterator[Case]:
