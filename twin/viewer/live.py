@@ -4,10 +4,10 @@ Viser shows it (the extra `view`). Its threads only note what was moved last; th
 computes, so that a signal ends it as any command.
 """
 
+import gc
 import io
 import threading
 import time
-from collections.abc import Callable
 from contextlib import redirect_stdout
 from importlib import import_module
 from typing import Any
@@ -21,6 +21,7 @@ from reconstruction.errors import InputError
 from reconstruction.evaluate.surface import surface_mesh
 from reconstruction.rig.pinhole import Pinhole
 from twin.config import Experiment
+from twin.mechanics import PressedElastomer
 from twin.optics.rig import true_calibration
 from twin.report.view import field_rays, segments
 from twin.results.folder import deviation_of
@@ -55,6 +56,7 @@ class LiveView:
         viser = viser_module()
         self._preview = Preview(experiment)
         self._changes: dict[str, float] = {}
+        self._pressed: PressedElastomer | None = None
         self._moved = threading.Event()
         self._moved.set()
         with redirect_stdout(io.StringIO()):  # it introduces itself there, in a box
@@ -78,13 +80,18 @@ class LiveView:
         """Where a browser finds it."""
         return f"http://{self._server.get_host()}:{self._server.get_port()}"
 
-    def serve(self, until: Callable[[], bool] = lambda: False) -> None:
-        """Compute what was moved last, again and again, until `until` says so or a signal."""
-        while not until():
+    def serve(self) -> None:
+        """Compute what was moved last, again and again, until a signal ends it."""
+        while True:
             # With a limit: a wait without one would not let a signal through on all systems.
             if self._moved.wait(0.2):
                 self._moved.clear()
                 self._update(dict(self._changes))
+                if not gc.get_freeze_count():
+                    # What is there now stays: to look through it again takes half of a picture's
+                    # time, because the renderer's scenes are collected before each.
+                    gc.collect()
+                    gc.freeze()
 
     def close(self) -> None:
         """Stop serving."""
@@ -110,16 +117,18 @@ class LiveView:
             self._told.content = f"**not possible:** {error}"
             return
         self._fringes.image, self._white.image = _rgb(shown.fringes), _rgb(shown.white)
-        self._draw(shown)
         pressed = shown.pressed
         self._told.content = (
             f"force {pressed.force_n:.3g} N, travel {pressed.depth_mm:.3g} mm, coat up to "
-            f"{pressed.face_z_mm.max():.3g} mm; {time.perf_counter() - start:.2f} s"
+            f"{pressed.face_z_mm.max():.3g} mm; picture in {time.perf_counter() - start:.2f} s"
         )
+        if self._pressed is None or not np.array_equal(self._pressed.face_z_mm, pressed.face_z_mm):
+            self._draw_bodies(shown)
+            self._pressed = pressed
+        self._draw_rig(shown)
 
-    def _draw(self, shown: PreviewPicture) -> None:
-        scene, rig = self._server.scene, true_calibration(shown.experiment)
-        coat = shown.coat
+    def _draw_bodies(self, shown: PreviewPicture) -> None:
+        scene, coat = self._server.scene, shown.coat
         z_mm = coat.vertices[:, 2]
         share = (z_mm - z_mm.min()) / max(float(np.ptp(z_mm)), 1e-9)
         coat.visual.vertex_colors = np.rint(255 * colormaps["viridis"](share)).astype(np.uint8)
@@ -132,6 +141,9 @@ class LiveView:
             np.asarray(specimen.faces),
             color=(190, 182, 168),
         )
+
+    def _draw_rig(self, shown: PreviewPicture) -> None:
+        scene, rig = self._server.scene, true_calibration(shown.experiment)
         seen = _rgb(shown.fringes)
         self._add_device("/camera", rig.camera, rig.T_world_from_cam, _CAMERA_RGB, seen)
         self._add_device("/projector", rig.projector, rig.T_world_from_proj, _PROJECTOR_RGB, None)
