@@ -99,6 +99,13 @@ class Browser:
             self._mouse("mouseMoved", place)
         self._mouse("mouseReleased", places[-1])
 
+    def press(self, key: str) -> None:
+        """Press a key, by its name in the DOM, such as ArrowRight."""
+        codes = {"ArrowLeft": 37, "ArrowUp": 38, "ArrowRight": 39, "ArrowDown": 40}
+        told = {"key": key, "code": key, "windowsVirtualKeyCode": codes.get(key, 0)}
+        for kind in ("keyDown", "keyUp"):
+            self._call("Input.dispatchKeyEvent", type=kind, **told)
+
     def picture(self) -> bytes:
         """Return what the window shows, as PNG."""
         return base64.b64decode(self._call("Page.captureScreenshot", format="png")["data"])

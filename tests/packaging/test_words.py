@@ -26,7 +26,7 @@ INSTEAD = {
 }
 COMMANDS = ("calibrate", "compare", "completion", "demo", "doctor", "export", "identify", "init",
             "keys", "measure", "paper", "patterns", "press", "reconstruct", "render", "report",
-            "sweep", "uncertainty")  # fmt: skip
+            "sweep", "uncertainty", "view")  # fmt: skip
 
 
 def written() -> Iterator[tuple[str, str]]:

@@ -10,7 +10,7 @@ import pytest
 
 from reconstruction.rig.layers import PlaneLayers
 from tests.browser import Browser, browser
-from twin.report import write_report
+from twin.report.measurement import write_report
 from twin.report.view import DEVIATION, HEIGHTS, SPECIMEN, ray_path, view_data
 from twin.results.folder import read_measurement
 

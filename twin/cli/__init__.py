@@ -8,6 +8,7 @@ from twin.cli import forward as forward
 from twin.cli import identify as identify
 from twin.cli import start as start
 from twin.cli import studies as studies
+from twin.cli import view as view
 from twin.cli.app import app, guarded
 from twin.cli.talk import choose_level, introduce
 from twin.working import end_within, unwind_on_signals

@@ -156,8 +156,8 @@ def _rig_lines(measured: Measurement) -> list[dict[str, Any]]:
     """Return rays to the corners of both fields, bent at the layers, and the elastomer's edges."""
     experiment, rig = measured.experiment, true_calibration(measured.experiment)
     drawn = {
-        CAMERA: _rays(rig.camera, rig.T_world_from_cam, rig.layers),
-        PROJECTOR: _rays(rig.projector, rig.T_world_from_proj, rig.layers),
+        CAMERA: field_rays(rig.camera, rig.T_world_from_cam, rig.layers),
+        PROJECTOR: field_rays(rig.projector, rig.T_world_from_proj, rig.layers),
         ELASTOMER: _edges(
             experiment.elastomer.length_x_mm / 2,
             experiment.elastomer.length_y_mm / 2,
@@ -167,13 +167,13 @@ def _rig_lines(measured: Measurement) -> list[dict[str, Any]]:
         else [],
     }
     return [
-        {"name": name, "rgb": _LINE_COLOURS[name], "points": _as_text(_segments(paths))}
+        {"name": name, "rgb": _LINE_COLOURS[name], "points": _as_text(segments(paths))}
         for name, paths in drawn.items()
         if paths
     ]
 
 
-def _rays(device: Pinhole, pose: FloatArray, layers: PlaneLayers | None) -> list[FloatArray]:
+def field_rays(device: Pinhole, pose: FloatArray, layers: PlaneLayers | None) -> list[FloatArray]:
     """Return the paths from a pinhole to the corners of its field on z = 0, and its outline."""
     rays = np.column_stack([device.seen_corners(), np.ones(4)]) @ pose[:3, :3].T
     centre = pose[:3, 3]
@@ -217,7 +217,7 @@ def _edges(half_x: float, half_y: float, levels: tuple[float, ...]) -> list[Floa
     return [*outlines, *(np.stack([one[at] for one in outlines]) for at in range(4))]
 
 
-def _segments(paths: list[FloatArray]) -> NDArray[np.float32]:
+def segments(paths: list[FloatArray]) -> NDArray[np.float32]:
     """Return paths as pairs of ends, (end, xyz)."""
     pairs = [np.stack((path[:-1], path[1:]), axis=1).reshape(-1, 3) for path in paths]
     return np.concatenate(pairs).astype("<f4")

@@ -1,0 +1,45 @@
+"""The command that shows a sensor live in a browser."""
+
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from twin.cli.app import Settings, app, load, say
+
+
+@app.command
+def view(
+    source: Annotated[
+        Path, Parameter(help="experiment, as for twin measure, or the folder of a measurement")
+    ],
+    /,
+    *,
+    settings: Settings = None,
+    host: str = "127.0.0.1",
+    port: int = 8080,
+) -> None:
+    """Move camera, projector, specimen and elastomer in a browser; the image follows. Needs viser.
+
+    Parameters
+    ----------
+    host
+        Address to listen on; 0.0.0.0 shows it to the network.
+    port
+        Port to listen on, or the next one that is free.
+    """
+    from twin.viewer.live import LiveView, viser_module
+
+    viser_module()
+    measured = None
+    if source.is_dir():
+        from twin.results.folder import read_measurement
+
+        measured = read_measurement(source)
+    experiment = load(source / "experiment.toml" if measured else source, settings)
+    shown = LiveView(experiment, measured, host, port)
+    say(f"open {shown.address} in a browser; Ctrl-C ends it")
+    try:
+        shown.serve()
+    finally:
+        shown.close()

@@ -1,0 +1,218 @@
+"""The view in the browser: rig, coat, specimen, the camera's image, and what moves them.
+
+Viser shows it (the extra `view`). Its threads only note what was moved last; the main thread
+computes, so that a signal ends it as any command.
+"""
+
+import gc
+import io
+import threading
+import time
+from contextlib import redirect_stdout
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+from matplotlib import colormaps
+
+from reconstruction.arrays import FloatArray, Levels
+from reconstruction.colouring import Deviation
+from reconstruction.errors import InputError
+from reconstruction.evaluate.surface import surface_mesh
+from reconstruction.rig.pinhole import Pinhole
+from twin.config import Experiment
+from twin.mechanics import PressedElastomer
+from twin.optics.rig import true_calibration
+from twin.report.view import field_rays, segments
+from twin.results.folder import deviation_of
+from twin.results.record import Measurement
+from twin.specimens import shape_of
+from twin.viewer.preview import Preview, PreviewPicture, SliderRange, slider_ranges
+
+_CAMERA_RGB, _PROJECTOR_RGB = (31, 119, 180), (214, 110, 14)
+_STEPS = 100
+_MOST_VERTICES = 200_000
+
+
+def viser_module() -> Any:
+    """Return viser.
+
+    Raises
+    ------
+    InputError : it is not installed
+    """
+    try:
+        return import_module("viser")
+    except ModuleNotFoundError:
+        raise InputError("view: needs viser; pip install 'fringe-twin[view]'") from None
+
+
+class LiveView:
+    """What is shown in the browser, and the moves that wait to be computed."""
+
+    def __init__(
+        self, experiment: Experiment, measured: Measurement | None, host: str, port: int
+    ) -> None:
+        viser = viser_module()
+        self._preview = Preview(experiment)
+        self._changes: dict[str, float] = {}
+        self._pressed: PressedElastomer | None = None
+        self._moved = threading.Event()
+        self._moved.set()
+        with redirect_stdout(io.StringIO()):  # it introduces itself there, in a box
+            self._server = viser.ViserServer(host, port, label="fringe-twin", verbose=False)
+        self._server.scene.set_up_direction("+z")
+        reach = experiment.camera.pose.standoff_mm
+        self._server.initial_camera.position = (0.25 * reach, -0.5 * reach, 0.45 * reach)
+        self._server.initial_camera.look_at = (0.0, 0.0, 0.0)
+        blank: Levels = np.zeros((8, 8, 3), np.uint8)
+        gui = self._server.gui
+        self._told = gui.add_markdown("pressing ...")
+        self._fringes = gui.add_image(blank, label="what the camera sees")
+        self._white = gui.add_image(blank, label="under white light")
+        for control in slider_ranges(experiment):
+            self._add_slider(control)
+        if measured is not None:
+            self._add_measured(measured)
+
+    @property
+    def address(self) -> str:
+        """Where a browser finds it."""
+        return f"http://{self._server.get_host()}:{self._server.get_port()}"
+
+    def serve(self) -> None:
+        """Compute what was moved last, again and again, until a signal ends it."""
+        while True:
+            # With a limit: a wait without one would not let a signal through on all systems.
+            if self._moved.wait(0.2):
+                self._moved.clear()
+                self._update(dict(self._changes))
+                if not gc.get_freeze_count():
+                    # What is there now stays: to look through it again takes half of a picture's
+                    # time, because the renderer's scenes are collected before each.
+                    gc.collect()
+                    gc.freeze()
+
+    def close(self) -> None:
+        """Stop serving."""
+        self._server.stop()
+
+    def _add_slider(self, control: SliderRange) -> None:
+        step = (control.high - control.low) / _STEPS
+        slider = self._server.gui.add_slider(
+            control.label, min=control.low, max=control.high, step=step, initial_value=control.value
+        )
+
+        def move(_: Any) -> None:
+            self._changes[control.key] = float(slider.value)
+            self._moved.set()
+
+        slider.on_update(move)
+
+    def _update(self, changes: dict[str, float]) -> None:
+        start = time.perf_counter()
+        try:
+            shown = self._preview.show(changes)
+        except InputError as error:
+            self._told.content = f"**not possible:** {error}"
+            return
+        self._fringes.image, self._white.image = _rgb(shown.fringes), _rgb(shown.white)
+        pressed = shown.pressed
+        self._told.content = (
+            f"force {pressed.force_n:.3g} N, travel {pressed.depth_mm:.3g} mm, coat up to "
+            f"{pressed.face_z_mm.max():.3g} mm; picture in {time.perf_counter() - start:.2f} s"
+        )
+        if self._pressed is None or not np.array_equal(self._pressed.face_z_mm, pressed.face_z_mm):
+            self._draw_bodies(shown)
+            self._pressed = pressed
+        self._draw_rig(shown)
+
+    def _draw_bodies(self, shown: PreviewPicture) -> None:
+        scene, coat = self._server.scene, shown.coat
+        z_mm = coat.vertices[:, 2]
+        share = (z_mm - z_mm.min()) / max(float(np.ptp(z_mm)), 1e-9)
+        coat.visual.vertex_colors = np.rint(255 * colormaps["viridis"](share)).astype(np.uint8)
+        scene.add_mesh_trimesh("/coat", coat)
+        touched_mm = shown.experiment.elastomer.touched_plane_mm + shown.pressed.depth_mm
+        specimen = shape_of(shown.experiment.specimen).mesh(touched_mm)
+        scene.add_mesh_simple(
+            "/specimen",
+            np.asarray(specimen.vertices),
+            np.asarray(specimen.faces),
+            color=(190, 182, 168),
+        )
+
+    def _draw_rig(self, shown: PreviewPicture) -> None:
+        scene, rig = self._server.scene, true_calibration(shown.experiment)
+        seen = _rgb(shown.fringes)
+        self._add_device("/camera", rig.camera, rig.T_world_from_cam, _CAMERA_RGB, seen)
+        self._add_device("/projector", rig.projector, rig.T_world_from_proj, _PROJECTOR_RGB, None)
+        for name, device, pose, rgb in (
+            ("/camera_rays", rig.camera, rig.T_world_from_cam, _CAMERA_RGB),
+            ("/projector_rays", rig.projector, rig.T_world_from_proj, _PROJECTOR_RGB),
+        ):
+            ends = segments(field_rays(device, pose, rig.layers)).reshape(-1, 2, 3)
+            scene.add_line_segments(name, ends, rgb, thickness=0.2)
+
+    def _add_device(
+        self,
+        name: str,
+        device: Pinhole,
+        pose: FloatArray,
+        rgb: tuple[int, int, int],
+        image: Levels | None,
+    ) -> None:
+        half = 0.5 * device.height_px / device.fy_px
+        aspect = device.width_px / device.height_px
+        # Viser scales a frustum by its volume: this makes it an eighth of the way to the origin.
+        depth_mm = float(np.linalg.norm(pose[:3, 3])) / 8.0
+        self._server.scene.add_camera_frustum(
+            name,
+            fov=2.0 * float(np.arctan(half)),
+            aspect=aspect,
+            scale=depth_mm * float(np.cbrt(half * half * aspect / 3.0)),
+            color=rgb,
+            image=image,
+            wxyz=_quaternion(pose[:3, :3]),
+            position=pose[:3, 3],
+            thickness=0.4,
+        )
+
+    def _add_measured(self, measured: Measurement) -> None:
+        """Show a finished measurement's surface, coloured by its deviation from the truth."""
+        found = measured.fringes.reconstruction.point_map
+        mesh, deviation = surface_mesh(found), deviation_of(measured)
+        if len(mesh.vertices_mm) > _MOST_VERTICES:
+            raise InputError(
+                f"view: {len(mesh.vertices_mm)} points, at most {_MOST_VERTICES} are shown live; "
+                "measure with camera.binning = 4, or open surface.ply in a mesh viewer"
+            )
+        from trimesh import Trimesh
+
+        surface = Trimesh(mesh.vertices_mm, mesh.triangles, process=False)
+        surface.visual.vertex_colors = deviation.rgb[found.valid]
+        # A little above the coat of the preview, which would hide half of it.
+        handle = self._server.scene.add_mesh_trimesh("/measured", surface, position=(0, 0, 0.05))
+        box = self._server.gui.add_checkbox(_told_of(deviation), initial_value=True)
+
+        def show(_: Any) -> None:
+            handle.visible = box.value
+
+        box.on_update(show)
+
+
+def _told_of(deviation: Deviation) -> str:
+    limit = deviation.limit_um
+    return f"measured; blue -{limit:.3g} um, red +{limit:.3g} um"
+
+
+def _rgb(levels: Levels) -> Levels:
+    return np.repeat(levels[..., np.newaxis], 3, axis=-1)
+
+
+def _quaternion(rotation: FloatArray) -> tuple[float, float, float, float]:
+    """Return a rotation as (w, x, y, z)."""
+    from scipy.spatial.transform import Rotation
+
+    x, y, z, w = Rotation.from_matrix(rotation).as_quat()
+    return float(w), float(x), float(y), float(z)

@@ -1,0 +1,193 @@
+"""What is seen when one part of an experiment moves: a press and one trace at preview size.
+
+The picture is made by the same press, trace and camera as a measurement's, with a sixteenth of the
+pixels of a full image and a coarser coat; nothing is decoded.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from reconstruction.arrays import Levels
+from reconstruction.errors import InputError
+from twin.config import Experiment, vary
+from twin.mechanics import PressedElastomer, face_mesh
+from twin.pipeline import Memory
+from twin.pipeline.fringes import record
+from twin.pipeline.press import press
+
+if TYPE_CHECKING:
+    import trimesh
+
+_ACROSS_PX = 250
+_BINNINGS = (4, 2, 1)
+_COARSE_SOLVER_MM = 0.16
+_COARSE_RELIEF_MM = 0.05
+_MOST_NODES = 240
+"""Nodes of the coat along a side: a tenth of a millimetre on the paper's sheet."""
+
+
+@dataclass(frozen=True)
+class SliderRange:
+    """One number of the experiment that can be moved.
+
+    Attributes
+    ----------
+    key : by dotted path, as `twin keys` lists it
+    label : what it is, with its unit
+    low, high, value : allowed here, and as it stands
+    """
+
+    key: str
+    label: str
+    low: float
+    high: float
+    value: float
+
+
+@dataclass(frozen=True, eq=False)
+class PreviewPicture:
+    """What a preview shows.
+
+    Attributes
+    ----------
+    experiment : at full size, with the changes
+    fringes, white : (row, col) uint8, 255 at saturation
+    coat : coated face, world mm
+    pressed : the press behind it
+    """
+
+    experiment: Experiment
+    fringes: Levels
+    white: Levels
+    coat: "trimesh.Trimesh"
+    pressed: PressedElastomer
+
+
+# key, label, how far it may be moved from where it stands
+_MOVED: tuple[tuple[str, str, float], ...] = (
+    ("camera.pose.standoff_mm", "camera: distance (mm)", 0.3),
+    ("camera.pose.polar_deg", "camera: tilt (deg)", 20.0),
+    ("projector.pose.standoff_mm", "projector: distance (mm)", 0.3),
+    ("projector.pose.polar_deg", "projector: tilt (deg)", 20.0),
+    ("projector.pose.azimuth_deg", "projector: direction (deg)", 45.0),
+    ("specimen.x_mm", "specimen: x (mm)", 4.0),
+    ("specimen.y_mm", "specimen: y (mm)", 4.0),
+    ("specimen.yaw_deg", "specimen: turned (deg)", 90.0),
+    ("specimen.tilt_deg", "specimen: tilted (deg)", 10.0),
+    ("elastomer.thickness_mm", "elastomer: thickness (mm)", 0.5),
+    ("press.depth_mm", "press: travel (mm)", 0.5),
+    ("press.force_n", "press: force (N)", 0.8),
+    ("patterns.period_px", "fringes: period (px)", 0.5),
+)
+# These move by a share of what they are, all others by an amount.
+_RELATIVE = ("standoff_mm", "thickness_mm", "depth_mm", "force_n", "period_px")
+_NOT_NEGATIVE = ("polar_deg",)
+
+
+def slider_ranges(experiment: Experiment) -> list[SliderRange]:
+    """Return what can be moved, within the range that its source states or near where it is."""
+    tree = experiment.model_dump()
+    found = [_control(experiment, tree, *told) for told in _MOVED]
+    return [one for one in found if one is not None]
+
+
+def _control(
+    experiment: Experiment, tree: Mapping[str, Any], key: str, label: str, reach: float
+) -> SliderRange | None:
+    value: Any = tree
+    for part in key.split("."):
+        value = value.get(part) if isinstance(value, Mapping) else None
+    if not isinstance(value, (int, float)) or key in experiment.links:
+        return None
+    origin = experiment.provenance.get(key)
+    if origin is not None and origin.range is not None:
+        low, high = origin.range
+    else:
+        step = reach * value if key.endswith(_RELATIVE) else reach
+        low, high = value - step, value + step
+    if key.endswith(_NOT_NEGATIVE):
+        low = max(low, 0.0)
+    return SliderRange(key, label, float(low), float(high), float(value)) if high > low else None
+
+
+class Preview:
+    """Pictures of one experiment as its parts move; a press is kept while only the rig moves."""
+
+    def __init__(self, experiment: Experiment) -> None:
+        if not (experiment.method.presses and experiment.method.fringes):
+            raise InputError(
+                f"view: modality = '{experiment.modality}'; what can be moved live is fringes on a "
+                "coat, modality = 'contact_fpp'"
+            )
+        self._memory = Memory()
+        self._full = experiment
+        self._small = vary(experiment, _preview_size(experiment))
+
+    def show(self, changes: Mapping[str, Any]) -> PreviewPicture:
+        """Press and trace with some values changed.
+
+        Parameters
+        ----------
+        changes : value by dotted key
+
+        Raises
+        ------
+        InputError : a value is not allowed, or the press or the renderer refuses it
+        MissingBackend : no usable Dr.Jit backend
+        """
+        experiment = vary(self._small, changes)
+        pressed = thinned(press(experiment, self._memory).pressed)
+        recording = record(experiment, pressed)
+        patterns, stack = recording.capture.patterns, recording.capture.stack
+        full = recording.capture.sensor.saturation_dn
+        fringes, white = (
+            np.clip(np.rint(255.0 * stack[place] / full), 0, 255).astype(np.uint8)
+            for place in (patterns.index("phase", "column").start, patterns.index("white").start)
+        )
+        return PreviewPicture(
+            vary(self._full, changes), fringes, white, face_mesh(pressed), pressed
+        )
+
+
+def thinned(pressed: PressedElastomer) -> PressedElastomer:
+    """Return a press with so few nodes on its coat that it is loaded at once."""
+    step = max(1, max(pressed.face_z_mm.shape) // _MOST_NODES)
+    rows, cols = (
+        np.arange(0, len(pressed.face_y_mm), step),
+        np.arange(0, len(pressed.face_x_mm), step),
+    )
+    grid = np.ix_(rows, cols)
+    texture = None if pressed.texture_mm is None else pressed.texture_mm[grid]
+    return replace(
+        pressed,
+        face_x_mm=pressed.face_x_mm[cols],
+        face_y_mm=pressed.face_y_mm[rows],
+        face_z_mm=pressed.face_z_mm[grid],
+        texture_mm=texture,
+        sheet=None,
+    )
+
+
+def _preview_size(experiment: Experiment) -> dict[str, Any]:
+    """Return the changes that leave a picture some 250 pixels wide, and the pattern short."""
+    camera, coarse = experiment.camera, {}
+    binning = next((b for b in _BINNINGS if camera.width_px // b >= _ACROSS_PX), 1)
+    fewer = max(1, round(camera.width_px / binning / _ACROSS_PX))
+    pitch_um = {"value": camera.pixel_pitch_um * fewer, "source": "preview"}
+    for key, pitch_mm in (
+        ("press.solver_pitch_mm", _COARSE_SOLVER_MM),
+        ("press.relief_pitch_mm", _COARSE_RELIEF_MM),
+    ):
+        section, name = key.split(".")
+        coarse[key] = max(getattr(getattr(experiment, section), name), pitch_mm)
+    return coarse | {
+        "camera.binning": binning,
+        "camera.width_px": camera.width_px // fewer,
+        "camera.height_px": camera.height_px // fewer,
+        "camera.pixel_pitch_um": pitch_um | {"range": [0.0, pitch_um["value"]]},
+        "patterns.steps": 3,
+        "render.samples": 1,
+    }
