@@ -131,9 +131,11 @@ def workers_of(count: int | None, cluster: str | None = None) -> "Workers":
 
 @contextmanager
 def progress_bars() -> "Iterator[ProgressCallback]":
-    """Show one bar per stage on stderr; quiet when nobody watches."""
+    """Show one bar per stage on stderr, and when it compiles; quiet when nobody watches."""
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    from reconstruction.compiling import telling_of_compiling
 
     name = TextColumn("{task.description:<12}", markup=False)
     columns = (name, BarColumn(), TimeElapsedColumn())
@@ -148,7 +150,16 @@ def progress_bars() -> "Iterator[ProgressCallback]":
                     sys.stderr.write(f"{stage} ...\n")
             progress.update(bars[stage], completed=fraction)
 
-        yield watch
+        def tell() -> None:
+            stage = next(reversed(bars), "")
+            told = f"{stage} (compiling, once)"
+            if stage and progress.tasks[bars[stage]].description != told:
+                progress.update(bars[stage], description=told)
+                if not console.is_terminal:
+                    sys.stderr.write(f"{told} ...\n")
+
+        with telling_of_compiling(tell):
+            yield watch
 
 
 def print_metrics(figures: dict[str, Any]) -> None:
