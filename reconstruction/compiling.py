@@ -5,13 +5,15 @@ of automatic parallelisation and may be called from several threads at once.
 """
 
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numba
+from numba.core import event
 
 from reconstruction.machine import threads
 
@@ -69,6 +71,24 @@ def compile_and_keep(function: Function, options: dict[str, Any], source_digest:
     stored._source_stamp = source_digest
     stored._load_index = partial(_load_index, stored)
     return cast(Function, kernel)
+
+
+@contextmanager
+def telling_of_compiling(told: Callable[[], None]) -> Iterator[None]:
+    """Call `told`, from the thread that compiles, whenever a kernel is compiled and not loaded."""
+    with event.install_listener("numba:compile", _Listener(told)):
+        yield
+
+
+class _Listener(event.Listener):  # type: ignore[misc]  # numba has no type information
+    def __init__(self, told: Callable[[], None]) -> None:
+        self._told = told
+
+    def on_start(self, event: Any) -> None:
+        self._told()
+
+    def on_end(self, event: Any) -> None:
+        pass
 
 
 def _load_index(stored: Any) -> Any:

@@ -1,6 +1,8 @@
 """Report what the twin finds on this machine: each finding with what to do about it.
 
 Nothing here raises: a check that fails is a finding.
+
+`python -m twin.doctor` compiles the kernels of ordinary measurements ahead.
 """
 
 from __future__ import annotations
@@ -11,9 +13,12 @@ import os
 import platform
 import re
 import shutil
+import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import get_args
@@ -175,3 +180,64 @@ def _disk() -> list[Finding]:
     ok = free >= MINIMUM_DISK_GIB
     detail = f"{free:.1f} GiB free in {Path.cwd()}"
     return [Finding("disk", ok, detail, "" if ok else "a full stack takes 300 MB, make room")]
+
+
+# What each compiles: side by side, as long as the longest. Sizes do not matter to kernels.
+WARMED = ("decoder, camera, renderer", "thin sheets, distances")
+
+
+def warm(told: Callable[[str], object] = lambda _: None) -> list[Finding]:
+    """Compile the kernels of ordinary measurements ahead, and keep them; `told` what is ready."""
+    start = time.perf_counter()
+
+    def compile_one(name: str) -> Finding:
+        command = [sys.executable, "-m", "twin.doctor", name]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        seconds = f"{time.perf_counter() - start:.0f} s"
+        if done.returncode:
+            reason = (done.stderr.strip().splitlines() or ["no reason given"])[-1]
+            return Finding(name, False, reason, "the first measurement compiles them")
+        told(f"{name}: {seconds}")
+        return Finding(f"kernels: {name}", True, f"compiled or there already, {seconds}")
+
+    with ThreadPoolExecutor() as pool:
+        return list(pool.map(compile_one, WARMED))
+
+
+def _warm_measurement() -> None:
+    from twin.config import load_experiment
+    from twin.pipeline import measure
+
+    camera = {"camera.binning": 4, "camera.width_px": 640, "camera.height_px": 480}
+    coarse = {"press.relief_pitch_mm": 0.05, "press.solver_pitch_mm": 0.16}
+    measure(load_experiment("examples/slab_balls", camera | coarse))
+
+
+def _warm_sheet() -> None:
+    import numpy as np
+
+    from twin.config import load_experiment
+    from twin.pipeline.press import press_specimen
+    from twin.specimens import shape_of
+    from twin.specimens.distance import distances_of
+
+    for body in distances_of(shape_of(load_experiment("examples/wrapped_group").specimen)):
+        body.evaluate(np.zeros((64, 3)), 1.0)
+    coarse = {"press.relief_pitch_mm": 0.05, "press.cell_mm": 0.5, "press.depth_mm": 0.3}
+    press_specimen(load_experiment("examples/wrapped_balls", coarse))
+
+
+def _main(names: list[str]) -> bool:
+    """Compile what is named, or everything side by side; tells whether that went well."""
+    by_name = dict(zip(WARMED, (_warm_measurement, _warm_sheet), strict=True))
+    for name in names:
+        by_name[name]()
+    if names:
+        return True
+    found = warm(lambda done: sys.stderr.write(f"      {done}\n"))
+    sys.stderr.writelines(f"      {one.name}: {one.detail}\n" for one in found if not one.ok)
+    return all(one.ok for one in found)
+
+
+if __name__ == "__main__":
+    sys.exit(not _main(sys.argv[1:]))

@@ -85,9 +85,10 @@ def test_first_call_sets_up_then_runs_where_the_user_is(checkout):
     ended = checkout.run("twin", "press", "my file.toml")
     assert ended.returncode == 0, ended.stderr
     assert ended.stdout == f"twin press my file.toml\n{checkout.calls_file.parent}\n"
-    assert [line[:3] for line in ended.stderr.splitlines() if "/4 " in line] == [
-        f"{step}/4" for step in (1, 2, 3, 4)
+    assert [line[:3] for line in ended.stderr.splitlines() if "/5 " in line] == [
+        f"{step}/5" for step in (1, 2, 3, 4, 5)
     ]
+    assert checkout.count("-m twin.doctor") == 1
 
 
 def test_second_call_starts_at_once(checkout):

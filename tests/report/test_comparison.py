@@ -14,7 +14,7 @@ from twin.config import load_experiment
 from twin.pipeline import comparison
 from twin.pipeline.comparison import compare, methods_named, read_outcomes
 from twin.report.bare import REASON_WORDS, discussion, missing_shares, verdicts
-from twin.report.comparison import write_comparison
+from twin.report.comparison import comparison_table, write_comparison
 from twin.report.measurement import summary_table, write_report
 from twin.report.pixel_panels import error_um, true_scale, wanted
 from twin.report.words import percent, split_unit

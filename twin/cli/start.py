@@ -1,5 +1,6 @@
 """Commands about this machine and the experiment file."""
 
+import sys
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -9,11 +10,20 @@ from twin.cli.app import FAILURE, MISSING_BACKEND, app, print_table, say
 
 
 @app.command
-def doctor() -> int:
-    """Check this machine: packages, Dr.Jit backend, LLVM or CUDA, data files, disk."""
+def doctor(*, warm: bool = False) -> int:
+    """Check this machine: packages, Dr.Jit backend, LLVM or CUDA, data files, disk.
+
+    Parameters
+    ----------
+    warm
+        Also compile the kernels of ordinary measurements, which the first one else waits for.
+    """
     from twin.doctor import diagnose
+    from twin.doctor import warm as compile_kernels
 
     findings = diagnose()
+    if warm:
+        findings += compile_kernels(lambda done: sys.stderr.write(f"compiled {done}\n"))
     rows = (
         ("ok" if one.ok else "no", one.name, one.detail, "" if one.ok else one.advice)
         for one in findings

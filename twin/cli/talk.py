@@ -4,7 +4,7 @@ Results go to stdout whatever the choice.
 """
 
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from enum import IntEnum
 from typing import TYPE_CHECKING, Any
@@ -16,6 +16,9 @@ OPTIONS = (
     "Every command takes -q, --quiet: no progress; and -v, --verbose: versions, the time of each "
     "stage, and where a failure came from. Ctrl-C ends a command within two seconds."
 )
+
+
+COMPILING = "(compiling, once)"
 
 
 class Loudness(IntEnum):
@@ -77,22 +80,27 @@ def note(line: str) -> None:
 def progress_bars() -> "Iterator[ProgressCallback]":
     """Show one bar per stage on stderr, with percent, time gone and time left.
 
-    Where nobody watches, each stage is a line when it begins; verbose also when it ends.
+    A stage that waits for a kernel to be compiled says so. Where nobody watches, each stage is a
+    line when it begins; verbose also when it ends.
     """
     from rich.console import Console
+
+    from reconstruction.compiling import telling_of_compiling
 
     console = Console(stderr=True)
     if _Chosen.level == Loudness.QUIET:
         yield lambda stage, fraction, /: None
     elif console.is_terminal:
-        with _bars(console) as watch:
+        with _bars(console) as (watch, tell), telling_of_compiling(tell):
             yield watch
     else:
-        yield _lines()
+        watch, tell = _lines()
+        with telling_of_compiling(tell):
+            yield watch
 
 
 @contextmanager
-def _bars(console: Any) -> "Iterator[ProgressCallback]":
+def _bars(console: Any) -> "Iterator[tuple[ProgressCallback, Callable[[], None]]]":
     from rich.progress import (
         BarColumn,
         Progress,
@@ -120,13 +128,19 @@ def _bars(console: Any) -> "Iterator[ProgressCallback]":
             if fraction > 0.0:
                 progress.update(bars[stage], total=1.0, completed=fraction)
 
-        yield watch
+        def tell() -> None:
+            stage = next(reversed(bars), "")
+            if stage:
+                progress.update(bars[stage], description=f"{stage} {COMPILING}")
+
+        yield watch, tell
 
 
-def _lines() -> "ProgressCallback":
+def _lines() -> "tuple[ProgressCallback, Callable[[], None]]":
     import time
 
     begun: dict[str, float] = {}
+    compiling: set[str] = set()
 
     def watch(stage: str, fraction: float, /) -> None:
         if stage not in begun:
@@ -135,4 +149,10 @@ def _lines() -> "ProgressCallback":
         elif fraction >= 1.0 and verbose():
             sys.stderr.write(f"{stage} took {time.perf_counter() - begun[stage]:.2f} s\n")
 
-    return watch
+    def tell() -> None:
+        stage = next(reversed(begun), "")
+        if stage and stage not in compiling:
+            compiling.add(stage)
+            sys.stderr.write(f"{stage} {COMPILING} ...\n")
+
+    return watch, tell

@@ -1,13 +1,18 @@
 """The way of a measurement in stages: press, trace, light, record, reconstruct, score.
 
-A single measurement is the way with an empty memory, a sweep the same way with one that lasts.
+A single measurement is the way with an empty memory, a sweep the same way with one that lasts. A
+command that takes part of the way imports that part: nothing comes before it is asked for.
 """
 
-from twin.pipeline.fringes import record, render, render_bare, take
-from twin.pipeline.memory import Memory
-from twin.pipeline.methods import measure
-from twin.pipeline.press import press_specimen
-from twin.results.record import Measurement, Recording
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from twin.pipeline.fringes import record, render, render_bare, take
+    from twin.pipeline.memory import Memory
+    from twin.pipeline.methods import measure
+    from twin.pipeline.press import press_specimen
+    from twin.results.record import Measurement, Recording
 
 __all__ = [
     "Measurement",
@@ -20,3 +25,21 @@ __all__ = [
     "render_bare",
     "take",
 ]
+
+_PLACES = {
+    "Measurement": "twin.results.record",
+    "Memory": "twin.pipeline.memory",
+    "Recording": "twin.results.record",
+    "measure": "twin.pipeline.methods",
+    "press_specimen": "twin.pipeline.press",
+    "record": "twin.pipeline.fringes",
+    "render": "twin.pipeline.fringes",
+    "render_bare": "twin.pipeline.fringes",
+    "take": "twin.pipeline.fringes",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _PLACES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(_PLACES[name]), name)

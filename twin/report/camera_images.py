@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.patches import Patch
+from matplotlib.patches import Patch, Rectangle
 from numpy.typing import NDArray
 
 from reconstruction.arrays import FloatImage, Levels, Reason
@@ -80,11 +80,15 @@ def draw_frames(path: Path, capture: Capture) -> None:
     line_in = thumb_in * height / width + _TITLE_IN
     height_in = line_in * len(rows) + _PROFILE_IN
     with drawing(path, _WIDTH_IN, height_in) as figure:
+        sheet = axes_at(figure, 0.0, 0.0, _WIDTH_IN, line_in * len(rows))
         for r, row in enumerate(rows):
             for c, frame in enumerate(row):
-                place = (_SIDE_IN + c * thumb_in / 0.95, r * line_in + _TITLE_IN)
-                thumb = axes_at(figure, *place, thumb_in, line_in - _TITLE_IN)
-                _thumb(thumb, capture, frame)
+                left_in, top_in = _SIDE_IN + c * thumb_in / 0.95, r * line_in + _TITLE_IN
+                bottom_in = (r + 1) * line_in
+                extent_in = (left_in, left_in + thumb_in, bottom_in, top_in)
+                _thumb(sheet, capture, frame, extent_in)
+        sheet.set(xlim=(0.0, _WIDTH_IN), ylim=(line_in * len(rows), 0.0))
+        sheet.set_axis_off()
         top_in = line_in * len(rows) + 0.5
         profile = axes_at(figure, 0.65, top_in, _WIDTH_IN - 0.75, _PROFILE_IN - 1.05)
         _profile(profile, capture)
@@ -109,12 +113,21 @@ def _phases(capture: Capture, axis: Axis) -> list[PatternFrame]:
     return [frames[n] for n in chosen if n < len(frames)]
 
 
-def _thumb(axes: Axes, capture: Capture, frame: PatternFrame) -> None:
+def _thumb(
+    sheet: Axes,
+    capture: Capture,
+    frame: PatternFrame,
+    extent_in: tuple[float, float, float, float],
+) -> None:
+    """Show a frame on axes in inches, its name above: axes of its own would take ten times more."""
     image = capture.stack[capture.patterns.frames.index(frame)]
-    axes.set_title(frame.name.replace("_", " "), fontsize=8.0, pad=3.0)
-    axes.set(xticks=[], yticks=[])
+    left, right, bottom, top = extent_in
+    sheet.text(left, top - 0.045, frame.name.replace("_", " "), fontsize=8.0, va="bottom")
     thumb = block_mean(image, -(-image.shape[1] // _THUMB_PX))
-    axes.imshow(thumb, cmap="gray", vmin=0, vmax=capture.sensor.saturation_dn)
+    shade: Any = {"cmap": "gray", "vmin": 0, "vmax": capture.sensor.saturation_dn}
+    sheet.imshow(thumb, extent=extent_in, aspect="auto", **shade)
+    outline = Rectangle((left, bottom), right - left, top - bottom, fill=False, ec=FAINT, lw=0.7)
+    sheet.add_patch(outline)
 
 
 def block_mean(image: NDArray[Any], side: int) -> FloatImage:
