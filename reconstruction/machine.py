@@ -110,8 +110,8 @@ def read_dataset(path: Path | str, group: str | None = None) -> "xarray.Dataset"
 
     Raises
     ------
-    InputError : it is missing, or no file
-    OSError : it is damaged or something else
+    InputError : it is no file
+    OSError : it is missing, damaged or something else
     """
     import xarray
 
@@ -129,7 +129,8 @@ def _require_sound(path: Path | str) -> None:
     import h5py
 
     # Before the library opens it: reading from a pipe or a device may never end.
-    regular_file(path)
+    if os.path.exists(path):
+        regular_file(path)
     try:
         with h5py.File(path, "r") as file:
             file.visititems(lambda _, node: dict(node.attrs) and None)
