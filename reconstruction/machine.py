@@ -129,7 +129,7 @@ def _require_sound(path: Path | str) -> None:
     import h5py
 
     # Before the library opens it: reading from a pipe or a device may never end.
-    if os.path.exists(path):
+    if Path(path).exists():
         regular_file(path)
     try:
         with h5py.File(path, "r") as file:
