@@ -226,7 +226,7 @@ def test_a_real_trial(mi, tmp_path):
         "render.samples": 1,
     }
     experiment = load_experiment("examples/slab_balls", small)
-    thick = {**X, "group": "elastomer", "key": "elastomer.thickness_mm", "spread": 0.02}
+    thick = {**X, "group": "elastomer", "key": "elastomer.thickness_mm", "spread": 0.1}
     found = twin.uncertainty(
         experiment,
         {"thickness": thick},
@@ -236,10 +236,12 @@ def test_a_real_trial(mi, tmp_path):
         measurands=["sphere_1_radius_mm", "z_bias_um"],
     )
     radius, bias = found.measurands.values()
-    slope = radius.parts[0].u / 0.02
+    slope = radius.parts[0].u / 0.1
     drawn = [row["elastomer.thickness_mm"] for row in found.table.rows[1:3]]
     moved = radius.distribution.values - radius.nominal
+    # The camera's noise alone moves the difference of two radii by 0.01 mm (150 trials): three
+    # times that.
     np.testing.assert_allclose(
-        np.abs(moved), slope * np.abs(np.array(drawn) - 3.0), rtol=0.35, atol=0.01
+        np.abs(moved), slope * np.abs(np.array(drawn) - 3.0), rtol=0.35, atol=0.03
     )
     assert len({*bias.distribution.values, bias.nominal}) == 3
