@@ -17,7 +17,8 @@ from scipy.spatial import ConvexHull
 
 from reconstruction.arrays import FloatArray
 from reconstruction.rig.pinhole import Pinhole
-from twin.config.models import Experiment, Provenance
+from twin.config.models import Experiment, Provenance, Specimen
+from twin.config.specimens import Group
 from twin.optics.light import pattern_set
 from twin.optics.rig import true_calibration
 from twin.report.canvas import FIT, INK, MEASURED, NOMINAL, axes_at, chart, drawing
@@ -80,10 +81,20 @@ def _colours(measured: Measurement) -> list[tuple[str, str]]:
 
 
 def _specimen(measured: Measurement) -> str:
-    values = measured.experiment.specimen.model_dump(exclude={"kind", "material"})
+    specimen = measured.experiment.specimen
+    if isinstance(specimen, Group):
+        parts = (f"{name} ({_shape(part)})" for name, part in specimen.parts.items())
+        return f"group: {'; '.join(parts)}"
+    return _shape(specimen)
+
+
+def _shape(specimen: Specimen) -> str:
+    values = specimen.model_dump()
+    kind = str(values.pop("kind")).replace("_", " ")
+    values.pop("material", None)
     # A pose of zeros says nothing; a moved or turned specimen is told in full.
     told = {name: value for name, value in values.items() if value}
-    return f"{measured.experiment.specimen.kind.replace('_', ' ')}: {phrase(told)}"
+    return f"{kind}: {phrase(told)}" if told else kind
 
 
 def _coat(measured: Measurement) -> list[tuple[str, str]]:

@@ -160,11 +160,11 @@ _QUANTITIES = (
     Column("nominal", "nominal", kind="number"),
     Column("value", "measured", kind="number"),
     Column("error", "deviation (µm)", kind="number"),
-    Column("coat", "of the true surface seen (µm)", kind="number"),
     Column("expanded", "U (µm)", kind="number"),
-    Column("parts", "u: points, repeated, calibration (µm)", kind="number"),
     Column("limits", "allowed (µm)", kind="number"),
     Column("verdict", "verdict"),
+    Column("coat", "truth's (µm)", kind="number"),
+    Column("parts", "parts of u (µm)", kind="number"),
 )
 
 
@@ -188,7 +188,9 @@ def quantity_table(measured: Measurement) -> Table:
             f"U: expanded uncertainty with k = {', '.join(factors)} (2: about 95 %), of the noise "
             "of the points through the fit, and of repeatability and calibration where they are "
             "stated. Verdict after ISO 14253-1 with guard band U: within tolerance by U or more, "
-            f"outside by U or more, or it cannot be told.{hidden}",
+            f"outside by U or more, or it cannot be told.{hidden} Truth's: the deviation that the "
+            "true surface seen has, without any error of the optics. Parts of u: points, "
+            "repeatability, calibration.",
         ),
         look="compared",
     )
