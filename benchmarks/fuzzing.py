@@ -369,7 +369,9 @@ def _be_child(arguments: list[str], folder: Path, command: Callable[[list[str]],
         ):
             os.dup2(os.open(name, flags, 0o600), number)
         # Whoever runs us may have put streams of its own there.
-        sys.stdout, sys.stderr = (io.TextIOWrapper(io.FileIO(n, "w"), "utf-8") for n in (1, 2))
+        sys.stdout, sys.stderr = (
+            io.TextIOWrapper(io.FileIO(n, "w"), "utf-8", "backslashreplace") for n in (1, 2)
+        )
         try:
             code = command(arguments)
         except BaseException:
