@@ -15,7 +15,7 @@ from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
-from benchmarks.fuzzing import FuzzOutcome, make_stock, run_case
+from benchmarks.fuzzing import LIMIT_S, FuzzOutcome, make_stock, run_case
 
 ENDS = {
     "tracebacks": "traceback",
@@ -57,6 +57,7 @@ def main() -> int:
     parser.add_argument("--cases", type=int, default=5000)
     parser.add_argument("--first", type=int, default=0, help="first seed")
     parser.add_argument("--seed", type=int, help="only this case, shown")
+    parser.add_argument("--limit", type=float, default=LIMIT_S, help="seconds until a case hangs")
     parser.add_argument("--stock", type=Path, help="sound inputs of an earlier run, or where to")
     chosen = parser.parse_args()
     with tempfile.TemporaryDirectory() as scratch:
@@ -66,31 +67,34 @@ def main() -> int:
             make_stock(stock, Path(sys.executable).with_name("twin"))
         preload()
         if chosen.seed is not None:
-            print(one(chosen.seed, stock, Path(scratch)))
+            print(one(chosen.seed, stock, Path(scratch), chosen.limit))
             return 0
         count = 200 if chosen.quick else chosen.cases
-        found = list(cases(range(chosen.first, chosen.first + count), stock, chosen.minutes))
+        seeds = range(chosen.first, chosen.first + count)
+        found = list(cases(seeds, stock, chosen.minutes, chosen.limit))
     print(json.dumps(summary(found)))
     return int(any(case.is_bad for case in found))
 
 
-def one(seed: int, stock: Path, scratch: Path) -> FuzzOutcome:
+def one(seed: int, stock: Path, scratch: Path, limit_s: float) -> FuzzOutcome:
     """Run one case in a folder of its own."""
     folder = scratch / str(seed)
     folder.mkdir()
-    found = run_case(seed, stock, folder, command)
+    found = run_case(seed, stock, folder, command, limit_s)
     shutil.rmtree(folder)
     return found
 
 
-def cases(seeds: range, stock: Path, minutes: float | None) -> Iterator[FuzzOutcome]:
+def cases(
+    seeds: range, stock: Path, minutes: float | None, limit_s: float
+) -> Iterator[FuzzOutcome]:
     """Run cases one after the other; tell the bad ones."""
     end = time.monotonic() + 60.0 * (minutes if minutes is not None else 1e6)
     with tempfile.TemporaryDirectory() as scratch:
         for seed in seeds:
             if time.monotonic() > end:
                 return
-            case = one(seed, stock, Path(scratch))
+            case = one(seed, stock, Path(scratch), limit_s)
             if case.is_bad:
                 print(case, flush=True)
             yield case
