@@ -222,6 +222,25 @@ def test_linear_solvers_solve_and_know_what_is_indefinite(kind: type[LinearSolve
 
 
 @pytest.mark.skipif(len(SOLVERS) < 2, reason="one solver is installed")
+def test_solutions_have_the_same_bytes_with_any_number_of_threads(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Large enough that two threads share the factors."""
+    line = sparse.diags([-1.0, 2.001, -1.0], [-1, 0, 1], (100, 100))
+    near = sparse.csr_matrix(sparse.kronsum(line, line))
+    matrix = sparse.csr_matrix(sparse.triu(near @ near))
+    matrix.sort_indices()
+    right = np.random.default_rng(6).normal(size=matrix.shape[0])
+    found = set()
+    for count in (1, 2, 3):
+        monkeypatch.setattr("twin.mechanics.sheet.linear_solver.threads", lambda n=count: n)
+        solver = Pardiso(matrix.indptr, matrix.indices)
+        assert solver.factorise(matrix.data.copy())
+        found.add(solver.solve(right).tobytes())
+    assert len(found) == 1
+
+
+@pytest.mark.skipif(len(SOLVERS) < 2, reason="one solver is installed")
 def test_the_press_does_not_depend_on_the_solver(monkeypatch: pytest.MonkeyPatch) -> None:
     found = []
     for kind in SOLVERS:

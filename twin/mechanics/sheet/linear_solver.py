@@ -14,12 +14,15 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 
 from reconstruction.arrays import FloatArray
+from reconstruction.machine import threads
 
 IntArray = npt.NDArray[np.int32]
 _REAL_POSITIVE_DEFINITE = 2
 _MKL_CBWR_AUTO = 2
 _ANALYSE, _FACTORISE, _SOLVE = 11, 22, 33
 _OWN_SETTINGS, _ORDERING, _NESTED_DISSECTION = 1, 2, 3
+# Conditional numerical reproducibility: sums as for so many threads, whatever their number.
+_REPRODUCIBLE, _THREADS = 34, 4
 
 
 class LinearSolver(Protocol):
@@ -62,9 +65,10 @@ class Pardiso:
         self._solver.set_iparm(_OWN_SETTINGS, 1)
         self._solver.set_iparm(_ORDERING, _NESTED_DISSECTION)
         size = start.size - 1
-        # One thread and one order of sums: the same bytes in every run, with any number of cores.
+        # One order of sums: the same bytes in every run, with any number of cores.
+        self._solver.set_iparm(_REPRODUCIBLE, _THREADS)
         self._solver.libmkl.MKL_CBWR_Set(ctypes.c_int(_MKL_CBWR_AUTO))
-        self._solver.libmkl.MKL_Set_Num_Threads(ctypes.c_int(1))
+        self._solver.libmkl.MKL_Set_Num_Threads(ctypes.c_int(min(threads(), _THREADS)))
         self._matrix = sparse.csr_matrix(
             (np.ones(columns.size), columns, start), shape=(size, size)
         )
