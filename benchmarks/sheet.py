@@ -188,13 +188,14 @@ def balls(quick: bool) -> Figures:
                 radii.append(fit_sphere(points[near]).radius_mm)
         shown = ", ".join(f"{radius:.3f}" for radius in radii[-2 * len(REGIONS_MM) :])
         print(f"two balls, {pressure:g} kPa, regions {REGIONS_MM}: {shown}", flush=True)
-    found: Figures = {"balls_radius_low_mm": min(radii), "balls_radius_high_mm": max(radii)}
-    return found if quick else found | halved()
+    return {"balls_radius_low_mm": min(radii), "balls_radius_high_mm": max(radii)}
 
 
-def halved() -> Figures:
+def halved(quick: bool) -> Figures:
     """Press the pair with 3 kPa on cells of 0.15 mm and of half of that."""
     faces, radii = [], []
+    if quick:
+        return {}
     for cell in (0.15, 0.075):
         one = pressed(TwoBalls(), elastomer(), 1.0, back_pressure_kpa=3.0, cell_mm=cell)
         x, y = np.meshgrid(one.face_x_mm, one.face_y_mm)
@@ -219,7 +220,7 @@ def bars(quick: bool) -> Figures:
         bar = Bar(width_mm=width, length_mm=15.0)
         try:
             one = pressed(
-                bar, elastomer(), 1.0, back_pressure_kpa=10.0, solver_pitch_mm=0.025, cell_mm=0.05
+                bar, elastomer(), 1.0, back_pressure_kpa=10.0, solver_pitch_mm=0.02, cell_mm=0.04
             )
         except (PressError, SolverError) as error:
             print(f"bar {width:g}: {error}", flush=True)
@@ -290,19 +291,19 @@ def _seconds(
 # ---- all -------------------------------------------------------------------------------------
 
 
-def answer(
-    part: Callable[..., Figures], arguments: tuple[Any, ...], connection: Connection
-) -> None:
-    connection.send(part(*arguments))
+def answer(part: Callable[[bool], Figures], quick: bool, connection: Connection) -> None:
+    found = part(quick)
+    # Linux gives KiB.
+    connection.send((found, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20))
 
 
-def in_child(part: Callable[..., Figures], *arguments: Any) -> Figures:
-    """Run a part in a process of its own, so that its memory is known."""
+def in_child(part: Callable[[bool], Figures], quick: bool) -> tuple[Figures, float]:
+    """Run a part in a process of its own; return what it found, and its peak memory, GiB."""
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe()
-    process = context.Process(target=answer, args=(part, arguments, theirs))
+    process = context.Process(target=answer, args=(part, quick, theirs))
     process.start()
-    found: Figures = ours.recv()
+    found: tuple[Figures, float] = ours.recv()
     process.join()
     return found
 
@@ -325,12 +326,15 @@ def parse() -> argparse.Namespace:
 
 
 def measured(quick: bool) -> Figures:
-    """Measure all but the random presses."""
-    parts = (solids, nut, bars, balls, balls_s, nut_s, fingerprint_s)
+    """Measure all but the random presses; memory apart for what asks for finer cells itself."""
     result: Figures = {}
-    for part in parts:
-        result |= in_child(part, quick)
-    return result
+    memory_gib: dict[str, float] = {}
+    for part in (solids, nut, balls, balls_s, nut_s, fingerprint_s, bars, halved):
+        found, peak_gib = in_child(part, quick)
+        name = "finer_cells_memory_gib" if part in {bars, halved} else "peak_memory_gib"
+        memory_gib[name] = max(peak_gib, memory_gib.get(name, 0.0))
+        result |= found
+    return result | memory_gib
 
 
 def main() -> None:
@@ -344,8 +348,7 @@ def main() -> None:
         count = chosen.presses
     result: dict[str, Any] = {} if chosen.presses else dict(measured(chosen.quick))
     result |= summary(press_all(range(count), chosen.workers, chosen.kept))
-    # Linux gives KiB.
-    result["peak_memory_gib"] = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 2**20
+    result["peak_memory_gib"] = max(result.get("peak_memory_gib", 0.0), result["press_gib"] or 0.0)
     result = {key: v if v is None else float(f"{v:.4g}") for key, v in result.items()}
     print(json.dumps(result | {"solver": "pardiso" if has_pardiso() else "superlu"}))
 
