@@ -54,6 +54,9 @@ def test_the_folder_holds_figures_samples_and_experiments(folder):
     assert found["fields"]["thickness"]["mean"] == pytest.approx(0.3, abs=0.01)
     assert found["rows"]["held"]["fitted"] is False
     assert set(found["rotated"]) == {"radius"}
+    assert {(one["field"], one["towards"]) for one in found["priors"]} == {
+        (name, end) for name in found["fields"] for end in ("low", "high")
+    }
     assert sum(one["probability"] for one in found["models"]) == pytest.approx(1.0)
     with xarray.open_dataset(folder / "posterior.nc") as samples:
         assert samples["thickness"].dims == ("model", "sample")

@@ -15,6 +15,7 @@ from twin.identification.findings import (
     draw_rows,
     interval_of,
     predict_rows,
+    prior_shifts,
     ridges,
     undetermined,
     worth_of,
@@ -340,3 +341,38 @@ def test_figures_of_one_simulation_are_left_out_together() -> None:
         left = known @ (figures[others] - terms[others] @ trend)
         predicted = terms[ours] @ trend + covariance[np.ix_(ours, others)] @ left
         np.testing.assert_allclose(found[ours], figures[ours] - predicted, atol=1e-10)
+
+
+def test_tilted_priors_move_what_the_rows_leave_open_and_nothing_else() -> None:
+    """Mean of the larger of two standard normal draws is 1 / sqrt pi: 2 Phi(z) phi(z)."""
+    rows = {"a": {"value": 0.3, "sd": 0.001}, "b": {"value": 0.0, "sd": 1.0, "held_out": True}}
+    problem = _problem(rows)
+    emulators = _linear(np.eye(2), list(rows))
+    posterior = sample(likelihood_of(problem, problem.fitted, emulators), seed=4)
+    every = likelihood_of(problem, problem.rows, emulators)
+    found = prior_shifts([posterior, posterior], [0.7, 0.3], every, seed=4)
+    by_tilt = {(one.field, one.towards): one for one in found}
+    open_high, open_low = by_tilt["x1", "high"], by_tilt["x1", "low"]
+    assert open_high.mean == pytest.approx(1 / np.sqrt(np.pi), abs=0.08)
+    assert open_low.mean == pytest.approx(-1 / np.sqrt(np.pi), abs=0.08)
+    assert (open_high.row, open_low.row) == ("b", "b")
+    assert open_high.row_steps == pytest.approx(1 / np.sqrt(np.pi), abs=0.08)
+    # Mean of w is 1, of w^2 4/3: three quarters of the samples count.
+    assert open_high.effective_share == pytest.approx(0.75, abs=0.04)
+    known = by_tilt["x0", "high"]
+    assert known.mean - known.mean_before == pytest.approx(0.0, abs=1e-4)
+    assert known.effective_share == pytest.approx(1.0, abs=1e-3)
+    assert all(one.probability == pytest.approx(0.7, abs=1e-12) for one in found)
+
+
+def test_a_tilted_prior_changes_the_evidence_of_choices_by_where_they_lie() -> None:
+    """Fields known to be 1 and -1: weights 2 Phi(1) = 1.683 and 2 Phi(-1) = 0.317."""
+    posteriors = []
+    for value in (1.0, -1.0):
+        problem = _problem({"a": {"value": value, "sd": 0.001}}, fields=1)
+        emulators = _linear(np.eye(1), ["a"])
+        likelihood = likelihood_of(problem, problem.rows, emulators)
+        posteriors.append(sample(likelihood, seed=5))
+    towards = {one.towards: one for one in prior_shifts(posteriors, [0.5, 0.5], likelihood, 0)}
+    assert towards["high"].probability == pytest.approx(norm.cdf(1.0), abs=1e-3)
+    assert towards["low"].probability == pytest.approx(norm.cdf(-1.0), abs=1e-3)

@@ -27,10 +27,12 @@ from twin.identification.emulator import Emulator
 from twin.identification.findings import (
     Marginal,
     Prediction,
+    PriorShift,
     Ridge,
     Worth,
     interval_of,
     predict_rows,
+    prior_shifts,
     ridges,
     undetermined,
     worth_of,
@@ -123,6 +125,13 @@ class Identified:
             self.problem, self.problem.worth, self.best.emulators, self.best.scatters
         )
         return worth_of(self.best.posterior, candidates, self.seed)
+
+    def prior_shifts(self) -> list[PriorShift]:
+        """Return what each field's prior does to the conclusions."""
+        best = self.best
+        rows = likelihood_of(self.problem, self.problem.rows, best.emulators, best.scatters)
+        posteriors = [one.posterior for one in self.models]
+        return prior_shifts(posteriors, self._weights, rows, self.seed)
 
     def profiles(self) -> dict[str, tuple[FloatArray, FloatArray]]:
         """Return the profile of the likelihood by field: its values and log likelihood."""
@@ -350,6 +359,7 @@ def figures_of(found: Identified) -> dict[str, Any]:
         ],
         "ridges": [asdict(one) for one in found.ridges()],
         "undetermined": found.undetermined(),
+        "priors": [asdict(one) for one in found.prior_shifts()],
         "worth": [asdict(one) for one in found.worth()],
         "emulators": {
             name: {"cross_validated_rmse": one.cross_validated_rmse, "missing_share": one.missing}

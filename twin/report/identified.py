@@ -161,7 +161,38 @@ def _fields(found: Identified) -> list[Block]:
         "Corner plot of the unknown fields",
         partial(draw_corner, found),
     )
-    return [Table("fields", "", "", columns, tuple(rows)), *ridges, figure]
+    return [Table("fields", "", "", columns, tuple(rows)), *ridges, figure, *_priors(found)]
+
+
+def _priors(found: Identified) -> list[Block]:
+    columns = (
+        Column("field", "prior of"),
+        Column("towards", "tilted to its"),
+        Column("before", "mean before", 4),
+        Column("mean", "mean after", 4),
+        Column("row_steps", "change of a row's prediction, at most, over its sd", 2),
+        Column("row", "that row"),
+        Column("probability", "probability of the best choices", 3),
+        Column("effective", "samples left", 0, "%"),
+    )
+    rows: list[Row] = [
+        {
+            "field": field_words(one.field, found.problem.free[one.field]),
+            "towards": f"{one.towards} end",
+            "before": one.mean_before,
+            "mean": one.mean,
+            "row_steps": one.row_steps,
+            "row": one.row,
+            "probability": one.probability,
+            "effective": 100.0 * one.effective_share,
+        }
+        for one in found.prior_shifts()
+    ]
+    words = (
+        "What the priors do to the conclusions: each is tilted in turn, twice as dense at one end "
+        "and none at the other. Means and predictions of the most probable choices."
+    )
+    return [words, Table("priors", "", "", columns, tuple(rows))]
 
 
 def _field_row(name: str, free: Free, one: Marginal, is_open: bool) -> dict[str, str | float]:
