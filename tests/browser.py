@@ -16,10 +16,14 @@ from pathlib import Path
 from select import select
 from time import monotonic
 from typing import Any
+from urllib.parse import urlsplit
 
 import pytest
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
+WIDTHS = (1280, 390)
+PAPER_PX = (718, 1047)
+"""A4 less margins of 10 mm, at 96 pixels per inch."""
 SECONDS = 60.0
 """A guard against a hang, far beyond what any page takes."""
 
@@ -74,6 +78,10 @@ class Browser:
         """Give the window another size."""
         size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
         self._call("Emulation.setDeviceMetricsOverride", **size)
+
+    def print(self) -> None:
+        """Lay the page out as it is printed."""
+        self._call("Emulation.setEmulatedMedia", media="print")
 
     def evaluate(self, expression: str) -> Any:
         """Return the value of an expression in the page; a promise is waited for."""
@@ -214,3 +222,25 @@ def browser(profile: Path) -> Iterator[Browser]:
         process.wait()
         os.close(commands)
         os.close(events)
+
+
+def assert_readable(page: Path, profile: Path) -> None:
+    """Open a page at desktop and phone width, all that is folded unfolded.
+
+    No error, no request to anywhere, nothing that sticks out sideways.
+    """
+    with browser(profile) as tab:
+        for width in WIDTHS:
+            tab.open(page.as_uri(), width)
+            tab.evaluate("document.querySelectorAll('details').forEach(one => one.open = true)")
+            assert tab.seen.errors == [], width
+            assert {urlsplit(one).scheme for one in tab.seen.requests} <= {"file", "data"}, width
+            assert tab.overflow() == [], width
+
+
+def printed_px(tab: Browser, page: Path, selector: str) -> float:
+    """Return where an element ends, in pixels, on the paper of a page that is printed."""
+    tab.open(page.as_uri(), PAPER_PX[0])
+    tab.print()
+    bottom = tab.evaluate(f"document.querySelector('{selector}').getBoundingClientRect().bottom")
+    return float(bottom)

@@ -9,10 +9,10 @@ from urllib.parse import unquote, urlsplit
 
 import pytest
 
-from tests.browser import Browser, browser
+from tests.browser import WIDTHS, Browser, browser
 
 ROOT = Path(__file__).parents[2]
-WIDTHS = (1280, 390)
+
 ELSEWHERE = {"https://github.com/pradyunsg/furo"}
 """Links to other sites: the theme names itself."""
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import xarray
 
+from tests.browser import assert_readable
 from tests.identification.sensors import Formula
 from tests.identification.test_identify import CHOICES
 from twin.cli import run as command
@@ -46,6 +47,10 @@ def folder(tmp_path_factory):
 
 
 _NAMED = 'name = "sensor"\nrotate = ["radius"]'
+
+
+def test_a_browser_opens_it(folder, tmp_path):
+    assert_readable(folder / "report.html", tmp_path)
 
 
 def test_the_folder_holds_figures_samples_and_experiments(folder):

@@ -9,6 +9,7 @@ import pytest
 
 from reconstruction.arrays import Reason
 from reconstruction.errors import InputError
+from tests.browser import assert_readable
 from twin.cli import run
 from twin.config import load_experiment
 from twin.pipeline import comparison
@@ -99,6 +100,10 @@ def test_comparison_repeats_the_figures_of_its_parts(compared):
         assert case["figures"] == part["metrics"]
         assert case["digest"] == part["digest"]
         assert case["failure"] == ""
+
+
+def test_a_browser_opens_it(compared, tmp_path):
+    assert_readable(compared / "report.html", tmp_path)
 
 
 def test_page_shows_every_method_and_needs_no_network(compared):

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from reconstruction.errors import InputError
+from tests.browser import PAPER_PX, assert_readable, browser, printed_px
 from twin.config import digest, vary
 from twin.report.experiment import glance
 from twin.report.measurement import write_report
@@ -69,8 +70,34 @@ def test_page_tells_result_warnings_and_assumptions(reported, experiment):
     assert "paper" not in page.split("<main")[1].split("Appendix")[0]
     for warning in measured.warnings:
         assert warning.replace("'", "&#39;") in page
-    assumed = [p for p in experiment.provenance.values() if p.source.startswith("assumed")]
+    other = ("stage", "lamps", "photometric")  # what only other methods read is not shown
+    told = [p for n, p in experiment.provenance.items() if n.partition(".")[0] not in other]
+    assumed = [p for p in told if p.source.startswith("assumed")]
     assert page.count('<tr class="assumed">') == len(assumed) > 0
+
+
+def test_a_browser_opens_it(reported, tmp_path):
+    assert_readable(reported[0] / "report.html", tmp_path)
+
+
+def test_its_first_printed_page_is_a_certificate(reported, experiment, tmp_path):
+    """Object, measurands, uncertainty, conditions, versions, on one sheet of A4."""
+    page = reported[0] / "report.html"
+    text = page.read_text(encoding="utf-8")
+    alone = text.partition('<section class="certificate">')[2].partition("</section>")[0]
+    for told in (
+        "Measurands",
+        "U: expanded uncertainty",
+        "radius 1",
+        "mitsuba",
+        digest(experiment),
+    ):
+        assert told in alone, told
+    with browser(tmp_path) as tab:
+        tab.open(page.as_uri())
+        shown = "getComputedStyle(document.querySelector('.certificate')).display"
+        assert tab.evaluate(shown) == "none"
+        assert 0 < printed_px(tab, page, ".certificate") <= PAPER_PX[1]
 
 
 def test_same_result_gives_same_bytes_wherever_it_lies(reported, finished, tmp_path):

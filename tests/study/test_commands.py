@@ -9,6 +9,7 @@ import pytest
 from markupsafe import escape
 
 from reconstruction.errors import InputError
+from tests.browser import assert_readable
 from tests.study import synthetic
 from twin.cli import run
 from twin.study import pictures
@@ -269,3 +270,5 @@ def test_any_name_is_printed_and_drawn(tmp_path, capsys, faked, monkeypatch, nam
     assert capsys.readouterr().out.count(name) == 2
     assert run(["sweep", "report", out, "-b", "bowl", "-b", "slope"]) == 0
     assert escape(name) in (tmp_path / "out" / "report.html").read_text()
+    if name == "<b>&":
+        assert_readable(tmp_path / "out" / "report.html", tmp_path)

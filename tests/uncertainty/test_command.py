@@ -4,6 +4,7 @@ from functools import partial
 
 import pytest
 
+from tests.browser import assert_readable
 from tests.uncertainty.models import Linear, Refusing
 from twin.cli import run
 from twin.study import sweep as module
@@ -46,6 +47,7 @@ def test_table_files_and_report(modelled, tmp_path, capsys):
     again = (tmp_path / "out/report.html").read_text(encoding="utf-8")
     assert again == page
     assert "force_n" not in page
+    assert_readable(tmp_path / "out/report.html", tmp_path)
     assert run(["sweep", "table", str(tmp_path / "out")]) == 0
     assert capsys.readouterr().out.count("\n") > 40
     assert run([*modelled, "-n", "40", "-m", "force_n"]) == 0

@@ -1,7 +1,7 @@
 """One page with every table and figure, self-contained; it prints."""
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 from twin.config import Experiment
@@ -9,7 +9,7 @@ from twin.config.inputs import Inputs
 from twin.output import versions
 from twin.paper.figures import FIGURES
 from twin.paper.plan import BALLS
-from twin.report.experiment import settings_table
+from twin.report.experiment import settings_blocks
 from twin.report.page import REPORT_FILE, Figure, Grade, Note, Page, Section, Verdict, write_page
 from twin.report.table import Column, Table
 from twin.report.words import shown
@@ -102,7 +102,7 @@ def write_paper_page(folder: Path, contents: Contents) -> Path:
     used = ", ".join(f"{name} {version}" for name, version in versions().items())
     parameters = (
         "One set for all tables and figures.",
-        replace(settings_table(contents.experiment), title=""),
+        *settings_blocks(contents.experiment),
         _spread_table(contents.inputs),
         Note(used),
     )

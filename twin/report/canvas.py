@@ -20,6 +20,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogFormatter
 from numpy.typing import NDArray
 
+from reconstruction.arrays import BoolArray, FloatArray
 from twin.output import replacing
 
 _SCREEN_DPI, _PRINT_DPI = 130, 200
@@ -29,6 +30,10 @@ MEASURED, TRUE_FACE, NOMINAL, FIT = "#1f6fb2", "#2b8a57", "#8a5a00", "#c2410c"
 MEASURED_FILL = "#a9c8e3"
 GAP = "#e9ecf0"
 """Colour of pixels without a value; in no colour map used here."""
+
+# A scale of errors: noise is shown whole, what is far off beyond its end.
+_CORE_PERCENT, _CORES = 68.3, 4.0
+_WIDENED, _LEAST_SPAN_MM = 0.5, 0.2
 
 _ROUND_STEPS = (1, 1.2, 1.5, 2, 2.5, 3, 4, 5, 6, 8, 10)
 
@@ -163,8 +168,26 @@ def contour_levels(low: float, high: float) -> list[float]:
 
 
 def symmetric_limit(values: NDArray[Any], percent: float = 99.0) -> float:
-    """Return the rounded size that `percent` of the values stay below; 1 when there are none."""
-    return round_up(float(np.percentile(np.abs(values), percent))) if values.size else 1.0
+    """Return the rounded size that `percent` of the values stay below; 1 when there are none.
+
+    A few that are far off do not set the scale: it ends at four times what 68 % stay below, which
+    is the standard deviation of noise.
+    """
+    if not values.size:
+        return 1.0
+    most, core = np.percentile(np.abs(values), (percent, _CORE_PERCENT))
+    return round_up(float(min(most, _CORES * core) if core > 0 else most))
+
+
+def near_truth(points_mm: FloatArray, true_mm: FloatArray) -> BoolArray:
+    """Tell which points (n, xyz) lie in the box of the true ones, widened by half its span.
+
+    What is farther out is wrong, and a picture that shows it shows nothing else.
+    """
+    low, high = true_mm.min(axis=0), true_mm.max(axis=0)
+    margin = _WIDENED * np.maximum(high - low, _LEAST_SPAN_MM)
+    inside = (points_mm >= low - margin) & (points_mm <= high + margin)
+    return np.asarray(inside.all(axis=1))
 
 
 def axes_at(

@@ -4,8 +4,8 @@ The side view is projected onto the vertical plane through the line from camera 
 horizontal coordinate s, mm, is 0 at the world origin.
 """
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,7 @@ from twin.config.specimens import Group
 from twin.optics.light import pattern_set
 from twin.optics.rig import true_calibration
 from twin.report.canvas import FIT, INK, MEASURED, NOMINAL, axes_at, chart, drawing
-from twin.report.page import Beside, Figure, Grade, Section
+from twin.report.page import Beside, Block, Figure, Folded, Grade, Section
 from twin.report.table import Column, Table, pairs, parts
 from twin.report.words import coating_phrase, in_words, label_of, percent, phrase, split_unit
 from twin.results.decoders import decoder_name
@@ -174,6 +174,10 @@ def _decoding(measured: Measurement) -> str:
 
 
 _HEAD = ("schema_version", "name", "description", "provenance", "links")
+_OF_COATS = {"elastomer", "coating", "press", "mechanics", "layers"}
+_OF_FRINGES = {"projector", "patterns", "decode"}
+_OF_LAMPS = {"lamps", "photometric"}
+_NO_SOURCE = "set in the experiment, or default"
 
 
 @dataclass(frozen=True)
@@ -211,31 +215,50 @@ def result_in_words(measured: Measurement) -> str:
 
 
 def appendix(measured: Measurement) -> Section:
-    """Return what a report ends with: settings, metrics, times per stage, versions."""
+    """Return what a report ends with, folded: settings, metrics, times per stage, versions."""
+    experiment = measured.experiment
     times = [(name, f"{value:.2f}", "s") for name, value in measured.seconds.items()]
     versions = [(name, str(value), "") for name, value in measured.versions.items()]
     return Section(
         "appendix",
         "Appendix",
         (
-            settings_table(measured.experiment),
-            Beside(
-                (pairs("metrics", "Metrics", _metrics(measured.metrics)),),
+            Folded("Every setting that counts here, with its source", settings_blocks(experiment)),
+            Folded(
+                "Every figure, time per stage, versions",
                 (
-                    *([pairs("timings", "Time per stage", times)] if times else []),
-                    pairs("versions", "Versions", versions),
+                    Beside(
+                        (pairs("metrics", "Metrics", _metrics(measured.metrics)),),
+                        (
+                            *([pairs("timings", "Time per stage", times)] if times else []),
+                            pairs("versions", "Versions", versions),
+                        ),
+                    ),
                 ),
             ),
         ),
     )
 
 
-def settings_table(experiment: Experiment) -> Table:
-    """Return every setting of an experiment with its source, by section."""
+def settings_blocks(experiment: Experiment) -> tuple[Block, ...]:
+    """Return the settings that count for the experiment's method; folded, where no source is told.
+
+    All of them, and those of other methods, are in `experiment.toml`.
+    """
     settings = settings_of(experiment)
+    told = [one for one in settings if one.source]
+    plain = [replace(one, source=_NO_SOURCE) for one in settings if not one.source]
+    folded = Folded(
+        f"{len(plain)} settings of the experiment's own, or defaults, without a stated source",
+        (_settings_table("plain_settings", plain),),
+    )
+    return (_settings_table("settings", told), folded)
+
+
+def _settings_table(name: str, settings: Sequence[Setting]) -> Table:
     return Table(
-        "settings",
-        "Resolved experiment",
+        name,
+        "",
         "",
         (
             Column("path", "setting (as --set takes it)", kind="code"),
@@ -266,9 +289,16 @@ def settings_table(experiment: Experiment) -> Table:
 
 
 def settings_of(experiment: Experiment) -> list[Setting]:
-    """Return every setting in the order of the experiment."""
-    tree = experiment.model_dump(mode="json", exclude=set(_HEAD))
+    """Return the settings that count for the experiment's method, in their order."""
+    tree = experiment.model_dump(mode="json", exclude={*_HEAD, *_without_meaning(experiment)})
     return [_setting(path, value, experiment.provenance.get(path)) for path, value in _leaves(tree)]
+
+
+def _without_meaning(experiment: Experiment) -> set[str]:
+    """Return the sections that other methods read."""
+    method = experiment.method
+    pressed = {"stage"} if method.presses else _OF_COATS
+    return pressed | (_OF_LAMPS if method.fringes else _OF_FRINGES)
 
 
 def _metrics(figures: Mapping[str, Any]) -> list[tuple[str, str, str]]:
@@ -307,7 +337,7 @@ def _setting(path: str, value: Any, origin: Provenance | None) -> Setting:
         path=path,
         value=in_words(value),
         unit=unit,
-        source=origin.source if origin else "set in the experiment or default, no source stated",
+        source=origin.source if origin else "",
         range=allowed,
         assumed=origin is not None and origin.source.startswith("assumed"),
     )

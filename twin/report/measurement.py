@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Protocol
 
 from twin.pipeline.progress import ProgressCallback, no_progress
+from twin.report.certificate import certificate
 from twin.report.experiment import appendix
 from twin.report.object import object_section, object_sentence, object_verdict
 from twin.report.page import REPORT_FILE, STAGE, Page, Section, Verdict, one_by_one, write_page
@@ -71,7 +72,8 @@ def page_of(measured: Measurement) -> Page:
         title=experiment.name.replace("_", " "),
         lead=experiment.description,
         sections=[
-            *_with_object(measured, by.sections(measured)),
+            *object_section(measured),
+            *by.sections(measured),
             *view_section(measured),
             appendix(measured),
         ],
@@ -79,12 +81,8 @@ def page_of(measured: Measurement) -> Page:
         warned=by.WARNED,
         warnings=[*measured.warnings, *measured.score.unfitted],
         numbered=True,
+        certificate=certificate(measured),
     )
-
-
-def _with_object(measured: Measurement, sections: list[Section]) -> list[Section]:
-    """Return the sections, the object behind the experiment: it is what was asked about."""
-    return [*sections[:1], *object_section(measured), *sections[1:]]
 
 
 def summary_table(measured: Measurement) -> str:

@@ -27,6 +27,7 @@ from twin.report.canvas import (
     drawing,
     height_scale,
     legend_above,
+    near_truth,
     symmetric_limit,
 )
 from twin.report.page import Block, Figure, Grade, Note, Section, Verdict
@@ -41,6 +42,8 @@ from twin.specimens import shape_of
 
 _MAP_CELLS = 320
 _BAND_PIXELS = 1.5
+# Of the good limit: an object whose points deviate more is not what was measured.
+_POOR_DEVIATION = 5.0
 _ALIGNED = (
     ("none", "as the sensor gave them"),
     ("offset", "offset along z taken off"),
@@ -55,8 +58,9 @@ def object_section(measured: Measurement) -> list[Section]:
     if found.seen is None or not found.aligned:
         return []
     tables = [quantity_table(measured)] if found.quantities else []
-    blocks: list[Block] = [*tables, deviation_table(measured), Note(_how(measured))]
-    return [Section("object", "The object", (*blocks, object_figure(measured)))]
+    picture = object_figure(measured)
+    blocks: list[Block] = [picture, *tables, deviation_table(measured), Note(_how(measured))]
+    return [Section("object", "The object", tuple(blocks))]
 
 
 def object_verdict(measured: Measurement) -> Verdict:
@@ -77,7 +81,7 @@ def object_verdict(measured: Measurement) -> Verdict:
     return Verdict(
         question,
         f"{rms_um:.1f}\N{NO-BREAK SPACE}µm RMS where it {_touches(measured.experiment)}",
-        "good" if p95_um <= limit_um else "check",
+        _grade_of_deviation(p95_um / limit_um),
         (
             f"95 % of its points there deviate by up to {p95_um:.1f} µm (good up to "
             f"{limit_um:g} µm)",
@@ -86,6 +90,12 @@ def object_verdict(measured: Measurement) -> Verdict:
             "state a tolerance in [[measurand]] for a verdict",
         ),
     )
+
+
+def _grade_of_deviation(over_limit: float) -> Grade:
+    if over_limit <= 1.0:
+        return "good"
+    return "check" if over_limit <= _POOR_DEVIATION else "poor"
 
 
 def object_sentence(measured: Measurement) -> str:
@@ -126,10 +136,17 @@ def told(one: MeasuredQuantity, coated: bool) -> str:
     if one.asked.unit == "um" or one.nominal is None:
         unit = "µm" if one.asked.unit == "um" else "mm"
         return f"{name} {one.value:.4g} {unit} {interval}{verdict}"
+    if _is_lost(one):
+        return f"{name}: object {one.nominal:g} mm, not measured (found: {one.value:.3g} mm)"
     error = signed(float(one.error or 0.0), 1)
     coat = "" if not coated or one.true_face is None else f"coat {one.true_face:.4f} mm, "
     chain = f"object {one.nominal:g} mm, {coat}measured {one.value:.4f} mm"
     return f"{name}: {chain}: {error} µm {interval}{verdict.replace(': ', ', ')}"
+
+
+def _is_lost(one: MeasuredQuantity) -> bool:
+    """Tell whether a length is wrong by more than itself: what was fitted is another thing."""
+    return one.nominal is not None and abs(float(one.error or 0.0)) > 1e3 * one.nominal
 
 
 def _ascii(text: str) -> str:
@@ -200,6 +217,14 @@ def _row(one: MeasuredQuantity) -> dict[str, str]:
     share, digits = one.asked.unit == "share", 4 if one.asked.unit == "mm" else 2
     unit = {"mm": " mm", "um": " µm", "share": ""}[one.asked.unit]
     length = one.asked.quantity in LENGTHS
+    if _is_lost(one):
+        return {
+            "name": one.asked.name.replace("_", " "),
+            "nominal": f"{one.nominal:g} mm",
+            "value": "not measured",
+            "limits": _limits(one),
+            "verdict": one.decision or f"found: {one.value:.3g} mm",
+        }
     return {
         "name": one.asked.name.replace("_", " "),
         "nominal": NONE if one.nominal is None else f"{one.nominal:g} mm",
@@ -286,10 +311,10 @@ def object_figure(measured: Measurement) -> Figure:
     return Figure(
         "object",
         "Measured relief, true object, deviation and section",
-        f"Heights in mm on one scale. Deviation along the normal, offset taken off, where the "
-        f"specimen {_touches(measured.experiment)}; elsewhere gray. The section shows measured "
-        f"points, the specimen's surface{_grown(measured)}, and what was fitted; thick points took "
-        "part.",
+        "Heights in mm on one scale; points far out are left out. Deviation along the normal, "
+        f"offset taken off, where the specimen {_touches(measured.experiment)}; elsewhere gray. "
+        f"The section shows measured points, the specimen's surface{_grown(measured)}, and what "
+        "was fitted; thick points took part.",
         "maps of measured relief, true object and deviation, and a section",
         lambda path: draw_object(path, measured),
     )
@@ -305,7 +330,7 @@ def draw_object(path: Path, measured: Measurement) -> None:
     found = measured.object
     seen, aligned = found.seen, found.aligned["offset"]
     assert seen is not None
-    points, pixel_mm = seen.measured.points_mm, seen.pixel_mm
+    points, pixel_mm = _shown_points(measured, seen), seen.pixel_mm
     z_true = np.ma.masked_invalid(seen.heights.z_mm + seen.surface.skin_mm)
     low, high = height_scale(points[:, 2])
     half = seen.heights.pitch_mm / 2
@@ -339,6 +364,13 @@ def draw_object(path: Path, measured: Measurement) -> None:
         _draw_section(axes_at(figure, 5.7, 3.95, 4.0, 2.6), measured, seen)
 
 
+def _shown_points(measured: Measurement, seen: SeenObject) -> FloatArray:
+    """Return the points (n, xyz) near the true surface, or all where none is."""
+    points, truth = seen.measured.points_mm, measured.truth
+    near = near_truth(points, truth.points_world_mm[truth.measured].astype(np.float64))
+    return points[near] if near.any() else points
+
+
 def trace_of(experiment: Experiment) -> Trace:
     """Return the section's line: through the balls, or along the specimen's own x axis."""
     if shape_of(experiment.specimen).spheres():
@@ -348,7 +380,7 @@ def trace_of(experiment: Experiment) -> Trace:
 
 
 def _draw_section(axes: Axes, measured: Measurement, seen: SeenObject) -> None:
-    trace, points = trace_of(measured.experiment), seen.measured.points_mm
+    trace, points = trace_of(measured.experiment), _shown_points(measured, seen)
     place, z = _band(trace, points, seen.pixel_mm)
     axes.plot(place, z, ".", ms=2.0, color=MEASURED_FILL, label="measured")
     fitted = next((one for one in measured.object.quantities if one.points_mm is not None), None)
@@ -364,6 +396,8 @@ def _draw_section(axes: Axes, measured: Measurement, seen: SeenObject) -> None:
     low, high = (float(z.min()), float(z.max())) if len(z) else (0.0, 1.0)
     margin = 0.15 * max(high - low, 0.01)
     chart(axes, "section", f"{trace.axis} (mm)", "z (mm)", ylim=(low - margin, high + margin))
+    if len(place):
+        axes.set_xlim(float(place.min()) - margin, float(place.max()) + margin)
     legend_above(axes, 3)
 
 

@@ -121,6 +121,14 @@ class TurnableView:
 
 
 @dataclass(frozen=True)
+class Folded:
+    """What a reader opens to see; closed at first, and not printed."""
+
+    title: str
+    blocks: "tuple[Block, ...]"
+
+
+@dataclass(frozen=True)
 class Section:
     """What stands together under a heading; sections in sections have smaller headings."""
 
@@ -129,7 +137,7 @@ class Section:
     blocks: "tuple[Block, ...]"
 
 
-Block = str | Figure | Table | Note | Gallery | Shares | Beside | TurnableView | Section
+Block = str | Figure | Table | Note | Gallery | Shares | Beside | TurnableView | Folded | Section
 """Text is escaped unless it is `markupsafe.Markup`."""
 
 
@@ -147,6 +155,7 @@ class Page:
     numbered : sections carry numbers
     contents : a list of the sections stands before them
     wide : for tables with many columns
+    certificate : printed alone on the first page, and not shown on a screen
     """
 
     kind: str
@@ -159,6 +168,7 @@ class Page:
     numbered: bool = False
     contents: bool = False
     wide: bool = False
+    certificate: "tuple[Block, ...]" = ()
 
     @property
     def turns(self) -> bool:
@@ -221,7 +231,7 @@ def figures_in(block: Block) -> Iterator[Figure]:
     if isinstance(block, Figure):
         yield block
     inside: Sequence[Block] = ()
-    if isinstance(block, Section):
+    if isinstance(block, Section | Folded):
         inside = block.blocks
     elif isinstance(block, Beside):
         inside = (*block.left, *block.right)

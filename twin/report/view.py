@@ -17,7 +17,7 @@ from reconstruction.cells import CellMeans, cell_means
 from reconstruction.rig.layers import PlaneLayers
 from reconstruction.rig.pinhole import Pinhole
 from twin.optics.rig import true_calibration
-from twin.report.canvas import round_up, symmetric_limit
+from twin.report.canvas import near_truth, round_up, symmetric_limit
 from twin.report.page import Section, TurnableView
 from twin.results.record import Measurement
 from twin.specimens import height_above_lowest
@@ -75,11 +75,15 @@ def _surfaces(measured: Measurement) -> tuple[CellMeans, CellMeans, float]:
     points, true_mm = measured.points, measured.truth.points_world_mm
     on = points.valid & measured.truth.measured
     on = on if on.any() else points.valid
+    true_on_mm = true_mm[on].astype(np.float64)
     world_mm = points.world_mm[on].astype(np.float64)
+    near = near_truth(world_mm, true_on_mm)
+    if near.any():
+        world_mm, true_on_mm = world_mm[near], true_on_mm[near]
     span_mm = np.ptp(world_mm[:, :2], axis=0)
     typical_mm = 1.5 * np.sqrt(np.prod(span_mm) / len(world_mm))
     pitch_mm = max(float(span_mm.max()) / _MOST_CELLS, float(typical_mm), 1e-6)
-    error_um = 1e3 * (world_mm[:, 2] - true_mm[on][:, 2])
+    error_um = 1e3 * (world_mm[:, 2] - true_on_mm[:, 2])
     relief = cell_means(world_mm, world_mm[:, 2], pitch_mm)
     deviation = cell_means(world_mm, error_um, pitch_mm)
     return relief, deviation, symmetric_limit(deviation.mean[deviation.valid])
