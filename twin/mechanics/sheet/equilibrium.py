@@ -33,7 +33,7 @@ _FILM = 0.1
 # Shares of the cohesive range: anchored below the first, let go above the second, where the pull is
 # largest. Springs held farther would add to the work of peeling: 10 % at 0.2 mm, 50 % at 0.1 mm.
 _GRIPS, _LETS_GO = 0.25, 0.5
-_LEAST_VISCOSITY, _CONVEX_FROM, _MOST_VISCOSITY = 1.0, 1e4, 1e7
+_LEAST_VISCOSITY, _CONVEX_FROM, _MOST_VISCOSITY = 1.0, 1e4, 1e15
 _GROWTH = 8.0
 # Of a step's promised gain.
 _POOR, _GOOD = 0.5, 0.75

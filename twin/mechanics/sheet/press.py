@@ -49,6 +49,9 @@ _MOST_CELLS = 24_000
 # A slack sheet of 0.05 mm finds its way in a hundred steps and more, and no half way is nearer.
 _ROUGH = Accuracy(step_mm=1e-3, residual_kpa=0.1, most_steps=300)
 _BETWEEN = Accuracy(step_mm=5e-3, residual_kpa=1.0, most_steps=40, strict=False)
+# A sheet that sticks meets cells between with its full stiffness: left on its way there, the
+# finest cells begin inside the specimen.
+_BETWEEN_STUCK = replace(_BETWEEN, most_steps=150)
 _FINE = Accuracy(residual_kpa=2e-3, most_steps=200)
 _FORCE_TOLERANCE, _FORCE_STEPS = 1e-3, 40
 # Thickness over its undeformed value of what is told to hold: far from what is refused.
@@ -191,7 +194,8 @@ def _on_fine_cells(case: SheetCase, coarse: Sheet, state: SheetState) -> tuple[S
     cell_mm = _affordable_mm(case, box)
     if cell_mm * _WIDEST_RATIO < _COARSE_CELL_MM:
         between = _between(case, coarse, state)
-        state = between.settle(refined(coarse, between, state), _BETWEEN)
+        accuracy = _BETWEEN_STUCK if between.sticks else _BETWEEN
+        state = between.settle(refined(coarse, between, state), accuracy)
         coarse, box = between, _contact_box(case, between, state)
         del between
     fine = case.sheet(cell_mm, _RIM * cell_mm, box)
