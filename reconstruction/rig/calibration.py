@@ -3,7 +3,6 @@
 Transforms T_a_from_b map points of frame b to frame a; lengths mm.
 """
 
-import re
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -13,18 +12,15 @@ import numpy as np
 
 from reconstruction.arrays import FloatArray
 from reconstruction.errors import CaptureError, InputError
-from reconstruction.reading import read_text
 from reconstruction.rig.layers import PlaneLayers, plane_layers
 from reconstruction.rig.pinhole import Pinhole
+from reconstruction.rig.storage import damaged, open_storage
 
 __all__ = ["Calibration", "Pinhole", "read_calibration", "write_calibration"]
 
 DEVICES = ("camera", "projector")
 TRANSFORMS = ("T_world_from_cam", "T_world_from_proj")
 LAYERS = "layers"
-# OpenCV's reader goes down one level of C++ per bracket or indent, and overflows its stack: a
-# calibration has 3 kB in short lines and two levels.
-MOST_BYTES, MOST_LINE, MOST_NESTED = 1_000_000, 1000, 32
 # A rotation printed with seven digits is still accepted.
 ROTATION_TOLERANCE = 1e-6
 
@@ -122,7 +118,7 @@ def read_calibration(path: Path | str) -> Calibration:
         a transform is no rigid motion
     """
     path = Path(path)
-    storage = _open(path)
+    storage = open_storage(path)
     try:
         devices = [_read_pinhole(storage, name) for name in DEVICES]
         transforms = [_read_matrix(storage.getNode(name), name, (4, 4)) for name in TRANSFORMS]
@@ -131,51 +127,9 @@ def read_calibration(path: Path | str) -> Calibration:
     except InputError as error:
         raise CaptureError(f"{path}: {error}") from error
     except cv2.error as error:  # thrown wherever it meets a half-written node
-        raise _damaged(path, error) from error
+        raise damaged(path, error) from error
     finally:
         storage.release()
-
-
-def _open(path: Path) -> Any:
-    try:
-        text = read_text(path)
-    except InputError as error:
-        raise CaptureError(str(error)) from None
-    if not text.startswith("%YAML"):  # checked here: OpenCV prints and aborts the parse otherwise
-        raise CaptureError(
-            f"{path}: is no OpenCV calibration; the first line must begin with %YAML"
-        )
-    _require_plain(path, text)
-    try:
-        # Not by the constructor: the binding turns an error in it into a SystemError.
-        storage = cv2.FileStorage()
-        storage.open(text, cv2.FileStorage_READ | cv2.FileStorage_MEMORY)
-        return storage
-    except cv2.error as error:
-        raise _damaged(path, error) from error
-
-
-def _require_plain(path: Path, text: str) -> None:
-    """Refuse a text that is no calibration and may bring OpenCV's reader down."""
-    longest, nested = max(map(len, text.splitlines())), 0
-    for sign in re.findall(r"[][{}]", text):
-        nested = nested + 1 if sign in "[{" else max(nested - 1, 0)
-        if nested > MOST_NESTED:
-            raise CaptureError(
-                f"{path}: is no calibration: brackets nest deeper than {MOST_NESTED} levels"
-            )
-    if len(text) > MOST_BYTES or longest > MOST_LINE:
-        raise CaptureError(
-            f"{path}: is no calibration: found {len(text)} characters in lines of up to "
-            f"{longest}, allowed {MOST_BYTES} and {MOST_LINE}"
-        )
-
-
-def _damaged(path: Path, error: Any) -> CaptureError:
-    # In a parse error OpenCV puts line number and cause where the function's name belongs.
-    is_parse_error = error.code == cv2.Error.StsParseError
-    cause = f"line {error.func}" if is_parse_error else "an entry is incomplete"
-    return CaptureError(f"{path}: is damaged YAML: {cause}")
 
 
 def _read_pinhole(storage: Any, name: str) -> Pinhole:

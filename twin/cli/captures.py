@@ -165,6 +165,46 @@ def calibrate(
     say(f"wrote {out}")
 
 
+@app.command(name="import-calibration")
+def import_calibration(
+    *files: Path,
+    out: Out,
+    camera_size: tuple[int, int] | None = None,
+    projector_size: tuple[int, int] | None = None,
+    unit: Literal["mm", "cm", "m"] = "mm",
+    projector_first: bool = False,
+    standoff_mm: float | None = None,
+) -> None:
+    """Take over a calibration of OpenCV, MATLAB or a scanner program; see docs/calibration.md.
+
+    Parameters
+    ----------
+    files
+        YAML, XML or MAT files that together hold both camera matrices, distortions, R and T.
+    camera_size, projector_size
+        Width and height, px, where no file tells them.
+    unit
+        Of the files' lengths.
+    projector_first
+        The files' first (left) device is the projector.
+    standoff_mm
+        From the camera to the world's origin; default: where both axes come nearest.
+    """
+    from reconstruction.rig.importing import Importing
+    from reconstruction.rig.importing import import_calibration as read
+    from twin.output import output_folder
+    from twin.pipeline.calibration import CALIBRATION_FILE, write_imported
+
+    options = Importing(camera_size, projector_size, unit, projector_first, standoff_mm)
+    found = read(files, options)
+    with output_folder(out, files) as folder:
+        figures = write_imported(folder, found)
+    for wanted, name in found.used.items():
+        say(f"{wanted}: {name}")
+    print_metrics(figures)
+    say(f"wrote {out / CALIBRATION_FILE}")
+
+
 def _rig(source: Path, settings: Settings) -> "Experiment":
     from reconstruction.errors import InputError
     from twin.assets import AssetError

@@ -36,6 +36,7 @@ from reconstruction.capture.description import write_frame_set
 from reconstruction.capture.folder import Capture, write_capture
 from reconstruction.errors import InputError
 from reconstruction.rig.calibration import Calibration, write_calibration
+from reconstruction.rig.importing import Imported, angle_deg
 from twin.camera import expose
 from twin.config import Experiment, digest, to_toml
 from twin.config.board import BoardFile, BoardPose
@@ -222,6 +223,26 @@ def write_board_calibration(folder: Path, done: BoardCalibration) -> dict[str, A
         text = to_toml(done.experiment)
         (folder / EXPERIMENT_FILE).write_text(text, encoding="utf-8")
     write_outcome(folder, "calibrate", figures, digest=done.digest)
+    return figures
+
+
+def write_imported(folder: Path, found: Imported) -> dict[str, Any]:
+    """Write calibration.yaml and result.json of another program's calibration; return figures."""
+    calibration = found.calibration
+    T_proj_from_cam = calibration.T_proj_from_cam
+    figures: dict[str, Any] = {
+        "baseline_mm": float(np.linalg.norm(T_proj_from_cam[:3, 3])),
+        "triangulation_angle_deg": angle_deg(calibration),
+        "standoff_mm": float(calibration.T_world_from_cam[2, 3]),
+    }
+    for name, refit_px in zip(("camera", "projector"), found.refit_px, strict=True):
+        device = getattr(calibration, name)
+        figures |= {f"{name}_width_px": device.width_px, f"{name}_height_px": device.height_px}
+        figures |= {f"{name}_fx_px": device.fx_px, f"{name}_refit_px": refit_px}
+    write_calibration(folder / CALIBRATION_FILE, calibration)
+    content = (folder / CALIBRATION_FILE).read_bytes()
+    named = hashlib.blake2b(content, digest_size=8).hexdigest()
+    write_outcome(folder, "import-calibration", figures, digest=named)
     return figures
 
 

@@ -1,0 +1,403 @@
+"""Calibrations that other programs made, as one of ours.
+
+Numbers are found by their names, whatever program wrote them: camera matrix, distortion and image
+size of both devices, and the motion from the camera's frame to the projector's.
+
+| program | file |
+|---|---|
+| OpenCV's stereo_calib | intrinsics.yml (M1, D1, M2, D2) and extrinsics.yml (R, T) |
+| scan3d-capture (Moreno and Taubin, 3DIMPVT 2012) | calibration.yml (cam_K, cam_kc, proj_K, ...) |
+| others through cv2.FileStorage | YAML or XML with usual names; R as matrix or rotation vector |
+| Camera Calibration Toolbox for MATLAB (Bouguet) | Calib_Results_stereo.mat (fc_left, om, ...) |
+| MATLAB's stereo calibrator | s = toStruct(stereoParams); save("x.mat", "-struct", "s", "-v7") |
+
+Pixel (0, 0) is the centre of the first pixel in all of them but MATLAB's calibrator, where it is
+(1, 1), and whose matrices multiply rows from the right.
+
+Left, first and 1 are the camera, right, second and 2 the projector. World: on the camera's axis,
+where the projector's axis comes nearest to it; x to the right, y up in the image, z to the camera.
+"""
+
+import io
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from scipy.optimize import least_squares
+
+from reconstruction.arrays import FloatArray
+from reconstruction.errors import CaptureError, InputError, few
+from reconstruction.reading import read_bytes
+from reconstruction.rig.calibration import Calibration
+from reconstruction.rig.pinhole import Pinhole
+from reconstruction.rig.storage import numbers_in
+
+MOST_REFIT_PX = 0.05
+"""A lens that our five coefficients follow less well than this is refused."""
+
+# Lower case without separators, the device's first; what stands before the last "/" counts too.
+_FIRST = ("camera", "cam", "left", "l", "1", "c")
+_SECOND = ("projector", "proj", "prj", "right", "r", "2", "p", "dlp")
+_MATRIX = ("cameramatrix", "intrinsicmatrix", "intrinsics", "int", "matrix", "kk", "k", "m", "a")
+_DISTORTION = ("distortioncoefficients", "distcoeffs", "distortion", "dist", "kc", "d")
+_WIDTHS, _HEIGHTS = ("imagewidth", "width", "w", "nx"), ("imageheight", "height", "h", "ny")
+_SIZES = ("imagesize", "size", "resolution", "imgshape")
+_ROTATION = ("r", "rotation", "rotationmatrix", "rmat", "rvec", "om", "rstereo", "stereor")
+_TRANSLATION = ("t", "translation", "translationvector", "tvec", "tstereo", "stereot")
+_COEFFICIENTS = (4, 5, 8, 12, 14)
+_TO_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
+# Grid of the refit, and least distance of two axes' directions from parallel.
+_GRID = (41, 31)
+_LEAST_SINE = 0.02
+
+
+@dataclass(frozen=True)
+class Importing:
+    """What a file may leave open.
+
+    Attributes
+    ----------
+    camera_size, projector_size : (width, height), px; None: in the file
+    unit : of the file's lengths
+    projector_first : the file's first device is the projector, and its motion leads to the camera
+    standoff_mm : from the camera to the world's origin; None: where the axes come nearest
+    """
+
+    camera_size: tuple[int, int] | None = None
+    projector_size: tuple[int, int] | None = None
+    unit: str = "mm"
+    projector_first: bool = False
+    standoff_mm: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Imported:
+    """A calibration with what was done to it.
+
+    Attributes
+    ----------
+    used : by what was wanted, the names in the files
+    refit_px : (camera, projector) largest deviation of the lens from the file's; 0: taken as it is
+    """
+
+    calibration: Calibration
+    used: Mapping[str, str]
+    refit_px: tuple[float, float]
+
+
+def import_calibration(
+    paths: Sequence[Path],
+    options: Importing = Importing(),
+) -> Imported:
+    """Read a calibration of another program from one file or several.
+
+    Raises
+    ------
+    CaptureError : a file is missing, damaged or of no known kind; a number is missing, or has
+        another shape; a lens cannot be followed
+    """
+    found: dict[str, FloatArray] = {}
+    for path in paths:
+        found |= numbers_of(path)
+    where = ", ".join(path.name for path in paths)
+    try:
+        return _assembled(_Names(found), options)
+    except InputError as error:
+        raise CaptureError(f"{where}: {error}") from error
+
+
+def numbers_of(path: Path) -> dict[str, FloatArray]:
+    """Return every number and matrix of a file by its path inside.
+
+    Raises
+    ------
+    CaptureError : see `import_calibration`
+    """
+    return _matlab(path) if path.suffix.lower() == ".mat" else numbers_in(path)
+
+
+def _matlab(path: Path) -> dict[str, FloatArray]:
+    from scipy.io import loadmat
+
+    try:
+        tree = loadmat(io.BytesIO(read_bytes(path)), simplify_cells=True)
+    except InputError as error:
+        raise CaptureError(str(error)) from None
+    except NotImplementedError:
+        raise CaptureError(
+            f"{path}: is a MATLAB file of version 7.3; save it again with -v7"
+        ) from None
+    except Exception as error:  # SciPy's reader raises whatever the bytes lead to
+        raise CaptureError(f"{path}: is no MATLAB file, or damaged ({error})") from None
+    found = dict(_leaves(tree, ""))
+    if not found:
+        raise CaptureError(
+            f"{path}: holds no numbers that can be read, as of MATLAB's own objects; save a "
+            'structure: s = toStruct(stereoParams); save("x.mat", "-struct", "s", "-v7")'
+        )
+    return found
+
+
+def _leaves(tree: Mapping[str, Any], path: str) -> Iterator[tuple[str, FloatArray]]:
+    for key, value in tree.items():
+        name = f"{path}/{key}" if path else str(key)
+        if isinstance(value, Mapping):
+            yield from _leaves(value, name)
+        elif not str(key).startswith("__"):
+            array = np.asarray(value)
+            if array.dtype.kind in "fiu":
+                yield name, np.asarray(array, np.float64)
+
+
+def _plain(name: str) -> str:
+    return "".join(sign for sign in name.lower() if sign.isalnum() or sign == "/")
+
+
+class _Names:
+    """Numbers of files, found by any of the names that programs give them."""
+
+    def __init__(self, found: Mapping[str, FloatArray]) -> None:
+        self.found = found
+        self.used: dict[str, str] = {}
+        self._by_name = {_plain(name): name for name in found}
+
+    def of_device(
+        self, device: Sequence[str], names: Sequence[str], sizes: Collection[int]
+    ) -> FloatArray | None:
+        """Return what is called by a device and one of some names, in either order.
+
+        Only of one of some sizes: K1 is a matrix of one program, and a coefficient of another.
+        """
+        wanted = [
+            form
+            for name in names
+            for one in device
+            for form in (one + name, name + one, f"{one}/{name}", f"cameraparameters{one}/{name}")
+        ]
+        return self._first(f"{device[0]} {names[0]}", wanted, sizes)
+
+    def alone(self, names: Sequence[str], sizes: Collection[int]) -> FloatArray | None:
+        """Return what has one of some names, and one of some sizes."""
+        return self._first(names[0], names, sizes)
+
+    def _first(
+        self, wanted: str, forms: Sequence[str], sizes: Collection[int]
+    ) -> FloatArray | None:
+        for form in forms:
+            name = self._by_name.get(form)
+            if name is not None and self.found[name].size in sizes:
+                self.used[wanted] = name
+                return self.found[name]
+        return None
+
+    def missing(self, what: str) -> InputError:
+        """Return the error for what no name fits."""
+        return InputError(f"no {what} is found; the file holds {few(sorted(self.found)) or '-'}")
+
+
+def _assembled(names: _Names, options: Importing) -> Imported:
+    first, second = _device(names, _FIRST), _device(names, _SECOND)
+    sizes = [options.camera_size, options.projector_size]
+    T_second_from_first = _motion(names, _TO_MM[options.unit])
+    if options.projector_first:
+        first, second = second, first
+        T_second_from_first = inverse(T_second_from_first)
+    pinholes, deviations = zip(
+        *(
+            one.pinhole(name, size)
+            for name, one, size in zip(("camera", "projector"), (first, second), sizes, strict=True)
+        ),
+        strict=True,
+    )
+    T_world_from_cam = _world(T_second_from_first, options.standoff_mm)
+    T_world_from_proj = T_world_from_cam @ inverse(T_second_from_first)
+    calibration = Calibration(pinholes[0], pinholes[1], T_world_from_cam, T_world_from_proj)
+    return Imported(calibration, names.used, (deviations[0], deviations[1]))
+
+
+@dataclass(frozen=True, eq=False)
+class _Lens:
+    """A device as the file has it: camera matrix with skew, any of OpenCV's coefficients."""
+
+    matrix: FloatArray
+    distortion: FloatArray
+    size: tuple[int, int] | None
+
+    def pinhole(self, name: str, size: tuple[int, int] | None) -> tuple[Pinhole, float]:
+        """Return it with five coefficients and without skew, and the largest deviation, px."""
+        size = size or self.size
+        if size is None:
+            raise InputError(f"the {name}'s image size is not in the file; give --{name}-size")
+        k = self.matrix
+        ideal = Pinhole(size[0], size[1], k[0, 0], k[1, 1], k[0, 2], k[1, 2])
+        if k[0, 1] == 0.0 and self.distortion.size <= 5:
+            five = np.zeros(5)
+            five[: self.distortion.size] = self.distortion
+            return replace(ideal, distortion=_five(five)), 0.0
+        return _refitted(name, ideal, self)
+
+
+def _five(values: FloatArray) -> tuple[float, float, float, float, float]:
+    k1, k2, p1, p2, k3 = (float(value) for value in values)
+    return (k1, k2, p1, p2, k3)
+
+
+def _refitted(name: str, start: Pinhole, lens: _Lens) -> tuple[Pinhole, float]:
+    """Fit a pinhole with five coefficients to a lens over its image."""
+    u, v = np.meshgrid(
+        *(
+            np.linspace(0, n - 1, m)
+            for n, m in zip((start.width_px, start.height_px), _GRID, strict=True)
+        )
+    )
+    pixels = np.stack((u.ravel(), v.ravel()), axis=-1)
+    k = lens.matrix
+    y = (pixels[:, 1] - k[1, 2]) / k[1, 1]
+    x = (pixels[:, 0] - k[0, 2] - k[0, 1] * y) / k[0, 0]
+    one = np.eye(3)
+    enough = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-12)
+    places = np.stack((x, y), axis=-1)[:, np.newaxis]
+    rays = cv2.undistortPoints(places, one, lens.distortion, None, one, one, enough)[:, 0]
+    points = np.column_stack((rays, np.ones(len(rays))))
+
+    def pinhole(values: FloatArray) -> Pinhole:
+        fx, fy, cx, cy = (float(value) for value in values[:4])
+        changed = replace(start, fx_px=fx, fy_px=fy, cx_px=cx, cy_px=cy)
+        return replace(changed, distortion=_five(values[4:]))
+
+    def residual_px(values: FloatArray) -> FloatArray:
+        missed: FloatArray = (pinhole(values).project(points) - pixels).ravel()
+        return missed
+
+    begin = np.array([start.fx_px, start.fy_px, start.cx_px, start.cy_px, 0.0, 0.0, 0.0, 0.0, 0.0])
+    solved: Any = least_squares(residual_px, begin, x_scale="jac", xtol=1e-14, ftol=1e-14)
+    largest = float(np.abs(residual_px(solved.x)).max())
+    if not largest <= MOST_REFIT_PX:
+        raise InputError(
+            f"the {name}'s lens ({lens.distortion.size} coefficients, skew {k[0, 1]:g}) differs by "
+            f"{largest:.2g} px from what k1, k2, p1, p2, k3 without skew can follow; allowed "
+            f"{MOST_REFIT_PX:g}; calibrate with these five"
+        )
+    return pinhole(solved.x), largest
+
+
+def _device(names: _Names, device: Sequence[str]) -> _Lens:
+    found = names.of_device(device, _MATRIX, {9})
+    from_one = 0.0
+    if found is not None:
+        found = found.reshape(3, 3)
+        # MATLAB's calibrator: rows times matrix, and the first pixel's centre is (1, 1).
+        from_one = (
+            1.0 if "cameraparameters" in _plain(names.used[f"{device[0]} {_MATRIX[0]}"]) else 0.0
+        )
+        matrix = found.T if found[2, 0] != 0.0 else found
+    else:
+        matrix = _of_toolbox(names, device)
+    if not np.allclose(matrix[[1, 2, 2, 2], [0, 0, 1, 2]], (0.0, 0.0, 0.0, 1.0)):
+        raise InputError(f"the camera matrix of the {device[0]} is {matrix.tolist()}")
+    matrix = matrix - np.array([[0, 0, from_one], [0, 0, from_one], [0, 0, 0]])
+    return _Lens(matrix, _distortion(names, device), _size(names, device))
+
+
+def _of_toolbox(names: _Names, device: Sequence[str]) -> FloatArray:
+    focal = names.of_device(device, ("fc",), {2})
+    centre = names.of_device(device, ("cc",), {2})
+    if focal is None or centre is None:
+        raise names.missing(f"camera matrix of the {device[0]}")
+    (fx, fy), (cx, cy) = focal.ravel(), centre.ravel()
+    skew = names.of_device(device, ("alphac",), {1})
+    return np.array([[fx, 0.0 if skew is None else float(skew) * fx, cx], [0, fy, cy], [0, 0, 1]])
+
+
+def _distortion(names: _Names, device: Sequence[str]) -> FloatArray:
+    found = names.of_device(device, _DISTORTION, _COEFFICIENTS)
+    if found is not None:
+        return found.ravel()
+    radial = names.of_device(device, ("radialdistortion",), {2, 3})
+    tangential = names.of_device(device, ("tangentialdistortion",), {2})
+    if radial is None:
+        counts = ", ".join(map(str, _COEFFICIENTS))
+        raise names.missing(f"distortion of the {device[0]} ({counts} coefficients)")
+    bent = np.zeros(2) if tangential is None else tangential.ravel()
+    return np.concatenate((radial.ravel()[:2], bent, radial.ravel()[2:]))
+
+
+def _size(names: _Names, device: Sequence[str]) -> tuple[int, int] | None:
+    width = names.of_device(device, _WIDTHS, {1})
+    height = names.of_device(device, _HEIGHTS, {1})
+    if width is not None and height is not None:
+        return int(width.item()), int(height.item())
+    both = names.of_device(device, _SIZES, {2})
+    if both is None:
+        return None
+    first, second = (int(value) for value in both.ravel())
+    told = _plain(names.used[f"{device[0]} {_SIZES[0]}"])
+    rows_first = "cameraparameters" in told or told.endswith("shape")
+    return (second, first) if rows_first else (first, second)
+
+
+def _motion(names: _Names, to_mm: float) -> FloatArray:
+    """Return the motion from the first device's frame to the second's, (4, 4), mm."""
+    rotation, translation = names.alone(_ROTATION, {3, 9}), names.alone(_TRANSLATION, {3})
+    of_rows = names.alone(("rotationofcamera2",), {9})
+    if rotation is None and of_rows is not None:
+        rotation = of_rows.reshape(3, 3).T
+        translation = names.alone(("translationofcamera2",), {3})
+    if rotation is None or translation is None:
+        raise names.missing("rotation R and translation T from the first device to the second")
+    if rotation.size == 3:
+        rotation = np.asarray(cv2.Rodrigues(rotation.reshape(3, 1))[0], np.float64)
+    motion = np.eye(4)
+    motion[:3, :3] = nearest_rotation(rotation.reshape(3, 3))
+    motion[:3, 3] = to_mm * translation.ravel()
+    return motion
+
+
+def inverse(motion: FloatArray) -> FloatArray:
+    """Return the motion back, (4, 4)."""
+    return np.asarray(np.linalg.inv(motion), np.float64)
+
+
+def nearest_rotation(matrix: FloatArray) -> FloatArray:
+    """Return the rotation nearest to a matrix that was printed with few digits.
+
+    Raises
+    ------
+    InputError : the matrix is none to a thousandth
+    """
+    left, stretch, right = np.linalg.svd(matrix)
+    if np.abs(stretch - 1).max() > 1e-3 or np.linalg.det(matrix) < 0:
+        raise InputError(f"R is no rotation: its singular values are {stretch.tolist()}")
+    return np.asarray(left @ right)
+
+
+def _world(T_proj_from_cam: FloatArray, standoff_mm: float | None) -> FloatArray:
+    """Return T_world_from_cam with the world's origin on the camera's axis."""
+    if standoff_mm is None:
+        standoff_mm = _nearest_on_axis_mm(inverse(T_proj_from_cam))
+    T_world_from_cam = np.diag([1.0, -1.0, -1.0, 1.0])
+    T_world_from_cam[2, 3] = standoff_mm
+    return T_world_from_cam
+
+
+def _nearest_on_axis_mm(T_cam_from_proj: FloatArray) -> float:
+    """Return how far from the camera its axis comes nearest to the projector's."""
+    axis, centre = T_cam_from_proj[:3, 2], T_cam_from_proj[:3, 3]
+    sine_square = 1.0 - axis[2] ** 2
+    if sine_square < _LEAST_SINE**2:
+        raise InputError("both axes are parallel and meet nowhere; give --standoff-mm")
+    # Of z e_z and c + s a, both differences across both directions.
+    along = (centre[2] - axis[2] * float(axis @ centre)) / sine_square
+    if along <= 0:
+        raise InputError("both axes come nearest behind the camera; give --standoff-mm")
+    return float(along)
+
+
+def angle_deg(calibration: Calibration) -> float:
+    """Angle between the devices as seen from the world's origin."""
+    a, b = calibration.T_world_from_cam[:3, 3], calibration.T_world_from_proj[:3, 3]
+    cosine = float(a @ b / np.linalg.norm(a) / np.linalg.norm(b))
+    return float(np.rad2deg(np.arccos(np.clip(cosine, -1.0, 1.0))))
