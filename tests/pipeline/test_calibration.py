@@ -279,6 +279,24 @@ def test_mistakes_in_folders_are_one_line(folder, board_file, tmp_path, capsys, 
     assert not out.exists()
 
 
+def test_one_bad_pose_does_not_stop_the_others(folder, board_file, tmp_path, capsys):
+    """Setup: of five poses the first shows no board, another lacks a frame. Three are used."""
+    captures, out = tmp_path / "captures", tmp_path / "out"
+    shutil.copytree(folder / "captures", captures)
+    no_board(captures)
+    (captures / "pose_03" / "004_phase_column_04.png").unlink()
+    assert run(["calibrate", str(captures), "-o", str(out), "--board", str(board_file)]) == 0
+    found = figures(out)
+    assert (found["poses"], found["poses_skipped"]) == (3, 2)
+    assert [told.partition("pose_0")[2][0] for told in found["warnings"]] == ["0", "3"]
+    assert "1 of 29 frames are missing" in found["warnings"][1]
+    assert {path.name for path in out.glob("skipped_*")} == {"skipped_pose_00.png"}
+    # It shows what the pose shows: patterns of all kinds, in the mean brighter than dark.
+    assert imageio.imread(out / "skipped_pose_00.png").mean() > 64
+    assert "grid is not recognised" in found["warnings"][0]
+    assert "left out: " in capsys.readouterr().out
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [

@@ -8,6 +8,7 @@ its folder are the contract of `twin calibrate -o DIR`:
 | result.json | metrics (units in their names), digest, versions |
 | calibration.yaml | the calibration, OpenCV YAML |
 | parameters.csv, poses.csv, features.csv | uncertainties, residuals by pose, every feature |
+| skipped_NAME.png | mean image of a pose that took no part; `warnings` in result.json say why |
 | experiment.toml | of a rendered calibration: the resolved experiment |
 """
 
@@ -19,8 +20,10 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+import imageio.v3 as imageio
 import numpy as np
 
+from reconstruction.arrays import Levels
 from reconstruction.calibration import (
     AdjustOptions,
     BoardCapture,
@@ -49,6 +52,15 @@ from twin.results.parts import write_outcome, write_rows
 
 
 @dataclass(frozen=True, eq=False)
+class SkippedPose:
+    """A pose that took no part, and why; its mean image where its frames could be read."""
+
+    name: str
+    reason: str
+    picture: Levels | None
+
+
+@dataclass(frozen=True, eq=False)
 class BoardCalibration:
     """A calibration with what it rests on.
 
@@ -57,12 +69,14 @@ class BoardCalibration:
     observations : one per pose
     digest : names the inputs
     experiment : of a rendered calibration
+    skipped : poses that took no part
     """
 
     result: Calibrated
     observations: tuple[Observation, ...]
     digest: str
     experiment: Experiment | None = None
+    skipped: tuple[SkippedPose, ...] = ()
 
     @property
     def truth(self) -> dict[str, float] | None:
@@ -131,28 +145,54 @@ def calibrate_captures(
     *,
     watch: ProgressCallback = no_progress,
 ) -> BoardCalibration:
-    """Calibrate on a folder with one capture folder per board pose, the first one the world.
+    """Calibrate on a folder with one capture folder per board pose, the first used the world.
+
+    Poses that are incomplete, of another size, or show no board take no part and are told.
 
     Raises
     ------
-    InputError : a capture is incomplete, the board is not recognised, or the poses do not determine
-        the rig
+    InputError : fewer poses than are needed are left, or they do not determine the rig
     """
     folders = pose_folders(folder)
-    seen, named, size = [], [_canonical(board), repr(options)], ""
+    seen: list[Observation] = []
+    skipped: list[SkippedPose] = []
+    named, size = [_canonical(board), repr(options)], ""
     for number, path in enumerate(folders):
         watch("poses", number / len(folders))
-        capture = read_board_capture(path)
-        size = _size(capture) if number == 0 else size
-        if _size(capture) != size:
-            raise InputError(
-                f"{path.name}: {_size(capture)}, but {folders[0].name}: {size}; record all poses "
-                "with the same camera and projector images"
-            )
+        capture: BoardCapture | None = None
+        try:
+            capture = read_board_capture(path)
+            _require_size(path.name, capture, size, seen[0].name if seen else "")
+            seen.append(observe(capture, board.board(), path.name))
+        except InputError as error:
+            skipped.append(SkippedPose(path.name, str(error), _picture(capture)))
+            continue
+        size = _size(capture)
         named.append(hashlib.blake2b(capture.stack.tobytes(), digest_size=8).hexdigest())
-        seen.append(observe(capture, board.board(), path.name))
     watch("poses", 1.0)
-    return BoardCalibration(calibrate(seen, options), tuple(seen), _digest(named))
+    if skipped and len(seen) < LEAST_POSES:
+        told = "; ".join(one.reason for one in skipped)
+        raise InputError(
+            f"{len(seen)} of {len(folders)} poses can be used, {LEAST_POSES} are needed: {told}"
+        )
+    found = calibrate(seen, options)
+    return BoardCalibration(found, tuple(seen), _digest(named), skipped=tuple(skipped))
+
+
+def _require_size(name: str, capture: BoardCapture, size: str, first: str) -> None:
+    if size and _size(capture) != size:
+        raise InputError(
+            f"{name}: {_size(capture)}, but {first}: {size}; record all poses with the same camera "
+            "and projector images"
+        )
+
+
+def _picture(capture: BoardCapture | None) -> Levels | None:
+    """Return the mean of the frames, its brightest pixel white."""
+    if capture is None:
+        return None
+    mean = capture.stack.mean(axis=0, dtype=np.float64)
+    return np.asarray(np.rint(255 * mean / max(float(mean.max()), 1.0)), np.uint8)
 
 
 def _size(capture: BoardCapture) -> str:
@@ -184,6 +224,8 @@ def _digest(parts: Sequence[str]) -> str:
 
 
 CALIBRATION_FILE = "calibration.yaml"
+LEAST_POSES = 3
+SKIPPED_PREFIX = "skipped_"
 PARAMETERS_FILE, POSES_FILE, FEATURES_FILE = "parameters.csv", "poses.csv", "features.csv"
 
 
@@ -192,6 +234,7 @@ def calibration_metrics(done: BoardCalibration) -> dict[str, Any]:
     found = done.result
     figures: dict[str, Any] = {
         "poses": len(found.poses),
+        "poses_skipped": len(done.skipped),
         "features": sum(pose.features for pose in found.poses),
         "features_left_out": sum(pose.left_out for pose in found.poses),
         "camera_reprojection_rms_px": _rms([pose.camera_px for pose in found.poses]),
@@ -205,6 +248,7 @@ def calibration_metrics(done: BoardCalibration) -> dict[str, Any]:
         figures[f"{parameter.name}_expanded"] = parameter.expanded
         if truth is not None:
             figures[f"{parameter.name}_error"] = parameter.value - truth[parameter.name]
+    figures["warnings"] = [f"left out: {one.reason}" for one in done.skipped]
     return figures
 
 
@@ -219,6 +263,9 @@ def write_board_calibration(folder: Path, done: BoardCalibration) -> dict[str, A
     write_rows(folder / PARAMETERS_FILE, list(parameter_rows(done)), 10)
     write_rows(folder / POSES_FILE, [asdict(pose) for pose in done.result.poses], 10)
     write_rows(folder / FEATURES_FILE, list(_feature_rows(done)), 10)
+    for one in done.skipped:
+        if one.picture is not None:
+            imageio.imwrite(folder / f"{SKIPPED_PREFIX}{one.name}.png", one.picture)
     if done.experiment is not None:
         text = to_toml(done.experiment)
         (folder / EXPERIMENT_FILE).write_text(text, encoding="utf-8")
