@@ -6,7 +6,7 @@ Files are written through HDF5 and OpenEXR so that a full disk is an ordinary er
 be told that a write failed: its file can then be closed no more, and the process ends in a
 segmentation fault. So the bytes go to the disk through Python; after the first failure the rest is
 dropped, and the failure is raised once HDF5 has let go of the file. OpenEXR tells the reason in
-words only.
+words only. Which files HDF5 is given to read is decided in `sealing`.
 """
 
 import errno
@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any
 
 from reconstruction.errors import InputError, one_line
 from reconstruction.reading import regular_file
+from reconstruction.sealing import require_readable, seal
 
 if TYPE_CHECKING:
     import numpy as np
@@ -92,6 +93,8 @@ def write_dataset(path: Path | str, dataset: "xarray.Dataset") -> None:
     }
     with _patient(path) as target:
         dataset.to_netcdf(target, engine="h5netcdf", encoding=kinds)
+        if target.failure is None:
+            seal(target)
 
 
 def pixel_coordinates(rows: int, cols: int) -> dict[str, Any]:
@@ -115,26 +118,14 @@ def read_dataset(path: Path | str, group: str | None = None) -> "xarray.Dataset"
     """
     import xarray
 
-    _require_sound(path)
-    # Nothing is decoded: a unit such as ms does not make durations.
-    with xarray.open_dataset(path, engine="h5netcdf", group=group, decode_cf=False) as found:
-        return found.load()
-
-
-def _require_sound(path: Path | str) -> None:
-    """Refuse a file of which h5netcdf would open a part, and print a traceback at its end.
-
-    All of its structure is read, checksums included, not its arrays.
-    """
-    import h5py
-
-    # Before the library opens it: reading from a pipe or a device may never end.
-    if Path(path).exists():
-        regular_file(path)
+    # Before a library opens it: reading from a pipe or a device may never end.
+    if (path := Path(path)).exists():
+        require_readable(regular_file(path))
     try:
-        with h5py.File(path, "r") as file:
-            file.visititems(lambda _, node: dict(node.attrs) and None)
-    except (KeyError, RuntimeError, TypeError, ValueError) as error:
+        # Nothing is decoded: a unit such as ms does not make durations.
+        with xarray.open_dataset(path, engine="h5netcdf", group=group, decode_cf=False) as found:
+            return found.load()
+    except (AttributeError, KeyError, RuntimeError, TypeError, ValueError) as error:
         raise OSError(f"{path}: is damaged ({one_line(error)})") from error
 
 
