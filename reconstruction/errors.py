@@ -16,7 +16,7 @@ class FitError(InputError):
     """Points that do not determine the shape asked for."""
 
 
-def one_line(error: Exception) -> str:
+def one_line(error: BaseException) -> str:
     """Return what a library said, as part of a message."""
     return " ".join(str(error).split())
 

@@ -1,4 +1,4 @@
-"""Files that others wrote: what may be opened at all, and text, TOML and JSON read in one way.
+"""Files that others wrote: what may be opened at all; text, TOML, JSON, images and arrays.
 
 Whatever is wrong with such a file is an InputError of one line: the file, the place, what was found
 and what is allowed. Pipes and devices are refused before they are opened, since reading from them
@@ -11,12 +11,17 @@ import stat
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from reconstruction.errors import InputError, one_line
 
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
 MOST_TEXT_BYTES = 16 * 2**20
 MOST_DATA_BYTES = 64 * 2**30
+MOST_IMAGE_BYTES = 2**30
 # Deeper tables are a mistake or an attack; Python's own limit would end in a RecursionError.
 _MOST_NESTED = 64
 _LONGEST_SHOWN = 120
@@ -137,6 +142,59 @@ def read_json(path: Path | str) -> dict[str, Any]:
         raise InputError(f"{where}: found {type(content).__name__}, allowed a JSON object")
     _require_shallow(content, where)
     return content
+
+
+def read_pixels(path: Path | str) -> "NDArray[Any]":
+    """Return an image file, PNG, TIFF or BMP, as it is stored, (row, col) or (row, col, channel).
+
+    Raises
+    ------
+    InputError : as `regular_file`, or it is no complete image
+    """
+    import imageio.v3 as imageio  # 0.1 s that reading text need not pay
+
+    path = regular_file(path, MOST_IMAGE_BYTES)
+    try:
+        return _array(imageio.imread(path, plugin="pillow"))
+    # Pillow's readers raise each their own: SyntaxError, struct.error, zlib.error, IndexError ...
+    except Exception as error:
+        raise InputError(f"{shown(path)}: is no complete image ({_of_image(error)})") from None
+
+
+def _of_image(error: Exception) -> str:
+    if isinstance(error, AttributeError):
+        return "a part is missing, such as its palette"
+    # imageio hides what Pillow said.
+    return one_line(error.__cause__ or error) or type(error).__name__
+
+
+def _array(found: Any) -> "NDArray[Any]":
+    import numpy as np
+
+    array = np.asarray(found)
+    if array.dtype.kind not in "biuf" or array.ndim not in (2, 3) or not array.size:
+        raise ValueError(f"found {array.dtype} of shape {array.shape}")
+    return array
+
+
+def read_arrays(path: Path | str) -> "dict[str, np.ndarray[Any, Any]]":
+    """Return the arrays of an npz file by name; none of Python objects.
+
+    Raises
+    ------
+    InputError : as `regular_file`, or it is no complete npz file
+    """
+    import numpy as np
+
+    path = regular_file(path)
+    try:
+        # Opened here: np.load leaves a file open that is no archive.
+        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
+            return {name: np.asarray(file[name]) for name in file.files}
+    # zipfile and numpy raise each their own: BadZipFile, zlib.error, NotImplementedError ...
+    except Exception as error:
+        reason = one_line(error) or type(error).__name__
+        raise InputError(f"{shown(path)}: is no complete npz file ({reason})") from None
 
 
 def _cause(error: Exception) -> str:

@@ -15,7 +15,7 @@ A real rig gives one image file per frame, and another kind of capture.toml:
 | format, version | "fringe-frames", 1 |
 | files | pattern of the file names: fields {index} (from 0), {number} (from 1), {name} and {set}, |
 |       | as in "{index:03d}_{name}.png", at most 99 digits wide; or with * and ?, then in natural |
-|       | order of the names |
+|       | order of the names; in the folder of capture.toml or below it |
 | bit_depth | bits per pixel value, 8 to 16 |
 | patterns_file | manifest that came with the projected images |
 | calibration_file | OpenCV YAML, see `calibration` |
@@ -230,6 +230,7 @@ class FrameSet:
             if not isinstance(value, str) or not (value or name == "dark_file"):
                 raise InputError(f"{name} is {value!r}; give the name of a file")
         object.__setattr__(self, "exposures_ms", _exposures(self.exposures_ms))
+        _require_below(self.files)
         _check_fields(self.files, self.sets)
         largest = 2**self.bit_depth - 1
         if self.sensor.saturation_dn > largest:
@@ -321,6 +322,16 @@ def _gap(files: list[Path]) -> str:
 
 def _is_glob(files: str) -> bool:
     return any(sign in files for sign in "*?")
+
+
+def _require_below(files: str) -> None:
+    """Refuse names that lead out of the folder, and patterns that search all below it."""
+    parts = files.split("/")
+    if parts[0] in ("", "~") or ".." in parts or "**" in files or "\0" in files:
+        raise InputError(
+            f"files is {files[:_MOST_SIGNS]!r}; give names in the folder of capture.toml or in a "
+            "named folder below it, without .. or **"
+        )
 
 
 def _check_fields(files: str, sets: int) -> None:

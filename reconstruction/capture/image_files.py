@@ -25,13 +25,12 @@ from reconstruction.capture.frame_order import check_order
 from reconstruction.errors import CaptureError, InputError, one_line, require_number
 from reconstruction.machine import threads
 from reconstruction.patterns import PatternSet
-from reconstruction.reading import regular_file
+from reconstruction.reading import MOST_IMAGE_BYTES, read_pixels, regular_file
 from reconstruction.rig.calibration import Calibration
 from reconstruction.rig.sensor import SensorNoise
 
 Image = NDArray[Any]
 TYPES = ("uint8", "uint16", "float32")
-MOST_IMAGE_BYTES = 2**30
 # Ratio of two exposures' light against that of their times: beyond it the sets are mixed up.
 EXPOSURE_FACTOR = 1.5
 
@@ -114,14 +113,9 @@ def read_image(path: Path) -> Image:
     CaptureError : missing, damaged, coloured, or of another type
     """
     try:
-        regular_file(path, MOST_IMAGE_BYTES)
+        image = _read_exr(path) if path.suffix.lower() == ".exr" else read_pixels(path)
     except InputError as error:
         raise CaptureError(f"the image {error}") from None
-    try:
-        image = _read_exr(path) if path.suffix.lower() == ".exr" else _read_plain(path)
-    except (OSError, RuntimeError, ValueError, SyntaxError) as error:
-        # Pillow calls a broken PNG a SyntaxError.
-        raise CaptureError(f"{path}: is no complete image ({one_line(error)})") from error
     if image.ndim == 3 and np.all(image[..., :3] == image[..., :1]):
         image = np.ascontiguousarray(image[..., 0])
     if image.ndim != 2 or image.dtype.name not in TYPES:
@@ -132,18 +126,17 @@ def read_image(path: Path) -> Image:
     return image
 
 
-def _read_plain(path: Path) -> Image:
-    import imageio.v3 as imageio  # 0.1 s that a netCDF capture need not pay
-
-    return np.asarray(imageio.imread(path, plugin="pillow"))
-
-
 def _read_exr(path: Path) -> Image:
-    import OpenEXR  # as above
+    import OpenEXR  # 0.1 s that other captures need not pay
 
-    with OpenEXR.File(str(path), separate_channels=True) as file:
-        channels = [np.asarray(channel.pixels, np.float32) for channel in file.channels().values()]
-        return channels[0].copy() if len(channels) == 1 else np.stack(channels, axis=-1)
+    regular_file(path, MOST_IMAGE_BYTES)
+    try:
+        with OpenEXR.File(str(path), separate_channels=True) as file:
+            found = [np.asarray(one.pixels, np.float32) for one in file.channels().values()]
+            return found[0].copy() if len(found) == 1 else np.stack(found, axis=-1)
+    # The binding raises what Python and C++ raise: RuntimeError, TypeError, KeyError ...
+    except Exception as error:
+        raise InputError(f"{path}: is no complete image ({one_line(error)})") from error
 
 
 def _check_depth(path: Path, image: Image, bit_depth: int) -> None:

@@ -57,6 +57,7 @@ from reconstruction.photometric.sensor import (
 if TYPE_CHECKING:
     import xarray
 from reconstruction.pipeline import read_maps, write_ply
+from reconstruction.reading import MOST_IMAGE_BYTES, read_bytes
 
 Names = tuple[str, ...]
 DEFAULTS = PhotometricOptions()
@@ -254,8 +255,9 @@ def read_rgb(path: Path, frame: Framing | None = None) -> Levels:
     CaptureError : missing, damaged, or no 8-bit colour image
     """
     try:
-        stored = cv2.imdecode(np.fromfile(path, np.uint8), cv2.IMREAD_UNCHANGED)
-    except (OSError, cv2.error) as error:
+        content = np.frombuffer(read_bytes(path, MOST_IMAGE_BYTES), np.uint8)
+        stored = cv2.imdecode(content, cv2.IMREAD_UNCHANGED) if content.size else None
+    except (InputError, cv2.error) as error:
         raise CaptureError(f"{path}: cannot be read as an image ({one_line(error)})") from error
     if stored is None or stored.dtype != np.uint8 or stored.ndim != 3 or stored.shape[2] != 3:
         found = "no image" if stored is None else f"{stored.dtype} {stored.shape}"

@@ -6,7 +6,6 @@ arrays of the map, prefixed by `map_`. A measurement is the difference to the ba
 integration, zero.
 """
 
-import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -24,7 +23,7 @@ from reconstruction.arrays import (
     PhotometricReason,
     ReasonImage,
 )
-from reconstruction.errors import CaptureError, InputError, one_line, require_number
+from reconstruction.errors import CaptureError, InputError, require_number
 from reconstruction.photometric.calibration_ball import BallPress, SampleOptions, sample_presses
 from reconstruction.photometric.colour_maps import (
     BoundPolynomial,
@@ -50,7 +49,7 @@ from reconstruction.photometric.integrate import (
     Integration,
     integrate,
 )
-from reconstruction.reading import regular_file
+from reconstruction.reading import read_arrays
 
 MapKind = Literal["polynomial", "table"]
 ColourMap = ColourPolynomial | ColourTable
@@ -155,11 +154,9 @@ def read_sensor_calibration(path: Path | str) -> SensorCalibration:
     CaptureError : the file is missing or damaged, of another format, or an array does not fit
     """
     try:
-        # Opened here: np.load leaves a file open that is no archive.
-        with regular_file(path).open("rb") as stream, np.load(stream, allow_pickle=False) as file:
-            arrays = {name: np.asarray(file[name]) for name in file.files}
-    except (OSError, ValueError, EOFError, AttributeError, zipfile.BadZipFile) as error:
-        raise CaptureError(f"{path}: is no photometric calibration ({one_line(error)})") from error
+        arrays = read_arrays(path)
+    except InputError as error:
+        raise CaptureError(f"no photometric calibration: {error}") from None
     try:
         return _from_arrays(arrays)
     except KeyError as error:

@@ -21,6 +21,9 @@ __all__ = ["Calibration", "Pinhole", "read_calibration", "write_calibration"]
 DEVICES = ("camera", "projector")
 TRANSFORMS = ("T_world_from_cam", "T_world_from_proj")
 LAYERS = "layers"
+# Nearer to each other than this the devices are at one place, and see no depth.
+LEAST_BASELINE_MM = 1e-3
+MOST_MM = 1e6
 # A rotation printed with seven digits is still accepted.
 ROTATION_TOLERANCE = 1e-6
 
@@ -37,7 +40,8 @@ class Calibration:
 
     Raises
     ------
-    InputError : a transform is no rigid motion, or a device is not above the layers
+    InputError : a transform is no rigid motion, both devices are at one place, or one of them is
+        not above the layers
     """
 
     camera: Pinhole
@@ -52,6 +56,12 @@ class Calibration:
             _require_rigid(name, matrix)
             matrix.flags.writeable = False
             object.__setattr__(self, name, matrix)
+        baseline = self.T_world_from_proj[:3, 3] - self.T_world_from_cam[:3, 3]
+        if not float(np.linalg.norm(baseline)) >= LEAST_BASELINE_MM:
+            raise InputError(
+                f"camera and projector are {np.linalg.norm(baseline):g} mm apart; allowed "
+                f"{LEAST_BASELINE_MM:g} or more: from one place they see no depth"
+            )
         if self.layers is not None:
             self.layers.require_below("camera", float(self.T_world_from_cam[2, 3]))
             self.layers.require_below("projector", float(self.T_world_from_proj[2, 3]))
@@ -66,6 +76,8 @@ class Calibration:
 def _require_rigid(name: str, matrix: FloatArray) -> None:
     if matrix.shape != (4, 4) or not bool(np.all(np.isfinite(matrix))):
         raise InputError(f"{name} has shape {matrix.shape}; give (4, 4) finite numbers")
+    if not float(np.max(np.abs(matrix[:3, 3]))) <= MOST_MM:
+        raise InputError(f"{name} moves by {matrix[:3, 3].tolist()}; allowed up to {MOST_MM:g} mm")
     rotation = matrix[:3, :3]
     deviation = float(np.max(np.abs(rotation.T @ rotation - np.eye(3))))
     if deviation > ROTATION_TOLERANCE or np.linalg.det(rotation) < 0.0:
@@ -196,4 +208,6 @@ def _read_matrix(node: Any, name: str, shape: tuple[int, int]) -> FloatArray:
         matrix = matrix.reshape(1, 5)
     if matrix.shape != shape:
         raise InputError(f"{name} has shape {matrix.shape}; it must be {shape}")
+    if matrix.dtype.kind != "f":  # OpenCV has cut off what follows the point
+        raise InputError(f"{name} is read as {matrix.dtype}; write dt: d, its numbers are reals")
     return np.asarray(matrix, dtype=np.float64)

@@ -22,6 +22,8 @@ INVERSE_TOLERANCE = 1e-12
 INVERSE_STEPS = 30
 # A fold a million focal lengths off axis is none.
 LEAST_INVERSE = 1e-12
+# Beyond any device; larger numbers overflow on the way to a point.
+LEAST_FOCAL_PX, MOST_PX = 1e-3, 1e9
 # To a 4096th of the way from the image's centre.
 CORNER_HALVINGS = 12
 
@@ -103,15 +105,15 @@ class Pinhole:
         require_integer("pinhole width_px", self.width_px, 1, 1_000_000)
         require_integer("pinhole height_px", self.height_px, 1, 1_000_000)
         for name in ("fx_px", "fy_px"):
-            require_number(f"pinhole {name}", getattr(self, name), 0.0, open_low=True)
+            require_number(f"pinhole {name}", getattr(self, name), LEAST_FOCAL_PX, MOST_PX)
         for name in ("cx_px", "cy_px"):
-            require_number(f"pinhole {name}", getattr(self, name), -1e9)
+            require_number(f"pinhole {name}", getattr(self, name), -MOST_PX, MOST_PX)
         if not isinstance(self.distortion, tuple) or len(self.distortion) != 5:
             raise InputError(
                 f"pinhole distortion is {self.distortion!r}; give the five numbers k1 k2 p1 p2 k3"
             )
         for value in self.distortion:
-            require_number("pinhole distortion", value, -1e9)
+            require_number("pinhole distortion", value, -1e9, 1e9)
 
     def project(self, points_dev_mm: ArrayLike) -> FloatArray:
         """Return the pixels where points in this device's frame appear.

@@ -41,6 +41,12 @@ def test_transforms_compose(calibration):
         ("image_width: 120", "image_width: -4", "width_px"),
         ("cols: 5", "cols: 4", "damaged|shape|missing"),
         ("%YAML", "calibration", "first line"),
+        ("[ 900., 0.,", "[ 1e300, 0.,", "fx_px is 1e[+]300; give a number of at least 0.001"),
+        ("[ 900., 0.,", "[ 1e-300, 0.,", "fx_px is 1e-300; give a number of at least 0.001"),
+        ("dt: d", "dt: u", "camera/camera_matrix is read as uint8; write dt: d"),
+        ("dt: d", "dt: i", "camera/camera_matrix is read as int32; write dt: d"),
+        ("dt: d", "dt: 3d", "damaged YAML|shape|no matrix"),
+        ("dt: d", "dt: q", "damaged YAML|no matrix"),
     ],
 )
 def test_damaged_files_are_explained(tmp_path, calibration, find, replace, message):
@@ -84,6 +90,20 @@ def test_truncated_binary_and_missing_files_are_explained(tmp_path, calibration)
 def test_only_rigid_motions_are_taken(calibration, matrix, message):
     with pytest.raises(InputError, match=message):
         Calibration(calibration.camera, calibration.projector, matrix, np.eye(4))
+
+
+def test_devices_at_one_place_are_refused(calibration):
+    """From one place nobody sees depth."""
+    at = calibration.T_world_from_cam
+    with pytest.raises(InputError, match=r"camera and projector are 0 mm apart; allowed 0\.001"):
+        Calibration(calibration.camera, calibration.projector, at, at)
+
+
+def test_a_motion_beyond_the_laboratory_is_refused(calibration):
+    far = np.array(calibration.T_world_from_cam)
+    far[0, 3] = 1e300
+    with pytest.raises(InputError, match=r"T_world_from_cam moves by .* allowed up to 1e[+]06 mm"):
+        Calibration(calibration.camera, calibration.projector, far, np.eye(4))
 
 
 def test_skew_is_refused(tmp_path, calibration):

@@ -8,10 +8,10 @@ import OpenEXR
 import pytest
 
 from reconstruction.calibration.observation import pose_folders, read_board_capture
-from reconstruction.capture.description import write_patterns, write_toml
+from reconstruction.capture.description import FrameSet, write_patterns, write_toml
 from reconstruction.capture.folder import read_capture, write_capture
 from reconstruction.capture.image_files import subtract_dark
-from reconstruction.errors import CaptureError
+from reconstruction.errors import CaptureError, InputError
 from reconstruction.patterns import PatternSet
 from reconstruction.pipeline import reconstruct
 from reconstruction.rig.calibration import write_calibration
@@ -227,6 +227,15 @@ def test_damage_is_explained_in_one_line(write_folder, frames, name):
         read_capture(folder)
     assert "\n" not in str(caught.value)
     assert str(folder) in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "files",
+    ["/etc/*", "../../**", "**/*.png", "a**b", "../{index}.png", "/{name}.png", "x/../*", "~/*"],
+)
+def test_files_outside_of_the_folder_are_not_looked_for(files):
+    with pytest.raises(InputError, match="give names in the folder of"):
+        FrameSet(SensorNoise(1.0, 4.0, 0.0, 255.0), files=files, bit_depth=8)
 
 
 def test_values_beyond_the_bit_depth_tell_left_aligned_bits(write_folder, frames):

@@ -228,11 +228,12 @@ def test_rays_that_meet_behind_have_no_point(calibration, surface, project):
 
 
 def test_parallel_planes_have_no_point():
-    """Setup: both devices at one place see every depth alike."""
-    camera = Pinhole(4, 3, 100.0, 100.0, 2.0, 1.0)
-    calibration = Calibration(camera, camera, np.eye(4), np.eye(4))
+    """Setup: a projector above the camera: its columns show every depth alike."""
+    camera, above = Pinhole(4, 3, 100.0, 100.0, 2.0, 1.0), np.eye(4)
+    above[1, 3] = 10.0
+    calibration = Calibration(camera, camera, np.eye(4), above)
     pixels = np.stack(np.meshgrid(np.arange(4.0), np.arange(3.0)), axis=-1)
-    found = triangulate(decoded_from(pixels), calibration)
+    found = triangulate(decoded_from(pixels), calibration, "column")
     assert np.all(found.mask_reason == Reason.NO_POINT)
 
 

@@ -53,7 +53,7 @@ from reconstruction.photometric import (
 from reconstruction.photometric.colour_maps import ColourTable
 from reconstruction.photometric.sensor import MapKind
 from reconstruction.pipeline import read_reconstruction, write_reconstruction
-from reconstruction.reading import is_regular, read_json
+from reconstruction.reading import is_regular, read_json, read_pixels
 from twin.config import Experiment, load_experiment
 from twin.mechanics import read_press
 from twin.optics.stack import Truth
@@ -245,10 +245,9 @@ def _read_colours(
 
 def _read_image(path: Path) -> Levels:
     try:
-        return np.asarray(imageio.imread(path))
-    except (OSError, ValueError) as error:
-        reason = " ".join(str(error).split())
-        raise InputError(f"{path}: cannot be read as an image ({reason}); measure again") from None
+        return read_pixels(path)
+    except InputError as error:
+        raise InputError(f"{error}; measure again") from None
 
 
 def _read_result(folder: Path) -> dict[str, Any]:

@@ -5,7 +5,6 @@ same path and so with the same bytes, and kept as DIR/pictures/DIGEST.npz: a rep
 files and measures nothing.
 """
 
-import zipfile
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -15,6 +14,7 @@ import numpy as np
 
 from reconstruction.arrays import BoolImage, FloatArray, FloatImage, Levels
 from reconstruction.errors import InputError
+from reconstruction.reading import read_arrays
 from twin.config import Experiment
 from twin.config.study import Objective
 from twin.output import replacing
@@ -174,7 +174,7 @@ def write_picture(path: Path, picture: CasePicture) -> None:
 def read_picture(path: Path) -> CasePicture | None:
     """Read a picture; None when it is missing or damaged."""
     try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as kept:
-            return CasePicture(**{name: kept[name] for name in CasePicture.__annotations__})
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+        kept = read_arrays(path)
+        return CasePicture(**{name: kept[name] for name in CasePicture.__annotations__})
+    except (InputError, KeyError):
         return None
