@@ -3,6 +3,7 @@
 The upper side of a mesh as a height map is found by vertical rays, exact at every cell.
 """
 
+import io
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -12,8 +13,8 @@ import numpy as np
 import trimesh
 
 from reconstruction.arrays import FloatArray, IntArray
-from reconstruction.errors import InputError
-from reconstruction.reading import is_regular, regular_file
+from reconstruction.errors import InputError, one_line
+from reconstruction.reading import is_regular, read_bytes
 from twin.assets import mesh_path
 from twin.config.models import Grating, MeshFile
 from twin.specimens.catalogue import UNMOVED, Placement, Shape, register
@@ -23,6 +24,10 @@ from twin.specimens.solids import rounded_box
 
 _FILE_TYPES = (".stl", ".ply", ".obj")
 _MOST_BYTES = 2**30
+# In the file's own units, which may be metres. Beyond them distances are lost in rounding.
+_EXTENT = 1e-6, 1e6
+# Volume over that of a cube of its size, far below that of a needle: less is a surface without an inside.
+_LEAST_FILL = 1e-8
 _STEPS_PER_PITCH = 48
 _BODY_MM = 2.0
 # Rows: the file's axes that become x, y and z, for each axis that may face the elastomer.
@@ -46,23 +51,58 @@ def read_closed_mesh(key: str, name: str) -> trimesh.Trimesh:
 
     Raises
     ------
-    InputError : the file is missing, no mesh, empty or not watertight
+    InputError : the file is missing, no mesh, empty, not watertight or without an inside
     """
     path = _find(key, name)
-    regular_file(path, _MOST_BYTES)
-    try:
-        surface = trimesh.load_mesh(path)
-    except Exception as error:  # each of trimesh's readers raises its own
-        raise InputError(f"{key}: {path}: cannot be read ({error})") from error
+    content = io.BytesIO(read_bytes(path, _MOST_BYTES))
+    # Numbers of any size overflow in what trimesh derives; they are told below.
+    with np.errstate(all="ignore"):
+        try:
+            # Not by its name: a mesh may name pictures and materials, which would be opened, too.
+            kind = path.suffix[1:].lower()
+            surface = trimesh.load_mesh(content, file_type=kind, process=False)
+        except Exception as error:  # each of trimesh's readers raises its own
+            reason = one_line(error) or type(error).__name__
+            raise InputError(f"{key}: {path}: cannot be read ({reason})") from error
+        _require_numbers(f"{key}: {path}", surface)
+        surface.process()
+        _require_closed(f"{key}: {path}", surface)
+        if surface.volume < 0.0:  # every triangle seen from the wrong side
+            surface.invert()
+    return surface
+
+
+def _require_numbers(where: str, surface: object) -> None:
+    """Refuse what is no surface in space."""
     if not isinstance(surface, trimesh.Trimesh) or surface.is_empty:
-        raise InputError(f"{key}: {path}: holds no triangles")
-    if not surface.is_watertight:
-        edges = len(trimesh.grouping.group_rows(surface.edges_sorted, require_count=1))
+        raise InputError(f"{where}: holds no triangles")
+    if not np.isfinite(surface.vertices).all():
+        raise InputError(f"{where}: holds vertices that are no numbers; export it again")
+    if surface.faces.min() < 0 or surface.faces.max() >= len(surface.vertices):
+        raise InputError(f"{where}: its triangles name vertices that it lacks; export it again")
+    size, (least, most) = float(surface.extents.max()), _EXTENT
+    if not least <= size <= most:
         raise InputError(
-            f"{key}: {path}: not watertight ({edges} open edges); close it, for example "
+            f"{where}: found a size of {size:.3g} in the file's units, allowed {least:g} to {most:g}"
+        )
+
+
+def _require_closed(where: str, surface: trimesh.Trimesh) -> None:
+    """Refuse what encloses no body."""
+    if not surface.is_watertight:
+        open_edges = len(trimesh.grouping.group_rows(surface.edges_sorted, require_count=1))
+        found = f"{open_edges} open edges" if open_edges else "edges of more than two triangles"
+        raise InputError(
+            f"{where}: not watertight ({found}); close it, for example "
             "with pytetwild or the repair tool of your mesh editor"
         )
-    return surface
+    if not surface.is_winding_consistent:
+        raise InputError(
+            f"{where}: its triangles face both inwards and outwards; let your mesh editor make "
+            "their normals agree"
+        )
+    if not abs(surface.volume) > _LEAST_FILL * float(surface.extents.max()) ** 3:
+        raise InputError(f"{where}: encloses no volume; give a body that has an inside")
 
 
 def _find(key: str, name: str) -> Path:
