@@ -23,7 +23,7 @@ MOST_TEXT_BYTES = 16 * 2**20
 MOST_DATA_BYTES = 64 * 2**30
 MOST_IMAGE_BYTES = 2**30
 # Deeper tables are a mistake or an attack; Python's own limit would end in a RecursionError.
-_MOST_NESTED = 64
+MOST_NESTED = 64
 _LONGEST_SHOWN = 120
 _KINDS: Mapping[int, str] = {
     stat.S_IFDIR: "a folder",
@@ -199,7 +199,7 @@ def read_arrays(path: Path | str) -> "dict[str, np.ndarray[Any, Any]]":
 
 def _cause(error: Exception) -> str:
     if isinstance(error, RecursionError):
-        return f"brackets nest deeper than {_MOST_NESTED} levels"
+        return f"brackets nest deeper than {MOST_NESTED} levels"
     text = one_line(error)
     return "a number has more than 4300 digits" if "integer string conversion" in text else text
 
@@ -207,7 +207,7 @@ def _cause(error: Exception) -> str:
 def _require_shallow(tree: Any, where: str) -> None:
     """Refuse nested content without recursion."""
     level = [tree]
-    for _ in range(_MOST_NESTED):
+    for _ in range(MOST_NESTED):
         level = [
             child
             for node in level
@@ -216,7 +216,7 @@ def _require_shallow(tree: Any, where: str) -> None:
         ]
         if not level:
             return
-    raise InputError(f"{where}: found tables nested deeper than {_MOST_NESTED} levels")
+    raise InputError(f"{where}: found tables nested deeper than {MOST_NESTED} levels")
 
 
 def shown(name: Path | str) -> str:

@@ -61,6 +61,13 @@ MISTAKES = [
     ({"specimen.radius_mm": 4.0}, "unknown key 'radius_mm' in [specimen]", ""),
     ({"camera.pose.polar_deg": 95}, "camera.pose.polar_deg: found 95", "less than 90"),
     ({"seed": -1}, "seed: found -1", "greater than or equal to 0"),
+    ({"seed": True}, "seed: found true", "valid integer"),
+    ({"press.depth_mm": True}, "press.depth_mm: found true", "valid number"),
+    ({"camera.binning": True}, "camera.binning: found true", "1, 2 or 4"),
+    ({"camera.distortion": [0, 0, False, 0, 0]}, "distortion.2: found false", "valid number"),
+    ({"schema_version": True}, "schema_version: found true", "should be 1"),
+    ({"name": True}, "name: found true", "valid string"),
+    ({".".join("a" * 3000): 1}, "found a path of 3000 keys", "up to 64"),
     ({"render.engine": "magic"}, "render.engine: found 'magic'", "'one_trace' or 'stock'"),
     ({"projector.blur_px": float("nan")}, "projector.blur_px: found nan", "finite number"),
     ({"render.samples": {"x": 3}}, "render.samples: found {'x': 3}", "1, 4, 9"),
@@ -94,6 +101,19 @@ def test_paths_are_those_of_the_file(experiment, specimen, line):
     with pytest.raises(ConfigError) as caught:
         validate_experiment(tree)
     assert line in str(caught.value)
+
+
+def test_a_flag_is_a_flag(experiment):
+    assert vary(experiment, {"camera.noise": False}).camera.noise is False
+
+
+def test_more_mistakes_than_anybody_reads_are_counted(tmp_path):
+    (tmp_path / "many.toml").write_text("".join(f"k{i} = 1\n" for i in range(500)))
+    with pytest.raises(ConfigError) as caught:
+        load_experiment(tmp_path / "many.toml")
+    lines = str(caught.value).split("\n")
+    assert len(lines) == 41
+    assert lines[-1].endswith("more problems")
 
 
 def test_all_mistakes_are_reported_at_once():

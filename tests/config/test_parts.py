@@ -113,6 +113,24 @@ def test_own_files_that_lead_back_are_one_line_however_spelt(tmp_path):
         load_experiment(mine)
 
 
+def test_files_that_use_two_files_each_are_counted(tmp_path):
+    """2^30 tables, were they laid down."""
+    for i in range(30):
+        used = f'use = "./{i + 1}.toml"\n'
+        (tmp_path / f"{i}.toml").write_text(f"[left]\n{used}[right]\n{used}")
+    (tmp_path / "30.toml").write_text("a = 1\n")
+    with pytest.raises(ConfigError, match=r"0\.toml: use: found more than 200 files") as caught:
+        load_experiment(tmp_path / "0.toml")
+    assert "\n" not in str(caught.value)
+
+
+def test_a_long_chain_of_files_is_counted(tmp_path):
+    for i in range(1000):
+        (tmp_path / f"{i}.toml").write_text(f'use = "./{i + 1}.toml"\n')
+    with pytest.raises(ConfigError, match=r"0\.toml: use: found more than 200 files"):
+        load_experiment(tmp_path / "0.toml")
+
+
 def test_absent_takes_a_key_away():
     found = load_experiment("paper/two_balls", {"decode.filter_taps": "absent"})
     assert found.decode.filter_taps == type(found.decode)().filter_taps

@@ -1,8 +1,10 @@
 """What all configuration models share: ranges with a name, the frozen base, and errors."""
 
-from typing import Annotated
+import typing
+from functools import cache
+from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from reconstruction.errors import InputError
 
@@ -24,6 +26,51 @@ Distortion = tuple[float, float, float, float, float]
 
 
 class Model(BaseModel):
-    """Base of all configuration: immutable, no unknown keys, no NaN or infinity."""
+    """Base of all configuration: immutable, no unknown keys, no NaN or infinity, no flag as 1."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _no_flag_as_number(cls, values: Any) -> Any:
+        """Let true and false count as flags alone: Python takes them for 1 and 0."""
+        if not isinstance(values, dict):
+            return values
+        return values | {
+            key: _flags_marked(value)
+            for key, value in values.items()
+            if _holds_flag(value) and not _takes_flags(cls, key)
+        }
+
+
+class _Flag:
+    """A flag that no field of another type takes for its own."""
+
+    def __init__(self, value: bool) -> None:
+        self._value = value
+
+    def __repr__(self) -> str:
+        return str(self._value).lower()
+
+
+def _holds_flag(value: Any) -> bool:
+    parts = value if isinstance(value, (list, tuple)) else (value,)
+    return any(one is True or one is False for one in parts)
+
+
+def _flags_marked(value: Any) -> Any:
+    if isinstance(value, (list, tuple)):
+        return [_flags_marked(one) for one in value]
+    return _Flag(value) if isinstance(value, bool) else value
+
+
+@cache
+def _takes_flags(model: type[BaseModel], key: str) -> bool:
+    field = model.model_fields.get(key)
+    return field is None or _allows_flag(field.annotation)
+
+
+def _allows_flag(annotation: Any) -> bool:
+    if typing.get_origin(annotation) is typing.Literal:
+        return any(isinstance(one, bool) for one in typing.get_args(annotation))
+    return annotation in (bool, Any) or any(map(_allows_flag, typing.get_args(annotation)))

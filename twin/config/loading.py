@@ -29,6 +29,7 @@ from pydantic_core import PydanticUndefined
 
 from reconstruction import reading
 from reconstruction.errors import InputError
+from reconstruction.reading import shown
 from twin.assets import asset_path, scene_file
 from twin.config.base import AssetCycleError, ConfigError
 from twin.config.methods import TRAITS, Method
@@ -43,6 +44,9 @@ from twin.config.quantities import (
 
 ABSENT = "absent"
 """Says that a key is not there, so that its default holds: TOML knows no null."""
+# Files that use two files each, which use two each, would lay down thousands of tables.
+MOST_USED_FILES = 200
+_MOST_PROBLEMS = 40
 
 
 def load_experiment(path: str | Path, overrides: Mapping[str, Any] | None = None) -> Experiment:
@@ -143,24 +147,40 @@ def read_toml(file: Path) -> dict[str, Any]:
         raise ConfigError(str(error)) from None
 
 
-def resolve_uses(tree: dict[str, Any], trail: tuple[Path, ...]) -> dict[str, Any]:
-    """Lay tables over the data files that they `use`; `trail` holds the files that led here."""
+def resolve_uses(
+    tree: dict[str, Any], trail: tuple[Path, ...], used_files: list[Path] | None = None
+) -> dict[str, Any]:
+    """Lay tables over the data files that they `use`.
+
+    Parameters
+    ----------
+    trail : the files that led here
+    used_files : all that were laid down so far; None: none yet
+    """
+    laid = [] if used_files is None else used_files
+    here = trail[-1]
     own = {
-        key: resolve_uses(node, trail) if isinstance(node, dict) else _from_here(node, trail[-1])
+        key: resolve_uses(node, trail, laid) if isinstance(node, dict) else _from_here(node, here)
         for key, node in tree.items()
         if key != "use" or "/" not in str(node)  # decode.use = "column" is a value, no file
     }
     used = tree.get("use")
     if not isinstance(used, str) or "/" not in used:
         return own
-    return _overlay(_load_used(used, trail), own)
+    return _overlay(_load_used(used, trail, laid), own)
 
 
-def _load_used(name: str, trail: tuple[Path, ...]) -> dict[str, Any]:
+def _load_used(name: str, trail: tuple[Path, ...], laid: list[Path]) -> dict[str, Any]:
     file = _used_file(name, trail[-1])
     if file.resolve() in {one.resolve() for one in trail}:
         raise AssetCycleError(f"{trail[-1]}: use = '{name}' leads back to itself: remove one use")
-    tree = resolve_uses(read_toml(file), (*trail, file))
+    laid.append(file)
+    if len(laid) > MOST_USED_FILES:
+        raise ConfigError(
+            f"{trail[0]}: use: found more than {MOST_USED_FILES} files, counted as often as they "
+            f"are used, at {shown(trail[-1])}; use fewer"
+        )
+    tree = resolve_uses(read_toml(file), (*trail, file), laid)
     tree.pop("description", None)
     tree.pop("name", None)
     return tree
@@ -216,6 +236,11 @@ def _same_kind(base: dict[str, Any], top: dict[str, Any]) -> bool:
 
 def _assign(tree: dict[str, Any], dotted: str, value: Any) -> None:
     *parents, leaf = dotted.split(".")
+    if len(parents) > reading.MOST_NESTED:
+        raise ConfigError(
+            f"{shown(dotted)}: found a path of {len(parents) + 1} keys, allowed up to "
+            f"{reading.MOST_NESTED}"
+        )
     node = tree
     for key in parents:
         node = node.setdefault(key, {})
@@ -262,7 +287,10 @@ def validated(document: type[Document], tree: Any, before: str = "") -> Document
     try:
         return document.model_validate(tree)
     except ValidationError as error:
-        raise ConfigError("\n".join(before + line for line in explain(error, document))) from None
+        lines = explain(error, document)
+        if (more := len(lines) - _MOST_PROBLEMS) > 0:
+            lines = [*lines[:_MOST_PROBLEMS], f"{more} more problems"]
+        raise ConfigError("\n".join(before + line for line in lines)) from None
 
 
 def explain(error: ValidationError, document: type[BaseModel]) -> list[str]:

@@ -26,7 +26,7 @@ _FILE_TYPES = (".stl", ".ply", ".obj")
 _MOST_BYTES = 2**30
 # In the file's own units, which may be metres. Beyond them distances are lost in rounding.
 _EXTENT = 1e-6, 1e6
-# Volume over that of a cube of its size, far below that of a needle: less is a surface without an inside.
+# Volume over that of a cube of its size, far below a needle's: less has no inside.
 _LEAST_FILL = 1e-8
 _STEPS_PER_PITCH = 48
 _BODY_MM = 2.0
@@ -83,7 +83,8 @@ def _require_numbers(where: str, surface: object) -> None:
     size, (least, most) = float(surface.extents.max()), _EXTENT
     if not least <= size <= most:
         raise InputError(
-            f"{where}: found a size of {size:.3g} in the file's units, allowed {least:g} to {most:g}"
+            f"{where}: found a size of {size:.3g} in the file's units, allowed {least:g} to "
+            f"{most:g}"
         )
 
 
