@@ -272,3 +272,16 @@ def test_any_name_is_printed_and_drawn(tmp_path, capsys, faked, monkeypatch, nam
     assert escape(name) in (tmp_path / "out" / "report.html").read_text()
     if name == "<b>&":
         assert_readable(tmp_path / "out" / "report.html", tmp_path)
+
+
+def test_no_name_is_a_formula_in_the_csv(tmp_path, capsys, faked):
+    faked(synthetic.Bowl)
+    label = "=cmd|' /C calc'!A0"
+    choices = ["[[axis]]", 'name = "@coat"', f'[axis.choices."{label}"]', "coating.flake_ior = 0.9"]
+    file, out = study_file(tmp_path, *choices), str(tmp_path / "out")
+    assert run(["sweep", file, "-o", out, "-j", "1"]) == 0
+    capsys.readouterr()
+    assert run(["sweep", "table", out]) == 0
+    head, *rows = csv.reader(io.StringIO(capsys.readouterr().out))
+    assert head[0] == "'@coat"
+    assert [row[0] for row in rows] == [f"'{label}"]

@@ -5,7 +5,9 @@ press of a slab costs a tenth of a second, a measurement seconds, and sensitivit
 need hundreds of them.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+import csv
+import io
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -81,14 +83,36 @@ def write_outcome(folder: Path, command: str, figures: Metrics, **named: str) ->
 def write_rows(path: Path, rows: Sequence[Metrics], digits: int) -> None:
     """Write rows as CSV, numbers with so many significant digits; empty where there is none."""
     names = list(dict.fromkeys(name for row in rows for name in row))
-    lines = [",".join(_cell(row.get(name), digits) for name in names) for row in rows]
-    path.write_text("\n".join([",".join(names), *lines, ""]), encoding="utf-8")
+    path.write_text(csv_text(names, rows, digits), encoding="utf-8")
 
 
-def _cell(value: Metric, digits: int) -> str:
+def csv_text(names: Sequence[str], rows: Iterable[Metrics], digits: int | None = None) -> str:
+    """Return rows as CSV (RFC 4180); numbers with all their digits unless told otherwise.
+
+    A text that a spreadsheet would run as a formula gets an apostrophe in front.
+    """
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow([_as_text(name) for name in names])
+    for row in rows:
+        writer.writerow([_cell(row.get(name), digits) for name in names])
+    return text.getvalue()
+
+
+def _cell(value: Metric, digits: int | None) -> str:
     if value is None:
         return ""
-    return f"{value:.{digits}g}" if isinstance(value, float) else str(value)
+    if isinstance(value, float):
+        return repr(value) if digits is None else f"{value:.{digits}g}"
+    return str(value) if isinstance(value, int) else _as_text(str(value))
+
+
+_FORMULA = ("=", "+", "-", "@", "\t")
+
+
+def _as_text(text: str) -> str:
+    text = text.replace("\r", " ")  # which the writer would leave unquoted
+    return f"'{text}" if text.startswith(_FORMULA) else text
 
 
 def write_timings(folder: Path, seconds: Mapping[str, float]) -> None:

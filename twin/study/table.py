@@ -3,8 +3,6 @@
 The best are the Pareto front of what is to become small or large.
 """
 
-import csv
-import io
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +14,7 @@ from reconstruction.arrays import BoolImage, FloatArray
 from reconstruction.errors import InputError
 from twin.config.study import Constraint, Objective
 from twin.output import creating
+from twin.results import parts
 from twin.results.figures import why_absent
 from twin.study.cases import Case, meets
 from twin.study.derived import DERIVED, with_derived
@@ -118,13 +117,8 @@ def _cell(value: Any) -> Any:
 
 
 def csv_text(table: StudyTable) -> str:
-    """Return the table as CSV (RFC 4180); numbers with all their digits."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(table.columns)
-    for row in table.rows:
-        writer.writerow([_text(row.get(name)) for name in table.columns])
-    return text.getvalue()
+    """Return the table as CSV."""
+    return parts.csv_text(table.columns, table.rows)
 
 
 def write_csv(table: StudyTable, path: Path) -> None:
@@ -136,12 +130,6 @@ def write_csv(table: StudyTable, path: Path) -> None:
     """
     with creating(path) as part:
         part.write_text(csv_text(table), encoding="utf-8", newline="")
-
-
-def _text(value: Any) -> str:
-    if value is None:
-        return ""
-    return repr(value) if isinstance(value, float) else str(value)
 
 
 def write_parquet(table: StudyTable, path: Path) -> None:
