@@ -3,11 +3,14 @@
 import numpy as np
 import pytest
 
+from reconstruction.errors import InputError
 from twin.assets import list_assets
 from twin.config import ConfigError
 from twin.config.study import Axis, Study, load_study
 from twin.study.cases import cases_of, point_count, points_of, shares_of
 from twin.study.record import StudyRecord
+from twin.study.store import Store
+from twin.study.sweep import estimate
 
 LOW_HIGH = {"path": "coating.base_albedo", "low": 0.1, "high": 0.5}
 ROUGH = {"path": "coating.flake_roughness", "low": 0.1, "high": 0.9}
@@ -95,6 +98,32 @@ def test_repeats_and_modalities_multiply(study_of, base):
     cases = cases_of(study, base).run
     assert len({case.digest for case in cases}) == len(cases) == 12
     assert {case.settings["seed"] for case in cases} == {base.seed + i for i in range(3)}
+
+
+def test_the_limit_counts_repeats_and_methods(study_of, base):
+    albedo = {"path": "coating.base_albedo", "low": 0.1, "high": 0.9, "count": 100}
+    hardness = {"path": "elastomer.shore_a", "low": 8, "high": 12, "count": 100}
+    study = study_of(albedo, hardness, repeats=10)
+    assert len(points_of(study)) == 10_000
+    with pytest.raises(InputError, match=r"found 100010 cases .10001 points, 10 repeats, 1 method"):
+        points_of(study_of({**albedo, "count": 10_001}, repeats=10))
+    both = ("contact_fpp", "direct_fpp")
+    with pytest.raises(InputError, match=r"found 200000 cases .*, 2 methods.*allowed up to 100000"):
+        points_of(study_of(albedo, hardness, repeats=10, modalities=both))
+
+
+def test_a_first_look_at_a_large_study_is_short_and_sees_every_level(study_of, base, tmp_path):
+    albedo = {"path": "coating.base_albedo", "low": 0.1, "high": 0.9, "count": 50}
+    hardness = {"path": "elastomer.shore_a", "low": 8, "high": 12, "count": 40}
+    study = study_of(albedo, hardness, repeats=10)
+    found = StudyRecord(study, base).first_look()
+    assert 300 < len(found.run) <= 500
+    for axis, levels in (("coating.base_albedo", 50), ("elastomer.shore_a", 40)):
+        assert len({case.settings[axis] for case in found.run}) > 0.9 * levels
+    told = estimate(StudyRecord(study, base), found, Store(tmp_path / "none"), 1)
+    assert told.cases == pytest.approx(20_000, rel=0.02)
+    small = study_of({**albedo, "count": 20})
+    assert StudyRecord(small, base).first_look().step == 1
 
 
 def test_constraints_on_fields_exclude_before_anything_runs(study_of, base):

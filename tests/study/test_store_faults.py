@@ -1,11 +1,15 @@
 """Damaged, unfinished and full stores: told, made up for, and never in the way."""
 
 import os
+import re
+import shutil
 import sqlite3
+from contextlib import closing
 
 import pytest
 
 from tests.study import synthetic
+from twin.study import index as index_module
 from twin.study.engine import Run
 from twin.study.index import Index
 from twin.study.record import read_record
@@ -138,7 +142,39 @@ def no_time(folder):
     (folder / "timings.json").write_text('{"case": null}')
 
 
-@pytest.mark.parametrize("damage", [cut, empty, nested, no_metrics, no_time])
+def another_figure(folder):
+    """Valid in itself, but not what was measured."""
+    path = folder / "result.json"
+    path.write_text(re.sub(r'"value": [^,}\n]+', '"value": 1.25', path.read_text()))
+
+
+def pipe(folder):
+    (folder / "result.json").unlink()
+    os.mkfifo(folder / "result.json")
+
+
+def no_manifest(folder):
+    (folder / "twin-manifest.txt").unlink()
+
+
+def cut_manifest(folder):
+    (folder / "twin-manifest.txt").write_text("# fringe-twin manifest 1: result\nabc")
+
+
+def somebody_elses(folder):
+    (folder / "result.json").unlink()
+    (folder / "notes.txt").write_text("mine")
+
+
+def a_file(folder):
+    shutil.rmtree(folder)
+    folder.write_text("no folder")
+
+
+DAMAGES = [cut, empty, nested, no_metrics, no_time, another_figure, pipe, no_manifest, cut_manifest]
+
+
+@pytest.mark.parametrize("damage", [*DAMAGES, somebody_elses, a_file])
 def test_a_damaged_case_costs_itself(few, stored, tmp_path, damage):
     """It is named in the table, the others are read, and the next run computes it anew."""
     store, cases = stored(few)
@@ -151,22 +187,43 @@ def test_a_damaged_case_costs_itself(few, stored, tmp_path, damage):
     before = csv_of(store, tmp_path, "before.csv")
     victim = cases[7].digest
     damage(store.path_of(victim))
-    (store.folder / "index.sqlite").unlink()
-    states = {row["case"]: (row["state"], row["reason"]) for row in read_table(store.folder).rows}
-    assert [state for state, _ in states.values()].count("done") == 19
-    assert states[victim][0] == "damaged"
-    assert str(store.path_of(victim)) in states[victim][1]
+    for _ in ("with the index", "without"):
+        rows = {row["case"]: row for row in read_table(store.folder).rows}
+        assert [row["state"] for row in rows.values()].count("done") == 19
+        assert rows[victim]["state"] == "damaged"
+        assert str(store.path_of(victim)) in rows[victim]["reason"]
+        (store.folder / "index.sqlite").unlink()
     again = run()
     assert again.states == {"done": 1}
     assert list(again.damaged) == [victim]
     assert csv_of(store, tmp_path, "after.csv") == before
 
 
-def test_a_damaged_case_that_the_index_knows_runs_again(few, stored):
+def test_what_is_not_ours_is_put_aside(few, stored):
     store, cases = stored(few)
     record = read_record(store.folder)
+    for _ in range(2):
+        sweep(record, store.folder, local_workers(1), make_measurer=synthetic.Fake)
+        somebody_elses(store.path_of(cases[2].digest))
     sweep(record, store.folder, local_workers(1), make_measurer=synthetic.Fake)
-    cut(store.path_of(cases[3].digest))
-    again = sweep(record, store.folder, local_workers(1), make_measurer=synthetic.Fake)
-    assert again.states == {"done": 1}
-    assert again.finished == 20
+    notes = sorted((store.folder / "aside").glob("*/notes.txt"))
+    assert [path.parent.name for path in notes] == [f"{cases[2].digest}.{n}" for n in (0, 1)]
+
+
+def test_figures_of_the_index_are_those_of_the_case(few, stored, tmp_path):
+    """A row that somebody changed, or that a disk did, does not hold against its case."""
+    store, cases = stored(few)
+    Run(store, local_workers(1), make_measurer=synthetic.Fake, done=Index(store).enter)(cases)
+    before = csv_of(store, tmp_path, "before.csv")
+    with closing(sqlite3.connect(store.folder / "index.sqlite")) as connection, connection:
+        changed = connection.execute("UPDATE checked SET figures = '{\"value\": 1.25}'").rowcount
+    assert changed == 20
+    assert csv_of(store, tmp_path, "after.csv") == before
+
+
+def test_an_index_that_holds_is_not_read_anew(few, stored, tmp_path, monkeypatch):
+    store, cases = stored(few)
+    Run(store, local_workers(1), make_measurer=synthetic.Fake, done=Index(store).enter)(cases)
+    before = csv_of(store, tmp_path, "before.csv")
+    monkeypatch.setattr(index_module, "entry_of", lambda *_: pytest.fail("read anew"))
+    assert csv_of(store, tmp_path, "after.csv") == before

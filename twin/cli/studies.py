@@ -72,7 +72,7 @@ def sweep(
 
     record = StudyRecord(*load_study(study))
     searches = record.study.sampling.method == "optimise"
-    cases = None if searches else record.cases()
+    cases = None if searches else record.first_look() if dry_run else record.cases()
     who = workers_of(workers, cluster)
     if cases is not None:
         sys.stderr.write(f"{told(estimate(record, cases, Store(out), who.count))}\n")

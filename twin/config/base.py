@@ -36,11 +36,9 @@ class Model(BaseModel):
         """Let true and false count as flags alone: Python takes them for 1 and 0."""
         if not isinstance(values, dict):
             return values
-        return values | {
-            key: _flags_marked(value)
-            for key, value in values.items()
-            if _holds_flag(value) and not _takes_flags(cls, key)
-        }
+        found = [key for key, value in values.items() if _holds_flag(value)]
+        marked = {key: _flags_marked(values[key]) for key in found if not _takes_flags(cls, key)}
+        return values | marked if marked else values
 
 
 class _Flag:
@@ -54,8 +52,9 @@ class _Flag:
 
 
 def _holds_flag(value: Any) -> bool:
-    parts = value if isinstance(value, (list, tuple)) else (value,)
-    return any(one is True or one is False for one in parts)
+    if isinstance(value, (list, tuple)):
+        return any(isinstance(one, bool) for one in value)
+    return isinstance(value, bool)
 
 
 def _flags_marked(value: Any) -> Any:

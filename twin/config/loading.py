@@ -13,7 +13,6 @@ Validation problems are told in one line each: what, where, found, allowed, what
 The keys of a file are read off the models, too: no second list to keep true.
 """
 
-import copy
 import difflib
 import types
 import typing
@@ -113,12 +112,17 @@ def _linked(tree: Mapping[str, Any], where: str) -> dict[str, Any]:
     except CycleError as error:
         circle = " = ".join(error.args[1])
         raise ConfigError(f"{where}: links lead back to themselves: {circle}") from None
-    linked = copy.deepcopy(dict(tree))
+    linked = _own_tables(tree)
     linked.pop("links", None)
     for key in order:
         if key in links:
             _assign(linked, key, _quantity_of(linked, key, links[key], where))
     return linked | ({"links": links} if links else {})
+
+
+def _own_tables(tree: Mapping[str, Any]) -> dict[str, Any]:
+    """Copy nested tables; the values in them are never changed, only replaced."""
+    return {k: _own_tables(node) if isinstance(node, dict) else node for k, node in tree.items()}
 
 
 def _links_in(tree: Mapping[str, Any], before: str) -> Iterator[tuple[str, str]]:

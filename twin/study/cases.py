@@ -30,14 +30,17 @@ def points_of(study: Study) -> list[Point]:
 
     Raises
     ------
-    InputError : more points than a study may have, or a study that finds its points as it goes
+    InputError : more cases than a study may have, or a study that finds its points as it goes
     """
     method = study.sampling.method
     if method in ("optimise", "trials"):
         raise InputError(f"sampling.method = '{method}': its cases are no points of axes")
     count = point_count(study)
-    if count > MOST_CASES:
-        raise InputError(f"study: found {count} points, allowed up to {MOST_CASES}; take fewer")
+    if (cases := count * cases_per_point(study)) > MOST_CASES:
+        raise InputError(
+            f"study: found {cases} cases ({count} points, {study.repeats} repeats, "
+            f"{len(study.modalities) or 1} methods), allowed up to {MOST_CASES}; take fewer"
+        )
     if method == "grid":
         return list(itertools.product(*(axis.levels() for axis in study.axis)))
     return [point_at(study.axis, row) for row in shares_of(study)]
@@ -56,6 +59,11 @@ def point_count(study: Study) -> int:
         case "optimise":
             return study.optimise.trials if study.optimise else 0
     return count
+
+
+def cases_per_point(study: Study) -> int:
+    """Return how many cases a study has at each point, before constraints."""
+    return study.repeats * max(1, len(study.modalities))
 
 
 def point_at(axes: tuple[Axis, ...], shares: FloatArray) -> Point:
@@ -149,10 +157,16 @@ def case_of(
 
 @dataclass(frozen=True, eq=False)
 class Cases:
-    """All cases of a study in its own order, and the points left out by its constraints."""
+    """Cases of a study in its own order, and how many its constraints leave out.
+
+    Attributes
+    ----------
+    step : 1 for all cases; n for those of every n-th point, for a first look
+    """
 
     run: tuple[Case, ...]
     excluded: int
+    step: int = 1
 
     def unique(self) -> list[Case]:
         """Return the cases, those of the same content once."""

@@ -1,11 +1,15 @@
 """Index of a store in SQLite: state and figures of every case, for quick reading.
 
-The folders are the truth. The index is brought up to date from them whenever it is opened to read,
-and made anew when it is missing or damaged; where it cannot be written it is done without. No
-write-ahead log: several hosts may share a store, and that needs their memory to be one.
+The folders are the truth. The index is brought up to date from them whenever it is opened to read:
+a row keeps a digest of itself with size and time of the files that it was read from, and is read
+anew where that no longer holds. It is made anew when it is missing or damaged; where it cannot be
+written it is done without. No write-ahead log: several hosts may share a store, and that needs
+their memory to be one.
 """
 
+import hashlib
 import json
+import os
 import sqlite3
 from collections.abc import Iterable, Sequence
 from contextlib import closing, suppress
@@ -14,7 +18,8 @@ from pathlib import Path
 from typing import Any
 
 from reconstruction.errors import InputError
-from reconstruction.reading import read_json
+from reconstruction.reading import is_regular, read_json
+from twin.manifest import MANIFEST_FILE, is_ours, read_manifest
 from twin.output import RESULT_FILE
 from twin.results.figures import Metrics
 from twin.study.store import FAILURE_FILE, TIMINGS_FILE, Store
@@ -24,8 +29,8 @@ INDEX_FILE = "index.sqlite"
 DAMAGED = "damaged"
 _WAIT_S = 60.0
 _TABLE = (
-    "CREATE TABLE IF NOT EXISTS cases (digest TEXT PRIMARY KEY, state TEXT NOT NULL, "
-    "reason TEXT NOT NULL, seconds REAL NOT NULL, figures TEXT NOT NULL)"
+    "CREATE TABLE IF NOT EXISTS checked (digest TEXT PRIMARY KEY, state TEXT NOT NULL, "
+    "reason TEXT NOT NULL, seconds REAL NOT NULL, figures TEXT NOT NULL, mark TEXT NOT NULL)"
 )
 
 
@@ -89,9 +94,13 @@ class Index:
 
     def _read(self) -> dict[str, Entry]:
         with closing(self._connection()) as connection:
-            rows = connection.execute("SELECT digest, state, reason, seconds, figures FROM cases")
+            rows = connection.execute(
+                "SELECT digest, state, reason, seconds, figures, mark FROM checked"
+            )
             return {
-                row[0]: Entry(row[0], row[1], row[2], row[3], json.loads(row[4])) for row in rows
+                row[0]: Entry(row[0], row[1], row[2], row[3], json.loads(row[4]))
+                for *row, mark in rows
+                if mark == _mark(self._store, row)
             }
 
     def _try_to_write(self, entries: Sequence[Entry], stale: Iterable[str] = ()) -> None:
@@ -99,13 +108,24 @@ class Index:
             self._write([entry for entry in entries if entry.state != DAMAGED], stale)
 
     def _write(self, entries: Iterable[Entry], stale: Iterable[str] = ()) -> None:
-        rows = [(e.digest, e.state, e.reason, e.seconds, json.dumps(e.figures)) for e in entries]
+        told = [(e.digest, e.state, e.reason, e.seconds, json.dumps(e.figures)) for e in entries]
+        rows = [(*row, _mark(self._store, row)) for row in told]
         gone = [(digest,) for digest in stale]
         if not rows and not gone:
             return
         with closing(self._connection()) as connection, connection:
-            connection.executemany("INSERT OR REPLACE INTO cases VALUES (?, ?, ?, ?, ?)", rows)
-            connection.executemany("DELETE FROM cases WHERE digest = ?", gone)
+            connection.executemany("INSERT OR REPLACE INTO checked VALUES (?, ?, ?, ?, ?, ?)", rows)
+            connection.executemany("DELETE FROM checked WHERE digest = ?", gone)
+
+
+def _mark(store: Store, row: Sequence[Any]) -> str:
+    """Return a digest of a row and of how the files stand that it was read from."""
+    folder, found = store.path_of(str(row[0])), list[Any](row)
+    for name in (RESULT_FILE, FAILURE_FILE, TIMINGS_FILE, MANIFEST_FILE):
+        with suppress(OSError, ValueError):
+            state = os.stat(folder / name)
+            found += [name, state.st_size, state.st_mtime_ns]
+    return hashlib.blake2b(json.dumps(found).encode(), digest_size=16).hexdigest()
 
 
 def entry_of(store: Store, digest: str) -> Entry | None:
@@ -114,26 +134,32 @@ def entry_of(store: Store, digest: str) -> Entry | None:
     A case whose files cannot be read is `DAMAGED`, with the file as its reason: it costs itself.
     """
     folder = store.path_of(digest)
-    if not folder.exists():
+    if not os.path.lexists(folder):
         return None
     try:
         return _whole(folder, digest)
-    except InputError as error:
+    except (InputError, OSError) as error:
         return Entry(digest, DAMAGED, f"{error}; run twin sweep again", 0.0, {})
 
 
 def _whole(folder: Path, digest: str) -> Entry:
     seconds = _part(folder / TIMINGS_FILE, "case", float, {"case": 0.0})
-    if (folder / RESULT_FILE).is_file():
-        return Entry(digest, "done", "", seconds, _part(folder / RESULT_FILE, "metrics", dict))
-    if (folder / FAILURE_FILE).is_file():
-        return Entry(digest, "failed", _part(folder / FAILURE_FILE, "failure", str), seconds, {})
+    known = read_manifest(folder)
+    for name in (RESULT_FILE, FAILURE_FILE):
+        path = folder / name
+        if not is_regular(path):
+            continue
+        if not is_ours(folder, name, known):
+            raise InputError(f"{path}: is not as it was written")
+        if name == RESULT_FILE:
+            return Entry(digest, "done", "", seconds, _part(path, "metrics", dict))
+        return Entry(digest, "failed", _part(path, "failure", str), seconds, {})
     raise InputError(f"{folder}: holds neither {RESULT_FILE} nor {FAILURE_FILE}")
 
 
 def _part(path: Path, key: str, kind: type, absent: dict[str, Any] | None = None) -> Any:
     """One value of a JSON file; `absent` is what a missing file would hold."""
-    content = read_json(path) if absent is None or path.is_file() else absent
+    content = read_json(path) if absent is None or is_regular(path) else absent
     if not isinstance(content.get(key), kind):
         raise InputError(f"{path}: has no '{key}'")
     return content[key]

@@ -1,7 +1,8 @@
 """The study that a store was last run with, so that the folder explains itself."""
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +13,12 @@ from reconstruction.reading import read_json
 from twin.config import Experiment
 from twin.config.study import Axis, Level, Study
 from twin.output import adding, write_json
-from twin.study.cases import Cases, Point, cases_of
+from twin.study.cases import Cases, Point, cases_of, cases_per_point, points_of
 from twin.study.trials import trial_cases
 
 STUDY_FILE = "study.json"
+# A second of validation and checks.
+_MOST_LOOKED_AT = 500
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,6 +34,16 @@ class StudyRecord:
         if self.study.sampling.method == "trials":
             return trial_cases(self.study, self.base)
         return cases_of(self.study, self.base, self.points)
+
+    def first_look(self) -> Cases:
+        """Return all cases of a small study; of a large one those of points far apart."""
+        if self.study.sampling.method == "trials" or self.points is not None:
+            return self.cases()
+        points = points_of(self.study)
+        step = -(-len(points) * cases_per_point(self.study) // _MOST_LOOKED_AT)
+        while math.gcd(step, len(points)) > 1:  # or only some levels of an axis would be seen
+            step += 1
+        return replace(cases_of(self.study, self.base, points[::step]), step=step)
 
 
 def write_record(folder: Path, record: StudyRecord) -> None:

@@ -4,6 +4,7 @@
     DIR/cases/DIGEST/              result.json, experiment.toml, timings.json, arrays asked for;
                                    or failure.json in place of result.json
     DIR/index.sqlite               the same figures for quick reading; made anew when it is missing
+    DIR/aside/DIGEST.N             damaged cases that hold what was not written there
     DIR/.parts/DIGEST.PID/         what is being written; never looked at by a reader
     DIR/.locks                     one byte range per case, held by whoever computes it
 
@@ -16,12 +17,13 @@ Lustre, local).
 """
 
 import fcntl
+import itertools
 import os
 import re
 import shutil
 import threading
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -85,7 +87,7 @@ def _place(digest: str) -> int:
 
 STORE_FILE, FAILURE_FILE, TIMINGS_FILE = "store.json", "failure.json", "timings.json"
 COMMAND = "sweep"
-_CASES, _PARTS, _LOCKS = "cases", ".parts", ".locks"
+_CASES, _PARTS, _LOCKS, _ASIDE = "cases", ".parts", ".locks", "aside"
 _NAMES = ("study.json",)
 _PART = re.compile(r"[0-9a-f]+\.[0-9]+(\.old)?")
 
@@ -137,14 +139,11 @@ class Store:
     def forget(self, digest: str) -> None:
         """Remove a case, whole at once, so that it is computed again; it may be damaged.
 
-        Raises
-        ------
-        InputError : its folder holds what `twin` did not write
+        What holds anything that `twin` did not write is put aside, under `aside/`.
         """
-        case = self.path_of(digest)
-        found = foreign(case, read_manifest(case), changed=False) if case.is_dir() else None
-        if found is not None:
-            raise InputError(f"{case}: found {found}, not written by twin; move it away")
+        if not _is_own(self.path_of(digest)):
+            self._put_aside(digest)
+            return
         away = self.folder / _PARTS / f"{digest}.{os.getpid()}.old"
         shutil.rmtree(away, ignore_errors=True)
         try:
@@ -152,6 +151,14 @@ class Store:
         except FileNotFoundError:
             return
         shutil.rmtree(away, ignore_errors=True)
+
+    def _put_aside(self, digest: str) -> None:
+        aside = self.folder / _ASIDE
+        aside.mkdir(exist_ok=True)
+        names = (f"{digest}.{number}" for number in itertools.count())
+        with suppress(FileNotFoundError):
+            free = next(name for name in names if not os.path.lexists(aside / name))
+            self.path_of(digest).rename(aside / free)
 
     @contextmanager
     def writing(self, digest: str) -> Iterator[Path]:
@@ -229,6 +236,14 @@ class Store:
                 f"{self.folder}: its cases were computed with {told}; choose another -o DIR, "
                 "so that one table holds one version's figures"
             )
+
+
+def _is_own(case: Path) -> bool:
+    """Tell whether a case's folder holds only what was written there, changed perhaps."""
+    try:
+        return case.is_dir() and foreign(case, read_manifest(case), changed=False) is None
+    except (InputError, OSError):  # its manifest is none, or cannot be read
+        return False
 
 
 def write_failure(

@@ -43,7 +43,12 @@ _PRESS_BYTES = 80_000_000
 
 @dataclass(frozen=True)
 class Estimate:
-    """What a run will take; good to a factor of two for slabs and sheets, less for solids."""
+    """What a run will take; good to a factor of two for slabs and sheets, less for solids.
+
+    Attributes
+    ----------
+    step : 1 where all cases were looked at; n where it was one of n, and the rest is scaled
+    """
 
     cases: int
     known: int
@@ -51,6 +56,7 @@ class Estimate:
     seconds: float
     disk_bytes: float
     free_bytes: int
+    step: int = 1
 
 
 def estimate(record: StudyRecord, cases: Cases, store: Store, workers: int) -> Estimate:
@@ -62,12 +68,13 @@ def estimate(record: StudyRecord, cases: Cases, store: Store, workers: int) -> E
     work = sum(_case_seconds(case.experiment) for case in missing) + sum(presses.values())
     folder = next(p for p in (store.folder, *store.folder.parents) if p.exists())
     return Estimate(
-        cases=len(unique),
-        known=len(unique) - len(missing),
-        excluded=cases.excluded,
-        seconds=work / workers + _calibration_seconds(record, store),
-        disk_bytes=sum(_case_bytes(record.study, case.experiment) for case in missing),
+        cases=len(unique) * cases.step,
+        known=(len(unique) - len(missing)) * cases.step,
+        excluded=cases.excluded * cases.step,
+        seconds=work * cases.step / workers + _calibration_seconds(record, store),
+        disk_bytes=cases.step * sum(_case_bytes(record.study, one.experiment) for one in missing),
         free_bytes=shutil.disk_usage(folder).free,
+        step=cases.step,
     )
 
 
@@ -286,7 +293,8 @@ def _standing(index: Index, asked: Sequence[str]) -> dict[str, Any]:
 
 def told(found: Estimate) -> str:
     """Say an estimate in one line."""
-    parts = [f"{found.cases} cases"]
+    looked = f"about {found.cases} cases, one point of {found.step} looked at"
+    parts = [f"{found.cases} cases" if found.step == 1 else looked]
     if found.excluded:
         parts.append(f"{found.excluded} more excluded by constraints")
     if found.known:
