@@ -32,7 +32,7 @@ from twin.manifest import (
     read_manifest,
     write_manifest,
 )
-from twin.working import remove_leftovers, signals_held, working_folder
+from twin.working import is_second, remove_leftovers, signals_held, working_folder
 
 RESULT_FILE = "result.json"
 EXPERIMENT_FILE = "experiment.toml"
@@ -55,7 +55,7 @@ def output_folder(target: Path, inputs: Iterable[Path] = ()) -> Iterator[Path]:
     ------
     InputError : `target` cannot be written, holds something that was not written by `twin` or was
         changed since, or is the current folder, home, an input, or a folder above these, or in an
-        input
+        input; or another process is writing there
     OSError : the disk is full
     """
     real = _checked_place(target, inputs)
@@ -65,6 +65,8 @@ def output_folder(target: Path, inputs: Iterable[Path] = ()) -> Iterator[Path]:
             stack.callback(_remove_empty, _make_folders(real if real.is_dir() else real.parent))
             remove_leftovers(real.parent, real.name)
             folder = stack.enter_context(_working(real))
+        if is_second(folder):
+            raise InputError(f"{target}: another twin is writing there; wait for it, or {_ADVICE}")
         with _full_disk_told(target):
             yield folder
         with _telling(target):

@@ -167,6 +167,31 @@ def is_working(folder: Path) -> bool:
         return False
 
 
+def is_second(folder: Path) -> bool:
+    """Tell whether another living process began on the same target before this working folder.
+
+    Parameters
+    ----------
+    folder : as `working_folder` yields it
+    """
+    mine = folder.parent
+    target = _target(mine)
+    with suppress(OSError):
+        others = [one for one in mine.parent.iterdir() if one != mine and _target(one) == target]
+        return any(_is_held(one) and _age(one) < _age(mine) for one in others)
+    return False
+
+
+def _target(folder: Path) -> str:
+    named = _NAME.fullmatch(folder.name)
+    return named["target"] if named else ""
+
+
+def _age(folder: Path) -> tuple[int, str]:
+    """Return what orders working folders by their beginning."""
+    return (folder / _LOCK).stat().st_mtime_ns, folder.name
+
+
 def remove_leftovers(place: Path, target: str | None = None) -> None:
     """Remove the working folders in `place` (for one target) whose process has ended."""
     with suppress(OSError):
@@ -187,6 +212,17 @@ def _locked(folder: Path) -> IO[bytes]:
         lock.close()
         raise
     return lock
+
+
+def _is_held(folder: Path) -> bool:
+    try:
+        with (folder / _LOCK).open("r+b") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    except OSError:
+        return False
+    return False
 
 
 def _is_abandoned(folder: Path) -> bool:

@@ -218,14 +218,18 @@ def test_a_signal_cleans_up(tmp_path, name):
 
 @pytest.mark.parametrize("there", [False, True])
 def test_the_next_run_removes_what_a_killed_one_left(tmp_path, there):
-    """And nothing of one that lives: its lock says so."""
+    """And nothing of one that lives: its lock says so, and that it came first."""
     out = tmp_path / "out"
     if there:
         write(out, report="earlier")
     lives = started(out)
     (beside,) = list(tmp_path.rglob("*.part"))
     try:
-        write(tmp_path / "out", report="meanwhile")
+        with pytest.raises(
+            InputError, match=r"out: another twin is writing there; wait for it, or"
+        ):
+            write(out, report="meanwhile")
+        write(tmp_path / "other", report="meanwhile")
         assert (beside / "new").is_dir()
     finally:
         lives.kill()

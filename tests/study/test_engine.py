@@ -14,8 +14,9 @@ from tests.study import synthetic
 from tests.work import lines_run
 from twin.study.engine import Run
 from twin.study.index import Index
+from twin.study.record import read_record
 from twin.study.store import FAILURE_FILE, Store
-from twin.study.sweep import forget_failures
+from twin.study.sweep import forget_failures, sweep
 from twin.study.table import read_table, write_csv
 from twin.study.workers import local_workers, of_executor
 
@@ -124,6 +125,25 @@ def test_two_runs_share_a_store(two_axes, stored, tmp_path, monkeypatch):
         assert run.exitcode == 0
     started = Counter(log.read_text().splitlines())
     assert len(started) == sum(started.values()) == len(cases) == len(store.finished())
+
+
+def test_a_second_run_is_told_of_the_first(few, stored):
+    store, _ = stored(few)
+    record, told = read_record(store.folder), list[str]()
+
+    def run():
+        return sweep(
+            *(record, store.folder, local_workers(1)),
+            make_measurer=synthetic.Fake,
+            tell=told.append,
+        )
+
+    with store.alone() as alone:
+        assert alone
+        assert run().finished == 20
+    assert told == [f"{store.folder}: another run is at work there; both share the cases left"]
+    run()
+    assert len(told) == 1
 
 
 def test_two_runs_in_one_process(few, stored, tmp_path, monkeypatch):

@@ -81,14 +81,14 @@ def sweep(
         return code
     with progress_bars() as watch:
         outcome = run(
-            record, out, who, cases=cases, retry=retry, watch=watch, inputs=[study], tell=_fails
+            record, out, who, cases=cases, retry=retry, watch=watch, inputs=[study], tell=_tells
         )
     _tell_outcome(outcome, out)
     return FAILURE if outcome.unsaved or not outcome.finished else 0
 
 
-def _fails(reason: str) -> None:
-    sys.stderr.write(f"twin: a case failed: {reason}\n")
+def _tells(sentence: str) -> None:
+    sys.stderr.write(f"twin: {sentence}\n")
 
 
 def _check(record: "StudyRecord", cases: "Sequence[Case]") -> int:
@@ -293,7 +293,9 @@ def _swept(
     cases = record.cases()
     sys.stderr.write(f"{told(estimate(record, cases, Store(out), who.count))}\n")
     with progress_bars() as watch:
-        outcome = sweep(record, out, who, cases=cases, retry=retry, watch=watch, inputs=read)
+        outcome = sweep(
+            record, out, who, cases=cases, retry=retry, watch=watch, inputs=read, tell=_tells
+        )
     _tell_outcome(outcome, out)
     return outcome
 

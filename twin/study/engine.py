@@ -79,7 +79,7 @@ class Run:
     Attributes
     ----------
     done : told about every batch, for example to enter it into an index
-    tell : told, once each, the first reasons why cases fail, while the others still run
+    tell : told in a sentence, once each, the first reasons why cases fail, while others still run
     """
 
     store: Store
@@ -241,7 +241,7 @@ class Run:
         for reason in dict.fromkeys(one.reason for one in reports if one.state == "failed"):
             if reason not in self._told and len(self._told) < _FIRST_REASONS:
                 self._told.add(reason)
-                self.tell(reason)
+                self.tell(f"a case failed: {reason}")
 
     def _batch(self, cases: list[Case]) -> Batch:
         return Batch(

@@ -123,7 +123,7 @@ def _mark(store: Store, row: Sequence[Any]) -> str:
     folder, found = store.path_of(str(row[0])), list[Any](row)
     for name in (RESULT_FILE, FAILURE_FILE, TIMINGS_FILE, MANIFEST_FILE):
         with suppress(OSError, ValueError):
-            state = os.stat(folder / name)
+            state = (folder / name).stat()
             found += [name, state.st_size, state.st_mtime_ns]
     return hashlib.blake2b(json.dumps(found).encode(), digest_size=16).hexdigest()
 

@@ -23,7 +23,7 @@ import re
 import shutil
 import threading
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -87,6 +87,8 @@ def _place(digest: str) -> int:
 
 STORE_FILE, FAILURE_FILE, TIMINGS_FILE = "store.json", "failure.json", "timings.json"
 COMMAND = "sweep"
+# In the place of a digest, for a run as a whole.
+_RUN = "f" * 16
 _CASES, _PARTS, _LOCKS, _ASIDE = "cases", ".parts", ".locks", "aside"
 _NAMES = ("study.json",)
 _PART = re.compile(r"[0-9a-f]+\.[0-9]+(\.old)?")
@@ -189,6 +191,10 @@ class Store:
         finally:
             if mine:
                 _release(file, digest)
+
+    def alone(self) -> AbstractContextManager[bool]:
+        """Hold the store as a run at work; yields False when another one does already."""
+        return self.claimed(_RUN)
 
     def abandoned(self) -> list[str]:
         """Remove what dead processes left half-written; return the digests of their cases."""

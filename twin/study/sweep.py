@@ -201,7 +201,7 @@ def sweep(
     make_measurer : makes what measures a case; importable by the workers. Default: `Measuring`,
         after a calibration of the rig where trials draw theirs
     inputs : files that the folder must not hold
-    tell : told the first reasons why cases fail, as they do
+    tell : told in a sentence of another run on the store, and why the first cases fail, as they do
 
     Raises
     ------
@@ -253,7 +253,9 @@ def _session(
     tell: Callable[[str], None] = lambda _: None,
 ) -> Iterator[_Session]:
     try:
-        with lasting(workers) as kept:
+        with store.alone() as alone, lasting(workers) as kept:
+            if not alone:
+                tell(f"{store.folder}: another run is at work there; both share the cases left")
             run = Run(store, kept, keep, make, watch, Index(store).enter, tell)
             yield _Session(store, run, retry)
     finally:
