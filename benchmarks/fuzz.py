@@ -15,7 +15,7 @@ from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
-from benchmarks.fuzzing import LIMIT_S, FuzzOutcome, make_stock, run_case
+from benchmarks.fuzzing import LIMIT_S, TARGETS, FuzzOutcome, make_stock, run_case
 
 ENDS = {
     "tracebacks": "traceback",
@@ -57,6 +57,7 @@ def main() -> int:
     parser.add_argument("--cases", type=int, default=5000)
     parser.add_argument("--first", type=int, default=0, help="first seed")
     parser.add_argument("--seed", type=int, help="only this case, shown")
+    parser.add_argument("--sound", help="only this target on its sound input: all, or its name")
     parser.add_argument("--limit", type=float, default=LIMIT_S, help="seconds until a case hangs")
     parser.add_argument("--stock", type=Path, help="sound inputs of an earlier run, or where to")
     chosen = parser.parse_args()
@@ -69,6 +70,8 @@ def main() -> int:
         if chosen.seed is not None:
             print(one(chosen.seed, stock, Path(scratch), chosen.limit))
             return 0
+        if chosen.sound:
+            return int(any(list(sound_cases(chosen.sound, stock, Path(scratch), chosen.limit))))
         count = 200 if chosen.quick else chosen.cases
         seeds = range(chosen.first, chosen.first + count)
         found = list(cases(seeds, stock, chosen.minutes, chosen.limit))
@@ -83,6 +86,17 @@ def one(seed: int, stock: Path, scratch: Path, limit_s: float) -> FuzzOutcome:
     found = run_case(seed, stock, folder, command, limit_s)
     shutil.rmtree(folder)
     return found
+
+
+def sound_cases(named: str, stock: Path, scratch: Path, limit_s: float) -> Iterator[bool]:
+    """Run targets on sound input; print each, and yield whether it was not taken."""
+    for name in TARGETS if named == "all" else (named,):
+        folder = scratch / name
+        folder.mkdir()
+        found = run_case(0, stock, folder, command, limit_s, sound=name)
+        print(found, flush=True)
+        refuses = "{refusing}" in TARGETS[name].arguments and "no earlier" in found.said
+        yield found.end != "done" and not refuses
 
 
 def cases(

@@ -25,6 +25,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+import imageio.v3 as imageio
+import numpy as np
+
+from benchmarks.damage import damage_file
+from reconstruction.machine import write_exr_channels
+from reconstruction.photometric.colour_maps import COLOUR_TERMS, PLACE_TERMS, ColourPolynomial
+from reconstruction.photometric.sensor import SensorCalibration, write_sensor_calibration
+
 LIMIT_S = 20.0
 _EXIT_CODES = (0, 1, 2, 3)
 _MOST_LINES = 40
@@ -54,129 +62,6 @@ class FuzzOutcome:
     def is_bad(self) -> bool:
         """Tell whether the program misbehaved."""
         return self.end not in ("told", "done")
-
-
-# ---- damage to bytes ---------------------------------------------------------------------------
-
-_TOKENS = (
-    b"nan", b"inf", b"-inf", b"-1", b"0", b"1e300", b"-1e-300", b"9" * 5000, b"true", b"[]", b"{}",
-    b'""', b"'", b'"""', b"\x00", b"\xff\xfe", b"[[a]]", b"[a.b.c]", b"=", b"#", b"..",
-    b"/dev/zero", b"[bold]", b"$\\frac{$", b"=cmd|' /C calc'!A0", b"\xe2\x80\xae",
-    b"{" * 3000, b"[" * 3000, b"a" * 300, b"a" * 100_000, b"1" + b"0" * 400, b"-0.0",
-    b"1979-05-27T07:32:00Z",
-)  # fmt: skip
-
-
-def damaged_bytes(content: bytes, rng: random.Random) -> tuple[bytes, str]:
-    """Return a file's content with one to four faults, and their names."""
-    told = []
-    for _ in range(rng.choice((1, 1, 1, 2, 4))):
-        fault = rng.choice((_flip, _cut, _truncate, _double, _token, _zero, _number, _line))
-        content = fault(content, rng)
-        told.append(fault.__name__.strip("_"))
-    return content, "+".join(told)
-
-
-def _at(content: bytes, rng: random.Random) -> int:
-    # Headers decide more than pixels do.
-    reach = rng.choice((64, 512, 4096, len(content)))
-    return rng.randrange(max(1, min(reach, len(content))))
-
-
-def _flip(content: bytes, rng: random.Random) -> bytes:
-    changed = bytearray(content)
-    for _ in range(rng.choice((1, 8, 64)) if changed else 0):
-        changed[_at(content, rng)] ^= 1 << rng.randrange(8)
-    return bytes(changed)
-
-
-def _cut(content: bytes, rng: random.Random) -> bytes:
-    at = _at(content, rng)
-    return content[:at] + content[at + rng.choice((1, 4, 100, 10_000)) :]
-
-
-def _truncate(content: bytes, rng: random.Random) -> bytes:
-    return content[: _at(content, rng)]
-
-
-def _double(content: bytes, rng: random.Random) -> bytes:
-    at, size = _at(content, rng), rng.choice((1, 16, 1000))
-    return content[: at + size] + content[at:]
-
-
-def _token(content: bytes, rng: random.Random) -> bytes:
-    at = _at(content, rng)
-    return content[:at] + rng.choice(_TOKENS) + content[at:]
-
-
-def _zero(content: bytes, rng: random.Random) -> bytes:
-    at, size = _at(content, rng), rng.choice((1, 8, 1000))
-    return content[:at] + bytes(min(size, len(content) - at)) + content[at + size :]
-
-
-def _number(content: bytes, rng: random.Random) -> bytes:
-    """Put another token in the place of a number or a word after `=`, `:` or `,`."""
-    places = [i for i, sign in enumerate(content[:100_000]) if sign in b"=:,"]
-    if not places:
-        return _flip(content, rng)
-    at = rng.choice(places) + 1
-    end = at
-    while end < len(content) and content[end] not in b"\n,]}":
-        end += 1
-    return content[:at] + b" " + rng.choice(_TOKENS) + content[end:]
-
-
-def _line(content: bytes, rng: random.Random) -> bytes:
-    """Drop, double or exchange a line."""
-    lines = content.split(b"\n")
-    one, other = rng.randrange(len(lines)), rng.randrange(len(lines))
-    way = rng.randrange(3)
-    if way == 0:
-        del lines[one]
-    elif way == 1:
-        lines.insert(other, lines[one])
-    else:
-        lines[one], lines[other] = lines[other], lines[one]
-    return b"\n".join(lines)
-
-
-# ---- damage to files ---------------------------------------------------------------------------
-
-
-def damage_file(path: Path, rng: random.Random) -> str:
-    """Damage a file, or put something else in its place; return what was done."""
-    if rng.random() < 0.85:
-        content, told = damaged_bytes(path.read_bytes(), rng)
-        path.write_bytes(content)
-        return f"{path.name}: {told}"
-    other = rng.choice((_to_fifo, _to_folder, _to_nothing, _to_device, _to_circle, _to_empty))
-    path.unlink()
-    other(path)
-    return f"{path.name}: {other.__name__.removeprefix('_to_')}"
-
-
-def _to_fifo(path: Path) -> None:
-    os.mkfifo(path)
-
-
-def _to_folder(path: Path) -> None:
-    path.mkdir()
-
-
-def _to_nothing(_path: Path) -> None:
-    pass
-
-
-def _to_device(path: Path) -> None:
-    path.symlink_to("/dev/zero")
-
-
-def _to_circle(path: Path) -> None:
-    path.symlink_to(path.name)
-
-
-def _to_empty(path: Path) -> None:
-    path.touch()
 
 
 # ---- targets -----------------------------------------------------------------------------------
@@ -211,12 +96,27 @@ TARGETS = {
     "mesh_ply": FuzzTarget(
         "part.ply", ("press", "slab_mesh.toml", "-s", "specimen.file={input}", *_O)
     ),
+    "mesh_obj": FuzzTarget(
+        "part.obj", ("press", "slab_mesh.toml", "-s", "specimen.file={input}", *_O)
+    ),
+    "inputs": FuzzTarget(
+        "inputs.toml",
+        ("uncertainty", "slab.toml", "--inputs", "{input}", "--dry-run", *_O),
+        leads_to_result=False,
+    ),
     "study": FuzzTarget("study.toml", ("sweep", "{input}", "--dry-run", *_O), (), False),
     "problem": FuzzTarget("problem.toml", ("identify", "{input}", "-o", "{refusing}")),
     "capture": FuzzTarget(
         "capture", ("reconstruct", "{input}", *_O), ("*.toml", "*.yaml", "*.png")
     ),
     "capture_toml": FuzzTarget("capture", ("reconstruct", "{input}", *_O), ("*.toml", "*.yaml")),
+    "capture_exr": FuzzTarget("capture_exr", ("reconstruct", "{input}", *_O), ("*.exr",)),
+    "capture_tiff": FuzzTarget("capture_tiff", ("reconstruct", "{input}", *_O), ("*.tiff",)),
+    "colours": FuzzTarget(
+        "colours",
+        ("reconstruct", "--photometric", "{input}/press.toml", *_O),
+        ("*.toml", "*.png", "*.npz"),
+    ),
     "capture_nc": FuzzTarget("rendered", ("reconstruct", "{input}", *_O), ("capture/*",)),
     "result": FuzzTarget(
         "measured", ("report", "{input}"), ("*.json", "*.toml", "*.nc", "*.exr", "*.ply"), False
@@ -226,6 +126,9 @@ TARGETS = {
     ),
     "store": FuzzTarget("swept", ("sweep", "report", "{input}"), ("**/*",), False),
     "store_table": FuzzTarget("swept", ("sweep", "table", "{input}"), ("**/*",), False),
+    "store_dry": FuzzTarget(
+        "swept", ("sweep", "study.toml", "--dry-run", "-o", "{input}"), ("**/*",), False
+    ),
     "board": FuzzTarget(
         "board.toml", ("calibrate", "slab.toml", "--board", "{input}", "-o", "{refusing}")
     ),
@@ -272,6 +175,8 @@ def run_case(
     scratch: Path,
     command: Callable[[list[str]], int],
     limit_s: float = LIMIT_S,
+    *,
+    sound: str = "",
 ) -> FuzzOutcome:
     """Make, run and judge a case.
 
@@ -282,12 +187,13 @@ def run_case(
     scratch : an empty folder for the case
     command : runs a command line in the forked child, and returns its exit code
     limit_s : wall clock after which it hangs
+    sound : run this target on its sound input instead, to see that it is taken
     """
     rng = random.Random(seed)
-    target = rng.choice((*TARGETS, "arguments"))
+    target = sound or rng.choice((*TARGETS, "arguments"))
     shutil.copytree(stock / "kept", scratch / "kept")
     os.mkfifo(scratch / "fifo")
-    for name in ("slab.toml", "slab_mesh.toml"):
+    for name in ("slab.toml", "slab_mesh.toml", "study.toml"):
         shutil.copy(stock / name, scratch / name)
     if target == "arguments":
         arguments, damage, leads = argument_case(rng), "", True
@@ -295,7 +201,7 @@ def run_case(
     else:
         one = TARGETS[target]
         given = scratch / Path(one.source).name
-        damage = _copied_and_damaged(stock / one.source, given, one, rng)
+        damage = _copied_and_damaged(stock / one.source, given, one, None if sound else rng)
         arguments, leads = list(one.arguments), one.leads_to_result
         arguments = [part.replace("{input}", given.name) for part in arguments]
     out = scratch / OUT
@@ -310,11 +216,15 @@ def run_case(
     return FuzzOutcome(seed, target, damage, end, said, seconds)
 
 
-def _copied_and_damaged(source: Path, given: Path, target: FuzzTarget, rng: random.Random) -> str:
+def _copied_and_damaged(
+    source: Path, given: Path, target: FuzzTarget, rng: random.Random | None
+) -> str:
     if source.is_file():
         shutil.copy(source, given)
-        return damage_file(given, rng)
+        return damage_file(given, rng) if rng else ""
     shutil.copytree(source, given, symlinks=True)
+    if rng is None:
+        return ""
     files = sorted({f for pattern in target.damaged for f in given.glob(pattern) if f.is_file()})
     return damage_file(rng.choice(files), rng)
 
@@ -437,7 +347,7 @@ def make_stock(folder: Path, run: Path) -> None:
     sheet = _SMALL | {"press.cell_mm": 0.4}
     (folder / "sheet.toml").write_text(to_toml(load_experiment("examples/wrapped_balls", sheet)))
     part = trimesh.creation.box((4.0, 3.0, 2.0))
-    for name in ("part.stl", "part.ply"):
+    for name in ("part.stl", "part.ply", "part.obj"):
         part.export(folder / name)
     mesh = {"specimen": {"kind": "mesh", "file": str(folder / "part.stl")}}
     (folder / "slab_mesh.toml").write_text(
@@ -446,13 +356,48 @@ def make_stock(folder: Path, run: Path) -> None:
     (folder / "study.toml").write_text(_STUDY)
     shutil.copy(asset_path("scenes", "boards/paper_dots"), folder / "board.toml")
     shutil.copy(asset_path("scenes", "problems/slab"), folder / "problem.toml")
+    shutil.copy(asset_path("scenes", "inputs/handling"), folder / "inputs.toml")
     capture = Path(__file__).parents[1] / "docs" / "example_capture"
     shutil.copytree(capture, folder / "capture")
+    for kind in ("exr", "tiff"):
+        _with_other_images(capture, folder / f"capture_{kind}", kind)
+    _make_colours(folder / "colours")
     for command in (
         ("measure", "slab.toml", "-o", "measured"),
         ("render", "slab.toml", "-o", "rendered"),
         ("sweep", "study.toml", "-o", "swept", "-j", "1"),
+        ("sweep", "report", "swept"),
         # Compiles what reads 8-bit images, for which no case has the time.
         ("reconstruct", "capture", "-o", "reconstructed"),
     ):
         subprocess.run([str(run), *command], cwd=folder, check=True, capture_output=True)
+
+
+def _with_other_images(capture: Path, folder: Path, kind: str) -> None:
+    """Copy a capture, its images as TIFF or EXR."""
+    shutil.copytree(capture, folder)
+    for path in sorted(folder.glob("*.png")):
+        image, other = imageio.imread(path), path.with_suffix(f".{kind}")
+        if kind == "exr":
+            write_exr_channels(other, {"Y": image.astype(np.float32)})
+        else:
+            imageio.imwrite(other, image)
+        path.unlink()
+    text = (folder / "capture.toml").read_text()
+    (folder / "capture.toml").write_text(text.replace("{name}.png", f"{{name}}.{kind}"))
+
+
+def _make_colours(folder: Path) -> None:
+    """Make a photometric press of noise, and the calibration of a sensor that maps it."""
+    folder.mkdir()
+    rng = np.random.default_rng(0)
+    for name in ("press.png", "still.png"):
+        imageio.imwrite(folder / name, rng.integers(90, 120, (48, 64, 3), np.uint8))
+    colour_map = ColourPolynomial(
+        rng.normal(0.0, 0.01, (2, len(COLOUR_TERMS), len(PLACE_TERMS))), -np.ones(3), np.ones(3)
+    )
+    background = np.full((48, 64, 3), 100.0, np.float32)
+    write_sensor_calibration(folder / "sensor.npz", SensorCalibration(colour_map, background, 0.1))
+    lines = ('format = "photometric-press"', "version = 1", 'image = "press.png"')
+    ends = ('background = ["still.png"]', 'calibration = "sensor.npz"', "")
+    (folder / "press.toml").write_text("\n".join((*lines, *ends)))

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.fuzzing import TARGETS, damaged_bytes, run_case
+from benchmarks.damage import damaged_bytes
+from benchmarks.fuzzing import TARGETS, run_case
 
 ROOT = Path(__file__).parents[2]
 

@@ -7,7 +7,7 @@ import zlib
 import numpy as np
 import pytest
 
-from benchmarks.fuzzing import damaged_bytes
+from benchmarks.damage import damaged_bytes
 from reconstruction.capture.image_files import read_image
 from reconstruction.errors import CaptureError, InputError
 from reconstruction.machine import write_exr_channels

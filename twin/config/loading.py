@@ -45,7 +45,7 @@ ABSENT = "absent"
 """Says that a key is not there, so that its default holds: TOML knows no null."""
 # Files that use two files each, which use two each, would lay down thousands of tables.
 MOST_USED_FILES = 200
-_MOST_PROBLEMS = 40
+_MOST_PROBLEMS = 20
 
 
 def load_experiment(path: str | Path, overrides: Mapping[str, Any] | None = None) -> Experiment:
