@@ -11,6 +11,7 @@ words only. Which files HDF5 is given to read is decided in `sealing`.
 
 import errno
 import io
+import math
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -114,7 +115,7 @@ def read_dataset(path: Path | str, group: str | None = None) -> "xarray.Dataset"
     Raises
     ------
     InputError : it is no file
-    OSError : it is missing, damaged or something else
+    OSError : it is missing, damaged or something else; or a number in it is not finite
     """
     import xarray
 
@@ -124,9 +125,21 @@ def read_dataset(path: Path | str, group: str | None = None) -> "xarray.Dataset"
     try:
         # Nothing is decoded: a unit such as ms does not make durations.
         with xarray.open_dataset(path, engine="h5netcdf", group=group, decode_cf=False) as found:
-            return found.load()
+            _require_finite(found.load())
+            return found
     except (AttributeError, KeyError, RuntimeError, TypeError, ValueError) as error:
         raise OSError(f"{path}: is damaged ({one_line(error)})") from error
+
+
+def _require_finite(dataset: "xarray.Dataset") -> None:
+    """Refuse NaN and infinity, which no file of ours holds: masks say what has no value."""
+    import numpy as np
+
+    with np.errstate(all="ignore"):
+        for name, one in dataset.variables.items():
+            # A sum is finite when all its parts are, and takes no memory.
+            if one.dtype.kind == "f" and not math.isfinite(one.values.sum(dtype=np.float64)):
+                raise ValueError(f"{name} holds numbers that are not finite")
 
 
 @contextmanager

@@ -116,3 +116,17 @@ def test_what_is_no_netcdf_is_told_in_one_line(tmp_path, content):
     with pytest.raises(OSError, match=r"x\.nc: is damaged \(.+\)$") as caught:
         read_dataset(path)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("number", [np.nan, np.inf, -np.inf])
+def test_numbers_that_are_not_finite_are_refused(tmp_path, dataset, number):
+    """A file with a seal, too: plain numbers are not in it."""
+    path = tmp_path / "x.nc"
+    write_dataset(path, dataset)
+    content = bytearray(path.read_bytes())
+    at = content.index(dataset["height_mm"].values.tobytes())
+    content[at : at + 8] = np.float64(number).tobytes()
+    path.write_bytes(content)
+    assert sealing.is_sealed(path)
+    with pytest.raises(OSError, match="height_mm holds numbers that are not finite"):
+        read_dataset(path)
