@@ -3,6 +3,7 @@
 Transforms T_a_from_b map points of frame b to frame a; lengths mm.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ from reconstruction.arrays import FloatArray
 from reconstruction.errors import CaptureError, InputError
 from reconstruction.rig.layers import PlaneLayers, plane_layers
 from reconstruction.rig.pinhole import Pinhole
-from reconstruction.rig.storage import damaged, open_storage
+from reconstruction.rig.storage import read_storage
 
 __all__ = ["Calibration", "Pinhole", "read_calibration", "write_calibration"]
 
@@ -129,34 +130,29 @@ def read_calibration(path: Path | str) -> Calibration:
     CaptureError : the file is missing or is no YAML, a key is missing, a value has the wrong shape,
         a transform is no rigid motion
     """
-    path = Path(path)
-    storage = open_storage(path)
+    tree = read_storage(path)
     try:
-        devices = [_read_pinhole(storage, name) for name in DEVICES]
-        transforms = [_read_matrix(storage.getNode(name), name, (4, 4)) for name in TRANSFORMS]
-        layers = _read_layers(storage.getNode(LAYERS))
+        devices = [_read_pinhole(tree, name) for name in DEVICES]
+        transforms = [_read_matrix(tree.get(name), name, (4, 4)) for name in TRANSFORMS]
+        layers = _read_layers(tree.get(LAYERS))
         return Calibration(devices[0], devices[1], transforms[0], transforms[1], layers)
     except InputError as error:
         raise CaptureError(f"{path}: {error}") from error
-    except cv2.error as error:  # thrown wherever it meets a half-written node
-        raise damaged(path, error) from error
-    finally:
-        storage.release()
 
 
-def _read_pinhole(storage: Any, name: str) -> Pinhole:
-    node = storage.getNode(name)
-    if node.empty() or not node.isMap():
+def _read_pinhole(tree: Mapping[str, Any], name: str) -> Pinhole:
+    node = tree.get(name)
+    if not isinstance(node, dict):
         raise InputError(f"key {name} is missing")
-    matrix = _read_matrix(node.getNode("camera_matrix"), f"{name}/camera_matrix", (3, 3))
+    matrix = _read_matrix(node.get("camera_matrix"), f"{name}/camera_matrix", (3, 3))
     _require_camera_matrix(name, matrix)
     coefficients = _read_matrix(
-        node.getNode("distortion_coefficients"), f"{name}/distortion_coefficients", (1, 5)
+        node.get("distortion_coefficients"), f"{name}/distortion_coefficients", (1, 5)
     )
     k1, k2, p1, p2, k3 = (float(value) for value in coefficients[0])
     ideal = Pinhole(
-        width_px=_read_integer(node.getNode("image_width"), f"{name}/image_width"),
-        height_px=_read_integer(node.getNode("image_height"), f"{name}/image_height"),
+        width_px=_read_integer(node.get("image_width"), f"{name}/image_width"),
+        height_px=_read_integer(node.get("image_height"), f"{name}/image_height"),
         fx_px=float(matrix[0, 0]),
         fy_px=float(matrix[1, 1]),
         cx_px=float(matrix[0, 2]),
@@ -174,40 +170,35 @@ def _require_camera_matrix(name: str, matrix: FloatArray) -> None:
         )
 
 
-def _read_layers(node: Any) -> PlaneLayers | None:
-    if node.empty():
+def _read_layers(found: Any) -> PlaneLayers | None:
+    if found is None:
         return None
-    if not node.isSeq():
+    if not isinstance(found, list):
         raise InputError(f"key {LAYERS} is no list; give one {{ top_mm, ior }} per medium")
-    found = [node.at(number) for number in range(node.size())]
     names = ("top_mm", "ior")
     for number, one in enumerate(found):
-        if not one.isMap() or sorted(one.keys()) != sorted(names):
+        if not isinstance(one, dict) or sorted(one) != sorted(names):
             raise InputError(f"{LAYERS} {number}: give exactly the keys top_mm and ior")
     return plane_layers([(_read_number(one, "top_mm"), _read_number(one, "ior")) for one in found])
 
 
-def _read_number(parent: Any, name: str) -> float:
-    node = parent.getNode(name)
-    if not (node.isReal() or node.isInt()):
+def _read_number(layer: Mapping[str, Any], name: str) -> float:
+    if not isinstance(layer[name], (int, float)):
         raise InputError(f"{LAYERS}: {name} is no number")
-    return float(node.real())
+    return float(layer[name])
 
 
-def _read_integer(node: Any, name: str) -> int:
-    if node.empty() or not node.isInt():
+def _read_integer(found: Any, name: str) -> int:
+    if not isinstance(found, int):
         raise InputError(f"key {name} is missing or no whole number")
-    return int(node.real())
+    return found
 
 
-def _read_matrix(node: Any, name: str, shape: tuple[int, int]) -> FloatArray:
-    matrix = None if node.empty() else node.mat()
-    if matrix is None:
+def _read_matrix(found: Any, name: str, shape: tuple[int, int]) -> FloatArray:
+    if not isinstance(found, np.ndarray):
         raise InputError(f"key {name} is missing or no matrix")
-    if shape == (1, 5) and matrix.shape == (5, 1):  # calibrateCamera returns either
-        matrix = matrix.reshape(1, 5)
-    if matrix.shape != shape:
-        raise InputError(f"{name} has shape {matrix.shape}; it must be {shape}")
-    if matrix.dtype.kind != "f":  # OpenCV has cut off what follows the point
-        raise InputError(f"{name} is read as {matrix.dtype}; write dt: d, its numbers are reals")
-    return np.asarray(matrix, dtype=np.float64)
+    if shape == (1, 5) and found.shape == (5, 1):  # calibrateCamera returns either
+        found = found.reshape(1, 5)
+    if found.shape != shape:
+        raise InputError(f"{name} has shape {found.shape}; it must be {shape}")
+    return np.asarray(found, dtype=np.float64)

@@ -39,14 +39,12 @@ def test_transforms_compose(calibration):
         ("image_width:", "width:", "camera/image_width is missing"),
         ("image_width: 120", "image_width: 120.5", "camera/image_width"),
         ("image_width: 120", "image_width: -4", "width_px"),
-        ("cols: 5", "cols: 4", "damaged|shape|missing"),
+        ("cols: 5", "cols: 4", "line 6: a matrix of 3 rows and 4 cols holds 9 numbers|cols holds"),
         ("%YAML", "calibration", "first line"),
         ("[ 900., 0.,", "[ 1e300, 0.,", "fx_px is 1e[+]300; give a number of at least 0.001"),
         ("[ 900., 0.,", "[ 1e-300, 0.,", "fx_px is 1e-300; give a number of at least 0.001"),
-        ("dt: d", "dt: u", "camera/camera_matrix is read as uint8; write dt: d"),
-        ("dt: d", "dt: i", "camera/camera_matrix is read as int32; write dt: d"),
-        ("dt: d", "dt: 3d", "damaged YAML|shape|no matrix"),
-        ("dt: d", "dt: q", "damaged YAML|no matrix"),
+        ("dt: d", "dt: u", "line 6: a matrix is of dt: u; write d, its numbers are reals"),
+        ("dt: d", "dt: 3d", "line 6: a matrix is of dt: 3d; write d"),
     ],
 )
 def test_damaged_files_are_explained(tmp_path, calibration, find, replace, message):
@@ -120,22 +118,3 @@ def test_transforms_cannot_be_changed_afterwards(calibration):
         calibration.T_world_from_cam[0, 3] = 1.0
     with pytest.raises(dataclasses.FrozenInstanceError):
         calibration.camera = None
-
-
-@pytest.mark.parametrize(
-    ("content", "told"),
-    [
-        ("a: " + "[" * 100_000 + "\n", "brackets nest deeper than 32"),
-        ("# " + "]" * 900 + "\na: " + "[{" * 400 + "\n", "brackets nest deeper than 32"),
-        ("a:\n   " + "- " * 100_000 + "1\n", "lines of up to 200004, allowed"),
-        ("".join(" " * n + "a:\n" for n in range(2000)), "is no calibration: found 2005014"),
-    ],
-)
-def test_nested_text_does_not_reach_opencv(tmp_path, monkeypatch, content, told):
-    """OpenCV's reader recurses per level, and ends the process by a full stack."""
-    path = tmp_path / "calibration.yaml"
-    path.write_text(f"%YAML:1.0\n---\n{content}")
-    monkeypatch.setattr(cv2, "FileStorage", lambda *_: pytest.fail("OpenCV was asked"))
-    with pytest.raises(CaptureError, match=told) as caught:
-        read_calibration(path)
-    assert "\n" not in str(caught.value)
