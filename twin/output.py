@@ -65,8 +65,7 @@ def output_folder(target: Path, inputs: Iterable[Path] = ()) -> Iterator[Path]:
             stack.callback(_remove_empty, _make_folders(real if real.is_dir() else real.parent))
             remove_leftovers(real.parent, real.name)
             folder = stack.enter_context(_working(real))
-        if is_second(folder):
-            raise InputError(f"{target}: another twin is writing there; wait for it, or {_ADVICE}")
+        _refuse_second(target, folder)
         with _full_disk_told(target):
             yield folder
         with _telling(target):
@@ -124,6 +123,26 @@ def claim(target: Path, kind: str, names: Collection[str], inputs: Iterable[Path
         stack.callback(_remove_empty, _make_folders(real))
         remove_leftovers(real)
         enter(real, kind, ())
+
+
+@contextmanager
+def alone_in(target: Path) -> Iterator[None]:
+    """Hold a claimed folder for as long as a command goes on in it.
+
+    Raises
+    ------
+    InputError : another process holds it
+    """
+    with ExitStack() as stack:
+        with _telling(target):
+            folder = stack.enter_context(_working(Path(os.path.realpath(target))))
+        _refuse_second(target, folder)
+        yield
+
+
+def _refuse_second(target: Path, folder: Path) -> None:
+    if is_second(folder):
+        raise InputError(f"{target}: another twin is writing there; wait for it, or {_ADVICE}")
 
 
 def _checked_place(target: Path, inputs: Iterable[Path]) -> Path:

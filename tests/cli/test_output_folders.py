@@ -12,7 +12,7 @@ import pytest
 
 from reconstruction.errors import InputError
 from twin.cli import run
-from twin.output import output_folder, write_json
+from twin.output import alone_in, claim, output_folder, write_json
 
 CAPTURE = Path(__file__).parents[2] / "docs" / "example_capture"
 TWIN = "import sys; from twin.cli import main; main()"
@@ -241,6 +241,18 @@ def test_the_next_run_removes_what_a_killed_one_left(tmp_path, there):
     assert not beside.exists()
     assert set(contents(out)) == {"report", "result.json", "twin-manifest.txt"}
     assert (tmp_path / ".out.twin-notes.part" / "lock").read_text() == "my own lock"
+
+
+def test_a_folder_that_grows_has_one_command_at_a_time(tmp_path):
+    out = tmp_path / "out"
+    claim(out, "compare", ())
+    with alone_in(out):
+        second = pytest.raises(InputError, match="out: another twin is writing there; wait for it")
+        with second, alone_in(out):
+            pytest.fail("let in")
+    with alone_in(out):
+        pass
+    assert set(contents(out)) == {"twin-manifest.txt"}
 
 
 def test_interrupted_workers_are_ended_at_once(tmp_path):

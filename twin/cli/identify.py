@@ -32,7 +32,7 @@ def identify(
     from twin.identification.run import COMMAND, WRITTEN, write_identified
     from twin.identification.run import identify as find
     from twin.identification.summary import SUMMARY_FILE, write_summary
-    from twin.output import adding, claim
+    from twin.output import adding, alone_in, claim
     from twin.report import REPORT_NAMES
     from twin.report.identified import write_identified as draw
 
@@ -41,7 +41,7 @@ def identify(
     who = workers_of(workers, cluster)
     names = (*WRITTEN, SUMMARY_FILE, *REPORT_NAMES)
     claim(out, COMMAND, names, [problem])
-    with progress_bars() as watch:
+    with alone_in(out), progress_bars() as watch:
         found = find(asked, experiments, out, who, watch=watch, inputs=[problem])
         with adding(out, *names) as folder:
             write_identified(folder, found, experiments)

@@ -23,6 +23,7 @@ from twin.config.models import Press, Provenance
 from twin.output import (
     RESULT_FILE,
     adding,
+    alone_in,
     claim,
     output_folder,
     versions,
@@ -221,8 +222,9 @@ def compare(
     _refuse_namesakes(experiments)
     claim(out, COMMAND, _NAMES, inputs)
     run = _Run(out, fill, watch, plan or PhotometricPlan(), Memory())
-    found = [_outcome(experiment, method, run) for experiment in experiments for method in methods]
-    _write(out, found)
+    with alone_in(out):
+        found = [_outcome(one, method, run) for one in experiments for method in methods]
+        _write(out, found)
     return found
 
 
