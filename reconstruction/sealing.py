@@ -1,8 +1,7 @@
 """Which netCDF-4 files HDF5 may be given: those with a seal, and those that a child has read.
 
-HDF5 trusts its files: on a damaged one it may loop for ever or crash, and a process cannot end that
-from within. So what this package writes ends with a seal, behind the end that HDF5 knows of, where
-no reader of HDF5 looks:
+HDF5 trusts its files: on a damaged one it may loop for ever or crash. So what this package writes
+ends with a seal, behind the end that HDF5 knows of, where no reader of HDF5 looks:
 
 | bytes | content |
 |---|---|
@@ -12,27 +11,23 @@ no reader of HDF5 looks:
 | 16 | "fringe-twin seal" |
 
 Numbers are little-endian. A file whose seal holds is opened as it is. Any other one, of another
-program or damaged, is first read whole by a process of its own, whose processor time is limited. A
-seal tells of damage; it is no signature.
+program or damaged, is first read whole by a child (`native`). A seal tells of damage; it is no
+signature.
 """
 
 import hashlib
 import os
-import signal
 import struct
-import subprocess
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import IO
 
-_CHILD = Path(__file__).with_name("hdf5_child.py")
+from reconstruction.native import read_in_child
+
 _MARK = b"fringe-twin seal"
 _RUN, _FOOT = struct.Struct("<QQ"), struct.Struct("<32sQ16s")
 _MOST_RUNS = 10_000
 _PIECE_BYTES = 2**20
-# Processor time, far more than a sound file takes; busy neighbours and slow disks do not count.
-LEAST_LIMIT_S, SLOWEST_BYTES_PER_S = 5.0, 20e6
 
 Runs = Sequence[tuple[int, int]]
 
@@ -102,22 +97,5 @@ def require_readable(path: Path) -> None:
     known = (state.st_dev, state.st_ino, state.st_size, state.st_mtime_ns)
     if known in _tried or is_sealed(path):
         return
-    limit_s = LEAST_LIMIT_S + state.st_size / SLOWEST_BYTES_PER_S
-    child = subprocess.run(
-        [sys.executable, "-P", str(_CHILD), str(limit_s), str(path)],
-        stdin=subprocess.DEVNULL,
-        capture_output=True,
-        check=False,
-    )
-    if child.returncode:
-        raise OSError(f"{path}: is damaged ({_reason(child, limit_s)})")
+    read_in_child("HDF5", path)
     _tried.add(known)
-
-
-def _reason(child: "subprocess.CompletedProcess[bytes]", limit_s: float) -> str:
-    if child.returncode == -signal.SIGPROF:
-        return f"HDF5 came to no end in {limit_s:.0f} s of processor time"
-    if child.returncode < 0:
-        return f"HDF5 crashes on it, signal {-child.returncode}"
-    said = child.stdout.decode("utf-8", "replace").split()
-    return " ".join(said) or "it cannot be read"

@@ -19,7 +19,7 @@ where the projector's axis comes nearest to it; x to the right, y up in the imag
 """
 
 import io
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -29,8 +29,9 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from reconstruction.arrays import FloatArray
-from reconstruction.errors import CaptureError, InputError, few
-from reconstruction.reading import read_bytes
+from reconstruction.errors import CaptureError, InputError, few, one_line
+from reconstruction.native import read_in_child
+from reconstruction.reading import regular_file
 from reconstruction.rig.calibration import Calibration
 from reconstruction.rig.pinhole import Pinhole
 from reconstruction.rig.storage import numbers_in
@@ -120,36 +121,20 @@ def numbers_of(path: Path) -> dict[str, FloatArray]:
 
 
 def _matlab(path: Path) -> dict[str, FloatArray]:
-    from scipy.io import loadmat
-
     try:
-        tree = loadmat(io.BytesIO(read_bytes(path)), simplify_cells=True)
+        content = read_in_child("MATLAB", regular_file(path))
     except InputError as error:
         raise CaptureError(str(error)) from None
-    except NotImplementedError:
-        raise CaptureError(
-            f"{path}: is a MATLAB file of version 7.3; save it again with -v7"
-        ) from None
-    except Exception as error:  # SciPy's reader raises whatever the bytes lead to
-        raise CaptureError(f"{path}: is no MATLAB file, or damaged ({error})") from None
-    found = dict(_leaves(tree, ""))
+    except OSError as error:
+        raise CaptureError(f"{path}: is no MATLAB file: {one_line(error)}") from None
+    with np.load(io.BytesIO(content), allow_pickle=False) as file:
+        found = {name: file[name] for name in file.files}
     if not found:
         raise CaptureError(
             f"{path}: holds no numbers that can be read, as of MATLAB's own objects; save a "
             'structure: s = toStruct(stereoParams); save("x.mat", "-struct", "s", "-v7")'
         )
     return found
-
-
-def _leaves(tree: Mapping[str, Any], path: str) -> Iterator[tuple[str, FloatArray]]:
-    for key, value in tree.items():
-        name = f"{path}/{key}" if path else str(key)
-        if isinstance(value, Mapping):
-            yield from _leaves(value, name)
-        elif not str(key).startswith("__"):
-            array = np.asarray(value)
-            if array.dtype.kind in "fiu":
-                yield name, np.asarray(array, np.float64)
 
 
 def _plain(name: str) -> str:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import xarray
 
-from reconstruction import sealing
+from reconstruction import native, sealing
 from reconstruction.machine import read_dataset, write_dataset
 
 
@@ -32,7 +32,7 @@ def no_child(monkeypatch):
 
 @pytest.fixture
 def impatient(monkeypatch):
-    monkeypatch.setattr(sealing, "LEAST_LIMIT_S", 1.0)
+    monkeypatch.setattr(native, "LEAST_LIMIT_S", 1.0)
 
 
 def test_what_we_wrote_is_read_at_once(tmp_path, dataset, no_child):
@@ -82,7 +82,7 @@ def test_a_heap_of_zeros_does_not_take_the_reader_along(tmp_path, dataset, impat
 def test_a_crash_is_told(tmp_path, monkeypatch):
     child = tmp_path / "child.py"
     child.write_text("import os; os.kill(os.getpid(), 11)")
-    monkeypatch.setattr(sealing, "_CHILD", child)
+    monkeypatch.setattr(native, "_CHILD", child)
     path = tmp_path / "x.nc"
     path.write_bytes(b"x")
     with pytest.raises(OSError, match=r"x\.nc: is damaged \(HDF5 crashes on it, signal 11\)"):

@@ -1,0 +1,53 @@
+"""Native readers in a child: what it reads, and what it dies of, comes back as words."""
+
+import numpy as np
+import pytest
+import scipy.io
+
+from reconstruction import native
+from reconstruction.errors import CaptureError
+from reconstruction.native import read_in_child
+from reconstruction.rig.importing import numbers_of
+
+
+def child_that(tmp_path, monkeypatch, does: str):
+    (tmp_path / "child.py").write_text(f"import os, sys\n{does}\n")
+    monkeypatch.setattr(native, "_CHILD", tmp_path / "child.py")
+    monkeypatch.setattr(native, "LEAST_LIMIT_S", 0.5)
+    (tmp_path / "x").touch()
+
+
+@pytest.mark.parametrize(
+    ("does", "told"),
+    [
+        ("os.kill(os.getpid(), 11)", "HDF5 crashes on it, signal 11"),
+        ("os.abort()", "HDF5 crashes on it, signal 6"),
+        ("print('two\\nlines'); sys.exit(1)", "two lines"),
+        ("sys.exit(1)", "it cannot be read"),
+    ],
+)
+def test_an_end_is_told_in_one_line(tmp_path, monkeypatch, does, told):
+    child_that(tmp_path, monkeypatch, does)
+    with pytest.raises(OSError, match=rf"x: is damaged \({told}\)$") as caught:
+        read_in_child("HDF5", tmp_path / "x")
+    assert "\n" not in str(caught.value)
+
+
+def test_numbers_of_matlab_are_read_by_the_child_alone(tmp_path, monkeypatch):
+    """SciPy's reader crashes on some damaged files."""
+    values = {"om": np.array([[0.1, -0.2, 1e-300]]), "s": {"n": 3, "word": "abc", "t": [1.5, 2.0]}}
+    scipy.io.savemat(tmp_path / "x.mat", values)
+    monkeypatch.setattr(scipy.io, "loadmat", lambda *_, **__: pytest.fail("read here"))
+    found = numbers_of(tmp_path / "x.mat")
+    assert sorted(found) == ["om", "s/n", "s/t"]
+    np.testing.assert_array_equal(found["om"].ravel(), [0.1, -0.2, 1e-300])
+    np.testing.assert_array_equal(found["s/t"], [1.5, 2.0])
+
+
+def test_a_matlab_file_that_ends_early_is_told(tmp_path):
+    scipy.io.savemat(tmp_path / "x.mat", {"om": np.ones((50, 3))})
+    whole = (tmp_path / "x.mat").read_bytes()
+    (tmp_path / "x.mat").write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(CaptureError, match=r"x\.mat: is no MATLAB file: .*is damaged") as caught:
+        numbers_of(tmp_path / "x.mat")
+    assert "\n" not in str(caught.value)
