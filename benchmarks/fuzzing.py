@@ -25,8 +25,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+import cv2
 import imageio.v3 as imageio
 import numpy as np
+from scipy.io import savemat
 
 from benchmarks.damage import damage_file
 from reconstruction.machine import write_exr_channels
@@ -89,6 +91,7 @@ class FuzzTarget:
 
 
 _O = ("-o", "{out}")
+_SIZES = ("--camera-size", "640", "480", "--projector-size", "912", "1140")
 TARGETS = {
     "experiment": FuzzTarget("slab.toml", ("press", "{input}", *_O)),
     "trials": FuzzTarget("sheet.toml", ("uncertainty", "{input}", "--dry-run", *_O), (), False),
@@ -117,6 +120,9 @@ TARGETS = {
         ("reconstruct", "--photometric", "{input}/press.toml", *_O),
         ("*.toml", "*.png", "*.npz"),
     ),
+    "stereo_yaml": FuzzTarget("stereo.yml", ("import-calibration", "{input}", *_SIZES, *_O)),
+    "stereo_xml": FuzzTarget("stereo.xml", ("import-calibration", "{input}", *_SIZES, *_O)),
+    "stereo_mat": FuzzTarget("stereo.mat", ("import-calibration", "{input}", *_SIZES, *_O)),
     "capture_nc": FuzzTarget("rendered", ("reconstruct", "{input}", *_O), ("capture/*",)),
     "result": FuzzTarget(
         "measured", ("report", "{input}"), ("*.json", "*.toml", "*.nc", "*.exr", "*.ply"), False
@@ -362,6 +368,7 @@ def make_stock(folder: Path, run: Path) -> None:
     for kind in ("exr", "tiff"):
         _with_other_images(capture, folder / f"capture_{kind}", kind)
     _make_colours(folder / "colours")
+    _make_stereo(folder)
     for command in (
         ("measure", "slab.toml", "-o", "measured"),
         ("render", "slab.toml", "-o", "rendered"),
@@ -385,6 +392,24 @@ def _with_other_images(capture: Path, folder: Path, kind: str) -> None:
         path.unlink()
     text = (folder / "capture.toml").read_text()
     (folder / "capture.toml").write_text(text.replace("{name}.png", f"{{name}}.{kind}"))
+
+
+def _make_stereo(folder: Path) -> None:
+    """Make calibrations as other programs write them: YAML, XML, MATLAB."""
+    matrix = np.array([[1800.0, 0.0, 320.0], [0.0, 1800.0, 240.0], [0.0, 0.0, 1.0]])
+    motion = {"om": np.array([[0.05], [-0.42], [0.02]]), "T": np.array([[98.0], [6.0], [21.0]])}
+    found = {f"{one}{name}": value for one in ("M", "D") for name, value in _of(one, matrix)}
+    for kind in ("yml", "xml"):
+        storage = cv2.FileStorage(str(folder / f"stereo.{kind}"), cv2.FileStorage_WRITE)
+        for name, value in (found | motion).items():
+            storage.write(name, value)
+        storage.release()
+    savemat(folder / "stereo.mat", found | motion)
+
+
+def _of(name: str, matrix: np.ndarray) -> tuple[tuple[int, np.ndarray], ...]:
+    value = matrix if name == "M" else np.array([[-0.11, 0.07, 4e-4, -3e-4, 0.02]])
+    return (1, value), (2, value)
 
 
 def _make_colours(folder: Path) -> None:
