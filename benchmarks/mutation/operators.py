@@ -278,6 +278,8 @@ def _of_call(node: ast.Call) -> Iterator[tuple[str, ast.expr]]:
     one, other = arguments[:2]
     if isinstance(one, ast.Starred) or isinstance(other, ast.Starred):
         return
+    if isinstance(one, ast.Constant) and isinstance(one.value, str):  # a title, a name
+        return
     # A number in the place of an array fails at once, whatever the tests are worth.
     if type(one) is type(other) and ast.unparse(one) != ast.unparse(other):
         yield "arguments", ast.Call(node.func, [other, one, *arguments[2:]], node.keywords)
