@@ -182,37 +182,37 @@ def stage_of(mi):
 def test_fringes_behind_a_block_lie_where_snell_puts_them(through_block, experiment):
     """Photons and paths against the deterministic connection, phase by phase.
 
-    Expected: the decoded phase agrees to 0.02 px in the mean and 0.15 px per pixel; the white frame
-    to 1 %: two more reflections inside the block add 0.3 %, the map's blur nothing on average.
+    Expected: the decoded phase agrees to 0.002 px in the mean and 0.03 px per pixel; the white
+    frame lies 0.3 % higher, by two more reflections inside the block; the map's blur adds nothing.
     """
     patterns = pattern_set(experiment.projector, experiment.patterns)
     sampled, solved = through_block
     middle = np.s_[:, 30:62, 40:80]  # away from the block's edges
     white = patterns.index("white").start
     ratio = sampled[white][middle[1:]] / solved[white][middle[1:]]
-    assert ratio.mean() == pytest.approx(1.0, abs=0.01)
+    assert ratio.mean() == pytest.approx(1.003, abs=0.002)
     for axis in ("column", "row"):
         frames = patterns.index("phase", axis)
         turns = np.exp(-2j * np.pi * np.arange(patterns.steps) / patterns.steps)
         ours, theirs = (np.tensordot(turns, s[frames][middle], 1) for s in (sampled, solved))
         error_px = np.angle(ours * theirs.conj()) * experiment.patterns.period_px / (2 * np.pi)
-        assert abs(error_px.mean()) < 0.02
-        assert error_px.std() < 0.15
+        assert abs(error_px.mean()) < 0.002
+        assert error_px.std() < 0.04
 
 
 def test_no_ring_where_block_and_stage_meet(through_block, experiment):
     """Setup: the block stands 0.02 mm above the stage, everything behind it is evenly lit.
 
-    Expected: no pixel off by more than photon noise (five of its standard deviations), and rows
-    and columns even to 1 %: a self-intersection makes rings and stripes.
+    Expected: 3 % of photon noise, no pixel beyond five times that, and rows and columns, the means
+    of 40 and 32 pixels, even to 0.8 %: a self-intersection makes rings and stripes.
     """
     white = pattern_set(experiment.projector, experiment.patterns).index("white").start
     sampled, solved = through_block
     ratio = sampled[white, 30:62, 40:80] / solved[white, 30:62, 40:80]
-    assert np.abs(ratio - ratio.mean()).max() < 5 * ratio.std()
-    assert ratio.std() < 0.05
-    assert ratio.mean(axis=0).std() < 0.015
-    assert ratio.mean(axis=1).std() < 0.015
+    assert np.abs(ratio - ratio.mean()).max() < 0.15
+    assert ratio.std() < 0.035
+    assert ratio.mean(axis=0).std() < 0.008
+    assert ratio.mean(axis=1).std() < 0.008
 
 
 def test_light_through_a_ball_equals_stock_with_a_small_lamp(mi):
