@@ -37,7 +37,17 @@ _NEVER_INSIDE = {
 }
 # Their first two arguments may be exchanged.
 _SYMMETRIC = {"max", "min", "maximum", "minimum", "hypot", "larger", "smaller", "gcd", "zip"}
-_SYMMETRIC |= {"corrcoef", "spearmanr", "isclose", "allclose", "array_equal", "fmax", "fmin", "logical_and", "logical_or"}
+_SYMMETRIC |= {
+    "corrcoef",
+    "spearmanr",
+    "isclose",
+    "allclose",
+    "array_equal",
+    "fmax",
+    "fmin",
+    "logical_and",
+    "logical_or",
+}
 _SWAPPED_OPERATORS: dict[type, tuple[str, type]] = {
     ast.Add: ("add_subtract", ast.Sub),
     ast.Sub: ("add_subtract", ast.Add),

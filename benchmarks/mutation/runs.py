@@ -225,6 +225,7 @@ class _Plugin:
         self._order = None if chosen is None else {test: n for n, test in enumerate(chosen)}
         self._calls = _Calls(tree, asked.traced) if asked.traced else None
         self._seconds: dict[str, float] = {}
+        self._failed: set[str] = set()
         self._shared: dict[str, set[str]] = {}
 
     def pytest_collection_modifyitems(self, config: Any, items: list[Any]) -> None:
@@ -243,16 +244,18 @@ class _Plugin:
 
     def pytest_runtest_logreport(self, report: Any) -> None:
         self._seconds[report.nodeid] += report.duration
+        if report.failed:
+            self._failed.add(report.nodeid)
         file = report.nodeid.split("::")[0]
         if report.when == "setup" and self._calls:
             # A fixture of the whole file is set up by its first test and used by all others.
             self._shared.setdefault(file, set()).update(self._calls.found)
-        if report.when == "teardown" or report.failed:
+        if report.when == "teardown":
             functions: set[str] = set()
             if self._calls:
                 functions = self._calls.found | self._shared.get(file, set())
             line = {
-                "test": report.nodeid, "passed": not report.failed,
+                "test": report.nodeid, "passed": report.nodeid not in self._failed,
                 "seconds": round(self._seconds[report.nodeid], 3), "functions": sorted(functions),
             }  # fmt: skip
             with self._told.open("a", encoding="utf-8") as told:
