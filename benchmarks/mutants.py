@@ -87,6 +87,13 @@ class Known:
     equivalent: dict[str, str]
     accepted: dict[str, str]
 
+    def gone(self, rooms: Iterable[Room], tree: Path) -> list[str]:
+        """Return the names of what the sources no longer give."""
+        told = {*self.equivalent, *self.accepted}
+        files = {name.split("::")[0] for name in told}
+        there = {file for room in rooms for file in room.sources if file in files}
+        return sorted(told - {one.name for file in there for one in mutants_of(tree, file)})
+
 
 def main(arguments: list[str] | None = None) -> int:
     """Judge mutants of the rooms asked for; return the exit status."""
@@ -103,6 +110,8 @@ def main(arguments: list[str] | None = None) -> int:
     with tempfile.TemporaryDirectory() as scratch, runs.copied(ROOT, Path(scratch)) as tree:
         if chosen.mutant:
             return show(chosen.mutant, rooms, tree)
+        for name in known.gone(rooms.values(), tree):
+            print(f"{KNOWN.name}: no such mutant any more, take it out: {name}")
         for name in chosen.room or rooms:
             count = chosen.count or (5 if chosen.quick else 40)
             mutants = drawn(room_mutants(rooms[name], tree), count, chosen.seed)
