@@ -9,6 +9,7 @@ from twin.paper.trials import Trial
 from twin.study.trials import Choice, deviation_of, standard_uncertainty
 from twin.uncertainty.budget import Part, calibration_part, noise_left, noise_part, shares
 from twin.uncertainty.distribution import distribution_of, stability_of, tolerance_of
+from twin.uncertainty.sensitivity import correlation_of
 
 
 def travel(**more):
@@ -114,3 +115,10 @@ def test_shares_of_a_budget_table():
     assert percent == pytest.approx([85.2071, 9.4675, 5.3254, 100.0], abs=1e-4)
     assert rows[4]["input"] == "all, Monte Carlo, 4 trials"
     assert sum(shares([Part("a", "", "", 3.0), Part("b", "", "", 4.0)])) == pytest.approx(1.0)
+
+
+def test_three_trials_have_a_correlation():
+    """(0, 1), (1, 2), (2, 4): 3 / sqrt(2 * 14 / 3) = 0.98198, in the same order; of two none."""
+    found = correlation_of("x", [0.0, 1.0, 2.0], [1.0, 2.0, 4.0])
+    assert (found.linear, found.rank) == (pytest.approx(0.9819805), pytest.approx(1.0))
+    assert correlation_of("x", [0.0, 1.0], [1.0, 2.0]) is None
