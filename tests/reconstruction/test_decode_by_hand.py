@@ -97,3 +97,19 @@ def test_a_frame_that_errs_moves_the_phase_by_its_share():
 def test_where_a_lens_folds(distortion, expected):
     """1 + 3 k1 s + 5 k2 s^2 + 7 k3 s^3 = 0 for s = r^2."""
     assert fold_square(distortion) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(("word", "bits"), [(5, (1, 1, 1)), (6, (1, 0, 1)), (7, (1, 0, 0))])
+def test_words_end_with_the_image(quiet_sensor, synthesise, word, bits):
+    """100 px hold 6 periods of 18, words 0 to 5; Gray code of 5, 6 and 7: 111, 101, 100.
+
+    Word 5 at 5 px of its period is 95 px; a word that nobody shows makes the order uncertain.
+    """
+    patterns = PatternSet(100, 60, code="gray")
+    stack = synthesise(patterns, np.full((1, 1), 5.0), np.full((1, 1), 20.0)).astype(np.float32)
+    stack[patterns.index("gray", "column"), 0, 0] = np.where(bits, 220.0, 20.0)
+    found = decode(stack, patterns, quiet_sensor, UNFILTERED)
+    if word == 5:
+        assert found.column.coordinate_px[0, 0] == pytest.approx(95.0, abs=1e-3)
+    else:
+        assert found.mask_reason[0, 0] == Reason.ORDER_UNCERTAIN
