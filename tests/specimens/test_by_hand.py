@@ -56,6 +56,17 @@ def test_inside_and_outside_of_a_box_by_columns(pitch_mm):
     np.testing.assert_array_equal(columns.inside(points), known < 0)
 
 
+@pytest.mark.parametrize("pitch_mm", [0.1, 0.4])
+def test_inside_of_a_ball_of_small_facets_by_columns(pitch_mm):
+    """Each cell lists the facets over it alone: points of another cell would miss theirs."""
+    ball = trimesh.creation.icosphere(4, 1.0)
+    columns = Columns.of(np.asarray(ball.triangles), 1, pitch_mm, np.full(2, -20), np.full(2, 40))
+    points = np.random.default_rng(1).uniform(-1.2, 1.2, (2000, 3))
+    away = np.linalg.norm(points, axis=1)
+    clear = np.abs(away - 1.0) > 0.01
+    np.testing.assert_array_equal(columns.inside(points)[clear], away[clear] < 1.0)
+
+
 def test_what_lies_exactly_at_the_reach_still_pulls():
     """Half a millimetre off each body, reach 0.5 mm: unit slopes; with a reach below, none."""
     bodies = [
