@@ -5,7 +5,6 @@ import pytest
 
 from reconstruction.decoding.decode import DecodeOptions, Reason, decode
 from reconstruction.patterns import PatternSet
-from reconstruction.rig.pinhole import fold_square
 from reconstruction.rig.sensor import SensorNoise
 
 UNFILTERED = DecodeOptions(filter_taps=0)
@@ -82,21 +81,6 @@ def test_a_frame_that_errs_moves_the_phase_by_its_share():
     stack[first + 8] += 9.0
     found = decode(stack, patterns, SensorNoise(0.2, 5.0, 0.0, 4095.0), UNFILTERED)
     assert found.column.phase_rad[0, 0] == pytest.approx(0.5 * np.pi + 9.0 / 631.0, abs=2e-4)
-
-
-@pytest.mark.parametrize(
-    ("distortion", "expected"),
-    [
-        ((-1.0 / 3.0, 0.0, 0.1, 0.1, 0.0), 1.0),
-        ((0.0, -0.2, 0.0, 0.0, 0.0), 1.0),
-        ((0.0, 0.0, 0.0, 0.0, -1.0 / 7.0), 1.0),
-        ((-0.5, 0.04, 0.0, 0.0, 0.0), (1.5 - 1.45**0.5) / 0.4),
-        ((0.1, 0.0, 0.0, 0.0, 0.0), np.inf),
-    ],
-)
-def test_where_a_lens_folds(distortion, expected):
-    """1 + 3 k1 s + 5 k2 s^2 + 7 k3 s^3 = 0 for s = r^2."""
-    assert fold_square(distortion) == pytest.approx(expected)
 
 
 @pytest.mark.parametrize(("word", "bits"), [(5, (1, 1, 1)), (6, (1, 0, 1)), (7, (1, 0, 0))])

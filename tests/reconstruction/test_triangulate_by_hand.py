@@ -5,6 +5,7 @@ import pytest
 
 from reconstruction.arrays import Reason
 from reconstruction.rig.calibration import Calibration, Pinhole
+from reconstruction.rig.pinhole import fold_square
 from reconstruction.triangulation import triangulate
 
 from .test_triangulate import decoded_from
@@ -73,3 +74,18 @@ def test_a_projector_behind_the_camera():
     pixels = 200.0 + 100.0 * (0.25 * np.stack([SIDE, SIDE.T], axis=-1) + 10.0) / 58.0
     found = triangulate(decoded_from(pixels), rig(back), "both")
     np.testing.assert_allclose(found.points_world_mm[..., 2], 50.0, atol=2e-5)
+
+
+@pytest.mark.parametrize(
+    ("distortion", "expected"),
+    [
+        ((-1.0 / 3.0, 0.0, 0.1, 0.1, 0.0), 1.0),
+        ((0.0, -0.2, 0.0, 0.0, 0.0), 1.0),
+        ((0.0, 0.0, 0.0, 0.0, -1.0 / 7.0), 1.0),
+        ((-0.5, 0.04, 0.0, 0.0, 0.0), (1.5 - 1.45**0.5) / 0.4),
+        ((0.1, 0.0, 0.0, 0.0, 0.0), np.inf),
+    ],
+)
+def test_where_a_lens_folds(distortion, expected):
+    """1 + 3 k1 s + 5 k2 s^2 + 7 k3 s^3 = 0 for s = r^2."""
+    assert fold_square(distortion) == pytest.approx(expected)
