@@ -100,7 +100,7 @@ def test_a_changed_file_is_restored(tmp_path):
 def test_tests_that_import_the_source_come_first_and_time_is_limited():
     seconds = {"far.py::a": 0.1, "near.py::b": 5.0, "near.py::c": 0.2, "slow.py::d": 90.0}
     tests = [TestRun(name, True, one) for name, one in seconds.items()]
-    chosen = affordable(tests, lambda test: test.test.startswith("near"))
+    chosen = affordable(tests, lambda test: test.test.startswith("near"), 20.0)
     assert [one.test for one in chosen] == ["near.py::c", "near.py::b", "far.py::a"]
 
 
