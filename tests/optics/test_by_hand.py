@@ -111,3 +111,17 @@ def test_the_stage_lies_just_below_the_specimen():
     stage, *parts = solids(load_experiment("paper/ball", {"modality": "direct_fpp"}))
     lowest = min(part.mesh.bounds[0, 2] for part in parts)
     np.testing.assert_allclose(stage.mesh.bounds[:, 2], lowest - 0.02)
+
+
+def test_places_of_sub_pixels(mi):
+    """3 x 2 pixels of 2 x 2 samples: from the upper left, a quarter of a pixel off the centres."""
+    from twin.optics.devices import SubPixels
+
+    grid = SubPixels.of_image(3, 2, 4)
+    assert grid.samples == 4
+    offsets = [(-0.25, -0.25), (0.25, -0.25), (-0.25, 0.25), (0.25, 0.25)]
+    for sample, (dx, dy) in enumerate(offsets):
+        x, y = (np.array(axis) for axis in grid.position(mi.UInt32(sample)))
+        np.testing.assert_allclose(x, np.array([0, 1, 2, 0, 1, 2]) + dx)
+        np.testing.assert_allclose(y, np.array([0, 0, 0, 1, 1, 1]) + dy)
+    assert [SubPixels.of_image(1, 1, n).side for n in (1, 9, 64, 256)] == [1, 3, 8, 16]
