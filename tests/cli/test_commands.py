@@ -12,9 +12,11 @@ import numpy as np
 import pytest
 import trimesh
 
+from tests.pictures import count_of, is_drawn
 from twin.cli import run
 from twin.cli.app import print_metrics
 from twin.config import digest, load_experiment
+from twin.report.canvas import MEASURED
 
 SMALL = ["-s", "camera.binning=4", "-s", "camera.width_px=968", "-s", "camera.height_px=732"]
 
@@ -148,7 +150,8 @@ def test_press_by_force(tmp_path):
     assert run(["press", str(file), "-o", str(out)]) == 0
     metrics = json.loads((out / "result.json").read_text())["metrics"]
     assert metrics["force_n"] == pytest.approx(0.1, rel=1e-4)
-    assert (out / "press.png").stat().st_size > 10_000
+    assert is_drawn(out / "press.png", 10.0, 8.6)
+    assert count_of(out / "press.png", MEASURED) > 300  # the coated face, in two sections
 
 
 def test_press_reports_the_contact_transfer(tmp_path):
@@ -163,7 +166,7 @@ def test_press_reports_the_contact_transfer(tmp_path):
     assert metrics["tenth_contrast_pitch_mm"] == pytest.approx(1.32 * thickness_mm, rel=5e-3)
     assert metrics["transfer_computed_minus_closed_form"] < 1e-3
     assert (out / "transfer.csv").read_text().startswith("pitch_mm,closed_form,computed\n")
-    assert (out / "transfer.png").stat().st_size > 5_000
+    assert is_drawn(out / "transfer.png", 7.0, 3.6)
     assert metrics["mechanics_model"] == "spectral"
     assert trimesh.load(out / "slab.stl").is_watertight
     with h5netcdf.File(out / "in_plane.nc") as file, h5netcdf.File(out / "press.nc") as press:

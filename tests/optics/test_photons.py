@@ -77,8 +77,8 @@ def ball(roughness=0.0):
 def test_flux_is_conserved(mi, rig, shape):
     """Clear and lossless: nothing is absorbed, all that is sent is deposited, escapes or is cut.
 
-    `absorbed` adds up what each event takes, and a BSDF in the wrong transport mode (1 / n^2) shows
-    there at once. Sampling a rough surface loses what its microfacets shade: a few per cent.
+    `absorbed` adds up what each event takes. Sampling a rough surface loses what its microfacets
+    shade: a few per cent.
     """
     from twin.optics.photons import trace_photons
 
@@ -90,6 +90,23 @@ def test_flux_is_conserved(mi, rig, shape):
     assert abs(found.absorbed) < (0.03 if shape == "rough ball" else 1e-5) * found.sent
     assert found.cut < 0.01 * found.sent
     assert found.lost == 0.0
+
+
+@pytest.mark.parametrize("events", [1, 2])
+def test_flux_is_conserved_within_a_body_too(mi, rig, monkeypatch, events):
+    """Setup: photons are cut after one and after two surfaces, most of them in the block.
+
+    Expected: all that is sent is still under way. In the other transport mode 1 / n^2 of it is: on
+    leaving the body that comes back, so that no balance of whole ways could tell.
+    """
+    from twin.optics import photons
+
+    monkeypatch.setattr(photons, "MOST_EVENTS", events)
+    scene, surfaces = clear_scene(mi, block(mi))
+    found = photons.trace_photons(scene, surfaces, rig, count=20_000, seed=1).balance
+    assert found.cut + found.escaped + found.deposited == pytest.approx(found.sent, rel=1e-5)
+    assert found.cut > 0.9 * found.sent
+    assert abs(found.absorbed) < 1e-5 * found.sent
 
 
 def test_flux_sent_is_that_of_the_solid_angle(mi, rig):
@@ -182,37 +199,37 @@ def stage_of(mi):
 def test_fringes_behind_a_block_lie_where_snell_puts_them(through_block, experiment):
     """Photons and paths against the deterministic connection, phase by phase.
 
-    Expected: the decoded phase agrees to 0.02 px in the mean and 0.15 px per pixel; the white frame
-    to 1 %: two more reflections inside the block add 0.3 %, the map's blur nothing on average.
+    Expected: the decoded phase agrees to 0.002 px in the mean and 0.03 px per pixel; the white
+    frame lies 0.3 % higher, by two more reflections inside the block; the map's blur adds nothing.
     """
     patterns = pattern_set(experiment.projector, experiment.patterns)
     sampled, solved = through_block
     middle = np.s_[:, 30:62, 40:80]  # away from the block's edges
     white = patterns.index("white").start
     ratio = sampled[white][middle[1:]] / solved[white][middle[1:]]
-    assert ratio.mean() == pytest.approx(1.0, abs=0.01)
+    assert ratio.mean() == pytest.approx(1.003, abs=0.002)
     for axis in ("column", "row"):
         frames = patterns.index("phase", axis)
         turns = np.exp(-2j * np.pi * np.arange(patterns.steps) / patterns.steps)
         ours, theirs = (np.tensordot(turns, s[frames][middle], 1) for s in (sampled, solved))
         error_px = np.angle(ours * theirs.conj()) * experiment.patterns.period_px / (2 * np.pi)
-        assert abs(error_px.mean()) < 0.02
-        assert error_px.std() < 0.15
+        assert abs(error_px.mean()) < 0.002
+        assert error_px.std() < 0.04
 
 
 def test_no_ring_where_block_and_stage_meet(through_block, experiment):
     """Setup: the block stands 0.02 mm above the stage, everything behind it is evenly lit.
 
-    Expected: no pixel off by more than photon noise (five of its standard deviations), and rows
-    and columns even to 1 %: a self-intersection makes rings and stripes.
+    Expected: 3 % of photon noise, no pixel beyond five times that, and rows and columns, the means
+    of 40 and 32 pixels, even to 0.8 %: a self-intersection makes rings and stripes.
     """
     white = pattern_set(experiment.projector, experiment.patterns).index("white").start
     sampled, solved = through_block
     ratio = sampled[white, 30:62, 40:80] / solved[white, 30:62, 40:80]
-    assert np.abs(ratio - ratio.mean()).max() < 5 * ratio.std()
-    assert ratio.std() < 0.05
-    assert ratio.mean(axis=0).std() < 0.015
-    assert ratio.mean(axis=1).std() < 0.015
+    assert np.abs(ratio - ratio.mean()).max() < 0.15
+    assert ratio.std() < 0.035
+    assert ratio.mean(axis=0).std() < 0.008
+    assert ratio.mean(axis=1).std() < 0.008
 
 
 def test_light_through_a_ball_equals_stock_with_a_small_lamp(mi):

@@ -124,3 +124,41 @@ def test_only_height_grids_are_proven(plane, source_mm):
     for face in (trimesh.util.concatenate([plane, wall]), turned, hole, skewed, wall):
         assert may_shade_itself(face, source_mm)
     assert may_shade_itself(plane, np.array([0.0, 0.0, -100.0]))
+
+
+FINE = {
+    "camera.width_px": 100,
+    "camera.height_px": 8,
+    "camera.pixel_pitch_um": {"value": 1.0, "range": [1.0, 10.0], "source": "test"},
+    "projector.pose.polar_deg": {"value": 65.0, "range": [0.0, 80.0], "source": "test"},
+}
+IN_AIR = np.tan(np.deg2rad(65.0))
+IN_GEL = np.tan(np.arcsin(np.sin(np.deg2rad(65.0)) / 1.41))
+
+
+@pytest.mark.parametrize(
+    ("name", "tangent"), [("examples/slab_balls", IN_AIR), ("examples/gel_on_window", IN_GEL)]
+)
+def test_the_shadow_of_a_step_of_30_um(mi, grid_face, name, tangent):
+    """Setup: light from +x, 65 degrees off the vertical; a plateau 30 um high at x > 0.
+
+    Expected: dark behind it over 30 um tan 65 = 64 um in air; below a gel of 1.41 the light comes
+    at asin(sin 65 / 1.41) = 40 degrees, 25 um. Pixels are 3.3 um apart, the riser is 2 um wide.
+    """
+    from twin.optics.one_trace import trace_truth
+    from twin.optics.scene import coated_rig, coated_scene
+
+    face = grid_face(
+        lambda x, _: 0.03 * (x > 1e-9), lambda x, y: (0.0 * x, 0.0 * y),
+        half_x_mm=0.3, half_y_mm=0.1, pitch_mm=0.002,
+    )  # fmt: skip
+    fine = load_experiment(name, FINE)
+    rig = coated_rig(fine, face)
+    assert rig.projector.T_world_from_device[0, 3] > 100.0
+    truth = trace_truth(coated_scene(fine, face), rig)
+    x, lit = truth.points_world_mm[4, :, 0], truth.lit[4]
+    end = -0.03 * tangent
+    assert x.min() < end - 0.02
+    assert not lit[(x > end + 0.004) & (x < -0.001)].any()
+    assert lit[(x < end - 0.004) | (x > 0.003)].all()
+    assert 0 < (~lit).sum() < 0.5 * lit.size

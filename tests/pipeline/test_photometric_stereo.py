@@ -85,19 +85,22 @@ def done(calibrated, experiment, memory):
     return measure(experiment, memory=memory)
 
 
-def test_the_untouched_image_is_that_of_real_units(calibrated):
-    """Expected: the published tables of both units within 15 levels RMS (they differ by 5)."""
+def test_the_untouched_image_is_what_the_lamps_were_fitted_to(calibrated):
+    """Expected: the published tables of both units within 4 levels RMS (they differ by 5).
+
+    Not a judgement of the lamps, whose fit used these tables: heights of real presses are one.
+    """
     background = calibrated[1].background
     rows, cols = (np.array_split(np.arange(n), 3) for n in (240, 320))
     tiles = np.array([[background[np.ix_(r, c)].mean((0, 1)) for c in cols] for r in rows])
-    assert np.sqrt(np.mean((np.moveaxis(tiles, -1, 0) - UNITS) ** 2)) < 15.0
+    assert np.sqrt(np.mean((np.moveaxis(tiles, -1, 0) - UNITS) ** 2)) < 4.0
 
 
 def test_each_colour_comes_from_its_published_side(calibrated, presses):
     """Setup: levels regressed on the ball's normal inside the contact, as on the real presses.
 
-    Expected: azimuths within 10 degrees, sensitivities within 15 %: they differ by more than that
-    from place to place, and it is not published where the balls were pressed.
+    Expected: azimuths within 6 degrees, sensitivities within 9 %: it is not published where the
+    balls were pressed, and both differ from place to place.
     """
     changes, normals = [], []
     for image, circle in presses:
@@ -109,18 +112,18 @@ def test_each_colour_comes_from_its_published_side(calibrated, presses):
         changes.append((image - calibrated[1].background)[inside])
     x, y, _ = np.linalg.lstsq(np.concatenate(normals), np.concatenate(changes), rcond=None)[0]
     found = np.degrees(np.arctan2(y, x))
-    assert np.abs(found - AZIMUTHS_DEG).max() < 10.0
-    assert np.hypot(x, y) == pytest.approx(SENSITIVITIES, rel=0.15)
+    assert np.abs(found - AZIMUTHS_DEG).max() < 6.0
+    assert np.hypot(x, y) == pytest.approx(SENSITIVITIES, rel=0.09)
 
 
 @pytest.mark.parametrize(
     ("scheme", "expected", "within"),
-    [("corrected", 1.00, 0.03), ("sdk_2025", 0.66, 0.04), ("sdk_2024", 1.32, 0.08)],
+    [("corrected", 1.00, 0.02), ("sdk_2025", 0.66, 0.02), ("sdk_2024", 1.32, 0.04)],
 )
 def test_cap_height_is_that_of_real_presses(calibrated, presses, scheme, expected, within):
     """Setup: a 6.31 mm ball at three places, contact circle found in the image.
 
-    Expected: height of the cap over true as measured on 29 real presses.
+    Expected: height of the cap over true as measured on 29 real presses, which no fit has seen.
     """
     sensor, calibration = calibrated
     decoder = PhotometricDecoder(calibration, PhotometricOptions(integration=scheme))
@@ -160,18 +163,18 @@ def test_pixels_lie_where_the_pitch_says(calibrated):
 
 
 def test_a_measurement_scores_in_the_stated_field(done):
-    """Expected: whole, within a tenth of the depth, the true cap a perfect sphere."""
+    """Expected: whole, 12 um of 0.7 mm, radius to 2.6 %, the true cap a perfect sphere."""
     scored, truth = done.score.against_truth, done.truth
     lengths = np.ptp(truth.points_world_mm.reshape(-1, 3), axis=0)
     assert lengths[0] > 18.6
     assert lengths[1] > 14.3
     # 18.6 x 14.3 mm at the image's pitch, in pixels
     assert scored.wanted_pixels == pytest.approx(18.6 * 14.3 / 0.0634**2, rel=0.03)
-    assert scored.completeness > 0.95
-    assert scored.z_rmse_um < 0.1 * 1e3 * DEPTH_MM
+    assert scored.completeness > 0.995
+    assert scored.z_rmse_um < 16.0
     (ball,) = done.score.spheres
     assert ball.true_face.radius_mm == pytest.approx(BALL_MM / 2, rel=1e-3)
-    assert ball.measured.radius_mm == pytest.approx(BALL_MM / 2, rel=0.15)
+    assert ball.measured.radius_mm == pytest.approx(BALL_MM / 2, rel=0.04)
     assert {"z_rmse_um", "sphere_1_rmse_mm"} <= set(done.figures)
 
 

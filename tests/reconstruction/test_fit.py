@@ -157,3 +157,21 @@ def test_noise_shrinks_the_algebraic_sphere_as_its_cap_says(region_mm):
 def test_both_fits_refuse_the_same_points():
     with pytest.raises(FitError, match="one plane"):
         fit_sphere_algebraic(np.zeros((9, 3)))
+
+
+@pytest.mark.parametrize(("seed", "count"), [(1, 6), (2, 8), (12, 7)])
+def test_points_that_hardly_fix_a_sphere_have_a_least_one_too(seed, count):
+    """Setup: a few scattered points, on which Gauss-Newton steps do not shrink.
+
+    Expected: the sum of squares does not change to first order: residuals add up to nothing, and
+    so do their components along the normals.
+    """
+    rng = np.random.default_rng(seed)
+    assert rng.integers(5, 9) == count
+    points = rng.normal(size=(count, 3)) * [1.0, 1.0, 0.3]
+    fit = fit_sphere(points)
+    away = points - fit.centre_mm
+    normals = away / np.linalg.norm(away, axis=1, keepdims=True)
+    assert abs(fit.residuals_mm.sum()) < 1e-7
+    assert np.abs(fit.residuals_mm @ normals).max() < 1e-7
+    assert fit.stats.rmse_mm > 0.05

@@ -45,8 +45,11 @@ def seen_from(device, T_world_from_device, point_mm, layers):
 def measured(calibration, surface):
     """Return a function: what camera pixels see through layers, found by forward projection."""
 
-    def make(layers):
-        rig = dataclasses.replace(calibration, layers=layers)
+    def make(layers, roll_deg=0.0):
+        c, s = np.cos(np.deg2rad(roll_deg)), np.sin(np.deg2rad(roll_deg))
+        roll = np.array([[c, -s, 0, 0], [s, c, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1.0]])
+        T = calibration.T_world_from_proj @ roll
+        rig = dataclasses.replace(calibration, layers=layers, T_world_from_proj=T)
         points = surface(calibration).reshape(-1, 3)[::397] - [0.0, 0.0, 0.5]
         camera = [seen_from(rig.camera, rig.T_world_from_cam, one, layers) for one in points]
         projector = [seen_from(rig.projector, rig.T_world_from_proj, one, layers) for one in points]
@@ -94,14 +97,15 @@ def test_layers_of_air_are_air(calibration, surface, project):
     np.testing.assert_allclose(layered.sigma_xyz_mm, plain.sigma_xyz_mm, rtol=2e-3, atol=1e-9)
 
 
-@pytest.mark.parametrize("use", ["column", "row", "both"])
-def test_sigma_is_how_far_a_point_moves(measured, use):
+@pytest.mark.parametrize(("use", "roll_deg"), [("column", 35.0), ("row", 35.0), ("both", 0.0)])
+def test_sigma_is_how_far_a_point_moves(measured, use, roll_deg):
     """Setup: one coordinate is changed by its sigma. Expected: the point moves by the sigma.
 
     For both coordinates their effects add in quadrature.
     """
-    rig, _, camera_px, projector_px = measured(GEL_ON_WINDOW)
-    _, sigma, _ = looked_at(rig, camera_px, projector_px, use)
+    rig, _, camera_px, projector_px = measured(GEL_ON_WINDOW, roll_deg)
+    _, sigma, valid = looked_at(rig, camera_px, projector_px, use)
+    assert valid.all()  # where there is no point, nothing moves
     square = 0.0
     for axis in (0, 1) if use == "both" else (int(use == "row"),):
         step = np.zeros(2)

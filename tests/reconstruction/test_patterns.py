@@ -93,3 +93,19 @@ def test_unknown_axis_kind_and_frame_are_refused(patterns):
         patterns.index("phase")
     with pytest.raises(InputError, match="no frame"):
         PatternSet(1280, 720, steps=4).profile(patterns.frames[17])
+
+
+def test_shifted_stripes_change_in_the_middle_of_the_periods():
+    """Period 18.2 px: the shifted word grows at 9.1, 27.3 and 45.5, first shown at 10, 28 and 46.
+
+    135 pixels of 18 px end at 7.94 shifted periods, 3 bits; pixel 135 begins the eighth.
+    """
+    patterns = PatternSet(100, 60, period_px=18.2, code="shifted_gray")
+    frames = patterns.frames[patterns.index("gray", "column")][patterns.gray_bits("column") :]
+    bits = np.array([patterns.profile(frame) > 0 for frame in frames], dtype=int)
+    word = np.cumsum(bits, axis=0) % 2
+    index = np.sum(word << np.arange(len(frames))[::-1, None], axis=0)
+    assert np.flatnonzero(np.diff(index)).tolist() == [9, 27, 45, 63, 81]
+    assert index.tolist()[:11] == [0] * 10 + [1]
+    for width_px, bits in ((135, 3), (136, 4)):
+        assert PatternSet(width_px, 60, code="shifted_gray").safety_bits("column") == bits

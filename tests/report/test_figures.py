@@ -7,8 +7,10 @@ from scipy.integrate import trapezoid
 from reconstruction.arrays import Reason
 from reconstruction.capture.folder import read_capture
 from reconstruction.errors import InputError
+from tests.pictures import is_drawn, kept_figures
 from twin.config import vary
 from twin.pipeline.press import press_specimen
+from twin.report import press as press_report
 from twin.report.camera_images import block_mean, draw_decoding, draw_frames, reason_shares
 from twin.report.canvas import (
     axes_at,
@@ -158,13 +160,37 @@ def test_frames_are_drawn_without_any_result(finished, tmp_path):
         draw_frames(tmp_path / "absent" / "frames.png", capture)
 
 
-def test_one_moved_ball_can_be_drawn(experiment, tmp_path):
+def test_one_moved_ball_is_drawn_where_it_is(experiment, tmp_path, monkeypatch):
+    """Ball at (2, -1): maps in world mm with the peak where it is, a section through the ball."""
     ball = experiment.model_dump(exclude={"specimen", "provenance"}) | {
         "specimen": {"kind": "ball", "x_mm": 2.0, "y_mm": -1.0},
     }
     single = type(experiment).model_validate(ball)
-    draw_press(tmp_path / "press.png", single, press_specimen(single))
-    assert (tmp_path / "press.png").stat().st_size > 10_000
+    figures, pressed = kept_figures(monkeypatch, press_report), press_specimen(single)
+    draw_press(tmp_path / "press.png", single, pressed)
+    assert is_drawn(tmp_path / "press.png", 10.0, 8.6)
+    relief, pressure, to_scale, enlarged = figures["press.png"].axes[:4]
+    maps = (
+        (relief, pressed.face_x_mm, pressed.face_y_mm, pressed.face_z_mm),
+        (pressure, pressed.x_mm, pressed.y_mm, pressed.pressure_kpa),
+    )
+    for axes, x_mm, y_mm, values in maps:
+        (shown,) = axes.images
+        found = np.asarray(np.ma.filled(shown.get_array(), 0.0))
+        np.testing.assert_allclose(found.max(), values.max(), rtol=1e-6)
+        left, right, bottom, top = shown.get_extent()
+        assert shown.origin == "lower"
+        row, col = np.unravel_index(np.argmax(found), found.shape)
+        x = left + (right - left) * (col + 0.5) / found.shape[1]
+        y = bottom + (top - bottom) * (row + 0.5) / found.shape[0]
+        own = np.unravel_index(np.argmax(values), values.shape)
+        assert (x, y) == pytest.approx((x_mm[own[1]], y_mm[own[0]]), abs=x_mm[1] - x_mm[0])
+    for axes in (to_scale, enlarged):
+        low, high = slab_span(single, trace_through_apexes(single))
+        assert axes.get_xlim() == pytest.approx((low, high))
+        coated = {line.get_label(): line for line in axes.lines}["coated face"]
+        assert coated.get_xdata()[np.argmax(coated.get_ydata())] == pytest.approx(2.0, abs=0.2)
+        assert coated.get_ydata().max() == pytest.approx(pressed.face_z_mm.max(), rel=5e-3)
 
 
 def test_maps_survive_many_masked_pixels(finished, tmp_path):

@@ -12,6 +12,7 @@ from html import escape
 
 import numpy as np
 import pytest
+import trimesh
 
 from twin.cli import run
 from twin.config import load_experiment
@@ -103,7 +104,10 @@ def test_both_coats_feel_the_same_force(compared, gists):
 
 def test_each_layout_has_one_truth_mesh(compared, gists):
     for name in gists:
-        assert (compared / "ball" / name / "coated_face.ply").stat().st_size > 1000
+        face = trimesh.load(compared / "ball" / name / "coated_face.ply")
+        peak_mm = figures_of(compared / "ball" / name)["relief_peak_mm"]
+        assert face.vertices[:, 2].max() == pytest.approx(peak_mm, rel=1e-3)
+        assert np.hypot(*face.vertices[face.vertices[:, 2].argmax(), :2]) < 0.2
 
 
 def test_comparison_shows_both_and_needs_no_network(compared, gists):
