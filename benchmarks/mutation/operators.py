@@ -20,7 +20,7 @@ MODULE = "<module>"
 # A divisor's guard or an infinity, not a number of the physics.
 _GUARD, _HUGE = 1e-6, 1e12
 _LEAST_TEXT = 12
-_KERNELS = re.compile(r"compiled|inlined|merged|njit")
+_KERNELS = re.compile(r"compiled|inlined|merged|njit|kernel")
 _NOT_PHYSICS = re.compile(
     r"^_?(plot|draw|show|write|read|load|save|told|explain|refuse|warn|in_words|to_xarray|shapes?_of_array"
     r"|require|check)(_|$)|^__(repr|post_init|str)__$|^_repr_"
@@ -190,6 +190,8 @@ def _is_left_alone(node: ast.AST) -> bool:
             alone = True
         case ast.Expr():
             alone = isinstance(node.value, ast.Constant)
+        case ast.ClassDef():
+            alone = node.name.endswith("Error")
         case ast.FunctionDef():
             alone = _NOT_PHYSICS.search(node.name) is not None
         case ast.If():

@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+import trimesh
+from scipy import sparse
 
 from twin.config.models import Ball, Elastomer, Film, Press
 from twin.mechanics import PressError, press
@@ -18,6 +20,8 @@ from twin.mechanics.layouts import (
     widened,
     wrapped,
 )
+from twin.mechanics.reference.taylor_hood import Facets
+from twin.mechanics.reference.tetrahedra import count_estimate, graded_towards
 from twin.mechanics.transfer import CoatFilm
 from twin.specimens import shape_of
 
@@ -162,3 +166,24 @@ def test_the_touched_coat_is_the_ball_at_its_nodes():
     assert residual.min() >= 0.0
     assert residual[inside].max() < 6e-4
     assert residual[np.hypot(x, y) > 1.3 * radius_mm].min() > 1e-3
+
+
+def test_the_size_of_facets():
+    """Ten equal triangles of edge 2 mm, sqrt(3) mm^2 each over three points, and ten of edge 6."""
+    areas = np.repeat(np.sqrt(3.0) / 4 * np.repeat([4.0, 36.0], 10) / 3, 3)
+    nodes = np.zeros((20, 6), np.int64)
+    facets = Facets(nodes, np.zeros((60, 3)), areas, areas, sparse.csr_array((60, 6)))
+    assert facets.size_mm == pytest.approx(2.0)
+
+
+def test_how_many_tetrahedra_fill_a_cube():
+    """Regular ones of edge 2 mm have 8 / (6 sqrt 2) = 0.94281 mm^3: 1728 mm^3 hold 1832.8."""
+    found = count_estimate(trimesh.creation.box([12.0] * 3), lambda at: np.full(len(at), 2.0))
+    assert found == pytest.approx(1832.8, rel=1e-4)
+
+
+def test_cells_grow_away_from_a_zone():
+    """0.2 mm at the zone, 0.35 mm more per mm: 0.9 mm at 2 mm; 1 mm at most."""
+    sizing = graded_towards(np.zeros((1, 3)), 0.2, 1.0)
+    found = sizing(np.array([[0.0, 0.0, 0.0], [0.0, 1.2, 1.6], [0.0, 0.0, 99.0]]))
+    np.testing.assert_allclose(found, [0.2, 0.9, 1.0])
