@@ -46,7 +46,7 @@ def test_misbehaviour_is_seen(tmp_path, ending, end):
     (stock / "kept").mkdir(parents=True)
     scratch.mkdir()
     (stock / "kept" / "canary.txt").write_text("x")
-    for name in ("slab.toml", "slab_mesh.toml"):
+    for name in ("slab.toml", "slab_mesh.toml", "study.toml"):
         (stock / name).write_text("")
 
     def command(_arguments: list[str]) -> int:
