@@ -1,6 +1,7 @@
 """Commands of the forward model: from an experiment to pictures and millimetres."""
 
 import sys
+import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -147,6 +148,8 @@ def measure(
 def demo(*, out: Out = Path("out/demo"), full: bool = False, paper: bool = False) -> None:
     """Measure the demo: nut, balls and brick under a thin sheet that wraps them, by contact-FPP.
 
+    Then the same under a sheet of 1 mm: where it ends.
+
     Parameters
     ----------
     full
@@ -158,8 +161,22 @@ def demo(*, out: Out = Path("out/demo"), full: bool = False, paper: bool = False
     if paper:
         _demo_of_paper(out, full)
         return
-    group = Path("examples/wrapped_group")
-    _measure(load(group, [f"camera.binning={1 if full else 2}"]), out, "demo")
+    from twin.config import vary
+    from twin.output import output_folder
+    from twin.pipeline.methods import measure_into
+    from twin.report.demo import LIMITS, LIMITS_FOLDER, limits_in_words, write_demo
+    from twin.report.measurement import summary_table
+    from twin.report.page import REPORT_FILE
+
+    group = load(Path("examples/wrapped_group"), [f"camera.binning={1 if full else 2}"])
+    with output_folder(out) as folder, progress_bars() as watch:
+        thin = measure_into(folder, "demo", group, watch)
+        (folder / LIMITS_FOLDER).mkdir()
+        thick = measure_into(folder / LIMITS_FOLDER, "demo", vary(group, LIMITS), watch)
+        write_demo(folder, watch, both=(thin, thick))
+    say(summary_table(thin))
+    say(textwrap.fill(limits_in_words(thin, thick).replace("µ", "u"), 100))
+    say(f"wrote {out / REPORT_FILE}")
 
 
 def _demo_of_paper(out: Path, full: bool) -> None:

@@ -16,6 +16,7 @@ from twin.output import RESULT_FILE
 from twin.paper.plan import BALLS, CONTACT_FPP, FIT, NOMINAL_RADIUS_MM, NUT, experiment_of, rows_of
 from twin.pipeline.methods import measure_into
 from twin.pipeline.progress import ProgressCallback, no_progress
+from twin.report.demo import renamed
 from twin.report.measurement import page_of
 from twin.report.object import object_section
 from twin.report.page import REPORT_FILE, Figure, Page, Section, write_page
@@ -77,7 +78,7 @@ def demo_page(balls: Measurement, nut: Measurement) -> Page:
         title="two balls and a nut",
         lead="Two joined 8 mm steel balls and an M6 nut, pressed into the coated sheet that the "
         "paper's own tables speak for; decoded as a real rig's captures are.",
-        sections=[first, *sections, *_renamed(object_section(nut)), last],
+        sections=[first, *sections, *renamed(object_section(nut), "nut", "Nut"), last],
     )
 
 
@@ -159,20 +160,3 @@ def _views(nut: Measurement) -> tuple[Figure, ...]:
         replace(figure, name=f"nut_{figure.name}", title=f"Nut: {figure.title.lower()}")
         for figure in (relief_figure(nut), height_map_figure(nut))
     )
-
-
-def _renamed(sections: list[Section]) -> list[Section]:
-    """Return the nut's sections under names of their own: the balls have sections of the same."""
-    return [
-        Section(
-            f"nut_{one.name}",
-            f"Nut: {one.title.lower()}",
-            tuple(
-                replace(block, name=f"nut_{block.name}")
-                if isinstance(block, Figure | Table)
-                else block
-                for block in one.blocks
-            ),
-        )
-        for one in sections
-    ]
