@@ -284,7 +284,8 @@ def _to_force(sheet: Sheet, state: SheetState, force_n: float, accuracy: Accurac
         step = float(np.clip(secant, -TRAVEL_STEP_MM, TRAVEL_STEP_MM))
     raise PressError(
         f"press.force_n: {force_n:g} N is not reached, found {found:.4g} N at "
-        f"{state.travel_mm:.3g} mm of travel; ask for another force, or control the depth"
+        f"{state.travel_mm:.3g} mm of travel; ask for less, control the depth, or use a thicker or "
+        "harder sheet on a narrower rim (elastomer.length_x_mm, length_y_mm)"
     )
 
 
