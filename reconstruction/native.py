@@ -3,11 +3,18 @@
 HDF5 loops on some, SciPy's reader of MATLAB files crashes on some, and a process cannot guard
 itself against that from within. The child's processor time is limited, so that neither busy
 neighbours nor slow disks count, and nothing outlives its parent for long.
+
+OpenEXR only talks too much: thousands of lines about one damaged file (`quiet`).
 """
 
+import io
+import os
 import signal
 import subprocess
 import sys
+import threading
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, redirect_stdout, suppress
 from pathlib import Path
 from typing import Literal
 
@@ -46,3 +53,39 @@ def _reason(kind: str, child: "subprocess.CompletedProcess[bytes]", limit_s: flo
     if child.returncode < 0:
         return f"{kind} crashes on it, signal {-child.returncode}"
     return " ".join(child.stdout.decode("utf-8", "replace").split()) or "it cannot be read"
+
+
+_talking = threading.Lock()
+_quiet_threads: list[ExitStack] = []
+
+
+@contextmanager
+def quiet() -> Iterator[None]:
+    """Let what this process prints in the block go nowhere; blocks of several threads may overlap.
+
+    For a library that prints about a file what its error says, too.
+    """
+    with _talking:
+        _quiet_threads.append(_silenced() if not _quiet_threads else ExitStack())
+    try:
+        yield
+    finally:
+        with _talking:
+            # The first block's silence goes on until the last one ends.
+            held = _quiet_threads.pop() if len(_quiet_threads) > 1 else None
+            (held or _quiet_threads.pop()).close()
+
+
+def _silenced() -> ExitStack:
+    """Send both streams away, of Python and of native code, until the stack is closed."""
+    stack = ExitStack()
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    for number in (1, 2):
+        with suppress(OSError):  # a stream that is closed is silent as it is
+            before = os.dup(number)
+            os.dup2(nowhere, number)
+            stack.callback(os.close, before)
+            stack.callback(os.dup2, before, number)
+    os.close(nowhere)
+    stack.enter_context(redirect_stdout(io.StringIO()))
+    return stack

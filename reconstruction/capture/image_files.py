@@ -24,6 +24,7 @@ from reconstruction.capture.description import FrameSet, frame_files
 from reconstruction.capture.frame_order import check_order
 from reconstruction.errors import CaptureError, InputError, one_line, require_number
 from reconstruction.machine import threads
+from reconstruction.native import quiet
 from reconstruction.patterns import PatternSet
 from reconstruction.reading import MOST_IMAGE_BYTES, read_pixels, regular_file
 from reconstruction.rig.calibration import Calibration
@@ -131,7 +132,7 @@ def _read_exr(path: Path) -> Image:
 
     regular_file(path, MOST_IMAGE_BYTES)
     try:
-        with OpenEXR.File(str(path), separate_channels=True) as file:
+        with quiet(), OpenEXR.File(str(path), separate_channels=True) as file:
             found = [np.asarray(one.pixels, np.float32) for one in file.channels().values()]
             return found[0].copy() if len(found) == 1 else np.stack(found, axis=-1)
     # The binding raises what Python and C++ raise: RuntimeError, TypeError, KeyError ...

@@ -1,5 +1,8 @@
 """Native readers in a child: what it reads, and what it dies of, comes back as words."""
 
+import os
+import threading
+
 import numpy as np
 import pytest
 import scipy.io
@@ -51,3 +54,32 @@ def test_a_matlab_file_that_ends_early_is_told(tmp_path):
     with pytest.raises(CaptureError, match=r"x\.mat: is no MATLAB file: .*is damaged") as caught:
         numbers_of(tmp_path / "x.mat")
     assert "\n" not in str(caught.value)
+
+
+def test_what_a_library_prints_goes_nowhere_and_what_we_print_does_not(capfd):
+    """Of several threads, whose blocks overlap; native code writes to the streams themselves."""
+    together = threading.Barrier(4)
+
+    def read() -> None:
+        with native.quiet():
+            together.wait()
+            os.write(1, b"native")
+            os.write(2, b"native")
+            print("binding")
+            together.wait()
+
+    threads = [threading.Thread(target=read) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    print("ours")
+    os.write(2, b"ours, too")
+    assert capfd.readouterr() == ("ours\n", "ours, too")
+
+
+def test_an_error_inside_passes_and_the_streams_come_back(capfd):
+    with pytest.raises(ValueError, match="told"), native.quiet():
+        raise ValueError("told")
+    os.write(1, b"back")
+    assert capfd.readouterr().out == "back"
