@@ -302,7 +302,8 @@ class Judge:
 
         No profiler sees a kernel being called, nor a constant being read.
         """
-        near = str(Path(one.file).parent) if one.is_kernel else one.file
+        beside = one.is_kernel or bool(anew_for(one, self._tree))
+        near = str(Path(one.file).parent) if beside else one.file
         names = (name.split("::")[0] for name in test.functions)
         return any(near in (n, str(Path(n).parent)) for n in names) or imports(
             self._tree, test, one.file

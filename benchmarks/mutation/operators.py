@@ -26,6 +26,8 @@ _NOT_PHYSICS = re.compile(
     r"|require|check)(_|$)|^__(repr|post_init|str)__$|^_repr_"
 )
 _NEVER_INSIDE = {
+    "Column",
+    "Table",
     "require_number",
     "watch",
     "progress",
