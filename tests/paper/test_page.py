@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from imageio.v3 import imwrite
 
+from tests.browser import assert_readable
 from tests.paper.test_tables import colour_trials, fringe_trials
 from twin.config import load_experiment
 from twin.paper.claims import claims_of, claims_table
@@ -98,3 +99,7 @@ def test_a_browser_opens_and_prints_it(page, tmp_path, browse, width):
         assert "CONSOLE" not in browse(target, page.as_uri(), width)
     assert shot.stat().st_size > 10_000
     assert pdf.read_bytes()[:5] == b"%PDF-"
+
+
+def test_nothing_sticks_out_at_any_width(page, tmp_path):
+    assert_readable(page, tmp_path)

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from tests.browser import assert_readable
 from twin.cli import run
 from twin.config import load_experiment
 from twin.config.methods import METHODS
@@ -133,6 +134,10 @@ def test_ratios_are_those_of_the_stored_figures(result, gists):
         assert row["z_rmse_um"] == pytest.approx(float(line["z_rmse_um"]), rel=1e-5)
 
 
+def test_a_browser_opens_it(result, tmp_path):
+    assert_readable(result / "report.html", tmp_path)
+
+
 def test_report_is_whole(result, seen):
     page = (result / "report.html").read_text(encoding="utf-8")
     assert {path.stem for path in (result / "figures").iterdir()} == FIGURES
@@ -212,7 +217,7 @@ def test_a_report_without_its_image_is_refused(result, tmp_path, capsys):
     write_manifest(broken / MANIFEST_FILE, "result", manifest_lines(broken))
     (broken / "image.png").unlink()
     assert run(["report", str(broken)]) == 2
-    assert "image.png: cannot be read as an image" in capsys.readouterr().err
+    assert "image.png: cannot be read: No such file" in capsys.readouterr().err
 
 
 def test_a_load_that_one_layout_cannot_take_is_told(mi, tmp_path, gists):
