@@ -73,6 +73,13 @@ class Calibration:
         motion = np.linalg.solve(self.T_world_from_proj, self.T_world_from_cam)
         return np.asarray(motion, dtype=np.float64)
 
+    @property
+    def triangulation_angle_deg(self) -> float:
+        """Angle between camera and projector as seen from the world's origin."""
+        a, b = self.T_world_from_cam[:3, 3], self.T_world_from_proj[:3, 3]
+        cosine = float(a @ b / np.linalg.norm(a) / np.linalg.norm(b))
+        return float(np.rad2deg(np.arccos(np.clip(cosine, -1.0, 1.0))))
+
 
 def _require_rigid(name: str, matrix: FloatArray) -> None:
     if matrix.shape != (4, 4) or not bool(np.all(np.isfinite(matrix))):

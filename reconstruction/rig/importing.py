@@ -379,10 +379,3 @@ def _nearest_on_axis_mm(T_cam_from_proj: FloatArray) -> float:
     if along <= 0:
         raise InputError("both axes come nearest behind the camera; give --standoff-mm")
     return float(along)
-
-
-def angle_deg(calibration: Calibration) -> float:
-    """Angle between the devices as seen from the world's origin."""
-    a, b = calibration.T_world_from_cam[:3, 3], calibration.T_world_from_proj[:3, 3]
-    cosine = float(a @ b / np.linalg.norm(a) / np.linalg.norm(b))
-    return float(np.rad2deg(np.arccos(np.clip(cosine, -1.0, 1.0))))

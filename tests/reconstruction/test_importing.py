@@ -9,6 +9,7 @@ import pytest
 from scipy.io import savemat
 
 from reconstruction.errors import CaptureError
+from reconstruction.rig.calibration import Calibration
 from reconstruction.rig.importing import MOST_REFIT_PX, Importing, import_calibration
 from reconstruction.rig.pinhole import Pinhole
 
@@ -133,6 +134,14 @@ def test_the_world_lies_where_the_axes_come_nearest(tmp_path: Path):
 
     assert rig.T_world_from_cam[2, 3] > 100
     assert apart_mm(0.0) < min(apart_mm(-1.0), apart_mm(1.0))
+
+
+def test_the_angle_is_that_between_two_known_places():
+    """The camera above the origin, the projector 45 degrees aside."""
+    above, aside = np.eye(4), np.eye(4)
+    above[:3, 3], aside[:3, 3] = (0.0, 0.0, 200.0), (150.0, 0.0, 150.0)
+    rig = Calibration(CAMERA, PROJECTOR, above, aside)
+    assert rig.triangulation_angle_deg == pytest.approx(45.0)
 
 
 def test_units_and_order_are_what_is_said(tmp_path: Path):

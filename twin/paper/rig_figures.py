@@ -32,7 +32,6 @@ from twin.report.canvas import (
     no_ticks,
     printing,
 )
-from twin.report.experiment import triangulation_angle_deg
 from twin.report.section import (
     face_profile,
     slab_span,
@@ -126,7 +125,7 @@ def _on_face(device: Pinhole, pose: NDArray[np.float64]) -> NDArray[np.float64]:
 def _name_parts(axes: Axes, experiment: Experiment) -> None:
     rig = true_calibration(experiment)
     camera, projector = rig.T_world_from_cam[:3, 3], rig.T_world_from_proj[:3, 3]
-    angle = triangulation_angle_deg(experiment)
+    angle = rig.triangulation_angle_deg
     labels: dict[str, tuple[Any, tuple[float, float]]] = {
         f"camera, {np.linalg.norm(camera):.0f} mm": (np.add(camera, (0, 0, 60)), (-62, 6)),
         f"projector, {np.linalg.norm(projector):.0f} mm,\n{angle:.0f}° from the camera": (

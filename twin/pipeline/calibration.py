@@ -39,7 +39,7 @@ from reconstruction.capture.description import write_frame_set
 from reconstruction.capture.folder import Capture, write_capture
 from reconstruction.errors import InputError
 from reconstruction.rig.calibration import Calibration, write_calibration
-from reconstruction.rig.importing import Imported, angle_deg
+from reconstruction.rig.importing import Imported
 from twin.camera import expose
 from twin.config import Experiment, digest, to_toml
 from twin.config.board import BoardFile, BoardPose
@@ -279,7 +279,7 @@ def write_imported(folder: Path, found: Imported) -> dict[str, Any]:
     T_proj_from_cam = calibration.T_proj_from_cam
     figures: dict[str, Any] = {
         "baseline_mm": float(np.linalg.norm(T_proj_from_cam[:3, 3])),
-        "triangulation_angle_deg": angle_deg(calibration),
+        "triangulation_angle_deg": calibration.triangulation_angle_deg,
         "standoff_mm": float(calibration.T_world_from_cam[2, 3]),
     }
     for name, refit_px in zip(("camera", "projector"), found.refit_px, strict=True):

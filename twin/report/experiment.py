@@ -147,7 +147,7 @@ def _projector(measured: Measurement) -> str:
     return (
         f"{projector.width_px} × {projector.height_px} px, throw ratio {projector.throw_ratio:g}, "
         f"{projector.flux_mw:g} mW at {projector.wavelength_nm:g} nm, "
-        f"{triangulation_angle_deg(measured.experiment):.1f}° from the camera"
+        f"{true_calibration(measured.experiment).triangulation_angle_deg:.1f}° from the camera"
     )
 
 
@@ -369,7 +369,7 @@ def draw_rig(path: Path, experiment: Experiment) -> None:
             _fan(axes, device, pose, across, colour)
             _device(axes, name, pose[:3, 3], across, colour)
         _slab_and_specimen(axes, experiment, across)
-        angle_deg = triangulation_angle_deg(experiment)
+        angle_deg = rig.triangulation_angle_deg
         chart(
             axes,
             f"Side view to scale; {angle_deg:.1f}° between the devices",
@@ -378,14 +378,6 @@ def draw_rig(path: Path, experiment: Experiment) -> None:
             aspect="equal",
         )
         axes.margins(x=0.09, y=0.16)
-
-
-def triangulation_angle_deg(experiment: Experiment) -> float:
-    """Angle between camera and projector as seen from the world origin."""
-    rig = true_calibration(experiment)
-    a, b = rig.T_world_from_cam[:3, 3], rig.T_world_from_proj[:3, 3]
-    cosine = float(a @ b / np.linalg.norm(a) / np.linalg.norm(b))
-    return float(np.rad2deg(np.arccos(np.clip(cosine, -1.0, 1.0))))
 
 
 def _horizontal(baseline_mm: FloatArray) -> FloatArray:

@@ -367,6 +367,8 @@ def draw_object(path: Path, measured: Measurement) -> None:
 def _shown_points(measured: Measurement, seen: SeenObject) -> FloatArray:
     """Return the points (n, xyz) near the true surface, or all where none is."""
     points, truth = seen.measured.points_mm, measured.truth
+    if not truth.measured.any():
+        return points
     near = near_truth(points, truth.points_world_mm[truth.measured].astype(np.float64))
     return points[near] if near.any() else points
 
