@@ -6,8 +6,8 @@
   less its own and twice the local thickness, depth of its hole, radii of the two balls for regions
   of 1.0 to 2.5 mm; bars fully wrapped by 10 kPa, both faces;
 - the same pair on half the cells: how far the coat moves, and its radius;
-- processor seconds of two balls, nut (3 kPa) and fingerprint, all threads together, median of three
-  after a first one that compiles: what an idle machine takes at most, and any machine can tell;
+- seconds of two balls, nut (3 kPa) and fingerprint on this machine, which should be idle, median of
+  three after a first one that compiles; beside them processor seconds, waiting threads included;
 - random presses (`random_presses`).
 
 `--press SEED` repeats one of these, `--presses N --workers 2 --kept FILE` runs many, two side by
@@ -246,18 +246,19 @@ def bars(quick: bool) -> Figures:
 # ---- speed -----------------------------------------------------------------------------------
 
 
-def timed(press: Callable[[], PressedElastomer], repeats: int) -> float:
-    """Return the median processor time of a press, s, after a first one, which compiles.
+def timed(press: Callable[[], PressedElastomer], repeats: int) -> tuple[float, float]:
+    """Return the median time of a press and its median processor time, s, after one that compiles.
 
     Each begins at the mounted sheet; distances to a mesh stay sampled.
     """
     times = []
     for _ in range(repeats + 1):
         forget_paths()
-        start = time.process_time()
+        wall_s, processor_s = time.perf_counter(), time.process_time()
         press()
-        times.append(time.process_time() - start)
-    return statistics.median(times[1:])
+        times.append((time.perf_counter() - wall_s, time.process_time() - processor_s))
+    wall, processor = zip(*times[1:], strict=True)
+    return statistics.median(wall), statistics.median(processor)
 
 
 def balls_s(quick: bool) -> Figures:
@@ -278,14 +279,14 @@ def _seconds(
     name: str, quick: bool, specimen: Specimen, pressure_kpa: float, sheet: Elastomer
 ) -> Figures:
     try:
-        found = timed(
+        wall_s, processor_s = timed(
             lambda: pressed(specimen, sheet, 1.0, back_pressure_kpa=pressure_kpa), 1 if quick else 3
         )
     except (PressError, SolverError) as error:
         print(f"{name}: {error}", flush=True)
         return {name: None}
-    print(f"{name}: {found:.1f} s", flush=True)
-    return {name: found}
+    print(f"{name}: {wall_s:.1f} s, {processor_s:.1f} s of processors", flush=True)
+    return {name: wall_s, name.replace("_s", "_processor_s"): processor_s}
 
 
 # ---- all -------------------------------------------------------------------------------------

@@ -8,6 +8,7 @@ they are smooth down to the radius of their rounded edges, where the nearest fac
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import cache
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numba
@@ -19,7 +20,7 @@ from reconstruction.machine import threads
 if TYPE_CHECKING:
     from twin.specimens.catalogue import Shape
 
-Evaluation = tuple[FloatArray, FloatArray, FloatArray]
+Distances = tuple[FloatArray, FloatArray, FloatArray]
 # No fused multiply-add: the same bytes whatever the make of the CPU.
 compiled = numba.njit(cache=True, nogil=True, error_model="numpy")
 _BAND = 8192
@@ -32,7 +33,7 @@ _TINY_MM = 1e-9
 class SignedDistance(Protocol):
     """Distance to the surface of one rigid body, negative inside."""
 
-    def evaluate(self, points_mm: FloatArray, reach_mm: float) -> Evaluation:
+    def evaluate(self, points_mm: FloatArray, reach_mm: float) -> Distances:
         """Return distance, gradient and Hessian at points.
 
         Parameters
@@ -60,7 +61,7 @@ class BallDistance:
     centre_mm: tuple[float, float, float]
     radius_mm: float
 
-    def evaluate(self, points_mm: FloatArray, reach_mm: float) -> Evaluation:
+    def evaluate(self, points_mm: FloatArray, reach_mm: float) -> Distances:
         """Return distance, gradient and Hessian, see `SignedDistance`."""
         return over_points(_ball, points_mm, reach_mm, np.array(self.centre_mm), self.radius_mm)
 
@@ -77,7 +78,7 @@ class CylinderDistance:
     half_length_mm: float
     edge_radius_mm: float
 
-    def evaluate(self, points_mm: FloatArray, reach_mm: float) -> Evaluation:
+    def evaluate(self, points_mm: FloatArray, reach_mm: float) -> Distances:
         """Return distance, gradient and Hessian, see `SignedDistance`."""
         edge = _edge_mm(self.edge_radius_mm, min(self.radius_mm, self.half_length_mm))
         core = self.radius_mm - edge, self.half_length_mm - edge
@@ -96,7 +97,7 @@ class BoxDistance:
     half_mm: FloatArray
     edge_radius_mm: float
 
-    def evaluate(self, points_mm: FloatArray, reach_mm: float) -> Evaluation:
+    def evaluate(self, points_mm: FloatArray, reach_mm: float) -> Distances:
         """Return distance, gradient and Hessian, see `SignedDistance`."""
         edge = _edge_mm(self.edge_radius_mm, float(self.half_mm.min()))
         core = self.half_mm - edge
@@ -111,7 +112,7 @@ class HalfSpace:
     normal: tuple[float, float, float]
     offset_mm: float
 
-    def evaluate(self, points_mm: FloatArray, reach_mm: float) -> Evaluation:
+    def evaluate(self, points_mm: FloatArray, reach_mm: float) -> Distances:
         """Return distance, gradient and Hessian, see `SignedDistance`."""
         return over_points(_half_space, points_mm, reach_mm, np.array(self.normal), self.offset_mm)
 
@@ -122,7 +123,7 @@ class RoundWall:
 
     radius_mm: float
 
-    def evaluate(self, points_mm: FloatArray, reach_mm: float) -> Evaluation:
+    def evaluate(self, points_mm: FloatArray, reach_mm: float) -> Distances:
         """Return distance, gradient and Hessian, see `SignedDistance`."""
         return over_points(_round_wall, points_mm, reach_mm, self.radius_mm)
 
@@ -160,9 +161,27 @@ def frame_wall(outline: RectangularInside | RoundInside) -> tuple[SignedDistance
     )
 
 
+def is_clear_of(
+    body: SignedDistance, low_mm: FloatArray, high_mm: FloatArray, reach_mm: float
+) -> bool:
+    """Tell whether a plane or a wall is out of reach of a whole box, given by two corners (xyz).
+
+    False for other bodies, which must be asked point by point.
+    """
+    if isinstance(body, HalfSpace):
+        normal = np.array(body.normal)
+        least = float(np.minimum(normal * low_mm, normal * high_mm).sum()) - body.offset_mm
+    elif isinstance(body, RoundWall):
+        farthest = np.maximum(np.abs(low_mm[:2]), np.abs(high_mm[:2]))
+        least = body.radius_mm - float(np.hypot(*farthest))
+    else:
+        return False
+    return least > reach_mm
+
+
 def over_points(
     kernel: Callable[..., None], points_mm: FloatArray, reach_mm: float, *body: Any
-) -> Evaluation:
+) -> Distances:
     """Call `kernel(points, reach, (distance, gradient, hessian), body)` over bands of points.
 
     The results start as zeros. Each point is a matter of its own, so the bands do not show.
@@ -180,9 +199,14 @@ def over_points(
         for band in bands:
             fill(band)
     else:
-        with ThreadPoolExecutor(threads()) as pool:
-            list(pool.map(fill, bands))
+        list(_pool(threads()).map(fill, bands))
     return out
+
+
+@cache
+def _pool(workers: int) -> ThreadPoolExecutor:
+    # A press asks some thousand times, and starting threads takes as long as a coarse sheet.
+    return ThreadPoolExecutor(workers, thread_name_prefix="distance")
 
 
 def _edge_mm(edge_radius_mm: float, half_mm: float) -> float:
@@ -190,9 +214,7 @@ def _edge_mm(edge_radius_mm: float, half_mm: float) -> float:
 
 
 @compiled  # type: ignore[untyped-decorator]
-def _ball(
-    points: FloatArray, reach: float, out: Evaluation, body: tuple[FloatArray, float]
-) -> None:
+def _ball(points: FloatArray, reach: float, out: Distances, body: tuple[FloatArray, float]) -> None:
     distance, gradient, hessian = out
     centre, radius = body
     for i in range(len(points)):
@@ -213,7 +235,7 @@ def _ball(
 def _cylinder(
     points: FloatArray,
     reach: float,
-    out: Evaluation,
+    out: Distances,
     body: tuple[FloatArray, FloatArray, float, float, float],
 ) -> None:
     """In the plane through the axis: distance to a rectangle, grown by the edge's radius."""
@@ -286,7 +308,7 @@ def _bend(
 def _box(
     points: FloatArray,
     reach: float,
-    out: Evaluation,
+    out: Distances,
     body: tuple[FloatArray, FloatArray, FloatArray, float],
 ) -> None:
     """Distance to the core, grown by the edge's radius; nearest face inside the core."""
@@ -314,7 +336,7 @@ def _box(
 
 @compiled  # type: ignore[untyped-decorator]
 def _half_space(
-    points: FloatArray, reach: float, out: Evaluation, body: tuple[FloatArray, float]
+    points: FloatArray, reach: float, out: Distances, body: tuple[FloatArray, float]
 ) -> None:
     distance, gradient, _hessian = out
     normal, offset = body
@@ -326,7 +348,7 @@ def _half_space(
 
 
 @compiled  # type: ignore[untyped-decorator]
-def _round_wall(points: FloatArray, reach: float, out: Evaluation, body: tuple[float]) -> None:
+def _round_wall(points: FloatArray, reach: float, out: Distances, body: tuple[float]) -> None:
     distance, gradient, hessian = out
     (radius,) = body
     for i in range(len(points)):

@@ -16,7 +16,7 @@ import trimesh
 
 from reconstruction.arrays import BoolImage, FloatArray, IntArray
 from twin.specimens.catalogue import Placement
-from twin.specimens.distance import Evaluation, compiled, over_points
+from twin.specimens.distance import Distances, compiled, over_points
 from twin.specimens.triangles import (
     Columns,
     TriangleTree,
@@ -46,7 +46,7 @@ class MeshDistance:
     pose: Placement
     pitch_mm: float = PITCH_MM
 
-    def evaluate(self, points_mm: FloatArray, reach_mm: float) -> Evaluation:
+    def evaluate(self, points_mm: FloatArray, reach_mm: float) -> Distances:
         """Return distance, gradient and Hessian, see `SignedDistance`."""
         return self._samples.evaluate(points_mm, reach_mm, self.pose)
 
@@ -98,7 +98,7 @@ class SampledField:
         self._tree, self._pitch_mm, self._lock = tree, pitch_mm, Lock()
         self._begin(_MARGIN_MM)
 
-    def evaluate(self, points_mm: FloatArray, reach_mm: float, pose: Placement) -> Evaluation:
+    def evaluate(self, points_mm: FloatArray, reach_mm: float, pose: Placement) -> Distances:
         """Return distance, gradient and Hessian of the mesh in a pose, see `SignedDistance`."""
         points = np.ascontiguousarray(points_mm, dtype=np.float64)
         with self._lock:
@@ -221,7 +221,7 @@ def _weigh(t: float, weight: FloatArray) -> None:
 
 @compiled  # type: ignore[untyped-decorator]
 def _interpolate(
-    points: FloatArray, reach: float, out: Evaluation, body: tuple[Table, FloatArray]
+    points: FloatArray, reach: float, out: Distances, body: tuple[Table, FloatArray]
 ) -> None:
     distance, gradient, hessian = out
     (rotation, shift, pitch, low, least, slot), coefficients = body

@@ -20,7 +20,7 @@ from twin.mechanics.sheet.laws import Grip, Laws, Touch
 from twin.mechanics.sheet.linear_solver import LinearSolver, linear_solver
 from twin.mechanics.sheet.point import Asked, Felt
 from twin.mechanics.sheet.stencil import control_areas, stencil
-from twin.specimens.distance import SignedDistance
+from twin.specimens.distance import Distances, SignedDistance, is_clear_of
 
 # A band is a block of cell rows that one thread takes; its forces reach two rows beyond it.
 _BAND_ROWS = 8
@@ -115,7 +115,7 @@ class Sheet:
     ) -> Evaluation:
         """Evaluate the energy and forces of `control_mm` under the state's loads."""
         surface = self.surface(control_mm)
-        touch = self.touch(surface[..., 0, :], state.travel_mm, near=True)
+        touch = self._near(surface[..., 0, :], state.travel_mm)
         laws = self.laws._replace(pressure_kpa=state.pressure_kpa)
         lifted = state.grip._replace(
             anchor_mm=state.grip.anchor_mm + np.array([0.0, 0.0, state.travel_mm])
@@ -161,26 +161,31 @@ class Sheet:
         """
         return 0.75 * self.laws.thickness_mm + self.laws.tack_range_mm
 
-    def touch(self, place_mm: FloatArray, travel_mm: float, *, near: bool = False) -> Touch:
-        """Return the bodies' distances at the sheet's Gauss points (row, col, 4, xyz).
+    def touch(self, place_mm: FloatArray, travel_mm: float) -> Touch:
+        """Return the moving bodies' distances at the sheet's Gauss points (row, col, 4, xyz)."""
+        points = self._lowered(place_mm, travel_mm)
+        found = [body.evaluate(points, self.reach_mm) for body in self.bodies.moving]
+        return _stacked(found, place_mm.shape[:3])
 
-        Of all bodies, the specimen's first and walls last, or of those `near` enough to be felt.
-        """
-        reach = self.reach_mm
-        shape = place_mm.shape[:3]
-        lift = np.array([0.0, 0.0, self.touched_z_mm + travel_mm])
-        points = place_mm.reshape(-1, 3)
-        found = [body.evaluate(points - lift, reach) for body in self.bodies.moving]
-        found += [body.evaluate(points, reach) for body in self.bodies.fixed]
-        if near:
-            found = [one for one in found if one[0].min() <= reach] or found[:1]
-        distance, gradient, hessian = (np.stack(parts) for parts in zip(*found, strict=True))
-        count = len(found)
-        return Touch(
-            distance.reshape(count, *shape),
-            gradient.reshape(count, *shape, 3),
-            hessian.reshape(count, *shape, 3, 3),
+    def _near(self, place_mm: FloatArray, travel_mm: float) -> Touch:
+        """Return the distances to those bodies and walls that the sheet feels anywhere."""
+        found = []
+        sides = (
+            (self.bodies.moving, self._lowered(place_mm, travel_mm)),
+            (self.bodies.fixed, place_mm.reshape(-1, 3)),
         )
+        for bodies, points in sides:
+            low, high = points.min(axis=0), points.max(axis=0)
+            asked = [body for body in bodies if not is_clear_of(body, low, high, self.reach_mm)]
+            found += [body.evaluate(points, self.reach_mm) for body in asked]
+        felt = [one for one in found if one[0].min() <= self.reach_mm]
+        return _stacked(felt, place_mm.shape[:3])
+
+    def _lowered(self, place_mm: FloatArray, travel_mm: float) -> FloatArray:
+        """Return points (n, xyz) in the frame of the specimen."""
+        lift = np.array([0.0, 0.0, self.touched_z_mm + travel_mm])
+        lowered: FloatArray = place_mm.reshape(-1, 3) - lift
+        return lowered
 
     def _over_bands(self, rows: int, parity: int, run: Callable[[int, int], None]) -> None:
         firsts = range(parity * _BAND_ROWS, rows, 2 * _BAND_ROWS)
@@ -228,11 +233,10 @@ class Sheet:
         """Anchor what touches and free what has left: neither raises the energy."""
         surface = self.surface(state.control_mm)
         touch = self.touch(surface[..., 0, :], state.travel_mm)
-        count = len(self.bodies.moving)
-        gap = self.gap_mm(surface, touch)[:count]
+        gap = self.gap_mm(surface, touch)
         nearest = gap.argmin(axis=0)[None]
         gap = gap.min(axis=0)
-        normal = np.take_along_axis(touch.gradient[:count], nearest[..., None], axis=0)[0]
+        normal = np.take_along_axis(touch.gradient, nearest[..., None], axis=0)[0]
         # Tabled distances have gradients that are not quite 1 long; springs need them so.
         normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-9)
         reach = self.laws.tack_range_mm if self.laws.tack > 0 else 0.0
@@ -274,7 +278,10 @@ class Sheet:
             gain = (now.energy - energy) / min(slope * share * (1 - share / 2), -1e-300)
             control = control + share * step
             _refuse_film(now.surface, state)
-            if self.sticks and count % _REGRIP_EVERY == _REGRIP_EVERY - 1:
+            # Near the end each step tells what touches; farther off the sheet would stick where it
+            # only passes.
+            near = viscosity == 0 and share == 1.0
+            if self.sticks and (near or count % _REGRIP_EVERY == _REGRIP_EVERY - 1):
                 state = self.regripped(replace(state, control_mm=control))
                 now = self.evaluate(control, state, tangent=True)
             rest = self._rest(share * step, viscosity, accuracy) if share > 0.9 else None
@@ -327,7 +334,7 @@ class Sheet:
     def _definite(self, control: FloatArray, state: SheetState, viscosity: float) -> float:
         """Factorise the tangent with as little viscosity as makes it definite; return that."""
         # A lowered viscosity that is too low is nearly enough; more makes short steps for long.
-        growth = np.sqrt(_GROWTH) if viscosity else _GROWTH
+        growth = float(np.sqrt(_GROWTH)) if viscosity else _GROWTH**2
         while not self._factorise(viscosity):
             viscosity = max(growth * viscosity, _LEAST_VISCOSITY)
             if viscosity > _CONVEX_FROM:
@@ -400,6 +407,16 @@ class Sheet:
         if tried:  # the last tangent is of another place
             best = self.evaluate(best.control_mm, state, tangent=True)
         return share, best
+
+
+def _stacked(found: list[Distances], shape: tuple[int, ...]) -> Touch:
+    """Return bodies' distances, gradients and Hessians at (row, col, 4) points."""
+    count = len(found)
+    return Touch(
+        np.array([one[0] for one in found]).reshape(count, *shape),
+        np.array([one[1] for one in found]).reshape(count, *shape, 3),
+        np.array([one[2] for one in found]).reshape(count, *shape, 3, 3),
+    )
 
 
 def _refuse_film(surface: FloatArray, state: SheetState) -> None:

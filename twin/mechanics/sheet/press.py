@@ -394,7 +394,7 @@ def _contact_bend(sheet: Sheet, state: SheetState) -> float:
     """Return the root mean square curvature where the specimen touches, 1/mm."""
     surface = sheet.surface(state.control_mm)
     touch = sheet.touch(surface[..., 0, :], state.travel_mm)
-    touching = (sheet.gap_mm(surface, touch)[: len(sheet.bodies.moving)] < 0).any(axis=0)
+    touching = (sheet.gap_mm(surface, touch) < 0).any(axis=0)
     if not touching.any():
         return 0.0
     square = sheet.curvature_squared(state.control_mm)[touching]
