@@ -168,13 +168,11 @@ SPEEDS = (
                 target=Target(high=0.1),
                 floor=0.016,  # between two equilibria, docs/sheet.md
             ),
-            absolute(
-                "sheet_balls_s", "two balls, 1 mm and 3 kPa, processor s", target=Target(high=6)
-            ),
-            absolute("sheet_nut_s", "M6 nut, the same, processor s", target=Target(high=15)),
+            absolute("sheet_balls_s", "two balls, 1 mm and 3 kPa, s", target=Target(high=6)),
+            absolute("sheet_nut_s", "M6 nut, the same, s", target=Target(high=15)),
             absolute(
                 "sheet_fingerprint_s",
-                "fingerprint of 20 x 20 mm, processor s",
+                "fingerprint of 20 x 20 mm, s",
                 target=Target(high=30),
             ),
         ),
