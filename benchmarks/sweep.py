@@ -61,7 +61,7 @@ BASE = {
 STAGES = {
     "press_s": ("shape", "press", "texture"),
     "trace_s": ("geometry", "view", "trace", "photons"),
-    "light_s": ("frames",),
+    "light_s": ("tables", "frames"),
     "noise_s": ("capture",),
     "decode_s": ("reconstruction",),
 }

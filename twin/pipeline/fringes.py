@@ -1,9 +1,9 @@
 """Measure with fringes: on the coat of a pressed elastomer, or on the bare specimen.
 
-press -> geometry -> view -> trace, photons -> frames -> capture -> reconstruction -> score. Each
-stage is kept in a memory, and used again for every later experiment that has the same values in all
-fields that the stage looked at, and the same earlier stages. A single measurement is the same way
-with an empty memory.
+press -> geometry -> view -> trace, photons, tables -> frames -> capture -> reconstruction -> score.
+Each stage is kept in a memory, and used again for every later experiment that has the same values
+in all fields that the stage looked at, and the same earlier stages. A single measurement is the
+same way with an empty memory.
 """
 
 from collections.abc import Callable
@@ -118,8 +118,11 @@ def record(
     pressed: PressedElastomer,
     clock: Stopwatch | None = None,
     trial: int = 0,
+    memory: Memory | None = None,
 ) -> Recording:
     """Render the sequence on a face that is pressed already, and expose the camera.
+
+    `memory` holds what recordings before kept, such as the loaded face; the bytes are the same.
 
     Raises
     ------
@@ -127,7 +130,10 @@ def record(
         describe
     MissingBackend : no usable Dr.Jit backend
     """
-    return _recorded(experiment, PressedFace.of(pressed), RunContext.alone(clock, trial)).value
+    run = RunContext.alone(clock, trial)
+    if memory is not None:
+        run = replace(run, memory=memory)
+    return _recorded(experiment, PressedFace.of(pressed), run).value
 
 
 def render(
@@ -281,12 +287,17 @@ def _lit(
     view = memory.recall(
         "view", experiment, geometry.token, lambda seen: trace.view_of(seen, scene)
     )
+    # Without an aperture blur is the same at every distance, and no view changes the tables.
+    depth = view.token if experiment.projector.aperture_mm else ()
+    tables = memory.recall(
+        "tables", experiment, depth, lambda seen: trace.tables_of(seen, view.value)
+    )
     if experiment.render.engine == "stock":
         return memory.recall(
             "frames",
             experiment,
-            view.token,
-            lambda seen: trace.light_with_stock(seen, scene, view.value, progress),
+            (view.token, tables.token),
+            lambda seen: trace.light_with_stock(seen, scene, view.value, tables.value, progress),
         )
     rays = memory.recall(
         "trace", experiment, view.token, lambda seen: trace.patches_of(seen, scene, view.value)
@@ -294,10 +305,10 @@ def _lit(
     photons = memory.recall(
         "photons", experiment, view.token, lambda seen: trace.photons_of(seen, scene, view.value)
     )
-    traced = rays.value, photons.value
+    traced = trace.Traced(rays.value, photons.value, tables.value)
     return memory.recall(
         "frames",
         experiment,
-        (rays.token, photons.token),
+        (rays.token, photons.token, tables.token),
         lambda seen: trace.light(seen, scene, view.value, traced, progress),
     )

@@ -267,6 +267,7 @@ _CAPACITY = {
     "view": 1,
     "trace": 1,
     "photons": 1,
+    "tables": 8,
     "frames": 1,
     "capture": 1,
     "reconstruction": 1,

@@ -56,6 +56,15 @@ class View:
     truth: Truth
 
 
+@dataclass(frozen=True, eq=False)
+class Traced:
+    """What frames are made of: rays of the camera, those of clear bodies, and the patterns."""
+
+    patches: Patches
+    photons: Photons | None
+    tables: dict[str, LightTable]
+
+
 def load_face(experiment: Experiment, face: "trimesh.Trimesh") -> Geometry:
     """Load a pressed face and build its BVH.
 
@@ -108,26 +117,40 @@ def photons_of(experiment: Experiment, geometry: Geometry, view: View) -> Photon
     return trace_photons(geometry.scene, geometry.surfaces, view.rig, count=count, seed=seed)
 
 
+def tables_of(experiment: Experiment, view: View) -> dict[str, LightTable]:
+    """Return the light of the experiment's patterns along both axes of the projector."""
+    patterns = pattern_set(experiment.projector, experiment.patterns)
+    return light_tables(experiment.projector, patterns, view.axial_mm)
+
+
 def light(
     experiment: Experiment,
     geometry: Geometry,
     view: View,
-    traced: tuple[Patches, Photons | None],
+    traced: Traced,
     progress: Callable[[float], None],
 ) -> RadianceStack:
     """Light what was traced with the experiment's sequence."""
     # Pixels at edges, and bounces, trace on: they need the coat.
     _dress(experiment, geometry)
-    (patches, photons), tables = traced, _tables(experiment, view)
-    bounces = _bounces(experiment, geometry, photons, tables)
+    bounces = _bounces(experiment, geometry, traced)
     frames = trace_stack(
-        geometry.scene, view.rig, tables, patches, bounces=bounces, progress=progress
+        geometry.scene,
+        view.rig,
+        traced.tables,
+        traced.patches,
+        bounces=bounces,
+        progress=progress,
     )
     return RadianceStack(frames, view.truth)
 
 
 def light_with_stock(
-    experiment: Experiment, geometry: Geometry, view: View, progress: Callable[[float], None]
+    experiment: Experiment,
+    geometry: Geometry,
+    view: View,
+    tables: dict[str, LightTable],
+    progress: Callable[[float], None],
 ) -> RadianceStack:
     """Render every frame of a pressed face by stock Mitsuba.
 
@@ -143,7 +166,7 @@ def light_with_stock(
         coated_mesh(geometry.face, coating_bsdf(experiment.coating)),
         view.rig,
         patterns,
-        _tables(experiment, view),
+        tables,
         emitter=experiment.render.stock_emitter,
         samples=experiment.render.samples,
         bounces=experiment.bounces,
@@ -158,20 +181,11 @@ def _dress(experiment: Experiment, geometry: Geometry) -> None:
         set_coating(geometry.scene, coating_in_layer(experiment))
 
 
-def _tables(experiment: Experiment, view: View) -> dict[str, LightTable]:
-    patterns = pattern_set(experiment.projector, experiment.patterns)
-    return light_tables(experiment.projector, patterns, view.axial_mm)
-
-
-def _bounces(
-    experiment: Experiment,
-    geometry: Geometry,
-    photons: Photons | None,
-    tables: dict[str, LightTable],
-) -> Bounces | None:
+def _bounces(experiment: Experiment, geometry: Geometry, traced: Traced) -> Bounces | None:
     """Light between surfaces; None on a coat that is seen without it."""
     if geometry.face is None:
-        received = None if photons is None else StageLight(map_photons(photons, tables))
+        photons = traced.photons
+        received = None if photons is None else StageLight(map_photons(photons, traced.tables))
         most, paths = experiment.bounces, experiment.render.bounce_paths
         return Bounces(most, paths, _direct_seeds(experiment)[1], geometry.surfaces, received)
     if not experiment.bounces:

@@ -140,7 +140,7 @@ class Preview:
         """
         experiment = vary(self._small, changes)
         pressed = thinned(press(experiment, self._memory).pressed)
-        recording = record(experiment, pressed)
+        recording = record(experiment, pressed, memory=self._memory)
         patterns, stack = recording.capture.patterns, recording.capture.stack
         full = recording.capture.sensor.saturation_dn
         fringes, white = (
@@ -173,7 +173,7 @@ def thinned(pressed: PressedElastomer) -> PressedElastomer:
 
 def _preview_size(experiment: Experiment) -> dict[str, Any]:
     """Return the changes that leave a picture some 250 pixels wide, and the pattern short."""
-    camera, coarse = experiment.camera, {}
+    camera, projector, coarse = experiment.camera, experiment.projector, {}
     binning = next((b for b in _BINNINGS if camera.width_px // b >= _ACROSS_PX), 1)
     fewer = max(1, round(camera.width_px / binning / _ACROSS_PX))
     pitch_um = {"value": camera.pixel_pitch_um * fewer, "source": "preview"}
@@ -188,6 +188,9 @@ def _preview_size(experiment: Experiment) -> dict[str, Any]:
         "camera.width_px": camera.width_px // fewer,
         "camera.height_px": camera.height_px // fewer,
         "camera.pixel_pitch_um": pitch_um | {"range": [0.0, pitch_um["value"]]},
+        # Few frames: none is decoded.
         "patterns.steps": 3,
+        "patterns.code": "hierarchical",
+        "patterns.further_periods_px": [max(projector.width_px, projector.height_px)],
         "render.samples": 1,
     }
