@@ -57,6 +57,11 @@ KNOWN = [
     ({"kind": "grating", "pitch_mm": 1.5, "groove_mm": 0.1, "x_mm": 0.4}, "depth", 0.1),
     ({"kind": "bars", "widths_mm": [2.0, 3.0], "gap_mm": 2.0}, "width_2", 3.0),
     ({"kind": "bars", "widths_mm": [4.0], "height_mm": 0.8}, "step_height", 0.8),
+    # Tilted specimens are measured across their own planes: 5 degrees are 0.4 % of a height.
+    (STEP | {"tilt_deg": 5.0, "yaw_deg": 30.0}, "step_height", 0.1),
+    ({"kind": "bars", "widths_mm": [4.0], "height_mm": 0.8, "tilt_deg": 5.0}, "step_height", 0.8),
+    ({"kind": "v_groove", "angle_deg": 150.0, "tilt_deg": 5.0}, "depth", 0.5),
+    ({"kind": "grating", "pitch_mm": 1.5, "groove_mm": 0.1, "tilt_deg": 5.0}, "depth", 0.1),
 ]
 
 

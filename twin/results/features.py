@@ -6,8 +6,6 @@ A feature's own frame: x across it, y along it, as its specimen's.
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-import numpy as np
-
 from reconstruction.arrays import FloatArray
 from reconstruction.errors import InputError
 from twin.config.measurands import ObjectMeasurand
@@ -45,9 +43,9 @@ class Feature:
     shape: Shape
 
     def own(self, points_mm: FloatArray) -> FloatArray:
-        """Return world points (n, xyz) in the feature's own frame; z is left as it is."""
-        turned = (points_mm - self.world_from_own.shift_mm) @ self.world_from_own.rotation
-        return np.column_stack([turned[:, :2], points_mm[:, 2]])
+        """Return world points (n, xyz) in the feature's own frame: heights are across it."""
+        own: FloatArray = (points_mm - self.world_from_own.shift_mm) @ self.world_from_own.rotation
+        return own
 
     @property
     def balls(self) -> tuple[Sphere, ...]:

@@ -133,13 +133,17 @@ def _top_of_rod(
 def _step(
     asked: ObjectMeasurand, feature: Feature, seen: SeenObject, points: ObjectPoints
 ) -> FittedValue:
-    """Fit the two levels, their edges left out as in ISO 5436-1 type A1, see `levels`."""
+    """Fit the two levels, their edges left out as in ISO 5436-1 type A1, see `levels`.
+
+    Heights are across the specimen's own plane, however it is tilted.
+    """
     if not len(points.points_mm):
         raise FitError("step: no point in the given ranges")
-    heights = Heights.over(seen.surface, points.points_mm[:, :2])
+    xy, upright = points.points_mm[:, :2], feature.world_from_own.rotation[:, 2]
+    heights = Heights.over(seen.surface, xy).across(upright)
     upper, lower = levels(heights, nominal_mm(feature, asked))
-    at = heights.cells_of(points.points_mm[:, :2])
-    estimate = step_between(points.points_mm[:, :2], points.points_mm[:, 2], upper[at], lower[at])
+    at = heights.cells_of(xy)
+    estimate = step_between(xy, points.points_mm @ upright, upper[at], lower[at])
     return _fitted(points, estimate)
 
 
@@ -189,11 +193,11 @@ def _depth(
     own = feature.specimen
     if isinstance(own, Grating):
         inside = points.part(_within(feature, points, own.length_x_mm, own.length_y_mm))
-        place = feature.own(inside.points_mm)[:, 0]
-        return _fitted(inside, wave_depth(place, inside.points_mm[:, 2], own.pitch_mm))
+        place = feature.own(inside.points_mm)
+        return _fitted(inside, wave_depth(place[:, 0], place[:, 2], own.pitch_mm))
     if isinstance(own, VGroove):
         near, place = _over_groove(own, feature, points)
-        fitted = v_groove(place, near.points_mm[:, 2], own.depth_mm, own.opening_mm)
+        fitted = v_groove(place[:, 0], place[:, 2], own.depth_mm, own.opening_mm)
         return _fitted(near, fitted.depth)
     return _step(asked, feature, seen, points)
 
@@ -206,10 +210,10 @@ def _within(feature: Feature, points: ObjectPoints, x_mm: float, y_mm: float) ->
 def _over_groove(
     groove: VGroove, feature: Feature, points: ObjectPoints
 ) -> tuple[ObjectPoints, FloatArray]:
-    """Return the points within an opening on both sides of a groove, and their place across."""
+    """Return the points within an opening on both sides of a groove, and their own places."""
     wide = min(groove.length_x_mm, 3 * groove.opening_mm)
     near = points.part(_within(feature, points, wide, 0.9 * groove.length_y_mm))
-    return near, feature.own(near.points_mm)[:, 0]
+    return near, feature.own(near.points_mm)
 
 
 def _width(
@@ -219,7 +223,7 @@ def _width(
     if isinstance(feature.specimen, VGroove):
         near, place = _over_groove(feature.specimen, feature, points)
         groove = feature.specimen
-        fitted = v_groove(place, near.points_mm[:, 2], groove.depth_mm, groove.opening_mm)
+        fitted = v_groove(place[:, 0], place[:, 2], groove.depth_mm, groove.opening_mm)
         return _fitted(near, fitted.width)
     place = feature.own(points.points_mm)
     band = np.abs(place[:, 1]) <= _SECTION_MM / 2
@@ -231,14 +235,15 @@ def _width(
         only = len(bars.widths_mm) == 1
         middle = bars.middles_mm[asked.number - 1]
         band &= np.abs(place[:, 0] - middle) <= (np.inf if only else half)
-    return _section_width(points.part(band), place[band, 0], seen.pixel_mm)
+    return _section_width(points.part(band), place[band], seen.pixel_mm)
 
 
 def _section_width(points: ObjectPoints, place: FloatArray, pixel_mm: float) -> FittedValue:
+    """Return the width of a section, from the points' places (n, xyz) in the feature's frame."""
     pitch = 1.5 * pixel_mm
-    numbers, where = np.unique(np.round(place / pitch).astype(int), return_inverse=True)
+    numbers, where = np.unique(np.round(place[:, 0] / pitch).astype(int), return_inverse=True)
     counts = np.bincount(where)
-    means = np.bincount(where, points.points_mm[:, 2]) / counts
+    means = np.bincount(where, place[:, 2]) / counts
     full = counts >= _LEAST_IN_BIN
     if not full.any():
         raise FitError("width: no points across the section")

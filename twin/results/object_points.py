@@ -50,6 +50,11 @@ class Heights:
         x, y = (np.arange(a, b + pitch, pitch) for a, b in zip(low, high, strict=True))
         return cls(x, y, surface.heights_mm(x, y), pitch)
 
+    def across(self, upright: FloatArray) -> "Heights":
+        """Return the heights along a unit vector (xyz) in the place of z: a tilted one's own."""
+        aside = upright[0] * self.x_mm + upright[1] * self.y_mm[:, None]
+        return replace(self, z_mm=aside + upright[2] * self.z_mm)
+
     def cells_of(self, xy_mm: FloatArray) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """Return row and column of the cells that points (n, xy) lie in."""
         places = [
