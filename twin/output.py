@@ -7,7 +7,8 @@ be replaced.
 - A new folder appears by one renaming.
 - An existing one, which may be a mount point or the target of a symbolic link, stays where it is.
   Its files are exchanged one by one, `result.json` last; a result without it is none. Signals wait
-  until that is done; a kill -9 just then leaves a folder that the next run replaces.
+  until that is done. What is to be exchanged is planned in the working folder before: after a
+  kill -9 whoever opens the folder next, to write or to read, ends the exchange (`end_exchange`).
 """
 
 import json
@@ -22,6 +23,7 @@ from typing import Any
 
 from reconstruction.errors import InputError
 from reconstruction.machine import is_disk_full, unwritable
+from reconstruction.reading import read_json
 from twin.manifest import (
     MANIFEST_FILE,
     enter,
@@ -32,7 +34,7 @@ from twin.manifest import (
     read_manifest,
     write_manifest,
 )
-from twin.working import is_second, remove_leftovers, signals_held, working_folder
+from twin.working import is_second, leftovers, remove_leftovers, signals_held, working_folder
 
 RESULT_FILE = "result.json"
 EXPERIMENT_FILE = "experiment.toml"
@@ -41,6 +43,7 @@ RESULT = "result"
 
 _NAMED_PACKAGES = ("fringe-twin", "mitsuba", "drjit", "numpy", "scipy", "numba")
 _ADVICE = "choose another -o DIR"
+_PLAN = "plan.json"
 
 
 @contextmanager
@@ -121,7 +124,7 @@ def claim(target: Path, kind: str, names: Collection[str], inputs: Iterable[Path
     _refuse_in_the_way(target, real, names)
     with ExitStack() as stack, _telling(target):
         stack.callback(_remove_empty, _make_folders(real))
-        remove_leftovers(real)
+        _take_up(real)
         enter(real, kind, ())
 
 
@@ -191,7 +194,7 @@ def _refuse_in_the_way(target: Path, real: Path, names: Collection[str]) -> None
 @contextmanager
 def _working(real: Path) -> Iterator[Path]:
     """Yield a folder to write into, on the file system of the target."""
-    remove_leftovers(real)
+    _take_up(real)
     with working_folder(real if real.is_dir() else real.parent, real.name) as folder:
         yield folder
 
@@ -201,36 +204,69 @@ def _publish(folder: Path, real: Path) -> None:
     if real.is_dir():
         known = read_manifest(real)
         gone = [path for path in known.lines if is_ours(real, path, known)] if known else []
-        lines = _put(folder, real, gone)
-        write_manifest(folder / MANIFEST_FILE, RESULT, lines)
-        (folder / MANIFEST_FILE).replace(real / MANIFEST_FILE)
+        _put(folder, real, gone)
     else:
         _remove_empty(sorted((p for p in folder.rglob("*") if p.is_dir()), reverse=True))
         write_manifest(folder / MANIFEST_FILE, RESULT, manifest_lines(folder))
         folder.rename(real)
 
 
-def _put(folder: Path, real: Path, gone: Collection[str] = ()) -> list[str]:
-    """Move the files of `folder` to `real`, where the files `gone` make room; returns their lines.
+def _put(folder: Path, real: Path, gone: Collection[str] | None = None) -> None:
+    """Move the files of `folder` to `real`, where the files `gone` make room for a whole result.
 
     A file that appeared there while the command ran is not overwritten.
     """
-    new, known = files_of(folder), read_manifest(real)
-    blocked = [p for p in new if os.path.lexists(real / p) and not is_ours(real, p, known)]
-    if blocked:
-        raise InputError(f"{real / blocked[0]}: is in the way (not written by twin); move it away")
-    lines = manifest_lines(folder)
+    new, lines = files_of(folder), manifest_lines(folder)
+    _refuse_blocked(real, new)
+    if gone is not None:
+        write_manifest(folder.parent / MANIFEST_FILE, RESULT, lines)
     enter(real, RESULT, lines)
     for path in new:
         (real / path).parent.mkdir(parents=True, exist_ok=True)
+    write_json(folder.parent / f"{_PLAN}.part", {"goes": sorted(set(gone or ()) - set(new))})
     with signals_held():
-        for path in sorted(gone, key=lambda path: path != RESULT_FILE):
-            if path == RESULT_FILE or path not in new:
-                (real / path).unlink(missing_ok=True)
-        for path in sorted(new, key=lambda path: path == RESULT_FILE):
-            (folder / path).replace(real / path)
+        (folder.parent / f"{_PLAN}.part").replace(folder.parent / _PLAN)
+        _exchange(folder, real)
+
+
+def _refuse_blocked(real: Path, new: Collection[str]) -> None:
+    known = read_manifest(real)
+    blocked = [p for p in new if os.path.lexists(real / p) and not is_ours(real, p, known)]
+    if blocked:
+        raise InputError(f"{real / blocked[0]}: is in the way (not written by twin); move it away")
+
+
+def _exchange(folder: Path, real: Path) -> None:
+    """Carry out what is left of a plan, the result's own file first away and last there."""
+    new, known = files_of(folder), read_manifest(real)
+    goes = [p for p in read_json(folder.parent / _PLAN)["goes"] if is_ours(real, p, known)]
+    for path in (*(path for path in new if path == RESULT_FILE), *goes):
+        (real / path).unlink(missing_ok=True)
+    for path in sorted(new, key=lambda path: path == RESULT_FILE):
+        (folder / path).replace(real / path)
     _remove_empty(real / path for path in sorted(known.folders if known else (), reverse=True))
-    return lines
+    if (folder.parent / MANIFEST_FILE).exists():
+        (folder.parent / MANIFEST_FILE).replace(real / MANIFEST_FILE)
+
+
+def end_exchange(folder: Path) -> None:
+    """End the exchange of files at which a run was killed; to call before a folder is read.
+
+    Raises
+    ------
+    InputError : a file that `twin` did not write is in the way
+    """
+    with suppress(OSError):  # no right to write there: the folder holds no result
+        _take_up(Path(os.path.realpath(folder)))
+
+
+def _take_up(real: Path) -> None:
+    for left in leftovers(real):
+        if (left.parent / _PLAN).is_file():
+            _refuse_blocked(real, files_of(left))
+            with signals_held():
+                _exchange(left, real)
+    remove_leftovers(real)
 
 
 def _make_folders(folder: Path) -> list[Path]:

@@ -2,7 +2,8 @@
 
 `.NAME.twin-XXXX.part/` with `lock`, which the process that writes there holds, and `new/`, the
 result to be. The system lets go of the lock however that process ends, so a folder whose lock is
-free is what a killed run left, and the next run on the same target removes it.
+free is what a killed run left, and the next run on the same target removes it. While it begins, the
+folder around is locked (shared): what has no mark yet and nobody begins is a leftover, too.
 
 A signal ends a command as an error does: working folders are removed and worker processes ended.
 SIGINT, SIGTERM and SIGHUP raise `Interrupted` in the main thread. A signal that this process was
@@ -23,7 +24,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from types import FrameType
 from typing import IO, ClassVar
@@ -107,7 +108,7 @@ def _end_now(number: int) -> None:
     for child in processes.active_children() if processes else ():
         child.terminate()
     for folder in list(_Hold.working):
-        shutil.rmtree(folder, ignore_errors=True)
+        _remove(folder)
     says_the_end(number)
     if sys.stderr.isatty():
         sys.stderr.write("\x1b[?25h")  # a progress bar hides the cursor
@@ -125,6 +126,7 @@ def says_the_end(number: int) -> None:
 _NAME = re.compile(r"\.(?P<target>.*)\.twin-[^.]+\.part", re.DOTALL)
 _LOCK, _NEW = "lock", "new"
 _MARK = b"working folder of fringe-twin\n"
+_TRIES, _POLL_S = 20, 0.01
 
 
 @contextmanager
@@ -143,15 +145,17 @@ def working_folder(place: Path, target: str) -> Iterator[Path]:
     folder, lock = None, None
     try:
         with signals_held():
-            folder = Path(tempfile.mkdtemp(prefix=f".{target}.twin-", suffix=".part", dir=place))
-            _Hold.working.add(folder)
-            lock = _locked(folder)
+            with _begun(place):
+                made = tempfile.mkdtemp(prefix=f".{target}.twin-", suffix=".part", dir=place)
+                folder = Path(made)
+                _Hold.working.add(folder)
+                lock = _locked(folder)
             (folder / _NEW).mkdir()
         yield folder / _NEW
     finally:
         with signals_held():
             if folder is not None:
-                shutil.rmtree(folder, ignore_errors=True)
+                _remove(folder)
                 _Hold.working.discard(folder)
             if lock is not None:
                 lock.close()
@@ -161,7 +165,7 @@ def is_working(folder: Path) -> bool:
     """Tell whether this is a working folder, of a living process or a dead one."""
     try:
         return _NAME.fullmatch(folder.name) is not None and (
-            not any(folder.iterdir()) or (folder / _LOCK).read_bytes() == _MARK
+            _is_unmarked(folder) or (folder / _LOCK).read_bytes() == _MARK
         )
     except OSError:
         return False
@@ -192,13 +196,81 @@ def _age(folder: Path) -> tuple[int, str]:
     return (folder / _LOCK).stat().st_mtime_ns, folder.name
 
 
-def remove_leftovers(place: Path, target: str | None = None) -> None:
-    """Remove the working folders in `place` (for one target) whose process has ended."""
+def leftovers(place: Path, target: str | None = None) -> Iterator[Path]:
+    """Yield what dead processes left in `place` (for one target), as `working_folder` yields it.
+
+    Each is locked while it is looked at, so that two processes do not take up the same one, and
+    removed then.
+    """
     with suppress(OSError):
         for entry in list(place.iterdir()):
             named = _NAME.fullmatch(entry.name)
-            if named and target in (None, named["target"]) and _is_abandoned(entry):
+            if named and target in (None, named["target"]):
+                with _seized(entry) as is_abandoned:
+                    if is_abandoned:
+                        yield entry / _NEW
+                        _remove(entry)
+
+
+def remove_leftovers(place: Path, target: str | None = None) -> None:
+    """Remove the working folders in `place` (for one target) whose process has ended."""
+    for _ in leftovers(place, target):
+        pass
+    with suppress(OSError), _locked_folder(place, fcntl.LOCK_EX):
+        for entry in list(place.iterdir()):
+            named = _NAME.fullmatch(entry.name)
+            if named and target in (None, named["target"]) and _is_unmarked(entry):
+                (entry / _LOCK).unlink(missing_ok=True)
+                entry.rmdir()
+
+
+def _remove(folder: Path) -> None:
+    """Remove a working folder; its lock goes last, so that it is known as one until then."""
+    with suppress(OSError):
+        for entry in list(folder.iterdir()):
+            if entry.is_dir():
                 shutil.rmtree(entry, ignore_errors=True)
+            elif entry.name != _LOCK:
+                entry.unlink(missing_ok=True)
+        if list(folder.iterdir()) == [folder / _LOCK]:
+            (folder / _LOCK).unlink()
+        folder.rmdir()
+
+
+def _is_unmarked(folder: Path) -> bool:
+    """Tell whether a working folder is at its beginning: without the mark in its lock."""
+    if folder.is_symlink() or not folder.is_dir():
+        return False
+    found = list(folder.iterdir())
+    return not found or (found == [folder / _LOCK] and not found[0].lstat().st_size)
+
+
+@contextmanager
+def _begun(place: Path) -> Iterator[None]:
+    """Tell others that a folder without mark in `place` belongs to somebody who lives.
+
+    Does without where somebody else holds that folder, for instance `flock out twin ... -o out/a`.
+    """
+    with ExitStack() as stack:
+        for _ in range(_TRIES):
+            try:
+                stack.enter_context(_locked_folder(place, fcntl.LOCK_SH))
+                break
+            except BlockingIOError:
+                time.sleep(_POLL_S)
+            except OSError:  # a file system without locks
+                break
+        yield
+
+
+@contextmanager
+def _locked_folder(place: Path, how: int) -> Iterator[None]:
+    handle = os.open(place, os.O_RDONLY)
+    try:
+        fcntl.flock(handle, how | fcntl.LOCK_NB)
+        yield
+    finally:
+        os.close(handle)
 
 
 def _locked(folder: Path) -> IO[bytes]:
@@ -225,12 +297,14 @@ def _is_held(folder: Path) -> bool:
     return False
 
 
-def _is_abandoned(folder: Path) -> bool:
-    if folder.is_symlink():
-        return False
-    try:
-        with (folder / _LOCK).open("r+b") as lock:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            return lock.read(len(_MARK) + 1) == _MARK
-    except OSError:
-        return False
+@contextmanager
+def _seized(folder: Path) -> Iterator[bool]:
+    """Hold the lock of a dead process' working folder; yields False where it is none."""
+    with ExitStack() as stack:
+        is_abandoned = False
+        with suppress(OSError):
+            if not folder.is_symlink():
+                lock = stack.enter_context((folder / _LOCK).open("r+b"))
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                is_abandoned = lock.read(len(_MARK) + 1) == _MARK
+        yield is_abandoned

@@ -1,5 +1,6 @@
 """Folders that commands write into: nothing of others is removed, nothing is left by half."""
 
+import json
 import os
 import shutil
 import signal
@@ -11,10 +12,12 @@ from pathlib import Path
 import pytest
 
 from reconstruction.errors import InputError
+from tests.cli.killed import EARLIER, LATER
 from twin.cli import run
 from twin.output import alone_in, claim, output_folder, write_json
 
-CAPTURE = Path(__file__).parents[2] / "docs" / "example_capture"
+ROOT = Path(__file__).parents[2]
+CAPTURE = ROOT / "docs" / "example_capture"
 TWIN = "import sys; from twin.cli import main; main()"
 # A reconstruction that has made its working folder and then waits to be ended.
 WAITING = """
@@ -255,6 +258,15 @@ def test_a_folder_that_grows_has_one_command_at_a_time(tmp_path):
     assert set(contents(out)) == {"twin-manifest.txt"}
 
 
+def test_paper_has_its_folder_for_itself(tmp_path, capsys):
+    out = tmp_path / "out"
+    line = ["paper", "-o", out, "--only", "hardness", "--trials", "2"]
+    claim(out, "paper", ())
+    with alone_in(out):
+        assert "another twin is writing there; wait for it" in refusal(capsys, *line)
+    assert set(contents(out)) == {"twin-manifest.txt"}
+
+
 def test_interrupted_workers_are_ended_at_once(tmp_path):
     from twin.study.workers import local_workers
     from twin.working import Interrupted
@@ -367,3 +379,30 @@ def test_single_files_are_never_overwritten(tmp_path):
     with pytest.raises(InputError, match="cannot be written"), creating(tmp_path / "b.csv") as part:
         part.mkdir() or part.write_text("this is a folder")
     assert contents(tmp_path) == {"table.csv": b"1"}
+
+
+def whole(texts):
+    """Files of a result as `tests.cli.killed` writes them."""
+    return texts | {"result.json": json.dumps(texts, indent=2, sort_keys=True) + "\n"}
+
+
+@pytest.mark.parametrize("how", ["new", "replaced", "added"])
+def test_killed_at_each_operation_on_files(tmp_path, how):
+    """kill -9 before each renaming, removal, new folder and opened file of a run.
+
+    Expected: whoever reads next finds the earlier result or the later one, whole; the next run
+    leaves nothing but its own.
+    """
+    command = [sys.executable, "-m", "tests.cli.killed", how, str(tmp_path / "place")]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    found = [json.loads(line) for line in done.stdout.splitlines()]
+    earlier = {} if how == "new" else whole(EARLIER)
+    later = earlier | LATER if how == "added" else whole(LATER)
+    assert [one["read"] for one in found if one["read"] not in (earlier, later)] == []
+    assert {tuple(one["left"]) for one in found} == {("out/twin-manifest.txt",)}
+    assert [one for one in found if one["read"] == earlier]
+    assert [one for one in found if one["read"] == later]
+    # Between both there are instants at which only the plan makes it whole.
+    mixed = [one for one in found if one["at_once"] != one["read"]]
+    assert bool(mixed) == (how != "new")

@@ -51,8 +51,10 @@ def reconstruct(
         _reconstruct_press(capture, out)
         return
     from twin.config import decode_settings
+    from twin.output import end_exchange
     from twin.pipeline.captures import reconstruct_capture
 
+    end_exchange(capture)
     given = {"use": use, "filter_taps": filter_taps, "filter_sigma_px": filter_sigma_px}
     chosen = decode_settings(**{key: value for key, value in given.items() if value is not None})
     with progress_bars() as watch:
@@ -100,8 +102,10 @@ def evaluate(
     nesting_mm
         Nesting index of the roughness filter.
     """
+    from twin.output import end_exchange
     from twin.pipeline.dimensions import Region, dimensions
 
+    end_exchange(result)
     print_metrics(dimensions(result, shape, Region(x, y, z, along, fraction, nesting_mm)))
 
 
@@ -246,10 +250,11 @@ def report(folder: Path, /) -> None:
         Result folder of `twin measure`, `twin demo`, `twin compare` or `twin uncertainty`; of
         `twin press` or `twin render`, the picture is drawn.
     """
-    from twin.output import adding
+    from twin.output import adding, end_exchange
     from twin.report import REPORT_FILE, REPORT_NAMES
     from twin.report.pictures import draw_picture, picture_of
 
+    end_exchange(folder)
     picture = picture_of(folder)
     if picture:
         with adding(folder, picture) as drawn:

@@ -15,7 +15,15 @@ from typing import Any
 
 from reconstruction.errors import InputError
 from reconstruction.machine import unwritable
-from twin.output import EXPERIMENT_FILE, RESULT_FILE, adding, claim, versions, write_json
+from twin.output import (
+    EXPERIMENT_FILE,
+    RESULT_FILE,
+    adding,
+    alone_in,
+    claim,
+    versions,
+    write_json,
+)
 from twin.paper.budget import budget_table
 from twin.paper.claims import claims_of, claims_table
 from twin.paper.completeness import completeness_table
@@ -139,13 +147,18 @@ def reproduce(
     Raises
     ------
     InputError
-        `out` holds something else or cannot be written, or a press or fit fails.
+        `out` holds something else or cannot be written, another process works there, or a press
+        or fit fails.
     MissingBackend
         No usable Dr.Jit backend.
     """
     claim(out, COMMAND, _NAMES)
-    with lasting(local_workers(workers)) as kept, adding(out, *_NAMES) as folder:
-        settings = dict(FINE if request.full else COARSE)
+    settings = dict(FINE if request.full else COARSE)
+    with (
+        alone_in(out),
+        lasting(local_workers(workers)) as kept,
+        adding(out, *_NAMES) as folder,
+    ):
         _make_folder(out / WORK)
         run = Reproduction(out / WORK, request.trials, settings, watch, kept)
         return _reproduce(out, folder, request, run)
