@@ -148,7 +148,8 @@ class Coating(Model):
     binder_roughness: Annotated[float, Field(ge=0.02, le=0.3)] = Field(
         default=0.1,
         description="GGX alpha of the binder's face; without effect at binder_ior = 1. Light "
-        "scattered twice on it is lost: 7 % of a 0.9 albedo at 0.1, 28 % at 0.3 (index 1.5)",
+        "scattered twice on it is lost: of all light on a white pigment 9 % at 0.1, 31 % at 0.3, "
+        "seen 80 deg off the normal 12 and 36 % (index 1.5)",
     )
     # Left out where absent: a smooth coat keeps its digest.
     texture: Texture | None = Field(

@@ -10,7 +10,9 @@ Saunderson, J. Opt. Soc. Am. 32, 727 (1942)), so a binder darkens the pigment. A
 lobes that each reflect at most all light: energy conserving by construction.
 
 Left out: flakes below the binder's face (they lie bare), and light scattered more than once by one
-rough face (it is lost, as in all single-scattering microfacet models).
+rough face (it is lost, as in all single-scattering microfacet models). A white pigment shows what
+is lost: with a binder of index 1.5 and roughness 0.02, 0.1, 0.2, 0.3 it throws back 3, 9, 20, 31 %
+too little facing the camera, 2, 12, 24, 36 % at 80 deg and up to 11, 13, 25, 40 % at 89 deg.
 """
 
 from collections.abc import Iterator
