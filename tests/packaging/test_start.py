@@ -35,3 +35,20 @@ def test_help_imports_few_modules():
 def test_help_imports_nothing_heavy():
     code = f"{SHOW_HELP}\nprint('heavy:', [name for name in {HEAVY} if name in sys.modules])"
     assert run_python(code).stdout.splitlines()[-1] == "heavy: []"
+
+
+def test_a_dry_run_imports_nothing_that_it_does_not_need(tmp_path):
+    """A third of its time was statistics that a grid of two cases never asks for."""
+    (tmp_path / "study.toml").write_text(
+        'name = "two"\nbase = "examples/slab_ball"\n'
+        '[[axis]]\npath = "coating.base_albedo"\nvalues = [0.3, 0.5]\n'
+    )
+    line = ["sweep", str(tmp_path / "study.toml"), "--dry-run", "-o", str(tmp_path / "out")]
+    ended = run_python(
+        f"import sys\nfrom twin.cli import run\nassert run({line}) == 0\nprint(*sys.modules)"
+    )
+    assert ended.returncode == 0, ended.stderr
+    modules = set(ended.stdout.split())
+    assert "twin.study.sweep" in modules
+    heavy = ("scipy.stats", "mitsuba", "drjit", "matplotlib", "xarray", "skfem", "optuna")
+    assert modules.isdisjoint(heavy), modules & set(heavy)

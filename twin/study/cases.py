@@ -11,7 +11,6 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from scipy.stats import qmc
 
 from reconstruction.arrays import FloatArray
 from reconstruction.errors import InputError
@@ -73,6 +72,8 @@ def point_at(axes: tuple[Axis, ...], shares: FloatArray) -> Point:
 
 def shares_of(study: Study) -> FloatArray:
     """Return places (point, axis) in the unit cube for a study that samples."""
+    from scipy.stats import qmc  # takes half a second to load, and a grid needs none
+
     count, axes = study.sampling.count or 1, len(study.axis)
     rng = np.random.default_rng(study.sampling.seed)
     match study.sampling.method:
@@ -89,6 +90,8 @@ def shares_of(study: Study) -> FloatArray:
 
 def _sobol(axes: int, count: int, rng: np.random.Generator) -> FloatArray:
     """Scrambled Sobol' points; the first `count` of the next power of two, drawn whole."""
+    from scipy.stats import qmc
+
     exponent = int(np.ceil(np.log2(max(count, 1))))
     return np.asarray(qmc.Sobol(axes, rng=rng).random_base2(exponent))[:count]
 

@@ -16,7 +16,6 @@ from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy import stats
 
 from reconstruction.arrays import FloatArray
 from twin.config import ConfigError, Experiment, vary
@@ -175,6 +174,8 @@ def deviation_of(one: Input, nominal: float) -> InputDistribution:
     Uniform, triangular and arcsine are symmetric with the half width `spread` (JCGM 101, 6.4.2,
     6.4.5, 6.4.6); a normal may be cut off; student_t is scaled and shifted (6.4.9).
     """
+    from scipy import stats  # takes half a second to load, and only trials need it
+
     if one.distribution == "choice":
         weights = np.array(one.weights or [1.0] * len(one.values))
         values = tuple(value - nominal for value in one.values)
@@ -199,6 +200,8 @@ def deviation_of(one: Input, nominal: float) -> InputDistribution:
 
 
 def _normal(one: Input, nominal: float, sigma: float) -> InputDistribution:
+    from scipy import stats
+
     if one.at_least is one.at_most is None:
         return stats.norm(scale=sigma)  # type: ignore[no-any-return]
     low = -np.inf if one.at_least is None else (one.at_least - nominal) / sigma
