@@ -149,13 +149,10 @@ FRINGES = (
     ),
     BenchmarkCase(
         "calibration",
-        "12 poses of 484 x 366, 3 seeds",
+        "12 poses of 484 x 366, 8 seeds",
         (
-            GuardedFigure(
-                "calibration_focal_rel",
-                "calibration on a dot board: largest error of a focal length, relative",
-                target=Target(high=5e-3),
-            ),
+            # Errors of single parameters scatter by more than their mean from seed to seed; what
+            # they do to lengths and planes is guarded instead.
             GuardedFigure(
                 "calibration_plane_pv_um",
                 "plane measured with a calibration on a dot board: peak to valley, um",

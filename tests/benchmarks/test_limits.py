@@ -5,6 +5,8 @@ import math
 import numpy as np
 import pytest
 
+from benchmarks.all import BASELINES
+from benchmarks.regression.baselines import read_baselines
 from benchmarks.regression.figures import GuardedFigure, MeanOfRuns, Target
 from benchmarks.regression.limits import (
     FALSE_ALARMS_PER_RUN,
@@ -13,6 +15,7 @@ from benchmarks.regression.limits import (
     judge,
     judge_target,
 )
+from benchmarks.regression.registry import FIGURES
 
 ACCURACY = GuardedFigure("z_um", "height")
 SURE, UNSURE = MeanOfRuns(1.0, 0.001, 5), MeanOfRuns(1.0, 0.01, 5)
@@ -137,3 +140,18 @@ def test_mean_and_standard_uncertainty():
     for bad in ([], [math.nan], [1.0, math.inf]):
         with pytest.raises(ValueError, match="finite"):
             MeanOfRuns.of(bad)
+
+
+def test_no_figure_is_blind():
+    """A limit larger than the figure tells nothing, unless the target ends there as well."""
+    known = read_baselines(BASELINES).figures
+    guarded = [one for one in FIGURES.values() if one.kind == "accuracy" and one.name in known]
+    assert len(guarded) > 30
+    blind = []
+    for figure in guarded:
+        baseline = known[figure.name].estimate
+        limit = judge(figure, baseline, baseline, len(guarded)).limit
+        most = figure.target.high - baseline.value if figure.target else math.inf
+        if limit > abs(baseline.value) and most > 1.1 * limit:
+            blind.append((figure.name, limit / abs(baseline.value)))
+    assert blind == []
