@@ -317,7 +317,7 @@ def _waited(child: int, until: float) -> int | None:
 
 # ---- sound inputs ------------------------------------------------------------------------------
 
-_SMALL = {
+SMALL = {
     "camera.binning": 4,
     "camera.width_px": 484,
     "camera.height_px": 368,
@@ -348,16 +348,16 @@ def make_stock(folder: Path, run: Path) -> None:
     (folder / "kept" / "deep").mkdir(parents=True)
     for name in ("canary.txt", "deep/canary.json", "result.csv"):
         (folder / "kept" / name).write_text("nobody may change this\n")
-    slab = load_experiment("examples/slab_ball", _SMALL)
+    slab = load_experiment("examples/slab_ball", SMALL)
     (folder / "slab.toml").write_text(to_toml(slab))
-    sheet = _SMALL | {"press.cell_mm": 0.4}
+    sheet = SMALL | {"press.cell_mm": 0.4}
     (folder / "sheet.toml").write_text(to_toml(load_experiment("examples/wrapped_balls", sheet)))
     part = trimesh.creation.box((4.0, 3.0, 2.0))
     for name in ("part.stl", "part.ply", "part.obj"):
         part.export(folder / name)
     mesh = {"specimen": {"kind": "mesh", "file": str(folder / "part.stl")}}
     (folder / "slab_mesh.toml").write_text(
-        to_toml(load_experiment("examples/slab_ball", _SMALL | mesh))
+        to_toml(load_experiment("examples/slab_ball", SMALL | mesh))
     )
     (folder / "study.toml").write_text(_STUDY)
     shutil.copy(asset_path("scenes", "boards/paper_dots"), folder / "board.toml")

@@ -1,4 +1,6 @@
-"""Kill a sweep of real cases again and again, and compare it with one that was left alone.
+"""Kill commands, and a sweep of real cases, again and again; compare with what was left alone.
+
+100 kills of `measure`, `reconstruct`, `paper` and `sweep report`: see `benchmarks.killing`.
 
 A study of 200 cases (coat albedo x exposure x noise draws, 242 x 183 pixels) runs on two workers.
 At random moments, some of them during the start, `kill -9` ends the whole run with its workers, the
@@ -9,7 +11,8 @@ run alone, or one worker; after the first two the same command is given again. W
   something died are (`begun_again`);
 - whenever something was killed the store holds nothing but whole cases (`partial_folders`).
 
-Last line: {"kills": 20, "cases": 200, "table_identical": true, "computed_twice": 0, ...}.
+Last line: {"commands": {"measure": 25, ...}, "mixed": 0, "unreadable": 0, ...,
+"kills": 20, "cases": 200, "table_identical": true, "computed_twice": 0, ...}.
 """
 
 import argparse
@@ -24,6 +27,7 @@ import time
 from collections import Counter
 from pathlib import Path
 
+from benchmarks.killing import TARGETS, kill_commands
 from twin.config import digest, load_experiment
 from twin.config.study import Study
 from twin.study.measuring import AS_IT_IS, Answer, CaseMeasurer
@@ -59,18 +63,26 @@ def record_of(quick: bool) -> StudyRecord:
 def main() -> None:
     """Kill, compare and print one JSON line; the exit code tells whether all is as wanted."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--quick", action="store_true", help="40 cases and 5 kills")
+    parser.add_argument("--quick", action="store_true", help="8 kills; 40 cases and 5 kills")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--only", nargs="+", choices=(*TARGETS, "study"), help="only these")
+    parser.add_argument("--kills", type=int, help="of the commands; default: 100")
     parser.add_argument("--sweep", type=Path, help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.sweep:
         sweep(record_of(options.quick), options.sweep, local_workers(2), make_measurer=Logged)
         return
-    with tempfile.TemporaryDirectory() as scratch:
-        found = killed_and_compared(Path(scratch), options.quick, random.Random(options.seed))
+    found: dict[str, object] = {}
+    with tempfile.TemporaryDirectory() as name:
+        scratch, kills = Path(name), options.kills or (8 if options.quick else 100)
+        only = options.only or (*TARGETS, "study")
+        if names := [name for name in TARGETS if name in only]:
+            found |= kill_commands(scratch / "commands", kills, options.seed, names)
+        if "study" in only:
+            found |= killed_and_compared(scratch, options.quick, random.Random(options.seed))
     print(json.dumps(found))
-    wanted = found["table_identical"] and not found["computed_twice"] + found["partial_folders"]
-    sys.exit(not wanted)
+    unwanted = ("mixed", "unreadable", "computed_twice", "partial_folders")
+    sys.exit(any(map(found.get, unwanted)) or not found.get("table_identical", True))
 
 
 def killed_and_compared(scratch: Path, quick: bool, rng: random.Random) -> dict:
