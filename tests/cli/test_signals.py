@@ -54,7 +54,7 @@ def test_the_answer_comes_within_two_seconds():
 def test_an_interrupted_command_says_one_line_and_leaves_nothing_by_half(tmp_path, command):
     study = tmp_path / "study.toml"
     study.write_text(
-        f'name = "two"\nbase = "{BALL}"\n[[axis]]\npath = "camera.binning"\nvalues = [4, 8]\n'
+        f'name = "two"\nbase = "{BALL}"\n[[axis]]\npath = "camera.binning"\nvalues = [2, 4]\n'
     )
     arguments = [str(study) if one == "STUDY" else one for one in COMMANDS[command]]
     place = tmp_path / "place"
