@@ -265,7 +265,7 @@ def _begun(place: Path) -> Iterator[None]:
 
 @contextmanager
 def _locked_folder(place: Path, how: int) -> Iterator[None]:
-    handle = os.open(place, os.O_RDONLY)
+    handle = os.open(place, os.O_RDONLY | os.O_DIRECTORY)  # a pipe would wait for its writer
     try:
         fcntl.flock(handle, how | fcntl.LOCK_NB)
         yield

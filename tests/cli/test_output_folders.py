@@ -381,6 +381,17 @@ def test_single_files_are_never_overwritten(tmp_path):
     assert contents(tmp_path) == {"table.csv": b"1"}
 
 
+@pytest.mark.parametrize("command", [["evaluate", "plane"], ["report"], ["reconstruct", "-o"]])
+def test_a_pipe_in_place_of_a_folder_is_refused(tmp_path, capsys, command):
+    """Nobody ever writes into it: whoever opens it, waits."""
+    os.mkfifo(tmp_path / "pipe")
+    first, *rest = command
+    out = [str(tmp_path / "out")] if "-o" in rest else []
+    assert run([first, str(tmp_path / "pipe"), *rest, *out]) == 2
+    assert f"{tmp_path / 'pipe'}" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["pipe"]
+
+
 def whole(texts):
     """Files of a result as `tests.cli.killed` writes them."""
     return texts | {"result.json": json.dumps(texts, indent=2, sort_keys=True) + "\n"}
