@@ -165,7 +165,10 @@ class CommandKiller:
         end_exchange(self._out)
         read, is_readable = self._state(), True
         if self._target.is_read and read != "nothing":
-            is_readable = self._run(("report", "{out}")) == 0
+            # A copy: the report would be added.
+            copied = shutil.copytree(self._out, self._scratch / "read", dirs_exist_ok=True)
+            is_readable = self._run(("report", str(copied))) == 0
+            shutil.rmtree(copied)
         return KilledRun(at_once, read, is_readable)
 
     def _state(self) -> str:
