@@ -4,8 +4,8 @@ A case is a seed: it copies a sound input into a folder of its own, damages it, 
 command line that reads it. It runs in a forked child, so that a crash or a hang costs that case
 alone. Round the output folder stands a tree of canaries; a case is bad when
 
-- a traceback is printed (`traceback`), a signal ends the process (`crash`), or it takes too long
-  (`hang`);
+- a traceback is printed (`traceback`), a signal ends the process (`crash`), or it takes too much
+  processor time or stands still (`hang`);
 - an output folder is left without its result, or a working folder beside it (`partial_output`);
 - a canary was changed, added or removed (`foreign_change`);
 - the exit code is none of the documented ones (`exit_code`), or bad input is not told in a few
@@ -22,6 +22,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -39,6 +40,8 @@ LIMIT_S = 20.0
 _EXIT_CODES = (0, 1, 2, 3)
 _MOST_LINES = 40
 _POLL_S = 0.005
+_STILL_S = 2.0
+_MOST_TURNS = 20
 
 
 @dataclass(frozen=True)
@@ -192,7 +195,7 @@ def run_case(
     stock : sound inputs, see `make_stock`
     scratch : an empty folder for the case
     command : runs a command line in the forked child, and returns its exit code
-    limit_s : wall clock after which it hangs
+    limit_s : wall clock after which it hangs, if it stands still; and processor time
     sound : run this target on its sound input instead, to see that it is taken
     """
     rng = random.Random(seed)
@@ -260,7 +263,7 @@ def _forked(
     child = os.fork()
     if child == 0:
         _be_child(arguments, folder, command)
-    status = _waited(child, start + limit_s)
+    status = _waited(child, limit_s)
     seconds = time.monotonic() - start
     text = (folder / "stderr").read_text(encoding="utf-8", errors="replace")
     said = text.strip().splitlines()[-1][:300] if text.strip() else ""
@@ -303,16 +306,37 @@ def _be_child(arguments: list[str], folder: Path, command: Callable[[list[str]],
         os._exit(code)
 
 
-def _waited(child: int, until: float) -> int | None:
-    """Return the child's status; None where it had to be killed, with all that it started."""
-    while time.monotonic() < until:
+def _waited(child: int, limit_s: float) -> int | None:
+    """Return the child's status; None where it had to be killed, with all that it started.
+
+    It hangs when it has run for so long and then stands still, or has used up as much processor
+    time: on a busy machine it may only have waited for its turn.
+    """
+    start = checked = time.monotonic()
+    used_s = 0.0
+    while True:
         done, status = os.waitpid(child, os.WNOHANG)
         if done:
             return status
         time.sleep(_POLL_S)
+        now = time.monotonic()
+        if now - start > limit_s and now - checked > _STILL_S:
+            before_s, used_s, checked = used_s, _processor_s(child), now
+            if used_s == before_s or used_s > limit_s or now - start > _MOST_TURNS * limit_s:
+                break
     os.killpg(child, signal.SIGKILL)
     os.waitpid(child, 0)
     return None
+
+
+def _processor_s(session: int) -> float:
+    """Return the processor time of all processes of a session so far."""
+    ticks = 0
+    for path in Path("/proc").glob("[0-9]*/stat"):
+        with suppress(OSError):  # ended meanwhile
+            fields = path.read_text().rpartition(")")[2].split()
+            ticks += (int(fields[11]) + int(fields[12])) * (int(fields[3]) == session)
+    return ticks / os.sysconf("SC_CLK_TCK")
 
 
 # ---- sound inputs ------------------------------------------------------------------------------

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks.damage import damaged_bytes
-from benchmarks.fuzzing import TARGETS, run_case
+from benchmarks.fuzzing import LIMIT_S, TARGETS, run_case
 
 ROOT = Path(__file__).parents[2]
 
@@ -33,6 +33,8 @@ def _seed_of(target: str) -> int:
     [
         ("raise SystemError('x')", "traceback"),
         ("import os; os.kill(os.getpid(), 11)", "crash"),
+        ("open('fifo').read()", "hang"),
+        ("while True: pass", "hang"),
         ("open('kept/canary.txt', 'a').write('x')", "foreign_change"),
         ("import os; os.mkdir('kept/.half')", "partial_output"),
         ("import os; os.mkdir('kept/out')", "partial_output"),
@@ -56,7 +58,8 @@ def test_misbehaviour_is_seen(tmp_path, ending, end):
             return int(str(error))
         return 0
 
-    found = run_case(_seed_of("arguments"), stock, scratch, command)
+    limit_s = 0.2 if end == "hang" else LIMIT_S
+    found = run_case(_seed_of("arguments"), stock, scratch, command, limit_s)
     assert found.end == end
     assert found.is_bad
 
