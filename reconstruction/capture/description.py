@@ -21,9 +21,11 @@ A real rig gives one image file per frame, and another kind of capture.toml:
 | calibration_file | OpenCV YAML, see `calibration` |
 | dark_file | optional: one image without light, best a mean of many |
 | exposures_ms | optional: one per set of frames, when the sequence was taken several times |
+| channel | optional: "red", "green" or "blue" of colour images |
 | [sensor] | see `SensorNoise` |
 
-Paths are relative to the folder of capture.toml.
+Paths are relative to the folder of capture.toml. For images that other programs wrote, [[frames]]
+stands in the place of files and patterns_file, see `frame_list`.
 """
 
 import difflib
@@ -34,7 +36,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import MISSING, asdict, dataclass, fields
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Literal, TypeVar, get_args
 
 import numpy as np
 
@@ -44,8 +46,19 @@ from reconstruction.errors import CaptureError, InputError, few, require_integer
 from reconstruction.patterns import PatternSet
 from reconstruction.rig.sensor import SensorNoise
 
+DESCRIPTION_FILE = "capture.toml"
 FORMAT = "fringe-capture"
 VERSION = 1
+ALWAYS_TOLD = (
+    "width_px",
+    "height_px",
+    "period_px",
+    "steps",
+    "low_level",
+    "high_level",
+    "code",
+    "further_periods_px",
+)
 TABLES: dict[str, type[Any]] = {"patterns": PatternSet, "sensor": SensorNoise}
 Part = TypeVar("Part")
 
@@ -75,7 +88,17 @@ class Description:
 def write_description(path: Path, description: Description) -> None:
     """Write `description` as TOML."""
     values: dict[str, Any] = {"format": FORMAT, "version": VERSION} | asdict(description)
-    write_toml(path, values, {name: values.pop(name) for name in TABLES})
+    tables = {name: values.pop(name) for name in TABLES}
+    write_toml(path, values, tables | {"patterns": pattern_table(description.patterns)})
+
+
+def pattern_table(patterns: PatternSet) -> dict[str, Any]:
+    """Return [patterns]: the keys of every sequence, and of the others those not by default."""
+    return {
+        name: value
+        for name, value in asdict(patterns).items()
+        if name in ALWAYS_TOLD or value != getattr(PatternSet, name)
+    }
 
 
 def write_toml(path: Path, values: Mapping[str, Any], tables: Mapping[str, Any]) -> None:
@@ -174,7 +197,7 @@ def write_manifest(path: Path, patterns: PatternSet) -> None:
     """Write the manifest alone."""
     files = file_names(patterns)
     header = {"format": PATTERN_FORMAT, "version": PATTERN_VERSION, "files": files}
-    write_toml(path, header, {"patterns": asdict(patterns)})
+    write_toml(path, header, {"patterns": pattern_table(patterns)})
 
 
 def read_manifest(path: Path | str) -> PatternSet:
@@ -196,6 +219,34 @@ def read_manifest(path: Path | str) -> PatternSet:
     return patterns
 
 
+def is_sequence(path: Path) -> bool:
+    """Tell whether a TOML file describes a sequence alone, as a manifest does."""
+    return reading.is_regular(path) and read_toml(path).get("format") == PATTERN_FORMAT
+
+
+def read_sequence(path: Path, settings: Mapping[str, Any]) -> PatternSet:
+    """Return the sequence of [patterns] in a file like a manifest, files or not.
+
+    Parameters
+    ----------
+    settings : values by key, as "patterns.steps", that stand in the place of the file's
+
+    Raises
+    ------
+    CaptureError : no TOML, wrong format or version, unknown key, a sequence that cannot be
+    """
+    values = read_toml(path)
+    try:
+        take_header(values, (PATTERN_FORMAT, PATTERN_VERSION))
+        foreign = [key for key in settings if not key.startswith("patterns.")]
+        if foreign:
+            raise CaptureError(f"--set {foreign[0]}: allowed are keys of [patterns], patterns.KEY")
+        given = {key.removeprefix("patterns."): value for key, value in settings.items()}
+        return build(PatternSet, table_of(values, "patterns") | given, "patterns")
+    except InputError as error:
+        raise CaptureError(f"{path}: {error}") from error
+
+
 def _check_files(found: object, patterns: PatternSet) -> None:
     expected = file_names(patterns)
     if not isinstance(found, Iterable) or tuple(found) != expected:
@@ -208,6 +259,8 @@ def _check_files(found: object, patterns: PatternSet) -> None:
 FRAMES_FORMAT, FRAMES_VERSION = "fringe-frames", 1
 _MOST_SIGNS = 200
 FIELDS = ("index", "number", "name", "set")
+Channel = Literal["", "red", "green", "blue"]
+CHANNELS: tuple[Channel, ...] = get_args(Channel)
 _FILES = "{index:03d}_{name}.png"
 
 
@@ -222,6 +275,7 @@ class FrameSet:
     calibration_file: str = "calibration.yaml"
     dark_file: str = ""
     exposures_ms: tuple[float, ...] = ()
+    channel: Channel = ""
 
     def __post_init__(self) -> None:
         require_integer("bit_depth", self.bit_depth, 8, 16)
@@ -230,6 +284,8 @@ class FrameSet:
             if not isinstance(value, str) or not (value or name == "dark_file"):
                 raise InputError(f"{name} is {value!r}; give the name of a file")
         object.__setattr__(self, "exposures_ms", _exposures(self.exposures_ms))
+        if self.channel not in CHANNELS:
+            raise InputError(f"channel is {self.channel!r}; allowed are red, green and blue")
         _require_below(self.files)
         _check_fields(self.files, self.sets)
         largest = 2**self.bit_depth - 1
@@ -294,7 +350,7 @@ def _sorted_files(
 ) -> list[Path]:
     pattern = description.files.format(set=number)
     dark = folder / description.dark_file
-    files = sorted((path for path in folder.glob(pattern) if path != dark), key=_natural)
+    files = sorted((path for path in folder.glob(pattern) if path != dark), key=natural_key)
     if len(files) != len(patterns.frames):
         raise CaptureError(
             f"{folder}: {pattern} finds {len(files)} images, the pattern set has "
@@ -304,7 +360,7 @@ def _sorted_files(
     return files
 
 
-def _natural(path: Path) -> list[tuple[int, str]]:
+def natural_key(path: Path) -> list[tuple[int, str]]:
     """Sort key by which frame_2 comes before frame_10."""
     parts = re.split(r"(\d+)", path.as_posix())
     return [(int(part), "") if part.isdigit() else (-1, part) for part in parts]
@@ -408,4 +464,4 @@ def write_frame_set(
         "patterns_file": FrameSet.patterns_file,
         "calibration_file": FrameSet.calibration_file,
     }
-    write_toml(folder / "capture.toml", header, {"sensor": asdict(sensor)})
+    write_toml(folder / DESCRIPTION_FILE, header, {"sensor": asdict(sensor)})

@@ -65,7 +65,7 @@ def check_phase_sets(pixels: FloatArray, patterns: PatternSet) -> None:
     ------
     CaptureError : one frame has another exposure, two are exchanged, one does not belong
     """
-    for axis in AXES:
+    for axis in patterns.axes if patterns.steps else ():
         span = patterns.index("phase", axis)
         for first in range(span.start, span.stop, patterns.steps):
             names = [patterns.frames[first + n].name for n in range(patterns.steps)]
@@ -148,7 +148,7 @@ def _check_stranger(power: FloatArray, first: int, names: list[str]) -> None:
 
 
 def check_first_step(pixels: FloatArray, patterns: PatternSet) -> None:
-    """Compare phase and Gray code along both axes; other codes cannot be checked.
+    """Compare phase and Gray code along every axis; other codes cannot be checked.
 
     Parameters
     ----------
@@ -161,11 +161,12 @@ def check_first_step(pixels: FloatArray, patterns: PatternSet) -> None:
     """
     if patterns.code not in ("complementary_gray", "shifted_gray"):
         return
-    found = {axis: _found(pixels, patterns, axis, axis) for axis in AXES}
-    expected = {axis: _expected(patterns, axis) for axis in AXES}
-    if all(abs(found[axis]) < DISAGREES * abs(expected[axis]) for axis in AXES):
+    found = {axis: _found(pixels, patterns, axis, axis) for axis in patterns.axes}
+    expected = {axis: _expected(patterns, axis) for axis in patterns.axes}
+    is_strange = all(abs(found[axis]) < DISAGREES * abs(expected[axis]) for axis in found)
+    if is_strange and patterns.axes == AXES:
         _check_exchanged_axes(pixels, patterns)
-    for axis in AXES:
+    for axis in patterns.axes:
         if abs(found[axis]) > AGREES * abs(expected[axis]):
             _check_start(found[axis], expected[axis], patterns, axis)
 
@@ -200,19 +201,30 @@ def _check_start(found: complex, expected: complex, patterns: PatternSet, axis: 
 def _found(pixels: FloatArray, patterns: PatternSet, axis: Axis, coded: Axis) -> complex:
     """Return the mean of the phase along `axis`, with the sign of the Gray word along `coded`."""
     phase = pixels[patterns.index("phase", axis)][: patterns.steps]
-    turns = np.arange(patterns.steps) / patterns.steps
-    phasor = np.exp(-2j * np.pi * turns) @ phase
-    bits = pixels[patterns.index("gray", coded)] > phase.mean(axis=0)
+    phasor = np.exp(-2j * np.pi * np.array(patterns.shifts(axis, 0))) @ phase
+    bits = read_bits(pixels, patterns, coded)
     sign = 1.0 - 2.0 * (bits.sum(axis=0) % 2)
     return complex(np.mean(sign * phasor / np.maximum(np.abs(phasor), 1e-12)))
 
 
 def _expected(patterns: PatternSet, axis: Axis) -> complex:
-    length = patterns.length_px(axis)
+    length, period_px = patterns.length_px(axis), patterns.period_along(axis)
     x_px = (np.arange(length * FINE) + 0.5) / FINE - 0.5
-    half = np.floor(2.0 * np.arange(length) / patterns.period_px)
+    half = np.floor(2.0 * np.arange(length) / period_px)
     sign = 1.0 - 2.0 * (np.repeat(half, FINE) % 2)
-    return complex(np.mean(sign * np.exp(2j * np.pi * x_px / patterns.period_px)))
+    return complex(np.mean(sign * np.exp(2j * np.pi * x_px / period_px)))
+
+
+def read_bits(pixels: FloatImage | FloatArray, patterns: PatternSet, axis: Axis) -> BoolImage:
+    """Return the bits along `axis` as they were shown, (bit, ...), of frames (frame, ...), DN."""
+    gray = pixels[patterns.index("gray", axis)]
+    if patterns.inverse:
+        return np.asarray(gray > pixels[patterns.index("inverse", axis)])
+    if patterns.steps:
+        # Of the axis itself: the mean of the other one's fringes knows nothing of its light.
+        return np.asarray(gray > pixels[patterns.index("phase", axis)].mean(axis=0))
+    white, black = (pixels[patterns.index(kind)].mean(axis=0) for kind in ("white", "black"))
+    return np.asarray(gray > 0.5 * (white + black))
 
 
 def check_words(stack: Stack, patterns: PatternSet, sensor: SensorNoise) -> None:
@@ -222,10 +234,14 @@ def check_words(stack: Stack, patterns: PatternSet, sensor: SensorNoise) -> None
     ------
     CaptureError : two Gray frames of an axis are clearly exchanged
     """
-    if not any(patterns.word_bits(axis) for axis in AXES) or min(stack.shape[1:]) < 2:
+    # Exclusive or hides the order of the bits in all but one.
+    is_checked = patterns.word in ("reflected", "binary")
+    if not any(patterns.word_bits(axis) for axis in patterns.axes) or not is_checked:
+        return
+    if min(stack.shape[1:]) < 2:
         return
     corners_dn = _corners(stack, sensor)
-    for axis in AXES:
+    for axis in patterns.axes:
         _check_axis_words(corners_dn, patterns, axis)
 
 
@@ -245,18 +261,18 @@ def _corners(stack: Stack, sensor: SensorNoise) -> FloatImage:
 
 def _check_axis_words(corners_dn: FloatImage, patterns: PatternSet, axis: Axis) -> None:
     gray = patterns.index("gray", axis)
-    phase_dn = corners_dn[patterns.index("phase", axis)]
-    bits = corners_dn[gray] > phase_dn.mean(axis=0)
+    bits = read_bits(corners_dn, patterns, axis)
+    is_gray = patterns.word == "reflected"
     if patterns.code == "shifted_gray":
         bits = bits[: patterns.gray_bits(axis)]
-    stated = _share_of_jumps(bits)
+    stated = _share_of_jumps(bits, is_gray)
     if stated <= MANY_JUMPS:
         return
     found = {}
     for i, j in combinations(range(len(bits)), 2):
         order = np.arange(len(bits))
         order[[i, j]] = j, i
-        found[i, j] = _share_of_jumps(bits[order])
+        found[i, j] = _share_of_jumps(bits[order], is_gray)
     # Where several explain it alike, the nearest frames.
     i, j = min(found, key=lambda pair: (round(found[pair], 2), pair[1] - pair[0]))
     if found[i, j] < EXPLAINED * stated:
@@ -268,11 +284,12 @@ def _check_axis_words(corners_dn: FloatImage, patterns: PatternSet, axis: Axis) 
         )
 
 
-def _share_of_jumps(bits: BoolImage) -> float:
+def _share_of_jumps(bits: BoolImage, is_gray: bool) -> float:
     """Return the share of changes between neighbours by more than one; 0 if there are few."""
     # Words of up to 16 bits are exact in single precision.
     weights = np.float32(2) ** np.arange(len(bits) - 1, -1, -1, dtype=np.float32)
-    words = np.tensordot(weights, np.logical_xor.accumulate(bits).astype(np.float32), axes=1)
+    binary = np.logical_xor.accumulate(bits) if is_gray else bits
+    words = np.tensordot(weights, binary.astype(np.float32), axes=1)
     steps = np.abs(words[:, 1:] - words[:, :1])
     changes = int(np.count_nonzero(steps))
     return float(np.count_nonzero(steps > 1)) / changes if changes >= LEAST_CHANGES else 0.0

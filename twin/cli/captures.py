@@ -12,11 +12,13 @@ from twin.cli.app import (
     print_metrics,
     progress_bars,
     say,
+    settings_of,
 )
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from reconstruction.patterns import PatternSet
     from twin.config import Experiment
 
 
@@ -57,6 +59,37 @@ def reconstruct(
     chosen = decode_settings(**{key: value for key, value in given.items() if value is not None})
     with progress_bars() as watch:
         figures = reconstruct_capture(capture, out, chosen, watch)
+    print_metrics(figures)
+    say(f"wrote {out}")
+
+
+@app.command
+def decode(
+    capture: Path,
+    /,
+    *,
+    out: Out,
+    filter_taps: int | None = None,
+    filter_sigma_px: float | None = None,
+) -> None:
+    """Turn the frames of a capture into projector coordinates; needs no calibration.
+
+    Parameters
+    ----------
+    capture
+        Folder with capture.toml; docs/real_rig.md tells how to list the frames of any set.
+    filter_taps
+        Width of the Gaussian on the coordinate, px; 0 switches it off; default: as in twin keys.
+    filter_sigma_px
+        Standard deviation of that Gaussian, px; default: as in twin keys.
+    """
+    from twin.config import decode_settings
+    from twin.pipeline.captures import decode_capture
+
+    given = {"filter_taps": filter_taps, "filter_sigma_px": filter_sigma_px}
+    chosen = decode_settings(**{key: value for key, value in given.items() if value is not None})
+    with progress_bars() as watch:
+        figures = decode_capture(capture, out, chosen, watch)
     print_metrics(figures)
     say(f"wrote {out}")
 
@@ -224,16 +257,31 @@ def _rig(source: Path, settings: Settings) -> "Experiment":
 def patterns(
     experiment: ExperimentFile = Path("paper/two_balls"), /, *, out: Out, settings: Settings = None
 ) -> None:
-    """Write the projected sequence for a real projector: 8-bit PNG images and a manifest."""
+    """Write the projected sequence for a real projector: 8-bit PNG images and a manifest.
+
+    Parameters
+    ----------
+    experiment
+        Experiment, whose rig projects; or a TOML file with [patterns] alone, such as a manifest:
+        any sequence that can be decoded, see docs/decoding.md.
+    """
     from reconstruction.capture.description import MANIFEST_FILE, write_patterns
-    from twin.optics.light import pattern_set
     from twin.output import output_folder
 
-    loaded = load(experiment, settings)
-    sequence = pattern_set(loaded.projector, loaded.patterns)
+    sequence = _sequence(experiment, settings)
     with output_folder(out, [experiment]) as folder:
         write_patterns(folder, sequence)
     say(f"wrote {len(sequence.frames)} images and {out / MANIFEST_FILE}")
+
+
+def _sequence(source: Path, settings: Settings) -> "PatternSet":
+    from reconstruction.capture.description import is_sequence, read_sequence
+    from twin.optics.light import pattern_set
+
+    if is_sequence(source):
+        return read_sequence(source, settings_of(settings))
+    loaded = load(source, settings)
+    return pattern_set(loaded.projector, loaded.patterns)
 
 
 @app.command
