@@ -8,9 +8,11 @@ Four looks at a sample of the lit pixels; each names the mistake that explains t
 - phase against the half-periods that an edge-safe Gray code tells: does the set start at step 0?
   (`check_first_step`)
 - Gray words of neighbouring pixels: do they differ by one? (`check_words`)
+- phase against plain Gray words where a word ends: is it 0 there, and does it grow with the word?
+  (`check_borders`)
 
 Not to be seen in the frames: phase frames that start late, or run backwards along both axes, with
-plain Gray and multi-frequency codes; a foreign phase frame with fewer than five steps.
+multi-frequency codes; a foreign phase frame with fewer than five steps.
 """
 
 from collections.abc import Callable, Iterator
@@ -20,7 +22,12 @@ from itertools import combinations
 import numpy as np
 
 from reconstruction.arrays import BoolImage, Stack
-from reconstruction.capture.set_order import check_first_step, check_phase_sets, check_words
+from reconstruction.capture.set_order import (
+    check_borders,
+    check_first_step,
+    check_phase_sets,
+    check_words,
+)
 from reconstruction.decoding.decode import DecodeOptions, decode
 from reconstruction.errors import CaptureError
 from reconstruction.patterns import AXES, Axis, PatternFrame, PatternSet
@@ -78,6 +85,7 @@ def check_order(
     check_phase_sets(pixels, patterns)
     check_first_step(pixels, patterns)
     check_words(stack, patterns, sensor)
+    check_borders(stack, patterns, sensor)
 
 
 def _sample(

@@ -1,6 +1,6 @@
 """Frames of a real camera from PNG, TIFF, BMP, PGM, EXR or NPY files into one checked stack.
 
-PNG, TIFF, BMP and PGM by imageio, EXR by OpenEXR; EXR holds DN as floating-point numbers. Colour
+PNG, TIFF and BMP by imageio, EXR by OpenEXR; EXR holds DN as floating-point numbers. Colour
 images give one of their channels, where capture.toml names it. A dark frame D
 is taken off as I - D + black level: a constant per pixel, which drops out of the phase but not of
 white against black or of merged exposures.
@@ -37,6 +37,7 @@ from reconstruction.capture.frame_list import (
     read_listed,
 )
 from reconstruction.capture.frame_order import check_order
+from reconstruction.capture.raw_images import read_npy, read_pgm
 from reconstruction.errors import CaptureError, InputError, one_line, require_number
 from reconstruction.machine import threads
 from reconstruction.native import quiet
@@ -88,8 +89,16 @@ def read_frames(
         _check_exposures(sets, description.sensor, found)
         merged = merge_exposures(sets, found.exposures_ms, description.sensor)
     except InputError as error:
-        raise CaptureError(f"{folder}: {error}") from error
+        raise CaptureError(f"{folder}: {_with_files(str(error), found)}") from error
     return Frames(merged.stack, merged.scale)
+
+
+def _with_files(message: str, found: FoundFrames) -> str:
+    """Name the image of each frame that a message names: a list gives them other names."""
+    for frame, path in zip(found.patterns.frames, found.files[0], strict=True):
+        if frame.name not in path.name:
+            message = message.replace(f"({frame.name})", f"({frame.name}: {path.name})")
+    return message
 
 
 def find_frames(folder: Path, description: FrameSet | ListedSet) -> FoundFrames:
@@ -153,8 +162,6 @@ def read_image(path: Path, channel: Channel = "") -> Image:
         image = _READERS.get(path.suffix.lower(), read_pixels)(path)
     except InputError as error:
         raise CaptureError(f"the image {error}") from None
-    if image.dtype == np.int32 and 0 <= image.min() <= image.max() < 2**16:
-        image = image.astype(np.uint16)  # so Pillow reads 16 bits of a PGM file
     if channel and image.ndim == 3 and image.shape[2] in (3, 4):
         image = np.ascontiguousarray(image[..., CHANNELS.index(channel) - 1])
     if image.ndim == 3 and np.all(image[..., :3] == image[..., :1]):
@@ -182,17 +189,7 @@ def _read_exr(path: Path) -> Image:
         raise InputError(f"{path}: is no complete image ({one_line(error)})") from error
 
 
-def _read_npy(path: Path) -> Image:
-    regular_file(path, MOST_IMAGE_BYTES)
-    try:
-        found = np.load(path, allow_pickle=False)
-    # numpy raises ValueError, EOFError, OSError ...
-    except Exception as error:
-        raise InputError(f"{path}: is no complete image ({one_line(error)})") from error
-    return np.asarray(found)
-
-
-_READERS = {".exr": _read_exr, ".npy": _read_npy}
+_READERS = {".exr": _read_exr, ".npy": read_npy, ".pgm": read_pgm}
 
 
 def _check_depth(path: Path, image: Image, bit_depth: int) -> None:

@@ -11,6 +11,10 @@ of an edge-safe code together are even in the first half of every period, so tha
 +-exp(i phi) has the argument pi / 2, less the half pixel by which stripes begin earlier. A set
 recorded backwards has the phase 2 pi / N - phi.
 
+Plain Gray words do not tell halves of a period, but where it ends: between neighbouring pixels
+whose words differ by one the phase passes 0, and it grows towards the larger word. A set whose
+shifts have the wrong sign falls there.
+
 Gray words: those of neighbouring pixels differ by one. Exchanged Gray frames change neither the
 parity of a word nor that it differs from its neighbours in one bit, but by how much its number
 differs. BoolImage that nowhere change within the view tell nothing.
@@ -22,7 +26,7 @@ import numpy as np
 
 from reconstruction.arrays import BoolImage, FloatArray, FloatImage, Stack
 from reconstruction.errors import CaptureError
-from reconstruction.patterns import AXES, Axis, PatternSet
+from reconstruction.patterns import AXES, XOR_PLACES, Axis, PatternSet, WordName
 from reconstruction.rig.sensor import SensorNoise
 
 # One frame brighter or darker by more than this, measured against the cosine through all sums.
@@ -47,6 +51,8 @@ FINE = 16
 
 POSITIONS = 8_000
 LEAST_CHANGES = 30
+# Share by which the phase must fall rather than grow with the word.
+BACKWARDS = 0.5
 # A pixel is used when its frames differ by this many sigmas of its noise.
 LIT_SIGMAS = 20.0
 # Share of jumps by more than one: steep edges and light between parts give up to 0.6 without any
@@ -227,6 +233,61 @@ def read_bits(pixels: FloatImage | FloatArray, patterns: PatternSet, axis: Axis)
     return np.asarray(gray > 0.5 * (white + black))
 
 
+def check_borders(stack: Stack, patterns: PatternSet, sensor: SensorNoise) -> None:
+    """Compare phase and plain Gray words of the frames (frame, row, col), DN, where a word ends.
+
+    Raises
+    ------
+    CaptureError : along an axis the phase falls with the word, or passes 0 elsewhere
+    """
+    if patterns.code != "gray" or not patterns.steps or min(stack.shape[1:]) < 2:
+        return
+    corners_dn = _corners(stack, sensor)
+    for axis in patterns.axes:
+        _check_axis_borders(corners_dn, patterns, axis)
+
+
+def _check_axis_borders(corners_dn: FloatImage, patterns: PatternSet, axis: Axis) -> None:
+    bits = read_bits(corners_dn, patterns, axis)
+    words = np.tensordot(2 ** np.arange(len(bits))[::-1], _binary(bits, patterns.word), axes=1)
+    shifts = np.array(patterns.shifts(axis, 0))
+    phase = corners_dn[patterns.index("phase", axis)]
+    z = np.tensordot(np.exp(-2j * np.pi * shifts), phase, axes=1)
+    z /= np.maximum(np.abs(z), 1e-12)
+    step = words[:, 1:] - words[:, :1]
+    turn = np.imag(z[:, 1:] * np.conj(z[:, :1])) * np.sign(step)
+    ends = np.abs(step) == 1
+    if np.count_nonzero(ends) < LEAST_CHANGES:
+        return
+    first = patterns.index("phase", axis).start
+    subject = f"the {patterns.steps} phase frames along {axis} (from frame {first}) look"
+    if np.sum(turn[ends]) < -BACKWARDS * np.sum(np.abs(turn[ends])):
+        raise CaptureError(
+            f"{subject} recorded backwards: where the Gray word grows the phase falls; correct "
+            "their order, or the sign of their shifts"
+        )
+    passed = np.mean((z[:, 1:] + z[:, :1])[ends]) * 0.5
+    turns = float(np.angle(passed * np.exp(1j * np.pi / patterns.period_along(axis))))
+    steps = turns * patterns.steps / (2.0 * np.pi)
+    if abs(passed) > AGREES and abs(steps) > LEAST_STEPS_OFF and abs(turns) > LEAST_ANGLE_OFF:
+        late = "late" if steps > 0 else "early"
+        raise CaptureError(
+            f"{subject} shifted by {abs(round(steps)) or 1}: against the Gray frames they start "
+            f"that many steps {late}; start with step 00, or correct the first shift"
+        )
+
+
+def _binary(bits: BoolImage, word: WordName) -> BoolImage:
+    """Return the bits of the words themselves, (bit, ...), the most significant first."""
+    if word == "binary":
+        return bits
+    shown = bits.copy()
+    if word in XOR_PLACES:
+        last = len(bits) - 1 - XOR_PLACES[word]
+        shown[:last] ^= bits[last]
+    return np.asarray(np.logical_xor.accumulate(shown))
+
+
 def check_words(stack: Stack, patterns: PatternSet, sensor: SensorNoise) -> None:
     """Compare the Gray words of neighbouring pixels of the frames (frame, row, col), DN.
 
@@ -262,17 +323,16 @@ def _corners(stack: Stack, sensor: SensorNoise) -> FloatImage:
 def _check_axis_words(corners_dn: FloatImage, patterns: PatternSet, axis: Axis) -> None:
     gray = patterns.index("gray", axis)
     bits = read_bits(corners_dn, patterns, axis)
-    is_gray = patterns.word == "reflected"
     if patterns.code == "shifted_gray":
         bits = bits[: patterns.gray_bits(axis)]
-    stated = _share_of_jumps(bits, is_gray)
+    stated = _share_of_jumps(bits, patterns.word)
     if stated <= MANY_JUMPS:
         return
     found = {}
     for i, j in combinations(range(len(bits)), 2):
         order = np.arange(len(bits))
         order[[i, j]] = j, i
-        found[i, j] = _share_of_jumps(bits[order], is_gray)
+        found[i, j] = _share_of_jumps(bits[order], patterns.word)
     # Where several explain it alike, the nearest frames.
     i, j = min(found, key=lambda pair: (round(found[pair], 2), pair[1] - pair[0]))
     if found[i, j] < EXPLAINED * stated:
@@ -284,12 +344,11 @@ def _check_axis_words(corners_dn: FloatImage, patterns: PatternSet, axis: Axis) 
         )
 
 
-def _share_of_jumps(bits: BoolImage, is_gray: bool) -> float:
+def _share_of_jumps(bits: BoolImage, word: WordName) -> float:
     """Return the share of changes between neighbours by more than one; 0 if there are few."""
     # Words of up to 16 bits are exact in single precision.
     weights = np.float32(2) ** np.arange(len(bits) - 1, -1, -1, dtype=np.float32)
-    binary = np.logical_xor.accumulate(bits) if is_gray else bits
-    words = np.tensordot(weights, binary.astype(np.float32), axes=1)
+    words = np.tensordot(weights, _binary(bits, word).astype(np.float32), axes=1)
     steps = np.abs(words[:, 1:] - words[:, :1])
     changes = int(np.count_nonzero(steps))
     return float(np.count_nonzero(steps > 1)) / changes if changes >= LEAST_CHANGES else 0.0
