@@ -250,7 +250,7 @@ def test_values_beyond_the_bit_depth_tell_left_aligned_bits(write_folder, frames
     [
         (b"P2\n3 2\n255\n", "no header of a binary PGM"),
         (b"P5\n# made by hand\n3 2\n65536\n", "values up to 65536"),
-        (b"P5\n30 2\n255\n", "need 71"),
+        (b"P5\n30 2\n255\n", "need 72"),
     ],
 )
 def test_damaged_grey_maps_are_refused(tmp_path, head, message):
