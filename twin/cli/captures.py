@@ -1,7 +1,9 @@
 """Commands for captures, rendered or real: patterns, calibration, reconstruction, reports."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from cyclopts import Parameter
 
 from twin.cli.app import (
     ExperimentFile,
@@ -92,6 +94,43 @@ def decode(
         figures = decode_capture(capture, out, chosen, watch)
     print_metrics(figures)
     say(f"wrote {out}")
+
+
+@app.command
+def describe(
+    folder: Path,
+    /,
+    *,
+    out: Annotated[Path | None, Parameter(name=["--out", "-o"])] = None,
+    projector: tuple[int, int] | None = None,
+) -> None:
+    """Guess what the images of a folder show, and write capture.toml to correct.
+
+    Parameters
+    ----------
+    folder
+        Images of fringes or bits that another program recorded, in it or in folders of it.
+    out
+        File to write; default: capture.toml in FOLDER; an existing file is never overwritten.
+    projector
+        Its width and height, px: no image tells them.
+    """
+    from reconstruction.capture.description import DESCRIPTION_FILE
+    from reconstruction.capture.guess import guess, require_groups, written
+    from twin.output import creating
+
+    found = guess(folder)
+    require_groups(found, folder)
+    target = out or folder / DESCRIPTION_FILE
+    with creating(target) as part:
+        part.write_text(written(found, projector), encoding="utf-8")
+    for group in found.groups:
+        along = f" along {group.axis}" if group.axis else ""
+        say(f"{group.kind}{along}: {len(group.files)} images, {group.files[0]} ...")
+    for text in found.unsure:
+        say(f"unsure: {text}")
+    say("unsure: periods in projector pixels, shift of the first step and its sign, [sensor]")
+    say(f"wrote {target}; correct it, then: twin decode {folder} -o decoded")
 
 
 def _reconstruct_press(description: Path, out: Path) -> None:

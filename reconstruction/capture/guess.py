@@ -1,0 +1,327 @@
+"""Guess what the images of an unknown set show, and write it as a list of frames to correct.
+
+- Three or more striped images of one axis and one frequency whose phases are equal steps of a turn
+  are a phase set; the phase of each is its cross spectrum with the first.
+- Other striped images are bits, the coarsest first; two that are each other's complement are a bit
+  and its inverse. Words of which several bits change at once are binary, not Gray.
+- Images without stripes are white or black.
+- How wide a stripe is in projector pixels cannot be seen. It follows from the width of the image,
+  as the coarsest fringe or the number of bits should just cover it.
+"""
+
+import json
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from reconstruction.capture.image_looks import PADDED, Look, LookedAt, look_at, spectrum
+from reconstruction.errors import CaptureError
+from reconstruction.patterns import AXES, Axis
+
+# Frequencies that differ by less are one, cycles per line: with few fringes the phase moves the
+# peak of the spectrum.
+SAME_CYCLES, SAME_OF_FEW, FEW_CYCLES = 0.4, 0.8, 3.0
+# Least share of neither dark nor bright pixels of a cosine: with three steps and nothing else a
+# pixel is darkest in one, brightest in another.
+SMOOTH = 0.12
+# How far phases may be from equal steps, of a step.
+EVEN = 0.2
+COMPLEMENTARY = -0.8
+CERTAIN = 3.0
+# Share of the places where bits change at which several do: none in a Gray code.
+MANY_CHANGE = 0.25
+ASSUMED_FULL_WELL_E = 10_000.0
+NAMED = {
+    "white": ("white", "bright", "full_on"),
+    "black": ("black", "dark", "full_off"),
+    "column": ("column", "col_", "vertical", "_x_", "_v_"),
+    "row": ("row", "horizontal", "_y_", "_h_"),
+}
+
+
+@dataclass(frozen=True)
+class Group:
+    """Images that stand in one [[frames]] table.
+
+    Parameters
+    ----------
+    files : in the order shown
+    shifts_deg : of phase frames, relative to the first
+    frequency : cycles per camera pixel; of bits those of the finest
+    """
+
+    kind: str
+    axis: Axis | None
+    files: tuple[str, ...]
+    shifts_deg: tuple[float, ...] = ()
+    frequency: float = 0.0
+
+
+@dataclass(frozen=True)
+class Guess:
+    """What a folder seems to hold.
+
+    Parameters
+    ----------
+    groups : in the order of the list
+    unsure : what to check, one line each
+    """
+
+    groups: tuple[Group, ...]
+    word: str
+    unsure: tuple[str, ...]
+    looked: LookedAt
+
+
+def guess(folder: Path) -> Guess:
+    """Guess what the images below a folder show.
+
+    Raises
+    ------
+    CaptureError : there are too few images, one is damaged, or they do not change
+    """
+    looked = look_at(folder)
+    unsure = [f"{name}: has another size, left out" for name in looked.left_out]
+    groups: list[Group] = []
+    words = set()
+    for axis in AXES:
+        looks = [one for one in looked.looks if one.kind == "striped" and one.axis == axis]
+        phases, rest = _phase_sets(looks, axis)
+        bits, told = _bits(rest, axis)
+        groups += [*phases, *bits]
+        unsure += told
+        words |= {_word(rest, bits)} if len(bits) else set()
+    for kind in ("white", "black"):
+        found = [one.file for one in looked.looks if one.kind == kind]
+        groups += [Group(kind, None, (found[0],))] if found else []
+        unsure += [f"{name}: {kind} like {found[0]}, left out" for name in found[1:]]
+    grey = [one.file for one in looked.looks if one.kind == "grey"]
+    unsure += [f"{name}: uniform, but neither white nor black, left out" for name in grey]
+    unsure += _doubts(one for one in looked.looks if one.kind != "grey")
+    if len(words) > 1:
+        unsure.append("word: Gray and binary bits along different axes; list one axis alone")
+    return Guess(tuple(groups), sorted(words)[0] if words else "reflected", tuple(unsure), looked)
+
+
+def _phase_sets(looks: Sequence[Look], axis: Axis) -> tuple[list[Group], list[Look]]:
+    """Return the phase sets among images of one axis, and the other images."""
+    rest, sets = list(looks), []
+    for first in looks:
+        same = [one for one in rest if _is_same(one, first)]
+        shifts = _even_steps(same)
+        if first not in rest or shifts is None:
+            continue
+        rest = [one for one in rest if one not in same]
+        files = tuple(one.file for one in same)
+        sets.append(Group("phase", axis, files, shifts, _frequency(same, shifts)))
+    return sets, rest
+
+
+def _frequency(looks: Sequence[Look], shifts_deg: tuple[float, ...]) -> float:
+    """Return by how much the phase of a set grows from pixel to pixel, turns.
+
+    Unlike the peak of a spectrum it is right for a single fringe as well.
+    """
+    shifts = np.radians(shifts_deg)
+    z = np.tensordot(np.exp(-1j * shifts), np.stack([one.lines for one in looks]), axes=1)
+    both = looks[0].is_lit[:, 1:] & looks[0].is_lit[:, :-1]
+    return abs(float(np.angle(np.sum((z[:, 1:] * np.conj(z[:, :-1]))[both])))) / (2.0 * np.pi)
+
+
+def _is_same(one: Look, other: Look) -> bool:
+    length = one.lines.shape[1]
+    is_few = other.frequency * length < FEW_CYCLES
+    apart = abs(one.frequency - other.frequency) * length
+    return bool(apart < (SAME_OF_FEW if is_few else SAME_CYCLES))
+
+
+def _even_steps(looks: Sequence[Look]) -> tuple[float, ...] | None:
+    """Return the shifts, degrees, if the phases of these images are equal steps of a turn."""
+    count = len(looks)
+    if count < 3 or np.median([one.smooth for one in looks]) < SMOOTH:
+        return None
+    at = round(
+        float(np.median([one.frequency for one in looks])) * PADDED * looks[0].lines.shape[1]
+    )
+    values = [spectrum(one.lines)[:, max(at - PADDED, 1) : at + PADDED + 1] for one in looks]
+    phases = [float(np.angle(np.sum(value * np.conj(values[0])))) for value in values]
+    steps = np.array(phases) * count / (2.0 * np.pi)
+    whole = np.rint(steps)
+    is_even = bool(np.all(np.abs(steps - whole) < EVEN)) and len(set(whole % count)) == count
+    return tuple(float(k % count) * 360.0 / count for k in whole) if is_even else None
+
+
+def _bits(looks: Sequence[Look], axis: Axis) -> tuple[list[Group], list[str]]:
+    """Return bits and inverses, the coarsest first."""
+    gray: list[Look] = []
+    inverse: dict[str, Look] = {}
+    for one in looks:
+        partner = next((g for g in gray if g.file not in inverse and _are_opposite(g, one)), None)
+        if partner is None:
+            gray.append(one)
+        else:
+            inverse[partner.file] = one
+    gray.sort(key=_changes)
+    if not gray:
+        return [], []
+    told = []
+    if inverse and len(inverse) < len(gray):
+        lone = [one.file for one in gray if one.file not in inverse]
+        told.append(f"{', '.join(lone)}: no inverse found along {axis}, though others have theirs")
+        gray = [one for one in gray if one.file in inverse]
+    finest = gray[-1].frequency
+    groups = [Group("gray", axis, tuple(one.file for one in gray), (), finest)]
+    if inverse:
+        files = tuple(inverse[one.file].file for one in gray)
+        groups.append(Group("inverse", axis, files, (), finest))
+        told.append(
+            f"{gray[0].file}: taken for the bit, {files[0]} for its inverse, as it comes first"
+        )
+    return groups, told
+
+
+def _are_opposite(one: Look, other: Look) -> bool:
+    both = one.is_lit & other.is_lit
+    a, b = one.lines[both], other.lines[both]
+    size = math.sqrt(float(np.sum(a * a) * np.sum(b * b)))
+    return bool(float(np.sum(a * b)) < COMPLEMENTARY * size)
+
+
+def _changes(look: Look) -> float:
+    """Return how often a bit changes along a line."""
+    both = look.is_lit[:, 1:] & look.is_lit[:, :-1]
+    flips = (look.lines[:, 1:] > 0.0) != (look.lines[:, :-1] > 0.0)
+    return int(np.count_nonzero(flips & both)) / max(int(np.count_nonzero(both)), 1)
+
+
+def _word(looks: Sequence[Look], bits: Sequence[Group]) -> str:
+    by_file = {one.file: one for one in looks}
+    gray = [by_file[name] for name in bits[0].files]
+    flips = np.stack([(one.lines[:, 1:] > 0.0) != (one.lines[:, :-1] > 0.0) for one in gray])
+    count = flips.sum(axis=0)
+    share = int(np.count_nonzero(count > 1)) / max(int(np.count_nonzero(count)), 1)
+    return "binary" if share > MANY_CHANGE and len(gray) > 2 else "reflected"
+
+
+def _doubts(looks: Iterable[Look]) -> list[str]:
+    """Say where content is not clear, or names say something else."""
+    told = []
+    for one in looks:
+        seen = one.kind if one.kind != "striped" else one.axis
+        if one.kind == "striped" and one.certainty < CERTAIN:
+            told.append(f"{one.file}: stripes along {one.axis} are hardly clearer than across")
+        padded = f"_{one.file.lower()}_"
+        named = {name for name, parts in NAMED.items() if any(part in padded for part in parts)}
+        if (
+            named
+            and seen not in named
+            and not (one.kind == "striped" and named & {"white", "black"})
+        ):
+            told.append(
+                f"{one.file}: looks like {seen}, its name says {' and '.join(sorted(named))}"
+            )
+    return told
+
+
+# ---- the file -----------------------------------------------------------------------------------
+
+
+def written(found: Guess, size: tuple[int, int] | None) -> str:
+    """Return the content of capture.toml with comments on what was guessed.
+
+    Parameters
+    ----------
+    size : of the projector, px; None: not known
+    """
+    width_px, height_px = size or (1280, 720)
+    lines = [
+        "# Guessed from the images; correct what is wrong, then: twin decode FOLDER -o DIR",
+        *(f"# unsure: {text}" for text in found.unsure),
+        'format = "fringe-frames"',
+        "version = 1",
+        *_depth_lines(found.looked),
+        f"word = {json.dumps(found.word)}" if found.word != "reflected" else "",
+        "",
+        "[projector]" + ("" if size else "  # unsure: not to be seen in images"),
+        f"width_px = {width_px}",
+        f"height_px = {height_px}",
+    ]
+    for group in found.groups:
+        length_px = width_px if group.axis == "column" else height_px
+        lines += ["", *_group_lines(group, found.groups, length_px)]
+    return "\n".join(line for line in [*lines, "", *_sensor_lines(found.looked)]) + "\n"
+
+
+def _depth_lines(looked: LookedAt) -> list[str]:
+    lines = [f"bit_depth = {_depth(looked)}"]
+    if looked.channel:
+        lines.append(f'channel = "{looked.channel}"  # of colour images; or "red", "blue"')
+    return lines
+
+
+def _depth(looked: LookedAt) -> int:
+    if looked.dtype == "uint8":
+        return 8
+    return min(max(math.ceil(math.log2(looked.largest + 1.0)), 8), 16)
+
+
+def _group_lines(group: Group, groups: Sequence[Group], length_px: int) -> list[str]:
+    lines = ["[[frames]]", f"files = {json.dumps(list(group.files))}", f'kind = "{group.kind}"']
+    if group.axis is None:
+        return lines
+    lines.append(f'axis = "{group.axis}"')
+    period_px = _period_px(group, groups, length_px)
+    told = "  # unsure: follows from the size of the projector"
+    if group.kind == "phase" or not _phases(groups, group.axis):
+        lines.append(f"period_px = {period_px:.6g}{told}")
+    if group.kind == "phase":
+        lines.append(f"shift_deg = {json.dumps([round(shift, 4) for shift in group.shifts_deg])}")
+        lines.append("sign = 1  # unsure: -1 if the camera sees the projector mirrored")
+        lines[-2] += "  # unsure: of the first image 0 is assumed"
+    return lines
+
+
+def _phases(groups: Sequence[Group], axis: Axis | None) -> list[Group]:
+    return [one for one in groups if one.kind == "phase" and one.axis == axis]
+
+
+def _period_px(group: Group, groups: Sequence[Group], length_px: int) -> float:
+    """Return a period, px, with which all of them cover the projector."""
+    bits = next((g for g in groups if g.kind == "gray" and g.axis == group.axis), None)
+    if bits is not None:
+        word_px = _word_px(len(bits.files), length_px)
+        if group.kind != "phase":
+            return word_px
+        # The finest bit of a reflected word has stripes of two words: a period of four.
+        words = 2.0 ** round(math.log2(4.0 * bits.frequency / group.frequency))
+        return words * word_px
+    coarsest = min(one.frequency for one in _phases(groups, group.axis))
+    return length_px * coarsest / group.frequency
+
+
+def _word_px(bits: int, length_px: int) -> float:
+    """Return the width of a word: the power of two with which so many bits just cover the image."""
+    least = length_px / 2.0**bits
+    return max(2.0 ** math.ceil(math.log2(least) - 1e-9), 1.0)
+
+
+def _sensor_lines(looked: LookedAt) -> list[str]:
+    saturation = 2.0 ** _depth(looked) - 1.0
+    gain = saturation / ASSUMED_FULL_WELL_E
+    return [
+        "# unsure: assumed, not measured; sigma is as good as these, see docs/real_rig.md",
+        "[sensor]",
+        f"gain_dn_per_e = {gain:.6g}",
+        f"read_noise_e = {saturation / 255.0 / gain:.6g}",
+        f"black_level_dn = {max(min(looked.darkest_dn, 0.2 * saturation), 0.0):.6g}",
+        f"saturation_dn = {saturation:.6g}",
+    ]
+
+
+def require_groups(found: Guess, folder: Path) -> None:
+    """Raise CaptureError where nothing striped was found."""
+    if not any(group.axis for group in found.groups):
+        raise CaptureError(f"{folder}: no image shows stripes; give a folder of projected patterns")
