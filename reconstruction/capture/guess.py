@@ -5,6 +5,8 @@
 - Other striped images are bits, the coarsest first; two that are each other's complement are a bit
   and its inverse. Words of which several bits change at once are binary, not Gray.
 - Images without stripes are white or black.
+- Where bits number the fringes, the phase at the borders of the words tells the shift of the first
+  image, and the direction in which the words grow the sign of the shifts.
 - How wide a stripe is in projector pixels cannot be seen. It follows from the width of the image,
   as the coarsest fringe or the number of bits should just cover it.
 """
@@ -33,6 +35,8 @@ COMPLEMENTARY = -0.8
 CERTAIN = 3.0
 # Share of the places where bits change at which several do: none in a Gray code.
 MANY_CHANGE = 0.25
+# Borders of words that must be seen; first shifts are told in steps of these.
+LEAST_BORDERS, ROUND_DEG = 30, 15.0
 ASSUMED_FULL_WELL_E = 10_000.0
 NAMED = {
     "white": ("white", "bright", "full_on"),
@@ -43,13 +47,14 @@ NAMED = {
 
 
 @dataclass(frozen=True)
-class Group:
+class FrameGroup:
     """Images that stand in one [[frames]] table.
 
     Parameters
     ----------
     files : in the order shown
-    shifts_deg : of phase frames, relative to the first
+    shifts_deg : of phase frames; relative to the first, unless a sign is known
+    sign : of the shifts; 0: not known
     frequency : cycles per camera pixel; of bits those of the finest
     """
 
@@ -58,6 +63,7 @@ class Group:
     files: tuple[str, ...]
     shifts_deg: tuple[float, ...] = ()
     frequency: float = 0.0
+    sign: int = 0
 
 
 @dataclass(frozen=True)
@@ -70,7 +76,7 @@ class Guess:
     unsure : what to check, one line each
     """
 
-    groups: tuple[Group, ...]
+    groups: tuple[FrameGroup, ...]
     word: str
     unsure: tuple[str, ...]
     looked: LookedAt
@@ -85,18 +91,21 @@ def guess(folder: Path) -> Guess:
     """
     looked = look_at(folder)
     unsure = [f"{name}: has another size, left out" for name in looked.left_out]
-    groups: list[Group] = []
+    groups: list[FrameGroup] = []
     words = set()
     for axis in AXES:
         looks = [one for one in looked.looks if one.kind == "striped" and one.axis == axis]
         phases, rest = _phase_sets(looks, axis)
         bits, told = _bits(rest, axis)
-        groups += [*phases, *bits]
         unsure += told
-        words |= {_word(rest, bits)} if len(bits) else set()
+        if bits:
+            word = _word(rest, bits)
+            words.add(word)
+            phases = [_anchored(one, bits[0], looks, word) for one in phases]
+        groups += [*phases, *bits]
     for kind in ("white", "black"):
         found = [one.file for one in looked.looks if one.kind == kind]
-        groups += [Group(kind, None, (found[0],))] if found else []
+        groups += [FrameGroup(kind, None, (found[0],))] if found else []
         unsure += [f"{name}: {kind} like {found[0]}, left out" for name in found[1:]]
     grey = [one.file for one in looked.looks if one.kind == "grey"]
     unsure += [f"{name}: uniform, but neither white nor black, left out" for name in grey]
@@ -106,7 +115,7 @@ def guess(folder: Path) -> Guess:
     return Guess(tuple(groups), sorted(words)[0] if words else "reflected", tuple(unsure), looked)
 
 
-def _phase_sets(looks: Sequence[Look], axis: Axis) -> tuple[list[Group], list[Look]]:
+def _phase_sets(looks: Sequence[Look], axis: Axis) -> tuple[list[FrameGroup], list[Look]]:
     """Return the phase sets among images of one axis, and the other images."""
     rest, sets = list(looks), []
     for first in looks:
@@ -116,7 +125,7 @@ def _phase_sets(looks: Sequence[Look], axis: Axis) -> tuple[list[Group], list[Lo
             continue
         rest = [one for one in rest if one not in same]
         files = tuple(one.file for one in same)
-        sets.append(Group("phase", axis, files, shifts, _frequency(same, shifts)))
+        sets.append(FrameGroup("phase", axis, files, shifts, _frequency(same, shifts)))
     return sets, rest
 
 
@@ -154,7 +163,7 @@ def _even_steps(looks: Sequence[Look]) -> tuple[float, ...] | None:
     return tuple(float(k % count) * 360.0 / count for k in whole) if is_even else None
 
 
-def _bits(looks: Sequence[Look], axis: Axis) -> tuple[list[Group], list[str]]:
+def _bits(looks: Sequence[Look], axis: Axis) -> tuple[list[FrameGroup], list[str]]:
     """Return bits and inverses, the coarsest first."""
     gray: list[Look] = []
     inverse: dict[str, Look] = {}
@@ -173,14 +182,50 @@ def _bits(looks: Sequence[Look], axis: Axis) -> tuple[list[Group], list[str]]:
         told.append(f"{', '.join(lone)}: no inverse found along {axis}, though others have theirs")
         gray = [one for one in gray if one.file in inverse]
     finest = gray[-1].frequency
-    groups = [Group("gray", axis, tuple(one.file for one in gray), (), finest)]
+    groups = [FrameGroup("gray", axis, tuple(one.file for one in gray), (), finest)]
     if inverse:
         files = tuple(inverse[one.file].file for one in gray)
-        groups.append(Group("inverse", axis, files, (), finest))
+        groups.append(FrameGroup("inverse", axis, files, (), finest))
         told.append(
             f"{gray[0].file}: taken for the bit, {files[0]} for its inverse, as it comes first"
         )
     return groups, told
+
+
+def _anchored(phase: FrameGroup, bits: FrameGroup, looks: Sequence[Look], word: str) -> FrameGroup:
+    """Return a phase set with the shifts that its words tell, and their sign.
+
+    The words n - 1 and n, w wide, meet at x = n w - 1/2. The frames are cos(v + s_n) with v growing
+    along the line; where the words fall along it v = c - 2 pi x / p, otherwise c + 2 pi x / p.
+    Wanted are shifts t_n with cos(2 pi x / p + sign t_n): t_n = s_n + c.
+    """
+    by_file = {one.file: one for one in looks}
+    shifts = np.radians(phase.shifts_deg)
+    frames = np.stack([by_file[name].lines for name in phase.files])
+    z = np.tensordot(np.exp(-1j * shifts), frames, axes=1)
+    levels = np.stack([by_file[name].lines > 0.0 for name in bits.files])
+    binary = levels if word == "binary" else np.logical_xor.accumulate(levels)
+    number = np.tensordot(2.0 ** np.arange(len(levels))[::-1], binary, axes=1)
+    is_lit = by_file[bits.files[0]].is_lit
+    step = np.diff(number, axis=1)
+    ends = (np.abs(step) == 1.0) & is_lit[:, 1:] & is_lit[:, :-1]
+    if np.count_nonzero(ends) < LEAST_BORDERS:
+        return phase
+    sign = 1 if np.sum(step[ends]) > 0.0 else -1
+    turns = np.maximum(number[:, 1:], number[:, :-1])[ends] / _words_per_fringe(phase, bits)
+    middle = (z[:, 1:] + z[:, :-1])[ends]
+    anchor = np.angle(np.sum(middle * np.exp(-2j * np.pi * sign * turns)))
+    first_deg = ROUND_DEG * round(math.degrees(float(anchor)) / ROUND_DEG)
+    anchored = tuple((shift + first_deg) % 360.0 for shift in phase.shifts_deg)
+    return FrameGroup("phase", phase.axis, phase.files, anchored, phase.frequency, sign)
+
+
+def _words_per_fringe(phase: FrameGroup, bits: FrameGroup) -> float:
+    """Return how many words one fringe spans: a power of two.
+
+    The finest bit of a reflected word has stripes of two words, a period of four.
+    """
+    return float(2.0 ** round(math.log2(4.0 * bits.frequency / phase.frequency)))
 
 
 def _are_opposite(one: Look, other: Look) -> bool:
@@ -197,7 +242,7 @@ def _changes(look: Look) -> float:
     return int(np.count_nonzero(flips & both)) / max(int(np.count_nonzero(both)), 1)
 
 
-def _word(looks: Sequence[Look], bits: Sequence[Group]) -> str:
+def _word(looks: Sequence[Look], bits: Sequence[FrameGroup]) -> str:
     by_file = {one.file: one for one in looks}
     gray = [by_file[name] for name in bits[0].files]
     flips = np.stack([(one.lines[:, 1:] > 0.0) != (one.lines[:, :-1] > 0.0) for one in gray])
@@ -268,7 +313,7 @@ def _depth(looked: LookedAt) -> int:
     return min(max(math.ceil(math.log2(looked.largest + 1.0)), 8), 16)
 
 
-def _group_lines(group: Group, groups: Sequence[Group], length_px: int) -> list[str]:
+def _group_lines(group: FrameGroup, groups: Sequence[FrameGroup], length_px: int) -> list[str]:
     lines = ["[[frames]]", f"files = {json.dumps(list(group.files))}", f'kind = "{group.kind}"']
     if group.axis is None:
         return lines
@@ -279,25 +324,25 @@ def _group_lines(group: Group, groups: Sequence[Group], length_px: int) -> list[
         lines.append(f"period_px = {period_px:.6g}{told}")
     if group.kind == "phase":
         lines.append(f"shift_deg = {json.dumps([round(shift, 4) for shift in group.shifts_deg])}")
-        lines.append("sign = 1  # unsure: -1 if the camera sees the projector mirrored")
-        lines[-2] += "  # unsure: of the first image 0 is assumed"
+        lines.append(f"sign = {group.sign or 1}")
+        if not group.sign:
+            lines[-1] += "  # unsure: -1 if the camera sees the projector mirrored"
+            lines[-2] += "  # unsure: of the first image 0 is assumed"
     return lines
 
 
-def _phases(groups: Sequence[Group], axis: Axis | None) -> list[Group]:
+def _phases(groups: Sequence[FrameGroup], axis: Axis | None) -> list[FrameGroup]:
     return [one for one in groups if one.kind == "phase" and one.axis == axis]
 
 
-def _period_px(group: Group, groups: Sequence[Group], length_px: int) -> float:
+def _period_px(group: FrameGroup, groups: Sequence[FrameGroup], length_px: int) -> float:
     """Return a period, px, with which all of them cover the projector."""
     bits = next((g for g in groups if g.kind == "gray" and g.axis == group.axis), None)
     if bits is not None:
         word_px = _word_px(len(bits.files), length_px)
         if group.kind != "phase":
             return word_px
-        # The finest bit of a reflected word has stripes of two words: a period of four.
-        words = 2.0 ** round(math.log2(4.0 * bits.frequency / group.frequency))
-        return words * word_px
+        return _words_per_fringe(group, bits) * word_px
     coarsest = min(one.frequency for one in _phases(groups, group.axis))
     return length_px * coarsest / group.frequency
 

@@ -9,7 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from reconstruction.calibration.observation import read_board_capture
 from reconstruction.capture.folder import read_capture
+from reconstruction.errors import CaptureError
 from reconstruction.pipeline import read_maps, read_reconstruction, reconstruct
 from twin.cli import run
 
@@ -100,6 +102,11 @@ def listed_example(tmp_path):
         shutil.copy(path, folder)
     (folder / "capture.toml").write_text(text.partition("```toml\n")[2].partition("```")[0])
     return folder
+
+
+def test_a_board_needs_both_axes(tmp_path):
+    with pytest.raises(CaptureError, match="a board needs fringes along both axes"):
+        read_board_capture(listed_example(tmp_path))
 
 
 def test_listed_columns_alone_give_the_heights_of_the_example(tmp_path):

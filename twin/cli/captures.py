@@ -129,7 +129,7 @@ def describe(
         say(f"{group.kind}{along}: {len(group.files)} images, {group.files[0]} ...")
     for text in found.unsure:
         say(f"unsure: {text}")
-    say("unsure: periods in projector pixels, shift of the first step and its sign, [sensor]")
+    say("unsure: what the file marks, such as periods in projector pixels and [sensor]")
     say(f"wrote {target}; correct it, then: twin decode {folder} -o decoded")
 
 
