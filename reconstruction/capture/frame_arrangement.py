@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
-from reconstruction.errors import CaptureError
+from reconstruction.errors import CaptureError, require_integer
 from reconstruction.patterns import AXES, Axis, Kind, PatternSet, WordName
 
 # Rounding of shifts written with few digits, of a step.
@@ -57,6 +57,10 @@ class ProjectorSize:
 
     width_px: int
     height_px: int
+
+    def __post_init__(self) -> None:
+        require_integer("projector width_px", self.width_px, 1, 65536)
+        require_integer("projector height_px", self.height_px, 1, 65536)
 
 
 class Arrangement:

@@ -43,6 +43,8 @@ from reconstruction.rig.sensor import SensorNoise
 EntryKind = Literal["phase", "gray", "inverse", "gray_and_inverse", "white", "black"]
 BitOrder = Literal["coarse_first", "fine_first"]
 MOST_FRAMES = 4096
+# Words may be finer than a pixel, and a single fringe longer than the projector.
+PERIOD_RANGE_PX = (0.01, 1e6)
 _RANGE = re.compile(r"\{(\d{1,9})\.\.(\d{1,9})(?:\.\.(\d{1,4}))?\}")
 
 
@@ -93,9 +95,10 @@ class FrameEntry:
             raise InputError(
                 f"frames period_px of {self.files!r} is missing; give that of the fringes"
             )
-        for name in ("period_px", "exposure_ms"):
-            if getattr(self, name) is not None:
-                require_number(f"frames {name}", getattr(self, name), 0.0, open_low=True)
+        if self.period_px is not None:
+            require_number("frames period_px", self.period_px, *PERIOD_RANGE_PX)
+        if self.exposure_ms is not None:
+            require_number("frames exposure_ms", self.exposure_ms, 0.0, 1e9, open_low=True)
         if self.sign not in (1, -1) or isinstance(self.sign, bool):
             raise InputError(f"frames sign is {self.sign!r}; allowed are 1 and -1")
         if not isinstance(self.shifted, bool):
@@ -168,7 +171,7 @@ def read_listed(path: Path) -> ListedSet:
     try:
         take_header(values, (FRAMES_FORMAT, FRAMES_VERSION))
         entries = values.get("frames")
-        if not isinstance(entries, list) or not all(isinstance(one, dict) for one in entries):
+        if not _all_of(dict, entries) or not isinstance(entries, list) or not entries:
             raise CaptureError("frames is no list of tables; write each as [[frames]]")
         parts: dict[str, Any] = {
             "sensor": build(SensorNoise, table_of(values, "sensor"), "sensor"),

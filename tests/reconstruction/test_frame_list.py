@@ -194,6 +194,13 @@ NAMES = [f"p{n}.png" for n in range(4)] + [f"g{n}.png" for n in range(4)]
         (NAMES, [BITS], "period_px of the Gray frames along column is missing"),
         (NAMES, [BITS + "\nperiod_px = 16"], "nothing to compare the bits with"),
         (NAMES, [FRINGES + "\nsign = 2", BITS], "allowed are 1 and -1"),
+        (NAMES, [FRINGES, BITS + "\nperiod_px = 1e-300"], "period_px is 1e-300"),
+        (NAMES, [FRINGES, BITS + "\nperiod_px = true"], "period_px is True"),
+        (NAMES, [FRINGES + '\nshift_deg = "none"', BITS], "shift_deg is 'none'"),
+        (NAMES, [FRINGES, BITS + "\nbit = [[1], 2, 3, 4]"], "bit is"),
+        (NAMES, [FRINGES.replace('"p*.png"', "[3]"), BITS], "give a name or a list of names"),
+        (NAMES, [FRINGES.replace('"phase"', "['phase']"), BITS], "kind is"),
+        (NAMES, [FRINGES.replace('"column"', "3"), BITS], "axis of kind 'phase' is 3"),
         (NAMES, [FRINGES + "\nsteps = 4\nstep = 1", BITS], "unknown key step"),
         (NAMES, [FRINGES.replace("p*", "../p*"), BITS], r"without \.\. or \*\*"),
         (NAMES, [FRINGES.replace("p*", "{0..9999999}"), BITS], "give up to 4096"),
@@ -219,3 +226,23 @@ def test_mistakes_are_one_line(tmp_path, names, groups, message):
 def test_mistakes_beside_the_list_are_one_line(tmp_path, top, message):
     with pytest.raises(CaptureError, match=message):
         listed(tmp_path, NAMES, [FRINGES, BITS], top)
+
+
+@pytest.mark.parametrize(
+    ("find", "replace", "message"),
+    [
+        ("width_px = 160", 'width_px = "wide"', "width_px is 'wide'"),
+        ("width_px = 160", "width_px = 0", "width_px is 0"),
+        ("height_px = 96", "", "missing in projector: height_px"),
+        ("[projector]", "frames = []\n[projector]", "no list of tables"),
+        ("[projector]", "frames = [1]\n[projector]", "no list of tables"),
+        ("saturation_dn = 255.0", "saturation_dn = 300.0", "8 bits end at 255"),
+    ],
+)
+def test_damaged_lists_are_one_line(tmp_path, find, replace, message):
+    text = HEAD.format(top="").replace(find, replace)
+    text += "" if "frames" in replace else f"\n[[frames]]\n{FRINGES}\n"
+    (tmp_path / "capture.toml").write_text(text)
+    with pytest.raises(CaptureError, match=message) as caught:
+        read_listed(tmp_path / "capture.toml")
+    assert "\n" not in str(caught.value)
