@@ -21,11 +21,11 @@ from reconstruction.arrays import FloatImage, Stack
 from reconstruction.capture.description import (
     DESCRIPTION_FILE,
     Description,
-    is_frame_set,
     read_description,
     write_description,
 )
 from reconstruction.capture.frame_order import check_order
+from reconstruction.capture.frame_set import is_frame_set
 from reconstruction.capture.image_files import find_frames, read_frames, read_image_set
 from reconstruction.errors import CaptureError, InputError, few, one_line, require_integer
 from reconstruction.machine import read_dataset, write_dataset

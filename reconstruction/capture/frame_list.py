@@ -24,18 +24,20 @@ from typing import Any, Literal, get_args
 
 from reconstruction import reading
 from reconstruction.capture.description import (
-    CHANNELS,
     DESCRIPTION_FILE,
-    FRAMES_FORMAT,
-    FRAMES_VERSION,
-    Channel,
     build,
-    natural_key,
     read_toml,
     table_of,
     take_header,
 )
 from reconstruction.capture.frame_arrangement import Arrangement, ListedFrame, ProjectorSize
+from reconstruction.capture.frame_set import (
+    CHANNELS,
+    FRAMES_FORMAT,
+    FRAMES_VERSION,
+    Channel,
+    natural_key,
+)
 from reconstruction.errors import CaptureError, InputError, few, require_integer, require_number
 from reconstruction.patterns import AXES, WORDS, Axis, Kind, PatternSet, WordName
 from reconstruction.rig.sensor import SensorNoise

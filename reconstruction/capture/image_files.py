@@ -21,14 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from reconstruction.arrays import FloatImage, ReasonImage, Stack
-from reconstruction.capture.description import (
-    CHANNELS,
-    Channel,
-    FrameSet,
-    frame_files,
-    read_frame_set,
-    read_manifest,
-)
+from reconstruction.capture.description import read_manifest
 from reconstruction.capture.frame_list import (
     FoundFrames,
     ListedSet,
@@ -37,6 +30,13 @@ from reconstruction.capture.frame_list import (
     read_listed,
 )
 from reconstruction.capture.frame_order import check_order
+from reconstruction.capture.frame_set import (
+    CHANNELS,
+    Channel,
+    FrameSet,
+    frame_files,
+    read_frame_set,
+)
 from reconstruction.capture.raw_images import read_npy, read_pgm
 from reconstruction.errors import CaptureError, InputError, one_line, require_number
 from reconstruction.machine import threads

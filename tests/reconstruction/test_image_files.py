@@ -8,8 +8,9 @@ import OpenEXR
 import pytest
 
 from reconstruction.calibration.observation import pose_folders, read_board_capture
-from reconstruction.capture.description import FrameSet, write_patterns, write_toml
+from reconstruction.capture.description import write_patterns, write_toml
 from reconstruction.capture.folder import read_capture, write_capture
+from reconstruction.capture.frame_set import FrameSet
 from reconstruction.capture.image_files import read_image, subtract_dark
 from reconstruction.errors import CaptureError, InputError
 from reconstruction.patterns import PatternSet
