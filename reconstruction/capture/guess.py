@@ -1,4 +1,4 @@
-"""Guess what the images of an unknown set show, and write it as a list of frames to correct.
+"""Guess what the images of an unknown set show.
 
 - Three or more striped images of one axis and one frequency whose phases are equal steps of a turn
   are a phase set; the phase of each is its cross spectrum with the first.
@@ -11,16 +11,15 @@
   as the coarsest fringe or the number of bits should just cover it.
 """
 
-import json
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import combinations, pairwise
 from pathlib import Path
 
 import numpy as np
 
 from reconstruction.capture.image_looks import PADDED, Look, LookedAt, look_at, spectrum
-from reconstruction.errors import CaptureError
 from reconstruction.patterns import AXES, Axis
 
 # Frequencies that differ by less are one, cycles per line: with few fringes the phase moves the
@@ -37,7 +36,6 @@ CERTAIN = 3.0
 MANY_CHANGE = 0.25
 # Borders of words that must be seen; first shifts are told in steps of these.
 LEAST_BORDERS, ROUND_DEG = 30, 15.0
-ASSUMED_FULL_WELL_E = 10_000.0
 NAMED = {
     "white": ("white", "bright", "full_on"),
     "black": ("black", "dark", "full_off"),
@@ -82,8 +80,8 @@ class Guess:
     looked: LookedAt
 
 
-def guess(folder: Path) -> Guess:
-    """Guess what the images below a folder show.
+def guess(folder: Path, size: tuple[int, int]) -> Guess:
+    """Guess what the images below a folder show, by a projector of `size`, px.
 
     Raises
     ------
@@ -93,18 +91,26 @@ def guess(folder: Path) -> Guess:
     unsure = [f"{name}: has another size, left out" for name in looked.left_out]
     groups: list[FrameGroup] = []
     words = set()
+    steady = _steady_bits(looked.looks)
     for axis in AXES:
         looks = [one for one in looked.looks if one.kind == "striped" and one.axis == axis]
         phases, rest = _phase_sets(looks, axis)
+        coarse = [looked.looks[k] for k, along in steady.items() if along == axis]
+        rest = [*_as_bits(coarse, rest), *rest] if rest else rest
         bits, told = _bits(rest, axis)
         unsure += told
+        if coarse:
+            names = ", ".join(one.file for one in coarse)
+            unsure.append(f"{names}: without stripes, taken for the coarsest bits along {axis}")
         if bits:
             word = _word(rest, bits)
             words.add(word)
-            phases = [_anchored(one, bits[0], looks, word) for one in phases]
+            length_px = size[AXES.index(axis)]
+            phases = [_anchored(one, bits[0], [*looks, *rest], word, length_px) for one in phases]
         groups += [*phases, *bits]
     for kind in ("white", "black"):
-        found = [one.file for one in looked.looks if one.kind == kind]
+        plain = (one for k, one in enumerate(looked.looks) if k not in steady)
+        found = [one.file for one in plain if one.kind == kind]
         groups += [FrameGroup(kind, None, (found[0],))] if found else []
         unsure += [f"{name}: {kind} like {found[0]}, left out" for name in found[1:]]
     grey = [one.file for one in looked.looks if one.kind == "grey"]
@@ -113,6 +119,45 @@ def guess(folder: Path) -> Guess:
     if len(words) > 1:
         unsure.append("word: Gray and binary bits along different axes; list one axis alone")
     return Guess(tuple(groups), sorted(words)[0] if words else "reflected", tuple(unsure), looked)
+
+
+def _steady_bits(looks: Sequence[Look]) -> dict[int, Axis]:
+    """Return the uniform images that are bits which do not change within the view, and their axis.
+
+    There are some where more than one image is white, or black. White and black themselves stand
+    side by side, named so, or at the end or the beginning; the others belong to the bits that
+    follow, as the coarsest.
+    """
+    uniform = [k for k, one in enumerate(looks) if one.kind in ("white", "black")]
+    kinds = [looks[k].kind for k in uniform]
+    if max(kinds.count("white"), kinds.count("black")) < 2:
+        return {}
+    pairs = [(a, b) for a, b in pairwise(uniform) if b == a + 1 and looks[a].kind != looks[b].kind]
+    named = [pair for pair in pairs if all(_named(looks[k]) & {looks[k].kind} for k in pair)]
+    outer = [pair for pair in pairs if pair[1] == len(looks) - 1 or pair[0] == 0]
+    true = (*named, *outer[::-1], (-1, -1))[0]
+    found: dict[int, Axis] = {}
+    for k in uniform:
+        striped = [one.axis for one in (*looks[k:], *looks[k::-1]) if one.kind == "striped"]
+        by_name = [axis for axis in AXES if axis in _named(looks[k])]
+        if k not in true and (by_name or striped):
+            found[k] = (by_name or striped)[0]
+    return found
+
+
+def _as_bits(steady: Sequence[Look], striped: Sequence[Look]) -> list[Look]:
+    """Return uniform images as bits that are 1 or 0 all along the lines of the others."""
+    lit = striped[0].is_lit
+    return [
+        replace(
+            one,
+            axis=striped[0].axis,
+            frequency=0.0,
+            lines=np.where(lit, 0.5 if one.kind == "white" else -0.5, 0.0),
+            is_lit=lit,
+        )
+        for one in steady
+    ]
 
 
 def _phase_sets(looks: Sequence[Look], axis: Axis) -> tuple[list[FrameGroup], list[Look]]:
@@ -167,8 +212,15 @@ def _bits(looks: Sequence[Look], axis: Axis) -> tuple[list[FrameGroup], list[str
     """Return bits and inverses, the coarsest first."""
     gray: list[Look] = []
     inverse: dict[str, Look] = {}
+    # Steady bits are anybody's opposite: they are paired only where the others are.
+    striped = [one for one in looks if one.kind == "striped"]
+    has_pairs = any(_are_opposite(one, other) for one, other in combinations(striped, 2))
     for one in looks:
-        partner = next((g for g in gray if g.file not in inverse and _are_opposite(g, one)), None)
+        partner = (
+            None
+            if not has_pairs
+            else next((g for g in gray if g.file not in inverse and _are_opposite(g, one)), None)
+        )
         if partner is None:
             gray.append(one)
         else:
@@ -192,7 +244,9 @@ def _bits(looks: Sequence[Look], axis: Axis) -> tuple[list[FrameGroup], list[str
     return groups, told
 
 
-def _anchored(phase: FrameGroup, bits: FrameGroup, looks: Sequence[Look], word: str) -> FrameGroup:
+def _anchored(
+    phase: FrameGroup, bits: FrameGroup, looks: Sequence[Look], word: str, length_px: int
+) -> FrameGroup:
     """Return a phase set with the shifts that its words tell, and their sign.
 
     The words n - 1 and n, w wide, meet at x = n w - 1/2. The frames are cos(v + s_n) with v growing
@@ -212,15 +266,17 @@ def _anchored(phase: FrameGroup, bits: FrameGroup, looks: Sequence[Look], word: 
     if np.count_nonzero(ends) < LEAST_BORDERS:
         return phase
     sign = 1 if np.sum(step[ends]) > 0.0 else -1
-    turns = np.maximum(number[:, 1:], number[:, :-1])[ends] / _words_per_fringe(phase, bits)
+    turns = np.maximum(number[:, 1:], number[:, :-1])[ends] / words_per_fringe(phase, bits)
     middle = (z[:, 1:] + z[:, :-1])[ends]
     anchor = np.angle(np.sum(middle * np.exp(-2j * np.pi * sign * turns)))
-    first_deg = ROUND_DEG * round(math.degrees(float(anchor)) / ROUND_DEG)
+    period_px = words_per_fringe(phase, bits) * word_px(len(bits.files), length_px)
+    first_deg = math.degrees(float(anchor)) + sign * 180.0 / period_px
+    first_deg = ROUND_DEG * round(first_deg / ROUND_DEG)
     anchored = tuple((shift + first_deg) % 360.0 for shift in phase.shifts_deg)
     return FrameGroup("phase", phase.axis, phase.files, anchored, phase.frequency, sign)
 
 
-def _words_per_fringe(phase: FrameGroup, bits: FrameGroup) -> float:
+def words_per_fringe(phase: FrameGroup, bits: FrameGroup) -> float:
     """Return how many words one fringe spans: a power of two.
 
     The finest bit of a reflected word has stripes of two words, a period of four.
@@ -255,11 +311,12 @@ def _doubts(looks: Iterable[Look]) -> list[str]:
     """Say where content is not clear, or names say something else."""
     told = []
     for one in looks:
+        if one.kind in ("white", "black") and _named(one) & set(AXES):
+            continue
         seen = one.kind if one.kind != "striped" else one.axis
         if one.kind == "striped" and one.certainty < CERTAIN:
             told.append(f"{one.file}: stripes along {one.axis} are hardly clearer than across")
-        padded = f"_{one.file.lower()}_"
-        named = {name for name, parts in NAMED.items() if any(part in padded for part in parts)}
+        named = _named(one)
         if (
             named
             and seen not in named
@@ -271,102 +328,13 @@ def _doubts(looks: Iterable[Look]) -> list[str]:
     return told
 
 
-# ---- the file -----------------------------------------------------------------------------------
+def _named(look: Look) -> set[str]:
+    """Return what the name of an image says."""
+    padded = f"_{look.file.lower()}_"
+    return {name for name, parts in NAMED.items() if any(part in padded for part in parts)}
 
 
-def written(found: Guess, size: tuple[int, int] | None) -> str:
-    """Return the content of capture.toml with comments on what was guessed.
-
-    Parameters
-    ----------
-    size : of the projector, px; None: not known
-    """
-    width_px, height_px = size or (1280, 720)
-    lines = [
-        "# Guessed from the images; correct what is wrong, then: twin decode FOLDER -o DIR",
-        *(f"# unsure: {text}" for text in found.unsure),
-        'format = "fringe-frames"',
-        "version = 1",
-        *_depth_lines(found.looked),
-        f"word = {json.dumps(found.word)}" if found.word != "reflected" else "",
-        "",
-        "[projector]" + ("" if size else "  # unsure: not to be seen in images"),
-        f"width_px = {width_px}",
-        f"height_px = {height_px}",
-    ]
-    for group in found.groups:
-        length_px = width_px if group.axis == "column" else height_px
-        lines += ["", *_group_lines(group, found.groups, length_px)]
-    return "\n".join(line for line in [*lines, "", *_sensor_lines(found.looked)]) + "\n"
-
-
-def _depth_lines(looked: LookedAt) -> list[str]:
-    lines = [f"bit_depth = {_depth(looked)}"]
-    if looked.channel:
-        lines.append(f'channel = "{looked.channel}"  # of colour images; or "red", "blue"')
-    return lines
-
-
-def _depth(looked: LookedAt) -> int:
-    if looked.dtype == "uint8":
-        return 8
-    return min(max(math.ceil(math.log2(looked.largest + 1.0)), 8), 16)
-
-
-def _group_lines(group: FrameGroup, groups: Sequence[FrameGroup], length_px: int) -> list[str]:
-    lines = ["[[frames]]", f"files = {json.dumps(list(group.files))}", f'kind = "{group.kind}"']
-    if group.axis is None:
-        return lines
-    lines.append(f'axis = "{group.axis}"')
-    period_px = _period_px(group, groups, length_px)
-    told = "  # unsure: follows from the size of the projector"
-    if group.kind == "phase" or not _phases(groups, group.axis):
-        lines.append(f"period_px = {period_px:.6g}{told}")
-    if group.kind == "phase":
-        lines.append(f"shift_deg = {json.dumps([round(shift, 4) for shift in group.shifts_deg])}")
-        lines.append(f"sign = {group.sign or 1}")
-        if not group.sign:
-            lines[-1] += "  # unsure: -1 if the camera sees the projector mirrored"
-            lines[-2] += "  # unsure: of the first image 0 is assumed"
-    return lines
-
-
-def _phases(groups: Sequence[FrameGroup], axis: Axis | None) -> list[FrameGroup]:
-    return [one for one in groups if one.kind == "phase" and one.axis == axis]
-
-
-def _period_px(group: FrameGroup, groups: Sequence[FrameGroup], length_px: int) -> float:
-    """Return a period, px, with which all of them cover the projector."""
-    bits = next((g for g in groups if g.kind == "gray" and g.axis == group.axis), None)
-    if bits is not None:
-        word_px = _word_px(len(bits.files), length_px)
-        if group.kind != "phase":
-            return word_px
-        return _words_per_fringe(group, bits) * word_px
-    coarsest = min(one.frequency for one in _phases(groups, group.axis))
-    return length_px * coarsest / group.frequency
-
-
-def _word_px(bits: int, length_px: int) -> float:
+def word_px(bits: int, length_px: int) -> float:
     """Return the width of a word: the power of two with which so many bits just cover the image."""
     least = length_px / 2.0**bits
     return max(2.0 ** math.ceil(math.log2(least) - 1e-9), 1.0)
-
-
-def _sensor_lines(looked: LookedAt) -> list[str]:
-    saturation = 2.0 ** _depth(looked) - 1.0
-    gain = saturation / ASSUMED_FULL_WELL_E
-    return [
-        "# unsure: assumed, not measured; sigma is as good as these, see docs/real_rig.md",
-        "[sensor]",
-        f"gain_dn_per_e = {gain:.6g}",
-        f"read_noise_e = {saturation / 255.0 / gain:.6g}",
-        f"black_level_dn = {max(min(looked.darkest_dn, 0.2 * saturation), 0.0):.6g}",
-        f"saturation_dn = {saturation:.6g}",
-    ]
-
-
-def require_groups(found: Guess, folder: Path) -> None:
-    """Raise CaptureError where nothing striped was found."""
-    if not any(group.axis for group in found.groups):
-        raise CaptureError(f"{folder}: no image shows stripes; give a folder of projected patterns")

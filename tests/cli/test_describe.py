@@ -4,15 +4,21 @@ Oracle: a camera whose pixels are those of the projector, times a coat that vari
 four, plus ambient light and noise: coordinates are the pixels.
 """
 
+import shutil
+from pathlib import Path
+
 import imageio.v3 as imageio
 import numpy as np
 import pytest
 
+from reconstruction.capture.folder import read_capture
 from reconstruction.capture.frame_list import find_listed, read_listed
+from reconstruction.decoding.decode import decode
 from reconstruction.machine import read_dataset
 from reconstruction.patterns import PatternSet
 from twin.cli import run
 
+EXAMPLE = Path(__file__).parents[2] / "docs" / "example_capture"
 SIZE = {"width_px": 320, "height_px": 240}
 COLUMN = {"axes": ("column",)}
 BARE = {"uniform": False}
@@ -131,6 +137,29 @@ def test_names_that_say_otherwise_and_other_sizes_are_told(tmp_path, capsys):
     # An existing description is somebody's work.
     assert described(folder, SETS["4 steps + half-period Gray"]) == 2
     assert "exists already" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("is_renamed", [False, True])
+def test_a_camera_that_sees_a_part_of_the_projector(tmp_path, is_renamed):
+    """Setup: the documents' example, whose coarse bits do not change within the view.
+
+    Expected: all frames are told apart, by names or by their order; with the period put right, as
+    no image tells it, the coordinates are those of its own description.
+    """
+    folder = tmp_path / "set"
+    folder.mkdir()
+    for number, path in enumerate(sorted(EXAMPLE.glob("*.png"))):
+        shutil.copy(path, folder / (f"{number + 1}.png" if is_renamed else path.name))
+    own = read_capture(EXAMPLE)
+    assert described(folder, own.patterns) == 0
+    text = (folder / "capture.toml").read_text()
+    assert text.count("period_px = 16 ") == 2
+    (folder / "capture.toml").write_text(text.replace("period_px = 16 ", "period_px = 18 "))
+    assert find_listed(folder, read_listed(folder / "capture.toml")).patterns == own.patterns
+    assert run(["decode", str(folder), "-o", str(tmp_path / "out")]) == 0
+    column_px = np.asarray(read_dataset(tmp_path / "out" / "decoded.nc")["column_px"])
+    expected = decode(own.stack, own.patterns, own.sensor).column.coordinate_px
+    assert np.max(np.abs(column_px - expected)) < 0.05  # the filter weighs another noise
 
 
 def test_folders_that_hold_no_patterns_are_one_line(tmp_path, capsys):

@@ -113,17 +113,19 @@ def describe(
     out
         File to write; default: capture.toml in FOLDER; an existing file is never overwritten.
     projector
-        Its width and height, px: no image tells them.
+        Its width and height, px, which no image tells; default: 1280 720, marked as unsure.
     """
     from reconstruction.capture.description import DESCRIPTION_FILE
-    from reconstruction.capture.guess import guess, require_groups, written
+    from reconstruction.capture.guess import guess
+    from reconstruction.capture.guess_file import require_groups, written
     from twin.output import creating
 
-    found = guess(folder)
+    size = projector or (1280, 720)
+    found = guess(folder, size)
     require_groups(found, folder)
     target = out or folder / DESCRIPTION_FILE
     with creating(target) as part:
-        part.write_text(written(found, projector), encoding="utf-8")
+        part.write_text(written(found, size, is_known=projector is not None), encoding="utf-8")
     for group in found.groups:
         along = f" along {group.axis}" if group.axis else ""
         say(f"{group.kind}{along}: {len(group.files)} images, {group.files[0]} ...")
