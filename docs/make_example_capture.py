@@ -16,14 +16,9 @@ from pathlib import Path
 import imageio.v3 as imageio
 import numpy as np
 
-from reconstruction.capture.description import (
-    FRAMES_FORMAT,
-    FRAMES_VERSION,
-    file_names,
-    write_patterns,
-    write_toml,
-)
+from reconstruction.capture.description import file_names, write_patterns, write_toml
 from reconstruction.capture.folder import Capture
+from reconstruction.capture.frame_set import FRAMES_FORMAT, FRAMES_VERSION
 from reconstruction.rig.calibration import write_calibration
 from twin.config import load_experiment
 from twin.pipeline import Recording, press_specimen, record

@@ -10,6 +10,13 @@ Frame: projector pixels, x right (column), y down (row), integer = centre of a p
 | k = floor(x / period) | period index (fringe order), shown as plain Gray code |
 | h = floor(2 x / period) | half-period index, shown as complementary Gray code |
 | s = floor(x / period + 1/2) | period index shifted by half a period, shown after k |
+| w = floor(x / period) | without phase frames: the stripe of one word, `period` wide |
+
+A word w is shown as bits of one of four kinds, most significant first; an inverse frame shows the
+complement of each. reflected: g = w ^ (w >> 1), plain Gray code. binary: w itself. xor_02, xor_04:
+Gray code whose coarser bits are exchanged for their exclusive or with the last, the last but one,
+so that no frame has stripes wider than a few words (Gupta et al., Int. J. Comput. Vis. 102, 33
+(2013)).
 
 Several fringe periods give one absolute coordinate by a chain of levels, coarse to fine. With the
 phase phi_j of fringe set j and its period p_j, the phase of level i is sum_j c_ij phi_j, its period
@@ -31,17 +38,23 @@ from reconstruction.errors import InputError, require_integer, require_number
 HIERARCHICAL, HETERODYNE = "hierarchical", "heterodyne"
 # Beats of one, two or three near periods; the first set is the one that is measured with.
 BEATS = {2: ((1, -1), (1, 0)), 3: ((1, -2, 1), (1, -1, 0), (1, 0, 0))}
-Kind = Literal["phase", "gray", "white", "black"]
+Kind = Literal["phase", "gray", "inverse", "white", "black"]
 Axis = Literal["column", "row"]
 CodeName = Literal["gray", "complementary_gray", "shifted_gray", "hierarchical", "heterodyne"]
+WordName = Literal["reflected", "binary", "xor_02", "xor_04"]
 AXES: tuple[Axis, Axis] = ("column", "row")
 CODES: tuple[CodeName, ...] = get_args(CodeName)
 MULTI_FREQUENCY = (HIERARCHICAL, HETERODYNE)
+WORDS: tuple[WordName, ...] = get_args(WordName)
+# Place of the bit, from the last, that the coarser ones are exchanged with.
+XOR_PLACES = {"xor_02": 0, "xor_04": 1}
 
 # Below 4 px a Gray stripe of a period that is no whole number of pixels may be misplaced by a
 # quarter of a period, the whole margin of the edge-safe rules.
 PERIOD_RANGE_PX = (4.0, 65536.0)
 STEPS_RANGE = (3, 1000)
+# Of a word without phase frames: no phase margin is asked for.
+LEAST_STRIPE_PX = 1.0
 MOST_FURTHER_PERIODS = 7
 
 
@@ -116,11 +129,18 @@ class PatternSet:
     ----------
     width_px, height_px : projector image size
     period_px : fringe period, >= 4 px; the finest one of a multi-frequency code
-    steps : phase steps N of every period, >= 3
+    steps : phase steps N of every period, >= 3; 0: words alone (code "gray"), `period_px` wide each
     low_level, high_level : 8-bit projector levels of black and white
     code : how the fringes are numbered
     further_periods_px : the other periods of a multi-frequency code: hierarchical any coarser ones,
         the coarsest at least the image; heterodyne one or two near ones, rising
+    row_periods_px : all periods along rows, in the order of those along columns; (): the same
+    axes : the axes along which something is shown
+    word : how words are shown as bits; other than "reflected" with code "gray" alone
+    inverse : every Gray frame is followed by its inverse, which it is compared with
+    uniform : white and black are shown
+    first_shifts_deg : phase of step 00 at x = 0, degrees, of every period along columns, then along
+        rows, of those axes that are shown; (): 0
 
     Notes
     -----
@@ -137,37 +157,68 @@ class PatternSet:
     high_level: int = 255
     code: CodeName = "complementary_gray"
     further_periods_px: tuple[float, ...] = ()
+    row_periods_px: tuple[float, ...] = ()
+    axes: tuple[Axis, ...] = AXES
+    word: WordName = "reflected"
+    inverse: bool = False
+    uniform: bool = True
+    first_shifts_deg: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         require_integer("patterns width_px", self.width_px, 1, 65536)
         require_integer("patterns height_px", self.height_px, 1, 65536)
-        require_number("patterns period_px", self.period_px, *PERIOD_RANGE_PX)
-        require_integer("patterns steps", self.steps, *STEPS_RANGE)
+        shortest_px, longest_px = self._period_range_px()
+        require_number("patterns period_px", self.period_px, shortest_px, longest_px)
+        if self.steps != 0 or isinstance(self.steps, bool):
+            require_integer("patterns steps", self.steps, *STEPS_RANGE)
         require_integer("patterns low_level", self.low_level, 0, 254)
         require_integer("patterns high_level", self.high_level, self.low_level + 1, 255)
         if self.code not in CODES:
             raise InputError(f"patterns code is {self.code!r}; allowed are {', '.join(CODES)}")
-        object.__setattr__(self, "further_periods_px", _periods(self.further_periods_px))
+        for name in ("further_periods_px", "row_periods_px"):
+            allowed_px = (shortest_px, longest_px)
+            object.__setattr__(self, name, _periods(name, getattr(self, name), allowed_px))
+        object.__setattr__(self, "axes", _axes(self.axes))
+        object.__setattr__(self, "first_shifts_deg", self._checked_shifts())
+        self._check_words()
         self._check_chain()
 
     @cached_property
     def frames(self) -> tuple[PatternFrame, ...]:
         """All frames in the order of projection and of the stack."""
+
+        def along(kind: Kind, axis: Axis, count: int) -> list[PatternFrame]:
+            return [PatternFrame(kind, axis, n) for n in range(count)]
+
         shots = self.steps * len(self.periods_px)
-        phase = [PatternFrame("phase", axis, n) for axis in AXES for n in range(shots)]
-        gray = [PatternFrame("gray", axis, n) for axis in AXES for n in range(self.word_bits(axis))]
-        return (*phase, *gray, PatternFrame("white", None, 0), PatternFrame("black", None, 0))
+        found = [frame for axis in self.axes for frame in along("phase", axis, shots)]
+        for axis in self.axes:
+            found += along("gray", axis, self.word_bits(axis))
+            found += along("inverse", axis, self.word_bits(axis) * self.inverse)
+        last = [PatternFrame("white", None, 0), PatternFrame("black", None, 0)]
+        return (*found, *last[: 2 * self.uniform])
 
     @property
     def periods_px(self) -> tuple[float, ...]:
         """All fringe periods in the order of projection; the one that is measured with first."""
         return (self.period_px, *self.further_periods_px)
 
-    @cached_property
-    def chain(self) -> Chain | None:
-        """How a multi-frequency code is unwrapped; None with a Gray code."""
-        code = self.code
-        return make_chain(code, self.periods_px) if code in MULTI_FREQUENCY else None
+    def periods_along(self, axis: Axis) -> tuple[float, ...]:
+        """Return all fringe periods along `axis`, px; the one that is measured with first."""
+        return self.row_periods_px if axis == "row" and self.row_periods_px else self.periods_px
+
+    def period_along(self, axis: Axis) -> float:
+        """Return the period along `axis` that is measured with, px; of words alone, their width."""
+        return self.periods_along(axis)[0]
+
+    @property
+    def is_multi_frequency(self) -> bool:
+        """Whether fringes are numbered by further periods rather than by words."""
+        return self.code in MULTI_FREQUENCY
+
+    def chain(self, axis: Axis) -> Chain | None:
+        """Return how a multi-frequency code is unwrapped along `axis`; None with a Gray code."""
+        return make_chain(self.code, self.periods_along(axis)) if self.is_multi_frequency else None
 
     def length_px(self, axis: Axis) -> int:
         """Return the number of projector pixels along `axis`."""
@@ -177,7 +228,7 @@ class PatternSet:
 
     def periods(self, axis: Axis) -> int:
         """Return how many fringe periods are begun along `axis`."""
-        return math.ceil(self.length_px(axis) / self.period_px)
+        return math.ceil(self.length_px(axis) / self.period_along(axis))
 
     def gray_bits(self, axis: Axis) -> int:
         """Return the bits that number the periods, without those that make the code edge-safe."""
@@ -186,23 +237,23 @@ class PatternSet:
     def safety_bits(self, axis: Axis) -> int:
         """Return the Gray frames that make the order safe at the borders of the periods."""
         if self.code == "shifted_gray":
-            return self._shifted_at(self.length_px(axis) - 1).bit_length()
+            return self._shifted_at(axis, self.length_px(axis) - 1).bit_length()
         return int(self.code == "complementary_gray")
 
     def word_bits(self, axis: Axis) -> int:
         """Return the Gray frames along `axis`; 0 with a multi-frequency code."""
-        if self.code in MULTI_FREQUENCY:
+        if self.is_multi_frequency or axis not in self.axes:
             return 0
         return self.gray_bits(axis) + self.safety_bits(axis)
 
     def words(self, axis: Axis) -> int:
         """Return how many different words are shown: half-periods with complementary_gray."""
-        return self._word_at(self.length_px(axis) - 1) + 1
+        return self._word_at(axis, self.length_px(axis) - 1) + 1
 
     def index(self, kind: Kind, axis: Axis | None = None) -> slice:
         """Return the stack indices of a kind of frames, most significant Gray bit first."""
         found = [i for i, f in enumerate(self.frames) if f.kind == kind and f.axis == axis]
-        if not found and not (kind == "gray" and axis in AXES):
+        if not found and not (kind in ("gray", "inverse") and axis in AXES):
             raise InputError(f"there are no {kind!r} frames along axis {axis!r}")
         return slice(found[0], found[-1] + 1) if found else slice(0, 0)
 
@@ -223,7 +274,16 @@ class PatternSet:
     def phase_of(self, frame: PatternFrame) -> tuple[float, float]:
         """Return the period, px, and the shift, turns, of a phase frame."""
         fringes, step = divmod(frame.index, self.steps)
-        return self.periods_px[fringes], step / self.steps
+        axis = frame.axis or "column"
+        return self.periods_along(axis)[fringes], self.shifts(axis, fringes)[step]
+
+    def shifts(self, axis: Axis, fringes: int) -> tuple[float, ...]:
+        """Return the shift of every step of one period along `axis`, turns."""
+        first = 0.0
+        if self.first_shifts_deg:
+            place = self.axes.index(axis) * len(self.periods_px) + fringes
+            first = self.first_shifts_deg[place] / 360.0
+        return tuple(first + step / self.steps for step in range(self.steps))
 
     def _brightness(self, frame: PatternFrame) -> FloatArray:
         if frame.axis is None:
@@ -232,7 +292,8 @@ class PatternSet:
         if frame.kind == "phase":
             period_px, shift = self.phase_of(frame)
             return 0.5 + 0.5 * np.cos(2.0 * np.pi * (x_px / period_px + shift))
-        return self._gray_bit(frame.axis, frame.index, x_px.size)
+        bit = self._gray_bit(frame.axis, frame.index, x_px.size)
+        return 1.0 - bit if frame.kind == "inverse" else bit
 
     def _gray_bit(self, axis: Axis, index: int, length_px: int) -> FloatArray:
         word_at, last = self._word_at, self.word_bits(axis) - 1
@@ -241,39 +302,100 @@ class PatternSet:
                 last = self.gray_bits(axis) - 1
             else:
                 word_at = self._shifted_at
-        word = np.array([word_at(x) for x in range(length_px)])
-        return np.asarray((((word ^ (word >> 1)) >> (last - index)) & 1).astype(np.float64))
+        word = np.array([word_at(axis, x) for x in range(length_px)])
+        shown = word if self.word == "binary" else word ^ (word >> 1)
+        bit = (shown >> (last - index)) & 1
+        place = XOR_PLACES.get(self.word)
+        if place is not None and last - index > place:
+            bit = bit ^ ((shown >> place) & 1)
+        return np.asarray(bit.astype(np.float64))
 
-    def _word_at(self, x_px: int) -> int:
+    def _word_at(self, axis: Axis, x_px: int) -> int:
         is_halved = self.code == "complementary_gray"
-        return math.floor((2 * x_px if is_halved else x_px) / self.period_px)
+        return math.floor((2 * x_px if is_halved else x_px) / self.period_along(axis))
 
-    def _shifted_at(self, x_px: int) -> int:
-        return math.floor(x_px / self.period_px + 0.5)
+    def _shifted_at(self, axis: Axis, x_px: int) -> int:
+        return math.floor(x_px / self.period_along(axis) + 0.5)
+
+    def _period_range_px(self) -> tuple[float, float]:
+        return (PERIOD_RANGE_PX[0] if self.steps else LEAST_STRIPE_PX), PERIOD_RANGE_PX[1]
+
+    def _checked_shifts(self) -> tuple[float, ...]:
+        values = self.first_shifts_deg
+        count = len(self.axes) * len(self.periods_px)
+        if not isinstance(values, (tuple, list)) or len(values) not in (0, count):
+            raise InputError(
+                f"patterns first_shifts_deg is {values!r}; give {count} numbers, one for each"
+                " period along each axis, or leave it out"
+            )
+        for value in values:
+            require_number("patterns first_shifts_deg", value, -360.0, 360.0)
+        return tuple(float(value) for value in values)
+
+    def _check_words(self) -> None:
+        if self.word not in WORDS:
+            raise InputError(f"patterns word is {self.word!r}; allowed are {', '.join(WORDS)}")
+        for name in ("inverse", "uniform"):
+            if not isinstance(getattr(self, name), bool):
+                raise InputError(f"patterns {name} is {getattr(self, name)!r}; give true or false")
+        if len(self.row_periods_px) not in (0, len(self.periods_px)):
+            raise InputError(
+                f"patterns row_periods_px is {self.row_periods_px}; give as many periods as along"
+                f" columns, {len(self.periods_px)}, or leave it out"
+            )
+        if self.code != "gray" and (self.word != "reflected" or self.steps == 0):
+            told = f"word {self.word!r}" if self.word != "reflected" else "steps 0"
+            raise InputError(f"patterns code is {self.code!r} with {told}; use code 'gray'")
+        if self.steps == 0 and min(self.words(axis) for axis in self.axes) < 2:
+            raise InputError(
+                f"patterns period_px is {self.period_px:g} with steps 0: one word for the whole"
+                " image; give the width of a word"
+            )
+        if self.steps == 0 and not (self.inverse or self.uniform):
+            raise InputError(
+                "patterns steps is 0 without inverse and uniform frames: nothing to compare the"
+                " bits with; show inverse frames, or white and black"
+            )
 
     def _check_chain(self) -> None:
-        if self.chain is None:
+        if not self.is_multi_frequency:
             if self.further_periods_px:
                 raise InputError(
                     f"patterns further_periods_px is {self.further_periods_px} with code"
                     f" {self.code!r}; leave it out or use a code of {', '.join(MULTI_FREQUENCY)}"
                 )
             return
-        longest = max(self.width_px, self.height_px)
+        if self.inverse:
+            raise InputError(f"patterns inverse is true with code {self.code!r}, which has no bits")
+        for axis in self.axes if self.row_periods_px else AXES[:1]:
+            self._check_range(axis)
+
+    def _check_range(self, axis: Axis) -> None:
+        chain = self.chain(axis)
+        sides = [self.length_px(one) for one in ((axis,) if self.row_periods_px else self.axes)]
         # A beat period computed from whole pixels may miss a whole number by rounding.
-        if self.chain.periods_px[0] < longest * (1.0 - 1e-9):
+        if chain is not None and chain.periods_px[0] < max(sides) * (1.0 - 1e-9):
             raise InputError(
-                f"patterns periods {self.periods_px} px are unambiguous over"
-                f" {self.chain.periods_px[0]:.6g} px, the image has {longest}; change"
+                f"patterns periods {self.periods_along(axis)} px are unambiguous over"
+                f" {chain.periods_px[0]:.6g} px, the image has {max(sides)}; change"
                 " further_periods_px"
             )
 
 
-def _periods(values: object) -> tuple[float, ...]:
-    if not isinstance(values, (tuple, list)) or len(values) > MOST_FURTHER_PERIODS:
+def _periods(name: str, values: object, allowed_px: tuple[float, float]) -> tuple[float, ...]:
+    if not isinstance(values, (tuple, list)) or len(values) > MOST_FURTHER_PERIODS + 1:
         raise InputError(
-            f"patterns further_periods_px is {values!r}; give up to {MOST_FURTHER_PERIODS} periods"
+            f"patterns {name} is {values!r}; give up to {MOST_FURTHER_PERIODS} periods"
         )
     for value in values:
-        require_number("patterns further_periods_px", value, *PERIOD_RANGE_PX)
+        require_number(f"patterns {name}", value, *allowed_px)
     return tuple(float(value) for value in values)
+
+
+def _axes(values: object) -> tuple[Axis, ...]:
+    found = tuple(values) if isinstance(values, (tuple, list)) else ()
+    if found not in (AXES, AXES[:1], AXES[1:]):
+        raise InputError(
+            f"patterns axes is {values!r}; allowed are ['column', 'row'], ['column'] and ['row']"
+        )
+    return found

@@ -17,6 +17,7 @@ from reconstruction.colouring import Deviation
 from reconstruction.decoding.decode import AxisDecode, Decoded, DecodeOptions, decode
 from reconstruction.errors import CaptureError, InputError, one_line
 from reconstruction.machine import PIXELS, pixel_coordinates, read_dataset, write_dataset
+from reconstruction.patterns import AXES
 from reconstruction.triangulation import EpipolarTolerance, PointMap, Use, triangulate
 
 
@@ -97,7 +98,8 @@ def reconstruct(capture: Capture, options: ReconstructOptions | None = None) -> 
     decoded = decode(capture.stack, capture.patterns, capture.sensor, chosen.decode, capture.scale)
     rig = capture.calibration
     seen = rig if chosen.through_layers else replace(rig, layers=None)
-    point_map = triangulate(decoded, seen, chosen.use, chosen.tolerance)
+    use: Use = chosen.use if len(decoded.axes) == 2 else decoded.axes[0]
+    point_map = triangulate(decoded, seen, use, chosen.tolerance)
     return Reconstruction(decoded, point_map)
 
 
@@ -238,12 +240,23 @@ def write_reconstruction(path: Path | str, decoded: Decoded, point_map: PointMap
     write_dataset(path, reconstruction_dataset(decoded, point_map))
 
 
+def write_decoded(path: Path | str, decoded: Decoded) -> None:
+    """Write the projector coordinates of a capture as netCDF-4, one (row, col) variable each."""
+    maps = {"mask_reason": decoded.mask_reason} | _decoded_variables(decoded)
+    write_dataset(path, _dataset(maps, {"frame": "projector: integer = centre of a pixel"}))
+
+
 def reconstruction_dataset(decoded: Decoded, point_map: PointMap) -> "xarray.Dataset":
     """Return all maps over camera row and column, with units and long names."""
+    frame = "world: z = 0 is the undeformed coated face, z up; row 0 at the top"
+    pose = point_map.T_world_from_cam.ravel()
+    return _dataset(_variables(decoded, point_map), {"frame": frame, POSE: pose})
+
+
+def _dataset(maps: Maps, attributes: dict[str, Any]) -> "xarray.Dataset":
     import xarray
 
     told: dict[str, dict[str, Any]] = {}
-    maps = _variables(decoded, point_map)
     for name in maps:
         units = UNITS.get(name.rsplit("_", 1)[-1], "1")
         told[name] = {"units": units, "long_name": _long_name(name)}
@@ -252,11 +265,10 @@ def reconstruction_dataset(decoded: Decoded, point_map: PointMap) -> "xarray.Dat
         flag_values=np.array([int(reason) for reason in Reason], np.uint8),
         flag_meanings=" ".join(reason.name for reason in Reason),
     )
-    frame = "world: z = 0 is the undeformed coated face, z up; row 0 at the top"
     return xarray.Dataset(
         {name: (PIXELS, values, told[name]) for name, values in maps.items()},
-        coords=pixel_coordinates(*point_map.mask_reason.shape),
-        attrs={"frame": frame, POSE: point_map.T_world_from_cam.ravel()},
+        coords=pixel_coordinates(*maps["mask_reason"].shape),
+        attrs=attributes,
     )
 
 
@@ -290,7 +302,13 @@ def _variables(decoded: Decoded, point_map: PointMap) -> Maps:
     sigma_mm = point_map.sigma_xyz_mm
     maps |= {f"sigma_{name}_mm": sigma_mm[..., i] for i, name in enumerate("xyz")}
     maps |= {"mask_reason": point_map.mask_reason}
-    for axis, data in (("column", decoded.column), ("row", decoded.row)):
+    return maps | _decoded_variables(decoded)
+
+
+def _decoded_variables(decoded: Decoded) -> Maps:
+    maps: Maps = {}
+    for axis in decoded.axes:
+        data = decoded.row if axis == "row" else decoded.column
         maps |= {name: getattr(data, field) for field, name in _axis_names(axis).items()}
     return maps
 
@@ -312,9 +330,16 @@ def _axis_names(axis: str) -> dict[str, str]:
 
 
 def _from_variables(maps: Maps) -> Reconstruction:
+    axes = tuple(axis for axis in AXES if f"{axis}_px" in maps) or AXES
+    blank: NDArray[Any] = np.zeros(maps["mask_reason"].shape, np.float32)
     column, row = (
-        AxisDecode(**{field: maps[name] for field, name in _axis_names(axis).items()})
-        for axis in ("column", "row")
+        AxisDecode(
+            **{
+                field: maps[name] if axis in axes else blank
+                for field, name in _axis_names(axis).items()
+            }
+        )
+        for axis in AXES
     )
     reason = maps["mask_reason"].astype(np.uint8)
     # The last two reasons arise in triangulation: such a pixel was decoded.
@@ -324,7 +349,7 @@ def _from_variables(maps: Maps) -> Reconstruction:
         for before in ("", "sigma_")
     )
     point_map = PointMap(points, sigma, reason, maps[POSE])
-    return Reconstruction(Decoded(column, row, decoded_reason), point_map)
+    return Reconstruction(Decoded(column, row, decoded_reason, axes), point_map)
 
 
 def _long_name(name: str) -> str:

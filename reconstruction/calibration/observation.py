@@ -18,18 +18,11 @@ from reconstruction.calibration.plane_images import (
     fit_homography,
     projector_points,
 )
-from reconstruction.capture.description import (
-    is_frame_set,
-    read_description,
-    read_frame_set,
-    read_manifest,
-)
-from reconstruction.capture.folder import DESCRIPTION_FILE, described, find_capture, read_stack
-from reconstruction.capture.frame_order import check_order
-from reconstruction.capture.image_files import read_frames
+from reconstruction.capture.description import DESCRIPTION_FILE
+from reconstruction.capture.folder import described, read_uncalibrated
 from reconstruction.decoding.decode import Decoded, DecodeOptions, decode
 from reconstruction.errors import CaptureError, InputError
-from reconstruction.patterns import PatternSet
+from reconstruction.patterns import AXES, PatternSet
 from reconstruction.rig.sensor import SensorNoise
 
 # What a pose was recorded in; a folder of such files is not left out silently.
@@ -68,20 +61,11 @@ def read_board_capture(folder: Path | str) -> BoardCapture:
     CaptureError : a file is missing, damaged or does not fit the others, or the frames are clearly
         in another order
     """
-    folder = find_capture(folder)
-    if is_frame_set(folder / DESCRIPTION_FILE):
-        frame_set = read_frame_set(folder / DESCRIPTION_FILE)
-        patterns = read_manifest(folder / frame_set.patterns_file)
-        frames = read_frames(folder, frame_set, patterns)
-        return BoardCapture(frames.stack, patterns, frame_set.sensor, frames.scale)
-    description = read_description(folder / DESCRIPTION_FILE)
-    shape = (description.height_px, description.width_px)
-    stack = read_stack(folder / description.stack_file, description.patterns, shape)
-    try:
-        check_order(stack, description.patterns, description.sensor)
-    except InputError as error:
-        raise CaptureError(f"{folder}: {error}") from error
-    return BoardCapture(stack, description.patterns, description.sensor)
+    found = read_uncalibrated(folder)
+    if found.patterns.axes != AXES or not found.patterns.uniform:
+        missing = "white and black" if found.patterns.axes == AXES else "fringes along both axes"
+        raise CaptureError(f"{folder}: a board needs {missing}; record them as well")
+    return BoardCapture(found.stack, found.patterns, found.sensor, found.scale)
 
 
 def pose_folders(folder: Path | str) -> list[Path]:

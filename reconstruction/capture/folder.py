@@ -19,15 +19,14 @@ import numpy as np
 
 from reconstruction.arrays import FloatImage, Stack
 from reconstruction.capture.description import (
+    DESCRIPTION_FILE,
     Description,
-    is_frame_set,
     read_description,
-    read_frame_set,
-    read_manifest,
     write_description,
 )
 from reconstruction.capture.frame_order import check_order
-from reconstruction.capture.image_files import read_frames
+from reconstruction.capture.frame_set import is_frame_set
+from reconstruction.capture.image_files import find_frames, read_frames, read_image_set
 from reconstruction.errors import CaptureError, InputError, few, one_line, require_integer
 from reconstruction.machine import read_dataset, write_dataset
 from reconstruction.patterns import PatternSet
@@ -38,7 +37,6 @@ from reconstruction.rig.sensor import SensorNoise
 if TYPE_CHECKING:
     import xarray
 
-DESCRIPTION_FILE = "capture.toml"
 STACK_FILE = "stack.nc"
 CALIBRATION_FILE = "calibration.yaml"
 SUBFOLDER = "capture"
@@ -146,15 +144,49 @@ def read_capture(folder: Path | str) -> Capture:
 
 
 def _read_images(folder: Path) -> Capture:
-    description = read_frame_set(folder / DESCRIPTION_FILE)
-    patterns = read_manifest(folder / description.patterns_file)
+    description = read_image_set(folder / DESCRIPTION_FILE)
+    found = find_frames(folder, description)
     calibration = read_calibration(folder / description.calibration_file)
-    frames = read_frames(folder, description, patterns, calibration)
-    parts = (patterns, description.sensor, calibration)
+    frames = read_frames(folder, description, found, calibration)
+    parts = (found.patterns, description.sensor, calibration)
     try:
         return Capture(frames.stack, *parts, description.bit_depth, frames.scale)
     except CaptureError as error:
         raise CaptureError(f"{folder}: {error}") from error
+
+
+@dataclass(frozen=True, eq=False)
+class UncalibratedCapture:
+    """Frames that need no calibration to give projector coordinates; fields as of `Capture`."""
+
+    stack: Stack
+    patterns: PatternSet
+    sensor: SensorNoise
+    scale: FloatImage | None = None
+
+
+def read_uncalibrated(folder: Path | str) -> UncalibratedCapture:
+    """Read a capture whose calibration file need not exist.
+
+    Raises
+    ------
+    CaptureError : a file is missing, damaged or does not fit the others, or the frames are clearly
+        in another order
+    """
+    folder = find_capture(folder)
+    if is_frame_set(folder / DESCRIPTION_FILE):
+        listed = read_image_set(folder / DESCRIPTION_FILE)
+        found = find_frames(folder, listed)
+        frames = read_frames(folder, listed, found)
+        return UncalibratedCapture(frames.stack, found.patterns, listed.sensor, frames.scale)
+    description = read_description(folder / DESCRIPTION_FILE)
+    shape = (description.height_px, description.width_px)
+    stack = read_stack(folder / description.stack_file, description.patterns, shape)
+    try:
+        check_order(stack, description.patterns, description.sensor)
+    except InputError as error:
+        raise CaptureError(f"{folder}: {error}") from error
+    return UncalibratedCapture(stack, description.patterns, description.sensor)
 
 
 def described(folder: Path) -> Path | None:

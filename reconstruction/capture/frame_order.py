@@ -8,9 +8,11 @@ Four looks at a sample of the lit pixels; each names the mistake that explains t
 - phase against the half-periods that an edge-safe Gray code tells: does the set start at step 0?
   (`check_first_step`)
 - Gray words of neighbouring pixels: do they differ by one? (`check_words`)
+- phase against plain Gray words where a word ends: is it 0 there, and does it grow with the word?
+  (`check_borders`)
 
 Not to be seen in the frames: phase frames that start late, or run backwards along both axes, with
-plain Gray and multi-frequency codes; a foreign phase frame with fewer than five steps.
+multi-frequency codes; a foreign phase frame with fewer than five steps.
 """
 
 from collections.abc import Callable, Iterator
@@ -20,7 +22,12 @@ from itertools import combinations
 import numpy as np
 
 from reconstruction.arrays import BoolImage, Stack
-from reconstruction.capture.set_order import check_first_step, check_phase_sets, check_words
+from reconstruction.capture.set_order import (
+    check_borders,
+    check_first_step,
+    check_phase_sets,
+    check_words,
+)
 from reconstruction.decoding.decode import DecodeOptions, decode
 from reconstruction.errors import CaptureError
 from reconstruction.patterns import AXES, Axis, PatternFrame, PatternSet
@@ -78,6 +85,7 @@ def check_order(
     check_phase_sets(pixels, patterns)
     check_first_step(pixels, patterns)
     check_words(stack, patterns, sensor)
+    check_borders(stack, patterns, sensor)
 
 
 def _sample(
@@ -125,7 +133,7 @@ def _share_of_points(sample: Sample, take: list[int] | None) -> float:
     stack = sample.stack if take is None else np.ascontiguousarray(sample.stack[take])
     decoded = decode(stack, sample.patterns, sample.sensor, DecodeOptions(filter_taps=0))
     valid = decoded.valid
-    if sample.calibration is not None:
+    if sample.calibration is not None and sample.patterns.axes == AXES:
         valid = triangulate(decoded, sample.calibration, "both").valid
     return float(np.mean(valid[sample.is_lit]))
 
@@ -133,8 +141,8 @@ def _share_of_points(sample: Sample, take: list[int] | None) -> float:
 def _mistakes(patterns: PatternSet) -> Iterator[Order]:
     """Yield likely mistakes of whole sequences: what to say, and the index of every frame."""
     frames = patterns.frames
-    count = len(frames)
-    kinds = {"phase": 0, "gray": 1, "white": 2, "black": 3}
+    count, is_both = len(frames), patterns.axes == AXES
+    kinds = {"phase": 0, "gray": 1, "inverse": 2, "white": 3, "black": 4}
 
     def sorted_by(key: Callable[[PatternFrame], object]) -> list[int]:
         recorded = sorted(frames, key=key)  # type: ignore[arg-type]
@@ -146,29 +154,40 @@ def _mistakes(patterns: PatternSet) -> Iterator[Order]:
     def by_axis(frame: PatternFrame) -> tuple[int, ...]:
         return (-1 if frame.axis is None else -2 + AXES.index(frame.axis),)
 
-    yield "white and black look exchanged", [*range(count - 2), count - 1, count - 2]
-    yield (
-        "rows and columns look exchanged",
-        sorted_by(lambda f: (kinds[f.kind], f.axis != "row", f.index)),
-    )
-    yield "white and black look recorded first", sorted_by(uniform_first)
+    if patterns.uniform:
+        yield "white and black look exchanged", [*range(count - 2), count - 1, count - 2]
+    if is_both:
+        yield (
+            "rows and columns look exchanged",
+            sorted_by(lambda f: (kinds[f.kind], f.axis != "row", f.index)),
+        )
+    if patterns.uniform:
+        yield "white and black look recorded first", sorted_by(uniform_first)
     yield (
         "Gray frames look recorded before phase frames",
         sorted_by(lambda f: (f.kind not in ("gray", "phase"), f.kind != "gray")),
     )
-    yield "frames look recorded axis by axis (phase, Gray, phase, Gray)", sorted_by(by_axis)
+    if is_both:
+        yield "frames look recorded axis by axis (phase, Gray, phase, Gray)", sorted_by(by_axis)
     yield "the frames look recorded backwards", list(range(count))[::-1]
     for shift in (1, 2):
         turned = [(i + shift) % count for i in range(count)]
         yield f"shifted by {shift}: {shift} frame(s) too many at the start", turned
         turned = [(i - shift) % count for i in range(count)]
         yield f"shifted by {shift}: the first {shift} frame(s) look missing", turned
-    column, row = (list(range(count))[patterns.index("phase", axis)] for axis in AXES)
-    yield (
-        "the phase frames of columns and rows look exchanged",
-        [*row, *column, *range(row[-1] + 1, count)],
-    )
-    for axes in (AXES, AXES[:1], AXES[1:]):
+    if patterns.steps:
+        yield from _mistaken_phases(patterns)
+
+
+def _mistaken_phases(patterns: PatternSet) -> Iterator[Order]:
+    count, is_both = len(patterns.frames), patterns.axes == AXES
+    if is_both:
+        column, row = (list(range(count))[patterns.index("phase", axis)] for axis in AXES)
+        yield (
+            "the phase frames of columns and rows look exchanged",
+            [*row, *column, *range(row[-1] + 1, count)],
+        )
+    for axes in (AXES, AXES[:1], AXES[1:]) if is_both else (patterns.axes,):
         text = f"the phase frames along {' and '.join(axes)} look recorded backwards"
         yield text, _phase_backwards(patterns, axes)
 

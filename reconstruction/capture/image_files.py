@@ -1,6 +1,7 @@
-"""Frames of a real camera from PNG, TIFF, BMP or EXR files into one checked stack.
+"""Frames of a real camera from PNG, TIFF, BMP, PGM, EXR or NPY files into one checked stack.
 
-PNG, TIFF and BMP by imageio, EXR by OpenEXR; EXR holds DN as floating-point numbers. A dark frame D
+PNG, TIFF and BMP by imageio, EXR by OpenEXR; EXR holds DN as floating-point numbers. Colour
+images give one of their channels, where capture.toml names it. A dark frame D
 is taken off as I - D + black level: a constant per pixel, which drops out of the phase but not of
 white against black or of merged exposures.
 
@@ -20,12 +21,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from reconstruction.arrays import FloatImage, ReasonImage, Stack
-from reconstruction.capture.description import FrameSet, frame_files
+from reconstruction.capture.description import read_manifest
+from reconstruction.capture.frame_list import (
+    FoundFrames,
+    ListedSet,
+    find_listed,
+    is_listed,
+    read_listed,
+)
 from reconstruction.capture.frame_order import check_order
+from reconstruction.capture.frame_set import (
+    CHANNELS,
+    Channel,
+    FrameSet,
+    frame_files,
+    read_frame_set,
+)
+from reconstruction.capture.raw_images import read_npy, read_pgm
 from reconstruction.errors import CaptureError, InputError, one_line, require_number
 from reconstruction.machine import threads
 from reconstruction.native import quiet
-from reconstruction.patterns import PatternSet
 from reconstruction.reading import MOST_IMAGE_BYTES, read_pixels, regular_file
 from reconstruction.rig.calibration import Calibration
 from reconstruction.rig.sensor import SensorNoise
@@ -46,8 +61,8 @@ class Frames:
 
 def read_frames(
     folder: Path,
-    description: FrameSet,
-    patterns: PatternSet,
+    description: FrameSet | ListedSet,
+    found: FoundFrames,
     calibration: Calibration | None = None,
 ) -> Frames:
     """Read, check, and where there are several exposures merge the frames of a folder.
@@ -61,37 +76,67 @@ def read_frames(
     CaptureError : missing or damaged images, unequal sizes or types, values beyond the bit depth,
         exposures that do not fit the light, frames clearly in another order
     """
-    sets = [
-        read_stack_of_images(files, description.bit_depth)
-        for files in frame_files(folder, description, patterns)
-    ]
+    patterns, channel = found.patterns, description.channel
+    sets = [read_stack_of_images(files, description.bit_depth, channel) for files in found.files]
     if description.dark_file:
-        dark = _read_dark(folder / description.dark_file, sets[0].shape[1:])
+        dark = _read_dark(folder / description.dark_file, sets[0].shape[1:], channel)
         sets = [subtract_dark(stack, dark, description.sensor) for stack in sets]
     try:
         for stack in sets:
             check_order(stack, patterns, description.sensor, calibration)
         if len(sets) == 1:
             return Frames(sets[0], None)
-        _check_exposures(sets, description, patterns)
-        merged = merge_exposures(sets, description.exposures_ms, description.sensor)
+        _check_exposures(sets, description.sensor, found)
+        merged = merge_exposures(sets, found.exposures_ms, description.sensor)
     except InputError as error:
-        raise CaptureError(f"{folder}: {error}") from error
+        raise CaptureError(f"{folder}: {_with_files(str(error), found)}") from error
     return Frames(merged.stack, merged.scale)
 
 
-def read_stack_of_images(files: Sequence[Path], bit_depth: int) -> Stack:
+def _with_files(message: str, found: FoundFrames) -> str:
+    """Name the image of each frame that a message names: a list gives them other names."""
+    for frame, path in zip(found.patterns.frames, found.files[0], strict=True):
+        if frame.name not in path.name:
+            message = message.replace(f"({frame.name})", f"({frame.name}: {path.name})")
+    return message
+
+
+def find_frames(folder: Path, description: FrameSet | ListedSet) -> FoundFrames:
+    """Return the images of a capture in the order of decoding, and what they show.
+
+    Raises
+    ------
+    CaptureError : images or the manifest are missing, or the list cannot be decoded
+    """
+    if isinstance(description, ListedSet):
+        return find_listed(folder, description)
+    patterns = read_manifest(folder / description.patterns_file)
+    files = frame_files(folder, description, patterns)
+    return FoundFrames(patterns, files, description.exposures_ms)
+
+
+def read_image_set(path: Path) -> FrameSet | ListedSet:
+    """Read a capture.toml of single images, with or without a list of them.
+
+    Raises
+    ------
+    CaptureError : see `read_frame_set`, `read_listed`
+    """
+    return read_listed(path) if is_listed(path) else read_frame_set(path)
+
+
+def read_stack_of_images(files: Sequence[Path], bit_depth: int, channel: Channel = "") -> Stack:
     """Return the images as one stack (frame, row, col) of their own type.
 
     Raises
     ------
     CaptureError : an image is damaged or unlike the first one, or holds values beyond `bit_depth`
     """
-    first = read_image(files[0])
+    first = read_image(files[0], channel)
     stack = np.zeros((len(files), *first.shape), first.dtype)
 
     def load(number: int) -> None:
-        image = read_image(files[number])
+        image = read_image(files[number], channel)
         if image.shape != first.shape or image.dtype != first.dtype:
             raise CaptureError(
                 f"{files[number]}: is {_described(image)}, {files[0].name} is {_described(first)}; "
@@ -106,23 +151,25 @@ def read_stack_of_images(files: Sequence[Path], bit_depth: int) -> Stack:
     return stack
 
 
-def read_image(path: Path) -> Image:
-    """Return a grey image, (row, col) uint8, uint16 or float32.
+def read_image(path: Path, channel: Channel = "") -> Image:
+    """Return a grey image, or one channel of a colour image, (row, col) uint8, uint16 or float32.
 
     Raises
     ------
     CaptureError : missing, damaged, coloured, or of another type
     """
     try:
-        image = _read_exr(path) if path.suffix.lower() == ".exr" else read_pixels(path)
+        image = _READERS.get(path.suffix.lower(), read_pixels)(path)
     except InputError as error:
         raise CaptureError(f"the image {error}") from None
+    if channel and image.ndim == 3 and image.shape[2] in (3, 4):
+        image = np.ascontiguousarray(image[..., CHANNELS.index(channel) - 1])
     if image.ndim == 3 and np.all(image[..., :3] == image[..., :1]):
         image = np.ascontiguousarray(image[..., 0])
     if image.ndim != 2 or image.dtype.name not in TYPES:
         raise CaptureError(
-            f"{path}: is {_described(image)}; record grey images of {', '.join(TYPES)}: the three "
-            "channels of a colour image are not one intensity"
+            f"{path}: is {_described(image)}; record grey images of {', '.join(TYPES)}, or name the"
+            ' channel of colour images ("red", "green" or "blue"): the three are not one intensity'
         )
     return image
 
@@ -133,11 +180,16 @@ def _read_exr(path: Path) -> Image:
     regular_file(path, MOST_IMAGE_BYTES)
     try:
         with quiet(), OpenEXR.File(str(path), separate_channels=True) as file:
-            found = [np.asarray(one.pixels, np.float32) for one in file.channels().values()]
+            # By name they are in the order B, G, R.
+            channels = sorted(file.channels().items(), key=lambda item: "RGBA".find(item[0][-1]))
+            found = [np.asarray(one.pixels, np.float32) for _, one in channels]
             return found[0].copy() if len(found) == 1 else np.stack(found, axis=-1)
     # The binding raises what Python and C++ raise: RuntimeError, TypeError, KeyError ...
     except Exception as error:
         raise InputError(f"{path}: is no complete image ({one_line(error)})") from error
+
+
+_READERS = {".exr": _read_exr, ".npy": read_npy, ".pgm": read_pgm}
 
 
 def _check_depth(path: Path, image: Image, bit_depth: int) -> None:
@@ -163,8 +215,8 @@ def _described(image: Image) -> str:
     return f"{size} of {image.dtype}{colours}"
 
 
-def _read_dark(path: Path, shape: tuple[int, ...]) -> Image:
-    dark = read_image(path)
+def _read_dark(path: Path, shape: tuple[int, ...], channel: Channel) -> Image:
+    dark = read_image(path, channel)
     if dark.shape != shape:
         raise CaptureError(
             f"{path}: the dark frame is {dark.shape[1]} x {dark.shape[0]} px, the frames are "
@@ -189,8 +241,10 @@ def subtract_dark(stack: Stack, dark: Image, sensor: SensorNoise) -> Stack:
     return result
 
 
-def _check_exposures(sets: Sequence[Stack], description: FrameSet, patterns: PatternSet) -> None:
-    times_ms, sensor = description.exposures_ms, description.sensor
+def _check_exposures(sets: Sequence[Stack], sensor: SensorNoise, found: FoundFrames) -> None:
+    times_ms, patterns = found.exposures_ms, found.patterns
+    if not patterns.uniform:
+        return
     white, black = patterns.index("white").start, patterns.index("black").start
     first = sets[0][white].astype(np.float64) - sets[0][black]
     for number in range(1, len(sets)):

@@ -11,6 +11,10 @@ of an edge-safe code together are even in the first half of every period, so tha
 +-exp(i phi) has the argument pi / 2, less the half pixel by which stripes begin earlier. A set
 recorded backwards has the phase 2 pi / N - phi.
 
+Plain Gray words do not tell halves of a period, but where it ends: between neighbouring pixels
+whose words differ by one the phase passes 0, and it grows towards the larger word. A set whose
+shifts have the wrong sign falls there.
+
 Gray words: those of neighbouring pixels differ by one. Exchanged Gray frames change neither the
 parity of a word nor that it differs from its neighbours in one bit, but by how much its number
 differs. BoolImage that nowhere change within the view tell nothing.
@@ -22,7 +26,7 @@ import numpy as np
 
 from reconstruction.arrays import BoolImage, FloatArray, FloatImage, Stack
 from reconstruction.errors import CaptureError
-from reconstruction.patterns import AXES, Axis, PatternSet
+from reconstruction.patterns import AXES, XOR_PLACES, Axis, PatternSet, WordName
 from reconstruction.rig.sensor import SensorNoise
 
 # One frame brighter or darker by more than this, measured against the cosine through all sums.
@@ -47,6 +51,8 @@ FINE = 16
 
 POSITIONS = 8_000
 LEAST_CHANGES = 30
+# Share by which the phase must fall rather than grow with the word.
+BACKWARDS = 0.5
 # A pixel is used when its frames differ by this many sigmas of its noise.
 LIT_SIGMAS = 20.0
 # Share of jumps by more than one: steep edges and light between parts give up to 0.6 without any
@@ -65,7 +71,7 @@ def check_phase_sets(pixels: FloatArray, patterns: PatternSet) -> None:
     ------
     CaptureError : one frame has another exposure, two are exchanged, one does not belong
     """
-    for axis in AXES:
+    for axis in patterns.axes if patterns.steps else ():
         span = patterns.index("phase", axis)
         for first in range(span.start, span.stop, patterns.steps):
             names = [patterns.frames[first + n].name for n in range(patterns.steps)]
@@ -148,7 +154,7 @@ def _check_stranger(power: FloatArray, first: int, names: list[str]) -> None:
 
 
 def check_first_step(pixels: FloatArray, patterns: PatternSet) -> None:
-    """Compare phase and Gray code along both axes; other codes cannot be checked.
+    """Compare phase and Gray code along every axis; other codes cannot be checked.
 
     Parameters
     ----------
@@ -161,11 +167,12 @@ def check_first_step(pixels: FloatArray, patterns: PatternSet) -> None:
     """
     if patterns.code not in ("complementary_gray", "shifted_gray"):
         return
-    found = {axis: _found(pixels, patterns, axis, axis) for axis in AXES}
-    expected = {axis: _expected(patterns, axis) for axis in AXES}
-    if all(abs(found[axis]) < DISAGREES * abs(expected[axis]) for axis in AXES):
+    found = {axis: _found(pixels, patterns, axis, axis) for axis in patterns.axes}
+    expected = {axis: _expected(patterns, axis) for axis in patterns.axes}
+    is_strange = all(abs(found[axis]) < DISAGREES * abs(expected[axis]) for axis in found)
+    if is_strange and patterns.axes == AXES:
         _check_exchanged_axes(pixels, patterns)
-    for axis in AXES:
+    for axis in patterns.axes:
         if abs(found[axis]) > AGREES * abs(expected[axis]):
             _check_start(found[axis], expected[axis], patterns, axis)
 
@@ -200,19 +207,85 @@ def _check_start(found: complex, expected: complex, patterns: PatternSet, axis: 
 def _found(pixels: FloatArray, patterns: PatternSet, axis: Axis, coded: Axis) -> complex:
     """Return the mean of the phase along `axis`, with the sign of the Gray word along `coded`."""
     phase = pixels[patterns.index("phase", axis)][: patterns.steps]
-    turns = np.arange(patterns.steps) / patterns.steps
-    phasor = np.exp(-2j * np.pi * turns) @ phase
-    bits = pixels[patterns.index("gray", coded)] > phase.mean(axis=0)
+    phasor = np.exp(-2j * np.pi * np.array(patterns.shifts(axis, 0))) @ phase
+    bits = read_bits(pixels, patterns, coded)
     sign = 1.0 - 2.0 * (bits.sum(axis=0) % 2)
     return complex(np.mean(sign * phasor / np.maximum(np.abs(phasor), 1e-12)))
 
 
 def _expected(patterns: PatternSet, axis: Axis) -> complex:
-    length = patterns.length_px(axis)
+    length, period_px = patterns.length_px(axis), patterns.period_along(axis)
     x_px = (np.arange(length * FINE) + 0.5) / FINE - 0.5
-    half = np.floor(2.0 * np.arange(length) / patterns.period_px)
+    half = np.floor(2.0 * np.arange(length) / period_px)
     sign = 1.0 - 2.0 * (np.repeat(half, FINE) % 2)
-    return complex(np.mean(sign * np.exp(2j * np.pi * x_px / patterns.period_px)))
+    return complex(np.mean(sign * np.exp(2j * np.pi * x_px / period_px)))
+
+
+def read_bits(pixels: FloatImage | FloatArray, patterns: PatternSet, axis: Axis) -> BoolImage:
+    """Return the bits along `axis` as they were shown, (bit, ...), of frames (frame, ...), DN."""
+    gray = pixels[patterns.index("gray", axis)]
+    if patterns.inverse:
+        return np.asarray(gray > pixels[patterns.index("inverse", axis)])
+    if patterns.steps:
+        # Of the axis itself: the mean of the other one's fringes knows nothing of its light.
+        return np.asarray(gray > pixels[patterns.index("phase", axis)].mean(axis=0))
+    white, black = (pixels[patterns.index(kind)].mean(axis=0) for kind in ("white", "black"))
+    return np.asarray(gray > 0.5 * (white + black))
+
+
+def check_borders(stack: Stack, patterns: PatternSet, sensor: SensorNoise) -> None:
+    """Compare phase and plain Gray words of the frames (frame, row, col), DN, where a word ends.
+
+    Raises
+    ------
+    CaptureError : along an axis the phase falls with the word, or passes 0 elsewhere
+    """
+    if patterns.code != "gray" or not patterns.steps or min(stack.shape[1:]) < 2:
+        return
+    corners_dn = _corners(stack, sensor)
+    for axis in patterns.axes:
+        _check_axis_borders(corners_dn, patterns, axis)
+
+
+def _check_axis_borders(corners_dn: FloatImage, patterns: PatternSet, axis: Axis) -> None:
+    bits = read_bits(corners_dn, patterns, axis)
+    words = np.tensordot(2 ** np.arange(len(bits))[::-1], _binary(bits, patterns.word), axes=1)
+    shifts = np.array(patterns.shifts(axis, 0))
+    phase = corners_dn[patterns.index("phase", axis)]
+    z = np.tensordot(np.exp(-2j * np.pi * shifts), phase, axes=1)
+    z /= np.maximum(np.abs(z), 1e-12)
+    step = words[:, 1:] - words[:, :1]
+    turn = np.imag(z[:, 1:] * np.conj(z[:, :1])) * np.sign(step)
+    ends = np.abs(step) == 1
+    if np.count_nonzero(ends) < LEAST_CHANGES:
+        return
+    first = patterns.index("phase", axis).start
+    subject = f"the {patterns.steps} phase frames along {axis} (from frame {first}) look"
+    if np.sum(turn[ends]) < -BACKWARDS * np.sum(np.abs(turn[ends])):
+        raise CaptureError(
+            f"{subject} recorded backwards: where the Gray word grows the phase falls; correct "
+            "their order, or the sign of their shifts"
+        )
+    passed = np.mean((z[:, 1:] + z[:, :1])[ends]) * 0.5
+    turns = float(np.angle(passed * np.exp(1j * np.pi / patterns.period_along(axis))))
+    steps = turns * patterns.steps / (2.0 * np.pi)
+    if abs(passed) > AGREES and abs(steps) > LEAST_STEPS_OFF and abs(turns) > LEAST_ANGLE_OFF:
+        late = "late" if steps > 0 else "early"
+        raise CaptureError(
+            f"{subject} shifted by {abs(round(steps)) or 1}: against the Gray frames they start "
+            f"that many steps {late}; start with step 00, or correct the first shift"
+        )
+
+
+def _binary(bits: BoolImage, word: WordName) -> BoolImage:
+    """Return the bits of the words themselves, (bit, ...), the most significant first."""
+    if word == "binary":
+        return bits
+    shown = bits.copy()
+    if word in XOR_PLACES:
+        last = len(bits) - 1 - XOR_PLACES[word]
+        shown[:last] ^= bits[last]
+    return np.asarray(np.logical_xor.accumulate(shown))
 
 
 def check_words(stack: Stack, patterns: PatternSet, sensor: SensorNoise) -> None:
@@ -222,10 +295,14 @@ def check_words(stack: Stack, patterns: PatternSet, sensor: SensorNoise) -> None
     ------
     CaptureError : two Gray frames of an axis are clearly exchanged
     """
-    if not any(patterns.word_bits(axis) for axis in AXES) or min(stack.shape[1:]) < 2:
+    # Exclusive or hides the order of the bits in all but one.
+    is_checked = patterns.word in ("reflected", "binary")
+    if not any(patterns.word_bits(axis) for axis in patterns.axes) or not is_checked:
+        return
+    if min(stack.shape[1:]) < 2:
         return
     corners_dn = _corners(stack, sensor)
-    for axis in AXES:
+    for axis in patterns.axes:
         _check_axis_words(corners_dn, patterns, axis)
 
 
@@ -245,18 +322,17 @@ def _corners(stack: Stack, sensor: SensorNoise) -> FloatImage:
 
 def _check_axis_words(corners_dn: FloatImage, patterns: PatternSet, axis: Axis) -> None:
     gray = patterns.index("gray", axis)
-    phase_dn = corners_dn[patterns.index("phase", axis)]
-    bits = corners_dn[gray] > phase_dn.mean(axis=0)
+    bits = read_bits(corners_dn, patterns, axis)
     if patterns.code == "shifted_gray":
         bits = bits[: patterns.gray_bits(axis)]
-    stated = _share_of_jumps(bits)
+    stated = _share_of_jumps(bits, patterns.word)
     if stated <= MANY_JUMPS:
         return
     found = {}
     for i, j in combinations(range(len(bits)), 2):
         order = np.arange(len(bits))
         order[[i, j]] = j, i
-        found[i, j] = _share_of_jumps(bits[order])
+        found[i, j] = _share_of_jumps(bits[order], patterns.word)
     # Where several explain it alike, the nearest frames.
     i, j = min(found, key=lambda pair: (round(found[pair], 2), pair[1] - pair[0]))
     if found[i, j] < EXPLAINED * stated:
@@ -268,11 +344,11 @@ def _check_axis_words(corners_dn: FloatImage, patterns: PatternSet, axis: Axis) 
         )
 
 
-def _share_of_jumps(bits: BoolImage) -> float:
+def _share_of_jumps(bits: BoolImage, word: WordName) -> float:
     """Return the share of changes between neighbours by more than one; 0 if there are few."""
     # Words of up to 16 bits are exact in single precision.
     weights = np.float32(2) ** np.arange(len(bits) - 1, -1, -1, dtype=np.float32)
-    words = np.tensordot(weights, np.logical_xor.accumulate(bits).astype(np.float32), axes=1)
+    words = np.tensordot(weights, _binary(bits, word).astype(np.float32), axes=1)
     steps = np.abs(words[:, 1:] - words[:, :1])
     changes = int(np.count_nonzero(steps))
     return float(np.count_nonzero(steps > 1)) / changes if changes >= LEAST_CHANGES else 0.0

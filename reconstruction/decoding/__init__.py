@@ -10,6 +10,7 @@ import numpy as np
 from reconstruction.arrays import BoolImage, FloatImage, OrderImage, Reason, ReasonImage
 from reconstruction.compact import keeps_compact
 from reconstruction.errors import require_integer, require_number
+from reconstruction.patterns import AXES, Axis
 
 
 @keeps_compact(
@@ -56,15 +57,19 @@ class AxisDecode:
 
 @dataclass(frozen=True, eq=False)
 class Decoded:
-    """Both projector coordinates of every camera pixel, and why a pixel has none."""
+    """Both projector coordinates of every camera pixel, and why a pixel has none.
+
+    axes : those along which something was projected; of the other one all fields are 0
+    """
 
     column: AxisDecode
     row: AxisDecode
     mask_reason: ReasonImage
+    axes: tuple[Axis, ...] = AXES
 
     @property
     def valid(self) -> BoolImage:
-        """Where both coordinates are known, (row, col) bool."""
+        """Where the coordinates of all `axes` are known, (row, col) bool."""
         return np.equal(self.mask_reason, Reason.VALID)
 
 

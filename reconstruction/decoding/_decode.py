@@ -14,12 +14,16 @@ from reconstruction.compiling import compiled, merged
 from reconstruction.decoding._order import (
     NEAR_SIGMAS,
     PLAIN,
+    REFLECTED,
     Code,
     Numbered,
     Unwrapping,
     Word,
     number_row,
+    place_words,
     read_gray_row,
+    read_pairs_row,
+    reflect_row,
     settle_row,
     unwrap_row,
     weigh_near_bits,
@@ -40,12 +44,15 @@ from reconstruction.decoding._sum import (
     Layout,
     Limits,
     RowFrames,
+    Shifts,
     Sums,
     add_frames,
     find_damaged,
     find_noise,
     finish_sums,
+    level_row,
     mark_dark,
+    mark_faint,
     mark_low_modulation,
 )
 
@@ -70,6 +77,7 @@ class Plan(NamedTuple):
     units: Units
     unwrappings: tuple[Unwrapping, Unwrapping]
     is_chain: bool
+    threshold_noise: float  # of a bit less its threshold, in sigmas of one frame
     scale: FloatImage  # (row, col), by which each pixel was multiplied; (0, 0): by 1
 
 
@@ -103,6 +111,7 @@ class Work(NamedTuple):
     ones: Any
     usable: Any
     word: Any
+    reflected: Any
     nearest: Any
 
 
@@ -123,27 +132,29 @@ def make_work(width: int, sets: int) -> Work:
         np.ones(width, np.float32),
         np.zeros(width, np.float32),
         np.zeros(width, np.uint32),
+        np.zeros(width, np.uint32),
         np.zeros(width, np.float32),
     )
 
 
 @compiled
 def _fit_set(
-    frames: RowFrames, plan: Plan, scale: Any, work: Work, sums: Sums, fit: Fit, reason: Any
-) -> Any:
+    frames: RowFrames, shifts: Shifts, plan: Plan, scale: Any, work: Work, sums: Sums, fit: Fit,
+    reason: Any,
+) -> Any:  # fmt: skip
     """Fit one fringe set over one row; return how many pixels have damaged frames."""
-    layout, limits = plan.layout, plan.limits
+    steps, limits = plan.layout.steps, plan.limits
     noise = work.fit[2]
-    add_frames(frames, layout, sums)
-    finish_sums(layout.steps, sums, fit)
+    add_frames(frames, steps, shifts, sums)
+    finish_sums(steps, sums, fit)
     count = find_damaged(sums, scale, limits, work.damaged)
     if count:
         fill(fit.excess, np.float32(0.0))
-        refit_row(frames, layout, limits, scale, work.damaged, sums, fit, reason)
+        refit_row(frames, shifts, limits, scale, work.damaged, sums, fit, reason)
     find_noise(fit.mean, scale, limits, noise)
     if count:
         grow_sigma(fit.excess, noise)
-    mark_low_modulation(layout.steps, limits, fit.modulation, noise, reason)
+    mark_low_modulation(steps, limits, fit.modulation, noise, reason)
     return count
 
 
@@ -167,14 +178,16 @@ def _fit_row(
     """Fit all fringe sets of one image row and tell which pixels have a phase."""
     layout, sets, total = plan.layout, plan.layout.sets, work.sums
     sums = Sums(total[0], total[1], total[2], total[3], total[4], total[5])
-    for axis in range(2):
+    for axis in range(layout.first_axis, layout.end_axis):
         fill(work.excess[axis], np.float32(0.0))
         for j in range(sets):
             mean = work.mean[axis] if j == 0 else work.fit[0]
             variance = work.fit[4] if j == 0 else work.fit[1]
             first = layout.phase_first[axis] + j * layout.steps
             fit = Fit(mean, work.modulations[axis, j], variance, work.fit[3])
-            if _fit_set(RowFrames(stack, first, row), plan, scale, work, sums, fit, reason):
+            frames = RowFrames(stack, first, row)
+            shifts = Shifts(layout.cosines[axis, j], layout.sines[axis, j])
+            if _fit_set(frames, shifts, plan, scale, work, sums, fit, reason):
                 _add_largest(work.fit[3], work.excess[axis])
             if j > 0:
                 add(variance, work.fit[4])
@@ -182,7 +195,34 @@ def _fit_row(
         # Never in place: loops whose input and output overlap do not become vector code.
         _root_of_mean(sets, work.fit[4], work.fit[5])
         pack_row(work.fit[5], plan.units.level, work.lines[2], maps.residual[axis, row])
-    mark_dark(stack[layout.white, row], stack[layout.black, row], scale, plan.limits, reason)
+    _mask_row(row, stack, plan, scale, work, reason)
+
+
+@merged
+def _level_words(row: int, stack: Any, plan: Plan, scale: Any, work: Work, reason: Any) -> None:
+    """Give words without a phase their level and contrast, and tell which pixels see light."""
+    layout = plan.layout
+    for axis in range(layout.first_axis, layout.end_axis):
+        bright, dim = work.lines[1], work.lines[2]
+        mean, modulation = work.mean[axis], work.modulations[axis, 0]
+        if layout.white >= 0:
+            level_row(RowFrames(stack, layout.white, row), layout.black, 1, True, mean, modulation)
+        else:
+            first, count = layout.inverse_first[axis], layout.gray_bits[axis]
+            frames = RowFrames(stack, layout.gray_first[axis], row)
+            level_row(frames, first, count, False, mean, modulation)
+        for col in range(mean.size):
+            bright[col], dim[col] = mean[col] + modulation[col], mean[col] - modulation[col]
+        mark_dark(bright, dim, scale, plan.limits, reason)
+        mark_faint(modulation, plan.limits, reason)
+    _mark_usable(reason, work.usable)
+
+
+@merged
+def _mask_row(row: int, stack: Any, plan: Plan, scale: Any, work: Work, reason: Any) -> None:
+    layout = plan.layout
+    if layout.white >= 0:
+        mark_dark(stack[layout.white, row], stack[layout.black, row], scale, plan.limits, reason)
     _mark_usable(reason, work.usable)
 
 
@@ -214,18 +254,26 @@ def _read_order(
     read = Word(work.word, work.nearest, work.mean[axis], margin)
     phase, order = work.phases[axis, 0], work.order
     find_noise(read.mean, scale, limits, margin)
-    # The threshold A carries the noise of N averaged frames.
-    widening = np.float32(NEAR_SIGMAS * np.sqrt(1.0 + 1.0 / plan.layout.steps))
+    widening = np.float32(NEAR_SIGMAS * plan.threshold_noise)
     for col in range(margin.size):
         margin[col] *= widening
-    read_gray_row(frames, code.bits, read)
-    number_row(code, read.gray, phase, order, answer)
+    if code.first_inverse < 0:
+        read_gray_row(frames, code.bits, read)
+    else:
+        read_pairs_row(frames, code, read)
+    if code.shown == REFLECTED:
+        number_row(code, read.gray, phase, order, answer)
+    else:
+        reflect_row(code, read.gray, work.reflected)
+        number_row(code, work.reflected, phase, order, answer)
     weigh_near_bits(code, frames, limits.gray_sigmas, read, phase, order, answer.error)
-    if code.kind == PLAIN:
+    if code.kind == PLAIN and not code.is_word:
         weigh_wrap(code, phase, work.sigmas[0], answer.error)
     per_rad = np.float32(code.period_px / (2.0 * np.pi))
     for col in range(margin.size):
         answer.sigma[col] = per_rad * work.sigmas[0, col]
+    if code.is_word:
+        place_words(code, answer)
 
 
 @merged
@@ -242,9 +290,11 @@ def _inform(axis: int, row: int, plan: Plan, work: Work, error: Any, maps: Maps)
 def _finish_row(row: int, stack: Any, plan: Plan, scale: Any, work: Work, maps: Maps) -> None:
     """Give one row of the band its fringe numbers, and write the result."""
     reason, error, usable = maps.reason[row], work.lines[0], work.usable
-    for axis in range(2):
+    layout = plan.layout
+    for axis in range(layout.first_axis, layout.end_axis):
         answer = Numbered(work.answers[COORDINATE[axis]], work.answers[SIGMA[axis]], error)
-        _find_sigmas(axis, plan, scale, work)
+        if layout.steps:
+            _find_sigmas(axis, plan, scale, work)
         if plan.is_chain:
             unwrapping = plan.unwrappings[axis]
             unwrap_row(unwrapping, work.phases[axis], work.sigmas, usable, answer)
@@ -253,7 +303,9 @@ def _finish_row(row: int, stack: Any, plan: Plan, scale: Any, work: Work, maps: 
         length = plan.codes[axis].length_px
         settle_row(length, plan.limits.max_order_error, answer, usable, reason)
         _inform(axis, row, plan, work, error, maps)
-    for axis in range(2):  # only now are the reasons of both axes known
+    for axis in range(
+        layout.first_axis, layout.end_axis
+    ):  # only now are the reasons of both axes known
         write_valid(work.answers[COORDINATE[axis]], reason, maps.coordinate_px[axis, row])
         write_valid(work.answers[SIGMA[axis]], reason, work.lines[1])
         pack_row(work.lines[1], plan.units.sigma, work.lines[2], maps.sigma[axis, row])
@@ -265,5 +317,8 @@ def decode_rows(first_row: int, end_row: int, stack: Any, plan: Plan, maps: Maps
     work = make_work(maps.reason.shape[1], plan.layout.sets)
     for row in range(first_row, end_row):
         scale = plan.scale[row] if plan.scale.size else work.ones
-        _fit_row(row, stack, plan, scale, work, maps, maps.reason[row])
+        if plan.layout.steps:
+            _fit_row(row, stack, plan, scale, work, maps, maps.reason[row])
+        else:
+            _level_words(row, stack, plan, scale, work, maps.reason[row])
         _finish_row(row, stack, plan, scale, work, maps)

@@ -190,7 +190,7 @@ def _smooth_patch(
     window = Window(half, planes.usable.shape[1] - 2 * half, half)
     _load_mask(source, patch, planes)
     weigh(planes, smoothing.weights, half, window)
-    for axis in range(2):
+    for axis in range(source.coordinate_px.shape[0]):
         _load_axis(axis, source, patch, smoothing, planes)
         write_lift(planes, smoothing, window)
         write_coarse(planes, smoothing.weights, window)

@@ -35,6 +35,7 @@ LOWER, HALF, UPPER, ONE = np.float32(0.25), np.float32(0.5), np.float32(0.75), n
 NEAR_SIGMAS = 8.0
 ROOT = math.sqrt(2.0)
 PLAIN, COMPLEMENTARY, SHIFTED = 0, 1, 2
+REFLECTED, BINARY, EXCLUSIVE = 0, 1, 2
 ZERO, BIT, TWO = np.uint32(0), np.uint32(1), np.uint32(2)
 SHIFTS = (np.uint32(16), np.uint32(8), np.uint32(4), np.uint32(2))
 NONE, STEP = np.int32(0), np.int32(1)
@@ -77,6 +78,29 @@ class Code(NamedTuple):
     bits: int
     safety_bits: np.uint32
     length_px: int
+    shown: int  # REFLECTED, BINARY or EXCLUSIVE: how words are shown as bits
+    place: np.uint32  # EXCLUSIVE: the bit, from the last, with which the coarser ones are exchanged
+    is_word: bool  # there is no phase: the word is the coordinate, a period wide
+    first_inverse: int  # of the stack, most significant bit first; -1: none, bits against the mean
+
+
+@inlined
+def reflected(word: Any, code: Code) -> Any:
+    """Return the Gray word of bits as they were read."""
+    read = np.uint32(word)
+    if code.shown == BINARY:
+        return np.uint32(read ^ (read >> BIT))
+    if code.shown == EXCLUSIVE:
+        coarser = ((BIT << np.uint32(code.bits)) - BIT) & ~((TWO << code.place) - BIT)
+        return np.uint32(read ^ (coarser if (read >> code.place) & BIT else ZERO))
+    return read
+
+
+@compiled
+def reflect_row(code: Code, word: Any, gray: Any) -> None:
+    """Write the Gray words of bits as they were read."""
+    for col in range(word.size):
+        gray[col] = reflected(word[col], code)
 
 
 @inlined
@@ -166,6 +190,41 @@ def read_gray_row(frames: RowFrames, bits: int, read: Word) -> None:
 
 
 @compiled
+def read_pairs_row(frames: RowFrames, code: Code, read: Word) -> None:
+    """Write the Gray word from pairs of frames, and how near half their difference comes to 0."""
+    stack, first, row = frames
+    word, nearest = read.gray, read.nearest
+    for col in range(word.size):
+        word[col], nearest[col] = ZERO, INFINITE
+    for bit in range(code.bits):
+        a, b = stack[first + bit, row], stack[code.first_inverse + bit, row]
+        for col in range(a.size):
+            least = nearest[col]
+            over = HALF * (np.float32(a[col]) - np.float32(b[col]))
+            word[col] = (word[col] << BIT) | (BIT if over > NOTHING else ZERO)
+            nearest[col] = smaller(abs(over), least)
+
+
+@compiled
+def place_words(code: Code, answer: Numbered) -> None:
+    """Move coordinates from the first pixel of each word to its middle; sigma: as likely anywhere.
+
+    A stripe is whole pixels or parts of them: w p - 1/2 is where it begins, x being whole at the
+    centre of a pixel; p / sqrt(12) is the standard deviation of the uniform distribution. The last
+    word may be cut off by the end of the image.
+    """
+    end = np.float32(code.length_px - 0.5)
+    middle = np.float32(0.5 * (code.period_px - 1.0))
+    spread = np.float32(code.period_px / math.sqrt(12.0))
+    coordinate, sigma = answer.coordinate, answer.sigma
+    for col in range(sigma.size):
+        first = coordinate[col]
+        cut = HALF * (first - HALF + end)
+        coordinate[col] = cut if (first + middle > end) & (cut < end) else first + middle
+        sigma[col] = spread
+
+
+@compiled
 def number_row(code: Code, word: Any, phase: Any, order: Any, answer: Numbered) -> None:
     """Write order and coordinate as read, and error probability 1 where words contradict."""
     coordinate, error = answer.coordinate, answer.error
@@ -196,6 +255,16 @@ def _tail(sigmas: float) -> float:
     return 0.5 * math.erfc(sigmas / ROOT)
 
 
+@inlined
+def _distance(code: Code, frames: RowFrames, bit: int, col: int, mean: Any) -> Any:
+    """Return how far a bit, counted from the last, is from its threshold, DN."""
+    stack, place = frames.stack, code.bits - 1 - bit
+    level = np.float32(stack[frames.first + place, frames.row, col])
+    if code.first_inverse < 0:
+        return abs(level - mean)
+    return HALF * abs(level - np.float32(stack[code.first_inverse + place, frames.row, col]))
+
+
 @compiled
 def weigh_near_bits(
     code: Code, frames: RowFrames, gray_sigmas: Any, read: Word, phase: Any, order: Any, error: Any
@@ -204,19 +273,21 @@ def weigh_near_bits(
 
     A bit that matters and lies within `gray_sigmas` of its threshold makes the order uncertain.
     """
-    stack, last, row = frames.stack, frames.first + code.bits - 1, frames.row
     word, nearest, mean, margin = read
+    # At the border of two words either is half a word off, which sigma tells.
+    allowed = STEP if code.is_word else NONE
     for col in range(word.size):
         if not nearest[col] < margin[col] or error[col] == ONE:
             continue
         cell, over = _cell(phase[col], code)
         total = 0.0
         for bit in range(code.bits):
-            distance = abs(np.float32(stack[last - bit, row, col]) - mean[col])
+            distance = _distance(code, frames, bit, col, mean[col])
             if not distance < margin[col]:  # this way round a NaN is not near
                 continue
-            other, _ = _number(word[col] ^ (BIT << np.uint32(bit)), cell, code)
-            if other - over != order[col]:
+            flipped = reflected(word[col] ^ (BIT << np.uint32(bit)), code)
+            other, _ = _number(flipped, cell, code)
+            if abs(other - over - order[col]) > allowed:
                 sigmas = NEAR_SIGMAS * distance / margin[col]
                 total += _tail(sigmas) if sigmas >= gray_sigmas else 1.0
         error[col] = min(total, 1.0)

@@ -15,7 +15,15 @@ from typing import Any
 import numpy as np
 
 from reconstruction.compiling import compiled, inlined
-from reconstruction.decoding._sum import SATURATED, Fit, Layout, Limits, RowFrames, Sums, noise_dn2
+from reconstruction.decoding._sum import (
+    SATURATED,
+    Fit,
+    Limits,
+    RowFrames,
+    Shifts,
+    Sums,
+    noise_dn2,
+)
 
 TURN = 2.0 * np.pi
 # atan(t) = t P(t^2) on [0, 1], minimax fit of degree 8: 6e-9 rad, below single precision's 1e-7.
@@ -105,13 +113,13 @@ def _is_good(level: Any, lowest: Any, limit: Any) -> Any:
 
 
 @inlined
-def _normal_sums(frames: RowFrames, col: int, layout: Layout, lowest: Any, limit: Any) -> Any:
+def _normal_sums(frames: RowFrames, col: int, shifts: Shifts, lowest: Any, limit: Any) -> Any:
     """Return n and the sums over good frames: g1, g2, g1 g1, g1 g2, g2 g2, I, g1 I, g2 I."""
     n, s1, s2, s11, s12, s22, y, y1, y2 = 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    for step in range(layout.steps):
+    for step in range(shifts.cosines.size):
         level = np.float64(frames.stack[frames.first + step, frames.row, col])
         if _is_good(level, lowest, limit):
-            g1, g2 = ROOT * layout.cosines[step], -ROOT * layout.sines[step]
+            g1, g2 = ROOT * shifts.cosines[step], -ROOT * shifts.sines[step]
             n += 1
             s1, s2, s11, s12, s22 = s1 + g1, s2 + g2, s11 + g1 * g1, s12 + g1 * g2, s22 + g2 * g2
             y, y1, y2 = y + level, y1 + g1 * level, y2 + g2 * level
@@ -133,14 +141,14 @@ def _inverse(a: float, b: float, c: float, d: float, e: float, f: float) -> Any:
 
 @inlined
 def _square_residuals(
-    frames: RowFrames, col: int, layout: Layout, lowest: Any, limit: Any, cosine: Any
+    frames: RowFrames, col: int, shifts: Shifts, lowest: Any, limit: Any, cosine: Any
 ) -> float:
     """Return the sum of squares that the cosine (A, p, q) leaves of the good frames."""
     total = 0.0
-    for step in range(layout.steps):
+    for step in range(shifts.cosines.size):
         level = np.float64(frames.stack[frames.first + step, frames.row, col])
         if _is_good(level, lowest, limit):
-            p, q = cosine[1] * layout.cosines[step], cosine[2] * layout.sines[step]
+            p, q = cosine[1] * shifts.cosines[step], cosine[2] * shifts.sines[step]
             model = cosine[0] + ROOT * (p - q)
             total += (level - model) ** 2
     return total
@@ -148,17 +156,17 @@ def _square_residuals(
 
 @compiled
 def refit_row(
-    frames: RowFrames, layout: Layout, limits: Limits, scale: Any, damaged: Any, sums: Sums,
+    frames: RowFrames, shifts: Shifts, limits: Limits, scale: Any, damaged: Any, sums: Sums,
     fit: Fit, reason: Any,
 ) -> None:  # fmt: skip
     """Replace what the damaged frames spoiled, or mark the pixel SATURATED."""
     mean, modulation, variance, excess = fit
-    steps, lowest, black = layout.steps, limits.lowest_dn, limits.black_level_dn
+    steps, lowest, black = shifts.cosines.size, limits.lowest_dn, limits.black_level_dn
     for col in range(damaged.size):
         if not damaged[col]:
             continue
         limit = black + (limits.clipped_from_dn - black) * scale[col]
-        n, s1, s2, s11, s12, s22, y, y1, y2 = _normal_sums(frames, col, layout, lowest, limit)
+        n, s1, s2, s11, s12, s22, y, y1, y2 = _normal_sums(frames, col, shifts, lowest, limit)
         c, condition = _inverse(float(n), s1, s2, s11, s12, s22)
         if n < 3 or not condition <= limits.max_condition:
             reason[col] = SATURATED if reason[col] == 0 else reason[col]
@@ -168,7 +176,7 @@ def refit_row(
             continue
         level = c[0] * y + c[1] * y1 + c[2] * y2
         p, q = c[1] * y + c[3] * y1 + c[4] * y2, c[2] * y + c[4] * y1 + c[5] * y2
-        rest = _square_residuals(frames, col, layout, lowest, limit, (level, p, q))
+        rest = _square_residuals(frames, col, shifts, lowest, limit, (level, p, q))
         length = max(np.sqrt(p * p + q * q), 1e-30)
         along_p, along_q = -q / length, p / length
         growth = steps * (

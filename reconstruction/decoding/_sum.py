@@ -4,11 +4,13 @@ Symbols: A mean, B modulation, N steps, z = sum I_n exp(-2 pi i n / N) = (N B / 
 Every inner loop runs along one image row with few arrays, so that the compiler vectorises it.
 """
 
+# ruff: noqa: PLR0917 - compiled functions cannot take keyword-only arguments
+
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from reconstruction.arrays import FloatImage, Reason
+from reconstruction.arrays import Reason
 from reconstruction.compiling import compiled, inlined
 from reconstruction.decoding._rows import larger, smaller
 from reconstruction.rig.sensor import QUANTISATION_DN2
@@ -24,15 +26,25 @@ QUANTISATION = np.float32(QUANTISATION_DN2)
 class Layout(NamedTuple):
     """Where frames lie in the stack; pairs are (column, row)."""
 
+    first_axis: int  # those from here to end_axis - 1 are shown: 0 columns, 1 rows
+    end_axis: int
     phase_first: tuple[int, int]
     gray_first: tuple[int, int]
+    inverse_first: tuple[int, int]  # -1: there are none
     gray_bits: tuple[int, int]
-    white: int
+    white: int  # -1: there is none
     black: int
-    steps: int
+    steps: int  # 0: words alone
     sets: int
-    cosines: FloatImage  # (step,)
-    sines: FloatImage
+    cosines: Any  # (axis, set, step) float32, of the shifts
+    sines: Any
+
+
+class Shifts(NamedTuple):
+    """Cosine and sine of the shift of every step of one fringe set, (step,) float32."""
+
+    cosines: Any
+    sines: Any
 
 
 class RowFrames(NamedTuple):
@@ -146,27 +158,28 @@ def _add_one(a: Any, cosine: Any, sine: Any, sums: Sums) -> None:
 
 
 @compiled
-def add_frames(frames: RowFrames, layout: Layout, sums: Sums) -> None:
+def add_frames(frames: RowFrames, steps: int, shifts: Shifts, sums: Sums) -> None:
     """Write the sums of one fringe set over one row."""
     stack, first, row = frames
     total, real, imag, square, high, low = sums
     for col in range(total.size):
         total[col], real[col], imag[col], square[col] = ZERO, ZERO, ZERO, ZERO
         high[col], low[col] = -INFINITE, INFINITE
-    sixes, threes = layout.steps // 6 * 6, layout.steps // 3 * 3
+    cosines, sines = shifts
+    sixes, threes = steps // 6 * 6, steps // 3 * 3
     for n in range(0, sixes, 6):
         k = first + n
         lines = (
             stack[k, row], stack[k + 1, row], stack[k + 2, row],
             stack[k + 3, row], stack[k + 4, row], stack[k + 5, row],
         )  # fmt: skip
-        _add_six(lines, layout.cosines[n : n + 6], layout.sines[n : n + 6], sums)
+        _add_six(lines, cosines[n : n + 6], sines[n : n + 6], sums)
     for n in range(sixes, threes, 3):
         k = first + n
         three = (stack[k, row], stack[k + 1, row], stack[k + 2, row])
-        _add_three(three, layout.cosines[n : n + 3], layout.sines[n : n + 3], sums)
-    for n in range(threes, layout.steps):
-        _add_one(stack[first + n, row], layout.cosines[n], layout.sines[n], sums)
+        _add_three(three, cosines[n : n + 3], sines[n : n + 3], sums)
+    for n in range(threes, steps):
+        _add_one(stack[first + n, row], cosines[n], sines[n], sums)
 
 
 @compiled
@@ -244,3 +257,33 @@ def mark_dark(white: Any, black: Any, scale: Any, limits: Limits, reason: Any) -
         # This way round a NaN counts as dark.
         is_lit = (step >= ZERO) & (step * step >= square * variance)
         reason[col] = code if is_lit else DARK
+
+
+@compiled
+def level_row(
+    frames: RowFrames, other: int, count: int, is_ordered: bool, mean: Any, modulation: Any
+) -> None:
+    """Write level and contrast of pairs of frames, the mean of `count`.
+
+    other : the first of their opposites
+    is_ordered : the first of a pair should be the brighter one, as white is
+    """
+    stack, first, row = frames
+    share = np.float32(0.5 / count)
+    for col in range(mean.size):
+        mean[col], modulation[col] = ZERO, ZERO
+    for k in range(count):
+        a, b = stack[first + k, row], stack[other + k, row]
+        for col in range(mean.size):
+            level, opposite = np.float32(a[col]), np.float32(b[col])
+            mean[col] += share * (level + opposite)
+            step = level - opposite
+            modulation[col] += share * (step if is_ordered else abs(step))
+
+
+@compiled
+def mark_faint(modulation: Any, limits: Limits, reason: Any) -> None:
+    """Mark pixels whose contrast is below what was asked for."""
+    for col in range(modulation.size):
+        is_kept = modulation[col] >= limits.min_modulation_dn or reason[col] != 0
+        reason[col] = reason[col] if is_kept else LOW_MODULATION

@@ -10,17 +10,26 @@ from typing import Any
 
 import numpy as np
 
-from reconstruction.arrays import FloatImage, Reason, Stack
+from reconstruction.arrays import FloatArray, FloatImage, Reason, Stack
 from reconstruction.compact import Half, Orders, Share, Turns
 from reconstruction.compiling import run_over_rows
 from reconstruction.decoding import AxisDecode, Decoded, DecodeOptions
 from reconstruction.decoding._decode import Maps, Plan, Units, decode_rows
 from reconstruction.decoding._filter import Smoothed, Unfiltered, smooth
-from reconstruction.decoding._order import COMPLEMENTARY, PLAIN, SHIFTED, Code, Unwrapping
+from reconstruction.decoding._order import (
+    BINARY,
+    COMPLEMENTARY,
+    EXCLUSIVE,
+    PLAIN,
+    REFLECTED,
+    SHIFTED,
+    Code,
+    Unwrapping,
+)
 from reconstruction.decoding._rows import BIAS
 from reconstruction.decoding._sum import Layout, Limits
 from reconstruction.errors import InputError
-from reconstruction.patterns import AXES, Axis, PatternSet
+from reconstruction.patterns import AXES, XOR_PLACES, Axis, Kind, PatternSet
 from reconstruction.rig.sensor import SensorNoise
 
 __all__ = ["AxisDecode", "DecodeOptions", "Decoded", "Reason", "decode"]
@@ -33,6 +42,7 @@ HIGH_BITS = 12
 SIGMA_UNIT_PX = 2.0**-6
 CHANCE_UNIT = 2.0**-15
 KINDS = {"gray": PLAIN, "complementary_gray": COMPLEMENTARY, "shifted_gray": SHIFTED}
+SHOWN = {"reflected": REFLECTED, "binary": BINARY, "xor_02": EXCLUSIVE, "xor_04": EXCLUSIVE}
 
 
 def decode(
@@ -66,10 +76,12 @@ def decode(
     plan = make_plan(frames, patterns, sensor, options, scale)
     maps = _blank_maps(stack.shape[1], stack.shape[2])
     run_over_rows(decode_rows, stack.shape[1], frames, plan, maps, band_rows=BAND_ROWS)
-    smoothed = _smoothed(maps, options, patterns.period_px)
+    smoothed = _smoothed(maps, options, patterns)
     units = units_of(sensor, scale)
-    column, row = (_axis(maps, smoothed, axis, units, patterns.period_px) for axis in range(2))
-    return Decoded(column, row, smoothed.reason)
+    column, row = (
+        _axis(maps, smoothed, k, units, patterns.period_along(axis)) for k, axis in enumerate(AXES)
+    )
+    return Decoded(column, row, smoothed.reason, patterns.axes)
 
 
 def _check_stack(stack: Stack, patterns: PatternSet) -> None:
@@ -93,13 +105,28 @@ def _blank_maps(rows: int, cols: int) -> Maps:
     )  # fmt: skip
 
 
-def _smoothed(maps: Maps, options: DecodeOptions, period_px: float) -> Smoothed:
+def _smoothed(maps: Maps, options: DecodeOptions, patterns: PatternSet) -> Smoothed:
     source = Unfiltered(maps.coordinate_px, maps.sigma, maps.reason)
-    if options.filter_taps == 0:
+    # The steps of words alone are no noise from pixel to pixel: no mean takes them away.
+    if options.filter_taps == 0 or patterns.steps == 0:
         no_bias = np.zeros(source.sigma.shape, np.uint8)
         return Smoothed(source.coordinate_px, source.sigma, no_bias, source.reason)
-    limit_px = 0.5 * float(period_px)
-    return smooth(source, options.filter_taps, options.filter_sigma_px, limit_px, SIGMA_UNIT_PX)
+    taps, sigma_px = options.filter_taps, options.filter_sigma_px
+    if patterns.axes == AXES and not patterns.row_periods_px:
+        return smooth(source, taps, sigma_px, 0.5 * float(patterns.period_px), SIGMA_UNIT_PX)
+    no_bias = np.zeros(maps.sigma.shape, np.uint8)
+    result = Smoothed(
+        np.zeros_like(maps.coordinate_px), np.zeros_like(maps.sigma), no_bias, maps.reason
+    )
+    for axis in patterns.axes:
+        at = slice(AXES.index(axis), AXES.index(axis) + 1)
+        limit_px = 0.5 * float(patterns.period_along(axis))
+        one = Unfiltered(maps.coordinate_px[at], maps.sigma[at], maps.reason)
+        found = smooth(one, taps, sigma_px, limit_px, SIGMA_UNIT_PX)
+        for target, part in zip(result[:3], found[:3], strict=True):
+            target[at] = part
+        result = result._replace(reason=found.reason)
+    return result
 
 
 def _axis(
@@ -135,25 +162,58 @@ def make_plan(
         codes=(_code(patterns, column), _code(patterns, row)),
         units=Units(*(np.float32(BIAS / unit) for unit in units_of(sensor, scale))),
         unwrappings=(_unwrapping(patterns, column), _unwrapping(patterns, row)),
-        is_chain=patterns.chain is not None,
+        is_chain=patterns.is_multi_frequency,
+        threshold_noise=_threshold_noise(patterns),
         scale=np.ascontiguousarray(np.zeros((0, 0)) if scale is None else scale, np.float32),
     )
 
 
+def _threshold_noise(patterns: PatternSet) -> float:
+    """Return the noise of a bit less its threshold, in sigmas of one frame.
+
+    The threshold is the mean of N phase frames, or of white and black; of a pair half the
+    difference is read.
+    """
+    if patterns.inverse:
+        return math.sqrt(0.5)
+    return math.sqrt(1.0 + 1.0 / (patterns.steps or 2))
+
+
 def _layout(patterns: PatternSet) -> Layout:
     column, row = AXES
-    turns = 2.0 * np.pi * np.arange(patterns.steps) / patterns.steps
+    turns = _shifts(patterns)
+    uniform = len(patterns.frames) - 2 if patterns.uniform else -1
     return Layout(
-        phase_first=(patterns.index("phase", column).start, patterns.index("phase", row).start),
-        gray_first=(patterns.index("gray", column).start, patterns.index("gray", row).start),
+        first_axis=AXES.index(patterns.axes[0]),
+        end_axis=AXES.index(patterns.axes[-1]) + 1,
+        phase_first=(_first(patterns, "phase", column), _first(patterns, "phase", row)),
+        gray_first=(_first(patterns, "gray", column), _first(patterns, "gray", row)),
+        inverse_first=(_first(patterns, "inverse", column), _first(patterns, "inverse", row)),
         gray_bits=(patterns.word_bits(column), patterns.word_bits(row)),
-        white=patterns.index("white").start,
-        black=patterns.index("black").start,
+        white=uniform,
+        black=uniform + 1 if patterns.uniform else -1,
         steps=int(patterns.steps),
         sets=len(patterns.periods_px),
         cosines=np.cos(turns).astype(np.float32),
         sines=np.sin(turns).astype(np.float32),
     )
+
+
+def _first(patterns: PatternSet, kind: Kind, axis: Axis) -> int:
+    """Return where a kind of frames begins in the stack, -1 where there are none."""
+    found = [i for i, f in enumerate(patterns.frames) if f.kind == kind and f.axis == axis]
+    return found[0] if found else -1
+
+
+def _shifts(patterns: PatternSet) -> FloatArray:
+    """Return the shift of every phase step, (axis, set, step), rad."""
+    sets = len(patterns.periods_px)
+    turns = 2.0 * np.pi * np.arange(patterns.steps) / max(patterns.steps, 1)
+    angles = np.broadcast_to(turns, (2, sets, patterns.steps)).copy()
+    for number, shift_deg in enumerate(patterns.first_shifts_deg):
+        axis = AXES.index(patterns.axes[number // sets])
+        angles[axis, number % sets] += math.radians(shift_deg)
+    return angles
 
 
 def _limits(
@@ -179,7 +239,7 @@ def _limits(
 def _has_lost_frame(stack: Stack, patterns: PatternSet) -> bool:
     """Tell whether a phase frame is 0 everywhere; a look at few pixels settles nearly all."""
     sparse = np.s_[::61, ::61]
-    for n in range(patterns.index("phase", "row").stop):
+    for n in range(len(patterns.axes) * patterns.steps * len(patterns.periods_px)):
         if not stack[n][sparse].any() and not stack[n].any():
             return True
     return False
@@ -196,7 +256,7 @@ def units_of(sensor: SensorNoise, scale: FloatImage | None) -> tuple[float, floa
 
 
 def _code(patterns: PatternSet, axis: Axis) -> Code:
-    period_px = float(patterns.period_px)
+    period_px = float(patterns.period_along(axis))
     mantissa, exponent = math.frexp(period_px)
     high_px = math.ldexp(round(mantissa * 2**HIGH_BITS), exponent - HIGH_BITS)
     return Code(
@@ -209,12 +269,16 @@ def _code(patterns: PatternSet, axis: Axis) -> Code:
         bits=patterns.word_bits(axis),
         safety_bits=np.uint32(patterns.safety_bits(axis)),
         length_px=patterns.length_px(axis),
+        shown=SHOWN[patterns.word],
+        place=np.uint32(XOR_PLACES.get(patterns.word, 0)),
+        is_word=patterns.steps == 0,
+        first_inverse=_first(patterns, "inverse", axis),
     )
 
 
 def _unwrapping(patterns: PatternSet, axis: Axis) -> Unwrapping:
-    chain = patterns.chain
-    sets = patterns.periods_px
+    chain = patterns.chain(axis)
+    sets = patterns.periods_along(axis)
     return Unwrapping(
         weights=np.array(chain.weights if chain else [[1.0] + [0.0] * (len(sets) - 1)], float),
         level_periods_px=np.array(chain.periods_px if chain else sets[:1], float),

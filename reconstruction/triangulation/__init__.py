@@ -117,7 +117,8 @@ def triangulate(
     ----------
     decoded : both projector coordinates of every camera pixel
     calibration : devices, at the camera's image size
-    use : coordinate that determines the depth; the other one only checks it
+    use : coordinate that determines the depth; the other one only checks it. Where one axis alone
+        was decoded, it is that one, and nothing is checked
     tolerance : beyond it a pixel is masked EPIPOLAR_MISMATCH
 
     Raises
@@ -126,7 +127,9 @@ def triangulate(
     """
     _check(decoded, calibration, use)
     limits = tolerance or EpipolarTolerance()
-    match = Match(use != "row", use != "column", float(limits.absolute_px), float(limits.sigmas))
+    # Without the other coordinate there is no epipolar test.
+    allowed_px = float(limits.absolute_px) if len(decoded.axes) == 2 else np.inf
+    match = Match(use != "row", use != "column", allowed_px, float(limits.sigmas))
     if calibration.layers is None:
         return _in_air(decoded, calibration, match)
     return _below(calibration.layers, decoded, calibration, match)
@@ -183,6 +186,8 @@ def _fringe(decoded: Decoded) -> Fringe:
 def _check(decoded: Decoded, calibration: Calibration, use: str) -> None:
     if use not in get_args(Use):
         raise InputError(f"use is {use!r}; allowed are 'column', 'row' and 'both'")
+    if use not in decoded.axes and len(decoded.axes) == 1:
+        raise InputError(f"use is {use!r}; decoded was {decoded.axes[0]!r} alone")
     rows, cols = decoded.mask_reason.shape
     camera = calibration.camera
     if (rows, cols) != (camera.height_px, camera.width_px):

@@ -9,7 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from reconstruction.calibration.observation import read_board_capture
 from reconstruction.capture.folder import read_capture
+from reconstruction.errors import CaptureError
+from reconstruction.pipeline import read_maps, read_reconstruction, reconstruct
 from twin.cli import run
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -26,6 +29,7 @@ class Block:
 sys.meta_path.insert(0, Block())
 import numpy as np
 from reconstruction.capture.folder import read_capture
+from reconstruction.pipeline import read_maps, read_reconstruction, reconstruct
 from reconstruction.pipeline import reconstruct
 points = reconstruct(read_capture(sys.argv[1])).point_map
 np.save(sys.argv[2], np.where(points.valid[..., None], points.points_world_mm, np.nan))
@@ -87,3 +91,42 @@ def test_exchanged_images_are_one_line_and_write_nothing(tmp_path, capsys):
     error = capsys.readouterr().err.strip().splitlines()
     assert "frames 3 (phase_column_03) and 4 (phase_column_04) look exchanged" in error[-1]
     assert not out.exists()
+
+
+def listed_example(tmp_path):
+    """Return the example with the list of frames that the document shows, and no other file."""
+    text = (DOCS / "real_rig.md").read_text()
+    folder = tmp_path / "my_capture"
+    folder.mkdir()
+    for path in [*EXAMPLE.glob("*_column_*.png"), EXAMPLE / "calibration.yaml"]:
+        shutil.copy(path, folder)
+    (folder / "capture.toml").write_text(text.partition("```toml\n")[2].partition("```")[0])
+    return folder
+
+
+def test_a_board_needs_both_axes(tmp_path):
+    with pytest.raises(CaptureError, match="a board needs fringes along both axes"):
+        read_board_capture(listed_example(tmp_path))
+
+
+def test_listed_columns_alone_give_the_heights_of_the_example(tmp_path):
+    """Expected: the points that all frames give, as the epipolar test moves none; and their
+    coordinates, exactly: the other axis has no part in them.
+    """
+    folder = listed_example(tmp_path)
+    out, decoded = tmp_path / "out", tmp_path / "decoded"
+    assert run(["reconstruct", str(folder), "-o", str(out)]) == 0
+    assert run(["decode", str(folder), "-o", str(decoded)]) == 0
+    alone, whole = (
+        read_reconstruction(out / "reconstruction.nc"),
+        reconstruct(read_capture(EXAMPLE)),
+    )
+    assert alone.decoded.axes == ("column",)
+    both = alone.point_map.valid & whole.point_map.valid
+    assert both.mean() > 0.99
+    apart_mm = (alone.point_map.points_world_mm - whole.point_map.points_world_mm)[both]
+    assert np.max(np.abs(apart_mm)) < 1e-5
+    column_px = np.asarray(read_maps(decoded / "decoded.nc")["column_px"])
+    np.testing.assert_array_equal(column_px[both], whole.decoded.column.coordinate_px[both])
+    maps = read_maps(out / "reconstruction.nc")
+    assert "row_px" not in maps

@@ -24,9 +24,9 @@ INSTEAD = {
     r"\babsent:": "default:",
     r"\bbars? (?:is|are) met\b|\bwithin (?:its|their) bars?\b": "target",
 }
-COMMANDS = ("calibrate", "compare", "completion", "demo", "doctor", "export", "identify", "init",
-            "keys", "measure", "paper", "patterns", "press", "reconstruct", "render", "report",
-            "sweep", "uncertainty", "view")  # fmt: skip
+COMMANDS = ("calibrate", "compare", "completion", "decode", "demo", "describe", "doctor",
+            "export", "identify", "init", "keys", "measure", "paper", "patterns", "press",
+            "reconstruct", "render", "report", "sweep", "uncertainty", "view")  # fmt: skip
 
 
 def written() -> Iterator[tuple[str, str]]:

@@ -2,7 +2,7 @@
 
 import pytest
 
-from reconstruction.capture.description import FrameSet, frame_files, read_frame_set
+from reconstruction.capture.frame_set import FrameSet, frame_files, read_frame_set
 from reconstruction.errors import CaptureError, InputError
 from reconstruction.patterns import PatternSet
 from reconstruction.rig.sensor import SensorNoise

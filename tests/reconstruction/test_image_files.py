@@ -8,9 +8,10 @@ import OpenEXR
 import pytest
 
 from reconstruction.calibration.observation import pose_folders, read_board_capture
-from reconstruction.capture.description import FrameSet, write_patterns, write_toml
+from reconstruction.capture.description import write_patterns, write_toml
 from reconstruction.capture.folder import read_capture, write_capture
-from reconstruction.capture.image_files import subtract_dark
+from reconstruction.capture.frame_set import FrameSet
+from reconstruction.capture.image_files import read_image, subtract_dark
 from reconstruction.errors import CaptureError, InputError
 from reconstruction.patterns import PatternSet
 from reconstruction.pipeline import reconstruct
@@ -243,3 +244,31 @@ def test_values_beyond_the_bit_depth_tell_left_aligned_bits(write_folder, frames
     save(folder, frames.astype(np.uint16) * 256, "{name}.tif")
     with pytest.raises(CaptureError, match="12 bits end at 4095; all values are multiples of 256"):
         read_capture(folder)
+
+
+@pytest.mark.parametrize(
+    ("head", "message"),
+    [
+        (b"P2\n3 2\n255\n", "no header of a binary PGM"),
+        (b"P5\n# made by hand\n3 2\n65536\n", "values up to 65536"),
+        (b"P5\n30 2\n255\n", "need 72"),
+    ],
+)
+def test_damaged_grey_maps_are_refused(tmp_path, head, message):
+    path = tmp_path / "image.pgm"
+    path.write_bytes(head + bytes(range(12)))
+    with pytest.raises(CaptureError, match=message):
+        read_image(path)
+
+
+def test_grey_maps_and_arrays_hold_what_is_stored(tmp_path):
+    """A largest value of 4095 is not stretched, and comments stand between the numbers."""
+    path = tmp_path / "image.pgm"
+    path.write_bytes(b"P5 # 12 bits\n3 2 # columns rows\n4095\n" + bytes(range(12)))
+    expected = np.array([[1, 515, 1029], [1543, 2057, 2571]], np.uint16)
+    np.testing.assert_array_equal(read_image(path), expected)
+    np.save(tmp_path / "image.npy", expected.astype(np.float32))
+    np.testing.assert_array_equal(read_image(tmp_path / "image.npy"), expected)
+    np.save(tmp_path / "image.npy", np.array([{}]), allow_pickle=True)
+    with pytest.raises(CaptureError, match="no complete image"):
+        read_image(tmp_path / "image.npy")

@@ -9,6 +9,7 @@ from reconstruction.decoding.decode import AxisDecode, Decoded, DecodeOptions, R
 from reconstruction.errors import InputError
 from reconstruction.patterns import PatternSet
 from reconstruction.rig.calibration import Calibration, Pinhole
+from reconstruction.rig.layers import PlaneLayers
 from reconstruction.rig.sensor import SensorNoise
 from reconstruction.triangulation import EpipolarTolerance, triangulate
 
@@ -42,6 +43,22 @@ def test_points_come_back(calibration, surface, project, use):
     found = triangulate(decoded_from(project(calibration, points)), calibration, use)
     assert found.valid.all()
     assert np.max(np.abs(found.points_world_mm - points)) < 1e-5
+
+
+@pytest.mark.parametrize("layers", [None, PlaneLayers((1.0,), (1.5,))])
+def test_one_axis_alone_needs_no_epipolar_test(calibration, surface, project, layers):
+    """Expected: the points that columns give with any rows; the other axis cannot be used."""
+    rig = dataclasses.replace(calibration, layers=layers)
+    whole = decoded_from(project(calibration, surface(calibration)))
+    nowhere = dataclasses.replace(whole.row, coordinate_px=np.zeros_like(whole.row.coordinate_px))
+    alone = dataclasses.replace(whole, row=nowhere, axes=("column",))
+    found = triangulate(alone, rig, "column")
+    unchecked = triangulate(whole, rig, "column", EpipolarTolerance(1e9))
+    np.testing.assert_array_equal(found.points_world_mm, unchecked.points_world_mm)
+    assert found.valid.mean() > 0.9
+    for use in ("row", "both"):
+        with pytest.raises(InputError, match="decoded was 'column' alone"):
+            triangulate(alone, rig, use)
 
 
 FOLDING = (-0.5, 0.0, 0.0, 0.0, 0.0)

@@ -1,7 +1,9 @@
 """Commands for captures, rendered or real: patterns, calibration, reconstruction, reports."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from cyclopts import Parameter
 
 from twin.cli.app import (
     ExperimentFile,
@@ -12,11 +14,13 @@ from twin.cli.app import (
     print_metrics,
     progress_bars,
     say,
+    settings_of,
 )
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from reconstruction.patterns import PatternSet
     from twin.config import Experiment
 
 
@@ -61,6 +65,76 @@ def reconstruct(
         figures = reconstruct_capture(capture, out, chosen, watch)
     print_metrics(figures)
     say(f"wrote {out}")
+
+
+@app.command
+def decode(
+    capture: Path,
+    /,
+    *,
+    out: Out,
+    filter_taps: int | None = None,
+    filter_sigma_px: float | None = None,
+) -> None:
+    """Turn the frames of a capture into projector coordinates; needs no calibration.
+
+    Parameters
+    ----------
+    capture
+        Folder with capture.toml; docs/real_rig.md tells how to list the frames of any set.
+    filter_taps
+        Width of the Gaussian on the coordinate, px; 0 switches it off; default: as in twin keys.
+    filter_sigma_px
+        Standard deviation of that Gaussian, px; default: as in twin keys.
+    """
+    from twin.config import decode_settings
+    from twin.pipeline.captures import decode_capture
+
+    given = {"filter_taps": filter_taps, "filter_sigma_px": filter_sigma_px}
+    chosen = decode_settings(**{key: value for key, value in given.items() if value is not None})
+    with progress_bars() as watch:
+        figures = decode_capture(capture, out, chosen, watch)
+    print_metrics(figures)
+    say(f"wrote {out}")
+
+
+@app.command
+def describe(
+    folder: Path,
+    /,
+    *,
+    out: Annotated[Path | None, Parameter(name=["--out", "-o"])] = None,
+    projector: tuple[int, int] | None = None,
+) -> None:
+    """Guess what the images of a folder show, and write capture.toml to correct.
+
+    Parameters
+    ----------
+    folder
+        Images of fringes or bits that another program recorded, in it or in folders of it.
+    out
+        File to write; default: capture.toml in FOLDER; an existing file is never overwritten.
+    projector
+        Its width and height, px, which no image tells; default: 1280 720, marked as unsure.
+    """
+    from reconstruction.capture.description import DESCRIPTION_FILE
+    from reconstruction.capture.guess import guess
+    from reconstruction.capture.guess_file import require_groups, written
+    from twin.output import creating
+
+    size = projector or (1280, 720)
+    found = guess(folder, size)
+    require_groups(found, folder)
+    target = out or folder / DESCRIPTION_FILE
+    with creating(target) as part:
+        part.write_text(written(found, size, is_known=projector is not None), encoding="utf-8")
+    for group in found.groups:
+        along = f" along {group.axis}" if group.axis else ""
+        say(f"{group.kind}{along}: {len(group.files)} images, {group.files[0]} ...")
+    for text in found.unsure:
+        say(f"unsure: {text}")
+    say("unsure: what the file marks, such as periods in projector pixels and [sensor]")
+    say(f"wrote {target}; correct it, then: twin decode {folder} -o decoded")
 
 
 def _reconstruct_press(description: Path, out: Path) -> None:
@@ -228,16 +302,31 @@ def _rig(source: Path, settings: Settings) -> "Experiment":
 def patterns(
     experiment: ExperimentFile = Path("paper/two_balls"), /, *, out: Out, settings: Settings = None
 ) -> None:
-    """Write the projected sequence for a real projector: 8-bit PNG images and a manifest."""
+    """Write the projected sequence for a real projector: 8-bit PNG images and a manifest.
+
+    Parameters
+    ----------
+    experiment
+        Experiment, whose rig projects; or a TOML file with [patterns] alone, such as a manifest:
+        any sequence that can be decoded, see docs/decoding.md.
+    """
     from reconstruction.capture.description import MANIFEST_FILE, write_patterns
-    from twin.optics.light import pattern_set
     from twin.output import output_folder
 
-    loaded = load(experiment, settings)
-    sequence = pattern_set(loaded.projector, loaded.patterns)
+    sequence = _sequence(experiment, settings)
     with output_folder(out, [experiment]) as folder:
         write_patterns(folder, sequence)
     say(f"wrote {len(sequence.frames)} images and {out / MANIFEST_FILE}")
+
+
+def _sequence(source: Path, settings: Settings) -> "PatternSet":
+    from reconstruction.capture.description import is_sequence, read_sequence
+    from twin.optics.light import pattern_set
+
+    if is_sequence(source):
+        return read_sequence(source, settings_of(settings))
+    loaded = load(source, settings)
+    return pattern_set(loaded.projector, loaded.patterns)
 
 
 @app.command

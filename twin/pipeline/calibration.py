@@ -35,8 +35,8 @@ from reconstruction.calibration import (
 )
 from reconstruction.calibration.observation import pose_folders
 from reconstruction.calibration.pipeline import parameters_of, pupil_diameter_mm
-from reconstruction.capture.description import write_frame_set
 from reconstruction.capture.folder import Capture, write_capture
+from reconstruction.capture.frame_set import write_frame_set
 from reconstruction.errors import InputError
 from reconstruction.rig.calibration import Calibration, write_calibration
 from reconstruction.rig.importing import Imported

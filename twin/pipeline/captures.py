@@ -7,8 +7,10 @@ import numpy as np
 import tomli_w
 
 from reconstruction.arrays import ReasonImage
-from reconstruction.capture.folder import read_capture
-from reconstruction.decoding.decode import Reason
+from reconstruction.capture.folder import read_capture, read_uncalibrated
+from reconstruction.decoding.decode import Decoded, Reason
+from reconstruction.decoding.decode import decode as decode_stack
+from reconstruction.decoding.pictures import draw_decoded
 from reconstruction.evaluate.surface import write_surface
 from reconstruction.machine import run_side_by_side
 from reconstruction.photometric import (
@@ -19,7 +21,13 @@ from reconstruction.photometric import (
     write_height_points,
     write_sensor_calibration,
 )
-from reconstruction.pipeline import Reconstruction, filter_bias, reconstruct, write_reconstruction
+from reconstruction.pipeline import (
+    Reconstruction,
+    filter_bias,
+    reconstruct,
+    write_decoded,
+    write_reconstruction,
+)
 from reconstruction.triangulation import Use
 from twin.config.models import Decode
 from twin.output import EXPERIMENT_FILE, output_folder
@@ -44,7 +52,8 @@ def reconstruct_capture(
         watch("reconstruct", 0.0)
         result = reconstruct(capture, options_of(decode))
         watch("reconstruct", 1.0)
-        figures = reconstruction_metrics(result, decode.use)
+        axes = result.decoded.axes
+        figures = reconstruction_metrics(result, decode.use if len(axes) == 2 else axes[0])
         maps = folder / "reconstruction.nc", result.decoded, result.point_map
         run_side_by_side(
             [
@@ -71,6 +80,54 @@ def reconstruction_metrics(result: Reconstruction, use: Use) -> dict[str, Any]:
         bias_um, bias_share = filter_bias(result, use, result.point_map.valid)
         figures |= {"filter_bias_um": bias_um, "filter_bias_share": bias_share}
     return figures | _masked(reasons, Reason)
+
+
+def decode_capture(
+    capture_folder: Path, out: Path, decode: Decode, watch: ProgressCallback = no_progress
+) -> dict[str, Any]:
+    """Decode `capture_folder` into `out`, without a calibration; returns the figures.
+
+    `out` holds decoded.nc, decoded.png, experiment.toml and result.json.
+
+    Raises
+    ------
+    InputError : the capture is incomplete or damaged, or `out` cannot be written
+    """
+    with output_folder(out, [capture_folder]) as folder:
+        watch("read", 0.0)
+        capture = read_uncalibrated(capture_folder)
+        watch("read", 1.0)
+        watch("decode", 0.0)
+        options = options_of(decode).decode
+        result = decode_stack(
+            capture.stack, capture.patterns, capture.sensor, options, capture.scale
+        )
+        watch("decode", 1.0)
+        figures = decoding_metrics(result)
+        write_decoded(folder / "decoded.nc", result)
+        draw_decoded(folder / "decoded.png", result)
+        settings = tomli_w.dumps({"decode": decode.model_dump(mode="json")})
+        (folder / EXPERIMENT_FILE).write_text(settings, encoding="utf-8")
+        write_outcome(folder, "decode", figures)
+    return figures
+
+
+def decoding_metrics(decoded: Decoded) -> dict[str, Any]:
+    """Count the valid and, by reason, the masked pixels; say how well coordinates are known."""
+    figures: dict[str, Any] = {
+        "pixels": int(decoded.valid.sum()),
+        "valid_share": float(decoded.valid.mean()),
+    }
+    for name in decoded.axes if figures["pixels"] else ():
+        axis = decoded.row if name == "row" else decoded.column
+        coordinate_px = axis.coordinate_px[decoded.valid]
+        figures |= {
+            f"{name}_lowest_px": float(coordinate_px.min()),
+            f"{name}_highest_px": float(coordinate_px.max()),
+            f"sigma_{name}_median_px": float(np.median(axis.sigma_px[decoded.valid])),
+            f"modulation_{name}_median_dn": float(np.median(axis.modulation_dn[decoded.valid])),
+        }
+    return figures | _masked(decoded.mask_reason, Reason)
 
 
 def reconstruct_press(

@@ -1,0 +1,297 @@
+"""Sort listed frames into the order of decoding, and tell what sequence they show.
+
+What is stated about each frame (period, shift, bit) decides, not its name or place: sets of equal
+steps by period, words by their bits. The code follows from how wide a word is beside a fringe.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+from reconstruction.errors import CaptureError, require_integer
+from reconstruction.patterns import AXES, Axis, Kind, PatternSet, WordName
+
+# Rounding of shifts written with few digits, of a step.
+EQUAL_STEPS = 0.02
+
+
+@dataclass(frozen=True)
+class ListedFrame:
+    """One image and what it shows.
+
+    Parameters
+    ----------
+    file : path below the folder
+    kind, axis : as of `PatternFrame`
+    period_px : of fringes; of a bit that of its word, if stated
+    shift_deg : with its sign, in [0, 360)
+    bit : 0 is the coarsest
+    shifted : of the second word
+    exposure_ms : 0 where there is one exposure
+    """
+
+    file: str
+    kind: Kind
+    axis: Axis | None = None
+    period_px: float | None = None
+    shift_deg: float = 0.0
+    bit: int = 0
+    shifted: bool = False
+    exposure_ms: float = 0.0
+
+    @property
+    def told(self) -> str:
+        """What it shows, as messages say it."""
+        along = f" along {self.axis}" if self.axis else ""
+        if self.kind == "phase":
+            return f"phase{along}, period {self.period_px:g} px, shift {self.shift_deg:g} degrees"
+        bit = f", bit {self.bit}{' of the shifted word' * self.shifted}"
+        return f"{self.kind}{along}{bit if self.axis else ''}"
+
+
+@dataclass(frozen=True)
+class ProjectorSize:
+    """Pixels of the projector."""
+
+    width_px: int
+    height_px: int
+
+    def __post_init__(self) -> None:
+        require_integer("projector width_px", self.width_px, 1, 65536)
+        require_integer("projector height_px", self.height_px, 1, 65536)
+
+
+class Arrangement:
+    """The frames of one exposure, sorted: `patterns`, and `files` in the order of their frames.
+
+    Raises
+    ------
+    InputError : two images show the same, one is missing, or the whole cannot be decoded
+    """
+
+    def __init__(self, frames: Sequence[ListedFrame], size: ProjectorSize, word: WordName) -> None:
+        _refuse_twice(frames)
+        self._frames = frames
+        self._size = size
+        self._axes = tuple(axis for axis in AXES if any(one.axis == axis for one in frames))
+        self._word = word
+        if not self._axes:
+            raise CaptureError("no frame along column or row is listed; list phase or Gray frames")
+        self.patterns, self.files = self._sorted()
+
+    def _of(
+        self, kind: Kind, axis: Axis | None = None, *, shifted: bool = False
+    ) -> list[ListedFrame]:
+        found = (f for f in self._frames if (f.kind, f.axis, f.shifted) == (kind, axis, shifted))
+        return sorted(found, key=lambda one: one.bit)
+
+    def _sorted(self) -> tuple[PatternSet, list[str]]:
+        phases = {axis: self._phase_sets(axis) for axis in self._axes}
+        counts = {axis: len(sets) for axis, sets in phases.items()}
+        if len(set(counts.values())) > 1:
+            raise CaptureError(
+                f"there are {counts['column']} fringe periods along column and {counts['row']} "
+                "along row; list the same number, or one axis alone"
+            )
+        steps = {len(one) for sets in phases.values() for one in sets}
+        if len(steps) > 1:
+            raise CaptureError(
+                f"there are phase sets of {sorted(steps)} steps; list sets of the same number"
+            )
+        words = {axis: self._words(axis, phases[axis]) for axis in self._axes}
+        patterns = self._patterns(phases, words)
+        ordered = [one for sets in phases.values() for frames in sets for one in frames]
+        for gray, inverse in (word[1:] for word in words.values()):
+            ordered += [*gray, *inverse]
+        uniform = [self._of("white"), self._of("black")]
+        ordered += [one for found in uniform for one in found] if patterns.uniform else []
+        if len(ordered) != len(patterns.frames):
+            raise CaptureError(
+                f"{len(ordered)} frames are listed, {patterns.code} of this size has "
+                f"{len(patterns.frames)}; list exactly the bits of both words"
+            )
+        return patterns, [one.file for one in ordered]
+
+    def _phase_sets(self, axis: Axis) -> list[list[ListedFrame]]:
+        frames = self._of("phase", axis)
+        periods = sorted({one.period_px or 0.0 for one in frames})
+        sets = [[one for one in frames if one.period_px == period] for period in periods]
+        return [_equal_steps(one) for one in sets]
+
+    def _words(
+        self, axis: Axis, phases: list[list[ListedFrame]]
+    ) -> tuple[str, list[ListedFrame], list[ListedFrame]]:
+        """Return the code along one axis, its Gray frames and their inverses."""
+        first, second = self._of("gray", axis), self._of("gray", axis, shifted=True)
+        if not first:
+            return self._several(axis, phases), [], []
+        if len(phases) > 1:
+            raise CaptureError(
+                f"there are Gray frames and {len(phases)} fringe periods along {axis}; list the "
+                "period that the words number"
+            )
+        fringe_px = phases[0][0].period_px if phases else None
+        code, kept = _kept_bits(first, fringe_px, self._length(axis), bool(second), self._word)
+        gray = [*first[kept], *second]
+        inverse = [*self._of("inverse", axis)[kept], *self._of("inverse", axis, shifted=True)]
+        if inverse and [one.bit for one in inverse] != [one.bit for one in gray]:
+            raise CaptureError(
+                f"along {axis} there are {len(gray)} Gray frames and {len(inverse)} inverse ones "
+                "of other bits; every Gray frame needs its inverse, or none"
+            )
+        return code, gray, inverse
+
+    def _several(self, axis: Axis, phases: list[list[ListedFrame]]) -> str:
+        coarsest_px = phases[-1][0].period_px or 0.0
+        if coarsest_px >= self._length(axis) * (1.0 - 1e-9):
+            return "hierarchical"
+        if len(phases) > 1:
+            return "heterodyne"
+        raise CaptureError(
+            f"along {axis} there is one period of {coarsest_px:g} px and nothing that numbers its "
+            "fringes; list Gray frames or further periods"
+        )
+
+    def _patterns(self, phases: dict[Axis, Any], words: dict[Axis, Any]) -> PatternSet:
+        codes = {word[0] for word in words.values()}
+        has_inverse = {bool(word[2]) for word in words.values()}
+        if len(codes) > 1 or len(has_inverse) > 1:
+            raise CaptureError(
+                f"along column and row there are different codes ({', '.join(sorted(codes))}) or "
+                "inverse frames along one of them alone; list one axis alone"
+            )
+        uniform = {kind: bool(self._of(kind)) for kind in ("white", "black")}
+        periods = {axis: self._periods_px(axis, phases, words) for axis in self._axes}
+        first = periods[self._axes[0]]
+        differs = len(periods) == 2 and periods["row"] != first
+        shifts = [frames[0].shift_deg for sets in phases.values() for frames in sets]
+        return PatternSet(
+            self._size.width_px,
+            self._size.height_px,
+            first[0],
+            len(phases[self._axes[0]][0]) if phases[self._axes[0]] else 0,
+            code=codes.pop(),
+            further_periods_px=first[1:],
+            row_periods_px=periods["row"] if differs else (),
+            axes=self._axes,
+            word=self._word,
+            inverse=has_inverse.pop(),
+            uniform=all(uniform.values()),
+            first_shifts_deg=tuple(shifts) if any(shifts) else (),
+        )
+
+    def _periods_px(
+        self, axis: Axis, phases: dict[Axis, Any], words: dict[Axis, Any]
+    ) -> tuple[float, ...]:
+        if phases[axis]:
+            return tuple(frames[0].period_px for frames in phases[axis])
+        return (words[axis][1][0].period_px,)
+
+    def _length(self, axis: Axis) -> int:
+        return self._size.width_px if axis == "column" else self._size.height_px
+
+
+def _refuse_twice(frames: Sequence[ListedFrame]) -> None:
+    seen: dict[Any, ListedFrame] = {}
+    names: dict[str, ListedFrame] = {}
+    for one in frames:
+        key = (one.kind, one.axis, one.period_px, round(one.shift_deg, 3), one.bit, one.shifted)
+        if key in seen:
+            raise CaptureError(
+                f"{seen[key].file} and {one.file} are both listed as {one.told}; correct one"
+            )
+        if one.file in names:
+            raise CaptureError(
+                f"{one.file} is listed twice: as {names[one.file].told}, and as {one.told}"
+            )
+        seen[key], names[one.file] = one, one
+
+
+def _equal_steps(frames: list[ListedFrame]) -> list[ListedFrame]:
+    """Sort a phase set by its shift, or raise CaptureError unless its steps are equal."""
+    count = len(frames)
+    step_deg = 360.0 / count
+    slack_deg = EQUAL_STEPS * step_deg
+    # A shift just below a full turn is one of 0 that was rounded.
+    found = sorted(frames, key=lambda one: (one.shift_deg + slack_deg) % 360.0)
+    shifts = [(one.shift_deg + slack_deg) % 360.0 for one in found]
+    uneven = [b - a for a, b in pairwise(shifts) if abs(b - a - step_deg) > slack_deg]
+    if count < 3 or uneven:
+        told = ", ".join(f"{one.shift_deg:g}" for one in found)
+        raise CaptureError(
+            f"the {count} phase frames along {found[0].axis} of period {found[0].period_px:g} px "
+            f"have the shifts {told} degrees: no {max(count, 3)} equal steps of a turn; record the "
+            "missing ones, or correct shift_deg, steps and sign"
+        )
+    return found
+
+
+def _kept_bits(
+    frames: list[ListedFrame], fringe_px: float | None, length_px: int, shifted: bool, word: str
+) -> tuple[str, slice]:
+    """Return the code, and which bits of the first word, the coarsest first, it needs."""
+    bits = [one.bit for one in frames]
+    if bits != list(range(bits[0], bits[0] + len(bits))):
+        missing = sorted(set(range(bits[0], bits[-1])) - set(bits))
+        raise CaptureError(
+            f"along {frames[0].axis} bits {missing} are missing among the Gray frames; record them"
+        )
+    stated_px, count = frames[0].period_px, len(bits)
+    if fringe_px is None:
+        if stated_px is None:
+            raise CaptureError(
+                f"period_px of the Gray frames along {frames[0].axis} is missing; give the width "
+                "of one word"
+            )
+        needed = _needed(length_px, stated_px)
+        return "gray", _last(frames, count, needed, stated_px, length_px)
+    if stated_px is None:
+        stated_px = _inferred_px(frames, fringe_px, length_px, shifted)
+    finer = math.log2(fringe_px / stated_px)
+    dropped = max(round(finer) - (0 if shifted or word != "reflected" else 1), 0)
+    if abs(finer - round(finer)) > 1e-9 or finer < -1e-9 or (dropped and word != "reflected"):
+        raise CaptureError(
+            f"along {frames[0].axis} words are {stated_px:g} px wide and fringes {fringe_px:g} px; "
+            "words must be as wide as a fringe, half of it, or that divided by 2, 4, 8 ..."
+        )
+    width_px = stated_px * 2**dropped
+    code = "gray" if width_px > 0.75 * fringe_px else "complementary_gray"
+    needed = _needed(length_px, fringe_px) + (code == "complementary_gray")
+    kept = _last(frames, count - dropped, needed, width_px, length_px)
+    return "shifted_gray" if shifted else code, kept
+
+
+def _needed(length_px: int, width_px: float) -> int:
+    """Return the bits that number all words of the image."""
+    return (math.ceil(length_px / width_px) - 1).bit_length()
+
+
+def _last(
+    frames: list[ListedFrame], count: int, needed: int, width_px: float, length_px: int
+) -> slice:
+    """Leave out coarse bits that are 0 everywhere."""
+    if count < needed:
+        raise CaptureError(
+            f"along {frames[0].axis} {count} Gray frames number {2**count} words of {width_px:g} "
+            f"px, the {length_px} px need {needed} frames; record the missing ones, or correct "
+            "period_px or [projector]"
+        )
+    return slice(count - needed, count)
+
+
+def _inferred_px(
+    frames: list[ListedFrame], fringe_px: float, length_px: int, shifted: bool
+) -> float:
+    """Return the width of a word from the number of bits, where it says that."""
+    count, plain = len(frames), _needed(length_px, fringe_px)
+    if shifted or count == plain:
+        return fringe_px
+    if count == plain + 1:
+        return 0.5 * fringe_px
+    raise CaptureError(
+        f"along {frames[0].axis} there are {count} Gray frames; fringes of {fringe_px:g} px need "
+        f"{plain}, or {plain + 1} with half-period words: record the missing ones, or give "
+        "period_px of the Gray frames, the width of one word"
+    )

@@ -1,0 +1,197 @@
+"""What single images of an unknown set look like: level, axis of the stripes, their frequency.
+
+Of every image some lines along its rows and along its columns are kept, at full resolution. Each
+value is put between the darkest and the brightest that its pixel shows in the whole set, u in
+[0, 1], so that coat, object and lighting drop out; pixels that hardly change are left out.
+
+An image that varies along projector columns differs within the lines along rows, and is steady
+within those along columns. Frequencies are peaks of the mean power spectrum of the lines.
+"""
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from reconstruction.arrays import BoolImage, FloatArray, FloatImage
+from reconstruction.capture.frame_set import Channel, natural_key
+from reconstruction.capture.image_files import Image, read_image
+from reconstruction.errors import CaptureError
+from reconstruction.patterns import Axis
+
+SUFFIXES = (".png", ".bmp", ".tif", ".tiff", ".exr", ".pgm", ".npy")
+LINES = 32
+# A pixel takes part where it changes by this share of what the well-lit ones change.
+LIT_SHARE = 0.3
+# Variance of u below which an image is uniform; its mean beyond which it is white or black.
+UNIFORM, WHITE, BLACK = 0.03, 0.7, 0.3
+# A pixel whose u comes that close to 0 or 1 is dark or bright.
+EXTREME = 0.15
+# Zeros added to the lines, in lengths: finer steps of the spectrum.
+PADDED = 8
+
+
+@dataclass(frozen=True, eq=False)
+class Look:
+    """One image of a set.
+
+    Parameters
+    ----------
+    file : below the folder
+    mean : of u
+    kind : "white", "black", "grey" or "striped"
+    axis, certainty : along which it varies, and by how much more than along the other, >= 1
+    frequency : of the stripes, cycles per camera pixel along the axis
+    smooth : share of the pixels that are neither dark nor bright
+    lines : (line, sample) u - 1/2 along the axis, 0 where it is not lit
+    is_lit : (line, sample)
+    """
+
+    file: str
+    mean: float
+    kind: str
+    axis: Axis
+    certainty: float
+    frequency: float
+    smooth: float
+    lines: FloatImage
+    is_lit: BoolImage
+
+
+@dataclass(frozen=True, eq=False)
+class LookedAt:
+    """A folder of images.
+
+    Parameters
+    ----------
+    looks : of the images of the size that most have, in natural order
+    left_out : files of another size
+    channel : which was read of colour images
+    largest : value found; dtype : of the images
+    darkest_dn : what pixels without light read
+    """
+
+    looks: tuple[Look, ...]
+    left_out: tuple[str, ...]
+    channel: Channel
+    largest: float
+    dtype: str
+    darkest_dn: float
+
+
+def look_at(folder: Path) -> LookedAt:
+    """Look at all images of a folder and of the folders in it.
+
+    Raises
+    ------
+    CaptureError : there are fewer than three images, one is damaged, or none of them changes
+    """
+    files = sorted(
+        (p for pattern in ("*", "*/*") for p in folder.glob(pattern) if _is_image(p)),
+        key=natural_key,
+    )
+    if len(files) < 3:
+        raise CaptureError(
+            f"{folder}: holds {len(files)} images ({', '.join(SUFFIXES)}); give a folder of frames"
+        )
+    first = [_read(path) for path in files]
+    sizes = Counter(image.shape[:2] for image, _ in first)
+    size = sizes.most_common(1)[0][0]
+    kept = [k for k, (image, _) in enumerate(first) if image.shape[:2] == size]
+    names = [path.relative_to(folder).as_posix() for path in files]
+    images = [first[k][0] for k in kept]
+    looks = _looks([names[k] for k in kept], images)
+    return LookedAt(
+        looks,
+        tuple(name for k, name in enumerate(names) if k not in kept),
+        "green" if any(first[k][1] for k in kept) else "",
+        max(float(image.max()) for image in images),
+        images[0].dtype.name,
+        float(np.percentile(np.min([image[::7, ::7] for image in images], axis=0), 1.0)),
+    )
+
+
+def _read(path: Path) -> tuple[Image, bool]:
+    """Return an image, of colours the green one, and whether it has colours."""
+    try:
+        return read_image(path), False
+    except CaptureError:
+        return read_image(path, "green"), True
+
+
+def _is_image(path: Path) -> bool:
+    return path.suffix.lower() in SUFFIXES and path.is_file()
+
+
+def _looks(names: Sequence[str], images: Sequence[Image]) -> tuple[Look, ...]:
+    rows, cols = (_places(length) for length in images[0].shape)
+    along: dict[Axis, FloatArray] = {
+        "column": np.stack([image[rows] for image in images]).astype(np.float64),
+        "row": np.stack([image[:, cols].T for image in images]).astype(np.float64),
+    }
+    low = {axis: lines.min(axis=0) for axis, lines in along.items()}
+    span = {axis: lines.max(axis=0) - low[axis] for axis, lines in along.items()}
+    bright = max(float(np.percentile(one, 95.0)) for one in span.values())
+    if bright <= 0.0:
+        raise CaptureError("all images are the same; give the frames of a sequence")
+    lit = {axis: one > LIT_SHARE * bright for axis, one in span.items()}
+    found = []
+    for k, name in enumerate(names):
+        u = {
+            axis: np.where(
+                lit[axis], (along[axis][k] - low[axis]) / np.maximum(span[axis], 1e-9), 0
+            )
+            for axis in along
+        }
+        found.append(_look(name, u, lit))
+    return tuple(found)
+
+
+def _places(length: int) -> NDArray[np.int_]:
+    """Return evenly spaced lines, the margins left out."""
+    return np.unique(np.linspace(0.05 * length, 0.95 * length - 1, LINES).astype(int))
+
+
+def _look(name: str, u: dict[Axis, FloatArray], lit: dict[Axis, BoolImage]) -> Look:
+    mean = float(u["column"].sum() / max(lit["column"].sum(), 1))
+    strengths = {axis: _strength(u[axis], lit[axis]) for axis in u}
+    column, row = strengths["column"], strengths["row"]
+    axis: Axis = "column" if column >= row else "row"
+    whole = float(np.var(u["column"][lit["column"]])) if lit["column"].any() else 0.0
+    lines = np.where(lit[axis], u[axis] - 0.5, 0.0)
+    kind = "striped"
+    if whole < UNIFORM:
+        darker = "black" if mean < BLACK else "grey"
+        kind = "white" if mean > WHITE else darker
+    between = np.abs(lines[lit[axis]]) < 0.5 - EXTREME
+    certainty = max(column, row) / max(min(column, row), 1e-9)
+    frequency = peak(lines) if kind == "striped" else 0.0
+    smooth = float(np.mean(between)) if between.size else 0.0
+    return Look(name, mean, kind, axis, certainty, frequency, smooth, lines, lit[axis])
+
+
+def _strength(u: FloatArray, is_lit: BoolImage) -> float:
+    """Return how much u varies within lines: its variance, and its steps from pixel to pixel."""
+    count = np.maximum(is_lit.sum(axis=1), 1)
+    mean = u.sum(axis=1) / count
+    variance = np.where(is_lit, (u - mean[:, np.newaxis]) ** 2, 0.0).sum(axis=1) / count
+    both = is_lit[:, 1:] & is_lit[:, :-1]
+    steps = np.abs(np.diff(u, axis=1))[both]
+    return float((np.mean(variance) + 1e-4) * (float(np.mean(steps)) if steps.size else 0.0))
+
+
+def spectrum(lines: FloatImage) -> FloatArray:
+    """Return the Fourier transform of each line less its mean, windowed, (line, frequency)."""
+    count = lines.shape[1]
+    window = np.hanning(count)
+    mean = (lines * window).sum(axis=1, keepdims=True) / window.sum()
+    return np.asarray(np.fft.rfft((lines - mean) * window, PADDED * count, axis=1))
+
+
+def peak(lines: FloatImage) -> float:
+    """Return the strongest frequency of the lines, cycles per sample."""
+    power = np.sum(np.abs(spectrum(lines)) ** 2, axis=0)
+    return float(max(int(np.argmax(power)), 1) / (PADDED * lines.shape[1]))

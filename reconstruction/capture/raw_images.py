@@ -1,0 +1,55 @@
+"""Images that hold numbers and little else: NumPy arrays and binary grey maps (PGM)."""
+
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from reconstruction.errors import InputError, one_line
+from reconstruction.reading import MOST_IMAGE_BYTES, read_bytes, regular_file
+
+# Width, height and largest value, with comments between them; one blank before the pixels.
+_HEADER = re.compile(rb"P5" + rb"(?:\s|#[^\n]*\n)+(\d{1,9})" * 3 + rb"\s")
+
+
+def read_npy(path: Path) -> NDArray[Any]:
+    """Return the array of an NPY file.
+
+    Raises
+    ------
+    InputError : no file, no complete array, or one of Python objects
+    """
+    regular_file(path, MOST_IMAGE_BYTES)
+    try:
+        found = np.load(path, allow_pickle=False)
+    # numpy raises ValueError, EOFError, OSError ...
+    except Exception as error:
+        raise InputError(f"{path}: is no complete image ({one_line(error)})") from error
+    return np.asarray(found)
+
+
+def read_pgm(path: Path) -> NDArray[Any]:
+    """Return the values of a binary PGM file as they are stored, (row, col) uint8 or uint16.
+
+    Other readers stretch a largest value of, say, 4095 to 65535.
+
+    Raises
+    ------
+    InputError : no file, no binary PGM, or fewer bytes than the header tells
+    """
+    content = read_bytes(path, MOST_IMAGE_BYTES)
+    header = _HEADER.match(content)
+    if header is None:
+        raise InputError(f"{path}: is no complete image (no header of a binary PGM, P5)")
+    cols, rows, largest = (int(number) for number in header.groups())
+    kind = np.dtype(">u2" if largest > 255 else "u1")
+    end = header.end() + rows * cols * kind.itemsize
+    if not 0 < largest < 2**16 or rows * cols == 0 or len(content) < end:
+        raise InputError(
+            f"{path}: is no complete image ({len(content)} bytes, {cols} x {rows} px with values "
+            f"up to {largest} need {end})"
+        )
+    values = np.frombuffer(content[header.end() : end], kind).reshape(rows, cols)
+    return values.astype(kind.newbyteorder("="))
