@@ -195,7 +195,7 @@ def test_a_sweep_on_one_scene_equals_fresh_scenes(mi, experiment, coated, bump):
     view = trace.view_of(experiment, geometry)
     for coating in coatings:
         changed = experiment.model_copy(update={"coating": coating})
-        traced = trace.patches_of(changed, geometry, view), None
+        traced = trace.Traced(trace.patches_of(changed, geometry, view), None, tables)
         swept = trace.light(changed, geometry, view, traced, lambda _: None)
         scene, rig = coated_scene(changed, bump), coated_rig(changed, bump)
         fresh = trace_stack(scene, rig, tables, experiment.render.samples)

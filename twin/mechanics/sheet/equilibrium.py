@@ -278,10 +278,7 @@ class Sheet:
             gain = (now.energy - energy) / min(slope * share * (1 - share / 2), -1e-300)
             control = control + share * step
             _refuse_film(now.surface, state)
-            # Near the end each step tells what touches; farther off the sheet would stick where it
-            # only passes.
-            near = viscosity == 0 and share == 1.0
-            if self.sticks and (near or count % _REGRIP_EVERY == _REGRIP_EVERY - 1):
+            if self.sticks and count % _REGRIP_EVERY == _REGRIP_EVERY - 1:
                 state = self.regripped(replace(state, control_mm=control))
                 now = self.evaluate(control, state, tangent=True)
             rest = self._rest(share * step, viscosity, accuracy) if share > 0.9 else None

@@ -25,7 +25,7 @@ _SMALLEST_STEP = 1 / 16
 THINNEST = 0.2
 # A stop on the way is no result: where many equilibria lie side by side, as on a slack sheet, the
 # way goes on before one of them is found.
-_MOST_STEPS_ON_THE_WAY = 10
+_MOST_STEPS_ON_THE_WAY = 20
 _ROUGH_STEP_MM, _ROUGH_RESIDUAL_KPA = 5e-3, 1.0
 # Straight on is far too far where a tent falls round the specimen.
 _PREDICTED_SHARES = (1.0, 0.5, 0.25, 0.0)
