@@ -76,7 +76,7 @@ def test_random_walk_gives_the_same_bytes(mi, base):
 BARE = {
     "coating.base_albedo": (0.3, ""),
     "camera.exposure_ms": (5.0, "capture reconstruction"),
-    "patterns.period_px": (24.0, "frames capture reconstruction"),
+    "patterns.period_px": (24.0, "tables frames capture reconstruction"),
     "render.photons": (2000, "photons frames capture reconstruction"),
     "projector.pose.polar_deg": (30.0, "view trace photons frames capture reconstruction"),
     "stage.albedo": (0.6, "geometry view trace photons frames capture reconstruction"),
