@@ -66,8 +66,15 @@ def read_manifest(folder: Path) -> Manifest | None:
         raise InputError(f"{path}: has version {found['version']}, known is {_VERSION}")
     lines: dict[str, set[str]] = {}
     for line in filter(None, map(_LINE.fullmatch, rest)):
-        lines.setdefault(line["path"], set()).add(line["digest"])
+        if _is_below(line["path"]):
+            lines.setdefault(line["path"], set()).add(line["digest"])
     return Manifest(found["kind"], lines)
+
+
+def _is_below(path: str) -> bool:
+    """Tell whether a path stays within its folder: nothing beside it is ours."""
+    parts = PurePosixPath(path)
+    return not parts.is_absolute() and ".." not in parts.parts
 
 
 def files_of(folder: Path) -> list[str]:

@@ -27,7 +27,10 @@ def read_npy(path: Path) -> NDArray[Any]:
     # numpy raises ValueError, EOFError, OSError ...
     except Exception as error:
         raise InputError(f"{path}: is no complete image ({one_line(error)})") from error
-    return np.asarray(found)
+    image = np.asarray(found)
+    if not image.size:
+        raise InputError(f"{path}: is no complete image (an array of shape {image.shape})")
+    return image
 
 
 def read_pgm(path: Path) -> NDArray[Any]:

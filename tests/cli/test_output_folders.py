@@ -1,5 +1,6 @@
 """Folders that commands write into: nothing of others is removed, nothing is left by half."""
 
+import hashlib
 import json
 import os
 import shutil
@@ -417,3 +418,16 @@ def test_killed_at_each_operation_on_files(tmp_path, how):
     # Between both there are instants at which only the plan makes it whole.
     mixed = [one for one in found if one["at_once"] != one["read"]]
     assert bool(mixed) == (how != "new")
+
+
+@pytest.mark.parametrize("away", ["../other.txt", "{root}/other.txt"])
+def test_a_manifest_that_names_files_beside_its_folder_removes_none(tmp_path, away):
+    other, target = tmp_path / "other.txt", tmp_path / "out"
+    other.write_text("of somebody else")
+    write(target, first="ours")
+    digest = hashlib.sha256(other.read_bytes()).hexdigest()
+    with (target / "twin-manifest.txt").open("a") as manifest:
+        manifest.write(f"{digest}  {away.format(root=tmp_path)}\n")
+    write(target, second="ours")
+    assert other.read_text() == "of somebody else"
+    assert not (target / "first").exists()

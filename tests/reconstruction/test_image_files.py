@@ -269,6 +269,7 @@ def test_grey_maps_and_arrays_hold_what_is_stored(tmp_path):
     np.testing.assert_array_equal(read_image(path), expected)
     np.save(tmp_path / "image.npy", expected.astype(np.float32))
     np.testing.assert_array_equal(read_image(tmp_path / "image.npy"), expected)
-    np.save(tmp_path / "image.npy", np.array([{}]), allow_pickle=True)
-    with pytest.raises(CaptureError, match="no complete image"):
-        read_image(tmp_path / "image.npy")
+    for refused in (np.array([{}]), np.zeros((0, 3), np.uint8)):
+        np.save(tmp_path / "image.npy", refused, allow_pickle=True)
+        with pytest.raises(CaptureError, match="no complete image"):
+            read_image(tmp_path / "image.npy")
