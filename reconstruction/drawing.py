@@ -24,8 +24,9 @@ _DPI = 100
 class Drawing(Figure):
     """A Matplotlib figure that a notebook shows by itself; `savefig` writes it to a file."""
 
-    def __init__(self, panels: int) -> None:
-        super().__init__(figsize=(4.4 * panels, 3.4), facecolor="white", layout="constrained")
+    def __init__(self, panels: int, rows: int = 1) -> None:
+        size = 4.4 * panels, 3.4 * rows
+        super().__init__(figsize=size, facecolor="white", layout="constrained")
 
     def png(self) -> bytes:
         """Return it as a PNG file."""

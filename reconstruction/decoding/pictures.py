@@ -4,11 +4,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib import colormaps
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
 from reconstruction.arrays import Reason
-from reconstruction.decoding import AxisDecode, Decoded
+from reconstruction.decoding import Decoded
 from reconstruction.drawing import Drawing
 
 # Share of the valid pixels whose values span the colour scale.
@@ -16,26 +17,35 @@ _SHOWN = (1.0, 99.0)
 
 
 def draw_decoded(path: Path, decoded: Decoded) -> None:
-    """Draw coordinate, sigma and modulation along each axis, and why pixels have none, as PNG."""
-    panels = 3 * len(decoded.axes) + 1
-    drawing = Drawing(panels)
-    places = drawing.subplots(1, panels, squeeze=False)[0]
-    for number, name in enumerate(decoded.axes):
+    """Draw a row of maps per axis, coordinate, sigma and modulation, and why pixels have none."""
+    rows = len(decoded.axes)
+    drawing = Drawing(4, rows)
+    places = drawing.subplots(rows, 4, squeeze=False)
+    for place, name in zip(places, decoded.axes, strict=True):
         axis = decoded.row if name == "row" else decoded.column
-        _draw_axis(places[3 * number : 3 * number + 3], name, axis, decoded.valid)
-    reasons = places[-1]
-    shown = reasons.imshow(decoded.mask_reason, cmap="tab10", vmin=-0.5, vmax=9.5)
-    reasons.set(title="reason", xlabel="camera column (px)", ylabel="camera row (px)")
-    ticks = [int(reason) for reason in Reason]
-    scale = drawing.colorbar(shown, ax=reasons, ticks=ticks)
-    scale.ax.set_yticklabels([reason.name.lower().replace("_", " ") for reason in Reason])
+        _draw_map(place[0], axis.coordinate_px, decoded.valid, f"projector {name}", "px")
+        _draw_map(place[1], axis.sigma_px, decoded.valid, f"sigma of the {name}", "px")
+        everywhere = np.ones_like(decoded.valid)
+        _draw_map(place[2], axis.modulation_dn, everywhere, f"modulation, {name}", "DN")
+        place[0].set_ylabel("camera row (px)")
+    _draw_reasons(drawing, places[0, 3], decoded)
+    for empty in places[1:, 3]:
+        empty.remove()
     path.write_bytes(drawing.png())
 
 
-def _draw_axis(places: Any, name: str, axis: AxisDecode, valid: NDArray[np.bool_]) -> None:
-    _draw_map(places[0], axis.coordinate_px, valid, f"projector {name}", "px")
-    _draw_map(places[1], axis.sigma_px, valid, f"sigma of the {name}", "px")
-    _draw_map(places[2], axis.modulation_dn, np.ones_like(valid), f"modulation, {name}", "DN")
+def _draw_reasons(drawing: Drawing, place: Axes, decoded: Decoded) -> None:
+    """Draw why pixels have no coordinate, with those reasons only that occur."""
+    reasons = [Reason(code) for code in np.unique(decoded.mask_reason)]
+    shown = place.imshow(
+        np.searchsorted(reasons, decoded.mask_reason),
+        cmap=colormaps["tab10"].resampled(len(reasons)),
+        vmin=-0.5,
+        vmax=len(reasons) - 0.5,
+    )
+    place.set(title="why pixels are left out", xlabel="camera column (px)")
+    scale = drawing.colorbar(shown, ax=place, ticks=range(len(reasons)))
+    scale.ax.set_yticklabels([reason.name.lower().replace("_", " ") for reason in reasons])
 
 
 def _draw_map(
