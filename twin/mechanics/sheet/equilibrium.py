@@ -1,8 +1,8 @@
 """Equilibrium of the sheet at one travel: Newton's method on its energy.
 
 One energy with its exact tangent. Where that tangent is not positive definite, a convexified one
-with a little viscosity replaces it; a line search on the energy and a limit on how far a normal
-may turn per step keep cells from flipping.
+with a little viscosity replaces it for some steps; a line search on the energy and a limit on how
+far a normal may turn per step keep cells from flipping.
 """
 
 from collections.abc import Callable, Sequence
@@ -33,7 +33,9 @@ _FILM = 0.1
 # Shares of the cohesive range: anchored below the first, let go above the second, where the pull is
 # largest. Springs held farther would add to the work of peeling: 10 % at 0.2 mm, 50 % at 0.1 mm.
 _GRIPS, _LETS_GO = 0.25, 0.5
-_LEAST_VISCOSITY, _CONVEX_FROM, _MOST_VISCOSITY = 1.0, 1e4, 1e15
+_LEAST_VISCOSITY, _CONVEX_FROM, _MOST_VISCOSITY = 1.0, 64.0, 1e15
+# A tangent that was not definite is asked again after 1 step, 2, 4 and at most so many.
+_MOST_CONVEX_STEPS = 16
 _GROWTH = 8.0
 # Of a step's promised gain.
 _POOR, _GOOD = 0.5, 0.75
@@ -72,6 +74,31 @@ class SheetState:
     travel_mm: float = 0.0
     pressure_kpa: float = 0.0
     steps: int = 0
+
+
+@dataclass(frozen=True)
+class _Damping:
+    """What makes a tangent definite: viscosity, and a convex one in its place for some steps."""
+
+    viscosity: float = 0.0
+    #: so many steps more
+    convex_steps: int = 0
+    #: for how many the last refusal was
+    refused: int = 0
+
+    @property
+    def convex(self) -> bool:
+        """The next tangent is to be convex."""
+        return self.convex_steps > 0
+
+    def times(self, factor: float) -> "_Damping":
+        """Return it with more viscosity."""
+        return replace(self, viscosity=factor * self.viscosity)
+
+    def refusing(self) -> "_Damping":
+        """Return it convex, for twice as many steps as after the refusal before."""
+        steps = min(max(2 * self.refused, 1), _MOST_CONVEX_STEPS)
+        return replace(self, convex_steps=steps, refused=steps)
 
 
 @dataclass(frozen=True, eq=False)
@@ -260,27 +287,28 @@ class Sheet:
         SolverError
             No equilibrium within the steps allowed.
         """
-        control, viscosity = state.control_mm, 0.0
+        control, damping = state.control_mm, _Damping()
         now = self.evaluate(control, state, tangent=True)
         serves = False
         for count in range(accuracy.most_steps):
             gradient = self.forces()
             if not serves:
-                viscosity = self._definite(control, state, viscosity)
+                damping = self._definite(control, state, damping)
             step = self._spread(-self.solver.solve(gradient))
-            if viscosity and np.abs(step).max() > _LARGEST_MOVE_MM:  # nearly indefinite
-                viscosity = self._definite(control, state, _GROWTH * viscosity)
+            if damping.viscosity and np.abs(step).max() > _LARGEST_MOVE_MM:  # nearly indefinite
+                damping = self._definite(control, state, damping.times(_GROWTH))
                 step = self._spread(-self.solver.solve(gradient))
+            viscosity = damping.viscosity
             slope = float(gradient @ step[self.grid.free])
             energy = now.energy
-            share, now = self._search(step, slope, now, state)
+            share, now = self._search(step, slope, now, state, convex=damping.convex)
             # Of what the quadratic model promises.
             gain = (now.energy - energy) / min(slope * share * (1 - share / 2), -1e-300)
             control = control + share * step
             _refuse_film(now.surface, state)
             if self.sticks and count % _REGRIP_EVERY == _REGRIP_EVERY - 1:
                 state = self.regripped(replace(state, control_mm=control))
-                now = self.evaluate(control, state, tangent=True)
+                now = self.evaluate(control, state, tangent=True, convex=damping.convex)
             rest = self._rest(share * step, viscosity, accuracy) if share > 0.9 else None
             if rest is not None:
                 control = control + rest
@@ -290,7 +318,7 @@ class Sheet:
                     return gripped
                 # What let go had borne a share of the load.
                 state = replace(gripped, steps=state.steps)
-                now = self.evaluate(control, state, tangent=True)
+                now = self.evaluate(control, state, tangent=True, convex=damping.convex)
                 if self._rest(step, viscosity, accuracy) is not None:
                     return gripped
             serves = (
@@ -299,7 +327,7 @@ class Sheet:
                 and share == 1.0
                 and self._residual_kpa() < _FACTORS_SERVE * accuracy.residual_kpa
             )
-            viscosity = _adapted(viscosity, share, gain)
+            damping = replace(damping, viscosity=_adapted(viscosity, share, gain))
         if not accuracy.strict:
             return replace(state, control_mm=control, steps=state.steps + accuracy.most_steps)
         raise SolverError(
@@ -328,22 +356,38 @@ class Sheet:
     def _weights(self) -> FloatArray:
         return np.repeat(self.area_mm2[..., None], 3, axis=2)[self.grid.free]
 
-    def _definite(self, control: FloatArray, state: SheetState, viscosity: float) -> float:
-        """Factorise the tangent with as little viscosity as makes it definite; return that."""
-        # A lowered viscosity that is too low is nearly enough; more makes short steps for long.
-        growth = float(np.sqrt(_GROWTH)) if viscosity else _GROWTH**2
-        while not self._factorise(viscosity):
-            viscosity = max(growth * viscosity, _LEAST_VISCOSITY)
-            if viscosity > _CONVEX_FROM:
-                break
-        else:
-            return viscosity
-        self.evaluate(control, state, tangent=True, convex=True)
-        viscosity = _LEAST_VISCOSITY
+    def _definite(self, control: FloatArray, state: SheetState, damping: _Damping) -> _Damping:
+        """Factorise the tangent, or where it is not definite a convex one; return what it took.
+
+        Little viscosity keeps most of what the exact tangent knows. As much as its worst point may
+        need would hold the whole sheet back.
+        """
+        if not damping.convex:
+            viscosity = self._exact(damping)
+            if viscosity is not None:
+                return _Damping(viscosity)
+            self.evaluate(control, state, tangent=True, convex=True)
+            damping = damping.refusing()
+        viscosity = max(damping.viscosity, _LEAST_VISCOSITY)
         while not self._factorise(viscosity):
             viscosity *= _GROWTH
             if viscosity > _MOST_VISCOSITY:
                 raise SolverError("sheet: no direction lowers its energy")
+        return replace(damping, viscosity=viscosity, convex_steps=damping.convex_steps - 1)
+
+    def _exact(self, damping: _Damping) -> float | None:
+        """Factorise the exact tangent; return its viscosity, None where it wants more than little.
+
+        After a refusal it is tried once.
+        """
+        if damping.refused:
+            viscosity = max(damping.viscosity, _GROWTH)
+            return viscosity if self._factorise(viscosity) else None
+        viscosity = damping.viscosity
+        while not self._factorise(viscosity):
+            if viscosity >= _CONVEX_FROM:
+                return None
+            viscosity = max(_GROWTH * viscosity, _LEAST_VISCOSITY)
         return viscosity
 
     def _factorise(self, viscosity: float) -> bool:
@@ -364,18 +408,27 @@ class Sheet:
         slope: float,
         now: Evaluation,
         state: SheetState,
+        *,
+        convex: bool,
     ) -> tuple[float, Evaluation]:
         """Return the share of the step that lowers the energy enough, and what is there."""
         share = min(1.0, _LARGEST_MOVE_MM / float(np.abs(step).max()))
-        new = self.evaluate(now.control_mm + share * step, state, tangent=True)
+
+        def at(control_mm: FloatArray) -> Evaluation:
+            return self.evaluate(control_mm, state, tangent=True, convex=convex)
+
+        new = at(now.control_mm + share * step)
         if _lowers(now, new, share * slope):
-            return self._extended(step, now, new, state, share=share, slope=slope)
+            evaluations = self.evaluations
+            share, best = self._extended(step, now, new, state, share=share, slope=slope)
+            # The last forces and tangent are those of what was tried last.
+            return share, best if self.evaluations == evaluations else at(best.control_mm)
         while share >= _SMALLEST_SHARE:
             share *= 0.5
             new = self.evaluate(now.control_mm + share * step, state, tangent=False)
             if _lowers(now, new, share * slope):
-                return share, self.evaluate(new.control_mm, state, tangent=True)
-        return 0.0, self.evaluate(now.control_mm, state, tangent=True)
+                return share, at(new.control_mm)
+        return 0.0, at(now.control_mm)
 
     def _extended(
         self,
@@ -391,18 +444,15 @@ class Sheet:
 
         As it does where viscosity, and no stiffness of the sheet's, has made the step short.
         """
-        best, largest_mm, tried = new, float(np.abs(step).max()), False
+        best, largest_mm = new, float(np.abs(step).max())
         while (
             best.energy - now.energy < _STILL_STEEP * slope * share
             and 2 * share * largest_mm <= _LARGEST_MOVE_MM
         ):
-            tried = True
             farther = self.evaluate(now.control_mm + 2 * share * step, state, tangent=False)
             if farther.energy >= best.energy or _turn(now, farther) <= _LARGEST_TURN:
                 break
             share, best = 2 * share, farther
-        if tried:  # the last tangent is of another place
-            best = self.evaluate(best.control_mm, state, tangent=True)
         return share, best
 
 
