@@ -19,6 +19,7 @@ from twin.mechanics.sheet.kernel import SLOTS, Assembled, assemble_rows, scratch
 from twin.mechanics.sheet.laws import Grip, Laws, Touch
 from twin.mechanics.sheet.linear_solver import LinearSolver, linear_solver
 from twin.mechanics.sheet.point import Asked, Felt
+from twin.mechanics.sheet.spots import settled_spots
 from twin.mechanics.sheet.stencil import control_areas, stencil
 from twin.specimens.distance import Distances, SignedDistance, is_clear_of
 
@@ -37,6 +38,8 @@ _LEAST_VISCOSITY, _CONVEX_FROM, _MOST_VISCOSITY = 1.0, 64.0, 1e15
 # A tangent that was not definite is asked again after 1 step, 2, 4 and at most so many.
 _MOST_CONVEX_STEPS = 16
 _GROWTH = 8.0
+# Spots that want this much settle by themselves.
+_SPOTS_FROM = 8.0
 # Of a step's promised gain.
 _POOR, _GOOD = 0.5, 0.75
 # Of the fall that the slope at a step's start promises; a quadratic of the step's own length has
@@ -122,6 +125,8 @@ class Sheet:
     sticks: bool = False
     #: cells where it touches
     cell_mm: float = 0.0
+    #: part of a sheet
+    is_window: bool = field(init=False, default=False)
     solver: LinearSolver = field(init=False)
     factorisations: int = field(init=False, default=0)
     evaluations: int = field(init=False, default=0)
@@ -277,6 +282,13 @@ class Sheet:
         )
         return replace(state, grip=grip)
 
+    def window(self, rows: slice, cols: slice) -> "Sheet":
+        """Return some of its cells as a sheet of their own, held all round."""
+        grid = self.grid.window(rows, cols)
+        part = Sheet(grid, self.laws, self.bodies, self.touched_z_mm, cell_mm=self.cell_mm)
+        part.is_window = True
+        return part
+
     # ---- descent -------------------------------------------------------------------------
 
     def settle(self, state: SheetState, accuracy: Accuracy) -> SheetState:
@@ -328,6 +340,11 @@ class Sheet:
                 and self._residual_kpa() < _FACTORS_SERVE * accuracy.residual_kpa
             )
             damping = replace(damping, viscosity=_adapted(viscosity, share, gain))
+            if (viscosity >= _SPOTS_FROM or share < 1) and not self.sticks and not self.is_window:
+                residual = np.abs(self._forces * self.grid.free).max(axis=2) / self.area_mm2
+                here = replace(state, control_mm=control)
+                control = settled_spots(self, here, residual, accuracy)
+                now = self.evaluate(control, state, tangent=True, convex=damping.convex)
         if not accuracy.strict:
             return replace(state, control_mm=control, steps=state.steps + accuracy.most_steps)
         raise SolverError(

@@ -73,6 +73,25 @@ class SheetGrid:
         along_y = (by_v * xu[..., None] - by_u * xv[..., None]) / det[..., None]
         return place, along_x, along_y
 
+    def window(self, rows: slice, cols: slice) -> "SheetGrid":
+        """Return some of the cells, held where their control points belong to other cells too.
+
+        Its control points are this grid's from the first row and column to two beyond the last.
+        """
+        rest = self.rest
+        turned = rest.turned[rows, cols] if rest.turned.size else rest.turned
+        control = slice(rows.start, rows.stop + 2), slice(cols.start, cols.stop + 2)
+        inside = np.zeros((rows.stop - rows.start + 2, cols.stop - cols.start + 2, 1), dtype=bool)
+        inside[2:-2, 2:-2] = True
+        return SheetGrid(
+            self.frame,
+            SplineLine(self.x.edges[cols.start : cols.stop + 1]),
+            SplineLine(self.y.edges[rows.start : rows.stop + 1]),
+            Rest(rest.along_x[cols], rest.along_y[rows], turned, rest.area_mm2[rows, cols]),
+            self.mounted_mm[control],
+            self.free[control] & inside,
+        )
+
     def moved_from(self, other: "SheetGrid", control_mm: FloatArray) -> FloatArray:
         """Return this grid's control points for the surface that `other`'s describe."""
         across, along = self.y.interpolated_from(other.y), self.x.interpolated_from(other.x)
