@@ -34,7 +34,10 @@ _FILM = 0.1
 # Shares of the cohesive range: anchored below the first, let go above the second, where the pull is
 # largest. Springs held farther would add to the work of peeling: 10 % at 0.2 mm, 50 % at 0.1 mm.
 _GRIPS, _LETS_GO = 0.25, 0.5
-_LEAST_VISCOSITY, _CONVEX_FROM, _MOST_VISCOSITY = 1.0, 64.0, 1e15
+_LEAST_VISCOSITY, _CONVEX_FROM, _MOST_VISCOSITY = 1.0, 1e4, 1e15
+# Little viscosity keeps most of what the exact tangent knows. As much as the worst point of a sheet
+# that slips may need would hold all of it back.
+_CONVEX_FROM_SLIPPING = 64.0
 # A tangent that was not definite is asked again after 1 step, 2, 4 and at most so many.
 _MOST_CONVEX_STEPS = 16
 _GROWTH = 8.0
@@ -340,7 +343,11 @@ class Sheet:
                 and self._residual_kpa() < _FACTORS_SERVE * accuracy.residual_kpa
             )
             damping = replace(damping, viscosity=_adapted(viscosity, share, gain))
-            if (viscosity >= _SPOTS_FROM or share < 1) and not self.sticks and not self.is_window:
+            if (
+                (viscosity >= _SPOTS_FROM or share < 1)
+                and self._slips(state)
+                and not self.is_window
+            ):
                 residual = np.abs(self._forces * self.grid.free).max(axis=2) / self.area_mm2
                 here = replace(state, control_mm=control)
                 control = settled_spots(self, here, residual, accuracy)
@@ -374,17 +381,14 @@ class Sheet:
         return np.repeat(self.area_mm2[..., None], 3, axis=2)[self.grid.free]
 
     def _definite(self, control: FloatArray, state: SheetState, damping: _Damping) -> _Damping:
-        """Factorise the tangent, or where it is not definite a convex one; return what it took.
-
-        Little viscosity keeps most of what the exact tangent knows. As much as its worst point may
-        need would hold the whole sheet back.
-        """
+        """Factorise the tangent, or where it is not definite a convex one; return what it took."""
+        slips = self._slips(state)
         if not damping.convex:
-            viscosity = self._exact(damping)
+            viscosity = self._exact(damping, _CONVEX_FROM_SLIPPING if slips else _CONVEX_FROM)
             if viscosity is not None:
                 return _Damping(viscosity)
             self.evaluate(control, state, tangent=True, convex=True)
-            damping = damping.refusing()
+            damping = damping.refusing() if slips else _Damping(convex_steps=1)
         viscosity = max(damping.viscosity, _LEAST_VISCOSITY)
         while not self._factorise(viscosity):
             viscosity *= _GROWTH
@@ -392,8 +396,8 @@ class Sheet:
                 raise SolverError("sheet: no direction lowers its energy")
         return replace(damping, viscosity=viscosity, convex_steps=damping.convex_steps - 1)
 
-    def _exact(self, damping: _Damping) -> float | None:
-        """Factorise the exact tangent; return its viscosity, None where it wants more than little.
+    def _exact(self, damping: _Damping, most: float) -> float | None:
+        """Factorise the exact tangent; return its viscosity, None where it wants more than `most`.
 
         After a refusal it is tried once.
         """
@@ -401,11 +405,21 @@ class Sheet:
             viscosity = max(damping.viscosity, _GROWTH)
             return viscosity if self._factorise(viscosity) else None
         viscosity = damping.viscosity
+        # A lowered viscosity that is too low is nearly enough; more makes short steps for long.
+        growth = float(np.sqrt(_GROWTH)) if viscosity else _GROWTH**2
         while not self._factorise(viscosity):
-            if viscosity >= _CONVEX_FROM:
+            viscosity = max(growth * viscosity, _LEAST_VISCOSITY)
+            if viscosity > most:
                 return None
-            viscosity = max(_GROWTH * viscosity, _LEAST_VISCOSITY)
         return viscosity
+
+    def _slips(self, state: SheetState) -> bool:
+        """Tell whether it slips over its bodies, pressed on them: no equilibrium remembers a way.
+
+        What is anchored or held by tack ends where its way leads, which large steps would leave;
+        what bears no pressure may be slack, with many equilibria side by side.
+        """
+        return not self.sticks and not self.laws.tack and state.pressure_kpa > 0
 
     def _factorise(self, viscosity: float) -> bool:
         values = self._tangent.reshape(-1)[self._stencil.taken]
