@@ -61,6 +61,8 @@ class Accuracy:
     most_steps: int = 80
     #: refuse what is not in equilibrium after the most steps; or take it, as a stop on the way
     strict: bool = True
+    #: anchors are told again after any step shorter than this, and after every fourth
+    anchors_from_mm: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -321,9 +323,11 @@ class Sheet:
             gain = (now.energy - energy) / min(slope * share * (1 - share / 2), -1e-300)
             control = control + share * step
             _refuse_film(now.surface, state)
-            if self.sticks and count % _REGRIP_EVERY == _REGRIP_EVERY - 1:
-                state = self.regripped(replace(state, control_mm=control))
-                now = self.evaluate(control, state, tangent=True, convex=damping.convex)
+            near = share == 1.0 and float(np.abs(step).max()) < accuracy.anchors_from_mm
+            if self.sticks and (near or count % _REGRIP_EVERY == _REGRIP_EVERY - 1):
+                held, state = state.grip.held, self.regripped(replace(state, control_mm=control))
+                if (state.grip.held != held).any():
+                    now = self.evaluate(control, state, tangent=True, convex=damping.convex)
             rest = self._rest(share * step, viscosity, accuracy) if share > 0.9 else None
             if rest is not None:
                 control = control + rest

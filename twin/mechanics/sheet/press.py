@@ -52,7 +52,7 @@ _BETWEEN = Accuracy(step_mm=5e-3, residual_kpa=1.0, most_steps=40, strict=False)
 # A sheet that sticks meets cells between with its full stiffness: left on its way there, the
 # finest cells begin inside the specimen.
 _BETWEEN_STUCK = replace(_BETWEEN, most_steps=150)
-_FINE = Accuracy(residual_kpa=2e-3, most_steps=200)
+_FINE = Accuracy(residual_kpa=2e-3, most_steps=200, anchors_from_mm=0.03)
 _FORCE_TOLERANCE, _FORCE_STEPS = 1e-3, 40
 # Thickness over its undeformed value of what is told to hold: far from what is refused.
 _HOLDS = 2 * THINNEST
