@@ -9,7 +9,8 @@ import numpy as np
 
 from twin.config.models import Elastomer, Mechanics, Press, Specimen
 from twin.mechanics import PressedElastomer
-from twin.mechanics.sheet.equilibrium import Accuracy, Bodies, Sheet
+from twin.mechanics.sheet.energy import Bodies, Sheet
+from twin.mechanics.sheet.equilibrium import Accuracy
 from twin.mechanics.sheet.grid import Frame, sheet_grid
 from twin.mechanics.sheet.laws import Laws
 from twin.mechanics.sheet.press import press_sheet

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from tests.mechanics.sheets import FINE, finer_at_the_rim, laws, line
-from twin.mechanics.sheet.equilibrium import Accuracy, Bodies, Sheet, SheetState
+from twin.mechanics.sheet.energy import Bodies, Sheet, SheetState
+from twin.mechanics.sheet.equilibrium import Accuracy, settle
 from twin.mechanics.sheet.grid import Frame, sheet_grid
 from twin.mechanics.sheet.path import Loads, follow, refined
 from twin.mechanics.sheet.splines import SplineLine
@@ -56,7 +57,7 @@ def wrapped(case: SpaceCase, travel_mm: float, cell_mm: float) -> tuple[Sheet, S
     coarse = _sheet(case, line(half, 3.2, 0.4))
     there = follow(coarse, Loads(travel_mm), Accuracy(step_mm=1e-3, residual_kpa=0.1))
     fine = _sheet(case, finer_at_the_rim(line(half, 3.2, cell_mm), cell_mm))
-    return fine, fine.settle(refined(coarse, fine, there), FINE)
+    return fine, settle(fine, refined(coarse, fine, there), FINE)
 
 
 def _sheet(case: SpaceCase, places: SplineLine) -> Sheet:

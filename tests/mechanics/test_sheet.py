@@ -34,7 +34,8 @@ from tests.oracles.round_sheet import (
 from twin.config.models import Ball, Mechanics, Press
 from twin.mechanics import press
 from twin.mechanics.sheet.case import sheet_case
-from twin.mechanics.sheet.equilibrium import Bodies, Sheet, SheetState
+from twin.mechanics.sheet.energy import Bodies, Sheet, SheetState
+from twin.mechanics.sheet.equilibrium import settle
 from twin.mechanics.sheet.faces import sample
 from twin.mechanics.sheet.grid import Frame, sheet_grid
 from twin.mechanics.sheet.kernel import SLOTS
@@ -159,7 +160,7 @@ def test_a_little_pressure_bends_a_round_sheet_as_a_plate(rim: str, factor: floa
     """p a^4 / (64 D), and (5 + nu) / (1 + nu) of it on a simple rim."""
     sheet = round_sheet(laws(0.5), NOTHING, finer_at_the_rim(line(5.0, 2.5, 0.5), 0.05), rim=rim)
     pressure = 1e-3 * 64 * (YOUNG_KPA * 0.5**3 / 9) / 5.0**4
-    found = sheet.settle(replace(mounted(sheet.grid), pressure_kpa=pressure), EXACT)
+    found = settle(sheet, replace(mounted(sheet.grid), pressure_kpa=pressure), EXACT)
     middle = sheet.grid.evaluate(found.control_mm, np.zeros(1), np.zeros(1))[0][0, 0, 2]
     assert -middle == pytest.approx(1e-3 * factor, rel=0.01)
 
@@ -170,7 +171,7 @@ def test_a_little_pressure_bends_a_square_sheet_as_a_plate(rim: str, coefficient
     places = finer_at_the_rim(line(5.0, 2.5, 0.5), 0.05)
     sheet = Sheet(sheet_grid(Frame(10.0, 10.0, rim=rim), places, places), laws(0.5), NOTHING, -0.25)
     pressure = 1e-3 * (YOUNG_KPA * 0.5**3 / 9) / 10.0**4 / coefficient
-    found = sheet.settle(replace(mounted(sheet.grid), pressure_kpa=pressure), EXACT)
+    found = settle(sheet, replace(mounted(sheet.grid), pressure_kpa=pressure), EXACT)
     middle = sheet.grid.evaluate(found.control_mm, np.zeros(1), np.zeros(1))[0][0, 0, 2]
     assert -middle == pytest.approx(1e-3, rel=0.01)
 
@@ -247,7 +248,7 @@ def test_the_force_is_what_the_path_adds_to_the_energy(options: dict) -> None:
     force = contact_force_n(sheet, middle)
     ends = []
     for step in (-1e-4, 1e-4):
-        moved = sheet.settle(replace(middle, travel_mm=0.6 + step), EXACT)
+        moved = settle(sheet, replace(middle, travel_mm=0.6 + step), EXACT)
         moved = replace(moved, grip=middle.grip)  # what has left since has lost its energy
         ends.append(sheet.evaluate(moved.control_mm, moved, tangent=False).energy)
     assert 1e3 * force == pytest.approx((ends[1] - ends[0]) / 2e-4, rel=1e-3)
@@ -260,7 +261,7 @@ def test_a_round_sheet_has_the_discs_area() -> None:
 
 def test_a_mounted_sheet_is_as_stretched_as_its_frame_says() -> None:
     sheet = round_sheet(laws(0.3), NOTHING, line(4.0, 2.0, 0.5), pre_stretch=1.25)
-    found = sheet.settle(mounted(sheet.grid), EXACT)
+    found = settle(sheet, mounted(sheet.grid), EXACT)
     flat = sample(sheet, found, 0.2)
     inside = np.s_[1:-1, 1:-1]  # the disc's map is singular in the square's corners
     np.testing.assert_allclose(flat.stretch[inside], 1.25, rtol=1e-7)
@@ -276,7 +277,7 @@ def test_weight_hangs_down(gravity_deg: float, way: int) -> None:
     load = Press(control="depth", depth_mm=0.1, gravity_deg=gravity_deg)
     case = sheet_case(Ball(), elastomer, load, Mechanics(model="sheet"))
     sheet = round_sheet(case.laws, NOTHING, finer_at_the_rim(line(10.0, 5.0, 1.0), 0.1))
-    found = sheet.settle(mounted(sheet.grid), EXACT)
+    found = settle(sheet, mounted(sheet.grid), EXACT)
     middle = sheet.grid.evaluate(found.control_mm, np.zeros(1), np.zeros(1))[0][0, 0, 2]
     plate = 1e-6 * 1000 * 9.80665 * 1.0 * 10.0**4 / (64 * YOUNG_KPA / 9)
     assert middle == pytest.approx(way * plate, rel=0.01)

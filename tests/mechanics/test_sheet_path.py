@@ -1,14 +1,36 @@
 """The way to a press: what its stops may cost, which cells it goes through, where it ends."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from tests.mechanics.sheets import EXACT, bar, build_sheet, laws, pressed, strip
+from tests.mechanics.sheets import (
+    EXACT,
+    FINE,
+    ball,
+    bar,
+    build_sheet,
+    laws,
+    pressed,
+    round_sheet,
+    strip,
+)
 from twin.config.models import Ball
 from twin.mechanics.errors import SolverError
 from twin.mechanics.sheet import press
 from twin.mechanics.sheet.case import SheetCase
-from twin.mechanics.sheet.equilibrium import Accuracy, Sheet, SheetState
+from twin.mechanics.sheet.energy import Sheet, SheetState
+from twin.mechanics.sheet.equilibrium import (
+    Accuracy,
+    _Descent,
+    _searched,
+    _settled,
+    _settled_spots,
+    _spots,
+    settle,
+)
+from twin.mechanics.sheet.laws import Grip
 from twin.mechanics.sheet.path import Loads, follow
 from twin.mechanics.sheet.splines import SplineLine
 
@@ -36,8 +58,8 @@ def test_what_is_still_going_down_is_refused_or_taken() -> None:
     moved = SheetState(start.control_mm, start.grip, travel_mm=0.6)
     before = sheet.evaluate(moved.control_mm, moved, tangent=False).energy
     with pytest.raises(SolverError, match=r"no equilibrium at 0.6 mm of travel"):
-        sheet.settle(moved, Accuracy(most_steps=2))
-    taken = sheet.settle(moved, Accuracy(most_steps=2, strict=False))
+        settle(sheet, moved, Accuracy(most_steps=2))
+    taken = settle(sheet, moved, Accuracy(most_steps=2, strict=False))
     assert taken.steps == moved.steps + 2
     assert sheet.evaluate(taken.control_mm, taken, tangent=False).energy < before
 
@@ -46,13 +68,85 @@ def test_a_step_that_is_far_too_short_is_made_longer() -> None:
     sheet = slack_strip()
     state = follow(sheet, Loads(0.2), Accuracy())
     state = SheetState(state.control_mm, state.grip, travel_mm=0.4)
-    now = sheet.evaluate(state.control_mm, state, tangent=True)
+    descent = _Descent(sheet, state, Accuracy())
     forces = sheet.forces()
-    step = -1e-6 * sheet._spread(forces) / np.abs(forces).max()
+    step = np.zeros_like(state.control_mm)
+    step[sheet.grid.free] = -1e-6 * forces / np.abs(forces).max()
     slope = float(forces @ step[sheet.grid.free])
-    share, new = sheet._search(step, slope, now, state, convex=False)
+    share, new = _searched(descent, step, slope)
     assert share >= 4
-    assert new.energy < now.energy + 3 * slope
+    assert new.energy < descent.now.energy + 3 * slope
+
+
+def small_round_sheet() -> tuple[Sheet, SheetState]:
+    """A frictionless sheet round a small ball under 2 kPa, pushed out of its equilibrium."""
+    line = SplineLine(np.linspace(-6.0, 6.0, 41))
+    sheet = round_sheet(laws(0.2), ball(2.0), line)
+    state = follow(sheet, Loads(0.6, 2.0), FINE)
+    pushed = state.control_mm.copy()
+    pushed[20, 25, 2] += 0.02
+    return sheet, replace(state, control_mm=pushed)
+
+
+def test_what_a_window_gains_the_sheet_gains() -> None:
+    sheet, state = small_round_sheet()
+    rows, cols = slice(12, 28), slice(17, 33)
+    window, inside = sheet.window(rows, cols), (slice(12, 30), slice(17, 35))
+    part = replace(
+        state,
+        control_mm=state.control_mm[inside],
+        grip=Grip(*(one[rows, cols] for one in state.grip)),
+    )
+    settled = settle(window, part, FINE)
+    moved = state.control_mm.copy()
+    moved[inside] = settled.control_mm
+    gains = [
+        one.evaluate(before, state, tangent=False).energy
+        - one.evaluate(after, state, tangent=False).energy
+        for one, before, after in (
+            (window, part.control_mm, settled.control_mm),
+            (sheet, state.control_mm, moved),
+        )
+    ]
+    assert gains[0] > 1e-3
+    assert gains[1] == pytest.approx(gains[0], rel=1e-9)
+    # Held all round: the two outer rows of control points belong to other cells, too.
+    still = (settled.control_mm == part.control_mm).all(axis=2)
+    still[2:-2, 2:-2] = True
+    assert still.all()
+
+
+def test_spots_are_where_the_sheet_is_farthest_from_rest() -> None:
+    sheet, state = small_round_sheet()
+    descent = _Descent(sheet, state, FINE)
+    residual = sheet.residuals_kpa()
+    (rows, cols), *_ = _spots(sheet, residual, 0.0)
+    assert rows.start <= 20 - 1 < rows.stop
+    assert cols.start <= 25 - 1 < cols.stop
+    before = descent.now.energy
+    descent.move(_settled_spots(descent))
+    assert descent.now.energy < before
+    assert descent.residual_kpa < 0.1 * residual.max()
+
+
+def test_spots_do_not_change_the_equilibrium() -> None:
+    sheet, state = small_round_sheet()
+    close = Accuracy(step_mm=1e-6, residual_kpa=1e-3)
+    found = [_settled(_Descent(sheet, state, close), spots=spots) for spots in (False, True)]
+    off_um = 1e3 * np.abs(found[0].control_mm - found[1].control_mm)
+    assert off_um.max() < 0.01
+
+
+def test_anchors_told_early_move_a_stuck_sheet_by_little() -> None:
+    """Of a path that itself, at half its steps, differs by more."""
+    faces = []
+    for anchors_from_mm in (0.0, 0.03):
+        sheet = round_sheet(laws(0.2), ball(2.0), SplineLine(np.linspace(-6.0, 6.0, 41)), True)
+        early = replace(FINE, anchors_from_mm=anchors_from_mm)
+        state = follow(sheet, Loads(0.6, 2.0), FINE)
+        moved = replace(state, pressure_kpa=2.4)
+        faces.append(settle(sheet, moved, early).control_mm)
+    assert 1e3 * np.abs(faces[0] - faces[1]).max() < 0.5
 
 
 @pytest.mark.parametrize(

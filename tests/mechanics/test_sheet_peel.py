@@ -7,7 +7,8 @@ import pytest
 from scipy.optimize import brentq
 
 from tests.mechanics.sheets import laws
-from twin.mechanics.sheet.equilibrium import Accuracy, Bodies, Sheet, SheetState
+from twin.mechanics.sheet.energy import Bodies, Sheet, SheetState
+from twin.mechanics.sheet.equilibrium import Accuracy, settle
 from twin.mechanics.sheet.grid import Frame, sheet_grid
 from twin.mechanics.sheet.laws import Laws
 from twin.mechanics.sheet.path import mounted
@@ -48,7 +49,7 @@ def lifting_force(sheet: Sheet, state: SheetState, lift_mm: float) -> tuple[floa
     """Settle with the end at a height; return its force per width, N/m, and the new state."""
     control = state.control_mm.copy()
     control[:, 0, 2] = lift_mm
-    found = sheet.settle(replace(state, control_mm=control), CLOSE)
+    found = settle(sheet, replace(state, control_mm=control), CLOSE)
     sheet.evaluate(found.control_mm, found, tangent=False)
     held = np.zeros(control.shape[:2])
     held[~sheet.grid.free[..., 2]] = sheet.reactions()

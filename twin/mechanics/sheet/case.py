@@ -15,7 +15,7 @@ from twin.mechanics.errors import PressError
 from twin.mechanics.hardness import young_modulus
 from twin.mechanics.layouts import weight_kpa
 from twin.mechanics.press import check_outline
-from twin.mechanics.sheet.equilibrium import Bodies, Sheet
+from twin.mechanics.sheet.energy import Bodies, Sheet
 from twin.mechanics.sheet.grid import Frame, sheet_grid, span_mm
 from twin.mechanics.sheet.laws import Laws
 from twin.mechanics.sheet.splines import graded_line

@@ -9,7 +9,7 @@ import numba
 import numpy as np
 
 from reconstruction.arrays import FloatArray
-from twin.mechanics.sheet.equilibrium import Sheet, SheetState
+from twin.mechanics.sheet.energy import Sheet, SheetState
 from twin.mechanics.sheet.grid import SheetGrid
 from twin.mechanics.sheet.splines import subdivided
 

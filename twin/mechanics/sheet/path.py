@@ -13,7 +13,8 @@ from scipy.interpolate import RegularGridInterpolator
 
 from reconstruction.arrays import FloatArray
 from twin.mechanics.errors import PressError, SolverError
-from twin.mechanics.sheet.equilibrium import Accuracy, Sheet, SheetState
+from twin.mechanics.sheet.energy import Sheet, SheetState
+from twin.mechanics.sheet.equilibrium import Accuracy, settle
 from twin.mechanics.sheet.grid import SheetGrid, thinning_of
 from twin.mechanics.sheet.laws import Grip
 
@@ -121,7 +122,7 @@ def follow(
         if progress is not None:
             progress((number + 1) / len(stops))
     try:
-        found = sheet.settle(state, accuracy)
+        found = settle(sheet, state, accuracy)
         check_thickness(sheet, found)
     except SolverError as error:
         raise _ended(before, goal, error) from error
@@ -169,7 +170,7 @@ def advance(
         share = min(1.0, done + step)
         loads = _between(start, goal, share)
         try:
-            new = sheet.settle(_predicted(sheet, state, before, loads), accuracy)
+            new = settle(sheet, _predicted(sheet, state, before, loads), accuracy)
             check_thickness(sheet, new)
         except SolverError as error:
             step /= 2

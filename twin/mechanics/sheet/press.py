@@ -22,7 +22,8 @@ from twin.mechanics.hardness import young_modulus
 from twin.mechanics.layouts import face_nodes
 from twin.mechanics.press import PressedElastomer, SheetFields
 from twin.mechanics.sheet.case import SheetCase, sheet_case
-from twin.mechanics.sheet.equilibrium import Accuracy, Sheet, SheetState
+from twin.mechanics.sheet.energy import Sheet, SheetState
+from twin.mechanics.sheet.equilibrium import Accuracy, settle
 from twin.mechanics.sheet.faces import height_map, sample
 from twin.mechanics.sheet.grid import normal_of
 from twin.mechanics.sheet.path import (
@@ -195,13 +196,13 @@ def _on_fine_cells(case: SheetCase, coarse: Sheet, state: SheetState) -> tuple[S
     if cell_mm * _WIDEST_RATIO < _COARSE_CELL_MM:
         between = _between(case, coarse, state)
         accuracy = _BETWEEN_STUCK if between.sticks else _BETWEEN
-        state = between.settle(refined(coarse, between, state), accuracy)
+        state = settle(between, refined(coarse, between, state), accuracy)
         coarse, box = between, _contact_box(case, between, state)
         del between
     fine = case.sheet(cell_mm, _RIM * cell_mm, box)
     state = refined(coarse, fine, state)
     del coarse  # its factors: this is where memory is short
-    found = fine.settle(state, _FINE)
+    found = settle(fine, state, _FINE)
     check_thickness(fine, found)
     return fine, found
 
@@ -247,13 +248,13 @@ def _held_kpa(path: _Path, walked: list[SheetState], asked_kpa: float) -> float:
         if state.pressure_kpa >= asked_kpa:
             continue
         with suppress(SolverError):
-            found = path.sheet.settle(state, _ROUGH)
+            found = settle(path.sheet, state, _ROUGH)
             check_thickness(path.sheet, found, _HOLDS)
             if not tried:
                 tried = True
                 between = _between(path.case, path.sheet, found)
                 start = refined(path.sheet, between, found)
-                found = between.settle(start, replace(_BETWEEN, strict=True))
+                found = settle(between, start, replace(_BETWEEN, strict=True))
                 check_thickness(between, found, _HOLDS)
             return float(np.floor(100 * state.pressure_kpa)) / 100
     return 0.0
