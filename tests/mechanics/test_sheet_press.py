@@ -244,7 +244,7 @@ def test_solutions_have_the_same_bytes_with_any_number_of_threads(
 def test_the_press_does_not_depend_on_the_solver(monkeypatch: pytest.MonkeyPatch) -> None:
     found = []
     for kind in SOLVERS:
-        monkeypatch.setattr("twin.mechanics.sheet.equilibrium.linear_solver", kind)
+        monkeypatch.setattr("twin.mechanics.sheet.energy.linear_solver", kind)
         found.append(pressed(MARBLE, build_sheet(**TINY), depth_mm=0.4))
     np.testing.assert_allclose(found[0].face_z_mm, found[1].face_z_mm, atol=1e-6)
 
