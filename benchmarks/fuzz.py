@@ -15,7 +15,8 @@ from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
-from benchmarks.fuzzing import LIMIT_S, TARGETS, FuzzOutcome, make_stock, run_case
+from benchmarks.fuzz_stock import make_stock
+from benchmarks.fuzzing import LIMIT_S, TARGETS, FuzzOutcome, run_case
 
 ENDS = {
     "tracebacks": "traceback",

@@ -23,7 +23,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from benchmarks.fuzz import command, preload
-from benchmarks.fuzzing import SMALL
+from benchmarks.fuzz_stock import SMALL
 from twin.manifest import MANIFEST_FILE, files_of, is_ours, read_manifest
 from twin.output import end_exchange
 

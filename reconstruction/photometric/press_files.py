@@ -186,8 +186,9 @@ def _names(key: str, names: object, least: int = 1) -> Names:
 
 @dataclass(frozen=True, eq=False)
 class PhotometricResult:
-    """The measurement, and the calibration it was made with, to be kept for the next."""
+    """The measurement, the image, and the calibration it was made with, to be kept for the next."""
 
+    image: Levels
     calibration: SensorCalibration
     height_map: HeightMap
 
@@ -207,7 +208,7 @@ def reconstruct_photometric(description_file: Path | str) -> PhotometricResult:
         height_map = PhotometricDecoder(calibration, press.options).decode(image)
     except InputError as error:
         raise CaptureError(f"{path.parent / press.image}: {error}") from error
-    return PhotometricResult(calibration, height_map)
+    return PhotometricResult(image, calibration, height_map)
 
 
 def _calibration(folder: Path, press: PressDescription) -> SensorCalibration:

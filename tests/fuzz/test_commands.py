@@ -32,7 +32,7 @@ def _seed_of(target: str) -> int:
     ("ending", "end"),
     [
         ("raise SystemError('x')", "traceback"),
-        ("import os; os.kill(os.getpid(), 11)", "crash"),
+        ("import faulthandler, os; faulthandler.disable(); os.kill(os.getpid(), 11)", "crash"),
         ("open('fifo').read()", "hang"),
         ("while True: pass", "hang"),
         ("open('kept/canary.txt', 'a').write('x')", "foreign_change"),

@@ -1,5 +1,6 @@
 """Commands for captures, rendered or real: patterns, calibration, reconstruction, reports."""
 
+import shutil
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -20,7 +21,6 @@ from twin.cli.app import (
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from reconstruction.patterns import PatternSet
     from twin.config import Experiment
 
 
@@ -310,23 +310,35 @@ def patterns(
         Experiment, whose rig projects; or a TOML file with [patterns] alone, such as a manifest:
         any sequence that can be decoded, see docs/decoding.md.
     """
-    from reconstruction.capture.description import MANIFEST_FILE, write_patterns
-    from twin.output import output_folder
+    from reconstruction.capture.description import (
+        MANIFEST_FILE,
+        is_sequence,
+        read_sequence,
+        write_patterns,
+    )
+    from twin.config.digest import content_digest
+    from twin.optics.light import pattern_set
+    from twin.output import EXPERIMENT_FILE, output_folder
+    from twin.results.parts import write_outcome, write_result
 
-    sequence = _sequence(experiment, settings)
+    loaded = None if is_sequence(experiment) else load(experiment, settings)
+    if loaded is None:
+        sequence = read_sequence(experiment, settings_of(settings))
+    else:
+        sequence = pattern_set(loaded.projector, loaded.patterns)
+    figures = {
+        "images": len(sequence.frames),
+        "width_px": sequence.width_px,
+        "height_px": sequence.height_px,
+    }
     with output_folder(out, [experiment]) as folder:
         write_patterns(folder, sequence)
+        if loaded is None:  # the manifest is all that there is to say
+            shutil.copy(folder / MANIFEST_FILE, folder / EXPERIMENT_FILE)
+            write_outcome(folder, "patterns", figures, digest=content_digest(sequence))
+        else:
+            write_result(folder, "patterns", loaded, figures)
     say(f"wrote {len(sequence.frames)} images and {out / MANIFEST_FILE}")
-
-
-def _sequence(source: Path, settings: Settings) -> "PatternSet":
-    from reconstruction.capture.description import is_sequence, read_sequence
-    from twin.optics.light import pattern_set
-
-    if is_sequence(source):
-        return read_sequence(source, settings_of(settings))
-    loaded = load(source, settings)
-    return pattern_set(loaded.projector, loaded.patterns)
 
 
 @app.command

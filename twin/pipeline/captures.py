@@ -28,7 +28,9 @@ from reconstruction.pipeline import (
     write_decoded,
     write_reconstruction,
 )
+from reconstruction.reading import read_text
 from reconstruction.triangulation import Use
+from twin.config.digest import content_digest
 from twin.config.models import Decode
 from twin.output import EXPERIMENT_FILE, output_folder
 from twin.pipeline.fringes import options_of
@@ -63,7 +65,7 @@ def reconstruct_capture(
         )
         settings = tomli_w.dumps({"decode": decode.model_dump(mode="json")})
         (folder / EXPERIMENT_FILE).write_text(settings, encoding="utf-8")
-        write_outcome(folder, "reconstruct", figures)
+        write_outcome(folder, "reconstruct", figures, digest=content_digest(decode, capture))
     return figures
 
 
@@ -108,7 +110,7 @@ def decode_capture(
         draw_decoded(folder / "decoded.png", result)
         settings = tomli_w.dumps({"decode": decode.model_dump(mode="json")})
         (folder / EXPERIMENT_FILE).write_text(settings, encoding="utf-8")
-        write_outcome(folder, "decode", figures)
+        write_outcome(folder, "decode", figures, digest=content_digest(decode, capture))
     return figures
 
 
@@ -135,7 +137,8 @@ def reconstruct_press(
 ) -> dict[str, Any]:
     """Measure `description` (TOML) into `out`; returns the figures also written to result.json.
 
-    Beside them stand height.nc, points.ply, and sensor_calibration.npz to measure with again.
+    Beside them stand height.nc, points.ply, the description as experiment.toml, and
+    sensor_calibration.npz to measure with again.
 
     Raises
     ------
@@ -150,7 +153,10 @@ def reconstruct_press(
         write_height_map(folder / "height.nc", result.height_map)
         write_height_points(folder / "points.ply", result.height_map)
         write_sensor_calibration(folder / "sensor_calibration.npz", result.calibration)
-        write_outcome(folder, "reconstruct", figures)
+        text = read_text(description)
+        (folder / EXPERIMENT_FILE).write_text(text, encoding="utf-8")
+        named = content_digest(text, result.image, result.calibration)
+        write_outcome(folder, "reconstruct", figures, digest=named)
     return figures
 
 
