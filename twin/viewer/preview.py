@@ -25,6 +25,7 @@ _ACROSS_PX = 250
 _BINNINGS = (4, 2, 1)
 _COARSE_SOLVER_MM = 0.16
 _COARSE_RELIEF_MM = 0.05
+_COARSE_CELL_MM = 0.3
 _MOST_NODES = 240
 """Nodes of the coat along a side: a tenth of a millimetre on the paper's sheet."""
 
@@ -183,6 +184,8 @@ def _preview_size(experiment: Experiment) -> dict[str, Any]:
     ):
         section, name = key.split(".")
         coarse[key] = max(getattr(getattr(experiment, section), name), pitch_mm)
+    if experiment.press.cell_mm is None:
+        coarse["press.cell_mm"] = _COARSE_CELL_MM
     return coarse | {
         "camera.binning": binning,
         "camera.width_px": camera.width_px // fewer,
