@@ -12,6 +12,13 @@ from benchmarks.fuzz_stock import make_colours
 from twin.cli import run
 from twin.config.digest import content_digest
 
+SEQUENCE = """format = "fringe-patterns"
+version = 1
+[patterns]
+width_px = 64
+height_px = 32
+period_px = 16
+"""
 CAPTURE = Path(__file__).parents[2] / "docs" / "example_capture"
 
 
@@ -22,7 +29,7 @@ def arguments_of(command: str, folder: Path) -> list[str]:
         return ["reconstruct", "--photometric", str(folder / "colours" / "press.toml")]
     if command in ("patterns", "patterns of a file"):
         shown = folder / "sequence.toml"
-        shown.write_text('format = "fringe-patterns"\nversion = 1\n[patterns]\nwidth_px = 64\nheight_px = 32\nperiod_px = 16\n')
+        shown.write_text(SEQUENCE)
         few = ["-s", "patterns.steps=3"]
         named = "paper/two_balls" if command == "patterns" else str(shown)
         return ["patterns", named, *few]

@@ -52,7 +52,7 @@ DEEP = BALL.format(load='control = "depth"\ndepth_mm = 0.4')
 HARD = BALL.format(load='control = "force"\nforce_n = 60.0')
 FIGURES = {
     "sensor", "object", "images", "slopes", "relief", "heights", "sections", "errors", "ball_1",
-    "press",
+    "fit_regions", "press",
 }  # fmt: skip
 
 

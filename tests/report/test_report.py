@@ -24,6 +24,7 @@ FIGURES = {
     "truth_error",
     "ball_1",
     "ball_2",
+    "fit_regions",
     "press",
 }
 

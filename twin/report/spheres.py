@@ -1,6 +1,7 @@
-"""Sphere fits: one table for all methods, and one figure per ball."""
+"""Sphere fits: one table for all methods, one figure per ball, and what the region decides."""
 
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -9,8 +10,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
-from reconstruction.arrays import FloatArray
-from reconstruction.evaluate.fit import SphereFit
+from reconstruction.arrays import BoolImage, FloatArray
+from reconstruction.errors import FitError
+from reconstruction.evaluate.fit import SphereFit, fit_sphere
 from twin.report.canvas import (
     FIT,
     MEASURED,
@@ -30,9 +32,12 @@ from twin.report.surfaces import average_on_grid
 from twin.report.table import Cell, Column, Table
 from twin.results.decoders import decoder_name
 from twin.results.record import Colours, Measurement
-from twin.results.score import SphereScore
+from twin.results.score import SphereScore, region_of, wanted_pixels
 
 _MAP_CELLS, _BINS, _CURVE_POINTS = 200, 81, 201
+# Regions of the fit, as shares of a ball's radius; more points than so many are thinned.
+_REGIONS = np.linspace(0.125, 1.0, 8)
+_MOST_POINTS = 10_000
 
 _FITS = (
     Column("ball", "ball"),
@@ -151,9 +156,11 @@ def ball_views(scored: Measurement) -> list[BallView]:
 
 
 def ball_sections(measured: Measurement) -> list[Section]:
-    """Return one figure per ball, in a section of their own; no section without balls."""
-    figures = tuple(_ball_figure(measured, view) for view in ball_views(measured))
-    return [Section("balls", "Sphere fits", figures)] if figures else []
+    """Return the figures of the balls, in a section of their own; no section without balls."""
+    figures = [_ball_figure(measured, view) for view in ball_views(measured)]
+    if not figures:
+        return []
+    return [Section("balls", "Sphere fits", (*figures, _regions_figure(measured)))]
 
 
 def _ball_figure(measured: Measurement, view: BallView) -> Figure:
@@ -279,3 +286,95 @@ def _nominal_cap(view: BallView, s_mm: NDArray[Any], peak_mm: float) -> FloatArr
     across2 = np.sum((view.trace.points(s_mm) - [nominal.x_mm, nominal.y_mm]) ** 2, axis=1)
     fall = nominal.radius_mm - np.sqrt(np.maximum(nominal.radius_mm**2 - across2, 0.0))
     return np.asarray(peak_mm - fall)
+
+
+# ---- region of the fit ---------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class RegionCurve:
+    """Fits of one ball over growing regions.
+
+    Attributes
+    ----------
+    label : ball and surface
+    region_mm, radius_mm, rmse_um : (n,) of those regions that could be fitted
+    """
+
+    label: str
+    region_mm: FloatArray
+    radius_mm: FloatArray
+    rmse_um: FloatArray
+
+
+def region_curves(measured: Measurement) -> list[RegionCurve]:
+    """Fit every ball, measured and true, over regions up to its own radius: its footprint."""
+    points = measured.points
+    usable = points.valid & wanted_pixels(measured.experiment, measured.truth)
+    surfaces = (
+        ("measured", points.world_mm),
+        ("true face", measured.truth.points_world_mm),
+    )
+    return [
+        _region_curve(f"ball {ball.number}, {name}", ball, points.world_mm, usable, surface_mm)
+        for ball in measured.score.spheres
+        for name, surface_mm in surfaces
+    ]
+
+
+def _region_curve(
+    label: str,
+    ball: SphereScore,
+    points_mm: NDArray[np.floating],
+    usable: BoolImage,
+    surface_mm: NDArray[np.floating],
+) -> RegionCurve:
+    found = []
+    for region_mm in ball.nominal.radius_mm * _REGIONS:
+        inside = surface_mm[region_of(ball.nominal, points_mm, usable, float(region_mm))]
+        with suppress(FitError):
+            fit = fit_sphere(inside[:: 1 + len(inside) // _MOST_POINTS])
+            found.append((region_mm, fit.radius_mm, 1e3 * fit.stats.rmse_mm))
+    return RegionCurve(label, *np.array(found, np.float64).reshape(-1, 3).T)
+
+
+def _regions_figure(measured: Measurement) -> Figure:
+    return Figure(
+        "fit_regions",
+        "What the region of the fit decides",
+        "Every ball fitted over the points within a growing distance of its apex (lateral), up to "
+        "its own radius. Where the region reaches beyond the contact the true face is no sphere "
+        "either, and RMSE and radius tell its shape instead of the sensor's error. Vertical line: "
+        "the region of the table.",
+        "RMSE and radius of the sphere fits against the region of the fit",
+        lambda path: draw_regions(path, measured),
+    )
+
+
+def draw_regions(path: Path, measured: Measurement) -> None:
+    """Draw RMSE and radius of the sphere fits against the region of the fit, as PNG."""
+    curves, balls = region_curves(measured), len(measured.score.spheres)
+    with drawing(path, 10.0, 3.6) as figure:
+        rmse, radius = axes_at(figure, 0.65, 0.5, 4.1, 2.5), axes_at(figure, 5.75, 0.5, 4.1, 2.5)
+        for number, curve in enumerate(curves):
+            true = curve.label.endswith("true face")
+            shade = 1.0 if balls == 1 else 1.0 - 0.55 * (number // 2) / (balls - 1)
+            style: Any = {
+                "color": TRUE_FACE if true else MEASURED,
+                "alpha": shade,
+                "marker": "" if true else "o",
+                "ms": 3,
+                "lw": 1.2,
+                "label": curve.label,
+            }
+            rmse.plot(curve.region_mm, curve.rmse_um, **style)
+            radius.plot(curve.region_mm, curve.radius_mm, **style)
+        for axes in (rmse, radius):
+            axes.axvline(measured.experiment.score.roi_radius_mm, color=FIT, lw=1.0, ls=":")
+        nominal_mm = sorted({ball.nominal.radius_mm for ball in measured.score.spheres})
+        for one_mm in nominal_mm:
+            radius.axhline(one_mm, color=NOMINAL, lw=1.0, ls="--")
+        told = "region of the fit (mm from the apex)"
+        chart(rmse, "RMSE", told, "radial RMSE (µm)", ylim=(0.0, None))
+        chart(radius, "Radius; dashed: the ball's own", told, "fitted radius (mm)")
+        rmse.legend(loc="upper left", frameon=True, framealpha=0.9, edgecolor="none")
