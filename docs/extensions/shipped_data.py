@@ -8,7 +8,7 @@ from shipped import Shipped, experiments, files, first_sentence, picture_of
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
-from twin.config.loading import Key, experiment_keys
+from twin.config.schema import Key, experiment_keys
 
 
 class Gallery(SphinxDirective):

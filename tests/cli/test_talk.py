@@ -53,7 +53,7 @@ def test_keys_are_wrapped_and_never_cut(capsys, monkeypatch, columns):
 
 
 def test_every_key_is_listed(capsys):
-    from twin.config.loading import experiment_keys
+    from twin.config.schema import experiment_keys
 
     assert run(["keys"]) == 0
     lines = capsys.readouterr().out.splitlines()

@@ -6,9 +6,10 @@ from hypothesis import strategies as st
 
 from reconstruction.errors import InputError
 from tests.fuzz.trees import damaged, documents
-from twin.config.loading import load_experiment, to_toml, validate_experiment, validated
+from twin.config.loading import load_experiment, to_toml, validate_experiment
 from twin.config.models import Camera, Coating, Elastomer, Experiment, Press, Projector
 from twin.config.problem import SensorProblem
+from twin.config.schema import validated
 from twin.config.study import Study
 
 # The same cases in every run, and no time limit: the machine's speed is not what is tested.

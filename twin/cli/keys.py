@@ -6,7 +6,7 @@ import textwrap
 from collections.abc import Iterable, Iterator
 
 from reconstruction.errors import InputError
-from twin.config.loading import Key, experiment_keys
+from twin.config.schema import Key, experiment_keys
 
 
 def matching(pattern: str) -> list[Key]:

@@ -12,9 +12,10 @@ from pydantic import Field
 from reconstruction.calibration.boards import Board, CharucoBoard, Chessboard, DotBoard
 from twin.assets import scene_file
 from twin.config.base import Angle, Fraction, Length, Model
-from twin.config.loading import read_toml, validated
+from twin.config.loading import read_toml
 from twin.config.models import Provenance
 from twin.config.quantities import check_ranges, convert_units, split_quantities
+from twin.config.schema import validated
 
 Count = Annotated[int, Field(ge=2, le=1000)]
 Shift = Annotated[float, Field(ge=-1000, le=1000)]

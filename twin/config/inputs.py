@@ -12,9 +12,10 @@ from pydantic import Field, model_validator
 
 from twin.assets import scene_file
 from twin.config.base import ConfigError, Model, NonNegative
-from twin.config.loading import read_toml, validated
+from twin.config.loading import read_toml
 from twin.config.models import Experiment
 from twin.config.quantities import check_ranges, split_quantities
+from twin.config.schema import validated
 
 DEFAULT_INPUTS = "inputs/handling"
 

@@ -17,8 +17,9 @@ from reconstruction.arrays import FloatArray
 from reconstruction.reading import is_regular
 from twin.assets import scene_file
 from twin.config.base import Model, NonNegative, Positive
-from twin.config.loading import load_experiment, read_toml, resolve_uses, validated, vary
+from twin.config.loading import load_experiment, read_toml, resolve_uses, vary
 from twin.config.models import Experiment
+from twin.config.schema import validated
 from twin.config.study import Axis, without_absent
 
 MOST_FREE, MOST_COMBINATIONS = 12, 64

@@ -19,16 +19,10 @@ from reconstruction.reading import is_regular
 from twin.assets import scene_file
 from twin.config.base import Model
 from twin.config.inputs import Input, load_inputs, refuse_shared_keys, with_sources
-from twin.config.loading import (
-    ABSENT,
-    load_experiment,
-    read_toml,
-    resolve_uses,
-    validated,
-    vary,
-)
+from twin.config.loading import ABSENT, load_experiment, read_toml, resolve_uses, vary
 from twin.config.methods import Method
 from twin.config.models import Experiment
+from twin.config.schema import validated
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ import numpy as np
 from reconstruction.machine import write_dataset
 from twin.config import ConfigError, Experiment, load_experiment
 from twin.config.inputs import DEFAULT_INPUTS, Input, Inputs, load_inputs
-from twin.config.loading import explain
+from twin.config.schema import explain
 from twin.config.study import Study
 from twin.output import EXPERIMENT_FILE, RESULT_FILE, adding, write_json
 from twin.pipeline.progress import ProgressCallback, no_progress

@@ -1,0 +1,195 @@
+"""What the models of a document say: its keys, and in plain words what is wrong with one.
+
+Problems are told in one line each: what, where, found, allowed, what to do. Keys are read off the
+models, too: no second list to keep true.
+"""
+
+import difflib
+import types
+import typing
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+from pydantic import BaseModel, ValidationError
+from pydantic_core import PydanticUndefined
+
+from twin.config.base import ConfigError
+from twin.config.models import Conductor, Dielectric, Diffuse, Experiment, Layer, Plastic
+
+_MOST_PROBLEMS = 20
+
+Document = TypeVar("Document", bound=BaseModel)
+Loc = tuple[int | str, ...]
+
+# Branches of a union of plain values, such as camera.exposure_ms.
+_SCALAR_TAGS = {"constrained-float", "float", "literal['auto']"}
+
+
+def validated(document: type[Document], tree: Any, before: str = "") -> Document:
+    """Build a document from nested tables; every problem at once, one line each after `before`."""
+    try:
+        return document.model_validate(tree)
+    except ValidationError as error:
+        lines = explain(error, document)
+        if (more := len(lines) - _MOST_PROBLEMS) > 0:
+            lines = [*lines[:_MOST_PROBLEMS], f"{more} more problems"]
+        raise ConfigError("\n".join(before + line for line in lines)) from None
+
+
+def explain(error: ValidationError, document: type[BaseModel]) -> list[str]:
+    """Turn pydantic's report on a document into plain lines; a misspelt key gets a suggestion.
+
+    A typo shows up twice (an unknown key and, for required fields, a missing one): the second
+    line is dropped when the suggestion already names it.
+    """
+    lines, suggested = [], set()
+    for item in error.errors(include_url=False):
+        if item["type"] == "extra_forbidden":
+            parent, key = _path(item["loc"][:-1], document), str(item["loc"][-1])
+            guess = _closest(key, item["loc"][:-1], document)
+            suggested.add(f"{parent}.{guess}".lstrip("."))
+            where = f"in [{parent}]" if parent else "at the top level"
+            hint = f"; did you mean '{guess}'?" if guess else "; remove it"
+            lines.append(f"unknown key '{key}' {where}{hint}")
+    for item in error.errors(include_url=False):
+        path = _path(item["loc"], document)
+        if item["type"] == "missing" and path not in suggested:
+            lines.append(f"{path}: missing; add it")
+        elif item["type"] not in ("missing", "extra_forbidden"):
+            found = f"{path}: found {_short(item['input'])}, " if path else ""
+            lines.append(f"{found}{_allowed(item['msg'])}")
+    return lines
+
+
+def _allowed(message: str) -> str:
+    text = message.removeprefix("Value error, ").removeprefix("Input ")
+    return text[0].lower() + text[1:]
+
+
+def _short(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."
+
+
+def _path(loc: Loc, document: type[BaseModel]) -> str:
+    """Dotted path as a user writes it: without the tags that pydantic inserts for unions."""
+    return ".".join(_walk(loc, document)[0])
+
+
+def _closest(key: str, loc: Loc, document: type[BaseModel]) -> str | None:
+    names = [name for model in _walk(loc, document)[1] for name in model.model_fields]
+    found = difflib.get_close_matches(key, names, n=1, cutoff=0.6)
+    return found[0] if found else None
+
+
+def _walk(loc: Loc, document: type[BaseModel]) -> tuple[list[str], list[type[BaseModel]]]:
+    """Follow a location from the document; return its path and the models found at its end."""
+    path: list[str] = []
+    here: list[Any] = [document]
+    for part in map(str, loc):
+        kinds = {
+            m.model_fields["kind"].default: m for m in _models(here) if "kind" in m.model_fields
+        }
+        if len(kinds) > 1 and part in kinds:
+            here = [kinds[part]]
+        elif part not in _SCALAR_TAGS:
+            path.append(part)
+            here = [option for place in here for option in _inside(place, part)]
+    return path, _models(here)
+
+
+def _models(options: list[Any]) -> list[type[BaseModel]]:
+    return [part for part in options if isinstance(part, type) and issubclass(part, BaseModel)]
+
+
+def _inside(place: Any, part: str) -> list[Any]:
+    """Types that a field of a model, or a value of a table by name, may have."""
+    if typing.get_origin(place) is dict:
+        return _options(typing.get_args(place)[1])
+    if typing.get_origin(place) is tuple:
+        return _options(typing.get_args(place)[0])
+    field = place.model_fields.get(part) if _models([place]) else None
+    return _options(field.annotation) if field is not None else []
+
+
+def _options(annotation: Any) -> list[Any]:
+    if typing.get_origin(annotation) is typing.Annotated:
+        annotation = typing.get_args(annotation)[0]
+    if typing.get_origin(annotation) in (typing.Union, types.UnionType):
+        return list(typing.get_args(annotation))
+    return [annotation]
+
+
+@dataclass(frozen=True)
+class Key:
+    """One key of an experiment file."""
+
+    path: str
+    allowed: str
+    default: str
+    meaning: str
+
+
+def experiment_keys() -> Iterator[Key]:
+    """Yield every key of an experiment file, the materials' once at the end."""
+    yield from list_keys(Experiment)
+    for material in (Conductor, Dielectric, Diffuse, Plastic):
+        kind = material.model_fields["kind"].default
+        yield from list_keys(material, f"specimen.material({kind}).")
+    yield from list_keys(Layer, "layers.NAME.")
+
+
+def list_keys(model: type[BaseModel], prefix: str = "") -> Iterator[Key]:
+    """Yield every key of a model and of the models inside it, in file order."""
+    for name, field in model.model_fields.items():
+        inner = [] if name == "material" else _parts_of(field.annotation)
+        if name == "provenance":
+            continue
+        if not inner:
+            limits = [_limit(item) for item in field.metadata]
+            allowed = ", ".join([_type_name(field.annotation), *filter(None, limits)])
+            required = field.default is PydanticUndefined
+            default = "required" if required else str(field.default)
+            yield Key(f"{prefix}{name}", allowed, default, field.description or "")
+        for part in inner:
+            tag = f"({part.model_fields['kind'].default})" if len(inner) > 1 else ""
+            yield from list_keys(part, f"{prefix}{name}{tag}.")
+
+
+def _parts_of(annotation: Any) -> list[type[BaseModel]]:
+    if typing.get_origin(annotation) is dict:
+        return []  # named parts, each one of the kinds listed beside it
+    return _models(list(typing.get_args(annotation) or (annotation,)))
+
+
+def _type_name(annotation: Any) -> str:
+    if typing.get_origin(annotation) is typing.Literal:
+        return " | ".join(repr(value) for value in typing.get_args(annotation))
+    if typing.get_origin(annotation) is typing.Annotated:
+        inner, *metadata = typing.get_args(annotation)
+        limits = [_limit(item) for extra in metadata for item in getattr(extra, "metadata", [])]
+        return ", ".join([_type_name(inner), *filter(None, limits)])
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return f"table ({annotation.model_fields['kind'].default})"
+    if typing.get_origin(annotation) in (dict, tuple):
+        return _collection_name(annotation)
+    parts = [part for part in typing.get_args(annotation) if part is not type(None)]
+    if parts:
+        return " | ".join(_type_name(part) for part in parts)
+    names = {float: "number", int: "integer", bool: "true | false", str: "text"}
+    return names.get(annotation, str(annotation))
+
+
+def _collection_name(annotation: Any) -> str:
+    if typing.get_origin(annotation) is dict:
+        return "tables by name"
+    items = typing.get_args(annotation)
+    return "numbers" if Ellipsis in items else f"{len(items)} numbers"
+
+
+def _limit(item: Any) -> str:
+    for name, sign in (("gt", ">"), ("ge", ">="), ("lt", "<"), ("le", "<=")):
+        if hasattr(item, name):
+            return f"{sign} {getattr(item, name):g}"
+    return ""
