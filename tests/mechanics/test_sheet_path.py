@@ -1,6 +1,8 @@
 """The way to a press: what its stops may cost, which cells it goes through, where it ends."""
 
+from collections.abc import Callable
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -20,7 +22,7 @@ from twin.config.models import Ball
 from twin.mechanics.errors import SolverError
 from twin.mechanics.sheet import press
 from twin.mechanics.sheet.case import SheetCase
-from twin.mechanics.sheet.energy import Sheet, SheetState
+from twin.mechanics.sheet.energy import Evaluation, Sheet, SheetState
 from twin.mechanics.sheet.equilibrium import (
     Accuracy,
     _Descent,
@@ -76,6 +78,40 @@ def test_a_step_that_is_far_too_short_is_made_longer() -> None:
     share, new = _searched(descent, step, slope)
     assert share >= 4
     assert new.energy < descent.now.energy + 3 * slope
+
+
+class ToAndFro:
+    """A sheet of one point, whose whole step leads to as much force on the other side."""
+
+    def __init__(self, force: Callable[[float], float]) -> None:
+        self.grid = SimpleNamespace(free=np.ones((1, 1, 3), bool))
+        self.force, self.place, self.laws, self.sticks = force, 0.0, laws(0.2), False
+
+    def evaluate(self, control_mm: np.ndarray, _state: object, **_: bool) -> Evaluation:
+        self.place = float(control_mm[0, 0, 2])
+        return Evaluation(-1905.0, control_mm, np.zeros(0))
+
+    def residuals_kpa(self) -> np.ndarray:
+        return np.array([[abs(self.force(self.place))]])
+
+
+@pytest.mark.parametrize(
+    ("force", "share"),
+    [
+        (lambda z: 1.0 - z, 1.0),  # the step of a smooth law
+        (lambda z: 1.0 if z < 0.4 else -1.0 + (z < 0.6), 0.5),
+        (lambda z: 1.0 if z < 0.2 else -1.0 + (z < 0.3), 0.25),
+        (lambda z: 1.0, 0.25),
+    ],
+)
+def test_a_step_between_two_sides_is_cut(force: Callable[[float], float], share: float) -> None:
+    sheet = ToAndFro(force)
+    state = SheetState(np.zeros((1, 1, 3)), Grip(*(np.zeros(0) for _ in range(3))))
+    descent = _Descent(sheet, state, Accuracy())  # type: ignore[arg-type]
+    step = np.array([[[0.0, 0.0, 1.0]]])
+    found, new = _searched(descent, step, slope=-1e-9)
+    assert found == share
+    assert new.control_mm[0, 0, 2] == share
 
 
 def small_round_sheet() -> tuple[Sheet, SheetState]:
