@@ -1,12 +1,6 @@
 """Dimensions of measured surfaces, each with a stated definition and a robust fit; lengths mm."""
 
-from reconstruction.evaluate.fit import (
-    BallFit,
-    CylinderFit,
-    fit_ball,
-    fit_cylinder,
-    fit_sphere_algebraic,
-)
+from reconstruction.evaluate.fit import fit_sphere_algebraic
 from reconstruction.evaluate.plane import (
     ArealRoughness,
     BarWidth,
@@ -18,6 +12,7 @@ from reconstruction.evaluate.plane import (
     flatness,
     step_height,
 )
+from reconstruction.evaluate.robust import BallFit, CylinderFit, fit_ball, fit_cylinder
 
 __all__ = [
     "ArealRoughness",

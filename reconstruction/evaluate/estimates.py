@@ -13,7 +13,8 @@ from scipy.optimize import least_squares
 
 from reconstruction.arrays import BoolImage, FloatArray
 from reconstruction.errors import FitError
-from reconstruction.evaluate.fit import BallFit, CylinderFit, fit_ball, fit_cylinder, inliers
+from reconstruction.evaluate.fit import inliers
+from reconstruction.evaluate.robust import BallFit, CylinderFit, fit_ball, fit_cylinder
 
 _MOST_TURNS = 20
 _LEAST_POINTS = 5

@@ -1,0 +1,217 @@
+"""Balls and cylinders of points of which some are wrong: soft-L1 first, then least squares; mm."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.optimize import least_squares
+
+from reconstruction.arrays import BoolImage, FloatArray
+from reconstruction.errors import FitError
+from reconstruction.evaluate.fit import ResidualStats, fit_sphere, inliers, residual_stats, spread
+
+_MOST_TURNS = 20
+# The first scale comes from a fit that outliers have pulled off: it is taken anew once.
+_SOFT_TURNS = 2
+_LEAST_POINTS = 20
+
+
+@dataclass(frozen=True, eq=False)
+class BallFit:
+    """Sphere through the points of a ball.
+
+    Attributes
+    ----------
+    centre_mm : (xyz) float
+    radius_mm : float
+    radius_sigma_mm : float
+        Standard uncertainty of the radius from the scatter of the residuals, taken as independent
+        of each other; filtered maps have correlated ones and a larger uncertainty.
+    residuals_mm : (n,) float
+        Radial distances of the points kept, positive outside.
+    kept : (n,) bool
+    """
+
+    centre_mm: FloatArray
+    radius_mm: float
+    radius_sigma_mm: float
+    residuals_mm: FloatArray
+    kept: BoolImage
+
+    @property
+    def form_mm(self) -> float:
+        """Range of the radial distances, as in the probing error (form) of VDI/VDE 2634-2."""
+        return float(np.ptp(self.residuals_mm))
+
+    @property
+    def stats(self) -> ResidualStats:
+        """Statistics of the radial residuals."""
+        return residual_stats(self.residuals_mm)
+
+
+def fit_ball(points_mm: ArrayLike) -> BallFit:
+    """Fit a sphere: soft-L1 first, then least squares, repeated without outliers.
+
+    Unlike `reconstruction.evaluate.fit.fit_sphere`, which keeps every point.
+
+    Parameters
+    ----------
+    points_mm : (n, 3) float, n >= 5, not coplanar
+
+    Raises
+    ------
+    FitError : too few, coplanar or non-finite points
+    """
+    points = np.asarray(points_mm, np.float64)
+    first = fit_sphere(points)
+    parameters = _softly(points, np.append(first.centre_mm, first.radius_mm))
+    kept = inliers(_from_centre(parameters, points))
+    for _ in range(_MOST_TURNS):
+        fine = fit_sphere(points[kept])
+        now = inliers(_from_centre(np.append(fine.centre_mm, fine.radius_mm), points))
+        if np.array_equal(now, kept):
+            break
+        kept = now
+    fine = fit_sphere(points[kept])
+    sigma_mm = _radius_sigma_mm(points[kept], fine.centre_mm, fine.residuals_mm)
+    return BallFit(fine.centre_mm, fine.radius_mm, sigma_mm, fine.residuals_mm, kept)
+
+
+def _softly(points: FloatArray, start: FloatArray) -> FloatArray:
+    """Return centre and radius with the least soft-L1 sum of radial distances."""
+    parameters = start
+    for _ in range(_SOFT_TURNS):
+        scale_mm = max(spread(_from_centre(parameters, points)), 1e-9)
+        found = least_squares(
+            _from_centre,
+            parameters,
+            args=(points,),
+            loss="soft_l1",
+            f_scale=scale_mm,
+            x_scale="jac",
+        )
+        parameters = np.asarray(found.x)
+    return parameters
+
+
+def _radius_sigma_mm(points: FloatArray, centre_mm: FloatArray, residuals_mm: FloatArray) -> float:
+    """Return s sqrt((J^T J)^-1) of the radius; J: minus the unit normals, minus one."""
+    freedom = len(points) - 4
+    if freedom < 1:
+        raise FitError(f"ball: {len(points)} points are left without outliers, 5 needed")
+    away = points - centre_mm
+    normals = away / np.linalg.norm(away, axis=1, keepdims=True)
+    # The radius' variance is what of the ones is not a mixture of the normals' components.
+    ones = np.ones(len(points))
+    alone = ones - normals @ np.linalg.lstsq(normals, ones, rcond=None)[0]
+    return float(np.sqrt(residuals_mm @ residuals_mm / freedom / (alone @ alone)))
+
+
+def _from_centre(parameters: FloatArray, points: FloatArray) -> FloatArray:
+    distance: FloatArray = np.linalg.norm(points - parameters[:3], axis=1) - parameters[3]
+    return distance
+
+
+@dataclass(frozen=True, eq=False)
+class CylinderFit:
+    """Cylinder round an axis.
+
+    Attributes
+    ----------
+    point_mm : (xyz) float
+        Point of the axis nearest to the points' centroid.
+    axis : (xyz) float
+        Unit vector with its largest component positive.
+    radius_mm : float
+    residuals_mm : (n,) float
+        Radial distances of the points kept, positive outside.
+    kept : (n,) bool
+    """
+
+    point_mm: FloatArray
+    axis: FloatArray
+    radius_mm: float
+    residuals_mm: FloatArray
+    kept: BoolImage
+
+    @property
+    def stats(self) -> ResidualStats:
+        """Statistics of the radial residuals."""
+        return residual_stats(self.residuals_mm)
+
+
+def fit_cylinder(points_mm: ArrayLike, axis: ArrayLike) -> CylinderFit:
+    """Fit a cylinder: soft-L1 first, then least squares without outliers.
+
+    Parameters
+    ----------
+    points_mm : (n, 3) float
+    axis : (3,) float
+        Direction within some 20 degrees of the true one.
+
+    Raises
+    ------
+    FitError : too few points, or the fit does not converge
+    """
+    points = np.asarray(points_mm, np.float64)
+    if points.ndim != 2 or points.shape[1] != 3 or len(points) < _LEAST_POINTS:
+        raise FitError(f"points have shape {points.shape}; a cylinder needs at least (20, 3)")
+    centroid = points.mean(axis=0)
+    frame = _frame(np.asarray(axis, np.float64))
+    local = (points - centroid) @ frame.T
+    scale = max(spread(local[:, 2] - np.median(local[:, 2])), 1e-6)
+    rough = _solve(local, _start(local), "soft_l1", 0.1 * scale)
+    kept = inliers(_from_axis(rough, local))
+    fine = _solve(local[kept], rough, "linear", 1.0)
+    direction, foot = _axis_of(fine)
+    return CylinderFit(
+        point_mm=centroid + foot @ frame,
+        axis=_upright(direction @ frame),
+        radius_mm=float(abs(fine[4])),
+        residuals_mm=_from_axis(fine, local[kept]),
+        kept=kept,
+    )
+
+
+def _frame(axis: FloatArray) -> FloatArray:
+    """Rows: axis and two directions across it."""
+    axis = axis / np.linalg.norm(axis)
+    across = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
+    across /= np.linalg.norm(across)
+    return np.stack([axis, across, np.cross(axis, across)])
+
+
+def _start(local: FloatArray) -> FloatArray:
+    """Start from a circle across the axis: y^2 + z^2 = 2 a y + 2 b z + c, linear (Kasa 1976)."""
+    y, z = local[:, 1], local[:, 2]
+    design = np.column_stack([2.0 * y, 2.0 * z, np.ones_like(y)])
+    (a, b, c), *_ = np.linalg.lstsq(design, y * y + z * z, rcond=None)
+    return np.array([a, b, 0.0, 0.0, np.sqrt(c + a * a + b * b)])
+
+
+def _solve(local: FloatArray, start: FloatArray, loss: str, scale_mm: float) -> FloatArray:
+    found = least_squares(_from_axis, start, args=(local,), loss=loss, f_scale=scale_mm)
+    if not found.success:
+        raise FitError(f"the cylinder fit does not converge ({found.message})")
+    return np.asarray(found.x)
+
+
+def _axis_of(parameters: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Direction, and the axis' point nearest to the origin, in the local frame."""
+    y, z, slope_y, slope_z, _ = parameters
+    direction = np.array([1.0, slope_y, slope_z])
+    direction /= np.linalg.norm(direction)
+    point = np.array([0.0, y, z])
+    return direction, point - (point @ direction) * direction
+
+
+def _from_axis(parameters: FloatArray, local: FloatArray) -> FloatArray:
+    direction, foot = _axis_of(parameters)
+    across = local - foot
+    across = across - np.outer(across @ direction, direction)
+    radial: FloatArray = np.linalg.norm(across, axis=1) - abs(parameters[4])
+    return radial
+
+
+def _upright(axis: FloatArray) -> FloatArray:
+    return np.asarray(axis * np.sign(axis[np.argmax(np.abs(axis))]))
