@@ -1,0 +1,188 @@
+"""The object in one picture: relief, true object, deviation and section.
+
+World frame, mm; the section runs through the specimen, s = 0 at its middle.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from reconstruction.arrays import FloatArray
+from reconstruction.errors import FitError
+from reconstruction.evaluate import fit_ball
+from twin.config.models import Experiment
+from twin.report.canvas import (
+    FIT,
+    MEASURED,
+    MEASURED_FILL,
+    NOMINAL,
+    axes_at,
+    chart,
+    diverging,
+    draw_map,
+    drawing,
+    height_scale,
+    legend_above,
+    near_truth,
+    symmetric_limit,
+)
+from twin.report.page import Figure
+from twin.report.section import Trace, trace_through_apexes
+from twin.report.surfaces import average_on_grid
+from twin.results.object_points import SeenObject
+from twin.results.object_score import MeasuredQuantity
+from twin.results.record import Measurement
+from twin.specimens import shape_of
+
+_MAP_CELLS = 320
+_BAND_PIXELS = 1.5
+
+
+def touches(experiment: Experiment) -> str:
+    """Say how a point comes about: the coat touches, or the object is seen."""
+    return "is touched" if experiment.method.presses else "is seen"
+
+
+def object_figure(measured: Measurement) -> Figure:
+    """Return relief, true object, deviation and section in one picture."""
+    return Figure(
+        "object",
+        "Measured relief, true object, deviation and section",
+        "Heights in mm on one scale; points far out are left out. Deviation along the normal, "
+        f"offset taken off, where the specimen {touches(measured.experiment)}; elsewhere gray. "
+        f"The section shows measured points, the specimen's surface{grown(measured)}, and what "
+        "was fitted; thick points took part.",
+        "maps of measured relief, true object and deviation, and a section",
+        lambda path: draw_object(path, measured),
+    )
+
+
+def grown(measured: Measurement) -> str:
+    """Say that the true object is drawn grown by what lies between, if it is."""
+    seen = measured.object.seen
+    return " (grown by the elastomer between)" if seen is not None and seen.surface.skin_mm else ""
+
+
+def draw_object(path: Path, measured: Measurement) -> None:
+    """Draw the picture of `object_figure` as PNG."""
+    found = measured.object
+    seen, aligned = found.seen, found.aligned["offset"]
+    assert seen is not None
+    points, pixel_mm = _shown_points(measured, seen), seen.pixel_mm
+    z_true = np.ma.masked_invalid(seen.heights.z_mm + seen.surface.skin_mm)
+    low, high = height_scale(points[:, 2])
+    half = seen.heights.pitch_mm / 2
+    with drawing(path, 10.0, 7.0) as figure:
+        cells = average_on_grid(points, points[:, 2], pixel_mm, _MAP_CELLS)
+        outline = cells.extent_mm
+        draw_map(
+            axes_at(figure, 0.6, 0.35, 3.5, 2.6), cells.values, outline, "measured relief",
+            "z (mm)", ends=(low, high), extend="both",
+        )  # fmt: skip
+        extent = (
+            float(seen.heights.x_mm[0] - half),
+            float(seen.heights.x_mm[-1] + half),
+            float(seen.heights.y_mm[0] - half),
+            float(seen.heights.y_mm[-1] + half),
+        )
+        draw_map(
+            axes_at(figure, 5.5, 0.35, 3.5, 2.6), z_true, extent, "true object", "z (mm)",
+            ends=(low, high), extend="both",
+        )  # fmt: skip
+        deviation_um = 1e3 * aligned.deviation_mm
+        limit_um = symmetric_limit(deviation_um)
+        apart_mm = pixel_mm * np.sqrt(seen.measured.touching.sum() / max(len(deviation_um), 1))
+        cells = average_on_grid(aligned.points_mm, deviation_um, float(apart_mm), _MAP_CELLS)
+        axes = axes_at(figure, 0.6, 3.95, 3.5, 2.6)
+        draw_map(
+            axes, cells.values, cells.extent_mm, "deviation, offset taken off", "deviation (µm)",
+            cmap=diverging(), ends=(-limit_um, limit_um), extend="both",
+        )  # fmt: skip
+        axes.set(xlim=outline[:2], ylim=outline[2:])
+        _draw_section(axes_at(figure, 5.7, 3.95, 4.0, 2.6), measured, seen)
+
+
+def _shown_points(measured: Measurement, seen: SeenObject) -> FloatArray:
+    """Return the points (n, xyz) near the true surface, or all where none is."""
+    points, truth = seen.measured.points_mm, measured.truth
+    if not truth.measured.any():
+        return points
+    near = near_truth(points, truth.points_world_mm[truth.measured].astype(np.float64))
+    return points[near] if near.any() else points
+
+
+def trace_of(experiment: Experiment) -> Trace:
+    """Return the section's line: through the balls, or along the specimen's own x axis."""
+    if shape_of(experiment.specimen).spheres():
+        return trace_through_apexes(experiment)
+    turn, at = np.deg2rad(experiment.specimen.yaw_deg), experiment.specimen
+    return Trace(np.array([at.x_mm, at.y_mm]), np.array([np.cos(turn), np.sin(turn)]))
+
+
+def _draw_section(axes: Axes, measured: Measurement, seen: SeenObject) -> None:
+    trace, points = trace_of(measured.experiment), _shown_points(measured, seen)
+    place, z = _band(trace, points, seen.pixel_mm)
+    axes.plot(place, z, ".", ms=2.0, color=MEASURED_FILL, label="measured")
+    fitted = next((one for one in measured.object.quantities if one.points_mm is not None), None)
+    if fitted is not None and fitted.points_mm is not None:
+        used, used_z = _band(trace, fitted.points_mm, seen.pixel_mm)
+        axes.plot(used, used_z, ".", ms=3.5, color=MEASURED, label="fitted")
+    grid = np.linspace(float(place.min()), float(place.max()), 600) if len(place) else place
+    true = _true_profile(seen, trace, grid)
+    axes.plot(grid, true, color=NOMINAL, lw=1.0, label="true object")
+    if fitted is not None and fitted.points_mm is not None:
+        for s, line in _fit_lines(fitted, fitted.points_mm, trace, seen):
+            axes.plot(s, line, color=FIT, lw=1.2, ls="--")
+    low, high = (float(z.min()), float(z.max())) if len(z) else (0.0, 1.0)
+    margin = 0.15 * max(high - low, 0.01)
+    chart(axes, "section", f"{trace.axis} (mm)", "z (mm)", ylim=(low - margin, high + margin))
+    if len(place):
+        axes.set_xlim(float(place.min()) - margin, float(place.max()) + margin)
+    legend_above(axes, 3)
+
+
+def _band(trace: Trace, points: FloatArray, pixel_mm: float) -> tuple[FloatArray, FloatArray]:
+    """Return place along a section and height of the points beside it, in order."""
+    near = np.abs(trace.offset(points[:, 0], points[:, 1])) <= _BAND_PIXELS * pixel_mm
+    place = np.asarray(trace.position(points[near, 0], points[near, 1]), np.float64)
+    order = np.argsort(place)
+    return place[order], points[near, 2][order]
+
+
+def _true_profile(seen: SeenObject, trace: Trace, place: FloatArray) -> FloatArray:
+    """World z of the true object's upper side, grown by the skin, along a section; NaN: none."""
+    z = seen.heights.z_mm[seen.heights.cells_of(trace.points(place))] if len(place) else place
+    return np.where(np.isfinite(z), z + seen.surface.skin_mm, np.nan)
+
+
+def _fit_lines(
+    one: MeasuredQuantity, points: FloatArray, trace: Trace, seen: SeenObject
+) -> list[tuple[FloatArray, FloatArray]]:
+    """Return what was fitted, as curves (s, z): two levels, or the arc of a ball."""
+    if one.asked.quantity == "radius" and seen.shape.spheres():
+        return _arc(points, trace)
+    if one.asked.quantity != "step_height" or one.value is None:
+        return []
+    place, z = trace.position(points[:, 0], points[:, 1]), points[:, 2]
+    middle = (float(z.min()) + float(z.max())) / 2
+    upper = z > middle
+    design = np.column_stack([np.ones(len(z)), points[:, :2], upper])
+    plane: Any = np.linalg.lstsq(design, z, rcond=None)[0]
+    ends = np.array([float(place.min()), float(place.max())])
+    base = plane[0] + trace.points(ends) @ plane[1:3]
+    return [(ends, base), (ends, base + plane[3])]
+
+
+def _arc(points: FloatArray, trace: Trace) -> list[tuple[FloatArray, FloatArray]]:
+    try:
+        ball = fit_ball(points)
+    except FitError:
+        return []
+    middle = float(trace.position(ball.centre_mm[0], ball.centre_mm[1]))
+    aside = float(trace.offset(ball.centre_mm[0], ball.centre_mm[1]))
+    reach = float(np.ptp(trace.position(points[:, 0], points[:, 1]))) / 2
+    s = np.linspace(-reach, reach, 200)
+    up = np.maximum(ball.radius_mm**2 - s**2 - aside**2, 0.0)
+    return [(middle + s, ball.centre_mm[2] + np.sqrt(up))]
