@@ -10,12 +10,16 @@ from scipy import sparse
 from scipy.interpolate import RegularGridInterpolator
 
 from tests.mechanics.sheets import build_sheet, pressed
-from twin.config.models import Ball, Elastomer, Grating, Group, Press, Texture
+from twin.config.models import Ball, Elastomer, Grating, Group, Mechanics, Press, Texture
 from twin.config.specimens import Bar
 from twin.mechanics import PressedElastomer, PressError, read_press, write_press
 from twin.mechanics.contact_transfer import finest_pitch_mm
+from twin.mechanics.errors import SolverError
 from twin.mechanics.press import SheetFields
+from twin.mechanics.sheet import press
+from twin.mechanics.sheet.energy import SheetState
 from twin.mechanics.sheet.linear_solver import LinearSolver, Pardiso, SuperLU, has_pardiso
+from twin.mechanics.sheet.path import Loads
 from twin.mechanics.texture import textured
 
 SMALL = {"length_x_mm": 10.0, "length_y_mm": 10.0}
@@ -114,6 +118,22 @@ def test_past_the_limit_pressure_the_one_that_holds_is_named() -> None:
     assert 0 < holds < 25
     found = pressed(MARBLE, elastomer, depth_mm=0.4, back_pressure_kpa=holds)
     assert found.face_z_mm.max() < 0.4
+
+
+@pytest.mark.parametrize(("holding_kpa", "named_kpa"), [(0.3, 0.25), (0.2, 0.1), (0.05, 0.0)])
+def test_low_pressures_are_tried_where_the_way_has_none(
+    monkeypatch: pytest.MonkeyPatch, holding_kpa: float, named_kpa: float
+) -> None:
+    """Setup: a sheet that counts as too thin above a pressure below the way's first, 0.5 kPa."""
+    load = Press(control="depth", depth_mm=0.4, back_pressure_kpa=2.0)
+    path = press._path(MARBLE, build_sheet(), load, Mechanics(model="sheet"))
+
+    def check(_sheet: object, state: SheetState, _least: float = 0.2) -> None:
+        if state.pressure_kpa > holding_kpa:
+            raise SolverError("thins")
+
+    monkeypatch.setattr(press, "check_thickness", check)
+    assert press._held_kpa(path, [], Loads(0.4, 2.0)) == named_kpa
 
 
 @pytest.mark.parametrize(

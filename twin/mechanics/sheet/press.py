@@ -10,6 +10,7 @@ thickness, E* / (h / 4), which fits solid elements best (shared notes on the she
 """
 
 from collections import OrderedDict
+from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
@@ -57,6 +58,8 @@ _FINE = Accuracy(residual_kpa=2e-3, most_steps=200, anchors_from_mm=0.03)
 _FORCE_TOLERANCE, _FORCE_STEPS = 1e-3, 40
 # Thickness over its undeformed value of what is told to hold: far from what is refused.
 _HOLDS = 2 * THINNEST
+# Tried where the way found none that holds: less is no pressure that anybody sets.
+_LOW_PRESSURES_KPA = (0.25, 0.1)
 # Of contact on the way: what yields under it, in cells, at the sheet's shear modulus.
 _SOFT = 0.125
 _KEPT_PATHS = 4
@@ -159,8 +162,8 @@ def _equilibrium(path: _Path, load: Press, progress: Progress | None) -> tuple[S
         return _settled(path, load, walked, progress or _silent)
     except LimitPressureError as limit:
         asked_kpa = load.back_pressure_kpa
-        held_kpa = _held_kpa(path, walked, asked_kpa)
         travel_mm = load.depth_mm or TRAVEL_STEP_MM
+        held_kpa = _held_kpa(path, walked, Loads(travel_mm, asked_kpa))
         raise LimitPressureError(travel_mm, held_kpa, asked_kpa, limit.reason) from limit
 
 
@@ -237,16 +240,14 @@ def _affordable_mm(case: SheetCase, box: tuple[float, float, float, float]) -> f
     return max(case.cell_mm, float(np.sqrt((east - west) * (north - south) / _MOST_CELLS)))
 
 
-def _held_kpa(path: _Path, walked: list[SheetState], asked_kpa: float) -> float:
+def _held_kpa(path: _Path, walked: list[SheetState], load: Loads) -> float:
     """Return a pressure below the one asked for that the sheet holds with a margin; 0 where none.
 
     The largest of the way's that has an equilibrium on coarse cells and on those between, or, where
     that is not found within few steps, the next lower one with an equilibrium on coarse cells.
     """
     tried = False
-    for state in sorted(walked, key=lambda one: -one.pressure_kpa):
-        if state.pressure_kpa >= asked_kpa:
-            continue
+    for state in _at_lower_pressures(path, walked, load):
         with suppress(SolverError):
             found = settle(path.sheet, state, _ROUGH)
             check_thickness(path.sheet, found, _HOLDS)
@@ -258,6 +259,17 @@ def _held_kpa(path: _Path, walked: list[SheetState], asked_kpa: float) -> float:
                 check_thickness(between, found, _HOLDS)
             return float(np.floor(100 * state.pressure_kpa)) / 100
     return 0.0
+
+
+def _at_lower_pressures(path: _Path, walked: list[SheetState], load: Loads) -> Iterator[SheetState]:
+    """Yield states below the pressure asked for, the largest first: the way's, then lower ones."""
+    for state in sorted(walked, key=lambda one: -one.pressure_kpa):
+        if state.pressure_kpa < load.pressure_kpa:
+            yield state
+    for pressure_kpa in _LOW_PRESSURES_KPA:
+        with suppress(SolverError, LimitPressureError):
+            lower = Loads(load.travel_mm, pressure_kpa)
+            yield follow(path.sheet, lower, _ROUGH, path.states)
 
 
 def _silent(share: float) -> None:
