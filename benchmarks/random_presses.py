@@ -39,7 +39,7 @@ from twin.config.specimens import Bar, Step
 from twin.mechanics.sheet.path import LimitPressureError
 from twin.mechanics.sheet.press import press_sheet
 
-PRESSES, QUICK_PRESSES, LIMIT_S = 300, 12, 300.0
+PRESSES, QUICK_PRESSES, LIMIT_S = 300, 12, 900.0
 KINDS = ("ball", "two_balls", "rod", "flat", "bar", "step", "nut", "t_bolt", "brick", "grating")
 SPAN_MM, YOUNG_KPA = 26.0, 300.0
 
