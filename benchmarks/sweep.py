@@ -14,6 +14,7 @@ what is lost is lost to the engine (cases ahead, batches, store) and to the memo
 The processes are started, and their kernels loaded, before the clock runs. Only an idle machine of
 two cores or more tells the truth; `machine_speed_up`, of plain loops that share nothing at all,
 taken before and after, says what it has to give: cores of a virtual machine are often less than 2.
+`worker_efficiency` is the first over the second.
 
 Last line: {"over_one_process": r, "over_one_by_one": r, "points_per_hour": n, ...}. The first is
 like for like: `measure` called again and again in one process, so that nothing but the sharing and
@@ -114,6 +115,7 @@ def main() -> None:
             | {
                 "speed_up_2_workers": round(one_s / two_s, 2),
                 "machine_speed_up": round(sum(loops) / len(loops), 2),
+                "worker_efficiency": round(one_s / two_s * len(loops) / sum(loops), 3),
                 "cpu_s_per_point": round(cpu_s, 3),
                 "overhead_ms": round(1e3 * (store_s := overhead_s(record, len(cases))), 2),
                 **stages,
