@@ -40,10 +40,9 @@ _POOR, _GOOD = 0.5, 0.75
 # half of it.
 _STILL_STEEP = 0.75
 # Of the energy: a step that promises less is judged by the forces that it leaves.
-_ROUNDING = 1e-11
+_ROUNDING, _LEAST_BY_FORCES = 1e-11, 0.25
 # Factors serve a second step where the residual is less than this many times the one asked for.
 _FACTORS_SERVE = 100.0
-_HALF = 0.5
 # Of a step: a shorter share of it does not tell how near the equilibrium is.
 _NEARLY_WHOLE = 0.9
 
@@ -308,7 +307,7 @@ def _searched(descent: _Descent, step: FloatArray, slope: float) -> tuple[float,
     """Return the share of the step that lowers the energy enough, and what is there."""
     sheet, now = descent.sheet, descent.now
     if -slope <= _ROUNDING * abs(now.energy):
-        return _quietest(descent, step)
+        return _by_forces(descent, step)
     share = min(1.0, _LARGEST_MOVE_MM / float(np.abs(step).max()))
 
     def at(control_mm: FloatArray) -> Evaluation:
@@ -329,19 +328,19 @@ def _searched(descent: _Descent, step: FloatArray, slope: float) -> tuple[float,
     return 0.0, at(now.control_mm)
 
 
-def _quietest(descent: _Descent, step: FloatArray) -> tuple[float, Evaluation]:
-    """Return the first share of a short step that leaves less force, or half of a half of it.
+def _by_forces(descent: _Descent, step: FloatArray) -> tuple[float, Evaluation]:
+    """Return a whole, half or quarter of a short step, the first that leaves less force.
 
-    A point that begins or ceases to touch may send whole steps to and fro for ever, where energies
-    differ by less than their rounding.
+    Energies differ by less than their rounding here, and a point that begins or ceases to touch may
+    send whole steps to and fro for ever.
     """
     before_kpa, share = descent.residual_kpa, 1.0
     while True:
-        place = descent.now.control_mm + share * step
-        new = descent.sheet.evaluate(place, descent.state, tangent=True)
-        if descent.residual_kpa < before_kpa or share <= _HALF**2:
+        place, convex = descent.now.control_mm + share * step, descent.damping.convex
+        new = descent.sheet.evaluate(place, descent.state, tangent=True, convex=convex)
+        if descent.residual_kpa < before_kpa or share <= _LEAST_BY_FORCES:
             return share, new
-        share *= _HALF
+        share *= 0.5
 
 
 def _extended(
