@@ -29,9 +29,7 @@ _CONVEX_FROM_SLIPPING = 64.0
 # A tangent that was not definite is asked again after 1 step, 2, 4 and at most so many.
 _MOST_CONVEX_STEPS = 16
 _GROWTH = 8.0
-# Spots settle by themselves where the whole sheet wants this much viscosity.
-_SPOTS_FROM = 8.0
-_SPOT_HALF_CELLS, _MOST_SPOTS, _SPOT_STEPS = 10, 12, 25
+_SPOT_HALF_CELLS, _MOST_SPOTS, _SPOT_STEPS = 10, 8, 12
 # Of the largest residual: what is below is no spot.
 _LEAST_SPOT = 0.05
 # Of a step's promised gain.
@@ -188,7 +186,7 @@ def _settled(descent: _Descent, *, spots: bool) -> SheetState:
         if end is not None:
             return replace(end, steps=descent.state.steps + count + 1)
         descent.damp()
-        if spots and (descent.viscosity >= _SPOTS_FROM or descent.share < 1):
+        if spots and (descent.viscosity or descent.share < 1):
             descent.move(_settled_spots(descent))
     if not accuracy.strict:
         return replace(descent.here, steps=descent.state.steps + accuracy.most_steps)
