@@ -9,7 +9,9 @@ from reconstruction.arrays import PhotometricReason
 from reconstruction.photometric.calibration_ball import BallPress, SampleOptions
 from reconstruction.photometric.integrate import corrected, integrate, sdk_faithful
 from reconstruction.photometric.press_files import (
+    DescribedPresses,
     PhotometricResult,
+    described_presses,
     read_height_map,
     reconstruct_photometric,
     write_height_map,
@@ -27,6 +29,7 @@ from reconstruction.photometric.sensor import (
 
 __all__ = [
     "BallPress",
+    "DescribedPresses",
     "HeightMap",
     "PhotometricDecoder",
     "PhotometricOptions",
@@ -36,6 +39,7 @@ __all__ = [
     "SensorCalibration",
     "calibrate_sensor",
     "corrected",
+    "described_presses",
     "integrate",
     "read_height_map",
     "read_sensor_calibration",

@@ -1,29 +1,8 @@
-"""Measure from files: a press described by a small TOML file beside its images, and what comes out.
+"""Measure from files: the presses that a description names (`press_description`), and the results.
 
-    format = "photometric-press"
-    version = 1
-    image = "coin.png"                         # what to measure
-    background = ["still_0.png", "still_1.png"]  # untouched; may be left out beside `calibration`
-    calibration = "mini.npz"                   # made before; or the table [calibrate]
-
-    [calibrate]
-    pitch_mm = 0.0634
-    [[calibrate.balls]]
-    diameter_mm = 6.31
-    images = ["ball_00.png", "ball_01.png"]
-
-    [frame]                                    # optional: how camera frames become images
-    crop_share = 0.15                          # cut off at each side
-    width_px = 320
-    height_px = 240
-
-    [options]                                  # optional, see PhotometricOptions
-    integration = "corrected"
-
-File names are relative to the folder of the description.
+One calibration serves all presses of a description.
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -32,198 +11,151 @@ import cv2
 import numpy as np
 
 from reconstruction.arrays import Levels, PhotometricReason
-from reconstruction.capture.description import build, read_toml, table_of, take_header
-from reconstruction.errors import (
-    CaptureError,
-    InputError,
-    one_line,
-    require_integer,
-    require_number,
-)
+from reconstruction.errors import CaptureError, InputError, one_line
 from reconstruction.machine import PIXELS, pixel_coordinates, write_dataset
-from reconstruction.photometric.calibration_ball import BallPress, SampleOptions
+from reconstruction.photometric.calibration_ball import BallPress
 from reconstruction.photometric.images import mean_background
+from reconstruction.photometric.press_description import (
+    Calibrate,
+    Framing,
+    Names,
+    PressDescription,
+    read_press_description,
+)
+from reconstruction.photometric.press_doubts import doubts_of_background, doubts_of_image
 from reconstruction.photometric.sensor import (
-    KINDS,
     HeightMap,
     MapKind,
     PhotometricDecoder,
-    PhotometricOptions,
     SensorCalibration,
+    UntouchedGel,
     calibrate_sensor,
     read_sensor_calibration,
 )
-
-if TYPE_CHECKING:
-    import xarray
 from reconstruction.pipeline import read_maps, write_ply
 from reconstruction.reading import MOST_IMAGE_BYTES, read_bytes
 
-Names = tuple[str, ...]
-DEFAULTS = PhotometricOptions()
+if TYPE_CHECKING:
+    import xarray
+
 SLOPES = ("slope_row", "slope_col")
-
-FORMAT, VERSION = "photometric-press", 1
-
-
-@dataclass(frozen=True)
-class Framing:
-    """Crop and resize of camera frames; width and height 0 keep the size.
-
-    Parameters
-    ----------
-    crop_share : part of width and height cut off at each side, 0 to 0.45
-    width_px, height_px : size after the crop; both 0, or both given
-    """
-
-    crop_share: float = 0.0
-    width_px: int = 0
-    height_px: int = 0
-
-    def __post_init__(self) -> None:
-        require_number("crop_share", self.crop_share, 0.0, 0.45)
-        require_integer("width_px", self.width_px, 0, 100_000)
-        require_integer("height_px", self.height_px, 0, 100_000)
-        if (self.width_px == 0) != (self.height_px == 0):
-            raise InputError(
-                f"width_px is {self.width_px} and height_px {self.height_px}; give both or neither"
-            )
-
-
-@dataclass(frozen=True)
-class Balls:
-    """Images of one reference ball."""
-
-    diameter_mm: float
-    images: Names
-
-    def __post_init__(self) -> None:
-        require_number("diameter_mm", self.diameter_mm, 0.0, open_low=True)
-        object.__setattr__(self, "images", _names("images", self.images))
-
-
-@dataclass(frozen=True)
-class Calibrate:
-    """What to calibrate on, and how; see `calibrate_sensor`."""
-
-    pitch_mm: float
-    balls: tuple[Balls, ...]
-    map: str = "polynomial"
-    threshold_levels: float = 15.0
-    smoothing_px: int = 3
-    marker_level: int = 0
-
-    def __post_init__(self) -> None:
-        require_number("pitch_mm", self.pitch_mm, 0.0, open_low=True)
-        if self.map not in KINDS:
-            raise InputError(f"map is {self.map!r}; give one of {', '.join(KINDS)}")
-        _ = self.samples
-
-    @property
-    def samples(self) -> SampleOptions:
-        """Options of the sampling."""
-        return SampleOptions(self.threshold_levels, self.smoothing_px, self.marker_level)
-
-
-@dataclass(frozen=True)
-class PressDescription:
-    """Content of the file; exactly one of `calibration` (a file name) and `calibrate` is given."""
-
-    image: str
-    background: Names = ()
-    calibration: str = ""
-    calibrate: Calibrate | None = None
-    frame: Framing = Framing()
-    options: PhotometricOptions = DEFAULTS
-
-    def __post_init__(self) -> None:
-        _names("image", [self.image])
-        object.__setattr__(self, "background", _names("background", self.background, least=0))
-        if (self.calibration == "") == (self.calibrate is None):
-            raise InputError("give either the key calibration (a file) or the table [calibrate]")
-        if self.calibrate is not None and not self.background:
-            raise InputError("background is empty; [calibrate] needs images of the untouched gel")
-
-
-def read_press_description(path: Path | str) -> PressDescription:
-    """Read the TOML file.
-
-    Raises
-    ------
-    CaptureError : no TOML, wrong format or version, unknown or missing key, value out of range
-    """
-    path = Path(path)
-    values = read_toml(path)
-    try:
-        take_header(values, (FORMAT, VERSION))
-        parts: dict[str, Any] = {}
-        if "calibrate" in values:
-            parts["calibrate"] = _calibrate(table_of(values, "calibrate"))
-        if "frame" in values:
-            parts["frame"] = build(Framing, table_of(values, "frame"), "frame")
-        if "options" in values:
-            parts["options"] = build(PhotometricOptions, table_of(values, "options"), "options")
-        return build(PressDescription, values | parts, path.name)
-    except InputError as error:
-        raise CaptureError(f"{path}: {error}") from error
-
-
-def _calibrate(table: Mapping[str, Any]) -> Calibrate:
-    given = table.get("balls")
-    if not isinstance(given, list) or not given or not all(isinstance(b, dict) for b in given):
-        raise CaptureError("[[calibrate.balls]] is missing; give a diameter_mm and its images")
-    balls = tuple(build(Balls, ball, "calibrate.balls") for ball in given)
-    return build(Calibrate, dict(table) | {"balls": balls}, "calibrate")
-
-
-def _names(key: str, names: object, least: int = 1) -> Names:
-    given = [names] if isinstance(names, str) else names
-    is_list = isinstance(given, (list, tuple)) and len(given) >= least
-    if not is_list or not all(isinstance(name, str) and name for name in given):  # type: ignore[attr-defined]
-        raise InputError(f"{key} is {names!r}; give a list of file names")
-    return tuple(given)  # type: ignore[arg-type]
 
 
 @dataclass(frozen=True, eq=False)
 class PhotometricResult:
-    """The measurement, the image, and the calibration it was made with, to be kept for the next."""
+    """One press, measured.
+
+    Parameters
+    ----------
+    image : (row, col, 3), as decoded
+    calibration : it was measured with, to be kept for the next
+    untouched : what it shows of gel that nothing touches
+    doubts : a line each: what speaks against this calibration
+    """
 
     image: Levels
     calibration: SensorCalibration
     height_map: HeightMap
+    untouched: UntouchedGel
+    doubts: tuple[str, ...] = ()
 
 
-def reconstruct_photometric(description_file: Path | str) -> PhotometricResult:
-    """Calibrate, or read the calibration, and measure the described image; see the module.
+@dataclass(frozen=True, eq=False)
+class DescribedPresses:
+    """Presses under one calibration.
+
+    Parameters
+    ----------
+    files : their images
+    doubts : a line each: what speaks against the calibration, whatever is pressed
+    """
+
+    files: tuple[Path, ...]
+    frame: Framing
+    decoder: PhotometricDecoder
+    doubts: tuple[str, ...]
+
+    def measure(self, file: Path) -> PhotometricResult:
+        """Measure one of the presses.
+
+        Raises
+        ------
+        CaptureError : the image is missing or damaged, or does not fit the background
+        """
+        image = read_rgb(file, self.frame)
+        try:
+            height_map, untouched = self.decoder.decode(image), self.decoder.untouched(image)
+        except InputError as error:
+            raise CaptureError(f"{file}: {error}") from error
+        found = self.doubts + doubts_of_image(height_map, untouched)
+        return PhotometricResult(image, self.decoder.calibration, height_map, untouched, found)
+
+
+def described_presses(description_file: Path | str) -> DescribedPresses:
+    """Read a description, and calibrate or read the calibration; see `press_description`.
 
     Raises
     ------
     InputError : a file is missing or damaged, images that do not fit each other, no contact found
     """
     path = Path(description_file)
-    press = read_press_description(path)
-    calibration = _calibration(path.parent, press)
-    image = read_rgb(path.parent / press.image, press.frame)
-    try:
-        height_map = PhotometricDecoder(calibration, press.options).decode(image)
-    except InputError as error:
-        raise CaptureError(f"{path.parent / press.image}: {error}") from error
-    return PhotometricResult(image, calibration, height_map)
+    described = read_press_description(path)
+    calibration, doubts = _calibration(path.parent, described)
+    decoder = PhotometricDecoder(calibration, described.options)
+    files = tuple(_files(path.parent, described.images))
+    return DescribedPresses(files, described.frame, decoder, doubts)
 
 
-def _calibration(folder: Path, press: PressDescription) -> SensorCalibration:
+def reconstruct_photometric(description_file: Path | str) -> PhotometricResult:
+    """Measure the only press of a description.
+
+    Raises
+    ------
+    InputError : as `described_presses` and `DescribedPresses.measure`; or it has several presses
+    """
+    presses = described_presses(description_file)
+    if len(presses.files) > 1:
+        raise CaptureError(f"{description_file}: names {len(presses.files)} images; name one")
+    return presses.measure(presses.files[0])
+
+
+def _files(folder: Path, names: Names) -> list[Path]:
+    """Return the named files; patterns stand for what they match, sorted by name."""
+    found: list[Path] = []
+    for name in names:
+        if not set(name) & set("*?"):
+            found.append(folder / name)
+            continue
+        try:
+            matching = sorted(folder.glob(name))
+        except (ValueError, NotImplementedError) as error:
+            raise CaptureError(f"{folder}: no pattern of file names: {name} ({error})") from error
+        if not matching:
+            raise CaptureError(
+                f"{folder / name}: matches no file; give names of images in {folder}"
+            )
+        found += matching
+    return found
+
+
+def _calibration(
+    folder: Path, press: PressDescription
+) -> tuple[SensorCalibration, tuple[str, ...]]:
+    """Return the calibration with the background of the day, and what speaks against it."""
     background = _read_all(folder, press.background, press.frame)
     if press.calibrate is not None:
-        return _calibrated(folder, press.calibrate, press.frame, background)
+        return _calibrated(folder, press.calibrate, press.frame, background), ()
     stored = read_sensor_calibration(folder / press.calibration)
     if not background:
-        return stored
+        return stored, ()
     if background[0].shape != stored.background.shape:
         raise CaptureError(
             f"{folder / press.background[0]}: has shape {background[0].shape}; the calibration "
             f"was made with {stored.background.shape}"
         )
-    return replace(stored, background=mean_background(background))
+    today = mean_background(background)
+    doubts = doubts_of_background(stored.background, today)
+    return replace(stored, background=today), doubts
 
 
 def _calibrated(
@@ -239,11 +171,12 @@ def _calibrated(
 
 
 def _read_all(folder: Path, names: Names, frame: Framing) -> list[Levels]:
-    images = [read_rgb(folder / name, frame) for name in names]
-    for name, image in zip(names, images, strict=True):
+    files = _files(folder, names)
+    images = [read_rgb(file, frame) for file in files]
+    for file, image in zip(files, images, strict=True):
         if image.shape != images[0].shape:
             raise CaptureError(
-                f"{folder / name}: has shape {image.shape}; {names[0]} has {images[0].shape}"
+                f"{file}: has shape {image.shape}; {files[0].name} has {images[0].shape}"
             )
     return images
 

@@ -49,6 +49,11 @@ from reconstruction.photometric.integrate import (
     Integration,
     integrate,
 )
+from reconstruction.photometric.relighting import (
+    LEAST_SHARE,
+    light_over_background,
+    untouched_gel,
+)
 from reconstruction.reading import read_arrays
 
 MapKind = Literal["polynomial", "table"]
@@ -189,8 +194,6 @@ def _from_arrays(arrays: Mapping[str, NDArray[Any]]) -> SensorCalibration:
 # How far dots are grown before filling. The vendor's 2025 form does not grow them, so that their
 # dark rims pass for slopes; that belongs to its behaviour.
 MARKER_GROWTH_PX = {"corrected": GROWTH_PX, "sdk_2024": 2, "sdk_2025": 0}
-# Below this share of untouched pixels their median is no zero level.
-LEAST_UNTOUCHED = 0.05
 
 
 @dataclass(frozen=True)
@@ -203,7 +206,9 @@ class PhotometricOptions:
     boundary : border of `corrected`: `neumann` (free) or `dirichlet` (held at 0)
     doubtful_weight : weight of pixels with a reason code in `corrected`, 0.001 to 1; below 1 the
         weighted solver runs, several times slower
-    untouched_levels : colour difference below which gel counts as untouched, for the zero level
+    untouched_levels : colour difference below which gel counts as untouched, for light and zero
+    relighting : `corrected` takes a slow change of the lamps' light back, see
+        `light_over_background`
 
     Raises
     ------
@@ -214,8 +219,11 @@ class PhotometricOptions:
     boundary: Boundary = "neumann"
     doubtful_weight: float = 1.0
     untouched_levels: float = 6.0
+    relighting: bool = True
 
     def __post_init__(self) -> None:
+        if not isinstance(self.relighting, bool):
+            raise InputError(f"relighting is {self.relighting!r}; give true or false")
         for name, allowed in (("integration", INTEGRATIONS), ("boundary", BOUNDARIES)):
             if getattr(self, name) not in allowed:
                 value = getattr(self, name)
@@ -258,6 +266,21 @@ class HeightMap:
         return np.column_stack([x, y, self.height_mm[row, col].astype(np.float64)])
 
 
+@dataclass(frozen=True, eq=False)
+class UntouchedGel:
+    """What an image shows of gel that nothing touches.
+
+    Parameters
+    ----------
+    where : (row, col), the colour is the background's
+    light_change : RMS over image and channels of the light over the background's, less 1; 0 where
+        it was not taken back
+    """
+
+    where: BoolImage
+    light_change: float
+
+
 @dataclass(frozen=True)
 class PhotometricDecoder:
     """A calibrated sensor with everything computed that does not depend on the image."""
@@ -294,8 +317,8 @@ class PhotometricDecoder:
         """
         sensor = self.calibration
         raw = checked_image(image, "image", sensor.background.shape)
-        levels = smoothed(raw, sensor.smoothing_px)
-        hidden = self._markers(raw.astype(np.float32)) | self._hidden_in_background
+        hidden = self._hidden(raw)
+        levels = self._lit_as_background(raw, hidden)[0]
         slopes, known = self._bound.slopes(levels)
         reason = _reasons(raw, hidden, known)
         filled = self._filled(slopes.astype(np.float64), hidden)
@@ -304,6 +327,35 @@ class PhotometricDecoder:
         return HeightMap(
             height.astype(np.float32), filled.astype(np.float32), reason, sensor.pitch_mm
         )
+
+    def untouched(self, image: ArrayLike) -> UntouchedGel:
+        """Return what `decode` takes for untouched.
+
+        Raises
+        ------
+        InputError : wrong type or shape
+        """
+        raw = checked_image(image, "image", self.calibration.background.shape)
+        hidden = self._hidden(raw)
+        levels, change = self._lit_as_background(raw, hidden)
+        return UntouchedGel(self._untouched(levels, hidden), change)
+
+    def _hidden(self, raw: Levels) -> BoolImage:
+        return self._markers(raw.astype(np.float32)) | self._hidden_in_background
+
+    def _lit_as_background(self, raw: Levels, hidden: BoolImage) -> tuple[FloatImage, float]:
+        """Return smoothed levels in the background's light, and how much that changed them."""
+        levels = smoothed(raw, self.calibration.smoothing_px)
+        if not self.options.relighting or self.options.integration != "corrected":
+            return levels, 0.0
+        light = light_over_background(levels, self._flat, hidden, self.options.untouched_levels)
+        if light is None:
+            return levels, 0.0
+        change = float(np.sqrt(np.mean((light - 1.0) ** 2)))
+        return np.asarray(levels / light, np.float32), change
+
+    def _untouched(self, levels: FloatImage, hidden: BoolImage) -> BoolImage:
+        return untouched_gel(levels, self._flat, self.options.untouched_levels) & ~hidden
 
     def _markers(self, levels: FloatImage) -> BoolImage:
         scheme, highest_level = self.options.integration, self.calibration.marker_level
@@ -325,11 +377,8 @@ class PhotometricDecoder:
         """Median height of untouched gel; 0 with a held border or where all is touched."""
         if self.options.integration == "corrected" and self.options.boundary == "dirichlet":
             return 0.0
-        difference = levels - self._flat
-        distance = np.einsum("rcb,rcb->rc", difference, difference)
-        untouched = (distance < self.options.untouched_levels**2) & ~hidden
-        enough = np.count_nonzero(untouched) >= LEAST_UNTOUCHED * untouched.size
-        return float(np.median(height[untouched])) if enough else 0.0
+        untouched = self._untouched(levels, hidden)
+        return float(np.median(height[untouched])) if untouched.mean() >= LEAST_SHARE else 0.0
 
 
 def _reasons(raw: Levels, hidden: BoolImage, known: BoolImage) -> ReasonImage:

@@ -1,6 +1,7 @@
 import json
 import subprocess
 import sys
+from dataclasses import replace
 
 import imageio.v3 as imageio
 import numpy as np
@@ -12,6 +13,7 @@ from reconstruction.errors import CaptureError
 from reconstruction.photometric import (
     PhotometricDecoder,
     PhotometricReason,
+    described_presses,
     read_height_map,
     read_sensor_calibration,
     reconstruct_photometric,
@@ -19,8 +21,9 @@ from reconstruction.photometric import (
     write_height_points,
     write_sensor_calibration,
 )
-from reconstruction.photometric.press_files import Framing, framed, read_rgb
-from twin.pipeline.captures import reconstruct_press
+from reconstruction.photometric.press_description import Framing
+from reconstruction.photometric.press_files import framed, read_rgb
+from twin.pipeline.colour_presses import reconstruct_presses
 
 BALLS = 6
 HEADER = 'format = "photometric-press"\nversion = 1\n'
@@ -110,7 +113,7 @@ def test_jpeg_is_read(folder, tmp_path):
     [
         ({"image": 'image = "none.png"\n'}, r"none\.png: cannot be read"),
         ({"image": 'image = "press.toml"\n'}, r"press\.toml: (cannot be read|holds no image)"),
-        ({"image": ""}, "missing.*image"),
+        ({"image": ""}, "either the key image"),
         ({"background": ""}, "background is empty"),
         ({"background": "background = 3\n"}, "background is 3"),
         ({"calibrate": ""}, r"either the key calibration .* or the table \[calibrate\]"),
@@ -170,7 +173,7 @@ def test_result_folder(folder, tmp_path, ball_presses):
     """What `twin reconstruct --photometric` writes; its calibration measures again, alike."""
     path = folder / "whole.toml"
     path.write_text(description(ball_presses), encoding="utf-8")
-    figures = reconstruct_press(path, tmp_path / "out")
+    figures = reconstruct_presses(path, tmp_path / "out").figures
     stored = json.loads((tmp_path / "out" / "result.json").read_text(encoding="utf-8"))
     assert stored["metrics"] == figures
     assert figures["points"] + figures["masked_uncalibrated"] == 240 * 320
@@ -180,3 +183,70 @@ def test_result_folder(folder, tmp_path, ball_presses):
     found = PhotometricDecoder(calibration).decode(ball_presses[-1].image)
     before = read_height_map(tmp_path / "out" / "height.nc")
     np.testing.assert_array_equal(found.height_mm, before.height_mm)
+
+
+def test_a_folder_of_presses(folder, tmp_path, ball_presses, presses):
+    """All images that a pattern matches, under one calibration; a damaged one stops no other."""
+    for number in (7, 8, 9):
+        imageio.imwrite(folder / f"unknown_{number}.png", ball_presses[number].image)
+    (folder / "unknown_damaged.png").write_bytes(b"nothing")
+    path = folder / "many.toml"
+    path.write_text(
+        description(ball_presses, image='images = ["unknown_*.png"]\n'), encoding="utf-8"
+    )
+    outcome = reconstruct_presses(path, tmp_path / "out")
+    assert outcome.figures["presses"] == 3
+    assert outcome.figures["presses_refused"] == 1
+    assert any("unknown_damaged.png: " in doubt for doubt in outcome.doubts)
+    rows = (tmp_path / "out" / "presses.csv").read_text(encoding="utf-8").splitlines()
+    assert [row.split(",")[0] for row in rows[1:]] == [
+        "000_unknown_7", "001_unknown_8", "002_unknown_9", "003_unknown_damaged",
+    ]  # fmt: skip
+    alone = described_presses(path).measure(folder / "unknown_8.png").height_map
+    kept = read_height_map(tmp_path / "out" / "presses" / "001_unknown_8" / "height.nc")
+    np.testing.assert_array_equal(kept.height_mm, alone.height_mm)
+    assert imageio.imread(tmp_path / "out" / "heights.png").shape[2] >= 3
+
+
+def test_only_damaged_presses_are_an_error(folder, tmp_path, ball_presses):
+    for number in (1, 2):
+        (folder / f"bad_{number}.png").write_bytes(b"nothing")
+    path = folder / "bad.toml"
+    path.write_text(description(ball_presses, image='images = ["bad_*.png"]\n'), encoding="utf-8")
+    with pytest.raises(CaptureError, match="no press can be measured"):
+        reconstruct_presses(path, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("names", "message"),
+    [('"none_*.png"', "matches no file"), ('"/*"', "no pattern of file names")],
+)
+def test_patterns_that_lead_nowhere(folder, ball_presses, names, message):
+    path = folder / "nowhere.toml"
+    path.write_text(description(ball_presses, image=f"images = [{names}]\n"), encoding="utf-8")
+    with pytest.raises(CaptureError, match=message):
+        described_presses(path)
+
+
+def test_another_units_calibration_is_doubted(folder, calibrations, ball_presses):
+    """A background 15 % off, as between two units; and, without one, no gel that looks untouched.
+
+    The same unit's own background and presses raise no doubt.
+    """
+    write_sensor_calibration(folder / "mini.npz", calibrations["polynomial"])
+    own = calibrations["polynomial"]
+    shade = np.linspace(0.8, 1.1, own.background.shape[1])[None, :, None]
+    other = replace(own, background=(own.background * shade).clip(0, 255).astype(np.float32))
+    write_sensor_calibration(folder / "other.npz", other)
+    path = folder / "unit.toml"
+    told = {}
+    for name in ("mini", "other"):
+        lines = f'image = "coin.png"\ncalibration = "{name}.npz"\n'
+        path.write_text(HEADER + lines, encoding="utf-8")
+        told[name] = reconstruct_photometric(path).doubts
+        path.write_text(HEADER + lines + 'background = "still_0.png"\n', encoding="utf-8")
+        told[name + " and a background"] = reconstruct_photometric(path).doubts
+    assert told["mini"] == told["mini and a background"] == ()
+    assert "another unit" in told["other and a background"][0]
+    assert told["other"] != ()

@@ -1,6 +1,7 @@
 """Commands for captures, rendered or real: patterns, calibration, reconstruction, reports."""
 
 import shutil
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -48,11 +49,11 @@ def reconstruct(
     filter_sigma_px
         Standard deviation of that Gaussian, px; default: as in twin keys.
     photometric
-        CAPTURE is a TOML file that describes a press seen by a photometric-stereo sensor; see
-        docs/photometric.md.
+        CAPTURE is a TOML file that describes one or many presses seen by a photometric-stereo
+        sensor; see docs/photometric.md.
     """
     if photometric:
-        _reconstruct_press(capture, out)
+        _reconstruct_presses(capture, out)
         return
     from twin.config import decode_settings
     from twin.output import end_exchange
@@ -137,12 +138,14 @@ def describe(
     say(f"wrote {target}; correct it, then: twin decode {folder} -o decoded")
 
 
-def _reconstruct_press(description: Path, out: Path) -> None:
-    from twin.pipeline.captures import reconstruct_press
+def _reconstruct_presses(description: Path, out: Path) -> None:
+    from twin.pipeline.colour_presses import reconstruct_presses
 
     with progress_bars() as watch:
-        figures = reconstruct_press(description, out, watch)
-    print_metrics(figures)
+        outcome = reconstruct_presses(description, out, watch)
+    print_metrics(outcome.figures)
+    for doubt in outcome.doubts:
+        sys.stderr.write(f"twin: warning: {doubt}\n")
     say(f"wrote {out}")
 
 

@@ -1,5 +1,6 @@
-"""Reconstruct what a sensor recorded, rendered or real, without a renderer: fringes or colours."""
+"""Reconstruct the fringes that a sensor recorded, rendered or real, without a renderer."""
 
+from enum import IntEnum
 from pathlib import Path
 from typing import Any
 
@@ -13,14 +14,6 @@ from reconstruction.decoding.decode import decode as decode_stack
 from reconstruction.decoding.pictures import draw_decoded
 from reconstruction.evaluate.surface import write_surface
 from reconstruction.machine import run_side_by_side
-from reconstruction.photometric import (
-    HeightMap,
-    PhotometricReason,
-    reconstruct_photometric,
-    write_height_map,
-    write_height_points,
-    write_sensor_calibration,
-)
 from reconstruction.pipeline import (
     Reconstruction,
     filter_bias,
@@ -28,7 +21,6 @@ from reconstruction.pipeline import (
     write_decoded,
     write_reconstruction,
 )
-from reconstruction.reading import read_text
 from reconstruction.triangulation import Use
 from twin.config.digest import content_digest
 from twin.config.models import Decode
@@ -81,7 +73,7 @@ def reconstruction_metrics(result: Reconstruction, use: Use) -> dict[str, Any]:
         figures["sigma_z_median_um"] = float(1e3 * np.median(sigma))
         bias_um, bias_share = filter_bias(result, use, result.point_map.valid)
         figures |= {"filter_bias_um": bias_um, "filter_bias_share": bias_share}
-    return figures | _masked(reasons, Reason)
+    return figures | masked_by_reason(reasons, Reason)
 
 
 def decode_capture(
@@ -129,51 +121,10 @@ def decoding_metrics(decoded: Decoded) -> dict[str, Any]:
             f"sigma_{name}_median_px": float(np.median(axis.sigma_px[decoded.valid])),
             f"modulation_{name}_median_dn": float(np.median(axis.modulation_dn[decoded.valid])),
         }
-    return figures | _masked(decoded.mask_reason, Reason)
+    return figures | masked_by_reason(decoded.mask_reason, Reason)
 
 
-def reconstruct_press(
-    description: Path, out: Path, watch: ProgressCallback = no_progress
-) -> dict[str, Any]:
-    """Measure `description` (TOML) into `out`; returns the figures also written to result.json.
-
-    Beside them stand height.nc, points.ply, the description as experiment.toml, and
-    sensor_calibration.npz to measure with again.
-
-    Raises
-    ------
-    InputError : the description or an image is missing or damaged, no contact is found on a
-        calibration image, or `out` cannot be written
-    """
-    with output_folder(out, [description]) as folder:
-        watch("reconstruct", 0.0)
-        result = reconstruct_photometric(description)
-        watch("reconstruct", 1.0)
-        figures = height_metrics(result.height_map)
-        write_height_map(folder / "height.nc", result.height_map)
-        write_height_points(folder / "points.ply", result.height_map)
-        write_sensor_calibration(folder / "sensor_calibration.npz", result.calibration)
-        text = read_text(description)
-        (folder / EXPERIMENT_FILE).write_text(text, encoding="utf-8")
-        named = content_digest(text, result.image, result.calibration)
-        write_outcome(folder, "reconstruct", figures, digest=named)
-    return figures
-
-
-def height_metrics(height_map: HeightMap) -> dict[str, Any]:
-    """Return the range of the valid heights and, by reason, how many pixels are coded."""
-    heights_mm = height_map.height_mm[height_map.valid]
-    figures: dict[str, Any] = {
-        "points": int(height_map.valid.sum()),
-        "valid_share": float(height_map.valid.mean()),
-    }
-    if figures["points"]:
-        figures["highest_mm"] = float(np.max(heights_mm))
-        figures["lowest_mm"] = float(np.min(heights_mm))
-    return figures | _masked(height_map.mask_reason, PhotometricReason)
-
-
-def _masked(found: ReasonImage, codes: type[Reason] | type[PhotometricReason]) -> dict[str, int]:
+def masked_by_reason(found: ReasonImage, codes: type[IntEnum]) -> dict[str, int]:
     """Count the masked pixels (row, col) by reason."""
     reasons = (one for one in codes if one.name != "VALID")
     return {f"masked_{one.name.lower()}": int((found == one).sum()) for one in reasons}

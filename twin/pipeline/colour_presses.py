@@ -1,0 +1,160 @@
+"""Measure presses of a photometric sensor from their images, rendered or real: one, or a folder.
+
+Written: height.nc and points.ply of the one press, or of each in presses/NUMBER_NAME; the
+description as experiment.toml; sensor_calibration.npz to measure with again. Of several presses
+also presses.csv with the figures of each, and heights.png.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from reconstruction.errors import CaptureError, InputError
+from reconstruction.photometric import (
+    DescribedPresses,
+    HeightMap,
+    PhotometricReason,
+    PhotometricResult,
+    described_presses,
+    write_height_map,
+    write_height_points,
+    write_sensor_calibration,
+)
+from reconstruction.photometric.pictures import draw_heights
+from reconstruction.photometric.press_doubts import untouched_drift_mm
+from reconstruction.reading import MOST_IMAGE_BYTES, read_bytes, read_text
+from twin.config.digest import content_digest
+from twin.output import EXPERIMENT_FILE, output_folder
+from twin.pipeline.captures import masked_by_reason
+from twin.pipeline.progress import ProgressCallback, no_progress
+from twin.results.parts import write_outcome, write_rows
+
+HEIGHT_FILE, POINTS_FILE, CALIBRATION_FILE = "height.nc", "points.ply", "sensor_calibration.npz"
+PRESSES_FOLDER, PRESSES_FILE, HEIGHTS_FILE = "presses", "presses.csv", "heights.png"
+_DIGITS = 6
+# Figures of several presses whose median is told.
+_MEDIANS = ("valid_share", "highest_mm", "untouched_share", "untouched_drift_um")
+
+
+@dataclass(frozen=True)
+class ColourOutcome:
+    """What was measured, and a line for each thing that speaks against it."""
+
+    figures: dict[str, Any]
+    doubts: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class _Series:
+    """Figures of all presses, and the height maps of those that could be measured."""
+
+    rows: list[dict[str, Any]]
+    heights: dict[str, HeightMap]
+    doubts: tuple[str, ...]
+
+
+def reconstruct_presses(
+    description: Path, out: Path, watch: ProgressCallback = no_progress
+) -> ColourOutcome:
+    """Measure the presses of `description` (TOML) into `out`; see the module.
+
+    Of several presses, those that cannot be measured are listed with the reason, the others go on.
+
+    Raises
+    ------
+    InputError : the description or its only image is missing or damaged, no press can be measured,
+        no contact is found on a calibration image, or `out` cannot be written
+    """
+    with output_folder(out, [description]) as folder:
+        watch("calibrate", 0.0)
+        presses = described_presses(description)
+        watch("calibrate", 1.0)
+        if len(presses.files) == 1:
+            outcome = _one(presses, folder)
+        else:
+            outcome = _several(presses, folder, watch)
+        text = read_text(description)
+        (folder / EXPERIMENT_FILE).write_text(text, encoding="utf-8")
+        write_sensor_calibration(folder / CALIBRATION_FILE, presses.decoder.calibration)
+        files = [_content(file) for file in presses.files if file.is_file()]
+        named = content_digest(text, files, presses.decoder.calibration)
+        write_outcome(folder, "reconstruct", outcome.figures, digest=named)
+    return outcome
+
+
+def _content(file: Path) -> NDArray[np.uint8]:
+    return np.frombuffer(read_bytes(file, MOST_IMAGE_BYTES), np.uint8)
+
+
+def _one(presses: DescribedPresses, folder: Path) -> ColourOutcome:
+    result = presses.measure(presses.files[0])
+    _write(folder, result.height_map)
+    return ColourOutcome(press_figures(result), result.doubts)
+
+
+def _several(presses: DescribedPresses, folder: Path, watch: ProgressCallback) -> ColourOutcome:
+    series = _measured(presses, folder, watch)
+    write_rows(folder / PRESSES_FILE, series.rows, _DIGITS)
+    if not series.heights:
+        raise CaptureError(f"no press can be measured; the first: {series.rows[0]['refused']}")
+    draw_heights(folder / HEIGHTS_FILE, series.heights)
+    figures: dict[str, Any] = {
+        "presses": len(series.heights),
+        "presses_refused": len(series.rows) - len(series.heights),
+        "presses_in_doubt": sum(1 for row in series.rows if row.get("doubt")),
+    }
+    return ColourOutcome(figures | _medians(series.rows), series.doubts)
+
+
+def _measured(presses: DescribedPresses, folder: Path, watch: ProgressCallback) -> _Series:
+    rows: list[dict[str, Any]] = []
+    heights: dict[str, HeightMap] = {}
+    doubts = list(presses.doubts)
+    for number, file in enumerate(presses.files):
+        name = f"{number:03d}_{file.stem}"
+        try:
+            result = presses.measure(file)
+        except InputError as error:
+            rows.append({"press": name, "refused": str(error)})
+            doubts.append(str(error))
+            continue
+        own = [doubt for doubt in result.doubts if doubt not in presses.doubts]
+        doubts += [f"{file.name}: {doubt}" for doubt in own]
+        rows.append({"press": name} | press_figures(result) | {"doubt": " ".join(own)})
+        heights[name] = result.height_map
+        _write(folder / PRESSES_FOLDER / name, result.height_map)
+        watch("reconstruct", (number + 1) / len(presses.files))
+    return _Series(rows, heights, tuple(doubts))
+
+
+def _write(folder: Path, height_map: HeightMap) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    write_height_map(folder / HEIGHT_FILE, height_map)
+    write_height_points(folder / POINTS_FILE, height_map)
+
+
+def _medians(rows: list[dict[str, Any]]) -> dict[str, float]:
+    found = {name: [row[name] for row in rows if name in row] for name in _MEDIANS}
+    return {f"{name}_median": float(np.median(them)) for name, them in found.items() if them}
+
+
+def press_figures(result: PhotometricResult) -> dict[str, Any]:
+    """Return the range of the valid heights, what untouched gel shows, and pixels by reason."""
+    height_map = result.height_map
+    heights_mm = height_map.height_mm[height_map.valid]
+    figures: dict[str, Any] = {
+        "points": int(height_map.valid.sum()),
+        "valid_share": float(height_map.valid.mean()),
+        "untouched_share": float(result.untouched.where.mean()),
+        "light_change_rel": result.untouched.light_change,
+    }
+    drift_mm = untouched_drift_mm(height_map, result.untouched.where)
+    if drift_mm is not None:
+        figures["untouched_drift_um"] = 1e3 * drift_mm
+    if figures["points"]:
+        figures["highest_mm"] = float(np.max(heights_mm))
+        figures["lowest_mm"] = float(np.min(heights_mm))
+    return figures | masked_by_reason(height_map.mask_reason, PhotometricReason)
