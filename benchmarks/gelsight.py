@@ -4,6 +4,9 @@
   forms) and the corrected one; 29 real presses gave 0.66, 1.32 and 1.007.
 - The rendered background against the published tables of two units, and the directions of light
   from those presses, by the regression that gave the published ones.
+- Untouched gel in those presses, and the same on 67 real ones: noise of a single frame (high-pass),
+  what of it two presses have in common, drift of the height with and without relighting; slope
+  error within the contact.
 - Two joined 8 mm balls pressed to the same depth into both sensors, then with the same force:
   GelSight's sphere-fit RMSE over that of contact-FPP, mean over both balls; the paper states 10.7.
 
@@ -17,8 +20,10 @@ import json
 import statistics
 import time
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
+import cv2
 import numpy as np
 
 from benchmarks.cap_height import cap_height_ratio
@@ -38,6 +43,7 @@ from reconstruction.photometric.calibration_ball import (
 )
 from reconstruction.photometric.images import mean_background, smoothed
 from twin.config import load_experiment, seed_sequence
+from twin.config.lamps import CHANNELS
 from twin.config.models import Ball
 from twin.mechanics import face_mesh
 from twin.pipeline import Memory, measure, press_specimen
@@ -50,6 +56,9 @@ SENSORS = Memory()
 
 SCHEMES = {"corrected": "corrected", "faithful_2025": "sdk_2025", "faithful_2024": "sdk_2024"}
 PAPER_RATIO = 10.7
+# 67 presses of one real unit: levels by channel; um without and with relighting (6.31, 9.5 mm).
+REAL_NOISE = {"red": 2.12, "green": 1.46, "blue": 2.45}
+REAL_DRIFT_UM = {"drift_um": (50, 63), "relit_drift_um": (35, 28)}
 BALL_MM, DEPTH_MM = 6.31, 0.7
 FIRST_IMAGE = 5000
 REPEATS = 20
@@ -73,7 +82,8 @@ def main() -> None:
         {"photometric.presses.count": 16 if quick else 50},
     )
     shots = shots_of(experiment, 4 if quick else 29)
-    figures = balls(experiment, shots) | lamps(experiment, shots) | two_balls(quick)
+    figures = balls(experiment, shots) | lamps(experiment, shots) | realism(experiment, shots)
+    figures |= two_balls(quick)
     print(json.dumps({name: round(value, 3) for name, value in figures.items()}))
 
 
@@ -151,6 +161,57 @@ def lamps(experiment: Any, shots: list[Shot]) -> dict[str, float]:
             np.mean(np.linalg.norm(slopes, axis=1) / np.linalg.norm(SENSITIVITY, axis=1))
         ),
     }
+
+
+def realism(experiment: Any, shots: list[Shot]) -> dict[str, float]:
+    """Compare noise, texture and drift with those of 67 presses of a real unit."""
+    _, calibration = calibrated_sensor(experiment, SENSORS)
+    fine = [high_pass(shot.image) for shot in shots]
+    apart = np.all([distance_px(shot) > 2.5 * shot.circle.radius_px for shot in shots], axis=0)
+    noise = np.mean([image[apart].std(axis=0) for image in fine], axis=0)
+    common = [np.corrcoef(a[apart].ravel(), b[apart].ravel())[0, 1] for a, b in pairwise(fine)]
+    figures = {
+        f"noise_{name}_levels": float(part) for name, part in zip(CHANNELS, noise, strict=True)
+    }
+    for name, relighting in (("drift_um", False), ("relit_drift_um", True)):
+        options = PhotometricOptions(relighting=relighting)
+        decoder = PhotometricDecoder(calibration, options)
+        found = [untouched_drift_um(decoder, shot) for shot in shots]
+        print(f"{name}: {np.mean(found):.1f} +- {np.std(found):.1f}, real {REAL_DRIFT_UM[name]}")
+        figures[name] = float(np.mean(found))
+    print("noise, real", REAL_NOISE)
+    return figures | {
+        "texture_in_common": float(np.mean(common)),
+        "slope_error": float(np.mean([slope_error(decoder, shot) for shot in shots])),
+    }
+
+
+def high_pass(image: Any) -> Any:
+    """Return what a Gaussian of 2 px removes, (row, col, channel)."""
+    levels = image.astype(np.float32)
+    return levels - cv2.GaussianBlur(levels, (0, 0), 2.0)
+
+
+def distance_px(shot: Shot) -> Any:
+    """Return the distance of each pixel from the middle of the contact."""
+    row, col = np.indices(shot.image.shape[:2])
+    return np.hypot(row - shot.circle.row_px, col - shot.circle.col_px)
+
+
+def untouched_drift_um(decoder: PhotometricDecoder, shot: Shot) -> float:
+    """Return the height's standard deviation beyond three contact radii."""
+    height = decoder.decode(shot.image).height_mm[distance_px(shot) > 3.0 * shot.circle.radius_px]
+    return float(1e3 * height.std(dtype=np.float64))
+
+
+def slope_error(decoder: PhotometricDecoder, shot: Shot) -> float:
+    """Return the RMS error of both slopes inside the contact, 4 px within its circle."""
+    inside = distance_px(shot) < shot.circle.radius_px - 4.0
+    found = decoder.decode(shot.image).slopes[:, inside].T
+    true = ball_slopes(
+        shot.circle, BALL_MM / 2, decoder.calibration.pitch_mm, np.argwhere(inside).astype(float)
+    )
+    return float(np.sqrt(np.mean((found - true) ** 2)))
 
 
 def two_balls(quick: bool) -> dict[str, float]:

@@ -6,7 +6,7 @@ import pytest
 from reconstruction.rig.pinhole import Pinhole
 from twin.config import ConfigError, load_experiment
 from twin.config.lamps import Lamp, Markers
-from twin.optics.lamps import Emitters, emitters_of
+from twin.optics.lamps import Emitters, drifted_flux, emitters_of
 
 GEL_MM, N_GEL, ABSORPTION = 12.0, 1.41, 0.02
 ALBEDO = 0.5
@@ -243,3 +243,35 @@ def test_emitters_know_half_spaces():
 def test_lamps_that_do_not_fit_are_refused(changes, message):
     with pytest.raises(ConfigError, match=message):
         load_experiment("examples/gelsight_ball", changes)
+
+
+def test_flux_of_leds_scales_their_light():
+    """Light is linear in the flux of each LED; a row's fill follows the mean of its LEDs."""
+    row = lamp(emitters=4, length_mm=8.0, fill_mw_per_mm2=0.3)
+    points, up = np.array([[0.0, 1.0, 0.0], [3.0, -2.0, 0.0]]), np.array([[0.0, 0.0, 1.0]] * 2)
+
+    def light(*flux):
+        return emitters_of({"one": row}, np.array(flux)).irradiance(points, up)[:, 0]
+
+    usual = emitters_of({"one": row}).irradiance(points, up)[:, 0]
+    np.testing.assert_allclose(light(1.0, 1.0, 1.0, 1.0), usual, rtol=1e-12)
+    np.testing.assert_allclose(light(1.02, 1.02, 1.02, 1.02), 1.02 * usual, rtol=1e-12)
+    alone = sum(light(*one) for one in np.eye(4))
+    np.testing.assert_allclose(alone, usual, rtol=1e-12)
+
+
+def test_drift_of_lamps_has_the_stated_spread():
+    rows = {
+        "a": lamp(emitters=8, drift_percent=2.0, led_drift_percent=1.0),
+        "b": lamp(emitters=8, channel="blue"),
+    }
+    rng = np.random.default_rng(3)
+    drawn = np.array([drifted_flux(rows, rng) for _ in range(4000)])
+    assert (drawn[:, 8:] == 1.0).all()
+    row_factor = drawn[:, :8].mean(axis=1)
+    # Of the mean of eight: the row's own 2 %, and 1 % over sqrt 8; 4000 draws tell a SD to 1.1 %.
+    assert row_factor.std() == pytest.approx(np.hypot(0.02, 0.01 / np.sqrt(8)), rel=0.05)
+    assert (drawn[:, :8] - row_factor[:, None]).std() == pytest.approx(
+        0.01 * np.sqrt(7 / 8), rel=0.03
+    )
+    assert drifted_flux({"b": rows["b"]}, rng) is None

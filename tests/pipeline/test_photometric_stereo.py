@@ -15,13 +15,13 @@ from reconstruction.photometric.calibration_ball import (
     find_contact_circle,
 )
 from reconstruction.photometric.images import smoothed
-from twin.camera import electrons_per_ms, full_well_e
+from twin.camera import electrons_per_ms, full_well_e, read_noise_e
 from twin.config import load_experiment, vary
 from twin.config.models import Ball
 from twin.mechanics import face_mesh
 from twin.pipeline import Memory, measure, press_specimen, take
 from twin.pipeline.colour_images import develop, fixed_exposure_ms, image_pinhole
-from twin.pipeline.colours import calibrated_sensor, with_ball
+from twin.pipeline.colours import ColourSensor, LitCoat, calibrated_sensor, with_ball
 from twin.results.folder import read_measurement, write_measurement
 
 FEW = {"photometric.presses.count": 24, "photometric.presses.smallest_diameter_mm": 5.5}
@@ -206,12 +206,49 @@ def test_results_are_files(done, tmp_path):
         again.fringes  # noqa: B018
 
 
+UNBALANCED = {f"photometric.white_balance.{name}": 1.0 for name in ("red", "green", "blue")}
+
+
+def test_white_balance_lifts_noise_with_the_signal(experiment):
+    """Setup: green at gain 1 and red at 2, lit for the same level, linear.
+
+    Expected: the same level; red's is made of half the electrons: noise in electrons is
+    sqrt(e + read^2), and doubled with the signal.
+    """
+    gains = {"photometric.white_balance.red": 2.0, "photometric.gamma": 1.0}
+    one = vary(experiment, UNBALANCED | gains)
+    camera, lamps = one.camera, one.lamps
+    half = [
+        0.5 / gain * full_well_e(camera)
+        / (electrons_per_ms(camera, lamps[name].wavelength_nm) * camera.exposure_ms)
+        for name, gain in (("red", 2.0), ("green", 1.0), ("blue", 1.0))
+    ]  # fmt: skip
+    radiance = np.broadcast_to(np.array(half, np.float32), (442, 586, 3))
+    image = develop(one, radiance).astype(float)
+    assert image[..., 0].mean() == pytest.approx(image[..., 1].mean(), abs=0.2)
+    signal_e, read_e = 0.5 * full_well_e(camera), read_noise_e(camera)
+    ratio = 2.0 * np.sqrt((signal_e / 2 + read_e**2) / (signal_e + read_e**2))
+    assert image[..., 0].std() / image[..., 1].std() == pytest.approx(ratio, rel=0.03)
+
+
+def test_a_truncated_background_is_half_a_level_darker(experiment):
+    """Expected: one frame, the floor of the mean of all: 0.5 - 1 / 2n levels below it."""
+    plain = vary(experiment, {"photometric.presses.truncated_background": False})
+    cut = vary(experiment, {"photometric.presses.truncated_background": True})
+    coat = LitCoat(None, np.full((442, 586, 3), 2e-6, np.float32), plain.camera.exposure_ms)
+    frames = ColourSensor.of(plain, coat).backgrounds()
+    (whole,) = ColourSensor.of(cut, coat).backgrounds()
+    np.testing.assert_array_equal(whole, np.floor(frames.mean(axis=0)))
+    below = frames.mean(axis=0) - whole
+    assert below.mean() == pytest.approx(0.5 - 0.5 / len(frames), abs=0.05)
+
+
 def test_levels_follow_gamma_and_full_well(experiment):
     """Setup: a camera without noise, radiance for a quarter of the full well in every channel.
 
     Expected: 255 * 0.25 ** (1 / 2.2) = 135.8, so 136, whatever the lamp's wavelength.
     """
-    quiet = vary(experiment, {"camera.noise": False})
+    quiet = vary(experiment, {"camera.noise": False} | UNBALANCED)
     camera, lamps = quiet.camera, quiet.lamps
     quarter = [
         0.25 * full_well_e(camera)
@@ -226,7 +263,7 @@ def test_levels_follow_gamma_and_full_well(experiment):
 
 def test_automatic_exposure_is_set_once_on_the_untouched_coat(experiment):
     """Expected: the channel that frees most electrons reaches 0.85: 255 * 0.85 ** (1 / 2.2)."""
-    automatic = vary(experiment, {"camera.noise": False, "camera.exposure_ms": "auto"})
+    automatic = vary(experiment, {"camera.noise": False, "camera.exposure_ms": "auto"} | UNBALANCED)
     background = np.full((442, 586, 3), 1e-5, np.float32)
     exposure = {"exposure_ms": fixed_exposure_ms(automatic, background)}
     camera = automatic.camera.model_copy(update=exposure)

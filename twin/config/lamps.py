@@ -15,6 +15,8 @@ from twin.config.methods import TRAITS
 
 Channel = Literal["red", "green", "blue"]
 CHANNELS: tuple[Channel, ...] = ("red", "green", "blue")
+Drift = Annotated[float, Field(ge=0, le=20)]
+Gain = Annotated[float, Field(gt=0, le=20)]
 Place = Annotated[float, Field(ge=-200, le=200)]
 
 
@@ -47,6 +49,12 @@ class Lamp(Model):
     )
     wavelength_nm: Annotated[float, Field(ge=300, le=1100)]
     emitters: Annotated[int, Field(ge=1, le=64)] = Field(default=8, description="number of LEDs")
+    drift_percent: Drift = Field(
+        default=0.0, description="SD of the row's flux from press to press, all LEDs alike"
+    )
+    led_drift_percent: Drift = Field(
+        default=0.0, description="SD of the flux of each LED by itself from press to press"
+    )
 
 
 class Markers(Model):
@@ -66,6 +74,14 @@ class Markers(Model):
         return self
 
 
+class WhiteBalance(Model):
+    """Gains of the driver, before the power law; they lift noise with the signal."""
+
+    red: Gain = 1.0
+    green: Gain = 1.0
+    blue: Gain = 1.0
+
+
 class BallPresses(Model):
     """Reference presses from which colours learn their slopes."""
 
@@ -79,6 +95,9 @@ class BallPresses(Model):
     backgrounds: Annotated[int, Field(ge=1, le=100)] = Field(
         default=10, description="untouched images that are averaged"
     )
+    truncated_background: bool = Field(
+        default=False, description="their mean is cut to whole levels, as the vendor stores it"
+    )
 
     @model_validator(mode="after")
     def _ascending(self) -> "BallPresses":
@@ -90,10 +109,11 @@ class BallPresses(Model):
 class Photometric(Model):
     """Image path and calibration of a photometric-stereo sensor.
 
-    Linear image -> power law and 8 bits -> crop -> resize, as camera and driver do. The colour
-    filter array, sharpening and compression are left out.
+    Linear image -> gains -> power law and 8 bits -> crop -> resize, as camera and driver do. The
+    colour filter array, sharpening and compression are left out.
     """
 
+    white_balance: WhiteBalance = WhiteBalance()
     gamma: Annotated[float, Field(ge=0.3, le=4)] = Field(
         default=2.2, description="level = 255 linear ** (1 / gamma)"
     )

@@ -51,7 +51,7 @@ class ColourScene:
         self._scene = coated_scene(experiment, face)
         self._facets = len(face.faces)
         self._samples = experiment.render.samples
-        self._emitters = emitters_of(experiment.lamps)
+        self._lamps = experiment.lamps
         self._layers, self._stack = experiment.layers, layer_stack(experiment)
         self._markers = experiment.photometric.markers
 
@@ -72,18 +72,28 @@ class ColourScene:
         parameters[prefix + "vertex_normals"] = np.asarray(normals, np.float32).ravel()
         parameters.update()
 
-    def render(self, pinhole: Pinhole, T_world_from_cam: FloatArray) -> FloatImage:
-        """Return radiance in air, (row, col, channel), mW / (mm^2 sr)."""
-        rig = self._rig(pinhole, T_world_from_cam)
+    def render(
+        self, pinhole: Pinhole, T_world_from_cam: FloatArray, flux: FloatArray | None = None
+    ) -> FloatImage:
+        """Return radiance in air, (row, col, channel), mW / (mm^2 sr).
+
+        Parameters
+        ----------
+        flux : (emitter,) float, optional
+            Of each LED over its usual one, see `emitters_of`.
+        """
+        rig = self._rig(pinhole, T_world_from_cam, flux)
         return trace_channels(self._scene, rig, self._samples)
 
     def truth(self, pinhole: Pinhole, T_world_from_cam: FloatArray) -> Truth:
         """Return what lies behind the pixel centres; everything seen counts as lit."""
         return trace_face(self._scene, self._rig(pinhole, T_world_from_cam))
 
-    def _rig(self, pinhole: Pinhole, T_world_from_cam: FloatArray) -> LampRig:
+    def _rig(
+        self, pinhole: Pinhole, T_world_from_cam: FloatArray, flux: FloatArray | None = None
+    ) -> LampRig:
         camera = Device(pinhole, T_world_from_cam)
-        return LampRig(camera, self._emitters, self._stack, self._markers)
+        return LampRig(camera, emitters_of(self._lamps, flux), self._stack, self._markers)
 
 
 def trace_channels(scene: Any, rig: LampRig, samples: int) -> FloatImage:

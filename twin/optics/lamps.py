@@ -68,18 +68,48 @@ class Emitters:
         return total
 
 
-def emitters_of(lamps: Mapping[str, Lamp]) -> Emitters:
-    """Place the LEDs of all rows, sorted by the rows' names."""
+def emitters_of(lamps: Mapping[str, Lamp], flux: FloatArray | None = None) -> Emitters:
+    """Place the LEDs of all rows, sorted by the rows' names.
+
+    Parameters
+    ----------
+    flux : (emitter,) float, optional
+        Of each LED over its usual one; the fill of a row follows the mean of its LEDs.
+    """
     rows = [lamps[name] for name in sorted(lamps)]
+    if flux is None:
+        flux = np.ones(sum(lamp.emitters for lamp in rows))
+    ends = np.cumsum([lamp.emitters for lamp in rows])
+    of_rows = [part.mean() for part in np.split(flux, ends[:-1])]
     parts = [_row(lamp) for lamp in rows]
     counts = [lamp.emitters for lamp in rows]
     return Emitters(
         positions_mm=np.concatenate([part[0] for part in parts]),
         aims=np.repeat([part[1] for part in parts], counts, axis=0),
         exponents=np.repeat([lamp.exponent for lamp in rows], counts),
-        intensity=np.repeat([_intensity(lamp) for lamp in rows], counts, axis=0),
-        fill=np.sum([lamp.fill_mw_per_mm2 * _channel(lamp) for lamp in rows], axis=0),
+        intensity=flux[:, None] * np.repeat([_intensity(lamp) for lamp in rows], counts, axis=0),
+        fill=np.sum(
+            [
+                share * lamp.fill_mw_per_mm2 * _channel(lamp)
+                for share, lamp in zip(of_rows, rows, strict=True)
+            ],
+            axis=0,
+        ),
     )
+
+
+def drifted_flux(lamps: Mapping[str, Lamp], rng: np.random.Generator) -> FloatArray | None:
+    """Draw the flux of each LED in one press over its usual one, (emitter,); None without drift."""
+    rows = [lamps[name] for name in sorted(lamps)]
+    if not any(lamp.drift_percent or lamp.led_drift_percent for lamp in rows):
+        return None
+    drawn = [
+        1.0
+        + 0.01 * lamp.drift_percent * rng.standard_normal()
+        + 0.01 * lamp.led_drift_percent * rng.standard_normal(lamp.emitters)
+        for lamp in rows
+    ]
+    return np.maximum(np.concatenate(drawn), 0.0)
 
 
 def _row(lamp: Lamp) -> tuple[FloatArray, FloatArray]:

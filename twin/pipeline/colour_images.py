@@ -1,7 +1,7 @@
 """From a colour sensor's linear radiance to the 8-bit image that its driver delivers.
 
-Order as in the product: sensor noise, power law, 8 bits, crop, resize. Cropping is exact for a
-pinhole, so that only what is kept is rendered.
+Order as in the product: sensor noise, white balance, power law, 8 bits, crop, resize. Cropping is
+exact for a pinhole, so that only what is kept is rendered.
 """
 
 from dataclasses import replace
@@ -92,7 +92,9 @@ def develop(experiment: Experiment, radiance: FloatImage, trial: int = 0) -> Lev
     exposed = expose(experiment, channels, white_frame=0, trial=trial)
     black_dn = camera.black_level_dn
     dn = np.moveaxis(exposed.stack, 0, -1).astype(np.float32)
-    linear = np.clip((dn - black_dn) / (largest_code_dn(camera) - black_dn), 0.0, 1.0)
+    balance = size.white_balance
+    gains = np.array([getattr(balance, channel) for channel in CHANNELS], np.float32)
+    linear = np.clip(gains * (dn - black_dn) / (largest_code_dn(camera) - black_dn), 0.0, 1.0)
     levels = np.rint(255.0 * linear ** (1.0 / size.gamma)).astype(np.uint8)
     final = (size.width_px, size.height_px)
     image: Levels = cv2.resize(levels, final, interpolation=cv2.INTER_AREA)

@@ -24,6 +24,7 @@ from twin.config import Experiment, digest, seed_sequence
 from twin.config.models import Ball, Press
 from twin.mechanics import PressedElastomer, face_mesh
 from twin.optics.backend import activate
+from twin.optics.lamps import drifted_flux
 from twin.optics.rig import world_from_device
 from twin.optics.stack import Truth
 from twin.output import versions
@@ -95,15 +96,23 @@ class ColourSensor:
         return (camera.pose.standoff_mm - raised_mm) * (1 / device.fx_px + 1 / device.fy_px) / 2
 
     def image(self, face: "trimesh.Trimesh", number: int) -> Levels:
-        """Return what the driver delivers of a pressed face, with the noise of image `number`."""
+        """Return what the driver delivers of a pressed face, in the light of image `number`.
+
+        With its noise. Between presses the lamps drift; the background has their stated light.
+        """
         self.coat.scene.put(face)
-        radiance = self.coat.scene.render(*self._pose(cropped_pinhole(self.experiment)))
+        rng = np.random.default_rng(seed_sequence(self.experiment, "lamp_drift", number))
+        flux = drifted_flux(self.experiment.lamps, rng)
+        radiance = self.coat.scene.render(*self._pose(cropped_pinhole(self.experiment)), flux)
         return develop(self.experiment, radiance, number)
 
     def backgrounds(self) -> Levels:
-        """Return untouched images, (frame, row, col, 3)."""
-        count, untouched = self.experiment.photometric.presses.backgrounds, self.coat.background
-        return np.stack([develop(self.experiment, untouched, n) for n in range(count)])
+        """Return untouched images, (frame, row, col, 3); their mean alone where it is truncated."""
+        plan, untouched = self.experiment.photometric.presses, self.coat.background
+        frames = np.stack([develop(self.experiment, untouched, n) for n in range(plan.backgrounds)])
+        if not plan.truncated_background:
+            return frames
+        return np.floor(frames.mean(axis=0, dtype=np.float64)).astype(np.uint8)[np.newaxis]
 
     def truth(self, face: "trimesh.Trimesh") -> Truth:
         """Return the truth behind the final image; lit is the part that is evaluated."""
