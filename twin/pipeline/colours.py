@@ -112,7 +112,8 @@ class ColourSensor:
         frames = np.stack([develop(self.experiment, untouched, n) for n in range(plan.backgrounds)])
         if not plan.truncated_background:
             return frames
-        return np.floor(frames.mean(axis=0, dtype=np.float64)).astype(np.uint8)[np.newaxis]
+        whole: Levels = np.floor(frames.mean(axis=0, dtype=np.float64)).astype(np.uint8)
+        return whole[np.newaxis]
 
     def truth(self, face: "trimesh.Trimesh") -> Truth:
         """Return the truth behind the final image; lit is the part that is evaluated."""
