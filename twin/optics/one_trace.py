@@ -18,12 +18,14 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from reconstruction.arrays import FloatArray
+from reconstruction.rig.pinhole import Pinhole
 from twin.optics.bounces import Bounces, add_bounces
 from twin.optics.connection import Connection, FrameLight, Rig, on_image, see, truth_of
 from twin.optics.devices import SubPixels
 from twin.optics.light import LightTable
 from twin.optics.scene import Surfaces
-from twin.optics.stack import Frames, Truth
+from twin.optics.stack import Frames, TraceMaps, Truth
 
 _OPAQUE = Surfaces()
 
@@ -68,6 +70,29 @@ class Patches:
         # One distance, one blur: over a patch of a quarter pixel the blur's spread is negligible.
         axial_mm = self.weighted_axial_mm * scale
         return Connection(column_px, row_px, dr.select(lit, self.weight, 0.0), lit, axial_mm)
+
+
+def maps_of(patches: Patches, camera: Pinhole) -> TraceMaps:
+    """Return what was traced as images."""
+    shape = camera.height_px, camera.width_px
+
+    def image(values: Any) -> FloatArray:
+        return np.asarray(values, np.float64).reshape(shape)
+
+    weight = image(patches.weight)
+    lit = weight > 0.0
+    scale = np.divide(1.0, weight, out=np.zeros(shape), where=lit)
+    reach = dr.select(patches.weight > 0.0, patches.highest - patches.lowest, 0.0)
+    return TraceMaps(
+        weight=weight,
+        column_px=image(patches.weighted_column) * scale,
+        row_px=image(patches.weighted_row) * scale,
+        axial_mm=np.where(lit, image(patches.weighted_axial_mm) * scale, 1.0),
+        column_range_px=image(reach.x),
+        row_range_px=image(reach.y),
+        lit=lit,
+        samples=patches.samples,
+    )
 
 
 def trace_stack(

@@ -18,10 +18,10 @@ from twin.optics.connection import Rig, axial_range_mm
 from twin.optics.direct import direct_scene
 from twin.optics.light import LightTable, light_tables, pattern_set
 from twin.optics.materials import coated_mesh, coating_bsdf, set_coating
-from twin.optics.one_trace import Patches, trace_patches, trace_stack, trace_truth
+from twin.optics.one_trace import Patches, maps_of, trace_patches, trace_stack, trace_truth
 from twin.optics.photons import Photons, StageLight, map_photons, trace_photons
 from twin.optics.scene import Surfaces, coated_rig, coating_in_layer, face_scene, rig_of
-from twin.optics.stack import RadianceStack, Truth
+from twin.optics.stack import RadianceStack, TraceMaps, Truth
 from twin.optics.stock import render_stack
 
 if TYPE_CHECKING:
@@ -101,6 +101,11 @@ def patches_of(experiment: Experiment, geometry: Geometry, view: View) -> Patche
     """Trace all camera rays, for all patterns."""
     _dress(experiment, geometry)
     return trace_patches(geometry.scene, view.rig, experiment.render.samples).evaluate()
+
+
+def maps_of_patches(patches: Patches, view: View) -> TraceMaps:
+    """Return what the camera's rays see together, as images."""
+    return maps_of(patches, view.rig.camera.pinhole)
 
 
 def photons_of(experiment: Experiment, geometry: Geometry, view: View) -> Photons | None:

@@ -18,6 +18,7 @@ from twin.config import ConfigError, Experiment, digest, vary
 from twin.config.loading import by_method
 from twin.config.study import MOST_CASES, Axis, Constraint, Level, Study, without_absent
 from twin.study.measuring import AS_IT_IS, Conditions
+from twin.study.needed import bound_needed
 
 Point = tuple[Level, ...]
 
@@ -153,7 +154,10 @@ def case_of(
     """Return a case under its name: the experiment's, unless the conditions are others."""
     name = digest(experiment)
     if conditions != AS_IT_IS:
-        named = f"{name} {json.dumps(asdict(conditions), sort_keys=True)}"
+        said = asdict(conditions)
+        if conditions.bound == AS_IT_IS.bound:  # so that older stores keep their names
+            del said["bound"]
+        named = f"{name} {json.dumps(said, sort_keys=True)}"
         name = hashlib.blake2b(named.encode(), digest_size=8).hexdigest()
     return Case(settings, experiment, name, conditions)
 
@@ -215,14 +219,15 @@ def _cases_at(study: Study, base: Experiment, point: Point) -> Iterable[Case]:
     changes: dict[str, Any] = {}
     for level in point:
         changes |= without_absent(dict(level.changes))
-    settings = _settings(study, point)
+    settings, conditions = _settings(study, point), Conditions(bound=bound_needed(study))
     for modality in study.modalities or (base.modality,):
         for repeat in range(study.repeats):
             named: dict[str, Any] = {"modality": modality} if len(study.modalities) > 1 else {}
             if study.repeats > 1:
                 named["seed"] = base.seed + repeat
             method = by_method(modality) if study.modalities else {}
-            yield case_of(settings | named, vary(base, changes | method | named))
+            experiment = vary(base, changes | method | named)
+            yield case_of(settings | named, experiment, conditions)
 
 
 def _settings(study: Study, point: Point) -> dict[str, Any]:
