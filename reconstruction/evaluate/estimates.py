@@ -69,6 +69,23 @@ class FittedDimension:
         sigma_mm : (n,) of the heights, above 0 where used
         points_each : how many measured points each one stands for
         """
+        parts = self._bound_parts(sigma_mm)
+        return None if parts is None else float(np.sqrt(parts.sum() / points_each))
+
+    def bound_shares(self, sigma_mm: FloatArray) -> FloatArray | None:
+        """Return by how much the bound changes with each point's sigma, (n,): d ln b / d ln sigma.
+
+        They are at least 0 and add up to 1: where the information about the value comes from.
+        """
+        parts = self._bound_parts(sigma_mm)
+        if parts is None:
+            return None
+        shares = np.zeros(len(self.used))
+        shares[self.used] = parts / parts.sum()
+        return shares
+
+    def _bound_parts(self, sigma_mm: FloatArray) -> FloatArray | None:
+        """Return (J_i x)^2 / sigma_i^2 of the points used, x = F^-1 g: they add up to g^T x."""
         if self.design is None or self.gradient is None:
             return None
         weighted = self.design[self.used] / sigma_mm[self.used, None]
@@ -78,8 +95,8 @@ class FittedDimension:
         triangle = np.asarray(np.linalg.qr(weighted / size, mode="r"))
         if np.abs(np.diag(triangle)).min() < _SINGULAR:
             return None
-        found = np.linalg.solve(triangle.T, self.gradient / size)
-        return float(np.linalg.norm(found) / np.sqrt(points_each))
+        found = np.linalg.solve(triangle, np.linalg.solve(triangle.T, self.gradient / size))
+        return np.asarray((weighted @ (found / size)) ** 2)
 
 
 def shared_by(filter_sigma_px: float, stride_px: int = 1) -> float:

@@ -120,14 +120,7 @@ def trace_stack(
     patches = trace_patches(scene, rig, traced) if isinstance(traced, int) else traced
     width, height = rig.camera.pinhole.width_px, rig.camera.pinhole.height_px
     light, grid = FrameLight(tables), SubPixels.of_image(width, height, patches.samples)
-    smooth = patches.spread_px <= smooth_within_px
-    frames = light.values(patches.mean_connection(smooth))
-    frames = _add_samples(
-        lambda sample: light.values(see(scene, rig, grid.ray(rig.camera, sample))[1]),
-        grid,
-        ~smooth,
-        frames,
-    )
+    frames = frames_of_patches(scene, rig, light, patches, smooth_within_px)
     if bounces is not None:
         frames = add_bounces(
             scene, rig, light, grid, bounces=bounces, frames=frames, progress=progress
@@ -135,6 +128,26 @@ def trace_stack(
     dr.eval(frames)
     dr.sync_thread()
     return _in_sequence(frames, light.sequence, (height, width))
+
+
+def frames_of_patches(
+    scene: Any,
+    rig: Rig,
+    light: FrameLight,
+    patches: Patches,
+    smooth_within_px: float = SMOOTH_WITHIN_PX,
+) -> list[Any]:
+    """Return the direct light of every frame, in the order of `light.sequence`, not yet run."""
+    width, height = rig.camera.pinhole.width_px, rig.camera.pinhole.height_px
+    grid = SubPixels.of_image(width, height, patches.samples)
+    smooth = patches.spread_px <= smooth_within_px
+    frames = light.values(patches.mean_connection(smooth))
+    return _add_samples(
+        lambda sample: light.values(see(scene, rig, grid.ray(rig.camera, sample))[1]),
+        grid,
+        ~smooth,
+        frames,
+    )
 
 
 def trace_patches(scene: Any, rig: Rig, samples: int) -> Patches:

@@ -99,7 +99,7 @@ def view_of(experiment: Experiment, geometry: Geometry) -> View:
 
 def patches_of(experiment: Experiment, geometry: Geometry, view: View) -> Patches:
     """Trace all camera rays, for all patterns."""
-    _dress(experiment, geometry)
+    dress(experiment, geometry)
     return trace_patches(geometry.scene, view.rig, experiment.render.samples).evaluate()
 
 
@@ -137,7 +137,7 @@ def light(
 ) -> RadianceStack:
     """Light what was traced with the experiment's sequence."""
     # Pixels at edges, and bounces, trace on: they need the coat.
-    _dress(experiment, geometry)
+    dress(experiment, geometry)
     bounces = _bounces(experiment, geometry, traced)
     frames = trace_stack(
         geometry.scene,
@@ -181,7 +181,8 @@ def light_with_stock(
     return RadianceStack(frames, view.truth)
 
 
-def _dress(experiment: Experiment, geometry: Geometry) -> None:
+def dress(experiment: Experiment, geometry: Geometry) -> None:
+    """Give a loaded face the experiment's coat."""
     if geometry.face is not None:
         set_coating(geometry.scene, coating_in_layer(experiment))
 

@@ -19,7 +19,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from reconstruction.arrays import BoolImage, IntArray
+from reconstruction.arrays import BoolImage, FloatArray, IntArray
 from reconstruction.errors import FitError
 from reconstruction.evaluate.estimates import FittedDimension, ball_radius_of_all
 from twin.config.measurands import ObjectMeasurand, Quantity
@@ -163,3 +163,22 @@ def _bound_and_spread_um(
     single_mm = prediction.single_mm.ravel()[pixels]
     bound_mm = estimate.bound_mm(single_mm, each)
     return (None if bound_mm is None else 1e3 * bound_mm), 1e3 * prediction.noise_mm(slope)
+
+
+def information_shares(
+    experiment: Experiment, prediction: Prediction, truth: Truth, pressed: PressedElastomer
+) -> dict[str, FloatArray]:
+    """Return where the information about each bound comes from: (row, col), summing to 1.
+
+    That is the derivative of the bound's logarithm by that of each pixel's sigma.
+    """
+    found: dict[str, FloatArray] = {}
+    single_mm = prediction.single_mm.ravel()
+    for asked, estimate, pixels, _ in _estimates(experiment, prediction, truth, pressed):
+        shares = None if estimate is None else estimate.bound_shares(single_mm[pixels])
+        if shares is not None:
+            image = np.zeros(prediction.reason.shape)
+            image.ravel()[pixels] = shares
+            found[_names(asked)[0]] = image
+            found.setdefault(BOUNDED[asked.quantity], image)
+    return found

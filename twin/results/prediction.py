@@ -31,6 +31,8 @@ from reconstruction.arrays import BoolImage, FloatArray, FloatImage, Reason, Rea
 from reconstruction.decoding import AxisDecode, Decoded, DecodeOptions
 from reconstruction.decoding.filter_noise import FilterNoise, filter_noise, without_edges
 from reconstruction.patterns import AXES, Axis
+from reconstruction.rig.calibration import Calibration
+from reconstruction.rig.pinhole import distortion_jacobian
 from reconstruction.rig.sensor import QUANTISATION_DN2
 from reconstruction.triangulation import PointMap, triangulate
 from twin.camera import (
@@ -107,10 +109,11 @@ class Steps:
 def white_radiance(maps: TraceMaps, experiment: Experiment) -> FloatImage:
     """Return the white frame, (row, col) float32 mW / (mm^2 sr), on which an exposure is chosen."""
     numbers = FringeNumbers.of(experiment, 1.0)
-    return np.asarray(maps.weight * _outlines(maps, numbers, experiment), np.float32)
+    return np.asarray(maps.weight * outlines(maps, numbers, experiment), np.float32)
 
 
-def _outlines(maps: TraceMaps, numbers: FringeNumbers, experiment: Experiment) -> Any:
+def outlines(maps: TraceMaps, numbers: FringeNumbers, experiment: Experiment) -> Any:
+    """Return the share of white that the blurred outline of the image leaves, (row, col)."""
     projector, sigma = experiment.projector, np.sqrt(numbers.blur_px2(maps.axial_mm))
     along = outline(maps.column_px, projector.width_px, sigma)
     return along * outline(maps.row_px, projector.height_px, sigma)
@@ -347,13 +350,17 @@ def _placed(
     decoded = single.as_decoded()
     alone = {axis: triangulate(decoded, rig, axis) for axis in used}
     usable = np.logical_and.reduce([found.valid for found in alone.values()]) & truth.lit
-    heights = {axis: _height_mm(found, truth, usable) for axis, found in alone.items()}
-    information = sum(np.where(usable, 1.0 / height**2, 0.0) for height in heights.values())
+    by_px = {
+        axis: _height_by_px(rig, truth, axis, usable)
+        if rig.layers is None
+        else _height_mm(found, truth, usable) / sigma[axis]
+        for axis, found in alone.items()
+    }
+    information = sum(np.where(usable, (by_px[a] * sigma[a]) ** -2.0, 0.0) for a in used)
     axes = []
     for axis in used:
-        share = np.divide(
-            1.0 / heights[axis] ** 2, information, out=np.zeros(usable.shape), where=usable
-        )
+        own = np.where(usable, (by_px[axis] * sigma[axis]) ** -2.0, 0.0)
+        share = np.divide(own, information, out=np.zeros(usable.shape), where=usable)
         filtered = filter_noise(
             places[axis],
             sigma[axis] ** 2,
@@ -362,11 +369,48 @@ def _placed(
             sigma_px=decode.filter_sigma_px,
             limit_px=0.5 * experiment.patterns.period_px,
         )
-        by_px = np.where(usable, share * heights[axis] / sigma[axis], 0.0)
-        axes.append(AxisPrediction(sigma[axis], by_px, filtered))
+        axes.append(AxisPrediction(sigma[axis], share * by_px[axis], filtered))
     points = alone[used[0]]
     masked = np.where(usable, 0, np.maximum(points.mask_reason, Reason.DARK)).astype(np.uint8)
     return Prediction(points, masked, tuple(axes), exposure_ms)
+
+
+def coordinate_slope(
+    pose: Any, focal_px: tuple[Any, Any], rig: Calibration, truth: Truth, axis: Axis
+) -> Any:
+    """Return the change of the projector coordinate along each camera ray, (row, col) px.
+
+    Per length of the ray from the camera to the surface, in air; analytic in the first two.
+
+    Parameters
+    ----------
+    pose : (3, 4) of T_proj_from_world
+    focal_px : of the projector, along columns and rows
+    """
+    point = truth.points_world_mm.astype(np.float64)
+    ray = point - rig.T_world_from_cam[:3, 3]
+    x, y, z = np.moveaxis(point @ pose[:, :3].T + pose[:, 3], -1, 0)
+    dx, dy, dz = np.moveaxis(ray @ pose[:, :3].T, -1, 0)
+    z = np.where(truth.lit, z, 1.0)
+    u, v = x / z, y / z
+    u_slope, v_slope = (dx - u * dz) / z, (dy - v * dz) / z
+    xx, xy, yy = distortion_jacobian(u, v, rig.projector.distortion)
+    if axis == "row":
+        return focal_px[1] * (xy * u_slope + yy * v_slope)
+    return focal_px[0] * (xx * u_slope + xy * v_slope)
+
+
+def _height_by_px(rig: Calibration, truth: Truth, axis: Axis, usable: BoolImage) -> FloatArray:
+    """Return by how much the surface's height errs per px of the coordinate, in air; mm."""
+    lens = rig.projector
+    pose = np.linalg.inv(rig.T_world_from_proj)[:3]
+    slope = np.abs(coordinate_slope(pose, (lens.fx_px, lens.fy_px), rig, truth, axis))
+    ray = truth.points_world_mm.astype(np.float64) - rig.T_world_from_cam[:3, 3]
+    normals = truth.normals_world.astype(np.float64)
+    across = np.abs(np.einsum("rcx,rcx->rc", ray, normals))
+    found: FloatArray = np.ones(usable.shape)
+    np.divide(across, np.abs(normals[..., 2]) * slope, out=found, where=usable & (slope > 0.0))
+    return found
 
 
 def _height_mm(found: PointMap, truth: Truth, usable: BoolImage) -> FloatArray:

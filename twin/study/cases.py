@@ -18,7 +18,7 @@ from twin.config import ConfigError, Experiment, digest, vary
 from twin.config.loading import by_method
 from twin.config.study import MOST_CASES, Axis, Constraint, Level, Study, without_absent
 from twin.study.measuring import AS_IT_IS, Conditions
-from twin.study.needed import bound_needed
+from twin.study.needed import bound_needed, derivatives_needed
 
 Point = tuple[Level, ...]
 
@@ -33,7 +33,7 @@ def points_of(study: Study) -> list[Point]:
     InputError : more cases than a study may have, or a study that finds its points as it goes
     """
     method = study.sampling.method
-    if method in ("optimise", "trials"):
+    if method in ("optimise", "gradient", "trials"):
         raise InputError(f"sampling.method = '{method}': its cases are no points of axes")
     count = point_count(study)
     if (cases := count * cases_per_point(study)) > MOST_CASES:
@@ -58,6 +58,8 @@ def point_count(study: Study) -> int:
             return count * (axes + 1)
         case "optimise":
             return study.optimise.trials if study.optimise else 0
+        case "gradient":
+            return study.gradient.evaluations if study.gradient else 0
     return count
 
 
@@ -157,6 +159,8 @@ def case_of(
         said = asdict(conditions)
         if conditions.bound == AS_IT_IS.bound:  # so that older stores keep their names
             del said["bound"]
+        if not conditions.derivatives:
+            del said["derivatives"]
         named = f"{name} {json.dumps(said, sort_keys=True)}"
         name = hashlib.blake2b(named.encode(), digest_size=8).hexdigest()
     return Case(settings, experiment, name, conditions)
@@ -219,7 +223,8 @@ def _cases_at(study: Study, base: Experiment, point: Point) -> Iterable[Case]:
     changes: dict[str, Any] = {}
     for level in point:
         changes |= without_absent(dict(level.changes))
-    settings, conditions = _settings(study, point), Conditions(bound=bound_needed(study))
+    settings = _settings(study, point)
+    conditions = Conditions(bound=bound_needed(study), derivatives=derivatives_needed(study))
     for modality in study.modalities or (base.modality,):
         for repeat in range(study.repeats):
             named: dict[str, Any] = {"modality": modality} if len(study.modalities) > 1 else {}

@@ -27,10 +27,11 @@ from twin.pipeline import Memory, measure
 from twin.pipeline.bound import bounds_alone
 from twin.pipeline.calibration import calibrate_rendered, calibration_metrics
 from twin.pipeline.fringes import options_of
+from twin.pipeline.gradients import bound_gradient
 from twin.pipeline.memory import Path as FieldPath
 from twin.pipeline.press import press
 from twin.pipeline.progress import ProgressCallback, no_progress
-from twin.results.figures import Metrics
+from twin.results.figures import Metric, Metrics
 from twin.results.folder import write_kept
 from twin.results.parts import face_figures, write_pressed
 from twin.results.record import Measurement
@@ -147,6 +148,7 @@ class Conditions:
     face_only : press, and evaluate the coated face itself: no light, noise or calibration
     bound : "beside": also how well each dimension can be known; "alone": press, trace and say that,
         without frames, noise and decoding
+    derivatives : fields by which the bounds are differentiated; figures BOUND_by_FIELD
     """
 
     trial: int = 0
@@ -154,6 +156,7 @@ class Conditions:
     seed: int = 0
     face_only: bool = False
     bound: Literal["no", "beside", "alone"] = "no"
+    derivatives: tuple[str, ...] = ()
 
 
 AS_IT_IS = Conditions()
@@ -198,6 +201,8 @@ class CaseMeasurer:
         """
         if conditions.face_only:
             return Answer(face_figures(experiment, press(experiment, self.memory).pressed))
+        if conditions.derivatives:
+            return Answer(_with_derivatives(experiment, conditions.derivatives, self.memory))
         if conditions.bound == "alone":
             pressed, found = bounds_alone(experiment, self.memory)
             return Answer(found, lambda folder: self._write_press(folder, pressed))
@@ -222,6 +227,16 @@ class CaseMeasurer:
     def reads(self) -> StageReads:
         """Fields that each stage looked at for the latest case, first stage first."""
         return tuple(paths for _, _, _, paths in self.memory.stages())
+
+
+def _with_derivatives(
+    experiment: Experiment, paths: tuple[str, ...], memory: Memory
+) -> dict[str, Metric]:
+    figures, slopes = bound_gradient(experiment, paths, memory)
+    found = dict(figures)
+    for name, values in slopes.items():
+        found |= {f"{name}_by_{p}": float(v) for p, v in zip(paths, values, strict=True)}
+    return found
 
 
 @dataclass(frozen=True)

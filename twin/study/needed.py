@@ -8,6 +8,7 @@ from typing import Literal
 
 from twin.config.study import Study
 from twin.results.bound import is_bound_name
+from twin.results.derivatives import DIFFERENTIATED
 from twin.results.names import OF_A_PRESS
 from twin.study.derived import DERIVED, OF_A_MEASUREMENT
 
@@ -26,6 +27,13 @@ def bound_needed(study: Study) -> Bound:
     everything = not study.metrics and study.sampling.method not in ("optimise", "gradient")
     others = [name for name in names if not is_bound_name(name) and not _known_without(name)]
     return "beside" if everything or others or set(study.keep) - {"press"} else "alone"
+
+
+def derivatives_needed(study: Study) -> tuple[str, ...]:
+    """Return the fields that a gradient search needs derivatives by: those that have some."""
+    if study.gradient is None:
+        return ()
+    return tuple(str(axis.path) for axis in study.axis if axis.path in DIFFERENTIATED)
 
 
 def _known_without(name: str) -> bool:
