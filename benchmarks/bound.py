@@ -46,9 +46,9 @@ SMALL = {"camera.width_px": 640, "camera.height_px": 480, "press.relief_pitch_mm
 BLURRED = {"projector.aperture_mm": 10.0, "projector.focus_mm": 205.0}
 # Fields, and steps of the central differences: small beside what bends, large beside rounding.
 STEPS = {
-    "coating.base_albedo": 0.004,
-    "coating.flake_fraction": 0.004,
-    "coating.flake_roughness": 0.004,
+    "coating.base_albedo": 0.001,
+    "coating.flake_fraction": 0.001,
+    "coating.flake_roughness": 0.001,
     "projector.pose.polar_deg": 0.05,
     "projector.pose.standoff_mm": 0.2,
     "projector.focus_mm": 0.5,

@@ -3,12 +3,16 @@
 import numpy as np
 import pytest
 
+from reconstruction.errors import InputError
 from tests.pipeline.conftest import CENTRE
 from twin.config import load_experiment, vary
+from twin.mechanics import face_mesh
+from twin.optics.backend import activate
 from twin.pipeline import Memory, measure
 from twin.pipeline.bound import bounds_alone, predicted
+from twin.pipeline.gradients import bound_gradient, value_at
 from twin.pipeline.press import press
-from twin.results.bound import bound_names, is_bound_name
+from twin.results.bound import bound_names, information_shares, is_bound_name
 
 SMALL = CENTRE | {"camera.binning": 4, "press.relief_pitch_mm": 0.05, "press.solver_pitch_mm": 0.16}
 TRIALS = 60
@@ -82,3 +86,82 @@ def test_more_light_and_shorter_fringes_bound_lower(balls):
     dim = bound(camera__exposure_ms=40.0)
     assert dim / bound(camera__exposure_ms=80.0) == pytest.approx(np.sqrt(2.0), rel=0.03)
     assert bound(camera__exposure_ms=40.0, patterns__period_px=9.0) < 0.6 * dim
+
+
+FIELDS = {
+    "coating.base_albedo": 0.001,
+    "coating.flake_fraction": 0.001,
+    "coating.flake_roughness": 0.001,
+    "projector.pose.polar_deg": 0.05,
+    "projector.pose.standoff_mm": 0.2,
+    "projector.focus_mm": 0.5,
+    "camera.auto_level": 0.002,
+    "patterns.period_px": 0.05,
+}
+
+
+def test_derivatives_of_a_bound_are_central_differences(balls):
+    """Eight fields, through trace, exposure, blur, noise, triangulation; the same pixels: 1e-3."""
+    experiment = vary(balls, {"projector.aperture_mm": 10.0, "projector.focus_mm": 205.0})
+    memory = Memory()
+    figures, slopes = bound_gradient(experiment, list(FIELDS), memory)
+    pressed = press(experiment, memory)
+    prediction, truth = predicted(experiment, pressed, memory)
+    shares = information_shares(experiment, prediction, truth, pressed.pressed)["crb_radius_um"]
+    assert shares.sum() == pytest.approx(1.0)
+    assert shares.min() >= 0.0
+
+    def log_bound(path, value):
+        seen = vary(experiment, {path: value})
+        sigma = predicted(seen, press(seen, memory), memory)[0].single_mm
+        return np.sum(shares * np.log(np.where(shares > 0.0, sigma, 1.0)))
+
+    for number, (path, step) in enumerate(FIELDS.items()):
+        value = value_at(experiment, path)
+        change = (log_bound(path, value + step) - log_bound(path, value - step)) / (2.0 * step)
+        found = slopes["crb_radius_um"][number] / figures["crb_radius_um"]
+        assert found == pytest.approx(change, rel=1e-3), path
+
+
+def test_derivatives_of_frames_are_central_differences(balls):
+    """Sum and sum of squares over a phase frame and the white one, by coat, angle and camera."""
+    experiment = vary(balls, {"camera.width_px": 256, "camera.height_px": 192})
+    activate()
+    from twin.optics.gradients import trace_tangent
+    from twin.pipeline import trace
+
+    face = press(experiment, Memory())
+    geometry = trace.load_face(experiment, face_mesh(face.pressed))
+
+    def rendered(seen):
+        view = trace.view_of(seen, geometry)
+        tables, rays = trace.tables_of(seen, view), trace.patches_of(seen, geometry, view)
+        lit = trace.light(seen, geometry, view, trace.Traced(rays, None, tables), lambda _: None)
+        return [lit.frames[n].astype(np.float64) for n in (2, -2)], view, tables
+
+    still, view, tables = rendered(experiment)
+    for path, step in (
+        ("coating.flake_fraction", 0.002),
+        ("projector.pose.polar_deg", 0.2),
+        ("camera.pose.standoff_mm", 0.5),
+    ):
+        value = value_at(experiment, path)
+
+        def moved(by, path=path, value=value):
+            return vary(experiment, {path: value + by})
+
+        trace.dress(experiment, geometry)
+        scene = geometry.scene
+        found = trace_tangent(scene, view.rig, experiment, moved, step=step, tables=tables).frames
+        high, low = rendered(moved(step))[0], rendered(moved(-step))[0]
+        for n, (up, down, here) in enumerate(zip(high, low, still, strict=True)):
+            tangent = found[(2, -2)[n]]
+            of_sum, of_square = np.sum(up - down) / (2 * step), np.sum(up**2 - down**2) / (2 * step)
+            assert np.sum(tangent) == pytest.approx(of_sum, rel=1e-3), path
+            assert np.sum(2 * here * tangent) == pytest.approx(of_square, rel=1e-3), path
+
+
+def test_what_moves_press_or_camera_has_no_derivative(balls):
+    for path in ("press.depth_mm", "camera.pose.standoff_mm", "elastomer.thickness_mm"):
+        with pytest.raises(InputError, match="found no derivative by it"):
+            bound_gradient(balls, [path], Memory())
