@@ -143,7 +143,7 @@ def test_derivatives_of_frames_are_central_differences(balls):
     for path, step in (
         ("coating.flake_fraction", 0.002),
         ("projector.pose.polar_deg", 0.2),
-        ("camera.pose.standoff_mm", 0.5),
+        ("camera.pose.standoff_mm", 0.1),
     ):
         value = value_at(experiment, path)
 
