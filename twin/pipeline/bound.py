@@ -14,12 +14,12 @@ from twin.pipeline.press import PressedFace, press
 from twin.results.bound import bound_figures, has_bound
 from twin.results.figures import Metric
 from twin.results.parts import press_metrics
-from twin.results.prediction import Prediction, predict
+from twin.results.prediction import PredictedMaps, predict
 
 
 def predicted(
     experiment: Experiment, pressed: PressedFace, memory: Memory
-) -> tuple[Prediction, Truth]:
+) -> tuple[PredictedMaps, Truth]:
     """Trace a pressed face, and predict what a measurement will know of every pixel.
 
     Raises

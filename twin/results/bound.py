@@ -30,7 +30,7 @@ from twin.results.features import feature_of, features_of, measurands_of
 from twin.results.figures import Metric
 from twin.results.object_fits import fit
 from twin.results.object_points import seen_object
-from twin.results.prediction import Prediction
+from twin.results.prediction import PredictedMaps
 from twin.results.score import region_of
 from twin.specimens import shape_of
 
@@ -87,7 +87,7 @@ def _sphere_names(number: int) -> tuple[str, str]:
 
 
 def bound_figures(
-    experiment: Experiment, prediction: Prediction, truth: Truth, pressed: PressedElastomer
+    experiment: Experiment, prediction: PredictedMaps, truth: Truth, pressed: PressedElastomer
 ) -> dict[str, Metric]:
     """Return the figures; None where the expected points do not fix a shape."""
     lit = int(truth.lit.sum())
@@ -112,7 +112,7 @@ _Found = tuple[ObjectMeasurand, FittedDimension | None, IntArray, float]
 
 
 def _estimates(
-    experiment: Experiment, prediction: Prediction, truth: Truth, pressed: PressedElastomer
+    experiment: Experiment, prediction: PredictedMaps, truth: Truth, pressed: PressedElastomer
 ) -> Iterator[_Found]:
     """Yield each measurand with its fit to the expected points, their pixels, and each's share."""
     points = prediction.points.points_world_mm, prediction.valid, prediction.filtered_mm
@@ -129,7 +129,7 @@ def _estimates(
             yield asked, fitted.estimate, fitted.of.pixels, fitted.of.points_each
 
 
-def _of_spheres(experiment: Experiment, prediction: Prediction) -> Iterator[tuple[str, Metric]]:
+def _of_spheres(experiment: Experiment, prediction: PredictedMaps) -> Iterator[tuple[str, Metric]]:
     """Yield bound and spread of the radii over the scored regions, fitted as by `score_sphere`."""
     world_mm = prediction.points.points_world_mm
     for number, ball in enumerate(shape_of(experiment.specimen).spheres(), start=1):
@@ -140,7 +140,7 @@ def _of_spheres(experiment: Experiment, prediction: Prediction) -> Iterator[tupl
         yield from zip(_sphere_names(number), values, strict=True)
 
 
-def _sphere_values(prediction: Prediction, roi: BoolImage) -> _Values:
+def _sphere_values(prediction: PredictedMaps, roi: BoolImage) -> _Values:
     try:
         estimate = ball_radius_of_all(prediction.points.points_world_mm[roi].astype(np.float64))
     except FitError:
@@ -149,7 +149,7 @@ def _sphere_values(prediction: Prediction, roi: BoolImage) -> _Values:
 
 
 def _bound_and_spread_um(
-    estimate: FittedDimension, pixels: IntArray, prediction: Prediction, each: float
+    estimate: FittedDimension, pixels: IntArray, prediction: PredictedMaps, each: float
 ) -> _Values:
     """Return bound and spread of one fit.
 
@@ -166,7 +166,7 @@ def _bound_and_spread_um(
 
 
 def information_shares(
-    experiment: Experiment, prediction: Prediction, truth: Truth, pressed: PressedElastomer
+    experiment: Experiment, prediction: PredictedMaps, truth: Truth, pressed: PressedElastomer
 ) -> dict[str, FloatArray]:
     """Return where the information about each bound comes from: (row, col), summing to 1.
 

@@ -21,7 +21,7 @@ from twin.optics.rig import true_calibration
 from twin.optics.stack import TraceMaps, Truth
 from twin.results.prediction import (
     FringeNumbers,
-    Prediction,
+    PredictedMaps,
     axis_levels,
     coordinate_slope,
     outlines,
@@ -64,7 +64,7 @@ class Moved:
 
 
 def log_sigma_tangent(
-    experiment: Experiment, maps: TraceMaps, truth: Truth, prediction: Prediction, moved: Moved
+    experiment: Experiment, maps: TraceMaps, truth: Truth, prediction: PredictedMaps, moved: Moved
 ) -> FloatArray:
     """Return d ln sigma / d field of every single pixel's height, (row, col); 0 without a point."""
     white = white_radiance(maps, experiment)

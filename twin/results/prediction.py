@@ -185,7 +185,7 @@ class AxisPrediction:
 
 
 @dataclass(frozen=True, eq=False)
-class Prediction:
+class PredictedMaps:
     """What a measurement is expected to know.
 
     Attributes
@@ -228,7 +228,7 @@ class Prediction:
         )
 
 
-def predict(experiment: Experiment, maps: TraceMaps, truth: Truth) -> Prediction:
+def predict(experiment: Experiment, maps: TraceMaps, truth: Truth) -> PredictedMaps:
     """Return what a measurement will know of every pixel.
 
     Parameters
@@ -341,7 +341,7 @@ def clipping(
 
 def _placed(
     experiment: Experiment, single: _Single, truth: Truth, exposure_ms: float
-) -> Prediction:
+) -> PredictedMaps:
     """Triangulate what is expected, and see what the filter makes of the noise."""
     places, sigma, reason = single.places, single.sigma, single.reason
     decode = experiment.decode
@@ -372,7 +372,7 @@ def _placed(
         axes.append(AxisPrediction(sigma[axis], share * by_px[axis], filtered))
     points = alone[used[0]]
     masked = np.where(usable, 0, np.maximum(points.mask_reason, Reason.DARK)).astype(np.uint8)
-    return Prediction(points, masked, tuple(axes), exposure_ms)
+    return PredictedMaps(points, masked, tuple(axes), exposure_ms)
 
 
 def coordinate_slope(
