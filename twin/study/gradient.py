@@ -44,7 +44,7 @@ def descend(record: StudyRecord, folder: Path, run: RunCases) -> list[SweepOutco
     plan = record.study.gradient
     if plan is None:
         raise InputError(f"{record.study.name}: has no [gradient]; use twin sweep as it is")
-    search = _Descent(record, plan, Store(folder), run)
+    search = _BoundDescent(record, plan, Store(folder), run)
     for start in _starts(plan.starts, len(record.study.axis), record.study.sampling.seed):
         try:
             search.from_place(start)
@@ -65,7 +65,7 @@ class _SpentError(Exception):
 
 
 @dataclass
-class _Descent:
+class _BoundDescent:
     """Values and slopes of the logarithm of the objective over the unit cube of the axes."""
 
     record: StudyRecord
