@@ -98,7 +98,7 @@ def against_spread(count: int) -> dict[str, float]:
         "pixel_spread_over_sigma": round(
             float(np.mean(spread_mm / prediction.filtered_mm[everywhere])), 4
         ),
-        "uncertainty": round(1.0 / np.sqrt(2.0 * (count - 1)), 4),
+        "uncertainty": round(float(1.0 / np.sqrt(2.0 * (count - 1))), 4),
         "measurements": count,
     }
 
