@@ -100,7 +100,7 @@ def _excess(expected: Any, found: Any) -> Any:
 
 
 @compiled
-def _find_shares(large: Any, small: Any, noise: Any, ratios: Any, c: Any, f: Any) -> None:
+def find_shares(large: Any, small: Any, noise: Any, ratios: Any, c: Any, f: Any) -> None:
     """Write which share of the coarse and of the fine part is relief."""
     of_coarse, of_fine = ratios[1, 1], ratios[2, 2]
     for col in range(c.size):
@@ -110,7 +110,7 @@ def _find_shares(large: Any, small: Any, noise: Any, ratios: Any, c: Any, f: Any
 
 
 @compiled
-def _predict_bias(large: Any, small: Any, c: Any, f: Any, count: Any, out: Any) -> None:
+def predict_bias(large: Any, small: Any, c: Any, f: Any, count: Any, out: Any) -> None:
     """Write the mean square of the relief that is not given back."""
     for col in range(out.size):
         kept, lost = ONE - c[col], ONE - f[col]
@@ -119,7 +119,7 @@ def _predict_bias(large: Any, small: Any, c: Any, f: Any, count: Any, out: Any) 
 
 
 @compiled
-def _weigh_own(c: Any, f: Any, centre: Any, out: Any) -> None:
+def weigh_own(c: Any, f: Any, centre: Any, out: Any) -> None:
     """Write the square of the weight with which a pixel counts itself."""
     g0, c0, f0 = centre[0], centre[1], centre[2]
     for col in range(out.size):
@@ -128,7 +128,7 @@ def _weigh_own(c: Any, f: Any, centre: Any, out: Any) -> None:
 
 
 @compiled
-def _weigh_others(
+def weigh_others(
     c: Any, f: Any, own: Any, noise: Any, count: Any, bias: Any, ratios: Any, out: Any
 ) -> None:  # fmt: skip
     """Write the variance that the pixels around add, with the bias."""
@@ -142,7 +142,7 @@ def _weigh_others(
 
 
 @compiled
-def _weigh_edge(c: Any, f: Any, noise: Any, count: Any, out: Any) -> None:
+def weigh_edge(c: Any, f: Any, noise: Any, count: Any, out: Any) -> None:
     for col in range(out.size):
         out[col] = noise[col] / larger(count[col], ONE) * (ONE - larger(c[col], f[col]))
 
@@ -160,12 +160,12 @@ def weigh_blocks(block: int, smoothing: Smoothing, blocks: Blocks) -> None:
     sums, values, ratios = blocks.around, blocks.values, smoothing.noise
     large, small, noise, count = sums[0], sums[1], sums[2], sums[3]
     c, f = blocks.shares[0], blocks.shares[1]
-    _find_shares(large, small, noise, ratios, c, f)
+    find_shares(large, small, noise, ratios, c, f)
     _weigh_relief(c, f, values[0], values[1])
-    _weigh_own(c, f, smoothing.centre, values[2])
-    _predict_bias(large, small, c, f, count, values[5])
-    _weigh_others(c, f, values[2], noise, count, values[5], ratios, values[3])
-    _weigh_edge(c, f, noise, count, values[4])
+    weigh_own(c, f, smoothing.centre, values[2])
+    predict_bias(large, small, c, f, count, values[5])
+    weigh_others(c, f, values[2], noise, count, values[5], ratios, values[3])
+    weigh_edge(c, f, noise, count, values[4])
     _spread(values, blocks.spread)
 
 

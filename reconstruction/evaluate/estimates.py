@@ -13,7 +13,7 @@ from scipy.optimize import least_squares
 
 from reconstruction.arrays import BoolImage, FloatArray
 from reconstruction.errors import FitError
-from reconstruction.evaluate.fit import inliers
+from reconstruction.evaluate.fit import fit_sphere, inliers
 from reconstruction.evaluate.robust import BallFit, CylinderFit, fit_ball, fit_cylinder
 
 _MOST_TURNS = 20
@@ -21,6 +21,7 @@ _LEAST_POINTS = 5
 _LEAST_IN_FIT = 20
 # Residuals of 0.1 um are no outliers, however exact the other points are.
 _NEVER_OUT_MM = 1e-4
+_SINGULAR = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,12 +33,17 @@ class FittedDimension:
     value : mm
     slope : (n,) derivative of the value by each point's height; 0 for a point left out
     residuals_mm : (n,) of all points; `used` tells which took part
+    design : (n, k) change of each point's height by the parameters of the shape, 0 for a point
+        left out; None where no shape is fitted
+    gradient : (k,) derivative of the value by these parameters
     """
 
     value: float
     slope: FloatArray
     residuals_mm: FloatArray
     used: BoolImage
+    design: FloatArray | None = None
+    gradient: FloatArray | None = None
 
     def noise_mm(self, sigma_mm: FloatArray, together: float) -> float:
         """Return the standard uncertainty that the points' (n,) causes.
@@ -50,6 +56,47 @@ class FittedDimension:
         # Sharing cannot do more than move all points by their sigma in one direction.
         all_as_one = float(np.sum(np.abs(self.slope) * sigma_mm)) ** 2
         return float(np.sqrt(min(max(together, 1.0) * alone, all_as_one)))
+
+    def bound_mm(self, sigma_mm: FloatArray, points_each: float = 1.0) -> float | None:
+        """Return the least standard deviation that any unbiased fit of the shape can have.
+
+        The Cramer-Rao bound sqrt(g^T F^-1 g), F = sum_i J_i J_i^T / sigma_i^2 the information of
+        points whose errors are independent and normal, J_i `design`, g `gradient`; a fit weighted
+        by 1 / sigma^2 attains it. None where no shape is fitted, or its points do not fix it.
+
+        Parameters
+        ----------
+        sigma_mm : (n,) of the heights, above 0 where used
+        points_each : how many measured points each one stands for
+        """
+        parts = self._bound_parts(sigma_mm)
+        return None if parts is None else float(np.sqrt(parts.sum() / points_each))
+
+    def bound_shares(self, sigma_mm: FloatArray) -> FloatArray | None:
+        """Return by how much the bound changes with each point's sigma, (n,): d ln b / d ln sigma.
+
+        They are at least 0 and add up to 1: where the information about the value comes from.
+        """
+        parts = self._bound_parts(sigma_mm)
+        if parts is None:
+            return None
+        shares = np.zeros(len(self.used))
+        shares[self.used] = parts / parts.sum()
+        return shares
+
+    def _bound_parts(self, sigma_mm: FloatArray) -> FloatArray | None:
+        """Return (J_i x)^2 / sigma_i^2 of the points used, x = F^-1 g: they add up to g^T x."""
+        if self.design is None or self.gradient is None:
+            return None
+        weighted = self.design[self.used] / sigma_mm[self.used, None]
+        size = np.linalg.norm(weighted, axis=0)
+        if len(weighted) < len(size) or not size.all():
+            return None
+        triangle = np.asarray(np.linalg.qr(weighted / size, mode="r"))
+        if np.abs(np.diag(triangle)).min() < _SINGULAR:
+            return None
+        found = np.linalg.solve(triangle, np.linalg.solve(triangle.T, self.gradient / size))
+        return np.asarray((weighted @ (found / size)) ** 2)
 
 
 def shared_by(filter_sigma_px: float, stride_px: int = 1) -> float:
@@ -101,7 +148,16 @@ def wave_depth(s_mm: FloatArray, z_mm: FloatArray, pitch_mm: float) -> FittedDim
     parts = [_linear(design, z_mm, (np.ones(len(z_mm), bool),), which) for which in (0, 1)]
     size = float(np.hypot(parts[0].value, parts[1].value))
     slope = sum(one.value / max(size, 1e-12) * one.slope for one in parts)
-    return FittedDimension(2 * size, np.asarray(2 * slope), parts[0].residuals_mm, parts[0].used)
+    used = parts[0].used
+    towards = np.array([2 * one.value / max(size, 1e-12) for one in parts] + [0.0, 0.0])
+    return FittedDimension(
+        2 * size,
+        np.asarray(2 * slope),
+        parts[0].residuals_mm,
+        used,
+        design * used[:, None],
+        towards,
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,7 +199,10 @@ def v_groove(s_mm: FloatArray, z_mm: FloatArray, depth_mm: float, width_mm: floa
     back = np.linalg.pinv(found.jac)
     used = np.ones(len(z_mm), bool)
     depth, width = (
-        FittedDimension(float(found.x[n]), np.asarray(back[n]), -found.fun, used) for n in (2, 3)
+        FittedDimension(
+            float(found.x[n]), np.asarray(back[n]), -found.fun, used, found.jac, np.eye(5)[n]
+        )
+        for n in (2, 3)
     )
     return GrooveFit(depth, width, float(found.x[4]))
 
@@ -161,6 +220,21 @@ def ball_radius(points_mm: FloatArray) -> tuple[FittedDimension, BallFit]:
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     design = np.column_stack([np.ones(len(kept)), normals])
     return _radius(fit.radius_mm, design, normals[:, 2], fit.kept, fit.residuals_mm), fit
+
+
+def ball_radius_of_all(points_mm: FloatArray) -> FittedDimension:
+    """Fit a ball to all points by least squares; the value is its radius.
+
+    Raises
+    ------
+    FitError : too few or coplanar points
+    """
+    fit = fit_sphere(points_mm)
+    normals = points_mm - fit.centre_mm
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    design = np.column_stack([np.ones(len(normals)), normals])
+    kept = np.ones(len(normals), bool)
+    return _radius(fit.radius_mm, design, normals[:, 2], kept, fit.residuals_mm)
 
 
 def cylinder_radius(points_mm: FloatArray, axis: FloatArray) -> tuple[FittedDimension, CylinderFit]:
@@ -188,7 +262,10 @@ def _radius(
     slope, all_residuals = np.zeros(len(kept)), np.zeros(len(kept))
     slope[kept] = np.linalg.pinv(design)[0] * upward
     all_residuals[kept] = residuals
-    return FittedDimension(radius_mm, slope, all_residuals, kept)
+    heights = np.zeros((len(kept), design.shape[1]))
+    heights[kept] = design / upward[:, None]
+    first = np.eye(design.shape[1])[0]
+    return FittedDimension(radius_mm, slope, all_residuals, kept, heights, first)
 
 
 def _linear(
@@ -211,4 +288,7 @@ def _linear(
         kept = good
     slope = np.zeros(len(z_mm))
     slope[kept] = np.linalg.pinv(design[kept])[which]
-    return FittedDimension(float(found[which]), slope, residuals, kept)
+    towards = np.eye(design.shape[1])[which]
+    return FittedDimension(
+        float(found[which]), slope, residuals, kept, design * kept[:, None], towards
+    )

@@ -6,17 +6,17 @@ import pytest
 from reconstruction.decoding._lift import Smoothing, _invert, _scale
 from reconstruction.decoding._order import Numbered, Unwrapping, unwrap_row
 from reconstruction.decoding._relief import (
-    _find_shares,
-    _predict_bias,
     _sum_five,
-    _weigh_edge,
-    _weigh_others,
-    _weigh_own,
     _weigh_relief,
     add_variances,
+    find_shares,
     give_back,
     make_blocks,
+    predict_bias,
     weigh_blocks,
+    weigh_edge,
+    weigh_others,
+    weigh_own,
     write_root,
     write_share,
 )
@@ -40,7 +40,7 @@ def test_shares_of_relief():
     ratios = np.diag(np.array([1.0, 0.5, 0.25], np.float32))
     c, f = np.zeros(2, np.float32), np.zeros(2, np.float32)
     large, small, noise = lines([14.4, 7.0], [4.6, 9.6], [8.0, 8.0])
-    _find_shares(large, small, noise, ratios, c, f)
+    find_shares(large, small, noise, ratios, c, f)
     np.testing.assert_allclose(c, [0.5, 0.0], atol=1e-6)
     np.testing.assert_allclose(f, [0.5, 0.75], rtol=1e-6)
 
@@ -48,7 +48,7 @@ def test_shares_of_relief():
 def test_bias_is_what_is_relief_and_not_given_back():
     """0.5^2 * 0.5 * 8 + 0.75^2 * 0.25 * 16 = 3.25, over 4 pixels; over none as over one."""
     out = np.zeros(2, np.float32)
-    _predict_bias(*lines([8.0, 8.0], [16.0, 16.0], [C, C], [F, F], [COUNT, 0.0]), out)
+    predict_bias(*lines([8.0, 8.0], [16.0, 16.0], [C, C], [F, F], [COUNT, 0.0]), out)
     np.testing.assert_allclose(out, [3.25 / 4, 3.25])
 
 
@@ -58,18 +58,18 @@ def test_weights_of_a_pixel_and_of_those_around():
     """
     centre = np.array([1.0, 0.4, 0.2], np.float32)
     out = np.zeros(1, np.float32)
-    _weigh_own(*lines(C, F), centre, out)
+    weigh_own(*lines(C, F), centre, out)
     assert out[0] == pytest.approx(0.5625)
     ratios = np.array([[1.0, 0.5, 0.25], [0.5, 0.4, 0.1], [0.25, 0.1, 0.2]], np.float32)
-    _weigh_others(*lines(C, F, 0.1, NOISE, COUNT, 0.05), ratios, out)
+    weigh_others(*lines(C, F, 0.1, NOISE, COUNT, 0.05), ratios, out)
     assert out[0] == pytest.approx(0.4125 * 2 + 0.05)
-    _weigh_others(*lines(C, F, 0.6, NOISE, COUNT, 0.05), ratios, out)
+    weigh_others(*lines(C, F, 0.6, NOISE, COUNT, 0.05), ratios, out)
     assert out[0] == pytest.approx(0.05)
 
 
 def test_at_an_edge_the_larger_share_of_relief_counts():
     out = np.zeros(2, np.float32)
-    _weigh_edge(*lines([C, 0.1], [F, 0.7], [NOISE] * 2, [COUNT] * 2), out)
+    weigh_edge(*lines([C, 0.1], [F, 0.7], [NOISE] * 2, [COUNT] * 2), out)
     np.testing.assert_allclose(out, [1.0, 0.6], rtol=1e-6)
 
 

@@ -12,6 +12,7 @@ from reconstruction.errors import InputError
 from tests.browser import assert_readable
 from tests.study import synthetic
 from twin.cli import run
+from twin.results.bound import is_bound_name
 from twin.study import pictures
 
 STUDY = """
@@ -66,15 +67,21 @@ def test_table(swept, capsys):
 
 
 def test_a_case_is_a_measurement(swept, capsys, tmp_path):
-    """`twin measure` on a case's experiment writes the very same result.json."""
+    """`twin measure` on a case's experiment writes the same result.json, and the bounds beside."""
     digest = table_of(capsys, swept)[2]["case"]
     case = swept / "out" / "cases" / digest
     assert {file.name for file in case.iterdir()} == {
         "result.json", "experiment.toml", "timings.json", "twin-manifest.txt"
     }  # fmt: skip
     assert run(["measure", str(case / "experiment.toml"), "-o", str(tmp_path / "one")]) == 0
-    for name in ("result.json", "experiment.toml"):
-        assert (tmp_path / "one" / name).read_bytes() == (case / name).read_bytes()
+    one, swept_one = (folder / "experiment.toml" for folder in (tmp_path / "one", case))
+    assert one.read_bytes() == swept_one.read_bytes()
+    alone, of_case = (
+        json.loads((folder / "result.json").read_text()) for folder in (tmp_path / "one", case)
+    )
+    figures = alone["metrics"].items()
+    alone["metrics"] = {name: value for name, value in figures if not is_bound_name(name)}
+    assert alone == of_case
     assert json.loads((case / "result.json").read_text())["digest"] == digest
 
 

@@ -71,7 +71,7 @@ def sweep(
     from twin.study.sweep import sweep as run
 
     record = StudyRecord(*load_study(study))
-    searches = record.study.sampling.method == "optimise"
+    searches = record.study.sampling.method in ("optimise", "gradient")
     cases = None if searches else record.first_look() if dry_run else record.cases()
     who = workers_of(workers, cluster)
     if cases is not None:
@@ -101,7 +101,7 @@ def _check(record: "StudyRecord", cases: "Sequence[Case]") -> int:
     from twin.study.checks import check_figures
     from twin.study.sweep import probes_of, unmeasurable
 
-    searches = record.study.sampling.method == "optimise"
+    searches = record.study.sampling.method in ("optimise", "gradient")
     cases = probes_of(record) if searches else cases
     check_figures(record, cases)
     found = unmeasurable(cases)

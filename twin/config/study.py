@@ -149,12 +149,13 @@ class Sampling(Model):
     """Which points of the design space are taken."""
 
     method: Literal[
-        "grid", "latin_hypercube", "sobol", "saltelli", "morris", "optimise", "trials"
+        "grid", "latin_hypercube", "sobol", "saltelli", "morris", "optimise", "gradient", "trials"
     ] = Field(
         default="grid",
         description="grid: every combination; latin_hypercube, sobol: `count` points that fill the "
         "space; saltelli: sobol pairs for sensitivity indices; morris: `count` elementary-effect "
-        "walks; optimise: chosen from the results so far, see [optimise]; trials: `count` "
+        "walks; optimise: chosen from the results so far, see [optimise]; gradient: down the "
+        "derivatives of a bound, see [gradient]; trials: `count` "
         "repetitions with all [inputs] drawn anew, for an uncertainty",
     )
     count: Annotated[int, Field(ge=1, le=MOST_CASES)] | None = Field(
@@ -173,7 +174,7 @@ class Sampling(Model):
 
     @model_validator(mode="after")
     def _counted(self) -> "Sampling":
-        counted = self.method not in ("grid", "optimise")
+        counted = self.method not in ("grid", "optimise", "gradient")
         if counted and self.count is None:
             raise ValueError(f"count: missing; method = '{self.method}' needs it")
         if not counted and self.count is not None:
@@ -204,6 +205,18 @@ class Optimise(Model):
         default=8, description="points asked at once; same batch, same search on any workers"
     )
     sampler: Literal["tpe", "nsga2", "random"] = "tpe"
+
+
+class GradientSearch(Model):
+    """Search down the derivatives of a bound (SciPy's sequential quadratic programming)."""
+
+    objective: Objective
+    evaluations: Annotated[int, Field(ge=2, le=10_000)] = Field(
+        default=40, description="cases at most; those of differences counted"
+    )
+    starts: Annotated[int, Field(ge=1, le=100)] = Field(
+        default=1, description="from the middle of the axes; further ones from Sobol' points"
+    )
 
 
 class Constraint(Model):
@@ -270,6 +283,8 @@ class Study(Model):
         default=(), description="what makes a design good, where nothing is searched"
     )
     optimise: Optimise | None = None
+    # Left out where there is none: older records keep their form.
+    gradient: GradientSearch | None = Field(default=None, exclude_if=lambda plan: plan is None)
 
     @model_validator(mode="after")
     def _whole(self) -> "Study":
@@ -285,13 +300,27 @@ class Study(Model):
             raise ValueError(f"axis: found {', '.join(twice)} twice; give each a name of its own")
         if (self.optimise is not None) != (self.sampling.method == "optimise"):
             raise ValueError("[optimise] and sampling.method = 'optimise' need each other")
-        if self.optimise is not None and self.objectives:
-            raise ValueError("objectives: with a search they stand in [optimise]")
+        if (self.gradient is not None) != (self.sampling.method == "gradient"):
+            raise ValueError("[gradient] and sampling.method = 'gradient' need each other")
+        if self.gradient is not None:
+            self._check_gradient()
+        if (self.optimise or self.gradient) is not None and self.objectives:
+            raise ValueError("objectives: with a search they stand in [optimise] or [gradient]")
         if self.sampling.method == "grid":
             open_axes = [axis.title for axis in self.axis if axis.is_continuous]
             if open_axes:
                 raise ValueError(f"axis {', '.join(open_axes)}: a grid needs count or values")
         return self
+
+    def _check_gradient(self) -> None:
+        if self.repeats > 1 or len(self.modalities) > 1:
+            raise ValueError("a gradient search takes one method and no repeats")
+        for axis in self.axis:
+            if not axis.is_continuous or axis.integer:
+                raise ValueError(
+                    f"axis {axis.title}: a gradient search needs low and high without count, and"
+                    " no whole numbers"
+                )
 
     def _checked_trials(self) -> "Study":
         refused = {
@@ -299,6 +328,7 @@ class Study(Model):
             "modalities": len(self.modalities) > 1,
             "repeats": self.repeats > 1,
             "optimise": self.optimise is not None,
+            "gradient": self.gradient is not None,
         }
         for name, there in refused.items():
             if there:
@@ -311,6 +341,8 @@ class Study(Model):
     @property
     def goals(self) -> tuple[Objective, ...]:
         """What makes a design good: the objectives of the search or of the study."""
+        if self.gradient:
+            return (self.gradient.objective,)
         return self.optimise.objectives if self.optimise else self.objectives
 
 

@@ -182,7 +182,7 @@ def along(frame: PatternFrame) -> str:
     return frame.axis or "column"
 
 
-def response(levels: Levels, projector: Projector) -> FloatArray:
+def response(levels: Levels | FloatArray, projector: Projector) -> FloatArray:
     """Relative light of 8-bit levels: power law or table on top of the black level 1 / contrast."""
     black = 1.0 / projector.contrast
     relative = levels.astype(np.float64) / 255.0

@@ -199,6 +199,11 @@ def set_coating(scene: Any, coating: Coating) -> None:
     parameters.update()
 
 
+def coating_numbers(coating: Coating) -> Iterator[tuple[str, float]]:
+    """Yield the numbers of a coat's BSDF under the names that `mi.traverse` may list them."""
+    yield from _numbers(coating_bsdf(coating))
+
+
 def _numbers(node: dict[str, Any], above: str = "") -> Iterator[tuple[str, float]]:
     """Yield the numbers of a BSDF's dictionary under the names that `mi.traverse` may list them."""
     for key, value in node.items():

@@ -18,12 +18,14 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from reconstruction.arrays import FloatArray
+from reconstruction.rig.pinhole import Pinhole
 from twin.optics.bounces import Bounces, add_bounces
 from twin.optics.connection import Connection, FrameLight, Rig, on_image, see, truth_of
 from twin.optics.devices import SubPixels
 from twin.optics.light import LightTable
 from twin.optics.scene import Surfaces
-from twin.optics.stack import Frames, Truth
+from twin.optics.stack import Frames, TraceMaps, Truth
 
 _OPAQUE = Surfaces()
 
@@ -70,6 +72,29 @@ class Patches:
         return Connection(column_px, row_px, dr.select(lit, self.weight, 0.0), lit, axial_mm)
 
 
+def maps_of(patches: Patches, camera: Pinhole) -> TraceMaps:
+    """Return what was traced as images."""
+    shape = camera.height_px, camera.width_px
+
+    def image(values: Any) -> FloatArray:
+        return np.asarray(values, np.float64).reshape(shape)
+
+    weight = image(patches.weight)
+    lit = weight > 0.0
+    scale = np.divide(1.0, weight, out=np.zeros(shape), where=lit)
+    reach = dr.select(patches.weight > 0.0, patches.highest - patches.lowest, 0.0)
+    return TraceMaps(
+        weight=weight,
+        column_px=image(patches.weighted_column) * scale,
+        row_px=image(patches.weighted_row) * scale,
+        axial_mm=np.where(lit, image(patches.weighted_axial_mm) * scale, 1.0),
+        column_range_px=image(reach.x),
+        row_range_px=image(reach.y),
+        lit=lit,
+        samples=patches.samples,
+    )
+
+
 def trace_stack(
     scene: Any,
     rig: Rig,
@@ -95,14 +120,7 @@ def trace_stack(
     patches = trace_patches(scene, rig, traced) if isinstance(traced, int) else traced
     width, height = rig.camera.pinhole.width_px, rig.camera.pinhole.height_px
     light, grid = FrameLight(tables), SubPixels.of_image(width, height, patches.samples)
-    smooth = patches.spread_px <= smooth_within_px
-    frames = light.values(patches.mean_connection(smooth))
-    frames = _add_samples(
-        lambda sample: light.values(see(scene, rig, grid.ray(rig.camera, sample))[1]),
-        grid,
-        ~smooth,
-        frames,
-    )
+    frames = frames_of_patches(scene, rig, light, patches, smooth_within_px)
     if bounces is not None:
         frames = add_bounces(
             scene, rig, light, grid, bounces=bounces, frames=frames, progress=progress
@@ -110,6 +128,26 @@ def trace_stack(
     dr.eval(frames)
     dr.sync_thread()
     return _in_sequence(frames, light.sequence, (height, width))
+
+
+def frames_of_patches(
+    scene: Any,
+    rig: Rig,
+    light: FrameLight,
+    patches: Patches,
+    smooth_within_px: float = SMOOTH_WITHIN_PX,
+) -> list[Any]:
+    """Return the direct light of every frame, in the order of `light.sequence`, not yet run."""
+    width, height = rig.camera.pinhole.width_px, rig.camera.pinhole.height_px
+    grid = SubPixels.of_image(width, height, patches.samples)
+    smooth = patches.spread_px <= smooth_within_px
+    frames = light.values(patches.mean_connection(smooth))
+    return _add_samples(
+        lambda sample: light.values(see(scene, rig, grid.ray(rig.camera, sample))[1]),
+        grid,
+        ~smooth,
+        frames,
+    )
 
 
 def trace_patches(scene: Any, rig: Rig, samples: int) -> Patches:

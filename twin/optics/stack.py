@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from reconstruction.arrays import BoolImage, FloatImage
+from reconstruction.arrays import BoolImage, FloatArray, FloatImage
 
 Frames = tuple[FloatImage, ...]
 
@@ -31,6 +31,30 @@ class Truth:
     row_px: FloatImage
     lit: BoolImage
     measured: BoolImage
+
+
+@dataclass(frozen=True, eq=False)
+class TraceMaps:
+    """What the rays of each camera pixel see together, before any pattern; all (row, col) float64.
+
+    Attributes
+    ----------
+    weight : radiance under a full white field, mW / (mm^2 sr)
+    column_px, row_px : weighted mean of the projector coordinates
+    axial_mm : weighted mean distance along the projector's axis
+    column_range_px, row_range_px : between the farthest two lit samples
+    lit : bool; any light arrives
+    samples : rays per pixel
+    """
+
+    weight: FloatArray
+    column_px: FloatArray
+    row_px: FloatArray
+    axial_mm: FloatArray
+    column_range_px: FloatArray
+    row_range_px: FloatArray
+    lit: BoolImage
+    samples: int
 
 
 @dataclass(frozen=True)

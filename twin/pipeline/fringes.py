@@ -34,7 +34,8 @@ from twin.results.score import metrics, score
 if TYPE_CHECKING:
     import trimesh
 
-    from twin.pipeline.trace import Geometry
+    from twin.optics.one_trace import Patches
+    from twin.pipeline.trace import Geometry, View
 
 Progress = Callable[[float], None]
 
@@ -261,21 +262,53 @@ def _recorded(
 def _rendered(
     experiment: Experiment, pressed: PressedFace | None, memory: Memory, progress: Progress
 ) -> Kept[RadianceStack]:
+    return _lit(experiment, loaded(experiment, pressed, memory), memory, progress)
+
+
+def loaded(experiment: Experiment, pressed: PressedFace | None, memory: Memory) -> "Kept[Geometry]":
+    """Return the surfaces that are seen, with their BVH: a pressed face, or the bare specimen.
+
+    Raises
+    ------
+    InputError : what is seen cannot be rendered
+    MissingBackend : no usable Dr.Jit backend
+    """
     check = check_direct_engine if pressed is None else check_layers
     check(experiment)
     activate()
     from twin.pipeline import trace
 
     if pressed is None:
-        geometry = memory.recall("geometry", experiment, (), trace.load_bare)
-    else:
-        geometry = memory.recall(
-            "geometry",
-            experiment,
-            pressed.face_digest,
-            lambda seen: trace.load_face(seen, face_mesh(pressed.pressed)),
-        )
-    return _lit(experiment, geometry, memory, progress)
+        return memory.recall("geometry", experiment, (), trace.load_bare)
+    return memory.recall(
+        "geometry",
+        experiment,
+        pressed.face_digest,
+        lambda seen: trace.load_face(seen, face_mesh(pressed.pressed)),
+    )
+
+
+def viewed(experiment: Experiment, geometry: "Kept[Geometry]", memory: Memory) -> "Kept[View]":
+    """Return the devices about a scene, and the truth behind every pixel."""
+    from twin.pipeline import trace
+
+    return memory.recall(
+        "view", experiment, geometry.token, lambda seen: trace.view_of(seen, geometry.value)
+    )
+
+
+def traced(
+    experiment: Experiment, geometry: "Kept[Geometry]", view: "Kept[View]", memory: Memory
+) -> "Kept[Patches]":
+    """Return the camera's rays, for all patterns."""
+    from twin.pipeline import trace
+
+    return memory.recall(
+        "trace",
+        experiment,
+        view.token,
+        lambda seen: trace.patches_of(seen, geometry.value, view.value),
+    )
 
 
 def _lit(
@@ -283,10 +316,7 @@ def _lit(
 ) -> Kept[RadianceStack]:
     from twin.pipeline import trace
 
-    scene = geometry.value
-    view = memory.recall(
-        "view", experiment, geometry.token, lambda seen: trace.view_of(seen, scene)
-    )
+    scene, view = geometry.value, viewed(experiment, geometry, memory)
     # Without an aperture blur is the same at every distance, and no view changes the tables.
     depth = view.token if experiment.projector.aperture_mm else ()
     tables = memory.recall(
@@ -299,16 +329,14 @@ def _lit(
             (view.token, tables.token),
             lambda seen: trace.light_with_stock(seen, scene, view.value, tables.value, progress),
         )
-    rays = memory.recall(
-        "trace", experiment, view.token, lambda seen: trace.patches_of(seen, scene, view.value)
-    )
+    rays = traced(experiment, geometry, view, memory)
     photons = memory.recall(
         "photons", experiment, view.token, lambda seen: trace.photons_of(seen, scene, view.value)
     )
-    traced = trace.Traced(rays.value, photons.value, tables.value)
+    lit = trace.Traced(rays.value, photons.value, tables.value)
     return memory.recall(
         "frames",
         experiment,
         (rays.token, photons.token, tables.token),
-        lambda seen: trace.light(seen, scene, view.value, traced, progress),
+        lambda seen: trace.light(seen, scene, view.value, lit, progress),
     )

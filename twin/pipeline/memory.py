@@ -266,6 +266,7 @@ _CAPACITY = {
     "geometry": 1,
     "view": 1,
     "trace": 1,
+    "prediction": 1,
     "photons": 1,
     "tables": 8,
     "frames": 1,

@@ -1,14 +1,18 @@
 """Run one virtual measurement by whichever method the experiment names: the one place to choose."""
 
+from dataclasses import replace
 from pathlib import Path
 
 from twin.config import Experiment
 from twin.mechanics import check_press
 from twin.optics.checks import check_renderable
+from twin.pipeline.bound import bounds_of
 from twin.pipeline.colours import check_sensor, measure_colours
 from twin.pipeline.fringes import RunContext, check_layers, measure_fringes
 from twin.pipeline.memory import Memory
+from twin.pipeline.press import press
 from twin.pipeline.progress import ProgressCallback, Stopwatch, no_progress
+from twin.results.bound import has_bound
 from twin.results.features import check_measurands
 from twin.results.folder import as_stored, write_measurement
 from twin.results.record import Measurement
@@ -19,6 +23,7 @@ def measure(
     watch: ProgressCallback = no_progress,
     memory: Memory | None = None,
     trial: int = 0,
+    bound: bool = False,
 ) -> Measurement:
     """Run one virtual measurement.
 
@@ -26,6 +31,8 @@ def measure(
     ----------
     memory : what measurements before it kept, and where it keeps its own; the bytes are the same
     trial : repetition with new temporal noise
+    bound : also say among the figures how well each dimension can be known, see
+        `twin.results.bound`
 
     Raises
     ------
@@ -35,7 +42,11 @@ def measure(
     check_measurands(experiment)
     run = RunContext(Memory() if memory is None else memory, Stopwatch(watch), trial)
     by_method = measure_fringes if experiment.method.fringes else measure_colours
-    return by_method(experiment, run)
+    done = by_method(experiment, run)
+    if not bound or not has_bound(experiment):
+        return done
+    found = bounds_of(experiment, press(experiment, run.memory), run.memory)
+    return replace(done, metrics={**done.metrics, **found})
 
 
 def measure_into(
@@ -53,7 +64,7 @@ def measure_into(
     ------
     InputError, MissingBackend : as `measure`
     """
-    done = measure(experiment, watch, memory)
+    done = measure(experiment, watch, memory, bound=True)
     watch("write", 0.0)
     write_measurement(folder, command, done)
     watch("write", 1.0)

@@ -18,10 +18,10 @@ from twin.optics.connection import Rig, axial_range_mm
 from twin.optics.direct import direct_scene
 from twin.optics.light import LightTable, light_tables, pattern_set
 from twin.optics.materials import coated_mesh, coating_bsdf, set_coating
-from twin.optics.one_trace import Patches, trace_patches, trace_stack, trace_truth
+from twin.optics.one_trace import Patches, maps_of, trace_patches, trace_stack, trace_truth
 from twin.optics.photons import Photons, StageLight, map_photons, trace_photons
 from twin.optics.scene import Surfaces, coated_rig, coating_in_layer, face_scene, rig_of
-from twin.optics.stack import RadianceStack, Truth
+from twin.optics.stack import RadianceStack, TraceMaps, Truth
 from twin.optics.stock import render_stack
 
 if TYPE_CHECKING:
@@ -99,8 +99,13 @@ def view_of(experiment: Experiment, geometry: Geometry) -> View:
 
 def patches_of(experiment: Experiment, geometry: Geometry, view: View) -> Patches:
     """Trace all camera rays, for all patterns."""
-    _dress(experiment, geometry)
+    dress(experiment, geometry)
     return trace_patches(geometry.scene, view.rig, experiment.render.samples).evaluate()
+
+
+def maps_of_patches(patches: Patches, view: View) -> TraceMaps:
+    """Return what the camera's rays see together, as images."""
+    return maps_of(patches, view.rig.camera.pinhole)
 
 
 def photons_of(experiment: Experiment, geometry: Geometry, view: View) -> Photons | None:
@@ -132,7 +137,7 @@ def light(
 ) -> RadianceStack:
     """Light what was traced with the experiment's sequence."""
     # Pixels at edges, and bounces, trace on: they need the coat.
-    _dress(experiment, geometry)
+    dress(experiment, geometry)
     bounces = _bounces(experiment, geometry, traced)
     frames = trace_stack(
         geometry.scene,
@@ -176,7 +181,8 @@ def light_with_stock(
     return RadianceStack(frames, view.truth)
 
 
-def _dress(experiment: Experiment, geometry: Geometry) -> None:
+def dress(experiment: Experiment, geometry: Geometry) -> None:
+    """Give a loaded face the experiment's coat."""
     if geometry.face is not None:
         set_coating(geometry.scene, coating_in_layer(experiment))
 

@@ -4,6 +4,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from twin.mechanics import opposite_transfer
+from twin.report.bound import bound_section
 from twin.report.camera_images import recorded_section
 from twin.report.experiment import glance, rig_figure
 from twin.report.page import Beside, Grade, Section, Verdict
@@ -234,4 +235,4 @@ def sections(measured: Measurement) -> list[Section]:
         found.append(Section("surface", "Measured surface", relief))
         found.append(Section("error", "Error against the true coat", error))
     pressed = Section("pressed", "Specimen and elastomer", (press_figure(measured),))
-    return [*found, *ball_sections(measured), pressed]
+    return [*found, *bound_section(measured), *ball_sections(measured), pressed]

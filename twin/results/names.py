@@ -8,6 +8,7 @@ from dataclasses import fields
 
 from reconstruction.evaluate.conformity import CombinedUncertainty
 from twin.config.models import Experiment
+from twin.results.bound import bound_names
 from twin.results.features import feature_of, features_of, measurands_of, nominal_mm
 from twin.results.object_score import (
     MeasuredQuantity,
@@ -20,7 +21,7 @@ from twin.results.rods import has_one_rod
 from twin.results.score import FringeScore, HeightScore, region_name, sphere_names
 from twin.specimens import shape_of
 
-_OF_A_PRESS = (
+OF_A_PRESS = (
     "mechanics_model", "force_n", "depth_mm", "young_modulus_kpa", "relief_peak_mm",
     "peak_pressure_kpa", "height_error_estimate_mm", "thinnest_mm", "largest_stretch",
     "steepest_deg", "texture_rms_um", "texture_correlation_mm",
@@ -36,13 +37,13 @@ def figure_names(experiment: Experiment) -> set[str]:
     score = FringeScore if method.fringes else HeightScore
     names = {one.name for one in fields(score)} | set(_ALWAYS)
     names |= set(_OF_A_RECORDING) if method.fringes else set()
-    names |= set(_OF_A_PRESS) if method.presses else set()
+    names |= set(OF_A_PRESS) if method.presses else set()
     balls = len(shape_of(experiment.specimen).spheres())
     for region in ("", *(region_name(radius) for radius in experiment.score.regions_mm)):
         names |= set(sphere_names(balls, region))
     if has_one_rod(experiment):
         names |= {f"{of}{name}" for of in ("", "true_face_") for name in _OF_A_ROD}
-    return names | _of_the_object(experiment)
+    return names | _of_the_object(experiment) | bound_names(experiment)
 
 
 def _of_the_object(experiment: Experiment) -> set[str]:

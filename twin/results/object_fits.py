@@ -13,7 +13,7 @@ from scipy.ndimage import distance_transform_edt
 
 from reconstruction.arrays import BoolImage, FloatArray
 from reconstruction.errors import FitError
-from reconstruction.evaluate import bar_width
+from reconstruction.evaluate import BarWidth, bar_width
 from reconstruction.evaluate.deviation import deviations, normals_of
 from reconstruction.evaluate.estimates import (
     FittedDimension,
@@ -49,11 +49,15 @@ class FittedValue:
     value : in mm
     noise_mm : standard uncertainty from the points
     points_mm : (n, xyz) the points that took part
+    estimate : how the value follows from the heights of `of`; None where that is no fit
+    of : the points that were looked at
     """
 
     value: float
     noise_mm: float
     points_mm: FloatArray
+    estimate: FittedDimension | None = None
+    of: ObjectPoints | None = None
 
 
 Fitter = Callable[[ObjectMeasurand, Feature, SeenObject, ObjectPoints], FittedValue]
@@ -85,7 +89,8 @@ def _fitted(
     points: ObjectPoints, estimate: FittedDimension, value: float | None = None
 ) -> FittedValue:
     used = points.points_mm[estimate.used]
-    return FittedValue(estimate.value if value is None else value, points.noise_mm(estimate), used)
+    shown = estimate.value if value is None else value
+    return FittedValue(shown, points.noise_mm(estimate), used, estimate, points)
 
 
 def _radius(
@@ -256,7 +261,40 @@ def _section_width(points: ObjectPoints, place: FloatArray, pixel_mm: float) -> 
         sigma = _mean_sigma(points, where == np.flatnonzero(full)[at])
         # What the height errs by, and where within its cell the profile crosses.
         noise += (sigma / max(abs(float(slope[at])), 1e-9)) ** 2 + pitch**2 / 12
-    return FittedValue(found.width_mm, float(np.sqrt(noise)), points.points_mm)
+    edges = _between_edges(found, place[:, 0], (s, z, counts[full].astype(np.float64)))
+    return FittedValue(found.width_mm, float(np.sqrt(noise)), points.points_mm, edges, points)
+
+
+def _between_edges(
+    found: BarWidth, place_mm: FloatArray, profile: tuple[FloatArray, FloatArray, FloatArray]
+) -> FittedDimension:
+    """Return how a width at half height follows from the heights of a section's points.
+
+    The width errs by the heights of the four cells between which the profile crosses. What bounds
+    it is a shape whose two flanks may shift, each by itself, and whose level is free.
+
+    Parameters
+    ----------
+    place_mm : (n,) across
+    profile : cells' place, height and number of points
+    """
+    s, z, counts = profile
+    cell = np.abs(place_mm[:, None] - s).argmin(axis=1)
+    per_cell, flank = np.zeros(len(s)), np.gradient(z, s)
+    for edge, sign in ((found.left_mm, -1.0), (found.right_mm, 1.0)):
+        at = int(np.searchsorted(s, edge)) - 1
+        rise, share = z[at + 1] - z[at], (edge - s[at]) / (s[at + 1] - s[at])
+        step = s[at + 1] - s[at]
+        per_cell[at] -= sign * (1.0 - share) * step / rise
+        per_cell[at + 1] -= sign * share * step / rise
+    middle = (found.left_mm + found.right_mm) / 2
+    left = np.where(s < middle, -flank, 0.0)[cell]
+    right = np.where(s >= middle, -flank, 0.0)[cell]
+    design = np.column_stack([left, right, np.ones(len(cell))])
+    slope = (per_cell / counts)[cell]
+    used = np.ones(len(cell), bool)
+    gradient = np.array([-1.0, 1.0, 0.0])
+    return FittedDimension(found.width_mm, slope, np.zeros(len(cell)), used, design, gradient)
 
 
 def _mean_sigma(points: ObjectPoints, members: BoolImage) -> float:

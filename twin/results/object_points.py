@@ -11,7 +11,7 @@ from math import ceil, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from reconstruction.arrays import BoolImage, FloatArray, FloatImage
+from reconstruction.arrays import BoolImage, FloatArray, FloatImage, IntArray
 from reconstruction.evaluate.estimates import FittedDimension, shared_by
 from twin.config.models import Experiment
 from twin.mechanics import PressedElastomer
@@ -75,6 +75,8 @@ class ObjectPoints:
     touching : (n,) bool: the elastomer lies on the specimen there, or the specimen itself is seen
     over : (n,) bool: above the specimen, touching or not
     together : how many of them share one error
+    pixels : (n,) index of the camera pixel, row after row; None where it is not known
+    points_each : how many measured points each one stands for
     """
 
     points_mm: FloatArray
@@ -82,6 +84,8 @@ class ObjectPoints:
     touching: BoolImage
     over: BoolImage
     together: float
+    pixels: IntArray | None = None
+    points_each: float = 1.0
 
     def part(self, kept: BoolImage) -> "ObjectPoints":
         """Return some of the points."""
@@ -92,6 +96,7 @@ class ObjectPoints:
             sigma_mm=sigma,
             touching=self.touching[kept],
             over=self.over[kept],
+            pixels=None if self.pixels is None else self.pixels[kept],
         )
 
     def thinned(self) -> "ObjectPoints":
@@ -173,7 +178,8 @@ def seen_object(
     touching, over = _places(true_mm, wanted, heights, pressed)
     whole = int((wanted & over).sum())
     blur_px = experiment.decode.filter_sigma_px if experiment.decode.filter_taps else 0.0
-    on = (touching[found], over[found], shared_by(blur_px, nth))
+    pixels = np.arange(seen.size).reshape(seen.shape)[every][found]
+    on = (touching[found], over[found], shared_by(blur_px, nth), pixels, float(nth**2))
     sigma = None if sigma_mm is None else sigma_mm[every][found].astype(np.float64)
     return SeenObject(
         shape=surface.shape,

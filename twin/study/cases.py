@@ -18,6 +18,7 @@ from twin.config import ConfigError, Experiment, digest, vary
 from twin.config.loading import by_method
 from twin.config.study import MOST_CASES, Axis, Constraint, Level, Study, without_absent
 from twin.study.measuring import AS_IT_IS, Conditions
+from twin.study.needed import bound_needed, derivatives_needed
 
 Point = tuple[Level, ...]
 
@@ -32,7 +33,7 @@ def points_of(study: Study) -> list[Point]:
     InputError : more cases than a study may have, or a study that finds its points as it goes
     """
     method = study.sampling.method
-    if method in ("optimise", "trials"):
+    if method in ("optimise", "gradient", "trials"):
         raise InputError(f"sampling.method = '{method}': its cases are no points of axes")
     count = point_count(study)
     if (cases := count * cases_per_point(study)) > MOST_CASES:
@@ -57,6 +58,8 @@ def point_count(study: Study) -> int:
             return count * (axes + 1)
         case "optimise":
             return study.optimise.trials if study.optimise else 0
+        case "gradient":
+            return study.gradient.evaluations if study.gradient else 0
     return count
 
 
@@ -153,7 +156,12 @@ def case_of(
     """Return a case under its name: the experiment's, unless the conditions are others."""
     name = digest(experiment)
     if conditions != AS_IT_IS:
-        named = f"{name} {json.dumps(asdict(conditions), sort_keys=True)}"
+        said = asdict(conditions)
+        if conditions.bound == AS_IT_IS.bound:  # so that older stores keep their names
+            del said["bound"]
+        if not conditions.derivatives:
+            del said["derivatives"]
+        named = f"{name} {json.dumps(said, sort_keys=True)}"
         name = hashlib.blake2b(named.encode(), digest_size=8).hexdigest()
     return Case(settings, experiment, name, conditions)
 
@@ -216,13 +224,15 @@ def _cases_at(study: Study, base: Experiment, point: Point) -> Iterable[Case]:
     for level in point:
         changes |= without_absent(dict(level.changes))
     settings = _settings(study, point)
+    conditions = Conditions(bound=bound_needed(study), derivatives=derivatives_needed(study))
     for modality in study.modalities or (base.modality,):
         for repeat in range(study.repeats):
             named: dict[str, Any] = {"modality": modality} if len(study.modalities) > 1 else {}
             if study.repeats > 1:
                 named["seed"] = base.seed + repeat
             method = by_method(modality) if study.modalities else {}
-            yield case_of(settings | named, vary(base, changes | method | named))
+            experiment = vary(base, changes | method | named)
+            yield case_of(settings | named, experiment, conditions)
 
 
 def _settings(study: Study, point: Point) -> dict[str, Any]:

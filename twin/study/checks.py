@@ -5,6 +5,7 @@ from collections.abc import Iterable
 
 from reconstruction.errors import InputError
 from twin.config import Experiment
+from twin.results.bound import is_bound_name
 from twin.results.names import figure_names
 from twin.study.cases import Case
 from twin.study.derived import DERIVED
@@ -27,6 +28,8 @@ def check_figures(record: StudyRecord, cases: Iterable[Case]) -> None:
     if not asked:
         return
     known = _known(record.base, cases)
+    if study.sampling.method == "trials":  # whose figures are those of noisy measurements
+        known = {name for name in known if not is_bound_name(name)}
     for where, name in asked:
         if name.removeprefix(TRUE_RIG) not in known:
             close = difflib.get_close_matches(name, known, n=2, cutoff=0.5)

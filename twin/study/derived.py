@@ -90,6 +90,9 @@ DERIVED: dict[str, Callable[[Experiment, Metrics], float]] = {
     "force_per_depth_n_per_mm": lambda _, m: _number(m, "force_n") / _number(m, "depth_mm"),
 }
 
+OF_A_MEASUREMENT = ("groove_over_error", "radius_bias_mm")
+"""Those that need more than the press."""
+
 
 def with_derived(experiment: Experiment, metrics: Metrics) -> dict[str, Metric]:
     """Return a case's figures and all derived ones that its result allows.

@@ -8,7 +8,7 @@ what a new calibration adds, not an assumed number.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -21,16 +21,19 @@ from reconstruction.triangulation import triangulate
 from twin.config import Experiment, digest
 from twin.config.board import load_board
 from twin.config.digest import keyed_sequence
+from twin.mechanics import PressedElastomer
 from twin.output import replace_json, versions
 from twin.pipeline import Memory, measure
+from twin.pipeline.bound import bounds_alone
 from twin.pipeline.calibration import calibrate_rendered, calibration_metrics
 from twin.pipeline.fringes import options_of
+from twin.pipeline.gradients import bound_gradient
 from twin.pipeline.memory import Path as FieldPath
 from twin.pipeline.press import press
 from twin.pipeline.progress import ProgressCallback, no_progress
-from twin.results.figures import Metrics
+from twin.results.figures import Metric, Metrics
 from twin.results.folder import write_kept
-from twin.results.parts import face_figures
+from twin.results.parts import face_figures, write_pressed
 from twin.results.record import Measurement
 from twin.results.score import metrics, score
 
@@ -143,12 +146,17 @@ class Conditions:
     board : what the calibration rests on from which the rig is drawn; empty: the true rig
     seed : of the drawn rigs
     face_only : press, and evaluate the coated face itself: no light, noise or calibration
+    bound : "beside": also how well each dimension can be known; "alone": press, trace and say that,
+        without frames, noise and decoding
+    derivatives : fields by which the bounds are differentiated; figures BOUND_by_FIELD
     """
 
     trial: int = 0
     board: str = ""
     seed: int = 0
     face_only: bool = False
+    bound: Literal["no", "beside", "alone"] = "no"
+    derivatives: tuple[str, ...] = ()
 
 
 AS_IT_IS = Conditions()
@@ -193,7 +201,13 @@ class CaseMeasurer:
         """
         if conditions.face_only:
             return Answer(face_figures(experiment, press(experiment, self.memory).pressed))
-        done = measure(experiment, memory=self.memory, trial=conditions.trial)
+        if conditions.derivatives:
+            return Answer(_with_derivatives(experiment, conditions.derivatives, self.memory))
+        if conditions.bound == "alone":
+            pressed, found = bounds_alone(experiment, self.memory)
+            return Answer(found, lambda folder: self._write_press(folder, pressed))
+        beside = conditions.bound == "beside"
+        done = measure(experiment, memory=self.memory, trial=conditions.trial, bound=beside)
         figures, rigs = {**done.metrics, **self._more(done)}, self.rigs
         if conditions.board and rigs is not None and experiment.method.fringes:
             exact = {**metrics(done.score), **done.object.figures, **self._more(done)}
@@ -203,12 +217,26 @@ class CaseMeasurer:
             figures |= {**done.metrics, **self._more(done)}
         return Answer(figures, lambda folder: write_kept(folder, done, self.keep))
 
+    def _write_press(self, folder: Path, pressed: PressedElastomer) -> None:
+        if "press" in self.keep:
+            write_pressed(folder, pressed)
+
     def _more(self, done: Measurement) -> Metrics:
         return {} if self.more is None else self.more(done)
 
     def reads(self) -> StageReads:
         """Fields that each stage looked at for the latest case, first stage first."""
         return tuple(paths for _, _, _, paths in self.memory.stages())
+
+
+def _with_derivatives(
+    experiment: Experiment, paths: tuple[str, ...], memory: Memory
+) -> dict[str, Metric]:
+    figures, slopes = bound_gradient(experiment, paths, memory)
+    found = dict(figures)
+    for name, values in slopes.items():
+        found |= {f"{name}_by_{p}": float(v) for p, v in zip(paths, values, strict=True)}
+    return found
 
 
 @dataclass(frozen=True)

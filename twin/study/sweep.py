@@ -22,6 +22,7 @@ from twin.pipeline.methods import check_measurable
 from twin.pipeline.progress import ProgressCallback, no_progress
 from twin.study.cases import Case, Cases, Point, cases_of
 from twin.study.engine import Run, SweepOutcome
+from twin.study.gradient import descend
 from twin.study.index import DAMAGED, Index, entry_of
 from twin.study.measuring import CALIBRATION_FILE, PLAINLY, Measuring, calibrated
 from twin.study.optimise import optimise
@@ -220,6 +221,8 @@ def sweep(
     with _session(store, workers, keep, make, watch, retry=retry, tell=tell) as session:
         if record.study.sampling.method == "optimise":
             outcome = SweepOutcome.together(optimise(record, folder, run))
+        elif record.study.sampling.method == "gradient":
+            outcome = SweepOutcome.together(descend(record, folder, run))
         else:
             outcome = run(record, cases or record.cases())
     return session.whole(outcome)

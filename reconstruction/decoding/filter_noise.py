@@ -1,0 +1,264 @@
+"""The filter on the coordinate as a linear map: what it makes of noise, and of whose pixels.
+
+At one relief the filter (see `_filter`) adds to each pixel a share of its lift and of the lift's
+coarse part: e = K n with K = 1 + (1 - f) L + (f - c) P G L, where L is the lift, G the Gaussian, P
+the support and c, f the shares of coarse and fine part that are relief. n, the noise of the single
+pixels, is independent from pixel to pixel; e is not. What is fitted to filtered pixels with the
+derivatives s has the variance sum_j (K^T s)_j^2 var n_j, the covariance of neighbours included.
+
+The shares depend on the data; here they follow from the relief without noise and from the expected
+squares of the noise, so that nothing is drawn. What is left out: that they fluctuate with the
+noise.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.ndimage import correlate1d
+
+from reconstruction.arrays import BoolImage, FloatArray, ReasonImage
+from reconstruction.decoding._filter import gaussian_weights, make_smoothing, mark_edges
+from reconstruction.decoding._lift import Smoothing
+from reconstruction.decoding._relief import (
+    AROUND,
+    BLOCK,
+    find_shares,
+    predict_bias,
+    weigh_edge,
+    weigh_others,
+    weigh_own,
+)
+
+Maps = Sequence[FloatArray]
+
+
+def without_edges(reason: ReasonImage) -> ReasonImage:
+    """Return the mask as the filter leaves it: `EDGE` beside pixels without light."""
+    marked = np.zeros_like(reason)
+    mark_edges(0, reason.shape[0], np.ascontiguousarray(reason), marked)
+    return marked
+
+
+@dataclass(frozen=True, eq=False)
+class _Bends:
+    """Second differences along one direction of an image.
+
+    Attributes
+    ----------
+    axis : 0 across rows, 1 along them
+    weights : (half,) of the pairs, nearest first
+    pairs : per distance, (row, col) bool: both pixels of the pair count
+    factor : (row, col) 1 / sum of weights
+    """
+
+    axis: int
+    weights: FloatArray
+    pairs: tuple[BoolImage, ...]
+    factor: FloatArray
+
+    @classmethod
+    def of(
+        cls, value: FloatArray, usable: BoolImage, weights: FloatArray, limit: float, axis: int
+    ) -> "_Bends":
+        half = len(weights) // 2
+        factor, pairs = np.full(value.shape, float(weights[half])), []
+        for k in range(1, half + 1):
+            before, after = _moved(usable, k, axis)
+            both = usable & before & after
+            factor += 2.0 * weights[half + k] * both
+            low, high = _moved(value, k, axis)
+            pairs.append(both & (np.abs(low + high - 2.0 * value) < limit))
+        return cls(axis, weights[half + 1 :], tuple(pairs), usable / factor)
+
+    def of_values(self, value: FloatArray) -> FloatArray:
+        """Return what the pairs add to each pixel."""
+        total = np.zeros_like(value)
+        for k, (weight, pair) in enumerate(zip(self.weights, self.pairs, strict=True), start=1):
+            before, after = _moved(value, k, self.axis)
+            total += weight * pair * (before + after - 2.0 * value)
+        return self.factor * total
+
+    def transposed(self, slope: FloatArray) -> FloatArray:
+        """Return the adjoint map of derivatives (row, col)."""
+        scaled, total = self.factor * slope, np.zeros_like(slope)
+        for k, (weight, pair) in enumerate(zip(self.weights, self.pairs, strict=True), start=1):
+            part = weight * pair * scaled
+            before, after = _moved(part, k, self.axis)
+            total += before + after - 2.0 * part
+        return total
+
+    def gain(self, variance: FloatArray) -> FloatArray:
+        """Return what the weighted mean leaves of a variance that differs from pixel to pixel."""
+        middle = float(1.0 - 2.0 * self.weights.sum())
+        total = middle**2 * variance
+        for k, (weight, pair) in enumerate(zip(self.weights, self.pairs, strict=True), start=1):
+            before, after = _moved(variance, k, self.axis)
+            total += weight**2 * pair * (before + after)
+        return self.factor**2 * total
+
+
+def _moved(image: Any, by: int, axis: int) -> tuple[Any, Any]:
+    """Return the pixels `by` places before and after each one; 0 beyond the border."""
+    before, after = np.zeros_like(image), np.zeros_like(image)
+    if axis == 0:
+        before[by:], after[:-by] = image[:-by], image[by:]
+    else:
+        before[:, by:], after[:, :-by] = image[:, :-by], image[:, by:]
+    return before, after
+
+
+@dataclass(frozen=True, eq=False)
+class FilterNoise:
+    """What the filter does to the noise of one coordinate over one relief.
+
+    Attributes
+    ----------
+    variance_px2 : (row, col) of the filtered coordinate by noise, as the decoder would state it
+    bias_px2 : (row, col) mean square of the relief that the filter may take
+    """
+
+    variance_px2: FloatArray
+    bias_px2: FloatArray
+    _single_px2: FloatArray
+    _along: _Bends
+    _across: _Bends
+    _gauss: FloatArray
+    _support: FloatArray
+    _of_lift: FloatArray
+    _of_coarse: FloatArray
+
+    def noise(self, slope: FloatArray) -> float:
+        """Return the standard deviation of sum(slope * filtered coordinate), (row, col) per px."""
+        rows, cols = _around(slope != 0.0, 4 * (len(self._gauss) // 2))
+        part = self._part(rows, cols).transposed(slope[rows, cols])
+        return float(np.sqrt(np.sum(part**2 * self._single_px2[rows, cols])))
+
+    def transposed(self, slope: FloatArray) -> FloatArray:
+        """Return K^T s: the derivative by the coordinate of each single pixel, (row, col)."""
+        through = _smoothed(self._support * self._of_coarse * slope, self._gauss)
+        lifted = self._of_lift * slope + through
+        across = self._across.transposed(lifted)
+        return np.asarray(slope + across + self._along.transposed(lifted + across))
+
+    def applied(self, value_px: FloatArray) -> FloatArray:
+        """Return K x of coordinates or their noise, (row, col) px, with these shares."""
+        lift = _lift(value_px, self._along, self._across)
+        coarse = self._support * _smoothed(lift, self._gauss)
+        return np.asarray(value_px + self._of_lift * lift + self._of_coarse * coarse)
+
+    def _part(self, rows: slice, cols: slice) -> "FilterNoise":
+        """Return the map over a part of the image; exact for derivatives away from its border."""
+        cut = np.s_[rows, cols]
+        along, across = (
+            _Bends(b.axis, b.weights, tuple(p[cut] for p in b.pairs), b.factor[cut])
+            for b in (self._along, self._across)
+        )
+        return FilterNoise(
+            self.variance_px2[cut], self.bias_px2[cut], self._single_px2[cut],
+            along, across, self._gauss, self._support[cut],
+            self._of_lift[cut], self._of_coarse[cut],
+        )  # fmt: skip
+
+
+def filter_noise(
+    coordinate_px: FloatArray,
+    single_px2: FloatArray,
+    usable: BoolImage,
+    *,
+    taps: int,
+    sigma_px: float,
+    limit_px: float,
+) -> FilterNoise:
+    """Return what the filter makes of noise on a relief.
+
+    Parameters
+    ----------
+    coordinate_px : (row, col) without noise
+    single_px2 : (row, col) variance of each single pixel's coordinate
+    usable : (row, col) pixels that take part
+    taps, sigma_px : the Gaussian; taps 0: none
+    limit_px : a pair of pixels whose mean is off by more than half of this is left out
+    """
+    value = np.where(usable, coordinate_px, 0.0).astype(np.float64)
+    variance = np.where(usable, single_px2, 0.0).astype(np.float64)
+    smoothing = make_smoothing(gaussian_weights(taps, sigma_px), limit_px, 1.0)
+    gauss = smoothing.weights.astype(np.float64)
+    along = _Bends.of(value, usable, gauss, limit_px, 1)
+    across = _Bends.of(value + along.of_values(value), usable, gauss, limit_px, 0)
+    support = usable / np.maximum(_smoothed(usable.astype(np.float64), gauss), 1e-30)
+    lift = _lift(value, along, across)
+    coarse = support * _smoothed(lift, gauss)
+    blocks = _block_values(lift, coarse, variance, usable, smoothing)
+    of_lift, of_coarse, own, others, edge, bias = (_per_pixel(b, value.shape) for b in blocks)
+    gain = across.gain(along.gain(usable.astype(np.float64)))
+    excess = np.maximum(gain - float(smoothing.noise[0, 0]), 0.0)
+    total = usable * (own * variance + others + excess * edge)
+    return FilterNoise(
+        total, usable * bias, variance, along, across, gauss, support, of_lift, of_coarse
+    )
+
+
+def _lift(value: FloatArray, along: _Bends, across: _Bends) -> FloatArray:
+    first = along.of_values(value)
+    return first + across.of_values(value + first)
+
+
+def _smoothed(image: FloatArray, gauss: FloatArray) -> FloatArray:
+    if len(gauss) == 1:
+        return image
+    rows = correlate1d(image, gauss, axis=1, mode="constant")
+    return np.asarray(correlate1d(rows, gauss, axis=0, mode="constant"))
+
+
+def _block_values(
+    lift: FloatArray, coarse: FloatArray, variance: FloatArray, usable: BoolImage,
+    smoothing: Smoothing,
+) -> Maps:  # fmt: skip
+    """Return by block what `_relief` makes of the sums around it.
+
+    Factors of lift and of coarse part, weight of the own variance, variance of the others, factor
+    of the excess gain, bias.
+    """
+    noise, count = _around_blocks(variance), _around_blocks(usable.astype(np.float64))
+    large = _around_blocks(coarse**2) + smoothing.noise[1, 1] * noise
+    small = _around_blocks((lift - coarse) ** 2) + smoothing.noise[2, 2] * noise
+    of_coarse, of_fine, of_noise, number = (
+        np.asarray(sums, np.float32).ravel() for sums in (large, small, noise, count)
+    )
+    c, f, own, bias, others, edge = np.zeros((6, large.size), np.float32)
+    find_shares(of_coarse, of_fine, of_noise, smoothing.noise, c, f)
+    weigh_own(c, f, smoothing.centre, own)
+    predict_bias(of_coarse, of_fine, c, f, number, bias)
+    weigh_others(c, f, own, of_noise, number, np.zeros_like(bias), smoothing.noise, others)
+    weigh_edge(c, f, of_noise, number, edge)
+    shape = -(-lift.shape[0] // BLOCK), -(-lift.shape[1] // BLOCK)
+    found = (1.0 - f, f - c, own, others, edge, bias)
+    return [np.asarray(values.reshape(shape), np.float64) for values in found]
+
+
+def _around_blocks(image: FloatArray) -> FloatArray:
+    """Return sums over blocks and their neighbours, (block row, block col)."""
+    rows, cols = image.shape
+    padded = np.pad(image, ((0, -rows % BLOCK), (0, -cols % BLOCK)))
+    shape = padded.shape[0] // BLOCK, BLOCK, padded.shape[1] // BLOCK, BLOCK
+    sums = padded.reshape(shape).sum(axis=(1, 3))
+    ones = np.ones(2 * AROUND + 1)
+    down = correlate1d(sums, ones, axis=0, mode="constant")
+    return np.asarray(correlate1d(down, ones, axis=1, mode="constant"))
+
+
+def _per_pixel(blocks: FloatArray, shape: tuple[int, ...]) -> FloatArray:
+    spread = np.repeat(np.repeat(blocks, BLOCK, axis=0), BLOCK, axis=1)
+    return spread[: shape[0], : shape[1]]
+
+
+def _around(marked: BoolImage, margin: int) -> tuple[slice, slice]:
+    """Return the rows and columns that hold all marked pixels, with a margin."""
+    found = []
+    for axis, size in ((1, marked.shape[0]), (0, marked.shape[1])):
+        places = np.flatnonzero(marked.any(axis=axis))
+        first, last = (places[0], places[-1]) if len(places) else (0, 0)
+        found.append(slice(max(0, first - margin), min(size, last + margin + 1)))
+    return found[0], found[1]

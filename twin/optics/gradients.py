@@ -1,0 +1,239 @@
+"""Derivatives of what is traced, and of the frames, by design fields: Dr.Jit's differentiation.
+
+A design field moves numbers of the scene: coat parameters, intrinsics and poses of both devices,
+the projector's irradiance. How much each number moves per unit of the field follows from the
+description alone, elementary functions in double precision, by central differences; everything
+from these numbers on (rays, where they hit, BSDF, projector pixel, frames) is differentiated by
+forward mode through the one-trace renderer itself, at its fixed sub-pixel positions. One pass per
+field gives the tangents of all pixels.
+
+Left out, as by every renderer that differentiates under the integral: that edges of shadows and
+outlines move. Nor does the surface move: what a field does to the press is not in here.
+
+Import after `backend.activate()`.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from reconstruction.arrays import FloatArray
+from reconstruction.errors import InputError
+from reconstruction.rig.pinhole import Pinhole
+from twin.config.models import Coating, Experiment
+from twin.optics.connection import FrameLight, Rig
+from twin.optics.devices import Device
+from twin.optics.light import LightTable
+from twin.optics.materials import COATED_FACE, coating_numbers
+from twin.optics.one_trace import Patches, frames_of_patches, maps_of, trace_patches
+from twin.optics.rig import irradiance_at_1mm, true_calibration
+from twin.optics.scene import coating_in_layer
+from twin.optics.stack import Frames, TraceMaps
+
+Vary = Callable[[float], Experiment]
+"""An experiment with one field moved by so much."""
+
+
+@dataclass(frozen=True)
+class MovingPinhole:
+    """Intrinsics as Dr.Jit numbers; the attributes of a `Pinhole` that rays need."""
+
+    width_px: int
+    height_px: int
+    fx_px: Any
+    fy_px: Any
+    cx_px: Any
+    cy_px: Any
+    distortion: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class MovingDevice(Device):
+    """A device whose pose and intrinsics carry derivatives.
+
+    Attributes
+    ----------
+    pose : (3, 4) rows of Dr.Jit numbers, in the place of `T_world_from_device`
+    """
+
+    pose: tuple[tuple[Any, ...], ...] = ()
+
+    @property
+    def position_mm(self) -> Any:
+        """Pinhole in the world, `mi.Point3f`."""
+        return mi.Point3f(*(row[3] for row in self.pose))
+
+    def _axes(self) -> tuple[Any, Any, Any]:
+        right, down, forward = (mi.Vector3f(*(row[k] for row in self.pose)) for k in range(3))
+        return right, down, forward
+
+
+def derivative(numbers: Callable[[Experiment], FloatArray], vary: Vary, step: float) -> FloatArray:
+    """Return the derivative of numbers of a description by a field, by central differences."""
+    return np.asarray((numbers(vary(step)) - numbers(vary(-step))) / (2.0 * step), np.float64)
+
+
+@dataclass(frozen=True, eq=False)
+class Tangent:
+    """Derivatives by one field.
+
+    Attributes
+    ----------
+    maps : of the trace; its `lit` and `samples` are those of the trace itself
+    frames : of the radiance, in the order of the sequence; None where they were not asked for
+    """
+
+    maps: TraceMaps
+    frames: Frames | None = None
+
+
+def trace_tangent(
+    scene: Any,
+    rig: Rig,
+    experiment: Experiment,
+    vary: Vary,
+    *,
+    step: float,
+    tables: dict[str, LightTable] | None = None,
+) -> Tangent:
+    """Return the derivatives of the trace, and of the frames, by one field.
+
+    Parameters
+    ----------
+    scene : with the experiment's coat
+    vary : moves the field
+    step : by which it is moved to see what of the description follows
+    tables : light of the patterns, taken as constant; None: no frames are wanted
+
+    Raises
+    ------
+    InputError : layers, or depth of field: nothing is differentiated through them
+    """
+    if rig.layers is not None or rig.camera.lens is not None:
+        raise InputError(
+            "gradient: found layers or camera.depth_of_field, through which nothing is "
+            "differentiated; take them away, or search by sampling.method = 'optimise'"
+        )
+    amount = mi.Float(0.0)
+    dr.enable_grad(amount)
+    moving = _moving_rig(rig, experiment, vary, step, amount)
+    with _moving_coat(scene, experiment, vary, step, amount):
+        # Loops whose bodies reach for numbers with derivatives run pass by pass.
+        with dr.scoped_set_flag(dr.JitFlag.SymbolicLoops, False):
+            patches = trace_patches(scene, moving, experiment.render.samples)
+            frames: list[Any] = []
+            if tables is not None:
+                light = FrameLight(tables)
+                frames = frames_of_patches(scene, moving, light, patches)
+        # Frames are made of the maps, whose own derivatives must stay.
+        dr.forward(amount, flags=dr.ADFlag.ClearEdges)
+        tangent = _tangent_maps(patches, rig.camera.pinhole)
+        if tables is None:
+            return Tangent(tangent)
+        shape = rig.camera.pinhole.height_px, rig.camera.pinhole.width_px
+        images = {
+            k: np.asarray(dr.grad(frame)).reshape(shape)
+            for frame, k in zip(frames, light.sequence, strict=True)
+        }
+        return Tangent(tangent, tuple(images[k] for k in range(len(images))))
+
+
+def _tangent_maps(patches: Patches, camera: Pinhole) -> TraceMaps:
+    """Return the derivatives of the weight, and of the weighted means of the positions."""
+    values = maps_of(patches, camera)
+    shape, lit = (camera.height_px, camera.width_px), values.lit
+
+    def image(value: Any) -> FloatArray:
+        return np.asarray(dr.grad(value), np.float64).reshape(shape)
+
+    weight = np.where(lit, image(patches.weight), 0.0)
+    scale = np.divide(1.0, values.weight, out=np.zeros(shape), where=lit)
+
+    def mean(weighted: Any, found: FloatArray) -> FloatArray:
+        return scale * (image(weighted) - found * weight)
+
+    nothing = np.zeros(shape)  # how the extent of a pixel changes: of second order
+    return TraceMaps(
+        weight=weight,
+        column_px=mean(patches.weighted_column, values.column_px),
+        row_px=mean(patches.weighted_row, values.row_px),
+        axial_mm=mean(patches.weighted_axial_mm, values.axial_mm),
+        column_range_px=nothing,
+        row_range_px=nothing,
+        lit=lit,
+        samples=patches.samples,
+    )
+
+
+def _moving_rig(rig: Rig, experiment: Experiment, vary: Vary, step: float, amount: Any) -> Rig:
+    def numbers(seen: Experiment) -> FloatArray:
+        found = true_calibration(seen)
+        light = irradiance_at_1mm(seen.projector, found.projector)
+        parts = [
+            [one.fx_px, one.fy_px, one.cx_px, one.cy_px] for one in (found.camera, found.projector)
+        ]
+        poses = [pose[:3].ravel() for pose in (found.T_world_from_cam, found.T_world_from_proj)]
+        return np.concatenate([*parts, *poses, [light]])
+
+    slopes = derivative(numbers, vary, step)
+    values = numbers(experiment)
+    moved = [
+        mi.Float(value) + amount * slope
+        for value, slope in zip(values.tolist(), slopes.tolist(), strict=True)
+    ]
+    return Rig(
+        camera=_moving_device(rig.camera, moved[:4], moved[8:20]),
+        projector=_moving_device(rig.projector, moved[4:8], moved[20:32]),
+        irradiance_at_1mm=moved[32],
+        shadows=rig.shadows,
+    )
+
+
+def _moving_device(device: Device, intrinsics: list[Any], pose: list[Any]) -> MovingDevice:
+    still = device.pinhole
+    fx, fy, cx, cy = intrinsics
+    pinhole = MovingPinhole(still.width_px, still.height_px, fx, fy, cx, cy, still.distortion)
+    rows = tuple(tuple(pose[4 * n : 4 * n + 4]) for n in range(3))
+    return MovingDevice(pinhole, device.T_world_from_device, None, rows)  # type: ignore[arg-type]
+
+
+class _moving_coat:  # noqa: N801 - read as a function
+    """While it is open, the parameters of the coat carry their derivatives."""
+
+    def __init__(
+        self, scene: Any, experiment: Experiment, vary: Vary, step: float, amount: Any
+    ) -> None:
+        self._parameters = mi.traverse(_face(scene).bsdf())
+        self._moved = {}
+        still, low, high = (
+            dict(coating_numbers(_coat(seen))) for seen in (experiment, vary(-step), vary(step))
+        )
+        for name, value in still.items():
+            slope = (high[name] - low[name]) / (2.0 * step)
+            if slope and name in self._parameters:
+                kind = type(self._parameters[name])
+                self._moved[name] = kind(value), kind(mi.Float(value) + amount * slope)
+
+    def __enter__(self) -> None:
+        self._set(1)
+
+    def __exit__(self, *_: object) -> None:
+        self._set(0)
+
+    def _set(self, which: int) -> None:
+        for name, values in self._moved.items():
+            self._parameters[name] = values[which]
+        if self._moved:
+            self._parameters.update()
+
+
+def _face(scene: Any) -> Any:
+    return next(shape for shape in scene.shapes() if shape.id() == COATED_FACE)
+
+
+def _coat(experiment: Experiment) -> Coating:
+    return coating_in_layer(experiment)

@@ -1,0 +1,428 @@
+"""What a measurement will know, from the trace alone: levels, contrast, sigma of every pixel.
+
+No frame is rendered, no noise drawn, nothing decoded. Of each pixel the trace gives the irradiance
+E of a white field and the projector coordinate; then
+
+| step | formula |
+|---|---|
+| level, contrast | A = E a + dark, B = E b T(period), see `twin.optics.contrast` |
+| noise of one value | EMVA 1288: (K sigma_d)^2 + K (A - black) + 1/12 DN^2, see `SensorNoise` |
+| phase | sigma_phi = sqrt(2 / N) sigma_I / B (Surrel 1997), as the decoder states it |
+| coordinate | sigma_x = period sigma_phi / 2 pi; of several periods 1 / sqrt(sum 1 / sigma^2) |
+| height | sigma_x |dz/dx|, of the triangulation, at the surface's own slope |
+
+What the filter makes of it: `reconstruction.decoding.filter_noise`.
+
+The estimate of N >= 4 steps takes all frames to have the noise of their mean. It is not the last
+word of the frames: with fringes of full contrast shot noise is small in the dark frames, and a fit
+that knew it would find phases up to sqrt(2) better. No decoder in use does so, this one neither, so
+bounds here are on decoded coordinates.
+
+Left out: fixed pattern noise (it scales level and contrast alike), light between surfaces, wrong
+fringe orders, and that clipping of a frame near the limit is a matter of chance.
+"""
+
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+
+from reconstruction.arrays import BoolImage, FloatArray, FloatImage, Reason, ReasonImage
+from reconstruction.decoding import AxisDecode, Decoded, DecodeOptions
+from reconstruction.decoding.filter_noise import FilterNoise, filter_noise, without_edges
+from reconstruction.patterns import AXES, Axis
+from reconstruction.rig.calibration import Calibration
+from reconstruction.rig.pinhole import distortion_jacobian
+from reconstruction.rig.sensor import QUANTISATION_DN2
+from reconstruction.triangulation import PointMap, triangulate
+from twin.camera import (
+    choose_exposure_ms,
+    electrons_per_ms,
+    noise_model,
+)
+from twin.config.models import Experiment
+from twin.optics.contrast import FringeLight, extent_variance_px2, outline, transfer
+from twin.optics.light import Defocus, pattern_set
+from twin.optics.rig import true_calibration
+from twin.optics.stack import TraceMaps, Truth
+
+
+@dataclass(frozen=True)
+class FringeNumbers:
+    """The numbers between irradiance and sigma; complex where a derivative is asked for.
+
+    Attributes
+    ----------
+    electrons_per_radiance : e- per mW / (mm^2 sr), at the exposure
+    mean, amplitude : of fringes, shares of white
+    growth_px_mm, focus_mm : of the blur with the distance, see `Defocus`; 0 and 1 without
+    """
+
+    electrons_per_radiance: Any
+    dark_e: Any
+    gain_dn_per_e: Any
+    read_noise_e: Any
+    mean: Any
+    amplitude: Any
+    blur_px: Any
+    growth_px_mm: Any
+    focus_mm: Any
+    period_px: Any
+
+    @classmethod
+    def of(cls, experiment: Experiment, exposure_ms: float) -> "FringeNumbers":
+        """Return the numbers of an experiment at an exposure."""
+        camera, projector = experiment.camera, experiment.projector
+        sensor, light = noise_model(camera), FringeLight.of(projector)
+        blur = Defocus.of(projector) or Defocus(projector.blur_px, 0.0, 1.0)
+        return cls(
+            electrons_per_radiance=exposure_ms * electrons_per_ms(camera, projector.wavelength_nm),
+            dark_e=camera.dark_current_e_per_s * camera.binning**2 * exposure_ms * 1e-3,
+            gain_dn_per_e=sensor.gain_dn_per_e,
+            read_noise_e=sensor.read_noise_e,
+            mean=light.mean,
+            amplitude=light.amplitude,
+            blur_px=blur.blur_px,
+            growth_px_mm=blur.growth_px_mm,
+            focus_mm=blur.focus_mm,
+            period_px=experiment.patterns.period_px,
+        )
+
+    def moved(self, along: "FringeNumbers", step: complex) -> "FringeNumbers":
+        """Return the numbers a step further along their derivatives."""
+        names = [one.name for one in fields(self)]
+        return FringeNumbers(**{n: getattr(self, n) + step * getattr(along, n) for n in names})
+
+    def blur_px2(self, axial_mm: Any) -> Any:
+        """Variance of the blur at axial distances."""
+        return Defocus(self.blur_px, self.growth_px_mm, self.focus_mm).variance_px2(axial_mm)
+
+
+@dataclass(frozen=True)
+class Steps:
+    """How one axis is shifted: all periods as shares of the finest, and the number of steps."""
+
+    ratios: tuple[float, ...]
+    count: int
+
+
+def white_radiance(maps: TraceMaps, experiment: Experiment) -> FloatImage:
+    """Return the white frame, (row, col) float32 mW / (mm^2 sr), on which an exposure is chosen."""
+    numbers = FringeNumbers.of(experiment, 1.0)
+    return np.asarray(maps.weight * outlines(maps, numbers, experiment), np.float32)
+
+
+def outlines(maps: TraceMaps, numbers: FringeNumbers, experiment: Experiment) -> Any:
+    """Return the share of white that the blurred outline of the image leaves, (row, col)."""
+    projector, sigma = experiment.projector, np.sqrt(numbers.blur_px2(maps.axial_mm))
+    along = outline(maps.column_px, projector.width_px, sigma)
+    return along * outline(maps.row_px, projector.height_px, sigma)
+
+
+@dataclass(frozen=True, eq=False)
+class AxisLevels:
+    """What the fringes along one axis give each pixel, (row, col).
+
+    Attributes
+    ----------
+    light_dn : mean above the black level
+    modulation_dn : of the finest period
+    sigma_px : of the single pixel's coordinate; all frames good
+    phase_sigma_rad : of the worst period
+    """
+
+    light_dn: Any
+    modulation_dn: Any
+    sigma_px: Any
+    phase_sigma_rad: Any
+
+
+def axis_levels(
+    maps: TraceMaps, numbers: FringeNumbers, steps: Steps, axis: Axis, white: Any
+) -> AxisLevels:
+    """Return level, contrast and sigma in closed form; analytic in maps and numbers.
+
+    Parameters
+    ----------
+    white : (row, col) radiance of the white frame
+    """
+    electrons = white * numbers.electrons_per_radiance
+    light_dn = numbers.gain_dn_per_e * (electrons * numbers.mean + numbers.dark_e)
+    reach = maps.column_range_px if axis == "column" else maps.row_range_px
+    blur = numbers.blur_px2(maps.axial_mm) + extent_variance_px2(reach, maps.samples)
+    read_dn = numbers.gain_dn_per_e * numbers.read_noise_e
+    noise = np.sqrt(read_dn**2 + numbers.gain_dn_per_e * light_dn + QUANTISATION_DN2)
+    modulations, information, worst = [], 0.0, 0.0
+    for ratio in steps.ratios:
+        period = ratio * numbers.period_px
+        kept = transfer(period, blur)
+        modulation = numbers.gain_dn_per_e * electrons * numbers.amplitude * kept
+        phase = np.sqrt(2.0 / steps.count) * noise / _not_zero(modulation)
+        information = information + (2.0 * np.pi / (period * phase)) ** 2
+        modulations.append(modulation)
+        worst = np.maximum(worst, phase)
+    return AxisLevels(light_dn, modulations[0], 1.0 / np.sqrt(information), worst)
+
+
+def _not_zero(values: Any) -> Any:
+    return np.where(np.real(values) > 1e-12, values, 1e-12)
+
+
+@dataclass(frozen=True, eq=False)
+class AxisPrediction:
+    """One projector axis that the depth is taken from.
+
+    Attributes
+    ----------
+    sigma_px : (row, col) of the single pixel's coordinate
+    height_by_px : (row, col) mm by which the surface's height errs per px of the coordinate
+    filtered : what the filter makes of the noise
+    """
+
+    sigma_px: FloatArray
+    height_by_px: FloatArray
+    filtered: FilterNoise
+
+
+@dataclass(frozen=True, eq=False)
+class PredictedMaps:
+    """What a measurement is expected to know.
+
+    Attributes
+    ----------
+    points : without noise and filter, with the sigma of single pixels
+    reason : (row, col) as the decoder is expected to mask
+    axes : those that the depth is taken from
+    exposure_ms : as set, or as the automatic exposure finds it
+    """
+
+    points: PointMap
+    reason: ReasonImage
+    axes: tuple[AxisPrediction, ...]
+    exposure_ms: float
+
+    @property
+    def valid(self) -> BoolImage:
+        """Pixels with a point, (row, col)."""
+        return np.asarray(self.reason == Reason.VALID)
+
+    @property
+    def single_mm(self) -> FloatArray:
+        """Standard deviation of each height before the filter, (row, col) mm; 0 without one."""
+        parts = [(one.height_by_px * one.sigma_px) ** 2 for one in self.axes]
+        return np.asarray(np.sqrt(sum(parts)))
+
+    @property
+    def filtered_mm(self) -> FloatArray:
+        """Standard deviation of each height by noise, as measured, (row, col) mm."""
+        shares = [one.height_by_px**2 * one.filtered.variance_px2 for one in self.axes]
+        return np.asarray(np.sqrt(sum(shares)))
+
+    def noise_mm(self, slope: FloatArray) -> float:
+        """Return the standard deviation of sum(slope * height), slope (row, col).
+
+        Neighbours share their errors through the filter; both axes' noises are independent.
+        """
+        return float(
+            np.sqrt(sum(one.filtered.noise(slope * one.height_by_px) ** 2 for one in self.axes))
+        )
+
+
+def predict(experiment: Experiment, maps: TraceMaps, truth: Truth) -> PredictedMaps:
+    """Return what a measurement will know of every pixel.
+
+    Parameters
+    ----------
+    truth : of the same view; its normals say how a depth counts as height
+
+    Raises
+    ------
+    InputError : automatic exposure without any light
+    """
+    white = white_radiance(maps, experiment)
+    exposure_ms = choose_exposure_ms(experiment, white)
+    numbers = FringeNumbers.of(experiment, exposure_ms)
+    places: dict[Axis, FloatArray] = {"column": maps.column_px, "row": maps.row_px}
+    levels = {
+        axis: axis_levels(maps, numbers, steps_of(experiment, axis), axis, white.astype(np.float64))
+        for axis in AXES
+    }
+    reason = _dark(experiment, white, numbers)
+    sigma: dict[Axis, FloatArray] = {}
+    for axis in AXES:
+        growth = clipping(experiment, levels[axis], places[axis], axis, reason)
+        too_much = levels[axis].phase_sigma_rad > DecodeOptions.max_phase_sigma_rad
+        reason[(reason == 0) & too_much] = Reason.LOW_MODULATION
+        sigma[axis] = np.asarray(levels[axis].sigma_px * growth, np.float64)
+    if experiment.decode.filter_taps:
+        reason = without_edges(reason)
+    return _placed(experiment, _Single(places, sigma, reason), truth, exposure_ms)
+
+
+@dataclass(frozen=True, eq=False)
+class _Single:
+    """Coordinates as pixels decode by themselves, (row, col) px by axis, and the mask."""
+
+    places: dict[Axis, FloatArray]
+    sigma: dict[Axis, FloatArray]
+    reason: ReasonImage
+
+    def as_decoded(self) -> Decoded:
+        """Return what a decoder without noise and filter would hand on."""
+        nothing = np.zeros(self.reason.shape, np.float32)
+
+        def axis(name: Axis) -> AxisDecode:
+            return AxisDecode(
+                coordinate_px=self.places[name].astype(np.float32),
+                phase_rad=nothing,
+                order=nothing.astype(np.int16),
+                mean_dn=nothing,
+                modulation_dn=nothing,
+                sigma_px=np.where(self.reason == 0, self.sigma[name], 0.0).astype(np.float32),
+                residual_dn=nothing,
+                order_error=nothing,
+                bias_share=nothing,
+            )
+
+        return Decoded(axis("column"), axis("row"), self.reason)
+
+
+def steps_of(experiment: Experiment, axis: Axis) -> Steps:
+    """Return how an experiment's fringes along one axis are shifted."""
+    patterns = pattern_set(experiment.projector, experiment.patterns)
+    periods = patterns.periods_along(axis)
+    return Steps(tuple(period / periods[0] for period in periods), patterns.steps)
+
+
+def _dark(experiment: Experiment, white: FloatImage, numbers: FringeNumbers) -> ReasonImage:
+    """Mark pixels on which white and black frame will not differ."""
+    sensor = noise_model(experiment.camera)
+    gain, black_dn = numbers.gain_dn_per_e, sensor.black_level_dn
+    bright = gain * (white.astype(np.float64) * numbers.electrons_per_radiance + numbers.dark_e)
+    dim = bright / experiment.projector.contrast
+    variance = sensor.variance_dn2(bright + black_dn) + sensor.variance_dn2(dim + black_dn)
+    dark = bright - dim < DecodeOptions.dark_sigmas * np.sqrt(variance)
+    return np.where(dark, Reason.DARK, Reason.VALID).astype(np.uint8)
+
+
+def clipping(
+    experiment: Experiment, levels: AxisLevels, place_px: FloatArray, axis: Axis,
+    reason: ReasonImage,
+) -> FloatArray:  # fmt: skip
+    """Return how much sigma grows by frames that clip; mark pixels that too few are left of.
+
+    As the decoder does: least squares over the frames below the limit, see `_phase.refit_row`.
+    """
+    sensor, growth = noise_model(experiment.camera), np.ones(reason.shape)
+    limit = sensor.clipped_from_dn - sensor.black_level_dn
+    at = (reason == 0) & (levels.light_dn + levels.modulation_dn > limit)
+    if not at.any():
+        return growth
+    patterns = pattern_set(experiment.projector, experiment.patterns)
+    shift = 2.0 * np.pi * np.arange(patterns.steps) / patterns.steps
+    phase = 2.0 * np.pi * place_px[at] / patterns.period_along(axis)
+    frames = np.cos(phase[:, None] + shift)
+    good = levels.light_dn[at, None] + levels.modulation_dn[at, None] * frames < limit
+    root = np.sqrt(2.0)
+    basis = np.stack([np.ones_like(shift), root * np.cos(shift), -root * np.sin(shift)], axis=1)
+    matrix = np.einsum("pn,na,nb->pab", good.astype(np.float64), basis, basis)
+    matrix += 1e-9 * np.eye(3)  # of a pixel without a good frame
+    inverse = np.linalg.inv(matrix)
+    size = np.linalg.norm(matrix, axis=(1, 2)) * np.linalg.norm(inverse, axis=(1, 2)) / 3.0
+    lost = (good.sum(axis=1) < 3) | (size > DecodeOptions.max_condition)
+    turned = np.stack([np.zeros_like(phase), -np.sin(phase), np.cos(phase)], axis=1)
+    spread = patterns.steps * np.einsum("pa,pab,pb->p", turned, inverse, turned)
+    growth[at] = np.where(lost, 1.0, np.sqrt(np.maximum(spread, 1.0)))
+    marked = reason[at]
+    marked[lost] = Reason.SATURATED
+    reason[at] = marked
+    return growth
+
+
+def _placed(
+    experiment: Experiment, single: _Single, truth: Truth, exposure_ms: float
+) -> PredictedMaps:
+    """Triangulate what is expected, and see what the filter makes of the noise."""
+    places, sigma, reason = single.places, single.sigma, single.reason
+    decode = experiment.decode
+    used: tuple[Axis, ...] = AXES if decode.use == "both" else (decode.use,)
+    rig = true_calibration(experiment)
+    decoded = single.as_decoded()
+    alone = {axis: triangulate(decoded, rig, axis) for axis in used}
+    usable = np.logical_and.reduce([found.valid for found in alone.values()]) & truth.lit
+    by_px = {
+        axis: _height_by_px(rig, truth, axis, usable)
+        if rig.layers is None
+        else _height_mm(found, truth, usable) / sigma[axis]
+        for axis, found in alone.items()
+    }
+    information = sum(np.where(usable, (by_px[a] * sigma[a]) ** -2.0, 0.0) for a in used)
+    axes = []
+    for axis in used:
+        own = np.where(usable, (by_px[axis] * sigma[axis]) ** -2.0, 0.0)
+        share = np.divide(own, information, out=np.zeros(usable.shape), where=usable)
+        filtered = filter_noise(
+            places[axis],
+            sigma[axis] ** 2,
+            reason == 0,
+            taps=decode.filter_taps,
+            sigma_px=decode.filter_sigma_px,
+            limit_px=0.5 * experiment.patterns.period_px,
+        )
+        axes.append(AxisPrediction(sigma[axis], share * by_px[axis], filtered))
+    points = alone[used[0]]
+    masked = np.where(usable, 0, np.maximum(points.mask_reason, Reason.DARK)).astype(np.uint8)
+    return PredictedMaps(points, masked, tuple(axes), exposure_ms)
+
+
+def coordinate_slope(
+    pose: Any, focal_px: tuple[Any, Any], rig: Calibration, truth: Truth, axis: Axis
+) -> Any:
+    """Return the change of the projector coordinate along each camera ray, (row, col) px.
+
+    Per length of the ray from the camera to the surface, in air; analytic in the first two.
+
+    Parameters
+    ----------
+    pose : (3, 4) of T_proj_from_world
+    focal_px : of the projector, along columns and rows
+    """
+    point = truth.points_world_mm.astype(np.float64)
+    ray = point - rig.T_world_from_cam[:3, 3]
+    x, y, z = np.moveaxis(point @ pose[:, :3].T + pose[:, 3], -1, 0)
+    dx, dy, dz = np.moveaxis(ray @ pose[:, :3].T, -1, 0)
+    z = np.where(truth.lit, z, 1.0)
+    u, v = x / z, y / z
+    u_slope, v_slope = (dx - u * dz) / z, (dy - v * dz) / z
+    xx, xy, yy = distortion_jacobian(u, v, rig.projector.distortion)
+    if axis == "row":
+        return focal_px[1] * (xy * u_slope + yy * v_slope)
+    return focal_px[0] * (xx * u_slope + xy * v_slope)
+
+
+def _height_by_px(rig: Calibration, truth: Truth, axis: Axis, usable: BoolImage) -> FloatArray:
+    """Return by how much the surface's height errs per px of the coordinate, in air; mm."""
+    lens = rig.projector
+    pose = np.linalg.inv(rig.T_world_from_proj)[:3]
+    slope = np.abs(coordinate_slope(pose, (lens.fx_px, lens.fy_px), rig, truth, axis))
+    ray = truth.points_world_mm.astype(np.float64) - rig.T_world_from_cam[:3, 3]
+    normals = truth.normals_world.astype(np.float64)
+    across = np.abs(np.einsum("rcx,rcx->rc", ray, normals))
+    found: FloatArray = np.ones(usable.shape)
+    np.divide(across, np.abs(normals[..., 2]) * slope, out=found, where=usable & (slope > 0.0))
+    return found
+
+
+def _height_mm(found: PointMap, truth: Truth, usable: BoolImage) -> FloatArray:
+    """Return the sigma of the surface's height, (row, col) mm; 1 where there is no point.
+
+    A point that errs along its ray by e on a surface with the normal n looks like a height that
+    errs by e . n / n_z.
+    """
+    along = found.points_world_mm - found.T_world_from_cam[:3, 3].astype(np.float32)
+    error = np.copysign(found.sigma_xyz_mm, along).astype(np.float64)
+    across = np.abs(np.einsum("rcx,rcx->rc", error, truth.normals_world))
+    upward = np.abs(truth.normals_world[..., 2].astype(np.float64))
+    height: FloatArray = np.ones(usable.shape)
+    np.divide(across, upward, out=height, where=usable & (across > 0.0))
+    return height
