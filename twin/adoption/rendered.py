@@ -51,9 +51,11 @@ def face_of(points: PointMap, origin_mm: tuple[float, float, float]) -> trimesh.
     nodes, kept = smooth[::step, ::step] - np.array(origin_mm), valid[::step, ::step].ravel()
     facets = grid_facets(*nodes.shape[:2])
     facets = facets[kept[facets].all(axis=1)]
+    # Image rows mostly run towards -y: then the grid's facets look down.
+    corner = nodes.reshape(-1, 3)[facets]
+    up = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])[:, 2]
+    facets = facets[:, ::-1] if float(up.mean()) < 0.0 else facets
     mesh = trimesh.Trimesh(nodes.reshape(-1, 3), facets, process=False, validate=False)
-    if float(mesh.face_normals[:, 2].mean()) < 0.0:
-        mesh.invert()
     mesh.metadata["name"] = "coated_face"
     return mesh
 
