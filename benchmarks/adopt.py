@@ -78,8 +78,12 @@ def hidden_rig(seed: int) -> tuple[Experiment, dict[str, float]]:
         path: {"value": value, "range": list(HIDDEN[path]), "source": "hidden"}
         for path, value in hidden.items()
     }
-    patterns = {"patterns.steps": 3, "patterns.code": "gray", "camera.binning": 4}
-    base = load_experiment("examples/slab_ball", patterns)
+    patterns = {"patterns.steps": 3, "patterns.code": "gray"}
+    # Pixels as large as four, of one: binned ones have less noise than 12 bits can tell.
+    pitch = {"value": 18.0, "range": [2.0, 20.0], "source": "benchmark"}
+    camera = {"width_px": 480, "height_px": 360, "pixel_pitch_um": pitch}
+    changes = patterns | {f"camera.{key}": value for key, value in camera.items()}
+    base = load_experiment("examples/slab_ball", changes)
     return vary(base, {**sources, "seed": seed}), hidden
 
 

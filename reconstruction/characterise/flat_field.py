@@ -11,7 +11,7 @@ import numpy as np
 from scipy.ndimage import uniform_filter
 
 from reconstruction.arrays import FloatArray, Stack
-from reconstruction.characterise.photon_transfer import UncertainValue
+from reconstruction.characterise.photon_transfer import LEAST_VARIANCE_DN2, UncertainValue
 from reconstruction.errors import InputError
 from reconstruction.rig.sensor import QUANTISATION_DN2
 
@@ -26,12 +26,12 @@ class Dark:
 
     Attributes
     ----------
-    noise_dn : temporal, without that of the rounding
+    noise_dn : temporal, without that of the rounding; None where rounding rules it
     dsnu_dn : spread of the offsets from pixel to pixel
     """
 
     black_level_dn: UncertainValue
-    noise_dn: UncertainValue
+    noise_dn: UncertainValue | None
     dsnu_dn: UncertainValue
 
 
@@ -44,13 +44,18 @@ def dark_of(frames: Stack) -> Dark:
     """
     _require(frames, "dark")
     temporal, spatial = _variances(frames, is_flat=False)
-    noise_dn2 = max(temporal.value - QUANTISATION_DN2, 0.0)
-    pixels = float(frames[0].size)
+    is_ruled = temporal.value < LEAST_VARIANCE_DN2
+    # A level that always rounds to the same number is known to that rounding alone.
+    rounding = QUANTISATION_DN2 if is_ruled else 0.0
+    sampling = (spatial.value + temporal.value / len(frames)) / float(frames[0].size)
     level = UncertainValue(
-        float(frames.mean(dtype=np.float64)),
-        float(np.sqrt((spatial.value + temporal.value / len(frames)) / pixels)),
+        float(frames.mean(dtype=np.float64)), float(np.sqrt(sampling + rounding))
     )
-    return Dark(level, _root(noise_dn2, temporal.uncertainty), _root_of(spatial))
+    # What Sheppard's 1/12 leaves of the rounding of a normal number, at the most unlucky level.
+    variance = max(temporal.value - QUANTISATION_DN2, 0.0)
+    left = np.exp(-2.0 * np.pi**2 * variance) * (4.0 * variance + 1.0 / np.pi**2)
+    noise = _root(variance, float(np.hypot(temporal.uncertainty, left / np.sqrt(2.0))))
+    return Dark(level, None if is_ruled else noise, _root_of(spatial))
 
 
 def prnu_of(frames: Stack, black_level_dn: float, dsnu_dn: float = 0.0) -> UncertainValue:
@@ -108,7 +113,7 @@ def _root_of(variance: UncertainValue) -> UncertainValue:
 
 def _root(variance: float, uncertainty: float) -> UncertainValue:
     """Return the root of a variance; of one that its uncertainty hides, with that of a bound."""
-    root = float(np.sqrt(variance))
+    root = float(np.sqrt(max(variance, 0.0)))
     if variance <= uncertainty:
         return UncertainValue(root, float(np.sqrt(uncertainty)))
     return UncertainValue(root, uncertainty / (2.0 * root))

@@ -19,6 +19,10 @@ from reconstruction.rig.sensor import QUANTISATION_DN2, SensorNoise
 
 BINS = 40
 LEAST_SAMPLES = 2000
+LEAST_VARIANCE_DN2 = 0.24
+"""Below it rounding rules a pixel's temporal noise, and is no 1/12 (EMVA 1288 release 4)."""
+
+_LEAST_BINS, _LEAST_IN_BIN = 5, 100
 # Samples this near to the ends of the scale have lost a part of their noise.
 _END_SIGMAS = 5.0
 _MOST_PIXELS = 200_000
@@ -143,10 +147,18 @@ def photon_transfer(samples: NoiseSamples, sensor: SensorNoise) -> PhotonTransfe
             f"photon transfer has {int(inside.sum())} samples between black and saturation; needs "
             f"{LEAST_SAMPLES}: expose between them"
         )
-    mean, variance, sigma = _bins(samples.mean_dn[inside], samples.square_dn2[inside])
-    above = mean - sensor.black_level_dn
-    if not np.ptp(above) > 0.05 * (sensor.saturation_dn - sensor.black_level_dn):
+    span_dn = float(np.ptp(samples.mean_dn[inside]))
+    if not span_dn > 0.05 * (sensor.saturation_dn - sensor.black_level_dn):
         raise InputError("photon transfer: all frames are equally bright; record dark and bright")
+    mean, variance, sigma = _bins(samples.mean_dn[inside], samples.square_dn2[inside])
+    told = variance >= LEAST_VARIANCE_DN2
+    if int(told.sum()) < _LEAST_BINS:
+        raise InputError(
+            "photon transfer: the noise lies within the rounding of the levels; record more bits, "
+            "or raise the camera's gain"
+        )
+    mean, variance, sigma = mean[told], variance[told], sigma[told]
+    above = mean - sensor.black_level_dn
     slope, intercept, covariance, chi2 = _line(above, variance, sigma)
     if not slope > 0.0:
         raise InputError("photon transfer: noise does not grow with light; is this one sensor?")
@@ -164,13 +176,22 @@ def _inside(samples: NoiseSamples, sensor: SensorNoise) -> BoolArray:
 
 
 def _bins(mean_dn: FloatArray, square_dn2: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return mean, variance and its standard uncertainty of bins of equally many samples."""
-    order = np.argsort(mean_dn, kind="stable")
-    parts = np.array_split(order, BINS)
-    mean = np.array([mean_dn[part].mean() for part in parts])
-    variance = np.array([square_dn2[part].mean() for part in parts])
-    sigma = np.array([square_dn2[part].std() / np.sqrt(len(part)) for part in parts])
-    return mean, variance, np.maximum(sigma, 1e-12)
+    """Return mean, variance and its standard uncertainty of bins equally wide in the mean.
+
+    Not of equally many samples: they would part pixels of one level by the parity of their sums,
+    which is that of their differences.
+    """
+    low, high = float(mean_dn.min()), float(mean_dn.max())
+    place = (mean_dn - low) / max(high - low, 1e-9) * BINS
+    number = np.minimum(place.astype(int), BINS - 1)
+    count = np.bincount(number, minlength=BINS)
+    full = count >= _LEAST_IN_BIN
+    per = 1.0 / np.maximum(count, 1)
+    mean = np.bincount(number, mean_dn, BINS) * per
+    variance = np.bincount(number, square_dn2, BINS) * per
+    fourth = np.bincount(number, square_dn2**2, BINS) * per
+    sigma = np.sqrt(np.maximum(fourth - variance**2, 1e-24) * per)
+    return mean[full], variance[full], sigma[full]
 
 
 def _line(

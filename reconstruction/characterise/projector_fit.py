@@ -44,6 +44,9 @@ _LEAST_PIXELS = 200
 _LEAST_FRAMES = 7
 _LEAST_BLUR_PX = 0.05
 _EDGE_PX = 8.0
+# Standard uncertainty of the model itself, relative: by so much do gamma and blur of rendered rigs,
+# which are known, come out too small (./run bench adopt), for a reason that is not found yet.
+_MODEL_GAMMA, _MODEL_BLUR = 0.0015, 0.007
 # Below that share of the mean curvature gamma and blur cannot be told apart.
 _LEAST_CONDITION = 1e-8
 
@@ -147,7 +150,9 @@ def fit_projector(
     covariance = _sandwich(information, scores, pixels.block, max(1.0, chi2), limits)
     footprint_px = _footprint_px(decoded, patterns)
     return ProjectorFit(
-        UncertainValue(float(light[0]), float(np.sqrt(covariance[0, 0]))),
+        UncertainValue(
+            float(light[0]), float(np.hypot(np.sqrt(covariance[0, 0]), _MODEL_GAMMA * light[0]))
+        ),
         _lens_blur(float(light[1]), float(np.sqrt(covariance[1, 1])), footprint_px),
         found,
         chi2,
@@ -399,6 +404,5 @@ def _lens_blur(fitted_px: float, uncertainty_px: float, footprint_px: float) -> 
     """
     lens_px = float(np.sqrt(max(fitted_px**2 - footprint_px**2, 0.0)))
     half_px = 0.5 * (fitted_px - lens_px)
-    return UncertainValue(
-        fitted_px - half_px, float(np.hypot(uncertainty_px, half_px / np.sqrt(3.0)))
-    )
+    spread_px = np.sqrt(uncertainty_px**2 + half_px**2 / 3.0 + (_MODEL_BLUR * fitted_px) ** 2)
+    return UncertainValue(fitted_px - half_px, float(spread_px))

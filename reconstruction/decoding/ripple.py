@@ -178,7 +178,7 @@ def _filled(total: NDArray[Any], weight: NDArray[Any]) -> FloatArray:
     """Return means over nodes; where nothing fell, what stands beside."""
     known = np.flatnonzero(weight > 0.0)
     nodes = np.arange(NODES)
-    return np.interp(nodes, known, total[known] / weight[known], period=NODES)
+    return np.asarray(np.interp(nodes, known, total[known] / weight[known], period=NODES))
 
 
 def _threshold_share(patterns: PatternSet, axis: Axis, response: ProjectorResponse) -> float:

@@ -57,15 +57,15 @@ def test_a_rig_that_none_can_use_is_refused():
 
 
 def test_joint_estimates_grow_where_they_disagree():
-    """Equal weights: 1.0 and 1.2 of 0.1 each agree, chi-square 2; 1.0 and 2.0 differ by 50."""
+    """Equal weights: 1.0 and 1.2 of 0.1 each, chi-square 2; 1.0 and 2.0: 50, 0.1 sqrt(50 / 2)."""
     near = joint([UncertainValue(1.0, 0.1), UncertainValue(1.2, 0.1)])
     assert (near.value, near.uncertainty) == (pytest.approx(1.1), pytest.approx(0.1))
     far = joint([UncertainValue(1.0, 0.1), UncertainValue(2.0, 0.1)])
     assert far.uncertainty == pytest.approx(0.5)
     alone = joint([UncertainValue(3.0, 0.2)])
     assert (alone.value, alone.uncertainty) == (3.0, pytest.approx(0.2))
-    # Three of 0.1 that agree: 0.1 / sqrt(3).
-    assert joint([UncertainValue(1.0, 0.1)] * 3).uncertainty == pytest.approx(0.1 / 3**0.5)
+    # Three of 0.1 that agree are no better than one.
+    assert joint([UncertainValue(1.0, 0.1)] * 3).uncertainty == pytest.approx(0.1)
 
 
 def test_what_is_given_goes_together(tmp_path):

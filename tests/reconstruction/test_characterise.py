@@ -91,7 +91,7 @@ def test_dark_and_flat_frames():
     rng = np.random.default_rng(5)
     offset_dn = 2.0 * 0.17 * rng.normal(size=(150, 200))
     response = 1.0 + 0.008 * rng.normal(size=(150, 200))
-    dark = np.stack([recorded(64.0 + np.zeros((150, 200)), k) for k in range(6)]) + offset_dn
+    dark = np.stack([recorded(64.0 + np.zeros((150, 200)), 20 + k) for k in range(6)]) + offset_dn
     found = dark_of(dark)
     assert abs(found.black_level_dn.value - 64.0) < 4.0 * found.black_level_dn.uncertainty
     assert found.noise_dn.value == pytest.approx(0.17 * 6.2, rel=0.02)

@@ -92,7 +92,7 @@ def camera_fields(
         u = well * noise.gain_dn_per_e.uncertainty / gain
         how = f"{noise_from}; gain {gain:.5g} +- {noise.gain_dn_per_e.uncertainty:.2g} DN/e-"
         found.append(RigField.measured("camera.full_well_e", UncertainValue(well, u), how))
-    if dark is not None and gain > 0.0:
+    if dark is not None and dark.noise_dn is not None and gain > 0.0:
         read = _per_gain(dark.noise_dn, noise, gain * binning)
         found.append(RigField.measured("camera.read_noise_e", read, "dark frames"))
         dsnu = _per_gain(dark.dsnu_dn, noise, gain * binning)
@@ -161,14 +161,16 @@ def flat_fields(
 def joint(found: Sequence[UncertainValue]) -> UncertainValue:
     """Return the weighted mean; its uncertainty grows where the values differ by more than theirs.
 
-    Birge's ratio: the square root of chi-square per degree of freedom, at least 1.
+    Birge's ratio: the square root of chi-square per degree of freedom, at least 1. It is never
+    below the least of theirs: what one capture leaves out, others of the rig do, too.
     """
     weight = np.array([1.0 / max(one.uncertainty, 1e-9) ** 2 for one in found])
     value = np.array([one.value for one in found])
     mean = float((weight * value).sum() / weight.sum())
     chi2 = float((weight * (value - mean) ** 2).sum())
     ratio = max(1.0, np.sqrt(chi2 / max(len(found) - 1, 1)))
-    return UncertainValue(mean, float(ratio / np.sqrt(weight.sum())))
+    least = min(one.uncertainty for one in found)
+    return UncertainValue(mean, max(float(ratio / np.sqrt(weight.sum())), least))
 
 
 def light_fields(fits: Sequence[ProjectorFit], dark: Dark | None) -> dict[str, RigField]:

@@ -8,12 +8,11 @@
 | assumed | the captures cannot tell; the value of the rig that was given as a model stays |
 """
 
+import json
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-
-import tomli_w
 
 from reconstruction.characterise import UncertainValue
 from twin.assets import scene_file
@@ -144,10 +143,28 @@ def _not_told(path: str, model: str) -> str:
 
 def write_rig(path: Path, name: str, tables: Mapping[str, Any]) -> None:
     """Write the rig file; experiments take it by `use = "./rig.toml"`."""
-    head = f'# Adopted from captures of {name}. Experiments take it by use = "./rig.toml".\n'
-    path.write_text(
-        head + tomli_w.dumps({"description": f"twin of {name}", **tables}), encoding="utf-8"
-    )
+    head = f'# Adopted from captures of {name}. Experiments take it by use = "./rig.toml".'
+    told = {"description": f"twin of {name}", **tables}
+    path.write_text("\n".join([head, *_lines(told, "")]) + "\n", encoding="utf-8")
+
+
+def _lines(table: Mapping[str, Any], name: str) -> Iterator[str]:
+    """Yield a table as data files have it: a quantity in one line, tables in tables below."""
+    inner = {k: v for k, v in table.items() if isinstance(v, Mapping) and not is_quantity(v)}
+    if name and len(inner) < len(table):
+        yield f"\n[{name}]"
+    for key, value in table.items():
+        if key not in inner:
+            yield f"{key} = {_as_toml(value)}"
+    for key, value in inner.items():
+        yield from _lines(value, f"{name}.{key}" if name else key)
+
+
+def _as_toml(value: Any) -> str:
+    if isinstance(value, Mapping):
+        return "{ " + ", ".join(f"{key} = {_as_toml(one)}" for key, one in value.items()) + " }"
+    # JSON text of a string, flag, finite number or list of them is valid TOML.
+    return json.dumps(value)
 
 
 def tried(tables: Mapping[str, Any]) -> Experiment:

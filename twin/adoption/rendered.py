@@ -4,11 +4,12 @@ The surface is that of the reconstruction, a little smoothed: its noise would be
 light. Where a capture has no point, the rendered image is black.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 import trimesh
-from scipy.ndimage import gaussian_filter
+from scipy.ndimage import gaussian_filter, map_coordinates
 
 from reconstruction.arrays import BoolImage, FloatArray, FloatImage
 from reconstruction.capture.folder import Capture
@@ -24,6 +25,8 @@ from twin.specimens.solids import grid_facets
 _SMOOTH_PX = 2.0
 # A face of some hundred thousand triangles is fine enough for any image.
 _MOST_NODES = 250_000
+# Nodes on the rays of pixels would let some of these slip through between facets.
+_UNALIGNED = 1.618
 _RIM_PX = 8
 _BLOCKS = 8
 _LEAST_PIXELS = 1000
@@ -47,8 +50,11 @@ def face_of(points: PointMap, origin_mm: tuple[float, float, float]) -> trimesh.
         )
         / np.maximum(weight, 1e-9)[..., None]
     )
-    step = max(1, int(np.ceil(np.sqrt(valid.size / _MOST_NODES))))
-    nodes, kept = smooth[::step, ::step] - np.array(origin_mm), valid[::step, ::step].ravel()
+    step = _UNALIGNED * max(1.0, float(np.sqrt(valid.size / _MOST_NODES)))
+    places = np.meshgrid(*(np.arange(0.2, n - 1.0, step) for n in valid.shape), indexing="ij")
+    nodes = np.stack([_between(smooth[..., k], places) for k in range(3)], axis=-1)
+    nodes -= np.array(origin_mm)
+    kept = _between(valid.astype(np.float64), places).ravel() > 0.999
     facets = grid_facets(*nodes.shape[:2])
     facets = facets[kept[facets].all(axis=1)]
     # Image rows mostly run towards -y: then the grid's facets look down.
@@ -58,6 +64,10 @@ def face_of(points: PointMap, origin_mm: tuple[float, float, float]) -> trimesh.
     mesh = trimesh.Trimesh(nodes.reshape(-1, 3), facets, process=False, validate=False)
     mesh.metadata["name"] = "coated_face"
     return mesh
+
+
+def _between(image: FloatArray, places: Sequence[FloatArray]) -> FloatArray:
+    return np.asarray(map_coordinates(image, places, order=1, mode="nearest"))
 
 
 @dataclass(frozen=True, eq=False)
