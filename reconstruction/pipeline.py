@@ -95,7 +95,14 @@ def reconstruct(capture: Capture, options: ReconstructOptions | None = None) -> 
     InputError : stack, patterns and calibration do not fit each other
     """
     chosen = options or ReconstructOptions()
-    decoded = decode(capture.stack, capture.patterns, capture.sensor, chosen.decode, capture.scale)
+    decoded = decode(
+        capture.stack,
+        capture.patterns,
+        capture.sensor,
+        chosen.decode,
+        capture.scale,
+        response=capture.response,
+    )
     rig = capture.calibration
     seen = rig if chosen.through_layers else replace(rig, layers=None)
     use: Use = chosen.use if len(decoded.axes) == 2 else decoded.axes[0]

@@ -23,6 +23,7 @@ from reconstruction.capture.folder import described, read_uncalibrated
 from reconstruction.decoding.decode import Decoded, DecodeOptions, decode
 from reconstruction.errors import CaptureError, InputError
 from reconstruction.patterns import AXES, PatternSet
+from reconstruction.rig.projected_light import ProjectorResponse
 from reconstruction.rig.sensor import SensorNoise
 
 # What a pose was recorded in; a folder of such files is not left out silently.
@@ -51,6 +52,7 @@ class BoardCapture:
     patterns: PatternSet
     sensor: SensorNoise
     scale: FloatImage | None = None
+    response: ProjectorResponse | None = None
 
 
 def read_board_capture(folder: Path | str) -> BoardCapture:
@@ -65,7 +67,7 @@ def read_board_capture(folder: Path | str) -> BoardCapture:
     if found.patterns.axes != AXES or not found.patterns.uniform:
         missing = "white and black" if found.patterns.axes == AXES else "fringes along both axes"
         raise CaptureError(f"{folder}: a board needs {missing}; record them as well")
-    return BoardCapture(found.stack, found.patterns, found.sensor, found.scale)
+    return BoardCapture(found.stack, found.patterns, found.sensor, found.scale, found.response)
 
 
 def pose_folders(folder: Path | str) -> list[Path]:
@@ -135,7 +137,14 @@ def observe(capture: BoardCapture, board: Board, name: str = "pose") -> Observat
 
 
 def _observe(capture: BoardCapture, board: Board, name: str) -> Observation:
-    decoded = decode(capture.stack, capture.patterns, capture.sensor, UNFILTERED, capture.scale)
+    decoded = decode(
+        capture.stack,
+        capture.patterns,
+        capture.sensor,
+        UNFILTERED,
+        capture.scale,
+        response=capture.response,
+    )
     relative = relative_brightness(brightness(decoded, capture.sensor))
     threshold = ink_threshold(relative)
     ids, camera_px = _features(board, relative, threshold)

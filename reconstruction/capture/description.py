@@ -20,6 +20,7 @@ from typing import Any, TypeVar
 from reconstruction import reading
 from reconstruction.errors import CaptureError, InputError, require_integer
 from reconstruction.patterns import PatternSet
+from reconstruction.rig.projected_light import ProjectorResponse
 from reconstruction.rig.sensor import SensorNoise
 
 DESCRIPTION_FILE = "capture.toml"
@@ -36,6 +37,7 @@ ALWAYS_TOLD = (
     "further_periods_px",
 )
 TABLES: dict[str, type[Any]] = {"patterns": PatternSet, "sensor": SensorNoise}
+RESPONSE = "response"
 Part = TypeVar("Part")
 
 
@@ -50,6 +52,7 @@ class Description:
     bit_depth: int
     stack_file: str
     calibration_file: str
+    response: ProjectorResponse | None = None
 
     def __post_init__(self) -> None:
         require_integer("width_px", self.width_px, 1, 1_000_000)
@@ -65,7 +68,18 @@ def write_description(path: Path, description: Description) -> None:
     """Write `description` as TOML."""
     values: dict[str, Any] = {"format": FORMAT, "version": VERSION} | asdict(description)
     tables = {name: values.pop(name) for name in TABLES}
-    write_toml(path, values, tables | {"patterns": pattern_table(description.patterns)})
+    tables["patterns"] = pattern_table(description.patterns)
+    del values[RESPONSE]
+    write_toml(path, values, tables | response_table(description.response))
+
+
+def response_table(response: ProjectorResponse | None) -> dict[str, Any]:
+    """Return the table [response] by its name; none of a projector that is taken for linear."""
+    if response is None:
+        return {}
+    told = asdict(response)
+    del told["gamma" if response.curve else "curve"]
+    return {RESPONSE: told}
 
 
 def pattern_table(patterns: PatternSet) -> dict[str, Any]:
@@ -107,9 +121,18 @@ def read_parts(
         parts: dict[str, Any] = {
             name: build(part, table_of(values, name), name) for name, part in tables.items()
         }
+        if RESPONSE in values:
+            parts[RESPONSE] = read_response(values)
         return build(whole, values | parts, path.name)
     except InputError as error:
         raise CaptureError(f"{path}: {error}") from error
+
+
+def read_response(values: dict[str, Any]) -> ProjectorResponse | None:
+    """Return what [response] of capture.toml says of the projector; None where there is none."""
+    if RESPONSE not in values:
+        return None
+    return build(ProjectorResponse, table_of(values, RESPONSE), RESPONSE)
 
 
 def read_toml(path: Path) -> dict[str, Any]:

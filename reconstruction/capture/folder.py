@@ -32,6 +32,7 @@ from reconstruction.machine import read_dataset, write_dataset
 from reconstruction.patterns import PatternSet
 from reconstruction.reading import is_regular
 from reconstruction.rig.calibration import Calibration, read_calibration, write_calibration
+from reconstruction.rig.projected_light import ProjectorResponse
 from reconstruction.rig.sensor import SensorNoise
 
 if TYPE_CHECKING:
@@ -59,6 +60,7 @@ class Capture:
     calibration : camera and projector; the camera has the image size of the stack
     bit_depth : bits per pixel value, 8 to 16
     scale : (row, col) float32, by which merged exposures were multiplied, see `merge_exposures`
+    response : of the projector, as far as it is known; None: it is taken for linear
 
     Raises
     ------
@@ -71,6 +73,7 @@ class Capture:
     calibration: Calibration
     bit_depth: int
     scale: FloatImage | None = None
+    response: ProjectorResponse | None = None
 
     def __post_init__(self) -> None:
         require_integer("bit_depth", self.bit_depth, 8, 16)
@@ -111,6 +114,7 @@ def write_capture(folder: Path | str, capture: Capture) -> None:
         capture.bit_depth,
         STACK_FILE,
         CALIBRATION_FILE,
+        capture.response,
     )
     write_stack(folder / STACK_FILE, capture.stack, capture.patterns)
     write_calibration(folder / CALIBRATION_FILE, capture.calibration)
@@ -136,7 +140,7 @@ def read_capture(folder: Path | str) -> Capture:
     stack = read_stack(folder / description.stack_file, description.patterns, shape)
     parts = (description.patterns, description.sensor, calibration)
     try:
-        capture = Capture(stack, *parts, description.bit_depth)
+        capture = Capture(stack, *parts, description.bit_depth, response=description.response)
         check_order(stack, *parts)
     except InputError as error:
         raise CaptureError(f"{folder}: {error}") from error
@@ -150,7 +154,9 @@ def _read_images(folder: Path) -> Capture:
     frames = read_frames(folder, description, found, calibration)
     parts = (found.patterns, description.sensor, calibration)
     try:
-        return Capture(frames.stack, *parts, description.bit_depth, frames.scale)
+        return Capture(
+            frames.stack, *parts, description.bit_depth, frames.scale, description.response
+        )
     except CaptureError as error:
         raise CaptureError(f"{folder}: {error}") from error
 
@@ -163,6 +169,7 @@ class UncalibratedCapture:
     patterns: PatternSet
     sensor: SensorNoise
     scale: FloatImage | None = None
+    response: ProjectorResponse | None = None
 
 
 def read_uncalibrated(folder: Path | str) -> UncalibratedCapture:
@@ -178,7 +185,9 @@ def read_uncalibrated(folder: Path | str) -> UncalibratedCapture:
         listed = read_image_set(folder / DESCRIPTION_FILE)
         found = find_frames(folder, listed)
         frames = read_frames(folder, listed, found)
-        return UncalibratedCapture(frames.stack, found.patterns, listed.sensor, frames.scale)
+        return UncalibratedCapture(
+            frames.stack, found.patterns, listed.sensor, frames.scale, listed.response
+        )
     description = read_description(folder / DESCRIPTION_FILE)
     shape = (description.height_px, description.width_px)
     stack = read_stack(folder / description.stack_file, description.patterns, shape)
@@ -186,7 +195,9 @@ def read_uncalibrated(folder: Path | str) -> UncalibratedCapture:
         check_order(stack, description.patterns, description.sensor)
     except InputError as error:
         raise CaptureError(f"{folder}: {error}") from error
-    return UncalibratedCapture(stack, description.patterns, description.sensor)
+    return UncalibratedCapture(
+        stack, description.patterns, description.sensor, response=description.response
+    )
 
 
 def described(folder: Path) -> Path | None:

@@ -3,7 +3,8 @@
 | key | content |
 |---|---|
 | format, version | "fringe-frames", 1 |
-| bit_depth, calibration_file, dark_file, channel, [sensor] | as with `files`, see `description` |
+| bit_depth, calibration_file, dark_file, | |
+| channel, [sensor], [response] | as with `files`, see `frame_set` |
 | [projector] | width_px, height_px |
 | [[frames]] | one table for each group of images, see `FrameEntry` |
 
@@ -26,6 +27,7 @@ from reconstruction import reading
 from reconstruction.capture.description import (
     DESCRIPTION_FILE,
     build,
+    read_response,
     read_toml,
     table_of,
     take_header,
@@ -40,6 +42,7 @@ from reconstruction.capture.frame_set import (
 )
 from reconstruction.errors import CaptureError, InputError, few, require_integer, require_number
 from reconstruction.patterns import AXES, WORDS, Axis, Kind, PatternSet, WordName
+from reconstruction.rig.projected_light import ProjectorResponse
 from reconstruction.rig.sensor import SensorNoise
 
 EntryKind = Literal["phase", "gray", "inverse", "gray_and_inverse", "white", "black"]
@@ -131,6 +134,7 @@ class ListedSet:
     dark_file: str = ""
     channel: Channel = ""
     word: WordName = "reflected"
+    response: ProjectorResponse | None = None
 
     def __post_init__(self) -> None:
         require_integer("bit_depth", self.bit_depth, 8, 16)
@@ -179,6 +183,7 @@ def read_listed(path: Path) -> ListedSet:
             "sensor": build(SensorNoise, table_of(values, "sensor"), "sensor"),
             "projector": build(ProjectorSize, table_of(values, "projector"), "projector"),
             "frames": tuple(build(FrameEntry, one, "frames") for one in entries),
+            "response": read_response(values),
         }
         return build(ListedSet, values | parts, path.name)
     except (InputError, TypeError) as error:

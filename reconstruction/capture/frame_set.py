@@ -13,6 +13,7 @@
 | exposures_ms | optional: one per set of frames, when the sequence was taken several times |
 | channel | optional: "red", "green" or "blue" of colour images |
 | [sensor] | see `SensorNoise` |
+| [response] | optional: that of the projector, see `ProjectorResponse` |
 
 Paths are relative to the folder of capture.toml. For images that other programs wrote, [[frames]]
 stands in the place of files and patterns_file, see `frame_list`.
@@ -40,6 +41,7 @@ from reconstruction.capture.description import (
 )
 from reconstruction.errors import CaptureError, InputError, few, require_integer, require_number
 from reconstruction.patterns import PatternSet
+from reconstruction.rig.projected_light import ProjectorResponse
 from reconstruction.rig.sensor import SensorNoise
 
 FRAMES_FORMAT, FRAMES_VERSION = "fringe-frames", 1
@@ -62,6 +64,7 @@ class FrameSet:
     dark_file: str = ""
     exposures_ms: tuple[float, ...] = ()
     channel: Channel = ""
+    response: ProjectorResponse | None = None
 
     def __post_init__(self) -> None:
         require_integer("bit_depth", self.bit_depth, 8, 16)

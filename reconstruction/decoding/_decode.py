@@ -16,6 +16,7 @@ from reconstruction.decoding._order import (
     PLAIN,
     REFLECTED,
     Code,
+    FringeRow,
     Numbered,
     Unwrapping,
     Word,
@@ -24,6 +25,7 @@ from reconstruction.decoding._order import (
     read_gray_row,
     read_pairs_row,
     reflect_row,
+    settle_borders,
     settle_row,
     unwrap_row,
     weigh_near_bits,
@@ -31,14 +33,17 @@ from reconstruction.decoding._order import (
     write_valid,
 )
 from reconstruction.decoding._phase import (
+    doubt_row,
     grow_sigma,
     keep_usable,
     phase_row,
     phase_sigma,
     refit_row,
+    shot_sigma,
+    straighten_row,
     write_turns,
 )
-from reconstruction.decoding._rows import add, fill, pack_row
+from reconstruction.decoding._rows import add, copy_row, fill, move_row, pack_row
 from reconstruction.decoding._sum import (
     Fit,
     Layout,
@@ -79,6 +84,11 @@ class Plan(NamedTuple):
     is_chain: bool
     threshold_noise: float  # of a bit less its threshold, in sigmas of one frame
     scale: FloatImage  # (row, col), by which each pixel was multiplied; (0, 0): by 1
+    has_ripple: bool
+    ripple_rad: FloatImage  # (axis, set, node), see `ripple`
+    ripple_sigma_rad: FloatImage
+    shot_share: FloatImage  # the same; (2, 0, 0): even
+    threshold_share: tuple[float, float]
 
 
 class Maps(NamedTuple):
@@ -103,7 +113,8 @@ class Work(NamedTuple):
     excess: Any  # (axis, col), the largest of all sets
     modulations: Any  # (axis, set, col)
     phases: Any  # (axis, set, col)
-    sigmas: Any  # (set, col)
+    sigmas: Any  # (set, col), of noise
+    doubts: Any  # (set, col), with what is not known of the projector's response
     answers: Any  # (line, col): coordinate and sigma of both axes
     lines: Any  # (line, col): error, and two to pack with
     order: Any
@@ -124,6 +135,7 @@ def make_work(width: int, sets: int) -> Work:
         np.zeros((2, width), np.float32),
         np.zeros((2, sets, width), np.float32),
         np.zeros((2, sets, width), np.float32),
+        np.zeros((sets, width), np.float32),
         np.zeros((sets, width), np.float32),
         np.zeros((4, width), np.float32),
         np.zeros((3, width), np.float32),
@@ -241,7 +253,20 @@ def _find_sigmas(axis: int, plan: Plan, scale: Any, work: Work) -> None:
             plan.layout.steps, plan.limits, scale, work.usable, work.mean[axis],
             work.modulations[axis, j], work.sigmas[j],
         )  # fmt: skip
+        if plan.shot_share.size:
+            shot_sigma(
+                plan.shot_share[axis, j], plan.limits, scale, work.phases[axis, j],
+                work.mean[axis], work.modulations[axis, j], work.sigmas[j],
+            )  # fmt: skip
         grow_sigma(work.excess[axis], work.sigmas[j])
+        if plan.has_ripple:
+            # The table is over the measured phase; its sigma varies little within one ripple.
+            straighten_row(plan.ripple_rad[axis, j], work.phases[axis, j], work.sigmas[j])
+            keep_usable(work.usable, work.phases[axis, j])
+            table = plan.ripple_sigma_rad[axis, j]
+            doubt_row(table, work.phases[axis, j], work.sigmas[j], work.doubts[j])
+        else:
+            copy_row(work.sigmas[j], work.doubts[j])
 
 
 @merged
@@ -251,7 +276,11 @@ def _read_order(
     """Give one axis its fringe numbers by Gray words."""
     code, limits, margin = plan.codes[axis], plan.limits, work.fit[2]
     frames = RowFrames(stack, plan.layout.gray_first[axis], row)
-    read = Word(work.word, work.nearest, work.mean[axis], margin)
+    threshold = work.mean[axis]
+    if plan.has_ripple:
+        share, threshold = np.float32(plan.threshold_share[axis]), work.lines[1]
+        move_row(work.mean[axis], share, work.modulations[axis, 0], threshold)
+    read = Word(work.word, work.nearest, threshold, margin)
     phase, order = work.phases[axis, 0], work.order
     find_noise(read.mean, scale, limits, margin)
     widening = np.float32(NEAR_SIGMAS * plan.threshold_noise)
@@ -266,9 +295,12 @@ def _read_order(
     else:
         reflect_row(code, read.gray, work.reflected)
         number_row(code, work.reflected, phase, order, answer)
+    if code.kind == PLAIN and code.shown == REFLECTED and not code.is_word:
+        fringe = FringeRow(phase, work.doubts[0], work.modulations[axis, 0])
+        settle_borders(code, frames, read, fringe, order, answer)
+    elif code.kind == PLAIN and not code.is_word:
+        weigh_wrap(code, phase, work.doubts[0], answer.error)
     weigh_near_bits(code, frames, limits.gray_sigmas, read, phase, order, answer.error)
-    if code.kind == PLAIN and not code.is_word:
-        weigh_wrap(code, phase, work.sigmas[0], answer.error)
     per_rad = np.float32(code.period_px / (2.0 * np.pi))
     for col in range(margin.size):
         answer.sigma[col] = per_rad * work.sigmas[0, col]
@@ -297,7 +329,7 @@ def _finish_row(row: int, stack: Any, plan: Plan, scale: Any, work: Work, maps: 
             _find_sigmas(axis, plan, scale, work)
         if plan.is_chain:
             unwrapping = plan.unwrappings[axis]
-            unwrap_row(unwrapping, work.phases[axis], work.sigmas, usable, answer)
+            unwrap_row(unwrapping, work.phases[axis], work.sigmas, work.doubts, usable, answer)
         else:
             _read_order(axis, row, stack, plan, scale, work, answer)
         length = plan.codes[axis].length_px

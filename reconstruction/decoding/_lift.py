@@ -16,7 +16,7 @@ import numpy as np
 
 from reconstruction.arrays import FloatImage
 from reconstruction.compiling import compiled, inlined, merged
-from reconstruction.decoding._rows import add, fill, larger, multiply
+from reconstruction.decoding._rows import add, copy_row, fill, larger, multiply
 
 ZERO, ONE, TWO, TINY = np.float32(0.0), np.float32(1.0), np.float32(2.0), np.float32(1e-30)
 
@@ -205,13 +205,6 @@ def _average_across(plane: Any, row: int, weights: Any, half: int, out: Any) -> 
 
 
 @compiled
-def _copy(line: Any, out: Any) -> None:
-    # A loop: an assignment of slices compiles text for its errors, three seconds of it.
-    for col in range(out.size):
-        out[col] = line[col]
-
-
-@compiled
 def _is_equal(a: Any, b: Any) -> bool:
     differing = 0
     for col in range(a.size):
@@ -266,13 +259,13 @@ def weigh(planes: Planes, weights: Any, half: int, window: Window) -> None:
         if _is_equal(planes.usable[row], planes.usable[row - 1]):
             alike[row] = alike[row - 1] + 1
             for plane in (planes.along_rows, planes.spare, planes.coarse):
-                _copy(plane[row - 1], plane[row])
+                copy_row(plane[row - 1], plane[row])
         else:
             _weigh_along(row, planes, weights, window)
     for row in range(half, rows - half):
         if alike[row + half] > 2 * half:
             for plane in (planes.along_cols, planes.gain, planes.per_support):
-                _copy(plane[row - 1], plane[row])
+                copy_row(plane[row - 1], plane[row])
         else:
             _weigh_across(row, planes, weights, half)
 

@@ -43,6 +43,9 @@ NOTHING, INFINITE = np.float32(0.0), np.float32(np.inf)
 # Where the first projector pixel begins.
 FIRST = np.float32(-0.5)
 TINY = 1e-12
+# So near to a border, in periods, the phase decides between two plain words.
+BORDER_TURNS = np.float32(1.0 / 8.0)
+MOST_LOG = 700.0
 
 
 class Word(NamedTuple):
@@ -52,6 +55,14 @@ class Word(NamedTuple):
     nearest: Any  # how near to the mean a level comes, DN
     mean: Any
     margin: Any  # nearer levels are not certain, DN
+
+
+class FringeRow(NamedTuple):
+    """What the fringes of one row say along one axis, lines of (col) float32."""
+
+    phase: Any  # rad
+    sigma: Any  # rad, of all that is not known of it
+    modulation: Any  # DN
 
 
 class Numbered(NamedTuple):
@@ -276,6 +287,7 @@ def weigh_near_bits(
     word, nearest, mean, margin = read
     # At the border of two words either is half a word off, which sigma tells.
     allowed = STEP if code.is_word else NONE
+    is_settled = (code.kind == PLAIN) & (code.shown == REFLECTED) & (not code.is_word)
     for col in range(word.size):
         if not nearest[col] < margin[col] or error[col] == ONE:
             continue
@@ -287,10 +299,78 @@ def weigh_near_bits(
                 continue
             flipped = reflected(word[col] ^ (BIT << np.uint32(bit)), code)
             other, _ = _number(flipped, cell, code)
-            if abs(other - over - order[col]) > allowed:
+            off = abs(other - over - order[col])
+            # Neighbours at the border of plain words are settled by `settle_borders`.
+            if off == STEP and is_settled and min(cell, ONE - cell) < BORDER_TURNS:
+                continue
+            if off > allowed:
                 sigmas = NEAR_SIGMAS * distance / margin[col]
                 total += _tail(sigmas) if sigmas >= gray_sigmas else 1.0
-        error[col] = min(total, 1.0)
+        error[col] = min(error[col] + total, 1.0)
+
+
+@inlined
+def _bit_between(low: Any, code: Code) -> int:
+    """Return the bit, from the last, that flips between the Gray words of `low` and the next."""
+    # Reflected code: the place of the lowest 0 of the lower word.
+    bit = 0
+    while bit < code.bits - 1 and (low >> bit) & 1:
+        bit += 1
+    return bit
+
+
+@inlined
+def _misread(far: Any, near: Any, contrast: Any, noise: Any) -> Any:
+    """Return the log of how much likelier the word as read is than its neighbour.
+
+    A pixel near the border of two plain words has one bit between its levels: that of this border.
+    As read it is the near one; had the other bit been misread, it would be the far one, and the
+    near one at its full contrast. Profile likelihood: of the level within the edge nothing is
+    taken to be known but that it lies within.
+
+    far, near : distances of the two bits from their threshold, DN
+    """
+    off_far, off_near = min(far, contrast) - contrast, min(near, contrast) - contrast
+    return (far * far + off_near * off_near - off_far * off_far) / (2.0 * noise * noise)
+
+
+@compiled
+def settle_borders(
+    code: Code, frames: RowFrames, read: Word, fringe: FringeRow, order: Any, answer: Numbered
+) -> None:
+    """Let the phase say on which side of the border of two plain words a pixel lies.
+
+    There the bit that flips and the phase that wraps have noise of their own, and an edge that the
+    projector's response or blur displaced does not even need noise. Which border it is, the levels
+    of the two bits next to the word tell. What stays is the chance that they were confused, and,
+    where neither is between its levels, that noise carried the phase over the border.
+    """
+    mean, margin = read.mean, read.margin
+    step_px = np.float32(code.period_px)
+    for col in range(order.size):
+        cell, over = _cell(fringe.phase[col], code)
+        turns = min(cell, ONE - cell)
+        if turns >= BORDER_TURNS or answer.error[col] == ONE:
+            continue
+        word = order[col] + over
+        toward = STEP if cell < HALF else -STEP
+        beyond, before = word + toward, word - toward
+        # This way round a NaN is as good as saturated.
+        contrast = max(fringe.modulation[col], TINY)
+        noise = max(margin[col] / NEAR_SIGMAS, TINY)
+        far, near = contrast, contrast
+        if (beyond >= 0) & (beyond < code.words):
+            far = _distance(code, frames, _bit_between(min(word, beyond), code), col, mean[col])
+        if (before >= 0) & (before < code.words):
+            near = _distance(code, frames, _bit_between(min(word, before), code), col, mean[col])
+        likelier = _misread(far, near, contrast, noise)
+        if likelier < 0.0:
+            order[col] += toward
+            answer.coordinate[col] += step_px * np.float32(toward)
+        wrong = 1.0 / (1.0 + math.exp(min(abs(likelier), MOST_LOG)))
+        if (far > HALF * contrast) & (near > HALF * contrast):
+            wrong += _tail(TURN * turns / max(fringe.sigma[col], TINY))
+        answer.error[col] = min(wrong, 1.0)
 
 
 @compiled
@@ -392,25 +472,26 @@ def _fused(unwrapping: Unwrapping, x: float, phases: Any, sigmas: Any, col: int)
 
 @compiled
 def unwrap_row(
-    unwrapping: Unwrapping, phases: Any, sigmas: Any, usable: Any, answer: Numbered
+    unwrapping: Unwrapping, phases: Any, sigmas: Any, doubts: Any, usable: Any, answer: Numbered
 ) -> None:
     """Write the fused coordinate, its sigma and the chance of a wrong number; 0 without a phase.
 
     phases, sigmas : (set, col), rad
+    doubts : as sigmas, with what is not known of the projector's response; for the numbers
     """
     coordinate, sigma_px, error = answer
     for col in range(error.size):
         coordinate[col], sigma_px[col], error[col] = 0.0, 0.0, 0.0
         if not usable[col] > 0.0:
             continue
-        x, wrong = _coarsest(unwrapping, phases, sigmas, col)
+        x, wrong = _coarsest(unwrapping, phases, doubts, col)
         for level in range(1, unwrapping.weights.shape[0]):
             period = unwrapping.level_periods_px[level]
             turns = _turns(unwrapping, level, phases, col)
             number = np.rint(x / period - turns)
             off = abs(x / period - turns - number)
             ratio = unwrapping.level_periods_px[level - 1] / period
-            wrong += _wrong_neighbour(off, _step_sigma(unwrapping, level, ratio, sigmas, col))
+            wrong += _wrong_neighbour(off, _step_sigma(unwrapping, level, ratio, doubts, col))
             x = period * (number + turns)
         coordinate[col], sigma_px[col] = _fused(unwrapping, x, phases, sigmas, col)
         error[col] = min(wrong, 1.0)

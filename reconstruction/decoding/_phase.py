@@ -37,8 +37,11 @@ ATAN = tuple(
 )  # fmt: skip
 HALF_PI, PI, TWO_PI = np.float32(0.5 * np.pi), np.float32(np.pi), np.float32(TURN)
 TINY = np.float32(1e-30)
+HALF, QUARTER = np.float32(0.5), np.float32(0.25)
 STEPS_PER_RAD, ROUNDING = np.float32(65536.0 / TURN), np.float32(0.5)
 ROOT = np.sqrt(2.0)
+# Nodes on both sides of a slope: 8-bit levels make single ones uneven.
+SPAN = 2
 LARGEST = 1e30
 
 
@@ -90,13 +93,63 @@ def phase_sigma(
     """Write the predicted sigma of the phase, rad; 0 where there is none.
 
     sigma_phi^2 = (2 / N) sigma_I^2 / B^2 (Surrel 1997); sigma_I at the mean holds for N >= 4,
-    where the modulated part of the shot noise averages out.
+    where the modulated part of the shot noise averages out; see `shot_sigma` for the others.
     """
     factor = np.float32(np.sqrt(2.0 / steps))
     for col in range(sigma.size):
         noise = np.sqrt(noise_dn2(mean[col], scale[col], limits))
         value = factor * noise / modulation[col]
         sigma[col] = value if usable[col] > 0.0 else np.float32(0.0)
+
+
+@compiled
+def shot_sigma(
+    table: Any, limits: Limits, scale: Any, phase: Any, mean: Any, modulation: Any, sigma: Any
+) -> None:  # fmt: skip
+    """Give sigma what the light of the single steps, unlike their mean, does to the shot noise.
+
+    table : (node,) over one turn of the measured phase, see `ripple.Ripple.shot_share`
+    """
+    per_rad = np.float32((table.size - 1) / TURN)
+    for col in range(sigma.size):
+        if not sigma[col] > 0.0:
+            continue
+        node = min(int(phase[col] * per_rad + HALF), table.size - 1)
+        even = noise_dn2(mean[col], scale[col], limits)
+        more = scale[col] * limits.gain_dn_per_e * modulation[col] * table[node]
+        # Never below a quarter: a fit of few electrons may have any modulation.
+        sigma[col] *= np.sqrt(max(even + more, QUARTER * even) / even)
+
+
+@compiled
+def straighten_row(table: Any, phase: Any, sigma: Any) -> None:
+    """Take the ripple of the projector's response off the phase; table: (node,) over one turn.
+
+    A phase that turns faster than the true one, by d, has so much more of its noise: sigma (1 - d).
+    """
+    nodes = table.size - 1
+    per_rad = np.float32(nodes / TURN)
+    per_span = np.float32(nodes / TURN / (2 * SPAN + 1))
+    for col in range(phase.size):
+        place = phase[col] * per_rad
+        node = min(int(place), nodes - 1)
+        share = place - np.float32(node)
+        phi = phase[col] - (table[node] + share * (table[node + 1] - table[node]))
+        phi = phi + TWO_PI if phi < np.float32(0.0) else phi
+        phase[col] = phi - TWO_PI if phi >= TWO_PI else phi
+        rise = table[(node + SPAN + 1) % nodes] - table[(node - SPAN + nodes) % nodes]
+        sigma[col] *= abs(np.float32(1.0) - per_span * rise)
+
+
+@compiled
+def doubt_row(table: Any, phase: Any, sigma: Any, doubt: Any) -> None:
+    """Write the sigma of the phase with what is not known of the ripple; 0 where there is none."""
+    nodes = table.size - 1
+    per_rad = np.float32(nodes / TURN)
+    for col in range(phase.size):
+        node = min(int(phase[col] * per_rad), nodes - 1)
+        whole = np.sqrt(sigma[col] * sigma[col] + table[node] * table[node])
+        doubt[col] = whole if sigma[col] > 0.0 else np.float32(0.0)
 
 
 @compiled

@@ -47,6 +47,20 @@ def multiply(line: Any, factor: Any) -> None:
 
 
 @compiled
+def copy_row(line: Any, out: Any) -> None:
+    # A loop: an assignment of slices compiles text for its errors, three seconds of it.
+    for col in range(out.size):
+        out[col] = line[col]
+
+
+@compiled
+def move_row(line: Any, factor: Any, by: Any, out: Any) -> None:
+    """Write line + factor by."""
+    for col in range(out.size):
+        out[col] = line[col] + factor * by[col]
+
+
+@compiled
 def pack_row(line: Any, factor: Any, spare: Any, out: Any) -> None:
     """Write line / unit as the bits of float16, rounded; too large and NaN become the largest.
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from reconstruction.arrays import FloatArray, FloatImage, Reason, Stack
-from reconstruction.compact import Half, Orders, Share, Turns
+from reconstruction.compact import TURN_STEPS, Half, Orders, Share, Turns
 from reconstruction.compiling import run_over_rows
 from reconstruction.decoding import AxisDecode, Decoded, DecodeOptions
 from reconstruction.decoding._decode import Maps, Plan, Units, decode_rows
@@ -28,8 +28,10 @@ from reconstruction.decoding._order import (
 )
 from reconstruction.decoding._rows import BIAS
 from reconstruction.decoding._sum import Layout, Limits
+from reconstruction.decoding.ripple import NODES, Ripple, ripple_of
 from reconstruction.errors import InputError
 from reconstruction.patterns import AXES, XOR_PLACES, Axis, Kind, PatternSet
+from reconstruction.rig.projected_light import ProjectorResponse
 from reconstruction.rig.sensor import SensorNoise
 
 __all__ = ["AxisDecode", "DecodeOptions", "Decoded", "Reason", "decode"]
@@ -51,6 +53,8 @@ def decode(
     sensor: SensorNoise,
     options: DecodeOptions | None = None,
     scale: FloatImage | None = None,
+    *,
+    response: ProjectorResponse | None = None,
 ) -> Decoded:
     """Decode a stack of frames.
 
@@ -61,6 +65,8 @@ def decode(
     options : filter and masks; None: the defaults of `DecodeOptions`
     scale : (row, col) float32, by which each pixel's DN above the black level were multiplied, see
         `merge_exposures`; None: 1
+    response : of the projector; its harmonics are taken off the phase, what is not known of them is
+        part of sigma and of the chance of a wrong order; None: it is linear
 
     Raises
     ------
@@ -73,11 +79,14 @@ def decode(
         )
     frames = np.ascontiguousarray(stack)
     options = options or DecodeOptions()
-    plan = make_plan(frames, patterns, sensor, options, scale)
+    ripple = ripple_of(patterns, response)
+    plan = make_plan(frames, patterns, sensor, options, scale, ripple=ripple)
     maps = _blank_maps(stack.shape[1], stack.shape[2])
     run_over_rows(decode_rows, stack.shape[1], frames, plan, maps, band_rows=BAND_ROWS)
     smoothed = _smoothed(maps, options, patterns)
     units = units_of(sensor, scale)
+    if plan.has_ripple:
+        smoothed = _with_ripple(smoothed, maps, ripple, patterns)
     column, row = (
         _axis(maps, smoothed, k, units, patterns.period_along(axis)) for k, axis in enumerate(AXES)
     )
@@ -129,6 +138,27 @@ def _smoothed(maps: Maps, options: DecodeOptions, patterns: PatternSet) -> Smoot
     return result
 
 
+def _with_ripple(smoothed: Smoothed, maps: Maps, ripple: Ripple, patterns: PatternSet) -> Smoothed:
+    """Add to sigma what is not known of the ripple: waves of many pixels, which no filter takes.
+
+    That of the measuring period stands for all periods of a weighted mean: an upper bound, as their
+    ripples are not in step.
+    """
+    sigma, share = smoothed.sigma.copy(), smoothed.bias_share.copy()
+    for k, axis in enumerate(AXES):
+        if axis not in patterns.axes:
+            continue
+        per_rad = np.float32(patterns.period_along(axis) / (2.0 * np.pi))
+        node = maps.turns[k] // (TURN_STEPS // NODES)
+        doubt_px = per_rad * ripple.sigma_rad[k, 0][node]
+        noise_px = Half(smoothed.sigma[k], SIGMA_UNIT_PX).expand()
+        whole_px = np.where(noise_px > 0.0, np.hypot(noise_px, doubt_px), np.float32(0.0))
+        sigma[k] = Half.of(whole_px, SIGMA_UNIT_PX).bits
+        kept = np.divide(noise_px, whole_px, out=np.ones_like(noise_px), where=whole_px > 0.0)
+        share[k] = np.rint(share[k] * np.square(kept)).astype(np.uint8)
+    return smoothed._replace(sigma=sigma, bias_share=share)
+
+
 def _axis(
     maps: Maps, smoothed: Smoothed, axis: int, units: tuple[float, float, float], period_px: float
 ) -> AxisDecode:
@@ -153,8 +183,11 @@ def make_plan(
     sensor: SensorNoise,
     options: DecodeOptions,
     scale: FloatImage | None,
+    *,
+    ripple: Ripple | None = None,
 ) -> Plan:
     """Return the plan of one decoding."""
+    known = ripple or ripple_of(patterns, None)
     column, row = AXES
     return Plan(
         layout=_layout(patterns),
@@ -165,6 +198,11 @@ def make_plan(
         is_chain=patterns.is_multi_frequency,
         threshold_noise=_threshold_noise(patterns),
         scale=np.ascontiguousarray(np.zeros((0, 0)) if scale is None else scale, np.float32),
+        has_ripple=known.error_rad.size > 0,
+        ripple_rad=known.error_rad,
+        ripple_sigma_rad=known.sigma_rad,
+        shot_share=known.shot_share,
+        threshold_share=known.threshold_share,
     )
 
 

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter1d
 
+from reconstruction.rig.projected_light import blurred
 from twin.config import ConfigError, load_experiment, to_toml, vary
-from twin.optics.light import OVERSAMPLING, blur, light_tables, pattern_set, response
+from twin.optics.light import OVERSAMPLING, light_tables, pattern_set, response
 
 
 @pytest.fixture(scope="module")
@@ -20,7 +21,7 @@ def test_blur_is_box_then_gaussian():
     staircase = np.repeat(light[:, 0], fine)
     wanted = gaussian_filter1d(staircase, 0.7 * fine, truncate=8, mode="constant")
     at_px = (np.arange(len(staircase)) + 0.5) / fine - 0.5
-    found = blur(light, at_px, 0.7)[:, 0]
+    found = blurred(light, at_px, 0.7)[:, 0]
     np.testing.assert_allclose(found, wanted, atol=2e-6)
 
 
@@ -28,7 +29,7 @@ def test_without_blur_every_point_belongs_to_one_pixel():
     """On the border of two pixels both share it: the limit of ever less blur."""
     light = np.arange(5.0)[:, None]
     at_px = np.array([-0.5, 0.49, 0.5, 0.51, 3.2, 4.49, 4.5])
-    np.testing.assert_array_equal(blur(light, at_px, 0.0)[:, 0], [0, 0, 0.5, 1, 3, 4, 2])
+    np.testing.assert_array_equal(blurred(light, at_px, 0.0)[:, 0], [0, 0, 0.5, 1, 3, 4, 2])
 
 
 def test_no_blur_is_the_limit_of_little_blur(experiment):

@@ -133,6 +133,35 @@ def test_predicted_order_errors_are_the_counted_ones(synthesise, change, noise_d
     assert np.mean(worse[unwrapped & is_wrong]) > 0.9
 
 
+@pytest.mark.parametrize("blur_px", [0.0, 0.3, 0.7])
+def test_predicted_order_errors_of_plain_gray_are_not_too_few(synthesise, blur_px):
+    """Setup: three steps, phase sigma 0.08 rad: 0.23 px, more than the edges of the bits are wide.
+
+    Expected: with sharp edges, where noise carries phases over borders, the counted errors within a
+    factor of 1.3; with blur the levels of the bits settle most of them, and what is predicted is
+    an upper bound, as the width of the edges is not known.
+    """
+    patterns = PatternSet(1280, 720, steps=3, code="gray", axes=("column",))
+    row, col = np.mgrid[0:300, 0:600].astype(float)
+    column = 40.0 + 1.9 * col + 0.013 * row
+    stack = synthesise(patterns, column, row, mean_dn=500.0, amplitude_dn=100.0, blur_px=blur_px)
+    stack += np.random.default_rng(4).normal(0.0, 10.0, stack.shape)
+    sensor = SensorNoise(1e-3, 1e4, 0.0, 5000.0)
+    options = DecodeOptions(filter_taps=0, max_phase_sigma_rad=1.0, max_order_error=1.0)
+    axis = decode(stack.astype(np.float32), patterns, sensor, options).column
+    unwrapped = axis.sigma_px > 0.0
+    is_wrong = np.abs(axis.coordinate_px - column) > 9.0
+    counted = np.mean(is_wrong[unwrapped])
+    predicted = float(axis.order_error[unwrapped].mean())
+    assert unwrapped.mean() > 0.99
+    if blur_px == 0.0:
+        assert counted > 5e-3
+        assert counted / 1.3 < predicted < counted * 1.3
+    else:
+        assert counted <= predicted < 0.02
+        assert counted < 5e-3
+
+
 def test_mean_of_near_periods_is_better_by_the_root_of_their_number(synthesise):
     """Expected: sigma as predicted within 2 %, and 1 / sqrt(3) of one period's."""
     patterns = PatternSet(1280, 720, steps=6, **HETERODYNE)

@@ -182,7 +182,7 @@ def unwrapped(weights, periods_px, turns, sigma_rad):
     phases = 2 * np.pi * np.array(turns, np.float32)[:, None]
     sigmas = np.array(sigma_rad, np.float32)[:, None]
     answer = Numbered(*np.zeros((3, 1), np.float32))
-    unwrap_row(chain, phases, sigmas, np.ones(1, np.float32), answer)
+    unwrap_row(chain, phases, sigmas, sigmas, np.ones(1, np.float32), answer)
     return tuple(float(line[0]) for line in answer)
 
 

@@ -3,6 +3,7 @@
 import sys
 
 # These enter their commands into the application.
+from twin.cli import adopt as adopt
 from twin.cli import captures as captures
 from twin.cli import forward as forward
 from twin.cli import identify as identify

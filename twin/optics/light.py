@@ -22,11 +22,10 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.sparse import csr_array
-from scipy.special import erf
 
 from reconstruction.arrays import FloatArray, FloatImage, Levels
 from reconstruction.patterns import PatternFrame, PatternSet
+from reconstruction.rig.projected_light import blurred, relative_light
 from twin.config.models import Patterns, Projector
 from twin.optics.rig import projector_pinhole, world_from_device
 
@@ -169,11 +168,11 @@ def _table(
     first_px = -0.5 - MARGIN_PX
     nodes_px = np.arange(first_px, length - 0.5 + MARGIN_PX, 1.0 / OVERSAMPLING)
     table = LightTable(
-        blur(light, nodes_px, projector.blur_px).astype(np.float32), first_px, tuple(chosen)
+        blurred(light, nodes_px, projector.blur_px).astype(np.float32), first_px, tuple(chosen)
     )
     if blur_levels is None:
         return table
-    defocused = [blur(light, nodes_px, sigma_px) for sigma_px in blur_levels.blurs_px()]
+    defocused = [blurred(light, nodes_px, sigma_px) for sigma_px in blur_levels.blurs_px()]
     return replace(table, levels=blur_levels, defocused=np.stack(defocused).astype(np.float32))
 
 
@@ -185,36 +184,5 @@ def along(frame: PatternFrame) -> str:
 def response(levels: Levels | FloatArray, projector: Projector) -> FloatArray:
     """Relative light of 8-bit levels: power law or table on top of the black level 1 / contrast."""
     black = 1.0 / projector.contrast
-    relative = levels.astype(np.float64) / 255.0
-    if projector.response is None:
-        relative = relative**projector.gamma
-    else:
-        known_at = np.linspace(0.0, 1.0, len(projector.response))
-        relative = np.interp(relative, known_at, projector.response)
+    relative = relative_light(levels, projector.gamma, projector.response or ())
     return np.asarray(black + (1.0 - black) * relative)
-
-
-def blur(light: FloatArray, nodes_px: FloatArray, blur_px: float) -> FloatArray:
-    """Convolve pixel values (pixel, frame) with the DMD box and a Gaussian, at the nodes.
-
-    The weight of pixel j at x is the Gaussian's mass over [x - j - 1/2, x - j + 1/2].
-    """
-    reach = int(np.ceil(0.5 + 6.0 * blur_px))
-    pixel = np.rint(nodes_px).astype(int)[:, None] + np.arange(-reach, reach + 1)
-    inside = (pixel >= 0) & (pixel < len(light))
-    weight = _mass(nodes_px[:, None] - pixel, blur_px) * inside
-    row_starts = np.arange(len(nodes_px) + 1) * pixel.shape[1]
-    pixel = np.clip(pixel, 0, len(light) - 1)
-    weights = csr_array(
-        (weight.ravel(), pixel.ravel(), row_starts), shape=(len(nodes_px), len(light))
-    )
-    return np.asarray(weights @ light)
-
-
-def _mass(offset_px: FloatArray, blur_px: float) -> FloatArray:
-    def below(edge_px: FloatArray) -> FloatArray:
-        # The limit of no blur: a node on the border of two pixels belongs half to each, else the
-        # ramp to the node beside it would shift the border by half a node.
-        return np.sign(edge_px) if blur_px == 0.0 else erf(edge_px / (np.sqrt(2.0) * blur_px))
-
-    return np.asarray(0.5 * (below(offset_px + 0.5) - below(offset_px - 0.5)))

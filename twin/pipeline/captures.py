@@ -94,7 +94,12 @@ def decode_capture(
         watch("decode", 0.0)
         options = options_of(decode).decode
         result = decode_stack(
-            capture.stack, capture.patterns, capture.sensor, options, capture.scale
+            capture.stack,
+            capture.patterns,
+            capture.sensor,
+            options,
+            capture.scale,
+            response=capture.response,
         )
         watch("decode", 1.0)
         figures = decoding_metrics(result)

@@ -1,0 +1,254 @@
+"""Adopt rendered rigs whose parameters are hidden, and count how often the twin covers them.
+
+Forty random rigs (--quick: four; --rigs N) take captures of a bump on the coat as image files:
+three phase steps of 18 px numbered by plain Gray code, twice; the same with 26 px; a matte
+reference; dark and flat frames. `twin adopt` makes their rig files. Every estimate has to lie
+within its 95 % interval so often (binomial: of 280, three standard deviations are 4 %).
+
+Orders of plain Gray code are compared with the truth: `wrong_order_share` of the valid pixels, and
+what was predicted, `order_error_mean`.
+
+Last line: {"coverage_95", "intervals", "gain_rel", "read_noise_rel", "blur_error_px",
+"gamma_error", "albedo_rel", "pose_misfit_px", "two_period_chi2", "wrong_order_share",
+"order_error_mean", "rigs", "seconds"}; errors are RMS over the rigs, chi-square is the mean.
+"""
+
+import argparse
+import json
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import imageio.v3 as imageio
+import numpy as np
+import trimesh
+
+from reconstruction.capture.frame_set import write_frame_set
+from reconstruction.characterise import UncertainValue
+from reconstruction.decoding.decode import decode
+from reconstruction.rig.calibration import write_calibration
+from reconstruction.rig.sensor import SensorNoise
+from twin.adoption.adopt import UNFILTERED, Adopted, Given, adopt
+from twin.adoption.write import write_adopted
+from twin.camera import expose
+from twin.camera.sensor import choose_exposure_ms
+from twin.config import Experiment, load_experiment, vary
+from twin.optics.light import pattern_set
+from twin.optics.rig import true_calibration
+from twin.optics.stack import RadianceStack
+from twin.pipeline.fringes import render
+from twin.specimens.solids import grid_facets
+
+RIGS, QUICK_RIGS = 40, 4
+REFERENCE_ALBEDO = UncertainValue(0.8, 0.008)
+FLAT_FRAMES = 8
+PERIODS_PX = (18.0, 26.0)
+# Ranges of what is hidden; the gain follows from the full well.
+HIDDEN = {
+    "camera.full_well_e": (9000.0, 40000.0),
+    "camera.read_noise_e": (4.0, 12.0),
+    "camera.prnu_percent": (0.3, 1.5),
+    "projector.gamma": (0.8, 2.2),
+    "projector.blur_px": (0.4, 1.2),
+    "projector.contrast": (80.0, 500.0),
+    "coating.base_albedo": (0.15, 0.7),
+    "projector.pose.polar_deg": (20.0, 32.0),
+    "camera.pose.standoff_mm": (195.0, 235.0),
+}
+JUDGED = tuple(HIDDEN)[:7]
+
+
+@dataclass(frozen=True)
+class AdoptedCase:
+    """One rig: what is hidden, what was found, and its orders of plain Gray code."""
+
+    hidden: dict[str, float]
+    found: Adopted
+    wrong_share: float
+    predicted_share: float
+
+
+def hidden_rig(seed: int) -> tuple[Experiment, dict[str, float]]:
+    """Return a random rig and its hidden numbers."""
+    rng = np.random.default_rng((17, seed))
+    hidden = {path: float(rng.uniform(*ends)) for path, ends in HIDDEN.items()}
+    sources = {
+        path: {"value": value, "range": list(HIDDEN[path]), "source": "hidden"}
+        for path, value in hidden.items()
+    }
+    patterns = {"patterns.steps": 3, "patterns.code": "gray"}
+    # Pixels as large as four, of one: binned ones have less noise than 12 bits can tell.
+    pitch = {"value": 18.0, "range": [2.0, 20.0], "source": "benchmark"}
+    camera = {"width_px": 480, "height_px": 360, "pixel_pitch_um": pitch}
+    changes = patterns | {f"camera.{key}": value for key, value in camera.items()}
+    base = load_experiment("examples/slab_ball", changes)
+    return vary(base, {**sources, "seed": seed}), hidden
+
+
+def bump(height_mm: float) -> trimesh.Trimesh:
+    """Return a coat of 32 x 26 mm with a bump in its middle."""
+    x, y = np.meshgrid(np.linspace(-16.0, 16.0, 257), np.linspace(-13.0, 13.0, 209))
+    z = height_mm * np.exp(-(x**2 + y**2) / 18.0)
+    nodes = np.stack([x, y, z], axis=-1).reshape(-1, 3)
+    mesh = trimesh.Trimesh(nodes, grid_facets(*x.shape), process=False, validate=False)
+    mesh.metadata["name"] = "coated_face"
+    return mesh
+
+
+def with_period(experiment: Experiment, period_px: float) -> Experiment:
+    """Return the rig with another fringe period."""
+    shown = experiment.patterns.model_copy(update={"period_px": period_px})
+    return experiment.model_copy(update={"patterns": shown})
+
+
+def write_set(folder: Path, experiment: Experiment, radiance: RadianceStack, trial: int) -> None:
+    """Record a rendered stack and write it as a real rig does."""
+    folder.mkdir(parents=True)
+    patterns = pattern_set(experiment.projector, experiment.patterns)
+    white = patterns.index("white").start
+    exposed = expose(experiment, radiance.frames, white, trial)
+    # What the camera's maker states may be wrong by a third: it is to be found.
+    stated = SensorNoise(
+        1.3 * exposed.sensor.gain_dn_per_e,
+        0.7 * exposed.sensor.read_noise_e,
+        exposed.sensor.black_level_dn,
+        exposed.sensor.saturation_dn,
+    )
+    write_frame_set(folder, exposed.stack, patterns, stated, experiment.camera.bit_depth)
+    write_calibration(folder / "calibration.yaml", true_calibration(experiment))
+
+
+def write_uniform(folder: Path, experiment: Experiment, level: float, trial: int) -> None:
+    """Write frames of even light, a share of what fills a pixel; 0: dark frames."""
+    folder.mkdir()
+    camera = experiment.camera
+    shape = (camera.height_px // camera.binning, camera.width_px // camera.binning)
+    unit = np.ones(shape, np.float32)
+    full = choose_exposure_ms(
+        experiment.model_copy(update={"camera": camera.model_copy(update={"exposure_ms": "auto"})}),
+        unit,
+    )
+    assert not isinstance(camera.exposure_ms, str)
+    even = unit * np.float32(level / camera.auto_level * full / camera.exposure_ms)
+    stack = expose(experiment, [even] * FLAT_FRAMES, 0, trial).stack
+    for number, frame in enumerate(stack):
+        imageio.imwrite(folder / f"{number:02d}.png", frame)
+
+
+def record(folder: Path, experiment: Experiment) -> tuple[Given, RadianceStack, Experiment]:
+    """Take all captures of one rig; returns what to adopt, and the truth of the first one."""
+    rigs = [with_period(experiment, period_px) for period_px in PERIODS_PX]
+    stacks = [render(rig, bump(0.6)) for rig in rigs]
+    matte = experiment.coating.model_copy(
+        update={"base_albedo": REFERENCE_ALBEDO.value, "flake_fraction": 0.0}
+    )
+    reference = render(rigs[0].model_copy(update={"coating": matte}), bump(0.0))
+    white = -2
+    exposure_ms = min(
+        choose_exposure_ms(rigs[0], stack.frames[white]) for stack in (stacks[0], reference)
+    )
+    fixed = [
+        rig.model_copy(
+            update={"camera": rig.camera.model_copy(update={"exposure_ms": exposure_ms})}
+        )
+        for rig in rigs
+    ]
+    for number, (rig, stack) in enumerate([(0, 0), (0, 0), (1, 1)]):
+        write_set(folder / f"coat_{number}", fixed[rig], stacks[stack], number)
+    write_set(folder / "tile", fixed[0], reference, 3)
+    write_uniform(folder / "dark", fixed[0], 0.0, 4)
+    write_uniform(folder / "flat", fixed[0], 0.5, 5)
+    given = Given(
+        tuple(folder / f"coat_{number}" for number in range(3)),
+        dark=folder / "dark",
+        flat=folder / "flat",
+        reference=folder / "tile",
+        reference_albedo=REFERENCE_ALBEDO,
+    )
+    return given, stacks[0], fixed[0]
+
+
+def orders(found: Adopted, truth: RadianceStack) -> tuple[float, float]:
+    """Return the counted and the predicted share of wrong orders along columns."""
+    capture = found.capture
+    decoded = decode(
+        capture.stack, capture.patterns, capture.sensor, UNFILTERED, response=capture.response
+    )
+    seen = decoded.valid & truth.truth.lit
+    off_px = np.abs(decoded.column.coordinate_px - truth.truth.column_px)[seen]
+    wrong = float(np.mean(off_px > 0.5 * capture.patterns.period_px))
+    return wrong, float(decoded.column.order_error[seen].mean())
+
+
+def adopted(seed: int) -> AdoptedCase:
+    """Make one rig, take its captures and adopt it."""
+    experiment, hidden = hidden_rig(seed)
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        given, truth, _ = record(folder, experiment)
+        found = adopt(given)
+        (folder / "out").mkdir()
+        write_adopted(folder / "out", found, given)
+        return AdoptedCase(hidden, found, *orders(found, truth))
+
+
+def told(case: AdoptedCase, path: str) -> tuple[float, float, float]:
+    """Return hidden value, found value and standard uncertainty; not found: uncertainty 0."""
+    field = case.found.fields.get(path)
+    if field is None or field.uncertainty is None:
+        return case.hidden[path], 0.0, 0.0
+    return case.hidden[path], float(field.value), field.uncertainty
+
+
+def figures_of(cases: list[AdoptedCase]) -> dict[str, Any]:
+    """Return coverage and errors over all rigs."""
+    rows = {path: np.array([told(case, path) for case in cases]) for path in JUDGED}
+    every = np.concatenate(list(rows.values()))
+    inside = np.abs(every[:, 1] - every[:, 0]) <= 1.96 * every[:, 2]
+
+    def rms(path: str, *, relative: bool) -> float:
+        true, value, _ = rows[path].T
+        error = (value - true) / (true if relative else 1.0)
+        return round(float(np.sqrt(np.mean(error**2))), 5)
+
+    chi2 = [case.found.two_period_chi2 for case in cases]
+    return {
+        "coverage_95": round(float(inside.mean()), 4),
+        "intervals": len(inside),
+        "gain_rel": rms("camera.full_well_e", relative=True),
+        "read_noise_rel": rms("camera.read_noise_e", relative=True),
+        "blur_error_px": rms("projector.blur_px", relative=False),
+        "gamma_error": rms("projector.gamma", relative=False),
+        "albedo_rel": rms("coating.base_albedo", relative=True),
+        "pose_misfit_px": round(max(max(case.found.placed.misfit_px) for case in cases), 5),
+        "two_period_chi2": round(float(np.mean([c for c in chi2 if c is not None])), 4),
+        "wrong_order_share": float(np.mean([case.wrong_share for case in cases])),
+        "order_error_mean": float(np.mean([case.predicted_share for case in cases])),
+        "rigs": len(cases),
+    }
+
+
+def main() -> None:
+    """Run the benchmark."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--quick", action="store_true")
+    parser.add_argument("--rigs", type=int, help="so many rigs")
+    asked = parser.parse_args()
+    count = asked.rigs or (QUICK_RIGS if asked.quick else RIGS)
+    start, cases = time.perf_counter(), []
+    for seed in range(count):
+        case = adopted(seed)
+        cases.append(case)
+        for path in JUDGED:
+            true, value, sigma = told(case, path)
+            steps = (value - true) / sigma if sigma else float("nan")
+            print(f"rig {seed} {path}: {value:.5g}, true {true:.5g}, off {steps:+.2f} sigma")
+        print(f"rig {seed} two_period_chi2: {case.found.two_period_chi2}", flush=True)
+    result = figures_of(cases)
+    print(json.dumps(result | {"seconds": round(time.perf_counter() - start, 1)}))
+
+
+if __name__ == "__main__":
+    main()

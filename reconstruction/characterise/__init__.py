@@ -1,0 +1,25 @@
+"""What a capture says of the devices that took it: the camera's noise, the projector's light."""
+
+from reconstruction.characterise.flat_field import Dark, dark_of, prnu_of
+from reconstruction.characterise.photon_transfer import (
+    NoiseSamples,
+    PhotonTransfer,
+    UncertainValue,
+    photon_transfer,
+    samples_of_pairs,
+)
+from reconstruction.characterise.projector_fit import FitLimits, ProjectorFit, fit_projector
+
+__all__ = [
+    "Dark",
+    "FitLimits",
+    "NoiseSamples",
+    "PhotonTransfer",
+    "ProjectorFit",
+    "UncertainValue",
+    "dark_of",
+    "fit_projector",
+    "photon_transfer",
+    "prnu_of",
+    "samples_of_pairs",
+]

@@ -1,0 +1,119 @@
+"""Dark and flat frames: black level, read noise, and how pixels differ (EMVA 1288 release 4).
+
+The spatial variance of a mean of L frames is that of the pixels plus 1 / L of their temporal one.
+Slow changes of light over a flat frame are taken off by a high-pass, the image less its mean over
+7 x 7 pixels, which leaves 1 - 1/49 of the variance of pixels that differ by themselves.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import uniform_filter
+
+from reconstruction.arrays import FloatArray, Stack
+from reconstruction.characterise.photon_transfer import LEAST_VARIANCE_DN2, UncertainValue
+from reconstruction.errors import InputError
+from reconstruction.rig.sensor import QUANTISATION_DN2
+
+LEAST_FRAMES = 2
+_BOX = 7
+_KEPT = 1.0 - 1.0 / _BOX**2
+
+
+@dataclass(frozen=True)
+class Dark:
+    """What frames without light say of a camera.
+
+    Attributes
+    ----------
+    noise_dn : temporal, without that of the rounding; None where rounding rules it
+    dsnu_dn : spread of the offsets from pixel to pixel
+    """
+
+    black_level_dn: UncertainValue
+    noise_dn: UncertainValue | None
+    dsnu_dn: UncertainValue
+
+
+def dark_of(frames: Stack) -> Dark:
+    """Characterise dark frames, (frame, row, col) DN, at least two.
+
+    Raises
+    ------
+    InputError : too few frames
+    """
+    _require(frames, "dark")
+    temporal, spatial = _variances(frames, is_flat=False)
+    is_ruled = temporal.value < LEAST_VARIANCE_DN2
+    # A level that always rounds to the same number is known to that rounding alone.
+    rounding = QUANTISATION_DN2 if is_ruled else 0.0
+    sampling = (spatial.value + temporal.value / len(frames)) / float(frames[0].size)
+    level = UncertainValue(
+        float(frames.mean(dtype=np.float64)), float(np.sqrt(sampling + rounding))
+    )
+    # What Sheppard's 1/12 leaves of the rounding of a normal number, at the most unlucky level.
+    variance = max(temporal.value - QUANTISATION_DN2, 0.0)
+    left = np.exp(-2.0 * np.pi**2 * variance) * (4.0 * variance + 1.0 / np.pi**2)
+    noise = _root(variance, float(np.hypot(temporal.uncertainty, left / np.sqrt(2.0))))
+    return Dark(level, None if is_ruled else noise, _root_of(spatial))
+
+
+def prnu_of(frames: Stack, black_level_dn: float, dsnu_dn: float = 0.0) -> UncertainValue:
+    """Return the spread of the pixels' response as a share, of frames evenly lit.
+
+    Parameters
+    ----------
+    frames : (frame, row, col) DN, at least two, of one bright, even and unsharp surface
+    black_level_dn, dsnu_dn : of the camera
+
+    Raises
+    ------
+    InputError : too few frames, or no light on them
+    """
+    _require(frames, "flat")
+    above_dn = float(frames.mean(dtype=np.float64)) - black_level_dn
+    if not above_dn > 10.0:
+        raise InputError(f"flat frames are {above_dn:.3g} DN above black; light them evenly")
+    _, spatial = _variances(frames, is_flat=True)
+    share2 = max(spatial.value - dsnu_dn**2, 0.0) / above_dn**2
+    return _root(share2, spatial.uncertainty / above_dn**2)
+
+
+def _require(frames: Stack, kind: str) -> None:
+    if frames.ndim != 3 or len(frames) < LEAST_FRAMES:
+        raise InputError(f"found {len(frames)} {kind} frames; give at least {LEAST_FRAMES}")
+
+
+def _variances(frames: Stack, *, is_flat: bool) -> tuple[UncertainValue, UncertainValue]:
+    """Return temporal and spatial variance of the pixels, DN^2."""
+    count = len(frames)
+    values = frames.astype(np.float64)
+    # Light that drifts between frames is no noise of a pixel.
+    values -= values.mean(axis=(1, 2), keepdims=True) - values.mean()
+    temporal = values.var(axis=0, ddof=1)
+    mean = values.mean(axis=0)
+    around = _high_pass(mean) if is_flat else mean - mean.mean()
+    kept = _KEPT if is_flat else 1.0
+    within = UncertainValue(float(temporal.mean()), float(temporal.std() / np.sqrt(temporal.size)))
+    spread = float(np.mean(around**2)) / kept
+    spatial = max(spread - within.value / count, 0.0)
+    sampling = spread * np.sqrt(2.0 / around.size)
+    return within, UncertainValue(spatial, float(np.hypot(sampling, within.uncertainty / count)))
+
+
+def _high_pass(image: FloatArray) -> FloatArray:
+    smooth = uniform_filter(image, _BOX, mode="nearest")
+    edge = _BOX // 2
+    return np.asarray((image - smooth)[edge:-edge, edge:-edge])
+
+
+def _root_of(variance: UncertainValue) -> UncertainValue:
+    return _root(variance.value, variance.uncertainty)
+
+
+def _root(variance: float, uncertainty: float) -> UncertainValue:
+    """Return the root of a variance; of one that its uncertainty hides, with that of a bound."""
+    root = float(np.sqrt(max(variance, 0.0)))
+    if variance <= uncertainty:
+        return UncertainValue(root, float(np.sqrt(uncertainty)))
+    return UncertainValue(root, uncertainty / (2.0 * root))

@@ -1,0 +1,225 @@
+"""Photon transfer: system gain and read noise from how the noise of pixels grows with their light.
+
+EMVA 1288 release 4, linear model. Symbols: K system gain (DN per electron), sigma_d temporal dark
+noise (electrons), b black level; a pixel of mean mu has the variance
+
+    sigma^2 = K (mu - b) + (K sigma_d)^2 + 1 / 12.
+
+A straight line over samples (mean, squared residual): of two frames that show the same, or of what
+a model of the frames leaves of them (`projector_fit`).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from reconstruction.arrays import BoolArray, FloatArray, Stack
+from reconstruction.errors import InputError
+from reconstruction.rig.sensor import QUANTISATION_DN2, SensorNoise
+
+BINS = 40
+LEAST_SAMPLES = 2000
+LEAST_VARIANCE_DN2 = 0.24
+"""Below it rounding rules a pixel's temporal noise, and is no 1/12 (EMVA 1288 release 4)."""
+
+_LEAST_BINS, _LEAST_IN_BIN = 5, 100
+# Samples this near to the ends of the scale have lost a part of their noise.
+_END_SIGMAS = 5.0
+_MOST_PIXELS = 200_000
+_ROUNDS = 3
+
+
+@dataclass(frozen=True)
+class UncertainValue:
+    """A value and its standard uncertainty."""
+
+    value: float
+    uncertainty: float
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.value) and self.uncertainty >= 0.0):
+            raise InputError(f"estimate {self.value} +- {self.uncertainty} is none")
+
+
+@dataclass(frozen=True, eq=False)
+class NoiseSamples:
+    """Pixels of some frames: what they should read, and a square whose mean is their variance.
+
+    mean_dn, square_dn2 : (sample,) float
+    """
+
+    mean_dn: FloatArray
+    square_dn2: FloatArray
+
+    def joined(self, other: "NoiseSamples") -> "NoiseSamples":
+        """Return the samples of both."""
+        return NoiseSamples(
+            np.concatenate([self.mean_dn, other.mean_dn]),
+            np.concatenate([self.square_dn2, other.square_dn2]),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class PhotonTransfer:
+    """The line, and the bins that it was drawn through.
+
+    Attributes
+    ----------
+    read_noise_e : None where the line's intercept lies below the rounding's: it is not seen
+    mean_dn, variance_dn2, variance_uncertainty_dn2 : (bin,)
+    chi2_per_bin : of the line; far above 1 the noise is not that of a linear sensor
+    """
+
+    gain_dn_per_e: UncertainValue
+    read_noise_e: UncertainValue | None
+    black_level_dn: float
+    mean_dn: FloatArray
+    variance_dn2: FloatArray
+    variance_uncertainty_dn2: FloatArray
+    chi2_per_bin: float
+
+    def variance_at(self, mean_dn: FloatArray) -> FloatArray:
+        """Return the variance that the line gives means, DN^2."""
+        read_dn = self.gain_dn_per_e.value * (self.read_noise_e.value if self.read_noise_e else 0.0)
+        above = np.maximum(mean_dn - self.black_level_dn, 0.0)
+        return np.asarray(
+            self.gain_dn_per_e.value * above + read_dn**2 + QUANTISATION_DN2, dtype=np.float64
+        )
+
+
+def samples_of_pairs(first: Stack, second: Stack, sensor: SensorNoise) -> NoiseSamples:
+    """Return samples of two stacks that show the same, frame by frame.
+
+    Parameters
+    ----------
+    first, second : (frame, row, col) DN; the light may have drifted: each frame of the second is
+        scaled to that of the first
+    sensor : its black level and limits
+
+    Raises
+    ------
+    InputError : the stacks have different shapes
+    """
+    if first.shape != second.shape:
+        raise InputError(
+            f"repeated captures have shapes {first.shape} and {second.shape}; give the same "
+            "sequence recorded twice"
+        )
+    step = max(1, int(np.ceil(np.prod(first.shape[1:]) / _MOST_PIXELS)))
+    samples = [
+        _pair(
+            one.ravel()[::step].astype(np.float64) - sensor.black_level_dn,
+            other.ravel()[::step].astype(np.float64) - sensor.black_level_dn,
+            sensor,
+        )
+        for one, other in zip(first, second, strict=True)
+    ]
+    return NoiseSamples(
+        np.concatenate([one.mean_dn for one in samples]),
+        np.concatenate([one.square_dn2 for one in samples]),
+    )
+
+
+def _pair(one: FloatArray, other: FloatArray, sensor: SensorNoise) -> NoiseSamples:
+    total = float(other.sum())
+    ratio = float(one.sum()) / total if total > 0.0 else 1.0
+    # Where there is hardly light, drift of the light is none.
+    ratio = ratio if 0.5 < ratio < 2.0 and np.mean(other) > 10.0 else 1.0
+    mean = 0.5 * (one + ratio * other)
+    square = (one - ratio * other) ** 2 / (1.0 + ratio**2)
+    return NoiseSamples(mean + sensor.black_level_dn, square)
+
+
+def photon_transfer(samples: NoiseSamples, sensor: SensorNoise) -> PhotonTransfer:
+    """Draw the line through samples.
+
+    Parameters
+    ----------
+    sensor : black level and saturation; its gain and noise only tell which samples are near an end
+
+    Raises
+    ------
+    InputError : too few samples, or too little light among them
+    """
+    inside = _inside(samples, sensor)
+    if int(inside.sum()) < LEAST_SAMPLES:
+        raise InputError(
+            f"photon transfer has {int(inside.sum())} samples between black and saturation; needs "
+            f"{LEAST_SAMPLES}: expose between them"
+        )
+    span_dn = float(np.ptp(samples.mean_dn[inside]))
+    if not span_dn > 0.05 * (sensor.saturation_dn - sensor.black_level_dn):
+        raise InputError("photon transfer: all frames are equally bright; record dark and bright")
+    mean, variance, sigma = _bins(samples.mean_dn[inside], samples.square_dn2[inside])
+    told = variance >= LEAST_VARIANCE_DN2
+    if int(told.sum()) < _LEAST_BINS:
+        raise InputError(
+            "photon transfer: the noise lies within the rounding of the levels; record more bits, "
+            "or raise the camera's gain"
+        )
+    mean, variance, sigma = mean[told], variance[told], sigma[told]
+    above = mean - sensor.black_level_dn
+    slope, intercept, covariance, chi2 = _line(above, variance, sigma)
+    if not slope > 0.0:
+        raise InputError("photon transfer: noise does not grow with light; is this one sensor?")
+    gain = UncertainValue(slope, float(np.sqrt(covariance[0, 0])))
+    read = _read_noise(slope, intercept, covariance)
+    return PhotonTransfer(
+        gain, read, sensor.black_level_dn, mean, variance, sigma, chi2 / max(len(mean) - 2, 1)
+    )
+
+
+def _inside(samples: NoiseSamples, sensor: SensorNoise) -> BoolArray:
+    margin = _END_SIGMAS * np.sqrt(sensor.variance_dn2(samples.mean_dn))
+    low = samples.mean_dn - margin > 0.0
+    return np.asarray(low & (samples.mean_dn + margin < sensor.clipped_from_dn))
+
+
+def _bins(mean_dn: FloatArray, square_dn2: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return mean, variance and its standard uncertainty of bins equally wide in the mean.
+
+    Not of equally many samples: they would part pixels of one level by the parity of their sums,
+    which is that of their differences.
+    """
+    low, high = float(mean_dn.min()), float(mean_dn.max())
+    place = (mean_dn - low) / max(high - low, 1e-9) * BINS
+    number = np.minimum(place.astype(int), BINS - 1)
+    count = np.bincount(number, minlength=BINS)
+    full = count >= _LEAST_IN_BIN
+    per = 1.0 / np.maximum(count, 1)
+    mean = np.bincount(number, mean_dn, BINS) * per
+    variance = np.bincount(number, square_dn2, BINS) * per
+    fourth = np.bincount(number, square_dn2**2, BINS) * per
+    sigma = np.sqrt(np.maximum(fourth - variance**2, 1e-24) * per)
+    return mean[full], variance[full], sigma[full]
+
+
+def _line(
+    above: FloatArray, variance: FloatArray, sigma: FloatArray
+) -> tuple[float, float, FloatArray, float]:
+    """Return slope, intercept, their covariance and chi-square.
+
+    The weights follow the line and not the bins: a bin that happens to be quiet looks certain.
+    """
+    design = np.stack([above, np.ones_like(above)], axis=1)
+    fitted = variance
+    for _ in range(_ROUNDS):
+        weight = (np.maximum(variance, 1e-12) / sigma / np.maximum(fitted, 1e-12)) ** 2
+        normal = design.T @ (weight[:, None] * design)
+        found = np.linalg.solve(normal, design.T @ (weight * variance))
+        fitted = np.maximum(design @ found, 0.01 * variance)
+    chi2 = float(np.sum(weight * (variance - design @ found) ** 2))
+    freedom = max(len(above) - 2, 1)
+    covariance: FloatArray = np.asarray(
+        np.linalg.inv(normal) * max(1.0, chi2 / freedom), dtype=np.float64
+    )
+    return float(found[0]), float(found[1]), covariance, chi2
+
+
+def _read_noise(slope: float, intercept: float, covariance: FloatArray) -> UncertainValue | None:
+    variance_dn2 = intercept - QUANTISATION_DN2
+    if variance_dn2 <= np.sqrt(covariance[1, 1]):
+        return None
+    read_e = np.sqrt(variance_dn2) / slope
+    towards = np.array([-read_e / slope, read_e / (2.0 * variance_dn2)])
+    return UncertainValue(float(read_e), float(np.sqrt(towards @ covariance @ towards)))

@@ -1,0 +1,191 @@
+"""What a projector that is not linear does to the phase, and how well that is known.
+
+Symbols: g gamma, N steps, phi phase, B_m the harmonics of a fringe. N steps cancel all harmonics
+but m = k N +- 1; those that stay turn the phase by about (B_(N-1) - B_(N+1)) / B_1 sin(N phi),
+which for N = 3 and 4 exceeds the noise (Zhang and Huang, Opt. Eng. 46, 063601 (2007), correct it by
+a table over the phase, as is done here). Lens blur weakens high harmonics more than the first one:
+the table is made with it, from the very 8-bit levels that were shown.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from reconstruction.arrays import FloatArray, FloatImage
+from reconstruction.patterns import AXES, Axis, PatternSet
+from reconstruction.rig.projected_light import GAMMA_RANGE, ProjectorResponse, blurred
+
+NODES = 512
+"""Nodes of a table over one turn, at n / NODES. Each is the mean about it, to which curvature adds
+a twelfth of itself times the square of their distance: 0.2 mrad at N = 3 and gamma 2.2."""
+
+TURN = 2.0 * np.pi
+_PER_NODE = 2
+_MOST_PERIODS = 24
+# Beyond that many blurs from the end of the image a pixel sees nothing of it.
+_EDGE_BLURS = 4.0
+# Differences for the uncertainty: small against any gamma and blur, large against rounding.
+_STEP = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Ripple:
+    """Tables over the measured phase, at NODES + 1 nodes: the last one is the first again.
+
+    Attributes
+    ----------
+    error_rad : (axis, set, node) float32, measured minus true phase
+    sigma_rad : (axis, set, node) float32, what is not known of it
+    shot_share : (axis, set, node) float32; of the modulation, by which the light that counts for
+        the phase's shot noise exceeds the mean of the steps
+    threshold_share : of the modulation, by which a Gray level halfway between white and black lies
+        above the mean of the phase frames; (axis,)
+    """
+
+    error_rad: FloatImage
+    sigma_rad: FloatImage
+    shot_share: FloatImage
+    threshold_share: tuple[float, float]
+
+
+_EMPTY: FloatImage = np.zeros((2, 0, 0), np.float32)
+
+
+def ripple_of(patterns: PatternSet, response: ProjectorResponse | None) -> Ripple:
+    """Return the tables of a sequence of fringes for a projector of this response.
+
+    Where there are none the tables have the shape (2, 0, 0): the response is None, and three steps
+    alone have an uneven share of the shot noise, or there are no fringes at all.
+    """
+    if response is None or not patterns.steps:
+        shot = _of_three_steps(patterns) if patterns.steps == 3 else _EMPTY
+        return Ripple(_EMPTY, _EMPTY, shot, (0.0, 0.0))
+    shape = 2, len(patterns.periods_px), NODES + 1
+    error, sigma, shot = (np.zeros(shape, np.float32) for _ in range(3))
+    shares = [0.0, 0.0]
+    for axis in patterns.axes:
+        k = AXES.index(axis)
+        for fringes in range(shape[1]):
+            error[k, fringes], sigma[k, fringes] = _tables(patterns, axis, fringes, response)
+            shot[k, fringes] = _shot_table(patterns, axis, fringes, response)
+        shares[k] = _threshold_share(patterns, axis, response)
+    return Ripple(error, sigma, shot, (shares[0], shares[1]))
+
+
+def _of_three_steps(patterns: PatternSet) -> FloatImage:
+    """Return -cos 3 (phi + t_0) / 2: (2 / N) sum cos(x_n) sin^2(x_n) for N = 3, 0 for more."""
+    shot: FloatImage = np.zeros((2, len(patterns.periods_px), NODES + 1), np.float32)
+    turns = np.arange(NODES + 1) / NODES
+    for axis in patterns.axes:
+        for fringes in range(shot.shape[1]):
+            first = patterns.shifts(axis, fringes)[0]
+            shot[AXES.index(axis), fringes] = -0.5 * np.cos(3.0 * TURN * (turns + first))
+    return shot
+
+
+def _shot_table(
+    patterns: PatternSet, axis: Axis, fringes: int, response: ProjectorResponse
+) -> FloatArray:
+    """Return ((2 / N) sum L_n sin^2(x_n) - mean L) / modulation over the measured phase.
+
+    The phase of N equal steps errs by -(2 / N B) sum n_n sin(x_n), x_n = phi + t_n (Surrel 1997).
+    """
+    light, phasor, turns = _frames_at(patterns, axis, fringes, response)[1:]
+    weight = 2.0 * np.sin(np.angle(phasor)[:, None] + TURN * turns) ** 2
+    modulation = 2.0 / patterns.steps * np.abs(phasor)
+    share = ((weight * light).mean(axis=1) - light.mean(axis=1)) / modulation
+    return _over_nodes(share, np.angle(phasor))[0]
+
+
+def _tables(
+    patterns: PatternSet, axis: Axis, fringes: int, response: ProjectorResponse
+) -> tuple[FloatArray, FloatArray]:
+    mean, spread = _table(patterns, axis, fringes, response)
+    variance = spread**2
+    for changed, step, uncertainty in _changes(response):
+        if uncertainty > 0.0:
+            other, _ = _table(patterns, axis, fringes, changed)
+            variance = variance + ((other - mean) / step * uncertainty) ** 2
+    return mean, np.sqrt(variance)
+
+
+def _changes(
+    response: ProjectorResponse,
+) -> list[tuple[ProjectorResponse, float, float]]:
+    """Return responses a small step off, the step, and the standard uncertainty along it."""
+    up = response.gamma + _STEP <= GAMMA_RANGE[1]
+    step = _STEP if up else -_STEP
+    steeper = replace(response, gamma=1.0 if response.curve else response.gamma + step)
+    wider = replace(response, blur_px=min(response.blur_px + _STEP, 10.0))
+    gamma_uncertainty = 0.0 if response.curve else response.gamma_uncertainty
+    return [
+        (steeper, step, gamma_uncertainty),
+        (wider, max(wider.blur_px - response.blur_px, 1e-9), response.blur_uncertainty_px),
+    ]
+
+
+def _table(
+    patterns: PatternSet, axis: Axis, fringes: int, response: ProjectorResponse
+) -> tuple[FloatArray, FloatArray]:
+    """Return the mean error of the phase at each node, and its spread over the periods, rad.
+
+    The spread is that of the 8-bit levels, which differ from period to period unless the period is
+    a whole number of pixels.
+    """
+    u_px, _, phasor, _ = _frames_at(patterns, axis, fringes, response)
+    period_px = patterns.periods_along(axis)[fringes]
+    error = np.angle(phasor * np.exp(-1j * TURN * u_px / period_px))
+    return _over_nodes(error, np.angle(phasor))
+
+
+def _over_nodes(values: FloatArray, phase_rad: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return mean and spread of values at phases about each node."""
+    place = phase_rad / TURN % 1.0 * NODES
+    low = np.floor(place)
+    share = place - low
+    node = np.concatenate([low, low + 1.0]).astype(int) % NODES
+    weight, twice = np.concatenate([1.0 - share, share]), np.tile(values, 2)
+    total = np.bincount(node, weight, NODES)
+    mean = _filled(np.bincount(node, weight * twice, NODES), total)
+    around = (values - np.interp(place, np.arange(NODES), mean, period=NODES)) ** 2
+    spread = _filled(np.bincount(node, weight * np.tile(around, 2), NODES), total)
+    return np.append(mean, mean[0]), np.sqrt(np.append(spread, spread[0]))
+
+
+def _frames_at(
+    patterns: PatternSet, axis: Axis, fringes: int, response: ProjectorResponse
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return places on the projector, (place,) px, the light of all steps there, (place, step).
+
+    With them the phasor that the decoder measures, (place,) complex, and the shifts, turns.
+    """
+    first = patterns.index("phase", axis).start + fringes * patterns.steps
+    frames = patterns.frames[first : first + patterns.steps]
+    levels = np.stack([patterns.profile(frame) for frame in frames], axis=1)
+    period_px, length = patterns.periods_along(axis)[fringes], patterns.length_px(axis)
+    per_px = max(2, int(np.ceil(_PER_NODE * NODES / period_px)))
+    edge = min(1.0 + _EDGE_BLURS * response.blur_px, length / 4.0)
+    last = min(length - 0.5 - edge, edge + _MOST_PERIODS * period_px)
+    u_px = np.arange(edge - 0.5, last, 1.0 / per_px)
+    light = blurred(response.light(levels), u_px, response.blur_px)
+    turns = np.array(patterns.shifts(axis, fringes))
+    return u_px, light, np.asarray(light @ np.exp(-1j * TURN * turns)), turns
+
+
+def _filled(total: NDArray[Any], weight: NDArray[Any]) -> FloatArray:
+    """Return means over nodes; where nothing fell, what stands beside."""
+    known = np.flatnonzero(weight > 0.0)
+    nodes = np.arange(NODES)
+    return np.asarray(np.interp(nodes, known, total[known] / weight[known], period=NODES))
+
+
+def _threshold_share(patterns: PatternSet, axis: Axis, response: ProjectorResponse) -> float:
+    """Return (mid-level - mean) / modulation of the light of one full period of fringes."""
+    low, high = response.light(
+        np.array([patterns.low_level, patterns.high_level], dtype=np.uint8)
+    ).tolist()
+    _, light, phasor, _ = _frames_at(patterns, axis, 0, response)
+    modulation = float(np.mean(np.abs(phasor))) * 2.0 / patterns.steps
+    return float((0.5 * (low + high) - float(light.mean())) / modulation)

@@ -1,0 +1,87 @@
+"""`twin adopt` on the worked example of docs/real_rig.md, whose rig is known."""
+
+import json
+import shutil
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from twin.cli import run
+from twin.config import load_experiment
+
+EXAMPLE = Path(__file__).parents[2] / "docs" / "example_capture"
+
+
+@pytest.fixture(scope="module")
+def adopted(tmp_path_factory):
+    out = tmp_path_factory.mktemp("adopt") / "rig"
+    assert run(["adopt", str(EXAMPLE), "-o", str(out), "--no-report"]) == 0
+    return out
+
+
+def test_the_example_tells_its_rig(adopted):
+    """docs/make_example_capture.py: gamma 1, blur 0.7 px, gain 6.22e-4 DN/e- of binned pixels.
+
+    8 bits: a level is 1,600 electrons, rounding hides the read noise, and the gain is as good as
+    the pixel noise of some tenths of a level lets it.
+    """
+    metrics = json.loads((adopted / "result.json").read_text())["metrics"]
+    assert (
+        abs(metrics["projector_gamma"] - 1.0) < 3.0 * metrics["projector_gamma_uncertainty"] + 0.01
+    )
+    assert metrics["projector_blur_px"] == pytest.approx(0.7, abs=0.05)
+    assert metrics["camera_misfit_px"] < 0.01
+    assert metrics["fields_found"] > 20
+    assert metrics["fields_assumed"] > 10
+
+
+def test_files_are_a_contract(adopted):
+    result = json.loads((adopted / "result.json").read_text())
+    assert result["command"] == "adopt"
+    assert len(result["digest"]) == 16
+    rig = tomllib.loads((adopted / "rig.toml").read_text())
+    assert rig["projector"]["gamma"]["source"].startswith("measured")
+    assert rig["coating"]["base_albedo"]["source"].startswith("assumed")
+    assert load_experiment(adopted / "experiment.toml").name == "adopted"
+    response = tomllib.loads((adopted / "response.toml").read_text())["response"]
+    assert response["gamma"] == pytest.approx(rig["projector"]["gamma"]["value"], rel=1e-6)
+
+
+def test_the_response_is_taken_by_a_capture(adopted, tmp_path, capsys):
+    """response.toml, put behind capture.toml, is what the decoder then uses."""
+    capture = tmp_path / "capture"
+    shutil.copytree(EXAMPLE, capture)
+    told = (capture / "capture.toml").read_text() + (adopted / "response.toml").read_text()
+    (capture / "capture.toml").write_text(told)
+    assert run(["decode", str(capture), "-o", str(tmp_path / "with")]) == 0
+    assert run(["decode", str(EXAMPLE), "-o", str(tmp_path / "without")]) == 0
+    digests = {
+        json.loads((tmp_path / name / "result.json").read_text())["digest"]
+        for name in ("with", "without")
+    }
+    assert len(digests) == 2
+    broken = told.replace("gamma =", "gama =")
+    (capture / "capture.toml").write_text(broken)
+    capsys.readouterr()
+    assert run(["decode", str(capture), "-o", str(tmp_path / "no")]) == 2
+    assert "did you mean gamma?" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ([], "no capture"),
+        (["nowhere"], "capture.toml"),
+        ([str(EXAMPLE), "--dark", "nowhere"], "no images"),
+        ([str(EXAMPLE), "--reference", str(EXAMPLE)], "go together"),
+        ([str(EXAMPLE), "--like", "rigs/none"], "none"),
+        ([str(EXAMPLE), "--reference", str(EXAMPLE), "--reference-albedo", "7"], "albedo"),
+    ],
+)
+def test_bad_input_is_one_line(tmp_path, capsys, arguments, message):
+    out = tmp_path / "out"
+    assert run(["adopt", *arguments, "-o", str(out), "--no-report"]) == 2
+    told = capsys.readouterr().err.strip().splitlines()[-1]
+    assert message in told
+    assert not out.exists()

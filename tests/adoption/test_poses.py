@@ -1,0 +1,75 @@
+"""Calibrations in the words of a rig: those of rigs come back, others tell what is left out."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from reconstruction.errors import InputError
+from reconstruction.rig.calibration import Calibration
+from twin.adoption.poses import place
+from twin.config import load_experiment
+from twin.optics.rig import true_calibration
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {},
+        {"camera.pose.polar_deg": 12.0, "camera.pose.azimuth_deg": -70.0},
+        {"projector.pose.roll_deg": 25.0, "camera.pose.roll_deg": -8.0},
+        {"camera.distortion": [-0.08, 0.1, 0.001, 0.0, 0.0], "projector.offset_percent": 40.0},
+    ],
+    ids=["paper", "tilted", "rolled", "distorted"],
+)
+def test_a_rig_comes_back(changes):
+    """Expected: every number of both poses to 1e-6, and a misfit below 1e-4 px."""
+    experiment = load_experiment("examples/slab_ball", {"camera.binning": 4, **changes})
+    found = place(true_calibration(experiment))
+    assert max(found.misfit_px) < 1e-4
+    assert found.is_close
+    for pose, device in (
+        (found.camera_pose, experiment.camera),
+        (found.projector_pose, experiment.projector),
+    ):
+        assert pose.standoff_mm == pytest.approx(device.pose.standoff_mm, rel=1e-6)
+        assert pose.polar_deg == pytest.approx(device.pose.polar_deg, abs=1e-4)
+    assert found.projector_focal_px == pytest.approx(1.2 * 1280, rel=1e-6)
+    np.testing.assert_allclose(found.origin_mm, 0.0, atol=1e-5)
+
+
+def test_another_origin_is_found():
+    """The world frame moved by (3, -2) mm in its plane: the rig is the same one."""
+    experiment = load_experiment("examples/slab_ball", {"camera.binning": 4})
+    true = true_calibration(experiment)
+    shift = np.eye(4)
+    shift[:2, 3] = 3.0, -2.0
+    moved = Calibration(
+        true.camera, true.projector, shift @ true.T_world_from_cam, shift @ true.T_world_from_proj
+    )
+    found = place(moved)
+    np.testing.assert_allclose(found.origin_mm, (3.0, -2.0, 0.0), atol=1e-5)
+    assert found.camera_pose.standoff_mm == pytest.approx(experiment.camera.pose.standoff_mm)
+
+
+def test_what_a_rig_cannot_say_is_misfit():
+    """A projector whose axis is 40 px aside looks elsewhere: some px stay, and are told."""
+    true = true_calibration(load_experiment("examples/slab_ball", {"camera.binning": 4}))
+    aside = replace(true, projector=replace(true.projector, fy_px=1.02 * true.projector.fx_px))
+    found = place(aside)
+    assert found.misfit_px[1] > 0.5
+    assert not found.is_close
+
+
+def test_a_camera_that_looks_up_is_refused():
+    true = true_calibration(load_experiment("examples/slab_ball", {"camera.binning": 4}))
+    turned = np.diag([1.0, -1.0, -1.0, 1.0])
+    with pytest.raises(InputError, match="look down"):
+        place(
+            Calibration(
+                true.camera,
+                true.projector,
+                turned @ true.T_world_from_cam,
+                turned @ true.T_world_from_proj,
+            )
+        )

@@ -1,0 +1,149 @@
+"""Camera and projector from captures: against the numbers that the captures were made with."""
+
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter1d
+
+from reconstruction.characterise import (
+    NoiseSamples,
+    UncertainValue,
+    dark_of,
+    fit_projector,
+    photon_transfer,
+    prnu_of,
+    samples_of_pairs,
+)
+from reconstruction.decoding.decode import DecodeOptions, decode
+from reconstruction.errors import InputError
+from reconstruction.patterns import PatternSet
+from reconstruction.rig.sensor import SensorNoise
+
+TRUE = SensorNoise(0.17, 6.2, 64.0, 4095.0)
+STATED = SensorNoise(0.12, 9.0, 64.0, 4095.0)
+FINE = 32
+
+
+def recorded(clean, seed):
+    rng = np.random.default_rng(seed)
+    electrons = rng.poisson((clean - TRUE.black_level_dn).clip(0.0) / TRUE.gain_dn_per_e)
+    read = TRUE.read_noise_e * rng.normal(size=clean.shape)
+    dn = TRUE.black_level_dn + TRUE.gain_dn_per_e * (electrons + read)
+    return np.rint(dn).clip(0, 4095).astype(np.uint16)
+
+
+def shown(patterns, column_px, row_px, gamma, blur_px):
+    """Return frames, 0 to 1; by a Gaussian filter on a grid 32 times finer than a pixel."""
+    frames = []
+    for frame in patterns.frames:
+        light = (patterns.profile(frame) / 255.0) ** gamma
+        fine = gaussian_filter1d(np.repeat(light, FINE), blur_px * FINE, mode="nearest")
+        at_px = (np.arange(fine.size) + 0.5) / FINE - 0.5
+        frames.append(np.interp(row_px if frame.axis == "row" else column_px, at_px, fine))
+    return np.stack(frames)
+
+
+def test_pairs_give_gain_and_read_noise():
+    """Poisson light from black to 3000 DN, twice. Expected: within three uncertainties, below 1 %.
+
+    Light that drifts by 2 % between the two changes nothing.
+    """
+    clean = TRUE.black_level_dn + np.linspace(0.0, 3000.0, 12)[:, None, None] * np.ones((90, 120))
+    drifted = TRUE.black_level_dn + 1.02 * (clean - TRUE.black_level_dn)
+    for second in (clean, drifted):
+        samples = samples_of_pairs(recorded(clean, 1), recorded(second, 2), TRUE)
+        found = photon_transfer(samples, STATED)
+        assert found.gain_dn_per_e.uncertainty < 0.01 * TRUE.gain_dn_per_e
+        assert abs(found.gain_dn_per_e.value - 0.17) < 3.0 * found.gain_dn_per_e.uncertainty
+        assert abs(found.read_noise_e.value - 6.2) < 3.0 * found.read_noise_e.uncertainty
+        assert found.read_noise_e.uncertainty < 0.3
+        assert 0.3 < found.chi2_per_bin < 2.0
+
+
+def test_uncertainty_of_the_line_is_its_spread():
+    """Setup: 200 lines through 20,000 normal samples each. Expected: 95 % within 1.96, +- 5 %."""
+    rng, off = np.random.default_rng(3), []
+    for _ in range(200):
+        mean = rng.uniform(64.0, 3500.0, 20_000)
+        square = TRUE.variance_dn2(mean) * rng.chisquare(1, mean.size)
+        found = photon_transfer(NoiseSamples(mean, square), TRUE)
+        gain, read = found.gain_dn_per_e, found.read_noise_e
+        off.append((gain.value - 0.17) / gain.uncertainty)
+        if read is not None:
+            off.append((read.value - 6.2) / read.uncertainty)
+    assert 0.90 < np.mean(np.abs(off) < 1.96) <= 0.99
+
+
+def test_a_line_needs_light_and_samples():
+    few = NoiseSamples(np.full(10, 500.0), np.ones(10))
+    with pytest.raises(InputError, match="10 samples"):
+        photon_transfer(few, TRUE)
+    dark = NoiseSamples(np.full(9000, 500.0), np.ones(9000))
+    with pytest.raises(InputError, match="equally bright"):
+        photon_transfer(dark, TRUE)
+    with pytest.raises(InputError, match="same sequence"):
+        samples_of_pairs(np.zeros((2, 4, 4)), np.zeros((3, 4, 4)), TRUE)
+    with pytest.raises(InputError, match="is none"):
+        UncertainValue(float("nan"), 0.0)
+
+
+def test_dark_and_flat_frames():
+    """Offsets of 2 e-, response of 0.8 %, light that falls off by a third over the image."""
+    rng = np.random.default_rng(5)
+    offset_dn = 2.0 * 0.17 * rng.normal(size=(150, 200))
+    response = 1.0 + 0.008 * rng.normal(size=(150, 200))
+    dark = np.stack([recorded(64.0 + np.zeros((150, 200)), 20 + k) for k in range(6)]) + offset_dn
+    found = dark_of(dark)
+    assert abs(found.black_level_dn.value - 64.0) < 4.0 * found.black_level_dn.uncertainty
+    assert found.noise_dn.value == pytest.approx(0.17 * 6.2, rel=0.02)
+    assert found.dsnu_dn.value == pytest.approx(0.34, rel=0.05)
+    fall = 1.0 - np.linspace(0.0, 0.33, 200)
+    flat = np.stack([recorded(64.0 + 2500.0 * fall * response, 10 + k) for k in range(8)])
+    prnu = prnu_of(flat, 64.0)
+    # The mean of the squares of what falls off is 1.013 times the square of their mean.
+    assert prnu.value == pytest.approx(
+        0.008 * np.sqrt(1.0 + np.var(fall) / fall.mean() ** 2), rel=0.04
+    )
+    with pytest.raises(InputError, match="at least 2"):
+        dark_of(dark[:1])
+    with pytest.raises(InputError, match="above black"):
+        prnu_of(dark, 64.0)
+
+
+@pytest.mark.parametrize(
+    ("steps", "axes", "code", "gamma", "blur_px"),
+    [
+        (8, ("column", "row"), "complementary_gray", 1.3, 0.7),
+        (3, ("column",), "gray", 1.8, 0.9),
+    ],
+)
+def test_a_capture_tells_gamma_blur_and_noise(steps, axes, code, gamma, blur_px):
+    """Single capture, pixels without footprint. Expected: what it was made with.
+
+    Blur is told with half of the footprint that pixels of this spacing would have.
+    """
+    patterns = PatternSet(640, 360, steps=steps, axes=axes, code=code)
+    row, col = np.mgrid[0:90, 0:150].astype(float)
+    column, lines = 40.0 + 0.61 * col + 0.13 * row, 30.0 + 0.7 * row + 0.1 * col
+    clean = 100.0 + (2600.0 + 2.0 * col) * shown(patterns, column, lines, gamma, blur_px)
+    stack = recorded(clean, 2)
+    decoded = decode(stack, patterns, STATED, DecodeOptions(filter_taps=0))
+    found = fit_projector(stack, patterns, STATED, decoded)
+    assert abs(found.gamma.value - gamma) < 4.0 * found.gamma.uncertainty + 1e-4
+    assert found.gamma.uncertainty < 0.003
+    assert abs(found.blur_px.value - blur_px) < 3.0 * found.blur_px.uncertainty
+    assert found.blur_px.uncertainty < 0.03
+    assert found.chi2 == pytest.approx(1.0, abs=0.05)
+    gain = found.noise.gain_dn_per_e
+    assert gain.value == pytest.approx(0.17, abs=4.0 * gain.uncertainty)
+    assert gain.uncertainty < 0.03 * 0.17
+    np.testing.assert_allclose(found.light_dn.mean(), 2600.0 + 150.0, rtol=0.03)
+
+
+def test_frames_that_cannot_tell_are_refused():
+    patterns = PatternSet(64, 64, steps=3, axes=("column",), period_px=64.0, uniform=False,
+                          code="hierarchical")  # fmt: skip
+    column, row = np.meshgrid(np.linspace(9.0, 54.0, 60), np.arange(20.0))
+    stack = (100.0 + 2000.0 * shown(patterns, column, row, 1.0, 0.7)).astype(np.uint16)
+    decoded = decode(stack, patterns, TRUE, DecodeOptions(filter_taps=0))
+    with pytest.raises(InputError, match="do not tell"):
+        fit_projector(stack, patterns, TRUE, decoded)

@@ -1,0 +1,305 @@
+"""Make the twin of a real rig: from captures and their calibration to the fields of a rig file.
+
+What the captures do not tell stays as in the model rig, and says so. `fields` tells what comes from
+where.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from reconstruction.arrays import FloatArray, FloatImage
+from reconstruction.capture.folder import Capture, read_capture
+from reconstruction.characterise import (
+    Dark,
+    NoiseSamples,
+    PhotonTransfer,
+    ProjectorFit,
+    UncertainValue,
+    dark_of,
+    fit_projector,
+    photon_transfer,
+    samples_of_pairs,
+)
+from reconstruction.decoding.decode import Decoded, DecodeOptions, decode
+from reconstruction.errors import InputError
+from reconstruction.pipeline import Reconstruction, ReconstructOptions, reconstruct
+from reconstruction.rig.sensor import SensorNoise
+from twin.adoption.fields import (
+    camera_fields,
+    flat_fields,
+    level_field,
+    light_fields,
+    pattern_fields,
+    pose_fields,
+    read_images,
+    response_of,
+)
+from twin.adoption.findings import ModelRig, RigField, rig_tables, tried
+from twin.adoption.poses import Placed, place
+from twin.adoption.rendered import Scene, albedo_of
+from twin.config.models import Experiment
+from twin.pipeline.progress import ProgressCallback, no_progress
+
+# Of the square of a normal number.
+_MEDIAN_OF_SQUARE = 0.455
+# Two captures of one scene differ by no more than so many times the variance of their noise.
+_MOST_OVER_FITTED, _MOST_OVER_STATED = 1.5, 20.0
+UNFILTERED = DecodeOptions(filter_taps=0)
+
+
+@dataclass(frozen=True)
+class Given:
+    """What the rig is made from.
+
+    Attributes
+    ----------
+    captures : folders
+    model : rig of which all comes that the captures do not tell
+    dark, flat : folders of images without light, and of an evenly lit surface
+    reference : capture of a flat matte surface in the coat's place, at the same exposure
+    reference_albedo : of that surface, and its standard uncertainty
+    """
+
+    captures: tuple[Path, ...]
+    model: str = "rigs/slab"
+    dark: Path | None = None
+    flat: Path | None = None
+    reference: Path | None = None
+    reference_albedo: UncertainValue | None = None
+
+    def __post_init__(self) -> None:
+        if not self.captures:
+            raise InputError("adopt: found no capture; give at least one folder with capture.toml")
+        if (self.reference is None) != (self.reference_albedo is None):
+            raise InputError("adopt: --reference and --reference-albedo go together; give both")
+
+
+@dataclass(frozen=True, eq=False)
+class Adopted:
+    """The rig and what it was found from.
+
+    Attributes
+    ----------
+    capture, points : the first capture with the noise and the response that were found, and what it
+        then measures
+    experiment : something on the adopted rig
+    noise_from : how gain and read noise were found, in words
+    stated : noise as capture.toml told it
+    notes : what a reader should know, one line each
+    """
+
+    fields: dict[str, RigField]
+    tables: dict[str, object]
+    experiment: Experiment
+    capture: Capture
+    points: Reconstruction
+    fit: ProjectorFit | None
+    noise: PhotonTransfer | None
+    noise_from: str
+    placed: Placed
+    stated: SensorNoise
+    two_period_chi2: float | None
+    notes: tuple[str, ...] = field(default=())
+
+
+def adopt(given: Given, watch: ProgressCallback = no_progress) -> Adopted:
+    """Make the rig.
+
+    Raises
+    ------
+    InputError : a capture cannot be read, or is another rig's than the first one
+    """
+    model, notes = ModelRig.read(given.model), list[str]()
+    watch("read", 0.0)
+    captures = [read_capture(folder) for folder in given.captures]
+    _require_alike(given.captures, captures)
+    watch("read", 1.0)
+    dark = dark_of(read_images(given.dark, captures[0])) if given.dark else None
+    sensor = _with_black(captures[0].sensor, dark)
+    watch("fit", 0.0)
+    fits = _fits(given.captures, captures, sensor, notes)
+    noise, noise_from = _noise(captures, fits, sensor, notes)
+    placed = place(captures[0].calibration)
+    watch("fit", 1.0)
+    fields = camera_fields(captures[0], model, noise, noise_from, dark)
+    fields |= pose_fields(captures[0], model, placed, notes)
+    if given.flat is not None:
+        fields |= flat_fields(given.flat, captures[0], sensor, dark)
+    fields |= light_fields(fits, dark) | pattern_fields(captures[0])
+    known = _known(captures[0], sensor, noise, fields)
+    points = reconstruct(known, ReconstructOptions())
+    fields |= level_field(known)
+    scene = Scene(known, points, placed.origin_mm)
+    fields |= _albedo_field(given, scene, tried(rig_tables(model, fields)), watch)
+    tables = rig_tables(model, fields)
+    return Adopted(
+        fields=fields,
+        tables=tables,
+        experiment=tried(tables),
+        capture=known,
+        points=points,
+        fit=fits[0] if fits else None,
+        noise=noise,
+        noise_from=noise_from,
+        placed=placed,
+        stated=captures[0].sensor,
+        two_period_chi2=_two_period_chi2(captures, known),
+        notes=tuple(notes),
+    )
+
+
+def _albedo_field(
+    given: Given, scene: Scene, experiment: Experiment, watch: ProgressCallback
+) -> dict[str, RigField]:
+    """Return the coat's albedo, where a reference is given."""
+    if given.reference is None or given.reference_albedo is None:
+        return {}
+    watch("render", 0.0)
+    reference, known = read_capture(given.reference), scene.capture
+    _require_alike((given.captures[0], given.reference), (known, reference))
+    seen = replace(reference, sensor=known.sensor, response=known.response)
+    found = albedo_of(experiment, scene, seen, given.reference_albedo)
+    told = given.reference_albedo.value
+    how = f"white frames beside those of {given.reference.name}, albedo {told:g}"
+    watch("render", 1.0)
+    one = RigField.measured("coating.base_albedo", found, how)
+    return {one.path: one}
+
+
+def _require_alike(folders: Sequence[Path], captures: Sequence[Capture]) -> None:
+    first = captures[0]
+    for folder, one in zip(folders, captures, strict=True):
+        if one.stack.shape[1:] != first.stack.shape[1:] or one.bit_depth != first.bit_depth:
+            raise InputError(
+                f"{folder}: has {one.stack.shape[2]} x {one.stack.shape[1]} pixels of "
+                f"{one.bit_depth} bits, {folders[0]} has {first.stack.shape[2]} x "
+                f"{first.stack.shape[1]} of {first.bit_depth}; adopt captures of one rig"
+            )
+        motion = one.calibration.T_world_from_cam
+        if not np.allclose(motion, first.calibration.T_world_from_cam, atol=1e-6):
+            raise InputError(
+                f"{folder}: has another calibration than {folders[0]}; adopt captures of one rig"
+            )
+
+
+def _with_black(sensor: SensorNoise, dark: Dark | None) -> SensorNoise:
+    if dark is None:
+        return sensor
+    return replace(sensor, black_level_dn=max(dark.black_level_dn.value, 0.0))
+
+
+def _fits(
+    folders: Sequence[Path],
+    captures: Sequence[Capture],
+    sensor: SensorNoise,
+    notes: list[str],
+) -> list[ProjectorFit]:
+    """Fit each capture; those that cannot be fitted are left out, and told."""
+    found = []
+    for folder, one in zip(folders, captures, strict=True):
+        try:
+            decoded = decode(one.stack, one.patterns, sensor, UNFILTERED, one.scale)
+            if one.scale is not None:
+                raise InputError("merged exposures have no single noise")
+            found.append(fit_projector(one.stack, one.patterns, sensor, decoded))
+        except InputError as error:
+            notes.append(f"{folder.name}: the projector's response is not found: {error}")
+    return found
+
+
+def _noise(
+    captures: Sequence[Capture],
+    fits: Sequence[ProjectorFit],
+    sensor: SensorNoise,
+    notes: list[str],
+) -> tuple[PhotonTransfer | None, str]:
+    """Return the noise and, in words, where from: repeated captures, or what a fit leaves."""
+    own = next((fit.noise for fit in fits if fit.noise is not None), None)
+    pairs = _pairs(captures, sensor, own)
+    if pairs is not None:
+        try:
+            return photon_transfer(pairs, sensor), "photon transfer of repeated captures"
+        except InputError as error:
+            notes.append(f"repeated captures: {error}")
+    if own is not None:
+        return own, "photon transfer of what the fit of one capture leaves"
+    notes.append("the captures do not tell the camera's noise: its gain is the model's")
+    return None, ""
+
+
+def _pairs(
+    captures: Sequence[Capture], sensor: SensorNoise, own: PhotonTransfer | None
+) -> NoiseSamples | None:
+    """Return samples of all neighbouring captures that show the same; None: there are none.
+
+    They differ by noise: by that which a fit found, or about that which capture.toml states.
+    """
+    found: NoiseSamples | None = None
+    for one, other in pairwise(captures):
+        if one.patterns != other.patterns or one.scale is not None or other.scale is not None:
+            continue
+        samples = samples_of_pairs(one.stack, other.stack, sensor)
+        expected = own.variance_at(samples.mean_dn) if own else sensor.variance_dn2(samples.mean_dn)
+        ratio = float(np.median(samples.square_dn2 / expected)) / _MEDIAN_OF_SQUARE
+        if ratio < (_MOST_OVER_FITTED if own else _MOST_OVER_STATED):
+            found = samples if found is None else found.joined(samples)
+    return found
+
+
+def _known(
+    capture: Capture,
+    sensor: SensorNoise,
+    noise: PhotonTransfer | None,
+    fields: dict[str, RigField],
+) -> Capture:
+    """Return the capture with the noise and the response that were found."""
+    if noise is not None:
+        read_e = noise.read_noise_e.value if noise.read_noise_e else 0.0
+        sensor = replace(sensor, gain_dn_per_e=noise.gain_dn_per_e.value, read_noise_e=read_e)
+    response = response_of(fields) or capture.response
+    return replace(capture, sensor=sensor, response=response)
+
+
+def _two_period_chi2(captures: Sequence[Capture], known: Capture) -> float | None:
+    """Return chi-square per pixel of two captures of one scene with other periods; None: no such.
+
+    Coordinates of the unfiltered pixels, with sensor and response as found.
+    """
+    first = captures[0]
+    for other in captures[1:]:
+        if other.patterns.period_px == first.patterns.period_px:
+            continue
+        found = [
+            decode(
+                one.stack,
+                one.patterns,
+                known.sensor,
+                UNFILTERED,
+                one.scale,
+                response=known.response,
+            )
+            for one in (first, other)
+        ]
+        return chi2_of(found[0], found[1])
+    return None
+
+
+def chi2_of(one: Decoded, other: Decoded) -> float | None:
+    """Return the mean square of the differences of columns over their sigma, of one scene.
+
+    Pixels that differ by many sigmas are another scene, or a wrong order: beyond ten they do not
+    count, and where that are more than one in a hundred there is no number.
+    """
+    both = one.valid & other.valid
+    if int(both.sum()) < 100:
+        return None
+    step: FloatArray = one.column.coordinate_px[both].astype(np.float64)
+    step = step - other.column.coordinate_px[both]
+    sigmas: FloatImage = np.hypot(one.column.sigma_px[both], other.column.sigma_px[both])
+    square = (step / sigmas) ** 2
+    near = square < 100.0
+    return float(square[near].mean()) if near.mean() > 0.99 else None

@@ -1,0 +1,183 @@
+"""A calibration in the words of a rig: where the devices stand, what lenses they have.
+
+A rig says less than a calibration: camera and projector look at one point of the coat with the
+centres of their images, pixels are square, and the principal point is offset along one direction
+alone. The rig that shows points of the coat at the pixels where the calibration shows them is found
+by least squares; the misfit, px, says what this leaves out. The point that both look at becomes the
+world's origin.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from reconstruction.arrays import FloatArray
+from reconstruction.errors import InputError
+from reconstruction.rig.calibration import Calibration, Pinhole
+from twin.config.models import Pose
+from twin.optics.rig import world_from_device
+
+_GRID = 7
+_HEIGHTS_MM = (-1.0, 2.0)
+_MOST_MISFIT_PX = 0.5
+
+
+@dataclass(frozen=True)
+class Placed:
+    """Camera and projector as a rig has them.
+
+    Attributes
+    ----------
+    camera_focal_px, projector_focal_px : of square pixels
+    axis_row_px : row of the projector's optical axis
+    origin_mm : the rig's origin in the calibration's world frame
+    misfit_px : RMS over the image of camera and projector
+    """
+
+    camera_pose: Pose
+    projector_pose: Pose
+    camera_focal_px: float
+    projector_focal_px: float
+    axis_row_px: float
+    origin_mm: tuple[float, float, float]
+    misfit_px: tuple[float, float]
+
+    @property
+    def is_close(self) -> bool:
+        """Whether the rig is the calibrated one for all that matters in an image."""
+        return max(self.misfit_px) < _MOST_MISFIT_PX
+
+
+def place(calibration: Calibration) -> Placed:
+    """Return the rig that is nearest to a calibration.
+
+    Raises
+    ------
+    InputError : the camera does not look down at the plane z = 0
+    """
+    origin = _looked_at(calibration)
+    points = _points(calibration)
+    wanted = tuple(
+        _seen(pinhole, motion, points)
+        for pinhole, motion in (
+            (calibration.camera, calibration.T_world_from_cam),
+            (calibration.projector, calibration.T_world_from_proj),
+        )
+    )
+    camera, projector = calibration.camera, calibration.projector
+    cam_mm = calibration.T_world_from_cam[:3, 3] - origin
+    proj_mm = calibration.T_world_from_proj[:3, 3] - origin
+    start = np.array(
+        [*origin[:2], *cam_mm, 0.0, camera.fx_px, *proj_mm, 0.0, projector.fx_px, projector.cy_px]
+    )
+    start[5] = _roll_rad(calibration.T_world_from_cam, _square_camera(camera, start[6]), cam_mm)
+    start[10] = _roll_rad(
+        calibration.T_world_from_proj,
+        _square_projector(projector, start[11], start[12]),
+        proj_mm,
+    )
+
+    def devices(p: FloatArray) -> list[tuple[Pinhole, FloatArray]]:
+        centre = np.array([p[0], p[1], origin[2]])
+        parts = (
+            (_square_camera(camera, p[6]), p[2:5], p[5]),
+            (_square_projector(projector, p[11], p[12]), p[7:10], p[10]),
+        )
+        found = []
+        for pinhole, position_mm, roll_rad in parts:
+            motion = world_from_device(_pose(position_mm, roll_rad), pinhole)
+            motion[:3, 3] += centre
+            found.append((pinhole, motion))
+        return found
+
+    def off_px(p: FloatArray) -> FloatArray:
+        pairs = zip(devices(p), wanted, strict=True)
+        return np.concatenate([(_seen(*one, points) - there).ravel() for one, there in pairs])
+
+    p = _fitted(off_px, start)
+    off = off_px(p).reshape(2, -1)
+    rms_px = np.sqrt(2.0 * np.mean(off**2, axis=1))
+    return Placed(
+        _pose(p[2:5], p[5]),
+        _pose(p[7:10], p[10]),
+        float(p[6]),
+        float(p[11]),
+        float(p[12]),
+        (float(p[0]), float(p[1]), float(origin[2])),
+        (float(rms_px[0]), float(rms_px[1])),
+    )
+
+
+def _fitted(off_px: Callable[[FloatArray], FloatArray], start: FloatArray) -> FloatArray:
+    scale = np.maximum(np.abs(start), 1.0)
+    found = least_squares(off_px, start, x_scale=scale, xtol=1e-14, ftol=1e-14, gtol=1e-14)
+    return np.asarray(found.x)
+
+
+def _looked_at(calibration: Calibration) -> FloatArray:
+    """Return where the ray of the camera's image centre meets z = 0."""
+    camera, motion = calibration.camera, calibration.T_world_from_cam
+    centre = np.array([(camera.width_px - 1) / 2, (camera.height_px - 1) / 2])
+    ray = motion[:3, :3] @ np.append(camera.unproject(centre), 1.0)
+    if not (ray[2] < 0.0 < motion[2, 3]):
+        raise InputError(
+            "calibration: the camera does not look down at z = 0; give a world frame whose z axis "
+            "points from the coat to the devices"
+        )
+    return np.asarray(motion[:3, 3] - ray * (motion[2, 3] / ray[2]))
+
+
+def _points(calibration: Calibration) -> FloatArray:
+    """Return points on two planes about z = 0 that camera pixels all over the image see."""
+    camera, motion = calibration.camera, calibration.T_world_from_cam
+    x, y = np.meshgrid(
+        np.linspace(0, camera.width_px - 1, _GRID), np.linspace(0, camera.height_px - 1, _GRID)
+    )
+    pixels = np.stack([x.ravel(), y.ravel()], axis=-1)
+    rays = np.append(camera.unproject(pixels), np.ones((len(pixels), 1)), axis=1)
+    rays = rays @ motion[:3, :3].T
+    return np.concatenate(
+        [motion[:3, 3] + rays * ((z - motion[2, 3]) / rays[:, 2:3]) for z in _HEIGHTS_MM]
+    )
+
+
+def _seen(pinhole: Pinhole, motion: FloatArray, points_mm: FloatArray) -> FloatArray:
+    inside = (points_mm - motion[:3, 3]) @ motion[:3, :3]
+    return np.asarray(pinhole.project(inside))
+
+
+def _square_camera(camera: Pinhole, focal_px: float) -> Pinhole:
+    centre = (camera.width_px - 1) / 2, (camera.height_px - 1) / 2
+    return replace(camera, fx_px=focal_px, fy_px=focal_px, cx_px=centre[0], cy_px=centre[1])
+
+
+def _square_projector(projector: Pinhole, focal_px: float, axis_row_px: float) -> Pinhole:
+    return replace(
+        projector,
+        fx_px=focal_px,
+        fy_px=focal_px,
+        cx_px=(projector.width_px - 1) / 2,
+        cy_px=axis_row_px,
+    )
+
+
+def _pose(position_mm: FloatArray, roll_rad: float) -> Pose:
+    standoff_mm = float(np.linalg.norm(position_mm))
+    polar = np.arccos(np.clip(position_mm[2] / standoff_mm, -1.0, 1.0))
+    azimuth = np.arctan2(position_mm[1], position_mm[0])
+    roll = (roll_rad + np.pi) % (2.0 * np.pi) - np.pi
+    return Pose(
+        standoff_mm=standoff_mm,
+        polar_deg=float(np.rad2deg(min(polar, np.deg2rad(89.9)))),
+        azimuth_deg=float(np.rad2deg(azimuth)),
+        roll_deg=float(np.rad2deg(roll)),
+    )
+
+
+def _roll_rad(motion: FloatArray, pinhole: Pinhole, position_mm: FloatArray) -> float:
+    """Return the roll at which the pose's image right is nearest to the calibrated one."""
+    at_zero = world_from_device(_pose(position_mm, 0.0), pinhole)[:3, :3]
+    turn = at_zero.T @ motion[:3, :3]
+    return float(np.arctan2(turn[1, 0] - turn[0, 1], turn[0, 0] + turn[1, 1]))

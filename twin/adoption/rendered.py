@@ -1,0 +1,179 @@
+"""The captured scene once more, rendered: its measured surface seen by the adopted rig.
+
+The surface is that of the reconstruction, a little smoothed: its noise would be texture to the
+light. Where a capture has no point, the rendered image is black.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import trimesh
+from scipy.ndimage import gaussian_filter, map_coordinates
+
+from reconstruction.arrays import BoolImage, FloatArray, FloatImage
+from reconstruction.capture.folder import Capture
+from reconstruction.characterise import UncertainValue
+from reconstruction.errors import InputError
+from reconstruction.pipeline import Reconstruction, ReconstructOptions, reconstruct
+from reconstruction.triangulation import PointMap
+from twin.config.models import Coating, Experiment, Patterns
+from twin.pipeline.fringes import expose_capture, render
+from twin.pipeline.progress import Stopwatch
+from twin.specimens.solids import grid_facets
+
+_SMOOTH_PX = 2.0
+# A face of some hundred thousand triangles is fine enough for any image.
+_MOST_NODES = 250_000
+# Nodes on the rays of pixels would let some of these slip through between facets.
+_UNALIGNED = 1.618
+_RIM_PX = 8
+_BLOCKS = 8
+_LEAST_PIXELS = 1000
+# Of what the noise of the measured surface, smoothed, does to its shading; of the rendering itself.
+_SHADING_RELATIVE = 0.005
+# Of the light alone: no fringes are looked at.
+_UNIFORM = Patterns(period_px=64.0, steps=3, code="gray")
+
+
+def face_of(points: PointMap, origin_mm: tuple[float, float, float]) -> trimesh.Trimesh:
+    """Return the measured surface as a mesh in the rig's frame, normals up."""
+    valid = points.valid
+    weight = gaussian_filter(valid.astype(np.float64), _SMOOTH_PX)
+    smooth = (
+        np.stack(
+            [
+                gaussian_filter(np.where(valid, points.points_world_mm[..., k], 0.0), _SMOOTH_PX)
+                for k in range(3)
+            ],
+            axis=-1,
+        )
+        / np.maximum(weight, 1e-9)[..., None]
+    )
+    step = _UNALIGNED * max(1.0, float(np.sqrt(valid.size / _MOST_NODES)))
+    places = np.meshgrid(*(np.arange(0.2, n - 1.0, step) for n in valid.shape), indexing="ij")
+    nodes = np.stack([_between(smooth[..., k], places) for k in range(3)], axis=-1)
+    nodes -= np.array(origin_mm)
+    kept = _between(valid.astype(np.float64), places).ravel() > 0.999
+    facets = grid_facets(*nodes.shape[:2])
+    facets = facets[kept[facets].all(axis=1)]
+    # Image rows mostly run towards -y: then the grid's facets look down.
+    corner = nodes.reshape(-1, 3)[facets]
+    up = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])[:, 2]
+    facets = facets[:, ::-1] if float(up.mean()) < 0.0 else facets
+    mesh = trimesh.Trimesh(nodes.reshape(-1, 3), facets, process=False, validate=False)
+    mesh.metadata["name"] = "coated_face"
+    return mesh
+
+
+def _between(image: FloatArray, places: Sequence[FloatArray]) -> FloatArray:
+    return np.asarray(map_coordinates(image, places, order=1, mode="nearest"))
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """A capture, what it measures, and the rig's origin in its world frame."""
+
+    capture: Capture
+    points: Reconstruction
+    origin_mm: tuple[float, float, float]
+
+    @property
+    def face(self) -> trimesh.Trimesh:
+        """The measured surface in the rig's frame."""
+        return face_of(self.points.point_map, self.origin_mm)
+
+
+@dataclass(frozen=True, eq=False)
+class Rendered:
+    """The captured scene as the twin sees it: frames in DN, and what they measure."""
+
+    capture: Capture
+    points: Reconstruction
+
+
+def patterns_of(capture: Capture) -> Patterns:
+    """Return the sequence as a rig file says it; one along a single axis is shown along both."""
+    shown = capture.patterns
+    return Patterns(
+        period_px=shown.period_px,
+        steps=shown.steps or 3,
+        code=shown.code,
+        further_periods_px=shown.further_periods_px,
+    )
+
+
+def render_again(experiment: Experiment, scene: Scene) -> Rendered:
+    """Render the measured surface with the adopted rig, and record and measure it."""
+    seen = experiment.model_copy(update={"patterns": patterns_of(scene.capture)})
+    radiance = render(seen, scene.face)
+    recorded = expose_capture(seen, radiance, Stopwatch(), 0).capture
+    recorded = replace(recorded, response=scene.capture.response)
+    return Rendered(recorded, reconstruct(recorded, ReconstructOptions()))
+
+
+def albedo_of(
+    experiment: Experiment, scene: Scene, reference: Capture, reference_albedo: UncertainValue
+) -> UncertainValue:
+    """Return the coat's albedo: its light over that of a matte reference, both also rendered.
+
+    What the coat throws back is a constant (its flakes) plus its albedo times the light of white
+    ink: two renderings give both at every pixel. Both captures have the same exposure and gain.
+    """
+    coat = experiment.coating
+    fields = {"flake_fraction": 0.0, "binder_ior": 1.0}
+    matte = coat.model_copy(update={"base_albedo": reference_albedo.value, **fields})
+    told = Scene(reference, reconstruct(reference, ReconstructOptions()), scene.origin_mm)
+    there = _light(experiment, matte, told)
+    dark, bright = (
+        _light(experiment, coat.model_copy(update={"base_albedo": albedo}), scene)
+        for albedo in (0.2, 0.7)
+    )
+    seen, wanted = _white_less_black(scene.capture), _white_less_black(reference)
+    inside = _inside(scene.points.point_map) & _inside(told.points.point_map)
+    inside &= (wanted > 0.0) & (bright > dark)
+    if int(inside.sum()) < _LEAST_PIXELS:
+        raise InputError(
+            f"coat and reference share {int(inside.sum())} pixels with points and light; the "
+            f"albedo needs {_LEAST_PIXELS}: put the reference in the coat's place"
+        )
+    ratio = seen[inside] / wanted[inside] * there[inside]
+    albedo = 0.2 + 0.5 * (ratio - dark[inside]) / (bright - dark)[inside]
+    value = float(np.median(albedo))
+    spread = _spread_of_blocks(albedo, inside)
+    relative = np.hypot(reference_albedo.uncertainty / reference_albedo.value, _SHADING_RELATIVE)
+    return UncertainValue(value, float(np.hypot(spread, value * relative)))
+
+
+def _light(experiment: Experiment, coat: Coating, scene: Scene) -> FloatArray:
+    """Return white less black radiance of a measured surface in a coat, (row, col)."""
+    seen = experiment.model_copy(update={"coating": coat, "patterns": _UNIFORM})
+    frames = render(seen, scene.face).frames
+    return np.asarray(frames[-2].astype(np.float64) - frames[-1])
+
+
+def _white_less_black(capture: Capture) -> FloatArray:
+    white, black = (
+        capture.stack[capture.patterns.index(kind).start].astype(np.float64)
+        for kind in ("white", "black")
+    )
+    return np.asarray(white - black)
+
+
+def _inside(points: PointMap) -> BoolImage:
+    """Return pixels whose surroundings have points, too: smoothed rims lie off the surface."""
+    weight: FloatImage = gaussian_filter(points.valid.astype(np.float32), _SMOOTH_PX)
+    # A straight rim has one half; single pixels without a point are filled by those around them.
+    inside = points.valid & (weight > 0.9)
+    inside[:_RIM_PX], inside[-_RIM_PX:] = False, False
+    inside[:, :_RIM_PX], inside[:, -_RIM_PX:] = False, False
+    return inside
+
+
+def _spread_of_blocks(values: FloatArray, inside: BoolImage) -> float:
+    """Return the standard error of a median, from the medians of blocks of the image."""
+    rows, cols = inside.shape
+    row, col = np.nonzero(inside)
+    block = row * _BLOCKS // rows * _BLOCKS + col * _BLOCKS // cols
+    medians = [np.median(values[block == k]) for k in np.unique(block)]
+    return float(np.std(medians) / np.sqrt(len(medians)))

@@ -1,0 +1,79 @@
+"""`twin adopt`: make the twin of a real rig from its captures."""
+
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from twin.cli.app import Out, Report, app, print_table, progress_bars, say
+
+
+@app.command
+def adopt(
+    *captures: Path,
+    out: Out,
+    like: Annotated[str, Parameter(help="rig of which all comes that no capture tells")] = (
+        "rigs/slab"
+    ),
+    dark: Path | None = None,
+    flat: Path | None = None,
+    reference: Path | None = None,
+    reference_albedo: float | None = None,
+    reference_uncertainty: float = 0.01,
+    report: Report = True,
+) -> None:
+    """Make the twin of a real rig: a rig file with value, range and source of every field.
+
+    Poses and lenses come from the captures' calibration; noise, gamma and blur from their frames.
+    What they cannot tell stays assumed, and says so; see docs/adopt.md.
+
+    Parameters
+    ----------
+    captures
+        Folders with capture.toml, calibration and white and black frames; the first one best shows
+        the coat at rest. The same scene twice gives the noise; with another period, a check.
+    dark
+        Folder of two or more images without light: black level, read noise, DSNU.
+    flat
+        Folder of two or more images of an evenly lit surface: PRNU.
+    reference
+        Capture of a flat matte surface of known albedo in the coat's place, at the same exposure.
+    reference_albedo, reference_uncertainty
+        Its albedo, and its standard uncertainty.
+    """
+    from reconstruction.characterise import UncertainValue
+    from reconstruction.errors import require_number
+    from twin.adoption.adopt import Given
+    from twin.adoption.adopt import adopt as make
+    from twin.adoption.findings import rows_of
+    from twin.adoption.write import RIG_FILE, write_adopted
+    from twin.output import output_folder
+    from twin.report.adopted import write_adopted_page
+
+    known = None
+    if reference_albedo is not None:
+        require_number("--reference-albedo", reference_albedo, 0.0, 1.0, open_low=True)
+        require_number("--reference-uncertainty", reference_uncertainty, 0.0, 1.0)
+        known = UncertainValue(reference_albedo, reference_uncertainty)
+    given = Given(captures, like, dark, flat, reference, known)
+    inputs = [*captures, *(path for path in (dark, flat, reference) if path is not None)]
+    with output_folder(out, inputs) as folder, progress_bars() as watch:
+        found = make(given, watch)
+        write_adopted(folder, found, given)
+        if report:
+            write_adopted_page(folder, found, given, watch)
+    rows = [
+        [path, _shown(value), _shown(limits), source]
+        for path, value, limits, source in rows_of(found.tables)
+        if path.split(".")[0] in ("camera", "projector", "coating")
+    ]
+    print_table(("field", "value", "95 % interval", "source"), rows)
+    for note in found.notes:
+        say(f"note: {note}")
+    say(f"wrote {out / RIG_FILE}")
+
+
+def _shown(value: object) -> str:
+    if isinstance(value, (list, tuple)):
+        return " to ".join(_shown(one) for one in value) if len(value) == 2 else str(list(value))
+    return f"{value:.5g}" if isinstance(value, float) else "" if value is None else str(value)

@@ -1,0 +1,271 @@
+"""Report of an adopted rig: what is known and what assumed, and the captured beside the rendered.
+
+The rendered capture is that of the measured surface by the adopted rig, recorded and decoded like
+the real one: where images, histograms, noise, modulation and sigma agree, the twin may be trusted.
+"""
+
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from numpy.typing import NDArray
+
+from reconstruction.arrays import BoolImage, FloatArray, FloatImage
+from reconstruction.capture.folder import Capture
+from reconstruction.pipeline import Reconstruction
+from twin.adoption.adopt import Adopted, Given
+from twin.adoption.findings import rows_of
+from twin.adoption.rendered import Rendered, Scene, render_again
+from twin.pipeline.progress import ProgressCallback, no_progress
+from twin.report.canvas import (
+    FAINT,
+    FIT,
+    MEASURED,
+    TRUE_FACE,
+    add_colorbar,
+    axes_at,
+    chart,
+    drawing,
+    legend_above,
+    no_ticks,
+    round_up,
+    sequential,
+)
+from twin.report.page import REPORT_FILE, STAGE, Block, Figure, Note, Page, Section, write_page
+from twin.report.table import Column, Row, Table
+
+_HISTOGRAM_BINS = 80
+_REAL, _TWIN = "captured", "rendered"
+
+
+def write_adopted_page(
+    folder: Path, found: Adopted, given: Given, watch: ProgressCallback = no_progress
+) -> Path:
+    """Render the captured scene with the adopted rig, and write the page and its figures.
+
+    Raises
+    ------
+    MissingBackend : no usable Dr.Jit backend
+    InputError : the page cannot be written
+    """
+    watch(STAGE, 0.0)
+    scene = Scene(found.capture, found.points, found.placed.origin_mm)
+    twin = render_again(found.experiment, scene)
+    return write_page(folder / REPORT_FILE, _page(found, twin, given), watch)
+
+
+def _page(found: Adopted, twin: Rendered, given: Given) -> Page:
+    names = ", ".join(path.name for path in given.captures)
+    return Page(
+        kind="adopted rig",
+        title=given.captures[0].name.replace("_", " "),
+        lead=f"The twin of the rig that took {names}; what they do not tell is that of "
+        f"{given.model}.",
+        sections=[_beside(found, twin), _noise(found), _fields(found)],
+        warned="What to know" if found.notes else "",
+        warnings=found.notes,
+        wide=True,
+    )
+
+
+def _beside(found: Adopted, twin: Rendered) -> Section:
+    rows = tuple(_ratio_row(*one) for one in ratios(found, twin))
+    columns = (
+        Column("what", "median over the image"),
+        Column("real", _REAL, 4, kind="number"),
+        Column("twin", _TWIN, 4, kind="number"),
+        Column("ratio", f"{_TWIN} / {_REAL}", 3, kind="number"),
+    )
+    blocks: list[Block] = [
+        Table("beside", "", "", columns, rows),
+        Figure(
+            "images",
+            "White and a phase frame",
+            "Digital numbers of the captured frames and of the rendered ones, on one scale; right, "
+            "the share of pixels at each level.",
+            "Captured and rendered images in pairs, and their histograms.",
+            partial(_draw_images, found.capture, twin.capture),
+        ),
+        Figure(
+            "maps",
+            "Modulation and sigma",
+            "Amplitude of the fringes along the columns, and predicted standard deviation of the "
+            "column, captured and rendered on one scale; gray: no value.",
+            "Maps of modulation and sigma in pairs.",
+            partial(_draw_maps, found.points, twin.points),
+        ),
+    ]
+    return Section("beside", "Captured beside rendered", tuple(blocks))
+
+
+def ratios(found: Adopted, twin: Rendered) -> list[tuple[str, float, float]]:
+    """Return what is compared, captured and rendered, over pixels valid in both."""
+    inside = found.points.point_map.valid & twin.points.point_map.valid
+    real, made = found.points, twin.points
+    compared: list[tuple[str, NDArray[Any], NDArray[Any]]] = []
+    if found.capture.patterns.uniform:
+        compared += [
+            (f"{kind} frame, DN", _frame(found.capture, kind), _frame(twin.capture, kind))
+            for kind in ("white", "black")
+        ]
+    for name, field in (
+        ("modulation, DN", "modulation_dn"),
+        ("residual of the phase fit, DN", "residual_dn"),
+        ("sigma of the column, px", "sigma_px"),
+    ):
+        own = getattr(real.decoded.column, field), getattr(made.decoded.column, field)
+        compared.append((name, own[0], own[1]))
+    compared.append(
+        ("sigma of z, um", 1e3 * real.point_map.sigma_z_mm, 1e3 * made.point_map.sigma_z_mm)
+    )
+    if not inside.any():
+        return []
+    return [
+        (name, float(np.median(one[inside])), float(np.median(other[inside])))
+        for name, one, other in compared
+    ]
+
+
+def _frame(capture: Capture, kind: str) -> FloatArray:
+    number = capture.patterns.index("white" if kind == "white" else "black").start
+    return np.asarray(capture.stack[number], dtype=np.float64)
+
+
+def _ratio_row(what: str, real: float, twin: float) -> Row:
+    ratio = twin / real if real else None
+    return {"what": what, "real": real, "twin": twin, "ratio": ratio}
+
+
+def _noise(found: Adopted) -> Section:
+    if found.noise is None:
+        return Section("noise", "Noise", ("The captures do not tell the camera's noise.",))
+    gain = found.noise.gain_dn_per_e
+    figure = Figure(
+        "noise",
+        "Photon transfer",
+        f"Variance of a pixel over its mean, {found.noise_from}; bars: one standard uncertainty. "
+        f"Line: gain {gain.value:.4g} +- {gain.uncertainty:.2g} DN per electron, chi-square "
+        f"{found.noise.chi2_per_bin:.3g} per bin. Dashed: what capture.toml stated.",
+        "Variance over mean with a straight line.",
+        partial(_draw_noise, found),
+    )
+    chi2 = found.two_period_chi2
+    told = (
+        "No second capture of the scene with another period was given: that sigma is honest is "
+        "not checked by one."
+        if chi2 is None
+        else f"Two periods of the scene differ by {chi2:.3g} of their variances (1: sigma is "
+        "honest)."
+    )
+    return Section("noise", "Noise", (figure, Note(told)))
+
+
+def _fields(found: Adopted) -> Section:
+    columns = (
+        Column("field", "field"),
+        Column("value", "value"),
+        Column("range", "95 % interval"),
+        Column("source", "source"),
+    )
+    told = list(rows_of(found.tables))
+    rows = tuple(_field_row(*one) for one in told)
+    kinds = tuple("assumed" if one[3].startswith("assumed") else "" for one in told)
+    note = (
+        "Shaded: assumed, as no capture tells it; its interval is the model's plausible range. "
+        "The same stands in rig.toml."
+    )
+    table = Table("fields", "", "", columns, rows, (note,), kinds)
+    return Section("fields", "Every field and its source", (table,))
+
+
+def _field_row(path: str, value: object, limits: object, source: str) -> Row:
+    return {"field": path, "value": _text(value), "range": _text(limits), "source": source}
+
+
+def _text(value: object) -> str:
+    if value is None:
+        return ""
+    if isinstance(value, (list, tuple)):
+        return ", ".join(_text(one) for one in value)
+    return f"{value:.5g}" if isinstance(value, float) else str(value)
+
+
+def _shown_frames(capture: Capture) -> list[tuple[str, FloatArray]]:
+    """Return the white frame, if there is one, and the first phase frame along columns."""
+    axis = capture.patterns.axes[0]
+    names: list[tuple[int, str]] = []
+    if capture.patterns.uniform:
+        names.append((capture.patterns.index("white").start, "white"))
+    names.append((capture.patterns.index("phase", axis).start, f"phase frame 0, {axis}s"))
+    return [(name, np.asarray(capture.stack[k], dtype=np.float64)) for k, name in names]
+
+
+def _draw_images(real: Capture, twin: Capture, path: Path) -> None:
+    pairs = list(zip(_shown_frames(real), _shown_frames(twin), strict=False))
+    with drawing(path, 11.0, 0.3 + 3.0 * len(pairs)) as figure:
+        for row, ((name, one), (_, other)) in enumerate(pairs):
+            top = 0.4 + 3.0 * row
+            limit = round_up(float(np.percentile(one, 99.8)))
+            for left, title, image in ((0.2, _REAL, one), (3.5, _TWIN, other)):
+                axes = axes_at(figure, left, top, 3.1, 2.3)
+                shown = axes.imshow(image, cmap="gray", vmin=0.0, vmax=limit)
+                axes.set_title(f"{name}, {title}")
+                no_ticks(axes)
+            add_colorbar(axes, shown, "DN")
+            axes = axes_at(figure, 7.9, top, 2.9, 2.1)
+            _draw_histograms(axes, one, other, limit)
+
+
+def _draw_histograms(axes: Axes, one: FloatArray, other: FloatArray, limit: float) -> None:
+    edges = np.linspace(0.0, limit, _HISTOGRAM_BINS + 1)
+    for image, colour, label in ((one, MEASURED, _REAL), (other, FIT, _TWIN)):
+        share = np.histogram(image, edges)[0] / image.size
+        axes.stairs(100.0 * share, edges, color=colour, label=label)
+    chart(axes, "", "level (DN)", "pixels (%)")
+    legend_above(axes, 2)
+
+
+def _draw_maps(real: Reconstruction, twin: Reconstruction, path: Path) -> None:
+    kinds = (("modulation_dn", "modulation", "DN"), ("sigma_px", "sigma of the column", "px"))
+    with drawing(path, 8.4, 6.2) as figure:
+        for row, (field, name, unit) in enumerate(kinds):
+            maps = [_masked(one, field) for one in (real, twin)]
+            limit = round_up(float(np.nanpercentile(np.ma.filled(maps[0], np.nan), 99)))
+            for k, (title, image) in enumerate(zip((_REAL, _TWIN), maps, strict=True)):
+                axes = axes_at(figure, 0.2 + 3.8 * k, 0.4 + 3.0 * row, 3.2, 2.4)
+                shown = axes.imshow(image, cmap=sequential(), vmin=0.0, vmax=limit)
+                axes.set_title(f"{name}, {title}")
+                no_ticks(axes)
+            add_colorbar(axes, shown, unit)
+
+
+def _masked(one: Reconstruction, field: str) -> Any:
+    """Return a map of the columns, hidden where the pixel is masked."""
+    values: FloatImage = getattr(one.decoded.column, field)
+    hidden: BoolImage = ~one.decoded.valid
+    return np.ma.MaskedArray(values, hidden)
+
+
+def _draw_noise(found: Adopted, path: Path) -> None:
+    noise = found.noise
+    assert noise is not None
+    with drawing(path, 7.2, 3.8) as figure:
+        axes = axes_at(figure, 0.8, 0.4, 6.0, 2.8)
+        axes.errorbar(
+            noise.mean_dn,
+            noise.variance_dn2,
+            noise.variance_uncertainty_dn2,
+            fmt="o",
+            markersize=3.5,
+            color=MEASURED,
+            label="captured",
+        )
+        line = np.linspace(noise.black_level_dn, float(noise.mean_dn.max()), 50)
+        axes.plot(line, noise.variance_at(line), color=TRUE_FACE, label="adopted")
+        stated = found.stated.variance_dn2(line)
+        axes.plot(line, stated, "--", color=FAINT, label="stated")
+        chart(axes, "", "mean (DN)", "variance (DN²)")
+        axes.set_ylim(0.0, 1.3 * float(noise.variance_dn2.max()))
+        legend_above(axes, 3)
