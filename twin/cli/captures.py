@@ -184,6 +184,28 @@ def evaluate(
 
 
 @app.command
+def compensate(result: Path, /, *, out: Out, layer: Path | None = None) -> None:
+    """Find the rigid object under the coat: contact, pressure, force, its surface, its radii.
+
+    Parameters
+    ----------
+    result
+        Result folder of `twin measure` or `twin reconstruct`.
+    layer
+        TOML file with what is known of elastomer and press, see docs/compensation.md; default: as
+        in the result's own experiment.
+    """
+    from twin.output import end_exchange
+    from twin.pipeline.compensation import compensate_result
+
+    end_exchange(result)
+    with progress_bars() as watch:
+        figures = compensate_result(result, out, layer, watch)
+    print_metrics(figures)
+    say(f"wrote {out}")
+
+
+@app.command
 def calibrate(
     source: Path,
     /,

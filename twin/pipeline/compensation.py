@@ -1,0 +1,293 @@
+"""The rigid object from a measured coat: `twin compensate`, and the figures beside a measurement's.
+
+Nothing of the truth is used: the measured points, and what is known of elastomer and load
+(`SensorLayer`). The specimen's nominal places only name figures: which part is ball 1.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy import ndimage
+
+from reconstruction.arrays import FloatArray, Reason
+from reconstruction.compensation import (
+    CompensatedSheet,
+    Frame,
+    Part,
+    SheetLayer,
+    compensate_sheet,
+    parts_of,
+)
+from reconstruction.errors import InputError
+from reconstruction.evaluate.surface import write_surface
+from reconstruction.machine import write_dataset
+from reconstruction.pipeline import Reconstruction, read_reconstruction, write_reconstruction
+from reconstruction.reading import is_regular
+from reconstruction.triangulation import PointMap
+from twin.config import Experiment, load_experiment
+from twin.config.digest import content_digest
+from twin.config.loading import read_toml
+from twin.config.sensor_layer import (
+    SensorLayer,
+    layer_to_toml,
+    load_sensor_layer,
+    sensor_layer_of,
+)
+from twin.mechanics.choice import may_wrap
+from twin.mechanics.hardness import young_modulus
+from twin.output import EXPERIMENT_FILE, output_folder
+from twin.pipeline.dimensions import RECONSTRUCTION_FILE
+from twin.pipeline.progress import ProgressCallback, no_progress
+from twin.results.parts import write_outcome
+from twin.specimens import Sphere, shape_of
+
+CONTACT_FILE, LAYER_FILE = "contact.nc", "layer.toml"
+_UM = 1e3
+
+
+def compensate_result(
+    folder: Path, out: Path, layer_file: Path | None = None, watch: ProgressCallback = no_progress
+) -> dict[str, Any]:
+    """Compensate a result of `twin measure` or `twin reconstruct` into `out`; returns the figures.
+
+    `out` holds the object's points as `twin reconstruct` writes the coat's (reconstruction.nc,
+    points.ply, surface.ply, height_map.*), contact.nc, the layer, and result.json.
+
+    Raises
+    ------
+    InputError : no points, no layer, a layout that is not known, or points that tell no object
+    """
+    inputs = [folder, *([layer_file] if layer_file else [])]
+    with output_folder(out, inputs) as target:
+        watch("read", 0.0)
+        measured = _read_points(folder)
+        layer, experiment = _layer_of(folder, layer_file)
+        watch("read", 1.0)
+        watch("compensate", 0.0)
+        found = compensate_points(measured.point_map, layer)
+        watch("compensate", 1.0)
+        balls = shape_of(experiment.specimen).spheres() if experiment else ()
+        figures = sheet_figures(found, balls)
+        _write(target, measured, found)
+        (target / LAYER_FILE).write_text(layer_to_toml(layer), encoding="utf-8")
+        (target / EXPERIMENT_FILE).write_text(
+            (folder / EXPERIMENT_FILE).read_text(encoding="utf-8")
+            if is_regular(folder / EXPERIMENT_FILE)
+            else layer_to_toml(layer),
+            encoding="utf-8",
+        )
+        points = measured.point_map
+        digest = content_digest(layer, points.points_world_mm, points.mask_reason)
+        write_outcome(target, "compensate", figures, digest=digest)
+    return figures
+
+
+def compensate_points(points: PointMap, layer: SensorLayer) -> CompensatedSheet:
+    """Compensate measured points by what carries them.
+
+    Raises
+    ------
+    InputError : a layout that is not known, or points that tell no object
+    """
+    elastomer = layer.elastomer
+    if not may_wrap(elastomer):
+        raise InputError(
+            f"elastomer: found {elastomer.layout}, {elastomer.thickness_mm:g} mm thick; free forms "
+            "are found under a sheet of up to 1 mm with layout = 'opposite_face' and no film"
+        )
+    valid = points.valid
+    if not valid.any():
+        raise InputError("compensate: found no valid point; look at the mask's reasons")
+    found = points.points_world_mm[valid].astype(np.float64)
+    return compensate_sheet(found, points.sigma_z_mm[valid].astype(np.float64), sheet_layer(layer))
+
+
+def sheet_layer(layer: SensorLayer) -> SheetLayer:
+    """Return the layer as the thin sheet's equations take it."""
+    elastomer, sigma = layer.elastomer, layer.sigma
+    modulus = young_modulus(elastomer)
+    # Of a range that is as likely anywhere: half of it over the root of three.
+    of_modulus = (modulus.high_kpa - modulus.low_kpa) / np.sqrt(12.0)
+    return SheetLayer(
+        frame=Frame(elastomer.length_x_mm, elastomer.length_y_mm, elastomer.outline == "round"),
+        thickness_mm=elastomer.thickness_mm,
+        young_modulus_kpa=modulus.best_kpa,
+        pre_stretch=elastomer.pre_stretch,
+        back_pressure_kpa=layer.press.back_pressure_kpa,
+        sticks=elastomer.sticks,
+        sigma_thickness_mm=sigma.thickness_mm,
+        sigma_young_modulus_kpa=(
+            of_modulus if sigma.young_modulus_kpa is None else sigma.young_modulus_kpa
+        ),
+        sigma_pre_stretch=sigma.pre_stretch,
+        sigma_back_pressure_kpa=sigma.back_pressure_kpa,
+    )
+
+
+def compensated_figures(experiment: Experiment, points: PointMap) -> dict[str, Any]:
+    """Return figures of the object under a thin sheet, to stand beside those of the coat.
+
+    Nothing where the elastomer does not wrap; why, where the points tell no object.
+    """
+    if not experiment.method.presses or not may_wrap(experiment.elastomer):
+        return {}
+    try:
+        found = compensate_points(points, sensor_layer_of(experiment))
+    except InputError as error:
+        return {"compensation_failure": str(error)}
+    balls = shape_of(experiment.specimen).spheres()
+    figures = sheet_figures(found, balls)
+    return {key: one for key, one in figures.items() if key.startswith("compensated_")}
+
+
+def sheet_figures(found: CompensatedSheet, balls: Sequence[Sphere] = ()) -> dict[str, Any]:
+    """Return the figures of an object under a sheet; units in the names."""
+    contact, parts = found.contact, parts_of(found)
+    area_mm2 = float(found.balance.upright_mm2[contact].sum())
+    figures: dict[str, Any] = {
+        "compensated_force_n": found.force_n,
+        "compensated_force_sigma_n": found.force_sigma_n,
+        "compensated_contact_area_mm2": area_mm2,
+        "compensated_thickness_mm": (
+            float(found.layer.thickness_mm * found.thinning[contact].mean())
+            if contact.any()
+            else None
+        ),
+        "pressure_sigma_kpa": found.balance.sigma_kpa,
+        "parts": len(parts),
+    }
+    free = found.modulus_of_free_span_kpa()
+    if free is not None:
+        figures |= {"free_span_modulus_kpa": free[0], "free_span_modulus_scatter_kpa": free[1]}
+    for number, part in enumerate(parts, 1):
+        figures |= {f"part_{number}_{name}": one for name, one in _part_figures(part).items()}
+    for number, ball in enumerate(balls, 1):
+        figures |= _ball_figures(f"compensated_sphere_{number}", _under(parts, ball, found))
+    return figures
+
+
+def _part_figures(part: Part) -> dict[str, Any]:
+    told: dict[str, Any] = {
+        "form": part.form,
+        "x_mm": part.middle_mm[0],
+        "y_mm": part.middle_mm[1],
+        "highest_mm": part.highest_mm,
+        "residual_um": part.residual_um,
+        "pressure_kpa": part.pressure_kpa,
+    }
+    if part.form == "flat":
+        return told
+    return told | {"radius_mm": part.radius_mm, "radius_sigma_um": _UM * part.sigma_mm}
+
+
+def _ball_figures(name: str, part: Part | None) -> dict[str, Any]:
+    found = part if part is not None and part.form == "ball" else None
+    return {
+        f"{name}_radius_mm": None if found is None else found.radius_mm,
+        f"{name}_radius_sigma_um": None if found is None else _UM * found.sigma_mm,
+    }
+
+
+def _under(parts: Sequence[Part], ball: Sphere, found: CompensatedSheet) -> Part | None:
+    """Return the part whose cells lie over a ball's nominal middle."""
+    col = int(np.argmin(np.abs(found.relief.x_mm - ball.x_mm)))
+    row = int(np.argmin(np.abs(found.relief.y_mm - ball.y_mm)))
+    return next((part for part in parts if part.cells[row, col]), None)
+
+
+def _read_points(folder: Path) -> Reconstruction:
+    file = folder / RECONSTRUCTION_FILE
+    if not file.exists():
+        raise InputError(
+            f"{folder}: no {RECONSTRUCTION_FILE}; give a result of twin measure or twin reconstruct"
+        )
+    return read_reconstruction(file)
+
+
+def _layer_of(folder: Path, layer_file: Path | None) -> tuple[SensorLayer, Experiment | None]:
+    """Return the layer, given or the experiment's, and the experiment if there is one."""
+    own = folder / EXPERIMENT_FILE
+    told = read_toml(own) if is_regular(own) else {}
+    experiment = load_experiment(own) if "elastomer" in told else None
+    if layer_file is not None:
+        return load_sensor_layer(layer_file), experiment
+    if experiment is None:
+        raise InputError(
+            f"{folder}: tells no elastomer; give --layer layer.toml with [elastomer] and [press], "
+            "see docs/compensation.md"
+        )
+    return sensor_layer_of(experiment), experiment
+
+
+def _write(target: Path, measured: Reconstruction, found: CompensatedSheet) -> None:
+    points = object_points(measured.point_map, found)
+    write_reconstruction(target / RECONSTRUCTION_FILE, measured.decoded, points)
+    if points.valid.any():
+        write_surface(target, points)
+    write_dataset(target / CONTACT_FILE, contact_dataset(found))
+
+
+def object_points(coat: PointMap, found: CompensatedSheet) -> PointMap:
+    """Return the object's surface pixel by pixel: where there is contact, and no point elsewhere.
+
+    Each measured point moves down its normal by the local thickness; its sigma is that of the coat
+    and, along the normal, of thickness and stretch.
+    """
+    relief, layer = found.relief, found.layer
+    world = coat.points_world_mm.astype(np.float64)
+    at = [
+        (world[..., axis] - first[0]) / step
+        for axis, first, step in (
+            (1, relief.y_mm, relief.pitch_mm[1]),
+            (0, relief.x_mm, relief.pitch_mm[0]),
+        )
+    ]
+    touching = coat.valid & (_at(found.contact.astype(np.float64), at) > 0.5)
+    behind = layer.thickness_mm * _at(found.thinning, at)
+    normal = np.stack([_at(found.normal[..., axis], at) for axis in range(3)], axis=-1)
+    open_mm = _at(found.sigma_thickness_mm, at)
+    sigma = np.hypot(coat.sigma_xyz_mm, np.abs(normal) * open_mm[..., None])
+    moved = np.where(touching[..., None], world - behind[..., None] * normal, 0.0)
+    return replace(
+        coat,
+        points_world_mm=moved.astype(np.float32),
+        sigma_xyz_mm=np.where(touching[..., None], sigma, 0.0).astype(np.float32),
+        mask_reason=np.where(
+            touching, Reason.VALID, np.where(coat.valid, Reason.NO_POINT, coat.mask_reason)
+        ).astype(np.uint8),
+    )
+
+
+def _at(values: FloatArray, at: list[FloatArray]) -> FloatArray:
+    return np.asarray(ndimage.map_coordinates(values, at, order=1, mode="nearest"))
+
+
+def contact_dataset(found: CompensatedSheet) -> Any:
+    """Return contact, pressure, thickness and the clear face over world x and y, an xarray set."""
+    import xarray
+
+    clear = found.object_mm
+    maps = {
+        "contact": (found.contact.astype(np.uint8), "1", "1 where the object carries the sheet"),
+        "measured": (found.relief.measured.astype(np.uint8), "1", "1 where the coat was measured"),
+        "coat_z_mm": (found.relief.points_mm[..., 2], "mm", "world z of the coat, gaps filled in"),
+        "clear_x_mm": (clear[..., 0], "mm", "world x of the clear face, or the object"),
+        "clear_y_mm": (clear[..., 1], "mm", "world y of the clear face, or the object"),
+        "clear_z_mm": (clear[..., 2], "mm", "world z of the clear face, or the object"),
+        "thickness_mm": (found.layer.thickness_mm * found.thinning, "mm", "local thickness"),
+        "sigma_thickness_mm": (found.sigma_thickness_mm, "mm", "its standard uncertainty"),
+        "pressure_kpa": (found.pressure_kpa, "kPa", "of the contact; what is blurred at its edge"),
+    }
+    axes = {
+        name: (name, values, {"units": "mm", "long_name": f"world {name} of the cell's middle"})
+        for name, values in (("x", found.relief.x_mm), ("y", found.relief.y_mm))
+    }
+    told = {
+        name: (("y", "x"), values, {"units": units, "long_name": long_name})
+        for name, (values, units, long_name) in maps.items()
+    }
+    figures = {"sigma_pressure_kpa": found.balance.sigma_kpa, "force_n": found.force_n}
+    return xarray.Dataset(told, coords=axes, attrs={"Conventions": "CF-1.11", **figures})
