@@ -150,8 +150,8 @@ def relief_on_frame(
     """
     cols, rows = cells
     pitch = frame.length_x_mm / cols, frame.length_y_mm / rows
-    x: FloatArray = (np.arange(cols) + 0.5) * pitch[0] - frame.length_x_mm / 2
-    y: FloatArray = (np.arange(rows) + 0.5) * pitch[1] - frame.length_y_mm / 2
+    x = np.asarray((np.arange(cols) + 0.5) * pitch[0] - frame.length_x_mm / 2, np.float64)
+    y = np.asarray((np.arange(rows) + 0.5) * pitch[1] - frame.length_y_mm / 2, np.float64)
     inside = _inside(frame, x, y)
     col = np.floor((points_mm[:, 0] + frame.length_x_mm / 2) / pitch[0]).astype(np.intp)
     row = np.floor((points_mm[:, 1] + frame.length_y_mm / 2) / pitch[1]).astype(np.intp)

@@ -242,8 +242,10 @@ class _Shape:
         z_y, z_x = np.gradient(z, step_y, step_x)
         z_yy, z_yx = np.gradient(z_y, step_y, step_x)
         z_xx = np.gradient(z_x, step_x, axis=1)
-        z_x, z_y, z_xx, z_yx, z_yy = (d[2:-2, 2:-2] for d in (z_x, z_y, z_xx, z_yx, z_yy))
-        upright = 1 / np.sqrt(1 + z_x**2 + z_y**2)
+        z_x, z_y, z_xx, z_yx, z_yy = (
+            np.asarray(d)[2:-2, 2:-2] for d in (z_x, z_y, z_xx, z_yx, z_yy)
+        )
+        upright: FloatArray = np.asarray(1 / np.sqrt(1 + z_x**2 + z_y**2), np.float64)
         metric = np.stack((1 + z_x**2, z_x * z_y, 1 + z_y**2), axis=-1)
         curvature = np.stack((z_xx, z_yx, z_yy), axis=-1) * upright[..., None]
         normal = np.stack((-z_x, -z_y, np.ones_like(z_x)), axis=-1) * upright[..., None]

@@ -20,7 +20,7 @@ def thickness_error_um(found: CompensatedSheet, profile: Profile) -> float:
 
 @pytest.mark.parametrize(("thickness_mm", "pressure_kpa"), [(0.1, 2.0), (0.3, 5.0)])
 def test_ball_force_contact_and_modulus(thickness_mm: float, pressure_kpa: float) -> None:
-    """Expected: R to 1 um and h / 100, thickness to 2 um; force to 6 %, most of a thick sheet; E to 3 %."""
+    """Expected: R to 1 um and h / 100, thickness to 2 um, E to 3 %, force to 6 % of thick ones."""
     profile = pressed_ball(thickness_mm, pressure_kpa)
     found = compensate_sheet(*coat_points(profile, 5e-4), layer_of(thickness_mm, pressure_kpa))
     (ball,) = parts_of(found)
@@ -44,6 +44,14 @@ def test_object_is_the_parallel_surface() -> None:
     coat = np.linalg.norm(found.relief.points_mm[core] - middle, axis=1) - 4.0
     assert np.abs(away).max() < 2.5e-3
     assert coat.min() > 0.12
+
+
+def test_radius_moves_with_thickness_as_its_uncertainty_says() -> None:
+    """A layer taken 5 um too thick changes the radius by what 5 um of uncertainty predict."""
+    points = coat_points(pressed_ball(0.2, 2.0))
+    (known,) = parts_of(compensate_sheet(*points, layer_of(0.2, 2.0, sigma_thickness_mm=5e-3)))
+    (thicker,) = parts_of(compensate_sheet(*points, layer_of(0.205, 2.0)))
+    assert known.layer_mm == pytest.approx(known.radius_mm - thicker.radius_mm, rel=0.1)
 
 
 def test_tent_without_air_is_carried_by_its_tip_alone() -> None:

@@ -24,8 +24,8 @@ INSTEAD = {
     r"\babsent:": "default:",
     r"\bbars? (?:is|are) met\b|\bwithin (?:its|their) bars?\b": "target",
 }
-COMMANDS = ("calibrate", "compare", "completion", "decode", "demo", "describe", "doctor",
-            "export", "identify", "init", "keys", "measure", "paper", "patterns", "press",
+COMMANDS = ("calibrate", "compare", "compensate", "completion", "decode", "demo", "describe",
+            "doctor", "export", "identify", "init", "keys", "measure", "paper", "patterns", "press",
             "reconstruct", "render", "report", "sweep", "uncertainty", "view")  # fmt: skip
 
 

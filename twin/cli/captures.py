@@ -9,6 +9,7 @@ from cyclopts import Parameter
 from twin.cli.app import (
     ExperimentFile,
     Out,
+    Report,
     Settings,
     app,
     load,
@@ -21,6 +22,7 @@ from twin.cli.app import (
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from reconstruction.compensation import CompensatedSheet
     from twin.config import Experiment
 
 
@@ -184,7 +186,9 @@ def evaluate(
 
 
 @app.command
-def compensate(result: Path, /, *, out: Out, layer: Path | None = None) -> None:
+def compensate(
+    result: Path, /, *, out: Out, layer: Path | None = None, report: Report = True
+) -> None:
     """Find the rigid object under the coat: contact, pressure, force, its surface, its radii.
 
     Parameters
@@ -197,10 +201,15 @@ def compensate(result: Path, /, *, out: Out, layer: Path | None = None) -> None:
     """
     from twin.output import end_exchange
     from twin.pipeline.compensation import compensate_result
+    from twin.report.compensation import COMPENSATION_PICTURE, draw_compensation
+
+    def draw(folder: Path, found: "CompensatedSheet") -> None:
+        if report:
+            draw_compensation(folder / COMPENSATION_PICTURE, found)
 
     end_exchange(result)
     with progress_bars() as watch:
-        figures = compensate_result(result, out, layer, watch)
+        figures = compensate_result(result, out, layer, watch, draw)
     print_metrics(figures)
     say(f"wrote {out}")
 

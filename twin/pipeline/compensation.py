@@ -4,7 +4,7 @@ Nothing of the truth is used: the measured points, and what is known of elastome
 (`SensorLayer`). The specimen's nominal places only name figures: which part is ball 1.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -46,15 +46,28 @@ from twin.specimens import Sphere, shape_of
 
 CONTACT_FILE, LAYER_FILE = "contact.nc", "layer.toml"
 _UM = 1e3
+Draw = Callable[[Path, CompensatedSheet], None]
+
+
+def _draws_nothing(_: Path, __: CompensatedSheet) -> None:
+    return
 
 
 def compensate_result(
-    folder: Path, out: Path, layer_file: Path | None = None, watch: ProgressCallback = no_progress
+    folder: Path,
+    out: Path,
+    layer_file: Path | None = None,
+    watch: ProgressCallback = no_progress,
+    draw: Draw = _draws_nothing,
 ) -> dict[str, Any]:
     """Compensate a result of `twin measure` or `twin reconstruct` into `out`; returns the figures.
 
     `out` holds the object's points as `twin reconstruct` writes the coat's (reconstruction.nc,
     points.ply, surface.ply, height_map.*), contact.nc, the layer, and result.json.
+
+    Parameters
+    ----------
+    draw : adds pictures to the folder
 
     Raises
     ------
@@ -72,6 +85,7 @@ def compensate_result(
         balls = shape_of(experiment.specimen).spheres() if experiment else ()
         figures = sheet_figures(found, balls)
         _write(target, measured, found)
+        draw(target, found)
         (target / LAYER_FILE).write_text(layer_to_toml(layer), encoding="utf-8")
         (target / EXPERIMENT_FILE).write_text(
             (folder / EXPERIMENT_FILE).read_text(encoding="utf-8")
