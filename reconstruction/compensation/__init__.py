@@ -1,15 +1,21 @@
 """From the relief of the coat to the rigid object that made it, with no truth at hand."""
 
-from reconstruction.compensation.parts import Part, parts_of
-from reconstruction.compensation.relief import Frame, Relief
+from reconstruction.compensation.gel import CompensatedGel, GelLayer, compensate_gel
+from reconstruction.compensation.parts import Compensated, ObjectPart, parts_of
+from reconstruction.compensation.relief import Relief, SheetOpening, relief_on_frame
 from reconstruction.compensation.sheet import CompensatedSheet, SheetLayer, compensate_sheet
 
 __all__ = [
+    "Compensated",
+    "CompensatedGel",
     "CompensatedSheet",
-    "Frame",
-    "Part",
+    "GelLayer",
+    "ObjectPart",
     "Relief",
     "SheetLayer",
+    "SheetOpening",
+    "compensate_gel",
     "compensate_sheet",
     "parts_of",
+    "relief_on_frame",
 ]

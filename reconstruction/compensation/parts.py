@@ -4,21 +4,20 @@ Each connected part of the contact is taken without its blurred edge and fitted 
 cylinder and a plane; the simplest that leaves no more than a little above the least is its form.
 
 Standard uncertainty of a radius (JCGM 100, 5.1.2): noise and texture of the coat by the residuals'
-own variance and correlation area; thickness and stretch, which move all points of a part together;
-and what the theory of thin sheets leaves out, 0.07 h^2 / R (docs/sheet.md).
+own variance and correlation area; what is open of the layer, which moves all points of a part
+together; and what the theory leaves out.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import Literal
+from typing import Literal, Protocol
 
 import numpy as np
 from scipy import ndimage
 
 from reconstruction.arrays import BoolArray, FloatArray
 from reconstruction.compensation.relief import Relief, variance_and_area
-from reconstruction.compensation.sheet import CURVATURE_SIGMA_MM, CompensatedSheet
 from reconstruction.errors import FitError
 from reconstruction.evaluate.estimates import FittedDimension, ball_radius, cylinder_radius
 from reconstruction.evaluate.fit import fit_plane, rms
@@ -31,12 +30,68 @@ _LEAST_CELLS = 30
 # A form with one parameter more must leave this much less.
 _MUCH_LESS = 0.7
 _LARGEST_RADIUS_MM = 500.0
-SHEET_THEORY = 0.07
-"""Error of heights of a thin sheet over h^2 / R, against solid elements."""
+
+
+class Compensated(Protocol):
+    """What is asked of a compensated coat, whatever carried it; arrays (row, col, ...)."""
+
+    @property
+    def relief(self) -> Relief:
+        """The measured coat."""
+        ...
+
+    @property
+    def contact(self) -> BoolArray:
+        """Where the object touches."""
+        ...
+
+    @property
+    def pressure_kpa(self) -> FloatArray:
+        """Pressure of the contact."""
+        ...
+
+    @property
+    def normal(self) -> FloatArray:
+        """Unit normal of the coat."""
+        ...
+
+    @property
+    def object_mm(self) -> FloatArray:
+        """Points of the object, where it touches."""
+        ...
+
+    @property
+    def blur_mm(self) -> float:
+        """How far the contact's edge is blurred."""
+        ...
+
+    @property
+    def area_mm2(self) -> float:
+        """Area of the contact seen along z."""
+        ...
+
+    @property
+    def force_n(self) -> float:
+        """Force along z."""
+        ...
+
+    @property
+    def force_sigma_n(self) -> float:
+        """Standard uncertainty of the force."""
+        ...
+
+    @property
+    def layer_moves_mm(self) -> list[FloatArray]:
+        """Standard uncertainties that move all points of a part together, along their normals."""
+        ...
+
+    def theory_mm(self, radius_mm: float) -> float:
+        """Return what the theory leaves out of a radius."""
+        ...
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
+class ObjectPart:
     """One part of the object that carries the sheet.
 
     Attributes
@@ -47,7 +102,7 @@ class Part:
     highest_mm : of the object in its core
     form : what it was fitted as
     radius_mm, sigma_mm : of a ball or rod with its standard uncertainty; 0 of a flat face
-    noise_mm, layer_mm : shares of that: noise and texture; thickness and stretch
+    noise_mm, layer_mm : shares of that: noise and texture; what is open of the layer
     residual_um : RMS from the form
     pressure_kpa : mean over its cells
     """
@@ -65,7 +120,7 @@ class Part:
     pressure_kpa: float
 
 
-def parts_of(found: CompensatedSheet) -> list[Part]:
+def parts_of(found: Compensated) -> list[ObjectPart]:
     """Return the parts of the contact from -x to +x; those of too few cells are left out."""
     labels, count = ndimage.label(found.contact)
     core = _core(found)
@@ -81,13 +136,13 @@ def parts_of(found: CompensatedSheet) -> list[Part]:
     return sorted(parts, key=lambda part: part.middle_mm)
 
 
-def _core(found: CompensatedSheet) -> BoolArray:
+def _core(found: Compensated) -> BoolArray:
     """Return the contact without what the filter of the curvature blurs at its edge."""
-    reach = int(np.ceil(CURVATURE_SIGMA_MM / min(found.relief.pitch_mm)))
+    reach = int(np.ceil(found.blur_mm / min(found.relief.pitch_mm)))
     return np.asarray(ndimage.binary_erosion(found.contact, iterations=reach))
 
 
-def _fitted(found: CompensatedSheet, cells: BoolArray, core: BoolArray) -> Part:
+def _fitted(found: Compensated, cells: BoolArray, core: BoolArray) -> ObjectPart:
     points, relief = found.object_mm[core], found.relief
     form, fit = _form(points)
     residual, radius, noise, layer, theory = fit_plane(points).residuals_mm, 0.0, 0.0, 0.0, 0.0
@@ -96,9 +151,9 @@ def _fitted(found: CompensatedSheet, cells: BoolArray, core: BoolArray) -> Part:
         residual, radius = estimate.residuals_mm[estimate.used], estimate.value
         noise = _noise_mm(found, core, estimate)
         layer = _layer_mm(found, core, lambda moved: fit(moved).value)
-        theory = SHEET_THEORY * found.layer.thickness_mm**2 / radius
+        theory = found.theory_mm(radius)
     row, col = np.nonzero(cells)
-    return Part(
+    return ObjectPart(
         cells=cells,
         core=core,
         middle_mm=(float(relief.x_mm[col].mean()), float(relief.y_mm[row].mean())),
@@ -139,7 +194,7 @@ def _rod(points_mm: FloatArray, axis: FloatArray) -> FittedDimension:
     return cylinder_radius(points_mm, axis)[0]
 
 
-def _noise_mm(found: CompensatedSheet, core: BoolArray, estimate: FittedDimension) -> float:
+def _noise_mm(found: Compensated, core: BoolArray, estimate: FittedDimension) -> float:
     """Return the standard uncertainty that the coat's noise and texture leave in a radius.
 
     The residuals' variance, along the normal, stands for that of every point along z: where the
@@ -153,22 +208,12 @@ def _noise_mm(found: CompensatedSheet, core: BoolArray, estimate: FittedDimensio
     return estimate.noise_mm(spread, area / relief.cell_area_mm2)
 
 
-def _layer_mm(found: CompensatedSheet, core: BoolArray, radius_of: RadiusOf) -> float:
-    """Return what thickness and stretch leave open: all points move along their normals by it.
-
-    How a sheet that sticks thins from a part's middle to its edge is open, too: by as much.
-    """
-    points, layer = found.object_mm[core], found.layer
-    radius = radius_of(points)
-    moved = [
-        found.thinning[core] * layer.sigma_thickness_mm,
-        layer.thickness_mm * found.sigma_thinning[core],
-    ]
-    if layer.sticks:
-        inwards = ndimage.distance_transform_edt(core)[core]
-        moved.append(moved[1] * (2 * inwards / inwards.max() - 1))
-    changes = [
-        radius_of(points - away[:, None] * found.normal[core]) - radius if away.any() else 0.0
-        for away in moved
-    ]
+def _layer_mm(found: Compensated, core: BoolArray, radius_of: RadiusOf) -> float:
+    """Return what the layer leaves open: all points move along their normals by its moves."""
+    points = found.object_mm[core]
+    radius, changes = radius_of(points), [0.0]
+    for move in found.layer_moves_mm:
+        away = move[core]
+        if away.any():
+            changes.append(radius_of(points - away[:, None] * found.normal[core]) - radius)
     return float(np.linalg.norm(changes))

@@ -23,7 +23,7 @@ _TURNS_TO_MIDDLES = 2
 
 
 @dataclass(frozen=True)
-class Frame:
+class SheetOpening:
     """Opening in which the sheet is held, centred on the world's origin."""
 
     length_x_mm: float
@@ -134,7 +134,7 @@ def _correlated_cells(values: FloatArray, kept: BoolArray, variance: float, axis
 
 
 def relief_on_frame(
-    points_mm: FloatArray, sigma_z_mm: FloatArray, frame: Frame, cells: tuple[int, int]
+    points_mm: FloatArray, sigma_z_mm: FloatArray, frame: SheetOpening, cells: tuple[int, int]
 ) -> Relief:
     """Put measured points on a grid over the frame, and fill its gaps in.
 
@@ -213,7 +213,9 @@ def _at_middles(points_mm: FloatArray, x_mm: FloatArray, y_mm: FloatArray) -> Fl
     return np.asarray(z)
 
 
-def _mirrored(z_mm: FloatArray, x_mm: FloatArray, y_mm: FloatArray, frame: Frame) -> FloatArray:
+def _mirrored(
+    z_mm: FloatArray, x_mm: FloatArray, y_mm: FloatArray, frame: SheetOpening
+) -> FloatArray:
     """Return heights that beyond a round rim are those as far within: the clamp keeps it level."""
     if not frame.is_round:
         return z_mm
@@ -234,7 +236,7 @@ def _means(index: NDArray[np.intp], values: FloatArray, count: NDArray[np.intp])
     return np.asarray(total / np.maximum(count, 1))
 
 
-def _inside(frame: Frame, x_mm: FloatArray, y_mm: FloatArray) -> BoolArray:
+def _inside(frame: SheetOpening, x_mm: FloatArray, y_mm: FloatArray) -> BoolArray:
     if not frame.is_round:
         return np.ones((len(y_mm), len(x_mm)), bool)
     return np.asarray(np.hypot(x_mm, y_mm[:, None]) < frame.length_x_mm / 2)

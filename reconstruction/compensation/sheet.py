@@ -22,7 +22,7 @@ from scipy import ndimage
 
 from reconstruction.arrays import BoolArray, FloatArray
 from reconstruction.compensation.membrane import MaterialMap, SurfaceMetric, material_map
-from reconstruction.compensation.relief import Frame, Relief, relief_on_frame
+from reconstruction.compensation.relief import Relief, SheetOpening, relief_on_frame
 
 # Of the membrane: the stretch is smooth, a cell of the relief is a third of one of its elements.
 _ELEMENT_MM = 0.3
@@ -34,6 +34,8 @@ NORMAL_SIGMA_MM = 0.1
 """Gaussian filter of the heights whose slopes give normals and metric."""
 CURVATURE_SIGMA_MM = 0.3
 """Gaussian filter of the heights whose curvature tells contact from free span."""
+SHEET_THEORY = 0.07
+"""Error of heights of a thin sheet over h^2 / R, against solid elements."""
 _SIGMAS_OF_CONTACT = 2.0
 _FLAT = 1 / np.sqrt(12.0)
 
@@ -52,7 +54,7 @@ class SheetLayer:
     sticks : whether it keeps its place once it has touched
     """
 
-    frame: Frame
+    frame: SheetOpening
     thickness_mm: float
     young_modulus_kpa: float
     pre_stretch: float = 1.0
@@ -70,7 +72,7 @@ class SheetLayer:
 
 
 @dataclass(frozen=True, eq=False)
-class Balance:
+class ContactBalance:
     """Contact and its pressure; arrays (row, col) on the relief's cells.
 
     Attributes
@@ -104,7 +106,7 @@ class CompensatedSheet:
     thinning: FloatArray
     sigma_thinning: FloatArray
     normal: FloatArray
-    balance: Balance
+    balance: ContactBalance
     layer: SheetLayer
 
     @property
@@ -116,6 +118,34 @@ class CompensatedSheet:
     def pressure_kpa(self) -> FloatArray:
         """Pressure of the object on the clear face, (row, col)."""
         return self.balance.pressure_kpa
+
+    @property
+    def blur_mm(self) -> float:
+        """How far the contact's edge is blurred."""
+        return CURVATURE_SIGMA_MM
+
+    @property
+    def area_mm2(self) -> float:
+        """Area of the contact seen along z."""
+        return float(self.balance.upright_mm2[self.contact].sum())
+
+    @property
+    def layer_moves_mm(self) -> list[FloatArray]:
+        """Return by how much all points of a part may lie off along their normals, each (row, col).
+
+        How a sheet that sticks thins from a part's middle to its edge is open, too: by as much.
+        """
+        layer = self.layer
+        of_stretch = layer.thickness_mm * self.sigma_thinning
+        moves = [self.thinning * layer.sigma_thickness_mm, of_stretch]
+        if layer.sticks:
+            inwards = np.asarray(ndimage.distance_transform_edt(self.contact))
+            moves.append(of_stretch * (2 * inwards / max(float(inwards.max()), 1.0) - 1))
+        return moves
+
+    def theory_mm(self, radius_mm: float) -> float:
+        """Return what the theory of thin sheets leaves out of a radius: docs/sheet.md."""
+        return SHEET_THEORY * self.layer.thickness_mm**2 / radius_mm
 
     @property
     def object_mm(self) -> FloatArray:
@@ -138,7 +168,7 @@ class CompensatedSheet:
         Tension is in proportion to E h, and so is its share of the force.
         """
         layer, balance = self.layer, self.balance
-        area_mm2 = float(balance.upright_mm2[self.contact].sum())
+        area_mm2 = self.area_mm2
         of_air = 1e-3 * area_mm2
         of_tension = self.force_n - of_air * layer.back_pressure_kpa
         share = np.hypot(
@@ -274,7 +304,9 @@ class _Shape:
         )
 
 
-def _balanced(relief: Relief, layer: SheetLayer, shape: _Shape, spread_out: MaterialMap) -> Balance:
+def _balanced(
+    relief: Relief, layer: SheetLayer, shape: _Shape, spread_out: MaterialMap
+) -> ContactBalance:
     """Weigh tension against air, and tell contact from free span."""
     tension = np.stack(
         [_on_cells(spread_out.tension[..., part], relief) for part in range(3)], axis=-1
@@ -292,7 +324,7 @@ def _balanced(relief: Relief, layer: SheetLayer, shape: _Shape, spread_out: Mate
     carried = (pressure > least) & relief.measured & _off_the_rim(relief)
     upright_mm2 = _area(shape.between(2 * below)[0]) * shape.normal[..., 2] * relief.cell_area_mm2
     contact = _up_to_half(_without_specks(carried, relief), pressure, relief)
-    return Balance(pressure, sigma, contact, upright_mm2)
+    return ContactBalance(pressure, sigma, contact, upright_mm2)
 
 
 def _area(metric: FloatArray) -> FloatArray:

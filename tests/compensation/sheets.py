@@ -6,7 +6,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from reconstruction.arrays import FloatArray
-from reconstruction.compensation import Frame, SheetLayer
+from reconstruction.compensation import SheetLayer, SheetOpening
 from tests.oracles.round_sheet import Profile, round_sheet_profile
 
 YOUNG_KPA = 300.0
@@ -29,7 +29,7 @@ def layer_of(
 ) -> SheetLayer:
     """Return what is known of that sheet."""
     return SheetLayer(
-        Frame(2 * rim_mm, 2 * rim_mm, is_round=True), thickness_mm, YOUNG_KPA,
+        SheetOpening(2 * rim_mm, 2 * rim_mm, is_round=True), thickness_mm, YOUNG_KPA,
         back_pressure_kpa=pressure_kpa, **known,
     )  # fmt: skip
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from reconstruction.compensation import CompensatedSheet, Frame, compensate_sheet, parts_of
+from reconstruction.compensation import CompensatedSheet, SheetOpening, compensate_sheet, parts_of
 from reconstruction.compensation.relief import filled, relief_on_frame, variance_and_area
 from reconstruction.errors import FitError
 from tests.compensation.sheets import YOUNG_KPA, coat_points, layer_of, pressed_ball
@@ -113,7 +113,7 @@ def test_correlation_area_of_a_gaussian_filter() -> None:
 
 def test_cells_hold_the_mean_of_their_points() -> None:
     points = np.array([[0.1, 0.1, 1.0], [0.2, 0.2, 3.0], [-0.5, 0.5, 5.0]])
-    relief = relief_on_frame(points, np.full(3, 0.1), Frame(2.0, 2.0), (2, 2))
+    relief = relief_on_frame(points, np.full(3, 0.1), SheetOpening(2.0, 2.0), (2, 2))
     assert relief.points_mm[1, 1] == pytest.approx([0.15, 0.15, 2.0])
     assert relief.sigma_mm[1, 1] == pytest.approx(0.1 / np.sqrt(2))
     assert relief.measured.tolist() == [[False, False], [True, True]]

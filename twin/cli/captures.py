@@ -22,7 +22,7 @@ from twin.cli.app import (
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from reconstruction.compensation import CompensatedSheet
+    from reconstruction.compensation import Compensated
     from twin.config import Experiment
 
 
@@ -203,7 +203,7 @@ def compensate(
     from twin.pipeline.compensation import compensate_result
     from twin.report.compensation import COMPENSATION_PICTURE, draw_compensation
 
-    def draw(folder: Path, found: "CompensatedSheet") -> None:
+    def draw(folder: Path, found: "Compensated") -> None:
         if report:
             draw_compensation(folder / COMPENSATION_PICTURE, found)
 

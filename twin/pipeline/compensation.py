@@ -10,16 +10,21 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy import ndimage
+from scipy import fft, ndimage
 
 from reconstruction.arrays import FloatArray, Reason
 from reconstruction.compensation import (
+    Compensated,
+    CompensatedGel,
     CompensatedSheet,
-    Frame,
-    Part,
+    GelLayer,
+    ObjectPart,
     SheetLayer,
+    SheetOpening,
+    compensate_gel,
     compensate_sheet,
     parts_of,
+    relief_on_frame,
 )
 from reconstruction.errors import InputError
 from reconstruction.evaluate.surface import write_surface
@@ -38,18 +43,23 @@ from twin.config.sensor_layer import (
 )
 from twin.mechanics.choice import may_wrap
 from twin.mechanics.hardness import young_modulus
+from twin.mechanics.layer import BondedLayer
+from twin.mechanics.layouts import WINDOW_MARGIN, coat_film
 from twin.output import EXPERIMENT_FILE, output_folder
 from twin.pipeline.dimensions import RECONSTRUCTION_FILE
 from twin.pipeline.progress import ProgressCallback, no_progress
 from twin.results.parts import write_outcome
+from twin.results.record import Fringes, Measurement
 from twin.specimens import Sphere, shape_of
 
 CONTACT_FILE, LAYER_FILE = "contact.nc", "layer.toml"
 _UM = 1e3
-Draw = Callable[[Path, CompensatedSheet], None]
+# Of the gel: as fine as ridges that a bonded layer still answers to.
+_GEL_CELL_MM = 0.08
+Draw = Callable[[Path, Compensated], None]
 
 
-def _draws_nothing(_: Path, __: CompensatedSheet) -> None:
+def _draws_nothing(_: Path, __: Compensated) -> None:
     return
 
 
@@ -83,7 +93,7 @@ def compensate_result(
         found = compensate_points(measured.point_map, layer)
         watch("compensate", 1.0)
         balls = shape_of(experiment.specimen).spheres() if experiment else ()
-        figures = sheet_figures(found, balls)
+        figures = object_figures(found, balls)
         _write(target, measured, found)
         draw(target, found)
         (target / LAYER_FILE).write_text(layer_to_toml(layer), encoding="utf-8")
@@ -99,46 +109,106 @@ def compensate_result(
     return figures
 
 
-def compensate_points(points: PointMap, layer: SensorLayer) -> CompensatedSheet:
-    """Compensate measured points by what carries them.
+def compensate_points(points: PointMap, layer: SensorLayer) -> Compensated:
+    """Compensate measured points by what carries them: a thin sheet, or a gel on a window.
 
     Raises
     ------
     InputError : a layout that is not known, or points that tell no object
     """
     elastomer = layer.elastomer
-    if not may_wrap(elastomer):
+    on_window = elastomer.layout == "contact_face"
+    if not (on_window or may_wrap(elastomer)):
         raise InputError(
             f"elastomer: found {elastomer.layout}, {elastomer.thickness_mm:g} mm thick; free forms "
-            "are found under a sheet of up to 1 mm with layout = 'opposite_face' and no film"
+            "are found under a sheet of up to 1 mm with no film, or with layout = 'contact_face'"
         )
     valid = points.valid
     if not valid.any():
         raise InputError("compensate: found no valid point; look at the mask's reasons")
     found = points.points_world_mm[valid].astype(np.float64)
-    return compensate_sheet(found, points.sigma_z_mm[valid].astype(np.float64), sheet_layer(layer))
+    sigma_mm = points.sigma_z_mm[valid].astype(np.float64)
+    if on_window:
+        return _on_gel(found, sigma_mm, layer)
+    return compensate_sheet(found, sigma_mm, sheet_layer(layer))
+
+
+def _on_gel(points_mm: FloatArray, sigma_mm: FloatArray, layer: SensorLayer) -> CompensatedGel:
+    """Compensate the coat of a gel on a window, on the part of the pad that was measured."""
+    elastomer = layer.elastomer
+    span_x, span_y = (
+        min(length, 2 * float(np.abs(points_mm[:, axis]).max()))
+        for axis, length in enumerate((elastomer.length_x_mm, elastomer.length_y_mm))
+    )
+    cells = tuple(max(16, round(span / _GEL_CELL_MM)) for span in (span_x, span_y))
+    relief = relief_on_frame(
+        points_mm, sigma_mm, SheetOpening(span_x, span_y), (cells[0], cells[1])
+    )
+    pitch = relief.pitch_mm
+    margins = [
+        _margin(count, step, elastomer.thickness_mm)
+        for count, step in zip(cells, pitch, strict=True)
+    ]
+    modulus = young_modulus(elastomer)
+    cols, rows = (count + 2 * margin for count, margin in zip(cells, margins, strict=True))
+    bonded = BondedLayer(
+        rows=rows,
+        cols=cols,
+        length_x_mm=cols * pitch[0],
+        length_y_mm=rows * pitch[1],
+        thickness_mm=elastomer.thickness_mm,
+        poisson_ratio=elastomer.poisson_ratio,
+        film=coat_film(elastomer, modulus.best_kpa),
+    )
+    gel = GelLayer(
+        bonded.deflect, (margins[1], margins[0]), modulus.best_kpa, _sigma_of_modulus(layer)
+    )
+    return compensate_gel(relief, gel)
+
+
+def _margin(cells: int, pitch_mm: float, thickness_mm: float) -> int:
+    """Return the cells to add on each side: enough, and a number that is quick to transform."""
+    least = cells + 2 * int(np.ceil(WINDOW_MARGIN * thickness_mm / pitch_mm))
+    total = fft.next_fast_len(least, real=True)
+    while (total - cells) % 2:
+        total = fft.next_fast_len(total + 1, real=True)
+    return int(total - cells) // 2
+
+
+def _sigma_of_modulus(layer: SensorLayer) -> float:
+    """Return the modulus' standard uncertainty: given, or that of all its range as likely."""
+    if layer.sigma.young_modulus_kpa is not None:
+        return layer.sigma.young_modulus_kpa
+    modulus = young_modulus(layer.elastomer)
+    return float((modulus.high_kpa - modulus.low_kpa) / np.sqrt(12.0))
 
 
 def sheet_layer(layer: SensorLayer) -> SheetLayer:
     """Return the layer as the thin sheet's equations take it."""
     elastomer, sigma = layer.elastomer, layer.sigma
     modulus = young_modulus(elastomer)
-    # Of a range that is as likely anywhere: half of it over the root of three.
-    of_modulus = (modulus.high_kpa - modulus.low_kpa) / np.sqrt(12.0)
     return SheetLayer(
-        frame=Frame(elastomer.length_x_mm, elastomer.length_y_mm, elastomer.outline == "round"),
+        frame=SheetOpening(
+            elastomer.length_x_mm, elastomer.length_y_mm, elastomer.outline == "round"
+        ),
         thickness_mm=elastomer.thickness_mm,
         young_modulus_kpa=modulus.best_kpa,
         pre_stretch=elastomer.pre_stretch,
         back_pressure_kpa=layer.press.back_pressure_kpa,
         sticks=elastomer.sticks,
         sigma_thickness_mm=sigma.thickness_mm,
-        sigma_young_modulus_kpa=(
-            of_modulus if sigma.young_modulus_kpa is None else sigma.young_modulus_kpa
-        ),
+        sigma_young_modulus_kpa=_sigma_of_modulus(layer),
         sigma_pre_stretch=sigma.pre_stretch,
         sigma_back_pressure_kpa=sigma.back_pressure_kpa,
     )
+
+
+def with_compensation(done: Measurement) -> Measurement:
+    """Return a measurement by fringes with the figures of the object behind its coat."""
+    if not isinstance(done.images, Fringes):
+        return done
+    found = compensated_figures(done.experiment, done.images.reconstruction.point_map)
+    return replace(done, metrics={**done.metrics, **found})
 
 
 def compensated_figures(experiment: Experiment, points: PointMap) -> dict[str, Any]:
@@ -146,36 +216,32 @@ def compensated_figures(experiment: Experiment, points: PointMap) -> dict[str, A
 
     Nothing where the elastomer does not wrap; why, where the points tell no object.
     """
-    if not experiment.method.presses or not may_wrap(experiment.elastomer):
+    elastomer = experiment.elastomer
+    on_window = elastomer.layout == "contact_face"
+    if not experiment.method.presses or not (on_window or may_wrap(elastomer)):
         return {}
     try:
         found = compensate_points(points, sensor_layer_of(experiment))
     except InputError as error:
         return {"compensation_failure": str(error)}
     balls = shape_of(experiment.specimen).spheres()
-    figures = sheet_figures(found, balls)
+    figures = object_figures(found, balls)
     return {key: one for key, one in figures.items() if key.startswith("compensated_")}
 
 
-def sheet_figures(found: CompensatedSheet, balls: Sequence[Sphere] = ()) -> dict[str, Any]:
-    """Return the figures of an object under a sheet; units in the names."""
-    contact, parts = found.contact, parts_of(found)
-    area_mm2 = float(found.balance.upright_mm2[contact].sum())
+def object_figures(found: Compensated, balls: Sequence[Sphere] = ()) -> dict[str, Any]:
+    """Return the figures of the object and its contact; units in the names."""
+    parts = parts_of(found)
     figures: dict[str, Any] = {
         "compensated_force_n": found.force_n,
         "compensated_force_sigma_n": found.force_sigma_n,
-        "compensated_contact_area_mm2": area_mm2,
-        "compensated_thickness_mm": (
-            float(found.layer.thickness_mm * found.thinning[contact].mean())
-            if contact.any()
-            else None
-        ),
-        "pressure_sigma_kpa": found.balance.sigma_kpa,
-        "parts": len(parts),
+        "compensated_contact_area_mm2": found.area_mm2,
     }
-    free = found.modulus_of_free_span_kpa()
-    if free is not None:
-        figures |= {"free_span_modulus_kpa": free[0], "free_span_modulus_scatter_kpa": free[1]}
+    if isinstance(found, CompensatedSheet):
+        figures |= _sheet_figures(found)
+    if isinstance(found, CompensatedGel):
+        figures["misfit_um"] = _UM * found.misfit_mm
+    figures["parts"] = len(parts)
     for number, part in enumerate(parts, 1):
         figures |= {f"part_{number}_{name}": one for name, one in _part_figures(part).items()}
     for number, ball in enumerate(balls, 1):
@@ -183,7 +249,18 @@ def sheet_figures(found: CompensatedSheet, balls: Sequence[Sphere] = ()) -> dict
     return figures
 
 
-def _part_figures(part: Part) -> dict[str, Any]:
+def _sheet_figures(found: CompensatedSheet) -> dict[str, Any]:
+    contact, free = found.contact, found.modulus_of_free_span_kpa()
+    thickness = found.layer.thickness_mm * found.thinning
+    return {
+        "compensated_thickness_mm": float(thickness[contact].mean()) if contact.any() else None,
+        "pressure_sigma_kpa": found.balance.sigma_kpa,
+        "free_span_modulus_kpa": None if free is None else free[0],
+        "free_span_modulus_scatter_kpa": None if free is None else free[1],
+    }
+
+
+def _part_figures(part: ObjectPart) -> dict[str, Any]:
     told: dict[str, Any] = {
         "form": part.form,
         "x_mm": part.middle_mm[0],
@@ -197,7 +274,7 @@ def _part_figures(part: Part) -> dict[str, Any]:
     return told | {"radius_mm": part.radius_mm, "radius_sigma_um": _UM * part.sigma_mm}
 
 
-def _ball_figures(name: str, part: Part | None) -> dict[str, Any]:
+def _ball_figures(name: str, part: ObjectPart | None) -> dict[str, Any]:
     found = part if part is not None and part.form == "ball" else None
     return {
         f"{name}_radius_mm": None if found is None else found.radius_mm,
@@ -205,7 +282,7 @@ def _ball_figures(name: str, part: Part | None) -> dict[str, Any]:
     }
 
 
-def _under(parts: Sequence[Part], ball: Sphere, found: CompensatedSheet) -> Part | None:
+def _under(parts: Sequence[ObjectPart], ball: Sphere, found: Compensated) -> ObjectPart | None:
     """Return the part whose cells lie over a ball's nominal middle."""
     col = int(np.argmin(np.abs(found.relief.x_mm - ball.x_mm)))
     row = int(np.argmin(np.abs(found.relief.y_mm - ball.y_mm)))
@@ -236,7 +313,7 @@ def _layer_of(folder: Path, layer_file: Path | None) -> tuple[SensorLayer, Exper
     return sensor_layer_of(experiment), experiment
 
 
-def _write(target: Path, measured: Reconstruction, found: CompensatedSheet) -> None:
+def _write(target: Path, measured: Reconstruction, found: Compensated) -> None:
     points = object_points(measured.point_map, found)
     write_reconstruction(target / RECONSTRUCTION_FILE, measured.decoded, points)
     if points.valid.any():
@@ -244,13 +321,13 @@ def _write(target: Path, measured: Reconstruction, found: CompensatedSheet) -> N
     write_dataset(target / CONTACT_FILE, contact_dataset(found))
 
 
-def object_points(coat: PointMap, found: CompensatedSheet) -> PointMap:
+def object_points(coat: PointMap, found: Compensated) -> PointMap:
     """Return the object's surface pixel by pixel: where there is contact, and no point elsewhere.
 
-    Each measured point moves down its normal by the local thickness; its sigma is that of the coat
-    and, along the normal, of thickness and stretch.
+    Each measured point moves down its normal by the local thickness, if there is a sheet; its sigma
+    is that of the coat and, along the normal, of what is open of the layer.
     """
-    relief, layer = found.relief, found.layer
+    relief = found.relief
     world = coat.points_world_mm.astype(np.float64)
     at = [
         (world[..., axis] - first[0]) / step
@@ -260,9 +337,10 @@ def object_points(coat: PointMap, found: CompensatedSheet) -> PointMap:
         )
     ]
     touching = coat.valid & (_at(found.contact.astype(np.float64), at) > 0.5)
-    behind = layer.thickness_mm * _at(found.thinning, at)
+    behind = _at(np.sum((relief.points_mm - found.object_mm) * found.normal, axis=-1), at)
     normal = np.stack([_at(found.normal[..., axis], at) for axis in range(3)], axis=-1)
-    open_mm = _at(found.sigma_thickness_mm, at)
+    moves = found.layer_moves_mm or [np.zeros(found.contact.shape)]
+    open_mm = _at(np.linalg.norm(moves, axis=0), at)
     sigma = np.hypot(coat.sigma_xyz_mm, np.abs(normal) * open_mm[..., None])
     moved = np.where(touching[..., None], world - behind[..., None] * normal, 0.0)
     return replace(
@@ -279,7 +357,7 @@ def _at(values: FloatArray, at: list[FloatArray]) -> FloatArray:
     return np.asarray(ndimage.map_coordinates(values, at, order=1, mode="nearest"))
 
 
-def contact_dataset(found: CompensatedSheet) -> Any:
+def contact_dataset(found: Compensated) -> Any:
     """Return contact, pressure, thickness and the clear face over world x and y, an xarray set."""
     import xarray
 
@@ -287,14 +365,16 @@ def contact_dataset(found: CompensatedSheet) -> Any:
     maps = {
         "contact": (found.contact.astype(np.uint8), "1", "1 where the object carries the sheet"),
         "measured": (found.relief.measured.astype(np.uint8), "1", "1 where the coat was measured"),
-        "coat_z_mm": (found.relief.points_mm[..., 2], "mm", "world z of the coat, gaps filled in"),
+        "coat_z_mm": (found.relief.heights_mm, "mm", "world z of the coat, gaps filled in"),
         "clear_x_mm": (clear[..., 0], "mm", "world x of the clear face, or the object"),
         "clear_y_mm": (clear[..., 1], "mm", "world y of the clear face, or the object"),
         "clear_z_mm": (clear[..., 2], "mm", "world z of the clear face, or the object"),
-        "thickness_mm": (found.layer.thickness_mm * found.thinning, "mm", "local thickness"),
-        "sigma_thickness_mm": (found.sigma_thickness_mm, "mm", "its standard uncertainty"),
-        "pressure_kpa": (found.pressure_kpa, "kPa", "of the contact; what is blurred at its edge"),
+        "pressure_kpa": (found.pressure_kpa, "kPa", "of the contact, blurred at its edge"),
     }
+    if isinstance(found, CompensatedSheet):
+        thickness, sigma = found.layer.thickness_mm * found.thinning, found.sigma_thickness_mm
+        maps["thickness_mm"] = (thickness, "mm", "local thickness")
+        maps["sigma_thickness_mm"] = (sigma, "mm", "standard uncertainty of the local thickness")
     axes = {
         name: (name, values, {"units": "mm", "long_name": f"world {name} of the cell's middle"})
         for name, values in (("x", found.relief.x_mm), ("y", found.relief.y_mm))
@@ -303,5 +383,5 @@ def contact_dataset(found: CompensatedSheet) -> Any:
         name: (("y", "x"), values, {"units": units, "long_name": long_name})
         for name, (values, units, long_name) in maps.items()
     }
-    figures = {"sigma_pressure_kpa": found.balance.sigma_kpa, "force_n": found.force_n}
-    return xarray.Dataset(told, coords=axes, attrs={"Conventions": "CF-1.11", **figures})
+    attributes = {"Conventions": "CF-1.11", "force_n": found.force_n}
+    return xarray.Dataset(told, coords=axes, attrs=attributes)

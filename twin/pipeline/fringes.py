@@ -24,7 +24,6 @@ from twin.optics.light import pattern_set
 from twin.optics.rig import true_calibration
 from twin.optics.stack import RadianceStack
 from twin.output import versions
-from twin.pipeline.compensation import compensated_figures
 from twin.pipeline.memory import Kept, Memory
 from twin.pipeline.press import PressedFace, press
 from twin.pipeline.progress import Stopwatch
@@ -84,7 +83,6 @@ def evaluate(
     scored = score(experiment, reconstruction, recording.truth)
     figures = taken_figures(pressed, recording) | metrics(scored)
     figures["warnings"] += decoding_warnings(experiment)
-    figures |= compensated_figures(experiment, reconstruction.point_map)
     return Measurement(
         experiment=experiment,
         images=Fringes(recording.capture, reconstruction, recording.radiance.frames),

@@ -6,6 +6,7 @@ from twin.config import Experiment
 from twin.mechanics import check_press
 from twin.optics.checks import check_renderable
 from twin.pipeline.colours import check_sensor, measure_colours
+from twin.pipeline.compensation import with_compensation
 from twin.pipeline.fringes import RunContext, check_layers, measure_fringes
 from twin.pipeline.memory import Memory
 from twin.pipeline.progress import ProgressCallback, Stopwatch, no_progress
@@ -54,6 +55,10 @@ def measure_into(
     InputError, MissingBackend : as `measure`
     """
     done = measure(experiment, watch, memory)
+    if done.pressed is not None:
+        watch("compensate", 0.0)
+        done = with_compensation(done)
+        watch("compensate", 1.0)
     watch("write", 0.0)
     write_measurement(folder, command, done)
     watch("write", 1.0)

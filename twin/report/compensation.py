@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 
-from reconstruction.compensation import CompensatedSheet
+from reconstruction.compensation import Compensated, CompensatedSheet
 from twin.report.canvas import (
     FIT,
     MEASURED,
@@ -23,8 +23,8 @@ COMPENSATION_PICTURE = "compensation.png"
 _MOST_PERCENT = 99.0
 
 
-def draw_compensation(path: Path, found: CompensatedSheet) -> None:
-    """Draw maps of coat, contact pressure and local thickness, and a section, as PNG.
+def draw_compensation(path: Path, found: Compensated) -> None:
+    """Draw maps of coat, contact pressure and local thickness or contact, and a section, as PNG.
 
     Raises
     ------
@@ -41,8 +41,11 @@ def draw_compensation(path: Path, found: CompensatedSheet) -> None:
         draw_map(
             places[1], shown, _extent(found), "Contact pressure", "kPa", ends=(0, top), extend="max"
         )
-        thickness = found.layer.thickness_mm * found.thinning
-        draw_map(places[2], thickness, _extent(found), "Local thickness", "mm")
+        if isinstance(found, CompensatedSheet):
+            last = "Local thickness", found.layer.thickness_mm * found.thinning, "mm"
+        else:
+            last = "Contact", contact.astype(np.float64), "1: touches"
+        draw_map(places[2], last[1], _extent(found), last[0], last[2])
         for axes in places[1:]:
             axes.set_ylabel("")
         row = _row_of_section(found)
@@ -51,17 +54,17 @@ def draw_compensation(path: Path, found: CompensatedSheet) -> None:
         _draw_section(axes_at(figure, 0.65, 3.55, 9.0, 2.3), found, row)
 
 
-def _row_of_section(found: CompensatedSheet) -> int:
+def _row_of_section(found: Compensated) -> int:
     """Return the row with the longest contact, the middle one of several."""
     lengths = found.contact.sum(axis=1)
     longest = np.flatnonzero(lengths >= 0.98 * lengths.max())
     return int(longest[len(longest) // 2])
 
 
-def _draw_section(axes: Axes, found: CompensatedSheet, row: int) -> None:
+def _draw_section(axes: Axes, found: Compensated, row: int) -> None:
     relief, clear = found.relief, found.object_mm[row]
     axes.plot(relief.x_mm, relief.heights_mm[row], color=MEASURED, lw=1.0, label="measured coat")
-    axes.plot(clear[:, 0], clear[:, 2], color="0.6", lw=0.8, label="clear face, hanging free")
+    axes.plot(clear[:, 0], clear[:, 2], color="0.6", lw=0.8, label="touched face, free")
     touching = np.where(found.contact[row], clear[:, 2], np.nan)
     axes.plot(clear[:, 0], touching, color=FIT, lw=2.0, label="object")
     title = f"Section at y = {relief.y_mm[row]:.2f} mm, along the dashed line"
@@ -69,7 +72,7 @@ def _draw_section(axes: Axes, found: CompensatedSheet, row: int) -> None:
     legend_above(axes, 3)
 
 
-def _extent(found: CompensatedSheet) -> tuple[float, float, float, float]:
+def _extent(found: Compensated) -> tuple[float, float, float, float]:
     (step_x, step_y), relief = found.relief.pitch_mm, found.relief
     return (
         float(relief.x_mm[0]) - step_x / 2,
