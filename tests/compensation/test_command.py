@@ -16,6 +16,7 @@ from reconstruction.triangulation import PointMap
 from tests.compensation.sheets import RIM_MM, YOUNG_KPA, pressed_ball
 from twin.cli import run
 from twin.config import load_experiment
+from twin.config.sensor_layer import load_sensor_layer
 from twin.pipeline.compensation import compensated_figures
 
 LAYER = f"""[elastomer]
@@ -123,6 +124,19 @@ def test_without_a_layer_or_points_it_says_what_to_give(
     empty.mkdir()
     assert run(["compensate", str(empty), "-o", str(tmp_path / "out")]) == 2
     assert "no reconstruction.nc" in capsys.readouterr().err
+
+
+def test_a_ball_calibrates_the_layer(measured: Path, tmp_path: Path) -> None:
+    """Believed 5 % too thick; what is written is 0.2 mm, and is read again."""
+    believed = tmp_path / "believed.toml"
+    believed.write_text(LAYER.replace("thickness_mm = 0.2\n", "thickness_mm = 0.21\n"))
+    arguments = ["compensate", str(measured), "--layer", str(believed), "--no-report"]
+    out = tmp_path / "calibrated"
+    assert run([*arguments, "--ball-diameter-mm", "8", "-o", str(out)]) == 0
+    layer = load_sensor_layer(out / "layer.toml")
+    assert layer.elastomer.thickness_mm == pytest.approx(0.2, abs=2e-3)
+    assert 0 < layer.sigma.thickness_mm < 2e-3
+    assert layer.elastomer.young_modulus_kpa == pytest.approx(YOUNG_KPA, rel=0.06)
 
 
 def test_a_slab_has_no_compensated_figures() -> None:

@@ -187,7 +187,13 @@ def evaluate(
 
 @app.command
 def compensate(
-    result: Path, /, *, out: Out, layer: Path | None = None, report: Report = True
+    result: Path,
+    /,
+    *,
+    out: Out,
+    layer: Path | None = None,
+    ball_diameter_mm: float | None = None,
+    report: Report = True,
 ) -> None:
     """Find the rigid object under the coat: contact, pressure, force, its surface, its radii.
 
@@ -198,6 +204,9 @@ def compensate(
     layer
         TOML file with what is known of elastomer and press, see docs/compensation.md; default: as
         in the result's own experiment.
+    ball_diameter_mm
+        Of the balls that were pressed: thickness and modulus of the sheet are fitted to them, and
+        OUT/layer.toml is what later measurements give as --layer.
     """
     from twin.output import end_exchange
     from twin.pipeline.compensation import compensate_result
@@ -209,7 +218,9 @@ def compensate(
 
     end_exchange(result)
     with progress_bars() as watch:
-        figures = compensate_result(result, out, layer, watch, draw)
+        figures = compensate_result(
+            result, out, layer, watch, draw, ball_diameter_mm=ball_diameter_mm
+        )
     print_metrics(figures)
     say(f"wrote {out}")
 

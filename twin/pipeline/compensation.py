@@ -21,6 +21,7 @@ from reconstruction.compensation import (
     ObjectPart,
     SheetLayer,
     SheetOpening,
+    calibrate_sheet,
     compensate_gel,
     compensate_sheet,
     parts_of,
@@ -69,6 +70,8 @@ def compensate_result(
     layer_file: Path | None = None,
     watch: ProgressCallback = no_progress,
     draw: Draw = _draws_nothing,
+    *,
+    ball_diameter_mm: float | None = None,
 ) -> dict[str, Any]:
     """Compensate a result of `twin measure` or `twin reconstruct` into `out`; returns the figures.
 
@@ -78,6 +81,7 @@ def compensate_result(
     Parameters
     ----------
     draw : adds pictures to the folder
+    ball_diameter_mm : of every ball in contact: the layer is calibrated on them first
 
     Raises
     ------
@@ -90,10 +94,13 @@ def compensate_result(
         layer, experiment = _layer_of(folder, layer_file)
         watch("read", 1.0)
         watch("compensate", 0.0)
+        figures: dict[str, Any] = {}
+        if ball_diameter_mm is not None:
+            layer, figures = calibrated_layer(measured.point_map, layer, ball_diameter_mm)
         found = compensate_points(measured.point_map, layer)
         watch("compensate", 1.0)
         balls = shape_of(experiment.specimen).spheres() if experiment else ()
-        figures = object_figures(found, balls)
+        figures |= object_figures(found, balls)
         _write(target, measured, found)
         draw(target, found)
         (target / LAYER_FILE).write_text(layer_to_toml(layer), encoding="utf-8")
@@ -131,6 +138,58 @@ def compensate_points(points: PointMap, layer: SensorLayer) -> Compensated:
     if on_window:
         return _on_gel(found, sigma_mm, layer)
     return compensate_sheet(found, sigma_mm, sheet_layer(layer))
+
+
+def calibrated_layer(
+    points: PointMap, layer: SensorLayer, ball_diameter_mm: float
+) -> tuple[SensorLayer, dict[str, Any]]:
+    """Fit thickness and modulus of a sheet to a press of known balls; the layer, and the figures.
+
+    Raises
+    ------
+    InputError : the elastomer is no thin sheet, or no ball is found
+    """
+    elastomer = layer.elastomer
+    if not may_wrap(elastomer):
+        raise InputError(
+            f"--ball-diameter-mm: found {elastomer.layout}, {elastomer.thickness_mm:g} mm thick; a "
+            "ball calibrates a sheet of up to 1 mm with layout = 'opposite_face'"
+        )
+    valid = points.valid
+    found = calibrate_sheet(
+        points.points_world_mm[valid].astype(np.float64),
+        points.sigma_z_mm[valid].astype(np.float64),
+        sheet_layer(layer),
+        ball_diameter_mm / 2,
+    )
+    sheet = found.layer
+    known = {"shore_a": None, "shore_00": None, "young_modulus_kpa": sheet.young_modulus_kpa}
+    changed = elastomer.model_dump() | known | {"thickness_mm": sheet.thickness_mm}
+    sigma = layer.sigma.model_dump() | {
+        "thickness_mm": sheet.sigma_thickness_mm,
+        "young_modulus_kpa": sheet.sigma_young_modulus_kpa,
+        "pre_stretch": sheet.sigma_pre_stretch,
+    }
+    figures = {
+        "calibrated_thickness_mm": sheet.thickness_mm,
+        "calibrated_thickness_sigma_um": _UM * sheet.sigma_thickness_mm,
+        "calibrated_modulus_kpa": sheet.young_modulus_kpa if found.modulus_found else None,
+        "calibrated_modulus_sigma_kpa": (
+            sheet.sigma_young_modulus_kpa if found.modulus_found else None
+        ),
+        "radius_before_calibration_mm": found.radius_before_mm,
+        "thickness_per_pre_stretch_mm": found.thickness_per_pre_stretch_mm,
+        "calibration_balls": found.balls,
+    }
+    return (
+        layer.model_copy(
+            update={
+                "elastomer": type(elastomer).model_validate(changed),
+                "sigma": type(layer.sigma).model_validate(sigma),
+            }
+        ),
+        figures,
+    )
 
 
 def _on_gel(points_mm: FloatArray, sigma_mm: FloatArray, layer: SensorLayer) -> CompensatedGel:
