@@ -2,11 +2,12 @@
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
 
 from reconstruction.compensation import CompensatedSheet, SheetOpening, compensate_sheet, parts_of
 from reconstruction.compensation.relief import filled, relief_on_frame, variance_and_area
 from reconstruction.errors import FitError
-from tests.compensation.sheets import YOUNG_KPA, coat_points, layer_of, pressed_ball
+from tests.compensation.sheets import RIM_MM, YOUNG_KPA, coat_points, layer_of, pressed_ball
 from tests.oracles.round_sheet import Profile
 
 
@@ -20,7 +21,7 @@ def thickness_error_um(found: CompensatedSheet, profile: Profile) -> float:
 
 @pytest.mark.parametrize(("thickness_mm", "pressure_kpa"), [(0.1, 2.0), (0.3, 5.0)])
 def test_ball_force_contact_and_modulus(thickness_mm: float, pressure_kpa: float) -> None:
-    """Expected: R to 1 um and h / 100, thickness to 2 um, E to 3 %, force to 6 % of thick ones."""
+    """Expected: R to 1 um and h / 100, thickness to 2 um; force, E to 3 %, 6 % of thick ones."""
     profile = pressed_ball(thickness_mm, pressure_kpa)
     found = compensate_sheet(*coat_points(profile, 5e-4), layer_of(thickness_mm, pressure_kpa))
     (ball,) = parts_of(found)
@@ -31,7 +32,9 @@ def test_ball_force_contact_and_modulus(thickness_mm: float, pressure_kpa: float
     assert found.force_n == pytest.approx(profile.force_n, rel=0.02 + 0.12 * thickness_mm)
     radius = np.sqrt(found.balance.upright_mm2[found.contact].sum() / np.pi)
     assert radius == pytest.approx(profile.contact_radius_mm, rel=0.04)
-    assert found.modulus_of_free_span_kpa()[0] == pytest.approx(YOUNG_KPA, rel=0.03)
+    modulus = found.modulus_of_free_span_kpa()
+    assert modulus is not None
+    assert modulus[0] == pytest.approx(YOUNG_KPA, rel=0.02 + 0.15 * thickness_mm)
 
 
 def test_object_is_the_parallel_surface() -> None:
@@ -83,6 +86,20 @@ def test_gaps_and_noise_do_not_move_the_ball() -> None:
     assert not (found.contact & ~found.relief.measured).any()
 
 
+def test_texture_of_the_coat_is_part_of_the_uncertainty() -> None:
+    """12 um RMS, correlated over 0.15 mm, moves a radius by some 20 um: told, and no more."""
+    (points, sigma), random = coat_points(pressed_ball(0.2, 2.0)), np.random.default_rng(5)
+    side = 2 * int(RIM_MM / 0.05)
+    texture = gaussian_filter(random.normal(size=(side, side)), 3.0)
+    col, row = np.floor((points[:, :2].T + RIM_MM) / 0.05).astype(int)
+    points[:, 2] += 0.012 / texture.std() * texture[row, col]
+    found = compensate_sheet(points, sigma, layer_of(0.2, 2.0))
+    (ball,) = parts_of(found)
+    assert abs(ball.radius_mm - 4.0) < 3 * ball.sigma_mm
+    assert 5e-3 < ball.sigma_mm < 0.06
+    assert found.force_n == pytest.approx(pressed_ball(0.2, 2.0).force_n, rel=0.08)
+
+
 def test_a_third_of_the_opening_is_not_enough_to_guess_the_rest() -> None:
     points, sigma = coat_points(pressed_ball(0.2, 2.0))
     with pytest.raises(FitError, match="length_x_mm"):
@@ -103,8 +120,6 @@ def test_gaps_are_filled_without_curvature() -> None:
 
 def test_correlation_area_of_a_gaussian_filter() -> None:
     """White noise after a Gaussian of s cells shares one error over 4 pi s^2 of them."""
-    from scipy.ndimage import gaussian_filter
-
     noise = gaussian_filter(np.random.default_rng(4).normal(size=(400, 400)), 1.5)
     variance, area = variance_and_area(noise, np.ones(noise.shape, bool), 1.0)
     assert variance == pytest.approx(1 / (4 * np.pi * 1.5**2), rel=0.05)
