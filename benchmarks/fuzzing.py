@@ -157,6 +157,7 @@ def argument_case(rng: random.Random) -> list[str]:
             ["press", "slab.toml", "-s", setting, "-o", "{out}"],
             ["press", "slab.toml", "-o", name],
             ["reconstruct", name, "-o", "{out}"],
+            ["compensate", name, "-o", "{out}"],
             ["report", name],
             ["sweep", name, "--dry-run", "-o", "{out}"],
             ["sweep", "report", name],

@@ -24,8 +24,9 @@ INSTEAD = {
     r"\babsent:": "default:",
     r"\bbars? (?:is|are) met\b|\bwithin (?:its|their) bars?\b": "target",
 }
-COMMANDS = ("adopt", "calibrate", "compare", "completion", "decode", "demo", "describe", "doctor",
-            "export", "identify", "init", "keys", "measure", "paper", "patterns", "press",
+COMMANDS = ("adopt", "calibrate", "compare", "compensate", "completion", "decode", "demo",
+            "describe", "doctor", "export", "identify", "init", "keys", "measure", "paper",
+            "patterns", "press",
             "reconstruct", "render", "report", "sweep", "uncertainty", "view")  # fmt: skip
 
 

@@ -10,6 +10,7 @@ from cyclopts import Parameter
 from twin.cli.app import (
     ExperimentFile,
     Out,
+    Report,
     Settings,
     app,
     load,
@@ -22,6 +23,7 @@ from twin.cli.app import (
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from reconstruction.compensation import Compensated
     from twin.config import Experiment
 
 
@@ -184,6 +186,46 @@ def evaluate(
 
     end_exchange(result)
     print_metrics(dimensions(result, shape, Region(x, y, z, along, fraction, nesting_mm)))
+
+
+@app.command
+def compensate(
+    result: Path,
+    /,
+    *,
+    out: Out,
+    layer: Path | None = None,
+    ball_diameter_mm: float | None = None,
+    report: Report = True,
+) -> None:
+    """Find the rigid object under the coat: contact, pressure, force, its surface, its radii.
+
+    Parameters
+    ----------
+    result
+        Result folder of `twin measure` or `twin reconstruct`.
+    layer
+        TOML file with what is known of elastomer and press, see docs/compensation.md; default: as
+        in the result's own experiment.
+    ball_diameter_mm
+        Of the balls that were pressed: thickness and modulus of the sheet are fitted to them, and
+        OUT/layer.toml is what later measurements give as --layer.
+    """
+    from twin.output import end_exchange
+    from twin.pipeline.compensation import compensate_result
+    from twin.report.compensation import COMPENSATION_PICTURE, draw_compensation
+
+    def draw(folder: Path, found: "Compensated") -> None:
+        if report:
+            draw_compensation(folder / COMPENSATION_PICTURE, found)
+
+    end_exchange(result)
+    with progress_bars() as watch:
+        figures = compensate_result(
+            result, out, layer, watch, draw, ball_diameter_mm=ball_diameter_mm
+        )
+    print_metrics(figures)
+    say(f"wrote {out}")
 
 
 @app.command

@@ -8,6 +8,7 @@ from twin.mechanics import check_press
 from twin.optics.checks import check_renderable
 from twin.pipeline.bound import bounds_of
 from twin.pipeline.colours import check_sensor, measure_colours
+from twin.pipeline.compensation import with_compensation
 from twin.pipeline.fringes import RunContext, check_layers, measure_fringes
 from twin.pipeline.memory import Memory
 from twin.pipeline.press import press
@@ -65,6 +66,10 @@ def measure_into(
     InputError, MissingBackend : as `measure`
     """
     done = measure(experiment, watch, memory, bound=True)
+    if done.pressed is not None:
+        watch("compensate", 0.0)
+        done = with_compensation(done)
+        watch("compensate", 1.0)
     watch("write", 0.0)
     write_measurement(folder, command, done)
     watch("write", 1.0)

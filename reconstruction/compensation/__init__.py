@@ -1,0 +1,24 @@
+"""From the relief of the coat to the rigid object that made it, with no truth at hand."""
+
+from reconstruction.compensation.gel import CompensatedGel, GelLayer, compensate_gel
+from reconstruction.compensation.known_ball import CalibratedSheet, calibrate_sheet
+from reconstruction.compensation.parts import Compensated, ObjectPart, parts_of
+from reconstruction.compensation.relief import Relief, SheetOpening, relief_on_frame
+from reconstruction.compensation.sheet import CompensatedSheet, SheetLayer, compensate_sheet
+
+__all__ = [
+    "CalibratedSheet",
+    "Compensated",
+    "CompensatedGel",
+    "CompensatedSheet",
+    "GelLayer",
+    "ObjectPart",
+    "Relief",
+    "SheetLayer",
+    "SheetOpening",
+    "calibrate_sheet",
+    "compensate_gel",
+    "compensate_sheet",
+    "parts_of",
+    "relief_on_frame",
+]

@@ -1,0 +1,180 @@
+"""The object pressed into a coated gel on a window (contact-face layout), from the coat; mm, kPa.
+
+World frame: the undeformed coat is z = 0, the object comes from below. Where it touches, the coat
+IS the object; elsewhere the gel is free. Which is which, and how hard it presses, says the layer:
+the non-negative pressure p whose deflection G p is nearest to the measured heights u,
+
+    min |w (G p - u)|^2,  p >= 0,  p = 0 where nothing was measured  (w: 1 where it was).
+
+Accelerated projected gradients with restart (Beck and Teboulle 2009, SIAM J. Imaging Sci. 2, 183;
+O'Donoghue and Candes 2015, Found. Comput. Math. 15, 715), begun at the regularised inverse. So many
+passes and no more: the data tell nothing of what they have not found by then but noise.
+Contact is where the smoothed pressure exceeds a share of its part's highest.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import ndimage
+
+from reconstruction.arrays import BoolArray, FloatArray
+from reconstruction.compensation.relief import Relief
+from reconstruction.errors import FitError
+
+Deflect = Callable[[FloatArray], FloatArray]
+"""Pressure over modulus (row, col) on the layer's cells to deflection along +z, mm."""
+
+_PASSES = 120
+# Of the highest pressure: what separates parts, and the contact within each.
+_SEPARATE, _TOUCHING = 0.1, 0.3
+_SMOOTH_MM = 0.16
+# Parts with less force than this share of the strongest are noise.
+_WEAKEST = 0.02
+# Linear and frictionless against a neo-Hookean gel with friction (shared notes, mechanics.md 6).
+_FORCE_THEORY = 0.04
+
+
+@dataclass(frozen=True)
+class GelLayer:
+    """What is known of the gel; sigma_: standard uncertainties.
+
+    Attributes
+    ----------
+    deflect : the layer's answer to pressure over modulus, on the cells of the relief with a margin
+    margin_cells : rows and columns that the layer has more than the relief, on each side
+    """
+
+    deflect: Deflect
+    margin_cells: tuple[int, int]
+    young_modulus_kpa: float
+    sigma_young_modulus_kpa: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class CompensatedGel:
+    """The object and the contact; all (row, col) on the relief's cells.
+
+    Attributes
+    ----------
+    relief : the measured coat
+    contact : bool
+    pressure_kpa : of the object on the coat
+    normal : (row, col, xyz) unit normal of the coat, upwards
+    misfit_mm : RMS of measured less modelled heights
+    """
+
+    relief: Relief
+    contact: BoolArray
+    pressure_kpa: FloatArray
+    normal: FloatArray
+    misfit_mm: float
+    layer: GelLayer
+
+    @property
+    def object_mm(self) -> FloatArray:
+        """Points of the coat, (row, col, xyz); the object's where there is contact."""
+        return self.relief.points_mm
+
+    @property
+    def blur_mm(self) -> float:
+        """How far the contact's edge is blurred."""
+        return _SMOOTH_MM
+
+    @property
+    def force_n(self) -> float:
+        """Force of the object along z."""
+        return float(self.pressure_kpa.sum()) * self.relief.cell_area_mm2 * 1e-3
+
+    @property
+    def force_sigma_n(self) -> float:
+        """Standard uncertainty of the force: modulus, and what a linear gel leaves out."""
+        share = self.layer.sigma_young_modulus_kpa / self.layer.young_modulus_kpa
+        return self.force_n * float(np.hypot(share, _FORCE_THEORY))
+
+    @property
+    def area_mm2(self) -> float:
+        """Area of the contact seen along z."""
+        return float(self.contact.sum()) * self.relief.cell_area_mm2
+
+    @property
+    def layer_moves_mm(self) -> list[FloatArray]:
+        """What of the layer is uncertain moves no point: the coat is the object."""
+        return []
+
+    def theory_mm(self, _: float) -> float:
+        """Return what the theory leaves out of a radius: the shape is measured, not modelled."""
+        return 0.0
+
+
+def compensate_gel(relief: Relief, layer: GelLayer) -> CompensatedGel:
+    """Find contact and pressure of a gel that was pressed.
+
+    Raises
+    ------
+    FitError : nothing presses
+    """
+    margin = layer.margin_cells
+    around = [(cells, cells) for cells in margin]
+    known = np.pad(relief.measured.astype(np.float64), around)
+    heights = known * np.pad(relief.heights_mm, around)
+    if float(heights.max()) <= 0:
+        raise FitError("gel: nothing presses on it; the coat is nowhere above its plane z = 0")
+    pressure = _pressure(layer.deflect, heights, known)
+    misfit = known * (layer.deflect(pressure) - heights)
+    inner = tuple(slice(m, size - m) for m, size in zip(margin, heights.shape, strict=True))
+    own = pressure[inner]
+    smooth = ndimage.gaussian_filter(own, [_SMOOTH_MM / p for p in relief.pitch_mm[::-1]])
+    contact = _touching(smooth) & relief.measured
+    slope_y, slope_x = np.gradient(relief.smoothed(_SMOOTH_MM), relief.y_mm, relief.x_mm)
+    normal = np.stack((-slope_x, -slope_y, np.ones_like(slope_x)), axis=-1)
+    return CompensatedGel(
+        relief=relief,
+        contact=contact,
+        pressure_kpa=layer.young_modulus_kpa * own,
+        normal=normal / np.linalg.norm(normal, axis=-1, keepdims=True),
+        misfit_mm=float(np.sqrt(np.sum(misfit**2) / known.sum())),
+        layer=layer,
+    )
+
+
+def _pressure(deflect: Deflect, heights_mm: FloatArray, known: FloatArray) -> FloatArray:
+    """Return the non-negative pressure over modulus that explains the heights best."""
+    largest = _largest_compliance(deflect, known)
+    found = np.maximum(known * heights_mm, 0.0) / largest
+    # One scale for all: of the deflection's size, the shape comes with the passes.
+    first = deflect(found)
+    found *= max(float(np.sum(known * first * heights_mm) / np.sum(known * first**2)), 0.0)
+    ahead, momentum = found, 1.0
+    for _ in range(_PASSES):
+        downhill = known * deflect(known * (deflect(ahead) - heights_mm))
+        moved = np.maximum(ahead - downhill / largest**2, 0.0)
+        if float(np.sum((ahead - moved) * (moved - found))) > 0:
+            momentum = 1.0  # the step turns back: begin anew
+        after = (1 + np.sqrt(1 + 4 * momentum**2)) / 2
+        ahead = moved + (momentum - 1) / after * (moved - found)
+        found, momentum = moved, after
+    return found
+
+
+def _largest_compliance(deflect: Deflect, known: FloatArray) -> float:
+    """Return the largest eigenvalue of the layer between measured cells, and 2 % above."""
+    wave = known * (1 + 0.1 * np.cos(np.arange(known.size)).reshape(known.shape))
+    size = 1.0
+    for _ in range(30):
+        wave = wave / np.linalg.norm(wave)
+        image = known * deflect(wave)
+        size = float(np.linalg.norm(image))
+        wave = image
+    return 1.02 * size
+
+
+def _touching(pressure: FloatArray) -> BoolArray:
+    """Return the contact: in each part what exceeds a share of its own highest pressure."""
+    highest = float(pressure.max())
+    labels, count = ndimage.label(pressure > _SEPARATE * highest)
+    numbers = np.arange(1, count + 1)
+    tops = np.concatenate(([np.inf], ndimage.maximum(pressure, labels, numbers)))
+    forces = np.concatenate(([0.0], ndimage.sum(pressure, labels, numbers)))
+    strong = forces >= _WEAKEST * forces.max()
+    return np.asarray((pressure > _TOUCHING * tops[labels]) & strong[labels])

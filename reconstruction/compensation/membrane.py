@@ -1,0 +1,270 @@
+"""Which piece of the mounted sheet lies where: the map of least stretching energy; lengths mm.
+
+A sheet that slips freely on what it touches spreads along its own deformed surface until no tension
+pulls it on. Contact and air press along the normal and do no work on that motion: the surface, with
+the rim where the sheet is held, decides the stretch, neither pressure nor modulus does. But for a
+small share: where the sheet lies on something it is squeezed. A piece that thickens there lifts its
+own middle by half of that against the contact pressure p, which moves the stretch by p / mu.
+
+Unknown is X(x, y), the place on the sheet as it was made of what lies above (x, y): bilinear on
+square elements. With the surface's metric G, B = dX/dx, D = det B and the sheet's incompressible
+neo-Hookean energy mu h/2 (tr a + 1/det a - 3), a = B^-T G B^-1, an element holds per area of x, y
+
+    psi = tr(A^T G A) / D + D^3 / det G - (3 - p / mu) D,  A = adj B   (in units of mu h / 2).
+
+Newton's method; where its tangent is indefinite the part of it that the sign of D's coefficient
+spoils is left out. Bending is left out: it pulls along the surface only as (h / R)^2.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+from scipy.sparse.linalg import splu
+
+from reconstruction.arrays import BoolArray, FloatArray
+from reconstruction.errors import FitError
+
+_MOST_STEPS = 60
+_TOLERANCE = 1e-7
+_LEAST_SHARE = 1e-4
+# det B of an element may fall to this share of what it was within a step.
+_SHRINKS_TO = 0.2
+_GAUSS = 0.5 / np.sqrt(3.0)
+_CORNERS = np.array([[-1, -1], [1, -1], [-1, 1], [1, 1]]) / 2.0
+_HESSIAN_OF_D = np.zeros((4, 4))
+_HESSIAN_OF_D[0, 3] = _HESSIAN_OF_D[3, 0] = 1.0
+_HESSIAN_OF_D[1, 2] = _HESSIAN_OF_D[2, 1] = -1.0
+
+
+@dataclass(frozen=True, eq=False)
+class SurfaceMetric:
+    """Metric of a surface over the elements of a grid of x and y.
+
+    Attributes
+    ----------
+    x_mm, y_mm : (col + 1,), (row + 1,) nodes, growing
+    xx, xy, yy : (row, col) components, mean over each element
+    squeeze : (row, col) contact pressure over shear modulus
+    held : (row + 1, col + 1) bool, nodes where the frame holds the sheet
+    """
+
+    x_mm: FloatArray
+    y_mm: FloatArray
+    xx: FloatArray
+    xy: FloatArray
+    yy: FloatArray
+    squeeze: FloatArray
+    held: BoolArray
+
+    @property
+    def determinant(self) -> FloatArray:
+        """Squared area of the surface over that of x and y, (row, col)."""
+        return self.xx * self.yy - self.xy**2
+
+
+@dataclass(frozen=True, eq=False)
+class MaterialMap:
+    """The sheet on its surface; all (row, col) of the elements.
+
+    Attributes
+    ----------
+    thinning : local thickness over that of the sheet as it was made
+    tension : (row, col, 3) contravariant components xx, xy, yy of the tension over mu h
+    material_mm : (row + 1, col + 1, xy) place on the sheet as it was made, at the nodes
+    steps : of Newton's method
+    """
+
+    thinning: FloatArray
+    tension: FloatArray
+    material_mm: FloatArray
+    steps: int
+
+
+def material_map(metric: SurfaceMetric, pre_stretch: float = 1.0) -> MaterialMap:
+    """Spread a sheet on a surface so that it holds the least energy.
+
+    Parameters
+    ----------
+    pre_stretch : of the mounted sheet, equal along x and y
+
+    Raises
+    ------
+    FitError : the sheet finds no rest on this surface
+    """
+    x, y = np.meshgrid(metric.x_mm, metric.y_mm)
+    place = np.stack((x, y), axis=-1) / pre_stretch
+    elements = _Elements.on(metric)
+    free = np.repeat(~metric.held.ravel(), 2)
+    size = float(np.sqrt(elements.weight.sum()))
+    value, gradient, rows = elements.energy(place)
+    for step in range(_MOST_STEPS):
+        if float(np.abs(gradient[free]).max(initial=0.0)) <= _TOLERANCE * size:
+            return _solved(elements, metric, place, step)
+        move = _newton_move(elements, rows, gradient, free)
+        place, value, gradient, rows = _along(elements, place, move, (value, gradient))
+    raise FitError(
+        f"membrane: no rest within {_MOST_STEPS} steps; the relief is too rough: smooth it more"
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Elements:
+    """Bilinear elements with four Gauss points each; B of a point is linear in the nodes."""
+
+    nodes: np.ndarray  # (element, 4) node numbers
+    slopes: FloatArray  # (point, 2, 4) derivatives of the shape functions, for all elements
+    metric: FloatArray  # (element, 3)
+    linear: FloatArray  # (element,) of the energy in D
+    weight: FloatArray  # (element,) area of x and y of a Gauss point
+    quadratic: FloatArray  # (element, 4, 4): tr(A^T G A) = b^T Q b
+    count: int
+
+    @classmethod
+    def on(cls, metric: SurfaceMetric) -> "_Elements":
+        rows, cols = metric.xx.shape
+        number = np.arange((rows + 1) * (cols + 1)).reshape(rows + 1, cols + 1)
+        corners = (number[:-1, :-1], number[:-1, 1:], number[1:, :-1], number[1:, 1:])
+        nodes = np.stack([one.ravel() for one in corners], axis=-1)
+        step = (metric.x_mm[1] - metric.x_mm[0], metric.y_mm[1] - metric.y_mm[0])
+        points = _GAUSS * 2 * _CORNERS
+        slopes = np.stack([_slopes(point, step) for point in points])
+        g = np.stack([metric.xx.ravel(), metric.xy.ravel(), metric.yy.ravel()], axis=-1)
+        weight = np.full(len(nodes), step[0] * step[1] / 4)
+        linear = metric.squeeze.ravel() - 3.0
+        return cls(nodes, slopes, g, linear, weight, _quadratic(g), number.size)
+
+    def gradients(self, place: FloatArray) -> FloatArray:
+        """Return (point, element, 4): B row by row at the Gauss points."""
+        corners = place.reshape(-1, 2)[self.nodes]
+        b = np.einsum("pdn,eni->peid", self.slopes, corners)
+        return np.asarray(b.reshape(*b.shape[:2], 4))
+
+    def determinants(self, place: FloatArray) -> FloatArray:
+        """Return det B at the Gauss points, (point, element)."""
+        b = self.gradients(place)
+        return np.asarray(b[..., 0] * b[..., 3] - b[..., 1] * b[..., 2])
+
+    def value(self, place: FloatArray) -> float:
+        b = self.gradients(place)
+        d = b[..., 0] * b[..., 3] - b[..., 1] * b[..., 2]
+        if float(d.min()) <= 0:
+            return np.inf
+        g = self.metric[:, 0] * self.metric[:, 2] - self.metric[:, 1] ** 2
+        q = np.einsum("pei,eij,pej->pe", b, self.quadratic, b)
+        return float(np.sum(self.weight * (q / d + d**3 / g + self.linear * d)))
+
+    def energy(self, place: FloatArray) -> tuple[float, FloatArray, FloatArray]:
+        """Return the energy, its gradient by (node, xy) and the points' B."""
+        b = self.gradients(place)
+        d, to_d, pull, _g = self._parts(b)
+        q_slope = 2 * np.einsum("eij,pej->pei", self.quadratic, b)
+        by_b = q_slope / d[..., None] + pull[..., None] * to_d
+        by_node = np.einsum("peid,pdn,e->eni", by_b.reshape(*b.shape[:2], 2, 2), self.slopes,
+                            self.weight)  # fmt: skip
+        gradient = np.zeros(2 * self.count)
+        for axis in range(2):
+            gradient[axis::2] = np.bincount(
+                self.nodes.ravel(), by_node[..., axis].ravel(), self.count
+            )
+        return self.value(place), gradient, b
+
+    def tangent(self, b: FloatArray, *, whole: bool) -> sparse.csc_matrix:
+        """Return the second derivative; `whole`: with the part that may be indefinite."""
+        d, to_d, pull, g = self._parts(b)
+        q = np.einsum("pei,eij,pej->pe", b, self.quadratic, b)
+        q_slope = 2 * np.einsum("eij,pej->pei", self.quadratic, b)
+        outer = np.einsum("pei,pej->peij", q_slope, to_d)
+        second = 2 * self.quadratic[None] / d[..., None, None]
+        second = second - (outer + np.swapaxes(outer, -1, -2)) / d[..., None, None] ** 2
+        both = (2 * q / d**3 + 6 * d / g)[..., None, None]
+        second = second + both * np.einsum("pei,pej->peij", to_d, to_d)
+        if whole:
+            second = second + pull[..., None, None] * _HESSIAN_OF_D
+        points, count = b.shape[:2]
+        parts = (second * self.weight[:, None, None]).reshape(points, count, 2, 2, 2, 2)
+        block = np.einsum("peidjf,pdn,pfm->enimj", parts, self.slopes, self.slopes, optimize=True)
+        unknown = (2 * self.nodes[:, :, None] + np.arange(2)).reshape(count, 8)
+        rows = np.repeat(unknown, 8, axis=1).ravel()
+        cols = np.tile(unknown, (1, 8)).ravel()
+        values = block.reshape(count, 64).ravel()
+        return sparse.csc_matrix((values, (rows, cols)), shape=(2 * self.count,) * 2)
+
+    def _parts(self, b: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Return D, its slope by B, the energy's slope by D, and det G."""
+        d = b[..., 0] * b[..., 3] - b[..., 1] * b[..., 2]
+        to_d = np.stack((b[..., 3], -b[..., 2], -b[..., 1], b[..., 0]), axis=-1)
+        g = self.metric[:, 0] * self.metric[:, 2] - self.metric[:, 1] ** 2
+        q = np.einsum("pei,eij,pej->pe", b, self.quadratic, b)
+        return d, to_d, -q / d**2 + 3 * d**2 / g + self.linear, g
+
+
+def _slopes(point: FloatArray, step: tuple[float, float]) -> FloatArray:
+    """Return the derivatives of the four shape functions by x and y, (2, 4)."""
+    along, across = 0.5 + 2 * _CORNERS[:, 0] * point[0], 0.5 + 2 * _CORNERS[:, 1] * point[1]
+    by_x, by_y = 2 * _CORNERS[:, 0] * across / step[0], 2 * _CORNERS[:, 1] * along / step[1]
+    return np.stack((by_x, by_y))
+
+
+def _quadratic(g: FloatArray) -> FloatArray:
+    """Return Q of tr(A^T G A) = b^T Q b, b = (B_xx, B_xy, B_yx, B_yy)."""
+    q = np.zeros((len(g), 4, 4))
+    for first, second in ((1, 0), (3, 2)):
+        q[:, first, first], q[:, second, second] = g[:, 0], g[:, 2]
+        q[:, first, second] = q[:, second, first] = -g[:, 1]
+    return q
+
+
+def _newton_move(
+    elements: _Elements, b: FloatArray, gradient: FloatArray, free: BoolArray
+) -> FloatArray:
+    """Return Newton's step; the convex part's where that does not lead down."""
+    move = np.zeros_like(gradient)
+    inner = np.flatnonzero(free)
+    for whole in (True, False):
+        tangent = elements.tangent(b, whole=whole)[inner][:, inner]
+        move[inner] = -splu(tangent).solve(gradient[inner])
+        if float(move @ gradient) < 0:
+            break
+    return move
+
+
+def _along(
+    elements: _Elements, place: FloatArray, move: FloatArray, before: tuple[float, FloatArray]
+) -> tuple[FloatArray, float, FloatArray, FloatArray]:
+    """Return the place after as much of the step as lowers the energy, and what is known there."""
+    value, gradient = before
+    slope, least = float(move @ gradient), _SHRINKS_TO * elements.determinants(place)
+    share, step = 1.0, move.reshape(place.shape)
+    # Rounding of the sum is all that is left of the last steps.
+    slack = 1e-12 * abs(value)
+    while share > _LEAST_SHARE:
+        moved = place + share * step
+        kept = bool((elements.determinants(moved) > least).all())
+        if kept and elements.value(moved) <= value + 1e-4 * share * slope + slack:
+            return moved, *elements.energy(moved)
+        share /= 2
+    raise FitError("membrane: no step lowers the energy; the relief is too rough: smooth it more")
+
+
+def _solved(
+    elements: _Elements, metric: SurfaceMetric, place: FloatArray, steps: int
+) -> MaterialMap:
+    """Return stretch and tension at the elements' middles."""
+    b = elements.gradients(place).mean(axis=0)
+    d = b[:, 0] * b[:, 3] - b[:, 1] * b[:, 2]
+    g = metric.determinant.ravel()
+    # B^-1 B^-T = A A^T / D^2, A = [[B_yy, -B_xy], [-B_yx, B_xx]].
+    away = np.stack(
+        (
+            b[:, 3] ** 2 + b[:, 1] ** 2,
+            -b[:, 3] * b[:, 2] - b[:, 1] * b[:, 0],
+            b[:, 2] ** 2 + b[:, 0] ** 2,
+        ),
+        axis=-1,
+    )
+    inverse = np.stack((elements.metric[:, 2], -elements.metric[:, 1], elements.metric[:, 0]), -1)
+    area = np.sqrt(g) / d
+    tension = (away / d[:, None] ** 2 - inverse / g[:, None] / area[:, None] ** 2) / area[:, None]
+    shape = metric.xx.shape
+    return MaterialMap((1 / area).reshape(shape), tension.reshape(*shape, 3), place, steps)

@@ -1,0 +1,219 @@
+"""What the object is where the sheet lies on it: balls, rods and flat faces, with uncertainty; mm.
+
+Each connected part of the contact is taken without its blurred edge and fitted with a sphere, a
+cylinder and a plane; the simplest that leaves no more than a little above the least is its form.
+
+Standard uncertainty of a radius (JCGM 100, 5.1.2): noise and texture of the coat by the residuals'
+own variance and correlation area; what is open of the layer, which moves all points of a part
+together; and what the theory leaves out.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import Literal, Protocol
+
+import numpy as np
+from scipy import ndimage
+
+from reconstruction.arrays import BoolArray, FloatArray
+from reconstruction.compensation.relief import Relief, variance_and_area
+from reconstruction.errors import FitError
+from reconstruction.evaluate.estimates import FittedDimension, ball_radius, cylinder_radius
+from reconstruction.evaluate.fit import fit_plane, rms
+
+Form = Literal["ball", "rod", "flat"]
+RadiusFit = Callable[[FloatArray], FittedDimension]
+RadiusOf = Callable[[FloatArray], float]
+
+_LEAST_CELLS = 30
+# A form with one parameter more must leave this much less.
+_MUCH_LESS = 0.7
+_LARGEST_RADIUS_MM = 500.0
+
+
+class Compensated(Protocol):
+    """What is asked of a compensated coat, whatever carried it; arrays (row, col, ...)."""
+
+    @property
+    def relief(self) -> Relief:
+        """The measured coat."""
+        ...
+
+    @property
+    def contact(self) -> BoolArray:
+        """Where the object touches."""
+        ...
+
+    @property
+    def pressure_kpa(self) -> FloatArray:
+        """Pressure of the contact."""
+        ...
+
+    @property
+    def normal(self) -> FloatArray:
+        """Unit normal of the coat."""
+        ...
+
+    @property
+    def object_mm(self) -> FloatArray:
+        """Points of the object, where it touches."""
+        ...
+
+    @property
+    def blur_mm(self) -> float:
+        """How far the contact's edge is blurred."""
+        ...
+
+    @property
+    def area_mm2(self) -> float:
+        """Area of the contact seen along z."""
+        ...
+
+    @property
+    def force_n(self) -> float:
+        """Force along z."""
+        ...
+
+    @property
+    def force_sigma_n(self) -> float:
+        """Standard uncertainty of the force."""
+        ...
+
+    @property
+    def layer_moves_mm(self) -> list[FloatArray]:
+        """Standard uncertainties that move all points of a part together, along their normals."""
+        ...
+
+    def theory_mm(self, radius_mm: float) -> float:
+        """Return what the theory leaves out of a radius."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class ObjectPart:
+    """One part of the object that carries the sheet.
+
+    Attributes
+    ----------
+    cells : (row, col) bool, all cells of the contact
+    core : (row, col) bool, those that were fitted
+    middle_mm : (xy) of its cells
+    highest_mm : of the object in its core
+    form : what it was fitted as
+    radius_mm, sigma_mm : of a ball or rod with its standard uncertainty; 0 of a flat face
+    noise_mm, layer_mm : shares of that: noise and texture; what is open of the layer
+    residual_um : RMS from the form
+    pressure_kpa : mean over its cells
+    """
+
+    cells: BoolArray
+    core: BoolArray
+    middle_mm: tuple[float, float]
+    highest_mm: float
+    form: Form
+    radius_mm: float
+    sigma_mm: float
+    noise_mm: float
+    layer_mm: float
+    residual_um: float
+    pressure_kpa: float
+
+
+def parts_of(found: Compensated) -> list[ObjectPart]:
+    """Return the parts of the contact from -x to +x; those of too few cells are left out."""
+    labels, count = ndimage.label(found.contact)
+    core = _core(found)
+    parts = []
+    for number in range(1, count + 1):
+        cells = labels == number
+        own = cells & core
+        if own.sum() >= _LEAST_CELLS:
+            try:
+                parts.append(_fitted(found, cells, own))
+            except FitError:  # too small, or too strange: it stays in the map
+                continue
+    return sorted(parts, key=lambda part: part.middle_mm)
+
+
+def _core(found: Compensated) -> BoolArray:
+    """Return the contact without what the filter of the curvature blurs at its edge."""
+    reach = int(np.ceil(found.blur_mm / min(found.relief.pitch_mm)))
+    return np.asarray(ndimage.binary_erosion(found.contact, iterations=reach))
+
+
+def _fitted(found: Compensated, cells: BoolArray, core: BoolArray) -> ObjectPart:
+    points, relief = found.object_mm[core], found.relief
+    form, fit = _form(points)
+    residual, radius, noise, layer, theory = fit_plane(points).residuals_mm, 0.0, 0.0, 0.0, 0.0
+    if fit is not None:
+        estimate = fit(points)
+        residual, radius = estimate.residuals_mm[estimate.used], estimate.value
+        noise = _noise_mm(found, core, estimate)
+        layer = _layer_mm(found, core, lambda moved: fit(moved).value)
+        theory = found.theory_mm(radius)
+    row, col = np.nonzero(cells)
+    return ObjectPart(
+        cells=cells,
+        core=core,
+        middle_mm=(float(relief.x_mm[col].mean()), float(relief.y_mm[row].mean())),
+        highest_mm=float(points[:, 2].max()),
+        form=form,
+        radius_mm=radius,
+        sigma_mm=float(np.sqrt(noise**2 + layer**2 + theory**2)),
+        noise_mm=noise,
+        layer_mm=layer,
+        residual_um=1e3 * rms(residual),
+        pressure_kpa=float(found.pressure_kpa[cells].mean()),
+    )
+
+
+def _form(points_mm: FloatArray) -> tuple[Form, RadiusFit | None]:
+    """Return the simplest form that fits, and what fits its radius; None of a flat face."""
+    least = rms(fit_plane(points_mm).residuals_mm)
+    directions = np.linalg.svd(points_mm - points_mm.mean(axis=0), full_matrices=False)[2][:2]
+    candidates: list[tuple[Form, RadiusFit]] = [("ball", _ball)]
+    candidates += [("rod", partial(_rod, axis=axis)) for axis in directions]
+    found: tuple[Form, RadiusFit | None] = ("flat", None)
+    for form, fit in candidates:
+        try:
+            estimate = fit(points_mm)
+        except FitError:
+            continue
+        left = rms(estimate.residuals_mm[estimate.used])
+        if estimate.value < _LARGEST_RADIUS_MM and left < _MUCH_LESS * least:
+            least, found = left, (form, fit)
+    return found
+
+
+def _ball(points_mm: FloatArray) -> FittedDimension:
+    return ball_radius(points_mm)[0]
+
+
+def _rod(points_mm: FloatArray, axis: FloatArray) -> FittedDimension:
+    return cylinder_radius(points_mm, axis)[0]
+
+
+def _noise_mm(found: Compensated, core: BoolArray, estimate: FittedDimension) -> float:
+    """Return the standard uncertainty that the coat's noise and texture leave in a radius.
+
+    The residuals' variance, along the normal, stands for that of every point along z: where the
+    slope is gentle it is the same.
+    """
+    relief: Relief = found.relief
+    rest, kept = np.zeros(core.shape), np.zeros(core.shape, bool)
+    rest[core], kept[core] = estimate.residuals_mm, estimate.used
+    variance, area = variance_and_area(rest, kept, relief.cell_area_mm2)
+    spread = np.full(int(core.sum()), np.sqrt(variance))
+    return estimate.noise_mm(spread, area / relief.cell_area_mm2)
+
+
+def _layer_mm(found: Compensated, core: BoolArray, radius_of: RadiusOf) -> float:
+    """Return what the layer leaves open: all points move along their normals by its moves."""
+    points = found.object_mm[core]
+    radius, changes = radius_of(points), [0.0]
+    for move in found.layer_moves_mm:
+        away = move[core]
+        if away.any():
+            changes.append(radius_of(points - away[:, None] * found.normal[core]) - radius)
+    return float(np.linalg.norm(changes))

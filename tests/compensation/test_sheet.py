@@ -1,0 +1,134 @@
+"""The object under a sheet against the one-dimensional oracle, which shares no code with it."""
+
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter
+
+from reconstruction.compensation import CompensatedSheet, SheetOpening, compensate_sheet, parts_of
+from reconstruction.compensation.relief import filled, relief_on_frame, variance_and_area
+from reconstruction.errors import FitError
+from tests.compensation.sheets import RIM_MM, YOUNG_KPA, coat_points, layer_of, pressed_ball
+from tests.oracles.round_sheet import Profile
+
+
+def thickness_error_um(found: CompensatedSheet, profile: Profile) -> float:
+    """Return the mean error of the local thickness in the contact."""
+    radius = np.hypot(found.relief.x_mm, found.relief.y_mm[:, None])
+    true = np.interp(radius, profile.radius_mm, profile.thickness_stretch)
+    wrong = found.layer.thickness_mm * (found.thinning - true)
+    return 1e3 * float(wrong[found.contact].mean())
+
+
+@pytest.mark.parametrize(("thickness_mm", "pressure_kpa"), [(0.1, 2.0), (0.3, 5.0)])
+def test_ball_force_contact_and_modulus(thickness_mm: float, pressure_kpa: float) -> None:
+    """Expected: R to 1 um and h / 100, thickness to 2 um; force, E to 3 %, 6 % of thick ones."""
+    profile = pressed_ball(thickness_mm, pressure_kpa)
+    found = compensate_sheet(*coat_points(profile, 5e-4), layer_of(thickness_mm, pressure_kpa))
+    (ball,) = parts_of(found)
+    assert ball.form == "ball"
+    assert ball.radius_mm == pytest.approx(4.0, abs=1e-3 + 0.01 * thickness_mm)
+    assert abs(ball.radius_mm - 4.0) < 3 * ball.sigma_mm + 3e-4
+    assert abs(thickness_error_um(found, profile)) < 2.0
+    assert found.force_n == pytest.approx(profile.force_n, rel=0.02 + 0.12 * thickness_mm)
+    radius = np.sqrt(found.balance.upright_mm2[found.contact].sum() / np.pi)
+    assert radius == pytest.approx(profile.contact_radius_mm, rel=0.04)
+    modulus = found.modulus_of_free_span_kpa()
+    assert modulus is not None
+    assert modulus[0] == pytest.approx(YOUNG_KPA, rel=0.02 + 0.15 * thickness_mm)
+
+
+def test_object_is_the_parallel_surface() -> None:
+    """Every point of the contact's core lies on the ball, the coat one thickness outside."""
+    profile = pressed_ball(0.2, 2.0)
+    found = compensate_sheet(*coat_points(profile), layer_of(0.2, 2.0))
+    core = parts_of(found)[0].core
+    middle = np.array([0.0, 0.0, 0.6 - 0.2 - 4.0])
+    away = np.linalg.norm(found.object_mm[core] - middle, axis=1) - 4.0
+    coat = np.linalg.norm(found.relief.points_mm[core] - middle, axis=1) - 4.0
+    assert np.abs(away).max() < 2.5e-3
+    assert coat.min() > 0.12
+
+
+def test_radius_moves_with_thickness_as_its_uncertainty_says() -> None:
+    """A layer taken 5 um too thick changes the radius by what 5 um of uncertainty predict."""
+    points = coat_points(pressed_ball(0.2, 2.0))
+    (known,) = parts_of(compensate_sheet(*points, layer_of(0.2, 2.0, sigma_thickness_mm=5e-3)))
+    (thicker,) = parts_of(compensate_sheet(*points, layer_of(0.205, 2.0)))
+    assert known.layer_mm == pytest.approx(known.radius_mm - thicker.radius_mm, rel=0.1)
+
+
+def test_tent_without_air_is_carried_by_its_tip_alone() -> None:
+    """A frictionless sheet without pressure touches within 0.6 mm: elsewhere N : b is zero."""
+    profile = pressed_ball(0.2, 0.0)
+    found = compensate_sheet(*coat_points(profile, 2e-4), layer_of(0.2, 0.0))
+    radius = np.hypot(found.relief.x_mm, found.relief.y_mm[:, None])
+    assert found.contact[radius < 0.3].all()
+    assert not found.contact[radius > 1.0].any()
+    assert found.modulus_of_free_span_kpa() is None
+
+
+def test_sticking_sheet_lies_within_its_uncertainty() -> None:
+    """A sheet that sticks has stretched less on the ball: by how much is told as sigma."""
+    profile = pressed_ball(0.2, 2.0, stick=True)
+    found = compensate_sheet(*coat_points(profile, 5e-4), layer_of(0.2, 2.0, sticks=True))
+    (ball,) = parts_of(found)
+    assert abs(ball.radius_mm - 4.0) < 2 * ball.sigma_mm < 0.2
+
+
+def test_gaps_and_noise_do_not_move_the_ball() -> None:
+    """A stripe without points and 5 um of noise: R to its own uncertainty, gaps in no contact."""
+    points, sigma = coat_points(pressed_ball(0.2, 2.0), 5e-3)
+    kept = (points[:, 0] < 1.2) | (points[:, 0] > 1.4)
+    found = compensate_sheet(points[kept], sigma[kept], layer_of(0.2, 2.0))
+    largest = max(parts_of(found), key=lambda part: int(part.core.sum()))
+    assert largest.form == "ball"
+    assert abs(largest.radius_mm - 4.0) < 3 * largest.sigma_mm + 1e-3
+    assert not (found.contact & ~found.relief.measured).any()
+
+
+def test_texture_of_the_coat_is_part_of_the_uncertainty() -> None:
+    """12 um RMS, correlated over 0.15 mm, moves a radius by some 20 um: told, and no more."""
+    (points, sigma), random = coat_points(pressed_ball(0.2, 2.0)), np.random.default_rng(5)
+    side = 2 * int(RIM_MM / 0.05)
+    texture = gaussian_filter(random.normal(size=(side, side)), 3.0)
+    col, row = np.floor((points[:, :2].T + RIM_MM) / 0.05).astype(int)
+    points[:, 2] += 0.012 / texture.std() * texture[row, col]
+    found = compensate_sheet(points, sigma, layer_of(0.2, 2.0))
+    (ball,) = parts_of(found)
+    assert abs(ball.radius_mm - 4.0) < 3 * ball.sigma_mm
+    assert 5e-3 < ball.sigma_mm < 0.06
+    assert found.force_n == pytest.approx(pressed_ball(0.2, 2.0).force_n, rel=0.08)
+
+
+def test_a_third_of_the_opening_is_not_enough_to_guess_the_rest() -> None:
+    points, sigma = coat_points(pressed_ball(0.2, 2.0))
+    with pytest.raises(FitError, match="length_x_mm"):
+        compensate_sheet(points, sigma, layer_of(0.2, 2.0, rim_mm=30.0))
+
+
+def test_gaps_are_filled_without_curvature() -> None:
+    """Laplace's equation between two levels is a straight line."""
+    z = np.zeros((30, 20))
+    z[0], z[-1] = 1.0, 0.0
+    known = np.zeros(z.shape, bool)
+    known[[0, -1]] = True
+    inside = np.ones(z.shape, bool)
+    known[:, [0, -1]] = True
+    z[:, [0, -1]] = np.linspace(1, 0, 30)[:, None]
+    assert filled(z, known, inside) == pytest.approx(np.tile(np.linspace(1, 0, 30)[:, None], 20))
+
+
+def test_correlation_area_of_a_gaussian_filter() -> None:
+    """White noise after a Gaussian of s cells shares one error over 4 pi s^2 of them."""
+    noise = gaussian_filter(np.random.default_rng(4).normal(size=(400, 400)), 1.5)
+    variance, area = variance_and_area(noise, np.ones(noise.shape, bool), 1.0)
+    assert variance == pytest.approx(1 / (4 * np.pi * 1.5**2), rel=0.05)
+    assert area == pytest.approx(4 * np.pi * 1.5**2, rel=0.1)
+
+
+def test_cells_hold_the_mean_of_their_points() -> None:
+    points = np.array([[0.1, 0.1, 1.0], [0.2, 0.2, 3.0], [-0.5, 0.5, 5.0]])
+    relief = relief_on_frame(points, np.full(3, 0.1), SheetOpening(2.0, 2.0), (2, 2))
+    assert relief.points_mm[1, 1] == pytest.approx([0.15, 0.15, 2.0])
+    assert relief.sigma_mm[1, 1] == pytest.approx(0.1 / np.sqrt(2))
+    assert relief.measured.tolist() == [[False, False], [True, True]]

@@ -1,0 +1,81 @@
+"""What a compensation knows of a sensor's elastomer and load: a file, or an experiment's own.
+
+`twin compensate RESULT --layer layer.toml`; docs/compensation.md explains every key.
+"""
+
+from pathlib import Path
+
+import tomli_w
+from pydantic import Field
+
+from twin.config.base import Model, NonNegative, Positive
+from twin.config.elastomer import Elastomer
+from twin.config.loading import read_toml, resolve_uses
+from twin.config.models import Experiment, Provenance
+from twin.config.quantities import check_ranges, convert_units, split_quantities
+from twin.config.schema import validated
+
+
+class MeasuredLoad(Model):
+    """What gauges told of one press."""
+
+    back_pressure_kpa: NonNegative = Field(default=0.0, description="air on the coated face")
+    depth_mm: Positive | None = Field(
+        default=None, description="travel after first touch, where the stage tells it"
+    )
+    force_n: Positive | None = Field(default=None, description="where a gauge tells it")
+
+
+class LayerSigma(Model):
+    """Standard uncertainties of what is known."""
+
+    thickness_mm: NonNegative = 0.0
+    young_modulus_kpa: NonNegative | None = Field(
+        default=None, description="absent: 0 of a measured modulus, else what hardness leaves open"
+    )
+    pre_stretch: NonNegative = 0.0
+    back_pressure_kpa: NonNegative = 0.0
+    depth_mm: NonNegative = 0.0
+    force_n: NonNegative = 0.0
+
+
+class SensorLayer(Model):
+    """Elastomer, load of the press, and how well they are known."""
+
+    description: str = ""
+    elastomer: Elastomer
+    press: MeasuredLoad = MeasuredLoad()
+    sigma: LayerSigma = LayerSigma()
+    provenance: dict[str, Provenance] = Field(
+        default_factory=dict, description="source and valid range by dotted path"
+    )
+
+
+def load_sensor_layer(path: Path) -> SensorLayer:
+    """Load a layer file; its tables may `use` shipped ones, as an experiment's may.
+
+    Raises
+    ------
+    ConfigError : one line per problem: what, where, found, allowed
+    """
+    tree = resolve_uses(read_toml(path), (path,))
+    values, origins = split_quantities(convert_units(tree))
+    values["provenance"] = {key: origin.model_dump() for key, origin in origins.items()}
+    layer = validated(SensorLayer, values, f"{path}: ")
+    check_ranges(values, layer.provenance, str(path))
+    return layer
+
+
+def sensor_layer_of(experiment: Experiment) -> SensorLayer:
+    """Return what an experiment says of its elastomer and press, taken as exact."""
+    press = experiment.press
+    load = MeasuredLoad(
+        back_pressure_kpa=press.back_pressure_kpa, depth_mm=press.depth_mm, force_n=press.force_n
+    )
+    return SensorLayer(elastomer=experiment.elastomer, press=load)
+
+
+def layer_to_toml(layer: SensorLayer) -> str:
+    """Return a layer as TOML text; values that are None are left out."""
+    tree = layer.model_dump(mode="json", exclude_none=True, exclude={"provenance"})
+    return tomli_w.dumps(tree)
