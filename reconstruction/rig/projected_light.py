@@ -72,8 +72,8 @@ class ProjectorResponse:
         return relative_light(levels, self.gamma, self.curve)
 
 
-def relative_light(levels: Levels, gamma: float, curve: tuple[float, ...] = ()) -> FloatArray:
-    """Return the light of 8-bit levels: power law, or a curve at equally spaced levels."""
+def relative_light(levels: Levels | FloatArray, gamma: float, curve: tuple[float, ...] = ()) -> FloatArray:
+    """Return the light of levels, 0 to 255: power law, or a curve at equally spaced levels."""
     relative = levels.astype(np.float64) / 255.0
     if curve:
         return np.asarray(np.interp(relative, np.linspace(0.0, 1.0, len(curve)), curve))
