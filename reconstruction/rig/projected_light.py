@@ -72,7 +72,9 @@ class ProjectorResponse:
         return relative_light(levels, self.gamma, self.curve)
 
 
-def relative_light(levels: Levels | FloatArray, gamma: float, curve: tuple[float, ...] = ()) -> FloatArray:
+def relative_light(
+    levels: Levels | FloatArray, gamma: float, curve: tuple[float, ...] = ()
+) -> FloatArray:
     """Return the light of levels, 0 to 255: power law, or a curve at equally spaced levels."""
     relative = levels.astype(np.float64) / 255.0
     if curve:

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from reconstruction.errors import InputError
+from reconstruction.rig.projected_light import blurred
 from twin.config import load_experiment
 from twin.optics.export import inexpressible
 from twin.optics.light import (
@@ -11,7 +12,6 @@ from twin.optics.light import (
     OVERSAMPLING,
     BlurLevels,
     Defocus,
-    blur,
     light_tables,
     pattern_set,
     response,
@@ -77,7 +77,7 @@ def test_light_between_two_blur_levels_is_the_light_of_that_blur(mi, experiment,
     light = response(column_levels(patterns, tables["column"]), experiment.projector)
     variance_px2 = Defocus.of(experiment.projector).variance_px2(axial_mm)
     wanted = [
-        blur(light, np.array([x]), sigma)[0]
+        blurred(light, np.array([x]), sigma)[0]
         for x, sigma in zip(column_px, np.sqrt(variance_px2), strict=True)
     ]
     np.testing.assert_allclose(found, wanted, atol=1e-3)
@@ -114,7 +114,7 @@ def test_defocus_is_the_light_of_all_pupil_points(mi, experiment, patterns):
     shift_px = pinhole.fx_px * pupil_mm / projector.focus_mm
     seen_px = pinhole.fx_px * (x_mm[:, None] - pupil_mm) / axial_mm[:, None] + pinhole.cx_px
     light = response(column_levels(patterns, tables["column"]), projector)
-    sharp = blur(light, (seen_px + shift_px).ravel(), projector.blur_px)
+    sharp = blurred(light, (seen_px + shift_px).ravel(), projector.blur_px)
     wanted = sharp.reshape(*seen_px.shape, -1).mean(axis=1)
     error = np.abs(found_at(mi, tables, column_px, axial_mm) - wanted)
     fringes = np.array([patterns.frames[k].kind == "phase" for k in tables["column"].frames])
@@ -123,7 +123,7 @@ def test_defocus_is_the_light_of_all_pupil_points(mi, experiment, patterns):
     x = np.pi * circle_px / experiment.patterns.period_px
     assert np.all(error[:, fringes] < 0.5 * x[:, None] ** 4 / 384 + 4e-4)
     assert error.max() < 3e-2
-    in_focus = blur(light, column_px, projector.blur_px)
+    in_focus = blurred(light, column_px, projector.blur_px)
     assert np.abs(in_focus - wanted).max() > 0.1
 
 

@@ -78,7 +78,8 @@ def test_predicted_variance_is_the_spread_of_many(bend):
 
     Expected: the spread of each pixel (5 % by the number of draws, 2 % in the mean) and of a mean
     over a window, in which neighbours share errors, are the predicted ones. Within 8 px of a hole
-    the coarse part of a relief is made of fewer pixels than the variance allows for: 15 % more.
+    or the border the coarse part of a relief is made of fewer pixels than the variance allows for:
+    15 % more in the mean, 30 to 70 % on the outermost pixels.
     """
     rng, reason, coordinate = np.random.default_rng(7), holes(), relief(bend)
     usable = without_edges(reason) == 0
@@ -93,7 +94,7 @@ def test_predicted_variance_is_the_spread_of_many(bend):
     ]).astype(np.float64)  # fmt: skip
     ratio = draws.std(axis=0)[usable] / np.sqrt(found.variance_px2[usable])
     assert abs(np.mean(ratio) - 1.0) < 0.15
-    far = minimum_filter(usable, 17)[usable]
+    far = minimum_filter(usable, 17, mode="constant")[usable]
     assert abs(np.mean(ratio[far]) - 1.0) < 0.03
     assert np.std(ratio[far]) < 0.07
     of_window = np.tensordot(draws, window, 2).std()

@@ -174,7 +174,7 @@ def test_bad_studies(keys, told):
 def test_shipped_studies_are_valid(name):
     """Every case of every ready study is a valid experiment; searches are valid at a corner."""
     study, loaded = load_study(name)
-    if study.sampling.method == "optimise":
+    if study.sampling.method in ("optimise", "gradient"):
         corner = tuple(axis.level_at(0.0) for axis in study.axis)
         assert cases_of(study, loaded, [corner]).run
     else:

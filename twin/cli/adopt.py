@@ -1,11 +1,14 @@
 """`twin adopt`: make the twin of a real rig from its captures."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
 from twin.cli.app import Out, Report, app, print_table, progress_bars, say
+
+if TYPE_CHECKING:
+    from reconstruction.characterise import UncertainValue
 
 
 @app.command
@@ -41,8 +44,6 @@ def adopt(
     reference_albedo, reference_uncertainty
         Its albedo, and its standard uncertainty.
     """
-    from reconstruction.characterise import UncertainValue
-    from reconstruction.errors import require_number
     from twin.adoption.adopt import Given
     from twin.adoption.adopt import adopt as make
     from twin.adoption.findings import rows_of
@@ -50,11 +51,7 @@ def adopt(
     from twin.output import output_folder
     from twin.report.adopted import write_adopted_page
 
-    known = None
-    if reference_albedo is not None:
-        require_number("--reference-albedo", reference_albedo, 0.0, 1.0, open_low=True)
-        require_number("--reference-uncertainty", reference_uncertainty, 0.0, 1.0)
-        known = UncertainValue(reference_albedo, reference_uncertainty)
+    known = _known_albedo(reference_albedo, reference_uncertainty)
     given = Given(captures, like, dark, flat, reference, known)
     inputs = [*captures, *(path for path in (dark, flat, reference) if path is not None)]
     with output_folder(out, inputs) as folder, progress_bars() as watch:
@@ -71,6 +68,17 @@ def adopt(
     for note in found.notes:
         say(f"note: {note}")
     say(f"wrote {out / RIG_FILE}")
+
+
+def _known_albedo(albedo: float | None, uncertainty: float) -> "UncertainValue | None":
+    from reconstruction.characterise import UncertainValue
+    from reconstruction.errors import require_number
+
+    if albedo is None:
+        return None
+    require_number("--reference-albedo", albedo, 0.0, 1.0, open_low=True)
+    require_number("--reference-uncertainty", uncertainty, 0.0, 1.0)
+    return UncertainValue(albedo, uncertainty)
 
 
 def _shown(value: object) -> str:
