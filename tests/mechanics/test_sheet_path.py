@@ -228,3 +228,32 @@ def test_cells_follow_from_thickness_and_contact(
     assert made[-1].laws.contact_stiffness == pytest.approx(stiffness)
     on_the_way = [300.0 / 0.75 / (0.5 * pitch) for pitch in found[:-1]]
     assert [one.laws.contact_stiffness for one in made[:-1]] == pytest.approx(on_the_way)
+
+
+def test_cells_are_wider_where_the_rim_adds_too_many(monkeypatch: pytest.MonkeyPatch) -> None:
+    """At a limit on control points the finest cells are the narrowest, in steps, that keep it."""
+    sizes: list[int] = []
+    widths: list[float] = []
+    make = SheetCase.sheet
+
+    def seen(
+        case: SheetCase, pitch: float, rim: float, box: tuple[float, float, float, float]
+    ) -> Sheet:
+        sheet = make(case, pitch, rim, box)
+        sizes.append(sheet.grid.x.size * sheet.grid.y.size)
+        widths.append(pitch)
+        return sheet
+
+    monkeypatch.setattr(SheetCase, "sheet", seen)
+    ball, sheet = Ball(diameter_mm=4.0), build_sheet(length_x_mm=8.0, length_y_mm=8.0)
+    finest = []
+    for most, asked_mm in ((10_000, None), (2_000, None), (2_000, 0.15)):
+        monkeypatch.setattr(press, "_MOST_CONTROLS", most)
+        press.forget_paths()
+        pressed(ball, sheet, depth_mm=0.2, cell_mm=asked_mm)
+        finest.append((sizes[-1], widths[-1]))
+    (free, pitch), (kept, wider), (given, _) = finest
+    assert free > 2_000, "the limit bites"
+    assert 0.8 * 2_000 < kept <= 2_000
+    assert wider > pitch == pytest.approx(0.15)
+    assert given == free, "cells that are asked for are given"

@@ -18,7 +18,7 @@ from twin.mechanics.press import check_outline
 from twin.mechanics.sheet.energy import Bodies, Sheet
 from twin.mechanics.sheet.grid import Frame, sheet_grid, span_mm
 from twin.mechanics.sheet.laws import Laws
-from twin.mechanics.sheet.splines import graded_line
+from twin.mechanics.sheet.splines import SplineLine, graded_line
 from twin.mechanics.validity import SHEET_THICKNESS_MM
 from twin.specimens import Shape, shape_of
 from twin.specimens.distance import (
@@ -60,15 +60,22 @@ class SheetCase:
         self, pitch_mm: float, rim_mm: float, box_mm: tuple[float, float, float, float]
     ) -> Sheet:
         """Return the sheet on cells of `pitch_mm` within a box of the world's x and y."""
+        # A cohesive range below half a cell would let the sheet jump on from point to point.
+        laws = self.laws._replace(tack_range_mm=max(_TACK_RANGE_MM, 0.5 * pitch_mm))
+        grid = sheet_grid(self.frame, *self.lines(pitch_mm, rim_mm, box_mm))
+        return Sheet(grid, laws, self.bodies, -laws.thickness_mm / 2, self.sticks, pitch_mm)
+
+    def lines(
+        self, pitch_mm: float, rim_mm: float, box_mm: tuple[float, float, float, float]
+    ) -> tuple[SplineLine, SplineLine]:
+        """Return the lines along x and y of cells of `pitch_mm` within a box of the world."""
         x_span, y_span = span_mm(self.frame)
         stretch = self.frame.pre_stretch
         west, east, south, north = (end / stretch for end in box_mm)
-        x = graded_line(x_span, (west, east), pitch_mm, rim_mm, _LONGEST_CELL_MM)
-        y = graded_line(y_span, (south, north), pitch_mm, rim_mm, _LONGEST_CELL_MM)
-        # A cohesive range below half a cell would let the sheet jump on from point to point.
-        laws = self.laws._replace(tack_range_mm=max(_TACK_RANGE_MM, 0.5 * pitch_mm))
-        grid = sheet_grid(self.frame, x, y)
-        return Sheet(grid, laws, self.bodies, -laws.thickness_mm / 2, self.sticks, pitch_mm)
+        return (
+            graded_line(x_span, (west, east), pitch_mm, rim_mm, _LONGEST_CELL_MM),
+            graded_line(y_span, (south, north), pitch_mm, rim_mm, _LONGEST_CELL_MM),
+        )
 
 
 def sheet_case(

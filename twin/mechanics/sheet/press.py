@@ -46,8 +46,10 @@ _RIM = 1 / 3
 _MARGIN_MM = 1.5
 # Cells of the coarse sheet over those of the fine one, beyond which there are some between them.
 _WIDEST_RATIO = 3.0
-# Most cells in the box of contact, some 90,000 unknowns: more want more than 2 GiB.
-_MOST_CELLS = 24_000
+# Most cells in the box of contact, some 90,000 unknowns: more take long. And most control points
+# of the sheet, some 230,000 unknowns: more want more than 2 GiB.
+_MOST_CELLS, _MOST_CONTROLS = 24_000, 78_000
+_WIDENED = 1.02
 # A slack sheet of 0.05 mm finds its way in a hundred steps and more, and no half way is nearer.
 _ROUGH = Accuracy(step_mm=1e-3, residual_kpa=0.1, most_steps=300)
 _BETWEEN = Accuracy(step_mm=5e-3, residual_kpa=1.0, most_steps=40, strict=False)
@@ -202,6 +204,7 @@ def _on_fine_cells(case: SheetCase, coarse: Sheet, state: SheetState) -> tuple[S
         state = settle(between, refined(coarse, between, state), accuracy)
         coarse, box = between, _contact_box(case, between, state)
         del between
+    cell_mm = _in_memory_mm(case, cell_mm, box)
     fine = case.sheet(cell_mm, _RIM * cell_mm, box)
     state = refined(coarse, fine, state)
     del coarse  # its factors: this is where memory is short
@@ -238,6 +241,16 @@ def _affordable_mm(case: SheetCase, box: tuple[float, float, float, float]) -> f
         return case.cell_mm
     west, east, south, north = box
     return max(case.cell_mm, float(np.sqrt((east - west) * (north - south) / _MOST_CELLS)))
+
+
+def _in_memory_mm(case: SheetCase, cell_mm: float, box: tuple[float, float, float, float]) -> float:
+    """Return the cells, or wider ones where the rim round the box adds too many."""
+    while not case.asked_cell:
+        x, y = case.lines(cell_mm, _RIM * cell_mm, box)
+        if x.size * y.size <= _MOST_CONTROLS:
+            break
+        cell_mm *= _WIDENED
+    return cell_mm
 
 
 def _held_kpa(path: _Path, walked: list[SheetState], load: Loads) -> float:
