@@ -11,6 +11,7 @@ import numpy as np
 
 from reconstruction.arrays import FloatImage
 from reconstruction.compiling import compiled, merged
+from reconstruction.decoding._chain import Unwrapping, unwrap_row
 from reconstruction.decoding._order import (
     NEAR_SIGMAS,
     PLAIN,
@@ -18,7 +19,6 @@ from reconstruction.decoding._order import (
     Code,
     FringeRow,
     Numbered,
-    Unwrapping,
     Word,
     number_row,
     place_words,
@@ -27,7 +27,6 @@ from reconstruction.decoding._order import (
     reflect_row,
     settle_borders,
     settle_row,
-    unwrap_row,
     weigh_near_bits,
     weigh_wrap,
     write_valid,

@@ -1,14 +1,7 @@
-"""Number the fringes of one image row, by Gray words or by a chain of fringe periods.
+"""Number the fringes of one image row by Gray words; by a chain of fringe periods: `_chain`.
 
-Gray words. Symbols: K fringe order of the cell coordinate c = x / period + 1 / (2 period), which is
-whole where a Gray stripe ends, at the border of a projector pixel; x is whole at its centre.
-
-Chain, coarse to fine, see `Chain`. Symbols: t_j phase of set j in turns, s_j its sigma; level i has
-the phase T_i = sum_j c_ij t_j and the period P_i. With R = P_(i-1) / P_i the step to level i errs
-by e = sum_j (R c_(i-1)j - c_ij) dt_j; hierarchical: s_e^2 = s_h^2 + R^2 s_l^2 (Zuo et al., Opt.
-Lasers Eng. 85, 84 (2016)). The number is right unless |e| > 1/2. Given the distance d of R T_(i-1)
-- T_i from the nearest whole number, its neighbours at 1 - d and 1 + d are less likely by the ratio
-of the normal densities.
+Symbols: K fringe order of the cell coordinate c = x / period + 1 / (2 period), which is whole where
+a Gray stripe ends, at the border of a projector pixel; x is whole at its centre.
 """
 
 # ruff: noqa: PLR0917 - compiled functions cannot take keyword-only arguments
@@ -18,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from reconstruction.arrays import FloatArray, Reason
+from reconstruction.arrays import Reason
 from reconstruction.compiling import compiled, inlined
 from reconstruction.decoding._rows import smaller
 from reconstruction.decoding._sum import RowFrames
@@ -407,91 +400,3 @@ def write_valid(values: Any, reason: Any, out: Any) -> None:
     """Copy a row without what a masked pixel must not tell."""
     for col in range(reason.size):
         out[col] = values[col] if reason[col] == VALID else NOTHING
-
-
-class Unwrapping(NamedTuple):
-    """Chain along one axis: weights (level, set), period of each level and of each set, px."""
-
-    weights: FloatArray
-    level_periods_px: FloatArray
-    set_periods_px: FloatArray
-    length_px: int
-
-
-@inlined
-def _turns(unwrapping: Unwrapping, level: int, phases: Any, col: int) -> float:
-    total = 0.0
-    for j in range(phases.shape[0]):
-        total += unwrapping.weights[level, j] * phases[j, col]
-    return total / TURN
-
-
-@inlined
-def _step_sigma(unwrapping: Unwrapping, level: int, ratio: float, sigmas: Any, col: int) -> float:
-    """Return the sigma of the step to `level`, turns."""
-    total = 0.0
-    for j in range(sigmas.shape[0]):
-        weight = ratio * unwrapping.weights[level - 1, j] - unwrapping.weights[level, j]
-        total += (weight * sigmas[j, col]) ** 2
-    return max(math.sqrt(total) / TURN, TINY)
-
-
-@inlined
-def _wrong_neighbour(off: float, sigma: float) -> float:
-    """Return the probability that a whole number next to the nearest one is the right one."""
-    below, above = (1.0 - 2.0 * off) / (2.0 * sigma**2), (1.0 + 2.0 * off) / (2.0 * sigma**2)
-    other = math.exp(-below) + math.exp(-above)
-    return other / (1.0 + other)
-
-
-@inlined
-def _coarsest(unwrapping: Unwrapping, phases: Any, sigmas: Any, col: int) -> Any:
-    """Return the coordinate on the coarsest level, centred on the image, and its error chance."""
-    period = unwrapping.level_periods_px[0]
-    low = 0.5 * (unwrapping.length_px - 1.0 - period)
-    x = period * _turns(unwrapping, 0, phases, col) - low
-    x -= period * math.floor(x / period)
-    total = 0.0
-    for j in range(sigmas.shape[0]):
-        total += (unwrapping.weights[0, j] * sigmas[j, col]) ** 2
-    sigma = max(period * math.sqrt(total) / TURN, TINY)
-    return x + low, 0.5 * math.erfc(min(x, period - x) / (math.sqrt(2.0) * sigma))
-
-
-@inlined
-def _fused(unwrapping: Unwrapping, x: float, phases: Any, sigmas: Any, col: int) -> Any:
-    """Return the mean of all sets weighted by 1 / sigma^2, and its sigma, px."""
-    total, weights = 0.0, 0.0
-    for j in range(phases.shape[0]):
-        period, turns = unwrapping.set_periods_px[j], phases[j, col] / TURN
-        own = period * (np.rint(x / period - turns) + turns)
-        weight = 1.0 / max(period * sigmas[j, col] / TURN, TINY) ** 2
-        total, weights = total + weight * own, weights + weight
-    return total / weights, 1.0 / math.sqrt(weights)
-
-
-@compiled
-def unwrap_row(
-    unwrapping: Unwrapping, phases: Any, sigmas: Any, doubts: Any, usable: Any, answer: Numbered
-) -> None:
-    """Write the fused coordinate, its sigma and the chance of a wrong number; 0 without a phase.
-
-    phases, sigmas : (set, col), rad
-    doubts : as sigmas, with what is not known of the projector's response; for the numbers
-    """
-    coordinate, sigma_px, error = answer
-    for col in range(error.size):
-        coordinate[col], sigma_px[col], error[col] = 0.0, 0.0, 0.0
-        if not usable[col] > 0.0:
-            continue
-        x, wrong = _coarsest(unwrapping, phases, doubts, col)
-        for level in range(1, unwrapping.weights.shape[0]):
-            period = unwrapping.level_periods_px[level]
-            turns = _turns(unwrapping, level, phases, col)
-            number = np.rint(x / period - turns)
-            off = abs(x / period - turns - number)
-            ratio = unwrapping.level_periods_px[level - 1] / period
-            wrong += _wrong_neighbour(off, _step_sigma(unwrapping, level, ratio, doubts, col))
-            x = period * (number + turns)
-        coordinate[col], sigma_px[col] = _fused(unwrapping, x, phases, sigmas, col)
-        error[col] = min(wrong, 1.0)

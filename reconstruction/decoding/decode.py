@@ -2,7 +2,7 @@
 
 Frames: camera pixels (row, col), row 0 at the top; projector coordinates in px, integer = centre of
 a projector pixel. Formulas: see `patterns`; N-step least squares after Surrel, Appl. Opt. 36, 271
-(1997); codes and edge-safe rules: see `PatternSet`, `_order`.
+(1997); codes and edge-safe rules: see `PatternSet`, `_order`, `_chain`.
 """
 
 import math
@@ -14,6 +14,7 @@ from reconstruction.arrays import FloatArray, FloatImage, Reason, Stack
 from reconstruction.compact import TURN_STEPS, Half, Orders, Share, Turns
 from reconstruction.compiling import run_over_rows
 from reconstruction.decoding import AxisDecode, Decoded, DecodeOptions
+from reconstruction.decoding._chain import Unwrapping
 from reconstruction.decoding._decode import Maps, Plan, Units, decode_rows
 from reconstruction.decoding._filter import Smoothed, Unfiltered, smooth
 from reconstruction.decoding._order import (
@@ -24,7 +25,6 @@ from reconstruction.decoding._order import (
     REFLECTED,
     SHIFTED,
     Code,
-    Unwrapping,
 )
 from reconstruction.decoding._rows import BIAS
 from reconstruction.decoding._sum import Layout, Limits

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from reconstruction.decoding._chain import Unwrapping, unwrap_row
 from reconstruction.decoding._lift import Smoothing, _invert, _scale
-from reconstruction.decoding._order import Numbered, Unwrapping, unwrap_row
+from reconstruction.decoding._order import Numbered
 from reconstruction.decoding._relief import (
     _sum_five,
     _weigh_relief,
