@@ -116,7 +116,7 @@ def _estimates(
 ) -> Iterator[_Found]:
     """Yield each measurand with its fit to the expected points, their pixels, and each's share."""
     points = prediction.points.points_world_mm, prediction.valid, prediction.filtered_mm
-    seen = seen_object(experiment, points, truth, pressed)  # type: ignore[arg-type]
+    seen = seen_object(experiment, points, truth, pressed)
     features, nowhere = features_of(experiment.specimen), np.zeros(0, np.int64)
     for asked in _asked(experiment):
         try:

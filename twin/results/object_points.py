@@ -11,7 +11,7 @@ from math import ceil, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from reconstruction.arrays import BoolImage, FloatArray, FloatImage, IntArray
+from reconstruction.arrays import BoolImage, FloatArray, IntArray
 from reconstruction.evaluate.estimates import FittedDimension, shared_by
 from twin.config.models import Experiment
 from twin.mechanics import PressedElastomer
@@ -155,7 +155,7 @@ def surface_of(experiment: Experiment, pressed: PressedElastomer | None) -> True
 
 def seen_object(
     experiment: Experiment,
-    points: tuple[NDArray[np.floating], BoolImage, FloatImage | None],
+    points: tuple[NDArray[np.floating], BoolImage, NDArray[np.floating] | None],
     truth: Truth,
     pressed: PressedElastomer | None,
 ) -> SeenObject | None:
