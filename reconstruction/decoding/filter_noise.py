@@ -11,9 +11,8 @@ squares of the noise, so that nothing is drawn. What is left out: that they fluc
 noise.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from scipy.ndimage import correlate1d
@@ -65,48 +64,63 @@ class _Bends:
         half = len(weights) // 2
         factor, pairs = np.full(value.shape, float(weights[half])), []
         for k in range(1, half + 1):
-            before, after = _moved(usable, k, axis)
-            both = usable & before & after
-            factor += 2.0 * weights[half + k] * both
-            low, high = _moved(value, k, axis)
-            pairs.append(both & (np.abs(low + high - 2.0 * value) < limit))
+            inner, before, after = _pair_views(k, axis)
+            both = usable[inner] & usable[before] & usable[after]
+            factor[inner] += 2.0 * weights[half + k] * both
+            bend = value[before] + value[after]
+            bend -= 2.0 * value[inner]
+            pair = np.zeros(value.shape, np.bool_)
+            pair[inner] = both & (np.abs(bend, out=bend) < limit)
+            pairs.append(pair)
         return cls(axis, weights[half + 1 :], tuple(pairs), usable / factor)
 
     def of_values(self, value: FloatArray) -> FloatArray:
         """Return what the pairs add to each pixel."""
         total = np.zeros_like(value)
-        for k, (weight, pair) in enumerate(zip(self.weights, self.pairs, strict=True), start=1):
-            before, after = _moved(value, k, self.axis)
-            total += weight * pair * (before + after - 2.0 * value)
-        return self.factor * total
+        for weight, pair, (inner, before, after) in self._weighted_pairs():
+            bend = value[before] + value[after]
+            bend -= 2.0 * value[inner]
+            bend *= weight * pair[inner]
+            total[inner] += bend
+        total *= self.factor
+        return total
 
     def transposed(self, slope: FloatArray) -> FloatArray:
         """Return the adjoint map of derivatives (row, col)."""
         scaled, total = self.factor * slope, np.zeros_like(slope)
-        for k, (weight, pair) in enumerate(zip(self.weights, self.pairs, strict=True), start=1):
-            part = weight * pair * scaled
-            before, after = _moved(part, k, self.axis)
-            total += before + after - 2.0 * part
+        for weight, pair, (inner, before, after) in self._weighted_pairs():
+            part = weight * pair[inner] * scaled[inner]
+            total[before] += part
+            total[after] += part
+            total[inner] -= 2.0 * part
         return total
 
     def gain(self, variance: FloatArray) -> FloatArray:
         """Return what the weighted mean leaves of a variance that differs from pixel to pixel."""
         middle = float(1.0 - 2.0 * self.weights.sum())
         total = middle**2 * variance
+        for weight, pair, (inner, before, after) in self._weighted_pairs():
+            both = variance[before] + variance[after]
+            both *= weight**2 * pair[inner]
+            total[inner] += both
+        total *= self.factor**2
+        return total
+
+    def _weighted_pairs(self) -> Iterator[tuple[float, BoolImage, "_Views"]]:
         for k, (weight, pair) in enumerate(zip(self.weights, self.pairs, strict=True), start=1):
-            before, after = _moved(variance, k, self.axis)
-            total += weight**2 * pair * (before + after)
-        return self.factor**2 * total
+            yield float(weight), pair, _pair_views(k, self.axis)
 
 
-def _moved(image: Any, by: int, axis: int) -> tuple[Any, Any]:
-    """Return the pixels `by` places before and after each one; 0 beyond the border."""
-    before, after = np.zeros_like(image), np.zeros_like(image)
-    if axis == 0:
-        before[by:], after[:-by] = image[:-by], image[by:]
-    else:
-        before[:, by:], after[:, :-by] = image[:, :-by], image[:, by:]
-    return before, after
+_View = tuple[slice, ...]
+_Views = tuple[_View, _View, _View]
+
+
+def _pair_views(by: int, axis: int) -> _Views:
+    """Return where the pixels are that have both neighbours `by` away, and where these are."""
+    rest = (slice(None),) * axis
+    ends = slice(by, -by), slice(None, -2 * by), slice(2 * by, None)
+    inner, before, after = ((*rest, part) for part in ends)
+    return inner, before, after
 
 
 @dataclass(frozen=True, eq=False)
