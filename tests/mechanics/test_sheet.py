@@ -41,7 +41,7 @@ from twin.mechanics.sheet.grid import Frame, sheet_grid
 from twin.mechanics.sheet.kernel import SLOTS
 from twin.mechanics.sheet.laws import Grip
 from twin.mechanics.sheet.path import Loads, advance, follow, mounted
-from twin.mechanics.sheet.press import contact_force_n
+from twin.mechanics.sheet.result import contact_force_n
 from twin.specimens.distance import SignedDistance
 
 SOLIDS = json.loads((Path(__file__).parent / "reference/solid_sheets.json").read_text())

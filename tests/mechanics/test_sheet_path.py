@@ -19,7 +19,7 @@ from tests.mechanics.sheets import (
     strip,
 )
 from twin.config.models import Ball
-from twin.mechanics.errors import SolverError
+from twin.mechanics.errors import PressError, SolverError
 from twin.mechanics.sheet import press
 from twin.mechanics.sheet.case import SheetCase
 from twin.mechanics.sheet.energy import Evaluation, Sheet, SheetState
@@ -257,3 +257,29 @@ def test_cells_are_wider_where_the_rim_adds_too_many(monkeypatch: pytest.MonkeyP
     assert 0.8 * 2_000 < kept <= 2_000
     assert wider > pitch == pytest.approx(0.15)
     assert given == free, "cells that are asked for are given"
+
+
+@pytest.mark.parametrize(
+    ("friction", "pressure_kpa", "converges"),
+    [("stick", 0.0, True), ("stick", 1.0, False), ("none", 0.0, False)],
+)
+def test_what_folds_on_cells_between_goes_on_from_the_coarse_ones(
+    monkeypatch: pytest.MonkeyPatch, friction: str, pressure_kpa: float, converges: bool
+) -> None:
+    """Only where it sticks, and no limit pressure is told by the failure."""
+
+    def folded(case: SheetCase, coarse: Sheet, state: SheetState) -> tuple[Sheet, SheetState]:
+        raise SolverError("sheet: no direction lowers its energy")
+
+    ball = Ball(diameter_mm=4.0)
+    sheet = build_sheet(thickness_mm=0.2, length_x_mm=8.0, length_y_mm=8.0, friction=friction)
+    loads = {"depth_mm": 0.2, "cell_mm": 0.12, "back_pressure_kpa": pressure_kpa}
+    press.forget_paths()
+    usual = pressed(ball, sheet, **loads)
+    monkeypatch.setattr(press, "_between", folded)
+    if not converges:
+        with pytest.raises((SolverError, PressError)):
+            pressed(ball, sheet, **loads)
+        return
+    direct = pressed(ball, sheet, **loads)
+    assert np.abs(direct.face_z_mm - usual.face_z_mm).max() < 2e-3

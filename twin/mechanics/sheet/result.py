@@ -1,0 +1,130 @@
+"""What a sheet in equilibrium tells: faces, contact, force and figures, as a press's result."""
+
+import numpy as np
+
+from reconstruction.arrays import FloatArray
+from twin.config.models import Elastomer, Press
+from twin.mechanics.hardness import young_modulus
+from twin.mechanics.layouts import face_nodes
+from twin.mechanics.press import PressedElastomer, SheetFields
+from twin.mechanics.sheet.case import SheetCase
+from twin.mechanics.sheet.energy import Sheet, SheetState
+from twin.mechanics.sheet.faces import height_map, sample
+from twin.mechanics.sheet.grid import normal_of
+from twin.mechanics.validity import assess_sheet, margin_mm
+
+_HALF = 0.5
+
+
+def contact_force_n(sheet: Sheet, state: SheetState) -> float:
+    """Return the vertical force of specimen and plate on the sheet, N."""
+    sheet.evaluate(state.control_mm, state, tangent=False)
+    held = float(sheet.reactions().sum())
+    surface = sheet.surface(state.control_mm)
+    plan = np.cross(surface[..., 1, :], surface[..., 2, :])[..., 2]
+    pressed = state.pressure_kpa * float((plan * sheet.grid.rest.area_mm2).sum())
+    weight = sheet.laws.weight_kpa * float(sheet.grid.rest.area_mm2.sum())
+    # kPa mm^2 = mN
+    return 1e-3 * (pressed + weight - held)
+
+
+def pressed_of(
+    case: SheetCase,
+    elastomer: Elastomer,
+    load: Press,
+    sheet: Sheet,
+    state: SheetState,
+) -> PressedElastomer:
+    """Return the result of a press: both faces as height maps, contact, figures and validity."""
+    h, modulus_kpa = elastomer.thickness_mm, young_modulus(elastomer).best_kpa
+    nodes_x, nodes_y = (
+        face_nodes(length, load) for length in (elastomer.length_x_mm, elastomer.length_y_mm)
+    )
+    seen = sample(sheet, state, load.relief_pitch_mm)
+    carried = np.concatenate((seen.thickness_mm[..., None], seen.stretch, seen.material_mm), axis=2)
+    flat = np.array([h / 2, h, 1.0, 1.0, 0.0, 0.0])
+    face_z, fields = height_map(seen.upper_mm, carried, nodes_x, nodes_y, flat)
+    x, y = _centres(elastomer.length_x_mm, load), _centres(elastomer.length_y_mm, load)
+    touch = _pressure_and_touch(sheet, state, seen.middle_mm, seen.thickness_mm)
+    touched_z, on_cells = height_map(seen.lower_mm, touch, x, y, np.array([-h / 2, 0.0, 0.0]))
+    contact = on_cells[..., 1] > _HALF
+    pitch = float(np.sqrt((x[1] - x[0]) * (y[1] - y[0])))
+    return PressedElastomer(
+        x_mm=x,
+        y_mm=y,
+        pressure_kpa=on_cells[..., 0],
+        contact=contact,
+        touched_face_mm=touched_z - h / 2,
+        force_n=contact_force_n(sheet, state),
+        depth_mm=state.travel_mm,
+        young_modulus_kpa=modulus_kpa,
+        face_x_mm=nodes_x,
+        face_y_mm=nodes_y,
+        face_z_mm=face_z - h / 2,
+        validity=assess_sheet(
+            depth_mm=state.travel_mm,
+            thickness_mm=h,
+            radius_mm=min((ball.radius_mm for ball in case.shape.spheres()), default=None),
+            deflection_mm=float(np.abs(face_z - h / 2).max()),
+            bend_1_mm=_contact_bend(sheet, state),
+            slope_deg=_steepest_deg(sheet, state),
+            margin_to_rim_mm=margin_mm(
+                contact, x, y, (elastomer.length_x_mm / 2, elastomer.length_y_mm / 2)
+            ),
+            cells_across=float(np.sqrt(4 / np.pi * contact.sum())) * pitch / sheet.cell_mm,
+            ridge_pitch_mm=case.ridge_pitch_mm,
+        ),
+        iterations=state.steps,
+        converged=True,
+        model="sheet",
+        sheet=SheetFields(
+            thickness_mm=fields[..., 0],
+            stretch=fields[..., 1:3],
+            material_x_mm=fields[..., 3],
+            material_y_mm=fields[..., 4],
+        ),
+    )
+
+
+def _pressure_and_touch(
+    sheet: Sheet, state: SheetState, middle_mm: FloatArray, thickness_mm: FloatArray
+) -> FloatArray:
+    """Return (row, col, 2) pressure of specimen and plate, kPa, and 1 where one of them touches.
+
+    A sheet with tack touches as far as the middle of the cohesive range, where its pull is largest.
+    """
+    lift = np.array([0.0, 0.0, sheet.touched_z_mm + state.travel_mm])
+    points = (middle_mm - lift).reshape(-1, 3)
+    total, nearest = np.zeros(thickness_mm.size), np.full(thickness_mm.size, np.inf)
+    for body in sheet.bodies.moving:
+        gap = body.evaluate(points, sheet.reach_mm)[0] - thickness_mm.ravel() / 2
+        total += sheet.laws.contact_stiffness * np.maximum(-gap, 0.0)
+        nearest = np.minimum(nearest, gap)
+    # Per undeformed area in the solver; per deformed area is what a gauge would read.
+    pressure = total.reshape(thickness_mm.shape) * thickness_mm / sheet.laws.thickness_mm
+    reach = sheet.laws.tack_range_mm / 2 if sheet.laws.tack > 0 else 0.0
+    touching = (nearest < reach).reshape(thickness_mm.shape)
+    return np.stack((pressure, touching.astype(float)), axis=-1)
+
+
+def _contact_bend(sheet: Sheet, state: SheetState) -> float:
+    """Return the root mean square curvature where the specimen touches, 1/mm."""
+    surface = sheet.surface(state.control_mm)
+    touch = sheet.touch(surface[..., 0, :], state.travel_mm)
+    touching = (sheet.gap_mm(surface, touch) < 0).any(axis=0)
+    if not touching.any():
+        return 0.0
+    square = sheet.curvature_squared(state.control_mm)[touching]
+    weight = sheet.grid.rest.area_mm2[touching]
+    return float(np.sqrt((square * weight).sum() / weight.sum()))
+
+
+def _steepest_deg(sheet: Sheet, state: SheetState) -> float:
+    upright = normal_of(sheet.surface(state.control_mm))[..., 2]
+    return float(np.rad2deg(np.arccos(np.clip(upright.min(), -1.0, 1.0))))
+
+
+def _centres(length_mm: float, load: Press) -> FloatArray:
+    count = int(np.ceil(length_mm / load.solver_pitch_mm - 1e-9))
+    centres = (np.arange(count) + 0.5) * (length_mm / count) - length_mm / 2
+    return np.asarray(centres, dtype=np.float64)
