@@ -48,7 +48,9 @@ def pressed_of(
     touch = _pressure_and_touch(sheet, state, seen.middle_mm, seen.thickness_mm)
     touched_z, on_cells = height_map(seen.lower_mm, touch, x, y, np.array([-h / 2, 0.0, 0.0]))
     contact = on_cells[..., 1] > _HALF
+    frame_mm = elastomer.length_x_mm / 2, elastomer.length_y_mm / 2
     pitch = float(np.sqrt((x[1] - x[0]) * (y[1] - y[0])))
+    across_mm = float(np.sqrt(4 / np.pi * contact.sum())) * pitch
     return PressedElastomer(
         x_mm=x,
         y_mm=y,
@@ -68,21 +70,24 @@ def pressed_of(
             deflection_mm=float(np.abs(face_z - h / 2).max()),
             bend_1_mm=_contact_bend(sheet, state),
             slope_deg=_steepest_deg(sheet, state),
-            margin_to_rim_mm=margin_mm(
-                contact, x, y, (elastomer.length_x_mm / 2, elastomer.length_y_mm / 2)
-            ),
-            cells_across=float(np.sqrt(4 / np.pi * contact.sum())) * pitch / sheet.cell_mm,
+            margin_to_rim_mm=margin_mm(contact, x, y, frame_mm),
+            cells_across=across_mm / sheet.cell_mm,
             ridge_pitch_mm=case.ridge_pitch_mm,
         ),
         iterations=state.steps,
         converged=True,
         model="sheet",
-        sheet=SheetFields(
-            thickness_mm=fields[..., 0],
-            stretch=fields[..., 1:3],
-            material_x_mm=fields[..., 3],
-            material_y_mm=fields[..., 4],
-        ),
+        sheet=_fields(fields),
+    )
+
+
+def _fields(carried: FloatArray) -> SheetFields:
+    """Return what the coated face's nodes carry (row, col, 5) by its names."""
+    return SheetFields(
+        thickness_mm=carried[..., 0],
+        stretch=carried[..., 1:3],
+        material_x_mm=carried[..., 3],
+        material_y_mm=carried[..., 4],
     )
 
 
