@@ -1,10 +1,11 @@
-"""The paper's balls and nut by its sensor as identified: one page, drawn again the same."""
+"""The paper's balls, nut and brick by its sensor as identified: one page, drawn again the same."""
 
 import pytest
 
 from reconstruction.reading import read_json
+from tests.browser import assert_readable
 from twin.cli import run
-from twin.paper.demo import NUT_FOLDER, is_demo, paper_table
+from twin.paper.demo import BESIDE, is_demo, paper_table
 from twin.paper.plan import COARSE
 from twin.results.folder import read_measurement
 
@@ -23,22 +24,24 @@ def folder(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("twin.paper.plan.COARSE", dict(COARSE) | SMALL)
         out = tmp_path_factory.mktemp("demo") / "out"
-        assert run(["demo", "--paper", "-o", str(out)]) == 0
+        assert run(["demo", "-o", str(out)]) == 0
         return out
 
 
-def test_it_holds_both_measurements_and_their_page(folder):
+def test_it_holds_all_measurements_and_their_page(folder):
     assert is_demo(folder)
-    assert not is_demo(folder / NUT_FOLDER)
+    assert not is_demo(folder / BESIDE[0])
     assert read_json(folder / "result.json")["command"] == "demo"
     page = (folder / "report.html").read_text(encoding="utf-8")
     assert "True object, paper and twin" in page
-    assert (folder / "figures" / "nut_relief.png").is_file()
+    for name in BESIDE:
+        assert (folder / "figures" / f"{name}_relief.png").is_file()
 
 
 def test_true_object_paper_and_twin_stand_side_by_side(folder):
-    balls, nut = read_measurement(folder), read_measurement(folder / NUT_FOLDER)
-    rows = {row["quantity"]: row for row in paper_table(balls, nut).rows}
+    balls = read_measurement(folder)
+    beside = [read_measurement(folder / name) for name in BESIDE]
+    rows = {row["quantity"]: row for row in paper_table(balls, beside).rows}
     first = rows["ball 1: radius, as the paper evaluates"]
     # Table of repeated fits: 3.835 mm, SD 0.052; the balls are 8 mm wide.
     assert first["true"] == 4.0
@@ -46,9 +49,16 @@ def test_true_object_paper_and_twin_stand_side_by_side(folder):
     assert first["twin"] == balls.metrics["sphere_1_algebraic_radius_mm"]
     assert rows["ball 2: RMSE of the fit's residuals"]["paper"] == "12.0"
     assert rows["ball 2: P95 of the fit's residuals"]["paper"] == "20.9"
+    for one in beside:
+        row = rows[f"{one.experiment.name}: deviation where the sheet touches it, RMS"]
+        assert row["twin"] == one.metrics["object_rms_um"] > 0.0
 
 
 def test_the_report_command_draws_the_same_page(folder):
     before = (folder / "report.html").read_bytes()
     assert run(["report", str(folder)]) == 0
     assert (folder / "report.html").read_bytes() == before
+
+
+def test_a_browser_opens_it(folder, tmp_path):
+    assert_readable(folder / "report.html", tmp_path)

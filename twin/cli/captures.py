@@ -426,17 +426,12 @@ def _drawer(folder: Path) -> "Callable[..., Path]":
         from twin.report.comparison import write_comparison
 
         return write_comparison
-    from twin.paper.demo import is_demo as is_demo_of_paper
-    from twin.report.demo import is_demo
+    from twin.paper.demo import is_demo
 
     if is_demo(folder):
-        from twin.report.demo import write_demo
+        from twin.paper.demo import write_demo
 
         return write_demo
-    if is_demo_of_paper(folder):
-        from twin.paper.demo import write_demo as write_demo_of_paper
-
-        return write_demo_of_paper
     from twin.report.measurement import write_report
 
     return write_report

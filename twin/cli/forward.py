@@ -1,7 +1,6 @@
 """Commands of the forward model: from an experiment to pictures and millimetres."""
 
 import sys
-import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -145,41 +144,16 @@ def measure(
 
 
 @app.command
-def demo(*, out: Out = Path("out/demo"), full: bool = False, paper: bool = False) -> None:
-    """Measure the demo: nut, balls and brick under a thin sheet that wraps them, by contact-FPP.
+def demo(*, out: Out = Path("out/demo"), full: bool = False) -> None:
+    """Measure the paper's two balls, its nut and its brick, by its sensor as identified.
 
-    Then the same under a sheet of 1 mm: where it ends.
+    One page: true object, paper and twin side by side, then what was pressed, seen and measured.
 
     Parameters
     ----------
     full
         Use all 1936 x 1464 camera pixels instead of 2 x 2 binning.
-    paper
-        Measure the paper's two balls and its nut instead, by its sensor as identified: true
-        object, paper and twin side by side.
     """
-    if paper:
-        _demo_of_paper(out, full)
-        return
-    from twin.config import vary
-    from twin.output import output_folder
-    from twin.pipeline.methods import measure_into
-    from twin.report.demo import LIMITS, LIMITS_FOLDER, limits_in_words, write_demo
-    from twin.report.measurement import summary_table
-    from twin.report.page import REPORT_FILE
-
-    group = load(Path("examples/wrapped_group"), [f"camera.binning={1 if full else 2}"])
-    with output_folder(out) as folder, progress_bars() as watch:
-        thin = measure_into(folder, "demo", group, watch)
-        (folder / LIMITS_FOLDER).mkdir()
-        thick = measure_into(folder / LIMITS_FOLDER, "demo", vary(group, LIMITS), watch)
-        write_demo(folder, watch, both=(thin, thick))
-    say(summary_table(thin))
-    say(textwrap.fill(limits_in_words(thin, thick).replace("µ", "u"), 100))
-    say(f"wrote {out / REPORT_FILE}")
-
-
-def _demo_of_paper(out: Path, full: bool) -> None:
     from twin.output import output_folder
     from twin.paper.demo import measure_demo, write_demo
     from twin.paper.plan import COARSE, FINE
@@ -187,9 +161,9 @@ def _demo_of_paper(out: Path, full: bool) -> None:
     from twin.report.page import REPORT_FILE
 
     with output_folder(out) as folder, progress_bars() as watch:
-        both = measure_demo(folder, FINE if full else COARSE, watch)
-        write_demo(folder, watch, both=both)
-    for measured in both:
+        balls, beside = measure_demo(folder, FINE if full else COARSE, watch)
+        write_demo(folder, watch, measured=(balls, beside))
+    for measured in (balls, *beside):
         say(summary_table(measured))
     say(f"wrote {out / REPORT_FILE}")
 

@@ -1,13 +1,13 @@
-"""The demo: the paper's sensor, as identified, measures its two balls and its nut.
+"""The demo: the paper's sensor, as identified, measures its two balls, its nut and its brick.
 
 | in the folder | content |
 |---|---|
 | result.json, ... | the measurement of the balls, as of `twin measure` |
-| nut/ | that of the nut |
-| report.html | both: true object, paper and twin first |
+| nut/, brick/ | those of nut and brick |
+| report.html | all of them: true object, paper and twin first |
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,6 @@ from twin.output import RESULT_FILE
 from twin.paper.plan import BALLS, CONTACT_FPP, FIT, NOMINAL_RADIUS_MM, NUT, experiment_of, rows_of
 from twin.pipeline.methods import measure_into
 from twin.pipeline.progress import ProgressCallback, no_progress
-from twin.report.demo import renamed
 from twin.report.measurement import page_of
 from twin.report.object import object_section
 from twin.report.page import REPORT_FILE, Figure, Page, Section, write_page
@@ -25,31 +24,35 @@ from twin.report.table import Cell, Column, Table
 from twin.results.folder import read_measurement
 from twin.results.record import Measurement
 
-COMMAND, NUT_FOLDER = "demo", "nut"
+COMMAND = "demo"
+BESIDE = (NUT, "brick")
+"""Measured beside the balls, each into a folder of its name."""
+
+DemoParts = tuple[Measurement, Sequence[Measurement]]
+"""The balls, and what is beside them."""
 
 
 def is_demo(folder: Path) -> bool:
     """Tell whether a result folder is the demo's."""
-    return (folder / NUT_FOLDER / RESULT_FILE).is_file()
+    return all((folder / name / RESULT_FILE).is_file() for name in BESIDE)
 
 
-def measure_demo(
-    folder: Path, settings: Mapping[str, Any], watch: ProgressCallback
-) -> tuple[Measurement, Measurement]:
-    """Measure the balls into a folder and the nut into one below it; return both."""
-    nut = folder / NUT_FOLDER
-    nut.mkdir()
-    return (
-        measure_into(folder, COMMAND, experiment_of(BALLS, settings), watch),
-        measure_into(nut, COMMAND, experiment_of(NUT, settings), watch),
-    )
+def measure_demo(folder: Path, settings: Mapping[str, Any], watch: ProgressCallback) -> DemoParts:
+    """Measure the balls into a folder and the others into folders below it; return all."""
+    balls = measure_into(folder, COMMAND, experiment_of(BALLS, settings), watch)
+    beside = []
+    for name in BESIDE:
+        (folder / name).mkdir()
+        one = experiment_of(name, settings)
+        beside.append(measure_into(folder / name, COMMAND, one, watch))
+    return balls, beside
 
 
 def write_demo(
     folder: Path,
     watch: ProgressCallback = no_progress,
     into: Path | None = None,
-    both: tuple[Measurement, Measurement] | None = None,
+    measured: DemoParts | None = None,
 ) -> Path:
     """Write the page of the demo and its figures; return the page.
 
@@ -57,44 +60,74 @@ def write_demo(
     ----------
     folder : as `measure_demo` leaves it
     into : existing folder to write into instead
-    both : what the folder holds, where that is at hand
+    measured : what the folder holds, where that is at hand
 
     Raises
     ------
     InputError : a measurement is not there or damaged, or the page cannot be written
     """
-    balls, nut = both or (read_measurement(folder), read_measurement(folder / NUT_FOLDER))
-    return write_page((into or folder) / REPORT_FILE, demo_page(balls, nut), watch)
+    parts = measured or (
+        read_measurement(folder),
+        [read_measurement(folder / name) for name in BESIDE],
+    )
+    return write_page((into or folder) / REPORT_FILE, demo_page(*parts), watch)
 
 
-def demo_page(balls: Measurement, nut: Measurement) -> Page:
-    """Return the page of the balls with the paper's figures before it and the nut behind."""
+def demo_page(balls: Measurement, beside: Sequence[Measurement]) -> Page:
+    """Return the page of the balls, the paper's figures before it and the others behind."""
     page = page_of(balls)
-    first = Section("paper", "True object, paper and twin", (paper_table(balls, nut), *_views(nut)))
+    views = [view for one in beside for view in _views(one)]
+    first = Section("paper", "True object, paper and twin", (paper_table(balls, beside), *views))
     *sections, last = page.sections
+    objects = [
+        section
+        for one in beside
+        for section in renamed(object_section(one), _name(one), _name(one).capitalize())
+    ]
     return replace(
         page,
         kind="demo: the paper's sensor, as identified",
-        title="two balls and a nut",
-        lead="Two joined 8 mm steel balls and an M6 nut, pressed into the coated sheet that the "
-        "paper's own tables speak for; decoded as a real rig's captures are.",
-        sections=[first, *sections, *renamed(object_section(nut), "nut", "Nut"), last],
+        title="two balls, a nut and a toy brick",
+        lead="Two joined 8 mm steel balls, an M6 nut and a clear brick, pressed into the coated "
+        "sheet that the paper's own tables speak for; decoded as a real rig's captures are.",
+        sections=[first, *sections, *objects, last],
     )
 
 
-def paper_table(balls: Measurement, nut: Measurement) -> Table:
+def renamed(sections: Sequence[Section], name: str, title: str) -> list[Section]:
+    """Return sections under names of their own: the first measurement has sections of the same."""
+    return [
+        Section(
+            f"{name}_{one.name}",
+            f"{title}: {one.title.lower()}",
+            tuple(
+                replace(block, name=f"{name}_{block.name}")
+                if isinstance(block, Figure | Table)
+                else block
+                for block in one.blocks
+            ),
+        )
+        for one in sections
+    ]
+
+
+def _name(measured: Measurement) -> str:
+    return measured.experiment.name
+
+
+def paper_table(balls: Measurement, beside: Sequence[Measurement]) -> Table:
     """Return what is true, what the paper printed, and what the twin measures."""
     rows = [row for ball in (1, 2) for row in _ball(balls, ball)]
-    deviation = nut.figures.get("object_rms_um")
-    rows.append(
+    rows += [
         {
-            "quantity": "nut: deviation where the sheet touches it, RMS",
+            "quantity": f"{_name(one)}: deviation where the sheet touches it, RMS",
             "true": 0.0,
-            "paper": "a picture: hexagon and hole",
-            "twin": deviation,
+            "paper": "a picture",
+            "twin": one.figures.get("object_rms_um"),
             "unit": "µm",
         }
-    )
+        for one in beside
+    ]
     columns = (
         Column("quantity", "quantity"),
         Column("true", "true object", 3),
@@ -155,8 +188,10 @@ def _printed(ball: int) -> dict[str, float]:
     return {key: value for row in ours for key, value in row.items()}
 
 
-def _views(nut: Measurement) -> tuple[Figure, ...]:
-    return tuple(
-        replace(figure, name=f"nut_{figure.name}", title=f"Nut: {figure.title.lower()}")
-        for figure in (relief_figure(nut), height_map_figure(nut))
-    )
+def _views(one: Measurement) -> list[Figure]:
+    name = _name(one)
+    return [
+        replace(figure, name=f"{name}_{figure.name}", title=f"{name.capitalize()}: {title}")
+        for figure in (relief_figure(one), height_map_figure(one))
+        for title in [figure.title.lower()]
+    ]
