@@ -20,7 +20,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy import sparse
-from scipy.sparse.linalg import splu
+from scipy.sparse.linalg import SuperLU, splu
 
 from reconstruction.arrays import BoolArray, FloatArray
 from reconstruction.errors import FitError
@@ -81,19 +81,23 @@ class MaterialMap:
     steps: int
 
 
-def material_map(metric: SurfaceMetric, pre_stretch: float = 1.0) -> MaterialMap:
+def material_map(
+    metric: SurfaceMetric, pre_stretch: float = 1.0, near: MaterialMap | None = None
+) -> MaterialMap:
     """Spread a sheet on a surface so that it holds the least energy.
 
     Parameters
     ----------
     pre_stretch : of the mounted sheet, equal along x and y
+    near : of a surface much like this one, on the same elements: where the search begins
 
     Raises
     ------
     FitError : the sheet finds no rest on this surface
     """
     x, y = np.meshgrid(metric.x_mm, metric.y_mm)
-    place = np.stack((x, y), axis=-1) / pre_stretch
+    mounted = np.stack((x, y), axis=-1) / pre_stretch
+    place = near.material_mm if near else mounted
     elements = _Elements.on(metric)
     free = np.repeat(~metric.held.ravel(), 2)
     size = float(np.sqrt(elements.weight.sum()))
@@ -223,10 +227,15 @@ def _newton_move(
     inner = np.flatnonzero(free)
     for whole in (True, False):
         tangent = elements.tangent(b, whole=whole)[inner][:, inner]
-        move[inner] = -splu(tangent).solve(gradient[inner])
+        move[inner] = -_factors(tangent).solve(gradient[inner])
         if float(move @ gradient) < 0:
             break
     return move
+
+
+def _factors(symmetric: sparse.csc_matrix) -> SuperLU:
+    # Ordered as a symmetric matrix: half the time.
+    return splu(symmetric, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
 
 
 def _along(

@@ -241,11 +241,13 @@ def compensate_sheet(
     relief = relief_on_frame(points_mm, sigma_z_mm, frame, cells)
     fine, wide = (_Shape.of(relief, sigma) for sigma in (NORMAL_SIGMA_MM, CURVATURE_SIGMA_MM))
     thinning = np.full(relief.measured.shape, layer.pre_stretch**-2)
-    carried_kpa = np.zeros_like(thinning)
+    carried_kpa, spread_out = np.zeros_like(thinning), None
     for _ in range(_TURNS):
         metric = fine.between(layer.thickness_mm / 2 * thinning)[0]
         squeeze = 3 * carried_kpa / layer.young_modulus_kpa
-        spread_out = material_map(_on_elements(relief, metric, squeeze), layer.pre_stretch)
+        spread_out = material_map(
+            _on_elements(relief, metric, squeeze), layer.pre_stretch, near=spread_out
+        )
         thinning = _on_cells(spread_out.thinning, relief)
         balance = _balanced(relief, layer, wide, spread_out)
         carried_kpa = np.where(balance.contact, balance.pressure_kpa, 0.0)
