@@ -80,16 +80,27 @@ class Emulator:
         The deviation is the emulator's own; the simulations' noise is not in it.
         """
         at = places[:, self.columns]
-        across, terms = self.covariance(at, self.known), _terms(at)[:, : self.trend.size]
-        mean = terms @ self.trend + across @ self.left_over
+        across, terms = self._about(at)
         seen = solve_triangular(self.lower, across.T, lower=True)
         apart = terms.T - self.terms.T @ seen
         open_trend = solve_triangular(self.trend_lower, apart, lower=True)
         variance = self.covariance.diag(at) - np.sum(seen**2, axis=0)
         variance = np.maximum(variance, 0.0) + np.sum(open_trend**2, axis=0)
-        learned, deviation = self.spread * mean, self.spread * self.widening * np.sqrt(variance)
-        figure = _figure(np.clip(learned, *self._sane), self.learned_as)
+        figure = self._mean(across, terms)
+        deviation = self.spread * self.widening * np.sqrt(variance)
         return figure, deviation * _slope(figure, self.learned_as)
+
+    def mean(self, places: FloatArray) -> FloatArray:
+        """Return the mean alone, (n,): a small part of the time that its deviation takes."""
+        return self._mean(*self._about(places[:, self.columns]))
+
+    def _about(self, at: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return covariance with what is known (n, known), and the trend's terms (n, term)."""
+        return self.covariance(at, self.known), _terms(at)[:, : self.trend.size]
+
+    def _mean(self, across: FloatArray, terms: FloatArray) -> FloatArray:
+        learned = self.spread * (terms @ self.trend + across @ self.left_over)
+        return _figure(np.clip(learned, *self._sane), self.learned_as)
 
     @property
     def _sane(self) -> tuple[float, float]:

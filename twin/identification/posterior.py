@@ -67,11 +67,13 @@ class Likelihood:
     def _scatter(self, at: FloatArray) -> FloatArray:
         """Return (n, row) the standard deviation of the mean of a row's realisations, or 0."""
         scatter = np.zeros((len(at), len(self.rows)))
-        told = _told(at, list(self.scatters.values()))
-        by_name = dict(zip(self.scatters, told, strict=True))
+        told: dict[int, FloatArray] = {}
         for number, (name, row) in enumerate(self.rows.items()):
             if row.realisations is not None:
-                scatter[:, number] = by_name[name][0] / np.sqrt(row.realisations)
+                emulator = self.scatters[name]
+                if id(emulator) not in told:  # rows of one figure share theirs
+                    told[id(emulator)] = emulator.mean(at)
+                scatter[:, number] = told[id(emulator)] / np.sqrt(row.realisations)
         return scatter
 
     def log(self, z: FloatArray) -> FloatArray:
