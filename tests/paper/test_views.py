@@ -130,11 +130,14 @@ def test_a_cut_sheet_ends_at_the_cut_and_is_closed(experiment, pressed, mi):
 
     silicone, coat = sheet_things(experiment, pressed, cut_y_mm=0.0)
     assert silicone.mesh.is_watertight
-    assert silicone.mesh.bounds[0, 1] == pytest.approx(0.0, abs=0.06)
+    # The clear face lies a local thickness behind the coat along its normal, which leans at the cut.
+    assert -experiment.elastomer.thickness_mm < silicone.mesh.bounds[0, 1] <= 0.06
+    assert coat.mesh.bounds[0, 1] == pytest.approx(0.0, abs=0.06)
     half = experiment.elastomer.length_y_mm / 2
     # A sheet leans at its simple support, and its faces are half a thickness off its middle.
     assert half <= silicone.mesh.bounds[1, 1] <= half + experiment.elastomer.thickness_mm / 2
-    assert coat.mesh.bounds[1, 2] == pytest.approx(pressed.face_z_mm.max() + 0.04, abs=0.01)
+    kept = pressed.face_z_mm[pressed.face_y_mm >= 0.0]
+    assert coat.mesh.bounds[1, 2] == pytest.approx(kept.max() + 0.04, abs=0.01)
 
 
 def test_the_specimen_is_where_the_press_put_it(experiment, pressed, mi):
