@@ -130,7 +130,7 @@ def test_a_cut_sheet_ends_at_the_cut_and_is_closed(experiment, pressed, mi):
 
     silicone, coat = sheet_things(experiment, pressed, cut_y_mm=0.0)
     assert silicone.mesh.is_watertight
-    # The clear face lies a local thickness behind the coat along its normal, which leans at the cut.
+    # The clear face lies a local thickness behind the coat, along a normal that leans at the cut.
     assert -experiment.elastomer.thickness_mm < silicone.mesh.bounds[0, 1] <= 0.06
     assert coat.mesh.bounds[0, 1] == pytest.approx(0.0, abs=0.06)
     half = experiment.elastomer.length_y_mm / 2
