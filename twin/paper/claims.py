@@ -177,10 +177,10 @@ _WHY_CONTACT = (
     "of the fit are identified from this row among others"
 )
 _WHY_GELSIGHT = (
-    "the rendered sensor errs less than the paper's: one gel, no wear, reference presses all over "
-    "the field; the identified rows have it with its own region, too"
+    "over the region of contact-FPP the rendered sensor errs less than the paper's; over its own "
+    "region, the balls' whole footprint, it errs as much: see the identified rows"
 )
-_WHY_RATIO = "see both RMSE: the rendered sensor is closer than the paper's"
+_WHY_RATIO = "see both RMSE: this is with one region for both, the identified rows have GelSight's"
 _WHY_RODS = (
     "the coat is wider than the rod by up to two local thicknesses; which of its widths the paper "
     "reads is a choice of the identification"
