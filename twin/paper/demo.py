@@ -189,9 +189,10 @@ def _printed(ball: int) -> dict[str, float]:
 
 
 def _views(one: Measurement) -> list[Figure]:
-    name = _name(one)
-    return [
-        replace(figure, name=f"{name}_{figure.name}", title=f"{name.capitalize()}: {title}")
-        for figure in (relief_figure(one), height_map_figure(one))
-        for title in [figure.title.lower()]
-    ]
+    figures = relief_figure(one), height_map_figure(one)
+    return [_renamed(figure, _name(one)) for figure in figures]
+
+
+def _renamed(figure: Figure, name: str) -> Figure:
+    title = f"{name.capitalize()}: {figure.title.lower()}"
+    return replace(figure, name=f"{name}_{figure.name}", title=title)
