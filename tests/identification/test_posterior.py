@@ -12,7 +12,6 @@ from reconstruction.errors import InputError
 from twin.config.problem import LearnedAs, SensorProblem
 from twin.identification.emulator import _left_out, fit_emulator
 from twin.identification.findings import (
-    draw_rows,
     interval_of,
     predict_rows,
     prior_shifts,
@@ -33,14 +32,14 @@ NORMAL = {"low": -6.0, "high": 6.0, "prior": "normal", "mean": 0.0, "sd": 1.0}
 
 
 class _Exact:
-    """A figure that is known everywhere, in place of an emulator; takes values, not shares."""
+    """A figure that is known everywhere to `sd`, for an emulator; takes values, not shares."""
 
-    def __init__(self, figure: Callable[[FloatArray], FloatArray]) -> None:
-        self.figure = figure
+    def __init__(self, figure: Callable[[FloatArray], FloatArray], sd: float = 0.0) -> None:
+        self.figure, self.sd = figure, sd
 
     def predict(self, places: FloatArray) -> tuple[FloatArray, FloatArray]:
         values = self.mean(places)
-        return values, np.zeros_like(values)
+        return values, np.full_like(values, self.sd)
 
     def mean(self, places: FloatArray) -> FloatArray:
         return self.figure(12.0 * places - 6.0)
@@ -152,10 +151,41 @@ def test_the_scatter_of_what_a_row_is_a_mean_of_counts_beside_its_own() -> None:
     assert found.log_evidence == pytest.approx(
         np.log(weight.sum() * (x[1] - x[0])), abs=4 * found.log_evidence_sd + 0.01
     )
-    # And the prediction of another measurement has the scatter of its coat.
-    drawn = draw_rows(found, likelihood, seed=2)[:, 0]
-    coat = np.exp(found.values[:, 0]).mean() / 4
-    assert drawn.var() == pytest.approx(found.values.var() + coat, rel=0.1)
+
+
+def test_rows_are_predicted_from_what_the_fitted_ones_tell_of_coat_scale_and_emulator() -> None:
+    """Field, coat and scale are independent normals: the closed form of their joint density.
+
+    Three quarters of a coat's variance is common to its trials: `again` met the coat of the fitted
+    `mean`, `other` met another one. The deviation over the trials shows the other quarter.
+    """
+    coat = {"realisations": 1, "shared": 0.75, "nuisance": {"scale": 2.0}}
+    rows = {
+        "mean": {"value": 1.5, "sd": 0.2, "coat": "a", **coat},
+        "again": {"value": 9.0, "sd": 0.3, "coat": "a", "held_out": True, **coat},
+        "other": {"value": 9.0, "sd": 0.3, "coat": "b", "held_out": True, **coat},
+        "scatter": {"value": 1.0, "sd": 0.1, "statistic": "sd", "shared": 0.75, "held_out": True},
+    }
+    experiments = {"one": {"base": "none", "repeats": 2}}
+    problem = _problem(rows, fields=1, experiments=experiments, nuisance={"scale": {"sd": 0.1}})
+    figure, told = _Exact(lambda v: v[:, 0], sd=0.5), _Exact(lambda v: np.full(len(v), 0.8))
+    emulators: dict[str, Any] = {**dict.fromkeys(rows, figure), "scatter": told}
+    scatters: dict[str, Any] = dict.fromkeys(("mean", "again", "other"), told)
+    fitted = likelihood_of(problem, problem.fitted, emulators, scatters)
+    every = likelihood_of(problem, problem.rows, emulators, scatters)
+    found = {r.row: r for r in predict_rows(sample(fitted, seed=9), every, seed=2)}
+
+    coats, common = 0.75 * 0.8**2, 1.0 + 0.5**2 + (2.0 * 0.1) ** 2  # field, emulator, scale
+    whole = common + coats
+    for name, shared in (("mean", whole), ("again", whole), ("other", common)):
+        gain = shared / (whole + 0.2**2)
+        assert found[name].twin.mean == pytest.approx(1.5 * gain, abs=0.06)
+        assert found[name].twin.sd == pytest.approx(np.sqrt(whole - gain * shared), rel=0.08)
+    assert found["scatter"].twin.mean == pytest.approx(0.8 * np.sqrt(0.25))
+    # Of another coat and emulator the fitted row tells through the field alone.
+    field = 1.0 / (whole + 0.2**2)
+    assert found["mean"].any_coat.mean == pytest.approx(1.5 * field, abs=0.06)
+    assert found["mean"].any_coat.sd == pytest.approx(np.sqrt(whole - field), rel=0.08)
 
 
 def test_scatter_needs_repeats_and_a_mean() -> None:
@@ -164,6 +194,9 @@ def test_scatter_needs_repeats_and_a_mean() -> None:
         _problem({"r": row}, fields=1)
     with pytest.raises(ValueError, match="realisations: not allowed with statistic = 'sd'"):
         _problem({"r": row | {"statistic": "sd"}}, fields=1)
+    for name, value in (("shared", 0.5), ("coat", "a")):
+        with pytest.raises(ValueError, match=f"{name}: of a mean it needs realisations"):
+            _problem({"r": {"value": 1.0, "sd": 0.1, name: value}}, fields=1)
 
 
 def test_what_only_a_product_shows_is_named_as_a_ridge() -> None:
@@ -293,8 +326,8 @@ def test_predictions_are_those_of_the_covariance_of_all_figures() -> None:
     i, j = np.triu_indices(2)
     terms = np.concatenate((np.ones((69, 1)), whole, whole[:, i] * whole[:, j]), axis=1)
     covariance = found.covariance(whole) + 1e6 * terms @ terms.T
-    noise = found.lower @ found.lower.T - found.covariance(places[:, :2])
-    inside = np.linalg.solve(covariance[:64, :64] + noise, covariance[:64, 64:])
+    noisy = covariance[:64, :64] + found.noise * np.eye(64)
+    inside = np.linalg.solve(noisy, covariance[:64, 64:])
     mean, sd = found.predict(unseen)
     assert np.allclose(inside.T @ figures, mean, atol=1e-4)
     variance = np.diag(covariance[64:, 64:] - covariance[64:, :64] @ inside)

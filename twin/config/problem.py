@@ -7,7 +7,7 @@ in `scenes`; `docs/identify.md` explains every key.
 import itertools
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -152,6 +152,10 @@ class Setup(Model):
     repeats: Annotated[int, Field(ge=1, le=100)] = Field(
         default=1, description="measurements per simulation, each of another coat and noise"
     )
+    refine: Annotated[int, Field(ge=0, le=100_000)] | None = Field(
+        default=None,
+        description="simulations at draws of a first posterior; absent: design.refine",
+    )
 
 
 class Row(Model):
@@ -178,6 +182,16 @@ class Row(Model):
         description="how many draws of what the repeats vary (coats) the value is a mean of: their "
         "learned scatter, over the root of this, counts beside sd; absent: sd holds it",
     )
+    shared: Annotated[float, Field(ge=0, le=1)] | None = Field(
+        default=None,
+        description="share of the scatter's variance that all trials of the row have in common, "
+        "as those on one coat have; of a mean it counts beside sd, a deviation does not show it; "
+        "absent: all of it with realisations, none with statistic = 'sd'",
+    )
+    coat: Name | None = Field(
+        default=None,
+        description="rows of one figure that name the same coat met the same draw of the scatter",
+    )
     discrepancy: NonNegative = Field(
         default=0.0, description="standard deviation of what the twin's model itself lacks"
     )
@@ -191,7 +205,24 @@ class Row(Model):
     def _scatter_is_of_a_mean(self) -> "Row":
         if self.statistic == "sd" and self.realisations is not None:
             raise ValueError("realisations: not allowed with statistic = 'sd'")
+        if self.statistic == "mean" and self.realisations is None:
+            for name in ("shared", "coat"):
+                if getattr(self, name) is not None:
+                    raise ValueError(f"{name}: of a mean it needs realisations; add them")
+        if self.statistic == "sd" and self.coat is not None:
+            raise ValueError("coat: not allowed with statistic = 'sd'")
         return self
+
+    @property
+    def scatter_share(self) -> float:
+        """Standard deviation that the row has of what is learned, over the repeats' own.
+
+        Of a mean: of the part that its trials have in common. Of a deviation: of what they do not.
+        """
+        if self.statistic == "sd":
+            return float(np.sqrt(1.0 - (self.shared or 0.0)))
+        shared = 1.0 if self.shared is None else self.shared
+        return 0.0 if self.realisations is None else float(np.sqrt(shared / self.realisations))
 
     @property
     def needs_repeats(self) -> str:
@@ -211,6 +242,11 @@ class Design(Model):
 
     count: Annotated[int, Field(ge=8, le=100_000)] = Field(
         default=128, description="Sobol' points per experiment and choice"
+    )
+    refine: Annotated[int, Field(ge=0, le=100_000)] = Field(
+        default=0,
+        description="further points per experiment and choice, drawn from what the rows leave when "
+        "the figures are learned from the first ones",
     )
     seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
 
@@ -258,6 +294,8 @@ class SensorProblem(Model):
             _named(where, {n: (row.experiment,) for n, row in rows.items()}, self.experiments)
             _named(where, {n: tuple(row.nuisance) for n, row in rows.items()}, self.nuisance)
         _named("rotate", {"": self.rotate}, self.fitted)
+        if twice := [name for name in self.worth if name in self.rows]:
+            raise ValueError(f"worth.{twice[0]}: a row has this name, too; use another")
         for name, one in self.alternatives.items():
             known = {*self.rows, *self.worth}
             for label, choice in one.choices.items():
@@ -279,12 +317,13 @@ class SensorProblem(Model):
 
     def quick(self) -> "SensorProblem":
         """Return the problem with a third of the simulations, 12 at least."""
-        design = self.design.model_copy(update={"count": _fewer(self.design.count)})
-        setups = {
-            name: one if one.count is None else one.model_copy(update={"count": _fewer(one.count)})
-            for name, one in self.experiments.items()
-        }
-        return self.model_copy(update={"design": design, "experiments": setups})
+        setups = {name: _quicker(one) for name, one in self.experiments.items()}
+        return self.model_copy(update={"design": _quicker(self.design), "experiments": setups})
+
+    def refined(self, experiment: str) -> int:
+        """Return how many simulations of an experiment are drawn from a first posterior."""
+        own = self.experiments[experiment].refine
+        return self.design.refine if own is None else own
 
     def combinations(self) -> Iterator[dict[str, str]]:
         """Yield one choice per alternative, in all ways."""
@@ -322,6 +361,16 @@ class SensorProblem(Model):
     def simulated_in(self, experiment: str) -> list[str]:
         """Return the names of those that its simulations vary."""
         return [name for name in self.free_in(experiment) if self.free[name].among is None]
+
+
+_Counted = TypeVar("_Counted", Setup, Design)
+
+
+def _quicker(one: _Counted) -> _Counted:
+    """Return the counts of an experiment or a design with a third of the simulations."""
+    counts = {name: getattr(one, name) for name in ("count", "refine")}
+    fewer = {name: _fewer(count) for name, count in counts.items() if count is not None}
+    return one.model_copy(update=fewer)
 
 
 def _fewer(count: int) -> int:

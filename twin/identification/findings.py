@@ -44,9 +44,13 @@ class Prediction:
 
     Attributes
     ----------
-    twin : of the figure, with all that adds to it: fields, emulator, nuisance, discrepancy
     scatter : standard deviation of one measurement, where `sd` is that of a mean
-    deviation : (measured - twin) over the standard deviation of their difference
+    twin : of the figure given the fitted rows, with all that they leave open: fields, emulator,
+        nuisance, discrepancy, coat
+    any_coat : the same of another sensor with these fields: of its own coat, scale and emulator's
+        error the rows tell nothing
+    deviation : (measured - any_coat) over the standard deviation of their difference: whether the
+        fields explain the row without what its own coat may have done
     """
 
     row: str
@@ -55,6 +59,7 @@ class Prediction:
     scatter: float
     fitted: bool
     twin: Marginal
+    any_coat: Marginal
     deviation: float
 
     @property
@@ -73,26 +78,48 @@ def predict_rows(posterior: Posterior, rows: Likelihood, seed: int) -> list[Pred
         The rows to predict, of the same free fields.
     seed : int
     """
-    whole = draw_rows(posterior, rows, seed)
+    given, alone = draw_rows(posterior, rows, seed), _unconditioned(posterior, rows, seed)
     found = []
     for number, (name, row) in enumerate(rows.rows.items()):
-        twin = interval_of(whole[:, number])
-        deviation = (row.value - twin.mean) / float(np.hypot(twin.sd, row.sd))
+        twin, any_coat = interval_of(given[:, number]), interval_of(alone[:, number])
+        deviation = (row.value - any_coat.mean) / float(np.hypot(any_coat.sd, row.sd))
         fitted = name in posterior.likelihood.rows
-        found.append(Prediction(name, row.value, row.sd, row.scatter, fitted, twin, deviation))
+        found.append(
+            Prediction(name, row.value, row.sd, row.scatter, fitted, twin, any_coat, deviation)
+        )
     return found
 
 
 def draw_rows(posterior: Posterior, rows: Likelihood, seed: int) -> FloatArray:
-    """Return figures (sample, row) with all that the model leaves open, but for the rows' noise."""
-    rng = np.random.default_rng(seed)
-    figures, emulated_sd = rows.predicted(posterior.z)
-    whole = figures + emulated_sd * rng.standard_normal(figures.shape)
-    for name, sd in rows.nuisance_sd.items():
-        change = np.array([row.nuisance.get(name, 0.0) for row in rows.rows.values()])
-        whole += sd * rng.standard_normal((len(whole), 1)) * change
-    discrepancy = np.array([row.discrepancy for row in rows.rows.values()])
-    return np.asarray(whole + discrepancy * rng.standard_normal(whole.shape))
+    """Return figures (sample, row) given the fitted rows, without the rows' own noise.
+
+    The fitted rows tell of fields and of what else moves rows together: nuisances, emulators'
+    errors, the draw of a coat. At each sample of the fields these are normal: joint draws of all
+    rows and of the noise of the fitted ones are moved by the regression on what was measured
+    (Matheron's rule; Rasmussen and Williams 2006, eq. 2.19).
+    """
+    every, fitted = rows.among(posterior.likelihood), posterior.likelihood.rows
+    drawn, loadings = _drawn(posterior, every, seed)
+    where = [list(every.rows).index(name) for name in fitted]
+    value, sd = (np.array([getattr(r, n) for r in fitted.values()]) for n in ("value", "sd"))
+    noise = sd * np.random.default_rng(seed + 1).standard_normal((len(drawn), len(where)))
+    missed = value - drawn[:, where] - noise
+    seen = loadings[:, where]
+    weights = np.linalg.solve(seen @ seen.transpose(0, 2, 1) + np.diag(sd**2), missed[..., None])
+    moved = drawn + (loadings @ (seen.transpose(0, 2, 1) @ weights))[..., 0]
+    return np.asarray(moved[:, : len(rows.rows)])
+
+
+def _unconditioned(posterior: Posterior, rows: Likelihood, seed: int) -> FloatArray:
+    """Return figures (sample, row) of any sensor with these fields: other coats, other errors."""
+    return _drawn(posterior, rows, seed)[0]
+
+
+def _drawn(posterior: Posterior, rows: Likelihood, seed: int) -> tuple[FloatArray, FloatArray]:
+    """Return figures (sample, row) with draws of all that is open, and its loadings."""
+    figures, loadings = rows.predicted(posterior.z)
+    latent = np.random.default_rng(seed).standard_normal((len(figures), loadings.shape[2], 1))
+    return figures + (loadings @ latent)[..., 0], loadings
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,9 @@
 """
 
 from collections.abc import Callable, Iterable, Mapping
+from concurrent.futures import Executor
 from dataclasses import asdict, dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -38,25 +39,35 @@ from twin.identification.findings import (
     worth_of,
 )
 from twin.identification.posterior import (
+    LONGEST,
     Posterior,
     likelihood_of,
     probabilities,
     profile,
     sample,
 )
-from twin.identification.simulations import Simulated, Variant, simulate, variant_for
+from twin.identification.simulations import (
+    Sample,
+    Simulated,
+    Variant,
+    refine,
+    simulate,
+    variant_for,
+)
 from twin.output import EXPERIMENT_FILE, RESULT_FILE
 from twin.pipeline.progress import ProgressCallback, no_progress
 from twin.results.parts import write_result
 from twin.study.measuring import CaseMeasurer
 from twin.study.worker import Measurer
-from twin.study.workers import Workers
+from twin.study.workers import Workers, lasting, local_workers
 
 if TYPE_CHECKING:
     import xarray
 
 _Key = tuple[Variant, Metric, Statistic, LearnedAs]
 COMMAND = "identify"
+_FIRST_STEPS = 2000
+_IMPROBABLE = 0.01
 POSTERIOR_FILE, EXPERIMENTS_FOLDER = "posterior.nc", "experiments"
 WRITTEN = (POSTERIOR_FILE, EXPERIMENTS_FOLDER, RESULT_FILE, EXPERIMENT_FILE)
 
@@ -181,78 +192,121 @@ def identify(
     MissingBackend
         No usable Dr.Jit backend.
     """
-    simulated = simulate(
-        problem,
-        experiments,
-        folder,
-        workers,
-        watch=watch,
-        make_measurer=make_measurer,
-        inputs=inputs,
-    )
-    return infer(problem, simulated, watch)
+    measured = {"watch": watch, "make_measurer": make_measurer}
+    found = simulate(problem, experiments, folder, workers, inputs=inputs, **measured)
+    with lasting(workers) as kept:
+        if any(problem.refined(name) for name in problem.experiments):
+            first = infer(problem, found, watch, kept, longest=_FIRST_STEPS)
+            again = _places_again(first, found)
+            found = refine(problem, experiments, folder, kept, found, again, **measured)
+        return infer(problem, found, watch, kept)
+
+
+def _places_again(first: Identified, simulated: Mapping[Variant, Simulated]) -> dict[Variant, Any]:
+    """Draw places (point, free field) from what the rows leave, by the variants that matter.
+
+    Those are the ones of the choices that together have all but 1 % of the probability.
+    """
+    problem, rng = first.problem, np.random.default_rng(first.seed)
+    drawn: dict[Variant, Any] = {}
+    for model in first.models:
+        if model.probability < _IMPROBABLE:
+            continue
+        for row in problem.fitted.values():
+            name = problem.experiment_of(row, model.combination)
+            variant, count = variant_for(problem, name, model.combination), problem.refined(name)
+            if count and variant not in drawn:
+                drawn[variant] = rng.choice(model.posterior.places, count, replace=False)
+    return {variant: drawn[variant] for variant in simulated if variant in drawn}
 
 
 def infer(
     problem: SensorProblem,
     simulated: Mapping[Variant, Simulated],
     watch: ProgressCallback = no_progress,
+    workers: Workers | None = None,
+    *,
+    longest: int = LONGEST,
 ) -> Identified:
-    """Return what the rows say, given the simulations."""
+    """Return what the rows say, given the simulations.
+
+    Parameters
+    ----------
+    workers : learn and sample side by side; the result is the same with any. Default: this process
+    longest : most steps of a chain
+    """
+    tasks = workers or local_workers(1)
+    executor = tasks.open()
+    try:
+        return _infer(problem, simulated, watch, partial(_side_by_side, executor), longest)
+    finally:
+        (tasks.release or tasks.close)(executor)
+
+
+_Map = Callable[..., list[Any]]
+
+
+def _side_by_side(executor: Executor, function: Callable[..., Any], *arguments: Any) -> list[Any]:
+    """Return a function of each of some arguments."""
+    return list(executor.map(partial(_on_one_thread, function), *arguments))
+
+
+def _on_one_thread(function: Callable[..., Any], *arguments: Any) -> Any:
     # Matrices this small are slower on several threads, whose number would show in last digits.
     with threadpool_limits(1):
-        return _infer(problem, simulated, watch)
+        return function(*arguments)
 
 
 def _infer(
-    problem: SensorProblem, simulated: Mapping[Variant, Simulated], watch: ProgressCallback
+    problem: SensorProblem,
+    simulated: Mapping[Variant, Simulated],
+    watch: ProgressCallback,
+    each: _Map,
+    longest: int,
 ) -> Identified:
-    learned: dict[_Key, Emulator] = {}
-    models, combinations = [], list(problem.combinations())
-    for number, combination in enumerate(combinations):
-        watch("posterior", number / len(combinations))
-        emulators, scatters = _emulators(problem, simulated, combination, learned)
-        models.append(_model(problem, combination, emulators, scatters))
-    watch("posterior", 1.0)
+    combinations = list(problem.combinations())
+    watch("learning", 0.0)
+    keys = list(dict.fromkeys(k for c in combinations for k in _keys(problem, c).values()))
+    samples = [simulated[k[0]].sample(*k[1:]) for k in keys]
+    learned = dict(zip(keys, each(Sample.learned, samples), strict=True))
+    watch("learning", 1.0)
+    watch("posterior", 0.0)
+    given = [_emulators(problem, combination, learned) for combination in combinations]
+    model = partial(_model, longest, problem)
+    models = each(model, combinations, *zip(*given, strict=True))
     found = probabilities([one.posterior for one in models], [one.prior for one in models])
     judged = [replace(m, probability=float(p)) for m, p in zip(models, found, strict=True)]
     best, *others = sorted(judged, key=lambda one: -one.probability)
-    best = replace(best, rotated=_rotated(problem, best.emulators, best.scatters))
+    watch("posterior", len(models) / (len(models) + len(problem.rotate)))
+    rotated = each(partial(_rotated, problem, best, longest), problem.rotate)
+    best = replace(best, rotated=dict(zip(problem.rotate, rotated, strict=True)))
+    watch("posterior", 1.0)
     return Identified(problem, (best, *others), problem.design.seed)
 
 
-def _emulators(
-    problem: SensorProblem,
-    simulated: Mapping[Variant, Simulated],
-    combination: Mapping[str, str],
-    learned: dict[_Key, Emulator],
-) -> tuple[dict[str, Emulator], dict[str, Emulator]]:
-    """Return the emulators of all rows' figures, and of the scatter of those with `realisations`.
-
-    Those of other combinations are used again.
-    """
-    figures, scatters = {}, {}
+def _keys(problem: SensorProblem, combination: Mapping[str, str]) -> dict[tuple[str, bool], _Key]:
+    """Return what must be learned: each row's figure, and the scatter of those that have one."""
+    keys: dict[tuple[str, bool], _Key] = {}
     for name, row in {**problem.rows, **problem.worth}.items():
         variant = variant_for(problem, problem.experiment_of(row, combination), combination)
         metric = problem.metric_of(name, row, combination)
-        figures[name] = _learned(
-            simulated, learned, (variant, metric, row.statistic, row.learned_as)
-        )
+        keys[name, False] = variant, metric, row.statistic, row.learned_as
         if row.realisations is not None:
-            scatters[name] = _learned(simulated, learned, (variant, metric, "sd", "log"))
-    return figures, scatters
+            keys[name, True] = variant, metric, "sd", "log"
+    return keys
 
 
-def _learned(
-    simulated: Mapping[Variant, Simulated], learned: dict[_Key, Emulator], key: _Key
-) -> Emulator:
-    if key not in learned:
-        variant, metric, statistic, learned_as = key
-        learned[key] = simulated[variant].emulator(metric, statistic, learned_as)
-    return learned[key]
+def _emulators(
+    problem: SensorProblem, combination: Mapping[str, str], learned: Mapping[_Key, Emulator]
+) -> tuple[dict[str, Emulator], dict[str, Emulator]]:
+    """Return the emulators of all rows' figures, and of the scatter of those with `realisations`."""
+    keys = _keys(problem, combination)
+    figures = {name: learned[key] for (name, of_scatter), key in keys.items() if not of_scatter}
+    return figures, {name: learned[key] for (name, scatter), key in keys.items() if scatter}
 
 
 def _model(
+    longest: int,
     problem: SensorProblem,
     combination: Mapping[str, str],
     emulators: Mapping[str, Emulator],
@@ -261,7 +315,8 @@ def _model(
     """Return a model whose probability among the others is still to be judged."""
     seed = problem.design.seed
     every = likelihood_of(problem, problem.rows, emulators, scatters)
-    posterior = sample(likelihood_of(problem, problem.fitted, emulators, scatters), seed)
+    fitted = likelihood_of(problem, problem.fitted, emulators, scatters)
+    posterior = sample(fitted, seed, longest)
     return SensorModel(
         combination=combination,
         prior=problem.weight(combination),
@@ -274,18 +329,14 @@ def _model(
     )
 
 
-def _rotated(
-    problem: SensorProblem, emulators: Mapping[str, Emulator], scatters: Mapping[str, Emulator]
-) -> dict[str, Prediction]:
-    """Predict each row of `rotate` from the other fitted rows."""
-    seed, every = problem.design.seed, likelihood_of(problem, problem.rows, emulators, scatters)
-    rotated = {}
-    for held in problem.rotate:
-        rows = {name: row for name, row in problem.fitted.items() if name != held}
-        likelihood = likelihood_of(problem, rows, emulators, scatters)
-        found = predict_rows(sample(likelihood, seed), every, seed)
-        rotated[held] = next(one for one in found if one.row == held)
-    return rotated
+def _rotated(problem: SensorProblem, best: SensorModel, longest: int, held: str) -> Prediction:
+    """Predict a row of `rotate` from the other fitted rows."""
+    seed = problem.design.seed
+    every = likelihood_of(problem, problem.rows, best.emulators, best.scatters)
+    rows = {name: row for name, row in problem.fitted.items() if name != held}
+    likelihood = likelihood_of(problem, rows, best.emulators, best.scatters)
+    found = predict_rows(sample(likelihood, seed, longest), every, seed)
+    return next(one for one in found if one.row == held)
 
 
 def experiments_at_best(

@@ -5,7 +5,7 @@ them, and cases of the same content are shared within a study.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import product
 from pathlib import Path
@@ -13,18 +13,18 @@ from typing import Any
 
 import numpy as np
 
-from reconstruction.arrays import FloatArray
+from reconstruction.arrays import FloatArray, IntArray
 from reconstruction.errors import InputError
 from twin.config import Experiment, vary
 from twin.config.problem import LearnedAs, Metric, SensorProblem, Statistic
 from twin.config.study import Sampling, Study, without_absent
 from twin.identification.emulator import Emulator, fit_emulator
 from twin.pipeline.progress import ProgressCallback, no_progress
-from twin.study.cases import shares_of
+from twin.study.cases import point_at, shares_of
 from twin.study.measuring import CaseMeasurer
 from twin.study.record import StudyRecord
 from twin.study.sweep import sweep
-from twin.study.table import StudyTable, read_table
+from twin.study.table import read_table
 from twin.study.worker import Measurer
 from twin.study.workers import Workers
 
@@ -76,8 +76,10 @@ def _changing(problem: SensorProblem, experiment: str) -> list[str]:
     ]
 
 
-def record_of(problem: SensorProblem, base: Experiment, variant: Variant) -> StudyRecord:
-    """Return the study of a variant.
+def record_of(
+    problem: SensorProblem, base: Experiment, variant: Variant, suffix: str = ""
+) -> StudyRecord:
+    """Return the study of a variant, whose name ends with `suffix`.
 
     Raises
     ------
@@ -87,7 +89,7 @@ def record_of(problem: SensorProblem, base: Experiment, variant: Variant) -> Stu
     setup = problem.experiments[variant.experiment]
     names = problem.simulated_in(variant.experiment)
     study = Study(
-        name=variant.name,
+        name=f"{variant.name}{suffix}",
         description=f"simulations for {problem.name}",
         base=base.name,
         axis=tuple(problem.free[name].axis(name) for name in names),
@@ -111,24 +113,26 @@ class Simulated:
     ----------
     columns : which free fields were varied
     places : (point, free field) shares of the axes; fields that the experiment lacks are 0.5
-    table : StudyTable
-        One row per point and repeat, those of a point together.
+    rows
+        One per point and repeat, those of a point together: figures and settings by name.
     repeats : int
     among : by name, the column of a field that varies among the figures, and by how these are
         named its values and the shares of its axis
+    varied : names of the fields that were varied
     """
 
     variant: Variant
     columns: tuple[int, ...]
     places: FloatArray
-    table: StudyTable
+    rows: tuple[Mapping[str, Any], ...]
     repeats: int = 1
     among: Mapping[str, tuple[int, Mapping[str, tuple[float, float]]]] = field(default_factory=dict)
+    varied: tuple[str, ...] = ()
 
-    def emulator(
+    def sample(
         self, metric: Metric, statistic: Statistic = "mean", learned_as: LearnedAs = "value"
-    ) -> Emulator:
-        """Learn a figure.
+    ) -> "Sample":
+        """Return what there is to learn of a figure.
 
         Parameters
         ----------
@@ -141,7 +145,7 @@ class Simulated:
         Raises
         ------
         InputError
-            No simulation, or too few, gave this figure.
+            No simulation gave this figure.
         """
         names = (metric,) if isinstance(metric, str) else metric
         where = f"{self.variant.experiment}: {', '.join(names)}"
@@ -154,10 +158,7 @@ class Simulated:
         simulation = np.tile(np.arange(len(self.places)), len(parts))
         if not np.isfinite(figures).any():
             raise InputError(f"{where}: found in no simulation, allowed {self._known()}")
-        try:
-            return fit_emulator(places, figures, parts[0][1], learned_as, simulation)
-        except InputError as error:
-            raise InputError(f"{where}: {error}") from None
+        return Sample(where, places, figures, parts[0][1], learned_as, simulation)
 
     def _named(
         self, names: tuple[str, ...]
@@ -179,19 +180,46 @@ class Simulated:
         values = {told: v for _, given in self.among.values() for told, (v, _) in given.items()}
         if names[0] in values:  # the field itself
             return np.full(len(self.places), values[names[0]])
-        found = np.array([[_number(row.get(n)) for n in names] for row in self.table.rows])
+        found = np.array([[_number(row.get(n)) for n in names] for row in self.rows])
         return summary(found.reshape(-1, self.repeats, len(names)), statistic)
 
     def _known(self) -> str:
+        varied = {"seed", *self.varied}
+        names = dict.fromkeys(name for row in self.rows for name in row if name not in varied)
         numbers = [
-            name
-            for name in self.table.metrics
-            if any(np.isfinite(_number(row.get(name))) for row in self.table.rows)
+            name for name in names if any(np.isfinite(_number(row.get(name))) for row in self.rows)
         ]
         return ", ".join(numbers) or f"none: {self._reasons()}"
 
     def _reasons(self) -> str:
-        return "; ".join(dict.fromkeys(str(row["reason"]) for row in self.table.rows))
+        return "; ".join(dict.fromkeys(str(row["reason"]) for row in self.rows))
+
+
+@dataclass(frozen=True, eq=False)
+class Sample:
+    """What the simulations say of one figure; arguments of `fit_emulator`, and `where` it is."""
+
+    where: str
+    places: FloatArray
+    figures: FloatArray
+    columns: tuple[int, ...]
+    learned_as: LearnedAs
+    simulation: IntArray
+
+    def learned(self) -> Emulator:
+        """Learn the figure.
+
+        Raises
+        ------
+        InputError
+            Too few simulations gave it.
+        """
+        try:
+            return fit_emulator(
+                self.places, self.figures, self.columns, self.learned_as, self.simulation
+            )
+        except InputError as error:
+            raise InputError(f"{self.where}: {error}") from None
 
 
 def summary(figures: FloatArray, statistic: Statistic) -> FloatArray:
@@ -242,7 +270,47 @@ def simulate(
         store = folder / STUDIES_FOLDER / variant.name
         part = partial(_part, watch, number, len(records))
         sweep(record, store, workers, watch=part, make_measurer=make_measurer, inputs=tuple(inputs))
-        found[variant] = _read(problem, variant, record, store)
+        found[variant] = _read(problem, variant, store, shares_of(record.study))
+    return found
+
+
+def refine(
+    problem: SensorProblem,
+    experiments: Mapping[str, Experiment],
+    folder: Path,
+    workers: Workers,
+    simulated: Mapping[Variant, Simulated],
+    places: Mapping[Variant, FloatArray],
+    *,
+    watch: ProgressCallback = no_progress,
+    make_measurer: Callable[[tuple[str, ...]], Measurer] = CaseMeasurer,
+) -> dict[Variant, Simulated]:
+    """Run further simulations, in stores of their own, and return them with those before.
+
+    Parameters
+    ----------
+    places : (point, free field) shares of the axes, by the variants that are simulated again
+
+    Raises
+    ------
+    ConfigError, InputError, MissingBackend
+        As `simulate`.
+    """
+    found = dict(simulated)
+    for number, (variant, at) in enumerate(places.items()):
+        record = record_of(problem, experiments[variant.experiment], variant, "_refined")
+        axes, shares = record.study.axis, at[:, list(simulated[variant].columns)]
+        points = tuple(point_at(axes, row) for row in shares)
+        store = folder / STUDIES_FOLDER / record.study.name
+        part = partial(_part, watch, number, len(places))
+        there = replace(record, points=points)
+        sweep(there, store, workers, watch=part, make_measurer=make_measurer)
+        further = _read(problem, variant, store, shares)
+        found[variant] = replace(
+            found[variant],
+            places=np.concatenate((found[variant].places, further.places)),
+            rows=found[variant].rows + further.rows,
+        )
     return found
 
 
@@ -250,10 +318,11 @@ def _part(watch: ProgressCallback, number: int, count: int, stage: str, fraction
     watch("simulations", (number + fraction) / count)
 
 
-def _read(problem: SensorProblem, variant: Variant, record: StudyRecord, store: Path) -> Simulated:
-    table, shares = read_table(store), shares_of(record.study)
+def _read(problem: SensorProblem, variant: Variant, store: Path, shares: FloatArray) -> Simulated:
+    """Read a store whose points lie at shares (point, axis) of the axes."""
     names = list(problem.free)
-    columns = tuple(names.index(name) for name in problem.simulated_in(variant.experiment))
+    varied = problem.simulated_in(variant.experiment)
+    columns = tuple(names.index(name) for name in varied)
     places = np.full((len(shares), len(names)), 0.5)
     places[:, columns] = shares
     among = {
@@ -261,7 +330,9 @@ def _read(problem: SensorProblem, variant: Variant, record: StudyRecord, store: 
         for name, one in problem.free.items()
         if one.among is not None and name in problem.free_in(variant.experiment)
     }
-    return Simulated(variant, columns, places, table, record.study.repeats, among)
+    repeats = problem.experiments[variant.experiment].repeats
+    rows = read_table(store).rows
+    return Simulated(variant, columns, places, rows, repeats, among, tuple(varied))
 
 
 def figure_part(value: float) -> str:

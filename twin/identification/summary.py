@@ -71,6 +71,8 @@ def _row(found: Identified, one: Prediction) -> dict[str, Any]:
         "fitted": one.fitted,
         "twin": one.twin.mean,
         "twin_sd": one.twin.sd,
+        "any_coat": one.any_coat.mean,
+        "any_coat_sd": one.any_coat.sd,
         "steps": one.steps,
         "deviation": one.deviation,
     }
