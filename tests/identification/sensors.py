@@ -23,6 +23,7 @@ class Formula:
             "radius_far_mm": 4.0 + 2.0 * thickness + noise,
             "product_mm2": far * thickness * depth,
             "height_mm": depth * np.exp(-thickness) + noise,
+            "wave_mm": 0.4 + 0.1 * np.sin(2 * np.pi * depth / 0.25) + noise,
             "warnings": [],
         }
         figures |= {f"reach_{told}_mm": thickness * r for told, r in REACHES.items()}

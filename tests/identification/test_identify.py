@@ -10,6 +10,7 @@ from twin.config import ConfigError
 from twin.config.problem import load_problem
 from twin.identification.run import experiments_at_best, figures_of, identify, infer
 from twin.identification.simulations import record_of, simulate, variants_of
+from twin.study.table import read_table
 from twin.study.workers import local_workers
 
 PROBLEM = """
@@ -190,12 +191,35 @@ sd = 0.1
     assert worth.shrink["region"] == pytest.approx(left, rel=0.15)
 
 
+CURVED = PROBLEM.replace('"height_mm"', '"wave_mm"').replace("count = 64", "count = 20")
+
+
+def test_further_simulations_lie_where_the_rows_lead_and_are_learned_from(tmp_path):
+    """The wave has a period of 0.25 mm in depth: 20 points over 0.5 mm do not tell its shape."""
+    (tmp_path / "coarse").mkdir()
+    (tmp_path / "refined").mkdir()
+    coarse, _ = _identify(tmp_path / "coarse", CURVED)
+    refined, _ = _identify(tmp_path / "refined", CURVED.replace("= 20", "= 20\nrefine = 16"))
+    table = read_table(tmp_path / "refined" / "out" / "studies" / "ball_refined")
+    assert len(table.rows) == 16
+    thickness = np.array([row["thickness"] for row in table.rows])
+    assert abs(thickness.mean() - 0.3) < 0.02
+    assert thickness.std() < 0.03  # of 0.7 mm
+    for row in table.rows:
+        assert row["depth"] == pytest.approx(0.45, abs=0.26)
+    at = refined.best.posterior.places
+    errors = [one.best.emulators["height"].predict(at)[1].mean() for one in (coarse, refined)]
+    assert errors[1] < 0.7 * errors[0]
+    assert refined.best.emulators["radius"].known.shape[0] == 36
+
+
 def test_same_results_after_a_resume_and_with_two_workers(tmp_path):
     (tmp_path / "one").mkdir()
     (tmp_path / "two").mkdir()
-    first, _ = _identify(tmp_path / "one")
-    again, _ = _identify(tmp_path / "one")
-    beside, _ = _identify(tmp_path / "two", workers=2)
+    text = CURVED.replace("= 20", "= 20\nrefine = 8")
+    first, _ = _identify(tmp_path / "one", text)
+    again, _ = _identify(tmp_path / "one", text)
+    beside, _ = _identify(tmp_path / "two", text, workers=2)
     assert figures_of(first) == figures_of(again) == figures_of(beside)
 
 

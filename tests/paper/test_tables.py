@@ -12,6 +12,8 @@ from twin.paper.claims import claims_of
 from twin.paper.plan import CONTACT_FPP, FIT, GELSIGHT, WIDTH
 from twin.paper.rod_table import hardness_table, rods_table
 from twin.paper.sphere_tables import (
+    IDENTIFIED,
+    OWN,
     calibration_uncertainty,
     repeated_fit_table,
     sphere_fit_table,
@@ -40,10 +42,13 @@ def fringe_trials(rmse=0.012):
 
 
 def colour_trials(rmse=0.09):
-    trials = fringe_trials(rmse)
+    """As fringe trials, but without a drawn rig; over the footprint ten times the RMSE."""
+    trials = fringe_trials(rmse / 10)
     for trial in trials:
         for ball in (1, 2):
-            del trial.figures[f"true_rig_sphere_{ball}_{FIT}radius_mm"]
+            trial.figures[f"sphere_{ball}_within_4_rmse_mm"] = rmse
+            radius = trial.figures.pop(f"true_rig_sphere_{ball}_{FIT}radius_mm")
+            trial.figures[f"sphere_{ball}_within_4_radius_mm"] = radius
     radii = {f"calibration_{k}_sphere_1_{FIT}radius_mm": 4.0 + 0.01 * k for k in range(5)}
     trials[0].figures.update(radii)
     return trials
@@ -77,19 +82,39 @@ def test_budget_is_the_root_sum_of_squares_times_two():
 
 def test_calibration_of_colours_is_the_spread_over_calibrations():
     expected = np.std(4.0 + 0.01 * np.arange(5), ddof=1)
-    assert calibration_uncertainty(colour_trials(), 1) == pytest.approx(expected)
+    assert calibration_uncertainty(colour_trials(), f"sphere_1_{FIT}radius_mm") == pytest.approx(
+        expected
+    )
+
+
+CONTACT_RMSE = "contact-FPP: RMSE of the sphere fit, region as identified"
+RATIO = "RMSE, GelSight over contact-FPP, each with its region"
 
 
 def test_claims_are_judged_by_the_tables():
     both = {CONTACT_FPP: fringe_trials(0.012), GELSIGHT: colour_trials(0.09)}
     claims = {one.name: one for one in claims_of({"repeated_fit": repeated_fit_table(both)})}
-    assert claims["contact-FPP: RMSE of the sphere fit"].met
-    assert claims["RMSE, GelSight over contact-FPP"].found == pytest.approx(7.5)
+    assert claims[CONTACT_RMSE].met
+    assert claims[
+        "GelSight: RMSE of the sphere fit, region the balls' footprint"
+    ].found == pytest.approx(0.09)
+    assert claims[RATIO].found == pytest.approx(7.5)
     worse = {CONTACT_FPP: fringe_trials(0.03), GELSIGHT: colour_trials(0.09)}
     missed = {one.name: one for one in claims_of({"repeated_fit": repeated_fit_table(worse)})}
-    assert not missed["contact-FPP: RMSE of the sphere fit"].met
-    assert missed["contact-FPP: RMSE of the sphere fit"].why
-    assert not missed["RMSE, GelSight over contact-FPP"].met
+    assert not missed[CONTACT_RMSE].met
+    assert missed[CONTACT_RMSE].why
+    assert not missed[RATIO].met
+
+
+def test_gelsight_is_read_with_both_regions():
+    table = repeated_fit_table({GELSIGHT: colour_trials(0.09)})
+    rows = [row for row in table.rows if row["source"] == "twin" and row["trials"] == 6]
+    assert [(row["sphere"], row["region"], round(row["rmse"], 6)) for row in rows] == [
+        (1, OWN, 0.09),
+        (1, IDENTIFIED, 0.009),
+        (2, OWN, 0.09),
+        (2, IDENTIFIED, 0.009),
+    ]
 
 
 def test_rods_that_show_no_crest_are_counted():
@@ -178,4 +203,4 @@ def test_the_nominal_trial_has_no_part_in_u_cal():
     for name in list(some[0].figures):
         if name.startswith("true_rig_"):
             some[0].figures[name.removeprefix("true_rig_")] = some[0].figures[name]
-    assert calibration_uncertainty(some, 1) == pytest.approx(0.002)
+    assert calibration_uncertainty(some, f"sphere_1_{FIT}radius_mm") == pytest.approx(0.002)

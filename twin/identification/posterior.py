@@ -131,9 +131,7 @@ class Likelihood:
         return np.asarray(loadings @ loadings.transpose(0, 2, 1) + own)
 
 
-def _each_once(
-    emulators: Sequence[Emulator], ask: Callable[[Emulator], _Told]
-) -> list[_Told]:
+def _each_once(emulators: Sequence[Emulator], ask: Callable[[Emulator], _Told]) -> list[_Told]:
     """Return what each emulator tells; rows of one figure share theirs."""
     told = {id(one): one for one in emulators}
     answers = {key: ask(one) for key, one in told.items()}

@@ -192,23 +192,24 @@ def identify(
     MissingBackend
         No usable Dr.Jit backend.
     """
-    measured = {"watch": watch, "make_measurer": make_measurer}
-    found = simulate(problem, experiments, folder, workers, inputs=inputs, **measured)
+    run = partial(simulate, watch=watch, make_measurer=make_measurer, inputs=inputs)
+    again = partial(refine, watch=watch, make_measurer=make_measurer)
+    found = run(problem, experiments, folder, workers)
     with lasting(workers) as kept:
         if any(problem.refined(name) for name in problem.experiments):
             first = infer(problem, found, watch, kept, longest=_FIRST_STEPS)
-            again = _places_again(first, found)
-            found = refine(problem, experiments, folder, kept, found, again, **measured)
+            further = again(problem, experiments, folder, kept, _places_again(first))
+            found |= {one: found[one].with_further(more) for one, more in further.items()}
         return infer(problem, found, watch, kept)
 
 
-def _places_again(first: Identified, simulated: Mapping[Variant, Simulated]) -> dict[Variant, Any]:
+def _places_again(first: Identified) -> dict[Variant, FloatArray]:
     """Draw places (point, free field) from what the rows leave, by the variants that matter.
 
-    Those are the ones of the choices that together have all but 1 % of the probability.
+    Those are fitted under the choices of which none is less probable than 1 %.
     """
     problem, rng = first.problem, np.random.default_rng(first.seed)
-    drawn: dict[Variant, Any] = {}
+    drawn: dict[Variant, FloatArray] = {}
     for model in first.models:
         if model.probability < _IMPROBABLE:
             continue
@@ -217,7 +218,7 @@ def _places_again(first: Identified, simulated: Mapping[Variant, Simulated]) -> 
             variant, count = variant_for(problem, name, model.combination), problem.refined(name)
             if count and variant not in drawn:
                 drawn[variant] = rng.choice(model.posterior.places, count, replace=False)
-    return {variant: drawn[variant] for variant in simulated if variant in drawn}
+    return drawn
 
 
 def infer(
@@ -299,7 +300,7 @@ def _keys(problem: SensorProblem, combination: Mapping[str, str]) -> dict[tuple[
 def _emulators(
     problem: SensorProblem, combination: Mapping[str, str], learned: Mapping[_Key, Emulator]
 ) -> tuple[dict[str, Emulator], dict[str, Emulator]]:
-    """Return the emulators of all rows' figures, and of the scatter of those with `realisations`."""
+    """Return the emulators of all rows' figures, and of the scatter where a row has one."""
     keys = _keys(problem, combination)
     figures = {name: learned[key] for (name, of_scatter), key in keys.items() if not of_scatter}
     return figures, {name: learned[key] for (name, scatter), key in keys.items() if scatter}

@@ -160,6 +160,11 @@ class Simulated:
             raise InputError(f"{where}: found in no simulation, allowed {self._known()}")
         return Sample(where, places, figures, parts[0][1], learned_as, simulation)
 
+    def with_further(self, further: "Simulated") -> "Simulated":
+        """Return these simulations and further ones of the same variant."""
+        places = np.concatenate((self.places, further.places))
+        return replace(self, places=places, rows=self.rows + further.rows)
+
     def _named(
         self, names: tuple[str, ...]
     ) -> Iterator[tuple[FloatArray, tuple[int, ...], tuple[str, ...]]]:
@@ -279,38 +284,32 @@ def refine(
     experiments: Mapping[str, Experiment],
     folder: Path,
     workers: Workers,
-    simulated: Mapping[Variant, Simulated],
     places: Mapping[Variant, FloatArray],
     *,
     watch: ProgressCallback = no_progress,
     make_measurer: Callable[[tuple[str, ...]], Measurer] = CaseMeasurer,
 ) -> dict[Variant, Simulated]:
-    """Run further simulations, in stores of their own, and return them with those before.
+    """Run further simulations, in stores of their own.
 
     Parameters
     ----------
-    places : (point, free field) shares of the axes, by the variants that are simulated again
+    places : (point, free field) shares of the axes, by variant
 
     Raises
     ------
     ConfigError, InputError, MissingBackend
         As `simulate`.
     """
-    found = dict(simulated)
+    found = {}
     for number, (variant, at) in enumerate(places.items()):
         record = record_of(problem, experiments[variant.experiment], variant, "_refined")
-        axes, shares = record.study.axis, at[:, list(simulated[variant].columns)]
-        points = tuple(point_at(axes, row) for row in shares)
+        columns = [list(problem.free).index(n) for n in problem.simulated_in(variant.experiment)]
+        points = tuple(point_at(record.study.axis, row) for row in at[:, columns])
         store = folder / STUDIES_FOLDER / record.study.name
         part = partial(_part, watch, number, len(places))
         there = replace(record, points=points)
         sweep(there, store, workers, watch=part, make_measurer=make_measurer)
-        further = _read(problem, variant, store, shares)
-        found[variant] = replace(
-            found[variant],
-            places=np.concatenate((found[variant].places, further.places)),
-            rows=found[variant].rows + further.rows,
-        )
+        found[variant] = _read(problem, variant, store, at[:, columns])
     return found
 
 

@@ -15,6 +15,8 @@ from twin.config.methods import Method
 CONTACT_FPP, GELSIGHT = "contact-FPP", "GelSight"
 METHODS = (GELSIGHT, CONTACT_FPP)
 NOMINAL_RADIUS_MM = 4.0
+FOOTPRINT_MM = 4.0
+"""Region of a sphere fit over all of a ball."""
 
 BALLS, NUT = "two_balls", "nut"
 

@@ -7,7 +7,7 @@ from typing import Any
 
 from twin.config import Experiment
 from twin.config.inputs import Group, Input, Inputs, load_inputs
-from twin.paper.plan import identified
+from twin.paper.plan import FOOTPRINT_MM, identified
 from twin.pipeline.comparison import PhotometricPlan, case_for
 from twin.results.decoders import DecodedImage
 from twin.results.record import Measurement
@@ -78,6 +78,7 @@ def plan_of(trial: int) -> PhotometricPlan:
     """Return sensor and decoder of a trial; its reference presses are one of five sets."""
     seed = inputs().seed + trial % CALIBRATIONS
     settings: dict[str, Any] = {**PAPER_DECODER, "seed": seed}
+    settings["score.regions_mm"] = [FOOTPRINT_MM]
     # The z stage goes as far: a thin sheet gives way at forces that a gel on a window hardly feels.
     return PhotometricPlan(settings=settings, match="depth")
 
