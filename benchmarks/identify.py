@@ -4,8 +4,8 @@
 priors, are measured by the whole chain: pressed, rendered, exposed, decoded, fitted. Their radius,
 relief and force, moved by the rows' own noise, are given to `twin identify`, which learned the same
 chain from other simulations. 68 and 95 % intervals must cover the hidden values so often: the three
-of a sensor lie in or out together, so 120 sensors tell the shares to 4 and 2 %. Then the relief alone is given, of hardness
-and travel: their trade-off must be told as a ridge.
+of a sensor lie in or out together, so 120 sensors tell the shares to 4 and 2 %. Then the relief
+alone is given, of hardness and travel: their trade-off must be told as a ridge.
 
 Last, the paper: its problem is identified (--quick: a third of the simulations; --kept FOLDER goes
 on from what an earlier run simulated), and its rows counted that the twin meets: fitted ones within
