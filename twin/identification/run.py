@@ -206,14 +206,14 @@ def identify(
 def _places_again(first: Identified) -> dict[Variant, FloatArray]:
     """Draw places (point, free field) from what the rows leave, by the variants that matter.
 
-    Those are fitted under the choices of which none is less probable than 1 %.
+    Those have rows, fitted or not, under the choices of which none is less probable than 1 %.
     """
     problem, rng = first.problem, np.random.default_rng(first.seed)
     drawn: dict[Variant, FloatArray] = {}
     for model in first.models:
         if model.probability < _IMPROBABLE:
             continue
-        for row in problem.fitted.values():
+        for row in problem.rows.values():
             name = problem.experiment_of(row, model.combination)
             variant, count = variant_for(problem, name, model.combination), problem.refined(name)
             if count and variant not in drawn:
