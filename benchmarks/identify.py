@@ -33,7 +33,8 @@ from twin.config import load_experiment
 from twin.config.problem import SensorProblem, load_problem
 from twin.config.study import Sampling
 from twin.identification.findings import Marginal
-from twin.identification.run import Identified, identify, infer
+from twin.identification.known import Identified
+from twin.identification.run import identify, infer
 from twin.identification.simulations import Simulated, Variant, record_of, simulate
 from twin.study.record import StudyRecord
 from twin.study.sweep import sweep

@@ -8,7 +8,8 @@ import pytest
 from tests.identification.sensors import NOISE_MM, Formula
 from twin.config import ConfigError
 from twin.config.problem import load_problem
-from twin.identification.run import experiments_at_best, figures_of, identify, infer
+from twin.identification.record import experiments_at_best, figures_of
+from twin.identification.run import identify, infer
 from twin.identification.simulations import record_of, simulate, variants_of
 from twin.study.table import read_table
 from twin.study.workers import local_workers

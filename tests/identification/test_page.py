@@ -14,6 +14,7 @@ from twin.cli import run as command
 from twin.config import load_experiment
 from twin.identification import run as identification
 from twin.identification import simulations
+from twin.identification.findings import Ridge
 from twin.report.identified import ridge_words
 
 ROWS = """
@@ -104,7 +105,7 @@ def test_it_goes_on_in_its_own_folder_and_not_in_anothers(folder, tmp_path, caps
 
 
 def test_a_ridge_is_told_in_words():
-    product = identification.Ridge({"thickness": 0.7, "travel": 0.7}, 1e-3, 0.4)
-    ratio = identification.Ridge({"thickness": 0.7, "travel": -0.7}, 1e-3, 0.4)
+    product = Ridge({"thickness": 0.7, "travel": 0.7}, 1e-3, 0.4)
+    ratio = Ridge({"thickness": 0.7, "travel": -0.7}, 1e-3, 0.4)
     assert ridge_words(product) == "thickness up with travel down changes no row"
     assert ridge_words(ratio) == "thickness up with travel up changes no row"

@@ -29,7 +29,7 @@ def identify(
         A third of the simulations: wider intervals, for a first look.
     """
     from twin.config.problem import load_problem
-    from twin.identification.run import COMMAND, WRITTEN, write_identified
+    from twin.identification.record import COMMAND, WRITTEN, write_identified
     from twin.identification.run import identify as find
     from twin.identification.summary import SUMMARY_FILE, write_summary
     from twin.output import adding, alone_in, claim

@@ -19,7 +19,8 @@ import tomli_w
 
 from reconstruction.arrays import FloatArray
 from twin.identification.findings import Prediction
-from twin.identification.run import Identified, identified_values
+from twin.identification.known import Identified
+from twin.identification.record import identified_values
 
 SUMMARY_FILE = "identified.toml"
 DRAWS = 64

@@ -75,6 +75,8 @@ def identified_rows_table(trials: Mapping[str, Sequence[Trial]]) -> Table:
             "scatter": one["scatter"],
             "twin": one["twin"],
             "twin_sd": one["twin_sd"],
+            "any_coat": one["any_coat"],
+            "any_coat_sd": one["any_coat_sd"],
             "steps": one["steps"],
             "within": "1 SD" if near <= 1.0 else "2 SD" if near <= 2.0 else "unexplained",
         }
@@ -86,6 +88,8 @@ def identified_rows_table(trials: Mapping[str, Sequence[Trial]]) -> Table:
         Column("scatter", "SD of one measurement", 4),
         Column("twin", "twin, identified", 4),
         Column("twin_sd", "SD", 4),
+        Column("any_coat", "with any coat", 4),
+        Column("any_coat_sd", "SD", 4),
         Column("steps", "paper minus twin, in the paper's SD", 2),
         Column("within", "within the paper's"),
         Column("trials_mean", "trials: mean", 4),
@@ -93,8 +97,10 @@ def identified_rows_table(trials: Mapping[str, Sequence[Trial]]) -> Table:
         Column("refused", "refused"),
     )
     notes = (
-        "SD of the identified twin: unknown fields, scale errors, emulator. Rows that are "
-        "predicted took no part in finding the fields.",
+        "Identified: given the fitted rows, with what these tell of scale errors and of the coat "
+        "that a ball met in all trials. With any coat: another sensor of the same fields. SD: "
+        "unknown fields, scale errors, coat, emulator. Rows that are predicted took no part in "
+        "finding the fields.",
         "Refused: trials whose drawn sheet holds less than the drawn pressure, left out.",
     )
     return Table("identified", "Every row of the paper's tables", "", columns, tuple(rows), notes)

@@ -12,7 +12,7 @@ from matplotlib.ticker import NullLocator
 from reconstruction.arrays import FloatArray
 from twin.config.problem import Free
 from twin.identification.findings import Marginal, Prediction, Ridge
-from twin.identification.run import Identified
+from twin.identification.known import Identified
 from twin.pipeline.progress import ProgressCallback, no_progress
 from twin.report.canvas import (
     FAINT,
@@ -226,6 +226,8 @@ def _rows(found: Identified) -> list[Block]:
         Column("measured_sd", "± (1 sd)", 4),
         Column("twin", "twin", 4),
         Column("twin_sd", "± (1 sd) ", 4),
+        Column("any_coat", "with any coat", 4),
+        Column("any_coat_sd", "± (1 sd)  ", 4),
         Column("steps", "difference over the scatter of one measurement", 2),
         Column("deviation", "normalised difference", 2),
         Column("rotated", "when held out", 2),
@@ -239,6 +241,8 @@ def _rows(found: Identified) -> list[Block]:
             "measured_sd": one.sd,
             "twin": one.twin.mean,
             "twin_sd": one.twin.sd,
+            "any_coat": one.any_coat.mean,
+            "any_coat_sd": one.any_coat.sd,
             "steps": one.steps,
             "deviation": one.deviation,
             "rotated": rotated[one.row].deviation if one.row in rotated else None,
@@ -249,9 +253,9 @@ def _rows(found: Identified) -> list[Block]:
     figure = Figure(
         "rows",
         "",
-        "Measured minus predicted over the standard deviation of the difference (measurement, "
-        "unknown fields, nuisances, discrepancy, emulator). Filled: fitted, open: held out. The "
-        "band is two standard deviations.",
+        "Measured minus predicted with any coat, over the standard deviation of the difference "
+        "(measurement, unknown fields, nuisances, discrepancy, coat, emulator). Filled: fitted, "
+        "open: held out. The band is two standard deviations.",
         "Normalised difference of every row",
         partial(draw_rows, found),
     )

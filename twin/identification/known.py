@@ -1,0 +1,114 @@
+"""What is known of a sensor: every combination of choices with its posterior, and what they say."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from reconstruction.arrays import FloatArray
+from twin.config.problem import SensorProblem
+from twin.identification.emulator import Emulator
+from twin.identification.findings import (
+    Marginal,
+    Prediction,
+    PriorShift,
+    Ridge,
+    Worth,
+    interval_of,
+    prior_shifts,
+    ridges,
+    undetermined,
+    worth_of,
+)
+from twin.identification.posterior import Posterior, likelihood_of, profile
+
+
+@dataclass(frozen=True, eq=False)
+class SensorModel:
+    """The sensor under one combination of choices.
+
+    Attributes
+    ----------
+    combination : choice by alternative
+    prior, probability : of the combination, before and after the fitted rows
+    emulators : by row, of `rows` and `worth`
+    scatters : of the figures over the repeats, by the rows with `realisations`
+    rotated : by held-out row, its prediction when the other rows are fitted; of the most probable
+        model alone
+    """
+
+    combination: Mapping[str, str]
+    prior: float
+    probability: float
+    emulators: Mapping[str, Emulator]
+    scatters: Mapping[str, Emulator]
+    posterior: Posterior
+    predictions: tuple[Prediction, ...]
+    rotated: Mapping[str, Prediction]
+
+
+@dataclass(frozen=True, eq=False)
+class Identified:
+    """What is known of a sensor; models with the most probable first."""
+
+    problem: SensorProblem
+    models: tuple[SensorModel, ...]
+    seed: int
+
+    @property
+    def best(self) -> SensorModel:
+        """The most probable model."""
+        return self.models[0]
+
+    @cached_property
+    def values(self) -> FloatArray:
+        """(sample, free field) over all models, each with its share of the samples."""
+        return mixed([one.posterior.values for one in self.models], self._weights, self.seed)
+
+    @property
+    def _weights(self) -> list[float]:
+        return [one.probability for one in self.models]
+
+    def intervals(self) -> dict[str, Marginal]:
+        """Return the intervals of the free fields, in their own units, by name."""
+        return {n: interval_of(v) for n, v in zip(self.problem.free, self.values.T, strict=True)}
+
+    def ridges(self) -> list[Ridge]:
+        """Return what the most probable model's rows cannot take apart."""
+        return ridges(self.best.posterior)
+
+    def undetermined(self) -> list[str]:
+        """Return the fields of which the rows say little."""
+        return undetermined(self.best.posterior)
+
+    def worth(self) -> list[Worth]:
+        """Return what each measurement of `worth` would decide."""
+        candidates = likelihood_of(
+            self.problem, self.problem.worth, self.best.emulators, self.best.scatters
+        )
+        return worth_of(self.best.posterior, candidates, self.seed)
+
+    def prior_shifts(self) -> list[PriorShift]:
+        """Return what each field's prior does to the conclusions."""
+        best = self.best
+        rows = likelihood_of(self.problem, self.problem.rows, best.emulators, best.scatters)
+        posteriors = [one.posterior for one in self.models]
+        return prior_shifts(posteriors, self._weights, rows, self.seed)
+
+    def profiles(self) -> dict[str, tuple[FloatArray, FloatArray]]:
+        """Return the profile of the likelihood by field: its values and log likelihood."""
+        found = {}
+        for number, (name, free) in enumerate(self.problem.free.items()):
+            shares, heights = profile(self.best.posterior, number)
+            found[name] = free.value(shares), heights
+        return found
+
+
+def mixed(samples: list[FloatArray], weights: list[float], seed: int) -> FloatArray:
+    """Draw from the models' samples, each with its weight."""
+    rng = np.random.default_rng(seed)
+    count = min(len(one) for one in samples)
+    shares = rng.multinomial(count, np.array(weights) / sum(weights))
+    drawn = [one[rng.choice(len(one), n)] for one, n in zip(samples, shares, strict=True)]
+    return np.concatenate(drawn)
