@@ -16,7 +16,13 @@ from reconstruction.capture.folder import Capture
 from reconstruction.colouring import Deviation
 from reconstruction.decoding.decode import AxisDecode, Decoded, DecodeOptions, decode
 from reconstruction.errors import CaptureError, InputError, one_line
-from reconstruction.machine import PIXELS, pixel_coordinates, read_dataset, write_dataset
+from reconstruction.netcdf import (
+    PIXELS,
+    LabelledArrays,
+    pixel_coordinates,
+    read_dataset,
+    write_arrays,
+)
 from reconstruction.patterns import AXES
 from reconstruction.triangulation import EpipolarTolerance, PointMap, Use, triangulate
 
@@ -84,7 +90,7 @@ class Reconstruction:
 
     def to_xarray(self) -> "xarray.Dataset":
         """Return all maps over camera row and column, as reconstruction.nc holds them."""
-        return reconstruction_dataset(self.decoded, self.point_map)
+        return reconstruction_arrays(self.decoded, self.point_map).to_xarray()
 
 
 def reconstruct(capture: Capture, options: ReconstructOptions | None = None) -> Reconstruction:
@@ -244,25 +250,23 @@ def write_point_map_ply(
 
 def write_reconstruction(path: Path | str, decoded: Decoded, point_map: PointMap) -> None:
     """Write all maps of a reconstruction as netCDF-4, one (row, col) variable each."""
-    write_dataset(path, reconstruction_dataset(decoded, point_map))
+    write_arrays(path, reconstruction_arrays(decoded, point_map))
 
 
 def write_decoded(path: Path | str, decoded: Decoded) -> None:
     """Write the projector coordinates of a capture as netCDF-4, one (row, col) variable each."""
     maps = {"mask_reason": decoded.mask_reason} | _decoded_variables(decoded)
-    write_dataset(path, _dataset(maps, {"frame": "projector: integer = centre of a pixel"}))
+    write_arrays(path, _labelled(maps, {"frame": "projector: integer = centre of a pixel"}))
 
 
-def reconstruction_dataset(decoded: Decoded, point_map: PointMap) -> "xarray.Dataset":
+def reconstruction_arrays(decoded: Decoded, point_map: PointMap) -> LabelledArrays:
     """Return all maps over camera row and column, with units and long names."""
     frame = "world: z = 0 is the undeformed coated face, z up; row 0 at the top"
     pose = point_map.T_world_from_cam.ravel()
-    return _dataset(_variables(decoded, point_map), {"frame": frame, POSE: pose})
+    return _labelled(_variables(decoded, point_map), {"frame": frame, POSE: pose})
 
 
-def _dataset(maps: Maps, attributes: dict[str, Any]) -> "xarray.Dataset":
-    import xarray
-
+def _labelled(maps: Maps, attributes: dict[str, Any]) -> LabelledArrays:
     told: dict[str, dict[str, Any]] = {}
     for name in maps:
         units = UNITS.get(name.rsplit("_", 1)[-1], "1")
@@ -272,7 +276,7 @@ def _dataset(maps: Maps, attributes: dict[str, Any]) -> "xarray.Dataset":
         flag_values=np.array([int(reason) for reason in Reason], np.uint8),
         flag_meanings=" ".join(reason.name for reason in Reason),
     )
-    return xarray.Dataset(
+    return LabelledArrays(
         {name: (PIXELS, values, told[name]) for name, values in maps.items()},
         coords=pixel_coordinates(*maps["mask_reason"].shape),
         attrs=attributes,

@@ -28,7 +28,7 @@ from reconstruction.capture.frame_order import check_order
 from reconstruction.capture.frame_set import is_frame_set
 from reconstruction.capture.image_files import find_frames, read_frames, read_image_set
 from reconstruction.errors import CaptureError, InputError, few, one_line, require_integer
-from reconstruction.machine import read_dataset, write_dataset
+from reconstruction.netcdf import LabelledArrays, read_dataset, write_arrays
 from reconstruction.patterns import PatternSet
 from reconstruction.reading import is_regular
 from reconstruction.rig.calibration import Calibration, read_calibration, write_calibration
@@ -220,14 +220,11 @@ def find_capture(folder: Path | str) -> Path:
 
 def write_stack(path: Path, stack: Stack, patterns: PatternSet) -> None:
     """Write a (frame, row, col) uint8, uint16 or float32 stack and the names of its frames."""
-    import xarray
-
     told = {"units": "DN", "long_name": "camera frames"}
     names = np.array([frame.name for frame in patterns.frames], dtype=object)
-    # A frame is one run of bytes in the file; chunks of one frame each take ten times as long.
-    whole = {"contiguous": True}
-    frames = xarray.Variable(DIMENSIONS, stack, told, whole)
-    write_dataset(path, xarray.Dataset({STACK: frames, NAMES: ("frame", names)}))
+    write_arrays(
+        path, LabelledArrays({STACK: (DIMENSIONS, stack, told), NAMES: ("frame", names, {})})
+    )
 
 
 def read_stack(path: Path, patterns: PatternSet, shape: tuple[int, int]) -> Stack:

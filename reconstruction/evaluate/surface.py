@@ -17,7 +17,8 @@ from reconstruction.arrays import BoolImage, FloatArray, FloatImage, Levels
 from reconstruction.cells import cell_means
 from reconstruction.colouring import Deviation
 from reconstruction.errors import InputError
-from reconstruction.machine import run_side_by_side, write_dataset, write_exr_channels
+from reconstruction.machine import run_side_by_side, write_exr_channels
+from reconstruction.netcdf import LabelledArrays, write_arrays
 from reconstruction.pipeline import write_point_map_ply
 from reconstruction.triangulation import PointMap
 
@@ -88,11 +89,9 @@ def _typical_distance_mm(points: PointMap) -> float:
 
 def write_height_netcdf(path: Path, heights: HeightGrid) -> None:
     """Write as netCDF-4 with coordinates x and y, mm."""
-    import xarray
-
     told = {"units": "mm", "long_name": "mean world z of the points in the cell"}
     valid = {"units": "1", "long_name": "1 where there is a height"}
-    dataset = xarray.Dataset(
+    arrays = LabelledArrays(
         {
             "z_mm": (("y", "x"), heights.z_mm, told),
             "valid": (("y", "x"), heights.valid.astype(np.uint8), valid),
@@ -103,7 +102,7 @@ def write_height_netcdf(path: Path, heights: HeightGrid) -> None:
         },
         attrs={"Conventions": "CF-1.8"},
     )
-    write_dataset(path, dataset)
+    write_arrays(path, arrays)
 
 
 def write_height_png(path: Path, heights: HeightGrid) -> None:

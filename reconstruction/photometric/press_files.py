@@ -5,14 +5,20 @@ One calibration serves all presses of a description.
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 
 from reconstruction.arrays import Levels, PhotometricReason
 from reconstruction.errors import CaptureError, InputError, one_line
-from reconstruction.machine import PIXELS, pixel_coordinates, write_dataset
+from reconstruction.netcdf import (
+    PIXELS,
+    Labelled,
+    LabelledArrays,
+    pixel_coordinates,
+    write_arrays,
+)
 from reconstruction.photometric.calibration_ball import BallPress
 from reconstruction.photometric.images import mean_background
 from reconstruction.photometric.press_description import (
@@ -36,7 +42,7 @@ from reconstruction.pipeline import read_maps, write_ply
 from reconstruction.reading import MOST_IMAGE_BYTES, read_bytes
 
 if TYPE_CHECKING:
-    import xarray
+    pass
 
 SLOPES = ("slope_row", "slope_col")
 
@@ -213,15 +219,13 @@ def framed(image: Levels, frame: Framing) -> Levels:
 
 def write_height_map(path: Path | str, height_map: HeightMap) -> None:
     """Write height, slopes and reason codes as netCDF-4, one (row, col) variable each."""
-    write_dataset(path, height_dataset(height_map))
+    write_arrays(path, height_arrays(height_map))
 
 
-def height_dataset(height_map: HeightMap) -> "xarray.Dataset":
+def height_arrays(height_map: HeightMap) -> LabelledArrays:
     """Return height, slopes and reason codes over image row and column, with units."""
-    import xarray
-
     told = ("slope of the surface down the rows", "slope of the surface along the columns")
-    variables: dict[str, Any] = {
+    variables: dict[str, Labelled] = {
         name: (PIXELS, values, {"units": "1", "long_name": long_name})
         for name, values, long_name in zip(SLOPES, height_map.slopes, told, strict=True)
     }
@@ -236,7 +240,7 @@ def height_dataset(height_map: HeightMap) -> "xarray.Dataset":
     }
     variables["mask_reason"] = (PIXELS, height_map.mask_reason, codes)
     frame = "row 0 at the top; height is positive towards the camera"
-    return xarray.Dataset(
+    return LabelledArrays(
         variables,
         coords=pixel_coordinates(*height_map.height_mm.shape),
         attrs={"frame": frame, "pitch_mm": height_map.pitch_mm},

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from reconstruction.capture.description import read_manifest
-from reconstruction.machine import read_dataset
+from reconstruction.netcdf import read_dataset
 from reconstruction.reading import read_json
 from twin.cli import run
 

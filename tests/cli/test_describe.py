@@ -14,7 +14,7 @@ import pytest
 from reconstruction.capture.folder import read_capture
 from reconstruction.capture.frame_list import find_listed, read_listed
 from reconstruction.decoding.decode import decode
-from reconstruction.machine import read_dataset
+from reconstruction.netcdf import read_dataset
 from reconstruction.patterns import PatternSet
 from twin.cli import run
 

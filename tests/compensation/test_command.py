@@ -10,7 +10,7 @@ from scipy.interpolate import CubicSpline
 
 from reconstruction.arrays import Reason
 from reconstruction.decoding.decode import AxisDecode, Decoded
-from reconstruction.machine import read_dataset
+from reconstruction.netcdf import read_dataset
 from reconstruction.pipeline import read_reconstruction, write_reconstruction
 from reconstruction.triangulation import PointMap
 from tests.compensation.sheets import RIM_MM, YOUNG_KPA, pressed_ball

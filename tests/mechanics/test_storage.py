@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from reconstruction.machine import write_dataset
+from reconstruction.netcdf import LabelledArrays, write_arrays
 from twin.mechanics import (
     PressedElastomer,
     PressError,
@@ -19,6 +19,7 @@ from twin.mechanics import (
     write_mesh,
     write_press,
 )
+from twin.mechanics.storage import press_arrays
 
 NORMAL = ("nx", "ny", "nz")
 
@@ -61,8 +62,10 @@ def test_a_file_without_coordinates_is_still_read(
     """The second schema had x_mm over a dimension x where there is now a coordinate x."""
     path = tmp_path / "press.nc"
     axes = {"x": "x_mm", "y": "y_mm", "face_x": "face_x_mm", "face_y": "face_y_mm"}
-    data = reference_press.to_xarray().reset_index(list(axes)).reset_coords().rename_vars(axes)
-    write_dataset(path, data.assign_attrs(schema="fringe-twin press 2"))
+    now = press_arrays(reference_press)
+    before = {axes[name]: values for name, values in now.coords.items()}
+    told = {**now.attrs, "schema": "fringe-twin press 2"}
+    write_arrays(path, LabelledArrays({**now.variables, **before}, attrs=told))
     back = read_press(path)
     np.testing.assert_array_equal(back.face_x_mm, reference_press.face_x_mm)
     np.testing.assert_array_equal(back.face_z_mm, reference_press.face_z_mm)

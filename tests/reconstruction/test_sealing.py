@@ -9,17 +9,18 @@ import pytest
 import xarray
 
 from reconstruction import native, sealing
-from reconstruction.machine import read_dataset, write_dataset
+from reconstruction.netcdf import LabelledArrays, read_dataset, write_arrays
 
 
 @pytest.fixture
 def dataset():
     """Texts in the heap, numbers in one run, and a compressed map."""
-    return xarray.Dataset(
+    names = np.array([f"frame {i}" for i in range(50)], dtype=object)
+    return LabelledArrays(
         {
             "height_mm": ("x", np.linspace(0.0, 1.0, 50), {"units": "mm", "long_name": "height"}),
-            "mask": (("row", "col"), np.eye(9, dtype=np.uint8)),
-            "name": ("x", [f"frame {i}" for i in range(50)]),
+            "mask": (("row", "col"), np.eye(9, dtype=np.uint8), {}),
+            "name": ("x", names, {}),
         },
         attrs={"frame": "world", "told": "größer"},
     )
@@ -36,22 +37,22 @@ def impatient(monkeypatch):
 
 
 def test_what_we_wrote_is_read_at_once(tmp_path, dataset, no_child):
-    write_dataset(tmp_path / "x.nc", dataset)
-    xarray.testing.assert_identical(read_dataset(tmp_path / "x.nc"), dataset)
+    write_arrays(tmp_path / "x.nc", dataset)
+    xarray.testing.assert_identical(read_dataset(tmp_path / "x.nc"), dataset.to_xarray())
 
 
 def test_the_seal_lies_where_other_readers_do_not_look(tmp_path, dataset):
-    write_dataset(tmp_path / "x.nc", dataset)
+    write_arrays(tmp_path / "x.nc", dataset)
     with h5py.File(tmp_path / "x.nc") as file:
         assert set(file) == {"height_mm", "mask", "name", "x", "row", "col"}
-        np.testing.assert_array_equal(file["height_mm"], dataset["height_mm"])
+        np.testing.assert_array_equal(file["height_mm"], dataset.variables["height_mm"][1])
 
 
 def test_the_seal_feels_every_byte_but_plain_numbers(tmp_path, dataset):
     path = tmp_path / "x.nc"
-    write_dataset(path, dataset)
+    write_arrays(path, dataset)
     whole = path.read_bytes()
-    numbers = whole.index(dataset["height_mm"].values.tobytes())
+    numbers = whole.index(dataset.variables["height_mm"][1].tobytes())
     inside = range(numbers, numbers + 50 * 8)
     for at in (*range(0, len(whole), 5), len(whole) - 1):
         damaged = bytearray(whole)
@@ -69,7 +70,7 @@ def test_the_seal_feels_every_byte_but_plain_numbers(tmp_path, dataset):
 def test_a_heap_of_zeros_does_not_take_the_reader_along(tmp_path, dataset, impatient, first, last):
     """HDF5 goes round and round an object of no size in the heap that holds texts."""
     path = tmp_path / "x.nc"
-    write_dataset(path, dataset)
+    write_arrays(path, dataset)
     content = bytearray(path.read_bytes())
     heap = content.index(b"GCOL")
     content[heap + first : heap + last] = bytes(last - first)
@@ -122,9 +123,9 @@ def test_what_is_no_netcdf_is_told_in_one_line(tmp_path, content):
 def test_numbers_that_are_not_finite_are_refused(tmp_path, dataset, number):
     """A file with a seal, too: plain numbers are not in it."""
     path = tmp_path / "x.nc"
-    write_dataset(path, dataset)
+    write_arrays(path, dataset)
     content = bytearray(path.read_bytes())
-    at = content.index(dataset["height_mm"].values.tobytes())
+    at = content.index(dataset.variables["height_mm"][1].tobytes())
     content[at : at + 8] = np.float64(number).tobytes()
     path.write_bytes(content)
     assert sealing.is_sealed(path)

@@ -12,11 +12,11 @@
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from reconstruction.machine import write_dataset
+from reconstruction.netcdf import Labelled, LabelledArrays, write_arrays
 from twin.config import Experiment, to_toml, vary
 from twin.config.problem import SensorProblem
 from twin.config.study import without_absent
@@ -25,9 +25,6 @@ from twin.identification.known import Identified
 from twin.identification.simulations import variant_for
 from twin.output import EXPERIMENT_FILE, RESULT_FILE
 from twin.results.parts import write_result
-
-if TYPE_CHECKING:
-    import xarray
 
 COMMAND = "identify"
 POSTERIOR_FILE, EXPERIMENTS_FOLDER = "posterior.nc", "experiments"
@@ -123,22 +120,22 @@ def write_identified(
     for name, one in best.items():
         path = folder / EXPERIMENTS_FOLDER / f"{name}.toml"
         path.write_text(to_toml(one), encoding="utf-8")
-    write_dataset(folder / POSTERIOR_FILE, samples_of(found))
+    write_arrays(folder / POSTERIOR_FILE, samples_of(found))
     write_result(folder, COMMAND, next(iter(best.values())), figures_of(found))
 
 
-def samples_of(found: Identified) -> "xarray.Dataset":
+def samples_of(found: Identified) -> LabelledArrays:
     """Return the samples of the free fields by model, in the fields' own units."""
-    import xarray
-
     count = min(len(one.posterior.z) for one in found.models)
     dims = ("model", "sample")
     by_model = np.stack([one.posterior.values[-count:] for one in found.models])
-    variables = {
+    variables: dict[str, Labelled] = {
         name: (dims, by_model[:, :, i], {"long_name": free.path})
         for i, (name, free) in enumerate(found.problem.free.items())
     }
     names = [", ".join(one.combination.values()) or "only" for one in found.models]
     weights = [one.probability for one in found.models]
-    probability = ("model", weights, {"units": "1", "long_name": "probability given the rows"})
-    return xarray.Dataset(variables | {"probability": probability}, coords={"model": names})
+    told = {"units": "1", "long_name": "probability given the rows"}
+    variables["probability"] = ("model", np.array(weights), told)
+    coords: dict[str, Labelled] = {"model": ("model", np.array(names, dtype=object), {})}
+    return LabelledArrays(variables, coords)

@@ -117,9 +117,9 @@ class PressedElastomer:
 
     def to_xarray(self) -> "xarray.Dataset":
         """Return all fields with coordinates (mm), units and long names, as press.nc holds them."""
-        from twin.mechanics.storage import press_dataset
+        from twin.mechanics.storage import press_arrays
 
-        return press_dataset(self)
+        return press_arrays(self).to_xarray()
 
 
 def press(

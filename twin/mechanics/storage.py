@@ -13,7 +13,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from reconstruction.machine import read_dataset, write_dataset
+from reconstruction.netcdf import Labelled, LabelledArrays, read_dataset, write_arrays
 from twin.config.models import Elastomer, Press
 from twin.mechanics.errors import PressError
 from twin.mechanics.press import PressedElastomer, SheetFields
@@ -32,8 +32,6 @@ _GROUPED = "fringe-twin press 1"
 _AXES = ("x_mm", "y_mm", "face_x_mm", "face_y_mm")
 _VALIDITY = "validity_"
 _FACE = ("face_y", "face_x")
-Labelled = tuple[tuple[str, ...], NDArray[Any], dict[str, str]]
-"""Dimensions, values, units and long name."""
 
 # field: (dimensions, units, long name)
 _VARIABLES: dict[str, tuple[tuple[str, ...], str, str]] = {
@@ -72,18 +70,16 @@ def write_press(path: Path, pressed: PressedElastomer) -> None:
     PressError
         The file cannot be written.
     """
-    dataset = press_dataset(pressed)
+    arrays = press_arrays(pressed)
     with replacing(path, PressError) as part:
-        write_dataset(part, dataset)
+        write_arrays(part, arrays)
 
 
-def press_dataset(pressed: PressedElastomer) -> "xarray.Dataset":
+def press_arrays(pressed: PressedElastomer) -> LabelledArrays:
     """Return all fields over their coordinates x, y (solver cells) and face_x, face_y (nodes), mm.
 
     Figures of `Validity` are attributes.
     """
-    import xarray
-
     variables = {
         name: _labelled(np.asarray(getattr(pressed, name)), *told)
         for name, told in _VARIABLES.items()
@@ -95,7 +91,7 @@ def press_dataset(pressed: PressedElastomer) -> "xarray.Dataset":
     validity = asdict(pressed.validity) | {"warnings": "\n".join(pressed.validity.warnings)}
     told = {_VALIDITY + name: value for name, value in validity.items()}
     attributes = {"Conventions": "CF-1.11", "schema": _SCHEMA, "model": pressed.model}
-    return xarray.Dataset(variables, coords=axes, attrs=attributes | told)
+    return LabelledArrays(variables, axes, attributes | told)
 
 
 def read_press(path: Path) -> PressedElastomer:
@@ -175,11 +171,9 @@ def _labelled(
 
 
 def _write(path: Path, variables: Mapping[str, Labelled], told: Mapping[str, Any]) -> None:
-    import xarray
-
-    dataset = xarray.Dataset(variables, attrs={"Conventions": "CF-1.11", **told})
+    arrays = LabelledArrays(variables, attrs={"Conventions": "CF-1.11", **told})
     with replacing(path, PressError) as part:
-        write_dataset(part, dataset)
+        write_arrays(part, arrays)
 
 
 def _sheet_arrays(sheet: SheetFields | None) -> dict[str, Any]:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import fft, ndimage
 
 from reconstruction.arrays import FloatArray, Reason
@@ -29,7 +30,7 @@ from reconstruction.compensation import (
 )
 from reconstruction.errors import InputError
 from reconstruction.evaluate.surface import write_surface
-from reconstruction.machine import write_dataset
+from reconstruction.netcdf import Labelled, LabelledArrays, write_arrays
 from reconstruction.pipeline import Reconstruction, read_reconstruction, write_reconstruction
 from reconstruction.reading import is_regular
 from reconstruction.triangulation import PointMap
@@ -377,7 +378,7 @@ def _write(target: Path, measured: Reconstruction, found: Compensated) -> None:
     write_reconstruction(target / RECONSTRUCTION_FILE, measured.decoded, points)
     if points.valid.any():
         write_surface(target, points)
-    write_dataset(target / CONTACT_FILE, contact_dataset(found))
+    write_arrays(target / CONTACT_FILE, contact_arrays(found))
 
 
 def object_points(coat: PointMap, found: Compensated) -> PointMap:
@@ -416,12 +417,10 @@ def _at(values: FloatArray, at: list[FloatArray]) -> FloatArray:
     return np.asarray(ndimage.map_coordinates(values, at, order=1, mode="nearest"))
 
 
-def contact_dataset(found: Compensated) -> Any:
-    """Return contact, pressure, thickness and the clear face over world x and y, an xarray set."""
-    import xarray
-
+def contact_arrays(found: Compensated) -> LabelledArrays:
+    """Return contact, pressure, thickness and the clear face over world x and y."""
     clear = found.object_mm
-    maps = {
+    maps: dict[str, tuple[NDArray[Any], str, str]] = {
         "contact": (found.contact.astype(np.uint8), "1", "1 where the object carries the sheet"),
         "measured": (found.relief.measured.astype(np.uint8), "1", "1 where the coat was measured"),
         "coat_z_mm": (found.relief.heights_mm, "mm", "world z of the coat, gaps filled in"),
@@ -434,13 +433,13 @@ def contact_dataset(found: Compensated) -> Any:
         thickness, sigma = found.layer.thickness_mm * found.thinning, found.sigma_thickness_mm
         maps["thickness_mm"] = (thickness, "mm", "local thickness")
         maps["sigma_thickness_mm"] = (sigma, "mm", "standard uncertainty of the local thickness")
-    axes = {
+    axes: dict[str, Labelled] = {
         name: (name, values, {"units": "mm", "long_name": f"world {name} of the cell's middle"})
         for name, values in (("x", found.relief.x_mm), ("y", found.relief.y_mm))
     }
-    told = {
+    told: dict[str, Labelled] = {
         name: (("y", "x"), values, {"units": units, "long_name": long_name})
         for name, (values, units, long_name) in maps.items()
     }
     attributes = {"Conventions": "CF-1.11", "force_n": found.force_n}
-    return xarray.Dataset(told, coords=axes, attrs=attributes)
+    return LabelledArrays(told, axes, attributes)

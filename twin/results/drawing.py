@@ -7,11 +7,9 @@ import numpy as np
 from reconstruction.arrays import Reason
 from reconstruction.drawing import Drawing, draw_cells, draw_section, gridded
 from reconstruction.errors import InputError
-from reconstruction.machine import PIXELS, pixel_coordinates
+from reconstruction.netcdf import PIXELS, Labelled, LabelledArrays, pixel_coordinates
 
 if TYPE_CHECKING:
-    import xarray
-
     from twin.results.record import Measurement
 
 
@@ -46,14 +44,12 @@ def measurement_drawing(measured: "Measurement") -> Drawing:
     return drawing
 
 
-def measurement_dataset(measured: "Measurement") -> "xarray.Dataset":
+def measurement_arrays(measured: "Measurement") -> LabelledArrays:
     """Return the maps of a measurement over camera row and column.
 
     World x and y of each pixel's point are coordinates. Where there is no point, the maps are NaN
     and `mask_reason` says why; files that `twin` writes hold 0 there.
     """
-    import xarray
-
     points, truth = measured.points, measured.truth
     valid = points.valid
     x_mm, y_mm, z_mm = (np.where(valid, points.world_mm[..., axis], np.nan) for axis in range(3))
@@ -74,11 +70,11 @@ def measurement_dataset(measured: "Measurement") -> "xarray.Dataset":
         "flag_meanings": " ".join(reason.name for reason in Reason),
     }
     told = {"units": "1", "long_name": "why a pixel has no point; 0: it has one"} | flags
-    variables = {
+    variables: dict[str, Labelled] = {
         name: (PIXELS, values, {"units": unit, "long_name": text})
         for name, (values, unit, text) in maps.items()
     }
-    return xarray.Dataset(
+    return LabelledArrays(
         variables | {"mask_reason": (PIXELS, points.reason, told)},
         coords=coords,
         attrs={

@@ -9,7 +9,7 @@ import csv
 import io
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import imageio.v3 as imageio
 import numpy as np
@@ -18,12 +18,14 @@ from reconstruction.arrays import FloatArray, FloatImage
 from reconstruction.capture.folder import Capture, write_capture
 from reconstruction.errors import InputError
 from reconstruction.evaluate.fit import SphereFit, fit_sphere
-from reconstruction.machine import (
+from reconstruction.machine import write_exr_channels
+from reconstruction.netcdf import (
     PIXELS,
+    Labelled,
+    LabelledArrays,
     pixel_coordinates,
     read_dataset,
-    write_dataset,
-    write_exr_channels,
+    write_arrays,
 )
 from twin.config import Experiment, digest, to_toml
 from twin.mechanics import (
@@ -41,9 +43,6 @@ from twin.results.figures import Metric, Metrics
 from twin.results.record import Recording
 from twin.results.rods import rod_figures
 from twin.specimens import Sphere, shape_of
-
-if TYPE_CHECKING:
-    import xarray
 
 Progress = Callable[[float], None]
 
@@ -143,13 +142,11 @@ def write_recording(folder: Path, recording: Recording) -> None:
 
 def write_truth(path: Path, truth: Truth) -> None:
     """Write the geometry behind every camera pixel as netCDF-4."""
-    write_dataset(path, truth_dataset(truth))
+    write_arrays(path, truth_arrays(truth))
 
 
-def truth_dataset(truth: Truth) -> "xarray.Dataset":
+def truth_arrays(truth: Truth) -> LabelledArrays:
     """Return the truth as labelled maps over camera row and column, with units."""
-    import xarray
-
     maps = (
         *np.moveaxis(truth.points_world_mm, -1, 0),
         *np.moveaxis(truth.normals_world, -1, 0),
@@ -159,13 +156,11 @@ def truth_dataset(truth: Truth) -> "xarray.Dataset":
         truth.lit.astype(np.uint8),
         truth.measured.astype(np.uint8),
     )
-    variables = {
+    variables: dict[str, Labelled] = {
         name: (PIXELS, values, {"units": units, "long_name": told})
         for (name, (units, told)), values in zip(_TRUTH.items(), maps, strict=True)
     }
-    return xarray.Dataset(
-        variables, coords=pixel_coordinates(*truth.lit.shape), attrs={"frame": _FRAME}
-    )
+    return LabelledArrays(variables, pixel_coordinates(*truth.lit.shape), {"frame": _FRAME})
 
 
 def read_truth(path: Path) -> Truth:

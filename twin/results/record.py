@@ -200,9 +200,9 @@ class Measurement:
 
         World x and y are coordinates; what has no point is NaN, and `mask_reason` says why.
         """
-        from twin.results.drawing import measurement_dataset
+        from twin.results.drawing import measurement_arrays
 
-        return measurement_dataset(self)
+        return measurement_arrays(self).to_xarray()
 
     @cached_property
     def figures(self) -> Figures:

@@ -17,7 +17,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from reconstruction.machine import write_dataset
+from reconstruction.netcdf import Labelled, LabelledArrays, write_arrays
 from twin.config import ConfigError, Experiment, load_experiment
 from twin.config.inputs import DEFAULT_INPUTS, Input, Inputs, load_inputs
 from twin.config.schema import explain
@@ -228,20 +228,16 @@ def write_trials(path: Path, found: Uncertainty) -> None:
 
     A figure that a trial lacks has the missing value.
     """
-    import xarray
-
     rows = [row for row in found.table.rows if row.get(PART) == TRIALS]
     keys = [one.key for one in found.inputs().values()]
     known = dict.fromkeys(name for row in rows for name, v in row.items() if is_number(v))
     names = [*keys, *(name for name in known if name not in keys and name != TRIAL)]
-    variables = {}
+    variables: dict[str, Labelled] = {}
     for name in names:
         values = [row[name] if is_number(row.get(name)) else _ABSENT for row in rows]
         told = "input" if name in keys else "figure of the measurement"
         attributes = {"long_name": told, "missing_value": _ABSENT}
         variables[name] = (TRIAL, np.array(values, np.float64), attributes)
     numbers = np.array([row[TRIAL] for row in rows])
-    write_dataset(
-        path,
-        xarray.Dataset(variables, {TRIAL: (TRIAL, numbers)}, {"description": _TRIALS_TOLD}),
-    )
+    coords: dict[str, Labelled] = {TRIAL: (TRIAL, numbers, {})}
+    write_arrays(path, LabelledArrays(variables, coords, {"description": _TRIALS_TOLD}))

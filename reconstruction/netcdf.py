@@ -1,0 +1,185 @@
+"""Arrays with named dimensions, units and long names, as netCDF-4 files.
+
+They are written through h5netcdf and HDF5 so that a full disk is an ordinary error. HDF5 must not
+be told that a write failed: its file can then be closed no more, and the process ends in a
+segmentation fault. So the bytes go to the disk through Python; after the first failure the rest is
+dropped, and the failure is raised once HDF5 has let go of the file. Which files HDF5 is given to
+read is decided in `sealing`.
+
+What is written needs no xarray, which takes a second to load; what is read is an xarray set.
+"""
+
+import io
+import math
+import os
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from reconstruction.errors import one_line
+from reconstruction.reading import regular_file
+from reconstruction.sealing import require_readable, seal
+
+if TYPE_CHECKING:
+    import xarray
+
+PIXELS = ("row", "col")
+"""Dimensions of maps in camera pixels."""
+
+Labelled = tuple[str | tuple[str, ...], NDArray[Any], Mapping[str, Any]]
+"""An array with its dimensions (one name, or one per axis) and attributes: units, long_name."""
+
+
+@dataclass(frozen=True, eq=False)
+class LabelledArrays:
+    """What one file holds.
+
+    Attributes
+    ----------
+    variables : arrays by name; no bool
+    coords : arrays along a dimension of the same name, likewise
+    attrs : of the whole
+    """
+
+    variables: Mapping[str, Labelled]
+    coords: Mapping[str, Labelled] = field(default_factory=dict)
+    attrs: Mapping[str, Any] = field(default_factory=dict)
+
+    def to_xarray(self) -> "xarray.Dataset":
+        """Return the same as an xarray set."""
+        import xarray
+
+        return xarray.Dataset(self.variables, self.coords, self.attrs)
+
+
+def write_arrays(path: Path | str, arrays: LabelledArrays) -> None:
+    """Write arrays as netCDF-4; an existing file is replaced.
+
+    Maps of whole numbers are compressed: masks, reasons, orders. Maps of measured numbers are not:
+    noise leaves a third of their size, and takes longer to compress than all else. Frames are one
+    run of bytes each: chunks of one frame take ten times as long.
+
+    Raises
+    ------
+    OSError : it cannot be written: the first failure. What was written until then stays there.
+    """
+    import h5netcdf
+
+    with _patient(path) as target:
+        with h5netcdf.File(target, "w") as file:
+            file.attrs.update(arrays.attrs)
+            for name, labelled in {**arrays.variables, **arrays.coords}.items():
+                _write_array(file, name, *labelled)
+        if target.failure is None:
+            seal(target)
+
+
+def _write_array(
+    file: Any,
+    name: str,
+    dims: str | tuple[str, ...],
+    values: NDArray[Any],
+    attrs: Mapping[str, Any],
+) -> None:
+    import h5py
+
+    names = (dims,) if isinstance(dims, str) else dims
+    for dim, size in zip(names, values.shape, strict=True):
+        if dim not in file.dimensions:
+            file.dimensions[dim] = size
+    is_map_of_numbers = values.ndim == 2 and values.dtype.kind in "iu"
+    packed = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
+    made = file.create_variable(
+        name,
+        names,
+        dtype=h5py.string_dtype() if values.dtype == object else values.dtype,
+        **(packed if is_map_of_numbers else {}),
+    )
+    made[...] = values
+    made.attrs.update(attrs)
+
+
+def pixel_coordinates(rows: int, cols: int) -> dict[str, Labelled]:
+    """Return the coordinates of camera pixels: (0, 0) is the first, row 0 the top."""
+    told = {"row": "camera row, from the top", "col": "camera column, from the left"}
+    return {
+        name: (name, np.arange(count, dtype=np.int32), {"units": "1", "long_name": told[name]})
+        for name, count in zip(PIXELS, (rows, cols), strict=True)
+    }
+
+
+def read_dataset(path: Path | str, group: str | None = None) -> "xarray.Dataset":
+    """Read a netCDF-4 file, or a group of it, as it was written, whole.
+
+    Raises
+    ------
+    InputError : it is no file
+    OSError : it is missing, damaged or something else; or a number in it is not finite
+    """
+    import xarray
+
+    # Before a library opens it: reading from a pipe or a device may never end.
+    if (path := Path(path)).exists():
+        require_readable(regular_file(path))
+    try:
+        # Nothing is decoded: a unit such as ms does not make durations.
+        with xarray.open_dataset(path, engine="h5netcdf", group=group, decode_cf=False) as found:
+            _require_finite(found.load())
+            return found
+    except (AttributeError, KeyError, RuntimeError, TypeError, ValueError) as error:
+        raise OSError(f"{path}: is damaged ({one_line(error)})") from error
+
+
+def _require_finite(dataset: "xarray.Dataset") -> None:
+    """Refuse NaN and infinity, which no file of ours holds: masks say what has no value."""
+    with np.errstate(all="ignore"):
+        for name, one in dataset.variables.items():
+            # A sum is finite when all its parts are, and takes no memory.
+            if one.dtype.kind == "f" and not math.isfinite(one.values.sum(dtype=np.float64)):
+                raise ValueError(f"{name} holds numbers that are not finite")
+
+
+@contextmanager
+def _patient(path: Path | str) -> Iterator["_PatientFile"]:
+    with _PatientFile(path) as target:
+        try:
+            yield target
+        except Exception:
+            if target.failure is None:
+                raise
+        if target.failure is not None:
+            raise target.failure
+
+
+class _PatientFile(io.FileIO):
+    """A file that takes everything, and keeps its first failure."""
+
+    failure: OSError | None = None
+
+    def __init__(self, path: Path | str) -> None:
+        super().__init__(path, "w+b")
+
+    def write(self, data: Any, /) -> int:
+        left = memoryview(data).cast("B")
+        size = left.nbytes
+        while left and self.failure is None:
+            try:
+                left = left[super().write(left) :]
+            except OSError as error:
+                self._fail(error)
+        return size
+
+    def truncate(self, size: int | None = None, /) -> int:
+        try:
+            return super().truncate(size)
+        except OSError as error:
+            self._fail(error)
+            return size or 0
+
+    def _fail(self, error: OSError) -> None:
+        self.failure = self.failure or OSError(error.errno, error.strerror, os.fspath(self.name))
