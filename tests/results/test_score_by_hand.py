@@ -196,14 +196,15 @@ def test_a_rod_lies_where_its_pose_says():
 def test_a_section_averages_its_length_in_bins():
     """Bins of 0.05 mm about the middle (1, 2): three points each make a mean, two are a gap.
 
-    Points 1.001 mm along the rod are not in a length of 2 mm, those at 1.0 are.
+    Points 1.001 mm along the rod are not in a length of 2 mm, those at 1.0 are. A mean height lies
+    at the mean of its points' places.
     """
     across = [0.0, 0.01, -0.02, 0.0, 0.05, 0.06, 0.1, 0.1, 0.11]
     along = [0.0, 1.0, -1.0, 1.001, 0.0, 0.0, 0.5, -0.5, 0.0]
     heights = [1.0, 2.0, 6.0, 99.0, 5.0, 5.0, 7.0, 8.0, 9.0]
     points = np.column_stack([np.add(1.0, across), np.add(2.0, along), heights])
     found = section_of(points, 2.0, (1.0, 2.0))
-    np.testing.assert_allclose(found.s_mm, [0.0, 0.1])
+    np.testing.assert_allclose(found.s_mm, [-0.01 / 3, 0.31 / 3], atol=1e-12)
     np.testing.assert_allclose(found.z_mm, [3.0, 8.0])
 
 

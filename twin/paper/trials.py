@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
-from twin.config import Experiment
+from twin.config import Experiment, vary
 from twin.config.inputs import Group, Input, Inputs, load_inputs
 from twin.paper.plan import FOOTPRINT_MM, identified
 from twin.pipeline.comparison import PhotometricPlan, case_for
@@ -78,7 +78,6 @@ def plan_of(trial: int) -> PhotometricPlan:
     """Return sensor and decoder of a trial; its reference presses are one of five sets."""
     seed = inputs().seed + trial % CALIBRATIONS
     settings: dict[str, Any] = {**PAPER_DECODER, "seed": seed}
-    settings["score.regions_mm"] = [FOOTPRINT_MM]
     # The z stage goes as far: a thin sheet gives way at forces that a gel on a window hardly feels.
     return PhotometricPlan(settings=settings, match="depth")
 
@@ -94,6 +93,8 @@ def colour_cases(experiment: Experiment, trials: int) -> list[Case]:
     InputError
         A press of contact-FPP, whose force the sensor shares, fails.
     """
+    # What is scored comes from the experiment, as specimen and load do.
+    experiment = vary(experiment, {"score.regions_mm": [FOOTPRINT_MM]})
     given, found = inputs(), []
     for number in range(trials + 1):
         drawn = draw(experiment, given.inputs, given.seed, number)

@@ -74,11 +74,12 @@ def section_of(
     x, y, z = (points_mm - (*centre_mm, 0.0)).T
     inside = np.abs(y) <= along_mm / 2
     bins = np.round(x[inside] / STEP_MM).astype(int)
-    numbers, where = np.unique(bins, return_inverse=True)
+    where = np.unique(bins, return_inverse=True)[1]
     counts = np.bincount(where)
-    means = np.bincount(where, z[inside]) / counts
+    # A bin of a pixel's width holds columns that lie on one side of its middle.
+    across, means = (np.bincount(where, one[inside]) / counts for one in (x, z))
     full = counts >= _LEAST_IN_BIN
-    return RodSection(numbers[full] * STEP_MM, means[full])
+    return RodSection(across[full], means[full])
 
 
 def middle_of(shape: Shape) -> tuple[float, float]:
