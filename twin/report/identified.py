@@ -170,9 +170,9 @@ def _priors(found: Identified) -> list[Block]:
         Column("towards", "tilted to its"),
         Column("before", "mean before", 4),
         Column("mean", "mean after", 4),
-        Column("row_steps", "change of a row's prediction, at most, over its sd", 2),
-        Column("row", "that row"),
-        Column("probability", "probability of the best choices", 3),
+        Column("row_steps", "largest change, in SD", 2),
+        Column("row", "of the row"),
+        Column("probability", "best choices", 3),
         Column("effective", "samples left", 0, "%"),
     )
     rows: list[Row] = [
@@ -190,7 +190,8 @@ def _priors(found: Identified) -> list[Block]:
     ]
     words = (
         "What the priors do to the conclusions: each is tilted in turn, twice as dense at one end "
-        "and none at the other. Means and predictions of the most probable choices."
+        "and none at the other. Means, the row whose prediction moves most, and the probability of "
+        "the most probable choices."
     )
     return [words, Table("priors", "", "", columns, tuple(rows))]
 
@@ -228,7 +229,7 @@ def _rows(found: Identified) -> list[Block]:
         Column("twin_sd", "± (1 sd) ", 4),
         Column("any_coat", "with any coat", 4),
         Column("any_coat_sd", "± (1 sd)  ", 4),
-        Column("steps", "difference over the scatter of one measurement", 2),
+        Column("steps", "difference, in SD of one", 2),
         Column("deviation", "normalised difference", 2),
         Column("rotated", "when held out", 2),
     )
