@@ -64,25 +64,26 @@ class Likelihood:
         A row differs from its figure by its loadings times independent standard normal latents:
         the error of each emulator, the draw of each coat, each nuisance, each row's discrepancy.
         """
-        at, rows = self.places(z), list(self.rows.values())
-        emulators = [self.emulators[name] for name in self.rows]
-        told = _each_once(emulators, lambda one: one.predict(at))
-        seen = np.array([1.0 if r.statistic == "mean" else r.scatter_share for r in rows])
-        figures = np.stack([mean for mean, _ in told], axis=1) * seen
-        emulated = np.stack([sd for _, sd in told], axis=1) * seen
-        every = np.ones((len(at), 1))
-        nuisances = [
-            sd * every * [row.nuisance.get(name, 0.0) for row in rows]
-            for name, sd in self.nuisance_sd.items()
-        ]
-        discrepancy = every * [row.discrepancy for row in rows]
+        at = self.places(z)
+        figures, emulated = self._figures(at)
+        rows, every = list(self.rows.values()), np.ones((len(at), 1))
         loadings = [
-            _loaded(emulated, list(map(id, emulators))),
+            _loaded(emulated, [id(self.emulators[name]) for name in self.rows]),
             _loaded(self._scatter(at), self._coats()),
-            _loaded(discrepancy, list(self.rows)),
-            *(one[:, :, None] for one in nuisances),
+            _loaded(every * [row.discrepancy for row in rows], list(self.rows)),
         ]
+        for name, sd in self.nuisance_sd.items():
+            changes = sd * every * [row.nuisance.get(name, 0.0) for row in rows]
+            loadings.append(changes[:, :, None])
         return figures, np.concatenate(loadings, axis=2)
+
+    def _figures(self, at: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return figures (n, row) as the rows show them, and the emulators' standard deviation."""
+        told = _each_once([self.emulators[name] for name in self.rows], lambda one: one.predict(at))
+        rows = self.rows.values()
+        shown = [1.0 if one.statistic == "mean" else one.scatter_share for one in rows]
+        means, sds = (np.stack(parts, axis=1) for parts in zip(*told, strict=True))
+        return means * shown, sds * shown
 
     def _scatter(self, at: FloatArray) -> FloatArray:
         """Return (n, row) the standard deviation of what a row's realisations share, or 0."""
