@@ -6,7 +6,7 @@ segmentation fault. So the bytes go to the disk through Python; after the first 
 dropped, and the failure is raised once HDF5 has let go of the file. Which files HDF5 is given to
 read is decided in `sealing`.
 
-What is written needs no xarray, which takes a second to load; what is read is an xarray set.
+Nothing of this needs xarray, which takes a second to load.
 """
 
 import io
@@ -49,6 +49,13 @@ class LabelledArrays:
     variables: Mapping[str, Labelled]
     coords: Mapping[str, Labelled] = field(default_factory=dict)
     attrs: Mapping[str, Any] = field(default_factory=dict)
+
+    def __contains__(self, name: str) -> bool:
+        return name in self.variables or name in self.coords
+
+    def __getitem__(self, name: str) -> NDArray[Any]:
+        """Return the array of this name, or raise KeyError."""
+        return (self.variables[name] if name in self.variables else self.coords[name])[1]
 
     def to_xarray(self) -> "xarray.Dataset":
         """Return the same as an xarray set."""
@@ -113,7 +120,7 @@ def pixel_coordinates(rows: int, cols: int) -> dict[str, Labelled]:
     }
 
 
-def read_dataset(path: Path | str, group: str | None = None) -> "xarray.Dataset":
+def read_arrays(path: Path | str, group: str | None = None) -> LabelledArrays:
     """Read a netCDF-4 file, or a group of it, as it was written, whole.
 
     Raises
@@ -121,26 +128,33 @@ def read_dataset(path: Path | str, group: str | None = None) -> "xarray.Dataset"
     InputError : it is no file
     OSError : it is missing, damaged or something else; or a number in it is not finite
     """
-    import xarray
+    import h5netcdf
 
     # Before a library opens it: reading from a pipe or a device may never end.
     if (path := Path(path)).exists():
         require_readable(regular_file(path))
     try:
-        # Nothing is decoded: a unit such as ms does not make durations.
-        with xarray.open_dataset(path, engine="h5netcdf", group=group, decode_cf=False) as found:
-            _require_finite(found.load())
-            return found
+        with h5netcdf.File(path, "r", decode_vlen_strings=True) as file:
+            node = file if group is None else file[group]
+            found = {
+                name: (one.dimensions, np.asarray(one[...]), dict(one.attrs))
+                for name, one in node.variables.items()
+            }
+            attrs = dict(node.attrs)
+        _require_finite(found)
     except (AttributeError, KeyError, RuntimeError, TypeError, ValueError) as error:
         raise OSError(f"{path}: is damaged ({one_line(error)})") from error
+    coords = {name: one for name, one in found.items() if one[0] == (name,)}
+    others = {name: one for name, one in found.items() if name not in coords}
+    return LabelledArrays(others, coords, attrs)
 
 
-def _require_finite(dataset: "xarray.Dataset") -> None:
+def _require_finite(found: Mapping[str, Labelled]) -> None:
     """Refuse NaN and infinity, which no file of ours holds: masks say what has no value."""
     with np.errstate(all="ignore"):
-        for name, one in dataset.variables.items():
+        for name, (_, values, _) in found.items():
             # A sum is finite when all its parts are, and takes no memory.
-            if one.dtype.kind == "f" and not math.isfinite(one.values.sum(dtype=np.float64)):
+            if values.dtype.kind == "f" and not math.isfinite(values.sum(dtype=np.float64)):
                 raise ValueError(f"{name} holds numbers that are not finite")
 
 

@@ -20,7 +20,7 @@ from reconstruction.netcdf import (
     PIXELS,
     LabelledArrays,
     pixel_coordinates,
-    read_dataset,
+    read_arrays,
     write_arrays,
 )
 from reconstruction.patterns import AXES
@@ -291,7 +291,7 @@ def read_reconstruction(path: Path | str) -> Reconstruction:
     CaptureError : missing or damaged file, or a map is missing
     """
     found = read_maps(path)
-    maps = {str(name): np.asarray(values) for name, values in found.data_vars.items()}
+    maps = {name: values for name, (_, values, _) in found.variables.items()}
     if POSE in found.attrs:
         maps[POSE] = np.asarray(found.attrs[POSE], dtype=np.float64).reshape(4, 4)
     try:
@@ -300,10 +300,10 @@ def read_reconstruction(path: Path | str) -> Reconstruction:
         raise CaptureError(f"{path}: the map {error} is missing") from error
 
 
-def read_maps(path: Path | str) -> "xarray.Dataset":
+def read_maps(path: Path | str) -> LabelledArrays:
     """Read a netCDF-4 file whole, or raise CaptureError."""
     try:
-        return read_dataset(path)
+        return read_arrays(path)
     except OSError as error:
         raise CaptureError(f"{path}: is no complete netCDF-4 file ({one_line(error)})") from error
 

@@ -13,7 +13,7 @@ Or, from a real camera, one image per frame and another kind of capture.toml: se
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -28,15 +28,12 @@ from reconstruction.capture.frame_order import check_order
 from reconstruction.capture.frame_set import is_frame_set
 from reconstruction.capture.image_files import find_frames, read_frames, read_image_set
 from reconstruction.errors import CaptureError, InputError, few, one_line, require_integer
-from reconstruction.netcdf import LabelledArrays, read_dataset, write_arrays
+from reconstruction.netcdf import LabelledArrays, read_arrays, write_arrays
 from reconstruction.patterns import PatternSet
 from reconstruction.reading import is_regular
 from reconstruction.rig.calibration import Calibration, read_calibration, write_calibration
 from reconstruction.rig.projected_light import ProjectorResponse
 from reconstruction.rig.sensor import SensorNoise
-
-if TYPE_CHECKING:
-    import xarray
 
 STACK_FILE = "stack.nc"
 CALIBRATION_FILE = "calibration.yaml"
@@ -237,31 +234,28 @@ def read_stack(path: Path, patterns: PatternSet, shape: tuple[int, int]) -> Stac
     if not is_regular(path):
         raise CaptureError(f"{path}: the stack of frames is missing")
     try:
-        file = read_dataset(path)
+        file = read_arrays(path)
     except OSError as error:
         raise CaptureError(
             f"{path}: is no complete netCDF-4 file ({one_line(error)}); copy or record it again"
         ) from error
     _check(path, file, patterns, shape)
-    return np.asarray(file[STACK])
+    return file[STACK]
 
 
-def _check(
-    path: Path, file: "xarray.Dataset", patterns: PatternSet, shape: tuple[int, int]
-) -> None:
+def _check(path: Path, file: LabelledArrays, patterns: PatternSet, shape: tuple[int, int]) -> None:
     if STACK not in file or NAMES not in file:
         raise CaptureError(f"{path}: needs the variables {STACK} and {NAMES}")
-    variable = file[STACK]
-    if variable.dims != DIMENSIONS or str(variable.dtype) not in TYPES:
+    dims, stack, _ = file.variables[STACK]
+    if dims != DIMENSIONS or str(stack.dtype) not in TYPES:
         raise CaptureError(
-            f"{path}: stack is {variable.dtype} {variable.dims}; "
-            f"it must be {' or '.join(TYPES)} {DIMENSIONS}"
+            f"{path}: stack is {stack.dtype} {dims}; it must be {' or '.join(TYPES)} {DIMENSIONS}"
         )
-    _check_frames(path, [_text(name) for name in file[NAMES].values], patterns)
+    _check_frames(path, [_text(name) for name in file[NAMES]], patterns)
     expected = (len(patterns.frames), *shape)
-    if variable.shape != expected:
+    if stack.shape != expected:
         raise CaptureError(
-            f"{path}: stack has shape {variable.shape}; capture.toml announces {expected}"
+            f"{path}: stack has shape {stack.shape}; capture.toml announces {expected}"
         )
 
 

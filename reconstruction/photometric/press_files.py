@@ -256,7 +256,7 @@ def read_height_map(path: Path | str) -> HeightMap:
     """
     found = read_maps(path)
     try:
-        maps = {name: np.asarray(found[name]) for name in (*SLOPES, "height_mm", "mask_reason")}
+        maps = {name: found[name] for name in (*SLOPES, "height_mm", "mask_reason")}
         slopes = np.stack([maps[name] for name in SLOPES])
         pitch_mm = float(found.attrs["pitch_mm"])
         return HeightMap(maps["height_mm"], slopes, maps["mask_reason"], pitch_mm)

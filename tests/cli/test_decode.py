@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from reconstruction.capture.description import read_manifest
-from reconstruction.netcdf import read_dataset
+from reconstruction.netcdf import read_arrays
 from reconstruction.reading import read_json
 from twin.cli import run
 
@@ -130,8 +130,8 @@ def write_colour(path, image, scale):
 
 
 def coordinates(out):
-    found = read_dataset(out / "decoded.nc")
-    return {name: np.asarray(found[name]) for name in found.data_vars}
+    found = read_arrays(out / "decoded.nc")
+    return {name: np.asarray(found[name]) for name in found.variables}
 
 
 @pytest.mark.parametrize(

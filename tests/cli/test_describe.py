@@ -14,7 +14,7 @@ import pytest
 from reconstruction.capture.folder import read_capture
 from reconstruction.capture.frame_list import find_listed, read_listed
 from reconstruction.decoding.decode import decode
-from reconstruction.netcdf import read_dataset
+from reconstruction.netcdf import read_arrays
 from reconstruction.patterns import PatternSet
 from twin.cli import run
 
@@ -80,7 +80,7 @@ def test_described_sets_are_decoded(tmp_path, capsys, name):
     if name == "three frequencies":
         return  # periods to 1 % give no coordinates: they are to be corrected
     assert run(["decode", str(folder), "-o", str(tmp_path / "out"), "--filter-taps", "0"]) == 0
-    maps = read_dataset(tmp_path / "out" / "decoded.nc")
+    maps = read_arrays(tmp_path / "out" / "decoded.nc")
     valid = np.asarray(maps["mask_reason"]) == 0
     assert valid[:, 10:].mean() > 0.8
     truth = dict(zip(("row", "column"), np.mgrid[0:240, 0:320], strict=True))
@@ -108,7 +108,7 @@ def test_bits_tell_the_first_shift_and_the_sign(tmp_path, code, is_mirrored):
     assert found.patterns.period_px == 32.0
     assert f"sign = {-1 if is_mirrored else 1}\n" in (folder / "capture.toml").read_text()
     assert run(["decode", str(folder), "-o", str(tmp_path / "out"), "--filter-taps", "0"]) == 0
-    maps = read_dataset(tmp_path / "out" / "decoded.nc")
+    maps = read_arrays(tmp_path / "out" / "decoded.nc")
     valid = np.asarray(maps["mask_reason"]) == 0
     assert valid.mean() > 0.7
     truth = np.arange(320)[::-1] if is_mirrored else np.arange(320)
@@ -157,7 +157,7 @@ def test_a_camera_that_sees_a_part_of_the_projector(tmp_path, is_renamed):
     (folder / "capture.toml").write_text(text.replace("period_px = 16 ", "period_px = 18 "))
     assert find_listed(folder, read_listed(folder / "capture.toml")).patterns == own.patterns
     assert run(["decode", str(folder), "-o", str(tmp_path / "out")]) == 0
-    column_px = np.asarray(read_dataset(tmp_path / "out" / "decoded.nc")["column_px"])
+    column_px = np.asarray(read_arrays(tmp_path / "out" / "decoded.nc")["column_px"])
     expected = decode(own.stack, own.patterns, own.sensor).column.coordinate_px
     assert np.max(np.abs(column_px - expected)) < 0.05  # the filter weighs another noise
 

@@ -7,22 +7,19 @@ A file is written under a temporary name and renamed: it is never half there.
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from reconstruction.netcdf import Labelled, LabelledArrays, read_dataset, write_arrays
+from reconstruction.netcdf import Labelled, LabelledArrays, read_arrays, write_arrays
 from twin.config.models import Elastomer, Press
 from twin.mechanics.errors import PressError
 from twin.mechanics.press import PressedElastomer, SheetFields
 from twin.mechanics.texture import in_plane_displacement
 from twin.mechanics.validity import Validity
 from twin.output import replacing
-
-if TYPE_CHECKING:
-    import xarray
 
 _SCHEMA = "fringe-twin press 3"
 _PLAIN = "fringe-twin press 2"
@@ -103,15 +100,16 @@ def read_press(path: Path) -> PressedElastomer:
         The file is missing, damaged or something else.
     """
     try:
-        file = read_dataset(path)
+        file = read_arrays(path)
         schema = file.attrs.get("schema")
         if schema not in (_SCHEMA, _PLAIN, _GROUPED):
             raise PressError(f"{path}: not a pressed elastomer (schema '{_SCHEMA}')")
         axes = {name: name.removesuffix("_mm") for name in _AXES if name not in file}
         stored = [name for name in _VARIABLES if name in file or name not in _OPTIONAL]
-        values = {name: file[axes.get(name, name)].values for name in stored}
-        grouped = read_dataset(path, "validity").attrs if schema == _GROUPED else {}
-        validity = _validity(file.attrs | {_VALIDITY + name: one for name, one in grouped.items()})
+        values = {name: file[axes.get(name, name)] for name in stored}
+        grouped = read_arrays(path, "validity").attrs if schema == _GROUPED else {}
+        told = {_VALIDITY + name: one for name, one in grouped.items()}
+        validity = _validity({**file.attrs, **told})
         model, sheet = str(file.attrs["model"]), _sheet(file)
     except PressError:
         raise
@@ -188,10 +186,10 @@ def _sheet_arrays(sheet: SheetFields | None) -> dict[str, Any]:
     }
 
 
-def _sheet(file: "xarray.Dataset") -> SheetFields | None:
+def _sheet(file: LabelledArrays) -> SheetFields | None:
     if "sheet_thickness_mm" not in file:
         return None
-    maps = {name: file[f"sheet_{name}"].values for name in _SHEET_VARIABLES}
+    maps = {name: file[f"sheet_{name}"] for name in _SHEET_VARIABLES}
     stretch = np.stack((maps.pop("stretch_1"), maps.pop("stretch_2")), axis=-1)
     return SheetFields(stretch=stretch, **maps)
 

@@ -24,7 +24,7 @@ from reconstruction.netcdf import (
     Labelled,
     LabelledArrays,
     pixel_coordinates,
-    read_dataset,
+    read_arrays,
     write_arrays,
 )
 from twin.config import Experiment, digest, to_toml
@@ -171,8 +171,8 @@ def read_truth(path: Path) -> Truth:
     InputError : the file is missing, damaged or something else
     """
     try:
-        found = read_dataset(path)
-        maps = [np.asarray(found[name]) for name in _TRUTH]
+        found = read_arrays(path)
+        maps = [found[name] for name in _TRUTH]
     except FileNotFoundError:
         raise InputError(f"{path}: no such file; render or measure first") from None
     except (OSError, KeyError) as error:
