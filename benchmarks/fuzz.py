@@ -40,8 +40,8 @@ def command(arguments: list[str]) -> int:
 
 def preload() -> None:
     """Import what the commands need, so that a forked case begins at once; starts no thread."""
+    import h5netcdf  # noqa: F401
     import trimesh  # noqa: F401
-    import xarray  # noqa: F401
 
     import twin.cli
     import twin.pipeline.captures
