@@ -60,3 +60,10 @@ def test_of_a_thin_sheet_pressure_and_hardness_count(paper):
     free = with_derived(vary(fine, {"press.back_pressure_kpa": 0.0}), figures)
     assert "half_contrast_pitch_mm" not in free
     assert "groove_contrast_kept" not in free
+
+
+def test_only_the_wanted_figures_are_derived(paper):
+    figures = {"depth_mm": 0.3, "force_n": 1.5}
+    every, some = (with_derived(paper, figures, *a) for a in ((), (["depth_over_thickness"],)))
+    assert some == {n: every[n] for n in ("depth_mm", "force_n", "depth_over_thickness")}
+    assert every["force_per_depth_n_per_mm"] == pytest.approx(5.0)

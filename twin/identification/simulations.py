@@ -21,6 +21,7 @@ from twin.config.study import Sampling, Study, without_absent
 from twin.identification.emulator import Emulator, fit_emulator
 from twin.pipeline.progress import ProgressCallback, no_progress
 from twin.study.cases import point_at, shares_of
+from twin.study.derived import DERIVED
 from twin.study.measuring import CaseMeasurer
 from twin.study.record import StudyRecord
 from twin.study.sweep import sweep
@@ -330,8 +331,16 @@ def _read(problem: SensorProblem, variant: Variant, store: Path, shares: FloatAr
         if one.among is not None and name in problem.free_in(variant.experiment)
     }
     repeats = problem.experiments[variant.experiment].repeats
-    rows = read_table(store).rows
+    rows = read_table(store, _derived(problem)).rows
     return Simulated(variant, columns, places, rows, repeats, among, tuple(varied))
+
+
+def _derived(problem: SensorProblem) -> list[str]:
+    """Return the derived figures that rows name, by themselves or in a choice."""
+    every = {**problem.rows, **problem.worth}
+    metrics = {problem.metric_of(n, r, c) for n, r in every.items() for c in problem.combinations()}
+    names = {name for one in metrics for name in ((one,) if isinstance(one, str) else one)}
+    return [name for name in DERIVED if name in names]
 
 
 def figure_part(value: float) -> str:

@@ -15,7 +15,7 @@ They are not in result.json; tables, constraints and objectives know them beside
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 import numpy as np
 
@@ -94,15 +94,17 @@ OF_A_MEASUREMENT = ("groove_over_error", "radius_bias_mm")
 """Those that need more than the press."""
 
 
-def with_derived(experiment: Experiment, metrics: Metrics) -> dict[str, Metric]:
-    """Return a case's figures and all derived ones that its result allows.
+def with_derived(
+    experiment: Experiment, metrics: Metrics, wanted: Iterable[str] = tuple(DERIVED)
+) -> dict[str, Metric]:
+    """Return a case's figures and the derived ones among `wanted` that its result allows.
 
     What follows from a figure that does not exist (None) does not exist either, and is left out.
     """
     found = dict(metrics)
-    for name, derive in DERIVED.items():
+    for name in wanted:
         try:
-            found[name] = derive(experiment, metrics)
+            found[name] = DERIVED[name](experiment, metrics)
         except (KeyError, StopIteration, ZeroDivisionError):
             continue  # no such ball or groove, nothing was pressed, or nothing measured
     return found

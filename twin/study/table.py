@@ -54,8 +54,12 @@ class StudyTable:
         return [row for row in self.rows if row["state"] == "done"]
 
 
-def read_table(folder: Path) -> StudyTable:
+def read_table(folder: Path, derived: Iterable[str] = tuple(DERIVED)) -> StudyTable:
     """Read the table of a store's latest study.
+
+    Parameters
+    ----------
+    derived : the derived figures to add; pitches of a sheet take a tenth of a second a case
 
     Raises
     ------
@@ -69,7 +73,7 @@ def read_table(folder: Path) -> StudyTable:
     axes = tuple(dict.fromkeys(title for case in cases for title in case.settings))
     metrics = _metrics(record, cases, entries)
     bounds = record.study.constraint
-    rows = tuple(_row(case, entries.get(case.digest), bounds) for case in cases)
+    rows = tuple(_row(case, entries.get(case.digest), bounds, derived) for case in cases)
     return StudyTable(record, axes, metrics, rows, cases)
 
 
@@ -87,9 +91,12 @@ def _metrics(
     return asked or tuple(known)
 
 
-def _row(case: Case, entry: Entry | None, bounds: tuple[Constraint, ...]) -> dict[str, Any]:
+def _row(
+    case: Case, entry: Entry | None, bounds: tuple[Constraint, ...], derived: Iterable[str]
+) -> dict[str, Any]:
     state = entry.state if entry else "missing"
-    found = with_derived(case.experiment, entry.figures) if entry and entry.figures else {}
+    known = entry.figures if entry else {}
+    found = with_derived(case.experiment, known, derived) if known else {}
     figures = {name: _cell(value) for name, value in found.items()}
     head = {
         "case": case.digest,
