@@ -18,8 +18,8 @@ from twin.identification.findings import Prediction, predict_rows
 from twin.identification.known import Identified, SensorModel
 from twin.identification.posterior import LONGEST, likelihood_of, probabilities, sample
 from twin.identification.simulations import (
-    Sample,
     Simulated,
+    SimulatedFigure,
     Variant,
     refine,
     simulate,
@@ -142,7 +142,7 @@ def _infer(
     watch("learning", 0.0)
     keys = list(dict.fromkeys(k for c in combinations for k in _keys(problem, c).values()))
     samples = [simulated[k[0]].sample(*k[1:]) for k in keys]
-    learned = dict(zip(keys, each(Sample.learned, samples), strict=True))
+    learned = dict(zip(keys, each(SimulatedFigure.learned, samples), strict=True))
     watch("learning", 1.0)
     watch("posterior", 0.0)
     given = [_emulators(problem, combination, learned) for combination in combinations]

@@ -132,7 +132,7 @@ class Simulated:
 
     def sample(
         self, metric: Metric, statistic: Statistic = "mean", learned_as: LearnedAs = "value"
-    ) -> "Sample":
+    ) -> "SimulatedFigure":
         """Return what there is to learn of a figure.
 
         Parameters
@@ -159,7 +159,7 @@ class Simulated:
         simulation = np.tile(np.arange(len(self.places)), len(parts))
         if not np.isfinite(figures).any():
             raise InputError(f"{where}: found in no simulation, allowed {self._known()}")
-        return Sample(where, places, figures, parts[0][1], learned_as, simulation)
+        return SimulatedFigure(where, places, figures, parts[0][1], learned_as, simulation)
 
     def with_further(self, further: "Simulated") -> "Simulated":
         """Return these simulations and further ones of the same variant."""
@@ -202,7 +202,7 @@ class Simulated:
 
 
 @dataclass(frozen=True, eq=False)
-class Sample:
+class SimulatedFigure:
     """What the simulations say of one figure; arguments of `fit_emulator`, and `where` it is."""
 
     where: str
