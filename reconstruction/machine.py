@@ -1,8 +1,7 @@
 """What the machine gives: cores to share, and a disk that may be full.
 
-Programs that share a machine agree on how many threads may run side by side (`VARIABLE`).
-
-A full disk is an ordinary error; OpenEXR tells it in words only.
+Programs that share a machine agree on how many threads may run side by side (`VARIABLE`). A full
+disk is an ordinary error; OpenEXR tells it in words only, HDF5 not at all (see `netcdf`).
 """
 
 import errno

@@ -1,5 +1,6 @@
 """From a problem file to intervals, with a sensor of formulas."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,7 @@ from tests.identification.sensors import NOISE_MM, Formula
 from twin.config import ConfigError
 from twin.config.problem import load_problem
 from twin.identification.record import experiments_at_best, figures_of
-from twin.identification.run import identify, infer
+from twin.identification.run import _places_again, identify, infer
 from twin.identification.simulations import record_of, simulate, variants_of
 from twin.study.table import read_table
 from twin.study.workers import local_workers
@@ -212,6 +213,14 @@ def test_further_simulations_lie_where_the_rows_lead_and_are_learned_from(tmp_pa
     errors = [one.best.emulators["height"].predict(at)[1].mean() for one in (coarse, refined)]
     assert errors[1] < 0.7 * errors[0]
     assert refined.best.emulators["radius"].known.shape[0] == 36
+
+
+def test_no_more_places_are_drawn_than_there_are_samples(identified):
+    found = identified[0]
+    setup = found.problem.experiments["ball"].model_copy(update={"refine": 100_000})
+    asked = found.problem.model_copy(update={"experiments": {"ball": setup}})
+    (drawn,) = _places_again(replace(found, problem=asked)).values()
+    assert drawn.shape == found.best.posterior.places.shape
 
 
 def test_same_results_after_a_resume_and_with_two_workers(tmp_path):

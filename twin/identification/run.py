@@ -90,7 +90,8 @@ def _places_again(first: Identified) -> dict[Variant, FloatArray]:
             name = problem.experiment_of(row, model.combination)
             variant, count = variant_for(problem, name, model.combination), problem.refined(name)
             if count and variant not in drawn:
-                drawn[variant] = rng.choice(model.posterior.places, count, replace=False)
+                places = model.posterior.places  # fewer than asked for where the chains are short
+                drawn[variant] = rng.choice(places, min(count, len(places)), replace=False)
     return drawn
 
 
