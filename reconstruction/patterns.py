@@ -23,11 +23,15 @@ phase phi_j of fringe set j and its period p_j, the phase of level i is sum_j c_
 P_i = 1 / sum_j c_ij / p_j. Each level numbers the periods of the next one:
 k = round(P_(i-1) Phi_(i-1) / P_i - Phi_i), phases in turns. Zuo et al., Opt. Lasers Eng. 85, 84
 (2016): hierarchical and heterodyne (there "multi-wavelength") temporal phase unwrapping.
+
+Micro phase shifting: N steps of one period and a single image of each of several near ones, so that
+mean and modulation are the same in all of them; the order is the one at which the single images
+agree. Gupta and Nayar, Proc. CVPR 2012, 813.
 """
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Literal, get_args
 
 import numpy as np
@@ -35,16 +39,18 @@ import numpy as np
 from reconstruction.arrays import FloatArray, Levels
 from reconstruction.errors import InputError, require_integer, require_number
 
-HIERARCHICAL, HETERODYNE = "hierarchical", "heterodyne"
+HIERARCHICAL, HETERODYNE, MICRO = "hierarchical", "heterodyne", "micro"
 # Beats of one, two or three near periods; the first set is the one that is measured with.
 BEATS = {2: ((1, -1), (1, 0)), 3: ((1, -2, 1), (1, -1, 0), (1, 0, 0))}
 Kind = Literal["phase", "gray", "inverse", "white", "black"]
 Axis = Literal["column", "row"]
-CodeName = Literal["gray", "complementary_gray", "shifted_gray", "hierarchical", "heterodyne"]
+CodeName = Literal[
+    "gray", "complementary_gray", "shifted_gray", "hierarchical", "heterodyne", "micro"
+]
 WordName = Literal["reflected", "binary", "xor_02", "xor_04"]
 AXES: tuple[Axis, Axis] = ("column", "row")
 CODES: tuple[CodeName, ...] = get_args(CodeName)
-MULTI_FREQUENCY = (HIERARCHICAL, HETERODYNE)
+MULTI_FREQUENCY = (HIERARCHICAL, HETERODYNE, MICRO)
 WORDS: tuple[WordName, ...] = get_args(WordName)
 # Place of the bit, from the last, that the coarser ones are exchanged with.
 XOR_PLACES = {"xor_02": 0, "xor_04": 1}
@@ -56,6 +62,10 @@ STEPS_RANGE = (3, 1000)
 # Of a word without phase frames: no phase margin is asked for.
 LEAST_STRIPE_PX = 1.0
 MOST_FURTHER_PERIODS = 7
+# Of the modulation: what two fringes differ by in the single images of micro phase shifting, root
+# of the sum of squares. Where it is less, no camera tells them apart.
+LEAST_DISTANCE = 0.02
+_NODES_PER_PERIOD = 16
 
 
 @dataclass(frozen=True)
@@ -129,11 +139,13 @@ class PatternSet:
     ----------
     width_px, height_px : projector image size
     period_px : fringe period, >= 4 px; the finest one of a multi-frequency code
-    steps : phase steps N of every period, >= 3; 0: words alone (code "gray"), `period_px` wide each
+    steps : phase steps N of every period, with micro of `period_px` alone, >= 3; 0: words alone
+        (code "gray"), `period_px` wide each
     low_level, high_level : 8-bit projector levels of black and white
     code : how the fringes are numbered
     further_periods_px : the other periods of a multi-frequency code: hierarchical any coarser ones,
-        the coarsest at least the image; heterodyne one or two near ones, rising
+        the coarsest at least the image; heterodyne one or two near ones, rising; micro two or more
+        near ones with a single image each
     row_periods_px : all periods along rows, in the order of those along columns; (): the same
     axes : the axes along which something is shown
     word : how words are shown as bits; other than "reflected" with code "gray" alone
@@ -147,6 +159,7 @@ class PatternSet:
     complementary_gray: Zhang et al., Opt. Lasers Eng. 50, 574 (2012). shifted_gray: the two
     staggered words of Wu, Guo and Zhang, Opt. Express 27, 22631 (2019), both in every set, so that
     they check each other. hierarchical and heterodyne: Zuo et al., Opt. Lasers Eng. 85, 84 (2016).
+    micro: Gupta and Nayar, Proc. CVPR 2012, 813.
     """
 
     width_px: int
@@ -190,7 +203,7 @@ class PatternSet:
         def along(kind: Kind, axis: Axis, count: int) -> list[PatternFrame]:
             return [PatternFrame(kind, axis, n) for n in range(count)]
 
-        shots = self.steps * len(self.periods_px)
+        shots = sum(self.steps_of(fringes) for fringes in range(len(self.periods_px)))
         found = [frame for axis in self.axes for frame in along("phase", axis, shots)]
         for axis in self.axes:
             found += along("gray", axis, self.word_bits(axis))
@@ -216,9 +229,29 @@ class PatternSet:
         """Whether fringes are numbered by further periods rather than by words."""
         return self.code in MULTI_FREQUENCY
 
+    @property
+    def is_micro(self) -> bool:
+        """Whether the further periods have a single image each."""
+        return self.code == MICRO
+
+    def steps_of(self, fringes: int) -> int:
+        """Return how many images a period has, by its number; 0 is the measuring one."""
+        return 1 if self.is_micro and fringes else self.steps
+
+    def step_sets(self, axis: Axis) -> tuple[slice, ...]:
+        """Return the stack indices of every set of N equal steps along `axis`."""
+        if not self.steps or axis not in self.axes:
+            return ()
+        first = self.index("phase", axis).start
+        count = 1 if self.is_micro else len(self.periods_px)
+        starts = range(first, first + count * self.steps, self.steps)
+        return tuple(slice(start, start + self.steps) for start in starts)
+
     def chain(self, axis: Axis) -> Chain | None:
-        """Return how a multi-frequency code is unwrapped along `axis`; None with a Gray code."""
-        return make_chain(self.code, self.periods_along(axis)) if self.is_multi_frequency else None
+        """Return how periods number one another along `axis`; None with words or single images."""
+        if not self.is_multi_frequency or self.is_micro:
+            return None
+        return make_chain(self.code, self.periods_along(axis))
 
     def length_px(self, axis: Axis) -> int:
         """Return the number of projector pixels along `axis`."""
@@ -274,6 +307,8 @@ class PatternSet:
     def phase_of(self, frame: PatternFrame) -> tuple[float, float]:
         """Return the period, px, and the shift, turns, of a phase frame."""
         fringes, step = divmod(frame.index, self.steps)
+        if self.is_micro and frame.index >= self.steps:
+            fringes, step = frame.index - self.steps + 1, 0
         axis = frame.axis or "column"
         return self.periods_along(axis)[fringes], self.shifts(axis, fringes)[step]
 
@@ -283,7 +318,7 @@ class PatternSet:
         if self.first_shifts_deg:
             place = self.axes.index(axis) * len(self.periods_px) + fringes
             first = self.first_shifts_deg[place] / 360.0
-        return tuple(first + step / self.steps for step in range(self.steps))
+        return tuple(first + step / self.steps for step in range(self.steps_of(fringes)))
 
     def _brightness(self, frame: PatternFrame) -> FloatArray:
         if frame.axis is None:
@@ -371,6 +406,9 @@ class PatternSet:
             self._check_range(axis)
 
     def _check_range(self, axis: Axis) -> None:
+        if self.is_micro:
+            self._check_distance(axis)
+            return
         chain = self.chain(axis)
         sides = [self.length_px(one) for one in ((axis,) if self.row_periods_px else self.axes)]
         # A beat period computed from whole pixels may miss a whole number by rounding.
@@ -380,6 +418,38 @@ class PatternSet:
                 f" {chain.periods_px[0]:.6g} px, the image has {max(sides)}; change"
                 " further_periods_px"
             )
+
+    def _check_distance(self, axis: Axis) -> None:
+        if len(self.periods_px) < 3:
+            raise InputError(
+                f"patterns micro has {len(self.periods_px)} periods; give two or more"
+                " further_periods_px"
+            )
+        periods_px = self.periods_along(axis)
+        length_px = max(map(self.length_px, (axis,) if self.row_periods_px else self.axes))
+        least = _least_distance(periods_px, length_px)
+        if least < LEAST_DISTANCE:
+            raise InputError(
+                f"patterns periods {periods_px} px: two fringes within {length_px} px differ by"
+                f" only {least:.2g} of the modulation, needed is {LEAST_DISTANCE:g}; change"
+                " further_periods_px"
+            )
+
+
+@lru_cache
+def _least_distance(periods_px: tuple[float, ...], length_px: int) -> float:
+    """Return by what the single images of the most similar two fringes differ, of the modulation.
+
+    At any phase that both have; root of the sum of squares over the images.
+    """
+    fringes = np.arange(math.ceil(length_px / periods_px[0]))
+    least = np.inf
+    for phase in np.arange(_NODES_PER_PERIOD) / _NODES_PER_PERIOD:
+        x_px = periods_px[0] * (phase + fringes[:, None])
+        shown = np.cos(2.0 * np.pi * x_px / np.array(periods_px[1:]))
+        apart = np.square(shown[:, None] - shown).sum(axis=-1)
+        least = min(least, float(apart[np.triu_indices(len(fringes), 1)].min(initial=np.inf)))
+    return math.sqrt(least)
 
 
 def _periods(name: str, values: object, allowed_px: tuple[float, float]) -> tuple[float, ...]:

@@ -11,7 +11,7 @@ from itertools import pairwise
 from typing import Any
 
 from reconstruction.errors import CaptureError, require_integer
-from reconstruction.patterns import AXES, Axis, Kind, PatternSet, WordName
+from reconstruction.patterns import AXES, STEPS_RANGE, Axis, Kind, PatternSet, WordName
 
 # Rounding of shifts written with few digits, of a step.
 EQUAL_STEPS = 0.02
@@ -95,10 +95,12 @@ class Arrangement:
                 f"there are {counts['column']} fringe periods along column and {counts['row']} "
                 "along row; list the same number, or one axis alone"
             )
-        steps = {len(one) for sets in phases.values() for one in sets}
-        if len(steps) > 1:
+        steps = {_sizes(sets) for sets in phases.values() if sets}
+        sizes = sorted({size for one in steps for size in one})
+        if len(steps) > 1 or (len(sizes) > 1 and not _is_micro(next(iter(steps)))):
             raise CaptureError(
-                f"there are phase sets of {sorted(steps)} steps; list sets of the same number"
+                f"there are phase sets of {sizes} steps; list sets of the same number, or for "
+                "micro phase shifting several steps of one period and one of each other"
             )
         words = {axis: self._words(axis, phases[axis]) for axis in self._axes}
         patterns = self._patterns(phases, words)
@@ -118,6 +120,11 @@ class Arrangement:
         frames = self._of("phase", axis)
         periods = sorted({one.period_px or 0.0 for one in frames})
         sets = [[one for one in frames if one.period_px == period] for period in periods]
+        if _is_micro(tuple(sorted(map(len, sets), reverse=True))):
+            return [
+                _equal_steps(one) if len(one) > 1 else one
+                for one in sorted(sets, key=lambda one: len(one) == 1)
+            ]
         return [_equal_steps(one) for one in sets]
 
     def _words(
@@ -144,6 +151,8 @@ class Arrangement:
         return code, gray, inverse
 
     def _several(self, axis: Axis, phases: list[list[ListedFrame]]) -> str:
+        if _is_micro(_sizes(phases)):
+            return "micro"
         coarsest_px = phases[-1][0].period_px or 0.0
         if coarsest_px >= self._length(axis) * (1.0 - 1e-9):
             return "hierarchical"
@@ -191,6 +200,15 @@ class Arrangement:
 
     def _length(self, axis: Axis) -> int:
         return self._size.width_px if axis == "column" else self._size.height_px
+
+
+def _sizes(sets: list[list[ListedFrame]]) -> tuple[int, ...]:
+    return tuple(len(one) for one in sets)
+
+
+def _is_micro(sizes: tuple[int, ...]) -> bool:
+    """Tell whether one period has several steps, the first, and the others have one each."""
+    return len(sizes) > 1 and sizes[0] >= STEPS_RANGE[0] and set(sizes[1:]) == {1}
 
 
 def _refuse_twice(frames: Sequence[ListedFrame]) -> None:

@@ -195,9 +195,8 @@ def _mistaken_phases(patterns: PatternSet) -> Iterator[Order]:
 def _phase_backwards(patterns: PatternSet, axes: tuple[Axis, ...]) -> list[int]:
     take = list(range(len(patterns.frames)))
     for axis in axes:
-        start, stop = patterns.index("phase", axis).start, patterns.index("phase", axis).stop
-        for first in range(start, stop, patterns.steps):
-            take[first : first + patterns.steps] = take[first : first + patterns.steps][::-1]
+        for span in patterns.step_sets(axis):
+            take[span] = take[span][::-1]
     return take
 
 

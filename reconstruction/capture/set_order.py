@@ -71,11 +71,10 @@ def check_phase_sets(pixels: FloatArray, patterns: PatternSet) -> None:
     ------
     CaptureError : one frame has another exposure, two are exchanged, one does not belong
     """
-    for axis in patterns.axes if patterns.steps else ():
-        span = patterns.index("phase", axis)
-        for first in range(span.start, span.stop, patterns.steps):
-            names = [patterns.frames[first + n].name for n in range(patterns.steps)]
-            _check_set(pixels[first : first + patterns.steps], first, names)
+    for axis in patterns.axes:
+        for span in patterns.step_sets(axis):
+            names = [frame.name for frame in patterns.frames[span]]
+            _check_set(pixels[span], span.start, names)
 
 
 def _check_set(x: FloatArray, first: int, names: list[str]) -> None:

@@ -183,7 +183,7 @@ def _root_of_mean(sets: int, variance: Any, out: Any) -> None:
 
 
 @merged
-def _fit_row(
+def fit_row(
     row: int, stack: Any, plan: Plan, scale: Any, work: Work, maps: Maps, reason: Any
 ) -> None:  # fmt: skip
     """Fit all fringe sets of one image row and tell which pixels have a phase."""
@@ -308,7 +308,7 @@ def _read_order(
 
 
 @merged
-def _inform(axis: int, row: int, plan: Plan, work: Work, error: Any, maps: Maps) -> None:
+def inform(axis: int, row: int, plan: Plan, work: Work, error: Any, maps: Maps) -> None:
     """Write what does not depend on the other axis."""
     spare, units = work.lines[2], plan.units
     write_turns(work.phases[axis, 0], maps.turns[axis, row])
@@ -333,10 +333,14 @@ def _finish_row(row: int, stack: Any, plan: Plan, scale: Any, work: Work, maps: 
             _read_order(axis, row, stack, plan, scale, work, answer)
         length = plan.codes[axis].length_px
         settle_row(length, plan.limits.max_order_error, answer, usable, reason)
-        _inform(axis, row, plan, work, error, maps)
-    for axis in range(
-        layout.first_axis, layout.end_axis
-    ):  # only now are the reasons of both axes known
+        inform(axis, row, plan, work, error, maps)
+    write_valid_axes(row, plan, work, reason, maps)
+
+
+@merged
+def write_valid_axes(row: int, plan: Plan, work: Work, reason: Any, maps: Maps) -> None:
+    """Write coordinates and their sigma, once the reasons of both axes are known."""
+    for axis in range(plan.layout.first_axis, plan.layout.end_axis):
         write_valid(work.answers[COORDINATE[axis]], reason, maps.coordinate_px[axis, row])
         write_valid(work.answers[SIGMA[axis]], reason, work.lines[1])
         pack_row(work.lines[1], plan.units.sigma, work.lines[2], maps.sigma[axis, row])
@@ -349,7 +353,7 @@ def decode_rows(first_row: int, end_row: int, stack: Any, plan: Plan, maps: Maps
     for row in range(first_row, end_row):
         scale = plan.scale[row] if plan.scale.size else work.ones
         if plan.layout.steps:
-            _fit_row(row, stack, plan, scale, work, maps, maps.reason[row])
+            fit_row(row, stack, plan, scale, work, maps, maps.reason[row])
         else:
             _level_words(row, stack, plan, scale, work, maps.reason[row])
         _finish_row(row, stack, plan, scale, work, maps)

@@ -57,10 +57,12 @@ def ripple_of(patterns: PatternSet, response: ProjectorResponse | None) -> Rippl
     """Return the tables of a sequence of fringes for a projector of this response.
 
     Where there are none the tables have the shape (2, 0, 0): the response is None, and three steps
-    alone have an uneven share of the shot noise, or there are no fringes at all.
+    alone have an uneven share of the shot noise, or there are no fringes at all. Single images of
+    micro phase shifting have none.
     """
     if response is None or not patterns.steps:
-        shot = _of_three_steps(patterns) if patterns.steps == 3 else _EMPTY
+        uneven = patterns.steps == 3 and not patterns.is_micro
+        shot = _of_three_steps(patterns) if uneven else _EMPTY
         return Ripple(_EMPTY, _EMPTY, shot, (0.0, 0.0))
     shape = 2, len(patterns.periods_px), NODES + 1
     error, sigma, shot = (np.zeros(shape, np.float32) for _ in range(3))

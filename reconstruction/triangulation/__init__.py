@@ -19,7 +19,7 @@ from reconstruction.compact import Bits, Half, RaySpread, keeps_compact, kept
 from reconstruction.compiling import run_over_rows
 from reconstruction.decoding import AxisDecode, Decoded
 from reconstruction.decoding._rows import BIAS
-from reconstruction.decoding.decode import SIGMA_UNIT_PX
+from reconstruction.decoding.plan import SIGMA_UNIT_PX
 from reconstruction.errors import InputError, require_number
 from reconstruction.rig.calibration import Calibration
 from reconstruction.rig.layers import PlaneLayers

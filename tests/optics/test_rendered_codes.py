@@ -26,6 +26,11 @@ SMALL = {
     [
         {"patterns.code": "shifted_gray"},
         {"patterns.code": "hierarchical", "patterns.further_periods_px": [1500.0, 150.0]},
+        {
+            "patterns.code": "micro",
+            "patterns.period_px": 18.0,
+            "patterns.further_periods_px": [15.5, 15.76, 16.45, 20.4, 20.72],
+        },
     ],
     ids=lambda change: change["patterns.code"],
 )

@@ -165,3 +165,13 @@ def test_what_moves_press_or_camera_has_no_derivative(balls):
     for path in ("press.depth_mm", "camera.pose.standoff_mm", "elastomer.thickness_mm"):
         with pytest.raises(InputError, match="found no derivative by it"):
             bound_gradient(balls, [path], Memory())
+
+
+def test_single_images_have_no_bound_and_are_measured_without_one(balls):
+    """What such an image adds depends on the place; no figure is better than a wrong one."""
+    periods = [15.5, 15.76, 16.45, 20.4, 20.72]
+    further = {"patterns.period_px": 18.0, "patterns.further_periods_px": periods}
+    experiment = vary(balls, {"patterns.code": "micro", "patterns.steps": 3} | further)
+    with pytest.raises(InputError, match="micro"):
+        bounds_alone(experiment, Memory())
+    assert not set(measure(experiment, bound=True).metrics) & bound_names(balls)

@@ -6,6 +6,7 @@ import pytest
 from reconstruction.decoding.decode import DecodeOptions, decode
 from reconstruction.errors import InputError
 from reconstruction.patterns import PatternSet
+from reconstruction.rig.projected_light import ProjectorResponse
 from reconstruction.rig.sensor import SensorNoise
 
 HIERARCHICAL = {"code": "hierarchical", "further_periods_px": (1300.0, 150.0)}
@@ -15,6 +16,7 @@ HETERODYNE = {
     "period_px": 1472 / 70,
     "further_periods_px": (1472 / 64, 1472 / 59),
 }
+MICRO = {"code": "micro", "further_periods_px": (15.5, 15.76, 16.45, 20.4, 20.72)}
 ALL_CODES = [
     {"code": "gray"},
     {"code": "complementary_gray"},
@@ -22,6 +24,7 @@ ALL_CODES = [
     HIERARCHICAL,
     HETERODYNE,
     {"code": "heterodyne", "period_px": 36.0, "further_periods_px": (37.0,)},
+    MICRO,
 ]
 
 
@@ -109,8 +112,9 @@ def noisy(patterns, synthesise, noise_dn, seed=4, shape=(250, 400)):
         ({"code": "hierarchical", "period_px": 18.0, "further_periods_px": (1300.0, 400.0)}, 8.0),
         ({"code": "heterodyne", "period_px": 41.0, "further_periods_px": (42.35,)}, 6.0),
         (HETERODYNE, 12.0),
+        (MICRO | {"steps": 3}, 9.0),
     ],
-    ids=["2 levels", "3 levels", "2 near", "3 near"],
+    ids=["2 levels", "3 levels", "2 near", "3 near", "single images"],
 )
 def test_predicted_order_errors_are_the_counted_ones(synthesise, change, noise_dn):
     """Setup: 100,000 pixels, so noisy that 0.1 to 20 % err. Expected: within a factor of 1.5.
@@ -119,7 +123,7 @@ def test_predicted_order_errors_are_the_counted_ones(synthesise, change, noise_d
     median, nearly all errors must be. Phase sigma is 0.017 to 0.07 rad; from 0.1 rad on the noise
     of the modulation itself makes the prediction too large.
     """
-    patterns = PatternSet(1280, 720, steps=6, **change)
+    patterns = PatternSet(1280, 720, **({"steps": 6} | change))
     column, decoded = noisy(patterns, synthesise, noise_dn)
     axis = decoded.column
     unwrapped = decoded.valid
@@ -173,6 +177,89 @@ def test_mean_of_near_periods_is_better_by_the_root_of_their_number(synthesise):
     assert spread == pytest.approx(one_period_px / np.sqrt(3.0), rel=0.03)
 
 
+@pytest.mark.parametrize("steps", [3, 4])
+def test_sigma_of_single_images_is_the_spread(synthesise, steps):
+    """Expected: within 2 %, and better than the N steps alone, whose phase it begins with."""
+    patterns = PatternSet(1280, 720, steps=steps, **MICRO)
+    column, decoded = noisy(patterns, synthesise, 3.0)
+    axis = decoded.column
+    error = ((axis.coordinate_px - column) / axis.sigma_px)[decoded.valid]
+    assert decoded.valid.mean() > 0.9999
+    assert np.std(error) == pytest.approx(1.0, abs=0.02)
+    steps_alone_px = 18.0 / (2.0 * np.pi) * np.sqrt(2.0 / steps) * 3.0 / 100.0
+    assert rms(axis.sigma_px) < 0.75 * steps_alone_px
+
+
+def test_light_between_surfaces_leaves_single_images_right(synthesise):
+    """Setup: every pixel also sees a wide patch 300 px aside. Expected: no order error.
+
+    Why: what it is for (Gupta and Nayar 2012). Such light has no fringes left of these periods; a
+    coarse period keeps its own, and the hierarchy that rests on it puts pixels on other fringes.
+    """
+    row, col = np.mgrid[0:40, 0:800].astype(float)
+    column = 40.0 + 1.1 * col + 0.013 * row
+    wrong = {}
+    coarse = {"code": "hierarchical", "further_periods_px": (1300.0,)}
+    for name, change in (("micro", MICRO), ("hierarchical", coarse)):
+        patterns = PatternSet(1280, 720, steps=6, **change)
+        direct = synthesise(patterns, column, row)
+        # Mean over the patch: a box of 200 px, of which only long periods leave something.
+        places = np.linspace(-100.0, 100.0, 81) + 300.0
+        aside = np.mean([synthesise(patterns, column + x, row) for x in places], axis=0)
+        stack = (direct + 0.5 * aside).astype(np.float32)
+        sensor = SensorNoise(1.0, 0.05, 0.0, 1000.0)
+        options = DecodeOptions(filter_taps=0, max_order_error=1.0)
+        found = decode(stack, patterns, sensor, options).column.coordinate_px
+        wrong[name] = np.mean(np.abs(found - column) > 9.0)
+    assert wrong["micro"] == 0.0
+    assert wrong["hierarchical"] > 0.3
+
+
+@pytest.mark.parametrize("blur_px", [0.7, 1.5])
+def test_blur_takes_the_more_of_a_finer_period(synthesise, blur_px):
+    """Setup: blur that leaves the finest single image 2 or 8 % less modulation than the coarsest.
+
+    Expected: sigma stays the spread; with one modulation for all it would be 5 times as much.
+    """
+    patterns = PatternSet(1280, 720, steps=3, axes=("column",), **MICRO)
+    row, col = np.mgrid[0:100, 0:600].astype(float)
+    column = 40.0 + 1.9 * col + 0.013 * row
+    stack = synthesise(patterns, column, row, amplitude_dn=100.0, blur_px=blur_px)
+    stack += np.random.default_rng(4).normal(0.0, 0.5, stack.shape)
+    # The model adds the rounding of whole numbers.
+    sensor = SensorNoise(1e-6, 1e6 * np.sqrt(0.25 - 1.0 / 12.0), 0.0, 1000.0)
+    decoded = decode(stack.astype(np.float32), patterns, sensor, DecodeOptions(filter_taps=0))
+    axis = decoded.column
+    assert decoded.valid.mean() > 0.99
+    error = ((axis.coordinate_px - column) / axis.sigma_px)[decoded.valid]
+    assert np.sqrt(np.mean(error**2)) == pytest.approx(1.0, abs=0.05)
+
+
+def test_clipped_single_images_are_left_out(synthesise):
+    """Setup: the brightest 15 % of the levels clip. Expected: orders right, sigma honest."""
+    patterns = PatternSet(1280, 720, steps=6, axes=("column",), **MICRO)
+    row, col = np.mgrid[0:100, 0:600].astype(float)
+    column = 40.0 + 1.9 * col + 0.013 * row
+    stack = synthesise(patterns, column, row, mean_dn=120.0, amplitude_dn=100.0)
+    stack += np.random.default_rng(4).normal(0.0, 1.0, stack.shape)
+    sensor = SensorNoise(1e-3, 1e3, 0.0, 205.0)
+    clipped = np.minimum(stack, 205.0).astype(np.float32)
+    decoded = decode(clipped, patterns, sensor, DecodeOptions(filter_taps=0))
+    error = (decoded.column.coordinate_px - column)[decoded.valid]
+    right = np.abs(error) < 9.0
+    assert decoded.valid.mean() > 0.95
+    assert np.mean(~right) < 1e-3
+    sigma = decoded.column.sigma_px[decoded.valid]
+    assert 0.9 < np.std(error[right] / sigma[right]) < 1.1
+
+
+def test_a_response_does_not_go_with_single_images(quiet_sensor, synthesise, cover):
+    patterns = PatternSet(1280, 720, **MICRO)
+    stack = synthesise(patterns, *cover(8, 8, patterns)).astype(np.float32)
+    with pytest.raises(InputError, match="micro"):
+        decode(stack, patterns, quiet_sensor, response=ProjectorResponse(1.2))
+
+
 def test_uncertain_orders_are_masked(synthesise):
     """Expected: with the default limit hardly any order error is left."""
     patterns = PatternSet(1280, 720, steps=6, code="hierarchical", further_periods_px=(1300.0,))
@@ -196,6 +283,10 @@ def test_uncertain_orders_are_masked(synthesise):
         ({"code": "heterodyne", "further_periods_px": (17.0,)}, "falling beat"),
         ({"code": "heterodyne", "further_periods_px": (19.0,)}, "unambiguous over"),
         ({"further_periods_px": (19.0,)}, "leave it out"),
+        ({"code": "micro", "further_periods_px": (19.0,)}, "two or more"),
+        ({"code": "micro", "further_periods_px": (19.0, 17.0), "steps": 2}, "steps"),
+        ({"code": "micro", "further_periods_px": (36.0, 9.0)}, "differ by only"),
+        ({"code": "micro", "further_periods_px": (15.5, 20.4), "inverse": True}, "no bits"),
         ({"code": "hierarchical", "further_periods_px": (2.0,)}, "further_periods_px"),
         ({"code": "hierarchical", "further_periods_px": "1300"}, "further_periods_px"),
     ],

@@ -7,14 +7,8 @@ import pytest
 from reconstruction import compiling
 from reconstruction.compact import Half, Orders, RaySpread, Turns, kept
 from reconstruction.decoding._rows import BIAS, pack_row, unpack_row
-from reconstruction.decoding.decode import (
-    CHANCE_UNIT,
-    SIGMA_UNIT_PX,
-    AxisDecode,
-    DecodeOptions,
-    decode,
-    units_of,
-)
+from reconstruction.decoding.decode import AxisDecode, DecodeOptions, decode
+from reconstruction.decoding.plan import CHANCE_UNIT, SIGMA_UNIT_PX, units_of
 from reconstruction.patterns import PatternSet
 from reconstruction.rig.calibration import Calibration, Pinhole
 from reconstruction.rig.sensor import SensorNoise

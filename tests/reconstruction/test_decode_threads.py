@@ -6,7 +6,8 @@ import pytest
 from reconstruction import compiling
 from reconstruction.decoding import decode as decode_module
 from reconstruction.decoding._sum import find_noise
-from reconstruction.decoding.decode import AxisDecode, Decoded, DecodeOptions, decode, make_plan
+from reconstruction.decoding.decode import AxisDecode, Decoded, DecodeOptions, decode
+from reconstruction.decoding.plan import make_plan
 from reconstruction.patterns import PatternSet
 from reconstruction.rig.sensor import SensorNoise
 

@@ -130,6 +130,24 @@ def test_two_near_periods_are_heterodyne(tmp_path):
     assert found.patterns.periods_px == (14.0, 15.0)
 
 
+def test_single_images_of_near_periods_are_micro_phase_shifting(tmp_path):
+    """Of one period three steps, of the others one each with a shift of its own, in any order."""
+    names = [f"m{k}.png" for k in range(6)]
+    found = listed(tmp_path, names, [
+        'files = "m0.png"\nkind = "phase"\naxis = "column"\nperiod_px = 20.4\nshift_deg = 90',
+        'files = "m{1..3}.png"\nkind = "phase"\naxis = "column"\nperiod_px = 18',
+        'files = "m4.png"\nkind = "phase"\naxis = "column"\nperiod_px = 16.45',
+        'files = "m5.png"\nkind = "phase"\naxis = "column"\nperiod_px = 15.5',
+    ])  # fmt: skip
+    assert found.patterns == PatternSet(
+        **SIZE, period_px=18.0, steps=3, code="micro", further_periods_px=(15.5, 16.45, 20.4),
+        axes=("column",), uniform=False, first_shifts_deg=(0.0, 0.0, 0.0, 90.0),
+    )  # fmt: skip
+    assert names_of(found, tmp_path) == [
+        ["m1.png", "m2.png", "m3.png", "m5.png", "m4.png", "m0.png"]
+    ]
+
+
 def test_stated_shifts_in_any_order_and_a_sine(tmp_path):
     """sin(a + s) = cos(a + s - 90): three steps keep a first shift of 30 degrees."""
     names = [f"p{n}.png" for n in range(3)]

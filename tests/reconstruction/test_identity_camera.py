@@ -47,6 +47,7 @@ SEVERAL = [
         ("hierarchical", {"period_px": 16.0, "further_periods_px": (64.0, 200.0)}),
         ("hierarchical", {"period_px": 200.0}),
         ("heterodyne", {"period_px": 14.0, "further_periods_px": (15.0,)}),
+        ("micro", {"period_px": 14.0, "further_periods_px": (12.1, 13.0, 15.9, 16.4)}),
     )
     for steps, axes, extra in ((3, {}, BARE), (4, ONE_AXIS[1], {}), (6, ONE_AXIS[2], BARE))
 ]

@@ -207,7 +207,7 @@ class Patterns(Model):
     further_periods_px: Periods = Field(
         default=PatternSet.further_periods_px,
         description="hierarchical: coarser periods, one at least the image; heterodyne: one or two"
-        " periods slightly above period_px",
+        " periods slightly above period_px; micro: two or more near it, a single image each",
     )
 
 

@@ -61,8 +61,9 @@ def bounds_alone(
     if not has_bound(experiment):
         raise InputError(
             f"modality = '{experiment.modality}', render.engine = '{experiment.render.engine}', "
-            f"render.bounces = {experiment.bounces}: no bound without a measurement; allowed "
-            "contact_fpp by one_trace without bounces"
+            f"render.bounces = {experiment.bounces}, patterns.code = '{experiment.patterns.code}': "
+            "no bound without a measurement; allowed contact_fpp by one_trace without bounces, and "
+            "every code but micro"
         )
     pressed = press(experiment, memory)
     prediction, truth = predicted(experiment, pressed, memory)

@@ -35,6 +35,7 @@ _CODE_WORDS = {
     "shifted_gray": "shifted Gray code",
     "hierarchical": "hierarchical periods",
     "heterodyne": "heterodyne periods",
+    "micro": "single images with periods",
 }
 
 

@@ -22,6 +22,7 @@ import numpy as np
 from reconstruction.arrays import BoolImage, FloatArray, IntArray
 from reconstruction.errors import FitError
 from reconstruction.evaluate.estimates import FittedDimension, ball_radius_of_all
+from reconstruction.patterns import MICRO
 from twin.config.measurands import ObjectMeasurand, Quantity
 from twin.config.models import Experiment
 from twin.mechanics import PressedElastomer
@@ -50,11 +51,13 @@ def has_bound(experiment: Experiment) -> bool:
     """Tell whether the trace alone says what a measurement will know.
 
     Fringes on a pressed coat, by direct light: what is reflected between surfaces, or through
-    clear bodies, is not in the trace.
+    clear bodies, is not in the trace. Single images of micro phase shifting know more of some
+    places than of others, and have no closed form.
     """
     method = experiment.method
     direct = experiment.bounces == 0 and experiment.render.engine == "one_trace"
-    return method.fringes and method.presses and direct
+    closed = experiment.patterns.code != MICRO
+    return method.fringes and method.presses and direct and closed
 
 
 def is_bound_name(name: str) -> bool:

@@ -1,0 +1,231 @@
+"""Number the fringes of one image row by single images of near periods: micro phase shifting.
+
+Gupta and Nayar, Proc. CVPR 2012, 813. All periods are so near one another that light between
+surfaces leaves mean A and modulation B the same in all images:
+I_k = A + B m_k cos(2 pi x / p_k + s_k); m_k is what the lens' blur makes of the modulation beside
+that of the first period, the same in the whole image.
+
+N steps of the first period give A, B and its phase, and so the candidates, one per fringe:
+x_m = p_0 (phi / 2 pi + m). Symbols, per candidate and pixel: theta = (A, B, x); r_k what image k
+differs from the candidate; J_k its derivative by theta; v its variance; L the information of the N
+steps on theta. With H = L + sum J J^T / v and g = sum J r / v the candidate is at its best at
+x_m + (H^-1 g)_x and then costs c_m = sum r^2 / v - g^T H^-1 g, a chi-square. Its chance is
+exp(-c_m / 2) among all candidates (equal ones beforehand); where even the best costs more than
+noise explains, the images follow the model less well, and the variance counts as so much larger.
+"""
+
+# ruff: noqa: PLR0917 - compiled functions cannot take keyword-only arguments
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from reconstruction.arrays import FloatArray
+from reconstruction.compiling import compiled, inlined
+from reconstruction.decoding._decode import (
+    COORDINATE,
+    SIGMA,
+    Maps,
+    Plan,
+    fit_row,
+    inform,
+    make_work,
+    write_valid_axes,
+)
+from reconstruction.decoding._order import TURN, Numbered, settle_row
+from reconstruction.decoding._phase import keep_usable
+from reconstruction.decoding._sum import Limits, RowFrames, Shifts, noise_dn2
+
+# Where the projector's image begins.
+FIRST_PX = -0.5
+# Of a chi-square: what is beyond is no noise.
+MISFIT_SIGMAS = 3.0
+
+
+class MicroPeriods(NamedTuple):
+    """Periods along one axis."""
+
+    first_px: float
+    further_px: FloatArray  # (image,)
+    shifts_rad: FloatArray  # (image,), of the single images
+    shares: FloatArray  # (image,), of the modulation, beside the first period's
+    turn_cosines: FloatArray  # (image,), of its phase, from one fringe of the first period on
+    turn_sines: FloatArray
+    first_image: int  # of the single ones in the stack; 0: this axis is not shown
+    length_px: int
+
+
+class PixelLight(NamedTuple):
+    """What the N steps say of a pixel: its levels, and the information on A, B and x."""
+
+    mean: float
+    modulation: float
+    aa: float
+    ab: float
+    ax: float
+    bb: float
+    bx: float
+    xx: float
+
+
+class FittedRow(NamedTuple):
+    """What the N steps say of one row, lines of (col) float32."""
+
+    mean: Any
+    modulation: Any
+    phase: Any
+    excess: Any
+    usable: Any
+
+
+@inlined
+def _of_steps(
+    mean: float, modulation: float, phase: float, excess: float, shifts: Shifts, period_px: float,
+    scale: Any, limits: Limits,
+) -> PixelLight:  # fmt: skip
+    """Return levels and information of the N steps of a pixel; `excess`: see `Fit`."""
+    aa, ab, ax, bb, bx, xx = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    slope = -TURN / period_px * modulation
+    c, s = math.cos(phase), math.sin(phase)
+    for n in range(shifts.cosines.size):
+        by_b = c * shifts.cosines[n] - s * shifts.sines[n]
+        by_x = slope * (s * shifts.cosines[n] + c * shifts.sines[n])
+        level = np.float32(mean + modulation * by_b)
+        weight = 1.0 / (noise_dn2(level, scale, limits) * (1.0 + excess))
+        aa, ab, ax = aa + weight, ab + weight * by_b, ax + weight * by_x
+        bb += weight * by_b * by_b
+        bx += weight * by_b * by_x
+        xx += weight * by_x * by_x
+    return PixelLight(mean, modulation, aa, ab, ax, bb, bx, xx)
+
+
+@inlined
+def _candidate(
+    light: PixelLight, periods: MicroPeriods, values: Any, weights: Any, waves: Any
+) -> Any:
+    """Return what a candidate costs, how far from it it costs least, px, and the variance of that.
+
+    values, weights : (image,), DN and 1 / DN^2
+    waves : (2, image), cosine and sine of every image's phase there
+    """
+    mean, modulation, aa, ab, ax, bb, bx, xx = light
+    ga, gb, gx, cost = 0.0, 0.0, 0.0, 0.0
+    for k in range(periods.further_px.size):
+        weight, share = weights[k], periods.shares[k]
+        by_b = share * waves[0, k]
+        by_x = -modulation * share * TURN / periods.further_px[k] * waves[1, k]
+        rest = values[k] - mean - modulation * by_b
+        aa, ab, ax = aa + weight, ab + weight * by_b, ax + weight * by_x
+        bb += weight * by_b * by_b
+        bx += weight * by_b * by_x
+        xx += weight * by_x * by_x
+        ga, gb, gx = ga + weight * rest, gb + weight * rest * by_b, gx + weight * rest * by_x
+        cost += weight * rest * rest
+    # H = U^T D U, row by row.
+    u_ab, u_ax = ab / aa, ax / aa
+    d_b = bb - u_ab * ab
+    u_bx = (bx - u_ab * ax) / d_b
+    d_x = xx - u_ax * ax - u_bx * u_bx * d_b
+    y_b = gb - u_ab * ga
+    y_x = gx - u_ax * ga - u_bx * y_b
+    return cost - ga * ga / aa - y_b * y_b / d_b - y_x * y_x / d_x, y_x / d_x, 1.0 / d_x
+
+
+@inlined
+def _next_fringe(periods: MicroPeriods, waves: Any) -> None:
+    """Turn the waves of all images by one fringe."""
+    for k in range(periods.further_px.size):
+        c, s = periods.turn_cosines[k], periods.turn_sines[k]
+        waves[0, k], waves[1, k] = (
+            c * waves[0, k] - s * waves[1, k],
+            s * waves[0, k] + c * waves[1, k],
+        )
+
+
+@inlined
+def _decide(
+    phase: float, light: PixelLight, periods: MicroPeriods, values: Any, weights: Any,
+    waves: Any, costs: Any,
+) -> Any:  # fmt: skip
+    """Return coordinate, its variance and the chance that it is another fringe's."""
+    place = phase / TURN * periods.first_px
+    place -= periods.first_px if place - periods.first_px >= FIRST_PX else 0.0
+    for k in range(periods.further_px.size):
+        angle = TURN / periods.further_px[k] * place + periods.shifts_rad[k]
+        waves[0, k], waves[1, k] = math.cos(angle), math.sin(angle)
+    count, best, x_px, variance = 0, np.inf, 0.0, 1.0
+    while place <= periods.length_px - 1.0 - FIRST_PX:
+        cost, off_px, spread = _candidate(light, periods, values, weights, waves)
+        costs[count] = cost
+        count += 1
+        if cost < best:
+            best, x_px, variance = cost, place + off_px, spread
+        place += periods.first_px
+        _next_fringe(periods, waves)
+    freedom, chances = -1.0, 0.0
+    for k in range(weights.size):
+        freedom += 1.0 if weights[k] > 0.0 else 0.0
+    freedom = max(freedom, 1.0)
+    softer = max(1.0, best / (freedom + MISFIT_SIGMAS * math.sqrt(2.0 * freedom)))
+    for m in range(count):
+        chances += math.exp(-0.5 * (costs[m] - best) / softer)
+    return x_px, variance, 1.0 - 1.0 / chances if chances > 0.0 else 1.0
+
+
+@compiled
+def number_micro_row(
+    frames: RowFrames, periods: MicroPeriods, shifts: Shifts, limits: Limits, scale: Any,
+    fitted: FittedRow, answer: Numbered,
+) -> None:  # fmt: skip
+    """Write the coordinate, its sigma and the chance of a wrong fringe; 0 without a phase.
+
+    Single images that are clipped or lost are left out.
+    """
+    count = periods.further_px.size
+    values, weights, waves = np.zeros(count), np.zeros(count), np.zeros((2, count))
+    costs = np.zeros(int(periods.length_px / periods.first_px) + 3)
+    coordinate, sigma_px, error = answer
+    span = limits.clipped_from_dn - limits.black_level_dn
+    for col in range(error.size):
+        coordinate[col], sigma_px[col], error[col] = 0.0, 0.0, 0.0
+        if not fitted.usable[col] > 0.0:
+            continue
+        for k in range(count):
+            value = np.float32(frames.stack[frames.first + k, frames.row, col])
+            whole = value > limits.lowest_dn and value < limits.black_level_dn + span * scale[col]
+            values[k] = value if whole else 0.0
+            weights[k] = 1.0 / noise_dn2(value, scale[col], limits) if whole else 0.0
+        light = _of_steps(
+            fitted.mean[col], fitted.modulation[col], fitted.phase[col], fitted.excess[col],
+            shifts, periods.first_px, scale[col], limits,
+        )  # fmt: skip
+        x_px, variance, wrong = _decide(
+            fitted.phase[col], light, periods, values, weights, waves, costs
+        )
+        coordinate[col], sigma_px[col], error[col] = x_px, math.sqrt(variance), wrong
+
+
+@compiled
+def decode_micro_rows(
+    first_row: int, end_row: int, stack: Any, plan: Plan, periods: Any, maps: Maps
+) -> None:
+    """Fill `maps` for rows first_row to end_row - 1; `periods` is a pair (column, row)."""
+    work, layout = make_work(maps.reason.shape[1], 1), plan.layout
+    for row in range(first_row, end_row):
+        scale = plan.scale[row] if plan.scale.size else work.ones
+        reason, error, usable = maps.reason[row], work.lines[0], work.usable
+        fit_row(row, stack, plan, scale, work, maps, reason)
+        for axis in range(layout.first_axis, layout.end_axis):
+            answer = Numbered(work.answers[COORDINATE[axis]], work.answers[SIGMA[axis]], error)
+            phase = work.phases[axis, 0]
+            keep_usable(usable, phase)
+            single = RowFrames(stack, periods[axis].first_image, row)
+            shifts = Shifts(layout.cosines[axis, 0], layout.sines[axis, 0])
+            fitted = FittedRow(
+                work.mean[axis], work.modulations[axis, 0], phase, work.excess[axis], usable
+            )
+            number_micro_row(single, periods[axis], shifts, plan.limits, scale, fitted, answer)
+            settle_row(periods[axis].length_px, plan.limits.max_order_error, answer, usable, reason)
+            inform(axis, row, plan, work, error, maps)
+        write_valid_axes(row, plan, work, reason, maps)

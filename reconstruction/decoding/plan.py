@@ -1,0 +1,199 @@
+"""What the compiled decoder needs to know of a sequence, a sensor and the options; and blank maps.
+
+Everything that is the same for every pixel is worked out here, once.
+"""
+
+import math
+
+import numpy as np
+
+from reconstruction.arrays import FloatArray, FloatImage, Stack
+from reconstruction.decoding import DecodeOptions
+from reconstruction.decoding._chain import Unwrapping
+from reconstruction.decoding._decode import Maps, Plan, Units
+from reconstruction.decoding._order import (
+    BINARY,
+    COMPLEMENTARY,
+    EXCLUSIVE,
+    PLAIN,
+    REFLECTED,
+    SHIFTED,
+    Code,
+)
+from reconstruction.decoding._rows import BIAS
+from reconstruction.decoding._sum import Layout, Limits
+from reconstruction.decoding.ripple import Ripple, ripple_of
+from reconstruction.patterns import AXES, XOR_PLACES, Axis, Kind, PatternSet
+from reconstruction.rig.sensor import SensorNoise
+
+# Times an order of up to 12 bits, exact in the 24 bits of single precision.
+HIGH_BITS = 12
+# Half precision reaches from 1e-9 to 1000 px, and from 2e-12 to 1.
+SIGMA_UNIT_PX = 2.0**-6
+CHANCE_UNIT = 2.0**-15
+KINDS = {"gray": PLAIN, "complementary_gray": COMPLEMENTARY, "shifted_gray": SHIFTED}
+SHOWN = {"reflected": REFLECTED, "binary": BINARY, "xor_02": EXCLUSIVE, "xor_04": EXCLUSIVE}
+
+
+def make_plan(
+    stack: Stack,
+    patterns: PatternSet,
+    sensor: SensorNoise,
+    options: DecodeOptions,
+    scale: FloatImage | None,
+    *,
+    ripple: Ripple | None = None,
+) -> Plan:
+    """Return the plan of one decoding."""
+    known = ripple or ripple_of(patterns, None)
+    column, row = AXES
+    return Plan(
+        layout=_layout(patterns),
+        limits=_limits(stack, patterns, sensor, options),
+        codes=(_code(patterns, column), _code(patterns, row)),
+        units=Units(*(np.float32(BIAS / unit) for unit in units_of(sensor, scale))),
+        unwrappings=(_unwrapping(patterns, column), _unwrapping(patterns, row)),
+        is_chain=patterns.is_multi_frequency,
+        threshold_noise=_threshold_noise(patterns),
+        scale=np.ascontiguousarray(np.zeros((0, 0)) if scale is None else scale, np.float32),
+        has_ripple=known.error_rad.size > 0,
+        ripple_rad=known.error_rad,
+        ripple_sigma_rad=known.sigma_rad,
+        shot_share=known.shot_share,
+        threshold_share=known.threshold_share,
+    )
+
+
+def _threshold_noise(patterns: PatternSet) -> float:
+    """Return the noise of a bit less its threshold, in sigmas of one frame.
+
+    The threshold is the mean of N phase frames, or of white and black; of a pair half the
+    difference is read.
+    """
+    if patterns.inverse:
+        return math.sqrt(0.5)
+    return math.sqrt(1.0 + 1.0 / (patterns.steps or 2))
+
+
+def _layout(patterns: PatternSet) -> Layout:
+    column, row = AXES
+    turns = _shifts(patterns)
+    uniform = len(patterns.frames) - 2 if patterns.uniform else -1
+    return Layout(
+        first_axis=AXES.index(patterns.axes[0]),
+        end_axis=AXES.index(patterns.axes[-1]) + 1,
+        phase_first=(_first(patterns, "phase", column), _first(patterns, "phase", row)),
+        gray_first=(_first(patterns, "gray", column), _first(patterns, "gray", row)),
+        inverse_first=(_first(patterns, "inverse", column), _first(patterns, "inverse", row)),
+        gray_bits=(patterns.word_bits(column), patterns.word_bits(row)),
+        white=uniform,
+        black=uniform + 1 if patterns.uniform else -1,
+        steps=int(patterns.steps),
+        sets=_sets(patterns),
+        cosines=np.cos(turns).astype(np.float32),
+        sines=np.sin(turns).astype(np.float32),
+    )
+
+
+def _first(patterns: PatternSet, kind: Kind, axis: Axis) -> int:
+    """Return where a kind of frames begins in the stack, -1 where there are none."""
+    found = [i for i, f in enumerate(patterns.frames) if f.kind == kind and f.axis == axis]
+    return found[0] if found else -1
+
+
+def _shifts(patterns: PatternSet) -> FloatArray:
+    """Return the shift of every phase step, (axis, set, step), rad."""
+    sets, periods = _sets(patterns), len(patterns.periods_px)
+    turns = 2.0 * np.pi * np.arange(patterns.steps) / max(patterns.steps, 1)
+    angles = np.broadcast_to(turns, (2, sets, patterns.steps)).copy()
+    for number, shift_deg in enumerate(patterns.first_shifts_deg):
+        if number % periods < sets:
+            axis = AXES.index(patterns.axes[number // periods])
+            angles[axis, number % periods] += math.radians(shift_deg)
+    return angles
+
+
+def _sets(patterns: PatternSet) -> int:
+    """Return how many periods have N steps."""
+    return 1 if patterns.is_micro else len(patterns.periods_px)
+
+
+def _limits(
+    stack: Stack, patterns: PatternSet, sensor: SensorNoise, options: DecodeOptions
+) -> Limits:
+    # A camera with a black level never delivers 0: that frame was lost.
+    has_lost = sensor.black_level_dn > 0.0 or _has_lost_frame(stack, patterns)
+    return Limits(
+        gain_dn_per_e=np.float32(sensor.gain_dn_per_e),
+        read_noise_dn=np.float32(sensor.gain_dn_per_e * sensor.read_noise_e),
+        black_level_dn=np.float32(sensor.black_level_dn),
+        clipped_from_dn=np.float32(sensor.clipped_from_dn),
+        lowest_dn=np.float32(0.0 if has_lost else -np.inf),
+        dark_sigmas=np.float32(options.dark_sigmas),
+        gray_sigmas=np.float32(options.gray_sigmas),
+        min_modulation_dn=np.float32(options.min_modulation_dn or 0.0),
+        max_phase_sigma_rad=np.float32(options.max_phase_sigma_rad),
+        max_condition=np.float32(options.max_condition),
+        max_order_error=np.float32(options.max_order_error),
+    )
+
+
+def _has_lost_frame(stack: Stack, patterns: PatternSet) -> bool:
+    """Tell whether a phase frame is 0 everywhere; a look at few pixels settles nearly all."""
+    sparse = np.s_[::61, ::61]
+    shown = sum(frame.kind == "phase" for frame in patterns.frames)
+    return any(not stack[n][sparse].any() and not stack[n].any() for n in range(shown))
+
+
+def units_of(sensor: SensorNoise, scale: FloatImage | None) -> tuple[float, float, float]:
+    """Return the units in which levels (DN), sigmas (px) and chances are kept in half precision.
+
+    Powers of two: half precision spans 2^-24 to 2^16 units. Saturation is at most 2^14 of them, as
+    the fit of clipped fringes goes beyond.
+    """
+    largest = sensor.saturation_dn * (1.0 if scale is None else float(scale.max()))
+    return 2.0 ** (math.frexp(largest)[1] - 14), SIGMA_UNIT_PX, CHANCE_UNIT
+
+
+def _code(patterns: PatternSet, axis: Axis) -> Code:
+    period_px = float(patterns.period_along(axis))
+    mantissa, exponent = math.frexp(period_px)
+    high_px = math.ldexp(round(mantissa * 2**HIGH_BITS), exponent - HIGH_BITS)
+    return Code(
+        kind=KINDS.get(str(patterns.code), PLAIN),
+        period_px=period_px,
+        period_high_px=np.float32(high_px),
+        period_low_px=np.float32(period_px - high_px),
+        half_px_turns=np.float32(0.5 / period_px),
+        words=np.int32(patterns.words(axis)),
+        bits=patterns.word_bits(axis),
+        safety_bits=np.uint32(patterns.safety_bits(axis)),
+        length_px=patterns.length_px(axis),
+        shown=SHOWN[patterns.word],
+        place=np.uint32(XOR_PLACES.get(patterns.word, 0)),
+        is_word=patterns.steps == 0,
+        first_inverse=_first(patterns, "inverse", axis),
+    )
+
+
+def _unwrapping(patterns: PatternSet, axis: Axis) -> Unwrapping:
+    chain = patterns.chain(axis)
+    sets = patterns.periods_along(axis)
+    return Unwrapping(
+        weights=np.array(chain.weights if chain else [[1.0] + [0.0] * (len(sets) - 1)], float),
+        level_periods_px=np.array(chain.periods_px if chain else sets[:1], float),
+        set_periods_px=np.array(sets, float),
+        length_px=patterns.length_px(axis),
+    )
+
+
+def blank_maps(rows: int, cols: int) -> Maps:
+    """Return zeroed maps of an image."""
+    turns, mean, modulation, sigma, residual, error = (
+        np.zeros((2, rows, cols), np.uint16) for _ in range(6)
+    )
+    return Maps(
+        np.zeros((2, rows, cols), np.float32),
+        turns, mean, modulation, sigma, residual, error,
+        np.zeros((rows, cols), np.uint8),
+    )  # fmt: skip
