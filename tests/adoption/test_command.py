@@ -77,6 +77,8 @@ def test_the_response_is_taken_by_a_capture(adopted, tmp_path, capsys):
         ([str(EXAMPLE), "--reference", str(EXAMPLE)], "go together"),
         ([str(EXAMPLE), "--like", "rigs/none"], "none"),
         ([str(EXAMPLE), "--reference", str(EXAMPLE), "--reference-albedo", "7"], "albedo"),
+        ([str(EXAMPLE), "--ball", str(EXAMPLE)], "give all three"),
+        ([str(EXAMPLE), "--ball-diameter-mm", "-1"], "give all three"),
     ],
 )
 def test_bad_input_is_one_line(tmp_path, capsys, arguments, message):
@@ -85,3 +87,41 @@ def test_bad_input_is_one_line(tmp_path, capsys, arguments, message):
     told = capsys.readouterr().err.strip().splitlines()[-1]
     assert message in told
     assert not out.exists()
+
+
+LAYER = """[elastomer]
+use = "materials/elastomers/thin_silicone_c"
+thickness_mm = 0.21
+length_x_mm = 24.0
+length_y_mm = 20.0
+[press]
+back_pressure_kpa = 3.0
+[sigma]
+back_pressure_kpa = 0.03
+"""
+
+
+def test_a_pressed_ball_tells_the_elastomer(tmp_path):
+    """Hidden: 0.2 mm and 413 kPa, as `examples/wrapped_balls` has them; believed: 0.21 mm.
+
+    One capture is both the rig's and the press; its pixels are read with the noise found in it.
+    """
+    rendered, rig, layer = tmp_path / "press", tmp_path / "rig", tmp_path / "layer.toml"
+    layer.write_text(LAYER)
+    small = ["-s", "camera.binning=4", "--no-report", "-o", str(rendered)]
+    assert run(["render", "examples/wrapped_balls", *small]) == 0
+    ball = ["--ball", str(rendered), "--ball-diameter-mm", "8", "--layer", str(layer)]
+    assert run(["adopt", str(rendered), *ball, "-o", str(rig), "--no-report"]) == 0
+    found = tomllib.loads((rig / "rig.toml").read_text())["elastomer"]
+    low, high = found["thickness_mm"]["range"]
+    assert low < 0.2 < high < 0.21
+    assert high - low < 0.006
+    low, high = found["young_modulus_kpa"]["range"]
+    assert low < 412.7 < high
+    assert "shore_a" not in found
+    assert found["length_x_mm"]["source"] == "stated: layer.toml"
+    adopted = load_experiment(rig / "experiment.toml")
+    assert adopted.elastomer.thickness_mm == pytest.approx(0.2, abs=0.003)
+    layer.write_text(LAYER.replace("0.21", "4.0"))
+    again = ["adopt", str(rendered), *ball, "-o", str(tmp_path / "thick"), "--no-report"]
+    assert run(again) == 2

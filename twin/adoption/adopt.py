@@ -28,6 +28,7 @@ from reconstruction.decoding.decode import Decoded, DecodeOptions, decode
 from reconstruction.errors import InputError
 from reconstruction.pipeline import Reconstruction, ReconstructOptions, reconstruct
 from reconstruction.rig.sensor import SensorNoise
+from twin.adoption.elastomer import BallPress, elastomer_fields, press_capture
 from twin.adoption.fields import (
     camera_fields,
     flat_fields,
@@ -62,6 +63,7 @@ class Given:
     dark, flat : folders of images without light, and of an evenly lit surface
     reference : capture of a flat matte surface in the coat's place, at the same exposure
     reference_albedo : of that surface, and its standard uncertainty
+    press : of a known ball into the sheet
     """
 
     captures: tuple[Path, ...]
@@ -70,6 +72,7 @@ class Given:
     flat: Path | None = None
     reference: Path | None = None
     reference_albedo: UncertainValue | None = None
+    press: BallPress | None = None
 
     def __post_init__(self) -> None:
         if not self.captures:
@@ -135,6 +138,7 @@ def adopt(given: Given, watch: ProgressCallback = no_progress) -> Adopted:
     fields |= level_field(known)
     scene = Scene(known, points, placed.origin_mm)
     fields |= _albedo_field(given, scene, tried(rig_tables(model, fields)), watch)
+    fields |= _press_fields(given, known, watch)
     tables = rig_tables(model, fields)
     return Adopted(
         fields=fields,
@@ -168,6 +172,18 @@ def _albedo_field(
     watch("render", 1.0)
     one = RigField.measured("coating.base_albedo", found, how)
     return {one.path: one}
+
+
+def _press_fields(given: Given, known: Capture, watch: ProgressCallback) -> dict[str, RigField]:
+    """Return the elastomer, where a press of a known ball is given."""
+    if given.press is None:
+        return {}
+    watch("press", 0.0)
+    pressed = press_capture(given.press, known)
+    _require_alike((given.captures[0], given.press.capture), (known, pressed))
+    found = elastomer_fields(given.press, pressed)
+    watch("press", 1.0)
+    return found
 
 
 def _require_alike(folders: Sequence[Path], captures: Sequence[Capture]) -> None:

@@ -45,7 +45,7 @@ _NEEDS = {
     "coating.base_albedo": "a reference of known albedo (--reference)",
     "coating.flake_fraction": "captures under several angles",
     "coating.flake_roughness": "captures under several angles",
-    "elastomer": "readings of presses: twin identify",
+    "elastomer": "a press of a known ball (--ball), or readings of presses: twin identify",
 }
 
 
@@ -118,6 +118,8 @@ def rig_tables(model: ModelRig, found: Mapping[str, RigField]) -> dict[str, Any]
         if name == "description":
             continue
         tables[name] = _assumed(node, name, model.name) if name in _TABLES else node
+    if any(path.startswith("elastomer.") for path in found):
+        tables["elastomer"] = {}  # stated as a whole, beside what was measured of it
     for field in found.values():
         *parents, leaf = field.path.split(".")
         node = tables

@@ -9,6 +9,7 @@ from twin.cli.app import Out, Report, app, print_table, progress_bars, say
 
 if TYPE_CHECKING:
     from reconstruction.characterise import UncertainValue
+    from twin.adoption.elastomer import BallPress
 
 
 @app.command
@@ -23,6 +24,9 @@ def adopt(
     reference: Path | None = None,
     reference_albedo: float | None = None,
     reference_uncertainty: float = 0.01,
+    ball: Path | None = None,
+    ball_diameter_mm: float | None = None,
+    layer: Path | None = None,
     report: Report = True,
 ) -> None:
     """Make the twin of a real rig: a rig file with value, range and source of every field.
@@ -43,6 +47,13 @@ def adopt(
         Capture of a flat matte surface of known albedo in the coat's place, at the same exposure.
     reference_albedo, reference_uncertainty
         Its albedo, and its standard uncertainty.
+    ball
+        Capture of a ball of known diameter, pressed into a thin sheet: thickness and modulus.
+    ball_diameter_mm
+        Of that ball, mm.
+    layer
+        TOML file with what is believed of the sheet, and with the load of that press, see
+        docs/compensation.md.
     """
     from twin.adoption.adopt import Given
     from twin.adoption.adopt import adopt as make
@@ -52,8 +63,10 @@ def adopt(
     from twin.report.adopted import write_adopted_page
 
     known = _known_albedo(reference_albedo, reference_uncertainty)
-    given = Given(captures, like, dark, flat, reference, known)
-    inputs = [*captures, *(path for path in (dark, flat, reference) if path is not None)]
+    press = _ball_press(ball, ball_diameter_mm, layer)
+    given = Given(captures, like, dark, flat, reference, known, press)
+    others = (dark, flat, reference, ball, layer)
+    inputs = [*captures, *(path for path in others if path is not None)]
     with output_folder(out, inputs) as folder, progress_bars() as watch:
         found = make(given, watch)
         write_adopted(folder, found, given)
@@ -62,12 +75,28 @@ def adopt(
     rows = [
         [path, _shown(value), _shown(limits), source]
         for path, value, limits, source in rows_of(found.tables)
-        if path.split(".")[0] in ("camera", "projector", "coating")
+        if path.split(".")[0] in ("camera", "projector", "coating", "elastomer")
     ]
     print_table(("field", "value", "95 % interval", "source"), rows)
     for note in found.notes:
         say(f"note: {note}")
     say(f"wrote {out / RIG_FILE}")
+
+
+def _ball_press(
+    ball: Path | None, diameter_mm: float | None, layer: Path | None
+) -> "BallPress | None":
+    from reconstruction.errors import InputError, require_number
+    from twin.adoption.elastomer import BallPress
+
+    if ball is None and diameter_mm is None and layer is None:
+        return None
+    if ball is None or diameter_mm is None or layer is None:
+        raise InputError(
+            "adopt: --ball, --ball-diameter-mm and --layer go together; give all three"
+        )
+    require_number("--ball-diameter-mm", diameter_mm, 0.0, open_low=True)
+    return BallPress(ball, layer, diameter_mm)
 
 
 def _known_albedo(albedo: float | None, uncertainty: float) -> "UncertainValue | None":

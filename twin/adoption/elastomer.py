@@ -1,0 +1,80 @@
+"""The elastomer of an adopted rig, from one press of a known ball.
+
+The press is a capture like any other, read with the noise and the response that were found. What is
+believed of sheet and load comes from a layer file, as `twin compensate` takes it; the ball then
+tells the thickness, and with air on the coat the modulus, see
+`reconstruction.compensation.known_ball`.
+"""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from reconstruction.capture.folder import Capture, read_capture
+from reconstruction.characterise import UncertainValue
+from reconstruction.pipeline import ReconstructOptions, reconstruct
+from twin.adoption.findings import RigField
+from twin.config.sensor_layer import SensorLayer, load_sensor_layer
+from twin.pipeline.compensation import calibrated_layer
+
+_HARDNESS = ("shore_a", "shore_00", "young_modulus_kpa")
+
+
+@dataclass(frozen=True)
+class BallPress:
+    """A known ball, pressed into the sheet.
+
+    Attributes
+    ----------
+    capture : folder
+    layer : file with what is believed of sheet and load
+    diameter_mm : of the ball
+    """
+
+    capture: Path
+    layer: Path
+    diameter_mm: float
+
+
+def press_capture(press: BallPress, known: Capture) -> Capture:
+    """Return the capture of the press with the noise and the response that were found."""
+    return replace(read_capture(press.capture), sensor=known.sensor, response=known.response)
+
+
+def elastomer_fields(press: BallPress, capture: Capture) -> dict[str, RigField]:
+    """Return the elastomer: thickness and modulus as the ball tells them, the rest as stated.
+
+    Raises
+    ------
+    InputError : no such layer, the elastomer is no thin sheet, or the press shows no ball
+    """
+    points = reconstruct(capture, ReconstructOptions()).point_map
+    believed = load_sensor_layer(press.layer)
+    layer, figures = calibrated_layer(points, believed, press.diameter_mm)
+    found = {f"elastomer.{key}": value for key, value in _stated(believed, press.layer).items()}
+    how = f"a ball of {press.diameter_mm:g} mm pressed, {press.capture.name}"
+    elastomer, sigma = layer.elastomer, layer.sigma
+    thickness = UncertainValue(elastomer.thickness_mm, sigma.thickness_mm)
+    found["elastomer.thickness_mm"] = RigField.measured("elastomer.thickness_mm", thickness, how)
+    if figures["calibrated_modulus_kpa"] is not None:
+        for name in _HARDNESS:
+            found.pop(f"elastomer.{name}", None)
+        modulus = UncertainValue(
+            figures["calibrated_modulus_kpa"], figures["calibrated_modulus_sigma_kpa"]
+        )
+        path = "elastomer.young_modulus_kpa"
+        found[path] = RigField.measured(path, modulus, f"free span beside {how}")
+    return found
+
+
+def _stated(layer: SensorLayer, file: Path) -> dict[str, RigField]:
+    """Return all that a layer file says of the elastomer."""
+    told: dict[str, Any] = layer.elastomer.model_dump(
+        mode="json", exclude_none=True, exclude_unset=True
+    )
+    source = f"stated: {file.name}"
+    return {
+        key: RigField(f"elastomer.{key}", value, None, source)
+        for key, value in told.items()
+        if not isinstance(value, dict)
+    }
