@@ -9,6 +9,7 @@ from reconstruction.characterise.photon_transfer import (
     samples_of_pairs,
 )
 from reconstruction.characterise.projector_fit import FitLimits, ProjectorFit, fit_projector
+from reconstruction.characterise.sparkle import Sparkle, sparkle_of
 
 __all__ = [
     "Dark",
@@ -16,10 +17,12 @@ __all__ = [
     "NoiseSamples",
     "PhotonTransfer",
     "ProjectorFit",
+    "Sparkle",
     "UncertainValue",
     "dark_of",
     "fit_projector",
     "photon_transfer",
     "prnu_of",
     "samples_of_pairs",
+    "sparkle_of",
 ]

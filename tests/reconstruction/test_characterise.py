@@ -12,6 +12,7 @@ from reconstruction.characterise import (
     photon_transfer,
     prnu_of,
     samples_of_pairs,
+    sparkle_of,
 )
 from reconstruction.decoding.decode import DecodeOptions, decode
 from reconstruction.errors import InputError
@@ -147,3 +148,55 @@ def test_frames_that_cannot_tell_are_refused():
     decoded = decode(stack, patterns, TRUE, DecodeOptions(filter_taps=0))
     with pytest.raises(InputError, match="do not tell"):
         fit_projector(stack, patterns, TRUE, decoded)
+
+
+def white_frame(unevenness, seed=5):
+    """Return a frame of light that falls off slowly, with an uneven coat, and what of it is lit."""
+    row, col = np.mgrid[0:200, 0:300]
+    slow = 900.0 + 400.0 * np.cos(row / 90.0) * np.cos(col / 120.0)
+    lit = np.hypot(row - 100, col - 150) < 95
+    clean = TRUE.black_level_dn + np.where(lit, slow * (1.0 + unevenness), 0.0)
+    return recorded(clean, seed), lit
+
+
+def test_an_even_coat_has_no_contrast_but_noise():
+    """Noise is 1 % of the light here; what is left is within its uncertainty of 0."""
+    image, lit = white_frame(np.zeros((200, 300)))
+    found = sparkle_of(image, TRUE, lit)
+    assert found.contrast < 4.0 * found.uncertainty
+    assert found.neighbours is None
+    assert found.glints < 3e-4
+
+
+@pytest.mark.parametrize(("grain_px", "neighbours"), [(0.0, 0.0), (0.8, 0.61)])
+def test_contrast_of_a_grainy_coat(grain_px, neighbours):
+    """3 % from pixel to pixel, alone or in grains; these keep their share but for the high-pass.
+
+    A Gaussian of 0.8 px leaves neighbours exp(-1 / (4 0.64)) = 0.68 of their variance in common.
+    The mean over 49 pixels takes 4 pi 0.64 / 49 = 0.16 at most of the variance, and as much of what
+    is in common: (0.68 - 0.16) / (1 - 0.16).
+    """
+    uneven = np.random.default_rng(1).normal(size=(200, 300))
+    if grain_px:
+        uneven = gaussian_filter1d(gaussian_filter1d(uneven, grain_px, axis=0), grain_px, axis=1)
+    image, lit = white_frame(0.03 * uneven / uneven.std())
+    found = sparkle_of(image, TRUE, lit)
+    kept = 1.0 - 4.0 * np.pi * grain_px**2 / 49.0
+    assert 0.03 * np.sqrt(kept) * 0.97 < found.contrast < 0.03 * 1.02
+    assert abs(found.neighbours - neighbours) < 0.05
+    assert found.glints < 3e-4
+
+
+def test_glints_are_counted():
+    """1 % of the pixels shine by half as much again: 5 % contrast, and nearly all of them told."""
+    rng = np.random.default_rng(2)
+    image, lit = white_frame(0.5 * (rng.random((200, 300)) < 0.01))
+    found = sparkle_of(image, TRUE, lit)
+    assert found.contrast == pytest.approx(0.05, rel=0.06)
+    assert 0.008 < found.glints < 0.011
+
+
+def test_too_little_coat_has_no_contrast():
+    image, lit = white_frame(np.zeros((200, 300)))
+    with pytest.raises(InputError, match="lit surroundings"):
+        sparkle_of(image, TRUE, lit & (np.arange(300) < 72))

@@ -18,11 +18,13 @@ from reconstruction.characterise import (
     NoiseSamples,
     PhotonTransfer,
     ProjectorFit,
+    Sparkle,
     UncertainValue,
     dark_of,
     fit_projector,
     photon_transfer,
     samples_of_pairs,
+    sparkle_of,
 )
 from reconstruction.decoding.decode import Decoded, DecodeOptions, decode
 from reconstruction.errors import InputError
@@ -92,6 +94,7 @@ class Adopted:
     experiment : something on the adopted rig
     noise_from : how gain and read noise were found, in words
     stated : noise as capture.toml told it
+    sparkle : how unevenly the coat shines in the white frame
     notes : what a reader should know, one line each
     """
 
@@ -106,6 +109,7 @@ class Adopted:
     placed: Placed
     stated: SensorNoise
     two_period_chi2: float | None
+    sparkle: Sparkle | None
     notes: tuple[str, ...] = field(default=())
 
 
@@ -152,6 +156,7 @@ def adopt(given: Given, watch: ProgressCallback = no_progress) -> Adopted:
         placed=placed,
         stated=captures[0].sensor,
         two_period_chi2=_two_period_chi2(captures, known),
+        sparkle=coat_sparkle(known, points),
         notes=tuple(notes),
     )
 
@@ -278,6 +283,17 @@ def _known(
         sensor = replace(sensor, gain_dn_per_e=noise.gain_dn_per_e.value, read_noise_e=read_e)
     response = response_of(fields) or capture.response
     return replace(capture, sensor=sensor, response=response)
+
+
+def coat_sparkle(capture: Capture, points: Reconstruction) -> Sparkle | None:
+    """Return how unevenly the coat shines; None without a white frame, or with too little of it."""
+    if not capture.patterns.uniform:
+        return None
+    white = capture.stack[capture.patterns.index("white").start]
+    try:
+        return sparkle_of(white, capture.sensor, points.point_map.valid)
+    except InputError:
+        return None
 
 
 def _two_period_chi2(captures: Sequence[Capture], known: Capture) -> float | None:

@@ -63,6 +63,7 @@ def adopted_metrics(found: Adopted) -> dict[str, Any]:
         "projector_misfit_px": found.placed.misfit_px[1],
         "fit_chi2": None if found.fit is None else found.fit.chi2,
         "two_period_chi2": found.two_period_chi2,
+        **_sparkle_figures(found),
         "points": int(found.points.point_map.valid.sum()),
         "sigma_z_median_um": _sigma_um(found),
         "fields_found": sum(not source.startswith("assumed") for source in sources),
@@ -70,6 +71,19 @@ def adopted_metrics(found: Adopted) -> dict[str, Any]:
         "warnings": list(found.notes),
     }
     return figures
+
+
+def _sparkle_figures(found: Adopted) -> dict[str, Any]:
+    """Return the local contrast of the white frame."""
+    one = found.sparkle
+    if one is None:
+        return {}
+    return {
+        "coat_contrast_percent": 100.0 * one.contrast,
+        "coat_contrast_uncertainty_percent": 100.0 * one.uncertainty,
+        "coat_contrast_of_neighbours": one.neighbours,
+        "coat_glints": one.glints,
+    }
 
 
 def _sigma_um(found: Adopted) -> float | None:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from reconstruction.arrays import BoolImage, FloatArray, FloatImage
 from reconstruction.capture.folder import Capture
 from reconstruction.pipeline import Reconstruction
-from twin.adoption.adopt import Adopted, Given
+from twin.adoption.adopt import Adopted, Given, coat_sparkle
 from twin.adoption.findings import rows_of
 from twin.adoption.rendered import Rendered, Scene, render_again
 from twin.pipeline.progress import ProgressCallback, no_progress
@@ -73,7 +73,7 @@ def _page(found: Adopted, twin: Rendered, given: Given) -> Page:
 def _beside(found: Adopted, twin: Rendered) -> Section:
     rows = tuple(_ratio_row(*one) for one in ratios(found, twin))
     columns = (
-        Column("what", "median over the image"),
+        Column("what", "over the image (medians)"),
         Column("real", _REAL, 4, kind="number"),
         Column("twin", _TWIN, 4, kind="number"),
         Column("ratio", f"{_TWIN} / {_REAL}", 3, kind="number"),
@@ -122,10 +122,20 @@ def ratios(found: Adopted, twin: Rendered) -> list[tuple[str, float, float]]:
     )
     if not inside.any():
         return []
-    return [
+    medians = [
         (name, float(np.median(one[inside])), float(np.median(other[inside])))
         for name, one, other in compared
     ]
+    return medians + _sparkle_ratios(found, twin)
+
+
+def _sparkle_ratios(found: Adopted, twin: Rendered) -> list[tuple[str, float, float]]:
+    """Return the local contrast of the coat, captured and rendered."""
+    own, made = found.sparkle, coat_sparkle(twin.capture, twin.points)
+    if own is None or made is None:
+        return []
+    what = "contrast of the coat from pixel to pixel, %"
+    return [(what, 100.0 * own.contrast, 100.0 * made.contrast)]
 
 
 def _frame(capture: Capture, kind: str) -> FloatArray:
