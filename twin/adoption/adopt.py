@@ -29,7 +29,11 @@ from reconstruction.characterise import (
 from reconstruction.decoding.decode import Decoded, DecodeOptions, decode
 from reconstruction.errors import InputError
 from reconstruction.pipeline import Reconstruction, ReconstructOptions, reconstruct
+from reconstruction.rig.calibration import Calibration
+from reconstruction.rig.projected_light import ProjectorResponse
 from reconstruction.rig.sensor import SensorNoise
+from reconstruction.triangulation import triangulate
+from twin.adoption.defocus import SeenBlur, defocus_fields, defocus_of
 from twin.adoption.elastomer import BallPress, elastomer_fields, press_capture
 from twin.adoption.fields import (
     camera_fields,
@@ -128,7 +132,8 @@ def adopt(given: Given, watch: ProgressCallback = no_progress) -> Adopted:
     dark = dark_of(read_images(given.dark, captures[0])) if given.dark else None
     sensor = _with_black(captures[0].sensor, dark)
     watch("fit", 0.0)
-    fits = _fits(given.captures, captures, sensor, notes)
+    fitted = _fits(given.captures, captures, sensor, notes)
+    fits = [one.fit for one in fitted]
     noise, noise_from = _noise(captures, fits, sensor, notes)
     placed = place(captures[0].calibration)
     watch("fit", 1.0)
@@ -137,7 +142,11 @@ def adopt(given: Given, watch: ProgressCallback = no_progress) -> Adopted:
     if given.flat is not None:
         fields |= flat_fields(given.flat, captures[0], sensor, dark)
     fields |= light_fields(fits, dark) | pattern_fields(captures[0])
-    known = _known(captures[0], sensor, noise, fields)
+    defocus = defocus_of([one.seen for one in fitted])
+    if defocus is not None:
+        focal_px = captures[0].calibration.projector.fx_px
+        fields |= defocus_fields(defocus, focal_px, len(fitted))
+    known = _known(captures[0], sensor, noise, response_of(fields, fits))
     points = reconstruct(known, ReconstructOptions())
     fields |= level_field(known)
     scene = Scene(known, points, placed.origin_mm)
@@ -213,12 +222,20 @@ def _with_black(sensor: SensorNoise, dark: Dark | None) -> SensorNoise:
     return replace(sensor, black_level_dn=max(dark.black_level_dn.value, 0.0))
 
 
+@dataclass(frozen=True, eq=False)
+class _Fitted:
+    """What a capture says of the projector, and at what distance."""
+
+    fit: ProjectorFit
+    seen: SeenBlur
+
+
 def _fits(
     folders: Sequence[Path],
     captures: Sequence[Capture],
     sensor: SensorNoise,
     notes: list[str],
-) -> list[ProjectorFit]:
+) -> list[_Fitted]:
     """Fit each capture; those that cannot be fitted are left out, and told."""
     found = []
     for folder, one in zip(folders, captures, strict=True):
@@ -226,10 +243,24 @@ def _fits(
             decoded = decode(one.stack, one.patterns, sensor, UNFILTERED, one.scale)
             if one.scale is not None:
                 raise InputError("merged exposures have no single noise")
-            found.append(fit_projector(one.stack, one.patterns, sensor, decoded))
+            inverse = _inverse_distances(decoded, one.calibration)
+            fit = fit_projector(one.stack, one.patterns, sensor, decoded)
+            found.append(
+                _Fitted(fit, SeenBlur(float(inverse.mean()), float(inverse.std()), fit.blur_px))
+            )
         except InputError as error:
             notes.append(f"{folder.name}: the projector's response is not found: {error}")
     return found
+
+
+def _inverse_distances(decoded: Decoded, calibration: Calibration) -> FloatArray:
+    """Return the inverse distance of all points along the projector's axis, 1/mm."""
+    points = triangulate(decoded, calibration)
+    if not points.valid.any():
+        raise InputError("no pixel has a point; does the calibration belong to the capture?")
+    T_world_from_proj = calibration.T_world_from_proj
+    found_mm = points.points_world_mm[points.valid].astype(np.float64)
+    return np.asarray(1.0 / ((found_mm - T_world_from_proj[:3, 3]) @ T_world_from_proj[:3, 2]))
 
 
 def _noise(
@@ -275,14 +306,13 @@ def _known(
     capture: Capture,
     sensor: SensorNoise,
     noise: PhotonTransfer | None,
-    fields: dict[str, RigField],
+    response: ProjectorResponse | None,
 ) -> Capture:
     """Return the capture with the noise and the response that were found."""
     if noise is not None:
         read_e = noise.read_noise_e.value if noise.read_noise_e else 0.0
         sensor = replace(sensor, gain_dn_per_e=noise.gain_dn_per_e.value, read_noise_e=read_e)
-    response = response_of(fields) or capture.response
-    return replace(capture, sensor=sensor, response=response)
+    return replace(capture, sensor=sensor, response=response or capture.response)
 
 
 def coat_sparkle(capture: Capture, points: Reconstruction) -> Sparkle | None:

@@ -233,11 +233,20 @@ def level_field(capture: Capture) -> dict[str, RigField]:
     return {level.path: level, auto.path: auto}
 
 
-def response_of(fields: dict[str, RigField]) -> ProjectorResponse | None:
-    """Return the projector's response as found; None where it was not."""
-    gamma, blur = (fields.get(f"projector.{name}") for name in ("gamma", "blur_px"))
-    if gamma is None or blur is None:
+def response_of(
+    fields: dict[str, RigField], fits: Sequence[ProjectorFit]
+) -> ProjectorResponse | None:
+    """Return the projector's response as the first capture sees it; None where it was not found.
+
+    Out of focus the blur there is not that of the rig.
+    """
+    gamma = fields.get("projector.gamma")
+    if gamma is None or not fits:
         return None
+    blur = fields["projector.blur_px"]
+    if "projector.aperture_mm" in fields:
+        own = fits[0].blur_px
+        blur = RigField(blur.path, own.value, own.uncertainty, blur.source)
     return ProjectorResponse(
         gamma.value, gamma.uncertainty or 0.0, blur.value, blur.uncertainty or 0.0
     )

@@ -41,7 +41,7 @@ _NEEDS = {
     "projector.contrast": "dark frames (--dark)",
     "projector.gamma": "white and black, or more phase steps",
     "projector.blur_px": "white and black, or more phase steps",
-    "projector.aperture_mm": "captures at several heights",
+    "projector.aperture_mm": "captures at three heights or more",
     "coating.base_albedo": "a reference of known albedo (--reference)",
     "coating.flake_fraction": "captures under several angles",
     "coating.flake_roughness": "captures under several angles",

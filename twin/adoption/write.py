@@ -16,7 +16,6 @@ import numpy as np
 
 from reconstruction.capture.description import response_table, write_toml
 from twin.adoption.adopt import Adopted, Given
-from twin.adoption.fields import response_of
 from twin.adoption.findings import rows_of, write_rig
 from twin.config import to_toml
 from twin.config.digest import content_digest
@@ -32,8 +31,8 @@ def write_adopted(folder: Path, found: Adopted, given: Given) -> dict[str, Any]:
     figures = adopted_metrics(found)
     write_rig(folder / RIG_FILE, given.captures[0].name, found.tables)
     (folder / EXPERIMENT_FILE).write_text(to_toml(found.experiment), encoding="utf-8")
-    response = response_of(found.fields)
-    if response is not None:
+    response = found.capture.response
+    if found.fit is not None and response is not None:
         write_toml(folder / RESPONSE_FILE, {}, response_table(response))
     if found.noise is not None:
         noise = found.noise
