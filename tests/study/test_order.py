@@ -62,3 +62,23 @@ def test_nothing_known_keeps_the_order(base):
     given = cases(base)
     assert [case for _, case in in_sharing_order(given, ())] == given
     assert sum(map(len, batches_of(in_sharing_order(given, ()), 2))) == 60
+
+
+def test_small_groups_of_the_first_stage_stay_together(base):
+    """Nine cases under five calibrations, two workers: single cases would split each pair."""
+    nine = [
+        Case({"seed": n % 5}, vary(base, {"seed": n % 5, "press.depth_mm": 0.3 + 0.1 * n}), str(n))
+        for n in range(9)
+    ]
+    reads = ((("seed",),), (("press", "depth_mm"),))
+    batches = batches_of(in_sharing_order(nine, reads), 2)
+    assert sorted(case.digest for batch in batches for case in batch) == list("012345678")
+    seeds = [case.settings["seed"] for batch in batches for case in batch]
+    assert sum(a != b for a, b in pairwise(seeds)) == 4
+    homes = [{n for n, batch in enumerate(batches) if seed in seeds_of(batch)} for seed in range(5)]
+    assert all(len(home) == 1 for home in homes)
+    assert len(batches) >= 4
+
+
+def seeds_of(batch):
+    return {case.settings["seed"] for case in batch}

@@ -258,8 +258,12 @@ def _kept(
 
 
 # Stages in their order, and how many results of each are kept: a pressed face has a few MB, a stack
-# of frames at full size 600 MB. One is enough where cases come sorted by their stages.
+# of frames at full size 600 MB. One is enough where cases come sorted by their stages. First what
+# calibrates a photometric sensor: it takes longer than all that follows.
 _CAPACITY = {
+    "sensor": 2,
+    "references": 2,
+    "calibrations": 2,
     "shape": 8,
     "press": 8,
     "texture": 8,
@@ -272,9 +276,6 @@ _CAPACITY = {
     "frames": 1,
     "capture": 1,
     "reconstruction": 1,
-    "sensor": 2,
-    "references": 2,
-    "calibrations": 2,
     "image": 1,
 }
 

@@ -258,7 +258,7 @@ def is_death(error: Exception) -> bool:
 
 
 Key = tuple[Hashable, ...]
-BATCHES_PER_WORKER = 6
+BATCHES_PER_WORKER, LEAST_BATCHES_PER_WORKER = 6, 3
 
 
 def in_sharing_order(cases: Sequence[Case], reads: StageReads) -> list[tuple[Key, Case]]:
@@ -281,14 +281,29 @@ def in_sharing_order(cases: Sequence[Case], reads: StageReads) -> list[tuple[Key
 def batches_of(keyed: Sequence[tuple[Key, Case]], workers: int) -> list[list[Case]]:
     """Cut sorted cases into batches, several per worker, rather between stages than within.
 
-    The last ones have half the size, so that workers end at about the same time.
+    The last ones have half the size, so that workers end at about the same time. Cases that share
+    the first stage in which any differ stay together where there are enough such groups: the
+    worker that has, say, the sensor's calibration is not always the one that is free.
     """
     if not keyed:
         return []
-    most = max(1, -(-len(keyed) // (workers * BATCHES_PER_WORKER)))
+    whole, fair = _largest_group(keyed), -(-len(keyed) // (workers * LEAST_BATCHES_PER_WORKER))
+    whole = whole if workers > 1 and whole <= fair else 1
+    most = max(whole, -(-len(keyed) // (workers * BATCHES_PER_WORKER)))
     parts, ending = _cut(list(keyed), 0, most), 2 * workers
-    halves = [half for part in parts[-ending:] for half in _cut(part, 0, -(-len(part) // 2))]
+    halves = [
+        half for part in parts[-ending:] for half in _cut(part, 0, max(whole, -(-len(part) // 2)))
+    ]
     return [[case for _, case in part] for part in parts[:-ending] + halves]
+
+
+def _largest_group(keyed: Sequence[tuple[Key, Case]]) -> int:
+    """Return how many cases at most share the first stage in which any of them differ."""
+    for level in range(len(keyed[0][0])):
+        sizes = Counter(key[level] for key, _ in keyed)
+        if len(sizes) > 1:
+            return max(sizes.values())
+    return 1
 
 
 def _cut(keyed: list[tuple[Key, Case]], level: int, most: int) -> list[list[tuple[Key, Case]]]:
