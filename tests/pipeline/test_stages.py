@@ -185,4 +185,4 @@ def test_a_refusal_is_shared_too(mi, base):
             measure(vary(deep, {"coating.base_albedo": albedo}), memory=memory)
         reasons.add(str(caught.value))
     assert len(reasons) == 1
-    assert {name: computed for name, computed, _, _ in memory.stages()}["press"] == 1
+    assert {name: computed for name, computed, _, _ in memory.stages()}["shape"] == 1
