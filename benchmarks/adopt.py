@@ -40,6 +40,7 @@ from twin.optics.rig import true_calibration
 from twin.optics.stack import RadianceStack
 from twin.pipeline.fringes import render
 from twin.specimens.solids import grid_facets
+from twin.study.workers import local_workers
 
 RIGS, QUICK_RIGS = 40, 4
 REFERENCE_ALBEDO = UncertainValue(0.8, 0.008)
@@ -62,10 +63,18 @@ JUDGED = tuple(HIDDEN)[:7]
 
 @dataclass(frozen=True)
 class AdoptedCase:
-    """One rig: what is hidden, what was found, and its orders of plain Gray code."""
+    """One rig: what is hidden, what was found, and its orders of plain Gray code.
+
+    Attributes
+    ----------
+    found : value and standard uncertainty by field, of those that were found
+    misfit_px : of the poses, the larger of both devices
+    """
 
     hidden: dict[str, float]
-    found: Adopted
+    found: dict[str, tuple[float, float]]
+    misfit_px: float
+    two_period_chi2: float | None
     wrong_share: float
     predicted_share: float
 
@@ -191,15 +200,18 @@ def adopted(seed: int) -> AdoptedCase:
         found = adopt(given)
         (folder / "out").mkdir()
         write_adopted(folder / "out", found, given)
-        return AdoptedCase(hidden, found, *orders(found, truth))
+    known = {
+        path: (float(one.value), one.uncertainty)
+        for path, one in found.fields.items()
+        if one.uncertainty is not None
+    }
+    misfit_px = max(found.placed.misfit_px)
+    return AdoptedCase(hidden, known, misfit_px, found.two_period_chi2, *orders(found, truth))
 
 
 def told(case: AdoptedCase, path: str) -> tuple[float, float, float]:
     """Return hidden value, found value and standard uncertainty; not found: uncertainty 0."""
-    field = case.found.fields.get(path)
-    if field is None or field.uncertainty is None:
-        return case.hidden[path], 0.0, 0.0
-    return case.hidden[path], float(field.value), field.uncertainty
+    return case.hidden[path], *case.found.get(path, (0.0, 0.0))
 
 
 def figures_of(cases: list[AdoptedCase]) -> dict[str, Any]:
@@ -213,7 +225,7 @@ def figures_of(cases: list[AdoptedCase]) -> dict[str, Any]:
         error = (value - true) / (true if relative else 1.0)
         return round(float(np.sqrt(np.mean(error**2))), 5)
 
-    chi2 = [case.found.two_period_chi2 for case in cases]
+    chi2 = [case.two_period_chi2 for case in cases]
     return {
         "coverage_95": round(float(inside.mean()), 4),
         "intervals": len(inside),
@@ -222,7 +234,7 @@ def figures_of(cases: list[AdoptedCase]) -> dict[str, Any]:
         "blur_error_px": rms("projector.blur_px", relative=False),
         "gamma_error": rms("projector.gamma", relative=False),
         "albedo_rel": rms("coating.base_albedo", relative=True),
-        "pose_misfit_px": round(max(max(case.found.placed.misfit_px) for case in cases), 5),
+        "pose_misfit_px": round(max(case.misfit_px for case in cases), 5),
         "two_period_chi2": round(float(np.mean([c for c in chi2 if c is not None])), 4),
         "wrong_order_share": float(np.mean([case.wrong_share for case in cases])),
         "order_error_mean": float(np.mean([case.predicted_share for case in cases])),
@@ -238,14 +250,16 @@ def main() -> None:
     asked = parser.parse_args()
     count = asked.rigs or (QUICK_RIGS if asked.quick else RIGS)
     start, cases = time.perf_counter(), []
-    for seed in range(count):
-        case = adopted(seed)
+    workers = local_workers(min(2, count))
+    executor = workers.open()
+    for seed, case in enumerate(executor.map(adopted, range(count))):
         cases.append(case)
         for path in JUDGED:
             true, value, sigma = told(case, path)
             steps = (value - true) / sigma if sigma else float("nan")
             print(f"rig {seed} {path}: {value:.5g}, true {true:.5g}, off {steps:+.2f} sigma")
-        print(f"rig {seed} two_period_chi2: {case.found.two_period_chi2}", flush=True)
+        print(f"rig {seed} two_period_chi2: {case.two_period_chi2}", flush=True)
+    workers.close(executor)
     result = figures_of(cases)
     print(json.dumps(result | {"seconds": round(time.perf_counter() - start, 1)}))
 

@@ -25,6 +25,15 @@ base = "slab.toml"
 path = "coating.base_albedo"
 values = [0.3, 0.5]
 """
+_LAYER = """[elastomer]
+use = "materials/elastomers/thin_silicone_c"
+length_x_mm = 24.0
+length_y_mm = 20.0
+[press]
+back_pressure_kpa = 3.0
+[sigma]
+thickness_mm = 0.004
+"""
 
 
 def make_stock(folder: Path, run: Path) -> None:
@@ -61,6 +70,8 @@ def make_stock(folder: Path, run: Path) -> None:
     shutil.copy(asset_path("scenes", "inputs/handling"), folder / "inputs.toml")
     capture = Path(__file__).parents[1] / "docs" / "example_capture"
     shutil.copytree(capture, folder / "capture")
+    shutil.copytree(capture, folder / "capture_pressed")
+    (folder / "capture_pressed" / "layer.toml").write_text(_LAYER)
     for kind in ("exr", "tiff"):
         _with_other_images(capture, folder / f"capture_{kind}", kind)
     _without_description(capture, folder / "bare")

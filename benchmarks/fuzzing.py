@@ -85,6 +85,7 @@ class FuzzTarget:
 
 
 _O = ("-o", "{out}")
+_BALL = ("--ball", "{input}", "--ball-diameter-mm", "8", "--layer", "{input}/layer.toml")
 _SIZES = ("--camera-size", "640", "480", "--projector-size", "912", "1140")
 TARGETS = {
     "experiment": FuzzTarget("slab.toml", ("press", "{input}", *_O)),
@@ -113,6 +114,12 @@ TARGETS = {
     "frames_png": FuzzTarget("listed", ("decode", "{input}", *_O), ("*.png",)),
     "describe": FuzzTarget("bare", ("describe", "{input}", "-o", "found.toml"), ("*.png",), False),
     "patterns": FuzzTarget("slab.toml", ("patterns", "{input}", *_O)),
+    "adopt": FuzzTarget(
+        "capture", ("adopt", "{input}", "--no-report", *_O), ("*.toml", "*.yaml", "*.png")
+    ),
+    "adopt_layer": FuzzTarget(
+        "capture_pressed", ("adopt", "{input}", *_BALL, "--no-report", *_O), ("layer.toml",)
+    ),
     "colours": FuzzTarget(
         "colours",
         ("reconstruct", "--photometric", "{input}/press.toml", *_O),
