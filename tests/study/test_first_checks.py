@@ -48,12 +48,8 @@ METHODS = ("contact_fpp", "direct_fpp", "photometric_stereo")
 
 @pytest.mark.parametrize("name", [*ALONE, *(f"compared_{method}" for method in METHODS)])
 def test_every_figure_of_a_measurement_is_known_before_it(name):
-    """Recorded measurements by all methods have no figure that the checks would not know.
-
-    `twin measure` compensates, the cases of a study do not: none of them has these figures.
-    """
+    """Recorded measurements by all methods have no figure that the checks would not know."""
     have = set(recorded()["measured"][name]["metrics"])
-    have = {figure for figure in have if not figure.startswith("compensated_")}
     assert have <= figure_names(experiments()[name])
 
 

@@ -171,6 +171,11 @@ class Sampling(Model):
     budget: bool = Field(
         default=True, description="of trials: also vary each input alone, and the noise alone"
     )
+    compensated: bool = Field(
+        default=False,
+        exclude_if=lambda asked: not asked,
+        description="of trials: also find the object behind the coat in each",
+    )
 
     @model_validator(mode="after")
     def _counted(self) -> "Sampling":
@@ -182,7 +187,7 @@ class Sampling(Model):
         trials = self.method == "trials"
         if trials and self.count is not None and self.count < 2:
             raise ValueError(f"count: found {self.count}, allowed 2 or more trials")
-        of_trials = ("calibration", "board", "budget")
+        of_trials = ("calibration", "board", "budget", "compensated")
         set_here = [n for n in of_trials if getattr(self, n) != Sampling.model_fields[n].default]
         if set_here and not trials:
             raise ValueError(f"{set_here[0]}: method = '{self.method}' does not take it; remove it")

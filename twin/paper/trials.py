@@ -71,7 +71,9 @@ def inputs() -> Inputs:
 
 def fringe_study(experiment: Experiment, trials: int) -> StudyRecord:
     """Return the repeated contact-FPP measurement of a specimen."""
-    return record_of(experiment, inputs(), trials, budget=False)
+    # Of bars, a compensation tells no width.
+    balls = experiment.specimen.kind == "two_balls"
+    return record_of(experiment, inputs(), trials, budget=False, compensated=balls)
 
 
 def plan_of(trial: int) -> PhotometricPlan:

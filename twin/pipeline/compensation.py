@@ -50,6 +50,7 @@ from twin.mechanics.layouts import WINDOW_MARGIN, coat_film
 from twin.output import EXPERIMENT_FILE, output_folder
 from twin.pipeline.dimensions import RECONSTRUCTION_FILE
 from twin.pipeline.progress import ProgressCallback, no_progress
+from twin.results.names import COMPENSATED, may_compensate
 from twin.results.parts import write_outcome
 from twin.results.record import Fringes, Measurement
 from twin.specimens import Sphere, shape_of
@@ -263,30 +264,35 @@ def sheet_layer(layer: SensorLayer) -> SheetLayer:
     )
 
 
-def with_compensation(done: Measurement) -> Measurement:
-    """Return a measurement by fringes with the figures of the object behind its coat."""
+def with_compensation(done: Measurement, layer: SensorLayer | None = None) -> Measurement:
+    """Return a measurement by fringes with the figures of the object behind its coat.
+
+    Parameters
+    ----------
+    layer : what is believed of elastomer and load; default: the experiment's own
+    """
     if not isinstance(done.images, Fringes):
         return done
-    found = compensated_figures(done.experiment, done.images.reconstruction.point_map)
+    found = compensated_figures(done.experiment, done.images.reconstruction.point_map, layer)
     return replace(done, metrics={**done.metrics, **found})
 
 
-def compensated_figures(experiment: Experiment, points: PointMap) -> dict[str, Any]:
+def compensated_figures(
+    experiment: Experiment, points: PointMap, layer: SensorLayer | None = None
+) -> dict[str, Any]:
     """Return figures of the object under a thin sheet, to stand beside those of the coat.
 
     Nothing where the elastomer does not wrap; why, where the points tell no object.
     """
-    elastomer = experiment.elastomer
-    on_window = elastomer.layout == "contact_face"
-    if not experiment.method.presses or not (on_window or may_wrap(elastomer)):
+    if not may_compensate(experiment):
         return {}
     try:
-        found = compensate_points(points, sensor_layer_of(experiment))
+        found = compensate_points(points, layer or sensor_layer_of(experiment))
     except InputError as error:
         return {"compensation_failure": str(error)}
     balls = shape_of(experiment.specimen).spheres()
     figures = object_figures(found, balls)
-    return {key: one for key, one in figures.items() if key.startswith("compensated_")}
+    return {key: one for key, one in figures.items() if key.startswith(COMPENSATED)}
 
 
 def object_figures(found: Compensated, balls: Sequence[Sphere] = ()) -> dict[str, Any]:

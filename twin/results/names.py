@@ -8,6 +8,7 @@ from dataclasses import fields
 
 from reconstruction.evaluate.conformity import CombinedUncertainty
 from twin.config.models import Experiment
+from twin.mechanics.choice import may_wrap
 from twin.results.bound import bound_names
 from twin.results.features import feature_of, features_of, measurands_of, nominal_mm
 from twin.results.object_score import (
@@ -29,6 +30,26 @@ OF_A_PRESS = (
 _OF_A_RECORDING = ("exposure_ms", "frames", "saturated_share")
 _OF_A_ROD = ("rod_width_mm", "rod_break_width_mm", "rod_height_mm", "rod_failure")
 _ALWAYS = ("warnings", "unfitted_balls")
+COMPENSATED = "compensated_"
+"""What the figures begin with that are the object's, found from the coat."""
+_OF_A_CONTACT = ("force_n", "force_sigma_n", "contact_area_mm2")
+
+
+def may_compensate(experiment: Experiment) -> bool:
+    """Tell whether the object behind a measured coat is found: under a sheet, or on a window."""
+    elastomer, method = experiment.elastomer, experiment.method
+    on_window = elastomer.layout == "contact_face"
+    return method.fringes and method.presses and (on_window or may_wrap(elastomer))
+
+
+def compensated_names(experiment: Experiment) -> set[str]:
+    """Return the names of figures of the object behind the coat; none where it is not found."""
+    if not may_compensate(experiment):
+        return set()
+    names = [*_OF_A_CONTACT, "thickness_mm"]
+    for number in range(1, len(shape_of(experiment.specimen).spheres()) + 1):
+        names += [f"sphere_{number}_radius_mm", f"sphere_{number}_radius_sigma_um"]
+    return {f"{COMPENSATED}{name}" for name in names}
 
 
 def figure_names(experiment: Experiment) -> set[str]:
@@ -43,7 +64,8 @@ def figure_names(experiment: Experiment) -> set[str]:
         names |= set(sphere_names(balls, region))
     if has_one_rod(experiment):
         names |= {f"{of}{name}" for of in ("", "true_face_") for name in _OF_A_ROD}
-    return names | _of_the_object(experiment) | bound_names(experiment)
+    names |= _of_the_object(experiment) | bound_names(experiment)
+    return names | compensated_names(experiment)
 
 
 def _of_the_object(experiment: Experiment) -> set[str]:

@@ -7,7 +7,7 @@ import hashlib
 import itertools
 import json
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -18,7 +18,12 @@ from twin.config import ConfigError, Experiment, digest, vary
 from twin.config.loading import by_method
 from twin.config.study import MOST_CASES, Axis, Constraint, Level, Study, without_absent
 from twin.study.measuring import AS_IT_IS, Conditions
-from twin.study.needed import bound_needed, derivatives_needed
+from twin.study.needed import (
+    bound_needed,
+    compensation_needed,
+    derivatives_needed,
+    layer_for,
+)
 
 Point = tuple[Level, ...]
 
@@ -161,6 +166,10 @@ def case_of(
             del said["bound"]
         if not conditions.derivatives:
             del said["derivatives"]
+        if conditions.layer is None:
+            del said["layer"]
+        else:
+            said["layer"] = conditions.layer.model_dump(mode="json")
         named = f"{name} {json.dumps(said, sort_keys=True)}"
         name = hashlib.blake2b(named.encode(), digest_size=8).hexdigest()
     return Case(settings, experiment, name, conditions)
@@ -225,6 +234,7 @@ def _cases_at(study: Study, base: Experiment, point: Point) -> Iterable[Case]:
         changes |= without_absent(dict(level.changes))
     settings = _settings(study, point)
     conditions = Conditions(bound=bound_needed(study), derivatives=derivatives_needed(study))
+    compensates = compensation_needed(study)
     for modality in study.modalities or (base.modality,):
         for repeat in range(study.repeats):
             named: dict[str, Any] = {"modality": modality} if len(study.modalities) > 1 else {}
@@ -232,7 +242,8 @@ def _cases_at(study: Study, base: Experiment, point: Point) -> Iterable[Case]:
                 named["seed"] = base.seed + repeat
             method = by_method(modality) if study.modalities else {}
             experiment = vary(base, changes | method | named)
-            yield case_of(settings | named, experiment, conditions)
+            layer = layer_for(experiment) if compensates else None
+            yield case_of(settings | named, experiment, replace(conditions, layer=layer))
 
 
 def _settings(study: Study, point: Point) -> dict[str, Any]:

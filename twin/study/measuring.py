@@ -21,11 +21,13 @@ from reconstruction.triangulation import triangulate
 from twin.config import Experiment, digest
 from twin.config.board import load_board
 from twin.config.digest import keyed_sequence
+from twin.config.sensor_layer import SensorLayer
 from twin.mechanics import PressedElastomer
 from twin.output import replace_json, versions
 from twin.pipeline import Memory, measure
 from twin.pipeline.bound import bounds_alone
 from twin.pipeline.calibration import calibrate_rendered, calibration_metrics
+from twin.pipeline.compensation import with_compensation
 from twin.pipeline.fringes import options_of
 from twin.pipeline.gradients import bound_gradient
 from twin.pipeline.memory import Path as FieldPath
@@ -149,6 +151,8 @@ class Conditions:
     bound : "beside": also how well each dimension can be known; "alone": press, trace and say that,
         without frames, noise and decoding
     derivatives : fields by which the bounds are differentiated; figures BOUND_by_FIELD
+    layer : what is believed of elastomer and load, by which the object behind the coat is found;
+        figures compensated_NAME; None: it is not
     """
 
     trial: int = 0
@@ -157,6 +161,7 @@ class Conditions:
     face_only: bool = False
     bound: Literal["no", "beside", "alone"] = "no"
     derivatives: tuple[str, ...] = ()
+    layer: SensorLayer | None = None
 
 
 AS_IT_IS = Conditions()
@@ -208,13 +213,17 @@ class CaseMeasurer:
             return Answer(found, lambda folder: self._write_press(folder, pressed))
         beside = conditions.bound == "beside"
         done = measure(experiment, memory=self.memory, trial=conditions.trial, bound=beside)
-        figures, rigs = {**done.metrics, **self._more(done)}, self.rigs
+        rigs = self.rigs
         if conditions.board and rigs is not None and experiment.method.fringes:
             exact = {**metrics(done.score), **done.object.figures, **self._more(done)}
             true = done.fringes.capture.calibration
             done = seen_with(done, rigs.draw(true, conditions.seed, conditions.trial))
+            done = _compensated(done, conditions)
             figures = {f"{TRUE_RIG}{name}": value for name, value in exact.items()}
             figures |= {**done.metrics, **self._more(done)}
+            return Answer(figures, lambda folder: write_kept(folder, done, self.keep))
+        done = _compensated(done, conditions)
+        figures = {**done.metrics, **self._more(done)}
         return Answer(figures, lambda folder: write_kept(folder, done, self.keep))
 
     def _write_press(self, folder: Path, pressed: PressedElastomer) -> None:
@@ -227,6 +236,10 @@ class CaseMeasurer:
     def reads(self) -> StageReads:
         """Fields that each stage looked at for the latest case, first stage first."""
         return tuple(paths for _, _, _, paths in self.memory.stages())
+
+
+def _compensated(done: Measurement, conditions: Conditions) -> Measurement:
+    return with_compensation(done, conditions.layer) if conditions.layer else done
 
 
 def _with_derivatives(

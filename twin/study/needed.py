@@ -6,10 +6,12 @@ draws no noise and decodes nothing.
 
 from typing import Literal
 
+from twin.config.models import Experiment
+from twin.config.sensor_layer import SensorLayer, sensor_layer_of
 from twin.config.study import Study
 from twin.results.bound import is_bound_name
 from twin.results.derivatives import DIFFERENTIATED
-from twin.results.names import OF_A_PRESS
+from twin.results.names import COMPENSATED, OF_A_PRESS, may_compensate
 from twin.study.derived import DERIVED, OF_A_MEASUREMENT
 
 Bound = Literal["no", "beside", "alone"]
@@ -27,6 +29,16 @@ def bound_needed(study: Study) -> Bound:
     everything = not study.metrics and study.sampling.method not in ("optimise", "gradient")
     others = [name for name in names if not is_bound_name(name) and not _known_without(name)]
     return "beside" if everything or others or set(study.keep) - {"press"} else "alone"
+
+
+def compensation_needed(study: Study) -> bool:
+    """Tell whether figures of the object behind the coat are named."""
+    return any(name.startswith(COMPENSATED) for name in named_figures(study))
+
+
+def layer_for(experiment: Experiment) -> SensorLayer | None:
+    """Return what an experiment says of elastomer and load; None where no object is found by it."""
+    return sensor_layer_of(experiment) if may_compensate(experiment) else None
 
 
 def derivatives_needed(study: Study) -> tuple[str, ...]:

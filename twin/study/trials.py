@@ -11,7 +11,7 @@ the same place of their lists: a sample of a joint distribution.
 """
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -22,9 +22,11 @@ from twin.config import ConfigError, Experiment, vary
 from twin.config.digest import keyed_sequence
 from twin.config.inputs import Input
 from twin.config.loading import by_method
+from twin.config.sensor_layer import SensorLayer
 from twin.config.study import Study
 from twin.study.cases import Case, Cases, case_of
 from twin.study.measuring import Conditions
+from twin.study.needed import layer_for
 
 PART, TRIAL, INPUT, STEP = "part", "trial", "input", "step"
 TRIALS, NOISE, CALIBRATION, ALONE = "trial", "noise", "calibration", "alone"
@@ -48,10 +50,12 @@ def trial_cases(study: Study, base: Experiment) -> Cases:
     count = study.sampling.count or 0
     if not counting_for(experiment, study.inputs):
         raise ConfigError(f"{study.name}: inputs: none of them is in {experiment.name}; add one")
-    found = list(_trials(study, experiment))
+    # A trial's own sheet is what its user does not know: all take the nominal one.
+    layer = layer_for(experiment) if study.sampling.compensated else None
+    found = list(_trials(study, experiment, layer))
     if study.sampling.budget:
-        found += alone_cases(experiment, study.inputs)
-        found += _repeats(experiment, min(count, NOISE_REPEATS))
+        found += alone_cases(experiment, study.inputs, layer=layer)
+        found += _repeats(experiment, min(count, NOISE_REPEATS), layer)
         if study.sampling.calibration == "drawn" and not experiment.method.fringes:
             found += _recalibrated(experiment)
     return Cases(tuple(found), 0)
@@ -62,7 +66,7 @@ def nominal(study: Study, base: Experiment) -> Experiment:
     return vary(base, by_method(study.modalities[0])) if study.modalities else base
 
 
-def _trials(study: Study, experiment: Experiment) -> Iterator[Case]:
+def _trials(study: Study, experiment: Experiment, layer: SensorLayer | None) -> Iterator[Case]:
     plan, inputs = study.sampling, study.inputs
     for number in range((plan.count or 0) + 1):
         try:
@@ -74,34 +78,40 @@ def _trials(study: Study, experiment: Experiment) -> Iterator[Case]:
             ) from None
         settings = {PART: TRIALS, TRIAL: number}
         values = drawn_values(experiment, inputs, plan.seed, number)
-        yield case_of(settings | values, *_measured(study, drawn, number))
+        yield case_of(settings | values, *_measured(study, drawn, Conditions(number, layer=layer)))
 
 
-def _measured(study: Study, drawn: Experiment, number: int) -> tuple[Experiment, Conditions]:
+def _measured(
+    study: Study, drawn: Experiment, conditions: Conditions
+) -> tuple[Experiment, Conditions]:
     """Return experiment and conditions of a trial, with its calibration."""
-    plan = study.sampling
+    plan, number = study.sampling, conditions.trial
     if plan.calibration == "true" or not number:
-        return drawn, Conditions(number)
+        return drawn, conditions
     if drawn.method.fringes:
-        return drawn, Conditions(number, plan.board, plan.seed)
+        return drawn, replace(conditions, board=plan.board, seed=plan.seed)
     # The reference presses are drawn from the root seed of the experiment.
-    return vary(drawn, {"seed": drawn.seed + number % CALIBRATIONS}), Conditions(number)
+    return vary(drawn, {"seed": drawn.seed + number % CALIBRATIONS}), conditions
 
 
 def alone_cases(
-    experiment: Experiment, inputs: Mapping[str, Input], *, face_only: bool = False
+    experiment: Experiment,
+    inputs: Mapping[str, Input],
+    *,
+    face_only: bool = False,
+    layer: SensorLayer | None = None,
 ) -> list[Case]:
     """Return each input's cases below and above its nominal value, and the nominal one.
 
     A choice among values is set to each of them. No noise, true rig; with `face_only` the face
-    alone, which the optics leave alone.
+    alone, which the optics leave alone; with a `layer` also the object behind the coat.
 
     Raises
     ------
     ConfigError : a key leads to no number, or such a value is not allowed
     """
     silent = vary(experiment, {"camera.noise": False})
-    conditions = Conditions(face_only=face_only)
+    conditions = Conditions(face_only=face_only, layer=layer)
     settings: dict[str, Any] = {PART: ALONE, INPUT: "", STEP: MIDDLE}
     found = [case_of(settings, silent, conditions)]
     for name, one in counting_for(experiment, inputs).items():
@@ -121,9 +131,9 @@ def _steps(one: Input, nominal: float) -> dict[str, float]:
     return {LOW: nominal - u, HIGH: nominal + u} if u else {}
 
 
-def _repeats(experiment: Experiment, count: int) -> Iterator[Case]:
+def _repeats(experiment: Experiment, count: int, layer: SensorLayer | None) -> Iterator[Case]:
     for number in range(1, count + 1):
-        yield case_of({PART: NOISE, TRIAL: number}, experiment, Conditions(number))
+        yield case_of({PART: NOISE, TRIAL: number}, experiment, Conditions(number, layer=layer))
 
 
 def _recalibrated(experiment: Experiment) -> Iterator[Case]:

@@ -24,6 +24,7 @@ from twin.config.schema import explain
 from twin.config.study import Study
 from twin.output import EXPERIMENT_FILE, RESULT_FILE, adding, write_json
 from twin.pipeline.progress import ProgressCallback, no_progress
+from twin.results.names import may_compensate
 from twin.results.parts import write_result
 from twin.study.record import StudyRecord, write_record
 from twin.study.sensitivity import Effect
@@ -119,8 +120,13 @@ def record_of(
     calibration: Literal["drawn", "true"] = "drawn",
     budget: bool = True,
     seed: int | None = None,
+    compensated: bool | None = None,
 ) -> StudyRecord:
     """Return the study of trials of an experiment.
+
+    Parameters
+    ----------
+    compensated : also find the object behind the coat in each trial; default: where that can be
 
     Raises
     ------
@@ -135,6 +141,7 @@ def record_of(
         "seed": given.seed if seed is None else seed,
         "calibration": calibration,
         "budget": budget,
+        "compensated": may_compensate(experiment) if compensated is None else compensated,
     }
     study = {
         "name": "trials",
