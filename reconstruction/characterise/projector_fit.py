@@ -44,9 +44,9 @@ _LEAST_PIXELS = 200
 _LEAST_FRAMES = 7
 _LEAST_BLUR_PX = 0.05
 _EDGE_PX = 8.0
-# Standard uncertainty of the model itself, relative: by so much do gamma and blur of rendered rigs,
-# which are known, come out too small (./run bench adopt), for a reason that is not found yet.
-_MODEL_GAMMA, _MODEL_BLUR = 0.0015, 0.007
+# Standard uncertainty of the model itself, relative: by so much are gamma and blur of rendered
+# rigs, which are known, still off (./run bench adopt).
+_MODEL_GAMMA, _MODEL_BLUR = 0.0003, 0.002
 # Below that share of the mean curvature gamma and blur cannot be told apart.
 _LEAST_CONDITION = 1e-8
 
@@ -129,7 +129,10 @@ def fit_projector(
     ----------
     stack : (frame, row, col) DN, as decoded
     sensor : black level and saturation; gain and noise are where the weights start
-    decoded : coordinates of this stack
+    decoded : coordinates of this stack, where the places on the projector begin; those of few
+        steps, decoded as if the projector were linear, are off by a tenth of a period at gamma 2,
+        from where the edges of bits lead some of them astray: decode again with what was found, and
+        fit again
 
     Raises
     ------

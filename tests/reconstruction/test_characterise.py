@@ -140,6 +140,27 @@ def test_a_capture_tells_gamma_blur_and_noise(steps, axes, code, gamma, blur_px)
     np.testing.assert_allclose(found.light_dn.mean(), 2600.0 + 150.0, rtol=0.03)
 
 
+def test_a_second_fit_begins_where_the_response_puts_the_pixels():
+    """Three steps at gamma 2.1: read as if it were 1, some pixels settle beyond a bit's edge.
+
+    Expected: chi-square far above 1 at first; decoded with what was found, 1, and the gamma within
+    0.001. By image pixels as large as a projector's, so that many lie near edges.
+    """
+    patterns = PatternSet(640, 360, steps=3, code="gray")
+    row, col = np.mgrid[0:150, 0:240].astype(float)
+    column, line = 60.0 + 1.9 * col + 0.013 * row, 40.0 + 1.7 * row + 0.017 * col
+    clean = 150.0 + 2600.0 * shown(patterns, column, line, 2.1, 0.5)
+    stack = recorded(clean, 3)
+    options = DecodeOptions(filter_taps=0, max_order_error=0.1)
+    first = fit_projector(stack, patterns, TRUE, decode(stack, patterns, TRUE, options))
+    assert first.chi2 > 1.2
+    again = decode(stack, patterns, TRUE, options, response=first.response())
+    second = fit_projector(stack, patterns, TRUE, again)
+    assert second.chi2 == pytest.approx(1.0, abs=0.05)
+    assert second.gamma.value == pytest.approx(2.1, abs=0.001)
+    assert abs(second.blur_px.value - 0.5) < 3.0 * second.blur_px.uncertainty
+
+
 def test_frames_that_cannot_tell_are_refused():
     patterns = PatternSet(64, 64, steps=3, axes=("column",), period_px=64.0, uniform=False,
                           code="hierarchical")  # fmt: skip

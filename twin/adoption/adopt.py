@@ -15,6 +15,7 @@ from reconstruction.arrays import FloatArray, FloatImage
 from reconstruction.capture.folder import Capture, read_capture
 from reconstruction.characterise import (
     Dark,
+    FitLimits,
     NoiseSamples,
     PhotonTransfer,
     ProjectorFit,
@@ -244,13 +245,26 @@ def _fits(
             if one.scale is not None:
                 raise InputError("merged exposures have no single noise")
             inverse = _inverse_distances(decoded, one.calibration)
-            fit = fit_projector(one.stack, one.patterns, sensor, decoded)
+            fit = _fit_twice(one, sensor, decoded)
             found.append(
                 _Fitted(fit, SeenBlur(float(inverse.mean()), float(inverse.std()), fit.blur_px))
             )
         except InputError as error:
             notes.append(f"{folder.name}: the projector's response is not found: {error}")
     return found
+
+
+def _fit_twice(capture: Capture, sensor: SensorNoise, decoded: Decoded) -> ProjectorFit:
+    """Fit, decode with the response found, and fit again from there."""
+    stack, patterns = capture.stack, capture.patterns
+    first = fit_projector(stack, patterns, sensor, decoded)
+    if patterns.is_micro:  # read without a response
+        return first
+    known = first.response()
+    again = decode(stack, patterns, sensor, UNFILTERED, response=known)
+    return fit_projector(
+        stack, patterns, sensor, again, FitLimits(gamma=known.gamma, blur_px=known.blur_px)
+    )
 
 
 def _inverse_distances(decoded: Decoded, calibration: Calibration) -> FloatArray:
