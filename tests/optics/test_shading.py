@@ -10,9 +10,13 @@ from scipy.ndimage import binary_dilation, binary_erosion
 from twin.config import load_experiment
 from twin.optics.light import light_tables, pattern_set
 from twin.optics.rig import true_calibration
-from twin.optics.scene import may_shade_itself
+from twin.optics.shading import shading_of
 
 SPIKE_MM = 6.0
+
+
+def may_shade(face, source_mm):
+    return shading_of(face, source_mm).possible
 
 
 @pytest.fixture(scope="module")
@@ -99,19 +103,19 @@ def test_the_bound_is_sharp(grid_face):
             lambda x, _: slope * x, lambda x, _: (slope + 0.0 * x, 0.0 * x), pitch_mm=0.5
         )
 
-    assert not may_shade_itself(ramp(0.999 * limit), np.array([0.0, 0.0, height_mm]))
-    assert may_shade_itself(ramp(1.001 * limit), np.array([0.0, 0.0, height_mm]))
+    assert not may_shade(ramp(0.999 * limit), np.array([0.0, 0.0, height_mm]))
+    assert may_shade(ramp(1.001 * limit), np.array([0.0, 0.0, height_mm]))
 
 
 def test_one_steep_facet_is_found(plane, source_mm):
     """A vertex raised by five times its cell is found, whichever facets of the cell it tilts."""
-    assert not may_shade_itself(plane, source_mm)
+    assert not may_shade(plane, source_mm)
     cell_mm = 0.5
     for corner in ([0, 0], [1, 1], [0, 1]):
         raised = plane.copy()
         index = np.argmin(np.linalg.norm(raised.vertices[:, :2] - corner, axis=-1))
         raised.vertices[index, 2] = 5.0 * cell_mm
-        assert may_shade_itself(raised, source_mm)
+        assert may_shade(raised, source_mm)
 
 
 def test_only_height_grids_are_proven(plane, source_mm):
@@ -122,8 +126,8 @@ def test_only_height_grids_are_proven(plane, source_mm):
     hole.update_faces(np.arange(len(hole.faces)) != 7)
     skewed.vertices[5, 0] += 0.1
     for face in (trimesh.util.concatenate([plane, wall]), turned, hole, skewed, wall):
-        assert may_shade_itself(face, source_mm)
-    assert may_shade_itself(plane, np.array([0.0, 0.0, -100.0]))
+        assert may_shade(face, source_mm)
+    assert may_shade(plane, np.array([0.0, 0.0, -100.0]))
 
 
 FINE = {
@@ -162,3 +166,63 @@ def test_the_shadow_of_a_step_of_30_um(mi, grid_face, name, tangent):
     assert not lit[(x > end + 0.004) & (x < -0.001)].any()
     assert lit[(x < end - 0.004) | (x > 0.003)].all()
     assert 0 < (~lit).sum() < 0.5 * lit.size
+
+
+@pytest.mark.parametrize("name", ["spike", "terraces"])
+def test_rays_where_light_may_be_blocked_are_enough(mi, experiment, grid_face, name):
+    """A spike and walls: the same bytes as with a shadow ray at every point, of a tenth of them."""
+    from twin.optics.one_trace import trace_stack
+    from twin.optics.scene import coated_rig, coated_scene
+
+    def terraces(x, y):
+        return 0.8 * (np.hypot(x, y) < 3.0) + 0.5 * (np.hypot(x - 5.0, y) < 1.0)
+
+    heights = {"spike": spike, "terraces": terraces}
+    face = grid_face(heights[name], lambda x, y: (0.0 * x, 0.0 * y), pitch_mm=0.05)
+    scene, rig = coated_scene(experiment, face), coated_rig(experiment, face)
+    assert rig.shadows
+    assert 0.0 < np.asarray(rig.shaded.marked).mean() < 0.1
+    tables = light_tables(
+        experiment.projector, pattern_set(experiment.projector, experiment.patterns)
+    )
+    asked = trace_stack(scene, rig, tables, 4)
+    everywhere = trace_stack(scene, replace(rig, shaded=None), tables, 4)
+    nowhere = trace_stack(scene, replace(rig, shadows=False), tables, 4)
+    assert any(one.tobytes() != other.tobytes() for one, other in zip(asked, nowhere, strict=True))
+    for one, other in zip(asked, everywhere, strict=True):
+        assert one.tobytes() == other.tobytes()
+
+
+def test_a_rough_face_is_darker_by_rays_at_its_creases_alone(mi, experiment, grid_face):
+    """Heights of 50 um RMS at random, 50 um apart.
+
+    Expected: nothing is lit that rays find dark, but points so near to a crease that their rays,
+    which start 1 um off the facet, start below the facet beside it: of a facet, a strip of that
+    width along its edges at most, and of the dark pixels about one in a hundred.
+    """
+    from twin.optics.one_trace import trace_truth
+    from twin.optics.scene import coated_rig, coated_scene
+
+    noise = 0.05 * np.random.default_rng(3).normal(size=(700, 900))
+    face = grid_face(
+        lambda x, y: noise[: x.shape[0], : x.shape[1]] * (np.hypot(x, y) < 8.0),
+        lambda x, y: (0.0 * x, 0.0 * y), pitch_mm=0.05,
+    )  # fmt: skip
+    scene, rig = coated_scene(experiment, face), coated_rig(experiment, face)
+    assert rig.shaded is not None
+    asked = trace_truth(scene, rig)
+    everywhere = trace_truth(scene, replace(rig, shaded=None))
+    assert not (everywhere.lit & ~asked.lit).any()
+    dark = (~everywhere.lit).sum()
+    assert dark > 300
+    assert (asked.lit & ~everywhere.lit).sum() < 0.03 * dark
+
+
+def test_a_border_that_folds_tells_no_places(grid_face, source_mm):
+    """A wall that runs into the border: seen from the light the border may cross itself."""
+    wall = grid_face(
+        lambda x, _: 6.0 * np.exp(-20.0 * x**2), lambda x, y: (0.0 * x, 0.0 * y), pitch_mm=0.1
+    )
+    found = shading_of(wall, source_mm)
+    assert found.possible
+    assert found.places is None

@@ -16,6 +16,7 @@ from reconstruction.arrays import FloatArray, FloatImage
 from twin.optics.devices import Device
 from twin.optics.layers import Arrival, LayerStack
 from twin.optics.light import LEAST_VARIANCE_PX2, MARGIN_PX, OVERSAMPLING, BlurLevels, LightTable
+from twin.optics.shading import ShadedPlaces
 from twin.optics.stack import Truth
 
 # Shadow rays start this far off the surface along its normal: 50 times the float32 resolution of
@@ -28,7 +29,8 @@ class Rig:
     """What a path needs: the two devices, the projector's irradiance at 1 mm (mW/mm^2), layers.
 
     With `layers`, both devices look through them at surfaces below. Without `shadows` no shadow ray
-    is traced: for scenes in which proven nothing stands in the light (`scene`).
+    is traced: for scenes in which proven nothing stands in the light; with `shaded` only where
+    that is not proven (`shading`).
     """
 
     camera: Device
@@ -36,6 +38,7 @@ class Rig:
     irradiance_at_1mm: float
     layers: LayerStack | None = None
     shadows: bool = True
+    shaded: ShadedPlaces | None = None
 
 
 @dataclass(frozen=True)
@@ -65,7 +68,8 @@ def connect(scene: Any, rig: Rig, hit: Any, bsdf: Any, coherent: bool = True) ->
     column_px, row_px = light.column_px, light.row_px
     lit = hit.is_valid() & (light.axial_mm > 0.0) & on_image(rig, column_px, row_px, MARGIN_PX)
     if rig.shadows:
-        lit &= ~blocked(scene, hit, light.direction, light.clear_mm, lit, coherent=coherent)
+        asked = lit if rig.shaded is None else lit & rig.shaded.may_be_dark(hit.p)
+        lit &= ~blocked(scene, hit, light.direction, light.clear_mm, asked, coherent=coherent)
     brdf_cos = bsdf.eval(mi.BSDFContext(), hit, hit.to_local(light.direction), lit)[0]
     weight = dr.select(lit, brdf_cos * light.irradiance, 0.0)
     nothing = ~hit.is_valid()

@@ -1,22 +1,11 @@
-"""Mitsuba scenes: the coated face under the rig, and what is to be known of their surfaces.
-
-That a gentle relief cannot shade itself is proven here, so that no shadow ray need be traced.
-A sheet z = h(x, y) over a convex domain whose facets climb at most s per mm rises at most s d over
-a horizontal distance d (mean value theorem along the line between the two points, facet by facet).
-A ray that climbs m > s per mm from a point of the sheet stays above it for ever after. Towards a
-projector at q, m is smallest at the highest point and in the corner furthest from it:
-
-    m >= (q_z - max z) / max |q_xy - corner|
-"""
+"""Mitsuba scenes: the coated face under the rig, and what is to be known of their surfaces."""
 
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 import mitsuba as mi
-import numpy as np
 
-from reconstruction.arrays import FloatArray
 from reconstruction.errors import InputError
 from twin.config.layers import Layer, holding_layer, media_of
 from twin.config.models import Coating, Experiment
@@ -26,7 +15,7 @@ from twin.optics.devices import Device
 from twin.optics.layers import LayerStack
 from twin.optics.materials import coated_mesh, coating_bsdf
 from twin.optics.rig import ThinLens, irradiance_at_1mm, true_calibration
-from twin.specimens.solids import grid_facets
+from twin.optics.shading import shading_of
 
 if TYPE_CHECKING:
     import trimesh
@@ -74,11 +63,12 @@ def rig_of(experiment: Experiment) -> Rig:
 
 
 def coated_rig(experiment: Experiment, face: "trimesh.Trimesh") -> Rig:
-    """Rig for `coated_scene`, the face alone: without shadow rays where the face needs none."""
+    """Rig for `coated_scene`, the face alone: shadow rays only where light may be blocked."""
     rig = rig_of(experiment)
-    source_mm = rig.projector.T_world_from_device[:3, 3]
-    needed = rig.layers is not None or may_shade_itself(face, source_mm)
-    return replace(rig, shadows=needed)
+    if rig.layers is not None:
+        return rig
+    found = shading_of(face, rig.projector.T_world_from_device[:3, 3])
+    return replace(rig, shadows=found.possible, shaded=found.places)
 
 
 def layer_stack(experiment: Experiment) -> LayerStack | None:
@@ -171,55 +161,3 @@ class Surfaces:
                 here = hit.shape == mi.ShapePtr(body.shape)
                 absorption = dr.select(here, body.absorption_per_mm, absorption)
         return dr.select(inside, dr.exp(-absorption * hit.t), 1.0)
-
-
-def may_shade_itself(face: "trimesh.Trimesh", source_mm: FloatArray) -> bool:
-    """Tell whether light from a point can be blocked by the face before it reaches the face.
-
-    Parameters
-    ----------
-    face : world frame, mm
-    source_mm : (3,) float; world position of the light, mm
-
-    Returns
-    -------
-    False is proven; True also for every mesh that is not a grid of heights as `face_mesh` builds
-    it, and for a source below the highest point
-    """
-    grid = _height_grid(face)
-    if grid is None:
-        return True
-    corners_mm = grid[:: len(grid) - 1, :: grid.shape[1] - 1, :2].reshape(-1, 2)
-    furthest_mm = np.linalg.norm(corners_mm - source_mm[:2], axis=-1).max()
-    climb = float(source_mm[2] - grid[..., 2].max()) / furthest_mm
-    return bool(climb <= _steepest_facet(grid))
-
-
-def _height_grid(face: "trimesh.Trimesh") -> FloatArray | None:
-    """Vertices (row, col, xyz) as the renderer rounds them; None if not a height grid.
-
-    Vertex row * cols + col lies at (x[col], y[row]) with x and y growing, the facets are those of
-    `grid_facets`: a graph over a rectangle.
-    """
-    vertices = np.asarray(face.vertices, np.float32).astype(np.float64)
-    cols = int(np.count_nonzero(vertices[:, 1] == vertices[0, 1]))
-    rows = len(vertices) // cols
-    if min(rows, cols) < 2 or rows * cols != len(vertices):
-        return None
-    grid = vertices.reshape(rows, cols, 3)
-    x_mm, y_mm = grid[0, :, 0], grid[:, 0, 1]
-    on_lines = np.all(grid[..., 0] == x_mm) and np.all(grid[..., 1] == y_mm[:, None])
-    growing = np.all(np.diff(x_mm) > 0.0) and np.all(np.diff(y_mm) > 0.0)
-    regular = on_lines and growing and np.array_equal(face.faces, grid_facets(rows, cols))
-    return grid if regular else None
-
-
-def _steepest_facet(grid: FloatArray) -> float:
-    """Largest slope of any facet: each has one edge along x and one along y."""
-    z_mm = grid[..., 2]
-    slope_x = np.diff(z_mm, axis=1) / np.diff(grid[0, :, 0])
-    slope_y = np.diff(z_mm, axis=0) / np.diff(grid[:, 0, 1])[:, None]
-    # The two facets of a cell: edges (lower row, right column) and (upper row, left column).
-    first = slope_x[:-1] ** 2 + slope_y[:, 1:] ** 2
-    second = slope_x[1:] ** 2 + slope_y[:, :-1] ** 2
-    return float(np.sqrt(max(first.max(), second.max())))
