@@ -86,11 +86,12 @@ def test_object_is_written_as_points_and_figures(measured: Path, tmp_path: Path)
     contact = read_arrays(out / "contact.nc")
     assert contact.variables["thickness_mm"][2]["units"] == "mm"
     assert float(contact["pressure_kpa"].max()) > 5.0
-    for name in ("points.ply", "layer.toml", "experiment.toml", "compensation.png"):
+    made = ("points.ply", "layer.toml", "experiment.toml", "report.html")
+    for name in (*made, "figures/compensation.png"):
         assert (out / name).stat().st_size > 0
     assert run(["compensate", str(measured), "--layer", str(out / "layer.toml"), "-o",
                 str(tmp_path / "third"), "--no-report"]) == 0  # fmt: skip
-    assert not (tmp_path / "third" / "compensation.png").exists()
+    assert not (tmp_path / "third" / "report.html").exists()
 
 
 @pytest.mark.parametrize(

@@ -23,8 +23,8 @@ from twin.cli.app import (
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from reconstruction.compensation import Compensated
     from twin.config import Experiment
+    from twin.pipeline.compensation import CompensationResult
 
 
 @app.command
@@ -213,11 +213,12 @@ def compensate(
     """
     from twin.output import end_exchange
     from twin.pipeline.compensation import compensate_result
-    from twin.report.compensation import COMPENSATION_PICTURE, draw_compensation
+    from twin.report.compensation import write_compensation_page
+    from twin.report.page import REPORT_FILE
 
-    def draw(folder: Path, found: "Compensated") -> None:
+    def draw(folder: Path, found: "CompensationResult") -> None:
         if report:
-            draw_compensation(folder / COMPENSATION_PICTURE, found)
+            write_compensation_page(folder, found, result.name, watch)
 
     end_exchange(result)
     with progress_bars() as watch:
@@ -225,7 +226,7 @@ def compensate(
             result, out, layer, watch, draw, ball_diameter_mm=ball_diameter_mm
         )
     print_metrics(figures)
-    say(f"wrote {out}")
+    say(f"wrote {out / REPORT_FILE if report else out}")
 
 
 @app.command

@@ -4,8 +4,8 @@ Nothing of the truth is used: the measured points, and what is known of elastome
 (`SensorLayer`). The specimen's nominal places only name figures: which part is ball 1.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -59,10 +59,27 @@ CONTACT_FILE, LAYER_FILE = "contact.nc", "layer.toml"
 _UM = 1e3
 # Of the gel: as fine as ridges that a bonded layer still answers to.
 _GEL_CELL_MM = 0.08
-Draw = Callable[[Path, Compensated], None]
 
 
-def _draws_nothing(_: Path, __: Compensated) -> None:
+@dataclass(frozen=True, eq=False)
+class CompensationResult:
+    """A compensation with what it rests on.
+
+    Attributes
+    ----------
+    layer : as it was believed, or calibrated on a ball
+    figures : as in result.json
+    """
+
+    found: Compensated
+    layer: SensorLayer
+    figures: Mapping[str, Any]
+
+
+Draw = Callable[[Path, CompensationResult], None]
+
+
+def _draws_nothing(_: Path, __: CompensationResult) -> None:
     return
 
 
@@ -82,7 +99,7 @@ def compensate_result(
 
     Parameters
     ----------
-    draw : adds pictures to the folder
+    draw : adds a report to the folder
     ball_diameter_mm : of every ball in contact: the layer is calibrated on them first
 
     Raises
@@ -104,7 +121,7 @@ def compensate_result(
         balls = shape_of(experiment.specimen).spheres() if experiment else ()
         figures |= object_figures(found, balls)
         _write(target, measured, found)
-        draw(target, found)
+        draw(target, CompensationResult(found, layer, figures))
         (target / LAYER_FILE).write_text(layer_to_toml(layer), encoding="utf-8")
         (target / EXPERIMENT_FILE).write_text(
             (folder / EXPERIMENT_FILE).read_text(encoding="utf-8")

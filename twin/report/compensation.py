@@ -1,11 +1,21 @@
-"""The picture of `twin compensate`: coat, contact pressure, thickness, a section of the object."""
+"""The page of `twin compensate`: the object and its parts, the contact, and what they rest on."""
 
+from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 
-from reconstruction.compensation import Compensated, CompensatedSheet
+from reconstruction.compensation import (
+    Compensated,
+    CompensatedSheet,
+    ObjectPart,
+    parts_of,
+)
+from twin.pipeline.compensation import CompensationResult
+from twin.pipeline.progress import ProgressCallback, no_progress
 from twin.report.canvas import (
     FIT,
     MEASURED,
@@ -17,10 +27,136 @@ from twin.report.canvas import (
     legend_above,
     round_up,
 )
+from twin.report.page import REPORT_FILE, Block, Figure, Note, Page, Section, write_page
+from twin.report.table import Column, Row, Table
 
-COMPENSATION_PICTURE = "compensation.png"
+COMPENSATION_PICTURE = "compensation"
 # Edges press many times harder than faces: the scale ends where 99 % of the contact lies below.
 _MOST_PERCENT = 99.0
+
+
+def write_compensation_page(
+    folder: Path, told: CompensationResult, name: str, watch: ProgressCallback = no_progress
+) -> Path:
+    """Write `report.html` and its figure into the folder of a compensation; return the page.
+
+    Parameters
+    ----------
+    name : of the result that was compensated
+
+    Raises
+    ------
+    InputError : the page cannot be written
+    """
+    parts = parts_of(told.found)
+    page = Page(
+        kind="compensation",
+        title=name.replace("_", " "),
+        lead=f"The rigid object behind the measured coat of {name}, by what is known of elastomer "
+        "and load. Nothing of a specimen's nominal shape is used.",
+        sections=[_object_section(told, parts), _contact_section(told), _layer_section(told)],
+    )
+    return write_page(folder / REPORT_FILE, page, watch)
+
+
+def _object_section(told: CompensationResult, parts: list[ObjectPart]) -> Section:
+    rows: list[Row] = [
+        {
+            "part": number,
+            "form": part.form,
+            "x": part.middle_mm[0],
+            "y": part.middle_mm[1],
+            "highest": part.highest_mm,
+            "radius": None if part.form == "flat" else part.radius_mm,
+            "sigma": None if part.form == "flat" else 1e3 * part.sigma_mm,
+            "residual": part.residual_um,
+            "pressure": part.pressure_kpa,
+        }
+        for number, part in enumerate(parts, 1)
+    ]
+    columns = (
+        Column("part", "part", 0),
+        Column("form", "fitted as"),
+        Column("x", "x, mm", 2),
+        Column("y", "y, mm", 2),
+        Column("highest", "highest, mm", 3),
+        Column("radius", "radius, mm", 3),
+        Column("sigma", "u of the radius, µm", 1),
+        Column("residual", "RMS from the form, µm", 1),
+        Column("pressure", "mean pressure, kPa", 2),
+    )
+    picture = Figure(
+        COMPENSATION_PICTURE,
+        "Coat, contact, and a section of the object",
+        "Maps over world x and y. In the section the object is told where the sheet touches it; "
+        "between, the touched face hangs free.",
+        "Maps of coat, contact pressure and local thickness; section of coat and object.",
+        partial(draw_compensation, found=told.found),
+    )
+    blocks: list[Block] = [picture]
+    if rows:
+        blocks.append(Table("parts", "", "", columns, tuple(rows)))
+    else:
+        blocks.append(Note("No part of the contact is wide enough to be fitted."))
+    blocks.append(Note("u: standard uncertainty, by noise and texture, and by the layer's."))
+    return Section("object", "The object", tuple(blocks))
+
+
+_CONTACT = {
+    "compensated_force_n": ("force", "N", "compensated_force_sigma_n"),
+    "compensated_contact_area_mm2": ("area of contact", "mm²", ""),
+    "compensated_thickness_mm": ("mean thickness in contact", "mm", ""),
+    "pressure_sigma_kpa": ("u of the contact pressure", "kPa", ""),
+    "free_span_modulus_kpa": ("modulus by the free span", "kPa", "free_span_modulus_scatter_kpa"),
+    "misfit_um": ("misfit of the relief", "µm", ""),
+    "calibrated_thickness_mm": ("thickness by the ball", "mm", ""),
+    "calibrated_modulus_kpa": ("modulus by the ball", "kPa", "calibrated_modulus_sigma_kpa"),
+    "radius_before_calibration_mm": ("radius of the ball before", "mm", ""),
+}
+
+
+def _contact_section(told: CompensationResult) -> Section:
+    rows: list[Row] = [
+        {"what": what, "value": told.figures[key], "u": told.figures.get(spread), "unit": unit}
+        for key, (what, unit, spread) in _CONTACT.items()
+        if told.figures.get(key) is not None
+    ]
+    columns = (
+        Column("what", "figure"),
+        Column("value", "value", 4),
+        Column("u", "u", 4),
+        Column("unit", "unit"),
+    )
+    table = Table("contact", "", "", columns, tuple(rows))
+    return Section("contact", "The contact", (table,))
+
+
+def _layer_section(told: CompensationResult) -> Section:
+    rows = tuple(_layer_rows(told))
+    columns = [Column("what", "field"), Column("value", "value"), Column("u", "u", 4)]
+    if any(row["source"] for row in rows):
+        columns.append(Column("source", "source"))
+    table = Table("layer", "", "", tuple(columns), rows)
+    note = Note(
+        "What has no u is taken as exact. `layer.toml` in this folder holds the same; "
+        "docs/compensation.md tells the limits."
+    )
+    return Section("layer", "What it rests on", (table, note))
+
+
+def _layer_rows(told: CompensationResult) -> Iterator[Row]:
+    layer = told.layer
+    for table in ("elastomer", "press"):
+        values: dict[str, Any] = getattr(layer, table).model_dump(mode="json", exclude_none=True)
+        for key, value in values.items():
+            path = f"{table}.{key}"
+            origin = layer.provenance.get(path)
+            yield {
+                "what": path,
+                "value": f"{value:g}" if isinstance(value, float) else str(value),
+                "u": getattr(layer.sigma, key, None) or None,
+                "source": "" if origin is None else origin.source,
+            }
 
 
 def draw_compensation(path: Path, found: Compensated) -> None:
