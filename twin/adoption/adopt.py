@@ -35,7 +35,7 @@ from reconstruction.rig.projected_light import ProjectorResponse
 from reconstruction.rig.sensor import SensorNoise
 from reconstruction.triangulation import triangulate
 from twin.adoption.defocus import SeenBlur, defocus_fields, defocus_of
-from twin.adoption.elastomer import BallPress, elastomer_fields, press_capture
+from twin.adoption.elastomer import KnownBallPress, elastomer_fields, press_capture
 from twin.adoption.fields import (
     camera_fields,
     flat_fields,
@@ -79,7 +79,7 @@ class Given:
     flat: Path | None = None
     reference: Path | None = None
     reference_albedo: UncertainValue | None = None
-    press: BallPress | None = None
+    press: KnownBallPress | None = None
 
     def __post_init__(self) -> None:
         if not self.captures:

@@ -21,7 +21,7 @@ _HARDNESS = ("shore_a", "shore_00", "young_modulus_kpa")
 
 
 @dataclass(frozen=True)
-class BallPress:
+class KnownBallPress:
     """A known ball, pressed into the sheet.
 
     Attributes
@@ -36,12 +36,12 @@ class BallPress:
     diameter_mm: float
 
 
-def press_capture(press: BallPress, known: Capture) -> Capture:
+def press_capture(press: KnownBallPress, known: Capture) -> Capture:
     """Return the capture of the press with the noise and the response that were found."""
     return replace(read_capture(press.capture), sensor=known.sensor, response=known.response)
 
 
-def elastomer_fields(press: BallPress, capture: Capture) -> dict[str, RigField]:
+def elastomer_fields(press: KnownBallPress, capture: Capture) -> dict[str, RigField]:
     """Return the elastomer: thickness and modulus as the ball tells them, the rest as stated.
 
     Raises

@@ -8,8 +8,10 @@ from cyclopts import Parameter
 from twin.cli.app import Out, Report, app, print_table, progress_bars, say
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from reconstruction.characterise import UncertainValue
-    from twin.adoption.elastomer import BallPress
+    from twin.adoption.elastomer import KnownBallPress
 
 
 @app.command
@@ -47,17 +49,13 @@ def adopt(
         Capture of a flat matte surface of known albedo in the coat's place, at the same exposure.
     reference_albedo, reference_uncertainty
         Its albedo, and its standard uncertainty.
-    ball
-        Capture of a ball of known diameter, pressed into a thin sheet: thickness and modulus.
-    ball_diameter_mm
-        Of that ball, mm.
+    ball, ball_diameter_mm
+        Capture of a ball pressed into a thin sheet, for thickness and modulus; its diameter.
     layer
-        TOML file with what is believed of the sheet, and with the load of that press, see
-        docs/compensation.md.
+        TOML file: what is believed of the sheet, and the load; see docs/compensation.md.
     """
     from twin.adoption.adopt import Given
     from twin.adoption.adopt import adopt as make
-    from twin.adoption.findings import rows_of
     from twin.adoption.write import RIG_FILE, write_adopted
     from twin.output import output_folder
     from twin.report.adopted import write_adopted_page
@@ -65,29 +63,34 @@ def adopt(
     known = _known_albedo(reference_albedo, reference_uncertainty)
     press = _ball_press(ball, ball_diameter_mm, layer)
     given = Given(captures, like, dark, flat, reference, known, press)
-    others = (dark, flat, reference, ball, layer)
-    inputs = [*captures, *(path for path in others if path is not None)]
+    inputs = [p for p in (*captures, dark, flat, reference, ball, layer) if p is not None]
     with output_folder(out, inputs) as folder, progress_bars() as watch:
         found = make(given, watch)
         write_adopted(folder, found, given)
         if report:
             write_adopted_page(folder, found, given, watch)
-    rows = [
-        [path, _shown(value), _shown(limits), source]
-        for path, value, limits, source in rows_of(found.tables)
-        if path.split(".")[0] in ("camera", "projector", "coating", "elastomer")
-    ]
-    print_table(("field", "value", "95 % interval", "source"), rows)
+    _print_fields(found.tables)
     for note in found.notes:
         say(f"note: {note}")
     say(f"wrote {out / RIG_FILE}")
 
 
+def _print_fields(tables: "Mapping[str, object]") -> None:
+    from twin.adoption.findings import rows_of
+
+    rows = [
+        [path, _shown(value), _shown(limits), source]
+        for path, value, limits, source in rows_of(tables)
+        if path.split(".")[0] in ("camera", "projector", "coating", "elastomer")
+    ]
+    print_table(("field", "value", "95 % interval", "source"), rows)
+
+
 def _ball_press(
     ball: Path | None, diameter_mm: float | None, layer: Path | None
-) -> "BallPress | None":
+) -> "KnownBallPress | None":
     from reconstruction.errors import InputError, require_number
-    from twin.adoption.elastomer import BallPress
+    from twin.adoption.elastomer import KnownBallPress
 
     if ball is None and diameter_mm is None and layer is None:
         return None
@@ -96,7 +99,7 @@ def _ball_press(
             "adopt: --ball, --ball-diameter-mm and --layer go together; give all three"
         )
     require_number("--ball-diameter-mm", diameter_mm, 0.0, open_low=True)
-    return BallPress(ball, layer, diameter_mm)
+    return KnownBallPress(ball, layer, diameter_mm)
 
 
 def _known_albedo(albedo: float | None, uncertainty: float) -> "UncertainValue | None":

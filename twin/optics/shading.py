@@ -76,14 +76,14 @@ class ShadedPlaces:
         return dr.gather(mi.UInt32, self.marked, place) > 0
 
 
-class Shading(NamedTuple):
+class SelfShading(NamedTuple):
     """Whether a face can shade itself at all, and where; `places` None: anywhere."""
 
     possible: bool
     places: ShadedPlaces | None = None
 
 
-def shading_of(face: "trimesh.Trimesh", source_mm: FloatArray) -> Shading:
+def shading_of(face: "trimesh.Trimesh", source_mm: FloatArray) -> SelfShading:
     """Tell where light from a point may be blocked by a face before it reaches the face.
 
     Parameters
@@ -98,10 +98,10 @@ def shading_of(face: "trimesh.Trimesh", source_mm: FloatArray) -> Shading:
     """
     grid = _height_grid(face)
     if grid is None:
-        return Shading(possible=True)
+        return SelfShading(possible=True)
     if not _is_steep(grid, source_mm):
-        return Shading(possible=False)
-    return Shading(possible=True, places=_places(grid, source_mm))
+        return SelfShading(possible=False)
+    return SelfShading(possible=True, places=_places(grid, source_mm))
 
 
 def _places(grid: FloatArray, source_mm: FloatArray) -> ShadedPlaces | None:
