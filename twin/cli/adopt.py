@@ -1,16 +1,13 @@
 """`twin adopt`: make the twin of a real rig from its captures."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
-
-from cyclopts import Parameter
+from typing import TYPE_CHECKING
 
 from twin.cli.app import Out, Report, app, print_table, progress_bars, say
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from reconstruction.characterise import UncertainValue
+    from twin.adoption.adopt import Adopted
     from twin.adoption.elastomer import KnownBallPress
 
 
@@ -18,9 +15,7 @@ if TYPE_CHECKING:
 def adopt(
     *captures: Path,
     out: Out,
-    like: Annotated[str, Parameter(help="rig of which all comes that no capture tells")] = (
-        "rigs/slab"
-    ),
+    like: str = "rigs/slab",
     dark: Path | None = None,
     flat: Path | None = None,
     reference: Path | None = None,
@@ -41,16 +36,22 @@ def adopt(
     captures
         Folders with capture.toml, calibration and white and black frames; the first one best shows
         the coat at rest. The same scene twice gives the noise; with another period, a check.
+    like
+        Rig of which all comes that no capture tells.
     dark
         Folder of two or more images without light: black level, read noise, DSNU.
     flat
         Folder of two or more images of an evenly lit surface: PRNU.
     reference
         Capture of a flat matte surface of known albedo in the coat's place, at the same exposure.
-    reference_albedo, reference_uncertainty
-        Its albedo, and its standard uncertainty.
-    ball, ball_diameter_mm
-        Capture of a ball pressed into a thin sheet, for thickness and modulus; its diameter.
+    reference_albedo
+        Its albedo.
+    reference_uncertainty
+        Standard uncertainty of that.
+    ball
+        Capture of a known ball pressed into a thin sheet: thickness and modulus.
+    ball_diameter_mm
+        Its diameter.
     layer
         TOML file: what is believed of the sheet, and the load; see docs/compensation.md.
     """
@@ -69,21 +70,22 @@ def adopt(
         write_adopted(folder, found, given)
         if report:
             write_adopted_page(folder, found, given, watch)
-    _print_fields(found.tables)
-    for note in found.notes:
-        say(f"note: {note}")
+    _tell(found)
     say(f"wrote {out / RIG_FILE}")
 
 
-def _print_fields(tables: "Mapping[str, object]") -> None:
+def _tell(found: "Adopted") -> None:
+    """Print the fields and the notes."""
     from twin.adoption.findings import rows_of
 
     rows = [
         [path, _shown(value), _shown(limits), source]
-        for path, value, limits, source in rows_of(tables)
+        for path, value, limits, source in rows_of(found.tables)
         if path.split(".")[0] in ("camera", "projector", "coating", "elastomer")
     ]
     print_table(("field", "value", "95 % interval", "source"), rows)
+    for note in found.notes:
+        say(f"note: {note}")
 
 
 def _ball_press(
