@@ -164,7 +164,7 @@ def test_folder_that_is_no_result_is_refused(tmp_path):
 
 def test_nothing_here_measures():
     """Reports read results of the pipeline; what presses, renders and reconstructs is not there."""
-    read = {"calibration", "colour_images", "comparison", "progress"}
+    read = {"calibration", "colour_images", "comparison", "compensation", "progress"}
     for path in (Path(__file__).parents[2] / "twin" / "report").glob("*.py"):
         text = path.read_text(encoding="utf-8")
         assert set(re.findall(r"from twin\.pipeline\.(\w+)", text)) <= read, path.name
