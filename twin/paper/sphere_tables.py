@@ -32,8 +32,8 @@ _KEYS = (
 )
 _TRIALS = Column("trials", "n")
 _COMPENSATED = (
-    Column("compensated", "rigid ball: radius"),
-    Column("compensated_sd", "rigid ball: SD"),
+    Column("compensated", "rigid ball"),
+    Column("compensated_sd", "its SD"),
 )
 _OBJECT = (
     "'rigid ball' is what `twin compensate` finds behind the measured coat, from the thickness, "
