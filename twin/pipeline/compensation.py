@@ -4,33 +4,29 @@ Nothing of the truth is used: the measured points, and what is known of elastome
 (`SensorLayer`). The specimen's nominal places only name figures: which part is ball 1.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy import fft, ndimage
+from scipy import fft
 
-from reconstruction.arrays import FloatArray, Reason
+from reconstruction.arrays import FloatArray
 from reconstruction.compensation import (
     Compensated,
     CompensatedGel,
-    CompensatedSheet,
     GelLayer,
-    ObjectPart,
     SheetLayer,
     SheetOpening,
     calibrate_sheet,
     compensate_gel,
     compensate_sheet,
-    parts_of,
     relief_on_frame,
 )
 from reconstruction.errors import InputError
 from reconstruction.evaluate.surface import write_surface
-from reconstruction.netcdf import Labelled, LabelledArrays, write_arrays
+from reconstruction.netcdf import write_arrays
 from reconstruction.pipeline import Reconstruction, read_reconstruction, write_reconstruction
 from reconstruction.reading import is_regular
 from reconstruction.triangulation import PointMap
@@ -50,10 +46,11 @@ from twin.mechanics.layouts import WINDOW_MARGIN, coat_film
 from twin.output import EXPERIMENT_FILE, output_folder
 from twin.pipeline.dimensions import RECONSTRUCTION_FILE
 from twin.pipeline.progress import ProgressCallback, no_progress
+from twin.results.compensated import contact_arrays, object_figures, object_points
 from twin.results.names import COMPENSATED, may_compensate
 from twin.results.parts import write_outcome
 from twin.results.record import Fringes, Measurement
-from twin.specimens import Sphere, shape_of
+from twin.specimens import shape_of
 
 CONTACT_FILE, LAYER_FILE = "contact.nc", "layer.toml"
 _UM = 1e3
@@ -312,66 +309,6 @@ def compensated_figures(
     return {key: one for key, one in figures.items() if key.startswith(COMPENSATED)}
 
 
-def object_figures(found: Compensated, balls: Sequence[Sphere] = ()) -> dict[str, Any]:
-    """Return the figures of the object and its contact; units in the names."""
-    parts = parts_of(found)
-    figures: dict[str, Any] = {
-        "compensated_force_n": found.force_n,
-        "compensated_force_sigma_n": found.force_sigma_n,
-        "compensated_contact_area_mm2": found.area_mm2,
-    }
-    if isinstance(found, CompensatedSheet):
-        figures |= _sheet_figures(found)
-    if isinstance(found, CompensatedGel):
-        figures["misfit_um"] = _UM * found.misfit_mm
-    figures["parts"] = len(parts)
-    for number, part in enumerate(parts, 1):
-        figures |= {f"part_{number}_{name}": one for name, one in _part_figures(part).items()}
-    for number, ball in enumerate(balls, 1):
-        figures |= _ball_figures(f"compensated_sphere_{number}", _under(parts, ball, found))
-    return figures
-
-
-def _sheet_figures(found: CompensatedSheet) -> dict[str, Any]:
-    contact, free = found.contact, found.modulus_of_free_span_kpa()
-    thickness = found.layer.thickness_mm * found.thinning
-    return {
-        "compensated_thickness_mm": float(thickness[contact].mean()) if contact.any() else None,
-        "pressure_sigma_kpa": found.balance.sigma_kpa,
-        "free_span_modulus_kpa": None if free is None else free[0],
-        "free_span_modulus_scatter_kpa": None if free is None else free[1],
-    }
-
-
-def _part_figures(part: ObjectPart) -> dict[str, Any]:
-    told: dict[str, Any] = {
-        "form": part.form,
-        "x_mm": part.middle_mm[0],
-        "y_mm": part.middle_mm[1],
-        "highest_mm": part.highest_mm,
-        "residual_um": part.residual_um,
-        "pressure_kpa": part.pressure_kpa,
-    }
-    if part.form == "flat":
-        return told
-    return told | {"radius_mm": part.radius_mm, "radius_sigma_um": _UM * part.sigma_mm}
-
-
-def _ball_figures(name: str, part: ObjectPart | None) -> dict[str, Any]:
-    found = part if part is not None and part.form == "ball" else None
-    return {
-        f"{name}_radius_mm": None if found is None else found.radius_mm,
-        f"{name}_radius_sigma_um": None if found is None else _UM * found.sigma_mm,
-    }
-
-
-def _under(parts: Sequence[ObjectPart], ball: Sphere, found: Compensated) -> ObjectPart | None:
-    """Return the part whose cells lie over a ball's nominal middle."""
-    col = int(np.argmin(np.abs(found.relief.x_mm - ball.x_mm)))
-    row = int(np.argmin(np.abs(found.relief.y_mm - ball.y_mm)))
-    return next((part for part in parts if part.cells[row, col]), None)
-
-
 def _read_points(folder: Path) -> Reconstruction:
     file = folder / RECONSTRUCTION_FILE
     if not file.exists():
@@ -402,67 +339,3 @@ def _write(target: Path, measured: Reconstruction, found: Compensated) -> None:
     if points.valid.any():
         write_surface(target, points)
     write_arrays(target / CONTACT_FILE, contact_arrays(found))
-
-
-def object_points(coat: PointMap, found: Compensated) -> PointMap:
-    """Return the object's surface pixel by pixel: where there is contact, and no point elsewhere.
-
-    Each measured point moves down its normal by the local thickness, if there is a sheet; its sigma
-    is that of the coat and, along the normal, of what is open of the layer.
-    """
-    relief = found.relief
-    world = coat.points_world_mm.astype(np.float64)
-    at = [
-        (world[..., axis] - first[0]) / step
-        for axis, first, step in (
-            (1, relief.y_mm, relief.pitch_mm[1]),
-            (0, relief.x_mm, relief.pitch_mm[0]),
-        )
-    ]
-    touching = coat.valid & (_at(found.contact.astype(np.float64), at) > 0.5)
-    behind = _at(np.sum((relief.points_mm - found.object_mm) * found.normal, axis=-1), at)
-    normal = np.stack([_at(found.normal[..., axis], at) for axis in range(3)], axis=-1)
-    moves = found.layer_moves_mm or [np.zeros(found.contact.shape)]
-    open_mm = _at(np.linalg.norm(moves, axis=0), at)
-    sigma = np.hypot(coat.sigma_xyz_mm, np.abs(normal) * open_mm[..., None])
-    moved = np.where(touching[..., None], world - behind[..., None] * normal, 0.0)
-    return replace(
-        coat,
-        points_world_mm=moved.astype(np.float32),
-        sigma_xyz_mm=np.where(touching[..., None], sigma, 0.0).astype(np.float32),
-        mask_reason=np.where(
-            touching, Reason.VALID, np.where(coat.valid, Reason.NO_POINT, coat.mask_reason)
-        ).astype(np.uint8),
-    )
-
-
-def _at(values: FloatArray, at: list[FloatArray]) -> FloatArray:
-    return np.asarray(ndimage.map_coordinates(values, at, order=1, mode="nearest"))
-
-
-def contact_arrays(found: Compensated) -> LabelledArrays:
-    """Return contact, pressure, thickness and the clear face over world x and y."""
-    clear = found.object_mm
-    maps: dict[str, tuple[NDArray[Any], str, str]] = {
-        "contact": (found.contact.astype(np.uint8), "1", "1 where the object carries the sheet"),
-        "measured": (found.relief.measured.astype(np.uint8), "1", "1 where the coat was measured"),
-        "coat_z_mm": (found.relief.heights_mm, "mm", "world z of the coat, gaps filled in"),
-        "clear_x_mm": (clear[..., 0], "mm", "world x of the clear face, or the object"),
-        "clear_y_mm": (clear[..., 1], "mm", "world y of the clear face, or the object"),
-        "clear_z_mm": (clear[..., 2], "mm", "world z of the clear face, or the object"),
-        "pressure_kpa": (found.pressure_kpa, "kPa", "of the contact, blurred at its edge"),
-    }
-    if isinstance(found, CompensatedSheet):
-        thickness, sigma = found.layer.thickness_mm * found.thinning, found.sigma_thickness_mm
-        maps["thickness_mm"] = (thickness, "mm", "local thickness")
-        maps["sigma_thickness_mm"] = (sigma, "mm", "standard uncertainty of the local thickness")
-    axes: dict[str, Labelled] = {
-        name: (name, values, {"units": "mm", "long_name": f"world {name} of the cell's middle"})
-        for name, values in (("x", found.relief.x_mm), ("y", found.relief.y_mm))
-    }
-    told: dict[str, Labelled] = {
-        name: (("y", "x"), values, {"units": units, "long_name": long_name})
-        for name, (values, units, long_name) in maps.items()
-    }
-    attributes = {"Conventions": "CF-1.11", "force_n": found.force_n}
-    return LabelledArrays(told, axes, attributes)

@@ -22,7 +22,7 @@ import numpy as np
 from reconstruction.arrays import BoolImage, FloatArray, IntArray
 from reconstruction.errors import FitError
 from reconstruction.evaluate.estimates import FittedDimension, ball_radius_of_all
-from reconstruction.patterns import MICRO
+from reconstruction.several_periods import MICRO
 from twin.config.measurands import ObjectMeasurand, Quantity
 from twin.config.models import Experiment
 from twin.mechanics import PressedElastomer
