@@ -24,6 +24,12 @@ metric = "radius_mm"
 value = 4.9
 sd = 0.01
 held_out = true
+[limits.deep]
+experiment = "ball"
+metric = "product_mm2"
+at_least = 0.01
+sd = 0.01
+source = "a picture"
 [worth.depth]
 experiment = "ball"
 metric = "height_mm"

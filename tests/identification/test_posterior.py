@@ -9,10 +9,12 @@ from scipy.stats import multivariate_normal, norm, qmc
 
 from reconstruction.arrays import FloatArray
 from reconstruction.errors import InputError
-from twin.config.problem import LearnedAs, SensorProblem
+from twin.config.problem import SensorProblem
+from twin.config.rows import LearnedAs
 from twin.identification.emulator import _left_out, fit_emulator
 from twin.identification.findings import (
     interval_of,
+    limits_met,
     predict_rows,
     prior_shifts,
     ridges,
@@ -424,3 +426,49 @@ def test_a_tilted_prior_changes_the_evidence_of_choices_by_where_they_lie() -> N
     towards = {one.towards: one for one in prior_shifts(posteriors, [0.5, 0.5], likelihood, 0)}
     assert towards["high"].probability == pytest.approx(norm.cdf(1.0), abs=1e-3)
     assert towards["low"].probability == pytest.approx(norm.cdf(-1.0), abs=1e-3)
+
+
+def _limited(**side: float) -> tuple[SensorProblem, Posterior]:
+    """One field under a limit and a row that says nothing."""
+    limit = {"edge": {"experiment": "one", "metric": "edge", "sd": 0.4} | side}
+    problem = _problem({"none": {"value": 0.0, "sd": 100.0}}, fields=1, limits=limit)
+    emulators = _linear(np.array([[1.0]]), ["none"])
+    emulators["edge"] = _Exact(lambda v: v[:, 0], sd=0.3)
+    return problem, sample(likelihood_of(problem, problem.rows, emulators), seed=3)
+
+
+def test_a_limit_leaves_the_closed_forms_mean_and_evidence() -> None:
+    """A standard normal times Phi((x - a) / s): skew normal of Azzalini 1985, extended."""
+    found = _limited(at_least=0.8)[1]
+    t = -0.8 / np.sqrt(1.0 + 0.4**2 + 0.3**2)
+    mean = norm.pdf(t) / norm.cdf(t) / np.sqrt(1.0 + 0.4**2 + 0.3**2)
+    assert found.values.mean() == pytest.approx(mean, abs=0.05)
+    row = norm.logpdf(0.0, scale=np.hypot(100.0, 1.0))
+    assert found.log_evidence == pytest.approx(norm.logcdf(t) + row, abs=0.1)
+
+
+def test_a_limit_from_above_is_the_mirror_image() -> None:
+    low, high = _limited(at_least=0.8)[1], _limited(at_most=-0.8)[1]
+    assert high.values.mean() == pytest.approx(-low.values.mean(), abs=0.06)
+
+
+def test_how_probably_a_limit_is_met_before_and_after() -> None:
+    (met,) = limits_met(_limited(at_least=0.8)[1], seed=1)
+    width = np.sqrt(1.0 + 0.4**2 + 0.3**2)
+    assert met.before == pytest.approx(norm.cdf(-0.8 / width), abs=0.02)
+    assert met.before < met.probability < 1.0
+    assert met.twin.mean > 0.8
+
+
+@pytest.mark.parametrize("sides", [{}, {"at_least": 1.0, "at_most": 2.0}])
+def test_a_limit_has_one_side(sides: dict[str, float]) -> None:
+    with pytest.raises(ValueError, match="exactly one"):
+        _limited(**sides)
+
+
+def test_a_limit_needs_a_name_and_an_experiment_of_its_own() -> None:
+    limit = {"experiment": "one", "metric": "m", "at_least": 0.0, "sd": 1.0}
+    with pytest.raises(ValueError, match="rows has this name"):
+        _problem({"r": {"value": 0.0, "sd": 1.0}}, limits={"r": limit})
+    with pytest.raises(ValueError, match=r"limits\.edge"):
+        _problem({"r": {"value": 0.0, "sd": 1.0}}, limits={"edge": limit | {"experiment": "two"}})

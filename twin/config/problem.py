@@ -16,17 +16,14 @@ from scipy.special import ndtr, ndtri
 from reconstruction.arrays import FloatArray
 from reconstruction.reading import is_regular
 from twin.assets import scene_file
-from twin.config.base import Model, NonNegative, Positive
+from twin.config.base import Model, Positive
 from twin.config.loading import load_experiment, read_toml, resolve_uses, vary
 from twin.config.models import Experiment
+from twin.config.rows import Limit, Metric, Name, Row
 from twin.config.schema import validated
 from twin.config.study import Axis, without_absent
 
 MOST_FREE, MOST_COMBINATIONS = 12, 64
-Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_\-]+$", max_length=48)]
-Metric = str | tuple[str, ...]
-Statistic = Literal["mean", "sd"]
-LearnedAs = Literal["value", "log", "reciprocal"]
 DottedPath = Annotated[str, Field(pattern=r"^[A-Za-z0-9_\-]+(\.[A-Za-z0-9_\-]+)*$")]
 
 
@@ -158,85 +155,6 @@ class Setup(Model):
     )
 
 
-class Row(Model):
-    """One measured figure."""
-
-    experiment: Name
-    metric: Metric = Field(
-        description="the twin's name of the figure, in result.json, or a free field; of several "
-        "names their mean"
-    )
-    statistic: Statistic = Field(
-        default="mean", description="over repeats: their mean, or their standard deviation"
-    )
-    learned_as: LearnedAs = Field(
-        default="value", description="log or reciprocal where that is the smoother function"
-    )
-    value: float
-    sd: Positive = Field(description="standard uncertainty of the value, and of a twin's one run")
-    trials: Annotated[int, Field(ge=1)] = Field(
-        default=1, description="measurements of which the value is the mean"
-    )
-    realisations: Annotated[int, Field(ge=1)] | None = Field(
-        default=None,
-        description="how many draws of what the repeats vary (coats) the value is a mean of: their "
-        "learned scatter, over the root of this, counts beside sd; absent: sd holds it",
-    )
-    shared: Annotated[float, Field(ge=0, le=1)] | None = Field(
-        default=None,
-        description="share of the scatter's variance that all trials of the row have in common, "
-        "as those on one coat have; of a mean it counts beside sd, a deviation does not show it; "
-        "absent: all of it with realisations, none with statistic = 'sd'",
-    )
-    coat: Name | None = Field(
-        default=None,
-        description="rows of one figure that name the same coat met the same draw of the scatter",
-    )
-    discrepancy: NonNegative = Field(
-        default=0.0, description="standard deviation of what the twin's model itself lacks"
-    )
-    nuisance: dict[Name, float] = Field(
-        default={}, description="change of the figure for a nuisance of 1, by name"
-    )
-    held_out: bool = Field(default=False, description="predicted, not fitted")
-    source: str | None = None
-
-    @model_validator(mode="after")
-    def _scatter_is_of_a_mean(self) -> "Row":
-        if self.statistic == "sd" and self.realisations is not None:
-            raise ValueError("realisations: not allowed with statistic = 'sd'")
-        if self.statistic == "mean" and self.realisations is None:
-            for name in ("shared", "coat"):
-                if getattr(self, name) is not None:
-                    raise ValueError(f"{name}: of a mean it needs realisations; add them")
-        if self.statistic == "sd" and self.coat is not None:
-            raise ValueError("coat: not allowed with statistic = 'sd'")
-        return self
-
-    @property
-    def scatter_share(self) -> float:
-        """Standard deviation that the row has of what is learned, over the repeats' own.
-
-        Of a mean: of the part that its trials have in common. Of a deviation: of what they do not.
-        """
-        if self.statistic == "sd":
-            return float(np.sqrt(1.0 - (self.shared or 0.0)))
-        shared = 1.0 if self.shared is None else self.shared
-        return 0.0 if self.realisations is None else float(np.sqrt(shared / self.realisations))
-
-    @property
-    def needs_repeats(self) -> str:
-        """What of the row needs several measurements per simulation; empty where nothing does."""
-        if self.statistic == "sd":
-            return "statistic = 'sd'"
-        return "" if self.realisations is None else "realisations"
-
-    @property
-    def scatter(self) -> float:
-        """Standard deviation of one measurement: sd times the root of `trials`."""
-        return self.sd * float(np.sqrt(self.trials))
-
-
 class Design(Model):
     """How many simulations the emulator learns from."""
 
@@ -262,6 +180,9 @@ class SensorProblem(Model):
     alternatives: dict[Name, Alternative] = Field(default={})
     nuisance: dict[Name, Nuisance] = Field(default={})
     rows: Annotated[dict[Name, Row], Field(min_length=1)]
+    limits: dict[Name, Limit] = Field(
+        default={}, description="what is known of a figure from one side alone; always fitted"
+    )
     design: Design = Design()
     rotate: tuple[Name, ...] = Field(
         default=(), description="fitted rows that are held out in turn, one at a time"
@@ -294,10 +215,10 @@ class SensorProblem(Model):
             _named(where, {n: (row.experiment,) for n, row in rows.items()}, self.experiments)
             _named(where, {n: tuple(row.nuisance) for n, row in rows.items()}, self.nuisance)
         _named("rotate", {"": self.rotate}, self.fitted)
-        if twice := [name for name in self.worth if name in self.rows]:
-            raise ValueError(f"worth.{twice[0]}: a row has this name, too; use another")
+        _named("limits", {n: (one.experiment,) for n, one in self.limits.items()}, self.experiments)
+        _each_name_once({"rows": self.rows, "worth": self.worth, "limits": self.limits})
         for name, one in self.alternatives.items():
-            known = {*self.rows, *self.worth}
+            known = set(self.figures)
             for label, choice in one.choices.items():
                 where = f"alternatives.{name}.{label}"
                 _named(where, choice.instead_named, self.experiments)
@@ -314,6 +235,11 @@ class SensorProblem(Model):
     def fitted(self) -> dict[str, Row]:
         """Rows that are fitted."""
         return {name: row for name, row in self.rows.items() if not row.held_out}
+
+    @property
+    def figures(self) -> dict[str, Row | Limit]:
+        """Everything that is learned: rows, limits, and what could be measured."""
+        return {**self.rows, **self.worth, **self.limits}
 
     def quick(self) -> "SensorProblem":
         """Return the problem with a third of the simulations, 12 at least."""
@@ -339,14 +265,14 @@ class SensorProblem(Model):
         ]
         return float(np.prod(shares))
 
-    def experiment_of(self, row: Row, combination: Mapping[str, str]) -> str:
+    def experiment_of(self, row: Row | Limit, combination: Mapping[str, str]) -> str:
         """Return the experiment in which a row was measured if a combination of choices holds."""
         chosen = [self.alternatives[name].choices[one].instead for name, one in combination.items()]
         return next(
             (one[row.experiment] for one in chosen if row.experiment in one), row.experiment
         )
 
-    def metric_of(self, name: str, row: Row, combination: Mapping[str, str]) -> Metric:
+    def metric_of(self, name: str, row: Row | Limit, combination: Mapping[str, str]) -> Metric:
         """Return the figure behind a row if a combination of choices holds."""
         for alternative, choice in combination.items():
             other = self.alternatives[alternative].choices[choice].metrics.get(name)
@@ -383,6 +309,15 @@ def _named(where: str, used: Mapping[str, tuple[str, ...]], known: Any) -> None:
             if word not in known:
                 at = f"{where}.{name}" if name else where
                 raise ValueError(f"{at}: found {word!r}, allowed {', '.join(known) or 'none'}")
+
+
+def _each_name_once(tables: Mapping[str, Mapping[str, Any]]) -> None:
+    seen: dict[str, str] = {}
+    for where, names in tables.items():
+        for name in names:
+            if name in seen:
+                raise ValueError(f"{where}.{name}: {seen[name]} has this name, too; use another")
+            seen[name] = where
 
 
 def load_problem(path: str | Path) -> tuple[SensorProblem, dict[str, Experiment]]:

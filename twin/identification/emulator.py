@@ -20,7 +20,7 @@ from sklearn.gaussian_process.kernels import ConstantKernel, Matern, WhiteKernel
 
 from reconstruction.arrays import FloatArray, IntArray
 from reconstruction.errors import InputError
-from twin.config.problem import LearnedAs
+from twin.config.rows import LearnedAs
 
 _LEAST_POINTS = 8
 _RESTARTS = 2

@@ -90,6 +90,36 @@ def predict_rows(posterior: Posterior, rows: Likelihood, seed: int) -> list[Pred
     return found
 
 
+@dataclass(frozen=True)
+class LimitMet:
+    """A limit beside what the twin says of its figure.
+
+    Attributes
+    ----------
+    limit : its name
+    twin : of the figure, with all that the rows and limits leave open
+    before, probability : that the limit is met, over the prior and given rows and limits
+    """
+
+    limit: str
+    twin: Marginal
+    before: float
+    probability: float
+
+
+def limits_met(posterior: Posterior, seed: int) -> list[LimitMet]:
+    """Return how the limits are met, over the posterior and over as many draws of the prior."""
+    rng, likelihood = np.random.default_rng(seed), posterior.likelihood
+    prior = rng.standard_normal(posterior.z.shape)
+    found = []
+    for name in likelihood.limits:
+        figure, open_sd = likelihood.emulators[name].predict(posterior.places)
+        drawn = figure + open_sd * rng.standard_normal(figure.size)
+        before, after = (np.exp(likelihood.within(name, z)).mean() for z in (prior, posterior.z))
+        found.append(LimitMet(name, interval_of(drawn), float(before), float(after)))
+    return found
+
+
 def draw_rows(posterior: Posterior, rows: Likelihood, seed: int) -> FloatArray:
     """Return figures (sample, row) given the fitted rows, without the rows' own noise.
 

@@ -10,12 +10,14 @@ from reconstruction.arrays import FloatArray
 from twin.config.problem import SensorProblem
 from twin.identification.emulator import Emulator
 from twin.identification.findings import (
+    LimitMet,
     Marginal,
     Prediction,
     PriorShift,
     Ridge,
     Worth,
     interval_of,
+    limits_met,
     prior_shifts,
     ridges,
     undetermined,
@@ -81,6 +83,10 @@ class Identified:
     def undetermined(self) -> list[str]:
         """Return the fields of which the rows say little."""
         return undetermined(self.best.posterior)
+
+    def limits(self) -> list[LimitMet]:
+        """Return how the most probable model meets the limits."""
+        return limits_met(self.best.posterior, self.seed)
 
     def worth(self) -> list[Worth]:
         """Return what each measurement of `worth` would decide."""

@@ -5,7 +5,8 @@ quantile of Phi(z) on the field's axis. Rows are normal: their own uncertainty, 
 discrepancy, the scatter of what they are one draw of and the emulator's error each add to the
 variance, and nuisances, linear with normal priors, are integrated out:
 C = diag(s^2) + L L^T, with L what each source of error moves in each row. Rows of one figure share
-the error of its emulator, and those of one coat the draw of its texture.
+the error of its emulator, and those of one coat the draw of its texture. A limit is met with the
+probability that a normal figure of its own and its emulator's variance lies on its side.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -16,11 +17,12 @@ from typing import Any, TypeVar
 import emcee
 import numpy as np
 from scipy.optimize import minimize
-from scipy.special import logsumexp, ndtr
+from scipy.special import log_ndtr, logsumexp, ndtr
 from scipy.stats import multivariate_t, norm, qmc
 
 from reconstruction.arrays import FloatArray
-from twin.config.problem import Free, Row, SensorProblem
+from twin.config.problem import Free, SensorProblem
+from twin.config.rows import Limit, Row
 from twin.identification.emulator import Emulator
 
 _Told = TypeVar("_Told")
@@ -41,7 +43,8 @@ class Likelihood:
     Attributes
     ----------
     free : the free fields by name, in the order of the columns of places
-    rows, emulators : by name of the row
+    rows, limits : by name; limits count in the likelihood and are never predicted
+    emulators : by name of the row or limit
     nuisance_sd : standard deviation by nuisance
     scatters : emulated scatter over the repeats, by name of the rows with `realisations`
     """
@@ -51,6 +54,7 @@ class Likelihood:
     emulators: Mapping[str, Emulator]
     nuisance_sd: Mapping[str, float]
     scatters: Mapping[str, Emulator] = field(default_factory=dict)
+    limits: Mapping[str, Limit] = field(default_factory=dict)
 
     def places(self, z: FloatArray) -> FloatArray:
         """Return places (n, free field) of standard normal coordinates (n, free field)."""
@@ -119,7 +123,15 @@ class Likelihood:
         white = np.linalg.solve(factor, residual[..., None])[..., 0]
         spread = np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1)
         constant = 0.5 * len(self.rows) * np.log(2 * np.pi)
-        return np.asarray(-0.5 * np.sum(white**2, axis=1) - spread - constant)
+        rows = -0.5 * np.sum(white**2, axis=1) - spread - constant
+        return np.asarray(rows + sum(self.within(name, z) for name in self.limits))
+
+    def within(self, limit: str, z: FloatArray) -> FloatArray:
+        """Return the logarithm of the probability (n,) that a limit is met."""
+        one = self.limits[limit]
+        figure, emulated = self.emulators[limit].predict(self.places(z))
+        steps = one.side * (figure - one.value) / np.hypot(one.sd, emulated)
+        return np.asarray(log_ndtr(steps))
 
     def log_posterior(self, z: FloatArray) -> FloatArray:
         """Return log likelihood plus log prior density (n,), up to no constant."""
@@ -158,10 +170,10 @@ def likelihood_of(
     emulators: Mapping[str, Emulator],
     scatters: Mapping[str, Emulator] = MappingProxyType({}),
 ) -> Likelihood:
-    """Return the likelihood of some rows of a problem."""
+    """Return the likelihood of some rows of a problem, and of all its limits."""
     sds = {name: one.sd for name, one in problem.nuisance.items()}
     ours = {name: one for name, one in scatters.items() if name in rows}
-    return Likelihood(problem.free, rows, emulators, sds, ours)
+    return Likelihood(problem.free, rows, emulators, sds, ours, problem.limits)
 
 
 @dataclass(frozen=True, eq=False)

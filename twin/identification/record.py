@@ -2,7 +2,7 @@
 
 | in the folder | content |
 |---|---|
-| result.json | intervals of the fields, rows measured and predicted, ridges, models |
+| result.json | intervals of the fields, rows measured and predicted, limits, ridges, models |
 | posterior.nc | samples of the fields by model |
 | identified.toml | the same and joint draws of the fields, see `summary` |
 | experiment.toml, experiments/NAME.toml | the experiments at the most probable values |
@@ -54,13 +54,18 @@ def identified_values(found: Identified) -> dict[str, dict[str, Any]]:
     """Return the most probable values of the fields by name, as data files state them."""
     problem, best = found.problem, found.best.posterior
     at = best.likelihood.places(best.best_z[None])[0]
-    source = f"identified: {problem.name}, from the rows {', '.join(problem.fitted)}; 95 % interval"
+    source = f"identified: {problem.name}, from the rows {_rests_on(problem)}; 95 % interval"
     values = {}
     for (name, free), share, samples in zip(problem.free.items(), at, best.values.T, strict=True):
         value, wide = _digits(float(free.value(share))), interval_of(samples)
         ends = [min(_digits(wide.low_95), value), max(_digits(wide.high_95), value)]
         values[name] = {"value": value, "range": ends, "source": source}
     return values
+
+
+def _rests_on(problem: SensorProblem) -> str:
+    rows = ", ".join(problem.fitted)
+    return f"{rows} and the limits {', '.join(problem.limits)}" if problem.limits else rows
 
 
 def _digits(value: float) -> float:
@@ -87,6 +92,7 @@ def figures_of(found: Identified) -> dict[str, Any]:
             for name, one in found.intervals().items()
         },
         "rows": {one.row: asdict(one) for one in found.best.predictions},
+        "limits": {one.limit: asdict(one) for one in found.limits()},
         "rotated": {name: asdict(one) for name, one in found.best.rotated.items()},
         "models": [
             {

@@ -12,7 +12,8 @@ from threadpoolctl import threadpool_limits
 
 from reconstruction.arrays import FloatArray
 from twin.config import Experiment
-from twin.config.problem import LearnedAs, Metric, SensorProblem, Statistic
+from twin.config.problem import SensorProblem
+from twin.config.rows import LearnedAs, Limit, Metric, Row, Statistic
 from twin.identification.emulator import Emulator
 from twin.identification.findings import Prediction, predict_rows
 from twin.identification.known import Identified, SensorModel
@@ -79,15 +80,17 @@ def identify(
 def _places_again(first: Identified) -> dict[Variant, FloatArray]:
     """Draw places (point, free field) from what the rows leave, by the variants that matter.
 
-    Those have rows, fitted or not, under the choices of which none is less probable than 1 %.
+    Those have limits or rows, fitted or not, under the choices of which none is less probable than
+    1 %.
     """
     problem, rng = first.problem, np.random.default_rng(first.seed)
     drawn: dict[Variant, FloatArray] = {}
+    known: list[Row | Limit] = [*problem.rows.values(), *problem.limits.values()]
     for model in first.models:
         if model.probability < _IMPROBABLE:
             continue
-        for row in problem.rows.values():
-            name = problem.experiment_of(row, model.combination)
+        for one in known:
+            name = problem.experiment_of(one, model.combination)
             variant, count = variant_for(problem, name, model.combination), problem.refined(name)
             if count and variant not in drawn:
                 places = model.posterior.places  # fewer than asked for where the chains are short
@@ -162,11 +165,11 @@ def _infer(
 def _keys(problem: SensorProblem, combination: Mapping[str, str]) -> dict[tuple[str, bool], _Key]:
     """Return what must be learned: each row's figure, and the scatter of those that have one."""
     keys: dict[tuple[str, bool], _Key] = {}
-    for name, row in {**problem.rows, **problem.worth}.items():
+    for name, row in problem.figures.items():
         variant = variant_for(problem, problem.experiment_of(row, combination), combination)
         metric = problem.metric_of(name, row, combination)
         keys[name, False] = variant, metric, row.statistic, row.learned_as
-        if row.realisations is not None:
+        if isinstance(row, Row) and row.realisations is not None:
             keys[name, True] = variant, metric, "sd", "log"
     return keys
 

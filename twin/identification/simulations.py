@@ -16,7 +16,8 @@ import numpy as np
 from reconstruction.arrays import FloatArray, IntArray
 from reconstruction.errors import InputError
 from twin.config import Experiment, vary
-from twin.config.problem import LearnedAs, Metric, SensorProblem, Statistic
+from twin.config.problem import SensorProblem
+from twin.config.rows import LearnedAs, Metric, Statistic
 from twin.config.study import Sampling, Study, without_absent
 from twin.identification.emulator import Emulator, fit_emulator
 from twin.pipeline.progress import ProgressCallback, no_progress
@@ -63,9 +64,8 @@ def variant_for(problem: SensorProblem, experiment: str, combination: Mapping[st
 
 
 def _used(problem: SensorProblem) -> list[str]:
-    rows = (*problem.rows.values(), *problem.worth.values())
-    combinations = list(problem.combinations())
-    return list(dict.fromkeys(problem.experiment_of(r, c) for r in rows for c in combinations))
+    figures, combinations = problem.figures.values(), list(problem.combinations())
+    return list(dict.fromkeys(problem.experiment_of(f, c) for f in figures for c in combinations))
 
 
 def _changing(problem: SensorProblem, experiment: str) -> list[str]:
@@ -336,9 +336,9 @@ def _read(problem: SensorProblem, variant: Variant, store: Path, shares: FloatAr
 
 
 def _derived(problem: SensorProblem) -> list[str]:
-    """Return the derived figures that rows name, by themselves or in a choice."""
-    every = {**problem.rows, **problem.worth}
-    metrics = {problem.metric_of(n, r, c) for n, r in every.items() for c in problem.combinations()}
+    """Return the derived figures that rows and limits name, by themselves or in a choice."""
+    figures, combinations = problem.figures, list(problem.combinations())
+    metrics = {problem.metric_of(n, f, c) for n, f in figures.items() for c in combinations}
     names = {name for one in metrics for name in ((one,) if isinstance(one, str) else one)}
     return [name for name in DERIVED if name in names]
 

@@ -4,6 +4,7 @@
 |---|---|
 | fields.NAME | path, value, intervals, and how little the rows say of it |
 | rows.NAME | measured and predicted, fitted or held out, and the twin's figure behind it |
+| limits.NAME | what is known from one side, the twin's figure, and how probably it is met |
 | models | choices with their probabilities, the most probable first |
 | ridges | what cannot be taken apart, in words and components |
 | worth.NAME | what would be left of each field's variance if this were measured |
@@ -18,7 +19,7 @@ import numpy as np
 import tomli_w
 
 from reconstruction.arrays import FloatArray
-from twin.identification.findings import Prediction
+from twin.identification.findings import LimitMet, Prediction
 from twin.identification.known import Identified
 from twin.identification.record import identified_values
 
@@ -47,6 +48,7 @@ def summary_of(found: Identified) -> dict[str, Any]:
         "name": problem.name,
         "fields": fields,
         "rows": {one.row: _row(found, one) for one in found.best.predictions},
+        "limits": {one.limit: _limit(found, one) for one in found.limits()},
         "models": [
             {"probability": one.probability, "choices": dict(one.combination)}
             for one in found.models
@@ -79,6 +81,19 @@ def _row(found: Identified, one: Prediction) -> dict[str, Any]:
     }
     rotated = found.best.rotated.get(one.row)
     return told if rotated is None else told | {"deviation_when_held_out": rotated.deviation}
+
+
+def _limit(found: Identified, one: LimitMet) -> dict[str, Any]:
+    limit = found.problem.limits[one.limit]
+    return {
+        "experiment": found.problem.experiment_of(limit, found.best.combination),
+        "at_least" if limit.side > 0 else "at_most": limit.value,
+        "sd": limit.sd,
+        "twin": one.twin.mean,
+        "twin_sd": one.twin.sd,
+        "probability_before": one.before,
+        "probability": one.probability,
+    }
 
 
 def _draws(

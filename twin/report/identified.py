@@ -260,7 +260,38 @@ def _rows(found: Identified) -> list[Block]:
         "Normalised difference of every row",
         partial(draw_rows, found),
     )
-    return [Table("rows", "", "", columns, tuple(rows), tuple(sources)), figure]
+    return [Table("rows", "", "", columns, tuple(rows), tuple(sources)), figure, *_limits(found)]
+
+
+def _limits(found: Identified) -> list[Block]:
+    limits = found.problem.limits
+    if not limits:
+        return []
+    columns = (
+        Column("limit", "limit"),
+        Column("known", "known of it"),
+        Column("sd", "± (1 sd)", 3),
+        Column("twin", "twin", 3),
+        Column("twin_sd", "± (1 sd) ", 3),
+        Column("before", "met, by the priors alone", 0, "%"),
+        Column("after", "met, given rows and limits", 0, "%"),
+    )
+    rows: list[Row] = [
+        {
+            "limit": one.limit,
+            "known": f"{'at least' if limits[one.limit].side > 0 else 'at most'} "
+            f"{limits[one.limit].value:g}",
+            "sd": limits[one.limit].sd,
+            "twin": one.twin.mean,
+            "twin_sd": one.twin.sd,
+            "before": 100.0 * one.before,
+            "after": 100.0 * one.probability,
+        }
+        for one in found.limits()
+    ]
+    sources = tuple(f"{name}: {one.source}" for name, one in limits.items() if one.source)
+    words = "Figures of which only one side is known; they are fitted as the rows are."
+    return [words, Table("limits", "", "", columns, tuple(rows), sources)]
 
 
 def _models(found: Identified) -> list[Block]:
@@ -323,7 +354,7 @@ def _emulators(found: Identified) -> list[Block]:
         Column("sd", "the row's standard deviation", 5),
         Column("missing", "simulations without it", 1, "%"),
     )
-    every = {**found.problem.rows, **found.problem.worth}
+    every = found.problem.figures
     rows: list[Row] = [
         {
             "row": name,

@@ -8,6 +8,7 @@ from dataclasses import fields
 
 from reconstruction.evaluate.conformity import CombinedUncertainty
 from twin.config.models import Experiment
+from twin.config.objects import Nut
 from twin.mechanics.choice import may_wrap
 from twin.results.bound import bound_names
 from twin.results.features import feature_of, features_of, measurands_of, nominal_mm
@@ -29,6 +30,7 @@ OF_A_PRESS = (
 )  # fmt: skip
 _OF_A_RECORDING = ("exposure_ms", "frames", "saturated_share")
 _OF_A_ROD = ("rod_width_mm", "rod_break_width_mm", "rod_height_mm", "rod_failure")
+_OF_A_NUT = ("nut_hole_depth_mm", "nut_hexagon_share")
 _ALWAYS = ("warnings", "unfitted_balls")
 COMPENSATED = "compensated_"
 """What the figures begin with that are the object's, found from the coat."""
@@ -64,6 +66,8 @@ def figure_names(experiment: Experiment) -> set[str]:
         names |= set(sphere_names(balls, region))
     if has_one_rod(experiment):
         names |= {f"{of}{name}" for of in ("", "true_face_") for name in _OF_A_ROD}
+    if isinstance(experiment.specimen, Nut):
+        names |= {f"{of}{name}" for of in ("", "true_face_") for name in _OF_A_NUT}
     names |= _of_the_object(experiment) | bound_names(experiment)
     return names | compensated_names(experiment)
 

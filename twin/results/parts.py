@@ -40,6 +40,7 @@ from twin.mechanics import (
 from twin.optics.stack import Truth
 from twin.output import EXPERIMENT_FILE, RESULT_FILE, versions, write_json
 from twin.results.figures import Metric, Metrics
+from twin.results.nuts import nut_figures
 from twin.results.record import Recording
 from twin.results.rods import rod_figures
 from twin.specimens import Sphere, shape_of
@@ -289,8 +290,8 @@ def recording_metrics(recording: Recording) -> dict[str, float]:
 def face_figures(experiment: Experiment, pressed: PressedElastomer) -> dict[str, Metric]:
     """Return the figures of a press, and of its face under the names of a measurement.
 
-    Radius and RMSE of the balls, and width and height of a single rod, are those of the face itself
-    over the region that is scored.
+    Radius and RMSE of the balls over the region that is scored, width and height of a single rod,
+    hole and hexagon of a nut are those of the face itself.
 
     Raises
     ------
@@ -298,6 +299,7 @@ def face_figures(experiment: Experiment, pressed: PressedElastomer) -> dict[str,
     """
     points = face_points_mm(pressed)
     found = press_metrics(pressed) | rod_figures(experiment, points)
+    found |= nut_figures(experiment, points)
     for number, ball in enumerate(shape_of(experiment.specimen).spheres(), start=1):
         fit = cap_fit(points, ball, experiment.score.roi_radius_mm)
         found[f"sphere_{number}_radius_mm"] = fit.radius_mm

@@ -28,7 +28,9 @@ from reconstruction.evaluate.fit import (
 from reconstruction.photometric import HeightMap
 from reconstruction.pipeline import Reconstruction, filter_bias
 from twin.config.models import Experiment
+from twin.config.objects import Nut
 from twin.optics.stack import Truth
+from twin.results.nuts import nut_figures
 from twin.results.rods import has_one_rod, rod_figures
 from twin.specimens import Sphere, shape_of
 
@@ -115,14 +117,15 @@ class Scores(Generic[Against]):
     spheres : the balls that could be fitted
     unfitted : why the others could not: a ball without valid points must not sink the measurement
     regions : the same figures of the balls over the further regions of `score.regions_mm`, by name
-    rod : width and height of a single rod, measured and of the true face; empty for all else
+    shown : width and height of a single rod, hole and hexagon of a nut, measured and of the true
+        face; empty for all else
     """
 
     against_truth: Against
     spheres: tuple[SphereScore, ...]
     unfitted: tuple[str, ...] = ()
     regions: Mapping[str, Any] = field(default_factory=dict)
-    rod: Mapping[str, Any] = field(default_factory=dict)
+    shown: Mapping[str, Any] = field(default_factory=dict)
 
 
 def score(
@@ -132,8 +135,8 @@ def score(
     points = reconstruction.point_map
     usable = points.valid & truth.lit
     spheres = _balls(experiment, points.points_world_mm, truth, usable)
-    rod = _rod(experiment, points.points_world_mm, truth, usable)
-    return Scores(score_truth(experiment, reconstruction, truth), *spheres, rod=rod)
+    shown = _shown(experiment, points.points_world_mm, truth, usable)
+    return Scores(score_truth(experiment, reconstruction, truth), *spheres, shown=shown)
 
 
 def score_heights(experiment: Experiment, heights: HeightMap, truth: Truth) -> Scores[HeightScore]:
@@ -153,8 +156,8 @@ def score_heights(experiment: Experiment, heights: HeightMap, truth: Truth) -> S
         wanted_pixels=int(wanted.sum()),
         height_scale=_scale(found, true),
     )
-    rod = _rod(experiment, found_mm, truth, both)
-    return Scores(against_truth, *_balls(experiment, found_mm, truth, both), rod=rod)
+    shown = _shown(experiment, found_mm, truth, both)
+    return Scores(against_truth, *_balls(experiment, found_mm, truth, both), shown=shown)
 
 
 def score_truth(
@@ -290,13 +293,17 @@ def _spheres(
     return tuple(fitted), tuple(unfitted)
 
 
-def _rod(
+def _shown(
     experiment: Experiment, measured_mm: NDArray[np.floating], truth: Truth, usable: BoolImage
 ) -> dict[str, Any]:
-    if not has_one_rod(experiment):
+    if not (has_one_rod(experiment) or isinstance(experiment.specimen, Nut)):
         return {}
-    true = rod_figures(experiment, truth.points_world_mm[usable], "true_face_")
-    return rod_figures(experiment, measured_mm[usable]) | true
+    found: dict[str, Any] = {}
+    for prefix, every_mm in {"": measured_mm, "true_face_": truth.points_world_mm}.items():
+        points_mm = every_mm[usable]
+        found |= rod_figures(experiment, points_mm, prefix)
+        found |= nut_figures(experiment, points_mm, prefix)
+    return found
 
 
 def _scale(found_mm: FloatArray, true_mm: FloatImage) -> float | None:
@@ -339,7 +346,7 @@ def metrics(scored: Scores[TruthScore]) -> dict[str, Any]:
     """Flatten a score to names with units, for result.json."""
     found = asdict(scored.against_truth) | {"unfitted_balls": list(scored.unfitted)}
     spheres = _sphere_metrics(scored.spheres, scored.unfitted)
-    return found | spheres | dict(scored.regions) | dict(scored.rod)
+    return found | spheres | dict(scored.regions) | dict(scored.shown)
 
 
 def _sphere_metrics(

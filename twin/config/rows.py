@@ -1,0 +1,125 @@
+"""What was measured with a sensor, as data: rows with a value, and limits known from one side."""
+
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from twin.config.base import Model, NonNegative, Positive
+
+Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_\-]+$", max_length=48)]
+Metric = str | tuple[str, ...]
+Statistic = Literal["mean", "sd"]
+LearnedAs = Literal["value", "log", "reciprocal"]
+
+
+class Row(Model):
+    """One measured figure."""
+
+    experiment: Name
+    metric: Metric = Field(
+        description="the twin's name of the figure, in result.json, or a free field; of several "
+        "names their mean"
+    )
+    statistic: Statistic = Field(
+        default="mean", description="over repeats: their mean, or their standard deviation"
+    )
+    learned_as: LearnedAs = Field(
+        default="value", description="log or reciprocal where that is the smoother function"
+    )
+    value: float
+    sd: Positive = Field(description="standard uncertainty of the value, and of a twin's one run")
+    trials: Annotated[int, Field(ge=1)] = Field(
+        default=1, description="measurements of which the value is the mean"
+    )
+    realisations: Annotated[int, Field(ge=1)] | None = Field(
+        default=None,
+        description="how many draws of what the repeats vary (coats) the value is a mean of: their "
+        "learned scatter, over the root of this, counts beside sd; absent: sd holds it",
+    )
+    shared: Annotated[float, Field(ge=0, le=1)] | None = Field(
+        default=None,
+        description="share of the scatter's variance that all trials of the row have in common, "
+        "as those on one coat have; of a mean it counts beside sd, a deviation does not show it; "
+        "absent: all of it with realisations, none with statistic = 'sd'",
+    )
+    coat: Name | None = Field(
+        default=None,
+        description="rows of one figure that name the same coat met the same draw of the scatter",
+    )
+    discrepancy: NonNegative = Field(
+        default=0.0, description="standard deviation of what the twin's model itself lacks"
+    )
+    nuisance: dict[Name, float] = Field(
+        default={}, description="change of the figure for a nuisance of 1, by name"
+    )
+    held_out: bool = Field(default=False, description="predicted, not fitted")
+    source: str | None = None
+
+    @model_validator(mode="after")
+    def _scatter_is_of_a_mean(self) -> "Row":
+        if self.statistic == "sd" and self.realisations is not None:
+            raise ValueError("realisations: not allowed with statistic = 'sd'")
+        if self.statistic == "mean" and self.realisations is None:
+            for name in ("shared", "coat"):
+                if getattr(self, name) is not None:
+                    raise ValueError(f"{name}: of a mean it needs realisations; add them")
+        if self.statistic == "sd" and self.coat is not None:
+            raise ValueError("coat: not allowed with statistic = 'sd'")
+        return self
+
+    @property
+    def scatter_share(self) -> float:
+        """Standard deviation that the row has of what is learned, over the repeats' own.
+
+        Of a mean: of the part that its trials have in common. Of a deviation: of what they do not.
+        """
+        if self.statistic == "sd":
+            return float(np.sqrt(1.0 - (self.shared or 0.0)))
+        shared = 1.0 if self.shared is None else self.shared
+        return 0.0 if self.realisations is None else float(np.sqrt(shared / self.realisations))
+
+    @property
+    def needs_repeats(self) -> str:
+        """What of the row needs several measurements per simulation; empty where nothing does."""
+        if self.statistic == "sd":
+            return "statistic = 'sd'"
+        return "" if self.realisations is None else "realisations"
+
+    @property
+    def scatter(self) -> float:
+        """Standard deviation of one measurement: sd times the root of `trials`."""
+        return self.sd * float(np.sqrt(self.trials))
+
+
+class Limit(Model):
+    """What is only known to lie on one side of a value: a picture shows it, or a meter ran out."""
+
+    experiment: Name
+    metric: Metric = Field(description="as of a row")
+    learned_as: LearnedAs = "value"
+    at_least: float | None = None
+    at_most: float | None = None
+    sd: Positive = Field(description="how sharp it is: the standard uncertainty of the value")
+    source: str | None = None
+
+    @model_validator(mode="after")
+    def _one_side(self) -> "Limit":
+        if (self.at_least is None) == (self.at_most is None):
+            raise ValueError("at_least, at_most: exactly one of them is needed")
+        return self
+
+    @property
+    def statistic(self) -> Statistic:
+        """Over repeats: the mean."""
+        return "mean"
+
+    @property
+    def value(self) -> float:
+        """The limit itself."""
+        return self.at_least if self.at_least is not None else float(self.at_most or 0.0)
+
+    @property
+    def side(self) -> int:
+        """1 where figures above the value are allowed, -1 where those below are."""
+        return 1 if self.at_least is not None else -1

@@ -1,0 +1,109 @@
+"""How much of a hex nut a relief shows: depth of its hole, and the hexagon of its outline.
+
+The outline is the relief's contour as far below the ring as the chamfer falls to the corners: there
+the nut itself is a whole hexagon. What a sheet spans comes out round. The contour's sixth harmonic
+in phase with the nut's is its share of a hexagon: 0 for a circle, 1 for a hexagon, 0.87 for the
+bare nut (heights are averaged over 0.1 mm across its walls). Noise does not move its mean.
+"""
+
+from math import pi, radians, sqrt, tan
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from reconstruction.arrays import FloatArray
+from twin.config.models import Experiment
+from twin.config.objects import Nut
+
+_DIRECTIONS = 72
+_RADIAL_MM = 0.1
+_RING_MM, _CENTRE_MM = 0.2, 0.4
+# Beyond so many corner radii a contour is no longer the nut's.
+_FARTHEST = 1.8
+_LEAST_SEEN = 0.9
+
+
+def nut_figures(
+    experiment: Experiment, points_mm: NDArray[np.floating[Any]], prefix: str = ""
+) -> dict[str, float]:
+    """Return what points (n, xyz), world frame, mm, show of a nut; nothing of anything else.
+
+    `nut_hole_depth_mm` is by how much the middle lies below the ring, `nut_hexagon_share` the share
+    of the hexagon's sixth harmonic; 0 where the relief is too flat for the contour. Each is absent
+    where its points are.
+    """
+    nut = experiment.specimen
+    if not isinstance(nut, Nut):
+        return {}
+    x, y, z = points_mm.astype(np.float64).T
+    x, y = x - nut.x_mm, y - nut.y_mm
+    radius, azimuth = np.hypot(x, y), np.arctan2(y, x) - radians(nut.yaw_deg)
+    on_ring = np.abs(radius - _ring_radius_mm(nut)) < _RING_MM
+    if not on_ring.any():
+        return {}
+    ring_mm = float(np.median(z[on_ring]))
+    found, middle = {}, z[radius < _CENTRE_MM]
+    if middle.size:
+        found[f"{prefix}nut_hole_depth_mm"] = ring_mm - float(np.median(middle))
+    level = ring_mm - nut.chamfer_mm * tan(radians(30))
+    between_mm = _ring_radius_mm(nut), _FARTHEST * nut.across_flats_mm / sqrt(3)
+    contour = contour_radii_mm(radius, azimuth, z, level, between_mm)
+    found[f"{prefix}nut_hexagon_share"] = hexagon_share(contour, nut.across_flats_mm)
+    return found
+
+
+def contour_radii_mm(
+    radius_mm: FloatArray,
+    azimuth_rad: FloatArray,
+    z_mm: FloatArray,
+    level_mm: float,
+    between_mm: tuple[float, float],
+) -> FloatArray:
+    """Return where a relief falls below a level, outwards: (direction,) radii, NaN where nowhere.
+
+    Points, (n,) each, are averaged in sectors by steps of radius; a step without points is passed.
+    """
+    from_mm, to_mm = between_mm
+    sector = np.floor((azimuth_rad % (2 * pi)) / (2 * pi) * _DIRECTIONS).astype(int) % _DIRECTIONS
+    step = np.floor((radius_mm - from_mm) / _RADIAL_MM).astype(int)
+    steps = int(np.ceil((to_mm - from_mm) / _RADIAL_MM))
+    inside = (step >= 0) & (step < steps)
+    bins = sector[inside] * steps + step[inside]
+    count, r, z = (
+        np.bincount(bins, weight, _DIRECTIONS * steps).reshape(_DIRECTIONS, steps)
+        for weight in (None, radius_mm[inside], z_mm[inside])
+    )
+    with np.errstate(invalid="ignore"):
+        sections = zip(r / count, z / count, count > 0, strict=True)
+    return np.array([_falls_below(r[has], z[has], level_mm) for r, z, has in sections])
+
+
+def _falls_below(r_mm: FloatArray, z_mm: FloatArray, level_mm: float) -> float:
+    below = np.flatnonzero(z_mm < level_mm)
+    if not below.size or not below[0]:
+        return float("nan")
+    i = int(below[0])
+    part = (z_mm[i - 1] - level_mm) / (z_mm[i - 1] - z_mm[i])
+    return float(r_mm[i - 1] + part * (r_mm[i] - r_mm[i - 1]))
+
+
+def hexagon_share(contour_mm: FloatArray, across_flats_mm: float) -> float:
+    """Return the share of a hexagon in a contour, (direction,) radii, mm; corners lie at 0.
+
+    0 where more than a tenth of the contour is missing.
+    """
+    azimuth = (np.arange(contour_mm.size) + 0.5) / contour_mm.size * 2 * pi
+    seen = np.isfinite(contour_mm)
+    if seen.mean() < _LEAST_SEEN:
+        return 0.0
+    filled = np.interp(azimuth, azimuth[seen], contour_mm[seen], period=2 * pi)
+    from_flat = (azimuth % (pi / 3)) - pi / 6
+    hexagon = across_flats_mm / 2 / np.cos(from_flat)
+    wave = np.cos(6 * azimuth)
+    return float(filled @ wave / (hexagon @ wave))
+
+
+def _ring_radius_mm(nut: Nut) -> float:
+    """Return the middle of the flat ring between countersink and chamfer."""
+    return (max(nut.countersink_mm, nut.thread_mm) / 2 + nut.face_radius_mm) / 2
