@@ -50,8 +50,8 @@ def test_decoders_are_averaged_over_balls_and_trials():
     )
 
 
-def test_the_nut_says_where_the_bar_is_met():
-    mixed = nut_table({"0.05": [0.5, 0.6], "0.2": [0.8, 0.9]})
-    assert "50% to 80%" in mixed.notes[0]
-    assert "is met not at all of them" in mixed.notes[0]
-    assert "is met at none of them" in nut_table({"0.1": [0.7, 0.8]}).notes[0]
+def test_the_nut_says_what_it_shows_by_the_cameras_tilt():
+    shares = {(0.0, 0.05): [0.8, 0.9], (0.0, 0.2): [0.9, 0.9], (12.5, 0.05): [0.4, 0.5]}
+    table = nut_table(shares)
+    assert "80% to 90% at 0 deg; 40% to 40% at 12.5 deg" in table.notes[0]
+    assert table.row(tilt=12.5)["good"] == 0.4

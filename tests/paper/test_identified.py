@@ -4,15 +4,18 @@ import numpy as np
 import pytest
 
 from twin.config import load_experiment
+from twin.output import RESULT_FILE, write_json
+from twin.paper.claims import claims_of
 from twin.paper.identified import (
     choices_table,
     draw_ridges,
     fields_table,
     identified_rows_table,
+    pictures_table,
     problem,
     worth_table,
 )
-from twin.paper.plan import BALLS, FIT, RODS, identified
+from twin.paper.plan import BALLS, CONTACT_FPP, FIT, RODS, identified
 from twin.paper.trials import REFUSED, Trial, inputs
 from twin.study.cases import field_of
 from twin.study.trials import draw
@@ -23,7 +26,8 @@ def test_every_scene_has_the_identified_values(name):
     experiment, fields = load_experiment(f"paper/{name}"), identified()["fields"]
     of_sheet = name != "gelsight_two_balls"
     for field in fields.values():
-        if of_sheet or field["path"] in ("press.depth_mm", "score.roi_radius_mm"):
+        shared = of_sheet or field["path"] in ("press.depth_mm", "score.roi_radius_mm")
+        if shared and (name in RODS or not field["path"].startswith("specimen.")):
             assert field_of(experiment, field["path"]) == pytest.approx(field["value"])
     if of_sheet:
         told = experiment.provenance["elastomer.thickness_mm"]
@@ -73,3 +77,19 @@ def test_ridges_are_drawn(tmp_path):
     draw_ridges(tmp_path, tmp_path / "ridges")
     assert (tmp_path / "ridges.png").stat().st_size > 0
     assert (tmp_path / "ridges.pdf").stat().st_size > 0
+
+
+@pytest.mark.parametrize(("share", "met"), [(0.9, True), (0.1, False), (None, False)])
+def test_a_picture_stands_beside_the_case_that_shows_it(tmp_path, share, met):
+    folder = tmp_path / "nut" / CONTACT_FPP
+    folder.mkdir(parents=True)
+    figures = {} if share is None else {"nut_hexagon_share": share}
+    write_json(folder / RESULT_FILE, {"metrics": figures})
+    table = pictures_table(tmp_path)
+    row, limit = table.rows[0], problem().limits["nut_hexagon"]
+    assert row["known"] == f"at least {limit.at_least:g}"
+    assert row["measured"] == share
+    assert row["before"] < row["probability"]
+    (claim,) = claims_of({"pictures": table})
+    assert (claim.met, claim.found) == (met, share)
+    assert bool(claim.why) != met

@@ -6,8 +6,8 @@ import pytest
 
 from reconstruction.errors import InputError
 from twin.paper import reproduction
-from twin.paper.plan import BALLS, CASES, RODS, WIDTH
-from twin.paper.reproduction import Reproduction, link
+from twin.paper.plan import BALLS, CASES, RODS, WIDTH, experiment_of
+from twin.paper.reproduction import CAMERA_TILT_DEG, ROUGHNESS, Reproduction, link
 from twin.paper.statistics import values_of
 from twin.paper.trials import REFUSED
 from twin.study import sweep as sweeping
@@ -106,10 +106,20 @@ def test_figures_find_their_cases_by_name(run_of, tmp_path):
     assert sum(measured.values()) == len(asked)
 
 
-def test_the_bare_nut_by_roughness(run_of):
+def test_the_bare_nut_by_tilt_and_roughness(run_of):
     shares = run_of().bare_nut()
-    assert shares == {key: [0.7, 0.8] for key in ("0.05", "0.1", "0.2", "0.4")}
-    assert measured == {("nut", "direct_fpp"): 4}
+    assert shares == {(t, a): [0.7, 0.8] for t in CAMERA_TILT_DEG for a in ROUGHNESS}
+    assert measured == {("nut", "direct_fpp"): 12}
+
+
+def test_the_projector_keeps_its_angle_to_the_camera(run_of):
+    nominal = experiment_of("nut")
+    assert nominal.camera.pose.polar_deg == CAMERA_TILT_DEG[-1]
+    for tilt in CAMERA_TILT_DEG:
+        seen = run_of()._nut_seen(tilt, 0.2)
+        assert seen.camera.pose.polar_deg == tilt
+        between = seen.camera.pose.polar_deg + seen.projector.pose.polar_deg
+        assert between == nominal.camera.pose.polar_deg + nominal.projector.pose.polar_deg
 
 
 def test_a_refused_trial_is_left_out_and_told(run_of):

@@ -55,6 +55,11 @@ def test_the_nut_itself_is_a_hexagon_but_for_its_walls():
     assert found["nut_hexagon_share"] == pytest.approx(0.87, abs=0.03)
 
 
+def test_a_nut_without_a_chamfer_is_read_below_its_face():
+    found = nut_figures(lying(chamfer_mm=0.0), tent(0.5))
+    assert found["nut_hexagon_share"] == pytest.approx(0.5, abs=0.02)
+
+
 def test_noise_does_not_move_its_mean():
     rng = np.random.default_rng(2)
     points = tent(0.0)

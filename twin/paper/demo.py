@@ -128,6 +128,17 @@ def paper_table(balls: Measurement, beside: Sequence[Measurement]) -> Table:
         }
         for one in beside
     ]
+    rows += [
+        {
+            "quantity": f"{_name(one)}: share of a hexagon in the coat's outline",
+            "true": 1.0,
+            "paper": "a picture: a hexagon",
+            "twin": share,
+            "unit": "",
+        }
+        for one in beside
+        if isinstance(share := one.figures.get("nut_hexagon_share"), float)
+    ]
     columns = (
         Column("quantity", "quantity"),
         Column("true", "true object", 3),

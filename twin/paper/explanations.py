@@ -123,27 +123,31 @@ def _mean(trials: Sequence[Trial], decoder: str, key: str) -> float | None:
     return float(together.mean()) if together.size else None
 
 
-def nut_table(shares: Mapping[str, list[float]]) -> Table:
-    """Return one row per roughness."""
+def nut_table(shares: Mapping[tuple[float, float], list[float]]) -> Table:
+    """Return one row per tilt of the camera and roughness of the nut."""
     rows: list[dict[str, Cell]] = [
-        {"alpha": alpha, "good": good, "points": points} for alpha, (good, points) in shares.items()
+        {"tilt": tilt, "alpha": alpha, "good": good, "points": points}
+        for (tilt, alpha), (good, points) in shares.items()
     ]
-    good = [share for share, _ in shares.values()]
-    asked = "at all of them" if max(good) <= DIRECT_AT_MOST else "not at all of them"
-    if min(good) > DIRECT_AT_MOST:
-        asked = "at none of them"
+    by_tilt: dict[float, list[float]] = {}
+    for (tilt, _), (good, _) in shares.items():
+        by_tilt.setdefault(tilt, []).append(good)
+    told = [f"{min(one):.0%} to {max(one):.0%} at {tilt:g} deg" for tilt, one in by_tilt.items()]
     return Table(
-        "explain_roughness",
-        "Roughness of the bare nut",
+        "explain_nut",
+        "The bare nut: where the camera stands, and its roughness",
         "",
         (
+            Column("tilt", "camera from the vertical (deg)", 2),
             Column("alpha", "GGX alpha of the steel"),
             Column("good", "of the nut, good"),
             Column("points", "of the nut, any point"),
         ),
         tuple(rows),
         (
-            f"Good points on {min(good):.0%} to {max(good):.0%} of the nut; the "
-            f"target of {DIRECT_AT_MOST:.0%} is met {asked}. Sixteen camera pixels read as one.",
+            "The nut lies flat: its face reflects the projector into the camera where both are as "
+            f"far from the vertical. Good points, target {DIRECT_AT_MOST:.0%} at most: "
+            f"{'; '.join(told)}. The paper does not say where its camera stands; that its nut "
+            "saturates speaks for the last tilt. Sixteen camera pixels read as one.",
         ),
     )

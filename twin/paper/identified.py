@@ -12,8 +12,10 @@ from typing import Any
 import numpy as np
 
 from reconstruction.arrays import FloatArray
+from reconstruction.reading import read_json
 from twin.config.problem import Free, SensorProblem, load_problem
-from twin.paper.plan import identified
+from twin.output import RESULT_FILE
+from twin.paper.plan import CONTACT_FPP, identified
 from twin.paper.statistics import spread_of, values_of
 from twin.paper.trials import REFUSED, Trial
 from twin.report.canvas import FIT, MEASURED, axes_at, plain_spines, printing
@@ -119,6 +121,39 @@ def _of_trials(one: Mapping[str, Any], trials: Sequence[Trial]) -> dict[str, Cel
         return {"trials_mean": pooled, "refused": refused}
     mean = float(np.mean([s.mean for s in spreads]))
     return {"trials_mean": mean, "trials_sd": pooled, "refused": refused}
+
+
+def pictures_table(cases: Path) -> Table:
+    """Return what the paper's pictures show of its objects, beside the cases NAME/METHOD here."""
+    rows: list[dict[str, Cell]] = []
+    for name, limit in problem().limits.items():
+        one, specimen = identified()["limits"][name], problem().experiments[limit.experiment].base
+        result = cases / specimen.rsplit("/", 1)[-1] / CONTACT_FPP / RESULT_FILE
+        rows.append(
+            {
+                "figure": str(limit.metric).replace("_", " "),
+                "known": f"at {'least' if limit.side > 0 else 'most'} {limit.value:g}",
+                "sd": limit.sd,
+                "twin": one["twin"],
+                "twin_sd": one["twin_sd"],
+                "before": one["probability_before"],
+                "probability": one["probability"],
+                "measured": read_json(result)["metrics"].get(limit.metric),
+                "source": limit.source or "",
+            }
+        )
+    columns = (
+        Column("figure", "figure"),
+        Column("known", "paper's picture"),
+        Column("sd", "± (1 sd)", 2),
+        Column("twin", "twin, identified", 2),
+        Column("twin_sd", "SD", 2),
+        Column("before", "met, by the priors alone", 2),
+        Column("probability", "met, as identified", 2),
+        Column("measured", "the chain, at the most probable values", 2),
+        Column("source", "source"),
+    )
+    return Table("pictures", "What the paper's pictures show", "", columns, tuple(rows))
 
 
 def choices_table() -> Table:

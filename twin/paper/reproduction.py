@@ -56,6 +56,8 @@ from twin.study.workers import Workers, local_workers
 from twin.uncertainty.budget import Part, part_of
 
 ROUGHNESS = (0.05, 0.1, 0.2, 0.4)
+# Of the camera from the vertical; the projector stands opposite, as far from the camera as ever.
+CAMERA_TILT_DEG = (0.0, 6.25, 12.5)
 # Sixteen pixels read as one take a quarter of the time; the table says so.
 _BARE_NUT = {"modality": "direct_fpp", "camera.binning": 4}
 
@@ -142,25 +144,41 @@ class Reproduction:
             parts.append(part)
         return parts
 
-    def bare_nut(self) -> dict[str, list[float]]:
-        """Return shares of the bare nut's pixels with a good point, and with any, by roughness.
+    def bare_nut(self) -> dict[tuple[float, float], list[float]]:
+        """Return shares of the bare nut's pixels with a good point, and with any.
+
+        By the tilt of the camera from the vertical, deg, and the steel's roughness.
 
         Raises
         ------
         InputError, MissingBackend
             As `measure`; or the camera sees nothing of the nut.
         """
-        bare = vary(self._experiment(NUT), _BARE_NUT)
-        key = "specimen.material.roughness"
-        cases = [case_of({key: alpha}, vary(bare, {key: alpha})) for alpha in ROUGHNESS]
-        found = self._run("nut", cases, Measuring(more=shares_of))
+        cases = {
+            (tilt, alpha): case_of({"tilt_deg": tilt, "alpha": alpha}, self._nut_seen(tilt, alpha))
+            for tilt in CAMERA_TILT_DEG
+            for alpha in ROUGHNESS
+        }
+        found = self._run("nut", list(cases.values()), Measuring(more=shares_of))
         shares = {}
-        for alpha, case in zip(ROUGHNESS, cases, strict=True):
+        for key, case in cases.items():
             both = [found[case.digest][f"share_{name}"] for name in ("specimen", "specimen_points")]
             if None in both:
                 raise InputError(f"{NUT}: the camera sees nothing of the specimen")
-            shares[f"{alpha:g}"] = both
+            shares[key] = both
         return shares
+
+    def _nut_seen(self, tilt_deg: float, alpha: float) -> Experiment:
+        """Return the bare nut, seen from so far beside the vertical; triangulation stays."""
+        bare = vary(self._experiment(NUT), _BARE_NUT)
+        between_deg = bare.camera.pose.polar_deg + bare.projector.pose.polar_deg
+        stated = {"range": [0.0, between_deg], "source": "varied to find what the nut shows"}
+        changed = {
+            "camera.pose.polar_deg": {"value": tilt_deg} | stated,
+            "projector.pose.polar_deg": {"value": between_deg - tilt_deg} | stated,
+            "specimen.material.roughness": alpha,
+        }
+        return vary(bare, changed)
 
     def all_cases(self) -> Path:
         """Measure every specimen of the figures; return the folder of the cases by name."""

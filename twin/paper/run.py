@@ -34,7 +34,7 @@ from twin.paper.explanations import (
     region_table,
 )
 from twin.paper.figures import FIGURES, draw_figure
-from twin.paper.identified import identified_tables
+from twin.paper.identified import identified_tables, pictures_table
 from twin.paper.page import Contents, write_paper_page
 from twin.paper.plan import BALLS, COARSE, CONTACT_FPP, FINE, GELSIGHT, experiment_of
 from twin.paper.reproduction import Reproduction
@@ -90,12 +90,18 @@ def sensor_tables(run: Reproduction) -> list[Table]:
     return identified_tables(trials)
 
 
+def object_tables(run: Reproduction) -> list[Table]:
+    """Return what is seen of the objects of the paper's pictures."""
+    cases = run.all_cases()
+    return [completeness_table(cases), pictures_table(cases)]
+
+
 TABLES: Mapping[str, Callable[[Reproduction], list[Table]]] = {
     "identified": sensor_tables,
     "hardness": lambda _: [hardness_table()],
     "rods": rod_tables,
     "spheres": sphere_tables,
-    "completeness": lambda run: [completeness_table(run.all_cases())],
+    "completeness": object_tables,
     "differences": difference_tables,
 }
 

@@ -30,6 +30,7 @@ _GROUPS: Mapping[str, Group] = {
     "coating": "elastomer",
     "press": "press",
     "score": "press",
+    "specimen": "placement",
 }
 
 Figures = Mapping[str, Any]
@@ -62,6 +63,7 @@ def inputs() -> Inputs:
             values=tuple(found["draws"][name]),
             # GelSight has a gel of its own, and no air: it shares the travel alone.
             methods=() if one["path"] == "press.depth_mm" else ("contact_fpp",),
+            optional=one["path"].startswith("specimen."),  # bars have edges, balls have none
             source=one["source"],
         )
         for name, one in found["fields"].items()

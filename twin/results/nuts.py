@@ -22,6 +22,8 @@ _RING_MM, _CENTRE_MM = 0.2, 0.4
 # Beyond so many corner radii a contour is no longer the nut's.
 _FARTHEST = 1.8
 _LEAST_SEEN = 0.9
+# A nut without a chamfer is a hexagon at its face; the contour must lie below the ring's own noise.
+_LEAST_DOWN_MM = 0.2
 
 
 def nut_figures(
@@ -46,7 +48,7 @@ def nut_figures(
     found, middle = {}, z[radius < _CENTRE_MM]
     if middle.size:
         found[f"{prefix}nut_hole_depth_mm"] = ring_mm - float(np.median(middle))
-    level = ring_mm - nut.chamfer_mm * tan(radians(30))
+    level = ring_mm - max(nut.chamfer_mm * tan(radians(30)), _LEAST_DOWN_MM)
     between_mm = _ring_radius_mm(nut), _FARTHEST * nut.across_flats_mm / sqrt(3)
     contour = contour_radii_mm(radius, azimuth, z, level, between_mm)
     found[f"{prefix}nut_hexagon_share"] = hexagon_share(contour, nut.across_flats_mm)
