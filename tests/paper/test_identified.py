@@ -15,7 +15,7 @@ from twin.paper.identified import (
     problem,
     worth_table,
 )
-from twin.paper.plan import BALLS, CONTACT_FPP, FIT, RODS, identified
+from twin.paper.plan import BALLS, FIT, RODS, identified
 from twin.paper.trials import REFUSED, Trial, inputs
 from twin.study.cases import field_of
 from twin.study.trials import draw
@@ -81,7 +81,7 @@ def test_ridges_are_drawn(tmp_path):
 
 @pytest.mark.parametrize(("share", "met"), [(0.9, True), (0.1, False), (None, False)])
 def test_a_picture_stands_beside_the_case_that_shows_it(tmp_path, share, met):
-    folder = tmp_path / "nut" / CONTACT_FPP
+    folder = tmp_path / "nut" / "contact_fpp"
     folder.mkdir(parents=True)
     figures = {} if share is None else {"nut_hexagon_share": share}
     write_json(folder / RESULT_FILE, {"metrics": figures})

@@ -15,7 +15,7 @@ from reconstruction.arrays import FloatArray
 from reconstruction.reading import read_json
 from twin.config.problem import Free, SensorProblem, load_problem
 from twin.output import RESULT_FILE
-from twin.paper.plan import CONTACT_FPP, identified
+from twin.paper.plan import identified
 from twin.paper.statistics import spread_of, values_of
 from twin.paper.trials import REFUSED, Trial
 from twin.report.canvas import FIT, MEASURED, axes_at, plain_spines, printing
@@ -26,6 +26,8 @@ PROBLEM = "paper/identify"
 # Every experiment at the identified values is scored over the identified region.
 _REGION = "within_{region_mm}_"
 _RIDGE_PANELS = 3
+# Whose folder among the cases shows the pictures through the coat.
+_METHOD = "contact_fpp"
 
 
 @lru_cache
@@ -128,7 +130,7 @@ def pictures_table(cases: Path) -> Table:
     rows: list[dict[str, Cell]] = []
     for name, limit in problem().limits.items():
         one, specimen = identified()["limits"][name], problem().experiments[limit.experiment].base
-        result = cases / specimen.rsplit("/", 1)[-1] / CONTACT_FPP / RESULT_FILE
+        result = cases / specimen.rsplit("/", 1)[-1] / _METHOD / RESULT_FILE
         rows.append(
             {
                 "figure": str(limit.metric).replace("_", " "),
