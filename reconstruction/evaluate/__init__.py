@@ -10,6 +10,7 @@ from reconstruction.evaluate.plane import (
     bar_width,
     break_width,
     flatness,
+    slope_change_width,
     step_height,
 )
 from reconstruction.evaluate.robust import BallFit, CylinderFit, fit_ball, fit_cylinder
@@ -28,5 +29,6 @@ __all__ = [
     "fit_cylinder",
     "fit_sphere_algebraic",
     "flatness",
+    "slope_change_width",
     "step_height",
 ]

@@ -1,5 +1,6 @@
 """Dimensions on a plane: flatness (ISO 12781-1), roughness (ISO 25178-2), step and bar width."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -227,7 +228,7 @@ def bar_width(s_mm: ArrayLike, z_mm: ArrayLike, fraction: float = 0.5) -> BarWid
 
 
 def break_width(s_mm: ArrayLike, z_mm: ArrayLike, sigma_mm: float) -> BarWidth:
-    """Measure a crest between the breaks of its slope, where its flanks begin.
+    """Measure a crest between the breaks of its slope, where it bends most.
 
     On either side the place in the upper half of the crest at which the downward curvature
     -z'' / (1 + z'^2)^(3/2) of the profile, smoothed by a Gaussian, is strongest: the upper edge of
@@ -245,6 +246,23 @@ def break_width(s_mm: ArrayLike, z_mm: ArrayLike, sigma_mm: float) -> BarWidth:
     ------
     FitError : the profile does not bend down on both sides of its middle
     """
+    return _width_between_bends(s_mm, z_mm, sigma_mm, _curvature)
+
+
+def slope_change_width(s_mm: ArrayLike, z_mm: ArrayLike, sigma_mm: float) -> BarWidth:
+    """Measure a crest between the places where its slope changes fastest; as `break_width`.
+
+    There -z'' of the smoothed profile is strongest: the upper edge of a trapezoid, however steep.
+    """
+    return _width_between_bends(s_mm, z_mm, sigma_mm, _slope_change)
+
+
+def _width_between_bends(
+    s_mm: ArrayLike,
+    z_mm: ArrayLike,
+    sigma_mm: float,
+    bend: Callable[[FloatArray, float], FloatArray],
+) -> BarWidth:
     s, z = np.asarray(s_mm, np.float64), np.asarray(z_mm, np.float64)
     if s.size < 4 * _LEAST_POINTS or sigma_mm <= 0.0:
         raise FitError("break width: needs at least 20 points, and sigma_mm above 0")
@@ -253,7 +271,7 @@ def break_width(s_mm: ArrayLike, z_mm: ArrayLike, sigma_mm: float) -> BarWidth:
     heights = np.interp(even, s, z)
     ground, top = float(np.median(np.sort(z)[: s.size // 3])), float(z.max())
     upper = heights >= (ground + top) / 2
-    down = np.where(upper, -_curvature(heights, step), 0.0)
+    down = np.where(upper, -bend(heights, step), 0.0)
     # The Gaussian sees a level ground beyond both ends, towards which they bend.
     down[:_REACH_STEPS] = down[-_REACH_STEPS:] = 0.0
     middle = int(np.flatnonzero(upper)[[0, -1]].mean())
@@ -276,11 +294,13 @@ def _summit(s: FloatArray, values: FloatArray, at: int) -> float:
 
 def _curvature(z: FloatArray, step: float) -> FloatArray:
     """Curvature of a profile smoothed by a Gaussian of `_STEPS_PER_SIGMA` samples."""
-    slope, change = (
-        gaussian_filter1d(z, _STEPS_PER_SIGMA, order=order, mode="nearest") / step**order
-        for order in (1, 2)
-    )
-    return np.asarray(change / (1.0 + slope**2) ** 1.5)
+    slope = gaussian_filter1d(z, _STEPS_PER_SIGMA, order=1, mode="nearest") / step
+    return np.asarray(_slope_change(z, step) / (1.0 + slope**2) ** 1.5)
+
+
+def _slope_change(z: FloatArray, step: float) -> FloatArray:
+    """Second derivative of a profile smoothed by a Gaussian of `_STEPS_PER_SIGMA` samples."""
+    return np.asarray(gaussian_filter1d(z, _STEPS_PER_SIGMA, order=2, mode="nearest") / step**2)
 
 
 def _crossing(s: FloatArray, z: FloatArray, at: int, level: float) -> float:

@@ -42,6 +42,7 @@ def test_the_slope_breaks_at_the_upper_edges():
     """Flanks of 0.5 mm: the top is half a millimetre narrower than the width at half height."""
     section = section_of(crest(4.81), 2.0, (0.0, 0.0))
     assert section.break_width().width_mm == pytest.approx(4.81 - 0.5, abs=0.3)
+    assert section.slope_change_width().width_mm == pytest.approx(4.81 - 0.5, abs=0.1)
 
 
 def wrapped(pitch_mm, first_mm):

@@ -11,6 +11,7 @@ from reconstruction.evaluate import (
     fit_ball,
     fit_cylinder,
     flatness,
+    slope_change_width,
     step_height,
 )
 from reconstruction.evaluate.fit import fit_sphere
@@ -176,16 +177,31 @@ def test_slope_breaks_at_the_upper_edges_of_a_trapezoid(flank_mm, inside):
     assert found.height_mm == pytest.approx(1.0, abs=0.01)
 
 
+@pytest.mark.parametrize("flank_mm", [0.2, 0.6, 1.0, 6.0])
+@pytest.mark.parametrize("height_mm", [0.1, 1.0, 3.0])
+def test_slope_changes_fastest_at_the_upper_edges_however_steep(flank_mm, height_mm):
+    """A Gaussian moves no kink; the foot of a flank of four sigma is seen by 0.01 sigma."""
+    s, sigma = np.arange(-12.0, 12.0, 0.01), 0.05
+    z = height_mm * np.clip((4.0 + flank_mm - np.abs(s - 0.3)) / flank_mm, 0.0, 1.0)
+    found = slope_change_width(s, z, sigma)
+    assert found.width_mm == pytest.approx(8.0, abs=0.002)
+    assert (found.left_mm + found.right_mm) / 2 == pytest.approx(0.3, abs=0.001)
+
+
 def test_the_break_of_a_round_crest_is_on_its_arc():
     """A strip over a cylinder of radius 2 leaves it 0.5 rad from its top."""
     s, edge = np.arange(-6.0, 6.0, 0.01), 2.0 * np.sin(0.5)
     arc = np.sqrt(np.maximum(4.0 - s**2, 0.0))
     tent = 2.0 * np.cos(0.5) - np.tan(0.5) * (np.abs(s) - edge)
     z = np.where(np.abs(s) < edge, arc, tent)
-    assert 0.0 < break_width(s, z, 0.15).width_mm <= 2 * edge
+    bends = break_width(s, z, 0.15).width_mm, slope_change_width(s, z, 0.15).width_mm
+    assert min(bends) > 0.0
+    assert max(bends) <= 2 * edge
 
 
 def test_a_slope_that_does_not_break_is_refused():
     s = np.linspace(-3.0, 3.0, 100)
     with pytest.raises(FitError, match="bend down"):
         break_width(s, s**2, 0.1)
+    with pytest.raises(FitError, match="bend down"):
+        slope_change_width(s, s**2, 0.1)

@@ -35,7 +35,11 @@ def chosen(alternative: str) -> str:
 
 _FORM = {"bars": "bars", "round": "rods"}[chosen("form")]
 RODS = tuple(f"{_FORM}_{letter}" for letter in "abc")
-WIDTH = {"half_height": "rod_width_mm", "slope_break": "rod_break_width_mm"}[chosen("width")]
+WIDTH = {
+    "half_height": "rod_width_mm",
+    "slope_break": "rod_break_width_mm",
+    "slope_change": "rod_slope_change_width_mm",
+}[chosen("width")]
 FIT = {"geometric": "", "algebraic": "algebraic_"}[chosen("sphere_fit")]
 """Before the names of a sphere's figures: how the paper most probably fitted."""
 DIRECT_AND_CONTACT = (NUT, "brick", "ball")

@@ -12,6 +12,7 @@ from twin.report.table import PAPER, TWIN, Cell, Column, Table
 _WIDTHS = {
     "rod_width_mm": "between its flanking valleys at half of its height",
     "rod_break_width_mm": "between the breaks of its slope",
+    "rod_slope_change_width_mm": "between the places where its slope changes fastest",
 }
 
 

@@ -29,7 +29,10 @@ OF_A_PRESS = (
     "steepest_deg", "texture_rms_um", "texture_correlation_mm",
 )  # fmt: skip
 _OF_A_RECORDING = ("exposure_ms", "frames", "saturated_share")
-_OF_A_ROD = ("rod_width_mm", "rod_break_width_mm", "rod_height_mm", "rod_failure")
+_OF_A_ROD = (
+    "rod_width_mm", "rod_break_width_mm", "rod_slope_change_width_mm", "rod_height_mm",
+    "rod_failure",
+)  # fmt: skip
 _OF_A_NUT = ("nut_hole_depth_mm", "nut_hexagon_share")
 _ALWAYS = ("warnings", "unfitted_balls")
 COMPENSATED = "compensated_"

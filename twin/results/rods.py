@@ -2,7 +2,8 @@
 
 A sheet draped over a rod on a plate rises from two valleys to a crest. The profile runs from valley
 to valley. Its width is taken where it crosses half of the height of the crest over their level, and
-between the breaks of its slope, where a sheet leaves the rod.
+between the breaks of its slope, where a sheet leaves the rod: where it bends most, or where its
+slope changes fastest.
 """
 
 from dataclasses import dataclass
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 
 from reconstruction.arrays import FloatArray
 from reconstruction.errors import FitError
-from reconstruction.evaluate import BarWidth, bar_width, break_width
+from reconstruction.evaluate import BarWidth, bar_width, break_width, slope_change_width
 from twin.config.models import Experiment
 from twin.config.specimens import Bars, Rods
 from twin.specimens import Shape, shape_of
@@ -50,6 +51,12 @@ class RodSection:
         low, high = self.valleys()
         inside = slice(low, high + 1)
         return break_width(self.s_mm[inside], self.z_mm[inside], BREAK_SIGMA_MM)
+
+    def slope_change_width(self) -> BarWidth:
+        """Return the width between the fastest changes of the slope; errors as `width`."""
+        low, high = self.valleys()
+        inside = slice(low, high + 1)
+        return slope_change_width(self.s_mm[inside], self.z_mm[inside], BREAK_SIGMA_MM)
 
     def valleys(self) -> tuple[int, int]:
         """Return the indices of the lowest points on both sides of the crest."""
@@ -108,11 +115,16 @@ def rod_figures(
     centre = middle_of(shape_of(experiment.specimen))
     section = section_of(points_mm.astype(np.float64), SECTION_LENGTH_MM, centre)
     try:
-        crest, broken = section.width(), section.break_width()
+        crest, broken, changed = (
+            section.width(),
+            section.break_width(),
+            section.slope_change_width(),
+        )
     except FitError as error:
         return {f"{prefix}rod_failure": str(error)}
     return {
         f"{prefix}rod_width_mm": crest.width_mm,
         f"{prefix}rod_break_width_mm": broken.width_mm,
+        f"{prefix}rod_slope_change_width_mm": changed.width_mm,
         f"{prefix}rod_height_mm": crest.height_mm,
     }
