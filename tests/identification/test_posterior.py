@@ -1,20 +1,16 @@
 """Posterior, evidence, profile and ridges against closed forms of the linear normal problem."""
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
-from scipy.stats import multivariate_normal, norm, qmc
+from scipy.stats import multivariate_normal, norm
 
 from reconstruction.arrays import FloatArray
-from reconstruction.errors import InputError
+from tests.identification.linear import Exact, linear_emulators, linear_problem
 from twin.config.problem import SensorProblem
-from twin.config.rows import LearnedAs
-from twin.identification.emulator import _left_out, fit_emulator
 from twin.identification.findings import (
     interval_of,
-    limits_met,
     predict_rows,
     prior_shifts,
     ridges,
@@ -30,40 +26,6 @@ from twin.identification.posterior import (
     sample,
 )
 
-NORMAL = {"low": -6.0, "high": 6.0, "prior": "normal", "mean": 0.0, "sd": 1.0}
-
-
-class _Exact:
-    """A figure that is known everywhere to `sd`, for an emulator; takes values, not shares."""
-
-    def __init__(self, figure: Callable[[FloatArray], FloatArray], sd: float = 0.0) -> None:
-        self.figure, self.sd = figure, sd
-
-    def predict(self, places: FloatArray) -> tuple[FloatArray, FloatArray]:
-        values = self.mean(places)
-        return values, np.full_like(values, self.sd)
-
-    def mean(self, places: FloatArray) -> FloatArray:
-        return self.figure(12.0 * places - 6.0)
-
-
-def _problem(rows: dict[str, Any], fields: int = 2, **more: Any) -> SensorProblem:
-    whole = {name: {"experiment": "one", "metric": name} | row for name, row in rows.items()}
-    return SensorProblem.model_validate(
-        {
-            "name": "linear",
-            "experiments": {"one": {"base": "none"}},
-            "free": {f"x{i}": NORMAL | {"path": f"p{i}"} for i in range(fields)},
-            "rows": whole,
-        }
-        | more
-    )
-
-
-def _linear(matrix: FloatArray, names: list[str]) -> dict[str, Any]:
-    return {n: _Exact(lambda v, g=g: v @ g) for n, g in zip(names, matrix, strict=True)}
-
-
 MATRIX = np.array([[1.0, 0.5], [-0.3, 2.0], [0.7, 0.7]])
 VALUES, SDS = np.array([0.8, -1.1, 0.4]), np.array([0.5, 0.3, 1.0])
 
@@ -75,8 +37,8 @@ def linear() -> tuple[SensorProblem, Posterior]:
         f"r{i}": {"value": VALUES[i], "sd": SDS[i], "nuisance": {"scale": s}}
         for i, s in enumerate((1.0, 2.0, 0.0))
     }
-    problem = _problem(rows, nuisance={"scale": {"sd": 0.2}})
-    likelihood = likelihood_of(problem, problem.rows, _linear(MATRIX, list(rows)))
+    problem = linear_problem(rows, nuisance={"scale": {"sd": 0.2}})
+    likelihood = likelihood_of(problem, problem.rows, linear_emulators(MATRIX, list(rows)))
     return problem, sample(likelihood, seed=3)
 
 
@@ -124,8 +86,8 @@ def test_a_held_out_row_is_predicted_with_all_that_is_open() -> None:
         "fit": {"value": 1.0, "sd": 0.1},
         "held": {"value": 5.0, "sd": 0.3, "held_out": True, "discrepancy": 0.4},
     }
-    problem = _problem(rows, fields=1)
-    emulators = _linear(np.array([[1.0], [2.0]]), ["fit", "held"])
+    problem = linear_problem(rows, fields=1)
+    emulators = linear_emulators(np.array([[1.0], [2.0]]), ["fit", "held"])
     found = sample(likelihood_of(problem, problem.fitted, emulators), seed=1)
     row = predict_rows(found, likelihood_of(problem, problem.rows, emulators), seed=2)[1]
     mean, sd = 2.0 / 1.01, float(np.hypot(2.0 * 0.1 / np.sqrt(1.01), 0.4))
@@ -139,9 +101,11 @@ def test_the_scatter_of_what_a_row_is_a_mean_of_counts_beside_its_own() -> None:
     # Scatter grows with the field: the posterior is compared with its quadrature.
     rows = {"r": {"value": 1.2, "sd": 0.1, "realisations": 4}}
     experiments = {"one": {"base": "none", "repeats": 2}}
-    problem = _problem(rows, fields=1, experiments=experiments)
-    scatters: dict[str, Any] = {"r": _Exact(lambda v: np.exp(0.5 * v[:, 0]))}
-    likelihood = likelihood_of(problem, problem.rows, _linear(np.ones((1, 1)), ["r"]), scatters)
+    problem = linear_problem(rows, fields=1, experiments=experiments)
+    scatters: dict[str, Any] = {"r": Exact(lambda v: np.exp(0.5 * v[:, 0]))}
+    likelihood = likelihood_of(
+        problem, problem.rows, linear_emulators(np.ones((1, 1)), ["r"]), scatters
+    )
     found = sample(likelihood, seed=9)
 
     x = np.linspace(-6.0, 6.0, 20001)
@@ -155,50 +119,15 @@ def test_the_scatter_of_what_a_row_is_a_mean_of_counts_beside_its_own() -> None:
     )
 
 
-def test_rows_are_predicted_from_what_the_fitted_ones_tell_of_coat_scale_and_emulator() -> None:
-    """Field, coat and scale are independent normals: the closed form of their joint density.
-
-    Three quarters of a coat's variance is common to its trials: `again` met the coat of the fitted
-    `mean`, `other` met another one. The deviation over the trials shows the other quarter.
-    """
-    coat = {"realisations": 1, "shared": 0.75, "nuisance": {"scale": 2.0}}
-    rows = {
-        "mean": {"value": 1.5, "sd": 0.2, "coat": "a", **coat},
-        "again": {"value": 9.0, "sd": 0.3, "coat": "a", "held_out": True, **coat},
-        "other": {"value": 9.0, "sd": 0.3, "coat": "b", "held_out": True, **coat},
-        "scatter": {"value": 1.0, "sd": 0.1, "statistic": "sd", "shared": 0.75, "held_out": True},
-    }
-    experiments = {"one": {"base": "none", "repeats": 2}}
-    problem = _problem(rows, fields=1, experiments=experiments, nuisance={"scale": {"sd": 0.1}})
-    figure, told = _Exact(lambda v: v[:, 0], sd=0.5), _Exact(lambda v: np.full(len(v), 0.8))
-    emulators: dict[str, Any] = {**dict.fromkeys(rows, figure), "scatter": told}
-    scatters: dict[str, Any] = dict.fromkeys(("mean", "again", "other"), told)
-    fitted = likelihood_of(problem, problem.fitted, emulators, scatters)
-    every = likelihood_of(problem, problem.rows, emulators, scatters)
-    found = {r.row: r for r in predict_rows(sample(fitted, seed=9), every, seed=2)}
-
-    coats, common = 0.75 * 0.8**2, 1.0 + 0.5**2 + (2.0 * 0.1) ** 2  # field, emulator, scale
-    whole = common + coats
-    for name, shared in (("mean", whole), ("again", whole), ("other", common)):
-        gain = shared / (whole + 0.2**2)
-        assert found[name].twin.mean == pytest.approx(1.5 * gain, abs=0.06)
-        assert found[name].twin.sd == pytest.approx(np.sqrt(whole - gain * shared), rel=0.08)
-    assert found["scatter"].twin.mean == pytest.approx(0.8 * np.sqrt(0.25))
-    # Of another coat and emulator the fitted row tells through the field alone.
-    field = 1.0 / (whole + 0.2**2)
-    assert found["mean"].any_coat.mean == pytest.approx(1.5 * field, abs=0.06)
-    assert found["mean"].any_coat.sd == pytest.approx(np.sqrt(whole - field), rel=0.08)
-
-
 def test_scatter_needs_repeats_and_a_mean() -> None:
     row = {"value": 1.0, "sd": 0.1, "realisations": 1}
     with pytest.raises(ValueError, match=r"realisations needs experiments\.one\.repeats of 2"):
-        _problem({"r": row}, fields=1)
+        linear_problem({"r": row}, fields=1)
     with pytest.raises(ValueError, match="realisations: not allowed with statistic = 'sd'"):
-        _problem({"r": row | {"statistic": "sd"}}, fields=1)
+        linear_problem({"r": row | {"statistic": "sd"}}, fields=1)
     for name, value in (("shared", 0.5), ("coat", "a")):
         with pytest.raises(ValueError, match=f"{name}: of a mean it needs realisations"):
-            _problem({"r": {"value": 1.0, "sd": 0.1, name: value}}, fields=1)
+            linear_problem({"r": {"value": 1.0, "sd": 0.1, name: value}}, fields=1)
 
 
 def test_the_chains_keep_detailed_balance() -> None:
@@ -207,15 +136,15 @@ def test_the_chains_keep_detailed_balance() -> None:
     Of 16 chains of 1000 independent samples it is found to 0.3 %; emcee's snooker move, as one of
     ten, narrows it by 1.5 %.
     """
-    problem = _problem({"sum": {"value": 1.0, "sd": 0.5}}, fields=7)
-    likelihood = likelihood_of(problem, problem.rows, _linear(np.ones((1, 7)), ["sum"]))
+    problem = linear_problem({"sum": {"value": 1.0, "sd": 0.5}}, fields=7)
+    likelihood = likelihood_of(problem, problem.rows, linear_emulators(np.ones((1, 7)), ["sum"]))
     found = np.mean([sample(likelihood, seed).z.var(axis=0).mean() for seed in range(16)])
     assert found == pytest.approx(1 - 1 / 7.25, rel=0.008)
 
 
 def test_what_only_a_product_shows_is_named_as_a_ridge() -> None:
-    problem = _problem({"sum": {"value": 1.0, "sd": 0.01}}, fields=3)
-    emulators = _linear(np.array([[1.0, 1.0, 0.0]]), ["sum"])
+    problem = linear_problem({"sum": {"value": 1.0, "sd": 0.01}}, fields=3)
+    emulators = linear_emulators(np.array([[1.0, 1.0, 0.0]]), ["sum"])
     found = sample(likelihood_of(problem, problem.rows, emulators), seed=4)
     named = ridges(found)
     assert [set(one.share) for one in named] == [{"x0", "x1"}]
@@ -226,8 +155,8 @@ def test_what_only_a_product_shows_is_named_as_a_ridge() -> None:
 
 
 def test_a_curved_trade_off_is_named_too() -> None:
-    problem = _problem({"product": {"value": 1.0, "sd": 0.02}})
-    product: Any = {"product": _Exact(lambda v: np.exp(0.5 * v[:, 0]) + 0.6 * v[:, 1])}
+    problem = linear_problem({"product": {"value": 1.0, "sd": 0.02}})
+    product: Any = {"product": Exact(lambda v: np.exp(0.5 * v[:, 0]) + 0.6 * v[:, 1])}
     found = ridges(sample(likelihood_of(problem, problem.rows, product), seed=4))
     assert [set(one.share) for one in found] == [{"x0", "x1"}]
     assert np.prod(list(found[0].share.values())) > 0
@@ -235,14 +164,16 @@ def test_a_curved_trade_off_is_named_too() -> None:
 
 def test_separate_rows_leave_no_ridge(linear: tuple[SensorProblem, Posterior]) -> None:
     rows = {f"r{i}": {"value": 0.3, "sd": 0.05} for i in range(2)}
-    problem = _problem(rows)
-    found = sample(likelihood_of(problem, problem.rows, _linear(np.eye(2), list(rows))), seed=4)
+    problem = linear_problem(rows)
+    found = sample(
+        likelihood_of(problem, problem.rows, linear_emulators(np.eye(2), list(rows))), seed=4
+    )
     assert not ridges(found)
 
 
 def test_both_of_two_basins_are_found() -> None:
-    problem = _problem({"square": {"value": 4.0, "sd": 0.05}}, fields=1)
-    square: Any = {"square": _Exact(lambda v: v[:, 0] ** 2)}
+    problem = linear_problem({"square": {"value": 4.0, "sd": 0.05}}, fields=1)
+    square: Any = {"square": Exact(lambda v: v[:, 0] ** 2)}
     found = sample(likelihood_of(problem, problem.rows, square), seed=5).values[:, 0]
     assert 0.35 < np.mean(found > 0) < 0.65
     assert np.allclose(np.abs(found), 2.0, atol=0.1)
@@ -250,9 +181,11 @@ def test_both_of_two_basins_are_found() -> None:
 
 def test_models_are_weighed_by_evidence_and_prior() -> None:
     rows = {"r": {"value": 3.0, "sd": 0.5}}
-    problem = _problem(rows, fields=1)
+    problem = linear_problem(rows, fields=1)
     found = [
-        sample(likelihood_of(problem, problem.rows, _linear(np.array([[g]]), ["r"])), seed=6)
+        sample(
+            likelihood_of(problem, problem.rows, linear_emulators(np.array([[g]]), ["r"])), seed=6
+        )
         for g in (1.0, 3.0)
     ]
     exact = np.array(
@@ -262,7 +195,7 @@ def test_models_are_weighed_by_evidence_and_prior() -> None:
 
 
 def test_worth_is_what_the_measurement_would_leave() -> None:
-    problem = _problem(
+    problem = linear_problem(
         {"sum": {"value": 0.0, "sd": 0.01}},
         worth={
             "first": {"experiment": "one", "metric": "m", "value": 0.0, "sd": 0.1},
@@ -270,7 +203,7 @@ def test_worth_is_what_the_measurement_would_leave() -> None:
         },
     )
     matrix = np.array([[1.0, 1.0], [1.0, 0.0], [1.0, 1.0]])
-    emulators = _linear(matrix, ["sum", "first", "sum_again"])
+    emulators = linear_emulators(matrix, ["sum", "first", "sum_again"])
     found = sample(likelihood_of(problem, problem.rows, emulators), seed=7)
     ranked = worth_of(found, likelihood_of(problem, problem.worth, emulators), seed=8)
     assert [one.row for one in ranked] == ["first", "sum_again"]
@@ -285,119 +218,18 @@ def test_intervals_are_those_of_a_normal() -> None:
     assert found.low_95 == pytest.approx(-1.96, abs=0.01)
 
 
-def _simulated(noise: float) -> tuple[FloatArray, FloatArray]:
-    places = qmc.Sobol(3, rng=np.random.default_rng(0)).random_base2(6)
-    figures = _figure(places) + noise * np.random.default_rng(1).standard_normal(64)
-    return places, figures
-
-
-def _figure(places: FloatArray) -> FloatArray:
-    return np.asarray(4.0 + np.sin(3.0 * places[:, 0]) * (1.0 + places[:, 1]))
-
-
-def test_an_emulator_knows_how_wrong_it_is() -> None:
-    places, figures = _simulated(noise=0.02)
-    found = fit_emulator(places, figures, (0, 1, 2))
-    unseen = np.random.default_rng(2).random((4000, 3))
-    mean, sd = found.predict(unseen)
-    error = mean - _figure(unseen)
-    assert error.std() < 0.02  # below the simulations' own noise
-    assert 0.6 < np.sqrt(np.mean((error / sd) ** 2)) < 1.5
-    assert 0.015 < found.cross_validated_rmse < 0.035  # that of a noisy simulation
-
-
-def test_an_emulator_is_not_moved_by_failed_simulations() -> None:
-    places, figures = _simulated(noise=0.0)
-    figures[::4] = np.nan
-    found = fit_emulator(places, figures, (0, 1))
-    assert found.missing == 0.25
-    mean, sd = found.predict(places)
-    known = np.isfinite(figures)
-    assert np.abs(mean - _figure(places))[known].max() < 1e-6
-    assert (np.abs(mean - _figure(places))[~known] < 4 * sd[~known] + 1e-3).all()
-
-
-def test_too_few_figures_are_refused_in_one_line() -> None:
-    places, figures = _simulated(noise=0.0)
-    figures[7:] = np.nan
-    with pytest.raises(InputError, match="found 7 of 64 simulations with this figure, needed 8"):
-        fit_emulator(places, figures, (0,))
-
-
 def test_the_same_seed_gives_the_same_samples() -> None:
-    problem = _problem({"r": {"value": 1.0, "sd": 0.5}}, fields=1)
-    emulators = _linear(np.array([[1.0]]), ["r"])
+    problem = linear_problem({"r": {"value": 1.0, "sd": 0.5}}, fields=1)
+    emulators = linear_emulators(np.array([[1.0]]), ["r"])
     likelihood: Likelihood = likelihood_of(problem, problem.rows, emulators)
     assert sample(likelihood, 9).z.tobytes() == sample(likelihood, 9).z.tobytes()
-
-
-def test_predictions_are_those_of_the_covariance_of_all_figures() -> None:
-    """A vague prior on the trend's coefficients, and conditioning on all figures at once."""
-    places, figures = _simulated(noise=0.02)
-    found = fit_emulator(places, figures, (0, 1))
-    unseen = np.random.default_rng(3).random((5, 3))
-    whole = np.concatenate((places, unseen))[:, :2]
-    i, j = np.triu_indices(2)
-    terms = np.concatenate((np.ones((69, 1)), whole, whole[:, i] * whole[:, j]), axis=1)
-    covariance = found.covariance(whole) + 1e6 * terms @ terms.T
-    noisy = covariance[:64, :64] + found.noise * np.eye(64)
-    inside = np.linalg.solve(noisy, covariance[:64, 64:])
-    mean, sd = found.predict(unseen)
-    assert np.allclose(inside.T @ figures, mean, atol=1e-4)
-    variance = np.diag(covariance[64:, 64:] - covariance[64:, :64] @ inside)
-    assert np.allclose(found.spread * found.widening * np.sqrt(variance), sd, rtol=1e-2)
-
-
-@pytest.mark.parametrize(("count", "terms"), [(20, 10), (14, 7), (8, 4)])
-def test_few_figures_have_a_simpler_trend(count: int, terms: int) -> None:
-    """Two simulations for each term: all, without products, linear. A plane is met by any."""
-    places = np.random.default_rng(2).random((count, 3))
-    found = fit_emulator(places, places @ [1.0, -2.0, 0.5] + 3.0, (0, 1, 2))
-    assert found.trend.size == terms
-    assert found.predict(np.full((1, 3), 0.4))[0] == pytest.approx(2.8, abs=1e-6)
-
-
-@pytest.mark.parametrize("learned_as", ["log", "reciprocal"])
-def test_a_figure_is_learned_as_a_smoother_function_of_it(learned_as: LearnedAs) -> None:
-    """A radius that runs to 50 mm as its curvature falls; a product of powers."""
-    places = np.random.default_rng(3).random((40, 2))
-    made = {
-        "reciprocal": lambda at: 1.0 / (0.25 - 0.23 * at[:, 0] * at[:, 1]),
-        "log": lambda at: np.exp(4.0 * at[:, 0] - 3.0 * at[:, 1]),
-    }[learned_as]
-    at = np.random.default_rng(4).random((50, 2))
-    found = fit_emulator(places, made(places), (0, 1), learned_as)
-    plain = fit_emulator(places, made(places), (0, 1))
-    np.testing.assert_allclose(found.predict(at)[0], made(at), rtol=1e-5)
-    assert found.cross_validated_rmse < 0.1 * plain.cross_validated_rmse
-
-
-def test_figures_of_one_simulation_are_left_out_together() -> None:
-    """Universal kriging from the others, written out, against the closed form for blocks."""
-    rng = np.random.default_rng(6)
-    places, simulation = rng.random((12, 2)), np.repeat(np.arange(4), 3)
-    apart = np.linalg.norm(places[:, None] - places, axis=2)
-    covariance = np.exp(-(apart**2)) + 0.1 * np.eye(12)
-    terms, figures = np.column_stack([np.ones(12), places]), rng.normal(size=12)
-    inverse = np.linalg.inv(covariance)
-    fitted = inverse @ terms @ np.linalg.inv(terms.T @ inverse @ terms) @ terms.T @ inverse
-    found, _ = _left_out(inverse - fitted, (inverse - fitted) @ figures, simulation)
-    for number in range(4):
-        ours, others = simulation == number, simulation != number
-        known = np.linalg.inv(covariance[np.ix_(others, others)])
-        trend = np.linalg.solve(
-            terms[others].T @ known @ terms[others], terms[others].T @ known @ figures[others]
-        )
-        left = known @ (figures[others] - terms[others] @ trend)
-        predicted = terms[ours] @ trend + covariance[np.ix_(ours, others)] @ left
-        np.testing.assert_allclose(found[ours], figures[ours] - predicted, atol=1e-10)
 
 
 def test_tilted_priors_move_what_the_rows_leave_open_and_nothing_else() -> None:
     """Mean of the larger of two standard normal draws is 1 / sqrt pi: 2 Phi(z) phi(z)."""
     rows = {"a": {"value": 0.3, "sd": 0.001}, "b": {"value": 0.0, "sd": 1.0, "held_out": True}}
-    problem = _problem(rows)
-    emulators = _linear(np.eye(2), list(rows))
+    problem = linear_problem(rows)
+    emulators = linear_emulators(np.eye(2), list(rows))
     posterior = sample(likelihood_of(problem, problem.fitted, emulators), seed=4)
     every = likelihood_of(problem, problem.rows, emulators)
     found = prior_shifts([posterior, posterior], [0.7, 0.3], every, seed=4)
@@ -419,8 +251,8 @@ def test_a_tilted_prior_changes_the_evidence_of_choices_by_where_they_lie() -> N
     """Fields known to be 1 and -1: weights 2 Phi(1) = 1.683 and 2 Phi(-1) = 0.317."""
     posteriors = []
     for value in (1.0, -1.0):
-        problem = _problem({"a": {"value": value, "sd": 0.001}}, fields=1)
-        emulators = _linear(np.eye(1), ["a"])
+        problem = linear_problem({"a": {"value": value, "sd": 0.001}}, fields=1)
+        emulators = linear_emulators(np.eye(1), ["a"])
         likelihood = likelihood_of(problem, problem.rows, emulators)
         posteriors.append(sample(likelihood, seed=5))
     towards = {one.towards: one for one in prior_shifts(posteriors, [0.5, 0.5], likelihood, 0)}
@@ -428,47 +260,38 @@ def test_a_tilted_prior_changes_the_evidence_of_choices_by_where_they_lie() -> N
     assert towards["low"].probability == pytest.approx(norm.cdf(-1.0), abs=1e-3)
 
 
-def _limited(**side: float) -> tuple[SensorProblem, Posterior]:
-    """One field under a limit and a row that says nothing."""
-    limit = {"edge": {"experiment": "one", "metric": "edge", "sd": 0.4} | side}
-    problem = _problem({"none": {"value": 0.0, "sd": 100.0}}, fields=1, limits=limit)
-    emulators = _linear(np.array([[1.0]]), ["none"])
-    emulators["edge"] = _Exact(lambda v: v[:, 0], sd=0.3)
-    return problem, sample(likelihood_of(problem, problem.rows, emulators), seed=3)
+def test_rows_are_predicted_from_what_the_fitted_ones_tell_of_coat_scale_and_emulator() -> None:
+    """Field, coat and scale are independent normals: the closed form of their joint density.
 
+    Three quarters of a coat's variance is common to its trials: `again` met the coat of the fitted
+    `mean`, `other` met another one. The deviation over the trials shows the other quarter.
+    """
+    coat = {"realisations": 1, "shared": 0.75, "nuisance": {"scale": 2.0}}
+    rows = {
+        "mean": {"value": 1.5, "sd": 0.2, "coat": "a", **coat},
+        "again": {"value": 9.0, "sd": 0.3, "coat": "a", "held_out": True, **coat},
+        "other": {"value": 9.0, "sd": 0.3, "coat": "b", "held_out": True, **coat},
+        "scatter": {"value": 1.0, "sd": 0.1, "statistic": "sd", "shared": 0.75, "held_out": True},
+    }
+    experiments = {"one": {"base": "none", "repeats": 2}}
+    problem = linear_problem(
+        rows, fields=1, experiments=experiments, nuisance={"scale": {"sd": 0.1}}
+    )
+    figure, told = Exact(lambda v: v[:, 0], sd=0.5), Exact(lambda v: np.full(len(v), 0.8))
+    emulators: dict[str, Any] = {**dict.fromkeys(rows, figure), "scatter": told}
+    scatters: dict[str, Any] = dict.fromkeys(("mean", "again", "other"), told)
+    fitted = likelihood_of(problem, problem.fitted, emulators, scatters)
+    every = likelihood_of(problem, problem.rows, emulators, scatters)
+    found = {r.row: r for r in predict_rows(sample(fitted, seed=9), every, seed=2)}
 
-def test_a_limit_leaves_the_closed_forms_mean_and_evidence() -> None:
-    """A standard normal times Phi((x - a) / s): skew normal of Azzalini 1985, extended."""
-    found = _limited(at_least=0.8)[1]
-    t = -0.8 / np.sqrt(1.0 + 0.4**2 + 0.3**2)
-    mean = norm.pdf(t) / norm.cdf(t) / np.sqrt(1.0 + 0.4**2 + 0.3**2)
-    assert found.values.mean() == pytest.approx(mean, abs=0.05)
-    row = norm.logpdf(0.0, scale=np.hypot(100.0, 1.0))
-    assert found.log_evidence == pytest.approx(norm.logcdf(t) + row, abs=0.1)
-
-
-def test_a_limit_from_above_is_the_mirror_image() -> None:
-    low, high = _limited(at_least=0.8)[1], _limited(at_most=-0.8)[1]
-    assert high.values.mean() == pytest.approx(-low.values.mean(), abs=0.06)
-
-
-def test_how_probably_a_limit_is_met_before_and_after() -> None:
-    (met,) = limits_met(_limited(at_least=0.8)[1], seed=1)
-    width = np.sqrt(1.0 + 0.4**2 + 0.3**2)
-    assert met.before == pytest.approx(norm.cdf(-0.8 / width), abs=0.02)
-    assert met.before < met.probability < 1.0
-    assert met.twin.mean > 0.8
-
-
-@pytest.mark.parametrize("sides", [{}, {"at_least": 1.0, "at_most": 2.0}])
-def test_a_limit_has_one_side(sides: dict[str, float]) -> None:
-    with pytest.raises(ValueError, match="exactly one"):
-        _limited(**sides)
-
-
-def test_a_limit_needs_a_name_and_an_experiment_of_its_own() -> None:
-    limit = {"experiment": "one", "metric": "m", "at_least": 0.0, "sd": 1.0}
-    with pytest.raises(ValueError, match="rows has this name"):
-        _problem({"r": {"value": 0.0, "sd": 1.0}}, limits={"r": limit})
-    with pytest.raises(ValueError, match=r"limits\.edge"):
-        _problem({"r": {"value": 0.0, "sd": 1.0}}, limits={"edge": limit | {"experiment": "two"}})
+    coats, common = 0.75 * 0.8**2, 1.0 + 0.5**2 + (2.0 * 0.1) ** 2  # field, emulator, scale
+    whole = common + coats
+    for name, shared in (("mean", whole), ("again", whole), ("other", common)):
+        gain = shared / (whole + 0.2**2)
+        assert found[name].twin.mean == pytest.approx(1.5 * gain, abs=0.06)
+        assert found[name].twin.sd == pytest.approx(np.sqrt(whole - gain * shared), rel=0.08)
+    assert found["scatter"].twin.mean == pytest.approx(0.8 * np.sqrt(0.25))
+    # Of another coat and emulator the fitted row tells through the field alone.
+    field = 1.0 / (whole + 0.2**2)
+    assert found["mean"].any_coat.mean == pytest.approx(1.5 * field, abs=0.06)
+    assert found["mean"].any_coat.sd == pytest.approx(np.sqrt(whole - field), rel=0.08)

@@ -117,9 +117,19 @@ class Limit(Model):
     @property
     def value(self) -> float:
         """The limit itself."""
-        return self.at_least if self.at_least is not None else float(self.at_most or 0.0)
+        (given,) = (one for one in (self.at_least, self.at_most) if one is not None)
+        return given
 
     @property
     def side(self) -> int:
         """1 where figures above the value are allowed, -1 where those below are."""
         return 1 if self.at_least is not None else -1
+
+    @property
+    def words(self) -> str:
+        """The limit as one reads it."""
+        return f"at {'least' if self.side > 0 else 'most'} {self.value:g}"
+
+    def allows(self, figure: float) -> bool:
+        """Tell whether a figure lies on the allowed side."""
+        return self.side * (figure - self.value) >= 0.0

@@ -65,7 +65,9 @@ def identified_values(found: Identified) -> dict[str, dict[str, Any]]:
 
 def _rests_on(problem: SensorProblem) -> str:
     rows = ", ".join(problem.fitted)
-    return f"{rows} and the limits {', '.join(problem.limits)}" if problem.limits else rows
+    if not problem.limits:
+        return rows
+    return f"{rows} and the limit{'s' * (len(problem.limits) > 1)} {', '.join(problem.limits)}"
 
 
 def _digits(value: float) -> float:

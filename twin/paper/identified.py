@@ -19,7 +19,7 @@ from twin.paper.plan import identified
 from twin.paper.statistics import spread_of, values_of
 from twin.paper.trials import REFUSED, Trial
 from twin.report.canvas import FIT, MEASURED, axes_at, plain_spines, printing
-from twin.report.identified import field_words, mark
+from twin.report.identified_figures import field_words, mark
 from twin.report.table import Cell, Column, Table
 
 PROBLEM = "paper/identify"
@@ -131,16 +131,18 @@ def pictures_table(cases: Path) -> Table:
     for name, limit in problem().limits.items():
         one, specimen = identified()["limits"][name], problem().experiments[limit.experiment].base
         result = cases / specimen.rsplit("/", 1)[-1] / _METHOD / RESULT_FILE
+        measured = read_json(result)["metrics"].get(limit.metric)
         rows.append(
             {
                 "figure": str(limit.metric).replace("_", " "),
-                "known": f"at {'least' if limit.side > 0 else 'most'} {limit.value:g}",
+                "known": limit.words,
                 "sd": limit.sd,
                 "twin": one["twin"],
                 "twin_sd": one["twin_sd"],
                 "before": one["probability_before"],
                 "probability": one["probability"],
-                "measured": read_json(result)["metrics"].get(limit.metric),
+                "measured": measured,
+                "met": "yes" if measured is not None and limit.allows(measured) else "NO",
                 "source": limit.source or "",
             }
         )
@@ -153,6 +155,7 @@ def pictures_table(cases: Path) -> Table:
         Column("before", "met, by the priors alone", 2),
         Column("probability", "met, as identified", 2),
         Column("measured", "the chain, at the most probable values", 2),
+        Column("met", "met by it"),
         Column("source", "source"),
     )
     return Table("pictures", "What the paper's pictures show", "", columns, tuple(rows))
