@@ -1,5 +1,7 @@
 """What was identified stands once: in scenes, trials and tables alike."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -93,3 +95,18 @@ def test_a_picture_stands_beside_the_case_that_shows_it(tmp_path, share, met):
     (claim,) = claims_of({"pictures": table})
     assert (claim.met, claim.found) == (met, share)
     assert bool(claim.why) != met
+
+
+def test_mean_radii_are_judged_on_the_coat_that_the_balls_met():
+    """Setup: one row 0.05 and one 0.15 mm beside the paper. Expected: met within 0.10 mm alone."""
+    table = identified_rows_table({})
+    radii = ("radius_1", "radius_2")
+    moved = dict(zip(radii, (0.05, -0.15), strict=True))
+    rows = [
+        dict(r) | {"twin": r["paper"] + moved[r["row"]]} for r in table.rows if r["row"] in moved
+    ]
+    near, far = claims_of({"identified": replace(table, rows=tuple(rows))})
+    assert (near.met, far.met) == (True, False)
+    assert far.why
+    assert not near.why
+    assert [one.met for one in claims_of({"identified": table})] == [True, True]

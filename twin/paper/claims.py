@@ -16,6 +16,9 @@ DIRECT_AT_MOST, CONTACT_AT_LEAST = 0.60, 0.99
 # degrees of freedom lies between 0.35 and 1.67 of the true SD.
 SD_LOW, SD_HIGH = 0.35, 1.67
 MOST_STEPS = 2.0
+# A trial in the chain meets a coat of its own: all of the paper's met one.
+RADIUS_WITHIN_MM = 0.10
+_RADII = ("radius_1", "radius_2")
 
 
 @dataclass(frozen=True)
@@ -41,6 +44,8 @@ def claims_of(tables: dict[str, Table]) -> list[Claim]:
     if "repeated_fit" in tables:
         found += _rmse_claims(tables["repeated_fit"])
         found += _consistency(tables["repeated_fit"])
+    if "identified" in tables:
+        found += _radius_claims(tables["identified"])
     if "rods" in tables:
         found += _rod_claims(tables["rods"])
     if "completeness" in tables:
@@ -107,6 +112,20 @@ def _rmse_claims(table: Table) -> list[Claim]:
         claims.append(
             Claim(name, f"at least {LEAST_RATIO:g}", ratio, met, "" if met else _WHY_RMSE)
         )
+    return claims
+
+
+def _radius_claims(table: Table) -> list[Claim]:
+    claims = []
+    for row in table.rows:
+        paper, twin = row["paper"], row["twin"]
+        if row["row"] not in _RADII or not isinstance(paper, float) or not isinstance(twin, float):
+            continue
+        met = abs(twin - paper) <= RADIUS_WITHIN_MM
+        low, high = paper - RADIUS_WITHIN_MM, paper + RADIUS_WITHIN_MM
+        allowed, name = f"{low:.3f} to {high:.3f} mm", str(row["row"]).replace("_", " of ball ")
+        name = f"{CONTACT_FPP}: mean {name} on the coat that it met in all trials, as identified"
+        claims.append(Claim(name, allowed, twin, met, "" if met else _WHY_RADIUS))
     return claims
 
 
@@ -196,6 +215,7 @@ _WHY_RMSE = (
     "the residual is the coat's texture where the sheet wraps, and form beyond; of GelSight it is "
     "the form over the whole ball: see the identified rows"
 )
+_WHY_RADIUS = "the region, the texture and the sheet's thickness together read another radius"
 _WHY_RODS = (
     "the coat is wider than the rod by up to two local thicknesses; which of its widths the paper "
     "reads is a choice of the identification"
