@@ -109,11 +109,19 @@ def _end_now(number: int) -> None:
         child.terminate()
     for folder in list(_Hold.working):
         _remove(folder)
+    _free_semaphores()
     says_the_end(number)
     if sys.stderr.isatty():
         sys.stderr.write("\x1b[?25h")  # a progress bar hides the cursor
     sys.stderr.flush()
     os._exit(128 + number)
+
+
+def _free_semaphores() -> None:
+    # What Python does at its end, which is not reached: else its tracker warns of leaked ones.
+    util = sys.modules.get("multiprocessing.util")
+    if util is not None:
+        util._run_finalizers(0)
 
 
 def says_the_end(number: int) -> None:

@@ -8,10 +8,12 @@
 """
 
 from collections.abc import Mapping, Sequence
+from concurrent.futures import as_completed
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from reconstruction.errors import InputError
 from twin.output import RESULT_FILE
 from twin.paper.plan import BALLS, CONTACT_FPP, FIT, NOMINAL_RADIUS_MM, NUT, experiment_of, rows_of
 from twin.pipeline.methods import measure_into
@@ -23,6 +25,7 @@ from twin.report.surfaces import height_map_figure, relief_figure
 from twin.report.table import Cell, Column, Table
 from twin.results.folder import read_measurement
 from twin.results.record import Measurement
+from twin.study.workers import default_count, local_workers
 
 COMMAND = "demo"
 BESIDE = (NUT, "brick")
@@ -38,14 +41,40 @@ def is_demo(folder: Path) -> bool:
 
 
 def measure_demo(folder: Path, settings: Mapping[str, Any], watch: ProgressCallback) -> DemoParts:
-    """Measure the balls into a folder and the others into folders below it; return all."""
-    balls = measure_into(folder, COMMAND, experiment_of(BALLS, settings), watch)
-    beside = []
+    """Measure the balls into a folder and the others into folders below it; return all.
+
+    Side by side, as many as the machine takes; what takes longest begins first.
+
+    Raises
+    ------
+    InputError, MissingBackend : as `twin.pipeline.measure`
+    """
+    places = {name: folder / name for name in BESIDE} | {BALLS: folder}
     for name in BESIDE:
-        (folder / name).mkdir()
-        one = experiment_of(name, settings)
-        beside.append(measure_into(folder / name, COMMAND, one, watch))
-    return balls, beside
+        places[name].mkdir()
+    workers = local_workers(min(len(places), default_count()))
+    executor = workers.open()
+    watch("measure", 0.0)
+    try:
+        jobs = [executor.submit(_measure, place, n, dict(settings)) for n, place in places.items()]
+        for done, job in enumerate(as_completed(jobs), start=1):
+            job.result()
+            watch("measure", done / len(jobs))
+    finally:
+        workers.close(executor)
+    return _parts(folder)
+
+
+def _measure(folder: Path, name: str, settings: Mapping[str, Any]) -> None:
+    try:
+        measure_into(folder, COMMAND, experiment_of(name, settings))
+    except InputError as error:
+        # An error of a kind of its own may not come back whole from another process.
+        raise InputError(str(error)) from None
+
+
+def _parts(folder: Path) -> DemoParts:
+    return read_measurement(folder), [read_measurement(folder / name) for name in BESIDE]
 
 
 def write_demo(
@@ -66,10 +95,7 @@ def write_demo(
     ------
     InputError : a measurement is not there or damaged, or the page cannot be written
     """
-    parts = measured or (
-        read_measurement(folder),
-        [read_measurement(folder / name) for name in BESIDE],
-    )
+    parts = measured or _parts(folder)
     return write_page((into or folder) / REPORT_FILE, demo_page(*parts), watch)
 
 
