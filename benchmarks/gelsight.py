@@ -2,8 +2,8 @@
 
 - 6.31 mm balls at random places: cap height over true by the vendor's integration (2025 and 2024
   forms) and the corrected one; 29 real presses gave 0.66, 1.32 and 1.007.
-- The rendered background against the published tables of two units, and the directions of light
-  from those presses, by the regression that gave the published ones.
+- The rendered background against the published tables of two units; of presses at nine places
+  where such a unit was pressed: how levels change with the normal, and across the contact's edge.
 - Untouched gel in those presses, and the same on 67 real ones: noise of a single frame (high-pass),
   what of it two presses have in common, drift of the height with and without relighting; slope
   error within the contact.
@@ -28,7 +28,9 @@ import numpy as np
 
 from benchmarks.cap_height import cap_height_ratio
 from benchmarks.fit_lamps import (
+    CAP_TOP_MM,
     CONTACT_MM,
+    PLACES_MM,
     PRESSES_MM,
     SENSITIVITY,
     UNITS,
@@ -58,9 +60,11 @@ SCHEMES = {"corrected": "corrected", "faithful_2025": "sdk_2025", "faithful_2024
 PAPER_RATIO = 10.7
 # 67 presses of one real unit: levels by channel; um without and with relighting (6.31, 9.5 mm).
 REAL_NOISE = {"red": 2.12, "green": 1.46, "blue": 2.45}
+# 35 presses of 6.31 mm: by distance over contact radius, levels (all channels together).
+REAL_EDGE = {0.2: 24.1, 0.6: 39.7, 1.0: 52.9, 1.2: 42.6, 1.5: 21.6, 2.0: 7.9, 2.5: 4.1}
 REAL_DRIFT_UM = {"drift_um": (50, 63), "relit_drift_um": (35, 28)}
 BALL_MM, DEPTH_MM = 6.31, 0.7
-FIRST_IMAGE = 5000
+FIRST_IMAGE, FIRST_PLACED = 5000, 6000
 REPEATS = 20
 
 
@@ -82,7 +86,7 @@ def main() -> None:
         {"photometric.presses.count": 16 if quick else 50},
     )
     shots = shots_of(experiment, 4 if quick else 29)
-    figures = balls(experiment, shots) | lamps(experiment, shots) | realism(experiment, shots)
+    figures = balls(experiment, shots) | lamps(experiment) | realism(experiment, shots)
     figures |= two_balls(quick)
     print(json.dumps({name: round(value, 3) for name, value in figures.items()}))
 
@@ -135,32 +139,59 @@ def decode_ms(decoder: PhotometricDecoder, image: Any) -> float:
     return statistics.median(times[1:])
 
 
-def lamps(experiment: Any, shots: list[Shot]) -> dict[str, float]:
-    """Compare the rendered sensor with the published figures of real units."""
+def lamps(experiment: Any) -> dict[str, float]:
+    """Compare the rendered sensor with the images of real units, pressed at the same places."""
     sensor, _ = calibrated_sensor(experiment, SENSORS)
     background, pitch_mm = mean_background(sensor.backgrounds()), sensor.pitch_mm
     rows, cols = (np.array_split(np.arange(n), 3) for n in background.shape[:2])
     tiles = np.array([[background[np.ix_(r, c)].mean((0, 1)) for c in cols] for r in rows])
-    changes, normals = [], []
-    for shot in shots:
-        levels, circle = smoothed(shot.image, 1), shot.circle
-        row, col = np.indices(levels.shape[:2])
-        inside = np.hypot(row - circle.row_px, col - circle.col_px) < CONTACT_MM / pitch_mm
-        places = np.argwhere(inside).astype(float)
-        slopes = ball_slopes(circle, BALL_MM / 2, pitch_mm, places)
-        normal = np.column_stack([-slopes[:, 1], slopes[:, 0], np.ones(len(slopes))])
-        normals.append(normal / np.linalg.norm(normal, axis=1, keepdims=True))
-        changes.append((levels - background)[inside])
-    slopes = sensitivity(np.concatenate(changes), np.concatenate(normals))
+    shots = placed_shots(experiment)
+    slopes = np.stack([_sensitivity(shot, background, pitch_mm) for shot in shots], axis=1)
+    slopes = slopes.reshape(SENSITIVITY.shape)
     print("rendered background\n", np.round(np.moveaxis(tiles, -1, 0), 1))
-    print("rendered sensitivity\n", np.round(slopes, 1))
+    print("rendered sensitivity\n", np.round(slopes))
+    found, real = (np.linalg.norm(s[..., :2], axis=-1) for s in (slopes, SENSITIVITY))
     return {
         "background_rms_grey": float(np.sqrt(np.mean((UNITS - np.moveaxis(tiles, -1, 0)) ** 2))),
-        "azimuth_error_deg": azimuth_error_deg(slopes),
-        "sensitivity_ratio": float(
-            np.mean(np.linalg.norm(slopes, axis=1) / np.linalg.norm(SENSITIVITY, axis=1))
-        ),
-    }
+        "azimuth_error_deg": azimuth_error_deg(slopes.mean(axis=(1, 2))),
+        "sensitivity_ratio": float(found.mean() / real.mean()),
+        "sensitivity_rms": float(np.sqrt(np.mean((slopes - SENSITIVITY)[..., :2] ** 2))),
+    } | _edge(shots, background)
+
+
+def placed_shots(experiment: Any) -> list[Shot]:
+    """Photograph presses in the middles of nine tiles, as deep as the real ones."""
+    places = [
+        with_ball(experiment, Ball(diameter_mm=BALL_MM, x_mm=x_mm, y_mm=y_mm), CAP_TOP_MM)
+        for x_mm, y_mm in PLACES_MM.reshape(9, 2)
+    ]
+    return [photographed(experiment, case, FIRST_PLACED + n) for n, case in enumerate(places)]
+
+
+def _sensitivity(shot: Shot, background: Any, pitch_mm: float) -> Any:
+    """Change of the level per unit of the normal in one press, (channel, xyz)."""
+    inside = distance_px(shot) < CONTACT_MM / pitch_mm
+    places = np.argwhere(inside).astype(float)
+    slopes = ball_slopes(shot.circle, BALL_MM / 2, pitch_mm, places)
+    normals = np.column_stack([-slopes[:, 1], slopes[:, 0], np.ones(len(slopes))])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    return sensitivity((shot.image - background)[inside], normals)
+
+
+def _edge(shots: list[Shot], background: Any) -> dict[str, float]:
+    """Colour difference by distance over contact radius, beside that of real presses."""
+    found = []
+    for shot in shots:
+        change = np.linalg.norm(shot.image - background, axis=-1)
+        at = distance_px(shot) / shot.circle.radius_px
+        found.append([change[abs(at - ratio) < 0.05].mean() for ratio in REAL_EDGE])
+    ratios = np.mean(found, axis=0) / list(REAL_EDGE.values())
+    print(
+        "colour difference over real", dict(zip(REAL_EDGE, ratios.round(2).tolist(), strict=True))
+    )
+    names = {1.0: "edge_peak_ratio", 1.2: "edge_ratio", 1.5: "skirt_ratio"}
+    by_place = dict(zip(REAL_EDGE, ratios, strict=True))
+    return {name: float(by_place[ratio]) for ratio, name in names.items()}
 
 
 def realism(experiment: Any, shots: list[Shot]) -> dict[str, float]:
@@ -205,13 +236,13 @@ def untouched_drift_um(decoder: PhotometricDecoder, shot: Shot) -> float:
 
 
 def slope_error(decoder: PhotometricDecoder, shot: Shot) -> float:
-    """Return the RMS error of both slopes inside the contact, 4 px within its circle."""
+    """Return the RMS length of the slope's error inside the contact, 4 px within its circle."""
     inside = distance_px(shot) < shot.circle.radius_px - 4.0
     found = decoder.decode(shot.image).slopes[:, inside].T
     true = ball_slopes(
         shot.circle, BALL_MM / 2, decoder.calibration.pitch_mm, np.argwhere(inside).astype(float)
     )
-    return float(np.sqrt(np.mean((found - true) ** 2)))
+    return float(np.sqrt(np.mean(np.sum((found - true) ** 2, axis=1))))
 
 
 def two_balls(quick: bool) -> dict[str, float]:
@@ -220,8 +251,12 @@ def two_balls(quick: bool) -> dict[str, float]:
     base_mm = _rmse_mm(measure(paper).score)
     print(f"contact-FPP: sphere fit RMSE {1e3 * base_mm:.2f} um")
     count = {"photometric.presses.count": 16 if quick else 50}
+    same = {
+        "press.depth_mm": paper.press.depth_mm,
+        "score.roi_radius_mm": paper.score.roi_radius_mm,
+    }
     cases = {
-        "": load_experiment("paper/gelsight_two_balls", count),
+        "": load_experiment("paper/gelsight_two_balls", count | same),
         "_same_force": case_for(paper, "photometric_stereo", PhotometricPlan(settings=count)),
     }
     figures = {}

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from benchmarks import fit_lamps
-from benchmarks.fit_lamps import CHANNELS, UNITS, Shading, fit, shading_of
+from benchmarks.fit_lamps import CHANNELS, UNITS, fit, shading_of
 from twin.config import load_experiment
 
 
@@ -18,13 +18,13 @@ def rms(levels):
 
 
 def test_lamps_of_one_unit_are_those_of_the_other(shading, monkeypatch):
-    """Fitted to the first unit alone, to 1.1 levels; judged on the second: 5.5 of some 95 levels.
+    """Fitted to the first unit and the presses, to 2.1 levels; on the second 5.5 of some 95.
 
     The units themselves are 5.4 levels apart.
     """
     monkeypatch.setattr(fit_lamps, "UNITS", UNITS[:1])
     found = np.stack([shading.background(fit(shading, channel)) for channel in CHANNELS])
-    assert rms(found - UNITS[0]) < 1.5
+    assert rms(found - UNITS[0]) < 2.5
     assert rms(found - UNITS[1]) < 6.0
     assert rms(UNITS[0] - UNITS[1]) == pytest.approx(5.4, abs=0.05)
 
@@ -34,9 +34,7 @@ def test_a_ninth_of_the_image_is_foretold_by_the_others(shading, monkeypatch, pl
     """Setup: middle or corner is held out of the fit. Expected: its levels to 6 of some 95."""
     seen = np.ones((3, 3))
     seen[place] = 0.0
-    whole = Shading.background
-    monkeypatch.setattr(fit_lamps, "UNITS", UNITS * seen)
-    monkeypatch.setattr(Shading, "background", lambda self, lamp: whole(self, lamp) * seen)
+    monkeypatch.setattr(fit_lamps, "TILE_WEIGHTS", seen)
     lamps = [fit(shading, channel) for channel in CHANNELS]
-    foretold = np.array([whole(shading, lamp)[place] for lamp in lamps])
+    foretold = np.array([shading.background(lamp)[place] for lamp in lamps])
     assert rms(foretold - UNITS[:, :, *place]) < 6.0

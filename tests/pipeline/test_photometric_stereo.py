@@ -99,8 +99,8 @@ def test_the_untouched_image_is_what_the_lamps_were_fitted_to(calibrated):
 def test_each_colour_comes_from_its_published_side(calibrated, presses):
     """Setup: levels regressed on the ball's normal inside the contact, as on the real presses.
 
-    Expected: azimuths within 6 degrees, sensitivities within 9 %: it is not published where the
-    balls were pressed, and both differ from place to place.
+    Expected: azimuths within 6 degrees, sensitivities within 15 %: the balls are pressed elsewhere,
+    and both differ from place to place by more.
     """
     changes, normals = [], []
     for image, circle in presses:
@@ -113,7 +113,7 @@ def test_each_colour_comes_from_its_published_side(calibrated, presses):
     x, y, _ = np.linalg.lstsq(np.concatenate(normals), np.concatenate(changes), rcond=None)[0]
     found = np.degrees(np.arctan2(y, x))
     assert np.abs(found - AZIMUTHS_DEG).max() < 6.0
-    assert np.hypot(x, y) == pytest.approx(SENSITIVITIES, rel=0.09)
+    assert np.hypot(x, y) == pytest.approx(SENSITIVITIES, rel=0.15)
 
 
 @pytest.mark.parametrize(
@@ -163,7 +163,7 @@ def test_pixels_lie_where_the_pitch_says(calibrated):
 
 
 def test_a_measurement_scores_in_the_stated_field(done):
-    """Expected: whole, 12 um of 0.7 mm, radius to 2.6 %, the true cap a perfect sphere."""
+    """Expected: whole, 12 um of 0.7 mm, radius to 4.5 %, the true cap a perfect sphere."""
     scored, truth = done.score.against_truth, done.truth
     lengths = np.ptp(truth.points_world_mm.reshape(-1, 3), axis=0)
     assert lengths[0] > 18.6
@@ -173,8 +173,8 @@ def test_a_measurement_scores_in_the_stated_field(done):
     assert scored.completeness > 0.995
     assert scored.z_rmse_um < 16.0
     (ball,) = done.score.spheres
-    assert ball.true_face.radius_mm == pytest.approx(BALL_MM / 2, rel=1e-3)
-    assert ball.measured.radius_mm == pytest.approx(BALL_MM / 2, rel=0.04)
+    assert ball.true_face.radius_mm == pytest.approx(BALL_MM / 2, rel=2e-3)  # textured
+    assert ball.measured.radius_mm == pytest.approx(BALL_MM / 2, rel=0.06)
     assert {"z_rmse_um", "sphere_1_rmse_mm"} <= set(done.figures)
 
 
@@ -246,7 +246,7 @@ def test_a_truncated_background_is_half_a_level_darker(experiment):
 def test_levels_follow_gamma_and_full_well(experiment):
     """Setup: a camera without noise, radiance for a quarter of the full well in every channel.
 
-    Expected: 255 * 0.25 ** (1 / 2.2) = 135.8, so 136, whatever the lamp's wavelength.
+    Expected: 255 * 0.25 ** (1 / 1.4) = 94.7, so 95, whatever the lamp's wavelength.
     """
     quiet = vary(experiment, {"camera.noise": False} | UNBALANCED)
     camera, lamps = quiet.camera, quiet.lamps
@@ -258,19 +258,19 @@ def test_levels_follow_gamma_and_full_well(experiment):
     radiance = np.broadcast_to(np.array(quarter, np.float32), (442, 586, 3))
     image = develop(quiet, radiance)
     assert image.shape == (240, 320, 3)
-    assert np.all(image == 136)
+    assert np.all(image == 95)
 
 
 def test_automatic_exposure_is_set_once_on_the_untouched_coat(experiment):
-    """Expected: the channel that frees most electrons reaches 0.85: 255 * 0.85 ** (1 / 2.2)."""
+    """Expected: the channel that frees most electrons reaches 0.85: 255 * 0.85 ** (1 / 1.4)."""
     automatic = vary(experiment, {"camera.noise": False, "camera.exposure_ms": "auto"} | UNBALANCED)
     background = np.full((442, 586, 3), 1e-5, np.float32)
     exposure = {"exposure_ms": fixed_exposure_ms(automatic, background)}
     camera = automatic.camera.model_copy(update=exposure)
     found = develop(automatic.model_copy(update={"camera": camera}), background)
-    assert found[..., 0].min() == found[..., 0].max() == 237
+    assert found[..., 0].min() == found[..., 0].max() == 227
     blue_over_red = 463.0 / 635.0
-    assert found[0, 0, 2] == round(255 * (0.85 * blue_over_red) ** (1 / 2.2))
+    assert found[0, 0, 2] == round(255 * (0.85 * blue_over_red) ** (1 / 1.4))
 
 
 def test_the_final_image_sees_what_the_crop_sees(experiment):

@@ -183,15 +183,16 @@ def test_error_map_is_what_is_scored(seen):
 def test_true_slopes_are_those_of_the_true_heights(seen):
     """Setup: slopes from the stored normals against differences of the stored heights.
 
-    Expected: alike in size and sign within the contact. 0.02: the pixels of the truth are bent by
-    refraction by up to 1 %, and differences of 63 um smooth slopes of up to 0.4.
+    Expected: alike in size and sign within the contact. 0.03: the pixels of the truth are bent by
+    refraction by up to 1 %, and differences over two pixels (127 um) smooth slopes of up to 0.4 and
+    those of a texture of 1.4 um and 0.1 mm: 0.02 RMS, of which they miss a third.
     """
     z_mm, pitch_mm = true_heights_mm(seen).data, seen.colours.calibration.pitch_mm
     down, right = np.gradient(z_mm, pitch_mm)
     inside = np.hypot(*np.indices(z_mm.shape) - np.array([119.5, 159.5])[:, None, None]) < 12
     slopes = true_slopes(seen)
     for found, expected in ((slopes[0], down), (slopes[1], right)):
-        assert np.abs(found - expected)[inside].max() < 0.02
+        assert np.abs(found - expected)[inside].max() < 0.03
         assert np.abs(expected[inside]).max() > 0.1
 
 
