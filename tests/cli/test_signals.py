@@ -37,10 +37,10 @@ COMMANDS = {
     "compare": [BALL, "--methods", "contact_fpp"],
     "reconstruct": [str(ROOT / "docs" / "example_capture")],
     "calibrate": [BALL],
-    "sweep": ["STUDY", "-j", "1"],
-    "uncertainty": [BALL, "-n", "2", "-j", "1", "--no-budget", "--calibration", "true"],
-    "paper": ["--only", "hardness", "--trials", "2", "--workers", "1"],
-    "identify": ["problems/slab", "--quick", "-j", "1"],
+    "sweep": ["STUDY", "-j", "2"],
+    "uncertainty": [BALL, "-n", "2", "-j", "2", "--no-budget", "--calibration", "true"],
+    "paper": ["--only", "hardness", "--trials", "2", "--workers", "2"],
+    "identify": ["problems/slab", "--quick", "-j", "2"],
 }
 _GOES_ON = ("compare", "sweep", "uncertainty", "paper", "identify")
 
