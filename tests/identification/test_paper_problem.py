@@ -6,7 +6,7 @@ import pytest
 from twin.config import vary
 from twin.config.problem import load_problem
 from twin.identification.simulations import record_of, summary, variants_of
-from twin.paper.plan import rows_of
+from twin.paper.plan import COARSE, rows_of
 from twin.pipeline.press import press_smooth
 
 HELD_OUT = ("rod_b", "single", "mae", "p95", "gelsight")
@@ -91,3 +91,9 @@ def test_scatter_is_pooled_over_figures():
     figures[0, 1] = np.nan
     assert summary(figures, "mean") == pytest.approx([5.5])
     assert np.isnan(summary(figures, "sd")).all()
+
+
+def test_the_paper_is_reproduced_on_the_cells_it_was_identified_on(loaded):
+    found = {one.name: one.press.cell_mm for one in loaded[1].values() if one.press.cell_mm}
+    assert found == {name: COARSE.cells_mm[name] for name in found}
+    assert {"two_balls", "nut", "bars_a", "rods_c"} <= set(found)

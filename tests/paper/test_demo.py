@@ -6,7 +6,7 @@ from reconstruction.reading import read_json
 from tests.browser import assert_readable
 from twin.cli import run
 from twin.paper.demo import BESIDE, is_demo, paper_table
-from twin.paper.plan import COARSE
+from twin.paper.plan import COARSE, Resolution
 from twin.results.folder import read_measurement
 
 SMALL = {
@@ -22,7 +22,7 @@ SMALL = {
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("twin.paper.plan.COARSE", dict(COARSE) | SMALL)
+        patch.setattr("twin.paper.plan.COARSE", Resolution({**COARSE.settings, **SMALL}, {}))
         out = tmp_path_factory.mktemp("demo") / "out"
         assert run(["demo", "-o", str(out)]) == 0
         return out

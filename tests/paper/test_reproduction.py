@@ -6,7 +6,7 @@ import pytest
 
 from reconstruction.errors import InputError
 from twin.paper import reproduction
-from twin.paper.plan import BALLS, CASES, RODS, WIDTH, experiment_of
+from twin.paper.plan import BALLS, CASES, RODS, WIDTH, Resolution, experiment_of
 from twin.paper.reproduction import CAMERA_TILT_DEG, ROUGHNESS, Reproduction, link
 from twin.paper.statistics import values_of
 from twin.paper.trials import REFUSED
@@ -63,7 +63,9 @@ def run_of(tmp_path, monkeypatch):
             )
         monkeypatch.setattr(reproduction, "calibrated", lambda *_: RigCovariance(()))
         measured.clear()
-        return Reproduction(tmp_path / "work", trials, {"press.solver_pitch_mm": 0.4})
+        return Reproduction(
+            tmp_path / "work", trials, Resolution({"press.solver_pitch_mm": 0.4}, {})
+        )
 
     return make
 

@@ -7,15 +7,23 @@
 | report.html | all of them: true object, paper and twin first |
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from concurrent.futures import as_completed
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from reconstruction.errors import InputError
 from twin.output import RESULT_FILE
-from twin.paper.plan import BALLS, CONTACT_FPP, FIT, NOMINAL_RADIUS_MM, NUT, experiment_of, rows_of
+from twin.paper.plan import (
+    BALLS,
+    CONTACT_FPP,
+    FIT,
+    NOMINAL_RADIUS_MM,
+    NUT,
+    Resolution,
+    experiment_of,
+    rows_of,
+)
 from twin.pipeline.methods import measure_into
 from twin.pipeline.progress import ProgressCallback, no_progress
 from twin.report.measurement import page_of
@@ -40,7 +48,7 @@ def is_demo(folder: Path) -> bool:
     return all((folder / name / RESULT_FILE).is_file() for name in BESIDE)
 
 
-def measure_demo(folder: Path, settings: Mapping[str, Any], watch: ProgressCallback) -> DemoParts:
+def measure_demo(folder: Path, resolution: Resolution, watch: ProgressCallback) -> DemoParts:
     """Measure the balls into a folder and the others into folders below it; return all.
 
     Side by side, as many as the machine takes; what takes longest begins first.
@@ -56,7 +64,7 @@ def measure_demo(folder: Path, settings: Mapping[str, Any], watch: ProgressCallb
     executor = workers.open()
     watch("measure", 0.0)
     try:
-        jobs = [executor.submit(_measure, place, n, dict(settings)) for n, place in places.items()]
+        jobs = [executor.submit(_measure, place, n, resolution) for n, place in places.items()]
         for done, job in enumerate(as_completed(jobs), start=1):
             job.result()
             watch("measure", done / len(jobs))
@@ -65,9 +73,9 @@ def measure_demo(folder: Path, settings: Mapping[str, Any], watch: ProgressCallb
     return _parts(folder)
 
 
-def _measure(folder: Path, name: str, settings: Mapping[str, Any]) -> None:
+def _measure(folder: Path, name: str, resolution: Resolution) -> None:
     try:
-        measure_into(folder, COMMAND, experiment_of(name, settings))
+        measure_into(folder, COMMAND, experiment_of(name, resolution))
     except InputError as error:
         # An error of a kind of its own may not come back whole from another process.
         raise InputError(str(error)) from None

@@ -5,6 +5,7 @@ One parameter set for all of them; the numbers are those of scenes/paper/targets
 
 import tomllib
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
@@ -55,18 +56,41 @@ BUDGET_OF: Mapping[str, str] = {
 }
 """The figure of each specimen whose uncertainty is ranked."""
 
-# Two by two pixels are read as one: a quarter of the time, and the same projector pixels. Nodes of
-# the coat are as coarse as where the values were identified.
-COARSE: Mapping[str, Any] = {
-    "camera.binning": 2,
-    "press.relief_pitch_mm": 0.05,
-}
-FINE: Mapping[str, Any] = {}
+
+@dataclass(frozen=True)
+class Resolution:
+    """How finely the paper's experiments are worked out; no property of the sensor.
+
+    Attributes
+    ----------
+    settings : laid over every experiment
+    cells_mm : the sheet's finest cells by specimen; without one they follow from its thickness
+    """
+
+    settings: Mapping[str, Any]
+    cells_mm: Mapping[str, float]
+
+    def settings_of(self, name: str) -> dict[str, Any]:
+        """Return the settings of a specimen's experiment."""
+        cells = {"press.cell_mm": self.cells_mm[name]} if name in self.cells_mm else {}
+        return cells | dict(self.settings)
 
 
-def experiment_of(name: str, settings: Mapping[str, Any] = COARSE) -> Experiment:
+# Two by two pixels are read as one: a quarter of the time, and the same projector pixels. The coat
+# has nodes and the sheet cells as wide as where the values were identified, so that both are the
+# same model; objects of pictures alone have those of the nut.
+COARSE = Resolution(
+    {"camera.binning": 2, "press.relief_pitch_mm": 0.05},
+    dict.fromkeys((BALLS, "ball"), 0.3)
+    | dict.fromkeys((NUT, "brick", "t_bolt", "bear"), 0.2)
+    | dict.fromkeys((f"{form}_{letter}" for form in ("bars", "rods") for letter in "abc"), 0.15),
+)
+FINE = Resolution({}, {})
+
+
+def experiment_of(name: str, resolution: Resolution = COARSE) -> Experiment:
     """Return one of the paper's experiments, every one on the same rig and press."""
-    return load_experiment(f"paper/{name}", settings)
+    return load_experiment(f"paper/{name}", resolution.settings_of(name))
 
 
 @lru_cache

@@ -30,6 +30,7 @@ from twin.paper.plan import (
     GELSIGHT,
     NUT,
     RODS,
+    Resolution,
     experiment_of,
 )
 from twin.paper.trials import (
@@ -70,13 +71,13 @@ class Reproduction:
     ----------
     work : folder of what was measured
     trials : repetitions of every repeated measurement
-    settings : laid over every experiment; resolution, never a property of the sensor
+    resolution : of every experiment; no property of the sensor
     workers : who measures; the result is the same with any
     """
 
     work: Path
     trials: int
-    settings: Mapping[str, Any] = field(default_factory=lambda: dict(COARSE))
+    resolution: Resolution = COARSE
     watch: ProgressCallback = no_progress
     workers: Workers = field(default_factory=lambda: local_workers(1))
 
@@ -203,7 +204,7 @@ class Reproduction:
         return _figures(cases, folder, outcome)
 
     def _experiment(self, name: str) -> Experiment:
-        return experiment_of(name, self.settings)
+        return experiment_of(name, self.resolution)
 
     def _trials(self, name: str) -> Path:
         return self.work / "trials" / name

@@ -75,7 +75,7 @@ def rod_tables(run: Reproduction) -> list[Table]:
 def difference_tables(run: Reproduction) -> list[Table]:
     """Return the experiments on where twin and paper differ."""
     run.watch("differences", 0.0)
-    balls = experiment_of(BALLS, run.settings)
+    balls = experiment_of(BALLS, run.resolution)
     found = [region_table(balls), height_scale_table(balls.score.roi_radius_mm)]
     run.watch("differences", 1.0)
     return [*found, nut_table(run.bare_nut())]
@@ -159,14 +159,14 @@ def reproduce(
         No usable Dr.Jit backend.
     """
     claim(out, COMMAND, _NAMES)
-    settings = dict(FINE if request.full else COARSE)
+    resolution = FINE if request.full else COARSE
     with (
         alone_in(out),
         lasting(local_workers(workers)) as kept,
         adding(out, *_NAMES) as folder,
     ):
         _make_folder(out / WORK)
-        run = Reproduction(out / WORK, request.trials, settings, watch, kept)
+        run = Reproduction(out / WORK, request.trials, resolution, watch, kept)
         return _reproduce(out, folder, request, run)
 
 
@@ -182,7 +182,7 @@ def _reproduce(out: Path, folder: Path, request: Request, run: Reproduction) -> 
     tables = tables_of(run, request.tables)
     drawn = _draw(run, folder, request.figures)
     _write_tables(folder, tables, request)
-    balls = experiment_of(BALLS, run.settings)
+    balls = experiment_of(BALLS, run.resolution)
     page = write_paper_page(folder, Contents(tables, drawn, balls, inputs(), request.trials))
     claims = tables["claims"].rows if "claims" in tables else ()
     write_result(folder, COMMAND, balls, _figures_of(claims))
