@@ -5,8 +5,9 @@ with the `direct` integrator and the `projector` emitter, scene and texture load
 stack is timed until all frames lie in memory as one array each. Two comparisons in one run:
 
 - a whole stack against ONE stock frame, full film: median of alternating turns after a warm-up of
-  each, so kernel compilation is in none. The stack once with shadow rays, as stock traces them:
-  like for like; and once as the twin does: without, as this relief is proven to cast no shadow;
+  each, so kernel compilation is in none. The stack once with a shadow ray from every point, as
+  stock traces them: like for like; and once as the twin does: without, as this relief is proven to
+  cast no shadow. Stock asks its tree, the stack marches over the heights (`twin.optics.heights`);
 - a whole stack against ALL its frames by stock renders, small film; writing the pattern textures is
   not counted.
 

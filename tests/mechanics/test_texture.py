@@ -20,7 +20,7 @@ from twin.mechanics import (
     write_press,
 )
 from twin.mechanics.texture import johnson_of
-from twin.optics.shading import shading_of
+from twin.optics.heights import height_grid, shades_itself
 from twin.pipeline import press_specimen
 from twin.pipeline.press import press_smooth
 from twin.results.parts import press_metrics
@@ -235,4 +235,4 @@ def test_a_gentle_texture_is_proven_not_to_shade_itself(slab, rms_um, shades):
     of = NORMAL.model_copy(update={"rms_um": rms_um})
     coated = textured(press(Ball(), slab(), LOAD), slab(), LOAD, of, seed=1)
     source_mm = np.array([200.0, 0.0, 230.0])
-    assert shading_of(face_mesh(coated), source_mm).possible == shades
+    assert shades_itself(height_grid(face_mesh(coated)), source_mm) == shades

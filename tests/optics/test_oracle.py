@@ -1,14 +1,17 @@
 """Stock Mitsuba as oracle: one `direct` render per frame equals the one-trace renderer.
 
 Setup: a bump under the paper's rig with a coarse projector (so that every frame has structure),
-off-axis principal point, rough flakes. Stock Mitsuba renders each frame with its own `projector`
-or `spot` emitter, 24 independent runs of 16 jittered samples.
+off-axis principal point, rough flakes; camera and shadow rays are marched over its heights. Stock
+Mitsuba renders each frame with its own `projector` or `spot` emitter, 24 independent runs of 16
+jittered samples.
 Expected: per pixel, (one-trace - mean of runs) / standard error follows Student's t with 15
 degrees of freedom; the mean over all pixels is zero within its own error plus the canvas' bilinear
 look-up (5e-4).
 Why: both integrate the same radiance over the same pixel box; any difference in geometry, falloff,
 BSDF, pattern or radiometry moves the t values.
 """
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -50,9 +53,10 @@ def experiment():
 def one_trace(mi, experiment, bump):
     """The rig, the sequence and all frames of the one-trace renderer, 16 x 16 samples."""
     from twin.optics.one_trace import trace_stack
-    from twin.optics.scene import coated_scene, rig_of
+    from twin.optics.scene import coated_rig, coated_scene
 
-    rig = rig_of(experiment)
+    rig = replace(coated_rig(experiment, bump), shadows=True)
+    assert rig.heights is not None
     patterns = pattern_set(experiment.projector, experiment.patterns)
     tables = light_tables(experiment.projector, patterns)
     scene = coated_scene(experiment, bump)

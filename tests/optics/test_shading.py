@@ -1,4 +1,4 @@
-"""No shadow rays where a relief cannot shade itself: the proof, and what it must not skip."""
+"""Shadows: none where a relief is proven to cast none, and those that it casts."""
 
 from dataclasses import replace
 
@@ -8,15 +8,16 @@ import trimesh
 from scipy.ndimage import binary_dilation, binary_erosion
 
 from twin.config import load_experiment
+from twin.optics.heights import height_grid, shades_itself
 from twin.optics.light import light_tables, pattern_set
 from twin.optics.rig import true_calibration
-from twin.optics.shading import shading_of
 
 SPIKE_MM = 6.0
 
 
 def may_shade(face, source_mm):
-    return shading_of(face, source_mm).possible
+    grid = height_grid(face)
+    return grid is None or shades_itself(grid, source_mm)
 
 
 @pytest.fixture(scope="module")
@@ -166,63 +167,3 @@ def test_the_shadow_of_a_step_of_30_um(mi, grid_face, name, tangent):
     assert not lit[(x > end + 0.004) & (x < -0.001)].any()
     assert lit[(x < end - 0.004) | (x > 0.003)].all()
     assert 0 < (~lit).sum() < 0.5 * lit.size
-
-
-@pytest.mark.parametrize("name", ["spike", "terraces"])
-def test_rays_where_light_may_be_blocked_are_enough(mi, experiment, grid_face, name):
-    """A spike and walls: the same bytes as with a shadow ray at every point, of a tenth of them."""
-    from twin.optics.one_trace import trace_stack
-    from twin.optics.scene import coated_rig, coated_scene
-
-    def terraces(x, y):
-        return 0.8 * (np.hypot(x, y) < 3.0) + 0.5 * (np.hypot(x - 5.0, y) < 1.0)
-
-    heights = {"spike": spike, "terraces": terraces}
-    face = grid_face(heights[name], lambda x, y: (0.0 * x, 0.0 * y), pitch_mm=0.05)
-    scene, rig = coated_scene(experiment, face), coated_rig(experiment, face)
-    assert rig.shadows
-    assert 0.0 < np.asarray(rig.shaded.marked).mean() < 0.1
-    tables = light_tables(
-        experiment.projector, pattern_set(experiment.projector, experiment.patterns)
-    )
-    asked = trace_stack(scene, rig, tables, 4)
-    everywhere = trace_stack(scene, replace(rig, shaded=None), tables, 4)
-    nowhere = trace_stack(scene, replace(rig, shadows=False), tables, 4)
-    assert any(one.tobytes() != other.tobytes() for one, other in zip(asked, nowhere, strict=True))
-    for one, other in zip(asked, everywhere, strict=True):
-        assert one.tobytes() == other.tobytes()
-
-
-def test_a_rough_face_is_darker_by_rays_at_its_creases_alone(mi, experiment, grid_face):
-    """Heights of 50 um RMS at random, 50 um apart.
-
-    Expected: nothing is lit that rays find dark, but points so near to a crease that their rays,
-    which start 1 um off the facet, start below the facet beside it: of a facet, a strip of that
-    width along its edges at most, and of the dark pixels about one in a hundred.
-    """
-    from twin.optics.one_trace import trace_truth
-    from twin.optics.scene import coated_rig, coated_scene
-
-    noise = 0.05 * np.random.default_rng(3).normal(size=(700, 900))
-    face = grid_face(
-        lambda x, y: noise[: x.shape[0], : x.shape[1]] * (np.hypot(x, y) < 8.0),
-        lambda x, y: (0.0 * x, 0.0 * y), pitch_mm=0.05,
-    )  # fmt: skip
-    scene, rig = coated_scene(experiment, face), coated_rig(experiment, face)
-    assert rig.shaded is not None
-    asked = trace_truth(scene, rig)
-    everywhere = trace_truth(scene, replace(rig, shaded=None))
-    assert not (everywhere.lit & ~asked.lit).any()
-    dark = (~everywhere.lit).sum()
-    assert dark > 300
-    assert (asked.lit & ~everywhere.lit).sum() < 0.03 * dark
-
-
-def test_a_border_that_folds_tells_no_places(grid_face, source_mm):
-    """A wall that runs into the border: seen from the light the border may cross itself."""
-    wall = grid_face(
-        lambda x, _: 6.0 * np.exp(-20.0 * x**2), lambda x, y: (0.0 * x, 0.0 * y), pitch_mm=0.1
-    )
-    found = shading_of(wall, source_mm)
-    assert found.possible
-    assert found.places is None

@@ -14,9 +14,9 @@ import numpy as np
 
 from reconstruction.arrays import FloatArray, FloatImage
 from twin.optics.devices import Device
+from twin.optics.heights import Heights
 from twin.optics.layers import Arrival, LayerStack
 from twin.optics.light import LEAST_VARIANCE_PX2, MARGIN_PX, OVERSAMPLING, BlurLevels, LightTable
-from twin.optics.shading import ShadedPlaces
 from twin.optics.stack import Truth
 
 # Shadow rays start this far off the surface along its normal: 50 times the float32 resolution of
@@ -29,8 +29,9 @@ class Rig:
     """What a path needs: the two devices, the projector's irradiance at 1 mm (mW/mm^2), layers.
 
     With `layers`, both devices look through them at surfaces below. Without `shadows` no shadow ray
-    is traced: for scenes in which proven nothing stands in the light; with `shaded` only where
-    that is not proven (`shading`).
+    is traced: for scenes in which proven nothing stands in the light. With `heights` the scene is
+    that sheet alone: rays to it, and from it to the projector, are marched, and the scene's tree is
+    asked only where the march is not sure.
     """
 
     camera: Device
@@ -38,7 +39,7 @@ class Rig:
     irradiance_at_1mm: float
     layers: LayerStack | None = None
     shadows: bool = True
-    shaded: ShadedPlaces | None = None
+    heights: Heights | None = None
 
 
 @dataclass(frozen=True)
@@ -68,7 +69,9 @@ def connect(scene: Any, rig: Rig, hit: Any, bsdf: Any, coherent: bool = True) ->
     column_px, row_px = light.column_px, light.row_px
     lit = hit.is_valid() & (light.axial_mm > 0.0) & on_image(rig, column_px, row_px, MARGIN_PX)
     if rig.shadows:
-        asked = lit if rig.shaded is None else lit & rig.shaded.may_be_dark(hit.p)
+        asked = lit
+        if rig.heights is not None:
+            asked = lit & ~rig.heights.is_free(hit.p, light.direction, lit)
         lit &= ~blocked(scene, hit, light.direction, light.clear_mm, asked, coherent=coherent)
     brdf_cos = bsdf.eval(mi.BSDFContext(), hit, hit.to_local(light.direction), lit)[0]
     weight = dr.select(lit, brdf_cos * light.irradiance, 0.0)
@@ -83,13 +86,20 @@ def see(scene: Any, rig: Rig, ray: Any) -> tuple[Any, Connection]:
     """Follow a camera ray to the surface; return the hit and its connection to the projector."""
     sight = None if rig.layers is None else rig.layers.refract(ray)
     ray = ray if sight is None else sight.ray
-    # Not as packets: neighbouring pixels hit facets of their own, so that Embree's single rays take
-    # half the time on a face of 2.4 M facets (a sixth more on one of 6000, which is fast anyway).
-    hit = scene.ray_intersect(ray, mi.RayFlags.All, coherent=False)
+    hit = _first_hit(scene, rig, ray)
     path = connect(scene, rig, hit, hit.bsdf(ray))
     if sight is not None:
         path = replace(path, weight=path.weight * sight.seen(hit.t))
     return hit, path
+
+
+def _first_hit(scene: Any, rig: Rig, ray: Any) -> Any:
+    """Return the surface that rays first meet, by the sheet's heights or the scene's tree."""
+    if rig.heights is not None:
+        return rig.heights.first_hit(scene, ray).compute_surface_interaction(ray, mi.RayFlags.All)
+    # Not as packets: neighbouring pixels hit facets of their own, so that Embree's single rays take
+    # half the time on a face of 2.4 M facets (a sixth more on one of 6000, which is fast anyway).
+    return scene.ray_intersect(ray, mi.RayFlags.All, coherent=False)
 
 
 def _arrive(rig: Rig, point_mm: Any) -> Arrival:

@@ -12,10 +12,10 @@ from twin.config.models import Coating, Experiment
 from twin.optics.checks import check_binder, check_samples
 from twin.optics.connection import Rig
 from twin.optics.devices import Device
+from twin.optics.heights import Heights, height_grid, shades_itself
 from twin.optics.layers import LayerStack
 from twin.optics.materials import coated_mesh, coating_bsdf
 from twin.optics.rig import ThinLens, irradiance_at_1mm, true_calibration
-from twin.optics.shading import shading_of
 
 if TYPE_CHECKING:
     import trimesh
@@ -63,12 +63,13 @@ def rig_of(experiment: Experiment) -> Rig:
 
 
 def coated_rig(experiment: Experiment, face: "trimesh.Trimesh") -> Rig:
-    """Rig for `coated_scene`, the face alone: shadow rays only where light may be blocked."""
-    rig = rig_of(experiment)
-    if rig.layers is not None:
+    """Rig for `coated_scene`, the face alone: rays are marched where it is a grid of heights."""
+    rig, grid = rig_of(experiment), height_grid(face)
+    if grid is None:
         return rig
-    found = shading_of(face, rig.projector.T_world_from_device[:3, 3])
-    return replace(rig, shadows=found.possible, shaded=found.places)
+    position_mm = rig.projector.T_world_from_device[:3, 3]
+    shadows = rig.layers is not None or shades_itself(grid, position_mm)
+    return replace(rig, shadows=shadows, heights=Heights.of_grid(grid))
 
 
 def layer_stack(experiment: Experiment) -> LayerStack | None:

@@ -1,0 +1,315 @@
+"""Rays against a sheet that is a grid of heights: marched, and exact against its facets.
+
+A pressed face is z = h(x, y) over a rectangle, two facets to a cell. Such a sheet is searched with
+a few look-ups per ray, all lanes side by side, where a tree of boxes walks down twenty levels ray
+by ray. Two questions are answered:
+
+`is_free`: does a ray from a point of the sheet leave it for good? While the ray climbs faster than
+the steepest facet of the blocks of cells around the point, it stays above them (as in
+`shades_itself`). From there it goes on block by block, and is free in each whose highest vertex,
+and that of the blocks beside, lies below it; it is out where it is above the whole sheet or beyond
+its border.
+
+`first_hit`: where does a ray from above first meet the sheet? Newton's method: the ray meets the
+plane of a facet, there lies the next facet, until a facet holds the point where its own plane is
+met. That point is on the sheet; it is the first one if the way back is free, the question above.
+
+What is not decided so, beside walls and outside the border, the scene's tree decides: the answer is
+the tree's for every ray, but for rounding.
+
+Positions on the grid are in cells: x along a row of vertices, y along a column.
+"""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+
+from reconstruction.arrays import FloatArray
+from twin.specimens.solids import grid_facets
+
+if TYPE_CHECKING:
+    import trimesh
+
+_BLOCK = 16
+"""Cells along the side of a block."""
+
+_UNEVEN_CELLS = 1e-3
+"""Vertices lie this near to an even grid; the facets are taken as if they lay on it."""
+
+_TURNS = 12
+"""Newton's steps; on a smooth relief two or three are enough."""
+
+# A ray that falls less than this per mm against a facet grazes it: the tree decides.
+_GRAZING = 1e-3
+# Facets whose planes a ray meets this close together are met at their common edge.
+_SAME_MM = 1e-6
+# Slopes and climbs are rounded.
+_STEEPER = 1.0 + 1e-4
+
+
+def height_grid(face: "trimesh.Trimesh") -> FloatArray | None:
+    """Return vertices (row, col, xyz) as the renderer rounds them; None if not a height grid.
+
+    Vertex row * cols + col lies at (x[col], y[row]) with x and y growing, the facets are those of
+    `grid_facets`: a graph over a rectangle.
+    """
+    vertices = np.asarray(face.vertices, np.float32).astype(np.float64)
+    cols = int(np.count_nonzero(vertices[:, 1] == vertices[0, 1]))
+    rows = len(vertices) // cols
+    if min(rows, cols) < 2 or rows * cols != len(vertices):
+        return None
+    grid = vertices.reshape(rows, cols, 3)
+    x_mm, y_mm = grid[0, :, 0], grid[:, 0, 1]
+    on_lines = np.all(grid[..., 0] == x_mm) and np.all(grid[..., 1] == y_mm[:, None])
+    growing = np.all(np.diff(x_mm) > 0.0) and np.all(np.diff(y_mm) > 0.0)
+    regular = on_lines and growing and np.array_equal(face.faces, grid_facets(rows, cols))
+    return grid if regular else None
+
+
+def steepest_by_cell(grid: FloatArray) -> FloatArray:
+    """Return the larger slope of the two facets of each cell, (row, col).
+
+    Each facet has one edge along x and one along y.
+    """
+    z_mm = grid[..., 2]
+    slope_x = np.diff(z_mm, axis=1) / np.diff(grid[0, :, 0])
+    slope_y = np.diff(z_mm, axis=0) / np.diff(grid[:, 0, 1])[:, None]
+    # The two facets of a cell: edges (lower row, right column) and (upper row, left column).
+    first = slope_x[:-1] ** 2 + slope_y[:, 1:] ** 2
+    second = slope_x[1:] ** 2 + slope_y[:, :-1] ** 2
+    return np.asarray(np.sqrt(np.maximum(first, second)))
+
+
+def shades_itself(grid: FloatArray, source_mm: FloatArray) -> bool:
+    """Tell whether a sheet may keep light from a point off itself; False is proven.
+
+    Where facets climb at most s per mm, the sheet rises at most s d over a horizontal distance d
+    (mean value theorem along the line between the two points, facet by facet). A ray that climbs
+    m > s per mm from a point of the sheet stays above it for ever after. Towards the light at q,
+    m is smallest at the highest point and in the corner furthest from it:
+
+        m >= (q_z - max z) / max |q_xy - corner|
+
+    Parameters
+    ----------
+    grid : vertices (row, col, xyz), mm
+    source_mm : (3,) float; world position of the light, mm
+    """
+    corners_mm = grid[:: len(grid) - 1, :: grid.shape[1] - 1, :2].reshape(-1, 2)
+    furthest_mm = np.linalg.norm(corners_mm - source_mm[:2], axis=-1).max()
+    climb = float(source_mm[2] - grid[..., 2].max()) / furthest_mm
+    return bool(climb <= steepest_by_cell(grid).max())
+
+
+@dataclass(frozen=True, eq=False)
+class Heights:
+    """A sheet on the device.
+
+    Attributes
+    ----------
+    corner_mm, cells_per_mm : x and y of vertex (0, 0), and the grid's density
+    cols, last : vertices in a row; position of the last vertex along x and y
+    z_mm : of all vertices, row by row
+    middle_mm, highest_mm : height halfway between lowest and highest vertex; of the highest
+    steepest, tops : by block, row by row: steepest facet and highest vertex of it and of the eight
+        blocks around it
+    block_cols : blocks in a row
+    """
+
+    corner_mm: tuple[Any, Any]
+    cells_per_mm: tuple[Any, Any]
+    cols: Any
+    last: tuple[Any, Any]
+    z_mm: Any
+    middle_mm: Any
+    highest_mm: Any
+    steepest: Any
+    tops: Any
+    block_cols: Any
+
+    @classmethod
+    def of_grid(cls, grid: FloatArray) -> "Heights | None":
+        """Take vertices (row, col, xyz) to the device; None where the grid is not even."""
+        rows, cols = grid.shape[:2]
+        x_mm, y_mm, z_mm = grid[0, :, 0], grid[:, 0, 1], grid[..., 2]
+        density = [(len(one) - 1) / (one[-1] - one[0]) for one in (x_mm, y_mm)]
+        for one, scale in zip((x_mm, y_mm), density, strict=True):
+            if np.abs((one - one[0]) * scale - np.arange(len(one))).max() > _UNEVEN_CELLS:
+                return None
+        cells = np.stack([z_mm[:-1, :-1], z_mm[:-1, 1:], z_mm[1:, :-1], z_mm[1:, 1:]]).max(axis=0)
+        tops = _around(cells)
+        return cls(
+            corner_mm=(_number(x_mm[0]), _number(y_mm[0])),
+            cells_per_mm=(_number(density[0]), _number(density[1])),
+            cols=dr.opaque(mi.UInt32, cols),
+            last=(_number(cols - 1), _number(rows - 1)),
+            z_mm=mi.Float(z_mm.astype(np.float32).ravel()),
+            middle_mm=_number((z_mm.min() + z_mm.max()) / 2.0),
+            highest_mm=_number(z_mm.max()),
+            steepest=mi.Float(_around(steepest_by_cell(grid)).astype(np.float32).ravel()),
+            tops=mi.Float(tops.astype(np.float32).ravel()),
+            block_cols=dr.opaque(mi.UInt32, tops.shape[1]),
+        )
+
+    def is_free(self, point_mm: Any, direction: Any, active: Any) -> Any:
+        """Tell of which points of the sheet it is sure that nothing of it lies ahead, `mi.Bool`.
+
+        Parameters
+        ----------
+        point_mm : `mi.Point3f` on the sheet
+        direction : `mi.Vector3f`, unit; upward, or nothing is sure
+        active : which are asked
+        """
+        track = self._track(point_mm, direction)
+        level = dr.sqrt(direction.x * direction.x + direction.y * direction.y)
+        steepest = dr.gather(mi.Float, self.steepest, self._block(track.at(0.0)), active)
+        # So far along either axis that the block that it begins in, and those beside, hold it.
+        stride_mm = _BLOCK / dr.maximum(dr.maximum(dr.abs(track.dx), dr.abs(track.dy)), 1e-6)
+
+        def height_mm(way_mm: Any) -> Any:
+            return dr.fma(way_mm, direction.z, point_mm.z)
+
+        def ahead(way_mm: Any, free: Any) -> Any:
+            return free & self._inside(track.at(way_mm)) & (height_mm(way_mm) <= self.highest_mm)
+
+        def stride(way_mm: Any, free: Any) -> tuple[Any, Any]:
+            top_mm = dr.gather(mi.Float, self.tops, self._block(track.at(way_mm)))
+            return way_mm + stride_mm, free & (height_mm(way_mm) > top_mm)
+
+        start = stride_mm, active & (direction.z > steepest * level * _STEEPER)
+        return dr.while_loop(start, ahead, stride)[1]
+
+    def first_hit(self, scene: Any, ray: Any) -> Any:
+        """Return what rays first meet, `mi.PreliminaryIntersection3f`.
+
+        Parameters
+        ----------
+        scene : holds the sheet and nothing else
+        """
+        met = self._meet(ray)
+        sure = self.is_free(ray(met.t), -ray.d, met.valid & (met.t < ray.maxt))
+        # Looked up: as a number of its own the shape would be compiled in.
+        met.shape = dr.gather(mi.ShapePtr, scene.shapes_dr(), 0, sure)
+        found = scene.ray_intersect_preliminary(ray, coherent=False, active=~sure)
+        return dr.select(sure, met, found)
+
+    def _meet(self, ray: Any) -> Any:
+        """Return where rays from above meet the sheet; not valid where that is not found."""
+        falls = (ray.o.z > self.highest_mm) & (ray.d.z < -_GRAZING)
+        # From the plane at middle height on, all ways are short and well resolved.
+        to_middle_mm = dr.select(falls, (self.middle_mm - ray.o.z) / ray.d.z, 0.0)
+        track = self._track(ray(to_middle_mm), ray.d)
+
+        def step(turn: Any, way_mm: Any, facet: Any, _going: Any, _good: Any) -> tuple[Any, ...]:
+            z_mm, slope_x, slope_y = self._plane(facet, track.at(way_mm))
+            closing = slope_x * track.dx + slope_y * track.dy - ray.d.z
+            good = closing > _GRAZING
+            gap_mm = dr.fma(way_mm, ray.d.z, self.middle_mm) - z_mm
+            further_mm = dr.select(good, gap_mm / closing, 0.0)
+            here = self._facet(track.at(way_mm + further_mm))
+            same = _equal(here, facet) | (dr.abs(further_mm) < _SAME_MM)
+            return turn + 1, way_mm + further_mm, here, good & ~same, good & same
+
+        start = mi.UInt32(0), mi.Float(0.0), self._facet(track.at(0.0)), falls, mi.Bool(False)
+        _, way_mm, facet, _, good = dr.while_loop(
+            start, lambda turn, _way, _facet, going, _good: going & (turn < _TURNS), step
+        )
+        place = track.at(way_mm)
+        met = dr.zeros(mi.PreliminaryIntersection3f)
+        met.t = to_middle_mm + way_mm
+        met.prim_index, met.prim_uv = self._on_mesh(facet, place)
+        met.valid = good & self._inside(place)
+        return met
+
+    def _track(self, start_mm: Any, direction: Any) -> "_Track":
+        """Return the vertical view of a ray."""
+        return _Track(
+            (start_mm.x - self.corner_mm[0]) * self.cells_per_mm[0],
+            (start_mm.y - self.corner_mm[1]) * self.cells_per_mm[1],
+            direction.x * self.cells_per_mm[0],
+            direction.y * self.cells_per_mm[1],
+        )
+
+    def _inside(self, place: "_Place") -> Any:
+        x, y = place
+        return (x >= 0.0) & (x <= self.last[0]) & (y >= 0.0) & (y <= self.last[1])
+
+    def _block(self, place: "_Place") -> Any:
+        """Index of the block at a place, or of the nearest one."""
+        col, row = self._cell(place)
+        return dr.fma(mi.UInt32(row) // _BLOCK, self.block_cols, mi.UInt32(col) // _BLOCK)
+
+    def _cell(self, place: "_Place") -> "_Place":
+        """Column and row of the cell at a place, or of the nearest one, whole numbers."""
+        # Half a cell before the last vertex is in the last cell, the vertex itself is not.
+        col, row = (
+            dr.floor(dr.clip(one, 0.0, end - 0.5))
+            for one, end in zip(place, self.last, strict=True)
+        )
+        return col, row
+
+    def _facet(self, place: "_Place") -> "_Facet":
+        col, row = self._cell(place)
+        return col, row, place[1] - row > place[0] - col
+
+    def _plane(self, facet: "_Facet", place: "_Place") -> tuple[Any, Any, Any]:
+        """Height of a facet's plane at a place, and its slopes, mm per cell."""
+        col, row, second = facet
+        vertex = dr.fma(mi.UInt32(row), self.cols, mi.UInt32(col))
+        beside = vertex + dr.select(second, self.cols, 1)
+        corners = vertex, beside, vertex + self.cols + 1
+        first_mm, beside_mm, last_mm = (dr.gather(mi.Float, self.z_mm, at) for at in corners)
+        one, other = beside_mm - first_mm, last_mm - beside_mm
+        slope_x, slope_y = dr.select(second, other, one), dr.select(second, one, other)
+        x, y = place
+        return dr.fma(x - col, slope_x, dr.fma(y - row, slope_y, first_mm)), slope_x, slope_y
+
+    def _on_mesh(self, facet: "_Facet", place: "_Place") -> tuple[Any, Any]:
+        """Return the number of a facet, as `grid_facets` counts, and its coordinates of a place."""
+        col, row, second = facet
+        number = 2 * dr.fma(mi.UInt32(row), self.cols - 1, mi.UInt32(col))
+        x, y = (
+            dr.clip(one - begin, 0.0, 1.0) for one, begin in zip(place, (col, row), strict=True)
+        )
+        u, v = dr.select(second, x, x - y), dr.select(second, y - x, y)
+        return number + dr.select(second, 1, 0), mi.Point2f(dr.maximum(u, 0.0), dr.maximum(v, 0.0))
+
+
+_Place = tuple[Any, Any]
+_Facet = tuple[Any, Any, Any]
+"""Column and row of its cell, whole numbers, and whether it is the second one there."""
+
+
+class _Track(NamedTuple):
+    """A ray seen from above: where it starts, and how far it goes per mm of the ray."""
+
+    x: Any
+    y: Any
+    dx: Any
+    dy: Any
+
+    def at(self, way_mm: Any) -> _Place:
+        return dr.fma(way_mm, self.dx, self.x), dr.fma(way_mm, self.dy, self.y)
+
+
+def _number(value: float) -> Any:
+    """Return a number of a face: opaque, as it must not be part of the kernel's code."""
+    return dr.opaque(mi.Float, float(value))
+
+
+def _equal(one: _Facet, other: _Facet) -> Any:
+    return (one[0] == other[0]) & (one[1] == other[1]) & (one[2] == other[2])
+
+
+def _around(cells: FloatArray) -> FloatArray:
+    """Return the largest value by block of cells and the eight blocks around it."""
+    rows, cols = (-(-size // _BLOCK) * _BLOCK for size in cells.shape)
+    padded = np.full((rows, cols), -np.inf)
+    padded[: cells.shape[0], : cells.shape[1]] = cells
+    blocks = padded.reshape(rows // _BLOCK, _BLOCK, -1, _BLOCK).max(axis=(1, 3))
+    wide = np.pad(blocks, 1, constant_values=-np.inf)
+    return np.asarray(sliding_window_view(wide, (3, 3)).max(axis=(2, 3)))
