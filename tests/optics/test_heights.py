@@ -10,7 +10,7 @@ from twin.optics.heights import height_grid
 
 PITCH_MM = 0.05
 HALF_MM = 4.0, 3.0
-RAYS = 200
+RAYS = 120
 
 
 def spike(x, y):
