@@ -8,12 +8,8 @@ ROOT = Path(__file__).parents[2]
 HEAVY = ("mitsuba", "drjit", "scipy", "xarray", "trimesh", "matplotlib", "skfem", "numba", "cv2")
 SHOW_HELP = """
 import sys
-from twin.cli import main
-sys.argv = ["twin", "--help"]
-try:
-    main()
-except SystemExit as end:
-    assert not end.code, end.code
+from twin.cli import run
+assert not run(["--help"])
 """
 
 

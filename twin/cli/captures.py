@@ -2,6 +2,7 @@
 
 import shutil
 import sys
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -434,5 +435,6 @@ def _drawer(folder: Path) -> "Callable[..., Path]":
 
         return write_demo
     from twin.report.measurement import write_report
+    from twin.report.side_by_side import draw_side_by_side
 
-    return write_report
+    return partial(write_report, draw=draw_side_by_side)

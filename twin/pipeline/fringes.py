@@ -7,6 +7,7 @@ same way with an empty memory.
 """
 
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -27,6 +28,7 @@ from twin.output import versions
 from twin.pipeline.memory import Kept, Memory
 from twin.pipeline.press import PressedFace, press
 from twin.pipeline.progress import Stopwatch
+from twin.results.figures import Metrics
 from twin.results.parts import taken_figures
 from twin.results.record import Fringes, Measurement, Recording
 from twin.results.score import metrics, score
@@ -38,6 +40,7 @@ if TYPE_CHECKING:
     from twin.pipeline.trace import Geometry, View
 
 Progress = Callable[[float], None]
+BoundsOf = Callable[[Experiment, PressedFace, Memory], Callable[[], Metrics]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,24 +57,36 @@ class RunContext:
         return cls(Memory(), clock or Stopwatch(), trial)
 
 
-def measure_fringes(experiment: Experiment, run: RunContext) -> Measurement:
+def measure_fringes(
+    experiment: Experiment, run: RunContext, bounds_of: BoundsOf | None = None
+) -> Measurement:
     """Run one measurement, each stage only where no kept result is the same.
+
+    Parameters
+    ----------
+    bounds_of : traces, and returns what finds further figures beside the stages after the trace
 
     Raises
     ------
     InputError, MissingBackend : as `twin.pipeline.measure`
     """
     pressed, capture = _taken(experiment, run)
-    with run.clock.stage("reconstruct"):
-        points = run.memory.recall(
-            "reconstruction",
-            experiment,
-            capture.token,
-            lambda seen: reconstruct(capture.value.capture, options_of(seen.decode)),
-        ).value
-    with run.clock.stage("score"):
-        done = evaluate(experiment, pressed, capture.value, points)
-    return replace(done, seconds=run.clock.seconds)
+    with ThreadPoolExecutor(1) as beside:
+        further = None
+        if bounds_of is not None and pressed is not None:
+            further = beside.submit(bounds_of(experiment, pressed, run.memory))
+        with run.clock.stage("reconstruct"):
+            points = run.memory.recall(
+                "reconstruction",
+                experiment,
+                capture.token,
+                lambda seen: reconstruct(capture.value.capture, options_of(seen.decode)),
+            ).value
+        with run.clock.stage("score"):
+            face = None if pressed is None else pressed.pressed
+            done = evaluate(experiment, face, capture.value, points)
+            figures = {} if further is None else further.result()
+    return replace(done, metrics={**done.metrics, **figures}, seconds=run.clock.seconds)
 
 
 def evaluate(
@@ -111,7 +126,7 @@ def take(
     MissingBackend : no usable Dr.Jit backend
     """
     pressed, capture = _taken(experiment, RunContext.alone(clock, trial))
-    return pressed, capture.value
+    return None if pressed is None else pressed.pressed, capture.value
 
 
 def record(
@@ -231,9 +246,7 @@ def check_layers(experiment: Experiment) -> None:
         )
 
 
-def _taken(
-    experiment: Experiment, run: RunContext
-) -> tuple[PressedElastomer | None, Kept[Recording]]:
+def _taken(experiment: Experiment, run: RunContext) -> tuple[PressedFace | None, Kept[Recording]]:
     if not experiment.method.fringes:
         raise InputError(
             f"modality = '{experiment.modality}' takes one colour image and no fringe stack; use"
@@ -243,7 +256,7 @@ def _taken(
         return None, _recorded(experiment, None, run)
     with run.clock.stage("press"):
         pressed = press(experiment, run.memory)
-    return pressed.pressed, _recorded(experiment, pressed, run)
+    return pressed, _recorded(experiment, pressed, run)
 
 
 def _recorded(
