@@ -365,8 +365,8 @@ def patterns(
     )
     from twin.config.digest import content_digest
     from twin.optics.light import pattern_set
-    from twin.output import EXPERIMENT_FILE, output_folder
-    from twin.results.parts import write_outcome, write_result
+    from twin.output import EXPERIMENT_FILE, output_folder, write_outcome
+    from twin.results.parts import write_result
 
     loaded = None if is_sequence(experiment) else load(experiment, settings)
     if loaded is None:

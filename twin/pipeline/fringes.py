@@ -12,12 +12,11 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from reconstruction.capture.folder import Capture
-from reconstruction.decoding.decode import DecodeOptions
 from reconstruction.errors import InputError
-from reconstruction.pipeline import Reconstruction, ReconstructOptions, reconstruct
+from reconstruction.pipeline import Reconstruction, reconstruct
 from twin.camera import expose
 from twin.config import digest
-from twin.config.models import Decode, Experiment
+from twin.config.models import Experiment
 from twin.mechanics import PressedElastomer, face_mesh
 from twin.optics.backend import activate
 from twin.optics.checks import check_direct_engine
@@ -25,6 +24,7 @@ from twin.optics.light import pattern_set
 from twin.optics.rig import true_calibration
 from twin.optics.stack import RadianceStack
 from twin.output import versions
+from twin.pipeline.captures import options_of as options_of
 from twin.pipeline.memory import Kept, Memory
 from twin.pipeline.press import PressedFace, press
 from twin.pipeline.progress import Stopwatch
@@ -208,17 +208,6 @@ def expose_capture(
         bit_depth=experiment.camera.bit_depth,
     )
     return Recording(radiance, capture, exposed.exposure_ms)
-
-
-def options_of(decode: Decode) -> ReconstructOptions:
-    """Return the decoder's options as the experiment states them."""
-    return ReconstructOptions(
-        decode=DecodeOptions(
-            filter_taps=decode.filter_taps, filter_sigma_px=decode.filter_sigma_px
-        ),
-        use=decode.use,
-        through_layers=decode.through_layers,
-    )
 
 
 def decoding_warnings(experiment: Experiment) -> list[str]:
