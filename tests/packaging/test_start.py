@@ -48,3 +48,12 @@ def test_a_dry_run_imports_nothing_that_it_does_not_need(tmp_path):
     assert "twin.study.sweep" in modules
     heavy = ("scipy.stats", "mitsuba", "drjit", "matplotlib", "xarray", "skfem", "optuna")
     assert modules.isdisjoint(heavy), modules & set(heavy)
+
+
+def test_a_reconstruction_imports_nothing_that_it_does_not_need():
+    """Half of its start was what presses, fits and draws."""
+    ended = run_python("import sys\nimport twin.pipeline.captures\nprint(*sys.modules)")
+    assert ended.returncode == 0, ended.stderr
+    modules = set(ended.stdout.split())
+    heavy = ("scipy.optimize", "scipy.ndimage", "matplotlib", "trimesh", "skfem", "mitsuba")
+    assert modules.isdisjoint(heavy), modules & set(heavy)

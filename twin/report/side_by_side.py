@@ -11,6 +11,7 @@ import os
 import select
 import signal
 import struct
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -118,7 +119,10 @@ def _forked(work: Callable[[], None], kept: Sequence[int]) -> int:
     # Handlers would write into the pipe that ends this process (`working.end_within`).
     held = signal.pthread_sigmask(signal.SIG_BLOCK, _SIGNALS)
     try:
-        child = os.fork()
+        with warnings.catch_warnings():
+            # Of threads that the copy lacks, from Python 3.12 on: it needs none of them.
+            warnings.simplefilter("ignore", DeprecationWarning)
+            child = os.fork()
         if not child:
             _work_and_end(work, kept, held)
         return child
