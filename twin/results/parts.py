@@ -272,12 +272,11 @@ def transfer_metrics(transfer: ContactTransfer) -> Metrics:
 
 def recording_metrics(recording: Recording) -> dict[str, float]:
     """Figures of the recording."""
+    clipped = recording.capture.stack >= recording.capture.sensor.clipped_from_dn
     return {
         "exposure_ms": recording.exposure_ms,
         "frames": len(recording.capture.patterns.frames),
-        "saturated_share": float(
-            (recording.capture.stack >= recording.capture.sensor.clipped_from_dn).mean()
-        ),
+        "saturated_share": int(np.count_nonzero(clipped)) / clipped.size,
     }
 
 
