@@ -1,11 +1,11 @@
-"""Array types, and the reason codes of pixels without a measurement.
+"""Array types, names of alignments, and the reason codes of pixels without a measurement.
 
 Axis order is (frame, row, col) and (row, col, xyz), row 0 at the top. One reason code per pixel, 0
 for a valid one.
 """
 
 from enum import IntEnum
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,9 @@ BoolArray = NDArray[np.bool_]
 BoolImage = BoolArray
 Levels = NDArray[np.uint8]
 Stack = NDArray[Any]
+
+Alignment = Literal["none", "offset", "offset_tilt", "rigid"]
+"""What is taken off a surface before it is compared, see `evaluate.deviation`."""
 
 
 class Reason(IntEnum):

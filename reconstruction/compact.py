@@ -129,12 +129,18 @@ class RaySpread:
 
     def expand(self) -> FloatImage:
         """Return (row, col, xyz) float32 mm, 0 where the depth has no sigma."""
-        return np.stack([self.component(axis) for axis in range(3)], axis=-1)
+        along, per_depth = self._rays()
+        return np.asarray(np.abs(along, out=along) * per_depth[..., None], dtype=np.float32)
 
     def component(self, axis: int) -> FloatImage:
         """Return the sigma along one world axis, (row, col) float32 mm."""
+        along, per_depth = self._rays()
+        return np.asarray(np.abs(along[..., axis]) * per_depth, dtype=np.float32)
+
+    def _rays(self) -> tuple[FloatImage, FloatImage]:
+        """Return X - C, (row, col, xyz) mm, and sigma_d / d."""
         T = self.T_world_from_cam.astype(np.float32)
         along = self.points_world_mm - T[:3, 3]
         sigma = self.sigma_depth_mm.expand()
         depth = np.where(sigma > 0.0, along @ T[:3, 2], np.float32(1.0))
-        return np.asarray(np.abs(along[..., axis]) * (sigma / depth), dtype=np.float32)
+        return along, np.asarray(sigma / depth, np.float32)

@@ -28,7 +28,16 @@ KERNEL_SOURCES = ("**/_[!_]*.py", "compiling.py", "arrays.py", "rig/pinhole.py",
 
 # Division by zero gives inf as in numpy. Fused multiply-add is allowed, but not the fast arithmetic
 # that assumes there are no NaNs: a damaged float stack must not pass a threshold.
-OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath": {"contract"}}
+# Kernels make no arrays, and references to arrays are the callers' to count: counted in every call,
+# they take a tenth of the compile time.
+OPTIONS: dict[str, Any] = {
+    "nogil": True,
+    "_nrt": False,
+    "error_model": "numpy",
+    "fastmath": {"contract"},
+}
+# What only other kernels call.
+NESTED: dict[str, Any] = {"no_cpython_wrapper": True}
 
 
 def digest_of_sources(folder: Path, patterns: tuple[str, ...]) -> str:
@@ -45,9 +54,17 @@ def compiled(function: Function) -> Function:
     return compile_and_keep(function, OPTIONS, SOURCE_DIGEST)
 
 
+def nested(function: Function) -> Function:
+    """Compile `function` for other kernels alone: Python cannot call it, and must not try.
+
+    To take arguments from Python takes a tenth of the compile time.
+    """
+    return compile_and_keep(function, OPTIONS | NESTED, SOURCE_DIGEST)
+
+
 def inlined(function: Function) -> Function:
-    """Compile `function` into its callers: for what runs once per pixel."""
-    return compile_and_keep(function, OPTIONS | {"forceinline": True}, SOURCE_DIGEST)
+    """Compile `function` into its callers, as `nested`: for what runs once per pixel."""
+    return compile_and_keep(function, OPTIONS | NESTED | {"forceinline": True}, SOURCE_DIGEST)
 
 
 def merged(function: Function) -> Function:
@@ -61,6 +78,7 @@ def merged(function: Function) -> Function:
 
 def compile_and_keep(function: Function, options: dict[str, Any], source_digest: str) -> Function:
     """Compile on first call; keep the result on disk for as long as the sources are the same."""
+    options = {**options, "no_cfunc_wrapper": True}  # nobody calls a kernel from C
     try:
         kernel = numba.njit(cache=True, **options)(function)
     except RuntimeError:  # there is no place to write: compile anew in every process

@@ -182,8 +182,8 @@ def _disk() -> list[Finding]:
     return [Finding("disk", ok, detail, "" if ok else "a full stack takes 300 MB, make room")]
 
 
-# What each compiles: side by side, as long as the longest. Sizes do not matter to kernels.
-WARMED = ("decoder, camera, renderer", "thin sheets, distances")
+# What each process compiles, side by side: as long as the longer. Sizes do not matter to kernels.
+WARMED = ("camera, renderer, decoder, distances", "filter, thin sheets")
 
 
 def warm(told: Callable[[str], object] = lambda _: None) -> list[Finding]:
@@ -205,31 +205,39 @@ def warm(told: Callable[[str], object] = lambda _: None) -> list[Finding]:
 
 
 def _warm_measurement() -> None:
+    import numpy as np
+
     from twin.config import load_experiment
     from twin.pipeline import measure
+    from twin.specimens import shape_of
+    from twin.specimens.distance import distances_of
 
     camera = {"camera.binning": 4, "camera.width_px": 640, "camera.height_px": 480}
     coarse = {"press.relief_pitch_mm": 0.05, "press.solver_pitch_mm": 0.16}
     measure(load_experiment("examples/slab_balls", camera | coarse))
 
-
-def _warm_sheet() -> None:
-    import numpy as np
-
-    from twin.config import load_experiment
-    from twin.pipeline.press import press_specimen
-    from twin.specimens import shape_of
-    from twin.specimens.distance import distances_of
-
     for body in distances_of(shape_of(load_experiment("examples/wrapped_group").specimen)):
         body.evaluate(np.zeros((64, 3)), 1.0)
-    coarse = {"press.relief_pitch_mm": 0.05, "press.cell_mm": 0.5, "press.depth_mm": 0.3}
-    press_specimen(load_experiment("examples/wrapped_balls", coarse))
+
+
+def _warm_sheets() -> None:
+    import numpy as np
+
+    from reconstruction.decoding._filter import Unfiltered, smooth
+    from twin.config import load_experiment
+    from twin.pipeline.press import press_specimen
+
+    # What the other process comes to last, as the decoder hands it on.
+    maps, mask = np.zeros((2, 16, 16)), np.zeros((16, 16), np.uint8)
+    smooth(Unfiltered(maps.astype(np.float32), maps.astype(np.uint16), mask), 5, 1.0, 9.0, 1e-3)
+    coarse = {"press.relief_pitch_mm": 0.05, "press.cell_mm": 0.5, "press.depth_mm": 0.1}
+    sheet = {"mechanics.model": "sheet", "press.back_pressure_kpa": 0.0}
+    press_specimen(load_experiment("examples/wrapped_balls", coarse | sheet))
 
 
 def _main(names: list[str]) -> bool:
     """Compile what is named, or everything side by side; tells whether that went well."""
-    by_name = dict(zip(WARMED, (_warm_measurement, _warm_sheet), strict=True))
+    by_name = dict(zip(WARMED, (_warm_measurement, _warm_sheets), strict=True))
     for name in names:
         by_name[name]()
     if names:

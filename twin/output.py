@@ -360,6 +360,12 @@ def write_json(path: Path, content: Mapping[str, Any]) -> None:
     )
 
 
+def write_outcome(folder: Path, command: str, figures: Mapping[str, Any], **named: str) -> None:
+    """Write result.json: the figures, which command and versions made them, and what names them."""
+    content = {"command": command, "metrics": figures, "versions": versions(), **named}
+    write_json(folder / RESULT_FILE, {"schema_version": 1, **content})
+
+
 def replace_json(path: Path, content: Mapping[str, Any]) -> None:
     """Write JSON whole or not at all: under a temporary name, to the disk, then renamed."""
     with replacing(path) as part:

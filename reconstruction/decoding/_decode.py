@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from reconstruction.arrays import FloatImage
-from reconstruction.compiling import compiled, merged
+from reconstruction.compiling import compiled, merged, nested
 from reconstruction.decoding._chain import Unwrapping, unwrap_row
 from reconstruction.decoding._order import (
     NEAR_SIGMAS,
@@ -104,7 +104,7 @@ class Maps(NamedTuple):
 
 
 class Work(NamedTuple):
-    """Lines that live as long as a band."""
+    """Lines that live as long as a band; compiled code makes no arrays."""
 
     sums: Any  # (6, col): total, real, imag, square, high, low
     fit: Any  # (line, col): mean, variance, noise, excess of one set; total variance, residual
@@ -125,7 +125,6 @@ class Work(NamedTuple):
     nearest: Any
 
 
-@compiled
 def make_work(width: int, sets: int) -> Work:
     return Work(
         np.zeros((6, width), np.float32),
@@ -148,7 +147,7 @@ def make_work(width: int, sets: int) -> Work:
     )
 
 
-@compiled
+@nested
 def _fit_set(
     frames: RowFrames, shifts: Shifts, plan: Plan, scale: Any, work: Work, sums: Sums, fit: Fit,
     reason: Any,
@@ -169,13 +168,13 @@ def _fit_set(
     return count
 
 
-@compiled
+@nested
 def _add_largest(value: Any, largest: Any) -> None:
     for col in range(value.size):
         largest[col] = max(largest[col], value[col])
 
 
-@compiled
+@nested
 def _root_of_mean(sets: int, variance: Any, out: Any) -> None:
     share = np.float32(1.0 / sets)
     for col in range(variance.size):
@@ -237,7 +236,7 @@ def _mask_row(row: int, stack: Any, plan: Plan, scale: Any, work: Work, reason: 
     _mark_usable(reason, work.usable)
 
 
-@compiled
+@nested
 def _mark_usable(reason: Any, usable: Any) -> None:
     for col in range(reason.size):
         usable[col] = np.float32(reason[col] == 0)
@@ -346,10 +345,16 @@ def write_valid_axes(row: int, plan: Plan, work: Work, reason: Any, maps: Maps) 
         pack_row(work.lines[1], plan.units.sigma, work.lines[2], maps.sigma[axis, row])
 
 
-@compiled
 def decode_rows(first_row: int, end_row: int, stack: Any, plan: Plan, maps: Maps) -> None:
     """Fill `maps` for rows first_row to end_row - 1."""
     work = make_work(maps.reason.shape[1], plan.layout.sets)
+    decode_band(first_row, end_row, stack, plan, work, maps)
+
+
+@compiled
+def decode_band(
+    first_row: int, end_row: int, stack: Any, plan: Plan, work: Work, maps: Maps
+) -> None:
     for row in range(first_row, end_row):
         scale = plan.scale[row] if plan.scale.size else work.ones
         if plan.layout.steps:

@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from reconstruction.arrays import FloatArray, FloatImage, Reason
-from reconstruction.compiling import compiled, inlined, merged, run_over_rows
+from reconstruction.compiling import compiled, merged, nested, run_over_rows
 from reconstruction.decoding._lift import (
     ONE,
     ZERO,
@@ -84,11 +84,14 @@ class FilterPatch(NamedTuple):
     far: int
 
 
-@compiled
 def mark_edges(first_row: int, end_row: int, reason: Any, out: Any) -> None:
     """Copy the mask, with `EDGE` on valid pixels that have a neighbour without light."""
+    _mark_edges(first_row, end_row, reason, np.zeros((3, reason.shape[1] + 2), np.bool_), out)
+
+
+@compiled
+def _mark_edges(first_row: int, end_row: int, reason: Any, unlit: Any, out: Any) -> None:
     rows, width = reason.shape
-    unlit = np.zeros((3, width + 2), np.bool_)
     for row in range(first_row, end_row):
         for k in range(3):
             _find_unlit(reason[min(max(row + k - 1, 0), rows - 1)], unlit[k, 1 : width + 1])
@@ -99,26 +102,26 @@ def mark_edges(first_row: int, end_row: int, reason: Any, out: Any) -> None:
         )  # fmt: skip
 
 
-@compiled
+@nested
 def _find_unlit(reason: Any, unlit: Any) -> None:
     for col in range(reason.size):
         unlit[col] = (reason[col] == DARK) | (reason[col] == LOW_MODULATION)
 
 
-@compiled
+@nested
 def _mark_edge(reason: Any, above: Any, below: Any, left: Any, right: Any, out: Any) -> None:
     for col in range(out.size):
         is_edge = (above[col] | below[col] | left[col] | right[col]) & (reason[col] == VALID)
         out[col] = EDGE if is_edge else reason[col]
 
 
-@compiled
+@nested
 def _mark(reason: Any, usable: Any) -> None:
     for col in range(usable.size):
         usable[col] = ONE if reason[col] == 0 else ZERO
 
 
-@compiled
+@nested
 def _place(x: Any, usable: Any, out: Any) -> None:
     for col in range(out.size):
         out[col] = x[col] if usable[col] > ZERO else NOWHERE
@@ -160,8 +163,8 @@ def _write(
 ) -> None:
     inside, first = slice(patch.start, patch.start + patch.cols), patch.left + patch.start
     out, spread = slice(first, first + patch.cols), blocks.spread
-    lines = np.zeros((3, patch.cols), np.float32)
-    total, sigma, spare = lines[0], lines[1], lines[2]
+    lines = blocks.written
+    total, sigma, spare = lines[0, : patch.cols], lines[1, : patch.cols], lines[2, : patch.cols]
     block = -1
     for row in range(patch.above, patch.above + patch.rows):
         if row // BLOCK != block:
@@ -181,7 +184,7 @@ def _write(
         pack_row(sigma, smoothing.sigma_factor, spare, target.sigma[axis, at, out])
 
 
-@merged
+@compiled
 def _smooth_patch(
     patch: FilterPatch, source: Unfiltered, smoothing: Smoothing, planes: Planes, blocks: Blocks,
     target: Smoothed,
@@ -198,12 +201,10 @@ def _smooth_patch(
         _write(axis, planes, patch, smoothing, blocks, target)
 
 
-@inlined
 def _whole(size: int) -> int:
     return (size + BLOCK - 1) // BLOCK * BLOCK
 
 
-@compiled
 def smooth_rows(
     first_row: int, end_row: int, source: Unfiltered, smoothing: Smoothing, target: Smoothed
 ) -> None:

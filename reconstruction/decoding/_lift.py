@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from reconstruction.arrays import FloatImage
-from reconstruction.compiling import compiled, inlined, merged
+from reconstruction.compiling import compiled, inlined, merged, nested
 from reconstruction.decoding._rows import add, copy_row, fill, larger, multiply
 
 ZERO, ONE, TWO, TINY = np.float32(0.0), np.float32(1.0), np.float32(2.0), np.float32(1e-30)
@@ -49,6 +49,7 @@ class Planes(NamedTuple):
     spare: Any
     lift: Any
     coarse: Any
+    alike: Any  # (row,), how many rows before have the same mask
 
 
 class Window(NamedTuple):
@@ -59,30 +60,29 @@ class Window(NamedTuple):
     half: int
 
 
-@compiled
 def make_planes(rows: int, cols: int) -> Planes:
     shape = (rows, cols)
     return Planes(
         np.zeros(shape, np.float32), np.zeros(shape, np.float32), np.zeros(shape, np.float32),
         np.zeros(shape, np.float32), np.zeros(shape, np.float32), np.zeros(shape, np.float32),
         np.zeros(shape, np.float32), np.zeros(shape, np.float32), np.zeros(shape, np.float32),
-        np.zeros(shape, np.float32),
+        np.zeros(shape, np.float32), np.zeros(rows, np.int64),
     )  # fmt: skip
 
 
-@compiled
+@nested
 def _add_weight(a: Any, b: Any, weight: Any, total: Any) -> None:
     for col in range(total.size):
         total[col] += weight * (a[col] * b[col])
 
 
-@compiled
+@nested
 def _add_noise(a: Any, b: Any, u: Any, v: Any, weight: Any, total: Any) -> None:
     for col in range(total.size):
         total[col] += weight * (a[col] * b[col]) * (u[col] + v[col])
 
 
-@compiled
+@nested
 def _add_pair(a: Any, b: Any, weight: Any, total: Any) -> None:
     for col in range(total.size):
         total[col] += weight * (a[col] + b[col])
@@ -94,13 +94,13 @@ def _bend(a: Any, b: Any, middle: Any, limit: Any) -> Any:
     return bend if abs(bend) < limit else ZERO
 
 
-@compiled
+@nested
 def _add_bend(a: Any, b: Any, middle: Any, weight: Any, limit: Any, total: Any) -> None:
     for col in range(total.size):
         total[col] += weight * _bend(a[col], b[col], middle[col], limit)
 
 
-@compiled
+@nested
 def _sum_four_bends(lines: Any, weights: Any, limit: Any, factor: Any, out: Any) -> None:
     a, b, c, d, middle, e, f, g, h = lines
     p, q, r, s = weights[0], weights[1], weights[2], weights[3]
@@ -111,7 +111,7 @@ def _sum_four_bends(lines: Any, weights: Any, limit: Any, factor: Any, out: Any)
         out[col] = factor[col] * (outer + inner)
 
 
-@compiled
+@nested
 def _sum_nine(lines: Any, weights: Any, out: Any) -> None:
     a, b, c, d, middle, e, f, g, h = lines
     p, q, r, s, t = weights[0], weights[1], weights[2], weights[3], weights[4]
@@ -140,7 +140,7 @@ def _nine_across(plane: Any, row: int) -> Any:
     )  # fmt: skip
 
 
-@compiled
+@nested
 def _bend_along(
     line: Any, weights: Any, window: Window, limit: Any, factor: Any, out: Any
 ) -> None:  # fmt: skip
@@ -157,7 +157,7 @@ def _bend_along(
     multiply(out, factor)
 
 
-@compiled
+@nested
 def _bend_across(
     plane: Any, row: int, weights: Any, half: int, limit: Any, factor: Any, out: Any
 ) -> None:  # fmt: skip
@@ -182,7 +182,7 @@ def _scale(line: Any, factor: Any, out: Any) -> None:
         out[col] = line[col] * factor
 
 
-@compiled
+@nested
 def _average_along(line: Any, weights: Any, window: Window, out: Any) -> None:
     """Weigh a row with the plain kernel; pixels that hold no value are 0."""
     gap, end, half = window.gap, window.gap + window.width, window.half
@@ -194,7 +194,7 @@ def _average_along(line: Any, weights: Any, window: Window, out: Any) -> None:
         _add_pair(line[gap - k : end - k], line[gap + k : end + k], weights[half + k], out)
 
 
-@compiled
+@nested
 def _average_across(plane: Any, row: int, weights: Any, half: int, out: Any) -> None:
     if half == 4:
         _sum_nine(_nine_across(plane, row), weights, out)
@@ -204,7 +204,7 @@ def _average_across(plane: Any, row: int, weights: Any, half: int, out: Any) -> 
         _add_pair(plane[row - k], plane[row + k], weights[half + k], out)
 
 
-@compiled
+@nested
 def _is_equal(a: Any, b: Any) -> bool:
     differing = 0
     for col in range(a.size):
@@ -252,8 +252,8 @@ def weigh(planes: Planes, weights: Any, half: int, window: Window) -> None:
 
     Most rows have the mask of the row before.
     """
-    rows = planes.usable.shape[0]
-    alike = np.zeros(rows, np.int64)
+    rows, alike = planes.usable.shape[0], planes.alike
+    alike[0] = 0
     _weigh_along(0, planes, weights, window)
     for row in range(1, rows):
         if _is_equal(planes.usable[row], planes.usable[row - 1]):
@@ -261,6 +261,7 @@ def weigh(planes: Planes, weights: Any, half: int, window: Window) -> None:
             for plane in (planes.along_rows, planes.spare, planes.coarse):
                 copy_row(plane[row - 1], plane[row])
         else:
+            alike[row] = 0
             _weigh_along(row, planes, weights, window)
     for row in range(half, rows - half):
         if alike[row + half] > 2 * half:

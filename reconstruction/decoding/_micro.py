@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from reconstruction.arrays import FloatArray
-from reconstruction.compiling import compiled, inlined
+from reconstruction.compiling import compiled, inlined, nested
 from reconstruction.decoding._decode import (
     COORDINATE,
     SIGMA,
@@ -67,6 +67,15 @@ class PixelLight(NamedTuple):
     bb: float
     bx: float
     xx: float
+
+
+class MicroWork(NamedTuple):
+    """Scratch of one axis: values of single images, their weights, waves, costs of fringes."""
+
+    values: Any
+    weights: Any
+    waves: Any
+    costs: Any
 
 
 class FittedRow(NamedTuple):
@@ -173,18 +182,17 @@ def _decide(
     return x_px, variance, 1.0 - 1.0 / chances if chances > 0.0 else 1.0
 
 
-@compiled
+@nested
 def number_micro_row(
     frames: RowFrames, periods: MicroPeriods, shifts: Shifts, limits: Limits, scale: Any,
-    fitted: FittedRow, answer: Numbered,
+    fitted: FittedRow, spare: MicroWork, answer: Numbered,
 ) -> None:  # fmt: skip
     """Write the coordinate, its sigma and the chance of a wrong fringe; 0 without a phase.
 
     Single images that are clipped or lost are left out.
     """
     count = periods.further_px.size
-    values, weights, waves = np.zeros(count), np.zeros(count), np.zeros((2, count))
-    costs = np.zeros(int(periods.length_px / periods.first_px) + 3)
+    values, weights, waves, costs = spare
     coordinate, sigma_px, error = answer
     span = limits.clipped_from_dn - limits.black_level_dn
     for col in range(error.size):
@@ -206,12 +214,24 @@ def number_micro_row(
         coordinate[col], sigma_px[col], error[col] = x_px, math.sqrt(variance), wrong
 
 
-@compiled
 def decode_micro_rows(
     first_row: int, end_row: int, stack: Any, plan: Plan, periods: Any, maps: Maps
 ) -> None:
     """Fill `maps` for rows first_row to end_row - 1; `periods` is a pair (column, row)."""
-    work, layout = make_work(maps.reason.shape[1], 1), plan.layout
+    work, spare = make_work(maps.reason.shape[1], 1), tuple(map(_make_spare, periods))
+    _decode_band(first_row, end_row, stack, plan, periods, (work, spare), maps)
+
+
+def _make_spare(periods: MicroPeriods) -> MicroWork:
+    count, fringes = periods.further_px.size, int(periods.length_px / periods.first_px)
+    return MicroWork(np.zeros(count), np.zeros(count), np.zeros((2, count)), np.zeros(fringes + 3))
+
+
+@compiled
+def _decode_band(
+    first_row: int, end_row: int, stack: Any, plan: Plan, periods: Any, lines: Any, maps: Maps
+) -> None:
+    (work, spare), layout = lines, plan.layout
     for row in range(first_row, end_row):
         scale = plan.scale[row] if plan.scale.size else work.ones
         reason, error, usable = maps.reason[row], work.lines[0], work.usable
@@ -225,7 +245,9 @@ def decode_micro_rows(
             fitted = FittedRow(
                 work.mean[axis], work.modulations[axis, 0], phase, work.excess[axis], usable
             )
-            number_micro_row(single, periods[axis], shifts, plan.limits, scale, fitted, answer)
+            number_micro_row(
+                single, periods[axis], shifts, plan.limits, scale, fitted, spare[axis], answer
+            )
             settle_row(periods[axis].length_px, plan.limits.max_order_error, answer, usable, reason)
             inform(axis, row, plan, work, error, maps)
         write_valid_axes(row, plan, work, reason, maps)

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from reconstruction.arrays import Reason
-from reconstruction.compiling import compiled, inlined
+from reconstruction.compiling import inlined, nested
 from reconstruction.decoding._rows import smaller
 from reconstruction.decoding._sum import RowFrames
 
@@ -100,7 +100,7 @@ def reflected(word: Any, code: Code) -> Any:
     return read
 
 
-@compiled
+@nested
 def reflect_row(code: Code, word: Any, gray: Any) -> None:
     """Write the Gray words of bits as they were read."""
     for col in range(word.size):
@@ -168,7 +168,7 @@ def _number(gray: Any, cell: Any, code: Code) -> Any:
     return _number_plain(gray, cell, code)
 
 
-@compiled
+@nested
 def read_gray_row(frames: RowFrames, bits: int, read: Word) -> None:
     """Write the Gray word, and how near to A a level comes."""
     stack, first, row = frames
@@ -193,7 +193,7 @@ def read_gray_row(frames: RowFrames, bits: int, read: Word) -> None:
             nearest[col] = smaller(abs(over), least)
 
 
-@compiled
+@nested
 def read_pairs_row(frames: RowFrames, code: Code, read: Word) -> None:
     """Write the Gray word from pairs of frames, and how near half their difference comes to 0."""
     stack, first, row = frames
@@ -209,7 +209,7 @@ def read_pairs_row(frames: RowFrames, code: Code, read: Word) -> None:
             nearest[col] = smaller(abs(over), least)
 
 
-@compiled
+@nested
 def place_words(code: Code, answer: Numbered) -> None:
     """Move coordinates from the first pixel of each word to its middle; sigma: as likely anywhere.
 
@@ -228,7 +228,7 @@ def place_words(code: Code, answer: Numbered) -> None:
         sigma[col] = spread
 
 
-@compiled
+@nested
 def number_row(code: Code, word: Any, phase: Any, order: Any, answer: Numbered) -> None:
     """Write order and coordinate as read, and error probability 1 where words contradict."""
     coordinate, error = answer.coordinate, answer.error
@@ -269,7 +269,7 @@ def _distance(code: Code, frames: RowFrames, bit: int, col: int, mean: Any) -> A
     return HALF * abs(level - np.float32(stack[code.first_inverse + place, frames.row, col]))
 
 
-@compiled
+@nested
 def weigh_near_bits(
     code: Code, frames: RowFrames, gray_sigmas: Any, read: Word, phase: Any, order: Any, error: Any
 ) -> None:
@@ -327,7 +327,7 @@ def _misread(far: Any, near: Any, contrast: Any, noise: Any) -> Any:
     return (far * far + off_near * off_near - off_far * off_far) / (2.0 * noise * noise)
 
 
-@compiled
+@nested
 def settle_borders(
     code: Code, frames: RowFrames, read: Word, fringe: FringeRow, order: Any, answer: Numbered
 ) -> None:
@@ -366,7 +366,7 @@ def settle_borders(
         answer.error[col] = min(wrong, 1.0)
 
 
-@compiled
+@nested
 def weigh_wrap(code: Code, phase: Any, sigma: Any, error: Any) -> None:
     """Add the probability that noise carried the phase over the end of a plain Gray word."""
     for col in range(error.size):
@@ -376,7 +376,7 @@ def weigh_wrap(code: Code, phase: Any, sigma: Any, error: Any) -> None:
             error[col] = min(error[col] + _tail(to_border_rad / sigma[col]), 1.0)
 
 
-@compiled
+@nested
 def settle_row(
     length_px: int, max_order_error: Any, answer: Numbered, usable: Any, reason: Any
 ) -> None:
@@ -395,7 +395,7 @@ def settle_row(
         error[col] *= usable[col]
 
 
-@compiled
+@nested
 def write_valid(values: Any, reason: Any, out: Any) -> None:
     """Copy a row without what a masked pixel must not tell."""
     for col in range(reason.size):

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from reconstruction.compiling import compiled, inlined
+from reconstruction.compiling import inlined, nested
 from reconstruction.decoding._sum import (
     SATURATED,
     Fit,
@@ -45,7 +45,7 @@ SPAN = 2
 LARGEST = 1e30
 
 
-@compiled
+@nested
 def keep_usable(usable: Any, phase: Any) -> None:
     """Zero the phases of pixels without one; not by a product, as NaN times 0 is NaN."""
     for col in range(usable.size):
@@ -66,7 +66,7 @@ def _arctangent(t: Any) -> Any:
     return t * (value * s + ATAN[0])
 
 
-@compiled
+@nested
 def phase_row(real: Any, imag: Any, phase: Any) -> None:
     """Write arg z in [0, 2 pi) without a branch; 0 for z = 0."""
     for col in range(phase.size):
@@ -79,14 +79,14 @@ def phase_row(real: Any, imag: Any, phase: Any) -> None:
         phase[col] = phi if phi < TWO_PI else np.float32(0.0)
 
 
-@compiled
+@nested
 def write_turns(phase: Any, out: Any) -> None:
     """Write phases as steps of 1 / 65536 turn; what rounds up to a whole turn becomes 0."""
     for col in range(phase.size):
         out[col] = np.uint16(np.int32(phase[col] * STEPS_PER_RAD + ROUNDING))
 
 
-@compiled
+@nested
 def phase_sigma(
     steps: int, limits: Limits, scale: Any, usable: Any, mean: Any, modulation: Any, sigma: Any
 ) -> None:  # fmt: skip
@@ -102,7 +102,7 @@ def phase_sigma(
         sigma[col] = value if usable[col] > 0.0 else np.float32(0.0)
 
 
-@compiled
+@nested
 def shot_sigma(
     table: Any, limits: Limits, scale: Any, phase: Any, mean: Any, modulation: Any, sigma: Any
 ) -> None:  # fmt: skip
@@ -121,7 +121,7 @@ def shot_sigma(
         sigma[col] *= np.sqrt(max(even + more, QUARTER * even) / even)
 
 
-@compiled
+@nested
 def straighten_row(table: Any, phase: Any, sigma: Any) -> None:
     """Take the ripple of the projector's response off the phase; table: (node,) over one turn.
 
@@ -141,7 +141,7 @@ def straighten_row(table: Any, phase: Any, sigma: Any) -> None:
         sigma[col] *= abs(np.float32(1.0) - per_span * rise)
 
 
-@compiled
+@nested
 def doubt_row(table: Any, phase: Any, sigma: Any, doubt: Any) -> None:
     """Write the sigma of the phase with what is not known of the ripple; 0 where there is none."""
     nodes = table.size - 1
@@ -152,7 +152,7 @@ def doubt_row(table: Any, phase: Any, sigma: Any, doubt: Any) -> None:
         doubt[col] = whole if sigma[col] > 0.0 else np.float32(0.0)
 
 
-@compiled
+@nested
 def grow_sigma(excess: Any, sigma: Any) -> None:
     """Add what fits over fewer frames cost: excess is a share of the variance."""
     for col in range(sigma.size):
@@ -207,7 +207,7 @@ def _square_residuals(
     return total
 
 
-@compiled
+@nested
 def refit_row(
     frames: RowFrames, shifts: Shifts, limits: Limits, scale: Any, damaged: Any, sums: Sums,
     fit: Fit, reason: Any,

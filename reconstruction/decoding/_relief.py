@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from reconstruction.compiling import compiled, inlined, merged
+from reconstruction.compiling import compiled, inlined, merged, nested
 from reconstruction.decoding._lift import ONE, TINY, TWO, ZERO, Planes, Smoothing
 from reconstruction.decoding._rows import add, larger, smaller
 
@@ -33,9 +33,9 @@ class Blocks(NamedTuple):
     shares: Any  # (coarse or fine, block col)
     values: Any  # (value, block col), factors of lift and of coarse part; terms of sigma
     spread: Any  # (value, col)
+    written: Any  # (3, col): variance, sigma, and one to pack with
 
 
-@compiled
 def make_blocks(rows: int, cols: int) -> Blocks:
     return Blocks(
         np.zeros((4, cols), np.float32),
@@ -44,6 +44,7 @@ def make_blocks(rows: int, cols: int) -> Blocks:
         np.zeros((2, cols // BLOCK), np.float32),
         np.zeros((6, cols // BLOCK), np.float32),
         np.zeros((6, cols), np.float32),
+        np.zeros((3, cols), np.float32),
     )
 
 
@@ -65,7 +66,7 @@ def sum_blocks(planes: Planes, half: int, blocks: Blocks) -> None:
                 out[col] = (line[at] + line[at + 1]) + (line[at + 2] + line[at + 3])
 
 
-@compiled
+@nested
 def _add_squares(lift: Any, coarse: Any, large: Any, small: Any) -> None:
     for col in range(lift.size):
         fine = lift[col] - coarse[col]
@@ -79,7 +80,7 @@ def _sum_five(a: Any, b: Any, c: Any, d: Any, e: Any, out: Any) -> None:
         out[col] = c[col] + ((a[col] + e[col]) + (b[col] + d[col]))
 
 
-@compiled
+@nested
 def _sum_around(block: int, blocks: Blocks) -> None:
     """Write the sums over the 5 x 5 blocks around each one of a block row."""
     for part in range(4):
@@ -169,7 +170,7 @@ def weigh_blocks(block: int, smoothing: Smoothing, blocks: Blocks) -> None:
     _spread(values, blocks.spread)
 
 
-@compiled
+@nested
 def _spread(values: Any, out: Any) -> None:
     """Give every pixel the value of its block."""
     for part in range(values.shape[0]):

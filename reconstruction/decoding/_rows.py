@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from reconstruction.compiling import compiled, inlined
+from reconstruction.compiling import compiled, inlined, nested
 
 BIAS = 2.0**-112
 DROPPED = np.uint32(13)
@@ -46,14 +46,14 @@ def multiply(line: Any, factor: Any) -> None:
         line[col] *= factor[col]
 
 
-@compiled
+@nested
 def copy_row(line: Any, out: Any) -> None:
     # A loop: an assignment of slices compiles text for its errors, three seconds of it.
     for col in range(out.size):
         out[col] = line[col]
 
 
-@compiled
+@nested
 def move_row(line: Any, factor: Any, by: Any, out: Any) -> None:
     """Write line + factor by."""
     for col in range(out.size):

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from reconstruction.arrays import Reason
-from reconstruction.compiling import compiled, inlined
+from reconstruction.compiling import compiled, inlined, nested
 from reconstruction.decoding._rows import larger, smaller
 from reconstruction.rig.sensor import QUANTISATION_DN2
 
@@ -103,7 +103,7 @@ def noise_dn2(mean: Any, scale: Any, limits: Limits) -> Any:
     return scale * (scale * read + shot)
 
 
-@compiled
+@nested
 def _add_six(lines: Any, cosines: Any, sines: Any, sums: Sums) -> None:
     a, b, c, d, e, f = lines
     total, real, imag, square, high, low = sums
@@ -126,7 +126,7 @@ def _add_six(lines: Any, cosines: Any, sines: Any, sums: Sums) -> None:
         low[col] = smaller(smallest, bottom)
 
 
-@compiled
+@nested
 def _add_three(lines: Any, cosines: Any, sines: Any, sums: Sums) -> None:
     a, b, c = lines
     total, real, imag, square, high, low = sums
@@ -143,7 +143,7 @@ def _add_three(lines: Any, cosines: Any, sines: Any, sums: Sums) -> None:
         low[col] = smaller(smaller(smaller(x, y), z), bottom)
 
 
-@compiled
+@nested
 def _add_one(a: Any, cosine: Any, sine: Any, sums: Sums) -> None:
     total, real, imag, square, high, low = sums
     for col in range(a.size):
@@ -157,7 +157,7 @@ def _add_one(a: Any, cosine: Any, sine: Any, sums: Sums) -> None:
         low[col] = smaller(x, bottom)
 
 
-@compiled
+@nested
 def add_frames(frames: RowFrames, steps: int, shifts: Shifts, sums: Sums) -> None:
     """Write the sums of one fringe set over one row."""
     stack, first, row = frames
@@ -182,7 +182,7 @@ def add_frames(frames: RowFrames, steps: int, shifts: Shifts, sums: Sums) -> Non
         _add_one(stack[first + n, row], cosines[n], sines[n], sums)
 
 
-@compiled
+@nested
 def find_damaged(sums: Sums, scale: Any, limits: Limits, damaged: Any) -> Any:
     """Mark pixels with a clipped, lost or non-finite frame; return how many there are."""
     black, span = limits.black_level_dn, limits.clipped_from_dn - limits.black_level_dn
@@ -199,7 +199,7 @@ def find_damaged(sums: Sums, scale: Any, limits: Limits, damaged: Any) -> Any:
     return count
 
 
-@compiled
+@nested
 def finish_sums(steps: int, sums: Sums, fit: Fit) -> None:
     """Turn sums into A, B and the variance of the fit.
 
@@ -259,7 +259,7 @@ def mark_dark(white: Any, black: Any, scale: Any, limits: Limits, reason: Any) -
         reason[col] = code if is_lit else DARK
 
 
-@compiled
+@nested
 def level_row(
     frames: RowFrames, other: int, count: int, is_ordered: bool, mean: Any, modulation: Any
 ) -> None:
@@ -281,7 +281,7 @@ def level_row(
             modulation[col] += share * (step if is_ordered else abs(step))
 
 
-@compiled
+@nested
 def mark_faint(modulation: Any, limits: Limits, reason: Any) -> None:
     """Mark pixels whose contrast is below what was asked for."""
     for col in range(modulation.size):

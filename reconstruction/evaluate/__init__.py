@@ -1,19 +1,26 @@
-"""Dimensions of measured surfaces, each with a stated definition and a robust fit; lengths mm."""
+"""Dimensions of measured surfaces, each with a stated definition and a robust fit; lengths mm.
 
-from reconstruction.evaluate.fit import fit_sphere_algebraic
-from reconstruction.evaluate.plane import (
-    ArealRoughness,
-    BarWidth,
-    Flatness,
-    StepHeight,
-    areal_roughness,
-    bar_width,
-    break_width,
-    flatness,
-    slope_change_width,
-    step_height,
-)
-from reconstruction.evaluate.robust import BallFit, CylinderFit, fit_ball, fit_cylinder
+A module is imported when something of it is asked for: SciPy's optimisers take half a second.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from reconstruction.evaluate.fit import fit_sphere_algebraic
+    from reconstruction.evaluate.plane import (
+        ArealRoughness,
+        BarWidth,
+        Flatness,
+        StepHeight,
+        areal_roughness,
+        bar_width,
+        break_width,
+        flatness,
+        slope_change_width,
+        step_height,
+    )
+    from reconstruction.evaluate.robust import BallFit, CylinderFit, fit_ball, fit_cylinder
 
 __all__ = [
     "ArealRoughness",
@@ -32,3 +39,27 @@ __all__ = [
     "slope_change_width",
     "step_height",
 ]
+
+_PLACES = {
+    "fit_sphere_algebraic": "fit",
+    "ArealRoughness": "plane",
+    "BarWidth": "plane",
+    "Flatness": "plane",
+    "StepHeight": "plane",
+    "areal_roughness": "plane",
+    "bar_width": "plane",
+    "break_width": "plane",
+    "flatness": "plane",
+    "slope_change_width": "plane",
+    "step_height": "plane",
+    "BallFit": "robust",
+    "CylinderFit": "robust",
+    "fit_ball": "robust",
+    "fit_cylinder": "robust",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _PLACES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_PLACES[name]}"), name)

@@ -8,16 +8,15 @@ z, `offset_tilt` tilts them too, `rigid` moves and turns them freely. What the s
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
+from reconstruction.arrays import Alignment as Alignment
 from reconstruction.arrays import FloatArray
 from reconstruction.errors import FitError
 from reconstruction.evaluate.estimates import FittedDimension
 from reconstruction.evaluate.fit import inliers, p95_of_size, rms
 
-Alignment = Literal["none", "offset", "offset_tilt", "rigid"]
 ALIGNMENTS: tuple[Alignment, ...] = ("none", "offset", "offset_tilt", "rigid")
 Distance = Callable[[FloatArray], FloatArray]
 """Signed distance (n,) of points (n, xyz) from the surface, positive outside."""

@@ -22,13 +22,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from reconstruction.compiling import compiled, inlined
+from reconstruction.compiling import compiled, inlined, nested
 from reconstruction.decoding._rows import unpack_row
 from reconstruction.triangulation._ray import (
     MAX_STEPS,
     NO_POINT,
     Fringe,
     Lens,
+    Lines,
     Match,
     Motion,
     Pixels,
@@ -102,7 +103,7 @@ def _reach(t_square: float, air_mm: float, last_mm: float, rig: LayeredRig) -> A
     return reach, slope, q
 
 
-@compiled
+@nested
 def _enter_row(rays: Rays, rig: LayeredRig, entry: LayerEntry, reason: Any) -> None:
     T = rig.T_world_from_cam
     air_mm = T[2][3] - rig.tops_mm[0]
@@ -184,7 +185,7 @@ def _image(ray: Any, turn: Any, lens: Lens) -> Any:
     return lens.fx * xd + lens.cx, lens.fy * yd + lens.cy, us, vs, is_shown
 
 
-@compiled
+@nested
 def _meet_row(
     pixels: Pixels,
     match: Match,
@@ -221,7 +222,7 @@ def _meet_row(
         start = depth if is_there else start
 
 
-@compiled
+@nested
 def _place_row(
     entry: LayerEntry, floor_mm: float, sigma: Any, reason: Any, world: Any, spread: Any
 ) -> None:
@@ -238,14 +239,22 @@ def _place_row(
         spread[3 * col + 2] = sigma[col]
 
 
-@compiled
 def meet_rows_below(
     first_row: int, end_row: int, fringe: Fringe, match: Match, rig: LayeredRig, points: SpreadRows
 ) -> None:  # fmt: skip
     """Fill `points` of some rows; `reason` masks and is updated."""
     width = points.reason.shape[1]
-    lines, short = np.zeros((11, width)), np.zeros((7, width), np.float32)
-    rays = Rays(lines[0], lines[1], lines[2], lines[3], np.zeros(width, np.bool_))
+    work = Lines(np.zeros((11, width)), np.zeros((7, width), np.float32), np.zeros(width, np.bool_))
+    _meet_band(first_row, end_row, fringe, match, rig, work, points)
+
+
+@compiled
+def _meet_band(
+    first_row: int, end_row: int, fringe: Fringe, match: Match, rig: LayeredRig, work: Lines,
+    points: SpreadRows,
+) -> None:  # fmt: skip
+    lines, short = work.long, work.short
+    rays = Rays(lines[0], lines[1], lines[2], lines[3], work.mask)
     entry = LayerEntry(lines[4], lines[5], lines[6], lines[7], lines[8])
     view = ProjectorView(short[0], short[1], short[2], short[3], lines[9], lines[10])
     su, sv, sigma = short[4], short[5], short[6]

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from reconstruction.arrays import Reason
-from reconstruction.compiling import compiled, inlined
+from reconstruction.compiling import compiled, inlined, nested
 from reconstruction.decoding._rows import pack_row, unpack_row
 from reconstruction.rig.pinhole import (
     INVERSE_STEPS,
@@ -62,6 +62,14 @@ class Lens(NamedTuple):
     fold_square: float
 
 
+class Lines(NamedTuple):
+    """What a band of rows is worked out in; compiled code makes no arrays."""
+
+    long: Any  # (line, col) float64
+    short: Any  # (line, col) float32
+    mask: Any  # (col,) bool
+
+
 class Rays(NamedTuple):
     """Lines of one row: the rays (x, y, 1) in the camera frame, and where there is one.
 
@@ -90,7 +98,7 @@ def lens_of(device: Pinhole) -> Lens:
     )
 
 
-@compiled
+@nested
 def _newton_row(row: int, camera: Lens, rays: Rays) -> Any:
     """Improve the rays of a row by one Newton step; return how many have not converged."""
     x, y, x_bend, y_bend, found = rays
@@ -111,7 +119,7 @@ def _newton_row(row: int, camera: Lens, rays: Rays) -> Any:
     return pending
 
 
-@compiled
+@nested
 def _ideal_row(row: int, camera: Lens, rays: Rays) -> None:
     x, y, found = rays.x, rays.y, rays.found
     x_scale, y_target = 1.0 / camera.fx, (row - camera.cy) / camera.fy
@@ -119,7 +127,7 @@ def _ideal_row(row: int, camera: Lens, rays: Rays) -> None:
         x[col], y[col], found[col] = (col - camera.cx) * x_scale, y_target, True
 
 
-@compiled
+@nested
 def _forget_lost(found: Any, x_bend: Any, y_bend: Any) -> None:
     for col in range(found.size):
         x_bend[col] = x_bend[col] if found[col] else 0.0
@@ -224,7 +232,7 @@ def weights(su: Any, sv: Any, match: Match) -> Any:
     return (1.0, 0.0) if match.use_column else (0.0, 1.0)
 
 
-@compiled
+@nested
 def _start_row(
     rays: Rays,
     pixels: Pixels,
@@ -249,7 +257,7 @@ def _start_row(
         reason[col] = NO_POINT if (reason[col] == 0) & (not found[col]) else reason[col]
 
 
-@compiled
+@nested
 def _step_row(
     rays: Rays, pixels: Pixels, match: Match, rig: LensPair, is_last: bool, depth: Any,
     view: ProjectorView, reason: Any,
@@ -294,7 +302,7 @@ def _step_row(
     return pending
 
 
-@compiled
+@nested
 def judge_row(pixels: Pixels, match: Match, view: ProjectorView, sigma: Any, reason: Any) -> None:
     """Write the sigma of the depth, and mark coordinates that contradict the point."""
     su, sv = pixels.u_sigma, pixels.v_sigma
@@ -322,7 +330,7 @@ def judge_row(pixels: Pixels, match: Match, view: ProjectorView, sigma: Any, rea
         sigma[col] = s if code == VALID else ZERO
 
 
-@compiled
+@nested
 def _place_row(rays: Rays, depth: Any, reason: Any, T: Motion, world: Any) -> None:
     """Write the points in the world frame, x y z of one pixel after the other."""
     x, y = rays.x, rays.y
@@ -334,14 +342,22 @@ def _place_row(rays: Rays, depth: Any, reason: Any, T: Motion, world: Any) -> No
         world[3 * col + 2] = d * ray_z + T[2][3] if is_point else 0.0
 
 
-@compiled
 def meet_rows(
     first_row: int, end_row: int, fringe: Fringe, match: Match, rig: LensPair, points: PointRows
 ) -> None:  # fmt: skip
     """Fill `points` of some rows; `reason` masks and is updated."""
     width = points.reason.shape[1]
-    lines, short = np.zeros((7, width)), np.zeros((8, width), np.float32)
-    rays = Rays(lines[0], lines[1], lines[2], lines[3], np.zeros(width, np.bool_))
+    work = Lines(np.zeros((7, width)), np.zeros((8, width), np.float32), np.zeros(width, np.bool_))
+    _meet_band(first_row, end_row, fringe, match, rig, work, points)
+
+
+@compiled
+def _meet_band(
+    first_row: int, end_row: int, fringe: Fringe, match: Match, rig: LensPair, work: Lines,
+    points: PointRows,
+) -> None:  # fmt: skip
+    lines, short = work.long, work.short
+    rays = Rays(lines[0], lines[1], lines[2], lines[3], work.mask)
     depth = lines[4]
     view = ProjectorView(short[0], short[1], short[2], short[3], lines[5], lines[6])
     su, sv, sigma, spare = short[4], short[5], short[6], short[7]

@@ -8,12 +8,8 @@ ROOT = Path(__file__).parents[2]
 HEAVY = ("mitsuba", "drjit", "scipy", "xarray", "trimesh", "matplotlib", "skfem", "numba", "cv2")
 SHOW_HELP = """
 import sys
-from twin.cli import main
-sys.argv = ["twin", "--help"]
-try:
-    main()
-except SystemExit as end:
-    assert not end.code, end.code
+from twin.cli import run
+assert not run(["--help"])
 """
 
 
@@ -51,4 +47,13 @@ def test_a_dry_run_imports_nothing_that_it_does_not_need(tmp_path):
     modules = set(ended.stdout.split())
     assert "twin.study.sweep" in modules
     heavy = ("scipy.stats", "mitsuba", "drjit", "matplotlib", "xarray", "skfem", "optuna")
+    assert modules.isdisjoint(heavy), modules & set(heavy)
+
+
+def test_a_reconstruction_imports_nothing_that_it_does_not_need():
+    """Half of its start was what presses, fits and draws."""
+    ended = run_python("import sys\nimport twin.pipeline.captures\nprint(*sys.modules)")
+    assert ended.returncode == 0, ended.stderr
+    modules = set(ended.stdout.split())
+    heavy = ("scipy.optimize", "scipy.ndimage", "matplotlib", "trimesh", "skfem", "mitsuba")
     assert modules.isdisjoint(heavy), modules & set(heavy)

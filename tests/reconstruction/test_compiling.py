@@ -7,7 +7,7 @@ import textwrap
 import numpy as np
 
 from reconstruction import compiling, errors, machine, native, reading, sealing
-from reconstruction.decoding._decode import decode_rows
+from reconstruction.decoding._decode import decode_band
 
 
 def test_bands_cover_every_row_once():
@@ -54,7 +54,7 @@ def run_kernel(folder, files, program):
 
 def test_stored_kernels_depend_on_all_kernel_sources(tmp_path):
     """Why: numba itself would keep code into which another module's old function was inlined."""
-    cache_file = decode_rows._cache._cache_file
+    cache_file = decode_band._cache._cache_file
     assert cache_file._source_stamp == compiling.SOURCE_DIGEST
     program = """
         from reconstruction.compiling import compiled, inlined

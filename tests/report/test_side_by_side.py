@@ -1,56 +1,163 @@
 """Figures that a second process draws are those that this one draws, to the last byte."""
 
+import os
+import signal
+import time
+from functools import partial
+
 import pytest
 
 from twin.report import side_by_side
 from twin.report.measurement import write_report
-from twin.report.side_by_side import second_process
+from twin.report.page import Figure
+from twin.report.side_by_side import draw_side_by_side
 
 
-@pytest.fixture
+@pytest.fixture(autouse=True)
 def two_cores(monkeypatch):
     monkeypatch.setattr(side_by_side, "threads", lambda: 2)
 
 
-@pytest.fixture(scope="module")
-def alone(finished, tmp_path_factory):
-    """Every file of the report that one process draws, by name."""
-    return _written(finished, tmp_path_factory.mktemp("alone"))
+def figures(draw, count=6):
+    return [Figure(f"figure_{n}", "", "", "", draw) for n in range(count)]
 
 
-def _written(finished, into, second=None):
-    write_report(finished, into=into, second=second)
-    return {
-        path.relative_to(into).as_posix(): path.read_bytes()
-        for path in sorted(into.rglob("*"))
-        if path.is_file()
-    }
+def drawn(folder, draw, beside=lambda: None, count=6):
+    """Draw figures that write who drew them; returns that by name, and how often was told."""
+    told = []
+    draw_side_by_side(
+        figures(draw, count),
+        lambda figure: folder / figure.name,
+        lambda: told.append(1),
+        beside=beside,
+    )
+    return {path.name: int(path.read_text()) for path in folder.iterdir()}, len(told)
 
 
-def test_two_processes_write_the_report_of_one(two_cores, finished, alone, tmp_path):
-    drawn = []
-    with second_process() as second:
-        take, second.drawn = second.drawn, lambda wait: take(wait) and not drawn.append(wait)
-        assert _written(finished, tmp_path, second) == alone
-    assert drawn, "the second process drew nothing"
-    assert not second.asked
+def note_who(path):
+    path.write_text(str(os.getpid()))
 
 
-def test_a_second_process_that_ends_costs_nothing_but_time(two_cores, finished, alone, tmp_path):
-    with second_process() as second:
-        second._process.kill()
-        second._process.wait()
-        assert _written(finished, tmp_path, second) == alone
+def until_another_has_drawn(folder):
+    """Return what waits until the second process has drawn something."""
+
+    def wait():
+        while not any(folder.iterdir()):
+            time.sleep(0.001)
+
+    return wait
 
 
-def test_one_core_draws_alone(monkeypatch):
+def test_two_processes_write_the_report_of_one(finished, tmp_path):
+    for name, draw in (("one", None), ("two", draw_side_by_side)):
+        (tmp_path / name).mkdir()
+        chosen = {} if draw is None else {"draw": draw}
+        write_report(finished, into=tmp_path / name, **chosen)
+    one, two = (
+        {
+            path.relative_to(tmp_path / name).as_posix(): path.read_bytes()
+            for path in (tmp_path / name).rglob("*")
+            if path.is_file()
+        }
+        for name in ("one", "two")
+    )
+    assert one == two
+
+
+def test_the_second_process_draws_while_something_else_is_done(tmp_path):
+    found, told = drawn(tmp_path, note_who, until_another_has_drawn(tmp_path))
+    assert len(found) == told == 6
+    assert set(found.values()) - {os.getpid()}, "the second process drew nothing"
+
+
+def test_what_fails_in_the_second_process_is_drawn_here(tmp_path):
+    here = os.getpid()
+
+    def draw(path):
+        if os.getpid() != here:
+            raise ValueError("not here")
+        note_who(path)
+
+    found, told = drawn(tmp_path, draw, partial(time.sleep, 0.05))
+    assert set(found.values()) == {here}
+    assert len(found) == told == 6
+
+
+def test_a_second_process_that_hangs_is_ended(tmp_path, monkeypatch):
+    monkeypatch.setattr(side_by_side, "PATIENCE_S", 0.05)
+    here = os.getpid()
+
+    def draw(path):
+        if os.getpid() != here:
+            time.sleep(60)
+        note_who(path)
+
+    found, told = drawn(tmp_path, draw, partial(time.sleep, 0.05))
+    assert set(found.values()) == {here}
+    assert len(found) == told == 6
+    with pytest.raises(ChildProcessError):
+        os.waitpid(-1, os.WNOHANG)
+
+
+def test_a_failure_here_ends_the_second_process(tmp_path):
+    def fail():
+        raise OSError("no room")
+
+    with pytest.raises(OSError, match="no room"):
+        drawn(tmp_path, lambda path: time.sleep(60), fail)
+    with pytest.raises(ChildProcessError):
+        os.waitpid(-1, os.WNOHANG)
+
+
+def test_a_signal_to_the_second_process_is_not_ours(tmp_path):
+    here, told = os.getpid(), []
+    read, write = os.pipe()
+    os.set_blocking(write, False)
+    os.set_blocking(read, False)
+    before = signal.set_wakeup_fd(write)
+    handler = signal.signal(signal.SIGTERM, lambda *_: told.append(1))
+
+    def draw(path):
+        if os.getpid() != here:
+            os.kill(os.getpid(), signal.SIGTERM)
+            time.sleep(60)
+        note_who(path)
+
+    try:
+        found, _ = drawn(tmp_path, draw, partial(time.sleep, 0.05))
+        assert set(found.values()) == {here}
+        assert not told
+        with pytest.raises(BlockingIOError):
+            os.read(read, 1)
+    finally:
+        signal.signal(signal.SIGTERM, handler)
+        signal.set_wakeup_fd(before)
+        os.close(read)
+        os.close(write)
+
+
+def test_the_second_process_keeps_no_file_of_ours_open(tmp_path):
+    here = os.getpid()
+    with (tmp_path / "lock").open("w") as lock:
+        folder = tmp_path / "figures"
+        folder.mkdir()
+
+        def draw(path):
+            if os.getpid() != here:
+                with pytest.raises(OSError, match="Bad file descriptor"):
+                    os.fstat(lock.fileno())
+            note_who(path)
+
+        found, _ = drawn(folder, draw, until_another_has_drawn(folder))
+    assert set(found.values()) - {here}, "the second process failed"
+
+
+def test_one_core_draws_alone(tmp_path, monkeypatch):
     monkeypatch.setattr(side_by_side, "threads", lambda: 1)
-    with second_process() as second:
-        assert second is None
+    found, told = drawn(tmp_path, note_who)
+    assert set(found.values()) == {os.getpid()}
+    assert len(found) == told == 6
 
 
-def test_the_process_ends_with_its_work(two_cores):
-    with second_process() as second:
-        process = second._process
-        assert process.poll() is None
-    assert process.returncode is not None
+def test_nothing_to_draw_is_no_failure(tmp_path):
+    assert drawn(tmp_path, note_who, count=0) == ({}, 0)

@@ -19,8 +19,8 @@ from twin.adoption.adopt import Adopted, Given
 from twin.adoption.findings import rows_of, write_rig
 from twin.config import to_toml
 from twin.config.digest import content_digest
-from twin.output import EXPERIMENT_FILE
-from twin.results.parts import write_outcome, write_rows
+from twin.output import EXPERIMENT_FILE, write_outcome
+from twin.results.parts import write_rows
 
 COMMAND = "adopt"
 RIG_FILE, RESPONSE_FILE, NOISE_FILE = "rig.toml", "response.toml", "photon_transfer.csv"

@@ -120,14 +120,29 @@ def record_frame(
     (key, frame), pattern = place, (response, offset_e)
     # Slices of other arrays would be compiled for anew.
     plain = np.ascontiguousarray(radiance, np.float32)
-    _record(plain, pattern, sensor, small_counts(), key, np.uint32(frame), recorded)
+    lines = _lines(plain.shape[1])
+    _record(plain, pattern, sensor, small_counts(), key, np.uint32(frame), lines, recorded)
 
 
 def poisson_counts(mean: FloatImage, key: Key, frame: int = 0) -> FloatImage:
     """Return Poisson numbers, (row, col) float32, whole; of means (row, col) float32, e-."""
     counts = np.zeros(mean.shape, np.float32)
-    _draw(mean, small_counts(), key, np.uint32(frame), counts)
+    _draw(mean, small_counts(), key, np.uint32(frame), _lines(mean.shape[1]), counts)
     return counts
+
+
+class _Lines(NamedTuple):
+    """What a frame is worked out in, row by row; compiled code makes no arrays."""
+
+    words: NDArray[np.uint32]
+    mean: FloatImage
+    counts: FloatImage
+    read: FloatImage
+
+
+def _lines(cols: int) -> _Lines:
+    mean, counts, read = (np.zeros(cols, np.float32) for _ in range(3))
+    return _Lines(np.zeros((2, cols + cols % 2), np.uint32), mean, counts, read)
 
 
 @_inlined
@@ -281,22 +296,27 @@ def _draw_row(
 
 
 @_compiled
-def _draw(mean: Any, tables: Any, key: Any, frame: Any, counts: Any) -> None:
+def _draw(mean: Any, tables: Any, key: Any, frame: Any, lines: _Lines, counts: Any) -> None:
     """Draw Poisson numbers of the means of one frame."""
-    cols = mean.shape[1]
-    words, read = np.zeros((2, cols + cols % 2), np.uint32), np.zeros(cols, np.float32)
+    words, read = lines.words, lines.read
     for row in range(mean.shape[0]):
         _draw_row(mean[row], tables, key, (np.uint32(row), frame), words, counts[row], read)
 
 
 @_compiled
 def _record(
-    radiance: Any, pattern: Any, sensor: Any, tables: Any, key: Any, frame: Any, recorded: Any
+    radiance: Any,
+    pattern: Any,
+    sensor: Any,
+    tables: Any,
+    key: Any,
+    frame: Any,
+    lines: _Lines,
+    recorded: Any,
 ) -> None:
     response, offset_e = pattern
     rows, cols = radiance.shape
-    words, mean = np.zeros((2, cols + cols % 2), np.uint32), np.zeros(cols, np.float32)
-    counts, read = np.zeros(cols, np.float32), np.zeros(cols, np.float32)
+    words, mean, counts, read = lines
     for row in range(rows):
         for col in range(cols):
             light_e = radiance[row, col] * sensor.per_radiance

@@ -2,6 +2,7 @@
 
 import shutil
 import sys
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -364,8 +365,8 @@ def patterns(
     )
     from twin.config.digest import content_digest
     from twin.optics.light import pattern_set
-    from twin.output import EXPERIMENT_FILE, output_folder
-    from twin.results.parts import write_outcome, write_result
+    from twin.output import EXPERIMENT_FILE, output_folder, write_outcome
+    from twin.results.parts import write_result
 
     loaded = None if is_sequence(experiment) else load(experiment, settings)
     if loaded is None:
@@ -434,5 +435,6 @@ def _drawer(folder: Path) -> "Callable[..., Path]":
 
         return write_demo
     from twin.report.measurement import write_report
+    from twin.report.side_by_side import draw_side_by_side
 
-    return write_report
+    return partial(write_report, draw=draw_side_by_side)

@@ -2,6 +2,7 @@
 
 import sys
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
     from twin.config import Experiment
     from twin.pipeline.memory import Memory
     from twin.pipeline.progress import ProgressCallback
+    from twin.results.record import Measurement
 
 
 @app.command
@@ -255,23 +257,36 @@ def _measure(
     report: bool = True,
 ) -> None:
     from twin.output import RESULT_FILE, output_folder
+    from twin.pipeline.methods import measure_into, measure_whole
+    from twin.report.measurement import summary_table
     from twin.report.page import REPORT_FILE
-    from twin.report.side_by_side import second_process
 
-    # The second process imports what it draws with while this one measures.
-    with (
-        second_process(wanted=report) as second,
-        output_folder(out, inputs) as folder,
-        progress_bars() as watch,
-    ):
-        from twin.pipeline.methods import measure_into
-        from twin.report.measurement import summary_table, write_report
-
-        done = measure_into(folder, command, experiment, watch)
+    with output_folder(out, inputs) as folder, progress_bars() as watch:
         if report:
-            write_report(folder, watch, measured=done, second=second)
+            done = _write_with_report(folder, command, measure_whole(experiment, watch), watch)
+        else:
+            done = measure_into(folder, command, experiment, watch)
     say(summary_table(done))
     say(f"wrote {out / (REPORT_FILE if report else RESULT_FILE)}")
+
+
+def _write_with_report(
+    folder: Path, command: str, done: "Measurement", watch: "ProgressCallback"
+) -> "Measurement":
+    """Write a measurement and its report; figures are drawn while the arrays are written."""
+    from twin.report.measurement import write_report
+    from twin.report.side_by_side import draw_side_by_side
+    from twin.results.folder import as_stored, write_maps, write_told
+
+    def write() -> None:
+        watch("write", 0.0)
+        write_maps(folder, done)
+        watch("write", 1.0)
+
+    write_told(folder, command, done)
+    stored = as_stored(folder, done)
+    write_report(folder, watch, measured=stored, draw=partial(draw_side_by_side, beside=write))
+    return stored
 
 
 def _with_report(

@@ -57,10 +57,10 @@ def content_digest(*parts: object) -> str:
     return held.hexdigest()[:16]
 
 
-def _feed(take: Callable[[bytes], None], part: object) -> None:
+def _feed(take: Callable[[Any], None], part: object) -> None:
     if isinstance(part, np.ndarray):
         take(f"{part.dtype} {part.shape}".encode())
-        take(part.tobytes())
+        take(np.ascontiguousarray(part))  # by its own bytes: a capture has hundreds of MB
     elif is_dataclass(part) and not isinstance(part, type):
         for field in fields(part):
             _feed(take, getattr(part, field.name))

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from reconstruction.evaluate.deviation import Alignment
+from reconstruction.arrays import Alignment
 from twin.config.base import Fraction, Length, Model, NonNegative
 
 Quantity = Literal[

@@ -4,6 +4,8 @@ No frame is rendered, no noise drawn, nothing decoded; the stages before the fra
 measurement, and kept in the same memory.
 """
 
+from collections.abc import Callable
+
 from reconstruction.errors import InputError
 from twin.config.models import Experiment
 from twin.mechanics import PressedElastomer
@@ -27,25 +29,39 @@ def predicted(
     InputError : as `twin.pipeline.measure`
     MissingBackend : no usable Dr.Jit backend
     """
+    return _prediction(experiment, pressed, memory)()
+
+
+def _prediction(
+    experiment: Experiment, pressed: PressedFace, memory: Memory, ahead: bool = False
+) -> Callable[[], tuple[PredictedMaps, Truth]]:
+    """Trace, and return what predicts from it; in any thread, where images are made `ahead`."""
     geometry = loaded(experiment, pressed, memory)
     view = viewed(experiment, geometry, memory)
     rays = traced(experiment, geometry, view, memory)
     from twin.pipeline.trace import maps_of_patches
 
-    found = memory.recall(
-        "prediction",
-        experiment,
-        (view.token, rays.token),
-        lambda seen: predict(seen, maps_of_patches(rays.value, view.value), view.value.truth),
-    )
-    return found.value, view.value.truth
+    truth = view.value.truth
+    made = maps_of_patches(rays.value, view.value) if ahead else None
+
+    def predict_from(seen: Experiment) -> PredictedMaps:
+        return predict(seen, made or maps_of_patches(rays.value, view.value), truth)
+
+    inputs = view.token, rays.token
+    return lambda: (memory.recall("prediction", experiment, inputs, predict_from).value, truth)
 
 
-def bounds_of(experiment: Experiment, pressed: PressedFace, memory: Memory) -> dict[str, Metric]:
-    """Return the bounds of an experiment's measurands; empty where the trace alone has none."""
+def bounds_of(
+    experiment: Experiment, pressed: PressedFace, memory: Memory
+) -> Callable[[], dict[str, Metric]]:
+    """Trace, and return what finds the bounds of the measurands, in any thread: it renders nothing.
+
+    The bounds are empty where the trace alone has none.
+    """
     if not has_bound(experiment):
-        return {}
-    return bound_figures(experiment, *predicted(experiment, pressed, memory), pressed.pressed)
+        return dict
+    prediction = _prediction(experiment, pressed, memory, ahead=True)
+    return lambda: bound_figures(experiment, *prediction(), pressed.pressed)
 
 
 def bounds_alone(

@@ -46,9 +46,9 @@ from twin.config.board import BoardFile, BoardPose
 from twin.optics.board import render_board
 from twin.optics.light import pattern_set
 from twin.optics.rig import true_calibration
-from twin.output import EXPERIMENT_FILE
+from twin.output import EXPERIMENT_FILE, write_outcome
 from twin.pipeline.progress import ProgressCallback, no_progress
-from twin.results.parts import write_outcome, write_rows
+from twin.results.parts import write_rows
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,13 +9,13 @@ import tomli_w
 
 from reconstruction.arrays import ReasonImage
 from reconstruction.capture.folder import read_capture, read_uncalibrated
-from reconstruction.decoding.decode import Decoded, Reason
+from reconstruction.decoding.decode import Decoded, DecodeOptions, Reason
 from reconstruction.decoding.decode import decode as decode_stack
-from reconstruction.decoding.pictures import draw_decoded
 from reconstruction.evaluate.surface import write_surface
 from reconstruction.machine import run_side_by_side
 from reconstruction.pipeline import (
     Reconstruction,
+    ReconstructOptions,
     filter_bias,
     reconstruct,
     write_decoded,
@@ -24,10 +24,8 @@ from reconstruction.pipeline import (
 from reconstruction.triangulation import Use
 from twin.config.digest import content_digest
 from twin.config.models import Decode
-from twin.output import EXPERIMENT_FILE, output_folder
-from twin.pipeline.fringes import options_of
+from twin.output import EXPERIMENT_FILE, output_folder, write_outcome
 from twin.pipeline.progress import ProgressCallback, no_progress
-from twin.results.parts import write_outcome
 
 
 def reconstruct_capture(
@@ -49,16 +47,29 @@ def reconstruct_capture(
         axes = result.decoded.axes
         figures = reconstruction_metrics(result, decode.use if len(axes) == 2 else axes[0])
         maps = folder / "reconstruction.nc", result.decoded, result.point_map
+        digests: list[str] = []
         run_side_by_side(
             [
-                lambda: write_reconstruction(*maps),
                 lambda: write_surface(folder, result.point_map),
+                lambda: write_reconstruction(*maps),
+                lambda: digests.append(content_digest(decode, capture)),
             ]
         )
         settings = tomli_w.dumps({"decode": decode.model_dump(mode="json")})
         (folder / EXPERIMENT_FILE).write_text(settings, encoding="utf-8")
-        write_outcome(folder, "reconstruct", figures, digest=content_digest(decode, capture))
+        write_outcome(folder, "reconstruct", figures, digest=digests[0])
     return figures
+
+
+def options_of(decode: Decode) -> ReconstructOptions:
+    """Return the decoder's options as the experiment states them."""
+    return ReconstructOptions(
+        decode=DecodeOptions(
+            filter_taps=decode.filter_taps, filter_sigma_px=decode.filter_sigma_px
+        ),
+        use=decode.use,
+        through_layers=decode.through_layers,
+    )
 
 
 def reconstruction_metrics(result: Reconstruction, use: Use) -> dict[str, Any]:
@@ -87,6 +98,8 @@ def decode_capture(
     ------
     InputError : the capture is incomplete or damaged, or `out` cannot be written
     """
+    from reconstruction.decoding.pictures import draw_decoded
+
     with output_folder(out, [capture_folder]) as folder:
         watch("read", 0.0)
         capture = read_uncalibrated(capture_folder)

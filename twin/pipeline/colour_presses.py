@@ -27,10 +27,10 @@ from reconstruction.photometric.pictures import draw_heights
 from reconstruction.photometric.press_doubts import untouched_drift_mm
 from reconstruction.reading import MOST_IMAGE_BYTES, read_bytes, read_text
 from twin.config.digest import content_digest
-from twin.output import EXPERIMENT_FILE, output_folder
+from twin.output import EXPERIMENT_FILE, output_folder, write_outcome
 from twin.pipeline.captures import masked_by_reason
 from twin.pipeline.progress import ProgressCallback, no_progress
-from twin.results.parts import write_outcome, write_rows
+from twin.results.parts import write_rows
 
 HEIGHT_FILE, POINTS_FILE, CALIBRATION_FILE = "height.nc", "points.ply", "sensor_calibration.npz"
 PRESSES_FOLDER, PRESSES_FILE, HEIGHTS_FILE = "presses", "presses.csv", "heights.png"

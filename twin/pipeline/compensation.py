@@ -43,12 +43,11 @@ from twin.mechanics.choice import may_wrap
 from twin.mechanics.hardness import young_modulus
 from twin.mechanics.layer import BondedLayer
 from twin.mechanics.layouts import WINDOW_MARGIN, coat_film
-from twin.output import EXPERIMENT_FILE, output_folder
+from twin.output import EXPERIMENT_FILE, output_folder, write_outcome
 from twin.pipeline.dimensions import RECONSTRUCTION_FILE
 from twin.pipeline.progress import ProgressCallback, no_progress
 from twin.results.compensated import contact_arrays, object_figures, object_points
 from twin.results.names import COMPENSATED, may_compensate
-from twin.results.parts import write_outcome
 from twin.results.record import Fringes, Measurement
 from twin.specimens import shape_of
 

@@ -7,16 +7,16 @@ same way with an empty memory.
 """
 
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from reconstruction.capture.folder import Capture
-from reconstruction.decoding.decode import DecodeOptions
 from reconstruction.errors import InputError
-from reconstruction.pipeline import Reconstruction, ReconstructOptions, reconstruct
+from reconstruction.pipeline import Reconstruction, reconstruct
 from twin.camera import expose
 from twin.config import digest
-from twin.config.models import Decode, Experiment
+from twin.config.models import Experiment
 from twin.mechanics import PressedElastomer, face_mesh
 from twin.optics.backend import activate
 from twin.optics.checks import check_direct_engine
@@ -24,9 +24,11 @@ from twin.optics.light import pattern_set
 from twin.optics.rig import true_calibration
 from twin.optics.stack import RadianceStack
 from twin.output import versions
+from twin.pipeline.captures import options_of as options_of
 from twin.pipeline.memory import Kept, Memory
 from twin.pipeline.press import PressedFace, press
 from twin.pipeline.progress import Stopwatch
+from twin.results.figures import Metrics
 from twin.results.parts import taken_figures
 from twin.results.record import Fringes, Measurement, Recording
 from twin.results.score import metrics, score
@@ -38,6 +40,7 @@ if TYPE_CHECKING:
     from twin.pipeline.trace import Geometry, View
 
 Progress = Callable[[float], None]
+BoundsOf = Callable[[Experiment, PressedFace, Memory], Callable[[], Metrics]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,24 +57,36 @@ class RunContext:
         return cls(Memory(), clock or Stopwatch(), trial)
 
 
-def measure_fringes(experiment: Experiment, run: RunContext) -> Measurement:
+def measure_fringes(
+    experiment: Experiment, run: RunContext, bounds_of: BoundsOf | None = None
+) -> Measurement:
     """Run one measurement, each stage only where no kept result is the same.
+
+    Parameters
+    ----------
+    bounds_of : traces, and returns what finds further figures beside the stages after the trace
 
     Raises
     ------
     InputError, MissingBackend : as `twin.pipeline.measure`
     """
     pressed, capture = _taken(experiment, run)
-    with run.clock.stage("reconstruct"):
-        points = run.memory.recall(
-            "reconstruction",
-            experiment,
-            capture.token,
-            lambda seen: reconstruct(capture.value.capture, options_of(seen.decode)),
-        ).value
-    with run.clock.stage("score"):
-        done = evaluate(experiment, pressed, capture.value, points)
-    return replace(done, seconds=run.clock.seconds)
+    with ThreadPoolExecutor(1) as beside:
+        further = None
+        if bounds_of is not None and pressed is not None:
+            further = beside.submit(bounds_of(experiment, pressed, run.memory))
+        with run.clock.stage("reconstruct"):
+            points = run.memory.recall(
+                "reconstruction",
+                experiment,
+                capture.token,
+                lambda seen: reconstruct(capture.value.capture, options_of(seen.decode)),
+            ).value
+        with run.clock.stage("score"):
+            face = None if pressed is None else pressed.pressed
+            done = evaluate(experiment, face, capture.value, points)
+            figures = {} if further is None else further.result()
+    return replace(done, metrics={**done.metrics, **figures}, seconds=run.clock.seconds)
 
 
 def evaluate(
@@ -111,7 +126,7 @@ def take(
     MissingBackend : no usable Dr.Jit backend
     """
     pressed, capture = _taken(experiment, RunContext.alone(clock, trial))
-    return pressed, capture.value
+    return None if pressed is None else pressed.pressed, capture.value
 
 
 def record(
@@ -195,17 +210,6 @@ def expose_capture(
     return Recording(radiance, capture, exposed.exposure_ms)
 
 
-def options_of(decode: Decode) -> ReconstructOptions:
-    """Return the decoder's options as the experiment states them."""
-    return ReconstructOptions(
-        decode=DecodeOptions(
-            filter_taps=decode.filter_taps, filter_sigma_px=decode.filter_sigma_px
-        ),
-        use=decode.use,
-        through_layers=decode.through_layers,
-    )
-
-
 def decoding_warnings(experiment: Experiment) -> list[str]:
     """Say what the decoder is told to leave out, one line each."""
     if experiment.decode.through_layers or not experiment.layers:
@@ -231,9 +235,7 @@ def check_layers(experiment: Experiment) -> None:
         )
 
 
-def _taken(
-    experiment: Experiment, run: RunContext
-) -> tuple[PressedElastomer | None, Kept[Recording]]:
+def _taken(experiment: Experiment, run: RunContext) -> tuple[PressedFace | None, Kept[Recording]]:
     if not experiment.method.fringes:
         raise InputError(
             f"modality = '{experiment.modality}' takes one colour image and no fringe stack; use"
@@ -243,7 +245,7 @@ def _taken(
         return None, _recorded(experiment, None, run)
     with run.clock.stage("press"):
         pressed = press(experiment, run.memory)
-    return pressed.pressed, _recorded(experiment, pressed, run)
+    return pressed, _recorded(experiment, pressed, run)
 
 
 def _recorded(

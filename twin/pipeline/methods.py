@@ -1,6 +1,5 @@
 """Run one virtual measurement by whichever method the experiment names: the one place to choose."""
 
-from dataclasses import replace
 from pathlib import Path
 
 from twin.config import Experiment
@@ -11,9 +10,7 @@ from twin.pipeline.colours import check_sensor, measure_colours
 from twin.pipeline.compensation import with_compensation
 from twin.pipeline.fringes import RunContext, check_layers, measure_fringes
 from twin.pipeline.memory import Memory
-from twin.pipeline.press import press
 from twin.pipeline.progress import ProgressCallback, Stopwatch, no_progress
-from twin.results.bound import has_bound
 from twin.results.features import check_measurands
 from twin.results.folder import as_stored, write_measurement
 from twin.results.record import Measurement
@@ -42,12 +39,9 @@ def measure(
     """
     check_measurands(experiment)
     run = RunContext(Memory() if memory is None else memory, Stopwatch(watch), trial)
-    by_method = measure_fringes if experiment.method.fringes else measure_colours
-    done = by_method(experiment, run)
-    if not bound or not has_bound(experiment):
-        return done
-    found = bounds_of(experiment, press(experiment, run.memory), run.memory)
-    return replace(done, metrics={**done.metrics, **found})
+    if not experiment.method.fringes:
+        return measure_colours(experiment, run)
+    return measure_fringes(experiment, run, bounds_of if bound else None)
 
 
 def measure_into(
@@ -65,15 +59,28 @@ def measure_into(
     ------
     InputError, MissingBackend : as `measure`
     """
+    done = measure_whole(experiment, watch, memory)
+    watch("write", 0.0)
+    write_measurement(folder, command, done)
+    watch("write", 1.0)
+    return as_stored(folder, done)
+
+
+def measure_whole(
+    experiment: Experiment, watch: ProgressCallback = no_progress, memory: Memory | None = None
+) -> Measurement:
+    """Measure, with the figures that a result folder holds: bounds, and the object behind the coat.
+
+    Raises
+    ------
+    InputError, MissingBackend : as `measure`
+    """
     done = measure(experiment, watch, memory, bound=True)
     if done.pressed is not None:
         watch("compensate", 0.0)
         done = with_compensation(done)
         watch("compensate", 1.0)
-    watch("write", 0.0)
-    write_measurement(folder, command, done)
-    watch("write", 1.0)
-    return as_stored(folder, done)
+    return done
 
 
 def check_measurable(experiment: Experiment) -> None:

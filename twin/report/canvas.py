@@ -47,6 +47,7 @@ _STYLE: Any = {
     "axes.titlesize": 10.0,
     "axes.titlelocation": "left",
     "axes.titlepad": 6.0,
+    "axes.titley": 1.0,  # else every tick label is laid out once more, to see what it pushes up
     "axes.axisbelow": True,
     "grid.color": GRID,
     "grid.linewidth": 0.6,

@@ -5,7 +5,6 @@ in words for a terminal (`sentences`); what all pages share is put together here
 """
 
 import textwrap
-from functools import partial
 from pathlib import Path
 from typing import Protocol
 
@@ -13,8 +12,16 @@ from twin.pipeline.progress import ProgressCallback, no_progress
 from twin.report.certificate import certificate
 from twin.report.experiment import appendix
 from twin.report.object import object_section, object_sentence, object_verdict
-from twin.report.page import REPORT_FILE, STAGE, Page, Section, Verdict, one_by_one, write_page
-from twin.report.side_by_side import SecondProcess, draw_figures
+from twin.report.page import (
+    REPORT_FILE,
+    STAGE,
+    Drawer,
+    Page,
+    Section,
+    Verdict,
+    one_by_one,
+    write_page,
+)
 from twin.report.spheres import fit_table
 from twin.report.view import view_section
 from twin.results.folder import read_measurement
@@ -42,7 +49,7 @@ def write_report(
     watch: ProgressCallback = no_progress,
     into: Path | None = None,
     measured: Measurement | None = None,
-    second: SecondProcess | None = None,
+    draw: Drawer = one_by_one,
 ) -> Path:
     """Write `report.html` and `figures/*.png` of a finished measurement; return the page.
 
@@ -51,7 +58,7 @@ def write_report(
     folder : result folder of `twin measure` or `twin demo`; nothing else is read
     into : existing folder to write into instead
     measured : what the folder holds, where that is at hand
-    second : process that draws some of the figures
+    draw : draws the figures; `draw_side_by_side` of `twin.report.side_by_side`: in two processes
 
     Raises
     ------
@@ -60,7 +67,6 @@ def write_report(
     """
     watch(STAGE, 0.0)
     page = page_of(measured or read_measurement(folder))
-    draw = one_by_one if second is None else partial(draw_figures, second=(second, folder))
     return write_page((into or folder) / REPORT_FILE, page, watch, draw)
 
 

@@ -1,141 +1,150 @@
-"""A second process that draws figures of a measurement's page while this one draws the others.
+"""Figures of a page drawn by two processes, while files are written: Matplotlib draws on one core.
 
-Matplotlib draws on one core. The process imports what it needs while the measurement still runs,
-then answers requests, one line of JSON each way; it ends when its input does. It draws from the
-folder what this process draws from memory: the same bytes.
+The second process is a copy of this one (fork) that has all it draws in its memory: it loads, reads
+and scores nothing. Both take the next figure from one queue, a pipe of numbers. The copy lacks the
+threads of this process, so that it must not render, and it ends without Python's own end. It keeps
+no file of this process open: the lock of a working folder must not outlive its owner.
 """
 
-import json
+import gc
 import os
 import select
-import subprocess
-import sys
-from collections import deque
+import signal
+import struct
+import warnings
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import NoReturn
 
 from reconstruction.machine import threads
-from twin.report.page import Figure, figures_in
+from twin.report.page import Figure
 
-_AHEAD = 2
-"""Requests under way: the next one is there when a figure is done."""
+PATIENCE_S = 60.0
+"""A copy that has not ended so long after this process hangs: a figure takes less than a second."""
 
-
-class SecondProcess:
-    """The process; `asked` are the figures that it has not drawn yet."""
-
-    def __init__(self, process: "subprocess.Popen[bytes]") -> None:
-        self._process = process
-        self.asked: deque[Figure] = deque()
-
-    def ask(self, folder: Path, figure: Figure, picture: Path) -> bool:
-        """Ask for a figure of the measurement in `folder`; False where the process is gone."""
-        request = {"folder": str(folder), "name": figure.name, "picture": str(picture)}
-        try:
-            self._input.write(f"{json.dumps(request)}\n".encode())
-        except OSError:
-            return False
-        self.asked.append(figure)
-        return True
-
-    def drawn(self, wait: bool) -> bool:
-        """Tell whether the figure asked for first is drawn; False also where it never will be."""
-        if not wait and not select.select([self._output], [], [], 0.0)[0]:
-            return False
-        done: bool = self._output.readline() == f"{self.asked[0].name}\n".encode()
-        if done:
-            self.asked.popleft()
-        return done
-
-    @property
-    def _input(self) -> Any:
-        return self._process.stdin
-
-    @property
-    def _output(self) -> Any:
-        return self._process.stdout
+_NUMBER = struct.Struct("<H")
+_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
-@contextmanager
-def second_process(wanted: bool = True) -> Iterator[SecondProcess | None]:
-    """Yield the process, which is ended afterwards; None on one core, or where it cannot start."""
-    if not wanted or threads() < 2 or os.name != "posix":
-        yield None
-        return
-    command = [sys.executable, "-m", __name__]
-    pipes: Any = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "bufsize": 0}
-    same = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
-    try:
-        process = subprocess.Popen(command, stderr=subprocess.DEVNULL, env=same, **pipes)
-    except OSError:
-        yield None
-        return
-    try:
-        yield SecondProcess(process)
-    finally:
-        process.kill()
-        with process:
-            pass
-
-
-def draw_figures(
+def draw_side_by_side(
     figures: Sequence[Figure],
     place: Callable[[Figure], Path],
     told: Callable[[], None],
-    second: tuple[SecondProcess, Path] | None = None,
+    beside: Callable[[], object] = lambda: None,
 ) -> None:
-    """Draw figures: from the first on here, from the last on in the second process.
+    """Draw figures here and in a second process; here alone where there is one core.
 
     Parameters
     ----------
     place : where a figure's picture goes
-    told : called after each
-    second : the process, and the folder of the measurement that it reads
+    told : called once for each
+    beside : done here first, while the second process draws already
     """
-    waiting = deque(figure for figure in figures if figure.draw is not None)
-    other, folder = second or (None, Path())
-    while waiting or (other and other.asked):
-        while other and waiting and len(other.asked) < _AHEAD:
-            if not other.ask(folder, waiting[-1], place(waiting[-1])):
-                break
-            waiting.pop()
-        if waiting:
-            figure = waiting.popleft()
-            assert figure.draw is not None
-            figure.draw(place(figure))
+    queue, left, parent = _queue(len(figures)), dict(enumerate(figures)), os.getpid()
+
+    def draw_taken(told: Callable[[], None]) -> None:
+        for number in _taken(queue):
+            _draw(left.pop(number), place)
             told()
-        while other and other.asked:
-            if other.drawn(wait=not waiting):
-                told()
-            elif waiting:
-                break
-            else:  # it has failed: what it was asked for is drawn here, and the reason told
-                waiting, other = other.asked, None
+
+    def orphaned() -> None:
+        if os.getppid() != parent:
+            raise ChildProcessError(f"process {parent} has ended")
+
+    with (
+        os.fdopen(queue, "rb", buffering=0),
+        _second_process(lambda: draw_taken(orphaned), queue) as has_drawn,
+    ):
+        beside()
+        draw_taken(told)
+        is_drawn = has_drawn()
+    for figure in left.values():
+        if not is_drawn:  # what failed there fails here, and is told
+            _draw(figure, place)
+        told()
 
 
-def _serve() -> None:
-    """Draw what is asked for, until the input ends or something fails."""
-    from twin.report import contact as contact  # imported ahead: most pages need it
-    from twin.report.measurement import page_of
-    from twin.results.folder import read_measurement
-
-    known: dict[str, dict[str, Figure]] = {}
-    for line in sys.stdin:
-        request = json.loads(line)
-        folder = request["folder"]
-        if folder not in known:
-            page = page_of(read_measurement(Path(folder)))
-            found = (figure for section in page.sections for figure in figures_in(section))
-            known = {folder: {figure.name: figure for figure in found}}
-        draw = known[folder][request["name"]].draw
-        assert draw is not None
-        draw(Path(request["picture"]))
-        sys.stdout.write(f"{request['name']}\n")
-        sys.stdout.flush()
+def _draw(figure: Figure, place: Callable[[Figure], Path]) -> None:
+    if figure.draw is not None:
+        figure.draw(place(figure))
 
 
-if __name__ == "__main__":
-    with suppress(KeyboardInterrupt):
-        _serve()
+def _queue(count: int) -> int:
+    """Return a pipe with the numbers below `count`, each for the process that reads it first."""
+    queue, end = os.pipe()
+    with os.fdopen(end, "wb") as numbers:
+        numbers.write(b"".join(map(_NUMBER.pack, range(count))))
+    return queue
+
+
+def _taken(queue: int) -> Iterator[int]:
+    while number := os.read(queue, _NUMBER.size):
+        yield _NUMBER.unpack(number)[0]
+
+
+@contextmanager
+def _second_process(work: Callable[[], None], queue: int) -> Iterator[Callable[[], bool]]:
+    """Let a copy of this process work; yields what waits for it and tells whether it went well."""
+    if threads() < 2 or not hasattr(os, "fork"):
+        yield lambda: False
+        return
+    alive, end = os.pipe()
+    with os.fdopen(alive, "rb", buffering=0):
+        try:
+            child = _forked(work, (queue, end))
+        except OSError:  # no room for a copy
+            child = None
+        finally:
+            os.close(end)
+        status: list[int] = []
+
+        def has_ended_well() -> bool:
+            # Only the copy has the other end, which the system closes when it ends.
+            if child is None or not select.select([alive], [], [], PATIENCE_S)[0]:
+                return False
+            status.append(os.waitpid(child, 0)[1])
+            return status == [0]
+
+        try:
+            yield has_ended_well
+        finally:
+            if child is not None and not status:
+                os.kill(child, signal.SIGKILL)
+                os.waitpid(child, 0)
+
+
+def _forked(work: Callable[[], None], kept: Sequence[int]) -> int:
+    """Start a copy that does some work and ends; `kept` are the files that it has of this one."""
+    # Handlers would write into the pipe that ends this process (`working.end_within`).
+    held = signal.pthread_sigmask(signal.SIG_BLOCK, _SIGNALS)
+    try:
+        with warnings.catch_warnings():
+            # Of threads that the copy lacks, from Python 3.12 on: it needs none of them.
+            warnings.simplefilter("ignore", DeprecationWarning)
+            child = os.fork()
+        if not child:
+            _work_and_end(work, kept, held)
+        return child
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, held)
+
+
+def _work_and_end(work: Callable[[], None], kept: Sequence[int], mask: object) -> NoReturn:
+    status = 1
+    try:
+        gc.disable()  # a collection would copy all memory that both share
+        signal.set_wakeup_fd(-1)
+        for number in _SIGNALS:
+            if signal.getsignal(number) is not signal.SIG_IGN:
+                signal.signal(number, signal.SIG_DFL)
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)  # type: ignore[arg-type]
+        first = 3
+        for file in sorted(kept):
+            os.closerange(first, file)
+            first = file + 1
+        os.closerange(first, os.sysconf("SC_OPEN_MAX"))
+        work()
+        status = 0
+    finally:
+        os._exit(status)  # nothing of the caller's is unwound a second time

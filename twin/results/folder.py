@@ -102,6 +102,18 @@ _NEEDED_OF_A_PRESS = (
 
 def write_measurement(folder: Path, command: str, done: Measurement) -> None:
     """Write everything of one measurement into an empty folder; `command` is who asked."""
+    write_told(folder, command, done)
+    write_maps(folder, done)
+
+
+def write_told(folder: Path, command: str, done: Measurement) -> None:
+    """Write what is told in words and figures, the small files; `command` is who asked."""
+    write_result(folder, command, done.experiment, done.metrics)
+    write_timings(folder, done.seconds)
+
+
+def write_maps(folder: Path, done: Measurement) -> None:
+    """Write the arrays of one measurement: all but `write_told`."""
     run_side_by_side(
         [
             lambda: write_kept(folder, done, ("points",)),
@@ -113,8 +125,6 @@ def write_measurement(folder: Path, command: str, done: Measurement) -> None:
         _write_white(folder / "white.exr", done.images)
     else:
         _write_decoding(folder, done.images)
-    write_result(folder, command, done.experiment, done.metrics)
-    write_timings(folder, done.seconds)
 
 
 def write_kept(folder: Path, done: Measurement, keep: tuple[str, ...]) -> None:
@@ -179,7 +189,7 @@ def read_measurement(folder: Path) -> Measurement:
 
 
 def as_stored(folder: Path, done: Measurement) -> Measurement:
-    """Return a measurement as `read_measurement` does, once `write_measurement` has written it.
+    """Return a measurement as `read_measurement` does, once `write_told` has written it.
 
     Only the small files are read; the arrays are at hand.
     """

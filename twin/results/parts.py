@@ -38,7 +38,7 @@ from twin.mechanics import (
     write_press,
 )
 from twin.optics.stack import Truth
-from twin.output import EXPERIMENT_FILE, RESULT_FILE, versions, write_json
+from twin.output import EXPERIMENT_FILE, write_json, write_outcome
 from twin.results.figures import Metric, Metrics
 from twin.results.nuts import nut_figures
 from twin.results.record import Recording
@@ -72,12 +72,6 @@ def write_result(folder: Path, command: str, experiment: Experiment, figures: Me
     """
     (folder / EXPERIMENT_FILE).write_text(to_toml(experiment), encoding="utf-8")
     write_outcome(folder, command, figures, name=experiment.name, digest=digest(experiment))
-
-
-def write_outcome(folder: Path, command: str, figures: Metrics, **named: str) -> None:
-    """Write result.json: the figures, which command and versions made them, and what names them."""
-    content = {"command": command, "metrics": figures, "versions": versions(), **named}
-    write_json(folder / RESULT_FILE, {"schema_version": 1, **content})
 
 
 def write_rows(path: Path, rows: Sequence[Metrics], digits: int) -> None:
@@ -278,12 +272,11 @@ def transfer_metrics(transfer: ContactTransfer) -> Metrics:
 
 def recording_metrics(recording: Recording) -> dict[str, float]:
     """Figures of the recording."""
+    clipped = recording.capture.stack >= recording.capture.sensor.clipped_from_dn
     return {
         "exposure_ms": recording.exposure_ms,
         "frames": len(recording.capture.patterns.frames),
-        "saturated_share": float(
-            (recording.capture.stack >= recording.capture.sensor.clipped_from_dn).mean()
-        ),
+        "saturated_share": int(np.count_nonzero(clipped)) / clipped.size,
     }
 
 

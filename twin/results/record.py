@@ -88,7 +88,7 @@ class Fringes:
         """
         return read_capture(self.stored) if isinstance(self.stored, Path) else self.stored
 
-    @property
+    @cached_property
     def points(self) -> SurfacePoints:
         """The point map."""
         found = self.reconstruction.point_map

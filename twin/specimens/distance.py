@@ -344,7 +344,8 @@ def _half_space(
         at = normal[0] * points[i, 0] + normal[1] * points[i, 1] + normal[2] * points[i, 2]
         distance[i] = at - offset
         if distance[i] <= reach:
-            gradient[i] = normal
+            for k in range(3):  # as a slice it compiles text for its errors, two seconds of it
+                gradient[i, k] = normal[k]
 
 
 @compiled  # type: ignore[untyped-decorator]

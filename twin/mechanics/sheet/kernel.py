@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from reconstruction.arrays import FloatArray
-from twin.mechanics.sheet.laws import Rest, inlined, kernel
+from twin.mechanics.sheet.laws import Grip, Rest, inlined, kernel
 from twin.mechanics.sheet.point import Asked, At, Felt, Point, point_scratch, potentials
 from twin.mechanics.sheet.tangent import fill_tangent
 
@@ -58,7 +58,6 @@ def scratch() -> Scratch:
     return Scratch(point_scratch(), cell)
 
 
-@kernel
 def assemble_rows(
     rows: tuple[int, int],
     c: FloatArray,
@@ -78,6 +77,26 @@ def assemble_rows(
     work : Scratch
     sums : Assembled, added to
     """
+    held, anchor, normal = map(np.ascontiguousarray, felt.grip)
+    plain = felt._replace(grip=Grip(held, anchor, normal))
+    _assemble_rows(rows, np.ascontiguousarray(c), _contiguous(rest), plain, asked, work, sums)
+
+
+def _contiguous(rest: Rest) -> Rest:
+    """Return it as it lies in a whole sheet: windows of arrays would be compiled for anew."""
+    return Rest(*map(np.ascontiguousarray, rest))
+
+
+@kernel
+def _assemble_rows(
+    rows: tuple[int, int],
+    c: FloatArray,
+    rest: Rest,
+    felt: Felt,
+    asked: Asked,
+    work: Scratch,
+    sums: Assembled,
+) -> None:
     point, cell = work.point, work.cell
     energy, F, S = sums.energy, sums.forces, sums.tangent
     N, plain = cell.functions, cell.plain
@@ -109,7 +128,6 @@ def assemble_rows(
         energy[j_row] = total
 
 
-@kernel
 def surface_rows(
     first: int,
     end: int,
@@ -120,6 +138,19 @@ def surface_rows(
     out: FloatArray,
 ) -> None:
     """Fill out (row, col, 4, 3, 3) with r, r_1 and r_2 at the Gauss points of some cell rows."""
+    _surface_rows(first, end, np.ascontiguousarray(c), _contiguous(rest), N, plain, out)
+
+
+@kernel
+def _surface_rows(
+    first: int,
+    end: int,
+    c: FloatArray,
+    rest: Rest,
+    N: FloatArray,
+    plain: FloatArray,
+    out: FloatArray,
+) -> None:
     for j_row in range(first, end):
         for i_col in range(rest.area_mm2.shape[1]):
             for q in range(4):

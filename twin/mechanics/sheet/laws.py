@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
 from reconstruction.arrays import FloatArray
-from reconstruction.compiling import compile_and_keep, digest_of_sources
+from reconstruction.compiling import NESTED, compile_and_keep, digest_of_sources
 
 # Sums may be reordered for vector units: results are compared with tolerances that know of it.
 _OPTIONS: dict[str, Any] = {
@@ -38,7 +38,7 @@ def kernel(function: Function) -> Function:
 
 def inlined(function: Function) -> Function:
     """Compile into the callers: for what runs once per Gauss point."""
-    return compile_and_keep(function, _OPTIONS | {"forceinline": True}, _SOURCE_DIGEST)
+    return compile_and_keep(function, _OPTIONS | NESTED | {"forceinline": True}, _SOURCE_DIGEST)
 
 
 class Rest(NamedTuple):

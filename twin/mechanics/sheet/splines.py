@@ -55,7 +55,7 @@ class SplineLine:
     @cached_property
     def table(self) -> FloatArray:
         """(cell, 2, derivative 0 to 2, 3) the functions of each cell at its Gauss points."""
-        return self.at(self.points.ravel())[1].reshape(self.cells, 2, 3, 3)
+        return np.ascontiguousarray(self.at(self.points.ravel())[1]).reshape(self.cells, 2, 3, 3)
 
     def at(self, places: FloatArray) -> tuple[np.ndarray, FloatArray]:
         """Return (n,) cell and (n, derivative 0 to 2, 3) functions of that cell at `places`."""
