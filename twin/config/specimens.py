@@ -97,7 +97,9 @@ class Rods(Specimen):
     )
     gap_mm: OptionalSize = Field(default=1.0, description="clearance between neighbours")
     length_mm: Size = 12.0
-    edge_radius_mm: Size = Field(default=0.1, description="rounding of the end faces' edge")
+    edge_radius_mm: Size = Field(
+        default=0.1, description="rounding of the end faces' edge and of the plate's edges"
+    )
     plate_mm: Size = Field(default=2.0, description="thickness of the plate")
     margin_mm: OptionalSize = Field(default=1.0, description="plate beyond the outermost rods")
     bead_mm: Size = Field(default=0.5, description="width of the cement bead under each rod")
@@ -148,7 +150,9 @@ class Bars(Specimen):
     gap_mm: OptionalSize = Field(default=1.0, description="clearance between neighbours")
     height_mm: Size = Field(default=1.5, description="assumed: above the plate")
     length_mm: Size = 15.0
-    edge_radius_mm: OptionalSize = Field(default=0.1, description="assumed: rounding of all edges")
+    edge_radius_mm: OptionalSize = Field(
+        default=0.1, description="assumed: rounding of all edges, the plate's as well"
+    )
     plate_mm: Size = Field(default=2.0, description="thickness of the plate")
     margin_mm: OptionalSize = Field(default=1.0, description="plate beyond the row")
 

@@ -38,9 +38,13 @@ def _bead(x_mm: float, diameter_mm: float, rods: Rods) -> Shape:
 
 
 def _plate(artefact: Rods | Bars, width_mm: float) -> Shape:
-    """Return the plate under a row of this width, its upper face z = 0."""
+    """Return the plate under a row of this width, its upper face z = 0, edges as the row's.
+
+    No cut edge is perfectly sharp, and a thin sheet would hang on one point by point.
+    """
     x, y = width_mm / 2 + artefact.margin_mm, artefact.length_mm / 2 + artefact.margin_mm
-    return block((-x, -y, -artefact.plate_mm), (x, y, 0.0), 0.0)
+    edge_mm = min(artefact.edge_radius_mm, artefact.plate_mm / 4)
+    return block((-x, -y, -artefact.plate_mm), (x, y, 0.0), edge_mm)
 
 
 @register("bar")

@@ -23,9 +23,6 @@ _REGRIP_EVERY = 4
 #: thickness over its undeformed value
 _FILM = 0.1
 _LEAST_VISCOSITY, _CONVEX_FROM, _MOST_VISCOSITY = 1.0, 1e4, 1e15
-# Little viscosity keeps most of what the exact tangent knows. As much as the worst point of a sheet
-# that slips may need would hold all of it back.
-_CONVEX_FROM_SLIPPING = 64.0
 # A tangent that was not definite is asked again after 1 step, 2, 4 and at most so many.
 _MOST_CONVEX_STEPS = 16
 _GROWTH = 8.0
@@ -252,8 +249,7 @@ def _definite(descent: _Descent, damping: _Damping) -> _Damping:
     """Factorise the tangent, or where it is not definite a convex one; return what it took."""
     slips = _slips(descent.sheet, descent.state)
     if not damping.convex:
-        most = _CONVEX_FROM_SLIPPING if slips else _CONVEX_FROM
-        viscosity = _exact(descent.sheet, damping, most)
+        viscosity = _exact(descent.sheet, damping, once=slips)
         if viscosity is not None:
             return _Damping(viscosity)
         descent.sheet.evaluate(descent.control_mm, descent.state, tangent=True, convex=True)
@@ -266,20 +262,20 @@ def _definite(descent: _Descent, damping: _Damping) -> _Damping:
     return replace(damping, viscosity=viscosity, convex_steps=damping.convex_steps - 1)
 
 
-def _exact(sheet: Sheet, damping: _Damping, most: float) -> float | None:
-    """Factorise the exact tangent; return its viscosity, None where it wants more than `most`.
+def _exact(sheet: Sheet, damping: _Damping, *, once: bool) -> float | None:
+    """Factorise the exact tangent; return its viscosity, None where it wants too much.
 
-    After a refusal it is tried once.
+    Of a sheet that slips and after a refusal it is tried `once`: as much as the worst point of such
+    a sheet may need would hold all of it back.
     """
-    if damping.refused:
-        viscosity = max(damping.viscosity, _GROWTH)
+    viscosity = max(damping.viscosity, _GROWTH) if damping.refused else damping.viscosity
+    if once or damping.refused:
         return viscosity if sheet.factorise(viscosity) else None
-    viscosity = damping.viscosity
     # A lowered viscosity that is too low is nearly enough; more makes short steps for long.
     growth = float(np.sqrt(_GROWTH)) if viscosity else _GROWTH**2
     while not sheet.factorise(viscosity):
         viscosity = max(growth * viscosity, _LEAST_VISCOSITY)
-        if viscosity > most:
+        if viscosity > _CONVEX_FROM:
             return None
     return viscosity
 
