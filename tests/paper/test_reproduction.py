@@ -1,13 +1,15 @@
 """A reproduction measures what is asked for, each thing once, in stores of the study."""
 
 from collections import Counter
+from dataclasses import replace
 
 import pytest
 
 from reconstruction.errors import InputError
 from twin.paper import reproduction
 from twin.paper.plan import BALLS, CASES, RODS, WIDTH, Resolution, experiment_of
-from twin.paper.reproduction import CAMERA_TILT_DEG, ROUGHNESS, Reproduction, link
+from twin.paper.reproduction import CAMERA_TILT_DEG, GROUPS, ROUGHNESS, Reproduction, link
+from twin.paper.run import Request
 from twin.paper.statistics import values_of
 from twin.paper.trials import REFUSED
 from twin.study import sweep as sweeping
@@ -52,15 +54,13 @@ def run_of(tmp_path, monkeypatch):
     """Return a reproduction that measures by a stand-in."""
 
     def make(fake=Fake, trials=3):
-        for name in ("sweep", "run_cases"):
-            real = getattr(sweeping, name)
-            monkeypatch.setattr(
-                reproduction,
-                name,
-                lambda *given, _real=real, **named: _real(
-                    *given, **{**named, "make_measurer": fake}
-                ),
-            )
+        monkeypatch.setattr(
+            reproduction,
+            "run_groups",
+            lambda groups, *given: sweeping.run_groups(
+                [replace(group, make_measurer=fake) for group in groups], *given
+            ),
+        )
         monkeypatch.setattr(reproduction, "calibrated", lambda *_: RigCovariance(()))
         measured.clear()
         return Reproduction(
@@ -135,6 +135,23 @@ def test_a_refused_trial_is_left_out_and_told(run_of):
 def test_a_refused_case_that_is_no_repetition_ends_the_run(run_of):
     with pytest.raises(InputError, match="specimen: too large"):
         run_of(RefusingAll).bare_nut()
+
+
+def test_all_groups_of_a_request_are_measured_together(run_of):
+    """Expected: afterwards tables and figures find everything, and measure nothing more."""
+    run = run_of()
+    run.measure(Request(trials=3).measured)
+    before = sum(measured.values())
+    assert before > 60
+    run.ball_trials(), run.rod_trials(), run.budget(BALLS), run.bare_nut(), run.all_cases()
+    assert sum(measured.values()) == before
+
+
+def test_what_a_request_needs():
+    assert Request(trials=3).measured == set(GROUPS)
+    assert Request(trials=3, only=("hardness",)).measured == set()
+    assert Request(trials=3, only=("differences",)).measured == {"nut"}
+    assert Request(trials=3, only=("rods",)).measured == {*reproduction.TRIALS_OF_RODS, "measured"}
 
 
 def test_nothing_of_somebody_else_is_replaced_by_a_link(tmp_path):

@@ -26,7 +26,7 @@ from twin.report.table import Cell, Column, Table
 from twin.results.record import Measurement
 from twin.results.score import share_of
 from twin.specimens import shape_of
-from twin.study.measuring import AS_IT_IS, Answer, CaseMeasurer, Conditions
+from twin.study.measuring import Answer, CaseMeasurer, Conditions
 
 COMPLETENESS_FILE = "completeness.json"
 _KEYS = ("contact", "contact_points", "specimen", "specimen_points", "limit_um")
@@ -140,7 +140,7 @@ def _share(of: Mask, asked: Mask) -> float | None:
 class _FigureMeasurer(CaseMeasurer):
     """Keeps figures, completeness and panel data of a case: its arrays are nobody's input."""
 
-    def __call__(self, experiment: Experiment, conditions: Conditions = AS_IT_IS) -> Answer:
+    def answer(self, experiment: Experiment, conditions: Conditions) -> Answer:
         """Measure one case."""
         done = measure(experiment, memory=self.memory, trial=conditions.trial)
         panels, completeness = panel_data_of(done), asdict(counted(done))

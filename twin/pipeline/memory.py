@@ -208,6 +208,11 @@ class Memo(Generic[Result]):
         self._kept: deque[Kept[Result]] = deque(maxlen=capacity)
 
     @property
+    def asked(self) -> int:
+        """How often it was asked for a result."""
+        return self.computed + self.recalled
+
+    @property
     def latest_reads(self) -> Reads | None:
         """Fields that the latest computation looked at."""
         return self._kept[-1].reads if self._kept else None
@@ -295,6 +300,10 @@ class Memory:
     ) -> Kept[Result]:
         """Return a stage's result, computed only if no kept one is the same; see `Memo.recall`."""
         return self._memos[stage].recall(experiment, inputs, compute)
+
+    def asked(self) -> dict[str, int]:
+        """Return how often each stage was asked for a result."""
+        return {name: memo.asked for name, memo in self._memos.items()}
 
     def stages(self) -> Iterator[tuple[str, int, int, tuple[Path, ...]]]:
         """Yield name, times computed, times recalled and fields read of every stage in order."""

@@ -196,6 +196,7 @@ class CaseMeasurer:
     rigs: RigCovariance | None = None
     more: MoreFigures | None = None
     memory: Memory = field(default_factory=Memory)
+    _asked_before: dict[str, int] = field(default_factory=dict, init=False)
 
     def __call__(self, experiment: Experiment, conditions: Conditions = AS_IT_IS) -> Answer:
         """Measure one case.
@@ -204,6 +205,11 @@ class CaseMeasurer:
         ------
         InputError, MissingBackend : as `twin.pipeline.measure`
         """
+        self._asked_before = self.memory.asked()
+        return self.answer(experiment, conditions)
+
+    def answer(self, experiment: Experiment, conditions: Conditions) -> Answer:
+        """Measure one case; see the call."""
         if conditions.face_only:
             return Answer(face_figures(experiment, press(experiment, self.memory).pressed))
         if conditions.derivatives:
@@ -235,7 +241,11 @@ class CaseMeasurer:
 
     def reads(self) -> StageReads:
         """Fields that each stage looked at for the latest case, first stage first."""
-        return tuple(paths for _, _, _, paths in self.memory.stages())
+        before = self._asked_before
+        return tuple(
+            paths if computed + recalled > before.get(name, 0) else ()
+            for name, computed, recalled, paths in self.memory.stages()
+        )
 
 
 def _compensated(done: Measurement, conditions: Conditions) -> Measurement:
