@@ -6,7 +6,9 @@ from dataclasses import replace
 import pytest
 
 from reconstruction.errors import InputError
+from reconstruction.reading import read_json
 from twin.paper import reproduction
+from twin.paper.completeness import COMPLETENESS_FILE
 from twin.paper.plan import BALLS, CASES, RODS, WIDTH, Resolution, experiment_of
 from twin.paper.reproduction import CAMERA_TILT_DEG, GROUPS, ROUGHNESS, Reproduction, link
 from twin.paper.run import Request
@@ -31,7 +33,8 @@ class Fake:
         figures = {"sphere_1_radius_mm": value, WIDTH: value}
         if conditions.board:
             figures["true_rig_sphere_1_radius_mm"] = value - 0.01
-        return Answer(figures | {"share_specimen": 0.7, "share_specimen_points": 0.8})
+        figures |= {"share_specimen": 0.7, "share_specimen_points": 0.8}
+        return Answer(figures, lambda folder: (folder / COMPLETENESS_FILE).touch())
 
     def reads(self):
         return ()
@@ -106,6 +109,20 @@ def test_figures_find_their_cases_by_name(run_of, tmp_path):
     for name, method in asked:
         assert (cases / name / method / "result.json").is_file()
     assert sum(measured.values()) == len(asked)
+
+
+def test_nominal_trials_are_the_figures_cases(run_of, tmp_path):
+    """Expected: one measurement for both; made anew where the figures' files are missing."""
+    run = run_of()
+    cases = run.all_cases()
+    nominal = run.fringe_trials(RODS[0])[0]
+    assert measured[RODS[0], "contact_fpp"] == 4
+    seen = (cases / RODS[0] / "contact_fpp").resolve()
+    assert seen.parent.parent == tmp_path / "work/trials" / RODS[0]
+    assert read_json(seen / "result.json")["metrics"] == nominal.figures
+    (seen / COMPLETENESS_FILE).unlink()
+    run_of().all_cases()
+    assert (seen / COMPLETENESS_FILE).is_file()
 
 
 def test_the_bare_nut_by_tilt_and_roughness(run_of):

@@ -6,7 +6,7 @@
 | trials/NAME/ | studies of the repeated measurements; `twin report` draws their uncertainty |
 | gelsight/ | the repeated presses under the GelSight-like sensor |
 | budgets/, nut/, measured/ | steps of the budgets, the bare nut, the cases of the figures |
-| cases/NAME/METHOD | links to the cases of the figures, which are found by these names |
+| cases/NAME/METHOD | links to the cases of the figures, among them nominal trials, by these names |
 
 What tables and figures need together is measured together (`Reproduction.measure`): no worker waits
 for the end of one study before the next begins.
@@ -15,7 +15,7 @@ for the end of one study before the next begins.
 import os
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -23,7 +23,7 @@ from typing import Any
 from reconstruction.errors import InputError
 from twin.config import Experiment, vary
 from twin.config.methods import TRAITS, Method
-from twin.paper.completeness import measures_figures, shares_of
+from twin.paper.completeness import COMPLETENESS_FILE, files_for_figures, shares_of
 from twin.paper.plan import (
     BALLS,
     BUDGET_OF,
@@ -63,6 +63,7 @@ ROUGHNESS = (0.05, 0.1, 0.2, 0.4)
 # Of the camera from the vertical; the projector stands opposite, as far from the camera as ever.
 CAMERA_TILT_DEG = (0.0, 6.25, 12.5)
 # Sixteen pixels read as one take a quarter of the time; the table says so.
+_FOR_FIGURES = Measuring(further=files_for_figures)
 _BARE_NUT = {"modality": "direct_fpp", "camera.binning": 4}
 
 
@@ -103,6 +104,9 @@ class Reproduction:
         MissingBackend : no usable Dr.Jit backend
         """
         groups = [self._group(name) for name in GROUPS if name in names]
+        if "measured" in names:
+            alone = [name for name in _REPEATED if _trials(name) not in names]
+            groups = [self._nominal(name) for name in alone] + groups
         run_groups(groups, self.workers, self.watch)
 
     def fringe_trials(self, name: str) -> list[Trial]:
@@ -204,11 +208,34 @@ class Reproduction:
         self._figures("measured")
         for (name, method), case in self._figure_cases().items():
             link(self.work / "cases" / name / method, self.work / "measured/cases" / case.digest)
+        for name in _REPEATED:
+            nominal = self._nominal(name)
+            (outcome,) = run_groups([nominal], self.workers, self.watch)
+            _figures(nominal.cases.run, nominal.folder, outcome)
+            (case,) = nominal.cases.run
+            link(self.work / "cases" / name / "contact_fpp", nominal.folder / "cases" / case.digest)
         return self.work / "cases"
 
     def _figure_cases(self) -> dict[tuple[str, Method], Case]:
+        """Return the cases of the figures that are no nominal trial, by specimen and method."""
         asked = [(name, method) for names, methods in CASES for name in names for method in methods]
-        return {pair: self._case(*pair) for pair in asked}
+        return {
+            (name, method): self._case(name, method)
+            for name, method in asked
+            if not (name in _REPEATED and method == "contact_fpp")
+        }
+
+    def _nominal(self, name: str) -> Group:
+        """Return the nominal trial alone of a repeated measurement: on the true rig."""
+        record, folder = (
+            fringe_study(self._experiment(name), self.trials),
+            self.work / _trials(name),
+        )
+        store, nominal = Store(folder), record.cases().run[0]
+        done = store.path_of(nominal.digest)
+        if done.is_dir() and not (done / COMPLETENESS_FILE).exists():
+            store.forget(nominal.digest)  # measured when the figures had cases of their own
+        return Group(folder, Cases((nominal,), 0), _FOR_FIGURES, record)
 
     def _case(self, name: str, method: Method) -> Case:
         experiment = self._experiment(name)
@@ -236,11 +263,14 @@ class Reproduction:
                 parts = [part for of in BUDGET_OF for part in self._budget_cases(of)]
                 return _group(folder, [case for part in parts for case in part], PLAINLY)
             case "measured":
-                return _group(folder, self._figure_cases().values(), measures_figures)
+                return _group(
+                    folder, self._figure_cases().values(), Measuring(further=files_for_figures)
+                )
             case "nut":
                 return _group(folder, self._nut_cases(), Measuring(more=shares_of))
         record = fringe_study(self._experiment(folder.name), self.trials)
-        return Group(folder, record.cases(), Measuring(self.rigs), record)
+        make = replace(_FOR_FIGURES, rigs=self.rigs)
+        return Group(folder, record.cases(), make, record)
 
     def _experiment(self, name: str) -> Experiment:
         return experiment_of(name, self.resolution)
@@ -250,6 +280,8 @@ def _trials(name: str) -> str:
     return f"trials/{name}"
 
 
+_REPEATED = (*RODS, BALLS)
+"""Specimens with trials: the figures show the nominal ones."""
 TRIALS_OF_RODS = tuple(_trials(name) for name in RODS)
 TRIALS_OF_BALLS = ("gelsight", _trials(BALLS))
 GROUPS = (*TRIALS_OF_RODS, "gelsight", "measured", _trials(BALLS), "budgets", "nut")
