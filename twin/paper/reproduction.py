@@ -3,6 +3,7 @@
 | in work/ | content |
 |---|---|
 | calibration.json | what a calibration of the rig leaves open |
+| calibrations/ | those of the GelSight-like sensor, each made once |
 | trials/NAME/ | studies of the repeated measurements; `twin report` draws their uncertainty |
 | gelsight/ | the repeated presses under the GelSight-like sensor |
 | budgets/, nut/, measured/ | steps of the budgets, the bare nut, the cases of the figures |
@@ -258,7 +259,10 @@ class Reproduction:
         match name:
             case "gelsight":
                 cases = colour_cases(self._experiment(BALLS), self.trials)
-                return _group(folder, cases, Measuring(more=figures_by_decoder))
+                # Side by side: those under one calibration of the sensor.
+                cases.sort(key=lambda case: case.experiment.seed)
+                make = Measuring(more=figures_by_decoder, calibrations=self._calibrations)
+                return _group(folder, cases, make)
             case "budgets":
                 parts = [part for of in BUDGET_OF for part in self._budget_cases(of)]
                 return _group(folder, [case for part in parts for case in part], PLAINLY)
@@ -271,6 +275,10 @@ class Reproduction:
         record = fringe_study(self._experiment(folder.name), self.trials)
         make = replace(_FOR_FIGURES, rigs=self.rigs)
         return Group(folder, record.cases(), make, record)
+
+    @property
+    def _calibrations(self) -> Path:
+        return self.work / "calibrations"
 
     def _experiment(self, name: str) -> Experiment:
         return experiment_of(name, self.resolution)

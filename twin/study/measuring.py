@@ -193,12 +193,14 @@ class CaseMeasurer:
     more : further figures of a measurement
     further : makes further files of a nominal measurement, whose trial is 0; returns what writes
         them
+    calibrations : folder in which those of photometric sensors are kept; None: they are not
     """
 
     keep: tuple[str, ...] = ()
     rigs: RigCovariance | None = None
     more: MoreFigures | None = None
     further: FurtherFiles | None = None
+    calibrations: Path | None = None
     memory: Memory = field(default_factory=Memory)
     _asked_before: dict[str, int] = field(default_factory=dict, init=False)
 
@@ -210,6 +212,7 @@ class CaseMeasurer:
         InputError, MissingBackend : as `twin.pipeline.measure`
         """
         self._asked_before = self.memory.asked()
+        self.memory.calibrations = self.calibrations
         if conditions.face_only:
             return Answer(face_figures(experiment, press(experiment, self.memory).pressed))
         if conditions.derivatives:
@@ -281,10 +284,11 @@ class Measuring:
     rigs: RigCovariance | None = None
     more: MoreFigures | None = None
     further: FurtherFiles | None = None
+    calibrations: Path | None = None
 
     def __call__(self, keep: tuple[str, ...]) -> CaseMeasurer:
         """Return a measurer with an empty memory."""
-        return CaseMeasurer(keep, self.rigs, self.more, self.further)
+        return CaseMeasurer(keep, self.rigs, self.more, self.further, self.calibrations)
 
 
 PLAINLY = Measuring()
