@@ -39,9 +39,10 @@ from twin.config import load_experiment, to_toml
 from twin.config.study import Study
 from twin.pipeline import Memory, measure
 from twin.study.cases import Case
-from twin.study.engine import Run, in_sharing_order
+from twin.study.engine import Run
 from twin.study.index import Index
 from twin.study.measuring import CaseMeasurer
+from twin.study.order import in_sharing_order
 from twin.study.record import StudyRecord
 from twin.study.store import Store
 from twin.study.sweep import sweep

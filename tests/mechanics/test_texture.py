@@ -14,6 +14,7 @@ from twin.mechanics import (
     press,
     press_with,
     read_press,
+    texture,
     texture_field,
     texture_figures,
     textured,
@@ -44,7 +45,9 @@ def spot(monkeypatch):
     """The field of one unit of noise at the lattice's origin: the kernel of all fields, mm."""
     origin = lambda _, rows, cols: np.outer(rows == 0, cols == 0).astype(float)  # noqa: E731
     monkeypatch.setattr("twin.mechanics.texture._white_noise", origin)
-    return texture_field(NORMAL, 0, FIELD_MM)
+    texture._blurred_noise.cache_clear()
+    yield texture_field(NORMAL, 0, FIELD_MM)
+    texture._blurred_noise.cache_clear()
 
 
 def test_covariance_is_the_same_everywhere(spot):

@@ -40,10 +40,10 @@ def look(mi):
 
     gel = LayerStack((Medium(GEL_MM, N_GEL, ABSORPTION),))
 
-    def render(face, *lamps, markers=None, layers=gel, samples=1):
+    def render(face, *lamps, markers=None, layers=gel, samples=1, heights=None):
         emitters = emitters_of({str(number): one for number, one in enumerate(lamps)})
         camera = Device(PINHOLE, T_WORLD_FROM_CAM)
-        rig = LampRig(camera, emitters, layers, markers)
+        rig = LampRig(camera, emitters, layers, markers, heights=heights)
         mesh = coated_mesh(face, MATTE)
         scene = mi.load_dict({"type": "scene", "coated_face": mesh}, optimize=False)
         return trace_channels(scene, rig, samples), trace_face(scene, rig).points_world_mm
@@ -102,6 +102,44 @@ def test_bump_in_air_is_what_stock_mitsuba_renders(mi, look, bump):
     assert differs.mean() <= 0.01
     assert found.sum() == pytest.approx(stock.sum(), rel=2e-3)
     assert (stock < 1e-7).any()
+
+
+def test_marched_rays_show_what_the_tree_shows(look, bump):
+    """Setup: a bump steeper than the light, in the gel, by its heights and by the scene's tree.
+
+    Expected: the same light and shadow but for rounding: 1e-4 of the brightest, on all pixels but
+    those whose ray to the light grazes the relief.
+    """
+    from twin.optics.heights import Heights, height_grid
+
+    leds = lamp(height_mm=3.0), lamp(channel="blue", x_mm=-3.0, y_mm=11.0, aim_azimuth_deg=-90.0)
+    heights = Heights.of_grid(height_grid(bump))
+    (marched, points), (plain, at) = (look(bump, *leds, heights=one) for one in (heights, None))
+    differs = np.abs(marched - plain) > 1e-4 * plain.max()
+    assert (plain[..., 0] < 1e-3 * plain[..., 0].max()).mean() > 0.01  # in the shadow of the bump
+    assert differs.any(axis=-1).mean() <= 1e-3
+    np.testing.assert_allclose(points, at, atol=3e-5)
+
+
+def test_a_face_put_into_a_scene_is_seen_by_its_own_heights(mi, grid_face):
+    """Expected: pixel by pixel what a scene that was loaded with the face shows."""
+    from twin.optics.colour_trace import ColourScene
+
+    plane, bump = (
+        grid_face(
+            lambda x, y, top=top: top * np.exp(-(x**2 + y**2) / 4.0),
+            lambda x, y: (0.0 * x, 0.0 * y),
+            pitch_mm=0.25,
+        )
+        for top in (0.0, 0.8)
+    )
+    experiment = load_experiment("paper/gelsight_two_balls")
+    reloaded, fresh = ColourScene(experiment, plane), ColourScene(experiment, bump)
+    before = reloaded.render(PINHOLE, T_WORLD_FROM_CAM)
+    reloaded.put(bump)
+    found = reloaded.render(PINHOLE, T_WORLD_FROM_CAM)
+    np.testing.assert_array_equal(found, fresh.render(PINHOLE, T_WORLD_FROM_CAM))
+    assert np.abs(found - before).max() > 0.1 * found.max()
 
 
 def test_light_falls_with_the_square_of_the_distance():

@@ -1,13 +1,17 @@
 """A reproduction measures what is asked for, each thing once, in stores of the study."""
 
 from collections import Counter
+from dataclasses import replace
 
 import pytest
 
 from reconstruction.errors import InputError
+from reconstruction.reading import read_json
 from twin.paper import reproduction
+from twin.paper.completeness import COMPLETENESS_FILE
 from twin.paper.plan import BALLS, CASES, RODS, WIDTH, Resolution, experiment_of
-from twin.paper.reproduction import CAMERA_TILT_DEG, ROUGHNESS, Reproduction, link
+from twin.paper.reproduction import CAMERA_TILT_DEG, GROUPS, ROUGHNESS, Reproduction, link
+from twin.paper.run import Request
 from twin.paper.statistics import values_of
 from twin.paper.trials import REFUSED
 from twin.study import sweep as sweeping
@@ -29,7 +33,8 @@ class Fake:
         figures = {"sphere_1_radius_mm": value, WIDTH: value}
         if conditions.board:
             figures["true_rig_sphere_1_radius_mm"] = value - 0.01
-        return Answer(figures | {"share_specimen": 0.7, "share_specimen_points": 0.8})
+        figures |= {"share_specimen": 0.7, "share_specimen_points": 0.8}
+        return Answer(figures, lambda folder: (folder / COMPLETENESS_FILE).touch())
 
     def reads(self):
         return ()
@@ -52,15 +57,13 @@ def run_of(tmp_path, monkeypatch):
     """Return a reproduction that measures by a stand-in."""
 
     def make(fake=Fake, trials=3):
-        for name in ("sweep", "run_cases"):
-            real = getattr(sweeping, name)
-            monkeypatch.setattr(
-                reproduction,
-                name,
-                lambda *given, _real=real, **named: _real(
-                    *given, **{**named, "make_measurer": fake}
-                ),
-            )
+        monkeypatch.setattr(
+            reproduction,
+            "run_groups",
+            lambda groups, *given: sweeping.run_groups(
+                [replace(group, make_measurer=fake) for group in groups], *given
+            ),
+        )
         monkeypatch.setattr(reproduction, "calibrated", lambda *_: RigCovariance(()))
         measured.clear()
         return Reproduction(
@@ -108,6 +111,20 @@ def test_figures_find_their_cases_by_name(run_of, tmp_path):
     assert sum(measured.values()) == len(asked)
 
 
+def test_nominal_trials_are_the_figures_cases(run_of, tmp_path):
+    """Expected: one measurement for both; made anew where the figures' files are missing."""
+    run = run_of()
+    cases = run.all_cases()
+    nominal = run.fringe_trials(RODS[0])[0]
+    assert measured[RODS[0], "contact_fpp"] == 4
+    seen = (cases / RODS[0] / "contact_fpp").resolve()
+    assert seen.parent.parent == tmp_path / "work/trials" / RODS[0]
+    assert read_json(seen / "result.json")["metrics"] == nominal.figures
+    (seen / COMPLETENESS_FILE).unlink()
+    run_of().all_cases()
+    assert (seen / COMPLETENESS_FILE).is_file()
+
+
 def test_the_bare_nut_by_tilt_and_roughness(run_of):
     shares = run_of().bare_nut()
     assert shares == {(t, a): [0.7, 0.8] for t in CAMERA_TILT_DEG for a in ROUGHNESS}
@@ -135,6 +152,23 @@ def test_a_refused_trial_is_left_out_and_told(run_of):
 def test_a_refused_case_that_is_no_repetition_ends_the_run(run_of):
     with pytest.raises(InputError, match="specimen: too large"):
         run_of(RefusingAll).bare_nut()
+
+
+def test_all_groups_of_a_request_are_measured_together(run_of):
+    """Expected: afterwards tables and figures find everything, and measure nothing more."""
+    run = run_of()
+    run.measure(Request(trials=3).measured)
+    before = sum(measured.values())
+    assert before > 60
+    run.ball_trials(), run.rod_trials(), run.budget(BALLS), run.bare_nut(), run.all_cases()
+    assert sum(measured.values()) == before
+
+
+def test_what_a_request_needs():
+    assert Request(trials=3).measured == set(GROUPS)
+    assert Request(trials=3, only=("hardness",)).measured == set()
+    assert Request(trials=3, only=("differences",)).measured == {"nut"}
+    assert Request(trials=3, only=("rods",)).measured == {*reproduction.TRIALS_OF_RODS, "measured"}
 
 
 def test_nothing_of_somebody_else_is_replaced_by_a_link(tmp_path):

@@ -193,6 +193,47 @@ def test_another_specimen_uses_the_same_sensor(experiment, done, memory):
     assert not np.array_equal(other.picture, done.picture)
 
 
+def test_a_kept_calibration_serves_other_processes(
+    experiment, calibrated, memory, tmp_path, monkeypatch
+):
+    """Setup: the shared sensor's calibration is kept in a folder; reference presses are refused.
+
+    Expected: a new memory finds it, to the last bit, for any specimen, load and decoder; not with
+    other reference presses, nor where a file is damaged.
+    """
+    memory.calibrations = tmp_path
+    calibrated_sensor(experiment, memory)
+    memory.calibrations = None
+
+    def refuse(_):
+        raise InputError("pressed again")
+
+    monkeypatch.setattr("twin.pipeline.colours._references", refuse)
+
+    def found(changes):
+        new = Memory()
+        new.calibrations = tmp_path
+        return calibrated_sensor(vary(experiment, changes), new)[1]
+
+    other = {
+        "specimen.diameter_mm": 5.0,
+        "press.depth_mm": 0.3,
+        "photometric.integration": "sdk_2025",
+    }
+    for changes in ({}, other):
+        kept, own = found(changes), calibrated[1]
+        assert kept.pitch_mm == own.pitch_mm
+        np.testing.assert_array_equal(kept.background, own.background)
+        for name, values in own.colour_map.arrays().items():
+            np.testing.assert_array_equal(kept.colour_map.arrays()[name], values)
+    with pytest.raises(InputError, match="pressed again"):
+        found({"seed": experiment.seed + 1})
+    for file in tmp_path.glob("*/*.npz"):
+        file.write_bytes(b"damaged")
+    with pytest.raises(InputError, match="pressed again"):
+        found({})
+
+
 def test_results_are_files(done, tmp_path):
     write_measurement(tmp_path, "measure", done)
     names = {path.name for path in tmp_path.iterdir()}

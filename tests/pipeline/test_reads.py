@@ -1,6 +1,7 @@
 """What a computation reads of an experiment is found by watching it."""
 
 import copy
+import json
 
 import pytest
 
@@ -45,6 +46,21 @@ def test_only_what_is_read_counts(base):
 def test_anything_but_a_field_reads_all(base, look):
     reads = reads_of(base, look)
     assert not reads.hold_for(vary(base, {"elastomer.shore_a": 12.0}))
+
+
+def test_reads_of_several_stages_on_paper(base):
+    """Expected: together, and read again from JSON, they hold where each of them does."""
+    parts = [
+        reads_of(base, lambda seen: seen.camera.pose.polar_deg),
+        reads_of(base, lambda seen: (seen.seed, seen.camera.model_dump())),
+        reads_of(base, lambda seen: seen.camera.binning),
+    ]
+    for some in (parts, parts[::-1]):
+        again = Reads.from_json(json.loads(json.dumps(Reads.union(some).as_json())))
+        assert again.paths == Reads.union(some).paths
+        assert again.hold_for(vary(base, {"elastomer.shore_a": 12.0}))
+        for changes in ({"camera.read_noise_e": 9.0}, {"seed": 5}, {"camera.pose.polar_deg": 1.0}):
+            assert not again.hold_for(vary(base, changes))
 
 
 def test_what_a_copy_replaces_is_not_read(base):

@@ -109,7 +109,7 @@ def counted(mi, base):
         import itertools
 
         from twin.study.cases import Case
-        from twin.study.engine import in_sharing_order
+        from twin.study.order import in_sharing_order
 
         memory = Memory()
         cases = [

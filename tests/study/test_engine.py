@@ -12,7 +12,7 @@ import pytest
 
 from tests.study import synthetic
 from tests.work import lines_run
-from twin.study.engine import Run
+from twin.study.engine import Run, run_together
 from twin.study.index import Index
 from twin.study.record import read_record
 from twin.study.store import FAILURE_FILE, Store
@@ -213,6 +213,33 @@ def test_two_workers_are_never_alone(study_of, stored, tmp_path, monkeypatch):
     assert outcome.states == {"done": 24}
     begun = Counter((tmp_path / "log").read_text().split())
     assert list(begun.values()) == [12, 12]
+
+
+def test_runs_together_fill_each_others_gaps(study_of, stored, tmp_path, monkeypatch):
+    """Two studies of one case each, a case that ends only beside another one.
+
+    Expected: both end: the second study's case is handed out while the first one's is at work.
+    Progress is that of both.
+    """
+    monkeypatch.setenv(synthetic.LOG_VARIABLE, str(tmp_path / "log"))
+    workers, parts, told = local_workers(2), [], []
+    for name, albedo in (("one", 0.2), ("two", 0.3)):
+        store, cases = stored(study_of({"path": "coating.base_albedo", "values": [albedo]}), name)
+        parts.append((Run(store, workers, make_measurer=synthetic.Meeting), cases))
+    outcomes = run_together(parts, workers, lambda _, share: told.append(share))
+    assert [outcome.states for outcome in outcomes] == [{"done": 1}, {"done": 1}]
+    assert told == [0.5, 1.0]
+
+
+def test_a_death_costs_each_of_the_runs_together_its_case_only(study_of, stored):
+    """One study has a case that kills its worker three times, the other one has none."""
+    workers, parts = local_workers(2), []
+    for name, values in (("sound", [0.1, 0.5, 0.6]), ("deadly", [0.1, 0.4, 0.5, 0.6])):
+        store, cases = stored(study_of({"path": "coating.base_albedo", "values": values}), name)
+        parts.append((Run(store, workers, make_measurer=synthetic.Failing), cases))
+    sound, deadly = run_together(parts, workers)
+    assert sound.states == {"done": 3}
+    assert deadly.states == {"done": 3, "failed": 1}
 
 
 @pytest.mark.parametrize("held_case", [0, 1])

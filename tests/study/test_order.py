@@ -4,7 +4,7 @@ from itertools import pairwise
 
 from twin.config import vary
 from twin.study.cases import Case
-from twin.study.engine import batches_of, in_sharing_order
+from twin.study.order import batches_of, in_sharing_order
 
 READS = (
     (("elastomer", "thickness_mm"),),

@@ -24,6 +24,7 @@ and so is the correlation of two X whose Z have the correlation r:
 """
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from math import ceil, exp, floor
 
 import numpy as np
@@ -201,16 +202,28 @@ def texture_field(texture: Texture, seed: int, extent_mm: Extent) -> Field:
     at_length = distribution.correlation_of_normals(exp(-1))
     pitch_mm = texture.correlation_mm / np.sqrt(-np.log(at_length)) / _CELLS_PER_LENGTH
     cols, rows = (_lattice(*ends, pitch_mm) for ends in (extent_mm[:2], extent_mm[2:]))
-    blurred = _white_noise(seed, rows, cols)
-    for axis in (0, 1):
-        blurred = ndimage.convolve1d(blurred, _taps(), axis=axis)
+    ends = (int(rows[0]), int(rows[-1])), (int(cols[0]), int(cols[-1]))
     return Field(
         rms_mm=1e-3 * texture.rms_um,
         distribution=distribution,
         pitch_mm=float(pitch_mm),
         first=(int(rows[_REACH]), int(cols[_REACH])),
-        coefficients=blurred[_REACH:-_REACH, _REACH:-_REACH].copy(),
+        coefficients=_blurred_noise(seed, *ends),
     )
+
+
+@lru_cache(maxsize=1)  # one coat is pressed again and again, mostly with the same lattice
+def _blurred_noise(seed: int, rows: tuple[int, int], cols: tuple[int, int]) -> FloatArray:
+    """Return the blurred noise (row, col) within the first and last numbers of a lattice's lines.
+
+    Less what the blur reaches in from beyond; not writable, for it is handed out again.
+    """
+    blurred = _white_noise(seed, *(np.arange(first, last + 1) for first, last in (rows, cols)))
+    for axis in (0, 1):
+        blurred = ndimage.convolve1d(blurred, _taps(), axis=axis)
+    inner = blurred[_REACH:-_REACH, _REACH:-_REACH].copy()
+    inner.flags.writeable = False
+    return inner
 
 
 def textured(

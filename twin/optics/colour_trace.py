@@ -15,8 +15,9 @@ from reconstruction.arrays import FloatArray, FloatImage
 from reconstruction.rig.pinhole import Pinhole
 from twin.config.lamps import Markers
 from twin.config.models import Experiment
-from twin.optics.connection import blocked, truth_of
+from twin.optics.connection import first_hit, shaded, truth_of
 from twin.optics.devices import Device, SubPixels
+from twin.optics.heights import Heights, height_grid
 from twin.optics.lamps import Emitters, emitters_of
 from twin.optics.layers import LayerStack
 from twin.optics.materials import COATED_FACE
@@ -29,13 +30,17 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class LampRig:
-    """Who looks and who shines; `layers` None is air."""
+    """Who looks and who shines; `layers` None is air.
+
+    With `heights` the scene is that sheet alone, and its rays are marched as those of a `Rig` are.
+    """
 
     camera: Device
     emitters: Emitters
     layers: LayerStack | None = None
     markers: Markers | None = None
     shadows: bool = True
+    heights: Heights | None = None
 
 
 class ColourScene:
@@ -49,7 +54,7 @@ class ColourScene:
 
     def __init__(self, experiment: Experiment, face: "trimesh.Trimesh") -> None:
         self._scene = coated_scene(experiment, face)
-        self._facets = len(face.faces)
+        self._heights, self._facets = _heights_of(face), len(face.faces)
         self._samples = experiment.render.samples
         self._lamps = experiment.lamps
         self._layers, self._stack = experiment.layers, layer_stack(experiment)
@@ -71,6 +76,7 @@ class ColourScene:
         parameters[prefix + "vertex_positions"] = np.asarray(positions, np.float32).ravel()
         parameters[prefix + "vertex_normals"] = np.asarray(normals, np.float32).ravel()
         parameters.update()
+        self._heights = _heights_of(face)
 
     def render(
         self, pinhole: Pinhole, T_world_from_cam: FloatArray, flux: FloatArray | None = None
@@ -93,7 +99,13 @@ class ColourScene:
         self, pinhole: Pinhole, T_world_from_cam: FloatArray, flux: FloatArray | None = None
     ) -> LampRig:
         camera = Device(pinhole, T_world_from_cam)
-        return LampRig(camera, emitters_of(self._lamps, flux), self._stack, self._markers)
+        emitters = emitters_of(self._lamps, flux)
+        return LampRig(camera, emitters, self._stack, self._markers, heights=self._heights)
+
+
+def _heights_of(face: "trimesh.Trimesh") -> Heights | None:
+    grid = height_grid(face)
+    return None if grid is None else Heights.of_grid(grid)
 
 
 def trace_channels(scene: Any, rig: LampRig, samples: int) -> FloatImage:
@@ -148,7 +160,7 @@ def _shaded(scene: Any, rig: LampRig, table: _Table, ray: Any) -> Any:
     """Radiance in air along camera rays, `mi.Color3f`."""
     sight = None if rig.layers is None else rig.layers.refract(ray)
     ray = ray if sight is None else sight.ray
-    hit = scene.ray_intersect(ray, mi.RayFlags.All, coherent=False)
+    hit = first_hit(scene, rig.heights, ray)
     bsdf, absorption = hit.bsdf(ray), 0.0 if sight is None else sight.absorption_per_mm
 
     def add_emitter(*state: Any) -> tuple[Any, ...]:
@@ -156,7 +168,8 @@ def _shaded(scene: Any, rig: LampRig, table: _Table, ray: Any) -> Any:
         light, direction, distance_mm = _light(table, number, hit.p, absorption)
         active = hit.is_valid() & (light > 0.0) & (dr.dot(hit.sh_frame.n, direction) > 0.0)
         if rig.shadows:
-            active &= ~blocked(scene, hit, direction, distance_mm, active, coherent=False)
+            way = direction, distance_mm
+            active &= ~shaded(scene, rig.heights, hit, way, active, coherent=False)
         brdf_cos = bsdf.eval(mi.BSDFContext(), hit, hit.to_local(direction), active)[0]
         weight = dr.select(active, brdf_cos * light, 0.0)
         return number + 1, total + weight * dr.gather(mi.Color3f, table.intensity, number)
@@ -207,6 +220,6 @@ def trace_face(scene: Any, rig: LampRig) -> Truth:
     centres = SubPixels.of_image(width, height, 1)
     ray = rig.camera.ray(centres.x_px, centres.y_px)
     ray = ray if rig.layers is None else rig.layers.refract(ray).ray
-    hit = scene.ray_intersect(ray, mi.RayFlags.All, coherent=False)
+    hit = first_hit(scene, rig.heights, ray)
     nothing, seen = dr.zeros(mi.Float, width * height), hit.is_valid()
     return truth_of(rig.camera, hit, (nothing, nothing), seen, seen)

@@ -69,10 +69,8 @@ def connect(scene: Any, rig: Rig, hit: Any, bsdf: Any, coherent: bool = True) ->
     column_px, row_px = light.column_px, light.row_px
     lit = hit.is_valid() & (light.axial_mm > 0.0) & on_image(rig, column_px, row_px, MARGIN_PX)
     if rig.shadows:
-        asked = lit
-        if rig.heights is not None:
-            asked = lit & ~rig.heights.is_free(hit.p, light.direction, lit)
-        lit &= ~blocked(scene, hit, light.direction, light.clear_mm, asked, coherent=coherent)
+        way = light.direction, light.clear_mm
+        lit &= ~shaded(scene, rig.heights, hit, way, lit, coherent=coherent)
     brdf_cos = bsdf.eval(mi.BSDFContext(), hit, hit.to_local(light.direction), lit)[0]
     weight = dr.select(lit, brdf_cos * light.irradiance, 0.0)
     nothing = ~hit.is_valid()
@@ -86,17 +84,22 @@ def see(scene: Any, rig: Rig, ray: Any) -> tuple[Any, Connection]:
     """Follow a camera ray to the surface; return the hit and its connection to the projector."""
     sight = None if rig.layers is None else rig.layers.refract(ray)
     ray = ray if sight is None else sight.ray
-    hit = _first_hit(scene, rig, ray)
+    hit = first_hit(scene, rig.heights, ray)
     path = connect(scene, rig, hit, hit.bsdf(ray))
     if sight is not None:
         path = replace(path, weight=path.weight * sight.seen(hit.t))
     return hit, path
 
 
-def _first_hit(scene: Any, rig: Rig, ray: Any) -> Any:
-    """Return the surface that rays first meet, by the sheet's heights or the scene's tree."""
-    if rig.heights is not None:
-        return rig.heights.first_hit(scene, ray).compute_surface_interaction(ray, mi.RayFlags.All)
+def first_hit(scene: Any, heights: Heights | None, ray: Any) -> Any:
+    """Return the surface that rays first meet, by the sheet's heights or the scene's tree.
+
+    Parameters
+    ----------
+    heights : of the sheet that the scene holds alone; None: the tree is asked for every ray
+    """
+    if heights is not None:
+        return heights.first_hit(scene, ray).compute_surface_interaction(ray, mi.RayFlags.All)
     # Not as packets: neighbouring pixels hit facets of their own, so that Embree's single rays take
     # half the time on a face of 2.4 M facets (a sixth more on one of 6000, which is fast anyway).
     return scene.ray_intersect(ray, mi.RayFlags.All, coherent=False)
@@ -130,6 +133,29 @@ def on_image(rig: Rig, column_px: Any, row_px: Any, margin_px: float) -> Any:
         & (row_px > low)
         & (row_px < pinhole.height_px - 1 - low)
     )
+
+
+def shaded(
+    scene: Any,
+    heights: Heights | None,
+    hit: Any,
+    way: tuple[Any, Any],
+    active: Any,
+    *,
+    coherent: bool,
+) -> Any:
+    """Tell which hits something keeps from a light: where the march is not sure, the tree.
+
+    Parameters
+    ----------
+    heights : as of `first_hit`
+    way : direction to the light, and distance within which something could stand in it, mm
+    """
+    direction, distance_mm = way
+    asked = active
+    if heights is not None:
+        asked = active & ~heights.is_free(hit.p, direction, active)
+    return blocked(scene, hit, direction, distance_mm, asked, coherent=coherent)
 
 
 def blocked(

@@ -105,7 +105,7 @@ def check_below_layers(layers: dict[str, Layer], face: "trimesh.Trimesh") -> Non
     """
     if not layers:
         return
-    highest_mm, floor_mm = face.bounds[1][2], media_of(layers)[-1].top_mm
+    highest_mm, floor_mm = face.vertices[:, 2].max(), media_of(layers)[-1].top_mm
     if highest_mm >= floor_mm:
         raise InputError(
             f"layers: the coated face reaches z = {highest_mm:.4g} mm, allowed below "

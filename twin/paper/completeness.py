@@ -7,6 +7,7 @@ method reads it off the coat, as if the sheet lay on it with its own thickness e
 directly, the truth is what the pixel shows of the specimen.
 """
 
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -21,12 +22,10 @@ from twin.mechanics import PressedElastomer
 from twin.optics.stack import Truth
 from twin.output import write_json
 from twin.paper.panels import PANELS_FOLDER, panel_data_of, write_panel_data
-from twin.pipeline import measure
 from twin.report.table import Cell, Column, Table
 from twin.results.record import Measurement
 from twin.results.score import share_of
 from twin.specimens import shape_of
-from twin.study.measuring import AS_IT_IS, Answer, CaseMeasurer, Conditions
 
 COMPLETENESS_FILE = "completeness.json"
 _KEYS = ("contact", "contact_points", "specimen", "specimen_points", "limit_um")
@@ -137,24 +136,18 @@ def _share(of: Mask, asked: Mask) -> float | None:
     return share_of(int((of & asked).sum()), int(asked.sum()))
 
 
-class _FigureMeasurer(CaseMeasurer):
-    """Keeps figures, completeness and panel data of a case: its arrays are nobody's input."""
+def files_for_figures(done: Measurement) -> Callable[[Path], None]:
+    """Make completeness and panel data, which figures show of a measurement: returns their writer.
 
-    def __call__(self, experiment: Experiment, conditions: Conditions = AS_IT_IS) -> Answer:
-        """Measure one case."""
-        done = measure(experiment, memory=self.memory, trial=conditions.trial)
-        panels, completeness = panel_data_of(done), asdict(counted(done))
+    Arrays of the measurement are nobody's input.
+    """
+    panels, completeness = panel_data_of(done), asdict(counted(done))
 
-        def write(folder: Path) -> None:
-            write_json(folder / COMPLETENESS_FILE, completeness)
-            write_panel_data(folder / PANELS_FOLDER, panels)
+    def write(folder: Path) -> None:
+        write_json(folder / COMPLETENESS_FILE, completeness)
+        write_panel_data(folder / PANELS_FOLDER, panels)
 
-        return Answer(done.metrics, write)
-
-
-def measures_figures(keep: tuple[str, ...]) -> CaseMeasurer:
-    """Make what measures the cases of the figures."""
-    return _FigureMeasurer(keep)
+    return write
 
 
 def shares_of(seen: Measurement) -> dict[str, Any]:

@@ -3,16 +3,20 @@
 | in work/ | content |
 |---|---|
 | calibration.json | what a calibration of the rig leaves open |
+| calibrations/ | those of the GelSight-like sensor, each made once |
 | trials/NAME/ | studies of the repeated measurements; `twin report` draws their uncertainty |
 | gelsight/ | the repeated presses under the GelSight-like sensor |
 | budgets/, nut/, measured/ | steps of the budgets, the bare nut, the cases of the figures |
-| cases/NAME/METHOD | links to the cases of the figures, which are found by these names |
+| cases/NAME/METHOD | links to the cases of the figures, among them nominal trials, by these names |
+
+What tables and figures need together is measured together (`Reproduction.measure`): no worker waits
+for the end of one study before the next begins.
 """
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -20,7 +24,7 @@ from typing import Any
 from reconstruction.errors import InputError
 from twin.config import Experiment, vary
 from twin.config.methods import TRAITS, Method
-from twin.paper.completeness import measures_figures, shares_of
+from twin.paper.completeness import COMPLETENESS_FILE, files_for_figures, shares_of
 from twin.paper.plan import (
     BALLS,
     BUDGET_OF,
@@ -46,11 +50,11 @@ from twin.paper.trials import (
 )
 from twin.pipeline.comparison import case_for
 from twin.pipeline.progress import ProgressCallback, no_progress
-from twin.study.cases import Case, case_of
+from twin.study.cases import Case, Cases, case_of
 from twin.study.engine import SweepOutcome
-from twin.study.measuring import Measuring, RigCovariance, calibrated
+from twin.study.measuring import PLAINLY, Measuring, RigCovariance, calibrated
 from twin.study.store import Store
-from twin.study.sweep import run_cases, sweep
+from twin.study.sweep import Group, run_groups
 from twin.study.trials import INPUT, PART, STEP, TRIAL, TRIALS, alone_cases
 from twin.study.worker import MakeMeasurer
 from twin.study.workers import Workers, local_workers
@@ -60,6 +64,7 @@ ROUGHNESS = (0.05, 0.1, 0.2, 0.4)
 # Of the camera from the vertical; the projector stands opposite, as far from the camera as ever.
 CAMERA_TILT_DEG = (0.0, 6.25, 12.5)
 # Sixteen pixels read as one take a quarter of the time; the table says so.
+_FOR_FIGURES = Measuring(further=files_for_figures)
 _BARE_NUT = {"modality": "direct_fpp", "camera.binning": 4}
 
 
@@ -80,27 +85,41 @@ class Reproduction:
     resolution: Resolution = COARSE
     watch: ProgressCallback = no_progress
     workers: Workers = field(default_factory=lambda: local_workers(1))
+    _made: dict[str, Group] = field(default_factory=dict, init=False, repr=False)
 
     @cached_property
     def rigs(self) -> RigCovariance:
         """What a calibration leaves open of the rig, which is the same for all specimens."""
         return calibrated(self.work, self._experiment(BALLS), BOARD, self.watch)
 
+    def measure(self, names: Collection[str]) -> None:
+        """Measure groups side by side; what tables and figures ask for afterwards is then there.
+
+        Parameters
+        ----------
+        names : among `GROUPS`
+
+        Raises
+        ------
+        InputError : a folder cannot be used
+        MissingBackend : no usable Dr.Jit backend
+        """
+        groups = [self._group(name) for name in GROUPS if name in names]
+        if "measured" in names:
+            alone = [name for name in _REPEATED if _trials(name) not in names]
+            groups = [self._nominal(name) for name in alone] + groups
+        run_groups(groups, self.workers, self.watch)
+
     def fringe_trials(self, name: str) -> list[Trial]:
         """Return the repeated contact-FPP measurement of a specimen."""
-        record, folder = fringe_study(self._experiment(name), self.trials), self._trials(name)
-        cases = record.cases()
-        make = Measuring(self.rigs)
-        outcome = sweep(
-            record, folder, self.workers, cases=cases, watch=self.watch, make_measurer=make
-        )
-        return trials_among(cases.run, _figures(cases.run, folder, outcome))
+        return self._trials_of(_trials(name))
 
     def ball_trials(self) -> dict[str, list[Trial]]:
         """Return the repeated measurements of the two balls by method."""
-        cases = colour_cases(self._experiment(BALLS), self.trials)
-        found = self._run("gelsight", cases, Measuring(more=figures_by_decoder))
-        return {GELSIGHT: trials_among(cases, found), CONTACT_FPP: self.fringe_trials(BALLS)}
+        return {GELSIGHT: self._trials_of("gelsight"), CONTACT_FPP: self.fringe_trials(BALLS)}
+
+    def _trials_of(self, group: str) -> list[Trial]:
+        return trials_among(self._group(group).cases.run, self._figures(group))
 
     def rod_trials(self) -> dict[str, list[Trial]]:
         """Return the repeated measurements of the rods: A, B, C."""
@@ -119,14 +138,17 @@ class Reproduction:
         MissingBackend
             No usable Dr.Jit backend.
         """
+        found = self._figures("budgets")
+        parts = [self._part_of(BUDGET_OF[name], some, found) for some in self._budget_cases(name)]
+        return [part for some in parts for part in some]
+
+    def _budget_cases(self, name: str) -> list[list[Case]]:
         experiment, given = self._experiment(name), handling().inputs
         optics = {title: one for title, one in given.items() if one.group == "optics"}
         cases = [alone_cases(experiment, given, face_only=True)]
         if name == BALLS:
             cases.append(alone_cases(experiment, optics))
-        found = self._run("budgets", [one for some in cases for one in some], Measuring())
-        parts = [self._part_of(BUDGET_OF[name], some, found) for some in cases]
-        return [part for some in parts for part in some]
+        return cases
 
     def _part_of(
         self, output: str, cases: Sequence[Case], found: Mapping[str, Mapping[str, Any]]
@@ -155,19 +177,20 @@ class Reproduction:
         InputError, MissingBackend
             As `measure`; or the camera sees nothing of the nut.
         """
-        cases = {
-            (tilt, alpha): case_of({"tilt_deg": tilt, "alpha": alpha}, self._nut_seen(tilt, alpha))
-            for tilt in CAMERA_TILT_DEG
-            for alpha in ROUGHNESS
-        }
-        found = self._run("nut", list(cases.values()), Measuring(more=shares_of))
-        shares = {}
-        for key, case in cases.items():
+        found, shares = self._figures("nut"), {}
+        for case in self._nut_cases():
             both = [found[case.digest][f"share_{name}"] for name in ("specimen", "specimen_points")]
             if None in both:
                 raise InputError(f"{NUT}: the camera sees nothing of the specimen")
-            shares[key] = both
+            shares[case.settings["tilt_deg"], case.settings["alpha"]] = both
         return shares
+
+    def _nut_cases(self) -> list[Case]:
+        return [
+            case_of({"tilt_deg": tilt, "alpha": alpha}, self._nut_seen(tilt, alpha))
+            for tilt in CAMERA_TILT_DEG
+            for alpha in ROUGHNESS
+        ]
 
     def _nut_seen(self, tilt_deg: float, alpha: float) -> Experiment:
         """Return the bare nut, seen from so far beside the vertical; triangulation stays."""
@@ -183,31 +206,98 @@ class Reproduction:
 
     def all_cases(self) -> Path:
         """Measure every specimen of the figures; return the folder of the cases by name."""
-        asked = [(name, method) for names, methods in CASES for name in names for method in methods]
-        cases = {pair: self._case(*pair) for pair in asked}
-        self._run("measured", list(cases.values()), measures_figures)
-        for (name, method), case in cases.items():
+        self._figures("measured")
+        for (name, method), case in self._figure_cases().items():
             link(self.work / "cases" / name / method, self.work / "measured/cases" / case.digest)
+        for name in _REPEATED:
+            nominal = self._nominal(name)
+            (outcome,) = run_groups([nominal], self.workers, self.watch)
+            _figures(nominal.cases.run, nominal.folder, outcome)
+            (case,) = nominal.cases.run
+            link(self.work / "cases" / name / "contact_fpp", nominal.folder / "cases" / case.digest)
         return self.work / "cases"
+
+    def _figure_cases(self) -> dict[tuple[str, Method], Case]:
+        """Return the cases of the figures that are no nominal trial, by specimen and method."""
+        asked = [(name, method) for names, methods in CASES for name in names for method in methods]
+        return {
+            (name, method): self._case(name, method)
+            for name, method in asked
+            if not (name in _REPEATED and method == "contact_fpp")
+        }
+
+    def _nominal(self, name: str) -> Group:
+        """Return the nominal trial alone of a repeated measurement: on the true rig."""
+        record, folder = (
+            fringe_study(self._experiment(name), self.trials),
+            self.work / _trials(name),
+        )
+        store, nominal = Store(folder), record.cases().run[0]
+        done = store.path_of(nominal.digest)
+        if done.is_dir() and not (done / COMPLETENESS_FILE).exists():
+            store.forget(nominal.digest)  # measured when the figures had cases of their own
+        return Group(folder, Cases((nominal,), 0), _FOR_FIGURES, record)
 
     def _case(self, name: str, method: Method) -> Case:
         experiment = self._experiment(name)
         told = {"specimen": name, "method": TRAITS[method].title}
         return case_of(told, case_for(experiment, method, plan_of(0)))
 
-    def _run(
-        self, name: str, cases: Sequence[Case], make: MakeMeasurer
-    ) -> dict[str, dict[str, Any]]:
-        """Measure cases that are no study, and return their figures by digest."""
+    def _figures(self, name: str) -> dict[str, dict[str, Any]]:
+        """Measure what a group lacks, and return its figures by digest."""
+        group = self._group(name)
+        (outcome,) = run_groups([group], self.workers, self.watch)
+        return _figures(group.cases.run, group.folder, outcome)
+
+    def _group(self, name: str) -> Group:
+        if name not in self._made:
+            self._made[name] = self._new_group(name)
+        return self._made[name]
+
+    def _new_group(self, name: str) -> Group:
         folder = self.work / name
-        outcome = run_cases(cases, folder, self.workers, watch=self.watch, make_measurer=make)
-        return _figures(cases, folder, outcome)
+        match name:
+            case "gelsight":
+                cases = colour_cases(self._experiment(BALLS), self.trials)
+                # Side by side: those under one calibration of the sensor.
+                cases.sort(key=lambda case: case.experiment.seed)
+                make = Measuring(more=figures_by_decoder, calibrations=self._calibrations)
+                return _group(folder, cases, make)
+            case "budgets":
+                parts = [part for of in BUDGET_OF for part in self._budget_cases(of)]
+                return _group(folder, [case for part in parts for case in part], PLAINLY)
+            case "measured":
+                return _group(
+                    folder, self._figure_cases().values(), Measuring(further=files_for_figures)
+                )
+            case "nut":
+                return _group(folder, self._nut_cases(), Measuring(more=shares_of))
+        record = fringe_study(self._experiment(folder.name), self.trials)
+        make = replace(_FOR_FIGURES, rigs=self.rigs)
+        return Group(folder, record.cases(), make, record)
+
+    @property
+    def _calibrations(self) -> Path:
+        return self.work / "calibrations"
 
     def _experiment(self, name: str) -> Experiment:
         return experiment_of(name, self.resolution)
 
-    def _trials(self, name: str) -> Path:
-        return self.work / "trials" / name
+
+def _trials(name: str) -> str:
+    return f"trials/{name}"
+
+
+_REPEATED = (*RODS, BALLS)
+"""Specimens with trials: the figures show the nominal ones."""
+TRIALS_OF_RODS = tuple(_trials(name) for name in RODS)
+TRIALS_OF_BALLS = ("gelsight", _trials(BALLS))
+GROUPS = (*TRIALS_OF_RODS, "gelsight", "measured", _trials(BALLS), "budgets", "nut")
+"""Folders of what is measured, those of long cases first: short ones fill the end."""
+
+
+def _group(folder: Path, cases: Iterable[Case], make: MakeMeasurer) -> Group:
+    return Group(folder, Cases(tuple(cases), 0), make)
 
 
 def _figures(

@@ -37,7 +37,7 @@ from twin.paper.figures import FIGURES, draw_figure
 from twin.paper.identified import identified_tables, pictures_table
 from twin.paper.page import Contents, write_paper_page
 from twin.paper.plan import BALLS, COARSE, CONTACT_FPP, FINE, GELSIGHT, experiment_of
-from twin.paper.reproduction import Reproduction
+from twin.paper.reproduction import TRIALS_OF_BALLS, TRIALS_OF_RODS, Reproduction
 from twin.paper.rod_table import hardness_table, rods_table
 from twin.paper.sphere_tables import repeated_fit_table, sphere_fit_table, uncertainty_table
 from twin.paper.trials import inputs
@@ -106,6 +106,16 @@ TABLES: Mapping[str, Callable[[Reproduction], list[Table]]] = {
 }
 
 
+_NEEDS: Mapping[str, tuple[str, ...]] = {
+    "identified": (*TRIALS_OF_BALLS, *TRIALS_OF_RODS),
+    "rods": TRIALS_OF_RODS,
+    "spheres": (*TRIALS_OF_BALLS, "budgets"),
+    "completeness": ("measured",),
+    "differences": ("nut",),
+}
+"""Groups of measurements that each group of tables is made from."""
+
+
 @dataclass(frozen=True)
 class Request:
     """What is asked for: repetitions, names of tables or figures (empty: all), all pixels."""
@@ -131,6 +141,12 @@ class Request:
     def figures(self) -> list[str]:
         """Figures that are asked for."""
         return [name for name in FIGURES if not self.only or name in self.only]
+
+    @property
+    def measured(self) -> set[str]:
+        """Groups of measurements that all of it needs."""
+        drawn = {"measured"} if any(FIGURES[name].cases for name in self.figures) else set()
+        return drawn.union(*(_NEEDS.get(name, ()) for name in self.tables))
 
 
 @dataclass(frozen=True)
@@ -179,6 +195,8 @@ def _make_folder(folder: Path) -> None:
 
 def _reproduce(out: Path, folder: Path, request: Request, run: Reproduction) -> Reproduced:
     """Measure into `out`/work, and write tables, figures and page into `folder`."""
+    if request.measured:
+        run.measure(request.measured)
     tables = tables_of(run, request.tables)
     drawn = _draw(run, folder, request.figures)
     _write_tables(folder, tables, request)

@@ -139,9 +139,6 @@ def trials_among(cases: Sequence[Case], found: Mapping[str, Figures]) -> list[Tr
         for name, value in found[case.digest].items()
         if name.startswith("sphere_") and name.endswith("_radius_mm") and "true" not in name
     }
-    trials = [
-        Trial(case.settings[TRIAL], found[case.digest])
-        for case in cases
-        if case.settings[PART] == TRIALS
-    ]
+    numbered = {case.settings[TRIAL]: case for case in cases if case.settings[PART] == TRIALS}
+    trials = [Trial(number, found[numbered[number].digest]) for number in sorted(numbered)]
     return [Trial(0, {**trials[0].figures, **redone}), *trials[1:]]

@@ -35,6 +35,7 @@ from twin.pipeline.colour_images import (
     image_pinhole,
 )
 from twin.pipeline.fringes import RunContext
+from twin.pipeline.kept_calibrations import KeptCalibrations
 from twin.pipeline.memory import Kept, Memory
 from twin.pipeline.press import press, press_smooth, with_texture
 from twin.results.decoders import MAP_ORDER, chosen, decode_all
@@ -237,6 +238,10 @@ def _calibrated(
 ) -> tuple[Kept[LitCoat], dict[MapKind, SensorCalibration]]:
     """Return the lit coat and one calibration per colour map, all on the same reference images."""
     coat = memory.recall("sensor", experiment, (), _lit_coat)
+    kept = None if memory.calibrations is None else KeptCalibrations(memory.calibrations)
+    found = None if kept is None else kept.find(experiment)
+    if found is not None:
+        return coat, found
     references = memory.recall(
         "references",
         experiment,
@@ -249,6 +254,8 @@ def _calibrated(
         references.token,
         lambda seen: _calibrations(ColourSensor.of(seen, coat.value), references.value),
     )
+    if kept is not None:
+        kept.put([coat.reads, references.reads, calibrations.reads], calibrations.value)
     return coat, calibrations.value
 
 

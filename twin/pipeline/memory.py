@@ -14,6 +14,7 @@ import typing
 from collections import deque
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from pathlib import Path as Folder
 from typing import Any, Generic, TypeVar, cast
 
 from pydantic import BaseModel
@@ -25,6 +26,9 @@ from twin.config.base import Model
 from twin.config.digest import with_file_contents
 
 Path = tuple[str, ...]
+
+# Before the kind of a table that was looked into: no JSON begins so.
+_PRESENT = b"table "
 
 
 class Reads:
@@ -45,6 +49,28 @@ class Reads:
         elif path not in self._found:  # read as a whole before: that says more
             self._found[path] = _presence(value)
 
+    @classmethod
+    def union(cls, parts: Iterable["Reads"]) -> "Reads":
+        """Return the fields that were read by any of several stages of one experiment."""
+        together = cls()
+        for part in parts:
+            for path, value in part._found.items():
+                # Of a table, its content says more than that it is there.
+                if not value.startswith(_PRESENT) or path not in together._found:
+                    together._found[path] = value
+        return together
+
+    def as_json(self) -> list[Any]:
+        """Return path and value of every field, for `from_json`."""
+        return [[list(path), value.decode()] for path, value in sorted(self._found.items())]
+
+    @classmethod
+    def from_json(cls, content: Iterable[Any]) -> "Reads":
+        """Take what `as_json` returned."""
+        reads = cls()
+        reads._found = {tuple(path): value.encode() for path, value in content}
+        return reads
+
     def hold_for(self, experiment: Experiment) -> bool:
         """Tell whether another experiment has the same values in all these fields."""
         return all(_at(experiment, path, kept) == kept for path, kept in self._found.items())
@@ -62,7 +88,7 @@ def values_at(experiment: Experiment, paths: Iterable[Path]) -> tuple[bytes, ...
     """
     found = list(paths)
     tables = {path[:-1] for path in found}
-    like = {path: b"table " if path in tables else b"" for path in found}
+    like = {path: _PRESENT if path in tables else b"" for path in found}
     return tuple(_at(experiment, path, like[path]) for path in found)
 
 
@@ -143,13 +169,13 @@ def _at(experiment: Experiment, path: Path, like: bytes) -> bytes:
     node: Any = experiment
     for name in path:
         node = getattr(node, name, None)
-    if like.startswith(b"table ") and isinstance(node, Model):
+    if like.startswith(_PRESENT) and isinstance(node, Model):
         return _presence(type(node))
     return _content(path, node)
 
 
 def _presence(kind: type) -> bytes:
-    return b"table " + kind.__name__.encode()
+    return _PRESENT + kind.__name__.encode()
 
 
 def _content(path: Path, value: Any) -> bytes:
@@ -206,6 +232,11 @@ class Memo(Generic[Result]):
     def __init__(self, name: str, capacity: int = 1) -> None:
         self.name, self.computed, self.recalled = name, 0, 0
         self._kept: deque[Kept[Result]] = deque(maxlen=capacity)
+
+    @property
+    def asked(self) -> int:
+        """How often it was asked for a result."""
+        return self.computed + self.recalled
 
     @property
     def latest_reads(self) -> Reads | None:
@@ -281,9 +312,16 @@ _CAPACITY = {
 
 
 class Memory:
-    """What the stages of measurements keep for the next one; a new one is empty."""
+    """What the stages of measurements keep for the next one; a new one is empty.
+
+    Attributes
+    ----------
+    calibrations : folder in which calibrations of photometric sensors are kept for other processes,
+        see `kept_calibrations`; None: they are not
+    """
 
     def __init__(self) -> None:
+        self.calibrations: Folder | None = None
         self._memos: dict[str, Memo[Any]] = {n: Memo(n, most) for n, most in _CAPACITY.items()}
 
     def recall(
@@ -295,6 +333,10 @@ class Memory:
     ) -> Kept[Result]:
         """Return a stage's result, computed only if no kept one is the same; see `Memo.recall`."""
         return self._memos[stage].recall(experiment, inputs, compute)
+
+    def asked(self) -> dict[str, int]:
+        """Return how often each stage was asked for a result."""
+        return {name: memo.asked for name, memo in self._memos.items()}
 
     def stages(self) -> Iterator[tuple[str, int, int, tuple[Path, ...]]]:
         """Yield name, times computed, times recalled and fields read of every stage in order."""

@@ -133,6 +133,7 @@ def seen_with(done: Measurement, rig: Calibration) -> Measurement:
 
 StageReads = tuple[tuple[FieldPath, ...], ...]
 MoreFigures = Callable[[Measurement], Metrics]
+FurtherFiles = Callable[[Measurement], Callable[[Path], None]]
 
 TRUE_RIG = "true_rig_"
 """What figures begin with that were measured on the same images with the true rig."""
@@ -190,12 +191,18 @@ class CaseMeasurer:
     keep : arrays to write per case: "press", "capture", "points"
     rigs : from which drawn rigs are drawn
     more : further figures of a measurement
+    further : makes further files of a nominal measurement, whose trial is 0; returns what writes
+        them
+    calibrations : folder in which those of photometric sensors are kept; None: they are not
     """
 
     keep: tuple[str, ...] = ()
     rigs: RigCovariance | None = None
     more: MoreFigures | None = None
+    further: FurtherFiles | None = None
+    calibrations: Path | None = None
     memory: Memory = field(default_factory=Memory)
+    _asked_before: dict[str, int] = field(default_factory=dict, init=False)
 
     def __call__(self, experiment: Experiment, conditions: Conditions = AS_IT_IS) -> Answer:
         """Measure one case.
@@ -204,6 +211,8 @@ class CaseMeasurer:
         ------
         InputError, MissingBackend : as `twin.pipeline.measure`
         """
+        self._asked_before = self.memory.asked()
+        self.memory.calibrations = self.calibrations
         if conditions.face_only:
             return Answer(face_figures(experiment, press(experiment, self.memory).pressed))
         if conditions.derivatives:
@@ -224,7 +233,19 @@ class CaseMeasurer:
             return Answer(figures, lambda folder: write_kept(folder, done, self.keep))
         done = _compensated(done, conditions)
         figures = {**done.metrics, **self._more(done)}
-        return Answer(figures, lambda folder: write_kept(folder, done, self.keep))
+        return Answer(figures, self._writer(done, conditions))
+
+    def _writer(self, done: Measurement, conditions: Conditions) -> Callable[[Path], None]:
+        # What may fail is made now: writing is only about the disk.
+        further = self.further if conditions.trial == 0 else None
+        write_further = None if further is None else further(done)
+
+        def write(folder: Path) -> None:
+            write_kept(folder, done, self.keep)
+            if write_further is not None:
+                write_further(folder)
+
+        return write
 
     def _write_press(self, folder: Path, pressed: PressedElastomer) -> None:
         if "press" in self.keep:
@@ -235,7 +256,11 @@ class CaseMeasurer:
 
     def reads(self) -> StageReads:
         """Fields that each stage looked at for the latest case, first stage first."""
-        return tuple(paths for _, _, _, paths in self.memory.stages())
+        before = self._asked_before
+        return tuple(
+            paths if computed + recalled > before.get(name, 0) else ()
+            for name, computed, recalled, paths in self.memory.stages()
+        )
 
 
 def _compensated(done: Measurement, conditions: Conditions) -> Measurement:
@@ -258,10 +283,12 @@ class Measuring:
 
     rigs: RigCovariance | None = None
     more: MoreFigures | None = None
+    further: FurtherFiles | None = None
+    calibrations: Path | None = None
 
     def __call__(self, keep: tuple[str, ...]) -> CaseMeasurer:
         """Return a measurer with an empty memory."""
-        return CaseMeasurer(keep, self.rigs, self.more)
+        return CaseMeasurer(keep, self.rigs, self.more, self.further, self.calibrations)
 
 
 PLAINLY = Measuring()

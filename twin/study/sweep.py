@@ -3,7 +3,7 @@
 import math
 import shutil
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from itertools import chain
 from pathlib import Path
@@ -21,7 +21,7 @@ from twin.pipeline.memory import Reads, values_at, watched
 from twin.pipeline.methods import check_measurable
 from twin.pipeline.progress import ProgressCallback, no_progress
 from twin.study.cases import Case, Cases, Point, cases_of
-from twin.study.engine import Run, SweepOutcome
+from twin.study.engine import Run, SweepOutcome, run_together
 from twin.study.gradient import descend
 from twin.study.index import DAMAGED, Index, entry_of
 from twin.study.measuring import CALIBRATION_FILE, PLAINLY, Measuring, calibrated
@@ -168,11 +168,15 @@ class _Session:
     damaged: dict[str, str] = field(default_factory=dict)
 
     def run(self, cases: Cases) -> SweepOutcome:
+        return self.compute(self.wanted(cases))
+
+    def wanted(self, cases: Cases) -> list[Case]:
+        """Return the cases, once each, with those forgotten that are to run again."""
         wanted = cases.unique()
         self.asked.extend(case.digest for case in wanted)
         self.damaged.update(forget_damaged(self.store, wanted))
         forget_failures(self.store, wanted, every=self.retry)
-        return self.compute(wanted)
+        return wanted
 
     def whole(self, outcome: SweepOutcome) -> SweepOutcome:
         """Return the outcome with how all the cases stand that were asked for."""
@@ -228,20 +232,54 @@ def sweep(
     return session.whole(outcome)
 
 
-def run_cases(
-    cases: Sequence[Case],
-    folder: Path,
-    workers: Workers,
-    *,
-    watch: ProgressCallback = no_progress,
-    make_measurer: MakeMeasurer = PLAINLY,
-) -> SweepOutcome:
-    """Compute cases that are no study of their own, where their store lacks them; as `sweep`."""
-    store = Store(folder)
-    store.open()
-    with _session(store, workers, (), make_measurer, watch, retry=False) as session:
-        outcome = session.run(Cases(tuple(cases), 0))
-    return session.whole(outcome)
+@dataclass(frozen=True, eq=False)
+class Group:
+    """Cases that lie in one store, and what measures them.
+
+    Attributes
+    ----------
+    record : the study that they are, which the store remembers; None: they are none
+    """
+
+    folder: Path
+    cases: Cases
+    make_measurer: MakeMeasurer = PLAINLY
+    record: StudyRecord | None = None
+
+
+def run_groups(
+    groups: Sequence[Group], workers: Workers, watch: ProgressCallback = no_progress
+) -> list[SweepOutcome]:
+    """Compute what the stores of several groups lack, on the same workers: `run_together`.
+
+    Parameters
+    ----------
+    groups : each with a folder of its own; in the order in which they are handed out
+
+    Raises
+    ------
+    InputError : a folder cannot be used
+    MissingBackend : no usable Dr.Jit backend
+    """
+    for group in groups:
+        Store(group.folder).open()
+        if group.record is not None:
+            write_record(group.folder, group.record)
+    with ExitStack() as stack:
+        sessions = [stack.enter_context(_session_of(group, workers, watch)) for group in groups]
+        parts = [
+            (one.compute, one.wanted(group.cases))
+            for one, group in zip(sessions, groups, strict=True)
+        ]
+        outcomes = run_together(parts, workers, watch)
+    return [one.whole(outcome) for one, outcome in zip(sessions, outcomes, strict=True)]
+
+
+def _session_of(
+    group: Group, workers: Workers, watch: ProgressCallback
+) -> AbstractContextManager[_Session]:
+    keep = () if group.record is None else group.record.study.keep
+    return _session(Store(group.folder), workers, keep, group.make_measurer, watch, retry=False)
 
 
 @contextmanager

@@ -14,6 +14,7 @@ from typing import Literal, Protocol
 from reconstruction.errors import InputError
 from reconstruction.machine import is_disk_full, threads
 from twin.config import Experiment
+from twin.pipeline import Memory
 from twin.results.parts import write_result, write_timings
 from twin.study.measuring import (
     AS_IT_IS,
@@ -118,10 +119,20 @@ def die_with(parent: int) -> None:
     threading.Thread(target=watch, daemon=True).start()
 
 
-@lru_cache(maxsize=1)  # it holds stacks of frames
+@lru_cache(maxsize=1)
+def _memory() -> Memory:
+    """Return what this process keeps of its latest stages, whatever is asked about their results.
+
+    One for all, as it holds stacks of frames.
+    """
+    return Memory()
+
+
+@lru_cache(maxsize=1)
 def _measurer(make: MakeMeasurer, keep: tuple[str, ...]) -> Measurer:
     measurer = make(keep)
     if isinstance(measurer, CaseMeasurer):
+        measurer.memory = _memory()
         from twin.optics.backend import use_threads
 
         use_threads(threads())  # the renderer does not look at the environment

@@ -1,0 +1,78 @@
+"""Calibrations of photometric sensors kept in a folder, for whoever measures with the same sensor.
+
+DIR/NAME/ holds one: the values of all fields that it was made from, as the stages read them
+(`reads.json`, see `memory`), and an .npz file per colour map. It serves every experiment with the
+same values in these fields, whatever process made it. `reads.json` is written last, each file under
+another name and renamed: a calibration is never half there, and two processes may write the same.
+"""
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+from pydantic_core import to_json
+
+from reconstruction.errors import InputError
+from reconstruction.machine import unwritable
+from reconstruction.photometric import (
+    SensorCalibration,
+    read_sensor_calibration,
+    write_sensor_calibration,
+)
+from reconstruction.photometric.sensor import MapKind
+from reconstruction.reading import read_json
+from twin.config import Experiment
+from twin.output import replace_json, replacing, versions
+from twin.pipeline.memory import Reads
+from twin.results.decoders import MAP_ORDER
+
+_READS_FILE = "reads.json"
+
+Calibrations = dict[MapKind, SensorCalibration]
+
+
+@dataclass(frozen=True)
+class KeptCalibrations:
+    """A folder of calibrations, made when the first one is put there."""
+
+    folder: Path
+
+    def find(self, experiment: Experiment) -> Calibrations | None:
+        """Return the calibrations of an experiment's sensor by colour map, if they are kept.
+
+        What is damaged counts as not kept: it is made anew.
+        """
+        for file in sorted(self.folder.glob(f"*/{_READS_FILE}")):
+            with suppress(InputError):
+                content = read_json(file)
+                same = content.get("versions") == versions()
+                if same and Reads.from_json(content["reads"]).hold_for(experiment):
+                    return {kind: read_sensor_calibration(_file(file, kind)) for kind in MAP_ORDER}
+        return None
+
+    def put(
+        self, reads: Sequence[Reads], calibrations: Mapping[MapKind, SensorCalibration]
+    ) -> None:
+        """Keep calibrations with what the stages that made them looked at.
+
+        Raises
+        ------
+        InputError : the folder cannot be written
+        """
+        content = {"versions": versions(), "reads": Reads.union(reads).as_json()}
+        name = hashlib.blake2b(to_json(content), digest_size=8).hexdigest()
+        place = self.folder / name
+        try:
+            place.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise unwritable(place, error) from None
+        for kind, one in calibrations.items():
+            with replacing(_file(place / _READS_FILE, kind)) as file:
+                write_sensor_calibration(file, one)
+        replace_json(place / _READS_FILE, content)
+
+
+def _file(beside: Path, kind: MapKind) -> Path:
+    return beside.with_name(f"{kind}.npz")
