@@ -10,10 +10,9 @@ import numpy as np
 from reconstruction.evaluate.fit import fit_sphere, fit_sphere_algebraic
 from twin.config import Experiment
 from twin.paper.claims import DIRECT_AT_MOST
-from twin.paper.plan import GELSIGHT, NOMINAL_RADIUS_MM, mean_of
+from twin.paper.plan import GELSIGHT, NOMINAL_RADIUS_MM, mean_of, pressed_face
 from twin.paper.statistics import values_of
 from twin.paper.trials import Trial
-from twin.pipeline.press import press_specimen
 from twin.report.table import Cell, Column, Table
 from twin.results.decoders import INTEGRATION_ORDER, MAP_ORDER
 from twin.results.parts import face_points_mm
@@ -26,7 +25,7 @@ HEIGHT_SCALE = (0.66, 0.8, 0.9, 1.0, 1.1, 1.2, 1.33)
 
 def region_table(experiment: Experiment) -> Table:
     """Return both fits of the coat over the two balls against the region: which is not stated."""
-    pressed = press_specimen(experiment)
+    pressed = pressed_face(experiment)
     points, balls = face_points_mm(pressed), shape_of(experiment.specimen).spheres()
     rows: list[dict[str, Cell]] = []
     for region_mm in REGIONS_MM:

@@ -6,7 +6,7 @@ from functools import lru_cache
 from pathlib import Path
 
 from reconstruction.errors import InputError
-from twin.config import Experiment, load_experiment
+from twin.config import Experiment
 from twin.mechanics import PressedElastomer
 from twin.paper.hardness import draw_hardness
 from twin.paper.identified import draw_ridges
@@ -20,10 +20,9 @@ from twin.paper.object_figures import (
     draw_rods,
     draw_sphere_fit,
 )
+from twin.paper.plan import BALLS, experiment_of, pressed_face
 from twin.paper.rig_figures import draw_concept, draw_setup
-from twin.pipeline.press import press_specimen
 
-_SHOWN_PRESS = "paper/two_balls"
 _FPP, _ALL = ("direct_fpp", "contact_fpp"), ("photometric_stereo", "contact_fpp")
 
 
@@ -48,8 +47,9 @@ class PaperFigure:
 
 @lru_cache
 def _pressed() -> tuple[Experiment, PressedElastomer]:
-    experiment = load_experiment(_SHOWN_PRESS)
-    return experiment, press_specimen(experiment)
+    # On coarse cells, as the table on the region of the fit: a sketch shows no more of fine ones.
+    experiment = experiment_of(BALLS)
+    return experiment, pressed_face(experiment)
 
 
 def _cases(names: dict[str, str], methods: tuple[str, ...]) -> tuple[tuple[str, str], ...]:

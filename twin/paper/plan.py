@@ -12,6 +12,9 @@ from typing import Any
 from twin.assets import asset_path
 from twin.config import Experiment, load_experiment
 from twin.config.methods import Method
+from twin.mechanics import PressedElastomer
+from twin.pipeline import Memory
+from twin.pipeline.press import press
 
 CONTACT_FPP, GELSIGHT = "contact-FPP", "GelSight"
 METHODS = (GELSIGHT, CONTACT_FPP)
@@ -91,6 +94,16 @@ FINE = Resolution({}, {})
 def experiment_of(name: str, resolution: Resolution = COARSE) -> Experiment:
     """Return one of the paper's experiments, every one on the same rig and press."""
     return load_experiment(f"paper/{name}", resolution.settings_of(name))
+
+
+def pressed_face(experiment: Experiment) -> PressedElastomer:
+    """Press one of the paper's specimens; tables and figures that ask for the same one share it."""
+    return press(experiment, _presses()).pressed
+
+
+@lru_cache
+def _presses() -> Memory:
+    return Memory()
 
 
 @lru_cache
