@@ -21,7 +21,13 @@ import numpy as np
 from reconstruction.arrays import FloatArray, FloatImage, Reason
 from reconstruction.compiling import compiled, merged, nested, run_over_rows
 from reconstruction.decoding._lift import (
+    COARSE,
+    GAIN,
+    LIFT,
     ONE,
+    USABLE,
+    VALUE,
+    VARIANCE,
     ZERO,
     Planes,
     Smoothing,
@@ -43,7 +49,7 @@ from reconstruction.decoding._relief import (
     write_root,
     write_share,
 )
-from reconstruction.decoding._rows import BIAS, multiply, pack_row, unpack_row
+from reconstruction.decoding._rows import BIAS, fill, multiply, pack_row, unpack_row
 from reconstruction.decoding._sum import DARK, LOW_MODULATION
 
 PATCH_COLS = 512
@@ -128,34 +134,36 @@ def _place(x: Any, usable: Any, out: Any) -> None:
 
 
 @merged
-def _load_mask(source: Unfiltered, patch: FilterPatch, planes: Planes) -> None:
-    planes.usable[:] = ZERO
+def _load_mask(reason: Any, patch: FilterPatch, images: Any) -> None:
+    for row in range(images.shape[1]):
+        fill(images[USABLE, row], ZERO)
     first, end = patch.left + patch.near, patch.left + patch.far
     for row in range(patch.low, patch.high):
-        line = source.reason[patch.top + row]
-        _mark(line[first:end], planes.usable[row, patch.near : patch.far])
+        line = reason[patch.top + row, first:end]
+        _mark(line, images[USABLE, row, patch.near : patch.far])
 
 
 @merged
 def _load_axis(
-    axis: int, source: Unfiltered, patch: FilterPatch, smoothing: Smoothing, planes: Planes
+    coordinate_px: Any, sigmas: Any, patch: FilterPatch, sigma_unit: Any, images: Any
 ) -> None:
     """Write the coordinate and the variance of the single pixel."""
-    planes.value[:], planes.variance[:] = NOWHERE, ZERO
+    for row in range(images.shape[1]):
+        fill(images[VALUE, row], NOWHERE)
+        fill(images[VARIANCE, row], ZERO)
     near, far = patch.near, patch.far
     first, end = patch.left + near, patch.left + far
     for row in range(patch.low, patch.high):
-        line, variance = source.coordinate_px[axis, patch.top + row], planes.variance[row, near:far]
-        _place(line[first:end], planes.usable[row, near:far], planes.value[row, near:far])
-        sigma = source.sigma[axis, patch.top + row, first:end]
-        unpack_row(sigma, smoothing.sigma_unit, variance)
+        line, variance = coordinate_px[patch.top + row, first:end], images[VARIANCE, row, near:far]
+        _place(line, images[USABLE, row, near:far], images[VALUE, row, near:far])
+        unpack_row(sigmas[patch.top + row, first:end], sigma_unit, variance)
         multiply(variance, variance)
 
 
 @merged
 def _write(
     axis: int,
-    planes: Planes,
+    images: Any,
     patch: FilterPatch,
     smoothing: Smoothing,
     blocks: Blocks,
@@ -171,12 +179,12 @@ def _write(
             block = row // BLOCK
             weigh_blocks(block, smoothing, blocks)
         at = patch.top + row
-        value, usable = planes.value[row, inside], planes.usable[row, inside]
-        lift, coarse = planes.lift[row, inside], planes.coarse[row, inside]
+        value, usable = images[VALUE, row, inside], images[USABLE, row, inside]
+        lift, coarse = images[LIFT, row, inside], images[COARSE, row, inside]
         whole, part = spread[0, inside], spread[1, inside]
         give_back(value, usable, lift, coarse, whole, part, target.coordinate_px[axis, at, out])
         add_variances(
-            planes.variance[row, inside], planes.gain[row, inside], smoothing.noise[0, 0],
+            images[VARIANCE, row, inside], images[GAIN, row, inside], smoothing.noise[0, 0],
             spread[2, inside], spread[3, inside], spread[4, inside], total,
         )  # fmt: skip
         write_share(spread[5, inside], total, usable, target.bias_share[axis, at, out])
@@ -189,16 +197,17 @@ def _smooth_patch(
     patch: FilterPatch, source: Unfiltered, smoothing: Smoothing, planes: Planes, blocks: Blocks,
     target: Smoothed,
 ) -> None:  # fmt: skip
-    half = smoothing.weights.size // 2
-    window = Window(half, planes.usable.shape[1] - 2 * half, half)
-    _load_mask(source, patch, planes)
-    weigh(planes, smoothing.weights, half, window)
+    half, images = smoothing.weights.size // 2, planes.images
+    window = Window(half, images.shape[2] - 2 * half, half)
+    _load_mask(source.reason, patch, images)
+    weigh(images, planes.alike, smoothing.weights, half, window)
     for axis in range(source.coordinate_px.shape[0]):
-        _load_axis(axis, source, patch, smoothing, planes)
-        write_lift(planes, smoothing, window)
-        write_coarse(planes, smoothing.weights, window)
-        sum_blocks(planes, half, blocks)
-        _write(axis, planes, patch, smoothing, blocks, target)
+        coordinate_px, sigmas = source.coordinate_px[axis], source.sigma[axis]
+        _load_axis(coordinate_px, sigmas, patch, smoothing.sigma_unit, images)
+        write_lift(images, smoothing, window)
+        write_coarse(images, smoothing.weights, window)
+        sum_blocks(images, half, blocks.lines, blocks.sums)
+        _write(axis, images, patch, smoothing, blocks, target)
 
 
 def _whole(size: int) -> int:
@@ -215,11 +224,11 @@ def smooth_rows(
     top, high = first_row - above, _whole(above + count + margin)
     # One set for all patches: new memory costs more than the arithmetic.
     planes = make_planes(high, _whole(min(PATCH_COLS, width)) + 2 * margin)
-    blocks = make_blocks(planes.usable.shape[0], planes.usable.shape[1])
+    blocks = make_blocks(*planes.images.shape[1:])
     low, high = max(-top, 0), min(high, rows - top)
     for first_col in range(0, width, PATCH_COLS):
         cols, left = min(PATCH_COLS, width - first_col), first_col - margin
-        near, far = max(-left, 0), min(planes.usable.shape[1], width - left)
+        near, far = max(-left, 0), min(planes.images.shape[2], width - left)
         patch = FilterPatch(top, left, count, cols, above, margin, low, high, near, far)
         _smooth_patch(patch, source, smoothing, planes, blocks, target)
 

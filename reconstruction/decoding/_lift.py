@@ -36,19 +36,20 @@ class Smoothing(NamedTuple):
     sigma_factor: np.float32  # to pack them
 
 
-class Planes(NamedTuple):
-    """Images of a patch and its surroundings, (row, col)."""
+# Of `Planes.images`: which pixels count; 1 / sum of weights along rows and columns; the variance
+# that G leaves of the noise of a single pixel; 1 / (G usable); what is filtered.
+USABLE, ALONG_ROWS, ALONG_COLS, GAIN, PER_SUPPORT = 0, 1, 2, 3, 4
+VALUE, VARIANCE, SPARE, LIFT, COARSE = 5, 6, 7, 8, 9
+IMAGES = 10
 
-    usable: Any
-    along_rows: Any  # 1 / sum of weights
-    along_cols: Any
-    gain: Any  # variance that G leaves of the noise of a single pixel
-    per_support: Any  # 1 / (G usable)
-    value: Any
-    variance: Any
-    spare: Any
-    lift: Any
-    coarse: Any
+
+class Planes(NamedTuple):
+    """Images of a patch and its surroundings.
+
+    One array, not one for each: compiled code copies a tuple of arrays wherever it reads one.
+    """
+
+    images: Any  # (image, row, col) float32
     alike: Any  # (row,), how many rows before have the same mask
 
 
@@ -61,13 +62,7 @@ class Window(NamedTuple):
 
 
 def make_planes(rows: int, cols: int) -> Planes:
-    shape = (rows, cols)
-    return Planes(
-        np.zeros(shape, np.float32), np.zeros(shape, np.float32), np.zeros(shape, np.float32),
-        np.zeros(shape, np.float32), np.zeros(shape, np.float32), np.zeros(shape, np.float32),
-        np.zeros(shape, np.float32), np.zeros(shape, np.float32), np.zeros(shape, np.float32),
-        np.zeros(shape, np.float32), np.zeros(rows, np.int64),
-    )  # fmt: skip
+    return Planes(np.zeros((IMAGES, rows, cols), np.float32), np.zeros(rows, np.int64))
 
 
 @nested
@@ -213,10 +208,10 @@ def _is_equal(a: Any, b: Any) -> bool:
 
 
 @merged
-def _weigh_along(row: int, planes: Planes, weights: Any, window: Window) -> None:
+def _weigh_along(row: int, images: Any, weights: Any, window: Window) -> None:
     gap, end, half = window.gap, window.gap + window.width, window.half
-    line = planes.usable[row]
-    total, left = planes.along_rows[row, gap:end], planes.spare[row, gap:end]
+    line = images[USABLE, row]
+    total, left = images[ALONG_ROWS, row, gap:end], images[SPARE, row, gap:end]
     fill(total, weights[half])
     fill(left, weights[half] * weights[half])
     for k in range(1, half + 1):
@@ -226,65 +221,63 @@ def _weigh_along(row: int, planes: Planes, weights: Any, window: Window) -> None
     _invert(total, line[gap:end])
     multiply(left, total)
     multiply(left, total)
-    _average_along(line, weights, window, planes.coarse[row, gap:end])
+    _average_along(line, weights, window, images[COARSE, row, gap:end])
 
 
 @merged
-def _weigh_across(row: int, planes: Planes, weights: Any, half: int) -> None:
-    usable, noise = planes.usable, planes.spare
-    total, left, support = planes.along_cols[row], planes.gain[row], planes.per_support[row]
+def _weigh_across(row: int, images: Any, weights: Any, half: int) -> None:
+    usable, noise, line = images[USABLE], images[SPARE], images[USABLE, row]
+    total, left, support = images[ALONG_COLS, row], images[GAIN, row], images[PER_SUPPORT, row]
     fill(total, weights[half])
     _scale(noise[row], weights[half] * weights[half], left)
     for k in range(1, half + 1):
         u, v, weight = usable[row - k], usable[row + k], weights[half + k]
         _add_weight(u, v, TWO * weight, total)
         _add_noise(u, v, noise[row - k], noise[row + k], weight * weight, left)
-    _invert(total, usable[row])
+    _invert(total, line)
     multiply(left, total)
     multiply(left, total)
-    _average_across(planes.coarse, row, weights, half, support)
-    _invert(support, usable[row])
+    _average_across(images[COARSE], row, weights, half, support)
+    _invert(support, line)
 
 
 @merged
-def weigh(planes: Planes, weights: Any, half: int, window: Window) -> None:
+def weigh(images: Any, alike: Any, weights: Any, half: int, window: Window) -> None:
     """Write what depends on the mask alone: sums of weights, noise, support.
 
     Most rows have the mask of the row before.
     """
-    rows, alike = planes.usable.shape[0], planes.alike
+    rows = images.shape[1]
     alike[0] = 0
-    _weigh_along(0, planes, weights, window)
-    for row in range(1, rows):
-        if _is_equal(planes.usable[row], planes.usable[row - 1]):
+    for row in range(rows):
+        if row > 0 and _is_equal(images[USABLE, row], images[USABLE, row - 1]):
             alike[row] = alike[row - 1] + 1
-            for plane in (planes.along_rows, planes.spare, planes.coarse):
-                copy_row(plane[row - 1], plane[row])
+            for k in (ALONG_ROWS, SPARE, COARSE):
+                copy_row(images[k, row - 1], images[k, row])
         else:
             alike[row] = 0
-            _weigh_along(row, planes, weights, window)
+            _weigh_along(row, images, weights, window)
     for row in range(half, rows - half):
         if alike[row + half] > 2 * half:
-            for plane in (planes.along_cols, planes.gain, planes.per_support):
-                copy_row(plane[row - 1], plane[row])
+            for k in (ALONG_COLS, GAIN, PER_SUPPORT):
+                copy_row(images[k, row - 1], images[k, row])
         else:
-            _weigh_across(row, planes, weights, half)
+            _weigh_across(row, images, weights, half)
 
 
 @merged
-def write_lift(planes: Planes, smoothing: Smoothing, window: Window) -> None:
+def write_lift(images: Any, smoothing: Smoothing, window: Window) -> None:
     """Write l = G x - x."""
-    value, spare, lift = planes.value, planes.spare, planes.lift
-    weights, limit, rows = smoothing.weights, smoothing.limit_px, planes.usable.shape[0]
+    weights, limit, rows = smoothing.weights, smoothing.limit_px, images.shape[1]
     gap, end, half = window.gap, window.gap + window.width, window.half
     for row in range(rows):
-        line, out = value[row], lift[row, gap:end]
-        _bend_along(line, weights, window, limit, planes.along_rows[row, gap:end], out)
-        _sum(line[gap:end], out, spare[row, gap:end])
+        line, out = images[VALUE, row], images[LIFT, row, gap:end]
+        _bend_along(line, weights, window, limit, images[ALONG_ROWS, row, gap:end], out)
+        _sum(line[gap:end], out, images[SPARE, row, gap:end])
     for row in range(half, rows - half):
-        out = planes.coarse[row]
-        _bend_across(spare, row, weights, half, limit, planes.along_cols[row], out)
-        add(out, lift[row])
+        out = images[COARSE, row]
+        _bend_across(images[SPARE], row, weights, half, limit, images[ALONG_COLS, row], out)
+        add(out, images[LIFT, row])
 
 
 @compiled
@@ -294,12 +287,12 @@ def _sum(a: Any, b: Any, out: Any) -> None:
 
 
 @merged
-def write_coarse(planes: Planes, weights: Any, window: Window) -> None:
+def write_coarse(images: Any, weights: Any, window: Window) -> None:
     """Write the coarse part of the lift."""
-    lift, coarse, spare = planes.lift, planes.coarse, planes.spare
-    gap, end, half = window.gap, window.gap + window.width, window.half
-    for row in range(half, lift.shape[0] - half):
-        _average_along(lift[row], weights, window, spare[row, gap:end])
-    for row in range(2 * half, lift.shape[0] - 2 * half):
-        _average_across(spare, row, weights, half, coarse[row])
-        multiply(coarse[row], planes.per_support[row])
+    gap, end, half, rows = window.gap, window.gap + window.width, window.half, images.shape[1]
+    for row in range(half, rows - half):
+        _average_along(images[LIFT, row], weights, window, images[SPARE, row, gap:end])
+    for row in range(2 * half, rows - 2 * half):
+        out = images[COARSE, row]
+        _average_across(images[SPARE], row, weights, half, out)
+        multiply(out, images[PER_SUPPORT, row])

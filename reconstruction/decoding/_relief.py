@@ -12,8 +12,18 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from reconstruction.compiling import compiled, inlined, merged, nested
-from reconstruction.decoding._lift import ONE, TINY, TWO, ZERO, Planes, Smoothing
-from reconstruction.decoding._rows import add, larger, smaller
+from reconstruction.decoding._lift import (
+    COARSE,
+    LIFT,
+    ONE,
+    TINY,
+    TWO,
+    USABLE,
+    VARIANCE,
+    ZERO,
+    Smoothing,
+)
+from reconstruction.decoding._rows import add, fill, larger, smaller
 
 # Mean squares are taken over 5 x 5 blocks of 4 x 4 pixels, whatever the patch.
 BLOCK, AROUND = 4, 2
@@ -49,16 +59,17 @@ def make_blocks(rows: int, cols: int) -> Blocks:
 
 
 @merged
-def sum_blocks(planes: Planes, half: int, blocks: Blocks) -> None:
+def sum_blocks(images: Any, half: int, lines: Any, sums: Any) -> None:
     """Write the sums over every block: squares of both parts, variances and usable pixels."""
-    rows, lines, sums = planes.lift.shape[0], blocks.lines, blocks.sums
+    rows = images.shape[1]
     for block in range(sums.shape[1]):
-        lines[:] = ZERO
+        for part in range(4):
+            fill(lines[part], ZERO)
         for row in range(BLOCK * block, BLOCK * block + BLOCK):
             if 2 * half <= row < rows - 2 * half:
-                _add_squares(planes.lift[row], planes.coarse[row], lines[0], lines[1])
-                add(planes.variance[row], lines[2])
-                add(planes.usable[row], lines[3])
+                _add_squares(images[LIFT, row], images[COARSE, row], lines[0], lines[1])
+                add(images[VARIANCE, row], lines[2])
+                add(images[USABLE, row], lines[3])
         for part in range(4):
             line, out = lines[part], sums[part, block]
             for col in range(out.size):
