@@ -37,7 +37,7 @@ LEAST_SHARE = {"spike": 0.5, "terraces": 0.4, "rough": 0.3, "plane": 0.999}
 @pytest.fixture(scope="module", params=RELIEFS)
 def sheet(mi, request, grid_face):
     """Return a face, its heights and a scene that holds it alone."""
-    from twin.optics.heights import Heights
+    from twin.optics.heights import MarchedHeights
     from twin.optics.materials import coated_mesh
 
     face = grid_face(
@@ -46,7 +46,7 @@ def sheet(mi, request, grid_face):
     scene = mi.load_dict(
         {"type": "scene", "coated_face": coated_mesh(face, {"type": "diffuse"})}, optimize=False
     )
-    return request.param, face, Heights.of_grid(height_grid(face)), scene
+    return request.param, face, MarchedHeights.of_grid(height_grid(face)), scene
 
 
 class NoTree:
@@ -146,14 +146,14 @@ def test_not_marched_are_rays_that_end_before_or_start_below(mi, sheet):
 
 def test_an_uneven_grid_has_no_heights(mi, plane):
     """Lines half a cell off, on a grid all the same: the tree is used."""
-    from twin.optics.heights import Heights
+    from twin.optics.heights import MarchedHeights
 
     moved = plane.copy()
     x = moved.vertices[:, 0]
     moved.vertices[x == 0.5, 0] = 0.75
-    assert Heights.of_grid(height_grid(plane)) is not None
+    assert MarchedHeights.of_grid(height_grid(plane)) is not None
     assert height_grid(moved) is not None
-    assert Heights.of_grid(height_grid(moved)) is None
+    assert MarchedHeights.of_grid(height_grid(moved)) is None
 
 
 @pytest.fixture(scope="module")

@@ -110,10 +110,10 @@ def test_marched_rays_show_what_the_tree_shows(look, bump):
     Expected: the same light and shadow but for rounding: 1e-4 of the brightest, on all pixels but
     those whose ray to the light grazes the relief.
     """
-    from twin.optics.heights import Heights, height_grid
+    from twin.optics.heights import MarchedHeights, height_grid
 
     leds = lamp(height_mm=3.0), lamp(channel="blue", x_mm=-3.0, y_mm=11.0, aim_azimuth_deg=-90.0)
-    heights = Heights.of_grid(height_grid(bump))
+    heights = MarchedHeights.of_grid(height_grid(bump))
     (marched, points), (plain, at) = (look(bump, *leds, heights=one) for one in (heights, None))
     differs = np.abs(marched - plain) > 1e-4 * plain.max()
     assert (plain[..., 0] < 1e-3 * plain[..., 0].max()).mean() > 0.01  # in the shadow of the bump

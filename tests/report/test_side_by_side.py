@@ -83,7 +83,30 @@ def test_what_fails_in_the_second_process_is_drawn_here(tmp_path):
     assert len(found) == told == 6
 
 
-def test_a_second_process_that_hangs_is_ended(tmp_path, monkeypatch):
+@pytest.fixture
+def copies(monkeypatch):
+    """Process numbers of the copies that were started."""
+    found, fork = [], os.fork
+
+    def noted():
+        number = fork()
+        found.append(number)
+        return number
+
+    monkeypatch.setattr(os, "fork", noted)
+    return found
+
+
+def is_ended(copy):
+    """Tell whether a child has ended and was waited for."""
+    try:
+        os.waitpid(copy, os.WNOHANG)
+    except ChildProcessError:
+        return True
+    return False
+
+
+def test_a_second_process_that_hangs_is_ended(tmp_path, monkeypatch, copies):
     monkeypatch.setattr(side_by_side, "PATIENCE_S", 0.05)
     here = os.getpid()
 
@@ -95,18 +118,18 @@ def test_a_second_process_that_hangs_is_ended(tmp_path, monkeypatch):
     found, told = drawn(tmp_path, draw, partial(time.sleep, 0.05))
     assert set(found.values()) == {here}
     assert len(found) == told == 6
-    with pytest.raises(ChildProcessError):
-        os.waitpid(-1, os.WNOHANG)
+    (copy,) = copies
+    assert is_ended(copy)
 
 
-def test_a_failure_here_ends_the_second_process(tmp_path):
+def test_a_failure_here_ends_the_second_process(tmp_path, copies):
     def fail():
         raise OSError("no room")
 
     with pytest.raises(OSError, match="no room"):
         drawn(tmp_path, lambda path: time.sleep(60), fail)
-    with pytest.raises(ChildProcessError):
-        os.waitpid(-1, os.WNOHANG)
+    (copy,) = copies
+    assert is_ended(copy)
 
 
 def test_a_signal_to_the_second_process_is_not_ours(tmp_path):

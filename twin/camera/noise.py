@@ -131,7 +131,7 @@ def poisson_counts(mean: FloatImage, key: Key, frame: int = 0) -> FloatImage:
     return counts
 
 
-class _Lines(NamedTuple):
+class _RowScratch(NamedTuple):
     """What a frame is worked out in, row by row; compiled code makes no arrays."""
 
     words: NDArray[np.uint32]
@@ -140,9 +140,9 @@ class _Lines(NamedTuple):
     read: FloatImage
 
 
-def _lines(cols: int) -> _Lines:
+def _lines(cols: int) -> _RowScratch:
     mean, counts, read = (np.zeros(cols, np.float32) for _ in range(3))
-    return _Lines(np.zeros((2, cols + cols % 2), np.uint32), mean, counts, read)
+    return _RowScratch(np.zeros((2, cols + cols % 2), np.uint32), mean, counts, read)
 
 
 @_inlined
@@ -296,7 +296,7 @@ def _draw_row(
 
 
 @_compiled
-def _draw(mean: Any, tables: Any, key: Any, frame: Any, lines: _Lines, counts: Any) -> None:
+def _draw(mean: Any, tables: Any, key: Any, frame: Any, lines: _RowScratch, counts: Any) -> None:
     """Draw Poisson numbers of the means of one frame."""
     words, read = lines.words, lines.read
     for row in range(mean.shape[0]):
@@ -311,7 +311,7 @@ def _record(
     tables: Any,
     key: Any,
     frame: Any,
-    lines: _Lines,
+    lines: _RowScratch,
     recorded: Any,
 ) -> None:
     response, offset_e = pattern

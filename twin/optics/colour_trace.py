@@ -17,7 +17,7 @@ from twin.config.lamps import Markers
 from twin.config.models import Experiment
 from twin.optics.connection import first_hit, shaded, truth_of
 from twin.optics.devices import Device, SubPixels
-from twin.optics.heights import Heights, height_grid
+from twin.optics.heights import MarchedHeights, height_grid
 from twin.optics.lamps import Emitters, emitters_of
 from twin.optics.layers import LayerStack
 from twin.optics.materials import COATED_FACE
@@ -40,7 +40,7 @@ class LampRig:
     layers: LayerStack | None = None
     markers: Markers | None = None
     shadows: bool = True
-    heights: Heights | None = None
+    heights: MarchedHeights | None = None
 
 
 class ColourScene:
@@ -103,9 +103,9 @@ class ColourScene:
         return LampRig(camera, emitters, self._stack, self._markers, heights=self._heights)
 
 
-def _heights_of(face: "trimesh.Trimesh") -> Heights | None:
+def _heights_of(face: "trimesh.Trimesh") -> MarchedHeights | None:
     grid = height_grid(face)
-    return None if grid is None else Heights.of_grid(grid)
+    return None if grid is None else MarchedHeights.of_grid(grid)
 
 
 def trace_channels(scene: Any, rig: LampRig, samples: int) -> FloatImage:

@@ -14,7 +14,7 @@ import numpy as np
 
 from reconstruction.arrays import FloatArray, FloatImage
 from twin.optics.devices import Device
-from twin.optics.heights import Heights
+from twin.optics.heights import MarchedHeights
 from twin.optics.layers import Arrival, LayerStack
 from twin.optics.light import LEAST_VARIANCE_PX2, MARGIN_PX, OVERSAMPLING, BlurLevels, LightTable
 from twin.optics.stack import Truth
@@ -39,7 +39,7 @@ class Rig:
     irradiance_at_1mm: float
     layers: LayerStack | None = None
     shadows: bool = True
-    heights: Heights | None = None
+    heights: MarchedHeights | None = None
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,7 @@ def see(scene: Any, rig: Rig, ray: Any) -> tuple[Any, Connection]:
     return hit, path
 
 
-def first_hit(scene: Any, heights: Heights | None, ray: Any) -> Any:
+def first_hit(scene: Any, heights: MarchedHeights | None, ray: Any) -> Any:
     """Return the surface that rays first meet, by the sheet's heights or the scene's tree.
 
     Parameters
@@ -137,7 +137,7 @@ def on_image(rig: Rig, column_px: Any, row_px: Any, margin_px: float) -> Any:
 
 def shaded(
     scene: Any,
-    heights: Heights | None,
+    heights: MarchedHeights | None,
     hit: Any,
     way: tuple[Any, Any],
     active: Any,

@@ -106,7 +106,7 @@ def shades_itself(grid: FloatArray, source_mm: FloatArray) -> bool:
 
 
 @dataclass(frozen=True, eq=False)
-class Heights:
+class MarchedHeights:
     """A sheet on the device.
 
     Attributes
@@ -132,7 +132,7 @@ class Heights:
     block_cols: Any
 
     @classmethod
-    def of_grid(cls, grid: FloatArray) -> "Heights | None":
+    def of_grid(cls, grid: FloatArray) -> "MarchedHeights | None":
         """Take vertices (row, col, xyz) to the device; None where the grid is not even."""
         rows, cols = grid.shape[:2]
         x_mm, y_mm, z_mm = grid[0, :, 0], grid[:, 0, 1], grid[..., 2]

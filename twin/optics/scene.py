@@ -12,7 +12,7 @@ from twin.config.models import Coating, Experiment
 from twin.optics.checks import check_binder, check_samples
 from twin.optics.connection import Rig
 from twin.optics.devices import Device
-from twin.optics.heights import Heights, height_grid, shades_itself
+from twin.optics.heights import MarchedHeights, height_grid, shades_itself
 from twin.optics.layers import LayerStack
 from twin.optics.materials import coated_mesh, coating_bsdf
 from twin.optics.rig import ThinLens, irradiance_at_1mm, true_calibration
@@ -69,7 +69,7 @@ def coated_rig(experiment: Experiment, face: "trimesh.Trimesh") -> Rig:
         return rig
     position_mm = rig.projector.T_world_from_device[:3, 3]
     shadows = rig.layers is not None or shades_itself(grid, position_mm)
-    return replace(rig, shadows=shadows, heights=Heights.of_grid(grid))
+    return replace(rig, shadows=shadows, heights=MarchedHeights.of_grid(grid))
 
 
 def layer_stack(experiment: Experiment) -> LayerStack | None:

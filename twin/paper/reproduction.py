@@ -54,7 +54,7 @@ from twin.study.cases import Case, Cases, case_of
 from twin.study.engine import SweepOutcome
 from twin.study.measuring import PLAINLY, Measuring, RigCovariance, calibrated
 from twin.study.store import Store
-from twin.study.sweep import Group, run_groups
+from twin.study.sweep import CaseGroup, run_groups
 from twin.study.trials import INPUT, PART, STEP, TRIAL, TRIALS, alone_cases
 from twin.study.worker import MakeMeasurer
 from twin.study.workers import Workers, local_workers
@@ -85,7 +85,7 @@ class Reproduction:
     resolution: Resolution = COARSE
     watch: ProgressCallback = no_progress
     workers: Workers = field(default_factory=lambda: local_workers(1))
-    _made: dict[str, Group] = field(default_factory=dict, init=False, repr=False)
+    _made: dict[str, CaseGroup] = field(default_factory=dict, init=False, repr=False)
 
     @cached_property
     def rigs(self) -> RigCovariance:
@@ -226,7 +226,7 @@ class Reproduction:
             if not (name in _REPEATED and method == "contact_fpp")
         }
 
-    def _nominal(self, name: str) -> Group:
+    def _nominal(self, name: str) -> CaseGroup:
         """Return the nominal trial alone of a repeated measurement: on the true rig."""
         record, folder = (
             fringe_study(self._experiment(name), self.trials),
@@ -236,7 +236,7 @@ class Reproduction:
         done = store.path_of(nominal.digest)
         if done.is_dir() and not (done / COMPLETENESS_FILE).exists():
             store.forget(nominal.digest)  # measured when the figures had cases of their own
-        return Group(folder, Cases((nominal,), 0), _FOR_FIGURES, record)
+        return CaseGroup(folder, Cases((nominal,), 0), _FOR_FIGURES, record)
 
     def _case(self, name: str, method: Method) -> Case:
         experiment = self._experiment(name)
@@ -249,12 +249,12 @@ class Reproduction:
         (outcome,) = run_groups([group], self.workers, self.watch)
         return _figures(group.cases.run, group.folder, outcome)
 
-    def _group(self, name: str) -> Group:
+    def _group(self, name: str) -> CaseGroup:
         if name not in self._made:
             self._made[name] = self._new_group(name)
         return self._made[name]
 
-    def _new_group(self, name: str) -> Group:
+    def _new_group(self, name: str) -> CaseGroup:
         folder = self.work / name
         match name:
             case "gelsight":
@@ -274,7 +274,7 @@ class Reproduction:
                 return _group(folder, self._nut_cases(), Measuring(more=shares_of))
         record = fringe_study(self._experiment(folder.name), self.trials)
         make = replace(_FOR_FIGURES, rigs=self.rigs)
-        return Group(folder, record.cases(), make, record)
+        return CaseGroup(folder, record.cases(), make, record)
 
     @property
     def _calibrations(self) -> Path:
@@ -296,8 +296,8 @@ GROUPS = (*TRIALS_OF_RODS, "gelsight", "measured", _trials(BALLS), "budgets", "n
 """Folders of what is measured, those of long cases first: short ones fill the end."""
 
 
-def _group(folder: Path, cases: Iterable[Case], make: MakeMeasurer) -> Group:
-    return Group(folder, Cases(tuple(cases), 0), make)
+def _group(folder: Path, cases: Iterable[Case], make: MakeMeasurer) -> CaseGroup:
+    return CaseGroup(folder, Cases(tuple(cases), 0), make)
 
 
 def _figures(

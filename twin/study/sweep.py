@@ -233,7 +233,7 @@ def sweep(
 
 
 @dataclass(frozen=True, eq=False)
-class Group:
+class CaseGroup:
     """Cases that lie in one store, and what measures them.
 
     Attributes
@@ -248,7 +248,7 @@ class Group:
 
 
 def run_groups(
-    groups: Sequence[Group], workers: Workers, watch: ProgressCallback = no_progress
+    groups: Sequence[CaseGroup], workers: Workers, watch: ProgressCallback = no_progress
 ) -> list[SweepOutcome]:
     """Compute what the stores of several groups lack, on the same workers: `run_together`.
 
@@ -276,7 +276,7 @@ def run_groups(
 
 
 def _session_of(
-    group: Group, workers: Workers, watch: ProgressCallback
+    group: CaseGroup, workers: Workers, watch: ProgressCallback
 ) -> AbstractContextManager[_Session]:
     keep = () if group.record is None else group.record.study.keep
     return _session(Store(group.folder), workers, keep, group.make_measurer, watch, retry=False)

@@ -128,6 +128,12 @@ def _memory() -> Memory:
     return Memory()
 
 
+def forget_stages() -> None:
+    """Let the next case of this process be computed from its beginning, as by a new worker."""
+    _measurer.cache_clear()
+    _memory.cache_clear()
+
+
 @lru_cache(maxsize=1)
 def _measurer(make: MakeMeasurer, keep: tuple[str, ...]) -> Measurer:
     measurer = make(keep)
