@@ -1,5 +1,6 @@
 """Fixtures for all tests, `--quick`, and how hypothesis draws."""
 
+import sys
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -40,6 +41,14 @@ def slow_tests() -> frozenset[str]:
     """Return the tests that the list names."""
     lines = SLOW.read_text(encoding="utf-8").splitlines()
     return frozenset(line for line in lines if line and not line.startswith("#"))
+
+
+@pytest.fixture(autouse=True)
+def new_worker() -> None:
+    """Let no case find stages that an earlier test left in this process: tests count them."""
+    worker = sys.modules.get("twin.study.worker")
+    if worker is not None:
+        worker.forget_stages()
 
 
 @pytest.fixture(scope="session")

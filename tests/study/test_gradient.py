@@ -114,9 +114,6 @@ def test_a_study_needs_what_it_names(study_of, metrics, keys, needed):
 def test_a_study_of_bounds_renders_nothing(study_of, base, tmp_path, monkeypatch):
     """Two coats, two periods: one press, one scene, two traces; no frame, no noise, no decoding."""
     from twin.pipeline import fringes, trace
-    from twin.study.worker import forget_stages
-
-    forget_stages()  # an earlier test of this process may have traced the same scene
 
     def refused(*_, **__):
         raise AssertionError("not needed for a bound")
