@@ -127,7 +127,7 @@ def _name_parts(axes: Axes, experiment: Experiment) -> None:
     camera, projector = rig.T_world_from_cam[:3, 3], rig.T_world_from_proj[:3, 3]
     angle = rig.triangulation_angle_deg
     labels: dict[str, tuple[Any, tuple[float, float]]] = {
-        f"camera, {np.linalg.norm(camera):.0f} mm": (np.add(camera, (0, 0, 60)), (-62, 6)),
+        f"camera,\n{np.linalg.norm(camera):.0f} mm": (np.add(camera, (0, 0, 60)), (-48, 10)),
         f"projector, {np.linalg.norm(projector):.0f} mm,\n{angle:.0f}° from the camera": (
             np.add(projector, (34, 0, 30)),
             (-6, -46),
