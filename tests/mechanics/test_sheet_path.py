@@ -20,8 +20,8 @@ from tests.mechanics.sheets import (
 )
 from twin.config.models import Ball
 from twin.mechanics.errors import PressError, SolverError
-from twin.mechanics.sheet import press
-from twin.mechanics.sheet.case import SheetCase
+from twin.mechanics.sheet import cells, press
+from twin.mechanics.sheet.case import Box, Cells, SheetCase
 from twin.mechanics.sheet.energy import Evaluation, Sheet, SheetState
 from twin.mechanics.sheet.equilibrium import (
     Accuracy,
@@ -205,20 +205,18 @@ def test_cells_follow_from_thickness_and_contact(
     pitches_mm: list[float | None],
 ) -> None:
     found: list[float] = []
-    boxes: list[tuple[float, float, float, float]] = []
+    boxes: list[Box] = []
     made: list[Sheet] = []
     make = SheetCase.sheet
 
-    def seen(
-        case: SheetCase, pitch: float, rim: float, box: tuple[float, float, float, float]
-    ) -> Sheet:
-        found.append(pitch)
-        boxes.append(box)
-        made.append(make(case, pitch, rim, box))
+    def seen(case: SheetCase, asked: Cells) -> Sheet:
+        found.append(asked.pitch_mm)
+        boxes.append(asked.box_mm)
+        made.append(make(case, asked))
         return made[-1]
 
     monkeypatch.setattr(SheetCase, "sheet", seen)
-    monkeypatch.setattr(press, "_MOST_CELLS", most_cells)
+    monkeypatch.setattr(cells, "_MOST_CELLS", most_cells)
     press.forget_paths()
     sheet = build_sheet(thickness_mm=thickness_mm, length_x_mm=8.0, length_y_mm=8.0)
     pressed(Ball(diameter_mm=4.0), sheet, depth_mm=0.2, cell_mm=asked_mm)
@@ -237,19 +235,17 @@ def test_cells_are_wider_where_the_rim_adds_too_many(monkeypatch: pytest.MonkeyP
     widths: list[float] = []
     make = SheetCase.sheet
 
-    def seen(
-        case: SheetCase, pitch: float, rim: float, box: tuple[float, float, float, float]
-    ) -> Sheet:
-        sheet = make(case, pitch, rim, box)
+    def seen(case: SheetCase, asked: Cells) -> Sheet:
+        sheet = make(case, asked)
         sizes.append(sheet.grid.x.size * sheet.grid.y.size)
-        widths.append(pitch)
+        widths.append(asked.pitch_mm)
         return sheet
 
     monkeypatch.setattr(SheetCase, "sheet", seen)
     ball, sheet = Ball(diameter_mm=4.0), build_sheet(length_x_mm=8.0, length_y_mm=8.0)
     finest = []
     for most, asked_mm in ((10_000, None), (2_000, None), (2_000, 0.15)):
-        monkeypatch.setattr(press, "_MOST_CONTROLS", most)
+        monkeypatch.setattr(cells, "_MOST_CONTROLS", most)
         press.forget_paths()
         pressed(ball, sheet, depth_mm=0.2, cell_mm=asked_mm)
         finest.append((sizes[-1], widths[-1]))

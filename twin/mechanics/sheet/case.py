@@ -18,7 +18,7 @@ from twin.mechanics.press import check_outline
 from twin.mechanics.sheet.energy import Bodies, Sheet
 from twin.mechanics.sheet.grid import Frame, sheet_grid, span_mm
 from twin.mechanics.sheet.laws import Laws
-from twin.mechanics.sheet.splines import SplineLine, graded_line
+from twin.mechanics.sheet.splines import SplineLine, Widths, graded_line
 from twin.mechanics.validity import SHEET_THICKNESS_MM
 from twin.specimens import Shape, shape_of
 from twin.specimens.distance import (
@@ -36,6 +36,22 @@ _LONGEST_CELL_MM = 1.0
 _TACK_RANGE_MM = 0.08
 # Without a wall nothing but the rim keeps a sheet under pressure out of the frame's material.
 _WALL_MM = 0.5
+
+
+#: West, east, south and north ends, world, mm.
+Box = tuple[float, float, float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Cells:
+    """Which cells a sheet is laid on."""
+
+    pitch_mm: float
+    rim_mm: float
+    #: of the world's x and y, where cells are of the pitch
+    box_mm: Box
+    #: along x and y, where they may be wider than the pitch
+    allowed: tuple[Widths, Widths] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,25 +72,23 @@ class SheetCase:
     #: of the specimen's finest grooves, None where it has none
     ridge_pitch_mm: float | None
 
-    def sheet(
-        self, pitch_mm: float, rim_mm: float, box_mm: tuple[float, float, float, float]
-    ) -> Sheet:
-        """Return the sheet on cells of `pitch_mm` within a box of the world's x and y."""
+    def sheet(self, cells: Cells) -> Sheet:
+        """Return the sheet on cells."""
         # A cohesive range below half a cell would let the sheet jump on from point to point.
-        laws = self.laws._replace(tack_range_mm=max(_TACK_RANGE_MM, 0.5 * pitch_mm))
-        grid = sheet_grid(self.frame, *self.lines(pitch_mm, rim_mm, box_mm))
-        return Sheet(grid, laws, self.bodies, -laws.thickness_mm / 2, self.sticks, pitch_mm)
+        laws = self.laws._replace(tack_range_mm=max(_TACK_RANGE_MM, 0.5 * cells.pitch_mm))
+        grid = sheet_grid(self.frame, *self.lines(cells))
+        return Sheet(grid, laws, self.bodies, -laws.thickness_mm / 2, self.sticks, cells.pitch_mm)
 
-    def lines(
-        self, pitch_mm: float, rim_mm: float, box_mm: tuple[float, float, float, float]
-    ) -> tuple[SplineLine, SplineLine]:
-        """Return the lines along x and y of cells of `pitch_mm` within a box of the world."""
+    def lines(self, cells: Cells) -> tuple[SplineLine, SplineLine]:
+        """Return the lines of cells along x and y."""
         x_span, y_span = span_mm(self.frame)
         stretch = self.frame.pre_stretch
-        west, east, south, north = (end / stretch for end in box_mm)
+        west, east, south, north = (end / stretch for end in cells.box_mm)
+        widths = cells.pitch_mm, cells.rim_mm, _LONGEST_CELL_MM
+        along_x, along_y = cells.allowed or (None, None)
         return (
-            graded_line(x_span, (west, east), pitch_mm, rim_mm, _LONGEST_CELL_MM),
-            graded_line(y_span, (south, north), pitch_mm, rim_mm, _LONGEST_CELL_MM),
+            graded_line(x_span, (west, east), *widths, allowed=along_x),
+            graded_line(y_span, (south, north), *widths, allowed=along_y),
         )
 
 

@@ -20,6 +20,13 @@ from twin.config.models import Elastomer, Mechanics, Press, Specimen
 from twin.mechanics.errors import PressError, SolverError
 from twin.mechanics.press import PressedElastomer
 from twin.mechanics.sheet.case import SheetCase, sheet_case
+from twin.mechanics.sheet.cells import (
+    COARSE_CELL_MM,
+    cells_between,
+    coarse_cells,
+    finest_cells,
+    finest_pitch_mm,
+)
 from twin.mechanics.sheet.energy import Sheet, SheetState
 from twin.mechanics.sheet.equilibrium import Accuracy, settle
 from twin.mechanics.sheet.path import (
@@ -35,18 +42,10 @@ from twin.mechanics.sheet.path import (
 )
 from twin.mechanics.sheet.result import contact_force_n, pressed_of
 
-_COARSE_CELL_MM, _COARSE_RIM_MM = 0.4, 0.4
-# Width of the cells at the rim over that of the finest.
-_RIM = 1 / 3
-_MARGIN_MM = 1.5
 # Cells of the coarse sheet over those of the fine one, beyond which there are some between them. A
 # sheet thinner than its cells passes edges point by point: from cells nearer to the finest in half
 # of the time.
 _WIDEST_RATIO, _WIDEST_RATIO_THIN = 3.0, 1.9
-# Most cells in the box of contact, some 90,000 unknowns: more take long. And most control points
-# of the sheet, some 230,000 unknowns: more want more than 2 GiB.
-_MOST_CELLS, _MOST_CONTROLS = 24_000, 78_000
-_WIDENED = 1.02
 # A slack sheet of 0.05 mm finds its way in a hundred steps and more, and no half way is nearer.
 _ROUGH = Accuracy(step_mm=1e-3, residual_kpa=0.1, most_steps=300)
 _BETWEEN = Accuracy(step_mm=5e-3, residual_kpa=1.0, most_steps=40, strict=False)
@@ -133,7 +132,7 @@ def _path(specimen: Specimen, elastomer: Elastomer, load: Press, mechanics: Mech
     key = "\n".join(f"{type(one).__name__} {one.model_dump_json()}" for one in same)
     if key not in _paths:
         case = sheet_case(specimen, elastomer, load, mechanics)
-        sheet = _soft(case.sheet(_COARSE_CELL_MM, _COARSE_RIM_MM, case.shape.bounds_mm()))
+        sheet = _soft(case.sheet(coarse_cells(case)))
         _paths[key] = _Path(case, sheet, [])
     _paths.move_to_end(key)
     while len(_paths) > _KEPT_PATHS:
@@ -179,9 +178,9 @@ def _settled(
 
 def _on_fine_cells(case: SheetCase, coarse: Sheet, state: SheetState) -> tuple[Sheet, SheetState]:
     """Return the equilibrium of a state of the coarse sheet on the case's finest cells."""
-    cell_mm = _affordable_mm(case, _contact_box(case, coarse, state))
+    cell_mm = finest_pitch_mm(case, coarse, state)
     is_thin = case.laws.thickness_mm < cell_mm
-    if cell_mm * (_WIDEST_RATIO_THIN if is_thin else _WIDEST_RATIO) < _COARSE_CELL_MM:
+    if cell_mm * (_WIDEST_RATIO_THIN if is_thin else _WIDEST_RATIO) < COARSE_CELL_MM:
         try:
             return _finest(*_begun(case, cell_mm, *_between(case, coarse, state)))
         except SolverError:
@@ -193,7 +192,7 @@ def _on_fine_cells(case: SheetCase, coarse: Sheet, state: SheetState) -> tuple[S
 
 def _between(case: SheetCase, coarse: Sheet, state: SheetState) -> tuple[Sheet, SheetState]:
     """Return a sheet whose cells are between the coarse ones and the finest, nearly at rest."""
-    between = _between_cells(case, coarse, state)
+    between = _soft(case.sheet(cells_between(case, coarse, state)))
     accuracy = _BETWEEN_STUCK if between.sticks else _BETWEEN
     return between, settle(between, refined(coarse, between, state), accuracy)
 
@@ -205,9 +204,7 @@ def _begun(
 
     The coarser one's factors end with this call: what follows is where memory is short.
     """
-    box = _contact_box(case, coarser, state)
-    cell_mm = _in_memory_mm(case, cell_mm, box)
-    fine = case.sheet(cell_mm, _RIM * cell_mm, box)
+    fine = case.sheet(finest_cells(case, coarser, state, cell_mm))
     return fine, refined(coarser, fine, state)
 
 
@@ -215,12 +212,6 @@ def _finest(fine: Sheet, start: SheetState) -> tuple[Sheet, SheetState]:
     found = settle(fine, start, _FINE)
     check_thickness(fine, found)
     return fine, found
-
-
-def _between_cells(case: SheetCase, coarse: Sheet, state: SheetState) -> Sheet:
-    box = _contact_box(case, coarse, state)
-    middle_mm = float(np.sqrt(_affordable_mm(case, box) * _COARSE_CELL_MM))
-    return _soft(case.sheet(middle_mm, _RIM * middle_mm, box))
 
 
 def _soft(sheet: Sheet) -> Sheet:
@@ -238,24 +229,6 @@ def _soft(sheet: Sheet) -> Sheet:
     return sheet
 
 
-def _affordable_mm(case: SheetCase, box: tuple[float, float, float, float]) -> float:
-    """Return the finest cells: wider than the thickness needs where contact is that large."""
-    if case.asked_cell:
-        return case.cell_mm
-    west, east, south, north = box
-    return max(case.cell_mm, float(np.sqrt((east - west) * (north - south) / _MOST_CELLS)))
-
-
-def _in_memory_mm(case: SheetCase, cell_mm: float, box: tuple[float, float, float, float]) -> float:
-    """Return the cells, or wider ones where the rim round the box adds too many."""
-    while not case.asked_cell:
-        x, y = case.lines(cell_mm, _RIM * cell_mm, box)
-        if x.size * y.size <= _MOST_CONTROLS:
-            break
-        cell_mm *= _WIDENED
-    return cell_mm
-
-
 def _held_kpa(path: _Path, walked: list[SheetState], load: Loads) -> float:
     """Return a pressure below the one asked for that the sheet holds with a margin; 0 where none.
 
@@ -269,7 +242,7 @@ def _held_kpa(path: _Path, walked: list[SheetState], load: Loads) -> float:
             check_thickness(path.sheet, found, _HOLDS)
             if not tried:
                 tried = True
-                between = _between_cells(path.case, path.sheet, found)
+                between = _soft(path.case.sheet(cells_between(path.case, path.sheet, found)))
                 start = refined(path.sheet, between, found)
                 found = settle(between, start, replace(_BETWEEN, strict=True))
                 check_thickness(between, found, _HOLDS)
@@ -315,27 +288,4 @@ def _to_force(sheet: Sheet, state: SheetState, force_n: float, accuracy: Accurac
         f"press.force_n: {force_n:g} N is not reached, found {found:.4g} N at "
         f"{state.travel_mm:.3g} mm of travel; ask for less, control the depth, or use a thicker or "
         "harder sheet on a narrower rim (elastomer.length_x_mm, length_y_mm)"
-    )
-
-
-def _contact_box(
-    case: SheetCase, sheet: Sheet, state: SheetState
-) -> tuple[float, float, float, float]:
-    """Return the box of the mounted sheet that touches the specimen, and a margin round it."""
-    surface = sheet.surface(state.control_mm)
-    touch = sheet.touch(surface[..., 0, :], state.travel_mm)
-    gap = sheet.gap_mm(surface, touch)[: case.parts].min(axis=0)
-    near = gap < _COARSE_CELL_MM / 2
-    if not near.any():
-        return case.shape.bounds_mm()
-    x, y = sheet.grid.x.points.ravel(), sheet.grid.y.points.ravel()
-    rows, cols = near.shape[:2]
-    table = near.reshape(rows, cols, 2, 2).transpose(0, 2, 1, 3).reshape(2 * rows, 2 * cols)
-    along_x, along_y = x[table.any(axis=0)], y[table.any(axis=1)]
-    stretch = case.frame.pre_stretch
-    return (
-        float(along_x.min() * stretch - _MARGIN_MM),
-        float(along_x.max() * stretch + _MARGIN_MM),
-        float(along_y.min() * stretch - _MARGIN_MM),
-        float(along_y.max() * stretch + _MARGIN_MM),
     )

@@ -12,6 +12,31 @@ _GAUSS = 0.5 / np.sqrt(3)
 #: change of width over distance
 _GROWTH = 0.2
 _SAMPLES = 2001
+#: widest of the cells that may be wider than the pitch
+_WIDEST_PITCHES = 4.0
+#: of the ladder of widths, in each doubling
+_RUNGS = 2
+
+
+@dataclass(frozen=True, eq=False)
+class Widths:
+    """How wide cells may be at ascending places along a line."""
+
+    #: (n,)
+    places_mm: FloatArray
+    widths_mm: FloatArray
+
+    def at(self, places_mm: FloatArray, pitch_mm: float) -> FloatArray:
+        """Return the widths at places, from `pitch_mm` up; they grow no faster than cells may.
+
+        Of those allowed the next rung below counts, so that last digits move no cell.
+        """
+        pitches = np.clip(self.widths_mm / pitch_mm, 1.0, _WIDEST_PITCHES)
+        rungs = 2.0 ** (np.floor(_RUNGS * np.log2(pitches) + 1e-9) / _RUNGS)
+        away = np.abs(places_mm[:, None] - self.places_mm)
+        bounds = pitch_mm * rungs + _GROWTH * away
+        widths: FloatArray = np.minimum(bounds.min(axis=1), _WIDEST_PITCHES * pitch_mm)
+        return widths
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,17 +120,19 @@ def graded_line(
     pitch_mm: float,
     rim_mm: float,
     coarse_mm: float,
+    *,
+    allowed: Widths | None = None,
 ) -> SplineLine:
     """Return cells of about `pitch_mm` within `fine_mm`, wider between it and the ends.
 
+    Within it, too, where wider ones are `allowed`.
     At the ends cells are of `rim_mm`: under pressure the sheet bends within less than its thickness
     where its rim holds it, and what it loses there moves all of its face.
     """
     low, high = max(fine_mm[0], ends_mm[0]), min(fine_mm[1], ends_mm[1])
-    count = max(2, int(np.ceil((high - low) / pitch_mm - 1e-9)))
     before = low - _between(low - ends_mm[0], pitch_mm, rim_mm, coarse_mm)[::-1]
     after = high + _between(ends_mm[1] - high, pitch_mm, rim_mm, coarse_mm)
-    return SplineLine(np.concatenate((before, np.linspace(low, high, count + 1), after)))
+    return SplineLine(np.concatenate((before, _fine(low, high, pitch_mm, allowed), after)))
 
 
 def subdivided(edges: FloatArray, parts: npt.NDArray[np.int64]) -> FloatArray:
@@ -115,15 +142,31 @@ def subdivided(edges: FloatArray, parts: npt.NDArray[np.int64]) -> FloatArray:
     return np.concatenate((*inner, edges[-1:]))
 
 
+def _fine(low: float, high: float, pitch_mm: float, allowed: Widths | None) -> FloatArray:
+    """Return the ends of cells of the pitch, or of what is allowed where it is wider."""
+    if allowed is not None:
+        places = np.linspace(low, high, _SAMPLES)
+        widths = allowed.at(places, pitch_mm)
+        if widths.max() > pitch_mm:
+            return np.append(low, _ends(places, widths))
+    count = max(2, int(np.ceil((high - low) / pitch_mm - 1e-9)))
+    return np.linspace(low, high, count + 1)
+
+
 def _between(length_mm: float, pitch_mm: float, rim_mm: float, coarse_mm: float) -> FloatArray:
     """Return the ends of cells from the fine part, at 0, to an end of the line."""
     if length_mm < 1e-9:
         return np.zeros(0)
     places = np.linspace(0.0, length_mm, _SAMPLES)
     width = np.minimum(pitch_mm + _GROWTH * places, rim_mm + _GROWTH * (length_mm - places))
-    density = 1 / np.minimum(width, coarse_mm)
+    return _ends(places, np.minimum(width, coarse_mm))
+
+
+def _ends(places: FloatArray, widths_mm: FloatArray) -> FloatArray:
+    """Return the ends of cells, but the first, that are as wide as told at even places, or less."""
+    density = 1 / widths_mm
     cells = np.concatenate(([0.0], np.cumsum((density[1:] + density[:-1]) / 2)))
-    cells *= length_mm / (_SAMPLES - 1)
+    cells *= (places[-1] - places[0]) / (places.size - 1)
     count = max(1, int(np.ceil(cells[-1] - 1e-9)))
     ends = np.linspace(0.0, cells[-1], count + 1)[1:]
     return np.asarray(np.interp(ends, cells, places), dtype=np.float64)

@@ -1,0 +1,131 @@
+"""Which cells a press needs: where it touches, how fine, and where wider ones describe as much.
+
+Cells are fine in a box round the contact. Along a line on which nothing bends, as along the edge of
+a bar, they are wider there too: a quadratic spline follows what turns little from cell to cell.
+"""
+
+import numpy as np
+
+from reconstruction.arrays import FloatArray
+from twin.mechanics.sheet.case import Box, Cells, SheetCase
+from twin.mechanics.sheet.energy import Sheet, SheetState
+from twin.mechanics.sheet.splines import SplineLine, Widths
+
+COARSE_CELL_MM = 0.4
+# Width of the cells at the rim over that of the finest.
+_RIM = 1 / 3
+_MARGIN_MM = 1.5
+# Most cells in the box of contact, some 90,000 unknowns: more take long. And most control points
+# of the sheet, some 230,000 unknowns: more want more than 2 GiB.
+_MOST_CELLS, _MOST_CONTROLS = 24_000, 78_000
+_WIDENED = 1.02
+# Radians that the surface may turn over a wider cell, and no more than over one of the pitch where
+# it bends most: a light touch turns little anywhere.
+_TURN = 0.1
+_STRAIGHT = 1e-9
+
+
+def coarse_cells(case: SheetCase) -> Cells:
+    """Return the cells on which a press begins."""
+    return Cells(COARSE_CELL_MM, COARSE_CELL_MM, case.shape.bounds_mm())
+
+
+def cells_between(case: SheetCase, coarse: Sheet, state: SheetState) -> Cells:
+    """Return cells between the coarse ones and the finest, for a state of the coarse sheet."""
+    box = _contact_box(case, coarse, state)
+    pitch_mm = float(np.sqrt(_affordable_mm(case, box) * COARSE_CELL_MM))
+    return Cells(pitch_mm, _RIM * pitch_mm, box, _allowed(coarse, state, box, pitch_mm))
+
+
+def finest_cells(case: SheetCase, coarser: Sheet, state: SheetState, pitch_mm: float) -> Cells:
+    """Return cells of a pitch, or wider ones where the rim round the box adds too many."""
+    box = _contact_box(case, coarser, state)
+    allowed = _allowed(coarser, state, box, pitch_mm)
+    while True:
+        cells = Cells(pitch_mm, _RIM * pitch_mm, box, allowed)
+        x, y = case.lines(cells)
+        if case.asked_cell or x.size * y.size <= _MOST_CONTROLS:
+            return cells
+        pitch_mm *= _WIDENED
+
+
+def finest_pitch_mm(case: SheetCase, coarse: Sheet, state: SheetState) -> float:
+    """Return the finest cells that a press affords."""
+    return _affordable_mm(case, _contact_box(case, coarse, state))
+
+
+def _affordable_mm(case: SheetCase, box: Box) -> float:
+    """Return the finest cells: wider than the thickness needs where contact is that large."""
+    if case.asked_cell:
+        return case.cell_mm
+    west, east, south, north = box
+    return max(case.cell_mm, float(np.sqrt((east - west) * (north - south) / _MOST_CELLS)))
+
+
+def _contact_box(case: SheetCase, sheet: Sheet, state: SheetState) -> Box:
+    """Return the box of the mounted sheet that touches the specimen, and a margin round it."""
+    surface = sheet.surface(state.control_mm)
+    touch = sheet.touch(surface[..., 0, :], state.travel_mm)
+    gap = sheet.gap_mm(surface, touch)[: case.parts].min(axis=0)
+    near = gap < COARSE_CELL_MM / 2
+    if not near.any():
+        return case.shape.bounds_mm()
+    x, y = sheet.grid.x.points.ravel(), sheet.grid.y.points.ravel()
+    rows, cols = near.shape[:2]
+    table = near.reshape(rows, cols, 2, 2).transpose(0, 2, 1, 3).reshape(2 * rows, 2 * cols)
+    along_x, along_y = x[table.any(axis=0)], y[table.any(axis=1)]
+    stretch = case.frame.pre_stretch
+    return (
+        float(along_x.min() * stretch - _MARGIN_MM),
+        float(along_x.max() * stretch + _MARGIN_MM),
+        float(along_y.min() * stretch - _MARGIN_MM),
+        float(along_y.max() * stretch + _MARGIN_MM),
+    )
+
+
+# ---- wider cells -----------------------------------------------------------------------------
+
+
+def _allowed(
+    sheet: Sheet, state: SheetState, box: Box, pitch_mm: float
+) -> tuple[Widths, Widths] | None:
+    """Return how wide cells may be along x and y, by what a coarser sheet's surface bends.
+
+    And by what its gap to the bodies does, which knows ridges that coarser cells do not follow.
+    None for a sheet that sticks or is tacky: its front moves from point to point.
+    """
+    if sheet.sticks or sheet.laws.tack > 0:
+        return None
+    stretch = sheet.grid.frame.pre_stretch
+    west, east, south, north = (end / stretch for end in box)
+    x = _samples(sheet.grid.x, west, east, pitch_mm)
+    y = _samples(sheet.grid.y, south, north, pitch_mm)
+    felt = _felt(sheet, state, x, y)
+    along_x = _bend(np.moveaxis(felt, 1, 0), x[1] - x[0])
+    along_y = _bend(felt, y[1] - y[0])
+    turn = min(_TURN, pitch_mm * max(along_x.max(), along_y.max()))
+    return (
+        Widths(x[1:-1], turn / np.maximum(along_x, _STRAIGHT)),
+        Widths(y[1:-1], turn / np.maximum(along_y, _STRAIGHT)),
+    )
+
+
+def _samples(line: SplineLine, low_mm: float, high_mm: float, pitch_mm: float) -> FloatArray:
+    """Return places a pitch apart, or less, on a part of a line."""
+    low, high = max(low_mm, line.edges[0]), min(high_mm, line.edges[-1])
+    return np.linspace(low, high, max(4, int(np.ceil((high - low) / pitch_mm)) + 1))
+
+
+def _felt(sheet: Sheet, state: SheetState, x: FloatArray, y: FloatArray) -> FloatArray:
+    """Return (row, col, 3 + bodies) place of the surface, and gaps that saturate beyond reach."""
+    surface = np.stack(sheet.grid.evaluate(state.control_mm, x, y), axis=-2)[:, :, None]
+    touch = sheet.touch(surface[..., 0, :], state.travel_mm)
+    gaps = np.moveaxis(sheet.gap_mm(surface, touch)[..., 0], 0, -1)
+    near = sheet.reach_mm * np.tanh(gaps / sheet.reach_mm)
+    return np.concatenate((surface[:, :, 0, 0], near), axis=-1)
+
+
+def _bend(felt: FloatArray, step_mm: float) -> FloatArray:
+    """Return the largest second derivative by the first axis at its places but the ends, 1/mm."""
+    bend: FloatArray = np.abs(np.diff(felt, 2, axis=0)).max(axis=(1, 2)) / step_mm**2
+    return bend
