@@ -33,10 +33,9 @@ class Widths:
         """
         pitches = np.clip(self.widths_mm / pitch_mm, 1.0, _WIDEST_PITCHES)
         rungs = 2.0 ** (np.floor(_RUNGS * np.log2(pitches) + 1e-9) / _RUNGS)
-        away = np.abs(places_mm[:, None] - self.places_mm)
-        bounds = pitch_mm * rungs + _GROWTH * away
-        widths: FloatArray = np.minimum(bounds.min(axis=1), _WIDEST_PITCHES * pitch_mm)
-        return widths
+        away = np.abs(self.places_mm[:, None] - self.places_mm)
+        widths = (pitch_mm * rungs + _GROWTH * away).min(axis=1)
+        return np.interp(places_mm, self.places_mm, widths)
 
 
 @dataclass(frozen=True, eq=False)

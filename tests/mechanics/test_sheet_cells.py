@@ -1,0 +1,112 @@
+"""Where a sheet's cells may be wider than the pitch, and what that leaves of the result."""
+
+import numpy as np
+import pytest
+
+from tests.mechanics.sheets import build_sheet, pressed
+from twin.config.models import Ball, Elastomer, Grating, Specimen
+from twin.config.specimens import Bar
+from twin.mechanics import PressedElastomer
+from twin.mechanics.sheet import cells, press
+from twin.mechanics.sheet.case import SheetCase
+from twin.mechanics.sheet.energy import Sheet
+from twin.mechanics.sheet.splines import Widths, graded_line
+
+SMALL = {"length_x_mm": 12.0, "length_y_mm": 12.0}
+
+
+def test_widths_are_rungs_of_a_ladder_and_grow_by_a_fifth_of_the_distance():
+    """1, sqrt 2, 2, 2 sqrt 2 and 4 pitches; away from a place of one pitch 0.2 mm more per mm."""
+    allowed = Widths(np.array([0.0, 1.0, 5.0, 9.0]), np.array([0.01, 7.0, 0.29, 7.0]))
+    found = allowed.at(np.array([0.0, 0.5, 1.0, 5.0, 9.0]), 0.1)
+    np.testing.assert_allclose(found, [0.1, 0.2, 0.3, 0.2 * 2**0.5, 0.4])
+
+
+def test_a_last_digit_moves_no_cell():
+    ends, fine, widths = (-5.0, 5.0), (-4.0, 4.0), np.array([0.1, 0.3, 0.5])
+    lines = [
+        graded_line(ends, fine, 0.1, 0.1, 1.0, allowed=Widths(np.array([-3.0, 0.0, 3.0]), changed))
+        for changed in (widths, widths * (1 + 1e-12), widths * (1 - 1e-12))
+    ]
+    for line in lines[1:]:
+        np.testing.assert_array_equal(line.edges, lines[0].edges)
+
+
+def test_cells_within_the_box_are_wider_where_they_may():
+    """From 0.1 mm at both ends of 8 mm to 0.4 mm: 5 ln 4 = 6.93 cells over 1.5 mm, twice, and 5 mm
+    of 0.4 mm, 12.5: 26.36 in all, so 27. Nowhere wider allowed is as nothing said."""
+    places = np.linspace(-4.0, 4.0, 801)
+    ends = Widths(places, np.where(np.abs(places) > 3.999, 0.1, 9.0))
+    line = graded_line((-4.0, 4.0), (-4.0, 4.0), 0.1, 0.1, 1.0, allowed=ends)
+    assert line.cells == 27
+    assert (line.edges[0], line.edges[-1]) == (-4.0, 4.0)
+    np.testing.assert_allclose(line.edges, -line.edges[::-1], atol=1e-9)
+    alike = Widths(np.linspace(-4.0, 4.0, 9), np.full(9, 0.12))
+    found = graded_line((-5.0, 5.0), (-4.0, 4.0), 0.1, 0.1, 1.0, allowed=alike)
+    plain = graded_line((-5.0, 5.0), (-4.0, 4.0), 0.1, 0.1, 1.0)
+    np.testing.assert_array_equal(found.edges, plain.edges)
+
+
+def finest(
+    monkeypatch: pytest.MonkeyPatch, specimen: Specimen, elastomer: Elastomer, **load: object
+) -> tuple[PressedElastomer, Sheet]:
+    """Return what a press found, and the sheet that it was found on."""
+    made: list[Sheet] = []
+    make = SheetCase.sheet
+
+    def seen(case: SheetCase, asked: cells.Cells) -> Sheet:
+        made.append(make(case, asked))
+        return made[-1]
+
+    press.forget_paths()
+    with monkeypatch.context() as patch:
+        patch.setattr(SheetCase, "sheet", seen)
+        found = pressed(specimen, elastomer, **load)
+    return found, made[-1]
+
+
+@pytest.mark.parametrize("yaw_deg", [0.0, 2.0])
+def test_along_a_bar_cells_are_wider_and_the_face_is_the_same(
+    monkeypatch: pytest.MonkeyPatch, yaw_deg: float
+):
+    """As even cells have it, within what even cells of 0.11 mm change: 0.5 to 0.6 um (SD)."""
+    bar = Bar(width_mm=2.0, height_mm=1.5, length_mm=8.0, yaw_deg=yaw_deg)
+    load = {"depth_mm": 0.5, "back_pressure_kpa": 1.0, "cell_mm": 0.15}
+    graded, fewer = finest(monkeypatch, bar, build_sheet(**SMALL), **load)
+    monkeypatch.setattr(cells, "_TURN", 0.0)
+    even, more = finest(monkeypatch, bar, build_sheet(**SMALL), **load)
+    assert fewer.grid.y.cells < 0.75 * more.grid.y.cells
+    middle = np.abs(fewer.grid.y.points).min(axis=1) < 1.5
+    assert np.diff(fewer.grid.y.edges)[middle].min() > 0.4
+    section = np.abs(even.face_y_mm) < 1.0
+    apart_mm = (graded.face_z_mm - even.face_z_mm)[section]
+    assert apart_mm.std() < 2e-3
+    assert np.abs(apart_mm).max() < 0.01
+    assert graded.force_n == pytest.approx(even.force_n, rel=2e-3)
+
+
+def test_ridges_that_coarse_cells_do_not_follow_keep_cells_narrow(monkeypatch: pytest.MonkeyPatch):
+    """Ridges of 0.03 mm, 0.5 mm apart: cells of 0.4 mm see next to nothing of them.
+
+    A place where a flank turns from hollow to round is straight, and may have a cell a little wider.
+    """
+    ridges = Grating(pitch_mm=0.5, groove_mm=0.03, length_x_mm=4.0, length_y_mm=4.0)
+    _, sheet = finest(
+        monkeypatch,
+        ridges,
+        build_sheet(thickness_mm=0.1, **SMALL),
+        depth_mm=0.1,
+        back_pressure_kpa=0.5,
+        cell_mm=0.1,
+    )
+    across = np.abs(sheet.grid.x.points).max(axis=1) < 1.9
+    assert np.diff(sheet.grid.x.edges)[across].max() < 0.12
+
+
+def test_a_sheet_that_sticks_has_even_cells(monkeypatch: pytest.MonkeyPatch):
+    _, sheet = finest(
+        monkeypatch, Ball(), build_sheet(friction="stick", **SMALL), depth_mm=0.2, cell_mm=0.2
+    )
+    middle = np.abs(sheet.grid.x.points).max(axis=1) < 1.0
+    widths_mm = np.diff(sheet.grid.x.edges)[middle]
+    assert np.ptp(widths_mm) < 1e-9
