@@ -88,7 +88,7 @@ def test_along_a_bar_cells_are_wider_and_the_face_is_the_same(
 def test_ridges_that_coarse_cells_do_not_follow_keep_cells_narrow(monkeypatch: pytest.MonkeyPatch):
     """Ridges of 0.03 mm, 0.5 mm apart: cells of 0.4 mm see next to nothing of them.
 
-    A place where a flank turns from hollow to round is straight, and may have a cell a little wider.
+    Where a flank turns from hollow to round it is straight, and a cell may be a little wider.
     """
     ridges = Grating(pitch_mm=0.5, groove_mm=0.03, length_x_mm=4.0, length_y_mm=4.0)
     _, sheet = finest(
