@@ -1,4 +1,4 @@
-"""Rays marched over heights: every answer against all facets in double precision, and the tree."""
+"""Rays over heights: every answer against all facets in double precision, and Mitsuba's tree."""
 
 from dataclasses import replace
 
@@ -31,32 +31,21 @@ def plane(x, y):
 
 RELIEFS = {"spike": spike, "terraces": terraces, "rough": rough, "plane": plane}
 LEAST_SHARE = {"spike": 0.5, "terraces": 0.4, "rough": 0.3, "plane": 0.999}
-"""Of the rays, that the march alone decides: it leaves those beside steep places to the tree."""
+"""Of the rays, that are decided at once: those beside steep places are walked."""
 
 
 @pytest.fixture(scope="module", params=RELIEFS)
 def sheet(mi, request, grid_face):
-    """Return a face, its heights and a scene that holds it alone."""
+    """Return a face, its heights and the scene of it alone."""
     from twin.optics.heights import MarchedHeights
     from twin.optics.materials import coated_mesh
+    from twin.optics.scene import CoatedScene
 
     face = grid_face(
         RELIEFS[request.param], lambda x, y: (0.0 * x, 0.0 * y), *HALF_MM, pitch_mm=PITCH_MM
     )
-    scene = mi.load_dict(
-        {"type": "scene", "coated_face": coated_mesh(face, {"type": "diffuse"})}, optimize=False
-    )
+    scene = CoatedScene(coated_mesh(face, {"type": "diffuse"}))
     return request.param, face, MarchedHeights.of_grid(height_grid(face)), scene
-
-
-class NoTree:
-    """A scene whose tree finds nothing: what is left is found by the march."""
-
-    def __init__(self, scene, mi, dr):
-        self.shapes_dr = scene.shapes_dr
-        self.ray_intersect_preliminary = lambda ray, **_: dr.zeros(
-            mi.PreliminaryIntersection3f, dr.width(ray.d)
-        )
 
 
 def way_to_facets_mm(face, start_mm, direction):
@@ -90,26 +79,24 @@ def rays_from_above():
 def test_the_first_hit_is_that_of_all_facets(mi, sheet):
     """Rays at 1 to 82 degrees off the vertical, some past the border.
 
-    Expected: march and tree together find what a search of all facets in double precision finds, to
-    float32's resolution of the way; the march alone finds nothing else.
+    Expected: what a search of all facets in double precision finds, to float32's resolution of the
+    way; what is met at once is nothing else.
     """
-    import drjit as dr
-
     name, face, heights, scene = sheet
     start, direction = rays_from_above()
     expected = way_to_facets_mm(face, start, direction)
     ray = mi.Ray3f(mi.Point3f(start.T), mi.Vector3f(direction.T))
     seen = np.isfinite(expected)
     assert 0.5 * RAYS < seen.sum() < 0.95 * RAYS
-    hit = heights.first_hit(scene, ray)
+    hit = heights.first_hit(scene.shape, ray)
     np.testing.assert_array_equal(hit.is_valid().numpy(), seen)
     np.testing.assert_allclose(hit.t.numpy()[seen], expected[seen], atol=3e-5)
     point = hit.compute_surface_interaction(ray).p.numpy().T[seen]
     np.testing.assert_allclose(point, (start + expected[:, None] * direction)[seen], atol=3e-5)
-    alone = heights.first_hit(NoTree(scene, mi, dr), ray)
-    sure = alone.is_valid().numpy()
+    met, at_once = heights.met_at_once(ray)
+    sure = at_once.numpy()
     assert not (sure & ~seen).any()
-    np.testing.assert_allclose(alone.t.numpy()[sure], expected[sure], atol=3e-5)
+    np.testing.assert_allclose(met.t.numpy()[sure], expected[sure], atol=3e-5)
     assert sure.sum() > LEAST_SHARE[name] * seen.sum()
 
 
@@ -121,7 +108,7 @@ def test_a_free_way_meets_no_facet(mi, sheet):
     name, face, heights, scene = sheet
     start, direction = rays_from_above()
     ray = mi.Ray3f(mi.Point3f(start.T), mi.Vector3f(direction.T))
-    hit = heights.first_hit(scene, ray).compute_surface_interaction(ray)
+    hit = heights.first_hit(scene.shape, ray).compute_surface_interaction(ray)
     valid = hit.is_valid()
     up = direction[::-1] * [1.0, 1.0, -1.0]
     free = heights.is_free(hit.p, mi.Vector3f(up.T), valid).numpy()
@@ -130,17 +117,50 @@ def test_a_free_way_meets_no_facet(mi, sheet):
     assert free.sum() > LEAST_SHARE[name] * valid.numpy().sum()
 
 
-def test_not_marched_are_rays_that_end_before_or_start_below(mi, sheet):
-    import drjit as dr
+def rays_from_anywhere():
+    """Rays (ray, xyz) from within and around the sheet's box, in all directions."""
+    rng = np.random.default_rng(2)
+    start = rng.uniform(-1.2, 1.2, (RAYS, 3)) * [*HALF_MM, 1.0] + [0.0, 0.0, 0.3]
+    direction = rng.normal(size=(RAYS, 3)) * [1.0, 1.0, 0.3]
+    direction[:4] = [[1, 0, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]]
+    direction /= np.linalg.norm(direction, axis=-1, keepdims=True)
+    return start.astype(np.float32).astype(np.float64), direction.astype(np.float32).astype(float)
 
+
+def test_rays_from_anywhere_meet_the_sheet_where_its_facets_are(mi, sheet):
+    """From above, below and beside it, along its axes and nearly level; none is decided at once.
+
+    Expected: what a search of all facets finds. Along the plane and within rounding of an edge of
+    the border either answer is right: rays that end within 1e-3 mm of it are left out.
+    """
+    _, face, heights, scene = sheet
+    start, direction = rays_from_anywhere()
+    expected = way_to_facets_mm(face, start, direction)
+    place = start + np.where(np.isfinite(expected), expected, 0.0)[:, None] * direction
+    clear = np.abs(np.abs(place[:, :2]) - HALF_MM).min(axis=1) > 1e-3
+    ray = mi.Ray3f(mi.Point3f(start.T), mi.Vector3f(direction.T))
+    assert not heights.met_at_once(ray)[1].numpy()[expected == np.inf].any()
+    hit, crossed = heights.first_hit(scene.shape, ray), heights.is_crossed(ray, mi.Bool(True))
+    seen = np.isfinite(expected)
+    assert seen.sum() > 0.1 * RAYS
+    np.testing.assert_array_equal(hit.is_valid().numpy()[clear], seen[clear])
+    np.testing.assert_array_equal(crossed.numpy()[clear], seen[clear])
+    both = seen & clear
+    np.testing.assert_allclose(hit.t.numpy()[both], expected[both], rtol=1e-4, atol=1e-4)
+    tree = scene.ray_test(ray).numpy()
+    assert (tree != seen)[clear].sum() <= 1
+
+
+def test_a_ray_that_ends_before_the_sheet_meets_nothing(mi, sheet):
     _, _, heights, scene = sheet
     above, below = mi.Point3f(0.1, 0.1, 10.0), mi.Point3f(0.1, 0.1, -10.0)
     ended = mi.Ray3f(above, mi.Vector3f(0, 0, -1))
     ended.maxt = 5.0
     level = mi.Ray3f(above, mi.Vector3f(1, 0, 0))
-    for ray in (ended, level, mi.Ray3f(below, mi.Vector3f(0, 0, 1))):
-        assert not heights.first_hit(NoTree(scene, mi, dr), ray).is_valid().numpy().any()
-    met = heights.first_hit(scene, mi.Ray3f(below, mi.Vector3f(0, 0, 1)))
+    for ray in (ended, level):
+        assert not heights.first_hit(scene.shape, ray).is_valid().numpy().any()
+        assert not heights.is_crossed(ray, mi.Bool(True)).numpy().any()
+    met = heights.first_hit(scene.shape, mi.Ray3f(below, mi.Vector3f(0, 0, 1)))
     assert met.is_valid().numpy().all()
 
 

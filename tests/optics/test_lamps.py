@@ -37,6 +37,7 @@ def look(mi):
     from twin.optics.devices import Device
     from twin.optics.layers import LayerStack
     from twin.optics.materials import coated_mesh
+    from twin.optics.scene import CoatedScene
 
     gel = LayerStack((Medium(GEL_MM, N_GEL, ABSORPTION),))
 
@@ -44,8 +45,7 @@ def look(mi):
         emitters = emitters_of({str(number): one for number, one in enumerate(lamps)})
         camera = Device(PINHOLE, T_WORLD_FROM_CAM)
         rig = LampRig(camera, emitters, layers, markers, heights=heights)
-        mesh = coated_mesh(face, MATTE)
-        scene = mi.load_dict({"type": "scene", "coated_face": mesh}, optimize=False)
+        scene = CoatedScene(coated_mesh(face, MATTE))
         return trace_channels(scene, rig, samples), trace_face(scene, rig).points_world_mm
 
     return render
@@ -110,10 +110,10 @@ def test_marched_rays_show_what_the_tree_shows(look, bump):
     Expected: the same light and shadow but for rounding: 1e-4 of the brightest, on all pixels but
     those whose ray to the light grazes the relief.
     """
-    from twin.optics.heights import MarchedHeights, height_grid
+    from twin.optics.scene import heights_of
 
     leds = lamp(height_mm=3.0), lamp(channel="blue", x_mm=-3.0, y_mm=11.0, aim_azimuth_deg=-90.0)
-    heights = MarchedHeights.of_grid(height_grid(bump))
+    heights = heights_of(bump)
     (marched, points), (plain, at) = (look(bump, *leds, heights=one) for one in (heights, None))
     differs = np.abs(marched - plain) > 1e-4 * plain.max()
     assert (plain[..., 0] < 1e-3 * plain[..., 0].max()).mean() > 0.01  # in the shadow of the bump

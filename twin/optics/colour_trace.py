@@ -17,11 +17,16 @@ from twin.config.lamps import Markers
 from twin.config.models import Experiment
 from twin.optics.connection import first_hit, shaded, truth_of
 from twin.optics.devices import Device, SubPixels
-from twin.optics.heights import MarchedHeights, height_grid
+from twin.optics.heights import MarchedHeights
 from twin.optics.lamps import Emitters, emitters_of
 from twin.optics.layers import LayerStack
-from twin.optics.materials import COATED_FACE
-from twin.optics.scene import check_below_layers, coated_scene, layer_stack
+from twin.optics.scene import (
+    check_below_layers,
+    coating_in_layer,
+    heights_of,
+    layer_stack,
+    marched_scene,
+)
 from twin.optics.stack import Truth
 
 if TYPE_CHECKING:
@@ -53,8 +58,8 @@ class ColourScene:
     """
 
     def __init__(self, experiment: Experiment, face: "trimesh.Trimesh") -> None:
-        self._scene = coated_scene(experiment, face)
-        self._heights, self._facets = _heights_of(face), len(face.faces)
+        self._scene = marched_scene(experiment, face, coating_in_layer(experiment))
+        self._heights, self._facets = heights_of(face), len(face.faces)
         self._samples = experiment.render.samples
         self._lamps = experiment.lamps
         self._layers, self._stack = experiment.layers, layer_stack(experiment)
@@ -70,13 +75,8 @@ class ColourScene:
         check_below_layers(self._layers, face)
         if len(face.faces) != self._facets:
             raise ValueError(f"the face has {len(face.faces)} facets, the scene {self._facets}")
-        parameters = mi.traverse(self._scene)
-        prefix = f"{COATED_FACE}."
-        positions, normals = face.vertices, face.vertex_normals
-        parameters[prefix + "vertex_positions"] = np.asarray(positions, np.float32).ravel()
-        parameters[prefix + "vertex_normals"] = np.asarray(normals, np.float32).ravel()
-        parameters.update()
-        self._heights = _heights_of(face)
+        self._scene.put(face)
+        self._heights = heights_of(face)
 
     def render(
         self, pinhole: Pinhole, T_world_from_cam: FloatArray, flux: FloatArray | None = None
@@ -101,11 +101,6 @@ class ColourScene:
         camera = Device(pinhole, T_world_from_cam)
         emitters = emitters_of(self._lamps, flux)
         return LampRig(camera, emitters, self._stack, self._markers, heights=self._heights)
-
-
-def _heights_of(face: "trimesh.Trimesh") -> MarchedHeights | None:
-    grid = height_grid(face)
-    return None if grid is None else MarchedHeights.of_grid(grid)
 
 
 def trace_channels(scene: Any, rig: LampRig, samples: int) -> FloatImage:

@@ -30,8 +30,7 @@ class Rig:
 
     With `layers`, both devices look through them at surfaces below. Without `shadows` no shadow ray
     is traced: for scenes in which proven nothing stands in the light. With `heights` the scene is
-    that sheet alone: rays to it, and from it to the projector, are marched, and the scene's tree is
-    asked only where the march is not sure.
+    that sheet alone, and rays to it, and from it to the projector, are marched.
     """
 
     camera: Device
@@ -99,7 +98,8 @@ def first_hit(scene: Any, heights: MarchedHeights | None, ray: Any) -> Any:
     heights : of the sheet that the scene holds alone; None: the tree is asked for every ray
     """
     if heights is not None:
-        return heights.first_hit(scene, ray).compute_surface_interaction(ray, mi.RayFlags.All)
+        met = heights.first_hit(scene.shape, ray)
+        return met.compute_surface_interaction(ray, mi.RayFlags.All)
     # Not as packets: neighbouring pixels hit facets of their own, so that Embree's single rays take
     # half the time on a face of 2.4 M facets (a sixth more on one of 6000, which is fast anyway).
     return scene.ray_intersect(ray, mi.RayFlags.All, coherent=False)
@@ -144,7 +144,7 @@ def shaded(
     *,
     coherent: bool,
 ) -> Any:
-    """Tell which hits something keeps from a light: where the march is not sure, the tree.
+    """Tell which hits something keeps from a light.
 
     Parameters
     ----------
@@ -152,21 +152,19 @@ def shaded(
     way : direction to the light, and distance within which something could stand in it, mm
     """
     direction, distance_mm = way
-    asked = active
-    if heights is not None:
-        asked = active & ~heights.is_free(hit.p, direction, active)
-    return blocked(scene, hit, direction, distance_mm, asked, coherent=coherent)
+    shadow = shadow_ray(hit, direction, distance_mm)
+    if heights is None:
+        return scene.ray_test(shadow, coherent=coherent, active=active)
+    return heights.is_crossed(shadow, active & ~heights.is_free(hit.p, direction, active))
 
 
-def blocked(
-    scene: Any, hit: Any, direction: Any, distance_mm: Any, active: Any, *, coherent: bool
-) -> Any:
-    """Test the shadow ray towards a light; surfaces that face away from it shade themselves."""
+def shadow_ray(hit: Any, direction: Any, distance_mm: Any) -> Any:
+    """Return the ray towards a light; surfaces that face away from it shade themselves."""
     facing = dr.dot(hit.n, direction)
     start = hit.p + dr.copysign(_SHADOW_OFFSET_MM, facing) * hit.n
     shadow = mi.Ray3f(start, direction)
     shadow.maxt = distance_mm * (1.0 - 1e-4)
-    return scene.ray_test(shadow, coherent=coherent, active=active)
+    return shadow
 
 
 def truth_of(

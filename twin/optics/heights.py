@@ -1,8 +1,8 @@
 """Rays against a sheet that is a grid of heights: marched, and exact against its facets.
 
 A pressed face is z = h(x, y) over a rectangle, two facets to a cell. Such a sheet is searched with
-a few look-ups per ray, all lanes side by side, where a tree of boxes walks down twenty levels ray
-by ray. Two questions are answered:
+a few look-ups per ray, all lanes side by side, where a tree of boxes has to be built first and is
+walked down twenty levels ray by ray. Two questions are answered for most rays at once:
 
 `is_free`: does a ray from a point of the sheet leave it for good? While the ray climbs faster than
 the steepest facet of the blocks of cells around the point, it stays above them (as in
@@ -14,8 +14,9 @@ its border.
 plane of a facet, there lies the next facet, until a facet holds the point where its own plane is
 met. That point is on the sheet; it is the first one if the way back is free, the question above.
 
-What is not decided so, beside walls and outside the border, the scene's tree decides: the answer is
-the tree's for every ray, but for rounding.
+The others, beside walls and outside the border, are walked from facet to facet (`_walk`), and meet
+the sheet where their height above it changes its sign. That height is carried from one facet to the
+next, so that no ray slips between the two. The answer is a tree's for every ray, but for rounding.
 
 Positions on the grid are in cells: x along a row of vertices, y along a column.
 """
@@ -47,6 +48,8 @@ _TURNS = 12
 _GRAZING = 1e-3
 # Facets whose planes a ray meets this close together are met at their common edge.
 _SAME_MM = 1e-6
+# So far above and below the sheet rays are walked: no vertex lies there.
+_BESIDE_MM = 0.01
 # Slopes and climbs are rounded.
 _STEEPER = 1.0 + 1e-4
 
@@ -114,7 +117,7 @@ class MarchedHeights:
     corner_mm, cells_per_mm : x and y of vertex (0, 0), and the grid's density
     cols, last : vertices in a row; position of the last vertex along x and y
     z_mm : of all vertices, row by row
-    middle_mm, highest_mm : height halfway between lowest and highest vertex; of the highest
+    lowest_mm, middle_mm, highest_mm : height of the lowest vertex, halfway, and of the highest
     steepest, tops : by block, row by row: steepest facet and highest vertex of it and of the eight
         blocks around it
     block_cols : blocks in a row
@@ -125,6 +128,7 @@ class MarchedHeights:
     cols: Any
     last: tuple[Any, Any]
     z_mm: Any
+    lowest_mm: Any
     middle_mm: Any
     highest_mm: Any
     steepest: Any
@@ -148,6 +152,7 @@ class MarchedHeights:
             cols=dr.opaque(mi.UInt32, cols),
             last=(_number(cols - 1), _number(rows - 1)),
             z_mm=mi.Float(z_mm.astype(np.float32).ravel()),
+            lowest_mm=_number(z_mm.min()),
             middle_mm=_number((z_mm.min() + z_mm.max()) / 2.0),
             highest_mm=_number(z_mm.max()),
             steepest=mi.Float(_around(steepest_by_cell(grid)).astype(np.float32).ravel()),
@@ -183,25 +188,107 @@ class MarchedHeights:
         start = stride_mm, active & (direction.z > steepest * level * _STEEPER)
         return dr.while_loop(start, ahead, stride)[1]
 
-    def first_hit(self, scene: Any, ray: Any) -> Any:
+    def first_hit(self, shape: Any, ray: Any) -> Any:
         """Return what rays first meet, `mi.PreliminaryIntersection3f`.
 
         Parameters
         ----------
-        scene : holds the sheet and nothing else
+        shape : `mi.ShapePtr`, the sheet
         """
+        met, sure = self.met_at_once(ray)
+        walked = self._met_on_the_way(ray, ~sure)
+        found = dr.select(sure, met, walked)
+        found.shape = dr.select(found.valid, shape, dr.zeros(mi.ShapePtr))
+        return found
+
+    def met_at_once(self, ray: Any) -> tuple[Any, Any]:
+        """Return where rays from above meet the sheet, without its shape, and which are sure."""
         met = self._meet(ray)
-        sure = self.is_free(ray(met.t), -ray.d, met.valid & (met.t < ray.maxt))
-        # Looked up: as a number of its own the shape would be compiled in.
-        met.shape = dr.gather(mi.ShapePtr, scene.shapes_dr(), 0, sure)
-        found = scene.ray_intersect_preliminary(ray, coherent=False, active=~sure)
-        return dr.select(sure, met, found)
+        return met, self.is_free(ray(met.t), -ray.d, met.valid & (met.t < ray.maxt))
+
+    def is_crossed(self, ray: Any, active: Any) -> Any:
+        """Tell which rays meet the sheet before their end, from whichever side, `mi.Bool`."""
+        ends = mi.Float(0.0), ray.maxt
+        return self._walk(self._track(ray.o, ray.d), (ray.o.z, ray.d.z), ends, active)[2]
+
+    def _met_on_the_way(self, ray: Any, active: Any) -> Any:
+        """Return where rays meet the sheet, facet by facet; not valid where they do not."""
+        base_mm, height_mm = self._base(ray)
+        track = self._track(ray(base_mm), ray.d)
+        ends = -base_mm, ray.maxt - base_mm
+        way_mm, facet, crosses = self._walk(track, (height_mm, ray.d.z), ends, active)
+        met = dr.zeros(mi.PreliminaryIntersection3f)
+        met.t = dr.select(crosses, base_mm + way_mm, dr.inf)
+        met.prim_index, met.prim_uv = self._on_mesh(facet, track.at(way_mm))
+        met.valid = crosses
+        return met
+
+    def _walk(
+        self, track: "_Track", height: tuple[Any, Any], ends_mm: tuple[Any, Any], active: Any
+    ) -> tuple[Any, "_Facet", Any]:
+        """Go from facet to facet; return the way to the first that is met, it, and which are.
+
+        Parameters
+        ----------
+        height : world z at way 0, mm, and its change per mm of the way
+        ends_mm : of the way that is searched
+        """
+        high_mm, climb = height
+        over = (self.lowest_mm - _BESIDE_MM, self.highest_mm + _BESIDE_MM)
+        spans = (
+            _within(track.x, track.dx, (0.0, self.last[0])),
+            _within(track.y, track.dy, (0.0, self.last[1])),
+            _within(high_mm, climb, over),
+        )
+        start_mm, end_mm = ends_mm
+        for first, last in spans:
+            start_mm, end_mm = dr.maximum(start_mm, first), dr.minimum(end_mm, last)
+
+        def gap_mm(facet: "_Facet", way_mm: Any) -> Any:
+            return dr.fma(way_mm, climb, high_mm) - self._plane(facet, track.at(way_mm))[0]
+
+        def step(way_mm: Any, gap: Any, facet: Any, _going: Any, _met: Any) -> tuple[Any, ...]:
+            end, beyond = track.leaves(facet)
+            next_mm = dr.maximum(way_mm, dr.minimum(end, end_mm))
+            next_gap = gap_mm(facet, next_mm)
+            met = (next_gap > 0.0) != (gap > 0.0)
+            share = dr.select(met, gap / (gap - next_gap), 1.0)
+            goes_on = ~met & (end < end_mm) & self._has(beyond)
+            facet = tuple(
+                dr.select(goes_on, one, other) for one, other in zip(beyond, facet, strict=True)
+            )
+            return dr.fma(share, next_mm - way_mm, way_mm), next_gap, facet, goes_on, met
+
+        going = active & (start_mm < end_mm)
+        start_mm = dr.select(going, start_mm, 0.0)
+        facet = self._facet(track.at(start_mm))
+        state = start_mm, gap_mm(facet, start_mm), facet, going, mi.Bool(False)
+        way_mm, _, facet, _, met = dr.while_loop(
+            state, lambda _way, _gap, _facet, going, _met: going, step
+        )
+        return way_mm, facet, met
+
+    def _base(self, ray: Any) -> tuple[Any, Any]:
+        """Return the way of rays from above to the plane at middle height, and their height there.
+
+        From there on all ways are short and well resolved. Of other rays, their start.
+        """
+        falls = self._falls(ray)
+        base_mm = dr.select(falls, (self.middle_mm - ray.o.z) / ray.d.z, 0.0)
+        return base_mm, dr.select(falls, self.middle_mm, ray.o.z)
+
+    def _falls(self, ray: Any) -> Any:
+        return (ray.o.z > self.highest_mm) & (ray.d.z < -_GRAZING)
+
+    def _has(self, facet: "_Facet") -> Any:
+        """Tell whether the sheet has cells of such a column and row."""
+        col, row, _ = facet
+        return (col >= 0.0) & (col < self.last[0]) & (row >= 0.0) & (row < self.last[1])
 
     def _meet(self, ray: Any) -> Any:
         """Return where rays from above meet the sheet; not valid where that is not found."""
-        falls = (ray.o.z > self.highest_mm) & (ray.d.z < -_GRAZING)
-        # From the plane at middle height on, all ways are short and well resolved.
-        to_middle_mm = dr.select(falls, (self.middle_mm - ray.o.z) / ray.d.z, 0.0)
+        falls = self._falls(ray)
+        to_middle_mm, _ = self._base(ray)
         track = self._track(ray(to_middle_mm), ray.d)
 
         def step(turn: Any, way_mm: Any, facet: Any, _going: Any, _good: Any) -> tuple[Any, ...]:
@@ -294,6 +381,38 @@ class _Track(NamedTuple):
 
     def at(self, way_mm: Any) -> _Place:
         return dr.fma(way_mm, self.dx, self.x), dr.fma(way_mm, self.dy, self.y)
+
+    def leaves(self, facet: _Facet) -> tuple[Any, _Facet]:
+        """Return the way to where it leaves a facet, and the facet behind that edge."""
+        col, row, second = facet
+        to_x, to_y = _to_line(self.x - col, self.dx), _to_line(self.y - row, self.dy)
+        # The diagonal, where both coordinates within the cell are the same.
+        apart, closing = (self.y - row) - (self.x - col), self.dx - self.dy
+        towards = dr.select(second, closing > 0.0, closing < 0.0)
+        to_diagonal = dr.select(towards, apart / closing, dr.inf)
+        end_mm = dr.minimum(dr.minimum(to_x, to_y), to_diagonal)
+        inner, along_x = to_diagonal <= end_mm, to_x <= to_y
+        right, up = self.dx > 0.0, self.dy > 0.0
+        beyond_col = col + dr.select(~inner & along_x, dr.select(right, 1.0, -1.0), 0.0)
+        beyond_row = row + dr.select(~inner & ~along_x, dr.select(up, 1.0, -1.0), 0.0)
+        # Through its left side a cell is entered in the second facet, from below in the first.
+        beyond = dr.select(inner, ~second, dr.select(along_x, right, ~up))
+        return end_mm, (beyond_col, beyond_row, beyond)
+
+
+def _to_line(within: Any, speed: Any) -> Any:
+    """Return the way to a cell's side from a coordinate within it, infinite along the side."""
+    side = dr.select(speed > 0.0, 1.0, 0.0)
+    return dr.select(speed == 0.0, dr.inf, (side - within) / speed)
+
+
+def _within(start: Any, speed: Any, ends: tuple[Any, Any]) -> tuple[Any, Any]:
+    """Return the ways between which a coordinate lies between two ends; crossed where never."""
+    first, last = ((end - start) / speed for end in ends)
+    still, inside = speed == 0.0, (start >= ends[0]) & (start <= ends[1])
+    enters = dr.select(still, dr.select(inside, -dr.inf, dr.inf), dr.minimum(first, last))
+    leaves = dr.select(still, dr.select(inside, dr.inf, -dr.inf), dr.maximum(first, last))
+    return enters, leaves
 
 
 def _number(value: float) -> Any:

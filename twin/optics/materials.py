@@ -69,6 +69,7 @@ def mitsuba_mesh(
     import mitsuba as mi
 
     properties = mi.Properties()
+    properties.set_id(name)
     if bsdf is not None:
         properties["bsdf"] = mi.load_dict(bsdf)
     fields = {"vertex_positions": vertices_mm}

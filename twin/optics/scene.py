@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 import mitsuba as mi
+import numpy as np
 
 from reconstruction.errors import InputError
 from twin.config.layers import Layer, holding_layer, media_of
@@ -14,34 +15,91 @@ from twin.optics.connection import Rig
 from twin.optics.devices import Device
 from twin.optics.heights import MarchedHeights, height_grid, shades_itself
 from twin.optics.layers import LayerStack
-from twin.optics.materials import coated_mesh, coating_bsdf
+from twin.optics.materials import COATED_FACE, coated_mesh, coating_bsdf
 from twin.optics.rig import ThinLens, irradiance_at_1mm, true_calibration
 
 if TYPE_CHECKING:
     import trimesh
 
 
-def coated_scene(experiment: Experiment, face: "trimesh.Trimesh") -> Any:
+class CoatedScene:
+    """A coated face alone, asked as Mitsuba's scenes are.
+
+    Without `tree` no tree of boxes is built, and no ray can be asked: for faces whose rays are
+    marched over their heights.
+    """
+
+    def __init__(self, mesh: Any, *, tree: bool = True) -> None:
+        self._mesh, self._tree = mesh, _tree_of(mesh) if tree else None
+        #: `mi.ShapePtr` of the face; opaque, as its number must not be part of a kernel's code
+        self.shape = dr.opaque(mi.ShapePtr, mesh)
+
+    def put(self, face: "trimesh.Trimesh") -> None:
+        """Exchange the face for another one with as many vertices and the same facets."""
+        parameters = mi.traverse(self._mesh)
+        for key, values in (("positions", face.vertices), ("normals", face.vertex_normals)):
+            parameters[f"vertex_{key}"] = np.asarray(values, np.float32).ravel()
+        parameters.update()
+        if self._tree is not None:
+            self._tree = _tree_of(self._mesh)
+
+    def shapes(self) -> list[Any]:
+        """Return the face, `mi.Mesh`, in a list."""
+        return [self._mesh]
+
+    def bbox(self) -> Any:
+        """Return the face's `mi.BoundingBox3f`."""
+        return self._mesh.bbox()
+
+    def ray_intersect(self, *ray: Any, **how: Any) -> Any:
+        """Return what rays first meet, as `mi.Scene.ray_intersect`."""
+        return self._planted().ray_intersect(*ray, **how)
+
+    def ray_test(self, *ray: Any, **how: Any) -> Any:
+        """Tell which rays meet the face, as `mi.Scene.ray_test`."""
+        return self._planted().ray_test(*ray, **how)
+
+    def _planted(self) -> Any:
+        # Not built here: a ray is asked while Dr.Jit records a loop, which must not load a scene.
+        if self._tree is None:
+            raise RuntimeError("the coated face was loaded without a tree: its rays are marched")
+        return self._tree
+
+
+def _tree_of(mesh: Any) -> Any:
+    # optimize=False: since 3.7 load_dict merges shapes, which breaks later parameter updates.
+    return mi.load_dict({"type": "scene", COATED_FACE: mesh}, optimize=False)
+
+
+def coated_scene(experiment: Experiment, face: "trimesh.Trimesh") -> CoatedScene:
     """Scene of the coated face alone: the coat is opaque, nothing below it is seen.
 
     Raises
     ------
     InputError : the face pokes through the layers that it is seen through
     """
-    return face_scene(experiment, face, coating_in_layer(experiment))
+    check_below_layers(experiment.layers, face)
+    return CoatedScene(coated_mesh(face, coating_bsdf(coating_in_layer(experiment))))
 
 
-def face_scene(experiment: Experiment, face: "trimesh.Trimesh", coating: Coating) -> Any:
-    """Scene of the coated face in a coat that need not be the experiment's own.
+def marched_scene(experiment: Experiment, face: "trimesh.Trimesh", coating: Coating) -> CoatedScene:
+    """Scene of the coated face in a coat that need not be the experiment's own, for `coated_rig`.
+
+    It has a tree only where rays are not marched, or bounce.
 
     Raises
     ------
     InputError : the face pokes through the layers that it is seen through
     """
     check_below_layers(experiment.layers, face)
-    mesh = coated_mesh(face, coating_bsdf(coating))
-    # optimize=False: since 3.7 load_dict merges shapes, which breaks later parameter updates.
-    return mi.load_dict({"type": "scene", "coated_face": mesh}, optimize=False)
+    tree = experiment.bounces > 0 or heights_of(face) is None
+    return CoatedScene(coated_mesh(face, coating_bsdf(coating)), tree=tree)
+
+
+def heights_of(face: "trimesh.Trimesh") -> MarchedHeights | None:
+    """Return a face's heights on the device; None where it is no even grid of them."""
+    grid = height_grid(face)
+    return None if grid is None else MarchedHeights.of_grid(grid)
 
 
 def rig_of(experiment: Experiment) -> Rig:
@@ -63,7 +121,7 @@ def rig_of(experiment: Experiment) -> Rig:
 
 
 def coated_rig(experiment: Experiment, face: "trimesh.Trimesh") -> Rig:
-    """Rig for `coated_scene`, the face alone: rays are marched where it is a grid of heights."""
+    """Rig for the coated face alone: rays are marched where it is a grid of heights."""
     rig, grid = rig_of(experiment), height_grid(face)
     if grid is None:
         return rig

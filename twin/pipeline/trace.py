@@ -20,7 +20,7 @@ from twin.optics.light import LightTable, light_tables, pattern_set
 from twin.optics.materials import coated_mesh, coating_bsdf, set_coating
 from twin.optics.one_trace import Patches, maps_of, trace_patches, trace_stack, trace_truth
 from twin.optics.photons import Photons, StageLight, map_photons, trace_photons
-from twin.optics.scene import Surfaces, coated_rig, coating_in_layer, face_scene, rig_of
+from twin.optics.scene import Surfaces, coated_rig, coating_in_layer, marched_scene, rig_of
 from twin.optics.stack import RadianceStack, TraceMaps, Truth
 from twin.optics.stock import render_stack
 
@@ -66,7 +66,7 @@ class Traced:
 
 
 def load_face(experiment: Experiment, face: "trimesh.Trimesh") -> Geometry:
-    """Load a pressed face and build its BVH.
+    """Load a pressed face.
 
     Raises
     ------
@@ -75,7 +75,7 @@ def load_face(experiment: Experiment, face: "trimesh.Trimesh") -> Geometry:
     # A mesh of trimesh and a traversal of Mitsuba hold themselves: the face before this one, up to
     # 70 MB, would stay until Python looks for such cycles by itself.
     gc.collect()
-    return Geometry(face_scene(experiment, face, _BARE), Surfaces(), face)
+    return Geometry(marched_scene(experiment, face, _BARE), Surfaces(), face)
 
 
 def load_bare(experiment: Experiment) -> Geometry:
