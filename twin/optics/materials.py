@@ -173,7 +173,7 @@ def _ink(coating: Coating) -> dict[str, Any]:
 
 
 def set_coating(scene: Any, coating: Coating) -> None:
-    """Give the coated face of a loaded scene another coating; geometry and BVH stay.
+    """Give the coated face of a loaded scene another coating; its geometry stays.
 
     Parameters
     ----------

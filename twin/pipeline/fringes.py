@@ -268,7 +268,7 @@ def _rendered(
 
 
 def loaded(experiment: Experiment, pressed: PressedFace | None, memory: Memory) -> "Kept[Geometry]":
-    """Return the surfaces that are seen, with their BVH: a pressed face, or the bare specimen.
+    """Return the surfaces that are seen: a pressed face, or the bare specimen.
 
     Raises
     ------

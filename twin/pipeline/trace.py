@@ -1,6 +1,6 @@
 """The one-trace renderer in steps, each of which serves every experiment that it does not look at.
 
-Surfaces and their BVH serve all coats and devices; rays to them, and photons, all patterns; frames
+Surfaces serve all coats and devices; rays to them, and photons, all patterns; frames
 all cameras' noise. Each step takes the experiment for what it reads itself and the earlier steps'
 results for the rest. Import after `backend.activate()`.
 """

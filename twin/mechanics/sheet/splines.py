@@ -35,7 +35,7 @@ class Widths:
         rungs = 2.0 ** (np.floor(_RUNGS * np.log2(pitches) + 1e-9) / _RUNGS)
         away = np.abs(self.places_mm[:, None] - self.places_mm)
         widths = (pitch_mm * rungs + _GROWTH * away).min(axis=1)
-        return np.interp(places_mm, self.places_mm, widths)
+        return np.asarray(np.interp(places_mm, self.places_mm, widths), dtype=np.float64)
 
 
 @dataclass(frozen=True, eq=False)
