@@ -1,6 +1,7 @@
 """Closed bodies to build specimens from: prisms, turned parts, and their booleans. All in mm."""
 
 from collections.abc import Callable, Sequence
+from functools import lru_cache
 from itertools import product
 
 import manifold3d
@@ -123,11 +124,14 @@ def _from_manifold(body: manifold3d.Manifold) -> trimesh.Trimesh:
     )
 
 
+@lru_cache(maxsize=1)  # asked for the same grid again and again, while one face is looked at
 def grid_facets(rows: int, cols: int) -> IntArray:
-    """Return (2 (rows-1) (cols-1), 3) vertex indices, counter-clockwise seen from +z."""
+    """Return (2 (rows-1) (cols-1), 3) vertex indices, counter-clockwise seen from +z; read-only."""
     corner = np.arange(rows * cols).reshape(rows, cols)[:-1, :-1, None]
     two_triangles = np.array([0, 1, cols + 1, 0, cols + 1, cols])
-    return np.asarray((corner + two_triangles).reshape(-1, 3))
+    facets = np.asarray((corner + two_triangles).reshape(-1, 3))
+    facets.flags.writeable = False
+    return facets
 
 
 def arc(
