@@ -21,7 +21,7 @@ from twin.mechanics import (
     write_press,
 )
 from twin.mechanics.texture import johnson_of
-from twin.optics.heights import height_grid, shades_itself
+from twin.optics.height_grid import height_grid, shades_itself
 from twin.pipeline import press_specimen
 from twin.pipeline.press import press_smooth
 from twin.results.parts import press_metrics

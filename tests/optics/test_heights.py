@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from twin.config import load_experiment
-from twin.optics.heights import height_grid
+from twin.optics.height_grid import height_grid
 
 PITCH_MM = 0.05
 HALF_MM = 4.0, 3.0

@@ -8,7 +8,7 @@ import trimesh
 from scipy.ndimage import binary_dilation, binary_erosion
 
 from twin.config import load_experiment
-from twin.optics.heights import height_grid, shades_itself
+from twin.optics.height_grid import height_grid, shades_itself
 from twin.optics.light import light_tables, pattern_set
 from twin.optics.rig import true_calibration
 

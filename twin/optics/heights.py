@@ -6,9 +6,9 @@ walked down twenty levels ray by ray. Two questions are answered for most rays a
 
 `is_free`: does a ray from a point of the sheet leave it for good? While the ray climbs faster than
 the steepest facet of the blocks of cells around the point, it stays above them (as in
-`shades_itself`). From there it goes on block by block, and is free in each whose highest vertex,
-and that of the blocks beside, lies below it; it is out where it is above the whole sheet or beyond
-its border.
+`height_grid.shades_itself`). From there it goes on block by block, and is free in each whose
+highest vertex, and that of the blocks beside, lies below it; it is out where it is above the whole
+sheet or beyond its border.
 
 `first_hit`: where does a ray from above first meet the sheet? Newton's method: the ray meets the
 plane of a facet, there lies the next facet, until a facet holds the point where its own plane is
@@ -22,7 +22,7 @@ Positions on the grid are in cells: x along a row of vertices, y along a column.
 """
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import drjit as dr
 import mitsuba as mi
@@ -30,10 +30,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from reconstruction.arrays import FloatArray
-from twin.specimens.solids import grid_facets
-
-if TYPE_CHECKING:
-    import trimesh
+from twin.optics.height_grid import steepest_by_cell
 
 _BLOCK = 16
 """Cells along the side of a block."""
@@ -52,60 +49,6 @@ _SAME_MM = 1e-6
 _BESIDE_MM = 0.01
 # Slopes and climbs are rounded.
 _STEEPER = 1.0 + 1e-4
-
-
-def height_grid(face: "trimesh.Trimesh") -> FloatArray | None:
-    """Return vertices (row, col, xyz) as the renderer rounds them; None if not a height grid.
-
-    Vertex row * cols + col lies at (x[col], y[row]) with x and y growing, the facets are those of
-    `grid_facets`: a graph over a rectangle.
-    """
-    vertices = np.asarray(face.vertices, np.float32).astype(np.float64)
-    cols = int(np.count_nonzero(vertices[:, 1] == vertices[0, 1]))
-    rows = len(vertices) // cols
-    if min(rows, cols) < 2 or rows * cols != len(vertices):
-        return None
-    grid = vertices.reshape(rows, cols, 3)
-    x_mm, y_mm = grid[0, :, 0], grid[:, 0, 1]
-    on_lines = np.all(grid[..., 0] == x_mm) and np.all(grid[..., 1] == y_mm[:, None])
-    growing = np.all(np.diff(x_mm) > 0.0) and np.all(np.diff(y_mm) > 0.0)
-    regular = on_lines and growing and np.array_equal(face.faces, grid_facets(rows, cols))
-    return grid if regular else None
-
-
-def steepest_by_cell(grid: FloatArray) -> FloatArray:
-    """Return the larger slope of the two facets of each cell, (row, col).
-
-    Each facet has one edge along x and one along y.
-    """
-    z_mm = grid[..., 2]
-    slope_x = np.diff(z_mm, axis=1) / np.diff(grid[0, :, 0])
-    slope_y = np.diff(z_mm, axis=0) / np.diff(grid[:, 0, 1])[:, None]
-    # The two facets of a cell: edges (lower row, right column) and (upper row, left column).
-    first = slope_x[:-1] ** 2 + slope_y[:, 1:] ** 2
-    second = slope_x[1:] ** 2 + slope_y[:, :-1] ** 2
-    return np.asarray(np.sqrt(np.maximum(first, second)))
-
-
-def shades_itself(grid: FloatArray, source_mm: FloatArray) -> bool:
-    """Tell whether a sheet may keep light from a point off itself; False is proven.
-
-    Where facets climb at most s per mm, the sheet rises at most s d over a horizontal distance d
-    (mean value theorem along the line between the two points, facet by facet). A ray that climbs
-    m > s per mm from a point of the sheet stays above it for ever after. Towards the light at q,
-    m is smallest at the highest point and in the corner furthest from it:
-
-        m >= (q_z - max z) / max |q_xy - corner|
-
-    Parameters
-    ----------
-    grid : vertices (row, col, xyz), mm
-    source_mm : (3,) float; world position of the light, mm
-    """
-    corners_mm = grid[:: len(grid) - 1, :: grid.shape[1] - 1, :2].reshape(-1, 2)
-    furthest_mm = np.linalg.norm(corners_mm - source_mm[:2], axis=-1).max()
-    climb = float(source_mm[2] - grid[..., 2].max()) / furthest_mm
-    return bool(climb <= steepest_by_cell(grid).max())
 
 
 @dataclass(frozen=True, eq=False)

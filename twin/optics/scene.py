@@ -13,7 +13,8 @@ from twin.config.models import Coating, Experiment
 from twin.optics.checks import check_binder, check_samples
 from twin.optics.connection import Rig
 from twin.optics.devices import Device
-from twin.optics.heights import MarchedHeights, height_grid, shades_itself
+from twin.optics.height_grid import height_grid, shades_itself
+from twin.optics.heights import MarchedHeights
 from twin.optics.layers import LayerStack
 from twin.optics.materials import COATED_FACE, coated_mesh, coating_bsdf
 from twin.optics.rig import ThinLens, irradiance_at_1mm, true_calibration
