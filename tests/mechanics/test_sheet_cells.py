@@ -110,3 +110,13 @@ def test_a_sheet_that_sticks_has_even_cells(monkeypatch: pytest.MonkeyPatch):
     middle = np.abs(sheet.grid.x.points).max(axis=1) < 1.0
     widths_mm = np.diff(sheet.grid.x.edges)[middle]
     assert np.ptp(widths_mm) < 1e-9
+
+
+def test_a_touch_between_two_samples_is_pressed(monkeypatch: pytest.MonkeyPatch):
+    """A contact that is smaller than the cells at whose centres it is looked for: no failure."""
+    found, sheet = finest(
+        monkeypatch, Ball(), build_sheet(**SMALL), depth_mm=0.01, cell_mm=0.2, solver_pitch_mm=0.2
+    )
+    assert found.force_n > 0.0
+    assert not found.contact.any()
+    assert np.diff(sheet.grid.x.edges)[np.abs(sheet.grid.x.points).max(axis=1) < 1.0].max() < 0.21

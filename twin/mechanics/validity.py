@@ -62,8 +62,11 @@ def margin_mm(
 ) -> float:
     """Return the distance from the contact's cells to the nearest edge of the slab.
 
-    `half_mm` holds the slab's half lengths along x and y; cells are sampled at their centres.
+    `half_mm` holds the slab's half lengths along x and y; cells are sampled at their centres. A
+    touch that is smaller than a cell may hold none: it counts as in the middle.
     """
+    if not contact.any():
+        return min(half_mm)
     used = x_mm[contact.any(axis=0)], y_mm[contact.any(axis=1)]
     cells = x_mm[1] - x_mm[0], y_mm[1] - y_mm[0]
     reach = (float(np.abs(along).max() + cell / 2) for along, cell in zip(used, cells, strict=True))

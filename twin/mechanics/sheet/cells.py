@@ -20,8 +20,8 @@ _MARGIN_MM = 1.5
 _MOST_CELLS, _MOST_CONTROLS = 24_000, 78_000
 _WIDENED = 1.02
 # Radians that the surface may turn over a wider cell, and no more than over one of the pitch where
-# it bends most: a light touch turns little anywhere.
-_TURN = 0.1
+# it bends most. Where that is less than the second number, a touch is lighter than cells resolve.
+_TURN, _LIGHTEST_TURN = 0.1, 0.01
 _STRAIGHT = 1e-9
 
 
@@ -92,7 +92,8 @@ def _allowed(
     """Return how wide cells may be along x and y, by what a coarser sheet's surface bends.
 
     And by what its gap to the bodies does, which knows ridges that coarser cells do not follow.
-    None for a sheet that sticks or is tacky: its front moves from point to point.
+    None for a sheet that sticks or is tacky, whose front moves from point to point, and under the
+    lightest touch.
     """
     if sheet.sticks or sheet.laws.tack > 0:
         return None
@@ -101,9 +102,11 @@ def _allowed(
     x = _samples(sheet.grid.x, west, east, pitch_mm)
     y = _samples(sheet.grid.y, south, north, pitch_mm)
     felt = _felt(sheet, state, x, y)
-    along_x = _bend(np.moveaxis(felt, 1, 0), x[1] - x[0])
-    along_y = _bend(felt, y[1] - y[0])
-    turn = min(_TURN, pitch_mm * max(along_x.max(), along_y.max()))
+    along_x, along_y = _bends(felt, x, y)
+    most = pitch_mm * max(bend.max() for bend in _bends(felt[..., :3], x, y))
+    if most < _LIGHTEST_TURN:
+        return None
+    turn = min(_TURN, most)
     return (
         Widths(x[1:-1], turn / np.maximum(along_x, _STRAIGHT)),
         Widths(y[1:-1], turn / np.maximum(along_y, _STRAIGHT)),
@@ -125,7 +128,8 @@ def _felt(sheet: Sheet, state: SheetState, x: FloatArray, y: FloatArray) -> Floa
     return np.concatenate((surface[:, :, 0, 0], near), axis=-1)
 
 
-def _bend(felt: FloatArray, step_mm: float) -> FloatArray:
-    """Return the largest second derivative by the first axis at its places but the ends, 1/mm."""
-    bend: FloatArray = np.abs(np.diff(felt, 2, axis=0)).max(axis=(1, 2)) / step_mm**2
-    return bend
+def _bends(felt: FloatArray, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the largest second derivatives along x and y at their places but the ends, 1/mm."""
+    along_x = np.abs(np.diff(felt, 2, axis=1)).max(axis=(0, 2)) / (x[1] - x[0]) ** 2
+    along_y = np.abs(np.diff(felt, 2, axis=0)).max(axis=(1, 2)) / (y[1] - y[0]) ** 2
+    return along_x, along_y
