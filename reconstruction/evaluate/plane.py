@@ -253,8 +253,10 @@ def slope_change_width(s_mm: ArrayLike, z_mm: ArrayLike, sigma_mm: float) -> Bar
     """Measure a crest between the places where its slope changes fastest; as `break_width`.
 
     There -z'' of the smoothed profile is strongest: the upper edge of a trapezoid, however steep.
+    Where a sheet hangs over the flanks and falls a second time, the first edge counts: from the
+    middle outward the first summit of -z'' that has at least half of its largest value.
     """
-    return _width_between_bends(s_mm, z_mm, sigma_mm, _slope_change)
+    return _width_between_bends(s_mm, z_mm, sigma_mm, _slope_change, _first_strong)
 
 
 def _width_between_bends(
@@ -262,6 +264,7 @@ def _width_between_bends(
     z_mm: ArrayLike,
     sigma_mm: float,
     bend: Callable[[FloatArray, float], FloatArray],
+    pick: Callable[[FloatArray], int] = lambda outward: int(np.argmax(outward)),
 ) -> BarWidth:
     s, z = np.asarray(s_mm, np.float64), np.asarray(z_mm, np.float64)
     if s.size < 4 * _LEAST_POINTS or sigma_mm <= 0.0:
@@ -275,11 +278,18 @@ def _width_between_bends(
     # The Gaussian sees a level ground beyond both ends, towards which they bend.
     down[:_REACH_STEPS] = down[-_REACH_STEPS:] = 0.0
     middle = int(np.flatnonzero(upper)[[0, -1]].mean())
-    left, right = int(np.argmax(down[:middle])), middle + int(np.argmax(down[middle:]))
+    left, right = middle - 1 - pick(down[:middle][::-1]), middle + pick(down[middle:])
     if min(down[left], down[right]) <= 0.0:
         raise FitError("break width: the profile does not bend down on both sides of its middle")
     ends = _summit(even, down, left), _summit(even, down, right)
     return BarWidth(ends[1] - ends[0], top - ground, *ends)
+
+
+def _first_strong(outward: FloatArray) -> int:
+    """Index of the first local maximum that is at least half of the largest value."""
+    higher = np.r_[False, outward[1:-1] >= np.maximum(outward[:-2], outward[2:]), False]
+    strong = np.flatnonzero(higher & (outward >= 0.5 * outward.max()))
+    return int(strong[0]) if strong.size else int(np.argmax(outward))
 
 
 def _summit(s: FloatArray, values: FloatArray, at: int) -> float:

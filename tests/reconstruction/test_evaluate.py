@@ -188,6 +188,14 @@ def test_slope_changes_fastest_at_the_upper_edges_however_steep(flank_mm, height
     assert (found.left_mm + found.right_mm) / 2 == pytest.approx(0.3, abs=0.001)
 
 
+def test_the_first_edge_counts_where_a_profile_falls_twice():
+    """Flanks of 45 degrees from 4 mm on, that fall off a ledge at 4.3 mm twice as steeply."""
+    s = np.arange(-12.0, 12.0, 0.01)
+    out = np.abs(s) - 4.0
+    z = np.clip(1.0 - np.maximum(out, 0.0) - 2.0 * np.maximum(out - 0.3, 0.0), 0.0, 1.0)
+    assert slope_change_width(s, z, 0.05).width_mm == pytest.approx(8.0, abs=0.005)
+
+
 def test_the_break_of_a_round_crest_is_on_its_arc():
     """A strip over a cylinder of radius 2 leaves it 0.5 rad from its top."""
     s, edge = np.arange(-6.0, 6.0, 0.01), 2.0 * np.sin(0.5)
