@@ -130,6 +130,8 @@ def _without_waviness(level: FloatArray, kept: FloatArray, sigma_px: float) -> F
 _LEAST_POINTS = 5
 _MOST_LINE_TURNS = 10
 _STEPS_PER_SIGMA = 4
+# Of the fastest change of slope on a side: what counts as an edge, and not as texture.
+_STRONG = 0.5
 _REACH_STEPS = 4 * _STEPS_PER_SIGMA
 
 
@@ -286,9 +288,9 @@ def _width_between_bends(
 
 
 def _first_strong(outward: FloatArray) -> int:
-    """Index of the first local maximum that is at least half of the largest value."""
+    """Index of the first local maximum that is strong; the largest value's where none is."""
     higher = np.r_[False, outward[1:-1] >= np.maximum(outward[:-2], outward[2:]), False]
-    strong = np.flatnonzero(higher & (outward >= 0.5 * outward.max()))
+    strong = np.flatnonzero(higher & (outward >= _STRONG * outward.max()))
     return int(strong[0]) if strong.size else int(np.argmax(outward))
 
 

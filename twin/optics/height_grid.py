@@ -13,6 +13,9 @@ from twin.specimens.solids import grid_facets
 if TYPE_CHECKING:
     import trimesh
 
+# Of a cell: what a line of an even grid may be off.
+_UNEVEN_CELLS = 1e-3
+
 
 def height_grid(face: "trimesh.Trimesh") -> FloatArray | None:
     """Return vertices (row, col, xyz) as the renderer rounds them; None if not a height grid.
@@ -31,6 +34,18 @@ def height_grid(face: "trimesh.Trimesh") -> FloatArray | None:
     growing = np.all(np.diff(x_mm) > 0.0) and np.all(np.diff(y_mm) > 0.0)
     regular = on_lines and growing and np.array_equal(face.faces, grid_facets(rows, cols))
     return grid if regular else None
+
+
+def is_even(grid: FloatArray) -> bool:
+    """Tell whether the lines of a grid (row, col, xyz) are evenly apart, so that it can be marched.
+
+    Its facets are then taken as if they lay on an even grid.
+    """
+    for one in (grid[0, :, 0], grid[:, 0, 1]):
+        place = (one - one[0]) * (len(one) - 1) / (one[-1] - one[0])
+        if np.abs(place - np.arange(len(one))).max() > _UNEVEN_CELLS:
+            return False
+    return True
 
 
 def steepest_by_cell(grid: FloatArray) -> FloatArray:

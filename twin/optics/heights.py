@@ -30,13 +30,10 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from reconstruction.arrays import FloatArray
-from twin.optics.height_grid import steepest_by_cell
+from twin.optics.height_grid import is_even, steepest_by_cell
 
 _BLOCK = 16
 """Cells along the side of a block."""
-
-_UNEVEN_CELLS = 1e-3
-"""Vertices lie this near to an even grid; the facets are taken as if they lay on it."""
 
 _TURNS = 12
 """Newton's steps; on a smooth relief two or three are enough."""
@@ -81,12 +78,11 @@ class MarchedHeights:
     @classmethod
     def of_grid(cls, grid: FloatArray) -> "MarchedHeights | None":
         """Take vertices (row, col, xyz) to the device; None where the grid is not even."""
+        if not is_even(grid):
+            return None
         rows, cols = grid.shape[:2]
         x_mm, y_mm, z_mm = grid[0, :, 0], grid[:, 0, 1], grid[..., 2]
         density = [(len(one) - 1) / (one[-1] - one[0]) for one in (x_mm, y_mm)]
-        for one, scale in zip((x_mm, y_mm), density, strict=True):
-            if np.abs((one - one[0]) * scale - np.arange(len(one))).max() > _UNEVEN_CELLS:
-                return None
         cells = np.stack([z_mm[:-1, :-1], z_mm[:-1, 1:], z_mm[1:, :-1], z_mm[1:, 1:]]).max(axis=0)
         tops = _around(cells)
         return cls(

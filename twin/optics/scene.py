@@ -13,7 +13,7 @@ from twin.config.models import Coating, Experiment
 from twin.optics.checks import check_binder, check_samples
 from twin.optics.connection import Rig
 from twin.optics.devices import Device
-from twin.optics.height_grid import height_grid, shades_itself
+from twin.optics.height_grid import height_grid, is_even, shades_itself
 from twin.optics.heights import MarchedHeights
 from twin.optics.layers import LayerStack
 from twin.optics.materials import COATED_FACE, coated_mesh, coating_bsdf
@@ -93,7 +93,8 @@ def marched_scene(experiment: Experiment, face: "trimesh.Trimesh", coating: Coat
     InputError : the face pokes through the layers that it is seen through
     """
     check_below_layers(experiment.layers, face)
-    tree = experiment.bounces > 0 or heights_of(face) is None
+    grid = height_grid(face)
+    tree = experiment.bounces > 0 or grid is None or not is_even(grid)
     return CoatedScene(coated_mesh(face, coating_bsdf(coating)), tree=tree)
 
 
