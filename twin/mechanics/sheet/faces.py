@@ -15,6 +15,8 @@ from twin.mechanics.sheet.splines import subdivided
 
 _FEWEST_PARTS, _MOST_PARTS = 2, 12
 _DEGENERATE_MM2 = 1e-14
+#: of a step between nodes, and of a triangle's side: so near to an edge is on it
+_ON = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,16 +114,17 @@ def _raster(surface, values, grid, height, seen):  # type: ignore[no-untyped-def
                 area = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
                 if abs(area) < _DEGENERATE_MM2:
                     continue
-                left = max(int(np.ceil((min(a[0], b[0], c[0]) - x0) / dx)), 0)
-                right = min(int(np.floor((max(a[0], b[0], c[0]) - x0) / dx)), cols - 1)
-                low = max(int(np.ceil((min(a[1], b[1], c[1]) - y0) / dy)), 0)
-                high = min(int(np.floor((max(a[1], b[1], c[1]) - y0) / dy)), rows - 1)
+                # A node on the rim lies on the sheet, whatever its last digit.
+                left = max(int(np.ceil((min(a[0], b[0], c[0]) - x0) / dx - _ON)), 0)
+                right = min(int(np.floor((max(a[0], b[0], c[0]) - x0) / dx + _ON)), cols - 1)
+                low = max(int(np.ceil((min(a[1], b[1], c[1]) - y0) / dy - _ON)), 0)
+                high = min(int(np.floor((max(a[1], b[1], c[1]) - y0) / dy + _ON)), rows - 1)
                 for row in range(low, high + 1):
                     for col in range(left, right + 1):
                         x, y = x0 + col * dx - a[0], y0 + row * dy - a[1]
                         u = (x * (c[1] - a[1]) - y * (c[0] - a[0])) / area
                         v = ((b[0] - a[0]) * y - (b[1] - a[1]) * x) / area
-                        if u < -1e-9 or v < -1e-9 or u + v > 1 + 1e-9:
+                        if u < -_ON or v < -_ON or u + v > 1 + _ON:
                             continue
                         z = a[2] + u * (b[2] - a[2]) + v * (c[2] - a[2])
                         if z > height[row, col]:
