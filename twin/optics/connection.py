@@ -98,7 +98,9 @@ def first_hit(scene: Any, heights: MarchedHeights | None, ray: Any) -> Any:
     heights : of the sheet that the scene holds alone; None: the tree is asked for every ray
     """
     if heights is not None:
-        met = heights.first_hit(scene.shape, ray)
+        # Which facet is met is no matter of derivatives; where it is met follows from the facet.
+        with dr.suspend_grad(), dr.scoped_set_flag(dr.JitFlag.SymbolicLoops, True):
+            met = heights.first_hit(scene.shape, dr.detach(ray))
         return met.compute_surface_interaction(ray, mi.RayFlags.All)
     # Not as packets: neighbouring pixels hit facets of their own, so that Embree's single rays take
     # half the time on a face of 2.4 M facets (a sixth more on one of 6000, which is fast anyway).
@@ -155,7 +157,9 @@ def shaded(
     shadow = shadow_ray(hit, direction, distance_mm)
     if heights is None:
         return scene.ray_test(shadow, coherent=coherent, active=active)
-    return heights.is_crossed(shadow, active & ~heights.is_free(hit.p, direction, active))
+    with dr.suspend_grad(), dr.scoped_set_flag(dr.JitFlag.SymbolicLoops, True):
+        free = heights.is_free(dr.detach(hit.p), dr.detach(direction), active)
+        return heights.is_crossed(dr.detach(shadow), active & ~free)
 
 
 def shadow_ray(hit: Any, direction: Any, distance_mm: Any) -> Any:

@@ -190,6 +190,7 @@ def _moving_rig(rig: Rig, experiment: Experiment, vary: Vary, step: float, amoun
         projector=_moving_device(rig.projector, moved[4:8], moved[20:32]),
         irradiance_at_1mm=moved[32],
         shadows=rig.shadows,
+        heights=rig.heights,
     )
 
 
