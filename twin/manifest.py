@@ -12,11 +12,13 @@ import io
 import os
 import re
 from collections.abc import Collection, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
 from reconstruction.errors import InputError
+from reconstruction.machine import threads
 from reconstruction.reading import read_bytes
 from twin.working import is_working
 
@@ -85,7 +87,10 @@ def files_of(folder: Path) -> list[str]:
 
 def manifest_lines(folder: Path) -> list[str]:
     """Return a line for every file below a folder."""
-    return [f"{_digest(folder / path)}  {path}" for path in files_of(folder)]
+    paths = files_of(folder)
+    with ThreadPoolExecutor(threads()) as pool:
+        digests = pool.map(_digest, [folder / path for path in paths])
+        return [f"{digest}  {path}" for digest, path in zip(digests, paths, strict=True)]
 
 
 def write_manifest(path: Path, kind: str, lines: Sequence[str]) -> None:

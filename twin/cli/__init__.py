@@ -3,6 +3,8 @@
 import gc
 import sys
 
+from reconstruction.machine import keep_freed_memory
+
 # These enter their commands into the application.
 from twin.cli import adopt as adopt
 from twin.cli import captures as captures
@@ -39,6 +41,7 @@ def _answer(words: list[str]) -> int | None:
 def main() -> None:
     """Entry point of the `twin` command."""
     gc.set_threshold(RARELY)
+    keep_freed_memory()
     unwind_on_signals()
     end_within(ANSWER_S)
     end_process(run())

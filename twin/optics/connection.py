@@ -99,7 +99,7 @@ def first_hit(scene: Any, heights: MarchedHeights | None, ray: Any) -> Any:
     """
     if heights is not None:
         # Which facet is met is no matter of derivatives; where it is met follows from the facet.
-        with dr.suspend_grad(), dr.scoped_set_flag(dr.JitFlag.SymbolicLoops, True):
+        with dr.scoped_set_flag(dr.JitFlag.SymbolicLoops, True):
             met = heights.first_hit(scene.shape, dr.detach(ray))
         return met.compute_surface_interaction(ray, mi.RayFlags.All)
     # Not as packets: neighbouring pixels hit facets of their own, so that Embree's single rays take
@@ -157,7 +157,7 @@ def shaded(
     shadow = shadow_ray(hit, direction, distance_mm)
     if heights is None:
         return scene.ray_test(shadow, coherent=coherent, active=active)
-    with dr.suspend_grad(), dr.scoped_set_flag(dr.JitFlag.SymbolicLoops, True):
+    with dr.scoped_set_flag(dr.JitFlag.SymbolicLoops, True):
         free = heights.is_free(dr.detach(hit.p), dr.detach(direction), active)
         return heights.is_crossed(dr.detach(shadow), active & ~free)
 

@@ -21,6 +21,7 @@ from matplotlib.ticker import LogFormatter
 from numpy.typing import NDArray
 
 from reconstruction.arrays import BoolArray, FloatArray
+from reconstruction.cells import box_of
 from twin.output import replacing
 
 _SCREEN_DPI, _PRINT_DPI = 130, 200
@@ -185,10 +186,12 @@ def near_truth(points_mm: FloatArray, true_mm: FloatArray) -> BoolArray:
 
     What is farther out is wrong, and a picture that shows it shows nothing else.
     """
-    low, high = true_mm.min(axis=0), true_mm.max(axis=0)
+    low, high = box_of(true_mm)
     margin = _WIDENED * np.maximum(high - low, _LEAST_SPAN_MM)
-    inside = (points_mm >= low - margin) & (points_mm <= high + margin)
-    return np.asarray(inside.all(axis=1))
+    inside = np.ones(len(points_mm), bool)
+    for axis_mm, least, largest in zip(points_mm.T, low - margin, high + margin, strict=True):
+        inside &= (axis_mm >= least) & (axis_mm <= largest)
+    return inside
 
 
 def axes_at(

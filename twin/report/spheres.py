@@ -329,9 +329,13 @@ def _region_curve(
     usable: BoolImage,
     surface_mm: NDArray[np.floating],
 ) -> RegionCurve:
-    found = []
-    for region_mm in ball.nominal.radius_mm * _REGIONS:
-        inside = surface_mm[region_of(ball.nominal, points_mm, usable, float(region_mm))]
+    found, nominal = [], ball.nominal
+    footprint = region_of(nominal, points_mm, usable, nominal.radius_mm * float(_REGIONS[-1]))
+    x_mm, y_mm = points_mm[footprint][:, :2].T
+    apart_mm = np.hypot(x_mm - nominal.x_mm, y_mm - nominal.y_mm)
+    surface_mm = surface_mm[footprint]
+    for region_mm in nominal.radius_mm * _REGIONS:
+        inside = surface_mm[apart_mm <= region_mm]
         with suppress(FitError):
             fit = fit_sphere(inside[:: 1 + len(inside) // _MOST_POINTS])
             found.append((region_mm, fit.radius_mm, 1e3 * fit.stats.rmse_mm))

@@ -13,7 +13,7 @@ from matplotlib import colormaps
 from numpy.typing import NDArray
 
 from reconstruction.arrays import FloatArray
-from reconstruction.cells import CellMeans, cell_means
+from reconstruction.cells import CellMeans, box_of, cell_means
 from reconstruction.rig.layers import PlaneLayers
 from reconstruction.rig.pinhole import Pinhole
 from twin.optics.rig import true_calibration
@@ -80,7 +80,8 @@ def _surfaces(measured: Measurement) -> tuple[CellMeans, CellMeans, float]:
     near = near_truth(world_mm, true_on_mm)
     if near.any():
         world_mm, true_on_mm = world_mm[near], true_on_mm[near]
-    span_mm = np.ptp(world_mm[:, :2], axis=0)
+    low_mm, high_mm = box_of(world_mm[:, :2])
+    span_mm = high_mm - low_mm
     typical_mm = 1.5 * np.sqrt(np.prod(span_mm) / len(world_mm))
     pitch_mm = max(float(span_mm.max()) / _MOST_CELLS, float(typical_mm), 1e-6)
     error_um = 1e3 * (world_mm[:, 2] - true_on_mm[:, 2])

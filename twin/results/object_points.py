@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from reconstruction.arrays import BoolImage, FloatArray, IntArray
+from reconstruction.cells import box_of
 from reconstruction.evaluate.estimates import FittedDimension, shared_by
 from twin.config.models import Experiment
 from twin.mechanics import PressedElastomer
@@ -45,7 +46,7 @@ class Heights:
     @classmethod
     def over(cls, surface: TrueSurface, xy_mm: FloatArray) -> "Heights":
         """Sample a surface over the outline of points (n, xy)."""
-        low, high = xy_mm.min(axis=0), xy_mm.max(axis=0)
+        low, high = box_of(xy_mm)
         pitch = max(float((high - low).max()) / _RASTER_CELLS, _LEAST_RASTER_MM)
         x, y = (np.arange(a, b + pitch, pitch) for a, b in zip(low, high, strict=True))
         return cls(x, y, surface.heights_mm(x, y), pitch)
