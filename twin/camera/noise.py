@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from scipy.special import pdtr
 
 from reconstruction.arrays import FloatImage
-from reconstruction.compiling import OPTIONS, Function, compile_and_keep, digest_of_sources
+from reconstruction.compiling import NESTED, OPTIONS, Function, compile_and_keep, digest_of_sources
 
 #: Mean from which normal numbers are used.
 FROM_NORMAL = 100
@@ -83,6 +83,10 @@ class SmallCounts(NamedTuple):
 
 def _compiled(function: Function) -> Function:
     return compile_and_keep(function, OPTIONS, _SOURCE_DIGEST)
+
+
+def _nested(function: Function) -> Function:
+    return compile_and_keep(function, OPTIONS | NESTED, _SOURCE_DIGEST)
 
 
 def _inlined(function: Function) -> Function:
@@ -265,7 +269,7 @@ def _small_count(mean: Any, word_0: Any, word_1: Any, tables: Any) -> Any:
     return np.float32(count + more)
 
 
-@_compiled
+@_nested
 def _fill(words: Any, key: Any, place: Any) -> None:
     """Fill (2, 2 n) words of one row: block i serves the columns i and n + i."""
     row, frame, kind = place
@@ -275,7 +279,7 @@ def _fill(words: Any, key: Any, place: Any) -> None:
         words[0, i], words[1, i], words[0, half + i], words[1, half + i] = block
 
 
-@_compiled
+@_nested
 def _draw_row(
     mean: Any, tables: Any, key: Any, place: Any, words: Any, counts: Any, read: Any
 ) -> None:

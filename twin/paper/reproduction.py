@@ -268,7 +268,9 @@ class Reproduction:
                 return _group(folder, [case for part in parts for case in part], PLAINLY)
             case "measured":
                 return _group(
-                    folder, self._figure_cases().values(), Measuring(further=files_for_figures)
+                    folder,
+                    self._figure_cases().values(),
+                    replace(_FOR_FIGURES, calibrations=self._calibrations),
                 )
             case "nut":
                 return _group(folder, self._nut_cases(), Measuring(more=shares_of))

@@ -9,25 +9,39 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cache
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
-import numba
 import numpy as np
 
 from reconstruction.arrays import FloatArray
+from reconstruction.compiling import NESTED, Function, compile_and_keep, digest_of_sources
 from reconstruction.machine import threads
 
 if TYPE_CHECKING:
     from twin.specimens.catalogue import Shape
 
 Distances = tuple[FloatArray, FloatArray, FloatArray]
-# No fused multiply-add: the same bytes whatever the make of the CPU.
-compiled = numba.njit(cache=True, nogil=True, error_model="numpy")
 _BAND = 8192
 # A sharper edge has no curvature that a Newton step could use. Rounded like this it lies 4 um
 # deeper, and the surface is the same everywhere else.
 SHARPEST_MM = 0.01
 _TINY_MM = 1e-9
+
+# No fused multiply-add: the same bytes whatever the make of the CPU.
+_OPTIONS = {"nogil": True, "error_model": "numpy"}
+_SOURCES = ("distance.py", "sampled_distance.py", "triangles.py")
+_SOURCE_DIGEST = digest_of_sources(Path(__file__).parent, _SOURCES)
+
+
+def compiled(function: Function) -> Function:
+    """Compile on first call and keep the result on disk."""
+    return compile_and_keep(function, _OPTIONS, _SOURCE_DIGEST)
+
+
+def nested(function: Function) -> Function:
+    """Compile for other kernels alone: it is given all arrays, and Python cannot call it."""
+    return compile_and_keep(function, _OPTIONS | NESTED | {"_nrt": False}, _SOURCE_DIGEST)
 
 
 class SignedDistance(Protocol):
@@ -213,7 +227,7 @@ def _edge_mm(edge_radius_mm: float, half_mm: float) -> float:
     return max(edge_radius_mm, min(SHARPEST_MM, half_mm / 2))
 
 
-@compiled  # type: ignore[untyped-decorator]
+@compiled
 def _ball(points: FloatArray, reach: float, out: Distances, body: tuple[FloatArray, float]) -> None:
     distance, gradient, hessian = out
     centre, radius = body
@@ -231,7 +245,7 @@ def _ball(points: FloatArray, reach: float, out: Distances, body: tuple[FloatArr
             hessian[i, a, a] += 1 / far
 
 
-@compiled  # type: ignore[untyped-decorator]
+@compiled
 def _cylinder(
     points: FloatArray,
     reach: float,
@@ -272,7 +286,7 @@ def _cylinder(
                 hessian[i, p, q] += side * outward * round_axis
 
 
-@compiled  # type: ignore[untyped-decorator]
+@nested
 def _beyond_core(
     at: FloatArray, rotation: FloatArray, core: FloatArray, over: FloatArray, sign: FloatArray
 ) -> tuple[float, int]:
@@ -290,7 +304,7 @@ def _beyond_core(
     return over[foremost] if alone else np.sqrt(squared), foremost
 
 
-@compiled  # type: ignore[untyped-decorator]
+@nested
 def _bend(
     n: FloatArray, rotation: FloatArray, over: FloatArray, far: float, hessian: FloatArray
 ) -> None:
@@ -304,7 +318,7 @@ def _bend(
             hessian[p, q] = hessian[q, p] = bend / far
 
 
-@compiled  # type: ignore[untyped-decorator]
+@compiled
 def _box(
     points: FloatArray,
     reach: float,
@@ -334,7 +348,7 @@ def _box(
             _bend(gradient[i], rotation, over, far, hessian[i])
 
 
-@compiled  # type: ignore[untyped-decorator]
+@compiled
 def _half_space(
     points: FloatArray, reach: float, out: Distances, body: tuple[FloatArray, float]
 ) -> None:
@@ -348,7 +362,7 @@ def _half_space(
                 gradient[i, k] = normal[k]
 
 
-@compiled  # type: ignore[untyped-decorator]
+@compiled
 def _round_wall(points: FloatArray, reach: float, out: Distances, body: tuple[float]) -> None:
     distance, gradient, hessian = out
     (radius,) = body

@@ -16,7 +16,7 @@ import trimesh
 
 from reconstruction.arrays import BoolImage, FloatArray, IntArray
 from twin.specimens.catalogue import Placement
-from twin.specimens.distance import Distances, compiled, over_points
+from twin.specimens.distance import Distances, compiled, nested, over_points
 from twin.specimens.triangles import (
     Columns,
     TriangleTree,
@@ -182,7 +182,7 @@ def _coefficients(samples: FloatArray) -> FloatArray:
 Table = tuple[FloatArray, FloatArray, float, IntArray, FloatArray, npt.NDArray[np.int32]]
 
 
-@compiled  # type: ignore[untyped-decorator]
+@nested
 def _in_body(
     point: FloatArray, rotation: FloatArray, shift: FloatArray, axis: int, pitch: float
 ) -> float:
@@ -191,7 +191,7 @@ def _in_body(
     return float((x * rotation[0, axis] + y * rotation[1, axis] + z * rotation[2, axis]) / pitch)
 
 
-@compiled  # type: ignore[untyped-decorator]
+@compiled
 def _ask(points: FloatArray, reach: float, table: Table, asked: BoolImage) -> None:
     """Mark the bricks that are unknown, or near enough and not sampled."""
     rotation, shift, pitch, low, least, slot = table
@@ -207,7 +207,7 @@ def _ask(points: FloatArray, reach: float, table: Table, asked: BoolImage) -> No
             asked[i, j, k] = True
 
 
-@compiled  # type: ignore[untyped-decorator]
+@nested
 def _weigh(t: float, weight: FloatArray) -> None:
     """Set the cubic B-splines over a cell, their first and second derivatives (3, 4)."""
     u = 1 - t
@@ -219,7 +219,7 @@ def _weigh(t: float, weight: FloatArray) -> None:
     weight[2, 0], weight[2, 1], weight[2, 2], weight[2, 3] = u, 3 * t - 2, 3 * u - 2, t
 
 
-@compiled  # type: ignore[untyped-decorator]
+@compiled
 def _interpolate(
     points: FloatArray, reach: float, out: Distances, body: tuple[Table, FloatArray]
 ) -> None:
@@ -247,7 +247,7 @@ def _interpolate(
             _turn_back(f, rotation, pitch, gradient[n], hessian[n])
 
 
-@compiled  # type: ignore[untyped-decorator]
+@nested
 def _contract(
     own: FloatArray, cell: IntArray, weight: FloatArray, scratch: FloatArray, f: FloatArray
 ) -> None:
@@ -269,7 +269,7 @@ def _contract(
                     f[i, j, k] += weight[0, i, a] * scratch[j, k]
 
 
-@compiled  # type: ignore[untyped-decorator]
+@nested
 def _turn_back(
     f: FloatArray, rotation: FloatArray, pitch: float, gradient: FloatArray, hessian: FloatArray
 ) -> None:

@@ -17,7 +17,7 @@ import numpy as np
 
 from reconstruction.arrays import BoolImage, FloatArray, IntArray
 from reconstruction.machine import threads
-from twin.specimens.distance import compiled
+from twin.specimens.distance import compiled, nested
 
 _CHUNK = 64
 _LEAF = 2
@@ -119,7 +119,7 @@ def over_bands(call: Callable[[slice], None], count: int) -> None:
         list(pool.map(call, bands))
 
 
-@compiled  # type: ignore[untyped-decorator]
+@nested
 def _squared(corners: FloatArray, x: float, y: float, z: float) -> float:
     """Return the squared distance of a point to a triangle (Ericson 2005, section 5.1.5)."""
     ax, ay, az = corners[0, 0], corners[0, 1], corners[0, 2]
@@ -137,7 +137,7 @@ def _squared(corners: FloatArray, x: float, y: float, z: float) -> float:
     return float(dx * dx + dy * dy + dz * dz)
 
 
-@compiled  # type: ignore[untyped-decorator]
+@nested
 def _nearest_shares(uu: float, uv: float, vv: float, up: float, vp: float) -> tuple[float, float]:
     """Return how much of the sides u and v leads to the point of a triangle nearest to p."""
     up_b, vp_b, up_c, vp_c = up - uu, vp - uv, up - uv, vp - vv
@@ -161,7 +161,7 @@ def _nearest_shares(uu: float, uv: float, vv: float, up: float, vp: float) -> tu
     return s, t
 
 
-@compiled  # type: ignore[untyped-decorator]
+@nested
 def _to_box(box: FloatArray, x: float, y: float, z: float) -> float:
     """Return the squared distance of a point to a box."""
     dx = max(box[0, 0] - x, x - box[1, 0], 0.0)
@@ -170,7 +170,7 @@ def _to_box(box: FloatArray, x: float, y: float, z: float) -> float:
     return float(dx * dx + dy * dy + dz * dz)
 
 
-@compiled  # type: ignore[untyped-decorator]
+@nested
 def _nearest(
     tree: tuple[FloatArray, FloatArray],
     at: tuple[float, float, float],
@@ -208,7 +208,7 @@ def _nearest(
     return best, guess
 
 
-@compiled  # type: ignore[untyped-decorator]
+@compiled
 def _sample(
     tree: tuple[FloatArray, FloatArray], middles: FloatArray, pitch: float, samples: FloatArray
 ) -> None:
@@ -285,7 +285,7 @@ class Columns:
         return self.start[place], self.start[place + 1], self.member
 
 
-@compiled  # type: ignore[untyped-decorator]
+@nested
 def _left_of(a: FloatArray, b: FloatArray, x: float, y: float) -> bool:
     """Tell whether a point is left of a line from a to b: right of the same line from b to a."""
     if a[0] < b[0] or (a[0] == b[0] and a[1] < b[1]):
@@ -293,7 +293,7 @@ def _left_of(a: FloatArray, b: FloatArray, x: float, y: float) -> bool:
     return not (a[0] - b[0]) * (y - b[1]) - (a[1] - b[1]) * (x - b[0]) > 0
 
 
-@compiled  # type: ignore[untyped-decorator]
+@nested
 def _crossing(corners: FloatArray, x: float, y: float) -> tuple[int, float]:
     """Return the facet's side seen from above (+1, -1, 0 where missed), and z of the crossing."""
     a, b, c = corners[0], corners[1], corners[2]
@@ -307,7 +307,7 @@ def _crossing(corners: FloatArray, x: float, y: float) -> tuple[int, float]:
     return (1 if left else -1), z
 
 
-@compiled  # type: ignore[untyped-decorator]
+@nested
 def _covered(
     corners: FloatArray, axis: int, pitch: float, first: int, count: int
 ) -> tuple[int, int]:
@@ -318,7 +318,7 @@ def _covered(
     return int(max(begin, 0.0)), int(min(end, float(count)))
 
 
-@compiled  # type: ignore[untyped-decorator]
+@compiled
 def _negate(
     corners: FloatArray,
     lists: tuple[IntArray, IntArray, IntArray],
@@ -353,7 +353,7 @@ def _negate(
                         samples[n, i, j, k] *= -1
 
 
-@compiled  # type: ignore[untyped-decorator]
+@compiled
 def _inside(
     corners: FloatArray,
     lists: tuple[IntArray, IntArray, IntArray],
@@ -370,7 +370,7 @@ def _inside(
         inside[n] = winding != 0
 
 
-@compiled  # type: ignore[untyped-decorator]
+@compiled
 def _sorted_in(first: IntArray, last: IntArray, count: IntArray) -> tuple[IntArray, IntArray]:
     """Return lists of the boxes first..last that hold each place of a grid, row by row."""
     start = np.zeros(count[0] * count[1] + 1, np.int64)
@@ -378,8 +378,10 @@ def _sorted_in(first: IntArray, last: IntArray, count: IntArray) -> tuple[IntArr
         for x in range(first[n, 0], last[n, 0] + 1):
             for y in range(first[n, 1], last[n, 1] + 1):
                 start[x * count[1] + y + 1] += 1
-    start = np.cumsum(start)
-    filled = start[:-1].copy()
+    filled = np.zeros(len(start), np.int64)
+    for place in range(1, len(start)):
+        start[place] += start[place - 1]
+        filled[place] = start[place]
     member = np.zeros(start[-1], np.int64)
     for n in range(len(first)):
         for x in range(first[n, 0], last[n, 0] + 1):

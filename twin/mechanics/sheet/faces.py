@@ -4,15 +4,20 @@ The sheet is sampled along itself and seen from above: where it overhangs, its h
 """
 
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
-import numba
 import numpy as np
 
 from reconstruction.arrays import FloatArray
+from reconstruction.compiling import Function, compile_and_keep, digest_of_sources
 from twin.mechanics.sheet.energy import Sheet, SheetState
 from twin.mechanics.sheet.grid import SheetGrid
 from twin.mechanics.sheet.splines import subdivided
 
+# As of `specimens.distance`: the same bytes whatever the make of the CPU.
+_OPTIONS = {"nogil": True, "_nrt": False, "error_model": "numpy"}
+_SOURCE_DIGEST = digest_of_sources(Path(__file__).parent, ("faces.py",))
 _FEWEST_PARTS, _MOST_PARTS = 2, 12
 _DEGENERATE_MM2 = 1e-14
 #: of a step between nodes, and of a triangle's side: so near to an edge is on it
@@ -92,6 +97,10 @@ def _places(grid: SheetGrid, pitch_mm: float) -> tuple[FloatArray, FloatArray]:
     return subdivided(grid.x.edges, parts[0]), subdivided(grid.y.edges, parts[1])
 
 
+def _compiled(function: Function) -> Function:
+    return compile_and_keep(function, _OPTIONS, _SOURCE_DIGEST)
+
+
 def _principal(along_x: FloatArray, along_y: FloatArray, area2: FloatArray) -> FloatArray:
     """Return the principal stretches from the metric: roots of its characteristic polynomial."""
     trace = (along_x**2).sum(axis=-1) + (along_y**2).sum(axis=-1)
@@ -101,8 +110,8 @@ def _principal(along_x: FloatArray, along_y: FloatArray, area2: FloatArray) -> F
     return stretch
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _raster(surface, values, grid, height, seen):  # type: ignore[no-untyped-def]
+@_compiled
+def _raster(surface: Any, values: Any, grid: Any, height: Any, seen: Any) -> None:
     """Draw the two triangles of each quad; `grid` holds x0, y0, dx, dy of the nodes."""
     x0, y0, dx, dy = grid
     rows, cols = height.shape
