@@ -17,11 +17,12 @@ if sys.argv[1] == "keep":
 def faults():
     # proc(5): minflt is the tenth field, the eighth after the name in brackets
     return int(Path("/proc/self/stat").read_text().rpartition(")")[2].split()[7])
-images = [np.ones(2_000_000) for _ in range(3)]
+# 40 MB each: more than the C library keeps by itself.
+images = [np.ones(5_000_000) for _ in range(5)]
 del images
 before = faults()
-for _ in range(50):
-    image = np.ones(2_000_000)
+for _ in range(10):
+    image = np.ones(5_000_000)
     image = image * 2.0 + image
 print(faults() - before)
 """
@@ -39,6 +40,9 @@ def _page_faults(how: str) -> int:
     reason="no GNU C library, or no Linux that counts page faults",
 )
 def test_freed_memory_is_not_zeroed_anew():
-    """The system gives a page at its first touch: 16 MB of a used block touch none."""
+    """The system gives a page at its first touch: memory that was used before touches none.
+
+    Otherwise thirty arrays of 40 MB fault at least once in 2 MB, the largest pages there are.
+    """
     assert _page_faults("keep") < 100
-    assert _page_faults("ordinary") > 500
+    assert _page_faults("ordinary") > 300
