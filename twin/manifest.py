@@ -11,16 +11,20 @@ import hashlib
 import io
 import os
 import re
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
+from typing import TypeVar
 
 from reconstruction.errors import InputError
 from reconstruction.machine import threads
 from reconstruction.reading import read_bytes
 from twin.working import is_working
+
+T = TypeVar("T")
+R = TypeVar("R")
 
 MANIFEST_FILE = "twin-manifest.txt"
 _HEAD = re.compile(r"# fringe-twin manifest (?P<version>\d+): (?P<kind>\w+)")
@@ -88,9 +92,8 @@ def files_of(folder: Path) -> list[str]:
 def manifest_lines(folder: Path) -> list[str]:
     """Return a line for every file below a folder."""
     paths = files_of(folder)
-    with ThreadPoolExecutor(threads()) as pool:
-        digests = pool.map(_digest, [folder / path for path in paths])
-        return [f"{digest}  {path}" for digest, path in zip(digests, paths, strict=True)]
+    digests = _side_by_side(_digest, [folder / path for path in paths])
+    return [f"{digest}  {path}" for digest, path in zip(digests, paths, strict=True)]
 
 
 def write_manifest(path: Path, kind: str, lines: Sequence[str]) -> None:
@@ -130,6 +133,12 @@ def is_ours(folder: Path, path: str, known: Manifest | None) -> bool:
     return bool(digests) and not file.is_symlink() and file.is_file() and _digest(file) in digests
 
 
+def ours(folder: Path, paths: Sequence[str], known: Manifest | None) -> set[str]:
+    """Return those of some files below a folder that have the content that was written."""
+    told = _side_by_side(lambda path: is_ours(folder, path, known), paths)
+    return {path for path, is_own in zip(paths, told, strict=True) if is_own}
+
+
 def foreign(
     folder: Path, known: Manifest | None, names: Collection[str] = (), *, changed: bool = True
 ) -> str | None:
@@ -140,22 +149,27 @@ def foreign(
     names : look only at these entries of the folder; by default at all
     changed : a file that was written, but changed since, counts too
     """
-    found = _foreign(folder, "", known, names)
-    return next((text for text, is_changed in found if changed or not is_changed), None)
+    found = list(_found(folder, "", known, names))
+    own = ours(folder, found, known)
+    for path in found:
+        is_changed = known is not None and path in known.lines
+        if path not in own and (changed or not is_changed):
+            return f"{path}, changed since it was written" if is_changed else path
+    return None
 
 
-def _foreign(
+def _found(
     root: Path, below: str, known: Manifest | None, names: Collection[str] = ()
-) -> Iterator[tuple[str, bool]]:
+) -> Iterator[str]:
+    """Yield what is in a folder; of folders of its own, what is in them."""
     for entry in sorted(os.scandir(root / below), key=lambda entry: entry.name):
         path = f"{below}{entry.name}"
         if (names and entry.name not in names) or (not below and _is_own_mark(entry)):
             continue
         if entry.is_dir(follow_symlinks=False) and known and path in known.folders:
-            yield from _foreign(root, f"{path}/", known)
-        elif not is_ours(root, path, known):
-            changed = known is not None and path in known.lines
-            yield (f"{path}, changed since it was written" if changed else path), changed
+            yield from _found(root, f"{path}/", known)
+        else:
+            yield path
 
 
 def _is_own_mark(entry: "os.DirEntry[str]") -> bool:
@@ -164,6 +178,11 @@ def _is_own_mark(entry: "os.DirEntry[str]") -> bool:
             entry.stat().st_size == 0 or read_manifest(Path(entry.path).parent) is not None
         )
     return entry.name in _OF_THE_SYSTEM or is_working(Path(entry.path))
+
+
+def _side_by_side(read: Callable[[T], R], files: Sequence[T]) -> list[R]:
+    with ThreadPoolExecutor(threads()) as pool:
+        return list(pool.map(read, files))
 
 
 def _digest(file: Path) -> str:

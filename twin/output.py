@@ -14,7 +14,7 @@ be replaced.
 import json
 import os
 import platform
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping, Set
 from contextlib import ExitStack, contextmanager, suppress
 from functools import cache
 from importlib import metadata
@@ -29,8 +29,8 @@ from twin.manifest import (
     enter,
     files_of,
     foreign,
-    is_ours,
     manifest_lines,
+    ours,
     read_manifest,
     write_manifest,
 )
@@ -203,21 +203,20 @@ def _publish(folder: Path, real: Path) -> None:
     """Make the content of `folder` the result at `real`."""
     if real.is_dir():
         known = read_manifest(real)
-        gone = [path for path in known.lines if is_ours(real, path, known)] if known else []
-        _put(folder, real, gone)
+        _put(folder, real, ours(real, list(known.lines), known) if known else set())
     else:
         _remove_empty(sorted((p for p in folder.rglob("*") if p.is_dir()), reverse=True))
         write_manifest(folder / MANIFEST_FILE, RESULT, manifest_lines(folder))
         folder.rename(real)
 
 
-def _put(folder: Path, real: Path, gone: Collection[str] | None = None) -> None:
+def _put(folder: Path, real: Path, gone: Set[str] | None = None) -> None:
     """Move the files of `folder` to `real`, where the files `gone` make room for a whole result.
 
     A file that appeared there while the command ran is not overwritten.
     """
     new, lines = files_of(folder), manifest_lines(folder)
-    _refuse_blocked(real, new)
+    _refuse_blocked(real, set(new) - (gone or set()))
     if gone is not None:
         write_manifest(folder.parent / MANIFEST_FILE, RESULT, lines)
     enter(real, RESULT, lines)
@@ -229,17 +228,18 @@ def _put(folder: Path, real: Path, gone: Collection[str] | None = None) -> None:
         _exchange(folder, real)
 
 
-def _refuse_blocked(real: Path, new: Collection[str]) -> None:
-    known = read_manifest(real)
-    blocked = [p for p in new if os.path.lexists(real / p) and not is_ours(real, p, known)]
-    if blocked:
-        raise InputError(f"{real / blocked[0]}: is in the way (not written by twin); move it away")
+def _refuse_blocked(real: Path, new: Iterable[str]) -> None:
+    there = sorted(path for path in new if os.path.lexists(real / path))
+    own = ours(real, there, read_manifest(real))
+    for path in there:
+        if path not in own:
+            raise InputError(f"{real / path}: is in the way (not written by twin); move it away")
 
 
 def _exchange(folder: Path, real: Path) -> None:
     """Carry out what is left of a plan, the result's own file first away and last there."""
     new, known = files_of(folder), read_manifest(real)
-    goes = [p for p in read_json(folder.parent / _PLAN)["goes"] if is_ours(real, p, known)]
+    goes = ours(real, read_json(folder.parent / _PLAN)["goes"], known)
     for path in (*(path for path in new if path == RESULT_FILE), *goes):
         (real / path).unlink(missing_ok=True)
     for path in sorted(new, key=lambda path: path == RESULT_FILE):
