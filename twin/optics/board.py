@@ -6,6 +6,7 @@ quarter pixel, and the centroids of dots would jitter by a hundredth of a pixel.
 """
 
 from dataclasses import replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -46,6 +47,12 @@ def albedo_image(board: Board, plate: BoardPlate, texel_mm: float) -> FloatImage
     return np.asarray(albedo, dtype=np.float32)
 
 
+@lru_cache(maxsize=1)
+def _albedo_of(file: BoardFile, texel_mm: float) -> FloatImage:
+    """Return what all poses of a board have in common; it takes as long as their light."""
+    return albedo_image(file.board(), file.plate, texel_mm)
+
+
 def camera_texel_mm(experiment: Experiment) -> float:
     """Size of a texel: a camera pixel on the reference plane holds two of them."""
     camera = experiment.camera
@@ -71,8 +78,7 @@ def render_board(experiment: Experiment, file: BoardFile, pose: BoardPose) -> Fr
     from twin.optics.light import light_tables, pattern_set
     from twin.optics.scene import rig_of
 
-    texel_mm = camera_texel_mm(experiment)
-    albedo = albedo_image(file.board(), file.plate, texel_mm)
+    albedo = _albedo_of(file, camera_texel_mm(experiment))
     scene = _board_scene(file.plate, albedo, board_pose(pose))
     # Nothing stands between a single plane and the projector: no shadow rays.
     rig = replace(rig_of(experiment), layers=None, shadows=False)

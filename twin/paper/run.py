@@ -9,7 +9,9 @@
 """
 
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor, Future
 from dataclasses import dataclass
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -46,7 +48,7 @@ from twin.report.page import FIGURES_FOLDER, REPORT_FILE, figures_folder
 from twin.report.table import Cell, Table
 from twin.report.words import shown
 from twin.results.parts import write_result
-from twin.study.workers import lasting, local_workers
+from twin.study.workers import lasting, local_workers, opened
 
 COMMAND, WORK = "paper", "work"
 _NAMES = (
@@ -197,11 +199,15 @@ def _reproduce(out: Path, folder: Path, request: Request, run: Reproduction) -> 
     """Measure into `out`/work, and write tables, figures and page into `folder`."""
     if request.measured:
         run.measure(request.measured)
-    tables = tables_of(run, request.tables)
-    drawn = _draw(run, folder, request.figures)
+    with opened(run.workers) as drawers:
+        drawn = _draw(run, folder, request.figures, drawers)
+        tables = tables_of(run, request.tables)
+        for figure in drawn.values():
+            figure.result()
     _write_tables(folder, tables, request)
     balls = experiment_of(BALLS, run.resolution)
-    page = write_paper_page(folder, Contents(tables, drawn, balls, inputs(), request.trials))
+    contents = Contents(tables, tuple(drawn), balls, inputs(), request.trials)
+    page = write_paper_page(folder, contents)
     claims = tables["claims"].rows if "claims" in tables else ()
     write_result(folder, COMMAND, balls, _figures_of(claims))
     return Reproduced(out / page.name, tuple(_line(row) for row in claims))
@@ -214,16 +220,22 @@ def tables_of(run: Reproduction, names: Sequence[str]) -> dict[str, Table]:
     return found | ({"claims": claims_table(claims)} if claims else {})
 
 
-def _draw(run: Reproduction, out: Path, names: Sequence[str]) -> dict[str, Path]:
-    """Draw the figures in their order; first their cases are measured."""
-    folder, cases = figures_folder(out), run.work / "cases"
+def _draw(
+    run: Reproduction, out: Path, names: Sequence[str], drawers: Executor
+) -> dict[str, "Future[None]"]:
+    """Hand out the figures by name; first their cases are measured."""
+    folder, cases, steps = figures_folder(out), run.work / "cases", count(1)
     if any(FIGURES[name].cases for name in names):
         cases = run.all_cases()
-    for done, name in enumerate(names):
-        run.watch("figures", done / len(names))
-        draw_figure(name, cases, folder)
-    run.watch("figures", 1.0)
-    return {name: folder / f"{name}.png" for name in names}
+
+    def told(_: "Future[None]") -> None:
+        run.watch("figures", next(steps) / len(names))
+
+    run.watch("figures", 0.0)
+    drawn = {name: drawers.submit(draw_figure, name, cases, folder) for name in names}
+    for figure in drawn.values():
+        figure.add_done_callback(told)
+    return drawn
 
 
 def _write_tables(out: Path, tables: Mapping[str, Table], request: Request) -> None:

@@ -93,6 +93,16 @@ def lasting(workers: Workers) -> Iterator[Workers]:
             (workers.release or workers.close)(executor)
 
 
+@contextmanager
+def opened(workers: Workers) -> Iterator[Executor]:
+    """Use the workers for tasks of one's own; they are taken back at the end."""
+    executor = workers.open()
+    try:
+        yield executor
+    finally:
+        (workers.release or workers.close)(executor)
+
+
 def default_count() -> int:
     """Return one worker per two cores, but two where there are two or three."""
     cores = len(os.sched_getaffinity(0))
