@@ -6,17 +6,19 @@ One energy with its exact tangent; a convexified one can be asked for in its pla
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
-from reconstruction.arrays import FloatArray
+from reconstruction.arrays import BoolArray, FloatArray
+from reconstruction.cells import box_of
 from reconstruction.machine import threads
 from twin.mechanics.sheet.grid import SheetGrid, functions_of, normal_of, thinning_of
 from twin.mechanics.sheet.kernel import SLOTS, Assembled, assemble_rows, scratch, surface_rows
 from twin.mechanics.sheet.laws import Grip, Laws, Touch
 from twin.mechanics.sheet.linear_solver import LinearSolver, linear_solver
 from twin.mechanics.sheet.point import Asked, Felt
-from twin.mechanics.sheet.stencil import control_areas, stencil
+from twin.mechanics.sheet.stencil import Stencil, control_areas, stencil
 from twin.specimens.distance import Distances, SignedDistance, is_clear_of
 
 # A band is a block of cell rows that one thread takes; its forces reach two rows beyond it.
@@ -53,6 +55,25 @@ class Evaluation:
     control_mm: FloatArray
     surface: FloatArray
 
+    @cached_property
+    def normal(self) -> FloatArray:
+        """Unit normals at the Gauss points (row, col, 4, xyz)."""
+        return normal_of(self.surface)
+
+
+@dataclass(frozen=True, eq=False)
+class System:
+    """The linear system of a grid: its pattern, and the symbolic factorisation of that."""
+
+    stencil: Stencil
+    solver: LinearSolver
+
+    @classmethod
+    def of(cls, free: BoolArray) -> "System":
+        """Return that of a grid whose control points (row, col, xyz) are free so."""
+        pattern = stencil(free)
+        return cls(pattern, linear_solver(pattern.start, pattern.columns))
+
 
 @dataclass(eq=False)
 class Sheet:
@@ -66,19 +87,31 @@ class Sheet:
     sticks: bool = False
     #: cells where it touches
     cell_mm: float = 0.0
-    solver: LinearSolver = field(init=False)
+    #: of which this is a window: its threads and the systems of its windows are used
+    whole: "Sheet | None" = None
+    system: System = field(init=False)
     pool: ThreadPoolExecutor = field(init=False)
     factorisations: int = field(init=False, default=0)
     evaluations: int = field(init=False, default=0)
 
     def __post_init__(self) -> None:
         rows, cols = self.grid.free.shape[:2]
-        self._stencil = stencil(self.grid.free)
-        self.solver = linear_solver(self._stencil.start, self._stencil.columns)
+        if self.whole is None:
+            self.system, self._systems = System.of(self.grid.free), dict[object, System]()
+            self.pool = ThreadPoolExecutor(threads())
+        else:
+            self._systems, self.pool = self.whole._systems, self.whole.pool
+            self.system = self._system_of_window()
         self._forces = np.zeros((rows, cols, 3))
         self._tangent = np.zeros((rows, cols, len(SLOTS), 3, 3))
         self.area_mm2 = control_areas(self.grid)
-        self.pool = ThreadPoolExecutor(threads())
+
+    def _system_of_window(self) -> System:
+        """Return the one of a window of the same form before, whose factors nobody needs longer."""
+        form = (self.grid.free.shape, self.grid.free.tobytes())
+        if form not in self._systems:
+            self._systems[form] = System.of(self.grid.free)
+        return self._systems[form]
 
     # ---- evaluation ----------------------------------------------------------------------
 
@@ -147,7 +180,7 @@ class Sheet:
             (self.bodies.fixed, place_mm.reshape(-1, 3)),
         )
         for bodies, points in sides:
-            low, high = points.min(axis=0), points.max(axis=0)
+            low, high = box_of(points)
             asked = [body for body in bodies if not is_clear_of(body, low, high, self.reach_mm)]
             found += [body.evaluate(points, self.reach_mm) for body in asked]
         felt = [one for one in found if one[0].min() <= self.reach_mm]
@@ -161,7 +194,12 @@ class Sheet:
 
     def _over_bands(self, rows: int, parity: int, run: Callable[[int, int], None]) -> None:
         firsts = range(parity * _BAND_ROWS, rows, 2 * _BAND_ROWS)
-        list(self.pool.map(lambda a: run(a, min(a + _BAND_ROWS, rows)), firsts))
+        bands = [(first, min(first + _BAND_ROWS, rows)) for first in firsts]
+        if len(bands) < 2 or threads() == 1:
+            for band in bands:
+                run(*band)
+        else:
+            list(self.pool.map(lambda band: run(*band), bands))
 
     def forces(self) -> FloatArray:
         """Return (unknown,) gradient of the last evaluation's energy."""
@@ -176,17 +214,17 @@ class Sheet:
 
     def factorise(self, viscosity: float) -> bool:
         """Factorise the last tangent and a viscosity, kPa/mm; tell whether it is definite."""
-        values = self._tangent.reshape(-1)[self._stencil.taken]
+        values = self._tangent.reshape(-1)[self.system.stencil.taken]
         if viscosity:
             weights = np.repeat(self.area_mm2[..., None], 3, axis=2)[self.grid.free]
-            values[self._stencil.start[:-1]] += viscosity * weights
+            values[self.system.stencil.start[:-1]] += viscosity * weights
         self.factorisations += 1
-        return self.solver.factorise(values)
+        return self.system.solver.factorise(values)
 
     def newton_step_mm(self) -> FloatArray:
         """Return (row, col, xyz): what the last factors make of the last forces."""
         step = np.zeros(self._forces.shape)
-        step[self.grid.free] = -self.solver.solve(self.forces())
+        step[self.grid.free] = -self.system.solver.solve(self.forces())
         return step
 
     def reactions(self) -> FloatArray:
@@ -246,9 +284,8 @@ class Sheet:
     def window(self, rows: slice, cols: slice) -> "Sheet":
         """Return some of its cells as a sheet of their own, held all round."""
         grid = self.grid.window(rows, cols)
-        part = Sheet(grid, self.laws, self.bodies, self.touched_z_mm, cell_mm=self.cell_mm)
-        part.pool = self.pool
-        return part
+        z_mm, cell_mm = self.touched_z_mm, self.cell_mm
+        return Sheet(grid, self.laws, self.bodies, z_mm, cell_mm=cell_mm, whole=self)
 
 
 def _stacked(found: list[Distances], shape: tuple[int, ...]) -> Touch:

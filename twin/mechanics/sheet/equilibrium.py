@@ -13,7 +13,7 @@ import numpy as np
 from reconstruction.arrays import FloatArray
 from twin.mechanics.errors import SolverError
 from twin.mechanics.sheet.energy import Evaluation, Sheet, SheetState
-from twin.mechanics.sheet.grid import normal_of, thinning_of
+from twin.mechanics.sheet.grid import thinning_of
 from twin.mechanics.sheet.laws import Grip
 
 _LARGEST_MOVE_MM, _SMALLEST_SHARE, _SUFFICIENT = 0.5, 1e-3, 1e-4
@@ -365,8 +365,9 @@ def _lowers(now: Evaluation, new: Evaluation, slope: float) -> bool:
 
 def _turn(before: Evaluation, after: Evaluation) -> float:
     """Return the least cosine between the normals of two surfaces."""
-    normals = [normal_of(one.surface) for one in (before, after)]
-    return float((normals[0] * normals[1]).sum(axis=-1).min())
+    # Component by component: over short rows Numpy takes ten times as long.
+    along = zip(np.moveaxis(before.normal, -1, 0), np.moveaxis(after.normal, -1, 0), strict=True)
+    return float(sum(one * other for one, other in along).min())
 
 
 def _refuse_film(surface: FloatArray, state: SheetState) -> None:

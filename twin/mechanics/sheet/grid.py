@@ -167,16 +167,22 @@ def functions_of(rest: Rest, rows: slice = slice(None)) -> FloatArray:
 
 def normal_of(surface: FloatArray) -> FloatArray:
     """Return unit normals of (..., 3, xyz) place and derivatives."""
-    across = np.cross(surface[..., 1, :], surface[..., 2, :])
-    unit: FloatArray = across / np.linalg.norm(across, axis=-1, keepdims=True)
-    return unit
+    across, stretch = _across(surface)
+    return np.stack([one / stretch for one in across], axis=-1)
 
 
 def thinning_of(surface: FloatArray) -> FloatArray:
     """Return the thickness stretch lambda = 1 / area stretch of (..., 3, xyz)."""
-    across = np.cross(surface[..., 1, :], surface[..., 2, :])
-    thinning: FloatArray = 1 / np.linalg.norm(across, axis=-1)
+    thinning: FloatArray = 1 / _across(surface)[1]
     return thinning
+
+
+def _across(surface: FloatArray) -> tuple[list[FloatArray], FloatArray]:
+    """Return the cross product (xyz) of both derivatives, and its length: the area stretch."""
+    # Component by component: Numpy's own takes five times as long.
+    (ax, ay, az), (bx, by, bz) = (np.moveaxis(surface[..., n, :], -1, 0) for n in (1, 2))
+    across = [ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx]
+    return across, np.sqrt(across[0] ** 2 + across[1] ** 2 + across[2] ** 2)
 
 
 def _products(along_x: FloatArray, along_y: FloatArray) -> FloatArray:
