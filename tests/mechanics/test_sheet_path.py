@@ -89,7 +89,7 @@ class ToAndFro:
 
     def evaluate(self, control_mm: np.ndarray, _state: object, **_: bool) -> Evaluation:
         self.place = float(control_mm[0, 0, 2])
-        return Evaluation(-1905.0, control_mm, np.zeros(0))
+        return Evaluation(-1905.0, control_mm, np.zeros(0), tangent=True)
 
     def residuals_kpa(self) -> np.ndarray:
         return np.array([[abs(self.force(self.place))]])
@@ -168,7 +168,7 @@ def test_spots_are_where_the_sheet_is_farthest_from_rest() -> None:
 def test_spots_do_not_change_the_equilibrium() -> None:
     sheet, state = small_round_sheet()
     close = Accuracy(step_mm=1e-6, residual_kpa=1e-3)
-    found = [_settled(_Descent(sheet, state, close), spots=spots) for spots in (False, True)]
+    found = [_settled(_Descent(sheet, state, close, spots=spots)) for spots in (False, True)]
     off_um = 1e3 * np.abs(found[0].control_mm - found[1].control_mm)
     assert off_um.max() < 0.01
 

@@ -54,6 +54,8 @@ class Evaluation:
     energy: float
     control_mm: FloatArray
     surface: FloatArray
+    #: whether the tangent was asked for
+    tangent: bool
 
     @cached_property
     def normal(self) -> FloatArray:
@@ -91,6 +93,8 @@ class Sheet:
     whole: "Sheet | None" = None
     system: System = field(init=False)
     pool: ThreadPoolExecutor = field(init=False)
+    #: whose forces and tangent are held
+    latest: Evaluation = field(init=False)
     factorisations: int = field(init=False, default=0)
     evaluations: int = field(init=False, default=0)
 
@@ -142,7 +146,8 @@ class Sheet:
                 ),
             )
         self.evaluations += 1
-        return Evaluation(float(energy.sum()), control_mm, surface)
+        self.latest = Evaluation(float(energy.sum()), control_mm, surface, tangent)
+        return self.latest
 
     def surface(self, control_mm: FloatArray) -> FloatArray:
         """Return (row, col, 4, 3, xyz): place and derivatives at the Gauss points."""

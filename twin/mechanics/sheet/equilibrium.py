@@ -63,7 +63,7 @@ def settle(sheet: Sheet, state: SheetState, accuracy: Accuracy) -> SheetState:
     SolverError
         No equilibrium within the steps allowed.
     """
-    return _settled(_Descent(sheet, state, accuracy), spots=_slips(sheet, state))
+    return _settled(_Descent(sheet, state, accuracy, spots=_slips(sheet, state)))
 
 
 @dataclass(frozen=True)
@@ -98,6 +98,8 @@ class _Descent:
     sheet: Sheet
     state: SheetState
     accuracy: Accuracy
+    #: spots may settle by themselves on the way
+    spots: bool = False
     control_mm: FloatArray = field(init=False)
     #: whose forces and tangent the sheet holds
     now: Evaluation = field(init=False)
@@ -129,6 +131,10 @@ class _Descent:
         self.now = self.sheet.evaluate(
             control_mm, self.state, tangent=True, convex=self.damping.convex
         )
+
+    def hands_over(self, share: float) -> bool:
+        """Tell whether spots settle after a share of the step, and ask for the next tangent."""
+        return self.spots and (self.damping.viscosity > 0 or share < 1)
 
     def descend(self) -> None:
         """Take one step."""
@@ -166,8 +172,8 @@ class _Descent:
         self.damping = replace(self.damping, viscosity=viscosity)
 
 
-def _settled(descent: _Descent, *, spots: bool) -> SheetState:
-    """Return the equilibrium that a descent ends in; `spots` may settle by themselves on the way.
+def _settled(descent: _Descent) -> SheetState:
+    """Return the equilibrium that a descent ends in.
 
     Raises
     ------
@@ -182,8 +188,9 @@ def _settled(descent: _Descent, *, spots: bool) -> SheetState:
         end = _end(descent)
         if end is not None:
             return replace(end, steps=descent.state.steps + count + 1)
+        hands_over = descent.hands_over(descent.share)
         descent.damp()
-        if spots and (descent.viscosity or descent.share < 1):
+        if hands_over:
             descent.move(_settled_spots(descent))
     if not accuracy.strict:
         return replace(descent.here, steps=descent.state.steps + accuracy.most_steps)
@@ -303,23 +310,29 @@ def _searched(descent: _Descent, step: FloatArray, slope: float) -> tuple[float,
     if -slope <= _ROUNDING * abs(now.energy):
         return _by_forces(descent, step)
     share = min(1.0, _LARGEST_MOVE_MM / float(np.abs(step).max()))
-
-    def at(control_mm: FloatArray) -> Evaluation:
-        convex = descent.damping.convex
-        return sheet.evaluate(control_mm, descent.state, tangent=True, convex=convex)
-
-    new = at(now.control_mm + share * step)
+    new = _at(descent, now.control_mm + share * step, share)
     if _lowers(now, new, share * slope):
-        evaluations = sheet.evaluations
         share, best = _extended(descent, step, new, share=share, slope=slope)
-        # The last forces and tangent are those of what was tried last.
-        return share, best if sheet.evaluations == evaluations else at(best.control_mm)
+        return share, _held(descent, best, share)
     while share >= _SMALLEST_SHARE:
         share *= 0.5
         new = sheet.evaluate(now.control_mm + share * step, descent.state, tangent=False)
         if _lowers(now, new, share * slope):
-            return share, at(new.control_mm)
-    return 0.0, at(now.control_mm)
+            return share, _held(descent, new, share)
+    return 0.0, _held(descent, now, 0.0)
+
+
+def _at(descent: _Descent, control_mm: FloatArray, share: float) -> Evaluation:
+    """Evaluate a share of the step; its tangent too, unless spots ask for another one."""
+    tangent, convex = not descent.hands_over(share), descent.damping.convex
+    return descent.sheet.evaluate(control_mm, descent.state, tangent=tangent, convex=convex)
+
+
+def _held(descent: _Descent, place: Evaluation, share: float) -> Evaluation:
+    """Let the sheet hold the forces, and what is needed of the tangent, of one of its places."""
+    if descent.sheet.latest is place and (place.tangent or descent.hands_over(share)):
+        return place
+    return _at(descent, place.control_mm, share)
 
 
 def _by_forces(descent: _Descent, step: FloatArray) -> tuple[float, Evaluation]:
@@ -398,7 +411,7 @@ def _settled_spots(descent: _Descent) -> FloatArray:
         start = replace(descent.state, control_mm=control[inside], grip=grip)
         with suppress(SolverError):  # else the whole sheet has to go on first
             window = _Descent(sheet.window(rows, cols), start, rough)
-            control[inside] = _settled(window, spots=False).control_mm
+            control[inside] = _settled(window).control_mm
     return control
 
 
