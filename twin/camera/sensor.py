@@ -14,6 +14,7 @@ import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +25,7 @@ from reconstruction.machine import threads
 from reconstruction.rig.sensor import SensorNoise
 from twin.camera.noise import Key, Sensor, record_frame
 from twin.config import Experiment, seed_sequence
+from twin.config.digest import keyed_sequence
 from twin.config.models import Camera
 
 _PLANCK_J_S = 6.62607015e-34
@@ -75,7 +77,7 @@ def expose(
     dark_e = camera.dark_current_e_per_s * camera.binning**2 * exposure_ms * 1e-3
     shape = radiance[0].shape
     stack = np.zeros((len(radiance), *shape), np.uint16 if camera.noise else np.float32)
-    pixels = _fixed_pattern(experiment, shape)
+    pixels = _fixed_pattern(experiment.seed, camera.prnu_percent, dark_offset_e(camera), shape)
 
     sensor, key = _sensor(camera, per_radiance, dark_e), _key(experiment, trial)
 
@@ -112,12 +114,15 @@ def choose_exposure_ms(experiment: Experiment, white: FloatImage) -> float:
     return camera.auto_level * full_well_e(camera) / rate
 
 
-def _fixed_pattern(experiment: Experiment, shape: tuple[int, ...]) -> _Pixels:
-    camera = experiment.camera
-    rng = np.random.default_rng(seed_sequence(experiment, "fixed_pattern"))
-    response = 1.0 + camera.prnu_percent / 100.0 * rng.standard_normal(shape, np.float32)
-    offset_e = dark_offset_e(camera) * rng.standard_normal(shape, np.float32)
-    return _Pixels(response.astype(np.float32), offset_e.astype(np.float32))
+@lru_cache(maxsize=2)
+def _fixed_pattern(
+    seed: int, prnu_percent: float, offset_e: float, shape: tuple[int, ...]
+) -> _Pixels:
+    """Draw a camera's pixels; kept, as drawing them takes as long as an exposure."""
+    rng = np.random.default_rng(keyed_sequence(seed, "fixed_pattern"))
+    response = 1.0 + prnu_percent / 100.0 * rng.standard_normal(shape, np.float32)
+    offset = offset_e * rng.standard_normal(shape, np.float32)
+    return _Pixels(response.astype(np.float32), offset.astype(np.float32))
 
 
 def _expected_dn(camera: Camera, mean_e: FloatImage) -> FloatImage:
