@@ -24,6 +24,13 @@ Alignment = Literal["none", "offset", "offset_tilt", "rigid"]
 """What is taken off a surface before it is compared, see `evaluate.deviation`."""
 
 
+def at_pixels(image: NDArray[Any], where: BoolImage) -> NDArray[Any]:
+    """Return what an image (row, col, ...) holds at some pixels, row by row: (pixel, ...)."""
+    # Ten times as fast as an index of bools.
+    pixels = image.reshape(-1, *image.shape[2:])
+    return pixels.take(np.flatnonzero(where), axis=0)
+
+
 class Reason(IntEnum):
     """Reason code of a pixel; when several apply the lowest code is kept."""
 

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from reconstruction.arrays import BoolImage, FloatArray
+from reconstruction.arrays import BoolImage, FloatArray, IntArray
 from reconstruction.errors import InputError
 
 _MOST_CELLS = 10**8
@@ -46,34 +46,45 @@ def box_of(points: NDArray[np.floating[Any]]) -> tuple[FloatArray, FloatArray]:
     return np.array([axis.min() for axis in axes]), np.array([axis.max() for axis in axes])
 
 
-def cell_means(
-    points_mm: NDArray[np.floating[Any]], values: NDArray[Any], pitch_mm: float
-) -> CellMeans:
-    """Average `values` over square cells.
+@dataclass(frozen=True, eq=False)
+class Cells:
+    """Which square cell each of some points lies in.
 
-    Parameters
+    Attributes
     ----------
-    points_mm : (point, xyz) or (point, xy) float, world; at least one
-    values : (point,)
-
-    Raises
-    ------
-    InputError : the pitch makes more than 10^8 cells
+    number : (point,) of its cell, row by row
+    x_mm, y_mm, pitch_mm : as of `CellMeans`
     """
-    places = np.floor(points_mm[:, :2] / pitch_mm)
-    low, high = box_of(places)
-    cols, rows = (high - low).astype(int) + 1
-    if pitch_mm <= 0.0 or rows * cols > _MOST_CELLS:
-        made = f"pitch {pitch_mm:g} mm makes {rows} x {cols} cells"
-        raise InputError(f"height map: {made}; give more")
-    col, row = (places - low).astype(int).T
-    index = (rows - 1 - row) * cols + col
-    count = np.bincount(index, minlength=rows * cols).reshape(rows, cols)
-    total = np.bincount(index, values, rows * cols).reshape(rows, cols)
-    return CellMeans(
-        x_mm=(low[0] + np.arange(cols) + 0.5) * pitch_mm,
-        y_mm=(low[1] + np.arange(rows)[::-1] + 0.5) * pitch_mm,
-        mean=total / np.maximum(count, 1),
-        valid=count > 0,
-        pitch_mm=float(pitch_mm),
-    )
+
+    number: IntArray
+    x_mm: FloatArray
+    y_mm: FloatArray
+    pitch_mm: float
+
+    @classmethod
+    def of(cls, points_mm: NDArray[np.floating[Any]], pitch_mm: float) -> "Cells":
+        """Sort points (point, xyz) or (point, xy), world, at least one, into cells.
+
+        Raises
+        ------
+        InputError : the pitch makes more than 10^8 cells
+        """
+        across, along = (np.floor(axis_mm / pitch_mm) for axis_mm in points_mm.T[:2])
+        left, low = float(across.min()), float(along.min())
+        cols, rows = int(across.max() - left) + 1, int(along.max() - low) + 1
+        if pitch_mm <= 0.0 or rows * cols > _MOST_CELLS:
+            made = f"pitch {pitch_mm:g} mm makes {rows} x {cols} cells"
+            raise InputError(f"height map: {made}; give more")
+        row, col = (along - low).astype(np.int64), (across - left).astype(np.int64)
+        x_mm = np.asarray((left + np.arange(cols) + 0.5) * pitch_mm)
+        y_mm = np.asarray((low + np.arange(rows)[::-1] + 0.5) * pitch_mm)
+        return cls((rows - 1 - row) * cols + col, x_mm, y_mm, float(pitch_mm))
+
+    def means(self, values: NDArray[Any]) -> CellMeans:
+        """Average values (point,) over the cells."""
+        shape = len(self.y_mm), len(self.x_mm)
+        size = shape[0] * shape[1]
+        count = np.bincount(self.number, minlength=size).reshape(shape)
+        total = np.bincount(self.number, values, size).reshape(shape)
+        mean, valid = total / np.maximum(count, 1), count > 0
+        return CellMeans(self.x_mm, self.y_mm, mean, valid, self.pitch_mm)

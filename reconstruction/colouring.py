@@ -1,5 +1,6 @@
 """Deviations as colours of points, for programs that show a cloud without being told how."""
 
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -27,7 +28,7 @@ class Deviation:
         found = np.abs(self.um[self.known])
         self.limit_um = float(np.percentile(found, 99.0)) if found.any() else 1.0
 
-    @property
+    @cached_property
     def rgb(self) -> Levels:
         """(row, col, 3) uint8: blue below, white at 0, red above, grey where nothing is known."""
         share = np.clip(self.um / self.limit_um, -1.0, 1.0)

@@ -14,7 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from reconstruction.cells import CellMeans, cell_means
+from reconstruction.cells import CellMeans, Cells
 
 _MOST_CELLS = 400
 _GAP = "#d9d9d9"
@@ -43,7 +43,8 @@ def gridded(points_mm: NDArray[Any], values: NDArray[Any]) -> CellMeans:
     span_mm = float(np.ptp(points_mm[:, :2], axis=0).max())
     # Cells of two typical distances of neighbours: nearly every one has a point.
     apart_mm = 2.0 * np.sqrt(np.prod(np.ptp(points_mm[:, :2], axis=0)) / len(points_mm))
-    return cell_means(points_mm, values, max(span_mm / _MOST_CELLS, float(apart_mm), 1e-6))
+    pitch_mm = max(span_mm / _MOST_CELLS, float(apart_mm), 1e-6)
+    return Cells.of(points_mm, pitch_mm).means(values)
 
 
 def draw_cells(

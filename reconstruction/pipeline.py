@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from reconstruction.arrays import BoolImage, Reason
+from reconstruction.arrays import BoolImage, Reason, at_pixels
 from reconstruction.capture.folder import Capture
 from reconstruction.colouring import Deviation
 from reconstruction.decoding.decode import AxisDecode, Decoded, DecodeOptions, decode
@@ -62,7 +62,7 @@ class Reconstruction:
         valid = self.point_map.valid
         shown = {"points": f"{100 * valid.mean():.1f} % of all pixels"}
         if valid.any():
-            sigma_um = 1e3 * float(np.median(self.point_map.sigma_xyz_mm[valid][:, 2]))
+            sigma_um = 1e3 * float(np.median(at_pixels(self.point_map.sigma_z_mm, valid)))
             shown["median sigma of z"] = f"{sigma_um:.3g} um"
         return shown
 
@@ -78,8 +78,8 @@ class Reconstruction:
         valid = self.point_map.valid
         if not valid.any():
             raise InputError("plot: found no valid point; look at the mask's reasons")
-        points_mm = self.point_map.points_world_mm[valid].astype(np.float64)
-        sigma_um = 1e3 * self.point_map.sigma_xyz_mm[valid][:, 2]
+        points_mm = at_pixels(self.point_map.points_world_mm, valid).astype(np.float64)
+        sigma_um = 1e3 * at_pixels(self.point_map.sigma_z_mm, valid)
         drawing = Drawing(3)
         panels = drawing.subplots(1, 3)
         relief = gridded(points_mm, points_mm[:, 2])
@@ -131,8 +131,8 @@ def filter_bias(found: Reconstruction, use: Use, where: BoolImage) -> tuple[floa
     """
     axes = (found.decoded.column, found.decoded.row)
     chosen = axes if use == "both" else (axes[use == "row"],)
-    share = np.max([axis.bias_share[where] for axis in chosen], axis=0)
-    variance_um2 = 1e6 * found.point_map.sigma_z_mm[where].astype(np.float64) ** 2
+    share = np.max([at_pixels(axis.bias_share, where) for axis in chosen], axis=0)
+    variance_um2 = 1e6 * at_pixels(found.point_map.sigma_z_mm, where).astype(np.float64) ** 2
     return float(np.sqrt(np.mean(variance_um2 * share))), float(np.mean(share > 0.5))
 
 
@@ -232,8 +232,9 @@ def write_point_map_ply(
 
     Where the truth is known, deviation_um and its colour (red, green, blue) are properties, too.
     """
-    row, col = np.nonzero(point_map.valid)
-    sigma_mm = point_map.sigma_xyz_mm[row, col]
+    valid = point_map.valid
+    row, col = np.divmod(np.flatnonzero(valid), valid.shape[1])
+    sigma_mm = at_pixels(point_map.sigma_xyz_mm, valid)
     scalars: Maps = {f"sigma_{name}_mm": sigma_mm[:, i] for i, name in enumerate("xyz")}
     scalars |= {
         "row": row.astype(np.uint16),
@@ -241,11 +242,11 @@ def write_point_map_ply(
     }
     comments = ["frame world, z up", "units mm", "order row-major, valid pixels only"]
     if deviation is not None:
-        rgb = deviation.rgb[row, col]
+        rgb = at_pixels(deviation.rgb, valid)
         scalars |= {name: rgb[:, i] for i, name in enumerate(("red", "green", "blue"))}
-        scalars |= {"deviation_um": deviation.um[row, col]}
+        scalars |= {"deviation_um": at_pixels(deviation.um, valid)}
         comments.append(deviation.legend)
-    write_ply(path, point_map.points_world_mm[row, col], scalars, tuple(comments))
+    write_ply(path, at_pixels(point_map.points_world_mm, valid), scalars, tuple(comments))
 
 
 def write_reconstruction(path: Path | str, decoded: Decoded, point_map: PointMap) -> None:

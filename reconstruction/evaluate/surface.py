@@ -13,8 +13,8 @@ import imageio.v3 as imageio
 import numpy as np
 from numpy.typing import NDArray
 
-from reconstruction.arrays import BoolImage, FloatArray, FloatImage, Levels
-from reconstruction.cells import cell_means
+from reconstruction.arrays import BoolImage, FloatArray, FloatImage, Levels, at_pixels
+from reconstruction.cells import Cells
 from reconstruction.colouring import Deviation
 from reconstruction.errors import InputError
 from reconstruction.machine import run_side_by_side, write_exr_channels
@@ -69,10 +69,11 @@ def height_map(points: PointMap, pitch_mm: float | None = None) -> HeightGrid:
     ------
     InputError : there is no valid point, or the pitch makes more than 10^8 cells
     """
-    world = points.points_world_mm[points.valid].astype(np.float64)
+    world = at_pixels(points.points_world_mm, points.valid).astype(np.float64)
     if not len(world):
         raise InputError("height map: no valid point; look at the mask's reasons")
-    cells = cell_means(world, world[:, 2], pitch_mm or 1.5 * _typical_distance_mm(points))
+    pitch_mm = pitch_mm or 1.5 * _typical_distance_mm(points)
+    cells = Cells.of(world, pitch_mm).means(world[:, 2])
     return HeightGrid(
         cells.x_mm, cells.y_mm, cells.mean.astype(np.float32), cells.valid, cells.pitch_mm
     )
@@ -176,7 +177,7 @@ def surface_mesh(points: PointMap, longest_mm: float | None = None) -> SurfaceMe
     world = points.points_world_mm.astype(np.float32)
     edges, longest = _edges_mm(world, upper, lower)
     limit = longest_mm or CUT_OVER_TYPICAL * float(np.median(edges))
-    return SurfaceMesh(world[v], triangles[longest <= limit])
+    return SurfaceMesh(at_pixels(world, v), triangles[longest <= limit])
 
 
 def _edges_mm(
@@ -230,7 +231,7 @@ def write_surface(folder: Path, points: PointMap, deviation: Deviation | None = 
     """
     jobs = [lambda: write_point_map_ply(folder / "points.ply", points, deviation)]
     if (points.valid[1:, 1:] & points.valid[:-1, 1:] & points.valid[1:, :-1]).any():
-        rgb = None if deviation is None else deviation.rgb[points.valid]
+        rgb = None if deviation is None else at_pixels(deviation.rgb, points.valid)
         jobs += [
             lambda: write_mesh_ply(folder / "surface.ply", surface_mesh(points), rgb),
             lambda: _write_heights(folder, height_map(points)),

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from scipy import fft
 
-from reconstruction.arrays import FloatArray
+from reconstruction.arrays import FloatArray, at_pixels
 from reconstruction.compensation import (
     Compensated,
     CompensatedGel,
@@ -148,8 +148,8 @@ def compensate_points(points: PointMap, layer: SensorLayer) -> Compensated:
     valid = points.valid
     if not valid.any():
         raise InputError("compensate: found no valid point; look at the mask's reasons")
-    found = points.points_world_mm[valid].astype(np.float64)
-    sigma_mm = points.sigma_z_mm[valid].astype(np.float64)
+    found = at_pixels(points.points_world_mm, valid).astype(np.float64)
+    sigma_mm = at_pixels(points.sigma_z_mm, valid).astype(np.float64)
     if on_window:
         return _on_gel(found, sigma_mm, layer)
     return compensate_sheet(found, sigma_mm, sheet_layer(layer))
@@ -172,8 +172,8 @@ def calibrated_layer(
         )
     valid = points.valid
     found = calibrate_sheet(
-        points.points_world_mm[valid].astype(np.float64),
-        points.sigma_z_mm[valid].astype(np.float64),
+        at_pixels(points.points_world_mm, valid).astype(np.float64),
+        at_pixels(points.sigma_z_mm, valid).astype(np.float64),
         sheet_layer(layer),
         ball_diameter_mm / 2,
     )

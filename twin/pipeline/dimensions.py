@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from reconstruction.arrays import BoolImage, FloatArray
+from reconstruction.arrays import BoolImage, FloatArray, at_pixels
 from reconstruction.errors import InputError
 from reconstruction.evaluate import (
     areal_roughness,
@@ -97,7 +97,7 @@ def _within(values_mm: FloatArray, bounds_mm: Range | None) -> BoolImage:
 
 def _points_in(points: PointMap, region: Region) -> FloatArray:
     """Return the valid points (n, xyz) in a box."""
-    found = points.points_world_mm[points.valid].astype(np.float64)
+    found = at_pixels(points.points_world_mm, points.valid).astype(np.float64)
     for axis, bounds_mm in enumerate((region.x_mm, region.y_mm, region.z_mm)):
         found = found[_within(found[:, axis], bounds_mm)]
     if not len(found):

@@ -19,7 +19,7 @@ from mpl_toolkits.mplot3d.proj3d import proj_transform  # type: ignore[import-un
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
-from reconstruction.arrays import FloatArray
+from reconstruction.arrays import FloatArray, at_pixels
 from reconstruction.pipeline import Reconstruction
 from twin.optics.stack import Truth
 from twin.report.canvas import (
@@ -121,7 +121,7 @@ _MAP_LIGHT_DEG, _VIEW_LIGHT_DEG, _LIGHT_HEIGHT_DEG = 315.0, 225.0, 40.0
 
 def z_enlargement(points: SurfacePoints) -> float:
     """Return by how much the 3-D view enlarges z: a round number, at least 1."""
-    found = points.world_mm[points.valid]
+    found = at_pixels(points.world_mm, points.valid)
     if not len(found):
         return 1.0
     width_mm, height_mm = float(np.ptp(found[:, 0])), float(np.ptp(found[:, 2]))
@@ -255,7 +255,7 @@ def draw_height_map(path: Path, points: SurfacePoints, pixel_mm: float) -> None:
 
 
 def _relief(points: SurfacePoints, pixel_mm: float, cells: int) -> WorldMap:
-    found = points.world_mm[points.valid]
+    found = at_pixels(points.world_mm, points.valid)
     return average_on_grid(found, found[:, 2], pixel_mm, cells)
 
 
@@ -306,9 +306,10 @@ def draw_truth_error(
 ) -> None:
     """Draw the error map, the predicted sigma and the histogram of errors as PNG."""
     both = reconstruction.point_map.valid & truth.lit
-    points = truth.points_world_mm[both]
-    error_um = 1e3 * (reconstruction.point_map.points_world_mm[both] - points)[:, 2].astype(float)
-    sigma_um = 1e3 * reconstruction.point_map.sigma_z_mm[both].astype(float)
+    points = at_pixels(truth.points_world_mm, both)
+    found_mm = at_pixels(reconstruction.point_map.points_world_mm, both)
+    error_um = 1e3 * (found_mm[:, 2] - points[:, 2]).astype(float)
+    sigma_um = 1e3 * at_pixels(reconstruction.point_map.sigma_z_mm, both).astype(float)
     limit_um = symmetric_limit(error_um, 99.5)
     with drawing(path, 10.0, 6.7) as figure:
         cells = average_on_grid(points, error_um, pixel_mm, _MAP_CELLS)

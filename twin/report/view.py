@@ -12,8 +12,8 @@ import numpy as np
 from matplotlib import colormaps
 from numpy.typing import NDArray
 
-from reconstruction.arrays import FloatArray
-from reconstruction.cells import CellMeans, box_of, cell_means
+from reconstruction.arrays import FloatArray, at_pixels
+from reconstruction.cells import CellMeans, Cells, box_of
 from reconstruction.rig.layers import PlaneLayers
 from reconstruction.rig.pinhole import Pinhole
 from twin.optics.rig import true_calibration
@@ -75,8 +75,8 @@ def _surfaces(measured: Measurement) -> tuple[CellMeans, CellMeans, float]:
     points, true_mm = measured.points, measured.truth.points_world_mm
     on = points.valid & measured.truth.measured
     on = on if on.any() else points.valid
-    true_on_mm = true_mm[on].astype(np.float64)
-    world_mm = points.world_mm[on].astype(np.float64)
+    true_on_mm = at_pixels(true_mm, on).astype(np.float64)
+    world_mm = at_pixels(points.world_mm, on).astype(np.float64)
     near = near_truth(world_mm, true_on_mm)
     if near.any():
         world_mm, true_on_mm = world_mm[near], true_on_mm[near]
@@ -85,8 +85,8 @@ def _surfaces(measured: Measurement) -> tuple[CellMeans, CellMeans, float]:
     typical_mm = 1.5 * np.sqrt(np.prod(span_mm) / len(world_mm))
     pitch_mm = max(float(span_mm.max()) / _MOST_CELLS, float(typical_mm), 1e-6)
     error_um = 1e3 * (world_mm[:, 2] - true_on_mm[:, 2])
-    relief = cell_means(world_mm, world_mm[:, 2], pitch_mm)
-    deviation = cell_means(world_mm, error_um, pitch_mm)
+    cells = Cells.of(world_mm, pitch_mm)
+    relief, deviation = cells.means(world_mm[:, 2]), cells.means(error_um)
     return relief, deviation, symmetric_limit(deviation.mean[deviation.valid])
 
 

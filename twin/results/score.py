@@ -16,7 +16,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from reconstruction.arrays import BoolImage, FloatArray, FloatImage
+from reconstruction.arrays import BoolImage, FloatArray, FloatImage, at_pixels
 from reconstruction.errors import FitError
 from reconstruction.evaluate.fit import (
     SphereFit,
@@ -150,7 +150,7 @@ def score_heights(experiment: Experiment, heights: HeightMap, truth: Truth) -> S
     both = wanted & heights.valid
     if not both.any():
         raise FitError("no pixel within photometric.field carries a height")
-    found, true = found_mm[both][:, 2], truth.points_world_mm[both][:, 2]
+    found, true = at_pixels(found_mm, both)[:, 2], at_pixels(truth.points_world_mm, both)[:, 2]
     against_truth = HeightScore(
         **_errors(experiment, 1e3 * (found - true), int(wanted.sum())),
         wanted_pixels=int(wanted.sum()),
@@ -166,9 +166,10 @@ def score_truth(
     """Compare world z, pixel by pixel, with the truth at the pixel centre."""
     wanted = wanted_pixels(experiment, truth)
     both = reconstruction.point_map.valid & wanted
-    found_mm = reconstruction.point_map.points_world_mm[..., 2][both]
-    error_um = 1e3 * (found_mm - truth.points_world_mm[..., 2][both]).astype(np.float64)
-    sigma_um = 1e3 * reconstruction.point_map.sigma_z_mm[both].astype(np.float64)
+    found_mm = at_pixels(reconstruction.point_map.points_world_mm, both)[:, 2]
+    true_mm = at_pixels(truth.points_world_mm, both)[:, 2]
+    error_um = 1e3 * (found_mm - true_mm).astype(np.float64)
+    sigma_um = 1e3 * at_pixels(reconstruction.point_map.sigma_z_mm, both).astype(np.float64)
     bias_um, bias_share = (
         filter_bias(reconstruction, experiment.decode.use, both) if both.any() else (None, None)
     )
