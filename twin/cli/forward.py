@@ -23,8 +23,10 @@ from twin.cli.app import (
 
 if TYPE_CHECKING:
     from twin.config import Experiment
+    from twin.mechanics import PressedElastomer
     from twin.pipeline.memory import Memory
     from twin.pipeline.progress import ProgressCallback
+    from twin.results.press_derivatives import PressDerivative
     from twin.results.record import Measurement
 
 
@@ -37,6 +39,7 @@ def press(
     settings: Settings = None,
     transfer: bool = False,
     solid: bool = False,
+    by: list[str] | None = None,
     report: Report = True,
 ) -> None:
     """Press the specimen into the elastomer: pressure, heights, force, coated face as a mesh.
@@ -48,10 +51,14 @@ def press(
         pitch; for a thin sheet, of ridges as high as the specimen's under its back pressure.
     solid
         Also write the pressed slab as a watertight body, slab.stl and slab.ply.
+    by
+        Also differentiate a thin sheet by this number of elastomer, press or specimen, for example
+        elastomer.thickness_mm: how face, force and travel move per unit of it; several times for
+        several.
     """
     from twin.mechanics import write_in_plane
     from twin.output import output_folder
-    from twin.pipeline.press import press_specimen, transfer_of
+    from twin.pipeline.press import transfer_of
     from twin.results.parts import (
         press_metrics,
         transfer_metrics,
@@ -65,7 +72,7 @@ def press(
     with output_folder(out, [experiment]) as folder:
         with progress_bars() as watch:
             watch("press", 0.0)
-            pressed = press_specimen(loaded)
+            pressed, derivatives = _pressed(loaded, by or ())
             watch("press", 1.0)
         write_pressed(folder, pressed)
         if report:
@@ -84,9 +91,40 @@ def press(
 
             draw_transfer(folder / "transfer.png", kept)
             figures |= dict(transfer_metrics(kept))
+        if derivatives:
+            figures |= _write_derivatives(folder, pressed, derivatives, report)
         write_result(folder, "press", loaded, figures)
     print_metrics(figures)
     say(f"wrote {out}")
+
+
+def _pressed(
+    experiment: "Experiment", by: Sequence[str]
+) -> "tuple[PressedElastomer, list[PressDerivative]]":
+    from twin.pipeline.press import press_specimen
+
+    if not by:
+        return press_specimen(experiment), []
+    from twin.pipeline.sensitivity import press_derivatives
+
+    return press_derivatives(experiment, by)
+
+
+def _write_derivatives(
+    folder: Path,
+    pressed: "PressedElastomer",
+    derivatives: "Sequence[PressDerivative]",
+    report: bool,
+) -> dict[str, float]:
+    """Write a press's derivatives, and return those of its figures."""
+    from twin.results.press_derivatives import derivative_metrics, write_derivatives
+
+    write_derivatives(folder / "derivatives.nc", pressed, derivatives)
+    if report:
+        from twin.report.press import draw_derivatives
+
+        draw_derivatives(folder / "derivatives.png", pressed, derivatives)
+    return derivative_metrics(derivatives)
 
 
 @app.command

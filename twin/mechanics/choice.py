@@ -24,6 +24,7 @@ from twin.specimens.meshes import read_closed_mesh
 
 if TYPE_CHECKING:
     from twin.mechanics.reference.pad import Pad
+    from twin.mechanics.sheet.press import SettledSheet
 
 _STIFFNESS = {"shore_a", "shore_00", "young_modulus_kpa"}
 
@@ -52,22 +53,37 @@ def press_with(
             count=mechanics.tetrahedra,
         )
         return replace(found, model="fem")
-    if mechanics.model == "sheet":
+    model, slab = _decided(mechanics, specimen, elastomer, load)
+    if model == "sheet":
         return _press_sheet(mechanics, specimen, elastomer, load)
-    if mechanics.model == "spectral":
-        return _press_slab(specimen, elastomer, load)
-    if mechanics.model == "auto":
-        slab = None if must_wrap(elastomer, load) else _slab_first(specimen, elastomer, load)
-        model = choose_model(slab, shape_of(specimen), elastomer, load)
-        if model == "sheet":
-            return _press_sheet(mechanics, specimen, elastomer, load)
-        if model == "spectral":
-            assert slab is not None  # `choose_model` chose it for its figures
-            return slab
+    if model == "spectral":
+        return slab or _press_slab(specimen, elastomer, load)
     from twin.mechanics.reference.neo_hookean import press_neo_hookean
 
     _refuse_sheet_keys(elastomer, "neo_hookean")
     return replace(press_neo_hookean(specimen, elastomer, load), model="neo_hookean")
+
+
+def settled_with(
+    mechanics: Mechanics, specimen: Specimen, elastomer: Elastomer, load: Press
+) -> "SettledSheet":
+    """Press a thin sheet, and return it as the solver holds it.
+
+    Raises
+    ------
+    PressError : the chosen model is another one, or as `press_with`
+    SolverError : the solution did not converge
+    """
+    model, _ = _decided(mechanics, specimen, elastomer, load)
+    if model != "sheet":
+        raise PressError(
+            f"mechanics.model: found '{model}', which has no derivatives; the thin sheet has "
+            f"(opposite_face, no film, {SHEET_THICKNESS_MM[0]:g} to {SHEET_THICKNESS_MM[1]:g} mm); "
+            "twin sweep shows what another model does"
+        )
+    from twin.mechanics.sheet.press import settled_sheet
+
+    return settled_sheet(specimen, elastomer, load, mechanics)
 
 
 def check_press(
@@ -99,6 +115,16 @@ def check_press(
         from twin.mechanics.reference.neo_hookean import check_neo_hookean
 
         check_neo_hookean(elastomer, load)
+
+
+def _decided(
+    mechanics: Mechanics, specimen: Specimen, elastomer: Elastomer, load: Press
+) -> tuple[str, PressedElastomer | None]:
+    """Return the model that presses, and the slab's press where the choice rests on it."""
+    if mechanics.model != "auto":
+        return mechanics.model, None
+    slab = None if must_wrap(elastomer, load) else _slab_first(specimen, elastomer, load)
+    return choose_model(slab, shape_of(specimen), elastomer, load), slab
 
 
 def must_wrap(elastomer: Elastomer, load: Press) -> bool:

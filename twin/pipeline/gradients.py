@@ -87,7 +87,7 @@ def _log_sigma(experiment: Experiment, path: str, memory: Memory) -> FloatArray:
     step = _SMALL_SHARE * max(abs(value), 1e-2)
 
     def moved(by: float) -> Experiment:
-        return _unchecked(experiment, path, value + by)
+        return with_number(experiment, path, value + by)
 
     maps = None
     if path not in OF_THE_NUMBERS:
@@ -100,8 +100,8 @@ def _log_sigma(experiment: Experiment, path: str, memory: Memory) -> FloatArray:
     return log_sigma_tangent(experiment, traced_maps, truth, prediction, along)
 
 
-def _unchecked(experiment: Experiment, path: str, value: float) -> Experiment:
-    """Return the experiment with one number changed, be it a little beyond its range."""
+def with_number(experiment: Experiment, path: str, value: float) -> Experiment:
+    """Return the experiment with one number changed, unchecked: a step may leave its range."""
     *tables, last = path.split(".")
     nodes = [experiment]
     for name in tables:

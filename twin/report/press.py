@@ -1,5 +1,6 @@
 """Figures of a press: relief, pressure, section; and the contact transfer function."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ from twin.report.canvas import (
     axes_at,
     chart,
     contour_levels,
+    diverging,
     draw_map,
     drawing,
     height_scale,
@@ -32,6 +34,8 @@ from twin.report.section import (
     touched_profile,
     trace_through_apexes,
 )
+from twin.report.words import label_of
+from twin.results.press_derivatives import PressDerivative
 from twin.results.record import Measurement
 
 _SAMPLES = 801
@@ -94,6 +98,25 @@ def draw_press(path: Path, experiment: Experiment, pressed: PressedElastomer) ->
         _coated_face(axes_at(figure, 0.65, 6.65, 9.2, 1.45), experiment, pressed, trace)
         if pressed.sheet is not None:
             _sheet_maps(figure, pressed, pressed.sheet)
+
+
+def draw_derivatives(
+    path: Path, pressed: PressedElastomer, derivatives: Sequence[PressDerivative]
+) -> None:
+    """Draw as PNG how the coated face moves with each number, per unit of it: a map each."""
+    x_mm, y_mm = pressed.face_x_mm, pressed.face_y_mm
+    extent_mm = (float(x_mm[0]), float(x_mm[-1]), float(y_mm[0]), float(y_mm[-1]))
+    cols, rows = min(len(derivatives), 2), -(-len(derivatives) // 2)
+    with drawing(path, 0.3 + 4.9 * cols, 3.8 * rows) as figure:
+        for number, one in enumerate(derivatives):
+            row, col = divmod(number, 2)
+            axes = axes_at(figure, 0.65 + 4.9 * col, 0.35 + 3.8 * row, 3.3, 2.9)
+            most = float(np.abs(one.face_z).max()) or 1.0
+            name, unit = label_of(one.path.rpartition(".")[2])
+            label = f"dz (mm) per {unit or 'unit'}"
+            title = f"{one.path.partition('.')[0]}: {name}"
+            ends, cmap = (-most, most), diverging()
+            draw_map(axes, one.face_z, extent_mm, title, label, cmap=cmap, ends=ends)
 
 
 def draw_section(

@@ -228,8 +228,12 @@ class Sheet:
 
     def newton_step_mm(self) -> FloatArray:
         """Return (row, col, xyz): what the last factors make of the last forces."""
+        return self.answer_mm(self.forces())
+
+    def answer_mm(self, forces: FloatArray) -> FloatArray:
+        """Return (row, col, xyz): what the last factors make of forces (unknown,)."""
         step = np.zeros(self._forces.shape)
-        step[self.grid.free] = -self.system.solver.solve(self.forces())
+        step[self.grid.free] = -self.system.solver.solve(forces)
         return step
 
     def reactions(self) -> FloatArray:

@@ -99,9 +99,41 @@ def press_sheet(
     SolverError
         No equilibrium; the message names the last travel that had one.
     """
+    return settled_sheet(specimen, elastomer, load, mechanics, progress).result()
+
+
+@dataclass(frozen=True, eq=False)
+class SettledSheet:
+    """A pressed sheet in equilibrium, as the solver holds it."""
+
+    case: SheetCase
+    elastomer: Elastomer
+    load: Press
+    sheet: Sheet
+    state: SheetState
+
+    def result(self) -> PressedElastomer:
+        """Return what it tells."""
+        return pressed_of(self.case, self.elastomer, self.load, self.sheet, self.state)
+
+
+def settled_sheet(
+    specimen: Specimen,
+    elastomer: Elastomer,
+    load: Press,
+    mechanics: Mechanics,
+    progress: Progress | None = None,
+) -> SettledSheet:
+    """Press as `press_sheet` does, and return the sheet itself.
+
+    Raises
+    ------
+    PressError, SolverError
+        As `press_sheet`.
+    """
     path = _path(specimen, elastomer, load, mechanics)
     sheet, state = _equilibrium(path, load, progress)
-    return pressed_of(path.case, elastomer, load, sheet, state)
+    return SettledSheet(path.case, elastomer, load, sheet, state)
 
 
 @dataclass(frozen=True, eq=False)

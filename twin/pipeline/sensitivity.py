@@ -1,0 +1,76 @@
+"""How a pressed sheet moves with its data: derivatives by numbers of the experiment."""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from reconstruction.errors import InputError
+from twin.config import Experiment
+from twin.config.models import Elastomer, Mechanics, Press, Specimen
+from twin.mechanics import PressedElastomer
+from twin.mechanics.choice import settled_with
+from twin.pipeline.gradients import value_at, with_number
+from twin.pipeline.press import with_texture
+from twin.results.parts import press_metrics
+from twin.results.press_derivatives import PressDerivative
+
+if TYPE_CHECKING:
+    from twin.mechanics.sheet.neighbour import Neighbourhood
+
+# Central differences of linearised presses: what rounding leaves of them is below 1e-6. A larger
+# step would let single points begin to touch, which no derivative knows.
+_STEP = 1e-6
+_TABLES = ("elastomer", "press", "specimen")
+
+
+def press_derivatives(
+    experiment: Experiment, paths: Sequence[str]
+) -> tuple[PressedElastomer, list[PressDerivative]]:
+    """Press a thin sheet and differentiate it, by the implicit function theorem at its equilibrium.
+
+    Parameters
+    ----------
+    paths : dotted, of numbers of elastomer, press and specimen, such as `elastomer.thickness_mm`
+
+    Returns
+    -------
+    the press, and of it without the coat's texture a derivative by each number
+
+    Raises
+    ------
+    InputError : a path is no such number; no thin sheet presses; it sticks; a number lays the sheet
+        out anew; or other equilibria lie beside the one found
+    """
+    for path in paths:
+        if path.partition(".")[0] not in _TABLES:
+            raise InputError(f"{path}: found no derivative by it; allowed: {', '.join(_TABLES)}.*")
+        value_at(experiment, path)
+    rest = settled_with(*_data(experiment))
+    from twin.mechanics.sheet.neighbour import Neighbourhood  # its solver loads slowly
+
+    beside = Neighbourhood(rest)
+    derivatives = [_derivative(experiment, path, beside) for path in paths]
+    return with_texture(experiment, rest.result()), derivatives
+
+
+def _derivative(experiment: Experiment, path: str, beside: "Neighbourhood") -> PressDerivative:
+    value = value_at(experiment, path)
+    step = _STEP * max(abs(value), 1.0)
+    low, high = (
+        beside.press(*_data(with_number(experiment, path, one)))
+        for one in (value - step, value + step)
+    )
+    before, after = _figures(low), _figures(high)
+    return PressDerivative(
+        path,
+        (high.face_z_mm - low.face_z_mm) / (2 * step),
+        {name: (after[name] - before[name]) / (2 * step) for name in before},
+    )
+
+
+def _data(experiment: Experiment) -> tuple[Mechanics, Specimen, Elastomer, Press]:
+    return experiment.mechanics, experiment.specimen, experiment.elastomer, experiment.press
+
+
+def _figures(pressed: PressedElastomer) -> dict[str, float]:
+    found = press_metrics(pressed)
+    return {name: value for name, value in found.items() if isinstance(value, float)}
