@@ -14,7 +14,7 @@ SMALL = {
     "camera.width_px": 968,
     "camera.height_px": 732,
     "press.cell_mm": 0.4,
-    "elastomer.thickness_mm": 0.15,
+    "elastomer.thickness_mm": 0.145,
     "press.depth_mm": 0.6,
 }
 

@@ -48,9 +48,9 @@ def albedo_image(board: Board, plate: BoardPlate, texel_mm: float) -> FloatImage
 
 
 @lru_cache(maxsize=1)
-def _albedo_of(file: BoardFile, texel_mm: float) -> FloatImage:
+def _albedo_of(board: Board, plate: BoardPlate, texel_mm: float) -> FloatImage:
     """Return what all poses of a board have in common; it takes as long as their light."""
-    return albedo_image(file.board(), file.plate, texel_mm)
+    return albedo_image(board, plate, texel_mm)
 
 
 def camera_texel_mm(experiment: Experiment) -> float:
@@ -78,7 +78,7 @@ def render_board(experiment: Experiment, file: BoardFile, pose: BoardPose) -> Fr
     from twin.optics.light import light_tables, pattern_set
     from twin.optics.scene import rig_of
 
-    albedo = _albedo_of(file, camera_texel_mm(experiment))
+    albedo = _albedo_of(file.board(), file.plate, camera_texel_mm(experiment))
     scene = _board_scene(file.plate, albedo, board_pose(pose))
     # Nothing stands between a single plane and the projector: no shadow rays.
     rig = replace(rig_of(experiment), layers=None, shadows=False)
