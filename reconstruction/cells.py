@@ -47,7 +47,7 @@ def box_of(points: NDArray[np.floating[Any]]) -> tuple[FloatArray, FloatArray]:
 
 
 @dataclass(frozen=True, eq=False)
-class Cells:
+class SquareCells:
     """Which square cell each of some points lies in.
 
     Attributes
@@ -62,7 +62,7 @@ class Cells:
     pitch_mm: float
 
     @classmethod
-    def of(cls, points_mm: NDArray[np.floating[Any]], pitch_mm: float) -> "Cells":
+    def of(cls, points_mm: NDArray[np.floating[Any]], pitch_mm: float) -> "SquareCells":
         """Sort points (point, xyz) or (point, xy), world, at least one, into cells.
 
         Raises

@@ -14,7 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from reconstruction.cells import CellMeans, Cells
+from reconstruction.cells import CellMeans, SquareCells
 
 _MOST_CELLS = 400
 _GAP = "#d9d9d9"
@@ -41,10 +41,10 @@ class Drawing(Figure):
 def gridded(points_mm: NDArray[Any], values: NDArray[Any]) -> CellMeans:
     """Average (point,) values at (point, xyz) points on at most 400 cells along a side."""
     span_mm = float(np.ptp(points_mm[:, :2], axis=0).max())
-    # Cells of two typical distances of neighbours: nearly every one has a point.
+    # SquareCells of two typical distances of neighbours: nearly every one has a point.
     apart_mm = 2.0 * np.sqrt(np.prod(np.ptp(points_mm[:, :2], axis=0)) / len(points_mm))
     pitch_mm = max(span_mm / _MOST_CELLS, float(apart_mm), 1e-6)
-    return Cells.of(points_mm, pitch_mm).means(values)
+    return SquareCells.of(points_mm, pitch_mm).means(values)
 
 
 def draw_cells(

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from reconstruction.arrays import BoolImage, FloatArray, FloatImage, Levels, at_pixels
-from reconstruction.cells import Cells
+from reconstruction.cells import SquareCells
 from reconstruction.colouring import Deviation
 from reconstruction.errors import InputError
 from reconstruction.machine import run_side_by_side, write_exr_channels
@@ -73,7 +73,7 @@ def height_map(points: PointMap, pitch_mm: float | None = None) -> HeightGrid:
     if not len(world):
         raise InputError("height map: no valid point; look at the mask's reasons")
     pitch_mm = pitch_mm or 1.5 * _typical_distance_mm(points)
-    cells = Cells.of(world, pitch_mm).means(world[:, 2])
+    cells = SquareCells.of(world, pitch_mm).means(world[:, 2])
     return HeightGrid(
         cells.x_mm, cells.y_mm, cells.mean.astype(np.float32), cells.valid, cells.pitch_mm
     )

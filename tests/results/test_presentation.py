@@ -7,7 +7,7 @@ import matplotlib.image
 import numpy as np
 import pytest
 
-from reconstruction.cells import Cells
+from reconstruction.cells import SquareCells
 from reconstruction.drawing import Drawing, gridded
 from reconstruction.errors import InputError
 from twin.config import load_experiment
@@ -76,7 +76,7 @@ def test_a_section_is_the_measured_face(measured):
     found, true = curves["measured"], curves["true"]
     inner = np.abs(found[:, 0]) < 8.0
     z_true = np.interp(found[inner, 0], true[:, 0], true[:, 1])
-    # Cells of some 0.1 mm on slopes of up to 0.3: their means differ by where the points lie.
+    # SquareCells of some 0.1 mm on slopes of up to 0.3: their means differ by where the points lie.
     assert np.abs(found[inner, 1] - z_true).max() < 0.02
 
 
@@ -116,7 +116,7 @@ def test_a_reconstruction_as_labelled_arrays(measured):
 
 def test_cells_hold_means():
     points = np.array([[0.1, 0.1], [0.4, 0.2], [1.2, 0.3], [0.2, 1.9]])
-    cells = Cells.of(points, 1.0).means(np.array([1.0, 3.0, 5.0, 7.0]))
+    cells = SquareCells.of(points, 1.0).means(np.array([1.0, 3.0, 5.0, 7.0]))
     np.testing.assert_array_equal(cells.mean, [[7.0, 0.0], [2.0, 5.0]])
     np.testing.assert_array_equal(cells.valid, [[True, False], [True, True]])
     assert cells.extent_mm == (0.0, 2.0, 0.0, 2.0)
@@ -124,7 +124,7 @@ def test_cells_hold_means():
 
 def test_cells_that_are_too_small_are_refused():
     with pytest.raises(InputError, match="give more"):
-        Cells.of(np.array([[0.0, 0.0], [10.0, 10.0]]), 1e-4)
+        SquareCells.of(np.array([[0.0, 0.0], [10.0, 10.0]]), 1e-4)
 
 
 def test_any_cloud_has_a_grid_without_many_gaps():

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from twin.mechanics import PressedElastomer
     from twin.pipeline.memory import Memory
     from twin.pipeline.progress import ProgressCallback
+    from twin.results.figures import Metric
     from twin.results.press_derivatives import PressDerivative
     from twin.results.record import Measurement
 
@@ -58,15 +59,7 @@ def press(
     """
     from twin.mechanics import write_in_plane
     from twin.output import output_folder
-    from twin.pipeline.press import transfer_of
-    from twin.results.parts import (
-        press_metrics,
-        transfer_metrics,
-        write_pressed,
-        write_result,
-        write_solid,
-        write_transfer,
-    )
+    from twin.results.parts import press_metrics, write_pressed, write_result, write_solid
 
     loaded = load(experiment, settings)
     with output_folder(out, [experiment]) as folder:
@@ -85,17 +78,26 @@ def press(
         if solid:
             write_solid(folder, loaded, pressed)
         if transfer:
-            kept = transfer_of(loaded, pressed)
-            write_transfer(folder / "transfer.csv", kept)
-            from twin.report.press import draw_transfer
-
-            draw_transfer(folder / "transfer.png", kept)
-            figures |= dict(transfer_metrics(kept))
+            figures |= _write_transfer(folder, loaded, pressed)
         if derivatives:
             figures |= _write_derivatives(folder, pressed, derivatives, report)
         write_result(folder, "press", loaded, figures)
     print_metrics(figures)
     say(f"wrote {out}")
+
+
+def _write_transfer(
+    folder: Path, experiment: "Experiment", pressed: "PressedElastomer"
+) -> "dict[str, Metric]":
+    """Write what the coat shows of grooves by their pitch, and return its figures."""
+    from twin.pipeline.press import transfer_of
+    from twin.report.press import draw_transfer
+    from twin.results.parts import transfer_metrics, write_transfer
+
+    kept = transfer_of(experiment, pressed)
+    write_transfer(folder / "transfer.csv", kept)
+    draw_transfer(folder / "transfer.png", kept)
+    return dict(transfer_metrics(kept))
 
 
 def _pressed(

@@ -13,7 +13,7 @@ from matplotlib import colormaps
 from numpy.typing import NDArray
 
 from reconstruction.arrays import FloatArray, at_pixels
-from reconstruction.cells import CellMeans, Cells, box_of
+from reconstruction.cells import CellMeans, SquareCells, box_of
 from reconstruction.rig.layers import PlaneLayers
 from reconstruction.rig.pinhole import Pinhole
 from twin.optics.rig import true_calibration
@@ -85,7 +85,7 @@ def _surfaces(measured: Measurement) -> tuple[CellMeans, CellMeans, float]:
     typical_mm = 1.5 * np.sqrt(np.prod(span_mm) / len(world_mm))
     pitch_mm = max(float(span_mm.max()) / _MOST_CELLS, float(typical_mm), 1e-6)
     error_um = 1e3 * (world_mm[:, 2] - true_on_mm[:, 2])
-    cells = Cells.of(world_mm, pitch_mm)
+    cells = SquareCells.of(world_mm, pitch_mm)
     relief, deviation = cells.means(world_mm[:, 2]), cells.means(error_um)
     return relief, deviation, symmetric_limit(deviation.mean[deviation.valid])
 
