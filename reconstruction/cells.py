@@ -67,12 +67,14 @@ class SquareCells:
 
         Raises
         ------
-        InputError : the pitch makes more than 10^8 cells
+        InputError : the pitch is not positive, or makes more than 10^8 cells
         """
+        if pitch_mm <= 0.0:
+            raise InputError(f"height map: pitch: found {pitch_mm:g} mm, allowed more than 0")
         across, along = (np.floor(axis_mm / pitch_mm) for axis_mm in points_mm.T[:2])
         left, low = float(across.min()), float(along.min())
         cols, rows = int(across.max() - left) + 1, int(along.max() - low) + 1
-        if pitch_mm <= 0.0 or rows * cols > _MOST_CELLS:
+        if rows * cols > _MOST_CELLS:
             made = f"pitch {pitch_mm:g} mm makes {rows} x {cols} cells"
             raise InputError(f"height map: {made}; give more")
         row, col = (along - low).astype(np.int64), (across - left).astype(np.int64)

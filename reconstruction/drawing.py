@@ -41,7 +41,7 @@ class Drawing(Figure):
 def gridded(points_mm: NDArray[Any], values: NDArray[Any]) -> CellMeans:
     """Average (point,) values at (point, xyz) points on at most 400 cells along a side."""
     span_mm = float(np.ptp(points_mm[:, :2], axis=0).max())
-    # SquareCells of two typical distances of neighbours: nearly every one has a point.
+    # Cells of two typical distances of neighbours: nearly every one has a point.
     apart_mm = 2.0 * np.sqrt(np.prod(np.ptp(points_mm[:, :2], axis=0)) / len(points_mm))
     pitch_mm = max(span_mm / _MOST_CELLS, float(apart_mm), 1e-6)
     return SquareCells.of(points_mm, pitch_mm).means(values)

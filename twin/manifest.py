@@ -23,8 +23,8 @@ from reconstruction.machine import threads
 from reconstruction.reading import read_bytes
 from twin.working import is_working
 
-T = TypeVar("T")
-R = TypeVar("R")
+_File = TypeVar("_File", Path, str)
+_Read = TypeVar("_Read")
 
 MANIFEST_FILE = "twin-manifest.txt"
 _HEAD = re.compile(r"# fringe-twin manifest (?P<version>\d+): (?P<kind>\w+)")
@@ -180,7 +180,7 @@ def _is_own_mark(entry: "os.DirEntry[str]") -> bool:
     return entry.name in _OF_THE_SYSTEM or is_working(Path(entry.path))
 
 
-def _side_by_side(read: Callable[[T], R], files: Sequence[T]) -> list[R]:
+def _side_by_side(read: Callable[[_File], _Read], files: Sequence[_File]) -> list[_Read]:
     with ThreadPoolExecutor(threads()) as pool:
         return list(pool.map(read, files))
 

@@ -76,7 +76,7 @@ def test_a_section_is_the_measured_face(measured):
     found, true = curves["measured"], curves["true"]
     inner = np.abs(found[:, 0]) < 8.0
     z_true = np.interp(found[inner, 0], true[:, 0], true[:, 1])
-    # SquareCells of some 0.1 mm on slopes of up to 0.3: their means differ by where the points lie.
+    # Cells of some 0.1 mm on slopes of up to 0.3: their means differ by where the points lie.
     assert np.abs(found[inner, 1] - z_true).max() < 0.02
 
 
@@ -125,6 +125,8 @@ def test_cells_hold_means():
 def test_cells_that_are_too_small_are_refused():
     with pytest.raises(InputError, match="give more"):
         SquareCells.of(np.array([[0.0, 0.0], [10.0, 10.0]]), 1e-4)
+    with pytest.raises(InputError, match="found 0"):
+        SquareCells.of(np.array([[0.0, 0.0], [10.0, 10.0]]), 0.0)
 
 
 def test_any_cloud_has_a_grid_without_many_gaps():

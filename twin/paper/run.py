@@ -9,7 +9,7 @@
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import Executor, Future
+from concurrent.futures import BrokenExecutor, Executor, Future
 from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
@@ -202,8 +202,11 @@ def _reproduce(out: Path, folder: Path, request: Request, run: Reproduction) -> 
     with opened(run.workers) as drawers:
         drawn = _draw(run, folder, request.figures, drawers)
         tables = tables_of(run, request.tables)
-        for figure in drawn.values():
-            figure.result()
+        for name, figure in drawn.items():
+            try:
+                figure.result()
+            except BrokenExecutor:  # a worker died: what fails here is told
+                draw_figure(name, run.work / "cases", figures_folder(folder))
     _write_tables(folder, tables, request)
     balls = experiment_of(BALLS, run.resolution)
     contents = Contents(tables, tuple(drawn), balls, inputs(), request.trials)

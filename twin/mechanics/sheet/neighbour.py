@@ -24,8 +24,8 @@ from twin.mechanics.sheet.energy import Sheet, SheetState, System
 from twin.mechanics.sheet.press import SettledSheet
 from twin.mechanics.sheet.result import contact_force_n
 
-# Of the travel, for the stiffness under a set force.
-_SMALL_SHARE = 1e-4
+# Of the travel, for the stiffness under a set force: so little that no point begins to touch.
+_SMALL_SHARE = 1e-6
 
 
 @dataclass(eq=False)
