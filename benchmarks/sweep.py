@@ -21,7 +21,8 @@ like for like: `measure` called again and again in one process, so that nothing 
 the second worker is gained; the second also gains what starting a process per case takes. Also
 given are the overhead of engine and store per case, and what each stage takes of a point: wall
 clock of one process on all cores that measures cases in the order of the sweep, `press_s, trace_s,
-light_s, noise_s, decode_s, score_s`, and `store_s`, the overhead.
+light_s, noise_s, decode_s, score_s`, `object_s` of its comparison with the true object, and
+`store_s`, the overhead.
 """
 
 import argparse
@@ -188,15 +189,14 @@ def seconds_of_stages(cases: list[Case]) -> dict[str, float]:
     """Return seconds per case of every stage, measured in the sweep's order by one process."""
     first = CaseMeasurer()
     first(cases[0].experiment)
-    memory, score_s = _Timed(), 0.0
+    memory, after = _Timed(), Counter[str]()
     for _, case in in_sharing_order(cases, first.reads()):
-        score_s += measure(case.experiment, memory=memory).seconds["score"]
+        taken = measure(case.experiment, memory=memory).seconds
+        after.update({f"{stage}_s": taken[stage] for stage in ("score", "object")})
     found = {
         name: sum(memory.seconds[stage] for stage in stages) for name, stages in STAGES.items()
     }
-    return {
-        name: round(value / len(cases), 4) for name, value in (found | {"score_s": score_s}).items()
-    }
+    return {name: round(value / len(cases), 4) for name, value in (found | after).items()}
 
 
 def of_workers(count: int, cases: int, scratch: Path) -> float:

@@ -34,7 +34,7 @@ from twin.optics.light import pattern_set
 
 REPEATS = 3
 SCENE = "examples/slab_balls"
-PHYSICS = ("press", "render", "expose", "reconstruct", "score")
+PHYSICS = ("press", "render", "expose", "reconstruct", "score", "object")
 # Of the full well: the white frame, and what a dark pixel receives.
 WHITE, DARK = 0.7, 2e-3
 

@@ -129,18 +129,21 @@ class RaySpread:
 
     def expand(self) -> FloatImage:
         """Return (row, col, xyz) float32 mm, 0 where the depth has no sigma."""
-        along, per_depth = self._rays()
-        return np.asarray(np.abs(along, out=along) * per_depth[..., None], dtype=np.float32)
+        along = self.points_world_mm - self.T_world_from_cam[:3, 3].astype(np.float32)
+        per_depth = self._per_depth()[..., None]
+        return np.asarray(np.abs(along, out=along) * per_depth, dtype=np.float32)
 
     def component(self, axis: int) -> FloatImage:
         """Return the sigma along one world axis, (row, col) float32 mm."""
-        along, per_depth = self._rays()
-        return np.asarray(np.abs(along[..., axis]) * per_depth, dtype=np.float32)
+        along = self.points_world_mm[..., axis] - np.float32(self.T_world_from_cam[axis, 3])
+        return np.asarray(np.abs(along) * self._per_depth(), dtype=np.float32)
 
-    def _rays(self) -> tuple[FloatImage, FloatImage]:
-        """Return X - C, (row, col, xyz) mm, and sigma_d / d."""
-        T = self.T_world_from_cam.astype(np.float32)
-        along = self.points_world_mm - T[:3, 3]
-        sigma = self.sigma_depth_mm.expand()
-        depth = np.where(sigma > 0.0, along @ T[:3, 2], np.float32(1.0))
-        return along, np.asarray(sigma / depth, np.float32)
+    def _per_depth(self) -> FloatImage:
+        """Return sigma_d / d, (row, col); 0 where the depth has no sigma."""
+        T = self.T_world_from_cam
+        axis, origin = T[:3, 2].astype(np.float32), np.float32(T[:3, 2] @ T[:3, 3])
+        depth_mm = self.points_world_mm @ axis - origin
+        sigma_mm = self.sigma_depth_mm.expand()
+        per_depth = np.zeros_like(sigma_mm)
+        np.divide(sigma_mm, depth_mm, out=per_depth, where=sigma_mm > 0.0)
+        return per_depth

@@ -134,7 +134,7 @@ def fit_sphere_both_ways(points_mm: ArrayLike) -> tuple[SphereFit, SphereFit]:
     found = _gauss_newton(local, start)
     if found is None:
         found = least_squares(
-            _radial, start, _radial_jacobian, args=(local,), method="lm", xtol=1e-14, ftol=1e-14,
+            radial_mm, start, radial_jacobian, args=(local,), method="lm", xtol=1e-14, ftol=1e-14,
             gtol=1e-14,
         ).x  # fmt: skip
     return _sphere_of(found, points, offset, scale), _sphere_of(start, points, offset, scale)
@@ -222,16 +222,19 @@ def _algebraic_sphere(local: FloatArray) -> FloatArray:
     return np.append(centre, np.sqrt(max(solution[3] + centre @ centre, 0.0)))
 
 
-def _radial(parameters: FloatArray, local: FloatArray) -> FloatArray:
-    distance: FloatArray = np.linalg.norm(local - parameters[:3], axis=1) - parameters[3]
+def radial_mm(sphere: FloatArray, points_mm: FloatArray) -> FloatArray:
+    """Return the distances (n,) of points (n, 3) from a sphere (centre, radius)."""
+    toward = sphere[:3] - points_mm
+    distance: FloatArray = np.sqrt(np.einsum("ij,ij->i", toward, toward)) - sphere[3]
     return distance
 
 
-def _radial_jacobian(parameters: FloatArray, local: FloatArray) -> FloatArray:
-    toward = parameters[:3] - local
+def radial_jacobian(sphere: FloatArray, points_mm: FloatArray) -> FloatArray:
+    """Return the slopes (n, 4) of `radial_mm` by centre and radius."""
+    toward = sphere[:3] - points_mm
     # A point at the centre has no direction; any finite value serves for that one row.
-    distance = np.maximum(np.linalg.norm(toward, axis=1, keepdims=True), 1e-300)
-    return np.column_stack([toward / distance, -np.ones(len(local))])
+    distance = np.maximum(np.sqrt(np.einsum("ij,ij->i", toward, toward)), 1e-300)
+    return np.column_stack([toward / distance[:, None], -np.ones(len(points_mm))])
 
 
 def spread(values: FloatArray) -> float:

@@ -8,7 +8,15 @@ from scipy.optimize import least_squares
 
 from reconstruction.arrays import BoolImage, FloatArray
 from reconstruction.errors import FitError
-from reconstruction.evaluate.fit import ResidualStats, fit_sphere, inliers, residual_stats, spread
+from reconstruction.evaluate.fit import (
+    ResidualStats,
+    fit_sphere,
+    inliers,
+    radial_jacobian,
+    radial_mm,
+    residual_stats,
+    spread,
+)
 
 _MOST_TURNS = 20
 # The first scale comes from a fit that outliers have pulled off: it is taken anew once.
@@ -65,14 +73,15 @@ def fit_ball(points_mm: ArrayLike) -> BallFit:
     points = np.asarray(points_mm, np.float64)
     first = fit_sphere(points)
     parameters = _softly(points, np.append(first.centre_mm, first.radius_mm))
-    kept = inliers(_from_centre(parameters, points))
+    kept = inliers(radial_mm(parameters, points))
     for _ in range(_MOST_TURNS):
         fine = fit_sphere(points[kept])
-        now = inliers(_from_centre(np.append(fine.centre_mm, fine.radius_mm), points))
+        now = inliers(radial_mm(np.append(fine.centre_mm, fine.radius_mm), points))
         if np.array_equal(now, kept):
             break
         kept = now
-    fine = fit_sphere(points[kept])
+    else:
+        fine = fit_sphere(points[kept])
     sigma_mm = _radius_sigma_mm(points[kept], fine.centre_mm, fine.residuals_mm)
     return BallFit(fine.centre_mm, fine.radius_mm, sigma_mm, fine.residuals_mm, kept)
 
@@ -81,10 +90,11 @@ def _softly(points: FloatArray, start: FloatArray) -> FloatArray:
     """Return centre and radius with the least soft-L1 sum of radial distances."""
     parameters = start
     for _ in range(_SOFT_TURNS):
-        scale_mm = max(spread(_from_centre(parameters, points)), 1e-9)
+        scale_mm = max(spread(radial_mm(parameters, points)), 1e-9)
         found = least_squares(
-            _from_centre,
+            radial_mm,
             parameters,
+            radial_jacobian,
             args=(points,),
             loss="soft_l1",
             f_scale=scale_mm,
@@ -105,11 +115,6 @@ def _radius_sigma_mm(points: FloatArray, centre_mm: FloatArray, residuals_mm: Fl
     ones = np.ones(len(points))
     alone = ones - normals @ np.linalg.lstsq(normals, ones, rcond=None)[0]
     return float(np.sqrt(residuals_mm @ residuals_mm / freedom / (alone @ alone)))
-
-
-def _from_centre(parameters: FloatArray, points: FloatArray) -> FloatArray:
-    distance: FloatArray = np.linalg.norm(points - parameters[:3], axis=1) - parameters[3]
-    return distance
 
 
 @dataclass(frozen=True, eq=False)

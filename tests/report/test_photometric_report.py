@@ -209,7 +209,7 @@ def test_points_of_the_view_are_the_heights(seen):
     points = seen.points
     np.testing.assert_array_equal(points.valid, seen.colours.own.heights.valid)
     np.testing.assert_allclose(points.world_mm[..., 2], seen.colours.own.heights.height_mm)
-    assert points.sigma_mm is None
+    assert points.sigma_z_mm is None
 
 
 def test_a_report_without_its_image_is_refused(result, tmp_path, capsys):

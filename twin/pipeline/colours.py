@@ -157,7 +157,7 @@ def measure_colours(experiment: Experiment, run: RunContext) -> Measurement:
     with clock.stage("reconstruct"):
         decoded = decode_all(experiment, image, calibrations, truth)
     own = chosen(experiment, decoded)
-    return Measurement(
+    done = Measurement(
         experiment=experiment,
         images=Colours(image, calibrations, decoded, own),
         truth=truth,
@@ -167,7 +167,9 @@ def measure_colours(experiment: Experiment, run: RunContext) -> Measurement:
         digest=digest(experiment),
         versions=versions(),
         seconds=clock.seconds,
-    ).with_object()
+    )
+    with clock.stage("object"):
+        return done.with_object()
 
 
 def calibrated_sensor(

@@ -1,9 +1,9 @@
 """Measure with fringes: on the coat of a pressed elastomer, or on the bare specimen.
 
-press -> geometry -> view -> trace, photons, tables -> frames -> capture -> reconstruction -> score.
-Each stage is kept in a memory, and used again for every later experiment that has the same values
-in all fields that the stage looked at, and the same earlier stages. A single measurement is the
-same way with an empty memory.
+press -> geometry -> view -> trace, photons, tables -> frames -> capture -> reconstruction -> score
+-> object. Each stage up to the reconstruction is kept in a memory, and used again for every later
+experiment that has the same values in all fields that the stage looked at, and the same earlier
+stages. A single measurement is the same way with an empty memory.
 """
 
 from collections.abc import Callable
@@ -85,6 +85,8 @@ def measure_fringes(
         with run.clock.stage("score"):
             face = None if pressed is None else pressed.pressed
             done = evaluate(experiment, face, capture.value, points)
+        with run.clock.stage("object"):
+            done = done.with_object()
             figures = {} if further is None else further.result()
     return replace(done, metrics={**done.metrics, **figures}, seconds=run.clock.seconds)
 
@@ -108,7 +110,7 @@ def evaluate(
         pressed=pressed,
         digest=digest(experiment),
         versions=versions(),
-    ).with_object()
+    )
 
 
 def take(

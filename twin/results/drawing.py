@@ -59,8 +59,8 @@ def measurement_arrays(measured: "Measurement") -> LabelledArrays:
         "true_z": (true_mm, "mm", "world z of the true surface at the pixel's centre"),
         "deviation": (1e3 * (z_mm - true_mm), "um", "measured less true z"),
     }
-    if points.sigma_mm is not None:
-        sigma_mm = np.where(valid, points.sigma_mm[..., 2], np.nan)
+    if points.sigma_z_mm is not None:
+        sigma_mm = np.where(valid, points.sigma_z_mm, np.nan)
         maps["sigma_z"] = (sigma_mm, "mm", "predicted standard deviation of z")
     coords = pixel_coordinates(*points.reason.shape)
     for name, values in (("x", x_mm), ("y", y_mm)):

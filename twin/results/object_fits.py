@@ -107,13 +107,14 @@ def _radius(
 
 
 def _cap_of_ball(asked: ObjectMeasurand, feature: Feature, points: ObjectPoints) -> ObjectPoints:
-    balls, xy = feature.balls, points.points_mm[:, :2]
+    balls = feature.balls
     if asked.number > len(balls):
         raise FitError(f"number: found {asked.number}, the specimen has {len(balls)} balls")
-    apart = [np.hypot(*(xy - (ball.x_mm, ball.y_mm)).T) for ball in balls]
-    own = apart[asked.number - 1]
-    near = own <= np.min(apart, axis=0)
-    near &= own <= _CAP_SHARE * balls[asked.number - 1].radius_mm
+    x, y = points.points_mm[:, 0], points.points_mm[:, 1]
+    squared = [(x - ball.x_mm) ** 2 + (y - ball.y_mm) ** 2 for ball in balls]
+    own = squared[asked.number - 1]
+    near = own <= np.min(squared, axis=0)
+    near &= own <= (_CAP_SHARE * balls[asked.number - 1].radius_mm) ** 2
     return points.part(near & points.touching)
 
 

@@ -90,14 +90,15 @@ class ObjectPoints:
 
     def part(self, kept: BoolImage) -> "ObjectPoints":
         """Return some of the points."""
-        sigma = None if self.sigma_mm is None else self.sigma_mm[kept]
+        # Faster than an index of bools.
+        which, sigma, pixels = np.flatnonzero(kept), self.sigma_mm, self.pixels
         return replace(
             self,
-            points_mm=self.points_mm[kept],
-            sigma_mm=sigma,
-            touching=self.touching[kept],
-            over=self.over[kept],
-            pixels=None if self.pixels is None else self.pixels[kept],
+            points_mm=self.points_mm[which],
+            sigma_mm=None if sigma is None else sigma[which],
+            touching=self.touching[which],
+            over=self.over[which],
+            pixels=None if pixels is None else pixels[which],
         )
 
     def thinned(self) -> "ObjectPoints":

@@ -272,11 +272,13 @@ def transfer_metrics(transfer: ContactTransfer) -> Metrics:
 
 def recording_metrics(recording: Recording) -> dict[str, float]:
     """Figures of the recording."""
-    clipped = recording.capture.stack >= recording.capture.sensor.clipped_from_dn
+    stack, clipped_from_dn = recording.capture.stack, recording.capture.sensor.clipped_from_dn
+    # Frame by frame: a frame's answers stay in the processor's cache.
+    clipped = sum(int(np.count_nonzero(frame >= clipped_from_dn)) for frame in stack)
     return {
         "exposure_ms": recording.exposure_ms,
         "frames": len(recording.capture.patterns.frames),
-        "saturated_share": int(np.count_nonzero(clipped)) / clipped.size,
+        "saturated_share": clipped / stack.size,
     }
 
 

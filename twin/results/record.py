@@ -37,12 +37,12 @@ class SurfacePoints:
     ----------
     world_mm : (row, col, xyz) float
     reason : (row, col) uint8, codes of `reconstruction.arrays.Reason`
-    sigma_mm : (row, col, xyz) float32; None where the method predicts no uncertainty
+    sigma_z_mm : (row, col) float32 of world z; None where the method predicts no uncertainty
     """
 
     world_mm: NDArray[np.floating[Any]]
     reason: Levels
-    sigma_mm: FloatImage | None = None
+    sigma_z_mm: FloatImage | None = None
 
     @property
     def valid(self) -> BoolImage:
@@ -93,7 +93,7 @@ class Fringes:
         """The point map."""
         found = self.reconstruction.point_map
         return SurfacePoints(
-            found.points_world_mm, np.asarray(found.mask_reason, np.uint8), found.sigma_xyz_mm
+            found.points_world_mm, np.asarray(found.mask_reason, np.uint8), found.sigma_z_mm
         )
 
     @property
@@ -228,8 +228,7 @@ class Measurement:
         InputError : a measurand names a part that the specimen does not have
         """
         found = self.points
-        sigma_z = None if found.sigma_mm is None else found.sigma_mm[..., 2]
-        points = found.world_mm, found.valid, sigma_z
+        points = found.world_mm, found.valid, found.sigma_z_mm
         return score_object(self.experiment, points, self.truth, self.pressed)
 
     def with_object(self) -> "Measurement":
