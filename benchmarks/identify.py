@@ -7,10 +7,10 @@ chain from other simulations. 68 and 95 % intervals must cover the hidden values
 of a sensor lie in or out together, so 120 sensors tell the shares to 4 and 2 %. Then the relief
 alone is given, of hardness and travel: their trade-off must be told as a ridge.
 
-Last, the paper: its problem is identified (--quick: a third of the simulations; --kept FOLDER goes
-on from what an earlier run simulated), and its rows counted that the twin meets: fitted ones within
-one standard deviation of the paper's single measurements, held-out ones within two. The rows that
-it does not meet are printed with their numbers.
+Last, the paper: its problem is identified (--quick: a quarter of the simulations, none refined;
+--kept FOLDER goes on from what an earlier run simulated), and its rows counted that the twin meets:
+fitted ones within one standard deviation of the paper's single measurements, held-out ones within
+two. The rows that it does not meet are printed with their numbers.
 
 Last line: {"coverage_68", "coverage_95", "intervals", "ridge_told_share", "learned_over_row_sd",
 "paper_fitted_within_sd", "paper_held_out_within_2sd", "held_out_rows", "seconds"}.

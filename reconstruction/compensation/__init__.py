@@ -1,5 +1,6 @@
 """From the relief of the coat to the rigid object that made it, with no truth at hand."""
 
+from reconstruction.compensation.bar import BarPlace, BarUnderSheet, bar_under_sheet
 from reconstruction.compensation.gel import CompensatedGel, GelLayer, compensate_gel
 from reconstruction.compensation.known_ball import CalibratedSheet, calibrate_sheet
 from reconstruction.compensation.parts import Compensated, ObjectPart, parts_of
@@ -7,6 +8,8 @@ from reconstruction.compensation.relief import Relief, SheetOpening, relief_on_f
 from reconstruction.compensation.sheet import CompensatedSheet, SheetLayer, compensate_sheet
 
 __all__ = [
+    "BarPlace",
+    "BarUnderSheet",
     "CalibratedSheet",
     "Compensated",
     "CompensatedGel",
@@ -16,6 +19,7 @@ __all__ = [
     "Relief",
     "SheetLayer",
     "SheetOpening",
+    "bar_under_sheet",
     "calibrate_sheet",
     "compensate_gel",
     "compensate_sheet",

@@ -200,7 +200,7 @@ class CompensatedSheet:
         """Return the cells that hang free, away from contact, rim and gaps."""
         reach = int(np.ceil(3 * CURVATURE_SIGMA_MM / min(self.relief.pitch_mm)))
         apart = ndimage.binary_erosion(self.relief.measured & ~self.contact, iterations=reach)
-        return np.asarray(apart & _off_the_rim(self.relief))
+        return np.asarray(apart & off_the_rim(self.relief))
 
     def modulus_of_free_span_kpa(self) -> tuple[float, float] | None:
         """Return the modulus with which the free span carries the air, and its scatter.
@@ -327,7 +327,7 @@ def _balanced(
     least = max(layer.back_pressure_kpa / 2, _SIGMAS_OF_CONTACT * sigma)
     if layer.back_pressure_kpa == 0.0:
         least = max(least, 0.25 * float(np.percentile(pressure[relief.measured], 99)))
-    carried = (pressure > least) & relief.measured & _off_the_rim(relief)
+    carried = (pressure > least) & relief.measured & off_the_rim(relief)
     upright_mm2 = _area(shape.between(2 * below)[0]) * shape.normal[..., 2] * relief.cell_area_mm2
     contact = _up_to_half(_without_specks(carried, relief), pressure, relief)
     return ContactBalance(pressure, sigma, contact, upright_mm2)
@@ -351,7 +351,7 @@ def _up_to_half(contact: BoolArray, pressure_kpa: FloatArray, relief: Relief) ->
     return contact
 
 
-def _off_the_rim(relief: Relief) -> BoolArray:
+def off_the_rim(relief: Relief) -> BoolArray:
     """Return the cells so far from the rim that the clamp's bend is not in their curvature."""
     reach = int(np.ceil(3 * CURVATURE_SIGMA_MM / min(relief.pitch_mm)))
     inner = ndimage.binary_erosion(np.pad(relief.inside, 1), iterations=reach + 1)

@@ -154,7 +154,10 @@ def _gauss_newton(local: FloatArray, start: FloatArray) -> FloatArray | None:
             return None
         slopes = np.vstack([toward / distance, np.full_like(distance, -1.0)])
         normal, downhill = slopes @ slopes.T, slopes @ (found[3] - distance)
-        step = np.linalg.solve(normal, downhill)
+        try:
+            step = np.linalg.solve(normal, downhill)
+        except np.linalg.LinAlgError:
+            return None
         found, size = found + step, float(np.abs(step).max())
         if size <= _STEP_OF_ROUNDING * max(1.0, float(np.abs(found).max())):
             return found

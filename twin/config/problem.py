@@ -23,6 +23,7 @@ from twin.config.rows import Limit, Metric, Name, Row
 from twin.config.schema import validated
 from twin.config.study import Axis, without_absent
 
+LONGEST_CHAIN, _QUICK_STEPS = 8000, 2000
 MOST_FREE, MOST_COMBINATIONS = 12, 64
 DottedPath = Annotated[str, Field(pattern=r"^[A-Za-z0-9_\-]+(\.[A-Za-z0-9_\-]+)*$")]
 
@@ -166,6 +167,9 @@ class Design(Model):
         description="further points per experiment and choice, drawn from what the rows leave when "
         "the figures are learned from the first ones",
     )
+    longest: Annotated[int, Field(ge=1000, le=1_000_000)] = Field(
+        default=LONGEST_CHAIN, description="most steps of a Markov chain that samples the posterior"
+    )
     seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
 
 
@@ -242,9 +246,10 @@ class SensorProblem(Model):
         return {**self.rows, **self.worth, **self.limits}
 
     def quick(self) -> "SensorProblem":
-        """Return the problem with a third of the simulations, 12 at least."""
+        """Return the problem with a quarter of the simulations, 12 at least, and none refined."""
         setups = {name: _quicker(one) for name, one in self.experiments.items()}
-        return self.model_copy(update={"design": _quicker(self.design), "experiments": setups})
+        design = _quicker(self.design).model_copy(update={"longest": _QUICK_STEPS})
+        return self.model_copy(update={"design": design, "experiments": setups})
 
     def refined(self, experiment: str) -> int:
         """Return how many simulations of an experiment are drawn from a first posterior."""
@@ -293,14 +298,9 @@ _Counted = TypeVar("_Counted", Setup, Design)
 
 
 def _quicker(one: _Counted) -> _Counted:
-    """Return the counts of an experiment or a design with a third of the simulations."""
-    counts = {name: getattr(one, name) for name in ("count", "refine")}
-    fewer = {name: _fewer(count) for name, count in counts.items() if count is not None}
-    return one.model_copy(update=fewer)
-
-
-def _fewer(count: int) -> int:
-    return max(min(count, 12), count // 3)
+    """Return the counts of an experiment or a design with a quarter of the simulations."""
+    fewer = {"count": None if one.count is None else max(min(one.count, 12), one.count // 4)}
+    return one.model_copy(update=fewer | {"refine": 0})
 
 
 def _named(where: str, used: Mapping[str, tuple[str, ...]], known: Any) -> None:

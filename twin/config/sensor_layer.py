@@ -39,6 +39,20 @@ class LayerSigma(Model):
     force_n: NonNegative = 0.0
 
 
+class PressedBar(Model):
+    """A bar with a flat top among what was pressed: where its walls are looked for."""
+
+    x_mm: float = Field(default=0.0, description="world, of its middle, to some tenths")
+    y_mm: float = 0.0
+    along_deg: float = Field(
+        default=0.0, description="of its length, from world y towards -x, to some two degrees"
+    )
+    width_mm: Positive = Field(description="about: to some tenths of a millimetre")
+    length_mm: Positive
+    edge_radius_mm: NonNegative = Field(description="rounding of its upper edges")
+    sigma_edge_radius_mm: NonNegative = 0.0
+
+
 class SensorLayer(Model):
     """Elastomer, load of the press, and how well they are known."""
 
@@ -46,6 +60,9 @@ class SensorLayer(Model):
     elastomer: Elastomer
     press: MeasuredLoad = MeasuredLoad()
     sigma: LayerSigma = LayerSigma()
+    bar: tuple[PressedBar, ...] = Field(
+        default=(), description="bars whose widths are wanted; default: the experiment's"
+    )
     provenance: dict[str, Provenance] = Field(
         default_factory=dict, description="source and valid range by dotted path"
     )

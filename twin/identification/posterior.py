@@ -21,14 +21,14 @@ from scipy.special import log_ndtr, logsumexp, ndtr
 from scipy.stats import multivariate_t, norm, qmc
 
 from reconstruction.arrays import FloatArray
-from twin.config.problem import Free, SensorProblem
+from twin.config.problem import LONGEST_CHAIN, Free, SensorProblem
 from twin.config.rows import Limit, Row
 from twin.identification.emulator import Emulator
 
 _Told = TypeVar("_Told")
 _START_EXPONENT = 13
 _WALKERS_PER_FIELD, _LEAST_WALKERS = 6, 40
-_STEPS, LONGEST = 1000, 8000
+_STEPS = 1000
 _CORRELATION_TIMES, _EFFECTIVE = 20, 1000
 _FARTHEST = 6.0
 _PROPOSALS_EXPONENT = 13
@@ -223,7 +223,7 @@ class Posterior:
         return best
 
 
-def sample(likelihood: Likelihood, seed: int, longest: int = LONGEST) -> Posterior:
+def sample(likelihood: Likelihood, seed: int, longest: int = LONGEST_CHAIN) -> Posterior:
     """Sample the posterior by affine-invariant ensembles (Goodman and Weare 2010).
 
     The walkers start from places of the prior drawn by their likelihood, so that all basins that

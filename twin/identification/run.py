@@ -17,7 +17,7 @@ from twin.config.rows import LearnedAs, Limit, Metric, Row, Statistic
 from twin.identification.emulator import Emulator
 from twin.identification.findings import Prediction, predict_rows
 from twin.identification.known import Identified, SensorModel
-from twin.identification.posterior import LONGEST, likelihood_of, probabilities, sample
+from twin.identification.posterior import likelihood_of, probabilities, sample
 from twin.identification.simulations import (
     Simulated,
     SimulatedFigure,
@@ -104,19 +104,19 @@ def infer(
     watch: ProgressCallback = no_progress,
     workers: Workers | None = None,
     *,
-    longest: int = LONGEST,
+    longest: int | None = None,
 ) -> Identified:
     """Return what the rows say, given the simulations.
 
     Parameters
     ----------
     workers : learn and sample side by side; the result is the same with any. Default: this process
-    longest : most steps of a chain
+    longest : most steps of a chain; default: as the problem's design asks
     """
     tasks = workers or local_workers(1)
-    executor = tasks.open()
+    executor, steps = tasks.open(), longest or problem.design.longest
     try:
-        return _infer(problem, simulated, watch, partial(_side_by_side, executor), longest)
+        return _infer(problem, simulated, watch, partial(_side_by_side, executor), steps)
     finally:
         (tasks.release or tasks.close)(executor)
 

@@ -14,6 +14,7 @@ _WIDTHS = {
     "rod_break_width_mm": "between the breaks of its slope",
     "rod_slope_change_width_mm": "between the places where its slope changes fastest",
 }
+_COMPENSATED = "compensated_bar_1_width_mm"
 
 
 def rods_table(trials: Mapping[str, Sequence[Trial]]) -> Table:
@@ -40,6 +41,8 @@ def rods_table(trials: Mapping[str, Sequence[Trial]]) -> Table:
             Column("sd", "SD"),
             Column("cv_percent", "CV %", 2),
             Column("face_mean", "true coat: mean"),
+            Column("compensated", "rigid bar"),
+            Column("compensated_sd", "its SD"),
             Column("failed", "not measurable"),
         ),
         tuple(rows),
@@ -47,6 +50,9 @@ def rods_table(trials: Mapping[str, Sequence[Trial]]) -> Table:
             f"Width of the coat's crest, {_WIDTHS[WIDTH]}, over the mean section of 2 mm in the "
             "middle of the rod.",
             "'true coat' is the same width of the coat itself: the elastomer's share of the error.",
+            "'rigid bar' is what `twin compensate` finds behind the measured coat, from thickness, "
+            "modulus and pressure of the nominal sheet and the nominal rounding of the edges; the "
+            "paper compensates nothing.",
         ),
     )
 
@@ -65,6 +71,9 @@ def _rod_rows(trials: Sequence[Trial], reference_mm: float) -> Iterator[dict[str
                 "cv_percent": None if width.sd is None else 100.0 * width.sd / width.mean,
                 "face_mean": None if face is None else face.mean,
             }
+        rigid = spread_of(values_of(some, _COMPENSATED))
+        if rigid is not None:
+            row |= {"compensated": rigid.mean, "compensated_sd": rigid.sd}
         yield row
 
 

@@ -73,9 +73,8 @@ def inputs() -> Inputs:
 
 def fringe_study(experiment: Experiment, trials: int) -> StudyRecord:
     """Return the repeated contact-FPP measurement of a specimen."""
-    # Of bars, a compensation tells no width.
-    balls = experiment.specimen.kind == "two_balls"
-    return record_of(experiment, inputs(), trials, budget=False, compensated=balls)
+    told = experiment.specimen.kind in {"two_balls", "bars"}
+    return record_of(experiment, inputs(), trials, budget=False, compensated=told)
 
 
 def plan_of(trial: int) -> PhotometricPlan:

@@ -14,6 +14,7 @@ from scipy import fft
 
 from reconstruction.arrays import FloatArray, at_pixels
 from reconstruction.compensation import (
+    BarPlace,
     Compensated,
     CompensatedGel,
     GelLayer,
@@ -47,6 +48,7 @@ from twin.output import EXPERIMENT_FILE, output_folder, write_outcome
 from twin.pipeline.dimensions import RECONSTRUCTION_FILE
 from twin.pipeline.progress import ProgressCallback, no_progress
 from twin.results.compensated import contact_arrays, object_figures, object_points
+from twin.results.features import bars_of
 from twin.results.names import COMPENSATED, may_compensate
 from twin.results.record import Fringes, Measurement
 from twin.specimens import shape_of
@@ -115,7 +117,7 @@ def compensate_result(
         found = compensate_points(measured.point_map, layer)
         watch("compensate", 1.0)
         balls = shape_of(experiment.specimen).spheres() if experiment else ()
-        figures |= object_figures(found, balls)
+        figures |= object_figures(found, balls, _bars(layer, experiment))
         _write(target, measured, found)
         draw(target, CompensationResult(found, layer, figures))
         (target / LAYER_FILE).write_text(layer_to_toml(layer), encoding="utf-8")
@@ -304,8 +306,14 @@ def compensated_figures(
     except InputError as error:
         return {"compensation_failure": str(error)}
     balls = shape_of(experiment.specimen).spheres()
-    figures = object_figures(found, balls)
+    figures = object_figures(found, balls, bars_of(experiment.specimen))
     return {key: one for key, one in figures.items() if key.startswith(COMPENSATED)}
+
+
+def _bars(layer: SensorLayer, experiment: Experiment | None) -> list[BarPlace]:
+    if layer.bar or experiment is None:
+        return [BarPlace(**one.model_dump()) for one in layer.bar]
+    return bars_of(experiment.specimen)
 
 
 def _read_points(folder: Path) -> Reconstruction:

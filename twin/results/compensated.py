@@ -10,12 +10,15 @@ from scipy import ndimage
 
 from reconstruction.arrays import FloatArray, Reason
 from reconstruction.compensation import (
+    BarPlace,
     Compensated,
     CompensatedGel,
     CompensatedSheet,
     ObjectPart,
+    bar_under_sheet,
     parts_of,
 )
+from reconstruction.errors import FitError
 from reconstruction.netcdf import Labelled, LabelledArrays
 from reconstruction.triangulation import PointMap
 from twin.specimens import Sphere
@@ -23,8 +26,15 @@ from twin.specimens import Sphere
 _UM = 1e3
 
 
-def object_figures(found: Compensated, balls: Sequence[Sphere] = ()) -> dict[str, Any]:
-    """Return the figures of the object and its contact; units in the names."""
+def object_figures(
+    found: Compensated, balls: Sequence[Sphere] = (), bars: Sequence[BarPlace] = ()
+) -> dict[str, Any]:
+    """Return the figures of the object and its contact; units in the names.
+
+    Parameters
+    ----------
+    balls, bars : where they are nominally, so that figures can be named after them
+    """
     parts = parts_of(found)
     figures: dict[str, Any] = {
         "compensated_force_n": found.force_n,
@@ -40,6 +50,9 @@ def object_figures(found: Compensated, balls: Sequence[Sphere] = ()) -> dict[str
         figures |= {f"part_{number}_{name}": one for name, one in _part_figures(part).items()}
     for number, ball in enumerate(balls, 1):
         figures |= _ball_figures(f"compensated_sphere_{number}", _under(parts, ball, found))
+    for number, bar in enumerate(bars, 1):
+        if isinstance(found, CompensatedSheet):
+            figures |= _bar_figures(f"compensated_bar_{number}", found, bar)
     return figures
 
 
@@ -73,6 +86,20 @@ def _ball_figures(name: str, part: ObjectPart | None) -> dict[str, Any]:
     return {
         f"{name}_radius_mm": None if found is None else found.radius_mm,
         f"{name}_radius_sigma_um": None if found is None else _UM * found.sigma_mm,
+    }
+
+
+def _bar_figures(name: str, found: CompensatedSheet, bar: BarPlace) -> dict[str, Any]:
+    width, sigma = f"{name}_width_mm", f"{name}_width_sigma_um"
+    try:
+        told = bar_under_sheet(found, bar)
+    except FitError as error:
+        return {width: None, sigma: None, f"{name}_width_why": str(error)}
+    return {
+        width: told.width_mm,
+        sigma: _UM * told.sigma_mm,
+        f"{name}_turn_deg": min(told.turn_deg),
+        f"{name}_sheet_on_edge": told.on_edge,
     }
 
 

@@ -6,7 +6,10 @@ A feature's own frame: x across it, y along it, as its specimen's.
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+import numpy as np
+
 from reconstruction.arrays import FloatArray
+from reconstruction.compensation import BarPlace
 from reconstruction.errors import InputError
 from twin.config.measurands import ObjectMeasurand
 from twin.config.models import Experiment
@@ -61,6 +64,25 @@ def features_of(specimen: Specimen) -> list[Feature]:
     return [
         Feature(name, part, pose_of(part).then(whole), shape_of(part).placed(whole))
         for name, part in specimen.parts.items()
+    ]
+
+
+def bars_of(specimen: Specimen) -> list[BarPlace]:
+    """Return where bars lie on the stage, in the file's order, their edges taken as exact."""
+    return [
+        BarPlace(
+            x_mm=float(middle[0]),
+            y_mm=float(middle[1]),
+            along_deg=float(np.rad2deg(np.arctan2(-along[0], along[1]))),
+            width_mm=width_mm,
+            length_mm=one.specimen.length_mm,
+            edge_radius_mm=one.specimen.edge_radius_mm,
+        )
+        for one in features_of(specimen)
+        if isinstance(one.specimen, Bars)
+        for along in [one.world_from_own.rotation[:, 1]]
+        for across_mm, width_mm in zip(one.specimen.middles_mm, one.specimen.widths_mm, strict=True)
+        for middle in [one.world_from_own.apply(np.array([across_mm, 0.0, 0.0]))]
     ]
 
 

@@ -11,7 +11,7 @@ from twin.config.models import Experiment
 from twin.config.objects import Nut
 from twin.mechanics.choice import may_wrap
 from twin.results.bound import bound_names
-from twin.results.features import feature_of, features_of, measurands_of, nominal_mm
+from twin.results.features import bars_of, feature_of, features_of, measurands_of, nominal_mm
 from twin.results.object_score import (
     MeasuredQuantity,
     deviation_figures,
@@ -38,6 +38,7 @@ _ALWAYS = ("warnings", "unfitted_balls")
 COMPENSATED = "compensated_"
 """What the figures begin with that are the object's, found from the coat."""
 _OF_A_CONTACT = ("force_n", "force_sigma_n", "contact_area_mm2")
+_OF_A_BAR = ("width_mm", "width_sigma_um", "turn_deg", "sheet_on_edge", "width_why")
 
 
 def may_compensate(experiment: Experiment) -> bool:
@@ -54,6 +55,8 @@ def compensated_names(experiment: Experiment) -> set[str]:
     names = [*_OF_A_CONTACT, "thickness_mm"]
     for number in range(1, len(shape_of(experiment.specimen).spheres()) + 1):
         names += [f"sphere_{number}_radius_mm", f"sphere_{number}_radius_sigma_um"]
+    for number in range(1, len(bars_of(experiment.specimen)) + 1):
+        names += [f"bar_{number}_{name}" for name in _OF_A_BAR]
     return {f"{COMPENSATED}{name}" for name in names}
 
 

@@ -1,0 +1,399 @@
+"""Width of a bar under a sheet, by its flat top and the free spans beside it; lengths mm, kPa.
+
+On an edge the coat is no parallel surface of the bar: a sheet resists bending, and its texture and
+the camera's filter are as wide as the edge. But away from the edge it hangs in its tension alone,
+and a frictionless edge, round about O with radius r, turns no moment about O. So the line of
+tension of the span passes O at a distance that the bending moment B / R of the sheet decides:
+
+    d = R + l q - R q^2 / 2,   q = min(2 sin(turn / 4), l / R),   R = r + t / 2,   l^2 = B / N,
+
+t local thickness, N tension, l the length over which bending decays. Where q = l / R the sheet lies
+on the edge: d = R + l^2 / (2 R), of which N d = N_edge R + B / R makes twice, and the sheet's own
+energy, which slides freely, takes half (N_edge = N - B / (2 R^2)). Where the edge is sharper than
+that the sheet touches along one line, and hangs from it by two tails of Euler's elastica.
+From d, the top's height and the span's curve follows where O is, and the wall a radius beside it.
+
+B of an incompressible neo-Hookean sheet stretched by a across and thinned to t = c h is
+mu (a^2 + c^2) t^3 / 6. The tension is that of a span that carries the air's pressure by its
+curvature.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import brentq
+
+from reconstruction.arrays import BoolArray, FloatArray
+from reconstruction.compensation.relief import variance_and_area
+from reconstruction.compensation.sheet import CURVATURE_SIGMA_MM, CompensatedSheet, off_the_rim
+from reconstruction.errors import FitError
+from reconstruction.evaluate.fit import fit_plane, inliers
+
+# Of the bar's length: where its ends are not felt.
+_MIDDLE_SHARE = 0.3
+_SPAN_MM = 3.5
+# Off the top beside its rounded edges: there the sheet lifts.
+_TOP_OFF_MM = 0.3
+_TURNS = 3
+_ARC_TURNS = 8
+_TAILS = 3.0
+_LEAST_CELLS = 40
+_FLAT_DEG, _LEAST_TURN_DEG = 3.0, 15.0
+THEORY_ON_EDGE, THEORY_OFF_EDGE = 0.2, 0.5
+"""Error of d - R over it, against solid elements (tests/compensation/test_bar.py): where the sheet
+lies on the edge, and where it touches it along a line."""
+
+
+@dataclass(frozen=True)
+class BarPlace:
+    """Where a bar lies, to some tenths of a millimetre, and what its edges are.
+
+    Attributes
+    ----------
+    x_mm, y_mm : world, of its middle
+    along_deg : of its length from world y towards -x, to some two degrees
+    width_mm : where its walls are looked for, to some tenths of a millimetre
+    length_mm : least length between its ends
+    edge_radius_mm : rounding of its upper edges
+    sigma_edge_radius_mm : its standard uncertainty
+    """
+
+    x_mm: float
+    y_mm: float
+    along_deg: float
+    width_mm: float
+    length_mm: float
+    edge_radius_mm: float
+    sigma_edge_radius_mm: float = 0.0
+
+
+@dataclass(frozen=True)
+class BarUnderSheet:
+    """A bar's width, between its walls.
+
+    Attributes
+    ----------
+    sigma_mm : standard uncertainty, of the shares below
+    noise_mm : of noise and texture of the coat
+    layer_mm : of what is open of the sheet and the air
+    edge_mm : of the edge's radius
+    theory_mm : of the sheet's bending over the edge
+    turn_deg : by how much the sheet turns at each edge
+    on_edge : whether it lies on both edges, or touches them along a line
+    """
+
+    width_mm: float
+    sigma_mm: float
+    noise_mm: float
+    layer_mm: float
+    edge_mm: float
+    theory_mm: float
+    turn_deg: tuple[float, float]
+    on_edge: bool
+
+
+def bending_offset_mm(radius_mm: float, tail_mm: float, turn_rad: float) -> float:
+    """Return d - R: by how much farther from O the tension passes than the sheet's middle lies.
+
+    Parameters
+    ----------
+    radius_mm : of the sheet's middle on the edge
+    tail_mm : length over which bending decays
+    turn_rad : angle between the spans on both sides of the edge
+    """
+    turned = 2 * np.sin(turn_rad / 4)
+    if turned * radius_mm > tail_mm:
+        turned = tail_mm / radius_mm
+    return float(tail_mm * turned - radius_mm * turned**2 / 2)
+
+
+@dataclass(frozen=True)
+class _Sheet:
+    """What the width rests on of the sheet, and what may be wrong with it."""
+
+    thickness_mm: float
+    young_modulus_kpa: float
+    pressure_kpa: float
+    thinning: float
+
+    @property
+    def local_mm(self) -> float:
+        return self.thickness_mm * self.thinning
+
+    def tension(self, curvature_per_mm: float) -> float:
+        """Return N in kPa mm of a span whose coat has a curvature."""
+        return self.pressure_kpa * (1 / curvature_per_mm + self.local_mm / 2)
+
+    def tail_mm(self, tension: float) -> float:
+        shear, t = self.young_modulus_kpa / 3, self.local_mm
+        # a^2 by N = mu h c (a^2 - c^2).
+        return float(np.sqrt(t**2 / 6 + shear * self.thinning**2 * t**3 / (3 * tension)))
+
+
+@dataclass(frozen=True, eq=False)
+class _Span:
+    """The coat beside one edge: an arc of a circle, in axes along (s) and across its middle.
+
+    Attributes
+    ----------
+    origin : (across, up) of s = 0
+    slope_rad : of the axes, downwards
+    sagging_mm : how far the arc's middle lies above the origin, across
+    curvature_per_mm : positive in a valley
+    covariance : (3, 3) of height, slope and half the curvature at s = 0
+    from_mm : s where the measured span begins
+    """
+
+    origin: FloatArray
+    slope_rad: float
+    sagging_mm: float
+    curvature_per_mm: float
+    covariance: FloatArray
+    from_mm: float
+
+    def at(self, s_mm: float) -> tuple[FloatArray, float]:
+        """Return (across, up) of the coat, and its slope downwards in rad."""
+        turned = float(np.arcsin(np.clip(self.curvature_per_mm * s_mm, -1, 1)))
+        height = self.sagging_mm + (1 - np.cos(turned)) / self.curvature_per_mm
+        c, s = np.cos(self.slope_rad), np.sin(self.slope_rad)
+        place = self.origin + np.array([s_mm * c + height * s, height * c - s_mm * s])
+        return place, self.slope_rad - turned
+
+    def steeper_than(self, least_deg: float) -> float:
+        """Return the s up to which the coat falls by more than an angle."""
+        turned = np.clip(self.slope_rad - np.deg2rad(least_deg), -np.pi / 2, np.pi / 2)
+        return float(np.sin(turned)) / self.curvature_per_mm
+
+    def sigma_mm(self, s_mm: float) -> float:
+        by = np.array([1.0, s_mm, s_mm**2])
+        return float(np.sqrt(by @ self.covariance @ by))
+
+
+@dataclass(frozen=True)
+class _Edge:
+    """Where the middle O of an edge lies across the bar, and how the sheet leaves it."""
+
+    across_mm: float
+    turn_rad: float
+    offset_mm: float
+    tail_mm: float
+    noise_mm: float
+    on_edge: bool
+
+
+def bar_under_sheet(found: CompensatedSheet, bar: BarPlace) -> BarUnderSheet:
+    """Find the width of a bar with a flat top.
+
+    Raises
+    ------
+    FitError : no air, a sheet that sticks, or a top and spans that tell no width
+    """
+    if found.layer.back_pressure_kpa <= 0:
+        raise FitError("width: without air on the coat nothing presses it onto the bar's top")
+    if found.layer.sticks:
+        raise FitError("width: the tension of a sheet that sticks is not known at an edge")
+    for _ in range(_TURNS):
+        told = _told(found, bar)
+        if not bar.width_mm / 2 < told.width_mm < 2 * bar.width_mm:
+            raise FitError(f"width: found {told.width_mm:.2f} mm, not near {bar.width_mm:g} mm")
+        bar = replace(bar, width_mm=told.width_mm)
+    return told
+
+
+def _told(found: CompensatedSheet, bar: BarPlace) -> BarUnderSheet:
+    axes = _Axes.of(found, bar)
+    sheet = _sheet(found, axes, bar)
+    spans = [_span(found, axes, bar, sheet, side) for side in (-1.0, 1.0)]
+
+    def edges(of: _Sheet, radius_mm: float) -> list[_Edge]:
+        # A thicker sheet has its bar deeper below the coat.
+        drop_mm = of.local_mm - sheet.local_mm
+        return [_edge(span, of, radius_mm, drop_mm) for span in spans]
+
+    def width(of: _Sheet, radius_mm: float) -> float:
+        return sum(one.across_mm for one in edges(of, radius_mm)) + 2 * radius_mm
+
+    radius, best = bar.edge_radius_mm, width(sheet, bar.edge_radius_mm)
+    here, layer = edges(sheet, radius), [width(one, radius) - best for one in _moved(found, sheet)]
+    shares = {
+        "noise_mm": float(np.linalg.norm([one.noise_mm for one in here])),
+        "layer_mm": float(np.linalg.norm(layer)),
+        "edge_mm": abs(width(sheet, radius + bar.sigma_edge_radius_mm) - best),
+        "theory_mm": sum(_theory_mm(one) for one in here),
+    }
+    left, right = (float(np.rad2deg(one.turn_rad)) for one in here)
+    sigma = float(np.linalg.norm(list(shares.values())))
+    on_edge = all(one.on_edge for one in here)
+    return BarUnderSheet(best, sigma, turn_deg=(left, right), on_edge=on_edge, **shares)
+
+
+@dataclass(frozen=True, eq=False)
+class _Axes:
+    """Frame of a bar: across, along, up from its flat top; rows of `rotation`, world mm."""
+
+    middle_mm: FloatArray
+    rotation: FloatArray
+    band: BoolArray
+
+    @classmethod
+    def of(cls, found: CompensatedSheet, bar: BarPlace) -> "_Axes":
+        turn, relief = np.deg2rad(bar.along_deg), found.relief
+        along, middle = np.array([-np.sin(turn), np.cos(turn), 0.0]), (bar.x_mm, bar.y_mm, 0.0)
+        own = (relief.points_mm - middle) @ np.stack([np.cross(along, (0, 0, 1.0)), along], axis=1)
+        band = (np.abs(own[..., 1]) < _MIDDLE_SHARE * bar.length_mm / 2) & relief.measured
+        top = band & (np.abs(own[..., 0]) < bar.width_mm / 2 - bar.edge_radius_mm - _TOP_OFF_MM)
+        if top.sum() < _LEAST_CELLS:
+            raise FitError(f"width: {int(top.sum())} cells on the bar's top, {_LEAST_CELLS} needed")
+        points = found.object_mm[top]
+        flat = fit_plane(points)
+        flat = fit_plane(points[inliers(flat.residuals_mm)])
+        along -= (along @ flat.normal) * flat.normal
+        along /= np.linalg.norm(along)
+        rotation = np.stack([np.cross(along, flat.normal), along, flat.normal])
+        up = (flat.centroid_mm - middle) @ flat.normal / flat.normal[2]
+        return cls(np.array([bar.x_mm, bar.y_mm, up]), rotation, band)
+
+    def own(self, points_mm: FloatArray) -> FloatArray:
+        """Return world points (..., xyz) as (..., across along up)."""
+        return np.asarray((points_mm - self.middle_mm) @ self.rotation.T)
+
+
+def _sheet(found: CompensatedSheet, axes: _Axes, bar: BarPlace) -> _Sheet:
+    layer, across = found.layer, axes.own(found.relief.points_mm)[..., 0]
+    beside = axes.band & (np.abs(np.abs(across) - bar.width_mm / 2) < _SPAN_MM)
+    thinning = float(np.median(found.thinning[beside]))
+    return _Sheet(layer.thickness_mm, layer.young_modulus_kpa, layer.back_pressure_kpa, thinning)
+
+
+def _moved(found: CompensatedSheet, sheet: _Sheet) -> list[_Sheet]:
+    """Return the sheet with each of its values off by a standard uncertainty."""
+    layer = found.layer
+    return [
+        replace(sheet, thickness_mm=sheet.thickness_mm + layer.sigma_thickness_mm),
+        replace(sheet, young_modulus_kpa=sheet.young_modulus_kpa + layer.sigma_young_modulus_kpa),
+        replace(sheet, pressure_kpa=sheet.pressure_kpa + layer.sigma_back_pressure_kpa),
+        replace(sheet, thinning=sheet.thinning + float(np.median(found.sigma_thinning))),
+    ]
+
+
+def _span(found: CompensatedSheet, axes: _Axes, bar: BarPlace, sheet: _Sheet, side: float) -> _Span:
+    """Fit the coat beside an edge, twice: where bending has decayed is known after the first."""
+    tail = 2 * sheet.local_mm
+    for _ in range(2):
+        span = _fitted(found, axes, (side, bar.width_mm / 2), _TAILS * tail)
+        tail = sheet.tail_mm(sheet.tension(span.curvature_per_mm))
+    return span
+
+
+def _fitted(
+    found: CompensatedSheet, axes: _Axes, wall: tuple[float, float], clear_mm: float
+) -> _Span:
+    relief, own, (side, half_mm) = found.relief, axes.own(found.relief.points_mm), wall
+    beyond = side * own[..., 0] - half_mm
+    start = found.layer.thickness_mm + relief.pitch_mm[0] + clear_mm
+    end = min(start + _SPAN_MM, _free_to_mm(found, axes, beyond) - clear_mm)
+    kept = axes.band & (beyond > start) & (beyond < end)
+    if kept.sum() < _LEAST_CELLS:
+        raise FitError(
+            f"width: {int(kept.sum())} cells of a free span beside the bar, {_LEAST_CELLS} needed"
+        )
+    across, along, up = np.moveaxis(own[kept], -1, 0)
+    return _arc(np.stack((side * across, up, along), axis=-1), kept, found)
+
+
+def _free_to_mm(found: CompensatedSheet, axes: _Axes, beyond_mm: FloatArray) -> float:
+    """Return how far from the wall the sheet touches or is held again.
+
+    By the contact's pressure, mean along the bar: texture makes specks of it in the map.
+    """
+    pitch = found.relief.pitch_mm[0]
+    cells = axes.band & (beyond_mm > 0)
+    number = (beyond_mm[cells] / pitch).astype(int)
+    count = np.maximum(np.bincount(number), 1)
+    free = off_the_rim(found.relief)[cells].astype(float)
+    pressure, inner = (np.bincount(number, of) / count for of in (found.pressure_kpa[cells], free))
+    taken = (pressure > found.layer.back_pressure_kpa / 2) | (inner < 1)
+    first = int(np.ceil(3 * CURVATURE_SIGMA_MM / pitch))
+    again = np.flatnonzero(taken[first:])
+    return float(first + again[0] if len(again) else len(taken)) * pitch - CURVATURE_SIGMA_MM
+
+
+def _arc(points: FloatArray, kept: BoolArray, found: CompensatedSheet) -> _Span:
+    """Fit an arc to points (n, across up along); it may drift and turn along the bar."""
+    origin, y = points[:, :2].mean(axis=0), points[:, 2]
+    across, up = (points[:, :2] - origin).T
+    angle, curvature = float(np.arctan(-np.polyfit(across, up, 1)[0])), 0.0
+    used, one = np.ones(len(y), bool), np.ones_like(y)
+    for _ in range(_ARC_TURNS):
+        c, s = np.cos(angle), np.sin(angle)
+        place, height = across * c - up * s, across * s + up * c
+        design = np.column_stack([one, place, place**2, y, y**2, place * y, place * y**2])
+        flat = height - _over_parabola(place, curvature)
+        sagging, slope, half, *_ = fitted = np.linalg.lstsq(design[used], flat[used])[0]
+        rest = flat - design @ fitted
+        used = inliers(rest)
+        angle, curvature = angle - float(np.arctan(slope)), float(2 * half)
+    if curvature <= 0:
+        raise FitError("width: the coat beside the bar does not hang from it")
+    spread, members = np.zeros(kept.shape), np.zeros(kept.shape, bool)
+    spread[kept], members[kept] = rest, used
+    variance, area = variance_and_area(spread, members, found.relief.cell_area_mm2)
+    covariance = np.linalg.inv(design[used].T @ design[used])[:3, :3] * variance
+    together = area / found.relief.cell_area_mm2
+    return _Span(
+        origin, angle, float(sagging), curvature, covariance * together, float(place.min())
+    )
+
+
+def _over_parabola(place_mm: FloatArray, curvature_per_mm: float) -> FloatArray:
+    """Return how far a circle lies above the parabola of its curvature."""
+    if not curvature_per_mm:
+        return np.zeros_like(place_mm)
+    turned = np.clip(curvature_per_mm * place_mm, -0.99, 0.99)
+    return np.asarray((1 - np.sqrt(1 - turned**2) - turned**2 / 2) / curvature_per_mm)
+
+
+def _edge(span: _Span, sheet: _Sheet, radius_mm: float, drop_mm: float) -> _Edge:
+    """Place an edge so that the span's tension passes its middle at the distance d."""
+    tension, middle = sheet.tension(span.curvature_per_mm), radius_mm + sheet.local_mm / 2
+    tail = sheet.tail_mm(tension)
+
+    def turn_and_offset(s_mm: float) -> tuple[float, float]:
+        slope, offset = span.at(s_mm)[1], 0.0
+        for _ in range(2):
+            # Air lifts the top's end by as much as the offset: it leaves the edge inclined.
+            turn = slope + float(np.sqrt(2 * sheet.pressure_kpa * offset / tension))
+            offset = bending_offset_mm(middle, tail, turn)
+        return turn, offset
+
+    def above(s_mm: float) -> float:
+        """Height of a point at the distance d inside the span over the edge's middle."""
+        place, slope = span.at(s_mm)
+        away = middle + turn_and_offset(s_mm)[1] + sheet.local_mm / 2
+        return float(place[1] - away * np.cos(slope) + radius_mm + drop_mm)
+
+    low, high = span.from_mm - _SPAN_MM, min(span.from_mm + _SPAN_MM, span.steeper_than(_FLAT_DEG))
+    if high <= low or above(low) * above(high) > 0:
+        raise FitError("width: the coat beside the bar does not lead to its top")
+    s_mm = float(brentq(above, low, high))
+    (across, _), slope = span.at(s_mm)
+    if np.rad2deg(slope) < _LEAST_TURN_DEG:
+        raise FitError(
+            f"width: the sheet leaves the edge by {np.rad2deg(slope):.0f} degrees only, "
+            f"{_LEAST_TURN_DEG:g} needed; press with more air or deeper"
+        )
+    turn, offset = turn_and_offset(s_mm)
+    away = middle + offset + sheet.local_mm / 2
+    return _Edge(
+        across_mm=float(across - away * np.sin(slope)),
+        turn_rad=turn,
+        offset_mm=offset,
+        tail_mm=tail,
+        noise_mm=span.sigma_mm(s_mm) / float(np.sin(slope)),
+        on_edge=tail / middle <= 2 * np.sin(turn / 4),
+    )
+
+
+def _theory_mm(edge: _Edge) -> float:
+    share = THEORY_ON_EDGE if edge.on_edge else THEORY_OFF_EDGE
+    return share * edge.offset_mm / float(np.sin(edge.turn_rad))
