@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from functools import partial
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -98,8 +99,32 @@ def _object_section(told: CompensationResult, parts: list[ObjectPart]) -> Sectio
         blocks.append(Table("parts", "", "", columns, tuple(rows)))
     else:
         blocks.append(Note("No part of the contact is wide enough to be fitted."))
+    blocks += _bars(told)
     blocks.append(Note("u: standard uncertainty, by noise and texture, and by the layer's."))
     return Section("object", "The object", tuple(blocks))
+
+
+def _bars(told: CompensationResult) -> Iterator[Block]:
+    """Yield a table of the bars whose widths were asked for."""
+    figures, rows, notes = told.figures, [], []
+    for number in count(1):
+        name = f"compensated_bar_{number}"
+        if f"{name}_width_mm" not in figures:
+            break
+        width, sigma = figures[f"{name}_width_mm"], figures[f"{name}_width_sigma_um"]
+        turn = figures.get(f"{name}_turn_deg")
+        rows.append({"bar": number, "width": width, "sigma": sigma, "turn": turn})
+        if width is None:
+            notes.append(Note(f"Bar {number}: {figures[f'{name}_width_why']}."))
+    columns = (
+        Column("bar", "bar", 0),
+        Column("width", "width between its walls, mm", 3),
+        Column("sigma", "u of the width, µm", 1),
+        Column("turn", "turn of the sheet at its edges, degrees", 0),
+    )
+    if rows:
+        yield Table("bars", "", "", columns, tuple(rows))
+        yield from notes
 
 
 _CONTACT = {

@@ -206,6 +206,14 @@ class _LimitedPool(ProcessPoolExecutor):
         with _environment(self._threads_each):  # all processes start with the first task
             return super().submit(fn, *args, **kwargs)
 
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        queue: Any = vars(self).get("_call_queue")
+        if vars(self).get("_broken") and queue is not None:
+            # The workers are ended, and what is still being written to them must fail instead of
+            # waiting for a reader: CPython before 3.11.5 waits for ever (its issue 94777).
+            queue._reader.close()
+        super().shutdown(wait, cancel_futures=cancel_futures)
+
 
 @contextmanager
 def _environment(threads: int) -> Iterator[None]:
