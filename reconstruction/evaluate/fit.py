@@ -242,7 +242,8 @@ def radial_jacobian(sphere: FloatArray, points_mm: FloatArray) -> FloatArray:
 
 def spread(values: FloatArray) -> float:
     """Robust standard deviation of values, (n,)."""
-    return float(MAD_TO_SIGMA * np.median(np.abs(values - np.median(values))))
+    away = values - np.median(values)
+    return float(MAD_TO_SIGMA * np.median(np.abs(away, out=away), overwrite_input=True))
 
 
 def inliers(residuals_mm: FloatArray) -> BoolImage:

@@ -246,7 +246,7 @@ class SensorProblem(Model):
         return {**self.rows, **self.worth, **self.limits}
 
     def quick(self) -> "SensorProblem":
-        """Return the problem with a quarter of the simulations, 12 at least, and none refined."""
+        """Return the problem with a quarter of the simulations, 10 at least, and none refined."""
         setups = {name: _quicker(one) for name, one in self.experiments.items()}
         design = _quicker(self.design).model_copy(update={"longest": _QUICK_STEPS})
         return self.model_copy(update={"design": design, "experiments": setups})
@@ -299,7 +299,7 @@ _Counted = TypeVar("_Counted", Setup, Design)
 
 def _quicker(one: _Counted) -> _Counted:
     """Return the counts of an experiment or a design with a quarter of the simulations."""
-    fewer = {"count": None if one.count is None else max(min(one.count, 12), one.count // 4)}
+    fewer = {"count": None if one.count is None else max(min(one.count, 10), one.count // 4)}
     return one.model_copy(update=fewer | {"refine": 0})
 
 

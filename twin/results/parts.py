@@ -273,8 +273,9 @@ def transfer_metrics(transfer: ContactTransfer) -> Metrics:
 def recording_metrics(recording: Recording) -> dict[str, float]:
     """Figures of the recording."""
     stack, clipped_from_dn = recording.capture.stack, recording.capture.sensor.clipped_from_dn
-    # Frame by frame: a frame's answers stay in the processor's cache.
-    clipped = sum(int(np.count_nonzero(frame >= clipped_from_dn)) for frame in stack)
+    # Only where the largest value is clipped are there any to count: most frames have none.
+    bright = (frame for frame in stack if frame.max() >= clipped_from_dn)
+    clipped = sum(int(np.count_nonzero(frame >= clipped_from_dn)) for frame in bright)
     return {
         "exposure_ms": recording.exposure_ms,
         "frames": len(recording.capture.patterns.frames),
