@@ -23,6 +23,7 @@ from scipy import ndimage
 from reconstruction.arrays import BoolArray, FloatArray
 from reconstruction.compensation.membrane import MaterialMap, SurfaceMetric, material_map
 from reconstruction.compensation.relief import Relief, SheetOpening, relief_on_frame
+from reconstruction.errors import FitError
 
 # Of the membrane: the stretch is smooth, a cell of the relief is a third of one of its elements.
 _ELEMENT_MM = 0.3
@@ -158,10 +159,14 @@ class CompensatedSheet:
     @property
     def force_n(self) -> float:
         """Force of the object along z: contact pressure over the contact and its blurred edge."""
-        reach = int(np.ceil(2 * CURVATURE_SIGMA_MM / min(self.relief.pitch_mm)))
-        grown = ndimage.binary_dilation(self.contact, iterations=reach) & self.relief.inside
         balance = self.balance
-        return float((balance.pressure_kpa * balance.upright_mm2)[grown].sum() * 1e-3)
+        return float((balance.pressure_kpa * balance.upright_mm2)[self._grown()].sum() * 1e-3)
+
+    def _grown(self) -> BoolArray:
+        """Return the contact with its blurred edge, (row, col)."""
+        reach = int(np.ceil(2 * CURVATURE_SIGMA_MM / min(self.relief.pitch_mm)))
+        grown = ndimage.binary_dilation(self.contact, iterations=reach)
+        return np.asarray(grown & self.relief.inside)
 
     @property
     def force_sigma_n(self) -> float:
@@ -187,6 +192,33 @@ class CompensatedSheet:
             _FORCE_METHOD * self.force_n,
         )
         return float(np.linalg.norm(shares))
+
+    def modulus_of_force_kpa(self, force_n: float, sigma_n: float = 0.0) -> tuple[float, float]:
+        """Return the modulus with which the object carries a known force, and its uncertainty.
+
+        What the air does not press, over the contact and its blurred edge, is the tension's share,
+        in proportion to E h.
+
+        Raises
+        ------
+        FitError : the air alone presses as hard, or a sheet that sticks, whose tension is not known
+        """
+        layer = self.layer
+        pressed_mm2 = float(self.balance.upright_mm2[self._grown()].sum())
+        of_air = 1e-3 * pressed_mm2 * layer.back_pressure_kpa
+        found, known = self.force_n - of_air, force_n - of_air
+        if layer.sticks or min(found, known) <= 0:
+            raise FitError("modulus: the tension's share of the force is not known")
+        modulus = layer.young_modulus_kpa * known / found
+        of_force = np.linalg.norm(
+            (
+                sigma_n,
+                _FORCE_METHOD * force_n,
+                of_air * layer.sigma_back_pressure_kpa / max(layer.back_pressure_kpa, 1e-9),
+            )
+        )
+        of_thickness = layer.sigma_thickness_mm / layer.thickness_mm
+        return modulus, modulus * float(np.hypot(of_force / known, of_thickness))
 
     @property
     def sigma_thickness_mm(self) -> FloatArray:

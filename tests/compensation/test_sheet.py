@@ -1,5 +1,7 @@
 """The object under a sheet against the one-dimensional oracle, which shares no code with it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
@@ -35,6 +37,19 @@ def test_ball_force_contact_and_modulus(thickness_mm: float, pressure_kpa: float
     modulus = found.modulus_of_free_span_kpa()
     assert modulus is not None
     assert modulus[0] == pytest.approx(YOUNG_KPA, rel=0.02 + 0.15 * thickness_mm)
+
+
+@pytest.mark.parametrize("believed", [0.8, 1.25])
+def test_a_gauge_tells_the_modulus(believed: float) -> None:
+    """From the force of the oracle, whatever modulus was believed; its uncertainty holds it."""
+    profile = pressed_ball(0.1, 2.0)
+    layer = replace(layer_of(0.1, 2.0), young_modulus_kpa=believed * YOUNG_KPA)
+    found = compensate_sheet(*coat_points(profile, 5e-4), layer)
+    modulus, sigma = found.modulus_of_force_kpa(profile.force_n, 0.002)
+    assert modulus == pytest.approx(YOUNG_KPA, rel=0.06)
+    assert abs(modulus - YOUNG_KPA) < 2 * sigma < 0.2 * YOUNG_KPA
+    with pytest.raises(FitError, match="modulus"):
+        found.modulus_of_force_kpa(1e-4)
 
 
 def test_object_is_the_parallel_surface() -> None:

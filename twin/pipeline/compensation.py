@@ -47,7 +47,12 @@ from twin.mechanics.layouts import WINDOW_MARGIN, coat_film
 from twin.output import EXPERIMENT_FILE, output_folder, write_outcome
 from twin.pipeline.dimensions import RECONSTRUCTION_FILE
 from twin.pipeline.progress import ProgressCallback, no_progress
-from twin.results.compensated import contact_arrays, object_figures, object_points
+from twin.results.compensated import (
+    contact_arrays,
+    load_figures,
+    object_figures,
+    object_points,
+)
 from twin.results.features import bars_of
 from twin.results.names import COMPENSATED, may_compensate
 from twin.results.record import Fringes, Measurement
@@ -118,6 +123,7 @@ def compensate_result(
         watch("compensate", 1.0)
         balls = shape_of(experiment.specimen).spheres() if experiment else ()
         figures |= object_figures(found, balls, _bars(layer, experiment))
+        figures |= load_figures(found, layer)
         _write(target, measured, found)
         draw(target, CompensationResult(found, layer, figures))
         (target / LAYER_FILE).write_text(layer_to_toml(layer), encoding="utf-8")

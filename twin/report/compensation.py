@@ -133,6 +133,7 @@ _CONTACT = {
     "compensated_thickness_mm": ("mean thickness in contact", "mm", ""),
     "pressure_sigma_kpa": ("u of the contact pressure", "kPa", ""),
     "free_span_modulus_kpa": ("modulus by the free span", "kPa", "free_span_modulus_scatter_kpa"),
+    "force_modulus_kpa": ("modulus by the gauge's force", "kPa", "force_modulus_sigma_kpa"),
     "misfit_um": ("misfit of the relief", "µm", ""),
     "calibrated_thickness_mm": ("thickness by the ball", "mm", ""),
     "calibrated_modulus_kpa": ("modulus by the ball", "kPa", "calibrated_modulus_sigma_kpa"),

@@ -21,6 +21,7 @@ from reconstruction.compensation import (
 from reconstruction.errors import FitError
 from reconstruction.netcdf import Labelled, LabelledArrays
 from reconstruction.triangulation import PointMap
+from twin.config.sensor_layer import SensorLayer
 from twin.specimens import Sphere
 
 _UM = 1e3
@@ -54,6 +55,18 @@ def object_figures(
         if isinstance(found, CompensatedSheet):
             figures |= _bar_figures(f"compensated_bar_{number}", found, bar)
     return figures
+
+
+def load_figures(found: Compensated, layer: SensorLayer) -> dict[str, Any]:
+    """Return what a gauge's force tells of the sheet; nothing where there is no gauge."""
+    force_n, sigma_n = layer.press.force_n, layer.sigma.force_n
+    if force_n is None or not isinstance(found, CompensatedSheet):
+        return {}
+    try:
+        modulus, sigma = found.modulus_of_force_kpa(force_n, sigma_n)
+    except FitError:
+        return {}
+    return {"force_modulus_kpa": modulus, "force_modulus_sigma_kpa": sigma}
 
 
 def _sheet_figures(found: CompensatedSheet) -> dict[str, Any]:

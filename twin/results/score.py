@@ -330,8 +330,8 @@ def score_sphere(
     count = int(roi.sum())
     if count < _LEAST_SPHERE_POINTS:
         raise FitError(f"{count} points leave no residual of a sphere; it takes at least 5")
-    found, found_algebraic = fit_sphere_both_ways(measured_mm[roi])
-    true, true_algebraic = fit_sphere_both_ways(true_mm[roi])
+    found, found_algebraic = fit_sphere_both_ways(at_pixels(measured_mm, roi))
+    true, true_algebraic = fit_sphere_both_ways(at_pixels(true_mm, roi))
     return SphereScore(
         number=number,
         nominal=ball,
