@@ -242,7 +242,7 @@ def test_results_are_files(done, tmp_path):
     assert again.figures == done.figures
     np.testing.assert_array_equal(again.points.world_mm, done.points.world_mm)
     assert again.score.against_truth.z_rmse_um == pytest.approx(done.figures["z_rmse_um"], rel=1e-6)
-    assert again.points.sigma_mm is done.points.sigma_mm is None
+    assert again.points.sigma_z_mm is done.points.sigma_z_mm is None
     with pytest.raises(TypeError, match="no fringes"):
         again.fringes  # noqa: B018
 

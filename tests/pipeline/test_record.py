@@ -31,7 +31,7 @@ def test_a_record_comes_back(done, folder):
     assert (again.metrics, again.digest, again.versions) == (
         done.metrics, done.digest, dict(done.versions),
     )  # fmt: skip
-    for name in ("world_mm", "sigma_mm", "reason"):
+    for name in ("world_mm", "sigma_z_mm", "reason"):
         found, expected = getattr(again.points, name), getattr(done.points, name)
         np.testing.assert_array_equal(found, expected)
     np.testing.assert_array_equal(again.truth.points_world_mm, done.truth.points_world_mm)

@@ -48,7 +48,7 @@ def bytes_of(done):
         "radiance": np.stack(done.fringes.frames),
         "truth": done.truth.points_world_mm,
         "points": done.points.world_mm,
-        "sigma": done.points.sigma_mm,
+        "sigma": done.points.sigma_z_mm,
     }
     return {"figures": repr(done.metrics)} | {name: a.tobytes() for name, a in arrays.items()}
 

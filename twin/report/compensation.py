@@ -54,7 +54,8 @@ def write_compensation_page(
         kind="compensation",
         title=name.replace("_", " "),
         lead=f"The rigid object behind the measured coat of {name}, by what is known of elastomer "
-        "and load. Nothing of a specimen's nominal shape is used.",
+        "and load. Nothing of a specimen's nominal shape is used, but for the rounding of bars' "
+        "edges.",
         sections=[_object_section(told, parts), _contact_section(told), _layer_section(told)],
     )
     return write_page(folder / REPORT_FILE, page, watch)

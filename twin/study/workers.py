@@ -26,6 +26,7 @@ _THREAD_VARIABLES = (
 
 
 _CONNECT_WITHIN = "20s"
+_WAITS_FOR_EVER = sys.version_info < (3, 11, 5)
 
 
 @dataclass(frozen=True)
@@ -208,9 +209,9 @@ class _LimitedPool(ProcessPoolExecutor):
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
         queue: Any = vars(self).get("_call_queue")
-        if vars(self).get("_broken") and queue is not None:
+        if _WAITS_FOR_EVER and vars(self).get("_broken") and queue is not None:
             # The workers are ended, and what is still being written to them must fail instead of
-            # waiting for a reader: CPython before 3.11.5 waits for ever (its issue 94777).
+            # waiting for a reader (CPython's issue 94777; its later versions close it themselves).
             queue._reader.close()
         super().shutdown(wait, cancel_futures=cancel_futures)
 
