@@ -70,8 +70,9 @@ def test_offset_grows_evenly_as_a_line_becomes_an_edge() -> None:
 def test_offset_is_the_solids_within_its_uncertainty(case: dict[str, Any]) -> None:
     """Both lines of tension, above the bar and beside it, pass an edge as the sheet's theory says.
 
-    Solids find 15 to 20 % less where the sheet lies on the edge, and up to half where a sheet as
-    thick as the edge touches it along a line: shear and squeezing, which the theory leaves out.
+    Solids find 13 to 21 % less where the sheet lies on the edge, and 21 to 46 % where a sheet twice
+    as thick as the edge is round touches it along a line: shear and squeezing, which the theory
+    leaves out. It never errs to the other side.
     """
     for solid in case["travels"]:
         radius = case["edge_mm"] + solid["local_mm"] / 2
@@ -80,7 +81,7 @@ def test_offset_is_the_solids_within_its_uncertainty(case: dict[str, Any]) -> No
         on_edge = tail < radius * 2 * np.sin(turn / 4)
         share = THEORY_ON_EDGE if on_edge else THEORY_OFF_EDGE
         for line in ("beside_um", "above_um"):
-            assert abs(offset - solid[line]) < 1.25 * share * offset
+            assert 0 < offset - solid[line] < 1.1 * share * offset
 
 
 @cache

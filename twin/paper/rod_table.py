@@ -51,8 +51,8 @@ def rods_table(trials: Mapping[str, Sequence[Trial]]) -> Table:
             "middle of the rod.",
             "'true coat' is the same width of the coat itself: the elastomer's share of the error.",
             "'rigid bar' is what `twin compensate` finds behind the measured coat, from thickness, "
-            "modulus and pressure of the nominal sheet and the nominal rounding of the edges; the "
-            "paper compensates nothing.",
+            "modulus and pressure of the nominal sheet; the rounding of the edges is taken as "
+            "known, each trial's own. The paper compensates nothing.",
         ),
     )
 

@@ -64,8 +64,8 @@ def load_figures(found: Compensated, layer: SensorLayer) -> dict[str, Any]:
         return {}
     try:
         modulus, sigma = found.modulus_of_force_kpa(force_n, sigma_n)
-    except FitError:
-        return {}
+    except FitError as error:
+        return {"force_modulus_kpa": None, "force_modulus_why": str(error)}
     return {"force_modulus_kpa": modulus, "force_modulus_sigma_kpa": sigma}
 
 

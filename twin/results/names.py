@@ -55,7 +55,8 @@ def compensated_names(experiment: Experiment) -> set[str]:
     names = [*_OF_A_CONTACT, "thickness_mm"]
     for number in range(1, len(shape_of(experiment.specimen).spheres()) + 1):
         names += [f"sphere_{number}_radius_mm", f"sphere_{number}_radius_sigma_um"]
-    for number in range(1, len(bars_of(experiment.specimen)) + 1):
+    bars = bars_of(experiment.specimen) if may_wrap(experiment.elastomer) else []
+    for number in range(1, len(bars) + 1):
         names += [f"bar_{number}_{name}" for name in _OF_A_BAR]
     return {f"{COMPENSATED}{name}" for name in names}
 
