@@ -97,3 +97,12 @@ def test_the_paper_is_reproduced_on_the_cells_it_was_identified_on(loaded):
     found = {one.name: one.press.cell_mm for one in loaded[1].values() if one.press.cell_mm}
     assert found == {name: COARSE.cells_mm[name] for name in found}
     assert {"two_balls", "nut", "bars_a", "rods_c"} <= set(found)
+
+
+def test_a_quick_look_simulates_enough_to_learn_from(loaded):
+    problem = loaded[0].quick()
+    for name, setup in problem.experiments.items():
+        fields = len(problem.simulated_in(name))
+        assert (setup.count or problem.design.count) >= max(8, 2 * (1 + fields)), name
+        assert problem.refined(name) == 0
+        assert setup.repeats >= min(loaded[0].experiments[name].repeats, 2)

@@ -26,7 +26,8 @@ def identify(
     problem
         TOML file, or the name of a shipped problem such as problems/slab.
     quick
-        A quarter of the simulations, none refined: wider intervals, for a first look.
+        A quarter of the simulations, repeated half as often, none refined: wider intervals,
+        for a first look.
     """
     from twin.config.problem import load_problem
     from twin.identification.record import COMMAND, WRITTEN, write_identified

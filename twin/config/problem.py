@@ -246,7 +246,10 @@ class SensorProblem(Model):
         return {**self.rows, **self.worth, **self.limits}
 
     def quick(self) -> "SensorProblem":
-        """Return the problem with a quarter of the simulations, 10 at least, and none refined."""
+        """Return the problem with a quarter of the simulations and half of the repeats.
+
+        Where there are so many, 12 simulations and 2 repeats stay; none is refined.
+        """
         setups = {name: _quicker(one) for name, one in self.experiments.items()}
         design = _quicker(self.design).model_copy(update={"longest": _QUICK_STEPS})
         return self.model_copy(update={"design": design, "experiments": setups})
@@ -298,9 +301,16 @@ _Counted = TypeVar("_Counted", Setup, Design)
 
 
 def _quicker(one: _Counted) -> _Counted:
-    """Return the counts of an experiment or a design with a quarter of the simulations."""
-    fewer = {"count": None if one.count is None else max(min(one.count, 10), one.count // 4)}
-    return one.model_copy(update=fewer | {"refine": 0})
+    """Return the counts of an experiment or a design for a quick look."""
+    fewer: dict[str, int | None] = {"refine": 0, "count": _fewer(one.count, 12, 4)}
+    if isinstance(one, Setup):
+        fewer["repeats"] = _fewer(one.repeats, 2, 2)
+    return one.model_copy(update=fewer)
+
+
+def _fewer(count: int | None, least: int, share: int) -> int | None:
+    """Return a share of a count, but no fewer than `least` of it."""
+    return None if count is None else max(min(count, least), count // share)
 
 
 def _named(where: str, used: Mapping[str, tuple[str, ...]], known: Any) -> None:
