@@ -6,23 +6,41 @@ from reconstruction.compensation.known_ball import CalibratedSheet, calibrate_sh
 from reconstruction.compensation.parts import Compensated, ObjectPart, parts_of
 from reconstruction.compensation.relief import Relief, SheetOpening, relief_on_frame
 from reconstruction.compensation.sheet import CompensatedSheet, SheetLayer, compensate_sheet
+from reconstruction.compensation.slab import (
+    CoatSlopes,
+    CompensatedSlab,
+    FittedNumber,
+    FittedSlab,
+    KnownForce,
+    SlabCoat,
+    SlabModel,
+    fit_under_slab,
+)
 
 __all__ = [
     "BarPlace",
     "BarUnderSheet",
     "CalibratedSheet",
+    "CoatSlopes",
     "Compensated",
     "CompensatedGel",
     "CompensatedSheet",
+    "CompensatedSlab",
+    "FittedNumber",
+    "FittedSlab",
     "GelLayer",
+    "KnownForce",
     "ObjectPart",
     "Relief",
     "SheetLayer",
     "SheetOpening",
+    "SlabCoat",
+    "SlabModel",
     "bar_under_sheet",
     "calibrate_sheet",
     "compensate_gel",
     "compensate_sheet",
+    "fit_under_slab",
     "parts_of",
     "relief_on_frame",
 ]

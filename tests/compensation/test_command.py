@@ -14,9 +14,12 @@ from reconstruction.netcdf import read_arrays
 from reconstruction.pipeline import read_reconstruction, write_reconstruction
 from reconstruction.triangulation import PointMap
 from tests.compensation.sheets import RIM_MM, YOUNG_KPA, pressed_ball
+from tests.compensation.slabs import SPAN_MM, coat_points, pressed, slab
 from twin.cli import run
 from twin.config import load_experiment
+from twin.config.objects import Brick
 from twin.config.sensor_layer import load_sensor_layer
+from twin.config.specimens import Ball
 from twin.pipeline.compensation import compensated_figures
 
 LAYER = f"""[elastomer]
@@ -30,6 +33,22 @@ poisson_ratio = 0.49
 back_pressure_kpa = 2.0
 [sigma]
 thickness_mm = 0.004
+"""
+
+SLAB = f"""[elastomer]
+thickness_mm = 3.0
+length_x_mm = {SPAN_MM}
+length_y_mm = {SPAN_MM}
+young_modulus_kpa = 400.0
+poisson_ratio = 0.49
+[press]
+back_pressure_kpa = 10.0
+depth_mm = 0.7
+[sigma]
+depth_mm = 0.002
+[specimen]
+kind = "ball"
+diameter_mm = 7.0
 """
 
 
@@ -48,12 +67,38 @@ def coat_map() -> PointMap:
     return PointMap(points, sigma, reason, pose)
 
 
+def slab_map() -> PointMap:
+    """Return the coat of a ball under a slab, pressed 0.7 mm under air, 3 um of noise."""
+    heights = pressed(Ball(diameter_mm=8.0), slab(), 0.7, air_kpa=10.0).coat_mm
+    points, sigma = coat_points(heights, 3e-3)
+    shape = heights.shape
+    sigma_xyz = np.broadcast_to(np.float32(sigma[0]), (*shape, 3)).copy()
+    reason = np.full(shape, Reason.VALID, np.uint8)
+    pose = np.diag([1.0, -1.0, -1.0, 1.0])
+    pose[2, 3] = 200.0
+    return PointMap(points.reshape(*shape, 3).astype(np.float32), sigma_xyz, reason, pose)
+
+
 @pytest.fixture(scope="module")
 def measured(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder as `twin reconstruct` leaves it, with a layer file beside it."""
     folder = tmp_path_factory.mktemp("coat") / "result"
+    write_result(folder, coat_map())
+    (folder.parent / "layer.toml").write_text(LAYER)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def under_slab(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The same of a slab."""
+    folder = tmp_path_factory.mktemp("slab") / "result"
+    write_result(folder, slab_map())
+    (folder.parent / "layer.toml").write_text(SLAB)
+    return folder
+
+
+def write_result(folder: Path, coat: PointMap) -> None:
     folder.mkdir()
-    coat = coat_map()
     shape = coat.mask_reason.shape
     blank = AxisDecode(
         **{
@@ -63,8 +108,6 @@ def measured(tmp_path_factory: pytest.TempPathFactory) -> Path:
     )
     decoded = Decoded(blank, blank, coat.mask_reason)
     write_reconstruction(folder / "reconstruction.nc", decoded, coat)
-    (folder.parent / "layer.toml").write_text(LAYER)
-    return folder
 
 
 def test_object_is_written_as_points_and_figures(measured: Path, tmp_path: Path) -> None:
@@ -140,9 +183,46 @@ def test_a_ball_calibrates_the_layer(measured: Path, tmp_path: Path) -> None:
     assert layer.elastomer.young_modulus_kpa == pytest.approx(YOUNG_KPA, rel=0.06)
 
 
-def test_a_slab_has_no_compensated_figures() -> None:
-    """They stand beside a measurement's own only where the elastomer wraps."""
-    assert compensated_figures(load_experiment("examples/slab_ball"), coat_map()) == {}
+def test_of_a_slab_the_numbers_of_the_object_are_told(under_slab: Path, tmp_path: Path) -> None:
+    out, layer = tmp_path / "object", under_slab.parent / "layer.toml"
+    arguments = ["compensate", str(under_slab), "--layer", str(layer)]
+    assert run([*arguments, "-o", str(out)]) == 0
+    figures = json.loads((out / "result.json").read_text())["metrics"]
+    u = figures["compensated_diameter_sigma_um"]
+    assert figures["compensated_diameter_mm"] == pytest.approx(8.0, abs=0.1)
+    assert figures["compensated_diameter_crb_um"] < 0.3 * u  # large strain is not known
+    assert figures["compensated_travel_mm"] == pytest.approx(0.7, abs=4e-3)
+    assert figures["compensated_force_n"] > 0.1
+    page = (out / "report.html").read_text()
+    assert "specimen.diameter_mm" in page
+    assert "bound by noise" in page
+    found = read_reconstruction(out / "reconstruction.nc").point_map
+    away = np.linalg.norm(found.points_world_mm[found.valid] - [0, 0, 0.7 - 3.0 - 4.0], axis=1)
+    assert np.median(np.abs(away - 4.0)) < 0.02
+    calibrated = tmp_path / "calibrated"
+    known = ["--ball-diameter-mm", "8", "--no-report", "-o", str(calibrated)]
+    assert run([*arguments, *known]) == 0
+    told = load_sensor_layer(calibrated / "layer.toml")
+    assert told.elastomer.thickness_mm == pytest.approx(3.0, abs=2e-3)
+    assert told.elastomer.young_modulus_kpa == pytest.approx(400.0, abs=2.0)
+    assert told.specimen is not None  # a layer that later presses go on with
+
+
+def test_of_a_slab_without_a_known_form_it_says_what_to_give(
+    under_slab: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    layer = tmp_path / "layer.toml"
+    layer.write_text(SLAB[: SLAB.index("[specimen]")])
+    arguments = ["compensate", str(under_slab), "--layer", str(layer), "-o", str(tmp_path / "out")]
+    assert run(arguments) == 2
+    assert "tell [specimen] in the layer file" in capsys.readouterr().err
+
+
+def test_what_cannot_be_compensated_has_no_figures() -> None:
+    """They stand beside a measurement's own where the elastomer wraps, or the form is fitted."""
+    slab_ball = load_experiment("examples/slab_ball")
+    brick = slab_ball.model_copy(update={"specimen": Brick()})
+    assert compensated_figures(brick, coat_map()) == {}
     sheet = load_experiment("examples/wrapped_balls")
     blind = coat_map()
     blind = replace(blind, mask_reason=np.full_like(blind.mask_reason, Reason.DARK))

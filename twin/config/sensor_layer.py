@@ -3,6 +3,7 @@
 `twin compensate RESULT --layer layer.toml`; docs/compensation.md explains every key.
 """
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import tomli_w
@@ -11,9 +12,21 @@ from pydantic import Field
 from twin.config.base import Model, NonNegative, Positive
 from twin.config.elastomer import Elastomer
 from twin.config.loading import read_toml, resolve_uses
-from twin.config.models import Experiment, Provenance
+from twin.config.models import AnySpecimen, Experiment, Provenance
 from twin.config.quantities import check_ranges, convert_units, split_quantities
 from twin.config.schema import validated
+
+WANTED: Mapping[str, tuple[str, ...]] = {
+    "ball": ("diameter_mm", "x_mm", "y_mm"),
+    "two_balls": ("diameter_mm", "separation_mm", "x_mm", "y_mm", "yaw_deg"),
+    "rod": ("diameter_mm", "x_mm", "y_mm", "yaw_deg"),
+    "flat": ("diameter_mm", "x_mm", "y_mm"),
+    "bar": ("width_mm", "x_mm", "y_mm", "yaw_deg"),
+    "step": ("height_mm", "x_mm"),
+    "v_groove": ("depth_mm", "x_mm"),
+    "grating": ("groove_mm", "x_mm"),
+}
+"""What is fitted of each kind of specimen under a thick slab where nothing else is asked for."""
 
 
 class MeasuredLoad(Model):
@@ -35,8 +48,14 @@ class LayerSigma(Model):
     )
     pre_stretch: NonNegative = 0.0
     back_pressure_kpa: NonNegative = 0.0
-    depth_mm: NonNegative = 0.0
+    depth_mm: NonNegative | None = Field(
+        default=None, description="of the travel; absent: a travel that is told counts as unknown"
+    )
     force_n: NonNegative = 0.0
+    plane_mm: NonNegative = Field(
+        default=0.0,
+        description="of z = 0, and of each tilt's lift at the rim, against the undeformed coat",
+    )
 
 
 class PressedBar(Model):
@@ -62,6 +81,14 @@ class SensorLayer(Model):
     sigma: LayerSigma = LayerSigma()
     bar: tuple[PressedBar, ...] = Field(
         default=(), description="bars whose widths are wanted; default: the experiment's"
+    )
+    specimen: AnySpecimen | None = Field(
+        default=None,
+        description="what presses under a slab thicker than 1 mm: of known form, its numbers about "
+        "right; default: the experiment's",
+    )
+    fitted: tuple[str, ...] = Field(
+        default=(), description="numbers of the specimen that are wanted; default: by its kind"
     )
     provenance: dict[str, Provenance] = Field(
         default_factory=dict, description="source and valid range by dotted path"
@@ -89,7 +116,8 @@ def sensor_layer_of(experiment: Experiment) -> SensorLayer:
     load = MeasuredLoad(
         back_pressure_kpa=press.back_pressure_kpa, depth_mm=press.depth_mm, force_n=press.force_n
     )
-    return SensorLayer(elastomer=experiment.elastomer, press=load)
+    sigma = LayerSigma(depth_mm=None if press.depth_mm is None else 0.0)
+    return SensorLayer(elastomer=experiment.elastomer, press=load, sigma=sigma)
 
 
 def layer_to_toml(layer: SensorLayer) -> str:

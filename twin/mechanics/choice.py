@@ -144,6 +144,12 @@ def may_wrap(elastomer: Elastomer) -> bool:
     return thin and elastomer.layout == "opposite_face" and elastomer.film is None
 
 
+def is_slab(elastomer: Elastomer) -> bool:
+    """Tell whether an elastomer is a slab with a rectangular rim, too thick to wrap."""
+    thick = elastomer.thickness_mm > SHEET_THICKNESS_MM[1]
+    return thick and elastomer.layout == "opposite_face" and elastomer.outline != "round"
+
+
 def choose_model(
     slab: PressedElastomer | None, shape: Shape, elastomer: Elastomer, load: Press
 ) -> str:

@@ -40,13 +40,15 @@ from twin.config.sensor_layer import (
     load_sensor_layer,
     sensor_layer_of,
 )
-from twin.mechanics.choice import may_wrap
+from twin.config.specimen_base import Specimen
+from twin.mechanics.choice import is_slab, may_wrap
 from twin.mechanics.hardness import young_modulus
 from twin.mechanics.layer import BondedLayer
 from twin.mechanics.layouts import WINDOW_MARGIN, coat_film
 from twin.output import EXPERIMENT_FILE, output_folder, write_outcome
 from twin.pipeline.dimensions import RECONSTRUCTION_FILE
 from twin.pipeline.progress import ProgressCallback, no_progress
+from twin.pipeline.slab_object import calibrate_slab, fit_slab, sigma_of_modulus, slab_object
 from twin.results.compensated import (
     contact_arrays,
     load_figures,
@@ -117,9 +119,10 @@ def compensate_result(
         watch("read", 1.0)
         watch("compensate", 0.0)
         figures: dict[str, Any] = {}
+        points, specimen = measured.point_map, experiment.specimen if experiment else None
         if ball_diameter_mm is not None:
-            layer, figures = calibrated_layer(measured.point_map, layer, ball_diameter_mm)
-        found = compensate_points(measured.point_map, layer)
+            layer, figures = calibrated_layer(points, layer, ball_diameter_mm, specimen)
+        found = compensate_points(points, layer, specimen)
         watch("compensate", 1.0)
         balls = shape_of(experiment.specimen).spheres() if experiment else ()
         figures |= object_figures(found, balls, _bars(layer, experiment))
@@ -133,25 +136,31 @@ def compensate_result(
             else layer_to_toml(layer),
             encoding="utf-8",
         )
-        points = measured.point_map
         digest = content_digest(layer, points.points_world_mm, points.mask_reason)
         write_outcome(target, "compensate", figures, digest=digest)
     return figures
 
 
-def compensate_points(points: PointMap, layer: SensorLayer) -> Compensated:
-    """Compensate measured points by what carries them: a thin sheet, or a gel on a window.
+def compensate_points(
+    points: PointMap, layer: SensorLayer, specimen: Specimen | None = None
+) -> Compensated:
+    """Compensate measured points by what carries them: thin sheet, gel on a window, thick slab.
+
+    Parameters
+    ----------
+    specimen : the form whose numbers are fitted under a thick slab, where the layer tells none
 
     Raises
     ------
     InputError : a layout that is not known, or points that tell no object
     """
     elastomer = layer.elastomer
-    on_window = elastomer.layout == "contact_face"
-    if not (on_window or may_wrap(elastomer)):
+    on_window, thin = elastomer.layout == "contact_face", may_wrap(elastomer)
+    if not (on_window or thin or is_slab(elastomer)):
         raise InputError(
-            f"elastomer: found {elastomer.layout}, {elastomer.thickness_mm:g} mm thick; free forms "
-            "are found under a sheet of up to 1 mm with no film, or with layout = 'contact_face'"
+            f"elastomer: found {elastomer.layout}, {elastomer.thickness_mm:g} mm thick; objects "
+            "are found under a sheet of up to 1 mm with no film, under a thicker slab with a "
+            "rectangular rim, or with layout = 'contact_face'"
         )
     valid = points.valid
     if not valid.any():
@@ -160,31 +169,36 @@ def compensate_points(points: PointMap, layer: SensorLayer) -> Compensated:
     sigma_mm = at_pixels(points.sigma_z_mm, valid).astype(np.float64)
     if on_window:
         return _on_gel(found, sigma_mm, layer)
-    return compensate_sheet(found, sigma_mm, sheet_layer(layer))
+    if thin:
+        return compensate_sheet(found, sigma_mm, sheet_layer(layer))
+    return fit_slab(found, sigma_mm, slab_object(layer, specimen))
 
 
 def calibrated_layer(
-    points: PointMap, layer: SensorLayer, ball_diameter_mm: float
+    points: PointMap,
+    layer: SensorLayer,
+    ball_diameter_mm: float,
+    specimen: Specimen | None = None,
 ) -> tuple[SensorLayer, dict[str, Any]]:
-    """Fit thickness and modulus of a sheet to a press of known balls; the layer, and the figures.
+    """Fit thickness and modulus to a press of known balls; the layer, and the figures.
 
     Raises
     ------
-    InputError : the elastomer is no thin sheet, or no ball is found
+    InputError : the elastomer is neither sheet nor slab, or no ball is found
     """
-    elastomer = layer.elastomer
+    elastomer, valid = layer.elastomer, points.valid
+    measured = (
+        at_pixels(points.points_world_mm, valid).astype(np.float64),
+        at_pixels(points.sigma_z_mm, valid).astype(np.float64),
+    )
+    if is_slab(elastomer):
+        return calibrate_slab(*measured, slab_object(layer, specimen), ball_diameter_mm)
     if not may_wrap(elastomer):
         raise InputError(
             f"--ball-diameter-mm: found {elastomer.layout}, {elastomer.thickness_mm:g} mm thick; a "
-            "ball calibrates a sheet of up to 1 mm with layout = 'opposite_face'"
+            "ball calibrates a sheet or slab with layout = 'opposite_face'"
         )
-    valid = points.valid
-    found = calibrate_sheet(
-        at_pixels(points.points_world_mm, valid).astype(np.float64),
-        at_pixels(points.sigma_z_mm, valid).astype(np.float64),
-        sheet_layer(layer),
-        ball_diameter_mm / 2,
-    )
+    found = calibrate_sheet(*measured, sheet_layer(layer), ball_diameter_mm / 2)
     sheet = found.layer
     known = {"shore_a": None, "shore_00": None, "young_modulus_kpa": sheet.young_modulus_kpa}
     changed = elastomer.model_dump() | known | {"thickness_mm": sheet.thickness_mm}
@@ -243,7 +257,7 @@ def _on_gel(points_mm: FloatArray, sigma_mm: FloatArray, layer: SensorLayer) -> 
         film=coat_film(elastomer, modulus.best_kpa),
     )
     gel = GelLayer(
-        bonded.deflect, (margins[1], margins[0]), modulus.best_kpa, _sigma_of_modulus(layer)
+        bonded.deflect, (margins[1], margins[0]), modulus.best_kpa, sigma_of_modulus(layer)
     )
     return compensate_gel(relief, gel)
 
@@ -255,14 +269,6 @@ def _margin(cells: int, pitch_mm: float, thickness_mm: float) -> int:
     while (total - cells) % 2:
         total = fft.next_fast_len(total + 1, real=True)
     return int(total - cells) // 2
-
-
-def _sigma_of_modulus(layer: SensorLayer) -> float:
-    """Return the modulus' standard uncertainty: given, or that of all its range as likely."""
-    if layer.sigma.young_modulus_kpa is not None:
-        return layer.sigma.young_modulus_kpa
-    modulus = young_modulus(layer.elastomer)
-    return float((modulus.high_kpa - modulus.low_kpa) / np.sqrt(12.0))
 
 
 def sheet_layer(layer: SensorLayer) -> SheetLayer:
@@ -279,7 +285,7 @@ def sheet_layer(layer: SensorLayer) -> SheetLayer:
         back_pressure_kpa=layer.press.back_pressure_kpa,
         sticks=elastomer.sticks,
         sigma_thickness_mm=sigma.thickness_mm,
-        sigma_young_modulus_kpa=_sigma_of_modulus(layer),
+        sigma_young_modulus_kpa=sigma_of_modulus(layer),
         sigma_pre_stretch=sigma.pre_stretch,
         sigma_back_pressure_kpa=sigma.back_pressure_kpa,
     )
@@ -308,7 +314,8 @@ def compensated_figures(
     if not may_compensate(experiment):
         return {}
     try:
-        found = compensate_points(points, layer or sensor_layer_of(experiment))
+        believed = layer or sensor_layer_of(experiment)
+        found = compensate_points(points, believed, experiment.specimen)
     except InputError as error:
         return {"compensation_failure": str(error)}
     balls = shape_of(experiment.specimen).spheres()

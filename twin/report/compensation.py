@@ -12,6 +12,7 @@ from matplotlib.axes import Axes
 from reconstruction.compensation import (
     Compensated,
     CompensatedSheet,
+    CompensatedSlab,
     ObjectPart,
     parts_of,
 )
@@ -49,14 +50,18 @@ def write_compensation_page(
     ------
     InputError : the page cannot be written
     """
-    parts = parts_of(told.found)
+    used = "Nothing of a specimen's nominal shape is used, but for the rounding of bars' edges."
+    if isinstance(told.found, CompensatedSlab):
+        used = "Of the specimen its form is used, and the numbers that are not fitted."
+        first = _numbers_section(told, told.found)
+    else:
+        first = _object_section(told, parts_of(told.found))
     page = Page(
         kind="compensation",
         title=name.replace("_", " "),
         lead=f"The rigid object behind the measured coat of {name}, by what is known of elastomer "
-        "and load. Nothing of a specimen's nominal shape is used, but for the rounding of bars' "
-        "edges.",
-        sections=[_object_section(told, parts), _contact_section(told), _layer_section(told)],
+        f"and load. {used}",
+        sections=[first, _contact_section(told), _layer_section(told)],
     )
     return write_page(folder / REPORT_FILE, page, watch)
 
@@ -87,15 +92,7 @@ def _object_section(told: CompensationResult, parts: list[ObjectPart]) -> Sectio
         Column("residual", "RMS from the form, µm", 1),
         Column("pressure", "mean pressure, kPa", 2),
     )
-    picture = Figure(
-        COMPENSATION_PICTURE,
-        "Coat, contact, and a section of the object",
-        "Maps over world x and y. In the section the object is told where the sheet touches it; "
-        "between, the touched face hangs free.",
-        "Maps of coat, contact pressure and local thickness; section of coat and object.",
-        partial(draw_compensation, found=told.found),
-    )
-    blocks: list[Block] = [picture]
+    blocks: list[Block] = [_picture(told)]
     if rows:
         blocks.append(Table("parts", "", "", columns, tuple(rows)))
     else:
@@ -103,6 +100,48 @@ def _object_section(told: CompensationResult, parts: list[ObjectPart]) -> Sectio
     blocks += _bars(told)
     blocks.append(Note("u: standard uncertainty, by noise and texture, and by the layer's."))
     return Section("object", "The object", tuple(blocks))
+
+
+def _picture(told: CompensationResult) -> Figure:
+    return Figure(
+        COMPENSATION_PICTURE,
+        "Coat, contact, and a section of the object",
+        "Maps over world x and y. In the section the object is told where the elastomer touches "
+        "it; between, the touched face is free.",
+        "Maps of coat, contact pressure and local thickness; section of coat and object.",
+        partial(draw_compensation, found=told.found),
+    )
+
+
+def _numbers_section(told: CompensationResult, found: CompensatedSlab) -> Section:
+    """Return the object under a slab: the numbers that were fitted."""
+    fitted = found.fitted
+    rows: list[Row] = [
+        {
+            "what": one.name,
+            "begun": one.start,
+            "value": fitted.value(one.name),
+            "sigma": fitted.sigma(one.name),
+            "bound": fitted.bound_sigma(one.name),
+        }
+        for one in fitted.unknowns
+    ]
+    columns = (
+        Column("what", "number"),
+        Column("begun", "begun at", 4),
+        Column("value", "fitted", 4),
+        Column("sigma", "u", 4),
+        Column("bound", "bound by noise", 5),
+    )
+    note = Note(
+        "u: standard uncertainty, by noise, by what is open of the layer, by the grid of the "
+        "contact, and by large strain, which the linear slab leaves out. Bound by noise: the least "
+        "standard deviation of any unbiased fit (Cramer-Rao). "
+        f"Misfit of the coat {1e3 * fitted.misfit_mm:.2f} µm RMS, chi-square per degree of freedom "
+        f"{fitted.chi_square:.2f}."
+    )
+    blocks = (_picture(told), Table("numbers", "", "", columns, tuple(rows)), note)
+    return Section("object", "The object", blocks)
 
 
 def _bars(told: CompensationResult) -> Iterator[Block]:

@@ -14,6 +14,8 @@ from reconstruction.compensation import (
     Compensated,
     CompensatedGel,
     CompensatedSheet,
+    CompensatedSlab,
+    FittedSlab,
     ObjectPart,
     bar_under_sheet,
     parts_of,
@@ -36,7 +38,7 @@ def object_figures(
     ----------
     balls, bars : where they are nominally, so that figures can be named after them
     """
-    parts = parts_of(found)
+    parts = [] if isinstance(found, CompensatedSlab) else parts_of(found)
     figures: dict[str, Any] = {
         "compensated_force_n": found.force_n,
         "compensated_force_sigma_n": found.force_sigma_n,
@@ -46,6 +48,8 @@ def object_figures(
         figures |= _sheet_figures(found)
     if isinstance(found, CompensatedGel):
         figures["misfit_um"] = _UM * found.misfit_mm
+    if isinstance(found, CompensatedSlab):
+        return figures | _slab_figures(found.fitted, balls)
     figures["parts"] = len(parts)
     for number, part in enumerate(parts, 1):
         figures |= {f"part_{number}_{name}": one for name, one in _part_figures(part).items()}
@@ -55,6 +59,41 @@ def object_figures(
         if isinstance(found, CompensatedSheet):
             figures |= _bar_figures(f"compensated_bar_{number}", found, bar)
     return figures
+
+
+def _slab_figures(fitted: FittedSlab, balls: Sequence[Sphere]) -> dict[str, Any]:
+    """Return the numbers of an object under a slab, each with uncertainty and bound."""
+    figures: dict[str, Any] = {"misfit_um": _UM * fitted.misfit_mm, "chi_square": fitted.chi_square}
+    for one in fitted.unknowns:
+        table, _, path = one.name.partition(".")
+        if one.name == "press.depth_mm":
+            path = "travel_mm"
+        elif table != "specimen":
+            continue
+        figures |= _number_figures(f"compensated_{slab_name(path)}", path, fitted, one.name)
+    if "specimen.diameter_mm" in [one.name for one in fitted.unknowns]:
+        radius, sigma = (of("specimen.diameter_mm") / 2 for of in (fitted.value, fitted.sigma))
+        for number in range(1, len(balls) + 1):
+            name = f"compensated_sphere_{number}_radius"
+            figures |= {f"{name}_mm": radius, f"{name}_sigma_um": _UM * sigma}
+    return figures
+
+
+def _number_figures(name: str, path: str, fitted: FittedSlab, unknown: str) -> dict[str, Any]:
+    value, sigma, bound = (of(unknown) for of in (fitted.value, fitted.sigma, fitted.bound_sigma))
+    if path.endswith("_deg"):
+        return {f"{name}_deg": value, f"{name}_sigma_deg": sigma, f"{name}_crb_deg": bound}
+    return {f"{name}_mm": value, f"{name}_sigma_um": _UM * sigma, f"{name}_crb_um": _UM * bound}
+
+
+def slab_name(path: str) -> str:
+    """Return a number's name without its unit: `diameter` of `diameter_mm`.
+
+    >>> slab_name("widths_mm.0")
+    'widths_0'
+    """
+    parts = path.split(".")
+    return "_".join(one.removesuffix("_mm").removesuffix("_deg") for one in parts)
 
 
 def load_figures(found: Compensated, layer: SensorLayer) -> dict[str, Any]:

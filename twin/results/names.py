@@ -4,13 +4,16 @@ A study that ranks by a figure which no case will have must say so before its fi
 measures by every method and finds no figure that is not named here.
 """
 
+from collections.abc import Iterator
 from dataclasses import fields
 
 from reconstruction.evaluate.conformity import CombinedUncertainty
 from twin.config.models import Experiment
 from twin.config.objects import Nut
-from twin.mechanics.choice import may_wrap
+from twin.config.sensor_layer import WANTED
+from twin.mechanics.choice import is_slab, may_wrap
 from twin.results.bound import bound_names
+from twin.results.compensated import slab_name
 from twin.results.features import bars_of, feature_of, features_of, measurands_of, nominal_mm
 from twin.results.object_score import (
     MeasuredQuantity,
@@ -42,10 +45,14 @@ _OF_A_BAR = ("width_mm", "width_sigma_um", "turn_deg", "sheet_on_edge", "width_w
 
 
 def may_compensate(experiment: Experiment) -> bool:
-    """Tell whether the object behind a measured coat is found: under a sheet, or on a window."""
+    """Tell whether the object behind a measured coat is found: under a sheet, or on a window.
+
+    Or, of a form whose numbers are fitted, under a slab.
+    """
     elastomer, method = experiment.elastomer, experiment.method
-    on_window = elastomer.layout == "contact_face"
-    return method.fringes and method.presses and (on_window or may_wrap(elastomer))
+    free_form = elastomer.layout == "contact_face" or may_wrap(elastomer)
+    fitted = is_slab(elastomer) and experiment.specimen.kind in WANTED
+    return method.fringes and method.presses and (free_form or fitted)
 
 
 def compensated_names(experiment: Experiment) -> set[str]:
@@ -53,12 +60,20 @@ def compensated_names(experiment: Experiment) -> set[str]:
     if not may_compensate(experiment):
         return set()
     names = [*_OF_A_CONTACT, "thickness_mm"]
+    if is_slab(experiment.elastomer):
+        names = [*_OF_A_CONTACT, *_of_a_slab(WANTED[experiment.specimen.kind])]
     for number in range(1, len(shape_of(experiment.specimen).spheres()) + 1):
         names += [f"sphere_{number}_radius_mm", f"sphere_{number}_radius_sigma_um"]
     bars = bars_of(experiment.specimen) if may_wrap(experiment.elastomer) else []
     for number in range(1, len(bars) + 1):
         names += [f"bar_{number}_{name}" for name in _OF_A_BAR]
     return {f"{COMPENSATED}{name}" for name in names}
+
+
+def _of_a_slab(wanted: tuple[str, ...]) -> Iterator[str]:
+    for path in (*wanted, "travel_mm"):
+        of, name = ("deg", "deg") if path.endswith("_deg") else ("mm", "um"), slab_name(path)
+        yield from (f"{name}_{of[0]}", f"{name}_sigma_{of[1]}", f"{name}_crb_{of[1]}")
 
 
 def figure_names(experiment: Experiment) -> set[str]:

@@ -1,0 +1,63 @@
+"""Coats of objects pressed into a thick slab by the spectral model on a finer grid, with noise."""
+
+import numpy as np
+
+from reconstruction.arrays import FloatArray
+from twin.config.elastomer import Elastomer
+from twin.config.models import AnySpecimen, Press
+from twin.config.sensor_layer import LayerSigma, MeasuredLoad, SensorLayer
+from twin.mechanics.slab_tangent import SolvedSlab, solve_slab
+
+MODULUS_KPA = 400.0
+SPAN_MM = 16.0
+FINE_MM = 0.04
+COAT_CELL_MM = 0.1
+
+
+def slab(thickness_mm: float = 3.0, modulus_kpa: float = MODULUS_KPA) -> Elastomer:
+    """Return a slab on a simply supported square rim."""
+    return Elastomer(
+        thickness_mm=thickness_mm,
+        length_x_mm=SPAN_MM,
+        length_y_mm=SPAN_MM,
+        young_modulus_kpa=modulus_kpa,
+        poisson_ratio=0.49,
+    )
+
+
+def layer_of(elastomer: Elastomer, air_kpa: float = 0.0, **sigma: float) -> SensorLayer:
+    """Return what is known of a slab, its modulus exactly unless told otherwise."""
+    return SensorLayer(
+        elastomer=elastomer,
+        press=MeasuredLoad(back_pressure_kpa=air_kpa),
+        sigma=LayerSigma(**{"young_modulus_kpa": 0.0} | sigma),
+    )
+
+
+def with_load(layer: SensorLayer, sigma: dict[str, float], **load: float) -> SensorLayer:
+    """Return a layer with what stage or gauge told of the press, and how well."""
+    changed = {"press": layer.press.model_copy(update=load)}
+    return layer.model_copy(update=changed | {"sigma": layer.sigma.model_copy(update=sigma)})
+
+
+def pressed(
+    specimen: AnySpecimen, elastomer: Elastomer, depth_mm: float, air_kpa: float = 0.0,
+    pitch_mm: float = FINE_MM,
+) -> SolvedSlab:  # fmt: skip
+    """Press a specimen into a slab."""
+    load = Press(
+        control="depth", depth_mm=depth_mm, back_pressure_kpa=air_kpa, solver_pitch_mm=pitch_mm
+    )
+    cells = round(elastomer.length_x_mm / COAT_CELL_MM)
+    return solve_slab(specimen, elastomer, load, (cells, cells))
+
+
+def coat_points(
+    heights_mm: FloatArray, noise_mm: float, seed: int = 0
+) -> tuple[FloatArray, FloatArray]:
+    """Return points (n, xyz) of a coat at the middles of its cells, and their sigma (n,)."""
+    count = len(heights_mm)
+    places = (np.arange(count) + 0.5) * (SPAN_MM / count) - SPAN_MM / 2
+    x, y = np.meshgrid(places, places)
+    z = heights_mm + np.random.default_rng(seed).normal(scale=noise_mm, size=x.shape)
+    return np.stack((x, y, z), axis=-1).reshape(-1, 3), np.full(x.size, noise_mm)

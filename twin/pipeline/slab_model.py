@@ -1,0 +1,239 @@
+"""An object of known form under a slab: its numbers, and the coat that they make.
+
+Numbers are named by dotted paths of an experiment: `specimen.diameter_mm`, `press.depth_mm`,
+`elastomer.thickness_mm`; and `plane.*` for the undeformed coat in the frame of the points.
+"""
+
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import numpy as np
+from pydantic import ValidationError
+
+from reconstruction.arrays import FloatArray
+from reconstruction.compensation import CoatSlopes, Relief, SlabCoat
+from reconstruction.errors import FitError, InputError
+from twin.config.models import Elastomer, Press
+from twin.config.sensor_layer import SensorLayer
+from twin.config.specimen_base import Specimen
+from twin.mechanics.errors import PressError, SolverError
+from twin.mechanics.hardness import young_modulus
+from twin.mechanics.slab_tangent import CoatMove, SlabData, SolvedSlab, solve_slab
+from twin.specimens import shape_of
+
+TRAVEL, THICKNESS, MODULUS, AIR = (
+    "press.depth_mm",
+    "elastomer.thickness_mm",
+    "elastomer.young_modulus_kpa",
+    "press.back_pressure_kpa",
+)
+STRAIN = "theory.large_strain"
+PLANE = ("plane.z_mm", "plane.lift_x_mm", "plane.lift_y_mm")
+_OF_THE_SPECIMEN = "specimen."
+_STEP_MM = 1e-4
+# Of the layer's numbers, as a share of them.
+_SMALL_SHARE = 1e-4
+# What large strain takes off the coat's height u: share of depth over thickness, and the power of u
+# with which it falls (docs/compensation.md).
+_THEORY_SHARE, _THEORY_POWER, _THEORY_LEFT = 0.1, 4.0, 0.3
+
+
+@dataclass(frozen=True)
+class SlabObject:
+    """What presses, into what, and which of its numbers are wanted.
+
+    Attributes
+    ----------
+    specimen : of the form that is known, about where it is and as large as it is
+    wanted : numbers of the specimen, such as `diameter_mm`
+    theory : whether what the linear slab leaves out counts as uncertainty
+    """
+
+    specimen: Specimen
+    wanted: tuple[str, ...]
+    layer: SensorLayer
+    theory: bool = True
+
+    @property
+    def elastomer(self) -> Elastomer:
+        """The slab, its modulus a number of its own."""
+        return with_modulus(self.layer.elastomer, young_modulus(self.layer.elastomer).best_kpa)
+
+    @property
+    def load(self) -> Press:
+        """The press with the travel that was told, or a start for it."""
+        told = self.layer.press
+        start = told.depth_mm or min(0.5, 0.5 * self.layer.elastomer.thickness_mm)
+        return Press(
+            control="depth",
+            depth_mm=start,
+            back_pressure_kpa=told.back_pressure_kpa,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class PressedCoat:
+    """The coat by the layer's own solution, for values of the named numbers."""
+
+    asked: SlabObject
+    relief: Relief
+    names: tuple[str, ...]
+    solver_pitch_mm: float
+
+    def __call__(self, values: FloatArray) -> SlabCoat:
+        """Return the coat with these values; FitError where there is no such press."""
+        try:
+            solved = self.solved(values)
+        except (PressError, SolverError) as error:
+            raise FitError(f"slab: no such press: {error}") from None
+        lifted = solved.coat_mm.copy()
+        for value, name in zip(values.tolist(), self.names, strict=True):
+            if name in (*PLANE, STRAIN):
+                lifted += value * self._added(solved, name)
+        return SlabCoat(
+            coat_mm=lifted,
+            force_n=_kpa(solved) * solved.force_mm2,
+            slopes=cache(lambda: self._slopes(solved, values)),
+            theory_mm=(_left_out_mm(solved),) if self.asked.theory else (),
+        )
+
+    def _slopes(self, solved: SolvedSlab, values: FloatArray) -> CoatSlopes:
+        moves = [self._move(solved, values, name) for name in self.names]
+        force_n = _kpa(solved) * np.array([move.force_mm2 for move in moves])
+        if MODULUS in self.names:
+            force_n[self.names.index(MODULUS)] += 1e-3 * solved.force_mm2
+        return CoatSlopes(np.stack([move.coat_mm for move in moves]), force_n)
+
+    def solved(self, values: FloatArray) -> SolvedSlab:
+        """Return the press with these values."""
+        specimen, (elastomer, load) = self.specimen(values), self._data(values)
+        return solve_slab(specimen, elastomer, load, self.relief.heights_mm.shape)
+
+    def _move(self, solved: SolvedSlab, values: FloatArray, name: str) -> CoatMove:
+        if name in (*PLANE, STRAIN):
+            return CoatMove(self._added(solved, name), 0.0)
+        if name == TRAVEL:
+            return solved.moved_by_travel()
+        place = self.names.index(name)
+        if not name.startswith(_OF_THE_SPECIMEN):
+            step = _SMALL_SHARE * max(float(values[place]), 1e-3)
+            beside = [self._data(self._stepped(values, place, by)) for by in (-step, step)]
+            return solved.moved_by_layer(beside[0], beside[1], step)
+        rows, cols = solved.touched_cells
+        behind = [
+            shape_of(self.specimen(self._stepped(values, place, by))).height_above_lowest(
+                solved.layer.x_mm[cols], solved.layer.y_mm[rows]
+            )
+            for by in (-_STEP_MM, _STEP_MM)
+        ]
+        present = np.isfinite(behind[0]) & np.isfinite(behind[1])
+        rate = np.zeros_like(behind[0])
+        np.subtract(behind[0], behind[1], out=rate, where=present)
+        return solved.moved_by(rate / (2 * _STEP_MM))
+
+    def _stepped(self, values: FloatArray, place: int, by: float) -> FloatArray:
+        stepped = values.copy()
+        stepped[place] += by
+        return stepped
+
+    def specimen(self, values: FloatArray) -> Specimen:
+        """Return the specimen with these values."""
+        specimen = self.asked.specimen
+        for name, value in zip(self.names, values.tolist(), strict=True):
+            if name.startswith(_OF_THE_SPECIMEN):
+                specimen = with_value(specimen, name.removeprefix(_OF_THE_SPECIMEN), value)
+        return specimen
+
+    def _data(self, values: FloatArray) -> SlabData:
+        told = dict(zip(self.names, values.tolist(), strict=True))
+        elastomer, load = self.asked.elastomer, self.asked.load
+        if MODULUS in told:
+            elastomer = with_modulus(elastomer, told[MODULUS])
+        if THICKNESS in told:
+            elastomer = elastomer.model_copy(update={"thickness_mm": told[THICKNESS]})
+        pressed = {"depth_mm": TRAVEL, "back_pressure_kpa": AIR}
+        changed = {key: told[name] for key, name in pressed.items() if name in told}
+        changed["solver_pitch_mm"] = self.solver_pitch_mm
+        return elastomer, load.model_copy(update=changed)
+
+    def _added(self, solved: SolvedSlab, name: str) -> FloatArray:
+        """Return how the coat rises by a number of its plane (a lift: at the rim) or of theory."""
+        if name == STRAIN:
+            return _large_strain_mm(solved)
+        x, y = self.relief.x_mm, self.relief.y_mm[:, None]
+        across: dict[str, FloatArray] = {
+            PLANE[0]: np.ones(1),
+            PLANE[1]: x / float(x.max()),
+            PLANE[2]: y / float(y.max()),
+        }
+        return np.broadcast_to(across[name], self.relief.heights_mm.shape)
+
+
+def value_of(specimen: Specimen, path: str) -> float:
+    """Return a number of a specimen by its path, such as `diameter_mm` or `widths_mm.0`.
+
+    Raises
+    ------
+    InputError : there is no such number
+    """
+    node: Any = specimen.model_dump()
+    for name in path.split("."):
+        try:
+            node = node[int(name) if isinstance(node, list | tuple) else name]
+        except (KeyError, IndexError, ValueError, TypeError):
+            node = None
+            break
+    if isinstance(node, bool) or not isinstance(node, int | float):
+        numbers = [k for k, v in specimen.model_dump().items() if isinstance(v, float)]
+        raise InputError(f"fitted: found '{path}', allowed numbers of the specimen: {numbers}")
+    return float(node)
+
+
+def with_value(specimen: Specimen, path: str, value: float) -> Specimen:
+    """Return a specimen with one number changed.
+
+    Raises
+    ------
+    FitError : the specimen cannot have it
+    """
+    tree = specimen.model_dump()
+    *tables, last = path.split(".")
+    node: Any = tree
+    for name in tables:
+        if isinstance(node[name], tuple):
+            node[name] = list(node[name])
+        node = node[name]
+    node[int(last) if isinstance(node, list) else last] = value
+    try:
+        return type(specimen).model_validate(tree)
+    except ValidationError as error:
+        raise FitError(f"{path}: found {value:g}: {error.errors()[0]['msg']}") from None
+
+
+def _kpa(solved: SolvedSlab) -> float:
+    """Return newtons per mm^2 of force over modulus."""
+    return 1e-3 * young_modulus(solved.elastomer).best_kpa
+
+
+def _large_strain_mm(solved: SolvedSlab) -> FloatArray:
+    """Return a standard deviation of what large strain changes of the coat, (row, col)."""
+    raised = np.maximum(solved.raised_mm, 0.0)
+    highest = float(raised.max())
+    return np.asarray(_strain(solved) * highest * (raised / highest) ** _THEORY_POWER)
+
+
+def _left_out_mm(solved: SolvedSlab) -> FloatArray:
+    """Return what may be left of large strain when its size is fitted, (row, col)."""
+    raised = np.maximum(solved.raised_mm, 0.0)
+    return np.asarray(_THEORY_LEFT * _strain(solved) * raised * (1 - raised / float(raised.max())))
+
+
+def _strain(solved: SolvedSlab) -> float:
+    return _THEORY_SHARE * solved.contact.depth_mm / solved.layer.thickness_mm
+
+
+def with_modulus(elastomer: Elastomer, modulus_kpa: float) -> Elastomer:
+    """Return an elastomer whose modulus is a number of its own, mm and kPa."""
+    told = {"shore_a": None, "shore_00": None, "young_modulus_kpa": modulus_kpa}
+    return elastomer.model_copy(update=told)

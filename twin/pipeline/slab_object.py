@@ -1,0 +1,244 @@
+"""The object under a thick slab from its coat: which numbers are wanted, and the fit of them."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from reconstruction.arrays import FloatArray
+from reconstruction.compensation import (
+    CompensatedSlab,
+    FittedNumber,
+    FittedSlab,
+    KnownForce,
+    Relief,
+    SheetOpening,
+    fit_under_slab,
+    relief_on_frame,
+)
+from reconstruction.errors import InputError
+from twin.config.models import Elastomer
+from twin.config.sensor_layer import WANTED, SensorLayer
+from twin.config.specimen_base import Specimen
+from twin.mechanics.hardness import young_modulus
+from twin.pipeline.slab_model import (
+    AIR,
+    MODULUS,
+    PLANE,
+    STRAIN,
+    THICKNESS,
+    TRAVEL,
+    PressedCoat,
+    SlabObject,
+    value_of,
+    with_modulus,
+    with_value,
+)
+from twin.specimens import shape_of
+
+# Finer than the slab's own filter by far, and coarser than a pixel: a cell's mean differs from its
+# middle by curvature times cell^2 / 24, below 0.1 um.
+_CELL_MM = 0.1
+_MOST_CELLS = 60_000
+# Grids of the contact. What the finer one finds elsewhere is what it may be wrong by itself.
+_SOLVER_PITCHES_MM = 0.08, 0.055
+# Allowed beside the start: factors of lengths, places, angles, and of what the layer is.
+_LENGTH_FACTOR, _PLACE_MM, _ANGLE_DEG, _LAYER_FACTOR = 4.0, 5.0, 20.0, 2.0
+_LEAST_TRAVEL_MM, _MOST_TRAVEL = 0.01, 0.98
+_PLANE_MM = 1.0
+_MOST_SIGMAS = 10.0
+# Force of a linear frictionless slab against a neo-Hookean one (shared notes, mechanics.md 6).
+_FORCE_THEORY = 0.04
+
+
+def slab_object(layer: SensorLayer, specimen: Specimen | None) -> SlabObject:
+    """Return what is fitted: the layer's own specimen, or that of the experiment.
+
+    Raises
+    ------
+    InputError : none is told, or no numbers of its kind are known to be wanted
+    """
+    pressed = layer.specimen or specimen
+    if pressed is None:
+        raise InputError(
+            f"elastomer: {layer.elastomer.thickness_mm:g} mm thick, coated on the far face, which "
+            "shows no free form; tell [specimen] in the layer file: the form that was pressed, its "
+            "numbers about right, see docs/compensation.md"
+        )
+    kind = str(getattr(pressed, "kind", "specimen"))
+    wanted = layer.fitted or WANTED.get(kind, ())
+    if not wanted:
+        raise InputError(
+            f"specimen.kind = '{kind}': not known which of its numbers to fit; give fitted = "
+            '["..."] in the layer file, such as ["x_mm", "y_mm"]'
+        )
+    for path in wanted:
+        value_of(pressed, path)
+    return SlabObject(pressed, tuple(wanted), layer)
+
+
+def fit_slab(
+    points_mm: FloatArray,
+    sigma_mm: FloatArray,
+    asked: SlabObject,
+    extra: Sequence[FittedNumber] = (),
+) -> CompensatedSlab:
+    """Fit the object under a slab to measured points.
+
+    Parameters
+    ----------
+    points_mm, sigma_mm : (n, xyz) world, and (n,) standard uncertainty of z
+    extra : numbers of the layer that are fitted, in place of those that its sigmas tell
+
+    Raises
+    ------
+    FitError : no press explains the points, or the numbers cannot be told apart
+    """
+    relief = _relief(points_mm, sigma_mm, asked.elastomer)
+    unknowns = _unknowns(asked, extra)
+    names, force = tuple(one.name for one in unknowns), _force(asked)
+    models = [PressedCoat(asked, relief, names, pitch) for pitch in _SOLVER_PITCHES_MM]
+    fitted = fit_under_slab(relief, models, unknowns, force)
+    return _compensated(relief, fitted, models[-1])
+
+
+def calibrate_slab(
+    points_mm: FloatArray, sigma_mm: FloatArray, asked: SlabObject, ball_diameter_mm: float
+) -> tuple[SensorLayer, dict[str, Any]]:
+    """Fit the slab's thickness, and its modulus where air or a gauge weighs it, to a known ball.
+
+    Later presses by the layer found share its errors of theory; they are counted there, not here.
+
+    Returns
+    -------
+    the layer with what was found and its standard uncertainties, and the figures
+
+    Raises
+    ------
+    InputError : the object is no ball
+    FitError : as `fit_slab`
+    """
+    if "diameter_mm" not in asked.wanted:
+        kind = getattr(asked.specimen, "kind", "specimen")
+        raise InputError(f"--ball-diameter-mm: found specimen.kind = '{kind}', allowed a ball")
+    layer, elastomer = asked.layer, asked.elastomer
+    asked = replace(asked, theory=False)
+    before = fit_slab(points_mm, sigma_mm, asked).fitted.value("specimen.diameter_mm") / 2
+    known = replace(
+        asked,
+        specimen=with_value(asked.specimen, "diameter_mm", ball_diameter_mm),
+        wanted=tuple(one for one in asked.wanted if one != "diameter_mm"),
+    )
+    told = {THICKNESS: elastomer.thickness_mm}
+    if layer.press.back_pressure_kpa or layer.press.force_n is not None:
+        told[MODULUS] = young_modulus(elastomer).best_kpa
+    free = [
+        FittedNumber(name, value, value / _LAYER_FACTOR, value * _LAYER_FACTOR)
+        for name, value in told.items()
+    ]
+    found = fit_slab(points_mm, sigma_mm, known, free).fitted
+    sigma = {"thickness_mm": found.sigma(THICKNESS)}
+    changed = elastomer.model_copy(update={"thickness_mm": found.value(THICKNESS)})
+    figures: dict[str, Any] = {
+        "calibrated_thickness_mm": found.value(THICKNESS),
+        "calibrated_thickness_sigma_um": 1e3 * found.sigma(THICKNESS),
+        "calibrated_modulus_kpa": None,
+        "calibrated_modulus_sigma_kpa": None,
+        "radius_before_calibration_mm": before,
+    }
+    if MODULUS in told:
+        changed = with_modulus(changed, found.value(MODULUS))
+        sigma["young_modulus_kpa"] = found.sigma(MODULUS)
+        figures["calibrated_modulus_kpa"] = found.value(MODULUS)
+        figures["calibrated_modulus_sigma_kpa"] = found.sigma(MODULUS)
+    known_now = {"elastomer": changed, "sigma": layer.sigma.model_copy(update=sigma)}
+    return layer.model_copy(update=known_now), figures
+
+
+def _relief(points_mm: FloatArray, sigma_mm: FloatArray, elastomer: Elastomer) -> Relief:
+    lengths = elastomer.length_x_mm, elastomer.length_y_mm
+    cell = max(_CELL_MM, float(np.sqrt(lengths[0] * lengths[1] / _MOST_CELLS)))
+    cells = round(lengths[0] / cell), round(lengths[1] / cell)
+    return relief_on_frame(points_mm, sigma_mm, SheetOpening(*lengths), cells)
+
+
+def _unknowns(asked: SlabObject, extra: Sequence[FittedNumber]) -> list[FittedNumber]:
+    """Return what is fitted: the object, the travel, and what is uncertain of layer and plane."""
+    found = [_of_the_specimen(asked.specimen, path) for path in asked.wanted]
+    found += [one for one in [_travel(asked)] if one is not None]
+    layer, told = asked.layer, {one.name for one in extra}
+    modulus = young_modulus(layer.elastomer).best_kpa
+    for name, value, sigma in (
+        (THICKNESS, layer.elastomer.thickness_mm, layer.sigma.thickness_mm),
+        (MODULUS, modulus, sigma_of_modulus(layer)),
+        (AIR, layer.press.back_pressure_kpa, layer.sigma.back_pressure_kpa),
+    ):
+        if sigma > 0 and name not in told:
+            low, high = value / _LAYER_FACTOR, max(value * _LAYER_FACTOR, value + 10 * sigma)
+            found.append(FittedNumber(name, value, low, high, value, sigma))
+    if asked.theory:
+        found.append(FittedNumber(STRAIN, 0.0, -_MOST_SIGMAS, _MOST_SIGMAS, 0.0, 1.0))
+    plane = layer.sigma.plane_mm
+    if plane > 0:
+        found += [FittedNumber(name, 0.0, -_PLANE_MM, _PLANE_MM, 0.0, plane) for name in PLANE]
+    return [*found, *extra]
+
+
+def _of_the_specimen(specimen: Specimen, path: str) -> FittedNumber:
+    start, last = value_of(specimen, path), path.rpartition(".")[2]
+    if last.endswith("_deg"):
+        return FittedNumber(f"specimen.{path}", start, start - _ANGLE_DEG, start + _ANGLE_DEG)
+    if last in ("x_mm", "y_mm", "z_mm"):
+        return FittedNumber(f"specimen.{path}", start, start - _PLACE_MM, start + _PLACE_MM)
+    return FittedNumber(f"specimen.{path}", start, start / _LENGTH_FACTOR, start * _LENGTH_FACTOR)
+
+
+def _travel(asked: SlabObject) -> FittedNumber | None:
+    """Return the travel as it is known; None where it is exact."""
+    told, sigma = asked.layer.press.depth_mm, asked.layer.sigma.depth_mm
+    most = _MOST_TRAVEL * asked.elastomer.thickness_mm
+    start = asked.load.depth_mm
+    assert start is not None  # `load` presses to a depth
+    if told is None or sigma is None:
+        return FittedNumber(TRAVEL, start, _LEAST_TRAVEL_MM, most)
+    return None if sigma == 0 else FittedNumber(TRAVEL, told, _LEAST_TRAVEL_MM, most, told, sigma)
+
+
+def _force(asked: SlabObject) -> KnownForce | None:
+    """Return what a gauge told, as uncertain as gauge and linear theory are."""
+    force, sigma = asked.layer.press.force_n, asked.layer.sigma.force_n
+    return (
+        None if force is None else KnownForce(force, float(np.hypot(sigma, _FORCE_THEORY * force)))
+    )
+
+
+def sigma_of_modulus(layer: SensorLayer) -> float:
+    """Return the modulus' standard uncertainty: given, or that of all its range as likely."""
+    if layer.sigma.young_modulus_kpa is not None:
+        return layer.sigma.young_modulus_kpa
+    modulus = young_modulus(layer.elastomer)
+    return float((modulus.high_kpa - modulus.low_kpa) / np.sqrt(12.0))
+
+
+def _compensated(relief: Relief, fitted: FittedSlab, model: PressedCoat) -> CompensatedSlab:
+    """Return the object where it touches, on the relief's cells."""
+    solved = model.solved(fitted.values)
+    specimen = model.specimen(fitted.values)
+    behind = shape_of(specimen).height_above_lowest(relief.x_mm, relief.y_mm)
+    row, col = (
+        np.clip(np.rint((at - cells[0]) / (cells[1] - cells[0])).astype(int), 0, len(cells) - 1)
+        for at, cells in ((relief.y_mm, solved.layer.y_mm), (relief.x_mm, solved.layer.x_mm))
+    )
+    pressure = solved.contact.pressure[np.ix_(row, col)]
+    contact = (pressure > 0) & np.isfinite(behind)
+    face = solved.touched_mm[np.ix_(row, col)]
+    top = solved.contact.depth_mm - np.where(np.isfinite(behind), behind, 0.0)
+    return CompensatedSlab(
+        relief=relief,
+        contact=contact,
+        pressure_kpa=pressure * young_modulus(solved.elastomer).best_kpa,
+        touched_mm=np.where(contact, top - solved.elastomer.thickness_mm, face),
+        fitted=fitted,
+        force_theory=_FORCE_THEORY,
+    )
