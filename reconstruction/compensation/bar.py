@@ -193,11 +193,36 @@ def bar_under_sheet(found: CompensatedSheet, bar: BarPlace) -> BarUnderSheet:
     if found.layer.sticks:
         raise FitError("width: the tension of a sheet that sticks is not known at an edge")
     for _ in range(_TURNS):
+        bar = _placed(found, bar)
         told = _told(found, bar)
         if not bar.width_mm / 2 < told.width_mm < 2 * bar.width_mm:
             raise FitError(f"width: found {told.width_mm:.2f} mm, not near {bar.width_mm:g} mm")
         bar = replace(bar, width_mm=told.width_mm)
     return told
+
+
+def _placed(found: CompensatedSheet, bar: BarPlace) -> BarPlace:
+    """Return the bar between its edges as they are found, along the line of its halves' middles."""
+    turn, shift = np.deg2rad(bar.along_deg), _MIDDLE_SHARE * bar.length_mm / 4
+    step = shift * np.array([-np.sin(turn), np.cos(turn)])
+    middles = []
+    for side in (-1.0, 1.0):
+        x, y = np.array([bar.x_mm, bar.y_mm]) + side * step
+        half = replace(bar, x_mm=float(x), y_mm=float(y), length_mm=bar.length_mm / 2)
+        axes = _Axes.of(found, half)
+        sheet = _sheet(found, axes, half)
+        left, right = (
+            _edge(_span(found, axes, half, sheet, wall), sheet, half.edge_radius_mm, 0.0).across_mm
+            for wall in (-1.0, 1.0)
+        )
+        middles.append((axes.middle_mm + (right - left) / 2 * axes.rotation[0])[:2])
+    (x, y), along = np.mean(middles, axis=0), middles[1] - middles[0]
+    return replace(
+        bar,
+        x_mm=float(x),
+        y_mm=float(y),
+        along_deg=float(np.rad2deg(np.arctan2(-along[0], along[1]))),
+    )
 
 
 def _told(found: CompensatedSheet, bar: BarPlace) -> BarUnderSheet:

@@ -111,6 +111,16 @@ def test_width_of_a_bar_is_the_oracles(pressure_kpa: float, guess_mm: float) -> 
     assert told.turn_deg[0] == pytest.approx(told.turn_deg[1], abs=0.1)
 
 
+@pytest.mark.parametrize(
+    "off", [{"x_mm": 0.5}, {"along_deg": 4.0}, {"x_mm": -0.4, "along_deg": -3}]
+)
+def test_a_bar_is_found_where_it_lies(off: dict[str, float]) -> None:
+    """Believed half a millimetre beside itself, or turned: the width is the same."""
+    found = pressed_bar(1.0)
+    told = bar_under_sheet(found, replace(BAR, **off))
+    assert told.width_mm == pytest.approx(bar_under_sheet(found, BAR).width_mm, abs=3e-3)
+
+
 def test_a_thicker_sheet_tells_less() -> None:
     """It touches the edge along a line, and the theory's share of the uncertainty says so."""
     thin, thick = (bar_under_sheet(pressed_bar(1.0, h), BAR) for h in (0.08, 0.12))

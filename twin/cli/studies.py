@@ -266,10 +266,13 @@ def uncertainty(
     seed
         Of all draws; default: that of the inputs.
     """
+    from twin.results.names import of_the_object
     from twin.uncertainty.trials import plan_in_words, record_of
 
-    asked = load(experiment, settings), inputs, trials
-    record = record_of(*asked, calibration=calibration, budget=budget, seed=seed)
+    asked, named = (load(experiment, settings), inputs, trials), of_the_object(measurand or [])
+    record = record_of(
+        *asked, calibration=calibration, budget=budget, seed=seed, compensated=named or None
+    )
     who = workers_of(workers, cluster)
     if dry_run:
         for line in plan_in_words(record, out, who.count, sobol):

@@ -84,8 +84,8 @@ class SensorLayer(Model):
     )
     specimen: AnySpecimen | None = Field(
         default=None,
-        description="what presses under a slab thicker than 1 mm: of known form, its numbers about "
-        "right; default: the experiment's",
+        description="what presses, as it is believed: its bars; under a slab thicker than 1 mm "
+        "the form whose numbers are fitted; default: the experiment's",
     )
     fitted: tuple[str, ...] = Field(
         default=(), description="numbers of the specimen that are wanted; default: by its kind"

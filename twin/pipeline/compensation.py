@@ -319,14 +319,15 @@ def compensated_figures(
     except InputError as error:
         return {"compensation_failure": str(error)}
     balls = shape_of(experiment.specimen).spheres()
-    figures = object_figures(found, balls, bars_of(experiment.specimen))
+    figures = object_figures(found, balls, _bars(believed, experiment))
     return {key: one for key, one in figures.items() if key.startswith(COMPENSATED)}
 
 
 def _bars(layer: SensorLayer, experiment: Experiment | None) -> list[BarPlace]:
-    if layer.bar or experiment is None:
+    specimen = layer.specimen or (experiment.specimen if experiment else None)
+    if layer.bar or specimen is None:
         return [BarPlace(**one.model_dump()) for one in layer.bar]
-    return bars_of(experiment.specimen)
+    return bars_of(specimen)
 
 
 def _read_points(folder: Path) -> Reconstruction:

@@ -4,7 +4,7 @@ A study that ranks by a figure which no case will have must say so before its fi
 measures by every method and finds no figure that is not named here.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import fields
 
 from reconstruction.evaluate.conformity import CombinedUncertainty
@@ -53,6 +53,11 @@ def may_compensate(experiment: Experiment) -> bool:
     free_form = elastomer.layout == "contact_face" or may_wrap(elastomer)
     fitted = is_slab(elastomer) and experiment.specimen.kind in WANTED
     return method.fringes and method.presses and (free_form or fitted)
+
+
+def of_the_object(names: Iterable[str]) -> bool:
+    """Tell whether a figure of the object behind the coat is among the names."""
+    return any(name.startswith(COMPENSATED) for name in names)
 
 
 def compensated_names(experiment: Experiment) -> set[str]:

@@ -11,7 +11,7 @@ from twin.config.sensor_layer import SensorLayer, sensor_layer_of
 from twin.config.study import Study
 from twin.results.bound import is_bound_name
 from twin.results.derivatives import DIFFERENTIATED
-from twin.results.names import COMPENSATED, OF_A_PRESS, may_compensate
+from twin.results.names import OF_A_PRESS, may_compensate, of_the_object
 from twin.study.derived import DERIVED, OF_A_MEASUREMENT
 
 Bound = Literal["no", "beside", "alone"]
@@ -33,12 +33,14 @@ def bound_needed(study: Study) -> Bound:
 
 def compensation_needed(study: Study) -> bool:
     """Tell whether figures of the object behind the coat are named."""
-    return any(name.startswith(COMPENSATED) for name in named_figures(study))
+    return of_the_object(named_figures(study))
 
 
 def layer_for(experiment: Experiment) -> SensorLayer | None:
-    """Return what an experiment says of elastomer and load; None where no object is found by it."""
-    return sensor_layer_of(experiment) if may_compensate(experiment) else None
+    """Return what an experiment says of elastomer, load and form; None where no object is found."""
+    if not may_compensate(experiment):
+        return None
+    return sensor_layer_of(experiment).model_copy(update={"specimen": experiment.specimen})
 
 
 def derivatives_needed(study: Study) -> tuple[str, ...]:

@@ -22,6 +22,7 @@ from twin.config import ConfigError, Experiment, load_experiment
 from twin.config.inputs import DEFAULT_INPUTS, Input, Inputs, load_inputs
 from twin.config.schema import explain
 from twin.config.study import Study
+from twin.mechanics.choice import is_slab
 from twin.output import EXPERIMENT_FILE, RESULT_FILE, adding, write_json
 from twin.pipeline.progress import ProgressCallback, no_progress
 from twin.results.names import may_compensate
@@ -126,7 +127,8 @@ def record_of(
 
     Parameters
     ----------
-    compensated : also find the object behind the coat in each trial; default: where that can be
+    compensated : also find the object behind the coat in each trial; default: where that can be,
+        but not under a slab, whose object takes some seconds to fit
 
     Raises
     ------
@@ -141,7 +143,7 @@ def record_of(
         "seed": given.seed if seed is None else seed,
         "calibration": calibration,
         "budget": budget,
-        "compensated": may_compensate(experiment) if compensated is None else compensated,
+        "compensated": _compensates(experiment) if compensated is None else compensated,
     }
     study = {
         "name": "trials",
@@ -151,6 +153,10 @@ def record_of(
         "inputs": given.inputs,
     }
     return StudyRecord(_validated(Study, study), experiment)
+
+
+def _compensates(experiment: Experiment) -> bool:
+    return may_compensate(experiment) and not is_slab(experiment.elastomer)
 
 
 def plan_in_words(
