@@ -14,6 +14,7 @@ from reconstruction.compensation.slab import (
     KnownForce,
     SlabCoat,
     SlabModel,
+    bound_under_slab,
     fit_under_slab,
 )
 
@@ -37,6 +38,7 @@ __all__ = [
     "SlabCoat",
     "SlabModel",
     "bar_under_sheet",
+    "bound_under_slab",
     "calibrate_sheet",
     "compensate_gel",
     "compensate_sheet",

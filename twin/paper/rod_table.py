@@ -50,9 +50,9 @@ def rods_table(trials: Mapping[str, Sequence[Trial]]) -> Table:
             f"Width of the coat's crest, {_WIDTHS[WIDTH]}, over the mean section of 2 mm in the "
             "middle of the rod.",
             "'true coat' is the same width of the coat itself: the elastomer's share of the error.",
-            "'rigid bar' is what `twin compensate` finds behind the measured coat, from thickness, "
-            "modulus and pressure of the nominal sheet; the rounding of the edges is taken as "
-            "known, each trial's own. The paper compensates nothing.",
+            "'rigid bar' is what `twin compensate` finds behind the measured coat, believing in "
+            "the nominal sheet, its air, and the nominal rounding of the edges, whatever was "
+            "drawn: what one does not know of them is in its SD. The paper compensates nothing.",
         ),
     )
 

@@ -6,15 +6,23 @@ measurement, and kept in the same memory.
 
 from collections.abc import Callable
 
-from reconstruction.errors import InputError
+import numpy as np
+
+from reconstruction.arrays import at_pixels
+from reconstruction.errors import FitError, InputError
 from twin.config.models import Experiment
+from twin.config.sensor_layer import SensorLayer
 from twin.mechanics import PressedElastomer
+from twin.mechanics.choice import is_slab
 from twin.optics.stack import Truth
 from twin.pipeline.fringes import loaded, traced, viewed
 from twin.pipeline.memory import Memory
 from twin.pipeline.press import PressedFace, press
+from twin.pipeline.slab_object import bound_slab, slab_object
 from twin.results.bound import bound_figures, has_bound
+from twin.results.compensated import slab_bound_name
 from twin.results.figures import Metric
+from twin.results.names import may_compensate
 from twin.results.parts import press_metrics
 from twin.results.prediction import PredictedMaps, predict
 
@@ -86,3 +94,35 @@ def bounds_alone(
     figures = press_metrics(pressed.pressed) | {"exposure_ms": prediction.exposure_ms}
     found = bound_figures(experiment, prediction, truth, pressed.pressed)
     return pressed.pressed, figures | found
+
+
+def object_bounds(experiment: Experiment, layer: SensorLayer, memory: Memory) -> dict[str, Metric]:
+    """Return the bounds of an object's own numbers under a thick slab; nothing elsewhere.
+
+    Through optics and mechanics: by the predicted sigma of the coat's points, and how the coat
+    moves with the object. None where the coat cannot tell.
+
+    Parameters
+    ----------
+    layer : what is believed of elastomer and load, with its uncertainties
+
+    Raises
+    ------
+    InputError : as `twin.pipeline.measure`
+    MissingBackend : no usable Dr.Jit backend
+    """
+    fitted = is_slab(experiment.elastomer) and may_compensate(experiment)
+    if not (fitted and has_bound(experiment)):
+        return {}
+    asked = slab_object(layer, experiment.specimen)
+    prediction, _ = predicted(experiment, press(experiment, memory), memory)
+    points = at_pixels(prediction.points.points_world_mm, prediction.valid).astype(np.float64)
+    single = at_pixels(prediction.single_mm, prediction.valid).astype(np.float64)
+    try:
+        sigma = bound_slab(points, single, asked)
+    except FitError:
+        return {slab_bound_name(path): None for path in asked.wanted}
+    return {
+        slab_bound_name(path): one if path.endswith("_deg") else 1e3 * one
+        for path, one in sigma.items()
+    }

@@ -1,11 +1,13 @@
 """Run one virtual measurement by whichever method the experiment names: the one place to choose."""
 
+from dataclasses import replace
 from pathlib import Path
 
 from twin.config import Experiment
+from twin.config.sensor_layer import sensor_layer_of
 from twin.mechanics import check_press
 from twin.optics.checks import check_renderable
-from twin.pipeline.bound import bounds_of
+from twin.pipeline.bound import bounds_of, object_bounds
 from twin.pipeline.colours import check_sensor, measure_colours
 from twin.pipeline.compensation import with_compensation
 from twin.pipeline.fringes import RunContext, check_layers, measure_fringes
@@ -75,10 +77,13 @@ def measure_whole(
     ------
     InputError, MissingBackend : as `measure`
     """
-    done = measure(experiment, watch, memory, bound=True)
+    kept = Memory() if memory is None else memory
+    done = measure(experiment, watch, kept, bound=True)
     if done.pressed is not None:
         watch("compensate", 0.0)
         done = with_compensation(done)
+        bounds = object_bounds(experiment, sensor_layer_of(experiment), kept)
+        done = replace(done, metrics={**done.metrics, **bounds})
         watch("compensate", 1.0)
     return done
 

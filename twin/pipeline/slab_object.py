@@ -14,6 +14,7 @@ from reconstruction.compensation import (
     KnownForce,
     Relief,
     SheetOpening,
+    bound_under_slab,
     fit_under_slab,
     relief_on_frame,
 )
@@ -41,6 +42,8 @@ from twin.specimens import shape_of
 # middle by curvature times cell^2 / 24, below 0.1 um.
 _CELL_MM = 0.1
 _MOST_CELLS = 60_000
+# Of the slab: nothing is filled in, so that the object's surroundings are enough.
+_LEAST_SHARE = 0.02
 # Grids of the contact. What the finer one finds elsewhere is what it may be wrong by itself.
 _SOLVER_PITCHES_MM = 0.08, 0.055
 # Allowed beside the start: factors of lengths, places, angles, and of what the layer is.
@@ -103,6 +106,27 @@ def fit_slab(
     return _compensated(relief, fitted, models[-1])
 
 
+def bound_slab(points_mm: FloatArray, sigma_mm: FloatArray, asked: SlabObject) -> dict[str, float]:
+    """Return the least standard deviation of each number wanted, by noise (Cramer-Rao).
+
+    Parameters
+    ----------
+    points_mm, sigma_mm : as `fit_slab`, of points whose noise is independent
+    asked : the object as it is
+
+    Raises
+    ------
+    FitError : no such press, or numbers that the coat cannot tell apart
+    """
+    relief = _relief(points_mm, sigma_mm, asked.elastomer)
+    unknowns = _unknowns(asked, ())
+    names = tuple(one.name for one in unknowns)
+    model = PressedCoat(asked, relief, names, _SOLVER_PITCHES_MM[0])
+    sigma = np.sqrt(np.diag(bound_under_slab(relief, model, unknowns, _force(asked))))
+    found = dict(zip(names, sigma.tolist(), strict=True))
+    return {path: found[f"specimen.{path}"] for path in asked.wanted}
+
+
 def calibrate_slab(
     points_mm: FloatArray, sigma_mm: FloatArray, asked: SlabObject, ball_diameter_mm: float
 ) -> tuple[SensorLayer, dict[str, Any]]:
@@ -160,7 +184,7 @@ def _relief(points_mm: FloatArray, sigma_mm: FloatArray, elastomer: Elastomer) -
     lengths = elastomer.length_x_mm, elastomer.length_y_mm
     cell = max(_CELL_MM, float(np.sqrt(lengths[0] * lengths[1] / _MOST_CELLS)))
     cells = round(lengths[0] / cell), round(lengths[1] / cell)
-    return relief_on_frame(points_mm, sigma_mm, SheetOpening(*lengths), cells)
+    return relief_on_frame(points_mm, sigma_mm, SheetOpening(*lengths), cells, _LEAST_SHARE)
 
 
 def _unknowns(asked: SlabObject, extra: Sequence[FittedNumber]) -> list[FittedNumber]:

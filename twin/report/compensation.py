@@ -122,7 +122,6 @@ def _numbers_section(told: CompensationResult, found: CompensatedSlab) -> Sectio
             "begun": one.start,
             "value": fitted.value(one.name),
             "sigma": fitted.sigma(one.name),
-            "bound": fitted.bound_sigma(one.name),
         }
         for one in fitted.unknowns
     ]
@@ -131,12 +130,10 @@ def _numbers_section(told: CompensationResult, found: CompensatedSlab) -> Sectio
         Column("begun", "begun at", 4),
         Column("value", "fitted", 4),
         Column("sigma", "u", 4),
-        Column("bound", "bound by noise", 5),
     )
     note = Note(
         "u: standard uncertainty, by noise, by what is open of the layer, by the grid of the "
-        "contact, and by large strain, which the linear slab leaves out. Bound by noise: the least "
-        "standard deviation of any unbiased fit (Cramer-Rao). "
+        "contact, and by large strain, which the linear slab leaves out. "
         f"Misfit of the coat {1e3 * fitted.misfit_mm:.2f} µm RMS, chi-square per degree of freedom "
         f"{fitted.chi_square:.2f}."
     )

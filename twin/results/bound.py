@@ -8,6 +8,7 @@ Two numbers for each measurand that is a fitted length, in um:
 | object_NAME_spread_um | standard deviation by noise of the measurement's own fit, through the filter and its covariance |
 | sphere_N_radius_crb_um, sphere_N_radius_spread_um | of the radius on the coat over the scored region |
 | crb_radius_um, crb_width_um, crb_step_um, crb_depth_um | bound of the first measurand of that kind |
+| compensated_NUMBER_crb_um, _deg | bound of a number of the object under a thick slab, through optics and mechanics (`twin.pipeline.bound`) |
 | predicted_sigma_z_um | median of the standard deviation of z by noise, filtered |
 | predicted_share | share of the lit pixels that will have a point |
 
@@ -62,9 +63,10 @@ def has_bound(experiment: Experiment) -> bool:
 
 def is_bound_name(name: str) -> bool:
     """Tell whether a figure is one of `bound_figures`, whatever the experiment."""
-    if name.startswith("compensated_"):
-        return False  # of the object behind the coat: its fit has bounds of its own
-    return name.endswith(("_crb_um", "_spread_um")) or name in {*_ALWAYS, *BOUNDED.values()}
+    return name.endswith(("_crb_um", "_crb_deg", "_spread_um")) or name in {
+        *_ALWAYS,
+        *BOUNDED.values(),
+    }
 
 
 def bound_names(experiment: Experiment) -> set[str]:

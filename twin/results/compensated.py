@@ -62,7 +62,7 @@ def object_figures(
 
 
 def _slab_figures(fitted: FittedSlab, balls: Sequence[Sphere]) -> dict[str, Any]:
-    """Return the numbers of an object under a slab, each with uncertainty and bound."""
+    """Return the numbers of an object under a slab, each with its uncertainty."""
     figures: dict[str, Any] = {"misfit_um": _UM * fitted.misfit_mm, "chi_square": fitted.chi_square}
     for one in fitted.unknowns:
         table, _, path = one.name.partition(".")
@@ -80,10 +80,19 @@ def _slab_figures(fitted: FittedSlab, balls: Sequence[Sphere]) -> dict[str, Any]
 
 
 def _number_figures(name: str, path: str, fitted: FittedSlab, unknown: str) -> dict[str, Any]:
-    value, sigma, bound = (of(unknown) for of in (fitted.value, fitted.sigma, fitted.bound_sigma))
+    value, sigma = fitted.value(unknown), fitted.sigma(unknown)
     if path.endswith("_deg"):
-        return {f"{name}_deg": value, f"{name}_sigma_deg": sigma, f"{name}_crb_deg": bound}
-    return {f"{name}_mm": value, f"{name}_sigma_um": _UM * sigma, f"{name}_crb_um": _UM * bound}
+        return {f"{name}_deg": value, f"{name}_sigma_deg": sigma}
+    return {f"{name}_mm": value, f"{name}_sigma_um": _UM * sigma}
+
+
+def slab_bound_name(path: str) -> str:
+    """Return how the bound of a number under a slab is called.
+
+    >>> slab_bound_name("diameter_mm")
+    'compensated_diameter_crb_um'
+    """
+    return f"compensated_{slab_name(path)}_crb_{'deg' if path.endswith('_deg') else 'um'}"
 
 
 def slab_name(path: str) -> str:

@@ -12,8 +12,8 @@ from twin.config.models import Experiment
 from twin.config.objects import Nut
 from twin.config.sensor_layer import WANTED
 from twin.mechanics.choice import is_slab, may_wrap
-from twin.results.bound import bound_names
-from twin.results.compensated import slab_name
+from twin.results.bound import bound_names, has_bound
+from twin.results.compensated import slab_bound_name, slab_name
 from twin.results.features import bars_of, feature_of, features_of, measurands_of, nominal_mm
 from twin.results.object_score import (
     MeasuredQuantity,
@@ -64,21 +64,23 @@ def compensated_names(experiment: Experiment) -> set[str]:
     """Return the names of figures of the object behind the coat; none where it is not found."""
     if not may_compensate(experiment):
         return set()
-    names = [*_OF_A_CONTACT, "thickness_mm"]
+    names, bounds = [*_OF_A_CONTACT, "thickness_mm"], set[str]()
     if is_slab(experiment.elastomer):
-        names = [*_OF_A_CONTACT, *_of_a_slab(WANTED[experiment.specimen.kind])]
+        wanted = WANTED[experiment.specimen.kind]
+        names = [*_OF_A_CONTACT, *_of_a_slab(wanted)]
+        bounds = {slab_bound_name(path) for path in wanted} if has_bound(experiment) else set()
     for number in range(1, len(shape_of(experiment.specimen).spheres()) + 1):
         names += [f"sphere_{number}_radius_mm", f"sphere_{number}_radius_sigma_um"]
     bars = bars_of(experiment.specimen) if may_wrap(experiment.elastomer) else []
     for number in range(1, len(bars) + 1):
         names += [f"bar_{number}_{name}" for name in _OF_A_BAR]
-    return {f"{COMPENSATED}{name}" for name in names}
+    return {f"{COMPENSATED}{name}" for name in names} | bounds
 
 
 def _of_a_slab(wanted: tuple[str, ...]) -> Iterator[str]:
     for path in (*wanted, "travel_mm"):
         of, name = ("deg", "deg") if path.endswith("_deg") else ("mm", "um"), slab_name(path)
-        yield from (f"{name}_{of[0]}", f"{name}_sigma_{of[1]}", f"{name}_crb_{of[1]}")
+        yield from (f"{name}_{of[0]}", f"{name}_sigma_{of[1]}")
 
 
 def figure_names(experiment: Experiment) -> set[str]:

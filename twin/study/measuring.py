@@ -25,7 +25,7 @@ from twin.config.sensor_layer import SensorLayer
 from twin.mechanics import PressedElastomer
 from twin.output import replace_json, versions
 from twin.pipeline import Memory, measure
-from twin.pipeline.bound import bounds_alone
+from twin.pipeline.bound import bounds_alone, object_bounds
 from twin.pipeline.calibration import calibrate_rendered, calibration_metrics
 from twin.pipeline.compensation import with_compensation
 from twin.pipeline.fringes import options_of
@@ -219,6 +219,8 @@ class CaseMeasurer:
             return Answer(_with_derivatives(experiment, conditions.derivatives, self.memory))
         if conditions.bound == "alone":
             pressed, found = bounds_alone(experiment, self.memory)
+            if conditions.layer:
+                found |= object_bounds(experiment, conditions.layer, self.memory)
             return Answer(found, lambda folder: self._write_press(folder, pressed))
         beside = conditions.bound == "beside"
         done = measure(experiment, memory=self.memory, trial=conditions.trial, bound=beside)
@@ -233,6 +235,8 @@ class CaseMeasurer:
             return Answer(figures, lambda folder: write_kept(folder, done, self.keep))
         done = _compensated(done, conditions)
         figures = {**done.metrics, **self._more(done)}
+        if beside and conditions.layer:
+            figures |= object_bounds(experiment, conditions.layer, self.memory)
         return Answer(figures, self._writer(done, conditions))
 
     def _writer(self, done: Measurement, conditions: Conditions) -> Callable[[Path], None]:
