@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import least_squares
 
 from reconstruction.arrays import BoolImage, FloatArray
@@ -80,7 +80,27 @@ def rms(values: FloatArray) -> float:
 
 def p95_of_size(values: FloatArray) -> float:
     """Return the 95th percentile of the values' sizes."""
-    return float(np.percentile(np.abs(values), 95.0))
+    return quantile(np.abs(values), 0.95)
+
+
+def median(values: NDArray[np.floating]) -> float:
+    """Return the median of values (n,), all finite."""
+    return quantile(values, 0.5)
+
+
+def quantile(values: NDArray[np.floating], share: float) -> float:
+    """Return what a share of the values (n,), all finite, is not above; linear between two.
+
+    One partition at one place: numpy's own median and percentile part the values at three places at
+    once, which takes several times as long.
+    """
+    at = share * (len(values) - 1)
+    low = int(at)
+    parted = np.partition(values, low)
+    found = float(parted[low])
+    if at > low:
+        found += (at - low) * (float(parted[low + 1 :].min()) - found)
+    return found
 
 
 def fit_sphere(points_mm: ArrayLike) -> SphereFit:
@@ -242,12 +262,12 @@ def radial_jacobian(sphere: FloatArray, points_mm: FloatArray) -> FloatArray:
 
 def spread(values: FloatArray) -> float:
     """Robust standard deviation of values, (n,)."""
-    away = values - np.median(values)
-    return float(MAD_TO_SIGMA * np.median(np.abs(away, out=away), overwrite_input=True))
+    away = values - median(values)
+    return MAD_TO_SIGMA * median(np.abs(away, out=away))
 
 
 def inliers(residuals_mm: FloatArray) -> BoolImage:
     """Tell which residuals, (n,) mm, lie within four robust standard deviations of their median."""
     limit = REJECT_BEYOND_SIGMAS * max(spread(residuals_mm), 1e-12)
-    kept: BoolImage = np.abs(residuals_mm - np.median(residuals_mm)) <= limit
+    kept: BoolImage = np.abs(residuals_mm - median(residuals_mm)) <= limit
     return kept

@@ -7,6 +7,8 @@ from reconstruction.evaluate.fit import (
     fit_plane,
     fit_sphere,
     fit_sphere_algebraic,
+    median,
+    quantile,
     residual_stats,
 )
 
@@ -175,3 +177,15 @@ def test_points_that_hardly_fix_a_sphere_have_a_least_one_too(seed, count):
     assert abs(fit.residuals_mm.sum()) < 1e-7
     assert np.abs(fit.residuals_mm @ normals).max() < 1e-7
     assert fit.stats.rmse_mm > 0.05
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 10, 999, 1000])
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_quantiles_are_those_of_numpy(count: int, dtype: type) -> None:
+    values = np.random.default_rng(count).normal(size=count).astype(dtype)
+    kept = values.copy()
+    for share in (0.0, 0.05, 0.5, 0.95, 1.0):
+        exact = np.quantile(values.astype(np.float64), share)
+        assert quantile(values, share) == pytest.approx(exact, rel=1e-12)
+    assert median(values) == pytest.approx(np.median(values.astype(np.float64)), rel=1e-12)
+    assert np.array_equal(values, kept)

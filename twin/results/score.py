@@ -21,6 +21,7 @@ from reconstruction.errors import FitError
 from reconstruction.evaluate.fit import (
     SphereFit,
     fit_sphere_both_ways,
+    median,
     p95_of_size,
     rms,
     spread,
@@ -177,7 +178,7 @@ def score_truth(
         **_errors(experiment, error_um, int(wanted.sum())),
         lit_pixels=int(wanted.sum()),
         wrong_order_pixels=wrong_orders(experiment, reconstruction, truth),
-        sigma_z_median_um=figure_of(sigma_um, np.median),
+        sigma_z_median_um=figure_of(sigma_um, median),
         filter_bias_um=bias_um,
         filter_bias_share=bias_share,
         error_over_sigma=figure_of(error_um / np.maximum(sigma_um, 1e-9), spread, least=2),
