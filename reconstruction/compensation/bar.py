@@ -35,6 +35,8 @@ _SPAN_MM = 3.5
 # Off the top beside its rounded edges: there the sheet lifts.
 _TOP_OFF_MM = 0.3
 _TURNS = 3
+# How far beside itself a bar may be looked for, and from where on its coat counts as its flank.
+_ASIDE_MM, _FALLEN_MM = 1.0, 0.12
 _ARC_TURNS = 8
 _TAILS = 3.0
 _LEAST_CELLS = 40
@@ -46,12 +48,12 @@ lies on the edge, and where it touches it along a line."""
 
 @dataclass(frozen=True)
 class BarPlace:
-    """Where a bar lies, to some tenths of a millimetre, and what its edges are.
+    """Where a bar lies, to half a millimetre, and what its edges are.
 
     Attributes
     ----------
     x_mm, y_mm : world, of its middle
-    along_deg : of its length from world y towards -x, to some two degrees
+    along_deg : of its length from world y towards -x, to some four degrees
     width_mm : where its walls are looked for, to some tenths of a millimetre
     length_mm : least length between its ends
     edge_radius_mm : rounding of its upper edges
@@ -192,8 +194,8 @@ def bar_under_sheet(found: CompensatedSheet, bar: BarPlace) -> BarUnderSheet:
         raise FitError("width: without air on the coat nothing presses it onto the bar's top")
     if found.layer.sticks:
         raise FitError("width: the tension of a sheet that sticks is not known at an edge")
+    bar = _placed(found, bar)
     for _ in range(_TURNS):
-        bar = _placed(found, bar)
         told = _told(found, bar)
         if not bar.width_mm / 2 < told.width_mm < 2 * bar.width_mm:
             raise FitError(f"width: found {told.width_mm:.2f} mm, not near {bar.width_mm:g} mm")
@@ -202,27 +204,50 @@ def bar_under_sheet(found: CompensatedSheet, bar: BarPlace) -> BarUnderSheet:
 
 
 def _placed(found: CompensatedSheet, bar: BarPlace) -> BarPlace:
-    """Return the bar between its edges as they are found, along the line of its halves' middles."""
+    """Return the bar between its flanks, along the line of its halves' middles."""
     turn, shift = np.deg2rad(bar.along_deg), _MIDDLE_SHARE * bar.length_mm / 4
-    step = shift * np.array([-np.sin(turn), np.cos(turn)])
-    middles = []
+    along = np.array([-np.sin(turn), np.cos(turn)])
+    across = np.array([along[1], -along[0]])
+    middle = np.array([bar.x_mm, bar.y_mm])
+    points = found.relief.points_mm[found.relief.measured]
+    own = (points[:, :2] - middle) @ np.stack([across, along], axis=1)
+    near, ends = np.abs(own[:, 0]) < bar.width_mm / 2 + _ASIDE_MM, []
     for side in (-1.0, 1.0):
-        x, y = np.array([bar.x_mm, bar.y_mm]) + side * step
-        half = replace(bar, x_mm=float(x), y_mm=float(y), length_mm=bar.length_mm / 2)
-        axes = _Axes.of(found, half)
-        sheet = _sheet(found, axes, half)
-        left, right = (
-            _edge(_span(found, axes, half, sheet, wall), sheet, half.edge_radius_mm, 0.0).across_mm
-            for wall in (-1.0, 1.0)
+        half = near & (np.abs(own[:, 1] - side * shift) < shift)
+        between = _between_flanks(
+            own[half, 0], points[half, 2], found.relief.pitch_mm[0], bar.width_mm / 3
         )
-        middles.append((axes.middle_mm + (right - left) / 2 * axes.rotation[0])[:2])
-    (x, y), along = np.mean(middles, axis=0), middles[1] - middles[0]
-    return replace(
-        bar,
-        x_mm=float(x),
-        y_mm=float(y),
-        along_deg=float(np.rad2deg(np.arctan2(-along[0], along[1]))),
-    )
+        ends.append(middle + between * across + side * shift * along)
+    (x, y), line = np.mean(ends, axis=0), ends[1] - ends[0]
+    direction = float(np.rad2deg(np.arctan2(-line[0], line[1])))
+    return replace(bar, x_mm=float(x), y_mm=float(y), along_deg=direction)
+
+
+def _between_flanks(
+    across_mm: FloatArray, z_mm: FloatArray, pitch_mm: float, top_mm: float
+) -> float:
+    """Return the middle between the places where the coat has fallen some way from its crest.
+
+    Parameters
+    ----------
+    top_mm : up to where the bar's top is sure to reach on either side; its tilt is taken off
+    """
+    number = np.floor(across_mm / pitch_mm).astype(int)
+    first = int(number.min()) if len(number) else 0
+    count = np.bincount(number - first)
+    if not len(number) or not count.all():
+        raise FitError("width: the coat was not measured all over the bar")
+    profile = np.bincount(number - first, z_mm) / count
+    places = (first + np.arange(len(count)) + 0.5) * pitch_mm
+    top = np.abs(places) < top_mm
+    if top.sum() > 2:
+        profile = profile - np.polyfit(places[top], profile[top], 1)[0] * places
+    crest = int(np.argmax(profile))
+    fallen = profile < profile[crest] - _FALLEN_MM
+    left, right = np.flatnonzero(fallen[:crest]), crest + np.flatnonzero(fallen[crest:])
+    if not len(left) or not len(right):
+        raise FitError("width: the coat beside the bar does not fall from its top")
+    return float(first + (left[-1] + right[0] + 1) / 2) * pitch_mm
 
 
 def _told(found: CompensatedSheet, bar: BarPlace) -> BarUnderSheet:

@@ -182,7 +182,7 @@ def test_noise_is_what_its_uncertainty_says() -> None:
         ({"sticks": True}, {}, "sticks"),
         ({}, {"width_mm": 1.5}, "width:"),
         ({}, {"x_mm": 6.0}, "width:"),
-        ({}, {"width_mm": 0.4}, "cells on the bar's top"),
+        ({}, {"width_mm": 0.4}, "does not fall from its top"),
     ],
 )
 def test_what_tells_no_width_is_refused(

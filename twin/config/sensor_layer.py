@@ -61,10 +61,10 @@ class LayerSigma(Model):
 class PressedBar(Model):
     """A bar with a flat top among what was pressed: where its walls are looked for."""
 
-    x_mm: float = Field(default=0.0, description="world, of its middle, to some tenths")
+    x_mm: float = Field(default=0.0, description="world, of its middle, to half a millimetre")
     y_mm: float = 0.0
     along_deg: float = Field(
-        default=0.0, description="of its length, from world y towards -x, to some two degrees"
+        default=0.0, description="of its length, from world y towards -x, to some four degrees"
     )
     width_mm: Positive = Field(description="about: to some tenths of a millimetre")
     length_mm: Positive
