@@ -13,7 +13,6 @@ from tests.browser import assert_readable
 from tests.study import synthetic
 from twin.cli import run
 from twin.results.bound import is_bound_name
-from twin.results.names import of_the_object
 from twin.study import pictures
 
 STUDY = """
@@ -68,7 +67,7 @@ def test_table(swept, capsys):
 
 
 def test_a_case_is_a_measurement(swept, capsys, tmp_path):
-    """`twin measure` on a case writes the same result.json; bounds and the object's fit beside."""
+    """`twin measure` on a case's experiment writes the same result.json, and the bounds beside."""
     digest = table_of(capsys, swept)[2]["case"]
     case = swept / "out" / "cases" / digest
     assert {file.name for file in case.iterdir()} == {
@@ -81,9 +80,7 @@ def test_a_case_is_a_measurement(swept, capsys, tmp_path):
         json.loads((folder / "result.json").read_text()) for folder in (tmp_path / "one", case)
     )
     figures = alone["metrics"].items()
-    alone["metrics"] = {
-        name: value for name, value in figures if not (is_bound_name(name) or of_the_object([name]))
-    }
+    alone["metrics"] = {name: value for name, value in figures if not is_bound_name(name)}
     assert alone == of_case
     assert json.loads((case / "result.json").read_text())["digest"] == digest
 

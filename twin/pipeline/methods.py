@@ -1,13 +1,11 @@
 """Run one virtual measurement by whichever method the experiment names: the one place to choose."""
 
-from dataclasses import replace
 from pathlib import Path
 
 from twin.config import Experiment
-from twin.config.sensor_layer import sensor_layer_of
 from twin.mechanics import check_press
 from twin.optics.checks import check_renderable
-from twin.pipeline.bound import bounds_of, object_bounds
+from twin.pipeline.bound import bounds_of
 from twin.pipeline.colours import check_sensor, measure_colours
 from twin.pipeline.compensation import with_compensation
 from twin.pipeline.fringes import RunContext, check_layers, measure_fringes
@@ -15,6 +13,7 @@ from twin.pipeline.memory import Memory
 from twin.pipeline.progress import ProgressCallback, Stopwatch, no_progress
 from twin.results.features import check_measurands
 from twin.results.folder import as_stored, write_measurement
+from twin.results.names import compensates_at_once
 from twin.results.record import Measurement
 
 
@@ -73,17 +72,16 @@ def measure_whole(
 ) -> Measurement:
     """Measure, with the figures that a result folder holds: bounds, and the object behind the coat.
 
+    Where the object is a fit of its own, under a slab, `twin compensate` makes it.
+
     Raises
     ------
     InputError, MissingBackend : as `measure`
     """
-    kept = Memory() if memory is None else memory
-    done = measure(experiment, watch, kept, bound=True)
-    if done.pressed is not None:
+    done = measure(experiment, watch, memory, bound=True)
+    if done.pressed is not None and compensates_at_once(experiment):
         watch("compensate", 0.0)
         done = with_compensation(done)
-        bounds = object_bounds(experiment, sensor_layer_of(experiment), kept)
-        done = replace(done, metrics={**done.metrics, **bounds})
         watch("compensate", 1.0)
     return done
 

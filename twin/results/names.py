@@ -55,6 +55,11 @@ def may_compensate(experiment: Experiment) -> bool:
     return method.fringes and method.presses and (free_form or fitted)
 
 
+def compensates_at_once(experiment: Experiment) -> bool:
+    """Tell whether the object is found in a second: not by a fit under a slab, which takes five."""
+    return may_compensate(experiment) and not is_slab(experiment.elastomer)
+
+
 def of_the_object(names: Iterable[str]) -> bool:
     """Tell whether a figure of the object behind the coat is among the names."""
     return any(name.startswith(COMPENSATED) for name in names)

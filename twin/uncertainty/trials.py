@@ -22,10 +22,9 @@ from twin.config import ConfigError, Experiment, load_experiment
 from twin.config.inputs import DEFAULT_INPUTS, Input, Inputs, load_inputs
 from twin.config.schema import explain
 from twin.config.study import Study
-from twin.mechanics.choice import is_slab
 from twin.output import EXPERIMENT_FILE, RESULT_FILE, adding, write_json
 from twin.pipeline.progress import ProgressCallback, no_progress
-from twin.results.names import may_compensate
+from twin.results.names import compensates_at_once
 from twin.results.parts import write_result
 from twin.study.record import StudyRecord, write_record
 from twin.study.sensitivity import Effect
@@ -143,7 +142,7 @@ def record_of(
         "seed": given.seed if seed is None else seed,
         "calibration": calibration,
         "budget": budget,
-        "compensated": _compensates(experiment) if compensated is None else compensated,
+        "compensated": compensates_at_once(experiment) if compensated is None else compensated,
     }
     study = {
         "name": "trials",
@@ -153,10 +152,6 @@ def record_of(
         "inputs": given.inputs,
     }
     return StudyRecord(_validated(Study, study), experiment)
-
-
-def _compensates(experiment: Experiment) -> bool:
-    return may_compensate(experiment) and not is_slab(experiment.elastomer)
 
 
 def plan_in_words(
