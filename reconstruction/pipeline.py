@@ -116,13 +116,16 @@ def reconstruct(capture: Capture, options: ReconstructOptions | None = None) -> 
     return Reconstruction(decoded, point_map)
 
 
-def filter_bias(found: Reconstruction, use: Use, where: BoolImage) -> tuple[float, float]:
+def filter_bias(
+    found: Reconstruction, use: Use, where: BoolImage, sigma_z_mm: NDArray[np.floating]
+) -> tuple[float, float]:
     """Tell how much of the relief the filter may have taken; needs no truth.
 
     Parameters
     ----------
     use : the coordinate that gave the depth; the larger share of both counts for "both"
     where : (row, col), valid points to count, at least one
+    sigma_z_mm : (point,) of those points
 
     Returns
     -------
@@ -132,8 +135,9 @@ def filter_bias(found: Reconstruction, use: Use, where: BoolImage) -> tuple[floa
     axes = (found.decoded.column, found.decoded.row)
     chosen = axes if use == "both" else (axes[use == "row"],)
     share = np.max([at_pixels(axis.bias_share, where) for axis in chosen], axis=0)
-    variance_um2 = 1e6 * at_pixels(found.point_map.sigma_z_mm, where).astype(np.float64) ** 2
-    return float(np.sqrt(np.mean(variance_um2 * share))), float(np.mean(share > 0.5))
+    sigma_um = 1e3 * sigma_z_mm.astype(np.float64)
+    variance_um2 = float(np.einsum("i,i,i->", sigma_um, sigma_um, share)) / len(share)
+    return float(np.sqrt(variance_um2)), float(np.mean(share > 0.5))
 
 
 if TYPE_CHECKING:

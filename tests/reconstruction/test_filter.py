@@ -172,7 +172,9 @@ def test_bias_is_told_without_truth(noisy, calibration, surface, project):
         column = seen[..., 0] + rough_px * rough / rough.std()
         decoded = decode(noisy(column, seen[..., 1]), PATTERNS, SENSOR)
         found = Reconstruction(decoded, triangulate(decoded, calibration))
-        bias_um, share = filter_bias(found, "column", found.point_map.valid)
+        valid = found.point_map.valid
+        sigma_mm = found.point_map.sigma_z_mm[valid]
+        bias_um, share = filter_bias(found, "column", valid, sigma_mm)
         assert bias_um >= 0.0
         shares.append(share)
     assert shares[0] < 0.1 < shares[1]

@@ -82,7 +82,7 @@ def reconstruction_metrics(result: Reconstruction, use: Use) -> dict[str, Any]:
     if figures["points"]:
         sigma = result.point_map.sigma_z_mm[result.point_map.valid]
         figures["sigma_z_median_um"] = float(1e3 * np.median(sigma))
-        bias_um, bias_share = filter_bias(result, use, result.point_map.valid)
+        bias_um, bias_share = filter_bias(result, use, result.point_map.valid, sigma)
         figures |= {"filter_bias_um": bias_um, "filter_bias_share": bias_share}
     return figures | masked_by_reason(reasons, Reason)
 

@@ -170,10 +170,11 @@ def score_truth(
     found_mm = at_pixels(reconstruction.point_map.points_world_mm, both)[:, 2]
     true_mm = at_pixels(truth.points_world_mm, both)[:, 2]
     error_um = 1e3 * (found_mm - true_mm).astype(np.float64)
-    sigma_um = 1e3 * at_pixels(reconstruction.point_map.sigma_z_mm, both).astype(np.float64)
-    bias_um, bias_share = (
-        filter_bias(reconstruction, experiment.decode.use, both) if both.any() else (None, None)
-    )
+    sigma_mm = at_pixels(reconstruction.point_map.sigma_z_mm, both)
+    sigma_um = 1e3 * sigma_mm.astype(np.float64)
+    bias_um, bias_share = None, None
+    if both.any():
+        bias_um, bias_share = filter_bias(reconstruction, experiment.decode.use, both, sigma_mm)
     return FringeScore(
         **_errors(experiment, error_um, int(wanted.sum())),
         lit_pixels=int(wanted.sum()),
