@@ -265,12 +265,17 @@ def _balls(
     experiment: Experiment, measured_mm: NDArray[np.floating], truth: Truth, usable: BoolImage
 ) -> tuple[tuple[SphereScore, ...], tuple[str, ...], dict[str, Any]]:
     """Return the balls that could be fitted, why the others could not, and further regions."""
+    if not shape_of(experiment.specimen).spheres():
+        return (), (), {}
     further: dict[str, Any] = {}
+    # x and y each in one piece of memory: every ball and region looks through all of them.
+    planes = np.ascontiguousarray(np.moveaxis(measured_mm[..., :2], -1, 0))
+    seen = usable, np.moveaxis(planes, 0, -1)
     for radius_mm in experiment.score.regions_mm:
-        found = _spheres(experiment, measured_mm, truth, usable, radius_mm)
+        found = _spheres(experiment, measured_mm, truth, seen, radius_mm)
         further |= _sphere_metrics(*found, region_name(radius_mm))
     scored_mm = experiment.score.roi_radius_mm
-    return *_spheres(experiment, measured_mm, truth, usable, scored_mm), further
+    return *_spheres(experiment, measured_mm, truth, seen, scored_mm), further
 
 
 def region_name(radius_mm: float) -> str:
@@ -282,13 +287,18 @@ def _spheres(
     experiment: Experiment,
     measured_mm: NDArray[np.floating],
     truth: Truth,
-    usable: BoolImage,
+    seen: tuple[BoolImage, NDArray[np.floating]],
     roi_radius_mm: float,
 ) -> tuple[tuple[SphereScore, ...], tuple[str, ...]]:
-    """Return the balls that could be fitted over a region, and why the others could not."""
-    fitted, unfitted = [], []
+    """Return the balls that could be fitted over a region, and why the others could not.
+
+    Parameters
+    ----------
+    seen : usable pixels, and x and y of all (row, col, xy)
+    """
+    (usable, lateral_mm), fitted, unfitted = seen, [], []
     for number, ball in enumerate(shape_of(experiment.specimen).spheres(), start=1):
-        roi = region_of(ball, measured_mm, usable, roi_radius_mm)
+        roi = region_of(ball, lateral_mm, usable, roi_radius_mm)
         try:
             fitted.append(score_sphere(number, ball, roi, measured_mm, truth.points_world_mm))
         except FitError as error:
