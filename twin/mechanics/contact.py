@@ -18,7 +18,6 @@ from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 import numpy as np
-import numpy.typing as npt
 from scipy.ndimage import maximum_filter
 
 from reconstruction.arrays import BoolArray, FloatArray
@@ -39,7 +38,6 @@ _COARSE_TOLERANCE = 1e-3
 _FEWEST_CELLS = 64
 # The coarse contact may miss a cell at its edge: it is grown by one of its own cells.
 _GROWN = 2 * COARSENING + 1
-_MARGIN = 2
 # Nothing outside the patch may overlap by more than this share of the depth.
 _GAP_TOLERANCE = 1e-4
 _MOST_PATCHES = 20
@@ -273,7 +271,7 @@ def solve_on_layer(
     """
     guess, passes = _guess(layer, height_mm, control), 0
     for _ in range(_MOST_PATCHES):
-        patch = layer.patch(*map(_span, np.nonzero(guess > 0), guess.shape))
+        patch = layer.patch(*map(Span.around, np.nonzero(guess > 0), guess.shape))
         within, start = height_mm[patch.cells], guess[patch.cells]
         solved = solve_contact(
             patch.deflect, within, control, tolerance, scaling=patch, start=start
@@ -329,9 +327,3 @@ def _between_cells(height_mm: FloatArray) -> FloatArray:
     blocks = height_mm.reshape(rows, COARSENING, cols, COARSENING)
     middle = slice(COARSENING // 2 - 1, COARSENING // 2 + 1)
     return np.asarray(blocks[:, middle, :, middle].mean(axis=(1, 3)))
-
-
-def _span(cells: npt.NDArray[np.intp], count: int) -> Span:
-    """Return the rows or columns that hold a contact, with a margin."""
-    first = max(int(cells.min()) - _MARGIN, 0)
-    return Span(first, min(int(cells.max()) + _MARGIN + 1, count) - first)

@@ -19,6 +19,7 @@ from scipy import fft
 from reconstruction.arrays import FloatArray, IntArray
 
 ComplexArray = npt.NDArray[np.complex128]
+_MARGIN = 2
 
 
 @dataclass(frozen=True)
@@ -27,6 +28,12 @@ class Span:
 
     first: int
     count: int
+
+    @classmethod
+    def around(cls, cells: npt.NDArray[np.intp], count: int) -> "Span":
+        """Return the rows or columns, of so many, that hold a contact's cells, with a margin."""
+        first = max(int(cells.min()) - _MARGIN, 0)
+        return cls(first, min(int(cells.max()) + _MARGIN + 1, count) - first)
 
     @property
     def padded(self) -> int:

@@ -29,7 +29,6 @@ from twin.mechanics.press import check_outline
 from twin.specimens import Shape, shape_of
 
 _TOLERANCE, _MOST_PASSES = 1e-6, 400
-_MARGIN = 2
 
 SlabData = tuple[Elastomer, Press]
 
@@ -148,7 +147,9 @@ class SolvedSlab:
     @cached_property
     def _patch(self) -> Patch:
         row, col = np.nonzero(self.touching)
-        return self.layer.patch(_span(row, self.layer.rows), _span(col, self.layer.cols))
+        return self.layer.patch(
+            Span.around(row, self.layer.rows), Span.around(col, self.layer.cols)
+        )
 
     def _pressure_for(self, advance_mm: FloatArray) -> FloatArray:
         """Return the pressure on the contact that lets its cells follow, (row, col)."""
@@ -202,8 +203,3 @@ def _solved(patch: Patch, inside: BoolArray, wanted_mm: FloatArray) -> FloatArra
         before, size = size, inner(rest, scaled)
         direction = scaled + size / before * direction
     raise SolverError(f"slab: no derivative within {_MOST_PASSES} passes; use a coarser grid")
-
-
-def _span(cells: np.ndarray, count: int) -> Span:
-    first = max(int(cells.min()) - _MARGIN, 0)
-    return Span(first, min(int(cells.max()) + _MARGIN + 1, count) - first)
