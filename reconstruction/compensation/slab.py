@@ -29,7 +29,10 @@ from reconstruction.errors import FitError
 # whole cells leaves steps as small as that undecided.
 _CONVERGED = 2e-7
 _MOST_MODELS = 60
+_MOST_TURNS = 5
 _TOO_FAR = 10.0
+# Of a number's range: so near to an end is at the end.
+_AT_THE_END = 1e-3
 # Residuals that are as large as their sigma and independent, to this factor of variance.
 _AGREES = 1.3
 
@@ -197,7 +200,7 @@ class CompensatedSlab:
         return []
 
     def theory_mm(self, _: float) -> float:
-        """Return what the theory leaves out of a radius: it is told in the limits, not counted."""
+        """Return what the theory leaves out of a radius: it is in the numbers' covariance."""
         return 0.0
 
 
@@ -219,19 +222,34 @@ def fit_under_slab(
     FitError : no press with numbers in their ranges, or numbers that the heights cannot tell apart
     """
     values, before = np.array([one.start for one in unknowns]), None
-    shared = 1.0
+    # The heights weigh little at first, so that what is known keeps the start from running away.
+    shared = _Weighing(relief, models[0], tuple(unknowns), force, 1.0).apart(values)
     for model in models:
-        problem = _Weighing(relief, model, tuple(unknowns), force, shared)
-        before, values = values, _settled(problem, values)
-        if problem.apart(values) > _AGREES * shared:
-            shared = problem.apart(values)
+        before = values
+        for _ in range(_MOST_TURNS):
             problem = _Weighing(relief, model, tuple(unknowns), force, shared)
             values = _settled(problem, values)
+            found_apart = problem.apart(values)
+            if shared / _AGREES <= found_apart <= _AGREES * shared:
+                break
+            shared = found_apart
+    _check_inside(values, unknowns)
     found = problem.told(values)
     if len(models) < 2:
         return found
     moved = values - before
     return replace(found, covariance=found.covariance + np.outer(moved, moved))
+
+
+def _check_inside(values: FloatArray, unknowns: Sequence[FittedNumber]) -> None:
+    """Refuse a number of which nothing was known and that ran as far as it may."""
+    for one, value in zip(unknowns, values.tolist(), strict=True):
+        room = min(value - one.low, one.high - value)
+        if np.isinf(one.sigma) and room < _AT_THE_END * (one.high - one.low):
+            raise FitError(
+                f"slab: {one.name} ran to {value:.4g}, allowed {one.low:.4g} to {one.high:.4g}; "
+                "begin nearer to the object, or tell the travel (press.depth_mm, sigma.depth_mm)"
+            )
 
 
 def bound_under_slab(

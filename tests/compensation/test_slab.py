@@ -253,6 +253,14 @@ def test_only_a_ball_calibrates() -> None:
         calibrate_slab(*coat_points(np.zeros((160, 160)), NOISE_MM), asked, 8.0)
 
 
+def test_a_number_that_runs_to_its_end_is_no_result() -> None:
+    """Begun at 1.9 mm, a diameter may become 7.6 mm; the ball has 8 mm."""
+    coat = pressed(BALL, slab(), 0.7, AIR_KPA).coat_mm
+    asked = replace(slab_object(layer_of(slab(), AIR_KPA), Ball(diameter_mm=1.9)), theory=False)
+    with pytest.raises(FitError, match=r"specimen\.diameter_mm ran to 7\.6"):
+        fit_slab(*coat_points(coat, NOISE_MM), asked)
+
+
 def test_numbers_that_cannot_be_told_apart_are_named() -> None:
     """Of a ball, its height in a group changes nothing: the travel counts from first touch."""
     coat = pressed(BALL, slab(), 0.7).coat_mm

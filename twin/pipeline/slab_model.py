@@ -112,6 +112,7 @@ class PressedCoat:
 
     def _move(self, solved: SolvedSlab, values: FloatArray, name: str) -> CoatMove:
         if name in (*PLANE, STRAIN):
+            # That the field of theory moves with the other numbers is of second order.
             return CoatMove(self._added(solved, name), 0.0)
         if name == TRAVEL:
             return solved.moved_by_travel()
@@ -234,6 +235,6 @@ def _strain(solved: SolvedSlab) -> float:
 
 
 def with_modulus(elastomer: Elastomer, modulus_kpa: float) -> Elastomer:
-    """Return an elastomer whose modulus is a number of its own, mm and kPa."""
+    """Return an elastomer with a measured modulus in place of its hardness."""
     told = {"shore_a": None, "shore_00": None, "young_modulus_kpa": modulus_kpa}
     return elastomer.model_copy(update=told)
