@@ -170,9 +170,9 @@ def _mixed(word: Any, turns: Any) -> Any:
 
 
 @_inlined
-def _keyed(word: Any, key: Any, number: int) -> Any:
+def _keyed(word: Any, key: Any, number: Any) -> Any:
     """Add a key of four words, and the number of the addition."""
-    last = np.uint32(word[3] + key[3] + np.uint32(number))
+    last = np.uint32(word[3] + key[3] + number)
     return (
         np.uint32(word[0] + key[0]),
         np.uint32(word[1] + key[1]),
@@ -186,12 +186,12 @@ def threefry(counter: Any, key: Any) -> Any:
     """Return four random words of a counter and a key of four words each, by twenty rounds."""
     a, b, c, d = key
     e = np.uint32(_PARITY ^ a ^ b ^ c ^ d)
-    word = _keyed(counter, (a, b, c, d), 0)
-    word = _keyed(_mixed(word, _TURNS[:8]), (b, c, d, e), 1)
-    word = _keyed(_mixed(word, _TURNS[8:]), (c, d, e, a), 2)
-    word = _keyed(_mixed(word, _TURNS[:8]), (d, e, a, b), 3)
-    word = _keyed(_mixed(word, _TURNS[8:]), (e, a, b, c), 4)
-    return _keyed(_mixed(word, _TURNS[:8]), (a, b, c, d), 5)
+    word = _keyed(counter, (a, b, c, d), np.uint32(0))
+    word = _keyed(_mixed(word, _TURNS[:8]), (b, c, d, e), np.uint32(1))
+    word = _keyed(_mixed(word, _TURNS[8:]), (c, d, e, a), np.uint32(2))
+    word = _keyed(_mixed(word, _TURNS[:8]), (d, e, a, b), np.uint32(3))
+    word = _keyed(_mixed(word, _TURNS[8:]), (e, a, b, c), np.uint32(4))
+    return _keyed(_mixed(word, _TURNS[:8]), (a, b, c, d), np.uint32(5))
 
 
 @_inlined

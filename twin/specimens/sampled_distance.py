@@ -184,11 +184,15 @@ Table = tuple[FloatArray, FloatArray, float, IntArray, FloatArray, npt.NDArray[n
 
 @nested
 def _in_body(
-    point: FloatArray, rotation: FloatArray, shift: FloatArray, axis: int, pitch: float
-) -> float:
-    """Return one coordinate of a point in the body's frame, in pitches."""
+    point: FloatArray, rotation: FloatArray, shift: FloatArray, pitch: float
+) -> tuple[float, float, float]:
+    """Return (xyz) of a point in the body's frame, in pitches."""
     x, y, z = point[0] - shift[0], point[1] - shift[1], point[2] - shift[2]
-    return float((x * rotation[0, axis] + y * rotation[1, axis] + z * rotation[2, axis]) / pitch)
+    return (
+        (x * rotation[0, 0] + y * rotation[1, 0] + z * rotation[2, 0]) / pitch,
+        (x * rotation[0, 1] + y * rotation[1, 1] + z * rotation[2, 1]) / pitch,
+        (x * rotation[0, 2] + y * rotation[1, 2] + z * rotation[2, 2]) / pitch,
+    )
 
 
 @compiled
@@ -196,9 +200,10 @@ def _ask(points: FloatArray, reach: float, table: Table, asked: BoolImage) -> No
     """Mark the bricks that are unknown, or near enough and not sampled."""
     rotation, shift, pitch, low, least, slot = table
     for n in range(len(points)):
-        i = int(np.floor(_in_body(points[n], rotation, shift, 0, pitch) / _BRICK)) - low[0]
-        j = int(np.floor(_in_body(points[n], rotation, shift, 1, pitch) / _BRICK)) - low[1]
-        k = int(np.floor(_in_body(points[n], rotation, shift, 2, pitch) / _BRICK)) - low[2]
+        x, y, z = _in_body(points[n], rotation, shift, pitch)
+        i = int(np.floor(x / _BRICK)) - low[0]
+        j = int(np.floor(y / _BRICK)) - low[1]
+        k = int(np.floor(z / _BRICK)) - low[2]
         if i < 0 or j < 0 or k < 0:
             continue
         if i >= slot.shape[0] or j >= slot.shape[1] or k >= slot.shape[2]:
@@ -225,12 +230,11 @@ def _interpolate(
 ) -> None:
     distance, gradient, hessian = out
     (rotation, shift, pitch, low, least, slot), coefficients = body
-    at, brick, cell = np.zeros(3), np.zeros(3, np.int64), np.zeros(3, np.int64)
+    brick, cell = np.zeros(3, np.int64), np.zeros(3, np.int64)
     weight, scratch, f = np.zeros((3, 3, 4)), np.zeros((3, 3)), np.zeros((3, 3, 3))
     for n in range(len(points)):
-        within = True
+        within, at = True, _in_body(points[n], rotation, shift, pitch)
         for axis in range(3):
-            at[axis] = _in_body(points[n], rotation, shift, axis, pitch)
             brick[axis] = int(np.floor(at[axis] / _BRICK)) - low[axis]
             within = within and 0 <= brick[axis] < slot.shape[axis]
         distance[n] = reach

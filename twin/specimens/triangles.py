@@ -218,7 +218,7 @@ def _sample(
     half = (count - 1) / 2
     for n in range(len(middles)):
         # Afresh for each cell: where rounding decides, its neighbours must not show.
-        guess = 0
+        guess = np.int64(0)  # no literal, for which all would be compiled once more
         for i in range(count):
             for j in range(count):
                 for k in range(count):
@@ -370,22 +370,14 @@ def _inside(
         inside[n] = winding != 0
 
 
-@compiled
 def _sorted_in(first: IntArray, last: IntArray, count: IntArray) -> tuple[IntArray, IntArray]:
     """Return lists of the boxes first..last that hold each place of a grid, row by row."""
+    sides = np.maximum(last - first + 1, 0)
+    places = sides[:, 0] * sides[:, 1]
+    member = np.repeat(np.arange(len(first)), places)
+    within = np.arange(len(member)) - np.repeat(np.cumsum(places) - places, places)
+    x, y = (first[member] + np.array(np.divmod(within, sides[member, 1])).T).T
+    place = x * count[1] + y
     start = np.zeros(count[0] * count[1] + 1, np.int64)
-    for n in range(len(first)):
-        for x in range(first[n, 0], last[n, 0] + 1):
-            for y in range(first[n, 1], last[n, 1] + 1):
-                start[x * count[1] + y + 1] += 1
-    filled = np.zeros(len(start), np.int64)
-    for place in range(1, len(start)):
-        start[place] += start[place - 1]
-        filled[place] = start[place]
-    member = np.zeros(start[-1], np.int64)
-    for n in range(len(first)):
-        for x in range(first[n, 0], last[n, 0] + 1):
-            for y in range(first[n, 1], last[n, 1] + 1):
-                member[filled[x * count[1] + y]] = n
-                filled[x * count[1] + y] += 1
-    return start, member
+    np.cumsum(np.bincount(place, minlength=len(start) - 1), out=start[1:])
+    return start, member[np.argsort(place, kind="stable")]
