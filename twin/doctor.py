@@ -233,7 +233,7 @@ def _warm_sheets() -> None:
     sheet = {"mechanics.model": "sheet", "press.back_pressure_kpa": 0.0}
     experiment = load_experiment("examples/wrapped_balls", coarse | sheet)
     # What the other process comes to last: as its camera records, and its decoder hands on.
-    expose(experiment, np.full((1, 16, 16), 1e-3, np.float32), white_frame=0)
+    expose(experiment, [np.full((16, 16), 1e-3, np.float32)], white_frame=0)
     maps, mask = np.zeros((2, 16, 16)), np.zeros((16, 16), np.uint8)
     smooth(Unfiltered(maps.astype(np.float32), maps.astype(np.uint16), mask), 5, 1.0, 9.0, 1e-3)
     press_specimen(experiment)

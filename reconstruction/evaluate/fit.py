@@ -73,12 +73,17 @@ def residual_stats(residuals_mm: ArrayLike) -> ResidualStats:
     )
 
 
-def rms(values: FloatArray) -> float:
-    """Return the root mean square of at least one value."""
-    return float(np.sqrt(np.mean(values**2)))
+def mean(values: NDArray[np.floating]) -> float:
+    """Return the mean of at least one value, summed in double precision."""
+    return float(np.mean(values, dtype=np.float64))
 
 
-def p95_of_size(values: FloatArray) -> float:
+def rms(values: NDArray[np.floating]) -> float:
+    """Return the root mean square of at least one value, summed in double precision."""
+    return float(np.sqrt(np.mean(np.square(values, dtype=np.float64))))
+
+
+def p95_of_size(values: NDArray[np.floating]) -> float:
     """Return the 95th percentile of the values' sizes."""
     return quantile(np.abs(values), 0.95)
 
@@ -260,7 +265,7 @@ def radial_jacobian(sphere: FloatArray, points_mm: FloatArray) -> FloatArray:
     return np.column_stack([toward / distance[:, None], -np.ones(len(points_mm))])
 
 
-def spread(values: FloatArray) -> float:
+def spread(values: NDArray[np.floating]) -> float:
     """Robust standard deviation of values, (n,)."""
     away = values - median(values)
     return MAD_TO_SIGMA * median(np.abs(away, out=away))

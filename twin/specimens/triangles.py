@@ -218,7 +218,7 @@ def _sample(
     half = (count - 1) / 2
     for n in range(len(middles)):
         # Afresh for each cell: where rounding decides, its neighbours must not show.
-        guess = np.int64(0)  # no literal, for which all would be compiled once more
+        guess = 0
         for i in range(count):
             for j in range(count):
                 for k in range(count):

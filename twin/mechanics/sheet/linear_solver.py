@@ -55,11 +55,11 @@ class Pardiso:
     """MKL's PARDISO: one symbolic factorisation for all systems of the pattern."""
 
     def __init__(self, start: IntArray, columns: IntArray) -> None:
+        _name_library()  # importing looks for it already
         from pypardiso import PyPardisoSolver
         from pypardiso.pardiso_wrapper import PyPardisoError
 
         self._refusal: type[Exception] = PyPardisoError
-        _name_library()
         self._solver: Any = PyPardisoSolver(mtype=_REAL_POSITIVE_DEFINITE)
         # Newton's next step refines more than the refinement of a solution, two thirds of its time.
         self._solver.set_iparm(_OWN_SETTINGS, 1)
@@ -136,6 +136,7 @@ def has_pardiso() -> bool:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
+            _name_library()
             import pypardiso  # noqa: F401  # importing loads the library
     except ImportError:
         return False
