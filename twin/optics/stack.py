@@ -1,6 +1,9 @@
 """Result of the renderer: linear radiance of every frame, and the geometric truth per pixel."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any, TypeVar
+
+import numpy as np
 
 from reconstruction.arrays import BoolImage, FloatArray, FloatImage
 
@@ -70,3 +73,13 @@ class RadianceStack:
 
     frames: Frames
     truth: Truth
+
+
+Images = TypeVar("Images", Truth, TraceMaps)
+
+
+def rows_of(images: Images, band: slice) -> Images:
+    """Return some rows of all images."""
+    found: dict[str, Any] = vars(images)
+    rows: dict[str, Any] = {k: v[band] for k, v in found.items() if isinstance(v, np.ndarray)}
+    return replace(images, **rows)

@@ -22,10 +22,12 @@ Left out: fixed pattern noise (it scales level and contrast alike), light betwee
 fringe orders, and that clipping of a frame near the limit is a matter of chance.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from reconstruction.arrays import BoolImage, FloatArray, FloatImage, Reason, ReasonImage
 from reconstruction.decoding import AxisDecode, Decoded, DecodeOptions
@@ -44,7 +46,10 @@ from twin.config.models import Experiment
 from twin.optics.contrast import FringeLight, extent_variance_px2, outline, transfer
 from twin.optics.light import Defocus, pattern_set
 from twin.optics.rig import true_calibration
-from twin.optics.stack import TraceMaps, Truth
+from twin.optics.stack import TraceMaps, Truth, rows_of
+
+# Of a band of rows that stays in the cache with all that is made of it.
+_BAND_PIXELS = 1 << 16
 
 
 @dataclass(frozen=True)
@@ -239,24 +244,46 @@ def predict(experiment: Experiment, maps: TraceMaps, truth: Truth) -> PredictedM
     ------
     InputError : automatic exposure without any light
     """
-    white = white_radiance(maps, experiment)
+    shape = maps.weight.shape
+    (white,) = _by_bands(shape, lambda band: (white_radiance(rows_of(maps, band), experiment),))
     exposure_ms = choose_exposure_ms(experiment, white)
     numbers = FringeNumbers.of(experiment, exposure_ms)
-    places: dict[Axis, FloatArray] = {"column": maps.column_px, "row": maps.row_px}
-    levels = {
-        axis: axis_levels(maps, numbers, steps_of(experiment, axis), axis, white.astype(np.float64))
-        for axis in AXES
-    }
-    reason = _dark(experiment, white, numbers)
-    sigma: dict[Axis, FloatArray] = {}
-    for axis in AXES:
-        growth = clipping(experiment, levels[axis], places[axis], axis, reason)
-        too_much = levels[axis].phase_sigma_rad > DecodeOptions.max_phase_sigma_rad
-        reason[(reason == 0) & too_much] = Reason.LOW_MODULATION
-        sigma[axis] = np.asarray(levels[axis].sigma_px * growth, np.float64)
+    column, row, reason = _by_bands(
+        shape, lambda band: _single_pixels(experiment, rows_of(maps, band), white[band], numbers)
+    )
     if experiment.decode.filter_taps:
         reason = without_edges(reason)
-    return _placed(experiment, _Single(places, sigma, reason), truth, exposure_ms)
+    places: dict[Axis, FloatArray] = {"column": maps.column_px, "row": maps.row_px}
+    single = _Single(places, {"column": column, "row": row}, reason)
+    return _placed(experiment, single, truth, exposure_ms)
+
+
+def _by_bands(
+    shape: tuple[int, ...], found: Callable[[slice], tuple[NDArray[Any], ...]]
+) -> tuple[NDArray[Any], ...]:
+    """Join what is found of one band of rows after the other.
+
+    Arrays of a whole image leave the cache between two operations, and each new one is memory that
+    the system must clear first: a third of the speed.
+    """
+    rows = max(1, _BAND_PIXELS // shape[1])
+    parts = [found(slice(first, first + rows)) for first in range(0, shape[0], rows)]
+    return tuple(np.concatenate(one) for one in zip(*parts, strict=True))
+
+
+def _single_pixels(
+    experiment: Experiment, maps: TraceMaps, white: FloatImage, numbers: FringeNumbers
+) -> tuple[FloatArray, FloatArray, ReasonImage]:
+    """Return sigma of single pixels' coordinates along columns and rows, px, and the mask."""
+    places: dict[Axis, FloatArray] = {"column": maps.column_px, "row": maps.row_px}
+    light, reason, sigma = white.astype(np.float64), _dark(experiment, white, numbers), []
+    for axis in AXES:
+        levels = axis_levels(maps, numbers, steps_of(experiment, axis), axis, light)
+        growth = clipping(experiment, levels, places[axis], axis, reason)
+        too_much = levels.phase_sigma_rad > DecodeOptions.max_phase_sigma_rad
+        reason[(reason == 0) & too_much] = Reason.LOW_MODULATION
+        sigma.append(np.asarray(levels.sigma_px * growth, np.float64))
+    return sigma[0], sigma[1], reason
 
 
 @dataclass(frozen=True, eq=False)
@@ -406,13 +433,19 @@ def _height_by_px(rig: Calibration, truth: Truth, axis: Axis, usable: BoolImage)
     """Return by how much the surface's height errs per px of the coordinate, in air; mm."""
     lens = rig.projector
     pose = np.linalg.inv(rig.T_world_from_proj)[:3]
-    slope = np.abs(coordinate_slope(pose, (lens.fx_px, lens.fy_px), rig, truth, axis))
-    ray = truth.points_world_mm.astype(np.float64) - rig.T_world_from_cam[:3, 3]
-    normals = truth.normals_world.astype(np.float64)
-    across = np.abs(np.einsum("rcx,rcx->rc", ray, normals))
-    found: FloatArray = np.ones(usable.shape)
-    np.divide(across, np.abs(normals[..., 2]) * slope, out=found, where=usable & (slope > 0.0))
-    return found
+
+    def of_band(band: slice) -> tuple[FloatArray]:
+        seen = rows_of(truth, band)
+        slope = np.abs(coordinate_slope(pose, (lens.fx_px, lens.fy_px), rig, seen, axis))
+        ray = seen.points_world_mm.astype(np.float64) - rig.T_world_from_cam[:3, 3]
+        normals = seen.normals_world.astype(np.float64)
+        across = np.abs(np.einsum("rcx,rcx->rc", ray, normals))
+        found: FloatArray = np.ones(slope.shape)
+        told = usable[band] & (slope > 0.0)
+        np.divide(across, np.abs(normals[..., 2]) * slope, out=found, where=told)
+        return (found,)
+
+    return _by_bands(usable.shape, of_band)[0]
 
 
 def _height_mm(found: PointMap, truth: Truth, usable: BoolImage) -> FloatArray:
