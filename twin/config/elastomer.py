@@ -51,6 +51,11 @@ class Elastomer(Model):
     pre_stretch: Annotated[float, Field(ge=1, le=2)] = Field(
         default=1.0, description="of the mounted sheet, equal along x and y (sheet model)"
     )
+    rim_compliance_mm2_per_n: Annotated[float, Field(ge=0, le=100)] = Field(
+        default=0.0,
+        description="mm by which the sheet's edge gives along its frame per N/mm of line tension "
+        "beyond that of the mounted sheet; 0: a rigid rim (sheet model)",
+    )
     tack_j_m2: NonNegative = Field(
         default=0.0, description="adhesion energy of the clear face on the specimen (sheet model)"
     )

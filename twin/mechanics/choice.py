@@ -201,6 +201,7 @@ def _sheet_keys(elastomer: Elastomer) -> list[str]:
     said = {
         "outline": elastomer.outline != "rectangular",
         "pre_stretch": elastomer.pre_stretch != 1,
+        "rim_compliance_mm2_per_n": elastomer.rim_compliance_mm2_per_n > 0,
         "tack_j_m2": elastomer.tack_j_m2 > 0,
         "friction": elastomer.friction == "stick",
     }

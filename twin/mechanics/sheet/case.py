@@ -110,6 +110,7 @@ def sheet_case(
         elastomer.outline,
         "simple" if mechanics.support == "simple" else "clamped",
         elastomer.pre_stretch,
+        elastomer.rim_compliance_mm2_per_n,
     )
     parts = distances_of(shape)
     return SheetCase(

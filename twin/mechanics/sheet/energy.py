@@ -18,6 +18,7 @@ from twin.mechanics.sheet.kernel import SLOTS, Assembled, assemble_rows, scratch
 from twin.mechanics.sheet.laws import Grip, Laws, Touch
 from twin.mechanics.sheet.linear_solver import LinearSolver, linear_solver
 from twin.mechanics.sheet.point import Asked, Felt
+from twin.mechanics.sheet.rim import RimSpring, rim_springs
 from twin.mechanics.sheet.stencil import Stencil, control_areas, stencil
 from twin.specimens.distance import Distances, SignedDistance, is_clear_of
 
@@ -93,6 +94,8 @@ class Sheet:
     whole: "Sheet | None" = None
     system: System = field(init=False)
     pool: ThreadPoolExecutor = field(init=False)
+    #: of a rim that gives; a window ends short of it
+    rim: tuple[RimSpring, ...] = field(init=False, default=())
     #: whose forces and tangent are held
     latest: Evaluation = field(init=False)
     factorisations: int = field(init=False, default=0)
@@ -103,6 +106,7 @@ class Sheet:
         if self.whole is None:
             self.system, self._systems = System.of(self.grid.free), dict[object, System]()
             self.pool = ThreadPoolExecutor(threads())
+            self.rim = rim_springs(self.grid, self.laws)
         else:
             self._systems, self.pool = self.whole._systems, self.whole.pool
             self.system = self._system_of_window()
@@ -145,8 +149,10 @@ class Sheet:
                     (a, b), control_mm, self.grid.rest, felt, asked, scratch(), sums
                 ),
             )
+        springs = self._tangent if tangent else None
+        of_rim = sum(one.add(control_mm, self._forces, springs) for one in self.rim)
         self.evaluations += 1
-        self.latest = Evaluation(float(energy.sum()), control_mm, surface, tangent)
+        self.latest = Evaluation(float(energy.sum()) + of_rim, control_mm, surface, tangent)
         return self.latest
 
     def surface(self, control_mm: FloatArray) -> FloatArray:

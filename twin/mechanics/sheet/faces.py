@@ -20,6 +20,8 @@ _OPTIONS = {"nogil": True, "_nrt": False, "error_model": "numpy"}
 _SOURCE_DIGEST = digest_of_sources(Path(__file__).parent, ("faces.py",))
 _FEWEST_PARTS, _MOST_PARTS = 2, 12
 _DEGENERATE_MM2 = 1e-14
+# Of the opening: so far is drawn what follows an edge that the sheet has drawn in.
+_UNDER_THE_FRAME = 1.001
 #: of a step between nodes, and of a triangle's side: so near to an edge is on it
 _ON = 1e-9
 
@@ -48,7 +50,7 @@ def sample(sheet: Sheet, state: SheetState, pitch_mm: float) -> Sampled:
     across = np.cross(along_x, along_y)
     area2 = (across**2).sum(axis=-1)
     offset = h / 2 * across / area2[..., None]
-    return Sampled(
+    found = Sampled(
         material_mm=mounted,
         middle_mm=middle,
         upper_mm=middle + offset,
@@ -56,6 +58,21 @@ def sample(sheet: Sheet, state: SheetState, pitch_mm: float) -> Sampled:
         thickness_mm=h / np.sqrt(area2),
         stretch=_principal(along_x, along_y, area2),
     )
+    return _with_margin(found) if grid.frame.rim_compliance_mm2_per_n else found
+
+
+def _with_margin(found: Sampled) -> Sampled:
+    """Return the samples and, up to the frame, what its edge drew in after itself."""
+    parts = {name: _padded(one) for name, one in vars(found).items()}
+    for name in ("middle_mm", "upper_mm", "lower_mm"):
+        place = _UNDER_THE_FRAME * parts["material_mm"]
+        place[1:-1, 1:-1] = parts[name][1:-1, 1:-1, :2]
+        parts[name][..., :2] = place
+    return Sampled(**parts)
+
+
+def _padded(values: FloatArray) -> FloatArray:
+    return np.pad(values, ((1, 1), (1, 1), *((0, 0),) * (values.ndim - 2)), mode="edge")
 
 
 def height_map(

@@ -1,4 +1,4 @@
-"""The undeformed sheet on a grid of spline cells, held along its rim.
+"""The undeformed sheet on a grid of spline cells, held along its rim or on springs there.
 
 The parameter plane is the sheet's own, unstretched: a pre-stretch of 1.1 means that a sheet of span
 L was cut to L / 1.1. A round sheet is the image of a square, so that its rim is a grid line.
@@ -27,6 +27,8 @@ class Frame:
     outline: Outline = "rectangular"
     rim: Rim = "clamped"
     pre_stretch: float = 1.0
+    #: of the edge along the frame per line tension, mm per N/mm
+    rim_compliance_mm2_per_n: float = 0.0
 
     @property
     def half_mm(self) -> tuple[float, float]:
@@ -109,6 +111,8 @@ def sheet_grid(frame: Frame, x: SplineLine, y: SplineLine) -> SheetGrid:
     if frame.rim == "clamped":  # the slope follows from the height of the next control points
         free[..., 2] = False
         free[2:-2, 2:-2, 2] = True
+    if frame.rim_compliance_mm2_per_n:
+        free[..., :2] = True
     return SheetGrid(frame, x, y, _rest(frame, x, y, control), mounted, free)
 
 

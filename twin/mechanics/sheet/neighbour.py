@@ -79,8 +79,8 @@ class Neighbourhood:
         case = sheet_case(specimen, elastomer, load, mechanics)
         if case.frame != self.rest.case.frame:
             raise PressError(
-                "elastomer: outline, lengths, pre-stretch and support lay the sheet out anew; it "
-                "has no derivative by them: press at two values"
+                "elastomer: outline, lengths, pre-stretch, support and rim lay the sheet out anew; "
+                "it has no derivative by them: press at two values"
             )
         sheet = copy(self._sheet)
         range_mm = sheet.laws.tack_range_mm  # of the cells

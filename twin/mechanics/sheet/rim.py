@@ -1,0 +1,105 @@
+"""A rim that gives: the sheet's edge on springs along the frame, each length on its own.
+
+Glue yields and a clamp lets a sheet creep in. The edge moves in the frame's plane by u under the
+line tension that it bears beyond that of the mounted sheet: k u = N - N_0, k = 1 / compliance, per
+length of the mounted edge. The mounted sheet is at rest: N_0 = mu h (1 - s^-6) along the outward
+normal, the tension of an incompressible neo-Hookean sheet that is stretched by s along x and y.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from reconstruction.arrays import FloatArray
+from twin.mechanics.sheet.grid import SheetGrid
+from twin.mechanics.sheet.kernel import SLOTS
+from twin.mechanics.sheet.laws import Laws
+from twin.mechanics.sheet.splines import SplineLine
+
+# N/mm to mN/mm, the solver's unit.
+_MILLI = 1e3
+#: Edges of the grid: the axis across them, and which end of it.
+EDGES = ((0, 0), (0, -1), (1, 0), (1, -1))
+
+
+@dataclass(frozen=True, eq=False)
+class RimSpring:
+    """Springs of one edge of the grid.
+
+    Attributes
+    ----------
+    axis, end : control points [end] along the grid's axis 0 (rows) or 1 (columns)
+    mounted_mm : (point, xy) where they rest
+    stiffness : (offset, point) mN/mm between a control point and that 0, 1 or 2 further on
+    tension : (point, xy) mN of the mounted sheet, outwards
+    """
+
+    axis: int
+    end: int
+    mounted_mm: FloatArray
+    stiffness: FloatArray
+    tension: FloatArray
+
+    def add(self, control_mm: FloatArray, forces: FloatArray, tangent: FloatArray | None) -> float:
+        """Add forces (row, col, xyz) and tangent (row, col, slot, xyz, xyz); return the energy."""
+        moved = self._edge(control_mm)[:, :2] - self.mounted_mm
+        pulled = self._times(moved)
+        self._edge(forces)[:, :2] += pulled - self.tension
+        if tangent is not None:
+            for offset, values in enumerate(self.stiffness):
+                slot = SLOTS.index((0, offset) if self.axis == 0 else (offset, 0))
+                for xy in (0, 1):
+                    self._edge(tangent)[:, slot, xy, xy] += values
+        return float(np.sum(moved * (pulled / 2 - self.tension)))
+
+    def _edge(self, of_grid: FloatArray) -> FloatArray:
+        edge: FloatArray = of_grid[self.end] if self.axis == 0 else of_grid[:, self.end]
+        return edge
+
+    def _times(self, moved: FloatArray) -> FloatArray:
+        total: FloatArray = self.stiffness[0][:, None] * moved
+        for offset in (1, 2):
+            along = self.stiffness[offset][:-offset, None]
+            total[:-offset] += along * moved[offset:]
+            total[offset:] += along * moved[:-offset]
+        return total
+
+
+def rim_springs(
+    grid: SheetGrid, laws: Laws, edges: Sequence[tuple[int, int]] = EDGES
+) -> tuple[RimSpring, ...]:
+    """Return the springs of a grid's edges; none where its frame is rigid."""
+    compliance = grid.frame.rim_compliance_mm2_per_n
+    if not compliance:
+        return ()
+    # kPa mm = mN/mm
+    unit = laws.shear_modulus_kpa * laws.thickness_mm * (1 - grid.frame.pre_stretch**-6)
+    return tuple(_spring(grid, edge, _MILLI / compliance, unit) for edge in edges)
+
+
+def _spring(grid: SheetGrid, edge: tuple[int, int], stiffness: float, tension: float) -> RimSpring:
+    axis, end = edge
+    line = grid.x if axis == 0 else grid.y
+    mounted = (grid.mounted_mm[end] if axis == 0 else grid.mounted_mm[:, end])[:, :2]
+    by_length = np.stack([_on_cells(line, mounted[:, xy]) for xy in (0, 1)], axis=-1)
+    # Rows run along x: to the right of it is out at the first; columns along y: to the left of it.
+    turned = np.stack((by_length[..., 1], -by_length[..., 0]), axis=-1)
+    outwards = turned if (axis == 0) == (end == 0) else -turned
+    values = line.table[:, :, 0]
+    weight = line.weights * np.hypot(by_length[..., 0], by_length[..., 1])
+    shares = np.einsum("cg,cga,cgb->cab", stiffness * weight, values, values)
+    pulls = np.einsum("cg,cga,cgx->cax", tension * line.weights, values, outwards)
+    between, total = np.zeros((3, line.size)), np.zeros((line.size, 2))
+    for a in range(3):
+        total[a : a + line.cells] += pulls[:, a]
+        for offset in range(3 - a):
+            between[offset, a : a + line.cells] += shares[:, a, a + offset]
+    return RimSpring(axis, end, mounted, between, total)
+
+
+def _on_cells(line: SplineLine, control: FloatArray) -> FloatArray:
+    """Return (cell, 2) derivative along the line of the spline with control points (function,)."""
+    local = np.stack([control[a : a + line.cells] for a in range(3)], axis=-1)
+    slope: FloatArray = np.einsum("cga,ca->cg", line.table[:, :, 1], local)
+    return slope
