@@ -2,7 +2,7 @@
 
 from reconstruction.compensation.bar import BarPlace, BarUnderSheet, bar_under_sheet
 from reconstruction.compensation.gel import CompensatedGel, GelLayer, compensate_gel
-from reconstruction.compensation.known_ball import CalibratedSheet, calibrate_sheet
+from reconstruction.compensation.known_ball import CalibratedSheet, KnownTravel, calibrate_sheet
 from reconstruction.compensation.parts import Compensated, ObjectPart, parts_of
 from reconstruction.compensation.relief import Relief, SheetOpening, relief_on_frame
 from reconstruction.compensation.sheet import CompensatedSheet, SheetLayer, compensate_sheet
@@ -31,6 +31,7 @@ __all__ = [
     "FittedSlab",
     "GelLayer",
     "KnownForce",
+    "KnownTravel",
     "ObjectPart",
     "Relief",
     "SheetLayer",

@@ -1,12 +1,18 @@
-"""Calibrate a sheet on one press of a known ball: its thickness, and with air its modulus; mm, kPa.
+"""Calibrate a sheet on one press of a known ball: thickness, modulus, how its rim gives; mm, kPa.
 
 What one press determines: the local thickness over the ball, by its radius; and with known air the
 tension of the free span, so the modulus. What it does not: thickness and pre-stretch apart. A sheet
 stretched more into its frame is thinner by the square of it before anything touches: along that
 ridge, h s^-2 nearly constant, nothing measured changes. The thickness is that at the pre-stretch
 taken, and serves every later press of the same mounted sheet.
+
+A rim that gives leaves the sheet thicker over the ball. Its compliance is fitted where it is stated
+as uncertain, with what was believed of it and whatever else tells: with a known travel the tip of
+the ball, which lies where the stage has put it, z = travel - h s^-2 above the mounted coat; with a
+modulus known from elsewhere the tension of the free span. Weighted least squares, Gauss-Newton.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,11 +24,23 @@ from reconstruction.errors import FitError, require_number
 from reconstruction.evaluate.estimates import ball_radius
 
 _MOST_TURNS = 6
-_CLOSE_MM = 1e-5
+_CLOSE_MM, _CLOSE_MM2_PER_N = 1e-5, 0.05
 # Error of the free span's modulus, and what a mm of thickness adds in a frame of 12 mm, where the
 # sheet bends: against the one-dimensional solver, tests/compensation.
 _MODULUS_THEORY, _MODULUS_PER_MM = 0.02, 0.15
+# Of the tip's place, beside what the theory leaves out of a radius: against the twin's sheet.
+_TIP_THEORY_MM = 2e-3
+# By which the rim gives more for its derivative, times shear modulus times thickness.
+_STEP_MM = 0.05
 _THINNEST_SHARE, _THICKEST_SHARE = 0.2, 5.0
+
+
+@dataclass(frozen=True)
+class KnownTravel:
+    """Travel of the stage after first touch, and its standard uncertainty, mm."""
+
+    travel_mm: float
+    sigma_mm: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,12 +49,13 @@ class CalibratedSheet:
 
     Attributes
     ----------
-    layer : with thickness and modulus found, and their standard uncertainties; the pre-stretch
-        counts as exact, as later presses share it
+    layer : with thickness, modulus and the rim's compliance found, and their standard
+        uncertainties; the pre-stretch counts as exact, as later presses share it
     radius_before_mm : of the ball by the layer as it was believed
     balls : how many parts were balls
     thickness_per_pre_stretch_mm : by how much the thickness would grow per unit of pre-stretch
     modulus_found : whether the free span told one
+    rim_found : whether the rim's compliance was fitted
     """
 
     layer: SheetLayer
@@ -44,6 +63,7 @@ class CalibratedSheet:
     balls: int
     thickness_per_pre_stretch_mm: float
     modulus_found: bool
+    rim_found: bool
 
 
 def calibrate_sheet(
@@ -51,15 +71,18 @@ def calibrate_sheet(
     sigma_z_mm: FloatArray,
     layer: SheetLayer,
     ball_radius_mm: float,
+    *,
     sigma_radius_mm: float = 0.0,
+    travel: KnownTravel | None = None,
 ) -> CalibratedSheet:
     """Find the thickness with which the ball has its radius, and the modulus of the free span.
 
     Parameters
     ----------
     points_mm, sigma_z_mm : as `compensate_sheet`
-    layer : as it is believed: where to begin
+    layer : as it is believed: where to begin; its rim's compliance is fitted where it has a sigma
     ball_radius_mm, sigma_radius_mm : of every ball in contact, and its standard uncertainty
+    travel : where the stage tells it; serves the rim's compliance
 
     Raises
     ------
@@ -68,54 +91,212 @@ def calibrate_sheet(
     """
     require_number("ball radius", ball_radius_mm, 0.0, open_low=True)
     require_number("sigma of the ball radius", sigma_radius_mm, 0.0)
-    believed, before = layer.thickness_mm, 0.0
-    for turn in range(_MOST_TURNS):
-        found = compensate_sheet(points_mm, sigma_z_mm, layer)
-        balls = [part for part in parts_of(found) if part.form == "ball"]
-        if not balls:
-            raise FitError("calibration: no part of the contact is a ball; press one, with air")
-        radius, slope = _mean_radius(found, balls)
-        before = radius if turn == 0 else before
-        if abs(radius - ball_radius_mm) < _CLOSE_MM:
-            break
-        thickness = layer.thickness_mm + (ball_radius_mm - radius) / slope
-        if not _THINNEST_SHARE * believed < thickness < _THICKEST_SHARE * believed:
-            raise FitError(
-                f"calibration: a radius of {ball_radius_mm:g} mm would take a sheet of "
-                f"{thickness:.3g} mm; check the ball, and thickness_mm = {believed:g} of the layer"
-            )
-        layer = replace(layer, thickness_mm=thickness)
-    noise = float(np.sqrt(np.mean([ball.noise_mm**2 for ball in balls]) / len(balls)))
-    theory = found.theory_mm(ball_radius_mm)
-    sigma = float(np.linalg.norm([noise, theory, sigma_radius_mm])) / abs(slope)
-    calibrated = replace(layer, sigma_thickness_mm=sigma, sigma_pre_stretch=0.0)
-    free = found.modulus_of_free_span_kpa()
+    known = _Known(layer, ball_radius_mm, sigma_radius_mm, travel)
+    here, before, told, softer, fit = _converged(points_mm, sigma_z_mm, known)
+    calibrated = replace(
+        here,
+        sigma_thickness_mm=fit.sigma[0],
+        sigma_pre_stretch=0.0,
+        sigma_rim_compliance_mm2_per_n=fit.sigma[1] if known.fits_rim else 0.0,
+    )
+    free = told.modulus_kpa
+    of_rim = _modulus_by_rim(here, told, softer) * calibrated.sigma_rim_compliance_mm2_per_n
     return CalibratedSheet(
-        layer=calibrated if free is None else _with_modulus(calibrated, free[0], sigma),
+        layer=calibrated if free is None else _with_modulus(calibrated, free, of_rim),
         radius_before_mm=before,
-        balls=len(balls),
-        thickness_per_pre_stretch_mm=2 * layer.thickness_mm / layer.pre_stretch,
+        balls=told.balls,
+        thickness_per_pre_stretch_mm=2 * here.thickness_mm / here.pre_stretch,
         modulus_found=free is not None,
+        rim_found=known.fits_rim,
     )
 
 
-def _with_modulus(layer: SheetLayer, modulus_kpa: float, sigma_thickness_mm: float) -> SheetLayer:
-    """Return the layer with the modulus of its free span; E h is what the air weighs."""
+@dataclass(frozen=True)
+class _Known:
+    """What is known before, and of the ball."""
+
+    believed: SheetLayer
+    radius_mm: float
+    sigma_radius_mm: float
+    travel: KnownTravel | None
+
+    @property
+    def fits_rim(self) -> bool:
+        return self.believed.sigma_rim_compliance_mm2_per_n > 0
+
+
+@dataclass(frozen=True)
+class _Told:
+    """What a press tells of its balls with a layer, and how that changes with the thickness."""
+
+    radius_mm: float
+    radius_by_thickness: float
+    noise_mm: float
+    theory_mm: float
+    tip_mm: float
+    thinning: float
+    modulus_kpa: float | None
+    balls: int
+
+
+def _converged(
+    points_mm: FloatArray, sigma_z_mm: FloatArray, known: _Known
+) -> tuple[SheetLayer, float, _Told, _Told | None, "_Fit"]:
+    """Return the layer found, the radius before, what the press tells there, and the last step."""
+    here, before = known.believed, 0.0
+    for turn in range(_MOST_TURNS):
+        told = _told(points_mm, sigma_z_mm, here)
+        before = told.radius_mm if turn == 0 else before
+        softer = _told(points_mm, sigma_z_mm, _softer(here)) if known.fits_rim else None
+        fit = _fit(known, here, told, softer)
+        if fit.is_close or turn == _MOST_TURNS - 1:
+            break
+        here = _moved(known, here, fit)
+    return here, before, told, softer, fit
+
+
+def _told(points_mm: FloatArray, sigma_z_mm: FloatArray, layer: SheetLayer) -> _Told:
+    found = compensate_sheet(points_mm, sigma_z_mm, layer)
+    balls = [part for part in parts_of(found) if part.form == "ball"]
+    if not balls:
+        raise FitError("calibration: no part of the contact is a ball; press one, with air")
+    radius, slope, tip = _mean_ball(found, balls)
+    free = found.modulus_of_free_span_kpa()
+    return _Told(
+        radius_mm=radius,
+        radius_by_thickness=slope,
+        noise_mm=float(np.sqrt(np.mean([ball.noise_mm**2 for ball in balls]) / len(balls))),
+        theory_mm=found.theory_mm(radius),
+        tip_mm=tip,
+        thinning=float(np.mean([found.thinning[ball.core].mean() for ball in balls])),
+        modulus_kpa=None if free is None else free[0],
+        balls=len(balls),
+    )
+
+
+def _softer(layer: SheetLayer) -> SheetLayer:
+    step = _STEP_MM / layer.tension_unit_n_mm
+    return replace(layer, rim_compliance_mm2_per_n=layer.rim_compliance_mm2_per_n + step)
+
+
+@dataclass(frozen=True, eq=False)
+class _Fit:
+    """One step of Gauss-Newton in thickness and compliance, and their standard uncertainties."""
+
+    step: FloatArray
+    sigma: FloatArray
+
+    @property
+    def is_close(self) -> bool:
+        return bool(abs(self.step[0]) < _CLOSE_MM and abs(self.step[1:]).sum() < _CLOSE_MM2_PER_N)
+
+
+def _fit(known: _Known, here: SheetLayer, told: _Told, softer: _Told | None) -> _Fit:
+    sigma = float(np.linalg.norm([told.noise_mm, told.theory_mm, known.sigma_radius_mm]))
+    miss = [(known.radius_mm - told.radius_mm) / sigma]
+    slopes = [[told.radius_by_thickness / sigma]]
+    if softer is not None:
+        per = 1 / (_softer(here).rim_compliance_mm2_per_n - here.rim_compliance_mm2_per_n)
+        slopes[0].append((softer.radius_mm - told.radius_mm) * per / sigma)
+        for one, by_thickness, by_compliance in _further(known, here, told, softer):
+            miss.append(one)
+            slopes.append([by_thickness, by_compliance * per])
+    matrix, left = np.array(slopes), np.array(miss)
+    step = np.linalg.lstsq(matrix, left, rcond=None)[0]
+    if softer is not None and step[1] < -here.rim_compliance_mm2_per_n:
+        # No rim pushes: at most it is rigid.
+        rigid = -here.rim_compliance_mm2_per_n
+        alone = np.linalg.lstsq(matrix[:, :1], left - matrix[:, 1] * rigid, rcond=None)[0]
+        step = np.array([alone[0], rigid])
+    return _Fit(step, np.sqrt(np.diag(np.linalg.inv(matrix.T @ matrix))))
+
+
+def _further(
+    known: _Known, here: SheetLayer, told: _Told, softer: _Told
+) -> Iterator[tuple[float, float, float]]:
+    """Yield what else tells of the rim, over its sigma: miss, slope by thickness, and change.
+
+    The change is that of a softer rim.
+    """
+    believed = known.believed
+    prior, at = believed.sigma_rim_compliance_mm2_per_n, here.rim_compliance_mm2_per_n
+    change = _softer(here).rim_compliance_mm2_per_n - at
+    yield (believed.rim_compliance_mm2_per_n - at) / prior, 0.0, change / prior
+    if known.travel is not None:
+        mounted = here.pre_stretch**-2
+        expected_mm = known.travel.travel_mm - here.thickness_mm * mounted
+        shares = told.noise_mm, told.theory_mm, _TIP_THEORY_MM, known.travel.sigma_mm
+        sigma = float(np.linalg.norm(shares))
+        yield (
+            (expected_mm - told.tip_mm) / sigma,
+            (mounted - told.thinning) / sigma,
+            (softer.tip_mm - told.tip_mm) / sigma,
+        )
+    if told.modulus_kpa and softer.modulus_kpa and believed.sigma_young_modulus_kpa:
+        theory = (_MODULUS_THEORY + _MODULUS_PER_MM * here.thickness_mm) * told.modulus_kpa
+        sigma = float(np.hypot(theory, believed.sigma_young_modulus_kpa))
+        yield (
+            (believed.young_modulus_kpa - told.modulus_kpa) / sigma,
+            -told.modulus_kpa / here.thickness_mm / sigma,
+            (softer.modulus_kpa - told.modulus_kpa) / sigma,
+        )
+
+
+def _moved(known: _Known, here: SheetLayer, fit: _Fit) -> SheetLayer:
+    """Return the layer a step on.
+
+    Raises
+    ------
+    FitError : no thickness gives the ball its radius
+    """
+    believed, thickness = known.believed.thickness_mm, here.thickness_mm + fit.step[0]
+    if not _THINNEST_SHARE * believed < thickness < _THICKEST_SHARE * believed:
+        raise FitError(
+            f"calibration: a radius of {known.radius_mm:g} mm would take a sheet of "
+            f"{thickness:.3g} mm; check the ball, and thickness_mm = {believed:g} of the layer"
+        )
+    compliance = here.rim_compliance_mm2_per_n + float(fit.step[1:].sum())
+    return replace(
+        here,
+        thickness_mm=float(thickness),
+        rim_compliance_mm2_per_n=compliance,
+    )
+
+
+def _modulus_by_rim(here: SheetLayer, told: _Told, softer: _Told | None) -> float:
+    """Return the derivative of the free span's modulus by the compliance, kPa per mm^2/N."""
+    if softer is None or told.modulus_kpa is None or softer.modulus_kpa is None:
+        return 0.0
+    change = _softer(here).rim_compliance_mm2_per_n - here.rim_compliance_mm2_per_n
+    return (softer.modulus_kpa - told.modulus_kpa) / change
+
+
+def _with_modulus(layer: SheetLayer, modulus_kpa: float, of_rim_kpa: float) -> SheetLayer:
+    """Return the layer with the modulus of its free span; E h is what the air weighs.
+
+    Parameters
+    ----------
+    of_rim_kpa : standard uncertainty by the rim's compliance
+    """
     shares = (
         _MODULUS_THEORY + _MODULUS_PER_MM * layer.thickness_mm,
         layer.sigma_back_pressure_kpa / layer.back_pressure_kpa,
-        sigma_thickness_mm / layer.thickness_mm,
+        layer.sigma_thickness_mm / layer.thickness_mm,
+        of_rim_kpa / modulus_kpa,
     )
     sigma = modulus_kpa * float(np.linalg.norm(shares))
     return replace(layer, young_modulus_kpa=modulus_kpa, sigma_young_modulus_kpa=sigma)
 
 
-def _mean_radius(found: CompensatedSheet, balls: list[ObjectPart]) -> tuple[float, float]:
-    """Return the balls' mean radius, and its derivative by the sheet's thickness."""
+def _mean_ball(found: CompensatedSheet, balls: list[ObjectPart]) -> tuple[float, float, float]:
+    """Return the balls' mean radius, its derivative by the thickness, and their mean tip."""
     small = 1e-3 * found.layer.thickness_mm
-    slopes = []
+    slopes, tips = [], []
     for ball in balls:
         points, core = found.object_mm[ball.core], ball.core
         moved = points - small * (found.thinning[core, None] * found.normal[core])
-        slopes.append((ball_radius(moved)[0].value - ball_radius(points)[0].value) / small)
-    return float(np.mean([ball.radius_mm for ball in balls])), float(np.mean(slopes))
+        radius, fit = ball_radius(points)
+        slopes.append((ball_radius(moved)[0].value - radius.value) / small)
+        tips.append(fit.centre_mm[2] + fit.radius_mm)
+    radii = [ball.radius_mm for ball in balls]
+    return float(np.mean(radii)), float(np.mean(slopes)), float(np.mean(tips))

@@ -12,11 +12,15 @@ neo-Hookean energy mu h/2 (tr a + 1/det a - 3), a = B^-T G B^-1, an element hold
 
     psi = tr(A^T G A) / D + D^3 / det G - (3 - p / mu) D,  A = adj B   (in units of mu h / 2).
 
+A rim that gives lets the sheet creep in: s X - x beyond the mounted sheet's, on springs of k per
+length of the rim, which hold k / (mu h) |s X - x|^2 in the same units. The mounted sheet is at rest
+on them: they bear what it pulls.
+
 Newton's method; where its tangent is indefinite the part of it that the sign of D's coefficient
 spoils is left out. Bending is left out: it pulls along the surface only as (h / R)^2.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy import sparse
@@ -47,6 +51,8 @@ class SurfaceMetric:
     xx, xy, yy : (row, col) components, mean over each element
     squeeze : (row, col) contact pressure over shear modulus
     held : (row + 1, col + 1) bool, nodes where the frame holds the sheet
+    springs : (row + 1, col + 1) stiffness of held nodes' springs over shear modulus x thickness;
+        0: rigid
     """
 
     x_mm: FloatArray
@@ -56,6 +62,13 @@ class SurfaceMetric:
     yy: FloatArray
     squeeze: FloatArray
     held: BoolArray
+    springs: FloatArray | None = None
+
+    @property
+    def flat(self) -> "SurfaceMetric":
+        """The surface of the mounted sheet."""
+        one, none = np.ones_like(self.xx), np.zeros_like(self.xx)
+        return replace(self, xx=one, xy=none, yy=one, squeeze=none)
 
     @property
     def determinant(self) -> FloatArray:
@@ -98,8 +111,11 @@ def material_map(
     x, y = np.meshgrid(metric.x_mm, metric.y_mm)
     mounted = np.stack((x, y), axis=-1) / pre_stretch
     place = near.material_mm if near else mounted
-    elements = _Elements.on(metric)
-    free = np.repeat(~metric.held.ravel(), 2)
+    elements, held = _Elements.on(metric), metric.held
+    if metric.springs is not None:
+        elements = elements.on_springs(metric, metric.springs, mounted, pre_stretch)
+        held = held & (metric.springs == 0)
+    free = np.repeat(~held.ravel(), 2)
     size = float(np.sqrt(elements.weight.sum()))
     value, gradient, rows = elements.energy(place)
     for step in range(_MOST_STEPS):
@@ -123,6 +139,7 @@ class _Elements:
     weight: FloatArray  # (element,) area of x and y of a Gauss point
     quadratic: FloatArray  # (element, 4, 4): tr(A^T G A) = b^T Q b
     count: int
+    rim: "_Springs | None" = field(default=None)
 
     @classmethod
     def on(cls, metric: SurfaceMetric) -> "_Elements":
@@ -137,6 +154,17 @@ class _Elements:
         weight = np.full(len(nodes), step[0] * step[1] / 4)
         linear = metric.squeeze.ravel() - 3.0
         return cls(nodes, slopes, g, linear, weight, _quadratic(g), number.size)
+
+    def on_springs(
+        self, metric: SurfaceMetric, rim: FloatArray, mounted: FloatArray, pre_stretch: float
+    ) -> "_Elements":
+        """Return them with the springs of the rim, on which the mounted sheet is at rest."""
+        # Beyond the frame: nothing there holds what slips under it.
+        beyond = metric.held.ravel()[self.nodes].all(axis=1)
+        flat = replace(_Elements.on(metric.flat), weight=np.where(beyond, 0.0, self.weight))
+        springs = 2 * pre_stretch**2 * np.repeat(rim.ravel(), 2)
+        pulled = np.where(springs > 0, flat.energy(mounted)[1], 0.0)
+        return replace(self, weight=flat.weight, rim=_Springs(mounted.ravel(), springs, pulled))
 
     def gradients(self, place: FloatArray) -> FloatArray:
         """Return (point, element, 4): B row by row at the Gauss points."""
@@ -156,7 +184,8 @@ class _Elements:
             return np.inf
         g = self.metric[:, 0] * self.metric[:, 2] - self.metric[:, 1] ** 2
         q = np.einsum("pei,eij,pej->pe", b, self.quadratic, b)
-        return float(np.sum(self.weight * (q / d + d**3 / g + self.linear * d)))
+        of_rim = self.rim.energy(place) if self.rim else 0.0
+        return float(np.sum(self.weight * (q / d + d**3 / g + self.linear * d))) + of_rim
 
     def energy(self, place: FloatArray) -> tuple[float, FloatArray, FloatArray]:
         """Return the energy, its gradient by (node, xy) and the points' B."""
@@ -171,6 +200,8 @@ class _Elements:
             gradient[axis::2] = np.bincount(
                 self.nodes.ravel(), by_node[..., axis].ravel(), self.count
             )
+        if self.rim:
+            gradient += self.rim.gradient(place)
         return self.value(place), gradient, b
 
     def tangent(self, b: FloatArray, *, whole: bool) -> sparse.csc_matrix:
@@ -192,7 +223,8 @@ class _Elements:
         rows = np.repeat(unknown, 8, axis=1).ravel()
         cols = np.tile(unknown, (1, 8)).ravel()
         values = block.reshape(count, 64).ravel()
-        return sparse.csc_matrix((values, (rows, cols)), shape=(2 * self.count,) * 2)
+        inner = sparse.csc_matrix((values, (rows, cols)), shape=(2 * self.count,) * 2)
+        return inner + sparse.diags(self.rim.stiffness, format="csc") if self.rim else inner
 
     def _parts(self, b: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Return D, its slope by B, the energy's slope by D, and det G."""
@@ -201,6 +233,23 @@ class _Elements:
         g = self.metric[:, 0] * self.metric[:, 2] - self.metric[:, 1] ** 2
         q = np.einsum("pei,eij,pej->pe", b, self.quadratic, b)
         return d, to_d, -q / d**2 + 3 * d**2 / g + self.linear, g
+
+
+@dataclass(frozen=True, eq=False)
+class _Springs:
+    """Springs of the rim's nodes, by unknown: 2 node + xy."""
+
+    mounted: FloatArray
+    stiffness: FloatArray
+    #: of the mounted sheet, which it bears
+    pulled: FloatArray
+
+    def energy(self, place: FloatArray) -> float:
+        off = place.ravel() - self.mounted
+        return float(np.sum(off * (self.stiffness * off / 2 - self.pulled)))
+
+    def gradient(self, place: FloatArray) -> FloatArray:
+        return np.asarray(self.stiffness * (place.ravel() - self.mounted) - self.pulled)
 
 
 def _slopes(point: FloatArray, step: tuple[float, float]) -> FloatArray:

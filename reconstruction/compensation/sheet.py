@@ -23,6 +23,7 @@ from scipy import ndimage
 from reconstruction.arrays import BoolArray, FloatArray
 from reconstruction.compensation.membrane import MaterialMap, SurfaceMetric, material_map
 from reconstruction.compensation.relief import Relief, SheetOpening, relief_on_frame
+from reconstruction.compensation.rim import on_springs
 from reconstruction.errors import FitError
 
 # Of the membrane: the stretch is smooth, a cell of the relief is a third of one of its elements.
@@ -53,6 +54,8 @@ class SheetLayer:
     thickness_mm : as it was made, before it was stretched into its frame
     young_modulus_kpa : of the incompressible silicone
     pre_stretch : of the mounted sheet, equal along x and y
+    rim_compliance_mm2_per_n : by how much its edge gives along the frame per line tension beyond
+        that of the mounted sheet; 0: rigid
     back_pressure_kpa : of the air on the coat
     sticks : whether it keeps its place once it has touched
     """
@@ -61,17 +64,29 @@ class SheetLayer:
     thickness_mm: float
     young_modulus_kpa: float
     pre_stretch: float = 1.0
+    rim_compliance_mm2_per_n: float = 0.0
     back_pressure_kpa: float = 0.0
     sticks: bool = False
     sigma_thickness_mm: float = 0.0
     sigma_young_modulus_kpa: float = 0.0
     sigma_pre_stretch: float = 0.0
+    sigma_rim_compliance_mm2_per_n: float = 0.0
     sigma_back_pressure_kpa: float = 0.0
 
     @property
     def tension_unit_n_mm(self) -> float:
         """Shear modulus times thickness, N/mm."""
         return self.young_modulus_kpa / 3e3 * self.thickness_mm
+
+    @property
+    def rim_yield(self) -> float:
+        """Compliance of the rim times shear modulus times thickness, mm."""
+        return self.rim_compliance_mm2_per_n * self.tension_unit_n_mm
+
+    @property
+    def sigma_rim_yield(self) -> float:
+        """Standard uncertainty of `rim_yield` by the compliance, mm."""
+        return self.sigma_rim_compliance_mm2_per_n * self.tension_unit_n_mm
 
 
 @dataclass(frozen=True, eq=False)
@@ -273,17 +288,19 @@ def compensate_sheet(
     relief = relief_on_frame(points_mm, sigma_z_mm, frame, cells)
     fine, wide = (_Shape.of(relief, sigma) for sigma in (NORMAL_SIGMA_MM, CURVATURE_SIGMA_MM))
     thinning = np.full(relief.measured.shape, layer.pre_stretch**-2)
-    carried_kpa, spread_out = np.zeros_like(thinning), None
+    carried_kpa = np.zeros_like(thinning)
+    spread_out: MaterialMap | None = None
     for _ in range(_TURNS):
         metric = fine.between(layer.thickness_mm / 2 * thinning)[0]
         squeeze = 3 * carried_kpa / layer.young_modulus_kpa
-        spread_out = material_map(
-            _on_elements(relief, metric, squeeze), layer.pre_stretch, near=spread_out
-        )
+        surface = on_springs(_on_elements(relief, metric, squeeze), relief, frame, layer.rim_yield)
+        spread_out = material_map(surface, layer.pre_stretch, near=spread_out)
         thinning = _on_cells(spread_out.thinning, relief)
         balance = _balanced(relief, layer, wide, spread_out)
         carried_kpa = np.where(balance.contact, balance.pressure_kpa, 0.0)
-    thinning, sigma_thinning = _with_sticking(layer, thinning)
+    thinning, sigma_thinning = _with_sticking(
+        layer, thinning, _open_of_rim(surface, relief, layer, spread_out)
+    )
     return CompensatedSheet(
         relief=relief,
         thinning=thinning,
@@ -410,11 +427,25 @@ def _sigma_of_pressure(relief: Relief, tension_kpa_mm: FloatArray) -> float:
     return both * float(np.median(mean[relief.inside]))
 
 
-def _with_sticking(layer: SheetLayer, thinning: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return thinning and what pre-stretch and sticking leave open of it."""
+def _open_of_rim(
+    surface: SurfaceMetric, relief: Relief, layer: SheetLayer, found: MaterialMap | None
+) -> FloatArray:
+    """Return the standard uncertainty of the thinning by the rim's compliance, (row, col)."""
+    if found is None or not layer.sigma_rim_compliance_mm2_per_n:
+        return np.zeros(relief.measured.shape)
+    softer = on_springs(surface, relief, layer.frame, layer.rim_yield + layer.sigma_rim_yield)
+    moved = material_map(softer, layer.pre_stretch, near=found)
+    return np.abs(_on_cells(moved.thinning - found.thinning, relief))
+
+
+def _with_sticking(
+    layer: SheetLayer, thinning: FloatArray, of_rim: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return thinning and what pre-stretch, rim and sticking leave open of it."""
     # Stretch multiplies: the mounted sheet's share of the thinning is s^-2.
     mounted = layer.pre_stretch**-2
-    of_stretch = 2 * thinning / layer.pre_stretch * layer.sigma_pre_stretch
+    of_pre_stretch = 2 * thinning / layer.pre_stretch * layer.sigma_pre_stretch
+    of_stretch = np.hypot(of_pre_stretch, of_rim)
     if not layer.sticks:
         return thinning, of_stretch
     return (mounted + thinning) / 2, np.hypot(_FLAT * (mounted - thinning), of_stretch)

@@ -183,6 +183,20 @@ def test_a_ball_calibrates_the_layer(measured: Path, tmp_path: Path) -> None:
     assert layer.elastomer.young_modulus_kpa == pytest.approx(YOUNG_KPA, rel=0.06)
 
 
+def test_a_rim_that_may_give_is_fitted_and_kept(measured: Path, tmp_path: Path) -> None:
+    """The true one is rigid; the modulus is known to 3 kPa, so that the free span tells."""
+    believed, out = tmp_path / "believed.toml", tmp_path / "calibrated"
+    open_rim = "rim_compliance_mm2_per_n = 20.0\nyoung_modulus_kpa = 3.0\n"
+    believed.write_text(LAYER + open_rim)
+    arguments = ["compensate", str(measured), "--layer", str(believed), "--no-report"]
+    assert run([*arguments, "--ball-diameter-mm", "8", "-o", str(out)]) == 0
+    layer = load_sensor_layer(out / "layer.toml")
+    sigma = layer.sigma.rim_compliance_mm2_per_n
+    assert layer.elastomer.rim_compliance_mm2_per_n < 2 * sigma < 40.0
+    figures = json.loads((out / "result.json").read_text())["metrics"]
+    assert figures["calibrated_rim_compliance_sigma_mm2_per_n"] == pytest.approx(sigma)
+
+
 def test_of_a_slab_the_numbers_of_the_object_are_told(under_slab: Path, tmp_path: Path) -> None:
     out, layer = tmp_path / "object", under_slab.parent / "layer.toml"
     arguments = ["compensate", str(under_slab), "--layer", str(layer)]

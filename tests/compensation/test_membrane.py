@@ -64,11 +64,15 @@ def test_sheet_keeps_its_volume() -> None:
     assert volume == pytest.approx(100.0, rel=2e-4)  # det B at the middle, not its mean
 
 
-def test_gradient_and_tangent_are_the_energys_derivatives() -> None:
+@pytest.mark.parametrize("gives", [False, True])
+def test_gradient_and_tangent_are_the_energys_derivatives(gives: bool) -> None:
     surface = replace(metric_of(bump, 5), squeeze=np.linspace(0, 0.3, 25).reshape(5, 5))
     elements = _Elements.on(surface)
     random = np.random.default_rng(1)
     x, y = np.meshgrid(surface.x_mm, surface.y_mm)
+    if gives:
+        springs = np.where(surface.held, random.uniform(1, 3, x.shape), 0.0)
+        elements = elements.on_springs(surface, springs, np.stack((x, y), -1) / 1.1, 1.1)
     place = np.stack((x, y), -1) + random.normal(scale=0.1, size=(*x.shape, 2))
     way = random.normal(size=place.shape)
     step = 1e-5
@@ -77,6 +81,18 @@ def test_gradient_and_tangent_are_the_energys_derivatives() -> None:
     assert gradient @ way.ravel() == pytest.approx((ahead[0] - back[0]) / (2 * step), rel=1e-7)
     bent = elements.tangent(b, whole=True) @ way.ravel()
     assert bent == pytest.approx((ahead[1] - back[1]) / (2 * step), rel=1e-5, abs=1e-4)
+
+
+@pytest.mark.parametrize("pre_stretch", [1.0, 1.2])
+def test_a_flat_sheet_is_at_rest_on_its_rims_springs(pre_stretch: float) -> None:
+    surface = metric_of(lambda x, y: 0 * x, 10)
+    soft = replace(surface, springs=np.where(surface.held, 0.5, 0.0))
+    found = material_map(soft, pre_stretch)
+    np.testing.assert_allclose(found.thinning, pre_stretch**-2, rtol=1e-6)
+    bent = replace(metric_of(bump, 10), springs=soft.springs)
+    assert (
+        material_map(bent).thinning.min() > material_map(replace(bent, springs=None)).thinning.min()
+    )
 
 
 def test_thinning_converges_with_second_order() -> None:

@@ -17,6 +17,7 @@ from tests.mechanics.sheets import (
     round_sheet,
 )
 from twin.config.models import Ball
+from twin.mechanics import PressError
 from twin.mechanics.sheet.energy import Sheet
 from twin.mechanics.sheet.equilibrium import settle
 from twin.mechanics.sheet.faces import sample
@@ -114,3 +115,9 @@ def test_a_yielding_rim_leaves_the_sheet_thicker_over_a_ball() -> None:
     # No step where the sheet has left its frame.
     steepest = np.abs(np.diff(rigid.face_z_mm, axis=1)).max()
     assert np.abs(np.diff(soft.face_z_mm, axis=1)).max() < 1.1 * steepest
+
+
+def test_a_round_rim_that_gives_is_refused() -> None:
+    soft = build_sheet(rim_compliance_mm2_per_n=1.0, outline="round")
+    with pytest.raises(PressError, match="rectangular"):
+        pressed(Ball(), soft, depth_mm=0.5)

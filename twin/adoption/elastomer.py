@@ -56,6 +56,10 @@ def elastomer_fields(press: KnownBallPress, capture: Capture) -> dict[str, RigFi
     elastomer, sigma = layer.elastomer, layer.sigma
     thickness = UncertainValue(elastomer.thickness_mm, sigma.thickness_mm)
     found["elastomer.thickness_mm"] = RigField.measured("elastomer.thickness_mm", thickness, how)
+    if figures.get("calibrated_rim_compliance_mm2_per_n") is not None:
+        path = "elastomer.rim_compliance_mm2_per_n"
+        gives = UncertainValue(elastomer.rim_compliance_mm2_per_n, sigma.rim_compliance_mm2_per_n)
+        found[path] = RigField.measured(path, gives, how)
     if figures["calibrated_modulus_kpa"] is not None:
         for name in _HARDNESS:
             found.pop(f"elastomer.{name}", None)

@@ -47,6 +47,9 @@ class LayerSigma(Model):
         default=None, description="absent: 0 of a measured modulus, else what hardness leaves open"
     )
     pre_stretch: NonNegative = 0.0
+    rim_compliance_mm2_per_n: NonNegative = Field(
+        default=0.0, description="above 0: a press of a known ball fits the compliance"
+    )
     back_pressure_kpa: NonNegative = 0.0
     depth_mm: NonNegative | None = Field(
         default=None, description="of the travel; absent: a travel that is told counts as unknown"

@@ -15,9 +15,11 @@ from scipy import fft
 from reconstruction.arrays import FloatArray, at_pixels
 from reconstruction.compensation import (
     BarPlace,
+    CalibratedSheet,
     Compensated,
     CompensatedGel,
     GelLayer,
+    KnownTravel,
     SheetLayer,
     SheetOpening,
     calibrate_sheet,
@@ -198,35 +200,54 @@ def calibrated_layer(
             f"--ball-diameter-mm: found {elastomer.layout}, {elastomer.thickness_mm:g} mm thick; a "
             "ball calibrates a sheet or slab with layout = 'opposite_face'"
         )
-    found = calibrate_sheet(*measured, sheet_layer(layer), ball_diameter_mm / 2)
-    sheet = found.layer
-    known = {"shore_a": None, "shore_00": None, "young_modulus_kpa": sheet.young_modulus_kpa}
-    changed = elastomer.model_dump() | known | {"thickness_mm": sheet.thickness_mm}
-    sigma = layer.sigma.model_dump() | {
+    found = calibrate_sheet(
+        *measured, sheet_layer(layer), ball_diameter_mm / 2, travel=_known_travel(layer)
+    )
+    return _with_sheet(layer, found.layer), _calibration_figures(found)
+
+
+def _with_sheet(layer: SensorLayer, sheet: SheetLayer) -> SensorLayer:
+    """Return the layer with what was found of its sheet, and how well."""
+    found = {
+        "shore_a": None,
+        "shore_00": None,
+        "young_modulus_kpa": sheet.young_modulus_kpa,
+        "thickness_mm": sheet.thickness_mm,
+        "rim_compliance_mm2_per_n": sheet.rim_compliance_mm2_per_n,
+    }
+    sigma = {
         "thickness_mm": sheet.sigma_thickness_mm,
         "young_modulus_kpa": sheet.sigma_young_modulus_kpa,
         "pre_stretch": sheet.sigma_pre_stretch,
+        "rim_compliance_mm2_per_n": sheet.sigma_rim_compliance_mm2_per_n,
     }
-    figures = {
+    elastomer, known = layer.elastomer, layer.sigma
+    return layer.model_copy(
+        update={
+            "elastomer": type(elastomer).model_validate(elastomer.model_dump() | found),
+            "sigma": type(known).model_validate(known.model_dump() | sigma),
+        }
+    )
+
+
+def _calibration_figures(found: CalibratedSheet) -> dict[str, Any]:
+    """Return what a known ball told, for result.json; None of what it does not tell."""
+    sheet = found.layer
+    modulus = sheet.young_modulus_kpa, sheet.sigma_young_modulus_kpa
+    rim = sheet.rim_compliance_mm2_per_n, sheet.sigma_rim_compliance_mm2_per_n
+    modulus_kpa, modulus_sigma_kpa = modulus if found.modulus_found else (None, None)
+    compliance, sigma_compliance = rim if found.rim_found else (None, None)
+    return {
         "calibrated_thickness_mm": sheet.thickness_mm,
         "calibrated_thickness_sigma_um": _UM * sheet.sigma_thickness_mm,
-        "calibrated_modulus_kpa": sheet.young_modulus_kpa if found.modulus_found else None,
-        "calibrated_modulus_sigma_kpa": (
-            sheet.sigma_young_modulus_kpa if found.modulus_found else None
-        ),
+        "calibrated_modulus_kpa": modulus_kpa,
+        "calibrated_modulus_sigma_kpa": modulus_sigma_kpa,
+        "calibrated_rim_compliance_mm2_per_n": compliance,
+        "calibrated_rim_compliance_sigma_mm2_per_n": sigma_compliance,
         "radius_before_calibration_mm": found.radius_before_mm,
         "thickness_per_pre_stretch_mm": found.thickness_per_pre_stretch_mm,
         "calibration_balls": found.balls,
     }
-    return (
-        layer.model_copy(
-            update={
-                "elastomer": type(elastomer).model_validate(changed),
-                "sigma": type(layer.sigma).model_validate(sigma),
-            }
-        ),
-        figures,
-    )
 
 
 def _on_gel(points_mm: FloatArray, sigma_mm: FloatArray, layer: SensorLayer) -> CompensatedGel:
@@ -271,6 +292,14 @@ def _margin(cells: int, pitch_mm: float, thickness_mm: float) -> int:
     return int(total - cells) // 2
 
 
+def _known_travel(layer: SensorLayer) -> KnownTravel | None:
+    """Return the travel that the stage told, where its uncertainty is stated."""
+    travel_mm, sigma_mm = layer.press.depth_mm, layer.sigma.depth_mm
+    if travel_mm is None or sigma_mm is None:
+        return None
+    return KnownTravel(travel_mm, float(np.hypot(sigma_mm, layer.sigma.plane_mm)))
+
+
 def sheet_layer(layer: SensorLayer) -> SheetLayer:
     """Return the layer as the thin sheet's equations take it."""
     elastomer, sigma = layer.elastomer, layer.sigma
@@ -282,11 +311,13 @@ def sheet_layer(layer: SensorLayer) -> SheetLayer:
         thickness_mm=elastomer.thickness_mm,
         young_modulus_kpa=modulus.best_kpa,
         pre_stretch=elastomer.pre_stretch,
+        rim_compliance_mm2_per_n=elastomer.rim_compliance_mm2_per_n,
         back_pressure_kpa=layer.press.back_pressure_kpa,
         sticks=elastomer.sticks,
         sigma_thickness_mm=sigma.thickness_mm,
         sigma_young_modulus_kpa=sigma_of_modulus(layer),
         sigma_pre_stretch=sigma.pre_stretch,
+        sigma_rim_compliance_mm2_per_n=sigma.rim_compliance_mm2_per_n,
         sigma_back_pressure_kpa=sigma.back_pressure_kpa,
     )
 

@@ -174,6 +174,11 @@ _CONTACT = {
     "misfit_um": ("misfit of the relief", "µm", ""),
     "calibrated_thickness_mm": ("thickness by the ball", "mm", ""),
     "calibrated_modulus_kpa": ("modulus by the ball", "kPa", "calibrated_modulus_sigma_kpa"),
+    "calibrated_rim_compliance_mm2_per_n": (
+        "compliance of the rim by the ball",
+        "mm²/N",
+        "calibrated_rim_compliance_sigma_mm2_per_n",
+    ),
     "radius_before_calibration_mm": ("radius of the ball before", "mm", ""),
 }
 

@@ -153,6 +153,12 @@ def check_sheet(shape: Shape, elastomer: Elastomer, load: Press, mechanics: Mech
             f"mechanics.support: found '{mechanics.support}', the sheet model allows 'simple' or "
             "'clamped'"
         )
+    if elastomer.rim_compliance_mm2_per_n and elastomer.outline == "round":
+        raise PressError(
+            f"elastomer.rim_compliance_mm2_per_n: found {elastomer.rim_compliance_mm2_per_n:g} "
+            "with outline = 'round', whose rim is rigid in the sheet model (the corners of its "
+            "grid have cells of no height, which a free rim folds); use outline = 'rectangular'"
+        )
     check_outline(shape, elastomer)
     weight_kpa(elastomer, load)
 

@@ -1,0 +1,97 @@
+"""A rim that gives, for the map of a sheet on its surface: springs of the rim's nodes; mm.
+
+The edge moves in the frame's plane by u under the tension's part in that plane, k u = N cos t, with
+t the angle at which the sheet leaves the frame and k = 1 / compliance. The map follows the sheet
+round the clamp's bend, so that there N itself pulls, on springs of k / cos t.
+
+Over the clamp's bend the relief is level; t is what the span beyond tells, extrapolated.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+from scipy import ndimage
+from scipy.spatial import cKDTree
+
+from reconstruction.arrays import FloatArray
+from reconstruction.compensation.membrane import SurfaceMetric
+from reconstruction.compensation.relief import Relief, SheetOpening
+
+_RIM_POINTS = 4096
+# So far within the rim the slope is taken, beyond the clamp's bend; smoothed by as much as normals.
+_NEAR_MM, _FAR_MM, _SMOOTHED_MM = 0.8, 1.6, 0.1
+_STEEPEST_COSINE = 0.25
+# Stiffer springs only spoil the digits of the map.
+_RIGID_MM = 1e-4
+
+
+def on_springs(
+    surface: SurfaceMetric, relief: Relief, frame: SheetOpening, rim_yield_mm: float
+) -> SurfaceMetric:
+    """Return a surface whose rim gives.
+
+    Parameters
+    ----------
+    rim_yield_mm : compliance of the rim times shear modulus times thickness of the sheet
+    """
+    if rim_yield_mm < _RIGID_MM:
+        return surface
+    free = np.pad(~surface.held, 1)
+    beside = surface.held & ndimage.binary_dilation(free, np.ones((3, 3)))[1:-1, 1:-1]
+    x, y = np.meshgrid(surface.x_mm, surface.y_mm)
+    nodes = np.stack((x[beside], y[beside]), axis=-1)
+    lengths = _nearest_lengths_mm(frame, nodes)
+    springs = np.zeros(surface.held.shape)
+    springs[beside] = lengths / (rim_yield_mm * _cosines(relief, frame, nodes))
+    return replace(surface, springs=springs)
+
+
+def _nearest_lengths_mm(frame: SheetOpening, nodes_mm: FloatArray) -> FloatArray:
+    """Return how much of the rim is nearest to each of the nodes (n, xy)."""
+    places, perimeter_mm = _along_rim(frame)
+    count = np.bincount(cKDTree(nodes_mm).query(places)[1], minlength=len(nodes_mm))
+    return np.asarray(perimeter_mm / _RIM_POINTS * count)
+
+
+def _along_rim(frame: SheetOpening) -> tuple[FloatArray, float]:
+    """Return (n, xy) places evenly along the rim, and its length."""
+    share = (np.arange(_RIM_POINTS) + 0.5) / _RIM_POINTS
+    half_x, half_y = frame.length_x_mm / 2, frame.length_y_mm / 2
+    if frame.is_round:
+        turn = 2 * np.pi * share
+        return half_x * np.stack((np.cos(turn), np.sin(turn)), axis=-1), 2 * np.pi * half_x
+    ends = np.cumsum([0.0, 2 * half_x, 2 * half_y, 2 * half_x, 2 * half_y])
+    x = np.interp(share * ends[-1], ends, half_x * np.array([-1, 1, 1, -1, -1]))
+    y = np.interp(share * ends[-1], ends, half_y * np.array([-1, -1, 1, 1, -1]))
+    return np.stack((x, y), axis=-1), float(ends[-1])
+
+
+def _cosines(relief: Relief, frame: SheetOpening, nodes_mm: FloatArray) -> FloatArray:
+    """Return (n,) cosine of the angle at which the sheet leaves the rim near each node."""
+    outwards = _outwards(frame, nodes_mm)
+    down, right = np.gradient(relief.smoothed(_SMOOTHED_MM), relief.y_mm, relief.x_mm)
+
+    def angle(within_mm: float) -> FloatArray:
+        x, y = (nodes_mm - within_mm * outwards).T
+        at = [
+            (one - axis[0]) / (axis[1] - axis[0])
+            for one, axis in ((y, relief.y_mm), (x, relief.x_mm))
+        ]
+        by_y, by_x = (
+            ndimage.map_coordinates(one, at, order=1, mode="nearest") for one in (down, right)
+        )
+        return np.asarray(np.arctan(by_x * outwards[:, 0] + by_y * outwards[:, 1]))
+
+    near, far = angle(_NEAR_MM), angle(_FAR_MM)
+    steep = near + (near - far) * _NEAR_MM / (_FAR_MM - _NEAR_MM)
+    limit = np.arccos(_STEEPEST_COSINE)
+    return np.asarray(np.cos(np.clip(steep, -limit, limit)))
+
+
+def _outwards(frame: SheetOpening, nodes_mm: FloatArray) -> FloatArray:
+    """Return (n, xy) unit vectors away from the opening."""
+    if frame.is_round:
+        return np.asarray(nodes_mm / np.linalg.norm(nodes_mm, axis=1, keepdims=True))
+    share = np.abs(nodes_mm) * 2 / (frame.length_x_mm, frame.length_y_mm)
+    along_x = (share[:, 0] >= share[:, 1]).astype(np.float64)
+    return np.stack((along_x, 1.0 - along_x), axis=-1) * np.sign(nodes_mm)
