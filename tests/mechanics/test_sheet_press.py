@@ -38,6 +38,14 @@ def arrays_of(pressed: PressedElastomer | SheetFields) -> dict[str, np.ndarray]:
     return {name: value for name, value in values.items() if isinstance(value, np.ndarray)}
 
 
+def test_a_stretched_sheet_lies_at_zero_and_is_touched_at_once() -> None:
+    """Its mounted thickness is h / s^2: z = 0 and travel 0 count from there."""
+    done = pressed(Ball(), build_sheet(**SMALL, pre_stretch=1.2), depth_mm=0.02)
+    assert np.abs(done.face_z_mm[[0, -1]]).max() < 1e-6
+    assert 0.005 < done.face_z_mm.max() < 0.02
+    assert done.force_n > 1e-4
+
+
 def test_where_it_wraps_the_lower_face_is_the_ball(wrapped: PressedElastomer) -> None:
     """And the coat lies one local thickness above it."""
     x, y = np.meshgrid(wrapped.x_mm, wrapped.y_mm)

@@ -89,9 +89,14 @@ class Elastomer(Model):
         return self.friction == "stick" or (self.friction == "auto" and self.tack_j_m2 > 0)
 
     @property
+    def mounted_thickness_mm(self) -> float:
+        """Of the elastomer as it lies in its frame: a sheet stretched into it is thinner."""
+        return self.thickness_mm / self.pre_stretch**2
+
+    @property
     def touched_plane_mm(self) -> float:
         """World z of the undeformed face that the object touches; the coated face is z = 0."""
-        return -self.thickness_mm if self.layout == "opposite_face" else 0.0
+        return -self.mounted_thickness_mm if self.layout == "opposite_face" else 0.0
 
 
 class Texture(Model):

@@ -77,7 +77,12 @@ class SheetCase:
         # A cohesive range below half a cell would let the sheet jump on from point to point.
         laws = self.laws._replace(tack_range_mm=max(_TACK_RANGE_MM, 0.5 * cells.pitch_mm))
         grid = sheet_grid(self.frame, *self.lines(cells))
-        return Sheet(grid, laws, self.bodies, -laws.thickness_mm / 2, self.sticks, cells.pitch_mm)
+        return Sheet(grid, laws, self.bodies, self.touched_z_mm, self.sticks, cells.pitch_mm)
+
+    @property
+    def touched_z_mm(self) -> float:
+        """The mounted sheet's lower face, in the solver's frame."""
+        return -self.laws.thickness_mm / self.frame.pre_stretch**2 / 2
 
     def lines(self, cells: Cells) -> tuple[SplineLine, SplineLine]:
         """Return the lines of cells along x and y."""

@@ -1,8 +1,8 @@
 """Press a specimen into a thin sheet: the `sheet` model, from the experiment's data to its result.
 
-World frame, mm: the undeformed coated face is z = 0, the sheet spans its frame's opening and the
-specimen, with the plate that it stands on, comes from below and touches at z = -thickness. In the
-solver's own frame z = 0 is the undeformed surface midway between the faces.
+World frame, mm: the coated face of the mounted sheet is z = 0, the sheet spans its frame's opening
+and the specimen, with the plate that it stands on, comes from below and touches the other face at
+travel 0. In the solver's own frame z = 0 is the undeformed surface midway between the faces.
 
 Sources: Kirchhoff-Love kinematics with an incompressible neo-Hookean solid, thickness change
 included; quadratic B-splines, 2 x 2 Gauss points. Penalty of contact: the compliance of half a

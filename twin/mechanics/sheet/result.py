@@ -36,17 +36,18 @@ def pressed_of(
     state: SheetState,
 ) -> PressedElastomer:
     """Return the result of a press: both faces as height maps, contact, figures and validity."""
-    h, modulus_kpa = elastomer.thickness_mm, young_modulus(elastomer).best_kpa
+    mounted_mm, modulus_kpa = elastomer.mounted_thickness_mm, young_modulus(elastomer).best_kpa
+    half_mm, stretch = mounted_mm / 2, elastomer.pre_stretch
     nodes_x, nodes_y = (
         face_nodes(length, load) for length in (elastomer.length_x_mm, elastomer.length_y_mm)
     )
     seen = sample(sheet, state, load.relief_pitch_mm)
     carried = np.concatenate((seen.thickness_mm[..., None], seen.stretch, seen.material_mm), axis=2)
-    flat = np.array([h / 2, h, 1.0, 1.0, 0.0, 0.0])
+    flat = np.array([half_mm, mounted_mm, stretch, stretch, 0.0, 0.0])
     face_z, fields = height_map(seen.upper_mm, carried, nodes_x, nodes_y, flat)
     x, y = _centres(elastomer.length_x_mm, load), _centres(elastomer.length_y_mm, load)
     touch = _pressure_and_touch(sheet, state, seen.middle_mm, seen.thickness_mm)
-    touched_z, on_cells = height_map(seen.lower_mm, touch, x, y, np.array([-h / 2, 0.0, 0.0]))
+    touched_z, on_cells = height_map(seen.lower_mm, touch, x, y, np.array([-half_mm, 0.0, 0.0]))
     contact = on_cells[..., 1] > _HALF
     frame_mm = elastomer.length_x_mm / 2, elastomer.length_y_mm / 2
     pitch = float(np.sqrt((x[1] - x[0]) * (y[1] - y[0])))
@@ -56,18 +57,18 @@ def pressed_of(
         y_mm=y,
         pressure_kpa=on_cells[..., 0],
         contact=contact,
-        touched_face_mm=touched_z - h / 2,
+        touched_face_mm=touched_z - half_mm,
         force_n=contact_force_n(sheet, state),
         depth_mm=state.travel_mm,
         young_modulus_kpa=modulus_kpa,
         face_x_mm=nodes_x,
         face_y_mm=nodes_y,
-        face_z_mm=face_z - h / 2,
+        face_z_mm=face_z - half_mm,
         validity=assess_sheet(
             depth_mm=state.travel_mm,
-            thickness_mm=h,
+            thickness_mm=elastomer.thickness_mm,
             radius_mm=min((ball.radius_mm for ball in case.shape.spheres()), default=None),
-            deflection_mm=float(np.abs(face_z - h / 2).max()),
+            deflection_mm=float(np.abs(face_z - half_mm).max()),
             bend_1_mm=_contact_bend(sheet, state),
             slope_deg=_steepest_deg(sheet, state),
             margin_to_rim_mm=margin_mm(contact, x, y, frame_mm),
