@@ -29,19 +29,19 @@ SHARPEST_MM = 0.01
 _TINY_MM = 1e-9
 
 # No fused multiply-add: the same bytes whatever the make of the CPU.
-_OPTIONS = {"nogil": True, "error_model": "numpy"}
+_OPTIONS = {"nogil": True, "_nrt": False, "error_model": "numpy"}
 _SOURCES = ("distance.py", "sampled_distance.py", "triangles.py")
 _SOURCE_DIGEST = digest_of_sources(Path(__file__).parent, _SOURCES)
 
 
 def compiled(function: Function) -> Function:
-    """Compile on first call and keep the result on disk."""
+    """Compile on first call and keep the result on disk; it is given all arrays."""
     return compile_and_keep(function, _OPTIONS, _SOURCE_DIGEST)
 
 
 def nested(function: Function) -> Function:
-    """Compile for other kernels alone: it is given all arrays, and Python cannot call it."""
-    return compile_and_keep(function, _OPTIONS | NESTED | {"_nrt": False}, _SOURCE_DIGEST)
+    """Compile for other kernels alone: Python cannot call it."""
+    return compile_and_keep(function, _OPTIONS | NESTED, _SOURCE_DIGEST)
 
 
 class SignedDistance(Protocol):
@@ -115,7 +115,7 @@ class BoxDistance:
         """Return distance, gradient and Hessian, see `SignedDistance`."""
         edge = _edge_mm(self.edge_radius_mm, float(self.half_mm.min()))
         core = self.half_mm - edge
-        return over_points(_box, points_mm, reach_mm, self.middle_mm, self.rotation, core, edge)
+        return over_points(_boxed, points_mm, reach_mm, self.middle_mm, self.rotation, core, edge)
 
 
 @dataclass(frozen=True)
@@ -318,17 +318,19 @@ def _bend(
             hessian[p, q] = hessian[q, p] = bend / far
 
 
+Box = tuple[FloatArray, FloatArray, FloatArray, float]
+
+
+def _boxed(points: FloatArray, reach: float, out: Distances, body: Box) -> None:
+    _box(points, reach, out, body, np.zeros((3, 3)))
+
+
 @compiled
-def _box(
-    points: FloatArray,
-    reach: float,
-    out: Distances,
-    body: tuple[FloatArray, FloatArray, FloatArray, float],
-) -> None:
+def _box(points: FloatArray, reach: float, out: Distances, body: Box, lines: FloatArray) -> None:
     """Distance to the core, grown by the edge's radius; nearest face inside the core."""
     distance, gradient, hessian = out
     middle, rotation, core, edge = body
-    at, over, n = np.zeros(3), np.zeros(3), np.zeros(3)
+    at, over, n = lines[0], lines[1], lines[2]
     for i in range(len(points)):
         for p in range(3):
             at[p] = points[i, p] - middle[p]

@@ -108,7 +108,7 @@ class SampledField:
             self._make(self._touched(points, reach_mm, frame), reach_mm)
             made = self._bricks
             table = (*frame, made.low, self._least_mm, made.slot)
-            return over_points(_interpolate, points, reach_mm, table, made.contents)
+            return over_points(_interpolated, points, reach_mm, table, made.contents)
 
     def _begin(self, margin_mm: float) -> None:
         """Forget all bricks, and be ready for those within a margin."""
@@ -180,6 +180,8 @@ def _coefficients(samples: FloatArray) -> FloatArray:
 
 
 Table = tuple[FloatArray, FloatArray, float, IntArray, FloatArray, npt.NDArray[np.int32]]
+#: What a point is worked out in: brick and cell, weights, sums, derivatives.
+Scratch = tuple[IntArray, IntArray, FloatArray, FloatArray, FloatArray]
 
 
 @nested
@@ -224,14 +226,21 @@ def _weigh(t: float, weight: FloatArray) -> None:
     weight[2, 0], weight[2, 1], weight[2, 2], weight[2, 3] = u, 3 * t - 2, 3 * u - 2, t
 
 
+def _interpolated(
+    points: FloatArray, reach: float, out: Distances, body: tuple[Table, FloatArray]
+) -> None:
+    whole = np.zeros(3, np.int64), np.zeros(3, np.int64)
+    real = np.zeros((3, 3, 4)), np.zeros((3, 3)), np.zeros((3, 3, 3))
+    _interpolate(points, reach, out, body, (*whole, *real))
+
+
 @compiled
 def _interpolate(
-    points: FloatArray, reach: float, out: Distances, body: tuple[Table, FloatArray]
+    points: FloatArray, reach: float, out: Distances, body: tuple[Table, FloatArray], lines: Scratch
 ) -> None:
     distance, gradient, hessian = out
     (rotation, shift, pitch, low, least, slot), coefficients = body
-    brick, cell = np.zeros(3, np.int64), np.zeros(3, np.int64)
-    weight, scratch, f = np.zeros((3, 3, 4)), np.zeros((3, 3)), np.zeros((3, 3, 3))
+    brick, cell, weight, scratch, f = lines
     for n in range(len(points)):
         within, at = True, _in_body(points[n], rotation, shift, pitch)
         for axis in range(3):

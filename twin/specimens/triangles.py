@@ -107,7 +107,9 @@ def _sample_all(
     tree: TriangleTree, middles: FloatArray, pitch_mm: float, samples: FloatArray
 ) -> None:
     def sample(band: slice) -> None:
-        _sample((tree.sorted_mm, tree.boxes_mm), middles[band], pitch_mm, samples[band])
+        waiting = np.zeros(_DEEPEST, np.int64), np.zeros(_DEEPEST)
+        boxed = tree.sorted_mm, tree.boxes_mm
+        _sample(boxed, middles[band], pitch_mm, waiting, samples[band])
 
     over_bands(sample, len(middles))
 
@@ -210,10 +212,13 @@ def _nearest(
 
 @compiled
 def _sample(
-    tree: tuple[FloatArray, FloatArray], middles: FloatArray, pitch: float, samples: FloatArray
+    tree: tuple[FloatArray, FloatArray],
+    middles: FloatArray,
+    pitch: float,
+    waiting: tuple[IntArray, FloatArray],
+    samples: FloatArray,
 ) -> None:
     """Set the distances of cells' nodes, beginning with what was nearest to the node before."""
-    waiting = np.zeros(_DEEPEST, np.int64), np.zeros(_DEEPEST)
     count = samples.shape[1]
     half = (count - 1) / 2
     for n in range(len(middles)):
@@ -265,8 +270,9 @@ class Columns:
         """Negate the samples (n, x, y, z) of the cells' nodes that lie inside."""
 
         def negate(band: slice) -> None:
-            place = cells[band], self.pitch_mm
-            _negate(self.corners_mm, self._over(cells[band]), place, samples[band])
+            place, count = (cells[band], self.pitch_mm), self.nodes
+            below = np.zeros((count, count, count + 1), np.int64)
+            _negate(self.corners_mm, self._over(cells[band]), place, below, samples[band])
 
         over_bands(negate, len(cells))
 
@@ -323,13 +329,16 @@ def _negate(
     corners: FloatArray,
     lists: tuple[IntArray, IntArray, IntArray],
     place: tuple[IntArray, float],
+    below: IntArray,
     samples: FloatArray,
 ) -> None:
+    """Negate what lies inside; below[i, j, k] is for the windings of column i, j.
+
+    Those of the facets that have just k of the column's nodes below them.
+    """
     begin, end, member = lists
     cells, pitch = place
     count = samples.shape[1]
-    # below[i, j, k]: windings of the facets that have just k of the column's nodes below them.
-    below = np.zeros((count, count, count + 1), np.int64)
     for n in range(len(cells)):
         x0, y0, z0 = cells[n, 0] * count, cells[n, 1] * count, cells[n, 2] * count
         below[:] = 0
