@@ -11,13 +11,12 @@ from dataclasses import replace
 
 import numpy as np
 from scipy import ndimage
-from scipy.spatial import cKDTree
 
 from reconstruction.arrays import FloatArray
 from reconstruction.compensation.membrane import SurfaceMetric
 from reconstruction.compensation.relief import Relief, SheetOpening
 
-_RIM_POINTS = 4096
+_RIM_POINTS, _HANGS = 2048, 1e-3
 # So far within the rim the slope is taken, beyond the clamp's bend; smoothed by as much as normals.
 _NEAR_MM, _FAR_MM, _SMOOTHED_MM = 0.8, 1.6, 0.1
 _STEEPEST_COSINE = 0.25
@@ -49,8 +48,10 @@ def on_springs(
 def _nearest_lengths_mm(frame: SheetOpening, nodes_mm: FloatArray) -> FloatArray:
     """Return how much of the rim is nearest to each of the nodes (n, xy)."""
     places, perimeter_mm = _along_rim(frame)
-    count = np.bincount(cKDTree(nodes_mm).query(places)[1], minlength=len(nodes_mm))
-    return np.asarray(perimeter_mm / _RIM_POINTS * count)
+    away = (places[:, 0, None] - nodes_mm[:, 0]) ** 2 + (places[:, 1, None] - nodes_mm[:, 1]) ** 2
+    count = np.bincount(away.argmin(axis=1), minlength=len(nodes_mm))
+    # A corner of the steps that a round rim makes may be nearest to nothing: it hangs on the rest.
+    return np.asarray(perimeter_mm / _RIM_POINTS * np.maximum(count, _HANGS))
 
 
 def _along_rim(frame: SheetOpening) -> tuple[FloatArray, float]:
