@@ -33,6 +33,8 @@ _TIP_THEORY_MM = 2e-3
 # By which the rim gives more for its derivative, times shear modulus times thickness.
 _STEP_MM = 0.05
 _THINNEST_SHARE, _THICKEST_SHARE = 0.2, 5.0
+# A softer rim holds nothing, and no elastomer file takes it.
+_SOFTEST_MM2_PER_N = 100.0
 
 
 @dataclass(frozen=True)
@@ -86,13 +88,18 @@ def calibrate_sheet(
 
     Raises
     ------
-    FitError : no part is a ball, or no thickness gives its radius
+    FitError : no part is a ball, or no thickness and no rim that holds give its radius
     InputError : the radius is no positive number
     """
     require_number("ball radius", ball_radius_mm, 0.0, open_low=True)
     require_number("sigma of the ball radius", sigma_radius_mm, 0.0)
     known = _Known(layer, ball_radius_mm, sigma_radius_mm, travel)
     here, before, told, softer, fit = _converged(points_mm, sigma_z_mm, known)
+    if here.rim_compliance_mm2_per_n > _SOFTEST_MM2_PER_N:
+        raise FitError(
+            f"calibration: the rim would give by {here.rim_compliance_mm2_per_n:.3g} mm^2/N, "
+            f"allowed 0 to {_SOFTEST_MM2_PER_N:g}; check travel and modulus of the layer"
+        )
     calibrated = replace(
         here,
         sigma_thickness_mm=fit.sigma[0],

@@ -15,6 +15,7 @@ from reconstruction.compensation import (
     compensate_sheet,
     parts_of,
 )
+from reconstruction.errors import FitError
 from tests.mechanics.sheets import YOUNG_KPA, build_sheet, pressed
 from twin.config.models import Ball
 from twin.mechanics import PressedElastomer
@@ -100,3 +101,11 @@ def test_without_a_further_datum_what_was_believed_of_it_stays() -> None:
     told = calibrate_sheet(*coat(press(1.0, 4.0), 1), believed, 4.0).layer
     assert told.rim_compliance_mm2_per_n == pytest.approx(0.0, abs=0.1)
     assert told.sigma_rim_compliance_mm2_per_n == pytest.approx(10.0, rel=1e-3)
+
+
+def test_a_rim_that_would_hold_nothing_is_refused() -> None:
+    """The free span is half as stiff as the modulus that is said to be known."""
+    known = {"sigma_rim_compliance_mm2_per_n": 200.0, "sigma_young_modulus_kpa": 1.0}
+    believed = replace(layer(4.0, **known), young_modulus_kpa=2.0 * YOUNG_KPA)
+    with pytest.raises(FitError, match="the rim would give"):
+        calibrate_sheet(*coat(press(1.0, 4.0), 1), believed, 4.0)
