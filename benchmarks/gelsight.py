@@ -2,11 +2,11 @@
 
 - 6.31 mm balls at random places: cap height over true by the vendor's integration (2025 and 2024
   forms) and the corrected one; 29 real presses gave 0.66, 1.32 and 1.007.
-- The rendered background against the published tables of two units; of presses at nine places
-  where such a unit was pressed: how levels change with the normal, and across the contact's edge.
-- Untouched gel in those presses, and the same on 67 real ones: noise of a single frame (high-pass),
-  what of it two presses have in common, drift of the height with and without relighting; slope
-  error within the contact.
+- Twins of 67 presses on one real unit (`real_presses`): the untouched gel beside two units'
+  published tables; on the spots of every contact how levels change; the change across the contact's
+  edge; noise of a single frame (high-pass), and what of it two presses have in common.
+- The same twins calibrated and measured as the real ones are, by halves: slope error within the
+  contact, and drift of untouched gel with and without relighting.
 - Two joined 8 mm balls pressed to the same depth into both sensors, then with the same force:
   GelSight's sphere-fit RMSE over that of contact-FPP, mean over both balls; the paper states 10.7.
 
@@ -19,6 +19,7 @@ import argparse
 import json
 import statistics
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -27,27 +28,23 @@ import cv2
 import numpy as np
 
 from benchmarks.cap_height import cap_height_ratio
-from benchmarks.fit_lamps import (
-    CAP_TOP_MM,
-    CONTACT_MM,
-    PLACES_MM,
-    PRESSES_MM,
-    SENSITIVITY,
-    UNITS,
-    azimuth_error_deg,
-    sensitivity,
+from benchmarks.fit_lamps import UNITS
+from benchmarks.photometric_balls import held_out, held_out_drift, whole
+from benchmarks.real_presses import (
+    WIDE_PAD,
+    RealPresses,
+    circle_of,
+    read_presses,
+    spots_of,
+    twins,
 )
-from reconstruction.photometric import PhotometricDecoder, PhotometricOptions
-from reconstruction.photometric.calibration_ball import (
-    ContactCircle,
-    ball_slopes,
-    find_contact_circle,
-)
+from reconstruction.photometric import BallPress, PhotometricDecoder, PhotometricOptions
+from reconstruction.photometric.calibration_ball import ContactCircle, find_contact_circle
 from reconstruction.photometric.images import mean_background, smoothed
 from twin.config import load_experiment, seed_sequence
 from twin.config.lamps import CHANNELS
 from twin.config.models import Ball
-from twin.mechanics import face_mesh
+from twin.optics.backed_coat import seen_face
 from twin.pipeline import Memory, measure, press_specimen
 from twin.pipeline.colours import calibrated_sensor, with_ball
 from twin.pipeline.comparison import PhotometricPlan, case_for
@@ -58,13 +55,15 @@ SENSORS = Memory()
 
 SCHEMES = {"corrected": "corrected", "faithful_2025": "sdk_2025", "faithful_2024": "sdk_2024"}
 PAPER_RATIO = 10.7
-# 67 presses of one real unit: levels by channel; um without and with relighting (6.31, 9.5 mm).
+# Of the real presses: levels by channel; by distance over contact radius, all channels together
+# (6.31 mm balls); the others as (6.31, 9.5 mm balls), drift in um.
 REAL_NOISE = {"red": 2.12, "green": 1.46, "blue": 2.45}
-# 35 presses of 6.31 mm: by distance over contact radius, levels (all channels together).
 REAL_EDGE = {0.2: 24.1, 0.6: 39.7, 1.0: 52.9, 1.2: 42.6, 1.5: 21.6, 2.0: 7.9, 2.5: 4.1}
-REAL_DRIFT_UM = {"drift_um": (50, 63), "relit_drift_um": (35, 28)}
+REAL = {"drift_um": (41, 54), "relit_drift_um": (14, 12), "slope_error": (0.047, 0.046)}
 BALL_MM, DEPTH_MM = 6.31, 0.7
-FIRST_IMAGE, FIRST_PLACED = 5000, 6000
+# Half the field over which balls are pressed at random, x and y: sensitivities differ by place.
+PRESSES_MM = (6.5, 4.5)
+FIRST_IMAGE = 5000
 REPEATS = 20
 
 
@@ -76,18 +75,47 @@ class Shot:
     circle: ContactCircle
 
 
+@dataclass(frozen=True, eq=False)
+class Twins:
+    """The real presses, and the images of their rendered twins, with the found contacts.
+
+    Attributes
+    ----------
+    untouched : (row, col, 3) uint8
+    """
+
+    real: RealPresses
+    presses: list[BallPress]
+    circles: list[ContactCircle]
+    untouched: Any
+
+    @classmethod
+    def of(cls, experiment: Any) -> "Twins":
+        """Photograph them."""
+        sensor, real = calibrated_sensor(experiment, SENSORS)[0], read_presses()
+        untouched = mean_background(sensor.backgrounds())
+        pressed = twins(sensor, real.presses)
+        flat = smoothed(untouched, 3)
+        circles = [find_contact_circle(smoothed(one.image, 3), flat) for one in pressed]
+        return cls(real, pressed, circles, untouched.astype(np.uint8))
+
+    def apart(self, number: int, radii: float) -> Any:
+        """Return the pixels farther from a contact than so many of its radii."""
+        return distance_px(Shot(self.untouched, self.circles[number])) > (
+            radii * self.circles[number].radius_px
+        )
+
+
 def main() -> None:
     """Measure and print one JSON line."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true", help="fewer presses, coarser contact-FPP")
     quick = parser.parse_args().quick
-    experiment = load_experiment(
-        "examples/gelsight_ball",
-        {"photometric.presses.count": 16 if quick else 50},
-    )
-    shots = shots_of(experiment, 4 if quick else 29)
-    figures = balls(experiment, shots) | lamps(experiment) | realism(experiment, shots)
-    figures |= two_balls(quick)
+    count = {"photometric.presses.count": 16 if quick else 50}
+    experiment = load_experiment("examples/gelsight_ball", count | WIDE_PAD)
+    figures = balls(experiment, shots_of(experiment, 4 if quick else 29))
+    unit = Twins.of(experiment)
+    figures |= lamps(unit) | noise(unit) | halves(unit) | two_balls(quick)
     print(json.dumps({name: round(value, 3) for name, value in figures.items()}))
 
 
@@ -105,7 +133,7 @@ def shots_of(experiment: Any, count: int) -> list[Shot]:
 def photographed(experiment: Any, case: Any, number: int) -> Shot:
     """Photograph a press with the experiment's sensor; `number` keys the camera's noise."""
     sensor, calibration = calibrated_sensor(experiment, SENSORS)
-    image = sensor.image(face_mesh(press_specimen(case)), number)
+    image = sensor.image(seen_face(case, press_specimen(case)), number)
     return Shot(image, find_contact_circle(smoothed(image, 3), calibration.background))
 
 
@@ -139,52 +167,47 @@ def decode_ms(decoder: PhotometricDecoder, image: Any) -> float:
     return statistics.median(times[1:])
 
 
-def lamps(experiment: Any) -> dict[str, float]:
-    """Compare the rendered sensor with the images of real units, pressed at the same places."""
-    sensor, _ = calibrated_sensor(experiment, SENSORS)
-    background, pitch_mm = mean_background(sensor.backgrounds()), sensor.pitch_mm
-    rows, cols = (np.array_split(np.arange(n), 3) for n in background.shape[:2])
-    tiles = np.array([[background[np.ix_(r, c)].mean((0, 1)) for c in cols] for r in rows])
-    shots = placed_shots(experiment)
-    slopes = np.stack([_sensitivity(shot, background, pitch_mm) for shot in shots], axis=1)
-    slopes = slopes.reshape(SENSITIVITY.shape)
+def lamps(unit: Twins) -> dict[str, float]:
+    """Compare the rendered images with those of real units, pressed at the same places."""
+    rows, cols = (np.array_split(np.arange(n), 3) for n in unit.untouched.shape[:2])
+    tiles = [[unit.untouched[np.ix_(r, c)].mean((0, 1)) for c in cols] for r in rows]
     print("rendered background\n", np.round(np.moveaxis(tiles, -1, 0), 1))
-    print("rendered sensitivity\n", np.round(slopes))
-    found, real = (np.linalg.norm(s[..., :2], axis=-1) for s in (slopes, SENSITIVITY))
+    change = np.concatenate([_spots(unit, number) for number in range(len(unit.presses))])
+    off, real = change - unit.real.change, unit.real.change
+    for name, part in (("rendered less real", off), ("real", real)):
+        print(f"change on the spots, {name}, RMS by channel:", np.sqrt(np.mean(part**2, axis=0)))
     return {
-        "background_rms_grey": float(np.sqrt(np.mean((UNITS - np.moveaxis(tiles, -1, 0)) ** 2))),
-        "azimuth_error_deg": azimuth_error_deg(slopes.mean(axis=(1, 2))),
-        "sensitivity_ratio": float(found.mean() / real.mean()),
-        "sensitivity_rms": float(np.sqrt(np.mean((slopes - SENSITIVITY)[..., :2] ** 2))),
-    } | _edge(shots, background)
+        "background_rms_grey": _rms(UNITS - np.moveaxis(tiles, -1, 0)),
+        "change_rms_grey": _rms(off),
+        "change_rms_of_real": _rms(off) / _rms(real),
+        "azimuth_error_deg": _azimuth_error_deg(unit.real, change),
+    } | _edge(unit)
 
 
-def placed_shots(experiment: Any) -> list[Shot]:
-    """Photograph presses in the middles of nine tiles, as deep as the real ones."""
-    places = [
-        with_ball(experiment, Ball(diameter_mm=BALL_MM, x_mm=x_mm, y_mm=y_mm), CAP_TOP_MM)
-        for x_mm, y_mm in PLACES_MM.reshape(9, 2)
-    ]
-    return [photographed(experiment, case, FIRST_PLACED + n) for n, case in enumerate(places)]
+def _spots(unit: Twins, number: int) -> Any:
+    """Return what a rendered press changes on the spots of the real one, (spot, channel)."""
+    image, circle = unit.presses[number].image, circle_of(unit.real.presses[number])
+    return spots_of(image, circle)[1] - spots_of(unit.untouched, circle)[1]
 
 
-def _sensitivity(shot: Shot, background: Any, pitch_mm: float) -> Any:
-    """Change of the level per unit of the normal in one press, (channel, xyz)."""
-    inside = distance_px(shot) < CONTACT_MM / pitch_mm
-    places = np.argwhere(inside).astype(float)
-    slopes = ball_slopes(shot.circle, BALL_MM / 2, pitch_mm, places)
-    normals = np.column_stack([-slopes[:, 1], slopes[:, 0], np.ones(len(slopes))])
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    return sensitivity((shot.image - background)[inside], normals)
+def _azimuth_error_deg(real: RealPresses, change: Any) -> float:
+    """Largest angle between the channels' directions of light, rendered and real, degrees."""
+    angles = []
+    for levels in (change, real.change):
+        x, y, _ = np.linalg.lstsq(real.normals, levels, rcond=None)[0]
+        angles.append(np.arctan2(y, x))
+    turned = np.angle(np.exp(1j * (angles[0] - angles[1])))
+    return float(np.degrees(np.abs(turned).max()))
 
 
-def _edge(shots: list[Shot], background: Any) -> dict[str, float]:
+def _edge(unit: Twins) -> dict[str, float]:
     """Colour difference by distance over contact radius, beside that of real presses."""
     found = []
-    for shot in shots:
-        change = np.linalg.norm(shot.image - background, axis=-1)
-        at = distance_px(shot) / shot.circle.radius_px
-        found.append([change[abs(at - ratio) < 0.05].mean() for ratio in REAL_EDGE])
+    for press, circle in zip(unit.presses, unit.circles, strict=True):
+        if press.ball_diameter_mm == BALL_MM and whole(circle, press.image.shape):
+            change = np.linalg.norm(press.image - unit.untouched.astype(float), axis=-1)
+            at = distance_px(Shot(press.image, circle)) / circle.radius_px
+            found.append([change[abs(at - ratio) < 0.05].mean() for ratio in REAL_EDGE])
     ratios = np.mean(found, axis=0) / list(REAL_EDGE.values())
     print(
         "colour difference over real", dict(zip(REAL_EDGE, ratios.round(2).tolist(), strict=True))
@@ -194,27 +217,47 @@ def _edge(shots: list[Shot], background: Any) -> dict[str, float]:
     return {name: float(by_place[ratio]) for ratio, name in names.items()}
 
 
-def realism(experiment: Any, shots: list[Shot]) -> dict[str, float]:
-    """Compare noise, texture and drift with those of 67 presses of a real unit."""
-    _, calibration = calibrated_sensor(experiment, SENSORS)
-    fine = [high_pass(shot.image) for shot in shots]
-    apart = np.all([distance_px(shot) > 2.5 * shot.circle.radius_px for shot in shots], axis=0)
-    noise = np.mean([image[apart].std(axis=0) for image in fine], axis=0)
-    common = [np.corrcoef(a[apart].ravel(), b[apart].ravel())[0, 1] for a, b in pairwise(fine)]
+def noise(unit: Twins) -> dict[str, float]:
+    """Noise of a single frame beside the contacts, and how alike it is in two presses."""
+    fine = [high_pass(press.image) for press in unit.presses]
+    apart = [unit.apart(number, 2.5) for number in range(len(fine))]
+    spread = np.mean([one[seen].std(axis=0) for one, seen in zip(fine, apart, strict=True)], axis=0)
+    common = [
+        np.corrcoef(a[near & far].ravel(), b[near & far].ravel())[0, 1]
+        for (a, b), (near, far) in zip(pairwise(fine), pairwise(apart), strict=True)
+    ]
+    print("noise, real", REAL_NOISE)
     figures = {
-        f"noise_{name}_levels": float(part) for name, part in zip(CHANNELS, noise, strict=True)
+        f"noise_{name}_levels": float(part) for name, part in zip(CHANNELS, spread, strict=True)
+    }
+    return figures | {"texture_in_common": float(np.mean(common))}
+
+
+def halves(unit: Twins) -> dict[str, float]:
+    """Calibrate on every second twin, measure the others, and the other way round."""
+    presses, untouched = unit.presses, unit.untouched
+    rows = held_out(presses, untouched, "polynomial")["corrected"]
+    figures = {
+        "slope_error": _by_ball("slope_error", [(row.ball_mm, row.slope_error) for row in rows])
     }
     for name, relighting in (("drift_um", False), ("relit_drift_um", True)):
         options = PhotometricOptions(relighting=relighting)
-        decoder = PhotometricDecoder(calibration, options)
-        found = [untouched_drift_um(decoder, shot) for shot in shots]
-        print(f"{name}: {np.mean(found):.1f} +- {np.std(found):.1f}, real {REAL_DRIFT_UM[name]}")
-        figures[name] = float(np.mean(found))
-    print("noise, real", REAL_NOISE)
-    return figures | {
-        "texture_in_common": float(np.mean(common)),
-        "slope_error": float(np.mean([slope_error(decoder, shot) for shot in shots])),
-    }
+        drifts = held_out_drift(presses, untouched, options)
+        figures[name] = _by_ball(name, drifts)
+    return figures
+
+
+def _by_ball(name: str, values: Sequence[tuple[float, float]]) -> float:
+    """Print means of both balls beside those of real presses; return the mean of all presses."""
+    found = np.array(values)
+    for ball_mm, real in zip(np.unique(found[:, 0]), REAL[name], strict=True):
+        part = found[found[:, 0] == ball_mm, 1]
+        print(f"{name}, {ball_mm:g} mm balls: {part.mean():.3g} +- {part.std():.2g}, real {real}")
+    return float(found[:, 1].mean())
+
+
+def _rms(values: Any) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
 
 
 def high_pass(image: Any) -> Any:
@@ -227,22 +270,6 @@ def distance_px(shot: Shot) -> Any:
     """Return the distance of each pixel from the middle of the contact."""
     row, col = np.indices(shot.image.shape[:2])
     return np.hypot(row - shot.circle.row_px, col - shot.circle.col_px)
-
-
-def untouched_drift_um(decoder: PhotometricDecoder, shot: Shot) -> float:
-    """Return the height's standard deviation beyond three contact radii."""
-    height = decoder.decode(shot.image).height_mm[distance_px(shot) > 3.0 * shot.circle.radius_px]
-    return float(1e3 * height.std(dtype=np.float64))
-
-
-def slope_error(decoder: PhotometricDecoder, shot: Shot) -> float:
-    """Return the RMS length of the slope's error inside the contact, 4 px within its circle."""
-    inside = distance_px(shot) < shot.circle.radius_px - 4.0
-    found = decoder.decode(shot.image).slopes[:, inside].T
-    true = ball_slopes(
-        shot.circle, BALL_MM / 2, decoder.calibration.pitch_mm, np.argwhere(inside).astype(float)
-    )
-    return float(np.sqrt(np.mean(np.sum((found - true) ** 2, axis=1))))
 
 
 def two_balls(quick: bool) -> dict[str, float]:

@@ -7,30 +7,43 @@ with GelSLAM (rpl-cmu/gelslam, example_calibration: 67 presses of 6.31 and 9.5 m
 
 Every second press calibrates, the others are measured, then the other way round. A press counts
 when its contact lies wholly inside the image. `scale` is the height of the cap between its centre
-and 0.8 contact radii over that of the ball. The last line of the output is one JSON object.
+and 0.8 contact radii over that of the ball; the slope error is the RMS length of the error within
+the contact; drift is the standard deviation of the height beyond three contact radii. The last line
+of the output is one JSON object.
 """
 
 import argparse
 import csv
 import json
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from benchmarks.cap_height import cap_height_ratio
+from reconstruction.arrays import Levels
 from reconstruction.photometric import (
     BallPress,
     PhotometricDecoder,
     PhotometricOptions,
+    SensorCalibration,
     calibrate_sensor,
 )
-from reconstruction.photometric.calibration_ball import ball_slopes, find_contact_circle
+from reconstruction.photometric.calibration_ball import (
+    ContactCircle,
+    ball_slopes,
+    find_contact_circle,
+)
 from reconstruction.photometric.images import mean_background, smoothed
-from reconstruction.photometric.integrate import INTEGRATIONS
+from reconstruction.photometric.integrate import INTEGRATIONS, Integration
 from reconstruction.photometric.press_files import read_rgb
+from reconstruction.photometric.sensor import MapKind
+from twin.results.decoders import MAP_ORDER
 
 PITCH_MM = 0.0634
 EDGE_PX = 35.0
-RING = 0.8
 
 
 def presses_of(folder: Path) -> list[BallPress]:
@@ -43,27 +56,40 @@ def presses_of(folder: Path) -> list[BallPress]:
     ]
 
 
-def cap_mm(height_mm: np.ndarray, radii_px: np.ndarray, contact_px: float) -> float:
-    """Return the height of the centre above the ring at 0.8 contact radii."""
-    ring = np.abs(radii_px - RING * contact_px) < 0.7
-    return float(height_mm[radii_px < 1.5].mean() - height_mm[ring].mean())
+@dataclass(frozen=True)
+class Scored:
+    """One measured press: height of the cap over true, and the slope error inside the contact."""
+
+    ball_mm: float
+    scale: float
+    slope_error: float
 
 
-def score(decoder: PhotometricDecoder, press: BallPress, circle) -> tuple[float, float]:
-    """Return cap height over true, and the RMS error of the slope inside the contact."""
-    found = decoder.decode(press.image)
-    row, col = np.indices(found.height_mm.shape)
-    radii_px = np.hypot(row - circle.row_px, col - circle.col_px)
-    ball_mm = press.ball_diameter_mm / 2.0
-    true_mm = np.sqrt(np.maximum(ball_mm**2 - (radii_px * PITCH_MM) ** 2, 0.0))
-    inside = radii_px < circle.radius_px - 4.0
-    slopes = ball_slopes(circle, ball_mm, PITCH_MM, np.argwhere(inside).astype(float)).T
+def score(decoder: PhotometricDecoder, press: BallPress, circle: ContactCircle) -> Scored:
+    """Measure a press 4 px within its contact's circle."""
+    found, ball_mm = decoder.decode(press.image), press.ball_diameter_mm
+    inside = distance_px(found.height_mm.shape, circle) < circle.radius_px - 4.0
+    places = np.argwhere(inside).astype(float)
+    slopes = ball_slopes(circle, ball_mm / 2.0, PITCH_MM, places).T
     error = np.sqrt(np.mean(np.sum((found.slopes[:, inside] - slopes) ** 2, axis=0)))
-    heights = found.height_mm.astype(float), true_mm
-    return np.divide(*(cap_mm(h, radii_px, circle.radius_px) for h in heights)), float(error)
+    scale = cap_height_ratio(found.height_mm, circle, ball_mm / 2.0, PITCH_MM)
+    return Scored(ball_mm, scale, float(error))
 
 
-def whole(circle, shape: tuple[int, ...]) -> bool:
+def drift_um(decoder: PhotometricDecoder, press: BallPress, circle: ContactCircle) -> float:
+    """Return the height's standard deviation beyond three contact radii."""
+    height_mm = decoder.decode(press.image).height_mm
+    beyond = distance_px(height_mm.shape, circle) > 3.0 * circle.radius_px
+    return float(1e3 * height_mm[beyond].std(dtype=np.float64))
+
+
+def distance_px(shape: tuple[int, ...], circle: ContactCircle) -> Any:
+    """Return the distance of each pixel from the middle of the contact."""
+    row, col = np.indices(shape[:2])
+    return np.hypot(row - circle.row_px, col - circle.col_px)
+
+
+def whole(circle: ContactCircle, shape: tuple[int, ...]) -> bool:
     """Whether the contact lies inside the image."""
     return (
         EDGE_PX < circle.row_px < shape[0] - 1 - EDGE_PX
@@ -71,20 +97,39 @@ def whole(circle, shape: tuple[int, ...]) -> bool:
     )
 
 
-def held_out(presses: list[BallPress], still: np.ndarray, kind: str) -> dict[str, list]:
-    """Return (diameter, scale, slope error) of all measured presses by integration."""
-    flat = smoothed(mean_background([still]), 3)
-    circles = [find_contact_circle(smoothed(press.image, 3), flat) for press in presses]
-    results: dict[str, list] = {name: [] for name in INTEGRATIONS}
-    for half in (0, 1):
-        calibration = calibrate_sensor(presses[half::2], [still], PITCH_MM, kind)
+def held_out(
+    presses: Sequence[BallPress], still: Levels, kind: MapKind
+) -> dict[Integration, list[Scored]]:
+    """Return what is measured of each press by integration."""
+    results: dict[Integration, list[Scored]] = {name: [] for name in INTEGRATIONS}
+    for calibration, press, circle in _halves(presses, still, kind):
         for name in INTEGRATIONS:
             decoder = PhotometricDecoder(calibration, PhotometricOptions(name))
-            for press, circle in zip(presses[1 - half :: 2], circles[1 - half :: 2], strict=True):
-                if whole(circle, still.shape):
-                    measured = score(decoder, press, circle)
-                    results[name].append((press.ball_diameter_mm, *measured))
+            results[name].append(score(decoder, press, circle))
     return results
+
+
+def held_out_drift(
+    presses: Sequence[BallPress], still: Levels, options: PhotometricOptions
+) -> list[tuple[float, float]]:
+    """Return (ball's diameter mm, drift um) of each press."""
+    return [
+        (press.ball_diameter_mm, drift_um(PhotometricDecoder(half, options), press, circle))
+        for half, press, circle in _halves(presses, still, "polynomial")
+    ]
+
+
+def _halves(
+    presses: Sequence[BallPress], still: Levels, kind: MapKind
+) -> Iterator[tuple[SensorCalibration, BallPress, ContactCircle]]:
+    """Yield measured presses with the calibration on the half that they are not part of."""
+    flat = smoothed(mean_background([still]), 3)
+    circles = [find_contact_circle(smoothed(press.image, 3), flat) for press in presses]
+    for half in (0, 1):
+        calibration = calibrate_sensor(presses[half::2], [still], PITCH_MM, kind)
+        for press, circle in zip(presses[1 - half :: 2], circles[1 - half :: 2], strict=True):
+            if whole(circle, still.shape):
+                yield calibration, press, circle
 
 
 def main() -> None:
@@ -94,17 +139,24 @@ def main() -> None:
     folder = parser.parse_args().folder
     presses, still = presses_of(folder), read_rgb(folder / "background.png")
     figures = {}
-    for kind in ("polynomial", "table"):
+    for kind in MAP_ORDER:
         for name, rows in held_out(presses, still, kind).items():
-            values = np.array(rows)
-            for diameter in np.unique(values[:, 0]):
-                part = values[values[:, 0] == diameter]
-                mean, spread = part[:, 1].mean(), part[:, 1].std(ddof=1)
+            for ball_mm in sorted({row.ball_mm for row in rows}):
+                part = [row for row in rows if row.ball_mm == ball_mm]
+                scales = np.array([row.scale for row in part])
+                error = np.mean([row.slope_error for row in part])
                 print(
-                    f"{kind:10s} {name:9s} {diameter:5.2f} mm, n = {len(part):2d}: "
-                    f"scale {mean:.3f} +- {spread:.3f}, slope error {part[:, 2].mean():.3f}"
+                    f"{kind:10s} {name:9s} {ball_mm:5.2f} mm, n = {len(part):2d}: scale"
+                    f" {scales.mean():.3f} +- {scales.std(ddof=1):.3f}, slope error {error:.3f}"
                 )
-                figures[f"{kind}_{name}_{diameter:g}"] = round(float(mean), 4)
+                figures[f"{kind}_{name}_{ball_mm:g}"] = round(float(scales.mean()), 4)
+    for relighting in (False, True):
+        found = np.array(held_out_drift(presses, still, PhotometricOptions(relighting=relighting)))
+        for ball_mm in np.unique(found[:, 0]):
+            drift = found[found[:, 0] == ball_mm, 1].mean()
+            name = f"{'relit_' if relighting else ''}drift_um_{ball_mm:g}"
+            print(f"{name}: {drift:.1f}")
+            figures[name] = round(float(drift), 1)
     print(json.dumps(figures))
 
 

@@ -7,18 +7,18 @@ import numpy as np
 import pytest
 
 from benchmarks.cap_height import cap_height_ratio
+from benchmarks.real_presses import circle_of, read_presses, spots_of, twins
 from reconstruction.errors import InputError
 from reconstruction.photometric import PhotometricDecoder, PhotometricOptions
 from reconstruction.photometric.calibration_ball import (
     ContactCircle,
-    ball_slopes,
     find_contact_circle,
 )
-from reconstruction.photometric.images import smoothed
+from reconstruction.photometric.images import mean_background, smoothed
 from twin.camera import electrons_per_ms, full_well_e, read_noise_e
 from twin.config import load_experiment, vary
 from twin.config.models import Ball
-from twin.mechanics import face_mesh
+from twin.optics.backed_coat import seen_face
 from twin.pipeline import Memory, measure, press_specimen, take
 from twin.pipeline.colour_images import develop, fixed_exposure_ms, image_pinhole
 from twin.pipeline.colours import ColourSensor, LitCoat, calibrated_sensor, with_ball
@@ -43,10 +43,6 @@ UNITS = np.array(
         ],
     ]
 )
-# Where each colour comes from on real units, displayed: 0 right, 90 top.
-AZIMUTHS_DEG = np.array([95.0, -7.0, -83.0])
-# Levels per unit of the surface normal, the same presses.
-SENSITIVITIES = np.array([141.0, 94.0, 108.0])
 
 
 @pytest.fixture(scope="module")
@@ -70,13 +66,14 @@ def presses(calibrated, experiment):
     sensor, found = calibrated[0], []
     for number, (x_mm, y_mm) in enumerate(PLACES_MM):
         ball = Ball(diameter_mm=BALL_MM, x_mm=x_mm, y_mm=y_mm)
-        pressed = press_specimen(with_ball(experiment, ball, DEPTH_MM))
+        case = with_ball(experiment, ball, DEPTH_MM)
+        pressed = press_specimen(case)
         area_mm2 = pressed.contact.sum() * (pressed.x_mm[1] - pressed.x_mm[0]) ** 2
         pitch_mm = sensor.pitch_mm
         circle = ContactCircle(
             119.5 - y_mm / pitch_mm, 159.5 + x_mm / pitch_mm, np.sqrt(area_mm2 / np.pi) / pitch_mm
         )
-        found.append((sensor.image(face_mesh(pressed), 5000 + number), circle))
+        found.append((sensor.image(seen_face(case, pressed), 5000 + number), circle))
     return found
 
 
@@ -96,34 +93,41 @@ def test_the_untouched_image_is_what_the_lamps_were_fitted_to(calibrated):
     assert np.sqrt(np.mean((np.moveaxis(tiles, -1, 0) - UNITS) ** 2)) < 4.0
 
 
-def test_each_colour_comes_from_its_published_side(calibrated, presses):
-    """Setup: levels regressed on the ball's normal inside the contact, as on the real presses.
+def test_presses_look_as_on_the_real_unit(calibrated):
+    """Setup: twins of every eighth of 67 real presses, levels on the spots of their contacts.
 
-    Expected: azimuths within 6 degrees, sensitivities within 15 %: the balls are pressed elsewhere,
-    and both differ from place to place by more.
+    Expected: the change is the real one's to 8 levels of some 23 RMS, and so are the directions of
+    the lamps, to 6 degrees. Not a judgement of the lamps, which these presses fitted: noise, cast
+    shadows and the mechanics are one.
     """
-    changes, normals = [], []
-    for image, circle in presses:
-        row, col = np.indices(image.shape[:2])
-        inside = np.hypot(row - circle.row_px, col - circle.col_px) < circle.radius_px - 4.0
-        slopes = ball_slopes(circle, BALL_MM / 2, calibrated[0].pitch_mm, np.argwhere(inside) + 0.0)
-        normal = np.column_stack([-slopes[:, 1], slopes[:, 0], np.ones(len(slopes))])
-        normals.append(normal / np.linalg.norm(normal, axis=1, keepdims=True))
-        changes.append((image - calibrated[1].background)[inside])
-    x, y, _ = np.linalg.lstsq(np.concatenate(normals), np.concatenate(changes), rcond=None)[0]
-    found = np.degrees(np.arctan2(y, x))
-    assert np.abs(found - AZIMUTHS_DEG).max() < 6.0
-    assert np.hypot(x, y) == pytest.approx(SENSITIVITIES, rel=0.15)
+    real, sensor = read_presses(), calibrated[0]
+    chosen = range(4, 44, 8)
+    images = twins(sensor, tuple(real.presses[number] for number in chosen))
+    before = mean_background(sensor.backgrounds())
+    circles = [circle_of(real.presses[number]) for number in chosen]
+    found = np.concatenate([
+        spots_of(image.image, circle)[1] - spots_of(before, circle)[1]
+        for image, circle in zip(images, circles, strict=True)
+    ])  # fmt: skip
+    spots = np.concatenate([np.flatnonzero(real.of_press == number) for number in chosen])
+    off = found - real.change[spots]
+    assert np.sqrt(np.mean(off**2)) < 8.0 < 0.4 * np.sqrt(np.mean(real.change[spots] ** 2))
+    azimuths = []
+    for change in (found, real.change[spots]):
+        x, y, _ = np.linalg.lstsq(real.normals[spots], change, rcond=None)[0]
+        azimuths.append(np.degrees(np.arctan2(y, x)))
+    assert np.abs(azimuths[0] - azimuths[1]).max() < 6.0
 
 
 @pytest.mark.parametrize(
     ("scheme", "expected", "within"),
-    [("corrected", 1.00, 0.02), ("sdk_2025", 0.66, 0.02), ("sdk_2024", 1.32, 0.04)],
+    [("corrected", 1.00, 0.02), ("sdk_2025", 0.66, 0.03), ("sdk_2024", 1.32, 0.06)],
 )
 def test_cap_height_is_that_of_real_presses(calibrated, presses, scheme, expected, within):
     """Setup: a 6.31 mm ball at three places, contact circle found in the image.
 
-    Expected: height of the cap over true as measured on 29 real presses, which no fit has seen.
+    Expected: height of the cap over true as measured on 29 real presses, which no fit has seen; by
+    the vendor's programs, which weigh the skirt that is too narrow here, within the spread of one.
     """
     sensor, calibration = calibrated
     decoder = PhotometricDecoder(calibration, PhotometricOptions(integration=scheme))
@@ -154,7 +158,7 @@ def test_pixels_lie_where_the_pitch_says(calibrated):
     assert sensor.pitch_mm == pytest.approx(0.0634, rel=0.002)
     # Off the middle, and too small to matter there.
     aside = with_ball(sensor.experiment, Ball(diameter_mm=4.0, x_mm=8.0, y_mm=6.0), 0.05)
-    flat = sensor.truth(face_mesh(press_specimen(aside)))
+    flat = sensor.truth(seen_face(aside, press_specimen(aside)))
     points = flat.points_world_mm
     assert points[120, 160, :2] == pytest.approx([0.0317, -0.0317], abs=0.004)
     right = (points[120, 223, 0] - points[120, 160, 0]) / 63
@@ -248,6 +252,7 @@ def test_results_are_files(done, tmp_path):
 
 
 UNBALANCED = {f"photometric.white_balance.{name}": 1.0 for name in ("red", "green", "blue")}
+EVEN = UNBALANCED | {"photometric.vignetting_exponent": 0.0}
 
 
 def test_white_balance_lifts_noise_with_the_signal(experiment):
@@ -257,7 +262,7 @@ def test_white_balance_lifts_noise_with_the_signal(experiment):
     sqrt(e + read^2), and doubled with the signal.
     """
     gains = {"photometric.white_balance.red": 2.0, "photometric.gamma": 1.0}
-    one = vary(experiment, UNBALANCED | gains)
+    one = vary(experiment, EVEN | gains)
     camera, lamps = one.camera, one.lamps
     half = [
         0.5 / gain * full_well_e(camera)
@@ -289,7 +294,7 @@ def test_levels_follow_gamma_and_full_well(experiment):
 
     Expected: 255 * 0.25 ** (1 / 1.4) = 94.7, so 95, whatever the lamp's wavelength.
     """
-    quiet = vary(experiment, {"camera.noise": False} | UNBALANCED)
+    quiet = vary(experiment, {"camera.noise": False} | EVEN)
     camera, lamps = quiet.camera, quiet.lamps
     quarter = [
         0.25 * full_well_e(camera)
@@ -302,9 +307,28 @@ def test_levels_follow_gamma_and_full_well(experiment):
     assert np.all(image == 95)
 
 
+def test_the_image_darkens_off_the_axis_by_natural_vignetting(experiment):
+    """Setup: even radiance, a linear driver, no noise.
+
+    Expected: cos^4 of the angle to the axis; in the middle of the right edge, 21.1 deg off, 0.757
+    of the middle's level; to a level.
+    """
+    linear = {"camera.noise": False, "photometric.gamma": 1.0} | UNBALANCED
+    quiet = vary(experiment, linear)
+    full = full_well_e(quiet.camera) / electrons_per_ms(
+        quiet.camera, quiet.lamps["green"].wavelength_nm
+    )
+    radiance = np.full((442, 586, 3), 0.9 * full / quiet.camera.exposure_ms, np.float32)
+    image, final = develop(quiet, radiance)[..., 1].astype(float), image_pinhole(quiet)
+    row, col = np.indices(image.shape)
+    tangent = np.hypot((col - final.cx_px) / final.fx_px, (row - final.cy_px) / final.fy_px)
+    np.testing.assert_allclose(image, 0.9 * 255 * np.cos(np.arctan(tangent)) ** 4, atol=1.0)
+    assert image[120, -1] / image[120, 160] == pytest.approx(0.757, abs=0.006)
+
+
 def test_automatic_exposure_is_set_once_on_the_untouched_coat(experiment):
     """Expected: the channel that frees most electrons reaches 0.85: 255 * 0.85 ** (1 / 1.4)."""
-    automatic = vary(experiment, {"camera.noise": False, "camera.exposure_ms": "auto"} | UNBALANCED)
+    automatic = vary(experiment, {"camera.noise": False, "camera.exposure_ms": "auto"} | EVEN)
     background = np.full((442, 586, 3), 1e-5, np.float32)
     exposure = {"exposure_ms": fixed_exposure_ms(automatic, background)}
     camera = automatic.camera.model_copy(update=exposure)

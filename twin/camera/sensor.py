@@ -181,7 +181,7 @@ def electrons_per_ms(camera: Camera, wavelength_nm: float) -> float:
     -----
     Irradiance behind a lens at magnification m: E = pi L tau / (4 (N (1 + m))^2), pupil
     magnification 1; electrons = QE * E * area * t * wavelength / (h c). Natural vignetting
-    (cos^4, 2 % in the corner of the paper's camera) is not modelled.
+    (cos^4, 2 % in the corner of the paper's camera) is left to those whose field is wide.
     """
     magnification = camera.focal_length_mm / (camera.pose.standoff_mm - camera.focal_length_mm)
     working_f_number = camera.f_number * (1.0 + magnification)

@@ -161,12 +161,27 @@ class Coating(Model):
         "scattered twice on it is lost: of all light on a white pigment 9 % at 0.1, 31 % at 0.3, "
         "seen 80 deg off the normal 12 and 36 % (index 1.5)",
     )
-    # Left out where absent: a smooth coat keeps its digest.
+    # Left out where absent: an opaque, smooth coat keeps its digest.
+    transmittance: Fraction = Field(
+        default=0.0,
+        exclude_if=lambda share: share == 0.0,
+        description="share of light that passes the ink; an object that touches the coat throws "
+        "it back and makes the contact brighter (contact_face, photometric_stereo)",
+    )
     texture: Texture | None = Field(
         default=None,
         exclude_if=lambda texture: texture is None,
         description="absent: the coat is smooth",
     )
+
+    @model_validator(mode="after")
+    def _no_light_is_made(self) -> "Coating":
+        if self.base_albedo + self.transmittance > 1:
+            raise ValueError(
+                f"transmittance: found {self.transmittance:g}, allowed at most "
+                f"{1 - self.base_albedo:g}, what base_albedo leaves; lower one of them"
+            )
+        return self
 
 
 class Press(Model):

@@ -12,6 +12,7 @@ from pydantic import Field, model_validator
 from twin.config.base import Angle, Fraction, Length, Model, NonNegative, Positive
 from twin.config.layers import Layer
 from twin.config.methods import TRAITS
+from twin.config.specimen_base import Material
 
 Channel = Literal["red", "green", "blue"]
 CHANNELS: tuple[Channel, ...] = ("red", "green", "blue")
@@ -34,9 +35,22 @@ class Lamp(Model):
         description="the LEDs stand amid equal parts of it"
     )
     along_deg: Angle = Field(description="azimuth of the row")
+    # Left out where absent: a thin, even row keeps its digest.
+    tall_mm: Annotated[float, Field(ge=0, le=200)] = Field(
+        default=0.0,
+        exclude_if=lambda tall_mm: tall_mm == 0.0,
+        description="height of the shining area, amid height_mm: the LEDs are spread over it as"
+        " well; shadows that the relief casts grow softer with it",
+    )
     aim_azimuth_deg: Angle = Field(description="horizontal direction of strongest emission")
     aim_down_deg: Annotated[float, Field(ge=-30, le=90)] = Field(
         description="angle of strongest emission below the horizontal"
+    )
+    taper: Fraction = Field(
+        default=0.0,
+        exclude_if=lambda taper: taper == 0.0,
+        description="how much less than the row's mean its ends shine; the flux of its LEDs falls "
+        "with the square of the way from the middle",
     )
     exponent: Annotated[float, Field(ge=0, le=200)] = Field(
         description="0: even over the half-space ahead"
@@ -45,7 +59,7 @@ class Lamp(Model):
     fill_mw_per_mm2: NonNegative = Field(
         default=0.0,
         description="irradiance of the untouched coat by light that coat, window and housing threw"
-        " back, from all directions above alike",
+        " back, from all directions from which the window reflects totally alike",
     )
     wavelength_nm: Annotated[float, Field(ge=300, le=1100)]
     emitters: Annotated[int, Field(ge=1, le=64)] = Field(default=8, description="number of LEDs")
@@ -98,6 +112,12 @@ class BallPresses(Model):
     truncated_background: bool = Field(
         default=False, description="their mean is cut to whole levels, as the vendor stores it"
     )
+    material: Material | None = Field(
+        default=None,
+        exclude_if=lambda material: material is None,
+        description="of the balls, and of specimens that name none: it shines through a coat with"
+        " transmittance",
+    )
 
     @model_validator(mode="after")
     def _ascending(self) -> "BallPresses":
@@ -113,6 +133,11 @@ class Photometric(Model):
     colour filter array, sharpening and compression are left out.
     """
 
+    vignetting_exponent: Annotated[float, Field(ge=0, le=10)] = Field(
+        default=4.0,
+        description="the image darkens off the axis with this power of the cosine; 4: natural "
+        "vignetting; 0: the driver corrects it",
+    )
     white_balance: WhiteBalance = WhiteBalance()
     gamma: Annotated[float, Field(ge=0.3, le=4)] = Field(
         default=2.2, description="level = 255 linear ** (1 / gamma)"
@@ -150,6 +175,13 @@ def check_lamps(lamps: Mapping[str, Lamp], others: Mapping[str, Any]) -> None:
             raise ValueError(
                 f"{name}.height_mm: found {lamp.height_mm:g}, allowed below {top_mm:g}, the top of"
                 " the layers: lamps shine into them from the side; lower it"
+            )
+        highest_mm = lamp.height_mm + lamp.tall_mm / 2
+        if lamp.tall_mm / 2 >= lamp.height_mm or (layers and highest_mm >= top_mm):
+            reach_mm = min(lamp.height_mm, top_mm - lamp.height_mm) if layers else lamp.height_mm
+            raise ValueError(
+                f"{name}.tall_mm: found {lamp.tall_mm:g}, allowed below {2 * reach_mm:g}: all of"
+                " the lamp stands above the untouched coat and below the top of the layers"
             )
 
 

@@ -18,7 +18,7 @@ from twin.config.models import Experiment
 from twin.optics.connection import first_hit, shaded, truth_of
 from twin.optics.devices import Device, SubPixels
 from twin.optics.heights import MarchedHeights
-from twin.optics.lamps import Emitters, emitters_of
+from twin.optics.lamps import Emitters, dark_cap_of, emitters_of, sky_seen
 from twin.optics.layers import LayerStack
 from twin.optics.scene import (
     check_below_layers,
@@ -99,7 +99,7 @@ class ColourScene:
         self, pinhole: Pinhole, T_world_from_cam: FloatArray, flux: FloatArray | None = None
     ) -> LampRig:
         camera = Device(pinhole, T_world_from_cam)
-        emitters = emitters_of(self._lamps, flux)
+        emitters = emitters_of(self._lamps, flux, dark_cap=dark_cap_of(self._layers))
         return LampRig(camera, emitters, self._stack, self._markers, heights=self._heights)
 
 
@@ -137,6 +137,7 @@ class _Table:
     exponent: Any
     intensity: Any
     fill: Any
+    dark_cap: Any
     count: Any
 
     @classmethod
@@ -147,6 +148,7 @@ class _Table:
             mi.Float(emitters.exponents.astype(np.float32)),
             mi.Color3f(*emitters.intensity.T.astype(np.float32)),
             mi.Color3f(*(dr.opaque(mi.Float, float(part)) for part in emitters.fill)),
+            dr.opaque(mi.Float, emitters.dark_cap),
             dr.opaque(mi.UInt32, len(emitters.exponents)),  # a literal would be compiled in
         )
 
@@ -177,13 +179,13 @@ def _shaded(scene: Any, rig: LampRig, table: _Table, ray: Any) -> Any:
 
 
 def _filled(table: _Table, hit: Any, bsdf: Any) -> Any:
-    """Radiance by the even fill; the coat reflects it as it does light along the normal.
+    """Radiance by the fill; the coat reflects it as it does light along the normal.
 
     Exact for a matte coat. Flakes mirror an even sky alike from wherever, so they lose little.
     """
     normal = hit.sh_frame.n
     brdf = bsdf.eval(mi.BSDFContext(), hit, hit.to_local(normal), hit.is_valid())[0]
-    sky = dr.select(hit.is_valid(), 0.5 * (1.0 + normal.z) * brdf, 0.0)
+    sky = dr.select(hit.is_valid(), sky_seen(normal.z, table.dark_cap) * brdf, 0.0)
     return sky * table.fill
 
 

@@ -7,17 +7,21 @@ through its side, and what they cross above it (window) is taken to have the gel
 
 The coat scatters half of its light so flat that the window's outer face reflects it totally (1 -
 1 / n^2 beyond the critical angle); with what the housing throws back it fills the shadows. This
-fill is not traced: it is taken as an even sky, that a facet of normal n sees by (1 + n_z) / 2, at
-every place alike.
+fill is not traced: it is taken as alike at every place and from every direction beyond the critical
+angle c, sin c = 1 / n, and none within. A facet of normal n sees the whole sky by (1 + n_z) / 2,
+and the dark cap within c by n_z / n^2 as long as all of it stands above the facet (tilts up to 90
+degrees - c): on slopes of up to 45 degrees the fill is as strong as on untouched gel.
 """
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from reconstruction.arrays import FloatArray
 from twin.config.lamps import CHANNELS, Lamp
+from twin.config.layers import Layer, holding_layer
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,6 +35,7 @@ class Emitters:
     exponents : (emitter,) float
     intensity : (emitter, channel) float, mW/sr along the aim; red, green, blue
     fill : (channel,) float, mW/mm^2 on the untouched coat
+    dark_cap : share 1 / n^2 of an even sky from which no fill comes; 0: the whole sky shines
     """
 
     positions_mm: FloatArray
@@ -38,6 +43,7 @@ class Emitters:
     exponents: FloatArray
     intensity: FloatArray
     fill: FloatArray
+    dark_cap: float = 0.0
 
     def irradiance(
         self, points_mm: FloatArray, normals: FloatArray, absorption: float = 0.0
@@ -53,7 +59,7 @@ class Emitters:
         -------
         (..., channel) float
         """
-        sky = 0.5 * (1.0 + normals[..., 2:])
+        sky = sky_seen(normals[..., 2:], self.dark_cap)
         total = np.asarray(sky * self.fill, dtype=np.float64)
         for place, aim, exponent, intensity in zip(
             self.positions_mm, self.aims, self.exponents, self.intensity, strict=True
@@ -68,11 +74,25 @@ class Emitters:
         return total
 
 
-def emitters_of(lamps: Mapping[str, Lamp], flux: FloatArray | None = None) -> Emitters:
+def sky_seen(n_z: Any, dark_cap: float) -> Any:
+    """Return the fill on a facet over that on the untouched coat; `n_z` may be an image of Dr.Jit.
+
+    Parameters
+    ----------
+    n_z : vertical part of the facet's normal
+    dark_cap : as of `Emitters`
+    """
+    return (0.5 * (1.0 + n_z) - dark_cap * n_z) / (1.0 - dark_cap)
+
+
+def emitters_of(
+    lamps: Mapping[str, Lamp], flux: FloatArray | None = None, *, dark_cap: float = 0.0
+) -> Emitters:
     """Place the LEDs of all rows, sorted by the rows' names.
 
     Parameters
     ----------
+    dark_cap : as of `Emitters`
     flux : (emitter,) float, optional
         Of each LED over its usual one; the fill of a row follows the mean of its LEDs.
     """
@@ -87,7 +107,7 @@ def emitters_of(lamps: Mapping[str, Lamp], flux: FloatArray | None = None) -> Em
         positions_mm=np.concatenate([part[0] for part in parts]),
         aims=np.repeat([part[1] for part in parts], counts, axis=0),
         exponents=np.repeat([lamp.exponent for lamp in rows], counts),
-        intensity=flux[:, None] * np.repeat([_intensity(lamp) for lamp in rows], counts, axis=0),
+        intensity=flux[:, None] * np.concatenate([_intensity(lamp) for lamp in rows]),
         fill=np.sum(
             [
                 share * lamp.fill_mw_per_mm2 * _channel(lamp)
@@ -95,7 +115,17 @@ def emitters_of(lamps: Mapping[str, Lamp], flux: FloatArray | None = None) -> Em
             ],
             axis=0,
         ),
+        dark_cap=dark_cap,
     )
+
+
+def dark_cap_of(layers: Mapping[str, Layer]) -> float:
+    """Return the share of the sky that lies within the critical angle of the coat's medium; 0: air.
+
+    Whatever plane layers follow, light leaves them into air up to n sin(angle) = 1.
+    """
+    holder = holding_layer(layers)
+    return 0.0 if holder is None else 1.0 / holder.ior**2
 
 
 def drifted_flux(lamps: Mapping[str, Lamp], rng: np.random.Generator) -> FloatArray | None:
@@ -115,17 +145,34 @@ def drifted_flux(lamps: Mapping[str, Lamp], rng: np.random.Generator) -> FloatAr
 def _row(lamp: Lamp) -> tuple[FloatArray, FloatArray]:
     along, azimuth, down = np.deg2rad([lamp.along_deg, lamp.aim_azimuth_deg, lamp.aim_down_deg])
     middle = np.array([lamp.x_mm, lamp.y_mm, lamp.height_mm])
-    # Centres of equal parts of the row: one LED stands in its middle.
-    steps = (np.arange(lamp.emitters) + 0.5) / lamp.emitters - 0.5
+    steps = _steps(lamp)
     direction = np.array([np.cos(along), np.sin(along), 0.0])
     aim = [np.cos(down) * np.cos(azimuth), np.cos(down) * np.sin(azimuth), -np.sin(down)]
-    return middle + lamp.length_mm * steps[:, np.newaxis] * direction, np.array(aim)
+    upwards = lamp.tall_mm * _heights(lamp.emitters)[:, np.newaxis] * (0.0, 0.0, 1.0)
+    return middle + lamp.length_mm * steps[:, np.newaxis] * direction + upwards, np.array(aim)
+
+
+def _heights(count: int) -> FloatArray:
+    """Heights along a tall row, -0.5 to 0.5: even, and neighbours far apart.
+
+    Ranks of the van der Corput sequence (Hammersley's points with the places along the row): every
+    stretch of the row shines from all heights.
+    """
+    digits = (np.arange(count)[:, np.newaxis] >> np.arange(8)) & 1
+    rank = np.argsort(np.argsort(digits @ 0.5 ** np.arange(1, 9)))
+    return np.asarray((rank + 0.5) / count - 0.5)
+
+
+def _steps(lamp: Lamp) -> FloatArray:
+    """Centres of equal parts of the row, -0.5 to 0.5: one LED stands in its middle."""
+    return np.asarray((np.arange(lamp.emitters) + 0.5) / lamp.emitters - 0.5)
 
 
 def _intensity(lamp: Lamp) -> FloatArray:
-    """Intensity along the aim of one LED, mW/sr; (channel,)."""
-    one = lamp.flux_mw / lamp.emitters * (lamp.exponent + 1.0) / (2.0 * np.pi)
-    return one * _channel(lamp)
+    """Intensity of each LED along its aim, mW/sr; (emitter, channel)."""
+    shares = 1.0 + lamp.taper * (0.5 - 6.0 * _steps(lamp) ** 2)
+    even = lamp.flux_mw * (lamp.exponent + 1.0) / (2.0 * np.pi)
+    return np.outer(even * shares / shares.sum(), _channel(lamp))
 
 
 def _channel(lamp: Lamp) -> FloatArray:

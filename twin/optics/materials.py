@@ -139,16 +139,25 @@ def level(value: float) -> dict[str, Any]:
 COATED_FACE = "coated_face"
 """Name of the coated mesh in every scene that holds one."""
 
+INK_ALBEDO = "ink_albedo"
+"""Attribute of a face's vertices, (vertex,): where an object shows through the ink it is higher."""
+
 # What `mi.traverse` calls otherwise than `mi.load_dict`.
 _LISTED_AS = {"ink": "bsdf_0", "flakes": "bsdf_1", "int_ior": "eta"}
 
 
-def coating_bsdf(coating: Coating) -> dict[str, Any]:
-    """Return the dictionary of the blend for `mi.load_dict`."""
+def coating_bsdf(coating: Coating, *, shaded: bool = False) -> dict[str, Any]:
+    """Return the dictionary of the blend for `mi.load_dict`.
+
+    Parameters
+    ----------
+    shaded : the ink's albedo is the mesh's attribute `vertex_shade`, not the coating's
+    """
+    pigment = {"type": "mesh_attribute", "name": "vertex_shade"}
     return {
         "type": "blendbsdf",
         "weight": coating.flake_fraction,
-        "ink": _ink(coating),
+        "ink": _ink(coating, pigment if shaded else level(coating.base_albedo)),
         "flakes": _microfacets(
             "conductor",
             coating.flake_roughness,
@@ -158,8 +167,7 @@ def coating_bsdf(coating: Coating) -> dict[str, Any]:
     }
 
 
-def _ink(coating: Coating) -> dict[str, Any]:
-    pigment = level(coating.base_albedo)
+def _ink(coating: Coating, pigment: dict[str, Any]) -> dict[str, Any]:
     if coating.binder_ior == 1.0:
         return {"type": "diffuse", "reflectance": pigment}
     return _microfacets(
@@ -217,5 +225,15 @@ def _numbers(node: dict[str, Any], above: str = "") -> Iterator[tuple[str, float
 
 
 def coated_mesh(face: "trimesh.Trimesh", bsdf: dict[str, Any]) -> Any:
-    """Return the coated face (vertices in world mm, smooth vertex normals) as `mi.Mesh`."""
-    return mitsuba_mesh(COATED_FACE, face.vertices, face.faces, bsdf, normals=face.vertex_normals)
+    """Return the coated face (vertices in world mm, smooth vertex normals) as `mi.Mesh`.
+
+    Its attribute `INK_ALBEDO`, where it has one, is the mesh's `vertex_shade`.
+    """
+    return mitsuba_mesh(
+        COATED_FACE,
+        face.vertices,
+        face.faces,
+        bsdf,
+        normals=face.vertex_normals,
+        shade=face.vertex_attributes.get(INK_ALBEDO),
+    )

@@ -16,7 +16,7 @@ from twin.optics.devices import Device
 from twin.optics.height_grid import height_grid, is_even, shades_itself
 from twin.optics.heights import MarchedHeights
 from twin.optics.layers import LayerStack
-from twin.optics.materials import COATED_FACE, coated_mesh, coating_bsdf
+from twin.optics.materials import COATED_FACE, INK_ALBEDO, coated_mesh, coating_bsdf
 from twin.optics.rig import ThinLens, irradiance_at_1mm, true_calibration
 
 if TYPE_CHECKING:
@@ -36,10 +36,16 @@ class CoatedScene:
         self.shape = dr.opaque(mi.ShapePtr, mesh)
 
     def put(self, face: "trimesh.Trimesh") -> None:
-        """Exchange the face for another one with as many vertices and the same facets."""
+        """Exchange the face for another one: as many vertices, same facets and attributes."""
         parameters = mi.traverse(self._mesh)
         for key, values in (("positions", face.vertices), ("normals", face.vertex_normals)):
             parameters[f"vertex_{key}"] = np.asarray(values, np.float32).ravel()
+        shaded = INK_ALBEDO in face.vertex_attributes
+        if ("vertex_shade" in parameters) != shaded:
+            raise ValueError(f"one of the faces has no attribute {INK_ALBEDO}: use seen_face")
+        if shaded:
+            shade = face.vertex_attributes[INK_ALBEDO]
+            parameters["vertex_shade"] = np.asarray(shade, np.float32)
         parameters.update()
         if self._tree is not None:
             self._tree = _tree_of(self._mesh)
@@ -95,7 +101,8 @@ def marched_scene(experiment: Experiment, face: "trimesh.Trimesh", coating: Coat
     check_below_layers(experiment.layers, face)
     grid = height_grid(face)
     tree = experiment.bounces > 0 or grid is None or not is_even(grid)
-    return CoatedScene(coated_mesh(face, coating_bsdf(coating)), tree=tree)
+    bsdf = coating_bsdf(coating, shaded=INK_ALBEDO in face.vertex_attributes)
+    return CoatedScene(coated_mesh(face, bsdf), tree=tree)
 
 
 def heights_of(face: "trimesh.Trimesh") -> MarchedHeights | None:

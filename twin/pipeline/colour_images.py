@@ -1,7 +1,7 @@
 """From a colour sensor's linear radiance to the 8-bit image that its driver delivers.
 
-Order as in the product: sensor noise, white balance, power law, 8 bits, crop, resize. Cropping is
-exact for a pinhole, so that only what is kept is rendered.
+Order as in the product: the lens' vignetting, sensor noise, white balance, power law, 8 bits, crop,
+resize. Cropping is exact for a pinhole, so that only what is kept is rendered.
 """
 
 from dataclasses import replace
@@ -59,18 +59,36 @@ def fixed_exposure_ms(experiment: Experiment, background: FloatImage) -> float:
     ------
     InputError : automatic exposure, and no lamp lights the coat
     """
-    brightest = as_projector_light(experiment, background).max(axis=-1)
+    brightest = light_on_sensor(experiment, background).max(axis=-1)
     return choose_exposure_ms(experiment, brightest)
 
 
-def as_projector_light(experiment: Experiment, radiance: FloatImage) -> FloatImage:
-    """Radiance at the projector's wavelength that frees as many electrons, (row, col, channel).
+def light_on_sensor(experiment: Experiment, radiance: FloatImage) -> FloatImage:
+    """Radiance of the projector's wavelength, seen on the axis, that frees as many electrons.
 
     The exposure model counts photons of one wavelength: mW of red are more photons than of blue.
+
+    Parameters
+    ----------
+    radiance : (row, col, channel) float32
+        On the pixels of `cropped_pinhole`.
     """
     reference_nm = experiment.projector.wavelength_nm
     factors = [_wavelength_nm(experiment, channel) / reference_nm for channel in CHANNELS]
-    return radiance * np.array(factors, np.float32)
+    falloff = vignetting(cropped_pinhole(experiment), experiment.photometric.vignetting_exponent)
+    return radiance * falloff[..., None] * np.array(factors, np.float32)
+
+
+def vignetting(pinhole: Pinhole, exponent: float) -> FloatImage:
+    """Return the illuminance on the sensor over that on the axis, (row, col) float32.
+
+    By cos^4 of the angle to the axis where the lens has no stop but its pupil (natural vignetting:
+    cos^2 by the longer way, cos by the pupil's and cos by the sensor's inclination).
+    """
+    x = (np.arange(pinhole.width_px) - pinhole.cx_px) / pinhole.fx_px
+    y = (np.arange(pinhole.height_px) - pinhole.cy_px) / pinhole.fy_px
+    falloff: FloatImage = ((1.0 + x**2 + y[:, None] ** 2) ** (-exponent / 2.0)).astype(np.float32)
+    return falloff
 
 
 def develop(experiment: Experiment, radiance: FloatImage, trial: int = 0) -> Levels:
@@ -88,7 +106,7 @@ def develop(experiment: Experiment, radiance: FloatImage, trial: int = 0) -> Lev
     (row, col, 3) uint8, red first, of the final size
     """
     camera, size = experiment.camera, experiment.photometric
-    channels = list(np.moveaxis(as_projector_light(experiment, radiance), -1, 0))
+    channels = list(np.moveaxis(light_on_sensor(experiment, radiance), -1, 0))
     exposed = expose(experiment, channels, white_frame=0, trial=trial)
     black_dn = camera.black_level_dn
     dn = np.moveaxis(exposed.stack, 0, -1).astype(np.float32)

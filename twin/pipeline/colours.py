@@ -22,7 +22,8 @@ from reconstruction.photometric.sensor import MapKind
 from reconstruction.rig.pinhole import Pinhole
 from twin.config import Experiment, digest, seed_sequence
 from twin.config.models import Ball, Press
-from twin.mechanics import PressedElastomer, face_mesh
+from twin.mechanics import PressedElastomer
+from twin.optics.backed_coat import seen_face
 from twin.optics.backend import activate
 from twin.optics.lamps import drifted_flux
 from twin.optics.rig import world_from_device
@@ -265,18 +266,20 @@ def _lit_coat(experiment: Experiment) -> LitCoat:
     activate()
     from twin.optics.colour_trace import ColourScene
 
-    scene = ColourScene(experiment, face_mesh(_untouched(experiment)))
+    scene = ColourScene(experiment, _untouched_face(experiment))
     pinhole = cropped_pinhole(experiment)
     background = scene.render(pinhole, world_from_device(experiment.camera.pose, pinhole))
     return LitCoat(scene, background, fixed_exposure_ms(experiment, background))
 
 
-def _untouched(experiment: Experiment) -> PressedElastomer:
+def _untouched_face(experiment: Experiment) -> "trimesh.Trimesh":
     """Return the untouched coat on the nodes of a pressed one: a press, its relief taken off."""
     case = with_ball(experiment, Ball(diameter_mm=8.0), 0.2)
     pressed = press_smooth(case)
     flat, free = np.zeros_like(pressed.face_z_mm), np.zeros_like(pressed.pressure_kpa)
-    return with_texture(case, replace(pressed, face_z_mm=flat, pressure_kpa=free))
+    nowhere = np.zeros_like(pressed.contact)
+    untouched = replace(pressed, face_z_mm=flat, pressure_kpa=free, contact=nowhere)
+    return seen_face(case, with_texture(case, untouched))
 
 
 def _references(sensor: ColourSensor) -> References:
@@ -285,7 +288,7 @@ def _references(sensor: ColourSensor) -> References:
     for number, case in enumerate(ball_presses(sensor.experiment)):
         assert isinstance(case.specimen, Ball)
         pressed = with_texture(case, press_smooth(case))
-        image = sensor.image(face_mesh(pressed), _FIRST_PRESS + number)
+        image = sensor.image(seen_face(case, pressed), _FIRST_PRESS + number)
         found.append(BallPress(image, case.specimen.diameter_mm))
     return References(sensor.backgrounds(), tuple(found))
 
@@ -302,5 +305,5 @@ def _calibrations(sensor: ColourSensor, references: References) -> dict[MapKind,
 def _photograph(
     experiment: Experiment, coat: LitCoat, pressed: PressedElastomer, trial: int
 ) -> tuple[Levels, Truth]:
-    sensor, face = ColourSensor.of(experiment, coat), face_mesh(pressed)
+    sensor, face = ColourSensor.of(experiment, coat), seen_face(experiment, pressed)
     return sensor.image(face, _FIRST_TRIAL + trial), sensor.truth(face)
