@@ -25,7 +25,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from benchmarks.real_presses import HEIGHT_PX, PITCH_MM, WIDTH_PX, RealPresses, read_presses
+from benchmarks.real_presses import (
+    HEIGHT_PX,
+    PITCH_MM,
+    VIEW_MM,
+    WIDTH_PX,
+    RealPresses,
+    read_presses,
+)
 from reconstruction.arrays import FloatArray
 from twin.camera import electrons_per_ms, full_well_e
 from twin.config import Experiment, load_experiment
@@ -140,7 +147,7 @@ class Shading:
 
     def image(self, lamp: Lamp) -> "ShadedImage":
         """Return the levels in the light of one lamp, not rounded."""
-        spots, low = self.presses.points_mm, self.presses.points_mm * (1.0, 1.0, 0.0)
+        spots, low = self.presses.points_mm, self.presses.untouched_mm
         tiles = self._levels(lamp, self.flat_mm, UP)
         return ShadedImage(
             np.bincount(self.tiles, tiles, 9) / np.bincount(self.tiles, minlength=9),
@@ -178,9 +185,10 @@ class ShadedImage:
 
 
 def _vignetting(experiment: Experiment, points_mm: FloatArray) -> FloatArray:
-    """Light on the sensor over that on the axis: the image of the untouched coat is WIDTH_PX."""
-    device = image_pinhole(experiment)
-    off_axis = np.hypot(points_mm[:, 0] / device.fx_px, points_mm[:, 1] / device.fy_px) / PITCH_MM
+    """Light on the sensor over that on the axis, where points appear on the untouched coat."""
+    device, (x_mm, y_mm, z_mm) = image_pinhole(experiment), points_mm.T
+    seen_px = np.hypot(x_mm / device.fx_px, y_mm / device.fy_px) / PITCH_MM
+    off_axis = seen_px / (1.0 - z_mm / VIEW_MM)
     power = -experiment.photometric.vignetting_exponent / 2.0
     return np.asarray((1.0 + off_axis**2) ** power)
 
