@@ -16,6 +16,7 @@ from scipy.interpolate import RegularGridInterpolator
 from reconstruction.arrays import FloatArray, Levels
 from twin.config.lamps import Lamp
 from twin.config.models import Experiment
+from twin.optics.lamps import emitters_of
 from twin.pipeline.colour_images import image_pinhole
 from twin.report.canvas import (
     FAINT,
@@ -274,14 +275,18 @@ def _above(axes: Axes, experiment: Experiment) -> None:
     axes.annotate("evaluated field", (-field[0] / 2, field[1] / 2), xytext=(4, -11),
                   textcoords="offset points", color=FAINT)  # fmt: skip
     chart(axes, "From above: lamps and their aims", "x (mm)", "y (mm)")
-    axes.set(xlim=(-half[0] - 4, half[0] + 4), ylim=(-half[1] - 4, half[1] + 4), aspect="equal")
+    x_mm, y_mm = (_reach_mm(experiment, axis, edge) for axis, edge in enumerate(half))
+    axes.set(xlim=(-x_mm, x_mm), ylim=(-y_mm, y_mm), aspect="equal")
+
+
+def _reach_mm(experiment: Experiment, axis: int, edge_mm: float) -> float:
+    """Half the width of a drawing along world x or y: the pad, and all lamps."""
+    lamps_mm = np.abs(emitters_of(experiment.lamps).positions_mm[:, axis]).max(initial=0.0)
+    return max(edge_mm + 4.0, float(lamps_mm) + 1.5)
 
 
 def _lamp_above(axes: Axes, lamp: Lamp) -> None:
-    along = np.deg2rad(lamp.along_deg)
-    place = (np.arange(lamp.emitters) + 0.5) / lamp.emitters - 0.5
-    x_mm = lamp.x_mm + place * lamp.length_mm * np.cos(along)
-    y_mm = lamp.y_mm + place * lamp.length_mm * np.sin(along)
+    x_mm, y_mm, _ = emitters_of({"one": lamp}).positions_mm.T
     colour, aim = LAMP_COLOURS[lamp.channel], np.deg2rad(lamp.aim_azimuth_deg)
     axes.plot(x_mm, y_mm, "o", ms=4, color=colour)
     axes.arrow(
@@ -297,12 +302,13 @@ def _side(axes: Axes, experiment: Experiment) -> None:
         colour = _LAYER_COLOURS[number % len(_LAYER_COLOURS)]
         corner = (-half, layer.bottom_mm)
         axes.add_patch(Rectangle(corner, 2 * half, layer.thickness_mm, fc=colour, ec=FAINT, lw=0.6))
-        middle_mm = layer.bottom_mm + layer.thickness_mm / 2
-        axes.text(-half + 0.4, middle_mm, f"{name}, n = {layer.ior:g}", va="center", fontsize=7.5)
+        place = -half + 0.4, layer.bottom_mm + 0.3
+        axes.text(*place, f"{name}, n = {layer.ior:g}", va="bottom", fontsize=7.5)
         top_mm = max(top_mm, layer.bottom_mm + layer.thickness_mm)
     axes.plot([-half, half], [0, 0], color=INK, lw=1.6)
     for lamp in experiment.lamps.values():
-        axes.plot([lamp.x_mm], [lamp.height_mm], "o", ms=5, color=LAMP_COLOURS[lamp.channel])
+        x_mm, _, z_mm = emitters_of({"one": lamp}).positions_mm.T
+        axes.plot(x_mm, z_mm, "o", ms=3, color=LAMP_COLOURS[lamp.channel])
     standoff_mm = experiment.camera.pose.standoff_mm
     seen_mm = image_pinhole(experiment).width_px / image_pinhole(experiment).fx_px / 2
     reach_mm = top_mm + 3.0
@@ -313,4 +319,5 @@ def _side(axes: Axes, experiment: Experiment) -> None:
     axes.text(0, top_mm + 0.4, f"to the camera, {standoff_mm:g} mm above the coat", ha="center",
               fontsize=7.5, color=MEASURED)  # fmt: skip
     chart(axes, "From the side: coat, layers and lamps", "x (mm)", "z (mm)")
-    axes.set(xlim=(-half - 4, half + 4), ylim=(-0.8, reach_mm), aspect="equal")
+    x_mm = _reach_mm(experiment, 0, half)
+    axes.set(xlim=(-x_mm, x_mm), ylim=(-0.8, reach_mm), aspect="equal")
