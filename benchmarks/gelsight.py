@@ -29,7 +29,7 @@ import numpy as np
 
 from benchmarks.cap_height import cap_height_ratio
 from benchmarks.fit_lamps import UNITS
-from benchmarks.photometric_balls import held_out, held_out_drift, whole
+from benchmarks.photometric_balls import distance_px, held_out, held_out_drift, whole
 from benchmarks.real_presses import (
     WIDE_PAD,
     RealPresses,
@@ -101,9 +101,8 @@ class Twins:
 
     def apart(self, number: int, radii: float) -> Any:
         """Return the pixels farther from a contact than so many of its radii."""
-        return distance_px(Shot(self.untouched, self.circles[number])) > (
-            radii * self.circles[number].radius_px
-        )
+        circle = self.circles[number]
+        return distance_px(self.untouched.shape, circle) > radii * circle.radius_px
 
 
 def main() -> None:
@@ -206,7 +205,7 @@ def _edge(unit: Twins) -> dict[str, float]:
     for press, circle in zip(unit.presses, unit.circles, strict=True):
         if press.ball_diameter_mm == BALL_MM and whole(circle, press.image.shape):
             change = np.linalg.norm(press.image - unit.untouched.astype(float), axis=-1)
-            at = distance_px(Shot(press.image, circle)) / circle.radius_px
+            at = distance_px(press.image.shape, circle) / circle.radius_px
             found.append([change[abs(at - ratio) < 0.05].mean() for ratio in REAL_EDGE])
     ratios = np.mean(found, axis=0) / list(REAL_EDGE.values())
     print(
@@ -264,12 +263,6 @@ def high_pass(image: Any) -> Any:
     """Return what a Gaussian of 2 px removes, (row, col, channel)."""
     levels = image.astype(np.float32)
     return levels - cv2.GaussianBlur(levels, (0, 0), 2.0)
-
-
-def distance_px(shot: Shot) -> Any:
-    """Return the distance of each pixel from the middle of the contact."""
-    row, col = np.indices(shot.image.shape[:2])
-    return np.hypot(row - shot.circle.row_px, col - shot.circle.col_px)
 
 
 def two_balls(quick: bool) -> dict[str, float]:
