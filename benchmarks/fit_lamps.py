@@ -102,8 +102,8 @@ def unknowns(channel: str) -> list[Unknown]:
 
 
 # Drift: so that rendered images show what real presses do beside the contact, as nearly as both can
-# be met. SD over presses of the mean level: real 0.56, 0.12, 0.25, rendered 0.50, 0.18, 0.32; of
-# its slow change over the field (Gaussian of 12 px): 0.35, 0.24, 0.34 and 0.36, 0.16, 0.22.
+# be met. SD over presses of the mean level: real 0.56, 0.12, 0.25, rendered 0.40, 0.28, 0.36; of
+# its slow change over the field (Gaussian of 12 px): 0.37, 0.25, 0.36 and 0.37, 0.18, 0.23.
 FIXED: dict[str, dict[str, Any]] = {
     "red": {
         "along_deg": 0.0,

@@ -52,15 +52,15 @@ def test_presses_are_foretold_by_the_others(presses):
 
 
 def test_lamps_of_one_unit_are_those_of_the_other(experiment, presses, monkeypatch):
-    """Fitted to the first unit and the presses, to 2.5 levels; on the second 5.5 of some 95.
+    """Fitted to the first unit and the presses, to 2.9 levels; on the second 4.1 of some 95.
 
     The units themselves are 5.4 levels apart.
     """
     shading = shading_of(experiment, presses)
     monkeypatch.setattr(fit_lamps, "UNITS", UNITS[:1])
     found = np.stack([shading.background(fit(shading, channel)) for channel in CHANNELS])
-    assert rms(found - UNITS[0]) < 3.0
-    assert rms(found - UNITS[1]) < 6.0
+    assert rms(found - UNITS[0]) < 3.3
+    assert rms(found - UNITS[1]) < 4.6
     assert rms(UNITS[0] - UNITS[1]) == pytest.approx(5.4, abs=0.05)
 
 

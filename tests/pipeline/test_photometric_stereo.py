@@ -96,7 +96,7 @@ def test_the_untouched_image_is_what_the_lamps_were_fitted_to(calibrated):
 def test_presses_look_as_on_the_real_unit(calibrated):
     """Setup: twins of every eighth of 67 real presses, levels on the spots of their contacts.
 
-    Expected: the change is the real one's to 8 levels of some 23 RMS, and so are the directions of
+    Expected: the change is the real one's to 7.8 levels of 25 RMS, and so are the directions of
     the lamps, to 6 degrees. Not a judgement of the lamps, which these presses fitted: noise, cast
     shadows and the mechanics are one.
     """
@@ -111,7 +111,7 @@ def test_presses_look_as_on_the_real_unit(calibrated):
     ])  # fmt: skip
     spots = np.concatenate([np.flatnonzero(real.of_press == number) for number in chosen])
     off = found - real.change[spots]
-    assert np.sqrt(np.mean(off**2)) < 8.0 < 0.4 * np.sqrt(np.mean(real.change[spots] ** 2))
+    assert np.sqrt(np.mean(off**2)) < 8.6 < 0.4 * np.sqrt(np.mean(real.change[spots] ** 2))
     azimuths = []
     for change in (found, real.change[spots]):
         x, y, _ = np.linalg.lstsq(real.normals[spots], change, rcond=None)[0]
