@@ -6,9 +6,11 @@ import pytest
 from reconstruction.rig.pinhole import Pinhole
 from twin.config import ConfigError, load_experiment
 from twin.config.lamps import Lamp, Markers
-from twin.optics.lamps import Emitters, drifted_flux, emitters_of, sky_seen
+from twin.config.layers import Layer, OuterFace, outer_face
+from twin.optics.lamps import Emitters, drifted_flux, emitters_of, reflected_within, sky_seen
 
 GEL_MM, N_GEL, ABSORPTION = 12.0, 1.41, 0.02
+OUTER = OuterFace(GEL_MM, N_GEL)
 ALBEDO = 0.5
 STANDOFF_MM = 40.0
 PINHOLE = Pinhole(64, 48, 100.0, 100.0, 31.5, 23.5)
@@ -41,12 +43,11 @@ def look(mi):
 
     gel = LayerStack((Medium(GEL_MM, N_GEL, ABSORPTION),))
 
-    def render(face, *lamps, markers=None, layers=gel, samples=1, heights=None):
-        cap = 0.0 if layers is None else 1.0 / N_GEL**2
+    def render(face, *lamps, layers=gel, outer=OUTER, samples=1, **rest):
         rows = {str(number): one for number, one in enumerate(lamps)}
-        emitters = emitters_of(rows, dark_cap=cap)
+        emitters = emitters_of(rows, face=None if layers is None else outer)
         camera = Device(PINHOLE, T_WORLD_FROM_CAM)
-        rig = LampRig(camera, emitters, layers, markers, heights=heights)
+        rig = LampRig(camera, emitters, layers, **rest)
         scene = CoatedScene(coated_mesh(face, MATTE))
         return trace_channels(scene, rig, samples), trace_face(scene, rig).points_world_mm
 
@@ -66,19 +67,35 @@ def seen_share(points_mm):
     return (s + p) / 2 / N_GEL**2 * np.exp(-ABSORPTION * way_mm)
 
 
+def fresnel_within(cosine):
+    """Fresnel's reflectance from the gel against air, by the sine law of the refracted angle."""
+    inside = np.arccos(cosine)
+    sine = N_GEL * np.sin(inside)
+    outside = np.arcsin(np.minimum(sine, 1.0))
+    s = np.sin(inside - outside) / np.sin(inside + outside)
+    p = np.tan(inside - outside) / np.tan(inside + outside)
+    return np.where(sine < 1.0, (s**2 + p**2) / 2, 1.0)
+
+
 def test_flat_coat_under_one_led_is_lambert_in_closed_form(look, plane):
-    """Setup: one LED with a cosine-power lobe in an absorbing gel, matte coat.
+    """Setup: one LED with a cosine-power lobe in an absorbing gel that ends in air, matte coat.
 
     Expected: L = rho / pi I0 cos^m cos(incidence) exp(-a r) / r^2 T exp(-a s) / n^2 with
-    I0 = (m + 1) flux / 2 pi; float32 rays: 2e-4.
+    I0 = (m + 1) flux / 2 pi, and as much from its image, by Fresnel; float32 rays: 2e-4.
     """
     found, points = look(plane, lamp(exponent=3.0))
-    way = np.array([14.0, 2.0, 4.0]) - points
-    r = np.linalg.norm(way, axis=-1)
-    down = np.deg2rad(15.0)
-    ahead = (way @ [np.cos(down), 0.0, np.sin(down)]) / r
-    irradiance = 4 / (2 * np.pi) * 2.0 * ahead**3 * way[..., 2] / r**3 * np.exp(-ABSORPTION * r)
-    expected = ALBEDO / np.pi * irradiance * seen_share(points)
+
+    def irradiance(height_mm, down_deg):
+        way = np.array([14.0, 2.0, height_mm]) - points
+        r, down = np.linalg.norm(way, axis=-1), np.deg2rad(down_deg)
+        ahead = np.maximum(way @ [np.cos(down), 0.0, np.sin(down)], 0.0) / r
+        light = 4 / (2 * np.pi) * 2.0 * ahead**3 * way[..., 2] / r**3 * np.exp(-ABSORPTION * r)
+        return light, way[..., 2] / r
+
+    (straight, _), (image, cosine) = irradiance(4.0, 15.0), irradiance(2 * GEL_MM - 4.0, -15.0)
+    both = straight + image * fresnel_within(cosine)
+    assert image[24, 0] * fresnel_within(cosine)[24, 0] > 0.1 * straight[24, 0]
+    expected = ALBEDO / np.pi * both * seen_share(points)
     np.testing.assert_allclose(found[..., 0], expected, rtol=2e-4)
     assert found[..., 1:].max() == 0.0
 
@@ -173,6 +190,57 @@ def test_the_lobe_carries_the_stated_flux(exponent):
     assert np.sum(light * ring) == pytest.approx(2.0, rel=1e-4)
 
 
+def test_the_outer_face_reflects_as_stock_mitsuba_says(mi):
+    """Expected: `mi.fresnel` from inside, float32; 1 beyond the critical angle."""
+    cosines = np.linspace(0.02, 1.0, 50)
+    stock = np.array(mi.fresnel(mi.Float(cosines), 1.0 / N_GEL)[0])
+    np.testing.assert_allclose(reflected_within(cosines, N_GEL), stock, atol=2e-6)
+    assert (reflected_within(np.cos(np.deg2rad([45.5, 60.0, 89.0])), N_GEL) == 1.0).all()
+
+
+def test_what_an_led_sends_up_lands_on_the_coat_by_its_reflectance():
+    """Setup: an even LED aimed straight up, 4 mm above the coat, below the outer face at 12 mm.
+
+    Expected: all light on the coat's plane is flux times the mean of Fresnel's reflectance over the
+    half-space, the integral of R over the cosine. Rings out to 89.9 degrees: 3e-3.
+    """
+    up = lamp(aim_down_deg=-90.0)
+    emitters = emitters_of({"one": up}, face=OUTER)
+    edges = (2 * GEL_MM - 4.0) * np.tan(np.deg2rad(np.linspace(0.0, 89.9, 4000)))
+    radius = (edges[1:] + edges[:-1]) / 2
+    points = np.column_stack([14.0 + radius, np.full_like(radius, 2.0), 0 * radius])
+    light = emitters.irradiance(points, np.broadcast_to([0.0, 0, 1], points.shape))[:, 0]
+    found = np.sum(light * np.pi * np.diff(edges**2))
+    cosines = (np.arange(4000) + 0.5) / 4000
+    share = fresnel_within(cosines).mean()
+    assert 0.7 < share < 0.8
+    assert found == pytest.approx(2.0 * share, rel=3e-3)
+
+
+@pytest.mark.parametrize(
+    ("layers", "face"),
+    [
+        ({}, None),
+        ({"gel": (0.0, 4.0, 1.41), "window": (4.0, 5.0, 1.49)}, OuterFace(9.0, 1.41)),
+        ({"gel": (0.0, 4.0, 1.41), "window": (6.0, 5.0, 1.49)}, OuterFace(4.0, 1.41)),
+        ({"window": (6.0, 5.0, 1.49)}, None),
+    ],
+)
+def test_light_comes_back_from_where_the_layers_that_touch_end(layers, face):
+    """Expected: the top of what touches the coat's layer; None where the coat lies in air."""
+    found = {
+        name: Layer(bottom_mm=low, thickness_mm=thick, ior=ior)
+        for name, (low, thick, ior) in layers.items()
+    }
+    assert outer_face(found) == face
+
+
+def test_a_matte_coat_is_what_its_bsdf_says(look, bump):
+    """Setup: a bump with its BSDF read once, and for every LED. Expected: the same, to float32."""
+    one, every = (look(bump, lamp(exponent=3.0), matte=matte)[0] for matte in (True, False))
+    np.testing.assert_allclose(one, every, rtol=1e-5, atol=1e-9)
+
+
 def test_a_row_spreads_evenly_along_its_direction():
     row = emitters_of({"one": lamp(length_mm=8.0, emitters=4)})
     np.testing.assert_allclose(row.positions_mm[:, 1], [-1.0, 1.0, 3.0, 5.0])
@@ -261,7 +329,7 @@ def test_a_ridge_casts_a_shadow_as_long_as_rays_are_straight(look, grid_face):
         return 0.5 * np.exp(-(x**2) / 0.02)
 
     face = grid_face(height, lambda x, y: (-x / 0.01 * height(x, y), 0 * y))
-    found, points = look(face, lamp(y_mm=0.0, height_mm=2.6))
+    found, points = look(face, lamp(y_mm=0.0, height_mm=2.6), outer=None)
     middle, x = found[24, :, 0], points[24, :, 0]
     assert middle[(x > -2.9) & (x < -0.6)].max() == 0.0
     assert middle[x < -3.7].min() > 0.0
@@ -269,6 +337,7 @@ def test_a_ridge_casts_a_shadow_as_long_as_rays_are_straight(look, grid_face):
 
 
 def test_dots_darken_the_coat_where_they_are_printed(look, plane):
+    """Setup: dots of a tenth of the coat's albedo. Expected: so dark inside, unchanged outside."""
     dots = Markers(pitch_x_mm=4.0, pitch_y_mm=3.0, radius_mm=1.2, relative_albedo=0.1)
     (found, points), bare = look(plane, lamp(), markers=dots), look(plane, lamp())[0]
     x, y = (points[..., i] - p * np.round(points[..., i] / p) for i, p in ((0, 4.0), (1, 3.0)))
@@ -285,9 +354,6 @@ def test_shipped_lamps_stand_on_their_sides(look, bump):
     the right, blue the one to the bottom.
     """
     lamps = load_experiment("examples/gelsight_ball").lamps
-    assert {name: one.channel for name, one in lamps.items()} == {
-        "red": "red", "green": "green", "blue": "blue"
-    }  # fmt: skip
     image, points = look(bump, *lamps.values())
     x, y = points[..., 0], points[..., 1]
 
@@ -304,7 +370,7 @@ def test_shipped_lamps_stand_on_their_sides(look, bump):
 def test_emitters_know_half_spaces():
     """Nothing behind an LED, nothing on the side of a facet that faces away."""
     one = Emitters(np.array([[0.0, 0, 2]]), np.array([[1.0, 0, 0]]), np.ones(1), np.ones((1, 3)),
-                   np.zeros(3))  # fmt: skip
+                   np.zeros(3), np.zeros(1, bool))  # fmt: skip
     up = np.array([[0.0, 0, 1]])
     assert one.irradiance(np.array([[-1.0, 0, 0]]), up).max() == 0.0
     assert one.irradiance(np.array([[1.0, 0, 0]]), -up).max() == 0.0
@@ -314,9 +380,9 @@ def test_emitters_know_half_spaces():
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"lamps.red.channel": "green"}, "no lamp has channel red"),
-        ({"lamps.red.height_mm": 9.5}, "allowed below 9.25"),
-        ({"lamps.red.tall_mm": 9.0}, "tall_mm: found 9, allowed below"),
+        ({f"lamps.red_{n}.channel": "green" for n in (1, 2, 3)}, "no lamp has channel red"),
+        ({"lamps.red_1.height_mm": 9.5}, "allowed below 9.25"),
+        ({"lamps.red_1.tall_mm": 9.0}, "tall_mm: found 9, allowed below"),
         ({"elastomer.layout": "opposite_face"}, "contact_face"),
         ({"photometric.presses.shallowest": 0.4}, "must not exceed"),
     ],
@@ -342,6 +408,7 @@ def test_flux_of_leds_scales_their_light():
 
 
 def test_drift_of_lamps_has_the_stated_spread():
+    """Expected: the row's flux by its own SD; of LEDs that share it, each by theirs about that."""
     rows = {
         "a": lamp(emitters=8, drift_percent=2.0, led_drift_percent=1.0),
         "b": lamp(emitters=8, channel="blue"),
@@ -350,9 +417,7 @@ def test_drift_of_lamps_has_the_stated_spread():
     drawn = np.array([drifted_flux(rows, rng) for _ in range(4000)])
     assert (drawn[:, 8:] == 1.0).all()
     row_factor = drawn[:, :8].mean(axis=1)
-    # Of the mean of eight: the row's own 2 %, and 1 % over sqrt 8; 4000 draws tell a SD to 1.1 %.
-    assert row_factor.std() == pytest.approx(np.hypot(0.02, 0.01 / np.sqrt(8)), rel=0.05)
-    assert (drawn[:, :8] - row_factor[:, None]).std() == pytest.approx(
-        0.01 * np.sqrt(7 / 8), rel=0.03
-    )
+    # 4000 draws tell a SD to 1.1 %.
+    assert row_factor.std() == pytest.approx(0.02, rel=0.05)
+    assert (drawn[:, :8] - row_factor[:, None]).std() == pytest.approx(0.01, rel=0.03)
     assert drifted_flux({"b": rows["b"]}, rng) is None

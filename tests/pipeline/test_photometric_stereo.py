@@ -266,7 +266,7 @@ def test_white_balance_lifts_noise_with_the_signal(experiment):
     camera, lamps = one.camera, one.lamps
     half = [
         0.5 / gain * full_well_e(camera)
-        / (electrons_per_ms(camera, lamps[name].wavelength_nm) * camera.exposure_ms)
+        / (electrons_per_ms(camera, lamps[f"{name}_1"].wavelength_nm) * camera.exposure_ms)
         for name, gain in (("red", 2.0), ("green", 1.0), ("blue", 1.0))
     ]  # fmt: skip
     radiance = np.broadcast_to(np.array(half, np.float32), (442, 586, 3))
@@ -298,7 +298,7 @@ def test_levels_follow_gamma_and_full_well(experiment):
     camera, lamps = quiet.camera, quiet.lamps
     quarter = [
         0.25 * full_well_e(camera)
-        / (electrons_per_ms(camera, lamps[name].wavelength_nm) * camera.exposure_ms)
+        / (electrons_per_ms(camera, lamps[f"{name}_1"].wavelength_nm) * camera.exposure_ms)
         for name in ("red", "green", "blue")
     ]  # fmt: skip
     radiance = np.broadcast_to(np.array(quarter, np.float32), (442, 586, 3))
@@ -316,7 +316,7 @@ def test_the_image_darkens_off_the_axis_by_natural_vignetting(experiment):
     linear = {"camera.noise": False, "photometric.gamma": 1.0} | UNBALANCED
     quiet = vary(experiment, linear)
     full = full_well_e(quiet.camera) / electrons_per_ms(
-        quiet.camera, quiet.lamps["green"].wavelength_nm
+        quiet.camera, quiet.lamps["green_1"].wavelength_nm
     )
     radiance = np.full((442, 586, 3), 0.9 * full / quiet.camera.exposure_ms, np.float32)
     image, final = develop(quiet, radiance)[..., 1].astype(float), image_pinhole(quiet)

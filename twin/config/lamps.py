@@ -43,8 +43,9 @@ class Lamp(Model):
         " well; shadows that the relief casts grow softer with it",
     )
     aim_azimuth_deg: Angle = Field(description="horizontal direction of strongest emission")
-    aim_down_deg: Annotated[float, Field(ge=-30, le=90)] = Field(
-        description="angle of strongest emission below the horizontal"
+    aim_down_deg: Annotated[float, Field(ge=-90, le=90)] = Field(
+        description="angle of strongest emission below the horizontal; what goes up comes back from"
+        " the window's outer face"
     )
     taper: Fraction = Field(
         default=0.0,
@@ -67,7 +68,9 @@ class Lamp(Model):
         default=0.0, description="SD of the row's flux from press to press, all LEDs alike"
     )
     led_drift_percent: Drift = Field(
-        default=0.0, description="SD of the flux of each LED by itself from press to press"
+        default=0.0,
+        description="SD of each LED's flux over the row's mean from press to press: LEDs share one"
+        " current, what one gains the others lose",
     )
 
 

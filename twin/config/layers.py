@@ -69,6 +69,32 @@ def holding_layer(layers: Mapping[str, Layer]) -> Layer | None:
     return next((layer for layer in layers.values() if layer.bottom_mm <= 0.0), None)
 
 
+@dataclass(frozen=True)
+class OuterFace:
+    """Where the medium that the coat lies in ends in air, with all layers that touch it."""
+
+    height_mm: float
+    """world z"""
+    ior: float
+    """of the coat's medium: what light does at this face hangs on the angle to it in there"""
+
+
+def outer_face(layers: Mapping[str, Layer]) -> OuterFace | None:
+    """Return the face from which the layers throw light back onto the coat; None: it lies in air.
+
+    Plane layers that touch keep n sin(angle), so that one index tells what leaves the topmost one.
+    """
+    height_mm, ior = 0.0, 1.0
+    if holding_layer(layers) is not None:
+        *above, within = media_of(layers)
+        height_mm, ior = within.top_mm, within.ior
+        for medium in reversed(above):
+            if medium.ior == 1.0:
+                break
+            height_mm = medium.top_mm
+    return OuterFace(height_mm, ior) if ior > 1.0 else None
+
+
 def _in_order(layers: dict[str, Layer]) -> dict[str, Layer]:
     ascending = sorted(layers.items(), key=lambda item: item[1].bottom_mm)
     for name, layer in ascending:

@@ -1,7 +1,8 @@
 """Colour images of a lit coat: every lamp is one more linear channel of the same trace.
 
 Camera rays are refracted once (`layers`), meet the coat, and each hit is connected to every LED of
-every lamp. Sub-pixel positions are the fixed grid of the one-trace renderer.
+every lamp and to its image in the outer face of the layers. Sub-pixel positions are the fixed grid
+of the one-trace renderer.
 """
 
 from dataclasses import dataclass
@@ -14,12 +15,14 @@ import numpy as np
 from reconstruction.arrays import FloatArray, FloatImage
 from reconstruction.rig.pinhole import Pinhole
 from twin.config.lamps import Markers
+from twin.config.layers import outer_face
 from twin.config.models import Experiment
 from twin.optics.connection import first_hit, shaded, truth_of
 from twin.optics.devices import Device, SubPixels
 from twin.optics.heights import MarchedHeights
-from twin.optics.lamps import Emitters, dark_cap_of, emitters_of, sky_seen
+from twin.optics.lamps import Emitters, emitters_of, sky_seen
 from twin.optics.layers import LayerStack
+from twin.optics.materials import is_matte
 from twin.optics.scene import (
     check_below_layers,
     coating_in_layer,
@@ -38,6 +41,7 @@ class LampRig:
     """Who looks and who shines; `layers` None is air.
 
     With `heights` the scene is that sheet alone, and its rays are marched as those of a `Rig` are.
+    A `matte` coat reflects alike into all directions: its BSDF is read once, not for every LED.
     """
 
     camera: Device
@@ -46,6 +50,7 @@ class LampRig:
     markers: Markers | None = None
     shadows: bool = True
     heights: MarchedHeights | None = None
+    matte: bool = False
 
 
 class ColourScene:
@@ -64,6 +69,7 @@ class ColourScene:
         self._lamps = experiment.lamps
         self._layers, self._stack = experiment.layers, layer_stack(experiment)
         self._markers = experiment.photometric.markers
+        self._matte = is_matte(experiment.coating)
 
     def put(self, face: "trimesh.Trimesh") -> None:
         """Exchange the face for another one with the same grid of facets.
@@ -99,8 +105,15 @@ class ColourScene:
         self, pinhole: Pinhole, T_world_from_cam: FloatArray, flux: FloatArray | None = None
     ) -> LampRig:
         camera = Device(pinhole, T_world_from_cam)
-        emitters = emitters_of(self._lamps, flux, dark_cap=dark_cap_of(self._layers))
-        return LampRig(camera, emitters, self._stack, self._markers, heights=self._heights)
+        emitters = emitters_of(self._lamps, flux, face=outer_face(self._layers))
+        return LampRig(
+            camera,
+            emitters,
+            self._stack,
+            self._markers,
+            heights=self._heights,
+            matte=self._matte,
+        )
 
 
 def trace_channels(scene: Any, rig: LampRig, samples: int) -> FloatImage:
@@ -137,6 +150,8 @@ class _Table:
     exponent: Any
     intensity: Any
     fill: Any
+    mirrored: Any
+    ior: Any
     dark_cap: Any
     count: Any
 
@@ -148,6 +163,8 @@ class _Table:
             mi.Float(emitters.exponents.astype(np.float32)),
             mi.Color3f(*emitters.intensity.T.astype(np.float32)),
             mi.Color3f(*(dr.opaque(mi.Float, float(part)) for part in emitters.fill)),
+            mi.Bool(emitters.mirrored),
+            dr.opaque(mi.Float, emitters.ior),
             dr.opaque(mi.Float, emitters.dark_cap),
             dr.opaque(mi.UInt32, len(emitters.exponents)),  # a literal would be compiled in
         )
@@ -159,33 +176,42 @@ def _shaded(scene: Any, rig: LampRig, table: _Table, ray: Any) -> Any:
     ray = ray if sight is None else sight.ray
     hit = first_hit(scene, rig.heights, ray)
     bsdf, absorption = hit.bsdf(ray), 0.0 if sight is None else sight.absorption_per_mm
+    upright = _brdf_upright(hit, bsdf)
 
     def add_emitter(*state: Any) -> tuple[Any, ...]:
         number, total = state
         light, direction, distance_mm = _light(table, number, hit.p, absorption)
-        active = hit.is_valid() & (light > 0.0) & (dr.dot(hit.sh_frame.n, direction) > 0.0)
+        cosine = dr.dot(hit.sh_frame.n, direction)
+        active = hit.is_valid() & (light > 0.0) & (cosine > 0.0)
         if rig.shadows:
             way = direction, distance_mm
             active &= ~shaded(scene, rig.heights, hit, way, active, coherent=False)
-        brdf_cos = bsdf.eval(mi.BSDFContext(), hit, hit.to_local(direction), active)[0]
+        if rig.matte:
+            brdf_cos = upright * cosine
+        else:
+            brdf_cos = bsdf.eval(mi.BSDFContext(), hit, hit.to_local(direction), active)[0]
         weight = dr.select(active, brdf_cos * light, 0.0)
         return number + 1, total + weight * dr.gather(mi.Color3f, table.intensity, number)
 
-    start = mi.UInt32(0), _filled(table, hit, bsdf)
+    start = mi.UInt32(0), _filled(table, hit, upright)
     total = dr.while_loop(start, lambda number, _: number < table.count, add_emitter)[1]
     if rig.markers is not None:
         total *= _dots(rig.markers, hit.p)
     return total if sight is None else total * sight.seen(hit.t)
 
 
-def _filled(table: _Table, hit: Any, bsdf: Any) -> Any:
+def _brdf_upright(hit: Any, bsdf: Any) -> Any:
+    """BRDF towards the camera for light along the normal, 1/sr."""
+    normal = hit.to_local(hit.sh_frame.n)
+    return bsdf.eval(mi.BSDFContext(), hit, normal, hit.is_valid())[0]
+
+
+def _filled(table: _Table, hit: Any, brdf: Any) -> Any:
     """Radiance by the fill; the coat reflects it as it does light along the normal.
 
     Exact for a matte coat. Flakes mirror an even sky alike from wherever, so they lose little.
     """
-    normal = hit.sh_frame.n
-    brdf = bsdf.eval(mi.BSDFContext(), hit, hit.to_local(normal), hit.is_valid())[0]
-    sky = dr.select(hit.is_valid(), sky_seen(normal.z, table.dark_cap) * brdf, 0.0)
+    sky = dr.select(hit.is_valid(), sky_seen(hit.sh_frame.n.z, table.dark_cap) * brdf, 0.0)
     return sky * table.fill
 
 
@@ -200,6 +226,8 @@ def _light(table: _Table, number: Any, point_mm: Any, absorption: float) -> tupl
     light = lobe / (distance_mm * distance_mm)
     if absorption:
         light *= dr.exp(-absorption * distance_mm)
+    mirrored = dr.gather(mi.Bool, table.mirrored, number)
+    light *= dr.select(mirrored, mi.fresnel(direction.z, dr.rcp(table.ior))[0], 1.0)
     return light, direction, distance_mm
 
 

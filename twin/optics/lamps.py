@@ -3,30 +3,34 @@
 World frame, mm. An LED at distance r, whose aim makes the angle theta with the way to the coat,
 gives the irradiance I0 cos^m(theta) cos(incidence) exp(-a r) / r^2 up to theta = 90 degrees;
 (m + 1) / 2 pi times its flux is I0. Light runs straight from LED to coat: LEDs couple into the gel
-through its side, and what they cross above it (window) is taken to have the gel's index.
+through its side, and what they cross above it (window) is taken to have the gel's index n.
+
+What an LED sends up comes back from the window's outer face: by Fresnel, and all of it beyond the
+critical angle c, sin c = 1 / n. It comes straight from the LED's mirror image in that face. Left
+out is what the face throws back a second time, after it left the coat.
 
 The coat scatters half of its light so flat that the window's outer face reflects it totally (1 -
-1 / n^2 beyond the critical angle); with what the housing throws back it fills the shadows. This
-fill is not traced: it is taken as alike at every place and from every direction beyond the critical
-angle c, sin c = 1 / n, and none within. A facet of normal n sees the whole sky by (1 + n_z) / 2,
-and the dark cap within c by n_z / n^2 as long as all of it stands above the facet (tilts up to 90
-degrees - c): on slopes of up to 45 degrees the fill is as strong as on untouched gel.
+1 / n^2 beyond c); with what the housing throws back it fills the shadows. This fill is not traced:
+it is taken as alike at every place and from every direction beyond c, and none within. A facet of
+normal n sees the whole sky by (1 + n_z) / 2, and the dark cap within c by n_z / n^2 as long as all
+of it stands above the facet (tilts up to 90 degrees - c): on slopes of up to 45 degrees the fill is
+as strong as on untouched gel.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from reconstruction.arrays import FloatArray
+from reconstruction.arrays import BoolArray, FloatArray
 from twin.config.lamps import CHANNELS, Lamp
-from twin.config.layers import Layer, holding_layer
+from twin.config.layers import OuterFace
 
 
 @dataclass(frozen=True, eq=False)
 class Emitters:
-    """All LEDs of a sensor.
+    """All LEDs of a sensor, and their images in the window's outer face.
 
     Attributes
     ----------
@@ -35,7 +39,8 @@ class Emitters:
     exponents : (emitter,) float
     intensity : (emitter, channel) float, mW/sr along the aim; red, green, blue
     fill : (channel,) float, mW/mm^2 on the untouched coat
-    dark_cap : share 1 / n^2 of an even sky from which no fill comes; 0: the whole sky shines
+    mirrored : (emitter,) bool, images: their light is what the outer face reflects
+    ior : index of the coat's medium; 1: it lies in air, and there are no images
     """
 
     positions_mm: FloatArray
@@ -43,7 +48,13 @@ class Emitters:
     exponents: FloatArray
     intensity: FloatArray
     fill: FloatArray
-    dark_cap: float = 0.0
+    mirrored: BoolArray
+    ior: float = 1.0
+
+    @property
+    def dark_cap(self) -> float:
+        """Share 1 / n^2 of an even sky from which no fill comes; 0: the whole sky shines."""
+        return self.ior**-2.0 if self.ior > 1.0 else 0.0
 
     def irradiance(
         self, points_mm: FloatArray, normals: FloatArray, absorption: float = 0.0
@@ -61,8 +72,8 @@ class Emitters:
         """
         sky = sky_seen(normals[..., 2:], self.dark_cap)
         total = np.asarray(sky * self.fill, dtype=np.float64)
-        for place, aim, exponent, intensity in zip(
-            self.positions_mm, self.aims, self.exponents, self.intensity, strict=True
+        for place, aim, exponent, intensity, mirrored in zip(
+            self.positions_mm, self.aims, self.exponents, self.intensity, self.mirrored, strict=True
         ):
             way = place - points_mm
             r_mm = np.linalg.norm(way, axis=-1)
@@ -70,6 +81,8 @@ class Emitters:
             incidence = np.maximum(np.sum(way * normals, axis=-1) / r_mm, 0.0)
             lobe = np.where(ahead > 0.0, ahead**exponent, 0.0)  # 0 ** 0 is 1
             light = lobe * incidence * np.exp(-absorption * r_mm) / r_mm**2
+            if mirrored:
+                light = light * reflected_within(way[..., 2] / r_mm, self.ior)
             total += light[..., np.newaxis] * intensity
         return total
 
@@ -85,16 +98,34 @@ def sky_seen(n_z: Any, dark_cap: float) -> Any:
     return (0.5 * (1.0 + n_z) - dark_cap * n_z) / (1.0 - dark_cap)
 
 
-def emitters_of(
-    lamps: Mapping[str, Lamp], flux: FloatArray | None = None, *, dark_cap: float = 0.0
-) -> Emitters:
-    """Place the LEDs of all rows, sorted by the rows' names.
+def reflected_within(cosine: FloatArray, ior: float) -> FloatArray:
+    """Return what a face against air reflects of unpolarised light from within (Fresnel).
 
     Parameters
     ----------
-    dark_cap : as of `Emitters`
-    flux : (emitter,) float, optional
+    cosine : of the angle to the face's normal, inside
+    ior : inside, over air's
+    """
+    inside = np.minimum(np.abs(cosine), 1.0)
+    outside = np.sqrt(np.maximum(1.0 - ior**2 * (1.0 - inside**2), 0.0))  # 0: total
+    s = (ior * inside - outside) / (ior * inside + outside)
+    p = (inside - ior * outside) / (inside + ior * outside)
+    return np.asarray((s**2 + p**2) / 2.0)
+
+
+def emitters_of(
+    lamps: Mapping[str, Lamp],
+    flux: FloatArray | None = None,
+    *,
+    face: OuterFace | None = None,
+) -> Emitters:
+    """Place the LEDs of all rows, sorted by the rows' names, then their images.
+
+    Parameters
+    ----------
+    flux : (LED,) float, optional
         Of each LED over its usual one; the fill of a row follows the mean of its LEDs.
+    face : outer face of the layers that the coat lies in; None: it lies in air
     """
     rows = [lamps[name] for name in sorted(lamps)]
     if flux is None:
@@ -103,7 +134,7 @@ def emitters_of(
     of_rows = [part.mean() for part in np.split(flux, ends[:-1])]
     parts = [_row(lamp) for lamp in rows]
     counts = [lamp.emitters for lamp in rows]
-    return Emitters(
+    leds = Emitters(
         positions_mm=np.concatenate([part[0] for part in parts]),
         aims=np.repeat([part[1] for part in parts], counts, axis=0),
         exponents=np.repeat([lamp.exponent for lamp in rows], counts),
@@ -115,31 +146,43 @@ def emitters_of(
             ],
             axis=0,
         ),
-        dark_cap=dark_cap,
+        mirrored=np.zeros(len(flux), bool),
+    )
+    return leds if face is None else _with_images(leds, face)
+
+
+def _with_images(leds: Emitters, face: OuterFace) -> Emitters:
+    """Add the image of every LED: as far above the face, aimed as far down as the LED is up."""
+    places = leds.positions_mm * (1.0, 1.0, -1.0) + (0.0, 0.0, 2.0 * face.height_mm)
+    return replace(
+        leds,
+        positions_mm=np.concatenate([leds.positions_mm, places]),
+        aims=np.concatenate([leds.aims, leds.aims * (1.0, 1.0, -1.0)]),
+        exponents=np.tile(leds.exponents, 2),
+        intensity=np.tile(leds.intensity, (2, 1)),
+        mirrored=np.repeat([False, True], len(leds.exponents)),
+        ior=face.ior,
     )
 
 
-def dark_cap_of(layers: Mapping[str, Layer]) -> float:
-    """Return the share of the sky that lies within the critical angle of the coat's medium; 0: air.
-
-    Whatever plane layers follow, light leaves them into air up to n sin(angle) = 1.
-    """
-    holder = holding_layer(layers)
-    return 0.0 if holder is None else 1.0 / holder.ior**2
-
-
 def drifted_flux(lamps: Mapping[str, Lamp], rng: np.random.Generator) -> FloatArray | None:
-    """Draw the flux of each LED in one press over its usual one, (emitter,); None without drift."""
+    """Draw the flux of each LED in one press over its usual one, (LED,); None without drift."""
     rows = [lamps[name] for name in sorted(lamps)]
     if not any(lamp.drift_percent or lamp.led_drift_percent for lamp in rows):
         return None
     drawn = [
         1.0
         + 0.01 * lamp.drift_percent * rng.standard_normal()
-        + 0.01 * lamp.led_drift_percent * rng.standard_normal(lamp.emitters)
+        + 0.01 * lamp.led_drift_percent * _apart(rng.standard_normal(lamp.emitters))
         for lamp in rows
     ]
     return np.maximum(np.concatenate(drawn), 0.0)
+
+
+def _apart(drawn: FloatArray) -> FloatArray:
+    """Return deviations from the mean, of the SD of what was drawn: LEDs share one current."""
+    count = len(drawn)
+    return np.asarray((drawn - drawn.mean()) * np.sqrt(count / max(count - 1, 1)))
 
 
 def _row(lamp: Lamp) -> tuple[FloatArray, FloatArray]:

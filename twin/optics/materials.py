@@ -167,6 +167,11 @@ def coating_bsdf(coating: Coating, *, shaded: bool = False) -> dict[str, Any]:
     }
 
 
+def is_matte(coating: Coating) -> bool:
+    """Whether the coating reflects alike into all directions: no flakes, no face of a binder."""
+    return coating.flake_fraction == 0.0 and coating.binder_ior == 1.0
+
+
 def _ink(coating: Coating, pigment: dict[str, Any]) -> dict[str, Any]:
     if coating.binder_ior == 1.0:
         return {"type": "diffuse", "reflectance": pigment}
