@@ -6,7 +6,7 @@ Targets: the spots of 67 presses of balls on one unit, before and during the pre
 Three rows of LEDs to a channel, and their fill, are fitted by weighted least squares to the
 closed-form shading of the flat coat and of ball caps, whose ink lets through what the coating says;
 the fit knows no shadows, the renderer does (`benchmarks/gelsight.py` states the rendered residual).
-One row leaves a third more of the change by presses that were held out.
+One row to a channel leaves a tenth more of what presses change that were held out.
 
 The problem has more unknowns than it can tell apart (a longer row and a wider lobe look alike), so
 every unknown is bounded by the housing and held weakly near a plain design.
