@@ -35,15 +35,17 @@ def test_a_short_bar_is_the_solids(case: SpaceCase) -> None:
         assert found == pytest.approx(solid["force"], rel=case.force_limit)
 
 
-@pytest.mark.parametrize("pressure_kpa", [1.0, 3.0])
-def test_half_the_cells_move_the_face_by_less_than_a_micrometre(pressure_kpa: float) -> None:
-    """Where it touches, and the radius fitted to 1.5 mm; nearer to the rim: docs/sheet.md."""
+def test_half_the_cells_move_the_face_by_less_than_a_micrometre() -> None:
+    """Where it touches, and the radius fitted to 1.5 mm, under a pressure that wraps it tightly.
+
+    Nearer to the rim: docs/sheet.md.
+    """
     coarse, fine = (
         pressed(
             Ball(),
             build_sheet(thickness_mm=0.2),
             depth_mm=1.0,
-            back_pressure_kpa=pressure_kpa,
+            back_pressure_kpa=3.0,
             cell_mm=cell,
         )
         for cell in (0.15, 0.075)

@@ -33,31 +33,31 @@ def part(presses: RealPresses, chosen) -> RealPresses:
 
 
 def test_presses_are_foretold_by_the_others(presses):
-    """Setup: every second press is held out of the fit of the blue lamp.
+    """Setup: every third press fits the blue lamp, the next ones are held out.
 
-    Expected: what these change is met as well as what was fitted, 4.8 levels of 21 RMS; a coat that
-    lets no light through leaves a fifth more.
+    Expected: what these change is met nearly as well as what was fitted; a coat that lets no light
+    through leaves more.
     """
-    others = part(presses, range(1, len(presses.presses), 2))
+    others = part(presses, range(1, len(presses.presses), 3))
 
     def misfit(settings):
         plain = {"modality": "contact_fpp"}
         case = load_experiment("examples/gelsight_ball", plain | settings)
-        lamps = fit(shading_of(case, part(presses, range(0, len(presses.presses), 2))), "blue")
+        lamps = fit(shading_of(case, part(presses, range(0, len(presses.presses), 3))), "blue")
         found = shading_of(case, others).image(lamps)
         return rms(found.during - found.before - others.change[:, CHANNELS.index("blue")])
 
     left = misfit({})
-    assert left < 5.8 < 0.3 * rms(others.change[:, CHANNELS.index("blue")])
+    assert left < 6.2 < 0.3 * rms(others.change[:, CHANNELS.index("blue")])
     assert misfit({"coating.transmittance": 0.0}) > 1.1 * left
 
 
 def test_lamps_of_one_unit_are_those_of_the_other(experiment, presses, monkeypatch):
-    """Fitted to the first unit and the presses, to 2.9 levels; on the second 4.1 of some 95.
+    """Fitted to the first unit and half of the presses, to 2 levels; on the second 4.3 of some 95.
 
     The units themselves are 5.4 levels apart.
     """
-    shading = shading_of(experiment, presses)
+    shading = shading_of(experiment, part(presses, range(0, len(presses.presses), 2)))
     monkeypatch.setattr(fit_lamps, "UNITS", UNITS[:1])
     found = np.stack([shading.background(fit(shading, channel)) for channel in CHANNELS])
     assert rms(found - UNITS[0]) < 3.3

@@ -32,7 +32,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from reconstruction.arrays import FloatArray
 from twin.optics.height_grid import is_even, steepest_by_cell
 
-_BLOCK = 16
+_BLOCK = 8
 """Cells along the side of a block."""
 
 _TURNS = 12
