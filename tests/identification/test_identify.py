@@ -226,7 +226,7 @@ def test_no_more_places_are_drawn_than_there_are_samples(identified):
 def test_same_results_after_a_resume_and_with_two_workers(tmp_path):
     (tmp_path / "one").mkdir()
     (tmp_path / "two").mkdir()
-    text = CURVED.replace("= 20", "= 20\nrefine = 8")
+    text = CURVED.replace("= 20", "= 20\nrefine = 8\nlongest = 1000")  # short chains will do
     first, _ = _identify(tmp_path / "one", text)
     again, _ = _identify(tmp_path / "one", text)
     beside, _ = _identify(tmp_path / "two", text, workers=2)
