@@ -382,6 +382,7 @@ def test_emitters_know_half_spaces():
     [
         ({f"lamps.red_{n}.channel": "green" for n in (1, 2, 3)}, "no lamp has channel red"),
         ({"lamps.red_1.height_mm": 9.5}, "allowed below 9.25"),
+        ({"layers.window.bottom_mm": 4.5}, "red_1.tall_mm: found 2, allowed below 0"),
         ({"lamps.red_1.tall_mm": 9.0}, "tall_mm: found 9, allowed below"),
         ({"elastomer.layout": "opposite_face"}, "contact_face"),
         ({"photometric.presses.shallowest": 0.4}, "must not exceed"),

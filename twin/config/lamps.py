@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, model_validator
 
 from twin.config.base import Angle, Fraction, Length, Model, NonNegative, Positive
-from twin.config.layers import Layer
+from twin.config.layers import Layer, outer_face
 from twin.config.methods import TRAITS
 from twin.config.specimen_base import Material
 
@@ -70,7 +70,7 @@ class Lamp(Model):
     led_drift_percent: Drift = Field(
         default=0.0,
         description="SD of each LED's flux over the row's mean from press to press: LEDs share one"
-        " current, what one gains the others lose",
+        " current, what one gains the others lose; none in a row of one",
     )
 
 
@@ -172,12 +172,15 @@ def check_lamps(lamps: Mapping[str, Lamp], others: Mapping[str, Any]) -> None:
     if "modality" in others and not TRAITS[others["modality"]].fringes:
         _check_method(lamps, others)
     layers: Mapping[str, Layer] = others.get("layers", {})
+    face = outer_face(layers)
     top_mm = max((layer.top_mm for layer in layers.values()), default=0.0)
+    if face is not None:
+        top_mm = face.height_mm
     for name, lamp in lamps.items():
         if layers and lamp.height_mm >= top_mm:
             raise ValueError(
                 f"{name}.height_mm: found {lamp.height_mm:g}, allowed below {top_mm:g}, the top of"
-                " the layers: lamps shine into them from the side; lower it"
+                " the layers up to the first gap: lamps shine into them from the side; lower it"
             )
         highest_mm = lamp.height_mm + lamp.tall_mm / 2
         if lamp.tall_mm / 2 >= lamp.height_mm or (layers and highest_mm >= top_mm):
