@@ -39,6 +39,17 @@ def test_a_domed_pad_from_an_experiment_file():
     assert found.force_n > 0
 
 
+def test_a_rectangle_beyond_a_round_pad_is_refused_before_it_is_solved():
+    """Cap 4 mm high of a ball of 16 mm: a circle of 21.1 mm, in which a square of 14.9 mm fits."""
+    wide = {"elastomer.length_x_mm": 30.0, "elastomer.length_y_mm": 30.0}
+    one = load_experiment("examples/domed_pad", wide)
+    found = r"found 30 x 30 mm, which reaches beyond .* about 14\.7 x 14\.7 mm"
+    with pytest.raises(PressError, match=found):
+        check_press(one.mechanics, one.specimen, one.elastomer, one.press)
+    fits = load_experiment("examples/domed_pad", dict.fromkeys(wide, 14.7))
+    check_press(fits.mechanics, fits.specimen, fits.elastomer, fits.press)
+
+
 def case(ball_mm=8.0, depth_mm=0.2, pressure_kpa=0.0, gravity_deg=None, **sheet):
     """Return a ball, a sheet and a press."""
     load = {"control": "depth", "depth_mm": depth_mm, "back_pressure_kpa": pressure_kpa}

@@ -32,6 +32,12 @@ def gap_mm(pressed: PressedElastomer, specimen: Specimen, slab: Elastomer) -> ND
     return pressed.touched_face_mm + slab.thickness_mm + height - pressed.depth_mm
 
 
+@pytest.mark.parametrize("load", [to_depth(0.1, **COARSE), with_force(2.0, **COARSE)])
+def test_a_specimen_between_the_cells_is_one_line(slab: SlabBuilder, load: Press) -> None:
+    with pytest.raises(PressError, match="touches no cell of the solver's grid; are its sizes in"):
+        press(Ball(diameter_mm=0.006), slab(), load)
+
+
 def test_two_balls_press_symmetrically(slab: SlabBuilder) -> None:
     pressed = press(TwoBalls(), slab(length_x_mm=24), to_depth(0.8))
     for field in (pressed.pressure_kpa, pressed.face_z_mm):

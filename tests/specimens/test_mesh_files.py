@@ -9,7 +9,9 @@ import pytest
 import trimesh
 
 from reconstruction.errors import InputError
-from twin.specimens.meshes import read_closed_mesh
+from twin.config.models import Group, MeshFile
+from twin.specimens import shape_of
+from twin.specimens.meshes import read_closed_mesh, unit_warnings
 
 BOX = np.asarray(trimesh.creation.box((4.0, 3.0, 2.0)).triangles)
 TETRAHEDRON = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
@@ -61,7 +63,12 @@ def no_warnings():
         ("nan.ply", PLY.format(vertex="nan 0 0", index=2).encode(), "vertices that are no numbers"),
         ("far.ply", PLY.format(vertex="0 0 0", index=99).encode(), "name vertices that it lacks"),
         ("back.ply", PLY.format(vertex="0 0 0", index=-7).encode(), "name vertices that it lacks"),
-        ("flat.stl", stl(BOX * (1, 1, 0)), "not watertight .edges of more than two triangles"),
+        ("flat.stl", stl(BOX * (1, 1, 0)), "encloses no volume"),
+        (
+            "corner.stl",
+            stl(np.concatenate((BOX, BOX + np.array((4, 3, 0))))),
+            "not watertight .edges of more than two triangles",
+        ),
         ("large.stl", stl(BOX * 1e30), r"found a size of 4e\+30 .* allowed 1e-06 to 1e\+06"),
         ("small.stl", stl(BOX * 1e-30), "found a size of 4e-30"),
         ("turned.stl", stl(half_turned()), "face both inwards and outwards"),
@@ -105,3 +112,60 @@ def test_what_a_mesh_names_is_not_opened(tmp_path):
     (tmp_path / "x.obj").write_text(f"mtllib pipe\nusemtl a\n{TETRAHEDRON}")
     surface = read_closed_mesh("specimen.file", str(tmp_path / "x.obj"))
     assert surface.volume == pytest.approx(1 / 6)
+
+
+#: a cube of 4 with corners split by texture and normal, in two materials, and its exporter's order
+CORNERS = [(x, y, z) for x in (-2, 2) for y in (-2, 2) for z in (-2, 2)]
+QUADS = [(1, 2, 4, 3), (5, 7, 8, 6), (1, 5, 6, 2), (3, 4, 8, 7), (1, 3, 7, 5), (2, 6, 8, 4)]
+
+
+def split_cube(corner: str) -> str:
+    """Return an OBJ whose faces name corners as `corner` says: {v}, {t} and {n} are numbers."""
+    lines = ["mtllib absent.mtl", "o Cube"]
+    lines += [f"v {x} {y} {z}" for x, y, z in CORNERS]
+    lines += [f"vt {n / 24} {n % 5 / 5}" for n in range(24)]
+    lines += ["vn -1 0 0", "vn 1 0 0", "vn 0 -1 0", "vn 0 1 0", "vn 0 0 -1", "vn 0 0 1"]
+    for n, quad in enumerate(QUADS):
+        lines.append(f"usemtl side_{n % 2}")
+        names = [corner.format(v=v, t=4 * n + k + 1, n=n + 1) for k, v in enumerate(quad)]
+        lines.append("f " + " ".join(names))
+    return "\n".join(lines) + "\n"
+
+
+@pytest.mark.parametrize("corner", ["{v}", "{v}/{t}", "{v}//{n}", "{v}/{t}/{n}"])
+def test_a_closed_box_is_closed_whatever_splits_its_vertices(tmp_path, corner):
+    (tmp_path / "Würfel 4 mm.obj").write_text(split_cube(corner), encoding="utf-8")
+    surface = read_closed_mesh("specimen.file", str(tmp_path / "Würfel 4 mm.obj"))
+    assert surface.volume == pytest.approx(64.0)
+    assert surface.vertices.shape == (8, 3)
+
+
+def test_a_sliver_that_joining_makes_a_line_opens_no_edge(tmp_path):
+    """An edge of the box split at its own end, as exporters of coarse numbers do."""
+    sliver = np.array([[BOX[0, 0], BOX[0, 1], BOX[0, 1]]])
+    (tmp_path / "sliver.stl").write_bytes(stl(np.concatenate((BOX, sliver))))
+    surface = read_closed_mesh("specimen.file", str(tmp_path / "sliver.stl"))
+    assert surface.volume == pytest.approx(24.0)
+
+
+@pytest.mark.parametrize(
+    ("mm_per_unit", "shown"), [(1e-3, "0.004 x 0.003 x 0.002 mm"), (1e3, "4e.03 x 3e.03 x 2e.03")]
+)
+def test_a_file_in_another_unit_is_told_by_the_size_of_its_body(tmp_path, mm_per_unit, shown):
+    """A box of 4 mm in metres, and in micrometres."""
+    (tmp_path / "box.stl").write_bytes(stl(BOX * mm_per_unit))
+    specimen = MeshFile(file=str(tmp_path / "box.stl"))
+    with pytest.raises(InputError, match=rf"box\.stl: {shown}.*allowed 0\.1 to 1000 mm.*metres"):
+        shape_of(specimen)
+    scaled = MeshFile(file=specimen.file, scale=1 / mm_per_unit)
+    assert shape_of(scaled).bounds_mm() == pytest.approx((-2.0, 2.0, -1.5, 1.5))
+
+
+def test_a_body_that_may_be_in_inches_gets_a_warning(tmp_path):
+    """A box of 4 mm in inches is 0.16 mm long: small, but it may be meant."""
+    (tmp_path / "box.stl").write_bytes(stl(BOX / 25.4))
+    small = MeshFile(file=str(tmp_path / "box.stl"))
+    (warning,) = unit_warnings(Group(parts={"box": small}))
+    assert "is 0.16 mm" in warning
+    assert "in inches, 25.4" in warning
+    assert not unit_warnings(MeshFile(file=small.file, scale=25.4))

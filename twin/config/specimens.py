@@ -74,7 +74,9 @@ class MeshFile(Specimen):
 
     kind: Literal["mesh"] = "mesh"
     file: str = Field(description="path, or the name of a shipped mesh such as scenes/meshes/x.stl")
-    scale: Positive = Field(default=1.0, description="mm per unit of the file")
+    scale: Positive = Field(
+        default=1.0, description="mm per unit of the file: 1000 for metres, 25.4 for inches"
+    )
     up: Literal["+x", "-x", "+y", "-y", "+z", "-z"] = Field(
         default="+z", description="axis of the file that faces the elastomer"
     )

@@ -20,7 +20,7 @@ from twin.mechanics.validity import (
     SHEET_THICKNESS_MM,
 )
 from twin.specimens import Shape, shape_of
-from twin.specimens.meshes import read_closed_mesh
+from twin.specimens.meshes import read_body_mm, unit_warnings
 
 if TYPE_CHECKING:
     from twin.mechanics.reference.pad import Pad
@@ -39,6 +39,14 @@ def press_with(
     PressError : what the model cannot do, and what to change
     SolverError : the solution did not converge
     """
+    pressed, doubts = _pressed_by(mechanics, specimen, elastomer, load), unit_warnings(specimen)
+    validity = replace(pressed.validity, warnings=(*pressed.validity.warnings, *doubts))
+    return replace(pressed, validity=validity)
+
+
+def _pressed_by(
+    mechanics: Mechanics, specimen: Specimen, elastomer: Elastomer, load: Press
+) -> PressedElastomer:
     # The references pull in scikit-fem and interpolators: only on demand.
     if mechanics.model == "fem":
         from twin.mechanics.reference.fem import press_fem
@@ -100,7 +108,7 @@ def check_press(
 
         check_fem(elastomer, mechanics.support)
         if mechanics.pad is not None:
-            _check_pad(elastomer)
+            read_pad(mechanics.pad, elastomer)
         return
     wraps = mechanics.model == "auto" and must_wrap(elastomer, load)
     if mechanics.model == "sheet" or wraps:
@@ -223,21 +231,23 @@ def read_pad(source: PadFile, elastomer: Elastomer) -> "Pad":
 
     Raises
     ------
-    InputError : the file is missing, unreadable or not closed, or the layout does not fit
+    InputError : the file is missing, unreadable or not closed, the layout does not fit, or the
+        elastomer's rectangle reaches beyond the pad's coated face
     """
-    from twin.mechanics.reference.pad import Hold, Pad, facing, on_plane
+    from twin.mechanics.reference.pad import Hold, Pad, check_cover, facing, on_plane
 
-    _check_pad(elastomer)
-    body = read_closed_mesh("mechanics.pad.file", source.file)
-    body.apply_scale(source.scale_mm)
+    _check_layout(elastomer)
+    scale = "mechanics.pad.scale_mm"
+    body = read_body_mm("mechanics.pad.file", source.file, scale, source.scale_mm)
     low, high = body.bounds
     body.apply_translation((-(low[0] + high[0]) / 2, -(low[1] + high[1]) / 2, -low[2]))
     coated = facing((0, 0, -1), source.facing_deg)
     window = on_plane("z", float(body.bounds[1, 2]))
+    check_cover(body, coated, elastomer)
     return Pad(body, elastomer.poisson_ratio, (Hold(window),), touched=coated, coated=coated)
 
 
-def _check_pad(elastomer: Elastomer) -> None:
+def _check_layout(elastomer: Elastomer) -> None:
     if elastomer.layout != "contact_face":
         raise PressError(
             "mechanics.pad: needs elastomer.layout = 'contact_face' (it is seen through its window)"

@@ -153,6 +153,7 @@ def press(
     layer = build_layer(elastomer, load, shape, modulus_kpa)
     preload = preload_of(elastomer, load, modulus_kpa)
     sag, height = preload.deflection(layer), shape.height_above_lowest(layer.x_mm, layer.y_mm)
+    _check_cells(height, shape, load)
     contact = solve_on_layer(layer, height + sag, _control(layer, height + sag, load, modulus_kpa))
     if not (any_depth and elastomer.layout == "opposite_face"):
         _check_depth(contact.depth_mm, elastomer, load)
@@ -205,6 +206,16 @@ def _coated_face(
         return touched_at_nodes(deflection, cells, nodes_mm, indented)
     loaded = contact.pressure + preload.touched
     return layer.opposite_at_nodes(loaded, y_mm.size - 1, x_mm.size - 1, preload.coated)
+
+
+def _check_cells(height: FloatArray, shape: Shape, load: Press) -> None:
+    if not np.isfinite(height).any():
+        x_low, x_high, y_low, y_high = shape.bounds_mm()
+        raise PressError(
+            f"specimen: {x_high - x_low:.3g} x {y_high - y_low:.3g} mm seen from above, which "
+            f"touches no cell of the solver's grid; are its sizes in mm? If so, use a finer "
+            f"press.solver_pitch_mm than {load.solver_pitch_mm:g}"
+        )
 
 
 def _control(layer: AnyLayer, height: FloatArray, load: Press, modulus_kpa: float) -> Control:

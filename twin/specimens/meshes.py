@@ -17,6 +17,8 @@ from reconstruction.errors import InputError, one_line
 from reconstruction.reading import is_regular, read_bytes
 from twin.assets import mesh_path
 from twin.config.models import Grating, MeshFile
+from twin.config.specimen_base import Specimen
+from twin.config.specimens import Group
 from twin.specimens.catalogue import UNMOVED, Placement, Shape, register
 from twin.specimens.distance import BoxDistance, SignedDistance
 from twin.specimens.sampled_distance import MeshDistance
@@ -26,6 +28,10 @@ _FILE_TYPES = (".stl", ".ply", ".obj")
 _MOST_BYTES = 2**30
 # In the file's own units, which may be metres. Beyond them distances are lost in rounding.
 _EXTENT = 1e-6, 1e6
+# Bodies that a sensor can press or image; less is a part that fits whose file is in metres.
+_SIZE_MM = 0.1, 1000.0
+# Below this a body may be one whose file is in metres or inches.
+_DOUBTFUL_MM = 1.0
 # Volume over that of a cube of its size, far below a needle's: less has no inside.
 _LEAST_FILL = 1e-8
 _STEPS_PER_PITCH = 48
@@ -65,11 +71,60 @@ def read_closed_mesh(key: str, name: str) -> trimesh.Trimesh:
             reason = one_line(error) or type(error).__name__
             raise InputError(f"{key}: {path}: cannot be read ({reason})") from error
         _require_numbers(f"{key}: {path}", surface)
-        surface.process()
+        surface = _welded(surface)
         _require_closed(f"{key}: {path}", surface)
         if surface.volume < 0.0:  # every triangle seen from the wrong side
             surface.invert()
     return surface
+
+
+def read_body_mm(key: str, name: str, scale_key: str, mm_per_unit: float) -> trimesh.Trimesh:
+    """Read a closed surface and scale it to mm.
+
+    Parameters
+    ----------
+    key, name : as for `read_closed_mesh`
+    scale_key, mm_per_unit : key that scales it, for messages; mm, length of one unit of the file
+
+    Raises
+    ------
+    InputError : as `read_closed_mesh`, or the body is implausibly small or large
+    """
+    surface = read_closed_mesh(key, name)
+    size_mm, (least, most) = float(surface.extents.max()) * mm_per_unit, _SIZE_MM
+    if not least <= size_mm <= most:
+        sizes = " x ".join(f"{side * mm_per_unit:.3g}" for side in surface.extents)
+        raise InputError(
+            f"{key}: {name}: {sizes} mm at {scale_key} = {mm_per_unit:g} mm per unit of the file, "
+            f"allowed {least:g} to {most:g} mm for its longest side; set {scale_key} to the file's "
+            "unit in mm: 1000 for metres, 25.4 for inches, 0.001 for micrometres"
+        )
+    surface.apply_scale(mm_per_unit)
+    return surface
+
+
+def unit_warnings(specimen: Specimen) -> tuple[str, ...]:
+    """Return a warning for each mesh so small that its file may be in metres or inches."""
+    if isinstance(specimen, Group):
+        return tuple(line for part in specimen.parts.values() for line in unit_warnings(part))
+    if not isinstance(specimen, MeshFile):
+        return ()
+    size_mm = float(build_mesh(specimen).body.extents.max())
+    if size_mm >= _DOUBTFUL_MM:
+        return ()
+    return (
+        f"the longest side of {specimen.file} is {size_mm:.2g} mm at specimen.scale = "
+        f"{specimen.scale:g}: if the file is in metres, set specimen.scale = 1000; in inches, 25.4",
+    )
+
+
+def _welded(surface: trimesh.Trimesh) -> trimesh.Trimesh:
+    """Join vertices at the same position, which files split by normal, texture and material."""
+    joined = trimesh.Trimesh(surface.vertices, surface.faces, process=False)
+    joined.merge_vertices()
+    a, b, c = joined.faces.T
+    joined.update_faces((a != b) & (b != c) & (c != a))  # slivers that joining made lines
+    return joined
 
 
 def _require_numbers(where: str, surface: object) -> None:
@@ -186,10 +241,9 @@ def build_mesh(specimen: MeshFile) -> MeshShape:
 
     Raises
     ------
-    InputError : the file is missing, no mesh, empty or not watertight
+    InputError : the file is missing, no mesh, empty, not watertight or of implausible size
     """
-    surface = read_closed_mesh("specimen.file", specimen.file)
-    surface.apply_scale(specimen.scale)
+    surface = read_body_mm("specimen.file", specimen.file, "specimen.scale", specimen.scale)
     turn = np.eye(4)
     turn[:3, :3] = _UP[specimen.up]
     surface.apply_transform(turn)

@@ -13,6 +13,7 @@ import numpy as np
 import trimesh
 
 from reconstruction.arrays import BoolArray, FloatArray
+from twin.config.models import Elastomer
 from twin.mechanics.errors import PressError
 from twin.mechanics.reference.result import sample
 from twin.mechanics.reference.tetrahedra import (
@@ -23,12 +24,15 @@ from twin.mechanics.reference.tetrahedra import (
     tetrahedralize,
 )
 from twin.specimens import Shape
+from twin.specimens.meshes import upper_side
 
 #: centres (facet, xyz) mm and outward unit normals (facet, xyz) to a choice (facet,)
 Selector = Callable[[FloatArray, FloatArray], BoolArray]
 SlabSupport = Literal["simple", "clamped", "ledge", "bonded", "window"]
 
 _ON_PLANE_MM = 1e-6
+# Steps from the middle to the rim in which it is tried whether a face covers a rectangle.
+_COVER_STEPS = 100
 # Directions that the sides across x and across y are held in.
 _RIM: dict[SlabSupport, tuple[str, str]] = {
     "simple": ("yz", "xz"),
@@ -93,6 +97,35 @@ def outside_of(length_x_mm: float, length_y_mm: float) -> Selector:
     """Choose facets beyond a centred rectangle in plan."""
     return lambda centres, normals: np.asarray(
         (np.abs(centres[:, 0]) > length_x_mm / 2) | (np.abs(centres[:, 1]) > length_y_mm / 2)
+    )
+
+
+def check_cover(body: trimesh.Trimesh, coated: Selector, elastomer: Elastomer) -> None:
+    """Refuse a rectangle of the elastomer's lengths that a pad's coated face does not cover.
+
+    Raises
+    ------
+    PressError : names what was found and the largest rectangle of the same shape that is covered
+    """
+    chosen = coated(body.triangles_center, body.face_normals)
+    if not chosen.any():
+        raise PressError(
+            "mechanics.pad: no facet faces down, where a specimen touches it; turn the file, or "
+            "enlarge mechanics.pad.facing_deg"
+        )
+    lengths = elastomer.length_x_mm, elastomer.length_y_mm
+    # Not quite to the rim: a file in single precision keeps lengths to 1e-7.
+    share = np.linspace(-1.0, 1.0, 2 * _COVER_STEPS + 1)
+    x, y = (share * (length / 2) * (1 - 1e-6) for length in lengths)
+    is_covered = np.isfinite(upper_side(np.asarray(body.triangles[chosen]), x, y))
+    if is_covered.all():
+        return
+    reach = np.maximum(*np.abs(np.meshgrid(share, share)))
+    allowed = max(float(reach[~is_covered].min()) - 1 / _COVER_STEPS, 0.0)
+    raise PressError(
+        f"elastomer.length_x_mm, length_y_mm: found {lengths[0]:g} x {lengths[1]:g} mm, which "
+        f"reaches beyond the coated face of mechanics.pad; allowed for this shape about "
+        f"{allowed * lengths[0]:.3g} x {allowed * lengths[1]:.3g} mm: lower both"
     )
 
 
