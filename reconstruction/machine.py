@@ -1,23 +1,17 @@
 """What the machine gives: cores to share, memory, and a disk that may be full.
 
 Programs that share a machine agree on how many threads may run side by side (`VARIABLE`). A full
-disk is an ordinary error; OpenEXR tells it in words only, HDF5 not at all (see `netcdf`).
+disk is an ordinary error (see `writing`).
 """
 
 import ctypes
 import errno
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from reconstruction.errors import InputError
-
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
 
 VARIABLE = "NUMBA_NUM_THREADS"
 """Environment variable that limits the threads of this process, as it limits Numba's."""
@@ -83,25 +77,3 @@ def unwritable(
     if is_disk_full(error):
         return OSError(error.errno, error.strerror, str(path))
     return kind(f"{path}: cannot be written ({error.strerror or error})")
-
-
-def write_exr_channels(path: Path | str, channels: Mapping[str, "NDArray[np.float32]"]) -> None:
-    """Write (row, col) float32 images as the channels of one EXR file.
-
-    Raises
-    ------
-    OSError : the disk is full
-    """
-    import numpy as np
-    import OpenEXR
-
-    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-    pixels = {name: np.ascontiguousarray(image, np.float32) for name, image in channels.items()}
-    try:
-        with OpenEXR.File(header, pixels) as file:
-            file.write(str(path))
-    except RuntimeError as error:
-        for code in _FULL:
-            if os.strerror(code) in str(error):
-                raise OSError(code, os.strerror(code), str(path)) from None
-        raise

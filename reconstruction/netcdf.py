@@ -1,19 +1,18 @@
 """Arrays with named dimensions, units and long names, as netCDF-4 files.
 
-They are written through h5netcdf and HDF5 so that a full disk is an ordinary error. HDF5 must not
-be told that a write failed: its file can then be closed no more, and the process ends in a
-segmentation fault. So the bytes go to the disk through Python; after the first failure the rest is
-dropped, and the failure is raised once HDF5 has let go of the file. Which files HDF5 is given to
-read is decided in `sealing`.
+HDF5 encodes them in memory, and `writing` copies them to the disk. HDF5 must never learn that a
+write failed, nor read back less than it wrote: either may end the process in a segmentation fault,
+the second by chance, as names of varying length are then taken from memory that nobody filled. In
+memory neither happens. Which files HDF5 is given to read is decided in `sealing`.
 
 Nothing of this needs xarray, which takes a second to load.
 """
 
 import io
 import math
-import os
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+import mmap
+import threading
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -24,12 +23,16 @@ from numpy.typing import NDArray
 from reconstruction.errors import one_line
 from reconstruction.reading import regular_file
 from reconstruction.sealing import require_readable, seal
+from reconstruction.writing import write_bytes
 
 if TYPE_CHECKING:
     import xarray
 
 PIXELS = ("row", "col")
 """Dimensions of maps in camera pixels."""
+
+_OF_HDF5_BYTES = 2**24
+_encoding = threading.Lock()
 
 Labelled = tuple[str | tuple[str, ...], NDArray[Any], Mapping[str, Any]]
 """An array with its dimensions (one name, or one per axis) and attributes: units, long_name."""
@@ -71,19 +74,40 @@ def write_arrays(path: Path | str, arrays: LabelledArrays) -> None:
     noise leaves a third of their size, and takes longer to compress than all else. Frames are one
     run of bytes each: chunks of one frame take ten times as long.
 
+    The file needs its size in memory; one is encoded at a time, also where several threads write.
+
     Raises
     ------
-    OSError : it cannot be written: the first failure. What was written until then stays there.
+    MemoryError : there is no memory for it
+    OSError : it cannot be written; an earlier file is as it was
     """
+    with _encoding:
+        memory = _encoded(arrays)
+        write_bytes(path, memory.getbuffer())
+
+
+def _encoded(arrays: LabelledArrays) -> io.BytesIO:
     import h5netcdf
 
-    with _patient(path) as target:
-        with h5netcdf.File(target, "w") as file:
-            file.attrs.update(arrays.attrs)
-            for name, labelled in {**arrays.variables, **arrays.coords}.items():
-                _write_array(file, name, *labelled)
-        if target.failure is None:
-            seal(target)
+    labelled = {**arrays.variables, **arrays.coords}
+    _require_memory(sum(values.nbytes for _, values, _ in labelled.values()))
+    # Not of a class of ours: a signal would interrupt its methods, and HDF5 learn of a failure.
+    memory = io.BytesIO()
+    with h5netcdf.File(memory, "w") as file:
+        file.attrs.update(arrays.attrs)
+        for name, one in labelled.items():
+            _write_array(file, name, *one)
+    seal(memory)
+    return memory
+
+
+def _require_memory(size_bytes: int) -> None:
+    """Raise MemoryError here rather than in HDF5, which would not survive it."""
+    try:
+        # Only reserved: growing takes the old place and the new one, and HDF5 some for itself.
+        mmap.mmap(-1, 2 * size_bytes + _OF_HDF5_BYTES, mmap.MAP_PRIVATE).close()
+    except OSError as error:
+        raise MemoryError(f"no {size_bytes / 1e6:.0f} MB of memory to encode a file") from error
 
 
 def _write_array(
@@ -156,44 +180,3 @@ def _require_finite(found: Mapping[str, Labelled]) -> None:
             # A sum is finite when all its parts are, and takes no memory.
             if values.dtype.kind == "f" and not math.isfinite(values.sum(dtype=np.float64)):
                 raise ValueError(f"{name} holds numbers that are not finite")
-
-
-@contextmanager
-def _patient(path: Path | str) -> Iterator["_PatientFile"]:
-    with _PatientFile(path) as target:
-        try:
-            yield target
-        except Exception:
-            if target.failure is None:
-                raise
-        if target.failure is not None:
-            raise target.failure
-
-
-class _PatientFile(io.FileIO):
-    """A file that takes everything, and keeps its first failure."""
-
-    failure: OSError | None = None
-
-    def __init__(self, path: Path | str) -> None:
-        super().__init__(path, "w+b")
-
-    def write(self, data: Any, /) -> int:
-        left = memoryview(data).cast("B")
-        size = left.nbytes
-        while left and self.failure is None:
-            try:
-                left = left[super().write(left) :]
-            except OSError as error:
-                self._fail(error)
-        return size
-
-    def truncate(self, size: int | None = None, /) -> int:
-        try:
-            return super().truncate(size)
-        except OSError as error:
-            self._fail(error)
-            return size or 0
-
-    def _fail(self, error: OSError) -> None:
-        self.failure = self.failure or OSError(error.errno, error.strerror, os.fspath(self.name))

@@ -25,6 +25,7 @@ from reconstruction.netcdf import (
 )
 from reconstruction.patterns import AXES
 from reconstruction.triangulation import EpipolarTolerance, PointMap, Use, triangulate
+from reconstruction.writing import write_bytes
 
 
 @dataclass(frozen=True)
@@ -204,7 +205,7 @@ def write_ply(
     columns.update(scalars or {})
     table = _vertex_table(columns, len(points))
     header = _ply_header(columns, len(points), comments)
-    Path(path).write_bytes(header.encode("ascii") + table.tobytes())
+    write_bytes(path, header.encode("ascii"), table.tobytes())
 
 
 def _vertex_table(columns: Mapping[str, NDArray[Any]], count: int) -> NDArray[np.void]:

@@ -21,6 +21,7 @@ from typing import TypeVar
 from reconstruction.errors import InputError
 from reconstruction.machine import threads
 from reconstruction.reading import read_bytes
+from reconstruction.writing import write_bytes
 from twin.working import is_working
 
 _File = TypeVar("_File", Path, str)
@@ -99,7 +100,7 @@ def manifest_lines(folder: Path) -> list[str]:
 def write_manifest(path: Path, kind: str, lines: Sequence[str]) -> None:
     """Write a new manifest."""
     text = "\n".join([f"# fringe-twin manifest {_VERSION}: {kind}", *lines, ""])
-    path.write_text(text, encoding="utf-8", errors="surrogateescape")
+    write_bytes(path, text.encode("utf-8", errors="surrogateescape"))
 
 
 def enter(folder: Path, kind: str, lines: Sequence[str]) -> None:

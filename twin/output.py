@@ -24,6 +24,8 @@ from typing import Any
 from reconstruction.errors import InputError
 from reconstruction.machine import is_disk_full, unwritable
 from reconstruction.reading import read_json
+from reconstruction.writing import make_durable, make_names_durable, write_text
+from twin.files import naming_unwritable
 from twin.manifest import (
     MANIFEST_FILE,
     enter,
@@ -34,7 +36,7 @@ from twin.manifest import (
     read_manifest,
     write_manifest,
 )
-from twin.working import is_second, leftovers, remove_leftovers, signals_held, working_folder
+from twin.working import PLAN, is_second, leftovers, remove_leftovers, signals_held, working_folder
 
 RESULT_FILE = "result.json"
 EXPERIMENT_FILE = "experiment.toml"
@@ -43,7 +45,6 @@ RESULT = "result"
 
 _NAMED_PACKAGES = ("fringe-twin", "mitsuba", "drjit", "numpy", "scipy", "numba")
 _ADVICE = "choose another -o DIR"
-_PLAN = "plan.json"
 
 
 @contextmanager
@@ -69,7 +70,7 @@ def output_folder(target: Path, inputs: Iterable[Path] = ()) -> Iterator[Path]:
             remove_leftovers(real.parent, real.name)
             folder = stack.enter_context(_working(real))
         _refuse_second(target, folder)
-        with _full_disk_told(target):
+        with _failing_to_write(target, folder):
             yield folder
         with _telling(target):
             _publish(folder, real)
@@ -94,7 +95,7 @@ def adding(target: Path, *names: str) -> Iterator[Path]:
     with ExitStack() as stack:
         with _telling(target):
             folder = stack.enter_context(_working(real))
-        with _full_disk_told(target):
+        with _failing_to_write(target, folder):
             yield folder
         with _telling(target):
             _put(folder, real)
@@ -207,7 +208,9 @@ def _publish(folder: Path, real: Path) -> None:
     else:
         _remove_empty(sorted((p for p in folder.rglob("*") if p.is_dir()), reverse=True))
         write_manifest(folder / MANIFEST_FILE, RESULT, manifest_lines(folder))
+        make_durable(folder)
         folder.rename(real)
+        make_names_durable(real.parent)
 
 
 def _put(folder: Path, real: Path, gone: Set[str] | None = None) -> None:
@@ -217,15 +220,20 @@ def _put(folder: Path, real: Path, gone: Set[str] | None = None) -> None:
     """
     new, lines = files_of(folder), manifest_lines(folder)
     _refuse_blocked(real, set(new) - (gone or set()))
+    # All that takes room comes first: a full disk leaves the earlier result as it is.
     if gone is not None:
         write_manifest(folder.parent / MANIFEST_FILE, RESULT, lines)
+    prepared = folder.parent / f"{PLAN}.part"
+    write_json(prepared, {"goes": sorted(set(gone or ()) - set(new))})
+    make_durable(folder.parent)
     enter(real, RESULT, lines)
-    for path in new:
-        (real / path).parent.mkdir(parents=True, exist_ok=True)
-    write_json(folder.parent / f"{_PLAN}.part", {"goes": sorted(set(gone or ()) - set(new))})
-    with signals_held():
-        (folder.parent / f"{_PLAN}.part").replace(folder.parent / _PLAN)
-        _exchange(folder, real)
+    with ExitStack() as stack:
+        for above in sorted({(real / path).parent for path in new}):
+            stack.callback(_remove_empty, _make_folders(above))
+        with signals_held():
+            prepared.replace(folder.parent / PLAN)
+            _exchange(folder, real)
+    make_names_durable(real)
 
 
 def _refuse_blocked(real: Path, new: Iterable[str]) -> None:
@@ -237,9 +245,20 @@ def _refuse_blocked(real: Path, new: Iterable[str]) -> None:
 
 
 def _exchange(folder: Path, real: Path) -> None:
-    """Carry out what is left of a plan, the result's own file first away and last there."""
+    """Carry out what is left of a plan, the result's own file first away and last there.
+
+    Where the system fails in between, the plan and the files remain (`twin.working.PLAN`).
+    """
+    try:
+        _exchange_files(folder, real)
+    except OSError as error:
+        unfinished = "its files are exchanged in part, the next command on this folder goes on"
+        raise OSError(error.errno, f"{error.strerror}; {unfinished}", error.filename) from None
+
+
+def _exchange_files(folder: Path, real: Path) -> None:
     new, known = files_of(folder), read_manifest(real)
-    goes = ours(real, read_json(folder.parent / _PLAN)["goes"], known)
+    goes = ours(real, read_json(folder.parent / PLAN)["goes"], known)
     for path in (*(path for path in new if path == RESULT_FILE), *goes):
         (real / path).unlink(missing_ok=True)
     for path in sorted(new, key=lambda path: path == RESULT_FILE):
@@ -247,6 +266,7 @@ def _exchange(folder: Path, real: Path) -> None:
     _remove_empty(real / path for path in sorted(known.folders if known else (), reverse=True))
     if (folder.parent / MANIFEST_FILE).exists():
         (folder.parent / MANIFEST_FILE).replace(real / MANIFEST_FILE)
+    (folder.parent / PLAN).unlink()
 
 
 def end_exchange(folder: Path) -> None:
@@ -262,7 +282,7 @@ def end_exchange(folder: Path) -> None:
 
 def _take_up(real: Path) -> None:
     for left in leftovers(real):
-        if (left.parent / _PLAN).is_file():
+        if (left.parent / PLAN).is_file():
             _refuse_blocked(real, files_of(left))
             with signals_held():
                 _exchange(left, real)
@@ -297,67 +317,41 @@ def _telling(target: Path) -> Iterator[None]:
 
 
 @contextmanager
-def _full_disk_told(target: Path) -> Iterator[None]:
-    """Name the target where the disk is full; other errors of a command are its own."""
+def _failing_to_write(target: Path, folder: Path) -> Iterator[None]:
+    """Name the target where its working folder cannot be written; other errors are the command's.
+
+    Where that folder was removed, any error is of that.
+    """
     try:
         yield
-    except OSError as error:
-        if is_disk_full(error):
-            raise unwritable(target, error) from None
+    except (OSError, InputError) as error:
+        if not folder.is_dir():
+            raise InputError(
+                f"{target}: its working folder {folder.parent.name} was removed during the run; "
+                f"run again, or {_ADVICE}"
+            ) from None
+        if isinstance(error, OSError) and _is_about(error, folder):
+            with _telling(target):
+                raise
         raise
 
 
-@contextmanager
-def creating(path: Path) -> Iterator[Path]:
-    """Yield where to write a file that then appears as `path`, whole or not at all.
+def _is_about(error: OSError, folder: Path) -> bool:
+    """Tell whether a file below a folder failed; a full disk may be without a name."""
+    if error.filename is None:
+        return is_disk_full(error)
+    return folder in Path(os.fsdecode(error.filename)).parents
 
-    Raises
-    ------
-    InputError : there is such a file already, or it cannot be written
-    OSError : the disk is full
+
+def write_json(path: Path, content: Mapping[str, Any], *, durable: bool = False) -> None:
+    """Write JSON with sorted keys; NaN and infinity are errors, not numbers.
+
+    Parameters
+    ----------
+    durable : the device has it before it takes the place of an earlier file
     """
-    _refuse_existing(path)
-    with ExitStack() as stack:
-        try:
-            remove_leftovers(path.parent, path.name)
-            folder = stack.enter_context(working_folder(path.parent, path.name))
-            yield folder / path.name
-            _refuse_existing(path)
-            (folder / path.name).replace(path)
-        except OSError as error:
-            raise unwritable(path, error) from None
-
-
-def _refuse_existing(path: Path) -> None:
-    if os.path.lexists(path):
-        raise InputError(f"{path}: exists already; give another name, or delete it")
-
-
-@contextmanager
-def replacing(path: Path, kind: type[InputError] = InputError) -> Iterator[Path]:
-    """Yield where to write a file that then takes the place of `path`, whole or not at all.
-
-    Raises
-    ------
-    InputError : it cannot be written; `kind` where another one is asked for
-    OSError : the disk is full
-    """
-    part = path.with_name(f".{path.name}.{os.getpid()}.part")  # others may write it, too
-    try:
-        yield part
-        part.replace(path)
-    except OSError as error:
-        raise unwritable(path, error, kind) from None
-    finally:
-        with suppress(OSError):
-            part.unlink(missing_ok=True)
-
-
-def write_json(path: Path, content: Mapping[str, Any]) -> None:
-    """Write JSON with sorted keys; NaN and infinity are errors, not numbers."""
-    path.write_text(
-        json.dumps(content, indent=2, sort_keys=True, allow_nan=False) + "\n", encoding="utf-8"
-    )
+    text = json.dumps(content, indent=2, sort_keys=True, allow_nan=False)
+    write_text(path, f"{text}\n", durable=durable)
 
 
 def write_outcome(folder: Path, command: str, figures: Mapping[str, Any], **named: str) -> None:
@@ -367,11 +361,15 @@ def write_outcome(folder: Path, command: str, figures: Mapping[str, Any], **name
 
 
 def replace_json(path: Path, content: Mapping[str, Any]) -> None:
-    """Write JSON whole or not at all: under a temporary name, to the disk, then renamed."""
-    with replacing(path) as part:
-        write_json(part, content)
-        with part.open("rb") as file:
-            os.fsync(file.fileno())
+    """Write JSON to the device, in place of an earlier file, whole or not at all.
+
+    Raises
+    ------
+    InputError : it cannot be written
+    OSError : the disk is full
+    """
+    with naming_unwritable(path):
+        write_json(path, content, durable=True)
 
 
 def versions() -> dict[str, str]:

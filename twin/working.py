@@ -150,6 +150,8 @@ def says_the_end(number: int) -> None:
 
 _NAME = re.compile(r"\.(?P<target>.*)\.twin-[^.]+\.part", re.DOTALL)
 _LOCK, _NEW = "lock", "new"
+PLAN = "plan.json"
+"""A working folder that contains this is not removed: its files are exchanged in part."""
 _MARK = b"working folder of fringe-twin\n"
 _TRIES, _POLL_S = 20, 0.01
 
@@ -252,6 +254,8 @@ def remove_leftovers(place: Path, target: str | None = None) -> None:
 def _remove(folder: Path) -> None:
     """Remove a working folder; its lock goes last, so that it is known as one until then."""
     with suppress(OSError):
+        if (folder / PLAN).exists():
+            return
         for entry in list(folder.iterdir()):
             if entry.is_dir():
                 shutil.rmtree(entry, ignore_errors=True)

@@ -22,6 +22,7 @@ from reconstruction.errors import CaptureError, InputError, require_integer
 from reconstruction.patterns import PatternSet
 from reconstruction.rig.projected_light import ProjectorResponse
 from reconstruction.rig.sensor import SensorNoise
+from reconstruction.writing import write_png, write_text
 
 DESCRIPTION_FILE = "capture.toml"
 FORMAT = "fringe-capture"
@@ -98,7 +99,7 @@ def write_toml(path: Path, values: Mapping[str, Any], tables: Mapping[str, Any])
         lines += ["", f"[{name}]"] if name else []
         # JSON text of a string, flag, finite number or list of them is valid TOML.
         lines += [f"{key} = {json.dumps(value)}" for key, value in table.items()]
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    write_text(path, "\n".join(lines) + "\n")
 
 
 def read_description(path: Path) -> Description:
@@ -184,11 +185,9 @@ def file_names(patterns: PatternSet) -> tuple[str, ...]:
 
 def write_patterns(folder: Path | str, patterns: PatternSet) -> None:
     """Write images and manifest into an existing folder."""
-    import imageio.v3 as imageio  # 0.1 s that reading a manifest need not pay
-
     folder = Path(folder)
     for name, frame in zip(file_names(patterns), patterns.frames, strict=True):
-        imageio.imwrite(folder / name, patterns.image(frame))
+        write_png(folder / name, patterns.image(frame))
     write_manifest(folder / MANIFEST_FILE, patterns)
 
 

@@ -43,6 +43,7 @@ from reconstruction.errors import CaptureError, InputError, few, require_integer
 from reconstruction.patterns import PatternSet
 from reconstruction.rig.projected_light import ProjectorResponse
 from reconstruction.rig.sensor import SensorNoise
+from reconstruction.writing import write_png
 
 FRAMES_FORMAT, FRAMES_VERSION = "fringe-frames", 1
 _MOST_SIGNS = 200
@@ -233,8 +234,6 @@ def write_frame_set(
     ------
     CaptureError : the stack does not fit the patterns, or holds no integers
     """
-    import imageio.v3 as imageio  # 0.1 s that reading need not pay
-
     folder = Path(folder)
     require_integer("bit_depth", bit_depth, 8, 16)
     if len(stack) != len(patterns.frames) or stack.dtype not in (np.uint8, np.uint16):
@@ -243,7 +242,7 @@ def write_frame_set(
             f"{len(patterns.frames)} frames"
         )
     for name, frame in zip(file_names(patterns), stack, strict=True):
-        imageio.imwrite(folder / name, frame)
+        write_png(folder / name, frame)
     write_manifest(folder / MANIFEST_FILE, patterns)
     header = {
         "format": FRAMES_FORMAT,

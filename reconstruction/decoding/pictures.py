@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from reconstruction.arrays import Reason
 from reconstruction.decoding import Decoded
 from reconstruction.drawing import Drawing
+from reconstruction.writing import write_bytes
 
 # Share of the valid pixels whose values span the colour scale.
 _SHOWN = (1.0, 99.0)
@@ -31,7 +32,7 @@ def draw_decoded(path: Path, decoded: Decoded) -> None:
     _draw_reasons(drawing, places[0, 3], decoded)
     for empty in places[1:, 3]:
         empty.remove()
-    path.write_bytes(drawing.png())
+    write_bytes(path, drawing.png())
 
 
 def _draw_reasons(drawing: Drawing, place: Axes, decoded: Decoded) -> None:

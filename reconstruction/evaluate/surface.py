@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import imageio.v3 as imageio
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,10 +16,11 @@ from reconstruction.arrays import BoolImage, FloatArray, FloatImage, Levels, at_
 from reconstruction.cells import SquareCells
 from reconstruction.colouring import Deviation
 from reconstruction.errors import InputError
-from reconstruction.machine import run_side_by_side, write_exr_channels
+from reconstruction.machine import run_side_by_side
 from reconstruction.netcdf import LabelledArrays, write_arrays
 from reconstruction.pipeline import write_point_map_ply
 from reconstruction.triangulation import PointMap
+from reconstruction.writing import write_bytes, write_exr_channels, write_png, write_text
 
 _PNG_LEVELS = 65534
 """Levels 1 to 65535 are heights, 0 is no height."""
@@ -111,7 +111,7 @@ def write_height_png(path: Path, heights: HeightGrid) -> None:
     z = heights.z_mm[heights.valid].astype(np.float64)
     first, step = float(z.min()), max(float(np.ptp(z)) / (_PNG_LEVELS - 1), 1e-9)
     level = np.rint((heights.z_mm - first) / step) + 1
-    imageio.imwrite(path, np.where(heights.valid, level, 0).astype(np.uint16))
+    write_png(path, np.where(heights.valid, level, 0).astype(np.uint16))
     scale = {
         "first_z_mm": first,
         "step_z_mm": step,
@@ -122,7 +122,7 @@ def write_height_png(path: Path, heights: HeightGrid) -> None:
         "first_y_mm": float(heights.y_mm[0]),
         "y_per_row": -heights.pitch_mm,
     }
-    path.with_name(path.name + ".json").write_text(json.dumps(scale, indent=2), encoding="utf-8")
+    write_text(path.with_name(path.name + ".json"), json.dumps(scale, indent=2))
 
 
 def write_height_exr(path: Path, heights: HeightGrid) -> None:
@@ -220,7 +220,7 @@ def write_mesh_ply(path: Path, mesh: SurfaceMesh, rgb: Levels | None = None) -> 
     vertices["xyz"] = mesh.vertices_mm
     if rgb is not None:
         vertices["rgb"] = rgb
-    path.write_bytes(header.encode("ascii") + vertices.tobytes() + faces.tobytes())
+    write_bytes(path, header.encode("ascii"), vertices.tobytes(), faces.tobytes())
 
 
 def write_surface(folder: Path, points: PointMap, deviation: Deviation | None = None) -> None:

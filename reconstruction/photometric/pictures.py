@@ -7,6 +7,7 @@ import numpy as np
 
 from reconstruction.drawing import Drawing
 from reconstruction.photometric.sensor import HeightMap
+from reconstruction.writing import write_bytes
 
 _ACROSS, _MOST = 4, 24
 
@@ -31,4 +32,4 @@ def draw_heights(path: Path, heights: Mapping[str, HeightMap]) -> None:
         drawing.colorbar(image, ax=place, label="height (mm)")
     for empty in places[len(names) :]:
         empty.remove()
-    path.write_bytes(drawing.png())
+    write_bytes(path, drawing.png())

@@ -55,6 +55,7 @@ from reconstruction.photometric.relighting import (
     untouched_gel,
 )
 from reconstruction.reading import read_arrays
+from reconstruction.writing import write_npz
 
 MapKind = Literal["polynomial", "table"]
 ColourMap = ColourPolynomial | ColourTable
@@ -147,8 +148,7 @@ def write_sensor_calibration(path: Path | str, calibration: SensorCalibration) -
         "background": calibration.background,
     }
     arrays |= {PREFIX + name: part for name, part in calibration.colour_map.arrays().items()}
-    with Path(path).open("wb") as file:  # a name without .npz stays as it is
-        np.savez_compressed(file, allow_pickle=False, **arrays)
+    write_npz(path, arrays)
 
 
 def read_sensor_calibration(path: Path | str) -> SensorCalibration:

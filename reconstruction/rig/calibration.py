@@ -16,6 +16,7 @@ from reconstruction.errors import CaptureError, InputError
 from reconstruction.rig.layers import PlaneLayers, plane_layers
 from reconstruction.rig.pinhole import Pinhole
 from reconstruction.rig.storage import read_storage
+from reconstruction.writing import write_text
 
 __all__ = ["Calibration", "Pinhole", "read_calibration", "write_calibration"]
 
@@ -106,7 +107,7 @@ def write_calibration(path: Path | str, calibration: Calibration) -> None:
         storage.write(name, getattr(calibration, name))
     if calibration.layers is not None:
         _write_layers(storage, calibration.layers)
-    Path(path).write_text(storage.releaseAndGetString(), encoding="ascii")
+    write_text(path, storage.releaseAndGetString())
 
 
 def _write_pinhole(storage: Any, name: str, device: Pinhole) -> None:

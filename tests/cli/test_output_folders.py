@@ -1,5 +1,6 @@
 """Folders that commands write into: nothing of others is removed, nothing is left by half."""
 
+import errno
 import hashlib
 import json
 import os
@@ -8,16 +9,20 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import suppress
+from itertools import count
 from pathlib import Path
 
 import pytest
 
 from reconstruction.errors import InputError
 from tests.cli.killed import EARLIER, LATER
+from twin import output
 from twin.cli import run
-from twin.output import alone_in, claim, output_folder, write_json
+from twin.output import alone_in, claim, end_exchange, output_folder, write_json
 
 ROOT = Path(__file__).parents[2]
+OURS = ("result.json", "twin-manifest.txt")
 CAPTURE = ROOT / "docs" / "example_capture"
 TWIN = "import sys; from twin.cli import main; main()"
 # A reconstruction that has made its working folder and then waits to be ended.
@@ -209,6 +214,95 @@ def test_a_full_disk_is_one_line_and_leaves_nothing(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+SECOND = {"report": "second", "data": "second"}
+
+
+def texts_of(out):
+    found = (path for path in out.iterdir() if path.is_file() and path.name not in OURS)
+    return {path.name: path.read_text() for path in found}
+
+
+def failing_at(number, error, monkeypatch):
+    """Let the renaming of that number fail, as the system may at any of them."""
+    real, calls = Path.replace, []
+
+    def replace(self, target):
+        calls.append(self)
+        if len(calls) == number:
+            raise OSError(error, os.strerror(error), str(self))
+        return real(self, target)
+
+    monkeypatch.setattr(Path, "replace", replace)
+    return calls
+
+
+@pytest.mark.parametrize("error", [errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EPERM])
+def test_a_failure_among_renamings_loses_neither_result(tmp_path, monkeypatch, error):
+    """The earlier result is whole, or the next command on the folder ends the exchange."""
+    out, taken_up = tmp_path / "out", 0
+    for number in count(1):
+        write(out, report="first", table="first")
+        with monkeypatch.context() as patch, suppress(InputError, OSError):
+            calls = failing_at(number, error, patch)
+            write(out, report="second", data="second")
+        at_once = texts_of(out)
+        end_exchange(out)
+        taken_up += at_once != texts_of(out)
+        assert texts_of(out) in ({"report": "first", "table": "first"}, SECOND)
+        assert (out / "result.json").exists()
+        if len(calls) < number:
+            break
+    assert texts_of(out) == SECOND
+    assert taken_up >= 2
+    assert not list(tmp_path.rglob("*.part"))
+
+
+def test_a_full_disk_before_the_exchange_leaves_the_folder_as_it_was(tmp_path, monkeypatch):
+    """Also its manifest; and no folder that the new files need."""
+    out, real = tmp_path / "out", output.write_json
+    write(out, report="first")
+    earlier = contents(out)
+
+    def full(path, content, **rest):
+        if path.name.startswith("plan"):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
+        real(path, content, **rest)
+
+    monkeypatch.setattr(output, "write_json", full)
+    with pytest.raises(OSError, match="No space left on device"):
+        write(out, **{"figures/a": "second"})
+    assert contents(out) == earlier
+
+
+def test_a_working_folder_that_was_removed_is_one_line(tmp_path):
+    """Somebody cleaned up while a command was under way."""
+    for name in ("new", "there"):
+        write(tmp_path / "there", report="first")
+        removed = pytest.raises(InputError, match=rf"{name}: its working folder .*part was removed")
+        with removed, output_folder(tmp_path / name) as folder:
+            shutil.rmtree(folder.parent)
+            write_json(folder / "result.json", {})
+    assert set(contents(tmp_path)) == {"there", *(f"there/{one}" for one in ("report", *OURS))}
+
+
+def test_an_error_of_the_disk_is_one_line(tmp_path, monkeypatch):
+    """Neither full nor forbidden: input/output error, stale handle. The target is named."""
+
+    def write_bytes(path, *_, **__):
+        raise OSError(errno.EIO, os.strerror(errno.EIO), str(path))
+
+    monkeypatch.setattr("reconstruction.writing.write_bytes", write_bytes)
+    with pytest.raises(InputError, match=r"out: cannot be written \(Input/output error\)"):
+        write(tmp_path / "out", report="first")
+    assert not list(tmp_path.iterdir())
+
+
+def test_another_full_disk_is_not_taken_for_the_target(tmp_path):
+    """For instance that of temporary files."""
+    with pytest.raises(OSError, match="elsewhere"), output_folder(tmp_path / "out"):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), "/elsewhere/file")
+
+
 @pytest.mark.parametrize("name", ["SIGTERM", "SIGHUP", "SIGINT"])
 def test_a_signal_cleans_up(tmp_path, name):
     number = signal.Signals[name]
@@ -370,7 +464,7 @@ def test_the_manifest_is_what_sha256sum_checks(tmp_path):
 
 
 def test_single_files_are_never_overwritten(tmp_path):
-    from twin.output import creating
+    from twin.files import creating
 
     file = tmp_path / "table.csv"
     with creating(file) as part:

@@ -10,9 +10,9 @@ import pytest
 from benchmarks.damage import damaged_bytes
 from reconstruction.capture.image_files import read_image
 from reconstruction.errors import CaptureError, InputError
-from reconstruction.machine import write_exr_channels
 from reconstruction.photometric.press_files import read_rgb
 from reconstruction.reading import read_arrays, read_pixels
+from reconstruction.writing import write_exr_channels
 
 ROWS = b"".join(b"\0" + bytes(4) for _ in range(4))
 

@@ -53,7 +53,7 @@ def test_give_up_on_a_full_disk(study_of, stored, monkeypatch):
     def synchronise(folder):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(folder))
 
-    monkeypatch.setattr(store_module, "_synchronise", synchronise)  # of this process, not workers
+    monkeypatch.setattr(store_module, "make_durable", synchronise)  # of this process, not workers
     store, cases = stored(study_of({"path": "coating.base_albedo", "values": [0.1, 0.4, 0.5]}))
     outcome = Run(store, local_workers(2), make_measurer=synthetic.Failing)(cases)
     assert outcome.states == {"done": 2, "unsaved": 1}
@@ -70,7 +70,7 @@ def test_full_disk_is_told_and_made_up_for(study_of, stored, monkeypatch):
 
     albedo = {"path": "coating.base_albedo", "values": [0.1, 0.2, 0.3, 0.4]}
     store, cases = stored(study_of(albedo))
-    real, calls = store_module._synchronise, []
+    real, calls = store_module.make_durable, []
 
     def synchronise(folder):
         calls.append(folder)
@@ -78,7 +78,7 @@ def test_full_disk_is_told_and_made_up_for(study_of, stored, monkeypatch):
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(folder))
         real(folder)
 
-    monkeypatch.setattr(store_module, "_synchronise", synchronise)
+    monkeypatch.setattr(store_module, "make_durable", synchronise)
     index = Index(store)
     outcome = Run(store, local_workers(1), make_measurer=synthetic.Fake, done=index.enter)(cases)
     assert outcome.states == {"done": 2, "unsaved": 2}

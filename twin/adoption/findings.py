@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from reconstruction.characterise import UncertainValue
+from reconstruction.writing import write_text
 from twin.assets import scene_file
 from twin.config.loading import read_toml, resolve_uses, validate_experiment
 from twin.config.models import Experiment
@@ -147,7 +148,7 @@ def write_rig(path: Path, name: str, tables: Mapping[str, Any]) -> None:
     """Write the rig file; experiments take it by `use = "./rig.toml"`."""
     head = f'# Adopted from captures of {name}. Experiments take it by use = "./rig.toml".'
     told = {"description": f"twin of {name}", **tables}
-    path.write_text("\n".join([head, *_lines(told, "")]) + "\n", encoding="utf-8")
+    write_text(path, "\n".join([head, *_lines(told, "")]) + "\n")
 
 
 def _lines(table: Mapping[str, Any], name: str) -> Iterator[str]:

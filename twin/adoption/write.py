@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from reconstruction.capture.description import response_table, write_toml
+from reconstruction.writing import write_text
 from twin.adoption.adopt import Adopted, Given
 from twin.adoption.findings import rows_of, write_rig
 from twin.config import to_toml
@@ -30,7 +31,7 @@ def write_adopted(folder: Path, found: Adopted, given: Given) -> dict[str, Any]:
     """Write all but the report; returns the figures of result.json."""
     figures = adopted_metrics(found)
     write_rig(folder / RIG_FILE, given.captures[0].name, found.tables)
-    (folder / EXPERIMENT_FILE).write_text(to_toml(found.experiment), encoding="utf-8")
+    write_text(folder / EXPERIMENT_FILE, to_toml(found.experiment))
     response = found.capture.response
     if found.fit is not None and response is not None:
         write_toml(folder / RESPONSE_FILE, {}, response_table(response))

@@ -124,14 +124,15 @@ def describe(
     from reconstruction.capture.description import DESCRIPTION_FILE
     from reconstruction.capture.guess import guess
     from reconstruction.capture.guess_file import require_groups, written
-    from twin.output import creating
+    from reconstruction.writing import write_text
+    from twin.files import creating
 
     size = projector or (1280, 720)
     found = guess(folder, size)
     require_groups(found, folder)
     target = out or folder / DESCRIPTION_FILE
     with creating(target) as part:
-        part.write_text(written(found, size, is_known=projector is not None), encoding="utf-8")
+        write_text(part, written(found, size, is_known=projector is not None))
     for group in found.groups:
         along = f" along {group.axis}" if group.axis else ""
         say(f"{group.kind}{along}: {len(group.files)} images, {group.files[0]} ...")

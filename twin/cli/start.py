@@ -59,8 +59,9 @@ def init(
     listed
         Only list the templates.
     """
+    from reconstruction.writing import write_text
     from twin.config.templates import read_template, templates
-    from twin.output import creating
+    from twin.files import creating
 
     if listed:
         print_table(
@@ -71,7 +72,7 @@ def init(
     command = "sweep" if template == "study" else "measure"
     target = file or Path("study.toml" if template == "study" else "experiment.toml")
     with creating(target) as part:
-        part.write_text(text, encoding="utf-8")
+        write_text(part, text)
     say(f"wrote {target}; next: twin {command} {target} -o out")
 
 

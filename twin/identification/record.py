@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from reconstruction.netcdf import Labelled, LabelledArrays, write_arrays
+from reconstruction.writing import write_text
 from twin.config import Experiment, to_toml, vary
 from twin.config.problem import SensorProblem
 from twin.config.study import without_absent
@@ -127,7 +128,7 @@ def write_identified(
     (folder / EXPERIMENTS_FOLDER).mkdir()
     for name, one in best.items():
         path = folder / EXPERIMENTS_FOLDER / f"{name}.toml"
-        path.write_text(to_toml(one), encoding="utf-8")
+        write_text(path, to_toml(one))
     write_arrays(folder / POSTERIOR_FILE, samples_of(found))
     write_result(folder, COMMAND, next(iter(best.values())), figures_of(found))
 

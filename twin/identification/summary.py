@@ -19,6 +19,7 @@ import numpy as np
 import tomli_w
 
 from reconstruction.arrays import FloatArray
+from reconstruction.writing import write_text
 from twin.identification.findings import LimitMet, Prediction
 from twin.identification.known import Identified
 from twin.identification.record import identified_values
@@ -31,7 +32,7 @@ _DIGITS = 5
 def write_summary(folder: Path, found: Identified) -> None:
     """Write the summary into a folder."""
     text = tomli_w.dumps(summary_of(found))
-    (folder / SUMMARY_FILE).write_text(text, encoding="utf-8")
+    write_text(folder / SUMMARY_FILE, text)
 
 
 def summary_of(found: Identified) -> dict[str, Any]:

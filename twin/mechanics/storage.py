@@ -14,12 +14,13 @@ import trimesh
 from numpy.typing import NDArray
 
 from reconstruction.netcdf import Labelled, LabelledArrays, read_arrays, write_arrays
+from reconstruction.writing import write_bytes
 from twin.config.models import Elastomer, Press
+from twin.files import naming_unwritable
 from twin.mechanics.errors import PressError
 from twin.mechanics.press import PressedElastomer, SheetFields
 from twin.mechanics.texture import in_plane_displacement
 from twin.mechanics.validity import Validity
-from twin.output import replacing
 
 _SCHEMA = "fringe-twin press 3"
 _PLAIN = "fringe-twin press 2"
@@ -68,8 +69,8 @@ def write_press(path: Path, pressed: PressedElastomer) -> None:
         The file cannot be written.
     """
     arrays = press_arrays(pressed)
-    with replacing(path, PressError) as part:
-        write_arrays(part, arrays)
+    with naming_unwritable(path, PressError):
+        write_arrays(path, arrays)
 
 
 def press_arrays(pressed: PressedElastomer) -> LabelledArrays:
@@ -157,8 +158,8 @@ def write_mesh(path: Path, mesh: trimesh.Trimesh) -> None:
         raise PressError(f"{path}: found '{path.suffix}', allowed for a mesh: .ply, .stl")
     options = {"vertex_normal": True} if kind == ".ply" else {}
     content: bytes = mesh.export(file_type=kind[1:], **options)
-    with replacing(path, PressError) as part:
-        part.write_bytes(content)
+    with naming_unwritable(path, PressError):
+        write_bytes(path, content)
 
 
 def _labelled(
@@ -170,8 +171,8 @@ def _labelled(
 
 def _write(path: Path, variables: Mapping[str, Labelled], told: Mapping[str, Any]) -> None:
     arrays = LabelledArrays(variables, attrs={"Conventions": "CF-1.11", **told})
-    with replacing(path, PressError) as part:
-        write_arrays(part, arrays)
+    with naming_unwritable(path, PressError):
+        write_arrays(path, arrays)
 
 
 def _sheet_arrays(sheet: SheetFields | None) -> dict[str, Any]:

@@ -26,12 +26,12 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from reconstruction.errors import InputError
-from twin.output import replacing
+from reconstruction.writing import write_text
 
 LLVM_VARIANT = "llvm_ad_mono"
 CUDA_VARIANT = "cuda_ad_mono"
@@ -353,12 +353,9 @@ def remember(key: str, backend: Backend) -> None:
     entries = _remembered() | {
         key: {"backend": asdict(backend), "modified_ns": _modified_ns(backend)}
     }
-    try:
+    with suppress(OSError):
         path.parent.mkdir(parents=True, exist_ok=True)
-        with replacing(path) as part:
-            part.write_text(json.dumps(entries, indent=1))
-    except (OSError, InputError):
-        return
+        write_text(path, json.dumps(entries, indent=1))
 
 
 def _modified_ns(backend: Backend) -> int:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import jinja2
 import numpy as np
 
-from reconstruction.machine import write_exr_channels
+from reconstruction.writing import write_bytes, write_exr_channels, write_text
 from twin.config.models import Experiment
 from twin.optics.backend import activate
 from twin.optics.direct import Solid, solids
@@ -90,7 +90,7 @@ def export_stock(
         shapes = (Solid(COATED_FACE, face, coating_bsdf(experiment.coating)),)
     for solid in shapes:
         content = solid.mesh.export(file_type="ply", vertex_normal=True)
-        (folder / f"{solid.name}.ply").write_bytes(content)
+        write_bytes(folder / f"{solid.name}.ply", content)
     scene = _template().render(
         title=f"fringe-twin export of {experiment.name}",
         variant=variant,
@@ -98,7 +98,7 @@ def export_stock(
         solids=shapes,
         kind_of=_kind_of,
     )
-    (folder / SCENE_FILE).write_text(scene, encoding="utf-8")
+    write_text(folder / SCENE_FILE, scene)
     return inexpressible(experiment)
 
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from reconstruction.arrays import FloatImage
 from reconstruction.errors import FitError, InputError
 from reconstruction.reading import read_json
+from reconstruction.writing import write_npz
 from twin.config import Experiment
 from twin.config.specimens import Rods
 from twin.output import write_json
@@ -140,7 +141,7 @@ def write_panel_data(folder: Path, data: PanelData) -> None:
     """Write arrays and numbers into a folder, which is made."""
     folder.mkdir(exist_ok=True)
     arrays = {f.name: getattr(data, f.name) for f in fields(data) if f.name != "numbers"}
-    np.savez_compressed(folder / ARRAYS_FILE, **arrays)
+    write_npz(folder / ARRAYS_FILE, arrays)
     write_json(folder / NUMBERS_FILE, json.loads(json.dumps(asdict(data.numbers))))
 
 

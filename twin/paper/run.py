@@ -17,6 +17,7 @@ from typing import Any
 
 from reconstruction.errors import InputError
 from reconstruction.machine import unwritable
+from reconstruction.writing import write_text
 from twin.output import (
     EXPERIMENT_FILE,
     RESULT_FILE,
@@ -250,7 +251,7 @@ def _write_tables(out: Path, tables: Mapping[str, Table], request: Request) -> N
     }
     write_json(out / "tables.json", content)
     text = "\n".join(table.as_markdown() for table in tables.values())
-    (out / "tables.md").write_text(text, encoding="utf-8")
+    write_text(out / "tables.md", text)
 
 
 def _figures_of(claims: Sequence[Mapping[str, Cell]]) -> dict[str, Any]:

@@ -20,7 +20,6 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-import imageio.v3 as imageio
 import numpy as np
 
 from reconstruction.arrays import Levels
@@ -40,6 +39,7 @@ from reconstruction.capture.frame_set import write_frame_set
 from reconstruction.errors import InputError
 from reconstruction.rig.calibration import Calibration, write_calibration
 from reconstruction.rig.importing import Imported
+from reconstruction.writing import write_png, write_text
 from twin.camera import expose
 from twin.config import Experiment, digest, to_toml
 from twin.config.board import BoardFile, BoardPose
@@ -265,10 +265,10 @@ def write_board_calibration(folder: Path, done: BoardCalibration) -> dict[str, A
     write_rows(folder / FEATURES_FILE, list(_feature_rows(done)), 10)
     for one in done.skipped:
         if one.picture is not None:
-            imageio.imwrite(folder / f"{SKIPPED_PREFIX}{one.name}.png", one.picture)
+            write_png(folder / f"{SKIPPED_PREFIX}{one.name}.png", one.picture)
     if done.experiment is not None:
         text = to_toml(done.experiment)
-        (folder / EXPERIMENT_FILE).write_text(text, encoding="utf-8")
+        write_text(folder / EXPERIMENT_FILE, text)
     write_outcome(folder, "calibrate", figures, digest=done.digest)
     return figures
 

@@ -22,6 +22,7 @@ from reconstruction.pipeline import (
     write_reconstruction,
 )
 from reconstruction.triangulation import Use
+from reconstruction.writing import write_text
 from twin.config.digest import content_digest
 from twin.config.models import Decode
 from twin.output import EXPERIMENT_FILE, output_folder, write_outcome
@@ -56,7 +57,7 @@ def reconstruct_capture(
             ]
         )
         settings = tomli_w.dumps({"decode": decode.model_dump(mode="json")})
-        (folder / EXPERIMENT_FILE).write_text(settings, encoding="utf-8")
+        write_text(folder / EXPERIMENT_FILE, settings)
         write_outcome(folder, "reconstruct", figures, digest=digests[0])
     return figures
 
@@ -119,7 +120,7 @@ def decode_capture(
         write_decoded(folder / "decoded.nc", result)
         draw_decoded(folder / "decoded.png", result)
         settings = tomli_w.dumps({"decode": decode.model_dump(mode="json")})
-        (folder / EXPERIMENT_FILE).write_text(settings, encoding="utf-8")
+        write_text(folder / EXPERIMENT_FILE, settings)
         write_outcome(folder, "decode", figures, digest=content_digest(decode, capture))
     return figures
 

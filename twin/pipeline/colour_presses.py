@@ -26,6 +26,7 @@ from reconstruction.photometric import (
 from reconstruction.photometric.pictures import draw_heights
 from reconstruction.photometric.press_doubts import untouched_drift_mm
 from reconstruction.reading import MOST_IMAGE_BYTES, read_bytes, read_text
+from reconstruction.writing import write_text
 from twin.config.digest import content_digest
 from twin.output import EXPERIMENT_FILE, output_folder, write_outcome
 from twin.pipeline.captures import masked_by_reason
@@ -77,7 +78,7 @@ def reconstruct_presses(
         else:
             outcome = _several(presses, folder, watch)
         text = read_text(description)
-        (folder / EXPERIMENT_FILE).write_text(text, encoding="utf-8")
+        write_text(folder / EXPERIMENT_FILE, text)
         write_sensor_calibration(folder / CALIBRATION_FILE, presses.decoder.calibration)
         files = [_content(file) for file in presses.files if file.is_file()]
         named = content_digest(text, files, presses.decoder.calibration)

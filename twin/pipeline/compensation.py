@@ -33,6 +33,7 @@ from reconstruction.netcdf import write_arrays
 from reconstruction.pipeline import Reconstruction, read_reconstruction, write_reconstruction
 from reconstruction.reading import is_regular
 from reconstruction.triangulation import PointMap
+from reconstruction.writing import write_text
 from twin.config import Experiment, load_experiment
 from twin.config.digest import content_digest
 from twin.config.loading import read_toml
@@ -131,12 +132,12 @@ def compensate_result(
         figures |= load_figures(found, layer)
         _write(target, measured, found)
         draw(target, CompensationResult(found, layer, figures))
-        (target / LAYER_FILE).write_text(layer_to_toml(layer), encoding="utf-8")
-        (target / EXPERIMENT_FILE).write_text(
+        write_text(target / LAYER_FILE, layer_to_toml(layer))
+        write_text(
+            target / EXPERIMENT_FILE,
             (folder / EXPERIMENT_FILE).read_text(encoding="utf-8")
             if is_regular(folder / EXPERIMENT_FILE)
             else layer_to_toml(layer),
-            encoding="utf-8",
         )
         digest = content_digest(layer, points.points_world_mm, points.mask_reason)
         write_outcome(target, "compensate", figures, digest=digest)

@@ -24,7 +24,8 @@ from reconstruction.photometric import (
 from reconstruction.photometric.sensor import MapKind
 from reconstruction.reading import read_json
 from twin.config import Experiment
-from twin.output import replace_json, replacing, versions
+from twin.files import naming_unwritable
+from twin.output import replace_json, versions
 from twin.pipeline.memory import Reads
 from twin.results.decoders import MAP_ORDER
 
@@ -69,7 +70,8 @@ class KeptCalibrations:
         except OSError as error:
             raise unwritable(place, error) from None
         for kind, one in calibrations.items():
-            with replacing(_file(place / _READS_FILE, kind)) as file:
+            file = _file(place / _READS_FILE, kind)
+            with naming_unwritable(file):
                 write_sensor_calibration(file, one)
         replace_json(place / _READS_FILE, content)
 

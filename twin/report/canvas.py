@@ -4,6 +4,7 @@ Figures use Matplotlib's object interface: no global state, no window system. Th
 the same bytes: no date and no version is written into the files.
 """
 
+import io
 import math
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -22,7 +23,8 @@ from numpy.typing import NDArray
 
 from reconstruction.arrays import BoolArray, FloatArray
 from reconstruction.cells import box_of
-from twin.output import replacing
+from reconstruction.writing import write_bytes
+from twin.files import naming_unwritable
 
 _SCREEN_DPI, _PRINT_DPI = 130, 200
 
@@ -124,8 +126,10 @@ def _write(figure: Figure, path: Path, dpi: int) -> None:
         undated = {"CreationDate": None, "Producer": None, "Creator": None}
     # The usual level, 6, takes twice the time for a tenth of the size.
     packed: Any = {"pil_kwargs": {"compress_level": 3}} if kind == "png" else {}
-    with replacing(path) as part:
-        figure.savefig(part, format=kind, dpi=dpi, metadata=undated, **packed)
+    memory = io.BytesIO()
+    figure.savefig(memory, format=kind, dpi=dpi, metadata=undated, **packed)
+    with naming_unwritable(path):
+        write_bytes(path, memory.getbuffer())
 
 
 def sequential() -> Colormap:

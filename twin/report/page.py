@@ -15,7 +15,8 @@ from typing import Literal
 from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 
 from reconstruction.machine import unwritable
-from twin.output import replacing
+from reconstruction.writing import write_text
+from twin.files import naming_unwritable
 from twin.pipeline.progress import ProgressCallback, no_progress
 from twin.report.table import Table
 
@@ -200,8 +201,8 @@ def write_page(
     )
     uris = {name: _as_uri(picture) for name, picture in pictures.items()}
     text = _template().render(page=page, uris=uris)
-    with replacing(path) as part:
-        part.write_text(text, encoding="utf-8")
+    with naming_unwritable(path):
+        write_text(path, text)
     watch(STAGE, 1.0)
     return path
 

@@ -35,7 +35,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import imageio.v3 as imageio
 import numpy as np
 
 from reconstruction.arrays import Levels
@@ -54,6 +53,7 @@ from reconstruction.photometric.colour_maps import ColourTable
 from reconstruction.photometric.sensor import MapKind
 from reconstruction.pipeline import read_reconstruction, write_reconstruction
 from reconstruction.reading import is_regular, read_json, read_pixels
+from reconstruction.writing import write_png
 from twin.config import Experiment, load_experiment
 from twin.mechanics import read_press
 from twin.optics.stack import Truth
@@ -145,9 +145,9 @@ def write_kept(folder: Path, done: Measurement, keep: tuple[str, ...]) -> None:
             )
         return
     if "capture" in keep:
-        imageio.imwrite(folder / IMAGE_FILE, images.picture)
+        write_png(folder / IMAGE_FILE, images.picture)
         background = np.rint(images.calibration.background).astype(np.uint8)
-        imageio.imwrite(folder / BACKGROUND_FILE, background)
+        write_png(folder / BACKGROUND_FILE, background)
     if "points" in keep:
         write_height_map(folder / HEIGHTS_FILE, images.heights)
         write_height_points(folder / "points.ply", images.heights)

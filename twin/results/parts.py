@@ -11,14 +11,12 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Literal
 
-import imageio.v3 as imageio
 import numpy as np
 
 from reconstruction.arrays import FloatArray, FloatImage
 from reconstruction.capture.folder import Capture, write_capture
 from reconstruction.errors import InputError
 from reconstruction.evaluate.fit import SphereFit, fit_sphere
-from reconstruction.machine import write_exr_channels
 from reconstruction.netcdf import (
     PIXELS,
     Labelled,
@@ -27,6 +25,7 @@ from reconstruction.netcdf import (
     read_arrays,
     write_arrays,
 )
+from reconstruction.writing import write_exr_channels, write_png, write_text
 from twin.config import Experiment, digest, to_toml
 from twin.mechanics import (
     ContactTransfer,
@@ -70,14 +69,14 @@ def write_result(folder: Path, command: str, experiment: Experiment, figures: Me
 
     The same experiment gives the same bytes: wall-clock times are kept out (see `write_timings`).
     """
-    (folder / EXPERIMENT_FILE).write_text(to_toml(experiment), encoding="utf-8")
+    write_text(folder / EXPERIMENT_FILE, to_toml(experiment))
     write_outcome(folder, command, figures, name=experiment.name, digest=digest(experiment))
 
 
 def write_rows(path: Path, rows: Sequence[Metrics], digits: int) -> None:
     """Write rows as CSV, numbers with so many significant digits; empty where there is none."""
     names = list(dict.fromkeys(name for row in rows for name in row))
-    path.write_text(csv_text(names, rows, digits), encoding="utf-8")
+    write_text(path, csv_text(names, rows, digits))
 
 
 def csv_text(names: Sequence[str], rows: Iterable[Metrics], digits: int | None = None) -> str:
@@ -204,7 +203,7 @@ def write_frames(
         if kind == "exr":
             write_exr(path, recording.radiance.frames[number])
         else:
-            imageio.imwrite(path, np.rint(recording.capture.stack[number]).astype(np.uint16))
+            write_png(path, np.rint(recording.capture.stack[number]).astype(np.uint16))
         progress((number + 1) / len(frames))
 
 

@@ -15,9 +15,10 @@ import numpy as np
 from reconstruction.arrays import BoolImage, FloatArray, FloatImage, Levels
 from reconstruction.errors import InputError
 from reconstruction.reading import read_arrays
+from reconstruction.writing import write_npz
 from twin.config import Experiment
 from twin.config.study import Objective
-from twin.output import replacing
+from twin.files import naming_unwritable
 from twin.pipeline import Memory, measure
 from twin.pipeline.progress import ProgressCallback, no_progress
 from twin.results.record import Measurement
@@ -165,10 +166,9 @@ def write_picture(path: Path, picture: CasePicture) -> None:
     ------
     InputError : it cannot be written
     """
-    with replacing(path) as part:
+    with naming_unwritable(path):
         path.parent.mkdir(exist_ok=True)
-        with part.open("wb") as file:
-            np.savez_compressed(file, **asdict(picture))
+        write_npz(path, asdict(picture))
 
 
 def read_picture(path: Path) -> CasePicture | None:

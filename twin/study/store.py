@@ -30,6 +30,7 @@ from typing import Any
 from reconstruction.errors import InputError
 from reconstruction.machine import unwritable
 from reconstruction.reading import is_regular, read_json
+from reconstruction.writing import make_durable, make_names_durable, write_text
 from twin.config import Experiment, to_toml
 from twin.manifest import MANIFEST_FILE, foreign, manifest_lines, read_manifest, write_manifest
 from twin.output import (
@@ -171,7 +172,7 @@ class Store:
         try:
             yield part
             write_manifest(part / MANIFEST_FILE, RESULT, manifest_lines(part))
-            _synchronise(part)
+            make_durable(part)
             self._publish(part, digest)
         finally:
             shutil.rmtree(part, ignore_errors=True)
@@ -215,7 +216,7 @@ class Store:
         except OSError:
             if not self.path_of(digest).is_dir():  # someone without locks was first: same content
                 raise
-        _synchronise_folder(self.cases)
+        make_names_durable(self.cases)
 
     def _make(self) -> None:
         if not self.exists():
@@ -256,24 +257,6 @@ def write_failure(
     folder: Path, experiment: Experiment, kind: str, reason: str, trace: str = ""
 ) -> None:
     """Write why a case could not be computed, and the case."""
-    (folder / EXPERIMENT_FILE).write_text(to_toml(experiment), encoding="utf-8")
+    write_text(folder / EXPERIMENT_FILE, to_toml(experiment))
     content = {"schema_version": 1, "kind": kind, "failure": reason, "trace": trace}
     write_json(folder / FAILURE_FILE, content)
-
-
-def _synchronise(folder: Path) -> None:
-    for path in folder.rglob("*"):
-        if is_regular(path):
-            with path.open("rb") as file:
-                os.fsync(file.fileno())
-        else:
-            _synchronise_folder(path)
-    _synchronise_folder(folder)
-
-
-def _synchronise_folder(folder: Path) -> None:
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)

@@ -3,6 +3,7 @@
 The best are the Pareto front of what is to become small or large.
 """
 
+import io
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,8 +13,9 @@ import numpy as np
 
 from reconstruction.arrays import BoolImage, FloatArray
 from reconstruction.errors import InputError
+from reconstruction.writing import write_bytes, write_text
 from twin.config.study import Constraint, Objective
-from twin.output import creating
+from twin.files import creating
 from twin.results import parts
 from twin.results.figures import why_absent
 from twin.study.cases import Case, meets
@@ -136,7 +138,7 @@ def write_csv(table: StudyTable, path: Path) -> None:
     InputError : the file exists or cannot be written
     """
     with creating(path) as part:
-        part.write_text(csv_text(table), encoding="utf-8", newline="")
+        write_text(part, csv_text(table))
 
 
 def write_parquet(table: StudyTable, path: Path) -> None:
@@ -152,8 +154,10 @@ def write_parquet(table: StudyTable, path: Path) -> None:
     except ModuleNotFoundError:
         raise InputError("--parquet: needs pyarrow; pip install 'fringe-twin[sweep]'") from None
     columns = {name: _column([row.get(name) for row in table.rows]) for name in table.columns}
+    memory = io.BytesIO()
+    pyarrow.parquet.write_table(pyarrow.table(columns), memory)
     with creating(path) as part:
-        pyarrow.parquet.write_table(pyarrow.table(columns), part)
+        write_bytes(part, memory.getbuffer())
 
 
 def _column(values: list[Any]) -> list[Any]:

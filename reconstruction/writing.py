@@ -1,0 +1,163 @@
+"""How files are written: encoded in memory, then copied to the disk by Python, whole or not at all.
+
+A native library that writes by itself may crash on a full disk (HDF5), hide the failure (OpenCV),
+or report it in words only (OpenEXR, Pillow). So no library is given a path or an open file: it
+writes into memory, and `write_bytes` copies that to the disk. Its failure is an ordinary OSError.
+
+A file is written under a temporary name next to its own, which is removed on a failure, and
+renamed at the end: an earlier file of that name remains whole until then.
+"""
+
+import errno
+import io
+import os
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+Content = bytes | bytearray | memoryview
+
+_PIECE_BYTES = 2**24
+
+
+def write_bytes(path: Path | str, *parts: Content, durable: bool = False) -> None:
+    """Write bytes one after another as a file, in place of an earlier one.
+
+    Parameters
+    ----------
+    parts : contents in their order, contiguous
+    durable : wait until the device has the bytes, before the file takes its name
+
+    Raises
+    ------
+    OSError : with the name of the file; an earlier file is as it was
+    """
+    place = Path(os.path.realpath(path))  # a symbolic link remains one
+    try:
+        if place.exists() and not os.access(place, os.W_OK):
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+        if place.exists() and not place.is_file():  # a device or a pipe keeps its place
+            _write(place, parts, durable=False)
+        else:
+            _replace(place, parts, durable)
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, os.fspath(path)) from None
+
+
+def _replace(place: Path, parts: tuple[Content, ...], durable: bool) -> None:
+    # The number of the process: another one may write the same file.
+    temporary = place.with_name(f".{place.name}.{os.getpid()}.part")
+    try:
+        _write(temporary, parts, durable)
+        temporary.replace(place)
+    finally:
+        with suppress(OSError):
+            temporary.unlink(missing_ok=True)
+
+
+def _write(place: Path, parts: tuple[Content, ...], durable: bool) -> None:
+    with place.open("wb", buffering=0) as file:
+        for part in parts:
+            left = memoryview(part)
+            left = left.cast("B") if left.nbytes else left[:0]
+            while left:
+                left = left[_written(file, left[:_PIECE_BYTES]) :]
+        if durable:
+            os.fsync(file.fileno())
+
+
+def _written(file: io.FileIO, piece: memoryview) -> int:
+    count = file.write(piece)
+    if not count:
+        raise OSError(errno.EIO, "the system wrote nothing")
+    return count
+
+
+def make_durable(folder: Path) -> None:
+    """Wait until the device has every file below a folder, and the folder.
+
+    Raises
+    ------
+    OSError : it cannot take them; some file systems say so only now
+    """
+    for path in folder.rglob("*"):
+        if path.is_dir():
+            make_names_durable(path)
+        elif path.is_file():
+            with path.open("rb") as file:
+                os.fsync(file.fileno())
+    make_names_durable(folder)
+
+
+def make_names_durable(folder: Path) -> None:
+    """Wait until the device has the names in a folder: what was made, renamed and removed.
+
+    Raises
+    ------
+    OSError : it cannot take them
+    """
+    handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        os.fsync(handle)
+    except OSError as error:
+        if error.errno != errno.EINVAL:  # a file system that knows of files only
+            raise
+    finally:
+        os.close(handle)
+
+
+def write_text(path: Path | str, text: str, *, durable: bool = False) -> None:
+    """Write text in UTF-8, with the ends of lines that it has; else as `write_bytes`."""
+    write_bytes(path, text.encode("utf-8"), durable=durable)
+
+
+def write_png(path: Path | str, pixels: "NDArray[Any]") -> None:
+    """Write (row, col) or (row, col, rgb) pixels, uint8 or uint16, as PNG.
+
+    Raises
+    ------
+    OSError : as `write_bytes`
+    """
+    import imageio.v3 as imageio  # 0.1 s that writing text need not pay
+
+    write_bytes(path, imageio.imwrite("<bytes>", pixels, plugin="pillow", extension=".png"))
+
+
+def write_npz(path: Path | str, arrays: Mapping[str, "NDArray[Any]"]) -> None:
+    """Write arrays as a compressed .npz; the same arrays give the same bytes.
+
+    A name without .npz remains as it is.
+
+    Raises
+    ------
+    OSError : as `write_bytes`
+    ValueError : an array holds Python objects
+    """
+    import numpy as np
+
+    memory = io.BytesIO()
+    np.savez_compressed(memory, allow_pickle=False, **arrays)
+    write_bytes(path, memory.getbuffer())
+
+
+def write_exr_channels(path: Path | str, channels: Mapping[str, "NDArray[np.float32]"]) -> None:
+    """Write (row, col) float32 images as the channels of one EXR file.
+
+    Raises
+    ------
+    OSError : as `write_bytes`
+    """
+    import numpy as np
+    import OpenEXR
+
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    pixels = {name: np.ascontiguousarray(image, np.float32) for name, image in channels.items()}
+    memory = io.BytesIO()
+    with OpenEXR.File(header, pixels) as file:
+        file.write(memory)
+    write_bytes(path, memory.getbuffer())
