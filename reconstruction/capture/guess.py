@@ -1,67 +1,46 @@
 """Guess what the images of an unknown set show.
 
-- Three or more striped images of one axis and one frequency whose phases are equal steps of a turn
-  are a phase set; the phase of each is its cross spectrum with the first.
-- Other striped images are bits, the coarsest first; two that are each other's complement are a bit
-  and its inverse. Words of which several bits change at once are binary, not Gray.
-- Images without stripes are white or black.
-- Where bits number the fringes, the phase at the borders of the words tells the shift of the first
-  image, and the direction in which the words grow the sign of the shifts.
-- How wide a stripe is in projector pixels cannot be seen. It follows from the width of the image,
-  as the coarsest fringe or the number of bits should just cover it.
+- Sets of equal phase steps are found by their content, see `phase_looks`.
+- Other striped images are bits, in the order of their names, unless the view clearly contradicts
+  that; two that are each other's complement are a bit and its inverse. Words of which several bits
+  change at once are binary, not Gray. See `word_looks`.
+- Images without stripes are white, black, or bits that do not change within the view, see
+  `plain_looks`; grey ones next to the bits are the finest bits, which the camera does not resolve.
+- Where bits number the fringes, the phase at the borders of the words determines the shift of the
+  first image, and the direction in which the words grow the sign of the shifts: `phase_anchor`.
+- How wide a stripe is in projector pixels cannot be seen: see `guess_file`.
+
+What is not sure is listed as a doubt: a guess without a doubt must be right.
 """
 
-import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations, pairwise
 from pathlib import Path
 
 import numpy as np
 
-from reconstruction.capture.image_looks import PADDED, Look, LookedAt, look_at, spectrum
+from reconstruction.arrays import FloatImage
+from reconstruction.capture.image_looks import FrameGroup, Look, LookedAt, look_at, named, peak
+from reconstruction.capture.phase_anchor import NumberedLines, anchored
+from reconstruction.capture.phase_looks import (
+    coarse_sets,
+    lone_fringes,
+    phase_sets,
+    phasor,
+    stepped_sets,
+    with_whole_ratios,
+)
+from reconstruction.capture.plain_looks import PlainLooks, choose_plain
+from reconstruction.capture.word_looks import ArrangedBits, Bits, arranged, bits_of
 from reconstruction.patterns import AXES, Axis
 
-# Frequencies that differ by less are one, cycles per line: with few fringes the phase moves the
-# peak of the spectrum.
-SAME_CYCLES, SAME_OF_FEW, FEW_CYCLES = 0.4, 0.8, 3.0
-# Least share of neither dark nor bright pixels of a cosine: with three steps and nothing else a
-# pixel is darkest in one, brightest in another.
-SMOOTH = 0.12
-# How far phases may be from equal steps, of a step.
-EVEN = 0.2
-COMPLEMENTARY = -0.8
 CERTAIN = 3.0
-# Share of the places where bits change at which several do: none in a Gray code.
-MANY_CHANGE = 0.25
-# Borders of words that must be seen; first shifts are told in steps of these.
-LEAST_BORDERS, ROUND_DEG = 30, 15.0
-NAMED = {
-    "white": ("white", "bright", "full_on"),
-    "black": ("black", "dark", "full_off"),
-    "column": ("column", "col_", "vertical", "_x_", "_v_"),
-    "row": ("row", "horizontal", "_y_", "_h_"),
-}
-
-
-@dataclass(frozen=True)
-class FrameGroup:
-    """Images that stand in one [[frames]] table.
-
-    Parameters
-    ----------
-    files : in the order shown
-    shifts_deg : of phase frames; relative to the first, unless a sign is known
-    sign : of the shifts; 0: not known
-    frequency : cycles per camera pixel; of bits those of the finest
-    """
-
-    kind: str
-    axis: Axis | None
-    files: tuple[str, ...]
-    shifts_deg: tuple[float, ...] = ()
-    frequency: float = 0.0
-    sign: int = 0
+# Grey images so near to a bit, by the order of the names, are bits; an inverse may be between.
+NEAR_NAMES = 2
+# From so many fringes in view on one period is not taken for a single fringe.
+SEVERAL_FRINGES = 1.5
+# Difference of two frequencies, cycles per line, below which they may be one.
+SAME_PERIOD_CYCLES = 0.25
 
 
 @dataclass(frozen=True)
@@ -72,12 +51,14 @@ class Guess:
     ----------
     groups : in the order of the list
     unsure : what to check, one line each
+    words : of the axes that have bits
     """
 
     groups: tuple[FrameGroup, ...]
     word: str
     unsure: tuple[str, ...]
     looked: LookedAt
+    words: tuple[NumberedLines, ...] = ()
 
 
 def guess(folder: Path, size: tuple[int, int]) -> Guess:
@@ -88,253 +69,225 @@ def guess(folder: Path, size: tuple[int, int]) -> Guess:
     CaptureError : there are too few images, one is damaged, or they do not change
     """
     looked = look_at(folder)
-    unsure = [f"{name}: has another size, left out" for name in looked.left_out]
+    looks = _with_axes(looked.looks)
+    doubts = [f"{name}: has another size, left out" for name in looked.left_out]
+    phases, striped, fringe_doubts = _fringes(looks)
+    bits, plain, bit_doubts = _words(looks, phases, striped)
+    doubts += fringe_doubts + bit_doubts
     groups: list[FrameGroup] = []
-    words = set()
-    steady = _steady_bits(looked.looks)
+    words = []
     for axis in AXES:
-        looks = [one for one in looked.looks if one.kind == "striped" and one.axis == axis]
-        phases, rest = _phase_sets(looks, axis)
-        coarse = [looked.looks[k] for k, along in steady.items() if along == axis]
-        rest = [*_as_bits(coarse, rest), *rest] if rest else rest
-        bits, told = _bits(rest, axis)
-        unsure += told
-        if coarse:
-            names = ", ".join(one.file for one in coarse)
-            unsure.append(f"{names}: without stripes, taken for the coarsest bits along {axis}")
-        if bits:
-            word = _word(rest, bits)
-            words.add(word)
-            length_px = size[AXES.index(axis)]
-            phases = [_anchored(one, bits[0], [*looks, *rest], word, length_px) for one in phases]
-        groups += [*phases, *bits]
-    for kind in ("white", "black"):
-        plain = (one for k, one in enumerate(looked.looks) if k not in steady)
-        found = [one.file for one in plain if one.kind == kind]
-        groups += [FrameGroup(kind, None, (found[0],))] if found else []
-        unsure += [f"{name}: {kind} like {found[0]}, left out" for name in found[1:]]
-    grey = [one.file for one in looked.looks if one.kind == "grey"]
-    unsure += [f"{name}: uniform, but neither white nor black, left out" for name in grey]
-    unsure += _doubts(one for one in looked.looks if one.kind != "grey")
-    if len(words) > 1:
-        unsure.append("word: Gray and binary bits along different axes; list one axis alone")
-    return Guess(tuple(groups), sorted(words)[0] if words else "reflected", tuple(unsure), looked)
+        own = [one for one in phases if one.axis == axis]
+        if bits[axis].groups:
+            lines = NumberedLines.of(
+                looks, bits[axis].groups, bits[axis].word, _mean(looks, phases, axis)
+            )
+            words.append(lines)
+            found = [anchored(one, lines, looks, size[AXES.index(axis)]) for one in own]
+            own = [one for one, _ in found]
+            doubts += [doubt for _, doubt in found if doubt]
+            if own and not (bits[axis].is_confirmed and plain.is_certain):
+                doubts.append(f"{own[0].files[0]} ...: shifts and sign follow from unsure bits")
+        elif len(own) == 1:
+            doubts += _unnumbered(own[0], looks)
+        groups += [*own, *bits[axis].groups]
+    for kind, k in (("white", plain.white), ("black", plain.black)):
+        groups += [FrameGroup(kind, None, (looks[k].file,))] if k is not None else []
+    doubts += _left_out(looks, groups, doubts)
+    doubts += _look_doubts(looks, groups)
+    kinds = sorted({one.word for one in words})
+    if len(kinds) > 1:
+        doubts.append("word: Gray and binary bits along different axes; list one axis only")
+    word = kinds[0] if kinds else "reflected"
+    return Guess(tuple(groups), word, tuple(doubts), looked, tuple(words))
 
 
-def _steady_bits(looks: Sequence[Look]) -> dict[int, Axis]:
-    """Return the uniform images that are bits which do not change within the view, and their axis.
+def _words(
+    looks: Sequence[Look], phases: Sequence[FrameGroup], striped: dict[int, Axis]
+) -> tuple[dict[Axis, ArrangedBits], PlainLooks, list[str]]:
+    """Return the bits along each axis, white and black, and the doubts about them.
 
-    There are some where more than one image is white, or black. White and black themselves stand
-    side by side, named so, or at the end or the beginning; the others belong to the bits that
-    follow, as the coarsest.
+    Parameters
+    ----------
+    striped : axis of the images with stripes that are no phase steps, by index
     """
-    uniform = [k for k, one in enumerate(looks) if one.kind in ("white", "black")]
-    kinds = [looks[k].kind for k in uniform]
-    if max(kinds.count("white"), kinds.count("black")) < 2:
-        return {}
-    pairs = [(a, b) for a, b in pairwise(uniform) if b == a + 1 and looks[a].kind != looks[b].kind]
-    named = [pair for pair in pairs if all(_named(looks[k]) & {looks[k].kind} for k in pair)]
-    outer = [pair for pair in pairs if pair[1] == len(looks) - 1 or pair[0] == 0]
-    true = (*named, *outer[::-1], (-1, -1))[0]
-    found: dict[int, Axis] = {}
-    for k in uniform:
-        striped = [one.axis for one in (*looks[k:], *looks[k::-1]) if one.kind == "striped"]
-        by_name = [axis for axis in AXES if axis in _named(looks[k])]
-        if k not in true and (by_name or striped):
-            found[k] = (by_name or striped)[0]
+    taken = {name for group in phases for name in group.files}
+    striped = _with_grey(looks, striped, taken)
+    means = {axis: _mean(looks, phases, axis) for axis in AXES}
+
+    def bits_along(axes: dict[int, Axis], axis: Axis) -> Bits:
+        return bits_of(looks, sorted(k for k in axes if axes[k] == axis), axis, means[axis])
+
+    def cost(axes: dict[int, Axis]) -> float:
+        return sum(bits_along(axes, axis).cost for axis in set(axes.values()))
+
+    # A coarse phase step may look like white or black.
+    others = [replace(one, kind="phase") if one.file in taken else one for one in looks]
+    is_paired = any(bits_along(striped, axis).inverses for axis in set(striped.values()))
+    is_needed = bool(striped) and not (phases or is_paired)
+    plain = choose_plain(others, striped, cost, needs_uniform=is_needed)
+    bits = {axis: arranged(bits_along(striped | plain.bits, axis)) for axis in AXES}
+    if not all(one.is_by_names for one in bits.values()):
+        plain = replace(plain, is_certain=False)
+    doubts = _plain_doubts(looks, plain, is_needed=is_needed)
+    return bits, plain, doubts + [doubt for axis in AXES for doubt in bits[axis].doubts]
+
+
+def _with_axes(looks: Sequence[Look]) -> list[Look]:
+    """Return the looks, where the axis is hardly seen with that of both neighbours by name."""
+    result = list(looks)
+    certain = [k for k, one in enumerate(looks) if _is_striped(one) and one.certainty >= CERTAIN]
+    for k, one in enumerate(looks):
+        if not _is_striped(one) or one.certainty >= CERTAIN:
+            continue
+        near = [n for n in certain if n < k][-1:] + [n for n in certain if n > k][:1]
+        axes = {looks[n].axis for n in near}
+        if len(axes) == 1 and one.axis not in axes:
+            axis = axes.pop()
+            result[k] = replace(one, axis=axis, frequency=peak(one.along[axis]))
+    return result
+
+
+def _is_striped(one: Look) -> bool:
+    return one.kind in ("striped", "faint")
+
+
+def _fringes(
+    looks: Sequence[Look],
+) -> tuple[list[FrameGroup], dict[int, Axis], list[str]]:
+    """Return the phase sets, the axis of the striped images that are bits by index, and doubts."""
+    phases = stepped_sets(looks)
+    taken = {name for group in phases for name in group.files}
+    for axis in AXES:
+        striped = [o for o in looks if _is_striped(o) and o.axis == axis and o.file not in taken]
+        phases += phase_sets(striped, axis)[0]
+    taken = {name for group in phases for name in group.files}
+    coarse, doubts = coarse_sets(looks, phases, taken)
+    phases = with_whole_ratios(looks, [*phases, *coarse])
+    taken |= {name for group in coarse for name in group.files}
+    rest = [one for one in looks if one.file not in taken and one.kind == "striped"]
+    lone = [one for axis in AXES for one in lone_fringes([o for o in rest if o.axis == axis])]
+    if lone:
+        names = ", ".join(one.file for one in lone)
+        doubts.append(
+            f"{names}: look like fringes, but are no equal steps of a turn, left out; one may be"
+            " missing"
+        )
+    doubts += _repeated(phases, looks)
+    excluded = {one.file for one in lone}
+    bits = {
+        k: one.axis
+        for k, one in enumerate(looks)
+        if one.kind == "striped" and one.file not in taken | excluded
+    }
+    return phases, bits, doubts
+
+
+def _repeated(phases: Sequence[FrameGroup], looks: Sequence[Look]) -> list[str]:
+    """Return doubts about sets of one axis whose periods can hardly be told from each other."""
+    doubts = []
+    for number, one in enumerate(phases):
+        for other in phases[:number]:
+            length = looks[0].along[one.axis or "column"].shape[1]
+            difference = abs(one.frequency - other.frequency) * length
+            if one.axis == other.axis and difference < SAME_PERIOD_CYCLES:
+                doubts.append(
+                    f"{one.files[0]} ...: has the period of {other.files[0]} ...; the same set"
+                    " twice, or two periods that this view does not resolve"
+                )
+    return doubts
+
+
+def _mean(looks: Sequence[Look], phases: Sequence[FrameGroup], axis: Axis) -> FloatImage | None:
+    by_file = {one.file: one for one in looks}
+    first = next((one for one in phases if one.axis == axis), None)
+    if first is None:
+        return None
+    return np.asarray(
+        phasor([by_file[name] for name in first.files], first.shifts_deg, axis).mean, np.float32
+    )
+
+
+def _with_grey(looks: Sequence[Look], bits: dict[int, Axis], taken: set[str]) -> dict[int, Axis]:
+    """Add images of hardly resolved stripes that follow the bits, by the order of their names."""
+    found = dict(bits)
+    for k, one in enumerate(looks):
+        if one.kind in ("faint", "grey") and one.file not in taken:
+            near = [n for n in found if 0 < k - n <= NEAR_NAMES]
+            if near:
+                found[k] = found[max(near)]
     return found
 
 
-def _as_bits(steady: Sequence[Look], striped: Sequence[Look]) -> list[Look]:
-    """Return uniform images as bits that are 1 or 0 all along the lines of the others."""
-    lit = striped[0].is_lit
-    return [
-        replace(
-            one,
-            axis=striped[0].axis,
-            frequency=0.0,
-            lines=np.where(lit, 0.5 if one.kind == "white" else -0.5, 0.0),
-            is_lit=lit,
+def _plain_doubts(looks: Sequence[Look], plain: PlainLooks, *, is_needed: bool) -> list[str]:
+    doubts = []
+    shown = [k for k in (plain.white, plain.black) if k is not None]
+    if plain.bits and not plain.is_certain:
+        names = ", ".join(looks[k].file for k in sorted(plain.bits))
+        doubts.append(f"{names}: without stripes, taken for bits that do not change in this view")
+    if shown and not plain.is_certain:
+        names = " and ".join(looks[k].file for k in shown)
+        doubts.append(f"{names}: taken for white and black, may be bits as well")
+    if len(shown) == 1:
+        lacking = "black" if plain.black is None else "white"
+        doubts.append(f"{looks[shown[0]].file}: there is no {lacking} image to it, needs both")
+    if is_needed and len(shown) < 2:
+        doubts.append(
+            "gray: neither inverse images nor white and black, nothing to compare the bits with"
         )
-        for one in steady
-    ]
+    return doubts
 
 
-def _phase_sets(looks: Sequence[Look], axis: Axis) -> tuple[list[FrameGroup], list[Look]]:
-    """Return the phase sets among images of one axis, and the other images."""
-    rest, sets = list(looks), []
-    for first in looks:
-        same = [one for one in rest if _is_same(one, first)]
-        shifts = _even_steps(same)
-        if first not in rest or shifts is None:
-            continue
-        rest = [one for one in rest if one not in same]
-        files = tuple(one.file for one in same)
-        sets.append(FrameGroup("phase", axis, files, shifts, _frequency(same, shifts)))
-    return sets, rest
-
-
-def _frequency(looks: Sequence[Look], shifts_deg: tuple[float, ...]) -> float:
-    """Return by how much the phase of a set grows from pixel to pixel, turns.
-
-    Unlike the peak of a spectrum it is right for a single fringe as well.
-    """
-    shifts = np.radians(shifts_deg)
-    z = np.tensordot(np.exp(-1j * shifts), np.stack([one.lines for one in looks]), axes=1)
-    both = looks[0].is_lit[:, 1:] & looks[0].is_lit[:, :-1]
-    return abs(float(np.angle(np.sum((z[:, 1:] * np.conj(z[:, :-1]))[both])))) / (2.0 * np.pi)
-
-
-def _is_same(one: Look, other: Look) -> bool:
-    length = one.lines.shape[1]
-    is_few = other.frequency * length < FEW_CYCLES
-    apart = abs(one.frequency - other.frequency) * length
-    return bool(apart < (SAME_OF_FEW if is_few else SAME_CYCLES))
-
-
-def _even_steps(looks: Sequence[Look]) -> tuple[float, ...] | None:
-    """Return the shifts, degrees, if the phases of these images are equal steps of a turn."""
-    count = len(looks)
-    if count < 3 or np.median([one.smooth for one in looks]) < SMOOTH:
-        return None
-    at = round(
-        float(np.median([one.frequency for one in looks])) * PADDED * looks[0].lines.shape[1]
-    )
-    values = [spectrum(one.lines)[:, max(at - PADDED, 1) : at + PADDED + 1] for one in looks]
-    phases = [float(np.angle(np.sum(value * np.conj(values[0])))) for value in values]
-    steps = np.array(phases) * count / (2.0 * np.pi)
-    whole = np.rint(steps)
-    is_even = bool(np.all(np.abs(steps - whole) < EVEN)) and len(set(whole % count)) == count
-    return tuple(float(k % count) * 360.0 / count for k in whole) if is_even else None
-
-
-def _bits(looks: Sequence[Look], axis: Axis) -> tuple[list[FrameGroup], list[str]]:
-    """Return bits and inverses, the coarsest first."""
-    gray: list[Look] = []
-    inverse: dict[str, Look] = {}
-    # Steady bits are anybody's opposite: they are paired only where the others are.
-    striped = [one for one in looks if one.kind == "striped"]
-    has_pairs = any(_are_opposite(one, other) for one, other in combinations(striped, 2))
+def _left_out(
+    looks: Sequence[Look], groups: Sequence[FrameGroup], doubts: Sequence[str]
+) -> list[str]:
+    """Return a line for each image that is in no group and no doubt so far."""
+    listed = {name for group in groups for name in group.files}
+    plain = {group.kind: group.files[0] for group in groups if group.axis is None}
+    named_before = {name for doubt in doubts if "left out" in doubt for name in _files(doubt)}
+    result = []
     for one in looks:
-        partner = (
-            None
-            if not has_pairs
-            else next((g for g in gray if g.file not in inverse and _are_opposite(g, one)), None)
-        )
-        if partner is None:
-            gray.append(one)
-        else:
-            inverse[partner.file] = one
-    gray.sort(key=_changes)
-    if not gray:
-        return [], []
-    told = []
-    if inverse and len(inverse) < len(gray):
-        lone = [one.file for one in gray if one.file not in inverse]
-        told.append(f"{', '.join(lone)}: no inverse found along {axis}, though others have theirs")
-        gray = [one for one in gray if one.file in inverse]
-    finest = gray[-1].frequency
-    groups = [FrameGroup("gray", axis, tuple(one.file for one in gray), (), finest)]
-    if inverse:
-        files = tuple(inverse[one.file].file for one in gray)
-        groups.append(FrameGroup("inverse", axis, files, (), finest))
-        told.append(
-            f"{gray[0].file}: taken for the bit, {files[0]} for its inverse, as it comes first"
-        )
-    return groups, told
+        if one.file in listed | named_before:
+            continue
+        like = f"{one.kind} like {plain[one.kind]}" if one.kind in plain else one.kind
+        if one.kind in ("grey", "faint"):
+            like = "uniform, but neither white nor black"
+        result.append(f"{one.file}: {like}, left out")
+    return result
 
 
-def _anchored(
-    phase: FrameGroup, bits: FrameGroup, looks: Sequence[Look], word: str, length_px: int
-) -> FrameGroup:
-    """Return a phase set with the shifts that its words tell, and their sign.
-
-    The words n - 1 and n, w wide, meet at x = n w - 1/2. The frames are cos(v + s_n) with v growing
-    along the line; where the words fall along it v = c - 2 pi x / p, otherwise c + 2 pi x / p.
-    Wanted are shifts t_n with cos(2 pi x / p + sign t_n): t_n = s_n + c.
-    """
-    by_file = {one.file: one for one in looks}
-    shifts = np.radians(phase.shifts_deg)
-    frames = np.stack([by_file[name].lines for name in phase.files])
-    z = np.tensordot(np.exp(-1j * shifts), frames, axes=1)
-    levels = np.stack([by_file[name].lines > 0.0 for name in bits.files])
-    binary = levels if word == "binary" else np.logical_xor.accumulate(levels)
-    number = np.tensordot(2.0 ** np.arange(len(levels))[::-1], binary, axes=1)
-    is_lit = by_file[bits.files[0]].is_lit
-    step = np.diff(number, axis=1)
-    ends = (np.abs(step) == 1.0) & is_lit[:, 1:] & is_lit[:, :-1]
-    if np.count_nonzero(ends) < LEAST_BORDERS:
-        return phase
-    sign = 1 if np.sum(step[ends]) > 0.0 else -1
-    turns = np.maximum(number[:, 1:], number[:, :-1])[ends] / words_per_fringe(phase, bits)
-    middle = (z[:, 1:] + z[:, :-1])[ends]
-    anchor = np.angle(np.sum(middle * np.exp(-2j * np.pi * sign * turns)))
-    period_px = words_per_fringe(phase, bits) * word_px(len(bits.files), length_px)
-    first_deg = math.degrees(float(anchor)) + sign * 180.0 / period_px
-    first_deg = ROUND_DEG * round(first_deg / ROUND_DEG)
-    anchored = tuple((shift + first_deg) % 360.0 for shift in phase.shifts_deg)
-    return FrameGroup("phase", phase.axis, phase.files, anchored, phase.frequency, sign)
+def _files(doubt: str) -> list[str]:
+    return doubt.split(": ")[0].split(", ")
 
 
-def words_per_fringe(phase: FrameGroup, bits: FrameGroup) -> float:
-    """Return how many words one fringe spans: a power of two.
-
-    The finest bit of a reflected word has stripes of two words, a period of four.
-    """
-    return float(2.0 ** round(math.log2(4.0 * bits.frequency / phase.frequency)))
-
-
-def _are_opposite(one: Look, other: Look) -> bool:
-    both = one.is_lit & other.is_lit
-    a, b = one.lines[both], other.lines[both]
-    size = math.sqrt(float(np.sum(a * a) * np.sum(b * b)))
-    return bool(float(np.sum(a * b)) < COMPLEMENTARY * size)
-
-
-def _changes(look: Look) -> float:
-    """Return how often a bit changes along a line."""
-    both = look.is_lit[:, 1:] & look.is_lit[:, :-1]
-    flips = (look.lines[:, 1:] > 0.0) != (look.lines[:, :-1] > 0.0)
-    return int(np.count_nonzero(flips & both)) / max(int(np.count_nonzero(both)), 1)
-
-
-def _word(looks: Sequence[Look], bits: Sequence[FrameGroup]) -> str:
-    by_file = {one.file: one for one in looks}
-    gray = [by_file[name] for name in bits[0].files]
-    flips = np.stack([(one.lines[:, 1:] > 0.0) != (one.lines[:, :-1] > 0.0) for one in gray])
-    count = flips.sum(axis=0)
-    share = int(np.count_nonzero(count > 1)) / max(int(np.count_nonzero(count)), 1)
-    return "binary" if share > MANY_CHANGE and len(gray) > 2 else "reflected"
-
-
-def _doubts(looks: Iterable[Look]) -> list[str]:
+def _look_doubts(looks: Iterable[Look], groups: Sequence[FrameGroup]) -> list[str]:
     """Say where content is not clear, or names say something else."""
-    told = []
+    shown = {name: group for group in groups for name in group.files}
+    doubts = []
     for one in looks:
-        if one.kind in ("white", "black") and _named(one) & set(AXES):
+        group = shown.get(one.file)
+        if group is None:
             continue
-        seen = one.kind if one.kind != "striped" else one.axis
-        if one.kind == "striped" and one.certainty < CERTAIN:
-            told.append(f"{one.file}: stripes along {one.axis} are hardly clearer than across")
-        named = _named(one)
-        if (
-            named
-            and seen not in named
-            and not (one.kind == "striped" and named & {"white", "black"})
-        ):
-            told.append(
-                f"{one.file}: looks like {seen}, its name says {' and '.join(sorted(named))}"
+        says = named(one)
+        seen = group.axis or group.kind
+        if says & set(AXES) and group.axis and group.axis not in says:
+            doubts.append(
+                f"{one.file}: looks like {seen}, its name says {' and '.join(sorted(says))}"
             )
-    return told
+        if not group.axis and says and group.kind not in says:
+            doubts.append(
+                f"{one.file}: looks like {seen}, its name says {' and '.join(sorted(says))}"
+            )
+        if group.kind != "phase" and one.kind == "striped" and one.certainty < CERTAIN:
+            doubts.append(f"{one.file}: stripes along {one.axis} are hardly clearer than across")
+    return doubts
 
 
-def _named(look: Look) -> set[str]:
-    """Return what the name of an image says."""
-    padded = f"_{look.file.lower()}_"
-    return {name for name, parts in NAMED.items() if any(part in padded for part in parts)}
-
-
-def word_px(bits: int, length_px: int) -> float:
-    """Return the width of a word: the power of two with which so many bits just cover the image."""
-    least = length_px / 2.0**bits
-    return max(2.0 ** math.ceil(math.log2(least) - 1e-9), 1.0)
+def _unnumbered(phase: FrameGroup, looks: Sequence[Look]) -> list[str]:
+    cycles = phase.frequency * looks[0].along[phase.axis or "column"].shape[1]
+    if cycles < SEVERAL_FRINGES:
+        return []
+    return [
+        f"{phase.files[0]} ...: about {cycles:.0f} fringes of one period along {phase.axis} and"
+        " nothing that numbers them; images may be missing"
+    ]

@@ -2,15 +2,18 @@
 
 import json
 import math
-from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
 
-from reconstruction.capture.guess import FrameGroup, Guess, word_px, words_per_fringe
-from reconstruction.capture.image_looks import LookedAt
+from reconstruction.capture.guess import Guess
+from reconstruction.capture.image_looks import FrameGroup, LookedAt
+from reconstruction.capture.phase_anchor import word_px, words_per_fringe
 from reconstruction.errors import CaptureError
-from reconstruction.patterns import Axis
+from reconstruction.patterns import AXES, Axis
 
 ASSUMED_FULL_WELL_E = 10_000.0
+# With fewer fringes of the coarsest period in view, that period is taken to cover the projector.
+MOST_CYCLES = 1.6
 
 
 def written(found: Guess, size: tuple[int, int], *, is_known: bool = True) -> str:
@@ -35,8 +38,7 @@ def written(found: Guess, size: tuple[int, int], *, is_known: bool = True) -> st
         f"height_px = {height_px}",
     ]
     for group in found.groups:
-        length_px = width_px if group.axis == "column" else height_px
-        lines += ["", *_group_lines(group, found.groups, length_px)]
+        lines += ["", *_group_lines(group, found, size)]
     return "\n".join(line for line in [*lines, "", *_sensor_lines(found.looked)]) + "\n"
 
 
@@ -53,38 +55,92 @@ def _depth(looked: LookedAt) -> int:
     return min(max(math.ceil(math.log2(looked.largest + 1.0)), 8), 16)
 
 
-def _group_lines(group: FrameGroup, groups: Sequence[FrameGroup], length_px: int) -> list[str]:
-    lines = ["[[frames]]", f"files = {json.dumps(list(group.files))}", f'kind = "{group.kind}"']
+def _group_lines(group: FrameGroup, found: Guess, size: tuple[int, int]) -> list[str]:
+    files = json.dumps(list(group.files))
+    doubtful = any(name in text for text in found.unsure for name in group.files)
+    lines = ["[[frames]]", f"files = {files}", f'kind = "{group.kind}"']
+    lines[1] += "  # unsure: see above" * doubtful
     if group.axis is None:
         return lines
     lines.append(f'axis = "{group.axis}"')
-    period_px = _period_px(group, groups, length_px)
-    told = "  # unsure: follows from the size of the projector"
-    if group.kind == "phase" or not _phases(groups, group.axis):
-        lines.append(f"period_px = {period_px:.6g}{told}")
+    if group.kind == "phase" or not _phases(found, group.axis):
+        period_px = _period_px(group, found, size)
+        lines.append(
+            f"period_px = {period_px:.6g}  # unsure: follows from the size of the projector"
+        )
     if group.kind == "phase":
         lines.append(f"shift_deg = {json.dumps([round(shift, 4) for shift in group.shifts_deg])}")
         lines.append(f"sign = {group.sign or 1}")
-        if not group.sign:
+        if group.sign:
+            lines[-2] += "  # unsure: as the first word begins at projector pixel 0"
+        else:
             lines[-1] += "  # unsure: -1 if the camera sees the projector mirrored"
             lines[-2] += "  # unsure: of the first image 0 is assumed"
     return lines
 
 
-def _phases(groups: Sequence[FrameGroup], axis: Axis | None) -> list[FrameGroup]:
-    return [one for one in groups if one.kind == "phase" and one.axis == axis]
+def _phases(found: Guess, axis: Axis | None) -> list[FrameGroup]:
+    return [one for one in found.groups if one.kind == "phase" and one.axis == axis]
 
 
-def _period_px(group: FrameGroup, groups: Sequence[FrameGroup], length_px: int) -> float:
+def _period_px(group: FrameGroup, found: Guess, size: tuple[int, int]) -> float:
     """Return a period, px, with which all of them cover the projector."""
-    bits = next((g for g in groups if g.kind == "gray" and g.axis == group.axis), None)
+    length_px = size[AXES.index(group.axis or "column")]
+    bits = next((g for g in found.groups if g.kind == "gray" and g.axis == group.axis), None)
     if bits is not None:
-        width_px = word_px(len(bits.files), length_px)
+        width_px = _word_px(bits, found, size)
         if group.kind != "phase":
             return width_px
-        return words_per_fringe(group, bits) * width_px
-    coarsest = min(one.frequency for one in _phases(groups, group.axis))
-    return length_px * coarsest / group.frequency
+        return words_per_fringe(group, bits, found.word) * width_px
+    return length_px * _covering(found, group.axis) / group.frequency
+
+
+def _word_px(bits: FrameGroup, found: Guess, size: tuple[int, int]) -> float:
+    """Return the width of a word, px.
+
+    A power of two, unless that leaves out words that are seen, or all words are needed to number
+    fringes of whole pixels.
+    """
+    length_px = size[AXES.index(bits.axis or "column")]
+    power_px = word_px(len(bits.files), length_px)
+    last = next((one.last for one in found.words if one.axis == bits.axis), 0)
+    if last * power_px >= length_px:
+        return length_px / 2.0 ** len(bits.files)
+    if (last + 2) * power_px >= length_px:
+        return power_px
+    exact_px = _whole_fringes(found, size)
+    return exact_px.get(bits.axis, power_px)
+
+
+def _whole_fringes(found: Guess, size: tuple[int, int]) -> dict[Axis | None, float]:
+    """Return the width of a word along each axis, px, if the bits number exactly all words.
+
+    Empty where the fringes would not be whole pixels along all axes.
+    """
+    widths: dict[Axis | None, float] = {}
+    for bits in (one for one in found.groups if one.kind == "gray"):
+        width_px = size[AXES.index(bits.axis or "column")] / 2.0 ** len(bits.files)
+        widths[bits.axis] = width_px
+        fringes = [
+            words_per_fringe(g, bits, found.word) * width_px for g in _phases(found, bits.axis)
+        ]
+        if not fringes or any(period_px != round(period_px) for period_px in fringes):
+            return {}
+    return widths
+
+
+def _covering(found: Guess, axis: Axis | None) -> float:
+    """Return the frequency of what covers the projector: the coarsest period, or the beat.
+
+    Periods of which the view shows several fringes each number one another by their beats.
+    """
+    rates = sorted(one.frequency for one in _phases(found, axis))
+    cycles = rates[0] * found.looked.looks[0].along[axis or "column"].shape[1]
+    if cycles < MOST_CYCLES or not 2 <= len(rates) <= 3:
+        return rates[0]
+    beats = [b - a for a, b in pairwise(rates)]
+    beat = beats[0] if len(beats) == 1 else abs(beats[1] - beats[0])
+    return beat if beat > 0.0 else rates[0]
 
 
 def _sensor_lines(looked: LookedAt) -> list[str]:

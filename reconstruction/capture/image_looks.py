@@ -9,7 +9,7 @@ within those along columns. Frequencies are peaks of the mean power spectrum of 
 """
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -23,13 +23,21 @@ from reconstruction.errors import CaptureError
 from reconstruction.patterns import Axis
 
 SUFFIXES = (".png", ".bmp", ".tif", ".tiff", ".exr", ".pgm", ".npy")
-LINES = 32
+LINES = 64
 # A pixel takes part where it changes by this share of what the well-lit ones change.
 LIT_SHARE = 0.3
 # Variance of u below which an image is uniform; its mean beyond which it is white or black.
 UNIFORM, WHITE, BLACK = 0.03, 0.7, 0.3
+# Variance of u and ratio of both directions from which stripes of little contrast are seen.
+FAINT, FAINT_RATIO = 0.001, 2.5
 # A pixel whose u comes that close to 0 or 1 is dark or bright.
 EXTREME = 0.15
+NAMED = {
+    "white": ("white", "bright", "full_on"),
+    "black": ("black", "dark", "full_off"),
+    "column": ("column", "col_", "vertical", "_x_", "_v_"),
+    "row": ("row", "horizontal", "_y_", "_h_"),
+}
 # Zeros added to the lines, in lengths: finer steps of the spectrum.
 PADDED = 8
 
@@ -42,12 +50,12 @@ class Look:
     ----------
     file : below the folder
     mean : of u
-    kind : "white", "black", "grey" or "striped"
+    kind : "white", "black", "grey", "striped", or "faint": stripes of little contrast
     axis, certainty : along which it varies, and by how much more than along the other, >= 1
     frequency : of the stripes, cycles per camera pixel along the axis
     smooth : share of the pixels that are neither dark nor bright
-    lines : (line, sample) u - 1/2 along the axis, 0 where it is not lit
-    is_lit : (line, sample)
+    along : (line, sample) u - 1/2 of the lines along each axis, 0 where they are not lit
+    lit : (line, sample) where they are, along each axis
     """
 
     file: str
@@ -57,8 +65,38 @@ class Look:
     certainty: float
     frequency: float
     smooth: float
-    lines: FloatImage
-    is_lit: BoolImage
+    along: Mapping[Axis, FloatImage]
+    lit: Mapping[Axis, BoolImage]
+
+    @property
+    def lines(self) -> FloatImage:
+        """Those along its axis."""
+        return self.along[self.axis]
+
+    @property
+    def is_lit(self) -> BoolImage:
+        """Where those along its axis are lit."""
+        return self.lit[self.axis]
+
+
+@dataclass(frozen=True)
+class FrameGroup:
+    """Images that stand in one [[frames]] table.
+
+    Parameters
+    ----------
+    files : in the order shown
+    shifts_deg : of phase frames; relative to the first, unless a sign is known
+    frequency : cycles per camera pixel; of bits those of the finest
+    sign : of the shifts; 0: not known
+    """
+
+    kind: str
+    axis: Axis | None
+    files: tuple[str, ...]
+    shifts_deg: tuple[float, ...] = ()
+    frequency: float = 0.0
+    sign: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,17 +198,22 @@ def _look(name: str, u: dict[Axis, FloatArray], lit: dict[Axis, BoolImage]) -> L
     strengths = {axis: _strength(u[axis], lit[axis]) for axis in u}
     column, row = strengths["column"], strengths["row"]
     axis: Axis = "column" if column >= row else "row"
-    whole = float(np.var(u["column"][lit["column"]])) if lit["column"].any() else 0.0
-    lines = np.where(lit[axis], u[axis] - 0.5, 0.0)
-    kind = "striped"
-    if whole < UNIFORM:
-        darker = "black" if mean < BLACK else "grey"
-        kind = "white" if mean > WHITE else darker
-    between = np.abs(lines[lit[axis]]) < 0.5 - EXTREME
     certainty = max(column, row) / max(min(column, row), 1e-9)
-    frequency = peak(lines) if kind == "striped" else 0.0
+    whole = float(np.var(u["column"][lit["column"]])) if lit["column"].any() else 0.0
+    along = {one: np.where(lit[one], u[one] - 0.5, 0.0) for one in u}
+    kind = _kind(whole, mean, certainty)
+    between = np.abs(along[axis][lit[axis]]) < 0.5 - EXTREME
+    frequency = peak(along[axis]) if kind in ("striped", "faint") else 0.0
     smooth = float(np.mean(between)) if between.size else 0.0
-    return Look(name, mean, kind, axis, certainty, frequency, smooth, lines, lit[axis])
+    return Look(name, mean, kind, axis, certainty, frequency, smooth, along, lit)
+
+
+def _kind(variance: float, mean: float, certainty: float) -> str:
+    if variance >= UNIFORM:
+        return "striped"
+    if not BLACK <= mean <= WHITE:
+        return "white" if mean > WHITE else "black"
+    return "faint" if variance > FAINT and certainty > FAINT_RATIO else "grey"
 
 
 def _strength(u: FloatArray, is_lit: BoolImage) -> float:
@@ -195,3 +238,9 @@ def peak(lines: FloatImage) -> float:
     """Return the strongest frequency of the lines, cycles per sample."""
     power = np.sum(np.abs(spectrum(lines)) ** 2, axis=0)
     return float(max(int(np.argmax(power)), 1) / (PADDED * lines.shape[1]))
+
+
+def named(look: Look) -> set[str]:
+    """Return what the name of an image says."""
+    padded = f"_{look.file.lower()}_"
+    return {name for name, parts in NAMED.items() if any(part in padded for part in parts)}
