@@ -42,17 +42,19 @@ class CombinedUncertainty:
     noise : of the points, propagated through the fit
     repeatability : of setting up and measuring again
     calibration : of what the sensor was calibrated with
+    elastomer : of the thickness that is taken off between coat and object
     """
 
     noise: float
     repeatability: float = 0.0
     calibration: float = 0.0
     coverage_factor: float = 2.0
+    elastomer: float = 0.0
 
     @property
     def standard(self) -> float:
         """Combined standard uncertainty."""
-        return hypot(self.noise, self.repeatability, self.calibration)
+        return hypot(self.noise, self.repeatability, self.calibration, self.elastomer)
 
     @property
     def expanded(self) -> float:

@@ -19,6 +19,9 @@ Range = tuple[float, float]
 LENGTHS: tuple[Quantity, ...] = ("step_height", "depth", "width", "radius", "resolution")
 """Quantities in mm, which have a nominal value."""
 
+HIDDEN: tuple[Quantity, ...] = ("step_height", "depth", "width", "radius")
+"""Lengths that a coat on the far face of an elastomer shows otherwise than the object has them."""
+
 LIMITED: tuple[Quantity, ...] = ("form", "deviation")
 """Quantities in um, which ought to be 0."""
 

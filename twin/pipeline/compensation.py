@@ -24,7 +24,6 @@ from reconstruction.compensation import (
     SheetOpening,
     calibrate_sheet,
     compensate_gel,
-    compensate_sheet,
     relief_on_frame,
 )
 from reconstruction.errors import InputError
@@ -51,7 +50,7 @@ from twin.mechanics.layouts import WINDOW_MARGIN, coat_film
 from twin.output import EXPERIMENT_FILE, output_folder, write_outcome
 from twin.pipeline.dimensions import RECONSTRUCTION_FILE
 from twin.pipeline.progress import ProgressCallback, no_progress
-from twin.pipeline.slab_object import calibrate_slab, fit_slab, sigma_of_modulus, slab_object
+from twin.pipeline.slab_object import calibrate_slab, fit_slab, slab_object
 from twin.results.compensated import (
     contact_arrays,
     load_figures,
@@ -61,6 +60,13 @@ from twin.results.compensated import (
 from twin.results.features import bars_of
 from twin.results.names import COMPENSATED, may_compensate
 from twin.results.record import Fringes, Measurement
+from twin.results.under_sheet import (
+    SheetCompensation,
+    compensated_sheet,
+    sheet_compensation,
+    sheet_layer,
+    sigma_of_modulus,
+)
 from twin.specimens import shape_of
 
 CONTACT_FILE, LAYER_FILE = "contact.nc", "layer.toml"
@@ -165,6 +171,8 @@ def compensate_points(
             "are found under a sheet of up to 1 mm with no film, under a thicker slab with a "
             "rectangular rim, or with layout = 'contact_face'"
         )
+    if thin:
+        return compensated_sheet(points, layer)
     valid = points.valid
     if not valid.any():
         raise InputError("compensate: found no valid point; look at the mask's reasons")
@@ -172,8 +180,6 @@ def compensate_points(
     sigma_mm = at_pixels(points.sigma_z_mm, valid).astype(np.float64)
     if on_window:
         return _on_gel(found, sigma_mm, layer)
-    if thin:
-        return compensate_sheet(found, sigma_mm, sheet_layer(layer))
     return fit_slab(found, sigma_mm, slab_object(layer, specimen))
 
 
@@ -301,39 +307,36 @@ def _known_travel(layer: SensorLayer) -> KnownTravel | None:
     return KnownTravel(travel_mm, float(np.hypot(sigma_mm, layer.sigma.plane_mm)))
 
 
-def sheet_layer(layer: SensorLayer) -> SheetLayer:
-    """Return the layer as the thin sheet's equations take it."""
-    elastomer, sigma = layer.elastomer, layer.sigma
-    modulus = young_modulus(elastomer)
-    return SheetLayer(
-        frame=SheetOpening(
-            elastomer.length_x_mm, elastomer.length_y_mm, elastomer.outline == "round"
-        ),
-        thickness_mm=elastomer.thickness_mm,
-        young_modulus_kpa=modulus.best_kpa,
-        pre_stretch=elastomer.pre_stretch,
-        rim_compliance_mm2_per_n=elastomer.rim_compliance_mm2_per_n,
-        back_pressure_kpa=layer.press.back_pressure_kpa,
-        sticks=elastomer.sticks,
-        sigma_thickness_mm=sigma.thickness_mm,
-        sigma_young_modulus_kpa=sigma_of_modulus(layer),
-        sigma_pre_stretch=sigma.pre_stretch,
-        sigma_rim_compliance_mm2_per_n=sigma.rim_compliance_mm2_per_n,
-        sigma_back_pressure_kpa=sigma.back_pressure_kpa,
-    )
-
-
 def with_compensation(done: Measurement, layer: SensorLayer | None = None) -> Measurement:
     """Return a measurement by fringes with the figures of the object behind its coat.
 
     Parameters
     ----------
-    layer : what is believed of elastomer and load; default: the experiment's own
+    layer : assumed elastomer and load; default: those of the measurement, or of the experiment
     """
     if not isinstance(done.images, Fringes):
         return done
-    found = compensated_figures(done.experiment, done.images.reconstruction.point_map, layer)
+    points = done.images.reconstruction.point_map
+    known = done.compensation
+    if known is not None and layer not in (None, known.layer):
+        known = sheet_compensation(done.experiment, points, layer)
+        done = replace(done, compensation=known).with_object()
+    if known is None:
+        found = compensated_figures(done.experiment, points, layer)
+    else:
+        found = _sheet_figures(known)
     return replace(done, metrics={**done.metrics, **found})
+
+
+def _sheet_figures(compensation: SheetCompensation) -> dict[str, Any]:
+    """Return figures of the object under a thin sheet; why, where the points show none."""
+    experiment, under = compensation.experiment, compensation.found
+    if under is None:
+        return {"compensation_failure": compensation.why}
+    layer = compensation.layer or sensor_layer_of(experiment)
+    balls = shape_of(experiment.specimen).spheres()
+    figures = object_figures(under.sheet, balls, _bars(layer, experiment), under.parts)
+    return {key: one for key, one in figures.items() if key.startswith(COMPENSATED)}
 
 
 def compensated_figures(

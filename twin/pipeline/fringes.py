@@ -17,6 +17,7 @@ from reconstruction.pipeline import Reconstruction, reconstruct
 from twin.camera import expose
 from twin.config import digest
 from twin.config.models import Experiment
+from twin.config.sensor_layer import SensorLayer
 from twin.mechanics import PressedElastomer, face_mesh
 from twin.optics.backend import activate
 from twin.optics.checks import check_direct_engine
@@ -32,6 +33,7 @@ from twin.results.figures import Metrics
 from twin.results.parts import taken_figures
 from twin.results.record import Fringes, Measurement, Recording
 from twin.results.score import metrics, score
+from twin.results.under_sheet import sheet_compensation
 
 if TYPE_CHECKING:
     import trimesh
@@ -45,11 +47,12 @@ BoundsOf = Callable[[Experiment, PressedFace, Memory], Callable[[], Metrics]]
 
 @dataclass(frozen=True, eq=False)
 class RunContext:
-    """How a measurement is made: what is kept, who is told, and which repetition it is."""
+    """How a measurement is made: what is kept, who is told, which repetition, which layer."""
 
     memory: Memory
     clock: Stopwatch
     trial: int = 0
+    layer: SensorLayer | None = None
 
     @classmethod
     def alone(cls, clock: Stopwatch | None = None, trial: int = 0) -> "RunContext":
@@ -84,7 +87,7 @@ def measure_fringes(
             ).value
         with run.clock.stage("score"):
             face = None if pressed is None else pressed.pressed
-            done = evaluate(experiment, face, capture.value, points)
+            done = evaluate(experiment, face, capture.value, points, run.layer)
         with run.clock.stage("object"):
             done = done.with_object()
             figures = {} if further is None else further.result()
@@ -96,8 +99,14 @@ def evaluate(
     pressed: PressedElastomer | None,
     recording: Recording,
     reconstruction: Reconstruction,
+    layer: SensorLayer | None = None,
 ) -> Measurement:
-    """Score a reconstruction against the truth, and put everything into one record."""
+    """Score a reconstruction against the truth, and put everything into one record.
+
+    Parameters
+    ----------
+    layer : assumed elastomer and load, by which the object is found; None: the experiment's
+    """
     scored = score(experiment, reconstruction, recording.truth)
     figures = taken_figures(pressed, recording) | metrics(scored)
     figures["warnings"] += decoding_warnings(experiment)
@@ -110,6 +119,7 @@ def evaluate(
         pressed=pressed,
         digest=digest(experiment),
         versions=versions(),
+        compensation=sheet_compensation(experiment, reconstruction.point_map, layer),
     )
 
 

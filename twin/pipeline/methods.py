@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from twin.config import Experiment
+from twin.config.sensor_layer import SensorLayer
 from twin.mechanics import check_press
 from twin.optics.checks import check_renderable
 from twin.pipeline.bound import bounds_of
@@ -23,6 +24,8 @@ def measure(
     memory: Memory | None = None,
     trial: int = 0,
     bound: bool = False,
+    *,
+    layer: SensorLayer | None = None,
 ) -> Measurement:
     """Run one virtual measurement.
 
@@ -32,6 +35,8 @@ def measure(
     trial : repetition with new temporal noise
     bound : also say among the figures how well each dimension can be known, see
         `twin.results.bound`
+    layer : assumed elastomer and load, by which the object under a thin sheet is found; None:
+        those of the experiment
 
     Raises
     ------
@@ -39,7 +44,7 @@ def measure(
     MissingBackend : no usable Dr.Jit backend
     """
     check_measurands(experiment)
-    run = RunContext(Memory() if memory is None else memory, Stopwatch(watch), trial)
+    run = RunContext(Memory() if memory is None else memory, Stopwatch(watch), trial, layer)
     if not experiment.method.fringes:
         return measure_colours(experiment, run)
     return measure_fringes(experiment, run, bounds_of if bound else None)

@@ -36,6 +36,7 @@ from twin.pipeline.slab_model import (
     with_modulus,
     with_value,
 )
+from twin.results.under_sheet import sigma_of_modulus
 from twin.specimens import shape_of
 
 # Finer than the slab's own filter by far, and coarser than a pixel: a cell's mean differs from its
@@ -235,14 +236,6 @@ def _force(asked: SlabObject) -> KnownForce | None:
     return (
         None if force is None else KnownForce(force, float(np.hypot(sigma, _FORCE_THEORY * force)))
     )
-
-
-def sigma_of_modulus(layer: SensorLayer) -> float:
-    """Return the modulus' standard uncertainty: given, or that of all its range as likely."""
-    if layer.sigma.young_modulus_kpa is not None:
-        return layer.sigma.young_modulus_kpa
-    modulus = young_modulus(layer.elastomer)
-    return float((modulus.high_kpa - modulus.low_kpa) / np.sqrt(12.0))
 
 
 def _compensated(relief: Relief, fitted: FittedSlab, model: PressedCoat) -> CompensatedSlab:

@@ -382,7 +382,10 @@ QUANTITIES = (
     Quantity("pixels with a wrong fringe order", _figure("wrong_order_pixels", "d")),
     Quantity("saturated pixel values", _figure("saturated_share", ".2%")),
     Quantity("exposure (ms)", _exposure),
-    Quantity("fitted sphere radii (mm)", _of_balls(lambda b: f"{b.measured.radius_mm:.3f}")),
+    Quantity(
+        "coat or surface seen: fitted sphere radii (mm)",
+        _of_balls(lambda b: f"{b.measured.radius_mm:.3f}"),
+    ),
     Quantity("the same on the true surface", _of_balls(lambda b: f"{b.true_face.radius_mm:.3f}")),
     Quantity("sphere-fit RMSE (µm)", _of_balls(lambda b: f"{1e3 * b.measured.stats.rmse_mm:.2f}")),
     Quantity(

@@ -11,7 +11,7 @@ from typing import Protocol
 from twin.pipeline.progress import ProgressCallback, no_progress
 from twin.report.certificate import certificate
 from twin.report.experiment import appendix
-from twin.report.object import object_section, object_sentence, object_verdict
+from twin.report.object import object_lines, object_section, object_verdict
 from twin.report.page import (
     REPORT_FILE,
     STAGE,
@@ -93,11 +93,15 @@ def page_of(measured: Measurement) -> Page:
 
 def summary_table(measured: Measurement) -> str:
     """Return the result of a measurement as a short plain-text table, at most 100 columns."""
-    fits = fit_table(measured, decoders=False)
-    head = [f"{measured.experiment.name}, sphere fits", fits.as_text()] if fits else []
+    found = [
+        textwrap.fill(f"object: {line}", 100, subsequent_indent="  ")
+        for line in object_lines(measured)
+    ]
     lines = _by_method(measured).sentences(measured)
-    told = textwrap.wrap(object_sentence(measured), 100, subsequent_indent="  ")
-    return "\n".join([*head, *measured.score.unfitted, *lines, *told])
+    fits = fit_table(measured, decoders=False)
+    tail = [f"{fits.title} (mm):", fits.as_text()] if fits else []
+    head = f"{measured.experiment.name}, by {measured.experiment.method.title}"
+    return "\n".join([head, *found, *lines, *tail, *measured.score.unfitted])
 
 
 def _by_method(measured: Measurement) -> MethodReport:

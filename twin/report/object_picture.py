@@ -31,7 +31,7 @@ from twin.report.canvas import (
 from twin.report.page import Figure
 from twin.report.section import Trace, trace_through_apexes
 from twin.report.surfaces import average_on_grid
-from twin.results.object_points import SeenObject
+from twin.results.object_points import ObjectPoints, SeenObject
 from twin.results.object_score import MeasuredQuantity
 from twin.results.record import Measurement
 from twin.specimens import shape_of
@@ -53,7 +53,7 @@ def object_figure(measured: Measurement) -> Figure:
         "Heights in mm on one scale; points far out are left out. Deviation along the normal, "
         f"offset taken off, where the specimen {touches(measured.experiment)}; elsewhere gray. "
         f"The section shows measured points, the specimen's surface{grown(measured)}, and what "
-        "was fitted; thick points took part.",
+        f"was fitted; thick points took part.{_behind(measured)}",
         "maps of measured relief, true object and deviation, and a section",
         lambda path: draw_object(path, measured),
     )
@@ -65,12 +65,19 @@ def grown(measured: Measurement) -> str:
     return " (grown by the elastomer between)" if seen is not None and seen.surface.skin_mm else ""
 
 
+def _behind(measured: Measurement) -> str:
+    """Say where the object's own points come from, if they are not those of the surface seen."""
+    if not measured.object.under_sheet:
+        return ""
+    return " Deviation and thick points are of the object, the local thickness of the sheet below."
+
+
 def draw_object(path: Path, measured: Measurement) -> None:
     """Draw the picture of `object_figure` as PNG."""
     found = measured.object
     seen, aligned = found.seen, found.aligned["offset"]
     assert seen is not None
-    points, pixel_mm = _shown_points(measured, seen), seen.pixel_mm
+    points, pixel_mm = _shown_points(measured, seen.coat), seen.pixel_mm
     z_true = np.ma.masked_invalid(seen.heights.z_mm + seen.surface.skin_mm)
     low, high = height_scale(points[:, 2])
     half = seen.heights.pitch_mm / 2
@@ -104,9 +111,9 @@ def draw_object(path: Path, measured: Measurement) -> None:
         _draw_section(axes_at(figure, 5.7, 3.95, 4.0, 2.6), measured, seen)
 
 
-def _shown_points(measured: Measurement, seen: SeenObject) -> FloatArray:
+def _shown_points(measured: Measurement, coat: ObjectPoints) -> FloatArray:
     """Return the points (n, xyz) near the true surface, or all where none is."""
-    points, truth = seen.measured.points_mm, measured.truth
+    points, truth = coat.points_mm, measured.truth
     if not truth.measured.any():
         return points
     near = near_truth(points, truth.points_world_mm[truth.measured].astype(np.float64))
@@ -122,9 +129,10 @@ def trace_of(experiment: Experiment) -> Trace:
 
 
 def _draw_section(axes: Axes, measured: Measurement, seen: SeenObject) -> None:
-    trace, points = trace_of(measured.experiment), _shown_points(measured, seen)
+    trace, points = trace_of(measured.experiment), _shown_points(measured, seen.coat)
     place, z = _band(trace, points, seen.pixel_mm)
-    axes.plot(place, z, ".", ms=2.0, color=MEASURED_FILL, label="measured")
+    coat = "measured coat" if measured.experiment.method.presses else "measured"
+    axes.plot(place, z, ".", ms=2.0, color=MEASURED_FILL, label=coat)
     fitted = next((one for one in measured.object.quantities if one.points_mm is not None), None)
     if fitted is not None and fitted.points_mm is not None:
         used, used_z = _band(trace, fitted.points_mm, seen.pixel_mm)

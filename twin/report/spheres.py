@@ -31,6 +31,7 @@ from twin.report.section import Trace, trace_through_apexes
 from twin.report.surfaces import average_on_grid
 from twin.report.table import Cell, Column, Table
 from twin.results.decoders import decoder_name
+from twin.results.object_points import is_covered
 from twin.results.record import Colours, Measurement
 from twin.results.score import SphereScore, region_of, wanted_pixels
 
@@ -61,9 +62,11 @@ def fit_table(measured: Measurement, decoders: bool = True) -> Table | None:
     if not fits:
         return None
     coat = "coat" if measured.experiment.method.presses else "surface"
+    covered = is_covered(measured.experiment)
+    apparent = " These are apparent radii of the coat; the object's are above." if covered else ""
     return Table(
         "sphere_fits",
-        "Sphere fits",
+        "Sphere fits of the coat, apparent radii" if covered else "Sphere fits",
         "",
         _FITS,
         tuple(row for row, _ in fits),
@@ -72,7 +75,7 @@ def fit_table(measured: Measurement, decoders: bool = True) -> Table | None:
             f"{measured.experiment.score.roi_radius_mm:g} mm (lateral) of each apex. |error|: "
             "difference to the nominal radius of the ball. RMSE, MAE, P95: root mean square, mean "
             f"and 95th percentile of the absolute radial residuals. The true {coat} is fitted over "
-            "the same pixels.",
+            f"the same pixels.{apparent}",
         ),
         kinds=tuple(kind for _, kind in fits),
         group="ball",
@@ -91,7 +94,7 @@ def _fits(
     """Yield rows, and how they are shown, of what a ball was measured to be and truly is."""
     coat = "true coat" if measured.experiment.method.presses else "true surface"
     images, nominal_mm = measured.images, ball.nominal.radius_mm
-    label = _measured_label(measured) if decoders else "measured"
+    label = _measured_label(measured) if decoders else _surface_label(measured)
     yield _row(ball.number, label, ball.measured, nominal_mm), "measured"
     if decoders and isinstance(images, Colours):
         for one in images.decoded:
@@ -115,7 +118,12 @@ def _row(ball: int, surface: str, fit: SphereFit, nominal_mm: float) -> dict[str
 
 def _measured_label(measured: Measurement) -> str:
     images = measured.images
-    return f"measured: {decoder_name(images.own)}" if isinstance(images, Colours) else "measured"
+    surface = _surface_label(measured)
+    return f"{surface}: {decoder_name(images.own)}" if isinstance(images, Colours) else surface
+
+
+def _surface_label(measured: Measurement) -> str:
+    return "measured coat" if is_covered(measured.experiment) else "measured"
 
 
 @dataclass(frozen=True, eq=False)

@@ -30,15 +30,20 @@ _UM = 1e3
 
 
 def object_figures(
-    found: Compensated, balls: Sequence[Sphere] = (), bars: Sequence[BarPlace] = ()
+    found: Compensated,
+    balls: Sequence[Sphere] = (),
+    bars: Sequence[BarPlace] = (),
+    parts: Sequence[ObjectPart] | None = None,
 ) -> dict[str, Any]:
     """Return the figures of the object and its contact; units in the names.
 
     Parameters
     ----------
     balls, bars : where they are nominally, so that figures can be named after them
+    parts : of the contact, where they are known; None: they are fitted
     """
-    parts = [] if isinstance(found, CompensatedSlab) else parts_of(found)
+    if parts is None:
+        parts = [] if isinstance(found, CompensatedSlab) else parts_of(found)
     figures: dict[str, Any] = {
         "compensated_force_n": found.force_n,
         "compensated_force_sigma_n": found.force_sigma_n,

@@ -69,20 +69,26 @@ def features_of(specimen: Specimen) -> list[Feature]:
 
 def bars_of(specimen: Specimen) -> list[BarPlace]:
     """Return where bars lie on the stage, in the file's order, their edges taken as exact."""
+    return [place for one in features_of(specimen) for place in bar_places(one)]
+
+
+def bar_places(feature: Feature) -> list[BarPlace]:
+    """Return where the bars of a feature are on the stage; none where it has no bars."""
+    bars, pose = feature.specimen, feature.world_from_own
+    if not isinstance(bars, Bars):
+        return []
+    along = pose.rotation[:, 1]
+    middles = [pose.apply(np.array([across_mm, 0.0, 0.0])) for across_mm in bars.middles_mm]
     return [
         BarPlace(
             x_mm=float(middle[0]),
             y_mm=float(middle[1]),
             along_deg=float(np.rad2deg(np.arctan2(-along[0], along[1]))),
             width_mm=width_mm,
-            length_mm=one.specimen.length_mm,
-            edge_radius_mm=one.specimen.edge_radius_mm,
+            length_mm=bars.length_mm,
+            edge_radius_mm=bars.edge_radius_mm,
         )
-        for one in features_of(specimen)
-        if isinstance(one.specimen, Bars)
-        for along in [one.world_from_own.rotation[:, 1]]
-        for across_mm, width_mm in zip(one.specimen.middles_mm, one.specimen.widths_mm, strict=True)
-        for middle in [one.world_from_own.apply(np.array([across_mm, 0.0, 0.0]))]
+        for middle, width_mm in zip(middles, bars.widths_mm, strict=True)
     ]
 
 

@@ -74,6 +74,7 @@ from twin.results.parts import (
 )
 from twin.results.record import Colours, Fringes, Measurement
 from twin.results.score import Scores, TruthScore, metrics, score
+from twin.results.under_sheet import SheetCompensation, sheet_compensation
 
 IMAGE_FILE, BACKGROUND_FILE, DECODERS_FILE = "image.png", "background.png", "decoders.csv"
 CALIBRATION_FILE, OTHER_CALIBRATION_FILE = "sensor_calibration.npz", "other_calibration.npz"
@@ -182,10 +183,17 @@ def read_measurement(folder: Path) -> Measurement:
         score=scored,
         metrics=figures,
         pressed=read_press(folder / "press.nc") if method.presses else None,
+        compensation=_compensation_of(experiment, images),
         digest=str(result.get("digest", "")),
         versions=result.get("versions", {}),
         seconds=_read_seconds(folder),
     )
+
+
+def _compensation_of(experiment: Experiment, images: Fringes | Colours) -> SheetCompensation | None:
+    if not isinstance(images, Fringes):
+        return None
+    return sheet_compensation(experiment, images.reconstruction.point_map)
 
 
 def as_stored(folder: Path, done: Measurement) -> Measurement:

@@ -8,6 +8,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import fields
 
 from reconstruction.evaluate.conformity import CombinedUncertainty
+from twin.config.measurands import HIDDEN
 from twin.config.models import Experiment
 from twin.config.objects import Nut
 from twin.config.sensor_layer import WANTED
@@ -15,6 +16,7 @@ from twin.mechanics.choice import is_slab, may_wrap
 from twin.results.bound import bound_names, has_bound
 from twin.results.compensated import slab_bound_name, slab_name
 from twin.results.features import bars_of, feature_of, features_of, measurands_of, nominal_mm
+from twin.results.object_points import is_covered
 from twin.results.object_score import (
     MeasuredQuantity,
     deviation_figures,
@@ -118,6 +120,7 @@ def _of_the_object(experiment: Experiment) -> set[str]:
             tolerance=tolerance_of(one),
             points_mm=None,
             why="not measured yet",
+            covered=is_covered(experiment) and one.quantity in HIDDEN,
         )
         for one in measurands_of(experiment)
     ]

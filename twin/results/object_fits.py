@@ -1,22 +1,25 @@
 """Fit what a measurand asks for to the points of an object.
 
 Each fit takes points in the world and returns a value with its slope by each point's height: mm,
-but for the resolution, a pitch. Where fits differ from a caliper, the docs say so
-(docs/evaluation.md).
+but for the resolution, a pitch. Only points where the object is touched (or seen) take part: where
+an elastomer spans freely its surface is not the object's. Where fits differ from a caliper, the
+docs say so (docs/evaluation.md).
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.ndimage import distance_transform_edt
 
 from reconstruction.arrays import BoolImage, FloatArray
+from reconstruction.compensation import bar_under_sheet
 from reconstruction.errors import FitError
 from reconstruction.evaluate import BarWidth, bar_width
 from reconstruction.evaluate.deviation import deviations, normals_of
 from reconstruction.evaluate.estimates import (
     FittedDimension,
+    GrooveFit,
     ball_radius,
     cylinder_radius,
     step_between,
@@ -25,14 +28,21 @@ from reconstruction.evaluate.estimates import (
 )
 from twin.config.measurands import ObjectMeasurand
 from twin.config.specimens import Bars, Grating, Rod, Rods, VGroove
-from twin.results.features import Feature, nominal_mm
+from twin.results.features import Feature, bar_places, nominal_mm
 from twin.results.object_points import Heights, ObjectPoints, SeenObject
+from twin.results.under_sheet import ObjectUnderSheet
 
 # Of a rod's or ball's radius: beyond it a wall is too steep to be seen from above.
 _CAP_SHARE = 0.9
 # Of a step: levels are known to so much of it.
 _LEVEL_SHARE = 0.1
 _SECTION_MM = 2.0
+# Cells of a sheet's contact that a fit needs, as `reconstruction.compensation.parts_of`.
+_LEAST_CELLS = 30
+# Of a groove's or a wave's parts that must be touched each.
+_LEAST_IN_PART, _PARTS_OF_WAVE = 3, 8
+# Grooves narrower than this part of the contact's blur look touched where the sheet spans them.
+_LEAST_PITCH_OVER_BLUR = 6.0
 _LEAST_IN_BIN = 3
 KEPT_SHARE = 0.5
 """Of a grating's depth that must be left for it to be resolved: ISO 25178-600's lateral period
@@ -96,14 +106,23 @@ def _fitted(
 def _radius(
     asked: ObjectMeasurand, feature: Feature, seen: SeenObject, points: ObjectPoints
 ) -> FittedValue:
-    """Fit ball or rod where it is touched; the elastomer's nominal thickness is taken off."""
+    """Fit ball or rod where it is touched."""
+    del seen
     if feature.balls:
         cap = _cap_of_ball(asked, feature, points)
         estimate, _ = ball_radius(cap.points_mm)
     else:
         cap, axis = _top_of_rod(asked, feature, points)
         estimate, _ = cylinder_radius(cap.points_mm, axis)
-    return _fitted(cap, estimate, estimate.value - seen.surface.skin_mm)
+    return _fitted(cap, estimate)
+
+
+def _enough(points: ObjectPoints, of: str) -> ObjectPoints:
+    """Return points under a sheet, or those of another method, if they are enough for a fit."""
+    cells = len(points.points_mm)
+    if points.under is not None and cells < _LEAST_CELLS:
+        raise FitError(f"the sheet touches {of} on {cells} cells, {_LEAST_CELLS} are needed")
+    return points
 
 
 def _cap_of_ball(asked: ObjectMeasurand, feature: Feature, points: ObjectPoints) -> ObjectPoints:
@@ -115,7 +134,7 @@ def _cap_of_ball(asked: ObjectMeasurand, feature: Feature, points: ObjectPoints)
     own = squared[asked.number - 1]
     near = own <= np.min(squared, axis=0)
     near &= own <= (_CAP_SHARE * balls[asked.number - 1].radius_mm) ** 2
-    return points.part(near & points.touching)
+    return _enough(points.part(near & points.touching), f"ball {asked.number}")
 
 
 def _top_of_rod(
@@ -133,7 +152,8 @@ def _top_of_rod(
         raise FitError(f"radius {asked.number}: the specimen has no such ball or rod")
     top = (np.abs(across - middle) <= _CAP_SHARE * radius) & points.touching
     top &= np.abs(along) <= length / 2 - edge - 0.25 * radius
-    return points.part(top), feature.world_from_own.rotation[:, axis]
+    cap = _enough(points.part(top), f"rod {asked.number}")
+    return cap, feature.world_from_own.rotation[:, axis]
 
 
 def _step(
@@ -143,8 +163,9 @@ def _step(
 
     Heights are across the specimen's own plane, however it is tilted.
     """
+    points = points.part(points.touching)
     if not len(points.points_mm):
-        raise FitError("step: no point in the given ranges")
+        raise FitError("step: no point of the object in the given ranges")
     xy, upright = points.points_mm[:, :2], feature.world_from_own.rotation[:, 2]
     heights = Heights.over(seen.surface, xy).across(upright)
     upper, lower = levels(heights, nominal_mm(feature, asked))
@@ -196,16 +217,44 @@ def _inward_mm(level: BoolImage, pitch_mm: float) -> FloatArray:
 def _depth(
     asked: ObjectMeasurand, feature: Feature, seen: SeenObject, points: ObjectPoints
 ) -> FittedValue:
-    own = feature.specimen
+    own, points = feature.specimen, points.part(points.touching)
     if isinstance(own, Grating):
         inside = points.part(_within(feature, points, own.length_x_mm, own.length_y_mm))
         place = feature.own(inside.points_mm)
+        _check_wave(own.pitch_mm, place[:, 0], points)
         return _fitted(inside, wave_depth(place[:, 0], place[:, 2], own.pitch_mm))
     if isinstance(own, VGroove):
-        near, place = _over_groove(own, feature, points)
-        fitted = v_groove(place[:, 0], place[:, 2], own.depth_mm, own.opening_mm)
-        return _fitted(near, fitted.depth)
+        near, groove = _groove(own, feature, points)
+        return _fitted(near, groove.depth)
     return _step(asked, feature, seen, points)
+
+
+def _check_wave(pitch_mm: float, s_mm: FloatArray, points: ObjectPoints) -> None:
+    """Raise FitError where crests and roots are not all touched, or nobody could know it."""
+    if points.under is not None and pitch_mm < _LEAST_PITCH_OVER_BLUR * points.under.blur_mm:
+        least_mm = _LEAST_PITCH_OVER_BLUR * points.under.blur_mm
+        raise FitError(
+            f"grooves: a pitch of {pitch_mm:g} mm is finer than the contact under a sheet is known "
+            f"({least_mm:g} mm): whether it touches their roots is open"
+        )
+    part = np.floor(s_mm / pitch_mm * _PARTS_OF_WAVE).astype(int) % _PARTS_OF_WAVE
+    touched = np.bincount(part, minlength=_PARTS_OF_WAVE) >= _LEAST_IN_PART
+    if not touched.all():
+        raise FitError(
+            f"grooves: {touched.sum()} of {_PARTS_OF_WAVE} parts of the wave from crest to root "
+            "are touched"
+        )
+
+
+def _groove(own: VGroove, feature: Feature, points: ObjectPoints) -> tuple[ObjectPoints, GrooveFit]:
+    """Fit a V groove to the points where it is touched: its face and both flanks must be."""
+    near, place = _over_groove(own, feature, points.part(points.touching))
+    fitted = v_groove(place[:, 0], place[:, 2], own.depth_mm, own.opening_mm)
+    aside = 2 * (place[:, 0] - fitted.root_mm) / fitted.width.value
+    parts = (aside > 1, aside < -1, (aside > 0) & (aside < 1), (aside < 0) & (aside > -1))
+    if min(int(part.sum()) for part in parts) < _LEAST_IN_PART:
+        raise FitError("groove: its face and both flanks must be touched")
+    return near, fitted
 
 
 def _within(feature: Feature, points: ObjectPoints, x_mm: float, y_mm: float) -> BoolImage:
@@ -227,10 +276,10 @@ def _width(
 ) -> FittedValue:
     """Width at half height of a section across; of a V groove its opening, by the flanks."""
     if isinstance(feature.specimen, VGroove):
-        near, place = _over_groove(feature.specimen, feature, points)
-        groove = feature.specimen
-        fitted = v_groove(place[:, 0], place[:, 2], groove.depth_mm, groove.opening_mm)
-        return _fitted(near, fitted.width)
+        near, groove = _groove(feature.specimen, feature, points)
+        return _fitted(near, groove.width)
+    if points.under is not None:
+        return _width_under_sheet(asked, feature, points, points.under)
     place = feature.own(points.points_mm)
     band = np.abs(place[:, 1]) <= _SECTION_MM / 2
     bars = feature.specimen
@@ -244,6 +293,21 @@ def _width(
     return _section_width(points.part(band), place[band], seen.pixel_mm)
 
 
+def _width_under_sheet(
+    asked: ObjectMeasurand, feature: Feature, points: ObjectPoints, under: ObjectUnderSheet
+) -> FittedValue:
+    """Return the width between the walls of a bar, which no sheet touches: by its free spans."""
+    places = bar_places(feature)
+    if asked.number > len(places):
+        raise FitError(
+            f"width {asked.number}: under a sheet those of bars and V grooves are found; the "
+            f"specimen has {len(places)} bars"
+        )
+    found = bar_under_sheet(under.sheet, places[asked.number - 1])
+    top = points.part(points.touching & points.over)
+    return FittedValue(found.width_mm, found.sigma_mm, top.points_mm)
+
+
 def _section_width(points: ObjectPoints, place: FloatArray, pixel_mm: float) -> FittedValue:
     """Return the width of a section, from the points' places (n, xyz) in the feature's frame."""
     pitch = 1.5 * pixel_mm
@@ -255,6 +319,11 @@ def _section_width(points: ObjectPoints, place: FloatArray, pixel_mm: float) -> 
         raise FitError("width: no points across the section")
     s, z = numbers[full] * pitch, means[full]
     found = bar_width(s, z)
+    touched = np.bincount(where, points.touching)[full] > 0
+    for edge in (found.left_mm, found.right_mm):
+        at = int(np.searchsorted(s, edge))
+        if not touched[max(at - 1, 0) : at + 1].any():
+            raise FitError("width: the walls are not touched at half of their height")
     slope = np.gradient(z, s)
     noise = 0.0
     for edge in (found.left_mm, found.right_mm):
@@ -311,6 +380,9 @@ def _resolution(
 ) -> FittedValue:
     """Find the finest pitch that, with all coarser ones, keeps half its depth, above the noise."""
     found = None
+    # What a gel or sheet does not touch is not resolved either: its own relief counts.
+    shown = points if points.under is None else _where(asked, seen.coat)
+    points = replace(shown, touching=np.ones(len(shown.points_mm), bool))
     for one in sorted(seen.gratings, key=_pitch_mm, reverse=True):
         assert isinstance(one.specimen, Grating)
         fitted = _depth(asked, one, seen, points)

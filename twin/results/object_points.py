@@ -1,5 +1,8 @@
 """Measured points of the object: which of them lie on it, where it touches, and how well known.
 
+Under a thin sheet they are the cells of the compensated coat: its local thickness is taken off, and
+where the object touches is found from the coat. Of a slab no thickness is known that would be one.
+
 Scored are every n-th row and column of the image, at most 40,000 points; distances to the object
 are taken at 2,500 of them. More would not make a best fit better, whose points share the errors of
 their neighbours.
@@ -18,6 +21,7 @@ from twin.config.models import Experiment
 from twin.mechanics import PressedElastomer
 from twin.optics.stack import Truth
 from twin.results.features import Feature, gratings_of
+from twin.results.under_sheet import ObjectUnderSheet
 from twin.specimens import Shape, shape_of
 from twin.specimens.true_surface import TrueSurface
 
@@ -51,6 +55,13 @@ class Heights:
         x, y = (np.arange(a, b + pitch, pitch) for a, b in zip(low, high, strict=True))
         return cls(x, y, surface.heights_mm(x, y), pitch)
 
+    @property
+    def ends_mm(self) -> tuple[FloatArray, FloatArray]:
+        """Lowest and highest (xy) of the cells' outlines."""
+        half = self.pitch_mm / 2
+        low = np.array([self.x_mm[0], self.y_mm[0]]) - half
+        return low, np.array([self.x_mm[-1], self.y_mm[-1]]) + half
+
     def across(self, upright: FloatArray) -> "Heights":
         """Return the heights along a unit vector (xyz) in the place of z: a tilted one's own."""
         aside = upright[0] * self.x_mm + upright[1] * self.y_mm[:, None]
@@ -76,8 +87,10 @@ class ObjectPoints:
     touching : (n,) bool: the elastomer lies on the specimen there, or the specimen itself is seen
     over : (n,) bool: above the specimen, touching or not
     together : how many of them share one error
-    pixels : (n,) index of the camera pixel, row after row; None where it is not known
+    pixels : (n,) index of the camera pixel, under a sheet of the cell, row after row; None where
+        it is not known
     points_each : how many measured points each one stands for
+    under : the sheet whose local thickness was taken off; None: nothing was taken off
     """
 
     points_mm: FloatArray
@@ -87,6 +100,7 @@ class ObjectPoints:
     together: float
     pixels: IntArray | None = None
     points_each: float = 1.0
+    under: ObjectUnderSheet | None = None
 
     def part(self, kept: BoolImage) -> "ObjectPoints":
         """Return some of the points."""
@@ -114,6 +128,8 @@ class ObjectPoints:
         Without one their scatter stands for it, taken as one error of all: what integrates slopes
         has errors as wide as the field.
         """
+        if self.under is not None and self.pixels is not None:
+            return self.under.noise_mm(estimate, self.pixels)
         if self.sigma_mm is not None:
             return estimate.noise_mm(self.sigma_mm, self.together)
         spread = np.std(estimate.residuals_mm[estimate.used])
@@ -127,31 +143,49 @@ class SeenObject:
 
     Attributes
     ----------
-    surface : where it truly is, grown by the elastomer's nominal thickness
-    measured, true_face : the points found, and the true coat or specimen at the same pixels
+    surface : where it truly is; under an elastomer whose local thickness is not known grown by the
+        nominal one
+    measured : the points found of it
+    coat, true_face : the surface that was seen, coat or specimen: its points, and the truth at the
+        same pixels
     coverage : share of the specimen's pixels that have a point where it touches; None: none seen
     heights : of the specimen over the points
     pixel_mm : distance of neighbouring points
     gratings : parts with grooves of a known pitch
+    covered : the elastomer is between object and coat
     """
 
     shape: Shape
     surface: TrueSurface
     measured: ObjectPoints
+    coat: ObjectPoints
     true_face: ObjectPoints
     coverage: float | None
     heights: Heights
     pixel_mm: float
     gratings: tuple[Feature, ...]
+    covered: bool = False
 
 
-def surface_of(experiment: Experiment, pressed: PressedElastomer | None) -> TrueSurface:
-    """Return the specimen where the press left it, or on its stage."""
+def is_covered(experiment: Experiment) -> bool:
+    """Return True if the elastomer is between the object and the surface that is seen."""
+    return experiment.method.presses and experiment.elastomer.layout == "opposite_face"
+
+
+def surface_of(
+    experiment: Experiment, pressed: PressedElastomer | None, grown: bool = True
+) -> TrueSurface:
+    """Return the specimen where the press left it, or on its stage.
+
+    Parameters
+    ----------
+    grown : by the nominal thickness of what is between it and the surface that is seen
+    """
     shape = shape_of(experiment.specimen)
     if pressed is None:
         return TrueSurface(shape, 0.0)
     slab = experiment.elastomer
-    skin_mm = slab.thickness_mm if slab.layout == "opposite_face" else 0.0
+    skin_mm = slab.thickness_mm if grown and is_covered(experiment) else 0.0
     return TrueSurface(shape, pressed.depth_mm + slab.touched_plane_mm, skin_mm)
 
 
@@ -160,16 +194,18 @@ def seen_object(
     points: tuple[NDArray[np.floating], BoolImage, NDArray[np.floating] | None],
     truth: Truth,
     pressed: PressedElastomer | None,
+    under: ObjectUnderSheet | None = None,
 ) -> SeenObject | None:
     """Pick the points of the object; None where nothing of it was found.
 
     Parameters
     ----------
     points : world_mm (row, col, xyz), valid (row, col), sigma_z_mm (row, col) or None
+    under : the object under a thin sheet, found from these points
     """
     world_mm, valid, sigma_mm = points
     seen = truth.lit if experiment.method.fringes and pressed is not None else truth.measured
-    surface = surface_of(experiment, pressed)
+    surface = surface_of(experiment, pressed, grown=under is None)
     nth = _nth(int(seen.sum()))
     every = (slice(None, None, nth), slice(None, None, nth))
     wanted, true_mm = seen[every], truth.points_world_mm[every].astype(np.float64)
@@ -183,15 +219,39 @@ def seen_object(
     pixels = np.arange(seen.size).reshape(seen.shape)[every][found]
     on = (touching[found], over[found], shared_by(blur_px, nth), pixels, float(nth**2))
     sigma = None if sigma_mm is None else sigma_mm[every][found].astype(np.float64)
+    coat = ObjectPoints(world_mm[every][found].astype(np.float64), sigma, *on)
+    measured, known = coat, touching[found]
+    if under is not None:
+        measured, known = _cells_of(under, heights), under.touches(coat.points_mm[:, :2])
     return SeenObject(
         shape=surface.shape,
         surface=surface,
-        measured=ObjectPoints(world_mm[every][found].astype(np.float64), sigma, *on),
+        measured=measured,
+        coat=coat,
         true_face=ObjectPoints(true_mm[found], np.zeros(int(found.sum())), *on),
-        coverage=float((found & touching & over).sum()) / whole if whole else None,
+        coverage=float((known & over[found]).sum()) / whole if whole else None,
         heights=heights,
         pixel_mm=_pitch(true_mm, wanted),
         gratings=gratings_of(experiment.specimen),
+        covered=is_covered(experiment),
+    )
+
+
+def _cells_of(under: ObjectUnderSheet, heights: Heights) -> ObjectPoints:
+    """Return the face that touches under a sheet, cell by cell of its measured relief."""
+    measured = under.sheet.relief.measured
+    points = under.sheet.object_mm[measured]
+    xy, (low, high) = points[:, :2], heights.ends_mm
+    over = np.isfinite(heights.z_mm[heights.cells_of(xy)])
+    over &= np.all((xy >= low) & (xy <= high), axis=1)
+    return ObjectPoints(
+        points_mm=points,
+        sigma_mm=None,
+        touching=under.core[measured],
+        over=over,
+        together=1.0,
+        pixels=np.flatnonzero(measured),
+        under=under,
     )
 
 

@@ -1,18 +1,20 @@
 """Score the object itself: its deviation from the truth, and its measurands with their verdicts.
 
-The coat is what a contact sensor sees, the object what it is asked about. Points where the
-elastomer touches the specimen are compared with the specimen's true surface, grown by the nominal
-thickness of what lies between; the same at the true coat tells how much of it the elastomer causes.
+The coat is what a contact sensor sees, the object what it is asked about. Under a thin sheet the
+object's points are those of `twin.results.under_sheet`: the local thickness is taken off, and no
+nominal one. Under a slab no thickness makes an object of the coat: its lengths are not measured
+then, and deviations are those from the specimen grown by the nominal thickness. What the coat
+itself shows is a figure of its own, with nothing taken off.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from reconstruction.arrays import BoolImage, FloatArray, FloatImage
-from reconstruction.errors import FitError
+from reconstruction.errors import FitError, InputError
 from reconstruction.evaluate.conformity import CombinedUncertainty, Decision, Tolerance
 from reconstruction.evaluate.deviation import (
     ALIGNMENTS,
@@ -21,15 +23,18 @@ from reconstruction.evaluate.deviation import (
     deviations,
     normals_of,
 )
-from twin.config.measurands import LENGTHS, LIMITED, ObjectMeasurand
+from twin.config.measurands import HIDDEN, LENGTHS, LIMITED, ObjectMeasurand
 from twin.config.models import Experiment
 from twin.mechanics import PressedElastomer
+from twin.mechanics.choice import is_slab
 from twin.optics.stack import Truth
 from twin.results.features import Feature, feature_of, features_of, measurands_of, nominal_mm
 from twin.results.figures import Metric
 from twin.results.object_fits import FittedValue, fit
-from twin.results.object_points import ObjectPoints, SeenObject, seen_object
+from twin.results.object_points import ObjectPoints, SeenObject, is_covered, seen_object
+from twin.results.under_sheet import SheetCompensation
 
+NOTHING_FOUND = "nothing of the object was found"
 _ALIGNED_NAMES = {"none": "", "offset": "offset_", "offset_tilt": "offset_tilt_", "rigid": "rigid_"}
 
 
@@ -39,9 +44,11 @@ class MeasuredQuantity:
 
     Attributes
     ----------
-    value : in the measurand's unit; None where `why` says why there is none
-    true_face : the same of the true coat: what a perfect measurement would have found
-    uncertainty : in um (of a share: as the share)
+    value : of the object, in the measurand's unit; None where `why` says why there is none
+    coat : the same of the measured surface, coat or specimen, with nothing taken off
+    true_face : that of the true surface: what a perfect measurement would have found
+    uncertainty : of the value, in um (of a share: as the share)
+    covered : the elastomer is between object and coat: `coat` is an apparent figure
     tolerance : on the value's deviation, in um (of a share: on the share); None: none is given
     points_mm : (n, xyz) what it rests on; None without a value
     """
@@ -54,6 +61,8 @@ class MeasuredQuantity:
     tolerance: Tolerance | None
     points_mm: FloatArray | None
     why: str = ""
+    coat: float | None = None
+    covered: bool = False
 
     @property
     def error(self) -> float | None:
@@ -104,26 +113,48 @@ class ObjectScore:
     aligned: dict[Alignment, Deviations]
     figures: dict[str, Metric]
 
+    @property
+    def under_sheet(self) -> bool:
+        """Whether the points are those found under a thin sheet, its local thickness taken off."""
+        return self.seen is not None and self.seen.measured.under is not None
+
+    def quantity(self, name: str) -> MeasuredQuantity:
+        """Return a measurand by its name, such as radius_1.
+
+        Raises
+        ------
+        InputError : there is none of that name
+        """
+        for one in self.quantities:
+            if one.asked.name == name:
+                return one
+        names = ", ".join(one.asked.name for one in self.quantities) or "none"
+        raise InputError(f"quantity: found {name!r}, allowed: {names}")
+
 
 def score_object(
     experiment: Experiment,
     points: tuple[NDArray[np.floating], BoolImage, FloatImage | None],
     truth: Truth,
     pressed: PressedElastomer | None,
+    compensation: SheetCompensation | None = None,
 ) -> ObjectScore:
     """Compare measured points with the specimen itself.
 
     Parameters
     ----------
     points : world_mm (row, col, xyz), valid (row, col), sigma_z_mm (row, col) or None
+    compensation : what the object under a thin sheet is found from
 
     Raises
     ------
     InputError : a measurand names a part that the specimen does not have
     """
     asked, features = measurands_of(experiment), features_of(experiment.specimen)
-    seen = seen_object(experiment, points, truth, pressed)
-    found = tuple(_quantity(one, feature_of(features, one), seen) for one in asked)
+    under = None if compensation is None else compensation.found
+    seen = seen_object(experiment, points, truth, pressed, under)
+    without = why_not_compensated(experiment, compensation)
+    found = tuple(_quantity(one, feature_of(features, one), seen, without) for one in asked)
     measured = _aligned(seen, seen.measured) if seen else {}
     true_face = _aligned(seen, seen.true_face) if seen else {}
     figures = dict(deviation_figures(seen, measured, true_face))
@@ -172,13 +203,37 @@ def _form(left: Deviations) -> float:
     return left.form(np.ones(len(left.deviation_mm))).value
 
 
+def why_not_compensated(
+    experiment: Experiment, compensation: SheetCompensation | None = None
+) -> str:
+    """Say why the coat shows no lengths of the object; empty where it does."""
+    elastomer = experiment.elastomer
+    if not is_covered(experiment) or (compensation is not None and compensation.found is not None):
+        return ""
+    if compensation is not None:
+        return compensation.why
+    if is_slab(elastomer):
+        return (
+            f"the coat on {elastomer.thickness_mm:g} mm of silicone is no parallel surface of the "
+            "object; twin compensate fits the numbers of a known form behind it"
+        )
+    return "how thick the elastomer is over the object is not known under this layer"
+
+
 def _quantity(
-    asked: ObjectMeasurand, feature: Feature, seen: SeenObject | None
+    asked: ObjectMeasurand, feature: Feature, seen: SeenObject | None, without: str
 ) -> MeasuredQuantity:
-    value, true_value, why = None, None, "nothing of the object was found"
+    """Measure one quantity; `without` says why a covered object has no lengths, if it has none."""
+    value, coat, true_value, why = None, None, None, NOTHING_FOUND
+    covered = seen is not None and seen.covered
     if seen is not None:
         value, why = _attempt(asked, feature, seen, seen.measured)
-        true_value, _ = _attempt(asked, feature, seen, seen.true_face)
+        if asked.quantity in HIDDEN and covered:
+            coat, _ = _attempt(asked, feature, seen, _whole(asked, seen.coat))
+            true_value, _ = _attempt(asked, feature, seen, _whole(asked, seen.true_face))
+            value, why = (None, without) if without else (value, why)
+        else:
+            true_value, _ = _attempt(asked, feature, seen, seen.true_face)
     return MeasuredQuantity(
         asked=asked,
         nominal=nominal_mm(feature, asked),
@@ -189,20 +244,61 @@ def _quantity(
             repeatability=asked.repeatability_um,
             calibration=asked.calibration_um,
             coverage_factor=asked.coverage_factor,
+            elastomer=0.0 if value is None else 1e3 * _elastomer_mm(asked, feature, seen, value),
         ),
         tolerance=tolerance_of(asked),
         points_mm=None if value is None else value.points_mm,
         why=why,
+        coat=None if coat is None else _in_unit(asked, coat.value),
+        covered=covered and asked.quantity in HIDDEN,
     )
+
+
+def _whole(asked: ObjectMeasurand, points: ObjectPoints) -> ObjectPoints:
+    """Return the points of a coat that its own figure rests on: of a ball or rod those in contact.
+
+    Steps, grooves and widths of the coat are of all of it.
+    """
+    if asked.quantity == "radius":
+        return points
+    return replace(points, touching=np.ones(len(points.points_mm), bool))
+
+
+def _elastomer_mm(
+    asked: ObjectMeasurand, feature: Feature, seen: SeenObject | None, value: FittedValue
+) -> float:
+    """Return the standard uncertainty of a value by what is open of the sheet that was taken off.
+
+    All points move together by each uncertainty of the layer; of a radius the theory of thin sheets
+    leaves out a little more. A width by the free spans has that within its own uncertainty.
+    """
+    points = None if seen is None else seen.measured
+    if seen is None or points is None or points.under is None or value.estimate is None:
+        return 0.0
+    under, cells = points.under, points.pixels
+    assert cells is not None
+    changes = [
+        fit(asked, feature, seen, replace(points, points_mm=moved)).value - value.value
+        for moved in under.moved(points.points_mm, cells)
+    ]
+    if asked.quantity == "radius":
+        changes.append(under.sheet.theory_mm(value.value))
+    return float(np.linalg.norm(changes))
 
 
 def _attempt(
     asked: ObjectMeasurand, feature: Feature, seen: SeenObject, points: ObjectPoints
 ) -> tuple[FittedValue | None, str]:
     try:
-        return fit(asked, feature, seen, points), ""
+        value = fit(asked, feature, seen, points)
     except FitError as error:
         return None, str(error)
+    if asked.quantity in LENGTHS and not value.value > 2 * value.noise_mm:
+        return None, (
+            f"{asked.quantity}: not determined by these points: {value.value:.3g} mm, u = "
+            f"{value.noise_mm:.2g} mm"
+        )
+    return value, ""
 
 
 def _in_unit(asked: ObjectMeasurand, value: float) -> float:
@@ -229,6 +325,8 @@ def quantity_figures(one: MeasuredQuantity) -> Iterator[tuple[str, Metric]]:
     """Yield the figures of one measurand."""
     name, unit = f"object_{one.asked.name}", one.asked.unit
     yield f"{name}_{unit}", one.value
+    if one.covered:
+        yield f"{name}_coat_{unit}", one.coat
     yield f"{name}_true_face_{unit}", one.true_face
     if unit != "share":
         known = one.value is not None

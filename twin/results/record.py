@@ -20,8 +20,9 @@ from twin.optics.rig import camera_pinhole
 from twin.optics.stack import Frames, RadianceStack, Truth
 from twin.results.decoders import DecodedImage
 from twin.results.figures import Figures, Metrics, warnings_of
-from twin.results.object_score import ObjectScore, score_object
+from twin.results.object_score import MeasuredQuantity, ObjectScore, score_object
 from twin.results.score import Scores, TruthScore, in_world
+from twin.results.under_sheet import SheetCompensation
 
 if TYPE_CHECKING:
     import xarray
@@ -138,6 +139,11 @@ class Colours:
         return SurfacePoints(in_world(self.heights), reason.astype(np.uint8))
 
 
+def _length(one: MeasuredQuantity) -> str:
+    k = one.uncertainty.coverage_factor
+    return f"{one.value:.4f} mm +- {one.uncertainty.expanded:.2g} um (k = {k:g})"
+
+
 @dataclass(frozen=True, eq=False)
 class Measurement:
     """One measurement, whole.
@@ -149,6 +155,7 @@ class Measurement:
     pressed : None where the bare specimen is seen
     digest, versions : name what it was made from
     seconds : wall clock by stage
+    compensation : what the object under a thin sheet is found from; None where none was pressed
     """
 
     experiment: Experiment
@@ -160,6 +167,7 @@ class Measurement:
     digest: str
     versions: Mapping[str, str]
     seconds: Mapping[str, float] = field(default_factory=dict)
+    compensation: SheetCompensation | None = None
 
     def __repr__(self) -> str:
         rows, cols = self.points.reason.shape
@@ -177,7 +185,12 @@ class Measurement:
     def _in_short(self) -> dict[str, str]:
         """Return the figures that tell most, as texts."""
         score = self.score.against_truth
-        shown = {"points": f"{100 * self.points.valid.mean():.1f} % of all pixels"}
+        shown = {
+            one.asked.name.replace("_", " "): _length(one)
+            for one in self.object.quantities
+            if one.value is not None and one.asked.unit == "mm"
+        }
+        shown |= {"points": f"{100 * self.points.valid.mean():.1f} % of all pixels"}
         if score.z_rmse_um is not None:
             shown["error of z"] = f"{score.z_rmse_um:.3g} um RMS"
         if self.pressed is not None:
@@ -228,8 +241,8 @@ class Measurement:
         InputError : a measurand names a part that the specimen does not have
         """
         found = self.points
-        points = found.world_mm, found.valid, found.sigma_z_mm
-        return score_object(self.experiment, points, self.truth, self.pressed)
+        points, known = (found.world_mm, found.valid, found.sigma_z_mm), self.compensation
+        return score_object(self.experiment, points, self.truth, self.pressed, known)
 
     def with_object(self) -> "Measurement":
         """Return the measurement with the figures of the object among its metrics."""

@@ -38,6 +38,7 @@ from twin.results.folder import write_kept
 from twin.results.parts import face_figures, write_pressed
 from twin.results.record import Measurement
 from twin.results.score import metrics, score
+from twin.results.under_sheet import SheetCompensation
 
 CALIBRATION_FILE = "calibration.json"
 
@@ -128,7 +129,13 @@ def seen_with(done: Measurement, rig: Calibration) -> Measurement:
         images=replace(images, reconstruction=maps),
         score=scored,
         metrics={**done.metrics, **metrics(scored)},
+        compensation=_compensation_of(done, maps),
     ).with_object()
+
+
+def _compensation_of(done: Measurement, maps: Reconstruction) -> SheetCompensation | None:
+    before = done.compensation
+    return before and replace(before, points=maps.point_map)
 
 
 StageReads = tuple[tuple[FieldPath, ...], ...]
@@ -223,7 +230,13 @@ class CaseMeasurer:
                 found |= object_bounds(experiment, conditions.layer, self.memory)
             return Answer(found, lambda folder: self._write_press(folder, pressed))
         beside = conditions.bound == "beside"
-        done = measure(experiment, memory=self.memory, trial=conditions.trial, bound=beside)
+        done = measure(
+            experiment,
+            memory=self.memory,
+            trial=conditions.trial,
+            bound=beside,
+            layer=conditions.layer,
+        )
         rigs = self.rigs
         if conditions.board and rigs is not None and experiment.method.fringes:
             exact = {**metrics(done.score), **done.object.figures, **self._more(done)}
