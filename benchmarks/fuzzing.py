@@ -224,7 +224,7 @@ def run_case(
     places = {"{out}": OUT, "{refusing}": "kept"}
     arguments = [places.get(part, part) for part in arguments]
     before = _digests(scratch / "kept")
-    end, said, seconds = _forked(arguments, scratch, command, limit_s)
+    end, said, seconds = run_forked(arguments, scratch, command, limit_s)
     if end in ("told", "done"):
         end = _left_behind(scratch, out, end == "done" and leads) or end
         if _digests(scratch / "kept") != before:
@@ -263,7 +263,7 @@ def _left_behind(scratch: Path, out: Path, leads_to_result: bool) -> str:
     return ""
 
 
-def _forked(
+def run_forked(
     arguments: list[str], folder: Path, command: Callable[[list[str]], int], limit_s: float
 ) -> tuple[str, str, float]:
     start = time.monotonic()

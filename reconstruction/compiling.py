@@ -16,6 +16,7 @@ import numba
 from numba.core import event
 
 from reconstruction.machine import threads
+from reconstruction.reading import is_regular
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -88,6 +89,7 @@ def compile_and_keep(function: Function, options: dict[str, Any], source_digest:
     stored = kernel._cache._cache_file
     stored._source_stamp = source_digest
     stored._load_index = partial(_load_index, stored)
+    stored._load_data = partial(_load_data, stored)
     return cast(Function, kernel)
 
 
@@ -113,12 +115,21 @@ def _load_index(stored: Any) -> Any:
     """Return the stored versions of a kernel by their argument types.
 
     The file names the types of the arguments; reading it fails where one is no longer there, before
-    the digest could tell that the file is old.
+    the digest could tell that the file is old. Opening what is no file, a pipe, may never end: the
+    next compiled version takes its place.
     """
     try:
-        return type(stored)._load_index(stored)
+        found = is_regular(Path(stored._index_path))
+        return type(stored)._load_index(stored) if found else {}
     except (AttributeError, ImportError):
         return {}
+
+
+def _load_data(stored: Any, name: str) -> Any:
+    """Return a stored version of a kernel; an OSError makes Numba compile it again."""
+    if not is_regular(Path(stored._data_path(name))):
+        raise FileNotFoundError(name)
+    return type(stored)._load_data(stored, name)
 
 
 def run_over_rows(

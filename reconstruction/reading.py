@@ -7,6 +7,7 @@ may never end.
 
 import json
 import os
+import re
 import stat
 import tomllib
 from collections.abc import Mapping
@@ -20,10 +21,16 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 MOST_TEXT_BYTES = 16 * 2**20
+# Of TOML, which is written by hand: the largest list of frames has some 100 kB.
+MOST_TOML_BYTES = 2**20
 MOST_DATA_BYTES = 64 * 2**30
 MOST_IMAGE_BYTES = 2**30
 # Deeper tables are a mistake or an attack; Python's own limit would end in a RecursionError.
 MOST_NESTED = 64
+# A dotted key of more parts, which the parser would take apart in time quadratic in their number.
+_DEEP_KEY = re.compile(
+    rf"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){{{MOST_NESTED}}}"""
+)
 _LONGEST_SHOWN = 120
 _KINDS: Mapping[int, str] = {
     stat.S_IFDIR: "a folder",
@@ -106,7 +113,7 @@ def read_toml(path: Path | str) -> dict[str, Any]:
     ------
     InputError : as `read_text`, or it is no TOML, or nested deeper than any file of ours
     """
-    return parse_toml(read_text(path), shown(path))
+    return parse_toml(read_text(path, MOST_TOML_BYTES), shown(path))
 
 
 def parse_toml(text: str, where: str) -> dict[str, Any]:
@@ -116,6 +123,12 @@ def parse_toml(text: str, where: str) -> dict[str, Any]:
     ------
     InputError : it is no TOML, or nested deeper than any file of ours
     """
+    if deep := _DEEP_KEY.search(text):
+        line = text.count("\n", 0, deep.start()) + 1
+        raise InputError(
+            f"{where}: line {line}: found a key of more than {MOST_NESTED} parts, tables nested "
+            f"deeper than {MOST_NESTED} levels; shorten it"
+        )
     try:
         found = tomllib.loads(text)
     except (tomllib.TOMLDecodeError, RecursionError, ValueError) as error:

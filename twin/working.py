@@ -30,6 +30,9 @@ from pathlib import Path
 from types import FrameType
 from typing import IO, ClassVar, NoReturn
 
+from reconstruction.errors import InputError
+from reconstruction.reading import read_bytes
+
 _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
@@ -192,9 +195,9 @@ def is_working(folder: Path) -> bool:
     """Tell whether this is a working folder, of a living process or a dead one."""
     try:
         return _NAME.fullmatch(folder.name) is not None and (
-            _is_unmarked(folder) or (folder / _LOCK).read_bytes() == _MARK
+            _is_unmarked(folder) or read_bytes(folder / _LOCK) == _MARK
         )
-    except OSError:
+    except (OSError, InputError):
         return False
 
 

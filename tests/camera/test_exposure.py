@@ -3,7 +3,15 @@
 import numpy as np
 import pytest
 
-from twin.camera import electrons_per_ms, expose, full_well_e, gain_dn_per_e, noise_model
+from reconstruction.errors import InputError
+from twin.camera import (
+    choose_exposure_ms,
+    electrons_per_ms,
+    expose,
+    full_well_e,
+    gain_dn_per_e,
+    noise_model,
+)
 from twin.config import load_experiment
 
 SHAPE = (200, 200)
@@ -100,6 +108,18 @@ def test_automatic_exposure_reaches_its_level():
 def test_automatic_exposure_in_the_dark_says_so():
     with pytest.raises(ValueError, match="white frame is black"):
         expose(load_experiment("examples/slab_balls"), [np.zeros(SHAPE, np.float32)], 0)
+
+
+@pytest.mark.parametrize(
+    ("radiance", "remedy"), [(1e-30, "use more light"), (1e30, "use less light")]
+)
+def test_automatic_exposure_no_camera_has_is_refused(radiance, remedy):
+    """A rig without light was exposed for 1e16 ms."""
+    white = np.full(SHAPE, radiance, np.float32)
+    with pytest.raises(InputError, match=r"needs .* ms, allowed 0\.0001 to 1e\+06") as caught:
+        choose_exposure_ms(load_experiment("examples/slab_balls"), white)
+    assert remedy in str(caught.value)
+    assert "\n" not in str(caught.value)
 
 
 def test_same_seed_same_bytes_and_noise_free_is_the_expectation():

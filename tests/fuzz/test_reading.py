@@ -79,12 +79,38 @@ def test_a_file_that_is_too_large_is_refused_with_both_sizes(tmp_path):
         ("a = " + "[" * 100_000, "brackets nest deeper than 64 levels"),
         ("a = " + "[" * 70 + "]" * 70, "found tables nested deeper than 64 levels"),
         ("[" + ".".join("a" * 1 for _ in range(80)) + "]", "nested deeper than 64"),
+        ("b = 1\n" + "a." * 100 + "a = 1", "line 2: found a key of more than 64 parts"),
+        ("'a' . \"b\" ." * 100 + "a = 1", "line 1: found a key of more than 64 parts"),
+        # For whole minutes the parser took a key of 50,000 parts apart.
+        ("a." * 400_000 + "a = 1", "line 1: found a key of more than 64 parts"),
     ],
 )
 def test_toml_that_cannot_be_is_one_line(text, told):
     with pytest.raises(InputError, match=told) as caught:
         parse_toml(text, "x")
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "a." * 63 + "a = 1",
+        "a = [" + "1.5, " * 200 + "]",
+        "a = 'one. two. three.'",
+        "\n".join(f"a{n}.b.c = {n}.5" for n in range(200)),
+        "a" * 500_000 + " = 1",
+        "a = '" + "." * 500_000 + "'",
+    ],
+)
+def test_toml_of_any_form_is_read(text):
+    assert parse_toml(text, "x")
+
+
+def test_toml_that_no_hand_wrote_is_refused(tmp_path):
+    path = tmp_path / "x.toml"
+    path.write_text("a = 1\n" * 200_000)
+    with pytest.raises(InputError, match="found 1200000 bytes, allowed up to 1048576"):
+        read_toml(path)
 
 
 @pytest.mark.parametrize(

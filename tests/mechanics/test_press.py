@@ -214,6 +214,25 @@ def test_an_incompressible_slab_is_refused(slab: SlabBuilder, nu: float) -> None
             to_depth(0.5, back_pressure_kpa=1.0),
             "layout = 'opposite_face'",
         ),
+        # The air bulges the slab down on the ball: it once "travelled" by minus some millimetres.
+        (
+            Ball(),
+            {"thickness_mm": 1.5},
+            with_force(1e-3, back_pressure_kpa=3.0, **COARSE),
+            r"press\.force_n: 0\.001 N is reached .* mm before .* lower press\.back_pressure_kpa",
+        ),
+        (
+            Ball(),
+            {"length_x_mm": 1000.0, "length_y_mm": 1000.0},
+            to_depth(0.5),
+            r"press\.relief_pitch_mm: found 0\.025 on 1000 x 1000 mm, .* a pitch of 0\.22 or more",
+        ),
+        (
+            Ball(),
+            {"length_x_mm": 100.0, "length_y_mm": 100.0},
+            to_depth(0.5, solver_pitch_mm=0.01, relief_pitch_mm=0.05),
+            r"press\.solver_pitch_mm: found 0\.01 on 100 x 100 mm, .* allowed up to 2e\+07",
+        ),
         (Rod(length_mm=21), {}, to_depth(0.5), "move the specimen"),
         (Group(parts={"far": Ball(x_mm=12)}), {}, to_depth(0.5), "length_x_mm"),
         (

@@ -217,12 +217,53 @@ def test_texture_moves_with_the_sheet(wrapped: PressedElastomer) -> None:
         ({"film": {"thickness_mm": 0.1, "young_modulus_kpa": 1e3}}, {}, r"elastomer\.film: "),
         ({"length_x_mm": 6.0}, {}, r"specimen: reaches from -4 to 4 mm along x"),
         ({}, {"gravity_deg": 0.0}, r"elastomer\.density_kg_m3: missing"),
+        (
+            {"length_x_mm": 1000.0, "length_y_mm": 45.0},
+            {},
+            r"elastomer\.length_x_mm, length_y_mm: found 1000 and 45, .* allowed up to 40000: ",
+        ),
+        (
+            {"length_x_mm": 1000.0, "length_y_mm": 100.0},
+            {"relief_pitch_mm": 0.02},
+            r"press\.relief_pitch_mm: found 0\.02 on 1000 x 100 mm, ",
+        ),
     ],
 )
 def test_what_a_sheet_cannot_be_is_one_line(changes: dict, load: dict, message: str) -> None:
     with pytest.raises(PressError, match=f"^{message}") as caught:
         pressed(Ball(), build_sheet(**changes), depth_mm=0.3, **load)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("force_n", "message"),
+    [
+        # Along a rigid rim no line carries more than 5 mu h: 24 mm x 5 x 0.1 MPa x 0.3 mm, and the
+        # air on 36 mm^2.
+        (100.0, r"found 100 N, allowed up to 3\.64 N, which tears a sheet of 0\.3 mm"),
+        (1e-4, r"0\.0001 N is less than the .* N with which air of 1 kPa presses the sheet on"),
+    ],
+)
+def test_a_force_that_no_travel_gives_is_refused(force_n: float, message: str) -> None:
+    """The first was looked for in 40 steps; the second was to be lowered still more."""
+    with pytest.raises(PressError, match=rf"^press\.force_n: {message}") as caught:
+        pressed(MARBLE, build_sheet(**TINY), force_n=force_n, back_pressure_kpa=1.0)
+    assert "\n" not in str(caught.value)
+
+
+def test_progress_goes_on_from_the_first_load_step_to_the_last() -> None:
+    """Also while the travel for a force is looked for."""
+    shares: list[float] = []
+    press.press_sheet(
+        MARBLE,
+        build_sheet(**TINY),
+        Press(control="force", force_n=0.02, relief_pitch_mm=0.05, cell_mm=0.3),
+        Mechanics(model="sheet"),
+        shares.append,
+    )
+    assert shares == sorted(shares)
+    assert len(set(shares)) > 4
+    assert shares[-1] == 1.0
 
 
 SOLVERS = [SuperLU, *([Pardiso] if has_pardiso() else [])]

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.endless import not_for_ever
 from twin.optics import backend
 from twin.optics.backend import (
     CHOICE_VARIABLE,
@@ -152,6 +153,16 @@ def test_damaged_cache_is_ignored(good_library, content):
     cache_file().parent.mkdir(parents=True)
     cache_file().write_text(content)
     assert find_backend().version == "19.1.7"
+
+
+def test_a_pipe_in_place_of_the_cache_is_ignored(good_library):
+    """It was opened, and waited for its writer."""
+    library, _ = good_library
+    cache_file().parent.mkdir(parents=True)
+    os.mkfifo(cache_file())
+    with not_for_ever():
+        assert find_backend() == Backend(LLVM_VARIANT, str(library), "19.1.7")
+    assert cache_file().is_file()
 
 
 def test_entry_of_another_form_is_ignored(good_library):

@@ -25,6 +25,7 @@ from reconstruction.machine import threads
 from reconstruction.rig.sensor import SensorNoise
 from twin.camera.noise import Key, Sensor, record_frame
 from twin.config import Experiment, seed_sequence
+from twin.config.bounds import EXPOSURE_RANGE_MS
 from twin.config.digest import keyed_sequence
 from twin.config.models import Camera
 
@@ -102,7 +103,8 @@ def choose_exposure_ms(experiment: Experiment, white: FloatImage) -> float:
 
     Raises
     ------
-    ValueError : automatic exposure on a white frame without any light
+    InputError : automatic exposure on a white frame without any light, or with so little or so much
+        that no camera exposes for such a time
     """
     camera = experiment.camera
     if camera.exposure_ms != "auto":
@@ -111,7 +113,19 @@ def choose_exposure_ms(experiment: Experiment, white: FloatImage) -> float:
     if bright <= 0.0:
         raise InputError("camera.exposure_ms = 'auto': the white frame is black; aim the projector")
     rate = bright * electrons_per_ms(camera, experiment.projector.wavelength_nm)
-    return camera.auto_level * full_well_e(camera) / rate
+    exposure_ms = camera.auto_level * full_well_e(camera) / rate if rate > 0.0 else math.inf
+    shortest_ms, longest_ms = EXPOSURE_RANGE_MS
+    if not shortest_ms <= exposure_ms <= longest_ms:
+        dark = exposure_ms > longest_ms
+        remedy = (
+            "more light (projector.flux_mw, camera.quantum_efficiency, a lower camera.f_number)"
+        )
+        raise InputError(
+            f"camera.exposure_ms = 'auto': the white frame needs {exposure_ms:.3g} ms, allowed "
+            f"{shortest_ms:g} to {longest_ms:g}, as for a number; use "
+            + (remedy if dark else "less light (projector.flux_mw, a higher camera.f_number)")
+        )
+    return exposure_ms
 
 
 @lru_cache(maxsize=2)

@@ -105,6 +105,9 @@ def _in_words(error: Exception) -> tuple[str, int] | None:
             return str(error), BAD_INPUT
         case CycloptsError():
             return f"{' '.join(str(error).split())} See twin --help.", BAD_INPUT
+        case MemoryError():
+            message = "not enough memory; use coarser grids, camera.binning or fewer frames"
+            return message, FAILURE
         case OSError():
             return _of_the_system(error)
         case RuntimeError() if type(error).__name__ == "MissingBackend":

@@ -1,7 +1,7 @@
 """Commands of the forward model: from an experiment to pictures and millimetres."""
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -65,7 +65,7 @@ def press(
     with output_folder(out, [experiment]) as folder:
         with progress_bars() as watch:
             watch("press", 0.0)
-            pressed, derivatives = _pressed(loaded, by or ())
+            pressed, derivatives = _pressed(loaded, by or (), partial(watch, "press"))
             watch("press", 1.0)
         write_pressed(folder, pressed)
         if report:
@@ -101,15 +101,15 @@ def _write_transfer(
 
 
 def _pressed(
-    experiment: "Experiment", by: Sequence[str]
+    experiment: "Experiment", by: Sequence[str], progress: "Callable[[float], None]"
 ) -> "tuple[PressedElastomer, list[PressDerivative]]":
     from twin.pipeline.press import press_specimen
 
     if not by:
-        return press_specimen(experiment), []
+        return press_specimen(experiment, progress), []
     from twin.pipeline.sensitivity import press_derivatives
 
-    return press_derivatives(experiment, by)
+    return press_derivatives(experiment, by, progress)
 
 
 def _write_derivatives(
@@ -279,7 +279,7 @@ def export(experiment: ExperimentFile, /, *, out: Out, settings: Settings = None
         face, figures = None, {}
         if loaded.method.presses and loaded.method.fringes:
             watch("press", 0.0)
-            pressed = press_specimen(loaded)
+            pressed = press_specimen(loaded, partial(watch, "press"))
             watch("press", 1.0)
             face, figures = face_mesh(pressed), press_metrics(pressed)
         left_out = export_stock(loaded, face, folder, lambda fraction: watch("export", fraction))

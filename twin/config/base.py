@@ -17,12 +17,8 @@ class AssetCycleError(ConfigError):
     """Data files that `use` each other in a circle."""
 
 
-Positive = Annotated[float, Field(gt=0)]
-NonNegative = Annotated[float, Field(ge=0)]
 Fraction = Annotated[float, Field(ge=0, le=1)]
-Length = Annotated[float, Field(gt=0, le=1000)]
 Angle = Annotated[float, Field(ge=-180, le=180)]
-Distortion = tuple[float, float, float, float, float]
 
 
 class Model(BaseModel):

@@ -11,7 +11,8 @@ from pydantic import Field
 
 from reconstruction.calibration.boards import Board, CharucoBoard, Chessboard, DotBoard
 from twin.assets import scene_file
-from twin.config.base import Angle, Fraction, Length, Model
+from twin.config.base import Angle, Fraction, Model
+from twin.config.bounds import Length
 from twin.config.loading import read_toml
 from twin.config.models import Provenance
 from twin.config.quantities import check_ranges, convert_units, split_quantities

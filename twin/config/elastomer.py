@@ -5,14 +5,27 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from twin.config.base import Fraction, Length, Model, NonNegative, Positive
+from twin.config.base import Fraction, Model
+from twin.config.bounds import (
+    AirPressure,
+    Extinction,
+    FileUnit,
+    FilmModulus,
+    Force,
+    Length,
+    MetalIndex,
+    Modulus,
+    RimCompliance,
+    Tack,
+    Travel,
+)
 
 
 class Film(Model):
     """The coat as an elastic film of its own, the outermost part of the slab's thickness."""
 
     thickness_mm: Length
-    young_modulus_kpa: Positive
+    young_modulus_kpa: FilmModulus
     poisson_ratio: Annotated[float, Field(gt=0, lt=0.5)] = 0.49
 
 
@@ -29,7 +42,7 @@ class Elastomer(Model):
     shore_00: Annotated[float, Field(ge=0, le=95)] | None = Field(
         default=None, description="hardness of very soft gels, instead of shore_a"
     )
-    young_modulus_kpa: Positive | None = Field(
+    young_modulus_kpa: Modulus | None = Field(
         default=None, description="measured modulus; when absent it follows from the hardness"
     )
     poisson_ratio: Annotated[float, Field(gt=0, lt=0.5)]
@@ -51,12 +64,12 @@ class Elastomer(Model):
     pre_stretch: Annotated[float, Field(ge=1, le=2)] = Field(
         default=1.0, description="of the mounted sheet, equal along x and y (sheet model)"
     )
-    rim_compliance_mm2_per_n: Annotated[float, Field(ge=0, le=100)] = Field(
+    rim_compliance_mm2_per_n: RimCompliance = Field(
         default=0.0,
         description="mm by which the sheet's edge gives along its frame per N/mm of line tension "
         "beyond that of the mounted sheet; 0: a rigid rim (sheet model)",
     )
-    tack_j_m2: NonNegative = Field(
+    tack_j_m2: Tack = Field(
         default=0.0, description="adhesion energy of the clear face on the specimen (sheet model)"
     )
     friction: Literal["auto", "none", "stick"] = Field(
@@ -150,8 +163,8 @@ class Coating(Model):
     flake_roughness: Annotated[float, Field(ge=0.05, le=1)] = Field(
         description="GGX alpha of the flakes' normals"
     )
-    flake_ior: Positive = Field(description="real part n of the flakes' complex index")
-    flake_extinction: NonNegative = Field(description="imaginary part k of the complex index")
+    flake_ior: MetalIndex = Field(description="real part n of the flakes' complex index")
+    flake_extinction: Extinction = Field(description="imaginary part k of the complex index")
     binder_ior: Annotated[float, Field(ge=1, le=1.6)] = Field(
         default=1.0, description="index of the clear binder over the pigment; 1 is a matte ink"
     )
@@ -188,9 +201,9 @@ class Press(Model):
     """How the specimen is pressed in: to a depth, or with a force."""
 
     control: Literal["depth", "force"]
-    depth_mm: Positive | None = Field(default=None, description="travel after first touch")
-    force_n: Positive | None = None
-    back_pressure_kpa: NonNegative = Field(
+    depth_mm: Travel | None = Field(default=None, description="travel after first touch")
+    force_n: Force | None = None
+    back_pressure_kpa: AirPressure = Field(
         default=0.0,
         description="uniform gauge pressure on the coated face; drapes the sheet over the specimen",
     )
@@ -226,7 +239,7 @@ class PadFile(Model):
     """
 
     file: str = Field(description="closed surface: STL, PLY or OBJ")
-    scale_mm: Positive = Field(default=1.0, description="length of one unit of the file")
+    scale_mm: FileUnit = Field(default=1.0, description="length of one unit of the file")
     facing_deg: Annotated[float, Field(gt=0, lt=90)] = Field(
         default=60.0, description="facets leaning from straight down by less than this are coated"
     )
@@ -246,7 +259,7 @@ class Mechanics(Model):
         description="fem: absent is what the layout says; sheet: simple or clamped, absent is "
         "clamped",
     )
-    ledge_mm: Positive = Field(
+    ledge_mm: Length = Field(
         default=2.0, description="fem, support = 'ledge': width of the frame under the slab"
     )
     pad: PadFile | None = Field(default=None, description="fem only")

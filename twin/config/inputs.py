@@ -11,7 +11,8 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, model_validator
 
 from twin.assets import scene_file
-from twin.config.base import ConfigError, Model, NonNegative
+from twin.config.base import ConfigError, Model
+from twin.config.bounds import Figure, Spread
 from twin.config.loading import read_toml
 from twin.config.models import Experiment
 from twin.config.quantities import check_ranges, split_quantities
@@ -28,18 +29,18 @@ class Input(Model):
     group: Group = Field(description="what it is summed under; optics leave the pressed face alone")
     key: str = Field(description="dotted path of a number in the experiment")
     distribution: Literal["normal", "uniform", "triangular", "arcsine", "student_t", "choice"]
-    spread: NonNegative | None = Field(
+    spread: Spread | None = Field(
         default=None,
         description="standard deviation of normal; scale of student_t; half width of the others",
     )
     relative: bool = Field(default=False, description="spread is a share of the nominal value")
-    at_least: float | None = Field(default=None, description="normal is cut off below this value")
-    at_most: float | None = Field(default=None, description="normal is cut off above this value")
-    degrees_of_freedom: Annotated[float, Field(gt=2)] | None = Field(
+    at_least: Figure | None = Field(default=None, description="normal is cut off below this value")
+    at_most: Figure | None = Field(default=None, description="normal is cut off above this value")
+    degrees_of_freedom: Annotated[float, Field(gt=2, le=1e6)] | None = Field(
         default=None, description="of student_t"
     )
-    values: tuple[float, ...] = Field(default=(), description="what choice picks from")
-    weights: tuple[NonNegative, ...] = Field(default=(), description="default: all alike")
+    values: tuple[Figure, ...] = Field(default=(), description="what choice picks from")
+    weights: tuple[Spread, ...] = Field(default=(), description="default: all alike")
     together: str = Field(
         default="", description="of choice: inputs of one such name take the same place of `values`"
     )

@@ -9,7 +9,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
-from twin.config.base import Angle, Fraction, Length, Model, NonNegative, Positive
+from twin.config.base import Angle, Fraction, Model
+from twin.config.bounds import Flux, Irradiance, Length
 from twin.config.layers import Layer, outer_face
 from twin.config.methods import TRAITS
 from twin.config.specimen_base import Material
@@ -56,8 +57,8 @@ class Lamp(Model):
     exponent: Annotated[float, Field(ge=0, le=200)] = Field(
         description="0: even over the half-space ahead"
     )
-    flux_mw: Positive = Field(description="radiant flux of the whole row inside the gel")
-    fill_mw_per_mm2: NonNegative = Field(
+    flux_mw: Flux = Field(description="radiant flux of the whole row inside the gel")
+    fill_mw_per_mm2: Irradiance = Field(
         default=0.0,
         description="irradiance of the untouched coat by light that coat, window and housing threw"
         " back, from all directions from which the window reflects totally alike",

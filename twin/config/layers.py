@@ -13,7 +13,8 @@ from typing import Annotated, Any
 
 from pydantic import AfterValidator, Field
 
-from twin.config.base import Length, Model, NonNegative
+from twin.config.base import Model
+from twin.config.bounds import Absorption, Length
 from twin.config.methods import TRAITS
 
 TOUCHING_MM = 1e-6
@@ -28,7 +29,7 @@ class Layer(Model):
     )
     thickness_mm: Length
     ior: Annotated[float, Field(ge=1, le=3)] = Field(description="index of refraction against air")
-    absorption_per_mm: NonNegative = Field(
+    absorption_per_mm: Absorption = Field(
         default=0.0, description="Napierian coefficient of the bulk"
     )
 

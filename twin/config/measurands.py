@@ -9,12 +9,13 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from reconstruction.arrays import Alignment
-from twin.config.base import Fraction, Length, Model, NonNegative
+from twin.config.base import Fraction, Model
+from twin.config.bounds import Length, Limit, Micrometres, Place, Tolerance
 
 Quantity = Literal[
     "step_height", "depth", "width", "radius", "resolution", "form", "deviation", "coverage"
 ]
-Range = tuple[float, float]
+Range = tuple[Place, Place]
 
 LENGTHS: tuple[Quantity, ...] = ("step_height", "depth", "width", "radius", "resolution")
 """Quantities in mm, which have a nominal value."""
@@ -55,19 +56,19 @@ class ObjectMeasurand(Model):
     nominal_mm: Length | None = Field(
         default=None, description="of a length; default: the specimen's own"
     )
-    plus_minus_um: Annotated[float, Field(gt=0)] | None = Field(
+    plus_minus_um: Tolerance | None = Field(
         default=None, description="allowed on both sides of nominal_mm"
     )
-    lower_um: float | None = Field(default=None, description="least allowed value less nominal_mm")
-    upper_um: float | None = Field(
+    lower_um: Limit | None = Field(default=None, description="least allowed value less nominal_mm")
+    upper_um: Limit | None = Field(
         default=None, description="largest allowed value less nominal_mm; of form and deviation: "
         "the largest allowed"
     )  # fmt: skip
     at_least: Fraction | None = Field(default=None, description="least allowed coverage")
-    repeatability_um: NonNegative = Field(
+    repeatability_um: Micrometres = Field(
         default=0.0, description="standard uncertainty from setting up and measuring again"
     )
-    calibration_um: NonNegative = Field(
+    calibration_um: Micrometres = Field(
         default=0.0, description="standard uncertainty from the sensor's calibration"
     )
     coverage_factor: Annotated[float, Field(ge=1, le=4)] = Field(

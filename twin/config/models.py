@@ -19,7 +19,23 @@ from reconstruction.patterns import (
     CodeName,
     PatternSet,
 )
-from twin.config.base import Angle, Distortion, Fraction, Length, Model, NonNegative, Positive
+from twin.config.base import Angle, Fraction, Model
+from twin.config.bounds import (
+    BlackLevel,
+    Contrast,
+    DarkCurrent,
+    Distortion,
+    Exposure,
+    FilterWidth,
+    Flux,
+    FullWell,
+    Length,
+    PixelPitch,
+    ReadNoise,
+    ResponseSpread,
+    ThrowRatio,
+    Tolerance,
+)
 from twin.config.elastomer import Coating, Elastomer, Film, Mechanics, PadFile, Press, Texture
 from twin.config.lamps import Lamp, Photometric, check_lamps
 from twin.config.layers import Layer, Layers, check_rig
@@ -107,19 +123,19 @@ class Projector(Model):
 
     width_px: Annotated[int, Field(ge=16, le=8192)]
     height_px: Annotated[int, Field(ge=16, le=8192)]
-    throw_ratio: Positive = Field(description="distance / image width; focal length in widths")
+    throw_ratio: ThrowRatio = Field(description="distance / image width; focal length in widths")
     offset_percent: Annotated[float, Field(ge=-200, le=200)] = Field(
         description="100: the optical axis leaves at the lower edge of the image, 0: centred"
     )
     distortion: Distortion = (0.0, 0.0, 0.0, 0.0, 0.0)
     pose: Pose
-    flux_mw: Positive = Field(description="radiant flux of a full white image")
+    flux_mw: Flux = Field(description="radiant flux of a full white image")
     wavelength_nm: Annotated[float, Field(ge=300, le=1100)]
-    contrast: Annotated[float, Field(gt=1)] = Field(description="full white / full black")
+    contrast: Contrast = Field(description="full white / full black")
     gamma: Annotated[float, Field(ge=0.3, le=4)] = Field(
         default=1.0, description="light = (level / 255) ** gamma"
     )
-    response: tuple[Fraction, ...] | None = Field(
+    response: Annotated[tuple[Fraction, ...], Field(max_length=65536)] | None = Field(
         default=None,
         description="measured instead of gamma: relative light at equally spaced levels from 0 to "
         "255, between which it is interpolated; never falling, the last is 1; black is `contrast`",
@@ -159,7 +175,7 @@ class Camera(Model):
 
     width_px: Annotated[int, Field(ge=8, le=16384)]
     height_px: Annotated[int, Field(ge=8, le=16384)]
-    pixel_pitch_um: Positive
+    pixel_pitch_um: PixelPitch
     focal_length_mm: Length
     f_number: Annotated[float, Field(ge=0.7, le=64)]
     depth_of_field: bool = Field(
@@ -169,7 +185,7 @@ class Camera(Model):
     )
     distortion: Distortion = (0.0, 0.0, 0.0, 0.0, 0.0)
     pose: Pose = Field(description="its standoff is also the distance of best focus")
-    exposure_ms: Positive | Literal["auto"] = Field(
+    exposure_ms: Exposure | Literal["auto"] = Field(
         description="'auto': the white frame's 99.5th percentile reaches auto_level"
     )
     auto_level: Annotated[float, Field(gt=0, lt=1)] = Field(
@@ -177,17 +193,27 @@ class Camera(Model):
     )
     quantum_efficiency: Fraction
     lens_transmission: Fraction
-    full_well_e: Positive = Field(description="saturation capacity")
-    read_noise_e: NonNegative = Field(description="temporal dark noise")
-    dark_current_e_per_s: NonNegative = 0.0
-    prnu_percent: NonNegative = Field(default=0.0, description="photo response non-uniformity")
-    dsnu_e: NonNegative = Field(default=0.0, description="dark signal non-uniformity")
+    full_well_e: FullWell = Field(description="saturation capacity")
+    read_noise_e: ReadNoise = Field(description="temporal dark noise")
+    dark_current_e_per_s: DarkCurrent = 0.0
+    prnu_percent: ResponseSpread = Field(default=0.0, description="photo response non-uniformity")
+    dsnu_e: ReadNoise = Field(default=0.0, description="dark signal non-uniformity")
     bit_depth: Literal[8, 10, 12, 14, 16]
-    black_level_dn: NonNegative
+    black_level_dn: BlackLevel
     binning: Literal[1, 2, 4] = Field(
         default=1, description="pixels summed per axis; DN stays scaled to the bit depth"
     )
     noise: bool = Field(default=True, description="False: expected value, no quantisation")
+
+    @field_validator("black_level_dn")
+    @classmethod
+    def _black_is_below_white(cls, black_level_dn: float, info: ValidationInfo) -> float:
+        largest = 2 ** info.data["bit_depth"] - 1 if "bit_depth" in info.data else float("inf")
+        if black_level_dn >= largest:
+            raise ValueError(
+                f"allowed less than {largest}, the largest code of bit_depth; lower it"
+            )
+        return black_level_dn
 
 
 # Specimen and stage light each other; what a fourth reflection adds at albedo 0.35 is below 1 %.
@@ -244,7 +270,7 @@ class Decode(Model):
         default=DecodeOptions.filter_taps,
         description="Gaussian on the projector coordinate; 0 switches it off",
     )
-    filter_sigma_px: Positive = DecodeOptions.filter_sigma_px
+    filter_sigma_px: FilterWidth = DecodeOptions.filter_sigma_px
     use: Literal["column", "row", "both"] = "column"
     through_layers: bool = Field(
         default=True,
@@ -255,17 +281,18 @@ class Decode(Model):
 class ScoreSettings(Model):
     """What is evaluated."""
 
-    roi_radius_mm: Positive = Field(
+    roi_radius_mm: Length = Field(
         description="sphere fit over points within this lateral distance of each apex"
     )
     # Left out where there are none: such an experiment keeps its digest.
-    regions_mm: tuple[Positive, ...] = Field(
+    regions_mm: tuple[Length, ...] = Field(
         default=(),
+        max_length=16,
         exclude_if=lambda regions: not regions,
         description="the same over further distances, up to the ball's footprint; figures named "
         "sphere_1_within_4_radius_mm",
     )
-    good_within_um: Positive = Field(
+    good_within_um: Tolerance = Field(
         default=50.0, description="a point counts as good when its height errs by no more"
     )
 
@@ -309,17 +336,20 @@ class Experiment(Model):
     score: ScoreSettings
     measurand: tuple[ObjectMeasurand, ...] = Field(
         default=(),
+        max_length=200,
         exclude_if=lambda asked: not asked,
         description="[[measurand]]: what is to be found out about the specimen, each with name, "
         "quantity, and perhaps nominal_mm and what is allowed",
     )
     layers: Layers = Field(
         default={},
+        max_length=32,
         description="[layers.NAME]: clear plane layers above the coat, each with bottom_mm (world "
         "z; 0 or less holds the coat), thickness_mm, ior, absorption_per_mm (0)",
     )
     lamps: dict[str, Lamp] = Field(
         default={},
+        max_length=64,
         validate_default=True,
         description="[lamps.NAME]: rows of LEDs beside the gel (photometric_stereo)",
     )

@@ -8,7 +8,8 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from twin.config.specimen_base import OptionalSize, Size, Specimen, require_at_most
+from twin.config.bounds import OptionalSize, Size
+from twin.config.specimen_base import Specimen, require_at_most
 
 Thread = Annotated[float, Field(ge=1, le=30)]
 Pitch = Annotated[float, Field(ge=0.2, le=4)]
@@ -145,7 +146,7 @@ class Fingerprint(Specimen):
     minutiae: Annotated[int, Field(ge=0, le=200)] = Field(
         default=30, description="assumed: ridge endings and forks, 20 to 60 in a print"
     )
-    pattern_seed: Annotated[int, Field(ge=0)] = Field(
+    pattern_seed: Annotated[int, Field(ge=0, lt=2**63)] = Field(
         default=1, description="which finger: place and turn of the core, places of the minutiae"
     )
     length_x_mm: Annotated[float, Field(ge=2, le=40)] = 20.0

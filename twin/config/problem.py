@@ -16,7 +16,8 @@ from scipy.special import ndtr, ndtri
 from reconstruction.arrays import FloatArray
 from reconstruction.reading import is_regular
 from twin.assets import scene_file
-from twin.config.base import Model, Positive
+from twin.config.base import Model
+from twin.config.bounds import Figure, FigureSigma
 from twin.config.loading import load_experiment, read_toml, resolve_uses, vary
 from twin.config.models import Experiment
 from twin.config.rows import Limit, Metric, Name, Row
@@ -32,18 +33,18 @@ class Free(Model):
     """A field of the experiments whose value is not known, and what is believed of it."""
 
     path: DottedPath = Field(description="dotted path of the field")
-    low: float
-    high: float
+    low: Figure
+    high: Figure
     scale: Literal["linear", "log"] = "linear"
     prior: Literal["uniform", "normal"] = Field(
         default="uniform", description="density over the scale, cut at low and high"
     )
-    mean: float | None = Field(default=None, description="of a normal prior, in the field's unit")
-    sd: Positive | None = Field(
+    mean: Figure | None = Field(default=None, description="of a normal prior, in the field's unit")
+    sd: FigureSigma | None = Field(
         default=None, description="of a normal prior: the field's unit, with scale = 'log' relative"
     )
     experiments: tuple[Name, ...] = Field(default=(), description="where it applies; absent: all")
-    among: Annotated[tuple[float, ...], Field(min_length=3)] | None = Field(
+    among: Annotated[tuple[Figure, ...], Field(min_length=3, max_length=1000)] | None = Field(
         default=None,
         description="values at which every simulation gives its figures, in metrics named with "
         "{NAME} of this field: it costs no simulation",
@@ -114,7 +115,9 @@ class SensorChoice(Model):
     instead: dict[Name, Name] = Field(
         default={}, description="experiment in place of another, for the rows measured in that"
     )
-    weight: Positive = Field(default=1.0, description="prior probability over the other choices'")
+    weight: FigureSigma = Field(
+        default=1.0, description="prior probability over the other choices'"
+    )
 
     @property
     def instead_named(self) -> dict[str, tuple[str, ...]]:
@@ -135,7 +138,7 @@ class Alternative(Model):
 class Nuisance(Model):
     """An error common to several rows that is not asked for: a scale, the size of an artefact."""
 
-    sd: Positive = Field(description="standard deviation; its mean is 0")
+    sd: FigureSigma = Field(description="standard deviation; its mean is 0")
     source: str | None = None
 
 

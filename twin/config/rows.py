@@ -5,7 +5,8 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from twin.config.base import Model, NonNegative, Positive
+from twin.config.base import Model
+from twin.config.bounds import Figure, FigureSigma, Spread
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_\-]+$", max_length=48)]
 Metric = str | tuple[str, ...]
@@ -27,12 +28,14 @@ class Row(Model):
     learned_as: LearnedAs = Field(
         default="value", description="log or reciprocal where that is the smoother function"
     )
-    value: float
-    sd: Positive = Field(description="standard uncertainty of the value, and of a twin's one run")
-    trials: Annotated[int, Field(ge=1)] = Field(
+    value: Figure
+    sd: FigureSigma = Field(
+        description="standard uncertainty of the value, and of a twin's one run"
+    )
+    trials: Annotated[int, Field(ge=1, le=10**6)] = Field(
         default=1, description="measurements of which the value is the mean"
     )
-    realisations: Annotated[int, Field(ge=1)] | None = Field(
+    realisations: Annotated[int, Field(ge=1, le=10**6)] | None = Field(
         default=None,
         description="how many draws of what the repeats vary (coats) the value is a mean of: their "
         "learned scatter, over the root of this, counts beside sd; absent: sd holds it",
@@ -47,10 +50,10 @@ class Row(Model):
         default=None,
         description="rows of one figure that name the same coat met the same draw of the scatter",
     )
-    discrepancy: NonNegative = Field(
+    discrepancy: Spread = Field(
         default=0.0, description="standard deviation of what the twin's model itself lacks"
     )
-    nuisance: dict[Name, float] = Field(
+    nuisance: dict[Name, Figure] = Field(
         default={}, description="change of the figure for a nuisance of 1, by name"
     )
     held_out: bool = Field(default=False, description="predicted, not fitted")
@@ -98,9 +101,9 @@ class Limit(Model):
     experiment: Name
     metric: Metric = Field(description="as of a row")
     learned_as: LearnedAs = "value"
-    at_least: float | None = None
-    at_most: float | None = None
-    sd: Positive = Field(description="how sharp it is: the standard uncertainty of the value")
+    at_least: Figure | None = None
+    at_most: Figure | None = None
+    sd: FigureSigma = Field(description="how sharp it is: the standard uncertainty of the value")
     source: str | None = None
 
     @model_validator(mode="after")

@@ -7,14 +7,16 @@ models, too: no second list to keep true.
 import difflib
 import types
 import typing
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
+from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
 from twin.config.base import ConfigError
+from twin.config.bounds import Because
 from twin.config.models import Conductor, Dielectric, Diffuse, Experiment, Layer, Plastic
 
 _MOST_PROBLEMS = 20
@@ -22,6 +24,7 @@ _MOST_PROBLEMS = 20
 Document = TypeVar("Document", bound=BaseModel)
 Loc = tuple[int | str, ...]
 
+_OUTSIDE = {"greater_than", "greater_than_equal", "less_than", "less_than_equal"}
 # Branches of a union of plain values, such as camera.exposure_ms.
 _SCALAR_TAGS = {"constrained-float", "float", "literal['auto']"}
 
@@ -43,11 +46,14 @@ def explain(error: ValidationError, document: type[BaseModel]) -> list[str]:
     A typo shows up twice (an unknown key and, for required fields, a missing one): the second
     line is dropped when the suggestion already names it.
     """
-    lines, suggested = [], set()
+    lines: list[str] = []
+    suggested, outside = set(), set()
     for item in error.errors(include_url=False):
         if item["type"] == "extra_forbidden":
             parent, key = _path(item["loc"][:-1], document), str(item["loc"][-1])
-            guess = _closest(key, item["loc"][:-1], document)
+            # Nobody reads more hints, and those for a hundred thousand keys take minutes.
+            shown = len(lines) < _MOST_PROBLEMS
+            guess = _closest(key, item["loc"][:-1], document) if shown else None
             suggested.add(f"{parent}.{guess}".lstrip("."))
             where = f"in [{parent}]" if parent else "at the top level"
             hint = f"; did you mean '{guess}'?" if guess else "; remove it"
@@ -58,8 +64,58 @@ def explain(error: ValidationError, document: type[BaseModel]) -> list[str]:
             lines.append(f"{path}: missing; add it")
         elif item["type"] not in ("missing", "extra_forbidden"):
             found = f"{path}: found {_short(item['input'])}, " if path else ""
-            lines.append(f"{found}{_allowed(item['msg'])}")
+            whole = _whole_range(item["loc"], document) if item["type"] in _OUTSIDE else ""
+            if item["type"] == "literal_error" and path in outside:
+                continue  # a number or a word: the number was meant
+            outside |= {path} if item["type"] in _OUTSIDE else set()
+            lines.append(f"{found}{whole or _allowed(item['msg'])}")
     return lines
+
+
+def _whole_range(loc: Loc, document: type[BaseModel]) -> str:
+    """Return both ends of a number's range and the reason for them; empty without a reason."""
+    for metadata in _metadata_at(loc, document):
+        reasons = [one.reason for one in metadata if isinstance(one, Because)]
+        if reasons:
+            return f"allowed {_limits(metadata)} ({reasons[0]})"
+    return ""
+
+
+def limits_at(path: str, document: type[BaseModel] = Experiment) -> tuple[float, ...]:
+    """Return the ends of the ranges that the numbers at a dotted path may have."""
+    every = [one for metadata in _metadata_at(tuple(path.split(".")), document) for one in metadata]
+    return tuple(
+        getattr(one, name)
+        for one in every
+        for name in ("gt", "ge", "lt", "le")
+        if hasattr(one, name)
+    )
+
+
+def _metadata_at(loc: Loc, document: type[BaseModel]) -> list[list[Any]]:
+    """Return the metadata of each annotated type that the field at a location may have."""
+    named = [part for part in loc if isinstance(part, str) and part not in _SCALAR_TAGS]
+    fields = (model.model_fields.get(named[-1]) for model in _walk(tuple(named[:-1]), document)[1])
+    return [found for field in fields if field for found in _annotated(field)]
+
+
+def _annotated(field: FieldInfo) -> Iterator[list[Any]]:
+    """Yield the metadata of a field, and of the annotated types in a union or a list."""
+    yield field.metadata
+    inside = [field.annotation]
+    while inside:
+        annotation = inside.pop()
+        if typing.get_origin(annotation) is typing.Annotated:
+            inner, *metadata = typing.get_args(annotation)
+            yield _flat(metadata)
+            inside.append(inner)
+        else:
+            inside += typing.get_args(annotation)
+
+
+def _flat(metadata: Iterable[Any]) -> list[Any]:
+    """Return metadata with that of each `Field` in its place."""
+    return [item for one in metadata for item in getattr(one, "metadata", [one])]
 
 
 def _allowed(message: str) -> str:
@@ -147,14 +203,21 @@ def list_keys(model: type[BaseModel], prefix: str = "") -> Iterator[Key]:
         if name == "provenance":
             continue
         if not inner:
-            limits = [_limit(item) for item in field.metadata]
-            allowed = ", ".join([_type_name(field.annotation), *filter(None, limits)])
+            limits = _limits(field.metadata)
+            allowed = ", ".join(filter(None, [_type_name(field.annotation), limits]))
             required = field.default is PydanticUndefined
             default = "required" if required else str(field.default)
-            yield Key(f"{prefix}{name}", allowed, default, field.description or "")
+            yield Key(f"{prefix}{name}", allowed, default, _meaning(field))
         for part in inner:
             tag = f"({part.model_fields['kind'].default})" if len(inner) > 1 else ""
             yield from list_keys(part, f"{prefix}{name}{tag}.")
+
+
+def _meaning(field: FieldInfo) -> str:
+    """Return a key's description, and why its range ends where it does."""
+    reasons = [one.reason for found in _annotated(field) for one in found if type(one) is Because]
+    ranges = [f"range: {reason}" for reason in dict.fromkeys(reasons)]
+    return "; ".join(filter(None, [field.description, *ranges]))
 
 
 def _parts_of(annotation: Any) -> list[type[BaseModel]]:
@@ -168,8 +231,7 @@ def _type_name(annotation: Any) -> str:
         return " | ".join(repr(value) for value in typing.get_args(annotation))
     if typing.get_origin(annotation) is typing.Annotated:
         inner, *metadata = typing.get_args(annotation)
-        limits = [_limit(item) for extra in metadata for item in getattr(extra, "metadata", [])]
-        return ", ".join([_type_name(inner), *filter(None, limits)])
+        return ", ".join(filter(None, [_type_name(inner), _limits(_flat(metadata))]))
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return f"table ({annotation.model_fields['kind'].default})"
     if typing.get_origin(annotation) in (dict, tuple):
@@ -185,7 +247,13 @@ def _collection_name(annotation: Any) -> str:
     if typing.get_origin(annotation) is dict:
         return "tables by name"
     items = typing.get_args(annotation)
-    return "numbers" if Ellipsis in items else f"{len(items)} numbers"
+    count = "" if Ellipsis in items else f"{len(items)} "
+    _, _, limits = _type_name(items[0]).partition(", ")
+    return ", ".join(filter(None, [f"{count}numbers", limits]))
+
+
+def _limits(metadata: Iterable[Any]) -> str:
+    return ", ".join(filter(None, map(_limit, metadata)))
 
 
 def _limit(item: Any) -> str:

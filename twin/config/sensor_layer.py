@@ -5,11 +5,22 @@
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Annotated
 
 import tomli_w
 from pydantic import Field
 
-from twin.config.base import Model, NonNegative, Positive
+from twin.config.base import Angle, Fraction, Model
+from twin.config.bounds import (
+    AirPressure,
+    Force,
+    ForceSigma,
+    Length,
+    ModulusSigma,
+    Place,
+    Rounding,
+    Travel,
+)
 from twin.config.elastomer import Elastomer
 from twin.config.loading import read_toml, resolve_uses
 from twin.config.models import AnySpecimen, Experiment, Provenance
@@ -32,30 +43,30 @@ WANTED: Mapping[str, tuple[str, ...]] = {
 class MeasuredLoad(Model):
     """What gauges told of one press."""
 
-    back_pressure_kpa: NonNegative = Field(default=0.0, description="air on the coated face")
-    depth_mm: Positive | None = Field(
+    back_pressure_kpa: AirPressure = Field(default=0.0, description="air on the coated face")
+    depth_mm: Travel | None = Field(
         default=None, description="travel after first touch, where the stage tells it"
     )
-    force_n: Positive | None = Field(default=None, description="where a gauge tells it")
+    force_n: Force | None = Field(default=None, description="where a gauge tells it")
 
 
 class LayerSigma(Model):
     """Standard uncertainties of what is known."""
 
-    thickness_mm: NonNegative = 0.0
-    young_modulus_kpa: NonNegative | None = Field(
+    thickness_mm: Rounding = 0.0
+    young_modulus_kpa: ModulusSigma | None = Field(
         default=None, description="absent: 0 of a measured modulus, else what hardness leaves open"
     )
-    pre_stretch: NonNegative = 0.0
-    rim_compliance_mm2_per_n: NonNegative = Field(
+    pre_stretch: Fraction = 0.0
+    rim_compliance_mm2_per_n: Annotated[float, Field(ge=0, le=100)] = Field(
         default=0.0, description="above 0: a press of a known ball fits the compliance"
     )
-    back_pressure_kpa: NonNegative = 0.0
-    depth_mm: NonNegative | None = Field(
+    back_pressure_kpa: AirPressure = 0.0
+    depth_mm: Rounding | None = Field(
         default=None, description="of the travel; absent: a travel that is told counts as unknown"
     )
-    force_n: NonNegative = 0.0
-    plane_mm: NonNegative = Field(
+    force_n: ForceSigma = 0.0
+    plane_mm: Rounding = Field(
         default=0.0,
         description="of z = 0, and of each tilt's lift at the rim, against the undeformed coat",
     )
@@ -64,15 +75,15 @@ class LayerSigma(Model):
 class PressedBar(Model):
     """A bar with a flat top among what was pressed: where its walls are looked for."""
 
-    x_mm: float = Field(default=0.0, description="world, of its middle, to half a millimetre")
-    y_mm: float = 0.0
-    along_deg: float = Field(
+    x_mm: Place = Field(default=0.0, description="world, of its middle, to half a millimetre")
+    y_mm: Place = 0.0
+    along_deg: Angle = Field(
         default=0.0, description="of its length, from world y towards -x, to some four degrees"
     )
-    width_mm: Positive = Field(description="about: to some tenths of a millimetre")
-    length_mm: Positive
-    edge_radius_mm: NonNegative = Field(description="rounding of its upper edges")
-    sigma_edge_radius_mm: NonNegative = 0.0
+    width_mm: Length = Field(description="about: to some tenths of a millimetre")
+    length_mm: Length
+    edge_radius_mm: Rounding = Field(description="rounding of its upper edges")
+    sigma_edge_radius_mm: Rounding = 0.0
 
 
 class SensorLayer(Model):

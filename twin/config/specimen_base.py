@@ -8,7 +8,8 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from twin.config.base import Angle, Length, Model, NonNegative, Positive
+from twin.config.base import Angle, Model
+from twin.config.bounds import Absorption, Extinction, Length, MetalIndex, Place
 
 Roughness = Annotated[float, Field(ge=0, le=1)]
 Index = Annotated[float, Field(ge=1, le=4)]
@@ -19,8 +20,8 @@ class Conductor(Model):
     """A metal surface with GGX microfacets."""
 
     kind: Literal["conductor"] = "conductor"
-    ior: Positive = Field(description="real part n of the complex index")
-    extinction: NonNegative = Field(description="imaginary part k of the complex index")
+    ior: MetalIndex = Field(description="real part n of the complex index")
+    extinction: Extinction = Field(description="imaginary part k of the complex index")
     roughness: Roughness = Field(description="GGX alpha; 0 is a perfect mirror")
 
 
@@ -35,7 +36,7 @@ class Dielectric(Model):
     roughness: Annotated[float, Field(ge=0, le=0.5)] = Field(
         default=0.0, description="GGX alpha; 0 is perfectly smooth"
     )
-    absorption_per_mm: NonNegative = Field(
+    absorption_per_mm: Absorption = Field(
         default=0.0, description="Napierian coefficient of the bulk"
     )
 
@@ -66,18 +67,12 @@ class Stage(Model):
     size_mm: Length = Field(default=80.0, description="edge of the square, round the world origin")
 
 
-#: A length of a part that fits under the sensor.
-Size = Annotated[float, Field(gt=0, le=100)]
-#: A length that may be left out by giving 0.
-OptionalSize = Annotated[float, Field(ge=0, le=100)]
-
-
 class Specimen(Model):
     """What every specimen has: its pose on the stage, relative to the slab's centre."""
 
-    x_mm: float = 0.0
-    y_mm: float = 0.0
-    z_mm: float = Field(
+    x_mm: Place = 0.0
+    y_mm: Place = 0.0
+    z_mm: Place = Field(
         default=0.0, description="within a group: height of the foremost point over the others'"
     )
     yaw_deg: Angle = 0.0

@@ -11,9 +11,9 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from twin.config.base import Length, NonNegative, Positive
+from twin.config.bounds import FileUnit, Length, OptionalSize, Rounding, Size
 from twin.config.objects import Bear, Brick, Fingerprint, Nut, TBolt
-from twin.config.specimen_base import OptionalSize, Size, Specimen, require_at_most
+from twin.config.specimen_base import Specimen, require_at_most
 
 
 class Ball(Specimen):
@@ -37,7 +37,7 @@ class Rod(Specimen):
     kind: Literal["rod"] = "rod"
     diameter_mm: Length = 4.8
     length_mm: Length = 12.0
-    edge_radius_mm: NonNegative = Field(default=0.2, description="rounding of the end faces' edge")
+    edge_radius_mm: Rounding = Field(default=0.2, description="rounding of the end faces' edge")
 
     @model_validator(mode="after")
     def _edge_fits(self) -> "Rod":
@@ -51,7 +51,7 @@ class Flat(Specimen):
     kind: Literal["flat"] = "flat"
     diameter_mm: Length = 6.0
     height_mm: Length = 5.0
-    edge_radius_mm: NonNegative = Field(default=0.2, description="rounding of the face's edge")
+    edge_radius_mm: Rounding = Field(default=0.2, description="rounding of the face's edge")
 
     @model_validator(mode="after")
     def _edge_fits(self) -> "Flat":
@@ -74,7 +74,7 @@ class MeshFile(Specimen):
 
     kind: Literal["mesh"] = "mesh"
     file: str = Field(description="path, or the name of a shipped mesh such as scenes/meshes/x.stl")
-    scale: Positive = Field(
+    scale: FileUnit = Field(
         default=1.0, description="mm per unit of the file: 1000 for metres, 25.4 for inches"
     )
     up: Literal["+x", "-x", "+y", "-y", "+z", "-z"] = Field(
@@ -242,7 +242,9 @@ class Group(Specimen):
 
     kind: Literal["group"] = "group"
     parts: dict[str, Part] = Field(
-        min_length=1, description="one table per part, [specimen.parts.NAME], each with its kind"
+        min_length=1,
+        max_length=100,
+        description="one table per part, [specimen.parts.NAME], each with its kind",
     )
 
 

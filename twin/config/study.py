@@ -18,6 +18,7 @@ from pydantic import Field, field_validator, model_validator
 from reconstruction.reading import is_regular
 from twin.assets import scene_file
 from twin.config.base import Model
+from twin.config.bounds import Figure
 from twin.config.inputs import Input, load_inputs, refuse_shared_keys, with_sources
 from twin.config.loading import ABSENT, load_experiment, read_toml, resolve_uses, vary
 from twin.config.methods import Method
@@ -43,8 +44,8 @@ class Axis(Model):
         default=None, description="heading in tables and plots; absent: the path"
     )
     values: Annotated[tuple[Any, ...], Field(min_length=1)] | None = None
-    low: float | None = None
-    high: float | None = None
+    low: Figure | None = None
+    high: Figure | None = None
     count: Annotated[int, Field(ge=2, le=100_000)] | None = Field(
         default=None, description="levels between low and high, both included"
     )
@@ -229,8 +230,8 @@ class Constraint(Model):
 
     value: str = Field(description="dotted path of a number in the experiment, or a metric")
     per: str | None = Field(default=None, description="divided by this path or metric")
-    at_least: float | None = None
-    at_most: float | None = None
+    at_least: Figure | None = None
+    at_most: Figure | None = None
 
     @model_validator(mode="after")
     def _bounded(self) -> "Constraint":

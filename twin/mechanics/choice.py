@@ -5,6 +5,7 @@ contact pressure is what the solver finds; pressure and force of any modulus are
 modulus, to the last bit, because the solver works in pressure over modulus: one press for all.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -30,22 +31,35 @@ _STIFFNESS = {"shore_a", "shore_00", "young_modulus_kpa"}
 
 
 def press_with(
-    mechanics: Mechanics, specimen: Specimen, elastomer: Elastomer, load: Press
+    mechanics: Mechanics,
+    specimen: Specimen,
+    elastomer: Elastomer,
+    load: Press,
+    progress: Callable[[float], None] | None = None,
 ) -> PressedElastomer:
     """Press `specimen` into `elastomer` with the chosen model.
+
+    Parameters
+    ----------
+    progress : called with the share of the load steps that a thin sheet has made
 
     Raises
     ------
     PressError : what the model cannot do, and what to change
     SolverError : the solution did not converge
     """
-    pressed, doubts = _pressed_by(mechanics, specimen, elastomer, load), unit_warnings(specimen)
+    pressed = _pressed_by(mechanics, specimen, elastomer, load, progress)
+    doubts = unit_warnings(specimen)
     validity = replace(pressed.validity, warnings=(*pressed.validity.warnings, *doubts))
     return replace(pressed, validity=validity)
 
 
 def _pressed_by(
-    mechanics: Mechanics, specimen: Specimen, elastomer: Elastomer, load: Press
+    mechanics: Mechanics,
+    specimen: Specimen,
+    elastomer: Elastomer,
+    load: Press,
+    progress: Callable[[float], None] | None,
 ) -> PressedElastomer:
     # The references pull in scikit-fem and interpolators: only on demand.
     if mechanics.model == "fem":
@@ -63,7 +77,7 @@ def _pressed_by(
         return replace(found, model="fem")
     model, slab = _decided(mechanics, specimen, elastomer, load)
     if model == "sheet":
-        return _press_sheet(mechanics, specimen, elastomer, load)
+        return _press_sheet(mechanics, specimen, elastomer, load, progress)
     if model == "spectral":
         return slab or _press_slab(specimen, elastomer, load)
     from twin.mechanics.reference.neo_hookean import press_neo_hookean
@@ -73,9 +87,17 @@ def _pressed_by(
 
 
 def settled_with(
-    mechanics: Mechanics, specimen: Specimen, elastomer: Elastomer, load: Press
+    mechanics: Mechanics,
+    specimen: Specimen,
+    elastomer: Elastomer,
+    load: Press,
+    progress: Callable[[float], None] | None = None,
 ) -> "SettledSheet":
     """Press a thin sheet, and return it as the solver holds it.
+
+    Parameters
+    ----------
+    progress : called with the share of the load steps that is done
 
     Raises
     ------
@@ -91,7 +113,7 @@ def settled_with(
         )
     from twin.mechanics.sheet.press import settled_sheet
 
-    return settled_sheet(specimen, elastomer, load, mechanics)
+    return settled_sheet(specimen, elastomer, load, mechanics, progress)
 
 
 def check_press(
@@ -197,11 +219,15 @@ def _slab_first(specimen: Specimen, elastomer: Elastomer, load: Press) -> Presse
 
 
 def _press_sheet(
-    mechanics: Mechanics, specimen: Specimen, elastomer: Elastomer, load: Press
+    mechanics: Mechanics,
+    specimen: Specimen,
+    elastomer: Elastomer,
+    load: Press,
+    progress: Callable[[float], None] | None,
 ) -> PressedElastomer:
     from twin.mechanics.sheet.press import press_sheet
 
-    return press_sheet(specimen, elastomer, load, mechanics)
+    return press_sheet(specimen, elastomer, load, mechanics, progress)
 
 
 def _sheet_keys(elastomer: Elastomer) -> list[str]:

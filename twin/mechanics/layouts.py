@@ -74,14 +74,19 @@ def preload_of(elastomer: Elastomer, load: Press, modulus_kpa: float) -> Preload
 
 def build_layer(elastomer: Elastomer, load: Press, shape: Shape, modulus_kpa: float) -> AnyLayer:
     """Return the layer on the solver's grid."""
-    lengths = elastomer.length_x_mm, elastomer.length_y_mm
-    if elastomer.layout == "contact_face":
-        lengths = _window_mm(elastomer, shape)
+    lengths = grid_lengths_mm(elastomer, shape)
     cols, rows = (
         _CELLS * int(fft.next_fast_len(_count(length, _CELLS * load.solver_pitch_mm), real=True))
         for length in lengths
     )
     return _layer(elastomer, rows, cols, lengths, modulus_kpa)
+
+
+def grid_lengths_mm(elastomer: Elastomer, shape: Shape) -> tuple[float, float]:
+    """Return how long the solver's grid is along x and y."""
+    if elastomer.layout == "contact_face":
+        return _window_mm(elastomer, shape)
+    return elastomer.length_x_mm, elastomer.length_y_mm
 
 
 def layer_on(

@@ -26,10 +26,12 @@ from twin.mechanics.layouts import (
     Preload,
     build_layer,
     face_nodes,
+    grid_lengths_mm,
     preload_of,
     touched_at_nodes,
     wrapped,
 )
+from twin.mechanics.size import check_face_nodes, check_slab_cells
 from twin.mechanics.validity import Validity, assess, margin_mm, max_slope_deg
 from twin.specimens import Shape, SphereCluster, shape_of
 
@@ -144,7 +146,7 @@ def press(
     Raises
     ------
     PressError : the specimen reaches over the slab, the press needs more than the slab's thickness
-        or than the specimen's height, or touches no solver cell
+        or than the specimen's height, touches no solver cell, or the force is below that of the air
     SolverError : the contact did not converge
     """
     shape = shape_of(specimen)
@@ -157,6 +159,7 @@ def press(
     contact = solve_on_layer(layer, height + sag, _control(layer, height + sag, load, modulus_kpa))
     if not (any_depth and elastomer.layout == "opposite_face"):
         _check_depth(contact.depth_mm, elastomer, load)
+    _check_reached(contact.depth_mm, load)
     nodes = face_nodes(elastomer.length_y_mm, load), face_nodes(elastomer.length_x_mm, load)
     face_z = _coated_face(layer, contact, preload, shape, nodes)
     return PressedElastomer(
@@ -183,10 +186,12 @@ def check_load(shape: Shape, elastomer: Elastomer, load: Press, *, any_depth: bo
 
     Raises
     ------
-    PressError : the specimen reaches over the slab, the depth is the slab's thickness or more, or
-        the preload does not fit the layout
+    PressError : the specimen reaches over the slab, the depth is the slab's thickness or more, the
+        preload does not fit the layout, or the grids take too much memory
     """
     check_outline(shape, elastomer)
+    check_face_nodes(elastomer, load)
+    check_slab_cells(grid_lengths_mm(elastomer, shape), load)
     preload_of(elastomer, load, young_modulus(elastomer).best_kpa)
     if load.depth_mm is not None and not (any_depth and elastomer.layout == "opposite_face"):
         _check_depth(load.depth_mm, elastomer, load)
@@ -268,6 +273,16 @@ def _check_depth(depth_mm: float, elastomer: Elastomer, load: Press) -> None:
     raise PressError(
         f"{asked} is not less than the slab's thickness of {elastomer.thickness_mm:g} mm; {remedy}"
     )
+
+
+def _check_reached(depth_mm: float, load: Press) -> None:
+    """Refuse a force below that with which air or weight press the slab on the specimen."""
+    if depth_mm < 0.0:
+        raise PressError(
+            f"press.force_n: {load.force_n:g} N is reached {-depth_mm:.3g} mm before the specimen "
+            "comes to the plane of the unloaded slab, which air or weight press on it with more; "
+            "raise it, or lower press.back_pressure_kpa"
+        )
 
 
 def _validity(

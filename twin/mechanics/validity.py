@@ -20,6 +20,8 @@ SLOPE_LIMIT_DEG = 45.0
 DEFLECTION_OVER_THICKNESS_LIMIT = 0.4
 _FEWEST_CELLS_ACROSS = 10.0
 SHEET_THICKNESS_MM = (0.05, 1.0)
+#: thickness over its undeformed value below which a sheet flows away: silicones tear before
+THINNEST = 0.2
 #: thickness over radius of bending up to which a thin sheet is good, and up to which it is usable
 SHEET_GOOD, SHEET_LIMIT = 0.125, 0.25
 #: pitch over thickness of the finest ridges that a thin sheet tells: it has no shear in it

@@ -31,6 +31,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from reconstruction.errors import InputError
+from reconstruction.reading import read_json
 from reconstruction.writing import write_text
 
 LLVM_VARIANT = "llvm_ad_mono"
@@ -341,10 +343,9 @@ def recall(key: str) -> Backend | None:
 
 def _remembered() -> dict[str, Any]:
     try:
-        entries = json.loads(cache_file().read_text())
-    except (OSError, ValueError):
+        return read_json(cache_file())
+    except InputError:
         return {}
-    return entries if isinstance(entries, dict) else {}
 
 
 def remember(key: str, backend: Backend) -> None:

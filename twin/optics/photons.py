@@ -21,14 +21,15 @@ through the middle of the ball agrees within 0.5 % in the mean (a test).
 """
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import drjit as dr
 import mitsuba as mi
-import numba
 import numpy as np
 
 from reconstruction.arrays import FloatArray, FloatImage
+from reconstruction.compiling import Function, compile_and_keep, digest_of_sources
 from twin.optics.connection import Rig, box_corners_mm, on_image
 from twin.optics.light import MARGIN_PX, OVERSAMPLING, LightTable
 from twin.optics.scene import Surfaces
@@ -38,6 +39,7 @@ MOST_EVENTS = 64
 
 # Steps of the R2 sequence (Roberts 2018), the powers of the inverse plastic number, times 2^32.
 _R2_STEPS = (3242174889, 2447445414)
+_SOURCES = ("photons.py",)
 
 
 @dataclass(frozen=True)
@@ -305,7 +307,13 @@ def _table_coordinates(position_px: FloatImage, table: LightTable) -> FloatImage
     return np.asarray(np.clip(x, 0.0, len(table.profiles) - 1.001), np.float32)
 
 
-@numba.njit(cache=True, nogil=True, fastmath={"contract"}, error_model="numpy")  # type: ignore[untyped-decorator]
+def _compiled(function: Function) -> Function:
+    """Compile on first call and keep the result on disk."""
+    options = {"nogil": True, "fastmath": {"contract"}, "error_model": "numpy"}
+    return compile_and_keep(function, options, digest_of_sources(Path(__file__).parent, _SOURCES))
+
+
+@_compiled
 def _deposit(
     places: _Places,
     column_profiles: FloatImage,

@@ -143,8 +143,8 @@ def measure_colours(experiment: Experiment, run: RunContext) -> Measurement:
     """
     memory, clock = run.memory, run.clock
     check_sensor(experiment)
-    with clock.stage("press"):
-        pressed = press(experiment, memory)
+    with clock.stage("press") as progress:
+        pressed = press(experiment, memory, progress)
     with clock.stage("calibrate"):
         coat, calibrations = _calibrated(experiment, memory)
     with clock.stage("render"):

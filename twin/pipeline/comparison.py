@@ -20,6 +20,7 @@ from twin.config import Experiment, digest, load_experiment, vary
 from twin.config.loading import by_method, validate_experiment
 from twin.config.methods import METHODS, TRAITS, Method
 from twin.config.models import Press, Provenance
+from twin.config.schema import validated
 from twin.output import (
     RESULT_FILE,
     adding,
@@ -122,10 +123,10 @@ def _load(
     why = f"computed: the press of the same specimen into {_gel(experiment)}"
     if match == "force":
         force_n = float(f"{pressed.force_n:.{_FORCE_DIGITS}g}")
-        press = Press(control="force", force_n=force_n, **pitches)
+        press = validated(Press, {"control": "force", "force_n": force_n} | pitches, "press.")
         return press, {"press.force_n": Provenance(source=f"{why}, {own.depth_mm:g} mm deep")}
     depth_mm = float(f"{pressed.depth_mm:.{_FORCE_DIGITS}g}")
-    press = Press(control="depth", depth_mm=depth_mm, **pitches)
+    press = validated(Press, {"control": "depth", "depth_mm": depth_mm} | pitches, "press.")
     return press, {"press.depth_mm": Provenance(source=f"{why} with {own.force_n:g} N")}
 
 

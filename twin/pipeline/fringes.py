@@ -255,8 +255,8 @@ def _taken(experiment: Experiment, run: RunContext) -> tuple[PressedFace | None,
         )
     if not experiment.method.presses:
         return None, _recorded(experiment, None, run)
-    with run.clock.stage("press"):
-        pressed = press(experiment, run.memory)
+    with run.clock.stage("press") as progress:
+        pressed = press(experiment, run.memory, progress)
     return pressed, _recorded(experiment, pressed, run)
 
 

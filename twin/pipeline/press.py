@@ -1,6 +1,7 @@
 """Press the experiment's specimen: from the shape of the slab to the coated face as it is seen."""
 
 import hashlib
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from twin.config.models import Experiment
@@ -15,6 +16,8 @@ from twin.mechanics import (
 )
 from twin.mechanics.choice import unit_press, with_modulus
 from twin.pipeline.memory import Memory
+
+Progress = Callable[[float], None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,29 +36,33 @@ class PressedFace:
         return cls(pressed, name.hexdigest())
 
 
-def press(experiment: Experiment, memory: Memory) -> PressedFace:
+def press(experiment: Experiment, memory: Memory, progress: Progress | None = None) -> PressedFace:
     """Press by stages: the slab's shape for all moduli, or the whole press; then its texture.
+
+    Parameters
+    ----------
+    progress : called with the finished share of a thin sheet's load steps
 
     Raises
     ------
     InputError : the press is refused, or its solver does not converge
     """
-    smooth, token = _smooth(experiment, memory)
+    smooth, token = _smooth(experiment, memory, progress)
     made_from = token, smooth.pressed.young_modulus_kpa
     return memory.recall(
         "texture", experiment, made_from, lambda seen: _with_texture(seen, smooth)
     ).value
 
 
-def press_specimen(experiment: Experiment) -> PressedElastomer:
+def press_specimen(experiment: Experiment, progress: Progress | None = None) -> PressedElastomer:
     """Press the experiment's specimen into its elastomer: the coated face as it is seen."""
-    return press(experiment, Memory()).pressed
+    return press(experiment, Memory(), progress).pressed
 
 
-def press_smooth(experiment: Experiment) -> PressedElastomer:
+def press_smooth(experiment: Experiment, progress: Progress | None = None) -> PressedElastomer:
     """Press with the model that the experiment asks for; the coat's texture is left out."""
     return press_with(
-        experiment.mechanics, experiment.specimen, experiment.elastomer, experiment.press
+        experiment.mechanics, experiment.specimen, experiment.elastomer, experiment.press, progress
     )
 
 
@@ -67,12 +74,14 @@ def with_texture(experiment: Experiment, smooth: PressedElastomer) -> PressedEla
     return textured(smooth, experiment.elastomer, experiment.press, texture, experiment.seed)
 
 
-def _smooth(experiment: Experiment, memory: Memory) -> tuple[PressedFace, int]:
+def _smooth(
+    experiment: Experiment, memory: Memory, progress: Progress | None
+) -> tuple[PressedFace, int]:
     """Return the press without texture, and the token of what it comes from."""
     shape = memory.recall("shape", experiment, (), _unit_press)
     if shape.value is None:
         own = memory.recall(
-            "press", experiment, (), lambda seen: PressedFace.of(press_smooth(seen))
+            "press", experiment, (), lambda seen: PressedFace.of(press_smooth(seen, progress))
         )
         return own.value, own.token
     scaled = with_modulus(shape.value.pressed, experiment.elastomer)

@@ -9,7 +9,7 @@ from twin.config.models import Elastomer, Mechanics, Press, Specimen
 from twin.mechanics import PressedElastomer
 from twin.mechanics.choice import settled_with
 from twin.pipeline.gradients import value_at, with_number
-from twin.pipeline.press import with_texture
+from twin.pipeline.press import Progress, with_texture
 from twin.results.parts import press_metrics
 from twin.results.press_derivatives import PressDerivative
 
@@ -23,13 +23,14 @@ _TABLES = ("elastomer", "press", "specimen")
 
 
 def press_derivatives(
-    experiment: Experiment, paths: Sequence[str]
+    experiment: Experiment, paths: Sequence[str], progress: Progress | None = None
 ) -> tuple[PressedElastomer, list[PressDerivative]]:
     """Press a thin sheet and differentiate it, by the implicit function theorem at its equilibrium.
 
     Parameters
     ----------
     paths : dotted, of numbers of elastomer, press and specimen, such as `elastomer.thickness_mm`
+    progress : called with the finished share of the press's load steps
 
     Returns
     -------
@@ -44,7 +45,7 @@ def press_derivatives(
         if path.partition(".")[0] not in _TABLES:
             raise InputError(f"{path}: found no derivative by it; allowed: {', '.join(_TABLES)}.*")
         value_at(experiment, path)
-    rest = settled_with(*_data(experiment))
+    rest = settled_with(*_data(experiment), progress)
     from twin.mechanics.sheet.neighbour import Neighbourhood  # its solver loads slowly
 
     beside = Neighbourhood(rest)

@@ -15,6 +15,7 @@ from typing import Literal
 from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 
 from reconstruction.machine import unwritable
+from reconstruction.reading import read_bytes
 from reconstruction.writing import write_text
 from twin.files import naming_unwritable
 from twin.pipeline.progress import ProgressCallback, no_progress
@@ -208,7 +209,7 @@ def write_page(
 
 
 def _as_uri(picture: Path) -> str:
-    image = base64.b64encode(picture.read_bytes()).decode("ascii")
+    image = base64.b64encode(read_bytes(picture)).decode("ascii")
     return f"data:image/png;base64,{image}"
 
 

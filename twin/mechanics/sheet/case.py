@@ -19,7 +19,8 @@ from twin.mechanics.sheet.energy import Bodies, Sheet
 from twin.mechanics.sheet.grid import Frame, sheet_grid, span_mm
 from twin.mechanics.sheet.laws import Laws
 from twin.mechanics.sheet.splines import SplineLine, Widths, graded_line
-from twin.mechanics.validity import SHEET_THICKNESS_MM
+from twin.mechanics.size import check_face_nodes
+from twin.mechanics.validity import SHEET_THICKNESS_MM, THINNEST
 from twin.specimens import Shape, shape_of
 from twin.specimens.distance import (
     RectangularInside,
@@ -165,7 +166,31 @@ def check_sheet(shape: Shape, elastomer: Elastomer, load: Press, mechanics: Mech
             "grid have cells of no height, which a free rim folds); use outline = 'rectangular'"
         )
     check_outline(shape, elastomer)
+    check_face_nodes(elastomer, load)
     weight_kpa(elastomer, load)
+    _check_force(elastomer, load)
+
+
+def _check_force(elastomer: Elastomer, load: Press) -> None:
+    """Refuse a force that tears the sheet, whatever presses.
+
+    The rim and the air carry it. Per undeformed length of rim a neo-Hookean sheet pulls with less
+    than mu h lambda. Along a rigid rim it keeps its pre-stretch, so that it thins to 1 / (lambda
+    pre_stretch); at one that gives to lambda**-0.5 or less, as a strip does whose sides are free.
+    """
+    if load.force_n is None:
+        return
+    x_mm, y_mm = elastomer.length_x_mm, elastomer.length_y_mm
+    shear_n_mm2, stretch = young_modulus(elastomer).best_kpa / 3e3, elastomer.pre_stretch
+    largest = THINNEST**-2 if elastomer.rim_compliance_mm2_per_n else 1 / (THINNEST * stretch)
+    torn_n = 2 * (x_mm + y_mm) / stretch * shear_n_mm2 * elastomer.thickness_mm * largest
+    most_n = torn_n + 1e-3 * load.back_pressure_kpa * x_mm * y_mm
+    if load.force_n > most_n:
+        raise PressError(
+            f"press.force_n: found {load.force_n:g} N, allowed up to {most_n:.3g} N, which tears "
+            f"a sheet of {elastomer.thickness_mm:g} mm along all of its rim; lower it, or use a "
+            "thicker or harder sheet"
+        )
 
 
 def finest_cell_mm(elastomer: Elastomer, load: Press) -> float:

@@ -7,6 +7,7 @@ a bar, they are wider there too: a quadratic spline follows what turns little fr
 import numpy as np
 
 from reconstruction.arrays import FloatArray
+from twin.mechanics.errors import PressError
 from twin.mechanics.sheet.case import Box, Cells, SheetCase
 from twin.mechanics.sheet.energy import Sheet, SheetState
 from twin.mechanics.sheet.splines import SplineLine, Widths
@@ -19,6 +20,8 @@ _MARGIN_MM = 1.5
 # of the sheet, some 230,000 unknowns: more want more than 2 GiB.
 _MOST_CELLS, _MOST_CONTROLS = 24_000, 78_000
 _WIDENED = 1.02
+# On the way: more coarse cells take minutes for each step of the load. And of cells that are named.
+_MOST_COARSE, _MOST_NAMED = 40_000, 4 * _MOST_CONTROLS
 # Radians that the surface may turn over a wider cell, and no more than over one of the pitch where
 # it bends most. Where that is less than the second number, a touch is lighter than cells resolve.
 _TURN, _LIGHTEST_TURN = 0.1, 0.01
@@ -26,8 +29,29 @@ _STRAIGHT = 1e-9
 
 
 def coarse_cells(case: SheetCase) -> Cells:
-    """Return the cells on which a press begins."""
-    return Cells(COARSE_CELL_MM, COARSE_CELL_MM, case.shape.bounds_mm())
+    """Return the cells on which a press begins.
+
+    Raises
+    ------
+    PressError
+        The sheet is so large that each step of the load would take minutes.
+    """
+    cells = Cells(COARSE_CELL_MM, COARSE_CELL_MM, case.shape.bounds_mm())
+    count = _count(case, cells)
+    if count > _MOST_COARSE:
+        frame = case.frame
+        raise PressError(
+            f"elastomer.length_x_mm, length_y_mm: found {frame.length_x_mm:g} and "
+            f"{frame.length_y_mm:g}, of which a thin sheet takes {count} control points, allowed "
+            f"up to {_MOST_COARSE}: each step of the load would take minutes; shorten them to what "
+            "the camera sees"
+        )
+    return cells
+
+
+def _count(case: SheetCase, cells: Cells) -> int:
+    x, y = case.lines(cells)
+    return x.size * y.size
 
 
 def cells_between(case: SheetCase, coarse: Sheet, state: SheetState) -> Cells:
@@ -38,13 +62,24 @@ def cells_between(case: SheetCase, coarse: Sheet, state: SheetState) -> Cells:
 
 
 def finest_cells(case: SheetCase, coarser: Sheet, state: SheetState, pitch_mm: float) -> Cells:
-    """Return cells of a pitch, or wider ones where the rim round the box adds too many."""
+    """Return cells of a pitch, or wider ones where the rim round the box adds too many.
+
+    Raises
+    ------
+    PressError
+        Cells that press.cell_mm names take too much memory.
+    """
     box = _contact_box(case, coarser, state)
     allowed = _allowed(coarser, state, box, pitch_mm)
     while True:
         cells = Cells(pitch_mm, _RIM * pitch_mm, box, allowed)
-        x, y = case.lines(cells)
-        if case.asked_cell or x.size * y.size <= _MOST_CONTROLS:
+        count = _count(case, cells)
+        if case.asked_cell and count > _MOST_NAMED:
+            raise PressError(
+                f"press.cell_mm: found {pitch_mm:g}, of which this contact takes {count} control "
+                f"points, allowed up to {_MOST_NAMED} (some 8 GB); use wider cells"
+            )
+        if case.asked_cell or count <= _MOST_CONTROLS:
             return cells
         pitch_mm *= _WIDENED
 

@@ -17,13 +17,12 @@ from twin.mechanics.sheet.energy import Sheet, SheetState
 from twin.mechanics.sheet.equilibrium import Accuracy, settle
 from twin.mechanics.sheet.grid import SheetGrid, thinning_of
 from twin.mechanics.sheet.laws import Grip
+from twin.mechanics.validity import THINNEST
 
 TRAVEL_STEP_MM, PRESSURE_STEPS_KPA = 0.2, (0.5, 1.0, 2.0, 3.0, 4.5, 6.0, 8.0, 10.0)
 _PRESSURE_STEP_BEYOND_KPA = 2.0
 #: of a step; below, the path has ended
 _SMALLEST_STEP = 1 / 16
-#: thickness over its undeformed value below which a sheet flows away: silicones tear before
-THINNEST = 0.2
 # A stop on the way is no result: where many equilibria lie side by side, as on a slack sheet, the
 # way goes on before one of them is found.
 _MOST_STEPS_ON_THE_WAY = 20

@@ -13,6 +13,7 @@ from collections import OrderedDict
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -30,7 +31,6 @@ from twin.mechanics.sheet.cells import (
 from twin.mechanics.sheet.energy import Sheet, SheetState
 from twin.mechanics.sheet.equilibrium import Accuracy, settle
 from twin.mechanics.sheet.path import (
-    THINNEST,
     TRAVEL_STEP_MM,
     LimitPressureError,
     Loads,
@@ -41,6 +41,7 @@ from twin.mechanics.sheet.path import (
     refined,
 )
 from twin.mechanics.sheet.result import contact_force_n, pressed_of
+from twin.mechanics.validity import THINNEST
 
 # Cells of the coarse sheet over those of the fine one, beyond which there are some between them. A
 # sheet thinner than its cells passes edges point by point: from cells nearer to the finest in half
@@ -54,6 +55,8 @@ _BETWEEN = Accuracy(step_mm=5e-3, residual_kpa=1.0, most_steps=40, strict=False)
 _BETWEEN_STUCK = replace(_BETWEEN, most_steps=150)
 _FINE = Accuracy(residual_kpa=2e-3, most_steps=200, anchors_from_mm=0.03)
 _FORCE_TOLERANCE, _FORCE_STEPS = 1e-3, 40
+# Travel below which a specimen only touches: 0.5 % of a step of the load.
+_FIRST_TOUCH_MM = 1e-3
 # Thickness over its undeformed value of what is told to hold: far from what is refused.
 _HOLDS = 2 * THINNEST
 # Tried where the way found none that holds: less is no pressure that anybody sets.
@@ -192,8 +195,10 @@ def _settled(
         coarse, goal, _ROUGH, path.states, walked=walked, progress=lambda share: report(0.6 * share)
     )
     if load.force_n is not None:
-        state = _to_force(coarse, state, load.force_n, _ROUGH)
+        ahead = partial(_between_shares, report, 0.6, 0.7)
+        state = _to_force(coarse, state, load.force_n, _ROUGH, ahead)
     try:
+        report(0.7)
         fine, found = _on_fine_cells(case, coarse, state)
     except SolverError as error:
         if state.pressure_kpa == 0:
@@ -203,7 +208,8 @@ def _settled(
             state.travel_mm, state.pressure_kpa, state.pressure_kpa, str(error)
         ) from error
     if load.force_n is not None:
-        found = _to_force(fine, found, load.force_n, _FINE)
+        ahead = partial(_between_shares, report, 0.9, 1.0)
+        found = _to_force(fine, found, load.force_n, _FINE, ahead)
     report(1.0)
     return fine, found
 
@@ -294,10 +300,17 @@ def _at_lower_pressures(path: _Path, walked: list[SheetState], load: Loads) -> I
 
 
 def _silent(share: float) -> None:
-    """Tell nobody."""
+    """Report no progress."""
 
 
-def _to_force(sheet: Sheet, state: SheetState, force_n: float, accuracy: Accuracy) -> SheetState:
+def _between_shares(report: Progress, low: float, high: float, share: float) -> None:
+    """Report the share of a part of the load steps as one of all of them."""
+    report(low + (high - low) * share)
+
+
+def _to_force(
+    sheet: Sheet, state: SheetState, force_n: float, accuracy: Accuracy, progress: Progress
+) -> SheetState:
     """Change the travel until specimen and plate bear on the sheet with a force.
 
     Raises
@@ -308,9 +321,16 @@ def _to_force(sheet: Sheet, state: SheetState, force_n: float, accuracy: Accurac
     step = TRAVEL_STEP_MM
     before = state
     found = contact_force_n(sheet, state)
-    for _ in range(_FORCE_STEPS):
+    for number in range(_FORCE_STEPS):
+        progress(number / _FORCE_STEPS)
         if abs(found - force_n) <= _FORCE_TOLERANCE * force_n:
             return state
+        if found > force_n and state.travel_mm < _FIRST_TOUCH_MM:
+            raise PressError(
+                f"press.force_n: {force_n:g} N is less than the {found:.3g} N with which air of "
+                f"{state.pressure_kpa:g} kPa presses the sheet on the specimen at first touch; "
+                "raise it, or lower press.back_pressure_kpa"
+            )
         goal = Loads(max(state.travel_mm + step, state.travel_mm / 2), state.pressure_kpa)
         state, before = advance(sheet, state, state, goal, accuracy)
         last, found = found, contact_force_n(sheet, state)

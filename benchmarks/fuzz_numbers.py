@@ -1,0 +1,178 @@
+"""Every number of an experiment at its extremes: a sensible result, or one clear line.
+
+For each numeric key that a base experiment has, the smallest and the largest values that its bounds
+allow and the extremes of floating point. Values that the configuration rejects take milliseconds;
+the others run in a child process under limits of processor time and memory. Bad cases are printed
+as they are found. Last line: {"cases": n, "tracebacks": 0, "hangs": 0, "crashes": 0, "long": 0,
+"absurd": 0, ...}.
+
+- `absurd`: exit code 0, and a figure that is not finite or larger than `LARGEST`;
+- `long`: bad input that takes more than one line per problem.
+"""
+
+import argparse
+import json
+import math
+import resource
+import shutil
+import sys
+import tempfile
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from benchmarks.fuzz import command, preload
+from benchmarks.fuzzing import run_forked
+
+EXTREMES = (0, -1, 5e-324, 1e-300, 1e-9, 1e9, 1e300)
+LARGEST = 1e7
+"""Of a figure in its own unit (mm, um, ms, kPa, N): no sensor has a larger one."""
+MOST_BYTES = 6 * 2**30
+# Settings and times of a result file.
+_NO_FIGURES = ("experiment", "seconds", "frames_per_s", "seed")
+_SMALL_CAMERA = {"camera.binning": 4, "camera.width_px": 484, "camera.height_px": 368}
+_SLAB = _SMALL_CAMERA | {"press.solver_pitch_mm": 0.4}
+_SHEET = _SMALL_CAMERA | {"press.cell_mm": 0.4}
+
+
+@dataclass(frozen=True)
+class NumberBase:
+    """An experiment whose numbers are varied, and the command that takes it."""
+
+    experiment: str
+    settings: dict[str, Any]
+    command: str
+    #: tables whose numbers are varied
+    sections: tuple[str, ...]
+
+
+_FORCE = {"press.control": "force", "press.depth_mm": "absent"}
+_PRESSED = ("press", "elastomer", "specimen")
+_SEEN = ("projector", "camera", "patterns", "decode", "score", "render", "coating", "specimen")
+BASES = {
+    "slab": NumberBase("examples/slab_ball", _SLAB, "press", _PRESSED),
+    "slab_force": NumberBase(
+        "examples/slab_ball", _SLAB | _FORCE | {"press.force_n": 2.0}, "press", _PRESSED[:2]
+    ),
+    "gel": NumberBase("examples/gel_on_window", _SLAB, "press", _PRESSED),
+    "sheet": NumberBase("examples/wrapped_balls", _SHEET, "press", _PRESSED),
+    "sheet_force": NumberBase(
+        "examples/wrapped_balls", _SHEET | _FORCE | {"press.force_n": 0.6}, "press", _PRESSED[:2]
+    ),
+    "measured": NumberBase("examples/slab_ball", _SLAB, "measure", _SEEN),
+    "window": NumberBase("examples/gel_on_window", _SLAB, "measure", ("layers",)),
+    "direct": NumberBase("examples/gauges", _SMALL_CAMERA, "measure", (*_SEEN, "stage")),
+}
+
+
+@dataclass(frozen=True)
+class NumberOutcome:
+    """How a case ended: `told`, `done`, or what was bad; and wall-clock seconds."""
+
+    base: str
+    key: str
+    value: float
+    end: str
+    message: str
+    seconds: float
+
+    @property
+    def is_bad(self) -> bool:
+        """Return True if the program misbehaved."""
+        return self.end not in ("told", "done")
+
+
+def cases_of(base: NumberBase) -> Iterator[tuple[str, float]]:
+    """Yield keys and values: the ends of the key's range, and the extremes."""
+    from twin.config import load_experiment
+    from twin.config.schema import limits_at
+
+    tree = load_experiment(base.experiment, base.settings).model_dump(mode="python")
+    for key in _numbers_in({name: tree[name] for name in base.sections}):
+        for value in dict.fromkeys((*limits_at(key), *EXTREMES)):
+            yield key, value
+
+
+def _numbers_in(tree: dict[str, Any], before: str = "") -> Iterator[str]:
+    """Yield the dotted paths of the numbers in nested tables; in lists no path leads to one."""
+    for key, value in tree.items():
+        if isinstance(value, dict):
+            yield from _numbers_in(value, f"{before}{key}.")
+        elif isinstance(value, int | float) and not isinstance(value, bool):
+            yield f"{before}{key}"
+
+
+def run_number(name: str, key: str, value: float, folder: Path, limit_s: float) -> NumberOutcome:
+    """Run one case in a child process, and judge it."""
+    base, out = BASES[name], folder / "out"
+    settings = base.settings | {key: value}
+    words = [f"{path}={_as_toml(path, setting, key)}" for path, setting in settings.items()]
+    given = [part for word in words for part in ("-s", word)]
+    arguments = [base.command, base.experiment, *given, "--no-report", "-o", "out"]
+    end, message, seconds = run_forked(arguments, folder, _limited, limit_s)
+    if end == "told" and len((folder / "stderr").read_text().split("twin: ")[-1].splitlines()) > 3:
+        end = "long"
+    if end == "told" and not (message and key.split(".")[-1] in (folder / "stderr").read_text()):
+        message = f"(another key) {message}"
+    if end == "done" and (figure := _absurd(out / "result.json")):
+        end, message = "absurd", figure
+    shutil.rmtree(out, ignore_errors=True)
+    return NumberOutcome(name, key, value, end, message, seconds)
+
+
+def _as_toml(path: str, setting: Any, key: str) -> str:
+    text = f"'{setting}'" if isinstance(setting, str) else repr(setting)
+    return f"{{ value = {text}, source = 'fuzz' }}" if path == key else text
+
+
+def _limited(arguments: list[str]) -> int:
+    resource.setrlimit(resource.RLIMIT_AS, (MOST_BYTES, MOST_BYTES))
+    return command(arguments)
+
+
+def _absurd(result: Path) -> str:
+    """Return a figure that no sensor has; empty where there is none."""
+    text = result.read_text(encoding="utf-8")
+    for name, value in _figures_in(json.loads(text)):
+        if not math.isfinite(value) or abs(value) > LARGEST:
+            return f"{name} = {value:g}"
+    return ""
+
+
+def _figures_in(node: Any, name: str = "") -> Iterator[tuple[str, float]]:
+    if isinstance(node, dict):
+        for key, value in node.items():
+            if key not in _NO_FIGURES:
+                yield from _figures_in(value, key)
+    elif isinstance(node, float):
+        yield name, node
+
+
+def main() -> int:
+    """Run every case, or those of one base or key."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--base", choices=BASES, action="append")
+    parser.add_argument("--key", default="", help="only keys that begin with this")
+    parser.add_argument("--limit", type=float, default=60.0, help="processor seconds of a case")
+    parser.add_argument("--all", action="store_true", help="print every case")
+    chosen = parser.parse_args()
+    preload()
+    outcomes = []
+    for name in chosen.base or BASES:
+        for key, value in cases_of(BASES[name]):
+            if not key.startswith(chosen.key):
+                continue
+            with tempfile.TemporaryDirectory() as scratch:
+                outcome = run_number(name, key, value, Path(scratch), chosen.limit)
+            outcomes.append(outcome)
+            if outcome.is_bad or chosen.all:
+                print(outcome, flush=True)
+    ends = Counter(outcome.end for outcome in outcomes)
+    print(json.dumps({"cases": len(outcomes)} | dict(sorted(ends.items()))))
+    return int(any(outcome.is_bad for outcome in outcomes))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

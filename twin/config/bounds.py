@@ -1,0 +1,175 @@
+"""Ranges that physics gives to quantities of an experiment, each with its reason.
+
+`twin keys` prints the reason next to the range, and so does the error about a value outside it.
+Ranges are wide: they exclude what no sensor, gel or light source is, and what the models of this
+project (rays of light, continuum mechanics, double precision) cannot describe. The narrower range
+of one product is part of its data file.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Annotated
+
+from pydantic import AfterValidator, Field
+
+
+@dataclass(frozen=True)
+class Because:
+    """Why a range ends where it does; metadata of an annotated type."""
+
+    reason: str
+
+
+def zero_or_at_least(least: float) -> Callable[[float], float]:
+    """Return a check that a number is 0 or not below the least that has an effect."""
+
+    def check(value: float) -> float:
+        if 0 < value < least:
+            raise ValueError(f"allowed 0 or at least {least:g}")
+        return value
+
+    return check
+
+
+# ---- lengths -----------------------------------------------------------------------------------
+
+_LENGTHS = Because("0.1 um, below which light is no ray, to 1 m, more than any tactile sensor")
+Length = Annotated[float, Field(ge=1e-4, le=1000), _LENGTHS]
+Place = Annotated[float, Field(ge=-1000, le=1000), Because("within 1 m of the sensor's centre")]
+Rounding = Annotated[float, Field(ge=0, le=1000), _LENGTHS]
+#: of a part of a specimen
+Size = Annotated[
+    float,
+    Field(ge=1e-4, le=100),
+    Because("0.1 um, below which light is no ray, to 100 mm, what fits under the sensor"),
+]
+#: of a part that may be left out by giving 0
+OptionalSize = Annotated[
+    float, Field(ge=0, le=100), Because("100 mm is what fits under the sensor")
+]
+FileUnit = Annotated[
+    float, Field(ge=1e-6, le=1e6), Because("files are drawn in units from the nanometre to the km")
+]
+#: of a figure of merit in micrometres
+Micrometres = Annotated[float, Field(ge=0, le=1e6), Because("1 m is more than any sensor measures")]
+Tolerance = Annotated[float, Field(gt=0, le=1e6), Because("1 m is more than any sensor measures")]
+Limit = Annotated[float, Field(ge=-1e6, le=1e6), Because("1 m is more than any sensor measures")]
+
+#: a figure of a result, in the unit of its name, or a number of an experiment
+Figure = Annotated[float, Field(ge=-1e12, le=1e12), Because("no key and no figure is larger")]
+FigureSigma = Annotated[
+    float,
+    Field(ge=1e-12, le=1e12),
+    Because("no figure is so well known, and none is larger"),
+]
+#: or 0 for none
+Spread = Annotated[float, Field(ge=0, le=1e12), Because("no key and no figure is larger")]
+
+# ---- mechanics ---------------------------------------------------------------------------------
+
+Modulus = Annotated[
+    float,
+    Field(ge=1, le=1e7),
+    Because("1 kPa, jelly that barely keeps its shape, to 10 GPa, a glassy polymer"),
+]
+FilmModulus = Annotated[
+    float, Field(ge=1, le=4e8), Because("1 kPa, jelly, to 400 GPa, a film of hard metal")
+]
+Travel = Annotated[
+    float,
+    Field(ge=1e-6, le=100),
+    Because("1 nm, a few atoms, to 100 mm, the height of the largest specimen"),
+]
+Force = Annotated[
+    float,
+    Field(ge=1e-6, le=1e4),
+    Because("1 uN, the weight of a grain of dust, to 10 kN, the weight of a car"),
+]
+AirPressure = Annotated[
+    float,
+    Field(ge=0, le=1000),
+    AfterValidator(zero_or_at_least(1e-4)),
+    Because("1000 kPa is a workshop's compressed air, below 0.1 Pa there is none"),
+]
+RimCompliance = Annotated[
+    float,
+    Field(ge=0, le=100),
+    AfterValidator(zero_or_at_least(1e-3)),
+    Because("a sheet's own is 10 and more; below 0.001 a rim is rigid: give 0"),
+]
+ModulusSigma = Annotated[float, Field(ge=0, le=1e7), Because("10 GPa is the modulus of no gel")]
+ForceSigma = Annotated[float, Field(ge=0, le=1e4), Because("10 kN is the weight of a car")]
+Tack = Annotated[
+    float,
+    Field(ge=0, le=1000),
+    AfterValidator(zero_or_at_least(1e-6)),
+    Because("1000 J/m^2 peels a strong adhesive tape, below 1e-6 nothing holds"),
+]
+
+# ---- optics ------------------------------------------------------------------------------------
+
+MetalIndex = Annotated[
+    float, Field(ge=0.01, le=20), Because("metals have 0.04 (silver) to 8, from 300 to 1100 nm")
+]
+Extinction = Annotated[
+    float, Field(ge=0, le=50), Because("metals have up to 11 (aluminium), from 300 to 1100 nm")
+]
+Absorption = Annotated[
+    float,
+    Field(ge=0, le=1e4),
+    Because("above 1e4 per mm light ends within 0.1 um: a metal, not a clear body"),
+]
+Flux = Annotated[
+    float,
+    Field(ge=1e-6, le=1e6),
+    Because("1 nW, less than an indicator LED in the next room, to 1 kW, a cinema projector"),
+]
+Irradiance = Annotated[float, Field(ge=0, le=1e4), Because("1e4 mW/mm^2 burns the coat")]
+ThrowRatio = Annotated[
+    float, Field(ge=0.05, le=100), Because("projection lenses have 0.2 (wall-mounted) to 10")
+]
+Contrast = Annotated[
+    float, Field(gt=1, le=1e9), Because("above 1e9 black is darker than any camera measures")
+]
+# The coefficients of OpenCV, at image heights over focal length: up to 1.7 for 120 deg of view,
+# 0.05 for a telephoto lens, whose k3 x^6 is a pixel from about 1e4 on.
+DistortionCoefficient = Annotated[
+    float,
+    Field(ge=-1e6, le=1e6),
+    Because("at 1e6 even k3 of a telephoto lens moves its corner by a hundredth of the image"),
+]
+Distortion = tuple[
+    DistortionCoefficient,
+    DistortionCoefficient,
+    DistortionCoefficient,
+    DistortionCoefficient,
+    DistortionCoefficient,
+]
+
+# ---- camera ------------------------------------------------------------------------------------
+
+PixelPitch = Annotated[
+    float,
+    Field(ge=0.1, le=1000),
+    Because("0.1 um, below which a pixel is smaller than its light's wavelength, to 1 mm"),
+]
+EXPOSURE_RANGE_MS = (1e-4, 1e6)
+Exposure = Annotated[
+    float,
+    Field(ge=EXPOSURE_RANGE_MS[0], le=EXPOSURE_RANGE_MS[1]),
+    Because("100 ns, an electronic shutter, to 1000 s, the longest of a cooled camera"),
+]
+FullWell = Annotated[
+    float, Field(ge=1, le=1e9), Because("1 electron to 1e9, above the largest photodiodes' wells")
+]
+ReadNoise = Annotated[float, Field(ge=0, le=1e6), Because("1e6 electrons hide any image")]
+DarkCurrent = Annotated[
+    float, Field(ge=0, le=1e9), Because("1e9 electrons per second fill any well within a frame")
+]
+BlackLevel = Annotated[float, Field(ge=0, lt=2**16 - 1), Because("the largest code of 16 bits")]
+ResponseSpread = Annotated[
+    float, Field(ge=0, le=25), Because("above 25 % some pixels would respond to light negatively")
+]
+FilterWidth = Annotated[
+    float, Field(ge=0.1, le=100), Because("0.1 px is no filter, 100 px is wider than any object")
+]
