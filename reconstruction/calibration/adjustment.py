@@ -9,7 +9,7 @@ from the residuals themselves). Covariance: s^2 (J^T W J)^-1 with s^2 from the r
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -17,6 +17,8 @@ from scipy.optimize import least_squares
 from reconstruction.arrays import BoolImage, FloatArray
 from reconstruction.calibration.observation import Observation
 from reconstruction.calibration.parameters import (
+    CAMERA,
+    PROJECTOR,
     Freedom,
     RigEstimate,
     admissible,
@@ -27,6 +29,7 @@ from reconstruction.calibration.parameters import (
 )
 from reconstruction.calibration.plane_images import PHASE_SHARE, centre_bias_px, defocus_slopes_px
 from reconstruction.errors import InputError
+from reconstruction.rig.plausibility import implausible, lens_checks
 
 # The bias of dot centres depends on the poses and is at most some tenths of a pixel: it settles at
 # once. The weights settle with it.
@@ -39,6 +42,7 @@ MIN_SPREAD_PX = 1e-9
 MAD_TO_SIGMA = 1.4826
 # Rounding only: what the poses hardly determine shows in its uncertainty.
 MIN_SINGULAR_RATIO = 1e-9
+DIVERGES = "the adjustment diverges: no camera and projector fit all features of all poses"
 # Coefficients of the camera's defocus, at the end of the vector.
 DEFOCUS = 2
 
@@ -55,6 +59,14 @@ class AdjustOptions:
 
     freedom: Freedom = field(default_factory=Freedom)
     correct_dot_bias: bool = True
+
+
+@dataclass(frozen=True)
+class PixelRatio:
+    """Estimate of fy / fx of a device and its standard uncertainty; inf: not determined."""
+
+    value: float
+    sigma: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,6 +87,8 @@ class Adjustment:
     spread_px : standard deviation of the camera's residuals, and of the projector's beyond what the
         camera's explain
     degrees_of_freedom : measured numbers minus free parameters
+    pixel_ratios : of camera and projector, as one step of the adjustment would change them if both
+        were free
     """
 
     rig: RigEstimate
@@ -87,16 +101,24 @@ class Adjustment:
     used: tuple[BoolImage, ...]
     spread_px: tuple[float, float]
     degrees_of_freedom: int
+    pixel_ratios: tuple[PixelRatio, PixelRatio]
 
 
 def adjust(
-    observations: Sequence[Observation], start: RigEstimate, options: AdjustOptions | None = None
+    observations: Sequence[Observation],
+    start: RigEstimate,
+    options: AdjustOptions | None = None,
+    most_rms_px: float = np.inf,
 ) -> Adjustment:
     """Adjust the rig to the observations.
 
+    Parameters
+    ----------
+    most_rms_px : RMS of all residuals after the first turn, above which it is given up
+
     Raises
     ------
-    InputError : the poses do not determine the free parameters, or the adjustment does not settle
+    InputError : the poses do not determine the free parameters, or the adjustment diverges
     """
     chosen = options or AdjustOptions()
     problem = _Problem(observations, start, chosen)
@@ -106,6 +128,8 @@ def adjust(
         if turn:  # the first turn only brings the rig near
             problem.weigh(vector)
         vector = problem.solve(vector)
+        if turn == 0 and not problem.rms_px(vector) <= most_rms_px:
+            raise _diverges()
     problem.measure(vector)
     return problem.result(vector)
 
@@ -121,7 +145,10 @@ class _Problem:
     ) -> None:
         self._seen, self._devices = observations, (start.camera, start.projector)
         self._correct = options.correct_dot_bias
-        self._freedom = _freedom(options.freedom, len(pack(start)))
+        size = len(pack(start))
+        self._freedom = _freedom(options.freedom, size)
+        released = replace(options.freedom, camera_pixel_ratio=None, projector_pixel_ratio=None)
+        self._released = _freedom(released, size)
         self._defocus = [np.zeros((len(seen.ids), 4, DEFOCUS)) for seen in observations]
         self._targets = [np.hstack([seen.camera_px, seen.projector_px]) for seen in observations]
         self._spread = np.ones(2)
@@ -129,7 +156,7 @@ class _Problem:
 
     def measure(self, vector: FloatArray) -> None:
         """Move the dot centres from the ellipses' to the imaged centres; see how defocus acts."""
-        rig = unpack(vector[:-DEFOCUS], *self._devices)
+        rig = self._rig(vector)
         middle_mm = float(np.median(rig.T_cam_from_board[:, 2, 3]))
         for k, (seen, T) in enumerate(zip(self._seen, rig.T_cam_from_board, strict=True)):
             inside = seen.points_mm @ T[:3, :3].T + T[:3, 3]
@@ -140,6 +167,16 @@ class _Problem:
             bias = centre_bias_px(rig.camera, inside, seen.radii_mm, T[:3, :3])
             along = np.einsum("nij,nj->ni", seen.slopes, bias)
             self._targets[k] = np.hstack([seen.camera_px - bias, seen.projector_px - along])
+
+    def _rig(self, vector: FloatArray) -> RigEstimate:
+        try:
+            rig = unpack(vector[:-DEFOCUS], *self._devices)
+        except InputError as error:  # focal lengths that no device has
+            raise _diverges() from error
+        for seen, T in zip(self._seen, rig.T_cam_from_board, strict=True):
+            if (seen.points_mm @ T[2, :3] + T[2, 3]).min() <= 0.0:
+                raise _diverges()
+        return rig
 
     def weigh(self, vector: FloatArray) -> None:
         """Set spreads from the residuals (robustly) and leave out features far beyond them."""
@@ -194,14 +231,21 @@ class _Problem:
         return (np.concatenate(kept) * self._weights()).ravel()
 
     def _jacobian(self, free: FloatArray, vector: FloatArray) -> FloatArray:
-        now, weights = vector + self._freedom @ free, self._weights()
-        blocks = []
+        return self._slopes(vector + self._freedom @ free) @ self._freedom
+
+    def _slopes(self, now: FloatArray) -> FloatArray:
+        """Return the derivatives of the weighted residuals by all parameters."""
+        weights, blocks = self._weights(), []
         for k, (seen, used) in enumerate(zip(self._seen, self._used, strict=True)):
             slopes = project_pose(now, k, seen.points_mm[used])[1]
             slopes[..., -DEFOCUS:] = self._defocus[k][used]
             slopes[:, 2:] -= seen.slopes[used] @ slopes[:, :2]
-            blocks.append((-weights[:, np.newaxis] * slopes).reshape(-1, len(vector)))
-        return np.concatenate(blocks) @ self._freedom
+            blocks.append((-weights[:, np.newaxis] * slopes).reshape(-1, len(now)))
+        return np.concatenate(blocks)
+
+    def rms_px(self, vector: FloatArray) -> float:
+        """Return the RMS over all features and both devices."""
+        return float(np.sqrt(np.mean(np.concatenate(self.reprojection(vector)) ** 2)))
 
     def solve(self, vector: FloatArray) -> FloatArray:
         found = least_squares(
@@ -217,18 +261,26 @@ class _Problem:
             args=(vector,),
         )
         if not np.all(np.isfinite(found.x)):
-            raise InputError("the adjustment diverges: check the board's data and the poses")
-        return np.asarray(vector + self._freedom @ found.x)
+            raise _diverges()
+        moved = np.asarray(vector + self._freedom @ found.x)
+        if found.status == 0 and not self._has_lenses(moved):  # it would run on for ever
+            raise _diverges()
+        return moved
+
+    def _has_lenses(self, vector: FloatArray) -> bool:
+        rig = self._rig(vector)
+        lenses = (*lens_checks("camera", rig.camera), *lens_checks("projector", rig.projector))
+        return not implausible(lenses)
 
     def result(self, vector: FloatArray) -> Adjustment:
         nothing = np.zeros(self._freedom.shape[1])
-        jacobian, residuals = self._jacobian(nothing, vector), self._residuals(nothing, vector)
+        slopes, residuals = self._slopes(vector), self._residuals(nothing, vector)
         degrees = len(residuals) - len(nothing)
-        covariance = _covariance(jacobian) * float(residuals @ residuals) / degrees
+        covariance = _covariance(slopes @ self._freedom) * float(residuals @ residuals) / degrees
         covariance = self._freedom @ covariance @ self._freedom.T
         independent = self._independent(vector)
         return Adjustment(
-            rig=unpack(vector[:-DEFOCUS], *self._devices),
+            rig=self._rig(vector),
             vector=vector[:-DEFOCUS],
             covariance=covariance[:-DEFOCUS, :-DEFOCUS],
             pupil_mm2=float(vector[-DEFOCUS]),
@@ -238,7 +290,12 @@ class _Problem:
             used=tuple(self._used),
             spread_px=_spreads(independent, self._used, degrees / len(residuals)),
             degrees_of_freedom=degrees,
+            pixel_ratios=_pixel_ratios(vector, slopes, residuals, self._released),
         )
+
+
+def _diverges() -> InputError:
+    return InputError(DIVERGES)
 
 
 def _freedom(freedom: Freedom, size: int) -> FloatArray:
@@ -249,6 +306,39 @@ def _freedom(freedom: Freedom, size: int) -> FloatArray:
     whole[:size, : rig.shape[1]] = rig
     whole[size : size + free, rig.shape[1] :] = np.eye(free)
     return whole
+
+
+def _pixel_ratios(
+    vector: FloatArray, slopes: FloatArray, residuals: FloatArray, released: FloatArray
+) -> tuple[PixelRatio, PixelRatio]:
+    """Return fy / fx of both devices after one Gauss-Newton step with both of them free."""
+    jacobian = slopes @ released
+    try:
+        inverse = _covariance(jacobian)
+    except InputError:
+        camera, projector = (vector[d.start + 1] / vector[d.start] for d in (CAMERA, PROJECTOR))
+        return PixelRatio(float(camera), np.inf), PixelRatio(float(projector), np.inf)
+    step = -inverse @ (jacobian.T @ residuals)
+    left = residuals + jacobian @ step
+    variance = float(left @ left) / max(len(left) - len(step), 1)
+    covariance = released @ inverse @ released.T * variance
+    change = released @ step
+    camera, projector = (
+        _pixel_ratio(vector, change, covariance, slice(d.start, d.start + 2))
+        for d in (CAMERA, PROJECTOR)
+    )
+    return camera, projector
+
+
+def _pixel_ratio(
+    vector: FloatArray, change: FloatArray, covariance: FloatArray, focal: slice
+) -> PixelRatio:
+    """Return fy / fx; the step is that of its logarithm, so that it stays positive."""
+    fx, fy = vector[focal]
+    slope = np.array([-1.0 / fx, 1.0 / fy])
+    with np.errstate(over="ignore"):
+        ratio = float(fy / fx * np.exp(slope @ change[focal]))
+    return PixelRatio(ratio, ratio * float(np.sqrt(slope @ covariance[focal, focal] @ slope)))
 
 
 def _covariance(jacobian: FloatArray) -> FloatArray:

@@ -13,12 +13,13 @@ from scipy.linalg import rq
 
 from reconstruction.arrays import FloatArray, FloatImage
 from reconstruction.calibration.observation import Observation
-from reconstruction.calibration.parameters import RigEstimate, rigid
+from reconstruction.calibration.parameters import Freedom, RigEstimate, rigid
 from reconstruction.calibration.plane_images import normaliser
 from reconstruction.errors import InputError
 from reconstruction.rig.pinhole import Pinhole
 
 MIN_POSES = 3
+SQUARE_PIXELS = Freedom()
 # Only the focal length is left free: the start must not wander in weakly determined directions.
 CAMERA_FLAGS = (
     cv2.CALIB_FIX_PRINCIPAL_POINT
@@ -30,15 +31,22 @@ CAMERA_FLAGS = (
 )
 # Board normals must spread by this much, or focal length and distance are exchangeable.
 MIN_TILT_SPREAD_DEG = 3.0
-# What a resection may find without being called a failure: focal length in image widths, ratio of
-# the two focal lengths.
+# What a resection may find without being called a failure: focal length in image widths, deviation
+# of fy / fx from the pixel ratio as a factor.
 FOCAL_WIDTHS, MAX_RATIO = (0.3, 20.0), 1.3
+# Tilted views of a small field leave focal length and distance nearly exchangeable: several starts,
+# the best fit wins. So it does where the pixel ratio is open.
+FOCAL_FACTORS, USUAL_RATIOS = (1.0, 0.5, 2.0), (1.0, 0.5, 2.0)
+# Projector pixels that the features of all poses must cover.
+LEAST_EXTENT_PX = 8.0
 # Throw ratio of a usual projector, where the resection fails.
 FALLBACK_THROW = 1.4
 
 
-def starting_rig(observations: Sequence[Observation]) -> RigEstimate:
-    """Return a first estimate of the whole rig.
+def starting_rig(
+    observations: Sequence[Observation], freedom: Freedom = SQUARE_PIXELS
+) -> RigEstimate:
+    """Return a first estimate of the whole rig; of `freedom` the pixel ratios are used.
 
     Raises
     ------
@@ -49,13 +57,27 @@ def starting_rig(observations: Sequence[Observation]) -> RigEstimate:
             f"{len(observations)} board poses given, needed are {MIN_POSES} (better 12), tilted "
             "in different directions"
         )
-    camera, motions = _start_camera(observations)
+    camera, motions = _start_camera(observations, freedom.camera_pixel_ratio)
     _require_tilts(motions)
-    poses = zip(observations, motions, strict=True)
-    points_cam_mm = np.concatenate([seen.points_mm @ T[:3, :3].T + T[:3, 3] for seen, T in poses])
-    pixels = np.concatenate([seen.projector_px for seen in observations])
-    projector, motion = _start_projector(points_cam_mm, pixels, observations[0].projector_size_px)
+    points_cam_mm, pixels = _in_space(observations, motions)
+    size, ratio = observations[0].projector_size_px, freedom.projector_pixel_ratio
+    projector, motion = _start_projector(points_cam_mm, pixels, size, ratio)
     return RigEstimate(camera, projector, motion, motions)
+
+
+def is_resected(observations: Sequence[Observation], freedom: Freedom) -> bool:
+    """Whether the linear solution for the projector has all features in front of it."""
+    motions = _start_camera(observations, freedom.camera_pixel_ratio)[1]
+    return resect(*_in_space(observations, motions)) is not None
+
+
+def _in_space(
+    observations: Sequence[Observation], motions: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return all features in the camera's frame, (n, 3) mm, and in the projector, (n, 2) px."""
+    poses = zip(observations, motions, strict=True)
+    points = [seen.points_mm @ T[:3, :3].T + T[:3, 3] for seen, T in poses]
+    return np.concatenate(points), np.concatenate([seen.projector_px for seen in observations])
 
 
 def _require_tilts(motions: FloatArray) -> None:
@@ -65,23 +87,33 @@ def _require_tilts(motions: FloatArray) -> None:
         raise _undetermined()
 
 
-def _start_camera(observations: Sequence[Observation]) -> tuple[Pinhole, FloatArray]:
+def _start_camera(
+    observations: Sequence[Observation], pixel_ratio: float | None
+) -> tuple[Pinhole, FloatArray]:
     size = observations[0].camera_size_px
     objects = [seen.points_mm.astype(np.float32) for seen in observations]
     images = [seen.camera_px.astype(np.float32).reshape(-1, 1, 2) for seen in observations]
-    guess = cv2.initCameraMatrix2D(objects, images, size, 1.0)
-    if not (np.all(np.isfinite(guess)) and guess[0, 0] > 0.0):
+    tries = [
+        _calibrate_camera(objects, images, size, guess, factor)
+        for ratio in (USUAL_RATIOS if pixel_ratio is None else (pixel_ratio,))
+        if (guess := _camera_guess(objects, images, size, ratio)) is not None
+        for factor in FOCAL_FACTORS
+    ]
+    if not tries:
         raise _undetermined()
-    # Tilted views of a small field leave focal length and distance nearly exchangeable: several
-    # starts, the best fit wins.
-    factors = (1.0, 0.5, 2.0)
-    tries = [_calibrate_camera(objects, images, size, guess, factor) for factor in factors]
     error, matrix, rotations, shifts = min(tries, key=lambda found: found[0])
     if not np.isfinite(error):
         raise _undetermined()
-    f, cx, cy = float(matrix[0, 0]), float(matrix[0, 2]), float(matrix[1, 2])
+    fx, fy, cx, cy = (float(matrix[place]) for place in ((0, 0), (1, 1), (0, 2), (1, 2)))
     motions = np.stack([rigid(r, t) for r, t in zip(rotations, shifts, strict=True)])
-    return Pinhole(size[0], size[1], f, f, cx, cy), motions
+    return Pinhole(size[0], size[1], fx, fy, cx, cy), motions
+
+
+def _camera_guess(
+    objects: list[FloatImage], images: list[FloatImage], size: tuple[int, int], pixel_ratio: float
+) -> FloatArray | None:
+    guess = cv2.initCameraMatrix2D(objects, images, size, 1.0 / pixel_ratio)
+    return guess if np.all(np.isfinite(guess)) and guess[0, 0] > 0.0 else None
 
 
 def _calibrate_camera(
@@ -92,7 +124,7 @@ def _calibrate_camera(
     by: float,
 ) -> tuple[float, FloatArray, Sequence[FloatArray], Sequence[FloatArray]]:
     matrix = np.array(guess, dtype=np.float64)
-    matrix[0, 0] = matrix[1, 1] = by * guess[0, 0]
+    matrix[:2, :2] *= by
     matrix[:2, 2] = (size[0] - 1) / 2.0, (size[1] - 1) / 2.0
     flags = cv2.CALIB_USE_INTRINSIC_GUESS | CAMERA_FLAGS
     try:
@@ -111,27 +143,42 @@ def _undetermined() -> InputError:
 
 
 def _start_projector(
-    points_cam_mm: FloatArray, pixels_px: FloatArray, size: tuple[int, int]
+    points_cam_mm: FloatArray,
+    pixels_px: FloatArray,
+    size: tuple[int, int],
+    pixel_ratio: float | None,
 ) -> tuple[Pinhole, FloatArray]:
+    _require_spread(pixels_px)
     found = resect(points_cam_mm, pixels_px)
     if found is not None:
         matrix, motion = found
         fx, fy = float(matrix[0, 0]), float(matrix[1, 1])
         low, high = FOCAL_WIDTHS[0] * size[0], FOCAL_WIDTHS[1] * size[0]
-        if low < fx < high and 1.0 / MAX_RATIO < fx / fy < MAX_RATIO:
+        deviation = 1.0 if pixel_ratio is None else fy / fx / pixel_ratio
+        if low < fx < high and 1.0 / MAX_RATIO < deviation < MAX_RATIO:
             cx, cy = float(matrix[0, 2]), float(matrix[1, 2])
             return Pinhole(size[0], size[1], fx, fy, cx, cy), motion
     # Noise swamps the linear solution: an ordinary projector with a centred lens, put where the
     # points say; the adjustment moves its principal point.
-    f = FALLBACK_THROW * size[0]
-    matrix = np.array([[f, 0.0, (size[0] - 1) / 2], [0.0, f, (size[1] - 1) / 2], [0.0, 0.0, 1.0]])
+    fx = FALLBACK_THROW * size[0]
+    fy = (pixel_ratio or 1.0) * fx
+    matrix = np.array([[fx, 0.0, (size[0] - 1) / 2], [0.0, fy, (size[1] - 1) / 2], [0.0, 0.0, 1.0]])
     ok, rotation, shift = cv2.solvePnP(
         points_cam_mm, pixels_px, matrix, np.zeros(5), flags=cv2.SOLVEPNP_SQPNP
     )
     if not ok:
         raise InputError("the projector cannot be placed: its coordinates fit no pinhole")
-    device = Pinhole(size[0], size[1], f, f, float(matrix[0, 2]), float(matrix[1, 2]))
+    device = Pinhole(size[0], size[1], fx, fy, float(matrix[0, 2]), float(matrix[1, 2]))
     return device, rigid(rotation, shift)
+
+
+def _require_spread(pixels_px: FloatArray) -> None:
+    for name, extent_px in zip(("column", "row"), np.ptp(pixels_px, axis=0), strict=True):
+        if not extent_px >= LEAST_EXTENT_PX:
+            raise InputError(
+                f"the projector {name}s of all features are within {extent_px:.2g} px, needed are "
+                f"{LEAST_EXTENT_PX:g}; check that the images show the patterns of capture.toml"
+            )
 
 
 def resect(points_mm: FloatArray, pixels_px: FloatArray) -> tuple[FloatArray, FloatArray] | None:
@@ -157,7 +204,7 @@ def _decompose(P: FloatArray, points_mm: FloatArray) -> tuple[FloatArray, FloatA
     if np.linalg.det(P[:, :3]) < 0.0:
         P = -P
     matrix, rotation = rq(P[:, :3])
-    if matrix[2, 2] == 0.0 or not np.all(np.isfinite(matrix)):
+    if not np.all(np.isfinite(matrix)) or not np.all(np.diag(matrix)):
         return None
     signs = np.diag(np.sign(np.diag(matrix)))
     matrix, rotation = matrix @ signs, signs @ rotation

@@ -5,8 +5,9 @@ rad, translation in mm), then T_cam_from_board of every pose likewise.
 
 A field of a few degrees does not determine all of them. Which are free (`Freedom`), with reasons:
 
-- square pixels (fy = fx for camera and projector): both chips are made that way to better than the
-  0.01 % that the poses could tell;
+- the ratio fy / fx, the width of a pixel over its height, is given for both devices: chips are made
+  to better than the 0.01 % that the poses could determine. It is 1 for square pixels, and 2 for a
+  diamond chip whose columns are counted at half their number (LightCrafter 4500: 912 x 1140);
 - camera k1 only: over a field of 4 degrees k2 and k3 act far below the noise, and tangential terms
   cannot be told from the principal point;
 - no projector distortion: the board covers a small patch of the image, off its axis, where a radial
@@ -25,8 +26,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from reconstruction.arrays import FloatArray
-from reconstruction.errors import InputError
+from reconstruction.errors import InputError, require_number
 from reconstruction.rig.pinhole import Pinhole
+from reconstruction.rig.plausibility import PIXEL_RATIOS
 
 INTRINSICS = ("fx_px", "fy_px", "cx_px", "cy_px", "k1", "k2", "p1", "p2", "k3")
 MOTION = ("rx_rad", "ry_rad", "rz_rad", "tx_mm", "ty_mm", "tz_mm")
@@ -151,22 +153,30 @@ class Freedom:
     ----------
     camera_distortion, projector_distortion : names of the coefficients to estimate
     camera_principal_point, projector_principal_point : estimate it
-    square_pixels : one focal length for both axes
+    camera_pixel_ratio, projector_pixel_ratio : width of a pixel over its height, fy / fx; None:
+        estimate it
     camera_defocus : estimate what the camera's aperture does to tilted boards
 
     Raises
     ------
-    InputError : unknown coefficient
+    InputError : unknown coefficient, or a pixel ratio out of range
     """
 
     camera_distortion: tuple[Distortion, ...] = ("k1",)
     projector_distortion: tuple[Distortion, ...] = ()
     camera_principal_point: bool = True
     projector_principal_point: bool = True
-    square_pixels: bool = True
+    camera_pixel_ratio: float | None = 1.0
+    projector_pixel_ratio: float | None = 1.0
     camera_defocus: bool = True
 
     def __post_init__(self) -> None:
+        for device, ratio in (
+            ("camera", self.camera_pixel_ratio),
+            ("projector", self.projector_pixel_ratio),
+        ):
+            if ratio is not None:
+                require_number(f"{device} pixel ratio", ratio, *PIXEL_RATIOS)
         for name in (*self.camera_distortion, *self.projector_distortion):
             if name not in INTRINSICS[4:]:
                 allowed = ", ".join(INTRINSICS[4:])
@@ -176,27 +186,49 @@ class Freedom:
 def admissible(freedom: Freedom, vector: FloatArray) -> FloatArray:
     """Return the parameter vector moved to where the fixed relations hold."""
     moved = vector.copy()
-    if freedom.square_pixels:
-        for device in (CAMERA, PROJECTOR):
+    for device, ratio in (
+        (CAMERA, freedom.camera_pixel_ratio),
+        (PROJECTOR, freedom.projector_pixel_ratio),
+    ):
+        if ratio is not None:
             focal = slice(device.start, device.start + 2)
-            moved[focal] = np.sqrt(np.prod(vector[focal]))
+            moved[focal] = np.sqrt(np.prod(vector[focal])) * np.sqrt([1.0 / ratio, ratio])
     return moved
 
 
 def freedom_matrix(freedom: Freedom, size: int) -> FloatArray:
     """Return the map (parameters, free) from free changes to changes of all `size` parameters."""
-    columns: list[FloatArray] = []
-    settings = (
-        (CAMERA.start, freedom.camera_principal_point, freedom.camera_distortion),
-        (PROJECTOR.start, freedom.projector_principal_point, freedom.projector_distortion),
-    )
-    for first, principal_point, distortion in settings:
-        fx, fy = _unit(size, first), _unit(size, first + 1)
-        columns += [fx + fy] if freedom.square_pixels else [fx, fy]
-        names = (("cx_px", "cy_px") if principal_point else ()) + tuple(distortion)
-        columns += [_unit(size, first + INTRINSICS.index(name)) for name in names]
+    columns = [
+        *_device_columns(
+            size,
+            CAMERA.start,
+            freedom.camera_pixel_ratio,
+            freedom.camera_principal_point,
+            freedom.camera_distortion,
+        ),
+        *_device_columns(
+            size,
+            PROJECTOR.start,
+            freedom.projector_pixel_ratio,
+            freedom.projector_principal_point,
+            freedom.projector_distortion,
+        ),
+    ]
     columns += [_unit(size, k) for k in range(STEREO.start, size)]
     return np.stack(columns, axis=1)
+
+
+def _device_columns(
+    size: int,
+    first: int,
+    pixel_ratio: float | None,
+    principal_point: bool,
+    distortion: tuple[Distortion, ...],
+) -> list[FloatArray]:
+    fx, fy = _unit(size, first), _unit(size, first + 1)
+    focal = [fx, fy] if pixel_ratio is None else [fx + pixel_ratio * fy]
+    names = (("cx_px", "cy_px") if principal_point else ()) + tuple(distortion)
+    return [*focal, *(_unit(size, first + INTRINSICS.index(name)) for name in names)]
 
 
 def _unit(size: int, index: int) -> FloatArray:

@@ -11,7 +11,8 @@ import cv2
 import numpy as np
 
 from reconstruction.arrays import FloatArray
-from reconstruction.calibration.adjustment import Adjustment, AdjustOptions, adjust
+from reconstruction.calibration.adjustment import DIVERGES, Adjustment, AdjustOptions, adjust
+from reconstruction.calibration.diagnosis import NO_CAUSE, remedy_for
 from reconstruction.calibration.initial import starting_rig
 from reconstruction.calibration.observation import Observation
 from reconstruction.calibration.parameters import (
@@ -23,8 +24,10 @@ from reconstruction.calibration.parameters import (
     rotation_vector,
 )
 from reconstruction.calibration.plane_images import centre_bias_px
+from reconstruction.calibration.plausibility import adjustment_checks, misfits
 from reconstruction.errors import InputError
 from reconstruction.rig.calibration import Calibration
+from reconstruction.rig.plausibility import Check, implausible, require_plausible
 
 COVERAGE_FACTOR = 2.0
 """Expanded uncertainty U = k sigma, k = 2: about 95 % (JCGM 100, 6.2)."""
@@ -118,14 +121,14 @@ def epipolar_residuals_px(rig: RigEstimate | Calibration, measured_px: FloatArra
 
     Notes
     -----
-    Lines are drawn on the undistorted projector image and scaled by its focal length.
+    Lines are drawn on the undistorted projector image and scaled by its focal lengths.
     """
     T = rig.T_proj_from_cam
     seen = _rays(rig.camera.unproject(measured_px[:, :2]))
     shown = _rays(rig.projector.unproject(measured_px[:, 2:]))
     lines = np.cross(T[:3, 3], seen @ T[:3, :3].T)
-    distance = np.sum(lines * shown, axis=1) / np.linalg.norm(lines[:, :2], axis=1)
-    return np.asarray(distance * np.sqrt(rig.projector.fx_px * rig.projector.fy_px))
+    per_px = lines[:, :2] / (rig.projector.fx_px, rig.projector.fy_px)
+    return np.asarray(np.sum(lines * shown, axis=1) / np.linalg.norm(per_px, axis=1))
 
 
 def pupil_diameter_mm(found: Adjustment) -> float:
@@ -161,12 +164,20 @@ def _rms(values: FloatArray) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Calibrated:
-    """Result of a calibration."""
+    """Result of a calibration.
+
+    Attributes
+    ----------
+    checks : all of them plausible
+    doubts : residuals that the model does not explain, in words
+    """
 
     calibration: Calibration
     adjustment: Adjustment
     parameters: tuple[Parameter, ...]
     poses: tuple[PoseResidual, ...]
+    checks: tuple[Check, ...]
+    doubts: tuple[str, ...] = ()
 
 
 def calibrate(
@@ -180,7 +191,8 @@ def calibrate(
 
     Raises
     ------
-    InputError : too few poses, different image sizes, or poses that do not determine the rig
+    InputError : too few poses, different image sizes, poses that do not determine the rig, or an
+        implausible result; names the mistake of the input that explains it, where one does
     """
     sizes = {(seen.camera_size_px, seen.projector_size_px) for seen in observations}
     if len(sizes) > 1:
@@ -188,13 +200,33 @@ def calibrate(
             f"the poses have different image sizes (camera, projector): {sorted(sizes)}; "
             "calibrate each size by itself"
         )
-    found = adjust(observations, starting_rig(observations), options)
+    chosen = options or AdjustOptions()
+    found, checks = _plausible(observations, chosen)
     return Calibrated(
         calibration=calibration_of(found),
         adjustment=found,
         parameters=tuple(parameters(found)),
         poses=tuple(pose_residuals(found, observations)),
+        checks=checks,
+        doubts=misfits(found, observations),
     )
+
+
+def _plausible(
+    observations: Sequence[Observation], options: AdjustOptions
+) -> tuple[Adjustment, tuple[Check, ...]]:
+    start = starting_rig(observations, options.freedom)
+    try:
+        fit = adjust(observations, start, options)
+    except InputError as error:
+        remedy = remedy_for(observations, options, None)
+        if remedy == NO_CAUSE and str(error) != DIVERGES:  # it says what to do
+            raise
+        raise InputError(f"{error}; {remedy}") from error
+    checks = adjustment_checks(fit, observations, options.freedom)
+    if implausible(checks):
+        require_plausible(checks, remedy_for(observations, options, fit))
+    return fit, checks
 
 
 def locate_features(calibration: Calibration, seen: Observation) -> FloatArray:

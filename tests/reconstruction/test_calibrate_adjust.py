@@ -227,8 +227,10 @@ def test_unknown_coefficients_are_refused():
 def test_more_coefficients_can_be_asked_for(exact):
     """Setup: projector k1 free as well. Expected: found as 0, with an uncertainty."""
     seen, _ = exact
-    options = AdjustOptions(Freedom(projector_distortion=("k1",), square_pixels=False))
-    found = calibrate(seen, options)
+    free = Freedom(
+        projector_distortion=("k1",), camera_pixel_ratio=None, projector_pixel_ratio=None
+    )
+    found = calibrate(seen, AdjustOptions(free))
     k1 = next(p for p in found.parameters if p.name == "projector_k1")
     assert abs(k1.value) < 1e-6
     assert k1.sigma > 0.0

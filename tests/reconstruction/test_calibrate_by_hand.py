@@ -150,6 +150,14 @@ def test_epipolar_lines_of_devices_side_by_side_are_rows():
     np.testing.assert_allclose(found, [0.0, 3.0], atol=1e-9)
 
 
+def test_epipolar_distances_are_pixels_of_wide_pixels_too():
+    """Pixels twice as wide as high, fx = 50, fy = 100: 3 px below the line are 3 px."""
+    wide = Pinhole(200, 300, 50.0, 100.0, 99.5, 149.5)
+    rig = Calibration(CAMERA, wide, np.eye(4), motion(shift=(7.0, 0.0, 0.0)))
+    found = np.abs(epipolar_residuals_px(rig, np.array([[30.0, 59.5, 50.0, 172.5]])))
+    np.testing.assert_allclose(found, 3.0, atol=1e-9)
+
+
 def test_residuals_of_a_pose_leave_out_what_was_not_used():
     """Used residuals (3, 4) and (0, 0): RMS over four numbers 2.5; the projector's half of it."""
     rig = Calibration(CAMERA, PROJECTOR, np.eye(4), motion(shift=(7.0, 0.0, 0.0)))

@@ -241,6 +241,8 @@ def calibrate(
     settings: Settings = None,
     camera_distortion: tuple[Literal["k1", "k2", "p1", "p2", "k3"], ...] = ("k1",),
     projector_distortion: tuple[Literal["k1", "k2", "p1", "p2", "k3"], ...] = (),
+    camera_pixel_ratio: float = 1.0,
+    projector_pixel_ratio: float = 1.0,
     keep_captures: bool = False,
     as_images: bool = False,
 ) -> None:
@@ -254,6 +256,8 @@ def calibrate(
         Board file, or the name of a shipped board.
     camera_distortion, projector_distortion
         Coefficients to estimate.
+    camera_pixel_ratio, projector_pixel_ratio
+        Width of a pixel over its height; 2 for a diamond chip such as 912 x 1140.
     keep_captures
         Keep the rendered captures as captures/pose_NN.
     as_images
@@ -270,7 +274,13 @@ def calibrate(
     from twin.report.calibration import draw_calibration
 
     shown = load_board(board)
-    options = AdjustOptions(Freedom(camera_distortion, projector_distortion))
+    freedom = Freedom(
+        camera_distortion,
+        projector_distortion,
+        camera_pixel_ratio=camera_pixel_ratio,
+        projector_pixel_ratio=projector_pixel_ratio,
+    )
+    options = AdjustOptions(freedom)
     with output_folder(out, [source, Path(board)]) as folder:
         with progress_bars() as watch:
             if source.is_dir():

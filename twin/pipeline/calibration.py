@@ -227,6 +227,7 @@ CALIBRATION_FILE = "calibration.yaml"
 LEAST_POSES = 3
 SKIPPED_PREFIX = "skipped_"
 PARAMETERS_FILE, POSES_FILE, FEATURES_FILE = "parameters.csv", "poses.csv", "features.csv"
+PLAUSIBILITY_FILE = "plausibility.csv"
 
 
 def calibration_metrics(done: BoardCalibration) -> dict[str, Any]:
@@ -248,7 +249,8 @@ def calibration_metrics(done: BoardCalibration) -> dict[str, Any]:
         figures[f"{parameter.name}_expanded"] = parameter.expanded
         if truth is not None:
             figures[f"{parameter.name}_error"] = parameter.value - truth[parameter.name]
-    figures["warnings"] = [f"left out: {one.reason}" for one in done.skipped]
+    left_out = [f"left out: {one.reason}" for one in done.skipped]
+    figures["warnings"] = [*left_out, *found.doubts]
     return figures
 
 
@@ -263,6 +265,8 @@ def write_board_calibration(folder: Path, done: BoardCalibration) -> dict[str, A
     write_rows(folder / PARAMETERS_FILE, list(parameter_rows(done)), 10)
     write_rows(folder / POSES_FILE, [asdict(pose) for pose in done.result.poses], 10)
     write_rows(folder / FEATURES_FILE, list(_feature_rows(done)), 10)
+    rows = [asdict(check) for check in done.result.checks]
+    write_rows(folder / PLAUSIBILITY_FILE, [_finite(row) for row in rows], 10)
     for one in done.skipped:
         if one.picture is not None:
             write_png(folder / f"{SKIPPED_PREFIX}{one.name}.png", one.picture)
@@ -271,6 +275,10 @@ def write_board_calibration(folder: Path, done: BoardCalibration) -> dict[str, A
         write_text(folder / EXPERIMENT_FILE, text)
     write_outcome(folder, "calibrate", figures, digest=done.digest)
     return figures
+
+
+def _finite(row: dict[str, Any]) -> dict[str, Any]:
+    return {name: "" if value in (math.inf, -math.inf) else value for name, value in row.items()}
 
 
 def write_imported(folder: Path, found: Imported) -> dict[str, Any]:

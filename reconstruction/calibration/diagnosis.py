@@ -1,0 +1,156 @@
+"""Why a calibration is implausible: which change of the input makes it plausible.
+
+Each mistake that is common with real rigs is taken back in a copy of the observations, or freed in
+the model, and the rig is adjusted again. The first change after which all checks hold is named.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from reconstruction.arrays import FloatArray
+from reconstruction.calibration.adjustment import Adjustment, AdjustOptions, adjust
+from reconstruction.calibration.initial import MIN_POSES, is_resected, starting_rig
+from reconstruction.calibration.observation import Observation
+from reconstruction.calibration.parameters import Distortion, Freedom, rotation_vector
+from reconstruction.calibration.plausibility import RATIO_TOLERANCE, adjustment_checks
+from reconstruction.errors import InputError
+from reconstruction.rig.plausibility import implausible
+
+NO_CAUSE = (
+    "check that every pose shows the board of the board file, at rest, and that the description of "
+    "the captures has the projector's size and the order and sign of the frames"
+)
+MIRRORED = "mirrored"
+# Of the right change a few blunders are left; a wrong one misses by more.
+GIVE_UP_PX = 5.0
+# Radial terms over a wide field.
+RADIAL: tuple[Distortion, ...] = ("k1", "k2")
+
+
+@dataclass(frozen=True, eq=False)
+class _Trial:
+    """Changed observations or options, and what to do if these fit."""
+
+    observations: Sequence[Observation]
+    options: AdjustOptions
+    remedy: str
+
+
+def remedy_for(
+    observations: Sequence[Observation], options: AdjustOptions, failed: Adjustment | None
+) -> str:
+    """Return what makes the calibration plausible, or what to check if nothing does.
+
+    Parameters
+    ----------
+    failed : the implausible adjustment; None: there is none
+    """
+    for trial in _trials(observations, options, failed):
+        fit = _plausible_fit(trial)
+        if fit is not None:
+            return _remedy(trial, fit, options.freedom)
+    return NO_CAUSE
+
+
+def _plausible_fit(trial: _Trial) -> Adjustment | None:
+    try:
+        start = starting_rig(trial.observations, trial.options.freedom)
+        fit = adjust(trial.observations, start, trial.options, GIVE_UP_PX)
+    except InputError:
+        return None
+    checks = adjustment_checks(fit, trial.observations, trial.options.freedom)
+    return None if implausible(checks) else fit
+
+
+def _trials(
+    observations: Sequence[Observation], options: AdjustOptions, failed: Adjustment | None
+) -> Iterator[_Trial]:
+    free = replace(options.freedom, camera_pixel_ratio=None, projector_pixel_ratio=None)
+    released = replace(options, freedom=free)
+    trials = [
+        _Trial(observations, released, ""),
+        _Trial([_mirrored(seen) for seen in observations], released, MIRRORED),
+    ]
+    # The linear solution puts the boards behind a mirrored projector.
+    yield from trials if is_resected(observations, free) else reversed(trials)
+    radial = replace(options.freedom, camera_distortion=RADIAL, projector_distortion=RADIAL)
+    yield _Trial(
+        observations,
+        replace(options, freedom=radial),
+        "the lenses distort more than the model allows: estimate more coefficients "
+        "(--camera-distortion k1 k2 --projector-distortion k1 k2)",
+    )
+    if failed is not None and len(observations) > MIN_POSES:
+        worst = int(np.argmax([_rms(residuals) for residuals in failed.residuals_px]))
+        yield _Trial(
+            [seen for k, seen in enumerate(observations) if k != worst],
+            options,
+            f"{observations[worst].name} does not fit the others: the board, camera or projector "
+            "moved during it, or it shows another board; leave it out",
+        )
+
+
+def _rms(residuals_px: FloatArray) -> float:
+    return float(np.sqrt(np.mean(residuals_px**2)))
+
+
+def _mirrored(seen: Observation) -> Observation:
+    """Return the observation with the projector's columns counted from the other side."""
+    columns = seen.projector_size_px[0] - 1 - seen.projector_px[:, 0]
+    return replace(
+        seen,
+        projector_px=np.column_stack([columns, seen.projector_px[:, 1]]),
+        slopes=seen.slopes * np.array([[-1.0], [1.0]]),
+    )
+
+
+def _remedy(trial: _Trial, fit: Adjustment, declared: Freedom) -> str:
+    if trial.remedy not in ("", MIRRORED):
+        return trial.remedy
+    parts = [] if trial.remedy == "" else [_mirror_remedy(fit)]
+    return "; ".join([*parts, *_ratio_remedies(fit, declared)]) or NO_CAUSE
+
+
+def _mirror_remedy(fit: Adjustment) -> str:
+    """Name the axes that are exchanged or counted backwards; both mirror the image."""
+    roll_deg = abs(np.degrees(rotation_vector(fit.rig.T_proj_from_cam[:3, :3])[2]))
+    if 45.0 < roll_deg < 135.0:
+        return (
+            "the projector's image is mirrored: columns and rows are exchanged, or one of them is "
+            "counted backwards; correct axis, sign or order of the frames in capture.toml"
+        )
+    return (
+        "the projector's image is mirrored: columns or rows are counted backwards, or the camera's "
+        "images are mirrored; correct sign or order of the frames in capture.toml"
+    )
+
+
+def _ratio_remedies(fit: Adjustment, declared: Freedom) -> Iterator[str]:
+    projector, camera = fit.rig.projector, fit.rig.camera
+    ratio = projector.fy_px / projector.fx_px
+    if _differs(ratio, declared.projector_pixel_ratio):
+        yield (
+            f"the projector's pixels are {ratio:.3g} times as wide as high (fy / fx): give "
+            f"--projector-pixel-ratio {_simple(ratio):.3g}, or correct its size, "
+            f"{projector.width_px} x {projector.height_px} px: of square pixels it is "
+            f"{round(projector.width_px * _simple(ratio))} x {projector.height_px}"
+        )
+    ratio = camera.fy_px / camera.fx_px
+    if _differs(ratio, declared.camera_pixel_ratio):
+        yield (
+            f"the camera's pixels are {ratio:.3g} times as wide as high (fy / fx): give "
+            f"--camera-pixel-ratio {_simple(ratio):.3g}, or check that the board's squares are "
+            "square and its data"
+        )
+
+
+def _differs(ratio: float, declared: float | None) -> bool:
+    return declared is not None and abs(ratio / declared - 1.0) > RATIO_TOLERANCE
+
+
+def _simple(ratio: float) -> float:
+    """Return 2, 1 or 1/2 where the ratio is near enough, or the ratio."""
+    near = [simple for simple in (0.5, 1.0, 2.0) if abs(ratio / simple - 1.0) < RATIO_TOLERANCE]
+    return near[0] if near else ratio

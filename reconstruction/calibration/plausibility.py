@@ -1,0 +1,178 @@
+"""Checks whether an adjustment found the rig, or numbers without a meaning.
+
+| check | plausible | reason |
+|---|---|---|
+| RMS of the worst pose in either device | see below | less is a useful fit |
+| features left out | up to 25 % | a dirty board; more is a wrong model |
+| relative uncertainty of focal lengths, baseline | up to 25 % | k = 2: half of the value |
+| fy / fx over the declared ratio | 1 +- (3 % + 5 sigma) | chips are exact, printed boards 1 % |
+| depth of every feature | above 0 | in front of the device |
+| angle of incidence on the print | up to 88 degrees | both devices see the printed face |
+
+RMS: up to the largest of 1 px, 1/2000 of the image's diagonal, and 5 times the scatter of
+detection. Lenses that the model does not follow remain below it; wrong boards and pixels do not.
+
+The scatter of detection does not depend on the rig: it is the spread of the features from a smooth
+map of the board into the image (a homography and a cubic), which follows any lens.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from reconstruction.arrays import FloatArray
+from reconstruction.calibration.adjustment import MAD_TO_SIGMA, Adjustment
+from reconstruction.calibration.observation import Observation
+from reconstruction.calibration.parameters import CAMERA, PROJECTOR, STEREO, Freedom
+from reconstruction.calibration.plane_images import apply_homography, fit_homography
+from reconstruction.errors import InputError
+from reconstruction.rig.calibration import DEVICES
+from reconstruction.rig.plausibility import TRIANGULATION_ANGLES_DEG, Check, lens_checks
+
+MOST_RMS_PX, DIAGONALS_PER_RMS, MOST_SCATTERS = 1.0, 2000.0, 5.0
+# Worth a warning, as is that multiple of the scatter.
+LEAST_DOUBT_PX = 0.2
+MOST_LEFT_OUT = 0.25
+MOST_RELATIVE_SIGMA = 0.25
+RATIO_TOLERANCE, RATIO_SIGMAS = 0.03, 5.0
+MOST_INCIDENCE_DEG = 88.0
+# x^i y^j with i + j <= 3
+CUBIC_TERMS = 10
+# Camera and projector among the columns of residuals.
+PARTS = slice(0, 2), slice(2, 4)
+
+
+def adjustment_checks(
+    fit: Adjustment, observations: Sequence[Observation], freedom: Freedom
+) -> tuple[Check, ...]:
+    """Return all checks of an adjustment."""
+    used = np.concatenate(fit.used)
+    return (
+        *_rms_checks(fit, observations),
+        Check("left_out_share", float(1.0 - used.mean()), 0.0, MOST_LEFT_OUT),
+        *_certainty_checks(fit),
+        *lens_checks("camera", fit.rig.camera),
+        *lens_checks("projector", fit.rig.projector),
+        *_ratio_checks(fit, freedom),
+        *_place_checks(fit, observations),
+    )
+
+
+def detection_scatter_px(
+    observations: Sequence[Observation], pixels_px: Sequence[FloatArray]
+) -> float:
+    """Return the robust spread of the features from smooth maps of the boards; 0: too few.
+
+    Parameters
+    ----------
+    pixels_px : per pose (n, 2) float, px in one device
+    """
+    spreads = [
+        _scatter_px(seen.points_mm[:, :2], pixels)
+        for seen, pixels in zip(observations, pixels_px, strict=True)
+        if len(pixels) >= 2 * CUBIC_TERMS
+    ]
+    return float(np.median(spreads)) if spreads else 0.0
+
+
+def _scatter_px(points_mm: FloatArray, pixels_px: FloatArray) -> float:
+    try:
+        flat = apply_homography(fit_homography(points_mm, pixels_px), points_mm)
+    except InputError:
+        return 0.0
+    x, y = ((flat - flat.mean(axis=0)) / np.ptp(flat, axis=0)).T
+    terms = np.stack([x**i * y**j for i in range(4) for j in range(4 - i)], axis=-1)
+    residual = pixels_px - terms @ np.linalg.lstsq(terms, pixels_px)[0]
+    freedom = len(pixels_px) / (len(pixels_px) - CUBIC_TERMS)
+    return float(MAD_TO_SIGMA * np.median(np.abs(residual)) * np.sqrt(freedom))
+
+
+def _rms_checks(fit: Adjustment, observations: Sequence[Observation]) -> list[Check]:
+    sizes = observations[0].camera_size_px, observations[0].projector_size_px
+    checks = []
+    for name, size, part in zip(DEVICES, sizes, PARTS, strict=True):
+        scatter = detection_scatter_px(observations, [m[:, part] for m in fit.measured_px])
+        limit = max(MOST_RMS_PX, np.hypot(*size) / DIAGONALS_PER_RMS, MOST_SCATTERS * scatter)
+        worst = max(_pose_rms_px(fit, part))
+        checks.append(Check(f"{name}_worst_pose_rms_px", worst, 0.0, float(limit)))
+    return checks
+
+
+def _pose_rms_px(fit: Adjustment, part: slice) -> list[float]:
+    pairs = zip(fit.residuals_px, fit.used, strict=True)
+    return [float(np.sqrt(np.mean(residual[used, part] ** 2))) for residual, used in pairs]
+
+
+def misfits(fit: Adjustment, observations: Sequence[Observation]) -> tuple[str, ...]:
+    """Return what a plausible adjustment does not explain: residuals far above the scatter."""
+    texts = []
+    for name, part in zip(DEVICES, PARTS, strict=True):
+        scatter = detection_scatter_px(observations, [m[:, part] for m in fit.measured_px])
+        rms = _pose_rms_px(fit, part)
+        worst = int(np.argmax(rms))
+        if scatter > 0.0 and rms[worst] > max(LEAST_DOUBT_PX, MOST_SCATTERS * scatter):
+            texts.append(
+                f"{name}: the residuals of {observations[worst].name} are {rms[worst]:.2g} px RMS, "
+                f"{rms[worst] / scatter:.0f} times the scatter of detection: something moved "
+                "during a pose, the board is bent, or a lens distorts more than the model allows"
+            )
+    return tuple(texts)
+
+
+def _certainty_checks(fit: Adjustment) -> list[Check]:
+    sigmas = np.sqrt(np.diag(fit.covariance))
+    shift = slice(STEREO.start + 3, STEREO.stop)
+    baseline = fit.vector[shift]
+    length = float(np.linalg.norm(baseline))
+    sigma = float(np.sqrt(baseline @ fit.covariance[shift, shift] @ baseline)) / length
+    relative = {
+        "camera_focal_length": sigmas[CAMERA.start] / fit.vector[CAMERA.start],
+        "projector_focal_length": sigmas[PROJECTOR.start] / fit.vector[PROJECTOR.start],
+        "baseline": sigma / length,
+    }
+    return [
+        Check(f"{name}_relative_uncertainty", float(value), 0.0, MOST_RELATIVE_SIGMA)
+        for name, value in relative.items()
+    ]
+
+
+def _ratio_checks(fit: Adjustment, freedom: Freedom) -> list[Check]:
+    checks = []
+    for name, declared, ratio in (
+        ("camera", freedom.camera_pixel_ratio, fit.pixel_ratios[0]),
+        ("projector", freedom.projector_pixel_ratio, fit.pixel_ratios[1]),
+    ):
+        if declared is not None and np.isfinite(ratio.sigma):
+            margin = RATIO_TOLERANCE + RATIO_SIGMAS * ratio.sigma / declared
+            value = ratio.value / declared
+            checks.append(Check(f"{name}_pixel_ratio_over_declared", value, 1 - margin, 1 + margin))
+    return checks
+
+
+def _place_checks(fit: Adjustment, observations: Sequence[Observation]) -> list[Check]:
+    """Return depths, angles of incidence and the triangulation angle, over all features."""
+    stereo = fit.rig.T_proj_from_cam
+    centre_mm = -stereo[:3, :3].T @ stereo[:3, 3]
+    depths, cosines, angles = [], [], []
+    for seen, T in zip(observations, fit.rig.T_cam_from_board, strict=True):
+        points = seen.points_mm @ T[:3, :3].T + T[:3, 3]
+        ways = [_directions(place - points) for place in (np.zeros(3), centre_mm)]
+        depths.append([points[:, 2].min(), (points @ stereo[2, :3] + stereo[2, 3]).min()])
+        cosines.append([(way @ T[:3, 2]).min() for way in ways])
+        angles.append(np.median(_degrees(np.sum(ways[0] * ways[1], axis=1))))
+    depth, incidence = np.min(depths, axis=0), _degrees(np.min(cosines, axis=0))
+    checks = []
+    for k, name in enumerate(DEVICES):
+        checks.append(Check(f"{name}_least_depth_mm", float(depth[k]), 1e-3, np.inf))
+        most = float(incidence[k])
+        checks.append(Check(f"{name}_incidence_deg", most, 0.0, MOST_INCIDENCE_DEG))
+    angle = float(np.median(angles))
+    return [*checks, Check("triangulation_angle_deg", angle, *TRIANGULATION_ANGLES_DEG)]
+
+
+def _directions(vectors: FloatArray) -> FloatArray:
+    return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True))
+
+
+def _degrees(cosines: FloatArray) -> FloatArray:
+    return np.asarray(np.degrees(np.arccos(np.clip(cosines, -1.0, 1.0))))

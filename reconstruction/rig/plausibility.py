@@ -1,0 +1,93 @@
+"""Checks whether a calibration can be that of a real rig, with limits that every real rig keeps.
+
+A wrong pixel size, a mirrored image or a wrong unit often still gives numbers. They are far outside
+of these limits; a poor calibration is inside. Limits and reasons:
+
+| check | plausible | reason |
+|---|---|---|
+| field of view, diagonal | 0.1 to 170 degrees | rays parallel within the noise; no pinhole |
+| image centre to principal point | to 80 degrees | 100 % offset at throw ratio 0.25: 63 degrees |
+| pixel ratio fy / fx | 0.1 to 10 | chips have 1/2, 1 or 2 |
+| triangulation angle | 0.5 to 150 degrees | no depth; no face that both see |
+"""
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+from reconstruction.errors import InputError
+from reconstruction.rig.calibration import Calibration
+from reconstruction.rig.pinhole import Pinhole
+
+FIELDS_OF_VIEW_DEG = (0.1, 170.0)
+MOST_AXIS_OFFSET_DEG = 80.0
+PIXEL_RATIOS = (0.1, 10.0)
+"""Width of a pixel over its height, fy / fx."""
+TRIANGULATION_ANGLES_DEG = (0.5, 150.0)
+# Of a calibration without meaning nearly all checks fail.
+MOST_NAMED = 3
+
+
+@dataclass(frozen=True)
+class Check:
+    """One figure with the range in which it is plausible.
+
+    Parameters
+    ----------
+    name : of the figure, with its unit
+    value, low, high : in that unit
+    """
+
+    name: str
+    value: float
+    low: float
+    high: float
+
+    @property
+    def is_plausible(self) -> bool:
+        """Whether the value is a number inside the range."""
+        return bool(self.low <= self.value <= self.high)
+
+    def __str__(self) -> str:
+        if self.low in (0.0, -math.inf):
+            return f"{self.name} is {self.value:.3g}, plausible up to {self.high:.3g}"
+        if math.isinf(self.high):
+            return f"{self.name} is {self.value:.3g}, plausible from {self.low:.3g}"
+        return f"{self.name} is {self.value:.3g}, plausible {self.low:.3g} to {self.high:.3g}"
+
+
+def lens_checks(name: str, device: Pinhole) -> tuple[Check, ...]:
+    """Return the checks of a camera's or projector's intrinsics."""
+    half_diagonal = math.hypot(device.width_px / device.fx_px, device.height_px / device.fy_px) / 2
+    across = (device.cx_px - (device.width_px - 1) / 2) / device.fx_px
+    down = (device.cy_px - (device.height_px - 1) / 2) / device.fy_px
+    offset_deg = math.degrees(math.atan(math.hypot(across, down)))
+    field_deg = 2 * math.degrees(math.atan(half_diagonal))
+    return (
+        Check(f"{name}_field_of_view_deg", field_deg, *FIELDS_OF_VIEW_DEG),
+        Check(f"{name}_axis_offset_deg", offset_deg, 0.0, MOST_AXIS_OFFSET_DEG),
+        Check(f"{name}_pixel_ratio", device.fy_px / device.fx_px, *PIXEL_RATIOS),
+    )
+
+
+def rig_checks(calibration: Calibration) -> tuple[Check, ...]:
+    """Return the checks of both devices and of the angle between them at the world's origin."""
+    angle_deg = calibration.triangulation_angle_deg
+    return (
+        *lens_checks("camera", calibration.camera),
+        *lens_checks("projector", calibration.projector),
+        Check("triangulation_angle_deg", angle_deg, *TRIANGULATION_ANGLES_DEG),
+    )
+
+
+def implausible(checks: Iterable[Check]) -> str:
+    """Return the checks that fail as one line; empty: none."""
+    failed = [str(check) for check in checks if not check.is_plausible]
+    return ", ".join(failed[:MOST_NAMED])
+
+
+def require_plausible(checks: Sequence[Check], remedy: str) -> None:
+    """Raise InputError with the checks that fail and what to do."""
+    failed = implausible(checks)
+    if failed:
+        raise InputError(f"the calibration is implausible: {failed}; {remedy}")
