@@ -9,7 +9,7 @@ Frame: projector pixels, x right (column), y down (row), integer = centre of a p
 | I_n = A + B cos(phi + 2 pi n / N) | phase frame n of N |
 | k = floor(x / period) | period index (fringe order), shown as plain Gray code |
 | h = floor(2 x / period) | half-period index, shown as complementary Gray code |
-| s = floor(x / period + 1/2) | period index shifted by half a period, shown after k |
+| s = floor(x / period + 1/2) | period index shifted by half a period, shown after k, or alone |
 | w = floor(x / period) | without phase frames: the stripe of one word, `period` wide |
 
 A word w is shown as bits of one of four kinds, most significant first; an inverse frame shows the
@@ -42,7 +42,13 @@ from reconstruction.several_periods import (
 Kind = Literal["phase", "gray", "inverse", "white", "black"]
 Axis = Literal["column", "row"]
 CodeName = Literal[
-    "gray", "complementary_gray", "shifted_gray", "hierarchical", "heterodyne", "micro"
+    "gray",
+    "complementary_gray",
+    "shifted_gray",
+    "displaced_gray",
+    "hierarchical",
+    "heterodyne",
+    "micro",
 ]
 WordName = Literal["reflected", "binary", "xor_02", "xor_04"]
 AXES: tuple[Axis, Axis] = ("column", "row")
@@ -101,7 +107,9 @@ class PatternSet:
     -----
     complementary_gray: Zhang et al., Opt. Lasers Eng. 50, 574 (2012). shifted_gray: the two
     staggered words of Wu, Guo and Zhang, Opt. Express 27, 22631 (2019), both in every set, so that
-    they check each other. hierarchical and heterodyne: Zuo et al., Opt. Lasers Eng. 85, 84 (2016).
+    they check each other. displaced_gray: the second of these words and not the first, in as many
+    bits as number the periods; with 2^bits periods the last half of one has no word of its own.
+    hierarchical and heterodyne: Zuo et al., Opt. Lasers Eng. 85, 84 (2016).
     micro: Gupta and Nayar, Proc. CVPR 2012, 813.
     """
 
@@ -173,6 +181,11 @@ class PatternSet:
         return self.code in MULTI_FREQUENCY
 
     @property
+    def is_displaced(self) -> bool:
+        """Whether words are displaced by half a period, so that they end where the phase is pi."""
+        return self.code == "displaced_gray"
+
+    @property
     def is_micro(self) -> bool:
         """Whether the further periods have a single image each."""
         return self.code == MICRO
@@ -224,7 +237,8 @@ class PatternSet:
 
     def words(self, axis: Axis) -> int:
         """Return how many different words are shown: half-periods with complementary_gray."""
-        return self._word_at(axis, self.length_px(axis) - 1) + 1
+        count = self._word_at(axis, self.length_px(axis) - 1) + 1
+        return min(count, 2 ** self.gray_bits(axis)) if self.is_displaced else count
 
     def index(self, kind: Kind, axis: Axis | None = None) -> slice:
         """Return the stack indices of a kind of frames, most significant Gray bit first."""
@@ -289,6 +303,8 @@ class PatternSet:
         return np.asarray(bit.astype(np.float64))
 
     def _word_at(self, axis: Axis, x_px: int) -> int:
+        if self.is_displaced:
+            return self._shifted_at(axis, x_px)
         is_halved = self.code == "complementary_gray"
         return math.floor((2 * x_px if is_halved else x_px) / self.period_along(axis))
 

@@ -132,6 +132,9 @@ class Arrangement:
     ) -> tuple[str, list[ListedFrame], list[ListedFrame]]:
         """Return the code along one axis, its Gray frames and their inverses."""
         first, second = self._of("gray", axis), self._of("gray", axis, shifted=True)
+        is_displaced = bool(second) and not first
+        if is_displaced:
+            first, second = second, []
         if not first:
             return self._several(axis, phases), [], []
         if len(phases) > 1:
@@ -142,13 +145,14 @@ class Arrangement:
         fringe_px = phases[0][0].period_px if phases else None
         code, kept = _kept_bits(first, fringe_px, self._length(axis), bool(second), self._word)
         gray = [*first[kept], *second]
-        inverse = [*self._of("inverse", axis)[kept], *self._of("inverse", axis, shifted=True)]
+        inverse = self._of("inverse", axis, shifted=is_displaced)[kept]
+        inverse += [] if is_displaced else self._of("inverse", axis, shifted=True)
         if inverse and [one.bit for one in inverse] != [one.bit for one in gray]:
             raise CaptureError(
                 f"along {axis} there are {len(gray)} Gray frames and {len(inverse)} inverse ones "
                 "of other bits; every Gray frame needs its inverse, or none"
             )
-        return code, gray, inverse
+        return _displaced(code, fringe_px, axis) if is_displaced else code, gray, inverse
 
     def _several(self, axis: Axis, phases: list[list[ListedFrame]]) -> str:
         if _is_micro(_sizes(phases)):
@@ -279,6 +283,16 @@ def _kept_bits(
     needed = _needed(length_px, fringe_px) + (code == "complementary_gray")
     kept = _last(frames, count - dropped, needed, width_px, length_px)
     return "shifted_gray" if shifted else code, kept
+
+
+def _displaced(code: str, fringe_px: float | None, axis: Axis) -> str:
+    """Return the code of words that are displaced by half a period, without the others."""
+    if code != "gray" or fringe_px is None:
+        raise CaptureError(
+            f"along {axis} all Gray frames are shifted = true, but no words as wide as the fringes;"
+            " list the phase frames that they number, or the first word as well"
+        )
+    return "displaced_gray"
 
 
 def _needed(length_px: int, width_px: float) -> int:

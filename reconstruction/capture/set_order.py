@@ -239,7 +239,8 @@ def check_borders(stack: Stack, patterns: PatternSet, sensor: SensorNoise) -> No
     ------
     CaptureError : along an axis the phase falls with the word, or passes 0 elsewhere
     """
-    if patterns.code != "gray" or not patterns.steps or min(stack.shape[1:]) < 2:
+    is_plain = patterns.code in ("gray", "displaced_gray")
+    if not is_plain or not patterns.steps or min(stack.shape[1:]) < 2:
         return
     corners_dn = _corners(stack, sensor)
     for axis in patterns.axes:
@@ -252,7 +253,7 @@ def _check_axis_borders(corners_dn: FloatImage, patterns: PatternSet, axis: Axis
     shifts = np.array(patterns.shifts(axis, 0))
     phase = corners_dn[patterns.index("phase", axis)]
     z = np.tensordot(np.exp(-2j * np.pi * shifts), phase, axes=1)
-    z /= np.maximum(np.abs(z), 1e-12)
+    z /= np.maximum(np.abs(z), 1e-12) * (-1.0 if patterns.is_displaced else 1.0)
     step = words[:, 1:] - words[:, :1]
     turn = np.imag(z[:, 1:] * np.conj(z[:, :1])) * np.sign(step)
     ends = np.abs(step) == 1
@@ -270,9 +271,12 @@ def _check_axis_borders(corners_dn: FloatImage, patterns: PatternSet, axis: Axis
     steps = turns * patterns.steps / (2.0 * np.pi)
     if abs(passed) > AGREES and abs(steps) > LEAST_STEPS_OFF and abs(turns) > LEAST_ANGLE_OFF:
         late = "late" if steps > 0 else "early"
+        is_half = np.pi - abs(turns) < LEAST_STEPS_OFF * 2.0 * np.pi / patterns.steps
+        remedy = "shifted = false" if patterns.is_displaced else "shifted = true"
+        half = f", or list the Gray frames with {remedy}" * bool(is_half)
         raise CaptureError(
             f"{subject} shifted by {abs(round(steps)) or 1}: against the Gray frames they start "
-            f"that many steps {late}; start with step 00, or correct the first shift"
+            f"that many steps {late}; start with step 00, or correct the first shift{half}"
         )
 
 

@@ -17,7 +17,13 @@ from reconstruction.decoding._decode import Maps, decode_rows
 from reconstruction.decoding._filter import Smoothed, Unfiltered, smooth
 from reconstruction.decoding._micro import decode_micro_rows
 from reconstruction.decoding.micro import micro_periods
-from reconstruction.decoding.plan import SIGMA_UNIT_PX, blank_maps, make_plan, units_of
+from reconstruction.decoding.plan import (
+    SIGMA_UNIT_PX,
+    blank_maps,
+    make_plan,
+    place_displaced,
+    units_of,
+)
 from reconstruction.decoding.ripple import NODES, Ripple, ripple_of
 from reconstruction.errors import InputError
 from reconstruction.patterns import AXES, PatternSet
@@ -77,6 +83,8 @@ def decode(
         run_over_rows(decode_micro_rows, stack.shape[1], *arguments, band_rows=BAND_ROWS)
     else:
         run_over_rows(decode_rows, stack.shape[1], frames, plan, maps, band_rows=BAND_ROWS)
+    if patterns.is_displaced:
+        place_displaced(maps, patterns)
     smoothed = _smoothed(maps, options, patterns)
     units = units_of(sensor, scale)
     if plan.has_ripple:

@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 
-from reconstruction.arrays import FloatArray, FloatImage, Stack
+from reconstruction.arrays import FloatArray, FloatImage, Reason, Stack
 from reconstruction.decoding import DecodeOptions
 from reconstruction.decoding._chain import Unwrapping
 from reconstruction.decoding._decode import Maps, Plan, Units
@@ -22,7 +22,7 @@ from reconstruction.decoding._order import (
 )
 from reconstruction.decoding._rows import BIAS
 from reconstruction.decoding._sum import Layout, Limits
-from reconstruction.decoding.ripple import Ripple, ripple_of
+from reconstruction.decoding.ripple import Ripple, ripple_of, turned_half
 from reconstruction.patterns import AXES, XOR_PLACES, Axis, Kind, PatternSet
 from reconstruction.rig.sensor import SensorNoise
 
@@ -31,7 +31,12 @@ HIGH_BITS = 12
 # Half precision reaches from 1e-9 to 1000 px, and from 2e-12 to 1.
 SIGMA_UNIT_PX = 2.0**-6
 CHANCE_UNIT = 2.0**-15
-KINDS = {"gray": PLAIN, "complementary_gray": COMPLEMENTARY, "shifted_gray": SHIFTED}
+KINDS = {
+    "gray": PLAIN,
+    "displaced_gray": PLAIN,
+    "complementary_gray": COMPLEMENTARY,
+    "shifted_gray": SHIFTED,
+}
 SHOWN = {"reflected": REFLECTED, "binary": BINARY, "xor_02": EXCLUSIVE, "xor_04": EXCLUSIVE}
 
 
@@ -46,6 +51,8 @@ def make_plan(
 ) -> Plan:
     """Return the plan of one decoding."""
     known = ripple or ripple_of(patterns, None)
+    if patterns.is_displaced:
+        known = turned_half(known)
     column, row = AXES
     return Plan(
         layout=_layout(patterns),
@@ -102,7 +109,10 @@ def _first(patterns: PatternSet, kind: Kind, axis: Axis) -> int:
 
 
 def _shifts(patterns: PatternSet) -> FloatArray:
-    """Return the shift of every phase step, (axis, set, step), rad."""
+    """Return the shift of every phase step, (axis, set, step), rad.
+
+    Displaced words are decoded as plain ones at x + period / 2, see `place_displaced`.
+    """
     sets, periods = _sets(patterns), len(patterns.periods_px)
     turns = 2.0 * np.pi * np.arange(patterns.steps) / max(patterns.steps, 1)
     angles = np.broadcast_to(turns, (2, sets, patterns.steps)).copy()
@@ -110,7 +120,7 @@ def _shifts(patterns: PatternSet) -> FloatArray:
         if number % periods < sets:
             axis = AXES.index(patterns.axes[number // periods])
             angles[axis, number % periods] += math.radians(shift_deg)
-    return angles
+    return angles - math.pi if patterns.is_displaced else angles
 
 
 def _sets(patterns: PatternSet) -> int:
@@ -168,12 +178,41 @@ def _code(patterns: PatternSet, axis: Axis) -> Code:
         words=np.int32(patterns.words(axis)),
         bits=patterns.word_bits(axis),
         safety_bits=np.uint32(patterns.safety_bits(axis)),
-        length_px=patterns.length_px(axis),
+        length_px=patterns.length_px(axis) + math.ceil(displacement_px(patterns, axis)),
         shown=SHOWN[patterns.word],
         place=np.uint32(XOR_PLACES.get(patterns.word, 0)),
         is_word=patterns.steps == 0,
         first_inverse=_first(patterns, "inverse", axis),
     )
+
+
+def displacement_px(patterns: PatternSet, axis: Axis) -> float:
+    """Return by how much coordinates are too large as the kernels decode them, px."""
+    return 0.5 * patterns.period_along(axis) if patterns.is_displaced else 0.0
+
+
+def place_displaced(maps: Maps, patterns: PatternSet) -> None:
+    """Move coordinates and phases that were decoded at x + period / 2 to x.
+
+    Where the bits number as many periods as there are, the last half of one shows the word before:
+    it cannot be told from the first half of that word, and both are uncertain.
+    """
+    for k, axis in enumerate(AXES):
+        if axis not in patterns.axes:
+            continue
+        shift_px, length_px = displacement_px(patterns, axis), patterns.length_px(axis)
+        x_px = maps.coordinate_px[k] - np.float32(shift_px)
+        is_valid = maps.reason == Reason.VALID
+        is_outside = is_valid & ((x_px < -0.5) | (x_px > length_px - 0.5))
+        end_px = patterns.period_along(axis) * patterns.words(axis) - shift_px
+        is_double = is_valid & (end_px < length_px) & (x_px < end_px - shift_px - 0.5)
+        is_double &= x_px >= end_px - 2.0 * shift_px - 0.5
+        maps.reason[is_outside] = Reason.OUTSIDE_PROJECTOR
+        maps.reason[is_double] = Reason.ORDER_UNCERTAIN
+        maps.coordinate_px[k] = np.where(is_valid, x_px, 0.0)
+        maps.turns[k] += np.where(maps.modulation[k] > 0, np.uint16(1 << 15), np.uint16(0))
+    for lines in (maps.coordinate_px, maps.sigma):
+        lines[:, maps.reason != Reason.VALID] = 0
 
 
 def _unwrapping(patterns: PatternSet, axis: Axis) -> Unwrapping:

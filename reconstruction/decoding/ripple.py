@@ -76,6 +76,23 @@ def ripple_of(patterns: PatternSet, response: ProjectorResponse | None) -> Rippl
     return Ripple(error, sigma, shot, (shares[0], shares[1]))
 
 
+def turned_half(ripple: Ripple) -> Ripple:
+    """Return the tables of a phase that is counted from half a turn later."""
+
+    def turned(table: FloatImage) -> FloatImage:
+        if not table.size:
+            return table
+        around = np.roll(table[..., :-1], NODES // 2, axis=-1)
+        return np.concatenate([around, around[..., :1]], axis=-1)
+
+    return replace(
+        ripple,
+        error_rad=turned(ripple.error_rad),
+        sigma_rad=turned(ripple.sigma_rad),
+        shot_share=turned(ripple.shot_share),
+    )
+
+
 def _of_three_steps(patterns: PatternSet) -> FloatImage:
     """Return -cos 3 (phi + t_0) / 2: (2 / N) sum cos(x_n) sin^2(x_n) for N = 3, 0 for more."""
     shot: FloatImage = np.zeros((2, len(patterns.periods_px), NODES + 1), np.float32)

@@ -3,6 +3,9 @@
 Oracle: the coordinate of camera pixel (row, col) is (col, row).
 """
 
+import shutil
+from pathlib import Path
+
 import imageio.v3 as imageio
 import numpy as np
 import pytest
@@ -12,6 +15,7 @@ from reconstruction.netcdf import read_arrays
 from reconstruction.reading import read_json
 from twin.cli import run
 
+EXAMPLE = Path(__file__).parents[2] / "docs" / "example_capture"
 SEQUENCE = """
 format = "fringe-patterns"
 version = 1
@@ -244,3 +248,65 @@ def test_settings_change_a_sequence_file(tmp_path, capsys):
     assert "patterns steps is 2" in capsys.readouterr().err
     assert run([*arguments, 'patterns.axes=["row"]']) == 0
     assert read_manifest(tmp_path / "shown").axes == ("row",)
+
+
+def test_no_coordinate_is_an_error_with_its_likely_reason(tmp_path, capsys):
+    """All phase frames are clipped; then all light is below the noise."""
+    folder = plain(tmp_path)
+    text = (folder / "capture.toml").read_text()
+    clipped = text.replace("saturation_dn = 255.0", "saturation_dn = 20.0")
+    (folder / "capture.toml").write_text(clipped)
+    told = refused(tmp_path, capsys, folder)
+    assert "no pixel gives a point (saturated 100%); phase frames are clipped or lost" in told
+    for path in folder.glob("*.png"):
+        imageio.imwrite(path, imageio.imread(path) // 40)
+    noisy = text.replace("read_noise_e = 500", "read_noise_e = 9000")
+    (folder / "capture.toml").write_text(noisy)
+    told = refused(tmp_path, capsys, folder)
+    assert "(low modulation 100%); the fringe contrast is too small for its noise" in told
+
+
+def test_reconstruct_without_a_point_is_an_error(tmp_path, capsys):
+    """Every image is the one without light."""
+    folder = tmp_path / "capture"
+    shutil.copytree(EXAMPLE, folder)
+    black = next(folder.glob("*_black.png")).read_bytes()
+    for path in folder.glob("*.png"):
+        path.write_bytes(black)
+    out = tmp_path / "out"
+    assert run(["reconstruct", str(folder), "-o", str(out)]) == 2
+    assert "no pixel gives a point (dark 100%); white and black do not" in capsys.readouterr().err
+    assert not out.exists()
+
+
+DISPLACED = (
+    'axes = ["column"]\nsteps = 4\nperiod_px = 10\nuniform = false\n'
+    'code = "displaced_gray"\nfirst_shifts_deg = [180]\n'
+)
+SHIFTED = [PHASE.format(axis="column", period=10) + "shift_deg = 180\n", GRAY_16]
+
+
+@pytest.mark.parametrize("is_listed", [True, False])
+def test_one_gray_word_displaced_by_half_a_period(tmp_path, capsys, is_listed):
+    """Setup: 16 periods in 4 bits, so that the last half of a period has no word of its own.
+
+    Expected: with shifted = true pixel by pixel, that half and the like of it are masked; without
+    it a line that names this remedy.
+    """
+    images = project(tmp_path, DISPLACED)
+    groups = [SHIFTED[0], SHIFTED[1] + "shifted = true\n" * is_listed]
+    folder = record(tmp_path, images, ["phase_column", "gray_column"], groups, write_png)
+    if not is_listed:
+        told = refused(tmp_path, capsys, folder)
+        assert "correct the first shift, or list the Gray frames with shifted = true" in told
+        return
+    out = tmp_path / "out"
+    assert run(["decode", str(folder), "-o", str(out), "--filter-taps", "0"]) == 0
+    maps = coordinates(out)
+    valid = maps["mask_reason"] == 0
+    assert np.max(np.abs(maps["column_px"] - np.arange(160.0))[valid]) < 0.05
+    assert np.flatnonzero(~valid[40]).tolist() == [*range(145, 150), *range(155, 160)]
+    phase = np.exp(1j * (maps["phase_column_rad"] - 2.0 * np.pi * maps["column_px"] / 10.0))
+    assert np.max(np.abs(np.angle(phase[valid]))) < 0.02
+    # int16 of the order follows from both.
+    assert np.array_equal(maps["order_column"][valid], (np.indices((96, 160))[1] // 10)[valid])

@@ -233,6 +233,21 @@ def test_mistakes_are_one_line(tmp_path, names, groups, message):
     assert "capture.toml" in str(caught.value)
 
 
+def test_one_shifted_word_numbers_fringes(tmp_path):
+    """Shown as a word displaced by half a period; without fringes there is no half to speak of."""
+    patterns = PatternSet(**SIZE, period_px=20, steps=3, code="displaced_gray", axes=("column",),
+                          uniform=False)  # fmt: skip
+    assert patterns.word_bits("column") == 3
+    names = [f"{frame.name}.png" for frame in patterns.frames]
+    bits = 'files = "gray_*"\nkind = "gray"\naxis = "column"\nshifted = true\nperiod_px = 20'
+    fringes = 'files = "phase_*"\nkind = "phase"\naxis = "column"\nperiod_px = 20'
+    found = listed(tmp_path, names, [fringes, bits])
+    assert found.patterns == patterns
+    assert [path.name for path in found.files[0]] == names
+    with pytest.raises(CaptureError, match="no words as wide as the fringes"):
+        listed(tmp_path, names, [bits])
+
+
 @pytest.mark.parametrize(
     ("top", "message"),
     [

@@ -11,6 +11,7 @@ from reconstruction.arrays import ReasonImage
 from reconstruction.capture.folder import read_capture, read_uncalibrated
 from reconstruction.decoding.decode import Decoded, DecodeOptions, Reason
 from reconstruction.decoding.decode import decode as decode_stack
+from reconstruction.errors import CaptureError
 from reconstruction.evaluate.surface import write_surface
 from reconstruction.machine import run_side_by_side
 from reconstruction.pipeline import (
@@ -36,7 +37,8 @@ def reconstruct_capture(
 
     Raises
     ------
-    InputError : the capture is incomplete or damaged, or `out` cannot be written
+    InputError : the capture is incomplete or damaged, no pixel gives a point, or `out` cannot be
+        written
     """
     with output_folder(out, [capture_folder]) as folder:
         watch("read", 0.0)
@@ -44,6 +46,7 @@ def reconstruct_capture(
         watch("read", 1.0)
         watch("reconstruct", 0.0)
         result = reconstruct(capture, options_of(decode))
+        require_points(capture_folder, result.point_map.mask_reason)
         watch("reconstruct", 1.0)
         axes = result.decoded.axes
         figures = reconstruction_metrics(result, decode.use if len(axes) == 2 else axes[0])
@@ -60,6 +63,37 @@ def reconstruct_capture(
         write_text(folder / EXPERIMENT_FILE, settings)
         write_outcome(folder, "reconstruct", figures, digest=digests[0])
     return figures
+
+
+LIKELY_CAUSES = {
+    Reason.DARK: "white and black do not differ: check the projector's light, which images are"
+    " white and black, and the noise in [sensor]",
+    Reason.LOW_MODULATION: "the fringe contrast is too small for its noise: check exposure, which"
+    " images are phase steps, and the noise in [sensor]",
+    Reason.SATURATED: "phase frames are clipped or lost: shorten the exposure, check saturation_dn",
+    Reason.ORDER_UNCERTAIN: "the fringe orders contradict the phase or are uncertain: check order"
+    " and axis of the Gray frames, period_px, shift_deg, sign",
+    Reason.OUTSIDE_PROJECTOR: "coordinates are outside the projector: check its width_px and"
+    " height_px, period_px and the number of bits",
+    Reason.EDGE: "all pixels are next to one without light: check the exposure",
+    Reason.EPIPOLAR_MISMATCH: "columns and rows belong to no common point: check that the"
+    " calibration is that of this rig, and the axes of the frames",
+    Reason.NO_POINT: "the rays do not meet in front of both devices: check that the calibration is"
+    " that of this rig, sign and shift_deg",
+}
+
+
+def require_points(capture: Path, reasons: ReasonImage) -> None:
+    """Raise CaptureError, with the most frequent reason, if no pixel (row, col) is valid."""
+    if np.any(reasons == Reason.VALID):
+        return
+    codes, counts = np.unique(reasons, return_counts=True)
+    main = Reason(int(codes[np.argmax(counts)]))
+    shares = ", ".join(
+        f"{Reason(int(code)).name.lower().replace('_', ' ')} {count / reasons.size:.0%}"
+        for code, count in sorted(zip(codes, counts, strict=True), key=lambda one: -one[1])
+    )
+    raise CaptureError(f"{capture}: no pixel gives a point ({shares}); {LIKELY_CAUSES[main]}")
 
 
 def options_of(decode: Decode) -> ReconstructOptions:
@@ -97,7 +131,8 @@ def decode_capture(
 
     Raises
     ------
-    InputError : the capture is incomplete or damaged, or `out` cannot be written
+    InputError : the capture is incomplete or damaged, no pixel has a coordinate, or `out` cannot be
+        written
     """
     from reconstruction.decoding.pictures import draw_decoded
 
@@ -115,6 +150,7 @@ def decode_capture(
             capture.scale,
             response=capture.response,
         )
+        require_points(capture_folder, result.mask_reason)
         watch("decode", 1.0)
         figures = decoding_metrics(result)
         write_decoded(folder / "decoded.nc", result)

@@ -33,6 +33,7 @@ _CODE_WORDS = {
     "gray": "Gray code",
     "complementary_gray": "complementary Gray code",
     "shifted_gray": "shifted Gray code",
+    "displaced_gray": "Gray code displaced by half a period",
     "hierarchical": "hierarchical periods",
     "heterodyne": "heterodyne periods",
     "micro": "single images with periods",
