@@ -22,9 +22,9 @@ import numpy as np
 from reconstruction.decoding.decode import decode
 from twin.camera import expose
 from twin.config import Experiment, load_experiment
-from twin.optics.backend import activate
 from twin.optics.direct import direct_scene
 from twin.optics.light import pattern_set
+from twin.optics.session import activate
 from twin.pipeline import render_bare
 
 SPECIMENS = ("nut", "brick", "two_balls")

@@ -30,7 +30,7 @@ from typing import Any
 
 from twin.config import Experiment, load_experiment
 from twin.mechanics import face_mesh, press_with
-from twin.optics.backend import activate
+from twin.optics.session import activate
 
 TURNS = 7
 TIMED = "stack with shadow rays", "stack without", "one stock frame"

@@ -2,14 +2,20 @@
 
 Programs that share a machine agree on how many threads may run side by side (`VARIABLE`). A full
 disk is an ordinary error (see `writing`).
+Warning filters, the environment and the threads of BLAS belong to the whole process: they are
+changed for a block only, and so that the caller's values are restored when several threads do so.
 """
 
 import ctypes
 import errno
 import os
-from collections.abc import Callable, Sequence
+import threading
+import warnings
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from reconstruction.errors import InputError
 
@@ -32,6 +38,60 @@ def run_side_by_side(jobs: Sequence[Callable[[], object]]) -> None:
     with ThreadPoolExecutor(threads()) as pool:
         for job in [pool.submit(job) for job in jobs]:
             job.result()
+
+
+_PROCESS_WIDE = threading.RLock()
+
+
+@contextmanager
+def warnings_ignored(category: type[Warning] = Warning) -> Iterator[None]:
+    """Ignore warnings of a category in a block, which one thread at a time enters.
+
+    Two threads in `warnings.catch_warnings` would leave the filters of one to the process.
+    """
+    with _PROCESS_WIDE, warnings.catch_warnings():
+        warnings.simplefilter("ignore", category)
+        yield
+
+
+@contextmanager
+def environment_variable(name: str, value: str | None) -> Iterator[None]:
+    """Set an environment variable in a block, which one thread at a time enters; None: leave it."""
+    with _PROCESS_WIDE:
+        before = os.environ.get(name)
+        if value is not None:
+            os.environ[name] = value
+        try:
+            yield
+        finally:
+            if before is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = before
+
+
+class _Blas:
+    users = 0
+    limits: Any = None
+
+
+@contextmanager
+def one_blas_thread() -> Iterator[None]:
+    """Let BLAS use one thread in a block; the last of several threads restores the number."""
+    from threadpoolctl import threadpool_limits
+
+    with _PROCESS_WIDE:
+        if not _Blas.users:
+            _Blas.limits = threadpool_limits(1, user_api="blas")
+        _Blas.users += 1
+    try:
+        with threadpool_limits(1, user_api="openmp"):  # OpenMP counts in each thread separately
+            yield
+    finally:
+        with _PROCESS_WIDE:
+            _Blas.users -= 1
+            if not _Blas.users:
+                _Blas.limits.restore_original_limits()
 
 
 _MALLOPT = {

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from hypothesis import HealthCheck, settings
 
-from twin.optics.backend import activate
+from twin.optics.session import activate
 
 # The same examples in every run, and no judgement by the clock.
 settings.register_profile(

@@ -16,11 +16,11 @@ from twin.optics.backend import (
     LLVM_VARIANT,
     Backend,
     MissingBackend,
-    activate,
     cache_file,
     find_backend,
     probe,
 )
+from twin.optics.session import activate
 
 ABORTING = """
 import os, sys

@@ -8,7 +8,7 @@ from tests.pipeline.conftest import CENTRE
 from twin.config import load_experiment, vary
 from twin.config.sensor_layer import LayerSigma, sensor_layer_of
 from twin.mechanics import face_mesh
-from twin.optics.backend import activate
+from twin.optics.session import activate
 from twin.pipeline import Memory, measure
 from twin.pipeline.bound import bounds_alone, object_bounds, predicted
 from twin.pipeline.gradients import bound_gradient, value_at

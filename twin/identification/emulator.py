@@ -8,7 +8,6 @@ shows it too small. With few simulations the trend has no products, or no square
 shares (0 to 1) of the free fields' axes. A figure may be learned as its logarithm or reciprocal.
 """
 
-import warnings
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,6 +19,7 @@ from sklearn.gaussian_process.kernels import ConstantKernel, Matern, WhiteKernel
 
 from reconstruction.arrays import FloatArray, IntArray
 from reconstruction.errors import InputError
+from reconstruction.machine import warnings_ignored
 from twin.config.rows import LearnedAs
 
 _LEAST_POINTS = 8
@@ -265,7 +265,6 @@ def _kernel(at: FloatArray, left: FloatArray) -> Any:
     process = GaussianProcessRegressor(
         signal + WhiteKernel(0.1, _NOISE), n_restarts_optimizer=_RESTARTS, random_state=0
     )
-    with warnings.catch_warnings():
-        # A length at its bound is a field that does not matter, or no noise: both are answers.
-        warnings.simplefilter("ignore", ConvergenceWarning)
+    # A length at its bound is a field that does not matter, or no noise: both are answers.
+    with warnings_ignored(ConvergenceWarning):
         return process.fit(at, left).kernel_

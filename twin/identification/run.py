@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from reconstruction.arrays import FloatArray
+from reconstruction.machine import one_blas_thread
 from twin.config import Experiment
 from twin.config.problem import SensorProblem
 from twin.config.rows import LearnedAs, Limit, Metric, Row, Statistic
@@ -131,7 +131,7 @@ def _side_by_side(executor: Executor, function: Callable[..., Any], *arguments: 
 
 def _on_one_thread(function: Callable[..., Any], *arguments: Any) -> Any:
     # Matrices this small are slower on several threads, whose number would show in last digits.
-    with threadpool_limits(1):
+    with one_blas_thread():
         return function(*arguments)
 
 

@@ -14,7 +14,6 @@ library.
 
 import argparse
 import ctypes
-import functools
 import hashlib
 import importlib.metadata
 import json
@@ -202,28 +201,6 @@ def has_cuda_driver() -> bool:
     return True
 
 
-def activate() -> Backend:
-    """Make the backend of this machine the current one; any number of calls.
-
-    Raises
-    ------
-    MissingBackend : if no backend works here
-    """
-    backend = _backend_of_this_process()
-    if backend.library is not None:
-        os.environ[LIBRARY_VARIABLE] = backend.library
-    import mitsuba as mi  # reads the variable above when it is imported
-
-    if mi.variant() != backend.variant:
-        mi.set_variant(backend.variant)
-    return backend
-
-
-@functools.cache
-def _backend_of_this_process() -> Backend:
-    return find_backend()
-
-
 def find_backend(*, fresh: bool = False) -> Backend:
     """Find a backend that works: CUDA where there is a device, else the newest usable LLVM.
 
@@ -279,19 +256,6 @@ def _search_llvm() -> Backend:
         refused.append(f"{library.name}: {outcome.reason}")
     tried = "; ".join(refused) or "no libLLVM found"
     raise MissingBackend(f"no usable renderer backend ({tried}): {ADVICE}")
-
-
-def use_threads(count: int) -> None:
-    """Let Dr.Jit use `count` threads in this process.
-
-    Raises
-    ------
-    MissingBackend : no usable Dr.Jit backend
-    """
-    activate()
-    import drjit as dr
-
-    dr.set_thread_count(count)
 
 
 def cache_file() -> Path:

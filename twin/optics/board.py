@@ -15,9 +15,9 @@ from reconstruction.arrays import FloatArray, FloatImage
 from reconstruction.calibration.boards import Board
 from twin.config.board import BoardFile, BoardPlate, BoardPose
 from twin.config.models import Experiment
-from twin.optics.backend import activate
 from twin.optics.materials import bitmap, mitsuba_mesh
 from twin.optics.rig import about_z
+from twin.optics.session import renderer_session
 from twin.optics.stack import Frames
 
 TEXELS_PER_PIXEL = 2.0
@@ -60,6 +60,7 @@ def camera_texel_mm(experiment: Experiment) -> float:
     return camera.pixel_pitch_um * 1e-3 * camera.binning / image_mm / TEXELS_PER_PIXEL
 
 
+@renderer_session()
 def render_board(experiment: Experiment, file: BoardFile, pose: BoardPose) -> Frames:
     """Render the whole sequence on the board in one pose.
 
@@ -71,7 +72,6 @@ def render_board(experiment: Experiment, file: BoardFile, pose: BoardPose) -> Fr
     ------
     MissingBackend : no usable Dr.Jit backend
     """
-    activate()
     # Mitsuba may be imported only now: the backend's library is chosen when it loads.
     from twin.optics import one_trace
     from twin.optics.connection import axial_range_mm

@@ -13,10 +13,10 @@ import numpy as np
 
 from reconstruction.writing import write_bytes, write_exr_channels, write_text
 from twin.config.models import Experiment
-from twin.optics.backend import activate
 from twin.optics.direct import Solid, solids
 from twin.optics.materials import COATED_FACE, coating_bsdf, sharp
 from twin.optics.rig import perspective_sensor, to_world
+from twin.optics.session import renderer_session
 from twin.specimens import bodies
 
 if TYPE_CHECKING:
@@ -60,6 +60,7 @@ def inexpressible(experiment: Experiment) -> list[str]:
     ]
 
 
+@renderer_session()
 def export_stock(
     experiment: Experiment,
     face: "trimesh.Trimesh | None",
@@ -79,7 +80,8 @@ def export_stock(
     -------
     What the scene leaves out (see `inexpressible`)
     """
-    variant = activate().variant
+    import mitsuba as mi
+
     from twin.optics.scene import rig_of
 
     rig = rig_of(experiment)
@@ -93,7 +95,7 @@ def export_stock(
         write_bytes(folder / f"{solid.name}.ply", content)
     scene = _template().render(
         title=f"fringe-twin export of {experiment.name}",
-        variant=variant,
+        variant=mi.variant(),
         **_devices(experiment, rig, canvas, face is not None),
         solids=shapes,
         kind_of=_kind_of,

@@ -10,7 +10,7 @@ field gives the tangents of all pixels.
 Left out, as by every renderer that differentiates under the integral: that edges of shadows and
 outlines move. Nor does the surface move: what a field does to the press is not in here.
 
-Import after `backend.activate()`.
+Import and use within a `renderer_session`.
 """
 
 from collections.abc import Callable

@@ -15,9 +15,9 @@ from numpy.typing import ArrayLike
 
 from reconstruction.arrays import BoolImage, FloatArray, FloatImage, Levels
 from reconstruction.rig.pinhole import Pinhole
-from twin.optics.backend import activate
 from twin.optics.materials import level, mitsuba_mesh
 from twin.optics.rig import perspective_sensor
+from twin.optics.session import renderer_session
 
 if TYPE_CHECKING:
     import trimesh
@@ -86,6 +86,7 @@ class VisibleSurface:
     sunlit: BoolImage
 
 
+@renderer_session()
 def visible_surface(
     vertices_mm: ArrayLike,
     triangles: ArrayLike,
@@ -104,7 +105,6 @@ def visible_surface(
     ------
     MissingBackend : no usable Dr.Jit backend
     """
-    activate()
     import drjit as dr
     import mitsuba as mi
 
@@ -175,6 +175,7 @@ def matte(red: float, green: float, blue: float) -> dict[str, Any]:
     return {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": reflectance}}
 
 
+@renderer_session()
 def picture(
     objects: Sequence[SceneObject],
     camera: ViewCamera,
@@ -200,7 +201,6 @@ def picture(
     ------
     MissingBackend : no usable Dr.Jit backend
     """
-    activate()
     passes = [0] if gray else range(_PRIMARIES)
     layers = [_render(_scene(objects, camera, primary, samples, bounces)) for primary in passes]
     light = np.stack(layers * (_PRIMARIES // len(layers)), axis=-1)

@@ -24,9 +24,9 @@ from twin.config import Experiment, digest, seed_sequence
 from twin.config.models import Ball, Press
 from twin.mechanics import PressedElastomer
 from twin.optics.backed_coat import seen_face
-from twin.optics.backend import activate
 from twin.optics.lamps import drifted_flux
 from twin.optics.rig import world_from_device
+from twin.optics.session import renderer_session
 from twin.optics.stack import Truth
 from twin.output import versions
 from twin.pipeline.colour_images import (
@@ -97,6 +97,7 @@ class ColourSensor:
         raised_mm = sum(layer.thickness_mm * (1.0 - 1.0 / layer.ior) for layer in layers)
         return (camera.pose.standoff_mm - raised_mm) * (1 / device.fx_px + 1 / device.fy_px) / 2
 
+    @renderer_session()  # no other thread puts a face into the same scene in between
     def image(self, face: "trimesh.Trimesh", number: int) -> Levels:
         """Return what the driver delivers of a pressed face, in the light of image `number`.
 
@@ -117,6 +118,7 @@ class ColourSensor:
         whole: Levels = np.floor(frames.mean(axis=0, dtype=np.float64)).astype(np.uint8)
         return whole[np.newaxis]
 
+    @renderer_session()
     def truth(self, face: "trimesh.Trimesh") -> Truth:
         """Return the truth behind the final image; lit is the part that is evaluated."""
         self.coat.scene.put(face)
@@ -262,8 +264,8 @@ def _calibrated(
     return coat, calibrations.value
 
 
+@renderer_session()
 def _lit_coat(experiment: Experiment) -> LitCoat:
-    activate()
     from twin.optics.colour_trace import ColourScene
 
     scene = ColourScene(experiment, _untouched_face(experiment))

@@ -19,10 +19,10 @@ from twin.config import digest
 from twin.config.models import Experiment
 from twin.config.sensor_layer import SensorLayer
 from twin.mechanics import PressedElastomer, face_mesh
-from twin.optics.backend import activate
 from twin.optics.checks import check_direct_engine
 from twin.optics.light import pattern_set
 from twin.optics.rig import true_calibration
+from twin.optics.session import renderer_session
 from twin.optics.stack import RadianceStack
 from twin.output import versions
 from twin.pipeline.captures import options_of as options_of
@@ -179,8 +179,8 @@ def render(
     MissingBackend : no usable Dr.Jit backend
     InputError : the stock engine cannot express the experiment
     """
-    activate()
-    from twin.pipeline import trace
+    with renderer_session():
+        from twin.pipeline import trace
 
     memory = Memory()
     geometry = memory.recall("geometry", experiment, (), lambda seen: trace.load_face(seen, face))
@@ -289,8 +289,8 @@ def loaded(experiment: Experiment, pressed: PressedFace | None, memory: Memory) 
     """
     check = check_direct_engine if pressed is None else check_layers
     check(experiment)
-    activate()
-    from twin.pipeline import trace
+    with renderer_session():
+        from twin.pipeline import trace
 
     if pressed is None:
         return memory.recall("geometry", experiment, (), trace.load_bare)

@@ -7,6 +7,7 @@ import numpy as np
 from reconstruction.arrays import FloatArray
 from reconstruction.errors import InputError
 from twin.config import Experiment
+from twin.optics.session import renderer_session
 from twin.pipeline.bound import bounds_alone, predicted
 from twin.pipeline.fringes import loaded, traced, viewed
 from twin.pipeline.memory import Memory
@@ -74,6 +75,7 @@ def bound_gradient(
     return figures, found
 
 
+@renderer_session()
 def _log_sigma(experiment: Experiment, path: str, memory: Memory) -> FloatArray:
     """Return d ln sigma by one field, (row, col)."""
     face = press(experiment, memory)

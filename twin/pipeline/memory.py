@@ -9,6 +9,7 @@ call this a constructive trace.)
 
 import inspect
 import itertools
+import threading
 import types
 import typing
 from collections import deque
@@ -223,6 +224,8 @@ class Kept(Generic[Result]):
 class Memo(Generic[Result]):
     """Results of one stage, the least recently used forgotten first.
 
+    Several threads may use it; two that need the same result at the same time both compute it.
+
     Parameters
     ----------
     name : name of the stage, for counting
@@ -232,6 +235,7 @@ class Memo(Generic[Result]):
     def __init__(self, name: str, capacity: int = 1) -> None:
         self.name, self.computed, self.recalled = name, 0, 0
         self._kept: deque[Kept[Result]] = deque(maxlen=capacity)
+        self._lock = threading.Lock()
 
     @property
     def asked(self) -> int:
@@ -257,23 +261,26 @@ class Memo(Generic[Result]):
         compute : the stage. It may look at the experiment that it is handed, and at its inputs,
             only
         """
-        found = self._find(experiment, inputs)
-        if found is not None:
-            self.recalled += 1
-            self._kept.remove(found)
-        else:
-            self.computed += 1
-            if len(self._kept) == self._kept.maxlen:
-                self._kept.popleft()  # before the next is made: two may not fit into memory
+        with self._lock:
+            found = self._taken(experiment, inputs)
+        if found is None:
             found = _kept(experiment, inputs, compute)
-        self._kept.append(found)
+            with self._lock:
+                self._kept.append(found)
         found.value  # noqa: B018  # raises what the stage raised
         return found
 
-    def _find(self, experiment: Experiment, inputs: Hashable) -> Kept[Result] | None:
+    def _taken(self, experiment: Experiment, inputs: Hashable) -> Kept[Result] | None:
+        """Return a kept result, now the latest used, or make room for the one to be computed."""
         for kept in self._kept:
             if kept.inputs == inputs and kept.reads.hold_for(experiment):
+                self.recalled += 1
+                self._kept.remove(kept)
+                self._kept.append(kept)
                 return kept
+        self.computed += 1
+        if len(self._kept) == self._kept.maxlen:
+            self._kept.popleft()  # before the next is made: two may not fit into memory
         return None
 
 

@@ -2,7 +2,7 @@
 
 Surfaces serve all coats and devices; rays to them, and photons, all patterns; frames
 all cameras' noise. Each step takes the experiment for what it reads itself and the earlier steps'
-results for the rest. Import after `backend.activate()`.
+results for the rest. Import within a `renderer_session`.
 """
 
 import gc
@@ -21,6 +21,7 @@ from twin.optics.materials import coated_mesh, coating_bsdf, set_coating
 from twin.optics.one_trace import Patches, maps_of, trace_patches, trace_stack, trace_truth
 from twin.optics.photons import Photons, StageLight, map_photons, trace_photons
 from twin.optics.scene import Surfaces, coated_rig, coating_in_layer, marched_scene, rig_of
+from twin.optics.session import renderer_session
 from twin.optics.stack import RadianceStack, TraceMaps, Truth
 from twin.optics.stock import render_stack
 
@@ -65,6 +66,7 @@ class Traced:
     tables: dict[str, LightTable]
 
 
+@renderer_session()
 def load_face(experiment: Experiment, face: "trimesh.Trimesh") -> Geometry:
     """Load a pressed face.
 
@@ -78,6 +80,7 @@ def load_face(experiment: Experiment, face: "trimesh.Trimesh") -> Geometry:
     return Geometry(marched_scene(experiment, face, _BARE), Surfaces(), face)
 
 
+@renderer_session()
 def load_bare(experiment: Experiment) -> Geometry:
     """Load the bare specimen on its stage.
 
@@ -89,6 +92,7 @@ def load_bare(experiment: Experiment) -> Geometry:
     return Geometry(built.scene, built.surfaces)
 
 
+@renderer_session()
 def view_of(experiment: Experiment, geometry: Geometry) -> View:
     """Place the devices and trace the truth behind every camera pixel."""
     scene, face = geometry.scene, geometry.face
@@ -97,17 +101,20 @@ def view_of(experiment: Experiment, geometry: Geometry) -> View:
     return View(rig, axial_mm, trace_truth(scene, rig, geometry.surfaces))
 
 
+@renderer_session()
 def patches_of(experiment: Experiment, geometry: Geometry, view: View) -> Patches:
     """Trace all camera rays, for all patterns."""
     dress(experiment, geometry)
     return trace_patches(geometry.scene, view.rig, experiment.render.samples).evaluate()
 
 
+@renderer_session()
 def maps_of_patches(patches: Patches, view: View) -> TraceMaps:
     """Return what the camera's rays see together, as images."""
     return maps_of(patches, view.rig.camera.pinhole)
 
 
+@renderer_session()
 def photons_of(experiment: Experiment, geometry: Geometry, view: View) -> Photons | None:
     """Trace the light that clear and polished bodies throw on the stage; None without such.
 
@@ -122,12 +129,14 @@ def photons_of(experiment: Experiment, geometry: Geometry, view: View) -> Photon
     return trace_photons(geometry.scene, geometry.surfaces, view.rig, count=count, seed=seed)
 
 
+@renderer_session()
 def tables_of(experiment: Experiment, view: View) -> dict[str, LightTable]:
     """Return the light of the experiment's patterns along both axes of the projector."""
     patterns = pattern_set(experiment.projector, experiment.patterns)
     return light_tables(experiment.projector, patterns, view.axial_mm)
 
 
+@renderer_session()
 def light(
     experiment: Experiment,
     geometry: Geometry,
@@ -150,6 +159,7 @@ def light(
     return RadianceStack(frames, view.truth)
 
 
+@renderer_session()
 def light_with_stock(
     experiment: Experiment,
     geometry: Geometry,
@@ -181,6 +191,7 @@ def light_with_stock(
     return RadianceStack(frames, view.truth)
 
 
+@renderer_session()
 def dress(experiment: Experiment, geometry: Geometry) -> None:
     """Give a loaded face the experiment's coat."""
     if geometry.face is not None:

@@ -11,13 +11,12 @@ import os
 import select
 import signal
 import struct
-import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import NoReturn
 
-from reconstruction.machine import threads
+from reconstruction.machine import threads, warnings_ignored
 from twin.report.page import Figure
 
 PATIENCE_S = 60.0
@@ -119,9 +118,8 @@ def _forked(work: Callable[[], None], kept: Sequence[int]) -> int:
     # Handlers would write into the pipe that ends this process (`working.end_within`).
     held = signal.pthread_sigmask(signal.SIG_BLOCK, _SIGNALS)
     try:
-        with warnings.catch_warnings():
-            # Of threads that the copy lacks, from Python 3.12 on: it needs none of them.
-            warnings.simplefilter("ignore", DeprecationWarning)
+        # Of threads that the copy lacks, from Python 3.12 on: it needs none of them.
+        with warnings_ignored(DeprecationWarning):
             child = os.fork()
         if not child:
             _work_and_end(work, kept, held)

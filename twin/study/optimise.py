@@ -5,7 +5,6 @@ order in which they were asked for, so the same study asks for the same points: 
 what it has measured already in the store and goes on from there, on any number of workers.
 """
 
-import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from reconstruction.errors import InputError
+from reconstruction.machine import warnings_ignored
 from twin.config import ConfigError
 from twin.config.study import Axis, Constraint, Optimise, Study
 from twin.study.cases import Case, Cases, Point, cases_of, quantity
@@ -163,11 +163,9 @@ def _search(study: Study, plan: Optimise) -> "optuna.Study":
         raise InputError(
             "sampling.method = 'optimise': needs Optuna; pip install 'fringe-twin[sweep]'"
         ) from None
-    optuna.logging.set_verbosity(optuna.logging.WARNING)
     seed = study.sampling.seed
-    with warnings.catch_warnings():
-        # constant_liar is marked experimental; without it a batch asks for one place many times.
-        warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
+    # constant_liar is marked experimental; without it a batch asks for one place many times.
+    with warnings_ignored(optuna.exceptions.ExperimentalWarning):
         samplers: dict[str, Callable[[], optuna.samplers.BaseSampler]] = {
             "tpe": lambda: optuna.samplers.TPESampler(
                 seed=seed, constant_liar=True, n_startup_trials=plan.batch
@@ -177,8 +175,12 @@ def _search(study: Study, plan: Optimise) -> "optuna.Study":
             ),
             "random": lambda: optuna.samplers.RandomSampler(seed=seed),
         }
-        directions = ["minimize"] * len(plan.objectives)
-        return optuna.create_study(directions=directions, sampler=samplers[plan.sampler]())
+        directions, before = ["minimize"] * len(plan.objectives), optuna.logging.get_verbosity()
+        optuna.logging.set_verbosity(optuna.logging.WARNING)  # it would report the new study
+        try:
+            return optuna.create_study(directions=directions, sampler=samplers[plan.sampler]())
+        finally:
+            optuna.logging.set_verbosity(before)
 
 
 def _distribution(axis: Axis) -> "optuna.distributions.BaseDistribution":

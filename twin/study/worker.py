@@ -139,7 +139,7 @@ def _measurer(make: MakeMeasurer, keep: tuple[str, ...]) -> Measurer:
     measurer = make(keep)
     if isinstance(measurer, CaseMeasurer):
         measurer.memory = _memory()
-        from twin.optics.backend import use_threads
+        from twin.optics.session import use_threads
 
         use_threads(threads())  # the renderer does not look at the environment
     return measurer

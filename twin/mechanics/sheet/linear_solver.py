@@ -3,8 +3,9 @@
 import ctypes
 import importlib.metadata
 import os
-import warnings
 import weakref
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import cache
 from typing import Any, Protocol
 
@@ -14,9 +15,10 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 
 from reconstruction.arrays import FloatArray
-from reconstruction.machine import threads
+from reconstruction.machine import environment_variable, threads, warnings_ignored
 
 IntArray = npt.NDArray[np.int32]
+_LIBRARY_VARIABLE = "PYPARDISO_MKL_RT"
 _REAL_POSITIVE_DEFINITE = 2
 _MKL_CBWR_AUTO = 2
 _ANALYSE, _FACTORISE, _SOLVE = 11, 22, 33
@@ -37,30 +39,34 @@ class LinearSolver(Protocol):
         ...
 
 
+@contextmanager
+def _named_library() -> Iterator[None]:
+    """Name MKL to pypardiso, which would search all packages for it for every solver."""
+    given = os.environ.get(_LIBRARY_VARIABLE)
+    with environment_variable(_LIBRARY_VARIABLE, given or _library()):
+        yield
+
+
 @cache
-def _name_library() -> None:
-    """Tell pypardiso where MKL is: for every solver anew it would search the whole environment."""
-    if "PYPARDISO_MKL_RT" in os.environ:
-        return
+def _library() -> str | None:
     try:
         files = importlib.metadata.files("mkl") or []
     except importlib.metadata.PackageNotFoundError:
-        return
+        return None
     places = [str(file.locate()) for file in files if "mkl_rt" in file.name]
-    if places:
-        os.environ["PYPARDISO_MKL_RT"] = os.path.realpath(min(places, key=len))
+    return os.path.realpath(min(places, key=len)) if places else None
 
 
 class Pardiso:
     """MKL's PARDISO: one symbolic factorisation for all systems of the pattern."""
 
     def __init__(self, start: IntArray, columns: IntArray) -> None:
-        _name_library()  # importing looks for it already
-        from pypardiso import PyPardisoSolver
-        from pypardiso.pardiso_wrapper import PyPardisoError
+        with _named_library():  # importing looks for it already
+            from pypardiso import PyPardisoSolver
+            from pypardiso.pardiso_wrapper import PyPardisoError
 
-        self._refusal: type[Exception] = PyPardisoError
-        self._solver: Any = PyPardisoSolver(mtype=_REAL_POSITIVE_DEFINITE)
+            self._refusal: type[Exception] = PyPardisoError
+            self._solver: Any = PyPardisoSolver(mtype=_REAL_POSITIVE_DEFINITE)
         # Newton's next step refines more than the refinement of a solution, two thirds of its time.
         self._solver.set_iparm(_OWN_SETTINGS, 1)
         self._solver.set_iparm(_ORDERING, _NESTED_DISSECTION)
@@ -68,7 +74,6 @@ class Pardiso:
         # One order of sums: the same bytes in every run, with any number of cores.
         self._solver.set_iparm(_REPRODUCIBLE, _THREADS)
         self._solver.libmkl.MKL_CBWR_Set(ctypes.c_int(_MKL_CBWR_AUTO))
-        self._solver.libmkl.MKL_Set_Num_Threads(ctypes.c_int(min(threads(), _THREADS)))
         self._matrix = sparse.csr_matrix(
             (np.ones(columns.size), columns, start), shape=(size, size)
         )
@@ -93,7 +98,13 @@ class Pardiso:
 
     def _run(self, phase: int, right: FloatArray) -> FloatArray:
         self._solver.set_phase(phase)
-        found: FloatArray = self._solver._call_pardiso(self._matrix, right)
+        # For this thread and call: the process' own number is the caller's, whose NumPy may use it.
+        set_threads = self._solver.libmkl.MKL_Set_Num_Threads_Local
+        before = set_threads(ctypes.c_int(min(threads(), _THREADS)))
+        try:
+            found: FloatArray = self._solver._call_pardiso(self._matrix, right)
+        finally:
+            set_threads(ctypes.c_int(before))
         return found
 
 
@@ -131,12 +142,11 @@ def linear_solver(start: IntArray, columns: IntArray) -> LinearSolver:
     return Pardiso(start, columns) if has_pardiso() else SuperLU(start, columns)
 
 
+@cache
 def has_pardiso() -> bool:
     """Tell whether pypardiso and the library behind it are there."""
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            _name_library()
+        with warnings_ignored(), _named_library():
             import pypardiso  # noqa: F401  # importing loads the library
     except ImportError:
         return False
