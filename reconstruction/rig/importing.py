@@ -34,6 +34,7 @@ from reconstruction.native import read_in_child
 from reconstruction.reading import regular_file
 from reconstruction.rig.calibration import Calibration
 from reconstruction.rig.pinhole import Pinhole
+from reconstruction.rig.plausibility import Check, require_plausible, rig_checks
 from reconstruction.rig.storage import numbers_in
 
 MOST_REFIT_PX = 0.05
@@ -53,6 +54,8 @@ _TO_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
 # Grid of the refit, and least distance of two axes' directions from parallel.
 _GRID = (41, 31)
 _LEAST_SINE = 0.02
+# From lenses that touch to a hall; lengths in another unit are outside.
+_BASELINES_MM = (1.0, 2e4)
 
 
 @dataclass(frozen=True)
@@ -98,7 +101,7 @@ def import_calibration(
     Raises
     ------
     CaptureError : a file is missing, damaged or of no known kind; a number is missing, or has
-        another shape; a lens cannot be followed
+        another shape; a lens cannot be followed; the rig is implausible
     """
     found: dict[str, FloatArray] = {}
     for path in paths:
@@ -200,6 +203,11 @@ def _assembled(names: _Names, options: Importing) -> Imported:
     T_world_from_cam = _world(T_second_from_first, options.standoff_mm)
     T_world_from_proj = T_world_from_cam @ inverse(T_second_from_first)
     calibration = Calibration(pinholes[0], pinholes[1], T_world_from_cam, T_world_from_proj)
+    length_mm = float(np.linalg.norm(T_second_from_first[:3, 3]))
+    require_plausible(
+        (Check("baseline_mm", length_mm, *_BASELINES_MM), *rig_checks(calibration)),
+        "check --unit, the image sizes, and which device is the first (--projector-first)",
+    )
     return Imported(calibration, names.used, (deviations[0], deviations[1]))
 
 

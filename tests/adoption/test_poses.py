@@ -61,6 +61,15 @@ def test_what_a_rig_cannot_say_is_misfit():
     assert not found.is_close
 
 
+def test_pixels_that_are_not_square_are_refused():
+    """Setup: a diamond chip, whose columns are counted at half their number."""
+    true = true_calibration(load_experiment("examples/slab_ball", {"camera.binning": 4}))
+    p = true.projector
+    halved = replace(p, width_px=p.width_px // 2, fx_px=p.fx_px / 2, cx_px=(p.cx_px - 0.5) / 2)
+    with pytest.raises(InputError, match="projector's pixels are 2 times as wide as high"):
+        place(replace(true, projector=halved))
+
+
 def test_a_camera_that_looks_up_is_refused():
     true = true_calibration(load_experiment("examples/slab_ball", {"camera.binning": 4}))
     turned = np.diag([1.0, -1.0, -1.0, 1.0])

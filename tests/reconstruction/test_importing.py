@@ -1,6 +1,7 @@
 """Calibrations of other programs: each layout gives back the rig that it was written from."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -49,10 +50,10 @@ def of_opencv(home: Path) -> list[Path]:
     ]
 
 
-def of_scanner(home: Path) -> list[Path]:
+def of_scanner(home: Path, camera: Pinhole = CAMERA) -> list[Path]:
     """The names of scan3d-capture."""
     found = {
-        "cam_K": matrix(CAMERA), "cam_kc": np.array([CAMERA.distortion]).T,
+        "cam_K": matrix(camera), "cam_kc": np.array([camera.distortion]).T,
         "proj_K": matrix(PROJECTOR), "proj_kc": np.array([PROJECTOR.distortion]).T,
         "R": ROTATION, "T": TRANSLATION_MM.reshape(3, 1),
         "cam_error": np.array([[0.1]]), "proj_error": np.array([[0.2]]),
@@ -145,15 +146,24 @@ def test_the_angle_is_that_between_two_known_places():
 
 
 def test_units_and_order_are_what_is_said(tmp_path: Path):
-    """With the devices swapped and lengths in metres the same rig comes out the other way round."""
+    """With the devices swapped and lengths in cm the same rig comes out the other way round."""
     plain = import_calibration(of_scanner(tmp_path), SIZES).calibration
-    swapped = Importing((912, 1140), (640, 480), "m", projector_first=True, standoff_mm=200.0)
+    swapped = Importing((912, 1140), (640, 480), "cm", projector_first=True, standoff_mm=200.0)
     turned = import_calibration(of_scanner(tmp_path), swapped).calibration
     assert turned.camera.fx_px == PROJECTOR.fx_px
     back = np.linalg.inv(plain.T_proj_from_cam)
     np.testing.assert_allclose(turned.T_proj_from_cam[:3, :3], back[:3, :3], atol=1e-9)
-    np.testing.assert_allclose(turned.T_proj_from_cam[:3, 3], 1e3 * back[:3, 3], atol=1e-6)
+    np.testing.assert_allclose(turned.T_proj_from_cam[:3, 3], 10.0 * back[:3, 3], atol=1e-6)
     assert turned.T_world_from_cam[2, 3] == 200.0
+
+
+def test_an_implausible_rig_is_refused(tmp_path: Path):
+    """98 mm read as metres; the focal length of a lens in mm in the place of pixels."""
+    with pytest.raises(CaptureError, match=r"baseline_mm is .*, plausible 1 to 2e\+04.*--unit"):
+        import_calibration(of_scanner(tmp_path), replace(SIZES, unit="m"))
+    short = replace(CAMERA, fx_px=12.0, fy_px=12.0)
+    with pytest.raises(CaptureError, match="camera_field_of_view_deg is 17"):
+        import_calibration(of_scanner(tmp_path, short), SIZES)
 
 
 @pytest.mark.parametrize("skew", [0.0, 0.02])

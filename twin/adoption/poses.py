@@ -15,13 +15,15 @@ from scipy.optimize import least_squares
 
 from reconstruction.arrays import FloatArray
 from reconstruction.errors import InputError
-from reconstruction.rig.calibration import Calibration, Pinhole
+from reconstruction.rig.calibration import DEVICES, Calibration, Pinhole
+from reconstruction.rig.plausibility import require_plausible, rig_checks
 from twin.config.models import Pose
 from twin.optics.rig import world_from_device
 
 _GRID = 7
 _HEIGHTS_MM = (-1.0, 2.0)
 _MOST_MISFIT_PX = 0.5
+_MOST_OFF_SQUARE = 0.03
 
 
 @dataclass(frozen=True)
@@ -55,8 +57,11 @@ def place(calibration: Calibration) -> Placed:
 
     Raises
     ------
-    InputError : the camera does not look down at the plane z = 0
+    InputError : the camera does not look down at the plane z = 0, the calibration is implausible,
+        or its pixels are not square
     """
+    require_plausible(rig_checks(calibration), "calibrate again, see docs/calibration.md")
+    _require_square(calibration)
     origin = _looked_at(calibration)
     points = _points(calibration)
     wanted = tuple(
@@ -108,6 +113,18 @@ def place(calibration: Calibration) -> Placed:
         (float(p[0]), float(p[1]), float(origin[2])),
         (float(rms_px[0]), float(rms_px[1])),
     )
+
+
+def _require_square(calibration: Calibration) -> None:
+    for name in DEVICES:
+        device: Pinhole = getattr(calibration, name)
+        ratio = device.fy_px / device.fx_px
+        if not abs(ratio - 1.0) <= _MOST_OFF_SQUARE:
+            raise InputError(
+                f"calibration: the {name}'s pixels are {ratio:.3g} times as wide as high "
+                "(fy / fx); a rig file has square pixels: count columns and rows as of square "
+                "pixels, in captures and calibration"
+            )
 
 
 def _fitted(off_px: Callable[[FloatArray], FloatArray], start: FloatArray) -> FloatArray:
