@@ -37,6 +37,8 @@ from reconstruction.patterns import AXES, Axis
 CERTAIN = 3.0
 # Grey images so near to a bit, by the order of the names, are bits; an inverse may be between.
 NEAR_NAMES = 2
+# So few bits say little about which images are white and black.
+FEW_BITS = 3
 # From so many fringes in view on one period is not taken for a single fringe.
 SEVERAL_FRINGES = 1.5
 # Difference of two frequencies, cycles per line, below which they may be one.
@@ -72,10 +74,13 @@ def guess(folder: Path, size: tuple[int, int]) -> Guess:
     looks = _with_axes(looked.looks)
     doubts = [f"{name}: has another size, left out" for name in looked.left_out]
     phases, striped, fringe_doubts = _fringes(looks)
-    bits, plain, bit_doubts = _words(looks, phases, striped)
-    doubts += fringe_doubts + bit_doubts
+    bits, plain, is_needed = _words(looks, phases, striped)
+    doubts += fringe_doubts + [doubt for axis in AXES for doubt in bits[axis].doubts]
     groups: list[FrameGroup] = []
     words = []
+    if _is_shuffled(looks, phases):
+        plain = replace(plain, is_certain=False)
+    doubts += _plain_doubts(looks, plain, is_needed=is_needed)
     for axis in AXES:
         own = [one for one in phases if one.axis == axis]
         if bits[axis].groups:
@@ -104,8 +109,8 @@ def guess(folder: Path, size: tuple[int, int]) -> Guess:
 
 def _words(
     looks: Sequence[Look], phases: Sequence[FrameGroup], striped: dict[int, Axis]
-) -> tuple[dict[Axis, ArrangedBits], PlainLooks, list[str]]:
-    """Return the bits along each axis, white and black, and the doubts about them.
+) -> tuple[dict[Axis, ArrangedBits], PlainLooks, bool]:
+    """Return the bits along each axis, white and black, and whether these are needed.
 
     Parameters
     ----------
@@ -127,10 +132,17 @@ def _words(
     is_needed = bool(striped) and not (phases or is_paired)
     plain = choose_plain(others, striped, cost, needs_uniform=is_needed)
     bits = {axis: arranged(bits_along(striped | plain.bits, axis)) for axis in AXES}
-    if not all(one.is_by_names for one in bits.values()):
+    number = sum(len(one.groups[0].files) for one in bits.values() if one.groups)
+    if not all(one.is_by_names for one in bits.values()) or 0 < number < FEW_BITS:
         plain = replace(plain, is_certain=False)
-    doubts = _plain_doubts(looks, plain, is_needed=is_needed)
-    return bits, plain, doubts + [doubt for axis in AXES for doubt in bits[axis].doubts]
+    return bits, plain, is_needed
+
+
+def _is_shuffled(looks: Sequence[Look], phases: Sequence[FrameGroup]) -> bool:
+    """Whether the images of a phase set do not follow one another by their names."""
+    names = [one.file for one in looks]
+    places = [[names.index(name) for name in one.files] for one in phases]
+    return any(max(some) - min(some) != len(some) - 1 for some in places)
 
 
 def _with_axes(looks: Sequence[Look]) -> list[Look]:

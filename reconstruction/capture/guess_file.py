@@ -56,9 +56,11 @@ def _depth(looked: LookedAt) -> int:
 
 
 def _group_lines(group: FrameGroup, found: Guess, size: tuple[int, int]) -> list[str]:
-    files = json.dumps(list(group.files))
-    doubtful = any(name in text for text in found.unsure for name in group.files)
-    lines = ["[[frames]]", f"files = {files}", f'kind = "{group.kind}"']
+    bits = ("gray", "inverse")
+    same = [g for g in found.groups if g.axis == group.axis and {g.kind, group.kind} <= {*bits}]
+    files = [name for one in (group, *same) for name in one.files]
+    doubtful = any(name in text for text in found.unsure for name in files)
+    lines = ["[[frames]]", f"files = {json.dumps(list(group.files))}", f'kind = "{group.kind}"']
     lines[1] += "  # unsure: see above" * doubtful
     if group.axis is None:
         return lines

@@ -55,7 +55,8 @@ def choose_plain(
         rest = {k: _axis(looks, striped_bits, k) for k in plain if k not in choice}
         steady = {k: axis for k, axis in rest.items() if axis is not None}
         preference = _preference(looks, choice, needs_uniform=needs_uniform)
-        rated.append((cost(striped_bits | steady) + preference, choice, steady))
+        unused = len(rest) - len(steady)
+        rated.append((cost(striped_bits | steady) + preference + unused, choice, steady))
     rated.sort(key=lambda one: one[0])
     best, (white, black), steady = rated[0]
     is_certain = len(rated) == 1 or rated[1][0] > best + MARGIN

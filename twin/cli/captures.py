@@ -22,7 +22,7 @@ from twin.cli.app import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterable
 
     from twin.config import Experiment
     from twin.pipeline.compensation import CompensationResult
@@ -60,7 +60,7 @@ def reconstruct(
         return
     from twin.config import decode_settings
     from twin.output import end_exchange
-    from twin.pipeline.captures import reconstruct_capture
+    from twin.pipeline.captures import order_doubts, reconstruct_capture
 
     end_exchange(capture)
     given = {"use": use, "filter_taps": filter_taps, "filter_sigma_px": filter_sigma_px}
@@ -68,6 +68,7 @@ def reconstruct(
     with progress_bars() as watch:
         figures = reconstruct_capture(capture, out, chosen, watch)
     print_metrics(figures)
+    _warn(order_doubts(figures))
     say(f"wrote {out}")
 
 
@@ -92,13 +93,14 @@ def decode(
         Standard deviation of that Gaussian, px; default: as in twin keys.
     """
     from twin.config import decode_settings
-    from twin.pipeline.captures import decode_capture
+    from twin.pipeline.captures import decode_capture, order_doubts
 
     given = {"filter_taps": filter_taps, "filter_sigma_px": filter_sigma_px}
     chosen = decode_settings(**{key: value for key, value in given.items() if value is not None})
     with progress_bars() as watch:
         figures = decode_capture(capture, out, chosen, watch)
     print_metrics(figures)
+    _warn(order_doubts(figures))
     say(f"wrote {out}")
 
 
@@ -142,14 +144,18 @@ def describe(
     say(f"wrote {target}; correct it, then: twin decode {folder} -o decoded")
 
 
+def _warn(doubts: "Iterable[str]") -> None:
+    for doubt in doubts:
+        sys.stderr.write(f"twin: warning: {doubt}\n")
+
+
 def _reconstruct_presses(description: Path, out: Path) -> None:
     from twin.pipeline.colour_presses import reconstruct_presses
 
     with progress_bars() as watch:
         outcome = reconstruct_presses(description, out, watch)
     print_metrics(outcome.figures)
-    for doubt in outcome.doubts:
-        sys.stderr.write(f"twin: warning: {doubt}\n")
+    _warn(outcome.doubts)
     say(f"wrote {out}")
 
 

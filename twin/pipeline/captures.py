@@ -1,5 +1,6 @@
 """Reconstruct the fringes that a sensor recorded, rendered or real, without a renderer."""
 
+from collections.abc import Mapping
 from enum import IntEnum
 from pathlib import Path
 from typing import Any
@@ -9,11 +10,13 @@ import tomli_w
 
 from reconstruction.arrays import ReasonImage
 from reconstruction.capture.folder import read_capture, read_uncalibrated
+from reconstruction.decoding.continuity import DOUBTFUL_SHARE, jump_share
 from reconstruction.decoding.decode import Decoded, DecodeOptions, Reason
 from reconstruction.decoding.decode import decode as decode_stack
 from reconstruction.errors import CaptureError
 from reconstruction.evaluate.surface import write_surface
 from reconstruction.machine import run_side_by_side
+from reconstruction.patterns import AXES, PatternSet
 from reconstruction.pipeline import (
     Reconstruction,
     ReconstructOptions,
@@ -50,6 +53,7 @@ def reconstruct_capture(
         watch("reconstruct", 1.0)
         axes = result.decoded.axes
         figures = reconstruction_metrics(result, decode.use if len(axes) == 2 else axes[0])
+        figures |= continuity_metrics(result.decoded, capture.patterns)
         maps = folder / "reconstruction.nc", result.decoded, result.point_map
         digests: list[str] = []
         run_side_by_side(
@@ -65,6 +69,7 @@ def reconstruct_capture(
     return figures
 
 
+JUMPS = "_jump_share"
 LIKELY_CAUSES = {
     Reason.DARK: "white and black do not differ: check the projector's light, which images are"
     " white and black, and the noise in [sensor]",
@@ -152,7 +157,7 @@ def decode_capture(
         )
         require_points(capture_folder, result.mask_reason)
         watch("decode", 1.0)
-        figures = decoding_metrics(result)
+        figures = decoding_metrics(result) | continuity_metrics(result, capture.patterns)
         write_decoded(folder / "decoded.nc", result)
         draw_decoded(folder / "decoded.png", result)
         settings = tomli_w.dumps({"decode": decode.model_dump(mode="json")})
@@ -177,6 +182,31 @@ def decoding_metrics(decoded: Decoded) -> dict[str, Any]:
             f"modulation_{name}_median_dn": float(np.median(axis.modulation_dn[decoded.valid])),
         }
     return figures | masked_by_reason(decoded.mask_reason, Reason)
+
+
+def continuity_metrics(decoded: Decoded, patterns: PatternSet) -> dict[str, float]:
+    """Return how often the coordinates of neighbouring pixels jump, see `jump_share`."""
+    return {
+        f"{name}{JUMPS}": jump_share(
+            (decoded.row if name == "row" else decoded.column).coordinate_px,
+            decoded.valid,
+            patterns.period_along(name),
+            is_word=patterns.steps == 0,
+        )
+        for name in decoded.axes
+    }
+
+
+def order_doubts(figures: Mapping[str, Any]) -> list[str]:
+    """Return a warning for each axis along which neighbouring pixels disagree too often."""
+    shares = {axis: figures.get(f"{axis}{JUMPS}", 0.0) for axis in AXES}
+    return [
+        f"the {axis} coordinate jumps at {share:.0%} of the places where it should pass from one"
+        " cell of the projector to the next; fringe orders are probably wrong: check the order of"
+        f" the Gray frames along {axis}, period_px and shift_deg"
+        for axis, share in shares.items()
+        if share > DOUBTFUL_SHARE
+    ]
 
 
 def masked_by_reason(found: ReasonImage, codes: type[IntEnum]) -> dict[str, int]:

@@ -1,0 +1,77 @@
+"""Do the coordinates of neighbouring pixels agree? A check of fringe orders after decoding.
+
+On a continuous surface a coordinate passes from one cell of the projector, S wide, to the next in
+small steps. With Gray frames in a wrong order, or a wrong first shift, it jumps there instead.
+Steps and edges of a real scene jump as well, but seldom at most of the places where a line of the
+image crosses the borders of cells: measured shares are 0 to 0.34 on right decodes of real captures
+with edges of depth, and 0.55 to 1 with two frames exchanged whose stripes are in view and resolved.
+"""
+
+import numpy as np
+
+from reconstruction.arrays import BoolImage, FloatImage, IntArray
+
+# Lines of the image looked at, along rows and along columns.
+LINES = 64
+# Width of a cell: in steps from pixel to pixel, and in periods of words without fringes.
+LEAST_STEPS, LEAST_WORDS = 6.0, 4.0
+LEAST_CROSSINGS = 50
+DOUBTFUL_SHARE = 0.45
+"""Above this share fringe orders are doubtful."""
+
+
+def jump_share(
+    coordinate_px: FloatImage, valid: BoolImage, period_px: float, *, is_word: bool
+) -> float:
+    """Return the largest share of jumps among the crossings of cells, over cells of all widths.
+
+    Parameters
+    ----------
+    coordinate_px : (row, col), projector px
+    valid : (row, col)
+    period_px : of the fringes, or the width of a word
+    is_word : there are no fringes: words of a few projector pixels are not continuous
+
+    Returns
+    -------
+    in [0, 1]; 0 where fewer than LEAST_CROSSINGS crossings are in view
+    """
+    rows, cols = (_places(length) for length in valid.shape)
+    lines = [
+        (coordinate_px[rows], valid[rows]),
+        (coordinate_px[:, cols].T, valid[:, cols].T),
+    ]
+    values = [x[is_valid] for x, is_valid in lines]
+    seen_px = np.concatenate(values)
+    steps_px = np.concatenate(
+        [np.abs(np.diff(x, axis=1))[is_valid[:, 1:] & is_valid[:, :-1]] for x, is_valid in lines]
+    )
+    if min(steps_px.size, seen_px.size) < LEAST_CROSSINGS:
+        return 0.0
+    low_px, high_px = np.percentile(seen_px, [1.0, 99.0])
+    least_px = max(LEAST_STEPS * float(np.median(steps_px)), LEAST_WORDS * period_px * is_word)
+    worst, cell_px = 0.0, period_px
+    while cell_px <= 0.5 * (high_px - low_px):
+        if cell_px >= least_px:
+            worst = max(worst, _share(lines, cell_px))
+        cell_px *= 2.0
+    return worst
+
+
+def _places(length: int) -> IntArray:
+    return np.unique(np.linspace(0, length - 1, LINES).astype(int))
+
+
+def _share(lines: list[tuple[FloatImage, BoolImage]], cell_px: float) -> float:
+    jumps, crossings = 0, 0
+    for x_px, is_valid in lines:
+        step_px = np.diff(x_px, axis=1)
+        is_pair = is_valid[:, 1:] & is_valid[:, :-1]
+        is_small = is_pair & (np.abs(step_px) < 0.5 * cell_px)
+        # Between two pieces that are continuous: single wrong pixels do not count.
+        between = is_pair[:, 1:-1] & is_small[:, :-2] & is_small[:, 2:]
+        cell = np.floor(x_px / cell_px)
+        crosses = between & (cell[:, 2:-1] != cell[:, 1:-2])
+        crossings += int(np.count_nonzero(crosses))
+        jumps += int(np.count_nonzero(crosses & ~is_small[:, 1:-1]))
+    return jumps / crossings if crossings >= LEAST_CROSSINGS else 0.0
