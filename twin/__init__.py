@@ -14,6 +14,7 @@
 | `render` | experiment to the light of every frame, and the truth behind it |
 | `measure` | experiment to `Measurement`, the whole way by any method; `Memory` shares stages |
 | `Measurement` | points, sigma, reason, truth, score, images and figures of one measurement |
+| `with_compensation` | a measurement with figures `compensated_*`: the object behind the coat |
 | `compare` | experiments by several methods, into a folder |
 | `load_study`, `StudyRecord`, `sweep` | a design space as data, and into its store |
 | `load_problem`, `identify` | which values of unknown fields agree with measurements |
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
     from twin.identification.run import identify
     from twin.pipeline import Measurement, Memory, measure, render
     from twin.pipeline.comparison import compare
+    from twin.pipeline.compensation import with_compensation
     from twin.pipeline.press import press_specimen as press
     from twin.study.record import StudyRecord
     from twin.study.sweep import sweep
@@ -53,6 +55,7 @@ __all__ = [
     "sweep",
     "uncertainty",
     "vary",
+    "with_compensation",
 ]
 
 #: where each name lives, and what it is called there if otherwise; a dot: the package itself
@@ -72,6 +75,7 @@ _PLACES = {
     "sweep": "twin.study.sweep",
     "uncertainty": "twin.uncertainty:.",
     "vary": "twin.config",
+    "with_compensation": "twin.pipeline.compensation",
 }
 
 

@@ -159,7 +159,7 @@ class Freedom:
 
     Raises
     ------
-    InputError : unknown coefficient, or a pixel ratio out of range
+    InputError : unknown coefficient or one that is named twice, or a pixel ratio out of range
     """
 
     camera_distortion: tuple[Distortion, ...] = ("k1",)
@@ -181,6 +181,9 @@ class Freedom:
             if name not in INTRINSICS[4:]:
                 allowed = ", ".join(INTRINSICS[4:])
                 raise InputError(f"distortion coefficient is {name!r}; allowed are {allowed}")
+        for names in (self.camera_distortion, self.projector_distortion):
+            if len(set(names)) < len(names):
+                raise InputError(f"distortion coefficients are {', '.join(names)}; name each once")
 
 
 def admissible(freedom: Freedom, vector: FloatArray) -> FloatArray:

@@ -222,6 +222,8 @@ def test_too_few_or_unequal_poses_are_refused(rig):
 def test_unknown_coefficients_are_refused():
     with pytest.raises(InputError, match="k9"):
         Freedom(camera_distortion=("k9",))
+    with pytest.raises(InputError, match="are k1, k1; name each once"):
+        Freedom(camera_distortion=("k1", "k1"))
 
 
 def test_more_coefficients_can_be_asked_for(exact):

@@ -35,6 +35,27 @@ def test_what_does_not_exist_is_no_number():
     assert why_absent(figures) == "no valid point"
 
 
+def test_an_unknown_name_is_a_key_error_that_lists_the_names():
+    figures = Figures(METRICS)
+    with pytest.raises(KeyError) as caught:
+        figures["z_rms_um"]
+    names = "points, lit_pixels, z_rmse_um, force_n"
+    expected = f"z_rms_um: no such figure, did you mean z_rmse_um; there are {names}"
+    assert str(caught.value) == expected
+    assert "z_rms_um" not in figures
+    assert figures.get("z_rms_um") is None
+
+
+def test_a_figure_of_the_object_says_what_adds_it():
+    adds = r"twin\.with_compensation\(measurement\) adds"
+    with pytest.raises(KeyError, match=adds):
+        Figures(METRICS)["compensated_sphere_1_radius_mm"]
+    with_object = Figures(METRICS | {"compensated_force_n": 1.0})
+    with pytest.raises(KeyError, match="compensated_depth_mm: no such figure") as caught:
+        with_object["compensated_depth_mm"]
+    assert "with_compensation" not in str(caught.value)
+
+
 def test_equal_numbers_are_equal_whatever_the_words():
     assert Figures(METRICS) == Figures(METRICS | {"mechanics_model": "spectral"})
     assert Figures(METRICS) != Figures(METRICS | {"force_n": 4.0})

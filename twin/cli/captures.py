@@ -237,6 +237,11 @@ def compensate(
     say(f"wrote {out / REPORT_FILE if report else out}")
 
 
+Coefficients = Annotated[
+    tuple[Literal["k1", "k2", "p1", "p2", "k3"], ...], Parameter(consume_multiple=True)
+]
+
+
 @app.command
 def calibrate(
     source: Path,
@@ -245,8 +250,8 @@ def calibrate(
     out: Out,
     board: str = "boards/paper_dots",
     settings: Settings = None,
-    camera_distortion: tuple[Literal["k1", "k2", "p1", "p2", "k3"], ...] = ("k1",),
-    projector_distortion: tuple[Literal["k1", "k2", "p1", "p2", "k3"], ...] = (),
+    camera_distortion: Coefficients = ("k1",),
+    projector_distortion: Coefficients = (),
     camera_pixel_ratio: float = 1.0,
     projector_pixel_ratio: float = 1.0,
     keep_captures: bool = False,
@@ -261,7 +266,7 @@ def calibrate(
     board
         Board file, or the name of a shipped board.
     camera_distortion, projector_distortion
-        Coefficients to estimate.
+        Coefficients to estimate, for example k1 k2.
     camera_pixel_ratio, projector_pixel_ratio
         Width of a pixel over its height; 2 for a diamond chip such as 912 x 1140.
     keep_captures

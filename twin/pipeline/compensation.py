@@ -58,7 +58,8 @@ from twin.results.compensated import (
     object_points,
 )
 from twin.results.features import bars_of
-from twin.results.names import COMPENSATED, may_compensate
+from twin.results.figures import COMPENSATED
+from twin.results.names import may_compensate
 from twin.results.record import Fringes, Measurement
 from twin.results.under_sheet import (
     SheetCompensation,
@@ -309,6 +310,9 @@ def _known_travel(layer: SensorLayer) -> KnownTravel | None:
 
 def with_compensation(done: Measurement, layer: SensorLayer | None = None) -> Measurement:
     """Return a measurement by fringes with the figures of the object behind its coat.
+
+    They begin with `compensated_`, as those of the command `twin measure`; `compensation_failure`
+    among the metrics says why there are none.
 
     Parameters
     ----------

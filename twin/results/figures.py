@@ -6,12 +6,21 @@ that nothing can score it as 0: who needs the number asks for `known`.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
+from difflib import get_close_matches
 from typing import Any
 
 from reconstruction.errors import InputError
 
 Metric = float | str | Sequence[str] | None
 Metrics = Mapping[str, Metric]
+COMPENSATED = "compensated_"
+"""What the figures begin with that are the object's, found from the coat."""
+
+
+class FigureError(InputError, KeyError):
+    """A name that no figure of a measurement has; the message lists those that there are."""
+
+    __str__ = Exception.__str__  # KeyError would quote the message
 
 
 class Figures(Mapping[str, float | None]):
@@ -25,7 +34,16 @@ class Figures(Mapping[str, float | None]):
         }
 
     def __getitem__(self, name: str) -> float | None:
-        return self._values[name]
+        """Return a figure by its name.
+
+        Raises
+        ------
+        FigureError : a KeyError; the measurement has no figure of this name
+        """
+        try:
+            return self._values[name]
+        except KeyError:
+            raise FigureError(self._no_such(name)) from None
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._values)
@@ -42,6 +60,17 @@ class Figures(Mapping[str, float | None]):
             f"<tr><td>{name}</td><td>{_short(value)}</td></tr>" for name, value in self.items()
         )
         return f"<table>{rows}</table>"
+
+    def _no_such(self, name: str) -> str:
+        hint = ""
+        if str(name).startswith(COMPENSATED) and not self._has_compensated():
+            hint = "; twin.with_compensation(measurement) adds those of the object behind the coat"
+        close = get_close_matches(str(name), self._values, n=1)
+        meant = f", did you mean {close[0]}" if close else ""
+        return f"{name}: no such figure{meant}{hint}; there are {', '.join(self._values)}"
+
+    def _has_compensated(self) -> bool:
+        return any(name.startswith(COMPENSATED) for name in self._values)
 
     def known(self, name: str) -> float:
         """Return a figure that must exist.

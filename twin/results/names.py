@@ -16,6 +16,7 @@ from twin.mechanics.choice import is_slab, may_wrap
 from twin.results.bound import bound_names, has_bound
 from twin.results.compensated import slab_bound_name, slab_name
 from twin.results.features import bars_of, feature_of, features_of, measurands_of, nominal_mm
+from twin.results.figures import COMPENSATED
 from twin.results.object_points import is_covered
 from twin.results.object_score import (
     MeasuredQuantity,
@@ -40,8 +41,6 @@ _OF_A_ROD = (
 )  # fmt: skip
 _OF_A_NUT = ("nut_hole_depth_mm", "nut_hexagon_share")
 _ALWAYS = ("warnings", "unfitted_balls")
-COMPENSATED = "compensated_"
-"""What the figures begin with that are the object's, found from the coat."""
 _OF_A_CONTACT = ("force_n", "force_sigma_n", "contact_area_mm2")
 _OF_A_BAR = ("width_mm", "width_sigma_um", "turn_deg", "sheet_on_edge", "width_why")
 
