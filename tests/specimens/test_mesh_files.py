@@ -74,6 +74,12 @@ def no_warnings():
         ("turned.stl", stl(half_turned()), "face both inwards and outwards"),
         ("many.stl", bytes(80) + struct.pack("<I", 2**32 - 1) + bytes(100), "holds no triangles"),
         ("empty.stl", b"", "cannot be read|holds no triangles"),
+        ("two.obj", b"v 0 0 0\nv 1 0 0\nf 1 2\n", "holds no triangles"),
+        (
+            "from_0.obj",
+            TETRAHEDRON.translate(str.maketrans("1234", "0123")).replace("v 0", "v 1").encode(),
+            "a face names vertex 0, but an OBJ counts from 1",
+        ),
     ],
 )
 def test_what_is_no_body_is_told_in_one_line(tmp_path, name, content, told):
@@ -104,6 +110,11 @@ def test_a_body_is_read_whichever_way_it_faces(tmp_path, triangles):
     surface = read_closed_mesh("specimen.file", str(tmp_path / "box.stl"))
     assert surface.volume == pytest.approx(24.0, rel=1e-6)
     assert surface.vertices.shape == (8, 3)
+
+
+def test_a_byte_order_mark_hides_no_vertex(tmp_path):
+    (tmp_path / "x.obj").write_text(TETRAHEDRON, encoding="utf-8-sig")
+    assert read_closed_mesh("specimen.file", str(tmp_path / "x.obj")).volume == pytest.approx(1 / 6)
 
 
 def test_what_a_mesh_names_is_not_opened(tmp_path):

@@ -3,7 +3,9 @@
 The upper side of a mesh as a height map is found by vertical rays, exact at every cell.
 """
 
+import codecs
 import io
+import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -26,6 +28,8 @@ from twin.specimens.solids import rounded_box
 
 _FILE_TYPES = (".stl", ".ply", ".obj")
 _MOST_BYTES = 2**30
+# trimesh would take it for the last vertex: a body of another form, closed all the same.
+_NUMBERED_FROM_0 = re.compile(rb"^[ \t]*+f[ \t]++(?:\S++[ \t]++)*?0(?:/|\s|$)", re.MULTILINE)
 # In the file's own units, which may be metres. Beyond them distances are lost in rounding.
 _EXTENT = 1e-6, 1e6
 # Bodies that a sensor can press or image; less is a part that fits whose file is in metres.
@@ -60,13 +64,17 @@ def read_closed_mesh(key: str, name: str) -> trimesh.Trimesh:
     InputError : the file is missing, no mesh, empty, not watertight or without an inside
     """
     path = _find(key, name)
-    content = io.BytesIO(read_bytes(path, _MOST_BYTES))
+    content = read_bytes(path, _MOST_BYTES).removeprefix(codecs.BOM_UTF8)
+    kind = path.suffix[1:].lower()
+    if kind == "obj" and _NUMBERED_FROM_0.search(content):
+        raise InputError(
+            f"{key}: {path}: a face names vertex 0, but an OBJ counts from 1; export it again"
+        )
     # Numbers of any size overflow in what trimesh derives; they are told below.
     with np.errstate(all="ignore"):
         try:
             # Not by its name: a mesh may name pictures and materials, which would be opened, too.
-            kind = path.suffix[1:].lower()
-            surface = trimesh.load_mesh(content, file_type=kind, process=False)
+            surface = trimesh.load_mesh(io.BytesIO(content), file_type=kind, process=False)
         except Exception as error:  # each of trimesh's readers raises its own
             reason = one_line(error) or type(error).__name__
             raise InputError(f"{key}: {path}: cannot be read ({reason})") from error
@@ -129,7 +137,7 @@ def _welded(surface: trimesh.Trimesh) -> trimesh.Trimesh:
 
 def _require_numbers(where: str, surface: object) -> None:
     """Refuse what is no surface in space."""
-    if not isinstance(surface, trimesh.Trimesh) or surface.is_empty:
+    if not isinstance(surface, trimesh.Trimesh) or not len(surface.faces):
         raise InputError(f"{where}: holds no triangles")
     if not np.isfinite(surface.vertices).all():
         raise InputError(f"{where}: holds vertices that are no numbers; export it again")
@@ -164,7 +172,8 @@ def _require_closed(where: str, surface: trimesh.Trimesh) -> None:
 def _find(key: str, name: str) -> Path:
     path = mesh_path(name)
     if not is_regular(path):
-        raise InputError(f"{key}: {name}: no such file")
+        found = "not a file" if path.exists() else "no such file"
+        raise InputError(f"{key}: {name}: {found}")
     if path.suffix.lower() not in _FILE_TYPES:
         raise InputError(f"{key}: {name}: not a mesh, allowed: {', '.join(_FILE_TYPES)}")
     return path
