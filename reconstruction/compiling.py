@@ -7,7 +7,7 @@ of automatic parallelisation and may be called from several threads at once.
 import hashlib
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar, cast
@@ -90,6 +90,7 @@ def compile_and_keep(function: Function, options: dict[str, Any], source_digest:
     stored._source_stamp = source_digest
     stored._load_index = partial(_load_index, stored)
     stored._load_data = partial(_load_data, stored)
+    kernel._cache.save_overload = partial(_save, kernel._cache)
     return cast(Function, kernel)
 
 
@@ -130,6 +131,12 @@ def _load_data(stored: Any, name: str) -> Any:
     if not is_regular(Path(stored._data_path(name))):
         raise FileNotFoundError(name)
     return type(stored)._load_data(stored, name)
+
+
+def _save(cache: Any, signature: Any, compiled: Any) -> None:
+    """Store a compiled kernel; a full or forbidden disk costs only the time of the next process."""
+    with suppress(OSError):
+        type(cache).save_overload(cache, signature, compiled)
 
 
 def run_over_rows(

@@ -1,3 +1,4 @@
+import errno
 import os
 import shutil
 import subprocess
@@ -29,6 +30,24 @@ def test_errors_of_a_band_reach_the_caller():
     except ZeroDivisionError:
         return
     raise AssertionError("the error was lost")
+
+
+def test_a_full_disk_costs_only_the_time_of_the_next_process(monkeypatch):
+    """Why: numba would raise, and a measurement end because the disk of its kernels is full."""
+    calls = []
+
+    def save(*_):
+        calls.append(1)
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr("numba.core.caching.IndexDataCacheFile.save", save)
+
+    @compiling.compiled
+    def twice(x):
+        return 2 * x
+
+    assert twice(2.0) == 4.0
+    assert calls
 
 
 def run_kernel(folder, files, program):

@@ -37,9 +37,16 @@ from twin.optics.scene import Surfaces
 MOST_EVENTS = 64
 """Reflections and refractions that a photon may suffer; what is then still under way is counted."""
 
+# The kernel makes an array of its own, hence not `reconstruction.compiling.OPTIONS`.
+_OPTIONS: dict[str, Any] = {"nogil": True, "fastmath": {"contract"}, "error_model": "numpy"}
+_SOURCE_DIGEST = digest_of_sources(Path(__file__).parent, ("photons.py",))
+
 # Steps of the R2 sequence (Roberts 2018), the powers of the inverse plastic number, times 2^32.
 _R2_STEPS = (3242174889, 2447445414)
-_SOURCES = ("photons.py",)
+
+
+def _compiled(function: Function) -> Function:
+    return compile_and_keep(function, _OPTIONS, _SOURCE_DIGEST)
 
 
 @dataclass(frozen=True)
@@ -305,12 +312,6 @@ def _node_coordinates(position_mm: FloatImage) -> tuple[FloatImage, float, int]:
 def _table_coordinates(position_px: FloatImage, table: LightTable) -> FloatImage:
     x = (position_px - np.float32(table.first_px)) * np.float32(OVERSAMPLING)
     return np.asarray(np.clip(x, 0.0, len(table.profiles) - 1.001), np.float32)
-
-
-def _compiled(function: Function) -> Function:
-    """Compile on first call and keep the result on disk."""
-    options = {"nogil": True, "fastmath": {"contract"}, "error_model": "numpy"}
-    return compile_and_keep(function, options, digest_of_sources(Path(__file__).parent, _SOURCES))
 
 
 @_compiled
