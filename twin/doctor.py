@@ -25,6 +25,7 @@ from pathlib import Path
 from typing import get_args
 
 from twin.assets import Collection, asset_folders, list_assets
+from twin.extras import install, pip_install
 
 DISTRIBUTION = "fringe-twin"
 MINIMUM_PYTHON = (3, 11)
@@ -90,7 +91,7 @@ def _packages() -> list[Finding]:
     try:
         requirements = importlib.metadata.requires(DISTRIBUTION) or []
     except importlib.metadata.PackageNotFoundError:
-        advice = "./run setup, or pip install fringe-twin"
+        advice = f"./run setup, or {install()}"
         return [Finding("packages", False, f"{DISTRIBUTION} is not installed", advice)]
     return [_package(line) for line in requirements if "extra ==" not in line]
 
@@ -101,10 +102,10 @@ def _package(requirement: str) -> Finding:
     try:
         version = importlib.metadata.version(name)
     except importlib.metadata.PackageNotFoundError:
-        return Finding(name, False, "not installed", f"pip install '{requirement}'")
+        return Finding(name, False, "not installed", pip_install(requirement))
     floor = re.search(r">=\s*([\d.]+)", requirement)
     if floor and _release(version) < _release(floor[1]):
-        return Finding(name, False, version, f"pip install '{requirement}'")
+        return Finding(name, False, version, pip_install(requirement))
     return Finding(name, True, version)
 
 

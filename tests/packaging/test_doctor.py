@@ -1,6 +1,7 @@
 """The diagnosis survives whatever is broken."""
 
 import importlib.metadata
+import sys
 
 import pytest
 
@@ -44,7 +45,7 @@ def test_old_package_is_a_finding(monkeypatch):
 def test_absent_package_is_a_finding():
     finding = doctor._package("no-such-package-here>=1")
     assert not finding.ok
-    assert finding.advice == "pip install 'no-such-package-here>=1'"
+    assert finding.advice == f"{sys.executable} -m pip install 'no-such-package-here>=1'"
 
 
 def test_broken_check_is_a_finding(monkeypatch):

@@ -107,4 +107,6 @@ def test_without_viser_one_line_says_what_to_install(capsys, monkeypatch):
 
     monkeypatch.setitem(sys.modules, "viser", None)
     assert run(["view", "examples/slab_balls"]) == 2
-    assert "fringe-twin[view]" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "pip install -e" in said
+    assert "[view]" in said

@@ -33,6 +33,7 @@ from typing import Any
 from reconstruction.errors import InputError
 from reconstruction.reading import read_json
 from reconstruction.writing import write_text
+from twin.extras import pip_install
 
 LLVM_VARIANT = "llvm_ad_mono"
 CUDA_VARIANT = "cuda_ad_mono"
@@ -282,7 +283,8 @@ def _installed_version(package: str) -> str:
     try:
         return importlib.metadata.version(package)
     except importlib.metadata.PackageNotFoundError:
-        raise MissingBackend(f"{package} is not installed: pip install mitsuba drjit") from None
+        command = pip_install("mitsuba", "drjit")
+        raise MissingBackend(f"{package} is not installed: {command}") from None
 
 
 def _cpu_flags() -> str:

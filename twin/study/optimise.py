@@ -16,6 +16,7 @@ from reconstruction.errors import InputError
 from reconstruction.machine import warnings_ignored
 from twin.config import ConfigError
 from twin.config.study import Axis, Constraint, Optimise, Study
+from twin.extras import missing
 from twin.study.cases import Case, Cases, Point, cases_of, quantity
 from twin.study.derived import DERIVED, with_derived
 from twin.study.engine import SweepOutcome
@@ -160,9 +161,7 @@ def _search(study: Study, plan: Optimise) -> "optuna.Study":
     try:
         import optuna
     except ModuleNotFoundError:
-        raise InputError(
-            "sampling.method = 'optimise': needs Optuna; pip install 'fringe-twin[sweep]'"
-        ) from None
+        raise missing("sampling.method = 'optimise'", "Optuna", "sweep") from None
     seed = study.sampling.seed
     # constant_liar is marked experimental; without it a batch asks for one place many times.
     with warnings_ignored(optuna.exceptions.ExperimentalWarning):

@@ -15,6 +15,7 @@ from reconstruction.arrays import BoolImage, FloatArray
 from reconstruction.errors import InputError
 from reconstruction.writing import write_bytes, write_text
 from twin.config.study import Constraint, Objective
+from twin.extras import missing
 from twin.files import creating
 from twin.results import parts
 from twin.results.figures import why_absent
@@ -152,7 +153,7 @@ def write_parquet(table: StudyTable, path: Path) -> None:
         import pyarrow
         import pyarrow.parquet
     except ModuleNotFoundError:
-        raise InputError("--parquet: needs pyarrow; pip install 'fringe-twin[sweep]'") from None
+        raise missing("--parquet", "pyarrow", "sweep") from None
     columns = {name: _column([row.get(name) for row in table.rows]) for name in table.columns}
     memory = io.BytesIO()
     pyarrow.parquet.write_table(pyarrow.table(columns), memory)

@@ -15,6 +15,7 @@ from typing import Any
 
 from reconstruction.errors import InputError
 from reconstruction.machine import VARIABLE
+from twin.extras import missing
 from twin.study.worker import die_with
 
 _THREAD_VARIABLES = (
@@ -150,9 +151,7 @@ def _client(address: str) -> Any:
     try:
         from distributed import Client
     except ModuleNotFoundError:
-        raise InputError(
-            "--cluster: needs Dask; pip install 'fringe-twin[sweep]' here and on the workers"
-        ) from None
+        raise missing("--cluster", "Dask", "sweep", "also on the workers") from None
     try:
         return Client(address, timeout=_CONNECT_WITHIN)
     except (OSError, ValueError, TimeoutError) as error:

@@ -21,6 +21,7 @@ from reconstruction.errors import InputError
 from reconstruction.evaluate.surface import surface_mesh
 from reconstruction.rig.pinhole import Pinhole
 from twin.config import Experiment
+from twin.extras import missing
 from twin.mechanics import PressedElastomer
 from twin.optics.rig import true_calibration
 from twin.report.view import field_rays, segments
@@ -44,7 +45,7 @@ def viser_module() -> Any:
     try:
         return import_module("viser")
     except ModuleNotFoundError:
-        raise InputError("view: needs viser; pip install 'fringe-twin[view]'") from None
+        raise missing("view", "viser", "view") from None
 
 
 class LiveView:
