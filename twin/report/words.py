@@ -1,30 +1,39 @@
 """How reports write numbers, shares, names and units; units are suffixes of the names."""
 
+import re
 from collections.abc import Mapping
 from typing import Any
 
 from twin.config.models import Coating
 
-# Longest first: e_per_s ends in no other unit, but `_s` alone would swallow it.
 _UNITS = {
-    "_e_per_s": "e⁻/s",
-    "_j_m2": "J/m²",
-    "_kg_m3": "kg/m³",
-    "_percent": "%",
-    "_per_mm": "1/mm",
-    "_kpa": "kPa",
-    "_deg": "°",
-    "_rad": "rad",
-    "_mm": "mm",
-    "_um": "µm",
-    "_nm": "nm",
-    "_px": "px",
-    "_ms": "ms",
-    "_mw": "mW",
-    "_dn": "DN",
-    "_n": "N",
-    "_e": "e⁻",
+    "percent": "%",
+    "kpa": "kPa",
+    "deg": "°",
+    "rad": "rad",
+    "mm": "mm",
+    "um": "µm",
+    "nm": "nm",
+    "px": "px",
+    "kg": "kg",
+    "ms": "ms",
+    "mw": "mW",
+    "dn": "DN",
+    "m": "m",
+    "s": "s",
+    "j": "J",
+    "n": "N",
+    "e": "e⁻",
 }
+_POWERS = {"": "", "2": "²", "3": "³"}
+_ONE = f"(?:{'|'.join(_UNITS)})[23]?"
+# A unit at the end of a name: `mm`, `mm2`, `per_mm`, `mm2_per_n`; `kg_m3` and `j_m2` as data sheets
+# write them. A metre by itself is no unit of ours: `m` only below a mass or an energy.
+_SUFFIX = re.compile(
+    rf"_(?:(?P<over>{_ONE})_per_(?P<under>{_ONE})|per_(?P<inverse>{_ONE})"
+    rf"|(?P<amount>kg|j)_(?P<size>m[23])|(?P<one>(?!m[23]?$){_ONE}))$"
+)
+_DERIVATIVE = re.compile(r"(?P<of>[a-z0-9_]+)_by_(?P<field>[a-z0-9_.]+\.[a-z0-9_]+)")
 
 NONE = "–"
 """Written for what does not exist: a figure of no point, a row that has no such cell."""
@@ -43,11 +52,29 @@ _NAMES = {
 
 
 def split_unit(name: str) -> tuple[str, str]:
-    """Split `standoff_mm` into ("standoff", "mm"); dimensionless names keep an empty unit."""
-    for suffix, unit in _UNITS.items():
-        if name.endswith(suffix) and name != suffix[1:]:
-            return name.removesuffix(suffix), unit
-    return name, ""
+    """Split `standoff_mm` into ("standoff", "mm"); dimensionless names keep an empty unit.
+
+    Ratios and powers are written as such: `rim_compliance_mm2_per_n` has mm²/N, `gain_dn_per_e`
+    DN/e⁻. A derivative, `crb_radius_um_by_projector.pose.polar_deg`, has the ratio of both units.
+    """
+    derivative = _DERIVATIVE.fullmatch(name)
+    if derivative:
+        of, unit = split_unit(derivative["of"])
+        by, under = split_unit(derivative["field"].rpartition(".")[2])
+        return f"{of}_by_{by}", f"{unit or '1'}/{under}" if under else unit
+    found = _SUFFIX.search(name)
+    if found is None:
+        return name, ""
+    over = found["over"] or found["amount"] or found["one"]
+    under = found["under"] or found["inverse"] or found["size"]
+    unit = _written(over) if over else "1"
+    return name[: found.start()], f"{unit}/{_written(under)}" if under else unit
+
+
+def _written(token: str) -> str:
+    """Write one unit of a name, with its power: `mm2` as mm²."""
+    stem = token.rstrip("23")
+    return _UNITS[stem] + _POWERS[token[len(stem) :]]
 
 
 def label_of(name: str) -> tuple[str, str]:
