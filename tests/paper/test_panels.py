@@ -36,6 +36,24 @@ def test_the_width_of_a_rod_is_that_of_its_section(rod):
     assert ends[0] == pytest.approx(ends[1], abs=1e-4)
 
 
+@pytest.mark.parametrize("name", ["bars_a", "rods_a"])
+def test_fig_7_has_a_section_of_round_and_of_rectangular_rods(name):
+    """Setup: points of a trapezoid between valleys, 2 mm wide at half height, as of rod A.
+
+    Expected: a section with its width, and the reference; bars had "not measured" there.
+    """
+    from twin.config import load_experiment
+    from twin.paper.panels import _section, _width
+
+    experiment = load_experiment(f"paper/{name}")
+    x, y = (one.ravel() for one in np.meshgrid(np.arange(-4, 4.01, 0.025), np.arange(-1, 1, 0.1)))
+    z = np.clip(2.0 * (1.25 - np.abs(x)), 0.0, 1.0)
+    width = _width(experiment, _section(experiment, np.column_stack([x, y, z])))
+    assert width is not None
+    assert width.width_mm == pytest.approx(2.0, abs=0.02)
+    assert width.nominal_mm == 1.99
+
+
 def test_a_missing_point_is_a_hole(rod, mi):
     """Setup: points of a block of pixels are taken away. Expected: white there, and only there."""
     from twin.paper.panels import read_panel_data

@@ -193,7 +193,7 @@ def show_histogram(axes: Axes, data: PanelData, number: int, limit_um: float) ->
     plain_spines(axes)
 
 
-def no_measurement(axes: Axes) -> None:
+def no_measurement(axes: Axes, words: str = "not measured") -> None:
     """Say that there is nothing to show."""
     no_ticks(axes)
-    axes.text(0.5, 0.5, "not measured", color=INK, ha="center", transform=axes.transAxes)
+    axes.text(0.5, 0.5, words, color=INK, ha="center", transform=axes.transAxes)

@@ -90,7 +90,7 @@ def _rod(cells: list[Axes], data: PanelData | None, found: list[PanelData], last
     show_picture(fringes, data.picture)
     show_relief(relief, data, stage_for(*found), bar=last)
     if not len(data.section):
-        no_measurement(section)
+        no_measurement(section, "no point on the section")
         return
     show_section(section, data, legend=data is found[0])
     heights = np.concatenate([one.section[:, 1] for one in found])

@@ -18,13 +18,19 @@ from reconstruction.errors import FitError, InputError
 from reconstruction.reading import read_json
 from reconstruction.writing import write_npz
 from twin.config import Experiment
-from twin.config.specimens import Rods
 from twin.output import write_json
 from twin.paper.photographs import photograph_of
 from twin.report.camera_images import block_mean
 from twin.report.canvas import height_scale
 from twin.results.record import Measurement
-from twin.results.rods import SECTION_LENGTH_MM, RodSection, middle_of, section_of
+from twin.results.rods import (
+    SECTION_LENGTH_MM,
+    RodSection,
+    has_one_rod,
+    middle_of,
+    nominal_width_mm,
+    section_of,
+)
 from twin.results.score import SphereScore, wanted_pixels
 from twin.specimens import shape_of
 
@@ -256,11 +262,10 @@ def _ball_points(points_mm: NDArray[Any], balls: Sequence[SphereScore]) -> Float
 
 
 def _section(experiment: Experiment, points_mm: NDArray[np.float64]) -> RodSection | None:
-    """Cross-section of a single rod."""
-    specimen = experiment.specimen
-    if not isinstance(specimen, Rods) or len(specimen.diameters_mm) != 1 or not len(points_mm):
+    """Cross-section of a single rod, round or rectangular."""
+    if not has_one_rod(experiment) or not len(points_mm):
         return None
-    return section_of(points_mm, SECTION_LENGTH_MM, middle_of(shape_of(specimen)))
+    return section_of(points_mm, SECTION_LENGTH_MM, middle_of(shape_of(experiment.specimen)))
 
 
 def _columns(section: RodSection | None) -> FloatImage:
@@ -270,11 +275,11 @@ def _columns(section: RodSection | None) -> FloatImage:
 
 
 def _width(experiment: Experiment, section: RodSection | None) -> Width | None:
-    if section is None or not isinstance(experiment.specimen, Rods):
+    if section is None:
         return None
     try:
         bar = section.width()
     except FitError:
         return None
-    nominal_mm = experiment.specimen.diameters_mm[0]
+    nominal_mm = nominal_width_mm(experiment)
     return Width(bar.width_mm, bar.height_mm, bar.left_mm, bar.right_mm, nominal_mm)

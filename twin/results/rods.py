@@ -103,6 +103,13 @@ def has_one_rod(experiment: Experiment) -> bool:
     return isinstance(specimen, Rods) and len(specimen.diameters_mm) == 1
 
 
+def nominal_width_mm(experiment: Experiment) -> float:
+    """Return the width of the only rod: the diameter of a round one; see `has_one_rod`."""
+    specimen = experiment.specimen
+    assert isinstance(specimen, Bars | Rods)
+    return specimen.widths_mm[0] if isinstance(specimen, Bars) else specimen.diameters_mm[0]
+
+
 def rod_figures(
     experiment: Experiment, points_mm: NDArray[np.floating[Any]], prefix: str = ""
 ) -> dict[str, float | str]:
