@@ -63,7 +63,8 @@ def test_effects_do_without_the_blind_and_tell_how_many(table, tmp_path, monkeyp
     monkeypatch.setattr(pictures, "take_picture", refuse)
     page = write_study(tmp_path, failed=pictures.picture_best(tmp_path)).read_text()
     assert "Cases left out: 4 without z_rmse_um." in page
-    assert page.count("no valid point") == 4
+    assert page.count('class="reason">no valid point') == 4
+    assert "4 of 10 cases: no valid point" in page
     assert (tmp_path / "figures" / "front.png").is_file()
 
 
@@ -72,7 +73,7 @@ def test_report_of_a_study_that_measured_nothing(base, tmp_path):
         name="test", base="x", axis=(ALBEDO | {"values": [0.6, 0.8]},), objectives=(ERROR,)
     )
     sweep(StudyRecord(study, base), tmp_path, local_workers(1), make_measurer=Blind)
-    assert write_study(tmp_path).read_text().count("no valid point") == 2
+    assert write_study(tmp_path).read_text().count('class="reason">no valid point') == 2
     with pytest.raises(InputError, match="no feasible case has z_rmse_um"):
         best_rows(read_table(tmp_path).rows, [ERROR])
 

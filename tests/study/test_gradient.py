@@ -43,7 +43,8 @@ def study(study_of, *axes, **keys):
 
 def searched(asked, base, folder):
     outcome = sweep(StudyRecord(asked, base), folder, local_workers(1), make_measurer=Valley)
-    best = min(read_table(folder).rows, key=lambda row: row["crb_radius_um"])
+    rows = read_table(folder).rows
+    best = min((row for row in rows if row["feasible"]), key=lambda row: row["crb_radius_um"])
     return outcome, best
 
 
@@ -59,8 +60,13 @@ def test_search_finds_a_known_minimum(study_of, base, tmp_path):
 
 def test_search_keeps_constraints_on_fields(study_of, base, tmp_path):
     bound = {"value": "coating.base_albedo", "per": "patterns.period_px", "at_least": 0.03}
-    _, best = searched(study(study_of, ALBEDO, PERIOD, constraint=(bound,)), base, tmp_path)
-    assert best["albedo"] / best["patterns.period_px"] == pytest.approx(0.03, rel=0.01)
+    outcome, best = searched(study(study_of, ALBEDO, PERIOD, constraint=(bound,)), base, tmp_path)
+    ratio = best["albedo"] / best["patterns.period_px"]
+    assert 0.03 <= ratio <= 0.03 * (1 + 1e-3)
+    rows = read_table(tmp_path).rows
+    assert len(rows) == outcome.states["done"]  # those beyond the bound, too, as not feasible
+    beyond = [row for row in rows if row["albedo"] / row["patterns.period_px"] < 0.03 * (1 - 1e-9)]
+    assert [row["feasible"] for row in beyond] == [False] * len(beyond)
 
 
 def test_search_goes_on_from_the_store(study_of, base, tmp_path):

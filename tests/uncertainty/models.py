@@ -39,3 +39,11 @@ class Refusing(Linear):
         if experiment.specimen.x_mm > 0.1:
             raise InputError("specimen: beyond the elastomer")
         return super().__call__(experiment, conditions)
+
+
+class Blank(Linear):
+    """Finds no point, so that the figure has no value."""
+
+    def __call__(self, experiment, conditions=AS_IT_IS):
+        found = super().__call__(experiment, conditions).figures
+        return Answer(found | {"value_mm": None, "points": 0})

@@ -5,7 +5,7 @@ from functools import partial
 import pytest
 
 from tests.browser import assert_readable
-from tests.uncertainty.models import Linear, Refusing
+from tests.uncertainty.models import Blank, Linear, Refusing
 from twin.cli import run
 from twin.study import sweep as module
 
@@ -60,7 +60,7 @@ def test_table_files_and_report(modelled, tmp_path, capsys):
     ("arguments", "line"),
     [
         (["-n", "1"], "trials: found 1, allowed 2 to"),
-        (["-m", "value_um", "-n", "2"], "measurand value_um: found in no trial"),
+        (["-m", "value_um", "-n", "2"], "has no such figure; did you mean value_mm"),
         (["-s", "camera.bining=2"], "did you mean 'binning'"),
         (["--calibration", "new"], "calibration"),
     ],
@@ -108,10 +108,36 @@ def test_dry_run_refuses_what_cannot_be_pressed(modelled, capsys):
     assert "cannot be measured: press.depth_mm" in capsys.readouterr().err
 
 
-def test_nothing_measured_is_a_failure(modelled, monkeypatch, tmp_path, capsys):
+def test_a_nominal_measurement_that_fails_stops_at_once(modelled, monkeypatch, tmp_path, capsys):
+    """Setup: 40 trials, of which none can be measured. Expected: one was tried, and says why."""
     monkeypatch.setattr(module, "sweep", partial(module.sweep, make_measurer=Refusing))
-    assert run([*modelled, "-n", "2", "-s", "specimen.x_mm=2"]) == 1
-    assert "failed: specimen: beyond the elastomer" in capsys.readouterr().err
+    assert run([*modelled, "-n", "40", "-s", "specimen.x_mm=2"]) == 2
+    said = capsys.readouterr().err
+    assert "the nominal measurement failed, so nothing else is measured: specimen: beyond" in said
+    cases = list((tmp_path / "out/cases").iterdir())
+    assert len(cases) == 1
+    assert str(cases[0] / "failure.json") in said
+    assert run([*modelled, "-n", "40", "-s", "specimen.x_mm=2"]) == 2  # nor is it tried again
+    assert len(list((tmp_path / "out/cases").iterdir())) == 1
+
+
+def test_what_cannot_be_pressed_makes_no_folder(modelled, tmp_path, capsys):
+    deep = 'press.depth_mm={ value = 9.0, source = "assumed: too deep" }'
+    assert run([*modelled, "-n", "4", "-s", deep]) == 2
+    assert "press.depth_mm" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("value", [None, "absent"])
+def test_a_measurand_that_the_nominal_measurement_lacks_stops_at_once(
+    modelled, monkeypatch, tmp_path, capsys, value
+):
+    """A typing error, or a ball that no point lies on, costs one measurement, not a hundred."""
+    monkeypatch.setattr(module, "sweep", partial(module.sweep, make_measurer=Blank))
+    named = "value_mm" if value is None else "valu_mm"
+    assert run([*modelled, "-n", "40", "-m", named]) == 2
+    assert f"measurand {named}: the nominal measurement has no" in capsys.readouterr().err
+    assert len(list((tmp_path / "out/cases").iterdir())) == 1
 
 
 def test_a_folder_of_something_else_is_left_alone(modelled, tmp_path, capsys):

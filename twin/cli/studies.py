@@ -32,10 +32,11 @@ if TYPE_CHECKING:
     from twin.study.cases import Case
     from twin.study.engine import SweepOutcome
     from twin.study.record import StudyRecord
+    from twin.study.remarks import Remark
     from twin.study.workers import Workers
     from twin.uncertainty.results import Uncertainty
 
-_MOST_REASONS = 10
+_MOST_REASONS, _MOST_NEAREST = 10, 6
 QUICK_TRIALS, FULL_TRIALS = 5, 100
 
 Objectives = Annotated[list[str] | None, Parameter(name=["--objective", "-b"])]
@@ -122,6 +123,7 @@ def _tell_outcome(outcome: "SweepOutcome", out: Path) -> None:
     for digest, reason in outcome.damaged.items():
         sys.stderr.write(f"twin: case {digest} was damaged and ran again: {reason}\n")
     _tell_failures(outcome, out)
+    _tell_remarks(outcome.remarks, outcome.finished)
     counts = ", ".join(f"{number} {state}" for state, number in sorted(outcome.states.items()))
     say(f"{counts or 'nothing to do'} in {outcome.seconds:.1f} s; wrote {out}")
 
@@ -137,14 +139,27 @@ def _tell_failures(outcome: "SweepOutcome", out: Path) -> None:
         sys.stderr.write(f"twin: {more} more reasons: twin sweep table {out}\n")
 
 
+def _tell_remarks(remarks: "Sequence[Remark]", of: int) -> None:
+    """Print the warnings of the cases: each kind once, with its number of cases and an example."""
+    for remark in remarks[:_MOST_REASONS]:
+        sys.stderr.write(f"twin: {remark.in_words(of)} (case {remark.digests[0]})\n")
+    if len(remarks) > _MOST_REASONS:
+        sys.stderr.write(
+            f"twin: {len(remarks) - _MOST_REASONS} more kinds of warnings: twin sweep report\n"
+        )
+
+
 @sweep_app.command
 def best(
     folder: Path,
     /,
     *,
     objective: Objectives = None,
-) -> None:
+) -> int:
     """Print the best feasible designs of a study: those that no other beats in every objective.
+
+    A case is feasible where all constraints hold and all tolerances of its measurands are met with
+    their uncertainty. Exit code 1: none is; the cases that miss the fewest conditions are printed.
 
     Parameters
     ----------
@@ -154,16 +169,26 @@ def best(
         METRIC that is to be small, or +METRIC that is to be large; give several for a Pareto front.
         Default: the objectives of the study.
     """
-    from twin.study.table import best_rows, objective_of, read_table
+    from twin.study.feasibility import feasibility_in_words
+    from twin.study.table import best_rows, nearest_rows, objective_of, read_table, usable_rows
 
     found = read_table(folder)
     chosen = [objective_of(text) for text in objective or ()] or list(found.record.study.goals)
     if not chosen:
         raise InputError("--objective: found none; name a METRIC, for example -b z_rmse_um")
+    some, nearest = usable_rows(found.rows, chosen), nearest_rows(found.rows, chosen)
+    feasible = some or not nearest  # nothing at all is an error
+    rows = best_rows(found.rows, chosen) if feasible else nearest[:_MOST_NEAREST]
+    if found.conditions:
+        sys.stderr.write(f"twin: {feasibility_in_words(found.rows)}\n")
+    if not some:
+        sys.stderr.write("twin: no case is feasible; those that miss the fewest conditions:\n")
     names = dict.fromkeys([one.metric for one in chosen] + list(found.metrics))
-    headings = (*found.axes, *names, "case")
-    rows = ([cell(row.get(n), 5) for n in headings] for row in best_rows(found.rows, chosen))
-    print_table(headings, rows, width=None if sys.stdout.isatty() else 200)
+    more = ("case",) if some else ("case", "reason")
+    headings = (*found.axes, *names, *more)
+    cells = ([cell(row.get(n), 5) for n in headings] for row in rows)
+    print_table(headings, cells, width=None if sys.stdout.isatty() else 200)
+    return 0 if some else FAILURE
 
 
 @sweep_app.command
@@ -245,8 +270,9 @@ def uncertainty(
     """Repeat a measurement with its inputs drawn anew: interval and ranked budget of any figure.
 
     For example: twin uncertainty examples/slab_balls -n 100 -m sphere_1_radius_mm
-    -s camera.binning=4 -o out/u. Run it again to go on, or with a larger -n to add trials. Exit
-    code 1: too few trials have a result, or some could not be saved.
+    -s camera.binning=4 -o out/u. Run it again to go on, or with a larger -n to add trials. The
+    nominal measurement is made first; where it fails or lacks a measurand, nothing else runs (exit
+    code 2). Exit code 1: too few trials have a result, or some could not be saved.
 
     Parameters
     ----------
@@ -271,7 +297,12 @@ def uncertainty(
 
     asked, named = (load(experiment, settings), inputs, trials), of_the_object(measurand or [])
     record = record_of(
-        *asked, calibration=calibration, budget=budget, seed=seed, compensated=named or None
+        *asked,
+        calibration=calibration,
+        budget=budget,
+        seed=seed,
+        compensated=named or None,
+        measurands=measurand or (),
     )
     who = workers_of(workers, cluster)
     if dry_run:

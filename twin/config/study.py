@@ -25,6 +25,8 @@ from twin.config.methods import Method
 from twin.config.models import Experiment
 from twin.config.schema import validated
 
+_ROUNDING = 1e-9  # relative
+
 
 @dataclass(frozen=True)
 class Level:
@@ -244,10 +246,15 @@ class Constraint(Model):
         return self.excess(number) <= 0.0
 
     def excess(self, number: float) -> float:
-        """Return by how much a value is out of bounds; 0 or less is within."""
+        """Return by how much a value is out of bounds; 0 or less is within.
+
+        A value at the bound is within, also where the levels of an axis or a ratio are rounded
+        (0.3 in three steps from 0.1 is 0.30000000000000004): one part in 10^9 is no excess.
+        """
         over = [] if self.at_most is None else [number - self.at_most]
         under = [] if self.at_least is None else [self.at_least - number]
-        return max(over + under)
+        found = max(over + under)
+        return 0.0 if 0.0 < found <= _ROUNDING * abs(number) else found
 
     @property
     def title(self) -> str:

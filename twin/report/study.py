@@ -37,6 +37,7 @@ from twin.report.study_figures import (
 )
 from twin.report.table import Column, Table
 from twin.report.words import NONE
+from twin.study.feasibility import feasibility_in_words
 from twin.study.pictures import CasePicture, kept_picture
 from twin.study.sensitivity import Effect, effects_of, without
 from twin.study.table import (
@@ -44,6 +45,7 @@ from twin.study.table import (
     designs_of,
     goals_of,
     is_number,
+    nearest_rows,
     ranked_rows,
     read_table,
     usable_rows,
@@ -137,23 +139,31 @@ def _page(shown: Shown) -> Page:
         states[row["state"]] = states.get(row["state"], 0) + 1
     told = "".join(f", {count} {state}" for state, count in states.items())
     lead = f"{study.description or study.base}: {len(shown.table.rows)} cases{told}."
-    bounds = "; ".join(bound.title for bound in study.constraint)
+    conditions = "; ".join(shown.table.conditions)
     return Page(
         kind="design study",
         title=study.name.replace("_", " "),
-        lead=lead + (f" Feasible: {bounds}." if bounds else ""),
+        lead=lead + (f" Feasible: {conditions}." if conditions else ""),
         sections=[
             Section("best", "Best designs", tuple(_best(shown))),
             *(Section(f"of_{f.name}", f.title, (replace(f, title=""),)) for f in _figures(shown)),
             Section("cases", "All cases", tuple(_cases(shown))),
         ],
+        warned="Warnings of the cases" if shown.table.remarks else "",
+        warnings=remark_lines(shown.table),
         wide=True,
     )
 
 
+def remark_lines(table: StudyTable) -> list[str]:
+    """Return the warnings of the finished cases, each kind once with its number of cases."""
+    done = len({row["case"] for row in table.done()})
+    return [one.in_words(done) for one in table.remarks]
+
+
 def _best(shown: Shown) -> list[Block]:
     if not shown.best:
-        return [Note("No case meets all constraints.")]
+        return _nearest(shown)
     goals = ", ".join(f"{one.goal} {one.metric}" for one in shown.objectives)
     several = len(shown.objectives) > 1
     order = "No other feasible case beats these" if several else "Feasible cases, best first"
@@ -171,6 +181,24 @@ def _best(shown: Shown) -> list[Block]:
         )
         blocks.append(Note(note))
     return blocks
+
+
+def _nearest(shown: Shown) -> list[Block]:
+    """Say that no case is feasible, and show those that miss the fewest conditions."""
+    words = feasibility_in_words(shown.table.rows)
+    note = Note(f"No case is feasible: {words}.", "failure")
+    some = nearest_rows(shown.table.done(), shown.objectives)[:_MOST_BEST]
+    if not some:
+        return [note]
+    columns = [*shown.table.axes, *shown.metrics]
+    more = (Column("case", "case"), Column("remark", "missed", kind="reason"))
+    rows = tuple(_row(row, columns) for row in some)
+    lead = Note("Not feasible; those that miss the fewest conditions first.")
+    return [
+        note,
+        lead,
+        Table("nearest_cases", "", "", (*_columns(columns), *more), rows, look="cases"),
+    ]
 
 
 def _designs(shown: Shown) -> list[Block]:

@@ -22,6 +22,7 @@ from twin.report.canvas import (
     plain_spines,
 )
 from twin.report.page import REPORT_FILE, STAGE, Block, Figure, Note, Page, Section, write_page
+from twin.report.study import remark_lines
 from twin.report.study_figures import draw_effect_bars
 from twin.report.table import Column, Row, Table
 from twin.report.words import NONE, label_of, split_unit
@@ -83,8 +84,11 @@ def _page(found: Uncertainty) -> Page:
         title=name,
         lead=f"{found.trials} trials{about}; {rig}.",
         sections=[_results(found), *map(_section, shown), _inputs(found)],
-        warned="Trials that failed" if found.failures else "",
-        warnings=[f"{count}: {reason}" for reason, count in found.failures.items()],
+        warned="Trials that failed, and warnings" if found.failures or found.table.remarks else "",
+        warnings=[
+            *(f"{count} trials failed: {reason}" for reason, count in found.failures.items()),
+            *remark_lines(found.table),
+        ],
         wide=True,
     )
 

@@ -21,6 +21,7 @@ from twin.pipeline.progress import ProgressCallback, no_progress
 from twin.study.cases import Case
 from twin.study.measuring import PLAINLY, StageReads
 from twin.study.order import batches_of, in_sharing_order
+from twin.study.remarks import Remark
 from twin.study.store import Store, write_failure
 from twin.study.worker import DIED, Batch, BatchReport, MakeMeasurer, Report, State, compute
 from twin.study.workers import Workers
@@ -46,6 +47,7 @@ class SweepOutcome:
     finished : cases of the study that have a result, now or before
     failures : digests of those that failed, now or before, by reason
     damaged : cases whose files could not be read and that ran again, by digest, and why
+    remarks : warnings of the cases that have a result, the most frequent first
     """
 
     states: Mapping[State, int]
@@ -55,6 +57,7 @@ class SweepOutcome:
     finished: int = 0
     failures: Mapping[str, Sequence[str]] = field(default_factory=dict)
     damaged: Mapping[str, str] = field(default_factory=dict)
+    remarks: Sequence[Remark] = ()
 
     @classmethod
     def together(cls, parts: Sequence["SweepOutcome"]) -> "SweepOutcome":

@@ -18,13 +18,15 @@ from twin.config import ConfigError
 from twin.config.study import Constraint, GradientSearch
 from twin.study.cases import Case, Cases, cases_of, point_at, quantity
 from twin.study.engine import SweepOutcome
-from twin.study.record import StudyRecord
+from twin.study.record import StudyRecord, unbounded
 from twin.study.store import Store
 from twin.study.table import is_number
 
 RunCases = Callable[[StudyRecord, Cases], SweepOutcome]
 _BESIDE = 1e-3  # of an axis
-_TOLERANCE = 1e-5  # of the logarithm of the objective
+_TOLERANCE = 1e-5  # of the logarithm of the objective, and of a bound's excess by its limit
+_INSIDE = 2.0 * _TOLERANCE
+"""How far within a bound, by its limit, the search aims: what it accepts is then within."""
 
 
 def descend(record: StudyRecord, folder: Path, run: RunCases) -> list[SweepOutcome]:
@@ -141,9 +143,8 @@ class _BoundDescent:
 
     def _case(self, place: FloatArray) -> Case:
         study = self.record.study
-        free = study.model_copy(update={"constraint": ()})  # on fields: the search keeps them
         point = point_at(study.axis, place)
-        return cases_of(free, self.record.base, [point]).run[0]
+        return cases_of(unbounded(study), self.record.base, [point]).run[0]
 
     def _sides(self) -> list[tuple[Constraint, str]]:
         sides = []
@@ -166,7 +167,7 @@ class _BoundDescent:
             except ConfigError:
                 return -1.0
             scale = abs(limit) or 1.0
-            return -1.0 if number is None else sign * (number - limit) / scale
+            return -1.0 if number is None else sign * (number - limit) / scale - _INSIDE
 
         return {"type": "ineq", "fun": within}
 

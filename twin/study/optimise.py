@@ -20,6 +20,7 @@ from twin.extras import missing
 from twin.study.cases import Case, Cases, Point, cases_of, quantity
 from twin.study.derived import DERIVED, with_derived
 from twin.study.engine import SweepOutcome
+from twin.study.feasibility import beyond_tolerances, has_tolerances
 from twin.study.record import StudyRecord
 from twin.study.store import Store
 from twin.study.table import cost_of, is_number
@@ -121,7 +122,7 @@ def _found(case: Case, store: Store) -> dict[str, Any] | None:
 def _figures(
     study: Study, plan: Optimise, cases: Sequence[Case], store: Store
 ) -> tuple[list[float], list[float]] | None:
-    """Objectives and excesses over constraints, each the mean over repeats.
+    """Objectives, the mean over repeats; excesses over constraints and tolerances, the largest.
 
     None where a case failed, or lacks an objective (no point was measured): no number would be
     true. Objectives that are to grow are counted negative.
@@ -133,7 +134,10 @@ def _figures(
             return None
         values.append([cost_of(figures, one) for one in plan.objectives])
         excesses.append([_excess(case, figures, bound) for bound in study.constraint])
-    return np.mean(values, axis=0).tolist(), np.mean(excesses, axis=0).tolist()
+        if has_tolerances(case.experiment):
+            excesses[-1].append(beyond_tolerances(figures))
+    # A design is feasible when each of its repeats is.
+    return np.mean(values, axis=0).tolist(), np.max(excesses, axis=0).tolist()
 
 
 def _excess(case: Case, figures: Mapping[str, Any], bound: Constraint) -> float:

@@ -30,9 +30,11 @@ class StudyRecord:
     points: tuple[Point, ...] | None = None
 
     def cases(self) -> Cases:
-        """Return the study's cases so far."""
+        """Return the study's cases so far; of a search by derivatives also those out of bounds."""
         if self.study.sampling.method == "trials":
             return trial_cases(self.study, self.base)
+        if self.study.gradient is not None:
+            return cases_of(unbounded(self.study), self.base, self.points)
         return cases_of(self.study, self.base, self.points)
 
     def first_look(self) -> Cases:
@@ -44,6 +46,14 @@ class StudyRecord:
         while math.gcd(step, len(points)) > 1:  # or only some levels of an axis would be seen
             step += 1
         return replace(cases_of(self.study, self.base, points[::step]), step=step)
+
+
+def unbounded(study: Study) -> Study:
+    """Return a study without constraints: a search by derivatives keeps them by itself.
+
+    It may look beyond a bound on its way; such a case is in the table, and not feasible.
+    """
+    return study.model_copy(update={"constraint": ()})
 
 
 def write_record(folder: Path, record: StudyRecord) -> None:

@@ -25,8 +25,10 @@ from twin.study.engine import Run, SweepOutcome, run_together
 from twin.study.gradient import descend
 from twin.study.index import DAMAGED, Index, entry_of
 from twin.study.measuring import CALIBRATION_FILE, PLAINLY, Measuring, calibrated
+from twin.study.nominal import check_nominal, nominal_case
 from twin.study.optimise import optimise
 from twin.study.record import StudyRecord, write_record
+from twin.study.remarks import remarks_of
 from twin.study.store import FAILURE_FILE, Store
 from twin.study.trials import nominal
 from twin.study.worker import DIED, UNEXPECTED, MakeMeasurer
@@ -210,7 +212,7 @@ def sweep(
 
     Raises
     ------
-    InputError : the folder cannot be used
+    InputError : the folder cannot be used; or the nominal measurement of trials cannot be made
     MissingBackend : no usable Dr.Jit backend
     """
 
@@ -218,11 +220,21 @@ def sweep(
         write_record(folder, of)
         return session.run(batch)
 
-    store = Store(folder)
+    store, keep = Store(folder), record.study.keep
+    of_trials = record.study.sampling.method == "trials"
+    if of_trials:
+        check_measurable(nominal(record.study, record.base))  # before anything is written
     store.open(inputs)
-    make = make_measurer or _measuring(record, folder, watch)
-    keep = record.study.keep
-    with _session(store, workers, keep, make, watch, retry=retry, tell=tell) as session:
+    with ExitStack() as stack:
+        workers = stack.enter_context(lasting(workers))
+        if of_trials:
+            cases = cases or record.cases()
+            first, make = nominal_case(cases), make_measurer or PLAINLY
+            _measure_nominal(record, store, workers, first, make=make, watch=watch, retry=retry)
+        make = make_measurer or _measuring(record, folder, watch)
+        session = stack.enter_context(
+            _session(store, workers, keep, make, watch, retry=retry, tell=tell)
+        )
         if record.study.sampling.method == "optimise":
             outcome = SweepOutcome.together(optimise(record, folder, run))
         elif record.study.sampling.method == "gradient":
@@ -230,6 +242,33 @@ def sweep(
         else:
             outcome = run(record, cases or record.cases())
     return session.whole(outcome)
+
+
+def _measure_nominal(
+    record: StudyRecord,
+    store: Store,
+    workers: Workers,
+    case: Case,
+    *,
+    make: MakeMeasurer,
+    watch: ProgressCallback,
+    retry: bool,
+) -> None:
+    """Measure the nominal case of trials, which has the true rig, before any calibration.
+
+    Raises
+    ------
+    InputError : it fails, or lacks a measurand
+    """
+    write_record(store.folder, record)
+
+    def progress(_: str, fraction: float, /) -> None:
+        watch("nominal", fraction)
+
+    keep = record.study.keep
+    with _session(store, workers, keep, make, progress, retry=retry) as session:
+        session.run(Cases((case,), 0))
+    check_nominal(record, case, store)
 
 
 @dataclass(frozen=True, eq=False)
@@ -324,14 +363,15 @@ def drawn_board(record: StudyRecord) -> str:
 
 
 def _standing(index: Index, asked: Sequence[str]) -> dict[str, Any]:
-    """How many of the cases asked for are done, now or before, and why the others failed."""
+    """How many of the cases asked for are done, their warnings, and why the others failed."""
     entries = index.entries()
     found = [entries[digest] for digest in dict.fromkeys(asked) if digest in entries]
     failures: dict[str, list[str]] = {}
     for entry in found:
         if entry.state == "failed":
             failures.setdefault(entry.reason, []).append(entry.digest)
-    return {"finished": sum(entry.state == "done" for entry in found), "failures": failures}
+    done = {entry.digest: entry.figures for entry in found if entry.state == "done"}
+    return {"finished": len(done), "failures": failures, "remarks": remarks_of(done)}
 
 
 def told(found: Estimate) -> str:

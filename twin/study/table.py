@@ -19,10 +19,19 @@ from twin.extras import missing
 from twin.files import creating
 from twin.results import parts
 from twin.results.figures import why_absent
-from twin.study.cases import Case, meets
+from twin.study.cases import Case
 from twin.study.derived import DERIVED, with_derived
+from twin.study.feasibility import (
+    TOLERANCES,
+    UNMET,
+    feasibility_in_words,
+    has_tolerances,
+    spread_over_repeats,
+    unmet_conditions,
+)
 from twin.study.index import Entry, Index
 from twin.study.record import StudyRecord, read_record
+from twin.study.remarks import Remark, remarks_of
 from twin.study.store import Store
 
 _HEAD = ("case", "state", "reason", "feasible")
@@ -37,8 +46,9 @@ class StudyTable:
     axes : headings of what is varied
     metrics : headings of what was found
     rows : one mapping by heading per case; a figure that a case lacks is None, and `reason` says
-        why
+        why, or which conditions a case that is not feasible misses
     cases : in the order of the rows
+    remarks : warnings of the cases, the most frequent first
     """
 
     record: StudyRecord
@@ -46,6 +56,14 @@ class StudyTable:
     metrics: tuple[str, ...]
     rows: tuple[Mapping[str, Any], ...]
     cases: tuple[Case, ...]
+    remarks: tuple[Remark, ...] = ()
+
+    @property
+    def conditions(self) -> tuple[str, ...]:
+        """What makes a case feasible: the constraints, and tolerances where any is stated."""
+        judged = any(has_tolerances(case.experiment) for case in self.cases)
+        bounds = tuple(bound.title for bound in self.record.study.constraint)
+        return (*bounds, *((TOLERANCES,) if judged else ()))
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -76,8 +94,12 @@ def read_table(folder: Path, derived: Iterable[str] = tuple(DERIVED)) -> StudyTa
     axes = tuple(dict.fromkeys(title for case in cases for title in case.settings))
     metrics = _metrics(record, cases, entries)
     bounds = record.study.constraint
-    rows = tuple(_row(case, entries.get(case.digest), bounds, derived) for case in cases)
-    return StudyTable(record, axes, metrics, rows, cases)
+    rows = [_row(case, entries.get(case.digest), bounds, derived) for case in cases]
+    if record.study.repeats > 1:
+        spread_over_repeats(rows, cases)
+    known = [entries[case.digest] for case in cases if case.digest in entries]
+    remarks = remarks_of({one.digest: one.figures for one in known if one.state == "done"})
+    return StudyTable(record, axes, metrics, tuple(map(_explained, rows)), cases, remarks)
 
 
 def _metrics(
@@ -101,18 +123,23 @@ def _row(
     known = entry.figures if entry else {}
     found = with_derived(case.experiment, known, derived) if known else {}
     figures = {name: _cell(value) for name, value in found.items()}
-    head = {
+    head: dict[str, Any] = {
         "case": case.digest,
         "state": state,
         "reason": _reason(entry) if entry else "",
-        "feasible": is_feasible(case, figures, bounds) if state == "done" else None,
+        "feasible": None,
+        UNMET: {},
     }
+    if state == "done":
+        head[UNMET] = unmet_conditions(case, figures, bounds)
+        head["feasible"] = not head[UNMET]
     return figures | dict(case.settings) | head
 
 
-def is_feasible(case: Case, figures: Mapping[str, Any], bounds: tuple[Constraint, ...]) -> bool:
-    """Tell whether a finished case meets all constraints; a missing figure meets none."""
-    return all(meets(case.experiment, figures, bound) for bound in bounds)
+def _explained(row: dict[str, Any]) -> dict[str, Any]:
+    """Add to the reason which conditions a case misses, unless it has a reason already."""
+    missed = "; ".join(f"{name}: {value}" for name, value in row[UNMET].items())
+    return row if row["reason"] or not missed else row | {"reason": f"not feasible: {missed}"}
 
 
 def _reason(entry: Entry) -> str:
@@ -193,13 +220,27 @@ def best_rows(rows: Sequence[Row], objectives: Sequence[Objective]) -> list[Row]
     names = [objective.metric for objective in objectives]
     usable = usable_rows(rows, objectives)
     if not usable:
-        known = sorted({n for row in rows for n, v in row.items() if isinstance(v, float)})
-        raise InputError(
-            f"no feasible case has {', '.join(names)}; there are {', '.join(known) or 'no figures'}"
-        )
+        raise InputError(_why_none(rows, names))
     costs = np.array([[cost_of(row, one) for one in objectives] for row in usable])
     front = [row for row, kept in zip(usable, on_front(costs), strict=True) if kept]
     return sorted(front, key=lambda row: cost_of(row, objectives[0]))
+
+
+def _why_none(rows: Sequence[Row], names: Sequence[str]) -> str:
+    """Say why no design is the best: none has the objectives, or none that has them is feasible."""
+    if any(all(is_number(row.get(name)) for name in names) for row in rows):
+        return f"no feasible case has {', '.join(names)}: {feasibility_in_words(rows)}"
+    known = sorted({n for row in rows for n, v in row.items() if isinstance(v, float)})
+    return f"no feasible case has {', '.join(names)}; there are {', '.join(known) or 'no figures'}"
+
+
+def nearest_rows(rows: Sequence[Row], objectives: Sequence[Objective]) -> list[Row]:
+    """Return the finished rows that have all objectives, the fewest missed conditions first.
+
+    For a study without a feasible case. Equal ones come by the first objective.
+    """
+    some = [row for row in rows if all(is_number(row.get(one.metric)) for one in objectives)]
+    return sorted(some, key=lambda row: (len(row[UNMET]), cost_of(row, objectives[0])))
 
 
 def ranked_rows(rows: Sequence[Row], objectives: Sequence[Objective]) -> list[Row]:

@@ -95,12 +95,13 @@ def uncertainty(
 
     Raises
     ------
-    InputError : an input leads to no number, a drawn value is not allowed, no trial has such a
-        figure, or the folder cannot be used
+    InputError : an input leads to no number, a drawn value is not allowed, the nominal measurement
+        cannot be made or has no such figure, or the folder cannot be used
     MissingBackend : no usable Dr.Jit backend
     """
     base = load_experiment(experiment) if isinstance(experiment, str) else experiment
-    record = record_of(base, inputs, n, calibration=calibration, budget=budget, seed=seed)
+    options: dict[str, Any] = {"calibration": calibration, "budget": budget, "seed": seed}
+    record = record_of(base, inputs, n, measurands=measurands, **options)
     who = local_workers(workers) if isinstance(workers, int) else workers
     if folder is not None:
         sweep(record, Path(folder), who, watch=watch)
@@ -121,11 +122,13 @@ def record_of(
     budget: bool = True,
     seed: int | None = None,
     compensated: bool | None = None,
+    measurands: Sequence[str] = (),
 ) -> StudyRecord:
     """Return the study of trials of an experiment.
 
     Parameters
     ----------
+    measurands : figures that the nominal measurement must have; none: it must have points
     compensated : also find the object behind the coat in each trial; default: where that can be,
         but not under a slab, whose object takes some seconds to fit
 
@@ -150,6 +153,7 @@ def record_of(
         "base": experiment.name,
         "sampling": sampling,
         "inputs": given.inputs,
+        "metrics": tuple(measurands),
     }
     return StudyRecord(_validated(Study, study), experiment)
 

@@ -1,0 +1,105 @@
+"""Which finished designs are feasible: every constraint holds, and every tolerance is met.
+
+A constraint judges a field or a figure as it was measured. A tolerance of a `[[measurand]]` judges
+the measured value with its expanded uncertainty U (ISO 14253-1): "cannot tell" is not met. Of
+repeats, which differ by their seed only, each must be feasible: else the best design would be the
+one with the luckiest noise.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+from reconstruction.evaluate.conformity import WITHIN
+from twin.config import Experiment
+from twin.config.study import Constraint
+from twin.results.features import measurands_of
+from twin.results.object_score import tolerance_of
+from twin.study.cases import Case, quantity
+
+Row = Mapping[str, Any]
+
+UNMET = "unmet"
+"""Key of a row: the conditions that it misses, with the values that it has."""
+TOLERANCES = "all tolerances of [[measurand]] are met, with U"
+_PERCENT = 100.0
+
+
+def has_tolerances(experiment: Experiment) -> bool:
+    """Whether a measurand of the experiment states a tolerance."""
+    return any(tolerance_of(one) is not None for one in measurands_of(experiment))
+
+
+def unmet_conditions(
+    case: Case, figures: Mapping[str, Any], bounds: Iterable[Constraint]
+) -> dict[str, str]:
+    """Return the conditions that a finished case does not meet, each with the value it has."""
+    found: dict[str, str] = {}
+    for bound in bounds:
+        number = quantity(case.experiment, figures, bound)
+        if number is None or not bound.holds_for(number):
+            found[bound.title] = "no value" if number is None else f"{number:.6g}"
+    return found | dict(_beyond_tolerance(figures))
+
+
+def _beyond_tolerance(figures: Mapping[str, Any]) -> Iterable[tuple[str, str]]:
+    for name in _judged(figures):
+        if figures[f"{name}_verdict"] != WITHIN:
+            margin = _margin(figures, name)
+            short = "no value" if margin is None else f"{-margin[0]:.3g} {margin[1]} short, with U"
+            yield f"{name} within tolerance", f"{figures[f'{name}_verdict']}, {short}"
+
+
+def _judged(figures: Mapping[str, Any]) -> list[str]:
+    """Measurands with a tolerance, as their figures begin: object_NAME."""
+    ends = "_verdict"
+    return [name.removesuffix(ends) for name in figures if name.endswith(ends)]
+
+
+def _margin(figures: Mapping[str, Any], name: str) -> tuple[float, str] | None:
+    um, share = figures.get(f"{name}_margin_um"), figures.get(f"{name}_margin_share")
+    if um is not None:
+        return float(um), "um"
+    return None if share is None else (_PERCENT * float(share), "%")
+
+
+def beyond_tolerances(figures: Mapping[str, Any]) -> float:
+    """Return by how much the tolerances are missed in total, in um, of a coverage in percent.
+
+    0: all are met, or none is judged; infinite: a judged measurand has no value.
+    """
+    total = 0.0
+    for name in _judged(figures):
+        margin = _margin(figures, name)
+        total += float("inf") if margin is None else max(0.0, -margin[0])
+    return total
+
+
+def spread_over_repeats(rows: Sequence[dict[str, Any]], cases: Sequence[Case]) -> None:
+    """Make designs infeasible of which a repeat is not feasible, or failed; rows are changed."""
+    designs: dict[str, list[dict[str, Any]]] = {}
+    for row, case in zip(rows, cases, strict=True):
+        settings = {name: value for name, value in case.settings.items() if name != "seed"}
+        designs.setdefault(repr(settings), []).append(row)
+    for repeats in designs.values():
+        missed = sum(one["state"] == "failed" or one["feasible"] is False for one in repeats)
+        for row in repeats if missed else ():
+            if row["feasible"]:
+                row["feasible"] = False
+                row[UNMET] = {"every repeat of the design": f"{missed} of {len(repeats)} not"}
+
+
+def unmet_counts(rows: Iterable[Row]) -> dict[str, int]:
+    """Return how many finished cases miss each condition, the most missed first."""
+    counts: dict[str, int] = {}
+    for row in rows:
+        for condition in row.get(UNMET) or ():
+            counts[condition] = counts.get(condition, 0) + 1
+    return dict(sorted(counts.items(), key=lambda item: -item[1]))
+
+
+def feasibility_in_words(rows: Sequence[Row]) -> str:
+    """Say how many of the finished cases are feasible, and which conditions the others miss."""
+    done = [row for row in rows if row.get("feasible") is not None]
+    feasible = sum(bool(row["feasible"]) for row in done)
+    missed = "; ".join(f"{count} miss: {name}" for name, count in unmet_counts(done).items())
+    return f"{feasible} of {len(done)} finished cases feasible" + (f" ({missed})" if missed else "")

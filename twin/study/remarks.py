@@ -1,0 +1,89 @@
+"""What the results of a study's cases warn of: each kind once, with its cases and a remedy.
+
+A warning of one case is easily missed among a hundred. Texts that differ in numbers only are one
+kind; its remark shows the first of them.
+"""
+
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from twin.results.figures import why_absent
+from twin.study.measuring import TRUE_RIG
+
+_NUMBER = re.compile(r"\d+(\.\d+)?(e[+-]?\d+)?")
+_NO_POINT = (
+    "no valid point: see pixels without a point in the report of one case; more light (exposure_ms,"
+    " coating.base_albedo), or camera and projector that see the same place"
+)
+_NOTHING_TO_SCORE = (
+    "no pixel that ought to give a point: move specimen or camera until the specimen is in view"
+)
+_TOUCHES = {
+    "sheet": "raise press.back_pressure_kpa, or the travel, press.depth_mm",
+    "": "raise press.force_n or press.depth_mm",
+}
+
+
+@dataclass(frozen=True)
+class Remark:
+    """One kind of warning.
+
+    Attributes
+    ----------
+    text : the warning of its first case, with a remedy
+    digests : the cases that have it
+    """
+
+    text: str
+    digests: tuple[str, ...]
+
+    def in_words(self, of: int) -> str:
+        """Say how many of so many cases have it."""
+        return f"{len(self.digests)} of {of} cases: {self.text}"
+
+
+def remarks_of(figures: Mapping[str, Mapping[str, Any]]) -> tuple[Remark, ...]:
+    """Return the kinds of warnings in the figures of finished cases, the most frequent first.
+
+    Parameters
+    ----------
+    figures : of result.json, by the digest of the case
+    """
+    texts: dict[str, str] = {}
+    cases: dict[str, list[str]] = {}
+    for digest, of_case in figures.items():
+        for text in dict.fromkeys(_warned(of_case)):
+            kind = _NUMBER.sub("#", text)
+            texts.setdefault(kind, text)
+            if digest not in cases.setdefault(kind, []):
+                cases[kind].append(digest)
+    ranked = sorted(cases.items(), key=lambda item: -len(item[1]))
+    return tuple(Remark(texts[kind], tuple(some)) for kind, some in ranked)
+
+
+def _warned(figures: Mapping[str, Any]) -> Iterator[str]:
+    nothing = _nothing_measured(figures)
+    if nothing:
+        yield nothing
+    for name in ("warnings", "unfitted_balls"):
+        found = figures.get(name)
+        if isinstance(found, (list, tuple)):
+            yield from found
+    for name, why in figures.items():
+        if name.endswith("_why") and why and not nothing and not name.startswith(TRUE_RIG):
+            yield f"{name.removesuffix('_why')} has no value: {why}"
+
+
+def _nothing_measured(figures: Mapping[str, Any]) -> str:
+    absent = why_absent(figures)
+    if absent:
+        return _NO_POINT if absent == "no valid point" else _NOTHING_TO_SCORE
+    if figures.get("object_points") != 0:
+        return ""
+    model = figures.get("mechanics_model")
+    if model is None:
+        return "no point of the object: move specimen or camera until the specimen is in view"
+    remedy = _TOUCHES.get(str(model), _TOUCHES[""])
+    return f"no point of the object (the press touches nothing that the camera sees): {remedy}"
