@@ -54,6 +54,17 @@ def test_table_fits_a_terminal_and_tells_the_rest(finished):
     assert f"force {figures['force_n']:.3g} N" in table
 
 
+def test_warnings_are_printed_themselves(finished):
+    """A report that was not drawn cannot tell them: --no-report pointed to it."""
+    scored = read_measurement(finished)
+    texts = ["the contact is 3 cells wide: " + "use finer cells, " * 9, "second"]
+    table = summary_table(replace(scored, metrics={**scored.metrics, "warnings": texts}))
+    words = " ".join(table.split())
+    assert all(f"warning: {text}" in words for text in texts)
+    assert "report" not in words
+    assert all(len(line) <= 100 for line in table.splitlines())
+
+
 def test_what_is_no_result_is_refused(finished, tmp_path):
     with pytest.raises(InputError, match="no finished result"):
         read_measurement(tmp_path)

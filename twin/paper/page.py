@@ -144,7 +144,7 @@ def _verdicts(tables: Mapping[str, Table]) -> list[Verdict]:
     rows = tables["claims"].rows
     met = [row for row in rows if row["met"] == "yes"]
     missed = [
-        f"{row['claim']}: {shown(row['found'], 4)}, {row['allowed']}"
+        f"missed: {row['claim']}: {shown(row['found'], 4)}, {row['allowed']}"
         for row in rows
         if row["met"] != "yes"
     ]

@@ -19,7 +19,7 @@ from twin.report.camera_images import (
 )
 from twin.report.canvas import axes_at, drawing
 from twin.report.experiment import GOOD_SHARE, POOR_SHARE, glance, grade_of_share, result_in_words
-from twin.report.page import Block, Figure, Section, Verdict
+from twin.report.page import Block, Figure, Section, Target, Verdict, judged
 from twin.report.pixel_panels import (
     REASON_COLOURS,
     shading_words,
@@ -115,12 +115,12 @@ def missing_shares(scored: Measurement) -> dict[Reason, float]:
 def _coverage(scored: Measurement) -> Verdict:
     figures, limit_um = scored.figures, scored.experiment.score.good_within_um
     absent = why_absent(figures)
-    return Verdict(
-        question="How much of the specimen is measured?",
-        headline=f"{percent(figures['good_share'])} within {limit_um:g}\N{NO-BREAK SPACE}µm",
-        grade=grade_of_share(figures["good_share"] or 0.0),
-        reasons=(
-            f"{result_in_words(scored)} Good from {GOOD_SHARE:.0%}, poor below {POOR_SHARE:.0%}",
+    words = f"{result_in_words(scored)} Good from {GOOD_SHARE:.0%}, poor below {POOR_SHARE:.0%}"
+    return judged(
+        "How much of the specimen is measured?",
+        f"{percent(figures['good_share'])} within {limit_um:g}\N{NO-BREAK SPACE}µm",
+        [Target(words, grade_of_share(figures["good_share"] or 0.0))],
+        (
             f"a point, good or not, on {percent(figures['completeness'])}",
             absent or f"{figures['z_rmse_um']:.2f} µm RMS over these points",
             f"{number(figures['wrong_order_pixels'], 'd')} wrong fringe orders",

@@ -7,7 +7,7 @@ from twin.mechanics import opposite_transfer
 from twin.report.bound import bound_section
 from twin.report.camera_images import recorded_section
 from twin.report.experiment import glance, rig_figure
-from twin.report.page import Beside, Grade, Section, Verdict
+from twin.report.page import Beside, Grade, Section, Target, Verdict, judged, target
 from twin.report.press import judge_press, press_figure
 from twin.report.spheres import ball_sections, fit_tables
 from twin.report.surfaces import error_figure, height_map_figure, relief_figure
@@ -45,38 +45,40 @@ def _sensor(scored: Measurement) -> Verdict:
         )
     wrong, share = figures["wrong_order_pixels"], figures.known("completeness")
     spread, saturated = figures["error_over_sigma"], figures.known("saturated_share")
-    held = (
-        share >= LEAST_COMPLETENESS
-        and spread is not None
-        and spread <= MOST_SPREAD_OVER_SIGMA
-        and saturated <= MOST_SATURATED_SHARE
-    )
-    return Verdict(
-        question="Is the coated face measured?",
-        headline=f"{figures['z_rmse_um']:.2f}\N{NO-BREAK SPACE}µm RMS in z",
-        grade="poor" if wrong else ("good" if held else "check"),
-        reasons=(
-            f"{wrong} wrong fringe orders (target 0)",
+    targets = [
+        target(f"{wrong} wrong fringe orders (target: 0)", not wrong, "poor"),
+        target(
             f"{share:.1%} of the lit pixels have a point (target: at least "
             f"{LEAST_COMPLETENESS:.0%})",
+            share >= LEAST_COMPLETENESS,
+        ),
+        target(
             f"normalised error (error / predicted sigma) {number(spread, '.2f')} (target: "
             f"at most {MOST_SPREAD_OVER_SIGMA:g})",
+            spread is not None and spread <= MOST_SPREAD_OVER_SIGMA,
+        ),
+        target(
             f"{saturated:.2%} of all pixel values saturated (target: at most "
             f"{MOST_SATURATED_SHARE:.1%})",
-            *_filter_hint(figures),
+            saturated <= MOST_SATURATED_SHARE,
         ),
-    )
+        *_filter_target(figures),
+    ]
+    headline = f"{figures['z_rmse_um']:.2f}\N{NO-BREAK SPACE}µm RMS in z"
+    return judged("Is the coated face measured?", headline, targets)
 
 
-def _filter_hint(figures: Figures) -> list[str]:
+def _filter_target(figures: Figures) -> list[Target]:
+    """Return the target of the phase filter's bias where it is missed."""
     share = figures["filter_bias_share"]
     if share is None or share <= MOST_FILTER_BIAS_SHARE:
         return []
-    return [
+    words = (
         f"on {share:.0%} of the points the phase filter may bias the height by more than the noise "
         f"(target: at most {MOST_FILTER_BIAS_SHARE:.0%}; bias {figures['filter_bias_um']:.2f} µm "
         "RMS, included in sigma): lower decode.filter_sigma_px"
-    ]
+    )
+    return [target(words, met=False)]
 
 
 def _shape(scored: Measurement) -> Verdict:
@@ -84,18 +86,19 @@ def _shape(scored: Measurement) -> Verdict:
     ratios = [s.true_face.radius_mm / s.nominal.radius_mm for s in spheres]
     farthest = max(ratios, key=lambda ratio: abs(ratio - 1))
     worst = abs(farthest - 1)
-    grade: Grade = "check" if worst <= POOR_RADIUS_SHARE else "poor"
+    otherwise: Grade = "check" if worst <= POOR_RADIUS_SHARE else "poor"
     radii = dict.fromkeys(f"{s.true_face.radius_mm:.2f}" for s in spheres)
-    return Verdict(
-        question="Does the coated face have the radius of the ball?",
-        headline=f"radius {' and '.join(radii)}\N{NO-BREAK SPACE}mm, "
-        f"ball\N{NO-BREAK SPACE}{spheres[0].nominal.radius_mm:g}\N{NO-BREAK SPACE}mm",
-        grade="good" if worst <= GOOD_RADIUS_SHARE else grade,
-        reasons=(
-            f"the radius of the true coated face is {farthest:.2f} times the ball's "
-            f"(good within {GOOD_RADIUS_SHARE:.0%}, poor beyond {POOR_RADIUS_SHARE:.0%})",
-            "caused by elastomer and press, not by the optics",
-        ),
+    balls = dict.fromkeys(f"{s.nominal.radius_mm:g}" for s in spheres)
+    words = (
+        f"the radius of the true coated face is {farthest:.2f} times the ball's "
+        f"(good within {GOOD_RADIUS_SHARE:.0%}, poor beyond {POOR_RADIUS_SHARE:.0%})"
+    )
+    return judged(
+        "Does the coated face have the radius of the ball?",
+        f"radius {' and '.join(radii)}\N{NO-BREAK SPACE}mm, "
+        f"ball\N{NO-BREAK SPACE}{' and '.join(balls)}\N{NO-BREAK SPACE}mm",
+        [target(words, worst <= GOOD_RADIUS_SHARE, otherwise)],
+        ("caused by elastomer and press, not by the optics",),
     )
 
 
@@ -117,21 +120,17 @@ def discussion(scored: Measurement) -> list[str]:
 def sentences(measured: Measurement) -> list[str]:
     """Return the result for a terminal, at most 100 columns wide, in ASCII."""
     figures = measured.figures
-    warnings, absent = measured.warnings, why_absent(figures)
+    absent = why_absent(figures)
     rms, p95, spread = (
         number(figures[name], ".2f", "-") for name in ("z_rmse_um", "z_p95_um", "error_over_sigma")
     )
     told = f"{rms} um RMS, {p95} um P95; normalised error {spread}"
-    lines = [
+    return [
         f"z error against the true coat: {f'none, {absent}' if absent else told}",
         f"points on {number(figures['completeness'], '.1%', '-')} of the lit pixels, "
         f"{number(figures['wrong_order_pixels'], 'd', '-')} wrong fringe orders; "
         f"force {figures['force_n']:.3g} N at {figures['depth_mm']:.3g} mm",
     ]
-    if warnings:
-        noun = "warning" if len(warnings) == 1 else "warnings"
-        lines.append(f"{len(warnings)} {noun}, see the report")
-    return lines
 
 
 def pitch_kept_mm(share: float, thickness_mm: float) -> float:

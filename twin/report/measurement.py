@@ -101,7 +101,10 @@ def summary_table(measured: Measurement) -> str:
     fits = fit_table(measured, decoders=False)
     tail = [f"{fits.title} (mm):", fits.as_text()] if fits else []
     head = f"{measured.experiment.name}, by {measured.experiment.method.title}"
-    return "\n".join([head, *found, *lines, *tail, *measured.score.unfitted])
+    warnings = [
+        textwrap.fill(f"warning: {one}", 100, subsequent_indent="  ") for one in measured.warnings
+    ]
+    return "\n".join([head, *found, *lines, *tail, *measured.score.unfitted, *warnings])
 
 
 def _by_method(measured: Measurement) -> MethodReport:

@@ -72,6 +72,39 @@ class Verdict:
 
 
 @dataclass(frozen=True)
+class Target:
+    """One figure that is judged, with its limits in words.
+
+    Attributes
+    ----------
+    grade : "good" where the target is met
+    """
+
+    words: str
+    grade: Grade
+
+
+def judged(
+    question: str, headline: str, targets: Sequence[Target], more: Sequence[str] = ()
+) -> Verdict:
+    """Return the card of some targets: the worst of their grades, and "missed" at each missed one.
+
+    Parameters
+    ----------
+    more : reasons that are not judged, behind the targets
+    """
+    grades: tuple[Grade, ...] = ("poor", "check", "good")
+    worst: Grade = min((one.grade for one in targets), key=grades.index, default="good")
+    lines = (one.words if one.grade == "good" else f"missed: {one.words}" for one in targets)
+    return Verdict(question, headline, worst, (*lines, *more))
+
+
+def target(words: str, met: bool, otherwise: Grade = "check") -> Target:
+    """Return a target that is met, or has the grade `otherwise`."""
+    return Target(words, "good" if met else otherwise)
+
+
+@dataclass(frozen=True)
 class Note:
     """A paragraph that is not running text: small print, a verdict, or why something failed."""
 

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from twin.report.experiment import GOOD_SHARE, POOR_SHARE, glance, grade_of_share, result_in_words
-from twin.report.page import Beside, Figure, Grade, Note, Section, Verdict
+from twin.report.page import Beside, Figure, Grade, Note, Section, Target, Verdict, judged, target
 from twin.report.photometric_figures import (
     draw_errors,
     draw_heights,
@@ -146,13 +146,15 @@ def sentences(seen: Measurement) -> list[str]:
 def _of_heights(seen: Measurement) -> Verdict:
     figures, limit_um = seen.figures, seen.experiment.score.good_within_um
     share = figures.known("good_share")
-    return Verdict(
-        question="Is the coat measured?",
-        headline=f"{figures['z_rmse_um']:.1f}\N{NO-BREAK SPACE}µm RMS in z",
-        grade=grade_of_share(share),
-        reasons=(
-            f"{percent(share)} of the field within {limit_um:g} µm (good from {GOOD_SHARE:.0%}, "
-            f"poor below {POOR_SHARE:.0%})",
+    words = (
+        f"{percent(share)} of the field within {limit_um:g} µm (good from {GOOD_SHARE:.0%}, "
+        f"poor below {POOR_SHARE:.0%})"
+    )
+    return judged(
+        "Is the coat measured?",
+        f"{figures['z_rmse_um']:.1f}\N{NO-BREAK SPACE}µm RMS in z",
+        [Target(words, grade_of_share(share))],
+        (
             f"a point on {percent(figures['completeness'])}",
             f"by the decoder {decoder_name(seen.colours.own)}",
         ),
@@ -164,18 +166,16 @@ def _of_scale(seen: Measurement) -> Verdict:
     if scale is None:
         return Verdict(question, NONE, "check", ("the true coat is flat: it has no scale",))
     worst = abs(scale - 1)
-    measured: Grade = "good" if worst <= GOOD_SCALE_ERROR else "check"
+    otherwise: Grade = "poor" if worst > POOR_SCALE_ERROR else "check"
+    words = f"good within {GOOD_SCALE_ERROR:.0%} of 1, poor beyond {POOR_SCALE_ERROR:.0%}"
     others = [
         (decoder_name(one), number(one.errors.height_scale, ".3f")) for one in seen.colours.decoded
     ]
-    return Verdict(
-        question=question,
-        headline=f"{scale:.3f} of the true height",
-        grade="poor" if worst > POOR_SCALE_ERROR else measured,
-        reasons=(
-            f"good within {GOOD_SCALE_ERROR:.0%} of 1, poor beyond {POOR_SCALE_ERROR:.0%}",
-            *(f"{name}: {text}" for name, text in others),
-        ),
+    return judged(
+        question,
+        f"{scale:.3f} of the true height",
+        [target(words, worst <= GOOD_SCALE_ERROR, otherwise)],
+        [f"{name}: {text}" for name, text in others],
     )
 
 

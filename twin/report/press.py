@@ -78,8 +78,8 @@ def judge_press(measured: Measurement) -> Verdict:
         reasons=(
             f"estimated height error of leaving out {left_out}: "
             f"{error_um / max(peak_um, 1e-9):.1%} of the relief",
-            f"{len(warnings)} warning{'' if len(warnings) == 1 else 's'} of the press"
-            + (", listed below" if warnings else ""),
+            f"{len(warnings)} warning{'' if len(warnings) == 1 else 's'}"
+            + (", listed below" if warnings else " of the press"),
         ),
     )
 
