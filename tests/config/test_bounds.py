@@ -40,6 +40,7 @@ def test_every_number_has_both_ends() -> None:
         ("elastomer.rim_compliance_mm2_per_n", 1e-9, "allowed 0 or at least 0.001"),
         ("camera.exposure_ms", 1e16, "allowed >= 0.0001, <= 1e+06 (100 ns"),
         ("camera.black_level_dn", 4095, "allowed less than 4095, the largest code of bit_depth"),
+        ("camera.focal_length_mm", 300, "allowed more than focal_length_mm, 300: a lens images"),
         ("camera.distortion", [1e300, 0, 0, 0, 0], "allowed >= -1e+06, <= 1e+06"),
         ("projector.flux_mw", 1e-300, "allowed >= 1e-06, <= 1e+06"),
         ("specimen.x_mm", 1e9, "allowed >= -1000, <= 1000 (within 1 m"),

@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
+from reconstruction.errors import FitError
 from reconstruction.evaluate.estimates import FittedDimension
 from tests.results.test_object_score import experiment, seen
-from twin.results.object_fits import levels
+from twin.results.object_fits import levels, require_determined
 from twin.results.object_points import Heights, ObjectPoints
 from twin.results.object_score import tolerance_of
 
@@ -36,6 +37,15 @@ def test_noise_of_a_mean_of_four():
     found = [points_of(4, 2e-3, n).noise_mm(mean) for n in (1.0, 2.0, 99.0)]
     assert found == pytest.approx([1e-3, np.sqrt(2.0) * 1e-3, 2e-3])
     assert points_of(4).noise_mm(mean) == pytest.approx(3e-3)
+
+
+def test_what_noise_leaves_open_by_more_than_its_points_extend_is_no_measurement():
+    """A groove that the coat does not show had a width of some millimetres +- 524 m."""
+    points_mm = np.array([[0.0, -1.0, 9.0], [3.0, 1.0, 0.0]])
+    require_determined("width", 3.0, points_mm)
+    with pytest.raises(FitError, match=r"^width: not determined, .* 3\.01 mm .* the 3 mm that"):
+        require_determined("width", 3.01, points_mm)
+    require_determined("coverage", 0.0, points_mm[:0])
 
 
 def test_a_point_lies_in_the_nearest_cell():

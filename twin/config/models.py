@@ -205,6 +205,18 @@ class Camera(Model):
     )
     noise: bool = Field(default=True, description="False: expected value, no quantisation")
 
+    @field_validator("pose")
+    @classmethod
+    def _is_in_focus(cls, pose: Pose, info: ValidationInfo) -> Pose:
+        focal_mm = info.data.get("focal_length_mm", 0.0)
+        if pose.standoff_mm <= focal_mm:
+            raise ValueError(
+                f"standoff_mm: found {pose.standoff_mm:g}, allowed more than focal_length_mm, "
+                f"{focal_mm:g}: a lens images nothing nearer; move the camera away, or use a "
+                "shorter lens"
+            )
+        return pose
+
     @field_validator("black_level_dn")
     @classmethod
     def _black_is_below_white(cls, black_level_dn: float, info: ValidationInfo) -> float:

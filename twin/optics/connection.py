@@ -13,6 +13,7 @@ import mitsuba as mi
 import numpy as np
 
 from reconstruction.arrays import FloatArray, FloatImage
+from reconstruction.errors import InputError
 from twin.optics.devices import Device
 from twin.optics.heights import MarchedHeights
 from twin.optics.layers import Arrival, LayerStack
@@ -196,7 +197,7 @@ def axial_range_mm(scene: Any, rig: Rig) -> tuple[float, float]:
 
     Raises
     ------
-    ValueError : the scene reaches behind the projector
+    InputError : the scene reaches behind the projector
     """
     corners = box_corners_mm(scene.bbox())
     if rig.layers is not None:
@@ -206,7 +207,11 @@ def axial_range_mm(scene: Any, rig: Rig) -> tuple[float, float]:
     T_world_from_proj = rig.projector.T_world_from_device
     axial_mm = (corners - T_world_from_proj[:3, 3]) @ T_world_from_proj[:3, 2]
     if axial_mm.min() <= 0.0:
-        raise ValueError("the scene reaches behind the projector: its blur has no bound there")
+        raise InputError(
+            f"projector.pose.standoff_mm: the scene reaches {-axial_mm.min():.3g} mm behind the "
+            "projector along its axis, where no light of it is; allowed is a scene in front of it: "
+            "enlarge the standoff, or make stage.size_mm or the elastomer smaller"
+        )
     return float(axial_mm.min()), float(axial_mm.max())
 
 

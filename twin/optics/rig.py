@@ -27,6 +27,7 @@ from typing import Any
 import numpy as np
 
 from reconstruction.arrays import FloatArray, FloatImage
+from reconstruction.errors import InputError
 from reconstruction.rig.calibration import Calibration, Pinhole
 from reconstruction.rig.layers import plane_layers
 from twin.config.layers import media_of
@@ -205,13 +206,16 @@ def perspective_sensor(
 
     Raises
     ------
-    ValueError : the pinhole has what stock Mitsuba cannot express: lens distortion, or an off-axis
+    InputError : the pinhole has what stock Mitsuba cannot express: lens distortion, or an off-axis
         principal point behind a thin lens
     """
     import mitsuba as mi
 
     if any(pinhole.distortion):
-        raise ValueError("stock Mitsuba cannot express lens distortion; use engine = 'one_trace'")
+        raise InputError(
+            "camera.distortion: stock Mitsuba cannot express lens distortion; set it to 0, or "
+            "render.engine = 'one_trace'"
+        )
     width, height = pinhole.width_px, pinhole.height_px
     return {
         "fov_axis": "x",
@@ -243,7 +247,10 @@ def _sensor_kind(pinhole: Pinhole, lens: ThinLens | None) -> dict[str, Any]:
             "principal_point_offset_y": offset_y,
         }
     if offset_x or offset_y:
-        raise ValueError("stock Mitsuba's thin lens has no off-axis principal point")
+        raise InputError(
+            "camera.depth_of_field: stock Mitsuba's thin lens has no off-axis principal point; set "
+            "it to false, or render.engine = 'one_trace'"
+        )
     return {
         "type": "thinlens",
         "aperture_radius": lens.radius_mm,

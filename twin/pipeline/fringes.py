@@ -32,7 +32,7 @@ from twin.pipeline.progress import Stopwatch
 from twin.results.figures import Metrics
 from twin.results.parts import taken_figures
 from twin.results.record import Fringes, Measurement, Recording
-from twin.results.score import metrics, score
+from twin.results.score import metrics, order_warnings, score
 from twin.results.under_sheet import sheet_compensation
 
 if TYPE_CHECKING:
@@ -110,6 +110,7 @@ def evaluate(
     scored = score(experiment, reconstruction, recording.truth)
     figures = taken_figures(pressed, recording) | metrics(scored)
     figures["warnings"] += decoding_warnings(experiment)
+    figures["warnings"] += order_warnings(experiment, reconstruction, recording.truth)
     return Measurement(
         experiment=experiment,
         images=Fringes(recording.capture, reconstruction, recording.radiance.frames),

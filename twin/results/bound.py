@@ -11,12 +11,14 @@ Two numbers for each measurand that is a fitted length, in um:
 | compensated_NUMBER_crb_um, _deg | bound of a number of the object under a thick slab, through optics and mechanics (`twin.pipeline.bound`) |
 | predicted_sigma_z_um | median of the standard deviation of z by noise, filtered |
 | predicted_share | share of the lit pixels that will have a point |
+| object_NAME_bound_why, sphere_N_radius_bound_why | text: why the two above are absent |
 
 The shape is fitted to the expected points, without noise, by the code of the measurement itself.
 Systematic errors (filter bias, calibration, what the elastomer does) are no part of it.
 """  # noqa: E501 - a table
 
 from collections.abc import Iterator
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -28,10 +30,10 @@ from twin.config.measurands import ObjectMeasurand, Quantity
 from twin.config.models import Experiment
 from twin.mechanics import PressedElastomer
 from twin.optics.stack import Truth
-from twin.results.features import feature_of, features_of, measurands_of
+from twin.results.features import Feature, feature_of, features_of, measurands_of
 from twin.results.figures import Metric
-from twin.results.object_fits import fit
-from twin.results.object_points import seen_object
+from twin.results.object_fits import fit, require_determined
+from twin.results.object_points import SeenObject, seen_object
 from twin.results.prediction import PredictedMaps
 from twin.results.score import region_of
 from twin.specimens import shape_of
@@ -105,35 +107,72 @@ def bound_figures(
     }
     found |= dict(_of_spheres(experiment, prediction))
     first: dict[str, Metric] = {}
-    for asked, estimate, pixels, each in _estimates(experiment, prediction, truth, pressed):
-        values: _Values = (None, None)
-        if estimate is not None:
-            values = _bound_and_spread_um(estimate, pixels, prediction, each)
+    for asked, one in _expected_fits(experiment, prediction, truth, pressed):
+        values, why = _figures_of(asked.quantity, one, prediction)
         found |= dict(zip(_names(asked), values, strict=True))
+        found |= {f"object_{asked.name}_bound_why": why} if why else {}
         first.setdefault(BOUNDED[asked.quantity], values[0])
     return found | first
 
 
 _Values = tuple[float | None, float | None]
-_Found = tuple[ObjectMeasurand, FittedDimension | None, IntArray, float]
 
 
-def _estimates(
+@dataclass(frozen=True, eq=False)
+class _ExpectedFit:
+    """A shape fitted to the expected points, which have no noise.
+
+    Attributes
+    ----------
+    estimate : None where `why` says why there is none
+    pixels : (n,) index of each point's pixel
+    each : how many pixels each point stands for
+    points_mm : (n, xyz) world, those that took part
+    """
+
+    estimate: FittedDimension | None = None
+    pixels: IntArray = field(default_factory=lambda: np.zeros(0, np.int64))
+    each: float = 1.0
+    points_mm: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
+    why: str = ""
+
+
+def _figures_of(quantity: str, one: _ExpectedFit, prediction: PredictedMaps) -> tuple[_Values, str]:
+    """Return bound and spread in um, and why there is none of them."""
+    if one.estimate is None:
+        return (None, None), one.why
+    values = _bound_and_spread_um(one.estimate, one.pixels, prediction, one.each)
+    try:
+        require_determined(quantity, 1e-3 * max(v or 0.0 for v in values), one.points_mm)
+    except FitError as error:
+        return (None, None), str(error)
+    return values, ""
+
+
+def _expected_fits(
     experiment: Experiment, prediction: PredictedMaps, truth: Truth, pressed: PressedElastomer
-) -> Iterator[_Found]:
-    """Yield each measurand with its fit to the expected points, their pixels, and each's share."""
+) -> Iterator[tuple[ObjectMeasurand, _ExpectedFit]]:
+    """Yield each measurand with its fit to the expected points."""
     points = prediction.points.points_world_mm, prediction.valid, prediction.filtered_mm
     seen = seen_object(experiment, points, truth, pressed)
-    features, nowhere = features_of(experiment.specimen), np.zeros(0, np.int64)
+    features = features_of(experiment.specimen)
     for asked in _asked(experiment):
-        try:
-            fitted = seen and fit(asked, feature_of(features, asked), seen, seen.measured)
-        except FitError:
-            fitted = None
-        if not fitted or fitted.estimate is None or fitted.of is None or fitted.of.pixels is None:
-            yield asked, None, nowhere, 1.0
-        else:
-            yield asked, fitted.estimate, fitted.of.pixels, fitted.of.points_each
+        yield asked, _expected_fit(asked, feature_of(features, asked), seen)
+
+
+def _expected_fit(
+    asked: ObjectMeasurand, feature: Feature, seen: SeenObject | None
+) -> _ExpectedFit:
+    if seen is None:
+        return _ExpectedFit(why="nothing of the object is expected to be found")
+    try:
+        fitted = fit(asked, feature, seen, seen.measured)
+    except FitError as error:
+        return _ExpectedFit(why=str(error))
+    if fitted.estimate is None or fitted.of is None or fitted.of.pixels is None:
+        return _ExpectedFit(why=f"{asked.quantity}: no fit of a shape, whose bound is known")
+    of = fitted.of
+    return _ExpectedFit(fitted.estimate, of.pixels, of.points_each, fitted.points_mm)
 
 
 def _of_spheres(experiment: Experiment, prediction: PredictedMaps) -> Iterator[tuple[str, Metric]]:
@@ -141,18 +180,21 @@ def _of_spheres(experiment: Experiment, prediction: PredictedMaps) -> Iterator[t
     world_mm = prediction.points.points_world_mm
     for number, ball in enumerate(shape_of(experiment.specimen).spheres(), start=1):
         roi = region_of(ball, world_mm, prediction.valid, experiment.score.roi_radius_mm)
-        values: _Values = (None, None)
-        if roi.sum() >= _LEAST_SPHERE_POINTS:
-            values = _sphere_values(prediction, roi)
+        values, why = _figures_of("radius", _expected_sphere(prediction, roi), prediction)
         yield from zip(_sphere_names(number), values, strict=True)
+        if why:
+            yield f"sphere_{number}_radius_bound_why", why
 
 
-def _sphere_values(prediction: PredictedMaps, roi: BoolImage) -> _Values:
+def _expected_sphere(prediction: PredictedMaps, roi: BoolImage) -> _ExpectedFit:
+    points_mm = prediction.points.points_world_mm[roi].astype(np.float64)
+    if len(points_mm) < _LEAST_SPHERE_POINTS:
+        return _ExpectedFit(why=f"radius: {len(points_mm)} points expected, it takes 5")
     try:
-        estimate = ball_radius_of_all(prediction.points.points_world_mm[roi].astype(np.float64))
-    except FitError:
-        return None, None
-    return _bound_and_spread_um(estimate, np.flatnonzero(roi).astype(np.int64), prediction, 1.0)
+        estimate = ball_radius_of_all(points_mm)
+    except FitError as error:
+        return _ExpectedFit(why=str(error))
+    return _ExpectedFit(estimate, np.flatnonzero(roi).astype(np.int64), 1.0, points_mm)
 
 
 def _bound_and_spread_um(
@@ -181,11 +223,11 @@ def information_shares(
     """
     found: dict[str, FloatArray] = {}
     single_mm = prediction.single_mm.ravel()
-    for asked, estimate, pixels, _ in _estimates(experiment, prediction, truth, pressed):
-        shares = None if estimate is None else estimate.bound_shares(single_mm[pixels])
+    for asked, one in _expected_fits(experiment, prediction, truth, pressed):
+        shares = None if one.estimate is None else one.estimate.bound_shares(single_mm[one.pixels])
         if shares is not None:
             image = np.zeros(prediction.reason.shape)
-            image.ravel()[pixels] = shares
+            image.ravel()[one.pixels] = shares
             found[_names(asked)[0]] = image
             found.setdefault(BOUNDED[asked.quantity], image)
     return found

@@ -90,7 +90,7 @@ def _short(value: float | None) -> str:
 
 
 def warnings_of(metrics: Metrics) -> tuple[str, ...]:
-    """Return the warnings of the press; none where nothing was pressed."""
+    """Return the warnings of press and measurement."""
     found = metrics.get("warnings")
     return tuple(found) if isinstance(found, (list, tuple)) else ()
 

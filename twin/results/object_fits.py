@@ -82,7 +82,31 @@ def fit(
     ------
     FitError : the points do not determine it
     """
-    return _FITTERS[asked.quantity](asked, feature, seen, _where(asked, points))
+    fitted = _FITTERS[asked.quantity](asked, feature, seen, _where(asked, points))
+    require_determined(asked.quantity, fitted.noise_mm, fitted.points_mm)
+    return fitted
+
+
+def require_determined(quantity: str, noise_mm: float, points_mm: FloatArray) -> None:
+    """Refuse a fit that noise leaves open by more than the extent of its points: no measurement.
+
+    A groove that the coat does not show has any width, a flat face any radius.
+
+    Parameters
+    ----------
+    noise_mm : standard deviation of the fitted value by noise
+    points_mm : (n, xyz) float, mm; world
+
+    Raises
+    ------
+    FitError : names both lengths
+    """
+    extent_mm = float(np.ptp(points_mm[:, :2], axis=0).max()) if len(points_mm) else 0.0
+    if noise_mm > extent_mm:
+        raise FitError(
+            f"{quantity}: not determined, noise leaves it open by {noise_mm:.3g} mm (1 sigma), "
+            f"more than the {extent_mm:.3g} mm that its points extend over"
+        )
 
 
 def _where(asked: ObjectMeasurand, points: ObjectPoints) -> ObjectPoints:

@@ -248,13 +248,55 @@ def wrong_orders(
 
     None where no pixel was decoded: none of nothing is no merit.
     """
-    decoded = reconstruction.decoded
-    both = decoded.valid & wanted_pixels(experiment, truth)
-    half_px = experiment.patterns.period_px / 2
-    wrong = (np.abs(decoded.column.coordinate_px - truth.column_px) >= half_px) | (
+    both = reconstruction.decoded.valid & wanted_pixels(experiment, truth)
+    wrong = _of_another_period(experiment, reconstruction, truth)
+    return int((wrong & both).sum()) if both.any() else None
+
+
+def _of_another_period(
+    experiment: Experiment, reconstruction: Reconstruction, truth: Truth
+) -> BoolImage:
+    """Mark pixels whose projector column or row is off by half a period or more."""
+    decoded, half_px = reconstruction.decoded, experiment.patterns.period_px / 2
+    wrong: BoolImage = (np.abs(decoded.column.coordinate_px - truth.column_px) >= half_px) | (
         np.abs(decoded.row.coordinate_px - truth.row_px) >= half_px
     )
-    return int((wrong & both).sum()) if both.any() else None
+    return wrong
+
+
+def order_warnings(
+    experiment: Experiment, reconstruction: Reconstruction, truth: Truth
+) -> list[str]:
+    """Say, in one line, where points of a wrong fringe order make most of the z error.
+
+    A few on which column and row agree by chance escape the decoder's checks, and err by
+    centimetres.
+    """
+    points = reconstruction.point_map
+    both = points.valid & wanted_pixels(experiment, truth)
+    wrong = at_pixels(_of_another_period(experiment, reconstruction, truth), both)
+    found_mm, true_mm = (
+        at_pixels(one, both)[:, 2] for one in (points.points_world_mm, truth.points_world_mm)
+    )
+    error_um = 1e3 * (found_mm - true_mm).astype(np.float64)
+    if not wrong.any() or wrong.all():
+        return []
+    all_um, others_um = rms(error_um), rms(error_um[~wrong])
+    if all_um < _DOMINATED * others_um:
+        return []
+    cause = "" if experiment.method.presses else _BY_ANOTHER_SURFACE
+    return [
+        f"{wrong.sum()} of {len(wrong)} points have a wrong fringe order and make most of the z "
+        f"error: {all_um:.4g} um RMS, {others_um:.4g} without them{cause}"
+    ]
+
+
+# Of the RMS error without wrong fringe orders: from here on these are what it shows.
+_DOMINATED = 2.0
+_BY_ANOTHER_SURFACE = (
+    "; there the light that stage and specimen throw on each other is stronger than the "
+    "projector's own: use a darker stage (stage.albedo), a matte specimen, or contact_fpp"
+)
 
 
 def region_of(
