@@ -21,6 +21,11 @@ def one_line(error: BaseException) -> str:
     return " ".join(str(error).split())
 
 
+def counted(count: int, noun: str, plural: str = "") -> str:
+    """Return a number with its noun, in the singular for one: "1 case", "2 cases"."""
+    return f"{count} {noun if count == 1 else plural or f'{noun}s'}"
+
+
 def few(names: list[str]) -> str:
     """Return the first three of some names and how many more there are."""
     more = f" and {len(names) - 3} more" if len(names) > 3 else ""

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
+from reconstruction.errors import counted
 from twin.cli.app import (
     ExperimentFile,
     Out,
@@ -137,7 +138,7 @@ def describe(
         write_text(part, written(found, size, is_known=projector is not None))
     for group in found.groups:
         along = f" along {group.axis}" if group.axis else ""
-        say(f"{group.kind}{along}: {len(group.files)} images, {group.files[0]} ...")
+        say(f"{group.kind}{along}: {counted(len(group.files), 'image')}, {group.files[0]} ...")
     for text in found.unsure:
         say(f"unsure: {text}")
     say("unsure: what the file marks, such as periods in projector pixels and [sensor]")
@@ -407,7 +408,7 @@ def patterns(
             write_outcome(folder, "patterns", figures, digest=content_digest(sequence))
         else:
             write_result(folder, "patterns", loaded, figures)
-    say(f"wrote {len(sequence.frames)} images and {out / MANIFEST_FILE}")
+    say(f"wrote {counted(len(sequence.frames), 'image')} and {out / MANIFEST_FILE}")
 
 
 @app.command

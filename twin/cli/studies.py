@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import App, Parameter
 
-from reconstruction.errors import InputError
+from reconstruction.errors import InputError, counted
 from twin.cli.app import (
     BAD_INPUT,
     FAILURE,
@@ -109,10 +109,8 @@ def _check(record: "StudyRecord", cases: "Sequence[Case]") -> int:
     for reason, some in found.items():
         at = ", ".join(f"{name} = {value}" for name, value in some[0].settings.items())
         probes = " tried along the axes" if searches else ""
-        sys.stderr.write(
-            f"twin: {len(some)} of {len(cases)} cases{probes} cannot be measured: {reason} "
-            f"(at {at})\n"
-        )
+        share = f"{len(some)} of {counted(len(cases), 'case')}{probes}"
+        sys.stderr.write(f"twin: {share} cannot be measured: {reason} (at {at})\n")
     return BAD_INPUT if sum(map(len, found.values())) == len(cases) else 0
 
 
@@ -123,7 +121,7 @@ def _tell_outcome(outcome: "SweepOutcome", out: Path) -> None:
     for digest, reason in outcome.damaged.items():
         sys.stderr.write(f"twin: case {digest} was damaged and ran again: {reason}\n")
     _tell_failures(outcome, out)
-    _tell_remarks(outcome.remarks, outcome.finished)
+    _tell_remarks(outcome.remarks, outcome.finished, out)
     counts = ", ".join(f"{number} {state}" for state, number in sorted(outcome.states.items()))
     say(f"{counts or 'nothing to do'} in {outcome.seconds:.1f} s; wrote {out}")
 
@@ -136,17 +134,18 @@ def _tell_failures(outcome: "SweepOutcome", out: Path) -> None:
         sys.stderr.write(f"twin: {len(digests)} failed: {reason} (see {file})\n")
     if len(ranked) > _MOST_REASONS:
         more = len(ranked) - _MOST_REASONS
-        sys.stderr.write(f"twin: {more} more reasons: twin sweep table {out}\n")
+        sys.stderr.write(f"twin: {counted(more, 'more reason')}: twin sweep table {out}\n")
 
 
-def _tell_remarks(remarks: "Sequence[Remark]", of: int) -> None:
+def _tell_remarks(remarks: "Sequence[Remark]", of: int, out: Path) -> None:
     """Print the warnings of the cases: each kind once, with its number of cases and an example."""
     for remark in remarks[:_MOST_REASONS]:
         sys.stderr.write(f"twin: {remark.in_words(of)} (case {remark.digests[0]})\n")
     if len(remarks) > _MOST_REASONS:
-        sys.stderr.write(
-            f"twin: {len(remarks) - _MOST_REASONS} more kinds of warnings: twin sweep report\n"
+        more = counted(
+            len(remarks) - _MOST_REASONS, "more kind of warning", "more kinds of warnings"
         )
+        sys.stderr.write(f"twin: {more}: twin sweep report {out}\n")
 
 
 @sweep_app.command
@@ -245,7 +244,7 @@ def table(folder: Path, /, *, csv: Path | None = None, parquet: Path | None = No
     for path, write in ((csv, write_csv), (parquet, write_parquet)):
         if path is not None:
             write(found, path)
-            say(f"wrote {path}, {len(found.rows)} cases")
+            say(f"wrote {path}, {counted(len(found.rows), 'case')}")
 
 
 @app.command

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from reconstruction.arrays import BoolArray, FloatArray
+from reconstruction.errors import counted
 from twin.config.models import Elastomer, Press, Specimen
 from twin.mechanics.contact import Contact, solve_on_layer
 from twin.mechanics.control import Control, DepthControl, ForceControl
@@ -97,7 +98,7 @@ class PressedElastomer:
         return (
             f"<PressedElastomer: {self.model}, {self.force_n:.3g} N at {self.depth_mm:.3g} mm, "
             f"coat from {low:.3g} to {high:.3g} mm on {rows} x {cols} nodes, "
-            f"{len(self.validity.warnings)} warnings>"
+            f"{counted(len(self.validity.warnings), 'warning')}>"
         )
 
     def _repr_html_(self) -> str:

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
+from reconstruction.errors import counted
 from twin.config.problem import Free
 from twin.identification.findings import Marginal, Prediction, Ridge
 from twin.identification.known import Identified
@@ -44,8 +45,8 @@ def page_of(found: Identified) -> Page:
     problem = found.problem
     fitted = len(problem.fitted)
     lead = (
-        f"{problem.description or problem.name}: {len(problem.free)} unknown fields, {fitted} rows "
-        f"fitted, {len(problem.rows) - fitted} held out"
+        f"{problem.description or problem.name}: {counted(len(problem.free), 'unknown field')}, "
+        f"{counted(fitted, 'row')} fitted, {len(problem.rows) - fitted} held out"
     )
     if len(found.models) > 1:
         lead += f", {len(found.models)} combinations of choices"

@@ -7,6 +7,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
 
+from reconstruction.errors import counted
 from twin.config.models import Experiment
 from twin.mechanics import ContactTransfer, PressedElastomer, SheetFields, face_normals
 from twin.report.canvas import (
@@ -78,8 +79,7 @@ def judge_press(measured: Measurement) -> Verdict:
         reasons=(
             f"estimated height error of leaving out {left_out}: "
             f"{error_um / max(peak_um, 1e-9):.1%} of the relief",
-            f"{len(warnings)} warning{'' if len(warnings) == 1 else 's'}"
-            + (", listed below" if warnings else " of the press"),
+            counted(len(warnings), "warning") + (", listed below" if warnings else " of the press"),
         ),
     )
 

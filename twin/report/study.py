@@ -12,7 +12,7 @@ from typing import Any
 
 from markupsafe import Markup
 
-from reconstruction.errors import InputError
+from reconstruction.errors import InputError, counted
 from twin.config.study import Objective
 from twin.pipeline.progress import ProgressCallback, no_progress
 from twin.report.page import (
@@ -138,7 +138,8 @@ def _page(shown: Shown) -> Page:
     for row in shown.table.rows:
         states[row["state"]] = states.get(row["state"], 0) + 1
     told = "".join(f", {count} {state}" for state, count in states.items())
-    lead = f"{study.description or study.base}: {len(shown.table.rows)} cases{told}."
+    cases = counted(len(shown.table.rows), "case")
+    lead = f"{study.description or study.base}: {cases}{told}."
     conditions = "; ".join(shown.table.conditions)
     return Page(
         kind="design study",
@@ -294,7 +295,8 @@ def _cases(shown: Shown) -> list[Block]:
              Column("remark", "remark", kind="reason"))  # fmt: skip
     rows = tuple(_row(row, columns) for row in table.rows)
     kinds = tuple(str(row["state"]) for row in table.rows)
-    notes = [f"{left_out} finished cases lack one of the figures and are in no plot."]
+    lack = counted(left_out, "finished case lacks", "finished cases lack")
+    notes = [f"{lack} one of the figures and left out of the plots."]
     return [
         *(Note(note) for note in notes if left_out),
         Note(

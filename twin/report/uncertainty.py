@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 
+from reconstruction.errors import counted
 from twin.pipeline.progress import ProgressCallback, no_progress
 from twin.report.canvas import (
     FAINT,
@@ -82,15 +83,16 @@ def _page(found: Uncertainty) -> Page:
     return Page(
         kind="uncertainty",
         title=name,
-        lead=f"{found.trials} trials{about}; {rig}.",
+        lead=f"{counted(found.trials, 'trial')}{about}; {rig}.",
         sections=[_results(found), *map(_section, shown), _inputs(found)],
         warned="Trials that failed, and warnings" if found.failures or found.table.remarks else "",
-        warnings=[
-            *(f"{count} trials failed: {reason}" for reason, count in found.failures.items()),
-            *remark_lines(found.table),
-        ],
+        warnings=[*_failed(found), *remark_lines(found.table)],
         wide=True,
     )
+
+
+def _failed(found: Uncertainty) -> list[str]:
+    return [f"{counted(n, 'trial')} failed: {reason}" for reason, n in found.failures.items()]
 
 
 def _results(found: Uncertainty) -> Section:
@@ -205,7 +207,8 @@ def _told(one: Measurand) -> list[str]:
     if one.undetermined:
         told.append(f"Not determined, a step has no value: {', '.join(one.undetermined)}.")
     if one.missing:
-        told.append(f"{one.missing} trials have no value and are left out.")
+        have = counted(one.missing, "trial has", "trials have")
+        told.append(f"{have} no value; left out.")
     return told
 
 

@@ -9,6 +9,7 @@ one with the luckiest noise.
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+from reconstruction.errors import counted
 from reconstruction.evaluate.conformity import WITHIN
 from twin.config import Experiment
 from twin.config.study import Constraint
@@ -102,4 +103,5 @@ def feasibility_in_words(rows: Sequence[Row]) -> str:
     done = [row for row in rows if row.get("feasible") is not None]
     feasible = sum(bool(row["feasible"]) for row in done)
     missed = "; ".join(f"{count} miss: {name}" for name, count in unmet_counts(done).items())
-    return f"{feasible} of {len(done)} finished cases feasible" + (f" ({missed})" if missed else "")
+    share = f"{feasible} of {counted(len(done), 'finished case')} feasible"
+    return f"{share} ({missed})" if missed else share

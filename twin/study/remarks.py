@@ -9,6 +9,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from reconstruction.errors import counted
 from twin.results.figures import why_absent
 from twin.study.measuring import TRUE_RIG
 
@@ -41,7 +42,7 @@ class Remark:
 
     def in_words(self, of: int) -> str:
         """Say how many of so many cases have it."""
-        return f"{len(self.digests)} of {of} cases: {self.text}"
+        return f"{len(self.digests)} of {counted(of, 'case')}: {self.text}"
 
 
 def remarks_of(figures: Mapping[str, Mapping[str, Any]]) -> tuple[Remark, ...]:

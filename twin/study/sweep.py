@@ -9,7 +9,7 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
-from reconstruction.errors import InputError
+from reconstruction.errors import InputError, counted
 from reconstruction.reading import read_json
 from twin.config import ConfigError, Experiment
 from twin.config.board import load_board
@@ -376,8 +376,8 @@ def _standing(index: Index, asked: Sequence[str]) -> dict[str, Any]:
 
 def told(found: Estimate) -> str:
     """Say an estimate in one line."""
-    looked = f"about {found.cases} cases, one point of {found.step} looked at"
-    parts = [f"{found.cases} cases" if found.step == 1 else looked]
+    looked = f"about {counted(found.cases, 'case')}, one point of {found.step} looked at"
+    parts = [counted(found.cases, "case") if found.step == 1 else looked]
     if found.excluded:
         parts.append(f"{found.excluded} more excluded by constraints")
     if found.known:
