@@ -217,6 +217,8 @@ def test_texture_moves_with_the_sheet(wrapped: PressedElastomer) -> None:
         ({"film": {"thickness_mm": 0.1, "young_modulus_kpa": 1e3}}, {}, r"elastomer\.film: "),
         ({"length_x_mm": 6.0}, {}, r"specimen: reaches from -4 to 4 mm along x"),
         ({}, {"gravity_deg": 0.0}, r"elastomer\.density_kg_m3: missing"),
+        # 100 kPa of shear modulus, 0.3 mm.
+        ({"tack_j_m2": 30.1}, {}, r"elastomer\.tack_j_m2: found 30\.1, allowed up to 30, shear"),
         (
             {"length_x_mm": 1000.0, "length_y_mm": 45.0},
             {},

@@ -169,10 +169,10 @@ def _expected_fit(
         fitted = fit(asked, feature, seen, seen.measured)
     except FitError as error:
         return _ExpectedFit(why=str(error))
-    if fitted.estimate is None or fitted.of is None or fitted.of.pixels is None:
+    of, pixels = fitted.of, None if fitted.of is None else fitted.of.pixels
+    if fitted.estimate is None or of is None or pixels is None:
         return _ExpectedFit(why=f"{asked.quantity}: no fit of a shape, whose bound is known")
-    of = fitted.of
-    return _ExpectedFit(fitted.estimate, of.pixels, of.points_each, fitted.points_mm)
+    return _ExpectedFit(fitted.estimate, pixels, of.points_each, fitted.points_mm)
 
 
 def _of_spheres(experiment: Experiment, prediction: PredictedMaps) -> Iterator[tuple[str, Metric]]:

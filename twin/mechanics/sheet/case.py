@@ -169,6 +169,7 @@ def check_sheet(shape: Shape, elastomer: Elastomer, load: Press, mechanics: Mech
     check_face_nodes(elastomer, load)
     weight_kpa(elastomer, load)
     _check_force(elastomer, load)
+    _check_tack(elastomer)
 
 
 def _check_force(elastomer: Elastomer, load: Press) -> None:
@@ -190,6 +191,21 @@ def _check_force(elastomer: Elastomer, load: Press) -> None:
             f"press.force_n: found {load.force_n:g} N, allowed up to {most_n:.3g} N, which tears "
             f"a sheet of {elastomer.thickness_mm:g} mm along all of its rim; lower it, or use a "
             "thicker or harder sheet"
+        )
+
+
+def _check_tack(elastomer: Elastomer) -> None:
+    """Refuse a tack that spreads the sheet over the specimen without bound.
+
+    At an area stretch a the adhesion gains W per area and stretching costs mu h (1 - a^-3): where W
+    exceeds mu h nothing stops it before the sheet tears. kPa mm = J/m^2.
+    """
+    most_j_m2 = young_modulus(elastomer).best_kpa / 3 * elastomer.thickness_mm
+    if elastomer.tack_j_m2 > most_j_m2:
+        raise PressError(
+            f"elastomer.tack_j_m2: found {elastomer.tack_j_m2:g}, allowed up to {most_j_m2:.3g}, "
+            "shear modulus times thickness: more spreads the sheet over the specimen until it "
+            "tears; lower it, or use a thicker or harder sheet"
         )
 
 
