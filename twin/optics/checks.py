@@ -3,6 +3,7 @@
 from reconstruction.errors import InputError
 from twin.config.layers import holding_layer
 from twin.config.models import Experiment
+from twin.optics.light import pattern_set
 from twin.optics.materials import sharp
 from twin.specimens import Body, bodies
 
@@ -12,11 +13,12 @@ def check_renderable(experiment: Experiment) -> None:
 
     Raises
     ------
-    InputError : depth of field with one sample; a coat's binder below the index of the layer around
-        it; the stock engine with what it cannot express; a bare specimen without material, by the
-        stock engine, or with a light path that has one blur alone
+    InputError : depth of field with one sample; too large a stack of frames; a coat's binder below
+        the index of the layer around it; the stock engine with what it cannot express; a bare
+        specimen without material, by the stock engine, or with a light path that has one blur alone
     """
     check_samples(experiment)
+    check_stack_size(experiment)
     if not experiment.method.presses:
         check_direct_engine(experiment)
         parts = bodies(experiment.specimen, 0.0)
@@ -27,6 +29,25 @@ def check_renderable(experiment: Experiment) -> None:
     check_binder(experiment)
     if experiment.method.fringes and experiment.render.engine == "stock":
         check_stock(experiment)
+
+
+MOST_PIXEL_VALUES = 3_000_000_000
+"""Of a stack: 45 megapixels in 66 frames. Radiance and digital numbers take 6 bytes each."""
+
+
+def check_stack_size(experiment: Experiment) -> None:
+    """Refuse a stack of frames that takes more than 18 GB."""
+    if not experiment.method.fringes:
+        return
+    camera = experiment.camera
+    frames = len(pattern_set(experiment.projector, experiment.patterns).frames)
+    pixels = (camera.width_px // camera.binning) * (camera.height_px // camera.binning)
+    if frames * pixels > MOST_PIXEL_VALUES:
+        raise InputError(
+            f"camera.width_px, height_px, binning: found {pixels:.3g} pixels in {frames} frames, "
+            f"{6e-9 * frames * pixels:.3g} GB, allowed up to {6e-9 * MOST_PIXEL_VALUES:.3g} GB; "
+            "raise camera.binning, or lower patterns.steps or the pixels"
+        )
 
 
 def check_samples(experiment: Experiment) -> None:

@@ -19,7 +19,7 @@ from twin.config import digest
 from twin.config.models import Experiment
 from twin.config.sensor_layer import SensorLayer
 from twin.mechanics import PressedElastomer, face_mesh
-from twin.optics.checks import check_direct_engine
+from twin.optics.checks import check_direct_engine, check_stack_size
 from twin.optics.light import pattern_set
 from twin.optics.rig import true_calibration
 from twin.optics.session import renderer_session
@@ -254,6 +254,7 @@ def _taken(experiment: Experiment, run: RunContext) -> tuple[PressedFace | None,
             f"modality = '{experiment.modality}' takes one colour image and no fringe stack; use"
             " twin measure, or measure in Python"
         )
+    check_stack_size(experiment)
     if not experiment.method.presses:
         return None, _recorded(experiment, None, run)
     with run.clock.stage("press") as progress:
