@@ -78,8 +78,14 @@ def guess(folder: Path, size: tuple[int, int]) -> Guess:
     doubts += fringe_doubts + [doubt for axis in AXES for doubt in bits[axis].doubts]
     groups: list[FrameGroup] = []
     words = []
-    if _is_shuffled(looks, phases):
+    scattered = _scattered(looks, phases)
+    if scattered:
         plain = replace(plain, is_certain=False)
+        doubts += [
+            f"{one.files[0]} ...: the images of this set of {len(one.files)} steps do not follow one"
+            " another by their names"
+            for one in scattered
+        ]
     doubts += _plain_doubts(looks, plain, is_needed=is_needed)
     for axis in AXES:
         own = [one for one in phases if one.axis == axis]
@@ -138,11 +144,15 @@ def _words(
     return bits, plain, is_needed
 
 
-def _is_shuffled(looks: Sequence[Look], phases: Sequence[FrameGroup]) -> bool:
-    """Whether the images of a phase set do not follow one another by their names."""
-    names = [one.file for one in looks]
-    places = [[names.index(name) for name in one.files] for one in phases]
-    return any(max(some) - min(some) != len(some) - 1 for some in places)
+def _scattered(looks: Sequence[Look], phases: Sequence[FrameGroup]) -> list[FrameGroup]:
+    """Return the phase sets whose images do not follow one another by their names."""
+    place = {one.file: k for k, one in enumerate(looks)}
+
+    def length(group: FrameGroup) -> int:
+        places = [place[name] for name in group.files]
+        return max(places) - min(places) + 1
+
+    return [one for one in phases if length(one) != len(one.files)]
 
 
 def _with_axes(looks: Sequence[Look]) -> list[Look]:

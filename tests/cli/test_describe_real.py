@@ -7,8 +7,11 @@ are not part of this repository, so that these tests run only where a folder hol
 import tomllib
 from pathlib import Path
 
+import numpy as np
 import pytest
+from scipy import ndimage
 
+from reconstruction.netcdf import read_arrays
 from twin.cli import run
 
 CASES = Path(__file__).parents[3] / "shared" / "cases"
@@ -74,3 +77,44 @@ def test_fringes_of_little_contrast_beside_bright_bits(tmp_path):
     assert [one["kind"] for one in frames] == ["phase", "gray"]
     assert frames[0]["period_px"] == 60.0
     assert frames[0]["shift_deg"] == [(180.0 + 30.0 * step) % 360.0 for step in range(12)]
+
+
+def with_frames(tmp_path, name, text):
+    folder = tmp_path / "capture"
+    folder.mkdir()
+    for path in (CASES / name).glob("*.png"):
+        (folder / path.name).symlink_to(path)
+    (folder / "capture.toml").write_text(text)
+    return folder
+
+
+def test_wrong_fringe_orders_are_warned_about(tmp_path, capsys):
+    """Two bits of the rows exchanged: half of them are off by 48 px and more."""
+    described(tmp_path, "01_kamino_capture_0", 1024, 768)
+    text = (tmp_path / "capture.toml").read_text()
+    folder = with_frames(tmp_path, "01_kamino_capture_0", text)
+    assert run(["decode", str(folder), "-o", str(tmp_path / "right")]) == 0
+    assert "warning" not in capsys.readouterr().err
+    for one, other in (("24", "26"), ("25", "27")):
+        text = text.replace(f"_{one}.png", "_X").replace(f"_{other}.png", f"_{one}.png")
+        text = text.replace("_X", f"_{other}.png")
+    (folder / "capture.toml").write_text(text)
+    assert run(["decode", str(folder), "-o", str(tmp_path / "wrong")]) == 0
+    assert "warning: the row coordinate jumps at 82% of" in capsys.readouterr().err
+
+
+def test_words_that_are_displaced_by_half_a_period(tmp_path, capsys):
+    """At full size pixel (460, 653) is column 990.74; here a pixel is four of those wide."""
+    text = (CASES / "05_slmaster_shiftgray" / "capture.toml").read_text()
+    folder = with_frames(tmp_path, "05_slmaster_shiftgray", text)
+    out = tmp_path / "out"
+    assert run(["decode", str(folder), "-o", str(out)]) == 2
+    assert "or list the Gray frames with shifted = true" in capsys.readouterr().err
+    shifted = text.replace('kind="gray"', 'kind="gray"\nshifted = true')
+    (folder / "capture.toml").write_text(shifted)
+    assert run(["decode", str(folder), "-o", str(out)]) == 0
+    column_px = np.asarray(read_arrays(out / "decoded.nc")["column_px"])
+    # The centre of that pixel is at (114.6, 162.9) of these.
+    row, col = (460 + 0.5) / 4 - 0.5, (653 + 0.5) / 4 - 0.5
+    found = ndimage.map_coordinates(column_px, [[row], [col]], order=1)[0]
+    assert found == pytest.approx(990.74, abs=1.0)
