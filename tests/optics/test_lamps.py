@@ -267,7 +267,7 @@ def test_fill_comes_from_beyond_the_critical_angle(look, bump):
     Expected: on its way out rho / pi E ((1 + n_z) / 2 - n_z / n^2) / (1 - 1 / n^2), within 2e-3
     (facets are shaded smoothly): hardly less than on the untouched coat.
     """
-    found, points = look(bump, lamp(flux_mw=1e-12, fill_mw_per_mm2=0.3))
+    found, points = look(bump, lamp(flux_mw=1e-6, fill_mw_per_mm2=0.3))
     x, y = points[..., 0], points[..., 1]
     slope = points[..., 2] * np.hypot(x, y) / 2
     n_z = 1 / np.sqrt(1 + slope**2)

@@ -47,7 +47,7 @@ def test_predicted_sigma_is_the_spread_of_measurements(balls, changes):
 
     Expected: spread over prediction is 1, per pixel 9 % by the number of trials, 3 % in the mean;
     where the filter gives relief back in part it fluctuates with the noise and spreads a little
-    more. Radii: 9 % each, 5 % in the mean of four; `./run bench bound` takes many more.
+    more. Radii: 9 % each, 6 % in the mean of two; `./run bench bound` takes many more.
     """
     experiment = vary(balls, changes)
     heights, figures = heights_and_radii(experiment, TRIALS)
@@ -59,7 +59,8 @@ def test_predicted_sigma_is_the_spread_of_measurements(balls, changes):
     assert ratio.mean() == pytest.approx(1.0, abs=0.06)
     assert ratio.std() < 0.15
     bounds, over, under = bounds_alone(experiment, memory)[1], [], []
-    for name in ("object_radius_1", "object_radius_2", "sphere_1_radius", "sphere_2_radius"):
+    assert figures[0]["object_radius_1_mm"] is None  # a thick slab's coat is not the ball
+    for name in ("sphere_1_radius", "sphere_2_radius"):
         spread_um = 1e3 * np.std([one[f"{name}_mm"] for one in figures], ddof=1)
         over.append(np.log(bounds[f"{name}_spread_um"] / spread_um))
         under.append(np.log(bounds[f"{name}_crb_um"] / spread_um))

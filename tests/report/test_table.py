@@ -36,7 +36,7 @@ def test_rows_hold_full_precision(finished):
     table = fit_table(scored)
     for sphere in scored.score.spheres:
         ball = sphere.number
-        measured = table.row(ball=f"ball {ball}", surface="measured")
+        measured = table.row(ball=f"ball {ball}", surface="measured coat")
         true_coat = table.row(ball=f"ball {ball}", surface="true coat")
         assert measured["radius"] == pytest.approx(figures[f"sphere_{ball}_radius_mm"], rel=1e-9)
         assert measured["p95"] == pytest.approx(figures[f"sphere_{ball}_p95_mm"], rel=1e-9)

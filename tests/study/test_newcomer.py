@@ -92,7 +92,8 @@ def test_from_an_stl_to_a_sensor_that_meets_10_um(mi, desk, capsys):
     chosen = desk / "found" / "cases" / best / "experiment.toml"
     assert run(["measure", str(chosen), "-o", "best"]) == 0
     shown = " ".join(capsys.readouterr().out.split())
-    assert "height within tolerance; shape within tolerance" in shown
+    assert re.search(r"object: height: 0\.\d+ mm .*, within tolerance", shown)
+    assert re.search(r"object: shape: .*, within tolerance", shown)
     figures = json.loads((desk / "best" / "result.json").read_text())["metrics"]
     assert figures["least_margin_um"] == margins[best]
     assert figures["measurands_within"] == 2
