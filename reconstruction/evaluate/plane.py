@@ -246,7 +246,7 @@ def break_width(s_mm: ArrayLike, z_mm: ArrayLike, sigma_mm: float) -> BarWidth:
 
     Raises
     ------
-    FitError : the profile does not bend down on both sides of its middle
+    FitError : the profile does not bend down on both sides of its middle, or once for both
     """
     return _width_between_bends(s_mm, z_mm, sigma_mm, _curvature)
 
@@ -284,6 +284,11 @@ def _width_between_bends(
     if min(down[left], down[right]) <= 0.0:
         raise FitError("break width: the profile does not bend down on both sides of its middle")
     ends = _summit(even, down, left), _summit(even, down, right)
+    if ends[1] - ends[0] < sigma_mm:
+        raise FitError(
+            f"break width: the crest is round: its bends are {max(ends[1] - ends[0], 0.0):.3f} mm "
+            f"apart, which a filter of {sigma_mm:g} mm does not resolve"
+        )
     return BarWidth(ends[1] - ends[0], top - ground, *ends)
 
 

@@ -112,26 +112,29 @@ def nominal_width_mm(experiment: Experiment) -> float:
 
 def rod_figures(
     experiment: Experiment, points_mm: NDArray[np.floating[Any]], prefix: str = ""
-) -> dict[str, float | str]:
-    """Return width and height of the rod under points (n, xyz); why, when it has no crest.
+) -> dict[str, float | str | None]:
+    """Return widths and height of the coat over a rod, from its points (n, xyz).
 
-    Nothing where the specimen is not a single rod.
+    They are apparent figures of the coat, as one reads a caliper. A width that its section does not
+    have is None, and `rod_failure` says why; without a crest that is all. Nothing where the
+    specimen is not a single rod.
     """
     if not has_one_rod(experiment):
         return {}
     centre = middle_of(shape_of(experiment.specimen))
     section = section_of(points_mm.astype(np.float64), SECTION_LENGTH_MM, centre)
     try:
-        crest, broken, changed = (
-            section.width(),
-            section.break_width(),
-            section.slope_change_width(),
-        )
+        crest = section.width()
     except FitError as error:
         return {f"{prefix}rod_failure": str(error)}
-    return {
-        f"{prefix}rod_width_mm": crest.width_mm,
-        f"{prefix}rod_break_width_mm": broken.width_mm,
-        f"{prefix}rod_slope_change_width_mm": changed.width_mm,
-        f"{prefix}rod_height_mm": crest.height_mm,
-    }
+    found: dict[str, float | str | None] = {f"{prefix}rod_width_mm": crest.width_mm}
+    for name, width in (
+        ("break", section.break_width),
+        ("slope_change", section.slope_change_width),
+    ):
+        found[f"{prefix}rod_{name}_width_mm"] = None
+        try:
+            found[f"{prefix}rod_{name}_width_mm"] = width().width_mm
+        except FitError as error:
+            found[f"{prefix}rod_failure"] = str(error)
+    return found | {f"{prefix}rod_height_mm": crest.height_mm}

@@ -1,0 +1,52 @@
+"""What a new user copies first reads its object: the promise of the README, judged."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from reconstruction.reading import read_json
+from tests.docs.test_tutorials import blocks
+from twin.cli import run
+from twin.config import load_experiment
+
+README = Path(__file__).parents[2] / "README.md"
+PROMISED_UM = 20.0
+
+
+def minimal_experiment() -> str:
+    (found,) = re.findall(r"^```toml\n(.*?)^```$", README.read_text("utf-8"), re.DOTALL | re.M)
+    return found
+
+
+@pytest.fixture
+def minimal(tmp_path) -> Path:
+    file = tmp_path / "my.toml"
+    file.write_text(minimal_experiment(), encoding="utf-8")
+    return file
+
+
+def test_the_minimal_experiment_of_the_readme_reads_its_ball(mi, minimal, tmp_path, capsys):
+    """Setup: as printed, on a sixteenth of the pixels.
+
+    Expected: the radius of the object, 3 mm, within the 20 um that the README promises, in
+    result.json and as the first figure on the terminal, before what the coat shows.
+    """
+    out = tmp_path / "out"
+    command = ["measure", str(minimal), "-o", str(out), "-s", "camera.binning=4", "--no-report"]
+    assert run(command) == 0
+    figures = read_json(out / "result.json")["metrics"]
+    radius_mm = load_experiment(minimal).specimen.diameter_mm / 2
+    assert abs(figures["object_radius_1_mm"] - radius_mm) < 1e-3 * PROMISED_UM
+    assert figures["object_radius_1_expanded_um"] < PROMISED_UM
+    assert figures["object_radius_1_mm"] == figures["compensated_sphere_1_radius_mm"]
+    assert "within 20 um" in README.read_text("utf-8")
+    first, *_ = re.findall(r"[\d.]+ mm", capsys.readouterr().out)
+    assert first == f"{figures['object_radius_1_mm']:.4f} mm"
+
+
+def test_getting_started_begins_with_the_same_experiment(minimal, tmp_path):
+    page = tmp_path / "page.toml"
+    (text,) = (text for _, caption, text in blocks("getting_started.md") if caption == "my.toml")
+    page.write_text(text, encoding="utf-8")
+    assert load_experiment(page) == load_experiment(minimal, {"camera.binning": 4})
