@@ -42,7 +42,9 @@ def test_true_object_paper_and_twin_stand_side_by_side(folder):
     balls = read_measurement(folder)
     beside = [read_measurement(folder / name) for name in BESIDE]
     rows = {row["quantity"]: row for row in paper_table(balls, beside).rows}
-    first = rows["ball 1: radius, as the paper evaluates"]
+    # What a person reads first is the object, with its uncertainty.
+    assert next(iter(rows)) == "ball 1: radius of the object, ± U (k = 2)"
+    first = rows["ball 1: radius of the coat, as the paper evaluates"]
     # Table of repeated fits: 3.835 mm, SD 0.052; the balls are 8 mm wide.
     assert first["true"] == 4.0
     assert first["paper"] == "3.835 ± 0.052"

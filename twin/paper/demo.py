@@ -31,6 +31,7 @@ from twin.report.object import object_section
 from twin.report.page import REPORT_FILE, Figure, Page, Section, write_page
 from twin.report.surfaces import height_map_figure, relief_figure
 from twin.report.table import Cell, Column, Table
+from twin.results.figures import Figures
 from twin.results.folder import read_measurement
 from twin.results.record import Measurement
 from twin.study.workers import default_count, local_workers
@@ -186,8 +187,8 @@ def paper_table(balls: Measurement, beside: Sequence[Measurement]) -> Table:
         "(docs/identify.md); this is one press on one coat, and coats differ: `twin paper` has "
         "the trials.",
         "The paper's fit is most probably algebraic, which reads a rough cap too small; the "
-        "geometric fit of the same points stands beside it, and the object's own radius from all "
-        "that the sheet touches, its thickness taken off.",
+        "geometric fit of the same points is the next row. The object's radius is that of all that "
+        "the sheet touches, its local thickness taken off.",
     )
     return Table("paper", "", "", columns, tuple(rows), notes)
 
@@ -200,17 +201,17 @@ def _ball(balls: Measurement, ball: int) -> list[dict[str, Cell]]:
     residual: dict[str, Cell] = {"true": 0.0, "unit": "µm"}
     rows = [
         radius
+        | {"quantity": name + "radius of the object, ± U (k = 2)"}
+        | {"twin": _with_u(figures, f"object_radius_{ball}")},
+        radius
         | {
-            "quantity": name + "radius, as the paper evaluates",
+            "quantity": name + "radius of the coat, as the paper evaluates",
             "paper": f"{printed['mean_radius']:.3f} ± {printed['sd']:.3f}",
             "twin": figures.get(f"{by_paper}radius_mm"),
         },
         radius
-        | {"quantity": name + "radius, geometric fit"}
+        | {"quantity": name + "radius of the coat, geometric fit"}
         | {"twin": figures.get(f"{geometric}radius_mm")},
-        radius
-        | {"quantity": name + "radius of the object itself"}
-        | {"twin": figures.get(f"object_radius_{ball}_mm")},
     ]
     for key in ("rmse", "mae", "p95"):
         found = figures.get(f"{by_paper}{key}_mm")
@@ -223,6 +224,14 @@ def _ball(balls: Measurement, ball: int) -> list[dict[str, Cell]]:
             }
         )
     return rows
+
+
+def _with_u(figures: Figures, name: str) -> str | None:
+    """Write a length in mm with its expanded uncertainty; None where it was not measured."""
+    value, expanded_um = figures.get(f"{name}_mm"), figures.get(f"{name}_expanded_um")
+    if value is None or expanded_um is None:
+        return None
+    return f"{value:.3f} ± {1e-3 * expanded_um:.3f}"
 
 
 def _printed(ball: int) -> dict[str, float]:

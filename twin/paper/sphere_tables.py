@@ -102,14 +102,14 @@ def sphere_fit_table(trials: Trials) -> Table:
         "Table: sphere fitting",
         (
             *_KEYS,
-            Column("radius", "radius"),
+            *_COMPENSATED,
+            Column("radius", "coat: radius"),
             Column("abs_radius_error", "|error|"),
             Column("rmse", "RMSE", 4),
             Column("mae", "MAE", 4),
             Column("p95", "P95", 4),
             Column("face_radius", "true coat: radius"),
             Column("face_rmse", "true coat: RMSE", 4),
-            *_COMPENSATED,
         ),
         _sorted(rows),
         (
@@ -171,14 +171,14 @@ def repeated_fit_table(trials: Trials) -> Table:
         (
             *_KEYS,
             _TRIALS,
-            Column("mean_radius", "mean radius"),
+            *_COMPENSATED,
+            Column("mean_radius", "coat: mean radius"),
             Column("error", "error"),
             Column("sd", "SD"),
             Column("low", "2.5 %"),
             Column("high", "97.5 %"),
             Column("rmse", "mean RMSE", 4),
             Column("rmse_sd", "SD of RMSE", 4),
-            *_COMPENSATED,
         ),
         _sorted(rows),
         (

@@ -240,7 +240,7 @@ def _reading(methods: Sequence[Method]) -> list[str]:
         "error of the optics and is not counted there.",
         "The rows of the object have one reference for all methods: the specimen itself. Direct "
         "FPP is compared where the specimen is seen, the others where the elastomer touches it; "
-        "its nominal thickness is taken off where it lies between. How much of the specimen that "
+        "under a thin sheet its local thickness, found from the coat, is taken off. How much of the specimen that "
         "is stands beside it.",
         *gel,
         "Errors are along z. A point counts as good when its height errs by no more than the limit "
