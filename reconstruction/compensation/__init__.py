@@ -5,7 +5,8 @@ from reconstruction.compensation.gel import CompensatedGel, GelLayer, compensate
 from reconstruction.compensation.known_ball import CalibratedSheet, KnownTravel, calibrate_sheet
 from reconstruction.compensation.parts import Compensated, ObjectPart, parts_of
 from reconstruction.compensation.relief import Relief, SheetOpening, relief_on_frame
-from reconstruction.compensation.sheet import CompensatedSheet, SheetLayer, compensate_sheet
+from reconstruction.compensation.sheet import CompensatedSheet, compensate_sheet
+from reconstruction.compensation.sheet_layer import SheetLayer
 from reconstruction.compensation.slab import (
     CoatSlopes,
     CompensatedSlab,

@@ -24,8 +24,9 @@ import numpy as np
 from scipy.optimize import brentq
 
 from reconstruction.arrays import BoolArray, FloatArray
+from reconstruction.compensation.balance import CURVATURE_SIGMA_MM, off_the_rim
 from reconstruction.compensation.relief import variance_and_area
-from reconstruction.compensation.sheet import CURVATURE_SIGMA_MM, CompensatedSheet, off_the_rim
+from reconstruction.compensation.sheet import CompensatedSheet
 from reconstruction.errors import FitError
 from reconstruction.evaluate.fit import fit_plane, inliers
 

@@ -19,6 +19,7 @@ import numpy as np
 from scipy import ndimage
 
 from reconstruction.arrays import BoolArray, FloatArray
+from reconstruction.compensation.parts import without_blurred_edge
 from reconstruction.compensation.relief import Relief
 from reconstruction.errors import FitError
 
@@ -70,6 +71,16 @@ class CompensatedGel:
     normal: FloatArray
     misfit_mm: float
     layer: GelLayer
+
+    @property
+    def sure(self) -> BoolArray:
+        """The contact less its blurred edge, (row, col)."""
+        return without_blurred_edge(self.contact, self.relief, self.blur_mm)
+
+    @property
+    def edge_sigma_mm(self) -> FloatArray:
+        """No sheet is bent over an edge: 0, (row, col)."""
+        return np.zeros(self.contact.shape)
 
     @property
     def object_mm(self) -> FloatArray:

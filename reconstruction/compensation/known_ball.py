@@ -19,7 +19,8 @@ import numpy as np
 
 from reconstruction.arrays import FloatArray
 from reconstruction.compensation.parts import ObjectPart, parts_of
-from reconstruction.compensation.sheet import CompensatedSheet, SheetLayer, compensate_sheet
+from reconstruction.compensation.sheet import CompensatedSheet, compensate_sheet
+from reconstruction.compensation.sheet_layer import SheetLayer
 from reconstruction.errors import FitError, require_number
 from reconstruction.evaluate.estimates import ball_radius
 

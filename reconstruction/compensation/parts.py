@@ -46,6 +46,16 @@ class Compensated(Protocol):
         ...
 
     @property
+    def sure(self) -> BoolArray:
+        """Where it touches whatever was blurred: what lies there is the object."""
+        ...
+
+    @property
+    def edge_sigma_mm(self) -> FloatArray:
+        """Standard uncertainty of each point along the normal by what is bent near it."""
+        ...
+
+    @property
     def pressure_kpa(self) -> FloatArray:
         """Pressure of the contact."""
         ...
@@ -123,7 +133,7 @@ class ObjectPart:
 def parts_of(found: Compensated) -> list[ObjectPart]:
     """Return the parts of the contact from -x to +x; those of too few cells are left out."""
     labels, count = ndimage.label(found.contact)
-    core = _core(found)
+    core = without_blurred_edge(found.contact, found.relief, found.blur_mm)
     parts = []
     for number in range(1, count + 1):
         cells = labels == number
@@ -136,10 +146,10 @@ def parts_of(found: Compensated) -> list[ObjectPart]:
     return sorted(parts, key=lambda part: part.middle_mm)
 
 
-def _core(found: Compensated) -> BoolArray:
-    """Return the contact without what the filter of the curvature blurs at its edge."""
-    reach = int(np.ceil(found.blur_mm / min(found.relief.pitch_mm)))
-    return np.asarray(ndimage.binary_erosion(found.contact, iterations=reach))
+def without_blurred_edge(contact: BoolArray, relief: Relief, blur_mm: float) -> BoolArray:
+    """Return a contact, (row, col), less what a filter blurs at its edge."""
+    reach = int(np.ceil(blur_mm / min(relief.pitch_mm)))
+    return np.asarray(ndimage.binary_erosion(contact, iterations=reach))
 
 
 def _fitted(found: Compensated, cells: BoolArray, core: BoolArray) -> ObjectPart:

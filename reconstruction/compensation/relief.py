@@ -72,15 +72,12 @@ class Relief:
         its slope's, 3 % at 0.3 mm. Heights are even about the rim, where the clamp keeps the coat
         level.
         """
-        once, twice = (
-            ndimage.gaussian_filter(
-                self.heights_mm,
-                [scale * sigma_mm / pitch for pitch in self.pitch_mm[::-1]],
-                mode="reflect",
-            )
-            for scale in (1.0, np.sqrt(2.0))
-        )
-        return np.asarray(2 * once - twice)
+        return 2 * self.blurred(sigma_mm) - self.blurred(np.sqrt(2.0) * sigma_mm)
+
+    def blurred(self, sigma_mm: float) -> FloatArray:
+        """Return heights after a plain Gaussian filter, (row, col): beside a peak it has no dip."""
+        sigmas = [sigma_mm / pitch for pitch in self.pitch_mm[::-1]]
+        return np.asarray(ndimage.gaussian_filter(self.heights_mm, sigmas, mode="reflect"))
 
     def noise_area_mm2(self, sigma_mm: float) -> tuple[float, float]:
         """Return (variance, correlation area) of what a filter of `sigma_mm` takes away.

@@ -21,9 +21,21 @@ import numpy as np
 from scipy import ndimage
 
 from reconstruction.arrays import BoolArray, FloatArray
+from reconstruction.compensation.balance import (
+    CURVATURE_SIGMA_MM,
+    NORMAL_SIGMA_MM,
+    CoatShape,
+    ContactBalance,
+    Footing,
+    StretchedCoat,
+    balanced,
+    footing_of,
+    free_span,
+)
 from reconstruction.compensation.membrane import MaterialMap, SurfaceMetric, material_map
-from reconstruction.compensation.relief import Relief, SheetOpening, relief_on_frame
+from reconstruction.compensation.relief import Relief, relief_on_frame
 from reconstruction.compensation.rim import on_springs
+from reconstruction.compensation.sheet_layer import SheetLayer
 from reconstruction.errors import FitError
 
 # Of the membrane: the stretch is smooth, a cell of the relief is a third of one of its elements.
@@ -32,79 +44,15 @@ _CELLS_PER_ELEMENT = 3
 _MOST_ELEMENTS = 12_000
 # Once for all, once with the surface between the faces and the squeeze, once with those anew.
 _TURNS = 3
-NORMAL_SIGMA_MM = 0.1
-"""Gaussian filter of the heights whose slopes give normals and metric."""
-CURVATURE_SIGMA_MM = 0.3
-"""Gaussian filter of the heights whose curvature tells contact from free span."""
 SHEET_THEORY = 0.07
 """Error of heights of a thin sheet over h^2 / R, against solid elements."""
-_SIGMAS_OF_CONTACT = 2.0
+EDGE_THEORY, _EDGE_POWER = 0.25, 1.5
+"""RMS error of points near edges over h, as a power of h times the range of curvature: empirical,
+of balls, ellipsoids, rods, nut, stud and stairs under sheets of 0.15 and 0.25 mm, all together
+(docs/compensation.md)."""
 # Force of sheets to 0.3 mm against the one-dimensional solver: tests/compensation.
 _FORCE_METHOD = 0.03
 _FLAT = 1 / np.sqrt(12.0)
-
-
-@dataclass(frozen=True)
-class SheetLayer:
-    """What is known of the mounted sheet and its load; sigma_: standard uncertainties.
-
-    Attributes
-    ----------
-    frame : opening in which it is held
-    thickness_mm : as it was made, before it was stretched into its frame
-    young_modulus_kpa : of the incompressible silicone
-    pre_stretch : of the mounted sheet, equal along x and y
-    rim_compliance_mm2_per_n : by how much its edge gives along the frame per line tension beyond
-        that of the mounted sheet; 0: rigid
-    back_pressure_kpa : of the air on the coat
-    sticks : whether it keeps its place once it has touched
-    """
-
-    frame: SheetOpening
-    thickness_mm: float
-    young_modulus_kpa: float
-    pre_stretch: float = 1.0
-    rim_compliance_mm2_per_n: float = 0.0
-    back_pressure_kpa: float = 0.0
-    sticks: bool = False
-    sigma_thickness_mm: float = 0.0
-    sigma_young_modulus_kpa: float = 0.0
-    sigma_pre_stretch: float = 0.0
-    sigma_rim_compliance_mm2_per_n: float = 0.0
-    sigma_back_pressure_kpa: float = 0.0
-
-    @property
-    def tension_unit_n_mm(self) -> float:
-        """Shear modulus times thickness, N/mm."""
-        return self.young_modulus_kpa / 3e3 * self.thickness_mm
-
-    @property
-    def rim_yield(self) -> float:
-        """Compliance of the rim times shear modulus times thickness, mm."""
-        return self.rim_compliance_mm2_per_n * self.tension_unit_n_mm
-
-    @property
-    def sigma_rim_yield(self) -> float:
-        """Standard uncertainty of `rim_yield` by the compliance, mm."""
-        return self.sigma_rim_compliance_mm2_per_n * self.tension_unit_n_mm
-
-
-@dataclass(frozen=True, eq=False)
-class ContactBalance:
-    """Contact and its pressure; arrays (row, col) on the relief's cells.
-
-    Attributes
-    ----------
-    pressure_kpa : of the object on the clear face
-    sigma_kpa : its standard uncertainty, from noise and texture of the coat
-    contact : bool
-    upright_mm2 : area of the clear face in each cell, projected along z
-    """
-
-    pressure_kpa: FloatArray
-    sigma_kpa: float
-    contact: BoolArray
-    upright_mm2: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,6 +65,7 @@ class CompensatedSheet:
     thinning : local thickness over that of the sheet as it was made
     sigma_thinning : its standard uncertainty
     normal : (row, col, xyz) unit normal of the coat, upwards
+    footing : what lies on the object for sure
     layer : what it was compensated with
     """
 
@@ -125,12 +74,27 @@ class CompensatedSheet:
     sigma_thinning: FloatArray
     normal: FloatArray
     balance: ContactBalance
+    footing: Footing
     layer: SheetLayer
 
     @property
     def contact(self) -> BoolArray:
         """Where the object carries the sheet, (row, col)."""
         return self.balance.contact
+
+    @property
+    def sure(self) -> BoolArray:
+        """Where it touches whatever was blurred, (row, col)."""
+        return self.footing.sure
+
+    @property
+    def edge_sigma_mm(self) -> FloatArray:
+        """Standard uncertainty of each point along the normal by edges near it, (row, col).
+
+        On an edge and beside it neither the thin sheet nor its parallel surface is exact.
+        """
+        bent = self.layer.thickness_mm * self.footing.uneven_per_mm
+        return np.asarray(EDGE_THEORY * self.layer.thickness_mm * bent**_EDGE_POWER)
 
     @property
     def pressure_kpa(self) -> FloatArray:
@@ -167,9 +131,18 @@ class CompensatedSheet:
 
     @property
     def object_mm(self) -> FloatArray:
-        """Points of the clear face, (row, col, xyz); the object's where there is contact."""
-        behind = self.layer.thickness_mm * self.thinning
+        """Points of the clear face, (row, col, xyz); the object's where there is contact.
+
+        The contact's pressure presses the face in: there the object reaches farther up.
+        """
+        behind = self.layer.thickness_mm * self.thinning - self.squeeze_mm
         return np.asarray(self.relief.points_mm - behind[..., None] * self.normal)
+
+    @property
+    def squeeze_mm(self) -> FloatArray:
+        """By how much the contact presses the clear face in, (row, col)."""
+        per_made_kpa = np.where(self.contact, self.pressure_kpa, 0.0) / self.thinning
+        return np.asarray(self.layer.squeeze_mm_per_kpa * per_made_kpa)
 
     @property
     def force_n(self) -> float:
@@ -245,9 +218,7 @@ class CompensatedSheet:
 
     def free_span(self) -> BoolArray:
         """Return the cells that hang free, away from contact, rim and gaps."""
-        reach = int(np.ceil(3 * CURVATURE_SIGMA_MM / min(self.relief.pitch_mm)))
-        apart = ndimage.binary_erosion(self.relief.measured & ~self.contact, iterations=reach)
-        return np.asarray(apart & off_the_rim(self.relief))
+        return free_span(self.relief, self.contact)
 
     def modulus_of_free_span_kpa(self) -> tuple[float, float] | None:
         """Return the modulus with which the free span carries the air, and its scatter.
@@ -286,7 +257,10 @@ def compensate_sheet(
     elements = tuple(round(length / element) for length in (frame.length_x_mm, frame.length_y_mm))
     cells = (elements[0] * _CELLS_PER_ELEMENT, elements[1] * _CELLS_PER_ELEMENT)
     relief = relief_on_frame(points_mm, sigma_z_mm, frame, cells)
-    fine, wide = (_Shape.of(relief, sigma) for sigma in (NORMAL_SIGMA_MM, CURVATURE_SIGMA_MM))
+    fine, wide = (
+        CoatShape.of(relief, relief.smoothed(sigma))
+        for sigma in (NORMAL_SIGMA_MM, CURVATURE_SIGMA_MM)
+    )
     thinning = np.full(relief.measured.shape, layer.pre_stretch**-2)
     carried_kpa = np.zeros_like(thinning)
     spread_out: MaterialMap | None = None
@@ -295,8 +269,9 @@ def compensate_sheet(
         squeeze = 3 * carried_kpa / layer.young_modulus_kpa
         surface = on_springs(_on_elements(relief, metric, squeeze), relief, frame, layer.rim_yield)
         spread_out = material_map(surface, layer.pre_stretch, near=spread_out)
-        thinning = _on_cells(spread_out.thinning, relief)
-        balance = _balanced(relief, layer, wide, spread_out)
+        stretched = _stretched(relief, layer, spread_out)
+        thinning = stretched.thinning
+        balance = balanced(relief, layer, wide, stretched)
         carried_kpa = np.where(balance.contact, balance.pressure_kpa, 0.0)
     thinning, sigma_thinning = _with_sticking(
         layer, thinning, _open_of_rim(surface, relief, layer, spread_out)
@@ -307,124 +282,18 @@ def compensate_sheet(
         sigma_thinning=sigma_thinning,
         normal=fine.normal,
         balance=balance,
+        footing=footing_of(relief, layer, stretched, balance),
         layer=layer,
     )
 
 
-@dataclass(frozen=True, eq=False)
-class _Shape:
-    """First and second fundamental forms of the coat, (row, col, 3): xx, xy, yy."""
-
-    metric: FloatArray
-    curvature: FloatArray
-    normal: FloatArray
-
-    @classmethod
-    def of(cls, relief: Relief, sigma_mm: float) -> "_Shape":
-        # Even about the rim, as the filter takes it: the clamp's bend lies within the first cells.
-        z = np.pad(relief.smoothed(sigma_mm), 2, mode="symmetric")
-        step_x, step_y = relief.pitch_mm
-        z_y, z_x = np.gradient(z, step_y, step_x)
-        z_yy, z_yx = np.gradient(z_y, step_y, step_x)
-        z_xx = np.gradient(z_x, step_x, axis=1)
-        z_x, z_y, z_xx, z_yx, z_yy = (
-            np.asarray(d)[2:-2, 2:-2] for d in (z_x, z_y, z_xx, z_yx, z_yy)
-        )
-        upright: FloatArray = np.asarray(1 / np.sqrt(1 + z_x**2 + z_y**2), np.float64)
-        metric = np.stack((1 + z_x**2, z_x * z_y, 1 + z_y**2), axis=-1)
-        curvature = np.stack((z_xx, z_yx, z_yy), axis=-1) * upright[..., None]
-        normal = np.stack((-z_x, -z_y, np.ones_like(z_x)), axis=-1) * upright[..., None]
-        return cls(metric, curvature, normal)
-
-    def between(self, below_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return metric and curvature of the surface so far below, over the coat's x and y.
-
-        r - t n has dr + t (G^-1 b) dr: G + 2 t b + t^2 b G^-1 b, and b + t b G^-1 b.
-        """
-        t = below_mm[..., None]
-        determinant = self.metric[..., 0] * self.metric[..., 2] - self.metric[..., 1] ** 2
-        g_xx, g_xy, g_yy = np.moveaxis(self.metric / determinant[..., None], -1, 0)
-        b_xx, b_xy, b_yy = np.moveaxis(self.curvature, -1, 0)
-        square = np.stack(
-            (
-                g_yy * b_xx**2 - 2 * g_xy * b_xx * b_xy + g_xx * b_xy**2,
-                g_yy * b_xx * b_xy - g_xy * (b_xx * b_yy + b_xy**2) + g_xx * b_xy * b_yy,
-                g_yy * b_xy**2 - 2 * g_xy * b_xy * b_yy + g_xx * b_yy**2,
-            ),
-            axis=-1,
-        )
-        return (
-            np.asarray(self.metric + 2 * t * self.curvature + t**2 * square),
-            np.asarray(self.curvature + t * square),
-        )
-
-
-def _balanced(
-    relief: Relief, layer: SheetLayer, shape: _Shape, spread_out: MaterialMap
-) -> ContactBalance:
-    """Weigh tension against air, and tell contact from free span."""
-    tension = np.stack(
-        [_on_cells(spread_out.tension[..., part], relief) for part in range(3)], axis=-1
-    )
-    below = layer.thickness_mm / 2 * _on_cells(spread_out.thinning, relief)
-    curvature = shape.between(below)[1]
+def _stretched(relief: Relief, layer: SheetLayer, spread_out: MaterialMap) -> StretchedCoat:
+    """Return what the map tells on the relief's cells."""
     unit_kpa_mm = 1e3 * layer.tension_unit_n_mm
-    parts = tension * curvature
-    pulls = unit_kpa_mm * (parts[..., 0] + 2 * parts[..., 1] + parts[..., 2])
-    pressure = np.where(relief.inside, layer.back_pressure_kpa - pulls, 0.0)
-    sigma = _sigma_of_pressure(relief, unit_kpa_mm * tension)
-    least = max(layer.back_pressure_kpa / 2, _SIGMAS_OF_CONTACT * sigma)
-    if layer.back_pressure_kpa == 0.0:
-        least = max(least, 0.25 * float(np.percentile(pressure[relief.measured], 99)))
-    carried = (pressure > least) & relief.measured & off_the_rim(relief)
-    upright_mm2 = _area(shape.between(2 * below)[0]) * shape.normal[..., 2] * relief.cell_area_mm2
-    contact = _up_to_half(_without_specks(carried, relief), pressure, relief)
-    return ContactBalance(pressure, sigma, contact, upright_mm2)
-
-
-def _area(metric: FloatArray) -> FloatArray:
-    """Return the area of a surface over that of x and y."""
-    return np.asarray(np.sqrt(metric[..., 0] * metric[..., 2] - metric[..., 1] ** 2))
-
-
-def _up_to_half(contact: BoolArray, pressure_kpa: FloatArray, relief: Relief) -> BoolArray:
-    """Take off the edge that the filter has blurred outwards: where it is half of what is near."""
-    reach = 2 * int(np.ceil(2 * CURVATURE_SIGMA_MM / min(relief.pitch_mm))) + 1
-    half = ndimage.maximum_filter(np.where(contact, pressure_kpa, 0.0), reach) / 2
-    for _ in range(reach):
-        edge = contact & ~ndimage.binary_erosion(contact)
-        off = edge & (pressure_kpa < half)
-        if not off.any():
-            break
-        contact = contact & ~off
-    return contact
-
-
-def off_the_rim(relief: Relief) -> BoolArray:
-    """Return the cells so far from the rim that the clamp's bend is not in their curvature."""
-    reach = int(np.ceil(3 * CURVATURE_SIGMA_MM / min(relief.pitch_mm)))
-    inner = ndimage.binary_erosion(np.pad(relief.inside, 1), iterations=reach + 1)
-    return np.asarray(inner[1:-1, 1:-1])
-
-
-def _without_specks(contact: BoolArray, relief: Relief) -> BoolArray:
-    """Drop parts narrower than the filter, which its noise makes; close holes of that size."""
-    reach = max(1, round(CURVATURE_SIGMA_MM / min(relief.pitch_mm) / 2))
-    opened = ndimage.binary_opening(contact, iterations=reach)
-    return np.asarray(ndimage.binary_closing(opened, iterations=reach) & relief.measured)
-
-
-def _sigma_of_pressure(relief: Relief, tension_kpa_mm: FloatArray) -> float:
-    """Return the median standard uncertainty of N : b from noise and texture.
-
-    The second derivative of white noise of variance s^2 and correlation area A after a Gaussian of
-    sigma g has the variance 3 s^2 A / (16 pi g^6), both of them together, for equal tensions,
-    8 / 3 of that.
-    """
-    variance, area = relief.noise_area_mm2(CURVATURE_SIGMA_MM)
-    both = float(np.sqrt(variance * area / (2 * np.pi * CURVATURE_SIGMA_MM**6)))
-    mean = (tension_kpa_mm[..., 0] + tension_kpa_mm[..., 2]) / 2
-    return both * float(np.median(mean[relief.inside]))
+    tension = [_on_cells(spread_out.tension[..., part], relief) for part in range(3)]
+    return StretchedCoat(
+        _on_cells(spread_out.thinning, relief), unit_kpa_mm * np.stack(tension, axis=-1)
+    )
 
 
 def _open_of_rim(

@@ -164,6 +164,16 @@ class CompensatedSlab:
     force_theory: float
 
     @property
+    def sure(self) -> BoolArray:
+        """The contact, (row, col): its edge is the solution's own."""
+        return self.contact
+
+    @property
+    def edge_sigma_mm(self) -> FloatArray:
+        """No sheet is bent over an edge: 0, (row, col)."""
+        return np.zeros(self.contact.shape)
+
+    @property
     def normal(self) -> FloatArray:
         """Unit normals along which the object lies behind the coat, (row, col, xyz): upwards."""
         return np.broadcast_to(np.array([0.0, 0.0, 1.0]), self.relief.points_mm.shape)

@@ -66,6 +66,11 @@ class LayerSigma(Model):
         default=None, description="of the travel; absent: a travel that is told counts as unknown"
     )
     force_n: ForceSigma = 0.0
+    texture_mm: Rounding | None = Field(
+        default=None,
+        description="RMS height of the coat's texture; absent: what the points scatter by where "
+        "they touch",
+    )
     plane_mm: Rounding = Field(
         default=0.0,
         description="of z = 0, and of each tilt's lift at the rim, against the undeformed coat",
@@ -130,7 +135,11 @@ def sensor_layer_of(experiment: Experiment) -> SensorLayer:
     load = MeasuredLoad(
         back_pressure_kpa=press.back_pressure_kpa, depth_mm=press.depth_mm, force_n=press.force_n
     )
-    sigma = LayerSigma(depth_mm=None if press.depth_mm is None else 0.0)
+    texture = experiment.coating.texture
+    sigma = LayerSigma(
+        depth_mm=None if press.depth_mm is None else 0.0,
+        texture_mm=0.0 if texture is None else 1e-3 * texture.rms_um,
+    )
     return SensorLayer(elastomer=experiment.elastomer, press=load, sigma=sigma)
 
 

@@ -137,7 +137,7 @@ def compensate_result(
         balls = shape_of(experiment.specimen).spheres() if experiment else ()
         figures |= object_figures(found, balls, _bars(layer, experiment))
         figures |= load_figures(found, layer)
-        _write(target, measured, found)
+        _write(target, measured, found, layer)
         draw(target, CompensationResult(found, layer, figures))
         write_text(target / LAYER_FILE, layer_to_toml(layer))
         write_text(
@@ -393,8 +393,8 @@ def _layer_of(folder: Path, layer_file: Path | None) -> tuple[SensorLayer, Exper
     return sensor_layer_of(experiment), experiment
 
 
-def _write(target: Path, measured: Reconstruction, found: Compensated) -> None:
-    points = object_points(measured.point_map, found)
+def _write(target: Path, measured: Reconstruction, found: Compensated, layer: SensorLayer) -> None:
+    points = object_points(measured.point_map, found, layer.sigma.texture_mm)
     write_reconstruction(target / RECONSTRUCTION_FILE, measured.decoded, points)
     if points.valid.any():
         write_surface(target, points)

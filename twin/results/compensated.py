@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from reconstruction.arrays import FloatArray, Reason
+from reconstruction.arrays import BoolArray, FloatArray, Reason
 from reconstruction.compensation import (
     BarPlace,
     Compensated,
@@ -20,13 +20,16 @@ from reconstruction.compensation import (
     bar_under_sheet,
     parts_of,
 )
+from reconstruction.compensation.relief import Relief
 from reconstruction.errors import FitError
+from reconstruction.evaluate.fit import spread
 from reconstruction.netcdf import Labelled, LabelledArrays
 from reconstruction.triangulation import PointMap
 from twin.config.sensor_layer import SensorLayer
 from twin.specimens import Sphere
 
 _UM = 1e3
+_TEXTURE_SIGMA_MM = 0.2
 
 
 def object_figures(
@@ -176,11 +179,16 @@ def _under(parts: Sequence[ObjectPart], ball: Sphere, found: Compensated) -> Obj
     return next((part for part in parts if part.cells[row, col]), None)
 
 
-def object_points(coat: PointMap, found: Compensated) -> PointMap:
+def object_points(coat: PointMap, found: Compensated, texture_mm: float | None = None) -> PointMap:
     """Return the object's surface pixel by pixel: where there is contact, and no point elsewhere.
 
     Each measured point moves down its normal by the local thickness, if there is a sheet; its sigma
-    is that of the coat and, along the normal, of what is open of the layer.
+    is that of the coat and, along the normal, the coat's texture, which the object does not have,
+    what is open of the layer, and what edges near by leave uncertain.
+
+    Parameters
+    ----------
+    texture_mm : RMS of the coat's texture; None: not known, what the points scatter by counts
     """
     relief = found.relief
     world = coat.points_world_mm.astype(np.float64)
@@ -191,12 +199,15 @@ def object_points(coat: PointMap, found: Compensated) -> PointMap:
             (0, relief.x_mm, relief.pitch_mm[0]),
         )
     ]
-    touching = coat.valid & (_at(found.contact.astype(np.float64), at) > 0.5)
+    touching = coat.valid & (_at(found.sure.astype(np.float64), at) > 0.5)
     behind = _at(np.sum((relief.points_mm - found.object_mm) * found.normal, axis=-1), at)
     normal = np.stack([_at(found.normal[..., axis], at) for axis in range(3)], axis=-1)
     moves = found.layer_moves_mm or [np.zeros(found.contact.shape)]
-    open_mm = _at(np.linalg.norm(moves, axis=0), at)
-    sigma = np.hypot(coat.sigma_xyz_mm, np.abs(normal) * open_mm[..., None])
+    open_mm = _at(np.linalg.norm([*moves, found.edge_sigma_mm], axis=0), at)
+    if texture_mm is None:
+        texture_mm = _scatter_mm(coat, relief, touching, at)
+    along = np.abs(normal) * np.hypot(open_mm, texture_mm)[..., None]
+    sigma = np.hypot(coat.sigma_xyz_mm, along)
     moved = np.where(touching[..., None], world - behind[..., None] * normal, 0.0)
     return replace(
         coat,
@@ -206,6 +217,23 @@ def object_points(coat: PointMap, found: Compensated) -> PointMap:
             touching, Reason.VALID, np.where(coat.valid, Reason.NO_POINT, coat.mask_reason)
         ).astype(np.uint8),
     )
+
+
+def _scatter_mm(coat: PointMap, relief: Relief, touching: BoolArray, at: list[FloatArray]) -> float:
+    """Return by how much the coat's points are rougher than their noise, where they touch.
+
+    Against the coat smoothed over 0.2 mm: longer texture is not seen, and detail of the object that
+    is finer counts as texture, too. The points do not show which of them it is.
+    """
+    if not touching.any():
+        return 0.0
+    # Between cells the smooth coat is curved.
+    smooth = ndimage.map_coordinates(
+        relief.smoothed(_TEXTURE_SIGMA_MM), at, order=3, mode="nearest"
+    )
+    away_mm = (coat.points_world_mm[..., 2] - smooth)[touching]
+    noise_mm = float(np.median(coat.sigma_xyz_mm[..., 2][touching]))
+    return float(np.sqrt(max(spread(away_mm) ** 2 - noise_mm**2, 0.0)))
 
 
 def _at(values: FloatArray, at: list[FloatArray]) -> FloatArray:

@@ -11,6 +11,7 @@ from twin.mechanics.sheet.case import SheetCase
 from twin.mechanics.sheet.energy import Sheet, SheetState
 from twin.mechanics.sheet.faces import height_map, sample
 from twin.mechanics.sheet.grid import normal_of
+from twin.mechanics.sheet.pressure import pressure_on_cells
 from twin.mechanics.validity import assess_sheet, margin_mm
 
 _HALF = 0.5
@@ -46,16 +47,16 @@ def pressed_of(
     flat = np.array([half_mm, mounted_mm, stretch, stretch, 0.0, 0.0])
     face_z, fields = height_map(seen.upper_mm, carried, nodes_x, nodes_y, flat)
     x, y = _centres(elastomer.length_x_mm, load), _centres(elastomer.length_y_mm, load)
-    touch = _pressure_and_touch(sheet, state, seen.middle_mm, seen.thickness_mm)
-    touched_z, on_cells = height_map(seen.lower_mm, touch, x, y, np.array([-half_mm, 0.0, 0.0]))
-    contact = on_cells[..., 1] > _HALF
+    touch = _touching(sheet, state, seen.middle_mm, seen.thickness_mm)
+    touched_z, on_cells = height_map(seen.lower_mm, touch, x, y, np.array([-half_mm, 0.0]))
+    contact = on_cells[..., 0] > _HALF
     frame_mm = elastomer.length_x_mm / 2, elastomer.length_y_mm / 2
     pitch = float(np.sqrt((x[1] - x[0]) * (y[1] - y[0])))
     across_mm = float(np.sqrt(4 / np.pi * contact.sum())) * pitch
     return PressedElastomer(
         x_mm=x,
         y_mm=y,
-        pressure_kpa=on_cells[..., 0],
+        pressure_kpa=pressure_on_cells(sheet, state, x, y),
         contact=contact,
         touched_face_mm=touched_z - half_mm,
         force_n=contact_force_n(sheet, state),
@@ -92,25 +93,21 @@ def _fields(carried: FloatArray) -> SheetFields:
     )
 
 
-def _pressure_and_touch(
+def _touching(
     sheet: Sheet, state: SheetState, middle_mm: FloatArray, thickness_mm: FloatArray
 ) -> FloatArray:
-    """Return (row, col, 2) pressure of specimen and plate, kPa, and 1 where one of them touches.
+    """Return (row, col, 1): 1 where specimen or plate touches.
 
     A sheet with tack touches as far as the middle of the cohesive range, where its pull is largest.
     """
     lift = np.array([0.0, 0.0, sheet.touched_z_mm + state.travel_mm])
     points = (middle_mm - lift).reshape(-1, 3)
-    total, nearest = np.zeros(thickness_mm.size), np.full(thickness_mm.size, np.inf)
+    nearest = np.full(thickness_mm.size, np.inf)
     for body in sheet.bodies.moving:
-        gap = body.evaluate(points, sheet.reach_mm)[0] - thickness_mm.ravel() / 2
-        total += sheet.laws.contact_stiffness * np.maximum(-gap, 0.0)
-        nearest = np.minimum(nearest, gap)
-    # Per undeformed area in the solver; per deformed area is what a gauge would read.
-    pressure = total.reshape(thickness_mm.shape) * thickness_mm / sheet.laws.thickness_mm
+        distance_mm = body.evaluate(points, sheet.reach_mm)[0]
+        nearest = np.minimum(nearest, distance_mm - thickness_mm.ravel() / 2)
     reach = sheet.laws.tack_range_mm / 2 if sheet.laws.tack > 0 else 0.0
-    touching = (nearest < reach).reshape(thickness_mm.shape)
-    return np.stack((pressure, touching.astype(float)), axis=-1)
+    return np.asarray((nearest < reach).reshape(*thickness_mm.shape, 1), np.float64)
 
 
 def _contact_bend(sheet: Sheet, state: SheetState) -> float:

@@ -1,0 +1,270 @@
+"""Where an object carries a sheet: tension against air along the coat's normal; mm, kPa.
+
+p_contact = p_air - N : b, b the curvature of the surface midway between the faces, positive in a
+valley, N the tension that the sheet's stretch tells.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import ndimage
+
+from reconstruction.arrays import BoolArray, FloatArray
+from reconstruction.compensation.relief import Relief
+from reconstruction.compensation.sheet_layer import SheetLayer
+from reconstruction.evaluate.fit import spread
+
+NORMAL_SIGMA_MM = 0.1
+"""Gaussian filter of the heights whose slopes give normals and metric."""
+CURVATURE_SIGMA_MM = 0.3
+"""Gaussian filter of the heights whose curvature tells contact from free span."""
+_SIGMAS_OF_CONTACT = 2.0
+# Of the pressure's noise in the least pressure of a contact, through the narrowest filter.
+_SIGMAS_AT_FINE_SCALE = 4.0
+_FINE_SIGMAS_MM = (0.1, 0.14, 0.2, 0.28)
+_LEAST_FREE = 50
+# How far an edge is felt, in widths of what smears it: there a sheet that is bent lifts off.
+_NEAR_WIDTHS = 2.0
+# Half width of a Gaussian at half its height over its sigma.
+_HALF_WIDTH = float(np.sqrt(2 * np.log(2)))
+
+
+@dataclass(frozen=True, eq=False)
+class StretchedCoat:
+    """What the sheet's stretch tells on the relief's cells, (row, col).
+
+    Attributes
+    ----------
+    thinning : local thickness over that of the sheet as it was made
+    tension_kpa_mm : (row, col, 3) contravariant components xx, xy, yy
+    """
+
+    thinning: FloatArray
+    tension_kpa_mm: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class ContactBalance:
+    """Contact and its pressure; arrays (row, col) on the relief's cells.
+
+    Attributes
+    ----------
+    pressure_kpa : of the object on the clear face
+    sigma_kpa : its standard uncertainty, from noise and texture of the coat
+    least_kpa : of the contact
+    contact : bool
+    upright_mm2 : area of the clear face in each cell, projected along z
+    """
+
+    pressure_kpa: FloatArray
+    sigma_kpa: float
+    least_kpa: float
+    contact: BoolArray
+    upright_mm2: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Footing:
+    """What lies on the object for sure; arrays (row, col) on the relief's cells.
+
+    Attributes
+    ----------
+    sure : bool, contact less what the filter of the curvature may have blurred
+    uneven_per_mm : by how much the curvature differs within the contact near by
+    """
+
+    sure: BoolArray
+    uneven_per_mm: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class CoatShape:
+    """First and second fundamental forms of the coat, (row, col, 3): xx, xy, yy."""
+
+    metric: FloatArray
+    curvature: FloatArray
+    normal: FloatArray
+
+    @classmethod
+    def of(cls, relief: Relief, heights_mm: FloatArray) -> "CoatShape":
+        """Return that of a coat by its filtered heights, (row, col)."""
+        # Even about the rim, as the filter takes it: the clamp's bend lies within the first cells.
+        z = np.pad(heights_mm, 2, mode="symmetric")
+        step_x, step_y = relief.pitch_mm
+        z_y, z_x = np.gradient(z, step_y, step_x)
+        z_yy, z_yx = np.gradient(z_y, step_y, step_x)
+        z_xx = np.gradient(z_x, step_x, axis=1)
+        z_x, z_y, z_xx, z_yx, z_yy = (
+            np.asarray(d)[2:-2, 2:-2] for d in (z_x, z_y, z_xx, z_yx, z_yy)
+        )
+        upright: FloatArray = np.asarray(1 / np.sqrt(1 + z_x**2 + z_y**2), np.float64)
+        metric = np.stack((1 + z_x**2, z_x * z_y, 1 + z_y**2), axis=-1)
+        curvature = np.stack((z_xx, z_yx, z_yy), axis=-1) * upright[..., None]
+        normal = np.stack((-z_x, -z_y, np.ones_like(z_x)), axis=-1) * upright[..., None]
+        return cls(metric, curvature, normal)
+
+    @property
+    def bend_per_mm(self) -> FloatArray:
+        """Sum of the principal curvatures, (row, col)."""
+        g_xx, g_xy, g_yy = np.moveaxis(self.metric, -1, 0)
+        b_xx, b_xy, b_yy = np.moveaxis(self.curvature, -1, 0)
+        trace = g_yy * b_xx - 2 * g_xy * b_xy + g_xx * b_yy
+        return np.asarray(trace / (g_xx * g_yy - g_xy**2))
+
+    def between(self, below_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return metric and curvature of the surface so far below, over the coat's x and y.
+
+        r - t n has dr + t (G^-1 b) dr: G + 2 t b + t^2 b G^-1 b, and b + t b G^-1 b.
+        """
+        t = below_mm[..., None]
+        determinant = self.metric[..., 0] * self.metric[..., 2] - self.metric[..., 1] ** 2
+        g_xx, g_xy, g_yy = np.moveaxis(self.metric / determinant[..., None], -1, 0)
+        b_xx, b_xy, b_yy = np.moveaxis(self.curvature, -1, 0)
+        square = np.stack(
+            (
+                g_yy * b_xx**2 - 2 * g_xy * b_xx * b_xy + g_xx * b_xy**2,
+                g_yy * b_xx * b_xy - g_xy * (b_xx * b_yy + b_xy**2) + g_xx * b_xy * b_yy,
+                g_yy * b_xy**2 - 2 * g_xy * b_xy * b_yy + g_xx * b_yy**2,
+            ),
+            axis=-1,
+        )
+        return (
+            np.asarray(self.metric + 2 * t * self.curvature + t**2 * square),
+            np.asarray(self.curvature + t * square),
+        )
+
+
+def balanced(
+    relief: Relief, layer: SheetLayer, shape: CoatShape, stretched: StretchedCoat
+) -> ContactBalance:
+    """Weigh tension against air, and tell contact from free span.
+
+    Parameters
+    ----------
+    shape : of the coat, smoothed by `CURVATURE_SIGMA_MM`
+    """
+    tension, below = stretched.tension_kpa_mm, layer.thickness_mm / 2 * stretched.thinning
+    pressure = _pressure(relief, layer, shape, stretched)
+    sigma = _sigma_of_pressure(relief, tension)
+    least = max(layer.back_pressure_kpa / 2, _SIGMAS_OF_CONTACT * sigma)
+    if layer.back_pressure_kpa == 0.0:
+        least = max(least, 0.25 * float(np.percentile(pressure[relief.measured], 99)))
+    carried = (pressure > least) & relief.measured & off_the_rim(relief)
+    upright_mm2 = _area(shape.between(2 * below)[0]) * shape.normal[..., 2] * relief.cell_area_mm2
+    contact = _up_to_half(_without_specks(carried, relief), pressure, relief, CURVATURE_SIGMA_MM)
+    return ContactBalance(pressure, sigma, least, contact, upright_mm2)
+
+
+def footing_of(
+    relief: Relief, layer: SheetLayer, stretched: StretchedCoat, balance: ContactBalance
+) -> Footing:
+    """Find the cells that touch whatever the curvature's filter blurs, and edges near them.
+
+    The pressure of an edge is a line, and a filter smears it over the span beside it, which hangs
+    free. So contact must show through the narrowest filter that noise and texture of the coat
+    allow, and what that filter, the cells and the sheet's own bending smear over its edge is taken
+    off: of a line all.
+    """
+    sigma_mm, shape = _narrowest(relief, layer, stretched, balance)
+    pressure = _pressure(relief, layer, shape, stretched)
+    width_mm = float(np.hypot(sigma_mm, layer.thickness_mm))
+    carried = (pressure > balance.least_kpa) & relief.measured & off_the_rim(relief)
+    pressed = _up_to_half(carried, pressure, relief, width_mm)
+    apart_mm = ndimage.distance_transform_edt(pressed, sampling=relief.pitch_mm[::-1])
+    off_edges = apart_mm > _HALF_WIDTH * width_mm + min(relief.pitch_mm)
+    # What is a cell or two wide by then was a line.
+    sure = np.asarray(ndimage.binary_opening(off_edges, np.ones((3, 3))))
+    return Footing(sure, _unevenness(shape.bend_per_mm, pressed, relief, _NEAR_WIDTHS * width_mm))
+
+
+def _unevenness(
+    bend_per_mm: FloatArray, among: BoolArray, relief: Relief, reach_mm: float
+) -> FloatArray:
+    """Return the range of a curvature among some of the cells within a reach, (row, col)."""
+    size = [2 * round(reach_mm / step) + 1 for step in relief.pitch_mm[::-1]]
+    most = ndimage.maximum_filter(np.where(among, bend_per_mm, -np.inf), size)
+    least = ndimage.minimum_filter(np.where(among, bend_per_mm, np.inf), size)
+    near = np.isfinite(most)
+    return np.asarray(np.subtract(most, least, out=np.zeros_like(bend_per_mm), where=near))
+
+
+def _narrowest(
+    relief: Relief, layer: SheetLayer, stretched: StretchedCoat, balance: ContactBalance
+) -> tuple[float, CoatShape]:
+    """Return the narrowest filter, mm, that tells contact from free span, and what it leaves.
+
+    Where the sheet hangs free no object presses: what a filter finds there is its noise.
+    """
+    free = free_span(relief, balance.contact)
+    for sigma_mm in _FINE_SIGMAS_MM:
+        shape = CoatShape.of(relief, relief.blurred(sigma_mm))
+        if free.sum() < _LEAST_FREE:
+            continue
+        off_kpa = _pressure(relief, layer, shape, stretched)[free] - balance.pressure_kpa[free]
+        if spread(off_kpa) < balance.least_kpa / _SIGMAS_AT_FINE_SCALE:
+            return sigma_mm, shape
+    return CURVATURE_SIGMA_MM, CoatShape.of(relief, relief.blurred(CURVATURE_SIGMA_MM))
+
+
+def free_span(relief: Relief, contact: BoolArray) -> BoolArray:
+    """Return the cells that hang free, away from contact, rim and gaps."""
+    reach = int(np.ceil(3 * CURVATURE_SIGMA_MM / min(relief.pitch_mm)))
+    apart = ndimage.binary_erosion(relief.measured & ~contact, iterations=reach)
+    return np.asarray(apart & off_the_rim(relief))
+
+
+def _pressure(
+    relief: Relief, layer: SheetLayer, shape: CoatShape, stretched: StretchedCoat
+) -> FloatArray:
+    """Return p_air - N : b within the frame, (row, col)."""
+    curvature = shape.between(layer.thickness_mm / 2 * stretched.thinning)[1]
+    parts = stretched.tension_kpa_mm * curvature
+    pulls = parts[..., 0] + 2 * parts[..., 1] + parts[..., 2]
+    return np.where(relief.inside, layer.back_pressure_kpa - pulls, 0.0)
+
+
+def _area(metric: FloatArray) -> FloatArray:
+    """Return the area of a surface over that of x and y."""
+    return np.asarray(np.sqrt(metric[..., 0] * metric[..., 2] - metric[..., 1] ** 2))
+
+
+def _up_to_half(
+    contact: BoolArray, pressure_kpa: FloatArray, relief: Relief, blur_mm: float
+) -> BoolArray:
+    """Take off the edge that the filter has blurred outwards: where it is half of what is near."""
+    reach = 2 * int(np.ceil(2 * blur_mm / min(relief.pitch_mm))) + 1
+    half = ndimage.maximum_filter(np.where(contact, pressure_kpa, 0.0), reach) / 2
+    for _ in range(reach):
+        edge = contact & ~ndimage.binary_erosion(contact)
+        off = edge & (pressure_kpa < half)
+        if not off.any():
+            break
+        contact = contact & ~off
+    return contact
+
+
+def off_the_rim(relief: Relief) -> BoolArray:
+    """Return the cells so far from the rim that the clamp's bend is not in their curvature."""
+    reach = int(np.ceil(3 * CURVATURE_SIGMA_MM / min(relief.pitch_mm)))
+    inner = ndimage.binary_erosion(np.pad(relief.inside, 1), iterations=reach + 1)
+    return np.asarray(inner[1:-1, 1:-1])
+
+
+def _without_specks(contact: BoolArray, relief: Relief) -> BoolArray:
+    """Drop parts narrower than the filter, which its noise makes; close holes of that size."""
+    reach = max(1, round(CURVATURE_SIGMA_MM / min(relief.pitch_mm) / 2))
+    opened = ndimage.binary_opening(contact, iterations=reach)
+    return np.asarray(ndimage.binary_closing(opened, iterations=reach) & relief.measured)
+
+
+def _sigma_of_pressure(relief: Relief, tension_kpa_mm: FloatArray) -> float:
+    """Return the median standard uncertainty of N : b from noise and texture.
+
+    The second derivative of white noise of variance s^2 and correlation area A after a Gaussian of
+    sigma g has the variance 3 s^2 A / (16 pi g^6), both of them together, for equal tensions,
+    8 / 3 of that.
+    """
+    variance, area = relief.noise_area_mm2(CURVATURE_SIGMA_MM)
+    both = float(np.sqrt(variance * area / (2 * np.pi * CURVATURE_SIGMA_MM**6)))
+    mean = (tension_kpa_mm[..., 0] + tension_kpa_mm[..., 2]) / 2
+    return both * float(np.median(mean[relief.inside]))
