@@ -12,7 +12,7 @@ real rig gives one image file per frame, and another kind of capture.toml: see `
 
 import difflib
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import MISSING, asdict, dataclass, fields
 from pathlib import Path
 from typing import Any, TypeVar
@@ -183,11 +183,20 @@ def file_names(patterns: PatternSet) -> tuple[str, ...]:
     return tuple(f"{i:03d}_{frame.name}.png" for i, frame in enumerate(patterns.frames))
 
 
-def write_patterns(folder: Path | str, patterns: PatternSet) -> None:
-    """Write images and manifest into an existing folder."""
+def write_patterns(
+    folder: Path | str, patterns: PatternSet, progress: Callable[[float], None] = lambda _: None
+) -> None:
+    """Write images and manifest into an existing folder.
+
+    Parameters
+    ----------
+    progress : called with the finished share of the images
+    """
     folder = Path(folder)
-    for name, frame in zip(file_names(patterns), patterns.frames, strict=True):
+    named = zip(file_names(patterns), patterns.frames, strict=True)
+    for number, (name, frame) in enumerate(named, start=1):
         write_png(folder / name, patterns.image(frame))
+        progress(number / len(patterns.frames))
     write_manifest(folder / MANIFEST_FILE, patterns)
 
 

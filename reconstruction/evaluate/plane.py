@@ -76,6 +76,10 @@ class ArealRoughness:
     sz_mm: float
 
 
+_LONGEST_NESTING = 10.0
+"""Over the longer side of the field; the Gaussian's memory and time grow with it."""
+
+
 def areal_roughness(
     z_mm: ArrayLike, valid: ArrayLike, pitch_mm: float, nesting_mm: float
 ) -> ArealRoughness:
@@ -94,11 +98,15 @@ def areal_roughness(
 
     Raises
     ------
-    FitError : too few heights, or a nesting index below two pitches
+    FitError : too few heights, or a nesting index below two pitches or above ten fields
     """
     z, kept = np.asarray(z_mm, np.float64), np.asarray(valid, bool)
-    if nesting_mm < 2.0 * pitch_mm:
-        raise FitError(f"nesting_mm: found {nesting_mm:g}, allowed at least {2 * pitch_mm:g}")
+    longest_mm = _LONGEST_NESTING * max(z.shape) * pitch_mm
+    if not 2.0 * pitch_mm <= nesting_mm <= longest_mm:
+        raise FitError(
+            f"nesting_mm: found {nesting_mm:g}, allowed at least {2 * pitch_mm:g} (two pitches) "
+            f"and at most {longest_mm:g} (ten fields): a longer wave takes nothing off"
+        )
     y, x = np.mgrid[: z.shape[0], : z.shape[1]] * pitch_mm
     plane = flatness(np.column_stack([x[kept], y[kept], z[kept]])).plane
     tilt = (

@@ -157,6 +157,14 @@ def test_roughness_of_a_fine_wave_on_a_coarse_one():
     assert found.sa_mm == pytest.approx(0.004 * 2 / np.pi, rel=0.02)
 
 
+@pytest.mark.parametrize("nesting_mm", [0.0, 0.19, 101.0, 1e300, float("nan")])
+def test_a_nesting_index_that_filters_nothing_is_refused(nesting_mm):
+    """Two pitches of 0.1 mm to ten fields of 10 mm; 1e300 asked for a kernel of so many pixels."""
+    flat = np.zeros((100, 40))
+    with pytest.raises(FitError, match=r"^nesting_mm: found .* at least 0\.2 .* at most 100 "):
+        areal_roughness(flat, flat == 0, 0.1, nesting_mm)
+
+
 def test_the_filter_passes_half_at_its_nesting_index():
     """ISO 16610-61: a wave as long as the nesting index has half its amplitude in the roughness."""
     pitch, length = 0.02, 0.8

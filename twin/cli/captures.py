@@ -131,7 +131,10 @@ def describe(
     from twin.files import creating
 
     size = projector or (1280, 720)
-    found = guess(folder, size)
+    with progress_bars() as watch:
+        watch("describe", 0.0)
+        found = guess(folder, size)
+        watch("describe", 1.0)
     require_groups(found, folder)
     target = out or folder / DESCRIPTION_FILE
     with creating(target) as part:
@@ -194,7 +197,11 @@ def evaluate(
     from twin.pipeline.dimensions import Region, dimensions
 
     end_exchange(result)
-    print_metrics(dimensions(result, shape, Region(x, y, z, along, fraction, nesting_mm)))
+    with progress_bars() as watch:
+        watch("evaluate", 0.0)
+        figures = dimensions(result, shape, Region(x, y, z, along, fraction, nesting_mm))
+        watch("evaluate", 1.0)
+    print_metrics(figures)
 
 
 @app.command
@@ -402,7 +409,9 @@ def patterns(
         "height_px": sequence.height_px,
     }
     with output_folder(out, [experiment]) as folder:
-        write_patterns(folder, sequence)
+        with progress_bars() as watch:
+            watch("patterns", 0.0)
+            write_patterns(folder, sequence, partial(watch, "patterns"))
         if loaded is None:  # the manifest is all that there is to say
             shutil.copy(folder / MANIFEST_FILE, folder / EXPERIMENT_FILE)
             write_outcome(folder, "patterns", figures, digest=content_digest(sequence))
