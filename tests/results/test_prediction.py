@@ -1,6 +1,7 @@
 """Level, contrast and sigma in closed form; a bound from information, by hand."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from twin.config import load_experiment, vary
 from twin.optics.contrast import FringeLight, extent_variance_px2, outline, transfer
 from twin.optics.light import OVERSAMPLING, light_tables, pattern_set
 from twin.optics.stack import TraceMaps
+from twin.results.bound import _of_spheres
 from twin.results.prediction import FringeNumbers, axis_levels, clipping, steps_of
 
 SHAPE = (12, 16)
@@ -197,3 +199,29 @@ def test_clipped_frames_cost_what_the_decoder_says(plain, share):
     assert both.any()
     assert np.all(growth > 1.05) == (share > 1.2)
     np.testing.assert_allclose(sigma[both], decoded.column.sigma_px[both], rtol=0.01)
+
+
+@pytest.mark.parametrize(("sigma_mm", "is_known"), [(1e-3, True), (1e3, False)])
+def test_a_bound_wider_than_its_points_is_absent_with_the_reason(sigma_mm, is_known):
+    """A cap of 3 mm, radius 4: noise of 1 um leaves it open by some um, 1 m by more than a metre.
+
+    Such a bound was a figure of 1e12 um, which studies ranked.
+    """
+    experiment = load_experiment("examples/slab_ball")
+    x, y = np.meshgrid(np.linspace(-1.5, 1.5, 31), np.linspace(-1.5, 1.5, 31))
+    world = np.stack((x, y, np.sqrt(16.0 - x**2 - y**2)), axis=-1)
+    sigma, valid = np.full(x.shape, sigma_mm), np.ones(x.shape, bool)
+    prediction = SimpleNamespace(
+        points=SimpleNamespace(points_world_mm=world),
+        valid=valid,
+        reason=np.zeros(x.shape, np.uint8),
+        single_mm=sigma,
+        filtered_mm=sigma,
+        noise_mm=lambda slope: float(np.sqrt(((slope * sigma) ** 2).sum())),
+    )
+    found = dict(_of_spheres(experiment, prediction))
+    names = "sphere_1_radius_crb_um", "sphere_1_radius_spread_um"
+    assert [found[name] is not None for name in names] == [is_known] * 2
+    why = found.get("sphere_1_radius_bound_why", "")
+    assert why.startswith("" if is_known else "radius: not determined, noise leaves it open by ")
+    assert bool(why) != is_known
