@@ -31,6 +31,8 @@ def check_renderable(experiment: Experiment) -> None:
         check_stock(experiment)
 
 
+# Of one axis: 14 bits count 8192 stripes, twice over at their borders, and white and black.
+_MOST_WORDS = 32
 MOST_PIXEL_VALUES = 3_000_000_000
 """Of a stack: 45 megapixels in 66 frames. Radiance and digital numbers take 6 bytes each."""
 
@@ -39,9 +41,12 @@ def check_stack_size(experiment: Experiment) -> None:
     """Refuse a stack of frames that takes more than 18 GB."""
     if not experiment.method.fringes:
         return
-    camera = experiment.camera
-    frames = len(pattern_set(experiment.projector, experiment.patterns).frames)
+    camera, patterns = experiment.camera, experiment.patterns
     pixels = (camera.width_px // camera.binning) * (camera.height_px // camera.binning)
+    shots = patterns.steps * (1 + len(patterns.further_periods_px))
+    if 2 * (shots + _MOST_WORDS) * pixels <= MOST_PIXEL_VALUES:
+        return  # without a look at the period, so that a study over it is checked once
+    frames = len(pattern_set(experiment.projector, patterns).frames)
     if frames * pixels > MOST_PIXEL_VALUES:
         raise InputError(
             f"camera.width_px, height_px, binning: found {pixels:.3g} pixels in {frames} frames, "
