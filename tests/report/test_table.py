@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 
 from reconstruction.errors import InputError
+from twin.config import vary
 from twin.report.contact import discussion, pitch_kept_mm, verdicts
 from twin.report.measurement import summary_table
 from twin.report.press import judge_press
 from twin.report.spheres import fit_table
 from twin.report.table import Column, Table
+from twin.report.words import signed
 from twin.results.folder import read_measurement
 
 
@@ -129,3 +131,17 @@ def test_a_table_says_the_same_as_html_markdown_text_and_json():
     assert table.as_json()["rows"][0]["radius"] == 4.0049
     with pytest.raises(KeyError, match="no row with"):
         table.row(by="c")
+
+
+def test_a_coat_on_the_touching_face_is_not_a_slab_that_filters(finished):
+    """The page of a gel on a window spoke of a low-pass filter and of a free span that bends."""
+    scored = read_measurement(finished)
+    on_window = vary(scored.experiment, {"elastomer.layout": "contact_face"})
+    text = " ".join(discussion(replace(scored, experiment=on_window)))
+    assert "has the ball's shape" in text
+    assert "low-pass" not in text
+    assert "free span" not in text
+
+
+def test_what_rounds_to_nothing_has_no_sign_of_its_own():
+    assert [signed(value) for value in (-0.0001, 0.0, -0.001)] == ["+0.000", "+0.000", "−0.001"]

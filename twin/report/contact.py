@@ -112,9 +112,15 @@ def discussion(scored: Measurement) -> list[str]:
         return ["No pixel has a point; the map of reasons says why."]
     paragraphs = [_measurement(scored)]
     if scored.score.spheres:
-        elastomer = _sheet if scored.metrics["mechanics_model"] == "sheet" else _slab
-        paragraphs += [_radius(scored), elastomer(scored), _residuals(scored)]
+        paragraphs += [_radius(scored), _elastomer(scored), _residuals(scored)]
     return paragraphs
+
+
+def _elastomer(scored: Measurement) -> str:
+    """Say how elastomer and layout shape the radius."""
+    if scored.metrics["mechanics_model"] == "sheet":
+        return _sheet(scored)
+    return _on_window() if scored.experiment.elastomer.layout == "contact_face" else _slab(scored)
 
 
 def sentences(measured: Measurement) -> list[str]:
@@ -148,15 +154,15 @@ def _measurement(scored: Measurement) -> str:
     cause = "a single point has no spread"
     if spread is not None:
         cause = (
-            "camera noise explains the errors"
+            "these explain the errors"
             if spread <= MOST_SPREAD_OVER_SIGMA
-            else "something systematic adds to the camera noise"
+            else "something systematic adds to these"
         )
     return (
         f"Error of z against the true coated face: {figures['z_rmse_um']:.2f} µm RMS, mean "
-        f"{bias_um} µm. Predicted from camera noise: σ = {figures['sigma_z_median_um']:.2f} µm "
-        f"(median). Normalised error (robust spread of error / predicted σ): "
-        f"{number(spread, '.2f')}; {cause}."
+        f"{bias_um} µm. Predicted from camera noise and from what the phase filter may take off "
+        f"the relief: σ = {figures['sigma_z_median_um']:.2f} µm (median). Normalised error (robust "
+        f"spread of error / predicted σ): {number(spread, '.2f')}; {cause}."
     )
 
 
@@ -186,6 +192,14 @@ def _sheet(scored: Measurement) -> str:
         "its shape says little of the ball. Here it is stretched up to "
         f"{figures['largest_stretch']:.2f} times, {figures['thinnest_mm']:.3f} mm thick where it "
         f"is thinnest and up to {figures['steepest_deg']:.0f}° steep."
+    )
+
+
+def _on_window() -> str:
+    return (
+        "The coat is on the face that touches the ball. Where they touch, it has the ball's shape; "
+        "gel and load decide how large that region is. Beyond it the coat falls away from the "
+        "ball, and a fit that reaches there is of the gel's shape."
     )
 
 

@@ -161,8 +161,9 @@ def error_figure(measured: Measurement) -> Figure:
         "truth_error",
         "Error of z",
         "Measured minus true z in µm on a scale symmetric about 0; the standard deviation that is "
-        "predicted from camera noise; and the distribution of both. A good measurement looks like "
-        "noise, without stripes or outlines, and its histogram follows the red curve.",
+        "predicted from camera noise and filter bias; and the distribution of both. A good "
+        "measurement looks like noise, without stripes or outlines, and its histogram follows the "
+        "red curve.",
         "map and histogram of the z error",
         lambda path: draw_truth_error(
             path, measured.fringes.reconstruction, measured.truth, measured.pixel_mm

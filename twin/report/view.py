@@ -38,10 +38,12 @@ def view_section(measured: Measurement) -> list[Section]:
     if not measured.points.valid.any():
         return []
     data = view_data(measured)
+    enlarged, limit_um = data["homes"]["relief"]["enlarged"], data["limit_um"]
+    heights = f"enlarged {enlarged:g} times in relief and deviation, and true in the rig"
     told = (
-        "Drag to turn, scroll to come nearer; arrow keys turn, too. Heights are enlarged "
-        f"{data['homes']['relief']['enlarged']:g} times in relief and deviation, and true in the "
-        f"rig. Deviation: blue {-data['limit_um']:g} um, white 0, red {data['limit_um']:g} um."
+        "Drag to turn, scroll to come nearer; arrow keys turn, too. Heights are "
+        f"{heights if enlarged != 1 else 'true'}. "
+        f"Deviation: blue −{limit_um:g} µm, white 0, red {limit_um:g} µm."
     )
     names = [one["name"] for one in (*data["grids"], *data["lines"])]
     view = TurnableView(

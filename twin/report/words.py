@@ -98,8 +98,8 @@ def shown(value: str | float | None, digits: int) -> str:
 
 
 def signed(value: float, digits: int = 3) -> str:
-    """Write a number with its sign, with the minus of print."""
-    return f"{value:+.{digits}f}".replace("-", "−")
+    """Write a number with its sign, with the minus of print; what rounds to 0 has no minus."""
+    return f"{value:+z.{digits}f}".replace("-", "−")
 
 
 def percent(share: float | None) -> str:
