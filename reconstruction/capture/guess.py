@@ -82,8 +82,8 @@ def guess(folder: Path, size: tuple[int, int]) -> Guess:
     if scattered:
         plain = replace(plain, is_certain=False)
         doubts += [
-            f"{one.files[0]} ...: the images of this set of {len(one.files)} steps do not follow one"
-            " another by their names"
+            f"{one.files[0]} ...: the images of this set of {len(one.files)} steps do not follow"
+            " one another by their names"
             for one in scattered
         ]
     doubts += _plain_doubts(looks, plain, is_needed=is_needed)

@@ -240,8 +240,8 @@ def _reading(methods: Sequence[Method]) -> list[str]:
         "error of the optics and is not counted there.",
         "The rows of the object have one reference for all methods: the specimen itself. Direct "
         "FPP is compared where the specimen is seen, the others where the elastomer touches it; "
-        "under a thin sheet its local thickness, found from the coat, is taken off. How much of the specimen that "
-        "is stands beside it.",
+        "under a thin sheet its local thickness, found from the coat, is subtracted. The column "
+        "next to it is the share of the specimen that this covers.",
         *gel,
         "Errors are along z. A point counts as good when its height errs by no more than the limit "
         "beside its share; the error scale ends there. A pixel without a measurement has no error. "
