@@ -41,6 +41,8 @@ NEAR_NAMES = 2
 FEW_BITS = 3
 # From so many fringes in view on one period is not taken for a single fringe.
 SEVERAL_FRINGES = 1.5
+# Less than this of a fringe in view leaves the three steps of a set without a check.
+LITTLE_OF_A_FRINGE = 1.2
 # Difference of two frequencies, cycles per line, below which they may be one.
 SAME_PERIOD_CYCLES = 0.25
 
@@ -195,7 +197,7 @@ def _fringes(
             f"{names}: look like fringes, but are no equal steps of a turn, left out; one may be"
             " missing"
         )
-    doubts += _repeated(phases, looks)
+    doubts += _uneven(phases, looks) + _repeated(phases, looks)
     excluded = {one.file for one in lone}
     bits = {
         k: one.axis
@@ -203,6 +205,23 @@ def _fringes(
         if one.kind == "striped" and one.file not in taken | excluded
     }
     return phases, bits, doubts
+
+
+def _uneven(phases: Sequence[FrameGroup], looks: Sequence[Look]) -> list[str]:
+    """Return doubts about unlike numbers of steps, and about sets of which little is in view."""
+    doubts = []
+    if len({len(one.files) for one in phases}) > 1:
+        sets = ", ".join(f"{len(one.files)} from {one.files[0]} on" for one in phases)
+        doubts.append(f"{sets}: unlike numbers of phase steps; images may be missing")
+    for one in phases:
+        cycles = one.frequency * looks[0].along[one.axis or "column"].shape[1]
+        is_only = all(other is one or other.axis != one.axis for other in phases)
+        if is_only and cycles < LITTLE_OF_A_FRINGE and len(one.files) == 3:
+            doubts.append(
+                f"{one.files[0]} ...: {cycles:.1f} of a fringe is in view, too little to make sure"
+                " of its steps"
+            )
+    return doubts
 
 
 def _repeated(phases: Sequence[FrameGroup], looks: Sequence[Look]) -> list[str]:

@@ -14,6 +14,8 @@ from reconstruction.patterns import Axis
 
 # Borders of words that must be seen; first shifts are known in steps of these.
 LEAST_BORDERS, ROUND_DEG, MOST_OFF_DEG = 30, 15.0, 5.0
+# First shifts that programs use are multiples of one of these.
+USUAL_DEG = (30.0, 45.0)
 # Of the mean of unit phasors at the borders, and of the steps of the words there.
 COHERENT, ONE_WAY = 0.7, 0.7
 # Percentile of the words in view that is taken for the largest: noise makes larger ones.
@@ -91,7 +93,7 @@ def anchored(
             f"{name}: phase and words agree at {coherence:.0%} of the borders only; check order of"
             " the bits, shift_deg and sign"
         )
-    elif abs(exact_deg - first_deg) > MOST_OFF_DEG:
+    elif abs(exact_deg - first_deg) > MOST_OFF_DEG or all(first_deg % one for one in USUAL_DEG):
         doubt = f"{name}: first shift is {exact_deg:.0f} degrees, rounded; check shift_deg"
     shifts = tuple((shift + first_deg) % 360.0 for shift in phase.shifts_deg)
     return replace(phase, shifts_deg=shifts, sign=sign), doubt

@@ -131,7 +131,10 @@ def stepped_sets(looks: Sequence[Look]) -> list[FrameGroup]:
     sets: list[FrameGroup] = []
     first = 0
     while first < len(looks):
-        count = next((n for n in range(MOST_STEPS, 3, -1) if _is_stepped(pixels, first, n)), 0)
+        left = {n: _stepped_rest(pixels, first, n) for n in range(4, MOST_STEPS + 1)}
+        # Where the view shows little of a fringe, a wrong number of steps fits as well, but worse.
+        count = min(left, key=lambda n: left[n])
+        count = count if left[count] < MOST_REST else 0
         if count:
             sets.append(_along_its_axis(looks[first : first + count])[0])
         first += count or 1
@@ -145,11 +148,14 @@ def _pixels(looks: Sequence[Look]) -> FloatArray:
     return np.asarray(both[:, :: max(both.shape[1] // MOST_PIXELS, 1)], np.float64)
 
 
-def _is_stepped(pixels: FloatArray, first: int, count: int) -> bool:
-    """Whether nearly all pixels show A + B cos(phi + 2 pi n / N), with all kinds of phases."""
+def _stepped_rest(pixels: FloatArray, first: int, count: int) -> float:
+    """Return what A + B cos(phi + 2 pi n / N) leaves of nearly all pixels, RMS over B; or infinity.
+
+    Infinity where other pixels than nearly all show it, and where the steps are not equal.
+    """
     frames = pixels[first : first + count]
     if len(frames) < count or not frames.size:
-        return False
+        return np.inf
     angles = 2.0 * np.pi * np.arange(count) / count
     mean, z = frames.mean(axis=0), np.exp(-1j * angles) @ frames * 2.0 / count
     size = np.abs(z)
@@ -161,8 +167,10 @@ def _is_stepped(pixels: FloatArray, first: int, count: int) -> bool:
     u = ((frames - mean)[:, is_clear] - low) / np.maximum(high - low, 1e-9)
     smooth = np.mean((u > EXTREME) & (u < 1.0 - EXTREME)) if u.size else 0.0
     if np.mean(is_clear) <= SAME_SHARE or smooth <= LEAST_SMOOTH:
-        return False
-    return _has_equal_steps(frames[:, is_clear], z[is_clear])
+        return np.inf
+    if not _has_equal_steps(frames[:, is_clear], z[is_clear]):
+        return np.inf
+    return float(np.median(rest[is_clear] / size[is_clear]))
 
 
 def _has_equal_steps(frames: FloatArray, z: FloatArray) -> bool:
