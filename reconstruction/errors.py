@@ -2,6 +2,7 @@
 
 import math
 from numbers import Integral, Real
+from pathlib import PurePath
 
 
 class InputError(ValueError):
@@ -30,6 +31,14 @@ def few(names: list[str]) -> str:
     """Return the first three of some names and how many more there are."""
     more = f" and {len(names) - 3} more" if len(names) > 3 else ""
     return ", ".join(names[:3]) + more or "none"
+
+
+def require_instance(name: str, value: object, kinds: type | tuple[type, ...], remedy: str) -> None:
+    """Raise InputError unless `value` is an instance of one of some classes."""
+    if not isinstance(value, kinds):
+        written = repr(value) if isinstance(value, (str, int, float, PurePath)) else ""
+        written = f"{written[:60]}, " if written else ""
+        raise InputError(f"{name} is {written}of type {type(value).__name__}; {remedy}")
 
 
 def require_integer(name: str, value: object, low: int, high: int) -> None:

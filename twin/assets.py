@@ -13,7 +13,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Literal, get_args
 
-from reconstruction.errors import InputError
+from reconstruction.errors import InputError, require_instance
 from reconstruction.reading import is_regular, shown
 
 Collection = Literal["scenes", "materials"]
@@ -58,8 +58,10 @@ def scene_file(name: str | Path) -> Path:
 
     Raises
     ------
+    InputError : not a name
     AssetError : there is neither
     """
+    require_instance("path", name, (str, Path), "give a TOML file, or the name of a shipped one")
     file = Path(name)
     return file if is_regular(file) else asset_path("scenes", str(name))
 

@@ -2,7 +2,14 @@
 
 from twin.config.base import ConfigError
 from twin.config.digest import digest, seed_sequence
-from twin.config.loading import decode_settings, load_experiment, to_toml, validate_experiment, vary
+from twin.config.loading import (
+    decode_settings,
+    load_experiment,
+    require_experiment,
+    to_toml,
+    validate_experiment,
+    vary,
+)
 from twin.config.models import Experiment
 
 __all__ = [
@@ -11,6 +18,7 @@ __all__ = [
     "decode_settings",
     "digest",
     "load_experiment",
+    "require_experiment",
     "seed_sequence",
     "to_toml",
     "validate_experiment",

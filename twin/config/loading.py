@@ -19,7 +19,7 @@ from typing import Any
 import tomli_w
 
 from reconstruction import reading
-from reconstruction.errors import InputError
+from reconstruction.errors import InputError, require_instance
 from reconstruction.reading import shown
 from twin.assets import asset_path, scene_file
 from twin.config.base import AssetCycleError, ConfigError
@@ -54,9 +54,14 @@ def load_experiment(path: str | Path, overrides: Mapping[str, Any] | None = None
     """
     file = scene_file(path)
     tree = resolve_uses(read_toml(file), (file,))
-    for dotted, value in (overrides or {}).items():
-        _assign(tree, dotted, value)
+    _assign_all(tree, {} if overrides is None else overrides)
     return validate_experiment(tree, where=str(path))
+
+
+def require_experiment(value: object) -> None:
+    """Raise InputError unless a value is an experiment."""
+    remedy = "give an experiment, as twin.load_experiment returns it"
+    require_instance("experiment", value, Experiment, remedy)
 
 
 def validate_experiment(tree: Mapping[str, Any], where: str = "experiment") -> Experiment:
@@ -78,9 +83,9 @@ def decode_settings(**values: Any) -> Decode:
 
 def vary(experiment: Experiment, changes: Mapping[str, Any]) -> Experiment:
     """Copy an experiment with values by dotted path replaced, validated again as a whole."""
+    require_experiment(experiment)
     tree = experiment.model_dump(mode="python")
-    for dotted, value in changes.items():
-        _assign(tree, dotted, value)
+    _assign_all(tree, changes)
     return validate_experiment(tree, where=experiment.name)
 
 
@@ -230,6 +235,14 @@ def _same_kind(base: dict[str, Any], top: dict[str, Any]) -> bool:
     return "kind" not in base or top.get("kind", base["kind"]) == base["kind"]
 
 
+def _assign_all(tree: dict[str, Any], changes: Mapping[str, Any]) -> None:
+    remedy = 'give values by dotted path, for example {"camera.binning": 2}'
+    require_instance("changes", changes, Mapping, remedy)
+    for dotted, value in changes.items():
+        require_instance("path of a change", dotted, str, remedy)
+        _assign(tree, dotted, value)
+
+
 def _assign(tree: dict[str, Any], dotted: str, value: Any) -> None:
     *parents, leaf = dotted.split(".")
     if len(parents) > reading.MOST_NESTED:
@@ -244,15 +257,19 @@ def _assign(tree: dict[str, Any], dotted: str, value: Any) -> None:
             raise ConfigError(f"{dotted}: '{key}' is a value, not a table")
     if isinstance(tree.get("links"), dict):
         tree["links"] = {k: v for k, v in tree["links"].items() if not _sets(dotted, value, k)}
-    if value == ABSENT:
+    if _is_absent(value):
         node.pop(leaf, None)
     else:
         node.update(_overlay(node, {leaf: value}))
 
 
+def _is_absent(value: Any) -> bool:
+    return isinstance(value, str) and value == ABSENT
+
+
 def _sets(dotted: str, value: Any, key: str) -> bool:
     """Tell whether a value, a table perhaps, laid at a path sets a key, or takes it away."""
-    if value == ABSENT:
+    if _is_absent(value):
         return key == dotted or key.startswith(f"{dotted}.")
     if isinstance(value, dict) and not is_quantity(value):
         inside = key.removeprefix(f"{dotted}.")

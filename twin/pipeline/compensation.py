@@ -26,7 +26,7 @@ from reconstruction.compensation import (
     compensate_gel,
     relief_on_frame,
 )
-from reconstruction.errors import InputError
+from reconstruction.errors import InputError, require_instance
 from reconstruction.evaluate.surface import write_surface
 from reconstruction.netcdf import write_arrays
 from reconstruction.pipeline import Reconstruction, read_reconstruction, write_reconstruction
@@ -318,6 +318,7 @@ def with_compensation(done: Measurement, layer: SensorLayer | None = None) -> Me
     ----------
     layer : assumed elastomer and load; default: those of the measurement, or of the experiment
     """
+    require_instance("done", done, Measurement, "give what twin.measure returns")
     if not isinstance(done.images, Fringes):
         return done
     points = done.images.reconstruction.point_map

@@ -11,11 +11,13 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
+from trimesh import Trimesh
+
 from reconstruction.capture.folder import Capture
-from reconstruction.errors import InputError
+from reconstruction.errors import InputError, require_instance
 from reconstruction.pipeline import Reconstruction, reconstruct
 from twin.camera import expose
-from twin.config import digest
+from twin.config import digest, require_experiment
 from twin.config.models import Experiment
 from twin.config.sensor_layer import SensorLayer
 from twin.mechanics import PressedElastomer, face_mesh
@@ -36,8 +38,6 @@ from twin.results.score import metrics, order_warnings, score
 from twin.results.under_sheet import sheet_compensation
 
 if TYPE_CHECKING:
-    import trimesh
-
     from twin.optics.one_trace import Patches
     from twin.pipeline.trace import Geometry, View
 
@@ -166,7 +166,7 @@ def record(
 
 
 def render(
-    experiment: Experiment, face: "trimesh.Trimesh", progress: Progress = lambda _: None
+    experiment: Experiment, face: Trimesh, progress: Progress = lambda _: None
 ) -> RadianceStack:
     """Render all frames of the experiment's sequence, and the truth behind them.
 
@@ -180,6 +180,8 @@ def render(
     MissingBackend : no usable Dr.Jit backend
     InputError : the stock engine cannot express the experiment
     """
+    require_experiment(experiment)
+    require_instance("face", face, Trimesh, "give a mesh: twin.mechanics.face_mesh(pressed)")
     with renderer_session():
         from twin.pipeline import trace
 

@@ -1,8 +1,10 @@
 """Run one virtual measurement by whichever method the experiment names: the one place to choose."""
 
 from pathlib import Path
+from types import NoneType
 
-from twin.config import Experiment
+from reconstruction.errors import require_instance, require_integer
+from twin.config import Experiment, require_experiment
 from twin.config.sensor_layer import SensorLayer
 from twin.mechanics import check_press
 from twin.optics.checks import check_renderable
@@ -16,6 +18,8 @@ from twin.results.features import check_measurands
 from twin.results.folder import as_stored, write_measurement
 from twin.results.names import compensates_at_once
 from twin.results.record import Measurement
+
+_MOST_TRIALS = 2**31
 
 
 def measure(
@@ -40,9 +44,13 @@ def measure(
 
     Raises
     ------
-    InputError : something in the experiment cannot be pressed, rendered or fitted
+    InputError : an argument of another type, or something in the experiment cannot be pressed,
+        rendered or fitted
     MissingBackend : no usable Dr.Jit backend
     """
+    require_experiment(experiment)
+    require_instance("memory", memory, (Memory, NoneType), "give a twin.Memory(), or none")
+    require_integer("trial", trial, 0, _MOST_TRIALS)
     check_measurands(experiment)
     run = RunContext(Memory() if memory is None else memory, Stopwatch(watch), trial, layer)
     if not experiment.method.fringes:

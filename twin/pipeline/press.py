@@ -4,6 +4,7 @@ import hashlib
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from twin.config import require_experiment
 from twin.config.models import Experiment
 from twin.mechanics import (
     ContactTransfer,
@@ -55,7 +56,13 @@ def press(experiment: Experiment, memory: Memory, progress: Progress | None = No
 
 
 def press_specimen(experiment: Experiment, progress: Progress | None = None) -> PressedElastomer:
-    """Press the experiment's specimen into its elastomer: the coated face as it is seen."""
+    """Press the experiment's specimen into its elastomer: the coated face as it is seen.
+
+    Raises
+    ------
+    InputError : no experiment, or as `press`
+    """
+    require_experiment(experiment)
     return press(experiment, Memory(), progress).pressed
 
 

@@ -18,7 +18,7 @@ from typing import Any, Literal
 import numpy as np
 
 from reconstruction.netcdf import Labelled, LabelledArrays, write_arrays
-from twin.config import ConfigError, Experiment, load_experiment
+from twin.config import ConfigError, Experiment, load_experiment, require_experiment
 from twin.config.inputs import DEFAULT_INPUTS, Input, Inputs, load_inputs
 from twin.config.schema import explain
 from twin.config.study import Study
@@ -60,7 +60,7 @@ _ABSENT = 9.969209968386869e36  # netCDF's own fill value of doubles
 
 
 def uncertainty(
-    experiment: Experiment | str,
+    experiment: Experiment | Path | str,
     inputs: Inputs | Mapping[str, Input | Mapping[str, Any]] | str = DEFAULT_INPUTS,
     n: int = 100,
     *,
@@ -77,8 +77,8 @@ def uncertainty(
 
     Parameters
     ----------
-    experiment : Experiment or str
-        The nominal measurement, or the name of a shipped one.
+    experiment : Experiment, Path or str
+        The nominal measurement, its file, or the name of a shipped one.
     inputs : Inputs, mapping or str
         What differs: a file, the name of a shipped one, or tables by name.
     n : trials, at least 2; the nominal measurement comes on top
@@ -99,7 +99,8 @@ def uncertainty(
         cannot be made or has no such figure, or the folder cannot be used
     MissingBackend : no usable Dr.Jit backend
     """
-    base = load_experiment(experiment) if isinstance(experiment, str) else experiment
+    base = load_experiment(experiment) if isinstance(experiment, (str, Path)) else experiment
+    require_experiment(base)
     options: dict[str, Any] = {"calibration": calibration, "budget": budget, "seed": seed}
     record = record_of(base, inputs, n, measurands=measurands, **options)
     who = local_workers(workers) if isinstance(workers, int) else workers

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from scipy import sparse
 
 from twin.config.models import Ball, Elastomer, Press
 from twin.mechanics import PressedElastomer, PressError, SolverError, press
@@ -16,6 +17,7 @@ from twin.mechanics.contact import solve_contact
 from twin.mechanics.control import DepthControl
 from twin.mechanics.layer import BondedLayer
 from twin.mechanics.reference import tetrahedra
+from twin.mechanics.reference.active_set import ContactPoints, press_points
 from twin.mechanics.reference.fem import press_fem, press_pad
 from twin.mechanics.reference.pad import Hold, Pad, facing, mesh_pad, on_plane, slab_pad
 from twin.mechanics.reference.taylor_hood import ElasticBody
@@ -212,3 +214,12 @@ def test_an_open_surface_and_wrong_selectors_are_refused() -> None:
         press_fem(Ball(), SLAB, TO_DEPTH, support="bonded")
     with pytest.raises(PressError, match="needs a width"):
         slab_pad((10.0, 10.0), 2.0, 0.49, "ledge")
+
+
+def test_a_travel_that_does_not_close_the_gap_is_one_line() -> None:
+    """A pad that sags by 0.1 mm away from a specimen that travels 0.01 mm."""
+    points = ContactPoints(
+        sparse.csr_array(np.eye(3)), np.eye(3), np.full(3, 0.01), np.array([0.1, 0.2, np.inf])
+    )
+    with pytest.raises(PressError, match="touches no point of the elements; press deeper"):
+        press_points(lambda force: 0.02 * force, points, depth_mm=0.01)

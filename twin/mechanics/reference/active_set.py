@@ -15,7 +15,7 @@ from scipy import sparse
 from scipy.linalg import cho_factor, cho_solve
 
 from reconstruction.arrays import BoolArray, FloatArray
-from twin.mechanics.errors import SolverError
+from twin.mechanics.errors import PressError, SolverError
 
 Deflect = Callable[[FloatArray], FloatArray]
 
@@ -70,6 +70,7 @@ def press_points(
 
     Raises
     ------
+    PressError : nothing touches
     SolverError : the contact set did not settle
     """
     known = np.isfinite(points.gap_mm)
@@ -80,6 +81,11 @@ def press_points(
     force = closing = lifting = np.zeros_like(gap)
     loads, tolerance = 0, _ROUGH
     for passes in range(1, _MAX_PASSES + 1):
+        if not active.any():
+            raise PressError(
+                "press: the specimen touches no point of the elements; press deeper, or give more "
+                "mechanics.tetrahedra"
+            )
         solve = _ActiveSolve(deflect, points, active, tolerance)
         if depth_mm is not None:
             force, depth = solve.forces(depth_mm - gap, force), depth_mm
