@@ -45,7 +45,7 @@ _FULL = "no room left"
 
 
 @dataclass(frozen=True)
-class Level:
+class FillLevel:
     """How much may be written: bytes free on the disk, or bytes of the longest file."""
 
     free_bytes: int | None = None
@@ -92,8 +92,7 @@ def main() -> None:
             is_whole = every > 0 and number % every == 0
             done = filler.run(is_whole)
             counts.update([*done.failings, "whole" if is_whole else "", *outcome(done)])
-            if done.failings:
-                print(number, done.code, done.failings, done.lines[-2:], flush=True)
+            print(number, done.code, *done.failings, *done.lines[-1:], flush=True)
     names = ("whole", "full", "fitted", "crashed", "not_one_line", "earlier_lost", "left_behind")
     print(json.dumps({"runs": runs, **{name: counts[name] for name in names}}))
     sys.exit(any(counts[name] for name in names[3:]))
@@ -160,14 +159,14 @@ class Filler:
         prefixed = {f"out/{name}": one for name, one in earlier.items()}
         return FilledRun(code, tuple(said.splitlines()), prefixed, later)
 
-    def _level(self) -> Level:
+    def _level(self) -> FillLevel:
         share = _ROOM * self._rng.random()
         if self._disk is None or self._rng.random() < 0.3:
-            return Level(file_bytes=int(share * self._longest))
-        return Level(free_bytes=int(share * self._size))
+            return FillLevel(file_bytes=int(share * self._longest))
+        return FillLevel(free_bytes=int(share * self._size))
 
     @contextmanager
-    def _filled(self, level: Level) -> Iterator[None]:
+    def _filled(self, level: FillLevel) -> Iterator[None]:
         filler = self._place / "filler"
         if level.free_bytes is not None:
             left = shutil.disk_usage(self._place).free - level.free_bytes
@@ -176,7 +175,7 @@ class Filler:
         yield
         filler.unlink(missing_ok=True)
 
-    def _whole(self, out: Path, level: Level) -> tuple[int, str]:
+    def _whole(self, out: Path, level: FillLevel) -> tuple[int, str]:
         done = subprocess.run(
             [*self._command, "measure", *EXPERIMENT, "-o", str(out)],
             stdout=subprocess.DEVNULL,
@@ -187,14 +186,14 @@ class Filler:
         )
         return done.returncode, done.stderr
 
-    def _forked(self, out: Path, level: Level) -> tuple[int, str]:
+    def _forked(self, out: Path, level: FillLevel) -> tuple[int, str]:
         said = self._stock.with_name("said")
         child = os.fork()
         if not child:
             self._be_child(out, level, said)
         return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), said.read_text()
 
-    def _be_child(self, out: Path, level: Level, said: Path) -> None:
+    def _be_child(self, out: Path, level: FillLevel, said: Path) -> None:
         import twin.pipeline.methods
 
         code = 99
@@ -209,7 +208,7 @@ class Filler:
             os._exit(code)
 
 
-def limit(level: Level) -> None:
+def limit(level: FillLevel) -> None:
     """Limit the files of this process; also for programs that do not ignore the signal of it."""
     if level.file_bytes is not None:
         signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
