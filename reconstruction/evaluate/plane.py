@@ -242,8 +242,8 @@ def break_width(s_mm: ArrayLike, z_mm: ArrayLike, sigma_mm: float) -> BarWidth:
 
     On either side the place in the upper half of the crest at which the downward curvature
     -z'' / (1 + z'^2)^(3/2) of the profile, smoothed by a Gaussian, is strongest: the upper edge of
-    a trapezoid, up to one sigma inside of steep ones. A round crest has no such edge: its width is
-    somewhere on its arc.
+    a trapezoid, up to one sigma inside of steep ones. A round crest has no such edge and
+    no break width.
 
     Parameters
     ----------
@@ -254,7 +254,8 @@ def break_width(s_mm: ArrayLike, z_mm: ArrayLike, sigma_mm: float) -> BarWidth:
 
     Raises
     ------
-    FitError : the profile does not bend down on both sides of its middle, or once for both
+    FitError : the profile does not bend down on both sides of its middle, or its bends are nearer
+        to each other than sigma_mm, as on a round crest
     """
     return _width_between_bends(s_mm, z_mm, sigma_mm, _curvature)
 

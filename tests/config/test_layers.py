@@ -52,7 +52,14 @@ REFUSED = [
     ({"layers.gel.bottom_mm": -5.0}, "below the opaque coat"),
     ({"layers.gel.thickness_mm": 3.0}, "thickness_mm = 4 as elastomer.thickness_mm"),
     ({"layers.gel.bottom_mm": 0.5, "layers.gel.thickness_mm": 3.5}, "none holds the coat"),
-    ({"layers.window.thickness_mm": 9.0, "camera.pose.standoff_mm": 12.0}, "allowed below the cam"),
+    (
+        {
+            "layers.window.thickness_mm": 9.0,
+            "camera.pose.standoff_mm": 12.0,
+            "camera.focal_length_mm": 6.0,
+        },
+        "allowed below the cam",
+    ),
     ({"layers.gel.ior": 0.9}, "layers.gel.ior: found 0.9"),
     ({"layers.gel.iro": 1.4}, "did you mean 'ior'"),
     ({"render.bounces": 2}, "set render.bounces = 0"),

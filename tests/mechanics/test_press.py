@@ -206,7 +206,7 @@ def test_an_incompressible_slab_is_refused(slab: SlabBuilder, nu: float) -> None
         (Ball(), {"thickness_mm": 1.0}, to_depth(1.0), "thickness of 1 mm"),
         (Ball(), {}, with_force(50.0, **COARSE), "50 N needs a depth of"),
         (Ball(), {}, to_depth(1e-5), "solver_pitch_mm"),
-        (Ball(diameter_mm=0.1), {}, with_force(0.01, **COARSE), "between the cells .* than 0.25"),
+        (Ball(diameter_mm=0.1), {}, with_force(0.01, **COARSE), "touches no cell .* than 0.25"),
         (Ball(), {"thickness_mm": 0.02}, to_depth(0.01), "300 times the thickness"),
         (Ball(), {}, to_depth(0.5, gravity_deg=0.0), "density_kg_m3: missing"),
         (

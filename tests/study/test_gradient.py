@@ -138,11 +138,11 @@ def test_a_study_of_bounds_renders_nothing(study_of, base, tmp_path, monkeypatch
         monkeypatch.setattr(trace, name, counted)
     albedo = {"path": "coating.base_albedo", "values": [0.2, 0.4]}
     period = {"path": "patterns.period_px", "values": [12.0, 18.0]}
-    asked = study_of(albedo, period, metrics=("crb_radius_um", "force_n"))
+    asked = study_of(albedo, period, metrics=("predicted_sigma_z_um", "force_n"))
     outcome = sweep(StudyRecord(asked, base), tmp_path, local_workers(1))
     assert outcome.states == {"done": 4}
     assert counts == {"load_face": 1, "view_of": 1, "patches_of": 2}
     rows = {
         (r["coating.base_albedo"], r["patterns.period_px"]): r for r in read_table(tmp_path).rows
     }
-    assert rows[0.4, 12.0]["crb_radius_um"] < rows[0.4, 18.0]["crb_radius_um"]
+    assert rows[0.4, 12.0]["predicted_sigma_z_um"] < rows[0.4, 18.0]["predicted_sigma_z_um"]

@@ -225,11 +225,6 @@ def _check_cells(height: FloatArray, shape: Shape, load: Press) -> None:
 
 
 def _control(layer: AnyLayer, height: FloatArray, load: Press, modulus_kpa: float) -> Control:
-    if not np.isfinite(height).any():
-        raise PressError(
-            "specimen: is between the cells of the solver's grid; use a finer "
-            f"press.solver_pitch_mm than {load.solver_pitch_mm:g}, or a larger specimen"
-        )
     if load.control == "force":
         assert load.force_n is not None  # the model's own validator
         return ForceControl(load.force_n / (modulus_kpa * 1e-3), layer.cell_area_mm2)

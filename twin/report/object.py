@@ -186,6 +186,7 @@ def quantity_table(measured: Measurement) -> Table:
     """Return the measurands: the object's value, U with its parts, verdict, and the coat's."""
     found, covered = measured.object, is_covered(measured.experiment)
     factors = sorted({f"{one.uncertainty.coverage_factor:g}" for one in found.quantities})
+    elastomer = "of the elastomer that is subtracted, " if covered else ""
     surface = (
         "Apparent in the coat: the same of the measured coat, with nothing taken off."
         if covered
@@ -200,10 +201,10 @@ def quantity_table(measured: Measurement) -> Table:
         tuple(_row(one) for one in found.quantities),
         (
             f"U: expanded uncertainty with k = {', '.join(factors)} (2: about 95 %), of the noise "
-            "and texture of the points through the fit, of the elastomer that is taken off, and of "
+            f"and texture of the points through the fit, {elastomer}and of "
             "repeatability and calibration where they are stated. Verdict after ISO 14253-1 with "
             "guard band U: within tolerance by U or more, outside by U or more, or it cannot be "
-            f"told. {surface} Parts of u: points, elastomer, repeatability, calibration.",
+            f"told. {surface}",
         ),
         look="compared",
     )

@@ -65,7 +65,7 @@ def has_bound(experiment: Experiment) -> bool:
 
 def is_bound_name(name: str) -> bool:
     """Tell whether a figure is one of `bound_figures`, whatever the experiment."""
-    return name.endswith(("_crb_um", "_crb_deg", "_spread_um")) or name in {
+    return name.endswith(("_crb_um", "_crb_deg", "_spread_um", "_bound_why")) or name in {
         *_ALWAYS,
         *BOUNDED.values(),
     }
