@@ -65,6 +65,29 @@ def test_where_it_wraps_the_lower_face_is_the_ball(wrapped: PressedElastomer) ->
     np.testing.assert_allclose(product, 0.3, rtol=2e-5)
 
 
+def force_of_pressure_n(pressed: PressedElastomer) -> float:
+    """Return the integral of the pressure over the touched face in plan."""
+    cell_mm2 = float(np.diff(pressed.x_mm)[0] * np.diff(pressed.y_mm)[0])
+    return 1e-3 * float(pressed.pressure_kpa.sum()) * cell_mm2
+
+
+def test_the_pressure_on_the_touched_face_is_the_force(wrapped: PressedElastomer) -> None:
+    """And on the ball, whose weight the air and the tension press alike, it is even."""
+    assert force_of_pressure_n(wrapped) == pytest.approx(wrapped.force_n, rel=1e-3)
+    x, y = np.meshgrid(wrapped.x_mm, wrapped.y_mm)
+    inner = wrapped.pressure_kpa[np.hypot(x, y) < 1.0]
+    assert inner.std() < 0.1 * inner.mean()
+
+
+def test_pressure_along_an_edge_is_no_less_than_the_force() -> None:
+    """On a sharp bar lines of contact, narrower than a solver's cell, carry most of it."""
+    bar = Bar(width_mm=1.5, height_mm=1.5, length_mm=3.0, edge_radius_mm=0.05)
+    done = pressed(
+        bar, build_sheet(thickness_mm=0.15, **TINY), depth_mm=0.4, cell_mm=0.2, solver_pitch_mm=0.2
+    )
+    assert force_of_pressure_n(done) == pytest.approx(done.force_n, rel=0.01)
+
+
 def test_a_centred_ball_gives_a_symmetric_sheet(wrapped: PressedElastomer) -> None:
     # Near the rim the face is steep, and the triangles between its samples are not symmetric.
     face = wrapped.face_z_mm[30:-30, 30:-30]
@@ -165,6 +188,9 @@ def test_tack_widens_the_contact() -> None:
         return float(np.mean(np.sqrt(x**2 + y**2 + (one.touched_face_mm - centre) ** 2) < 2.02))
 
     assert covered(tacky) > 1.3 * covered(dry)
+    # Its rim is pulled, and what sticks carries a share along the face.
+    assert tacky.pressure_kpa.min() < 0
+    assert force_of_pressure_n(tacky) == pytest.approx(tacky.force_n, rel=0.01)
 
 
 @pytest.mark.parametrize("friction", ["none", "stick"])

@@ -67,7 +67,8 @@ class PressedElastomer:
     #: (col,) and (row,) solver cell centres
     x_mm: FloatArray
     y_mm: FloatArray
-    #: (row, col) pressure on the touched face
+    #: (row, col) pressure on the touched face: vertical force over area in plan; its sum over the
+    #: cells is the force
     pressure_kpa: FloatArray
     #: (row, col) cells that touch the specimen
     contact: BoolArray

@@ -35,7 +35,7 @@ _FACE = ("face_y", "face_x")
 _VARIABLES: dict[str, tuple[tuple[str, ...], str, str]] = {
     "x_mm": (("x",), "mm", "world x of the solver cell centres"),
     "y_mm": (("y",), "mm", "world y of the solver cell centres"),
-    "pressure_kpa": (("y", "x"), "kPa", "pressure on the touched face"),
+    "pressure_kpa": (("y", "x"), "kPa", "pressure on the touched face: force over area in plan"),
     "contact": (("y", "x"), "1", "1 where the specimen touches"),
     "touched_face_mm": (("y", "x"), "mm", "world z of the touched face"),
     "face_x_mm": (("face_x",), "mm", "world x of the coated face's nodes"),

@@ -166,6 +166,8 @@ def test_a_domed_pad_from_cad_is_pressed_by_a_ball(tmp_path: Path) -> None:
     radius = 1 / (1 / 4 + 1 / 16)
     hertz = 4 / 3 / (1 - 0.49**2) * np.sqrt(radius) * 0.5**1.5
     assert 1.2 * hertz < pressed.force_n < 2.5 * hertz
+    cell_mm2 = np.diff(pressed.x_mm)[0] * np.diff(pressed.y_mm)[0]
+    assert pressed.pressure_kpa.sum() * cell_mm2 * 1e-3 == pytest.approx(pressed.force_n)
     middle = np.array([0.0])
     row = np.abs(pressed.face_y_mm).argmin()
     z = np.interp(middle, pressed.face_x_mm, pressed.face_z_mm[row])
