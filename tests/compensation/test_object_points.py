@@ -133,7 +133,7 @@ def rms(values: FloatArray) -> float:
 
 @pytest.mark.parametrize("texture", [None, TEXTURE])
 def test_texture_of_the_coat_is_in_the_sigma_of_the_object(texture: Texture | None) -> None:
-    """Tilted cylinder with edges at its ends: points are as uncertain as they say (16 before)."""
+    """Tilted cylinder with edges at its ends: points err by what they say (30 times before)."""
     error, sigma = errors_mm(CYLINDER, 0.4, texture)
     assert len(error) > 1000
     assert 0.85 < rms(error / sigma) < 1.15
