@@ -77,9 +77,9 @@ def bound_names(experiment: Experiment) -> set[str]:
         return set()
     names = set(_ALWAYS)
     for asked in _asked(experiment):
-        names |= {*_names(asked), BOUNDED[asked.quantity]}
+        names |= {*_names(asked), BOUNDED[asked.quantity], f"object_{asked.name}_bound_why"}
     for number in range(1, len(shape_of(experiment.specimen).spheres()) + 1):
-        names |= set(_sphere_names(number))
+        names |= {*_sphere_names(number), f"sphere_{number}_radius_bound_why"}
     return names
 
 
