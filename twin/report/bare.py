@@ -19,7 +19,7 @@ from twin.report.camera_images import (
 )
 from twin.report.canvas import axes_at, drawing
 from twin.report.experiment import GOOD_SHARE, POOR_SHARE, glance, grade_of_share, result_in_words
-from twin.report.page import Block, Figure, Section, Target, Verdict, judged
+from twin.report.page import Block, Figure, JudgedTarget, Section, Verdict, judged
 from twin.report.pixel_panels import (
     REASON_COLOURS,
     shading_words,
@@ -119,7 +119,7 @@ def _coverage(scored: Measurement) -> Verdict:
     return judged(
         "How much of the specimen is measured?",
         f"{percent(figures['good_share'])} within {limit_um:g}\N{NO-BREAK SPACE}µm",
-        [Target(words, grade_of_share(figures["good_share"] or 0.0))],
+        [JudgedTarget(words, grade_of_share(figures["good_share"] or 0.0))],
         (
             f"a point, good or not, on {percent(figures['completeness'])}",
             absent or f"{figures['z_rmse_um']:.2f} µm RMS over these points",

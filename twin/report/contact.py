@@ -7,7 +7,7 @@ from twin.mechanics import opposite_transfer
 from twin.report.bound import bound_section
 from twin.report.camera_images import recorded_section
 from twin.report.experiment import glance, rig_figure
-from twin.report.page import Beside, Grade, Section, Target, Verdict, judged, target
+from twin.report.page import Beside, Grade, JudgedTarget, Section, Verdict, judged, target
 from twin.report.press import judge_press, press_figure
 from twin.report.spheres import ball_sections, fit_tables
 from twin.report.surfaces import error_figure, height_map_figure, relief_figure
@@ -68,7 +68,7 @@ def _sensor(scored: Measurement) -> Verdict:
     return judged("Is the coated face measured?", headline, targets)
 
 
-def _filter_target(figures: Figures) -> list[Target]:
+def _filter_target(figures: Figures) -> list[JudgedTarget]:
     """Return the target of the phase filter's bias where it is missed."""
     share = figures["filter_bias_share"]
     if share is None or share <= MOST_FILTER_BIAS_SHARE:

@@ -72,7 +72,7 @@ class Verdict:
 
 
 @dataclass(frozen=True)
-class Target:
+class JudgedTarget:
     """One figure that is judged, with its limits in words.
 
     Attributes
@@ -85,7 +85,7 @@ class Target:
 
 
 def judged(
-    question: str, headline: str, targets: Sequence[Target], more: Sequence[str] = ()
+    question: str, headline: str, targets: Sequence[JudgedTarget], more: Sequence[str] = ()
 ) -> Verdict:
     """Return the card of some targets: the worst of their grades, and "missed" at each missed one.
 
@@ -99,9 +99,9 @@ def judged(
     return Verdict(question, headline, worst, (*lines, *more))
 
 
-def target(words: str, met: bool, otherwise: Grade = "check") -> Target:
+def target(words: str, met: bool, otherwise: Grade = "check") -> JudgedTarget:
     """Return a target that is met, or has the grade `otherwise`."""
-    return Target(words, "good" if met else otherwise)
+    return JudgedTarget(words, "good" if met else otherwise)
 
 
 @dataclass(frozen=True)

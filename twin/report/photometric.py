@@ -4,7 +4,17 @@ from collections.abc import Callable
 from pathlib import Path
 
 from twin.report.experiment import GOOD_SHARE, POOR_SHARE, glance, grade_of_share, result_in_words
-from twin.report.page import Beside, Figure, Grade, Note, Section, Target, Verdict, judged, target
+from twin.report.page import (
+    Beside,
+    Figure,
+    Grade,
+    JudgedTarget,
+    Note,
+    Section,
+    Verdict,
+    judged,
+    target,
+)
 from twin.report.photometric_figures import (
     draw_errors,
     draw_heights,
@@ -153,7 +163,7 @@ def _of_heights(seen: Measurement) -> Verdict:
     return judged(
         "Is the coat measured?",
         f"{figures['z_rmse_um']:.1f}\N{NO-BREAK SPACE}µm RMS in z",
-        [Target(words, grade_of_share(share))],
+        [JudgedTarget(words, grade_of_share(share))],
         (
             f"a point on {percent(figures['completeness'])}",
             f"by the decoder {decoder_name(seen.colours.own)}",
