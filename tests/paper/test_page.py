@@ -52,6 +52,11 @@ def test_numbers_stand_beside_the_papers(page):
     assert "4.002" in text
 
 
+def test_a_missed_target_is_told_in_words_too(page):
+    """Not by the colour of its card only."""
+    assert "<li>missed: GelSight: RMSE of the sphere fit" in page.read_text(encoding="utf-8")
+
+
 def test_assumptions_are_marked_with_their_source(page):
     text = page.read_text(encoding="utf-8")
     assert '<tr class="assumed"><th scope="row" class="code">projector.pose.polar_deg' in text

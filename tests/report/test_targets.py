@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import pytest
 
 from twin.report.contact import _sensor
-from twin.report.page import Target, judged, target
+from twin.report.page import JudgedTarget, judged, target
 from twin.results.figures import Figures
 
 MET = {
@@ -48,7 +48,7 @@ def test_one_missed_target_is_not_good_and_says_missed(missed, grade):
 
 
 def test_the_worst_target_is_the_grade():
-    targets = [target("a", met=True), target("b", met=False), Target("c", "poor")]
+    targets = [target("a", met=True), target("b", met=False), JudgedTarget("c", "poor")]
     found = judged("?", "!", targets, ("d",))
     assert found.grade == "poor"
     assert found.reasons == ("a", "missed: b", "missed: c", "d")

@@ -2,7 +2,7 @@
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import App, Parameter
 
@@ -294,15 +294,10 @@ def uncertainty(
     from twin.results.names import of_the_object
     from twin.uncertainty.trials import plan_in_words, record_of
 
-    asked, named = (load(experiment, settings), inputs, trials), of_the_object(measurand or [])
-    record = record_of(
-        *asked,
-        calibration=calibration,
-        budget=budget,
-        seed=seed,
-        compensated=named or None,
-        measurands=measurand or (),
-    )
+    asked, named = (load(experiment, settings), inputs, trials), measurand or ()
+    options: dict[str, Any] = {"calibration": calibration, "budget": budget, "seed": seed}
+    compensated = of_the_object(named) or None
+    record = record_of(*asked, compensated=compensated, measurands=named, **options)
     who = workers_of(workers, cluster)
     if dry_run:
         for line in plan_in_words(record, out, who.count, sobol):
