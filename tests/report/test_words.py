@@ -8,7 +8,7 @@ from pydantic import BaseModel
 
 import twin.config
 from twin.config import load_experiment
-from twin.report.words import label_of, phrase, split_unit
+from twin.report.words import label_of, phrase, printed_sentence, split_unit
 from twin.results.names import figure_names
 from twin.study.derived import DERIVED
 
@@ -87,3 +87,11 @@ def test_a_phrase_of_the_sheets_keys():
         "rim compliance 0 mm²/N, tack 0.05 J/m²"
     )
     assert split_unit("mm") == ("mm", "")
+
+
+def test_a_sentence_of_the_terminal_keeps_its_abbreviations_on_a_page():
+    """A comparison's page said "180.7 um rms"."""
+    told = "object: deviation 180.7 um RMS on the 44 % of it; 3 um +- 2 um (k = 2)"
+    assert printed_sentence(told) == (
+        "Object: deviation 180.7 µm RMS on the 44 % of it; 3 µm ± 2 µm (k = 2)"
+    )

@@ -36,6 +36,7 @@ def test_table_files_and_report(modelled, tmp_path, capsys):
     assert run([*modelled, "-n", "40", "-m", "value_mm"]) == 0
     told = capsys.readouterr().out
     assert "value_mm" in told
+    assert "66 done in " in told  # as many as the estimate says, the nominal one among them
     assert f"wrote {tmp_path / 'out/report.html'}" in told
     there = {path.name for path in (tmp_path / "out").iterdir()}
     assert {"result.json", "experiment.toml", "trials.nc", "study.json", "cases"} <= there

@@ -161,7 +161,7 @@ def print_metrics(figures: dict[str, Any]) -> None:
     print_table(
         ("figure", "value"),
         (
-            (name, "\n".join(value) if isinstance(value, list) else cell(value, 6))
+            (name, "\n".join(value) or "none" if isinstance(value, list) else cell(value, 6))
             for name, value in figures.items()
         ),
     )

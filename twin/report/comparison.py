@@ -31,7 +31,7 @@ from twin.report.page import (
 from twin.report.pixel_panels import draw_small
 from twin.report.study_figures import Row
 from twin.report.table import Column, Table
-from twin.report.words import NONE, number, percent
+from twin.report.words import NONE, number, percent, printed_sentence
 from twin.results.decoders import DecodedImage, decoder_name
 from twin.results.figures import Figures, Metrics
 from twin.results.folder import read_measurement
@@ -291,7 +291,7 @@ def _cell(figures: Path, outcome: Outcome, measured: Measurement | None) -> Sect
     )
     blocks: list[Block] = [
         Note(link, "verdict"),
-        Note(object_sentence(measured).capitalize()),
+        Note(printed_sentence(object_sentence(measured))),
         *_shares(measured),
     ]
     drawn = []

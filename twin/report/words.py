@@ -102,6 +102,13 @@ def signed(value: float, digits: int = 3) -> str:
     return f"{value:+z.{digits}f}".replace("-", "−")
 
 
+def printed_sentence(text: str) -> str:
+    """Write a sentence of the terminal, in ASCII, as a page prints it: capital, µm and ± signs."""
+    for plain, sign in (("um", "µm"), ("+-", "±")):
+        text = re.sub(rf"(?<= ){re.escape(plain)}(?= |$|[.,;:)])", sign, text)
+    return text[:1].upper() + text[1:]
+
+
 def percent(share: float | None) -> str:
     """Write a share; next to none and next to all are not rounded away."""
     if share is None:

@@ -227,10 +227,13 @@ def sweep(
     store.open(inputs)
     with ExitStack() as stack:
         workers = stack.enter_context(lasting(workers))
+        before: list[SweepOutcome] = []
         if of_trials:
             cases = cases or record.cases()
             first, make = nominal_case(cases), make_measurer or PLAINLY
-            _measure_nominal(record, store, workers, first, make=make, watch=watch, retry=retry)
+            before.append(
+                _measure_nominal(record, store, workers, first, make=make, watch=watch, retry=retry)
+            )
         make = make_measurer or _measuring(record, folder, watch)
         session = stack.enter_context(
             _session(store, workers, keep, make, watch, retry=retry, tell=tell)
@@ -241,7 +244,7 @@ def sweep(
             outcome = SweepOutcome.together(descend(record, folder, run))
         else:
             outcome = run(record, cases or record.cases())
-    return session.whole(outcome)
+    return session.whole(SweepOutcome.together([*before, outcome]))
 
 
 def _measure_nominal(
@@ -253,7 +256,7 @@ def _measure_nominal(
     make: MakeMeasurer,
     watch: ProgressCallback,
     retry: bool,
-) -> None:
+) -> SweepOutcome:
     """Measure the nominal case of trials, which has the true rig, before any calibration.
 
     Raises
@@ -267,8 +270,9 @@ def _measure_nominal(
 
     keep = record.study.keep
     with _session(store, workers, keep, make, progress, retry=retry) as session:
-        session.run(Cases((case,), 0))
+        outcome = session.run(Cases((case,), 0))
     check_nominal(record, case, store)
+    return outcome
 
 
 @dataclass(frozen=True, eq=False)
