@@ -30,6 +30,8 @@ LIT_SHARE = 0.3
 UNIFORM, WHITE, BLACK = 0.03, 0.7, 0.3
 # Variance of u and ratio of both directions from which stripes of little contrast are seen.
 FAINT, FAINT_RATIO = 0.001, 2.5
+# From this ratio of both directions on the axis of stripes is certain.
+CERTAIN = 3.0
 # A pixel whose u comes that close to 0 or 1 is dark or bright.
 EXTREME = 0.15
 NAMED = {
