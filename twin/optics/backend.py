@@ -31,7 +31,7 @@ from pathlib import Path
 from typing import Any
 
 from reconstruction.errors import InputError
-from reconstruction.reading import read_json
+from reconstruction.reading import is_regular, read_json
 from reconstruction.writing import write_text
 from twin.extras import pip_install
 
@@ -322,6 +322,8 @@ def remember(key: str, backend: Backend) -> None:
     }
     with suppress(OSError):
         path.parent.mkdir(parents=True, exist_ok=True)
+        if not is_regular(path):  # a pipe would wait for its reader
+            path.unlink(missing_ok=True)
         write_text(path, json.dumps(entries, indent=1))
 
 
