@@ -64,14 +64,11 @@ def place(calibration: Calibration) -> Placed:
     _require_square(calibration)
     origin = _looked_at(calibration)
     points = _points(calibration)
-    wanted = tuple(
-        _seen(pinhole, motion, points)
-        for pinhole, motion in (
-            (calibration.camera, calibration.T_world_from_cam),
-            (calibration.projector, calibration.T_world_from_proj),
-        )
-    )
     camera, projector = calibration.camera, calibration.projector
+    wanted = (
+        _seen(camera, calibration.T_world_from_cam, points),
+        _seen(projector, calibration.T_world_from_proj, points),
+    )
     cam_mm = calibration.T_world_from_cam[:3, 3] - origin
     proj_mm = calibration.T_world_from_proj[:3, 3] - origin
     start = np.array(

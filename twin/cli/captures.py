@@ -285,11 +285,7 @@ def calibrate(
     from reconstruction.calibration import AdjustOptions, Freedom
     from twin.config.board import load_board
     from twin.output import output_folder
-    from twin.pipeline.calibration import (
-        calibrate_captures,
-        calibrate_rendered,
-        write_board_calibration,
-    )
+    from twin.pipeline import calibration
     from twin.report.calibration import draw_calibration
 
     shown = load_board(board)
@@ -303,18 +299,14 @@ def calibrate(
     with output_folder(out, [source, Path(board)]) as folder:
         with progress_bars() as watch:
             if source.is_dir():
-                done = calibrate_captures(source, shown, options, watch=watch)
+                done = calibration.calibrate_captures(source, shown, options, watch=watch)
             else:
                 keep = folder / "captures" if keep_captures or as_images else None
-                done = calibrate_rendered(
-                    _rig(source, settings),
-                    shown,
-                    options,
-                    keep=keep,
-                    as_images=as_images,
-                    watch=watch,
+                rig = _rig(source, settings)
+                done = calibration.calibrate_rendered(
+                    rig, shown, options, keep=keep, as_images=as_images, watch=watch
                 )
-        figures = write_board_calibration(folder, done)
+        figures = calibration.write_board_calibration(folder, done)
         draw_calibration(folder, done)
     print_metrics(figures)
     say(f"wrote {out}")

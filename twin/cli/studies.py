@@ -270,8 +270,8 @@ def uncertainty(
 
     For example: twin uncertainty examples/slab_balls -n 100 -m sphere_1_radius_mm
     -s camera.binning=4 -o out/u. Run it again to go on, or with a larger -n to add trials. The
-    nominal measurement is made first; where it fails or lacks a measurand, nothing else runs (exit
-    code 2). Exit code 1: too few trials have a result, or some could not be saved.
+    nominal measurement is first; if it fails or lacks a measurand, nothing else runs (exit code 2).
+    Exit code 1: too few trials have a result, or some could not be saved.
 
     Parameters
     ----------
@@ -286,8 +286,7 @@ def uncertainty(
     budget
         Also vary each input alone (two measurements each) and the noise alone (up to 20).
     sobol
-        Base points of Sobol' indices of the pressed face, a power of 2; costs as many presses
-        times the number of inputs and two.
+        Base points of Sobol' indices of the pressed face, a power of 2, times inputs + 2 presses.
     seed
         Of all draws; default: that of the inputs.
     """
