@@ -42,7 +42,8 @@ def test_every_number_has_both_ends() -> None:
         ("camera.black_level_dn", 4095, "allowed less than 4095, the largest code of bit_depth"),
         ("camera.focal_length_mm", 300, "allowed more than focal_length_mm, 300: a lens images"),
         ("camera.distortion", [1e300, 0, 0, 0, 0], "allowed >= -1e+06, <= 1e+06"),
-        ("projector.flux_mw", 1e-300, "allowed >= 1e-06, <= 1e+06"),
+        ("projector.flux_mw", 1e-300, "allowed >= 1e-12, <= 1e+06 (1 fW"),
+        ("render.photons", 10**9, "allowed >= 1000, <= 1e+08 (each takes 50 bytes of memory"),
         ("specimen.x_mm", 1e9, "allowed >= -1000, <= 1000 (within 1 m"),
     ],
 )

@@ -108,6 +108,9 @@ Tack = Annotated[
 
 # ---- optics ------------------------------------------------------------------------------------
 
+Photons = Annotated[
+    int, Field(ge=1000, le=10**8), Because("each takes 50 bytes of memory: 1e8 of them 5 GB")
+]
 MetalIndex = Annotated[
     float, Field(ge=0.01, le=20), Because("metals have 0.04 (silver) to 8, from 300 to 1100 nm")
 ]
@@ -121,8 +124,8 @@ Absorption = Annotated[
 ]
 Flux = Annotated[
     float,
-    Field(ge=1e-6, le=1e6),
-    Because("1 nW, less than an indicator LED in the next room, to 1 kW, a cinema projector"),
+    Field(ge=1e-12, le=1e6),
+    Because("1 fW, some thousand photons per second, to 1 kW, a cinema projector"),
 ]
 Irradiance = Annotated[float, Field(ge=0, le=1e4), Because("1e4 mW/mm^2 burns the coat")]
 ThrowRatio = Annotated[

@@ -30,6 +30,7 @@ from twin.config.bounds import (
     Flux,
     FullWell,
     Length,
+    Photons,
     PixelPitch,
     ReadNoise,
     ResponseSpread,
@@ -269,7 +270,7 @@ class Render(Model):
     bounce_paths: Annotated[int, Field(ge=1, le=4096)] = Field(
         default=4, description="random continuations per camera ray, when there are bounces"
     )
-    photons: Annotated[int, Field(ge=1000, le=10**9)] = Field(
+    photons: Photons = Field(
         default=4_000_000,
         description="light paths from the projector through clear or polished specimens",
     )
