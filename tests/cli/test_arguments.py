@@ -4,19 +4,34 @@ import pytest
 
 from twin import cli
 from twin.cli.app import app
+from twin.cli.captures import with_repeated_options
 
 ALL = ("k1", "k2", "p1", "p2", "k3")
 
 
-@pytest.mark.parametrize("names", [(), ALL[:1], ALL[:2], ALL[:4], ALL])
+@pytest.mark.parametrize("names", [ALL[:1], ALL[:2], ALL[:4], ALL])
 @pytest.mark.parametrize("device", ["camera", "projector"])
 def test_distortion_coefficients_follow_one_option(device: str, names: tuple[str, ...]) -> None:
+    """Before and after the source, and one by one."""
     option = f"--{device}-distortion"
-    given = [option, *names] if names else [f"--empty-{device}-distortion"]
-    command, bound, _ = app.parse_args(["calibrate", "captures", *given, "-o", "out"])
-    assert command is cli.captures.calibrate
-    assert bound.arguments[f"{device}_distortion"] == names
-    repeated = [word for name in names for word in (option, name)]
-    if names:
-        _, again, _ = app.parse_args(["calibrate", *repeated, "-o", "out", "captures"])
-        assert again.arguments == bound.arguments
+    one_by_one = [word for name in names for word in (option, name)]
+    for words in (
+        ["captures", option, *names, "-o", "out"],
+        [option, *names, "captures", "-o", "out"],
+        ["-o", "out", *one_by_one, "captures"],
+    ):
+        command, bound, _ = app.parse_args(with_repeated_options(["calibrate", *words]))
+        assert command is cli.captures.calibrate
+        assert bound.arguments[f"{device}_distortion"] == names
+        assert str(bound.arguments["source"]) == "captures"
+
+
+def test_other_words_stay_as_they_are() -> None:
+    words = ["measure", "k1", "-o", "k2", "--set", "name=k1", "k2", "--", "--camera-distortion"]
+    assert with_repeated_options(words) == words
+
+
+def test_the_program_takes_them(capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["calibrate", "--camera-distortion", "k1", "k2", "nowhere", "-o", "out"]
+    assert cli.run(words) == 2
+    assert "nowhere: no such folder of captures" in capsys.readouterr().err

@@ -34,7 +34,8 @@ def run(arguments: list[str] | None = None) -> int:
 
 def _answer(words: list[str]) -> int | None:
     introduce()
-    done = app(words, exit_on_error=False, print_error=False, result_action="return_value")
+    written = captures.with_repeated_options(words)
+    done = app(written, exit_on_error=False, print_error=False, result_action="return_value")
     return None if done is None else int(done)
 
 

@@ -2,9 +2,10 @@
 
 import shutil
 import sys
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal, get_args
 
 from cyclopts import Parameter
 
@@ -245,9 +246,26 @@ def compensate(
     say(f"wrote {out / REPORT_FILE if report else out}")
 
 
-Coefficients = Annotated[
-    tuple[Literal["k1", "k2", "p1", "p2", "k3"], ...], Parameter(consume_multiple=True)
-]
+Coefficient = Literal["k1", "k2", "p1", "p2", "k3"]
+_TAKING_COEFFICIENTS = ("--camera-distortion", "--projector-distortion")
+
+
+def with_repeated_options(words: Sequence[str]) -> list[str]:
+    """Write `--camera-distortion k1 k2` as one option for each coefficient.
+
+    Cyclopts takes either one word after an option or all of them, the source folder, too.
+    """
+    written: list[str] = []
+    option = ""
+    for word in words:
+        if word.startswith("-"):
+            option = word if word in _TAKING_COEFFICIENTS else ""
+        elif option and word in get_args(Coefficient) and written[-1] != option:
+            written.append(option)
+        else:
+            option = option if word in get_args(Coefficient) else ""
+        written.append(word)
+    return written
 
 
 @app.command
@@ -258,8 +276,8 @@ def calibrate(
     out: Out,
     board: str = "boards/paper_dots",
     settings: Settings = None,
-    camera_distortion: Coefficients = ("k1",),
-    projector_distortion: Coefficients = (),
+    camera_distortion: tuple[Coefficient, ...] = ("k1",),
+    projector_distortion: tuple[Coefficient, ...] = (),
     camera_pixel_ratio: float = 1.0,
     projector_pixel_ratio: float = 1.0,
     keep_captures: bool = False,
