@@ -18,6 +18,7 @@ from twin.study.record import read_record
 from twin.study.store import FAILURE_FILE, Store
 from twin.study.sweep import forget_failures, sweep
 from twin.study.table import read_table, write_csv
+from twin.study.worker import Batch, compute
 from twin.study.workers import local_workers, of_executor
 
 
@@ -303,3 +304,16 @@ def _is_running(pid):
     except ProcessLookupError:
         return False
     return True
+
+
+def test_a_run_in_this_process_leaves_the_renderers_threads(mi, tmp_path):
+    """One worker is this process, whose number of threads is the caller's."""
+    import drjit as dr
+
+    before = dr.thread_count()
+    dr.set_thread_count(before + 1)
+    try:
+        compute(Batch(tmp_path, ()))
+        assert dr.thread_count() == before + 1
+    finally:
+        dr.set_thread_count(before)

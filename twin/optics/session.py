@@ -7,7 +7,7 @@ session holds a lock, makes the variant of this machine's backend current, waits
 that was begun, and restores the caller's variant. Sessions of one thread may be nested. A program
 that uses Mitsuba itself in another thread at the same time has to take turns by its own means.
 
-Dr.Jit's thread count and flags, Mitsuba's log level and the environment are not changed.
+Dr.Jit's flags and number of threads, Mitsuba's log level and the environment are not changed.
 """
 
 import functools
@@ -66,8 +66,9 @@ def activate() -> Backend:
         return backend
 
 
-def use_threads(count: int) -> None:
-    """Let Dr.Jit use `count` threads in this process: for processes of our own only.
+@contextmanager
+def renderer_threads(count: int) -> Iterator[None]:
+    """Let Dr.Jit use `count` threads in a block; it does not look at the environment.
 
     Raises
     ------
@@ -76,7 +77,13 @@ def use_threads(count: int) -> None:
     with renderer_session():
         import drjit as dr
 
+        before = dr.thread_count()
         dr.set_thread_count(count)
+    try:
+        yield
+    finally:
+        with renderer_session():
+            dr.set_thread_count(before)
 
 
 @functools.cache

@@ -5,6 +5,7 @@ import threading
 import time
 import traceback
 from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from math import isfinite
@@ -101,7 +102,8 @@ def compute(batch: Batch) -> BatchReport:
     with _one_at_a_time:
         measurer = _measurer(batch.make_measurer, batch.keep)
         store = Store(batch.store)
-        reports = tuple(_compute_case(store, *case, measurer) for case in batch.cases)
+        with _limited_threads(measurer):
+            reports = tuple(_compute_case(store, *case, measurer) for case in batch.cases)
         return BatchReport(reports, measurer.reads())
 
 
@@ -139,10 +141,16 @@ def _measurer(make: MakeMeasurer, keep: tuple[str, ...]) -> Measurer:
     measurer = make(keep)
     if isinstance(measurer, CaseMeasurer):
         measurer.memory = _memory()
-        from twin.optics.session import use_threads
-
-        use_threads(threads())  # the renderer does not look at the environment
     return measurer
+
+
+def _limited_threads(measurer: Measurer) -> AbstractContextManager[None]:
+    """Limit the renderer to this process' threads, where a measurer uses it."""
+    if not isinstance(measurer, CaseMeasurer):
+        return nullcontext()
+    from twin.optics.session import renderer_threads
+
+    return renderer_threads(threads())
 
 
 def _compute_case(
