@@ -16,6 +16,7 @@ from twin.results.under_sheet import more_contact
 # Of the good limit: an object whose points deviate more is not what was measured.
 _POOR_DEVIATION = 5.0
 _NOTHING = "no point lies on it"
+_NOT_MEASURED = "not measured"
 _ALIGNED = (
     ("none", "as the sensor gave them"),
     ("offset", "offset along z taken off"),
@@ -58,7 +59,7 @@ def object_verdict(measured: Measurement) -> Verdict:
     return Verdict(
         question,
         deviation if first is None or first.value is None else _short(first),
-        _grade_of_deviation(p95_um / limit_um),
+        _grade_of_deviation(max(p95_um, rms_um) / limit_um),  # RMS: a few large outliers
         (
             *lengths,
             f"deviation of its points {deviation}; 95 % deviate by up to {p95_um:.1f} µm (good "
@@ -205,9 +206,19 @@ def quantity_table(measured: Measurement) -> Table:
             "repeatability and calibration where they are stated. Verdict after ISO 14253-1 with "
             "guard band U: within tolerance by U or more, outside by U or more, or it cannot be "
             f"told. {surface}",
+            *_absences(found.quantities),
         ),
         look="compared",
     )
+
+
+def _absences(quantities: tuple[MeasuredQuantity, ...]) -> list[str]:
+    """Return one note for each reason why measurands have no value: a column is too narrow."""
+    missing: dict[str, list[str]] = {}
+    for one in quantities:
+        if one.value is None and one.why:
+            missing.setdefault(one.why, []).append(one.asked.name.replace("_", " "))
+    return [f"{', '.join(names)} not measured: {why}." for why, names in missing.items()]
 
 
 def _row(one: MeasuredQuantity) -> dict[str, str]:
@@ -222,13 +233,13 @@ def _row(one: MeasuredQuantity) -> dict[str, str]:
     }
     if _is_lost(one):
         lost = one.decision or f"found: {one.value:.3g} mm"
-        return row | {"value": "not measured", "verdict": lost}
+        return row | {"value": _NOT_MEASURED, "verdict": lost}
     return row | {
         "value": NONE if one.value is None else f"{one.value:.{digits}f}{unit}",
         "error": NONE if one.error is None or share else signed(one.error, 1),
         "expanded": NONE if one.value is None or share else f"{one.uncertainty.expanded:.2g}",
         "parts": NONE if one.value is None or share else _parts(one),
-        "verdict": one.decision or (one.why or ("none asked" if length else NONE)),
+        "verdict": one.decision or (_NOT_MEASURED if one.why else "none asked" if length else NONE),
     }
 
 
