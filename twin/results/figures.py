@@ -7,12 +7,13 @@ that nothing can score it as 0: who needs the number asks for `known`.
 
 from collections.abc import Iterator, Mapping, Sequence
 from difflib import get_close_matches
-from typing import Any
+from typing import Any, TypeVar, overload
 
 from reconstruction.errors import InputError
 
 Metric = float | str | Sequence[str] | None
 Metrics = Mapping[str, Metric]
+Default = TypeVar("Default")
 COMPENSATED = "compensated_"
 """What the figures begin with that are the object's, found from the coat."""
 
@@ -44,6 +45,17 @@ class Figures(Mapping[str, float | None]):
             return self._values[name]
         except KeyError:
             raise FigureError(self._no_such(name)) from None
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._values
+
+    @overload
+    def get(self, name: str, /) -> float | None: ...
+    @overload
+    def get(self, name: str, /, default: Default) -> float | Default | None: ...
+    def get(self, name: str, /, default: Any = None) -> Any:
+        """Return a figure by its name, or the default: no search for a similar name."""
+        return self._values.get(name, default)
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._values)
