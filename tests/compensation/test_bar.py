@@ -163,11 +163,11 @@ def test_a_turned_bar_has_the_same_width() -> None:
 
 
 def test_noise_is_what_its_uncertainty_says() -> None:
-    """20 um of white noise per point of the coat, twelve times: spread as predicted."""
+    """20 um of white noise per point of the coat, eight times: spread as predicted."""
     relief, layer = pressed_bar(1.0).relief, pressed_bar(1.0).layer
     points = relief.points_mm.reshape(-1, 3)
     rng, widths, noise = np.random.default_rng(4), [], []
-    for _ in range(12):
+    for _ in range(8):
         shaken = points + [0, 0, 1] * rng.normal(scale=0.02, size=(len(points), 1))
         told = bar_under_sheet(compensate_sheet(shaken, np.full(len(points), 0.02), layer), BAR)
         widths.append(told.width_mm)

@@ -39,8 +39,8 @@ DRAPE = {
 
 
 def test_draws_have_the_stated_mean_and_spread():
-    """4000 draws: means within 4 standard errors, standard deviations within 4 of theirs."""
-    all_three, experiment, n = inputs_of(x=X, size=SIZE, drape=DRAPE), balls(), 4000
+    """1000 draws: means within 4 standard errors, standard deviations within 4 of theirs."""
+    all_three, experiment, n = inputs_of(x=X, size=SIZE, drape=DRAPE), balls(), 1000
     values = [values_of(experiment, all_three, trial) for trial in range(1, n + 1)]
     for name, one in all_three.items():
         nominal = {"x": 0.0, "size": 8.0, "drape": experiment.press.back_pressure_kpa}[name]
