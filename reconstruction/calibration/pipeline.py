@@ -5,7 +5,7 @@ where the calibrated rig sees the features of a board.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -24,7 +24,7 @@ from reconstruction.calibration.parameters import (
     rotation_vector,
 )
 from reconstruction.calibration.plane_images import centre_bias_px
-from reconstruction.calibration.plausibility import adjustment_checks, misfits
+from reconstruction.calibration.plausibility import adjustment_checks, misfits, pupil_doubt
 from reconstruction.errors import InputError
 from reconstruction.rig.calibration import Calibration
 from reconstruction.rig.plausibility import Check, implausible, require_plausible
@@ -169,7 +169,7 @@ class Calibrated:
     Attributes
     ----------
     checks : all of them plausible
-    doubts : residuals that the model does not explain, in words
+    doubts : residuals that the model does not explain, and an aperture that was left out, in words
     """
 
     calibration: Calibration
@@ -201,32 +201,47 @@ def calibrate(
             "calibrate each size by itself"
         )
     chosen = options or AdjustOptions()
-    found, checks = _plausible(observations, chosen)
+    found, doubt = _adjusted(observations, chosen)
+    checks = _plausible(observations, chosen, found)
     return Calibrated(
         calibration=calibration_of(found),
         adjustment=found,
         parameters=tuple(parameters(found)),
         poses=tuple(pose_residuals(found, observations)),
         checks=checks,
-        doubts=misfits(found, observations),
+        doubts=(*([doubt] if doubt else []), *misfits(found, observations)),
     )
 
 
-def _plausible(
+def _adjusted(
     observations: Sequence[Observation], options: AdjustOptions
-) -> tuple[Adjustment, tuple[Check, ...]]:
+) -> tuple[Adjustment, str]:
+    """Return the adjustment, without the camera's aperture where that is implausible, and why."""
     start = starting_rig(observations, options.freedom)
     try:
         fit = adjust(observations, start, options)
+        doubt = pupil_doubt(fit)
+        if not doubt:
+            return fit, ""
+        sharp = replace(options, freedom=replace(options.freedom, camera_defocus=False))
+        return adjust(observations, start, sharp), (
+            f"{doubt}: the residuals are not blur of a camera out of focus; "
+            "calibrated without that term"
+        )
     except InputError as error:
         remedy = remedy_for(observations, options, None)
         if remedy == NO_CAUSE and str(error) != DIVERGES:  # it says what to do
             raise
         raise InputError(f"{error}; {remedy}") from error
+
+
+def _plausible(
+    observations: Sequence[Observation], options: AdjustOptions, fit: Adjustment
+) -> tuple[Check, ...]:
     checks = adjustment_checks(fit, observations, options.freedom)
     if implausible(checks):
         require_plausible(checks, remedy_for(observations, options, fit))
-    return fit, checks
+    return checks
 
 
 def locate_features(calibration: Calibration, seen: Observation) -> FloatArray:

@@ -9,6 +9,9 @@
 | depth of every feature | above 0 | in front of the device |
 | angle of incidence on the print | up to 88 degrees | both devices see the printed face |
 
+The aperture that the blur of tilted boards gives is checked apart from these (`pupil_doubt`): where
+it is implausible, it took up residuals of another kind, and the rig is adjusted without it.
+
 RMS: up to the largest of 1 px, 1/2000 of the image's diagonal, and 5 times the scatter of
 detection. Lenses that the model does not follow remain below it; wrong boards and pixels do not.
 
@@ -36,6 +39,9 @@ MOST_LEFT_OUT = 0.25
 MOST_RELATIVE_SIGMA = 0.25
 RATIO_TOLERANCE, RATIO_SIGMAS = 0.03, 5.0
 MOST_INCIDENCE_DEG = 88.0
+# Pixels of up to 30 um (binned ones) behind a lens of f/0.7.
+MOST_PUPIL_MM_PER_FOCAL_PX = 0.030 / 0.7
+PUPIL_SIGMAS = 3.0
 # x^i y^j with i + j <= 3
 CUBIC_TERMS = 10
 # Camera and projector among the columns of residuals.
@@ -56,6 +62,24 @@ def adjustment_checks(
         *_ratio_checks(fit, freedom),
         *_place_checks(fit, observations),
     )
+
+
+def pupil_doubt(fit: Adjustment) -> str:
+    """Return why the camera's aperture cannot be that of a lens; empty: it can, or is not seen.
+
+    Notes
+    -----
+    A diameter D is focal length over f-number. The focal length is known in pixels only, so that D
+    has the limit fx times 0.043 mm. A mean square of a place on the pupil is not negative.
+    """
+    if abs(fit.pupil_mm2) <= PUPIL_SIGMAS * fit.pupil_sigma_mm2:
+        return ""
+    if fit.pupil_mm2 < 0.0:
+        return f"mean square of the place on the pupil is {fit.pupil_mm2:.3g} mm2, plausible from 0"
+    diameter_mm = 4.0 * float(np.sqrt(fit.pupil_mm2))
+    most_mm = MOST_PUPIL_MM_PER_FOCAL_PX * fit.rig.camera.fx_px
+    check = Check("camera_pupil_diameter_mm", diameter_mm, 0.0, most_mm)
+    return "" if check.is_plausible else str(check)
 
 
 def detection_scatter_px(

@@ -16,6 +16,9 @@ from reconstruction.errors import InputError
 from reconstruction.rig.sensor import QUANTISATION_DN2
 
 LEAST_FRAMES = 2
+MOST_PRNU = 0.1
+"""Standard deviation over mean; sensors have 0.2 to 3 %, a textured surface has more."""
+_MOST_SATURATED = 0.01
 _BOX = 7
 _KEPT = 1.0 - 1.0 / _BOX**2
 
@@ -58,25 +61,40 @@ def dark_of(frames: Stack) -> Dark:
     return Dark(level, None if is_ruled else noise, _root_of(spatial))
 
 
-def prnu_of(frames: Stack, black_level_dn: float, dsnu_dn: float = 0.0) -> UncertainValue:
+def prnu_of(
+    frames: Stack, black_level_dn: float, dsnu_dn: float = 0.0, clipped_from_dn: float = np.inf
+) -> UncertainValue:
     """Return the spread of the pixels' response as a share, of frames evenly lit.
 
     Parameters
     ----------
     frames : (frame, row, col) DN, at least two, of one bright, even and unsharp surface
     black_level_dn, dsnu_dn : of the camera
+    clipped_from_dn : level from which a pixel may be full, see `SensorNoise`
 
     Raises
     ------
-    InputError : too few frames, or no light on them
+    InputError : too few frames, no light on them, full pixels, or pixels that differ too much
     """
     _require(frames, "flat")
+    saturated = float(np.mean(frames >= clipped_from_dn))
+    if saturated > _MOST_SATURATED:
+        raise InputError(
+            f"flat frames: {saturated:.1%} of the pixels are saturated (from {clipped_from_dn:.5g} "
+            f"DN on), allowed {_MOST_SATURATED:.0%}; expose them to half of full scale"
+        )
     above_dn = float(frames.mean(dtype=np.float64)) - black_level_dn
     if not above_dn > 10.0:
         raise InputError(f"flat frames are {above_dn:.3g} DN above black; light them evenly")
     _, spatial = _variances(frames, is_flat=True)
     share2 = max(spatial.value - dsnu_dn**2, 0.0) / above_dn**2
-    return _root(share2, spatial.uncertainty / above_dn**2)
+    found = _root(share2, spatial.uncertainty / above_dn**2)
+    if found.value > MOST_PRNU:
+        raise InputError(
+            f"flat frames: pixels differ by {found.value:.1%} (standard deviation), allowed "
+            f"{MOST_PRNU:.0%}; record an even surface, out of focus and evenly lit"
+        )
+    return found
 
 
 def _require(frames: Stack, kind: str) -> None:

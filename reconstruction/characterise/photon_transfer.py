@@ -27,6 +27,13 @@ _LEAST_BINS, _LEAST_IN_BIN = 5, 100
 _END_SIGMAS = 5.0
 _MOST_PIXELS = 200_000
 _ROUNDS = 3
+SATURATION_CAPACITIES_E = (100.0, 1e9)
+"""Full scale over gain: a pixel of 1 um at a gain of 30, to the largest photodiodes."""
+# Relative, k = 1: with k = 2 half of the gain, which is then not determined.
+_MOST_RELATIVE_SIGMA = 0.25
+# RMS of variances over the line, less 1. A scene that moved gives 0.4 and more, real sensors some
+# per cent.
+_MOST_DEVIATION = 0.25
 
 
 @dataclass(frozen=True)
@@ -139,7 +146,7 @@ def photon_transfer(samples: NoiseSamples, sensor: SensorNoise) -> PhotonTransfe
 
     Raises
     ------
-    InputError : too few samples, or too little light among them
+    InputError : too few samples, too little light among them, or a line that no sensor has
     """
     inside = _inside(samples, sensor)
     if int(inside.sum()) < LEAST_SAMPLES:
@@ -163,10 +170,44 @@ def photon_transfer(samples: NoiseSamples, sensor: SensorNoise) -> PhotonTransfe
     if not slope > 0.0:
         raise InputError("photon transfer: noise does not grow with light; is this one sensor?")
     gain = UncertainValue(slope, float(np.sqrt(covariance[0, 0])))
+    _require_plausible(gain, sensor)
+    _require_straight(variance / (slope * above + intercept))
     read = _read_noise(slope, intercept, covariance)
     return PhotonTransfer(
         gain, read, sensor.black_level_dn, mean, variance, sigma, chi2 / max(len(mean) - 2, 1)
     )
+
+
+def _require_plausible(gain: UncertainValue, sensor: SensorNoise) -> None:
+    low, high = SATURATION_CAPACITIES_E
+    capacity_e = (sensor.saturation_dn - sensor.black_level_dn) / gain.value
+    if gain.uncertainty > _MOST_RELATIVE_SIGMA * gain.value:
+        raise InputError(
+            f"photon transfer: the gain is {gain.value:.3g} +- {gain.uncertainty:.2g} DN/e-, "
+            f"allowed an uncertainty of up to {_MOST_RELATIVE_SIGMA:.0%}; record brighter frames, "
+            "more of them, or raw ones without noise reduction"
+        )
+    if not low <= capacity_e <= high:
+        raise InputError(
+            f"photon transfer: a gain of {gain.value:.3g} DN/e- makes full scale {capacity_e:.3g} "
+            f"electrons, allowed {low:g} to {high:g}; record the same scene at rest twice, in raw "
+            "levels, and check black_level_dn and saturation_dn"
+        )
+
+
+def _require_straight(over_line: FloatArray) -> None:
+    """Raise InputError if variances differ from the line by more than a sensor's curvature.
+
+    Parameters
+    ----------
+    over_line : (bin,) variances over those of the line
+    """
+    deviation = float(np.sqrt(np.mean((over_line - 1.0) ** 2)))
+    if not deviation <= _MOST_DEVIATION:
+        raise InputError(
+            f"photon transfer: the variance differs by {deviation:.0%} (RMS) from a straight line, "
+            f"allowed {_MOST_DEVIATION:.0%}; record the same scene at rest twice, in raw levels"
+        )
 
 
 def _inside(samples: NoiseSamples, sensor: SensorNoise) -> BoolArray:

@@ -36,8 +36,11 @@ from reconstruction.rig.projected_light import GAMMA_RANGE, ProjectorResponse, b
 from reconstruction.rig.sensor import SensorNoise
 
 PER_PX = 16
+_GAMMAS, _MOST_BLUR_PX = (GAMMA_RANGE[0] + 0.01, GAMMA_RANGE[1] - 0.01), 9.0
 _STEPS, _ROUNDS = 8, 3
 _DIFFERENCE = 1e-3
+# Of gamma and blur (px), in one step of the search.
+_LARGEST_STEP, _SETTLED = 0.3, 0.1
 _BLOCKS = 8
 _LEAST_PIXELS = 200
 # Without white and black, at least: what makes o, s, u, v and the two unknowns of the light.
@@ -136,20 +139,24 @@ def fit_projector(
 
     Raises
     ------
-    InputError : no fringes, too few frames to tell gamma and blur, or too few valid pixels
+    InputError : no fringes, too few frames to tell gamma and blur, too few valid pixels, or a gamma
+        or blur at the end of its range
     """
     limits = limits or FitLimits()
     _require_frames(patterns)
     pixels = _chosen(stack, patterns, sensor, decoded, limits.pixels)
     light, noise, found = np.array([limits.gamma, limits.blur_px]), sensor, None
     for _ in range(_ROUNDS):
-        pixels, light, information = _converged(pixels, patterns, light, noise, limits)
+        pixels, light, information, change = _converged(pixels, patterns, light, noise, limits)
         samples, chi2, scores = _left(pixels, patterns, light, noise, limits)
         try:
             found = photon_transfer(samples, sensor)
         except InputError:
-            break
+            if change < _SETTLED:
+                break
+            continue  # from where the search has come to
         noise = _with_noise(sensor, found)
+    _require_inside(light, change)
     covariance = _sandwich(information, scores, pixels.block, max(1.0, chi2), limits)
     footprint_px = _footprint_px(decoded, patterns)
     return ProjectorFit(
@@ -314,8 +321,8 @@ def _converged(
     light: FloatArray,
     noise: SensorNoise,
     limits: FitLimits,
-) -> tuple[_FittedPixels, FloatArray, FloatArray]:
-    """Return pixels and light after some steps of Gauss and Newton, and the information."""
+) -> tuple[_FittedPixels, FloatArray, FloatArray, float]:
+    """Return pixels and light after some steps of Gauss and Newton, information, last change."""
     free = _free(limits)
     for _ in range(_STEPS):
         parts = _projected(pixels, _model(pixels, patterns, light), noise)
@@ -324,19 +331,34 @@ def _converged(
         _require_told(information, free)
         score = np.einsum("pkc,pk,pk->c", common, parts.weight, parts.residual)
         step = np.linalg.solve(information + np.diag(1.0 - free), score)
-        step = np.clip(step, -0.3, 0.3)
+        step = np.clip(step, -_LARGEST_STEP, _LARGEST_STEP)
         own = pixels.own + parts.own_step - parts.own_by_common @ step
         pixels = replace(pixels, own=own)
-        light = light + step
+        before, light = light, light + step
         light = np.array(
             [
-                np.clip(light[0], GAMMA_RANGE[0] + 0.01, GAMMA_RANGE[1] - 0.01),
-                np.clip(light[1], _LEAST_BLUR_PX, 9.0),
+                np.clip(light[0], *_GAMMAS),
+                np.clip(light[1], _LEAST_BLUR_PX, _MOST_BLUR_PX),
             ]
         )
         if np.max(np.abs(step)) < 1e-5:
             break
-    return pixels, light, information
+    return pixels, light, information, float(np.max(np.abs(light - before)))
+
+
+def _require_inside(light: FloatArray, last_change: float) -> None:
+    """Raise InputError if the search was stopped by a range or before its end.
+
+    The least blur is no such range: a lens may be sharp.
+    """
+    gamma, blur_px = light.tolist()
+    is_inside = _GAMMAS[0] < gamma < _GAMMAS[1] and blur_px < _MOST_BLUR_PX
+    if not is_inside or last_change >= _SETTLED:
+        raise InputError(
+            f"the fit of the frames does not end: gamma {gamma:.3g}, allowed {_GAMMAS[0]:.3g} to "
+            f"{_GAMMAS[1]:.3g}, blur {blur_px:.3g} px, allowed less than {_MOST_BLUR_PX:g} px; "
+            "check the order and kind of the frames, and that the camera's levels are linear"
+        )
 
 
 def _require_told(information: FloatArray, free: FloatArray) -> None:

@@ -2,7 +2,12 @@
 
 from reconstruction.compensation.bar import BarPlace, BarUnderSheet, bar_under_sheet
 from reconstruction.compensation.gel import CompensatedGel, GelLayer, compensate_gel
-from reconstruction.compensation.known_ball import CalibratedSheet, KnownTravel, calibrate_sheet
+from reconstruction.compensation.known_ball import (
+    CalibratedSheet,
+    KnownTravel,
+    calibrate_sheet,
+    require_determined,
+)
 from reconstruction.compensation.parts import Compensated, ObjectPart, parts_of
 from reconstruction.compensation.relief import Relief, SheetOpening, relief_on_frame
 from reconstruction.compensation.sheet import CompensatedSheet, compensate_sheet
@@ -47,4 +52,5 @@ __all__ = [
     "fit_under_slab",
     "parts_of",
     "relief_on_frame",
+    "require_determined",
 ]

@@ -33,7 +33,15 @@ _MODULUS_THEORY, _MODULUS_PER_MM = 0.02, 0.15
 _TIP_THEORY_MM = 2e-3
 # By which the rim gives more for its derivative, times shear modulus times thickness.
 _STEP_MM = 0.05
-_THINNEST_SHARE, _THICKEST_SHARE = 0.2, 5.0
+# Of the thickness and of the modulus in the layer file. A thickness is measured or cast to some per
+# cent; a hardness gives a modulus to 20 %. A wrong unit or ball gives more.
+_THICKNESS_FACTOR, _MODULUS_FACTOR = 2.0, 3.0
+# During the iteration, which may pass the solution.
+_STEP_FACTOR = 5.0
+# Relative, k = 1: with k = 2 half of the value, which is then not determined.
+_MOST_RELATIVE_SIGMA = 0.25
+# Radii of balls of one diameter, over their mean: a sheet is not equally thick everywhere.
+_MOST_RADIUS_SPREAD = 0.1
 # A softer rim holds nothing, and no elastomer file takes it.
 _SOFTEST_MM2_PER_N = 100.0
 
@@ -89,13 +97,18 @@ def calibrate_sheet(
 
     Raises
     ------
-    FitError : no part is a ball, or no thickness and no rim that holds give its radius
+    FitError : no part is a ball, balls differ, no thickness and no rim give the radius, or they are
+        not determined, or thickness or modulus are far from those of the layer
     InputError : the radius is no positive number
     """
     require_number("ball radius", ball_radius_mm, 0.0, open_low=True)
     require_number("sigma of the ball radius", sigma_radius_mm, 0.0)
     known = _Known(layer, ball_radius_mm, sigma_radius_mm, travel)
     here, before, told, softer, fit = _converged(points_mm, sigma_z_mm, known)
+    _require_settled(fit)
+    _require_thickness(known, here.thickness_mm, _THICKNESS_FACTOR)
+    require_determined("thickness_mm", here.thickness_mm, float(fit.sigma[0]))
+    _require_modulus(known.believed, told.modulus_kpa)
     if here.rim_compliance_mm2_per_n > _SOFTEST_MM2_PER_N:
         raise FitError(
             f"calibration: the rim would give by {here.rim_compliance_mm2_per_n:.3g} mm^2/N, "
@@ -117,6 +130,39 @@ def calibrate_sheet(
         modulus_found=free is not None,
         rim_found=known.fits_rim,
     )
+
+
+def require_determined(name: str, value: float, sigma: float) -> None:
+    """Check that a calibrated number is known better than to 25 %.
+
+    Raises
+    ------
+    FitError : it is not
+    """
+    if not sigma <= _MOST_RELATIVE_SIGMA * abs(value):
+        raise FitError(
+            f"calibration: {name} is {value:.3g} +- {sigma:.2g}, allowed an uncertainty of up to "
+            f"{_MOST_RELATIVE_SIGMA:.0%}; press the ball deeper, or record with less noise"
+        )
+
+
+def _require_modulus(layer: SheetLayer, modulus_kpa: float | None) -> None:
+    low, high = layer.young_modulus_kpa / _MODULUS_FACTOR, layer.young_modulus_kpa * _MODULUS_FACTOR
+    if modulus_kpa is not None and not low <= modulus_kpa <= high:
+        raise FitError(
+            f"calibration: the free span has a modulus of {modulus_kpa:.3g} kPa, allowed {low:.3g} "
+            f"to {high:.3g}; check hardness or modulus, and back_pressure_kpa = "
+            f"{layer.back_pressure_kpa:g} of the layer"
+        )
+
+
+def _require_equal(balls: list[ObjectPart]) -> None:
+    radii = np.array([ball.radius_mm for ball in balls])
+    if np.ptp(radii) > _MOST_RADIUS_SPREAD * radii.mean():
+        raise FitError(
+            f"calibration: balls in contact have radii of {radii.min():.3g} to {radii.max():.3g} "
+            "mm, allowed one diameter; press one ball, or equal ones"
+        )
 
 
 @dataclass(frozen=True)
@@ -168,6 +214,7 @@ def _told(points_mm: FloatArray, sigma_z_mm: FloatArray, layer: SheetLayer) -> _
     balls = [part for part in parts_of(found) if part.form == "ball"]
     if not balls:
         raise FitError("calibration: no part of the contact is a ball; press one, with air")
+    _require_equal(balls)
     radius, slope, tip = _mean_ball(found, balls)
     free = found.modulus_of_free_span_kpa()
     return _Told(
@@ -197,6 +244,16 @@ class _Fit:
     @property
     def is_close(self) -> bool:
         return bool(abs(self.step[0]) < _CLOSE_MM and abs(self.step[1:]).sum() < _CLOSE_MM2_PER_N)
+
+
+def _require_settled(fit: _Fit) -> None:
+    """Raise FitError if the last step is larger than the standard uncertainty."""
+    if not np.all(np.abs(fit.step) <= fit.sigma):
+        raise FitError(
+            f"calibration: after {_MOST_TURNS} steps the thickness still changes by "
+            f"{abs(fit.step[0]):.2g} mm; check the ball, and thickness_mm and back_pressure_kpa of "
+            "the layer"
+        )
 
 
 def _fit(known: _Known, here: SheetLayer, told: _Told, softer: _Told | None) -> _Fit:
@@ -250,6 +307,19 @@ def _further(
         )
 
 
+def _require_thickness(known: _Known, thickness_mm: float, factor: float) -> None:
+    """Raise FitError if a thickness is more than a factor away from that of the layer."""
+    believed_mm = known.believed.thickness_mm
+    if not believed_mm / factor <= thickness_mm <= believed_mm * factor:
+        raise FitError(
+            f"calibration: a radius of {known.radius_mm:g} mm would take a sheet of "
+            f"{thickness_mm:.3g} mm, allowed {believed_mm / _THICKNESS_FACTOR:.3g} to "
+            f"{believed_mm * _THICKNESS_FACTOR:.3g}; check the ball, and thickness_mm = "
+            f"{believed_mm:g} and back_pressure_kpa = {known.believed.back_pressure_kpa:g} of the "
+            "layer"
+        )
+
+
 def _moved(known: _Known, here: SheetLayer, fit: _Fit) -> SheetLayer:
     """Return the layer a step on.
 
@@ -257,12 +327,8 @@ def _moved(known: _Known, here: SheetLayer, fit: _Fit) -> SheetLayer:
     ------
     FitError : no thickness gives the ball its radius
     """
-    believed, thickness = known.believed.thickness_mm, here.thickness_mm + fit.step[0]
-    if not _THINNEST_SHARE * believed < thickness < _THICKEST_SHARE * believed:
-        raise FitError(
-            f"calibration: a radius of {known.radius_mm:g} mm would take a sheet of "
-            f"{thickness:.3g} mm; check the ball, and thickness_mm = {believed:g} of the layer"
-        )
+    thickness = here.thickness_mm + fit.step[0]
+    _require_thickness(known, thickness, _STEP_FACTOR)
     compliance = here.rim_compliance_mm2_per_n + float(fit.step[1:].sum())
     return replace(
         here,

@@ -30,6 +30,8 @@ UNTOUCHED_SHARE = 0.2
 UNTOUCHED_RADII = 2.5
 # Contact radius over ball radius beyond which a press is refused: slope 2.1, no gel follows that.
 LARGEST_SINE = 0.9
+# Below it slopes are under 0.1: no press calibrates, so that ball or pitch has another unit.
+SMALLEST_SINE = 0.1
 
 Part = tuple[FloatImage, FloatImage, FloatArray, FloatArray]
 
@@ -254,10 +256,12 @@ def sample_presses(
 
 
 def _require_fit(contact_mm: float, ball_radius_mm: float) -> None:
-    if contact_mm > LARGEST_SINE * ball_radius_mm:
+    sine = contact_mm / ball_radius_mm
+    if not SMALLEST_SINE <= sine <= LARGEST_SINE:
         raise FitError(
-            f"a contact of radius {contact_mm:.2f} mm does not fit a ball of radius "
-            f"{ball_radius_mm:.2f} mm; check the ball's diameter and pitch_mm"
+            f"a contact of radius {contact_mm:.3g} mm does not fit a ball of radius "
+            f"{ball_radius_mm:.3g} mm, allowed {SMALLEST_SINE:g} to {LARGEST_SINE:g} times that; "
+            "check the ball's diameter and pitch_mm"
         )
 
 

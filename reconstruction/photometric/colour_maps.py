@@ -40,6 +40,9 @@ PLACE_DEGREE = 3
 RIDGE = 1e-5
 RIDGE_OF_PLACE = 1e-2
 CHUNK = 8192
+# RMS of what a map leaves of the slopes it was fitted to, over their RMS: 0.02 to 0.15 for shaded
+# balls; 0.6 and more for grey images, which show how steep gel is but not in which direction.
+MOST_UNEXPLAINED = 0.5
 # Colours may leave the calibrated range by this share of it.
 SLACK = 0.1
 RANGE_PERCENT = (0.05, 99.95)
@@ -148,7 +151,7 @@ def fit_polynomial(samples: Samples, shape: tuple[int, int]) -> ColourPolynomial
 
     Raises
     ------
-    FitError : fewer samples than coefficients
+    FitError : fewer samples than coefficients, or the colours do not determine the slopes
     """
     unknowns = len(COLOUR_TERMS) * len(PLACE_TERMS)
     if len(samples.slopes) < 2 * unknowns:
@@ -159,11 +162,26 @@ def fit_polynomial(samples: Samples, shape: tuple[int, int]) -> ColourPolynomial
     q = samples.levels / np.maximum(samples.background, 1.0) - 1.0
     square = np.sum(samples.slopes**2, axis=1, keepdims=True)
     tilt = samples.slopes / np.sqrt(1.0 + square)
-    solution = _ridge(q.astype(np.float64), _scaled(samples.places_px, shape), tilt)
+    colours, places = q.astype(np.float64), _scaled(samples.places_px, shape)
+    solution = _ridge(colours, places, tilt)
     low, high = np.percentile(q, RANGE_PERCENT, axis=0)
     slack = SLACK * (high - low)
     coefficients = solution.T.reshape(2, len(COLOUR_TERMS), len(PLACE_TERMS))
+    terms = _products(colours.T, COLOUR_TERMS), _products(places, PLACE_TERMS)
+    fitted = [np.sum(terms[0] * (own @ terms[1]), axis=0) for own in coefficients]
+    _require_explained(tilt, np.stack(fitted, axis=-1))
     return ColourPolynomial(coefficients, low - slack, high + slack)
+
+
+def _require_explained(slopes: FloatArray, fitted: FloatArray) -> None:
+    """Raise FitError if a map leaves more than half of the slopes (n, 2) it was fitted to."""
+    left, whole = (np.sqrt(np.mean(part**2)) for part in (slopes - fitted, slopes))
+    if not left <= MOST_UNEXPLAINED * whole:
+        raise FitError(
+            f"the colours do not determine the slopes: {left / whole:.0%} of them are left (RMS), "
+            f"allowed {MOST_UNEXPLAINED:.0%}; give colour images under lamps of three colours from "
+            "three sides, presses of the balls that are named, and the background of this sensor"
+        )
 
 
 def _ridge(q: FloatArray, places: FloatArray, tilt: FloatArray) -> FloatArray:
@@ -260,13 +278,19 @@ class BoundTable:
 
 
 def fit_table(samples: Samples, background: FloatImage) -> ColourTable:
-    """Average the slopes of each bin and fill the empty ones from the nearest filled bin."""
+    """Average the slopes of each bin and fill the empty ones from the nearest filled bin.
+
+    Raises
+    ------
+    FitError : the colours do not determine the slopes
+    """
     row, col = samples.places_px.astype(np.intp).T
     factor = _flat_field(background)[row, col]
     bins = _flat_bins((samples.levels - samples.background) * factor)
     count = np.bincount(bins, minlength=BINS**3)
     sums = [np.bincount(bins, weights=s, minlength=BINS**3) for s in samples.slopes.T]
     mean = np.stack(sums, axis=-1) / np.maximum(count, 1)[:, np.newaxis]
+    _require_explained(samples.slopes, mean[bins])
     empty = (count == 0).reshape(BINS, BINS, BINS)
     distance, nearest = distance_transform_edt(empty, return_indices=True)
     filled = mean.reshape(BINS, BINS, BINS, 2)[tuple(nearest)]

@@ -34,6 +34,7 @@ from reconstruction.photometric.colour_maps import (
     fit_table,
 )
 from reconstruction.photometric.images import (
+    CHANNELS,
     GROWTH_PX,
     checked_image,
     fill_nearest,
@@ -62,6 +63,8 @@ ColourMap = ColourPolynomial | ColourTable
 KINDS: dict[str, type[Any]] = {"polynomial": ColourPolynomial, "table": ColourTable}
 FORMAT, VERSION = "photometric-calibration", 1
 PREFIX = "map_"
+LIT_LEVELS = 5.0, 250.0
+"""Median of a background's channel with which pixels can become darker and brighter."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,12 +123,14 @@ def calibrate_sensor(
 
     Raises
     ------
-    InputError : unknown kind, images that do not fit each other
-    FitError : a press without a contact circle, too few presses
+    InputError : unknown kind, images that do not fit each other, a dark or saturated background
+    FitError : a press without a contact circle or of another ball, too few presses, or colours that
+        do not determine the slopes
     """
     if kind not in KINDS:
         raise InputError(f"map is {kind!r}; give one of {', '.join(KINDS)}")
     how, background = options or SampleOptions(), mean_background(background_frames)
+    _require_lit(background)
     samples = sample_presses(presses, background, pitch_mm, how)
     colour_map: ColourMap
     if kind == "table":
@@ -133,6 +138,17 @@ def calibrate_sensor(
     else:
         colour_map = fit_polynomial(samples, (background.shape[0], background.shape[1]))
     return SensorCalibration(colour_map, background, pitch_mm, how.smoothing_px, how.marker_level)
+
+
+def _require_lit(background: FloatImage) -> None:
+    """Raise InputError if a channel of the background is dark or saturated nearly everywhere."""
+    low, high = LIT_LEVELS
+    for name, level in zip(CHANNELS, np.median(background, axis=(0, 1)).tolist(), strict=True):
+        if not low <= level <= high:
+            raise InputError(
+                f"background: the {name} channel has a median of {level:.3g} levels, allowed "
+                f"{low:g} to {high:g}; light the gel in three colours, and set the exposure"
+            )
 
 
 def write_sensor_calibration(path: Path | str, calibration: SensorCalibration) -> None:

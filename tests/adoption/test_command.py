@@ -1,12 +1,15 @@
 """`twin adopt` on the worked example of docs/real_rig.md, whose rig is known."""
 
 import json
+import re
 import shutil
 import tomllib
 from pathlib import Path
 
 import pytest
 
+from reconstruction.errors import InputError
+from twin.adoption.rendered import _require_albedo
 from twin.cli import run
 from twin.config import load_experiment
 
@@ -87,6 +90,28 @@ def test_bad_input_is_one_line(tmp_path, capsys, arguments, message):
     told = capsys.readouterr().err.strip().splitlines()[-1]
     assert message in told
     assert not out.exists()
+
+
+def test_dark_frames_that_are_lit_are_one_line(tmp_path, capsys):
+    """The white frame as dark frame: a black level of half the scale would leave no light."""
+    dark = tmp_path / "dark"
+    dark.mkdir()
+    white = sorted(EXAMPLE.glob("*white*"))[0]
+    for number in range(2):
+        shutil.copy(white, dark / f"{number}{white.suffix}")
+    out = tmp_path / "out"
+    assert run(["adopt", str(EXAMPLE), "--dark", str(dark), "-o", str(out), "--no-report"]) == 2
+    line = capsys.readouterr().err.strip().splitlines()[-1]
+    assert re.search(
+        r"dark frames have a mean of [\d.]+ DN, allowed up to [\d.]+ DN, .*cover", line
+    )
+    assert not out.exists()
+
+
+@pytest.mark.parametrize("albedo", [-0.1, 0.0, 1.0, 1.7, float("nan")])
+def test_an_albedo_that_no_coat_has_is_refused(albedo):
+    with pytest.raises(InputError, match=r"allowed 0 to 1, with a reference of 0\.5; record both"):
+        _require_albedo(albedo, 0.5)
 
 
 LAYER = """[elastomer]

@@ -107,10 +107,10 @@ def test_a_dim_corner_is_amplified():
 
 
 def test_a_bin_holds_the_mean_and_its_surroundings_the_nearest():
-    """Two pixels of one colour, slopes 0.1 and 0.3: 0.2 there, and in bins up to sqrt(20) off."""
+    """Two pixels of one colour, slopes 0.15 and 0.25: 0.2 there, and in bins up to sqrt(20) off."""
     levels = np.full((2, 3), [121.0, 141.0, 81.0], np.float32)
     background = np.full((8, 8, 3), [120.0, 120.0, 120.0], np.float32)
-    slopes = np.array([[0.1, -0.2], [0.3, 0.0]])
+    slopes = np.array([[0.15, -0.15], [0.25, -0.05]])
     samples = Samples(levels, np.full((2, 3), 120.0, np.float32), np.full((2, 2), 3.0), slopes)
     table = fit_table(samples, background)
     np.testing.assert_allclose(table.slopes[45, 55, 25], [0.2, -0.1], atol=1e-7)

@@ -11,6 +11,7 @@ from reconstruction.photometric.calibration_ball import (
     sample_presses,
 )
 from reconstruction.photometric.images import mean_background, smoothed
+from reconstruction.photometric.sensor import calibrate_sensor
 
 PITCH_MM = 0.0634
 
@@ -75,8 +76,59 @@ def test_untouched_gel_is_no_contact(background_frames, background):
 
 def test_ball_that_does_not_fit(ball_presses, background):
     press = BallPress(ball_presses[0].image, 1.0)
-    with pytest.raises(FitError, match=r"does not fit a ball of radius 0\.50 mm"):
+    with pytest.raises(FitError, match=r"does not fit a ball of radius 0\.5 mm"):
         sample_presses([press], background, PITCH_MM)
+
+
+@pytest.mark.parametrize(("diameter_factor", "pitch_factor"), [(10.0, 1.0), (1.0, 1e-3)])
+def test_a_ball_or_a_pitch_in_another_unit(ball_presses, background, diameter_factor, pitch_factor):
+    """A diameter in units of 0.1 mm, a pitch in m: slopes of 0.06 and less would be learned."""
+    press = BallPress(ball_presses[0].image, diameter_factor * ball_presses[0].ball_diameter_mm)
+    with pytest.raises(FitError, match=r"allowed 0\.1 to 0\.9 times that; check the ball's"):
+        sample_presses([press], background, pitch_factor * PITCH_MM)
+
+
+def as_grey(images):
+    """Return images as a camera without colours gives them, three equal channels."""
+    return np.repeat(images.mean(axis=-1, keepdims=True), 3, axis=-1).astype(np.uint8)
+
+
+def in_red_light(images):
+    return images * np.array([1, 0, 0], np.uint8)
+
+
+def overexposed(images):
+    return np.clip(images.astype(int) * 5, 0, 255).astype(np.uint8)
+
+
+MISTAKES = {
+    "grey images": (as_grey, FitError, r"\d\d% of them are left \(RMS\), allowed 50%; give"),
+    "one lamp": (in_red_light, InputError, r"green channel has a median of 0 levels, allowed 5"),
+    "overexposed": (overexposed, InputError, r"red channel has a median of 255 levels.*exposure"),
+}
+
+
+@pytest.mark.parametrize("kind", ["polynomial", "table"])
+@pytest.mark.parametrize("name", MISTAKES)
+def test_images_that_do_not_determine_slopes(name, kind, ball_presses, background_frames):
+    change, error, message = MISTAKES[name]
+    presses = [BallPress(change(one.image), one.ball_diameter_mm) for one in ball_presses[:8]]
+    with pytest.raises(error, match=message) as caught:
+        calibrate_sensor(presses, change(background_frames), PITCH_MM, kind)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("kind", ["polynomial", "table"])
+def test_presses_without_shading_do_not_calibrate(kind, presses, background_frames, ball_presses):
+    """Discs 40 levels brighter than the gel, as of a print: their edges look like contacts."""
+    row, col = np.indices(background_frames.shape[1:3])
+    printed = []
+    for place, press in zip(presses[:8], ball_presses, strict=False):
+        inside = np.hypot(row - place.row_px, col - place.col_px) < place.contact_px
+        image = background_frames[0] + 40 * inside[..., np.newaxis].astype(np.uint8)
+        printed.append(BallPress(image, press.ball_diameter_mm))
+    with pytest.raises(FitError, match="colours do not determine the slopes"):
+        calibrate_sensor(printed, background_frames, PITCH_MM, kind)
 
 
 def test_bad_input_is_named(background):

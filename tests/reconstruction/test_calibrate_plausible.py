@@ -1,12 +1,17 @@
 """Mistakes of the input end with an error that names them; unusual rigs are calibrated."""
 
+import re
 from dataclasses import dataclass, replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from reconstruction.calibration import AdjustOptions, Chessboard, Freedom, Observation, calibrate
+from reconstruction.calibration.pipeline import pupil_diameter_mm
+from reconstruction.calibration.plane_images import PHASE_SHARE, defocus_slopes_px
+from reconstruction.calibration.plausibility import pupil_doubt
 from reconstruction.errors import InputError
 from reconstruction.rig.pinhole import Pinhole
 
@@ -169,6 +174,46 @@ def test_a_pose_that_moved_a_little_is_a_warning(observed):
     moved = replace(observed[2], projector_px=observed[2].projector_px + np.array([0.0, 1.5]))
     found = calibrate([*observed[:2], moved, *observed[3:]])
     assert any("times the scatter of detection" in text for text in found.doubts)
+
+
+def out_of_focus(seen: Observation, number: int, pupil_diameter_mm: float) -> Observation:
+    """Return what a camera of that aperture sees, in best focus at the first board's distance."""
+    T = Rig()._into_camera(number)
+    inside = seen.points_mm @ T[:3, :3].T + T[:3, 3]
+    slopes = defocus_slopes_px(CAMERA, inside, T[:3, 2], Rig().distance_mm)
+    shift = slopes @ (pupil_diameter_mm**2 / 16.0, 0.0)
+    along = PHASE_SHARE * np.einsum("nij,nj->ni", seen.slopes, shift)
+    return replace(seen, camera_px=seen.camera_px + shift, projector_px=seen.projector_px + along)
+
+
+def test_an_aperture_that_no_lens_has_is_left_out(observed):
+    """Setup: displacements as of 50 and 250 mm; a lens of 1400 px has up to 60 mm.
+
+    Expected: the small one is found; the large one is not estimated, and a warning names it.
+    """
+    small, large = (
+        calibrate([out_of_focus(seen, k, diameter) for k, seen in enumerate(observed)])
+        for diameter in (50.0, 250.0)
+    )
+    assert small.doubts == ()
+    assert pupil_diameter_mm(small.adjustment) in (0.0, pytest.approx(50.0, abs=25.0))
+    assert re.match(
+        r"camera_pupil_diameter_mm is 2\d\d, plausible up to (59|60|61).*calibrated without",
+        large.doubts[0],
+    )
+    assert pupil_diameter_mm(large.adjustment) == 0.0
+    assert large.calibration.camera.fx_px == pytest.approx(CAMERA.fx_px, rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("pupil_mm2", "message"), [(-4.0, "plausible from 0"), (-2.9, ""), (16.0, ""), (250.0, "up to")]
+)
+def test_limits_of_the_aperture_by_hand(pupil_mm2, message):
+    """D = 4 sqrt(pupil_mm2), at most 0.043 mm a pixel of focal length: 60 mm, 225 mm2."""
+    rig = SimpleNamespace(camera=CAMERA)
+    fit = SimpleNamespace(pupil_mm2=pupil_mm2, pupil_sigma_mm2=1.0, rig=rig)
+    assert message in pupil_doubt(fit)
+    assert bool(message) == bool(pupil_doubt(fit))
 
 
 def test_declared_pixel_ratios_give_the_rig(observed):

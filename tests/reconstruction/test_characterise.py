@@ -87,6 +87,54 @@ def test_a_line_needs_light_and_samples():
         UncertainValue(float("nan"), 0.0)
 
 
+def moved_texture(rng):
+    """Two captures of a scene with 10 % of texture that moved: their variance is the texture's."""
+    light = np.linspace(0.0, 3000.0, 12)[:, None, None] * np.ones((90, 120))
+    clean = [64.0 + light * (1.0 + 0.1 * rng.normal(size=light.shape)).clip(0.0) for _ in range(2)]
+    return recorded(clean[0], 1), recorded(clean[1], 2)
+
+
+def reduced_noise(rng):
+    """Noise of 1 DN at every level, as noise reduction in a camera leaves it."""
+    light = np.linspace(0.0, 3000.0, 12)[:, None, None] * np.ones((90, 120))
+    return tuple(np.rint(64.0 + light + 1.3 * rng.normal(size=light.shape)) for _ in range(2))
+
+
+def few_electrons(rng):
+    """Full scale of 40 electrons: shot noise of a scene that no pixel has."""
+    light_e = np.linspace(0.5, 25.0, 12)[:, None, None] * np.ones((90, 120))
+    return tuple(64.0 + 100.0 * rng.poisson(light_e) for _ in range(2))
+
+
+@pytest.mark.parametrize(
+    ("pair", "message"),
+    [
+        (moved_texture, r"differs by \d\d% \(RMS\) from a straight line, allowed 25%"),
+        (reduced_noise, r"gain is .* DN/e-, allowed an uncertainty of up to 25%"),
+        (few_electrons, r"full scale .* electrons, allowed 100 to 1e\+09"),
+    ],
+)
+@pytest.mark.parametrize("seed", [3, 7, 10])
+def test_a_line_that_no_sensor_has_is_no_gain(pair, message, seed):
+    samples = samples_of_pairs(*pair(np.random.default_rng(seed)), TRUE)
+    with pytest.raises(InputError, match=message) as caught:
+        photon_transfer(samples, TRUE)
+    assert "\n" not in str(caught.value)
+
+
+def test_flat_frames_that_show_no_response_are_refused():
+    """Full pixels all read alike, so that their spread would be 0; a print is no even surface."""
+    rng = np.random.default_rng(6)
+    with pytest.raises(InputError, match=r"100\.0% of the pixels are saturated \(from 4088\.2 DN"):
+        prnu_of(np.full((3, 90, 120), 4095), 64.0, clipped_from_dn=TRUE.clipped_from_dn)
+    texture = 1.0 + 0.2 * rng.normal(size=(90, 120))
+    flat = np.stack([recorded(64.0 + 1500.0 * texture, k) for k in range(3)])
+    with pytest.raises(
+        InputError, match=r"pixels differ by (19|20|21)\.\d%.*, allowed 10%; record"
+    ):
+        prnu_of(flat, 64.0, clipped_from_dn=TRUE.clipped_from_dn)
+
+
 def test_dark_and_flat_frames():
     """Offsets of 2 e-, response of 0.8 %, light that falls off by a third over the image."""
     rng = np.random.default_rng(5)
@@ -168,6 +216,17 @@ def test_frames_that_cannot_tell_are_refused():
     stack = (100.0 + 2000.0 * shown(patterns, column, row, 1.0, 0.7)).astype(np.uint16)
     decoded = decode(stack, patterns, TRUE, DecodeOptions(filter_taps=0))
     with pytest.raises(InputError, match="do not tell"):
+        fit_projector(stack, patterns, TRUE, decoded)
+
+
+def test_a_gamma_at_the_end_of_its_range_is_none():
+    """Seen with the square of its light, a projector of gamma 2.2 has 4.4, beyond 4."""
+    patterns = PatternSet(640, 360, steps=8, code="complementary_gray")
+    row, col = np.mgrid[0:60, 0:90].astype(float)
+    column, line = 40.0 + 0.61 * col + 0.13 * row, 30.0 + 0.7 * row + 0.1 * col
+    stack = recorded(100.0 + 2600.0 * shown(patterns, column, line, 2.2, 0.7) ** 2, 2)
+    decoded = decode(stack, patterns, TRUE, DecodeOptions(filter_taps=0))
+    with pytest.raises(InputError, match=r"does not end: gamma 3\.\d+, allowed 0\.31 to 3\.99"):
         fit_projector(stack, patterns, TRUE, decoded)
 
 

@@ -56,6 +56,8 @@ from twin.pipeline.progress import ProgressCallback, no_progress
 _MEDIAN_OF_SQUARE = 0.455
 # Two captures of one scene differ by no more than so many times the variance of their noise.
 _MOST_OVER_FITTED, _MOST_OVER_STATED = 1.5, 20.0
+# Of dark frames over the darkest frame of a capture: rounding and drift of the black level.
+_BRIGHTER_DN, _BRIGHTER_SIGMAS = 1.0, 5.0
 UNFILTERED = DecodeOptions(filter_taps=0)
 
 
@@ -130,7 +132,7 @@ def adopt(given: Given, watch: ProgressCallback = no_progress) -> Adopted:
     captures = [read_capture(folder) for folder in given.captures]
     _require_alike(given.captures, captures)
     watch("read", 1.0)
-    dark = dark_of(read_images(given.dark, captures[0])) if given.dark else None
+    dark = _dark(given.dark, captures[0]) if given.dark else None
     sensor = _with_black(captures[0].sensor, dark)
     watch("fit", 0.0)
     fitted = _fits(given.captures, captures, sensor, notes)
@@ -215,6 +217,23 @@ def _require_alike(folders: Sequence[Path], captures: Sequence[Capture]) -> None
             raise InputError(
                 f"{folder}: has another calibration than {folders[0]}; adopt captures of one rig"
             )
+
+
+def _dark(folder: Path, capture: Capture) -> Dark:
+    """Return what the dark frames show; they must not be brighter than all of the capture.
+
+    The capture's darkest frame has the black level and what there was of other light.
+    """
+    found = dark_of(read_images(folder, capture))
+    black = found.black_level_dn
+    darkest_dn = float(capture.stack.mean(axis=(1, 2), dtype=np.float64).min())
+    if black.value > darkest_dn + _BRIGHTER_DN + _BRIGHTER_SIGMAS * black.uncertainty:
+        raise InputError(
+            f"{folder}: dark frames have a mean of {black.value:.4g} DN, allowed up to "
+            f"{darkest_dn:.4g} DN, that of the capture's darkest frame; cover the lens, and keep "
+            "the camera's settings"
+        )
+    return found
 
 
 def _with_black(sensor: SensorNoise, dark: Dark | None) -> SensorNoise:

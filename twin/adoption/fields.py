@@ -152,7 +152,8 @@ def flat_fields(
 ) -> dict[str, RigField]:
     """Return the PRNU of a folder of flat frames."""
     dsnu_dn = dark.dsnu_dn.value if dark else 0.0
-    found = prnu_of(read_images(folder, capture), sensor.black_level_dn, dsnu_dn)
+    frames = read_images(folder, capture)
+    found = prnu_of(frames, sensor.black_level_dn, dsnu_dn, sensor.clipped_from_dn)
     percent = UncertainValue(100.0 * found.value, 100.0 * found.uncertainty)
     one = RigField.measured("camera.prnu_percent", percent, "flat frames, less their slow changes")
     return {one.path: one}

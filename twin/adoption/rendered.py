@@ -119,6 +119,10 @@ def albedo_of(
 
     What the coat throws back is a constant (its flakes) plus its albedo times the light of white
     ink: two renderings give both at every pixel. Both captures have the same exposure and gain.
+
+    Raises
+    ------
+    InputError : the captures share too few pixels, or give an albedo outside of 0 to 1
     """
     coat = experiment.coating
     fields = {"flake_fraction": 0.0, "binder_ior": 1.0}
@@ -140,9 +144,19 @@ def albedo_of(
     ratio = seen[inside] / wanted[inside] * there[inside]
     albedo = 0.2 + 0.5 * (ratio - dark[inside]) / (bright - dark)[inside]
     value = float(np.median(albedo))
+    _require_albedo(value, reference_albedo.value)
     spread = _spread_of_blocks(albedo, inside)
     relative = np.hypot(reference_albedo.uncertainty / reference_albedo.value, _SHADING_RELATIVE)
     return UncertainValue(value, float(np.hypot(spread, value * relative)))
+
+
+def _require_albedo(found: float, reference: float) -> None:
+    if not 0.0 < found < 1.0:
+        raise InputError(
+            f"the coat's albedo is {found:.3g}, allowed 0 to 1, with a reference of "
+            f"{reference:g}; record both at the same exposure and gain, and check "
+            "--reference-albedo"
+        )
 
 
 def _light(experiment: Experiment, coat: Coating, scene: Scene) -> FloatArray:

@@ -39,6 +39,7 @@ from reconstruction.capture.frame_set import write_frame_set
 from reconstruction.errors import InputError
 from reconstruction.rig.calibration import Calibration, write_calibration
 from reconstruction.rig.importing import Imported
+from reconstruction.rig.pinhole import Pinhole
 from reconstruction.writing import write_png, write_text
 from twin.camera import expose
 from twin.config import Experiment, digest, to_toml
@@ -242,6 +243,8 @@ def calibration_metrics(done: BoardCalibration) -> dict[str, Any]:
         "projector_reprojection_rms_px": _rms([pose.projector_px for pose in found.poses]),
         "epipolar_rms_px": _rms([pose.epipolar_px for pose in found.poses]),
         "camera_pupil_diameter_mm": pupil_diameter_mm(found.adjustment) or None,  # 0: not seen
+        "camera_pixel_ratio": _pixel_ratio(found.calibration.camera),
+        "projector_pixel_ratio": _pixel_ratio(found.calibration.projector),
     }
     truth = done.truth
     for parameter in found.parameters:
@@ -252,6 +255,11 @@ def calibration_metrics(done: BoardCalibration) -> dict[str, Any]:
     left_out = [f"left out: {one.reason}" for one in done.skipped]
     figures["warnings"] = [*left_out, *found.doubts]
     return figures
+
+
+def _pixel_ratio(device: Pinhole) -> float:
+    """Return the width of a pixel over its height: as stated, where it was not estimated."""
+    return device.fy_px / device.fx_px
 
 
 def _rms(values: Sequence[float]) -> float:

@@ -17,6 +17,7 @@ from reconstruction.compensation import (
     bound_under_slab,
     fit_under_slab,
     relief_on_frame,
+    require_determined,
 )
 from reconstruction.errors import InputError
 from twin.config.models import Elastomer
@@ -142,7 +143,7 @@ def calibrate_slab(
     Raises
     ------
     InputError : the object is no ball
-    FitError : as `fit_slab`
+    FitError : as `fit_slab`, or the press does not determine thickness or modulus
     """
     if "diameter_mm" not in asked.wanted:
         kind = getattr(asked.specimen, "kind", "specimen")
@@ -163,6 +164,8 @@ def calibrate_slab(
         for name, value in told.items()
     ]
     found = fit_slab(points_mm, sigma_mm, known, free).fitted
+    for name in told:
+        require_determined(name, found.value(name), found.sigma(name))
     sigma = {"thickness_mm": found.sigma(THICKNESS)}
     changed = elastomer.model_copy(update={"thickness_mm": found.value(THICKNESS)})
     figures: dict[str, Any] = {
