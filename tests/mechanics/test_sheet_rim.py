@@ -27,6 +27,7 @@ from twin.mechanics.sheet.rim import rim_springs
 from twin.mechanics.sheet.splines import SplineLine
 
 MU_KPA = YOUNG_KPA / 3
+SMALL = {"length_x_mm": 12.0, "length_y_mm": 12.0}
 
 
 def test_a_stretched_sheet_is_at_rest_on_its_springs() -> None:
@@ -99,16 +100,16 @@ def _strip_on_springs(thickness_mm: float, compliance: float) -> Sheet:
 
 def test_a_hardly_yielding_rim_is_a_rigid_one() -> None:
     load = {"depth_mm": 0.5, "back_pressure_kpa": 2.0}
-    rigid = pressed(Ball(), build_sheet(), **load)
-    stiff = pressed(Ball(), build_sheet(rim_compliance_mm2_per_n=1e-3), **load)
+    rigid = pressed(Ball(), build_sheet(**SMALL), **load)
+    stiff = pressed(Ball(), build_sheet(rim_compliance_mm2_per_n=1e-3, **SMALL), **load)
     assert np.abs(stiff.face_z_mm - rigid.face_z_mm).max() < 1e-3
     assert stiff.force_n == pytest.approx(rigid.force_n, rel=2e-3)
 
 
 def test_a_yielding_rim_leaves_the_sheet_thicker_over_a_ball() -> None:
     load = {"depth_mm": 1.0, "back_pressure_kpa": 5.0}
-    rigid = pressed(Ball(), build_sheet(), **load)
-    soft = pressed(Ball(), build_sheet(rim_compliance_mm2_per_n=10.0), **load)
+    rigid = pressed(Ball(), build_sheet(**SMALL), **load)
+    soft = pressed(Ball(), build_sheet(rim_compliance_mm2_per_n=10.0, **SMALL), **load)
     touching = rigid.face_z_mm > 0.95 * rigid.face_z_mm.max()
     assert touching.sum() > 20
     assert (soft.sheet.thickness_mm > rigid.sheet.thickness_mm)[touching].all()

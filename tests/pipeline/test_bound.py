@@ -17,7 +17,7 @@ from twin.results.bound import bound_names, information_shares, is_bound_name
 from twin.results.names import figure_names
 
 SMALL = CENTRE | {"camera.binning": 4, "press.relief_pitch_mm": 0.05, "press.solver_pitch_mm": 0.16}
-TRIALS = 60
+TRIALS = 40
 
 
 @pytest.fixture(scope="module")
@@ -43,11 +43,11 @@ def heights_and_radii(experiment, trials):
     ids=["default", "five steps, both axes"],
 )
 def test_predicted_sigma_is_the_spread_of_measurements(balls, changes):
-    """60 measurements with noise of its own each, pixel by pixel and for the fitted radii.
+    """40 measurements with noise of its own each, pixel by pixel and for the fitted radii.
 
-    Expected: spread over prediction is 1, per pixel 9 % by the number of trials, 3 % in the mean;
+    Expected: spread over prediction is 1, per pixel 11 % by the number of trials, 3 % in the mean;
     where the filter gives relief back in part it fluctuates with the noise and spreads a little
-    more. Radii: 9 % each, 6 % in the mean of two; `./run bench bound` takes many more.
+    more. Radii: 11 % each, 8 % in the mean of two; `./run bench bound` takes many more.
     """
     experiment = vary(balls, changes)
     heights, figures = heights_and_radii(experiment, TRIALS)
@@ -57,15 +57,15 @@ def test_predicted_sigma_is_the_spread_of_measurements(balls, changes):
     assert both.mean() > 0.98 * prediction.valid.mean()
     ratio = heights.std(axis=0, ddof=1)[both] / prediction.filtered_mm[both]
     assert ratio.mean() == pytest.approx(1.0, abs=0.06)
-    assert ratio.std() < 0.15
+    assert ratio.std() < 0.18
     bounds, over, under = bounds_alone(experiment, memory)[1], [], []
     assert figures[0]["object_radius_1_mm"] is None  # a thick slab's coat is not the ball
     for name in ("sphere_1_radius", "sphere_2_radius"):
         spread_um = 1e3 * np.std([one[f"{name}_mm"] for one in figures], ddof=1)
         over.append(np.log(bounds[f"{name}_spread_um"] / spread_um))
         under.append(np.log(bounds[f"{name}_crb_um"] / spread_um))
-    assert np.mean(over) == pytest.approx(0.0, abs=0.15)
-    assert np.mean(under) == pytest.approx(0.0, abs=0.18)
+    assert np.mean(over) == pytest.approx(0.0, abs=0.18)
+    assert np.mean(under) == pytest.approx(0.0, abs=0.21)
 
 
 def test_bounds_beside_and_alone_are_the_same(balls):

@@ -87,7 +87,7 @@ def test_a_bare_specimen_shares_its_stages(mi, base):
     """Expected: the bytes of a measurement of its own, and no stage that looks at nothing new."""
     steel = base.specimen.material.model_dump()
     ball = {"kind": "ball", "diameter_mm": 8.0, "material": steel}
-    size = {"camera.width_px": 240, "camera.height_px": 200, "modality": "direct_fpp"}
+    size = {"camera.width_px": 160, "camera.height_px": 120, "modality": "direct_fpp"}
     size |= {"specimen": ball}
     bare, memory = vary(base, size | {"render.bounces": 0, "render.photons": 1000}), Memory()
     measure(bare, memory=memory)
