@@ -17,6 +17,7 @@ from pydantic_core import PydanticUndefined
 
 from twin.config.base import ConfigError
 from twin.config.bounds import Because
+from twin.config.kinds import OneOf
 from twin.config.models import Conductor, Dielectric, Diffuse, Experiment, Layer, Plastic
 
 _MOST_PROBLEMS = 20
@@ -166,15 +167,25 @@ def _inside(place: Any, part: str) -> list[Any]:
     if typing.get_origin(place) is tuple:
         return _options(typing.get_args(place)[0])
     field = place.model_fields.get(part) if _models([place]) else None
-    return _options(field.annotation) if field is not None else []
+    return _options_of(field) if field is not None else []
+
+
+def _options_of(field: FieldInfo) -> list[Any]:
+    """Return the types that a field may have; its kinds where a registry gives them."""
+    return _kinds_in(field.metadata) or _options(field.annotation)
 
 
 def _options(annotation: Any) -> list[Any]:
     if typing.get_origin(annotation) is typing.Annotated:
-        annotation = typing.get_args(annotation)[0]
+        inner, *metadata = typing.get_args(annotation)
+        return _kinds_in(metadata) or _options(inner)
     if typing.get_origin(annotation) in (typing.Union, types.UnionType):
-        return list(typing.get_args(annotation))
+        return [one for part in typing.get_args(annotation) for one in _options(part)]
     return [annotation]
+
+
+def _kinds_in(metadata: Iterable[Any]) -> list[Any]:
+    return [model for one in metadata if isinstance(one, OneOf) for model in one.models.values()]
 
 
 @dataclass(frozen=True)
@@ -199,7 +210,7 @@ def experiment_keys() -> Iterator[Key]:
 def list_keys(model: type[BaseModel], prefix: str = "") -> Iterator[Key]:
     """Yield every key of a model and of the models inside it, in file order."""
     for name, field in model.model_fields.items():
-        inner = [] if name == "material" else _parts_of(field.annotation)
+        inner = [] if name == "material" else _parts_of(field)
         if name == "provenance":
             continue
         if not inner:
@@ -220,10 +231,12 @@ def _meaning(field: FieldInfo) -> str:
     return "; ".join(filter(None, [field.description, *ranges]))
 
 
-def _parts_of(annotation: Any) -> list[type[BaseModel]]:
-    if typing.get_origin(annotation) is dict:
+def _parts_of(field: FieldInfo) -> list[type[BaseModel]]:
+    if typing.get_origin(field.annotation) is dict:
         return []  # named parts, each one of the kinds listed beside it
-    return _models(list(typing.get_args(annotation) or (annotation,)))
+    if typing.get_origin(field.annotation) is tuple:
+        return _models(_options(typing.get_args(field.annotation)[0]))
+    return _models(_options_of(field))
 
 
 def _type_name(annotation: Any) -> str:
