@@ -49,11 +49,16 @@ class OneOf:
 
 
 def follows(*registries: Registry[Any]) -> Callable[[Document], Document]:
-    """Build the decorated document again when a registry gets another kind."""
+    """Build the decorated document again when a registry gets another kind.
+
+    A kind that holds other kinds is built before the documents that hold it: they copy its schema.
+    """
 
     def enter(document: Document) -> Document:
+        model: type[BaseModel] = document
+        is_kind = "kind" in model.model_fields
         for registry in registries:
-            registry.on_change(lambda: document.model_rebuild(force=True))
+            registry.on_change(lambda: document.model_rebuild(force=True), first=is_kind)
         return document
 
     return enter
