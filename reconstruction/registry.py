@@ -71,14 +71,9 @@ class Registry(Generic[Kind]):
             self._notify()
         return kind
 
-    def on_change(self, listener: Callable[[], Any], first: bool = False) -> None:
-        """Call `listener` after each kind that is registered once the built-in ones are loaded.
-
-        Parameters
-        ----------
-        first : before those entered so far, otherwise after them
-        """
-        self._listeners.insert(0 if first else len(self._listeners), listener)
+    def on_change(self, listener: Callable[[], Any]) -> None:
+        """Call `listener` after each kind that is registered once the built-in ones are loaded."""
+        self._listeners.append(listener)
 
     def names(self) -> tuple[str, ...]:
         """Return the names of all kinds in alphabetical order."""

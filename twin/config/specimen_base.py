@@ -11,7 +11,7 @@ from typing import Annotated, ClassVar, Literal, TypeVar
 
 from pydantic import Field
 
-from reconstruction.registry import Registry
+from reconstruction.registry import PluginError, Registry
 from twin.config.base import Angle, Model
 from twin.config.bounds import Absorption, Extinction, Length, MetalIndex, Place
 from twin.config.kinds import OneOf, kind_of
@@ -138,7 +138,15 @@ class Specimen(Model):
         return tuple(line for part in self.components.values() for line in part.warnings())
 
 
-SPECIMENS: Registry[type[Specimen]] = Registry("specimens", "twin.specimens.kinds", kind_of)
+def _kind_of(specimen: type[Specimen]) -> str:
+    if not (isinstance(specimen, type) and issubclass(specimen, Specimen)):
+        raise PluginError(f"specimens: found {specimen!r}, allowed subclasses of Specimen")
+    if specimen.shape is Specimen.shape:
+        raise PluginError(f"specimens: {specimen.__name__} has no shape; define shape(self)")
+    return kind_of(specimen)
+
+
+SPECIMENS: Registry[type[Specimen]] = Registry("specimens", "twin.specimens.kinds", _kind_of)
 """The kinds of specimens."""
 
 AnySpecimen = Annotated[Specimen, OneOf(SPECIMENS)]
