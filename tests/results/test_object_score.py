@@ -10,7 +10,7 @@ from reconstruction.errors import InputError
 from twin.config import load_experiment
 from twin.config.base import ConfigError
 from twin.optics.stack import Truth
-from twin.results.features import feature_of, features_of, measurands_of
+from twin.results.features import feature_of, features_of, measurands_of, nominal_mm
 from twin.results.object_fits import fit, levels
 from twin.results.object_points import Heights
 from twin.results.object_score import score_object
@@ -55,6 +55,7 @@ KNOWN = [
     ({"kind": "rod", "yaw_deg": 30.0}, "radius_1", 2.4),
     ({"kind": "rods", "diameters_mm": [2.0, 3.0]}, "radius_2", 1.5),
     (STEP, "step_height", 0.1),
+    ({"kind": "bar", "width_mm": 3.0}, "width_1", 3.0),
     ({"kind": "v_groove", "angle_deg": 150.0, "yaw_deg": 20.0}, "depth", 0.5),
     ({"kind": "v_groove", "angle_deg": 150.0}, "width", 3.7321),
     ({"kind": "grating", "pitch_mm": 1.5, "groove_mm": 0.1, "x_mm": 0.4}, "depth", 0.1),
@@ -208,3 +209,10 @@ def test_an_experiment_without_measurands_keeps_its_digest():
     assert [one.name for one in measurands_of(asked)] == ["step_height", "flat"]
     own = experiment(STEP, measurand=[{"name": "riser", "quantity": "step_height"}])
     assert [one.name for one in measurands_of(own)] == ["riser"]
+
+
+def test_a_single_bar_has_a_width():
+    bar = experiment({"kind": "bar", "width_mm": 3.0})
+    (width,) = measurands_of(bar)
+    assert (width.name, width.quantity, width.number) == ("width_1", "width", 1)
+    assert nominal_mm(features_of(bar.specimen)[0], width) == 3.0

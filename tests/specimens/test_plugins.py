@@ -133,5 +133,6 @@ def test_every_kind_is_one_documented_file(kind: str) -> None:
     model = SPECIMENS[kind]
     assert model.__module__ == f"twin.specimens.kinds.{kind}"
     assert model.__doc__
+    assert f"| `{kind}` |" in (ROOT / "docs" / "specimens.md").read_text(encoding="utf-8")
     for path in model.slab_fit_paths:
         assert path in model.model_fields
