@@ -342,6 +342,9 @@ def _section_width(points: ObjectPoints, place: FloatArray, pixel_mm: float) -> 
         raise FitError("width: no points across the section")
     s, z = numbers[full] * pitch, means[full]
     found = bar_width(s, z)
+    scatter = 0.0 if points.sigma_mm is None else float(np.sqrt(np.mean(points.sigma_mm**2)))
+    if found.height_mm <= _SIGMAS_ABOVE_NOISE * scatter:
+        raise FitError("width: no ground beside the walls is seen")
     touched = np.bincount(where, points.touching)[full] > 0
     for edge in (found.left_mm, found.right_mm):
         at = int(np.searchsorted(s, edge))
