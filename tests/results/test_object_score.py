@@ -10,7 +10,7 @@ from reconstruction.errors import InputError
 from twin.config import load_experiment
 from twin.config.base import ConfigError
 from twin.optics.stack import Truth
-from twin.results.features import feature_of, features_of, measurands_of, nominal_mm
+from twin.results.features import bars_of, feature_of, features_of, measurands_of, nominal_mm
 from twin.results.object_fits import fit, levels
 from twin.results.object_points import Heights
 from twin.results.object_score import score_object
@@ -233,3 +233,9 @@ def test_a_bar_without_ground_has_no_width(error_mm):
     figures = seen(bar, noise if error_mm else 0.0, max(error_mm, 1e-6)).figures
     assert figures["object_width_1_mm"] is None
     assert "no ground beside" in figures["object_width_1_why"]
+
+
+def test_a_single_bar_has_a_place_on_the_stage():
+    (place,) = bars_of(experiment({"kind": "bar", "x_mm": 1.0, "yaw_deg": 30.0}).specimen)
+    assert (place.x_mm, place.y_mm, place.width_mm) == (1.0, 0.0, 4.81)
+    assert place.along_deg == pytest.approx(30.0)
