@@ -11,7 +11,7 @@ from reconstruction.errors import InputError
 from reconstruction.netcdf import LabelledArrays, write_arrays
 from twin.config import digest, load_experiment
 from twin.specimens import height_above_lowest, shape_of
-from twin.specimens.kinds.height_map import HeightMap
+from twin.specimens.kinds.height_map import HeightMapFile
 
 PIXEL_MM = 0.1
 X_MM, Y_MM = (np.arange(n) - (n - 1) / 2 for n in (61, 41))
@@ -29,7 +29,7 @@ def npy(folder: Path, values: Any, name: str = "map.npy") -> str:
 
 
 def test_a_paraboloid_comes_back(tmp_path: Path) -> None:
-    specimen = HeightMap(file=npy(tmp_path, paraboloid_mm()), pixel_mm=PIXEL_MM)
+    specimen = HeightMapFile(file=npy(tmp_path, paraboloid_mm()), pixel_mm=PIXEL_MM)
     at_nodes = height_above_lowest(specimen, X_MM, Y_MM)
     np.testing.assert_allclose(at_nodes, -paraboloid_mm()[::-1], atol=1e-12)
     x, y = np.linspace(-2.5, 2.5, 37), np.linspace(-1.5, 1.5, 29)
@@ -42,7 +42,7 @@ def test_a_paraboloid_comes_back(tmp_path: Path) -> None:
 
 def test_the_body_is_closed_and_stands_on_its_base(tmp_path: Path) -> None:
     file = npy(tmp_path, paraboloid_mm().astype(np.float32))
-    shape = shape_of(HeightMap(file=file, pixel_mm=PIXEL_MM, base_mm=1.5, yaw_deg=90))
+    shape = shape_of(HeightMapFile(file=file, pixel_mm=PIXEL_MM, base_mm=1.5, yaw_deg=90))
     mesh = shape.mesh(0.0)
     assert mesh.is_watertight
     assert mesh.is_winding_consistent
@@ -55,11 +55,11 @@ def test_integers_are_scaled(tmp_path: Path) -> None:
     levels = np.round((paraboloid_mm() + 2.0) * 10_000).astype(np.uint16)
     imageio.imwrite(tmp_path / "map.png", levels)
     file = str(tmp_path / "map.png")
-    specimen = HeightMap(file=file, pixel_mm=PIXEL_MM, mm_per_unit=1e-4)
+    specimen = HeightMapFile(file=file, pixel_mm=PIXEL_MM, unit_mm=1e-4)
     found = height_above_lowest(specimen, X_MM, Y_MM)
     np.testing.assert_allclose(found, -paraboloid_mm()[::-1], atol=1e-4)
-    with pytest.raises(InputError, match=r"^specimen\.mm_per_unit: missing; .*integers \(uint16\)"):
-        shape_of(HeightMap(file=file, pixel_mm=PIXEL_MM))
+    with pytest.raises(InputError, match=r"^specimen\.unit_mm: missing; .*integers \(uint16\)"):
+        shape_of(HeightMapFile(file=file, pixel_mm=PIXEL_MM))
 
 
 def test_netcdf_maps_are_named_and_have_units(tmp_path: Path) -> None:
@@ -70,12 +70,12 @@ def test_netcdf_maps_are_named_and_have_units(tmp_path: Path) -> None:
     write_arrays(file, LabelledArrays(maps))
     given: dict[str, Any] = {"file": str(file), "pixel_mm": PIXEL_MM}
     with pytest.raises(InputError, match=r"variable: found no name, allowed: z, other"):
-        shape_of(HeightMap(**given))
+        shape_of(HeightMapFile(**given))
     with pytest.raises(InputError, match=r"variable: found 'y', allowed: z, other"):
-        shape_of(HeightMap(**given, variable="y"))
-    with pytest.raises(InputError, match=r"^specimen\.mm_per_unit: missing; .* the unit 'um'"):
-        shape_of(HeightMap(**given, variable="z"))
-    found = height_above_lowest(HeightMap(**given, variable="z", mm_per_unit=1e-3), X_MM, Y_MM)
+        shape_of(HeightMapFile(**given, variable="y"))
+    with pytest.raises(InputError, match=r"^specimen\.unit_mm: missing; .* the unit 'um'"):
+        shape_of(HeightMapFile(**given, variable="z"))
+    found = height_above_lowest(HeightMapFile(**given, variable="z", unit_mm=1e-3), X_MM, Y_MM)
     np.testing.assert_allclose(found, -paraboloid_mm()[::-1], atol=1e-12)
 
 
@@ -88,14 +88,14 @@ def test_netcdf_maps_are_named_and_have_units(tmp_path: Path) -> None:
         (np.full((4, 4), np.nan), "holds heights that are no numbers"),
         (
             np.diag(np.full(4, 200.0)),
-            r"mm_per_unit: .* a relief of 200 mm, allowed up to 100",
+            r"unit_mm: .* a relief of 200 mm, allowed up to 100",
         ),
         (np.zeros((2, 20_000)), r"specimen\.pixel_mm: found 0\.1, .* longest side 2e\+03 mm"),
         (np.zeros((2001, 2000), np.float32), r"found 2000 x 2001 px, allowed 4 million"),
     ],
 )
 def test_what_is_no_height_map_is_one_line(tmp_path: Path, values: Any, message: str) -> None:
-    specimen = HeightMap(file=npy(tmp_path, values), pixel_mm=PIXEL_MM)
+    specimen = HeightMapFile(file=npy(tmp_path, values), pixel_mm=PIXEL_MM)
     with pytest.raises(InputError, match=message) as caught:
         shape_of(specimen)
     assert "\n" not in str(caught.value)
@@ -116,7 +116,7 @@ def test_damaged_files_are_one_line(
 ) -> None:
     if name:
         (tmp_path / name).write_bytes(content)
-    specimen = HeightMap(file=str(tmp_path / (name or "map.png")), pixel_mm=PIXEL_MM)
+    specimen = HeightMapFile(file=str(tmp_path / (name or "map.png")), pixel_mm=PIXEL_MM)
     with pytest.raises(InputError, match=message) as caught:
         shape_of(specimen)
     assert str(caught.value).startswith("specimen.file: ")
@@ -126,10 +126,10 @@ def test_damaged_files_are_one_line(
 def test_the_digest_counts_the_heights(tmp_path: Path) -> None:
     base = load_experiment("examples/starter")
     file = npy(tmp_path, paraboloid_mm())
-    specimen = HeightMap(file=file, pixel_mm=PIXEL_MM)
+    specimen = HeightMapFile(file=file, pixel_mm=PIXEL_MM)
     before = digest(base.model_copy(update={"specimen": specimen}))
     copy = npy(tmp_path, paraboloid_mm(), "copy.npy")
-    moved = HeightMap(file=copy, pixel_mm=PIXEL_MM)
+    moved = HeightMapFile(file=copy, pixel_mm=PIXEL_MM)
     assert digest(base.model_copy(update={"specimen": moved})) == before
     npy(tmp_path, 2 * paraboloid_mm())
     assert digest(base.model_copy(update={"specimen": specimen})) != before

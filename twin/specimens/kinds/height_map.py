@@ -25,7 +25,7 @@ _MOST_RELIEF_MM = 100.0
 
 
 @SPECIMENS.register
-class HeightMap(Specimen):
+class HeightMapFile(Specimen):
     """A relief given by its heights on a grid, with upright sides: PNG, EXR, NPY or netCDF."""
 
     kind: Literal["height_map"] = "height_map"
@@ -34,10 +34,10 @@ class HeightMap(Specimen):
         "file; first row at +y, values are heights at the pixels' middles"
     )
     pixel_mm: Length = Field(description="distance between the middles of neighbouring pixels")
-    mm_per_unit: FileUnit | None = Field(
+    unit_mm: FileUnit | None = Field(
         default=None,
-        description="height per unit of the file: needed for integers and for other units than mm; "
-        "default of floating-point numbers: 1",
+        description="height of one unit of the file: needed for integers and for other units than "
+        "mm; default of floating-point numbers: 1",
     )
     variable: str = Field(default="", description="netCDF: name of the map; default: the only one")
     base_mm: Size = Field(default=2.0, description="thickness below the lowest height")
@@ -74,12 +74,12 @@ class HeightMap(Specimen):
 
     def _scale_mm(self, values: NDArray[Any], unit: str) -> float:
         """Return mm per unit of the file."""
-        if self.mm_per_unit is not None:
-            return self.mm_per_unit
+        if self.unit_mm is not None:
+            return self.unit_mm
         if values.dtype.kind != "f" or unit not in ("", "mm"):
             found = f"the unit '{unit}'" if unit else f"integers ({values.dtype})"
             raise InputError(
-                f"specimen.mm_per_unit: missing; {self.file} holds {found}: add the height in mm "
+                f"specimen.unit_mm: missing; {self.file} holds {found}: add the height in mm "
                 "of one unit"
             )
         return 1.0
@@ -102,7 +102,7 @@ class HeightMap(Specimen):
             )
         if relief_mm > _MOST_RELIEF_MM:
             raise InputError(
-                f"specimen.mm_per_unit: {self.file} then has a relief of {relief_mm:.3g} mm, "
+                f"specimen.unit_mm: {self.file} then has a relief of {relief_mm:.3g} mm, "
                 f"allowed up to {_MOST_RELIEF_MM:g} mm"
             )
 
