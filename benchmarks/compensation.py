@@ -43,12 +43,12 @@ from tests.compensation.slabs import layer_of as slab_layer
 from tests.compensation.slabs import pressed, slab, with_load
 from tests.oracles.axisymmetric import Resolution, RoundSlab, press_axisymmetric
 from twin.config import load_experiment, sensor_layer
-from twin.config.specimens import Ball
 from twin.mechanics.layer import BondedLayer
 from twin.pipeline import measure
 from twin.pipeline.compensation import compensate_points, object_figures, with_compensation
 from twin.pipeline.slab_object import calibrate_slab, fit_slab, slab_object
 from twin.specimens import shape_of
+from twin.specimens.kinds.ball import Ball
 
 SOLIDS = Path(__file__).parents[1] / "tests/mechanics/reference/neo_hookean.json"
 RADIUS_MM = 4.0

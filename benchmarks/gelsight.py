@@ -43,12 +43,12 @@ from reconstruction.photometric.calibration_ball import ContactCircle, find_cont
 from reconstruction.photometric.images import mean_background, smoothed
 from twin.config import load_experiment, seed_sequence
 from twin.config.lamps import CHANNELS
-from twin.config.models import Ball
 from twin.optics.backed_coat import seen_face
 from twin.pipeline import Memory, measure, press_specimen
 from twin.pipeline.colours import calibrated_sensor, with_ball
 from twin.pipeline.comparison import PhotometricPlan, case_for
 from twin.results.decoders import DecodedImage
+from twin.specimens.kinds.ball import Ball
 
 SENSORS = Memory()
 """Sensors that are calibrated once for all cases."""

@@ -19,12 +19,14 @@ from pathlib import Path
 import numpy as np
 from scipy import fft
 
-from twin.config.models import Ball, Elastomer, Press, TwoBalls
+from twin.config.models import Elastomer, Press
 from twin.mechanics import press
 from twin.mechanics.contact import solve_contact, solve_on_layer
 from twin.mechanics.control import DepthControl
 from twin.mechanics.layer import BondedLayer, FreeSlab
 from twin.specimens import height_above_lowest
+from twin.specimens.kinds.ball import Ball
+from twin.specimens.kinds.two_balls import TwoBalls
 
 CELLS, DEPTH_MM, THICKNESS_MM, NU = 512, 0.6, 4.0, 0.49
 BONDED_MM, FREE_MM = 28.0, 20.0

@@ -23,21 +23,19 @@ from types import FrameType
 import numpy as np
 
 import twin.mechanics.sheet
-from twin.config.models import (
-    Ball,
-    Elastomer,
-    Flat,
-    Grating,
-    Mechanics,
-    Press,
-    Rod,
-    Specimen,
-    TwoBalls,
-)
-from twin.config.objects import Brick, Nut, TBolt
-from twin.config.specimens import Bar, Step
+from twin.config.models import Elastomer, Mechanics, Press, Specimen
 from twin.mechanics.sheet.path import LimitPressureError
 from twin.mechanics.sheet.press import press_sheet
+from twin.specimens.kinds.ball import Ball
+from twin.specimens.kinds.bar import Bar
+from twin.specimens.kinds.brick import Brick
+from twin.specimens.kinds.flat import Flat
+from twin.specimens.kinds.grating import Grating
+from twin.specimens.kinds.nut import Nut
+from twin.specimens.kinds.rod import Rod
+from twin.specimens.kinds.step import Step
+from twin.specimens.kinds.t_bolt import TBolt
+from twin.specimens.kinds.two_balls import TwoBalls
 
 PRESSES, QUICK_PRESSES, LIMIT_S = 300, 12, 900.0
 KINDS = ("ball", "two_balls", "rod", "flat", "bar", "step", "nut", "t_bolt", "brick", "grating")

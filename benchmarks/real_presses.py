@@ -28,10 +28,10 @@ from reconstruction.photometric.images import mean_background, smoothed
 from reconstruction.photometric.press_files import read_rgb
 from twin.config import Experiment
 from twin.config.lamps import CHANNELS
-from twin.config.models import Ball
 from twin.optics.backed_coat import seen_face
 from twin.pipeline import press_specimen
 from twin.pipeline.colours import ColourSensor, with_ball
+from twin.specimens.kinds.ball import Ball
 
 FILE = Path(__file__).with_name("real_presses.csv")
 WIDTH_PX, HEIGHT_PX = 320, 240

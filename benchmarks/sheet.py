@@ -30,13 +30,16 @@ from scipy.interpolate import CubicSpline
 
 from benchmarks.random_presses import PRESSES, QUICK_PRESSES, outcome, press_all, summary
 from reconstruction.evaluate.fit import fit_sphere
-from twin.config.models import Ball, Elastomer, Mechanics, Press, Specimen, TwoBalls
-from twin.config.objects import Fingerprint, Nut
-from twin.config.specimens import Bar
+from twin.config.models import Elastomer, Mechanics, Press, Specimen
 from twin.mechanics import PressedElastomer
 from twin.mechanics.errors import PressError, SolverError
 from twin.mechanics.sheet.linear_solver import has_pardiso
 from twin.mechanics.sheet.press import forget_paths, press_sheet
+from twin.specimens.kinds.ball import Ball
+from twin.specimens.kinds.bar import Bar
+from twin.specimens.kinds.fingerprint import Fingerprint
+from twin.specimens.kinds.nut import Nut
+from twin.specimens.kinds.two_balls import TwoBalls
 
 SOLIDS = Path(__file__).parents[1] / "tests/mechanics/reference/solid_sheets.json"
 YOUNG_KPA, THIN_MM = 300.0, 0.2

@@ -11,26 +11,24 @@ import trimesh
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from twin.config.specimens import (
-    Ball,
-    Bar,
-    Bars,
-    Bear,
-    Brick,
-    Fingerprint,
-    Flat,
-    Grating,
-    Group,
-    Nut,
-    Rod,
-    Rods,
-    Specimen,
-    Step,
-    TBolt,
-    TwoBalls,
-    VGroove,
-)
+from twin.config.specimen_base import Specimen
 from twin.specimens import shape_of
+from twin.specimens.kinds.ball import Ball
+from twin.specimens.kinds.bar import Bar
+from twin.specimens.kinds.bars import Bars
+from twin.specimens.kinds.bear import Bear
+from twin.specimens.kinds.brick import Brick
+from twin.specimens.kinds.fingerprint import Fingerprint
+from twin.specimens.kinds.flat import Flat
+from twin.specimens.kinds.grating import Grating
+from twin.specimens.kinds.group import Group
+from twin.specimens.kinds.nut import Nut
+from twin.specimens.kinds.rod import Rod
+from twin.specimens.kinds.rods import Rods
+from twin.specimens.kinds.step import Step
+from twin.specimens.kinds.t_bolt import TBolt
+from twin.specimens.kinds.two_balls import TwoBalls
+from twin.specimens.kinds.v_groove import VGroove
 from twin.specimens.meshes import upper_side
 
 PICTURE = Path(__file__).with_name("specimens.png")

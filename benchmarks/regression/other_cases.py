@@ -19,8 +19,8 @@ from benchmarks.regression.cases import repeated
 from benchmarks.regression.figures import Values
 from reconstruction.photometric import PhotometricDecoder, PhotometricOptions
 from twin.config import Experiment, load_experiment
-from twin.config.models import Ball
 from twin.pipeline.colours import calibrated_sensor, with_ball
+from twin.specimens.kinds.ball import Ball
 
 FEW_PRESSES = {"photometric.presses.count": 16}
 PLACES_MM = ((0.0, 0.0), (5.0, 2.5), (-4.0, -3.0), (4.0, -3.0), (-5.0, 2.5))

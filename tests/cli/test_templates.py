@@ -5,9 +5,9 @@ import pytest
 from reconstruction.reading import read_json
 from twin.cli import run
 from twin.config import load_experiment
+from twin.config.specimen_base import SPECIMENS
 from twin.config.study import load_study
 from twin.config.templates import read_template, templates
-from twin.specimens import kinds
 from twin.study.record import StudyRecord
 
 SMALL = ("camera.binning=4", "camera.width_px=1280", "camera.height_px=960")
@@ -43,7 +43,7 @@ def test_every_template_is_listed_with_what_it_is(capsys):
 
 def test_the_first_one_names_every_kind():
     text = read_template("gel")
-    for kind in (*kinds(), "mesh", "group"):
+    for kind in SPECIMENS.names():
         assert f" {kind} " in text.replace("\n", " ").replace(",", " "), kind
 
 

@@ -17,10 +17,10 @@ from tests.compensation.sheets import RIM_MM, YOUNG_KPA, pressed_ball
 from tests.compensation.slabs import SPAN_MM, coat_points, pressed, slab
 from twin.cli import run
 from twin.config import load_experiment
-from twin.config.objects import Brick
 from twin.config.sensor_layer import load_sensor_layer
-from twin.config.specimens import Ball
 from twin.pipeline.compensation import compensated_figures
+from twin.specimens.kinds.ball import Ball
+from twin.specimens.kinds.brick import Brick
 
 LAYER = f"""[elastomer]
 thickness_mm = 0.2

@@ -19,13 +19,14 @@ from tests.compensation.test_command import coat_map
 from twin.config.elastomer import Elastomer, Mechanics, Press, Texture
 from twin.config.sensor_layer import LayerSigma, MeasuredLoad, SensorLayer
 from twin.config.specimen_base import Specimen
-from twin.config.specimens import MeshFile, Rod
 from twin.mechanics import PressedElastomer
 from twin.mechanics.choice import press_with
 from twin.mechanics.texture import textured
 from twin.pipeline.compensation import compensate_points
 from twin.results.compensated import object_points
 from twin.specimens import shape_of
+from twin.specimens.kinds.mesh import MeshFile
+from twin.specimens.kinds.rod import Rod
 from twin.specimens.true_surface import TrueSurface
 
 THICKNESS_MM, AIR_KPA, SPAN_MM = 0.15, 2.5, 9.0

@@ -17,8 +17,8 @@ from reconstruction.compensation import (
 )
 from reconstruction.errors import FitError
 from tests.mechanics.sheets import YOUNG_KPA, build_sheet, pressed
-from twin.config.models import Ball
 from twin.mechanics import PressedElastomer
+from twin.specimens.kinds.ball import Ball
 
 THICKNESS_MM, COMPLIANCE, NOISE_MM = 0.2, 40.0, 5e-4
 

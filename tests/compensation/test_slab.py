@@ -12,12 +12,15 @@ from scipy import ndimage
 from reconstruction.errors import FitError, InputError
 from tests.compensation.slabs import SPAN_MM, coat_points, layer_of, pressed, slab, with_load
 from tests.oracles.axisymmetric import Resolution, RoundSlab, press_axisymmetric
-from twin.config.objects import Brick
-from twin.config.specimens import Ball, Bar, Rod, TwoBalls
 from twin.mechanics.slab_tangent import CoatMove, SolvedSlab
 from twin.pipeline.slab_model import value_of, with_modulus, with_value
 from twin.pipeline.slab_object import calibrate_slab, fit_slab, slab_object
 from twin.specimens import shape_of
+from twin.specimens.kinds.ball import Ball
+from twin.specimens.kinds.bar import Bar
+from twin.specimens.kinds.brick import Brick
+from twin.specimens.kinds.rod import Rod
+from twin.specimens.kinds.two_balls import TwoBalls
 
 SOLIDS = Path(__file__).parents[1] / "mechanics/reference/neo_hookean.json"
 BALL = Ball(diameter_mm=8.0, x_mm=0.13, y_mm=-0.07)

@@ -4,8 +4,9 @@ from collections.abc import Callable
 
 import pytest
 
-from twin.config.models import Ball, Elastomer, Press
+from twin.config.models import Elastomer, Press
 from twin.mechanics import PressedElastomer, press
+from twin.specimens.kinds.ball import Ball
 
 SlabBuilder = Callable[..., Elastomer]
 

@@ -5,7 +5,7 @@ import pytest
 import trimesh
 from scipy import sparse
 
-from twin.config.models import Ball, Elastomer, Film, Press
+from twin.config.models import Elastomer, Film, Press
 from twin.mechanics import PressError, press
 from twin.mechanics.contact import _between_cells
 from twin.mechanics.layer import BondedLayer, FreeSlab
@@ -24,6 +24,7 @@ from twin.mechanics.reference.taylor_hood import Facets
 from twin.mechanics.reference.tetrahedra import count_estimate, graded_towards
 from twin.mechanics.transfer import CoatFilm
 from twin.specimens import shape_of
+from twin.specimens.kinds.ball import Ball
 
 
 def slab(**more):

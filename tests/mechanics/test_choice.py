@@ -5,11 +5,12 @@ import pytest
 
 from tests.mechanics.sheets import build_sheet
 from twin.config import ConfigError, load_experiment
-from twin.config.models import Ball, Mechanics, PadFile, Press
+from twin.config.models import Mechanics, PadFile, Press
 from twin.mechanics import PressError, press
 from twin.mechanics.choice import check_press, choose_model, must_wrap, press_with, read_pad
 from twin.pipeline import press_specimen
 from twin.specimens import shape_of
+from twin.specimens.kinds.ball import Ball
 
 
 def pressed(name="examples/slab_balls", **changes):

@@ -9,13 +9,15 @@ from numpy.typing import NDArray
 from scipy import fft
 
 from twin.config import load_experiment
-from twin.config.models import Ball, Flat, Rod
 from twin.mechanics import PressedElastomer, SolverError
 from twin.mechanics.contact import _Brake, solve_contact, solve_on_layer
 from twin.mechanics.control import DepthControl, ForceControl
 from twin.mechanics.layer import BondedLayer
 from twin.pipeline.press import press_specimen
 from twin.specimens import height_above_lowest
+from twin.specimens.kinds.ball import Ball
+from twin.specimens.kinds.flat import Flat
+from twin.specimens.kinds.rod import Rod
 
 Field = NDArray[np.float64]
 

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from twin.config.models import Elastomer, Grating, Press
+from twin.config.models import Elastomer, Press
 from twin.mechanics import PressError, contact_transfer, press
+from twin.specimens.kinds.grating import Grating
 
 
 def slab(**changes: object) -> Elastomer:

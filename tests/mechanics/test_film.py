@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from twin.config.models import Ball, Elastomer, Film, Press
+from twin.config.models import Elastomer, Film, Press
 from twin.mechanics import contact_transfer, press
 from twin.mechanics.transfer import (
     SMALLEST_Q,
@@ -13,6 +13,7 @@ from twin.mechanics.transfer import (
     solve_coated,
     solve_transfer,
 )
+from twin.specimens.kinds.ball import Ball
 
 Q = np.geomspace(SMALLEST_Q, 45, 200)
 COLUMNS = ("normal_t", "normal_b", "tangential_t", "tangential_b")

@@ -7,7 +7,7 @@ from pydantic import ValidationError
 
 from reconstruction.errors import InputError
 from twin.assets import asset_path
-from twin.config.models import Ball, Elastomer, Press
+from twin.config.models import Elastomer, Press
 from twin.mechanics import (
     calibrate_modulus,
     estimate_modulus,
@@ -21,6 +21,7 @@ from twin.mechanics.hardness import (
     qi_modulus_kpa,
     sneddon_modulus_kpa,
 )
+from twin.specimens.kinds.ball import Ball
 
 
 @pytest.mark.parametrize(

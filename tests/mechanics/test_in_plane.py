@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
-from twin.config.models import Ball, Elastomer, Press
+from twin.config.models import Elastomer, Press
 from twin.mechanics import in_plane_displacement, press
 from twin.mechanics.layer import BondedLayer, FreeSlab
 from twin.mechanics.transfer import solve_transfer
+from twin.specimens.kinds.ball import Ball
 
 
 def test_a_plate_turns_its_fibres() -> None:

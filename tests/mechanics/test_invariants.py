@@ -5,19 +5,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from twin.config.models import (
-    Ball,
-    Elastomer,
-    Flat,
-    Grating,
-    Group,
-    Press,
-    Rod,
-    Specimen,
-    TwoBalls,
-)
+from twin.config.models import Elastomer, Press, Specimen
 from twin.mechanics import PressedElastomer, press
 from twin.specimens import height_above_lowest
+from twin.specimens.kinds.ball import Ball
+from twin.specimens.kinds.flat import Flat
+from twin.specimens.kinds.grating import Grating
+from twin.specimens.kinds.group import Group
+from twin.specimens.kinds.rod import Rod
+from twin.specimens.kinds.two_balls import TwoBalls
 
 COARSE = {"solver_pitch_mm": 0.25, "relief_pitch_mm": 0.05}
 

@@ -4,9 +4,12 @@ import numpy as np
 import pytest
 
 from tests.oracles import fredholm
-from twin.config.models import Ball, Elastomer, Flat, Press, Rod
+from twin.config.models import Elastomer, Press
 from twin.mechanics import press
 from twin.specimens import height_above_lowest
+from twin.specimens.kinds.ball import Ball
+from twin.specimens.kinds.flat import Flat
+from twin.specimens.kinds.rod import Rod
 
 
 def pad(nu: float, thickness_mm: float = 4.0) -> Elastomer:

@@ -9,9 +9,14 @@ import trimesh
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
-from twin.config.models import Ball, Elastomer, Group, MeshFile, Press, Rod, Specimen, TwoBalls
+from twin.config.models import Elastomer, Press, Specimen
 from twin.mechanics import PressedElastomer, PressError, press
 from twin.specimens import height_above_lowest
+from twin.specimens.kinds.ball import Ball
+from twin.specimens.kinds.group import Group
+from twin.specimens.kinds.mesh import MeshFile
+from twin.specimens.kinds.rod import Rod
+from twin.specimens.kinds.two_balls import TwoBalls
 
 SlabBuilder = Callable[..., Elastomer]
 

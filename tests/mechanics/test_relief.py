@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from tests.work import lines_run
-from twin.config.models import Ball, Elastomer, Press
+from twin.config.models import Elastomer, Press
 from twin.mechanics import PressedElastomer, face_mesh, face_normals, press, slab_mesh
+from twin.specimens.kinds.ball import Ball
 
 
 def test_vertices_carry_the_field_row_by_row(reference_press: PressedElastomer) -> None:

@@ -3,11 +3,13 @@
 import numpy as np
 import pytest
 
-from twin.config.models import Elastomer, Grating
-from twin.config.specimens import Fingerprint, Nut
+from twin.config.models import Elastomer
 from twin.mechanics import PressError, ridge_height_mm, ridge_transfer
 from twin.mechanics.contact_transfer import Ridges
 from twin.mechanics.transfer import solve_transfer
+from twin.specimens.kinds.fingerprint import Fingerprint
+from twin.specimens.kinds.grating import Grating
+from twin.specimens.kinds.nut import Nut
 
 PITCH_MM = 0.45
 

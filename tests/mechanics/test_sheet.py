@@ -31,7 +31,7 @@ from tests.oracles.round_sheet import (
     round_sheet_profile,
     strip_sheet_profile,
 )
-from twin.config.models import Ball, Mechanics, Press
+from twin.config.models import Mechanics, Press
 from twin.mechanics import press
 from twin.mechanics.sheet.case import sheet_case
 from twin.mechanics.sheet.energy import Bodies, Sheet, SheetState
@@ -42,7 +42,8 @@ from twin.mechanics.sheet.kernel import SLOTS
 from twin.mechanics.sheet.laws import Grip
 from twin.mechanics.sheet.path import Loads, advance, follow, mounted
 from twin.mechanics.sheet.result import contact_force_n
-from twin.specimens.distance import SignedDistance
+from twin.shape import SignedDistance
+from twin.specimens.kinds.ball import Ball
 
 SOLIDS = json.loads((Path(__file__).parent / "reference/solid_sheets.json").read_text())
 

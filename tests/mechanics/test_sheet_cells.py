@@ -4,13 +4,15 @@ import numpy as np
 import pytest
 
 from tests.mechanics.sheets import build_sheet, pressed
-from twin.config.models import Ball, Elastomer, Grating, Specimen
-from twin.config.specimens import Bar
+from twin.config.models import Elastomer, Specimen
 from twin.mechanics import PressedElastomer
 from twin.mechanics.sheet import cells, press
 from twin.mechanics.sheet.case import SheetCase
 from twin.mechanics.sheet.energy import Sheet
 from twin.mechanics.sheet.splines import Widths, graded_line
+from twin.specimens.kinds.ball import Ball
+from twin.specimens.kinds.bar import Bar
+from twin.specimens.kinds.grating import Grating
 
 SMALL = {"length_x_mm": 12.0, "length_y_mm": 12.0}
 

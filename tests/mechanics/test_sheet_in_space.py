@@ -10,9 +10,9 @@ from scipy.interpolate import CloughTocher2DInterpolator
 from reconstruction.evaluate.fit import fit_sphere
 from tests.mechanics.sheets import YOUNG_KPA, build_sheet, pressed
 from tests.mechanics.solids_in_space import CASES, SpaceCase, seen_at, wrapped
-from twin.config.models import Ball
 from twin.mechanics.sheet.faces import sample
 from twin.mechanics.sheet.result import contact_force_n
+from twin.specimens.kinds.ball import Ball
 
 SOLIDS = json.loads((Path(__file__).parent / "reference/solid_in_space.json").read_text())
 

@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 
 from tests.mechanics.sheets import EXACT, build_sheet
-from twin.config.models import Ball, Mechanics, Press
+from twin.config.models import Mechanics, Press
 from twin.mechanics.errors import PressError
 from twin.mechanics.sheet.energy import Sheet, System
 from twin.mechanics.sheet.equilibrium import settle
 from twin.mechanics.sheet.neighbour import Neighbourhood
 from twin.mechanics.sheet.press import SettledSheet, settled_sheet
+from twin.specimens.kinds.ball import Ball
 
 MECHANICS = Mechanics.model_validate({"model": "sheet"})
 NOMINAL = {

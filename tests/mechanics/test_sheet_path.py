@@ -18,7 +18,6 @@ from tests.mechanics.sheets import (
     round_sheet,
     strip,
 )
-from twin.config.models import Ball
 from twin.mechanics.errors import PressError, SolverError
 from twin.mechanics.sheet import cells, press
 from twin.mechanics.sheet.case import Box, Cells, SheetCase
@@ -35,6 +34,7 @@ from twin.mechanics.sheet.equilibrium import (
 from twin.mechanics.sheet.laws import Grip
 from twin.mechanics.sheet.path import Loads, follow
 from twin.mechanics.sheet.splines import SplineLine
+from twin.specimens.kinds.ball import Ball
 
 MOST_STEPS_ON_THE_WAY = 20
 

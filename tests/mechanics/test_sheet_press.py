@@ -10,10 +10,8 @@ from scipy import sparse
 from scipy.interpolate import RegularGridInterpolator
 
 from tests.mechanics.sheets import build_sheet, pressed
-from twin.config.models import Ball, Elastomer, Grating, Group, Mechanics, Press, Texture
-from twin.config.specimens import Bar
+from twin.config.models import Elastomer, Mechanics, Press, Texture
 from twin.mechanics import PressedElastomer, PressError, read_press, write_press
-from twin.mechanics.contact_transfer import finest_pitch_mm
 from twin.mechanics.errors import SolverError
 from twin.mechanics.press import SheetFields
 from twin.mechanics.sheet import press
@@ -21,6 +19,10 @@ from twin.mechanics.sheet.energy import SheetState
 from twin.mechanics.sheet.linear_solver import LinearSolver, Pardiso, SuperLU, has_pardiso
 from twin.mechanics.sheet.path import Loads
 from twin.mechanics.texture import textured
+from twin.specimens.kinds.ball import Ball
+from twin.specimens.kinds.bar import Bar
+from twin.specimens.kinds.grating import Grating
+from twin.specimens.kinds.group import Group
 
 SMALL = {"length_x_mm": 10.0, "length_y_mm": 10.0}
 TINY = {"length_x_mm": 6.0, "length_y_mm": 6.0}
@@ -367,7 +369,7 @@ def test_elastomers_round_or_stretched_are_checked() -> None:
 def test_ridges_finer_than_five_thicknesses_are_told(pitch_mm: float, warned: bool) -> None:
     grating = Grating(pitch_mm=pitch_mm, groove_mm=0.01, length_x_mm=3.0, length_y_mm=3.0)
     group = Group(parts={"ball": Ball(x_mm=5.0), "grating": grating})
-    assert finest_pitch_mm(group) == pitch_mm
-    assert finest_pitch_mm(Ball()) is None
+    assert group.finest_pitch_mm == pitch_mm
+    assert Ball().finest_pitch_mm is None
     found = pressed(grating, build_sheet(thickness_mm=0.2, **TINY), depth_mm=0.1)
     assert any("--transfer" in text for text in found.validity.warnings) is warned

@@ -16,7 +16,6 @@ from tests.mechanics.sheets import (
     pressed,
     round_sheet,
 )
-from twin.config.models import Ball
 from twin.mechanics import PressError
 from twin.mechanics.sheet.energy import Sheet
 from twin.mechanics.sheet.equilibrium import settle
@@ -25,6 +24,7 @@ from twin.mechanics.sheet.grid import Frame, sheet_grid
 from twin.mechanics.sheet.path import Loads, advance, mounted
 from twin.mechanics.sheet.rim import rim_springs
 from twin.mechanics.sheet.splines import SplineLine
+from twin.specimens.kinds.ball import Ball
 
 MU_KPA = YOUNG_KPA / 3
 SMALL = {"length_x_mm": 12.0, "length_y_mm": 12.0}

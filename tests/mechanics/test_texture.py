@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from twin.config import ConfigError, digest, load_experiment, vary
-from twin.config.models import Ball, Press, Texture
+from twin.config.models import Press, Texture
 from twin.mechanics import (
     face_mesh,
     in_plane_displacement,
@@ -25,6 +25,7 @@ from twin.optics.height_grid import height_grid, shades_itself
 from twin.pipeline import press_specimen
 from twin.pipeline.press import press_smooth
 from twin.results.parts import press_metrics
+from twin.specimens.kinds.ball import Ball
 
 NORMAL = Texture(rms_um=12, correlation_mm=0.2)
 TAILED = Texture(rms_um=12, correlation_mm=0.2, skewness=0.5, excess_kurtosis=2.0)

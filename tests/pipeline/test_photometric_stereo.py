@@ -17,12 +17,12 @@ from reconstruction.photometric.calibration_ball import (
 from reconstruction.photometric.images import mean_background, smoothed
 from twin.camera import electrons_per_ms, full_well_e, read_noise_e
 from twin.config import load_experiment, vary
-from twin.config.models import Ball
 from twin.optics.backed_coat import seen_face
 from twin.pipeline import Memory, measure, press_specimen, take
 from twin.pipeline.colour_images import develop, fixed_exposure_ms, image_pinhole
 from twin.pipeline.colours import ColourSensor, LitCoat, calibrated_sensor, with_ball
 from twin.results.folder import read_measurement, write_measurement
+from twin.specimens.kinds.ball import Ball
 
 FEW = {"photometric.presses.count": 12, "photometric.presses.smallest_diameter_mm": 5.5}
 BALL_MM, DEPTH_MM = 6.31, 0.7

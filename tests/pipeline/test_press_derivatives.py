@@ -10,10 +10,10 @@ from reconstruction.errors import InputError
 from tests.pictures import is_drawn
 from twin.cli import run
 from twin.config import load_experiment
-from twin.config.models import Ball
 from twin.mechanics.hardness import young_modulus
 from twin.pipeline.gradients import with_number
 from twin.pipeline.sensitivity import press_derivatives
+from twin.specimens.kinds.ball import Ball
 
 
 @pytest.fixture(scope="module")

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from twin.config import load_experiment, vary
-from twin.config.objects import Nut
 from twin.results.names import figure_names
 from twin.results.nuts import nut_figures
 from twin.specimens import shape_of
+from twin.specimens.kinds.nut import Nut
 
 FLAT_MM = 5.0
 _AZIMUTH = (np.arange(36000) + 0.5) / 36000 * 2 * np.pi

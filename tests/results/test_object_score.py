@@ -10,7 +10,7 @@ from reconstruction.errors import InputError
 from twin.config import load_experiment
 from twin.config.base import ConfigError
 from twin.optics.stack import Truth
-from twin.results.features import feature_of, features_of, measurands_of
+from twin.results.features import bars_of, feature_of, features_of, measurands_of, nominal_mm
 from twin.results.object_fits import fit, levels
 from twin.results.object_points import Heights
 from twin.results.object_score import score_object
@@ -49,6 +49,13 @@ def seen(case, error_mm=0.0, sigma_mm=None, skin_mm=0.0, touched=np.isfinite):
 
 
 STEP = {"kind": "step", "height_mm": 0.1, "edge_radius_mm": 0.02}
+BAR_ON_PLATE = {
+    "kind": "group",
+    "parts": {
+        "bar": {"kind": "bar", "width_mm": 3.0, "height_mm": 0.8},
+        "plate": {"kind": "flat", "diameter_mm": 12.0, "z_mm": -0.8},
+    },
+}
 KNOWN = [
     ({"kind": "ball"}, "radius_1", 4.0),
     ({"kind": "two_balls", "diameter_mm": 5.0, "separation_mm": 5.2}, "radius_2", 2.5),
@@ -60,6 +67,7 @@ KNOWN = [
     ({"kind": "grating", "pitch_mm": 1.5, "groove_mm": 0.1, "x_mm": 0.4}, "depth", 0.1),
     ({"kind": "bars", "widths_mm": [2.0, 3.0], "gap_mm": 2.0}, "width_2", 3.0),
     ({"kind": "bars", "widths_mm": [4.0], "height_mm": 0.8}, "step_height", 0.8),
+    (BAR_ON_PLATE, "bar_width_1", 3.0),
     # Tilted specimens are measured across their own planes: 5 degrees are 0.4 % of a height.
     (STEP | {"tilt_deg": 5.0, "yaw_deg": 30.0}, "step_height", 0.1),
     ({"kind": "bars", "widths_mm": [4.0], "height_mm": 0.8, "tilt_deg": 5.0}, "step_height", 0.8),
@@ -75,7 +83,7 @@ def test_known_dimensions_are_found(specimen, name, true_mm):
     Expected: the drawing's dimension within its facets and a cell of the section.
     """
     found = seen(experiment(specimen), sigma_mm=1e-6).figures
-    loose = {"width_2": 0.06, "width": 2e-3, "depth": 1e-3}.get(name, 1e-3)
+    loose = {"width_2": 0.06, "bar_width_1": 0.075, "width": 2e-3, "depth": 1e-3}.get(name, 1e-3)
     assert found[f"object_{name}_mm"] == pytest.approx(true_mm, abs=loose)
     assert found[f"object_{name}_error_um"] == pytest.approx(
         1e3 * (found[f"object_{name}_mm"] - true_mm), abs=0.2
@@ -208,3 +216,26 @@ def test_an_experiment_without_measurands_keeps_its_digest():
     assert [one.name for one in measurands_of(asked)] == ["step_height", "flat"]
     own = experiment(STEP, measurand=[{"name": "riser", "quantity": "step_height"}])
     assert [one.name for one in measurands_of(own)] == ["riser"]
+
+
+def test_a_single_bar_has_a_width():
+    bar = experiment({"kind": "bar", "width_mm": 3.0})
+    (width,) = measurands_of(bar)
+    assert (width.name, width.quantity, width.number) == ("width_1", "width", 1)
+    assert nominal_mm(features_of(bar.specimen)[0], width) == 3.0
+
+
+@pytest.mark.parametrize("error_mm", [0.0, 0.003])
+def test_a_bar_without_ground_has_no_width(error_mm):
+    """A bare bar shows its top alone: the section has no walls that a width could be between."""
+    noise = error_mm * np.random.default_rng(1).standard_normal((181, 241))
+    bar = experiment({"kind": "bar", "width_mm": 3.0})
+    figures = seen(bar, noise if error_mm else 0.0, max(error_mm, 1e-6)).figures
+    assert figures["object_width_1_mm"] is None
+    assert "no ground beside" in figures["object_width_1_why"]
+
+
+def test_a_single_bar_has_a_place_on_the_stage():
+    (place,) = bars_of(experiment({"kind": "bar", "x_mm": 1.0, "yaw_deg": 30.0}).specimen)
+    assert (place.x_mm, place.y_mm, place.width_mm) == (1.0, 0.0, 4.81)
+    assert place.along_deg == pytest.approx(30.0)

@@ -25,7 +25,8 @@ from twin.results.score import (
     wanted_pixels,
     wrong_orders,
 )
-from twin.specimens import Sphere, shape_of
+from twin.shape import Sphere
+from twin.specimens import shape_of
 
 SHAPE = (2, 6)
 # The first eight pixels have a point, ten are lit.

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from twin.config.objects import Nut
+from twin.shape import UNMOVED
 from twin.specimens import shape_of
-from twin.specimens.catalogue import UNMOVED
 from twin.specimens.distance import BallDistance, BoxDistance, HalfSpace, RoundWall
+from twin.specimens.kinds.nut import Nut
 from twin.specimens.sampled_distance import PITCH_MM, SampledField
 from twin.specimens.triangles import Columns, TriangleTree, distances_mm
 

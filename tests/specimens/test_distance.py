@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from reconstruction.arrays import FloatArray
-from twin.config.specimens import Ball, Flat, Rod, TwoBalls
+from twin.shape import SignedDistance
 from twin.specimens import shape_of
 from twin.specimens.distance import (
     BallDistance,
@@ -17,11 +17,14 @@ from twin.specimens.distance import (
     RectangularInside,
     RoundInside,
     RoundWall,
-    SignedDistance,
     distances_of,
     frame_wall,
     plate,
 )
+from twin.specimens.kinds.ball import Ball
+from twin.specimens.kinds.flat import Flat
+from twin.specimens.kinds.rod import Rod
+from twin.specimens.kinds.two_balls import TwoBalls
 
 STEP_MM = 1e-5
 REACH_MM = 0.6

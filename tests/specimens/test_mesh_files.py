@@ -9,9 +9,10 @@ import pytest
 import trimesh
 
 from reconstruction.errors import InputError
-from twin.config.models import Group, MeshFile
 from twin.specimens import shape_of
-from twin.specimens.meshes import read_closed_mesh, unit_warnings
+from twin.specimens.kinds.group import Group
+from twin.specimens.kinds.mesh import MeshFile
+from twin.specimens.mesh_files import read_closed_mesh
 
 BOX = np.asarray(trimesh.creation.box((4.0, 3.0, 2.0)).triangles)
 TETRAHEDRON = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
@@ -176,7 +177,7 @@ def test_a_body_that_may_be_in_inches_gets_a_warning(tmp_path):
     """A box of 4 mm in inches is 0.16 mm long: small, but it may be meant."""
     (tmp_path / "box.stl").write_bytes(stl(BOX / 25.4))
     small = MeshFile(file=str(tmp_path / "box.stl"))
-    (warning,) = unit_warnings(Group(parts={"box": small}))
+    (warning,) = Group(parts={"box": small}).warnings()
     assert "is 0.16 mm" in warning
     assert "in inches, 25.4" in warning
-    assert not unit_warnings(MeshFile(file=small.file, scale=25.4))
+    assert not MeshFile(file=small.file, scale=25.4).warnings()

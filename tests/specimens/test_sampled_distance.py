@@ -6,11 +6,23 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from reconstruction.arrays import FloatArray
-from twin.config.objects import Bear, Brick, Fingerprint, Nut, TBolt
-from twin.config.specimens import Ball, Bars, Flat, Grating, Group, Rods, Specimen, Step, VGroove
+from twin.config.specimen_base import Specimen
+from twin.shape import UNMOVED, Placement, SignedDistance
 from twin.specimens import shape_of
-from twin.specimens.catalogue import UNMOVED, Placement
-from twin.specimens.distance import BallDistance, BoxDistance, SignedDistance, distances_of
+from twin.specimens.distance import BallDistance, BoxDistance, distances_of
+from twin.specimens.kinds.ball import Ball
+from twin.specimens.kinds.bars import Bars
+from twin.specimens.kinds.bear import Bear
+from twin.specimens.kinds.brick import Brick
+from twin.specimens.kinds.fingerprint import Fingerprint
+from twin.specimens.kinds.flat import Flat
+from twin.specimens.kinds.grating import Grating
+from twin.specimens.kinds.group import Group
+from twin.specimens.kinds.nut import Nut
+from twin.specimens.kinds.rods import Rods
+from twin.specimens.kinds.step import Step
+from twin.specimens.kinds.t_bolt import TBolt
+from twin.specimens.kinds.v_groove import VGroove
 from twin.specimens.meshes import MeshShape
 from twin.specimens.sampled_distance import PITCH_MM, MeshDistance, SampledField
 from twin.specimens.triangles import TriangleTree, unsigned_samples

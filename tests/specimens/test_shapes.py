@@ -8,17 +8,15 @@ import trimesh
 from pydantic import ValidationError
 
 from reconstruction.errors import InputError
-from twin.config.models import (
-    Ball,
-    Flat,
-    Grating,
-    Group,
-    MeshFile,
-    Rod,
-    Specimen,
-    TwoBalls,
-)
+from twin.config.models import Specimen
 from twin.specimens import height_above_lowest, shape_of
+from twin.specimens.kinds.ball import Ball
+from twin.specimens.kinds.flat import Flat
+from twin.specimens.kinds.grating import Grating
+from twin.specimens.kinds.group import Group
+from twin.specimens.kinds.mesh import MeshFile
+from twin.specimens.kinds.rod import Rod
+from twin.specimens.kinds.two_balls import TwoBalls
 from twin.specimens.meshes import upper_side
 
 X = np.linspace(-9.03, 9.07, 182)

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from reconstruction.errors import InputError
-from twin.config.models import Ball, Specimen, TwoBalls
-from twin.specimens import height_above_lowest, kinds, shape_of
+from twin.config.models import Specimen
+from twin.specimens import height_above_lowest, shape_of
+from twin.specimens.kinds.ball import Ball
+from twin.specimens.kinds.two_balls import TwoBalls
 
 X = np.linspace(-10, 10, 201)
 Y = np.linspace(-8, 8, 161)
@@ -84,12 +85,3 @@ def test_overlapping_balls_have_the_volume_of_the_union() -> None:
     union = 2 * 4 / 3 * np.pi * radius**3 - 2 * cap
     mesh: trimesh.Trimesh = shape_of(TwoBalls(separation_mm=distance)).mesh(0.0)
     assert mesh.volume == pytest.approx(union, rel=5e-4)
-
-
-def test_unknown_kind_lists_the_known_ones() -> None:
-    with pytest.raises(InputError, match=r"found 'Specimen', allowed: ball, bar, bars, bear, "):
-        shape_of(Specimen())
-    assert kinds() == tuple(sorted(kinds()))
-    assert {"ball", "bear", "brick", "group", "nut", "rods", "step", "t_bolt", "v_groove"} < set(
-        kinds()
-    )

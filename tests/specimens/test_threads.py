@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from twin.config.objects import Nut, TBolt
 from twin.specimens import height_above_lowest, shape_of
-from twin.specimens.fasteners import minor_diameter_mm, screw
+from twin.specimens.kinds.nut import Nut
+from twin.specimens.kinds.t_bolt import TBolt
 from twin.specimens.solids import box, common
+from twin.specimens.threads import minor_diameter_mm, screw
 
 
 def thread_area_mm2(major_mm: float, pitch_mm: float) -> float:

@@ -6,22 +6,23 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from twin.config.objects import Bear, Brick, Fingerprint, Nut, TBolt
-from twin.config.specimen_base import Conductor, Dielectric
-from twin.config.specimens import (
-    Ball,
-    Bar,
-    Bars,
-    Group,
-    Rod,
-    Rods,
-    Specimen,
-    Step,
-    TwoBalls,
-    VGroove,
-)
+from twin.config.specimen_base import Conductor, Dielectric, Specimen
 from twin.specimens import bodies, height_above_lowest, shape_of
-from twin.specimens.objects import bear_level_mm, drawn_bear, ridges_mm
+from twin.specimens.kinds import nut
+from twin.specimens.kinds.ball import Ball
+from twin.specimens.kinds.bar import Bar
+from twin.specimens.kinds.bars import Bars
+from twin.specimens.kinds.bear import Bear, bear_level_mm, drawn_bear
+from twin.specimens.kinds.brick import Brick
+from twin.specimens.kinds.fingerprint import Fingerprint, ridges_mm
+from twin.specimens.kinds.group import Group
+from twin.specimens.kinds.nut import Nut
+from twin.specimens.kinds.rod import Rod
+from twin.specimens.kinds.rods import Rods
+from twin.specimens.kinds.step import Step
+from twin.specimens.kinds.t_bolt import TBolt
+from twin.specimens.kinds.two_balls import TwoBalls
+from twin.specimens.kinds.v_groove import VGroove
 
 SPECIMENS: list[Specimen] = [
     Nut(yaw_deg=20),
@@ -322,20 +323,17 @@ def test_overlapping_parts_stay_two_bodies() -> None:
 @pytest.mark.parametrize("specimen", [Ball(), Rods(), Nut(x_mm=1.0)], ids=lambda s: s.kind)
 def test_any_other_kind_is_one_body(specimen: Specimen) -> None:
     (body,) = bodies(specimen, touched_z_mm=-2.0)
-    assert body.name == specimen.kind  # type: ignore[attr-defined]
+    assert body.name == specimen.kind
     assert body.material is None
     np.testing.assert_array_equal(body.mesh.vertices, shape_of(specimen).mesh(-2.0).vertices)
 
 
 def test_same_specimen_same_bytes() -> None:
     """The level set and the booleans run in the library's own threads; order must not matter."""
-    from twin.specimens import fasteners, objects
-
-    for build, specimen in ((objects.build_bear, Bear()), (fasteners.build_nut, Nut())):
-        first = build(specimen).surface  # type: ignore[operator]
-        objects.drawn_bear.cache_clear()
-        fasteners._nut.cache_clear()
-        second = build(specimen).surface  # type: ignore[operator]
+    for cached, specimen in ((drawn_bear, Bear()), (nut._nut, Nut())):
+        first = specimen.shape().surface
+        cached.cache_clear()
+        second = specimen.shape().surface
         assert first.vertices.tobytes() == second.vertices.tobytes()
         assert first.faces.tobytes() == second.faces.tobytes()
 

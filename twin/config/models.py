@@ -9,7 +9,7 @@ points up to camera and projector. Device frames are OpenCV's (x right, y down, 
 from itertools import pairwise
 from typing import Annotated, Literal
 
-from pydantic import Field, ValidationInfo, field_validator, model_validator
+from pydantic import ConfigDict, Field, ValidationInfo, field_validator, model_validator
 
 from reconstruction.decoding import DecodeOptions
 from reconstruction.patterns import (
@@ -38,11 +38,14 @@ from twin.config.bounds import (
     Tolerance,
 )
 from twin.config.elastomer import Coating, Elastomer, Film, Mechanics, PadFile, Press, Texture
+from twin.config.kinds import follows
 from twin.config.lamps import Lamp, Photometric, check_lamps
 from twin.config.layers import Layer, Layers, check_rig
 from twin.config.measurands import ObjectMeasurand
 from twin.config.methods import TRAITS, Method, MethodTraits
 from twin.config.specimen_base import (
+    SPECIMENS,
+    AnySpecimen,
     Conductor,
     Dielectric,
     Diffuse,
@@ -51,20 +54,9 @@ from twin.config.specimen_base import (
     Specimen,
     Stage,
 )
-from twin.config.specimens import (
-    AnySpecimen,
-    Ball,
-    Flat,
-    Grating,
-    Group,
-    MeshFile,
-    Rod,
-    TwoBalls,
-)
 
 __all__ = [
     "AnySpecimen",
-    "Ball",
     "Camera",
     "Coating",
     "Conductor",
@@ -75,14 +67,10 @@ __all__ = [
     "Elastomer",
     "Experiment",
     "Film",
-    "Flat",
-    "Grating",
-    "Group",
     "Lamp",
     "Layer",
     "Material",
     "Mechanics",
-    "MeshFile",
     "Model",
     "ObjectMeasurand",
     "PadFile",
@@ -94,12 +82,10 @@ __all__ = [
     "Projector",
     "Provenance",
     "Render",
-    "Rod",
     "ScoreSettings",
     "Specimen",
     "Stage",
     "Texture",
-    "TwoBalls",
 ]
 
 
@@ -317,8 +303,11 @@ class Provenance(Model):
     range: tuple[float, float] | None = None
 
 
+@follows(SPECIMENS)
 class Experiment(Model):
     """One virtual measurement, whole."""
+
+    model_config = ConfigDict(defer_build=True)
 
     schema_version: Literal[1] = 1
     name: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_\-]*$", max_length=64)]

@@ -7,7 +7,7 @@ models, too: no second list to keep true.
 import difflib
 import types
 import typing
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
@@ -17,6 +17,7 @@ from pydantic_core import PydanticUndefined
 
 from twin.config.base import ConfigError
 from twin.config.bounds import Because
+from twin.config.kinds import OneOf
 from twin.config.models import Conductor, Dielectric, Diffuse, Experiment, Layer, Plastic
 
 _MOST_PROBLEMS = 20
@@ -24,6 +25,7 @@ _MOST_PROBLEMS = 20
 Document = TypeVar("Document", bound=BaseModel)
 Loc = tuple[int | str, ...]
 
+_WRONG_KIND = {"union_tag_invalid", "union_tag_not_found"}
 _OUTSIDE = {"greater_than", "greater_than_equal", "less_than", "less_than_equal"}
 # Branches of a union of plain values, such as camera.exposure_ms.
 _SCALAR_TAGS = {"constrained-float", "float", "literal['auto']"}
@@ -62,6 +64,8 @@ def explain(error: ValidationError, document: type[BaseModel]) -> list[str]:
         path = _path(item["loc"], document)
         if item["type"] == "missing" and path not in suggested:
             lines.append(f"{path}: missing; add it")
+        elif item["type"] in _WRONG_KIND:
+            lines.append(_kind_line(path, item["ctx"], item["input"]))
         elif item["type"] not in ("missing", "extra_forbidden"):
             found = f"{path}: found {_short(item['input'])}, " if path else ""
             whole = _whole_range(item["loc"], document) if item["type"] in _OUTSIDE else ""
@@ -70,6 +74,19 @@ def explain(error: ValidationError, document: type[BaseModel]) -> list[str]:
             outside |= {path} if item["type"] in _OUTSIDE else set()
             lines.append(f"{found}{whole or _allowed(item['msg'])}")
     return lines
+
+
+def _kind_line(path: str, context: Mapping[str, Any], table: Any) -> str:
+    """Return the line on a table whose kind is unknown or missing."""
+    discriminator = str(context["discriminator"]).strip("'")
+    key = f"{path}.{discriminator}"
+    if "tag" not in context:
+        return f"{key}: missing in {_short(table)}; add it"
+    expected = str(context["expected_tags"])
+    kinds = [name.strip(" '") for name in expected.split(",")]
+    close = difflib.get_close_matches(context["tag"], kinds, n=1)
+    hint = f"; did you mean '{close[0]}'?" if close else ""
+    return f"{key}: found '{context['tag']}', allowed: {expected}{hint}"
 
 
 def _whole_range(loc: Loc, document: type[BaseModel]) -> str:
@@ -166,15 +183,25 @@ def _inside(place: Any, part: str) -> list[Any]:
     if typing.get_origin(place) is tuple:
         return _options(typing.get_args(place)[0])
     field = place.model_fields.get(part) if _models([place]) else None
-    return _options(field.annotation) if field is not None else []
+    return _options_of(field) if field is not None else []
+
+
+def _options_of(field: FieldInfo) -> list[Any]:
+    """Return the types that a field may have; its kinds where a registry gives them."""
+    return _kinds_in(field.metadata) or _options(field.annotation)
 
 
 def _options(annotation: Any) -> list[Any]:
     if typing.get_origin(annotation) is typing.Annotated:
-        annotation = typing.get_args(annotation)[0]
+        inner, *metadata = typing.get_args(annotation)
+        return _kinds_in(metadata) or _options(inner)
     if typing.get_origin(annotation) in (typing.Union, types.UnionType):
-        return list(typing.get_args(annotation))
+        return [one for part in typing.get_args(annotation) for one in _options(part)]
     return [annotation]
+
+
+def _kinds_in(metadata: Iterable[Any]) -> list[Any]:
+    return [model for one in metadata if isinstance(one, OneOf) for model in one.models.values()]
 
 
 @dataclass(frozen=True)
@@ -199,7 +226,7 @@ def experiment_keys() -> Iterator[Key]:
 def list_keys(model: type[BaseModel], prefix: str = "") -> Iterator[Key]:
     """Yield every key of a model and of the models inside it, in file order."""
     for name, field in model.model_fields.items():
-        inner = [] if name == "material" else _parts_of(field.annotation)
+        inner = [] if name == "material" else models_of(field)
         if name == "provenance":
             continue
         if not inner:
@@ -220,10 +247,13 @@ def _meaning(field: FieldInfo) -> str:
     return "; ".join(filter(None, [field.description, *ranges]))
 
 
-def _parts_of(annotation: Any) -> list[type[BaseModel]]:
-    if typing.get_origin(annotation) is dict:
+def models_of(field: FieldInfo) -> list[type[BaseModel]]:
+    """Return the tables that a field may be; none for tables by name."""
+    if typing.get_origin(field.annotation) is dict:
         return []  # named parts, each one of the kinds listed beside it
-    return _models(list(typing.get_args(annotation) or (annotation,)))
+    if typing.get_origin(field.annotation) is tuple:
+        return _models(_options(typing.get_args(field.annotation)[0]))
+    return _models(_options_of(field))
 
 
 def _type_name(annotation: Any) -> str:

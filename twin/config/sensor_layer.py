@@ -3,12 +3,11 @@
 `twin compensate RESULT --layer layer.toml`; docs/compensation.md explains every key.
 """
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated
 
 import tomli_w
-from pydantic import Field
+from pydantic import ConfigDict, Field
 
 from twin.config.base import Angle, Fraction, Model
 from twin.config.bounds import (
@@ -22,22 +21,12 @@ from twin.config.bounds import (
     Travel,
 )
 from twin.config.elastomer import Elastomer
+from twin.config.kinds import follows
 from twin.config.loading import read_toml, resolve_uses
-from twin.config.models import AnySpecimen, Experiment, Provenance
+from twin.config.models import Experiment, Provenance
 from twin.config.quantities import check_ranges, convert_units, split_quantities
 from twin.config.schema import validated
-
-WANTED: Mapping[str, tuple[str, ...]] = {
-    "ball": ("diameter_mm", "x_mm", "y_mm"),
-    "two_balls": ("diameter_mm", "separation_mm", "x_mm", "y_mm", "yaw_deg"),
-    "rod": ("diameter_mm", "x_mm", "y_mm", "yaw_deg"),
-    "flat": ("diameter_mm", "x_mm", "y_mm"),
-    "bar": ("width_mm", "x_mm", "y_mm", "yaw_deg"),
-    "step": ("height_mm", "x_mm"),
-    "v_groove": ("depth_mm", "x_mm"),
-    "grating": ("groove_mm", "x_mm"),
-}
-"""What is fitted of each kind of specimen under a thick slab where nothing else is asked for."""
+from twin.config.specimen_base import SPECIMENS, AnySpecimen
 
 
 class MeasuredLoad(Model):
@@ -91,8 +80,11 @@ class PressedBar(Model):
     sigma_edge_radius_mm: Rounding = 0.0
 
 
+@follows(SPECIMENS)
 class SensorLayer(Model):
     """Elastomer, load of the press, and how well they are known."""
+
+    model_config = ConfigDict(defer_build=True)
 
     description: str = ""
     elastomer: Elastomer

@@ -1,15 +1,24 @@
-"""What every specimen has: its pose on the stage, and the optical material that it is made of.
+"""What every specimen has: its pose, its optical material, its shape and its nominal features.
 
-Lengths in mm, relative to the slab's centre; the specimen presses from below. Every material
-conserves energy by construction; complex indices hold at the projector's wavelength.
+A kind of specimen is one file of `twin/specimens/kinds`, a subclass of `Specimen` that registers
+itself in `SPECIMENS`. Lengths in mm, relative to the slab's centre; the specimen presses from
+below. Every material conserves energy by construction; complex indices hold at the projector's
+wavelength.
 """
 
-from typing import Annotated, Literal
+from collections.abc import Mapping
+from typing import Annotated, ClassVar, Literal, TypeVar
 
 from pydantic import Field
 
+from reconstruction.registry import PluginError, Registry
 from twin.config.base import Angle, Model
 from twin.config.bounds import Absorption, Extinction, Length, MetalIndex, Place
+from twin.config.kinds import OneOf, kind_of
+from twin.config.nominal import NominalFeature
+from twin.shape import Shape
+
+Feature = TypeVar("Feature", bound=NominalFeature)
 
 Roughness = Annotated[float, Field(ge=0, le=1)]
 Index = Annotated[float, Field(ge=1, le=4)]
@@ -68,7 +77,11 @@ class Stage(Model):
 
 
 class Specimen(Model):
-    """What every specimen has: its pose on the stage, relative to the slab's centre."""
+    """A specimen in its pose on the stage, relative to the slab's centre.
+
+    A kind sets `kind`, adds its dimensions and overrides `shape`; what else it overrides says which
+    of its dimensions are measured and fitted.
+    """
 
     x_mm: Place = 0.0
     y_mm: Place = 0.0
@@ -82,10 +95,65 @@ class Specimen(Model):
     material: Material | None = Field(
         default=None, description="needed where the specimen itself is seen (direct_fpp)"
     )
+    # After the pose: experiment files that are written keep the order of their keys.
+    kind: str
+
+    slab_fit_paths: ClassVar[tuple[str, ...]] = ()
+    """Numbers that `twin compensate` fits under a thick slab unless the layer file names others."""
+
+    def shape(self) -> Shape:
+        """Return the shape in the specimen's own frame; its pose and height are applied later.
+
+        Raises
+        ------
+        InputError : a file that the specimen names cannot be used
+        """
+        raise NotImplementedError(f"{type(self).__name__}.shape")
+
+    def nominal_features(self) -> tuple[NominalFeature, ...]:
+        """Return the features of known size, counted along x; none by default."""
+        return ()
+
+    def nominal(self, kind: type[Feature]) -> tuple[Feature, ...]:
+        """Return the nominal features of one kind."""
+        return tuple(one for one in self.nominal_features() if isinstance(one, kind))
+
+    @property
+    def finest_pitch_mm(self) -> float | None:
+        """Finest pitch of the ridges or grooves that a sheet may span; None without ridges."""
+        return None
+
+    @property
+    def ridge_height_mm(self) -> float | None:
+        """Height of the ridges or grooves, crest to root; None without ridges."""
+        return None
+
+    @property
+    def components(self) -> "Mapping[str, Specimen]":
+        """Specimens that this one consists of, by name; empty unless it is a group."""
+        return {}
+
+    def warnings(self) -> tuple[str, ...]:
+        """Return doubts about the specimen's dimensions, one sentence each."""
+        return tuple(line for part in self.components.values() for line in part.warnings())
+
+
+def _kind_of(specimen: type[Specimen]) -> str:
+    if not (isinstance(specimen, type) and issubclass(specimen, Specimen)):
+        raise PluginError(f"specimens: found {specimen!r}, allowed subclasses of Specimen")
+    if specimen.shape is Specimen.shape:
+        raise PluginError(f"specimens: {specimen.__name__} has no shape; define shape(self)")
+    return kind_of(specimen)
+
+
+SPECIMENS: Registry[type[Specimen]] = Registry("specimens", "twin.specimens.kinds", _kind_of)
+"""The kinds of specimens."""
+
+AnySpecimen = Annotated[Specimen, OneOf(SPECIMENS)]
 
 
 def require_at_most(key: str, found_mm: float, limit_mm: float, why: str) -> None:
-    """Refuse a length above a limit that other keys set, in one line.
+    """Raise ValueError if a length exceeds a limit that other keys set.
 
     Raises
     ------

@@ -20,8 +20,9 @@ from twin.mechanics.validity import (
     SHEET_LIMIT,
     SHEET_THICKNESS_MM,
 )
-from twin.specimens import Shape, shape_of
-from twin.specimens.meshes import read_body_mm, unit_warnings
+from twin.shape import Shape
+from twin.specimens import shape_of
+from twin.specimens.mesh_files import read_body_mm
 
 if TYPE_CHECKING:
     from twin.mechanics.reference.pad import Pad
@@ -49,7 +50,7 @@ def press_with(
     SolverError : the solution did not converge
     """
     pressed = _pressed_by(mechanics, specimen, elastomer, load, progress)
-    doubts = unit_warnings(specimen)
+    doubts = specimen.warnings()
     validity = replace(pressed.validity, warnings=(*pressed.validity.warnings, *doubts))
     return replace(pressed, validity=validity)
 

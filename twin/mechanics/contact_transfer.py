@@ -21,9 +21,7 @@ from scipy.optimize import brentq, nnls
 
 from reconstruction.arrays import FloatArray
 from twin.config.models import Elastomer
-from twin.config.objects import Fingerprint
 from twin.config.specimen_base import Specimen
-from twin.config.specimens import Grating, Group
 from twin.mechanics.errors import PressError
 from twin.mechanics.hardness import young_modulus
 from twin.mechanics.layer import FreeSlab
@@ -132,22 +130,10 @@ def _computed(elastomer: Elastomer, pitch_mm: float) -> float:
     return float(np.einsum("ij,ij", coated, pressure) / np.einsum("ij,ij", touched, pressure))
 
 
-def finest_pitch_mm(specimen: Specimen) -> float | None:
-    """Return the finest pitch of a specimen's ridges or grooves, None where it has none.
-
-    A mesh from a file does not tell.
-    """
-    if isinstance(specimen, Group):
-        pitches = [finest_pitch_mm(part) for part in specimen.parts.values()]
-        return min((pitch for pitch in pitches if pitch is not None), default=None)
-    return specimen.pitch_mm if isinstance(specimen, Fingerprint | Grating) else None
-
-
 def ridge_height_mm(specimen: Specimen) -> float:
     """Return the height of a specimen's ridges, or that of a fingerprint's where it has none."""
-    if isinstance(specimen, Grating):
-        return specimen.groove_mm
-    return specimen.depth_mm if isinstance(specimen, Fingerprint) else RIDGE_MM
+    known = specimen.ridge_height_mm
+    return RIDGE_MM if known is None else known
 
 
 def ridge_transfer(

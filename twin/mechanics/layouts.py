@@ -19,7 +19,7 @@ from twin.config.models import Elastomer, Press
 from twin.mechanics.errors import PressError
 from twin.mechanics.layer import BondedLayer, FreeSlab
 from twin.mechanics.transfer import CoatFilm
-from twin.specimens import Shape
+from twin.shape import Shape
 
 AnyLayer = FreeSlab | BondedLayer
 

@@ -34,7 +34,9 @@ from twin.mechanics.layouts import (
 )
 from twin.mechanics.size import check_face_nodes, check_slab_cells
 from twin.mechanics.validity import Validity, assess, margin_mm, max_slope_deg
-from twin.specimens import Shape, SphereCluster, shape_of
+from twin.shape import Shape
+from twin.specimens import shape_of
+from twin.specimens.closed_form import SphereCluster
 
 if TYPE_CHECKING:
     import xarray

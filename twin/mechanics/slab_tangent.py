@@ -26,7 +26,8 @@ from twin.mechanics.layer import FreeSlab
 from twin.mechanics.layouts import Preload, build_layer, layer_on, preload_of
 from twin.mechanics.patch import Patch, Span
 from twin.mechanics.press import check_outline
-from twin.specimens import Shape, shape_of
+from twin.shape import Shape
+from twin.specimens import shape_of
 
 _TOLERANCE, _MOST_PASSES = 1e-6, 400
 

@@ -26,10 +26,9 @@ from twin.results.record import Measurement
 from twin.results.rods import (
     SECTION_LENGTH_MM,
     RodSection,
-    has_one_rod,
     middle_of,
-    nominal_width_mm,
     section_of,
+    single_section,
 )
 from twin.results.score import SphereScore, wanted_pixels
 from twin.specimens import shape_of
@@ -263,7 +262,7 @@ def _ball_points(points_mm: NDArray[Any], balls: Sequence[SphereScore]) -> Float
 
 def _section(experiment: Experiment, points_mm: NDArray[np.float64]) -> RodSection | None:
     """Cross-section of a single rod, round or rectangular."""
-    if not has_one_rod(experiment) or not len(points_mm):
+    if single_section(experiment.specimen) is None or not len(points_mm):
         return None
     return section_of(points_mm, SECTION_LENGTH_MM, middle_of(shape_of(experiment.specimen)))
 
@@ -275,11 +274,11 @@ def _columns(section: RodSection | None) -> FloatImage:
 
 
 def _width(experiment: Experiment, section: RodSection | None) -> Width | None:
-    if section is None:
+    nominal = single_section(experiment.specimen)
+    if section is None or nominal is None:
         return None
     try:
         bar = section.width()
     except FitError:
         return None
-    nominal_mm = nominal_width_mm(experiment)
-    return Width(bar.width_mm, bar.height_mm, bar.left_mm, bar.right_mm, nominal_mm)
+    return Width(bar.width_mm, bar.height_mm, bar.left_mm, bar.right_mm, nominal.width_mm)

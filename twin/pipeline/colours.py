@@ -21,7 +21,7 @@ from reconstruction.photometric.calibration_ball import SampleOptions
 from reconstruction.photometric.sensor import MapKind
 from reconstruction.rig.pinhole import Pinhole
 from twin.config import Experiment, digest, seed_sequence
-from twin.config.models import Ball, Press
+from twin.config.models import Press
 from twin.mechanics import PressedElastomer
 from twin.optics.backed_coat import seen_face
 from twin.optics.lamps import drifted_flux
@@ -43,6 +43,7 @@ from twin.results.decoders import MAP_ORDER, chosen, decode_all
 from twin.results.parts import press_metrics
 from twin.results.record import Colours, Measurement
 from twin.results.score import metrics
+from twin.specimens.kinds.ball import Ball
 
 if TYPE_CHECKING:
     import trimesh

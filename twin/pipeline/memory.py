@@ -11,7 +11,6 @@ import inspect
 import itertools
 import threading
 import types
-import typing
 from collections import deque
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -25,6 +24,7 @@ from reconstruction.errors import InputError
 from twin.config import Experiment
 from twin.config.base import Model
 from twin.config.digest import with_file_contents
+from twin.config.schema import models_of
 
 Path = tuple[str, ...]
 
@@ -156,13 +156,7 @@ class _Watched:
 
 def _only_kind(kind: type[BaseModel], name: str) -> bool:
     """Tell whether a field holds one kind of table; one of several is looked at by `type()`."""
-    return len(_models_in(kind.model_fields[name].annotation)) == 1
-
-
-def _models_in(annotation: Any) -> list[type[BaseModel]]:
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return [annotation]
-    return [model for part in typing.get_args(annotation) for model in _models_in(part)]
+    return len(models_of(kind.model_fields[name])) == 1
 
 
 def _at(experiment: Experiment, path: Path, like: bytes) -> bytes:

@@ -21,7 +21,7 @@ from reconstruction.compensation import (
 )
 from reconstruction.errors import InputError
 from twin.config.models import Elastomer
-from twin.config.sensor_layer import WANTED, SensorLayer
+from twin.config.sensor_layer import SensorLayer
 from twin.config.specimen_base import Specimen
 from twin.mechanics.hardness import young_modulus
 from twin.pipeline.slab_model import (
@@ -71,12 +71,11 @@ def slab_object(layer: SensorLayer, specimen: Specimen | None) -> SlabObject:
             "shows no free form; tell [specimen] in the layer file: the form that was pressed, its "
             "numbers about right, see docs/compensation.md"
         )
-    kind = str(getattr(pressed, "kind", "specimen"))
-    wanted = layer.fitted or WANTED.get(kind, ())
+    wanted = layer.fitted or pressed.slab_fit_paths
     if not wanted:
         raise InputError(
-            f"specimen.kind = '{kind}': not known which of its numbers to fit; give fitted = "
-            '["..."] in the layer file, such as ["x_mm", "y_mm"]'
+            f"specimen.kind = '{pressed.kind}': not known which of its numbers to fit; give "
+            'fitted = ["..."] in the layer file, such as ["x_mm", "y_mm"]'
         )
     for path in wanted:
         value_of(pressed, path)
@@ -146,7 +145,7 @@ def calibrate_slab(
     FitError : as `fit_slab`, or the press does not determine thickness or modulus
     """
     if "diameter_mm" not in asked.wanted:
-        kind = getattr(asked.specimen, "kind", "specimen")
+        kind = asked.specimen.kind
         raise InputError(f"--ball-diameter-mm: found specimen.kind = '{kind}', allowed a ball")
     layer, elastomer = asked.layer, asked.elastomer
     asked = replace(asked, theory=False)

@@ -18,7 +18,6 @@ from scipy.spatial import ConvexHull
 from reconstruction.arrays import FloatArray
 from reconstruction.rig.pinhole import Pinhole
 from twin.config.models import Experiment, Provenance, Specimen
-from twin.config.specimens import Group
 from twin.optics.light import pattern_set
 from twin.optics.rig import true_calibration
 from twin.report.canvas import FIT, INK, MEASURED, NOMINAL, axes_at, chart, drawing
@@ -84,8 +83,8 @@ def _colours(measured: Measurement) -> list[tuple[str, str]]:
 
 def _specimen(measured: Measurement) -> str:
     specimen = measured.experiment.specimen
-    if isinstance(specimen, Group):
-        parts = (f"{name} ({_shape(part)})" for name, part in specimen.parts.items())
+    if specimen.components:
+        parts = (f"{name} ({_shape(part)})" for name, part in specimen.components.items())
         return f"group: {'; '.join(parts)}"
     return _shape(specimen)
 

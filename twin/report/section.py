@@ -12,7 +12,8 @@ from scipy.interpolate import RegularGridInterpolator
 from reconstruction.arrays import FloatArray
 from twin.config.models import Experiment
 from twin.mechanics import PressedElastomer
-from twin.specimens import Sphere, height_above_lowest, shape_of
+from twin.shape import Sphere
+from twin.specimens import height_above_lowest, shape_of
 
 
 @dataclass(frozen=True, eq=False)

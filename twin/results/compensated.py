@@ -26,7 +26,7 @@ from reconstruction.evaluate.fit import spread
 from reconstruction.netcdf import Labelled, LabelledArrays
 from reconstruction.triangulation import PointMap
 from twin.config.sensor_layer import SensorLayer
-from twin.specimens import Sphere
+from twin.shape import Sphere
 
 _UM = 1e3
 _TEXTURE_SIGMA_MM = 0.2

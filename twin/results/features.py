@@ -3,6 +3,7 @@
 A feature's own frame: x across it, y along it, as its specimen's.
 """
 
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -11,22 +12,13 @@ import numpy as np
 from reconstruction.arrays import FloatArray
 from reconstruction.compensation import BarPlace
 from reconstruction.errors import InputError
-from twin.config.measurands import ObjectMeasurand
+from twin.config.measurands import ObjectMeasurand, Quantity
 from twin.config.models import Experiment
+from twin.config.nominal import NominalBar, NominalGrating
 from twin.config.specimen_base import Specimen
-from twin.config.specimens import (
-    Ball,
-    Bars,
-    Grating,
-    Group,
-    Rod,
-    Rods,
-    Step,
-    TwoBalls,
-    VGroove,
-)
-from twin.specimens import Shape, Sphere, shape_of
-from twin.specimens.catalogue import Placement, pose_of
+from twin.shape import Placement, Shape, Sphere
+from twin.specimens import shape_of
+from twin.specimens.catalogue import pose_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,43 +50,41 @@ class Feature:
 
 def features_of(specimen: Specimen) -> list[Feature]:
     """Return the parts of a specimen in the file's order; itself where it is no group."""
-    if not isinstance(specimen, Group):
+    if not specimen.components:
         return [Feature("", specimen, pose_of(specimen), shape_of(specimen))]
     whole = pose_of(specimen)
     return [
         Feature(name, part, pose_of(part).then(whole), shape_of(part).placed(whole))
-        for name, part in specimen.parts.items()
+        for name, part in specimen.components.items()
     ]
 
 
 def bars_of(specimen: Specimen) -> list[BarPlace]:
-    """Return where bars lie on the stage, in the file's order, their edges taken as exact."""
+    """Return the places of bars on the stage, in the file's order, their edges taken as exact."""
     return [place for one in features_of(specimen) for place in bar_places(one)]
 
 
 def bar_places(feature: Feature) -> list[BarPlace]:
     """Return where the bars of a feature are on the stage; none where it has no bars."""
-    bars, pose = feature.specimen, feature.world_from_own
-    if not isinstance(bars, Bars):
-        return []
-    along = pose.rotation[:, 1]
-    middles = [pose.apply(np.array([across_mm, 0.0, 0.0])) for across_mm in bars.middles_mm]
-    return [
-        BarPlace(
-            x_mm=float(middle[0]),
-            y_mm=float(middle[1]),
-            along_deg=float(np.rad2deg(np.arctan2(-along[0], along[1]))),
-            width_mm=width_mm,
-            length_mm=bars.length_mm,
-            edge_radius_mm=bars.edge_radius_mm,
-        )
-        for middle, width_mm in zip(middles, bars.widths_mm, strict=True)
-    ]
+    pose = feature.world_from_own
+    return [_bar_place(bar, pose) for bar in feature.specimen.nominal(NominalBar)]
+
+
+def _bar_place(bar: NominalBar, pose: Placement) -> BarPlace:
+    middle, along = pose.apply(np.array([bar.middle_mm, 0.0, 0.0])), pose.rotation[:, 1]
+    return BarPlace(
+        x_mm=float(middle[0]),
+        y_mm=float(middle[1]),
+        along_deg=float(np.rad2deg(np.arctan2(-along[0], along[1]))),
+        width_mm=bar.width_mm,
+        length_mm=bar.length_mm,
+        edge_radius_mm=bar.edge_radius_mm,
+    )
 
 
 def gratings_of(specimen: Specimen) -> tuple[Feature, ...]:
     """Return the parts of a specimen that are gratings."""
-    return tuple(one for one in features_of(specimen) if isinstance(one.specimen, Grating))
+    return tuple(one for one in features_of(specimen) if one.specimen.nominal(NominalGrating))
 
 
 def feature_of(features: list[Feature], asked: ObjectMeasurand) -> Feature:
@@ -139,7 +129,7 @@ def check_measurands(experiment: Experiment) -> None:
     features = features_of(experiment.specimen)
     for asked in experiment.measurand:
         feature = feature_of(features, asked)
-        kind = getattr(feature.specimen, "kind", "specimen")
+        kind = feature.specimen.kind
         count = _how_many(feature, asked)
         if count is not None and asked.number > count:
             raise InputError(
@@ -154,68 +144,42 @@ def check_measurands(experiment: Experiment) -> None:
 
 
 def _how_many(feature: Feature, asked: ObjectMeasurand) -> int | None:
-    """Return how many features of the kind there are; None where they are not counted."""
-    own = feature.specimen
+    """Return the number of features of a quantity; None where they are not counted."""
+    known = _lengths_mm(feature.specimen, asked.quantity)
     if asked.quantity == "radius":
-        if isinstance(own, Rods):
-            return len(own.diameters_mm)
-        return 1 if isinstance(own, Rod) else len(feature.balls)
-    return len(own.widths_mm) if asked.quantity == "width" and isinstance(own, Bars) else None
+        return max(len(known), len(feature.balls))
+    return len(known) or None if asked.quantity == "width" else None
 
 
 def nominal_mm(feature: Feature, asked: ObjectMeasurand) -> float | None:
     """Return a length as the specimen's description has it; None where it does not."""
     if asked.nominal_mm is not None:
         return asked.nominal_mm
-    own, at = feature.specimen, asked.number - 1
-    known: dict[str, tuple[float, ...]] = {}
-    if isinstance(own, Ball | TwoBalls):
-        known["radius"] = tuple(ball.radius_mm for ball in feature.balls)
-    elif isinstance(own, Rod):
-        known["radius"] = (own.diameter_mm / 2,)
-    elif isinstance(own, Rods):
-        known["radius"] = tuple(d / 2 for d in own.diameters_mm)
-    elif isinstance(own, Bars):
-        known = {"width": own.widths_mm, "step_height": (own.height_mm,)}
-    elif isinstance(own, Step):
-        known["step_height"] = (own.height_mm,)
-    elif isinstance(own, VGroove):
-        known = {"depth": (own.depth_mm,), "width": (own.opening_mm,)}
-    elif isinstance(own, Grating):
-        known["depth"] = (own.groove_mm,)
-    values = known.get(asked.quantity, ())
-    return values[at] if at < len(values) else None
+    known = _lengths_mm(feature.specimen, asked.quantity)
+    return known[asked.number - 1] if asked.number <= len(known) else None
+
+
+def _lengths_mm(specimen: Specimen, quantity: Quantity) -> list[float]:
+    """Return the nominal lengths of a quantity, counted along x."""
+    features = specimen.nominal_features()
+    return [one.lengths_mm[quantity] for one in features if quantity in one.lengths_mm]
 
 
 def _natural(feature: Feature) -> Iterator[ObjectMeasurand]:
-    own, before = feature.specimen, _prefix(feature.name)
-
-    def one(name: str, quantity: str, number: int = 1) -> ObjectMeasurand:
-        return ObjectMeasurand.model_validate(
-            {"name": f"{before}{name}", "quantity": quantity, "part": feature.name}
-            | {"number": number}
-        )
-
-    if isinstance(own, Ball | TwoBalls):
-        for number in range(1, len(feature.balls) + 1):
-            yield one(f"radius_{number}", "radius", number)
-    elif isinstance(own, Rod):
-        yield one("radius_1", "radius")
-    elif isinstance(own, Rods):
-        for number in range(1, len(own.diameters_mm) + 1):
-            yield one(f"radius_{number}", "radius", number)
-    elif isinstance(own, Bars):
-        for number in range(1, len(own.widths_mm) + 1):
-            yield one(f"width_{number}", "width", number)
-        yield one("step_height", "step_height")
-    elif isinstance(own, Step):
-        yield one("step_height", "step_height")
-    elif isinstance(own, VGroove):
-        yield one("depth", "depth")
-        yield one("width", "width")
-    elif isinstance(own, Grating):
-        yield one("depth", "depth")
-        # One for all gratings of a group: under the same name they are one.
+    """Yield the measurands of a part that follow from its nominal features."""
+    before, count = _prefix(feature.name), Counter[Quantity]()
+    for nominal in feature.specimen.nominal_features():
+        for quantity in nominal.lengths_mm:
+            count[quantity] += 1
+            number = f"_{count[quantity]}" if nominal.is_counted else ""
+            yield ObjectMeasurand(
+                name=f"{before}{quantity}{number}",
+                quantity=quantity,
+                part=feature.name,
+                number=count[quantity],
+            )
+    if feature.specimen.nominal(NominalGrating):
+        # The gratings of a group share this measurand: its name is the same for all of them.
         yield ObjectMeasurand(name="resolution", quantity="resolution")
 
 

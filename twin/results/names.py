@@ -10,8 +10,7 @@ from dataclasses import fields
 from reconstruction.evaluate.conformity import CombinedUncertainty
 from twin.config.measurands import HIDDEN
 from twin.config.models import Experiment
-from twin.config.objects import Nut
-from twin.config.sensor_layer import WANTED
+from twin.config.nominal import NominalHexNut
 from twin.mechanics.choice import is_slab, may_wrap
 from twin.results.bound import bound_names, has_bound
 from twin.results.compensated import slab_bound_name, slab_name
@@ -25,7 +24,7 @@ from twin.results.object_score import (
     summary_of,
     tolerance_of,
 )
-from twin.results.rods import has_one_rod
+from twin.results.rods import single_section
 from twin.results.score import FringeScore, HeightScore, region_name, sphere_names
 from twin.specimens import shape_of
 
@@ -52,7 +51,7 @@ def may_compensate(experiment: Experiment) -> bool:
     """
     elastomer, method = experiment.elastomer, experiment.method
     free_form = elastomer.layout == "contact_face" or may_wrap(elastomer)
-    fitted = is_slab(elastomer) and experiment.specimen.kind in WANTED
+    fitted = is_slab(elastomer) and bool(experiment.specimen.slab_fit_paths)
     return method.fringes and method.presses and (free_form or fitted)
 
 
@@ -72,7 +71,7 @@ def compensated_names(experiment: Experiment) -> set[str]:
         return set()
     names, bounds = [*_OF_A_CONTACT, "thickness_mm"], set[str]()
     if is_slab(experiment.elastomer):
-        wanted = WANTED[experiment.specimen.kind]
+        wanted = experiment.specimen.slab_fit_paths
         names = [*_OF_A_CONTACT, *_of_a_slab(wanted)]
         bounds = {slab_bound_name(path) for path in wanted} if has_bound(experiment) else set()
     for number in range(1, len(shape_of(experiment.specimen).spheres()) + 1):
@@ -99,9 +98,9 @@ def figure_names(experiment: Experiment) -> set[str]:
     balls = len(shape_of(experiment.specimen).spheres())
     for region in ("", *(region_name(radius) for radius in experiment.score.regions_mm)):
         names |= set(sphere_names(balls, region))
-    if has_one_rod(experiment):
+    if single_section(experiment.specimen):
         names |= {f"{of}{name}" for of in ("", "true_face_") for name in _OF_A_ROD}
-    if isinstance(experiment.specimen, Nut):
+    if experiment.specimen.nominal(NominalHexNut):
         names |= {f"{of}{name}" for of in ("", "true_face_") for name in _OF_A_NUT}
     names |= _of_the_object(experiment) | bound_names(experiment)
     return names | compensated_names(experiment)

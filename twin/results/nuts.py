@@ -6,7 +6,7 @@ in phase with the nut's is its share of a hexagon: 0 for a circle, 1 for a hexag
 bare nut (heights are averaged over 0.1 mm across its walls). Noise does not move its mean.
 """
 
-from math import pi, radians, sqrt, tan
+from math import pi, radians, sqrt
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from reconstruction.arrays import FloatArray
 from twin.config.models import Experiment
-from twin.config.objects import Nut
+from twin.config.nominal import NominalHexNut
 
 _DIRECTIONS = 72
 _RADIAL_MM = 0.1
@@ -35,21 +35,21 @@ def nut_figures(
     of the hexagon's sixth harmonic; 0 where the relief is too flat for the contour. Each is absent
     where its points are.
     """
-    nut = experiment.specimen
-    if not isinstance(nut, Nut):
+    pose, nuts = experiment.specimen, experiment.specimen.nominal(NominalHexNut)
+    if not nuts:
         return {}
-    x, y, z = points_mm.astype(np.float64).T
-    x, y = x - nut.x_mm, y - nut.y_mm
-    radius, azimuth = np.hypot(x, y), np.arctan2(y, x) - radians(nut.yaw_deg)
-    on_ring = np.abs(radius - _ring_radius_mm(nut)) < _RING_MM
+    nut, (x, y, z) = nuts[0], points_mm.astype(np.float64).T
+    x, y = x - pose.x_mm, y - pose.y_mm
+    radius, azimuth = np.hypot(x, y), np.arctan2(y, x) - radians(pose.yaw_deg)
+    on_ring = np.abs(radius - nut.ring_radius_mm) < _RING_MM
     if not on_ring.any():
         return {}
     ring_mm = float(np.median(z[on_ring]))
     found, middle = {}, z[radius < _CENTRE_MM]
     if middle.size:
         found[f"{prefix}nut_hole_depth_mm"] = ring_mm - float(np.median(middle))
-    level = ring_mm - max(nut.chamfer_mm * tan(radians(30)), _LEAST_DOWN_MM)
-    between_mm = _ring_radius_mm(nut), _FARTHEST * nut.across_flats_mm / sqrt(3)
+    level = ring_mm - max(nut.chamfer_fall_mm, _LEAST_DOWN_MM)
+    between_mm = nut.ring_radius_mm, _FARTHEST * nut.across_flats_mm / sqrt(3)
     contour = contour_radii_mm(radius, azimuth, z, level, between_mm)
     found[f"{prefix}nut_hexagon_share"] = hexagon_share(contour, nut.across_flats_mm)
     return found
@@ -104,8 +104,3 @@ def hexagon_share(contour_mm: FloatArray, across_flats_mm: float) -> float:
     hexagon = across_flats_mm / 2 / np.cos(from_flat)
     wave = np.cos(6 * azimuth)
     return float(filled @ wave / (hexagon @ wave))
-
-
-def _ring_radius_mm(nut: Nut) -> float:
-    """Return the middle of the flat ring between countersink and chamfer."""
-    return (max(nut.countersink_mm, nut.thread_mm) / 2 + nut.face_radius_mm) / 2

@@ -27,7 +27,7 @@ from reconstruction.evaluate.estimates import (
     wave_depth,
 )
 from twin.config.measurands import ObjectMeasurand
-from twin.config.specimens import Bars, Grating, Rod, Rods, VGroove
+from twin.config.nominal import NominalBar, NominalGrating, NominalGroove, NominalRod
 from twin.results.features import Feature, bar_places, nominal_mm
 from twin.results.object_points import Heights, ObjectPoints, SeenObject
 from twin.results.under_sheet import ObjectUnderSheet
@@ -164,18 +164,14 @@ def _cap_of_ball(asked: ObjectMeasurand, feature: Feature, points: ObjectPoints)
 def _top_of_rod(
     asked: ObjectMeasurand, feature: Feature, points: ObjectPoints
 ) -> tuple[ObjectPoints, FloatArray]:
-    rod, own = feature.specimen, feature.own(points.points_mm)
-    if isinstance(rod, Rod):
-        along, across, middle, radius = own[:, 0], own[:, 1], 0.0, rod.diameter_mm / 2
-        axis, length, edge = 0, rod.length_mm, rod.edge_radius_mm
-    elif isinstance(rod, Rods) and asked.number <= len(rod.diameters_mm):
-        along, across, middle = own[:, 1], own[:, 0], rod.middles_mm[asked.number - 1]
-        axis, length, edge = 1, rod.length_mm, rod.edge_radius_mm
-        radius = rod.diameters_mm[asked.number - 1] / 2
-    else:
+    rods, own = feature.specimen.nominal(NominalRod), feature.own(points.points_mm)
+    if asked.number > len(rods):
         raise FitError(f"radius {asked.number}: the specimen has no such ball or rod")
-    top = (np.abs(across - middle) <= _CAP_SHARE * radius) & points.touching
-    top &= np.abs(along) <= length / 2 - edge - 0.25 * radius
+    rod = rods[asked.number - 1]
+    axis, other = (0, 1) if rod.along == "x" else (1, 0)
+    top = (np.abs(own[:, other] - rod.middle_mm) <= _CAP_SHARE * rod.radius_mm) & points.touching
+    end_mm = rod.length_mm / 2 - rod.edge_radius_mm - 0.25 * rod.radius_mm
+    top &= np.abs(own[:, axis]) <= end_mm
     cap = _enough(points.part(top), f"rod {asked.number}")
     return cap, feature.world_from_own.rotation[:, axis]
 
@@ -241,16 +237,20 @@ def _inward_mm(level: BoolImage, pitch_mm: float) -> FloatArray:
 def _depth(
     asked: ObjectMeasurand, feature: Feature, seen: SeenObject, points: ObjectPoints
 ) -> FittedValue:
-    own, points = feature.specimen, points.part(points.touching)
-    if isinstance(own, Grating):
-        inside = points.part(_within(feature, points, own.length_x_mm, own.length_y_mm))
-        place = feature.own(inside.points_mm)
-        _check_wave(own.pitch_mm, place[:, 0], points)
-        return _fitted(inside, wave_depth(place[:, 0], place[:, 2], own.pitch_mm))
-    if isinstance(own, VGroove):
-        near, groove = _groove(own, feature, points)
+    points = points.part(points.touching)
+    for grating in feature.specimen.nominal(NominalGrating):
+        return _wave(grating, feature, points)
+    for nominal in feature.specimen.nominal(NominalGroove):
+        near, groove = _groove(nominal, feature, points)
         return _fitted(near, groove.depth)
     return _step(asked, feature, seen, points)
+
+
+def _wave(grating: NominalGrating, feature: Feature, points: ObjectPoints) -> FittedValue:
+    inside = points.part(_within(feature, points, grating.length_x_mm, grating.length_y_mm))
+    place = feature.own(inside.points_mm)
+    _check_wave(grating.pitch_mm, place[:, 0], points)
+    return _fitted(inside, wave_depth(place[:, 0], place[:, 2], grating.pitch_mm))
 
 
 def _check_wave(pitch_mm: float, s_mm: FloatArray, points: ObjectPoints) -> None:
@@ -270,7 +270,9 @@ def _check_wave(pitch_mm: float, s_mm: FloatArray, points: ObjectPoints) -> None
         )
 
 
-def _groove(own: VGroove, feature: Feature, points: ObjectPoints) -> tuple[ObjectPoints, GrooveFit]:
+def _groove(
+    own: NominalGroove, feature: Feature, points: ObjectPoints
+) -> tuple[ObjectPoints, GrooveFit]:
     """Fit a V groove to the points where it is touched: its face and both flanks must be."""
     near, place = _over_groove(own, feature, points.part(points.touching))
     fitted = v_groove(place[:, 0], place[:, 2], own.depth_mm, own.opening_mm)
@@ -287,7 +289,7 @@ def _within(feature: Feature, points: ObjectPoints, x_mm: float, y_mm: float) ->
 
 
 def _over_groove(
-    groove: VGroove, feature: Feature, points: ObjectPoints
+    groove: NominalGroove, feature: Feature, points: ObjectPoints
 ) -> tuple[ObjectPoints, FloatArray]:
     """Return the points within an opening on both sides of a groove, and their own places."""
     wide = min(groove.length_x_mm, 3 * groove.opening_mm)
@@ -299,21 +301,18 @@ def _width(
     asked: ObjectMeasurand, feature: Feature, seen: SeenObject, points: ObjectPoints
 ) -> FittedValue:
     """Width at half height of a section across; of a V groove its opening, by the flanks."""
-    if isinstance(feature.specimen, VGroove):
-        near, groove = _groove(feature.specimen, feature, points)
+    for nominal in feature.specimen.nominal(NominalGroove):
+        near, groove = _groove(nominal, feature, points)
         return _fitted(near, groove.width)
     if points.under is not None:
         return _width_under_sheet(asked, feature, points, points.under)
     place = feature.own(points.points_mm)
     band = np.abs(place[:, 1]) <= _SECTION_MM / 2
-    bars = feature.specimen
-    if isinstance(bars, Bars):
-        if asked.number > len(bars.widths_mm):
-            raise FitError(f"width {asked.number}: the specimen has {len(bars.widths_mm)} bars")
-        half = (bars.widths_mm[asked.number - 1] + bars.gap_mm) / 2
-        only = len(bars.widths_mm) == 1
-        middle = bars.middles_mm[asked.number - 1]
-        band &= np.abs(place[:, 0] - middle) <= (np.inf if only else half)
+    if bars := feature.specimen.nominal(NominalBar):
+        if asked.number > len(bars):
+            raise FitError(f"width {asked.number}: the specimen has {len(bars)} bars")
+        bar = bars[asked.number - 1]
+        band &= np.abs(place[:, 0] - bar.middle_mm) <= (bar.width_mm + bar.gap_mm) / 2
     return _section_width(points.part(band), place[band], seen.pixel_mm)
 
 
@@ -343,6 +342,9 @@ def _section_width(points: ObjectPoints, place: FloatArray, pixel_mm: float) -> 
         raise FitError("width: no points across the section")
     s, z = numbers[full] * pitch, means[full]
     found = bar_width(s, z)
+    scatter = 0.0 if points.sigma_mm is None else float(np.sqrt(np.mean(points.sigma_mm**2)))
+    if found.height_mm <= _SIGMAS_ABOVE_NOISE * scatter:
+        raise FitError("width: no ground beside the walls is seen")
     touched = np.bincount(where, points.touching)[full] > 0
     for edge in (found.left_mm, found.right_mm):
         at = int(np.searchsorted(s, edge))
@@ -407,21 +409,16 @@ def _resolution(
     # What a gel or sheet does not touch is not resolved either: its own relief counts.
     shown = points if points.under is None else _where(asked, seen.coat)
     points = replace(shown, touching=np.ones(len(shown.points_mm), bool))
-    for one in sorted(seen.gratings, key=_pitch_mm, reverse=True):
-        assert isinstance(one.specimen, Grating)
+    gratings = [(one.specimen.nominal(NominalGrating)[0], one) for one in seen.gratings]
+    for grating, one in sorted(gratings, key=lambda pair: pair[0].pitch_mm, reverse=True):
         fitted = _depth(asked, one, seen, points)
-        kept = fitted.value / one.specimen.groove_mm
+        kept = fitted.value / grating.depth_mm
         if kept < KEPT_SHARE or fitted.value < _SIGMAS_ABOVE_NOISE * fitted.noise_mm:
             break
-        found = FittedValue(one.specimen.pitch_mm, 0.0, fitted.points_mm)
+        found = FittedValue(grating.pitch_mm, 0.0, fitted.points_mm)
     if found is None:
         raise FitError("resolution: none of the gratings keeps half its depth above the noise")
     return found
-
-
-def _pitch_mm(feature: Feature) -> float:
-    assert isinstance(feature.specimen, Grating)
-    return feature.specimen.pitch_mm
 
 
 def _deviation(

@@ -22,7 +22,8 @@ from twin.mechanics import PressedElastomer
 from twin.optics.stack import Truth
 from twin.results.features import Feature, gratings_of
 from twin.results.under_sheet import ObjectUnderSheet
-from twin.specimens import Shape, shape_of
+from twin.shape import Shape
+from twin.specimens import shape_of
 from twin.specimens.true_surface import TrueSurface
 
 _MOST_POINTS = 40_000

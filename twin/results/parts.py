@@ -42,7 +42,8 @@ from twin.results.figures import Metric, Metrics
 from twin.results.nuts import nut_figures
 from twin.results.record import Recording
 from twin.results.rods import rod_figures
-from twin.specimens import Sphere, shape_of
+from twin.shape import Sphere
+from twin.specimens import shape_of
 
 Progress = Callable[[float], None]
 

@@ -16,8 +16,10 @@ from reconstruction.arrays import FloatArray
 from reconstruction.errors import FitError
 from reconstruction.evaluate import BarWidth, bar_width, break_width, slope_change_width
 from twin.config.models import Experiment
-from twin.config.specimens import Bars, Rods
-from twin.specimens import Shape, shape_of
+from twin.config.nominal import NominalBar, NominalRod
+from twin.config.specimen_base import Specimen
+from twin.shape import Shape
+from twin.specimens import shape_of
 
 # The cross-section is the mean over this length of the rod, in its middle.
 SECTION_LENGTH_MM = 2.0
@@ -95,19 +97,14 @@ def middle_of(shape: Shape) -> tuple[float, float]:
     return (x_low + x_high) / 2, (y_low + y_high) / 2
 
 
-def has_one_rod(experiment: Experiment) -> bool:
-    """Tell whether the specimen is one rod or bar: of several the sections run into one another."""
-    specimen = experiment.specimen
-    if isinstance(specimen, Bars):
-        return len(specimen.widths_mm) == 1
-    return isinstance(specimen, Rods) and len(specimen.diameters_mm) == 1
-
-
-def nominal_width_mm(experiment: Experiment) -> float:
-    """Return the width of the only rod: the diameter of a round one; see `has_one_rod`."""
-    specimen = experiment.specimen
-    assert isinstance(specimen, Bars | Rods)
-    return specimen.widths_mm[0] if isinstance(specimen, Bars) else specimen.diameters_mm[0]
+def single_section(specimen: Specimen) -> NominalRod | NominalBar | None:
+    """Return the rod or bar if it is the only one: sections of several run into each other."""
+    across = [
+        one
+        for one in specimen.nominal_features()
+        if isinstance(one, NominalBar) or (isinstance(one, NominalRod) and one.along == "y")
+    ]
+    return across[0] if len(across) == 1 else None
 
 
 def rod_figures(
@@ -119,7 +116,7 @@ def rod_figures(
     have is None, and `rod_failure` says why; without a crest that is all. Nothing where the
     specimen is not a single rod.
     """
-    if not has_one_rod(experiment):
+    if single_section(experiment.specimen) is None:
         return {}
     centre = middle_of(shape_of(experiment.specimen))
     section = section_of(points_mm.astype(np.float64), SECTION_LENGTH_MM, centre)

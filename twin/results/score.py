@@ -30,11 +30,12 @@ from reconstruction.evaluate.fit import (
 from reconstruction.photometric import HeightMap
 from reconstruction.pipeline import Reconstruction, filter_bias
 from twin.config.models import Experiment
-from twin.config.objects import Nut
+from twin.config.nominal import NominalHexNut
 from twin.optics.stack import Truth
 from twin.results.nuts import nut_figures
-from twin.results.rods import has_one_rod, rod_figures
-from twin.specimens import Sphere, shape_of
+from twin.results.rods import rod_figures, single_section
+from twin.shape import Sphere
+from twin.specimens import shape_of
 
 # Four points fix a sphere exactly: its residuals are 0 whatever the error.
 _LEAST_SPHERE_POINTS = 5
@@ -357,7 +358,7 @@ def _spheres(
 def _shown(
     experiment: Experiment, measured_mm: NDArray[np.floating], truth: Truth, usable: BoolImage
 ) -> dict[str, Any]:
-    if not (has_one_rod(experiment) or isinstance(experiment.specimen, Nut)):
+    if not (single_section(experiment.specimen) or experiment.specimen.nominal(NominalHexNut)):
         return {}
     found: dict[str, Any] = {}
     for prefix, every_mm in {"": measured_mm, "true_face_": truth.points_world_mm}.items():

@@ -1,18 +1,20 @@
-"""Specimens in closed form: one ball, two joined ones (the paper's artefact), a rod, a flat punch.
+"""Shapes in closed form: joined balls, and a cylinder with rounded edges.
 
 mm. The specimen comes from below, so its foremost point is its highest.
 """
 
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import numpy as np
-import trimesh
 
 from reconstruction.arrays import FloatArray
-from twin.config.models import Ball, Flat, Rod, TwoBalls
-from twin.specimens.catalogue import Placement, Shape, Sphere, register
-from twin.specimens.distance import BallDistance, CylinderDistance, SignedDistance
+from twin.shape import Placement, Shape, SignedDistance, Sphere
+from twin.specimens.solids import united
+
+if TYPE_CHECKING:
+    import trimesh
 
 # Level 6 has 82 k facets; its chords stay within 0.3 um of a 4 mm ball.
 _SUBDIVISIONS = 6
@@ -61,6 +63,8 @@ class SphereCluster:
 
     def distances(self) -> tuple[SignedDistance, ...]:
         """Return the distance to each ball; the neck that joins them is out of reach."""
+        from twin.specimens.distance import BallDistance
+
         return tuple(BallDistance((b.x_mm, b.y_mm, b.z_mm), b.radius_mm) for b in self.balls)
 
     def bounds_mm(self) -> tuple[float, float, float, float]:
@@ -72,7 +76,7 @@ class SphereCluster:
             max(b.y_mm + b.radius_mm for b in self.balls),
         )
 
-    def mesh(self, touched_z_mm: float) -> trimesh.Trimesh:
+    def mesh(self, touched_z_mm: float) -> "trimesh.Trimesh":
         """Return one watertight body with its foremost point at z = `touched_z_mm`.
 
         Notes
@@ -82,38 +86,26 @@ class SphereCluster:
         together in one point is not watertight. The neck lies 0.9 radii behind the apexes, so
         `height_above_lowest` leaves it out: no admissible press reaches it.
         """
-        parts = [_tessellate(ball) for ball in self.balls] + _necks(self.balls)
-        body = parts[0] if len(parts) == 1 else trimesh.boolean.union(parts, engine="manifold")
+        body = united([_tessellate(ball) for ball in self.balls] + _necks(self.balls))
         body.apply_translation((0.0, 0.0, touched_z_mm))
         return body
-
-
-@register("ball")
-def build_ball(specimen: Ball) -> SphereCluster:
-    """Centre one ball."""
-    return SphereCluster((Sphere(0.0, 0.0, 0.0, specimen.diameter_mm / 2),))
-
-
-@register("two_balls")
-def build_two_balls(specimen: TwoBalls) -> SphereCluster:
-    """Lay two balls along the specimen's x axis, round their midpoint."""
-    half = specimen.separation_mm / 2
-    return SphereCluster(
-        tuple(Sphere(side * half, 0.0, 0.0, specimen.diameter_mm / 2) for side in (-1, 1))
-    )
 
 
 def _centre(ball: Sphere) -> FloatArray:
     return np.array([ball.x_mm, ball.y_mm, ball.z_mm])
 
 
-def _tessellate(ball: Sphere) -> trimesh.Trimesh:
+def _tessellate(ball: Sphere) -> "trimesh.Trimesh":
+    import trimesh
+
     mesh = trimesh.creation.icosphere(subdivisions=_SUBDIVISIONS, radius=ball.radius_mm)
     mesh.apply_translation(_centre(ball))
     return mesh
 
 
-def _necks(balls: tuple[Sphere, ...]) -> list[trimesh.Trimesh]:
+def _necks(balls: tuple[Sphere, ...]) -> list["trimesh.Trimesh"]:
+    import trimesh
+
     return [
         trimesh.creation.cylinder(
             radius=_NECK_OVER_RADIUS * first.radius_mm,
@@ -164,6 +156,8 @@ class Cylinder(Shape):
 
     def distances(self) -> tuple[SignedDistance, ...]:
         """Return the distance to the cylinder."""
+        from twin.specimens.distance import CylinderDistance
+
         sizes = self.radius_mm, self.half_length_mm, self.edge_radius_mm
         return (CylinderDistance(self.middle_mm, self.axis, *sizes),)
 
@@ -183,8 +177,10 @@ class Cylinder(Shape):
         height[near] = np.where(np.isnan(z), np.inf, -self.middle_mm[2] - z)
         return height
 
-    def mesh(self, touched_z_mm: float) -> trimesh.Trimesh:
+    def mesh(self, touched_z_mm: float) -> "trimesh.Trimesh":
         """Return the closed surface, edges rounded."""
+        import trimesh
+
         turn = np.linspace(0, np.pi / 2, _EDGE_STEPS)
         core, length = self.radius_mm - self.edge_radius_mm, self.half_length_mm
         out, back = self.edge_radius_mm * np.sin(turn), self.edge_radius_mm * (1 - np.cos(turn))
@@ -243,15 +239,10 @@ class Cylinder(Shape):
         return np.where(outside, corner, inner) - self.edge_radius_mm, rise
 
 
-@register("rod")
-def build_rod(specimen: Rod) -> Cylinder:
-    """Lay a cylinder along x."""
-    sizes = specimen.diameter_mm / 2, specimen.length_mm / 2, specimen.edge_radius_mm
-    return Cylinder(np.zeros(3), np.array([1.0, 0.0, 0.0]), *sizes)
-
-
-@register("flat")
-def build_flat(specimen: Flat) -> Cylinder:
-    """Stand a cylinder up."""
-    sizes = specimen.diameter_mm / 2, specimen.height_mm / 2, specimen.edge_radius_mm
-    return Cylinder(np.zeros(3), np.array([0.0, 0.0, 1.0]), *sizes)
+def require_cylinder_edge(edge_radius_mm: float, smallest_mm: float) -> None:
+    """Raise ValueError if a cylinder's edges are rounded by more than half its smallest size."""
+    if edge_radius_mm > smallest_mm / 2:
+        raise ValueError(
+            f"edge_radius_mm: found {edge_radius_mm:g}, allowed 0 to {smallest_mm / 2:g}, "
+            "half the smaller of diameter and length"
+        )

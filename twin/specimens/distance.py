@@ -10,18 +10,15 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any
 
 import numpy as np
 
 from reconstruction.arrays import FloatArray
 from reconstruction.compiling import NESTED, Function, compile_and_keep, digest_of_sources
 from reconstruction.machine import threads
+from twin.shape import Distances, Shape, SignedDistance
 
-if TYPE_CHECKING:
-    from twin.specimens.catalogue import Shape
-
-Distances = tuple[FloatArray, FloatArray, FloatArray]
 _BAND = 8192
 # A sharper edge has no curvature that a Newton step could use. Rounded like this it lies 4 um
 # deeper, and the surface is the same everywhere else.
@@ -44,26 +41,7 @@ def nested(function: Function) -> Function:
     return compile_and_keep(function, _OPTIONS | NESTED, _SOURCE_DIGEST)
 
 
-class SignedDistance(Protocol):
-    """Distance to the surface of one rigid body, negative inside."""
-
-    def evaluate(self, points_mm: FloatArray, reach_mm: float) -> Distances:
-        """Return distance, gradient and Hessian at points.
-
-        Parameters
-        ----------
-        points_mm : (n, xyz) float, mm; frame of the shape
-        reach_mm : farther outside than this nothing is asked: the distance is then any value of at
-            least `reach_mm`, gradient and Hessian are 0
-
-        Returns
-        -------
-        (n,) float, mm; (n, xyz) float; (n, xyz, xyz) float, 1/mm
-        """
-        ...
-
-
-def distances_of(shape: "Shape") -> tuple[SignedDistance, ...]:
+def distances_of(shape: Shape) -> tuple[SignedDistance, ...]:
     """Return the distances to the bodies of a shape in its pose; their contact potentials add."""
     return shape.distances()
 

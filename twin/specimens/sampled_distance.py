@@ -15,8 +15,8 @@ import numpy.typing as npt
 import trimesh
 
 from reconstruction.arrays import BoolImage, FloatArray, IntArray
-from twin.specimens.catalogue import Placement
-from twin.specimens.distance import Distances, compiled, nested, over_points
+from twin.shape import Distances, Placement
+from twin.specimens.distance import compiled, nested, over_points
 from twin.specimens.triangles import (
     Columns,
     TriangleTree,

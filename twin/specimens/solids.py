@@ -1,14 +1,21 @@
-"""Closed bodies to build specimens from: prisms, turned parts, and their booleans. All in mm."""
+"""Closed bodies to build specimens from: prisms, turned parts, and their booleans. All in mm.
+
+trimesh and manifold3d are imported where a body is made: reading an experiment imports this module,
+and they take longer than all the rest of it.
+"""
 
 from collections.abc import Callable, Sequence
 from functools import lru_cache
 from itertools import product
+from typing import TYPE_CHECKING, Literal
 
-import manifold3d
 import numpy as np
-import trimesh
 
 from reconstruction.arrays import FloatArray, IntArray
+
+if TYPE_CHECKING:
+    import manifold3d
+    import trimesh
 
 #: Facets round a full turn. 2 degrees each: a chord stays within 0.6 um of a 4 mm radius.
 SECTIONS = 180
@@ -16,17 +23,23 @@ SECTIONS = 180
 _TOLERANCE_MM = 1e-4
 
 
-def box(low_mm: tuple[float, float, float], high_mm: tuple[float, float, float]) -> trimesh.Trimesh:
+def box(
+    low_mm: tuple[float, float, float], high_mm: tuple[float, float, float]
+) -> "trimesh.Trimesh":
     """Return the block between two opposite corners."""
+    import trimesh
+
     return trimesh.creation.box(bounds=np.array([low_mm, high_mm]))
 
 
 def rounded_box(
     low_mm: tuple[float, float, float], high_mm: tuple[float, float, float], edge_radius_mm: float
-) -> trimesh.Trimesh:
+) -> "trimesh.Trimesh":
     """Return the block between two opposite corners, its edges rounded with facets of 6 degrees."""
     if edge_radius_mm == 0:
         return box(low_mm, high_mm)
+    import manifold3d
+
     quarter = np.deg2rad(np.linspace(0, 90, 16))
     up, round_ = (angle.ravel() for angle in np.meshgrid(quarter[:-1], quarter, indexing="ij"))
     eighth = np.stack((np.cos(up) * np.cos(round_), np.cos(up) * np.sin(round_), np.sin(up)))
@@ -39,20 +52,24 @@ def rounded_box(
     return _from_manifold(manifold3d.Manifold.hull_points(points.reshape(-1, 3) + middle))
 
 
-def prism(outline_mm: FloatArray, low_mm: float, high_mm: float) -> trimesh.Trimesh:
+def prism(outline_mm: FloatArray, low_mm: float, high_mm: float) -> "trimesh.Trimesh":
     """Extrude an outline (n, xy), counter-clockwise, along z."""
+    import manifold3d
+
     section = manifold3d.CrossSection([np.ascontiguousarray(outline_mm)])
     return _from_manifold(section.extrude(high_mm - low_mm).translate((0.0, 0.0, low_mm)))
 
 
-def turned(profile_mm: Sequence[tuple[float, float]]) -> trimesh.Trimesh:
+def turned(profile_mm: Sequence[tuple[float, float]]) -> "trimesh.Trimesh":
     """Turn a profile (radius, z), from its lower end on the axis to its upper, about z."""
+    import trimesh
+
     return trimesh.creation.revolve(np.array(profile_mm), sections=SECTIONS)
 
 
 def along_axis(
-    body: trimesh.Trimesh, x: FloatArray, y: FloatArray, z: FloatArray
-) -> trimesh.Trimesh:
+    body: "trimesh.Trimesh", x: FloatArray, y: FloatArray, z: FloatArray
+) -> "trimesh.Trimesh":
     """Return the body with its x, y and z axes laid along three unit vectors, right-handed."""
     turned_body = body.copy()
     matrix = np.eye(4)
@@ -61,30 +78,43 @@ def along_axis(
     return turned_body
 
 
-def moved(body: trimesh.Trimesh, x_mm: float, y_mm: float, z_mm: float = 0.0) -> trimesh.Trimesh:
+def moved(
+    body: "trimesh.Trimesh", x_mm: float, y_mm: float, z_mm: float = 0.0
+) -> "trimesh.Trimesh":
     """Return the body shifted."""
     shifted = body.copy()
     shifted.apply_translation((x_mm, y_mm, z_mm))
     return shifted
 
 
-def union(bodies: Sequence[trimesh.Trimesh]) -> trimesh.Trimesh:
+def united(bodies: Sequence["trimesh.Trimesh"]) -> "trimesh.Trimesh":
+    """Join bodies as they are; unlike `union` without removing short edges."""
+    import trimesh
+
+    return bodies[0] if len(bodies) == 1 else trimesh.boolean.union(bodies, engine="manifold")
+
+
+def union(bodies: Sequence["trimesh.Trimesh"]) -> "trimesh.Trimesh":
     """Join bodies."""
-    return _combined(bodies, manifold3d.OpType.Add)
+    return _combined(bodies, "Add")
 
 
-def without(body: trimesh.Trimesh, *holes: trimesh.Trimesh) -> trimesh.Trimesh:
+def without(body: "trimesh.Trimesh", *holes: "trimesh.Trimesh") -> "trimesh.Trimesh":
     """Cut holes out of a body."""
-    return _combined((body, *holes), manifold3d.OpType.Subtract)
+    return _combined((body, *holes), "Subtract")
 
 
-def common(bodies: Sequence[trimesh.Trimesh]) -> trimesh.Trimesh:
+def common(bodies: Sequence["trimesh.Trimesh"]) -> "trimesh.Trimesh":
     """Keep what all bodies share."""
-    return _combined(bodies, manifold3d.OpType.Intersect)
+    return _combined(bodies, "Intersect")
 
 
-def _combined(bodies: Sequence[trimesh.Trimesh], operation: manifold3d.OpType) -> trimesh.Trimesh:
+def _combined(
+    bodies: Sequence["trimesh.Trimesh"], operation: Literal["Add", "Subtract", "Intersect"]
+) -> "trimesh.Trimesh":
     """Combine in double precision: single precision leaves needles where facets nearly meet."""
+    import manifold3d
+
     manifolds = [
         manifold3d.Manifold(
             manifold3d.Mesh64(
@@ -93,7 +123,7 @@ def _combined(bodies: Sequence[trimesh.Trimesh], operation: manifold3d.OpType) -
         )
         for body in bodies
     ]
-    result = manifold3d.Manifold.batch_boolean(manifolds, operation)
+    result = manifold3d.Manifold.batch_boolean(manifolds, getattr(manifold3d.OpType, operation))
     return _from_manifold(result.simplify(_TOLERANCE_MM))
 
 
@@ -102,7 +132,7 @@ def level_set(
     box_mm: tuple[float, float, float, float, float, float],
     edge_mm: float,
     refined: int,
-) -> trimesh.Trimesh:
+) -> "trimesh.Trimesh":
     """Mesh where a function of (x, y, z) is zero, negative inside, and split each edge.
 
     Parameters
@@ -112,16 +142,52 @@ def level_set(
     edge_mm : edge of the facets before they are split
     refined : pieces of each edge; the new vertices lie on the flat facets
     """
+    import manifold3d
+
     negated = manifold3d.Manifold.level_set(lambda *at: -level_mm(*at), box_mm, edge_mm)
     return _from_manifold(negated.refine(refined))
 
 
-def _from_manifold(body: manifold3d.Manifold) -> trimesh.Trimesh:
+def _from_manifold(body: "manifold3d.Manifold") -> "trimesh.Trimesh":
     """Return the triangles of a manifold, vertices in double precision."""
     mesh = body.to_mesh64()
-    return trimesh.Trimesh(
-        np.array(mesh.vert_properties[:, :3]), np.array(mesh.tri_verts, np.int64), process=False
-    )
+    return closed_mesh(np.array(mesh.vert_properties[:, :3]), np.array(mesh.tri_verts, np.int64))
+
+
+def closed_mesh(vertices_mm: FloatArray, facets: IntArray) -> "trimesh.Trimesh":
+    """Return a body from vertices (n, xyz) and facets (m, 3), counter-clockwise from outside."""
+    import trimesh
+
+    return trimesh.Trimesh(vertices_mm, facets, process=False)
+
+
+def height_grid_body(
+    x_mm: FloatArray, y_mm: FloatArray, z_mm: FloatArray, base_z_mm: float
+) -> "trimesh.Trimesh":
+    """Close a height map by upright walls and a flat base.
+
+    Parameters
+    ----------
+    x_mm, y_mm : (col,) and (row,) float, mm; ascending
+    z_mm : (row, col) float, mm; heights at the grid's nodes
+    base_z_mm : z of the base, below all heights
+    """
+    grid_x, grid_y = np.meshgrid(x_mm, y_mm)
+    top = np.stack((grid_x, grid_y, z_mm), axis=-1).reshape(-1, 3)
+    index = np.arange(z_mm.size).reshape(z_mm.shape)
+    rim = np.concatenate((index[0], index[1:, -1], index[-1, -2::-1], index[-2:0:-1, 0]))
+    base = top[rim] * [1, 1, 0] + [0, 0, base_z_mm]
+    below, middle = z_mm.size + np.arange(rim.size), base.mean(axis=0)
+    # The base's facets look down.
+    fan = (np.roll(below, -1), below, np.full_like(below, z_mm.size + rim.size))
+    facets = (grid_facets(*z_mm.shape), _wall(rim, below), np.stack(fan, axis=-1))
+    return closed_mesh(np.concatenate((top, base, middle[None])), np.concatenate(facets))
+
+
+def _wall(rim: IntArray, below: IntArray) -> IntArray:
+    """Return the facets between the rim, counter-clockwise seen from above, and the base."""
+    after, below_after = np.roll(rim, -1), np.roll(below, -1)
+    return np.stack((rim, below, below_after, rim, below_after, after), axis=-1).reshape(-1, 3)
 
 
 @lru_cache(maxsize=1)  # asked for the same grid again and again, while one face is looked at

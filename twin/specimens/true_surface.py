@@ -10,7 +10,8 @@ from functools import cached_property
 import numpy as np
 
 from reconstruction.arrays import BoolImage, FloatArray
-from twin.specimens.catalogue import Assembly, Shape
+from twin.shape import Shape
+from twin.specimens.catalogue import Assembly
 from twin.specimens.meshes import MeshShape
 from twin.specimens.triangles import Columns, TriangleTree, distances_mm
 

@@ -20,7 +20,7 @@ from collections.abc import Callable, Iterable
 import numpy as np
 
 from twin.config import Experiment
-from twin.config.specimens import Grating
+from twin.config.nominal import NominalGrating
 from twin.mechanics.contact_transfer import Ridges, pitch_at, ridge_height_mm
 from twin.mechanics.transfer import opposite_transfer
 from twin.results.figures import Metric, Metrics
@@ -56,22 +56,27 @@ def _ridges(experiment: Experiment) -> Ridges:
     return Ridges(experiment.elastomer, pressure_kpa, ridge_height_mm(experiment.specimen))
 
 
+def _grating(experiment: Experiment) -> NominalGrating:
+    """Return the specimen's grating; KeyError if it has none."""
+    for grating in experiment.specimen.nominal(NominalGrating):
+        return grating
+    raise KeyError("pitch_mm")
+
+
 def _groove_contrast(experiment: Experiment, metrics: Metrics) -> float:
-    if not isinstance(experiment.specimen, Grating):
-        raise KeyError("pitch_mm")
+    pitch_mm = _grating(experiment).pitch_mm
     if experiment.elastomer.layout == "contact_face":
         return 1.0  # while the grooves are filled
     if _is_sheet(metrics):
-        return _ridges(experiment).shown(experiment.specimen.pitch_mm)
-    waves = 2 * np.pi * experiment.elastomer.thickness_mm / experiment.specimen.pitch_mm
+        return _ridges(experiment).shown(pitch_mm)
+    waves = 2 * np.pi * experiment.elastomer.thickness_mm / pitch_mm
     return float(opposite_transfer(np.array([waves]))[0])
 
 
 def _groove_over_error(experiment: Experiment, metrics: Metrics) -> float:
     kept = _groove_contrast(experiment, metrics)
-    assert isinstance(experiment.specimen, Grating)
     # A sine of height h from crest to root has an RMS of h / sqrt(8).
-    rms_um = 1e3 * kept * experiment.specimen.groove_mm / math.sqrt(8.0)
+    rms_um = 1e3 * kept * _grating(experiment).depth_mm / math.sqrt(8.0)
     return rms_um / _number(metrics, "z_rmse_um")
 
 

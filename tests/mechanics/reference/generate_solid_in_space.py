@@ -32,7 +32,7 @@ from twin.mechanics.reference import newton
 from twin.mechanics.reference.grid import ElementGrid, Surface, graded
 from twin.mechanics.reference.mixed import MixedBody, moduli, neo_hookean
 from twin.mechanics.reference.newton import Equilibrium, NewtonOptions, Problem, press_to, push
-from twin.specimens.distance import SignedDistance
+from twin.shape import SignedDistance
 
 STORED = Path(__file__).with_name("solid_in_space.json")
 PENALTY_OVER_SHEAR = 60.0

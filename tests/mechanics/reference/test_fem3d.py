@@ -11,7 +11,7 @@ import pytest
 import trimesh
 from scipy import sparse
 
-from twin.config.models import Ball, Elastomer, Press
+from twin.config.models import Elastomer, Press
 from twin.mechanics import PressedElastomer, PressError, SolverError, press
 from twin.mechanics.contact import solve_contact
 from twin.mechanics.control import DepthControl
@@ -23,6 +23,7 @@ from twin.mechanics.reference.pad import Hold, Pad, facing, mesh_pad, on_plane, 
 from twin.mechanics.reference.taylor_hood import ElasticBody
 from twin.mechanics.reference.tetrahedra import Tetrahedra, tetrahedralize
 from twin.specimens import shape_of
+from twin.specimens.kinds.ball import Ball
 
 SLAB = Elastomer(
     thickness_mm=4.0,

@@ -3,12 +3,13 @@
 import numpy as np
 import pytest
 
-from twin.config.models import Ball, Elastomer, Press
+from twin.config.models import Elastomer, Press
 from twin.mechanics import PressError, press
 from twin.mechanics.reference.grid import ElementGrid
 from twin.mechanics.reference.neo_hookean import Bricks, HeightContact, press_neo_hookean
 from twin.mechanics.reference.result import sample
 from twin.specimens import shape_of
+from twin.specimens.kinds.ball import Ball
 
 SHEET = Elastomer(
     thickness_mm=1.0,

@@ -22,7 +22,8 @@ from twin.mechanics.reference.pad import DEFAULT_COUNT, Pad, SlabSupport, mesh_p
 from twin.mechanics.reference.result import Scattered, check_depth, on_grids, sample
 from twin.mechanics.reference.taylor_hood import ElasticBody, Facets
 from twin.mechanics.reference.tetrahedra import Tetrahedra
-from twin.specimens import Shape, shape_of
+from twin.shape import Shape
+from twin.specimens import shape_of
 
 # Foundation stiffness times element size over Young's modulus: it yields by some 0.5 um.
 _FOUNDATION = 200.0

@@ -23,7 +23,7 @@ from twin.mechanics.reference.tetrahedra import (
     graded_towards,
     tetrahedralize,
 )
-from twin.specimens import Shape
+from twin.shape import Shape
 from twin.specimens.meshes import upper_side
 
 #: centres (facet, xyz) mm and outward unit normals (facet, xyz) to a choice (facet,)

@@ -18,7 +18,7 @@ from twin.mechanics.errors import PressError
 from twin.mechanics.layouts import face_nodes
 from twin.mechanics.press import PressedElastomer
 from twin.mechanics.validity import Validity, assess, margin_mm, max_slope_deg
-from twin.specimens import Shape
+from twin.shape import Shape
 
 # Share of loaded points round a cell from which on it touches: a curved specimen leaves some points
 # of a facet free.

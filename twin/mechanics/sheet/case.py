@@ -10,7 +10,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from twin.config.models import Elastomer, Mechanics, Press, Specimen
-from twin.mechanics.contact_transfer import finest_pitch_mm
 from twin.mechanics.errors import PressError
 from twin.mechanics.hardness import young_modulus
 from twin.mechanics.layouts import weight_kpa
@@ -21,15 +20,9 @@ from twin.mechanics.sheet.laws import Laws
 from twin.mechanics.sheet.splines import SplineLine, Widths, graded_line
 from twin.mechanics.size import check_face_nodes
 from twin.mechanics.validity import SHEET_THICKNESS_MM, THINNEST
-from twin.specimens import Shape, shape_of
-from twin.specimens.distance import (
-    RectangularInside,
-    RoundInside,
-    SignedDistance,
-    distances_of,
-    frame_wall,
-    plate,
-)
+from twin.shape import Shape, SignedDistance
+from twin.specimens import shape_of
+from twin.specimens.distance import RectangularInside, RoundInside, distances_of, frame_wall, plate
 
 # Incompressible: E* = E / (1 - 1/4), and shear modulus E / 3.
 _COMPLIANCE, _STICK_COMPLIANCE = 0.25, 0.5
@@ -128,7 +121,7 @@ def sheet_case(
         sticks=elastomer.sticks,
         cell_mm=finest_cell_mm(elastomer, load),
         asked_cell=load.cell_mm is not None,
-        ridge_pitch_mm=finest_pitch_mm(specimen),
+        ridge_pitch_mm=specimen.finest_pitch_mm,
     )
 
 

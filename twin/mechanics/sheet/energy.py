@@ -20,7 +20,8 @@ from twin.mechanics.sheet.linear_solver import LinearSolver, linear_solver
 from twin.mechanics.sheet.point import Asked, Felt
 from twin.mechanics.sheet.rim import RimSpring, rim_springs
 from twin.mechanics.sheet.stencil import Stencil, control_areas, stencil
-from twin.specimens.distance import Distances, SignedDistance, is_clear_of
+from twin.shape import Distances, SignedDistance
+from twin.specimens.distance import is_clear_of
 
 # A band is a block of cell rows that one thread takes; its forces reach two rows beyond it.
 _BAND_ROWS = 8

@@ -1,0 +1,84 @@
+"""Tables with a `kind`: one of the models that a registry holds.
+
+    Material = Annotated[BaseMaterial, OneOf(MATERIALS)]
+
+A field of this type takes a table whose key `kind` names a registered model, and is checked by that
+model. A document with such a field is built when it is first used, and again after each plug-in: it
+stands under `@follows(REGISTRY)` and sets `defer_build`, and so does every document that contains
+such a document.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, TypeVar
+
+from pydantic import BaseModel, GetCoreSchemaHandler
+from pydantic_core import CoreSchema, core_schema
+
+from reconstruction.registry import PluginError, Registry
+
+Document = TypeVar("Document", bound=type[BaseModel])
+
+_FOLLOWERS: dict[Registry[Any], list[type[BaseModel]]] = {}
+
+
+def kind_of(model: type[BaseModel]) -> str:
+    """Return the `kind` of a model: the default of that field.
+
+    Raises
+    ------
+    PluginError : the model sets none
+    """
+    field = getattr(model, "model_fields", {}).get("kind")
+    if field is None or not isinstance(field.default, str):
+        name = getattr(model, "__name__", model)
+        raise PluginError(f"{name}: found no kind; set kind: Literal['NAME'] = 'NAME' in the model")
+    return field.default
+
+
+@dataclass(frozen=True)
+class OneOf:
+    """Marks a type as one of the models of a registry, told apart by their `kind`.
+
+    Attributes
+    ----------
+    without : kinds that are not allowed here
+    """
+
+    registry: Registry[Any]
+    without: tuple[str, ...] = ()
+
+    @property
+    def models(self) -> dict[str, type[BaseModel]]:
+        """The allowed models by kind, in alphabetical order."""
+        return {name: kind for name, kind in self.registry.items() if name not in self.without}
+
+    def __get_pydantic_core_schema__(
+        self, source: Any, handler: GetCoreSchemaHandler
+    ) -> CoreSchema:
+        choices = {name: handler.generate_schema(model) for name, model in self.models.items()}
+        return core_schema.tagged_union_schema(choices, discriminator="kind")
+
+
+def follows(*registries: Registry[Any]) -> Callable[[Document], Document]:
+    """Build the decorated document again when a registry gets another kind."""
+
+    def enter(document: Document) -> Document:
+        for registry in registries:
+            if registry not in _FOLLOWERS:
+                _FOLLOWERS[registry] = []
+                registry.on_change(partial(_build_again, _FOLLOWERS[registry]))
+            _FOLLOWERS[registry].append(document)
+        return document
+
+    return enter
+
+
+def _build_again(documents: list[type[BaseModel]]) -> None:
+    # First all are forgotten: one that contains another would be built with its old schema.
+    for document in documents:
+        if "__pydantic_core_schema__" in document.__dict__:
+            del document.__pydantic_core_schema__
+    for document in documents:
+        document.model_rebuild(force=True)
