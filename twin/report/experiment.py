@@ -16,10 +16,10 @@ from matplotlib.patches import Circle, Polygon
 from scipy.spatial import ConvexHull
 
 from reconstruction.arrays import FloatArray
+from reconstruction.codes import code_of
 from reconstruction.rig.pinhole import Pinhole
 from twin.config.models import Experiment, Provenance, Specimen
 from twin.config.specimens import Group
-from twin.optics.light import pattern_set
 from twin.optics.rig import true_calibration
 from twin.report.canvas import FIT, INK, MEASURED, NOMINAL, axes_at, chart, drawing
 from twin.report.page import Beside, Block, Figure, Folded, Grade, Section
@@ -28,16 +28,6 @@ from twin.report.words import coating_phrase, in_words, label_of, percent, phras
 from twin.results.decoders import decoder_name
 from twin.results.record import Measurement
 from twin.specimens import shape_of
-
-_CODE_WORDS = {
-    "gray": "Gray code",
-    "complementary_gray": "complementary Gray code",
-    "shifted_gray": "shifted Gray code",
-    "displaced_gray": "Gray code displaced by half a period",
-    "hierarchical": "hierarchical periods",
-    "heterodyne": "heterodyne periods",
-    "micro": "single images with periods",
-}
 
 
 def glance(measured: Measurement) -> Table:
@@ -155,7 +145,7 @@ def _projector(measured: Measurement) -> str:
 
 def _patterns(measured: Measurement) -> str:
     patterns = measured.experiment.patterns
-    code = _CODE_WORDS[str(pattern_set(measured.experiment.projector, patterns).code)]
+    code = code_of(patterns.code).title
     if patterns.further_periods_px:
         code += " of " + in_words(patterns.further_periods_px) + " px"
     return (

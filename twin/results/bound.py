@@ -23,9 +23,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from reconstruction.arrays import BoolImage, FloatArray, IntArray
+from reconstruction.codes import code_of
 from reconstruction.errors import FitError
 from reconstruction.evaluate.estimates import FittedDimension, ball_radius_of_all
-from reconstruction.several_periods import MICRO
 from twin.config.measurands import ObjectMeasurand, Quantity
 from twin.config.models import Experiment
 from twin.mechanics import PressedElastomer
@@ -59,7 +59,7 @@ def has_bound(experiment: Experiment) -> bool:
     """
     method = experiment.method
     direct = experiment.bounces == 0 and experiment.render.engine == "one_trace"
-    closed = experiment.patterns.code != MICRO
+    closed = code_of(experiment.patterns.code).has_closed_form
     return method.fringes and method.presses and direct and closed
 
 
