@@ -165,6 +165,7 @@ def units_of(sensor: SensorNoise, scale: FloatImage | None) -> tuple[float, floa
 def _code(patterns: PatternSet, axis: Axis, displacement: float) -> Code:
     period_px = float(patterns.period_along(axis))
     mantissa, exponent = math.frexp(period_px)
+    words, length_px = patterns.words(axis), patterns.length_px(axis)
     high_px = math.ldexp(round(mantissa * 2**HIGH_BITS), exponent - HIGH_BITS)
     return Code(
         kind=KERNELS.get(patterns.kind.rule, PLAIN),
@@ -172,10 +173,10 @@ def _code(patterns: PatternSet, axis: Axis, displacement: float) -> Code:
         period_high_px=np.float32(high_px),
         period_low_px=np.float32(period_px - high_px),
         half_px_turns=np.float32(0.5 / period_px),
-        words=np.int32(patterns.word_count(axis)),
-        bits=patterns.word_bits(axis),
-        safety_bits=np.uint32(sum(word.bits for word in patterns.words(axis)[1:])),
-        length_px=patterns.length_px(axis) + math.ceil(displacement * period_px),
+        words=np.int32(words[0].count(length_px) if words else 1),
+        bits=sum(word.bits for word in words),
+        safety_bits=np.uint32(sum(word.bits for word in words[1:])),
+        length_px=length_px + math.ceil(displacement * period_px),
         shown=SHOWN[patterns.word],
         place=np.uint32(XOR_PLACES.get(patterns.word, 0)),
         is_word=patterns.steps == 0,
