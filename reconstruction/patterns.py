@@ -130,6 +130,11 @@ class PatternSet:
         return (*found, *last[: 2 * self.uniform])
 
     @property
+    def exposure_frame(self) -> int:
+        """Stack index of the frame that exposures are chosen on: white, or else the first one."""
+        return self.index("white").start if self.uniform else 0
+
+    @property
     def periods_px(self) -> tuple[float, ...]:
         """All fringe periods in the order of projection; the one that is measured with first."""
         return (self.period_px, *self.further_periods_px)

@@ -278,6 +278,11 @@ class Patterns(Model):
     low_level: Level = _of_set("low_level", "8-bit projector level of black")
     high_level: Level = _of_set("high_level", "8-bit projector level of white")
 
+    @classmethod
+    def of(cls, shown: PatternSet) -> "Patterns":
+        """Return the same sequence for any projector."""
+        return cls(**{name: getattr(shown, name) for name in cls.model_fields})
+
     @field_validator("steps")
     @classmethod
     def _steps_fit_the_period(cls, steps: int, info: ValidationInfo) -> int:

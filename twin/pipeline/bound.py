@@ -89,7 +89,7 @@ def bounds_alone(
             f"modality = '{experiment.modality}', render.engine = '{experiment.render.engine}', "
             f"render.bounces = {experiment.bounces}, patterns.code = '{experiment.patterns.code}': "
             "no bound without a measurement; allowed contact_fpp by one_trace without bounces, and "
-            f"the codes {closed}"
+            f"the codes {closed} with fringes along both axes, white and black"
         )
     pressed = press(experiment, memory)
     prediction, truth = predicted(experiment, pressed, memory)

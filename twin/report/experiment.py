@@ -17,6 +17,7 @@ from scipy.spatial import ConvexHull
 
 from reconstruction.arrays import FloatArray
 from reconstruction.codes import code_of
+from reconstruction.patterns import AXES
 from reconstruction.rig.pinhole import Pinhole
 from twin.config.models import Experiment, Provenance, Specimen
 from twin.config.specimens import Group
@@ -148,10 +149,12 @@ def _patterns(measured: Measurement) -> str:
     code = code_of(patterns.code).title
     if patterns.further_periods_px:
         code += " of " + in_words(patterns.further_periods_px) + " px"
-    return (
-        f"{patterns.steps} phase steps of {patterns.period_px:g} px in both directions, {code}, "
-        f"white, black: {in_words(measured.figures.get('frames'))} frames"
-    )
+    both = len(patterns.axes) == len(AXES)
+    along = "in both directions" if both else f"along the projector's {patterns.axes[0]}s"
+    first = f"{patterns.steps} phase steps of" if patterns.steps else "no fringes, words of"
+    shown = [f"{first} {patterns.period_px:g} px {along}", code]
+    shown += ["inverse frames"] * patterns.inverse + ["white", "black"] * patterns.uniform
+    return f"{', '.join(shown)}: {in_words(measured.figures.get('frames'))} frames"
 
 
 def _decoding(measured: Measurement) -> str:

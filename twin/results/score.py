@@ -31,6 +31,7 @@ from reconstruction.photometric import HeightMap
 from reconstruction.pipeline import Reconstruction, filter_bias
 from twin.config.models import Experiment
 from twin.config.objects import Nut
+from twin.optics.light import pattern_set
 from twin.optics.stack import Truth
 from twin.results.nuts import nut_figures
 from twin.results.rods import has_one_rod, rod_figures
@@ -257,10 +258,12 @@ def _of_another_period(
     experiment: Experiment, reconstruction: Reconstruction, truth: Truth
 ) -> BoolImage:
     """Mark pixels whose projector column or row is off by half a period or more."""
-    decoded, half_px = reconstruction.decoded, experiment.patterns.period_px / 2
-    wrong: BoolImage = (np.abs(decoded.column.coordinate_px - truth.column_px) >= half_px) | (
-        np.abs(decoded.row.coordinate_px - truth.row_px) >= half_px
-    )
+    patterns = pattern_set(experiment.projector, experiment.patterns)
+    wrong: BoolImage = np.zeros(reconstruction.decoded.mask_reason.shape, np.bool_)
+    for axis in reconstruction.decoded.axes:
+        decoded = getattr(reconstruction.decoded, axis).coordinate_px
+        true_px = truth.row_px if axis == "row" else truth.column_px
+        wrong |= np.abs(decoded - true_px) >= patterns.period_along(axis) / 2
     return wrong
 
 
