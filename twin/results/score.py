@@ -259,11 +259,13 @@ def _of_another_period(
 ) -> BoolImage:
     """Mark pixels whose projector column or row is off by half a period or more."""
     patterns = pattern_set(experiment.projector, experiment.patterns)
-    wrong: BoolImage = np.zeros(reconstruction.decoded.mask_reason.shape, np.bool_)
+    wrong: BoolImage = np.zeros(truth.column_px.shape, np.bool_)
     for axis in reconstruction.decoded.axes:
         decoded = getattr(reconstruction.decoded, axis).coordinate_px
         true_px = truth.row_px if axis == "row" else truth.column_px
-        wrong |= np.abs(decoded - true_px) >= patterns.period_along(axis) / 2
+        # Of words alone either is right at their border: the step is a whole word.
+        limit_px = patterns.period_along(axis) / (2 if patterns.steps else 1)
+        wrong |= np.abs(decoded - true_px) >= limit_px
     return wrong
 
 
