@@ -216,8 +216,8 @@ class PatternSet:
         if self.word == "binary":
             return bits
         shown = bits.copy()
-        if self.word in XOR_PLACES:
-            last = len(bits) - 1 - XOR_PLACES[self.word]
+        last = len(bits) - 1 - XOR_PLACES.get(self.word, len(bits))
+        if last >= 0:
             shown[:last] ^= bits[last]
         return np.asarray(np.logical_xor.accumulate(shown))
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from reconstruction.capture.folder import Capture
+from reconstruction.capture.frame_arrangement import Arrangement, ListedFrame, ProjectorSize
 from reconstruction.codes import CODES
 from reconstruction.decoding.decode import DecodeOptions, decode
 from reconstruction.errors import InputError
@@ -91,6 +92,25 @@ def test_plug_in_code_is_found_in_an_experiment(residue):
     key = next(key for key in list_keys(Patterns) if key.path == "code")
     assert "'residue'" in key.allowed
     assert "without common divisor" in key.meaning
+
+
+def test_a_list_of_frames_states_a_code_from_outside(residue):
+    """Two periods alone are those of the heterodyne code, of which these number too few pixels."""
+    frames = [
+        ListedFrame(f"{period_px}_{n}.png", "phase", "column", period_px, 90.0 * n)
+        for period_px in (21.0, 26.0)
+        for n in range(4)
+    ]
+    size = ProjectorSize(500, 300)
+    found = Arrangement(frames, size, "reflected", residue)
+    assert found.patterns == PatternSet(
+        500, 300, 21.0, 4, code=residue, further_periods_px=(26.0,), axes=("column",), uniform=False
+    )
+    assert found.files == [one.file for one in frames]
+    with pytest.raises(InputError, match="unambiguous over"):
+        Arrangement(frames, size, "reflected")
+    with pytest.raises(InputError, match="allowed are"):
+        Arrangement(frames, size, "reflected", "residual")
 
 
 def test_unknown_code_is_one_line_with_the_allowed_names():
