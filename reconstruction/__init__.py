@@ -13,6 +13,7 @@
 | `decode`, `DecodeOptions` | frames to projector coordinates, their sigma, a reason per pixel |
 | `triangulate` | projector coordinates to points in the world frame, mm |
 | `reconstruct`, `ReconstructOptions` | both in one call |
+| `CODES`, `PatternCode` | pattern codes by name, and what a code from outside states: `codes` |
 | `calibrate` | observations of a board to a calibrated rig; boards and `observe`: `calibration` |
 | `calibration`, `evaluate`, `photometric` | rooms with names of their own, see there |
 
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
     from reconstruction import calibration, evaluate, photometric
     from reconstruction.calibration import calibrate
     from reconstruction.capture.folder import Capture, read_capture, write_capture
+    from reconstruction.codes import CODES, PatternCode
     from reconstruction.decoding import DecodeOptions
     from reconstruction.decoding.decode import decode
     from reconstruction.patterns import PatternSet
@@ -36,9 +38,11 @@ if TYPE_CHECKING:
     from reconstruction.triangulation import triangulate
 
 __all__ = [
+    "CODES",
     "Calibration",
     "Capture",
     "DecodeOptions",
+    "PatternCode",
     "PatternSet",
     "Pinhole",
     "ReconstructOptions",
@@ -57,9 +61,11 @@ __all__ = [
 # No name of a function may be that of a room: importing the room would put itself in its place.
 _ROOMS = ("calibration", "evaluate", "photometric")
 _MODULE_OF = {
+    "CODES": "codes",
     "Calibration": "rig.calibration",
     "Capture": "capture.folder",
     "DecodeOptions": "decoding",
+    "PatternCode": "codes",
     "PatternSet": "patterns",
     "Pinhole": "rig.pinhole",
     "ReconstructOptions": "pipeline",

@@ -7,18 +7,14 @@ Frame: projector pixels, x right (column), y down (row), integer = centre of a p
 | x | coordinate along the axis, px |
 | phi = 2 pi x / period | phase, grows with x |
 | I_n = A + B cos(phi + 2 pi n / N) | phase frame n of N |
-| k = floor(x / period) | period index (fringe order), shown as plain Gray code |
-| h = floor(2 x / period) | half-period index, shown as complementary Gray code |
-| s = floor(x / period + 1/2) | period index shifted by half a period, shown after k, or alone |
-| w = floor(x / period) | without phase frames: the stripe of one word, `period` wide |
+| k = floor(x / period) | period index (fringe order) |
+| w | a word that numbers the fringes, see `codes`; without phase frames floor(x / period) |
 
 A word w is shown as bits of one of four kinds, most significant first; an inverse frame shows the
 complement of each. reflected: g = w ^ (w >> 1), plain Gray code. binary: w itself. xor_02, xor_04:
 Gray code whose coarser bits are exchanged for their exclusive or with the last, the last but one,
 so that no frame has stripes wider than a few words (Gupta et al., Int. J. Comput. Vis. 102, 33
 (2013)).
-
-Several fringe periods that number one another: see `several_periods`.
 """
 
 import math
@@ -28,31 +24,14 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from reconstruction.arrays import FloatArray, Levels
+from reconstruction.arrays import BoolArray, FloatArray, IntArray, Levels
+from reconstruction.codes import CODES, Fringes, PatternCode, Rule, Word, code_of
 from reconstruction.errors import InputError, require_integer, require_number
-from reconstruction.several_periods import (
-    LEAST_DISTANCE,
-    MICRO,
-    MULTI_FREQUENCY,
-    Chain,
-    least_distance,
-    make_chain,
-)
 
 Kind = Literal["phase", "gray", "inverse", "white", "black"]
 Axis = Literal["column", "row"]
-CodeName = Literal[
-    "gray",
-    "complementary_gray",
-    "shifted_gray",
-    "displaced_gray",
-    "hierarchical",
-    "heterodyne",
-    "micro",
-]
 WordName = Literal["reflected", "binary", "xor_02", "xor_04"]
 AXES: tuple[Axis, Axis] = ("column", "row")
-CODES: tuple[CodeName, ...] = get_args(CodeName)
 WORDS: tuple[WordName, ...] = get_args(WordName)
 # Place of the bit, from the last, that the coarser ones are exchanged with.
 XOR_PLACES = {"xor_02": 0, "xor_04": 1}
@@ -87,30 +66,19 @@ class PatternSet:
     Parameters
     ----------
     width_px, height_px : projector image size
-    period_px : fringe period, >= 4 px; the finest one of a multi-frequency code
-    steps : phase steps N of every period, with micro of `period_px` alone, >= 3; 0: words alone
-        (code "gray"), `period_px` wide each
+    period_px : fringe period that is measured with, >= 4 px
+    steps : phase steps N of every period, >= 3 (with code "micro" of `period_px` alone); 0: words
+        alone, `period_px` wide each
     low_level, high_level : 8-bit projector levels of black and white
-    code : how the fringes are numbered
-    further_periods_px : the other periods of a multi-frequency code: hierarchical any coarser ones,
-        the coarsest at least the image; heterodyne one or two near ones, rising; micro two or more
-        near ones with a single image each
+    code : how the fringes are numbered, a kind of `codes.CODES`
+    further_periods_px : the other periods, where the code needs any
     row_periods_px : all periods along rows, in the order of those along columns; (): the same
     axes : the axes along which something is shown
-    word : how words are shown as bits; other than "reflected" with code "gray" alone
+    word : how words are shown as bits; other than "reflected" only with code "gray"
     inverse : every Gray frame is followed by its inverse, which it is compared with
     uniform : white and black are shown
     first_shifts_deg : phase of step 00 at x = 0, degrees, of every period along columns, then along
         rows, of those axes that are shown; (): 0
-
-    Notes
-    -----
-    complementary_gray: Zhang et al., Opt. Lasers Eng. 50, 574 (2012). shifted_gray: the two
-    staggered words of Wu, Guo and Zhang, Opt. Express 27, 22631 (2019), both in every set, so that
-    they check each other. displaced_gray: the second of these words and not the first, in as many
-    bits as number the periods; with 2^bits periods the last half of one has no word of its own.
-    hierarchical and heterodyne: Zuo et al., Opt. Lasers Eng. 85, 84 (2016).
-    micro: Gupta and Nayar, Proc. CVPR 2012, 813.
     """
 
     width_px: int
@@ -119,7 +87,7 @@ class PatternSet:
     steps: int = 18
     low_level: int = 0
     high_level: int = 255
-    code: CodeName = "complementary_gray"
+    code: str = "complementary_gray"
     further_periods_px: tuple[float, ...] = ()
     row_periods_px: tuple[float, ...] = ()
     axes: tuple[Axis, ...] = AXES
@@ -137,15 +105,14 @@ class PatternSet:
             require_integer("patterns steps", self.steps, *STEPS_RANGE)
         require_integer("patterns low_level", self.low_level, 0, 254)
         require_integer("patterns high_level", self.high_level, self.low_level + 1, 255)
-        if self.code not in CODES:
-            raise InputError(f"patterns code is {self.code!r}; allowed are {', '.join(CODES)}")
+        code_of(self.code)
         for name in ("further_periods_px", "row_periods_px"):
             allowed_px = (shortest_px, longest_px)
             object.__setattr__(self, name, _periods(name, getattr(self, name), allowed_px))
         object.__setattr__(self, "axes", _axes(self.axes))
         object.__setattr__(self, "first_shifts_deg", self._checked_shifts())
         self._check_words()
-        self._check_chain()
+        self._check_periods()
 
     @cached_property
     def frames(self) -> tuple[PatternFrame, ...]:
@@ -154,13 +121,18 @@ class PatternSet:
         def along(kind: Kind, axis: Axis, count: int) -> list[PatternFrame]:
             return [PatternFrame(kind, axis, n) for n in range(count)]
 
-        shots = sum(self.steps_of(fringes) for fringes in range(len(self.periods_px)))
+        shots = sum(self.images(number) for number in range(len(self.periods_px)))
         found = [frame for axis in self.axes for frame in along("phase", axis, shots)]
         for axis in self.axes:
             found += along("gray", axis, self.word_bits(axis))
             found += along("inverse", axis, self.word_bits(axis) * self.inverse)
         last = [PatternFrame("white", None, 0), PatternFrame("black", None, 0)]
         return (*found, *last[: 2 * self.uniform])
+
+    @property
+    def exposure_frame(self) -> int:
+        """Stack index of the frame that exposures are chosen on: white, or else the first one."""
+        return self.index("white").start if self.uniform else 0
 
     @property
     def periods_px(self) -> tuple[float, ...]:
@@ -176,38 +148,35 @@ class PatternSet:
         return self.periods_along(axis)[0]
 
     @property
-    def is_multi_frequency(self) -> bool:
-        """Whether fringes are numbered by further periods rather than by words."""
-        return self.code in MULTI_FREQUENCY
+    def kind(self) -> PatternCode:
+        """The code that numbers the fringes."""
+        return CODES[self.code]
 
-    @property
-    def is_displaced(self) -> bool:
-        """Whether words are displaced by half a period, so that they end where the phase is pi."""
-        return self.code == "displaced_gray"
+    def fringes(self, axis: Axis) -> Fringes:
+        """Return length and periods along `axis`, as codes read them."""
+        return Fringes(self.length_px(axis), self.periods_along(axis))
 
-    @property
-    def is_micro(self) -> bool:
-        """Whether the further periods have a single image each."""
-        return self.code == MICRO
+    def fused_periods(self, axis: Axis) -> tuple[float, ...]:
+        """Return the periods whose phases are averaged in the coordinate along `axis`, px."""
+        periods_px = self.periods_along(axis)
+        return periods_px if self.kind.rule is Rule.CHAIN else periods_px[:1]
 
-    def steps_of(self, fringes: int) -> int:
+    def images(self, number: int) -> int:
         """Return how many images a period has, by its number; 0 is the measuring one."""
-        return 1 if self.is_micro and fringes else self.steps
+        return self.kind.images(number, self.steps)
+
+    @property
+    def sets(self) -> int:
+        """How many periods have N steps; they come before those with a single image."""
+        return sum(self.images(number) == self.steps for number in range(len(self.periods_px)))
 
     def step_sets(self, axis: Axis) -> tuple[slice, ...]:
         """Return the stack indices of every set of N equal steps along `axis`."""
         if not self.steps or axis not in self.axes:
             return ()
         first = self.index("phase", axis).start
-        count = 1 if self.is_micro else len(self.periods_px)
-        starts = range(first, first + count * self.steps, self.steps)
+        starts = range(first, first + self.sets * self.steps, self.steps)
         return tuple(slice(start, start + self.steps) for start in starts)
-
-    def chain(self, axis: Axis) -> Chain | None:
-        """Return how periods number one another along `axis`; None with words or single images."""
-        if not self.is_multi_frequency or self.is_micro:
-            return None
-        return make_chain(self.code, self.periods_along(axis))
 
     def length_px(self, axis: Axis) -> int:
         """Return the number of projector pixels along `axis`."""
@@ -223,22 +192,44 @@ class PatternSet:
         """Return the bits that number the periods, without those that make the code edge-safe."""
         return (self.periods(axis) - 1).bit_length()
 
-    def safety_bits(self, axis: Axis) -> int:
-        """Return the Gray frames that make the order safe at the borders of the periods."""
-        if self.code == "shifted_gray":
-            return self._shifted_at(axis, self.length_px(axis) - 1).bit_length()
-        return int(self.code == "complementary_gray")
+    def words(self, axis: Axis) -> tuple[Word, ...]:
+        """Return the words that number the fringes along `axis`; () where none are shown."""
+        return self.kind.words(self.fringes(axis)) if axis in self.axes else ()
 
     def word_bits(self, axis: Axis) -> int:
-        """Return the Gray frames along `axis`; 0 with a multi-frequency code."""
-        if self.is_multi_frequency or axis not in self.axes:
-            return 0
-        return self.gray_bits(axis) + self.safety_bits(axis)
+        """Return the number of Gray frames along `axis`."""
+        return sum(word.bits for word in self.words(axis))
 
-    def words(self, axis: Axis) -> int:
-        """Return how many different words are shown: half-periods with complementary_gray."""
-        count = self._word_at(axis, self.length_px(axis) - 1) + 1
-        return min(count, 2 ** self.gray_bits(axis)) if self.is_displaced else count
+    def word_count(self, axis: Axis) -> int:
+        """Return how many different values the first word along `axis` has; 1 without words."""
+        words = self.kind.words(self.fringes(axis))
+        return words[0].count(self.length_px(axis)) if words else 1
+
+    def bits(self, axis: Axis) -> BoolArray:
+        """Return the bits of all words along `axis` as shown, (bit, pixel of the axis)."""
+        x_px = np.arange(self.length_px(axis))
+        rows = [self._bits_of(word, x_px) for word in self.words(axis)]
+        return np.concatenate(rows) if rows else np.zeros((0, x_px.size), np.bool_)
+
+    def binary(self, bits: BoolArray) -> BoolArray:
+        """Return the bits of a word itself, from its bits as shown; (bit, ...)."""
+        if self.word == "binary":
+            return bits
+        shown = bits.copy()
+        last = len(bits) - 1 - XOR_PLACES.get(self.word, len(bits))
+        if last >= 0:
+            shown[:last] ^= bits[last]
+        return np.asarray(np.logical_xor.accumulate(shown))
+
+    def _bits_of(self, word: Word, x_px: IntArray) -> BoolArray:
+        value = word.at(x_px)
+        shown = value if self.word == "binary" else value ^ (value >> 1)
+        places = np.arange(word.bits)[::-1, None]
+        bits = (shown >> places) & 1
+        exchanged = XOR_PLACES.get(self.word)
+        if exchanged is not None:
+            bits = bits ^ ((shown >> exchanged) & 1) * (places > exchanged)
+        return np.asarray(bits, np.bool_)
 
     def index(self, kind: Kind, axis: Axis | None = None) -> slice:
         """Return the stack indices of a kind of frames, most significant Gray bit first."""
@@ -263,9 +254,10 @@ class PatternSet:
 
     def phase_of(self, frame: PatternFrame) -> tuple[float, float]:
         """Return the period, px, and the shift, turns, of a phase frame."""
-        fringes, step = divmod(frame.index, self.steps)
-        if self.is_micro and frame.index >= self.steps:
-            fringes, step = frame.index - self.steps + 1, 0
+        fringes, step = 0, frame.index
+        while step >= self.images(fringes):
+            step -= self.images(fringes)
+            fringes += 1
         axis = frame.axis or "column"
         return self.periods_along(axis)[fringes], self.shifts(axis, fringes)[step]
 
@@ -275,7 +267,7 @@ class PatternSet:
         if self.first_shifts_deg:
             place = self.axes.index(axis) * len(self.periods_px) + fringes
             first = self.first_shifts_deg[place] / 360.0
-        return tuple(first + step / self.steps for step in range(self.steps_of(fringes)))
+        return tuple(first + step / self.steps for step in range(self.images(fringes)))
 
     def _brightness(self, frame: PatternFrame) -> FloatArray:
         if frame.axis is None:
@@ -284,32 +276,8 @@ class PatternSet:
         if frame.kind == "phase":
             period_px, shift = self.phase_of(frame)
             return 0.5 + 0.5 * np.cos(2.0 * np.pi * (x_px / period_px + shift))
-        bit = self._gray_bit(frame.axis, frame.index, x_px.size)
-        return 1.0 - bit if frame.kind == "inverse" else bit
-
-    def _gray_bit(self, axis: Axis, index: int, length_px: int) -> FloatArray:
-        word_at, last = self._word_at, self.word_bits(axis) - 1
-        if self.code == "shifted_gray":
-            if index < self.gray_bits(axis):
-                last = self.gray_bits(axis) - 1
-            else:
-                word_at = self._shifted_at
-        word = np.array([word_at(axis, x) for x in range(length_px)])
-        shown = word if self.word == "binary" else word ^ (word >> 1)
-        bit = (shown >> (last - index)) & 1
-        place = XOR_PLACES.get(self.word)
-        if place is not None and last - index > place:
-            bit = bit ^ ((shown >> place) & 1)
-        return np.asarray(bit.astype(np.float64))
-
-    def _word_at(self, axis: Axis, x_px: int) -> int:
-        if self.is_displaced:
-            return self._shifted_at(axis, x_px)
-        is_halved = self.code == "complementary_gray"
-        return math.floor((2 * x_px if is_halved else x_px) / self.period_along(axis))
-
-    def _shifted_at(self, axis: Axis, x_px: int) -> int:
-        return math.floor(x_px / self.period_along(axis) + 0.5)
+        bit = self.bits(frame.axis)[frame.index].astype(np.float64)
+        return np.asarray(1.0 - bit if frame.kind == "inverse" else bit)
 
     def _period_range_px(self) -> tuple[float, float]:
         return (PERIOD_RANGE_PX[0] if self.steps else LEAST_STRIPE_PX), PERIOD_RANGE_PX[1]
@@ -337,10 +305,11 @@ class PatternSet:
                 f"patterns row_periods_px is {self.row_periods_px}; give as many periods as along"
                 f" columns, {len(self.periods_px)}, or leave it out"
             )
-        if self.code != "gray" and (self.word != "reflected" or self.steps == 0):
-            told = f"word {self.word!r}" if self.word != "reflected" else "steps 0"
-            raise InputError(f"patterns code is {self.code!r} with {told}; use code 'gray'")
-        if self.steps == 0 and min(self.words(axis) for axis in self.axes) < 2:
+        if not self.kind.has_free_words and (self.word != "reflected" or self.steps == 0):
+            stated = f"word {self.word!r}" if self.word != "reflected" else "steps 0"
+            free = " or ".join(f"'{code.name}'" for code in CODES if code.has_free_words)
+            raise InputError(f"patterns code is {self.code!r} with {stated}; use code {free}")
+        if self.steps == 0 and min(self.word_count(axis) for axis in self.axes) < 2:
             raise InputError(
                 f"patterns period_px is {self.period_px:g} with steps 0: one word for the whole"
                 " image; give the width of a word"
@@ -351,48 +320,23 @@ class PatternSet:
                 " bits with; show inverse frames, or white and black"
             )
 
-    def _check_chain(self) -> None:
-        if not self.is_multi_frequency:
-            if self.further_periods_px:
-                raise InputError(
-                    f"patterns further_periods_px is {self.further_periods_px} with code"
-                    f" {self.code!r}; leave it out or use a code of {', '.join(MULTI_FREQUENCY)}"
-                )
-            return
-        if self.inverse:
+    def _check_periods(self) -> None:
+        if self.further_periods_px and not self.kind.takes_further_periods:
+            taking = ", ".join(code.name for code in CODES if code.takes_further_periods)
+            raise InputError(
+                f"patterns further_periods_px is {self.further_periods_px} with code"
+                f" {self.code!r}; leave it out or use a code of {taking}"
+            )
+        if self.inverse and not self.words(self.axes[0]):
             raise InputError(f"patterns inverse is true with code {self.code!r}, which has no bits")
-        for axis in self.axes if self.row_periods_px else AXES[:1]:
-            self._check_range(axis)
+        for fringes in self._checked_fringes():
+            self.kind.check(fringes)
 
-    def _check_range(self, axis: Axis) -> None:
-        if self.is_micro:
-            self._check_distance(axis)
-            return
-        chain = self.chain(axis)
-        sides = [self.length_px(one) for one in ((axis,) if self.row_periods_px else self.axes)]
-        # A beat period computed from whole pixels may miss a whole number by rounding.
-        if chain is not None and chain.periods_px[0] < max(sides) * (1.0 - 1e-9):
-            raise InputError(
-                f"patterns periods {self.periods_along(axis)} px are unambiguous over"
-                f" {chain.periods_px[0]:.6g} px, the image has {max(sides)}; change"
-                " further_periods_px"
-            )
-
-    def _check_distance(self, axis: Axis) -> None:
-        if len(self.periods_px) < 3:
-            raise InputError(
-                f"patterns micro has {len(self.periods_px)} periods; give two or more"
-                " further_periods_px"
-            )
-        periods_px = self.periods_along(axis)
-        length_px = max(map(self.length_px, (axis,) if self.row_periods_px else self.axes))
-        least = least_distance(periods_px, length_px)
-        if least < LEAST_DISTANCE:
-            raise InputError(
-                f"patterns periods {periods_px} px: two fringes within {length_px} px differ by"
-                f" only {least:.2g} of the modulation, needed is {LEAST_DISTANCE:g}; change"
-                " further_periods_px"
-            )
+    def _checked_fringes(self) -> list[Fringes]:
+        """Return the fringes of each axis; where both have the same, of the longer one."""
+        if self.row_periods_px:
+            return [self.fringes(axis) for axis in self.axes]
+        return [Fringes(max(map(self.length_px, self.axes)), self.periods_px)]
 
 
 def _periods(name: str, values: object, allowed_px: tuple[float, float]) -> tuple[float, ...]:

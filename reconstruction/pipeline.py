@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from reconstruction.arrays import BoolImage, Reason, at_pixels
 from reconstruction.capture.folder import Capture
+from reconstruction.codes import Unwrap
 from reconstruction.colouring import Deviation
 from reconstruction.decoding.decode import AxisDecode, Decoded, DecodeOptions, decode
 from reconstruction.errors import CaptureError, InputError, one_line
@@ -94,12 +95,22 @@ class Reconstruction:
         return reconstruction_arrays(self.decoded, self.point_map).to_xarray()
 
 
-def reconstruct(capture: Capture, options: ReconstructOptions | None = None) -> Reconstruction:
+def reconstruct(
+    capture: Capture, options: ReconstructOptions | None = None, *, unwrap: Unwrap | None = None
+) -> Reconstruction:
     """Decode and triangulate a capture.
+
+    Parameters
+    ----------
+    unwrap : own function that numbers the fringes, called once for each projector axis with the
+        wrapped phases (`reconstruction.codes.Wrapped`); it returns the absolute coordinates
+        (row, col) float, px, NaN where unknown. Masks, noise and filter are as for a pattern code,
+        the noise being that of the measuring period. None: the capture's pattern code
 
     Raises
     ------
-    InputError : stack, patterns and calibration do not fit each other
+    InputError : stack, patterns and calibration do not fit each other, or `unwrap` returns
+        coordinates of another shape
     """
     chosen = options or ReconstructOptions()
     decoded = decode(
@@ -109,6 +120,7 @@ def reconstruct(capture: Capture, options: ReconstructOptions | None = None) -> 
         chosen.decode,
         capture.scale,
         response=capture.response,
+        unwrap=unwrap,
     )
     rig = capture.calibration
     seen = rig if chosen.through_layers else replace(rig, layers=None)

@@ -16,7 +16,7 @@ if side_by_side := int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "0")):
     for library in ("NUMBA", "OMP", "OPENBLAS", "MKL"):
         os.environ.setdefault(f"{library}_NUM_THREADS", str(share))
 
-from twin.optics.session import activate  # noqa: E402
+from twin.optics.session import activate
 
 # The same examples in every run, and no judgement by the clock.
 settings.register_profile(

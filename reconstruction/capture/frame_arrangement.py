@@ -1,7 +1,8 @@
 """Sort listed frames into the order of decoding, and tell what sequence they show.
 
 What is stated about each frame (period, shift, bit) decides, not its name or place: sets of equal
-steps by period, words by their bits. The code follows from how wide a word is beside a fringe.
+steps by period, words by their bits. The code is stated, or the one whose `is_shown_by` is True for
+the widths of the words and the periods of the fringes.
 """
 
 import math
@@ -10,6 +11,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
+from reconstruction.codes import CODES, Fringes, Layout, PatternCode, code_of
 from reconstruction.errors import CaptureError, require_integer
 from reconstruction.patterns import AXES, STEPS_RANGE, Axis, Kind, PatternSet, WordName
 
@@ -71,8 +73,11 @@ class Arrangement:
     InputError : two images show the same, one is missing, or the whole cannot be decoded
     """
 
-    def __init__(self, frames: Sequence[ListedFrame], size: ProjectorSize, word: WordName) -> None:
+    def __init__(
+        self, frames: Sequence[ListedFrame], size: ProjectorSize, word: WordName, code: str = ""
+    ) -> None:
         _refuse_twice(frames)
+        self._stated = code_of(code) if code else None
         self._frames = frames
         self._size = size
         self._axes = tuple(axis for axis in AXES if any(one.axis == axis for one in frames))
@@ -97,12 +102,12 @@ class Arrangement:
             )
         steps = {_sizes(sets) for sets in phases.values() if sets}
         sizes = sorted({size for one in steps for size in one})
-        if len(steps) > 1 or (len(sizes) > 1 and not _is_micro(next(iter(steps)))):
+        if len(steps) > 1 or (len(sizes) > 1 and not _has_single_images(next(iter(steps)))):
             raise CaptureError(
                 f"there are phase sets of {sizes} steps; list sets of the same number, or for "
                 "micro phase shifting several steps of one period and one of each other"
             )
-        words = {axis: self._words(axis, phases[axis]) for axis in self._axes}
+        words = {axis: self._coded(axis, phases[axis]) for axis in self._axes}
         patterns = self._patterns(phases, words)
         ordered = [one for sets in phases.values() for frames in sets for one in frames]
         for gray, inverse in (word[1:] for word in words.values()):
@@ -120,14 +125,14 @@ class Arrangement:
         frames = self._of("phase", axis)
         periods = sorted({one.period_px or 0.0 for one in frames})
         sets = [[one for one in frames if one.period_px == period] for period in periods]
-        if _is_micro(tuple(sorted(map(len, sets), reverse=True))):
+        if _has_single_images(tuple(sorted(map(len, sets), reverse=True))):
             return [
                 _equal_steps(one) if len(one) > 1 else one
                 for one in sorted(sets, key=lambda one: len(one) == 1)
             ]
         return [_equal_steps(one) for one in sets]
 
-    def _words(
+    def _coded(
         self, axis: Axis, phases: list[list[ListedFrame]]
     ) -> tuple[str, list[ListedFrame], list[ListedFrame]]:
         """Return the code along one axis, its Gray frames and their inverses."""
@@ -136,14 +141,17 @@ class Arrangement:
         if is_displaced:
             first, second = second, []
         if not first:
-            return self._several(axis, phases), [], []
-        if len(phases) > 1:
+            return self._code(axis, phases, ()).name, [], []
+        if len(phases) > 1 and self._stated is None:
             raise CaptureError(
                 f"there are Gray frames and {len(phases)} fringe periods along {axis}; list the "
                 "period that the words number"
             )
         fringe_px = phases[0][0].period_px if phases else None
-        code, kept = _kept_bits(first, fringe_px, self._length(axis), bool(second), self._word)
+        bits = _WordBits(first, fringe_px, self._length(axis), bool(second), self._word)
+        widths = ((bits.width_periods, is_displaced), *[(1.0, True)][: len(second)])
+        code = self._code(axis, phases, widths)
+        kept = bits.kept(code)
         gray = [*first[kept], *second]
         inverse = self._of("inverse", axis, shifted=is_displaced)[kept]
         inverse += [] if is_displaced else self._of("inverse", axis, shifted=True)
@@ -152,19 +160,28 @@ class Arrangement:
                 f"along {axis} there are {len(gray)} Gray frames and {len(inverse)} inverse ones "
                 "of other bits; every Gray frame needs its inverse, or none"
             )
-        return _displaced(code, fringe_px, axis) if is_displaced else code, gray, inverse
+        return code.name, gray, inverse
 
-    def _several(self, axis: Axis, phases: list[list[ListedFrame]]) -> str:
-        if _is_micro(_sizes(phases)):
-            return "micro"
-        coarsest_px = phases[-1][0].period_px or 0.0
-        if coarsest_px >= self._length(axis) * (1.0 - 1e-9):
-            return "hierarchical"
-        if len(phases) > 1:
-            return "heterodyne"
+    def _code(
+        self, axis: Axis, phases: list[list[ListedFrame]], words: tuple[tuple[float, bool], ...]
+    ) -> PatternCode:
+        """Return the stated code, or the one that lists such frames."""
+        periods_px = tuple(frames[0].period_px or 0.0 for frames in phases)
+        layout = Layout(self._length(axis), periods_px, _sizes(phases), words)
+        codes = [self._stated] if self._stated else [c for c in CODES if c.is_shown_by(layout)]
+        if len(codes) == 1:
+            return codes[0]
+        if codes:
+            names = ", ".join(code.name for code in codes)
+            raise CaptureError(f"along {axis} the frames may be of the codes {names}; state code")
+        if words:
+            raise CaptureError(
+                f"along {axis} all Gray frames are shifted = true, but no words as wide as the "
+                "fringes; list the phase frames that they number, or the first word as well"
+            )
         raise CaptureError(
-            f"along {axis} there is one period of {coarsest_px:g} px and nothing that numbers its "
-            "fringes; list Gray frames or further periods"
+            f"along {axis} there is one period of {periods_px[-1]:g} px and nothing that numbers "
+            "its fringes; list Gray frames or further periods"
         )
 
     def _patterns(self, phases: dict[Axis, Any], words: dict[Axis, Any]) -> PatternSet:
@@ -210,8 +227,8 @@ def _sizes(sets: list[list[ListedFrame]]) -> tuple[int, ...]:
     return tuple(len(one) for one in sets)
 
 
-def _is_micro(sizes: tuple[int, ...]) -> bool:
-    """Tell whether one period has several steps, the first, and the others have one each."""
+def _has_single_images(sizes: tuple[int, ...]) -> bool:
+    """Whether one period has several steps, the first, and the others have a single image each."""
     return len(sizes) > 1 and sizes[0] >= STEPS_RANGE[0] and set(sizes[1:]) == {1}
 
 
@@ -250,67 +267,78 @@ def _equal_steps(frames: list[ListedFrame]) -> list[ListedFrame]:
     return found
 
 
-def _kept_bits(
-    frames: list[ListedFrame], fringe_px: float | None, length_px: int, shifted: bool, word: str
-) -> tuple[str, slice]:
-    """Return the code, and which bits of the first word, the coarsest first, it needs."""
+class _WordBits:
+    """The bits of the first word along one axis, the coarsest first.
+
+    Attributes
+    ----------
+    width_periods : width of the words in fringe periods, once the finest bits are left out that the
+        fringes do not need: 1 or 1/2
+    """
+
+    def __init__(
+        self, frames: list[ListedFrame], fringe_px: float | None, length_px: int, shifted: bool,
+        word: str,
+    ) -> None:  # fmt: skip
+        _require_all_bits(frames)
+        stated_px = frames[0].period_px
+        if stated_px is None and fringe_px is None:
+            raise CaptureError(
+                f"period_px of the Gray frames along {frames[0].axis} is missing; give the width "
+                "of one word"
+            )
+        self._frames, self._length_px = frames, length_px
+        if fringe_px is not None and stated_px is None:
+            stated_px = _inferred_px(frames, fringe_px, length_px, shifted)
+        width_px = stated_px or 0.0
+        self._fringe_px = fringe_px or width_px
+        self._left_out = _left_out(frames, self._fringe_px, width_px, shifted, word)
+        self.width_periods = width_px * 2**self._left_out / self._fringe_px
+
+    def kept(self, code: PatternCode) -> slice:
+        """Return which bits a code needs; coarser ones are 0 everywhere."""
+        words = code.words(Fringes(self._length_px, (self._fringe_px,)))
+        if not words:
+            axis = self._frames[0].axis
+            raise CaptureError(f"along {axis} Gray frames are listed, code '{code.name}' has none")
+        needed = words[0].bits
+        count = len(self._frames) - self._left_out
+        if count < needed:
+            width_px = self.width_periods * self._fringe_px
+            raise CaptureError(
+                f"along {self._frames[0].axis} {count} Gray frames number {2**count} words of "
+                f"{width_px:g} px, the {self._length_px} px need {needed} frames; record the "
+                "missing ones, or correct period_px or [projector]"
+            )
+        return slice(count - needed, count)
+
+
+def _require_all_bits(frames: list[ListedFrame]) -> None:
     bits = [one.bit for one in frames]
     if bits != list(range(bits[0], bits[0] + len(bits))):
         missing = sorted(set(range(bits[0], bits[-1])) - set(bits))
         raise CaptureError(
             f"along {frames[0].axis} bits {missing} are missing among the Gray frames; record them"
         )
-    stated_px, count = frames[0].period_px, len(bits)
-    if fringe_px is None:
-        if stated_px is None:
-            raise CaptureError(
-                f"period_px of the Gray frames along {frames[0].axis} is missing; give the width "
-                "of one word"
-            )
-        needed = _needed(length_px, stated_px)
-        return "gray", _last(frames, count, needed, stated_px, length_px)
-    if stated_px is None:
-        stated_px = _inferred_px(frames, fringe_px, length_px, shifted)
+
+
+def _left_out(
+    frames: list[ListedFrame], fringe_px: float, stated_px: float, shifted: bool, word: str
+) -> int:
+    """Return how many of the finest bits the fringes do not need."""
     finer = math.log2(fringe_px / stated_px)
-    dropped = max(round(finer) - (0 if shifted or word != "reflected" else 1), 0)
-    if abs(finer - round(finer)) > 1e-9 or finer < -1e-9 or (dropped and word != "reflected"):
+    count = max(round(finer) - (0 if shifted or word != "reflected" else 1), 0)
+    if abs(finer - round(finer)) > 1e-9 or finer < -1e-9 or (count and word != "reflected"):
         raise CaptureError(
             f"along {frames[0].axis} words are {stated_px:g} px wide and fringes {fringe_px:g} px; "
             "words must be as wide as a fringe, half of it, or that divided by 2, 4, 8 ..."
         )
-    width_px = stated_px * 2**dropped
-    code = "gray" if width_px > 0.75 * fringe_px else "complementary_gray"
-    needed = _needed(length_px, fringe_px) + (code == "complementary_gray")
-    kept = _last(frames, count - dropped, needed, width_px, length_px)
-    return "shifted_gray" if shifted else code, kept
-
-
-def _displaced(code: str, fringe_px: float | None, axis: Axis) -> str:
-    """Return the code of words that are displaced by half a period, without the others."""
-    if code != "gray" or fringe_px is None:
-        raise CaptureError(
-            f"along {axis} all Gray frames are shifted = true, but no words as wide as the fringes;"
-            " list the phase frames that they number, or the first word as well"
-        )
-    return "displaced_gray"
+    return count
 
 
 def _needed(length_px: int, width_px: float) -> int:
     """Return the bits that number all words of the image."""
     return (math.ceil(length_px / width_px) - 1).bit_length()
-
-
-def _last(
-    frames: list[ListedFrame], count: int, needed: int, width_px: float, length_px: int
-) -> slice:
-    """Leave out coarse bits that are 0 everywhere."""
-    if count < needed:
-        raise CaptureError(
-            f"along {frames[0].axis} {count} Gray frames number {2**count} words of {width_px:g} "
-            f"px, the {length_px} px need {needed} frames; record the missing ones, or correct "
-            "period_px or [projector]"
-        )
-    return slice(count - needed, count)
 
 
 def _inferred_px(

@@ -40,6 +40,7 @@ from reconstruction.capture.frame_set import (
     Channel,
     natural_key,
 )
+from reconstruction.codes import code_of
 from reconstruction.errors import CaptureError, InputError, few, require_integer, require_number
 from reconstruction.patterns import AXES, WORDS, Axis, Kind, PatternSet, WordName
 from reconstruction.rig.projected_light import ProjectorResponse
@@ -124,6 +125,8 @@ class ListedSet:
     ----------
     word : how words are shown as bits, see `PatternSet`
     channel : of colour images the one to read; "": images are grey
+    code : name of the pattern code; "": the one that the frames show, which is stated where several
+        codes project such frames
     """
 
     sensor: SensorNoise
@@ -135,8 +138,11 @@ class ListedSet:
     channel: Channel = ""
     word: WordName = "reflected"
     response: ProjectorResponse | None = None
+    code: str = ""
 
     def __post_init__(self) -> None:
+        if self.code != "":
+            code_of(self.code)
         require_integer("bit_depth", self.bit_depth, 8, 16)
         _require_one_of("channel", self.channel, CHANNELS)
         _require_one_of("word", self.word, WORDS)
@@ -211,7 +217,7 @@ def _arranged(folder: Path, frames: Sequence[ListedFrame], description: ListedSe
     exposures = sorted({frame.exposure_ms for frame in frames})
     sets = [[one for one in frames if one.exposure_ms == exposure] for exposure in exposures]
     size, word = description.projector, description.word
-    found = [Arrangement(one, size, word) for one in sets]
+    found = [Arrangement(one, size, word, description.code) for one in sets]
     for one, exposure in zip(found, exposures, strict=True):
         if one.patterns != found[0].patterns:
             raise CaptureError(

@@ -25,8 +25,9 @@ from itertools import combinations
 import numpy as np
 
 from reconstruction.arrays import BoolImage, FloatArray, FloatImage, Stack
+from reconstruction.codes import Rule
 from reconstruction.errors import CaptureError
-from reconstruction.patterns import AXES, XOR_PLACES, Axis, PatternSet, WordName
+from reconstruction.patterns import AXES, Axis, PatternSet
 from reconstruction.rig.sensor import SensorNoise
 
 # One frame brighter or darker by more than this, measured against the cosine through all sums.
@@ -48,6 +49,8 @@ MOST_STEPS_OFF = 2.0
 AGREES, DISAGREES = 0.6, 0.3
 # Points per projector pixel at which the pattern itself is looked up.
 FINE = 16
+# Codes of which the number of bright bits is odd in every other half period.
+ALTERNATING = (Rule.WORD_PER_HALF_PERIOD, Rule.TWO_WORDS)
 
 POSITIONS = 8_000
 LEAST_CHANGES = 30
@@ -164,7 +167,7 @@ def check_first_step(pixels: FloatArray, patterns: PatternSet) -> None:
     CaptureError : the phase frames along an axis start at another step, run backwards, or are those
         of the other axis
     """
-    if patterns.code not in ("complementary_gray", "shifted_gray"):
+    if patterns.kind.rule not in ALTERNATING:
         return
     found = {axis: _found(pixels, patterns, axis, axis) for axis in patterns.axes}
     expected = {axis: _expected(patterns, axis) for axis in patterns.axes}
@@ -239,7 +242,7 @@ def check_borders(stack: Stack, patterns: PatternSet, sensor: SensorNoise) -> No
     ------
     CaptureError : along an axis the phase falls with the word, or passes 0 elsewhere
     """
-    is_plain = patterns.code in ("gray", "displaced_gray")
+    is_plain = patterns.kind.rule is Rule.WORD_PER_PERIOD
     if not is_plain or not patterns.steps or min(stack.shape[1:]) < 2:
         return
     corners_dn = _corners(stack, sensor)
@@ -249,11 +252,12 @@ def check_borders(stack: Stack, patterns: PatternSet, sensor: SensorNoise) -> No
 
 def _check_axis_borders(corners_dn: FloatImage, patterns: PatternSet, axis: Axis) -> None:
     bits = read_bits(corners_dn, patterns, axis)
-    words = np.tensordot(2 ** np.arange(len(bits))[::-1], _binary(bits, patterns.word), axes=1)
+    words = np.tensordot(2 ** np.arange(len(bits))[::-1], patterns.binary(bits), axes=1)
     shifts = np.array(patterns.shifts(axis, 0))
     phase = corners_dn[patterns.index("phase", axis)]
     z = np.tensordot(np.exp(-2j * np.pi * shifts), phase, axes=1)
-    z /= np.maximum(np.abs(z), 1e-12) * (-1.0 if patterns.is_displaced else 1.0)
+    # Displaced words end where the phase is minus the displacement.
+    z *= np.exp(2j * np.pi * patterns.kind.displacement) / np.maximum(np.abs(z), 1e-12)
     step = words[:, 1:] - words[:, :1]
     turn = np.imag(z[:, 1:] * np.conj(z[:, :1])) * np.sign(step)
     ends = np.abs(step) == 1
@@ -272,23 +276,12 @@ def _check_axis_borders(corners_dn: FloatImage, patterns: PatternSet, axis: Axis
     if abs(passed) > AGREES and abs(steps) > LEAST_STEPS_OFF and abs(turns) > LEAST_ANGLE_OFF:
         late = "late" if steps > 0 else "early"
         is_half = np.pi - abs(turns) < LEAST_STEPS_OFF * 2.0 * np.pi / patterns.steps
-        remedy = "shifted = false" if patterns.is_displaced else "shifted = true"
+        remedy = "shifted = false" if patterns.kind.displacement else "shifted = true"
         half = f", or list the Gray frames with {remedy}" * bool(is_half)
         raise CaptureError(
             f"{subject} shifted by {abs(round(steps)) or 1}: against the Gray frames they start "
             f"that many steps {late}; start with step 00, or correct the first shift{half}"
         )
-
-
-def _binary(bits: BoolImage, word: WordName) -> BoolImage:
-    """Return the bits of the words themselves, (bit, ...), the most significant first."""
-    if word == "binary":
-        return bits
-    shown = bits.copy()
-    if word in XOR_PLACES:
-        last = len(bits) - 1 - XOR_PLACES[word]
-        shown[:last] ^= bits[last]
-    return np.asarray(np.logical_xor.accumulate(shown))
 
 
 def check_words(stack: Stack, patterns: PatternSet, sensor: SensorNoise) -> None:
@@ -326,16 +319,15 @@ def _corners(stack: Stack, sensor: SensorNoise) -> FloatImage:
 def _check_axis_words(corners_dn: FloatImage, patterns: PatternSet, axis: Axis) -> None:
     gray = patterns.index("gray", axis)
     bits = read_bits(corners_dn, patterns, axis)
-    if patterns.code == "shifted_gray":
-        bits = bits[: patterns.gray_bits(axis)]
-    stated = _share_of_jumps(bits, patterns.word)
+    bits = bits[: patterns.words(axis)[0].bits]
+    stated = _share_of_jumps(bits, patterns)
     if stated <= MANY_JUMPS:
         return
     found = {}
     for i, j in combinations(range(len(bits)), 2):
         order = np.arange(len(bits))
         order[[i, j]] = j, i
-        found[i, j] = _share_of_jumps(bits[order], patterns.word)
+        found[i, j] = _share_of_jumps(bits[order], patterns)
     # Where several explain it alike, the nearest frames.
     i, j = min(found, key=lambda pair: (round(found[pair], 2), pair[1] - pair[0]))
     if found[i, j] < EXPLAINED * stated:
@@ -347,11 +339,11 @@ def _check_axis_words(corners_dn: FloatImage, patterns: PatternSet, axis: Axis) 
         )
 
 
-def _share_of_jumps(bits: BoolImage, word: WordName) -> float:
+def _share_of_jumps(bits: BoolImage, patterns: PatternSet) -> float:
     """Return the share of changes between neighbours by more than one; 0 if there are few."""
     # Words of up to 16 bits are exact in single precision.
     weights = np.float32(2) ** np.arange(len(bits) - 1, -1, -1, dtype=np.float32)
-    words = np.tensordot(weights, _binary(bits, word).astype(np.float32), axes=1)
+    words = np.tensordot(weights, patterns.binary(bits).astype(np.float32), axes=1)
     steps = np.abs(words[:, 1:] - words[:, :1])
     changes = int(np.count_nonzero(steps))
     return float(np.count_nonzero(steps > 1)) / changes if changes >= LEAST_CHANGES else 0.0

@@ -243,7 +243,7 @@ def _mark_usable(reason: Any, usable: Any) -> None:
 
 
 @merged
-def _find_sigmas(axis: int, plan: Plan, scale: Any, work: Work) -> None:
+def find_sigmas(axis: int, plan: Plan, scale: Any, work: Work) -> None:
     """Blank phases where there are none, and write the phase sigma of every set of one axis."""
     for j in range(plan.layout.sets):
         keep_usable(work.usable, work.phases[axis, j])
@@ -324,7 +324,7 @@ def _finish_row(row: int, stack: Any, plan: Plan, scale: Any, work: Work, maps: 
     for axis in range(layout.first_axis, layout.end_axis):
         answer = Numbered(work.answers[COORDINATE[axis]], work.answers[SIGMA[axis]], error)
         if layout.steps:
-            _find_sigmas(axis, plan, scale, work)
+            find_sigmas(axis, plan, scale, work)
         if plan.is_chain:
             unwrapping = plan.unwrappings[axis]
             unwrap_row(unwrapping, work.phases[axis], work.sigmas, work.doubts, usable, answer)

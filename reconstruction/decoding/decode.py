@@ -10,12 +10,14 @@ from typing import Any
 import numpy as np
 
 from reconstruction.arrays import FloatImage, Reason, Stack
+from reconstruction.codes import Rule, Unwrap
 from reconstruction.compact import TURN_STEPS, Half, Orders, Share, Turns
 from reconstruction.compiling import run_over_rows
 from reconstruction.decoding import AxisDecode, Decoded, DecodeOptions
 from reconstruction.decoding._decode import Maps, decode_rows
 from reconstruction.decoding._filter import Smoothed, Unfiltered, smooth
 from reconstruction.decoding._micro import decode_micro_rows
+from reconstruction.decoding.general import unwrap_maps
 from reconstruction.decoding.micro import micro_periods
 from reconstruction.decoding.plan import (
     SIGMA_UNIT_PX,
@@ -44,6 +46,7 @@ def decode(
     scale: FloatImage | None = None,
     *,
     response: ProjectorResponse | None = None,
+    unwrap: Unwrap | None = None,
 ) -> Decoded:
     """Decode a stack of frames.
 
@@ -56,17 +59,21 @@ def decode(
         `merge_exposures`; None: 1
     response : of the projector; its harmonics are taken off the phase, what is not known of them is
         part of sigma and of the chance of a wrong order; None: it is linear
+    unwrap : own function that numbers the fringes of one axis, see `codes.Unwrap`; None: the rule
+        of the pattern code
 
     Raises
     ------
     InputError : wrong number of axes, frames or type of the stack, or shape of the scale; a
-        response of the projector with micro phase shifting
+        response of the projector with a code that cannot correct it; `unwrap` without fringes, or
+        its result has another shape
     """
     _check_stack(stack, patterns)
-    if patterns.is_micro and response is not None:
+    if response is not None and not patterns.kind.takes_response:
         raise InputError(
-            "response is stated with patterns code 'micro', whose single images do not tell the"
-            " fringes' harmonics; leave [response] out, or show several steps of every period"
+            f"response is stated with patterns code {patterns.code!r}, whose single images do not"
+            " determine the fringes' harmonics; leave [response] out, or show several steps of"
+            " every period"
         )
     if scale is not None and (scale.shape != stack.shape[1:] or not np.all(scale > 0.0)):
         raise InputError(
@@ -75,15 +82,22 @@ def decode(
     frames = np.ascontiguousarray(stack)
     options = options or DecodeOptions()
     ripple = ripple_of(patterns, response)
-    plan = make_plan(frames, patterns, sensor, options, scale, ripple=ripple)
+    rule = patterns.kind.rule if unwrap is None else Rule.OWN
+    # The kernels decode displaced words at x + displacement; own functions get the phases at x.
+    displacement = 0.0 if rule is Rule.OWN else patterns.kind.displacement
+    plan = make_plan(
+        frames, patterns, sensor, options, scale, ripple=ripple, displacement=displacement
+    )
     maps = blank_maps(stack.shape[1], stack.shape[2])
-    if patterns.is_micro:
+    if rule is Rule.OWN:
+        unwrap_maps(frames, patterns, plan, maps, unwrap)
+    elif rule is Rule.SINGLE_IMAGES:
         periods = micro_periods(frames, patterns, sensor, scale)
         arguments = (frames, plan, periods, maps)
         run_over_rows(decode_micro_rows, stack.shape[1], *arguments, band_rows=BAND_ROWS)
     else:
         run_over_rows(decode_rows, stack.shape[1], frames, plan, maps, band_rows=BAND_ROWS)
-    if patterns.is_displaced:
+    if displacement:
         place_displaced(maps, patterns)
     smoothed = _smoothed(maps, options, patterns)
     units = units_of(sensor, scale)

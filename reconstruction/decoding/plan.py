@@ -8,6 +8,8 @@ import math
 import numpy as np
 
 from reconstruction.arrays import FloatArray, FloatImage, Reason, Stack
+from reconstruction.codes import Rule
+from reconstruction.compact import TURN_STEPS
 from reconstruction.decoding import DecodeOptions
 from reconstruction.decoding._chain import Unwrapping
 from reconstruction.decoding._decode import Maps, Plan, Units
@@ -22,7 +24,7 @@ from reconstruction.decoding._order import (
 )
 from reconstruction.decoding._rows import BIAS
 from reconstruction.decoding._sum import Layout, Limits
-from reconstruction.decoding.ripple import Ripple, ripple_of, turned_half
+from reconstruction.decoding.ripple import Ripple, ripple_of, turned
 from reconstruction.patterns import AXES, XOR_PLACES, Axis, Kind, PatternSet
 from reconstruction.rig.sensor import SensorNoise
 
@@ -31,11 +33,10 @@ HIGH_BITS = 12
 # Half precision reaches from 1e-9 to 1000 px, and from 2e-12 to 1.
 SIGMA_UNIT_PX = 2.0**-6
 CHANCE_UNIT = 2.0**-15
-KINDS = {
-    "gray": PLAIN,
-    "displaced_gray": PLAIN,
-    "complementary_gray": COMPLEMENTARY,
-    "shifted_gray": SHIFTED,
+KERNELS = {
+    Rule.WORD_PER_PERIOD: PLAIN,
+    Rule.WORD_PER_HALF_PERIOD: COMPLEMENTARY,
+    Rule.TWO_WORDS: SHIFTED,
 }
 SHOWN = {"reflected": REFLECTED, "binary": BINARY, "xor_02": EXCLUSIVE, "xor_04": EXCLUSIVE}
 
@@ -48,19 +49,23 @@ def make_plan(
     scale: FloatImage | None,
     *,
     ripple: Ripple | None = None,
+    displacement: float = 0.0,
 ) -> Plan:
-    """Return the plan of one decoding."""
-    known = ripple or ripple_of(patterns, None)
-    if patterns.is_displaced:
-        known = turned_half(known)
+    """Return the plan of one decoding.
+
+    Parameters
+    ----------
+    displacement : phases are decoded at x + displacement x period, see `place_displaced`
+    """
+    known = turned(ripple or ripple_of(patterns, None), displacement)
     column, row = AXES
     return Plan(
-        layout=_layout(patterns),
+        layout=_layout(patterns, displacement),
         limits=_limits(stack, patterns, sensor, options),
-        codes=(_code(patterns, column), _code(patterns, row)),
+        codes=(_code(patterns, column, displacement), _code(patterns, row, displacement)),
         units=Units(*(np.float32(BIAS / unit) for unit in units_of(sensor, scale))),
         unwrappings=(_unwrapping(patterns, column), _unwrapping(patterns, row)),
-        is_chain=patterns.is_multi_frequency,
+        is_chain=patterns.kind.rule is Rule.CHAIN,
         threshold_noise=_threshold_noise(patterns),
         scale=np.ascontiguousarray(np.zeros((0, 0)) if scale is None else scale, np.float32),
         has_ripple=known.error_rad.size > 0,
@@ -82,9 +87,9 @@ def _threshold_noise(patterns: PatternSet) -> float:
     return math.sqrt(1.0 + 1.0 / (patterns.steps or 2))
 
 
-def _layout(patterns: PatternSet) -> Layout:
+def _layout(patterns: PatternSet, displacement: float) -> Layout:
     column, row = AXES
-    turns = _shifts(patterns)
+    turns = _shifts(patterns) - 2.0 * np.pi * displacement
     uniform = len(patterns.frames) - 2 if patterns.uniform else -1
     return Layout(
         first_axis=AXES.index(patterns.axes[0]),
@@ -96,7 +101,7 @@ def _layout(patterns: PatternSet) -> Layout:
         white=uniform,
         black=uniform + 1 if patterns.uniform else -1,
         steps=int(patterns.steps),
-        sets=_sets(patterns),
+        sets=patterns.sets,
         cosines=np.cos(turns).astype(np.float32),
         sines=np.sin(turns).astype(np.float32),
     )
@@ -109,23 +114,15 @@ def _first(patterns: PatternSet, kind: Kind, axis: Axis) -> int:
 
 
 def _shifts(patterns: PatternSet) -> FloatArray:
-    """Return the shift of every phase step, (axis, set, step), rad.
-
-    Displaced words are decoded as plain ones at x + period / 2, see `place_displaced`.
-    """
-    sets, periods = _sets(patterns), len(patterns.periods_px)
+    """Return the shift of every phase step, (axis, set, step), rad."""
+    sets, periods = patterns.sets, len(patterns.periods_px)
     turns = 2.0 * np.pi * np.arange(patterns.steps) / max(patterns.steps, 1)
     angles = np.broadcast_to(turns, (2, sets, patterns.steps)).copy()
     for number, shift_deg in enumerate(patterns.first_shifts_deg):
         if number % periods < sets:
             axis = AXES.index(patterns.axes[number // periods])
             angles[axis, number % periods] += math.radians(shift_deg)
-    return angles - math.pi if patterns.is_displaced else angles
-
-
-def _sets(patterns: PatternSet) -> int:
-    """Return how many periods have N steps."""
-    return 1 if patterns.is_micro else len(patterns.periods_px)
+    return angles
 
 
 def _limits(
@@ -165,20 +162,21 @@ def units_of(sensor: SensorNoise, scale: FloatImage | None) -> tuple[float, floa
     return 2.0 ** (math.frexp(largest)[1] - 14), SIGMA_UNIT_PX, CHANCE_UNIT
 
 
-def _code(patterns: PatternSet, axis: Axis) -> Code:
+def _code(patterns: PatternSet, axis: Axis, displacement: float) -> Code:
     period_px = float(patterns.period_along(axis))
     mantissa, exponent = math.frexp(period_px)
+    words, length_px = patterns.words(axis), patterns.length_px(axis)
     high_px = math.ldexp(round(mantissa * 2**HIGH_BITS), exponent - HIGH_BITS)
     return Code(
-        kind=KINDS.get(str(patterns.code), PLAIN),
+        kind=KERNELS.get(patterns.kind.rule, PLAIN),
         period_px=period_px,
         period_high_px=np.float32(high_px),
         period_low_px=np.float32(period_px - high_px),
         half_px_turns=np.float32(0.5 / period_px),
-        words=np.int32(patterns.words(axis)),
-        bits=patterns.word_bits(axis),
-        safety_bits=np.uint32(patterns.safety_bits(axis)),
-        length_px=patterns.length_px(axis) + math.ceil(displacement_px(patterns, axis)),
+        words=np.int32(words[0].count(length_px) if words else 1),
+        bits=sum(word.bits for word in words),
+        safety_bits=np.uint32(sum(word.bits for word in words[1:])),
+        length_px=length_px + math.ceil(displacement * period_px),
         shown=SHOWN[patterns.word],
         place=np.uint32(XOR_PLACES.get(patterns.word, 0)),
         is_word=patterns.steps == 0,
@@ -186,37 +184,37 @@ def _code(patterns: PatternSet, axis: Axis) -> Code:
     )
 
 
-def displacement_px(patterns: PatternSet, axis: Axis) -> float:
-    """Return by how much coordinates are too large as the kernels decode them, px."""
-    return 0.5 * patterns.period_along(axis) if patterns.is_displaced else 0.0
-
-
 def place_displaced(maps: Maps, patterns: PatternSet) -> None:
-    """Move coordinates and phases that were decoded at x + period / 2 to x.
+    """Move coordinates and phases that were decoded at x + displacement x period to x.
 
-    Where the bits number as many periods as there are, the last half of one shows the word before:
-    it cannot be told from the first half of that word, and both are uncertain.
+    Where the bits number as many periods as there are, the end of the image repeats the word
+    before it: neither can be distinguished from the other, and both are uncertain.
     """
+    displacement = patterns.kind.displacement
     for k, axis in enumerate(AXES):
         if axis not in patterns.axes:
             continue
-        shift_px, length_px = displacement_px(patterns, axis), patterns.length_px(axis)
+        period_px, length_px = patterns.period_along(axis), patterns.length_px(axis)
+        shift_px = displacement * period_px
         x_px = maps.coordinate_px[k] - np.float32(shift_px)
         is_valid = maps.reason == Reason.VALID
         is_outside = is_valid & ((x_px < -0.5) | (x_px > length_px - 0.5))
-        end_px = patterns.period_along(axis) * patterns.words(axis) - shift_px
-        is_double = is_valid & (end_px < length_px) & (x_px < end_px - shift_px - 0.5)
-        is_double &= x_px >= end_px - 2.0 * shift_px - 0.5
+        end_px = period_px * patterns.word_count(axis) - shift_px
+        is_double = is_valid & (end_px < length_px)
+        is_double &= x_px < end_px - (period_px - shift_px) - 0.5
+        is_double &= x_px >= end_px - period_px - 0.5
         maps.reason[is_outside] = Reason.OUTSIDE_PROJECTOR
         maps.reason[is_double] = Reason.ORDER_UNCERTAIN
         maps.coordinate_px[k] = np.where(is_valid, x_px, 0.0)
-        maps.turns[k] += np.where(maps.modulation[k] > 0, np.uint16(1 << 15), np.uint16(0))
+        back = np.uint16(round(TURN_STEPS * (1.0 - displacement)) % TURN_STEPS)
+        maps.turns[k] += np.where(maps.modulation[k] > 0, back, np.uint16(0))
     for lines in (maps.coordinate_px, maps.sigma):
         lines[:, maps.reason != Reason.VALID] = 0
 
 
 def _unwrapping(patterns: PatternSet, axis: Axis) -> Unwrapping:
-    chain = patterns.chain(axis)
+    kind = patterns.kind
+    chain = kind.chain(patterns.fringes(axis)) if kind.rule is Rule.CHAIN else None
     sets = patterns.periods_along(axis)
     return Unwrapping(
         weights=np.array(chain.weights if chain else [[1.0] + [0.0] * (len(sets) - 1)], float),

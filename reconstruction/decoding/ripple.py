@@ -57,12 +57,10 @@ def ripple_of(patterns: PatternSet, response: ProjectorResponse | None) -> Rippl
     """Return the tables of a sequence of fringes for a projector of this response.
 
     Where there are none the tables have the shape (2, 0, 0): the response is None, and three steps
-    alone have an uneven share of the shot noise, or there are no fringes at all. Single images of
-    micro phase shifting have none.
+    alone have an uneven share of the shot noise, or there are no fringes at all.
     """
     if response is None or not patterns.steps:
-        uneven = patterns.steps == 3 and not patterns.is_micro
-        shot = _of_three_steps(patterns) if uneven else _EMPTY
+        shot = _of_three_steps(patterns) if patterns.steps == 3 else _EMPTY
         return Ripple(_EMPTY, _EMPTY, shot, (0.0, 0.0))
     shape = 2, len(patterns.periods_px), NODES + 1
     error, sigma, shot = (np.zeros(shape, np.float32) for _ in range(3))
@@ -76,20 +74,22 @@ def ripple_of(patterns: PatternSet, response: ProjectorResponse | None) -> Rippl
     return Ripple(error, sigma, shot, (shares[0], shares[1]))
 
 
-def turned_half(ripple: Ripple) -> Ripple:
-    """Return the tables of a phase that is counted from half a turn later."""
+def turned(ripple: Ripple, share: float) -> Ripple:
+    """Return the tables of a phase that is counted from a share of a turn later."""
+    if share == 0.0:
+        return ripple
 
-    def turned(table: FloatImage) -> FloatImage:
+    def around(table: FloatImage) -> FloatImage:
         if not table.size:
             return table
-        around = np.roll(table[..., :-1], NODES // 2, axis=-1)
-        return np.concatenate([around, around[..., :1]], axis=-1)
+        moved = np.roll(table[..., :-1], round(share * NODES), axis=-1)
+        return np.concatenate([moved, moved[..., :1]], axis=-1)
 
     return replace(
         ripple,
-        error_rad=turned(ripple.error_rad),
-        sigma_rad=turned(ripple.sigma_rad),
-        shot_share=turned(ripple.shot_share),
+        error_rad=around(ripple.error_rad),
+        sigma_rad=around(ripple.sigma_rad),
+        shot_share=around(ripple.shot_share),
     )
 
 

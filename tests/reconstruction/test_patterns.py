@@ -38,7 +38,7 @@ def test_gray_word_counts_half_periods(patterns, axis):
     word = np.cumsum(bits, axis=0) % 2  # Gray to binary, most significant bit first
     index = np.sum(word << np.arange(len(frames))[::-1, None], axis=0)
     np.testing.assert_array_equal(index, np.arange(index.size) // 9)
-    assert patterns.words(axis) == index.max() + 1
+    assert patterns.word_count(axis) == index.max() + 1
     assert np.all(np.sum(np.abs(np.diff(bits)), axis=0) <= 1)
 
 
@@ -108,4 +108,5 @@ def test_shifted_stripes_change_in_the_middle_of_the_periods():
     assert np.flatnonzero(np.diff(index)).tolist() == [9, 27, 45, 63, 81]
     assert index.tolist()[:11] == [0] * 10 + [1]
     for width_px, bits in ((135, 3), (136, 4)):
-        assert PatternSet(width_px, 60, code="shifted_gray").safety_bits("column") == bits
+        words = PatternSet(width_px, 60, code="shifted_gray").words("column")
+        assert words[1].bits == bits

@@ -50,7 +50,7 @@ def test_contrast_is_that_of_the_projectors_tables(plain, gamma, period_px):
     frames = table.profiles[nodes, : patterns.steps].astype(np.float64)
     shift = 2j * np.pi * np.arange(patterns.steps) / patterns.steps
     found = 2.0 * np.abs(frames @ np.exp(-shift)) / patterns.steps
-    light = FringeLight.of(experiment.projector)
+    light = FringeLight.of(experiment.projector, experiment.patterns)
     kept = transfer(period_px, experiment.projector.blur_px**2)
     assert light.mean == pytest.approx(frames.mean(), abs=1e-3)
     assert light.amplitude * kept == pytest.approx(found.mean(), rel=4e-3)
@@ -79,7 +79,7 @@ def test_sigma_is_surrels(plain):
     maps = maps_of_light(plain, 0.5)
     numbers = FringeNumbers.of(plain, 20.0)
     found = axis_levels(maps, numbers, steps_of(plain, "column"), "column", maps.weight)
-    camera, light = plain.camera, FringeLight.of(plain.projector)
+    camera, light = plain.camera, FringeLight.of(plain.projector, plain.patterns)
     gain, well = gain_dn_per_e(camera), full_well_e(camera)
     dark = numbers.dark_e * gain
     np.testing.assert_allclose(found.light_dn, 0.5 * well * gain * light.mean + dark)

@@ -65,6 +65,7 @@ def reconstruction():
         column=axis(columns, [1.0, 0.5, 0, 0, 0, 0, 0, 0.64, 1, 1, 1, 1]),
         row=axis(rows, [1.0] * 12),
         valid=reason == 0,
+        axes=("column", "row"),
     )
     return Reconstruction(decoded, PointMap(points, sigma, reason, np.eye(4)))
 

@@ -277,7 +277,7 @@ def _fit_twice(capture: Capture, sensor: SensorNoise, decoded: Decoded) -> Proje
     """Fit, decode with the response found, and fit again from there."""
     stack, patterns = capture.stack, capture.patterns
     first = fit_projector(stack, patterns, sensor, decoded)
-    if patterns.is_micro:  # read without a response
+    if not patterns.kind.takes_response:
         return first
     known = first.response()
     again = decode(stack, patterns, sensor, UNFILTERED, response=known)

@@ -31,6 +31,7 @@ from reconstruction.rig.projected_light import ProjectorResponse
 from reconstruction.rig.sensor import SensorNoise
 from twin.adoption.findings import ModelRig, RigField
 from twin.adoption.poses import Placed
+from twin.config.models import Patterns
 
 _IMAGES = (".png", ".tif", ".tiff", ".bmp", ".pgm", ".npy")
 _BIT_DEPTHS = (8, 10, 12, 14, 16)
@@ -193,16 +194,9 @@ def light_fields(fits: Sequence[ProjectorFit], dark: Dark | None) -> dict[str, R
 def pattern_fields(capture: Capture) -> dict[str, RigField]:
     """Return what was projected, as far as a rig file says it."""
     shown, stated = capture.patterns, "stated: capture.toml"
-    if not shown.steps:
-        return {}
-    values: dict[str, object] = {
-        "patterns.period_px": float(shown.period_px),
-        "patterns.steps": shown.steps,
-        "patterns.code": shown.code,
-    }
-    if shown.further_periods_px:
-        values["patterns.further_periods_px"] = list(shown.further_periods_px)
-    return {path: RigField(path, value, None, stated) for path, value in values.items()}
+    values = Patterns.of(shown).model_dump(mode="json")
+    paths = {f"patterns.{name}": value for name, value in values.items() if value != []}
+    return {path: RigField(path, value, None, stated) for path, value in paths.items()}
 
 
 def _contrast(fit: ProjectorFit, dark: Dark) -> UncertainValue | None:

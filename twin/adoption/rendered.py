@@ -93,14 +93,8 @@ class Rendered:
 
 
 def patterns_of(capture: Capture) -> Patterns:
-    """Return the sequence as a rig file says it; one along a single axis is shown along both."""
-    shown = capture.patterns
-    return Patterns(
-        period_px=shown.period_px,
-        steps=shown.steps or 3,
-        code=shown.code,
-        further_periods_px=shown.further_periods_px,
-    )
+    """Return the sequence as a rig file states it."""
+    return Patterns.of(capture.patterns)
 
 
 def render_again(experiment: Experiment, scene: Scene) -> Rendered:

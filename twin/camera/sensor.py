@@ -68,7 +68,7 @@ def expose(
     Parameters
     ----------
     radiance : sequence of (row, col) float32, mW / (mm^2 sr)
-    white_frame : index of the white frame, on which the automatic exposure measures
+    white_frame : index of the frame on which the automatic exposure measures, white if there is one
     trial : repetition: same camera and same fixed pattern, new temporal noise
     progress : called with the finished fraction
     """

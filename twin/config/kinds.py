@@ -1,11 +1,12 @@
 """Tables with a `kind`: one of the models that a registry holds.
 
     Material = Annotated[BaseMaterial, OneOf(MATERIALS)]
+    Code = Annotated[str, NameOf(CODES)]
 
-A field of this type takes a table whose key `kind` names a registered model, and is checked by that
-model. A document with such a field is built when it is first used, and again after each plug-in: it
-stands under `@follows(REGISTRY)` and sets `defer_build`, and so does every document that contains
-such a document.
+A field of the first type takes a table whose key `kind` names a registered model, and is checked by
+that model. A document with such a field is built when it is first used, and again after each
+plug-in: it stands under `@follows(REGISTRY)` and sets `defer_build`, and so does every document
+that contains such a document. A field of the second type takes the name of a registered kind.
 """
 
 from collections.abc import Callable
@@ -13,9 +14,10 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any, TypeVar
 
-from pydantic import BaseModel, GetCoreSchemaHandler
+from pydantic import BaseModel, GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic_core import CoreSchema, core_schema
 
+from reconstruction.errors import InputError
 from reconstruction.registry import PluginError, Registry
 
 Document = TypeVar("Document", bound=type[BaseModel])
@@ -59,6 +61,41 @@ class OneOf:
     ) -> CoreSchema:
         choices = {name: handler.generate_schema(model) for name, model in self.models.items()}
         return core_schema.tagged_union_schema(choices, discriminator="kind")
+
+
+@dataclass(frozen=True)
+class NameOf:
+    """Marks text as the name of a kind; kinds that are registered later are allowed as well."""
+
+    registry: Registry[Any]
+
+    @property
+    def allowed(self) -> str:
+        """The names, as a list of keys shows them."""
+        return " | ".join(f"'{name}'" for name in self.registry.names())
+
+    @property
+    def meaning(self) -> str:
+        """A line for each kind: its name and what it says of itself."""
+        return "; ".join(f"{name}: {kind.summary}" for name, kind in self.registry.items())
+
+    def __get_pydantic_core_schema__(
+        self, source: Any, handler: GetCoreSchemaHandler
+    ) -> CoreSchema:
+        return core_schema.no_info_after_validator_function(self._known, handler(source))
+
+    def __get_pydantic_json_schema__(
+        self, schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> dict[str, Any]:
+        return handler(schema) | {"enum": list(self.registry.names())}
+
+    def _known(self, name: str) -> str:
+        try:
+            self.registry[name]
+        except InputError as error:
+            # The field's key takes the place of the registry's name.
+            raise ValueError(str(error).partition("', ")[2]) from None
+        return name
 
 
 def follows(*registries: Registry[Any]) -> Callable[[Document], Document]:

@@ -7,17 +7,20 @@ points up to camera and projector. Device frames are OpenCV's (x right, y down, 
 """
 
 from itertools import pairwise
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import ConfigDict, Field, ValidationInfo, field_validator, model_validator
 
+from reconstruction.codes import CODES
 from reconstruction.decoding import DecodeOptions
 from reconstruction.patterns import (
+    LEAST_STRIPE_PX,
     MOST_FURTHER_PERIODS,
     PERIOD_RANGE_PX,
     STEPS_RANGE,
-    CodeName,
+    Axis,
     PatternSet,
+    WordName,
 )
 from twin.config.base import Angle, Fraction, Model
 from twin.config.bounds import (
@@ -38,7 +41,7 @@ from twin.config.bounds import (
     Tolerance,
 )
 from twin.config.elastomer import Coating, Elastomer, Film, Mechanics, PadFile, Press, Texture
-from twin.config.kinds import follows
+from twin.config.kinds import NameOf, follows
 from twin.config.lamps import Lamp, Photometric, check_lamps
 from twin.config.layers import Layer, Layers, check_rig
 from twin.config.measurands import ObjectMeasurand
@@ -219,21 +222,63 @@ class Camera(Model):
 _DIRECT_BOUNCES = 3
 
 
-PeriodPx = Annotated[float, Field(ge=PERIOD_RANGE_PX[0], le=PERIOD_RANGE_PX[1])]
-Periods = Annotated[tuple[PeriodPx, ...], Field(max_length=MOST_FURTHER_PERIODS)]
+PeriodPx = Annotated[float, Field(ge=LEAST_STRIPE_PX, le=PERIOD_RANGE_PX[1])]
+Periods = Annotated[tuple[PeriodPx, ...], Field(max_length=MOST_FURTHER_PERIODS + 1)]
+Shift = Annotated[float, Field(ge=-360.0, le=360.0)]
+Level = Annotated[int, Field(ge=0, le=255)]
+
+
+def _of_set(name: str, description: str) -> Any:
+    """Return a field with the default of `PatternSet`; left out of digests at this default."""
+    default = getattr(PatternSet, name)
+    return Field(
+        default=default, exclude_if=lambda value: value == default, description=description
+    )
 
 
 class Patterns(Model):
-    """What of a `PatternSet` does not follow from the projector, with its ranges and defaults."""
+    """The fields of `PatternSet` that do not follow from the projector, with their ranges."""
 
     period_px: PeriodPx
-    steps: Annotated[int, Field(ge=STEPS_RANGE[0], le=STEPS_RANGE[1])]
-    code: CodeName = Field(default=PatternSet.code, description="how the fringes are numbered")
-    further_periods_px: Periods = Field(
-        default=PatternSet.further_periods_px,
-        description="hierarchical: coarser periods, one at least the image; heterodyne: one or two"
-        " periods slightly above period_px; micro: two or more near it, a single image each",
+    steps: Annotated[int, Field(ge=0, le=STEPS_RANGE[1])] = Field(
+        description="phase steps, 3 or more; 0: words alone, period_px wide each, code 'gray'"
     )
+    code: Annotated[str, NameOf(CODES)] = Field(
+        default=PatternSet.code, description="how the fringes are numbered"
+    )
+    further_periods_px: Annotated[Periods, Field(max_length=MOST_FURTHER_PERIODS)] = Field(
+        default=PatternSet.further_periods_px,
+        description="the other periods, of a code that needs any",
+    )
+    row_periods_px: Periods = _of_set(
+        "row_periods_px", "all periods along rows; empty: those along columns"
+    )
+    axes: tuple[Axis, ...] = _of_set("axes", "axes along which patterns are shown")
+    word: WordName = _of_set("word", "how words are shown as bits; code 'gray'")
+    inverse: bool = _of_set("inverse", "show the inverse of every Gray frame")
+    uniform: bool = _of_set("uniform", "show a white and a black frame")
+    first_shifts_deg: tuple[Shift, ...] = _of_set(
+        "first_shifts_deg", "phase of step 0 at pixel 0, of every period along every axis; empty: 0"
+    )
+    low_level: Level = _of_set("low_level", "8-bit projector level of black")
+    high_level: Level = _of_set("high_level", "8-bit projector level of white")
+
+    @classmethod
+    def of(cls, shown: PatternSet) -> "Patterns":
+        """Return the same sequence for any projector."""
+        return cls(**{name: getattr(shown, name) for name in cls.model_fields})
+
+    @field_validator("steps")
+    @classmethod
+    def _steps_fit_the_period(cls, steps: int, info: ValidationInfo) -> int:
+        if 0 < steps < STEPS_RANGE[0]:
+            raise ValueError(f"allowed >= {STEPS_RANGE[0]}, <= {STEPS_RANGE[1]}, or 0: words alone")
+        period_px = info.data.get("period_px", PERIOD_RANGE_PX[0])
+        if steps and period_px < PERIOD_RANGE_PX[0]:
+            raise ValueError(
+                f"allowed 0 with period_px {period_px:g}; fringes need >= {PERIOD_RANGE_PX[0]:g}"
+            )
+        return steps
 
 
 class Render(Model):

@@ -17,7 +17,7 @@ from pydantic_core import PydanticUndefined
 
 from twin.config.base import ConfigError
 from twin.config.bounds import Because
-from twin.config.kinds import OneOf
+from twin.config.kinds import NameOf, OneOf
 from twin.config.models import Conductor, Dielectric, Diffuse, Experiment, Layer, Plastic
 
 _MOST_PROBLEMS = 20
@@ -231,7 +231,8 @@ def list_keys(model: type[BaseModel], prefix: str = "") -> Iterator[Key]:
             continue
         if not inner:
             limits = _limits(field.metadata)
-            allowed = ", ".join(filter(None, [_type_name(field.annotation), limits]))
+            text = ", ".join(filter(None, [_type_name(field.annotation), limits]))
+            allowed = " | ".join(one.allowed for one in _names_in(field)) or text
             required = field.default is PydanticUndefined
             default = "required" if required else str(field.default)
             yield Key(f"{prefix}{name}", allowed, default, _meaning(field))
@@ -244,7 +245,12 @@ def _meaning(field: FieldInfo) -> str:
     """Return a key's description, and why its range ends where it does."""
     reasons = [one.reason for found in _annotated(field) for one in found if type(one) is Because]
     ranges = [f"range: {reason}" for reason in dict.fromkeys(reasons)]
-    return "; ".join(filter(None, [field.description, *ranges]))
+    names = [one.meaning for one in _names_in(field)]
+    return "; ".join(filter(None, [field.description, *names, *ranges]))
+
+
+def _names_in(field: FieldInfo) -> list[NameOf]:
+    return [one for one in field.metadata if isinstance(one, NameOf)]
 
 
 def models_of(field: FieldInfo) -> list[type[BaseModel]]:
@@ -278,6 +284,8 @@ def _collection_name(annotation: Any) -> str:
         return "tables by name"
     items = typing.get_args(annotation)
     count = "" if Ellipsis in items else f"{len(items)} "
+    if typing.get_origin(items[0]) is typing.Literal:
+        return f"list of {_type_name(items[0])}"
     _, _, limits = _type_name(items[0]).partition(", ")
     return ", ".join(filter(None, [f"{count}numbers", limits]))
 

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from scipy.special import erf
 
-from twin.config.models import Projector
+from twin.config.models import Patterns, Projector
 from twin.optics.light import response
 
 _TURN_STEPS = 720
@@ -36,17 +36,23 @@ class FringeLight:
     ----------
     mean : of all shifted fringes
     amplitude : of a fringe so long that nothing blurs it
+    white, black : of the frames `high_level` and `low_level`
     """
 
     mean: float
     amplitude: float
+    white: float
+    black: float
 
     @classmethod
-    def of(cls, projector: Projector) -> "FringeLight":
+    def of(cls, projector: Projector, patterns: Patterns) -> "FringeLight":
         """Return mean and first coefficient of the response to a cosine of levels."""
         turn = 2.0 * np.pi * (np.arange(_TURN_STEPS) + 0.5) / _TURN_STEPS
-        light = response(255.0 * (0.5 + 0.5 * np.cos(turn)), projector)
-        return cls(float(light.mean()), float(2.0 * np.mean(light * np.cos(turn))))
+        low, high = float(patterns.low_level), float(patterns.high_level)
+        light = response(low + (high - low) * (0.5 + 0.5 * np.cos(turn)), projector)
+        black, white = response(np.array([low, high]), projector).tolist()
+        first = float(2.0 * np.mean(light * np.cos(turn)))
+        return cls(float(light.mean()), first, white, black)
 
 
 def transfer(period_px: Any, variance_px2: Any) -> Any:

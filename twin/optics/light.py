@@ -163,7 +163,9 @@ def _table(
 ) -> LightTable:
     length = projector.width_px if axis == "column" else projector.height_px
     chosen = [k for k, frame in enumerate(patterns.frames) if along(frame) == axis]
-    levels = np.stack([patterns.profile(patterns.frames[k]) for k in chosen], axis=1)
+    levels = np.zeros((length, len(chosen)), np.uint8)
+    for column, k in enumerate(chosen):
+        levels[:, column] = patterns.profile(patterns.frames[k])
     light = np.concatenate([response(levels, projector), np.ones((length, 1))], axis=1)
     first_px = -0.5 - MARGIN_PX
     nodes_px = np.arange(first_px, length - 0.5 + MARGIN_PX, 1.0 / OVERSAMPLING)

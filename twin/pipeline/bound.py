@@ -9,6 +9,7 @@ from collections.abc import Callable
 import numpy as np
 
 from reconstruction.arrays import at_pixels
+from reconstruction.codes import CODES
 from reconstruction.errors import FitError, InputError
 from twin.config.models import Experiment
 from twin.config.sensor_layer import SensorLayer
@@ -83,11 +84,12 @@ def bounds_alone(
     MissingBackend : no usable Dr.Jit backend
     """
     if not has_bound(experiment):
+        closed = ", ".join(code.name for code in CODES if code.has_closed_form)
         raise InputError(
             f"modality = '{experiment.modality}', render.engine = '{experiment.render.engine}', "
             f"render.bounces = {experiment.bounces}, patterns.code = '{experiment.patterns.code}': "
             "no bound without a measurement; allowed contact_fpp by one_trace without bounces, and "
-            "every code but micro"
+            f"the codes {closed} with fringes along both axes, white and black"
         )
     pressed = press(experiment, memory)
     prediction, truth = predicted(experiment, pressed, memory)

@@ -98,7 +98,7 @@ def record_board(
     """
     frames = render_board(experiment, board, pose)
     patterns = pattern_set(experiment.projector, experiment.patterns)
-    exposed = expose(experiment, frames, patterns.index("white").start, number)
+    exposed = expose(experiment, frames, patterns.exposure_frame, number)
     return BoardCapture(exposed.stack, patterns, exposed.sensor)
 
 

@@ -213,8 +213,8 @@ def expose_capture(
     clock.count_frames("render", len(radiance.frames))
     patterns = pattern_set(experiment.projector, experiment.patterns)
     with clock.stage("expose") as progress:
-        white = patterns.index("white").start
-        exposed = expose(experiment, radiance.frames, white, trial, progress)
+        brightest = patterns.exposure_frame
+        exposed = expose(experiment, radiance.frames, brightest, trial, progress)
     capture = Capture(
         stack=exposed.stack,
         patterns=patterns,

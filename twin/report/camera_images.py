@@ -97,18 +97,17 @@ def draw_frames(path: Path, capture: Capture) -> None:
 def _sheet(capture: Capture) -> list[list[PatternFrame]]:
     """Rows of frames: uniform + phase, then the finest Gray bits; columns first."""
     patterns = capture.patterns
-    by_name = {frame.name: frame for frame in patterns.frames}
-    return [
-        [by_name["white"], *_phases(capture, "column")],
-        [by_name["black"], *_phases(capture, "row")],
-        *(list(patterns.frames[patterns.index("gray", axis)][-_COLUMNS:]) for axis in AXES),
-    ]
+    uniform = [[frame] for frame in patterns.frames if frame.axis is None] or [[], []]
+    phases = [_phases(capture, axis) for axis in AXES]
+    bits = [list(patterns.frames[patterns.index("gray", axis)][-_COLUMNS:]) for axis in AXES]
+    rows = [*(first + rest for first, rest in zip(uniform, phases, strict=True)), *bits]
+    return [row for row in rows if row]
 
 
 def _phases(capture: Capture, axis: Axis) -> list[PatternFrame]:
     """Frames about a quarter of a period apart."""
     patterns = capture.patterns
-    frames = patterns.frames[patterns.index("phase", axis)]
+    frames = [one for one in patterns.frames if (one.kind, one.axis) == ("phase", axis)]
     chosen = sorted({round(k * patterns.steps / 4) for k in range(4)})
     return [frames[n] for n in chosen if n < len(frames)]
 
@@ -141,13 +140,12 @@ def block_mean(image: NDArray[Any], side: int) -> FloatImage:
 def _profile(axes: Axes, capture: Capture) -> None:
     """One image row of three frames: shows exposure, contrast and clipping at a glance."""
     middle = capture.stack.shape[1] // 2
-    phase = capture.patterns.index("phase", "column").start
-    for name, color, index in (
-        ("white", FIT, capture.patterns.index("white").start),
-        (capture.patterns.frames[phase].name.replace("_", " "), MEASURED, phase),
-        ("black", INK, capture.patterns.index("black").start),
-    ):
-        axes.plot(capture.stack[index, middle], color=color, lw=0.8, label=name)
+    frames, shown = capture.patterns.frames, [(fringe_frame(capture), MEASURED)]
+    if capture.patterns.uniform:
+        shown = [(frames[-2], FIT), *shown, (frames[-1], INK)]
+    for frame, color in shown:
+        line, name = capture.stack[frames.index(frame), middle], frame.name.replace("_", " ")
+        axes.plot(line, color=color, lw=0.8, label=name)
     axes.axhline(capture.sensor.saturation_dn, color=FAINT, lw=1.0, ls="--", label="saturation")
     axes.axhline(capture.sensor.black_level_dn, color=TRUE_FACE, lw=0.8, ls=":", label="dark level")
     chart(
@@ -256,15 +254,13 @@ def _reasons(axes: Axes, reason: Levels) -> None:
 
 
 def white_frame(capture: Capture) -> PatternFrame:
-    """Return the white frame of a sequence."""
-    frames = capture.patterns.frames[capture.patterns.index("white")]
-    return frames[0]
+    """Return the white frame of a sequence, or else the first one."""
+    return capture.patterns.frames[capture.patterns.exposure_frame]
 
 
 def fringe_frame(capture: Capture) -> PatternFrame:
-    """Return the first phase frame with vertical fringes."""
-    frames = capture.patterns.frames[capture.patterns.index("phase", "column")]
-    return frames[0]
+    """Return the first frame, mostly of vertical fringes."""
+    return capture.patterns.frames[0]
 
 
 def show_frame(axes: Axes, capture: Capture, frame: PatternFrame) -> None:

@@ -16,9 +16,10 @@ from matplotlib.patches import Circle, Polygon
 from scipy.spatial import ConvexHull
 
 from reconstruction.arrays import FloatArray
+from reconstruction.codes import code_of
+from reconstruction.patterns import AXES
 from reconstruction.rig.pinhole import Pinhole
 from twin.config.models import Experiment, Provenance, Specimen
-from twin.optics.light import pattern_set
 from twin.optics.rig import true_calibration
 from twin.report.canvas import FIT, INK, MEASURED, NOMINAL, axes_at, chart, drawing
 from twin.report.page import Beside, Block, Figure, Folded, Grade, Section
@@ -27,16 +28,6 @@ from twin.report.words import coating_phrase, in_words, label_of, percent, phras
 from twin.results.decoders import decoder_name
 from twin.results.record import Measurement
 from twin.specimens import shape_of
-
-_CODE_WORDS = {
-    "gray": "Gray code",
-    "complementary_gray": "complementary Gray code",
-    "shifted_gray": "shifted Gray code",
-    "displaced_gray": "Gray code displaced by half a period",
-    "hierarchical": "hierarchical periods",
-    "heterodyne": "heterodyne periods",
-    "micro": "single images with periods",
-}
 
 
 def glance(measured: Measurement) -> Table:
@@ -154,13 +145,15 @@ def _projector(measured: Measurement) -> str:
 
 def _patterns(measured: Measurement) -> str:
     patterns = measured.experiment.patterns
-    code = _CODE_WORDS[str(pattern_set(measured.experiment.projector, patterns).code)]
+    code = code_of(patterns.code).title
     if patterns.further_periods_px:
         code += " of " + in_words(patterns.further_periods_px) + " px"
-    return (
-        f"{patterns.steps} phase steps of {patterns.period_px:g} px in both directions, {code}, "
-        f"white, black: {in_words(measured.figures.get('frames'))} frames"
-    )
+    both = len(patterns.axes) == len(AXES)
+    along = "in both directions" if both else f"along the projector's {patterns.axes[0]}s"
+    first = f"{patterns.steps} phase steps of" if patterns.steps else "no fringes, words of"
+    shown = [f"{first} {patterns.period_px:g} px {along}", code]
+    shown += ["inverse frames"] * patterns.inverse + ["white", "black"] * patterns.uniform
+    return f"{', '.join(shown)}: {in_words(measured.figures.get('frames'))} frames"
 
 
 def _decoding(measured: Measurement) -> str:

@@ -23,9 +23,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from reconstruction.arrays import BoolImage, FloatArray, IntArray
+from reconstruction.codes import code_of
 from reconstruction.errors import FitError
 from reconstruction.evaluate.estimates import FittedDimension, ball_radius_of_all
-from reconstruction.several_periods import MICRO
+from reconstruction.patterns import AXES
 from twin.config.measurands import ObjectMeasurand, Quantity
 from twin.config.models import Experiment
 from twin.mechanics import PressedElastomer
@@ -55,11 +56,13 @@ def has_bound(experiment: Experiment) -> bool:
 
     Fringes on a pressed coat, by direct light: what is reflected between surfaces, or through
     clear bodies, is not in the trace. Single images of micro phase shifting know more of some
-    places than of others, and have no closed form.
+    places than of others, and have no closed form. Both axes, white and black are shown.
     """
     method = experiment.method
     direct = experiment.bounces == 0 and experiment.render.engine == "one_trace"
-    closed = experiment.patterns.code != MICRO
+    patterns = experiment.patterns
+    whole = patterns.steps > 0 and patterns.uniform and set(patterns.axes) == set(AXES)
+    closed = whole and code_of(patterns.code).has_closed_form
     return method.fringes and method.presses and direct and closed
 
 

@@ -213,8 +213,9 @@ def as_stored(folder: Path, done: Measurement) -> Measurement:
 
 
 def _write_white(path: Path, images: Fringes) -> None:
-    if images.frames is not None:
-        write_exr(path, images.frames[images.capture.patterns.index("white").start])
+    patterns = images.capture.patterns
+    if images.frames is not None and patterns.uniform:
+        write_exr(path, images.frames[patterns.index("white").start])
 
 
 def _write_decoding(folder: Path, images: Colours) -> None:

@@ -131,8 +131,10 @@ def write_recording(folder: Path, recording: Recording) -> None:
     """Write the capture as a rig would deliver it, and beside it what only a twin knows."""
     write_captured(folder, recording.capture)
     write_truth(folder / "truth.nc", recording.truth)
-    white = recording.capture.patterns.index("white").start
-    write_exr(folder / "white.exr", recording.radiance.frames[white])
+    patterns = recording.capture.patterns
+    if patterns.uniform:
+        white = patterns.index("white").start
+        write_exr(folder / "white.exr", recording.radiance.frames[white])
 
 
 def write_truth(path: Path, truth: Truth) -> None:

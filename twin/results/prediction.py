@@ -78,7 +78,7 @@ class FringeNumbers:
     def of(cls, experiment: Experiment, exposure_ms: float) -> "FringeNumbers":
         """Return the numbers of an experiment at an exposure."""
         camera, projector = experiment.camera, experiment.projector
-        sensor, light = noise_model(camera), FringeLight.of(projector)
+        sensor, light = noise_model(camera), FringeLight.of(projector, experiment.patterns)
         blur = Defocus.of(projector) or Defocus(projector.blur_px, 0.0, 1.0)
         return cls(
             electrons_per_radiance=exposure_ms * electrons_per_ms(camera, projector.wavelength_nm),
@@ -246,7 +246,8 @@ def predict(experiment: Experiment, maps: TraceMaps, truth: Truth) -> PredictedM
     """
     shape = maps.weight.shape
     (white,) = _by_bands(shape, lambda band: (white_radiance(rows_of(maps, band), experiment),))
-    exposure_ms = choose_exposure_ms(experiment, white)
+    light = FringeLight.of(experiment.projector, experiment.patterns)
+    exposure_ms = choose_exposure_ms(experiment, white * np.float32(light.white))
     numbers = FringeNumbers.of(experiment, exposure_ms)
     column, row, reason = _by_bands(
         shape, lambda band: _single_pixels(experiment, rows_of(maps, band), white[band], numbers)
@@ -317,16 +318,19 @@ class _Single:
 def steps_of(experiment: Experiment, axis: Axis) -> Steps:
     """Return how an experiment's fringes along one axis are shifted."""
     patterns = pattern_set(experiment.projector, experiment.patterns)
-    periods = patterns.periods_along(axis)
-    return Steps(tuple(period / periods[0] for period in periods), patterns.steps)
+    finest_px = experiment.patterns.period_px
+    ratios = tuple(period / finest_px for period in patterns.fused_periods(axis))
+    return Steps(ratios, patterns.steps)
 
 
 def _dark(experiment: Experiment, white: FloatImage, numbers: FringeNumbers) -> ReasonImage:
     """Mark pixels on which white and black frame will not differ."""
     sensor = noise_model(experiment.camera)
     gain, black_dn = numbers.gain_dn_per_e, sensor.black_level_dn
-    bright = gain * (white.astype(np.float64) * numbers.electrons_per_radiance + numbers.dark_e)
-    dim = bright / experiment.projector.contrast
+    light = FringeLight.of(experiment.projector, experiment.patterns)
+    electrons = light.white * white.astype(np.float64) * numbers.electrons_per_radiance
+    bright = gain * (electrons + numbers.dark_e)
+    dim = bright / (light.white / light.black)
     variance = sensor.variance_dn2(bright + black_dn) + sensor.variance_dn2(dim + black_dn)
     dark = bright - dim < DecodeOptions.dark_sigmas * np.sqrt(variance)
     return np.where(dark, Reason.DARK, Reason.VALID).astype(np.uint8)
@@ -346,7 +350,7 @@ def clipping(
     if not at.any():
         return growth
     patterns = pattern_set(experiment.projector, experiment.patterns)
-    shift = 2.0 * np.pi * np.arange(patterns.steps) / patterns.steps
+    shift = 2.0 * np.pi * np.array(patterns.shifts(axis, 0))
     phase = 2.0 * np.pi * place_px[at] / patterns.period_along(axis)
     frames = np.cos(phase[:, None] + shift)
     good = levels.light_dn[at, None] + levels.modulation_dn[at, None] * frames < limit

@@ -99,9 +99,8 @@ class Fringes:
 
     @property
     def picture(self) -> Levels:
-        """First phase frame with vertical fringes, 255 at saturation, (row, col)."""
-        first = self.capture.patterns.index("phase", "column").start
-        share = self.capture.stack[first] / np.float32(self.capture.sensor.saturation_dn)
+        """First frame, mostly of vertical fringes, 255 at saturation, (row, col)."""
+        share = self.capture.stack[0] / np.float32(self.capture.sensor.saturation_dn)
         return np.asarray(np.rint(255 * np.clip(share, 0.0, 1.0)), np.uint8)
 
 

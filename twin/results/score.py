@@ -31,6 +31,7 @@ from reconstruction.photometric import HeightMap
 from reconstruction.pipeline import Reconstruction, filter_bias
 from twin.config.models import Experiment
 from twin.config.nominal import NominalHexNut
+from twin.optics.light import pattern_set
 from twin.optics.stack import Truth
 from twin.results.nuts import nut_figures
 from twin.results.rods import rod_figures, single_section
@@ -258,10 +259,14 @@ def _of_another_period(
     experiment: Experiment, reconstruction: Reconstruction, truth: Truth
 ) -> BoolImage:
     """Mark pixels whose projector column or row is off by half a period or more."""
-    decoded, half_px = reconstruction.decoded, experiment.patterns.period_px / 2
-    wrong: BoolImage = (np.abs(decoded.column.coordinate_px - truth.column_px) >= half_px) | (
-        np.abs(decoded.row.coordinate_px - truth.row_px) >= half_px
-    )
+    patterns = pattern_set(experiment.projector, experiment.patterns)
+    wrong: BoolImage = np.zeros(truth.column_px.shape, np.bool_)
+    for axis in reconstruction.decoded.axes:
+        decoded = getattr(reconstruction.decoded, axis).coordinate_px
+        true_px = truth.row_px if axis == "row" else truth.column_px
+        # Of words alone either is right at their border: the step is a whole word.
+        limit_px = patterns.period_along(axis) / (2 if patterns.steps else 1)
+        wrong |= np.abs(decoded - true_px) >= limit_px
     return wrong
 
 

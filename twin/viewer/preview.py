@@ -12,6 +12,7 @@ import numpy as np
 
 from reconstruction.arrays import Levels
 from reconstruction.errors import InputError
+from reconstruction.patterns import PERIOD_RANGE_PX
 from twin.config import Experiment, vary
 from twin.mechanics import PressedElastomer, face_mesh
 from twin.pipeline import Memory
@@ -192,8 +193,11 @@ def _preview_size(experiment: Experiment) -> dict[str, Any]:
         "camera.height_px": camera.height_px // fewer,
         "camera.pixel_pitch_um": pitch_um | {"range": [0.0, pitch_um["value"]]},
         # Few frames: none is decoded.
-        "patterns.steps": 3,
-        "patterns.code": "hierarchical",
-        "patterns.further_periods_px": [max(projector.width_px, projector.height_px)],
+        "patterns": {
+            "period_px": max(experiment.patterns.period_px, PERIOD_RANGE_PX[0]),
+            "steps": 3,
+            "code": "hierarchical",
+            "further_periods_px": [max(projector.width_px, projector.height_px)],
+        },
         "render.samples": 1,
     }

@@ -1,0 +1,24 @@
+"""Plain Gray code: one word per period, which changes where the phase wraps."""
+
+from reconstruction.codes import CODES, Fringes, Layout, PatternCode, Rule, Word, period_word
+
+
+class GrayCode(PatternCode):
+    """k = floor(x / period), in as many bits as number the periods."""
+
+    name = "gray"
+    title = "Gray code"
+    summary = "one word per period; the only code with other words, or without fringes (steps = 0)"
+    rule = Rule.WORD_PER_PERIOD
+    has_free_words = True
+
+    def words(self, fringes: Fringes) -> tuple[Word, ...]:
+        """Return the period index."""
+        return (period_word(fringes),)
+
+    def is_shown_by(self, layout: Layout) -> bool:
+        """Return True for one word as wide as a fringe."""
+        return layout.words == ((1.0, False),)
+
+
+CODES.register(GrayCode())

@@ -1,0 +1,42 @@
+"""Heterodyne periods: the beats of two or three near periods number the fringes.
+
+Zuo et al., Opt. Lasers Eng. 85, 84 (2016), there "multi-wavelength".
+"""
+
+from reconstruction.codes import CODES, Fringes, Layout, PatternCode, Rule
+from reconstruction.errors import InputError
+from reconstruction.several_periods import Chain, make_chain, require_range
+
+# Weights of the beats of two or three near periods; the first period measures.
+BEATS = {2: ((1, -1), (1, 0)), 3: ((1, -2, 1), (1, -1, 0), (1, 0, 0))}
+
+
+class HeterodyneCode(PatternCode):
+    """Levels are the beats of the periods, then the measuring period."""
+
+    name = "heterodyne"
+    title = "heterodyne periods"
+    summary = "further_periods_px: one or two periods slightly above period_px, rising"
+    rule = Rule.CHAIN
+    takes_further_periods = True
+
+    def check(self, fringes: Fringes) -> None:
+        """Raise InputError unless the coarsest beat spans the image."""
+        require_range(self.chain(fringes), fringes.periods_px, fringes.length_px)
+
+    def chain(self, fringes: Fringes) -> Chain:
+        """Return one level per beat."""
+        count = len(fringes.periods_px)
+        if count not in BEATS:
+            raise InputError(
+                f"patterns heterodyne has {count} periods; give one or two further_periods_px"
+            )
+        return make_chain(BEATS[count], fringes.periods_px)
+
+    def is_shown_by(self, layout: Layout) -> bool:
+        """Return True for several periods without words, none as long as the image."""
+        several = len(layout.periods_px) > 1 and not layout.has_single_images
+        return not layout.words and several and not layout.is_unambiguous
+
+
+CODES.register(HeterodyneCode())

@@ -1,0 +1,108 @@
+"""The general path: fringe orders by a function in numpy, on whole images.
+
+Phases, their noise and the masks come from the compiled kernels; the function numbers the fringes
+of one axis; the kernels then mask and store the result as they do for compiled codes.
+"""
+
+from functools import partial
+
+import numpy as np
+
+from reconstruction.arrays import BoolImage, FloatArray, FloatImage, IntArray, Stack
+from reconstruction.codes import Fringes, Unwrap, Wrapped
+from reconstruction.compiling import run_over_rows
+from reconstruction.decoding._decode import Maps, Plan
+from reconstruction.decoding._wrapped import OrderedMaps, WrappedMaps, place_rows, wrap_rows
+from reconstruction.errors import InputError
+from reconstruction.patterns import AXES, Axis, PatternSet
+
+
+def unwrap_maps(
+    stack: Stack, patterns: PatternSet, plan: Plan, maps: Maps, unwrap: Unwrap | None
+) -> None:
+    """Fill `maps` with coordinates that `unwrap`, or else the pattern code's own function, finds.
+
+    Raises
+    ------
+    InputError : there are no fringes, or the result has another shape
+    """
+    if not patterns.steps:
+        raise InputError(
+            "unwrap is given with patterns steps 0: there are no phases; show phase frames"
+        )
+    rows, cols = maps.reason.shape
+    fitted = _blank(plan.layout.sets, rows, cols)
+    run_over_rows(wrap_rows, rows, stack, plan, maps, fitted)
+    ordered = OrderedMaps(*(np.zeros((2, rows, cols), np.float32) for _ in range(2)))
+    for axis in patterns.axes:
+        k = AXES.index(axis)
+        wrapped = _wrapped(stack, patterns, plan, fitted, axis)
+        ordered.coordinate[k], ordered.error[k] = _ordered(wrapped, patterns, unwrap)
+    run_over_rows(place_rows, rows, plan, fitted, ordered, maps)
+
+
+def _blank(sets: int, rows: int, cols: int) -> WrappedMaps:
+    zeros = partial(np.zeros, dtype=np.float32)
+    mean, modulation, noise = (zeros((2, rows, cols)) for _ in range(3))
+    phases, sigmas = (zeros((2, sets, rows, cols)) for _ in range(2))
+    return WrappedMaps(phases, sigmas, mean, modulation, noise, zeros((rows, cols)))
+
+
+def _ordered(
+    wrapped: Wrapped, patterns: PatternSet, unwrap: Unwrap | None
+) -> tuple[FloatArray, FloatArray]:
+    """Return coordinates, px, and the chance that each has a wrong order; 1 where unknown."""
+    coordinate_px = np.asarray((unwrap or patterns.kind.unwrap)(wrapped), np.float64)
+    if coordinate_px.shape != wrapped.usable.shape:
+        raise InputError(
+            f"unwrap returned coordinates of shape {coordinate_px.shape}; "
+            f"allowed {wrapped.usable.shape}, one for each pixel"
+        )
+    error = np.zeros(coordinate_px.shape)
+    if unwrap is None:
+        error = np.clip(patterns.kind.order_error(wrapped, coordinate_px), 0.0, 1.0)
+    is_known = np.isfinite(coordinate_px)
+    return np.where(is_known, coordinate_px, 0.0), np.where(is_known, error, 1.0)
+
+
+def _wrapped(
+    stack: Stack, patterns: PatternSet, plan: Plan, fitted: WrappedMaps, axis: Axis
+) -> Wrapped:
+    k = AXES.index(axis)
+    words, nearest_sigmas = _read_words(stack, patterns, plan, fitted, axis)
+    return Wrapped(
+        fringes=Fringes(patterns.length_px(axis), patterns.periods_along(axis)),
+        phase_rad=fitted.phases[k],
+        sigma_rad=fitted.sigmas[k],
+        usable=fitted.usable > 0.0,
+        words=words,
+        nearest_sigmas=nearest_sigmas,
+    )
+
+
+def _read_words(
+    stack: Stack, patterns: PatternSet, plan: Plan, fitted: WrappedMaps, axis: Axis
+) -> tuple[tuple[IntArray, ...], FloatImage]:
+    """Return the values of all words, and how near a bit comes to its threshold, in sigmas."""
+    k = AXES.index(axis)
+    threshold_dn = fitted.mean[k] + np.float32(plan.threshold_share[k]) * fitted.modulation[k]
+    noise_dn = np.maximum(plan.threshold_noise * fitted.noise[k], 1e-12)
+    bits = np.zeros((patterns.word_bits(axis), *fitted.usable.shape), np.bool_)
+    nearest_dn = np.full(fitted.usable.shape, np.inf, np.float32)
+    gray, inverse = (stack[patterns.index(kind, axis)] for kind in ("gray", "inverse"))
+    for number in range(len(bits)):
+        frame = gray[number].astype(np.float32)
+        over_dn = 0.5 * (frame - inverse[number]) if len(inverse) else frame - threshold_dn
+        bits[number] = over_dn > 0.0
+        np.minimum(nearest_dn, np.abs(over_dn), out=nearest_dn)
+    return _values(bits, patterns, axis), (nearest_dn / noise_dn).astype(np.float32)
+
+
+def _values(bits: BoolImage, patterns: PatternSet, axis: Axis) -> tuple[IntArray, ...]:
+    values, first = [], 0
+    for word in patterns.words(axis):
+        read = patterns.binary(bits[first : first + word.bits])
+        weights = 2 ** np.arange(word.bits, dtype=np.int64)[::-1]
+        values.append(np.tensordot(weights, read.astype(np.int64), axes=1))
+        first += word.bits
+    return tuple(values)

@@ -1,0 +1,120 @@
+"""Every sequence that the decoder reads can be shown: frames from light tables are decoded again.
+
+Setup: camera pixels at known projector coordinates, whose light is that of the tables, gamma 1.
+Oracle: the coordinate itself. 8-bit levels err by 0.3 of 190 levels, blur by less.
+"""
+
+from dataclasses import fields
+
+import numpy as np
+import pytest
+
+from reconstruction.codes import CODES
+from reconstruction.decoding.decode import DecodeOptions, decode
+from reconstruction.patterns import PatternSet
+from reconstruction.rig.sensor import SensorNoise
+from twin.config import load_experiment
+from twin.config.models import Patterns
+from twin.config.schema import validated
+from twin.optics.light import OVERSAMPLING, along, light_tables, pattern_set
+
+FRINGES = {
+    "heterodyne": {"period_px": 14.0, "further_periods_px": [15.0]},
+    "hierarchical": {"period_px": 16.0, "further_periods_px": [64.0, 200.0]},
+    "micro": {"period_px": 14.0, "further_periods_px": [12.1, 13.0, 15.9, 16.4]},
+}
+EXTRA = [
+    {},
+    {"row_periods_px": [12.0]},
+    {"axes": ["column"]},
+    {"axes": ["row"]},
+    {"inverse": True},
+    {"uniform": False},
+    {"first_shifts_deg": [40.0, -75.0]},
+    {"low_level": 40, "high_level": 230},
+]
+OF_GRAY = [
+    {"word": "binary"},
+    {"word": "xor_02"},
+    {"word": "xor_04", "inverse": True},
+    {"steps": 0, "period_px": 2.0},
+    {"steps": 0, "period_px": 4.0, "word": "binary", "inverse": True, "uniform": False},
+]
+
+
+def fitting(code, extra):
+    """Return an extra field for all periods of a code; None where the code has no such field."""
+    periods = FRINGES.get(code, {"period_px": 16.0})
+    count = 1 + len(periods.get("further_periods_px", []))
+    if "inverse" in extra and count > 1:
+        return None
+    if "row_periods_px" in extra and count > 1:
+        every = [periods["period_px"], *periods["further_periods_px"]]
+        return {"row_periods_px": [0.9 * every[0], *every[1:]]} if code == "hierarchical" else None
+    if "first_shifts_deg" in extra:
+        return {"first_shifts_deg": (extra["first_shifts_deg"] * count)[: 2 * count]}
+    return extra
+
+
+CASES = [
+    {"code": code, "steps": 4} | FRINGES.get(code, {"period_px": 16.0}) | chosen
+    for code in CODES.names()
+    for extra in EXTRA + (OF_GRAY if code == "gray" else [])
+    if (chosen := fitting(code, extra)) is not None
+]
+
+
+@pytest.fixture(scope="module")
+def projector():
+    size = {"projector.width_px": 160, "projector.height_px": 100}
+    sharp = {"projector.gamma": 1.0, "projector.blur_px": 0.4}
+    return load_experiment("examples/slab_balls", size | sharp).projector
+
+
+def seen(patterns, projector, column_px, row_px):
+    """Return frames (frame, row, col) float32 DN of pixels at (row, col) coordinates."""
+    tables = light_tables(projector, patterns)
+    stack = np.zeros((len(patterns.frames), row_px.size, column_px.size), np.float32)
+    for axis, table in tables.items():
+        at_px = row_px[:, None] if axis == "row" else column_px[None, :]
+        nodes_px = table.first_px + np.arange(len(table.profiles)) / OVERSAMPLING
+        for place, k in enumerate(table.frames):
+            light = np.interp(at_px, nodes_px, table.profiles[:, place].astype(np.float64))
+            stack[k] = 200.0 * light
+    assert {along(frame) for frame in patterns.frames} <= set(tables)
+    return stack
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda case: "-".join(map(str, case.values())))
+def test_what_is_shown_is_decoded(projector, case):
+    table = {"period_px": 16.0} | case
+    patterns = pattern_set(projector, validated(Patterns, table))
+    column_px, row_px = np.linspace(1.2, 158.1, 500), np.linspace(1.3, 98.2, 300)
+    stack = seen(patterns, projector, column_px, row_px)
+    options = DecodeOptions(filter_taps=0, max_order_error=0.5)
+    decoded = decode(stack, patterns, SensorNoise(0.01, 0.0, 0.0, 255.0), options)
+    # A word displaced by half a period in as few bits as possible leaves its ends undecided.
+    assert decoded.valid.mean() > 0.8
+    width_px = 0.5 * patterns.period_px + 0.5 if patterns.steps == 0 else 0.05
+    for axis, truth_px in (("column", column_px[None, :]), ("row", row_px[:, None])):
+        if axis in patterns.axes:
+            error_px = (getattr(decoded, axis).coordinate_px - truth_px)[decoded.valid]
+            assert np.max(np.abs(error_px)) < width_px
+
+
+def test_configuration_and_decoder_have_the_same_fields():
+    """Size is that of the projector; all other defaults and names are one."""
+    of_set = {one.name: one.default for one in fields(PatternSet)}
+    of_set.pop("width_px"), of_set.pop("height_px")
+    of_model = {name: field.default for name, field in Patterns.model_fields.items()}
+    assert of_model.keys() == of_set.keys()
+    required = {"period_px", "steps"}
+    assert all(of_model[name] == of_set[name] for name in of_set.keys() - required)
+    shown = PatternSet(160, 100, 16.0, 4, word="binary", code="gray", low_level=7)
+    assert PatternSet(160, 100, **Patterns.of(shown).model_dump()) == shown
+
+
+def test_fields_at_their_default_are_left_out():
+    assert set(Patterns(period_px=18.0, steps=4).model_dump()) == {
+        "period_px", "steps", "code", "further_periods_px",
+    }  # fmt: skip
