@@ -7,7 +7,6 @@ import pytest
 from pydantic import ValidationError
 
 from twin.config.objects import Bear, Brick, Fingerprint, Nut, TBolt
-from twin.config.specimen_base import Conductor, Dielectric
 from twin.config.specimens import (
     Ball,
     Bar,
@@ -20,6 +19,8 @@ from twin.config.specimens import (
     TwoBalls,
     VGroove,
 )
+from twin.optics.surfaces.conductor import Conductor
+from twin.optics.surfaces.dielectric import Dielectric
 from twin.specimens import bodies, height_above_lowest, shape_of
 from twin.specimens.objects import bear_level_mm, drawn_bear, ridges_mm
 

@@ -9,7 +9,7 @@ points up to camera and projector. Device frames are OpenCV's (x right, y down, 
 from itertools import pairwise
 from typing import Annotated, Literal
 
-from pydantic import Field, ValidationInfo, field_validator, model_validator
+from pydantic import ConfigDict, Field, ValidationInfo, field_validator, model_validator
 
 from reconstruction.decoding import DecodeOptions
 from reconstruction.patterns import (
@@ -37,20 +37,15 @@ from twin.config.bounds import (
     ThrowRatio,
     Tolerance,
 )
-from twin.config.elastomer import Coating, Elastomer, Film, Mechanics, PadFile, Press, Texture
+from twin.config.coatings import COATINGS, AnyCoating, Coating, Texture
+from twin.config.elastomer import Elastomer, Film, Mechanics, PadFile, Press
+from twin.config.kinds import follows
 from twin.config.lamps import Lamp, Photometric, check_lamps
 from twin.config.layers import Layer, Layers, check_rig
+from twin.config.materials import MATERIALS, Material
 from twin.config.measurands import ObjectMeasurand
 from twin.config.methods import TRAITS, Method, MethodTraits
-from twin.config.specimen_base import (
-    Conductor,
-    Dielectric,
-    Diffuse,
-    Material,
-    Plastic,
-    Specimen,
-    Stage,
-)
+from twin.config.specimen_base import Specimen, Stage
 from twin.config.specimens import (
     AnySpecimen,
     Ball,
@@ -67,10 +62,7 @@ __all__ = [
     "Ball",
     "Camera",
     "Coating",
-    "Conductor",
     "Decode",
-    "Dielectric",
-    "Diffuse",
     "Distortion",
     "Elastomer",
     "Experiment",
@@ -88,7 +80,6 @@ __all__ = [
     "PadFile",
     "Patterns",
     "Photometric",
-    "Plastic",
     "Pose",
     "Press",
     "Projector",
@@ -317,8 +308,11 @@ class Provenance(Model):
     range: tuple[float, float] | None = None
 
 
+@follows(COATINGS, MATERIALS)
 class Experiment(Model):
     """One virtual measurement, whole."""
+
+    model_config = ConfigDict(defer_build=True)
 
     schema_version: Literal[1] = 1
     name: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_\-]*$", max_length=64)]
@@ -338,7 +332,7 @@ class Experiment(Model):
     specimen: AnySpecimen
     stage: Stage = Stage()
     elastomer: Elastomer
-    coating: Coating
+    coating: AnyCoating
     press: Press
     mechanics: Mechanics = Mechanics()
     projector: Projector
@@ -367,7 +361,7 @@ class Experiment(Model):
         description="[lamps.NAME]: rows of LEDs beside the gel (photometric_stereo)",
     )
     photometric: Photometric = Field(
-        default=Photometric(), description="images and calibration of photometric_stereo"
+        default_factory=Photometric, description="images and calibration of photometric_stereo"
     )
     provenance: dict[str, Provenance] = Field(
         default_factory=dict, description="source and valid range by dotted path"

@@ -1,63 +1,16 @@
 """What every specimen has: its pose on the stage, and the optical material that it is made of.
 
-Lengths in mm, relative to the slab's centre; the specimen presses from below. Every material
-conserves energy by construction; complex indices hold at the projector's wavelength.
+Lengths in mm, relative to the slab's centre; the specimen presses from below.
 """
 
-from typing import Annotated, Literal
+from typing import Annotated, Any
 
-from pydantic import Field
+from pydantic import ConfigDict, Field
 
 from twin.config.base import Angle, Model
-from twin.config.bounds import Absorption, Extinction, Length, MetalIndex, Place
-
-Roughness = Annotated[float, Field(ge=0, le=1)]
-Index = Annotated[float, Field(ge=1, le=4)]
-Albedo = Annotated[float, Field(ge=0, lt=1)]
-
-
-class Conductor(Model):
-    """A metal surface with GGX microfacets."""
-
-    kind: Literal["conductor"] = "conductor"
-    ior: MetalIndex = Field(description="real part n of the complex index")
-    extinction: Extinction = Field(description="imaginary part k of the complex index")
-    roughness: Roughness = Field(description="GGX alpha; 0 is a perfect mirror")
-
-
-class Dielectric(Model):
-    """A clear body: refracts, reflects after Fresnel, absorbs along the way (Beer-Lambert).
-
-    What the camera sees through the middle of a ball may be 20 to 25 % off (docs/specimens.md).
-    """
-
-    kind: Literal["dielectric"] = "dielectric"
-    ior: Index = Field(description="index of refraction against air")
-    roughness: Annotated[float, Field(ge=0, le=0.5)] = Field(
-        default=0.0, description="GGX alpha; 0 is perfectly smooth"
-    )
-    absorption_per_mm: Absorption = Field(
-        default=0.0, description="Napierian coefficient of the bulk"
-    )
-
-
-class Diffuse(Model):
-    """A matte (Lambertian) surface."""
-
-    kind: Literal["diffuse"] = "diffuse"
-    albedo: Albedo
-
-
-class Plastic(Model):
-    """Opaque pigment below a clear surface that reflects after Fresnel."""
-
-    kind: Literal["plastic"] = "plastic"
-    albedo: Albedo = Field(description="of the pigment, below the surface")
-    ior: Index
-    roughness: Annotated[float, Field(ge=0.02, le=1)] = Field(description="GGX alpha")
-
-
-Material = Annotated[Conductor | Dielectric | Diffuse | Plastic, Field(discriminator="kind")]
+from twin.config.bounds import Length, Place
+from twin.config.kinds import follows
+from twin.config.materials import MATERIALS, Albedo, AnyMaterial
 
 
 class Stage(Model):
@@ -70,6 +23,13 @@ class Stage(Model):
 class Specimen(Model):
     """What every specimen has: its pose on the stage, relative to the slab's centre."""
 
+    model_config = ConfigDict(defer_build=True)
+
+    @classmethod
+    def __pydantic_init_subclass__(cls, **_: Any) -> None:
+        """Build each kind again when there is another material."""
+        follows(MATERIALS)(cls)
+
     x_mm: Place = 0.0
     y_mm: Place = 0.0
     z_mm: Place = Field(
@@ -79,7 +39,7 @@ class Specimen(Model):
     tilt_deg: Annotated[float, Field(ge=-30, le=30)] = Field(
         default=0.0, description="tilt about the specimen's y axis; positive lifts its +x side"
     )
-    material: Material | None = Field(
+    material: AnyMaterial | None = Field(
         default=None, description="needed where the specimen itself is seen (direct_fpp)"
     )
 

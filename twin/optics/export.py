@@ -14,7 +14,7 @@ import numpy as np
 from reconstruction.writing import write_bytes, write_exr_channels, write_text
 from twin.config.models import Experiment
 from twin.optics.direct import Solid, solids
-from twin.optics.materials import COATED_FACE, coating_bsdf, sharp
+from twin.optics.materials import COATED_FACE
 from twin.optics.rig import perspective_sensor, to_world
 from twin.optics.session import renderer_session
 from twin.specimens import bodies
@@ -31,7 +31,7 @@ SCENE_FILE = "scene.xml"
 def inexpressible(experiment: Experiment) -> list[str]:
     """List what stock Mitsuba cannot express of this experiment, one line each."""
     parts = () if experiment.method.presses else bodies(experiment.specimen, 0.0)
-    clear = any(part.material is not None and sharp(part.material) for part in parts)
+    clear = any(part.material is not None and part.material.is_sharp for part in parts)
     checks = (
         (
             experiment.projector.aperture_mm > 0.0,
@@ -89,7 +89,7 @@ def export_stock(
     if face is None:
         shapes = solids(experiment)
     else:
-        shapes = (Solid(COATED_FACE, face, coating_bsdf(experiment.coating)),)
+        shapes = (Solid(COATED_FACE, face, experiment.coating.bsdf()),)
     for solid in shapes:
         content = solid.mesh.export(file_type="ply", vertex_normal=True)
         write_bytes(folder / f"{solid.name}.ply", content)

@@ -147,7 +147,9 @@ def phrase(values: Mapping[str, Any]) -> str:
 
 def coating_phrase(coating: Coating) -> str:
     """Write a coating as one phrase, its texture, if it has one, last."""
-    told = phrase(coating.model_dump())
+    numbers = coating.model_dump()
+    kind = f"{numbers.pop('kind')}: " if "kind" in numbers else ""
+    written = kind + phrase(numbers)
     if coating.texture is None:
-        return told
-    return f"{told}; texture: {phrase(coating.texture.model_dump())}"
+        return written
+    return f"{written}; texture: {phrase(coating.texture.model_dump())}"

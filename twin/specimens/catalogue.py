@@ -17,7 +17,8 @@ import trimesh
 
 from reconstruction.arrays import FloatArray
 from reconstruction.errors import InputError
-from twin.config.specimen_base import Material, Specimen
+from twin.config.materials import Material
+from twin.config.specimen_base import Specimen
 from twin.config.specimens import Group
 from twin.specimens.distance import SignedDistance
 
