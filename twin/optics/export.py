@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import jinja2
 import numpy as np
 
+from reconstruction.errors import InputError
 from reconstruction.writing import write_bytes, write_exr_channels, write_text
 from twin.config.models import Experiment
 from twin.optics.direct import Solid, solids
@@ -79,11 +80,17 @@ def export_stock(
     Returns
     -------
     What the scene leaves out (see `inexpressible`)
+
+    Raises
+    ------
+    InputError : stock Mitsuba has no such coat
     """
     import mitsuba as mi
 
     from twin.optics.scene import rig_of
 
+    if face is not None and experiment.coating.export_gap:
+        raise InputError(f"export: {experiment.coating.export_gap}; export another coating")
     rig = rig_of(experiment)
     canvas = _write_textures(experiment, rig, folder, progress)
     if face is None:

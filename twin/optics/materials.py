@@ -87,16 +87,22 @@ SHADE = {"type": "mesh_attribute", "name": "vertex_shade"}
 _LISTED_AS = {"int_ior": "eta"}
 
 
-def updated(face: Any, bsdf: dict[str, Any]) -> bool:
-    """Set all numbers of a face's BSDF; false where it has others than those of a dictionary."""
+def updated(face: Any, bsdf: dict[str, Any], before: dict[str, Any]) -> bool:
+    """Set the numbers of a face's BSDF; false where one that differs cannot be set.
+
+    Parameters
+    ----------
+    before : the present BSDF, of the same structure as `bsdf`
+    """
     import mitsuba as mi
 
-    parameters = mi.traverse(face.bsdf())
-    values = {name: value for name, value in bsdf_numbers(bsdf) if name in parameters}
-    if values.keys() != set(parameters.keys()):
-        return False
-    for name, value in values.items():
-        parameters[name] = value
+    parameters, present = mi.traverse(face.bsdf()), dict(bsdf_numbers(before))
+    for name, value in bsdf_numbers(bsdf):
+        listed = listed_as(name, parameters)
+        if listed is not None:
+            parameters[listed] = value
+        elif value != present[name]:
+            return False
     parameters.update()
     return True
 
@@ -114,14 +120,18 @@ def _without_number(value: Any) -> Any:
 
 
 def bsdf_numbers(bsdf: dict[str, Any], above: str = "") -> Iterator[tuple[str, float]]:
-    """Yield the numbers of a BSDF's dictionary under the names that `mi.traverse` may list them."""
+    """Yield the numbers of a BSDF's dictionary with their names, as of `mi.traverse`."""
     for key, value in bsdf.items():
         name = above + _LISTED_AS.get(key, key)
         if isinstance(value, dict):
             yield from bsdf_numbers(value, f"{name}.")
         elif isinstance(value, float):
             yield name, value
-            yield f"{name}.value", value  # where it may be a texture
+
+
+def listed_as(name: str, parameters: Any) -> str | None:
+    """Return the name by which `mi.traverse` lists a number, which may be a texture; None: not."""
+    return next((key for key in (name, f"{name}.value") if key in parameters), None)
 
 
 def coated_mesh(face: "trimesh.Trimesh", bsdf: dict[str, Any]) -> Any:

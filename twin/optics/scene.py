@@ -71,10 +71,10 @@ class CoatedScene:
         bsdf, before = coating.bsdf(), self._bsdf
         if bsdf == before:
             return
-        if structure_of(bsdf) != structure_of(before) or not updated(self._mesh, bsdf):
+        if structure_of(bsdf) != structure_of(before) or not updated(self._mesh, bsdf, before):
             self._mesh.set_bsdf(mi.load_dict(bsdf))
             # Numbers that are updated are no literals of the kernel: it serves the next coat, too.
-            updated(self._mesh, bsdf)
+            updated(self._mesh, bsdf, bsdf)
         self._bsdf = bsdf
 
     def shapes(self) -> list[Any]:
