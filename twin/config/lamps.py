@@ -13,7 +13,7 @@ from twin.config.base import Angle, Fraction, Model
 from twin.config.bounds import Flux, Irradiance, Length
 from twin.config.kinds import follows
 from twin.config.layers import Layer, outer_face
-from twin.config.materials import MATERIALS, AnyMaterial
+from twin.config.materials import MATERIALS, Material
 from twin.config.methods import TRAITS
 
 Channel = Literal["red", "green", "blue"]
@@ -120,7 +120,7 @@ class BallPresses(Model):
     truncated_background: bool = Field(
         default=False, description="their mean is cut to whole levels, as the vendor stores it"
     )
-    material: AnyMaterial | None = Field(
+    material: Material | None = Field(
         default=None,
         exclude_if=lambda material: material is None,
         description="of the balls, and of specimens that name none: it shines through a coat with"

@@ -1,9 +1,9 @@
 """What a specimen is made of, optically: what every kind of material states.
 
 A kind is one file of `twin.optics.surfaces`, of an installed package (entry points of the group
-`fringe_twin.materials`) or of the user (`--plugin`): a subclass of `Material` that sets `kind`,
-adds its numbers with ranges and sources, and overrides `bsdf`. Every material conserves energy by
-construction; complex indices hold at the projector's wavelength.
+`fringe_twin.materials`) or of the user (`--plugin`): a subclass of `OpticalMaterial` that sets
+`kind`, adds its numbers with ranges and sources, and overrides `bsdf`. Every material conserves
+energy by construction; complex indices hold at the projector's wavelength.
 """
 
 from typing import Annotated, Any
@@ -19,7 +19,7 @@ Index = Annotated[float, Field(ge=1, le=4)]
 Albedo = Annotated[float, Field(ge=0, lt=1)]
 
 
-class Material(Model):
+class OpticalMaterial(Model):
     """A surface, and the bulk below it where light gets in."""
 
     kind: str
@@ -48,7 +48,7 @@ class Material(Model):
         return 0.0
 
 
-MATERIALS: Registry[type[Material]] = Registry("materials", "twin.optics.surfaces", kind_of)
+MATERIALS: Registry[type[OpticalMaterial]] = Registry("materials", "twin.optics.surfaces", kind_of)
 """The kinds of materials."""
 
-AnyMaterial = Annotated[Material, OneOf(MATERIALS)]
+Material = Annotated[OpticalMaterial, OneOf(MATERIALS)]

@@ -10,7 +10,7 @@ from pydantic import ConfigDict, Field
 from twin.config.base import Angle, Model
 from twin.config.bounds import Length, Place
 from twin.config.kinds import follows
-from twin.config.materials import MATERIALS, Albedo, AnyMaterial
+from twin.config.materials import MATERIALS, Albedo, Material
 
 
 class Stage(Model):
@@ -39,7 +39,7 @@ class Specimen(Model):
     tilt_deg: Annotated[float, Field(ge=-30, le=30)] = Field(
         default=0.0, description="tilt about the specimen's y axis; positive lifts its +x side"
     )
-    material: AnyMaterial | None = Field(
+    material: Material | None = Field(
         default=None, description="needed where the specimen itself is seen (direct_fpp)"
     )
 

@@ -5,7 +5,7 @@ from typing import Any, Literal
 from pydantic import Field
 
 from twin.config.bounds import Extinction, MetalIndex
-from twin.config.materials import MATERIALS, Material, Roughness
+from twin.config.materials import MATERIALS, OpticalMaterial, Roughness
 from twin.optics.bsdfs import fresnel_at_normal, level, microfacets
 
 SHARP_BELOW_ROUGHNESS = 0.3
@@ -14,7 +14,7 @@ peak is 1 / (pi alpha^2), 3.5 here and 127 at 0.05."""
 
 
 @MATERIALS.register
-class Conductor(Material):
+class Conductor(OpticalMaterial):
     """A metal surface with GGX microfacets."""
 
     kind: Literal["conductor"] = "conductor"

@@ -5,12 +5,12 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from twin.config.bounds import Absorption
-from twin.config.materials import MATERIALS, Index, Material
+from twin.config.materials import MATERIALS, Index, OpticalMaterial
 from twin.optics.bsdfs import fresnel_at_normal, microfacets
 
 
 @MATERIALS.register
-class Dielectric(Material):
+class Dielectric(OpticalMaterial):
     """A clear body: refracts, reflects after Fresnel, absorbs along the way (Beer-Lambert).
 
     What the camera sees through the middle of a ball may be 20 to 25 % off (docs/specimens.md).

@@ -2,12 +2,12 @@
 
 from typing import Any, Literal
 
-from twin.config.materials import MATERIALS, Albedo, Material
+from twin.config.materials import MATERIALS, Albedo, OpticalMaterial
 from twin.optics.bsdfs import level
 
 
 @MATERIALS.register
-class Diffuse(Material):
+class Diffuse(OpticalMaterial):
     """A matte (Lambertian) surface."""
 
     kind: Literal["diffuse"] = "diffuse"

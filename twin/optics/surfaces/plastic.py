@@ -4,12 +4,12 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from twin.config.materials import MATERIALS, Albedo, Index, Material
+from twin.config.materials import MATERIALS, Albedo, Index, OpticalMaterial
 from twin.optics.bsdfs import level, microfacets
 
 
 @MATERIALS.register
-class Plastic(Material):
+class Plastic(OpticalMaterial):
     """Opaque pigment below a clear surface that reflects after Fresnel."""
 
     kind: Literal["plastic"] = "plastic"
