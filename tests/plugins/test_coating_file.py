@@ -126,6 +126,26 @@ def test_the_option_may_be_anywhere_but_after_the_end_of_options():
     assert without_plugins(["a", "--", "--plugin", "x"]) == (["a", "--", "--plugin", "x"], [])
 
 
+def test_an_installed_package_brings_a_kind(tmp_path):
+    """The package's entry point alone: no plug-in is named."""
+    (tmp_path / "enamel.py").write_text(PLUGIN.read_text(encoding="utf-8"), encoding="utf-8")
+    installed = tmp_path / "enamel-1.0.dist-info"
+    installed.mkdir()
+    (installed / "METADATA").write_text("Metadata-Version: 2.1\nName: enamel\nVersion: 1.0\n")
+    points = "[fringe_twin.coatings]\nenamel = enamel:Enamel\n"
+    (installed / "entry_points.txt").write_text(points)
+    code = "from twin.config.coatings import COATINGS; print(*COATINGS.names())"
+    path = os.pathsep.join([str(ROOT), str(tmp_path)])
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        env=os.environ | {"PYTHONPATH": path},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert done.stdout.split() == ["enamel", "flakes", "matte", "measured"]
+
+
 def test_documents_that_are_in_use_take_a_kind_that_comes_later():
     code = f"""
 import twin

@@ -46,8 +46,12 @@ class Flakes(Coating):
     flake_roughness: Annotated[float, Field(ge=0.05, le=1)] = Field(
         description="GGX alpha of the flakes' normals"
     )
-    flake_ior: MetalIndex = Field(description="real part n of the flakes' complex index")
-    flake_extinction: Extinction = Field(description="imaginary part k of the complex index")
+    flake_ior: MetalIndex = Field(
+        title="flake refractive index n", description="real part n of the flakes' complex index"
+    )
+    flake_extinction: Extinction = Field(
+        title="k", description="imaginary part k of the complex index"
+    )
     binder_ior: Annotated[float, Field(ge=1, le=1.6)] = Field(
         default=1.0, description="index of the clear binder over the pigment; 1 is a matte ink"
     )
