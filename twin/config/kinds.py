@@ -10,7 +10,7 @@ such a document.
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from typing import Any, TypeVar
 
 from pydantic import BaseModel, GetCoreSchemaHandler
@@ -60,6 +60,7 @@ class OneOf:
         return {"kind": self.default, **table} if isinstance(table, dict) else table
 
 
+@cache
 def default_kinds(document: type[BaseModel]) -> dict[str, str]:
     """Return the kind that a table of a document has where it names none, by the table's key."""
     return {
