@@ -41,7 +41,6 @@ from twin.camera import electrons_per_ms, full_well_e
 from twin.config import Experiment, load_experiment
 from twin.config.lamps import CHANNELS, Lamp
 from twin.config.layers import media_of, outer_face
-from twin.optics.backed_coat import contact_albedo
 from twin.optics.lamps import emitters_of
 from twin.pipeline.colour_images import image_pinhole
 
@@ -260,7 +259,7 @@ def shading_of(experiment: Experiment, presses: RealPresses | None = None) -> Sh
         presses or read_presses(),
         np.column_stack([flat, np.zeros(len(flat))]),
         (3 * row + col).ravel(),
-        contact_albedo(coating, steel) / coating.base_albedo,
+        coating.albedo_over(steel.normal_reflectance) / coating.albedo_over(0.0),
     )
 
 

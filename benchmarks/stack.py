@@ -141,12 +141,12 @@ class StackCase:
     def stock_scene(self) -> Any:
         """Load the same scene for stock Mitsuba, with the first frame."""
         from twin.optics import stock
-        from twin.optics.materials import coated_mesh, coating_bsdf
+        from twin.optics.materials import coated_mesh
         from twin.optics.rig import perspective_sensor
 
         camera, (texture, canvas) = self.rig.camera, self.texture(0)
         return stock.frame_scene(
-            coated_mesh(self.face, coating_bsdf(self.experiment.coating)),
+            coated_mesh(self.face, self.experiment.coating.bsdf()),
             stock.emitter_dict(texture, self.rig, canvas),
             perspective_sensor(camera.pinhole, camera.T_world_from_device, self.samples),
         )

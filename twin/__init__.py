@@ -18,6 +18,7 @@
 | `compare` | experiments by several methods, into a folder |
 | `load_study`, `StudyRecord`, `sweep` | a design space as data, and into its store |
 | `load_problem`, `identify` | which values of unknown fields agree with measurements |
+| `plugin` | loads a Python file that adds kinds of coatings, materials and other parts |
 | `uncertainty` | a measurement repeated with its inputs drawn anew: intervals, ranked budget |
 
 Nothing is imported before it is asked for. Captures, real or rendered: see `reconstruction`.
@@ -27,6 +28,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from reconstruction.registry import load_plugin as plugin
     from twin.config import Experiment, load_experiment, vary
     from twin.config.problem import load_problem
     from twin.config.study import load_study
@@ -50,6 +52,7 @@ __all__ = [
     "load_problem",
     "load_study",
     "measure",
+    "plugin",
     "press",
     "render",
     "sweep",
@@ -70,6 +73,7 @@ _PLACES = {
     "load_problem": "twin.config.problem",
     "load_study": "twin.config.study",
     "measure": "twin.pipeline",
+    "plugin": "reconstruction.registry:load_plugin",
     "press": "twin.pipeline.press:press_specimen",
     "render": "twin.pipeline",
     "sweep": "twin.study.sweep",

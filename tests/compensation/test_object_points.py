@@ -16,7 +16,8 @@ from scipy.interpolate import RectBivariateSpline
 from reconstruction.arrays import FloatArray, Reason
 from reconstruction.triangulation import PointMap
 from tests.compensation.test_command import coat_map
-from twin.config.elastomer import Elastomer, Mechanics, Press, Texture
+from twin.config.coatings import Texture
+from twin.config.elastomer import Elastomer, Mechanics, Press
 from twin.config.sensor_layer import LayerSigma, MeasuredLoad, SensorLayer
 from twin.config.specimen_base import Specimen
 from twin.mechanics import PressedElastomer

@@ -7,10 +7,11 @@ from hypothesis import strategies as st
 from reconstruction.errors import InputError
 from tests.fuzz.trees import damaged, documents
 from twin.config.loading import load_experiment, to_toml, validate_experiment
-from twin.config.models import Camera, Coating, Elastomer, Experiment, Press, Projector
+from twin.config.models import Camera, Elastomer, Experiment, Press, Projector
 from twin.config.problem import SensorProblem
 from twin.config.schema import validated
 from twin.config.study import Study
+from twin.optics.coatings.flakes import Flakes
 
 # The same cases in every run, and no time limit: the machine's speed is not what is tested.
 FUZZED = settings(
@@ -57,7 +58,7 @@ def test_a_shipped_experiment_with_faults_is_valid_or_refused_in_lines(name, dat
 
 
 @pytest.mark.parametrize(
-    "model", [Camera, Projector, Elastomer, Coating, Press, Study, SensorProblem]
+    "model", [Camera, Projector, Elastomer, Flakes, Press, Study, SensorProblem]
 )
 @FUZZED
 @given(data=st.data())

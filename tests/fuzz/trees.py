@@ -3,11 +3,14 @@
 import copy
 import types
 import typing
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 from hypothesis import strategies as st
 from pydantic import BaseModel
+from pydantic.fields import FieldInfo
+
+from twin.config.kinds import OneOf
 
 _HOSTILE = st.sampled_from(
     [
@@ -28,12 +31,23 @@ def documents(model: type[BaseModel]) -> st.SearchStrategy[dict[str, Any]]:
 
 def _tables(model: type[BaseModel], depth: int) -> st.SearchStrategy[dict[str, Any]]:
     fields = {
-        name: st.one_of(_values(field.annotation, depth + 1), _HOSTILE)
+        name: st.one_of(_of_field(field, depth + 1), _HOSTILE)
         for name, field in model.model_fields.items()
     }
     known = st.fixed_dictionaries({}, optional=fields)
     extra = st.dictionaries(st.text(max_size=5), _HOSTILE, max_size=1)
     return st.tuples(known, extra).map(lambda both: both[0] | both[1])
+
+
+def _of_field(field: FieldInfo, depth: int) -> st.SearchStrategy[Any]:
+    return _marked(field.annotation, field.metadata, depth)
+
+
+def _marked(annotation: Any, metadata: Iterable[Any], depth: int) -> st.SearchStrategy[Any]:
+    """Return values for a type, or for each kind of the registry that marks it."""
+    marks = [marker for marker in metadata if isinstance(marker, OneOf)]
+    kinds = [kind for marker in marks for kind in marker.models.values()] or [annotation]
+    return st.one_of([_values(kind, depth) for kind in kinds])
 
 
 def damaged(tree: dict[str, Any]) -> st.SearchStrategy[dict[str, Any]]:
@@ -81,9 +95,9 @@ def _values(kind: Any, depth: int) -> st.SearchStrategy[Any]:
 def _generic(origin: Any, parts: tuple[Any, ...], depth: int) -> st.SearchStrategy[Any]:
     if origin is typing.Literal:
         return st.sampled_from(parts)
-    inner = [_values(part, depth) for part in parts if part is not ...]
     if origin is typing.Annotated:
-        return inner[0]
+        return _marked(parts[0], parts[1:], depth)
+    inner = [_values(part, depth) for part in parts if part is not ...]
     if origin in (typing.Union, types.UnionType):
         return st.one_of(inner)
     if origin in (tuple, list):

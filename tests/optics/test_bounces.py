@@ -49,7 +49,7 @@ def test_bounces_equal_the_stock_path_tracer(mi, experiment, corner, most):
     """
     from twin.optics import stock
     from twin.optics.bounces import Bounces
-    from twin.optics.materials import coated_mesh, coating_bsdf
+    from twin.optics.materials import coated_mesh
     from twin.optics.one_trace import trace_stack
     from twin.optics.rig import perspective_sensor
     from twin.optics.scene import coated_scene, rig_of
@@ -72,7 +72,7 @@ def test_bounces_equal_the_stock_path_tracer(mi, experiment, corner, most):
     canvas = stock.canvas_for(rig, "projector", texels_per_px=16)
     texture = stock.frame_texture(patterns.frames[index], index, rig, tables, canvas)
     scene = stock.frame_scene(
-        coated_mesh(corner, coating_bsdf(experiment.coating)),
+        coated_mesh(corner, experiment.coating.bsdf()),
         stock.emitter_dict(texture, rig, canvas),
         perspective_sensor(rig.camera.pinhole, rig.camera.T_world_from_device, 256),
         bounces=most,

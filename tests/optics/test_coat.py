@@ -54,9 +54,7 @@ def tables_of(experiment):
 
 
 def bsdf_of(mi, coating):
-    from twin.optics.materials import coating_bsdf
-
-    return mi.load_dict(coating_bsdf(coating))
+    return mi.load_dict(coating.bsdf())
 
 
 def square(side):
@@ -215,7 +213,6 @@ def test_another_coating_needs_neither_geometry_nor_kernel(mi, experiment, coate
     """
     import drjit as dr
 
-    from twin.optics.materials import set_coating
     from twin.optics.one_trace import trace_stack
     from twin.optics.scene import coated_scene, rig_of
 
@@ -230,7 +227,7 @@ def test_another_coating_needs_neither_geometry_nor_kernel(mi, experiment, coate
         coating = coated(albedo, flakes, binder, flake_roughness=0.1 + flakes)
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(mi, "load_dict", None)  # nothing can be loaded
-            set_coating(scene, coating)
+            scene.set_coating(coating)
         with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
             dr.kernel_history_clear()
             trace_stack(scene, rig_of(experiment), tables, 1)

@@ -38,13 +38,12 @@ LEAST_SHARE = {"spike": 0.5, "terraces": 0.4, "rough": 0.3, "plane": 0.999}
 def sheet(mi, request, grid_face):
     """Return a face, its heights and the scene of it alone."""
     from twin.optics.heights import MarchedHeights
-    from twin.optics.materials import coated_mesh
     from twin.optics.scene import CoatedScene
 
     face = grid_face(
         RELIEFS[request.param], lambda x, y: (0.0 * x, 0.0 * y), *HALF_MM, pitch_mm=PITCH_MM
     )
-    scene = CoatedScene(coated_mesh(face, {"type": "diffuse"}))
+    scene = CoatedScene(face, {"type": "diffuse"})
     return request.param, face, MarchedHeights.of_grid(height_grid(face)), scene
 
 

@@ -38,7 +38,6 @@ def look(mi):
     from twin.optics.colour_trace import LampRig, trace_channels, trace_face
     from twin.optics.devices import Device
     from twin.optics.layers import LayerStack
-    from twin.optics.materials import coated_mesh
     from twin.optics.scene import CoatedScene
 
     gel = LayerStack((Medium(GEL_MM, N_GEL, ABSORPTION),))
@@ -48,7 +47,7 @@ def look(mi):
         emitters = emitters_of(rows, face=None if layers is None else outer)
         camera = Device(PINHOLE, T_WORLD_FROM_CAM)
         rig = LampRig(camera, emitters, layers, **rest)
-        scene = CoatedScene(coated_mesh(face, MATTE))
+        scene = CoatedScene(face, MATTE)
         return trace_channels(scene, rig, samples), trace_face(scene, rig).points_world_mm
 
     return render

@@ -66,7 +66,7 @@ def light_pose():
 
 def stock_runs(mi, experiment, rig, face):
     """Render with the area light behind real interfaces; (run, row, col)."""
-    from twin.optics.materials import coated_mesh, coating_bsdf
+    from twin.optics.materials import coated_mesh
     from twin.optics.rig import perspective_sensor
     from twin.optics.scene import coating_in_layer
 
@@ -81,7 +81,7 @@ def stock_runs(mi, experiment, rig, face):
         {
             "type": "scene",
             "integrator": {"type": "path", "max_depth": 6, "rr_depth": 100},
-            "coat": coated_mesh(face, coating_bsdf(coating_in_layer(experiment))),
+            "coat": coated_mesh(face, coating_in_layer(experiment).bsdf()),
             "upper": interface(7.0, 1.0, LAYERS["window"].ior),
             "lower": interface(4.0, LAYERS["window"].ior, LAYERS["gel"].ior),
             "light": {

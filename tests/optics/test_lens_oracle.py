@@ -59,9 +59,9 @@ def two_sheets(grid_face):
 @pytest.fixture(scope="module")
 def coated_sheets(mi, experiment, two_sheets):
     """Return both sheets as a mesh for stock scenes."""
-    from twin.optics.materials import coated_mesh, coating_bsdf
+    from twin.optics.materials import coated_mesh
 
-    return coated_mesh(two_sheets, coating_bsdf(experiment.coating))
+    return coated_mesh(two_sheets, experiment.coating.bsdf())
 
 
 @pytest.fixture(scope="module")

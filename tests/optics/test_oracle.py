@@ -66,7 +66,7 @@ def one_trace(mi, experiment, bump):
 @pytest.mark.parametrize("case", CASES, ids=lambda case: "-".join(map(str, case)))
 def test_stock_mitsuba_renders_the_same_frame(experiment, one_trace, bump, case):
     from twin.optics import stock
-    from twin.optics.materials import coated_mesh, coating_bsdf
+    from twin.optics.materials import coated_mesh
     from twin.optics.rig import perspective_sensor
 
     emitter, kind, axis, number = case
@@ -75,7 +75,7 @@ def test_stock_mitsuba_renders_the_same_frame(experiment, one_trace, bump, case)
     canvas = stock.canvas_for(rig, emitter, texels_per_px=16 if emitter == "projector" else 8)
     texture = stock.frame_texture(patterns.frames[index], index, rig, tables, canvas)
     scene = stock.frame_scene(
-        coated_mesh(bump, coating_bsdf(experiment.coating)),
+        coated_mesh(bump, experiment.coating.bsdf()),
         stock.emitter_dict(texture, rig, canvas),
         perspective_sensor(rig.camera.pinhole, rig.camera.T_world_from_device, SAMPLES),
     )

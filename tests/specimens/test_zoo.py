@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from twin.config.specimen_base import Conductor, Dielectric, Specimen
+from twin.config.specimen_base import Specimen
+from twin.optics.surfaces.conductor import Conductor
+from twin.optics.surfaces.dielectric import Dielectric
 from twin.specimens import bodies, height_above_lowest, shape_of
 from twin.specimens.kinds import nut
 from twin.specimens.kinds.ball import Ball

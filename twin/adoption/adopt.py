@@ -187,7 +187,7 @@ def _albedo_field(
     told = given.reference_albedo.value
     how = f"white frames beside those of {given.reference.name}, albedo {told:g}"
     watch("render", 1.0)
-    one = RigField.measured("coating.base_albedo", found, how)
+    one = RigField.measured(f"coating.{experiment.coating.albedo_field}", found, how)
     return {one.path: one}
 
 

@@ -17,6 +17,8 @@ from typing import Any
 from reconstruction.characterise import UncertainValue
 from reconstruction.writing import write_text
 from twin.assets import scene_file
+from twin.config.coatings import COATINGS, Coating
+from twin.config.kinds import default_kinds
 from twin.config.loading import read_toml, resolve_uses, validate_experiment
 from twin.config.models import Experiment
 from twin.config.quantities import is_quantity
@@ -43,9 +45,6 @@ _NEEDS = {
     "projector.gamma": "white and black, or more phase steps",
     "projector.blur_px": "white and black, or more phase steps",
     "projector.aperture_mm": "captures at three heights or more",
-    "coating.base_albedo": "a reference of known albedo (--reference)",
-    "coating.flake_fraction": "captures under several angles",
-    "coating.flake_roughness": "captures under several angles",
     "elastomer": "a press of a known ball (--ball), or readings of presses: twin identify",
 }
 
@@ -111,6 +110,11 @@ class ModelRig:
             node = node.get(key) if isinstance(node, Mapping) else None
         return node["value"] if is_quantity(node) else node
 
+    @property
+    def coating(self) -> type[Coating]:
+        """The kind of its coat."""
+        return COATINGS[str(self.value("coating.kind") or default_kinds(Experiment)["coating"])]
+
 
 def rig_tables(model: ModelRig, found: Mapping[str, RigField]) -> dict[str, Any]:
     """Return the tables of the adopted rig: what was found, and of the model what was not."""
@@ -118,7 +122,7 @@ def rig_tables(model: ModelRig, found: Mapping[str, RigField]) -> dict[str, Any]
     for name, node in model.tables.items():
         if name == "description":
             continue
-        tables[name] = _assumed(node, name, model.name) if name in _TABLES else node
+        tables[name] = _assumed(node, name, model) if name in _TABLES else node
     if any(path.startswith("elastomer.") for path in found):
         tables["elastomer"] = {}  # stated as a whole, beside what was measured of it
     for field in found.values():
@@ -130,7 +134,9 @@ def rig_tables(model: ModelRig, found: Mapping[str, RigField]) -> dict[str, Any]
     return tables
 
 
-def _assumed(node: Any, path: str, model: str) -> Any:
+def _assumed(node: Any, path: str, model: ModelRig) -> Any:
+    if path.endswith(".kind"):
+        return node  # says which numbers there are, and is none
     if not isinstance(node, Mapping) or is_quantity(node):
         value, kept = (node["value"], node.get("range")) if is_quantity(node) else (node, None)
         told = {"value": value} | ({"range": kept} if kept else {})
@@ -138,10 +144,12 @@ def _assumed(node: Any, path: str, model: str) -> Any:
     return {key: _assumed(inner, f"{path}.{key}", model) for key, inner in node.items()}
 
 
-def _not_told(path: str, model: str) -> str:
-    missing = _NEEDS.get(path) or _NEEDS.get(path.split(".")[0])
+def _not_told(path: str, model: ModelRig) -> str:
+    table, _, name = path.partition(".")
+    of_the_coat = model.coating.determined_by if table == "coating" else {}
+    missing = of_the_coat.get(name) or _NEEDS.get(path) or _NEEDS.get(table)
     needs = f"; needs {missing}" if missing else ""
-    return f"assumed: as in {model}, the captures do not tell it{needs}"
+    return f"assumed: as in {model.name}, the captures do not tell it{needs}"
 
 
 def write_rig(path: Path, name: str, tables: Mapping[str, Any]) -> None:

@@ -18,6 +18,7 @@ from reconstruction.errors import InputError
 from reconstruction.pipeline import Reconstruction, ReconstructOptions, reconstruct
 from reconstruction.triangulation import PointMap
 from twin.config.models import Coating, Experiment, Patterns
+from twin.optics.coatings.matte import Matte
 from twin.pipeline.fringes import expose_capture, render
 from twin.pipeline.progress import Stopwatch
 from twin.specimens.solids import grid_facets
@@ -116,15 +117,20 @@ def albedo_of(
 
     Raises
     ------
-    InputError : the captures share too few pixels, or give an albedo outside of 0 to 1
+    InputError : the coat has no albedo, the captures share too few pixels, or they give an albedo
+        outside of 0 to 1
     """
     coat = experiment.coating
-    fields = {"flake_fraction": 0.0, "binder_ior": 1.0}
-    matte = coat.model_copy(update={"base_albedo": reference_albedo.value, **fields})
+    if not coat.albedo_field:
+        raise InputError(
+            f"--reference: found coating.kind = '{coat.kind}', which has no albedo to be "
+            "determined; leave the reference away, or give a rig with another coating"
+        )
+    matte = Matte(base_albedo=reference_albedo.value)
     told = Scene(reference, reconstruct(reference, ReconstructOptions()), scene.origin_mm)
     there = _light(experiment, matte, told)
     dark, bright = (
-        _light(experiment, coat.model_copy(update={"base_albedo": albedo}), scene)
+        _light(experiment, coat.model_copy(update={coat.albedo_field: albedo}), scene)
         for albedo in (0.2, 0.7)
     )
     seen, wanted = _white_less_black(scene.capture), _white_less_black(reference)

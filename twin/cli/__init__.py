@@ -14,6 +14,7 @@ from twin.cli import start as start
 from twin.cli import studies as studies
 from twin.cli import view as view
 from twin.cli.app import app, guarded
+from twin.cli.plugins import load_plugins
 from twin.cli.talk import choose_level, introduce
 from twin.working import end_process, end_within, unwind_on_signals
 
@@ -34,7 +35,7 @@ def run(arguments: list[str] | None = None) -> int:
 
 def _answer(words: list[str]) -> int | None:
     introduce()
-    written = captures.with_repeated_options(words)
+    written = captures.with_repeated_options(load_plugins(words))
     done = app(written, exit_on_error=False, print_error=False, result_action="return_value")
     return None if done is None else int(done)
 

@@ -14,7 +14,8 @@ if TYPE_CHECKING:
 
 OPTIONS = (
     "Every command takes -q, --quiet: no progress; and -v, --verbose: versions, the time of each "
-    "stage, and where a failure came from. Ctrl-C ends a command within two seconds."
+    "stage, and where a failure came from; and --plugin FILE, repeatable: a Python file that adds "
+    "kinds of coatings, materials and other parts. Ctrl-C ends a command within two seconds."
 )
 
 

@@ -1,19 +1,16 @@
-"""Elastomer, coat and press as data, and which model presses. Frames and units: see `models`."""
+"""Elastomer and press as data, and which model presses. Frames and units: see `models`."""
 
-from math import cbrt, sqrt
 from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from twin.config.base import Fraction, Model
+from twin.config.base import Model
 from twin.config.bounds import (
     AirPressure,
-    Extinction,
     FileUnit,
     FilmModulus,
     Force,
     Length,
-    MetalIndex,
     Modulus,
     RimCompliance,
     Tack,
@@ -110,91 +107,6 @@ class Elastomer(Model):
     def touched_plane_mm(self) -> float:
         """World z of the undeformed face that the object touches; the coated face is z = 0."""
         return -self.mounted_thickness_mm if self.layout == "opposite_face" else 0.0
-
-
-class Texture(Model):
-    """Grain and flakes of a sprayed coat: heights over its smooth face, as a random field."""
-
-    rms_um: Annotated[float, Field(gt=0, le=100)] = Field(
-        description="root mean square height over all seeds"
-    )
-    correlation_mm: Annotated[float, Field(ge=0.03, le=2)] = Field(
-        description="lag at which the autocorrelation of the heights falls to 1/e; ISO 25178's Sal "
-        "takes 0.2, which normal heights reach at 1.27 of it"
-    )
-    skewness: Annotated[float, Field(ge=-3, le=3)] = Field(
-        default=0.0, description="above 0: grains stand out; below 0: pits"
-    )
-    excess_kurtosis: Annotated[float, Field(ge=0, le=60)] = Field(
-        default=0.0,
-        description="0 is normal; with skewness, more than the log-normal distribution has",
-    )
-
-    @model_validator(mode="after")
-    def _distribution_exists(self) -> "Texture":
-        least = _least_excess_kurtosis(self.skewness)
-        if self.skewness and self.excess_kurtosis < least:
-            raise ValueError(
-                f"excess_kurtosis: found {self.excess_kurtosis:g}, allowed at least {least:.3g} "
-                f"with skewness {self.skewness:g}; raise it, or set skewness nearer to 0"
-            )
-        return self
-
-
-def _least_excess_kurtosis(skewness: float) -> float:
-    """Return the log-normal distribution's and 1 %: heights follow Johnson's unbounded system."""
-    square = skewness**2
-    root = cbrt(1 + square / 2 + sqrt(square + square**2 / 4))
-    w = root + 1 / root - 1
-    return 1.01 * (w**4 + 2 * w**3 + 3 * w**2 - 6)
-
-
-class Coating(Model):
-    """Gray ink with aluminium flakes: a blend of a diffuse and a rough conducting reflector.
-
-    The ink is pigment in a clear binder. With `binder_ior` above 1 the binder's outer face reflects
-    by Fresnel and sends light back to the pigment; at 1 it has no optical face: a matte ink.
-    """
-
-    base_albedo: Annotated[float, Field(gt=0, lt=1)] = Field(
-        description="share of light that the pigment reflects, inside the binder"
-    )
-    flake_fraction: Fraction
-    flake_roughness: Annotated[float, Field(ge=0.05, le=1)] = Field(
-        description="GGX alpha of the flakes' normals"
-    )
-    flake_ior: MetalIndex = Field(description="real part n of the flakes' complex index")
-    flake_extinction: Extinction = Field(description="imaginary part k of the complex index")
-    binder_ior: Annotated[float, Field(ge=1, le=1.6)] = Field(
-        default=1.0, description="index of the clear binder over the pigment; 1 is a matte ink"
-    )
-    binder_roughness: Annotated[float, Field(ge=0.02, le=0.3)] = Field(
-        default=0.1,
-        description="GGX alpha of the binder's face; without effect at binder_ior = 1. Light "
-        "scattered twice on it is lost: of all light on a white pigment 9 % at 0.1, 31 % at 0.3, "
-        "seen 80 deg off the normal 12 and 36 % (index 1.5)",
-    )
-    # Left out where absent: an opaque, smooth coat keeps its digest.
-    transmittance: Fraction = Field(
-        default=0.0,
-        exclude_if=lambda share: share == 0.0,
-        description="share of light that passes the ink; an object that touches the coat throws "
-        "it back and makes the contact brighter (contact_face, photometric_stereo)",
-    )
-    texture: Texture | None = Field(
-        default=None,
-        exclude_if=lambda texture: texture is None,
-        description="absent: the coat is smooth",
-    )
-
-    @model_validator(mode="after")
-    def _no_light_is_made(self) -> "Coating":
-        if self.base_albedo + self.transmittance > 1:
-            raise ValueError(
-                f"transmittance: found {self.transmittance:g}, allowed at most "
-                f"{1 - self.base_albedo:g}, what base_albedo leaves; lower one of them"
-            )
-        return self
 
 
 class Press(Model):

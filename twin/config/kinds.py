@@ -11,7 +11,7 @@ that contains such a document. A field of the second type takes the name of a re
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from typing import Any, TypeVar
 
 from pydantic import BaseModel, GetCoreSchemaHandler, GetJsonSchemaHandler
@@ -46,10 +46,12 @@ class OneOf:
     Attributes
     ----------
     without : kinds that are not allowed here
+    default : kind of a table that names none; empty: each table must name its kind
     """
 
     registry: Registry[Any]
     without: tuple[str, ...] = ()
+    default: str = ""
 
     @property
     def models(self) -> dict[str, type[BaseModel]]:
@@ -60,7 +62,24 @@ class OneOf:
         self, source: Any, handler: GetCoreSchemaHandler
     ) -> CoreSchema:
         choices = {name: handler.generate_schema(model) for name, model in self.models.items()}
-        return core_schema.tagged_union_schema(choices, discriminator="kind")
+        schema = core_schema.tagged_union_schema(choices, discriminator="kind")
+        if not self.default:
+            return schema
+        return core_schema.no_info_before_validator_function(self._with_kind, schema)
+
+    def _with_kind(self, table: Any) -> Any:
+        return {"kind": self.default, **table} if isinstance(table, dict) else table
+
+
+@cache
+def default_kinds(document: type[BaseModel]) -> dict[str, str]:
+    """Return the kind that a table of a document has where it names none, by the table's key."""
+    return {
+        name: marker.default
+        for name, field in document.model_fields.items()
+        for marker in field.metadata
+        if isinstance(marker, OneOf) and marker.default
+    }
 
 
 @dataclass(frozen=True)

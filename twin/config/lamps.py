@@ -7,13 +7,14 @@ looks straight down +x is right and +y is up. Azimuths count from +x towards +y.
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, model_validator
+from pydantic import ConfigDict, Field, model_validator
 
 from twin.config.base import Angle, Fraction, Model
 from twin.config.bounds import Flux, Irradiance, Length
+from twin.config.kinds import follows
 from twin.config.layers import Layer, outer_face
+from twin.config.materials import MATERIALS, Material
 from twin.config.methods import TRAITS
-from twin.config.specimen_base import Material
 
 Channel = Literal["red", "green", "blue"]
 CHANNELS: tuple[Channel, ...] = ("red", "green", "blue")
@@ -100,8 +101,11 @@ class WhiteBalance(Model):
     blue: Gain = 1.0
 
 
+@follows(MATERIALS)
 class BallPresses(Model):
     """Reference presses from which colours learn their slopes."""
+
+    model_config = ConfigDict(defer_build=True)
 
     count: Annotated[int, Field(ge=4, le=500)] = 50
     smallest_diameter_mm: Length = 4.0
@@ -130,12 +134,15 @@ class BallPresses(Model):
         return self
 
 
+@follows(MATERIALS)
 class Photometric(Model):
     """Image path and calibration of a photometric-stereo sensor.
 
     Linear image -> gains -> power law and 8 bits -> crop -> resize, as camera and driver do. The
     colour filter array, sharpening and compression are left out.
     """
+
+    model_config = ConfigDict(defer_build=True)
 
     vignetting_exponent: Annotated[float, Field(ge=0, le=10)] = Field(
         default=4.0,
@@ -154,7 +161,7 @@ class Photometric(Model):
     field_x_mm: Length = Field(default=18.6, description="evaluated part of the coat, centred")
     field_y_mm: Length = 14.3
     markers: Markers | None = None
-    presses: BallPresses = BallPresses()
+    presses: BallPresses = Field(default_factory=BallPresses)
     colour_map: Literal["polynomial", "table"] = "polynomial"
     integration: Literal["corrected", "sdk_2024", "sdk_2025"] = "corrected"
 

@@ -23,6 +23,7 @@ from reconstruction.errors import InputError, require_instance
 from reconstruction.reading import shown
 from twin.assets import asset_path, scene_file
 from twin.config.base import AssetCycleError, ConfigError
+from twin.config.kinds import default_kinds
 from twin.config.methods import TRAITS, Method
 from twin.config.models import Decode, Experiment
 from twin.config.quantities import (
@@ -32,7 +33,7 @@ from twin.config.quantities import (
     split_quantities,
     value_at,
 )
-from twin.config.schema import validated
+from twin.config.schema import keys_of_kind, validated
 
 ABSENT = "absent"
 """Says that a key is not there, so that its default holds: TOML knows no null."""
@@ -223,16 +224,17 @@ def _overlay(base: dict[str, Any], top: dict[str, Any]) -> dict[str, Any]:
             merged[key] = node
         elif is_quantity(under):
             merged[key] = {**under, "value": node, "source": "set in the experiment"}
-        elif isinstance(node, dict) and _same_kind(under, node):
+        elif isinstance(node, dict) and _same_kind(under, node, key):
             merged[key] = _overlay(under, node)
         else:
             merged[key] = node
     return merged
 
 
-def _same_kind(base: dict[str, Any], top: dict[str, Any]) -> bool:
-    """Tell whether two tables may share keys: a nut takes no diameter from a ball."""
-    return "kind" not in base or top.get("kind", base["kind"]) == base["kind"]
+def _same_kind(base: dict[str, Any], top: dict[str, Any], key: str) -> bool:
+    """Whether two tables may share keys: a nut takes no diameter from a ball."""
+    kind = base.get("kind", default_kinds(Experiment).get(key))
+    return kind is None or top.get("kind", kind) == kind
 
 
 def _assign_all(tree: dict[str, Any], changes: Mapping[str, Any]) -> None:
@@ -260,7 +262,18 @@ def _assign(tree: dict[str, Any], dotted: str, value: Any) -> None:
     if _is_absent(value):
         node.pop(leaf, None)
     else:
+        if leaf == "kind" and parents:
+            _drop_keys_of_other_kinds(node, ".".join(parents), value)
         node.update(_overlay(node, {leaf: value}))
+
+
+def _drop_keys_of_other_kinds(node: dict[str, Any], path: str, kind: Any) -> None:
+    """Keep of a table what its new kind has, too: a matte coat keeps the albedo of another."""
+    if node.get("kind", default_kinds(Experiment).get(path)) == kind:
+        return
+    keys = keys_of_kind(path, kind)
+    for key in [key for key in node if keys and key not in keys]:
+        del node[key]
 
 
 def _is_absent(value: Any) -> bool:

@@ -40,32 +40,21 @@ from twin.config.bounds import (
     ThrowRatio,
     Tolerance,
 )
-from twin.config.elastomer import Coating, Elastomer, Film, Mechanics, PadFile, Press, Texture
+from twin.config.coatings import COATINGS, AnyCoating, Coating, Texture
+from twin.config.elastomer import Elastomer, Film, Mechanics, PadFile, Press
 from twin.config.kinds import NameOf, follows
 from twin.config.lamps import Lamp, Photometric, check_lamps
 from twin.config.layers import Layer, Layers, check_rig
+from twin.config.materials import MATERIALS, Material
 from twin.config.measurands import ObjectMeasurand
 from twin.config.methods import TRAITS, Method, MethodTraits
-from twin.config.specimen_base import (
-    SPECIMENS,
-    AnySpecimen,
-    Conductor,
-    Dielectric,
-    Diffuse,
-    Material,
-    Plastic,
-    Specimen,
-    Stage,
-)
+from twin.config.specimen_base import SPECIMENS, AnySpecimen, Specimen, Stage
 
 __all__ = [
     "AnySpecimen",
     "Camera",
     "Coating",
-    "Conductor",
     "Decode",
-    "Dielectric",
-    "Diffuse",
     "Distortion",
     "Elastomer",
     "Experiment",
@@ -79,7 +68,6 @@ __all__ = [
     "PadFile",
     "Patterns",
     "Photometric",
-    "Plastic",
     "Pose",
     "Press",
     "Projector",
@@ -348,7 +336,7 @@ class Provenance(Model):
     range: tuple[float, float] | None = None
 
 
-@follows(SPECIMENS)
+@follows(COATINGS, MATERIALS, SPECIMENS)
 class Experiment(Model):
     """One virtual measurement, whole."""
 
@@ -372,7 +360,7 @@ class Experiment(Model):
     specimen: AnySpecimen
     stage: Stage = Stage()
     elastomer: Elastomer
-    coating: Coating
+    coating: AnyCoating
     press: Press
     mechanics: Mechanics = Mechanics()
     projector: Projector
@@ -401,7 +389,7 @@ class Experiment(Model):
         description="[lamps.NAME]: rows of LEDs beside the gel (photometric_stereo)",
     )
     photometric: Photometric = Field(
-        default=Photometric(), description="images and calibration of photometric_stereo"
+        default_factory=Photometric, description="images and calibration of photometric_stereo"
     )
     provenance: dict[str, Provenance] = Field(
         default_factory=dict, description="source and valid range by dotted path"

@@ -17,8 +17,9 @@ from pydantic_core import PydanticUndefined
 
 from twin.config.base import ConfigError
 from twin.config.bounds import Because
-from twin.config.kinds import NameOf, OneOf
-from twin.config.models import Conductor, Dielectric, Diffuse, Experiment, Layer, Plastic
+from twin.config.kinds import NameOf, OneOf, kind_of
+from twin.config.materials import MATERIALS
+from twin.config.models import Experiment, Layer
 
 _MOST_PROBLEMS = 20
 
@@ -107,6 +108,17 @@ def limits_at(path: str, document: type[BaseModel] = Experiment) -> tuple[float,
         for name in ("gt", "ge", "lt", "le")
         if hasattr(one, name)
     )
+
+
+def keys_of_kind(path: str, kind: Any, document: type[BaseModel] = Experiment) -> set[str]:
+    """Return the keys of the table at a dotted path where it is of a kind; empty: no such kind."""
+    models = _walk(tuple(path.split(".")), document)[1]
+    return {
+        key
+        for model in models
+        if "kind" in model.model_fields and kind_of(model) == kind
+        for key in model.model_fields
+    }
 
 
 def _metadata_at(loc: Loc, document: type[BaseModel]) -> list[list[Any]]:
@@ -217,8 +229,7 @@ class Key:
 def experiment_keys() -> Iterator[Key]:
     """Yield every key of an experiment file, the materials' once at the end."""
     yield from list_keys(Experiment)
-    for material in (Conductor, Dielectric, Diffuse, Plastic):
-        kind = material.model_fields["kind"].default
+    for kind, material in MATERIALS.items():
         yield from list_keys(material, f"specimen.material({kind}).")
     yield from list_keys(Layer, "layers.NAME.")
 
@@ -226,7 +237,9 @@ def experiment_keys() -> Iterator[Key]:
 def list_keys(model: type[BaseModel], prefix: str = "") -> Iterator[Key]:
     """Yield every key of a model and of the models inside it, in file order."""
     for name, field in model.model_fields.items():
-        inner = [] if name == "material" else models_of(field)
+        inner = models_of(field)
+        if inner and set(inner) <= set(MATERIALS):
+            inner = []
         if name == "provenance":
             continue
         if not inner:

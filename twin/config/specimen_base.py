@@ -2,71 +2,23 @@
 
 A kind of specimen is one file of `twin/specimens/kinds`, a subclass of `Specimen` that registers
 itself in `SPECIMENS`. Lengths in mm, relative to the slab's centre; the specimen presses from
-below. Every material conserves energy by construction; complex indices hold at the projector's
-wavelength.
+below.
 """
 
 from collections.abc import Mapping
-from typing import Annotated, ClassVar, Literal, TypeVar
+from typing import Annotated, Any, ClassVar, TypeVar
 
-from pydantic import Field
+from pydantic import ConfigDict, Field
 
 from reconstruction.registry import PluginError, Registry
 from twin.config.base import Angle, Model
-from twin.config.bounds import Absorption, Extinction, Length, MetalIndex, Place
-from twin.config.kinds import OneOf, kind_of
+from twin.config.bounds import Length, Place
+from twin.config.kinds import OneOf, follows, kind_of
+from twin.config.materials import MATERIALS, Albedo, Material
 from twin.config.nominal import NominalFeature
 from twin.shape import Shape
 
 Feature = TypeVar("Feature", bound=NominalFeature)
-
-Roughness = Annotated[float, Field(ge=0, le=1)]
-Index = Annotated[float, Field(ge=1, le=4)]
-Albedo = Annotated[float, Field(ge=0, lt=1)]
-
-
-class Conductor(Model):
-    """A metal surface with GGX microfacets."""
-
-    kind: Literal["conductor"] = "conductor"
-    ior: MetalIndex = Field(description="real part n of the complex index")
-    extinction: Extinction = Field(description="imaginary part k of the complex index")
-    roughness: Roughness = Field(description="GGX alpha; 0 is a perfect mirror")
-
-
-class Dielectric(Model):
-    """A clear body: refracts, reflects after Fresnel, absorbs along the way (Beer-Lambert).
-
-    What the camera sees through the middle of a ball may be 20 to 25 % off (docs/specimens.md).
-    """
-
-    kind: Literal["dielectric"] = "dielectric"
-    ior: Index = Field(description="index of refraction against air")
-    roughness: Annotated[float, Field(ge=0, le=0.5)] = Field(
-        default=0.0, description="GGX alpha; 0 is perfectly smooth"
-    )
-    absorption_per_mm: Absorption = Field(
-        default=0.0, description="Napierian coefficient of the bulk"
-    )
-
-
-class Diffuse(Model):
-    """A matte (Lambertian) surface."""
-
-    kind: Literal["diffuse"] = "diffuse"
-    albedo: Albedo
-
-
-class Plastic(Model):
-    """Opaque pigment below a clear surface that reflects after Fresnel."""
-
-    kind: Literal["plastic"] = "plastic"
-    albedo: Albedo = Field(description="of the pigment, below the surface")
-    ior: Index
-    roughness: Annotated[float, Field(ge=0.02, le=1)] = Field(description="GGX alpha")
-
-
-Material = Annotated[Conductor | Dielectric | Diffuse | Plastic, Field(discriminator="kind")]
 
 
 class Stage(Model):
@@ -82,6 +34,13 @@ class Specimen(Model):
     A kind sets `kind`, adds its dimensions and overrides `shape`; what else it overrides says which
     of its dimensions are measured and fitted.
     """
+
+    model_config = ConfigDict(defer_build=True)
+
+    @classmethod
+    def __pydantic_init_subclass__(cls, **_: Any) -> None:
+        """Build each kind again when there is another material."""
+        follows(MATERIALS)(cls)
 
     x_mm: Place = 0.0
     y_mm: Place = 0.0

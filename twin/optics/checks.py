@@ -4,7 +4,6 @@ from reconstruction.errors import InputError
 from twin.config.layers import holding_layer
 from twin.config.models import Experiment
 from twin.optics.light import pattern_set
-from twin.optics.materials import sharp
 from twin.specimens import Body, bodies
 
 
@@ -13,8 +12,8 @@ def check_renderable(experiment: Experiment) -> None:
 
     Raises
     ------
-    InputError : depth of field with one sample; too large a stack of frames; a coat's binder below
-        the index of the layer around it; the stock engine with what it cannot express; a bare
+    InputError : depth of field with one sample; too large a stack of frames; a coat that cannot
+        be in the layer around it; the stock engine with what it cannot express; a bare
         specimen without material, by the stock engine, or with a light path that has one blur alone
     """
     check_samples(experiment)
@@ -23,10 +22,10 @@ def check_renderable(experiment: Experiment) -> None:
         check_direct_engine(experiment)
         parts = bodies(experiment.specimen, 0.0)
         check_materials(parts)
-        if any(part.material is not None and sharp(part.material) for part in parts):
+        if any(part.material is not None and part.material.is_sharp for part in parts):
             check_focus(experiment)
         return
-    check_binder(experiment)
+    check_coat(experiment)
     if experiment.method.fringes and experiment.render.engine == "stock":
         check_stock(experiment)
 
@@ -64,14 +63,11 @@ def check_samples(experiment: Experiment) -> None:
         )
 
 
-def check_binder(experiment: Experiment) -> None:
-    """Refuse a binder whose index is below that of the layer that the coat lies in."""
-    coating, holder = experiment.coating, holding_layer(experiment.layers)
-    if holder is not None and 1.0 < coating.binder_ior < holder.ior:
-        raise InputError(
-            f"coating.binder_ior: found {coating.binder_ior:g}, allowed 1 (matte), or at least "
-            f"{holder.ior:g}, that of the layer around the coat; set it to 1"
-        )
+def check_coat(experiment: Experiment) -> None:
+    """Refuse a coat that cannot be in the layer around it."""
+    holder = holding_layer(experiment.layers)
+    if holder is not None:
+        experiment.coating.in_medium(holder.ior)
 
 
 def check_stock(experiment: Experiment) -> None:

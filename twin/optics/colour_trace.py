@@ -22,8 +22,8 @@ from twin.optics.devices import Device, SubPixels
 from twin.optics.heights import MarchedHeights
 from twin.optics.lamps import Emitters, emitters_of, sky_seen
 from twin.optics.layers import LayerStack
-from twin.optics.materials import is_matte
 from twin.optics.scene import (
+    bsdf_on,
     check_below_layers,
     coating_in_layer,
     heights_of,
@@ -63,13 +63,14 @@ class ColourScene:
     """
 
     def __init__(self, experiment: Experiment, face: "trimesh.Trimesh") -> None:
-        self._scene = marched_scene(experiment, face, coating_in_layer(experiment))
+        bsdf = bsdf_on(face, coating_in_layer(experiment))
+        self._scene = marched_scene(experiment, face, bsdf)
         self._heights, self._facets = heights_of(face), len(face.faces)
         self._samples = experiment.render.samples
         self._lamps = experiment.lamps
         self._layers, self._stack = experiment.layers, layer_stack(experiment)
         self._markers = experiment.photometric.markers
-        self._matte = is_matte(experiment.coating)
+        self._matte = experiment.coating.is_matte
 
     def put(self, face: "trimesh.Trimesh") -> None:
         """Exchange the face for another one with the same grid of facets.

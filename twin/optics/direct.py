@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from twin.config.models import Experiment, Material
+from twin.optics.bsdfs import level
 from twin.optics.checks import check_materials
-from twin.optics.materials import absorption_per_mm, bsdf_of, level, mitsuba_mesh, sharp
+from twin.optics.materials import mitsuba_mesh
 from twin.specimens import bodies
 
 if TYPE_CHECKING:
@@ -62,7 +63,10 @@ def solids(experiment: Experiment) -> tuple[Solid, ...]:
         _stage(experiment, lowest_mm - AIR_GAP_MM),
         *(
             Solid(
-                f"part_{k}_{part.name}", _smooth(part.mesh), bsdf_of(part.material), part.material
+                f"part_{k}_{part.name}",
+                _smooth(part.mesh),
+                part.material.bsdf(),
+                part.material,
             )
             for k, part in enumerate(parts)
             if part.material is not None
@@ -96,9 +100,9 @@ def direct_scene(experiment: Experiment) -> DirectScene:
     scene = mi.load_dict({"type": "scene", **meshes}, optimize=False)
     shapes = {shape.id(): shape for shape in scene.shapes()}
     found = tuple(
-        Sharp(shapes[part.name], absorption_per_mm(part.material))
+        Sharp(shapes[part.name], part.material.bulk_absorption_per_mm)
         for part in parts
-        if part.material is not None and sharp(part.material)
+        if part.material is not None and part.material.is_sharp
     )
     return DirectScene(scene, Surfaces(found, shapes[STAGE]))
 

@@ -11,10 +11,11 @@ from typing import TYPE_CHECKING, Any
 import jinja2
 import numpy as np
 
+from reconstruction.errors import InputError
 from reconstruction.writing import write_bytes, write_exr_channels, write_text
 from twin.config.models import Experiment
 from twin.optics.direct import Solid, solids
-from twin.optics.materials import COATED_FACE, coating_bsdf, sharp
+from twin.optics.materials import COATED_FACE
 from twin.optics.rig import perspective_sensor, to_world
 from twin.optics.session import renderer_session
 from twin.specimens import bodies
@@ -31,7 +32,7 @@ SCENE_FILE = "scene.xml"
 def inexpressible(experiment: Experiment) -> list[str]:
     """List what stock Mitsuba cannot express of this experiment, one line each."""
     parts = () if experiment.method.presses else bodies(experiment.specimen, 0.0)
-    clear = any(part.material is not None and sharp(part.material) for part in parts)
+    clear = any(part.material is not None and part.material.is_sharp for part in parts)
     checks = (
         (
             experiment.projector.aperture_mm > 0.0,
@@ -79,17 +80,23 @@ def export_stock(
     Returns
     -------
     What the scene leaves out (see `inexpressible`)
+
+    Raises
+    ------
+    InputError : stock Mitsuba has no such coat
     """
     import mitsuba as mi
 
     from twin.optics.scene import rig_of
 
+    if face is not None and experiment.coating.export_gap:
+        raise InputError(f"export: {experiment.coating.export_gap}; export another coating")
     rig = rig_of(experiment)
     canvas = _write_textures(experiment, rig, folder, progress)
     if face is None:
         shapes = solids(experiment)
     else:
-        shapes = (Solid(COATED_FACE, face, coating_bsdf(experiment.coating)),)
+        shapes = (Solid(COATED_FACE, face, experiment.coating.bsdf()),)
     for solid in shapes:
         content = solid.mesh.export(file_type="ply", vertex_normal=True)
         write_bytes(folder / f"{solid.name}.ply", content)

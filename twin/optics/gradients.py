@@ -24,11 +24,11 @@ import numpy as np
 from reconstruction.arrays import FloatArray
 from reconstruction.errors import InputError
 from reconstruction.rig.pinhole import Pinhole
-from twin.config.models import Coating, Experiment
+from twin.config.models import Experiment
 from twin.optics.connection import FrameLight, Rig
 from twin.optics.devices import Device
 from twin.optics.light import LightTable
-from twin.optics.materials import COATED_FACE, coating_numbers
+from twin.optics.materials import COATED_FACE, bsdf_numbers, listed_as
 from twin.optics.one_trace import Patches, frames_of_patches, maps_of, trace_patches
 from twin.optics.rig import irradiance_at_1mm, true_calibration
 from twin.optics.scene import coating_in_layer
@@ -211,13 +211,15 @@ class _moving_coat:  # noqa: N801 - read as a function
         self._parameters = mi.traverse(_face(scene).bsdf())
         self._moved = {}
         still, low, high = (
-            dict(coating_numbers(_coat(seen))) for seen in (experiment, vary(-step), vary(step))
+            dict(bsdf_numbers(coating_in_layer(seen).bsdf()))
+            for seen in (experiment, vary(-step), vary(step))
         )
         for name, value in still.items():
             slope = (high[name] - low[name]) / (2.0 * step)
-            if slope and name in self._parameters:
-                kind = type(self._parameters[name])
-                self._moved[name] = kind(value), kind(mi.Float(value) + amount * slope)
+            listed = listed_as(name, self._parameters)
+            if slope and listed is not None:
+                kind = type(self._parameters[listed])
+                self._moved[listed] = kind(value), kind(mi.Float(value) + amount * slope)
 
     def __enter__(self) -> None:
         self._set(1)
@@ -234,7 +236,3 @@ class _moving_coat:  # noqa: N801 - read as a function
 
 def _face(scene: Any) -> Any:
     return next(shape for shape in scene.shapes() if shape.id() == COATED_FACE)
-
-
-def _coat(experiment: Experiment) -> Coating:
-    return coating_in_layer(experiment)

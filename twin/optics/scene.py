@@ -10,13 +10,20 @@ import numpy as np
 from reconstruction.errors import InputError
 from twin.config.layers import Layer, holding_layer, media_of
 from twin.config.models import Coating, Experiment
-from twin.optics.checks import check_binder, check_samples
+from twin.optics.checks import check_samples
 from twin.optics.connection import Rig
 from twin.optics.devices import Device
 from twin.optics.height_grid import height_grid, is_even, shades_itself
 from twin.optics.heights import MarchedHeights
 from twin.optics.layers import LayerStack
-from twin.optics.materials import COATED_FACE, INK_ALBEDO, coated_mesh, coating_bsdf
+from twin.optics.materials import (
+    COATED_FACE,
+    INK_ALBEDO,
+    SHADE,
+    coated_mesh,
+    structure_of,
+    updated,
+)
 from twin.optics.rig import ThinLens, irradiance_at_1mm, true_calibration
 
 if TYPE_CHECKING:
@@ -30,8 +37,10 @@ class CoatedScene:
     marched over their heights.
     """
 
-    def __init__(self, mesh: Any, *, tree: bool = True) -> None:
-        self._mesh, self._tree = mesh, _tree_of(mesh) if tree else None
+    def __init__(self, face: "trimesh.Trimesh", bsdf: dict[str, Any], *, tree: bool = True) -> None:
+        self._mesh = mesh = coated_mesh(face, bsdf)
+        self._tree = _tree_of(mesh) if tree else None
+        self._bsdf = bsdf
         #: `mi.ShapePtr` of the face; opaque, as its number must not be part of a kernel's code
         self.shape = dr.opaque(mi.ShapePtr, mesh)
 
@@ -49,6 +58,24 @@ class CoatedScene:
         parameters.update()
         if self._tree is not None:
             self._tree = _tree_of(self._mesh)
+
+    def set_coating(self, coating: Coating) -> None:
+        """Give the face another coating; its geometry stays.
+
+        Parameters
+        ----------
+        coating : any. Where its BSDF differs from the present one in numbers only, these are
+            parameter updates that keep the compiled kernel; otherwise the BSDF is exchanged, which
+            compiles one kernel more
+        """
+        bsdf, before = coating.bsdf(), self._bsdf
+        if bsdf == before:
+            return
+        if structure_of(bsdf) != structure_of(before) or not updated(self._mesh, bsdf, before):
+            self._mesh.set_bsdf(mi.load_dict(bsdf))
+            # Numbers that are updated are no literals of the kernel: it serves the next coat, too.
+            updated(self._mesh, bsdf, bsdf)
+        self._bsdf = bsdf
 
     def shapes(self) -> list[Any]:
         """Return the face, `mi.Mesh`, in a list."""
@@ -86,10 +113,12 @@ def coated_scene(experiment: Experiment, face: "trimesh.Trimesh") -> CoatedScene
     InputError : the face pokes through the layers that it is seen through
     """
     check_below_layers(experiment.layers, face)
-    return CoatedScene(coated_mesh(face, coating_bsdf(coating_in_layer(experiment))))
+    return CoatedScene(face, coating_in_layer(experiment).bsdf())
 
 
-def marched_scene(experiment: Experiment, face: "trimesh.Trimesh", coating: Coating) -> CoatedScene:
+def marched_scene(
+    experiment: Experiment, face: "trimesh.Trimesh", bsdf: dict[str, Any]
+) -> CoatedScene:
     """Scene of the coated face in a coat that need not be the experiment's own, for `coated_rig`.
 
     It has a tree only where rays are not marched, or bounce.
@@ -101,8 +130,13 @@ def marched_scene(experiment: Experiment, face: "trimesh.Trimesh", coating: Coat
     check_below_layers(experiment.layers, face)
     grid = height_grid(face)
     tree = experiment.bounces > 0 or grid is None or not is_even(grid)
-    bsdf = coating_bsdf(coating, shaded=INK_ALBEDO in face.vertex_attributes)
-    return CoatedScene(coated_mesh(face, bsdf), tree=tree)
+    return CoatedScene(face, bsdf, tree=tree)
+
+
+def bsdf_on(face: "trimesh.Trimesh", coating: Coating) -> dict[str, Any]:
+    """Return a coat's BSDF on a face, which may have `INK_ALBEDO` where an object shows through."""
+    shaded = INK_ALBEDO in face.vertex_attributes
+    return coating.bsdf_with_ink(SHADE) if shaded else coating.bsdf()
 
 
 def heights_of(face: "trimesh.Trimesh") -> MarchedHeights | None:
@@ -149,18 +183,10 @@ def coating_in_layer(experiment: Experiment) -> Coating:
 
     Raises
     ------
-    InputError : the binder's index is below the medium's
+    InputError : no such coat can be in that medium
     """
-    coating, holder = experiment.coating, holding_layer(experiment.layers)
-    if holder is None:
-        return coating
-    check_binder(experiment)
-    relative = {
-        "flake_ior": coating.flake_ior / holder.ior,
-        "flake_extinction": coating.flake_extinction / holder.ior,
-        "binder_ior": max(coating.binder_ior / holder.ior, 1.0),
-    }
-    return coating.model_copy(update=relative)
+    holder = holding_layer(experiment.layers)
+    return experiment.coating if holder is None else experiment.coating.in_medium(holder.ior)
 
 
 def check_below_layers(layers: dict[str, Layer], face: "trimesh.Trimesh") -> None:

@@ -15,7 +15,8 @@ from numpy.typing import ArrayLike
 
 from reconstruction.arrays import BoolImage, FloatArray, FloatImage, Levels
 from reconstruction.rig.pinhole import Pinhole
-from twin.optics.materials import level, mitsuba_mesh
+from twin.optics.bsdfs import level
+from twin.optics.materials import mitsuba_mesh
 from twin.optics.rig import perspective_sensor
 from twin.optics.session import renderer_session
 

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from twin.config import Experiment
 from twin.mechanics import PressedElastomer, face_mesh, fields_at, slab_mesh
-from twin.optics.materials import bsdf_of
 from twin.optics.rig import true_calibration
 from twin.optics.view import SceneObject, matte
 from twin.specimens import bodies
@@ -61,7 +60,7 @@ def specimen_things(experiment: Experiment, pressed: PressedElastomer) -> list[S
         SceneObject(
             f"part_{k}",
             _smooth(part.mesh),
-            CREAM if part.material is None else bsdf_of(part.material),
+            CREAM if part.material is None else part.material.bsdf(),
             smooth=True,
         )
         for k, part in enumerate(parts)

@@ -14,9 +14,9 @@ from twin.pipeline.memory import Memory
 from twin.pipeline.press import press
 from twin.results.bound import information_shares
 from twin.results.derivatives import (
-    DIFFERENTIATED,
     OF_THE_NUMBERS,
     Moved,
+    differentiated,
     log_sigma_tangent,
 )
 from twin.results.figures import Metric
@@ -46,7 +46,7 @@ def bound_gradient(
 
     Parameters
     ----------
-    paths : of `DIFFERENTIATED`
+    paths : of `differentiated`
 
     Returns
     -------
@@ -57,11 +57,10 @@ def bound_gradient(
     InputError : a field that moves the press or the camera, layers, or as `bounds_alone`
     MissingBackend : no usable Dr.Jit backend
     """
+    allowed = differentiated(experiment)
     for path in paths:
-        if path not in DIFFERENTIATED:
-            raise InputError(
-                f"{path}: found no derivative by it; allowed are {', '.join(DIFFERENTIATED)}"
-            )
+        if path not in allowed:
+            raise InputError(f"{path}: found no derivative by it; allowed are {', '.join(allowed)}")
     pressed, figures = bounds_alone(experiment, memory)
     face = press(experiment, memory)
     prediction, truth = predicted(experiment, face, memory)

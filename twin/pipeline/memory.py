@@ -115,6 +115,8 @@ class _Watched:
         kind = type(self._watched_model)
         if name in kind.model_fields:
             return self._field(name)
+        if name in kind.__class_vars__:
+            return getattr(kind, name)  # the kind of a table is noted with the table
         if not hasattr(BaseModel, name):
             found = inspect.getattr_static(kind, name, None)
             if isinstance(found, property) and found.fget is not None:

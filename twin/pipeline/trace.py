@@ -11,13 +11,13 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from twin.config.digest import seed_sequence
-from twin.config.models import Coating, Experiment
+from twin.config.models import Experiment
 from twin.optics.bounces import Bounces
 from twin.optics.checks import check_focus, check_stock
 from twin.optics.connection import Rig, axial_range_mm
 from twin.optics.direct import direct_scene
 from twin.optics.light import LightTable, light_tables, pattern_set
-from twin.optics.materials import coated_mesh, coating_bsdf, set_coating
+from twin.optics.materials import coated_mesh
 from twin.optics.one_trace import Patches, maps_of, trace_patches, trace_stack, trace_truth
 from twin.optics.photons import Photons, StageLight, map_photons, trace_photons
 from twin.optics.scene import Surfaces, coated_rig, coating_in_layer, marched_scene, rig_of
@@ -28,10 +28,8 @@ from twin.optics.stock import render_stack
 if TYPE_CHECKING:
     import trimesh
 
-# Any matte coat: each step that looks at the coat sets its own first.
-_BARE = Coating(
-    base_albedo=0.5, flake_fraction=0.0, flake_roughness=0.5, flake_ior=1.0, flake_extinction=1.0
-)
+# Any coat: each step that looks at the coat sets its own first.
+_BARE = {"type": "diffuse"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,7 +176,7 @@ def light_with_stock(
     patterns = pattern_set(experiment.projector, experiment.patterns)
     seeds = seed_sequence(experiment, "stock").generate_state(len(patterns.frames)).tolist()
     frames = render_stack(
-        coated_mesh(geometry.face, coating_bsdf(experiment.coating)),
+        coated_mesh(geometry.face, experiment.coating.bsdf()),
         view.rig,
         patterns,
         tables,
@@ -195,7 +193,7 @@ def light_with_stock(
 def dress(experiment: Experiment, geometry: Geometry) -> None:
     """Give a loaded face the experiment's coat."""
     if geometry.face is not None:
-        set_coating(geometry.scene, coating_in_layer(experiment))
+        geometry.scene.set_coating(coating_in_layer(experiment))
 
 
 def _bounces(experiment: Experiment, geometry: Geometry, traced: Traced) -> Bounces | None:

@@ -4,7 +4,9 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
-from twin.config.models import Coating
+from pydantic import BaseModel
+
+from twin.config.coatings import Coating
 
 _UNITS = {
     "percent": "%",
@@ -42,8 +44,6 @@ _NAMES = {
     "shore_a": "Shore A",
     "young_modulus": "Young's modulus",
     "poisson_ratio": "Poisson ratio",
-    "flake_ior": "flake refractive index n",
-    "flake_extinction": "k",
     "error_over_sigma": "normalised error (spread of error / predicted sigma)",
     "z_rmse": "z error, RMS",
     "z_bias": "z error, mean",
@@ -134,20 +134,28 @@ def in_words(value: Any) -> str:
     return str(value).replace("_", " ")
 
 
-def phrase(values: Mapping[str, Any]) -> str:
-    """Write a flat table as one phrase: `thickness 2 mm, Shore A 10`."""
+def phrase(values: Mapping[str, Any], model: type[BaseModel] | None = None) -> str:
+    """Write a flat table as one phrase: `thickness 2 mm, Shore A 10`.
+
+    Parameters
+    ----------
+    model : of the table; a field's title is written in the place of its name
+    """
+    titles = {} if model is None else {n: one.title for n, one in model.model_fields.items()}
     parts = []
     for name, value in values.items():
         if value is not None and not isinstance(value, dict):
             label, unit = label_of(name)
             space = "" if unit in ("°", "") else " "
-            parts.append(f"{label} {in_words(value)}{space}{unit}")
+            parts.append(f"{titles.get(name) or label} {in_words(value)}{space}{unit}")
     return ", ".join(parts)
 
 
 def coating_phrase(coating: Coating) -> str:
     """Write a coating as one phrase, its texture, if it has one, last."""
-    told = phrase(coating.model_dump())
+    numbers = coating.model_dump()
+    kind = f"{numbers.pop('kind')}: " if "kind" in numbers else ""
+    written = kind + phrase(numbers, type(coating))
     if coating.texture is None:
-        return told
-    return f"{told}; texture: {phrase(coating.texture.model_dump())}"
+        return written
+    return f"{written}; texture: {phrase(coating.texture.model_dump())}"

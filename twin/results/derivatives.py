@@ -33,7 +33,6 @@ Vary = Callable[[float], Experiment]
 _STEP = 1e-20j
 _WHITE_PERCENTILE = 99.5
 
-OF_THE_COAT = ("coating.base_albedo", "coating.flake_fraction", "coating.flake_roughness")
 OF_THE_PROJECTOR = (
     "projector.flux_mw", "projector.blur_px", "projector.focus_mm", "projector.aperture_mm",
     "projector.pose.standoff_mm", "projector.pose.polar_deg", "projector.pose.azimuth_deg",
@@ -43,8 +42,15 @@ OF_THE_NUMBERS = (
     "patterns.period_px", "camera.exposure_ms", "camera.auto_level", "camera.f_number",
     "camera.quantum_efficiency", "camera.lens_transmission", "camera.read_noise_e",
 )  # fmt: skip
-DIFFERENTIATED = (*OF_THE_COAT, *OF_THE_PROJECTOR, *OF_THE_NUMBERS)
-"""Fields that move neither the press nor what each camera pixel sees."""
+
+
+def differentiated(experiment: Experiment) -> tuple[str, ...]:
+    """Return the fields that move neither the press nor what each camera pixel sees.
+
+    Those of the coat are what its kind states to be differentiable.
+    """
+    of_the_coat = (f"coating.{name}" for name in experiment.coating.differentiable)
+    return (*of_the_coat, *OF_THE_PROJECTOR, *OF_THE_NUMBERS)
 
 
 @dataclass(frozen=True, eq=False)

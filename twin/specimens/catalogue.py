@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 
 from reconstruction.arrays import FloatArray
-from twin.config.specimen_base import Material, Specimen
+from twin.config.materials import Material
+from twin.config.specimen_base import Specimen
 from twin.shape import Placement, Shape, SignedDistance, Sphere
 from twin.specimens.solids import united
 

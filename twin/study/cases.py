@@ -7,7 +7,7 @@ import hashlib
 import itertools
 import json
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -233,7 +233,7 @@ def _cases_at(study: Study, base: Experiment, point: Point) -> Iterable[Case]:
     for level in point:
         changes |= without_absent(dict(level.changes))
     settings = _settings(study, point)
-    conditions = Conditions(bound=bound_needed(study), derivatives=derivatives_needed(study))
+    bound = bound_needed(study)
     compensates = compensation_needed(study)
     for modality in study.modalities or (base.modality,):
         for repeat in range(study.repeats):
@@ -243,7 +243,9 @@ def _cases_at(study: Study, base: Experiment, point: Point) -> Iterable[Case]:
             method = by_method(modality) if study.modalities else {}
             experiment = vary(base, changes | method | named)
             layer = layer_for(experiment) if compensates else None
-            yield case_of(settings | named, experiment, replace(conditions, layer=layer))
+            derivatives = derivatives_needed(study, experiment)
+            conditions = Conditions(bound=bound, derivatives=derivatives, layer=layer)
+            yield case_of(settings | named, experiment, conditions)
 
 
 def _settings(study: Study, point: Point) -> dict[str, Any]:

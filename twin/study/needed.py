@@ -10,7 +10,7 @@ from twin.config.models import Experiment
 from twin.config.sensor_layer import SensorLayer, sensor_layer_of
 from twin.config.study import Study
 from twin.results.bound import is_bound_name
-from twin.results.derivatives import DIFFERENTIATED
+from twin.results.derivatives import differentiated
 from twin.results.names import OF_A_PRESS, may_compensate, of_the_object
 from twin.study.derived import DERIVED, OF_A_MEASUREMENT
 
@@ -43,11 +43,12 @@ def layer_for(experiment: Experiment) -> SensorLayer | None:
     return sensor_layer_of(experiment).model_copy(update={"specimen": experiment.specimen})
 
 
-def derivatives_needed(study: Study) -> tuple[str, ...]:
+def derivatives_needed(study: Study, experiment: Experiment) -> tuple[str, ...]:
     """Return the fields that a gradient search needs derivatives by: those that have some."""
     if study.gradient is None:
         return ()
-    return tuple(str(axis.path) for axis in study.axis if axis.path in DIFFERENTIATED)
+    known = differentiated(experiment)
+    return tuple(str(axis.path) for axis in study.axis if axis.path in known)
 
 
 def _known_without(name: str) -> bool:

@@ -16,7 +16,7 @@ from twin.study.measuring import TRUE_RIG
 _NUMBER = re.compile(r"\d+(\.\d+)?(e[+-]?\d+)?")
 _NO_POINT = (
     "no valid point: see pixels without a point in the report of one case; more light (exposure_ms,"
-    " coating.base_albedo), or camera and projector that see the same place"
+    " a brighter coating), or camera and projector that see the same place"
 )
 _NOTHING_TO_SCORE = (
     "no pixel that ought to give a point: move specimen or camera until the specimen is in view"

@@ -14,6 +14,7 @@ from typing import Literal, Protocol
 
 from reconstruction.errors import InputError
 from reconstruction.machine import is_disk_full, threads
+from reconstruction.registry import load_inherited_plugins
 from twin.config import Experiment
 from twin.pipeline import Memory
 from twin.results.parts import write_result, write_timings
@@ -108,7 +109,7 @@ def compute(batch: Batch) -> BatchReport:
 
 
 def die_with(parent: int) -> None:
-    """Start a watch that ends this process when its parent is gone: nobody else would.
+    """Begin a worker: its parent's plug-ins, and a watch that ends it when its parent is gone.
 
     The parent's number is handed over: it may be gone before this process has asked for it.
     """
@@ -119,6 +120,8 @@ def die_with(parent: int) -> None:
         os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()
+    # Before the first batch arrives: experiments are unpickled by the modules of their kinds.
+    load_inherited_plugins()
 
 
 @lru_cache(maxsize=1)

@@ -1,0 +1,124 @@
+"""The coat of the elastomer as data: its texture, and what every kind of coating states.
+
+A kind is one file of `twin.optics.coatings`, of an installed package (entry points of the group
+`fringe_twin.coatings`) or of the user (`--plugin`): a subclass of `Coating` that sets `kind`, adds
+its numbers with ranges and sources, and overrides `bsdf`.
+"""
+
+from collections.abc import Mapping
+from math import cbrt, sqrt
+from typing import Annotated, Any, ClassVar, Self
+
+from pydantic import Field, model_validator
+
+from reconstruction.registry import Registry
+from twin.config.base import Model
+from twin.config.kinds import OneOf, kind_of
+
+
+class Texture(Model):
+    """Grain and flakes of a sprayed coat: heights over its smooth face, as a random field."""
+
+    rms_um: Annotated[float, Field(gt=0, le=100)] = Field(
+        description="root mean square height over all seeds"
+    )
+    correlation_mm: Annotated[float, Field(ge=0.03, le=2)] = Field(
+        description="lag at which the autocorrelation of the heights falls to 1/e; ISO 25178's Sal "
+        "takes 0.2, which normal heights reach at 1.27 of it"
+    )
+    skewness: Annotated[float, Field(ge=-3, le=3)] = Field(
+        default=0.0, description="above 0: grains stand out; below 0: pits"
+    )
+    excess_kurtosis: Annotated[float, Field(ge=0, le=60)] = Field(
+        default=0.0,
+        description="0 is normal; with skewness, more than the log-normal distribution has",
+    )
+
+    @model_validator(mode="after")
+    def _distribution_exists(self) -> "Texture":
+        least = _least_excess_kurtosis(self.skewness)
+        if self.skewness and self.excess_kurtosis < least:
+            raise ValueError(
+                f"excess_kurtosis: found {self.excess_kurtosis:g}, allowed at least {least:.3g} "
+                f"with skewness {self.skewness:g}; raise it, or set skewness nearer to 0"
+            )
+        return self
+
+
+def _least_excess_kurtosis(skewness: float) -> float:
+    """Return the log-normal distribution's and 1 %: heights follow Johnson's unbounded system."""
+    square = skewness**2
+    root = cbrt(1 + square / 2 + sqrt(square + square**2 / 4))
+    w = root + 1 / root - 1
+    return 1.01 * (w**4 + 2 * w**3 + 3 * w**2 - 6)
+
+
+class Coating(Model):
+    """What every coat has: its texture, and what its kind states about how it reflects light."""
+
+    kind: str
+    # Left out where absent: a smooth coat keeps its digest.
+    texture: Texture | None = Field(
+        default=None,
+        exclude_if=lambda texture: texture is None,
+        description="absent: the coat is smooth",
+    )
+
+    differentiable: ClassVar[tuple[str, ...]] = ()
+    """Numbers by which a bound is differentiated: `bsdf` is a smooth function of them."""
+
+    albedo_field: ClassVar[str] = ""
+    """Number in which the reflected light is affine; a reference surface determines it."""
+
+    determined_by: ClassVar[Mapping[str, str]] = {}
+    """What `twin adopt` needs to determine a number, by the name of that number."""
+
+    def bsdf(self) -> dict[str, Any]:
+        """Return the BSDF for `mi.load_dict`.
+
+        Every number that enters it as a float is exchanged on the loaded scene, without loading or
+        compiling, when only numbers differ between two coats.
+
+        Raises
+        ------
+        InputError : a file that the coat names cannot be used
+        """
+        raise NotImplementedError(f"{type(self).__name__}.bsdf")
+
+    def bsdf_with_ink(self, albedo: dict[str, Any]) -> dict[str, Any]:
+        """Return the BSDF with a texture in the place of the ink's albedo, see `albedo_over`."""
+        raise NotImplementedError(f"{type(self).__name__}.bsdf_with_ink")
+
+    def albedo_over(self, reflectance: float) -> float | None:
+        """Return the albedo of the ink with an object behind it; None: the coat is opaque.
+
+        Parameters
+        ----------
+        reflectance : of the object; 0: nothing touches the ink
+        """
+        return None
+
+    def in_medium(self, ior: float) -> Self:
+        """Return the coat with its indices of refraction against a clear layer that it touches.
+
+        Raises
+        ------
+        InputError : no coat of this kind can be in that layer
+        """
+        return self
+
+    @property
+    def is_matte(self) -> bool:
+        """Whether the coat reflects alike into all directions."""
+        return False
+
+    @property
+    def export_gap(self) -> str:
+        """What stock Mitsuba cannot express of it, in one sentence; empty: nothing."""
+        return ""
+
+
+COATINGS: Registry[type[Coating]] = Registry("coatings", "twin.optics.coatings", kind_of)
+"""The kinds of coatings."""
+
+AnyCoating = Annotated[Coating, OneOf(COATINGS, default="flakes")]

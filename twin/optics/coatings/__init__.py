@@ -1,0 +1,1 @@
+"""The kinds of coatings, one per file."""

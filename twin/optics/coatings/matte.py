@@ -1,0 +1,34 @@
+"""Matte ink: an ideal diffuse reflector (Lambert), whatever layer it touches."""
+
+from collections.abc import Mapping
+from typing import Annotated, Any, ClassVar, Literal
+
+from pydantic import Field
+
+from twin.config.coatings import COATINGS, Coating
+from twin.optics.bsdfs import level
+
+
+@COATINGS.register
+class Matte(Coating):
+    """Matte ink: reflects alike into all directions."""
+
+    kind: Literal["matte"] = "matte"
+    base_albedo: Annotated[float, Field(gt=0, lt=1)] = Field(
+        description="share of light that the ink reflects"
+    )
+
+    differentiable = ("base_albedo",)
+    albedo_field = "base_albedo"
+    determined_by: ClassVar[Mapping[str, str]] = {
+        "base_albedo": "a reference of known albedo (--reference)"
+    }
+
+    def bsdf(self) -> dict[str, Any]:
+        """Return Lambert's reflector."""
+        return {"type": "diffuse", "reflectance": level(self.base_albedo)}
+
+    @property
+    def is_matte(self) -> bool:
+        """Always."""
+        return True
