@@ -23,6 +23,7 @@ from twin.config.bounds import (
 from twin.config.elastomer import Elastomer
 from twin.config.kinds import follows
 from twin.config.loading import read_toml, resolve_uses
+from twin.config.materials import MATERIALS
 from twin.config.models import Experiment, Provenance
 from twin.config.quantities import check_ranges, convert_units, split_quantities
 from twin.config.schema import validated
@@ -80,7 +81,7 @@ class PressedBar(Model):
     sigma_edge_radius_mm: Rounding = 0.0
 
 
-@follows(SPECIMENS)
+@follows(SPECIMENS, MATERIALS)
 class SensorLayer(Model):
     """Elastomer, load of the press, and how well they are known."""
 
