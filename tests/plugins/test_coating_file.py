@@ -11,7 +11,7 @@ import pytest
 from twin.cli.plugins import without_plugins
 
 ROOT = Path(__file__).parents[2]
-PLUGIN = Path(__file__).with_name("enamel.py")
+PLUGIN = ROOT / "docs/extend/enamel.py"
 EXPERIMENT = """
 name = "enamelled"
 use = "scenes/examples/slab_ball"

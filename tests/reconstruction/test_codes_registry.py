@@ -17,7 +17,7 @@ from reconstruction.pipeline import ReconstructOptions, reconstruct
 from reconstruction.registry import PLUGINS_VARIABLE, load_plugin
 from reconstruction.rig.sensor import SensorNoise
 
-PLUGIN = Path(__file__).with_name("residue_code.py")
+PLUGIN = Path(__file__).parents[2] / "docs/extend/residue_code.py"
 UNFILTERED = DecodeOptions(filter_taps=0)
 QUIET = SensorNoise(0.0, 0.0, 0.0, 255.0)
 HIERARCHICAL = {"code": "hierarchical", "further_periods_px": (600.0, 90.0)}

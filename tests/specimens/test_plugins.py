@@ -13,30 +13,7 @@ import pytest
 from twin.config.specimen_base import SPECIMENS, Specimen
 
 ROOT = Path(__file__).parents[2]
-LENS = '''
-from typing import ClassVar, Literal
-
-from twin.config.bounds import Length
-from twin.config.nominal import NominalBall
-from twin.config.specimen_base import SPECIMENS, Specimen
-from twin.shape import Sphere
-from twin.specimens.closed_form import SphereCluster
-
-
-@SPECIMENS.register
-class Lens(Specimen):
-    """A lens, its curved face up."""
-
-    kind: Literal["lens"] = "lens"
-    radius_mm: Length = 4.0
-    slab_fit_paths: ClassVar[tuple[str, ...]] = ("radius_mm", "x_mm", "y_mm")
-
-    def shape(self):
-        return SphereCluster((Sphere(0.0, 0.0, 0.0, self.radius_mm),))
-
-    def nominal_features(self):
-        return (NominalBall(self.radius_mm),)
-'''
+LENS = (ROOT / "docs/extend/lens.py").read_text(encoding="utf-8")
 FILE = """
 name = "lens"
 use = "scenes/examples/slab_ball"

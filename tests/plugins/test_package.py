@@ -1,0 +1,140 @@
+"""The examples of docs/extend.md as one installed package: a kind of every seam.
+
+The package is found by its entry points alone, in a process of its own.
+"""
+
+import json
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+EXAMPLES = ROOT / "docs/extend"
+POINTS = """
+[fringe_twin.specimens]
+lens = lens:Lens
+[fringe_twin.coatings]
+enamel = enamel:Enamel
+[fringe_twin.materials]
+lacquer = lacquer:Lacquer
+[fringe_twin.codes]
+residue = residue_code:RESIDUE
+"""
+EXPERIMENT = """
+name = "all_kinds"
+use = "scenes/examples/slab_ball"
+
+[specimen]
+kind = "lens"
+radius_mm = 4.0
+[specimen.material]
+kind = "lacquer"
+
+[coating]
+kind = "enamel"
+albedo = 0.4
+
+[patterns]
+code = "residue"
+steps = 4
+period_px = 17
+further_periods_px = [23]
+
+[press]
+solver_pitch_mm = 0.16
+relief_pitch_mm = 0.05
+
+[projector]
+width_px = 320
+height_px = 180
+
+[camera]
+width_px = 96
+height_px = 72
+binning = 1
+pixel_pitch_um = { value = 90.0, source = "test" }
+"""
+STUDY = """
+name = "lenses"
+base = "{base}"
+[[axis]]
+path = "specimen.radius_mm"
+values = [3.0, 4.0]
+"""
+
+
+@pytest.fixture(scope="module")
+def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder with the examples' modules and the metadata of their package."""
+    folder = tmp_path_factory.mktemp("site")
+    for file in EXAMPLES.glob("*.py"):
+        (folder / file.name).write_text(file.read_text(encoding="utf-8"), encoding="utf-8")
+    metadata = folder / "kinds_of_docs-1.0.dist-info"
+    metadata.mkdir()
+    (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: kinds-of-docs\nVersion: 1.0\n")
+    (metadata / "entry_points.txt").write_text(POINTS)
+    return folder
+
+
+def twin(installed: Path, *words: object) -> str:
+    """Run a command of its own process with the package installed; return what it printed."""
+    done = subprocess.run(
+        [sys.executable, "-c", "from twin.cli import main; main()", *map(str, words)],
+        env=os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), str(installed)])},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+@pytest.fixture(scope="module")
+def experiment(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    file = tmp_path_factory.mktemp("experiment") / "all_kinds.toml"
+    file.write_text(EXPERIMENT, encoding="utf-8")
+    return file
+
+
+@pytest.mark.parametrize("modality", ["contact_fpp", "direct_fpp"])
+def test_an_experiment_is_measured_and_reported(
+    mi: object, installed: Path, experiment: Path, tmp_path: Path, modality: str
+) -> None:
+    """Coat by contact, lacquer directly; the page names specimen, coat or material, and code."""
+    out = tmp_path / "out"
+    twin(installed, "measure", experiment, "-o", out, "-s", f"modality={modality}")
+    metrics = json.loads((out / "result.json").read_text("utf-8"))["metrics"]
+    assert metrics["points"] > 300
+    assert metrics["wrong_order_pixels"] < 0.05 * metrics["points"]  # glare of the lacquer
+    page = (out / "report.html").read_text("utf-8")
+    assert "residues of two periods" in page
+    for name in ("lens", "enamel" if modality == "contact_fpp" else "lacquer"):
+        assert re.search(rf"\b{name}\b", page), name
+
+
+def test_the_keys_of_all_kinds_are_listed(installed: Path) -> None:
+    keys = twin(installed, "keys").splitlines()
+    for key in ("specimen(lens).radius_mm", "coating(enamel).albedo"):
+        assert key in keys
+    assert any(key.endswith("material(lacquer).albedo") for key in keys)
+
+
+def test_a_study_varies_a_number_of_a_kind(
+    mi: object, installed: Path, experiment: Path, tmp_path: Path
+) -> None:
+    study, out = tmp_path / "study.toml", tmp_path / "out"
+    study.write_text(STUDY.format(base=experiment), encoding="utf-8")
+    twin(installed, "sweep", study, "-o", out, "-j", 1)
+    results = [json.loads(file.read_text("utf-8")) for file in out.rglob("result.json")]
+    assert len({result["metrics"]["force_n"] for result in results}) == 2
+
+
+def test_the_page_states_the_length_of_each_example() -> None:
+    page = (ROOT / "docs/extend.md").read_text(encoding="utf-8")
+    for file in EXAMPLES.glob("*.py"):
+        assert f"| {len(file.read_text(encoding='utf-8').splitlines())} lines |" in page, file.name
+        assert f"extend/{file.name}" in page
