@@ -55,7 +55,7 @@ def test_an_unknown_template_is_one_line(tmp_path, capsys):
 
 @pytest.mark.parametrize("name", MEASURED)
 def test_each_template_measures_its_object(mi, name, tmp_path, capsys):
-    """From `init` to a verdict, small and coarse; a report by fringes, and one by lamps, opens with it."""
+    """From `init` to a verdict, small and coarse; the reports of two open with it."""
     file, out = tmp_path / "experiment.toml", tmp_path / "out"
     assert run(["init", str(file), "--template", name]) == 0
     settings = [part for one in MEASURED[name] for part in ("-s", one)]
