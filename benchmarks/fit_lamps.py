@@ -253,14 +253,20 @@ def shading_of(experiment: Experiment, presses: RealPresses | None = None) -> Sh
     x = (np.arange(12) + 0.5) / 12 * 2 - 1
     col, row = np.meshgrid(np.arange(12) // 4, np.arange(12) // 4)
     flat = np.stack(np.meshgrid(x * half_x, -x * half_y), axis=-1).reshape(-1, 2)
-    coating, steel = experiment.coating, experiment.photometric.presses.material
     return Shading(
         experiment,
         presses or read_presses(),
         np.column_stack([flat, np.zeros(len(flat))]),
         (3 * row + col).ravel(),
-        coating.albedo_over(steel.normal_reflectance) / coating.albedo_over(0.0),
+        _brighter_on_steel(experiment),
     )
+
+
+def _brighter_on_steel(experiment: Experiment) -> float:
+    """Return the coat's albedo where it touches the reference ball, over that elsewhere."""
+    coating, steel = experiment.coating, experiment.photometric.presses.material
+    touching, free = (coating.albedo_over(r) for r in (steel.normal_reflectance, 0.0))
+    return 1.0 if touching is None or free is None else touching / free
 
 
 def fit(shading: Shading, channel: str) -> Rows:

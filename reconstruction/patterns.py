@@ -25,7 +25,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from reconstruction.arrays import BoolArray, FloatArray, IntArray, Levels
-from reconstruction.codes import CODES, Fringes, PatternCode, Rule, Word, code_of
+from reconstruction.codes import CODES, AxisFringes, CodeWord, PatternCode, Rule, code_of
 from reconstruction.errors import InputError, require_integer, require_number
 
 Kind = Literal["phase", "gray", "inverse", "white", "black"]
@@ -152,9 +152,9 @@ class PatternSet:
         """The code that numbers the fringes."""
         return CODES[self.code]
 
-    def fringes(self, axis: Axis) -> Fringes:
+    def fringes(self, axis: Axis) -> AxisFringes:
         """Return length and periods along `axis`, as codes read them."""
-        return Fringes(self.length_px(axis), self.periods_along(axis))
+        return AxisFringes(self.length_px(axis), self.periods_along(axis))
 
     def fused_periods(self, axis: Axis) -> tuple[float, ...]:
         """Return the periods whose phases are averaged in the coordinate along `axis`, px."""
@@ -192,7 +192,7 @@ class PatternSet:
         """Return the bits that number the periods, without those that make the code edge-safe."""
         return (self.periods(axis) - 1).bit_length()
 
-    def words(self, axis: Axis) -> tuple[Word, ...]:
+    def words(self, axis: Axis) -> tuple[CodeWord, ...]:
         """Return the words that number the fringes along `axis`; () where none are shown."""
         return self.kind.words(self.fringes(axis)) if axis in self.axes else ()
 
@@ -221,7 +221,7 @@ class PatternSet:
             shown[:last] ^= bits[last]
         return np.asarray(np.logical_xor.accumulate(shown))
 
-    def _bits_of(self, word: Word, x_px: IntArray) -> BoolArray:
+    def _bits_of(self, word: CodeWord, x_px: IntArray) -> BoolArray:
         value = word.at(x_px)
         shown = value if self.word == "binary" else value ^ (value >> 1)
         places = np.arange(word.bits)[::-1, None]
@@ -332,11 +332,11 @@ class PatternSet:
         for fringes in self._checked_fringes():
             self.kind.check(fringes)
 
-    def _checked_fringes(self) -> list[Fringes]:
+    def _checked_fringes(self) -> list[AxisFringes]:
         """Return the fringes of each axis; where both have the same, of the longer one."""
         if self.row_periods_px:
             return [self.fringes(axis) for axis in self.axes]
-        return [Fringes(max(map(self.length_px, self.axes)), self.periods_px)]
+        return [AxisFringes(max(map(self.length_px, self.axes)), self.periods_px)]
 
 
 def _periods(name: str, values: object, allowed_px: tuple[float, float]) -> tuple[float, ...]:

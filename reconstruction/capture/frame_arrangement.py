@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
-from reconstruction.codes import CODES, Fringes, Layout, PatternCode, code_of
+from reconstruction.codes import CODES, AxisFrames, AxisFringes, PatternCode, code_of
 from reconstruction.errors import CaptureError, require_integer
 from reconstruction.patterns import AXES, STEPS_RANGE, Axis, Kind, PatternSet, WordName
 
@@ -167,7 +167,7 @@ class Arrangement:
     ) -> PatternCode:
         """Return the stated code, or the one that lists such frames."""
         periods_px = tuple(frames[0].period_px or 0.0 for frames in phases)
-        layout = Layout(self._length(axis), periods_px, _sizes(phases), words)
+        layout = AxisFrames(self._length(axis), periods_px, _sizes(phases), words)
         codes = [self._stated] if self._stated else [c for c in CODES if c.is_shown_by(layout)]
         if len(codes) == 1:
             return codes[0]
@@ -297,7 +297,7 @@ class _WordBits:
 
     def kept(self, code: PatternCode) -> slice:
         """Return which bits a code needs; coarser ones are 0 everywhere."""
-        words = code.words(Fringes(self._length_px, (self._fringe_px,)))
+        words = code.words(AxisFringes(self._length_px, (self._fringe_px,)))
         if not words:
             axis = self._frames[0].axis
             raise CaptureError(f"along {axis} Gray frames are listed, code '{code.name}' has none")

@@ -46,7 +46,7 @@ class Rule(Enum):
 
 
 @dataclass(frozen=True)
-class Fringes:
+class AxisFringes:
     """The fringes along one projector axis.
 
     Parameters
@@ -70,7 +70,7 @@ class Fringes:
 
 
 @dataclass(frozen=True)
-class Word:
+class CodeWord:
     """A number that is shown as bits, one frame each.
 
     Parameters
@@ -88,13 +88,15 @@ class Word:
         return int(min(last + 1, 2**self.bits))
 
 
-def period_word(fringes: Fringes, displacement: float = 0.0, bits: int | None = None) -> Word:
+def period_word(
+    fringes: AxisFringes, displacement: float = 0.0, bits: int | None = None
+) -> CodeWord:
     """Return the word floor(x / period + displacement)."""
 
     def at(x_px: IntArray) -> IntArray:
         return np.floor(x_px / fringes.period_px + displacement).astype(np.int64)
 
-    return Word(fringes.bits if bits is None else bits, at)
+    return CodeWord(fringes.bits if bits is None else bits, at)
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,7 +115,7 @@ class Wrapped:
         deviations of that distance; infinite without words
     """
 
-    fringes: Fringes
+    fringes: AxisFringes
     phase_rad: FloatImage
     sigma_rad: FloatImage
     usable: BoolImage
@@ -139,7 +141,7 @@ The standard deviation of the coordinate is that of the measuring period's phase
 
 
 @dataclass(frozen=True)
-class Layout:
+class AxisFrames:
     """What a list of recorded frames contains along one axis.
 
     Parameters
@@ -192,7 +194,7 @@ class PatternCode:
     takes_response: bool = True
     has_closed_form: bool = True
 
-    def words(self, fringes: Fringes) -> tuple[Word, ...]:
+    def words(self, fringes: AxisFringes) -> tuple[CodeWord, ...]:
         """Return the words along an axis; () without any."""
         return ()
 
@@ -200,10 +202,10 @@ class PatternCode:
         """Return the number of images of a period: `steps`, or 1; number 0 measures."""
         return steps
 
-    def check(self, fringes: Fringes) -> None:
+    def check(self, fringes: AxisFringes) -> None:
         """Raise InputError, one line, if these periods cannot number the fringes of this length."""
 
-    def chain(self, fringes: Fringes) -> Chain:
+    def chain(self, fringes: AxisFringes) -> Chain:
         """Return the levels of Rule.CHAIN."""
         raise NotImplementedError(f"pattern code {self.name!r} has no chain of periods")
 
@@ -215,7 +217,7 @@ class PatternCode:
         """Return the probability that the order of Rule.OWN is wrong, (row, col) float."""
         return np.zeros(coordinate_px.shape)
 
-    def is_shown_by(self, layout: Layout) -> bool:
+    def is_shown_by(self, layout: AxisFrames) -> bool:
         """Whether frames listed like this are of this code; False: it must be stated."""
         return False
 

@@ -6,7 +6,7 @@ Zhang et al., Opt. Lasers Eng. 50, 574 (2012).
 import numpy as np
 
 from reconstruction.arrays import IntArray
-from reconstruction.codes import CODES, Fringes, Layout, PatternCode, Rule, Word
+from reconstruction.codes import CODES, AxisFrames, AxisFringes, CodeWord, PatternCode, Rule
 
 
 class ComplementaryGrayCode(PatternCode):
@@ -17,15 +17,15 @@ class ComplementaryGrayCode(PatternCode):
     summary = "one word per half period, safe at the borders of the periods"
     rule = Rule.WORD_PER_HALF_PERIOD
 
-    def words(self, fringes: Fringes) -> tuple[Word, ...]:
+    def words(self, fringes: AxisFringes) -> tuple[CodeWord, ...]:
         """Return the half-period index."""
 
         def half_periods(x_px: IntArray) -> IntArray:
             return np.floor(2 * x_px / fringes.period_px).astype(np.int64)
 
-        return (Word(fringes.bits + 1, half_periods),)
+        return (CodeWord(fringes.bits + 1, half_periods),)
 
-    def is_shown_by(self, layout: Layout) -> bool:
+    def is_shown_by(self, layout: AxisFrames) -> bool:
         """Return True for one word half as wide as a fringe."""
         return layout.words == ((0.5, False),)
 

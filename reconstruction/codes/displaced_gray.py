@@ -4,7 +4,15 @@ In as many bits as number the periods; with 2^bits periods the last half period 
 before it.
 """
 
-from reconstruction.codes import CODES, Fringes, Layout, PatternCode, Rule, Word, period_word
+from reconstruction.codes import (
+    CODES,
+    AxisFrames,
+    AxisFringes,
+    CodeWord,
+    PatternCode,
+    Rule,
+    period_word,
+)
 
 
 class DisplacedGrayCode(PatternCode):
@@ -16,11 +24,11 @@ class DisplacedGrayCode(PatternCode):
     rule = Rule.WORD_PER_PERIOD
     displacement = 0.5
 
-    def words(self, fringes: Fringes) -> tuple[Word, ...]:
+    def words(self, fringes: AxisFringes) -> tuple[CodeWord, ...]:
         """Return the displaced period index."""
         return (period_word(fringes, self.displacement),)
 
-    def is_shown_by(self, layout: Layout) -> bool:
+    def is_shown_by(self, layout: AxisFrames) -> bool:
         """Return True for one displaced word as wide as a fringe."""
         return layout.words == ((1.0, True),) and layout.periods_px != ()
 

@@ -1,6 +1,14 @@
 """Plain Gray code: one word per period, which changes where the phase wraps."""
 
-from reconstruction.codes import CODES, Fringes, Layout, PatternCode, Rule, Word, period_word
+from reconstruction.codes import (
+    CODES,
+    AxisFrames,
+    AxisFringes,
+    CodeWord,
+    PatternCode,
+    Rule,
+    period_word,
+)
 
 
 class GrayCode(PatternCode):
@@ -12,11 +20,11 @@ class GrayCode(PatternCode):
     rule = Rule.WORD_PER_PERIOD
     has_free_words = True
 
-    def words(self, fringes: Fringes) -> tuple[Word, ...]:
+    def words(self, fringes: AxisFringes) -> tuple[CodeWord, ...]:
         """Return the period index."""
         return (period_word(fringes),)
 
-    def is_shown_by(self, layout: Layout) -> bool:
+    def is_shown_by(self, layout: AxisFrames) -> bool:
         """Return True for one word as wide as a fringe."""
         return layout.words == ((1.0, False),)
 

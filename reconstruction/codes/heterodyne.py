@@ -3,7 +3,7 @@
 Zuo et al., Opt. Lasers Eng. 85, 84 (2016), there "multi-wavelength".
 """
 
-from reconstruction.codes import CODES, Fringes, Layout, PatternCode, Rule
+from reconstruction.codes import CODES, AxisFrames, AxisFringes, PatternCode, Rule
 from reconstruction.errors import InputError
 from reconstruction.several_periods import Chain, make_chain, require_range
 
@@ -20,11 +20,11 @@ class HeterodyneCode(PatternCode):
     rule = Rule.CHAIN
     takes_further_periods = True
 
-    def check(self, fringes: Fringes) -> None:
+    def check(self, fringes: AxisFringes) -> None:
         """Raise InputError unless the coarsest beat spans the image."""
         require_range(self.chain(fringes), fringes.periods_px, fringes.length_px)
 
-    def chain(self, fringes: Fringes) -> Chain:
+    def chain(self, fringes: AxisFringes) -> Chain:
         """Return one level per beat."""
         count = len(fringes.periods_px)
         if count not in BEATS:
@@ -33,7 +33,7 @@ class HeterodyneCode(PatternCode):
             )
         return make_chain(BEATS[count], fringes.periods_px)
 
-    def is_shown_by(self, layout: Layout) -> bool:
+    def is_shown_by(self, layout: AxisFrames) -> bool:
         """Return True for several periods without words, none as long as the image."""
         several = len(layout.periods_px) > 1 and not layout.has_single_images
         return not layout.words and several and not layout.is_unambiguous

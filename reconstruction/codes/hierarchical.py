@@ -3,7 +3,7 @@
 Zuo et al., Opt. Lasers Eng. 85, 84 (2016).
 """
 
-from reconstruction.codes import CODES, Fringes, Layout, PatternCode, Rule
+from reconstruction.codes import CODES, AxisFrames, AxisFringes, PatternCode, Rule
 from reconstruction.errors import InputError
 from reconstruction.several_periods import Chain, make_chain, require_range
 
@@ -17,11 +17,11 @@ class HierarchicalCode(PatternCode):
     rule = Rule.CHAIN
     takes_further_periods = True
 
-    def check(self, fringes: Fringes) -> None:
+    def check(self, fringes: AxisFringes) -> None:
         """Raise InputError unless the coarsest period spans the image."""
         require_range(self.chain(fringes), fringes.periods_px, fringes.length_px)
 
-    def chain(self, fringes: Fringes) -> Chain:
+    def chain(self, fringes: AxisFringes) -> Chain:
         """Return one level per period."""
         periods_px = fringes.periods_px
         order = sorted(range(len(periods_px)), key=lambda j: -periods_px[j])
@@ -33,7 +33,7 @@ class HierarchicalCode(PatternCode):
         weights = tuple(tuple(int(j == k) for k in range(len(periods_px))) for j in order)
         return make_chain(weights, periods_px)
 
-    def is_shown_by(self, layout: Layout) -> bool:
+    def is_shown_by(self, layout: AxisFrames) -> bool:
         """Return True for periods without words, the coarsest at least the image."""
         return not layout.words and not layout.has_single_images and layout.is_unambiguous
 

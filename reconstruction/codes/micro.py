@@ -9,7 +9,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from reconstruction.codes import CODES, Fringes, Layout, PatternCode, Rule
+from reconstruction.codes import CODES, AxisFrames, AxisFringes, PatternCode, Rule
 from reconstruction.errors import InputError
 
 # Of the modulation: difference of two fringes in the single images, root of the sum of squares.
@@ -33,7 +33,7 @@ class MicroCode(PatternCode):
         """Return N of the measuring period, 1 of every other one."""
         return 1 if number else steps
 
-    def check(self, fringes: Fringes) -> None:
+    def check(self, fringes: AxisFringes) -> None:
         """Raise InputError unless the single images distinguish all fringes of the image."""
         periods_px, length_px = fringes.periods_px, fringes.length_px
         if len(periods_px) < 3:
@@ -48,7 +48,7 @@ class MicroCode(PatternCode):
                 " further_periods_px"
             )
 
-    def is_shown_by(self, layout: Layout) -> bool:
+    def is_shown_by(self, layout: AxisFrames) -> bool:
         """Return True for several steps of one period and a single image of the others."""
         return not layout.words and layout.has_single_images
 

@@ -5,7 +5,15 @@ Wu, Guo and Zhang, Opt. Express 27, 22631 (2019), both words in every set.
 
 import numpy as np
 
-from reconstruction.codes import CODES, Fringes, Layout, PatternCode, Rule, Word, period_word
+from reconstruction.codes import (
+    CODES,
+    AxisFrames,
+    AxisFringes,
+    CodeWord,
+    PatternCode,
+    Rule,
+    period_word,
+)
 
 
 class ShiftedGrayCode(PatternCode):
@@ -16,12 +24,12 @@ class ShiftedGrayCode(PatternCode):
     summary = "two words per period, the second displaced by half a period"
     rule = Rule.TWO_WORDS
 
-    def words(self, fringes: Fringes) -> tuple[Word, ...]:
+    def words(self, fringes: AxisFringes) -> tuple[CodeWord, ...]:
         """Return the period index, and the displaced one with a value more where needed."""
         last = period_word(fringes, 0.5).at(np.array([fringes.length_px - 1]))
         return period_word(fringes), period_word(fringes, 0.5, int(last[0]).bit_length())
 
-    def is_shown_by(self, layout: Layout) -> bool:
+    def is_shown_by(self, layout: AxisFrames) -> bool:
         """Return True for two words as wide as a fringe, the second displaced."""
         return layout.words == ((1.0, False), (1.0, True))
 

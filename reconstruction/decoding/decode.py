@@ -68,17 +68,7 @@ def decode(
         response of the projector with a code that cannot correct it; `unwrap` without fringes, or
         its result has another shape
     """
-    _check_stack(stack, patterns)
-    if response is not None and not patterns.kind.takes_response:
-        raise InputError(
-            f"response is stated with patterns code {patterns.code!r}, whose single images do not"
-            " determine the fringes' harmonics; leave [response] out, or show several steps of"
-            " every period"
-        )
-    if scale is not None and (scale.shape != stack.shape[1:] or not np.all(scale > 0.0)):
-        raise InputError(
-            f"scale has shape {scale.shape}; give positive numbers of shape {stack.shape[1:]}"
-        )
+    _check(stack, patterns, scale, response)
     frames = np.ascontiguousarray(stack)
     options = options or DecodeOptions()
     ripple = ripple_of(patterns, response)
@@ -94,9 +84,9 @@ def decode(
     elif rule is Rule.SINGLE_IMAGES:
         periods = micro_periods(frames, patterns, sensor, scale)
         arguments = (frames, plan, periods, maps)
-        run_over_rows(decode_micro_rows, stack.shape[1], *arguments, band_rows=BAND_ROWS)
+        run_over_rows(decode_micro_rows, len(maps.reason), *arguments, band_rows=BAND_ROWS)
     else:
-        run_over_rows(decode_rows, stack.shape[1], frames, plan, maps, band_rows=BAND_ROWS)
+        run_over_rows(decode_rows, len(maps.reason), frames, plan, maps, band_rows=BAND_ROWS)
     if displacement:
         place_displaced(maps, patterns)
     smoothed = _smoothed(maps, options, patterns)
@@ -107,6 +97,25 @@ def decode(
         _axis(maps, smoothed, k, units, patterns.period_along(axis)) for k, axis in enumerate(AXES)
     )
     return Decoded(column, row, smoothed.reason, patterns.axes)
+
+
+def _check(
+    stack: Stack,
+    patterns: PatternSet,
+    scale: FloatImage | None,
+    response: ProjectorResponse | None,
+) -> None:
+    _check_stack(stack, patterns)
+    if response is not None and not patterns.kind.takes_response:
+        raise InputError(
+            f"response is stated with patterns code {patterns.code!r}, whose single images do not"
+            " determine the fringes' harmonics; leave [response] out, or show several steps of"
+            " every period"
+        )
+    if scale is not None and (scale.shape != stack.shape[1:] or not np.all(scale > 0.0)):
+        raise InputError(
+            f"scale has shape {scale.shape}; give positive numbers of shape {stack.shape[1:]}"
+        )
 
 
 def _check_stack(stack: Stack, patterns: PatternSet) -> None:

@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 
 from reconstruction.arrays import BoolImage, FloatArray, FloatImage, IntArray, Stack
-from reconstruction.codes import Fringes, Unwrap, Wrapped
+from reconstruction.codes import AxisFringes, Unwrap, Wrapped
 from reconstruction.compiling import run_over_rows
 from reconstruction.decoding._decode import Maps, Plan
 from reconstruction.decoding._wrapped import OrderedMaps, WrappedMaps, place_rows, wrap_rows
@@ -71,7 +71,7 @@ def _wrapped(
     k = AXES.index(axis)
     words, nearest_sigmas = _read_words(stack, patterns, plan, fitted, axis)
     return Wrapped(
-        fringes=Fringes(patterns.length_px(axis), patterns.periods_along(axis)),
+        fringes=AxisFringes(patterns.length_px(axis), patterns.periods_along(axis)),
         phase_rad=fitted.phases[k],
         sigma_rad=fitted.sigmas[k],
         usable=fitted.usable > 0.0,

@@ -297,7 +297,7 @@ def test_doctor_and_keys_answer(mi, capsys):
     assert run(["doctor"]) == 0
     assert "llvm" in capsys.readouterr().out.lower()
     assert run(["keys"]) == 0
-    assert "coating.base_albedo" in capsys.readouterr().out
+    assert "coating(flakes).base_albedo" in capsys.readouterr().out
 
 
 def test_unknown_command_is_one_line(capsys):
