@@ -51,16 +51,16 @@ class PresentedObject:
         return contact_arrays(self).to_xarray()
 
 
-def in_short(found: "Compensated") -> dict[str, str]:
+def in_short(rigid: "Compensated") -> dict[str, str]:
     """Return the main figures of a contact as texts, by name."""
     return {
-        "contact": f"{found.area_mm2:.3g} mm^2",
-        "force": f"{found.force_n:.3g} N (standard uncertainty {found.force_sigma_n:.2g} N)",
-        "highest pressure": f"{found.pressure_kpa.max():.3g} kPa",
+        "contact": f"{rigid.area_mm2:.3g} mm^2",
+        "force": f"{rigid.force_n:.3g} N (standard uncertainty {rigid.force_sigma_n:.2g} N)",
+        "highest pressure": f"{rigid.pressure_kpa.max():.3g} kPa",
     }
 
 
-def object_drawing(found: "Compensated") -> "Drawing":
+def object_drawing(rigid: "Compensated") -> "Drawing":
     """Return the measured coat, the pressure, and the section at y = 0 with the object.
 
     Raises
@@ -70,48 +70,48 @@ def object_drawing(found: "Compensated") -> "Drawing":
     from reconstruction.drawing import Drawing, draw_cells, draw_section
     from reconstruction.errors import InputError
 
-    relief = found.relief
+    relief = rigid.relief
     if not relief.measured.any():
         raise InputError("plot: found no measured cell of the coat")
-    coat = _cells(found, relief.heights_mm, relief.measured)
+    coat = _cells(rigid, relief.heights_mm, relief.measured)
     drawing = Drawing(3)
     panels = drawing.subplots(1, 3)
     draw_cells(panels[0], coat, "coat", "z (mm)")
-    pressure = _cells(found, found.pressure_kpa, relief.inside)
+    pressure = _cells(rigid, rigid.pressure_kpa, relief.inside)
     draw_cells(panels[1], pressure, "contact pressure", "pressure (kPa)")
-    touched = _cells(found, found.object_mm[..., 2], found.contact)
+    touched = _cells(rigid, rigid.object_mm[..., 2], rigid.contact)
     draw_section(panels[2], {"coat": coat, "object, in contact": touched})
     return drawing
 
 
-def _cells(found: "Compensated", values: NDArray[Any], valid: NDArray[Any]) -> "CellMeans":
+def _cells(rigid: "Compensated", values: NDArray[Any], valid: NDArray[Any]) -> "CellMeans":
     """Return a map of the relief as cells of a picture, row 0 at the top."""
     from reconstruction.cells import CellMeans
 
-    relief = found.relief
+    relief = rigid.relief
     y_mm = relief.y_mm[::-1]
     return CellMeans(relief.x_mm, y_mm, values[::-1], valid[::-1], relief.pitch_mm[0])
 
 
-def contact_arrays(found: "Compensated") -> LabelledArrays:
+def contact_arrays(rigid: "Compensated") -> LabelledArrays:
     """Return contact, pressure, thickness and the clear face over world x and y."""
-    clear = found.object_mm
+    clear = rigid.object_mm
     maps: LayerMaps = {
-        "contact": (found.contact.astype(np.uint8), "1", "1 where the object carries the sheet"),
-        "measured": (found.relief.measured.astype(np.uint8), "1", "1 where the coat was measured"),
-        "coat_z_mm": (found.relief.heights_mm, "mm", "world z of the coat, gaps filled in"),
+        "contact": (rigid.contact.astype(np.uint8), "1", "1 where the object carries the sheet"),
+        "measured": (rigid.relief.measured.astype(np.uint8), "1", "1 where the coat was measured"),
+        "coat_z_mm": (rigid.relief.heights_mm, "mm", "world z of the coat, gaps filled in"),
         "clear_x_mm": (clear[..., 0], "mm", "world x of the clear face, or the object"),
         "clear_y_mm": (clear[..., 1], "mm", "world y of the clear face, or the object"),
         "clear_z_mm": (clear[..., 2], "mm", "world z of the clear face, or the object"),
-        "pressure_kpa": (found.pressure_kpa, "kPa", "of the contact, blurred at its edge"),
+        "pressure_kpa": (rigid.pressure_kpa, "kPa", "of the contact, blurred at its edge"),
     }
     axes: dict[str, Labelled] = {
         name: (name, values, {"units": "mm", "long_name": f"world {name} of the cell's middle"})
-        for name, values in (("x", found.relief.x_mm), ("y", found.relief.y_mm))
+        for name, values in (("x", rigid.relief.x_mm), ("y", rigid.relief.y_mm))
     }
     labelled: dict[str, Labelled] = {
         name: (("y", "x"), values, {"units": units, "long_name": long_name})
-        for name, (values, units, long_name) in (maps | found.layer_maps).items()
+        for name, (values, units, long_name) in (maps | rigid.layer_maps).items()
     }
-    attributes = {"Conventions": "CF-1.11", "force_n": found.force_n}
+    attributes = {"Conventions": "CF-1.11", "force_n": rigid.force_n}
     return LabelledArrays(labelled, axes, attributes)

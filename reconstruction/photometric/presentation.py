@@ -17,10 +17,10 @@ SLOPES = ("slope_row", "slope_col")
 
 def height_arrays(height_map: "HeightMap") -> LabelledArrays:
     """Return height, slopes and reason codes over image row and column, with units."""
-    told = ("slope of the surface down the rows", "slope of the surface along the columns")
+    meaning = ("slope of the surface down the rows", "slope of the surface along the columns")
     variables: dict[str, Labelled] = {
         name: (PIXELS, values, {"units": "1", "long_name": long_name})
-        for name, values, long_name in zip(SLOPES, height_map.slopes, told, strict=True)
+        for name, values, long_name in zip(SLOPES, height_map.slopes, meaning, strict=True)
     }
     height = {"units": "mm", "long_name": "height above the untouched surface"}
     variables["height_mm"] = (PIXELS, height_map.height_mm, height)

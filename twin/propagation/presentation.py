@@ -16,15 +16,15 @@ _PANELS = 3
 _DESCRIPTION = "trials of a measurement; trial 0 is the nominal one"
 
 
-def trial_arrays(found: "Uncertainty", absent: float = np.nan) -> LabelledArrays:
+def trial_arrays(result: "Uncertainty", absent: float = np.nan) -> LabelledArrays:
     """Return inputs and figures of every trial, one (trial,) variable each, units in the names.
 
     Parameters
     ----------
     absent : stands where a trial lacks the figure
     """
-    rows = [row for row in found.table.rows if row.get(PART) == TRIALS]
-    keys = [one.key for one in found.inputs().values()]
+    rows = [row for row in result.table.rows if row.get(PART) == TRIALS]
+    keys = [given.key for given in result.inputs().values()]
     known = dict.fromkeys(name for row in rows for name, v in row.items() if is_number(v))
     names = [*keys, *(name for name in known if name not in keys and name != TRIAL)]
     variables: dict[str, Labelled] = {}
@@ -38,27 +38,27 @@ def trial_arrays(found: "Uncertainty", absent: float = np.nan) -> LabelledArrays
     return LabelledArrays(variables, coords, {"description": _DESCRIPTION})
 
 
-def measurand_in_short(one: "Measurand") -> str:
+def measurand_in_short(measurand: "Measurand") -> str:
     """Return mean, standard uncertainty and coverage interval, in the measurand's unit."""
-    found = one.distribution
-    text = f"{found.mean:.6g}, u {found.standard_uncertainty:.2g}"
-    if found.symmetric is None:
+    result = measurand.distribution
+    text = f"{result.mean:.6g}, u {result.standard_uncertainty:.2g}"
+    if result.symmetric is None:
         return text
-    low, high = found.symmetric.low, found.symmetric.high
-    return f"{text}, {100 * found.coverage:g} % {low:.6g} to {high:.6g}"
+    low, high = result.symmetric.low, result.symmetric.high
+    return f"{text}, {100 * result.coverage:g} % {low:.6g} to {high:.6g}"
 
 
-def trial_drawing(found: "Uncertainty") -> "Drawing":
+def trial_drawing(result: "Uncertainty") -> "Drawing":
     """Return the values of each measurand over the trials, with its coverage interval."""
     from reconstruction.drawing import Drawing, draw_distribution
 
-    rows = -(-len(found.measurands) // _PANELS)
+    rows = -(-len(result.measurands) // _PANELS)
     drawing = Drawing(_PANELS, rows)
     panels = drawing.subplots(rows, _PANELS, squeeze=False).ravel()
-    for axes, one in zip(panels, found.measurands.values(), strict=False):
-        interval = one.distribution.symmetric
+    for axes, measurand in zip(panels, result.measurands.values(), strict=False):
+        interval = measurand.distribution.symmetric
         ends = None if interval is None else (interval.low, interval.high)
-        draw_distribution(axes, one.distribution.values, one.name, ends)
-    for axes in panels[len(found.measurands) :]:
+        draw_distribution(axes, measurand.distribution.values, measurand.name, ends)
+    for axes in panels[len(result.measurands) :]:
         axes.set_axis_off()
     return drawing
