@@ -20,7 +20,7 @@ from reconstruction.rig.calibration import Calibration
 from twin.config import Experiment, load_experiment
 from twin.config.board import BoardFile, BoardPose, load_board
 from twin.pipeline.calibration import BoardCalibration, calibrate_rendered, record_board
-from twin.pipeline.fringes import options_of
+from twin.pipeline.captures import options_of
 
 SMOOTH_MM, LENGTH_MM = 1.0, 10.0
 PLANES = (BoardPose(), BoardPose(tilt_deg=10.0, azimuth_deg=150.0, z_mm=1.5))

@@ -21,6 +21,7 @@ extensions = [
     "extensions.equations",
     "extensions.docstrings",
     "extensions.shipped_data",
+    "extensions.public_names",
 ]
 exclude_patterns = ["example_capture"]
 myst_enable_extensions = ["dollarmath", "colon_fence", "deflist"]

@@ -77,6 +77,30 @@ def draw_cells(
     figure.colorbar(shown, ax=axes, label=label, extend="both" if signed else "neither")
 
 
+def draw_image(axes: Axes, image: NDArray[Any], title: str, label: str, most: float) -> None:
+    """Draw a camera image (row, col), row 0 at the top, grey from 0 to `most`."""
+    shown = axes.imshow(image, cmap="gray", vmin=0, vmax=most)
+    axes.set(title=title, xlabel="column (px)", ylabel="row (px)")
+    figure = axes.get_figure()
+    assert figure is not None
+    figure.colorbar(shown, ax=axes, label=label)
+
+
+def draw_distribution(
+    axes: Axes, values: NDArray[Any], label: str, interval: tuple[float, float] | None
+) -> None:
+    """Draw the histogram of a quantity's samples (n,), and an interval as a band.
+
+    Parameters
+    ----------
+    label : of the quantity, with the unit
+    """
+    axes.hist(values, bins="auto" if np.ptp(values) > 0 else 1, color="#4c72b0")
+    if interval is not None:
+        axes.axvspan(*interval, color="#4c72b0", alpha=0.15)
+    axes.set(xlabel=label, ylabel="samples")
+
+
 def draw_section(axes: Axes, curves: Mapping[str, CellMeans]) -> None:
     """Draw z of some height maps along x, through the row of cells nearest y = 0."""
     for number, (name, cells) in enumerate(curves.items()):

@@ -23,11 +23,16 @@ VARIABLE = "NUMBA_NUM_THREADS"
 """Environment variable that limits the threads of this process, as it limits Numba's."""
 
 
+def usable_cores() -> int:
+    """Return the number of cores that this process may use; all where the system sets no limit."""
+    limited = hasattr(os, "sched_getaffinity")  # of Linux
+    return len(os.sched_getaffinity(0)) if limited else os.cpu_count() or 1
+
+
 def threads() -> int:
     """Return the number of cores that this process may use, or less where VARIABLE says so."""
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    told = os.environ.get(VARIABLE, "")
-    return max(1, min(cores or 1, int(told) if told.isdecimal() else cores or 1))
+    cores, limit = usable_cores(), os.environ.get(VARIABLE, "")
+    return max(1, min(cores, int(limit) if limit.isdecimal() else cores))
 
 
 def run_side_by_side(jobs: Sequence[Callable[[], object]]) -> None:

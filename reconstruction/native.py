@@ -21,6 +21,8 @@ from typing import Literal
 _CHILD = Path(__file__).with_name("native_child.py")
 # Far more than a sound file takes.
 LEAST_LIMIT_S, SLOWEST_BYTES_PER_S = 5.0, 20e6
+# Ends the child after its share of processor time; Windows has none, there the clock limits it.
+_TIMER_SIGNAL: int = getattr(signal, "SIGPROF", 0)
 
 
 def read_in_child(kind: Literal["HDF5", "MATLAB"], path: Path) -> bytes:
@@ -36,19 +38,23 @@ def read_in_child(kind: Literal["HDF5", "MATLAB"], path: Path) -> bytes:
     OSError : the reader fails, crashes or comes to no end
     """
     limit_s = LEAST_LIMIT_S + path.stat().st_size / SLOWEST_BYTES_PER_S
-    child = subprocess.run(
-        [sys.executable, "-P", str(_CHILD), kind, str(limit_s), str(path)],
-        stdin=subprocess.DEVNULL,
-        capture_output=True,
-        check=False,
-    )
+    try:
+        child = subprocess.run(
+            [sys.executable, "-P", str(_CHILD), kind, str(limit_s), str(path)],
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            check=False,
+            timeout=None if _TIMER_SIGNAL else limit_s,
+        )
+    except subprocess.TimeoutExpired:
+        raise OSError(f"{path}: is damaged ({kind} came to no end in {limit_s:.0f} s)") from None
     if child.returncode:
         raise OSError(f"{path}: is damaged ({_reason(kind, child, limit_s)})")
     return child.stdout
 
 
 def _reason(kind: str, child: "subprocess.CompletedProcess[bytes]", limit_s: float) -> str:
-    if child.returncode == -signal.SIGPROF:
+    if _TIMER_SIGNAL and child.returncode == -_TIMER_SIGNAL:
         return f"{kind} came to no end in {limit_s:.0f} s of processor time"
     if child.returncode < 0:
         return f"{kind} crashes on it, signal {-child.returncode}"

@@ -105,7 +105,9 @@ def _require_memory(size_bytes: int) -> None:
     """Raise MemoryError here rather than in HDF5, which would not survive it."""
     try:
         # Only reserved: growing takes the old place and the new one, and HDF5 some for itself.
-        mmap.mmap(-1, 2 * size_bytes + _OF_HDF5_BYTES, mmap.MAP_PRIVATE).close()
+        size = 2 * size_bytes + _OF_HDF5_BYTES
+        private = hasattr(mmap, "MAP_PRIVATE")  # not of Windows, where all such memory is
+        (mmap.mmap(-1, size, mmap.MAP_PRIVATE) if private else mmap.mmap(-1, size)).close()
     except OSError as error:
         raise MemoryError(f"no {size_bytes / 1e6:.0f} MB of memory to encode a file") from error
 

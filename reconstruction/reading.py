@@ -32,6 +32,8 @@ _DEEP_KEY = re.compile(
     rf"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){{{MOST_NESTED}}}"""
 )
 _LONGEST_SHOWN = 120
+# Windows has no pipes among its files, and would change the ends of lines.
+_READING = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
 _KINDS: Mapping[int, str] = {
     stat.S_IFDIR: "a folder",
     stat.S_IFIFO: "a pipe",
@@ -83,7 +85,7 @@ def read_bytes(path: Path | str, most_bytes: int = MOST_DATA_BYTES) -> bytes:
     path = regular_file(path, most_bytes)
     try:
         # Not waiting for a writer, should a pipe have taken the file's place.
-        with os.fdopen(os.open(path, os.O_RDONLY | os.O_NONBLOCK), "rb") as file:
+        with os.fdopen(os.open(path, _READING), "rb") as file:
             return file.read()
     except OSError as error:
         raise InputError(f"{shown(path)}: cannot be read: {error.strerror}") from None

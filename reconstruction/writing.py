@@ -89,7 +89,8 @@ def make_durable(folder: Path) -> None:
         if path.is_dir():
             make_names_durable(path)
         elif path.is_file():
-            with path.open("rb") as file:
+            # Windows synchronises only what is open for writing.
+            with path.open("r+b" if os.name == "nt" else "rb") as file:
                 os.fsync(file.fileno())
     make_names_durable(folder)
 
@@ -101,6 +102,8 @@ def make_names_durable(folder: Path) -> None:
     ------
     OSError : it cannot take them
     """
+    if not hasattr(os, "O_DIRECTORY"):  # Windows opens no folders
+        return
     handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     try:
         os.fsync(handle)

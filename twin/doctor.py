@@ -24,6 +24,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import get_args
 
+from reconstruction.machine import usable_cores
 from twin.assets import Collection, asset_folders, list_assets
 from twin.extras import install, pip_install
 
@@ -130,13 +131,15 @@ def _cuda() -> list[Finding]:
 
 
 def _cores() -> list[Finding]:
-    usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    return [Finding("cores", True, f"{usable} usable of {os.cpu_count()}")]
+    return [Finding("cores", True, f"{usable_cores()} usable of {os.cpu_count()}")]
 
 
 def _memory() -> list[Finding]:
-    total = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / _GIB
-    free = os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / _GIB
+    try:
+        page = os.sysconf("SC_PAGE_SIZE") / _GIB
+        total, free = page * os.sysconf("SC_PHYS_PAGES"), page * os.sysconf("SC_AVPHYS_PAGES")
+    except (AttributeError, ValueError):  # Windows has no sysconf, macOS not all of its names
+        return [Finding("memory", True, "unknown: this system does not report it")]
     ok = total >= MINIMUM_MEMORY_GIB
     detail = f"{total:.1f} GiB, {free:.1f} GiB unused"
     return [Finding("memory", ok, detail, "" if ok else "render fewer pixels or frames")]

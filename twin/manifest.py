@@ -6,7 +6,6 @@ entered before its file is put there. A file counts as ours while it has the con
 lines: what was edited since is the user's.
 """
 
-import fcntl
 import hashlib
 import io
 import os
@@ -22,6 +21,7 @@ from reconstruction.errors import InputError
 from reconstruction.machine import threads
 from reconstruction.reading import read_bytes
 from reconstruction.writing import write_bytes
+from twin.locks import lock_file
 from twin.working import is_working
 
 _File = TypeVar("_File", Path, str)
@@ -107,7 +107,7 @@ def enter(folder: Path, kind: str, lines: Sequence[str]) -> None:
     """Add lines that it lacks to the manifest of a folder, and start it where there is none."""
     with (folder / MANIFEST_FILE).open("a+b", buffering=0) as file:
         with suppress(OSError):  # a file system without locks
-            fcntl.flock(file, fcntl.LOCK_EX)
+            lock_file(file.fileno(), wait=True)
         file.seek(0)
         there = file.readall()
         known = set(there.decode("utf-8", errors="surrogateescape").split("\n"))

@@ -6,8 +6,8 @@ free is what a killed run left, and the next run on the same target removes it. 
 folder around is locked (shared): what has no mark yet and nobody begins is a leftover, too.
 
 A signal ends a command as an error does: working folders are removed and worker processes ended.
-SIGINT, SIGTERM and SIGHUP raise `Interrupted` in the main thread. A signal that this process was
-started to ignore (nohup) stays ignored.
+SIGINT, SIGTERM and SIGHUP, as far as the platform has them, raise `Interrupted` in the main thread.
+A signal that this process was started to ignore (nohup) stays ignored.
 
 Python tells the main thread of a signal when the call that it is in returns, and a call into a
 renderer or a solver may last a minute. `end_within` starts a thread that does the same clean-up by
@@ -15,7 +15,6 @@ itself when the main thread has not ended by then. It waits for what must not be
 """
 
 import atexit
-import fcntl
 import os
 import re
 import shutil
@@ -32,8 +31,12 @@ from typing import IO, ClassVar, NoReturn
 
 from reconstruction.errors import InputError
 from reconstruction.reading import read_bytes
+from twin.locks import lock_file, locked_folder
 
-_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+ENDING_SIGNALS: tuple[signal.Signals, ...] = tuple(
+    getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)
+)
+"""Signals that end a command, as far as the platform has them: Windows has no SIGHUP."""
 
 
 class Interrupted(KeyboardInterrupt):
@@ -56,7 +59,7 @@ class _Hold:
 
 def unwind_on_signals() -> None:
     """Turn the signals that end a process into `Interrupted`; in the main thread only."""
-    for number in _SIGNALS:
+    for number in ENDING_SIGNALS:
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, _interrupt)
 
@@ -93,14 +96,15 @@ def end_within(seconds: float) -> None:
     Only for a process that is a command: in any other one this would end it, too.
     """
     read, write = os.pipe()
-    os.set_blocking(write, False)
+    if hasattr(os, "set_blocking"):  # on Windows from Python 3.12 on, and not required there
+        os.set_blocking(write, False)
     signal.set_wakeup_fd(write, warn_on_full_buffer=False)
     threading.Thread(target=_guard, args=(read, seconds), name="signals", daemon=True).start()
 
 
 def _guard(read: int, seconds: float) -> None:
     for number in iter(lambda: os.read(read, 1)[0], None):
-        if number in _SIGNALS and signal.getsignal(number) is _interrupt:
+        if number in ENDING_SIGNALS and signal.getsignal(number) is _interrupt:
             time.sleep(seconds)
             with _Hold.gate:
                 _end_now(number)
@@ -189,6 +193,8 @@ def working_folder(place: Path, target: str) -> Iterator[Path]:
                 _Hold.working.discard(folder)
             if lock is not None:
                 lock.close()
+                if folder is not None and folder.exists():
+                    _remove(folder)  # Windows does not delete a file that is open
 
 
 def is_working(folder: Path) -> bool:
@@ -246,7 +252,7 @@ def remove_leftovers(place: Path, target: str | None = None) -> None:
     """Remove the working folders in `place` (for one target) whose process has ended."""
     for _ in leftovers(place, target):
         pass
-    with suppress(OSError), _locked_folder(place, fcntl.LOCK_EX):
+    with suppress(OSError), locked_folder(place, shared=False):
         for entry in list(place.iterdir()):
             named = _NAME.fullmatch(entry.name)
             if named and target in (None, named["target"]) and _is_unmarked(entry):
@@ -286,7 +292,7 @@ def _begun(place: Path) -> Iterator[None]:
     with ExitStack() as stack:
         for _ in range(_TRIES):
             try:
-                stack.enter_context(_locked_folder(place, fcntl.LOCK_SH))
+                stack.enter_context(locked_folder(place, shared=True))
                 break
             except BlockingIOError:
                 time.sleep(_POLL_S)
@@ -295,22 +301,12 @@ def _begun(place: Path) -> Iterator[None]:
         yield
 
 
-@contextmanager
-def _locked_folder(place: Path, how: int) -> Iterator[None]:
-    handle = os.open(place, os.O_RDONLY | os.O_DIRECTORY)  # a pipe would wait for its writer
-    try:
-        fcntl.flock(handle, how | fcntl.LOCK_NB)
-        yield
-    finally:
-        os.close(handle)
-
-
 def _locked(folder: Path) -> IO[bytes]:
     # Marked when it is locked: what has no mark yet is not taken for a leftover.
     lock = (folder / _LOCK).open("wb", buffering=0)
     try:
         with suppress(OSError):  # a file system without locks: leftovers stay
-            fcntl.flock(lock, fcntl.LOCK_EX)
+            lock_file(lock.fileno(), wait=True)
         lock.write(_MARK)
     except BaseException:
         lock.close()
@@ -321,7 +317,7 @@ def _locked(folder: Path) -> IO[bytes]:
 def _is_held(folder: Path) -> bool:
     try:
         with (folder / _LOCK).open("r+b") as lock:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            lock_file(lock.fileno())
     except BlockingIOError:
         return True
     except OSError:
@@ -337,6 +333,6 @@ def _seized(folder: Path) -> Iterator[bool]:
         with suppress(OSError):
             if not folder.is_symlink():
                 lock = stack.enter_context((folder / _LOCK).open("r+b"))
-                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                lock_file(lock.fileno())
                 is_abandoned = lock.read(len(_MARK) + 1) == _MARK
         yield is_abandoned

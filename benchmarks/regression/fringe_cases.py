@@ -17,7 +17,7 @@ from twin.config import Experiment, load_experiment, vary
 from twin.config.board import load_board
 from twin.pipeline import Memory, measure, press_specimen, record
 from twin.pipeline.calibration import calibrate_rendered
-from twin.pipeline.fringes import options_of
+from twin.pipeline.captures import options_of
 from twin.results.score import Scores
 
 IDEAL = {"camera.noise": False, "decode.filter_taps": 0}

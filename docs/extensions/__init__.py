@@ -1,1 +1,1 @@
-"""What the documentation adds to Sphinx: equations without scripts, tables and pictures of data."""
+"""What the documentation adds to Sphinx: equations, tables and pictures of data, names."""

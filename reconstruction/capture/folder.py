@@ -13,7 +13,7 @@ Or, from a real camera, one image per frame and another kind of capture.toml: se
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -28,12 +28,17 @@ from reconstruction.capture.frame_order import check_order
 from reconstruction.capture.frame_set import is_frame_set
 from reconstruction.capture.image_files import find_frames, read_frames, read_image_set
 from reconstruction.errors import CaptureError, InputError, few, one_line, require_integer
-from reconstruction.netcdf import LabelledArrays, read_arrays, write_arrays
+from reconstruction.netcdf import LabelledArrays, pixel_coordinates, read_arrays, write_arrays
 from reconstruction.patterns import PatternSet
 from reconstruction.reading import is_regular
 from reconstruction.rig.calibration import Calibration, read_calibration, write_calibration
 from reconstruction.rig.projected_light import ProjectorResponse
 from reconstruction.rig.sensor import SensorNoise
+
+if TYPE_CHECKING:
+    import xarray
+
+    from reconstruction.drawing import Drawing
 
 STACK_FILE = "stack.nc"
 CALIBRATION_FILE = "calibration.yaml"
@@ -88,6 +93,51 @@ class Capture:
                 f"stack holds the value {self.stack.max()}; {self.bit_depth} bits end at "
                 f"{2**self.bit_depth - 1}: correct bit_depth or the stack"
             )
+
+    def __repr__(self) -> str:
+        frames, rows, cols = self.stack.shape
+        shown = ", ".join(f"{name} {value}" for name, value in self._in_short().items())
+        return f"<Capture: {frames} frames of {rows} x {cols} pixels, {shown}>"
+
+    def _repr_html_(self) -> str:
+        from reconstruction.drawing import as_html
+
+        return as_html("capture", self._in_short(), self.plot())
+
+    def _in_short(self) -> dict[str, str]:
+        """Return depth and pattern sequence as texts, by name."""
+        shown = self.patterns
+        return {
+            "values": f"{self.stack.dtype}, {self.bit_depth} bits",
+            "pattern code": f"{shown.code}, {shown.steps} steps of period {shown.period_px:g} px",
+            "projector": f"{shown.height_px} x {shown.width_px} pixels",
+        }
+
+    def plot(self) -> "Drawing":
+        """Draw the first frame, and the least and the greatest value of each pixel in all frames.
+
+        Returns
+        -------
+        A Matplotlib figure over camera columns and rows, grey values in DN
+        """
+        from reconstruction.drawing import Drawing, draw_image
+
+        drawing = Drawing(3)
+        panels = drawing.subplots(1, 3)
+        images = {
+            f"frame {self.patterns.frames[0].name}": self.stack[0],
+            "least of all frames": self.stack.min(axis=0),
+            "greatest of all frames": self.stack.max(axis=0),
+        }
+        for axes, (title, image) in zip(panels, images.items(), strict=True):
+            draw_image(axes, image, title, "grey value (DN)", 2**self.bit_depth - 1)
+        return drawing
+
+    def to_xarray(self) -> "xarray.Dataset":
+        """Return the stack (frame, row, col), DN, with the names of its frames."""
+        found = stack_arrays(self.stack, self.patterns).to_xarray().set_coords(NAMES)
+        places = pixel_coordinates(*self.stack.shape[1:])
+        return found.assign_coords(places).assign_attrs(bit_depth=self.bit_depth)
 
 
 def write_capture(folder: Path | str, capture: Capture) -> None:
@@ -217,11 +267,14 @@ def find_capture(folder: Path | str) -> Path:
 
 def write_stack(path: Path, stack: Stack, patterns: PatternSet) -> None:
     """Write a (frame, row, col) uint8, uint16 or float32 stack and the names of its frames."""
-    told = {"units": "DN", "long_name": "camera frames"}
+    write_arrays(path, stack_arrays(stack, patterns))
+
+
+def stack_arrays(stack: Stack, patterns: PatternSet) -> LabelledArrays:
+    """Return a (frame, row, col) stack, DN, and the names of its frames."""
+    attributes = {"units": "DN", "long_name": "camera frames"}
     names = np.array([frame.name for frame in patterns.frames], dtype=object)
-    write_arrays(
-        path, LabelledArrays({STACK: (DIMENSIONS, stack, told), NAMES: ("frame", names, {})})
-    )
+    return LabelledArrays({STACK: (DIMENSIONS, stack, attributes), NAMES: ("frame", names, {})})
 
 
 def read_stack(path: Path, patterns: PatternSet, shape: tuple[int, int]) -> Stack:

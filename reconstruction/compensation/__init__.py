@@ -9,6 +9,7 @@ from reconstruction.compensation.known_ball import (
     require_determined,
 )
 from reconstruction.compensation.parts import Compensated, ObjectPart, parts_of
+from reconstruction.compensation.presentation import contact_arrays
 from reconstruction.compensation.relief import Relief, SheetOpening, relief_on_frame
 from reconstruction.compensation.sheet import CompensatedSheet, compensate_sheet
 from reconstruction.compensation.sheet_layer import SheetLayer
@@ -49,6 +50,7 @@ __all__ = [
     "calibrate_sheet",
     "compensate_gel",
     "compensate_sheet",
+    "contact_arrays",
     "fit_under_slab",
     "parts_of",
     "relief_on_frame",

@@ -20,6 +20,7 @@ from scipy import ndimage
 
 from reconstruction.arrays import BoolArray, FloatArray
 from reconstruction.compensation.parts import without_blurred_edge
+from reconstruction.compensation.presentation import PresentedObject
 from reconstruction.compensation.relief import Relief
 from reconstruction.errors import FitError
 
@@ -52,8 +53,8 @@ class GelLayer:
     sigma_young_modulus_kpa: float = 0.0
 
 
-@dataclass(frozen=True, eq=False)
-class CompensatedGel:
+@dataclass(frozen=True, eq=False, repr=False)
+class CompensatedGel(PresentedObject):
     """The object and the contact; all (row, col) on the relief's cells.
 
     Attributes

@@ -17,6 +17,7 @@ import numpy as np
 from scipy import ndimage
 
 from reconstruction.arrays import BoolArray, FloatArray
+from reconstruction.compensation.presentation import LayerMaps
 from reconstruction.compensation.relief import Relief, variance_and_area
 from reconstruction.errors import FitError
 from reconstruction.evaluate.estimates import FittedDimension, ball_radius, cylinder_radius
@@ -93,6 +94,11 @@ class Compensated(Protocol):
     @property
     def layer_moves_mm(self) -> list[FloatArray]:
         """Standard uncertainties that move all points of a part together, along their normals."""
+        ...
+
+    @property
+    def layer_maps(self) -> LayerMaps:
+        """Maps that only this kind of layer has."""
         ...
 
     def theory_mm(self, radius_mm: float) -> float:

@@ -33,6 +33,7 @@ from reconstruction.compensation.balance import (
     free_span,
 )
 from reconstruction.compensation.membrane import MaterialMap, SurfaceMetric, material_map
+from reconstruction.compensation.presentation import LayerMaps, PresentedObject
 from reconstruction.compensation.relief import Relief, relief_on_frame
 from reconstruction.compensation.rim import on_springs
 from reconstruction.compensation.sheet_layer import SheetLayer
@@ -55,8 +56,8 @@ _FORCE_METHOD = 0.03
 _FLAT = 1 / np.sqrt(12.0)
 
 
-@dataclass(frozen=True, eq=False)
-class CompensatedSheet:
+@dataclass(frozen=True, eq=False, repr=False)
+class CompensatedSheet(PresentedObject):
     """The object and the contact; all (row, col) on the relief's cells.
 
     Attributes
@@ -124,6 +125,15 @@ class CompensatedSheet:
             inwards = np.asarray(ndimage.distance_transform_edt(self.contact))
             moves.append(of_stretch * (2 * inwards / max(float(inwards.max()), 1.0) - 1))
         return moves
+
+    @property
+    def layer_maps(self) -> LayerMaps:
+        """Local thickness of the sheet, mm, and its standard uncertainty."""
+        thickness, sigma = self.layer.thickness_mm * self.thinning, self.sigma_thickness_mm
+        return {
+            "thickness_mm": (thickness, "mm", "local thickness"),
+            "sigma_thickness_mm": (sigma, "mm", "standard uncertainty of the local thickness"),
+        }
 
     def theory_mm(self, radius_mm: float) -> float:
         """Return what the theory of thin sheets leaves out of a radius: docs/sheet.md."""

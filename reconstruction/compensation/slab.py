@@ -22,6 +22,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from reconstruction.arrays import BoolArray, FloatArray
+from reconstruction.compensation.presentation import PresentedObject
 from reconstruction.compensation.relief import Relief, variance_and_area
 from reconstruction.errors import FitError
 
@@ -143,8 +144,8 @@ class FittedSlab:
         return [one.name for one in self.unknowns].index(name)
 
 
-@dataclass(frozen=True, eq=False)
-class CompensatedSlab:
+@dataclass(frozen=True, eq=False, repr=False)
+class CompensatedSlab(PresentedObject):
     """The object under a slab and its contact; all (row, col) on the relief's cells.
 
     Attributes

@@ -5,22 +5,18 @@ One calibration serves all presses of a description.
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 
-from reconstruction.arrays import Levels, PhotometricReason
+from reconstruction.arrays import Levels
 from reconstruction.errors import CaptureError, InputError, one_line
 from reconstruction.netcdf import (
-    PIXELS,
-    Labelled,
-    LabelledArrays,
-    pixel_coordinates,
     write_arrays,
 )
 from reconstruction.photometric.calibration_ball import BallPress
 from reconstruction.photometric.images import mean_background
+from reconstruction.photometric.presentation import SLOPES, height_arrays
 from reconstruction.photometric.press_description import (
     Calibrate,
     Framing,
@@ -40,11 +36,6 @@ from reconstruction.photometric.sensor import (
 )
 from reconstruction.pipeline import read_maps, write_ply
 from reconstruction.reading import MOST_IMAGE_BYTES, read_bytes
-
-if TYPE_CHECKING:
-    pass
-
-SLOPES = ("slope_row", "slope_col")
 
 
 @dataclass(frozen=True, eq=False)
@@ -220,31 +211,6 @@ def framed(image: Levels, frame: Framing) -> Levels:
 def write_height_map(path: Path | str, height_map: HeightMap) -> None:
     """Write height, slopes and reason codes as netCDF-4, one (row, col) variable each."""
     write_arrays(path, height_arrays(height_map))
-
-
-def height_arrays(height_map: HeightMap) -> LabelledArrays:
-    """Return height, slopes and reason codes over image row and column, with units."""
-    told = ("slope of the surface down the rows", "slope of the surface along the columns")
-    variables: dict[str, Labelled] = {
-        name: (PIXELS, values, {"units": "1", "long_name": long_name})
-        for name, values, long_name in zip(SLOPES, height_map.slopes, told, strict=True)
-    }
-    height = {"units": "mm", "long_name": "height above the untouched surface"}
-    variables["height_mm"] = (PIXELS, height_map.height_mm, height)
-    codes = {
-        "units": "1",
-        "long_name": "reason why the height is no measurement; 0: it is one",
-        "comment": "where it is not 0, slopes are estimates; heights are integrated over them",
-        "flag_values": np.array([int(reason) for reason in PhotometricReason], np.uint8),
-        "flag_meanings": " ".join(reason.name for reason in PhotometricReason),
-    }
-    variables["mask_reason"] = (PIXELS, height_map.mask_reason, codes)
-    frame = "row 0 at the top; height is positive towards the camera"
-    return LabelledArrays(
-        variables,
-        coords=pixel_coordinates(*height_map.height_mm.shape),
-        attrs={"frame": frame, "pitch_mm": height_map.pitch_mm},
-    )
 
 
 def read_height_map(path: Path | str) -> HeightMap:

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -57,6 +57,11 @@ from reconstruction.photometric.relighting import (
 )
 from reconstruction.reading import read_arrays
 from reconstruction.writing import write_npz
+
+if TYPE_CHECKING:
+    import xarray
+
+    from reconstruction.drawing import Drawing
 
 MapKind = Literal["polynomial", "table"]
 ColourMap = ColourPolynomial | ColourTable
@@ -280,6 +285,44 @@ class HeightMap:
         x = (col - 0.5 * (cols - 1)) * self.pitch_mm
         y = (0.5 * (rows - 1) - row) * self.pitch_mm
         return np.column_stack([x, y, self.height_mm[row, col].astype(np.float64)])
+
+    def __repr__(self) -> str:
+        shown = ", ".join(f"{name} {value}" for name, value in self._in_short().items())
+        rows, cols = self.height_mm.shape
+        return f"<HeightMap: {rows} x {cols} pixels of {self.pitch_mm:.3g} mm, {shown}>"
+
+    def _repr_html_(self) -> str:
+        from reconstruction.drawing import as_html
+
+        return as_html("height map", self._in_short(), self.plot())
+
+    def _in_short(self) -> dict[str, str]:
+        """Return range of heights and share of valid pixels as texts, by name."""
+        valid = self.valid
+        shown = {"points": f"{100 * valid.mean():.1f} % of all pixels"}
+        if valid.any():
+            low, high = float(self.height_mm[valid].min()), float(self.height_mm[valid].max())
+            shown["heights"] = f"{low:.3g} to {high:.3g} mm"
+        return shown
+
+    def plot(self) -> "Drawing":
+        """Draw heights, steepness and a section: a Matplotlib figure.
+
+        Raises
+        ------
+        InputError : no pixel carries a measurement
+        """
+        from reconstruction.photometric.presentation import height_drawing
+
+        return height_drawing(self)
+
+    def to_xarray(self) -> "xarray.Dataset":
+        """Return height, slopes and reasons over image row and column, with x and y in mm."""
+        from reconstruction.photometric.presentation import height_arrays, places_mm
+
+        x_mm, y_mm = places_mm(self)
+        places = {"x": ("col", x_mm, {"units": "mm"}), "y": ("row", y_mm, {"units": "mm"})}
+        return height_arrays(self).to_xarray().assign_coords(places)
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+import twin
 from reconstruction.errors import InputError
 from twin.adoption.rendered import _require_albedo
 from twin.cli import run
@@ -150,3 +151,14 @@ def test_a_pressed_ball_tells_the_elastomer(tmp_path):
     layer.write_text(LAYER.replace("0.21", "4.0"))
     again = ["adopt", str(rendered), *ball, "-o", str(tmp_path / "thick"), "--no-report"]
     assert run(again) == 2
+
+
+def test_the_public_function_finds_the_same(adopted):
+    """As fields with sources, in one line, with the points of the capture."""
+    found = twin.adopt(EXAMPLE)
+    written = json.loads((adopted / "result.json").read_text())["metrics"]
+    assert found.fields["projector.blur_px"].value == written["projector_blur_px"]
+    measured = [one for one in found.fields.values() if one.source.startswith("measured")]
+    assert repr(found).startswith(f"<Adopted: {len(found.fields)} fields, {len(measured)} measured")
+    assert found.to_xarray()["z_mm"].dims == ("row", "col")
+    assert "projector.blur_px" in found._repr_html_()

@@ -5,10 +5,10 @@ import pytest
 from twin.config import load_experiment, vary
 from twin.config.sensor_layer import sensor_layer_of
 from twin.config.study import Study
+from twin.propagation.trials import record_of
 from twin.results.names import compensated_names
 from twin.study.cases import cases_of
 from twin.study.measuring import CaseMeasurer, Conditions
-from twin.uncertainty.trials import record_of
 
 SMALL = {"camera.binning": 4, "press.cell_mm": 0.3}
 THICKNESS = {

@@ -268,3 +268,18 @@ def test_shipped_problems_are_valid():
         problem, experiments = load_problem(f"problems/{file.stem}")
         for variant in variants_of(problem):
             record_of(problem, experiments[variant.experiment], variant).cases()
+
+
+def test_an_identification_in_one_line_in_pictures_and_as_labelled_arrays(identified):
+    found = identified[0]
+    text = repr(found)
+    assert text.startswith(f"<Identified: {found.problem.name}, {len(found.models)} model")
+    for name, one in found.intervals().items():
+        assert f"{name} {one.mean:.4g} ({one.low_95:.4g} to {one.high_95:.4g})" in text
+    data = found.to_xarray()
+    assert data["thickness"].dims == ("model", "sample")
+    assert data["thickness"].attrs["long_name"] == found.problem.free["thickness"].path
+    drawing = found.plot()
+    shown = [axes.get_xlabel() for axes in drawing.axes if axes.axison]
+    assert shown == [free.path for free in found.problem.free.values()]
+    assert "data:image/png;base64," in found._repr_html_()

@@ -19,7 +19,7 @@ from twin.mechanics import (
     write_mesh,
     write_press,
 )
-from twin.mechanics.storage import press_arrays
+from twin.mechanics.arrays import press_arrays
 
 NORMAL = ("nx", "ny", "nz")
 

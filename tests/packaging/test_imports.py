@@ -2,8 +2,10 @@
 
 import ast
 from collections.abc import Iterator
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
+import grimp
 import pytest
 
 ROOT = Path(__file__).parents[2]
@@ -48,3 +50,15 @@ def test_data_folders_are_not_imported():
 @pytest.mark.parametrize("folder", ["scenes", "materials"])
 def test_data_folders_hold_no_code(folder):
     assert list((ROOT / folder).rglob("*.py")) == []
+
+
+def test_no_modules_import_each_other():
+    """Also inside functions; types that only the checker reads do not count."""
+    graph = grimp.build_graph(*SHIPPED, exclude_type_checking_imports=True, cache_dir=None)
+    imports = {one: graph.find_modules_directly_imported_by(one) for one in graph.modules}
+    circle: list[str] = []
+    try:
+        TopologicalSorter(imports).prepare()
+    except CycleError as error:
+        circle = error.args[1]
+    assert circle == [], " <- ".join(circle)

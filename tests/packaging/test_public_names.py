@@ -1,5 +1,7 @@
 """`import twin` gives the public names, and costs nothing before one is used."""
 
+import ast
+import inspect
 import subprocess
 import sys
 from pathlib import Path
@@ -36,3 +38,30 @@ def test_every_public_name_is_there_and_documented(name: str) -> None:
 def test_unknown_names_are_refused() -> None:
     with pytest.raises(AttributeError, match="'measurement'"):
         twin.measurement  # noqa: B018 - the access is what is tested
+
+
+def test_type_checkers_read_the_same_names() -> None:
+    """What they cannot read from a table stands in a block for them: same names and modules."""
+    tree = ast.parse((ROOT / "twin/__init__.py").read_text(encoding="utf-8"))
+    block = next(node for node in tree.body if isinstance(node, ast.If)).body
+    imported = {
+        alias.name: node.module
+        for node in block
+        if isinstance(node, ast.ImportFrom)
+        for alias in node.names
+    }
+    (renamed,) = (node for node in block if isinstance(node, ast.Assign))
+    assert isinstance(renamed.targets[0], ast.Tuple)
+    assert isinstance(renamed.value, ast.Tuple)
+    names = dict(zip(renamed.targets[0].elts, renamed.value.elts, strict=True))
+    places = {ast.unparse(name): ast.unparse(inner) for name, inner in names.items()}
+    read = {name: f"{imported.pop(inner)}:{inner}" for name, inner in places.items()} | imported
+    assert read == {name: place for name, (place, _) in twin.NAMES.items()}
+
+
+@pytest.mark.parametrize("name", ["uncertainty", "adopt", "compensate", "calibrate"])
+def test_verbs_are_functions_whatever_was_imported(name: str) -> None:
+    import twin.adoption.adopt
+    import twin.propagation.trials
+
+    assert inspect.isfunction(getattr(twin, name))

@@ -14,9 +14,9 @@ from twin.paper.reproduction import CAMERA_TILT_DEG, GROUPS, ROUGHNESS, Reproduc
 from twin.paper.run import Request
 from twin.paper.statistics import values_of
 from twin.paper.trials import REFUSED
+from twin.propagation.results import is_uncertainty
 from twin.study import sweep as sweeping
 from twin.study.measuring import AS_IT_IS, Answer, RigCovariance
-from twin.uncertainty.results import is_uncertainty
 
 measured = Counter()
 

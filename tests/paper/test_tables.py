@@ -20,8 +20,8 @@ from twin.paper.sphere_tables import (
     uncertainty_table,
 )
 from twin.paper.trials import Trial, colour_cases
+from twin.propagation.budget import Part
 from twin.report.table import Column, Table
-from twin.uncertainty.budget import Part
 
 RADII = [4.0, 3.9, 4.1, 4.05, 3.95, 4.2]
 

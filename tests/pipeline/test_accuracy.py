@@ -11,7 +11,7 @@ from twin.camera import expose
 from twin.config import load_experiment, vary
 from twin.optics.light import pattern_set
 from twin.pipeline import measure, record
-from twin.pipeline.fringes import options_of
+from twin.pipeline.captures import options_of
 from twin.results.score import score, score_truth, wrong_orders
 
 from .conftest import CENTRE, IDEAL

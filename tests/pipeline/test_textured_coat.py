@@ -12,7 +12,7 @@ from twin.config import load_experiment
 from twin.config.models import Texture
 from twin.mechanics import textured
 from twin.pipeline import record
-from twin.pipeline.fringes import options_of
+from twin.pipeline.captures import options_of
 
 COARSE = {"camera.binning": 4, "camera.width_px": 640, "camera.height_px": 480}
 TEXTURE = Texture(rms_um=12, correlation_mm=0.3)

@@ -15,7 +15,8 @@ from twin.mechanics import PressedElastomer
 from twin.optics.light import pattern_set
 from twin.optics.rig import true_calibration
 from twin.optics.stack import RadianceStack, Truth
-from twin.pipeline.fringes import evaluate, options_of
+from twin.pipeline.captures import options_of
+from twin.pipeline.fringes import evaluate
 from twin.pipeline.press import press_specimen
 from twin.results.folder import write_measurement
 from twin.results.record import Recording

@@ -11,7 +11,8 @@ from reconstruction.pipeline import Reconstruction, reconstruct
 from reconstruction.triangulation import PointMap
 from tests.report.conftest import record_analytically
 from twin.config import vary
-from twin.pipeline.fringes import evaluate, options_of
+from twin.pipeline.captures import options_of
+from twin.pipeline.fringes import evaluate
 from twin.report.contact import discussion, verdicts
 from twin.report.measurement import summary_table, write_report
 from twin.results.figures import why_absent

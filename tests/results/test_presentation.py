@@ -133,3 +133,29 @@ def test_any_cloud_has_a_grid_without_many_gaps():
     rng = np.random.default_rng(1)
     points = rng.uniform(0.0, 10.0, (5000, 3))
     assert gridded(points, points[:, 2]).valid.mean() > 0.95
+
+
+def test_a_capture_in_one_line_and_as_labelled_arrays(measured):
+    capture = measured.fringes.capture
+    frames = len(capture.patterns.frames)
+    text = repr(capture)
+    assert text.startswith(f"<Capture: {frames} frames of 183 x 242 pixels, values uint")
+    assert f"steps of period {capture.patterns.period_px:g} px" in text
+    data = capture.to_xarray()
+    assert data["stack"].dims == ("frame", "row", "col")
+    assert data["stack"].attrs["units"] == "DN"
+    assert [str(name) for name in data["frame_name"].values] == [
+        frame.name for frame in capture.patterns.frames
+    ]
+    np.testing.assert_array_equal(data["stack"].sel(row=90, col=120), capture.stack[:, 90, 120])
+
+
+def test_a_capture_in_pictures(measured):
+    """The least and the greatest grey value of each pixel show where there is contrast."""
+    capture = measured.fringes.capture
+    drawing = capture.plot()
+    assert [axes.get_xlabel() for axes in drawing.axes[:3]] == ["column (px)"] * 3
+    assert [axes.get_ylabel() for axes in drawing.axes[3:]] == ["grey value (DN)"] * 3
+    least, greatest = (axes.images[0].get_array() for axes in drawing.axes[1:3])
+    np.testing.assert_array_equal(greatest - least, np.ptp(capture.stack, axis=0))
+    assert "data:image/png;base64," in capture._repr_html_()

@@ -4,11 +4,11 @@ import pytest
 
 from tests.uncertainty.models import Linear
 from twin.config import load_experiment
+from twin.propagation.results import read_uncertainty
+from twin.propagation.trials import record_of
 from twin.study.measuring import RigCovariance
 from twin.study.sweep import sweep
 from twin.study.workers import local_workers
-from twin.uncertainty.results import read_uncertainty
-from twin.uncertainty.trials import record_of
 
 X = {"group": "placement", "key": "specimen.x_mm", "distribution": "normal", "spread": 0.1}
 Y = {"group": "placement", "key": "specimen.y_mm", "distribution": "uniform", "spread": 0.1}

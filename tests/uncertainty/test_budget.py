@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from twin.config.inputs import Input
-from twin.uncertainty.budget import (
+from twin.propagation.budget import (
     Part,
     calibration_part,
     noise_left,

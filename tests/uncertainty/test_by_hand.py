@@ -6,10 +6,10 @@ import pytest
 from twin.config.inputs import Input
 from twin.paper.budget import budget_table
 from twin.paper.trials import Trial
+from twin.propagation.budget import Part, calibration_part, noise_left, noise_part, shares
+from twin.propagation.distribution import distribution_of, stability_of, tolerance_of
+from twin.propagation.sensitivity import correlation_of
 from twin.study.trials import Choice, deviation_of, standard_uncertainty
-from twin.uncertainty.budget import Part, calibration_part, noise_left, noise_part, shares
-from twin.uncertainty.distribution import distribution_of, stability_of, tolerance_of
-from twin.uncertainty.sensitivity import correlation_of
 
 
 def travel(**more):

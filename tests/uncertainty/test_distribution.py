@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from twin.uncertainty.distribution import distribution_of, tolerance_of
+from twin.propagation.distribution import distribution_of, tolerance_of
 
 N = 400_000
 
@@ -75,7 +75,7 @@ def test_coverage_of_known_truth(n):
 
 
 def distribution_of_interval(values):
-    from twin.uncertainty.distribution import symmetric_interval
+    from twin.propagation.distribution import symmetric_interval
 
     return symmetric_interval(values)
 

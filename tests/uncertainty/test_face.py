@@ -6,10 +6,10 @@ import pytest
 from twin.config import load_experiment, vary
 from twin.config.inputs import Input
 from twin.pipeline.press import press_specimen
+from twin.propagation.budget import part_of
 from twin.results.parts import face_figures
 from twin.study.measuring import CaseMeasurer
 from twin.study.trials import INPUT, STEP, alone_cases
-from twin.uncertainty.budget import part_of
 
 ON_COAT = {
     "elastomer.layout": "contact_face",

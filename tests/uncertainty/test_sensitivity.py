@@ -7,7 +7,7 @@ from scipy import stats
 from reconstruction.errors import InputError
 from twin.config import load_experiment
 from twin.config.inputs import Input
-from twin.uncertainty.sensitivity import (
+from twin.propagation.sensitivity import (
     correlation_of,
     sobol_effects,
     sobol_of_face,

@@ -12,11 +12,11 @@ from tests.uncertainty.conftest import X, Y
 from tests.uncertainty.models import NOISE, RIG, Linear, Refusing
 from twin.config import ConfigError, load_experiment
 from twin.config.study import load_study
+from twin.propagation.results import read_uncertainty
+from twin.propagation.trials import record_of, write_uncertainty
 from twin.study.record import StudyRecord
 from twin.study.table import read_table, write_csv
 from twin.study.trials import NOISE_REPEATS
-from twin.uncertainty.results import read_uncertainty
-from twin.uncertainty.trials import record_of, write_uncertainty
 
 
 def known_parts():
@@ -198,9 +198,9 @@ def test_photometric_trials_take_turns_with_calibrations(balls):
 
 def test_the_public_function(balls, monkeypatch, tmp_path):
     """`twin.uncertainty` is the function, whatever was imported before it."""
-    import twin.uncertainty.results
+    import twin.propagation.results
+    from twin.propagation import trials
     from twin.study import measuring
-    from twin.uncertainty import trials
 
     assert callable(twin.uncertainty)
     run = trials.sweep
@@ -245,3 +245,19 @@ def test_a_real_trial(mi, tmp_path):
         np.abs(moved), slope * np.abs(np.array(drawn) - 3.0), rtol=0.35, atol=0.03
     )
     assert len({*bias.distribution.values, bias.nominal}) == 3
+
+
+def test_trials_in_one_line_in_pictures_and_as_labelled_arrays(run_trials):
+    found = run_trials(40)
+    values = found.measurands["value_mm"].distribution
+    text = repr(found)
+    assert text.startswith(f"<Uncertainty: {found.experiment.name}, trials 40; value_mm ")
+    assert f"{values.mean:.6g}, u {values.standard_uncertainty:.2g}, 95 % " in text
+    data = found.to_xarray()
+    assert data["value_mm"].dims == ("trial",)
+    np.testing.assert_allclose(data["value_mm"][data["trial"] > 0], values.values)
+    assert data["specimen.x_mm"].attrs["long_name"] == "input"
+    drawing = found.plot()
+    assert drawing.axes[0].get_xlabel() == "value_mm"
+    assert sum(bar.get_height() for bar in drawing.axes[0].containers[0]) == 40
+    assert "data:image/png;base64," in found._repr_html_()

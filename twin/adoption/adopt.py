@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -28,7 +29,7 @@ from reconstruction.characterise import (
     sparkle_of,
 )
 from reconstruction.decoding.decode import Decoded, DecodeOptions, decode
-from reconstruction.errors import InputError
+from reconstruction.errors import InputError, counted
 from reconstruction.pipeline import Reconstruction, ReconstructOptions, reconstruct
 from reconstruction.rig.calibration import Calibration
 from reconstruction.rig.projected_light import ProjectorResponse
@@ -51,6 +52,11 @@ from twin.adoption.poses import Placed, place
 from twin.adoption.rendered import Scene, albedo_of
 from twin.config.models import Experiment
 from twin.pipeline.progress import ProgressCallback, no_progress
+
+if TYPE_CHECKING:
+    import xarray
+
+    from reconstruction.drawing import Drawing
 
 # Of the square of a normal number.
 _MEDIAN_OF_SQUARE = 0.455
@@ -119,6 +125,30 @@ class Adopted:
     sparkle: Sparkle | None
     notes: tuple[str, ...] = field(default=())
 
+    def __repr__(self) -> str:
+        measured = sum(one.source.startswith("measured") for one in self.fields.values())
+        notes = counted(len(self.notes), "note")
+        return f"<Adopted: {len(self.fields)} fields, {measured} measured, {notes}>"
+
+    def _repr_html_(self) -> str:
+        from reconstruction.drawing import as_html
+
+        rows = {path: f"{one.value} ({one.source})" for path, one in self.fields.items()}
+        return as_html("twin of a real rig; units in the names", rows, self.plot())
+
+    def plot(self) -> "Drawing":
+        """Draw the points that the first capture gives with this rig: a Matplotlib figure.
+
+        Raises
+        ------
+        InputError : no pixel has a point
+        """
+        return self.points.plot()
+
+    def to_xarray(self) -> "xarray.Dataset":
+        """Return the maps of these points over camera row and column."""
+        return self.points.to_xarray()
+
 
 def adopt(given: Given, watch: ProgressCallback = no_progress) -> Adopted:
     """Make the rig.
@@ -171,6 +201,43 @@ def adopt(given: Given, watch: ProgressCallback = no_progress) -> Adopted:
         sparkle=coat_sparkle(known, points),
         notes=tuple(notes),
     )
+
+
+def adopt_rig(
+    *captures: Path | str,
+    model: str = "rigs/slab",
+    dark: Path | str | None = None,
+    flat: Path | str | None = None,
+    reference: Path | str | None = None,
+    reference_albedo: UncertainValue | None = None,
+    press: KnownBallPress | None = None,
+    watch: ProgressCallback = no_progress,
+) -> Adopted:
+    """Make the twin of a real rig from its captures, as the command `twin adopt` does.
+
+    Parameters
+    ----------
+    captures : folders with capture.toml, calibration and white and black frames; at least one
+    model : rig that gives every value that the captures do not determine
+    dark, flat : folders of images without light, and of an evenly lit surface
+    reference : capture of a flat matte surface in the coat's place, at the same exposure
+    reference_albedo : of that surface, and its standard uncertainty
+    press : of a known ball into the sheet
+
+    Raises
+    ------
+    InputError : a capture cannot be read, or is another rig's than the first one
+    """
+    given = Given(
+        captures=tuple(map(Path, captures)),
+        model=model,
+        dark=None if dark is None else Path(dark),
+        flat=None if flat is None else Path(flat),
+        reference=None if reference is None else Path(reference),
+        reference_albedo=reference_albedo,
+        press=press,
+    )
+    return adopt(given, watch)
 
 
 def _albedo_field(

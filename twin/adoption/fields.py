@@ -31,6 +31,7 @@ from reconstruction.rig.projected_light import ProjectorResponse
 from reconstruction.rig.sensor import SensorNoise
 from twin.adoption.findings import ModelRig, RigField
 from twin.adoption.poses import Placed
+from twin.config.bounds import EXPOSURE_PERCENTILE
 from twin.config.models import Patterns
 
 _IMAGES = (".png", ".tif", ".tiff", ".bmp", ".pgm", ".npy")
@@ -217,10 +218,10 @@ def level_field(capture: Capture) -> dict[str, RigField]:
         return {}
     white = capture.stack[capture.patterns.index("white").start].astype(np.float64)
     sensor = capture.sensor
-    share = (float(np.percentile(white, 99.5)) - sensor.black_level_dn) / (
+    share = (float(np.percentile(white, EXPOSURE_PERCENTILE)) - sensor.black_level_dn) / (
         sensor.saturation_dn - sensor.black_level_dn
     )
-    how = "measured: 99.5th percentile of the white frame over full scale"
+    how = f"measured: {EXPOSURE_PERCENTILE:g}th percentile of the white frame over full scale"
     auto = RigField("camera.exposure_ms", "auto", None, "measured: the images' own level")
     if not 0.0 < share < 1.0:
         return {auto.path: auto}

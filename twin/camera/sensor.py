@@ -25,7 +25,7 @@ from reconstruction.machine import threads
 from reconstruction.rig.sensor import SensorNoise
 from twin.camera.noise import Key, Sensor, record_frame
 from twin.config import Experiment, seed_sequence
-from twin.config.bounds import EXPOSURE_RANGE_MS
+from twin.config.bounds import EXPOSURE_PERCENTILE, EXPOSURE_RANGE_MS
 from twin.config.digest import keyed_sequence
 from twin.config.models import Camera
 
@@ -109,7 +109,7 @@ def choose_exposure_ms(experiment: Experiment, white: FloatImage) -> float:
     camera = experiment.camera
     if camera.exposure_ms != "auto":
         return camera.exposure_ms
-    bright = float(np.percentile(white, 99.5))
+    bright = float(np.percentile(white, EXPOSURE_PERCENTILE))
     if bright <= 0.0:
         raise InputError("camera.exposure_ms = 'auto': the white frame is black; aim the projector")
     rate = bright * electrons_per_ms(camera, experiment.projector.wavelength_nm)

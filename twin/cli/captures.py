@@ -460,7 +460,7 @@ def report(folder: Path, /) -> None:
 def _drawer(folder: Path) -> "Callable[..., Path]":
     """Return what draws the report of a folder; only that is imported."""
     from twin.pipeline.comparison import is_comparison
-    from twin.uncertainty.results import is_uncertainty
+    from twin.propagation.results import is_uncertainty
 
     if is_uncertainty(folder):
         from twin.report.uncertainty import write_uncertainty_page

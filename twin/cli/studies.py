@@ -29,12 +29,12 @@ from twin.cli.app import (
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from twin.propagation.results import Uncertainty
     from twin.study.cases import Case
     from twin.study.engine import SweepOutcome
     from twin.study.record import StudyRecord
     from twin.study.remarks import Remark
     from twin.study.workers import Workers
-    from twin.uncertainty.results import Uncertainty
 
 _MOST_REASONS, _MOST_NEAREST = 10, 6
 QUICK_TRIALS, FULL_TRIALS = 5, 100
@@ -290,8 +290,8 @@ def uncertainty(
     seed
         Of all draws; default: that of the inputs.
     """
+    from twin.propagation.trials import plan_in_words, record_of
     from twin.results.names import of_the_object
-    from twin.uncertainty.trials import plan_in_words, record_of
 
     asked, named = (load(experiment, settings), inputs, trials), measurand or ()
     options: dict[str, Any] = {"calibration": calibration, "budget": budget, "seed": seed}
@@ -332,11 +332,11 @@ def _evaluated(
 ) -> "Uncertainty":
     """Evaluate the trials, write the results and draw the report."""
     from twin.output import adding
+    from twin.propagation.results import read_uncertainty
+    from twin.propagation.sensitivity import sobol_of_face
+    from twin.propagation.trials import write_uncertainty
     from twin.report import REPORT_NAMES
     from twin.report.uncertainty import write_uncertainty_page
-    from twin.uncertainty.results import read_uncertainty
-    from twin.uncertainty.sensitivity import sobol_of_face
-    from twin.uncertainty.trials import write_uncertainty
 
     found = read_uncertainty(out, measurands)
     with progress_bars() as watch:

@@ -157,6 +157,8 @@ PixelPitch = Annotated[
     Because("0.1 um, below which a pixel is smaller than its light's wavelength, to 1 mm"),
 ]
 EXPOSURE_RANGE_MS = (1e-4, 1e6)
+EXPOSURE_PERCENTILE = 99.5
+"""Percentile of the white frame's pixels that the automatic exposure puts at `auto_level`."""
 Exposure = Annotated[
     float,
     Field(ge=EXPOSURE_RANGE_MS[0], le=EXPOSURE_RANGE_MS[1]),

@@ -24,6 +24,7 @@ from reconstruction.patterns import (
 )
 from twin.config.base import Angle, Fraction, Model
 from twin.config.bounds import (
+    EXPOSURE_PERCENTILE,
     BlackLevel,
     Contrast,
     DarkCurrent,
@@ -164,7 +165,8 @@ class Camera(Model):
     distortion: Distortion = (0.0, 0.0, 0.0, 0.0, 0.0)
     pose: Pose = Field(description="its standoff is also the distance of best focus")
     exposure_ms: Exposure | Literal["auto"] = Field(
-        description="'auto': the white frame's 99.5th percentile reaches auto_level"
+        description=f"'auto': the white frame's {EXPOSURE_PERCENTILE:g}th percentile reaches "
+        "auto_level"
     )
     auto_level: Annotated[float, Field(gt=0, lt=1)] = Field(
         default=0.85, description="target of the automatic exposure as a fraction of saturation"

@@ -3,10 +3,12 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from reconstruction.arrays import FloatArray
+from reconstruction.errors import counted
 from twin.config.problem import SensorProblem
 from twin.identification.emulator import Emulator
 from twin.identification.findings import (
@@ -24,6 +26,12 @@ from twin.identification.findings import (
     worth_of,
 )
 from twin.identification.posterior import Posterior, likelihood_of, profile
+from twin.identification.presentation import fields_in_short, posterior_drawing, samples_of
+
+if TYPE_CHECKING:
+    import xarray
+
+    from reconstruction.drawing import Drawing
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,6 +65,28 @@ class Identified:
     problem: SensorProblem
     models: tuple[SensorModel, ...]
     seed: int
+
+    def __repr__(self) -> str:
+        count = counted(len(self.models), "model")
+        fields = ", ".join(f"{n} {value}" for n, value in fields_in_short(self).items())
+        rows = counted(len(self.problem.fitted), "row")
+        return f"<Identified: {self.problem.name}, {count}, {rows} fitted, {fields}>"
+
+    def _repr_html_(self) -> str:
+        from reconstruction.drawing import as_html
+
+        probability = f"{100 * self.best.probability:.3g} %"
+        choices = ", ".join(self.best.combination.values())
+        best = {f"most probable model {choices}".rstrip(): probability}
+        return as_html(self.problem.name, fields_in_short(self) | best, self.plot())
+
+    def plot(self) -> "Drawing":
+        """Draw the samples of each field with its 95 % interval: a Matplotlib figure."""
+        return posterior_drawing(self)
+
+    def to_xarray(self) -> "xarray.Dataset":
+        """Return the samples (model, sample) of the free fields, as posterior.nc holds them."""
+        return samples_of(self).to_xarray()
 
     @property
     def best(self) -> SensorModel:

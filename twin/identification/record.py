@@ -14,15 +14,14 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from reconstruction.netcdf import Labelled, LabelledArrays, write_arrays
+from reconstruction.netcdf import write_arrays
 from reconstruction.writing import write_text
 from twin.config import Experiment, to_toml, vary
 from twin.config.problem import SensorProblem
 from twin.config.study import without_absent
 from twin.identification.findings import interval_of
 from twin.identification.known import Identified
+from twin.identification.presentation import samples_of
 from twin.identification.simulations import variant_for
 from twin.output import EXPERIMENT_FILE, RESULT_FILE
 from twin.results.parts import write_result
@@ -131,20 +130,3 @@ def write_identified(
         write_text(path, to_toml(one))
     write_arrays(folder / POSTERIOR_FILE, samples_of(found))
     write_result(folder, COMMAND, next(iter(best.values())), figures_of(found))
-
-
-def samples_of(found: Identified) -> LabelledArrays:
-    """Return the samples of the free fields by model, in the fields' own units."""
-    count = min(len(one.posterior.z) for one in found.models)
-    dims = ("model", "sample")
-    by_model = np.stack([one.posterior.values[-count:] for one in found.models])
-    variables: dict[str, Labelled] = {
-        name: (dims, by_model[:, :, i], {"long_name": free.path})
-        for i, (name, free) in enumerate(found.problem.free.items())
-    }
-    names = [", ".join(one.combination.values()) or "only" for one in found.models]
-    weights = [one.probability for one in found.models]
-    told = {"units": "1", "long_name": "probability given the rows"}
-    variables["probability"] = ("model", np.array(weights), told)
-    coords: dict[str, Labelled] = {"model": ("model", np.array(names, dtype=object), {})}
-    return LabelledArrays(variables, coords)

@@ -1,14 +1,18 @@
 """A pressed elastomer in pictures: the coat, the pressure, a section with both faces."""
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from reconstruction.arrays import FloatArray
 from reconstruction.cells import CellMeans
 from reconstruction.drawing import Drawing, draw_cells, draw_section
-from twin.mechanics.press import PressedElastomer
+
+if TYPE_CHECKING:
+    from twin.mechanics.press import PressedElastomer
 
 
-def press_drawing(pressed: PressedElastomer) -> Drawing:
+def press_drawing(pressed: "PressedElastomer") -> Drawing:
     """Return the coated face, the pressure on the touched one, and the section at y = 0."""
     drawing = Drawing(3)
     panels = drawing.subplots(1, 3)

@@ -123,7 +123,7 @@ class PressedElastomer:
 
     def to_xarray(self) -> "xarray.Dataset":
         """Return all fields with coordinates (mm), units and long names, as press.nc holds them."""
-        from twin.mechanics.storage import press_arrays
+        from twin.mechanics.arrays import press_arrays
 
         return press_arrays(self).to_xarray()
 

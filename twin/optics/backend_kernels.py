@@ -2,7 +2,6 @@
 
 import ctypes
 import os
-import resource
 import sys
 from typing import Any
 
@@ -11,7 +10,7 @@ from twin.optics.backend import LLVM_VARIANT
 
 def run_kernels(variant: str) -> None:
     """Compile and run the twin's kinds of kernel and print the backend's version."""
-    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    _leave_no_core_file()
     import drjit as dr
     import mitsuba as mi
 
@@ -20,6 +19,14 @@ def run_kernels(variant: str) -> None:
     _check_arithmetic(dr, mi)
     _check_rendering(dr, mi)
     sys.stdout.write(f"\nbackend version {_version(variant, dr)}\n")
+
+
+def _leave_no_core_file() -> None:
+    try:
+        import resource
+    except ImportError:  # Windows, which writes none
+        return
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
 
 
 def _check_arithmetic(dr: Any, mi: Any) -> None:

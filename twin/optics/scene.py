@@ -221,7 +221,8 @@ class Surfaces:
 
     Attributes
     ----------
-    stage : mi.Shape, optional Horizontal matte plane; None when there is none.
+    sharp : bodies that pass light on along sharp directions
+    stage : mi.Shape, horizontal matte plane; None: there is none
     """
 
     sharp: tuple[Sharp, ...] = ()

@@ -13,9 +13,7 @@ from reconstruction.arrays import FloatArray
 from twin.paper.plan import BUDGET_OF
 from twin.paper.statistics import Spread, spread_of, values_of
 from twin.paper.trials import Trial
-from twin.report.table import Cell, Column, Table
-from twin.study.measuring import TRUE_RIG
-from twin.uncertainty.budget import (
+from twin.propagation.budget import (
     Part,
     calibration_part,
     noise_left,
@@ -23,6 +21,8 @@ from twin.uncertainty.budget import (
     shares,
     together,
 )
+from twin.report.table import Cell, Column, Table
+from twin.study.measuring import TRUE_RIG
 
 
 def budget_table(name: str, parts: Sequence[Part], trials: Sequence[Trial]) -> Table:

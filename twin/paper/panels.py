@@ -47,7 +47,6 @@ class PanelBall:
     """Sphere fitted to one ball, as the paper's table has it; mm."""
 
     number: int
-    nominal_radius_mm: float
     radius_mm: float
     rmse_mm: float
     mae_mm: float
@@ -171,7 +170,9 @@ def read_panel_data(folder: Path) -> PanelData:
 def _read_numbers(tree: Mapping[str, Any]) -> Numbers:
     width = tree["width"]
     pairs = {key: tuple(tree[key]) for key in ("outline_mm", "scale_mm", "half_field_mm")}
-    balls = tuple(PanelBall(**ball) for ball in tree["balls"])
+    # By name: earlier files also hold a nominal radius, which no figure shows.
+    names = [one.name for one in fields(PanelBall)]
+    balls = tuple(PanelBall(**{name: ball[name] for name in names}) for ball in tree["balls"])
     parts = {"balls": balls, "width": None if width is None else Width(**width)}
     return Numbers(**{**tree, **pairs, **parts})
 
@@ -242,7 +243,6 @@ def _fit(ball: SphereScore) -> PanelBall:
     stats = ball.measured.stats
     return PanelBall(
         ball.number,
-        ball.nominal.radius_mm,
         ball.measured.radius_mm,
         stats.rmse_mm,
         stats.mae_mm,

@@ -50,6 +50,7 @@ from twin.paper.trials import (
 )
 from twin.pipeline.comparison import case_for
 from twin.pipeline.progress import ProgressCallback, no_progress
+from twin.propagation.budget import Part, part_of
 from twin.study.cases import Case, Cases, case_of
 from twin.study.engine import SweepOutcome
 from twin.study.measuring import PLAINLY, Measuring, RigCovariance, calibrated
@@ -58,7 +59,6 @@ from twin.study.sweep import CaseGroup, run_groups
 from twin.study.trials import INPUT, PART, STEP, TRIAL, TRIALS, alone_cases
 from twin.study.worker import MakeMeasurer
 from twin.study.workers import Workers, local_workers
-from twin.uncertainty.budget import Part, part_of
 
 ROUGHNESS = (0.05, 0.1, 0.2, 0.4)
 # Of the camera from the vertical; the projector stands opposite, as far from the camera as ever.

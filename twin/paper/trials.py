@@ -9,6 +9,7 @@ from twin.config import Experiment, vary
 from twin.config.inputs import Group, Input, Inputs, load_inputs
 from twin.paper.plan import FOOTPRINT_MM, identified
 from twin.pipeline.comparison import PhotometricPlan, case_for
+from twin.propagation.trials import record_of
 from twin.results.decoders import DecodedImage
 from twin.results.record import Measurement
 from twin.results.score import metrics
@@ -16,7 +17,6 @@ from twin.study.cases import Case, case_of
 from twin.study.measuring import Conditions
 from twin.study.record import StudyRecord
 from twin.study.trials import CALIBRATION, CALIBRATIONS, PART, TRIAL, TRIALS, draw
-from twin.uncertainty.trials import record_of
 
 INPUTS, BOARD = "paper/trials", "boards/paper_dots"
 # The paper's pipeline: a look-up table, then integration as in the vendor's programs of its time.

@@ -18,7 +18,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -36,20 +36,25 @@ from reconstruction.calibration.observation import pose_folders
 from reconstruction.calibration.pipeline import parameters_of, pupil_diameter_mm
 from reconstruction.capture.folder import Capture, write_capture
 from reconstruction.capture.frame_set import write_frame_set
-from reconstruction.errors import InputError
+from reconstruction.errors import InputError, counted, require_instance
 from reconstruction.rig.calibration import Calibration, write_calibration
 from reconstruction.rig.importing import Imported
 from reconstruction.rig.pinhole import Pinhole
 from reconstruction.writing import write_png, write_text
 from twin.camera import expose
 from twin.config import Experiment, digest, to_toml
-from twin.config.board import BoardFile, BoardPose
+from twin.config.board import BoardFile, BoardPose, load_board
 from twin.optics.board import render_board
 from twin.optics.light import pattern_set
 from twin.optics.rig import true_calibration
 from twin.output import EXPERIMENT_FILE, write_outcome
 from twin.pipeline.progress import ProgressCallback, no_progress
 from twin.results.parts import write_rows
+
+if TYPE_CHECKING:
+    import xarray
+
+    from reconstruction.drawing import Drawing
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,6 +83,61 @@ class BoardCalibration:
     digest: str
     experiment: Experiment | None = None
     skipped: tuple[SkippedPose, ...] = ()
+
+    def __repr__(self) -> str:
+        shown = ", ".join(f"{name} {value}" for name, value in self._in_short().items())
+        return f"<BoardCalibration: {counted(len(self.observations), 'pose')}, {shown}>"
+
+    def _repr_html_(self) -> str:
+        from reconstruction.drawing import as_html
+
+        return as_html("calibration on a board", self._in_short(), self.plot())
+
+    def _in_short(self) -> dict[str, str]:
+        """Return features and RMS residuals as texts, by name."""
+        poses = self.result.poses
+        return {
+            "features": str(sum(pose.features for pose in poses)),
+            "camera residuals": f"{_rms([pose.camera_px for pose in poses]):.3g} px RMS",
+            "projector residuals": f"{_rms([pose.projector_px for pose in poses]):.3g} px RMS",
+        }
+
+    def plot(self) -> "Drawing":
+        """Draw the residuals of camera and projector, and their RMS by pose, all in px.
+
+        Returns
+        -------
+        A Matplotlib figure
+        """
+        from reconstruction.drawing import Drawing
+
+        drawing = Drawing(3)
+        camera, projector, by_pose = drawing.subplots(1, 3)
+        found = self.to_xarray()
+        for axes, device, names in (
+            (camera, "camera", ("camera_x_px", "camera_y_px")),
+            (projector, "projector", ("projector_column_px", "projector_row_px")),
+        ):
+            x_px, y_px = (found[f"residual_{name}"][found["used"] == 1] for name in names)
+            axes.plot(x_px, y_px, ".", markersize=2)
+            axes.set(title=f"{device} residuals", xlabel=f"{names[0]}", ylabel=f"{names[1]}")
+        for device in ("camera_px", "projector_px"):
+            by_pose.plot([getattr(pose, device) for pose in self.result.poses], "o", label=device)
+        by_pose.set(title="RMS residuals", xlabel="pose", ylabel="RMS (px)")
+        by_pose.legend()
+        return drawing
+
+    def to_xarray(self) -> "xarray.Dataset":
+        """Return position and residual of every feature, (feature,), px, and its pose."""
+        import xarray
+
+        rows = list(_feature_rows(self))
+        return xarray.Dataset(
+            {
+                name: ("feature", np.array([row[name] for row in rows]), _units_of(name))
+                for name in rows[0]
+            }
+        )
 
     @property
     def truth(self) -> dict[str, float] | None:
@@ -178,6 +238,34 @@ def calibrate_captures(
         )
     found = calibrate(seen, options)
     return BoardCalibration(found, tuple(seen), _digest(named), skipped=tuple(skipped))
+
+
+def calibrate_rig(
+    source: Experiment | Path | str,
+    board: BoardFile | Path | str = "boards/paper_dots",
+    options: AdjustOptions | None = None,
+    *,
+    watch: ProgressCallback = no_progress,
+) -> BoardCalibration:
+    """Calibrate camera and projector on captures of a board, or on rendered ones.
+
+    Parameters
+    ----------
+    source : folder with one capture folder per board pose, the first of which gives the world
+        frame; or an experiment, whose rig is rendered on the board's own poses
+    board : board file, or the name of a shipped board
+
+    Raises
+    ------
+    InputError : as `calibrate_captures` or `calibrate_rendered`
+    MissingBackend : an experiment, and no usable Dr.Jit backend
+    """
+    kinds, remedy = (Experiment, Path, str), "give an experiment, or a folder of captures"
+    require_instance("source", source, kinds, remedy)
+    shown = board if isinstance(board, BoardFile) else load_board(board)
+    if isinstance(source, Experiment):
+        return calibrate_rendered(source, shown, options, watch=watch)
+    return calibrate_captures(Path(source), shown, options, watch=watch)
 
 
 def _require_size(name: str, capture: BoardCapture, size: str, first: str) -> None:
@@ -325,6 +413,10 @@ def parameter_rows(done: BoardCalibration) -> Iterator[dict[str, Any]]:
                 "error": parameter.value - truth[parameter.name],
             }
         yield row
+
+
+def _units_of(name: str) -> dict[str, str]:
+    return {"units": "px"} if name.endswith("_px") else {}
 
 
 def _feature_rows(done: BoardCalibration) -> Iterator[dict[str, Any]]:

@@ -7,7 +7,7 @@ Nothing of the truth is used: the measured points, and what is known of elastome
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy import fft
@@ -24,8 +24,10 @@ from reconstruction.compensation import (
     SheetOpening,
     calibrate_sheet,
     compensate_gel,
+    contact_arrays,
     relief_on_frame,
 )
+from reconstruction.compensation.presentation import in_short, object_drawing
 from reconstruction.errors import InputError, require_instance
 from reconstruction.evaluate.surface import write_surface
 from reconstruction.netcdf import write_arrays
@@ -52,7 +54,6 @@ from twin.pipeline.dimensions import RECONSTRUCTION_FILE
 from twin.pipeline.progress import ProgressCallback, no_progress
 from twin.pipeline.slab_object import calibrate_slab, fit_slab, slab_object
 from twin.results.compensated import (
-    contact_arrays,
     load_figures,
     object_figures,
     object_points,
@@ -70,25 +71,57 @@ from twin.results.under_sheet import (
 )
 from twin.specimens import shape_of
 
+if TYPE_CHECKING:
+    import xarray
+
+    from reconstruction.drawing import Drawing
+
 CONTACT_FILE, LAYER_FILE = "contact.nc", "layer.toml"
 _UM = 1e3
 # Of the gel: as fine as ridges that a bonded layer still answers to.
 _GEL_CELL_MM = 0.08
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class CompensationResult:
     """A compensation with what it rests on.
 
     Attributes
     ----------
-    layer : as it was believed, or calibrated on a ball
-    figures : as in result.json
+    found : object and contact, (row, col) on the cells of the measured coat
+    layer : as it was assumed, or calibrated on a ball
+    figures : as in result.json, units in the names
     """
 
     found: Compensated
     layer: SensorLayer
     figures: Mapping[str, Any]
+
+    def __repr__(self) -> str:
+        shown = ", ".join(f"{name} {value}" for name, value in self._in_short().items())
+        return f"<CompensationResult: {shown}>"
+
+    def _repr_html_(self) -> str:
+        from reconstruction.drawing import as_html
+
+        return as_html("object behind the coat", self._in_short(), self.plot())
+
+    def _in_short(self) -> dict[str, str]:
+        """Return contact, force and fitted radii as texts, by name."""
+        radii = {
+            name.removesuffix("_mm").replace("_", " "): f"{value:.4f} mm"
+            for name, value in self.figures.items()
+            if name.endswith("_radius_mm") and value is not None
+        }
+        return in_short(self.found) | radii
+
+    def plot(self) -> "Drawing":
+        """Draw coat, contact pressure, and a section of coat and object: a Matplotlib figure."""
+        return object_drawing(self.found)
+
+    def to_xarray(self) -> "xarray.Dataset":
+        """Return contact, pressure and both faces over world x and y (mm), as contact.nc."""
+        return contact_arrays(self.found).to_xarray()
 
 
 Draw = Callable[[Path, CompensationResult], None]
@@ -132,13 +165,11 @@ def compensate_result(
         points, specimen = measured.point_map, experiment.specimen if experiment else None
         if ball_diameter_mm is not None:
             layer, figures = calibrated_layer(points, layer, ball_diameter_mm, specimen)
-        found = compensate_points(points, layer, specimen)
+        result = _compensation(points, layer, experiment)
         watch("compensate", 1.0)
-        balls = shape_of(experiment.specimen).spheres() if experiment else ()
-        figures |= object_figures(found, balls, _bars(layer, experiment))
-        figures |= load_figures(found, layer)
-        _write(target, measured, found, layer)
-        draw(target, CompensationResult(found, layer, figures))
+        figures |= result.figures
+        _write(target, measured, result.found, layer)
+        draw(target, replace(result, figures=figures))
         write_text(target / LAYER_FILE, layer_to_toml(layer))
         write_text(
             target / EXPERIMENT_FILE,
@@ -149,6 +180,56 @@ def compensate_result(
         digest = content_digest(layer, points.points_world_mm, points.mask_reason)
         write_outcome(target, "compensate", figures, digest=digest)
     return figures
+
+
+def compensate(
+    measured: Measurement | Reconstruction | PointMap,
+    layer: SensorLayer | Path | str | None = None,
+) -> CompensationResult:
+    """Find the object behind a measured coat, its contact and force; writes nothing.
+
+    Parameters
+    ----------
+    measured : as `twin.measure` or `twin.reconstruct` return it, or its points
+    layer : assumed elastomer and load, or the file with them (docs/compensation.md); default: those
+        of the measurement's experiment
+
+    Raises
+    ------
+    InputError : no points, no layer, a layout that is not known, or points that show no object
+    """
+    kinds = (Measurement, Reconstruction, PointMap)
+    require_instance("measured", measured, kinds, "give what twin.measure returns")
+    experiment = measured.experiment if isinstance(measured, Measurement) else None
+    if isinstance(layer, (str, Path)):
+        layer = load_sensor_layer(Path(layer))
+    if layer is None and experiment is None:
+        raise InputError("layer: found none, needed with points that have no experiment")
+    known = sensor_layer_of(experiment) if layer is None and experiment else layer
+    assert known is not None
+    return _compensation(_points_of(measured), known, experiment)
+
+
+def _points_of(measured: Measurement | Reconstruction | PointMap) -> PointMap:
+    if isinstance(measured, PointMap):
+        return measured
+    if isinstance(measured, Reconstruction):
+        return measured.point_map
+    if not isinstance(measured.images, Fringes):
+        method = measured.experiment.modality
+        raise InputError(f"compensate: found a measurement by {method}, allowed one by fringes")
+    return measured.images.reconstruction.point_map
+
+
+def _compensation(
+    points: PointMap, layer: SensorLayer, experiment: Experiment | None
+) -> CompensationResult:
+    """Compensate points, and return the figures of the object, named after nominal places."""
+    specimen = experiment.specimen if experiment else None
+    found = compensate_points(points, layer, specimen)
+    balls = shape_of(specimen).spheres() if specimen else ()
+    figures = object_figures(found, balls, _bars(layer, experiment)) | load_figures(found, layer)
+    return CompensationResult(found, layer, figures)
 
 
 def compensate_points(

@@ -27,7 +27,7 @@ from twin.optics.rig import true_calibration
 from twin.optics.session import renderer_session
 from twin.optics.stack import RadianceStack
 from twin.output import versions
-from twin.pipeline.captures import options_of as options_of
+from twin.pipeline.captures import options_of
 from twin.pipeline.memory import Kept, Memory
 from twin.pipeline.press import PressedFace, press
 from twin.pipeline.progress import Stopwatch

@@ -1,5 +1,7 @@
 """Figures of a page drawn by two processes, while files are written: Matplotlib draws on one core.
 
+Where the platform has no fork (Windows), this process draws all of them.
+
 The second process is a copy of this one (fork) that has all it draws in its memory: it loads, reads
 and scores nothing. Both take the next figure from one queue, a pipe of numbers. The copy lacks the
 threads of this process, so that it must not render, and it ends without Python's own end. It keeps
@@ -18,12 +20,12 @@ from typing import NoReturn
 
 from reconstruction.machine import threads, warnings_ignored
 from twin.report.page import Figure
+from twin.working import ENDING_SIGNALS
 
 PATIENCE_S = 60.0
 """A copy that has not ended so long after this process hangs: a figure takes less than a second."""
 
 _NUMBER = struct.Struct("<H")
-_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 def draw_side_by_side(
@@ -116,7 +118,7 @@ def _second_process(work: Callable[[], None], queue: int) -> Iterator[Callable[[
 def _forked(work: Callable[[], None], kept: Sequence[int]) -> int:
     """Start a copy that does some work and ends; `kept` are the files that it has of this one."""
     # Handlers would write into the pipe that ends this process (`working.end_within`).
-    held = signal.pthread_sigmask(signal.SIG_BLOCK, _SIGNALS)
+    held = signal.pthread_sigmask(signal.SIG_BLOCK, ENDING_SIGNALS)
     try:
         # Of threads that the copy lacks, from Python 3.12 on: it needs none of them.
         with warnings_ignored(DeprecationWarning):
@@ -133,7 +135,7 @@ def _work_and_end(work: Callable[[], None], kept: Sequence[int], mask: object) -
     try:
         gc.disable()  # a collection would copy all memory that both share
         signal.set_wakeup_fd(-1)
-        for number in _SIGNALS:
+        for number in ENDING_SIGNALS:
             if signal.getsignal(number) is not signal.SIG_IGN:
                 signal.signal(number, signal.SIG_DFL)
         signal.pthread_sigmask(signal.SIG_SETMASK, mask)  # type: ignore[arg-type]

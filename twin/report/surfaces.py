@@ -299,7 +299,7 @@ def _frame_view(axes: Any, relief: WorldMap, norm: Normalize, enlarged: float) -
         pane.set_pane_color((0.97, 0.975, 0.98, 1.0))
 
 
-_MAP_CELLS, _BINS, _SIGMAS = 480, 121, 200
+_BINS, _SIGMAS = 121, 200
 
 
 def draw_truth_error(

@@ -10,6 +10,9 @@ from matplotlib.axes import Axes
 
 from reconstruction.errors import counted
 from twin.pipeline.progress import ProgressCallback, no_progress
+from twin.propagation.budget import shares
+from twin.propagation.distribution import Interval
+from twin.propagation.results import Measurand, Uncertainty, read_uncertainty
 from twin.report.canvas import (
     FAINT,
     FIT,
@@ -28,9 +31,6 @@ from twin.report.study_figures import draw_effect_bars
 from twin.report.table import Column, Row, Table
 from twin.report.words import NONE, label_of, split_unit
 from twin.study.trials import standard_uncertainty
-from twin.uncertainty.budget import shares
-from twin.uncertainty.distribution import Interval
-from twin.uncertainty.results import Measurand, Uncertainty, read_uncertainty
 
 _MOST_BARS = 12
 _HEADINGS = {

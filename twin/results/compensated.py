@@ -5,7 +5,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
 from reconstruction.arrays import BoolArray, FloatArray, Reason
@@ -23,7 +22,6 @@ from reconstruction.compensation import (
 from reconstruction.compensation.relief import Relief
 from reconstruction.errors import FitError
 from reconstruction.evaluate.fit import spread
-from reconstruction.netcdf import Labelled, LabelledArrays
 from reconstruction.triangulation import PointMap
 from twin.config.sensor_layer import SensorLayer
 from twin.shape import Sphere
@@ -238,31 +236,3 @@ def _scatter_mm(coat: PointMap, relief: Relief, touching: BoolArray, at: list[Fl
 
 def _at(values: FloatArray, at: list[FloatArray]) -> FloatArray:
     return np.asarray(ndimage.map_coordinates(values, at, order=1, mode="nearest"))
-
-
-def contact_arrays(found: Compensated) -> LabelledArrays:
-    """Return contact, pressure, thickness and the clear face over world x and y."""
-    clear = found.object_mm
-    maps: dict[str, tuple[NDArray[Any], str, str]] = {
-        "contact": (found.contact.astype(np.uint8), "1", "1 where the object carries the sheet"),
-        "measured": (found.relief.measured.astype(np.uint8), "1", "1 where the coat was measured"),
-        "coat_z_mm": (found.relief.heights_mm, "mm", "world z of the coat, gaps filled in"),
-        "clear_x_mm": (clear[..., 0], "mm", "world x of the clear face, or the object"),
-        "clear_y_mm": (clear[..., 1], "mm", "world y of the clear face, or the object"),
-        "clear_z_mm": (clear[..., 2], "mm", "world z of the clear face, or the object"),
-        "pressure_kpa": (found.pressure_kpa, "kPa", "of the contact, blurred at its edge"),
-    }
-    if isinstance(found, CompensatedSheet):
-        thickness, sigma = found.layer.thickness_mm * found.thinning, found.sigma_thickness_mm
-        maps["thickness_mm"] = (thickness, "mm", "local thickness")
-        maps["sigma_thickness_mm"] = (sigma, "mm", "standard uncertainty of the local thickness")
-    axes: dict[str, Labelled] = {
-        name: (name, values, {"units": "mm", "long_name": f"world {name} of the cell's middle"})
-        for name, values in (("x", found.relief.x_mm), ("y", found.relief.y_mm))
-    }
-    told: dict[str, Labelled] = {
-        name: (("y", "x"), values, {"units": units, "long_name": long_name})
-        for name, (values, units, long_name) in maps.items()
-    }
-    attributes = {"Conventions": "CF-1.11", "force_n": found.force_n}
-    return LabelledArrays(told, axes, attributes)

@@ -16,6 +16,7 @@ import numpy as np
 from reconstruction.arrays import FloatArray, FloatImage
 from reconstruction.patterns import AXES, Axis
 from twin.camera import choose_exposure_ms
+from twin.config.bounds import EXPOSURE_PERCENTILE
 from twin.config.models import Experiment
 from twin.optics.rig import true_calibration
 from twin.optics.stack import TraceMaps, Truth
@@ -31,7 +32,6 @@ from twin.results.prediction import (
 
 Vary = Callable[[float], Experiment]
 _STEP = 1e-20j
-_WHITE_PERCENTILE = 99.5
 
 OF_THE_PROJECTOR = (
     "projector.flux_mw", "projector.blur_px", "projector.focus_mm", "projector.aperture_mm",
@@ -127,7 +127,7 @@ def _percentile_tangent(
 ) -> float:
     """Return d ln of the white frame's percentile, on which the exposure is chosen."""
     white = (stepped.weight * outlines(stepped, numbers, experiment)).ravel()
-    place = _WHITE_PERCENTILE / 100.0 * (white.size - 1)
+    place = EXPOSURE_PERCENTILE / 100.0 * (white.size - 1)
     order = np.argsort(np.real(white), kind="stable")
     below, share = int(place), place - int(place)
     ends = white[order[below]], white[order[min(below + 1, white.size - 1)]]

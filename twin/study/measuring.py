@@ -27,8 +27,8 @@ from twin.output import replace_json, versions
 from twin.pipeline import Memory, measure
 from twin.pipeline.bound import bounds_alone, object_bounds
 from twin.pipeline.calibration import calibrate_rendered, calibration_metrics
+from twin.pipeline.captures import options_of
 from twin.pipeline.compensation import with_compensation
-from twin.pipeline.fringes import options_of
 from twin.pipeline.gradients import bound_gradient
 from twin.pipeline.memory import Path as FieldPath
 from twin.pipeline.press import press

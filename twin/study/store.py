@@ -11,12 +11,11 @@
 A case is written under `.parts`, synchronised to the disk and renamed, so a killed run leaves
 nothing that looks like a result.
 
-Locks are the system's record locks, on one byte range of one file each: they vanish with their
-process, however it ends, and work across the hosts of a shared file system that has them (NFS 4,
-Lustre, local).
+Locks are the system's record locks, on one byte of one file each (`twin.locks`): they vanish with
+their process, however it ends, and work across the hosts of a shared file system that has them
+(NFS 4, Lustre, local).
 """
 
-import fcntl
 import itertools
 import os
 import re
@@ -32,6 +31,7 @@ from reconstruction.machine import unwritable
 from reconstruction.reading import is_regular, read_json
 from reconstruction.writing import make_durable, make_names_durable, write_text
 from twin.config import Experiment, to_toml
+from twin.locks import lock_byte, unlock_byte
 from twin.manifest import MANIFEST_FILE, foreign, manifest_lines, read_manifest, write_manifest
 from twin.output import (
     EXPERIMENT_FILE,
@@ -42,9 +42,6 @@ from twin.output import (
     versions,
     write_json,
 )
-
-# Record locks reach to 2^63: one byte each for names of 64 bits, less the sign.
-_LOCK_BITS = 62
 
 # Opened once per process: closing any handle of a file would drop all locks on it.
 _open_files: dict[Path, int] = {}
@@ -58,9 +55,8 @@ def _claim(file: Path, digest: str) -> bool:
         if (file, digest) in _held:
             return False
         try:
-            fcntl.lockf(_opened(file), fcntl.LOCK_EX | fcntl.LOCK_NB, 1, _place(digest))
-        except (BlockingIOError, PermissionError):  # POSIX allows both
-            return False
+            if not lock_byte(_opened(file), int(digest, 16)):
+                return False
         except OSError as error:
             raise InputError(
                 f"{file}: cannot be locked ({error.strerror}); choose an -o DIR on a file system "
@@ -72,7 +68,7 @@ def _claim(file: Path, digest: str) -> bool:
 
 def _release(file: Path, digest: str) -> None:
     with _holding:
-        fcntl.lockf(_opened(file), fcntl.LOCK_UN, 1, _place(digest))
+        unlock_byte(_opened(file), int(digest, 16))
         _held.remove((file, digest))
 
 
@@ -80,10 +76,6 @@ def _opened(file: Path) -> int:
     if file not in _open_files:
         _open_files[file] = os.open(file, os.O_RDWR)
     return _open_files[file]
-
-
-def _place(digest: str) -> int:
-    return int(digest, 16) % (1 << _LOCK_BITS)
 
 
 STORE_FILE, FAILURE_FILE, TIMINGS_FILE = "store.json", "failure.json", "timings.json"

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from reconstruction.errors import InputError
-from reconstruction.machine import VARIABLE
+from reconstruction.machine import VARIABLE, usable_cores
 from twin.extras import missing
 from twin.study.worker import die_with
 
@@ -71,7 +71,7 @@ def local_workers(count: int, cores: int | None = None) -> Workers:
     ------
     InputError : fewer than one
     """
-    available = cores or len(os.sched_getaffinity(0))
+    available = cores or usable_cores()
     if count < 1:
         raise InputError(f"--workers: found {count}, allowed 1 or more, best {available} here")
     if count == 1 and cores is None:
@@ -107,7 +107,7 @@ def opened(workers: Workers) -> Iterator[Executor]:
 
 def default_count() -> int:
     """Return one worker per two cores, but two where there are two or three."""
-    cores = len(os.sched_getaffinity(0))
+    cores = usable_cores()
     return max(min(cores, 2), cores // 2)
 
 

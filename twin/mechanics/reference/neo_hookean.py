@@ -67,7 +67,14 @@ class HeightContact:
     carried: FloatArray
 
     def evaluate(self, moved_mm: FloatArray, depth_mm: float, active: BoolArray | None) -> Pushed:
-        """Return the specimen's action; arguments as for `BallContact`."""
+        """Return forces and stiffness of the specimen on the surface.
+
+        Parameters
+        ----------
+        moved_mm : (node, xyz) displacement
+        depth_mm : travel of the specimen after first touch
+        active : (point,) points in contact; None: those that carry pressure
+        """
         at = self.surface.trace @ (self.nodes_mm + moved_mm)
         x, y = (self.surface.trace @ self.nodes_mm if self.linear else at)[:, :2].T
         height = self.field.value(x, y)

@@ -15,37 +15,34 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
-import numpy as np
-
-from reconstruction.netcdf import Labelled, LabelledArrays, write_arrays
+from reconstruction.netcdf import write_arrays
 from twin.config import ConfigError, Experiment, load_experiment, require_experiment
 from twin.config.inputs import DEFAULT_INPUTS, Input, Inputs, load_inputs
 from twin.config.schema import explain
 from twin.config.study import Study
 from twin.output import EXPERIMENT_FILE, RESULT_FILE, adding, write_json
 from twin.pipeline.progress import ProgressCallback, no_progress
+from twin.propagation.distribution import COVERAGE
+from twin.propagation.presentation import trial_arrays
+from twin.propagation.results import SOBOL_FILE, Uncertainty, effects_as_json, read_uncertainty
+from twin.propagation.sensitivity import presses_of_sobol
 from twin.results.names import compensates_at_once
 from twin.results.parts import write_result
 from twin.study.record import StudyRecord, write_record
 from twin.study.sensitivity import Effect
 from twin.study.store import Store
 from twin.study.sweep import drawn_board, duration, estimate, press_seconds, sweep, told
-from twin.study.table import is_number
 from twin.study.trials import (
     ALONE,
     CALIBRATION,
     NOISE,
     PART,
-    TRIAL,
     TRIALS,
     counting_for,
     nominal,
     standard_uncertainty,
 )
 from twin.study.workers import Workers, local_workers
-from twin.uncertainty.distribution import COVERAGE
-from twin.uncertainty.results import SOBOL_FILE, Uncertainty, effects_as_json, read_uncertainty
-from twin.uncertainty.sensitivity import presses_of_sobol
 
 COMMAND, TRIALS_FILE = "uncertainty", "trials.nc"
 MOST_TRIALS = 1_000_000
@@ -55,7 +52,6 @@ _PARTS = {
     NOISE: "repeats with new noise alone",
     CALIBRATION: "with another calibration of the sensor",
 }
-_TRIALS_TOLD = "trials of a measurement; trial 0 is the nominal one"
 _ABSENT = 9.969209968386869e36  # netCDF's own fill value of doubles
 
 
@@ -241,16 +237,4 @@ def write_trials(path: Path, found: Uncertainty) -> None:
 
     A figure that a trial lacks has the missing value.
     """
-    rows = [row for row in found.table.rows if row.get(PART) == TRIALS]
-    keys = [one.key for one in found.inputs().values()]
-    known = dict.fromkeys(name for row in rows for name, v in row.items() if is_number(v))
-    names = [*keys, *(name for name in known if name not in keys and name != TRIAL)]
-    variables: dict[str, Labelled] = {}
-    for name in names:
-        values = [row[name] if is_number(row.get(name)) else _ABSENT for row in rows]
-        told = "input" if name in keys else "figure of the measurement"
-        attributes = {"long_name": told, "missing_value": _ABSENT}
-        variables[name] = (TRIAL, np.array(values, np.float64), attributes)
-    numbers = np.array([row[TRIAL] for row in rows])
-    coords: dict[str, Labelled] = {TRIAL: (TRIAL, numbers, {})}
-    write_arrays(path, LabelledArrays(variables, coords, {"description": _TRIALS_TOLD}))
+    write_arrays(path, trial_arrays(found, _ABSENT))

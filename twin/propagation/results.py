@@ -5,7 +5,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,6 +14,10 @@ from reconstruction.errors import InputError
 from reconstruction.reading import is_regular, read_json
 from twin.config import Experiment, digest
 from twin.config.inputs import Input
+from twin.propagation.budget import Part, calibration_part, noise_part, part_of, ranked, together
+from twin.propagation.distribution import COVERAGE, Distribution, distribution_of
+from twin.propagation.presentation import measurand_in_short, trial_arrays, trial_drawing
+from twin.propagation.sensitivity import Correlation, correlation_of
 from twin.study.measuring import TRUE_RIG
 from twin.study.record import STUDY_FILE, StudyRecord, read_record
 from twin.study.sensitivity import Effect
@@ -30,9 +34,11 @@ from twin.study.trials import (
     counting_for,
     nominal,
 )
-from twin.uncertainty.budget import Part, calibration_part, noise_part, part_of, ranked, together
-from twin.uncertainty.distribution import COVERAGE, Distribution, distribution_of
-from twin.uncertainty.sensitivity import Correlation, correlation_of
+
+if TYPE_CHECKING:
+    import xarray
+
+    from reconstruction.drawing import Drawing
 
 SOBOL_FILE = "sobol.json"
 MAIN = (
@@ -94,6 +100,30 @@ class Uncertainty:
     table: StudyTable
     measurands: Mapping[str, Measurand]
     failures: Mapping[str, int] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        shown = "; ".join(f"{name} {value}" for name, value in self._in_short().items())
+        return f"<Uncertainty: {self.experiment.name}, {shown}>"
+
+    def _repr_html_(self) -> str:
+        from reconstruction.drawing import as_html
+
+        return as_html(f"uncertainty of {self.experiment.name}", self._in_short(), self.plot())
+
+    def _in_short(self) -> dict[str, str]:
+        """Return trials and measurands as texts by name; u is the standard uncertainty."""
+        failed = sum(self.failures.values())
+        trials = f"{self.trials}, {failed} failed" if failed else f"{self.trials}"
+        measurands = {name: measurand_in_short(one) for name, one in self.measurands.items()}
+        return {"trials": trials} | measurands
+
+    def plot(self) -> "Drawing":
+        """Draw the values of each measurand with its coverage interval: a Matplotlib figure."""
+        return trial_drawing(self)
+
+    def to_xarray(self) -> "xarray.Dataset":
+        """Return inputs and figures over the trials, NaN where a trial lacks the figure."""
+        return trial_arrays(self).to_xarray()
 
     @property
     def trials(self) -> int:

@@ -1,0 +1,77 @@
+"""A height map as a person meets it: as labelled arrays, and in pictures over x and y in mm."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from reconstruction.arrays import BoolArray, FloatArray, FloatImage, PhotometricReason
+from reconstruction.netcdf import PIXELS, Labelled, LabelledArrays, pixel_coordinates
+
+if TYPE_CHECKING:
+    from reconstruction.cells import CellMeans
+    from reconstruction.drawing import Drawing
+    from reconstruction.photometric.sensor import HeightMap
+
+SLOPES = ("slope_row", "slope_col")
+
+
+def height_arrays(height_map: "HeightMap") -> LabelledArrays:
+    """Return height, slopes and reason codes over image row and column, with units."""
+    meaning = ("slope of the surface down the rows", "slope of the surface along the columns")
+    variables: dict[str, Labelled] = {
+        name: (PIXELS, values, {"units": "1", "long_name": long_name})
+        for name, values, long_name in zip(SLOPES, height_map.slopes, meaning, strict=True)
+    }
+    height = {"units": "mm", "long_name": "height above the untouched surface"}
+    variables["height_mm"] = (PIXELS, height_map.height_mm, height)
+    codes = {
+        "units": "1",
+        "long_name": "reason why the height is no measurement; 0: it is one",
+        "comment": "where it is not 0, slopes are estimates; heights are integrated over them",
+        "flag_values": np.array([int(reason) for reason in PhotometricReason], np.uint8),
+        "flag_meanings": " ".join(reason.name for reason in PhotometricReason),
+    }
+    variables["mask_reason"] = (PIXELS, height_map.mask_reason, codes)
+    frame = "row 0 at the top; height is positive towards the camera"
+    return LabelledArrays(
+        variables,
+        coords=pixel_coordinates(*height_map.height_mm.shape),
+        attrs={"frame": frame, "pitch_mm": height_map.pitch_mm},
+    )
+
+
+def height_drawing(height_map: "HeightMap") -> "Drawing":
+    """Return heights, steepness, and the section at y = 0; the origin is the image's middle.
+
+    Raises
+    ------
+    InputError : no pixel carries a measurement
+    """
+    from reconstruction.drawing import Drawing, draw_cells, draw_section
+    from reconstruction.errors import InputError
+
+    if not height_map.valid.any():
+        raise InputError("plot: found no valid pixel; look at the mask's reasons")
+    heights = _cells(height_map, height_map.height_mm)
+    steepness_deg = np.degrees(np.arctan(np.hypot(*height_map.slopes)))
+    drawing = Drawing(3)
+    panels = drawing.subplots(1, 3)
+    draw_cells(panels[0], heights, "heights", "z (mm)")
+    draw_cells(panels[1], _cells(height_map, steepness_deg), "steepness", "slope (deg)")
+    draw_section(panels[2], {"measured": heights})
+    return drawing
+
+
+def places_mm(height_map: "HeightMap") -> tuple[FloatArray, FloatArray]:
+    """Return x of the columns (col,), growing, and y of the rows (row,), falling."""
+    rows, cols = height_map.height_mm.shape
+    x_mm = (np.arange(cols) - 0.5 * (cols - 1)) * height_map.pitch_mm
+    return x_mm, (0.5 * (rows - 1) - np.arange(rows)) * height_map.pitch_mm
+
+
+def _cells(height_map: "HeightMap", values: FloatArray | FloatImage) -> "CellMeans":
+    from reconstruction.cells import CellMeans
+
+    valid: BoolArray = height_map.valid
+    x_mm, y_mm = places_mm(height_map)
+    return CellMeans(x_mm, y_mm, values.astype(np.float64), valid, height_map.pitch_mm)

@@ -1,0 +1,84 @@
+"""A pressed elastomer as labelled arrays: names, dimensions, units of the fields of press.nc."""
+
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from reconstruction.netcdf import Labelled, LabelledArrays
+
+if TYPE_CHECKING:
+    from twin.mechanics.press import PressedElastomer, SheetFields
+
+SCHEMA = "fringe-twin press 3"
+AXES = ("x_mm", "y_mm", "face_x_mm", "face_y_mm")
+VALIDITY = "validity_"
+FACE = ("face_y", "face_x")
+
+# field: (dimensions, units, long name)
+VARIABLES: dict[str, tuple[tuple[str, ...], str, str]] = {
+    "x_mm": (("x",), "mm", "world x of the solver cell centres"),
+    "y_mm": (("y",), "mm", "world y of the solver cell centres"),
+    "pressure_kpa": (("y", "x"), "kPa", "pressure on the touched face: force over area in plan"),
+    "contact": (("y", "x"), "1", "1 where the specimen touches"),
+    "touched_face_mm": (("y", "x"), "mm", "world z of the touched face"),
+    "face_x_mm": (("face_x",), "mm", "world x of the coated face's nodes"),
+    "face_y_mm": (("face_y",), "mm", "world y of the coated face's nodes"),
+    "face_z_mm": (FACE, "mm", "world z of the coated face"),
+    "force_n": ((), "N", "contact force"),
+    "depth_mm": ((), "mm", "travel after first touch"),
+    "young_modulus_kpa": ((), "kPa", "Young's modulus of the elastomer"),
+    "iterations": ((), "1", "passes of the contact solver"),
+    "converged": ((), "1", "1 when the contact solver converged"),
+    "texture_mm": (FACE, "mm", "what the coat's texture adds to face_z_mm"),
+}
+OPTIONAL = {"texture_mm"}
+
+# field of SheetFields: units, long name; stored where there are some, on the coated face's nodes
+SHEET_VARIABLES: dict[str, tuple[str, str]] = {
+    "thickness_mm": ("mm", "local thickness, along the coated face's normal"),
+    "stretch_1": ("1", "larger principal stretch"),
+    "stretch_2": ("1", "smaller principal stretch"),
+    "material_x_mm": ("mm", "x on the mounted sheet of what lies here"),
+    "material_y_mm": ("mm", "y on the mounted sheet of what lies here"),
+}
+
+
+def press_arrays(pressed: "PressedElastomer") -> LabelledArrays:
+    """Return all fields over their coordinates x, y (solver cells) and face_x, face_y (nodes), mm.
+
+    Figures of `Validity` are attributes.
+    """
+    variables = {
+        name: labelled(np.asarray(getattr(pressed, name)), *told)
+        for name, told in VARIABLES.items()
+        if name not in OPTIONAL or getattr(pressed, name) is not None
+    }
+    for name, data in _sheet_arrays(pressed.sheet).items():
+        variables[f"sheet_{name}"] = labelled(data, FACE, *SHEET_VARIABLES[name])
+    axes = {name.removesuffix("_mm"): variables.pop(name) for name in AXES}
+    validity = asdict(pressed.validity) | {"warnings": "\n".join(pressed.validity.warnings)}
+    told = {VALIDITY + name: value for name, value in validity.items()}
+    attributes = {"Conventions": "CF-1.11", "schema": SCHEMA, "model": pressed.model}
+    return LabelledArrays(variables, axes, attributes | told)
+
+
+def labelled(
+    data: NDArray[Any], dimensions: tuple[str, ...], units: str, long_name: str
+) -> Labelled:
+    """Return an array with its dimensions and attributes; bool as int8, which netCDF-4 has."""
+    stored = data.astype(np.int8) if data.dtype == bool else data
+    return dimensions, stored, {"units": units, "long_name": long_name}
+
+
+def _sheet_arrays(sheet: "SheetFields | None") -> dict[str, Any]:
+    if sheet is None:
+        return {}
+    return {
+        "thickness_mm": sheet.thickness_mm,
+        "stretch_1": sheet.stretch[..., 0],
+        "stretch_2": sheet.stretch[..., 1],
+        "material_x_mm": sheet.material_x_mm,
+        "material_y_mm": sheet.material_y_mm,
+    }
