@@ -76,7 +76,7 @@ def test_the_example_is_short():
 def test_without_the_plugin_the_kind_is_unknown_in_one_line(experiment, tmp_path):
     _, message = twin("render", experiment, "-o", tmp_path / "out", code=2)
     assert message.count("\n") == 1
-    assert "coating: found" in message
+    assert "coating.kind: found" in message
     assert "'flakes', 'matte', 'measured'" in message
 
 

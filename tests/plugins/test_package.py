@@ -73,7 +73,7 @@ diameter_mm = 8.0
 layout = "contact_face"
 thickness_mm = 4.0
 young_modulus_kpa = 100.0
-poisson_ratio = 0.4
+poisson_ratio = 0.45
 
 [press]
 control = "depth"
@@ -146,7 +146,7 @@ def test_a_ball_presses_a_winkler_bed(installed: Path, tmp_path: Path) -> None:
     file.write_text(SPRINGS, encoding="utf-8")
     twin(installed, "press", file, "-o", out)
     metrics = json.loads((out / "result.json").read_text("utf-8"))["metrics"]
-    k_kpa_mm = 100 * (1 - 0.4) / ((1 + 0.4) * (1 - 0.8)) / 4.0
+    k_kpa_mm = 100 * (1 - 0.45) / ((1 + 0.45) * (1 - 0.9)) / 4.0
     force_n = 1e-3 * k_kpa_mm * np.pi * 0.4**2 * (4.0 - 0.4 / 3)
     assert metrics["mechanics_model"] == "winkler"
     assert metrics["force_n"] == pytest.approx(force_n, rel=0.01)
